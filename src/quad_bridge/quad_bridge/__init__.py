@@ -1,0 +1,1 @@
+"""quad_bridge of the quad suite."""

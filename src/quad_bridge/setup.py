@@ -1,0 +1,27 @@
+"""ament_python package of the serial bridge, the logger and the virtual STM32."""
+
+from glob import glob
+
+from setuptools import find_packages, setup
+
+PACKAGE = 'quad_bridge'
+
+setup(
+    name=PACKAGE,
+    version='0.1.0',
+    packages=find_packages(),
+    package_data={PACKAGE: ['py.typed', '**/*.yaml', '**/*.xml']},
+    data_files=[
+        ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
+        (f'share/{PACKAGE}', ['package.xml']),
+        (f'share/{PACKAGE}/launch', glob('launch/*.launch.py')),
+        (f'share/{PACKAGE}/config', glob('config/*.yaml')),
+    ],
+    python_requires='>=3.10',
+    install_requires=['numpy', 'numba', 'PyYAML', 'pyserial', 'pymavlink', 'fastcrc', 'rosbags'],
+    extras_require={'test': ['pytest', 'hypothesis']},
+    zip_safe=False,
+    license='Apache-2.0',
+    description='Serial bridge, bag logger and virtual STM32 for the quad suite.',
+    entry_points={'console_scripts': []},
+)

@@ -1,0 +1,1 @@
+"""quad_sysid of the quad suite."""

@@ -1,0 +1,173 @@
+"""What was measured, as arrays on one uniform grid: Record, Segment, IOData.
+
+Built by bag_reader (from bags) or by hand (from arrays). No file access, no filtering, no fitting.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from quad_sysid.contract import AXES, FloatArray
+from quad_sysid.errors import BadInputError
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A stretch of a flight with one role. Times in s from the record's first sample."""
+
+    role: str
+    """`train`, `validation` or `idle`."""
+    signal: str
+    """`prbs`, `square`, `chirp`, `multisine`, `3211`, `none` or, where the bag does not say,
+    `unknown`."""
+    axis: str
+    injection: str
+    start_s: float
+    end_s: float
+    parameters: Mapping[str, float | int | str | bool] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class GainChange:
+    """Gains and loop constants the STM32 acknowledged, valid from `time_s` (s from the start)."""
+
+    time_s: float
+    values: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Record:
+    """One flight on a uniform grid of the control cycle; a lost sample is NaN, never invented.
+
+    All arrays have n rows; optional ones are None where the bag lacks the topic.
+    """
+
+    source: str
+    """Path of the bag, for messages and reports."""
+    dt: float
+    """Sample interval, s."""
+    rates: FloatArray
+    """(n, 3) body rates p q r, rad/s (FLU)."""
+    control: FloatArray
+    """(n, 4) the plant's input U1..U4, normalised: mixer inverse of the motor commands."""
+    angles: FloatArray | None = None
+    """(n, 3) roll, pitch, yaw, rad (yaw unwrapped)."""
+    acceleration: FloatArray | None = None
+    """(n, 3) m/s²."""
+    motors: FloatArray | None = None
+    """(n, 4) motor commands 0..1."""
+    wrench: FloatArray | None = None
+    """(n, 4) controller output before mixer and limits, normalised."""
+    attitude_setpoint: FloatArray | None = None
+    """(n, 3) rad."""
+    rate_setpoint: FloatArray | None = None
+    """(n, 3) rad/s."""
+    excitation: FloatArray | None = None
+    """(n, 3) what the STM32 says it added, in the unit of the segment's injection."""
+    battery_v: FloatArray | None = None
+    """(n,) pack voltage, V."""
+    segments: tuple[Segment, ...] = ()
+    gains: tuple[GainChange, ...] = ()
+    missing: tuple[str, ...] = ()
+    """Topics of the contract that the bag lacks or that hold nothing usable."""
+    warnings: tuple[str, ...] = ()
+    """What the reader mended or distrusts, one line each, for the report."""
+    t0_ns: int = 0
+    """Stamp of the first sample, ns."""
+
+    @property
+    def n(self) -> int:
+        """Number of grid points."""
+        return int(self.rates.shape[0])
+
+    @property
+    def time_s(self) -> FloatArray:
+        """(n,) s from the first sample."""
+        return np.arange(self.n) * self.dt
+
+    def axis(self, name: str, role: str | None = None) -> IOData:
+        """Input and output of one axis over the segments of `role` (all of the record: None)."""
+        index = AXES.index(name)
+        y = self.rates[:, index]
+        u = self.control[:, index + 1]
+        r = None if self.rate_setpoint is None else self.rate_setpoint[:, index]
+        if role is None:
+            spans: list[tuple[int, int]] = [(0, self.n)]
+        else:
+            spans = [self.span(s) for s in self.segments if s.role == role and s.axis == name]
+        good = np.isfinite(y) & np.isfinite(u)
+        runs = [run for span in spans for run in finite_runs(good, span)]
+        return IOData(u=u, y=y, dt=self.dt, r=r, segments=tuple(runs))
+
+    def span(self, segment: Segment) -> tuple[int, int]:
+        """Index range [start, stop) of a segment."""
+        start = max(0, round(segment.start_s / self.dt))
+        return start, min(self.n, round(segment.end_s / self.dt))
+
+    def gains_at(self, time_s: float) -> Mapping[str, float]:
+        """The gains in force at `time_s`; empty where the bag does not say."""
+        known: dict[str, float] = {}
+        for change in self.gains:
+            if change.time_s <= time_s or not known:
+                known.update(change.values)
+        return known
+
+
+def finite_runs(good: np.ndarray, span: tuple[int, int]) -> list[tuple[int, int]]:
+    """Index ranges [start, stop) inside `span` where `good` (n,) is True without a break."""
+    start, stop = span
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], good[start:stop], [False]))))
+    return [(start + int(a), start + int(b)) for a, b in edges.reshape(-1, 2)]
+
+
+@dataclass(frozen=True)
+class IOData:
+    """Input and output of one channel, in one or several unbroken segments.
+
+    u, y, r are (n,); `segments` are index ranges [start, stop) that are fitted together without
+    joining their ends (empty: the whole). dt in s.
+    """
+
+    u: FloatArray
+    y: FloatArray
+    dt: float
+    r: FloatArray | None = None
+    segments: Sequence[tuple[int, int]] = ()
+
+    def __post_init__(self) -> None:
+        """Check lengths and dt; raises BadInputError naming the argument."""
+        u = np.asarray(self.u, dtype=float)
+        y = np.asarray(self.y, dtype=float)
+        if u.ndim != 1 or y.ndim != 1 or u.shape != y.shape:
+            raise BadInputError(
+                'IOData', 'u and y must be 1-D of one length', f'{u.shape} and {y.shape}'
+            )
+        if not (np.isfinite(self.dt) and self.dt > 0):
+            raise BadInputError('IOData', 'dt must be a positive number of seconds', self.dt)
+        object.__setattr__(self, 'u', u)
+        object.__setattr__(self, 'y', y)
+        segments = tuple(self.segments) or ((0, int(y.size)),)
+        for start, stop in segments:
+            if not 0 <= start < stop <= y.size:
+                raise BadInputError(
+                    'IOData', f'a segment must lie in 0..{y.size}', (start, stop)
+                )
+            if not (np.isfinite(u[start:stop]).all() and np.isfinite(y[start:stop]).all()):
+                raise BadInputError(
+                    'IOData', f'segment {start}:{stop} of u or y holds NaN or infinity',
+                    remedy='split it there, as Record.axis does',
+                )
+        object.__setattr__(self, 'segments', segments)
+        if self.r is not None:
+            r = np.asarray(self.r, dtype=float)
+            if r.shape != y.shape:
+                raise BadInputError('IOData', 'r must have the length of y', r.shape)
+            object.__setattr__(self, 'r', r)
+
+    @property
+    def n(self) -> int:
+        """Number of samples in all segments."""
+        return sum(stop - start for start, stop in self.segments)

@@ -1,0 +1,1 @@
+"""quad_tuning of the quad suite."""

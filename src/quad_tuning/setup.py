@@ -1,0 +1,27 @@
+"""ament_python package of the gain design; installable with pip without ROS."""
+
+from glob import glob
+
+from setuptools import find_packages, setup
+
+PACKAGE = 'quad_tuning'
+
+setup(
+    name=PACKAGE,
+    version='0.1.0',
+    packages=find_packages(),
+    package_data={PACKAGE: ['py.typed', '**/*.yaml']},
+    data_files=[
+        ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
+        (f'share/{PACKAGE}', ['package.xml']),
+        (f'share/{PACKAGE}/launch', glob('launch/*.launch.py')),
+        (f'share/{PACKAGE}/config', glob('config/*.yaml')),
+    ],
+    python_requires='>=3.10',
+    install_requires=['numpy', 'scipy', 'control', 'quad_sysid'],
+    extras_require={'test': ['pytest', 'hypothesis']},
+    zip_safe=False,
+    license='Apache-2.0',
+    description='PID and LQR design on identified quadrotor models.',
+    entry_points={'console_scripts': []},
+)
