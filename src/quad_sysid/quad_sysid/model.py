@@ -1,0 +1,100 @@
+"""The identified model of one axis, as it is handed on: to the report, to a designer, to a file.
+
+Frozen values only: how they are fitted stands in greybox and effects, how they are stored in
+report/model_file.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+from quad_sysid.contract import FloatArray
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One estimated number. `std` is None where no ordinary standard error exists (at a bound)."""
+
+    name: str
+    value: float
+    std: float | None
+    unit: str
+
+
+@dataclass(frozen=True)
+class EffectEstimate:
+    """An effect that was added to the base, with its parameters (contract, names of effects)."""
+
+    name: str
+    kind: str
+    """`named`, `shape`, `mode` or `event`."""
+    signals: tuple[str, ...]
+    parameters: tuple[Parameter, ...]
+    settings: Mapping[str, object] = field(default_factory=dict)
+    """What is not estimated but needed to run it again (knots, reference voltage)."""
+    p_value: float = 1.0
+    error_reduction_pct: float = 0.0
+    probability: float = 1.0
+    rivals: tuple[tuple[str, float], ...] = ()
+    """Names of what explains the data nearly as well, with probabilities."""
+
+
+@dataclass(frozen=True)
+class AxisModel:
+    """The completed continuous-time model of one axis.
+
+    d(rate)/dt = drive - damping * rate + bias + effects, where drive is gain * command behind the
+    delay and a first-order lag; the measured rate is behind the gyro filter where that is known.
+    """
+
+    axis: str
+    dt: float
+    """Control cycle, s."""
+    gyro_filter_hz: float | None
+    """Cut-off of the 2nd-order Butterworth filter the model contains, Hz; None: not contained."""
+    base: tuple[Parameter, ...]
+    """gain (rad/s² per unit command), lag (s), delay (s), damping (1/s), bias (rad/s²)."""
+    effects: tuple[EffectEstimate, ...] = ()
+    parameter_names: tuple[str, ...] = ()
+    """Order of rows and columns of `covariance`: `gain`, …, then `<effect>.<parameter>`."""
+    covariance: FloatArray | None = None
+    """(p, p); NaN rows for parameters held at a bound."""
+    active_gains: Mapping[str, float] = field(default_factory=dict)
+    """What /gains/active said during the flight, all axes and loop constants."""
+    mean_battery_v: float | None = None
+    noise_rms: float | None = None
+    """RMS of the measurement noise of the rate, rad/s."""
+    torque_noise: float | None = None
+    """Intensity of the torque noise that drives the rate, (rad/s²)/√Hz."""
+    trusted_band_rad_s: tuple[float, float] | None = None
+    """Where the data support the model, rad/s."""
+
+    def value(self, name: str) -> float:
+        """Value of a base parameter, or of `<effect>.<parameter>`."""
+        for parameter in self.base:
+            if parameter.name == name:
+                return parameter.value
+        effect_name, _, parameter_name = name.partition('.')
+        for effect in self.effects:
+            if effect.name == effect_name:
+                for parameter in effect.parameters:
+                    if parameter.name == parameter_name:
+                        return parameter.value
+        raise KeyError(name)
+
+
+@dataclass(frozen=True)
+class GainProposal:
+    """A designer's answer: gains of one axis on the contract's terms (SI), or why there are none."""
+
+    gains: Mapping[str, float] | None
+    """Such as `roll.angle.kp`, `roll.rate.kp`; None where the design is refused."""
+    refused_because: str = ''
+    figures: Mapping[str, float] = field(default_factory=dict)
+    """What the design promises and what the old gains gave: phase_margin_deg, rise_time_s, …,
+    each also as `<name>_before`."""
+
+
+Designer = Callable[[AxisModel], GainProposal]
+"""What the entry point group `quad_sysid.designers` offers."""
