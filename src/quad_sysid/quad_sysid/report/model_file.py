@@ -1,0 +1,294 @@
+"""model.json: identified axis models on disk and back, strictly checked.
+
+Schema quad_sysid/model/1. NaN is not JSON: a covariance row held at a bound and a standard error
+that does not exist are stored as null. What a model
+means stands in quad_sysid/model.py; nothing is fitted or judged here.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from quad_sysid.contract import AXES, FloatArray
+from quad_sysid.errors import BadInputError
+from quad_sysid.model import AxisModel, EffectEstimate, Parameter
+
+SCHEMA = 'quad_sysid/model/1'
+BASE_NAMES = ('gain', 'lag', 'delay', 'damping', 'bias')
+_MODEL_KEYS = frozenset(
+    {
+        'dt', 'gyro_filter_hz', 'base', 'effects', 'parameter_names', 'covariance',
+        'active_gains', 'mean_battery_v', 'noise_rms', 'torque_noise', 'trusted_band_rad_s',
+    }
+)  # fmt: skip
+_EFFECT_KEYS = frozenset(
+    {
+        'name', 'kind', 'signals', 'parameters', 'settings', 'p_value', 'error_reduction_pct',
+        'probability', 'rivals',
+    }
+)  # fmt: skip
+_PARAMETER_KEYS = frozenset({'name', 'value', 'std', 'unit'})
+
+
+def save_models(models: Mapping[str, AxisModel], path: str | os.PathLike[str]) -> None:
+    """Write the models of a flight, by axis, to `path`; the file is replaced whole or not at all.
+
+    Raises BadInputError where a number that must be finite is not, or the file can't be written.
+    """
+    target = Path(path)
+    axes = {axis: _model_out(model, f'{target}: {axis}') for axis, model in models.items()}
+    text = json.dumps({'schema': SCHEMA, 'axes': axes}, indent=1, allow_nan=False) + '\n'
+    temporary: str | None = None
+    try:
+        handle, temporary = tempfile.mkstemp(
+            dir=target.parent, prefix=f'.{target.name}.', suffix='.part'
+        )
+        with os.fdopen(handle, 'w', encoding='utf-8') as stream:
+            stream.write(text)
+            stream.flush()
+            os.fsync(stream.fileno())
+        Path(temporary).chmod(0o644)
+        Path(temporary).replace(target)
+    except OSError as error:
+        if temporary is not None:
+            Path(temporary).unlink(missing_ok=True)
+        raise BadInputError(str(target), 'cannot be written', error.strerror) from error
+
+
+def load_models(path: str | os.PathLike[str]) -> dict[str, AxisModel]:
+    """Models by axis from a model.json; raises BadInputError naming file, field and remedy."""
+    name = str(path)
+    try:
+        tree = json.loads(Path(path).read_text(encoding='utf-8'))
+    except OSError as error:
+        raise BadInputError(
+            name, 'cannot be read', error.strerror, 'give the model.json of quad-sysid identify'
+        ) from error
+    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise BadInputError(name, 'is not JSON', str(error)) from error
+    root = _object(tree, name, frozenset({'schema', 'axes'}), open_ended=True)
+    if root['schema'] != SCHEMA:
+        raise BadInputError(
+            f'{name}: schema', f'must be {SCHEMA}', root['schema'],
+            'give the model.json of quad-sysid identify',
+        )  # fmt: skip
+    axes = root['axes']
+    if not isinstance(axes, dict) or not axes:
+        raise BadInputError(f'{name}: axes', 'must be an object with at least one axis', axes)
+    for axis in axes:
+        if axis not in AXES:
+            raise BadInputError(f'{name}: axes', f'must be of {", ".join(AXES)}', axis)
+    return {axis: _model_in(axis, tree, f'{name}: axes.{axis}') for axis, tree in axes.items()}
+
+
+def _model_out(model: AxisModel, where: str) -> dict[str, Any]:
+    covariance = None
+    if model.covariance is not None:
+        covariance = [[_null(float(v)) for v in row] for row in np.asarray(model.covariance)]
+    band = model.trusted_band_rad_s
+    return {
+        'dt': _finite(model.dt, f'{where}.dt'),
+        'gyro_filter_hz': _null(model.gyro_filter_hz),
+        'base': [_parameter_out(p, f'{where}.base') for p in model.base],
+        'effects': [_effect_out(e, f'{where}.effects.{e.name}') for e in model.effects],
+        'parameter_names': list(model.parameter_names),
+        'covariance': covariance,
+        'active_gains': {
+            key: _finite(value, f'{where}.active_gains.{key}')
+            for key, value in model.active_gains.items()
+        },
+        'mean_battery_v': _null(model.mean_battery_v),
+        'noise_rms': _null(model.noise_rms),
+        'torque_noise': _null(model.torque_noise),
+        'trusted_band_rad_s': (
+            None if band is None else [_finite(v, f'{where}.trusted_band_rad_s') for v in band]
+        ),
+    }
+
+
+def _parameter_out(parameter: Parameter, where: str) -> dict[str, Any]:
+    return {
+        'name': parameter.name,
+        'value': _finite(parameter.value, f'{where}.{parameter.name}'),
+        'std': _null(parameter.std),
+        'unit': parameter.unit,
+    }
+
+
+def _effect_out(effect: EffectEstimate, where: str) -> dict[str, Any]:
+    return {
+        'name': effect.name,
+        'kind': effect.kind,
+        'signals': list(effect.signals),
+        'parameters': [_parameter_out(p, where) for p in effect.parameters],
+        'settings': {key: _plain(v, f'{where}.settings') for key, v in effect.settings.items()},
+        'p_value': _finite(effect.p_value, f'{where}.p_value'),
+        'error_reduction_pct': _finite(effect.error_reduction_pct, f'{where}.error_reduction_pct'),
+        'probability': _finite(effect.probability, f'{where}.probability'),
+        'rivals': [[name, _finite(p, f'{where}.rivals')] for name, p in effect.rivals],
+    }
+
+
+def _plain(value: object, where: str) -> Any:
+    """`value` as JSON: arrays and tuples become lists, NaN null."""
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist(), where)
+    if isinstance(value, float):
+        return _null(value)
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item, where) for key, item in value.items()}
+    if isinstance(value, Sequence):
+        return [_plain(item, where) for item in value]
+    raise BadInputError(where, 'cannot be stored as JSON', type(value).__name__)
+
+
+def _null(value: float | None) -> float | None:
+    return None if value is None or not math.isfinite(value) else float(value)
+
+
+def _finite(value: float, where: str) -> float:
+    if not math.isfinite(value):
+        raise BadInputError(where, 'must be finite', value)
+    return float(value)
+
+
+def _model_in(axis: str, tree: object, where: str) -> AxisModel:
+    fields = _object(tree, where, _MODEL_KEYS)
+    base = _parameters_in(fields['base'], f'{where}.base')
+    names = [p.name for p in base]
+    if sorted(names) != sorted(BASE_NAMES):
+        found = ', '.join(names)
+        raise BadInputError(f'{where}.base', f'must list {", ".join(BASE_NAMES)}', found)
+    parameter_names = _strings(fields['parameter_names'], f'{where}.parameter_names')
+    band = fields['trusted_band_rad_s']
+    if band is not None:
+        low, high = _pair(band, f'{where}.trusted_band_rad_s')
+        band = (_number(low, f'{where}.trusted_band_rad_s'),
+                _number(high, f'{where}.trusted_band_rad_s'))  # fmt: skip
+    dt = _number(fields['dt'], f'{where}.dt')
+    if dt <= 0:
+        raise BadInputError(f'{where}.dt', 'must be a positive number of seconds', dt)
+    gains = fields['active_gains']
+    if not isinstance(gains, dict):
+        raise BadInputError(f'{where}.active_gains', 'must be an object of numbers', gains)
+    effects = _list(fields['effects'], f'{where}.effects')
+    return AxisModel(
+        axis=axis,
+        dt=dt,
+        gyro_filter_hz=_optional(fields['gyro_filter_hz'], f'{where}.gyro_filter_hz'),
+        base=base,
+        effects=tuple(_effect_in(e, f'{where}.effects[{i}]') for i, e in enumerate(effects)),
+        parameter_names=parameter_names,
+        covariance=_covariance_in(fields['covariance'], parameter_names, f'{where}.covariance'),
+        active_gains={k: _number(v, f'{where}.active_gains.{k}') for k, v in gains.items()},
+        mean_battery_v=_optional(fields['mean_battery_v'], f'{where}.mean_battery_v'),
+        noise_rms=_optional(fields['noise_rms'], f'{where}.noise_rms'),
+        torque_noise=_optional(fields['torque_noise'], f'{where}.torque_noise'),
+        trusted_band_rad_s=band,
+    )
+
+
+def _parameters_in(tree: object, where: str) -> tuple[Parameter, ...]:
+    parameters = []
+    for index, item in enumerate(_list(tree, where)):
+        fields = _object(item, f'{where}[{index}]', _PARAMETER_KEYS)
+        name = _string(fields['name'], f'{where}[{index}].name')
+        parameters.append(
+            Parameter(
+                name=name,
+                value=_number(fields['value'], f'{where}.{name}.value'),
+                std=_optional(fields['std'], f'{where}.{name}.std'),
+                unit=_string(fields['unit'], f'{where}.{name}.unit'),
+            )
+        )
+    return tuple(parameters)
+
+
+def _effect_in(tree: object, where: str) -> EffectEstimate:
+    fields = _object(tree, where, _EFFECT_KEYS)
+    if not isinstance(fields['settings'], dict):
+        raise BadInputError(f'{where}.settings', 'must be an object', fields['settings'])
+    rivals = [_pair(item, f'{where}.rivals') for item in _list(fields['rivals'], where)]
+    return EffectEstimate(
+        name=_string(fields['name'], f'{where}.name'),
+        kind=_string(fields['kind'], f'{where}.kind'),
+        signals=_strings(fields['signals'], f'{where}.signals'),
+        parameters=_parameters_in(fields['parameters'], f'{where}.parameters'),
+        settings=fields['settings'],
+        p_value=_number(fields['p_value'], f'{where}.p_value'),
+        error_reduction_pct=_number(fields['error_reduction_pct'], f'{where}.error_reduction_pct'),
+        probability=_number(fields['probability'], f'{where}.probability'),
+        rivals=tuple(
+            (_string(name, f'{where}.rivals'), _number(p, f'{where}.rivals')) for name, p in rivals
+        ),
+    )
+
+
+def _covariance_in(tree: object, names: Sequence[str], where: str) -> FloatArray | None:
+    if tree is None:
+        return None
+    rows = [_list(row, where) for row in _list(tree, where)]
+    if any(len(row) != len(names) for row in rows) or len(rows) != len(names):
+        raise BadInputError(where, f'must be {len(names)} by {len(names)}, as parameter_names say')
+    matrix = np.array(
+        [[np.nan if v is None else _number(v, where) for v in row] for row in rows], dtype=float
+    ).reshape(len(names), len(names))
+    matrix.setflags(write=False)
+    return matrix
+
+
+def _object(
+    tree: object, where: str, keys: frozenset[str], *, open_ended: bool = False
+) -> dict[str, Any]:
+    if not isinstance(tree, dict):
+        raise BadInputError(where, 'must be an object', type(tree).__name__)
+    missing = sorted(keys - tree.keys())
+    if missing:
+        raise BadInputError(where, f'lacks {", ".join(missing)}')
+    unknown = sorted(tree.keys() - keys)
+    if unknown and not open_ended:
+        raise BadInputError(where, 'holds an unknown field', unknown[0])
+    return tree
+
+
+def _list(tree: object, where: str) -> list[Any]:
+    if not isinstance(tree, list):
+        raise BadInputError(where, 'must be a list', type(tree).__name__)
+    return tree
+
+
+def _pair(tree: object, where: str) -> tuple[Any, Any]:
+    items = _list(tree, where)
+    if len(items) != 2:
+        raise BadInputError(where, 'must be a pair', items)
+    return items[0], items[1]
+
+
+def _string(tree: object, where: str) -> str:
+    if not isinstance(tree, str):
+        raise BadInputError(where, 'must be a string', tree)
+    return tree
+
+
+def _strings(tree: object, where: str) -> tuple[str, ...]:
+    return tuple(_string(item, where) for item in _list(tree, where))
+
+
+def _number(tree: object, where: str) -> float:
+    if isinstance(tree, bool) or not isinstance(tree, int | float) or not math.isfinite(tree):
+        raise BadInputError(where, 'must be a finite number', tree)
+    return float(tree)
+
+
+def _optional(tree: object, where: str) -> float | None:
+    return None if tree is None else _number(tree, where)
