@@ -22,10 +22,10 @@ demo: build  ## the whole loop on a virtual quadrotor, results in demo_out/ (4 m
 	@$(RUN) exec python -m quad_tuning.demo $(ARGS)
 
 test: build  ## all tests, the real-time ones through nodes, pty and bag included
-	@$(RUN) exec python -m pytest $(ARGS)
+	@$(RUN) exec python -m pytest --timeout 600 $(ARGS)
 
 test-fast: build  ## the tests of the parts alone, without starting processes
-	@$(RUN) exec python -m pytest --ignore=test/integration $(ARGS)
+	@$(RUN) exec python -m pytest --timeout 600 --ignore=test/integration $(ARGS)
 
 build:  ## venv with the pinned packages and colcon build into install/
 	@tools/set_up.sh
