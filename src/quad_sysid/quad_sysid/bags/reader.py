@@ -1,0 +1,253 @@
+"""A recorded bag → one Record: `read_bag`.
+
+Which topic becomes which array stands here; bytes are decoded in cdr.py, stamps put on the grid in
+stamps.py, files found in storage.py. No fitting, no filtering.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from quad_sysid.bags.cdr import WIDTH, Stamped, decode
+from quad_sysid.bags.events import EVENT, decode_events, gains_from, segments_from
+from quad_sysid.bags.stamps import Grid, uniform_grid
+from quad_sysid.bags.storage import Storage
+from quad_sysid.contract import (
+    TOPIC_TYPES,
+    FloatArray,
+    control_from_motors,
+    motors_from_wrench,
+)
+from quad_sysid.errors import BadInputError
+from quad_sysid.record import Record
+
+IMU_TOPIC = '/imu/data'
+MOTORS, CONTROL = '/motors/command', '/control/wrench'
+SEGMENT, GAINS = '/excitation/segment', '/gains/active'
+OPTIONAL = {
+    'wrench': CONTROL,
+    'motors': MOTORS,
+    'attitude_setpoint': '/setpoint/attitude',
+    'rate_setpoint': '/setpoint/rates',
+    'excitation': '/excitation/applied',
+}
+TOPICS = (IMU_TOPIC, *OPTIONAL.values(), '/battery', SEGMENT, GAINS)
+
+PLAUSIBLE_PACK_V = (2.0, 100.0)
+BATTERY_GAP_S = 2.0
+LOST_WARNING = 0.01
+
+
+@dataclass(frozen=True)
+class _Content:
+    """What the storage held, topic by topic."""
+
+    streams: dict[str, Stamped]
+    events: dict[str, list[bytes]]
+    warnings: list[str]
+
+
+def read_bag(path: str | Path) -> Record:
+    """Record of a rosbag2 directory or a bare .mcap file, by header stamps alone.
+
+    Raises BadInputError (one line: file, field, remedy) where the bag is no bag or lacks
+    /imu/data or both /motors/command and /control/wrench. What was mended is in `warnings`.
+    """
+    source = str(path)
+    content = _read(Path(path))
+    imu = content.streams.get(IMU_TOPIC)
+    if imu is None or len(imu.stamps) == 0:
+        raise BadInputError(
+            source, f'{IMU_TOPIC} is missing or empty',
+            remedy='record it (sensor_msgs/msg/Imu); nothing can be identified without it',
+        )
+    grid = uniform_grid(imu.stamps, source)
+    warnings = [*content.warnings, *grid.warnings]
+    placed = np.full((grid.n, WIDTH[TOPIC_TYPES[IMU_TOPIC]]), np.nan)
+    placed[grid.cells] = imu.values[grid.rows]
+    rates = _finite(placed[:, 5:8], IMU_TOPIC, 'angular_velocity', grid, warnings)
+    arrays = {name: _array(name, content, grid, warnings) for name in OPTIONAL}
+    wrench, motors = arrays['wrench'], arrays['motors']
+    if motors is not None:
+        control = control_from_motors(motors)
+    elif wrench is not None:
+        control = control_from_motors(motors_from_wrench(wrench))
+        warnings.append(f'{MOTORS} is missing: the input is {CONTROL} through mixer and limits')
+    else:
+        raise BadInputError(
+            source, f'{MOTORS} and {CONTROL} are both missing or empty',
+            remedy='record one of them; it is the input of the model',
+        )
+    battery = _battery(content, grid, warnings)
+
+    def seconds(stamp: int) -> float:
+        return float(grid.position(np.array([stamp], dtype=np.int64))[0]) * grid.dt
+
+    segment_events, spoiled = decode_events(content.events.get(SEGMENT, ()))
+    segments, told = segments_from(segment_events, seconds, grid.n * grid.dt)
+    gain_events, spoiled_gains = decode_events(content.events.get(GAINS, ()))
+    if spoiled + spoiled_gains:
+        told.append(f'{spoiled + spoiled_gains} parameter events cannot be read')
+    acceleration = placed[:, 8:11] if np.isfinite(placed[:, 8:11]).any() else None
+    return Record(
+        source=source, dt=grid.dt, rates=_frozen(rates), control=_frozen(control),
+        angles=_optional(_angles(placed[:, :5])), acceleration=_optional(acceleration),
+        motors=_optional(motors), wrench=_optional(wrench),
+        attitude_setpoint=_optional(arrays['attitude_setpoint']),
+        rate_setpoint=_optional(arrays['rate_setpoint']),
+        excitation=_optional(arrays['excitation']), battery_v=_optional(battery),
+        segments=segments, gains=gains_from(gain_events, seconds),
+        missing=_missing(content, arrays, battery), warnings=(*warnings, *told),
+        t0_ns=grid.t0_ns,
+    )
+
+
+def _read(path: Path) -> _Content:
+    """Decode all wanted topics, batch by batch so that memory stays near the arrays' size."""
+    storage = Storage(path, TOPICS)
+    parts: dict[str, list[Stamped]] = {}
+    events: dict[str, list[bytes]] = {}
+    foreign: set[str] = set()
+    for batch in storage.batches():
+        for topic, raws in batch.items():
+            wanted = TOPIC_TYPES[topic]
+            found = storage.types.get(topic) or wanted
+            if found.replace('/msg/', '/') != wanted.replace('/msg/', '/'):
+                foreign.add(f'{topic}: found type {found}, left out; the contract has {wanted}')
+            elif wanted == EVENT:
+                events.setdefault(topic, []).extend(raws)
+            else:
+                parts.setdefault(topic, []).append(decode(wanted, raws))
+    warnings = [*storage.warnings, *sorted(foreign)]
+    warnings += [f'{key}: {text}' for key, text in storage.notes.items()]
+    streams = {}
+    for topic, pieces in parts.items():
+        streams[topic] = Stamped(
+            np.concatenate([p.stamps for p in pieces]),
+            np.concatenate([p.values for p in pieces]),
+            sum(p.spoiled for p in pieces),
+        )
+        if streams[topic].spoiled:
+            warnings.append(
+                f'{topic}: {streams[topic].spoiled} messages cannot be read as '
+                f'{TOPIC_TYPES[topic]} of the contract; left out'
+            )
+    return _Content(streams, events, warnings)
+
+
+def _array(
+    name: str, content: _Content, grid: Grid, warnings: list[str]
+) -> FloatArray | None:
+    """One optional topic on the grid; None where it holds nothing usable."""
+    topic = OPTIONAL[name]
+    stream = content.streams.get(topic)
+    if stream is None or len(stream.stamps) == 0:
+        return None
+    placed = grid.place(stream.stamps, stream.values)
+    if name == 'wrench':
+        placed = np.ascontiguousarray(placed[:, 2:6])
+    seen = np.isfinite(placed).all(axis=1)
+    if not seen.any():
+        warnings.append(f'{topic}: no finite value at a stamp of {IMU_TOPIC}; not used')
+        return None
+    lost = 1.0 - np.count_nonzero(seen) / len(grid.cells)
+    if name != 'excitation' and lost > LOST_WARNING:
+        warnings.append(
+            f'{topic}: usable in only {100.0 * (1.0 - lost):.0f} % of the cycles of {IMU_TOPIC}'
+        )
+    return placed
+
+
+def _finite(
+    values: FloatArray, topic: str, field: str, grid: Grid, warnings: list[str]
+) -> FloatArray:
+    """Turn infinities into NaN; warn of samples that came but are no numbers."""
+    came = np.isfinite(values[grid.cells]).all(axis=1)
+    count = int(np.count_nonzero(~came))
+    if count:
+        warnings.append(f'{topic}: {count} samples of {field} are NaN or infinite; kept as gaps')
+    return np.where(np.isfinite(values), values, np.nan)
+
+
+def _angles(orientation: FloatArray) -> FloatArray | None:
+    """Roll, pitch, yaw (n, 3) from x y z w and covariance[0]; None where it is not measured.
+
+    ZYX Euler angles (REP-103), yaw unwrapped over what is finite.
+    """
+    quaternion, covariance = orientation[:, :4], orientation[:, 4]
+    norm = np.linalg.norm(quaternion, axis=1)
+    known = np.isfinite(norm) & (norm > 0.5) & (covariance != -1.0)
+    if not known.any() or np.allclose(quaternion[known, :3], 0.0, atol=1e-12):
+        return None
+    with np.errstate(invalid='ignore', divide='ignore'):
+        x, y, z, w = (quaternion / norm[:, None]).T
+        angles = np.column_stack(
+            (
+                np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
+                np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0)),
+                np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
+            )
+        )
+    angles[~known] = np.nan
+    angles[known, 2] = np.unwrap(angles[known, 2])
+    return np.asarray(angles, dtype=float)
+
+
+def _battery(content: _Content, grid: Grid, warnings: list[str]) -> FloatArray | None:
+    """Pack voltage (n,) between its measurements; None where it was not measured."""
+    stream = content.streams.get('/battery')
+    if stream is None or len(stream.stamps) == 0:
+        return None
+    volts = stream.values[:, 0]
+    finite = np.isfinite(volts)
+    if not finite.any():
+        warnings.append('/battery: voltage is NaN throughout; counted as not measured')
+        return None
+    low, high = PLAUSIBLE_PACK_V
+    good = finite & (volts >= low) & (volts <= high)
+    strange = volts[finite & ~good]
+    if 2 * np.count_nonzero(good) < np.count_nonzero(finite):
+        warnings.append(
+            f'/battery: voltage around {np.median(strange):.3g} V is no pack ({low:g} to '
+            f'{high:g} V); counted as not measured'
+        )
+        return None
+    if len(strange):
+        warnings.append(
+            f'/battery: {len(strange)} values outside {low:g} to {high:g} V left out, '
+            f'such as {strange[0]:.3g} V'
+        )
+    stamps, volts = stream.stamps[good], volts[good]
+    places = grid.position(stamps)
+    places, first = np.unique(places, return_index=True)
+    cells = np.arange(grid.n, dtype=float)
+    battery: FloatArray = np.interp(cells, places, volts[first])
+    after = np.clip(np.searchsorted(places, cells), 1, max(1, len(places) - 1))
+    if len(places) > 1:
+        wide = (places[after] - places[after - 1]) * grid.dt > BATTERY_GAP_S
+        inside = (cells > places[0]) & (cells < places[-1])
+        battery[wide & inside] = np.nan
+    return battery
+
+
+def _missing(
+    content: _Content, arrays: dict[str, FloatArray | None], battery: FloatArray | None
+) -> tuple[str, ...]:
+    """Topics that a Record could hold and that gave nothing."""
+    absent = [OPTIONAL[name] for name, array in arrays.items() if array is None]
+    if battery is None:
+        absent.append('/battery')
+    return (*absent, *(topic for topic in (SEGMENT, GAINS) if topic not in content.events))
+
+
+def _frozen(array: FloatArray) -> FloatArray:
+    out = np.ascontiguousarray(array, dtype=float)
+    out.setflags(write=False)
+    return out
+
+
+def _optional(array: FloatArray | None) -> FloatArray | None:
+    return None if array is None else _frozen(array)

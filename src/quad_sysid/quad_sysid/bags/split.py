@@ -1,0 +1,115 @@
+"""Which part of a record trains and which validates, where the bag does not say or the user does.
+
+Pure: Record in, Record out. Source: contract, Topics (60 % / 40 %, `--train A:B --validate C:D`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from quad_sysid.contract import AXES
+from quad_sysid.errors import BadInputError
+from quad_sysid.record import Record, Segment
+
+TRAIN_SHARE = 0.6
+
+Span = tuple[float, float]
+"""Start and end in s from the record's first sample."""
+
+
+def parse_span(text: str, option: str) -> Span:
+    """Read `A:B` (s; A or B may be left out for the record's ends) of a command's option."""
+    start, colon, end = text.partition(':')
+    try:
+        span = (float(start or 0.0), float(end or 'inf'))
+    except ValueError:
+        span = (np.nan, np.nan)
+    if not colon or not 0.0 <= span[0] < span[1]:
+        raise BadInputError(
+            option, 'needs two times START:END in s, START before END', repr(text),
+            f'for example {option} 5:45',
+        )
+    return span
+
+
+def split_segments(
+    record: Record,
+    train: Span | None = None,
+    validate: Span | None = None,
+    axes: tuple[str, ...] = AXES,
+) -> Record:
+    """Give a record the segments it is to be analysed by.
+
+    With `train` or `validate` (s) these replace what the bag says, for every axis in `axes`; one
+    alone leaves the other role as the bag says or, where the bag says nothing, to the rest of the
+    record. Without both, and where the bag has no segments that train or validate, the first 60 %
+    train and the rest validates. Raises BadInputError for spans outside the record.
+    """
+    known = [s for s in record.segments if s.role in ('train', 'validation')]
+    if train is None and validate is None:
+        if known:
+            return record
+        train = (0.0, TRAIN_SHARE * record.n * record.dt)
+    length = record.n * record.dt
+    train = _clipped(train, length, record, '--train')
+    validate = _clipped(validate, length, record, '--validate')
+    segments: list[Segment] = []
+    for role, span, other in (('train', train, validate), ('validation', validate, train)):
+        if span is None and known:
+            segments += [s for s in known if s.role == role]
+            continue
+        taken = span or _rest(other, length, role)
+        segments += [_segment(record, role, axis, taken) for axis in axes]
+    _check_apart(segments, record)
+    segments += [s for s in record.segments if s.role == 'idle' and known]
+    return replace(record, segments=tuple(sorted(segments, key=lambda s: s.start_s)))
+
+
+def _clipped(span: Span | None, length: float, record: Record, option: str) -> Span | None:
+    if span is None:
+        return None
+    if span[0] >= length:
+        raise BadInputError(
+            record.source, f'{option} starts after the end of the record',
+            f'{span[0]:g} s of {length:.2f} s',
+        )
+    return span[0], min(span[1], length)
+
+
+def _check_apart(segments: list[Segment], record: Record) -> None:
+    """Raise BadInputError where one axis is to be validated on what it was trained on."""
+    for a in segments:
+        for b in segments:
+            shared = min(a.end_s, b.end_s) - max(a.start_s, b.start_s)
+            if (a.role, b.role, a.axis) == ('train', 'validation', b.axis) and shared > 1e-9:
+                raise BadInputError(
+                    record.source, f'{a.axis}: training and validation overlap',
+                    f'{a.start_s:g}:{a.end_s:g} s and {b.start_s:g}:{b.end_s:g} s',
+                    'give both --train and --validate, apart from each other',
+                )
+
+
+def _rest(other: Span | None, length: float, role: str) -> Span:
+    """Give what `other` leaves of the record: after it to validate, before it to train."""
+    start, end = other or (0.0, length)
+    before, after = (0.0, start), (end, length)
+    first, second = (before, after) if role == 'train' else (after, before)
+    if first[1] - first[0] > 0.0:
+        return first
+    if second[1] - second[0] > 0.0:
+        return second
+    raise BadInputError(
+        f'--{"train" if role == "validation" else "validate"}', f'leaves nothing to {role}',
+        f'{start:g}:{end:g} of {length:g} s', 'choose a shorter span',
+    )
+
+
+def _segment(record: Record, role: str, axis: str, span: Span) -> Segment:
+    """One segment; signal and injection are taken from the bag's segment it lies in, if any."""
+    middle = 0.5 * (span[0] + span[1])
+    for known in record.segments:
+        if known.start_s <= middle < known.end_s and known.axis == axis and known.role != 'idle':
+            return replace(known, role=role, start_s=span[0], end_s=span[1])
+    return Segment(role, 'unknown', axis, 'unknown', *span)

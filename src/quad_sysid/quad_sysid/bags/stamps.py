@@ -1,0 +1,227 @@
+"""Time stamps → the uniform grid of the control cycle: which sample stands in which cell.
+
+Pure array maths on nanoseconds. What is distrusted or mended is told in words, never invented.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from quad_sysid.errors import BadInputError
+
+if TYPE_CHECKING:
+    from quad_sysid.contract import FloatArray
+
+IntArray = npt.NDArray[np.int64]
+
+MIN_SAMPLES = 3
+LEAK = 0.02
+"""Share of the remaining phase by which the grid follows the stamps, per sample."""
+LONGEST_GAP_S = 600.0
+RATE_TOLERANCE = 0.15
+BLOCK = 32
+"""Differences per block in which the rate is checked."""
+JITTER_WARNING = 0.25
+"""Cycles."""
+
+
+@dataclass(frozen=True)
+class Grid:
+    """The cells of one stream of stamps."""
+
+    dt: float
+    """s."""
+    t0_ns: int
+    n: int
+    """Number of cells."""
+    rows: IntArray
+    """(m,) which of the given samples are kept, in the order of time."""
+    cells: IntArray
+    """(m,) their cells, strictly increasing from 0."""
+    stamps: IntArray
+    """(m,) their stamps, ns."""
+    warnings: tuple[str, ...]
+
+    def position(self, stamps: IntArray) -> FloatArray:
+        """Where other stamps lie, in cells; beyond the ends by the sample interval."""
+        since = (stamps - self.t0_ns).astype(float)
+        mine = (self.stamps - self.t0_ns).astype(float)
+        place = np.interp(since, mine, self.cells.astype(float))
+        step = self.dt * 1e9
+        place = np.where(since < 0.0, since / step, place)
+        beyond = since - mine[-1]
+        return np.where(beyond > 0.0, self.cells[-1] + beyond / step, place)
+
+    def place(self, stamps: IntArray, values: FloatArray) -> FloatArray:
+        """(n, w) values on the grid by the nearest cell within half a cycle; NaN elsewhere."""
+        out = np.full((self.n, values.shape[1]), np.nan)
+        if len(stamps) == 0:
+            return out
+        cells = np.rint(self.position(stamps)).astype(np.int64)
+        inside = (cells >= 0) & (cells < self.n)
+        cells, kept = cells[inside], values[inside]
+        out[cells[::-1]] = kept[::-1]
+        return out
+
+
+def uniform_grid(stamps: IntArray, source: str, topic: str = '/imu/data') -> Grid:
+    """Lay `stamps` (ns, in order of arrival) on a grid and tell what had to be mended.
+
+    Raises BadInputError where no single rate can be found.
+    """
+    warnings: list[str] = []
+    rows = np.flatnonzero(stamps > 0)
+    if len(rows) < len(stamps):
+        warnings.append(f'{topic}: {len(stamps) - len(rows)} messages without a stamp left out')
+    rows = _in_order(stamps, rows, topic, warnings)
+    rows = _longest_stretch(stamps, rows, topic, warnings)
+    if len(rows) < MIN_SAMPLES:
+        raise BadInputError(
+            source, f'{topic} has too few stamped messages', len(rows),
+            f'at least {MIN_SAMPLES} are needed; record longer',
+        )
+    nominal = float(np.median(np.diff(stamps[rows])))
+    rows = _one_rate(stamps, rows, nominal, source, topic, warnings)
+    times = stamps[rows]
+    cells, phase = _count_cycles(np.diff(times), nominal)
+    kept = np.concatenate(([True], np.diff(cells) > 0))
+    if not kept.all():
+        warnings.append(
+            f'{topic}: {np.count_nonzero(~kept)} stamps fall into an occupied cycle; '
+            'kept the first'
+        )
+    rows, times, cells = rows[kept], times[kept], cells[kept]
+    dt = _interval(times, cells)
+    _tell_gaps(cells, dt, topic, warnings)
+    jitter = float(np.quantile(np.abs(phase), 0.99))
+    if jitter > JITTER_WARNING:
+        warnings.append(f'{topic}: stamps jitter by {100 * jitter:.0f} % of a cycle (p99)')
+    return Grid(
+        dt=dt, t0_ns=int(times[0]), n=int(cells[-1]) + 1, rows=rows, cells=cells, stamps=times,
+        warnings=tuple(warnings),
+    )
+
+
+def _in_order(stamps: IntArray, rows: IntArray, topic: str, warnings: list[str]) -> IntArray:
+    """Rows sorted by stamp, without doubles; where the clock was set back, the longer part."""
+    times = stamps[rows]
+    steps = np.diff(times)
+    if len(steps) == 0 or (steps > 0).all():
+        return rows
+    ahead = np.zeros(len(times), dtype=bool)
+    ahead[1:-1] = (steps[:-1] > 1_000_000_000) & (steps[1:] < -1_000_000_000)
+    if ahead.any():
+        warnings.append(f'{topic}: {np.count_nonzero(ahead)} stamps far ahead of time left out')
+        rows = rows[~ahead]
+        times = stamps[rows]
+    back = np.flatnonzero(np.diff(times) < -1_000_000_000)
+    if len(back):
+        parts = np.split(rows, back + 1)
+        longest = max(parts, key=len)
+        warnings.append(
+            f'{topic}: the clock was set back {len(back)} times; kept the longest part, '
+            f'{len(longest)} of {len(rows)} messages'
+        )
+        rows = longest
+        times = stamps[rows]
+    backward = int(np.count_nonzero(np.diff(times) < 0))
+    if backward:
+        warnings.append(f'{topic}: {backward} stamps run backward; sorted by stamp')
+        rows = rows[np.argsort(times, kind='stable')]
+        times = stamps[rows]
+    fresh = np.concatenate(([True], np.diff(times) > 0))
+    if not fresh.all():
+        warnings.append(
+            f'{topic}: {np.count_nonzero(~fresh)} messages repeat a stamp; kept the first of each'
+        )
+    return rows[fresh]
+
+
+def _longest_stretch(
+    stamps: IntArray, rows: IntArray, topic: str, warnings: list[str]
+) -> IntArray:
+    """Keep the stretch with most samples between gaps of more than LONGEST_GAP_S."""
+    breaks = np.flatnonzero(np.diff(stamps[rows]) > LONGEST_GAP_S * 1e9)
+    if len(breaks) == 0:
+        return rows
+    longest = max(np.split(rows, breaks + 1), key=len)
+    warnings.append(
+        f'{topic}: gaps of more than {LONGEST_GAP_S:g} s; kept the longest stretch, '
+        f'{len(longest)} of {len(rows)} messages'
+    )
+    return longest
+
+
+def _one_rate(
+    stamps: IntArray, rows: IntArray, nominal: float, source: str, topic: str, warnings: list[str]
+) -> IntArray:
+    """Rows without the stretches whose rate is another one; their time becomes a gap."""
+    steps = np.diff(stamps[rows]) / nominal
+    blocks = len(steps) // BLOCK
+    if blocks == 0:
+        return rows
+    medians = np.median(steps[: blocks * BLOCK].reshape(blocks, BLOCK), axis=1)
+    other = np.abs(medians - 1.0) > RATE_TOLERANCE
+    if not other.any():
+        return rows
+    share = float(other.mean())
+    if share > 0.5:
+        raise BadInputError(
+            source, f'{topic} has no steady rate',
+            f'{100 * share:.0f} % of the time more than {100 * RATE_TOLERANCE:.0f} % off '
+            f'{1e9 / nominal:.4g} Hz',
+            'record at one fixed rate, or check who fills header.stamp',
+        )
+    first = int(np.flatnonzero(other)[0]) * BLOCK
+    rate = 1e9 / (nominal * float(np.median(medians[other])))
+    warnings.append(
+        f'{topic}: the rate changes from {1e9 / nominal:.4g} Hz to about {rate:.4g} Hz at '
+        f'{(stamps[rows[first]] - stamps[rows[0]]) * 1e-9:.2f} s; '
+        f'the {100 * share:.0f} % at another rate are left out as a gap'
+    )
+    drop = np.zeros(len(rows), dtype=bool)
+    drop[: blocks * BLOCK] = np.repeat(other, BLOCK)
+    drop[blocks * BLOCK :] = other[-1]
+    return rows[~drop]
+
+
+def _count_cycles(steps: IntArray, nominal: float) -> tuple[IntArray, FloatArray]:
+    """Cell of every sample and its phase in cycles, by a loop that follows slow drift.
+
+    After a gap of more than two cycles the phase starts anew. Cells may repeat where two stamps
+    lie within half a cycle.
+    """
+    cells = np.zeros(len(steps) + 1, dtype=np.int64)
+    phases = np.zeros(len(steps) + 1)
+    cell, phase = 0, 0.0
+    for i, step in enumerate((steps / nominal).tolist()):
+        place = phase + step
+        count = round(place)
+        phase = 0.0 if count > 2 else (place - count) * (1.0 - LEAK)
+        cell += count
+        cells[i + 1] = cell
+        phases[i + 1] = phase
+    return cells, phases
+
+
+def _interval(times: IntArray, cells: IntArray) -> float:
+    """Sample interval in s: the mean outside gaps, a whole number of µs if that fits."""
+    counts = np.diff(cells)
+    near = counts <= 2
+    mean_ns = float(np.diff(times)[near].sum() / counts[near].sum())
+    whole = round(mean_ns / 1000.0) * 1000.0
+    return (whole if whole and abs(whole / mean_ns - 1.0) < 2e-4 else mean_ns) * 1e-9
+
+
+def _tell_gaps(cells: IntArray, dt: float, topic: str, warnings: list[str]) -> None:
+    lost = np.diff(cells) - 1
+    if lost.any():
+        worst = int(np.argmax(lost))
+        warnings.append(
+            f'{topic}: {int(lost.sum())} of {int(cells[-1]) + 1} cycles lost, the longest gap '
+            f'{lost[worst] * dt:.3f} s at {cells[worst] * dt:.2f} s'
+        )

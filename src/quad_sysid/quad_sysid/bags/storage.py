@@ -1,0 +1,198 @@
+"""From a path to raw messages: finds a bag's storage files, opens and decompresses them.
+
+Knows directories, mcap, sqlite3 and compression; knows nothing of what the messages mean.
+"""
+
+from __future__ import annotations
+
+import mmap
+import shutil
+import sqlite3
+import sys
+from contextlib import closing, contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
+
+import yaml
+
+from quad_sysid.bags.mcap_scan import MAGIC, Batch, McapScan
+from quad_sysid.errors import BadInputError
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterator
+
+if sys.version_info >= (3, 14):
+    from compression import zstd
+else:
+    from backports import zstd
+
+ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
+SQLITE_MAGIC = b'SQLite format 3\x00'
+FOREIGN = {
+    '.csv': 'a CSV file; turn it into a bag with `quad-sysid import`',
+    '.gz': 'a compressed table; turn it into a bag with `quad-sysid import`',
+    '.bag': 'a ROS 1 bag; convert it with `rosbags-convert`',
+    '.ulg': 'a PX4 log, not a bag',
+    '.yaml': 'a YAML file; give the directory it lies in',
+}
+
+
+@dataclass
+class Storage:
+    """A bag's raw messages. `types` and `warnings` are complete once `batches` has run."""
+
+    path: Path
+    topics: Collection[str]
+    types: dict[str, str] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+    notes: dict[str, str] = field(default_factory=dict)
+    """`custom_data` of metadata.yaml."""
+
+    def batches(self) -> Iterator[Batch]:
+        """Messages of the wanted topics, decompressed; raises BadInputError."""
+        for file in self._files():
+            with _plain_file(file) as plain:
+                yield from self._read(plain, file)
+
+    def _files(self) -> list[Path]:
+        """List the storage files, in order."""
+        path = self.path
+        if not path.exists():
+            raise BadInputError(str(path), 'no such bag', remedy='check the path')
+        if path.is_file():
+            if path.suffix in FOREIGN:
+                raise BadInputError(str(path), f'is {FOREIGN[path.suffix]}')
+            return [path]
+        found = sorted(
+            (p for p in path.iterdir() if p.name.endswith(('.mcap', '.db3', '.zstd'))),
+            key=lambda p: (len(p.name), p.name),
+        )
+        listed = self._metadata()
+        if not found:
+            raise BadInputError(
+                str(path), 'holds no storage file (.mcap or .db3)',
+                remedy='give a rosbag2 directory or an .mcap file',
+            )
+        if listed is None:
+            self.warnings.append(
+                f'{path}: metadata.yaml is missing or unreadable (the recorder was killed?): '
+                f'read {", ".join(p.name for p in found)} as found'
+            )
+            return found
+        absent = [name for name in listed if not (path / name).exists()]
+        if absent:
+            self.warnings.append(
+                f'{path}: metadata.yaml lists {", ".join(absent)}, which is not there: '
+                'that part of the flight is missing'
+            )
+        present = [path / name for name in listed if (path / name).exists()]
+        return present or found
+
+    def _metadata(self) -> list[str] | None:
+        """File names that metadata.yaml lists; None where there is none to be had."""
+        file = self.path / 'metadata.yaml'
+        try:
+            content = yaml.safe_load(file.read_text(encoding='utf-8'))
+            information = content['rosbag2_bagfile_information']
+            names = [Path(str(name)).name for name in information['relative_file_paths']]
+            custom = information.get('custom_data') or {}
+            self.notes.update({str(key): str(value) for key, value in custom.items()})
+        except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError, AttributeError):
+            return None
+        return names
+
+    def _read(self, plain: Path, shown: Path) -> Iterator[Batch]:
+        """Batches of one decompressed file."""
+        with plain.open('rb') as stream:
+            head = stream.read(16)
+        if not head:
+            raise BadInputError(
+                str(shown), 'is empty', remedy='the recording never reached the disk; record again'
+            )
+        if head.startswith(MAGIC):
+            batches = self._read_mcap(plain, shown)
+        elif head == SQLITE_MAGIC:
+            batches = self._read_sqlite(plain, shown)
+        else:
+            raise BadInputError(
+                str(shown), 'is neither mcap nor sqlite3', f'first bytes {head[:8].hex()}',
+                'give a rosbag2 directory or an .mcap file',
+            )
+        for batch in batches:
+            yield {topic: self._decompressed(raws, shown) for topic, raws in batch.items()}
+
+    def _read_mcap(self, plain: Path, shown: Path) -> Iterator[Batch]:
+        with (
+            plain.open('rb') as stream,
+            mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data,
+        ):
+            scan = McapScan(data, self.topics)
+            yield from scan.batches()
+        self.types.update(scan.types)
+        if scan.cut_off:
+            self.warnings.append(
+                f'{shown}: cut off (no end of data): read what is whole; '
+                '`ros2 run quad_bridge recover` rebuilds the bag'
+            )
+        elif scan.damaged_chunks:
+            self.warnings.append(f'{shown}: {scan.damaged_chunks} damaged chunks: read the rest')
+
+    def _read_sqlite(self, plain: Path, shown: Path) -> Iterator[Batch]:
+        try:
+            with closing(sqlite3.connect(f'{plain.resolve().as_uri()}?mode=ro', uri=True)) as base:
+                names = {}
+                for number, name, kind in base.execute('SELECT id, name, type FROM topics'):
+                    self.types[name] = kind
+                    if name in self.topics:
+                        names[number] = name
+                marks = ','.join('?' * len(names))
+                rows = base.execute(
+                    f'SELECT topic_id, data FROM messages WHERE topic_id IN ({marks})',  # noqa: S608
+                    list(names),
+                )
+                while part := rows.fetchmany(20_000):
+                    batch: Batch = {}
+                    for number, raw in part:
+                        batch.setdefault(names[number], []).append(raw)
+                    yield batch
+        except sqlite3.DatabaseError as error:
+            self.warnings.append(f'{shown}: damaged sqlite3 file ({error}): read what is whole')
+
+    def _decompressed(self, raws: list[bytes], shown: Path) -> list[bytes]:
+        """Messages as CDR: those that were compressed one by one (by their magic) are opened."""
+        if not raws or raws[0][:4] != ZSTD_MAGIC:
+            return raws
+        opened = [_opened(raw) for raw in raws]
+        damaged = opened.count(b'')
+        if damaged:
+            self.warnings.append(f'{shown}: {damaged} compressed messages are damaged; left out')
+        return [raw for raw in opened if raw]
+
+
+def _opened(raw: bytes) -> bytes:
+    """One decompressed message; nothing where it is damaged."""
+    try:
+        return zstd.decompress(raw)
+    except zstd.ZstdError:
+        return b''
+
+
+@contextmanager
+def _plain_file(file: Path) -> Iterator[Path]:
+    """Give the file itself, or where it is compressed as a whole an uncompressed copy."""
+    with file.open('rb') as stream:
+        compressed = stream.read(4) == ZSTD_MAGIC
+    if not compressed:
+        yield file
+        return
+    with TemporaryDirectory() as folder:
+        plain = Path(folder, file.stem)
+        with (
+            plain.open('wb') as target,
+            suppress(zstd.ZstdError, EOFError),
+            zstd.open(file, 'rb') as content,
+        ):
+            shutil.copyfileobj(content, target)
+        yield plain
