@@ -1,0 +1,36 @@
+"""The error root of quad_bridge: each message is one line that names what was wrong and helps.
+
+Commands turn these into their exit status (contract, Commands); nodes into /diagnostics.
+"""
+
+from __future__ import annotations
+
+
+class QuadBridgeError(Exception):
+    """Root of all errors that a user or the far end can cause or mend; status of a command: 2."""
+
+    exit_status = 2
+
+
+class BadInputError(QuadBridgeError, ValueError):
+    """A file, field, parameter or argument is wrong.
+
+    `str()` is the one line for stderr: ``<where>: <what>: found <value>; <remedy>``.
+    """
+
+    def __init__(self, where: str, what: str, found: object = None, remedy: str = '') -> None:
+        text = f'{where}: {what}'
+        if found is not None:
+            text += f': found {found}'
+        if remedy:
+            text += f'; {remedy}'
+        super().__init__(' '.join(text.split()))
+        self.where = where
+
+
+class EncodeError(QuadBridgeError, ValueError):
+    """A frame of ours does not fit its message: a number out of range, a name too long."""
+
+
+class RefusedError(QuadBridgeError, ValueError):
+    """Wanted gains that must not reach the aircraft; `str()` names gain, value and bound."""

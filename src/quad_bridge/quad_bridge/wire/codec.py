@@ -1,0 +1,140 @@
+"""Bytes to frames and frames to bytes. The rule here: bytes go in, frames come out, nothing reads.
+
+`Decoder.feed` never raises, whatever the bytes; what could not be used is counted in `Counts`.
+Encoder and Decoder serve both ends of the link. The framing is pymavlink's generated `dialect`.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from typing import Any
+
+from quad_bridge.errors import EncodeError
+from quad_bridge.wire import dialect
+from quad_bridge.wire.frames import Cycle, Frame
+from quad_bridge.wire.messages import FROM_MESSAGE, TO_MESSAGE, standard
+from quad_bridge.wire.sequence import CycleWatch
+
+dialect.MAVLINK_IGNORE_CRC = 0  # an environment variable must not let corrupted frames in
+
+_CHUNK = 4096
+"""Bytes given to the parser at a time: bounds what a damaged stretch has copied."""
+
+
+@dataclass(frozen=True)
+class Counts:
+    """What a decoder has seen so far."""
+
+    bytes: int = 0
+    frames: int = 0
+    """Frames handed out, `standard` included."""
+    bad_crc: int = 0
+    """Messages with a wrong checksum, length or flags."""
+    garbage_bytes: int = 0
+    """Bytes that belong to no usable message."""
+    unknown: int = 0
+    """Messages of an id that the dialect lacks (their checksum cannot be verified)."""
+    standard: int = 0
+    """Known standard messages that the suite does not use yet."""
+    lost_cycles: int = 0
+    """Gaps in the 32-bit cycle counter."""
+    restarts: int = 0
+    """The cycle counter went back: the far end has restarted."""
+
+
+class Decoder:
+    """Bytes in, frames out; keeps what is incomplete for the next call."""
+
+    def __init__(self) -> None:
+        self._mav = dialect.MAVLink(None)
+        self._mav.robust_parsing = True
+        self._watch = CycleWatch()
+        self._bytes = 0
+        self._frames = 0
+        self._bad_crc = 0
+        self._garbage = 0
+        self._unknown = 0
+        self._standard = 0
+        self._suspect = 0
+
+    @property
+    def counts(self) -> Counts:
+        """Totals since the start."""
+        return Counts(
+            bytes=self._bytes,
+            frames=self._frames,
+            bad_crc=self._bad_crc,
+            garbage_bytes=self._garbage,
+            unknown=self._unknown,
+            standard=self._standard,
+            lost_cycles=self._watch.lost,
+            restarts=self._watch.restarts,
+        )
+
+    def feed(self, data: bytes) -> list[Frame]:
+        """Frames completed by `data`, in order of arrival. Never raises."""
+        self._bytes += len(data)
+        frames: list[Frame] = []
+        parse = self._mav.parse_char
+        for start in range(0, len(data), _CHUNK):
+            message = parse(data[start : start + _CHUNK])
+            while message is not None:
+                self._take(message, frames)
+                message = parse(b'')
+        self._frames += len(frames)
+        return frames
+
+    def _take(self, message: Any, frames: list[Frame]) -> None:
+        size = len(message.get_msgbuf()) or len(getattr(message, 'data', b''))
+        suspect, self._suspect = self._suspect > 0, max(0, self._suspect - size)
+        kind = message.get_type()
+        if kind == 'BAD_DATA' and message.reason == 'Bad prefix':
+            self._garbage += size
+        elif kind == 'BAD_DATA' or kind.startswith('UNKNOWN_'):
+            if not suspect and kind != 'BAD_DATA':
+                self._unknown += 1
+            elif not suspect:
+                self._bad_crc += 1
+            self._hand_back(message.data)
+        else:
+            self._use(message, frames)
+
+    def _hand_back(self, data: bytes) -> None:
+        """Drop the marker and have the rest parsed again: good frames may lie inside."""
+        self._garbage += 1
+        rest = self._mav.buf[self._mav.buf_index :]
+        self._mav.buf = bytearray(data[1:]) + rest
+        self._mav.buf_index = 0
+        self._suspect = max(self._suspect, len(data) - 1)
+
+    def _use(self, message: Any, frames: list[Frame]) -> None:
+        build = FROM_MESSAGE.get(message.get_msgId())
+        if build is None:
+            self._standard += 1
+            frames.append(standard(message))
+            return
+        frame = build(message)
+        if isinstance(frame, Cycle):
+            self._watch.step(frame.cycle)
+        frames.append(frame)
+
+
+class Encoder:
+    """Frames to bytes, with the sender's ids and running sequence number."""
+
+    def __init__(self, system: int = 1, component: int = 1) -> None:
+        """Ids of the sender: the STM32 is 1, 1; the bridge 1, 191 (onboard computer)."""
+        self._mav = dialect.MAVLink(None, srcSystem=system, srcComponent=component)
+
+    def encode(self, frame: Frame) -> bytes:
+        """The bytes of one frame. Raises EncodeError where a value does not fit its field."""
+        build = TO_MESSAGE.get(type(frame))
+        if build is None:
+            raise EncodeError(f'{type(frame).__name__}: has no message of its own to be sent as')
+        try:
+            data = bytes(build(frame).pack(self._mav))
+        except (struct.error, ValueError, TypeError, IndexError, OverflowError) as error:
+            raise EncodeError(f'{frame}: does not fit its message: {error}') from error
+        self._mav.seq = (self._mav.seq + 1) % 256
+        return data

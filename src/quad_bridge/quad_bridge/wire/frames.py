@@ -1,0 +1,232 @@
+"""What goes over the wire, as frozen values: one dataclass per message that the suite speaks.
+
+Units and axes are the wire's: SI, body FRD, attitude relative to NED (axes.py turns them). No
+bytes here (codec.py), no ROS.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum, IntFlag
+
+Vector3 = tuple[float, float, float]
+Vector4 = tuple[float, float, float, float]
+
+
+class Flag(IntFlag):
+    """State of the controller in one cycle (enum QUAD_FLAG)."""
+
+    NONE = 0
+    ARMED = 1
+    SATURATED = 2
+    EXCITATION = 4
+    RC_KILL = 8
+    RC_FAILSAFE = 16
+    STALE_SETPOINT = 32
+    EXCITATION_REFUSED = 64
+    ANGLE_LIMIT = 128
+    OVERRUN = 256
+
+
+class Injection(IntEnum):
+    """Where an excitation is added (enum QUAD_INJECTION); names as in the contract, lower case."""
+
+    NONE = 0
+    ATTITUDE = 1
+    RATE = 2
+    CONTROL = 3
+
+
+@dataclass(frozen=True)
+class Cycle:
+    """Everything one control cycle knew."""
+
+    time_us: int
+    """Start of the cycle, µs since boot."""
+    cycle: int
+    """Cycles since boot, 32 bits."""
+    gyro: Vector3
+    """p q r, rad/s, FRD, filtered, bias removed."""
+    accel: Vector3
+    """Specific force, m/s², FRD: at rest and level (0, 0, -9.81)."""
+    attitude: Vector3
+    """Roll, pitch, yaw, rad, FRD relative to NED."""
+    attitude_setpoint: Vector3
+    """Reference that C1 used, rad, excitation included."""
+    rate_setpoint: Vector3
+    """Reference that C2 used, rad/s, FRD, excitation included."""
+    control: Vector4
+    """U1 (collective, positive up), U2..U4 (torque demand about x y z, FRD), normalised."""
+    excitation: Vector3
+    """What was added, per axis, FRD, in the unit of `injection`."""
+    motors: Vector4
+    """Commands of motors 1 to 4, 0..1, after mixer and limits."""
+    flags: int
+    """Bits of `Flag`; a plain int, for speed."""
+    excitation_seq: int = 0
+    """Sequence number (8 bits) of the excitation set-point in use."""
+    injection: int = 0
+    """An `Injection`."""
+
+
+@dataclass(frozen=True)
+class Excitation:
+    """What the bridge asks the STM32 to add, until replaced or `valid_ms` old."""
+
+    value: Vector3
+    """Per axis, FRD, rad, rad/s or normalised command."""
+    injection: int
+    seq: int
+    """8 bits, wraps."""
+    valid_ms: int = 100
+    target_system: int = 0
+    target_component: int = 0
+
+
+@dataclass(frozen=True)
+class Heartbeat:
+    """HEARTBEAT; `system` and `component` are the sender's (the encoder puts in its own)."""
+
+    type: int = 2
+    """MAV_TYPE: 2 quadrotor, 18 onboard controller (the bridge)."""
+    autopilot: int = 0
+    """MAV_AUTOPILOT: 0 generic, 8 none (the bridge)."""
+    armed: bool = False
+    system_status: int = 4
+    """MAV_STATE: 3 standby, 4 active, 5 critical."""
+    custom_mode: int = 0
+    system: int = 0
+    component: int = 0
+
+
+@dataclass(frozen=True)
+class TimeSync:
+    """TIMESYNC: a question has tc1 = 0; the answer holds the answerer's time in tc1, ns."""
+
+    tc1_ns: int
+    ts1_ns: int
+    """The asker's time, mirrored in the answer, ns."""
+
+
+@dataclass(frozen=True)
+class ParamRequestList:
+    """Asks for all parameters."""
+
+    target_system: int = 0
+    target_component: int = 0
+
+
+@dataclass(frozen=True)
+class ParamRequestRead:
+    """Asks for one parameter by name, or by index where `index` >= 0."""
+
+    name: str
+    index: int = -1
+    target_system: int = 0
+    target_component: int = 0
+
+
+@dataclass(frozen=True)
+class ParamSet:
+    """Writes one parameter (float32 on the wire); answered by a ParamValue."""
+
+    name: str
+    value: float
+    target_system: int = 0
+    target_component: int = 0
+
+
+@dataclass(frozen=True)
+class ParamValue:
+    """The value that the STM32 uses now."""
+
+    name: str
+    value: float
+    count: int
+    index: int
+
+
+@dataclass(frozen=True)
+class RcChannels:
+    """RC_CHANNELS: pulse lengths in µs, receiver order; `channels` holds `count` <= 18 of them."""
+
+    time_ms: int
+    channels: tuple[int, ...]
+    rssi: int = 255
+
+
+@dataclass(frozen=True)
+class Battery:
+    """BATTERY_STATUS reduced to the pack: V, A, 0..1; NaN where not measured."""
+
+    voltage_v: float
+    current_a: float = float('nan')
+    remaining: float = float('nan')
+
+
+@dataclass(frozen=True)
+class SlowSensors:
+    """HIGHRES_IMU: magnetometer (gauss, FRD) and barometer (hPa); None where not updated."""
+
+    time_us: int
+    mag_gauss: Vector3 | None = None
+    pressure_hpa: float | None = None
+    temperature_c: float = 0.0
+    has_inertial: bool = False
+    """True where the sender also filled gyro or accelerometer (a standard controller)."""
+
+
+@dataclass(frozen=True)
+class Command:
+    """COMMAND_LONG."""
+
+    command: int
+    parameters: tuple[float, ...] = ()
+    """Up to seven."""
+    confirmation: int = 0
+    target_system: int = 0
+    target_component: int = 0
+
+
+@dataclass(frozen=True)
+class CommandAck:
+    """COMMAND_ACK; result 0 is accepted."""
+
+    command: int
+    result: int
+
+
+@dataclass(frozen=True)
+class StatusText:
+    """STATUSTEXT: severity as syslog (0 emergency .. 7 debug), text up to 50 bytes."""
+
+    severity: int
+    text: str
+
+
+@dataclass(frozen=True)
+class Standard:
+    """A standard message that the suite knows by name but does not use yet."""
+
+    name: str
+    system: int
+    component: int
+
+
+Frame = (
+    Cycle
+    | Excitation
+    | Heartbeat
+    | TimeSync
+    | ParamRequestList
+    | ParamRequestRead
+    | ParamSet
+    | ParamValue
+    | RcChannels
+    | Battery
+    | SlowSensors
+    | Command
+    | CommandAck
+    | StatusText
+    | Standard
+)

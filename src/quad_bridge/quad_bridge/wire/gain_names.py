@@ -1,0 +1,45 @@
+"""Names of gains and loop constants: the contract's (topics, files) and the wire's (16 bytes).
+
+Values are SI on both sides (contract, Gains), so there is nothing to convert.
+"""
+
+from __future__ import annotations
+
+AXES = ('roll', 'pitch', 'yaw')
+
+_PER_AXIS = {
+    'angle.kp': 'ANG_KP',
+    'angle.rate_limit': 'ANG_RLIM',
+    'rate.kp': 'RATE_KP',
+    'rate.ki': 'RATE_KI',
+    'rate.kd': 'RATE_KD',
+    'rate.d_filter_hz': 'RATE_DFHZ',
+    'rate.integrator_limit': 'RATE_ILIM',
+    'rate.output_limit': 'RATE_ULIM',
+}
+
+_SHARED = {
+    'sensor.gyro_filter_hz': 'GYRO_FILT_HZ',
+    'sensor.accel_filter_hz': 'ACC_FILT_HZ',
+    'loop.rate_hz': 'LOOP_RATE_HZ',
+}
+
+WIRE_NAMES: dict[str, str] = {
+    **{
+        f'{axis}.{name}': f'{axis.upper()}_{wire}'
+        for axis in AXES
+        for name, wire in _PER_AXIS.items()
+    },
+    **_SHARED,
+}
+"""Contract name to wire name.
+
+angle.kp 1/s; rate.kp, ki, kd normalised command per rad/s, per rad, per rad/s²;
+angle.rate_limit rad/s; rate.output_limit and rate.integrator_limit normalised command; *_hz Hz.
+"""
+
+CONTRACT_NAMES: dict[str, str] = {wire: name for name, wire in WIRE_NAMES.items()}
+"""Wire name to contract name."""
+
+READ_ONLY = frozenset({'loop.rate_hz'})
+"""Contract names that the STM32 reports and nobody sets."""
