@@ -108,7 +108,8 @@ def segments_from(
     segments: list[Segment] = []
     warnings: list[str] = []
     starts = [min(max(seconds(event.stamp), 0.0), end_s) for event in events]
-    for event, start, stop in zip(events, starts, [*starts[1:], end_s], strict=True):
+    stops = [*starts[1:], end_s][: len(starts)]
+    for event, start, stop in zip(events, starts, stops, strict=True):
         values = dict(event.values)
         role = str(values.pop('segment', ''))
         axis = str(values.pop('axis', ''))

@@ -38,20 +38,23 @@ def split_segments(
     record: Record,
     train: Span | None = None,
     validate: Span | None = None,
-    axes: tuple[str, ...] = AXES,
+    axes: tuple[str, ...] | None = None,
 ) -> Record:
     """Give a record the segments it is to be analysed by.
 
-    With `train` or `validate` (s) these replace what the bag says, for every axis in `axes`; one
-    alone leaves the other role as the bag says or, where the bag says nothing, to the rest of the
-    record. Without both, and where the bag has no segments that train or validate, the first 60 %
-    train and the rest validates. Raises BadInputError for spans outside the record.
+    With `train` or `validate` (s) these replace what the bag says, for every axis in `axes`
+    (None: those the bag excites, else all); one alone leaves the other role as the bag says or,
+    where the bag says nothing, to the rest of the record. Without both, and where the bag has no
+    segments that train or validate, the first 60 % train and the rest validates.
+    Raises BadInputError for spans outside the record or overlapping.
     """
     known = [s for s in record.segments if s.role in ('train', 'validation')]
     if train is None and validate is None:
         if known:
             return record
         train = (0.0, TRAIN_SHARE * record.n * record.dt)
+    if axes is None:
+        axes = tuple(axis for axis in AXES if axis in {s.axis for s in known}) or AXES
     length = record.n * record.dt
     train = _clipped(train, length, record, '--train')
     validate = _clipped(validate, length, record, '--validate')

@@ -1,0 +1,188 @@
+"""A Record → a bag of the contract: `write_bag`; any streams of stamped messages: `write_streams`.
+
+The inverse of reader.py. Live recording is the bag logger's business, not this file's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from rosbags.interfaces import (
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+
+from quad_sysid.bags.cdr import IMU, Stamped, encode, typestore
+from quad_sysid.bags.events import EVENT, Event, encode_event
+from quad_sysid.bags.templates import template
+from quad_sysid.contract import MIXER, TOPIC_TYPES, FloatArray
+from quad_sysid.errors import BadInputError
+from quad_sysid.record import Record
+
+Storage = Literal['mcap', 'sqlite3']
+Compression = Literal['none', 'message', 'file', 'storage']
+
+NODE_NAMES = {'/excitation/segment': '/excitation', '/gains/active': '/serial_bridge'}
+BATTERY_PERIOD_S = 0.1
+
+
+@dataclass(frozen=True)
+class BagOptions:
+    """How a bag is stored, and notes for its metadata (custom_data)."""
+
+    storage: Storage = 'mcap'
+    compression: Compression = 'none'
+    notes: Mapping[str, str] | None = None
+
+
+def write_bag(record: Record, path: str | Path, options: BagOptions | None = None) -> Path:
+    """Write a record as a rosbag2 directory; a row of NaN in an array is a message not written.
+
+    Without motors and wrench the control is written as /motors/command through the mixer. Raises
+    BadInputError where `path` exists or a control cannot be motor commands in 0..1.
+    """
+    stamps = record.t0_ns + np.rint(np.arange(record.n) * record.dt * 1e9).astype(np.int64)
+    streams = {'/imu/data': _imu(record, stamps)}
+    motors = record.motors
+    if motors is None and record.wrench is None:
+        motors = record.control @ MIXER.T
+        low, high = float(np.nanmin(motors)), float(np.nanmax(motors))
+        if low < -1e-9 or high > 1.0 + 1e-9:
+            raise BadInputError(
+                record.source, 'control gives motor commands outside 0..1',
+                f'{low:.3g} to {high:.3g}', 'give the wrench, or a control within the mixer',
+            )
+        motors = np.clip(motors, 0.0, 1.0)
+    wrench = record.wrench
+    if wrench is not None:
+        wrench = np.column_stack((np.zeros((record.n, 2)), wrench))
+    battery = record.battery_v
+    step = max(1, round(BATTERY_PERIOD_S / record.dt))
+    arrays: dict[str, FloatArray | None] = {
+        '/motors/command': motors,
+        '/control/wrench': wrench,
+        '/setpoint/attitude': record.attitude_setpoint,
+        '/setpoint/rates': record.rate_setpoint,
+        '/excitation/applied': record.excitation,
+    }
+    for topic, array in arrays.items():
+        if array is not None:
+            streams[topic] = _stream(stamps, array)
+    if battery is not None:
+        streams['/battery'] = _stream(stamps[::step], battery[::step, None])
+    return write_streams(path, streams, _events(record), options)
+
+
+def write_streams(
+    path: str | Path,
+    streams: Mapping[str, Stamped],
+    events: Mapping[str, Sequence[Event]],
+    options: BagOptions | None = None,
+) -> Path:
+    """Write topics of the contract as they are given, in the order of their stamps."""
+    path = Path(path)
+    options = options or BagOptions()
+    if path.exists():
+        raise BadInputError(
+            str(path), 'exists already and is not overwritten', remedy='choose another --out'
+        )
+    queue: list[tuple[int, str, bytes]] = []
+    for topic, stream in streams.items():
+        kind = TOPIC_TYPES[topic]
+        measured = kind != IMU or not (stream.values[:, 4] == -1.0).all()
+        pattern = template(kind, measured_orientation=measured)
+        raws = encode(kind, pattern, stream.stamps, stream.values)
+        queue += zip(stream.stamps.tolist(), [topic] * len(raws), raws, strict=True)
+    for topic, items in events.items():
+        node = NODE_NAMES.get(topic, '/import')
+        queue += [(event.stamp, topic, encode_event(event, node)) for event in items]
+    queue.sort(key=lambda entry: entry[0])
+    plugin = StoragePlugin.MCAP if options.storage == 'mcap' else StoragePlugin.SQLITE3
+    writer = Writer(path, version=9, storage_plugin=plugin)
+    writer.set_compression(CompressionMode[options.compression.upper()], CompressionFormat.ZSTD)
+    for key, text in (options.notes or {}).items():
+        writer.set_custom_data(key, text)
+    with writer:
+        connections = {
+            topic: writer.add_connection(
+                topic, TOPIC_TYPES[topic], typestore=typestore(),
+                offered_qos_profiles=[_qos(TOPIC_TYPES[topic])],
+            )
+            for topic in [*streams, *events]
+        }
+        for stamp, topic, raw in queue:
+            writer.write(connections[topic], stamp, raw)
+    return path
+
+
+def _stream(stamps: np.ndarray, values: FloatArray) -> Stamped:
+    """Rows with any number in them."""
+    seen = np.isfinite(values).any(axis=1)
+    return Stamped(stamps[seen], values[seen])
+
+
+def _imu(record: Record, stamps: np.ndarray) -> Stamped:
+    values = np.full((record.n, 11), np.nan)
+    values[:, 0:5] = (0.0, 0.0, 0.0, 1.0, 0.0)
+    if record.angles is None:
+        values[:, 4] = -1.0
+    else:
+        values[:, 0:4] = quaternions(record.angles)
+    values[:, 5:8] = record.rates
+    values[:, 8:11] = 0.0 if record.acceleration is None else record.acceleration
+    seen = np.isfinite(record.rates).any(axis=1)
+    return Stamped(stamps[seen], values[seen])
+
+
+def quaternions(angles: FloatArray) -> FloatArray:
+    """(n, 4) x y z w from roll, pitch, yaw (n, 3), rad, in ZYX order (REP-103)."""
+    cr, cp, cy = np.cos(0.5 * angles).T
+    sr, sp, sy = np.sin(0.5 * angles).T
+    return np.column_stack(
+        (
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+            cr * cp * cy + sr * sp * sy,
+        )
+    )
+
+
+def _events(record: Record) -> dict[str, list[Event]]:
+    def stamp(seconds: float) -> int:
+        return record.t0_ns + round(seconds * 1e9)
+
+    segments: list[Event] = []
+    ordered = sorted(record.segments, key=lambda s: s.start_s)
+    for i, segment in enumerate(ordered):
+        names = {
+            'segment': segment.role, 'signal': segment.signal, 'axis': segment.axis,
+            'injection': segment.injection,
+        }
+        segments.append(Event(stamp(segment.start_s), {**names, **segment.parameters}))
+        following = ordered[i + 1].start_s if i + 1 < len(ordered) else record.n * record.dt
+        if following - segment.end_s > 0.5 * record.dt:
+            idle = {**names, 'segment': 'idle', 'signal': 'none'}
+            segments.append(Event(stamp(segment.end_s), idle))
+    gains = [Event(stamp(change.time_s), dict(change.values)) for change in record.gains]
+    found = {'/excitation/segment': segments, '/gains/active': gains}
+    return {topic: events for topic, events in found.items() if events}
+
+
+def _qos(msgtype: str) -> Qos:
+    """Reliable; parameter events are kept for late subscribers (contract: transient local)."""
+    unlimited = QosTime(9223372036, 854775807)
+    durability = QosDurability.TRANSIENT_LOCAL if msgtype == EVENT else QosDurability.VOLATILE
+    return Qos(
+        QosHistory.KEEP_LAST, 10, QosReliability.RELIABLE, durability, unlimited, unlimited,
+        QosLiveliness.AUTOMATIC, unlimited, False,
+    )
