@@ -1,10 +1,15 @@
 """ament_python package of the gain design; installable with pip without ROS."""
 
+import sys
 from glob import glob
 
 from setuptools import find_packages, setup
 
 PACKAGE = 'quad_tuning'
+
+NODES = ['demo = quad_tuning.demo.main:main']
+"""Names for `ros2 run` alone: colcon calls setup.py develop or install, pip builds a wheel."""
+IN_WORKSPACE = bool({'develop', 'install'} & set(sys.argv))
 
 setup(
     name=PACKAGE,
@@ -23,5 +28,5 @@ setup(
     zip_safe=False,
     license='Apache-2.0',
     description='PID and LQR design on identified quadrotor models.',
-    entry_points={'console_scripts': []},
+    entry_points={'console_scripts': NODES if IN_WORKSPACE else []},
 )

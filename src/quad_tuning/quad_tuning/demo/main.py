@@ -1,0 +1,50 @@
+"""The demo's command line: arguments in, stages run, exit status out. The story is in story.py."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from types import FrameType
+
+from quad_tuning.demo.errors import StageFailedError
+from quad_tuning.demo.folders import fresh_folder
+from quad_tuning.demo.story import Teller, tell
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the demo; 0 done, 1 where a stage failed (its reason is on stderr), 130 on Ctrl-C."""
+    parser = argparse.ArgumentParser(
+        prog='demo',
+        description='Close the loop once on a virtual quadrotor: fly, log, identify, find what '
+        'is missing, design gains, send them, fly again, compare.',
+        epilog='example: demo --out /tmp/demo_out --seed 7',
+    )
+    parser.add_argument('--out', type=Path, default=Path('demo_out'), help='result folder')
+    parser.add_argument('--seed', type=int, default=1, help="seed of the virtual sensors' noise")
+    options = parser.parse_args(arguments)
+    signal.signal(signal.SIGTERM, _interrupt)
+    out = options.out.absolute()
+    try:
+        aside = fresh_folder(out)
+        teller = Teller()
+        if aside is not None:
+            teller.say(f'kept the results of an earlier run as {aside.name}')
+        for line in tell(out, options.seed, teller):
+            sys.stdout.write(line + '\n')
+    except StageFailedError as error:
+        sys.stderr.write(f'demo failed at {error} (logs: {out / "logs"})\n')
+        return 1
+    except OSError as error:
+        sys.stderr.write(f'demo failed: {error}\n')
+        return 1
+    except KeyboardInterrupt:
+        sys.stderr.write('demo interrupted; all of its processes are stopped\n')
+        return 130
+    return 0
+
+
+def _interrupt(_number: int, _frame: FrameType | None) -> None:
+    raise KeyboardInterrupt

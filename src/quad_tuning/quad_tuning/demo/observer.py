@@ -1,0 +1,153 @@
+"""What the run's nodes say, heard over the contract's topics by one small node.
+
+Listens only; nothing is published, and no process is started here.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.msg import ParameterEvent, ParameterType
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import (
+    DurabilityPolicy,
+    QoSProfile,
+    ReliabilityPolicy,
+    qos_profile_sensor_data,
+)
+from rclpy.utilities import try_shutdown
+from sensor_msgs.msg import Imu
+
+from quad_tuning.demo.errors import StageFailedError
+
+Value = bool | int | float | str
+STATE = QoSProfile(
+    depth=50,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+VOLATILE = QoSProfile(depth=50, reliability=ReliabilityPolicy.RELIABLE)
+_FIELDS = {
+    ParameterType.PARAMETER_BOOL: 'bool_value',
+    ParameterType.PARAMETER_INTEGER: 'integer_value',
+    ParameterType.PARAMETER_DOUBLE: 'double_value',
+    ParameterType.PARAMETER_STRING: 'string_value',
+}
+
+
+def values_of(event: Any) -> dict[str, Value]:
+    """Names and scalar values of a ParameterEvent's `changed_parameters`."""
+    return {
+        parameter.name: getattr(parameter.value, _FIELDS[parameter.value.type])
+        for parameter in event.changed_parameters
+        if parameter.value.type in _FIELDS
+    }
+
+
+class Observer:
+    """The latest word on every state topic, and waiting for one that satisfies a condition."""
+
+    def __init__(self, domain: int) -> None:
+        self.active_gains: dict[str, float] = {}
+        self.updates: list[dict[str, Value]] = []
+        self.bag: dict[str, Value] = {}
+        self.segment: dict[str, Value] = {}
+        self.diagnostics: dict[str, tuple[int, str, dict[str, str]]] = {}
+        self.imu_count = 0
+        self._context = Context()
+        rclpy.init(context=self._context, domain_id=domain)
+        self._node = Node('demo_observer', context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        subscribe = self._node.create_subscription
+        subscribe(ParameterEvent, '/gains/active', self._on_gains, STATE)
+        subscribe(ParameterEvent, '/gains/update', self._on_update, VOLATILE)
+        subscribe(ParameterEvent, '/logger/bag', self._on_bag, STATE)
+        subscribe(ParameterEvent, '/excitation/segment', self._on_segment, STATE)
+        subscribe(DiagnosticArray, '/diagnostics', self._on_diagnostics, VOLATILE)
+        self._imu: Any = None
+
+    def __enter__(self) -> Observer:
+        """Nothing more to open."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Shut the node and its context down."""
+        self._executor.shutdown()
+        self._node.destroy_node()
+        try_shutdown(context=self._context)
+
+    def count_imu(self, on: bool) -> None:
+        """Listen to /imu/data only while its arrival is the question; it costs CPU."""
+        if on and self._imu is None:
+            self.imu_count = 0
+            self._imu = self._node.create_subscription(
+                Imu, '/imu/data', self._on_imu, qos_profile_sensor_data, raw=True
+            )
+        elif not on and self._imu is not None:
+            self._node.destroy_subscription(self._imu)
+            self._imu = None
+
+    def wait_for(
+        self,
+        stage: str,
+        what: str,
+        condition: Callable[[], bool],
+        timeout_s: float,
+        meanwhile: Callable[[], None] = lambda: None,
+    ) -> None:
+        """Spin until `condition()`; raises StageFailedError after `timeout_s`.
+
+        `meanwhile` is called about ten times a second and may raise (a process that died).
+        """
+        deadline = time.monotonic() + timeout_s
+        while not condition():
+            if time.monotonic() > deadline:
+                raise StageFailedError(
+                    stage, f'no {what} within {timeout_s:.0f} s{self._complaints()}'
+                )
+            turn = time.monotonic() + 0.1
+            while (left := turn - time.monotonic()) > 0:
+                self._executor.spin_once(timeout_sec=left)
+            meanwhile()
+
+    def _complaints(self) -> str:
+        bad = [
+            f'{name}: {text}' for name, (level, text, _) in self.diagnostics.items() if level > 0
+        ]
+        return f' ({"; ".join(bad)})' if bad else ''
+
+    def _on_gains(self, event: ParameterEvent) -> None:
+        self.active_gains.update(
+            {name: float(v) for name, v in values_of(event).items() if not isinstance(v, str)}
+        )
+
+    def _on_update(self, event: ParameterEvent) -> None:
+        self.updates.append(values_of(event))
+
+    def _on_bag(self, event: ParameterEvent) -> None:
+        self.bag = values_of(event)
+
+    def _on_segment(self, event: ParameterEvent) -> None:
+        self.segment = values_of(event)
+
+    def _on_diagnostics(self, array: DiagnosticArray) -> None:
+        for status in array.status:
+            level = status.level if isinstance(status.level, int) else status.level[0]
+            pairs = {pair.key: pair.value for pair in status.values}
+            self.diagnostics[status.name] = (level, status.message, pairs)
+
+    def _on_imu(self, _raw: bytes) -> None:
+        self.imu_count += 1

@@ -1,0 +1,181 @@
+"""Child processes of one run: started with a log each, watched, measured, and all stopped.
+
+Knows nothing of topics or stages; the demo and the end-to-end tests both use it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+
+import yaml
+from ament_index_python.packages import PackageNotFoundError, get_package_prefix
+
+from quad_tuning.demo.errors import StageFailedError
+
+STOP_PATIENCE_S = 8.0
+"""How long a process may take to end after SIGINT before it is killed."""
+
+
+def executable(package: str, name: str) -> Path:
+    """The file that `ros2 run package name` starts; raises StageFailedError where it is not."""
+    try:
+        path = Path(get_package_prefix(package)) / 'lib' / package / name
+    except (PackageNotFoundError, OSError):
+        raise StageFailedError(
+            'start', f'{package} is not in this workspace; run make build and source install/'
+        ) from None
+    if not path.exists():
+        raise StageFailedError('start', f'{package} has no executable {name}; run make build')
+    return path
+
+
+@dataclass
+class Child:
+    """One process, its log, and the CPU time it has used so far."""
+
+    name: str
+    process: subprocess.Popen[bytes]
+    log: Path
+    started: float
+    cpu_s: float = 0.0
+    ended: float | None = None
+    may_end: bool = False
+    """Whether it is in order when the process ends by itself with status 0."""
+
+    def measure(self) -> None:
+        """Read the CPU time (its own and that of its reaped children) from /proc."""
+        with contextlib.suppress(OSError, IndexError, ValueError):
+            stat = Path(f'/proc/{self.process.pid}/stat').read_text()
+            ticks = [int(x) for x in stat.rpartition(')')[2].split()[11:15]]
+            self.cpu_s = max(self.cpu_s, sum(ticks) / os.sysconf('SC_CLK_TCK'))
+
+    def last_words(self) -> str:
+        """The last line of its log that says something."""
+        try:
+            lines = self.log.read_text(errors='replace').splitlines()
+        except OSError:
+            return 'no log'
+        return next((line.strip() for line in reversed(lines) if line.strip()), 'its log is empty')
+
+
+@dataclass
+class Crew:
+    """All processes of one run, in a folder for their logs and one ROS domain.
+
+    A context manager: leaving it stops everything, whatever happened.
+    """
+
+    folder: Path
+    domain: int
+    children: dict[str, Child] = field(default_factory=dict)
+
+    def __enter__(self) -> Crew:
+        """Make the log folder."""
+        (self.folder / 'logs').mkdir(parents=True, exist_ok=True)
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Stop everything."""
+        self.stop()
+
+    def environment(self) -> dict[str, str]:
+        """The whole environment of this process, confined to the run's domain and folder."""
+        return {
+            **os.environ,
+            'ROS_DOMAIN_ID': str(self.domain),
+            'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
+            'ROS_LOG_DIR': str(self.folder / 'logs'),
+            'PYTHONUNBUFFERED': '1',
+        }
+
+    def start(self, name: str, command: Sequence[str | Path], *, may_end: bool = False) -> Child:
+        """Start `command` in a process group of its own, output to logs/`name`.log."""
+        log = self.folder / 'logs' / f'{name}.log'
+        with log.open('ab') as out:
+            process = subprocess.Popen(  # noqa: S603
+                [str(part) for part in command],
+                stdin=subprocess.DEVNULL,
+                stdout=out,
+                stderr=subprocess.STDOUT,
+                env=self.environment(),
+                start_new_session=True,
+            )
+        child = Child(name, process, log, time.monotonic(), may_end=may_end)
+        self.children[name] = child
+        return child
+
+    def start_node(
+        self, package: str, name: str, parameters: Mapping[str, object], *, called: str = ''
+    ) -> Child:
+        """Start a node with its parameters in a YAML file beside its log.
+
+        `called` names log and parameter file where one node runs twice.
+        """
+        called = called or name
+        values = self.folder / 'logs' / f'{called}.yaml'
+        values.write_text(yaml.safe_dump({'/**': {'ros__parameters': dict(parameters)}}))
+        return self.start(
+            called, [executable(package, name), '--ros-args', '--params-file', values]
+        )
+
+    def check(self, stage: str) -> None:
+        """Measure all; raises StageFailedError naming the first one that died."""
+        for child in self.children.values():
+            if child.ended is not None:
+                continue
+            child.measure()
+            status = child.process.poll()
+            if status is None:
+                continue
+            child.ended = time.monotonic()
+            if not (child.may_end and status == 0):
+                raise StageFailedError(
+                    stage, f'{child.name} ended with status {status}: {child.last_words()}'
+                )
+
+    def stop(self, *names: str) -> None:
+        """SIGINT to the named ones (default: all, the last started first), then SIGKILL."""
+        chosen = [self.children[name] for name in names] or list(self.children.values())[::-1]
+        running = [child for child in chosen if child.ended is None]
+        for child in running:
+            child.measure()
+            _signal_group(child, signal.SIGINT)
+        deadline = time.monotonic() + STOP_PATIENCE_S
+        for child in running:
+            while child.process.poll() is None and time.monotonic() < deadline:
+                child.measure()
+                time.sleep(0.05)
+            _signal_group(child, signal.SIGKILL)
+            child.process.wait()
+            child.ended = time.monotonic()
+
+    def cpu(self) -> dict[str, dict[str, float]]:
+        """CPU seconds, seconds of life and percent of one core of every process."""
+        now = time.monotonic()
+        table = {}
+        for child in self.children.values():
+            life = (child.ended or now) - child.started
+            table[child.name] = {
+                'cpu_s': round(child.cpu_s, 2),
+                'life_s': round(life, 1),
+                'percent': round(100.0 * child.cpu_s / max(life, 1e-9), 1),
+            }
+        return table
+
+
+def _signal_group(child: Child, number: int) -> None:
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(child.process.pid, number)

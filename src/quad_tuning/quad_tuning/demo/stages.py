@@ -1,0 +1,182 @@
+"""One function per stage of a flight campaign: connect, fly a schedule, identify, update gains.
+
+Each starts the processes it needs, waits for what the topics say, and raises StageFailedError.
+The order of the stages and what is told of them is story.py's.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from quad_tuning.demo.errors import StageFailedError
+from quad_tuning.demo.observer import Observer
+from quad_tuning.demo.processes import Crew, executable
+
+CONNECT_S, START_S, CLOSE_S, ACKNOWLEDGE_S, IDENTIFY_S = 40.0, 20.0, 20.0, 15.0, 150.0
+"""Patience of the stages, s."""
+SETTLED_S = 1.0
+"""How long the stream must have flowed before a flight begins, in s of samples at 250 Hz."""
+
+
+@dataclass(frozen=True)
+class Aircraft:
+    """Options of the virtual STM32 that is flown."""
+
+    profile: str
+    axis: str
+    seed: int
+    mount: str = 'rig'
+    effect_module: Path | None = None
+
+    def command(self, link: Path) -> list[str | Path]:
+        """The command line that starts it."""
+        parts: list[str | Path] = [executable('quad_bridge', 'virtual_stm32')]
+        options: dict[str, object] = {
+            '--profile': self.profile,
+            '--mount': self.mount,
+            '--axis': self.axis,
+            '--seed': self.seed,
+            '--link': link,
+        }
+        if self.effect_module is not None:
+            options['--effect-module'] = self.effect_module
+        for name, value in options.items():
+            parts += [name, str(value)]
+        return parts
+
+
+@dataclass
+class Campaign:
+    """The processes and topics that all stages share."""
+
+    crew: Crew
+    observer: Observer
+    say: Callable[[str], None]
+    told: dict[str, object] = field(default_factory=dict)
+
+    @property
+    def folder(self) -> Path:
+        """Where everything is written."""
+        return self.crew.folder
+
+    def wait(
+        self, stage: str, what: str, condition: Callable[[], bool], timeout_s: float
+    ) -> None:
+        """Wait for a condition while all processes live, telling segments as they begin."""
+
+        def meanwhile() -> None:
+            self.crew.check(stage)
+            self._tell_segment()
+
+        self.observer.wait_for(stage, what, condition, timeout_s, meanwhile)
+
+    def _tell_segment(self) -> None:
+        segment = self.observer.segment
+        if segment and segment != self.told.get('segment'):
+            self.told['segment'] = segment
+            if segment.get('signal') != 'none':
+                self.say(
+                    f'  {segment.get("segment")}: {segment.get("signal")} on '
+                    f'{segment.get("axis")} ({segment.get("injection")})'
+                )
+
+
+@dataclass(frozen=True)
+class Flight:
+    """A recorded flight and the gains that were in force."""
+
+    bag: Path
+    seconds: float
+    gains: Mapping[str, float]
+
+
+def connect(campaign: Campaign, aircraft: Aircraft) -> None:
+    """Power the aircraft, open the port, wait until stamps and gains flow."""
+    link = campaign.folder / 'stm32'
+    campaign.crew.start('virtual_stm32', aircraft.command(link))
+    campaign.wait('connect', 'pseudo-terminal of the virtual STM32', link.exists, CONNECT_S)
+    campaign.crew.start_node('quad_bridge', 'serial_bridge', {'port': str(link)})
+    observer = campaign.observer
+    observer.count_imu(on=True)
+    campaign.wait(
+        'connect', '/imu/data', lambda: observer.imu_count > 250 * SETTLED_S, CONNECT_S
+    )
+    observer.count_imu(on=False)
+    campaign.wait('connect', '/gains/active', lambda: bool(observer.active_gains), CONNECT_S)
+
+
+def fly(campaign: Campaign, name: str, schedule: Path, seconds: float) -> Flight:
+    """Record one flight of a schedule of about `seconds`; the bag is complete on return."""
+    observer, crew = campaign.observer, campaign.crew
+    bag = campaign.folder / name
+    gains = dict(observer.active_gains)
+    observer.bag = {}
+    logger, pilot = f'{name}_logger', f'{name}_excitation'
+    crew.start_node('quad_bridge', 'bag_logger', {'path': str(bag)}, called=logger)
+    campaign.wait(
+        name, 'recording', lambda: observer.bag.get('state') == 'recording', START_S
+    )
+    began = time.monotonic()
+    observer.segment = {}
+    child = crew.start_node('quad_bridge', 'excitation', {'schedule': str(schedule)}, called=pilot)
+    child.may_end = True
+    campaign.wait(name, 'end of the schedule', lambda: child.ended is not None, seconds + START_S)
+    seconds = time.monotonic() - began
+    crew.stop(logger)
+    campaign.wait(name, 'complete bag', lambda: _closed(name, observer), CLOSE_S)
+    return Flight(bag, seconds, gains)
+
+
+def _closed(stage: str, observer: Observer) -> bool:
+    if observer.bag.get('state') == 'failed':
+        raise StageFailedError(stage, f'the logger could not write {observer.bag.get("path")}')
+    return observer.bag.get('state') == 'complete'
+
+
+def start_identification(campaign: Campaign, *, auto_update: bool, axes: Sequence[str]) -> None:
+    """Start the node that waits for a complete bag and writes the report."""
+    campaign.crew.start_node(
+        'quad_sysid',
+        'identification',
+        {
+            'out': str(campaign.folder / 'report'),
+            'auto_update': auto_update,
+            'axes': list(axes),
+        },
+    )
+
+
+def await_report(campaign: Campaign) -> Path:
+    """Wait for report.json of the bag that was just completed."""
+    path = campaign.folder / 'report' / 'report.json'
+    campaign.wait('identify', 'report.json', path.exists, IDENTIFY_S)
+    return path
+
+
+def await_new_gains(campaign: Campaign, old: Mapping[str, float]) -> float:
+    """Wait until gains were sent and the STM32 has read them back; s from sending to that."""
+    observer = campaign.observer
+    campaign.wait('update', '/gains/update', lambda: bool(observer.updates), ACKNOWLEDGE_S)
+    sent = time.monotonic()
+    wanted = {
+        name: float(value)
+        for name, value in observer.updates[-1].items()
+        if isinstance(value, float | int)
+    }
+    if all(close(old.get(name, 0.0), value) for name, value in wanted.items()):
+        raise StageFailedError('update', 'the gains that were sent are the ones already flown')
+    campaign.wait(
+        'update',
+        'acknowledgement on /gains/active',
+        lambda: all(close(observer.active_gains.get(k, 0.0), v) for k, v in wanted.items()),
+        ACKNOWLEDGE_S,
+    )
+    return time.monotonic() - sent
+
+
+def close(one: float, other: float) -> bool:
+    """Equal up to the float32 in which gains travel."""
+    return abs(one - other) <= 1e-6 * max(abs(one), abs(other), 1e-9)

@@ -1,0 +1,125 @@
+"""The story the demo tells: which aircraft, which flights, in which order, told as it happens."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from quad_tuning.demo.comparison import square_figures
+from quad_tuning.demo.domain import own_domain
+from quad_tuning.demo.errors import StageFailedError
+from quad_tuning.demo.observer import Observer
+from quad_tuning.demo.processes import Crew
+from quad_tuning.demo.stages import (
+    Aircraft,
+    Campaign,
+    Flight,
+    await_new_gains,
+    await_report,
+    connect,
+    fly,
+    start_identification,
+)
+from quad_tuning.demo.summary import FlightSummary, Outcome, lines
+
+AXIS = 'roll'
+HERE = Path(__file__).parent
+EVALUATE_S = 60.0
+
+
+@dataclass(frozen=True)
+class Teller:
+    """Progress lines on stdout, each with the seconds since the demo began."""
+
+    began: float = field(default_factory=time.monotonic)
+
+    @property
+    def seconds(self) -> float:
+        """Since the demo began."""
+        return time.monotonic() - self.began
+
+    def say(self, line: str) -> None:
+        """One line, at once."""
+        sys.stdout.write(f'[{self.seconds:5.1f} s] {line}\n')
+        sys.stdout.flush()
+
+
+def tell(out: Path, seed: int, teller: Teller) -> list[str]:
+    """Close the loop once, results in `out`; the lines of the summary.
+
+    Raises StageFailedError; in any case all processes are stopped and cpu.json is written.
+    """
+    with own_domain() as domain, Crew(out, domain) as crew, Observer(domain) as observer:
+        try:
+            return lines(_close_the_loop(Campaign(crew, observer, teller.say), seed, teller))
+        finally:
+            crew.stop()
+            (out / 'cpu.json').write_text(json.dumps(crew.cpu(), indent=1) + '\n')
+
+
+def _close_the_loop(campaign: Campaign, seed: int, teller: Teller) -> Outcome:
+    out = campaign.folder
+    teller.say('virtual STM32 on the rig, serial bridge')
+    connect(
+        campaign, Aircraft('plain', AXIS, seed, effect_module=HERE / 'friction_bearing.py')
+    )
+    teller.say('first flight, with the gains of the paper')
+    start_identification(campaign, auto_update=True, axes=[AXIS])
+    first = fly(campaign, 'flight_1', HERE / 'first_flight.yaml', 75.0)
+    teller.say('bag complete; the identification node works on it')
+    report = _axis_report(await_report(campaign))
+    teller.say(f'verdict: {report["verdict"]}')
+    if not report.get('gains'):
+        raise StageFailedError('design', str(report.get('gains_reason', 'no gains were designed')))
+    waited = await_new_gains(campaign, first.gains)
+    teller.say(f'new gains acknowledged by the STM32 after {waited:.1f} s')
+    campaign.crew.stop('identification')
+    teller.say('second flight, with the new gains')
+    second = fly(campaign, 'flight_2', HERE / 'second_flight.yaml', 25.0)
+    campaign.crew.stop()
+    teller.say('both flights compared')
+    return Outcome(
+        axis=AXIS,
+        first=_summary(first),
+        second=_summary(second),
+        report=report,
+        unseen=_evaluate(out / 'report' / 'model.json', second.bag),
+        acknowledged_after_s=waited,
+        folder=out,
+        files=[],
+        seconds=teller.seconds,
+    )
+
+
+def _axis_report(path: Path) -> Mapping[str, Any]:
+    report: Mapping[str, Any] = json.loads(path.read_text())
+    axis: Mapping[str, Any] = report['axes'][AXIS]
+    return axis
+
+
+def _summary(flight: Flight) -> FlightSummary:
+    return FlightSummary(
+        flight.bag, flight.seconds, flight.gains, square_figures(flight.bag, AXIS)
+    )
+
+
+def _evaluate(model: Path, bag: Path) -> Mapping[str, Any]:
+    """Error figures of the stored model on a bag it has never seen, by the public command."""
+    command = [sys.executable, '-m', 'quad_sysid.cli', 'evaluate', model, bag, '--json']
+    done = subprocess.run(  # noqa: S603
+        [str(part) for part in command],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=EVALUATE_S,
+    )
+    if done.returncode != 0:
+        raise StageFailedError('evaluate', done.stderr or f'status {done.returncode}')
+    error: Mapping[str, Any] = json.loads(done.stdout)['axes'][AXIS]['error']
+    return error
