@@ -1,0 +1,151 @@
+"""Compiled control cycle of the firmware: C1, C2, excitation, mixer with limits.
+
+C1: rate reference = kp (reference - angle), limited. C2: u = kp e + ki int e - kd d(rate)/dt with
+the D term on the measured rate behind a first-order filter (backward Euler), integrator clamped,
+output limited. Excitation is added to the attitude reference, behind C1's limit to the rate
+reference, or behind C2's limit to U2..U4. Gains are SI (contract).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from quad_bridge.virtual.compiled import kernel
+from quad_bridge.virtual.rotation import wrapped
+
+FloatArray = npt.NDArray[np.float64]
+
+ANGLE_KP, KP, KI, KD, RATE_LIMIT, OUTPUT_LIMIT, INTEGRATOR_LIMIT, D_FILTER_HZ = range(8)
+"""Columns of the gain table (3 axes, 8)."""
+
+INTEGRAL, D_STATE, LAST_RATE, YAW_REFERENCE, STARTED, QUEUE = 0, 3, 6, 9, 10, 11
+QUEUE_ROWS = 4
+CONTROL_STATES = QUEUE + 4 * QUEUE_ROWS
+
+ARMED, INJECTION, ADDED, STICK_ROLL, STICK_PITCH, THROTTLE, STICK_YAW = 0, 1, 2, 5, 6, 7, 8
+INPUTS = 9
+"""Columns of what reaches a cycle from outside: armed 0/1, injection 0..3 (none, attitude, rate,
+control), excitation (3), sticks -1..1, throttle 0..1."""
+
+SATURATED, ANGLE_LIMITED = 1.0, 2.0
+
+
+class Controller(NamedTuple):
+    """What the control cycle knows; `gains` is written in place by parameter writes."""
+
+    gains: FloatArray
+    cycle_s: float
+    delay_cycles: int
+    stick_angle: float
+    stick_yaw_rate: float
+    angle_limit: float
+    climb_kp: float
+    """Pilot's altitude hold in hover: throttle per m; 0 on the rig."""
+    climb_kd: float
+
+
+class Output(NamedTuple):
+    """Where a cycle writes its results."""
+
+    attitude_reference: FloatArray
+    rate_reference: FloatArray
+    wrench: FloatArray
+    motors: FloatArray
+
+
+@kernel
+def second_loop(
+    memory: FloatArray, controller: Controller, axis: int, reference: float, rate: float
+) -> float:
+    """C2 of one axis: normalised command from the rate's reference and measurement, rad/s."""
+    row, dt = controller.gains[axis], controller.cycle_s
+    error = reference - rate
+    total = memory[INTEGRAL + axis] + row[KI] * error * dt
+    memory[INTEGRAL + axis] = min(row[INTEGRATOR_LIMIT], max(-row[INTEGRATOR_LIMIT], total))
+    share = dt / (dt + 1.0 / (2.0 * math.pi * row[D_FILTER_HZ]))
+    slope = (rate - memory[LAST_RATE + axis]) / dt
+    memory[D_STATE + axis] += share * (slope - memory[D_STATE + axis])
+    memory[LAST_RATE + axis] = rate
+    raw = row[KP] * error + memory[INTEGRAL + axis] - row[KD] * memory[D_STATE + axis]
+    return min(row[OUTPUT_LIMIT], max(-row[OUTPUT_LIMIT], raw))
+
+
+@kernel
+def mix(wrench: FloatArray, armed: bool, motors: FloatArray) -> bool:
+    """Write the motor commands (4,) of U1..U4 (4,), 0..1; True where one was cut."""
+    motors[0] = wrench[0] + wrench[1] + wrench[2] + wrench[3]
+    motors[1] = wrench[0] - wrench[1] + wrench[2] - wrench[3]
+    motors[2] = wrench[0] - wrench[1] - wrench[2] + wrench[3]
+    motors[3] = wrench[0] + wrench[1] - wrench[2] - wrench[3]
+    cut = False
+    for i in range(4):
+        if not armed:
+            motors[i] = 0.0
+        elif motors[i] < 0.0 or motors[i] > 1.0:
+            motors[i] = min(1.0, max(0.0, motors[i]))
+            cut = True
+    return cut
+
+
+@kernel
+def control_cycle(
+    memory: FloatArray,
+    controller: Controller,
+    given: FloatArray,
+    gyro: FloatArray,
+    attitude: FloatArray,
+    out: Output,
+) -> float:
+    """One cycle; writes `out`, returns the sum of SATURATED and ANGLE_LIMITED that apply."""
+    armed = given[ARMED] > 0.5
+    if memory[STARTED] == 0.0 or not armed:
+        memory[STARTED] = 1.0
+        memory[YAW_REFERENCE] = attitude[2]
+        for i in range(3):
+            memory[INTEGRAL + i] = 0.0
+            memory[LAST_RATE + i] = gyro[i]
+    memory[YAW_REFERENCE] = wrapped(
+        memory[YAW_REFERENCE] + given[STICK_YAW] * controller.stick_yaw_rate * controller.cycle_s
+    )
+    out.attitude_reference[0] = given[STICK_ROLL] * controller.stick_angle
+    out.attitude_reference[1] = given[STICK_PITCH] * controller.stick_angle
+    out.attitude_reference[2] = memory[YAW_REFERENCE]
+    out.wrench[0] = given[THROTTLE] if armed else 0.0
+    for i in range(3):
+        if given[INJECTION] == 1.0:
+            out.attitude_reference[i] += given[ADDED + i]
+        row = controller.gains[i]
+        wanted = row[ANGLE_KP] * wrapped(out.attitude_reference[i] - attitude[i])
+        wanted = min(row[RATE_LIMIT], max(-row[RATE_LIMIT], wanted))
+        if given[INJECTION] == 2.0:
+            wanted += given[ADDED + i]
+        out.rate_reference[i] = wanted
+        u = second_loop(memory, controller, i, wanted, gyro[i])
+        if given[INJECTION] == 3.0:
+            u += given[ADDED + i]
+        out.wrench[1 + i] = u if armed else 0.0
+    cut = mix(out.wrench, armed, out.motors)
+    limited = max(abs(attitude[0]), abs(attitude[1])) > controller.angle_limit
+    return (SATURATED if cut else 0.0) + (ANGLE_LIMITED if limited else 0.0)
+
+
+@kernel
+def delayed(memory: FloatArray, controller: Controller, cycle: int, motors: FloatArray) -> None:
+    """Put this cycle's commands in the queue; `motors` becomes those that act now."""
+    now = QUEUE + 4 * (cycle % QUEUE_ROWS)
+    then = QUEUE + 4 * ((cycle - controller.delay_cycles) % QUEUE_ROWS)
+    for i in range(4):
+        memory[now + i] = motors[i]
+    for i in range(4):
+        motors[i] = memory[then + i]
+
+
+def initial_memory(throttle: float) -> FloatArray:
+    """State of the controller at boot: the motors already run at `throttle` (0 if disarmed)."""
+    memory = np.zeros(CONTROL_STATES)
+    memory[QUEUE:] = throttle
+    return memory

@@ -1,0 +1,211 @@
+"""The one table of physical effects that the virtual aircraft can have beyond the contract's base.
+
+Each has a switch and its strength; all are off by default, and off is exactly absent. Values only:
+the equations stand in physics.py (vibration: sensors.py). A value per axis may be given as one
+number for all three.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from quad_bridge.virtual.airframe import Vector, require
+
+
+@dataclass(frozen=True)
+class ThrustCurve:
+    """thrust = full thrust ((1 - curvature) n + curvature n^2), n the lagged command."""
+
+    on: bool = False
+    curvature: float = 0.5
+
+
+@dataclass(frozen=True)
+class BatterySag:
+    """Thrust follows (voltage / reference)^exponent."""
+
+    on: bool = False
+    exponent: float = 1.5
+    reference_v: float = 11.1
+
+
+@dataclass(frozen=True)
+class CoulombFriction:
+    """Constant torque against the rate's sign, with true sticking."""
+
+    on: bool = False
+    torque_nm: Vector = (0.004, 0.004, 0.004)
+
+
+@dataclass(frozen=True)
+class Stribeck:
+    """Friction coulomb + (static - coulomb) exp(-(rate / speed)^2) against the rate."""
+
+    on: bool = False
+    static_nm: Vector = (0.012, 0.012, 0.012)
+    coulomb_nm: Vector = (0.004, 0.004, 0.004)
+    speed_rad_s: float = 0.15
+
+
+@dataclass(frozen=True)
+class QuadraticDrag:
+    """Torque -coefficient rate |rate|."""
+
+    on: bool = False
+    coefficient_nm_s2: Vector = (0.006, 0.006, 0.006)
+
+
+@dataclass(frozen=True)
+class PendulumStiffness:
+    """Torque -stiffness sin(angle) about roll and pitch; negative: centre of mass above."""
+
+    on: bool = False
+    stiffness_nm_rad: Vector = (0.15, 0.15, 0.0)
+
+
+@dataclass(frozen=True)
+class CubicStiffness:
+    """Torque -stiffness angle^3."""
+
+    on: bool = False
+    stiffness_nm_rad3: Vector = (3.0, 3.0, 0.0)
+
+
+@dataclass(frozen=True)
+class DeadZone:
+    """The command of an axis does nothing within +-half_width, and is shifted by it outside."""
+
+    on: bool = False
+    half_width: Vector = (0.003, 0.003, 0.003)
+
+
+@dataclass(frozen=True)
+class Backlash:
+    """Play of +-half_width between the command of an axis and its torque."""
+
+    on: bool = False
+    half_width: Vector = (0.004, 0.004, 0.004)
+
+
+@dataclass(frozen=True)
+class Saturation:
+    """The motors' own limits, narrower than what /motors/command shows."""
+
+    on: bool = False
+    lower: float = 0.2
+    upper: float = 0.45
+
+
+@dataclass(frozen=True)
+class MotorLag:
+    """The given motors (1..4) are slower than the others."""
+
+    on: bool = False
+    motors: tuple[int, ...] = (1,)
+    slow_time_constant_s: float = 0.12
+
+    def __post_init__(self) -> None:
+        """Check bounds."""
+        require(set(self.motors) <= {1, 2, 3, 4}, f'motors must be out of 1..4: {self.motors}')
+        require(self.slow_time_constant_s >= 0.004, 'slow_time_constant_s must be at least 0.004')
+
+
+@dataclass(frozen=True)
+class GyroscopicCoupling:
+    """Rotors' angular momentum, eqs. (4), (5) with opposite signs, plus a constant one."""
+
+    on: bool = False
+    rotor_scale: float = 1.0
+    extra_momentum_nm_s: float = 0.0
+    """Of something that spins steadily about body z, positive counter-clockwise from above."""
+
+
+@dataclass(frozen=True)
+class InertiaCoupling:
+    """Euler's term -rate x (I rate) of eqs. (4) to (6); nothing on the rig."""
+
+    on: bool = False
+
+
+@dataclass(frozen=True)
+class CrossAxisInput:
+    """A fraction of one axis' command also acts on another axis."""
+
+    on: bool = False
+    fraction: float = 0.1
+    from_axis: str = 'pitch'
+    to_axis: str = 'roll'
+
+    def __post_init__(self) -> None:
+        """Check names."""
+        for axis in (self.from_axis, self.to_axis):
+            require(axis in {'roll', 'pitch', 'yaw'}, f'axis must be roll, pitch, yaw: {axis!r}')
+
+
+@dataclass(frozen=True)
+class Resonance:
+    """A light mode in the drive: adds peak * drive at its frequency, nothing far from it."""
+
+    on: bool = False
+    frequency_hz: float = 6.0
+    damping_ratio: float = 0.05
+    peak: Vector = (1.0, 1.0, 1.0)
+
+
+@dataclass(frozen=True)
+class PeriodicDisturbance:
+    """A sinusoidal torque; the phase is drawn from the seed."""
+
+    on: bool = False
+    frequency_hz: float = 2.3
+    amplitude_nm: Vector = (0.01, 0.01, 0.01)
+
+
+@dataclass(frozen=True)
+class StepEvent:
+    """From `time_s` on the drive is scaled by 1 + gain_change and a torque added."""
+
+    on: bool = False
+    time_s: float = 30.0
+    gain_change: Vector = (0.0, 0.0, 0.0)
+    torque_nm: Vector = (0.01, 0.01, 0.01)
+
+
+@dataclass(frozen=True)
+class Vibration:
+    """Lines in the gyro before its filter, rad/s each."""
+
+    on: bool = False
+    frequency_hz: tuple[float, ...] = (47.0, 94.0)
+    amplitude_rad_s: tuple[float, ...] = (0.05, 0.02)
+
+    def __post_init__(self) -> None:
+        """Check lengths."""
+        require(
+            len(self.frequency_hz) == len(self.amplitude_rad_s),
+            'frequency_hz and amplitude_rad_s need one length',
+        )
+
+
+@dataclass(frozen=True)
+class Effects:
+    """All effects; `Effects()` has none."""
+
+    thrust_curve: ThrustCurve = field(default_factory=ThrustCurve)
+    battery_sag: BatterySag = field(default_factory=BatterySag)
+    coulomb_friction: CoulombFriction = field(default_factory=CoulombFriction)
+    stribeck: Stribeck = field(default_factory=Stribeck)
+    quadratic_drag: QuadraticDrag = field(default_factory=QuadraticDrag)
+    pendulum_stiffness: PendulumStiffness = field(default_factory=PendulumStiffness)
+    cubic_stiffness: CubicStiffness = field(default_factory=CubicStiffness)
+    dead_zone: DeadZone = field(default_factory=DeadZone)
+    backlash: Backlash = field(default_factory=Backlash)
+    saturation: Saturation = field(default_factory=Saturation)
+    motor_lag: MotorLag = field(default_factory=MotorLag)
+    gyroscopic_coupling: GyroscopicCoupling = field(default_factory=GyroscopicCoupling)
+    inertia_coupling: InertiaCoupling = field(default_factory=InertiaCoupling)
+    cross_axis_input: CrossAxisInput = field(default_factory=CrossAxisInput)
+    resonance: Resonance = field(default_factory=Resonance)
+    periodic_disturbance: PeriodicDisturbance = field(default_factory=PeriodicDisturbance)
+    step_event: StepEvent = field(default_factory=StepEvent)
+    vibration: Vibration = field(default_factory=Vibration)

@@ -1,0 +1,185 @@
+"""Whole flights as arrays, faster than real time: the process's aircraft and firmware, no process.
+
+For studies and tests. Nothing here writes files (flight_bag.py does).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from quad_bridge.virtual.aircraft import Aircraft, EffectFunction
+from quad_bridge.virtual.control import (
+    ADDED,
+    ARMED,
+    INJECTION,
+    INPUTS,
+    STICK_PITCH,
+    STICK_ROLL,
+    STICK_YAW,
+    THROTTLE,
+)
+from quad_bridge.virtual.cycle import COLUMNS
+from quad_bridge.virtual.errors import ConfigurationError
+from quad_bridge.virtual.firmware import AXES, TABLE
+from quad_bridge.virtual.profile import Profile, load_profile
+from quad_bridge.virtual.receiver import channels_at
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+FloatArray = npt.NDArray[np.float64]
+
+INJECTIONS = ('none', 'attitude', 'rate', 'control')
+
+
+@dataclass(frozen=True)
+class Excited:
+    """One scheduled segment: `samples` (n,) per control cycle from `start_s` on, on one axis."""
+
+    start_s: float
+    samples: FloatArray
+    axis: str = 'roll'
+    injection: str = 'attitude'
+    role: str = 'train'
+    signal: str = 'prbs'
+    parameters: Mapping[str, float | int | str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Flight:
+    """A flown flight; arrays have one row per control cycle, SI, body FLU, world ENU."""
+
+    profile: Profile
+    schedule: tuple[Excited, ...]
+    gains: Mapping[str, float]
+    """What /gains/active would say, at the start."""
+    time_s: FloatArray
+    rates: FloatArray
+    acceleration: FloatArray
+    angles: FloatArray
+    attitude_setpoint: FloatArray
+    rate_setpoint: FloatArray
+    wrench: FloatArray
+    motors: FloatArray
+    excitation: FloatArray
+    injection: npt.NDArray[np.int64]
+    battery_v: FloatArray
+    mag: FloatArray
+    pressure_pa: FloatArray
+    throttle: FloatArray
+    limits: FloatArray
+    true_rates: FloatArray
+    true_angles: FloatArray
+    altitude_m: FloatArray
+
+    @property
+    def dt(self) -> float:
+        """Control cycle, s."""
+        return 1.0 / self.profile.firmware.rate_hz
+
+
+def fly(
+    config: Profile | str,
+    schedule: Sequence[Excited],
+    duration_s: float,
+    seed: int,
+    effect: EffectFunction | None = None,
+    gains: Mapping[str, float] | None = None,
+) -> Flight:
+    """Fly `config` (profile or its name) over the schedule; `gains` (SI) replace the profile's.
+
+    The same seed gives the same flight, bit for bit. `effect` as in effect_module.py.
+    """
+    profile = load_profile(config) if isinstance(config, str) else config
+    aircraft = Aircraft(profile, seed=seed, effect=effect)
+    set_gains(aircraft, gains or {})
+    count = round(duration_s * profile.firmware.rate_hz)
+    active = active_gains(aircraft)
+    given = inputs(aircraft, schedule, count)
+    log = aircraft.run(given)
+    arrays = {
+        name: log[:, span] if span.stop - span.start > 1 else log[:, span.start]
+        for name, span in COLUMNS.items()
+    }
+    return Flight(
+        profile=profile,
+        schedule=tuple(schedule),
+        gains=active,
+        excitation=given[:, ADDED : ADDED + 3],
+        injection=given[:, INJECTION].astype(np.int64),
+        **arrays,
+    )
+
+
+def inputs(aircraft: Aircraft, schedule: Sequence[Excited], count: int) -> FloatArray:
+    """The inputs (count, INPUTS) of all cycles: the receiver's script and the excitation."""
+    profile = aircraft.profile
+    given = np.zeros((count, INPUTS))
+    script, times = profile.receiver, np.arange(count) * aircraft.cycle_s
+    marks = sorted({0.0, *(event.time_s for event in script.events)})
+    for mark in marks:
+        channels, rows = channels_at(script, mark), times >= mark - 1e-9
+        armed = profile.firmware.auto_arm and not channels.kill
+        given[rows, ARMED] = float(armed)
+        throttle = channels.throttle
+        given[rows, THROTTLE] = aircraft.hover_throttle if throttle is None else throttle
+        sticks = (channels.roll, channels.pitch, channels.yaw)
+        for column, stick in zip((STICK_ROLL, STICK_PITCH, STICK_YAW), sticks, strict=True):
+            given[rows, column] = 0.0 if channels.failsafe else stick
+    for part in schedule:
+        start = round(part.start_s / aircraft.cycle_s)
+        stop = min(count, start + part.samples.size)
+        given[start:stop, INJECTION] = INJECTIONS.index(part.injection)
+        given[start:stop, ADDED + AXES.index(part.axis)] = part.samples[: stop - start]
+    return given
+
+
+def active_gains(aircraft: Aircraft) -> dict[str, float]:
+    """All gains and loop constants in use, by the contract's names, SI."""
+    values = {
+        f'{axis}.{name}': float(aircraft.gains[i, column])
+        for i, axis in enumerate(AXES)
+        for name, (column, _, _) in TABLE.items()
+    }
+    values['sensor.gyro_filter_hz'] = aircraft.profile.sensors.gyro_filter_hz
+    values['sensor.accel_filter_hz'] = aircraft.profile.sensors.accel_filter_hz
+    values['loop.rate_hz'] = aircraft.profile.firmware.rate_hz
+    return values
+
+
+def set_gains(aircraft: Aircraft, gains: Mapping[str, float]) -> None:
+    """Write gains (contract's names, SI) without the firmware's bounds; unknown: an error."""
+    for name, value in gains.items():
+        axis, _, rest = name.partition('.')
+        if axis in AXES and rest in TABLE:
+            aircraft.gains[AXES.index(axis), TABLE[rest][0]] = value
+        elif not name.startswith(('sensor.', 'loop.')):
+            raise ConfigurationError('gains', 'unknown name', name)
+
+
+def without_noise(profile: Profile) -> Profile:
+    """The profile with perfect sensors (filter kept) and no torque noise, for comparisons."""
+    quiet = (0.0, 0.0, 0.0)
+    mounts = profile.airframe.mounts
+    mounts = replace(
+        mounts,
+        rig=replace(mounts.rig, torque_noise_nm_rthz=quiet),
+        hover=replace(mounts.hover, torque_noise_nm_rthz=quiet),
+    )
+    sensors = replace(
+        profile.sensors,
+        gyro_noise_rad_s_rthz=0.0,
+        gyro_calibration_error_rad_s=0.0,
+        gyro_drift_rad_s_rts=0.0,
+        accel_noise_m_s2_rthz=0.0,
+        accel_bias_m_s2=quiet,
+        mag_noise_t=0.0,
+        pressure_noise_pa=0.0,
+        quantisation=False,
+    )
+    return replace(profile, airframe=replace(profile.airframe, mounts=mounts), sensors=sensors)
