@@ -54,7 +54,7 @@ def battery_voltage(state: FloatArray, plant: Plant) -> float:
     charge = max(0.0, 1.0 - state[CHARGE] / plant.capacity_as)
     points, volts = plant.charge_points, plant.pack_voltage
     i = 1
-    while i < points.size - 1 and charge > points[i]:
+    while i < len(points) - 1 and charge > points[i]:
         i += 1
     share = (charge - points[i - 1]) / (points[i] - points[i - 1])
     open_circuit = volts[i - 1] + share * (volts[i] - volts[i - 1])
@@ -106,14 +106,14 @@ def drive_torque(thrusts: FloatArray, plant: Plant, time_s: float, drive: FloatA
     for i in range(3):
         total = 0.0
         for j in range(4):
-            total += plant.torque_map[i, j] * thrusts[j]
+            total += plant.torque_map[i][j] * thrusts[j]
         if time_s >= plant.event_time_s:
             total *= 1.0 + plant.event_gain[i]
         own[i] = total
     for i in range(3):
         drive[i] = own[i]
         for j in range(3):
-            drive[i] += plant.cross[i, j] * own[j]
+            drive[i] += plant.cross[i][j] * own[j]
 
 
 @kernel

@@ -6,7 +6,7 @@ An effect that is off becomes the number with which its term vanishes exactly. N
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +15,8 @@ from quad_bridge.virtual.airframe import GRAVITY_M_S2, Airframe, Surroundings
 from quad_bridge.virtual.effects import Effects
 
 FloatArray = npt.NDArray[np.float64]
+Triple = tuple[float, float, float]
+Quad = tuple[float, float, float, float]
 
 AXES = ('roll', 'pitch', 'yaw')
 
@@ -26,27 +28,30 @@ MIXER.setflags(write=False)
 
 
 class Plant(NamedTuple):
-    """Constants of the dynamics; arrays of 3 are per axis, of 4 per motor. SI."""
+    """Constants of the dynamics; threes are per axis, fours per motor. SI.
+
+    Tuples and not arrays: kernels hand them on without counting references.
+    """
 
     step_s: float
-    free_axes: FloatArray
+    free_axes: Triple
     moves: float
     """1 in hover, 0 on the rig (no translation)."""
     mass: float
-    inertia: FloatArray
-    torque_map: FloatArray
+    inertia: Triple
+    torque_map: tuple[Quad, Quad, Quad]
     """(3, 4) torque per thrust of each motor, m."""
     full_thrust: float
-    lag: FloatArray
+    lag: Quad
     linear_drag: float
-    damping: FloatArray
+    damping: Triple
     """N m s/rad."""
-    bias_torque: FloatArray
-    noise: FloatArray
+    bias_torque: Triple
+    noise: Triple
     """N m/sqrt(Hz), one-sided."""
     noise_bandwidth_hz: float
-    charge_points: FloatArray
-    pack_voltage: FloatArray
+    charge_points: tuple[float, ...]
+    pack_voltage: tuple[float, ...]
     resistance: float
     capacity_as: float
     full_current: float
@@ -56,35 +61,35 @@ class Plant(NamedTuple):
     curvature: float
     sag_exponent: float
     sag_reference_v: float
-    dry_low: FloatArray
+    dry_low: Triple
     """Friction at speed, N m."""
-    dry_extra: FloatArray
+    dry_extra: Triple
     """What static friction adds to it, N m."""
     dry_speed: float
-    quadratic_drag: FloatArray
-    pendulum: FloatArray
-    cubic: FloatArray
+    quadratic_drag: Triple
+    pendulum: Triple
+    cubic: Triple
     springs: bool
     """Whether a torque depends on the angle."""
-    dead_zone: FloatArray
-    play: FloatArray
+    dead_zone: Triple
+    play: Triple
     motor_lower: float
     motor_upper: float
     gyro_scale: float
     gyro_momentum: float
     euler_term: float
-    cross: FloatArray
+    cross: tuple[Triple, Triple, Triple]
     """(3, 3) share of the drive of axis j that acts on axis i as well, N m per N m."""
-    mode_peak: FloatArray
+    mode_peak: Triple
     mode_rad_s: float
     mode_damping: float
-    periodic_torque: FloatArray
+    periodic_torque: Triple
     periodic: bool
     periodic_rad_s: float
     periodic_phase: float
     event_time_s: float
-    event_gain: FloatArray
-    event_torque: FloatArray
+    event_gain: Triple
+    event_torque: Triple
 
 
 def torque_map(airframe: Airframe) -> FloatArray:
@@ -108,20 +113,30 @@ def build_plant(
     around = airframe.mounts.rig if mount == 'rig' else airframe.mounts.hover
     free = np.ones(3) if mount == 'hover' else np.eye(3)[AXES.index(axis)]
     inertia = np.array(airframe.inertia_kg_m2)
-    return Plant(
-        step_s=step_s,
-        free_axes=free,
-        moves=1.0 if mount == 'hover' else 0.0,
-        mass=airframe.mass_kg,
-        inertia=inertia,
-        torque_map=torque_map(airframe),
-        linear_drag=airframe.linear_drag_per_s,
+    values: dict[str, object] = {
+        'step_s': step_s,
+        'free_axes': free,
+        'moves': 1.0 if mount == 'hover' else 0.0,
+        'mass': airframe.mass_kg,
+        'inertia': inertia,
+        'torque_map': torque_map(airframe),
+        'linear_drag': airframe.linear_drag_per_s,
         **_around(around, inertia),
         **_motors_and_battery(airframe, effects),
         **_resistances(effects),
         **_couplings(airframe, effects),
         **_time_dependent(effects, phase),
-    )
+    }
+    fields: dict[str, Any] = {name: _frozen(value) for name, value in values.items()}
+    return Plant(**fields)
+
+
+def _frozen(value: object) -> object:
+    """Arrays as nested tuples, anything else as it is."""
+    if not isinstance(value, np.ndarray):
+        return value
+    rows = value.tolist()
+    return tuple(tuple(row) if isinstance(row, list) else row for row in rows)
 
 
 def _strength(on: bool, values: tuple[float, float, float]) -> FloatArray:

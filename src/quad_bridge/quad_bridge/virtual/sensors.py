@@ -74,10 +74,10 @@ class Chips(NamedTuple):
     accel_sigma: float
     drift_sigma: float
     """Per cycle, rad/s."""
-    accel_bias: FloatArray
+    accel_bias: Vector
     blend: float
     """Share of the accelerometer's (compass') angle per cycle."""
-    mag_field: FloatArray
+    mag_field: Vector
     mag_sigma: float
     pressure: float
     pressure_sigma: float
@@ -112,9 +112,9 @@ def build_chips(
         gyro_sigma=sensors.gyro_noise_rad_s_rthz * density,
         accel_sigma=sensors.accel_noise_m_s2_rthz * density,
         drift_sigma=sensors.gyro_drift_rad_s_rts * math.sqrt(cycle_s),
-        accel_bias=np.array(sensors.accel_bias_m_s2),
+        accel_bias=sensors.accel_bias_m_s2,
         blend=cycle_s / sensors.complementary_time_s,
-        mag_field=np.array(sensors.mag_field_t),
+        mag_field=sensors.mag_field_t,
         mag_sigma=sensors.mag_noise_t,
         pressure=sensors.pressure_pa,
         pressure_sigma=sensors.pressure_noise_pa,
@@ -130,7 +130,7 @@ def build_chips(
 def initial_sensors(chips: Chips, bias: FloatArray) -> FloatArray:
     """Filters settled at rest and level, north at yaw 0; `bias` (3,) rad/s of the gyro."""
     state = np.zeros(SENSOR_STATES)
-    resting = np.array([0.0, 0.0, GRAVITY_M_S2]) + chips.accel_bias
+    resting = np.array([0.0, 0.0, GRAVITY_M_S2]) + np.array(chips.accel_bias)
     for base, row, value in ((GYRO_LP, chips.gyro_lp, bias), (ACCEL_LP, chips.accel_lp, resting)):
         state[base : base + 3] = value * (1.0 - row[0])
         state[base + 3 : base + 6] = value * (row[2] - row[4])
@@ -211,8 +211,10 @@ def sample(
         gyro[i] = quantised(sensed[GYRO_NOW + i], chips.gyro_lsb)
         accel[i] = quantised(sensed[ACCEL_NOW + i], chips.accel_lsb)
     if cycle % chips.slow_divider == 0:
-        field = np.empty(3)
-        body_from_world(state[QUAT : QUAT + 4], chips.mag_field, field)
+        north, field = np.empty(3), np.empty(3)
+        for i in range(3):
+            north[i] = chips.mag_field[i]
+        body_from_world(state[QUAT : QUAT + 4], north, field)
         for i in range(3):
             sensed[MAG + i] = field[i] + chips.mag_sigma * normals[3 + i]
         above = chips.pressure * (1.0 - 2.25577e-5 * state[POSITION + 2]) ** 5.25588
