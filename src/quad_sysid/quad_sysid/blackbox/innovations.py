@@ -1,0 +1,124 @@
+"""One-step prediction errors of any polynomial model on data, and their exact gradients.
+
+e = (D/C)(A y - w), F w = B u, conditional on the first samples of each segment: the state of w
+at its start is fitted with the parameters (a nuisance per segment), e is zero before its start
+(Ljung 1999, section 10.3). No iteration and no start values belong here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from quad_sysid.blackbox.filters import filter_columns, pulses
+from quad_sysid.blackbox.polynomial import Model
+from quad_sysid.blackbox.regression import lagged
+from quad_sysid.contract import FloatArray
+from quad_sysid.record import IOData
+
+
+@dataclass(frozen=True)
+class SegmentErrors:
+    """Prediction errors of one segment."""
+
+    start: int
+    """Index of the first error in the record."""
+    errors: FloatArray
+    """(m,) one-step errors with the best initial state of w."""
+    output: FloatArray
+    """(m,) w = (B/F) u, with that initial state."""
+
+
+def lead_of(model: Model) -> tuple[int, int]:
+    """Rows of a segment before w starts, and before e starts."""
+    first = max(model.A.size - 1, model.B.size - 1)
+    return first, first + model.D.size - 1
+
+
+def one_step_errors(model: Model, z: IOData) -> list[SegmentErrors]:
+    """Errors of every segment that is long enough, in order."""
+    first, lead = lead_of(model)
+    found = []
+    for start, stop in z.segments:
+        if stop - start > lead + model.F.size:
+            begin = start + first
+            w = filter_columns(np.ones(1), model.F, _driven(model, z, begin, stop))
+            v = lagged(z.y, range(model.A.size), begin, stop) @ model.A - w[:, 0]
+            stack = np.column_stack((v, w[:, 1:]))
+            e = filter_columns(model.D, model.C, stack, lead - first)[lead - first :]
+            state = _nuisance(e[:, 1:], e[:, 0])
+            found.append(
+                SegmentErrors(
+                    start + lead, e[:, 0] - e[:, 1:] @ state,
+                    (w[:, 0] + w[:, 1:] @ state)[lead - first :],
+                )
+            )
+    return found
+
+
+def errors_and_gradient(
+    model: Model, z: IOData
+) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
+    """Per segment e (m,), its gradient by `parameters` (m, p), and by w's initial state (m, nf).
+
+    The initial state is taken at its best, so the gradient by the parameters is that at the best.
+    """
+    first, lead = lead_of(model)
+    skip = lead - first
+    na, nc = model.A.size - 1, model.C.size - 1
+    nb, nd, nf = model.B.size - model.nk, model.D.size - 1, model.F.size - 1
+    found = []
+    for start, stop in z.segments:
+        if stop - start <= lead + nf:
+            continue
+        begin = start + first
+        u_lags = range(model.nk, model.nk + nb)
+        raw = np.hstack((_driven(model, z, begin, stop), lagged(z.u, u_lags, begin, stop)))
+        w = filter_columns(np.ones(1), model.F, raw) if nf else raw
+        y = lagged(z.y, range(na + 1), begin, stop)
+        base = filter_columns(
+            model.D, model.C, np.column_stack((y @ model.A - w[:, 0], w[:, 1 : nf + 1])), skip
+        )[skip:]
+        state = _nuisance(base[:, 1:], base[:, 0])
+        w0 = w[:, 0] + w[:, 1 : nf + 1] @ state
+        e = base[:, 0] - base[:, 1:] @ state
+        wf = filter_columns(np.ones(1), model.F, _shifts(w0, nf)) if nf else _shifts(w0, 0)
+        slow = filter_columns(
+            model.D, model.C, np.hstack((y[:, 1:], -w[:, nf + 1 :], wf)), skip
+        )[skip:]
+        v = y @ model.A - w0
+        e_all = np.concatenate((np.zeros(skip), e))
+        fast = filter_columns(
+            np.ones(1), model.C, np.hstack((-_shifts(e_all, nc), _shifts(v, nd))), skip
+        )[skip:]
+        gradient = np.hstack(
+            (slow[:, : na + nb], fast[:, :nc], fast[:, nc:], slow[:, na + nb :])
+        )
+        found.append((e, gradient, -base[:, 1:]))
+    return found
+
+
+def _driven(model: Model, z: IOData, begin: int, stop: int) -> FloatArray:
+    """(m, 1 + nf) B u and the pulses of w's unknown start."""
+    bu = lagged(z.u, range(model.nk, model.B.size), begin, stop) @ model.B[model.nk :]
+    return np.column_stack((bu, pulses(stop - begin, model.F.size - 1)))
+
+
+def _shifts(x: FloatArray, count: int) -> FloatArray:
+    """(n, count) x(t-1), …, x(t-count), zero before the start."""
+    out = np.zeros((x.size, count))
+    for i in range(1, count + 1):
+        out[i:, i - 1] = x[:-i]
+    return out
+
+
+def _nuisance(columns: FloatArray, target: FloatArray) -> FloatArray:
+    """Least-squares coefficients of the few initial-state columns, pseudo-inverted."""
+    if columns.shape[1] == 0:
+        return np.zeros(0)
+    scale = np.sqrt(np.einsum('ij,ij->j', columns, columns))
+    scale[scale == 0.0] = 1.0
+    unit = columns / scale
+    gram, right = unit.T @ unit, unit.T @ target
+    return np.asarray(np.linalg.pinv(gram, rcond=1e-12, hermitian=True) @ right / scale)

@@ -1,0 +1,199 @@
+"""The polynomial model A y = (B/F) u + (C/D) e of one axis, whatever fitted it.
+
+Values and what follows from them algebraically; no fitting, no simulation, no data.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from quad_sysid.contract import FloatArray
+from quad_sysid.errors import BadInputError
+
+ComplexArray = npt.NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class Model:
+    """A(q) y(t) = B(q)/F(q) u(t) + C(q)/D(q) e(t), polynomials in q⁻¹ (Ljung 1999, eq. 4.33).
+
+    All polynomials start at q⁰; A, C, D, F are monic. B holds the delay as `nk` leading zeros, as
+    in MATLAB's idpoly, so that B(q) u(t) is a plain convolution.
+    """
+
+    structure: str
+    """ARX, ARMAX, OE, BJ, IV4, CLRIV or N4SID."""
+    orders: Mapping[str, int]
+    """Such as {'na': 10, 'nb': 10, 'nk': 5}."""
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+    D: FloatArray
+    F: FloatArray
+    nk: int
+    """Delay in samples; 1 is one sample."""
+    dt: float
+    """Sample interval, s."""
+    noise_variance: float
+    """Variance of the innovation e, SSE/(N - p), in the output's unit squared."""
+    covariance: FloatArray | None = None
+    """(p, p) of `parameters`; None where the method gives none."""
+    converged: bool = True
+    iterations: int = 0
+    samples: int = 0
+    """N, the rows that the fit used."""
+    loss: float = math.nan
+    """V = SSE/N of the one-step errors on the rows of the fit."""
+    approach: str = 'direct'
+    warnings: tuple[str, ...] = field(default=())
+
+    def __post_init__(self) -> None:
+        """Take read-only copies of the arrays."""
+        for name in ('A', 'B', 'C', 'D', 'F', 'covariance'):
+            value = getattr(self, name)
+            if value is not None:
+                array = np.array(value, dtype=float)
+                array.setflags(write=False)
+                object.__setattr__(self, name, array)
+
+    @property
+    def parameters(self) -> FloatArray:
+        """(p,) free coefficients: a1.., b_nk.., c1.., d1.., f1..."""
+        return np.concatenate(
+            (self.A[1:], self.B[self.nk :], self.C[1:], self.D[1:], self.F[1:])
+        )
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of `parameters`; b's index is its lag, as in the paper's Table 3."""
+        names = [f'a{i}' for i in range(1, self.A.size)]
+        names += [f'b{i}' for i in range(self.nk, self.B.size)]
+        for letter, poly in (('c', self.C), ('d', self.D), ('f', self.F)):
+            names += [f'{letter}{i}' for i in range(1, poly.size)]
+        return tuple(names)
+
+    @property
+    def std(self) -> FloatArray | None:
+        """(p,) standard errors of `parameters`."""
+        if self.covariance is None:
+            return None
+        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+
+    @property
+    def denominator(self) -> FloatArray:
+        """A(q) F(q), the denominator of the plant B/(A F)."""
+        return np.convolve(self.A, self.F)
+
+    @property
+    def poles(self) -> ComplexArray:
+        """Poles of the plant B/(A F) in the z plane."""
+        return np.roots(self.denominator).astype(complex)
+
+    @property
+    def stable(self) -> bool:
+        """Whether every pole of the plant lies inside the unit circle."""
+        return bool(np.all(np.abs(self.poles) < 1.0))
+
+    @property
+    def aic(self) -> float:
+        """N ln V + 2 p, over the rows of this model's own fit."""
+        return self.samples * math.log(self.loss) + 2.0 * self.parameters.size
+
+    @property
+    def bic(self) -> float:
+        """N ln V + p ln N, over the rows of this model's own fit."""
+        return self.samples * math.log(self.loss) + self.parameters.size * math.log(self.samples)
+
+    @property
+    def name(self) -> str:
+        """Such as `ARX 10 10 5`, as the paper's Table 2 writes it."""
+        return ' '.join([self.structure, *(str(value) for value in self.orders.values())])
+
+    def with_parameters(self, theta: FloatArray) -> Model:
+        """Build the same model with other free coefficients (p,)."""
+        sizes = [self.A.size - 1, self.B.size - self.nk, self.C.size - 1, self.D.size - 1]
+        a, b, c, d, f = np.split(np.asarray(theta, dtype=float), np.cumsum(sizes))
+        return replace(
+            self, A=monic(a), B=delayed(b, self.nk), C=monic(c), D=monic(d), F=monic(f)
+        )
+
+    def to_control(self) -> Any:
+        """The plant B/(A F) as `control.TransferFunction` (needs the package `control`)."""
+        import control
+
+        numerator, denominator = self.B, self.denominator
+        length = max(numerator.size, denominator.size)
+        num = np.trim_zeros(np.pad(numerator, (0, length - numerator.size)), 'f')
+        den = np.pad(denominator, (0, length - denominator.size))
+        return control.TransferFunction(num if num.size else np.zeros(1), den, self.dt)
+
+
+def monic(tail: FloatArray) -> FloatArray:
+    """[1, tail…]."""
+    return np.concatenate(([1.0], tail))
+
+
+def delayed(b: FloatArray, nk: int) -> FloatArray:
+    """B(q) with its nk leading zeros."""
+    return np.concatenate((np.zeros(nk), b))
+
+
+def polynomial_model(
+    B: Sequence[float] | FloatArray,
+    *,
+    dt: float,
+    A: Sequence[float] | FloatArray = (1.0,),
+    C: Sequence[float] | FloatArray = (1.0,),
+    D: Sequence[float] | FloatArray = (1.0,),
+    F: Sequence[float] | FloatArray = (1.0,),
+    nk: int | None = None,
+    noise_variance: float = 1.0,
+    structure: str | None = None,
+) -> Model:
+    """Build a model from known polynomials; B with its leading zeros, from which nk is read."""
+    given = {'A': A, 'B': B, 'C': C, 'D': D, 'F': F}
+    polys = {key: np.asarray(poly, dtype=float) for key, poly in given.items()}
+    for key, poly in polys.items():
+        if poly.ndim != 1 or poly.size == 0 or not np.isfinite(poly).all():
+            raise BadInputError(
+                'polynomial_model', f'{key} must be a finite 1-D polynomial', poly.tolist()
+            )
+        if key != 'B' and poly[0] != 1.0:
+            raise BadInputError('polynomial_model', f'{key} must start with 1', float(poly[0]))
+    if not (math.isfinite(dt) and dt > 0):
+        raise BadInputError('polynomial_model', 'dt must be a positive number of seconds', dt)
+    nonzero = np.flatnonzero(polys['B'])
+    if nonzero.size == 0:
+        raise BadInputError('polynomial_model', 'B must not be zero', polys['B'].tolist())
+    delay = int(nonzero[0]) if nk is None else nk
+    if not 0 <= delay <= int(nonzero[0]):
+        raise BadInputError(
+            'polynomial_model', f'nk must be 0..{int(nonzero[0])}, the leading zeros of B', delay
+        )
+    na, nc, nd, nf = (polys[key].size - 1 for key in 'ACDF')
+    nb = polys['B'].size - delay
+    kind, orders = _classify(na, nb, nc, nd, nf, delay)
+    return Model(
+        structure=structure or kind, orders=orders, nk=delay, dt=dt,
+        noise_variance=noise_variance,
+        A=polys['A'], B=polys['B'], C=polys['C'], D=polys['D'], F=polys['F'],
+    )
+
+
+def _classify(
+    na: int, nb: int, nc: int, nd: int, nf: int, nk: int
+) -> tuple[str, dict[str, int]]:
+    """Structure's name and its orders from the lengths of the polynomials."""
+    if nf == 0 and nd == 0 and nc == 0:
+        return 'ARX', {'na': na, 'nb': nb, 'nk': nk}
+    if nf == 0 and nd == 0:
+        return 'ARMAX', {'na': na, 'nb': nb, 'nc': nc, 'nk': nk}
+    if na == 0 and nc == 0 and nd == 0:
+        return 'OE', {'nb': nb, 'nf': nf, 'nk': nk}
+    return 'BJ', {'nb': nb, 'nc': nc, 'nd': nd, 'nf': nf, 'nk': nk}

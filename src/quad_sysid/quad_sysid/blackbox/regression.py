@@ -1,0 +1,114 @@
+"""Rows of linear regressions over several segments, their triangular factor, checks of arguments.
+
+What every estimator here begins with. No model structure is decided here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from quad_sysid.contract import FloatArray
+from quad_sysid.errors import BadInputError
+from quad_sysid.record import IOData
+
+BLOCK_ROWS = 1 << 14
+"""Rows factored at once, so that memory grows with the columns and not with the record."""
+
+
+def check_order(where: str, name: str, value: int, least: int) -> int:
+    """`value` as an int >= least, or BadInputError naming the argument."""
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
+        raise BadInputError(where, f'{name} must be an integer of at least {least}', value)
+    return int(value)
+
+
+def check_informative(where: str, z: IOData, parameters: int, lead: int) -> None:
+    """Raise BadInputError where z cannot carry a fit of so many parameters after `lead` rows."""
+    if not isinstance(z, IOData):
+        raise BadInputError(where, 'z must be an IOData', type(z).__name__)
+    rows = usable_rows(z, lead)
+    if rows < 2 * parameters + 1:
+        raise BadInputError(
+            where,
+            f'too few samples: {parameters} parameters need at least {2 * parameters + 1} rows '
+            f'behind the first {lead} of each segment',
+            rows, 'lower the orders or give a longer record',
+        )
+    for name, x in (('u', z.u), ('y', z.y)):
+        lows = [float(np.min(x[i:j])) for i, j in z.segments]
+        highs = [float(np.max(x[i:j])) for i, j in z.segments]
+        if min(lows) == max(highs):
+            raise BadInputError(
+                where, f'{name} is constant, nothing can be fitted', lows[0],
+                'use a stretch with excitation',
+            )
+
+
+def usable_rows(z: IOData, lead: int) -> int:
+    """Rows left when the first `lead` of each segment only feed the lags."""
+    return sum(max(0, stop - start - lead) for start, stop in z.segments)
+
+
+def lagged(x: FloatArray, lags: Sequence[int], start: int, stop: int) -> FloatArray:
+    """(stop - start, len(lags)) with x(t - lag) in the columns, t = start..stop-1."""
+    out = np.empty((stop - start, len(lags)))
+    for column, lag in enumerate(lags):
+        out[:, column] = x[start - lag : stop - lag]
+    return out
+
+
+def arx_blocks(
+    z: IOData, y_lags: Sequence[int], u_lags: Sequence[int], lead: int
+) -> list[FloatArray]:
+    """Row blocks [-y(t-i) …, u(t-j) …, y(t)] of all segments, each behind its first `lead`."""
+    blocks = []
+    for first, stop in z.segments:
+        for start in range(first + lead, stop, BLOCK_ROWS):
+            end = min(stop, start + BLOCK_ROWS)
+            blocks.append(
+                np.hstack(
+                    (
+                        -lagged(z.y, y_lags, start, end),
+                        lagged(z.u, u_lags, start, end),
+                        z.y[start:end, None],
+                    )
+                )
+            )
+    return blocks
+
+
+def upper(x: FloatArray) -> FloatArray:
+    """R of the QR factorisation of x (…, n, m), stacks of matrices included."""
+    return np.asarray(np.linalg.qr(x, mode='r'))
+
+
+def triangular(blocks: Sequence[FloatArray]) -> FloatArray:
+    """R (m, m) of the QR factorisation of the stacked blocks (·, m), by Householder, blockwise."""
+    columns = blocks[0].shape[1]
+    factors = [upper(block) for block in blocks]
+    r = factors[0] if len(factors) == 1 else upper(np.vstack(factors))
+    if r.shape[0] < columns:
+        r = np.vstack((r, np.zeros((columns - r.shape[0], columns))))
+    return r
+
+
+def solve_triangular_factor(where: str, r: FloatArray) -> tuple[FloatArray, float, FloatArray]:
+    """Least squares from R of [X | y]: theta (p,), SSE, (XᵀX)⁻¹ (p, p).
+
+    Raises BadInputError where X has not full column rank.
+    """
+    p = r.shape[1] - 1
+    scale = np.linalg.norm(r[:, :p], axis=0)
+    if p and (scale == 0.0).any():
+        raise BadInputError(where, 'a regressor is zero throughout', remedy='lower the orders')
+    x = r[:p, :p] / scale
+    if p and np.linalg.cond(x) > 1e13:
+        raise BadInputError(
+            where, f'the data do not excite {p} parameters (regressors linearly dependent)',
+            remedy='lower the orders or excite more richly',
+        )
+    inverse = np.linalg.solve(x, np.eye(p)) / scale[:, None]
+    theta = inverse @ r[:p, p]
+    return theta, float(r[p, p] ** 2), inverse @ inverse.T

@@ -1,0 +1,193 @@
+"""Statistics of a model's one-step residual: whether white, unrelated to past inputs, causal.
+
+Tests only; the choice that follows from them is made in step_a.py.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy import special
+
+from quad_sysid.blackbox.innovations import SegmentErrors, one_step_errors
+from quad_sysid.blackbox.polynomial import Model
+from quad_sysid.blackbox.regression import check_order, lagged, upper
+from quad_sysid.blackbox.spectra import autocovariance
+from quad_sysid.contract import FloatArray
+from quad_sysid.errors import BadInputError
+from quad_sysid.record import IOData
+
+AR_ORDER_MAX = 30
+BOUND_LAGS = 1000
+
+
+@dataclass(frozen=True)
+class ResidualTest:
+    """What the residual says, as booleans, with the figures behind them."""
+
+    residual_white: bool
+    """Ljung-Box over the lags 1..M, at the given confidence for all lags together."""
+    residual_uncorrelated_with_input: bool
+    """No past input (lags 1..M; from 0 where nk is 0) explains the residual."""
+    causal: bool
+    """No future of the causality signal explains the residual beyond what its past does."""
+    causality_signal: str
+    """`r`, the external reference, where the data hold it; else `u`, in which feedback of the
+    noise through a controller looks the same as a non-causal plant."""
+    confidence: float
+    samples: int
+    p_white: float
+    p_input: float
+    p_causal: float
+    lags: npt.NDArray[np.int64]
+    """(M + 1,) 0..M of `autocorrelation`."""
+    autocorrelation: FloatArray
+    autocorrelation_bound: float
+    """Two-sided bound of one lag, z/√N."""
+    cross_lags: npt.NDArray[np.int64]
+    """(2 M + 1,) -M..M; a positive lag is the input before the residual."""
+    cross_correlation: FloatArray
+    """Of e(t) and u(t - lag), normalised."""
+    cross_bound: float
+    """Two-sided bound of one lag, z √(Σ ρ_e(k) ρ_u(k) / N) (Ljung 1999, eq. 16.67)."""
+
+
+def residual_test(
+    model: Model, z: IOData, lags: int = 25, confidence: float = 0.99
+) -> ResidualTest:
+    """Test the one-step residual of `model` on z.
+
+    Each boolean is one joint test at `confidence` over all its lags; the bounds of single lags
+    are for pictures. For the tests against inputs residual and input are first whitened by one
+    autoregression of the residual, so that a coloured residual (OE, IV) is judged fairly.
+    Raises BadInputError where z is too short for the lags.
+    """
+    lags, parts = _checked(model, z, lags, confidence)
+    n = sum(part.errors.size for part in parts)
+    errors = [part.errors - _mean(parts) for part in parts]
+    cov = autocovariance(errors, max(lags, min(BOUND_LAGS, n // 5)))
+    if cov[0] <= 0.0:
+        raise BadInputError('residual_test', 'the residual is zero throughout', 0.0)
+    rho = cov / cov[0]
+    box = n * (n + 2.0) * np.sum(rho[1 : lags + 1] ** 2 / (n - np.arange(1, lags + 1)))
+    p_white = float(special.chdtrc(lags, box))
+    ar = whitener(cov[: AR_ORDER_MAX + 1], n)
+    p_input = _explained(parts, z.u, ar, range(0 if model.nk == 0 else 1, lags + 1), range(0))
+    signal = z.u if z.r is None else z.r
+    past, future = (
+        (range(1, lags + 1), range(-lags, 1 if model.nk else 0)) if z.r is None
+        else (range(lags + 1), range(-lags, 0))
+    )
+    p_causal = _explained(parts, signal, ar, past, future)
+    cross_lags = np.arange(-lags, lags + 1)
+    cross, cross_bound = _cross(parts, z, rho, cross_lags)
+    sigma = float(special.ndtri(0.5 + 0.5 * confidence))
+    level = 1.0 - confidence
+    return ResidualTest(
+        residual_white=p_white >= level, residual_uncorrelated_with_input=p_input >= level,
+        causal=p_causal >= level, causality_signal='u' if z.r is None else 'r',
+        confidence=confidence, samples=n, p_white=p_white, p_input=p_input, p_causal=p_causal,
+        lags=np.arange(lags + 1), autocorrelation=rho[: lags + 1],
+        autocorrelation_bound=sigma / math.sqrt(n), cross_lags=cross_lags,
+        cross_correlation=cross, cross_bound=sigma * cross_bound,
+    )
+
+
+def _checked(
+    model: Model, z: IOData, lags: int, confidence: float
+) -> tuple[int, list[SegmentErrors]]:
+    """Check the arguments; the lags and the residuals."""
+    lags = check_order('residual_test', 'lags', lags, 1)
+    if not 0.5 <= confidence < 1.0:
+        raise BadInputError('residual_test', 'confidence must be in 0.5..1', confidence)
+    parts = one_step_errors(model, z)
+    n = sum(part.errors.size for part in parts)
+    if n < 10 * lags:
+        raise BadInputError(
+            'residual_test', f'too few residuals for {lags} lags, needs {10 * lags}', n
+        )
+    return lags, parts
+
+
+def whitener(cov: FloatArray, n: int) -> FloatArray:
+    """Monic AR polynomial that whitens a signal of autocovariances cov (Levinson, AIC)."""
+    poly, power = np.ones(1), float(cov[0])
+    best, best_value = poly, n * math.log(power)
+    for order in range(1, cov.size):
+        reflection = -float(poly @ cov[order:0:-1][: poly.size]) / power
+        extended = np.concatenate((poly, [0.0]))
+        poly = extended + reflection * extended[::-1]
+        power *= 1.0 - reflection**2
+        if power <= 0.0:
+            break
+        value = n * math.log(power) + 2.0 * order
+        if value < best_value:
+            best, best_value = poly, value
+    return best
+
+
+def _mean(parts: list[SegmentErrors]) -> float:
+    """Mean of all residuals."""
+    return float(np.concatenate([part.errors for part in parts]).mean())
+
+
+def _explained(
+    parts: list[SegmentErrors], x: FloatArray, ar: FloatArray, past: range, future: range
+) -> float:
+    """p-value of the null that x at the lags `future` explains nothing beyond `past` does.
+
+    With an empty `future` it is the null that `past` explains nothing. Lagrange multiplier test
+    of the whitened residual: N R² against chi-square; dependent columns leave the count.
+    """
+    lags = [*past, *future]
+    ahead, behind = max(0, -min(lags)), max(0, *lags) + ar.size - 1
+    blocks, mean = [], _mean(parts)
+    for part in parts:
+        start, stop = part.start + behind, part.start + part.errors.size - ahead
+        if stop - start < 2:
+            continue
+        shift = part.start
+        e = np.convolve(part.errors - mean, ar)[start - shift : stop - shift]
+        smooth = np.convolve(x[shift : stop + ahead], ar)
+        columns = lagged(smooth, lags, start - shift, stop - shift)
+        blocks.append(np.column_stack((columns, e)))
+    if not blocks:
+        return 1.0
+    rows = np.vstack(blocks)
+    rows -= rows.mean(axis=0)
+    scale = np.linalg.norm(rows, axis=0)
+    if scale[-1] == 0.0:
+        return 1.0
+    r = upper(rows / np.where(scale > 0.0, scale, 1.0))
+    tested = slice(len(past), len(lags)) if len(future) else slice(0, len(lags))
+    counted = np.abs(np.diag(r))[tested] > 1e-8
+    dof = int(counted.sum())
+    if dof == 0:
+        return 1.0
+    unexplained = float(r[-1, -1] ** 2) / max(rows.shape[0] - len(lags) - 1, 1)
+    return float(special.chdtrc(dof, float(np.sum(r[tested, -1][counted] ** 2)) / unexplained))
+
+
+def _cross(
+    parts: list[SegmentErrors], z: IOData, rho_e: FloatArray, lags: npt.NDArray[np.int64]
+) -> tuple[FloatArray, float]:
+    """Normalised cross-correlation at the lags, and its standard error under independence."""
+    u_parts = [z.u[part.start : part.start + part.errors.size] for part in parts]
+    mean_u, mean_e = float(np.concatenate(u_parts).mean()), _mean(parts)
+    n = sum(part.errors.size for part in parts)
+    total = np.zeros(lags.size)
+    for part, u in zip(parts, u_parts, strict=True):
+        e, x = part.errors - mean_e, u - mean_u
+        for i, lag in enumerate(lags):
+            k = abs(int(lag))
+            if k < e.size:
+                total[i] += e[k:] @ x[: e.size - k] if lag >= 0 else e[: e.size - k] @ x[k:]
+    cov_u = autocovariance([u - mean_u for u in u_parts], rho_e.size - 1)
+    var_e = sum(float(np.sum((part.errors - mean_e) ** 2)) for part in parts)
+    spread = math.sqrt(var_e * n * cov_u[0]) if cov_u[0] > 0.0 else 1.0
+    rho_u = cov_u / cov_u[0] if cov_u[0] > 0.0 else np.eye(1, rho_e.size)[0]
+    inflation = max(float(1.0 + 2.0 * rho_e[1:] @ rho_u[1:]), 0.1)
+    return total / spread, math.sqrt(inflation / n)

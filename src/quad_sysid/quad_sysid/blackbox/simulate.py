@@ -1,0 +1,119 @@
+"""Running a polynomial model: free run, prediction over a horizon, fit in percent.
+
+The whole of a model's use on data but the statistics of its residual (residuals.py).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from quad_sysid.blackbox.filters import filter_columns, filter_signal, pulses
+from quad_sysid.blackbox.innovations import one_step_errors
+from quad_sysid.blackbox.polynomial import Model
+from quad_sysid.blackbox.regression import upper
+from quad_sysid.contract import FloatArray
+from quad_sysid.errors import BadInputError
+from quad_sysid.record import IOData
+
+SETTLE_ROWS = 4000
+"""At most so many rows of a segment decide its initial state."""
+
+
+def simulate(model: Model, u: FloatArray, x0: FloatArray | None = None) -> FloatArray:
+    """Free run (n,) of the plant B/(A F) on u (n,), without noise.
+
+    x0 is the state of the transposed direct form II (scipy.signal.lfilter's `zi`), of
+    max(len(A F), len(B)) - 1 entries; None starts at rest.
+    """
+    u = np.asarray(u, dtype=float)
+    if u.ndim != 1 or not np.isfinite(u).all():
+        raise BadInputError('simulate', 'u must be 1-D and finite', u.shape)
+    driven = np.convolve(model.B, u)[: u.size] if u.size else u.copy()
+    if x0 is not None:
+        x0 = np.asarray(x0, dtype=float)
+        if x0.shape != (state_size(model),):
+            raise BadInputError(
+                'simulate', f'x0 must have {state_size(model)} entries', x0.shape
+            )
+        count = min(x0.size, u.size)
+        driven[:count] += x0[:count]
+    with np.errstate(over='ignore', invalid='ignore'):
+        return filter_signal(np.ones(1), model.denominator, driven)
+
+
+def state_size(model: Model) -> int:
+    """Entries of the free run's state."""
+    return max(model.denominator.size, model.B.size) - 1
+
+
+def initial_state(model: Model, u: FloatArray, y: FloatArray) -> FloatArray:
+    """State from which the free run on u (n,) comes nearest to y (n,), by least squares."""
+    size = state_size(model)
+    rows = min(np.asarray(u).size, max(SETTLE_ROWS, 10 * size))
+    rest = np.asarray(y, dtype=float)[:rows] - simulate(model, u[:rows])
+    with np.errstate(over='ignore', invalid='ignore'):
+        columns = filter_columns(np.ones(1), model.denominator, pulses(rows, size))
+    if not (np.isfinite(columns).all() and np.isfinite(rest).all()):
+        return np.zeros(size)
+    r = upper(np.column_stack((columns, rest)))
+    return np.asarray(np.linalg.lstsq(r[:size, :size], r[:size, size], rcond=1e-10)[0])
+
+
+def predict(model: Model, z: IOData, horizon: float = 1) -> FloatArray:
+    """Predicted output (n,), `horizon` samples ahead; NaN where z has no segment or no past.
+
+    math.inf is the free run, each segment from its best initial state. The k-step error is
+    (h_0 + … + h_{k-1} q^{-(k-1)}) e, with h the impulse response of the noise model C/(A D)
+    (Ljung 1999, eq. 3.31).
+    """
+    yhat = np.full(z.y.size, np.nan)
+    if math.isinf(horizon):
+        for start, stop in z.segments:
+            u, y = z.u[start:stop], z.y[start:stop]
+            yhat[start:stop] = simulate(model, u, initial_state(model, u, y))
+        return yhat
+    if horizon < 1 or horizon != int(horizon):
+        raise BadInputError('predict', 'horizon must be an integer >= 1 or math.inf', horizon)
+    impulse = np.zeros(int(horizon))
+    impulse[0] = 1.0
+    h = filter_signal(model.C, np.convolve(model.A, model.D), impulse)
+    for part in one_step_errors(model, z):
+        error = np.convolve(h, part.errors)[: part.errors.size]
+        stop = part.start + error.size
+        yhat[part.start : stop] = z.y[part.start : stop] - error
+    return yhat
+
+
+def fit_percent(y: FloatArray, yhat: FloatArray) -> float:
+    """100 (1 - ||y - yhat|| / ||y - mean y||) over the rows where yhat is not NaN.
+
+    -inf where the prediction has overflowed or y is constant and missed.
+    """
+    y, yhat = np.asarray(y, dtype=float), np.asarray(yhat, dtype=float)
+    if y.shape != yhat.shape:
+        raise BadInputError(
+            'fit_percent', 'y and yhat must have one length', f'{y.shape}, {yhat.shape}'
+        )
+    known = ~np.isnan(yhat)
+    if not known.any():
+        raise BadInputError('fit_percent', 'yhat holds no prediction', int(y.size))
+    y, yhat = y[known], yhat[known]
+    spread = float(np.linalg.norm(y - y.mean()))
+    with np.errstate(over='ignore', invalid='ignore'):
+        missed = float(np.linalg.norm(y - yhat))
+    if missed == 0.0:
+        return 100.0
+    if spread == 0.0 or not math.isfinite(missed):
+        return -math.inf
+    return 100.0 * (1.0 - missed / spread)
+
+
+def compare(
+    models: Sequence[Model] | Model, z: IOData, horizon: float = math.inf
+) -> tuple[float, ...]:
+    """Fit in percent of each model on z, by default in the free run."""
+    several = [models] if isinstance(models, Model) else list(models)
+    return tuple(fit_percent(z.y, predict(model, z, horizon)) for model in several)

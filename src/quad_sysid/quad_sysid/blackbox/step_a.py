@@ -1,0 +1,155 @@
+"""Step A of the paper: models side by side on training and validation data, with residual tests.
+
+The second step, in the simulated closed loop, belongs to the room `loop`; no fitting here.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from quad_sysid.blackbox.innovations import one_step_errors
+from quad_sysid.blackbox.polynomial import Model
+from quad_sysid.blackbox.residuals import ResidualTest, residual_test
+from quad_sysid.blackbox.simulate import compare
+from quad_sysid.errors import BadInputError
+from quad_sysid.record import IOData
+
+WITH_NOISE_MODEL = ('ARX', 'ARMAX', 'BJ', 'N4SID')
+"""Structures that claim a white residual; OE, IV4 and CLRIV leave the noise to itself."""
+
+
+@dataclass(frozen=True)
+class StepARow:
+    """One model's figures; fits in percent, None where the free run diverges."""
+
+    model: Model
+    fit_train_pct: float | None
+    """One-step fit on the training data, as in the paper's Table 2."""
+    fit_train_free_run_pct: float | None
+    fit_validation_pct: Mapping[str, float | None]
+    """Free-run fit on each validation."""
+    aic: float | None
+    """N ln V + 2k over the training rows that all compared models share; bic alike."""
+    bic: float | None
+    test: ResidualTest
+    eliminated_because: str
+    """Empty where the model passes."""
+
+    @property
+    def passed_first_step(self) -> bool:
+        """Whether nothing spoke against the model."""
+        return not self.eliminated_because
+
+    def as_report(self) -> dict[str, object]:
+        """Build the entry of report.json's `models`."""
+        return {
+            'structure': self.model.structure,
+            'orders': dict(self.model.orders),
+            'approach': self.model.approach,
+            'fit_train_pct': self.fit_train_pct,
+            'fit_train_free_run_pct': self.fit_train_free_run_pct,
+            'fit_validation_pct': dict(self.fit_validation_pct),
+            'aic': self.aic,
+            'bic': self.bic,
+            'residual_white': self.test.residual_white,
+            'residual_uncorrelated_with_input': self.test.residual_uncorrelated_with_input,
+            'causal': self.test.causal,
+            'converged': self.model.converged,
+            'passed_first_step': self.passed_first_step,
+            'eliminated_because': self.eliminated_because,
+        }
+
+
+def step_a(
+    models: Sequence[Model],
+    train: IOData,
+    validations: Mapping[str, IOData],
+    lags: int = 25,
+    confidence: float = 0.99,
+) -> tuple[StepARow, ...]:
+    """Judge every model: one row each, in the order given.
+
+    `validations` by signal, such as {'prbs': …, 'square': …}; residual tests run on `train`.
+    """
+    if not models:
+        raise BadInputError('step_a', 'models must not be empty', 0)
+    losses, n = shared_losses(models, train)
+    rows = []
+    for model, loss in zip(models, losses, strict=True):
+        test = residual_test(model, train, lags, confidence)
+        fits = {name: _finite(compare(model, z)[0]) for name, z in validations.items()}
+        k = model.parameters.size
+        fit = n * math.log(loss) if loss > 0.0 else None
+        rows.append(
+            StepARow(
+                model=model,
+                fit_train_pct=_finite(compare(model, train, 1)[0]),
+                fit_train_free_run_pct=_finite(compare(model, train)[0]),
+                fit_validation_pct=fits,
+                aic=None if fit is None else fit + 2.0 * k,
+                bic=None if fit is None else fit + k * math.log(n),
+                test=test,
+                eliminated_because='; '.join(_objections(model, test, fits)),
+            )
+        )
+    return tuple(rows)
+
+
+def select(rows: Sequence[StepARow]) -> int | None:
+    """Index of the lowest BIC among the rows that passed, else among the stable ones, else None.
+
+    Training data alone decide: the validations may reject a model but never rank it.
+    """
+    stable = [i for i, row in enumerate(rows) if row.model.stable and row.bic is not None]
+    passed = [i for i in stable if rows[i].passed_first_step]
+    candidates = passed or stable
+    return min(candidates, key=lambda i: rows[i].bic or 0.0, default=None)
+
+
+def shared_losses(models: Sequence[Model], z: IOData) -> tuple[list[float], int]:
+    """Return V = SSE/N of each model over the N rows of z that all of them predict."""
+    known = np.ones(z.y.size, dtype=bool)
+    errors = []
+    for model in models:
+        e = np.full(z.y.size, np.nan)
+        for part in one_step_errors(model, z):
+            e[part.start : part.start + part.errors.size] = part.errors
+        errors.append(e)
+        known &= ~np.isnan(e)
+    n = int(known.sum())
+    if n == 0:
+        raise BadInputError('step_a', 'no row of train is predicted by all models', 0)
+    return [float(np.mean(e[known] ** 2)) for e in errors], n
+
+
+def _objections(
+    model: Model, test: ResidualTest, fits: Mapping[str, float | None]
+) -> list[str]:
+    """What speaks against the model, in words."""
+    found = []
+    if not model.converged:
+        found.append('the fit did not converge')
+    if not model.stable:
+        found.append('the plant is unstable, its free run diverges')
+    if not 0 < model.nk < 9:
+        found.append(f'nk = {model.nk} breaks 0 < nk < 9')
+    for name, fit in fits.items():
+        if fit is None or fit <= 0.0:
+            found.append(f'free run on {name} is no better than its mean')
+    if model.structure in WITH_NOISE_MODEL and not test.residual_white:
+        found.append(f'residual is not white (p = {test.p_white:.2g})')
+    if not test.residual_uncorrelated_with_input:
+        found.append(f'residual depends on past inputs (p = {test.p_input:.2g})')
+    if not test.causal:
+        cause = 'the reference' if test.causality_signal == 'r' else 'inputs (or feedback)'
+        found.append(f'residual foresees {cause} (p = {test.p_causal:.2g})')
+    return found
+
+
+def _finite(value: float) -> float | None:
+    """Return the value, or None where it is not finite."""
+    return value if math.isfinite(value) else None

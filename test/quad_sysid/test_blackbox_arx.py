@@ -1,0 +1,149 @@
+"""ARX, its order search and the model object: recovery on known plants, equality with lstsq."""
+
+import math
+
+import numpy as np
+import pytest
+
+from quad_sysid.blackbox import Model, arx, delay_estimate, polynomial_model, search_arx, simulate
+from quad_sysid.blackbox.filters import filter_signal
+from quad_sysid.blackbox.studies import Study, reference_study, table3_study
+from quad_sysid.errors import BadInputError
+from quad_sysid.record import IOData
+
+
+def plain_arx(z: IOData, na: int, nb: int, nk: int, lead: int) -> tuple[np.ndarray, float, int]:
+    """theta, SSE, rows by numpy.linalg.lstsq on explicitly written rows."""
+    rows, targets = [], []
+    for start, stop in z.segments:
+        for t in range(start + lead, stop):
+            past_y = [-z.y[t - i] for i in range(1, na + 1)]
+            rows.append(past_y + [z.u[t - nk - i] for i in range(nb)])
+            targets.append(z.y[t])
+    x, y = np.array(rows), np.array(targets)
+    theta = np.linalg.lstsq(x, y, rcond=None)[0]
+    return theta, float(np.sum((y - x @ theta) ** 2)), len(y)
+
+
+@pytest.fixture(scope='module')
+def record() -> IOData:
+    z = reference_study().record(np.random.default_rng(7))
+    return IOData(z.u[:2000], z.y[:2000], z.dt, segments=[(0, 900), (950, 2000)])
+
+
+@pytest.mark.parametrize('orders', [(2, 2, 1), (10, 10, 5), (0, 3, 0), (4, 1, 9)])
+def test_arx_equals_lstsq_over_segments(record, orders):
+    na, nb, nk = orders
+    lead = max(na, nk + nb - 1)
+    theta, sse, rows = plain_arx(record, na, nb, nk, lead)
+    model = arx(record, na, nb, nk)
+    np.testing.assert_allclose(model.parameters, theta, rtol=1e-7, atol=1e-10)
+    assert model.samples == rows
+    assert model.loss == pytest.approx(sse / rows, rel=1e-10)
+    assert model.noise_variance == pytest.approx(sse / (rows - na - nb), rel=1e-10)
+
+
+@pytest.mark.parametrize('criterion', ['aic', 'aicc', 'bic', 'mdl'])
+def test_search_equals_lstsq_to_1e9(record, criterion):
+    found = search_arx(record, range(4), [1, 3, 4], range(0, 4, 2), criterion)
+    for i in range(found.na.size):
+        na, nb, nk = int(found.na[i]), int(found.nb[i]), int(found.nk[i])
+        _, sse, n = plain_arx(record, na, nb, nk, lead=5)
+        k = na + nb
+        expected = {
+            'aic': n * math.log(sse / n) + 2 * k,
+            'aicc': n * math.log(sse / n) + 2 * k + 2 * k * (k + 1) / (n - k - 1),
+            'bic': n * math.log(sse / n) + k * math.log(n),
+            'mdl': n * math.log(sse / n * (1 + k * math.log(n) / n)),
+        }[criterion]
+        assert n == found.samples
+        assert found.values()[i] == pytest.approx(expected, rel=1e-9)
+    best = int(np.argmin(found.values()))
+    assert found.best == (found.na[best], found.nb[best], found.nk[best])
+    assert tuple(found.model.orders.values()) == found.best
+
+
+def test_search_finds_true_orders_of_a_known_arx():
+    rng = np.random.default_rng(3)
+    truth = polynomial_model([0, 0, 0, 0.1, 0.05], A=[1, -1.5, 0.7], dt=0.004)
+    u = np.repeat(rng.choice([-1.0, 1.0], 2500), 4)
+    e = 0.1 * rng.standard_normal(u.size)
+    z = IOData(u, simulate(truth, u) + filter_signal(np.ones(1), truth.A, e), 0.004)
+    found = search_arx(z, range(1, 7), range(1, 7), range(8), criterion='bic')
+    assert found.best == (2, 2, 3)
+    assert found.at_edge == ()
+    error = (found.model.parameters - truth.parameters) / found.model.std
+    assert np.max(np.abs(error)) < 3.5
+    assert found.model.noise_variance == pytest.approx(0.01, rel=0.05)
+    assert delay_estimate(z) == 3
+
+
+def test_covariance_covers_the_truth_of_table_3_in_closed_loop():
+    """Squared Mahalanobis distance of 20 coefficients: mean 20, 99 % point 37.6; 50 seeds."""
+    study = table3_study()
+    short = Study(study.truth, samples=5000)
+    distances = []
+    for seed in range(50):
+        model = arx(short.record(np.random.default_rng(seed)), 10, 10, 5)
+        error = model.parameters - study.truth.parameters
+        distances.append(float(error @ np.linalg.solve(model.covariance, error)))
+    assert sum(d > 37.566 for d in distances) <= 3
+    assert np.mean(distances) == pytest.approx(20.0, abs=4 * math.sqrt(40 / 50))
+
+
+def test_pure_noise_gives_no_input_response():
+    rng = np.random.default_rng(11)
+    z = IOData(rng.standard_normal(4000), rng.standard_normal(4000), 0.004)
+    found = search_arx(z, range(4), range(1, 5), range(1, 5), criterion='bic')
+    b = found.model.parameters[-found.model.orders['nb'] :]
+    assert np.all(np.abs(b) < 4.0 / math.sqrt(4000))
+    assert found.best[:2] == (0, 1)
+
+
+def test_delay_of_the_reference_record():
+    z = reference_study().record(np.random.default_rng(5))
+    assert delay_estimate(z) == 3
+
+
+def test_model_names_parameters_and_converts():
+    control = pytest.importorskip('control')
+    truth = reference_study().truth
+    assert truth.name == 'BJ 2 2 2 2 3'
+    assert truth.parameter_names == ('b3', 'b4', 'c1', 'c2', 'd1', 'd2', 'f1', 'f2')
+    np.testing.assert_allclose(sorted(np.abs(truth.poles)), np.exp([-20 * 0.004, -0.3 * 0.004]))
+    again = truth.with_parameters(truth.parameters)
+    assert isinstance(again, Model)
+    np.testing.assert_array_equal(again.B, truth.B)
+    plant = truth.to_control()
+    u = np.random.default_rng(0).standard_normal(300)
+    expected = control.forced_response(plant, np.arange(300) * truth.dt, u).outputs
+    np.testing.assert_allclose(simulate(truth, u), expected, rtol=1e-8, atol=1e-10)
+    with pytest.raises(ValueError):
+        truth.B[0] = 1.0
+
+
+@pytest.mark.parametrize(
+    ('call', 'named'),
+    [
+        (lambda z: arx(z, -1, 2, 1), 'na'),
+        (lambda z: arx(z, 2, 0, 1), 'nb'),
+        (lambda z: arx(z, 2, 2, -1), 'nk'),
+        (lambda z: arx(z, 2.5, 2, 1), 'na'),
+        (lambda z: arx(IOData(z.u[:9], z.y[:9], z.dt), 2, 2, 1), 'too few samples'),
+        (lambda z: arx(IOData(0 * z.u, z.y, z.dt), 2, 2, 1), 'u is constant'),
+        (lambda z: arx(IOData(z.u, 0 * z.y + 3, z.dt), 2, 2, 1), 'y is constant'),
+        (lambda z: arx((z.u, z.y), 2, 2, 1), 'z must be an IOData'),
+        (lambda z: search_arx(z, [], 2, 1), 'na'),
+        (lambda z: search_arx(z, 2, 2, range(-1, 3)), 'nk'),
+        (lambda z: search_arx(z, 2, 2, 1, 'best'), 'criterion'),
+        (lambda z: arx(IOData(np.sin(0.1 * np.arange(2000)), z.y, z.dt), 0, 8, 1), 'excite'),
+        (lambda _: polynomial_model([0, 0], dt=0.1), 'B'),
+        (lambda _: polynomial_model([0, 1], A=[2.0], dt=0.1), 'A'),
+        (lambda _: polynomial_model([0, 1], dt=-0.1), 'dt'),
+    ],
+)
+def test_bad_input_names_the_argument(record, call, named):
+    with pytest.raises(BadInputError, match=named) as caught:
+        call(record)
+    assert isinstance(caught.value, ValueError)
+    assert '\n' not in str(caught.value)
