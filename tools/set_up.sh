@@ -29,6 +29,8 @@ choose_python() {  # sets python; says so where it is not plainly python3
     local candidate version
     if [ -n "${PYTHON:-}" ]; then
         version=$(version_of "$PYTHON") || fail "PYTHON=$PYTHON cannot be run"
+        with_ros && [ "$version" != 3.12 ] &&
+            fail "PYTHON=$PYTHON is $version; ROS 2 Jazzy is sourced and its rclpy is for 3.12"
         case $version in
             3.1[0-3]) python=$PYTHON; return ;;
             *) fail "PYTHON=$PYTHON is $version; Python 3.10 to 3.13 is needed" ;;

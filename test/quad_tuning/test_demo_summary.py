@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import pytest
 
-from quad_tuning.demo.summary import FlightSummary, Outcome, SquareFigures, lines, number
+from quad_sysid.loop.figures import SquareFigures
+from quad_tuning.demo.summary import FlightSummary, Outcome, lines, number
 
 REPORT = {
     'verdict': 'effects_added',
@@ -28,12 +30,19 @@ REPORT = {
 }
 
 
+def square(rise_time_s: float, overshoot_pct: float, rms_deg: float) -> SquareFigures:
+    return SquareFigures(
+        rise_time_s, overshoot_pct, 1.0, 0.0, rms_error_rad=math.radians(rms_deg), edges=4,
+        step_rad=0.4,
+    )  # fmt: skip
+
+
 @pytest.fixture
 def outcome() -> Outcome:
     gains = {'roll.angle.kp': 3.0, 'roll.rate.kp': 0.0745, 'roll.rate.d_filter_hz': 30.0}
-    first = FlightSummary(Path('flight_1'), 66.2, gains, SquareFigures(0.512, 23.4, 4.56))
+    first = FlightSummary(Path('flight_1'), 66.2, gains, square(0.512, 23.4, 4.56))
     second = FlightSummary(
-        Path('flight_2'), 25.0, {**gains, 'roll.angle.kp': 4.25}, SquareFigures(0.311, 8.1, 3.33)
+        Path('flight_2'), 25.0, {**gains, 'roll.angle.kp': 4.25}, square(0.311, 8.1, 3.33)
     )
     return Outcome(
         axis='roll', first=first, second=second, report=REPORT,

@@ -62,9 +62,7 @@ class Campaign:
         """Where everything is written."""
         return self.crew.folder
 
-    def wait(
-        self, stage: str, what: str, condition: Callable[[], bool], timeout_s: float
-    ) -> None:
+    def wait(self, stage: str, what: str, condition: Callable[[], bool], timeout_s: float) -> None:
         """Wait for a condition while all processes live, telling segments as they begin."""
 
         def meanwhile() -> None:
@@ -101,9 +99,7 @@ def connect(campaign: Campaign, aircraft: Aircraft) -> None:
     campaign.crew.start_node('quad_bridge', 'serial_bridge', {'port': str(link)})
     observer = campaign.observer
     observer.count_imu(on=True)
-    campaign.wait(
-        'connect', '/imu/data', lambda: observer.imu_count > 250 * SETTLED_S, CONNECT_S
-    )
+    campaign.wait('connect', '/imu/data', lambda: observer.imu_count > 250 * SETTLED_S, CONNECT_S)
     observer.count_imu(on=False)
     campaign.wait('connect', '/gains/active', lambda: bool(observer.active_gains), CONNECT_S)
 
@@ -116,9 +112,7 @@ def fly(campaign: Campaign, name: str, schedule: Path, seconds: float) -> Flight
     observer.bag = {}
     logger, pilot = f'{name}_logger', f'{name}_excitation'
     crew.start_node('quad_bridge', 'bag_logger', {'path': str(bag)}, called=logger)
-    campaign.wait(
-        name, 'recording', lambda: observer.bag.get('state') == 'recording', START_S
-    )
+    campaign.wait(name, 'recording', lambda: observer.bag.get('state') == 'recording', START_S)
     began = time.monotonic()
     observer.segment = {}
     child = crew.start_node('quad_bridge', 'excitation', {'schedule': str(schedule)}, called=pilot)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from quad_tuning.demo.comparison import square_figures
+from quad_tuning.demo.comparison import flown_square
 from quad_tuning.demo.domain import own_domain
 from quad_tuning.demo.errors import StageFailedError
 from quad_tuning.demo.observer import Observer
@@ -66,9 +66,7 @@ def tell(out: Path, seed: int, teller: Teller) -> list[str]:
 def _close_the_loop(campaign: Campaign, seed: int, teller: Teller) -> Outcome:
     out = campaign.folder
     teller.say('virtual STM32 on the rig, serial bridge')
-    connect(
-        campaign, Aircraft('plain', AXIS, seed, effect_module=HERE / 'friction_bearing.py')
-    )
+    connect(campaign, Aircraft('plain', AXIS, seed, effect_module=HERE / 'friction_bearing.py'))
     teller.say('first flight, with the gains of the paper')
     start_identification(campaign, auto_update=True, axes=[AXIS])
     first = fly(campaign, 'flight_1', HERE / 'first_flight.yaml', 75.0)
@@ -104,9 +102,7 @@ def _axis_report(path: Path) -> Mapping[str, Any]:
 
 
 def _summary(flight: Flight) -> FlightSummary:
-    return FlightSummary(
-        flight.bag, flight.seconds, flight.gains, square_figures(flight.bag, AXIS)
-    )
+    return FlightSummary(flight.bag, flight.seconds, flight.gains, flown_square(flight.bag, AXIS))
 
 
 def _evaluate(model: Path, bag: Path) -> Mapping[str, Any]:

@@ -11,16 +11,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from quad_sysid.loop.figures import SquareFigures
+
 WIDTH = 12
-
-
-@dataclass(frozen=True)
-class SquareFigures:
-    """How one flight followed the square wave, measured."""
-
-    rise_time_s: float
-    overshoot_pct: float
-    rms_error_deg: float
 
 
 @dataclass(frozen=True)
@@ -111,7 +104,7 @@ def _worth(outcome: Outcome) -> list[str]:
         row('', f'{"rise time, s":24s}{old.rise_time_s:10.3f}{new.rise_time_s:10.3f}'),
         row('', f'{"overshoot, %":24s}{old.overshoot_pct:10.1f}{new.overshoot_pct:10.1f}'),
         row('', f'{"RMS tracking error, deg":24s}'
-                f'{old.rms_error_deg:10.2f}{new.rms_error_deg:10.2f}'),
+                f'{math.degrees(old.rms_error_rad):10.2f}{math.degrees(new.rms_error_rad):10.2f}'),
     ]  # fmt: skip
 
 

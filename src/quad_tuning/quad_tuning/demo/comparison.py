@@ -1,0 +1,43 @@
+"""How a recorded flight followed the square wave: the bag's segment cut out, figures taken."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from quad_sysid.bags import read_bag
+from quad_sysid.contract import AXES, FloatArray
+from quad_sysid.errors import QuadSysidError
+from quad_sysid.loop.figures import SquareFigures, square_figures
+from quad_sysid.record import Record
+from quad_tuning.demo.errors import StageFailedError
+
+
+def flown_square(bag: Path, axis: str) -> SquareFigures:
+    """Figures of the square wave on `axis` in a bag; raises StageFailedError where none is."""
+    try:
+        record = read_bag(bag)
+        reference, angle = square_of(record, axis)
+        return square_figures(reference, angle, record.dt)
+    except QuadSysidError as error:
+        raise StageFailedError('compare', str(error)) from error
+
+
+def square_of(record: Record, axis: str) -> tuple[FloatArray, FloatArray]:
+    """Reference and angle (n,) in rad over the square segments of `axis`, joined by a NaN.
+
+    Raises StageFailedError where the record lacks the segment, the reference or the angle.
+    """
+    spans = [record.span(s) for s in record.segments if s.signal == 'square' and s.axis == axis]
+    if not spans or record.attitude_setpoint is None or record.angles is None:
+        raise StageFailedError(
+            'compare', f'{record.source} holds no square wave on {axis} with setpoint and angle'
+        )
+    column = AXES.index(axis)
+    reference, angle = record.attitude_setpoint[:, column], record.angles[:, column]
+    return _joined(reference, spans), _joined(angle, spans)
+
+
+def _joined(values: FloatArray, spans: list[tuple[int, int]]) -> FloatArray:
+    return np.concatenate([np.append(values[start:stop], np.nan) for start, stop in spans])
