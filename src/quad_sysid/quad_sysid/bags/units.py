@@ -1,0 +1,71 @@
+"""Units of foreign recordings → those of the contract, by the role of the column.
+
+One table per role; a plain number is a factor, `FACTOR:OFFSET` adds an offset. No files.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+from quad_sysid.contract import FloatArray
+from quad_sysid.errors import BadInputError
+
+Role = Literal['time', 'control', 'motor', 'rate', 'angle', 'battery']
+
+
+@dataclass(frozen=True)
+class Unit:
+    """SI or normalised value = factor * value + offset."""
+
+    name: str
+    factor: float
+    offset: float = 0.0
+
+    def __call__(self, values: FloatArray) -> FloatArray:
+        """Convert values of any shape."""
+        return self.factor * values + self.offset
+
+
+DEGREE = math.pi / 180.0
+VOLTS_OF_FULL_COMMAND = 20.0
+"""An analogue command of -10 V..10 V spans the whole range of 1 of a motor command."""
+
+UNITS: dict[Role, dict[str, tuple[float, float]]] = {
+    'time': {'s': (1.0, 0.0), 'ms': (1e-3, 0.0), 'us': (1e-6, 0.0), 'ns': (1e-9, 0.0)},
+    'control': {
+        '1': (1.0, 0.0), 'percent': (0.01, 0.0), 'pwm16': (1.0 / 65535.0, 0.0),
+        'pulse_us': (1e-3, -1.5), 'V': (1.0 / VOLTS_OF_FULL_COMMAND, 0.0),
+    },
+    'motor': {
+        '1': (1.0, 0.0), 'percent': (0.01, 0.0), 'pwm16': (1.0 / 65535.0, 0.0),
+        'pulse_us': (1e-3, -1.0),
+    },
+    'rate': {
+        'rad/s': (1.0, 0.0), 'deg/s': (DEGREE, 0.0), 'm/s': (1.0, 0.0), 'mm/s': (1e-3, 0.0),
+    },
+    'angle': {'rad': (1.0, 0.0), 'deg': (DEGREE, 0.0), 'm': (1.0, 0.0), 'mm': (1e-3, 0.0)},
+    'battery': {'V': (1.0, 0.0), 'mV': (1e-3, 0.0)},
+}
+"""(factor, offset). The first unit of each role holds where none is named. `pulse_us` is a servo
+pulse of 1000..2000 µs (a control column is centred at 1500), `pwm16` a duty of 0..65535."""
+
+
+def unit_of(role: Role, text: str | None, column: str) -> Unit:
+    """Look up the unit of a column; raises BadInputError naming what the role allows."""
+    known = UNITS[role]
+    name = text or next(iter(known))
+    if name in known:
+        return Unit(name, *known[name])
+    factor, colon, offset = name.partition(':')
+    try:
+        unit = Unit(name, float(factor), float(offset) if colon else 0.0)
+    except ValueError:
+        unit = Unit(name, math.nan)
+    if not (math.isfinite(unit.factor) and math.isfinite(unit.offset) and unit.factor):
+        raise BadInputError(
+            f'--unit {column}', f'is no unit of a {role}', repr(name),
+            f'use {", ".join(known)}, a factor or FACTOR:OFFSET',
+        )
+    return unit
