@@ -1,0 +1,239 @@
+"""The cascade C1/C2 as the contract writes it: its gains, its loop, its margins.
+
+    rate reference = kp_angle (angle reference - angle), limited
+    u = kp e + ki sum(e) dt - kd D(rate), e = rate reference - rate, limited
+
+D is the measured rate's difference behind a first-order filter, both sums as the firmware forms
+them once a cycle. The loop is broken at u, the control input. Linear only: limits, curves and
+time stand in simulation.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from quad_sysid.contract import AXES, FloatArray
+from quad_sysid.errors import BadInputError
+from quad_sysid.loop.plant import ComplexArray, Step
+
+FIRMWARE_UNIT = np.degrees(1.0) / 1000.0
+"""Normalised command per rad/s, in one firmware unit (µs of motor pulse per deg/s)."""
+
+CONTRACT_NAMES = {
+    'angle_kp': 'angle.kp',
+    'rate_kp': 'rate.kp',
+    'rate_ki': 'rate.ki',
+    'rate_kd': 'rate.kd',
+    'd_filter_hz': 'rate.d_filter_hz',
+    'output_limit': 'rate.output_limit',
+    'integrator_limit': 'rate.integrator_limit',
+    'rate_limit': 'angle.rate_limit',
+}
+"""Field of CascadeGains to the contract's name behind the axis."""
+
+TUNED = ('angle_kp', 'rate_kp', 'rate_ki', 'rate_kd')
+"""What a designer may change; the rest are constants of the firmware."""
+
+
+@dataclass(frozen=True)
+class CascadeGains:
+    """Gains of one axis, SI (contract, Gains and the form of the controller)."""
+
+    angle_kp: float
+    """1/s."""
+    rate_kp: float
+    """Normalised command per rad/s."""
+    rate_ki: float
+    """Per s more."""
+    rate_kd: float
+    """Times s."""
+    d_filter_hz: float = 30.0
+    output_limit: float = 0.3
+    """Of u, normalised command."""
+    rate_limit: float = 4.0
+    """Of the rate reference, rad/s."""
+    integrator_limit: float = 0.1
+    """Of the integral part of u, normalised command."""
+
+    def __post_init__(self) -> None:
+        """Check that all are finite and the constants positive; raises BadInputError."""
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if not np.isfinite(value):
+                raise BadInputError(f'gains: {CONTRACT_NAMES[item.name]}', 'must be finite', value)
+            if item.name not in TUNED and value <= 0:
+                raise BadInputError(
+                    f'gains: {CONTRACT_NAMES[item.name]}', 'must be positive', value
+                )
+
+    @classmethod
+    def default(cls, axis: str) -> CascadeGains:
+        """The paper's start values, for yaw those of the contract."""
+        if axis not in AXES:
+            raise BadInputError('gains', f'axis must be of {", ".join(AXES)}', axis)
+        if axis == 'yaw':
+            return cls(2.0, 3.0 * FIRMWARE_UNIT, 0.02 * FIRMWARE_UNIT, 0.0)
+        return cls(3.0, 1.3 * FIRMWARE_UNIT, 0.01 * FIRMWARE_UNIT, 0.023 * FIRMWARE_UNIT)
+
+    @classmethod
+    def from_mapping(cls, values: Mapping[str, float], axis: str) -> CascadeGains:
+        """From the contract's names (`roll.angle.kp`, ...); what is missing has its default."""
+        start = cls.default(axis)
+        return cls(
+            **{
+                field: float(values.get(f'{axis}.{name}', getattr(start, field)))
+                for field, name in CONTRACT_NAMES.items()
+            }
+        )
+
+    def to_mapping(self, axis: str, *, constants: bool = False) -> dict[str, float]:
+        """The contract's names and values; with `constants` the filter and limits as well."""
+        return {
+            f'{axis}.{name}': float(getattr(self, field))
+            for field, name in CONTRACT_NAMES.items()
+            if constants or field in TUNED
+        }
+
+
+def derivative_weight(d_filter_hz: float, dt: float) -> float:
+    """Weight of the new difference in the D filter: dt / (dt + 1 / (2 pi f)), backward Euler."""
+    return dt / (dt + 1.0 / (2.0 * np.pi * d_filter_hz))
+
+
+def controller_response(
+    gains: CascadeGains, omega: FloatArray, dt: float
+) -> tuple[ComplexArray, ComplexArray]:
+    """PI part (f,) on the rate error and D part (f,) on the measured rate, at omega rad/s."""
+    back = np.exp(-1j * omega * dt)
+    weight = derivative_weight(gains.d_filter_hz, dt)
+    proportional = gains.rate_kp + gains.rate_ki * dt / (1.0 - back)
+    derivative = gains.rate_kd * weight * (1.0 - back) / dt / (1.0 - (1.0 - weight) * back)
+    return np.asarray(proportional), np.asarray(derivative)
+
+
+def open_loop(
+    gains: CascadeGains, plant: ComplexArray, omega: FloatArray, dt: float
+) -> ComplexArray:
+    """Loop gain (p, f) broken at the control input; plant (2, p, f) from `Step.response`."""
+    proportional, derivative = controller_response(gains, omega, dt)
+    rate, angle = plant
+    return np.asarray(rate * (proportional + derivative) + angle * (gains.angle_kp * proportional))
+
+
+def reference_response(
+    gains: CascadeGains, plant: ComplexArray, omega: FloatArray, dt: float
+) -> ComplexArray:
+    """(p, f) from the angle reference to the measured angle."""
+    proportional, _ = controller_response(gains, omega, dt)
+    loop = open_loop(gains, plant, omega, dt)
+    return np.asarray(plant[1] * gains.angle_kp * proportional / (1.0 + loop))
+
+
+def noise_response(
+    gains: CascadeGains, plant: ComplexArray, omega: FloatArray, dt: float
+) -> ComplexArray:
+    """(p, f) from noise on the measured rate to the control."""
+    proportional, derivative = controller_response(gains, omega, dt)
+    loop = open_loop(gains, plant, omega, dt)
+    return np.asarray(-(proportional + derivative) / (1.0 + loop))
+
+
+def frequency_grid(dt: float, points: int = 240, lowest_rad_s: float = 0.1) -> FloatArray:
+    """(points,) rad/s, logarithmic up to just below the Nyquist frequency."""
+    return np.geomspace(lowest_rad_s, 0.999 * np.pi / dt, points)
+
+
+@dataclass(frozen=True)
+class Margins:
+    """Margins of p loops, (p,) each; only meaningful where the closed loop is stable.
+
+    Where |L| or its phase crosses several times the smallest margin counts, gain margins that
+    forbid a lower gain as well. No crossing: infinite margin, crossover NaN.
+    """
+
+    phase_margin_deg: FloatArray
+    gain_margin_db: FloatArray
+    peak_sensitivity: FloatArray
+    crossover_rad_s: FloatArray
+    """Highest frequency where |L| falls through 1."""
+
+
+def margins(loop: ComplexArray, omega: FloatArray) -> Margins:
+    """Margins of loop gains (p, f) on a grid omega (f,), crossings interpolated linearly."""
+    log_gain = np.log(np.maximum(np.abs(loop), 1e-300))
+    phase = np.unwrap(np.angle(loop), axis=-1)
+    low, high = log_gain[:, :-1], log_gain[:, 1:]
+    crossed = (low > 0) != (high > 0)
+    share = np.where(crossed, low / np.where(crossed, low - high, 1.0), 0.0)
+    at = phase[:, :-1] + share * (phase[:, 1:] - phase[:, :-1])
+    distance = np.abs((at % (2.0 * np.pi)) - np.pi)
+    phase_margin = np.degrees(np.min(np.where(crossed, distance, np.inf), axis=1))
+    log_omega = np.log(omega)
+    where = np.exp(log_omega[:-1] + share * np.diff(log_omega))
+    falling = crossed & (low > 0)
+    crossover = np.max(np.where(falling, where, -np.inf), axis=1)
+    turns = (phase - np.pi) / (2.0 * np.pi)
+    floor = np.floor(turns)
+    passed = floor[:, :-1] != floor[:, 1:]
+    level = np.maximum(floor[:, :-1], floor[:, 1:])
+    step = turns[:, 1:] - turns[:, :-1]
+    part = np.where(passed, (level - turns[:, :-1]) / np.where(passed, step, 1.0), 0.0)
+    gain = np.abs(low + part * (high - low))
+    gain_margin = 20.0 / np.log(10.0) * np.min(np.where(passed, gain, np.inf), axis=1)
+    return Margins(
+        phase_margin_deg=phase_margin,
+        gain_margin_db=gain_margin,
+        peak_sensitivity=np.max(1.0 / np.abs(1.0 + loop), axis=1),
+        crossover_rad_s=np.where(np.isfinite(crossover), crossover, np.nan),
+    )
+
+
+def bandwidth(response: ComplexArray, omega: FloatArray) -> FloatArray:
+    """(p,) rad/s where |response| (p, f) first falls below its low-frequency value by 3 dB."""
+    level = np.abs(response) / np.abs(response[:, :1])
+    below = level < np.sqrt(0.5)
+    index = np.argmax(below, axis=1)
+    return np.where(below.any(axis=1), omega[index], np.nan)
+
+
+def closed_loop_radius(gains: CascadeGains, cycle: Step) -> FloatArray:
+    """(p,) largest absolute eigenvalue of the linear closed loop; stable below 1.
+
+    State: plant, integral, last rate, D part, and the commands that are under way.
+    """
+    p, n = cycle.phi.shape[:2]
+    dt = cycle.dt
+    depth = int(cycle.whole.max()) + 1
+    size = n + 3 + depth
+    weight = derivative_weight(gains.d_filter_hz, dt)
+    rate, angle = cycle.c[:, 0], cycle.c[:, 1]
+    error = -(gains.angle_kp * angle + rate)
+    integral = np.zeros((p, size))
+    integral[:, :n] = gains.rate_ki * dt * error
+    integral[:, n] = 1.0
+    derivative = np.zeros((p, size))
+    derivative[:, :n] = weight / dt * rate
+    derivative[:, n + 1] = -weight / dt
+    derivative[:, n + 2] = 1.0 - weight
+    control = integral - gains.rate_kd * derivative
+    control[:, :n] += gains.rate_kp * error
+    matrix = np.zeros((p, size, size))
+    matrix[:, :n, :n] = cycle.phi
+    rows = np.arange(p)
+    for i in range(p):
+        d = int(cycle.whole[i])
+        matrix[i, :n, n + 3 + d] += cycle.before[i]
+        if d == 0:
+            matrix[i, :n] += np.outer(cycle.now[i], control[i])
+        else:
+            matrix[i, :n, n + 2 + d] += cycle.now[i]
+    matrix[rows, n] = integral
+    matrix[rows, n + 1, :n] = rate
+    matrix[rows, n + 2] = derivative
+    matrix[rows, n + 3] = control
+    for j in range(1, depth):
+        matrix[:, n + 3 + j, n + 2 + j] = 1.0
+    return np.asarray(np.max(np.abs(np.linalg.eigvals(matrix)), axis=1))

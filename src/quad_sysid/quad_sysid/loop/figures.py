@@ -1,0 +1,196 @@
+"""Figures of a step or a square wave, measured or simulated: rise, overshoot, settling, error.
+
+Arrays in, frozen figures out. The response of a square wave is averaged over its edges (each
+scaled by its step), so that noise and drift average out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from quad_sysid.contract import FloatArray
+from quad_sysid.errors import BadInputError, NotInformativeError
+
+SETTLED_BAND = 0.05
+"""Settled: inside this share of the step around the final value for good."""
+EDGE_SHARE = 0.25
+"""A change of the reference within one sample by this share of its range is an edge."""
+
+
+@dataclass(frozen=True)
+class StepFigures:
+    """What a step response shows; times in s, NaN where it never gets there."""
+
+    rise_time_s: float
+    """From 10 to 90 % of the way to the settled value."""
+    overshoot_pct: float
+    """Beyond the settled value, of the way there; 0 where none."""
+    settling_time_s: float
+    """After which it stays within 5 % of the step around the settled value."""
+    final_error_pct: float
+    """Settled value short of the reference, of the step."""
+
+
+@dataclass(frozen=True)
+class SquareFigures(StepFigures):
+    """A square wave: the figures of its mean step, and the error over all of it."""
+
+    rms_error_rad: float
+    """RMS of reference minus angle."""
+    edges: int
+    step_rad: float
+    """Mean absolute step."""
+
+
+@dataclass(frozen=True)
+class SquareComparison:
+    """Two flights of a square wave; changes in % of the first's, negative is less."""
+
+    before: SquareFigures
+    after: SquareFigures
+    rise_time_change_pct: float
+    rms_error_change_pct: float
+    """Of the RMS error per rad of step, so that unlike amplitudes compare."""
+    overshoot_change_points: float
+    """Percentage points."""
+
+
+def step_figures(response: npt.ArrayLike, dt: float) -> StepFigures:
+    """Figures of a response (n,) that starts at 0 with the step and is scaled by it (1 reached).
+
+    The settled value is the mean of the last fifth. Raises BadInputError where it is not (n,)
+    with n >= 10 finite values.
+    """
+    y = _finite(response, 'response')
+    if y.size < 10:
+        raise BadInputError('step_figures', 'needs 10 samples or more', y.size)
+    settled = float(np.mean(y[-max(2, y.size // 5) :]))
+    nan = float('nan')
+    if settled < 0.1:
+        return StepFigures(nan, nan, nan, 100.0 * (1.0 - settled))
+    way = y / settled
+    low, high = _first_crossing(way, 0.1), _first_crossing(way, 0.9)
+    outside = np.flatnonzero(np.abs(y - settled) > SETTLED_BAND)
+    last = int(outside[-1]) + 1 if outside.size else 0
+    return StepFigures(
+        rise_time_s=(high - low) * dt,
+        overshoot_pct=100.0 * max(0.0, float(np.max(way)) - 1.0),
+        settling_time_s=last * dt if last < y.size else nan,
+        final_error_pct=100.0 * (1.0 - settled),
+    )
+
+
+def square_figures(reference: npt.ArrayLike, angle: npt.ArrayLike, dt: float) -> SquareFigures:
+    """Figures of a square wave from its reference and response, (n,) each, rad.
+
+    Samples where either is NaN are left out of the error; an edge whose stretch holds one is not
+    averaged. Raises NotInformativeError where no edge with a whole stretch behind it is found.
+    """
+    r = np.asarray(reference, dtype=float)
+    y = np.asarray(angle, dtype=float)
+    if r.ndim != 1 or r.shape != y.shape:
+        raise BadInputError(
+            'square_figures', 'reference and angle must be (n,) of one length',
+            f'{r.shape} and {y.shape}',
+        )  # fmt: skip
+    good = np.isfinite(r) & np.isfinite(y)
+    if not good.any():
+        raise NotInformativeError('square wave: no finite samples of reference and angle')
+    responses, steps = _edge_responses(r, y, good)
+    if not responses:
+        raise NotInformativeError('square wave: the reference has no edge with a stretch behind')
+    figures = step_figures(np.mean(responses, axis=0), dt)
+    return SquareFigures(
+        rise_time_s=figures.rise_time_s,
+        overshoot_pct=figures.overshoot_pct,
+        settling_time_s=figures.settling_time_s,
+        final_error_pct=figures.final_error_pct,
+        rms_error_rad=float(np.sqrt(np.mean((r - y)[good] ** 2))),
+        edges=len(responses),
+        step_rad=float(np.mean(np.abs(steps))),
+    )
+
+
+def compare_square(
+    before: tuple[npt.ArrayLike, npt.ArrayLike],
+    after: tuple[npt.ArrayLike, npt.ArrayLike],
+    dt: float,
+) -> SquareComparison:
+    """Two flights' square waves, each (reference, angle) as arrays (n,), rad."""
+    first = square_figures(before[0], before[1], dt)
+    second = square_figures(after[0], after[1], dt)
+    return SquareComparison(
+        before=first,
+        after=second,
+        rise_time_change_pct=_change(first.rise_time_s, second.rise_time_s),
+        rms_error_change_pct=_change(
+            first.rms_error_rad / first.step_rad, second.rms_error_rad / second.step_rad
+        ),
+        overshoot_change_points=second.overshoot_pct - first.overshoot_pct,
+    )
+
+
+def square_wave(amplitude: float, half_period_s: float, periods: int, dt: float) -> FloatArray:
+    """A square wave (n,) between +-amplitude that starts with a half period at -amplitude."""
+    half = max(1, round(half_period_s / dt))
+    signs = np.where(np.arange(2 * periods + 1) % 2 == 0, -1.0, 1.0)
+    return np.asarray(amplitude * np.repeat(signs, half))
+
+
+def _edge_responses(
+    r: FloatArray, y: FloatArray, good: npt.NDArray[np.bool_]
+) -> tuple[list[FloatArray], list[float]]:
+    """Responses behind each edge, scaled by its step and cut to the common length."""
+    jump = np.abs(np.diff(r, prepend=r[0]))
+    jump[~np.isfinite(jump)] = 0.0
+    spread = float(np.ptp(r[good]))
+    edges = np.flatnonzero(jump > EDGE_SHARE * spread) if spread > 0 else np.zeros(0, dtype=int)
+    if edges.size == 0:
+        return [], []
+    ends = np.append(edges[1:], r.size)
+    lengths = ends - edges
+    usual = int(np.median(lengths[:-1])) if lengths.size > 1 else int(lengths[0])
+    responses, steps = [], []
+    for start in edges:
+        stop = start + usual
+        if start == 0 or stop > r.size or not good[start - 1 : stop].all() or usual < 10:
+            continue
+        quiet = r[start:stop] - r[start]
+        if np.max(np.abs(quiet)) > EDGE_SHARE * spread:
+            continue
+        step = float(r[start] - r[start - 1])
+        lead = max(1, min(usual // 10, start))
+        if not good[start - lead : start].all():
+            continue
+        begin = float(np.mean(y[start - lead : start]))
+        offset = (begin - float(r[start - 1])) / step
+        # the step is scaled by where the response stood, so that a standing error is no step
+        responses.append((y[start:stop] - begin) / (step * (1.0 - offset)) if abs(offset) < 0.5
+                         else (y[start:stop] - begin) / step)  # fmt: skip
+        steps.append(step)
+    return responses, steps
+
+
+def _first_crossing(way: FloatArray, level: float) -> float:
+    """Sample (interpolated) at which `way` first reaches `level`."""
+    index = int(np.argmax(way >= level))
+    if way[index] < level:
+        return float('nan')
+    if index == 0:
+        return 0.0
+    low, high = float(way[index - 1]), float(way[index])
+    return index - 1 + (level - low) / (high - low)
+
+
+def _finite(values: npt.ArrayLike, name: str) -> FloatArray:
+    array = np.asarray(values, dtype=float)
+    if array.ndim != 1 or not np.isfinite(array).all():
+        raise BadInputError('figures', f'{name} must be (n,) and finite', array.shape)
+    return array
+
+
+def _change(before: float, after: float) -> float:
+    return 100.0 * (after / before - 1.0)

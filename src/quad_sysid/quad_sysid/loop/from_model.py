@@ -1,0 +1,154 @@
+"""From the identified AxisModel to the LoopPlant: each effect becomes a curve or a factor.
+
+One table, `CURVES`; an effect that has no place in one axis' loop (coupling, events, periodic
+torque) is named in `not_in_the_loop`. No fitting; the effects' physics stands in effects/table.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from quad_sysid.contract import FloatArray
+from quad_sysid.loop.plant import Curve, LoopPlant
+from quad_sysid.model import AxisModel, EffectEstimate
+
+STICTION_RATE = 0.01
+"""Rate over which dry friction changes its sign, rad/s (effects/table.py)."""
+RATE_RANGE = 12.0
+"""Half width of the rate tables, rad/s."""
+ANGLE_RANGE = 1.6
+"""Half width of the angle tables, rad."""
+COMMAND_RANGE = 1.0
+
+Function = Callable[[FloatArray], FloatArray]
+
+
+def _coulomb(p: Mapping[str, float], dt: float) -> Function:
+    width = max(STICTION_RATE, abs(p['torque']) * dt)
+    return lambda rate: -p['torque'] * np.tanh(rate / width)
+
+
+def _drag(p: Mapping[str, float], _: float) -> Function:
+    return lambda rate: -p['coefficient'] * rate * np.abs(rate)
+
+
+def _pendulum(p: Mapping[str, float], _: float) -> Function:
+    return lambda angle: -p['stiffness'] * np.sin(angle)
+
+
+def _cubic(p: Mapping[str, float], _: float) -> Function:
+    return lambda angle: -p['stiffness'] * angle**3
+
+
+def _dead_zone(p: Mapping[str, float], _: float) -> Function:
+    return lambda u: np.sign(u) * np.maximum(np.abs(u) - p['half_width'], 0.0)
+
+
+def _saturation(p: Mapping[str, float], _: float) -> Function:
+    low, high = p.get('lower', -COMMAND_RANGE), p.get('upper', COMMAND_RANGE)
+    return lambda u: np.clip(u, low, high)
+
+
+def _thrust(p: Mapping[str, float], _: float) -> Function:
+    return lambda u: u + p['curvature'] * u * np.abs(u)
+
+
+CURVES: Mapping[str, tuple[str, Callable[[Mapping[str, float], float], Function]]] = {
+    'coulomb_friction': ('rate', _coulomb),
+    'quadratic_drag': ('rate', _drag),
+    'pendulum_stiffness': ('angle', _pendulum),
+    'cubic_stiffness': ('angle', _cubic),
+    'dead_zone': ('command', _dead_zone),
+    'saturation': ('command', _saturation),
+    'thrust_curve': ('command', _thrust),
+}
+"""Effect to the signal it depends on and its curve; parameters as the contract names them."""
+
+FACTORS = ('battery_sag',)
+"""Effects that scale the gain."""
+
+
+def loop_plant(model: AxisModel) -> LoopPlant:
+    """The plant of the closed loop at the flight's mean battery voltage.
+
+    Shapes (`shape:rate`, `shape:angle`, `shape:command`) are taken from settings `knots` (x) and
+    `values` (y) where both are there. Raises BadInputError for parameters that are not finite.
+    """
+    tables: dict[str, list[Function]] = {'rate': [], 'angle': [], 'command': []}
+    finest = RATE_RANGE / 600.0
+    for effect in model.effects:
+        parameters = {p.name: p.value for p in effect.parameters}
+        entry = CURVES.get(effect.name)
+        if entry is not None:
+            tables[entry[0]].append(entry[1](parameters, model.dt))
+            if effect.name == 'coulomb_friction':
+                finest = min(finest, max(STICTION_RATE, abs(parameters['torque']) * model.dt) / 2)
+        else:
+            shape = _shape(effect)
+            if shape is not None:
+                tables[effect.name.split(':')[-1]].append(shape)
+    return LoopPlant(
+        gain=model.value('gain') * battery_factor(model),
+        lag_s=model.value('lag'),
+        delay_s=model.value('delay'),
+        damping=model.value('damping'),
+        bias=model.value('bias'),
+        gyro_filter_hz=model.gyro_filter_hz,
+        dt=model.dt,
+        rate_curve=_sum(tables['rate'], RATE_RANGE, finest),
+        angle_curve=_sum(tables['angle'], ANGLE_RANGE, 0.01),
+        command_curve=_chain(tables['command']),
+    )
+
+
+def battery_factor(model: AxisModel, battery_v: float | None = None) -> float:
+    """What the gain is multiplied by at `battery_v` (None: the flight's mean), 1 without sag."""
+    volts = model.mean_battery_v if battery_v is None else battery_v
+    for effect in model.effects:
+        reference = effect.settings.get('reference_v')
+        if effect.name == 'battery_sag' and isinstance(reference, int | float) and volts:
+            return float((volts / reference) ** model.value('battery_sag.exponent'))
+    return 1.0
+
+
+def not_in_the_loop(model: AxisModel) -> tuple[str, ...]:
+    """Names of the model's effects that the loop plant leaves out."""
+    return tuple(
+        effect.name
+        for effect in model.effects
+        if effect.name not in CURVES and effect.name not in FACTORS and _shape(effect) is None
+    )
+
+
+def _shape(effect: EffectEstimate) -> Function | None:
+    """A curve of the rate, angle or command that has no name, from its knots."""
+    kind, _, signal = effect.name.partition(':')
+    knots, values = effect.settings.get('knots'), effect.settings.get('values')
+    if kind != 'shape' or signal not in ('rate', 'angle', 'command'):
+        return None
+    x = np.asarray(knots if knots is not None else (), dtype=float)
+    y = np.asarray(values if values is not None else (), dtype=float)
+    if x.ndim != 1 or x.size < 2 or x.shape != y.shape:
+        return None
+    return lambda at: np.asarray(np.interp(at, x, y))
+
+
+def _sum(functions: list[Function], half_width: float, step: float) -> Curve | None:
+    if not functions:
+        return None
+    return Curve.sampled(lambda x: np.sum([f(x) for f in functions], axis=0), half_width, step)
+
+
+def _chain(functions: list[Function]) -> Curve | None:
+    """Command curves one after the other, in the model's order."""
+    if not functions:
+        return None
+
+    def through(u: FloatArray) -> FloatArray:
+        for function in functions:
+            u = function(u)
+        return u
+
+    return Curve.sampled(through, COMMAND_RANGE, 0.0005)

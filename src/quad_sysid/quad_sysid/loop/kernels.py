@@ -1,0 +1,160 @@
+"""Compiled inner loops of the closed loop: one control cycle, the plant between two cycles.
+
+Only arithmetic on arrays; what the numbers mean stands in simulation.py.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple, TypeVar, cast
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from quad_sysid.contract import FloatArray
+
+_F = TypeVar('_F', bound=Callable[..., object])
+IntArray = npt.NDArray[np.int64]
+INTEGRAL, LAST_RATE, D_PART = 0, 1, 2
+EMPTY = 4
+"""Size of a table that stands for no curve."""
+
+
+def kernel(function: _F) -> _F:
+    """`function` compiled at its first call and cached on disk."""
+    return cast('_F', njit(cache=True, error_model='numpy')(function))
+
+
+class Constants(NamedTuple):
+    """The cascade's numbers, as in CascadeGains; d_weight from derivative_weight."""
+
+    angle_kp: float
+    rate_kp: float
+    rate_ki: float
+    rate_kd: float
+    d_weight: float
+    output_limit: float
+    rate_limit: float
+    integrator_limit: float
+    dt: float
+
+
+class Cycle(NamedTuple):
+    """The plant over one control cycle in two parts: before and after the command changes."""
+
+    phi: FloatArray
+    """(2, n, n) transition over one step of a part."""
+    drive: FloatArray
+    """(2, n) effect of the held command."""
+    push: FloatArray
+    """(2, n) effect of a held torque."""
+    split: IntArray
+    """(2,) steps in each part."""
+    whole: int
+    """Whole cycles of delay."""
+    rate_output: int
+    angle_output: int
+    rate_table: FloatArray
+    angle_table: FloatArray
+    command_table: FloatArray
+    """Tables (x0, step, hold, y0, y1, ...); of size 4: none."""
+
+
+@kernel
+def look_up(table: FloatArray, x: float) -> float:
+    """Value of a table at x: clamped where `hold` is 1, else the end slopes go on; 0 if empty."""
+    if table.size == EMPTY:
+        return 0.0
+    last = table.size - 4
+    position = (x - table[0]) / table[1]
+    if table[2] > 0.0:
+        position = min(max(position, 0.0), float(last))
+    index = min(max(math.floor(position), 0), last - 1)
+    low = table[3 + index]
+    return float(low + (position - index) * (table[4 + index] - low))
+
+
+@kernel
+def control(
+    gains: Constants, memory: FloatArray, reference: float, angle: float, rate: float, added: float
+) -> tuple[float, float]:
+    """One cycle of C1/C2: (rate reference, u). `added` is a rate excitation; memory (3,)."""
+    wanted = gains.angle_kp * (reference - angle)
+    wanted = min(max(wanted, -gains.rate_limit), gains.rate_limit) + added
+    error = wanted - rate
+    total = memory[INTEGRAL] + gains.rate_ki * error * gains.dt
+    memory[INTEGRAL] = min(max(total, -gains.integrator_limit), gains.integrator_limit)
+    slope = (rate - memory[LAST_RATE]) / gains.dt
+    memory[D_PART] += gains.d_weight * (slope - memory[D_PART])
+    memory[LAST_RATE] = rate
+    u = gains.rate_kp * error + memory[INTEGRAL] - gains.rate_kd * memory[D_PART]
+    return wanted, min(max(u, -gains.output_limit), gains.output_limit)
+
+
+@kernel
+def advance(cycle: Cycle, part: int, v: float, torque: float, state: FloatArray) -> None:
+    """One step of `part` in place: exact linear part, Heun for the curves."""
+    n = state.size
+    phi, drive, push = cycle.phi[part], cycle.drive[part], cycle.push[part]
+    x = torque + look_up(cycle.rate_table, state[1]) + look_up(cycle.angle_table, state[2])
+    free = np.empty(n)
+    for i in range(n):
+        total = drive[i] * v
+        for j in range(n):
+            total += phi[i, j] * state[j]
+        free[i] = total
+    if cycle.rate_table.size > EMPTY or cycle.angle_table.size > EMPTY:
+        then = torque + look_up(cycle.rate_table, free[1] + push[1] * x)
+        then += look_up(cycle.angle_table, free[2] + push[2] * x)
+        x = 0.5 * (x + then)
+    for i in range(n):
+        state[i] = free[i] + push[i] * x
+
+
+@kernel
+def run_plant(
+    gains: Constants, cycle: Cycle, signals: FloatArray, state: FloatArray, out: FloatArray
+) -> None:
+    """The cascade around the plant.
+
+    signals (5, n): angle reference, noise of the rate, torque, rate and control excitation;
+    out (4, n): angle, rate, control, rate reference. `state` ends where the run ends.
+    """
+    memory = np.zeros(3)
+    memory[LAST_RATE] = state[cycle.rate_output]
+    for k in range(signals.shape[1]):
+        rate = state[cycle.rate_output] + signals[1, k]
+        angle = state[cycle.angle_output]
+        wanted, u = control(gains, memory, signals[0, k], angle, rate, signals[3, k])
+        out[0, k], out[1, k], out[2, k], out[3, k] = angle, rate, u + signals[4, k], wanted
+        for part in range(2):
+            source = k - cycle.whole - 1 + part
+            v = out[2, source] if source >= 0 else 0.0
+            if cycle.command_table.size > EMPTY:
+                v = look_up(cycle.command_table, v)
+            for _ in range(cycle.split[part]):
+                advance(cycle, part, v, signals[2, k], state)
+
+
+@kernel
+def run_polynomial(
+    gains: Constants, signals: FloatArray, a: FloatArray, b: FloatArray, out: FloatArray
+) -> None:
+    """The cascade around A(q) rate = B(q) u with a[0] = 1, b[0] = 0; the angle is its sum."""
+    memory = np.zeros(3)
+    clean = np.zeros(signals.shape[1])
+    angle = 0.0
+    for k in range(signals.shape[1]):
+        total = 0.0
+        for i in range(1, min(b.size, k + 1)):
+            total += b[i] * out[2, k - i]
+        for i in range(1, min(a.size, k + 1)):
+            total -= a[i] * clean[k - i]
+        clean[k] = total
+        if k > 0:
+            angle += 0.5 * gains.dt * (clean[k] + clean[k - 1])
+        rate = total + signals[1, k]
+        wanted, u = control(gains, memory, signals[0, k], angle, rate, 0.0)
+        out[0, k], out[1, k], out[2, k], out[3, k] = angle, rate, u, wanted

@@ -1,0 +1,286 @@
+"""The plant as the cascade sees it: one axis with its actuator, delay, sensors and curves.
+
+    w' = (gain * f_command(u(t - delay)) - w) / lag          drive, rad/s²
+    rate' = w - damping * rate + bias + f_rate(rate) + f_angle(angle)
+    angle' = rate
+
+u(t) is held over each control cycle and changes right after the measurement at its start. The
+measured rate and angle are both behind the gyro's 2nd-order Butterworth filter (the attitude
+filter integrates the filtered rate). No controller and no time simulation here (cascade.py,
+simulation.py); how identified effects become curves stands in from_model.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import expm
+
+from quad_sysid.contract import FloatArray
+from quad_sysid.errors import BadInputError
+
+ComplexArray = npt.NDArray[np.complex128]
+
+SHORTEST_LAG_S = 1e-5
+"""A lag below this is none."""
+
+OUTSIDE = ('hold', 'extend')
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """A lookup table on a uniform grid, linear between its points.
+
+    x, y are (m,), m >= 2, x ascending with one step. Outside the grid the end value is held
+    (`hold`) or the end slope goes on (`extend`).
+    """
+
+    x: FloatArray
+    y: FloatArray
+    outside: str = 'extend'
+
+    def __post_init__(self) -> None:
+        """Check shapes, the grid and finiteness; raises BadInputError."""
+        x = np.array(self.x, dtype=float)
+        y = np.array(self.y, dtype=float)
+        if x.ndim != 1 or x.shape != y.shape or x.size < 2:
+            raise BadInputError('Curve', 'x and y must be 1-D of one length >= 2', x.shape)
+        if not (np.isfinite(x).all() and np.isfinite(y).all()):
+            raise BadInputError('Curve', 'x and y must be finite')
+        steps = np.diff(x)
+        if steps[0] <= 0 or not np.allclose(steps, steps[0], rtol=1e-6, atol=0.0):
+            raise BadInputError('Curve', 'x must ascend in equal steps')
+        if self.outside not in OUTSIDE:
+            raise BadInputError('Curve', f'outside must be of {OUTSIDE}', self.outside)
+        x.setflags(write=False)
+        y.setflags(write=False)
+        object.__setattr__(self, 'x', x)
+        object.__setattr__(self, 'y', y)
+
+    @classmethod
+    def sampled(
+        cls, function: Callable[[FloatArray], FloatArray], half_width: float, step: float
+    ) -> Curve:
+        """Table of `function` on -half_width..half_width; zero is a grid point."""
+        count = max(1, int(np.ceil(half_width / step)))
+        x: FloatArray = np.arange(-count, count + 1, dtype=np.float64) * float(step)
+        return cls(x, function(x))
+
+    def __call__(self, x: npt.ArrayLike) -> FloatArray:
+        """Values at `x`, any shape."""
+        step = self.x[1] - self.x[0]
+        position = (np.asarray(x, dtype=float) - self.x[0]) / step
+        if self.outside == 'hold':
+            position = np.clip(position, 0.0, self.x.size - 1.0)
+        index = np.clip(np.floor(position).astype(int), 0, self.x.size - 2)
+        values: FloatArray = self.y[index] + (position - index) * (
+            self.y[index + 1] - self.y[index]
+        )
+        return values
+
+    @property
+    def steepest(self) -> float:
+        """Largest absolute slope."""
+        return float(np.max(np.abs(np.diff(self.y)))) / float(self.x[1] - self.x[0])
+
+    def describing_gain(self, amplitude: float) -> float:
+        """Gain for the first harmonic of a sine: the describing function at `amplitude`."""
+        phase = (np.arange(256) + 0.5) * (2.0 * np.pi / 256)
+        wave = np.sin(phase)
+        return float(2.0 * np.mean(self(amplitude * wave) * wave) / amplitude)
+
+
+@dataclass(frozen=True)
+class LoopPlant:
+    """One axis from the normalised command to the measured rate and angle (module docstring)."""
+
+    gain: float
+    """rad/s² per unit command."""
+    lag_s: float
+    delay_s: float
+    damping: float
+    """1/s."""
+    bias: float
+    """rad/s²."""
+    gyro_filter_hz: float | None
+    dt: float
+    """Control cycle, s."""
+    rate_curve: Curve | None = None
+    """Extra angular acceleration, rad/s², of the rate, rad/s (friction, drag)."""
+    angle_curve: Curve | None = None
+    """Extra angular acceleration, rad/s², of the angle, rad (pendulum)."""
+    command_curve: Curve | None = None
+    """What the command does, in units of command (dead zone, thrust curve)."""
+
+    def __post_init__(self) -> None:
+        """Check that all numbers are finite and times not negative; raises BadInputError."""
+        numbers = (self.gain, self.lag_s, self.delay_s, self.damping, self.bias, self.dt)
+        if not np.isfinite(numbers).all():
+            raise BadInputError('LoopPlant', 'all parameters must be finite', numbers)
+        if self.lag_s < 0 or self.delay_s < 0 or self.dt <= 0:
+            raise BadInputError(
+                'LoopPlant', 'lag and delay must not be negative, dt must be positive',
+                (self.lag_s, self.delay_s, self.dt),
+            )  # fmt: skip
+        filter_hz = self.gyro_filter_hz
+        if filter_hz is not None and not (np.isfinite(filter_hz) and filter_hz > 0):
+            raise BadInputError('LoopPlant', 'gyro_filter_hz must be positive or None', filter_hz)
+
+    @property
+    def whole_delay(self) -> int:
+        """Whole control cycles of the delay."""
+        return int(np.floor(self.delay_s / self.dt + 1e-9))
+
+    @property
+    def rest_delay_s(self) -> float:
+        """What is left of the delay, 0 <= s < dt."""
+        return max(0.0, self.delay_s - self.whole_delay * self.dt)
+
+
+@dataclass(frozen=True)
+class Slopes:
+    """Gains that stand for the three curves in a linear model (0, 0, 1: no curves)."""
+
+    rate: float = 0.0
+    angle: float = 0.0
+    command: float = 1.0
+
+
+def slopes_at(plant: LoopPlant, rate: float, angle: float, command: float) -> Slopes:
+    """Describing gains of the plant's curves for sines of these amplitudes (rad/s, rad, 1)."""
+    return Slopes(
+        rate=0.0 if plant.rate_curve is None else plant.rate_curve.describing_gain(rate),
+        angle=0.0 if plant.angle_curve is None else plant.angle_curve.describing_gain(angle),
+        command=1.0
+        if plant.command_curve is None
+        else plant.command_curve.describing_gain(command),
+    )
+
+
+def dynamics(plant: LoopPlant, slopes: Slopes) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Continuous state matrices of the delay-free plant.
+
+    States (drive, rate, angle[, filtered rate, filtered angle]), the last two one Butterworth
+    filter; returns A (n, n), B (n, 2) for the inputs (f_command(u), torque in rad/s²) and C (2, n)
+    for (measured rate, angle); n is 3 without a gyro filter and 5 with it.
+    """
+    filtered = plant.gyro_filter_hz is not None
+    n = 5 if filtered else 3
+    a = np.zeros((n, n))
+    b = np.zeros((n, 2))
+    c = np.zeros((2, n))
+    lag = max(plant.lag_s, SHORTEST_LAG_S)
+    a[0, 0] = -1.0 / lag
+    b[0, 0] = plant.gain * slopes.command / lag
+    a[1, :3] = (1.0, slopes.rate - plant.damping, slopes.angle)
+    b[1, 1] = 1.0
+    a[2, 1] = 1.0
+    c[0, 3 if filtered else 1] = 1.0
+    c[1, 4 if filtered else 2] = 1.0
+    if plant.gyro_filter_hz is not None:
+        cutoff = 2.0 * np.pi * plant.gyro_filter_hz
+        a[3, 2], a[3, 3], a[3, 4] = cutoff**2, -np.sqrt(2.0) * cutoff, -(cutoff**2)
+        a[4, 3] = 1.0
+    return a, b, c
+
+
+def exact_step(a: FloatArray, b: FloatArray, step_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Transition (..., n, n) and input (..., n, m) matrices over step_s (...) of held inputs."""
+    n, m = b.shape[-2:]
+    steps = np.asarray(step_s, dtype=float)
+    block = np.zeros((*np.broadcast_shapes(a.shape[:-2], steps.shape), n + m, n + m))
+    block[..., :n, :n] = a
+    block[..., :n, n:] = b
+    exact = np.asarray(expm(block * steps[..., None, None]))
+    return exact[..., :n, :n].copy(), exact[..., :n, n:].copy()
+
+
+@dataclass(frozen=True)
+class Step:
+    """One control cycle of several plants: x+ = phi x + now u[k-d] + before u[k-d-1].
+
+    phi (p, n, n); now, before (p, n); c (p, 2, n); whole (p,) is d. Exact for a held command and
+    any delay; the linear part only, curves by `slopes`.
+    """
+
+    phi: FloatArray
+    now: FloatArray
+    before: FloatArray
+    c: FloatArray
+    whole: npt.NDArray[np.int64]
+    dt: float
+
+    def response(self, omega: FloatArray) -> ComplexArray:
+        """(2, p, f) discrete frequency response of measured rate and angle at omega, rad/s."""
+        z = np.exp(1j * omega * self.dt)
+        n = self.phi.shape[-1]
+        delay = z[None, :] ** -self.whole[:, None].astype(float)
+        right = (
+            self.now[:, None, :] * delay[..., None]
+            + self.before[:, None, :] * (delay / z)[..., None]
+        )
+        left = z[None, :, None, None] * np.eye(n) - self.phi[:, None]
+        states = np.linalg.solve(left, right[..., None])[..., 0]
+        return np.asarray(np.einsum('pon,pfn->opf', self.c, states))
+
+
+def exact_cycles(plants: Sequence[LoopPlant], slopes: Sequence[Slopes]) -> Step:
+    """The plants' exact control cycle, all of one dt and all with or all without gyro filter."""
+    dt = plants[0].dt
+    if any(p.dt != dt or (p.gyro_filter_hz is None) != (plants[0].gyro_filter_hz is None)
+           for p in plants):  # fmt: skip
+        raise BadInputError('exact_cycles', 'plants must share dt and the presence of a filter')
+    parts = [dynamics(p, s) for p, s in zip(plants, slopes, strict=True)]
+    a = np.stack([part[0] for part in parts])
+    b = np.stack([part[1][:, :1] for part in parts])
+    rest = np.array([p.rest_delay_s for p in plants])
+    _, late = exact_step(a, b, rest)
+    remain, now = exact_step(a, b, dt - rest)
+    phi, _ = exact_step(a, b, np.full(len(plants), dt))
+    return Step(
+        phi=phi,
+        now=now[..., 0],
+        before=np.einsum('pij,pj->pi', remain, late[..., 0]),
+        c=np.stack([part[2] for part in parts]),
+        whole=np.array([p.whole_delay for p in plants], dtype=np.int64),
+        dt=dt,
+    )
+
+
+@dataclass(frozen=True)
+class StateSpace:
+    """x+ = a x + b u, y = c x; y = (measured rate, measured angle); delay states at the end."""
+
+    a: FloatArray
+    b: FloatArray
+    c: FloatArray
+    dt: float
+
+
+def state_space(plant: LoopPlant, slopes: Slopes | None = None) -> StateSpace:
+    """The linearised plant with its delay as states (n + d + 1): core, u[k-1], ..., u[k-d-1].
+
+    `slopes` stand for the curves (None: no curves). Source: Franklin, Powell, Workman, Digital
+    Control of Dynamic Systems, 3rd ed., section 4.3 (delay that is no whole number of cycles).
+    """
+    cycle = exact_cycles([plant], [slopes or Slopes()])
+    n = cycle.phi.shape[-1]
+    d = int(cycle.whole[0])
+    size = n + d + 1
+    a = np.zeros((size, size))
+    b = np.zeros((size, 1))
+    a[:n, :n] = cycle.phi[0]
+    a[:n, n + d] = cycle.before[0]
+    if d == 0:
+        b[:n, 0] = cycle.now[0]
+    else:
+        a[:n, n + d - 1] = cycle.now[0]
+    b[n, 0] = 1.0
+    for i in range(d):
+        a[n + 1 + i, n + i] = 1.0
+    c = np.zeros((2, size))
+    c[:, :n] = cycle.c[0]
+    return StateSpace(a, b, c, plant.dt)
