@@ -18,7 +18,9 @@ page = pytest.mark.parametrize('path', PAGES, ids=lambda p: str(p.relative_to(RO
 @page
 def test_make_targets_exist(path: Path) -> None:
     targets = set(re.findall(r'^([a-z-]+):', (ROOT / 'Makefile').read_text(), re.MULTILINE))
-    named = re.findall(r'`make ([a-z-]+)|^\s*(?:\$ )?make ([a-z-]+)', path.read_text(), re.MULTILINE)
+    named = re.findall(
+        r'`make ([a-z-]+)|^\s*(?:\$ )?make ([a-z-]+)', path.read_text(), re.MULTILINE
+    )
     assert {a or b for a, b in named} <= targets
 
 
