@@ -1,0 +1,262 @@
+"""Fit a structure by its free run over training windows, with standard errors that hold.
+
+The criterion is the contract's own error, so a base fitted here is the best base in that metric.
+The state correction (Kalman gain) is chosen on the training data too, by the same criterion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from quad_sysid.contract import FloatArray
+from quad_sysid.errors import NotInformativeError
+from quad_sysid.greybox import levenberg, noise
+from quad_sysid.greybox.data import AxisData, Span, Windows
+from quad_sysid.greybox.simulate import N_BASE, Simulator
+from quad_sysid.greybox.structure import BASE_PARAMETERS, Effect, Settings, Structure
+
+BLOCK_S = 2.0
+"""Windows closer than this are not counted as independent in standard errors."""
+
+RATIOS = np.logspace(-1.0, 4.0, 11)
+"""Torque noise over measurement noise tried for the state correction, (rad/s²)/√Hz per rad/s."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A fitted structure on training windows."""
+
+    structure: Structure
+    theta: FloatArray
+    """(p,) in the order of structure.names."""
+    covariance: FloatArray
+    """(p, p) cluster-robust; NaN rows and columns for parameters held at a bound."""
+    jacobian: FloatArray
+    """(windows, length, p) of the free-run error."""
+    errors: FloatArray
+    """(windows, length) free-run error on the training windows, rad/s."""
+    converged: bool
+    iterations: int
+    at_bound: np.ndarray
+
+    @property
+    def rms(self) -> float:
+        """Training RMS of the free-run error, rad/s."""
+        return float(np.sqrt(np.mean(self.errors**2)))
+
+    @property
+    def std(self) -> FloatArray:
+        """(p,) standard errors, NaN at a bound."""
+        return np.sqrt(np.diag(self.covariance))
+
+
+def simulator(
+    data: AxisData, spans: Sequence[Span], correction: FloatArray, stride_s: float = 0.5
+) -> Simulator:
+    """A simulator over the windows of `spans`."""
+    return Simulator(data, tuple(spans), data.windows(spans, stride_s), correction)
+
+
+def fit_structure(
+    sim: Simulator,
+    structure: Structure,
+    start: FloatArray,
+    *,
+    max_iterations: int = 40,
+    free: np.ndarray | None = None,
+) -> Fit:
+    """Least squares of the free-run error from `start` (p,); `free` (p,) False holds a value."""
+    specs = structure.specs
+    lower = np.array([s.lower for s in specs])
+    upper = np.array([s.upper for s in specs])
+    scale = np.array([s.scale for s in specs])
+    scale[0] = max(abs(start[0]) * 0.1, 1e-6)
+    index = np.arange(start.size) if free is None else np.flatnonzero(free)
+    full = np.array(start, dtype=float)
+
+    def residual(part: FloatArray) -> FloatArray:
+        theta = full.copy()
+        theta[index] = part
+        errors: FloatArray = sim.run(structure, theta).errors.ravel()
+        return errors if np.isfinite(errors).all() else np.full(errors.size, 1e6)
+
+    found = levenberg.minimise(
+        residual, full[index], lower[index], upper[index], scale[index],
+        max_iterations=max_iterations,
+    )
+    theta = full.copy()
+    theta[index] = found.theta
+    shape = (sim.windows.count, sim.windows.length)
+    jacobian = np.zeros((found.residual.size, theta.size))
+    jacobian[:, index] = found.jacobian
+    at_bound = np.ones(theta.size, dtype=bool)
+    at_bound[index] = found.at_bound
+    jacobian = jacobian.reshape(*shape, theta.size)
+    errors = found.residual.reshape(shape)
+    return Fit(
+        structure=structure,
+        theta=theta,
+        covariance=robust_covariance(jacobian, errors, at_bound, sim.windows, sim.data.dt),
+        jacobian=jacobian,
+        errors=errors,
+        converged=found.converged,
+        iterations=found.iterations,
+        at_bound=at_bound,
+    )
+
+
+def block_numbers(windows: Windows, dt: float, block_s: float = BLOCK_S) -> np.ndarray:
+    """(windows,) number of the block of `block_s` s each window lies in; spans never share one."""
+    if not windows.count:
+        return np.zeros(0, dtype=np.int64)
+    position = windows.starts * dt
+    key = windows.spans * 10**9 + (position // block_s).astype(np.int64)
+    return np.unique(key, return_inverse=True)[1].reshape(-1)
+
+
+def robust_covariance(
+    jacobian: FloatArray, errors: FloatArray, held: np.ndarray, windows: Windows, dt: float
+) -> FloatArray:
+    """Sandwich covariance with blocks of windows as clusters (Liang and Zeger 1986)."""
+    p = jacobian.shape[2]
+    out = np.full((p, p), np.nan)
+    index = np.flatnonzero(~held)
+    if not index.size or not windows.count:
+        return out
+    j = jacobian[:, :, index]
+    scores = np.einsum('wlp,wl->wp', j, errors)
+    blocks = block_numbers(windows, dt)
+    count = int(blocks.max()) + 1
+    summed = np.zeros((count, index.size))
+    np.add.at(summed, blocks, scores)
+    triangle = np.linalg.qr(j.reshape(-1, index.size), mode='r')
+    norms = np.linalg.norm(triangle, axis=0)
+    norms[norms == 0] = 1.0
+    inverse = np.linalg.pinv(triangle / norms) / norms[:, None]
+    bread = inverse @ inverse.T
+    small_sample = count / max(count - index.size, 1)
+    out[np.ix_(index, index)] = small_sample * bread @ (summed.T @ summed) @ bread
+    return out
+
+
+def fit_base(data: AxisData, spans: Sequence[Span]) -> tuple[Fit, noise.NoiseModel, Simulator]:
+    """The contract's base on `spans`, from several starts, with its state correction.
+
+    Raises NotInformativeError where the spans are too short or not excited.
+    """
+    windows = data.windows(spans)
+    if windows.count < 8:
+        raise NotInformativeError(
+            f'{data.axis}: training holds {windows.count} windows of 0.5 s, at least 8 are '
+            'needed; fly a longer excitation or widen --train'
+        )
+    _check_excitation(data, spans)
+    base = Structure()
+    model = noise.white_noise_model(3.0, 0.3, data, before_filter=False)
+    sim = simulator(data, spans, model.correction)
+    best: Fit | None = None
+    for lag in BASE_PARAMETERS[1].starts:
+        for delay in BASE_PARAMETERS[2].starts:
+            start = np.array([1.0, lag, delay, 0.5, 0.0])
+            start[[0, 3, 4]] = _linear_start(sim, base, start)
+            fit = fit_structure(sim, base, start, max_iterations=6)
+            if best is None or fit.rms < best.rms:
+                best = fit
+    assert best is not None  # noqa: S101 - both start lists hold values
+    return settle(sim, best)
+
+
+def settle(sim: Simulator, fit: Fit) -> tuple[Fit, noise.NoiseModel, Simulator]:
+    """Choose the state correction for a structure, then finish the fit with it; twice."""
+    model = best_correction(sim, fit)
+    for _ in range(2):
+        sim = replace(sim, correction=model.correction, _cache={})
+        fit = fit_structure(sim, fit.structure, fit.theta)
+        again = best_correction(sim, fit)
+        if np.allclose(again.correction, model.correction, rtol=0.05):
+            break
+        model = again
+    return fit, model, sim
+
+
+def best_correction(sim: Simulator, fit: Fit) -> noise.NoiseModel:
+    """The Kalman gain with the smallest free-run error on the training windows."""
+    data = sim.data
+
+    def score(exponent: float, before_filter: bool) -> tuple[float, noise.NoiseModel]:
+        model = noise.white_noise_model(
+            10.0**exponent, float(fit.theta[3]), data, before_filter=before_filter
+        )
+        run = replace(sim, correction=model.correction, _cache=sim._cache).run(
+            fit.structure, fit.theta
+        )
+        rms = run.rms
+        if not np.isfinite(rms):
+            return rms, model
+        innovations = run.innovations[np.isfinite(run.innovations)]
+        return rms, noise.scaled(model, float(np.sqrt(np.mean(innovations**2))))
+
+    kinds = (False, True) if data.gyro_filter_hz else (False,)
+    tried = {
+        (float(x), kind): score(float(x), kind)
+        for kind in kinds for x in np.log10(RATIOS)
+    }
+    (centre, kind), _ = min(tried.items(), key=lambda item: item[1][0])
+    fine = [score(centre + shift, kind) for shift in (-0.33, -0.17, 0.0, 0.17, 0.33)]
+    return min(fine, key=lambda item: item[0])[1]
+
+
+def fit_with_effect(
+    sim: Simulator, base: Fit, effect: Effect, settings: Settings, *, max_iterations: int = 30
+) -> Fit:
+    """Base and one more effect fitted together, from every start the effect names."""
+    structure = base.structure.with_effect(effect, settings)
+    starts: list[list[float]] = [[]]
+    for spec in effect.parameters:
+        starts = [[*s, value] for s in starts for value in spec.starts]
+    best: Fit | None = None
+    for values in starts:
+        start = np.r_[base.theta, values]
+        fit = fit_structure(sim, structure, start, max_iterations=max_iterations)
+        if best is None or fit.rms < best.rms:
+            best = fit
+    assert best is not None  # noqa: S101 - an effect has at least one start
+    return best
+
+
+def _linear_start(sim: Simulator, base: Structure, start: FloatArray) -> FloatArray:
+    """Gain, damping and bias for given lag and delay, by one linear solve from small values."""
+    theta = start.copy()
+    theta[[0, 3, 4]] = [0.0, 0.3, 0.0]
+    zero = sim.run(base, theta).errors.ravel()
+    columns = []
+    for index, step in ((0, 1.0), (4, 1e-3)):
+        moved = theta.copy()
+        moved[index] += step
+        columns.append((sim.run(base, moved).errors.ravel() - zero) / step)
+    solution = np.linalg.lstsq(np.stack(columns, axis=1), -zero, rcond=None)[0]
+    return np.array([solution[0], 0.3, solution[1]])
+
+
+def _check_excitation(data: AxisData, spans: Sequence[Span]) -> None:
+    """Refuse what no fit can answer: a command that never moves, a rate that never answers."""
+    command = np.concatenate([data.command[a:b] for a, b in spans])
+    rate = np.concatenate([data.rate[a:b] for a, b in spans])
+    if np.ptp(command) < 1e-9:
+        raise NotInformativeError(
+            f'{data.axis}: the command never moves during training; excite this axis'
+        )
+    if np.ptp(rate) < 1e-9:
+        raise NotInformativeError(
+            f'{data.axis}: the measured rate is constant during training; '
+            'check the gyro and that the axis is free to turn'
+        )
+
+
+__all__ = [
+    'N_BASE', 'Fit', 'best_correction', 'block_numbers', 'fit_base', 'fit_structure',
+    'fit_with_effect', 'settle', 'simulator',
+]

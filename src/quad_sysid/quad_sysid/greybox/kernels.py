@@ -1,0 +1,212 @@
+"""Compiled inner loops of the grey box: exact feed-forward response, tracking, free run.
+
+Only arithmetic on arrays; what the numbers mean stands in drive.py, simulate.py and
+effects/table.py. The axis is
+
+    rate' = K w(t) + x(t) - c rate + bias + terms(rate, angle)        angle' = rate
+
+with w the lagged, delayed command and x what else is known over time. The part driven by inputs
+alone is solved exactly (`feedforward`); the rest, v = rate - rate_d, is smooth within a cycle and
+takes one classical Runge-Kutta step a cycle.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+QUADRATIC, COULOMB, PENDULUM, CUBIC, RATE_CURVE, ANGLE_CURVE, RATE_TIMES, SIGNAL = range(1, 9)
+
+_OPTIONS = {'cache': True, 'error_model': 'numpy', 'fastmath': {'contract', 'nsz', 'arcp'}}
+
+
+@njit(inline='always', **_OPTIONS)
+def _curve(values, j, x):
+    """Value at x of a linear curve: values[j] = [x0, step, count, y0, y1, ...]."""
+    last = int(values[j, 2]) - 1
+    position = (x - values[j, 0]) / values[j, 1]
+    index = min(max(int(math.floor(position)), 0), last - 1)
+    fraction = min(max(position - index, -0.5), 1.5)
+    low = values[j, 3 + index]
+    return low + fraction * (values[j, 4 + index] - low)
+
+
+@njit(inline='always', **_OPTIONS)
+def _torque(rate, angle, k, codes, values, signals):
+    """Sum of the feedback terms, rad/s²: codes (m,), values (m, q), signals (m, n)."""
+    total = 0.0
+    for j in range(codes.size):
+        code = codes[j]
+        if code == QUADRATIC:
+            total -= values[j, 0] * rate * abs(rate)
+        elif code == COULOMB:
+            total -= values[j, 0] * math.tanh(rate / values[j, 1])
+        elif code == PENDULUM:
+            total -= values[j, 0] * math.sin(angle)
+        elif code == CUBIC:
+            total -= values[j, 0] * angle * angle * angle
+        elif code == RATE_CURVE:
+            total += _curve(values, j, rate)
+        elif code == ANGLE_CURVE:
+            total += _curve(values, j, angle)
+        elif code == RATE_TIMES:
+            total -= values[j, 0] * rate * signals[j, k]
+        elif code == SIGNAL:
+            total += values[j, 0] * signals[j, k]
+    return total
+
+
+@njit(**_OPTIONS)
+def feedforward(command, whole, matrices, inputs, pattern, gyro, start, stop, out):
+    """Exact response of lag, integrators and gyro filter to a held command, for unit gain.
+
+    command (n,) held from one cycle to the next; `whole` cycles of delay; the cycle is cut at
+    the command's change and at its middle: matrices (s, 3, 3) and inputs (s, 3) step the state
+    (lag, rate, angle) over each part, the new command rules where pattern[i] is 1, the half
+    cycle lies after part pattern[s]. gyro (2, 5) as in `track`. out (5, n): rate, rate at half
+    cycle, angle, angle at half cycle, gyro output; filled in [start, stop).
+    """
+    lag = command[start]
+    rate = 0.0
+    angle = 0.0
+    g = 0.0
+    d = 0.0
+    parts = matrices.shape[0]
+    half_after = pattern[parts]
+    for k in range(start, stop):
+        out[0, k] = rate
+        out[2, k] = angle
+        out[4, k] = g
+        new = command[max(k - whole, start)]
+        before = command[max(k - whole - 1, start)]
+        for i in range(parts):
+            u = new if pattern[i] == 1 else before
+            a = matrices[i]
+            b = inputs[i]
+            angle += a[2, 1] * rate + a[2, 0] * lag + b[2] * u
+            rate += a[1, 0] * lag + b[1] * u
+            lag = a[0, 0] * lag + b[0] * u
+            if i == half_after:
+                out[1, k] = rate
+                out[3, k] = angle
+        rate0 = out[0, k]
+        middle = out[1, k]
+        new_g = (gyro[0, 0] * g + gyro[0, 1] * d + gyro[0, 2] * rate0 + gyro[0, 3] * middle
+                 + gyro[0, 4] * rate)
+        d = (gyro[1, 0] * g + gyro[1, 1] * d + gyro[1, 2] * rate0 + gyro[1, 3] * middle
+             + gyro[1, 4] * rate)
+        g = new_g
+
+
+@njit(inline='always', **_OPTIONS)
+def _step(v, s, k, gain, known, damping, bias, dt, codes, values, signals):
+    """One Runge-Kutta step of v = rate - rate_d and s = angle - angle_d; also v at half cycle."""
+    first = 0.0
+    slope = 0.0
+    shift = v
+    sum_v = 0.0
+    sum_s = 0.0
+    trial = v
+    for stage in range(4):
+        reach = 0.0 if stage == 0 else (0.5 * dt if stage < 3 else dt)
+        if stage == 0:
+            rate_d, angle_d = known[0, k], known[2, k]
+        elif stage < 3:
+            rate_d, angle_d = known[1, k], known[3, k]
+        else:
+            rate_d, angle_d = known[0, k + 1], known[2, k + 1]
+        trial = v + reach * slope
+        angle = gain * angle_d + s + reach * shift
+        rate = gain * rate_d + trial
+        shift = trial
+        slope = bias - damping * rate + _torque(rate, angle, k, codes, values, signals)
+        if stage == 0:
+            first = slope
+        weight = 1.0 if stage == 0 or stage == 3 else 2.0
+        sum_v += weight * slope
+        sum_s += weight * trial
+    new_v = v + dt / 6.0 * sum_v
+    new_s = s + dt / 6.0 * sum_s
+    # cubic Hermite value at the half cycle, for the gyro filter behind
+    return new_v, new_s, 0.5 * (v + new_v) + 0.125 * dt * (first - slope)
+
+
+@njit(**_OPTIONS)
+def track(rate, angle, has_angle, known, gain, damping, bias, dt, codes, values, signals,
+          filtered, gyro, correction, start, stop, starts, length, innovations, windows):
+    """Follow the measured rate over [start, stop) and run free from each window's start.
+
+    rate, angle (n,) measured; known (5, n) from `feedforward`; gyro (2, 5): state transition and
+    weights of v at begin, half and end of the cycle; correction (4,): what the innovation adds to
+    v, to the filter's two states, and to its second state one cycle later. starts (w,) ascending; innovations (n,) and windows (w, length) receive the
+    one-step error and the free-run prediction. A window sees nothing measured at or after its
+    first sample.
+    """
+    v = rate[start] - gain * known[0, start]
+    s = (angle[start] - gain * known[2, start]) if has_angle else 0.0
+    g = rate[start] - gain * known[4, start]
+    d = 0.0
+    nxt = np.searchsorted(starts, start)
+    first = nxt
+    begin = np.empty((starts.size, 4))
+    for k in range(start, stop):
+        if nxt < starts.size and starts[nxt] == k:
+            begin[nxt, 0], begin[nxt, 1], begin[nxt, 2], begin[nxt, 3] = v, s, g, d
+            nxt += 1
+        predicted = gain * known[4, k] + g if filtered else gain * known[0, k] + v
+        e = rate[k] - predicted
+        innovations[k] = e
+        if k + 1 >= stop:
+            break
+        v += correction[0] * e
+        g += correction[1] * e
+        d += correction[2] * e
+        if has_angle:
+            s = angle[k] - gain * known[2, k]
+        new_v, s, middle = _step(v, s, k, gain, known, damping, bias, dt, codes, values, signals)
+        if filtered:
+            new_g = (gyro[0, 0] * g + gyro[0, 1] * d + gyro[0, 2] * v + gyro[0, 3] * middle
+                     + gyro[0, 4] * new_v)
+            d = (gyro[1, 0] * g + gyro[1, 1] * d + gyro[1, 2] * v + gyro[1, 3] * middle
+                 + gyro[1, 4] * new_v) + correction[3] * e
+            g = new_g
+        v = new_v
+    for w in range(first, nxt):
+        v, s, g, d = begin[w, 0], begin[w, 1], begin[w, 2], begin[w, 3]
+        for i in range(length):
+            k = starts[w] + i
+            windows[w, i] = gain * known[4, k] + g if filtered else gain * known[0, k] + v
+            if k + 1 >= stop:
+                break
+            new_v, s, middle = _step(
+                v, s, k, gain, known, damping, bias, dt, codes, values, signals
+            )
+            if filtered:
+                new_g = (gyro[0, 0] * g + gyro[0, 1] * d + gyro[0, 2] * v + gyro[0, 3] * middle
+                         + gyro[0, 4] * new_v)
+                d = (gyro[1, 0] * g + gyro[1, 1] * d + gyro[1, 2] * v + gyro[1, 3] * middle
+                     + gyro[1, 4] * new_v)
+                g = new_g
+            v = new_v
+
+
+@njit(**_OPTIONS)
+def steady_covariance(f, q, c, r, iterations):
+    """(n, n) predicted covariance of the stationary Kalman filter, by iterating Riccati's equation.
+
+    f (n, n) transition, q (n, n) its noise, c (n,) output, r its noise.
+    """
+    p = q.copy() + np.eye(f.shape[0])
+    for _ in range(iterations):
+        pc = p @ c
+        s = c @ pc + r
+        corrected = p - np.outer(pc, pc) / s
+        new = f @ corrected @ f.T + q
+        new = 0.5 * (new + new.T)
+        change = np.max(np.abs(new - p))
+        p = new
+        if change <= 1e-12 * np.max(np.abs(p)):
+            break
+    return p

@@ -1,0 +1,110 @@
+"""What a grey-box structure is: the base's parameters and the effects added to it.
+
+The table of effects stands in quad_sysid.effects; nothing is simulated here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from quad_sysid.contract import FloatArray
+from quad_sysid.greybox.data import AxisData
+
+Settings = Mapping[str, float | str | tuple[float, ...]]
+
+
+@dataclass(frozen=True)
+class ParameterSpec:
+    """One parameter: unit, bounds, and values to start the fit from."""
+
+    name: str
+    unit: str
+    lower: float
+    upper: float
+    starts: tuple[float, ...]
+    scale: float
+    """A typical size: the fit's first scaling, and what counts as a small change."""
+
+
+BASE_PARAMETERS = (
+    ParameterSpec('gain', 'rad/s² per unit command', -np.inf, np.inf, (), 100.0),
+    ParameterSpec('lag', 's', 0.0, 1.0, (0.03, 0.1), 0.03),
+    ParameterSpec('delay', 's', 0.0, 0.1, (0.004, 0.016), 0.008),
+    ParameterSpec('damping', '1/s', -5.0, 100.0, (0.5,), 0.5),
+    ParameterSpec('bias', 'rad/s²', -np.inf, np.inf, (0.0,), 0.5),
+)
+"""The contract's base: rate' = gain (command behind delay and lag) - damping rate + bias."""
+
+
+@dataclass(frozen=True)
+class Term:
+    """A feedback or known torque for the compiled loop: its code, numbers and signal (n,)."""
+
+    code: int
+    values: tuple[float, ...]
+    signal: FloatArray | None = None
+
+
+@dataclass(frozen=True)
+class Effect:
+    """A physical effect that the base lacks. One entry of effects/table.py.
+
+    It acts on the command before delay and lag (`command`), or adds a torque (`torque`), or both.
+    Both get the parameters (p,) in the order of `parameters` and the settings of `prepare`.
+    """
+
+    name: str
+    signals: tuple[str, ...]
+    parameters: tuple[ParameterSpec, ...]
+    physics: str
+    """The equation, with units, and its source."""
+    excite: str
+    """Which test flight would show it."""
+    kind: str = 'named'
+    prepare: Callable[[AxisData], Settings | str] | None = None
+    """Settings from the training data, or in words why it cannot be tested on them."""
+    command: Callable[[AxisData, FloatArray, FloatArray, Settings], FloatArray] | None = None
+    torque: Callable[[AxisData, FloatArray, Settings], Term] | None = None
+
+
+@dataclass(frozen=True)
+class Structure:
+    """The base and the effects on top, with the settings each effect was prepared with."""
+
+    effects: tuple[Effect, ...] = ()
+    settings: tuple[Settings, ...] = field(default=())
+
+    @property
+    def specs(self) -> tuple[ParameterSpec, ...]:
+        """All parameters in the order of the vector: base first, then effect by effect."""
+        return BASE_PARAMETERS + tuple(p for e in self.effects for p in e.parameters)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """`gain`, …, then `<effect>.<parameter>`."""
+        return tuple(p.name for p in BASE_PARAMETERS) + tuple(
+            f'{e.name}.{p.name}' for e in self.effects for p in e.parameters
+        )
+
+    def slices(self) -> list[slice]:
+        """Where each effect's parameters stand in the vector."""
+        out: list[slice] = []
+        position = len(BASE_PARAMETERS)
+        for effect in self.effects:
+            out.append(slice(position, position + len(effect.parameters)))
+            position += len(effect.parameters)
+        return out
+
+    def with_effect(self, effect: Effect, settings: Settings) -> Structure:
+        """This structure with one more effect."""
+        return Structure((*self.effects, effect), (*self.settings, settings))
+
+    def without(self, name: str) -> Structure:
+        """This structure less one effect."""
+        keep = [i for i, e in enumerate(self.effects) if e.name != name]
+        return Structure(
+            tuple(self.effects[i] for i in keep), tuple(self.settings[i] for i in keep)
+        )
