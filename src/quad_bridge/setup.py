@@ -23,5 +23,9 @@ setup(
     zip_safe=False,
     license='Apache-2.0',
     description='Serial bridge, bag logger and virtual STM32 for the quad suite.',
-    entry_points={'console_scripts': []},
+    entry_points={
+        'console_scripts': [
+            'virtual_stm32 = quad_bridge.virtual.process:main',
+        ]
+    },
 )

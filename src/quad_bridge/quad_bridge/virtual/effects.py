@@ -16,7 +16,7 @@ from quad_bridge.virtual.airframe import Vector, require
 class ThrustCurve:
     """thrust = full thrust ((1 - curvature) n + curvature n^2), n the lagged command."""
 
-    on: bool = False
+    enabled: bool = False
     curvature: float = 0.5
 
 
@@ -24,7 +24,7 @@ class ThrustCurve:
 class BatterySag:
     """Thrust follows (voltage / reference)^exponent."""
 
-    on: bool = False
+    enabled: bool = False
     exponent: float = 1.5
     reference_v: float = 11.1
 
@@ -33,7 +33,7 @@ class BatterySag:
 class CoulombFriction:
     """Constant torque against the rate's sign, with true sticking."""
 
-    on: bool = False
+    enabled: bool = False
     torque_nm: Vector = (0.004, 0.004, 0.004)
 
 
@@ -41,7 +41,7 @@ class CoulombFriction:
 class Stribeck:
     """Friction coulomb + (static - coulomb) exp(-(rate / speed)^2) against the rate."""
 
-    on: bool = False
+    enabled: bool = False
     static_nm: Vector = (0.012, 0.012, 0.012)
     coulomb_nm: Vector = (0.004, 0.004, 0.004)
     speed_rad_s: float = 0.15
@@ -51,7 +51,7 @@ class Stribeck:
 class QuadraticDrag:
     """Torque -coefficient rate |rate|."""
 
-    on: bool = False
+    enabled: bool = False
     coefficient_nm_s2: Vector = (0.006, 0.006, 0.006)
 
 
@@ -59,7 +59,7 @@ class QuadraticDrag:
 class PendulumStiffness:
     """Torque -stiffness sin(angle) about roll and pitch; negative: centre of mass above."""
 
-    on: bool = False
+    enabled: bool = False
     stiffness_nm_rad: Vector = (0.15, 0.15, 0.0)
 
 
@@ -67,7 +67,7 @@ class PendulumStiffness:
 class CubicStiffness:
     """Torque -stiffness angle^3."""
 
-    on: bool = False
+    enabled: bool = False
     stiffness_nm_rad3: Vector = (3.0, 3.0, 0.0)
 
 
@@ -75,7 +75,7 @@ class CubicStiffness:
 class DeadZone:
     """The command of an axis does nothing within +-half_width, and is shifted by it outside."""
 
-    on: bool = False
+    enabled: bool = False
     half_width: Vector = (0.003, 0.003, 0.003)
 
 
@@ -83,7 +83,7 @@ class DeadZone:
 class Backlash:
     """Play of +-half_width between the command of an axis and its torque."""
 
-    on: bool = False
+    enabled: bool = False
     half_width: Vector = (0.004, 0.004, 0.004)
 
 
@@ -91,7 +91,7 @@ class Backlash:
 class Saturation:
     """The motors' own limits, narrower than what /motors/command shows."""
 
-    on: bool = False
+    enabled: bool = False
     lower: float = 0.2
     upper: float = 0.45
 
@@ -100,7 +100,7 @@ class Saturation:
 class MotorLag:
     """The given motors (1..4) are slower than the others."""
 
-    on: bool = False
+    enabled: bool = False
     motors: tuple[int, ...] = (1,)
     slow_time_constant_s: float = 0.12
 
@@ -114,7 +114,7 @@ class MotorLag:
 class GyroscopicCoupling:
     """Rotors' angular momentum, eqs. (4), (5) with opposite signs, plus a constant one."""
 
-    on: bool = False
+    enabled: bool = False
     rotor_scale: float = 1.0
     extra_momentum_nm_s: float = 0.0
     """Of something that spins steadily about body z, positive counter-clockwise from above."""
@@ -124,14 +124,14 @@ class GyroscopicCoupling:
 class InertiaCoupling:
     """Euler's term -rate x (I rate) of eqs. (4) to (6); nothing on the rig."""
 
-    on: bool = False
+    enabled: bool = False
 
 
 @dataclass(frozen=True)
 class CrossAxisInput:
     """A fraction of one axis' command also acts on another axis."""
 
-    on: bool = False
+    enabled: bool = False
     fraction: float = 0.1
     from_axis: str = 'pitch'
     to_axis: str = 'roll'
@@ -146,7 +146,7 @@ class CrossAxisInput:
 class Resonance:
     """A light mode in the drive: adds peak * drive at its frequency, nothing far from it."""
 
-    on: bool = False
+    enabled: bool = False
     frequency_hz: float = 6.0
     damping_ratio: float = 0.05
     peak: Vector = (1.0, 1.0, 1.0)
@@ -156,7 +156,7 @@ class Resonance:
 class PeriodicDisturbance:
     """A sinusoidal torque; the phase is drawn from the seed."""
 
-    on: bool = False
+    enabled: bool = False
     frequency_hz: float = 2.3
     amplitude_nm: Vector = (0.01, 0.01, 0.01)
 
@@ -165,7 +165,7 @@ class PeriodicDisturbance:
 class StepEvent:
     """From `time_s` on the drive is scaled by 1 + gain_change and a torque added."""
 
-    on: bool = False
+    enabled: bool = False
     time_s: float = 30.0
     gain_change: Vector = (0.0, 0.0, 0.0)
     torque_nm: Vector = (0.01, 0.01, 0.01)
@@ -175,7 +175,7 @@ class StepEvent:
 class Vibration:
     """Lines in the gyro before its filter, rad/s each."""
 
-    on: bool = False
+    enabled: bool = False
     frequency_hz: tuple[float, ...] = (47.0, 94.0)
     amplitude_rad_s: tuple[float, ...] = (0.05, 0.02)
 

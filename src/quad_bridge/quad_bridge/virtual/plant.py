@@ -156,9 +156,9 @@ def _around(around: Surroundings, inertia: FloatArray) -> dict[str, object]:
 def _motors_and_battery(airframe: Airframe, effects: Effects) -> dict[str, object]:
     motors, battery = airframe.motors, airframe.battery
     lag = np.full(4, motors.lag_s)
-    if effects.motor_lag.on:
+    if effects.motor_lag.enabled:
         lag[[m - 1 for m in effects.motor_lag.motors]] = effects.motor_lag.slow_time_constant_s
-    limited = effects.saturation.on
+    limited = effects.saturation.enabled
     return {
         'full_thrust': motors.full_thrust_n,
         'lag': lag,
@@ -172,34 +172,34 @@ def _motors_and_battery(airframe: Airframe, effects: Effects) -> dict[str, objec
         'resistance': battery.resistance_ohm,
         'capacity_as': battery.capacity_ah * 3600.0,
         'idle_current': battery.idle_current_a,
-        'curvature': effects.thrust_curve.curvature if effects.thrust_curve.on else 0.0,
-        'sag_exponent': effects.battery_sag.exponent if effects.battery_sag.on else 0.0,
+        'curvature': effects.thrust_curve.curvature if effects.thrust_curve.enabled else 0.0,
+        'sag_exponent': effects.battery_sag.exponent if effects.battery_sag.enabled else 0.0,
         'sag_reference_v': effects.battery_sag.reference_v,
     }
 
 
 def _resistances(effects: Effects) -> dict[str, object]:
     stribeck = effects.stribeck
-    low = _strength(stribeck.on, stribeck.coulomb_nm)
+    low = _strength(stribeck.enabled, stribeck.coulomb_nm)
     return {
         'dry_low': low
-        + _strength(effects.coulomb_friction.on, effects.coulomb_friction.torque_nm),
-        'dry_extra': _strength(stribeck.on, stribeck.static_nm) - low,
+        + _strength(effects.coulomb_friction.enabled, effects.coulomb_friction.torque_nm),
+        'dry_extra': _strength(stribeck.enabled, stribeck.static_nm) - low,
         'dry_speed': stribeck.speed_rad_s,
         'quadratic_drag': _strength(
-            effects.quadratic_drag.on, effects.quadratic_drag.coefficient_nm_s2
+            effects.quadratic_drag.enabled, effects.quadratic_drag.coefficient_nm_s2
         ),
-        'springs': effects.pendulum_stiffness.on or effects.cubic_stiffness.on,
+        'springs': effects.pendulum_stiffness.enabled or effects.cubic_stiffness.enabled,
         'pendulum': _strength(
-            effects.pendulum_stiffness.on, effects.pendulum_stiffness.stiffness_nm_rad
+            effects.pendulum_stiffness.enabled, effects.pendulum_stiffness.stiffness_nm_rad
         ),
-        'cubic': _strength(effects.cubic_stiffness.on, effects.cubic_stiffness.stiffness_nm_rad3),
+        'cubic': _strength(effects.cubic_stiffness.enabled, effects.cubic_stiffness.stiffness_nm_rad3),
     }
 
 
 def _couplings(airframe: Airframe, effects: Effects) -> dict[str, object]:
     cross = np.zeros((3, 3))
-    if effects.cross_axis_input.on:
+    if effects.cross_axis_input.enabled:
         gain = axis_gains(airframe) * np.array(airframe.inertia_kg_m2)
         to, source = (
             AXES.index(effects.cross_axis_input.to_axis),
@@ -208,13 +208,13 @@ def _couplings(airframe: Airframe, effects: Effects) -> dict[str, object]:
         cross[to, source] = effects.cross_axis_input.fraction * gain[to] / gain[source]
     gyro = effects.gyroscopic_coupling
     return {
-        'gyro_scale': gyro.rotor_scale if gyro.on else 0.0,
-        'gyro_momentum': gyro.extra_momentum_nm_s if gyro.on else 0.0,
-        'euler_term': 1.0 if effects.inertia_coupling.on else 0.0,
+        'gyro_scale': gyro.rotor_scale if gyro.enabled else 0.0,
+        'gyro_momentum': gyro.extra_momentum_nm_s if gyro.enabled else 0.0,
+        'euler_term': 1.0 if effects.inertia_coupling.enabled else 0.0,
         'cross': cross,
-        'dead_zone': _strength(effects.dead_zone.on, effects.dead_zone.half_width),
-        'play': _strength(effects.backlash.on, effects.backlash.half_width),
-        'mode_peak': _strength(effects.resonance.on, effects.resonance.peak),
+        'dead_zone': _strength(effects.dead_zone.enabled, effects.dead_zone.half_width),
+        'play': _strength(effects.backlash.enabled, effects.backlash.half_width),
+        'mode_peak': _strength(effects.resonance.enabled, effects.resonance.peak),
         'mode_rad_s': 2.0 * math.pi * effects.resonance.frequency_hz,
         'mode_damping': effects.resonance.damping_ratio,
     }
@@ -223,13 +223,13 @@ def _couplings(airframe: Airframe, effects: Effects) -> dict[str, object]:
 def _time_dependent(effects: Effects, phase: float) -> dict[str, object]:
     periodic, event = effects.periodic_disturbance, effects.step_event
     return {
-        'periodic_torque': _strength(periodic.on, periodic.amplitude_nm),
-        'periodic': periodic.on,
+        'periodic_torque': _strength(periodic.enabled, periodic.amplitude_nm),
+        'periodic': periodic.enabled,
         'periodic_rad_s': 2.0 * math.pi * periodic.frequency_hz,
         'periodic_phase': phase,
         'event_time_s': event.time_s,
-        'event_gain': _strength(event.on, event.gain_change),
-        'event_torque': _strength(event.on, event.torque_nm),
+        'event_gain': _strength(event.enabled, event.gain_change),
+        'event_torque': _strength(event.enabled, event.torque_nm),
     }
 
 

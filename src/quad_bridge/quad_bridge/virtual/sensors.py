@@ -103,7 +103,7 @@ def build_chips(
     sensors: Sensors, vibration: Vibration, *, step_s: float, cycle_s: float, phases: FloatArray
 ) -> Chips:
     """The kernels' constants; `phases` (rad) belong to the vibration lines."""
-    lines = len(vibration.frequency_hz) if vibration.on else 0
+    lines = len(vibration.frequency_hz) if vibration.enabled else 0
     density = math.sqrt(0.5 / step_s)
     lsb = 1.0 if sensors.quantisation else 0.0
     return Chips(

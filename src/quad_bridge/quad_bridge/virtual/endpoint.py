@@ -1,0 +1,199 @@
+"""The STM32's side of the wire: frames in, frames out, one control cycle at a time. No I/O.
+
+The aircraft is in body FLU and ENU, the wire in FRD and NED (quad_bridge.wire.axes). Device time
+is in s since boot; the control cycle k starts at exactly k cycles.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from quad_bridge.virtual.aircraft import Aircraft
+from quad_bridge.virtual.cycle import COLUMNS
+from quad_bridge.virtual.firmware import Firmware, Request, limit_flags
+from quad_bridge.virtual.receiver import Channels, Receiver, channels_at
+from quad_bridge.wire import Decoder, Encoder
+from quad_bridge.wire.axes import flip_attitude, flip_body, flip_control
+from quad_bridge.wire.frames import (
+    Battery,
+    Command,
+    CommandAck,
+    Cycle,
+    Excitation,
+    Flag,
+    Frame,
+    Heartbeat,
+    ParamRequestList,
+    ParamRequestRead,
+    ParamSet,
+    ParamValue,
+    RcChannels,
+    SlowSensors,
+    StatusText,
+    TimeSync,
+)
+from quad_bridge.wire.gain_names import CONTRACT_NAMES
+
+ARM_DISARM, ACCEPTED, UNSUPPORTED = 400, 0, 3
+"""MAV_CMD_COMPONENT_ARM_DISARM and two MAV_RESULTs."""
+FILTER_BOUNDS_HZ = (5.0, 200.0)
+NAMES = tuple(CONTRACT_NAMES)
+_WATCHED = {
+    int(Flag.RC_KILL): 'pilot: kill switch',
+    int(Flag.RC_FAILSAFE): 'receiver failsafe',
+    int(Flag.STALE_SETPOINT): 'excitation stale, dropped',
+    int(Flag.EXCITATION_REFUSED): 'excitation refused',
+}
+
+
+class Endpoint:
+    """The aircraft, its firmware and receiver behind a codec."""
+
+    def __init__(self, aircraft: Aircraft, script: Receiver) -> None:
+        self.aircraft = aircraft
+        self.firmware = Firmware(aircraft.profile.firmware, aircraft.gains)
+        self._script = script
+        self._decoder, self._encoder = Decoder(), Encoder()
+        sensors = aircraft.profile.sensors
+        self._filters = {
+            'sensor.gyro_filter_hz': sensors.gyro_filter_hz,
+            'sensor.accel_filter_hz': sensors.accel_filter_hz,
+        }
+        self._battery_v = math.nan
+        self._flags = 0
+        self._low = False
+
+    def receive(self, data: bytes, now_ns: int) -> bytes:
+        """Take bytes that arrived at device time `now_ns`; the bytes of what answers them."""
+        answers: list[Frame] = []
+        for frame in self._decoder.feed(data):
+            answers += self._answer(frame, now_ns)
+        return b''.join(self._encoder.encode(answer) for answer in answers)
+
+    def cycle(self) -> bytes:
+        """Run the coming control cycle; the bytes of what the STM32 sends in it."""
+        number = self.aircraft.cycle
+        now_s = number * self.aircraft.cycle_s
+        channels = channels_at(self._script, now_s)
+        given, flags = self.firmware.prepare(channels, self.aircraft.hover_throttle, now_s)
+        row = self.aircraft.run(given[np.newaxis])[0]
+        flags |= limit_flags(row[COLUMNS['limits'].start])
+        self._battery_v = float(row[COLUMNS['battery_v'].start])
+        self.firmware.note(self._battery_v, float(row[COLUMNS['limits'].start]))
+        frames = [self._cycle_frame(number, given, row, flags)]
+        frames += self._events(flags)
+        frames += self._slow_frames(number, channels, row)
+        return b''.join(self._encoder.encode(frame) for frame in frames)
+
+    def _cycle_frame(self, number: int, given: np.ndarray, row: np.ndarray, flags: int) -> Frame:
+        parts = {name: row[span].tolist() for name, span in COLUMNS.items()}
+        return Cycle(
+            time_us=round(number * self.aircraft.cycle_s * 1e6),
+            cycle=number % (1 << 32),
+            gyro=flip_body(parts['rates']),
+            accel=flip_body(parts['acceleration']),
+            attitude=flip_attitude(parts['angles']),
+            attitude_setpoint=flip_attitude(parts['attitude_setpoint']),
+            rate_setpoint=flip_body(parts['rate_setpoint']),
+            control=flip_control(parts['wrench']),
+            excitation=flip_body(given[2:5].tolist()),
+            motors=tuple(parts['motors']),
+            flags=flags,
+            excitation_seq=self.firmware.sequence,
+            injection=int(given[1]),
+        )
+
+    def _events(self, flags: int) -> list[Frame]:
+        """A text for each flag that came up, and once for a low battery."""
+        new = flags & ~self._flags
+        self._flags = flags
+        texts = [StatusText(4, text) for flag, text in _WATCHED.items() if new & flag]
+        if self.firmware.low_battery and not self._low:
+            self._low = True
+            texts.append(StatusText(2, f'low battery: {self._battery_v:.2f} V'))
+        return list(texts)
+
+    def _slow_frames(self, number: int, channels: Channels, row: np.ndarray) -> list[Frame]:
+        """Heartbeat 1 Hz, battery 10 Hz, receiver, compass and barometer 50 Hz."""
+        rate, frames = self.aircraft.profile.firmware.rate_hz, list[Frame]()
+        if number == 0:
+            frames.append(StatusText(6, 'virtual STM32: calibrated at rest'))
+        if number % round(rate) == 0:
+            armed = bool(self._flags & Flag.ARMED)
+            frames.append(Heartbeat(armed=armed, system_status=4 if armed else 3))
+        if number % round(rate / 10.0) == 0:
+            frames.append(Battery(voltage_v=self._battery_v))
+        if number % round(rate / 50.0) == 0:
+            trim = float(row[COLUMNS['throttle'].start])
+            frames.append(_rc_frame(number * self.aircraft.cycle_s, channels, trim))
+            frames.append(
+                SlowSensors(
+                    time_us=round(number * self.aircraft.cycle_s * 1e6),
+                    mag_gauss=flip_body((row[COLUMNS['mag']] * 1e4).tolist()),
+                    pressure_hpa=float(row[COLUMNS['pressure_pa'].start]) / 100.0,
+                )
+            )
+        return frames
+
+    def _answer(self, frame: Frame, now_ns: int) -> list[Frame]:
+        if isinstance(frame, TimeSync):
+            return [TimeSync(now_ns, frame.ts1_ns)] if frame.tc1_ns == 0 else []
+        if isinstance(frame, Excitation):
+            value = flip_body(frame.value)
+            request = Request(frame.injection, value, frame.valid_ms * 1e-3, frame.seq)
+            self.firmware.excite(request, now_ns * 1e-9)
+            return []
+        if isinstance(frame, ParamRequestList):
+            return [self._parameter(name) for name in NAMES]
+        if isinstance(frame, ParamRequestRead):
+            known = 0 <= frame.index < len(NAMES)
+            return self._known(NAMES[frame.index] if known else frame.name)
+        if isinstance(frame, ParamSet):
+            if frame.name in CONTRACT_NAMES:
+                self._write(CONTRACT_NAMES[frame.name], frame.value)
+            return self._known(frame.name)
+        if isinstance(frame, Command):
+            return [self._command(frame)]
+        return []
+
+    def _command(self, frame: Command) -> Frame:
+        if frame.command != ARM_DISARM or not frame.parameters:
+            return CommandAck(frame.command, UNSUPPORTED)
+        self.firmware.armed = frame.parameters[0] > 0.5
+        return CommandAck(frame.command, ACCEPTED)
+
+    def _known(self, name: str) -> list[Frame]:
+        if name in CONTRACT_NAMES:
+            return [self._parameter(name)]
+        return [StatusText(4, f'unknown parameter {name[:16]}')]
+
+    def _parameter(self, name: str) -> Frame:
+        """PARAM_VALUE of the wire's `name`: what is in force."""
+        contract = CONTRACT_NAMES[name]
+        value = self.firmware.parameter(contract)
+        if value is None:
+            loop_hz = self.aircraft.profile.firmware.rate_hz
+            value = self._filters.get(contract, loop_hz)
+        return ParamValue(name, value, len(NAMES), NAMES.index(name))
+
+    def _write(self, contract: str, value: float) -> None:
+        """Write if allowed; a filter's cut-off changes the chip at once."""
+        low, high = FILTER_BOUNDS_HZ
+        if contract in self._filters and low <= value <= high:
+            self._filters[contract] = value
+            self.aircraft.set_filters(
+                self._filters['sensor.gyro_filter_hz'], self._filters['sensor.accel_filter_hz']
+            )
+        self.firmware.set_parameter(contract, value)
+
+
+def _rc_frame(now_s: float, channels: Channels, trim: float) -> Frame:
+    """Pulse lengths of the nine channels; no signal strength in failsafe."""
+    pulses = [
+        round(1000.0 + 1000.0 * value) if i == 2 else round(1500.0 + 500.0 * value)
+        for i, value in enumerate(channels.axes(trim))
+    ]
+    rssi = 0 if channels.failsafe else 200
+    return RcChannels(round(now_s * 1000.0) % (1 << 32), tuple(pulses), rssi)

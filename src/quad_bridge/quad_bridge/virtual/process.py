@@ -1,0 +1,136 @@
+"""The process `virtual_stm32`: arguments, real time, pty, signals. Wiring only.
+
+Device time runs with the host's monotonic clock. After a stall the missed cycles are run at once,
+so that device time and cycle counter stay exact.
+"""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from quad_bridge.errors import QuadBridgeError
+from quad_bridge.virtual.aircraft import Aircraft
+from quad_bridge.virtual.control import INPUTS
+from quad_bridge.virtual.effect_module import load_effect
+from quad_bridge.virtual.endpoint import Endpoint
+from quad_bridge.virtual.profile import Profile, load_profile, profile_names
+from quad_bridge.virtual.pseudo_terminal import PseudoTerminal
+from quad_bridge.virtual.receiver import Receiver, read_events
+
+MAX_BURST = 50
+"""Cycles that are run at once after a stall before the port is looked at again."""
+
+
+def arguments() -> argparse.ArgumentParser:
+    """The command line of `virtual_stm32`."""
+    parser = argparse.ArgumentParser(
+        prog='virtual_stm32',
+        description='A simulated quadrotor with its STM32 behind a pseudo-terminal, in real time.',
+        epilog='Example: virtual_stm32 --profile plain --mount rig --axis roll --link /tmp/stm32',
+    )
+    known = ', '.join(profile_names())
+    parser.add_argument(
+        '--profile', default='plain', help=f'name ({known}) or YAML file; default plain'
+    )
+    parser.add_argument(
+        '--mount', choices=('rig', 'hover'), help='one free axis on a bearing, or free flight'
+    )
+    parser.add_argument('--axis', choices=('roll', 'pitch', 'yaw'), help="the rig's free axis")
+    parser.add_argument('--seed', type=int, default=1, help='of all noise; default 1')
+    parser.add_argument(
+        '--effect-module',
+        type=Path,
+        metavar='FILE.py',
+        help='adds the torque of its effect(t_s, rates, angles, thrusts, battery_v), N m',
+    )
+    parser.add_argument(
+        '--rc-events',
+        type=Path,
+        metavar='FILE.yaml',
+        help='stick movements: a list of {time_s: 3.0, channel: roll, value: 0.4}',
+    )
+    parser.add_argument('--link', type=Path, help='symbolic link to make to the port')
+    parser.add_argument('--duration', type=float, metavar='S', help='end after so many seconds')
+    return parser
+
+
+def build_endpoint(given: argparse.Namespace) -> Endpoint:
+    """The endpoint that the arguments ask for; kernels are compiled on return."""
+    profile = load_profile(given.profile)
+    profile = replace(
+        profile, mount=given.mount or profile.mount, axis=given.axis or profile.axis
+    )
+    effect = None if given.effect_module is None else load_effect(given.effect_module)
+    events = Receiver() if given.rc_events is None else read_events(given.rc_events)
+    script = Receiver(events=profile.receiver.events + events.events)
+    _warm_up(profile, python_effect=effect is not None)
+    return Endpoint(Aircraft(profile, seed=given.seed, effect=effect), script)
+
+
+def _warm_up(profile: Profile, *, python_effect: bool) -> None:
+    """Compile (or load) the kernels before time starts to run."""
+
+    def nothing(*_: object) -> np.ndarray:
+        return np.zeros(3)
+
+    Aircraft(profile, seed=0, effect=nothing if python_effect else None).run(np.zeros((1, INPUTS)))
+
+
+def serve(endpoint: Endpoint, port: PseudoTerminal, duration_s: float | None) -> None:
+    """Run control cycles on their absolute schedule until a signal or the duration ends it."""
+    stopped = False
+
+    def stop(_number: int, _frame: object) -> None:
+        nonlocal stopped
+        stopped = True
+
+    signal.signal(signal.SIGINT, stop)
+    signal.signal(signal.SIGTERM, stop)
+    cycle_s = endpoint.aircraft.cycle_s
+    start = time.monotonic_ns()
+    last = None if duration_s is None else round(duration_s / cycle_s)
+    while not stopped and (last is None or endpoint.aircraft.cycle < last):
+        due_s = endpoint.aircraft.cycle * cycle_s
+        now_ns = time.monotonic_ns() - start
+        data = port.read(due_s - now_ns * 1e-9)
+        now_ns = time.monotonic_ns() - start
+        if data:
+            answer = endpoint.receive(data, now_ns)
+            if answer:
+                port.write(answer)
+        for _ in range(MAX_BURST):
+            if endpoint.aircraft.cycle * cycle_s > now_ns * 1e-9:
+                break
+            port.write(endpoint.cycle())
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the virtual STM32; 0 when ended by signal or duration, 2 on bad input."""
+    given = arguments().parse_args(argv)
+    try:
+        endpoint = build_endpoint(given)
+        port = PseudoTerminal(given.link)
+        try:
+            sys.stdout.write(f'virtual STM32 on {port.path}\n')
+            sys.stdout.flush()
+            serve(endpoint, port, given.duration)
+        finally:
+            port.close()
+        if port.dropped_bytes:
+            sys.stdout.write(f'{port.dropped_bytes} bytes dropped: nobody read them\n')
+    except QuadBridgeError as error:
+        sys.stderr.write(f'virtual_stm32: {error}\n')
+        return 2
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())
