@@ -72,6 +72,17 @@ class Decoder:
             restarts=self._watch.restarts,
         )
 
+    @property
+    def restarts(self) -> int:
+        """`counts.restarts`, cheap enough to be asked for every cycle."""
+        return self._watch.restarts
+
+    def resync(self) -> None:
+        """Forget an incomplete frame: the port was opened anew. Counts stay."""
+        self._mav.buf = bytearray()
+        self._mav.buf_index = 0
+        self._suspect = 0
+
     def feed(self, data: bytes) -> list[Frame]:
         """Frames completed by `data`, in order of arrival. Never raises."""
         self._bytes += len(data)

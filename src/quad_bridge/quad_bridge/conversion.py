@@ -1,0 +1,165 @@
+"""Frames to ROS messages: FRD/NED to FLU/ENU, wire units to SI. No node, no publishing.
+
+Message objects are kept and filled anew, since publishing serialises at once; whoever keeps a
+message must copy it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from geometry_msgs.msg import Vector3Stamped, WrenchStamped
+from rcl_interfaces.msg import Parameter, ParameterEvent, ParameterType, ParameterValue
+from sensor_msgs.msg import BatteryState, FluidPressure, Imu, JointState, Joy, MagneticField
+
+from quad_bridge.wire.axes import flip_attitude, flip_body, flip_control, quaternion
+from quad_bridge.wire.frames import Battery, Cycle, Flag, RcChannels, SlowSensors
+
+FRAME_ID = 'base_link'
+MOTORS = ('motor_1', 'motor_2', 'motor_3', 'motor_4')
+TESLA_PER_GAUSS = 1e-4
+PASCAL_PER_HPA = 100.0
+RC_CHANNELS, THROTTLE, STICKS = 9, 2, 4
+
+
+def _stamp(message: Any, stamp_ns: int) -> None:
+    stamp = message.header.stamp
+    stamp.sec, stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
+
+
+def _framed(message: Any) -> Any:
+    message.header.frame_id = FRAME_ID
+    return message
+
+
+def _set(vector: Any, values: tuple[float, float, float]) -> None:
+    vector.x, vector.y, vector.z = values
+
+
+class CycleMessages:
+    """The messages of one control cycle, all with the same stamp."""
+
+    def __init__(self) -> None:
+        self.imu = _framed(Imu())
+        self.motors = _framed(JointState(name=list(MOTORS)))
+        self.wrench = _framed(WrenchStamped())
+        self.attitude_setpoint = _framed(Vector3Stamped())
+        self.rate_setpoint = _framed(Vector3Stamped())
+        self.excitation = _framed(Vector3Stamped())
+        self._all = (
+            self.imu,
+            self.motors,
+            self.wrench,
+            self.attitude_setpoint,
+            self.rate_setpoint,
+            self.excitation,
+        )
+
+    def fill(self, cycle: Cycle, stamp_ns: int) -> None:
+        """Take over one cycle; `excitation` is to be published only where `excited(cycle)`."""
+        for message in self._all:
+            _stamp(message, stamp_ns)
+        imu = self.imu
+        q = imu.orientation
+        q.x, q.y, q.z, q.w = quaternion(flip_attitude(cycle.attitude))
+        _set(imu.angular_velocity, flip_body(cycle.gyro))
+        _set(imu.linear_acceleration, flip_body(cycle.accel))
+        self.motors.effort = cycle.motors
+        u1, u2, u3, u4 = flip_control(cycle.control)
+        self.wrench.wrench.force.z = u1
+        _set(self.wrench.wrench.torque, (u2, u3, u4))
+        _set(self.attitude_setpoint.vector, flip_attitude(cycle.attitude_setpoint))
+        _set(self.rate_setpoint.vector, flip_body(cycle.rate_setpoint))
+        _set(self.excitation.vector, flip_body(cycle.excitation))
+
+
+def excited(cycle: Cycle) -> bool:
+    """True where the STM32 says that it added an excitation in this cycle."""
+    return bool(cycle.flags & Flag.EXCITATION)
+
+
+def rc_message(rc: RcChannels, stamp_ns: int, *, failsafe: bool) -> Joy:
+    """Nine axes, NaN where a channel has no pulse; `buttons[0]` 1 in failsafe.
+
+    A stick without a pulse counts as failsafe too.
+    """
+    message = _framed(Joy())
+    _stamp(message, stamp_ns)
+    pulses = [*rc.channels[:RC_CHANNELS], *([0] * (RC_CHANNELS - len(rc.channels)))]
+    message.axes = [_axis(i, pulse) for i, pulse in enumerate(pulses)]
+    lost = failsafe or any(math.isnan(v) for v in message.axes[:STICKS])
+    message.buttons = [int(lost)]
+    return message
+
+
+def _axis(index: int, pulse_us: int) -> float:
+    if pulse_us in {0, 0xFFFF}:
+        return math.nan
+    if index == THROTTLE:
+        return (pulse_us - 1000) / 1000.0
+    return (pulse_us - 1500) / 500.0
+
+
+def battery_message(battery: Battery, stamp_ns: int) -> BatteryState:
+    """Pack voltage in V, discharge current negative as BatteryState has it; NaN: not measured."""
+    message = _framed(BatteryState())
+    _stamp(message, stamp_ns)
+    message.voltage = battery.voltage_v
+    message.current = -battery.current_a
+    message.percentage = battery.remaining
+    for name in ('temperature', 'charge', 'capacity', 'design_capacity'):
+        setattr(message, name, math.nan)
+    message.present = math.isfinite(battery.voltage_v)
+    return message
+
+
+def mag_message(sensors: SlowSensors, stamp_ns: int) -> MagneticField | None:
+    """Tesla, FLU; None where the magnetometer was not updated."""
+    if sensors.mag_gauss is None:
+        return None
+    message = _framed(MagneticField())
+    _stamp(message, stamp_ns)
+    x, y, z = flip_body(sensors.mag_gauss)
+    scale = TESLA_PER_GAUSS
+    _set(message.magnetic_field, (x * scale, y * scale, z * scale))
+    return message
+
+
+def baro_message(sensors: SlowSensors, stamp_ns: int) -> FluidPressure | None:
+    """Pascal; None where the barometer was not updated."""
+    if sensors.pressure_hpa is None:
+        return None
+    message = _framed(FluidPressure())
+    _stamp(message, stamp_ns)
+    message.fluid_pressure = PASCAL_PER_HPA * sensors.pressure_hpa
+    return message
+
+
+def gains_message(values: dict[str, float], node: str, stamp_ns: int) -> ParameterEvent:
+    """/gains/active: every known gain and loop constant as a double."""
+    message = ParameterEvent(node=node)
+    message.stamp.sec, message.stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
+    message.changed_parameters = [
+        Parameter(
+            name=name,
+            value=ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value),
+        )
+        for name, value in values.items()
+    ]
+    return message
+
+
+def parameters(event: ParameterEvent) -> dict[str, float | int | str | bool]:
+    """`changed_parameters` as a plain mapping; arrays and unset values are left out."""
+    fields = {
+        ParameterType.PARAMETER_DOUBLE: 'double_value',
+        ParameterType.PARAMETER_INTEGER: 'integer_value',
+        ParameterType.PARAMETER_STRING: 'string_value',
+        ParameterType.PARAMETER_BOOL: 'bool_value',
+    }
+    return {
+        p.name: getattr(p.value, fields[p.value.type])
+        for p in event.changed_parameters
+        if p.value.type in fields
+    }

@@ -1,0 +1,170 @@
+"""What the bridge says of itself in /diagnostics: link, clock, gains, excitation. Pure sentences.
+
+Levels are diagnostic_msgs' (0 OK, 1 WARN, 2 ERROR); the node puts them into messages.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
+from quad_bridge.excitation_relay import ExcitationRelay
+from quad_bridge.link import Link
+from quad_bridge.serial_port import PortState, PortStatus
+from quad_bridge.wire.codec import Counts
+from quad_bridge.wire.frames import Flag
+
+OK, WARN, ERROR = 0, 1, 2
+FOREIGN_BYTES = 2000
+"""Bytes without one valid frame after which the far end is said to speak another protocol."""
+
+
+@dataclass(frozen=True)
+class Status:
+    """One entry of /diagnostics."""
+
+    name: str
+    level: int
+    message: str
+    values: Mapping[str, object] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Since:
+    """Figures at the last report, to tell rates and new losses."""
+
+    time_s: float
+    counts: Counts
+    cycles: int
+
+
+def link_status(
+    port: PortStatus, link: Link, since: Since, now_s: float, opened: Counts
+) -> Status:
+    """Port, frames and losses; `opened` are the decoder's counts when the port was opened."""
+    counts = link.decoder.counts
+    seconds = max(now_s - since.time_s, 1e-3)
+    rate = (link.cycles - since.cycles) / seconds
+    values = {
+        'port': port.state.value,
+        'port fault': port.detail,
+        'times opened': port.opened,
+        'cycle rate (Hz)': f'{rate:.1f}',
+        'cycles': link.cycles,
+        'lost cycles': counts.lost_cycles,
+        'bad CRC': counts.bad_crc,
+        'garbage bytes': counts.garbage_bytes,
+        'unknown messages': counts.unknown,
+        'standard messages not used': counts.standard,
+        'restarts of the STM32': counts.restarts,
+        'dropped writes': port.dropped_writes,
+        'bytes': counts.bytes,
+    }
+    level, text = _link_verdict(port, link, counts, since, opened)
+    return Status('link', level, text, values)
+
+
+def _link_verdict(
+    port: PortStatus, link: Link, counts: Counts, since: Since, opened: Counts
+) -> tuple[int, str]:
+    if port.state is not PortState.OPEN:
+        return ERROR, f'port {port.state.value}'
+    if counts.bytes == since.counts.bytes:
+        return ERROR, 'port open, but nothing arrives'
+    if counts.frames == opened.frames:
+        return _no_frame(counts.bytes - opened.bytes)
+    if link.cycles == since.cycles:
+        return _no_cycle(link)
+    lost = counts.lost_cycles - since.counts.lost_cycles
+    if lost:
+        return WARN, f'{lost} cycles lost since the last report'
+    return OK, 'control cycles arrive'
+
+
+def _no_frame(garbage: int) -> tuple[int, str]:
+    if garbage < FOREIGN_BYTES:
+        return WARN, 'bytes arrive, no valid frame yet'
+    text = f'speaks another protocol or baud rate: no valid frame in {garbage} bytes'
+    return ERROR, text
+
+
+def _no_cycle(link: Link) -> tuple[int, str]:
+    names = ', '.join(sorted(link.standard_names))
+    if not names:
+        return ERROR, 'no control cycle since the last report'
+    return WARN, (
+        f'only standard MAVLink messages arrive ({names}): '
+        'the bridge needs QUAD_CYCLE for its topics'
+    )
+
+
+def clock_status(link: Link) -> Status:
+    """How well device time is mapped to host time."""
+    state = link.clock.state
+    values = {
+        'offset (s)': f'{state.offset_s:.6f}',
+        'drift (ppm)': f'{state.drift_ppm:.2f}',
+        'shortest round trip (ms)': f'{1e3 * state.round_trip_s:.3f}',
+        'round trips used': state.accepted,
+        'round trips dropped': state.rejected,
+        'restarts': state.restarts,
+        'cycles held back': link.held,
+    }
+    if state.converged:
+        return Status('clock', OK, 'converged', values)
+    if state.accepted == 0 and state.rejected == 0:
+        return Status('clock', WARN, 'no answer to TIMESYNC: nothing is published', values)
+    return Status('clock', WARN, 'not converged: nothing is published', values)
+
+
+def gains_status(link: Link, refused: str, writes: int) -> Status:
+    """State of the parameters and the last refusal."""
+    values: dict[str, object] = {f'{name}': f'{value:.9g}' for name, value in link.active.items()}
+    values['writes acknowledged'] = writes
+    if refused:
+        return Status('gains', WARN, refused, values)
+    if link.transaction is not None:
+        return Status('gains', OK, link.transaction.phase.value, values)
+    if not link.reader.complete:
+        return Status('gains', WARN, 'the STM32 has not reported its parameters yet', values)
+    return Status('gains', OK, 'read back', values)
+
+
+def diagnostic_array(node: str, hardware: str, stamp: Any, entries: list[Status]) -> Any:
+    """The message of all entries, named `<node>: <entry>`."""
+    array = DiagnosticArray()
+    array.header.stamp = stamp
+    array.status = [
+        DiagnosticStatus(
+            name=f'{node}: {entry.name}',
+            level=bytes([entry.level]),
+            message=entry.message,
+            hardware_id=hardware,
+            values=[KeyValue(key=k, value=str(v)) for k, v in entry.values.items()],
+        )
+        for entry in entries
+    ]
+    return array
+
+
+def excitation_status(relay: ExcitationRelay, link: Link) -> Status:
+    """What is forwarded and what the STM32 does with it."""
+    last = link.last_cycle
+    flags = Flag(last.flags) if last is not None else Flag.NONE
+    values = {
+        'injection': relay.injection.name.lower(),
+        'set-points forwarded': relay.forwarded,
+        'set-points dropped': relay.dropped,
+        'flags of the STM32': ' '.join(str(f.name).lower() for f in Flag if f and f in flags),
+    }
+    if relay.reason:
+        return Status('excitation', WARN, f'set-point dropped: {relay.reason}', values)
+    if Flag.STALE_SETPOINT in flags:
+        return Status('excitation', WARN, 'the STM32 dropped a stale set-point', values)
+    if Flag.EXCITATION_REFUSED in flags:
+        return Status('excitation', WARN, 'the STM32 refuses the excitation', values)
+    running = Flag.EXCITATION in flags
+    return Status('excitation', OK, 'running' if running else 'idle', values)

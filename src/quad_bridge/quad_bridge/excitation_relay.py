@@ -1,0 +1,65 @@
+"""From /excitation/setpoint and /excitation/segment to Excitation frames. Pure.
+
+The segment says where to inject; without a running segment nothing is forwarded.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from quad_bridge.wire.axes import flip_body
+from quad_bridge.wire.frames import Excitation, Injection, Vector3
+
+INJECTIONS = {
+    'attitude': Injection.ATTITUDE,
+    'rate': Injection.RATE,
+    'control': Injection.CONTROL,
+}
+
+
+class ExcitationRelay:
+    """Numbers and addresses the set-points of the running segment."""
+
+    def __init__(self, valid_ms: int) -> None:
+        self._valid_ms = valid_ms
+        self._seq = 0
+        self._injection = Injection.NONE
+        self.forwarded = 0
+        self.dropped = 0
+        self.reason = ''
+        """Why the last dropped set-point was dropped; empty after a good one."""
+
+    @property
+    def injection(self) -> Injection:
+        """Where the running segment injects."""
+        return self._injection
+
+    def segment(self, parameters: Mapping[str, Any]) -> Excitation | None:
+        """Take a segment's parameters; the frame that ends the excitation where it is idle."""
+        running = parameters.get('segment') != 'idle' and parameters.get('signal') != 'none'
+        wanted = INJECTIONS.get(str(parameters.get('injection', '')))
+        self._injection = wanted if running and wanted is not None else Injection.NONE
+        if self._injection is Injection.NONE:
+            return self._frame((0.0, 0.0, 0.0))
+        return None
+
+    def setpoint(self, x: float, y: float, z: float) -> Excitation | None:
+        """The frame of a set-point (FLU, the segment's unit); None where it must not be sent."""
+        if self._injection is Injection.NONE:
+            return self._drop('no segment is running: publish /excitation/segment first')
+        if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
+            return self._drop(f'set-point must be finite: found {x}, {y}, {z}')
+        self.forwarded += 1
+        self.reason = ''
+        return self._frame(flip_body((x, y, z)))
+
+    def _frame(self, value: Vector3) -> Excitation:
+        self._seq = (self._seq + 1) % 256
+        return Excitation(value, int(self._injection), self._seq, self._valid_ms)
+
+    def _drop(self, reason: str) -> Excitation | None:
+        self.dropped += 1
+        self.reason = reason
+        return None

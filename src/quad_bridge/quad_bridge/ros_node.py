@@ -1,0 +1,96 @@
+"""How the nodes of this package begin and end: parameters with descriptors, one executor, exit.
+
+No topics here.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import rclpy
+from rcl_interfaces.msg import IntegerRange, ParameterDescriptor
+from rclpy.exceptions import ParameterException
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.signals import SignalHandlerOptions
+
+from quad_bridge.errors import BadInputError, QuadBridgeError
+
+_ROS_OWN = ('use_sim_time', 'qos_overrides.', 'start_type_description_service')
+
+
+def overrides(node: Any) -> dict[str, Any]:
+    """What files and the command line set, declared or not; name to value."""
+    given = node._parameter_overrides  # noqa: SLF001  (rclpy has no public way to ask)
+    return {name: parameter.value for name, parameter in given.items()}
+
+
+def refuse_unknown(node: Any, known: Iterable[str]) -> None:
+    """Raise BadInputError for a set parameter that the node does not have."""
+    names = set(known)
+    for name in overrides(node):
+        if name not in names and not name.startswith(_ROS_OWN):
+            raise BadInputError(
+                f'{node.get_name()}: parameter {name}',
+                'is unknown',
+                remedy=f'known are {", ".join(sorted(names))}',
+            )
+
+
+def text(node: Any, name: str, default: str, description: str) -> str:
+    """Declare a read-only string parameter and return its value."""
+    descriptor = ParameterDescriptor(description=description, read_only=True)
+    return str(node.declare_parameter(name, default, descriptor).value)
+
+
+def choice(node: Any, name: str, options: tuple[str, ...], description: str) -> str:
+    """Declare a string parameter of a few values, the first being the default.
+
+    Raises BadInputError.
+    """
+    value = text(node, name, options[0], f'{description}: {", ".join(options)}')
+    if value not in options:
+        where = f'{node.get_name()}: parameter {name}'
+        raise BadInputError(where, f'must be one of {", ".join(options)}', repr(value))
+    return value
+
+
+def flag(node: Any, name: str, default: bool, description: str) -> bool:
+    """Declare a read-only bool parameter and return its value."""
+    descriptor = ParameterDescriptor(description=description, read_only=True)
+    return bool(node.declare_parameter(name, default, descriptor).value)
+
+
+def integer(node: Any, name: str, default: int, limits: tuple[int, int], description: str) -> int:
+    """Declare a read-only integer parameter with its range and return its value."""
+    descriptor = ParameterDescriptor(
+        description=description,
+        read_only=True,
+        integer_range=[IntegerRange(from_value=limits[0], to_value=limits[1], step=1)],
+    )
+    return int(node.declare_parameter(name, default, descriptor).value)
+
+
+def run(factory: Callable[[], Any], name: str) -> None:
+    """Spin one node until it is interrupted, then call its `close`.
+
+    Exit status 2, with one line on stderr, where its parameters are wrong.
+    """
+    rclpy.init(signal_handler_options=SignalHandlerOptions.ALL)
+    node = None
+    try:
+        node = factory()
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        executor.spin()
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    except (QuadBridgeError, ParameterException) as error:
+        sys.stderr.write(f'{name}: {" ".join(str(error).split())}\n')
+        sys.exit(2)
+    finally:
+        if node is not None:
+            node.close()
+            node.destroy_node()
+        rclpy.try_shutdown()

@@ -1,0 +1,260 @@
+"""The `serial_bridge` node: wires the port, the link and the contract's topics. No protocol here.
+
+The port's thread decodes and publishes cycles at once; timers and subscriptions run in the one
+executor; a lock guards the link between them.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import Vector3Stamped, WrenchStamped
+from rcl_interfaces.msg import ParameterEvent
+from rclpy.node import Node
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import BatteryState, FluidPressure, Imu, JointState, Joy, MagneticField
+
+from quad_bridge import conversion, diagnostics, gain_gate
+from quad_bridge.bridge_parameters import BridgeSettings, declare
+from quad_bridge.errors import QuadBridgeError, RefusedError
+from quad_bridge.excitation_relay import ExcitationRelay
+from quad_bridge.link import Link, Stamped
+from quad_bridge.qos import EVENT, STATE, STREAM
+from quad_bridge.ros_node import run
+from quad_bridge.serial_port import SerialPort
+from quad_bridge.wire.codec import Counts
+from quad_bridge.wire.frames import Battery, Cycle, Flag, RcChannels, SlowSensors
+
+TICK_S = 0.05
+CLOCK_STEP_NS = 5_000_000
+"""ROS time may move this much against the steady clock before the mapping is taken anew."""
+EXCITATION_QUIET_NS = 500_000_000
+
+
+class SerialBridge(Node):  # type: ignore[misc]
+    """See the module; `close` stops the port's thread."""
+
+    def __init__(self) -> None:
+        super().__init__('serial_bridge')
+        self._settings: BridgeSettings = declare(self)
+        self._lock = threading.Lock()
+        self._link = Link()
+        self._relay = ExcitationRelay(self._settings.excitation_valid_ms)
+        self._messages = conversion.CycleMessages()
+        self._refused = ''
+        self._writes = 0
+        self._asked = False
+        self._excited_ns = -EXCITATION_QUIET_NS
+        self._epoch_ns = self._epoch()
+        self._since = diagnostics.Since(time.monotonic(), Counts(), 0)
+        self._opened_counts = Counts()
+        self._faults: dict[str, str] = {}
+        self._create_topics()
+        self._port = SerialPort(
+            self._settings.port, self._settings.baud, self._on_bytes, self._on_open
+        )
+        self.create_timer(TICK_S, self._on_tick)
+        self.create_timer(1.0, self._on_report)
+        self._port.start()
+
+    def close(self) -> None:
+        """Stop the port's thread."""
+        self._port.stop()
+
+    def _create_topics(self) -> None:
+        def publisher(kind: Any, topic: str, qos: Any = STREAM) -> Any:
+            return self.create_publisher(kind, topic, qos)
+
+        m = self._messages
+        self._per_cycle = (
+            (publisher(Imu, '/imu/data').publish, m.imu),
+            (publisher(JointState, '/motors/command').publish, m.motors),
+            (publisher(WrenchStamped, '/control/wrench').publish, m.wrench),
+            (publisher(Vector3Stamped, '/setpoint/attitude').publish, m.attitude_setpoint),
+            (publisher(Vector3Stamped, '/setpoint/rates').publish, m.rate_setpoint),
+        )
+        self._applied = publisher(Vector3Stamped, '/excitation/applied')
+        self._rc = publisher(Joy, '/rc/in')
+        self._battery = publisher(BatteryState, '/battery')
+        self._mag = publisher(MagneticField, '/imu/mag')
+        self._baro = publisher(FluidPressure, '/baro')
+        self._active = publisher(ParameterEvent, '/gains/active', STATE)
+        self._diagnostics = publisher(DiagnosticArray, '/diagnostics', EVENT)
+        subscribe = self.create_subscription
+        subscribe(ParameterEvent, '/excitation/segment', self._on_segment, STATE)
+        subscribe(ParameterEvent, '/gains/update', self._on_gains, EVENT)
+        subscribe(
+            Vector3Stamped, '/excitation/setpoint', self._on_setpoint, qos_profile_sensor_data
+        )
+
+    # In the port's thread.
+
+    def _on_open(self) -> None:
+        with self._lock:
+            self._link.opened()
+            self._opened_counts = self._link.decoder.counts
+        self.get_logger().info(f'{self._settings.port}: open at {self._settings.baud} baud')
+
+    def _on_bytes(self, data: bytes) -> None:
+        now_ns = time.monotonic_ns()
+        with self._lock:
+            for item in self._link.receive(data, now_ns):
+                self._publish(item)
+            reply = self._link.drain()
+        if reply:
+            self._port.write(reply)
+
+    def _publish(self, item: Stamped) -> None:
+        frame = item.frame
+        if item.stamp_ns is None:
+            self.get_logger().info(f'STM32: {getattr(frame, "text", "")}')
+            return
+        stamp_ns = item.stamp_ns + self._epoch_ns
+        if isinstance(frame, Cycle):
+            self._messages.fill(frame, stamp_ns)
+            for publish, message in self._per_cycle:
+                publish(message)
+            if conversion.excited(frame):
+                self._excited_ns = time.monotonic_ns()
+                self._applied.publish(self._messages.excitation)
+        elif isinstance(frame, RcChannels):
+            last = self._link.last_cycle
+            lost = last is not None and bool(last.flags & Flag.RC_FAILSAFE)
+            self._rc.publish(conversion.rc_message(frame, stamp_ns, failsafe=lost))
+        elif isinstance(frame, Battery):
+            self._battery.publish(conversion.battery_message(frame, stamp_ns))
+        elif isinstance(frame, SlowSensors):
+            for publisher, message in (
+                (self._mag, conversion.mag_message(frame, stamp_ns)),
+                (self._baro, conversion.baro_message(frame, stamp_ns)),
+            ):
+                if message is not None:
+                    publisher.publish(message)
+
+    # In the executor.
+
+    def _on_tick(self) -> None:
+        with self._lock:
+            self._link.tick(time.monotonic_ns())
+            outgoing = self._link.drain()
+            outcomes, self._link.outcomes = self._link.outcomes, []
+        self._send(outgoing)
+        for outcome in outcomes:
+            asked, self._asked = self._asked, False
+            self._writes += asked and outcome.active is not None
+            if outcome.active is None:
+                self._refuse(f'gains not taken over: {outcome.reason}')
+                continue
+            self._active.publish(
+                conversion.gains_message(
+                    dict(outcome.active),
+                    self.get_fully_qualified_name(),
+                    self.get_clock().now().nanoseconds,
+                )
+            )
+            self.get_logger().info(f'{len(outcome.active)} gains and constants read back')
+
+    def _send(self, outgoing: bytes) -> None:
+        # Nothing is written to a shut port; the diagnostics say that it is shut.
+        if outgoing and self._port.status.opened:
+            self._port.write(outgoing)
+
+    def _on_segment(self, event: ParameterEvent) -> None:
+        end = self._relay.segment(conversion.parameters(event))
+        if end is not None:
+            self._forward(end)
+
+    def _on_setpoint(self, message: Vector3Stamped) -> None:
+        v = message.vector
+        frame = self._relay.setpoint(v.x, v.y, v.z)
+        if frame is not None:
+            self._forward(frame)
+
+    def _forward(self, frame: Any) -> None:
+        with self._lock:
+            self._link.send(frame)
+            outgoing = self._link.drain()
+        self._send(outgoing)
+
+    def _on_gains(self, event: ParameterEvent) -> None:
+        wanted = conversion.parameters(event)
+        source = str(wanted.pop('source', 'unknown source'))
+        now_ns = time.monotonic_ns()
+        try:
+            with self._lock:
+                self._accept_gains(wanted, now_ns)
+                outgoing = self._link.drain()
+        except QuadBridgeError as error:
+            self._refuse(f'gains of {source} refused: {error}')
+            return
+        self._refused = ''
+        self._asked = True
+        self.get_logger().info(f'writing {len(wanted)} gains of {source}')
+        self._send(outgoing)
+
+    def _accept_gains(self, wanted: dict[str, Any], now_ns: int) -> None:
+        if now_ns - self._link.last_cycle_ns > EXCITATION_QUIET_NS:
+            raise RefusedError('the link is down: no control cycle in the last 0.5 s')
+        if self._link.transaction is not None:
+            raise RefusedError('an earlier write is still running')
+        writes = gain_gate.check(
+            gain_gate.numbers(wanted),
+            self._link.active,
+            self._settings.bounds,
+            excitation_running=now_ns - self._excited_ns < EXCITATION_QUIET_NS,
+        )
+        self._link.write_gains(writes, now_ns)
+
+    def _refuse(self, reason: str) -> None:
+        self._refused = reason
+        self.get_logger().error(reason)
+
+    def _on_report(self) -> None:
+        self._keep_epoch()
+        now_s = time.monotonic()
+        with self._lock:
+            link, port = self._link, self._port.status
+            entries = [
+                diagnostics.link_status(port, link, self._since, now_s, self._opened_counts),
+                diagnostics.clock_status(link),
+                diagnostics.gains_status(link, self._refused, self._writes),
+                diagnostics.excitation_status(self._relay, link),
+            ]
+            self._since = diagnostics.Since(now_s, link.decoder.counts, link.cycles)
+        self._diagnostics.publish(
+            diagnostics.diagnostic_array(
+                self.get_name(), self._settings.port, self.get_clock().now().to_msg(), entries
+            )
+        )
+        self._log_changes(entries)
+
+    def _log_changes(self, entries: list[diagnostics.Status]) -> None:
+        """Say a state once when it begins, not every second."""
+        for entry in entries[:2]:
+            if self._faults.get(entry.name) == entry.message:
+                continue
+            self._faults[entry.name] = entry.message
+            text = f'{self._settings.port}: {entry.name}: {entry.message}'
+            if entry.level == diagnostics.OK:
+                self.get_logger().info(text)
+            else:
+                self.get_logger().warning(text)
+
+    def _epoch(self) -> int:
+        """ROS time minus the steady clock, ns."""
+        return int(self.get_clock().now().nanoseconds) - time.monotonic_ns()
+
+    def _keep_epoch(self) -> None:
+        epoch_ns = self._epoch()
+        if abs(epoch_ns - self._epoch_ns) > CLOCK_STEP_NS:
+            step_ms = (epoch_ns - self._epoch_ns) * 1e-6
+            self.get_logger().warning(f'the system clock was set: stamps move by {step_ms:.0f} ms')
+            self._epoch_ns = epoch_ns
+
+
+def main() -> None:
+    """Run the node until it is interrupted; exit status 2 where its parameters are wrong."""
+    run(SerialBridge, 'serial_bridge')

@@ -1,0 +1,150 @@
+"""The far end's clock in terms of ours, from TIMESYNC round trips. No timers, no I/O.
+
+Model: host = device + offset + drift (device - now). Weighted least squares over the last round
+trips; a trip weighs by how much longer than the shortest it took (half of the excess bounds its
+error), the drift has a prior of 100 ppm, a crystal's. A constant asymmetry of the two directions
+cannot be seen; half the shortest round trip bounds it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+DRIFT_PRIOR = 1e-4
+FLOOR_S = 20e-6
+"""Standard deviation of the best round trip's offset, s."""
+
+
+@dataclass(frozen=True)
+class ClockState:
+    """What the estimator believes, for diagnostics."""
+
+    converged: bool
+    offset_s: float
+    """Host minus device at the latest sample, s."""
+    drift_ppm: float
+    round_trip_s: float
+    """Shortest round trip in the window, s; NaN without samples."""
+    accepted: int
+    rejected: int
+    restarts: int
+
+
+@dataclass(frozen=True)
+class _Trip:
+    device_ns: int
+    offset_ns: int
+    """Mid of the trip on the host's clock minus device time."""
+    round_trip_ns: int
+
+
+class ClockEstimator:
+    """Feed it round trips with `add`; ask it for host times with `host_ns`."""
+
+    def __init__(
+        self,
+        *,
+        max_round_trip_s: float = 0.010,
+        window: int = 150,
+        min_samples: int = 8,
+        jump_s: float = 0.005,
+    ) -> None:
+        """Set the limits: trips longer than `max_round_trip_s` are dropped.
+
+        `jump_s` beyond a trip's own error is a jump; `min_samples` trips make it converged.
+        """
+        self._max_ns = round(max_round_trip_s * 1e9)
+        self._jump_ns = round(jump_s * 1e9)
+        self._min_samples = min_samples
+        self._trips: deque[_Trip] = deque(maxlen=window)
+        self._outliers = 0
+        self._offset_ns = 0.0
+        self._drift = 0.0
+        self._accepted = 0
+        self._rejected = 0
+        self._restarts = 0
+        self._last: tuple[int, int] | None = None
+
+    @property
+    def converged(self) -> bool:
+        """True once stamps may be published."""
+        return len(self._trips) >= self._min_samples
+
+    @property
+    def state(self) -> ClockState:
+        """Figures for diagnostics."""
+        return ClockState(
+            converged=self.converged,
+            offset_s=self._offset_ns * 1e-9,
+            drift_ppm=self._drift * 1e6,
+            round_trip_s=1e-9 * min((t.round_trip_ns for t in self._trips), default=math.nan),
+            accepted=self._accepted,
+            rejected=self._rejected,
+            restarts=self._restarts,
+        )
+
+    def reset(self) -> None:
+        """Forget the past: one of the clocks has jumped."""
+        self._restarts += bool(self._trips)
+        self._trips.clear()
+        self._outliers = 0
+        self._drift = 0.0
+        self._last = None
+
+    def add(self, sent_ns: int, device_ns: int, received_ns: int) -> bool:
+        """Take one round trip (host ns, device ns, host ns); False where it was dropped.
+
+        Two trips in a row that disagree with all before them restart the estimate.
+        """
+        trip = _Trip(device_ns, (sent_ns + received_ns) // 2 - device_ns, received_ns - sent_ns)
+        if not 0 <= trip.round_trip_ns <= self._max_ns:
+            self._rejected += 1
+            return False
+        if self._trips and self._jumped(trip):
+            self._outliers += 1
+            self._rejected += 1
+            if self._outliers < 2:
+                return False
+            self.reset()
+        self._outliers = 0
+        self._trips.append(trip)
+        self._accepted += 1
+        self._fit()
+        return True
+
+    def host_ns(self, device_ns: int) -> int:
+        """Host time of a device time, ns; never runs backwards while device time does not."""
+        base = self._trips[-1].device_ns if self._trips else device_ns
+        host = device_ns + round(self._offset_ns + self._drift * (device_ns - base))
+        if self._last is not None and device_ns >= self._last[0] and host < self._last[1]:
+            host = self._last[1]
+        self._last = (device_ns, host)
+        return host
+
+    def _jumped(self, trip: _Trip) -> bool:
+        since = trip.device_ns - self._trips[-1].device_ns
+        expected = self._offset_ns + self._drift * since
+        allowed = self._jump_ns + trip.round_trip_ns / 2 + 2.0 * DRIFT_PRIOR * abs(since)
+        return since < 0 or abs(trip.offset_ns - expected) > allowed
+
+    def _fit(self) -> None:
+        """Weighted least squares of offset (at the latest trip) and drift."""
+        last = self._trips[-1]
+        shortest = min(t.round_trip_ns for t in self._trips)
+        s0 = sx = sxx = sy = sxy = 0.0
+        for trip in self._trips:
+            sigma = FLOOR_S + 0.5e-9 * (trip.round_trip_ns - shortest)
+            w = 1.0 / (sigma * sigma)
+            x = 1e-9 * (trip.device_ns - last.device_ns)
+            y = 1e-9 * (trip.offset_ns - last.offset_ns)
+            s0 += w
+            sx += w * x
+            sxx += w * x * x
+            sy += w * y
+            sxy += w * x * y
+        sxx += 1.0 / (DRIFT_PRIOR * DRIFT_PRIOR)
+        determinant = s0 * sxx - sx * sx
+        self._drift = (s0 * sxy - sx * sy) / determinant
+        self._offset_ns = last.offset_ns + 1e9 * (sy - self._drift * sx) / s0
