@@ -1,0 +1,148 @@
+"""From the band of interest to the test signals: eqs. (9) and (10) of the paper, in figures.
+
+Pure: a frozen Design out, with the words that say what it gives and why, and as a schedule.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from quad_sysid.errors import BadInputError
+from quad_sysid.signals.prbs import TAPS
+
+PERIODS = (3.0, 5.0)
+"""Eq. (9): N * clock = 3 to 5 of the longest time constant."""
+SAMPLES_PER_CLOCK = 2
+
+
+@dataclass(frozen=True)
+class Design:
+    """An excitation for one band. Times in s, frequencies in rad/s."""
+
+    low_rad_s: float
+    high_rad_s: float
+    sample_rate_hz: float
+    clock_samples: int
+    register_bits: int
+    validation_bits: int
+    square_period_s: float
+    unit_s: float
+    """Time unit of a 3-2-1-1."""
+
+    @property
+    def clock_s(self) -> float:
+        """Clock of the shift register."""
+        return self.clock_samples / self.sample_rate_hz
+
+    @property
+    def length(self) -> int:
+        """N = 2^n - 1 bits per period: also the order of persistent excitation."""
+        return int(2**self.register_bits - 1)
+
+    @property
+    def period_s(self) -> float:
+        """Duration of one period of the training PRBS."""
+        return self.length * self.clock_s
+
+    @property
+    def covered_rad_s(self) -> tuple[float, float]:
+        """First spectral line, and 2 pi 0.3 / clock, where eq. (10) ends the band."""
+        return 2.0 * math.pi / self.period_s, 2.0 * math.pi * 0.3 / self.clock_s
+
+    def order(self, duration_s: float) -> int:
+        """Persistence of excitation that a stretch of the PRBS gives: it has so many bits."""
+        return min(self.length, math.floor(duration_s / self.clock_s))
+
+    def text(self) -> str:
+        """Say what the design gives and why, line by line."""
+        return '\n'.join(_lines(self))
+
+    def to_schedule_yaml(self, axis: str = 'roll', amplitude_deg: float = 12.0) -> str:
+        """Write a schedule of the excitation node: train, validate on PRBS and on a square."""
+        train = math.ceil(min(self.period_s, 120.0))
+        prbs = f'signal: prbs, axis: {axis}, injection: attitude, amplitude_deg: {amplitude_deg:g}'
+        square = prbs.replace('prbs', 'square')
+        rows = [
+            '{segment: idle, duration_s: 3.0}',
+            (f'{{segment: train, {prbs}, duration_s: {train}.0, clock_s: {self.clock_s:.6g}, '
+            f'register_bits: {self.register_bits}, seed: 1}}'),
+            '{segment: idle, duration_s: 2.0}',
+            (f'{{segment: validation, {prbs}, duration_s: 18.0, clock_s: {self.clock_s:.6g}, '
+            f'register_bits: {self.validation_bits}, seed: 2}}'),
+            '{segment: idle, duration_s: 2.0}',
+            (f'{{segment: validation, {square}, duration_s: 16.0, '
+            f'period_s: {self.square_period_s:.6g}}}'),
+            '{segment: idle, duration_s: 2.0}',
+        ]
+        band = f'{self.low_rad_s:g} to {self.high_rad_s:g} rad/s'
+        head = f'# Designed for {band} by eqs. (9), (10).\n'
+        return head + 'schedule:\n  mount: rig\n  segments:\n' + ''.join(
+            f'    - {row}\n' for row in rows
+        )
+
+
+def design_excitation(
+    low_rad_s: float, high_rad_s: float, sample_rate_hz: float = 250.0
+) -> Design:
+    """Design for a band in rad/s; raises BadInputError where rate and band do not go together.
+
+    Eq. (10): 0.3 / clock = 1 / (2 pi tau_min), tau_min = 1 / high, rounded down to whole samples
+    so that the band is covered; eq. (9): N * clock = 3 to 5 tau_max, tau_max = 1 / low, by the
+    register of whole bits that comes nearest to 4.
+    """
+    if not 0.0 < low_rad_s < high_rad_s < math.inf:
+        raise BadInputError(
+            '--band', 'needs 0 < LOW < HIGH in rad/s', f'{low_rad_s:g}:{high_rad_s:g}',
+            'for example --band 0.1:20',
+        )
+    clock = 0.3 * 2.0 * math.pi / high_rad_s
+    samples = math.floor(clock * sample_rate_hz + 1e-9)
+    if samples < SAMPLES_PER_CLOCK:
+        most = 0.3 * 2.0 * math.pi * sample_rate_hz / SAMPLES_PER_CLOCK
+        raise BadInputError(
+            '--band', f'HIGH is too fast for {sample_rate_hz:g} Hz', f'{high_rad_s:g} rad/s',
+            f'at most {most:.4g} rad/s ({SAMPLES_PER_CLOCK} samples per clock)',
+        )
+    wanted = math.log2(4.0 / (low_rad_s * samples / sample_rate_hz) + 1.0)
+    bits = min(max(round(wanted), min(TAPS)), max(TAPS))
+    middle = math.sqrt(low_rad_s * high_rad_s)
+    return Design(
+        low_rad_s=low_rad_s, high_rad_s=high_rad_s, sample_rate_hz=sample_rate_hz,
+        clock_samples=samples, register_bits=bits,
+        validation_bits=bits - 1 if bits > min(TAPS) else bits + 1,
+        square_period_s=round(2.0 * math.pi / middle, 3),
+        unit_s=round(0.3 * 2.0 * math.pi / (high_rad_s / 3.0), 3),
+    )
+
+
+def _lines(d: Design) -> list[str]:
+    """Words of a design."""
+    tau_min, tau_max = 1.0 / d.high_rad_s, 1.0 / d.low_rad_s
+    exact = 0.3 * 2.0 * math.pi * tau_min
+    first, top = d.covered_rad_s
+    periods = d.period_s / tau_max
+    inside = PERIODS[0] <= periods <= PERIODS[1]
+    return [
+        (f'band {d.low_rad_s:g} to {d.high_rad_s:g} rad/s at {d.sample_rate_hz:g} Hz: '
+        f'tau_min {tau_min:.4g} s, tau_max {tau_max:.4g} s'),
+        (f'clock {d.clock_s:.4g} s ({d.clock_samples} samples): eq. (10), 0.3/clock = '
+        f'1/(2 pi tau_min), gives {exact:.4g} s, rounded down so that HIGH is covered; '
+        f'the PRBS reaches to {top:.4g} rad/s'),
+        f'register {d.register_bits} bits, N = {d.length}, period {d.period_s:.4g} s = '
+        f'{periods:.2g} tau_max: eq. (9) asks for 3 to 5'
+        + ('' if inside else '; no register of whole bits lies inside, this one is nearest to 4'),
+        (f'persistently exciting of order {d.length} over one period '
+        f'(the paper needs 50 for its largest model)'),
+        f'first spectral line {first:.3g} rad/s'
+        + (
+            f', above LOW: what lies below is not excited steadily; a register of '
+            f'{d.register_bits + 1} bits would reach it' if first > d.low_rad_s else ''
+        ),
+        (f'validation: another register ({d.validation_bits} bits; the same one would only be '
+        f'shifted) and a square wave of {d.square_period_s:g} s'),
+        (f'3-2-1-1 unit {d.unit_s:g} s; chirp or multisine {d.low_rad_s / (2 * math.pi):.3g} to '
+        f'{d.high_rad_s / (2 * math.pi):.3g} Hz'),
+        ('the paper prints a clock of 0.03 s and N = 424: its own eq. (10) gives 0.094 s for '
+        '20 rad/s, and 424 is no 2^n - 1 (511 is, n = 9); this design follows the equations'),
+    ]

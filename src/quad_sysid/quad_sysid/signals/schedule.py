@@ -1,0 +1,188 @@
+"""The schedule of a flight: timed parts, one axis each, and the excitation at any time.
+
+Pure: a mapping (from YAML) in, a frozen Schedule out. Unknown keys are errors. Reading the file is
+schedule_file.py's business; what ends a flight early is guard.py's.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import accumulate
+
+from quad_sysid.contract import AXES
+from quad_sysid.errors import BadInputError
+from quad_sysid.signals.waveforms import Silence, Waveform, parameter_names, waveform
+
+ROLES = ('train', 'validation', 'idle')
+MOUNTS = ('rig', 'hover')
+RAMP_S = 0.5
+AMPLITUDE_DEG = 12.0
+DEGREE = math.pi / 180.0
+
+AMPLITUDES: dict[str, tuple[str, float, float, float]] = {
+    'attitude': ('amplitude_deg', DEGREE, AMPLITUDE_DEG, 20.0),
+    'rate': ('amplitude_deg_s', DEGREE, 30.0, 200.0),
+    'control': ('amplitude', 1.0, 0.03, 0.2),
+}
+"""Injection → key of the amplitude, its unit, default and limit (paper: |angle| at most 20°)."""
+
+PART_KEYS = ('segment', 'duration_s', 'signal', 'axis', 'injection', 'ramp_s')
+
+
+@dataclass(frozen=True)
+class Part:
+    """One segment of the schedule."""
+
+    role: str
+    duration_s: float
+    signal: str = 'none'
+    axis: str = 'roll'
+    injection: str = 'attitude'
+    amplitude: float = 0.0
+    """In the unit of the injection: rad, rad/s or normalised command."""
+    ramp_s: float = RAMP_S
+    """The amplitude grows over this time at the start and falls over it at the end."""
+    parameters: Mapping[str, float | int] = field(default_factory=dict)
+    waveform: Waveform = field(default_factory=Silence)
+
+    def at(self, time_s: float) -> float:
+        """Excitation `time_s` s after the part's start; zero outside it."""
+        if not 0.0 <= time_s < self.duration_s:
+            return 0.0
+        share = 1.0
+        if self.ramp_s > 0.0:
+            share = min(1.0, time_s / self.ramp_s, (self.duration_s - time_s) / self.ramp_s)
+        return share * self.amplitude * self.waveform.at(time_s)
+
+    def announcement(self) -> dict[str, float | int | str]:
+        """Parameters of /excitation/segment."""
+        names: dict[str, float | int | str] = {
+            'segment': self.role, 'signal': self.signal, 'axis': self.axis,
+            'injection': self.injection,
+        }
+        if self.role != 'idle':
+            names |= {'amplitude': self.amplitude, 'ramp_s': self.ramp_s, **self.parameters}
+        return names
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """Parts in their order."""
+
+    parts: tuple[Part, ...]
+    mount: str = 'rig'
+    source: str = ''
+
+    @property
+    def starts_s(self) -> tuple[float, ...]:
+        """Start of each part."""
+        return (0.0, *accumulate(part.duration_s for part in self.parts[:-1]))
+
+    @property
+    def duration_s(self) -> float:
+        """Length of the whole."""
+        return sum(part.duration_s for part in self.parts)
+
+    def index(self, time_s: float) -> int | None:
+        """Which part runs at `time_s`; None before the start and after the end."""
+        if not 0.0 <= time_s < self.duration_s:
+            return None
+        return sum(1 for start in self.starts_s if start <= time_s) - 1
+
+    def sample(self, time_s: float) -> tuple[float, float, float]:
+        """Excitation of roll, pitch, yaw at `time_s`, in the unit of the running part."""
+        out = [0.0, 0.0, 0.0]
+        index = self.index(time_s)
+        if index is not None:
+            part = self.parts[index]
+            out[AXES.index(part.axis)] = part.at(time_s - self.starts_s[index])
+        return out[0], out[1], out[2]
+
+
+def parse_schedule(content: object, source: str) -> Schedule:
+    """Read a schedule from parsed YAML; raises BadInputError naming file, segment and key."""
+    top = _mapping(content, source, ('schedule',), 'the file')
+    body = _mapping(top.get('schedule'), source, ('mount', 'segments', 'ramp_s'), 'schedule')
+    mount = body.get('mount', 'rig')
+    if mount not in MOUNTS:
+        raise BadInputError(source, 'mount is unknown', repr(mount), f'use {", ".join(MOUNTS)}')
+    listed = body.get('segments')
+    if not isinstance(listed, Sequence) or isinstance(listed, str) or not listed:
+        raise BadInputError(source, 'schedule needs a list of segments', repr(listed))
+    ramp_s = _number(body, 'ramp_s', RAMP_S, source, 0.0)
+    parts = [
+        _part(entry, f'{source}, segment {number}', ramp_s)
+        for number, entry in enumerate(listed, 1)
+    ]
+    return Schedule(tuple(parts), str(mount), source)
+
+
+def _part(entry: object, where: str, ramp_s: float) -> Part:
+    """One segment."""
+    if not isinstance(entry, Mapping):
+        raise BadInputError(where, 'must be a mapping of keys', repr(entry))
+    role = entry.get('segment')
+    if role not in ROLES:
+        raise BadInputError(where, 'segment is unknown', repr(role), f'use {", ".join(ROLES)}')
+    signal = str(entry.get('signal', 'none'))
+    axis, injection = entry.get('axis', 'roll'), entry.get('injection', 'attitude')
+    if axis not in AXES:
+        raise BadInputError(where, 'axis is unknown', repr(axis), f'use {", ".join(AXES)}')
+    if injection not in AMPLITUDES:
+        raise BadInputError(
+            where, 'injection is unknown', repr(injection), f'use {", ".join(AMPLITUDES)}'
+        )
+    key, unit, default, limit = AMPLITUDES[str(injection)]
+    if (role == 'idle') != (signal == 'none'):
+        raise BadInputError(
+            where, f'segment {role} with signal {signal}',
+            remedy='idle goes with none, train and validation with a signal',
+        )
+    own = {k: v for k, v in entry.items() if k not in PART_KEYS and k != key}
+    if role == 'idle':
+        _mapping(entry, where, PART_KEYS, 'an idle segment')
+        own = {}
+    elif any(k.startswith('amplitude') for k in own):
+        raise BadInputError(where, f'injection {injection} takes {key}', ', '.join(own))
+    amplitude = _number(entry, key, default, where, 0.0, limit)
+    duration = _number(entry, 'duration_s', math.nan, where, 0.0)
+    if duration <= 0.0:
+        raise BadInputError(where, 'duration_s must be positive', duration)
+    if signal == 'chirp':
+        own.setdefault('sweep_s', duration)
+    shape = waveform(signal, own, where)
+    parameters = {name: getattr(shape, name) for name in parameter_names(signal)}
+    return Part(
+        role=str(role), duration_s=duration, signal=signal, axis=str(axis),
+        injection=str(injection), amplitude=0.0 if role == 'idle' else amplitude * unit,
+        ramp_s=_number(entry, 'ramp_s', ramp_s, where, 0.0, duration / 2.0),
+        parameters=parameters, waveform=shape,
+    )
+
+
+def _mapping(value: object, where: str, keys: Sequence[str], what: str) -> Mapping[str, object]:
+    """`value` as a mapping without keys other than `keys`."""
+    if not isinstance(value, Mapping):
+        raise BadInputError(where, f'{what} must hold {", ".join(keys)}', repr(value))
+    strange = [str(key) for key in value if key not in keys]
+    if strange:
+        raise BadInputError(
+            where, f'unknown key {", ".join(strange)}', remedy=f'{what} takes {", ".join(keys)}'
+        )
+    return value
+
+
+def _number(
+    entry: Mapping[str, object], key: str, default: float, where: str,
+    low: float, high: float = math.inf,
+) -> float:
+    """A finite number within low..high."""
+    value = entry.get(key, default)
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        found = None if key not in entry else repr(value)
+        raise BadInputError(where, f'{key} must be a number', found, 'give it')
+    if not low <= value <= high:
+        raise BadInputError(where, f'{key} must lie in {low:g}..{high:g}', value, 'lower it')
+    return float(value)

@@ -1,0 +1,220 @@
+"""Test signals: exact properties, the design's equations, schedules and their errors."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from quad_sysid.errors import BadInputError
+from quad_sysid.schedule_file import load_schedule
+from quad_sysid.signals import (
+    SIGNALS,
+    design_excitation,
+    parse_schedule,
+    prbs,
+    prbs_bits,
+    waveform,
+)
+
+CONFIG = Path(__file__).resolve().parents[2] / 'src/quad_sysid/config'
+EXAMPLES = {
+    'prbs': {'clock_s': 0.1, 'register_bits': 5},
+    'square': {'period_s': 2.0},
+    'chirp': {'f0_hz': 0.1, 'f1_hz': 4.0, 'sweep_s': 20.0},
+    'multisine': {'f0_hz': 0.1, 'f1_hz': 3.0, 'period_s': 20.0},
+    '3211': {'unit_s': 0.3},
+    'none': {},
+}
+
+
+@pytest.mark.parametrize('bits', range(2, 16))
+def test_a_prbs_is_a_maximal_sequence(bits):
+    signal = prbs_bits(bits, seed=bits)
+    length = 2**bits - 1
+    assert len(signal) == length
+    assert np.count_nonzero(signal > 0) == 2 ** (bits - 1)
+    spectrum = np.fft.fft(signal)
+    correlation = np.rint(np.fft.ifft(np.abs(spectrum) ** 2).real)
+    assert correlation[0] == length
+    assert (correlation[1:] == -1).all()
+
+
+def test_seeds_shift_the_sequence_and_a_generator_draws_them():
+    one, other = prbs_bits(7, 1), prbs_bits(7, 2)
+    assert (one != other).any()
+    assert any((np.roll(one, k) == other).all() for k in range(127))
+    drawn = prbs(7, 3, 0.2, np.random.default_rng(4))
+    np.testing.assert_array_equal(drawn, prbs(7, 3, 0.2, np.random.default_rng(4)))
+    assert drawn.shape == (381,)
+    assert set(np.unique(drawn)) == {-0.2, 0.2}
+    with pytest.raises(BadInputError, match='register_bits'):
+        prbs_bits(16)
+    with pytest.raises(BadInputError, match='clock_samples'):
+        prbs(5, 0, 1.0)
+
+
+@pytest.mark.parametrize('name', sorted(SIGNALS))
+def test_every_signal_stays_within_one_and_uses_it(name):
+    shape = waveform(name, EXAMPLES[name], 'test')
+    values = np.array([shape.at(t) for t in np.arange(0.0, 60.0, 0.004)])
+    assert np.abs(values).max() <= 1.0
+    if name != 'none':
+        assert np.abs(values).max() > 0.95
+        assert abs(values.mean()) < 0.1
+
+
+def test_a_multisine_has_its_power_in_its_lines_only():
+    shape = waveform('multisine', EXAMPLES['multisine'], 'test')
+    values = np.array([shape.at(t) for t in np.arange(5000) * 0.004])
+    power = np.abs(np.fft.rfft(values)) ** 2
+    assert power[2:61].sum() > 0.999999 * power.sum()
+    assert power[2:61].min() == pytest.approx(power[2:61].max(), rel=1e-6)
+    assert np.abs(values).max() / values.std() < 2.0
+
+
+def test_a_chirp_sweeps_from_f0_to_f1():
+    shape = waveform('chirp', {'f0_hz': 0.5, 'f1_hz': 4.0, 'sweep_s': 20.0}, 'test')
+    values = np.array([shape.at(t) for t in np.arange(20_000) * 0.001])
+    ups = np.flatnonzero((values[:-1] <= 0) & (values[1:] > 0)) * 0.001
+    assert 1.0 / (ups[1] - ups[0]) == pytest.approx(0.5, rel=0.12)
+    assert 1.0 / (ups[-1] - ups[-2]) == pytest.approx(4.0, rel=0.05)
+
+
+def test_3211_holds_its_levels():
+    shape = waveform('3211', {'unit_s': 1.0}, 'test')
+    assert [shape.at(k + 0.5) for k in range(20)] == [
+        1, 1, 1, -1, -1, 1, -1, 0, 0, 0, -1, -1, -1, 1, 1, -1, 1, 0, 0, 0,
+    ]  # fmt: skip
+
+
+# ---- design -----------------------------------------------------------------------------------
+
+
+def test_the_papers_band_gives_what_its_equations_say():
+    design = design_excitation(0.1, 20.0)
+    exact = 0.3 * 2 * math.pi / 20.0
+    assert design.clock_s == 0.092
+    assert 0.0 <= exact - design.clock_s < 0.004
+    assert design.length == 511
+    assert 3.0 <= design.period_s / 10.0 <= 5.0
+    assert design.covered_rad_s[1] >= 20.0
+    assert design.order(1e3) == 511
+    assert design.order(9.2) == 100
+    text = design.text()
+    for figure in ('0.09425', '0.092', '511', '0.03 s', '424', 'eq. (9)', 'eq. (10)'):
+        assert figure in text
+
+
+@pytest.mark.parametrize(('low', 'high', 'rate'), [(0.1, 20, 250), (0.5, 40, 500), (1, 6, 100)])
+def test_a_design_is_a_schedule_that_can_be_flown(low, high, rate):
+    design = design_excitation(low, high, rate)
+    schedule = parse_schedule(yaml.safe_load(design.to_schedule_yaml('pitch', 10.0)), 'design')
+    train = schedule.parts[1]
+    assert (train.axis, train.signal) == ('pitch', 'prbs')
+    assert train.parameters['clock_s'] == pytest.approx(design.clock_s)
+    assert train.amplitude == pytest.approx(math.radians(10.0))
+    assert train.duration_s >= min(design.period_s, 120.0)
+    ratio = design.period_s * low
+    assert 4.0 / math.sqrt(2.1) < ratio < 4.0 * math.sqrt(2.1)
+
+
+@pytest.mark.parametrize(('low', 'high'), [(0.0, 20.0), (5.0, 1.0), (0.1, 500.0), (0.1, math.nan)])
+def test_bands_that_cannot_be_excited_are_refused(low, high):
+    with pytest.raises(BadInputError, match='--band'):
+        design_excitation(low, high)
+
+
+# ---- schedules --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(('name', 'seconds'), [('rig', 83), ('demo', 60), ('hover', 156)])
+def test_the_shipped_schedules_are_in_order(name, seconds):
+    schedule = load_schedule(CONFIG / f'schedule_{name}.yaml')
+    assert schedule.duration_s == pytest.approx(seconds)
+    assert schedule.mount == ('hover' if name == 'hover' else 'rig')
+    roles = [part.role for part in schedule.parts]
+    assert roles[0] == roles[-1] == 'idle'
+    train = {(p.axis, p.parameters['register_bits']) for p in schedule.parts if p.role == 'train'}
+    for part in schedule.parts:
+        if part.role == 'validation' and part.signal == 'prbs':
+            assert (part.axis, part.parameters['register_bits']) not in train
+    largest = max(abs(v) for t in np.arange(0, seconds, 0.01) for v in schedule.sample(t))
+    assert largest <= math.radians(12.0)
+
+
+def test_one_axis_at_a_time_with_ramps_and_rest():
+    schedule = load_schedule(CONFIG / 'schedule_rig.yaml')
+    assert schedule.sample(-1.0) == schedule.sample(1.0) == schedule.sample(1e4) == (0, 0, 0)
+    part = schedule.parts[1]
+    assert abs(part.at(0.1)) == pytest.approx(0.2 * part.amplitude)
+    assert abs(part.at(20.0)) == pytest.approx(part.amplitude)
+    assert abs(part.at(part.duration_s - 0.25)) == pytest.approx(0.5 * part.amplitude)
+    assert part.at(part.duration_s) == 0.0
+    assert schedule.index(3.0) == 1
+    assert schedule.index(83.0) is None
+    told = part.announcement()
+    assert told['segment'] == 'train'
+    assert told['register_bits'] == 9
+    assert told['amplitude'] == pytest.approx(math.radians(12.0))
+    assert schedule.parts[0].announcement()['signal'] == 'none'
+
+
+GOOD = {'segment': 'train', 'signal': 'square', 'period_s': 2.0, 'duration_s': 10.0}
+
+
+@pytest.mark.parametrize(
+    ('change', 'named'),
+    [
+        ({'amplitud_deg': 3}, 'amplitud_deg'),
+        ({'amplitude_deg': 25.0}, 'amplitude_deg'),
+        ({'amplitude_deg': math.nan}, 'amplitude_deg'),
+        ({'amplitude': 0.1}, 'amplitude_deg'),
+        ({'segment': 'trian'}, "'trian'"),
+        ({'signal': 'sine'}, "'sine'"),
+        ({'axis': 'x'}, "'x'"),
+        ({'injection': 'motor'}, "'motor'"),
+        ({'duration_s': -1.0}, 'duration_s'),
+        ({'duration_s': 'long'}, "'long'"),
+        ({'period_s': 0.0}, 'period_s'),
+        ({'period_s': '2'}, 'period_s'),
+        ({'ramp_s': 6.0}, 'ramp_s'),
+        ({'signal': 'prbs'}, 'period_s'),
+        ({'segment': 'idle'}, 'idle'),
+    ],
+)
+def test_a_wrong_segment_is_told_with_file_number_and_key(change, named):
+    content = {'schedule': {'segments': [{'segment': 'idle', 'duration_s': 1}, {**GOOD, **change}]}}
+    with pytest.raises(BadInputError) as caught:
+        parse_schedule(content, 'flight.yaml')
+    line = str(caught.value)
+    assert line.startswith('flight.yaml, segment 2')
+    assert named in line
+    assert '\n' not in line
+
+
+@pytest.mark.parametrize(
+    ('content', 'named'),
+    [
+        (None, 'schedule'), ([], 'schedule'), ({'schedule': {}}, 'segments'),
+        ({'schedule': {'segments': []}}, 'segments'), ({'shedule': {}}, 'shedule'),
+        ({'schedule': {'segments': [3]}}, 'segment 1'),
+        ({'schedule': {'segments': [GOOD], 'mount': 'boat'}}, "'boat'"),
+        ({'schedule': {'segments': [GOOD], 'speed': 1}}, 'speed'),
+    ],
+)
+def test_a_wrong_file_is_told_in_one_line(content, named):
+    with pytest.raises(BadInputError, match=named):
+        parse_schedule(content, 'flight.yaml')
+
+
+def test_files_that_are_no_schedule_are_told(tmp_path):
+    with pytest.raises(BadInputError, match='cannot be read'):
+        load_schedule(tmp_path / 'absent.yaml')
+    broken = tmp_path / 'broken.yaml'
+    broken.write_text('schedule:\n  segments: [\n')
+    with pytest.raises(BadInputError, match=r'broken.yaml, line 3: is not YAML'):
+        load_schedule(broken)
