@@ -116,9 +116,7 @@ class Aircraft:
             self._cycle += block.stop - start
         return log
 
-    def _stepwise(
-        self, row: int, given: FloatArray, normals: FloatArray, log: FloatArray
-    ) -> None:
+    def _stepwise(self, row: int, given: FloatArray, normals: FloatArray, log: FloatArray) -> None:
         """One cycle with the Python effect called before every physics step."""
         begin_cycle(self.machine, self._cycle + row, given, normals[:NORMALS_PER_CYCLE], log)
         for step in range(self._steps):
@@ -149,4 +147,3 @@ def _controller(profile: Profile) -> Controller:
         climb_kp=free * pilot.climb_kp_per_m,
         climb_kd=free * pilot.climb_kd_s_per_m,
     )
-

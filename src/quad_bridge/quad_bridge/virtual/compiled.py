@@ -16,7 +16,16 @@ from numba import njit
 
 _F = TypeVar('_F', bound=Callable[..., object])
 
-KERNEL_FILES = ('compiled.py', 'physics.py', 'rotation.py', 'sensors.py', 'control.py', 'cycle.py')
+KERNEL_FILES = (
+    'airframe.py',
+    'compiled.py',
+    'control.py',
+    'cycle.py',
+    'physics.py',
+    'plant.py',
+    'rotation.py',
+    'sensors.py',
+)
 
 
 def kernel(function: _F) -> _F:

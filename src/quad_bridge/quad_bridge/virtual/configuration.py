@@ -44,8 +44,9 @@ def merged(under: Mapping[str, object], over: Mapping[str, object]) -> dict[str,
     result = dict(under)
     for key, value in over.items():
         old = result.get(key)
-        both = isinstance(old, Mapping) and isinstance(value, Mapping)
-        result[key] = merged(old, value) if both else value  # type: ignore[arg-type]
+        if isinstance(old, Mapping) and isinstance(value, Mapping):
+            value = merged(old, value)  # noqa: PLW2901
+        result[key] = value
     return result
 
 

@@ -71,7 +71,7 @@ def second_loop(
     memory[D_STATE + axis] += share * (slope - memory[D_STATE + axis])
     memory[LAST_RATE + axis] = rate
     raw = row[KP] * error + memory[INTEGRAL + axis] - row[KD] * memory[D_STATE + axis]
-    return min(row[OUTPUT_LIMIT], max(-row[OUTPUT_LIMIT], raw))
+    return float(min(row[OUTPUT_LIMIT], max(-row[OUTPUT_LIMIT], raw)))
 
 
 @kernel

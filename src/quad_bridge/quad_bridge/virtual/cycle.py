@@ -84,7 +84,7 @@ def begin(
     """The firmware's part of a cycle; fills the log row and `acting`."""
     plant, chips, controller, state, sensed, memory, acting = machine
     gyro, accel, angles = log[1:4], log[4:7], log[7:10]
-    sample(sensed, state, plant, chips, normals, cycle, gyro, accel)
+    sample(sensed, state, chips, normals, cycle, gyro, accel)
     complementary_filter(sensed, chips, gyro, accel, controller.cycle_s)
     angles[:] = sensed[ATTITUDE : ATTITUDE + 3]
     used = given.copy()

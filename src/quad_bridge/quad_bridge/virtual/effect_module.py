@@ -51,7 +51,9 @@ def checked(function: EffectFunction, name: str) -> EffectFunction:
             returned = function(t_s, rates, angles, thrusts, battery_v)
             torque = np.array(returned, dtype=np.float64)
         except Exception as error:
-            raise EffectModuleError(name, f'effect() at t = {t_s:.3f} s: {_named(error)}') from error
+            raise EffectModuleError(
+                name, f'effect() at t = {t_s:.3f} s: {_named(error)}'
+            ) from error
         if torque.shape != (3,) or not np.isfinite(torque).all():
             raise EffectModuleError(
                 name,

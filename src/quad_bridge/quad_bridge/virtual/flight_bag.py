@@ -12,8 +12,14 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability
-from rosbags.interfaces import QosTime
+from rosbags.interfaces import (
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
@@ -128,10 +134,18 @@ def _template(topic: str) -> bytes:
     nine = np.zeros(9)
     fields: dict[str, tuple[Any, ...]] = {
         'sensor_msgs/msg/Imu': (
-            t['geometry_msgs/msg/Quaternion'](0.0, 0.0, 0.0, 1.0), nine, three, nine, three, nine,
+            t['geometry_msgs/msg/Quaternion'](0.0, 0.0, 0.0, 1.0),
+            nine,
+            three,
+            nine,
+            three,
+            nine,
         ),
         'sensor_msgs/msg/JointState': (
-            [f'motor_{i}' for i in range(1, 5)], np.zeros(0), np.zeros(0), np.zeros(4),
+            [f'motor_{i}' for i in range(1, 5)],
+            np.zeros(0),
+            np.zeros(0),
+            np.zeros(4),
         ),
         'geometry_msgs/msg/WrenchStamped': (t['geometry_msgs/msg/Wrench'](three, three),),
         'geometry_msgs/msg/Vector3Stamped': (three,),
@@ -158,7 +172,22 @@ def _receiver_and_battery(flight: Flight, stamps: npt.NDArray[np.int64]) -> Iter
         stamp = int(stamps[row])
         volts = float(flight.battery_v[row])
         message = t[battery](
-            _header(stamp), volts, nan, nan, nan, nan, nan, nan, 2, 1, 3, True, none, none, '', '',
+            _header(stamp),
+            volts,
+            nan,
+            nan,
+            nan,
+            nan,
+            nan,
+            nan,
+            2,
+            1,
+            3,
+            True,
+            none,
+            none,
+            '',
+            '',
         )
         yield stamp, '/battery', bytes(STORE.serialize_cdr(message, battery))
 
@@ -179,7 +208,8 @@ def _events(flight: Flight, stamps: npt.NDArray[np.int64]) -> Iterator[Message]:
         touching = follower is not None and follower.start_s <= end_s + flight.dt / 2
         end = first + round(end_s * 1e9)
         if not touching and end <= int(stamps[-1]):
-            yield end, '/excitation/segment', _event(end, '/excitation', {**idle, 'axis': part.axis})
+            over = {**idle, 'axis': part.axis}
+            yield end, '/excitation/segment', _event(end, '/excitation', over)
 
 
 def _segment(part: Excited) -> dict[str, float | int | str]:

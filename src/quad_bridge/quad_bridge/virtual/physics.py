@@ -43,7 +43,7 @@ def pack_current(state: FloatArray, plant: Plant) -> float:
     """Pack current in A: it follows thrust^1.5 (power)."""
     current = plant.idle_current
     for i in range(4):
-        n = max(0.0, state[ROTORS + i])
+        n = max(0.0, float(state[ROTORS + i]))
         current += plant.full_current * n * math.sqrt(n)
     return current
 
@@ -51,7 +51,7 @@ def pack_current(state: FloatArray, plant: Plant) -> float:
 @kernel
 def battery_voltage(state: FloatArray, plant: Plant) -> float:
     """Pack voltage in V under the present load; open-circuit voltage linear between points."""
-    charge = max(0.0, 1.0 - state[CHARGE] / plant.capacity_as)
+    charge = max(0.0, 1.0 - float(state[CHARGE]) / plant.capacity_as)
     points, volts = plant.charge_points, plant.pack_voltage
     i = 1
     while i < len(points) - 1 and charge > points[i]:

@@ -93,8 +93,7 @@ class Plant(NamedTuple):
 
 
 def torque_map(airframe: Airframe) -> FloatArray:
-    """(3, 4) body torque per thrust of each motor, m: eq. (7) with lever l sqrt(2)/2, yaw by
-    the reaction torques."""
+    """(3, 4) body torque per thrust of each motor, m: eq. (7), lever l sqrt(2)/2, yaw reaction."""
     lever = airframe.arm_m * math.sqrt(2.0) / 2.0
     levers = np.array([lever, lever, airframe.motors.torque_per_thrust_m])
     return np.ascontiguousarray(MIXER.T[1:] * levers[:, None])
@@ -193,7 +192,9 @@ def _resistances(effects: Effects) -> dict[str, object]:
         'pendulum': _strength(
             effects.pendulum_stiffness.enabled, effects.pendulum_stiffness.stiffness_nm_rad
         ),
-        'cubic': _strength(effects.cubic_stiffness.enabled, effects.cubic_stiffness.stiffness_nm_rad3),
+        'cubic': _strength(
+            effects.cubic_stiffness.enabled, effects.cubic_stiffness.stiffness_nm_rad3
+        ),
     }
 
 
@@ -238,7 +239,7 @@ def hover_throttle(airframe: Airframe, plant: Plant) -> float:
     voltage = float(
         np.interp(airframe.battery.start_charge, plant.charge_points, plant.pack_voltage)
     )
-    scale = (voltage / plant.sag_reference_v) ** plant.sag_exponent
+    scale = float((voltage / plant.sag_reference_v) ** plant.sag_exponent)
     wanted = airframe.mass_kg * GRAVITY_M_S2 / (4.0 * plant.full_thrust * scale)
     c = plant.curvature
     if abs(c) < 1e-9:

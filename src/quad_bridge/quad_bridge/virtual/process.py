@@ -65,9 +65,7 @@ def arguments() -> argparse.ArgumentParser:
 def build_endpoint(given: argparse.Namespace) -> Endpoint:
     """The endpoint that the arguments ask for; kernels are compiled on return."""
     profile = load_profile(given.profile)
-    profile = replace(
-        profile, mount=given.mount or profile.mount, axis=given.axis or profile.axis
-    )
+    profile = replace(profile, mount=given.mount or profile.mount, axis=given.axis or profile.axis)
     effect = None if given.effect_module is None else load_effect(given.effect_module)
     events = Receiver() if given.rc_events is None else read_events(given.rc_events)
     script = Receiver(events=profile.receiver.events + events.events)

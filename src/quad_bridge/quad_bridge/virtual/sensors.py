@@ -17,14 +17,22 @@ import numpy.typing as npt
 from quad_bridge.virtual.airframe import GRAVITY_M_S2, Vector, require
 from quad_bridge.virtual.compiled import kernel
 from quad_bridge.virtual.effects import Vibration
-from quad_bridge.virtual.physics import POSITION, QUAT, RATES, TIME, VELOCITY
-from quad_bridge.virtual.physics import battery_voltage, motor_thrusts
+from quad_bridge.virtual.physics import (
+    POSITION,
+    QUAT,
+    RATES,
+    TIME,
+    VELOCITY,
+    battery_voltage,
+    motor_thrusts,
+)
 from quad_bridge.virtual.plant import Plant
 from quad_bridge.virtual.rotation import body_from_world, wrapped
 
 FloatArray = npt.NDArray[np.float64]
 
-GYRO_LP, ACCEL_LP, BIAS, ATTITUDE, MAG, PRESSURE, ACCEL_NOW, GYRO_NOW = 0, 6, 12, 15, 18, 21, 22, 25
+GYRO_LP, ACCEL_LP, BIAS, ATTITUDE = 0, 6, 12, 15
+MAG, PRESSURE, ACCEL_NOW, GYRO_NOW = 18, 21, 22, 25
 SENSOR_STATES = 28
 
 GYRO_DEG_S_PER_LSB = 1.0 / 65.5
@@ -145,7 +153,7 @@ def initial_sensors(chips: Chips, bias: FloatArray) -> FloatArray:
 @kernel
 def low_pass(state: FloatArray, base: int, i: int, row: FloatArray, value: float) -> float:
     """One step of channel `i` of the filter at `base` (transposed direct form II)."""
-    out = row[0] * value + state[base + i]
+    out = float(row[0] * value + state[base + i])
     state[base + i] = row[1] * value - row[3] * out + state[base + 3 + i]
     state[base + 3 + i] = row[2] * value - row[4] * out
     return out
@@ -191,14 +199,13 @@ def quantised(value: float, lsb: float) -> float:
     """`value` on the grid of a signed 16-bit reading with that step, clipped at its range."""
     if lsb == 0.0:
         return value
-    return lsb * min(32767.0, max(-32768.0, np.floor(value / lsb + 0.5)))
+    return lsb * min(32767.0, max(-32768.0, math.floor(value / lsb + 0.5)))
 
 
 @kernel
 def sample(
     sensed: FloatArray,
     state: FloatArray,
-    plant: Plant,
     chips: Chips,
     normals: FloatArray,
     cycle: int,
@@ -225,7 +232,7 @@ def sample(
 def complementary_filter(
     sensed: FloatArray, chips: Chips, gyro: FloatArray, accel: FloatArray, cycle_s: float
 ) -> None:
-    """Advance the attitude estimate (roll, pitch, yaw): gyro integrated, held by gravity and north."""
+    """Advance the attitude estimate: gyro integrated, held by gravity and north."""
     roll, pitch, yaw = sensed[ATTITUDE], sensed[ATTITUDE + 1], sensed[ATTITUDE + 2]
     sr, cr, cp = math.sin(roll), math.cos(roll), max(0.1, math.cos(pitch))
     turn = (gyro[1] * sr + gyro[2] * cr) / cp
@@ -244,5 +251,3 @@ def complementary_filter(
     sensed[ATTITUDE] = roll
     sensed[ATTITUDE + 1] = pitch
     sensed[ATTITUDE + 2] = wrapped(yaw)
-
-
