@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from quad_sysid.schedule_file import load_schedule
 from quad_tuning.demo.errors import StageFailedError
 from quad_tuning.demo.observer import Observer
 from quad_tuning.demo.processes import Crew, executable
@@ -104,10 +105,10 @@ def connect(campaign: Campaign, aircraft: Aircraft) -> None:
     campaign.wait('connect', '/gains/active', lambda: bool(observer.active_gains), CONNECT_S)
 
 
-def fly(campaign: Campaign, name: str, schedule: Path, seconds: float) -> Flight:
-    """Record one flight of a schedule of about `seconds`; the bag is complete on return."""
+def fly(campaign: Campaign, name: str, schedule: Path) -> Flight:
+    """Record one flight of a schedule; the bag is complete on return."""
     observer, crew = campaign.observer, campaign.crew
-    bag = campaign.folder / name
+    bag, planned = campaign.folder / name, load_schedule(schedule).duration_s
     gains = dict(observer.active_gains)
     observer.bag = {}
     logger, pilot = f'{name}_logger', f'{name}_excitation'
@@ -117,7 +118,7 @@ def fly(campaign: Campaign, name: str, schedule: Path, seconds: float) -> Flight
     observer.segment = {}
     child = crew.start_node('quad_bridge', 'excitation', {'schedule': str(schedule)}, called=pilot)
     child.may_end = True
-    campaign.wait(name, 'end of the schedule', lambda: child.ended is not None, seconds + START_S)
+    campaign.wait(name, 'end of the schedule', lambda: child.ended is not None, planned + START_S)
     seconds = time.monotonic() - began
     crew.stop(logger)
     campaign.wait(name, 'complete bag', lambda: _closed(name, observer), CLOSE_S)

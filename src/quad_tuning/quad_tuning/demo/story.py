@@ -11,6 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from ament_index_python.packages import get_package_share_directory
+
 from quad_tuning.demo.comparison import flown_square
 from quad_tuning.demo.domain import own_domain
 from quad_tuning.demo.errors import StageFailedError
@@ -69,7 +71,7 @@ def _close_the_loop(campaign: Campaign, seed: int, teller: Teller) -> Outcome:
     connect(campaign, Aircraft('plain', AXIS, seed, effect_module=HERE / 'friction_bearing.py'))
     teller.say('first flight, with the gains of the paper')
     start_identification(campaign, auto_update=True, axes=[AXIS])
-    first = fly(campaign, 'flight_1', HERE / 'first_flight.yaml', 75.0)
+    first = fly(campaign, 'flight_1', first_schedule())
     teller.say('bag complete; the identification node works on it')
     report = _axis_report(await_report(campaign))
     teller.say(f'verdict: {report["verdict"]}')
@@ -79,7 +81,7 @@ def _close_the_loop(campaign: Campaign, seed: int, teller: Teller) -> Outcome:
     teller.say(f'new gains acknowledged by the STM32 after {waited:.1f} s')
     campaign.crew.stop('identification')
     teller.say('second flight, with the new gains')
-    second = fly(campaign, 'flight_2', HERE / 'second_flight.yaml', 25.0)
+    second = fly(campaign, 'flight_2', HERE / 'second_flight.yaml')
     campaign.crew.stop()
     teller.say('both flights compared')
     return Outcome(
@@ -93,6 +95,11 @@ def _close_the_loop(campaign: Campaign, seed: int, teller: Teller) -> Outcome:
         files=[],
         seconds=teller.seconds,
     )
+
+
+def first_schedule() -> Path:
+    """The schedule of 60 s that quad_sysid ships for a quick flight on the rig."""
+    return Path(get_package_share_directory('quad_sysid')) / 'config' / 'schedule_demo.yaml'
 
 
 def _axis_report(path: Path) -> Mapping[str, Any]:
