@@ -41,7 +41,7 @@ def minimise(
     scale: FloatArray,
     *,
     max_iterations: int = 40,
-    tolerance: float = 1e-7,
+    tolerance: float = 1e-6,
 ) -> Minimum:
     """Minimise ||residual(theta)||² inside lower <= theta <= upper; all (p,).
 

@@ -38,7 +38,11 @@ def _linear(
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """State (rate, gyro noise, filter output, carry): F (4, 4), G (4, 2), C (4,), filter (2, 5)."""
     dt = data.dt
-    step = gyro_step(data.gyro_filter_hz, dt, data.realisation)
+    step = gyro_step(data.gyro_filter_hz, dt, data.realisation).copy()
+    # between two cycles the noise-driven rate is a straight line to first order
+    step[:, 2] += 0.5 * step[:, 3]
+    step[:, 4] += 0.5 * step[:, 3]
+    step[:, 3] = 0.0
     decay = float(np.exp(-max(damping, 0.0) * dt))
     f = np.zeros((4, 4))
     f[0, 0] = decay

@@ -1,0 +1,66 @@
+"""One candidate structure with what cross-validation says of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from quad_sysid.contract import FloatArray
+from quad_sysid.effects.crossval import held_out_errors
+from quad_sysid.greybox.fit import Fit, fit_structure
+from quad_sysid.greybox.simulate import Simulator
+from quad_sysid.greybox.structure import Effect, Settings
+
+Prepared = tuple[Effect, Settings]
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A fitted structure; `errors` (windows,) held-out mean squared free-run errors."""
+
+    fit: Fit
+    errors: FloatArray
+
+    @property
+    def score(self) -> float:
+        """Cross-validated RMS error, rad/s."""
+        return float(np.sqrt(np.mean(self.errors)))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the added effects."""
+        return tuple(e.name for e in self.fit.structure.effects)
+
+    @property
+    def curves(self) -> int:
+        """How many of the effects are curves without a name."""
+        return sum(e.kind == 'shape' for e in self.fit.structure.effects)
+
+
+def candidate(sim: Simulator, fit: Fit) -> Candidate:
+    """Cross-validate a fit on its own training windows."""
+    return Candidate(fit, held_out_errors(fit, sim.windows, sim.data.dt))
+
+
+def refitted(sim: Simulator, old: Candidate) -> Candidate:
+    """The same structure fitted again, from where it was, with another state correction."""
+    return candidate(sim, fit_structure(sim, old.fit.structure, old.fit.theta))
+
+
+def exchanged(sim: Simulator, chosen: Candidate, drop: str, put: Prepared) -> Candidate:
+    """`chosen` with one effect replaced by another."""
+    from quad_sysid.greybox.fit import fit_with_effect
+
+    return candidate(sim, fit_with_effect(sim, without(sim, chosen, drop).fit, *put))
+
+
+def without(sim: Simulator, chosen: Candidate, name: str) -> Candidate:
+    """`chosen` less one effect, refitted."""
+    structure = chosen.fit.structure
+    keep = np.ones(chosen.fit.theta.size, dtype=bool)
+    for effect, where in zip(structure.effects, structure.slices(), strict=True):
+        if effect.name == name:
+            keep[where] = False
+    fit = fit_structure(sim, structure.without(name), chosen.fit.theta[keep])
+    return candidate(sim, fit)

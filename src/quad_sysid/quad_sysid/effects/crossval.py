@@ -1,0 +1,105 @@
+"""Blocked cross-validation of fitted structures on the training windows, by linearised refits.
+
+A fit's Jacobian at its optimum gives the parameters without one fold to first order, so leaving
+out costs no simulation. Folds are contiguous with gaps longer than the system's memory.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from quad_sysid.contract import FloatArray
+from quad_sysid.greybox.data import Windows
+from quad_sysid.greybox.fit import Fit, block_numbers
+
+FOLDS = 6
+GAP_S = 1.0
+"""Training windows this near to a held-out fold are left out of its fit."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Paired comparison of two error figures over blocks."""
+
+    difference: float
+    """Mean of (first - second) of the squared error, (rad/s)²; positive: the second is better."""
+    standard_error: float
+    p_value: float
+    """One-sided, that the second is no better."""
+    blocks: int
+
+
+def held_out_errors(fit: Fit, windows: Windows, dt: float) -> FloatArray:
+    """(windows,) mean squared free-run error of each window by models that did not see it."""
+    count, length, p = fit.jacobian.shape
+    j = fit.jacobian
+    gram = np.einsum('wlp,wlq->wpq', j, j)
+    score = np.einsum('wlp,wl->wp', j, fit.errors)
+    order = np.argsort(windows.starts, kind='stable')
+    fold = np.empty(count, dtype=np.int64)
+    folds = min(FOLDS, max(2, count // 4))
+    fold[order] = np.arange(count) * folds // count
+    free = np.flatnonzero(~fit.at_bound)
+    # spread of each parameter, so that the solve is well scaled
+    total = np.sqrt(np.maximum(np.einsum('wpp->p', gram), 1e-300))[free]
+    out = np.empty(count)
+    gap = round(GAP_S / dt) + length
+    for number in range(folds):
+        held = fold == number
+        kept = ~held
+        near = np.abs(windows.starts[:, None] - windows.starts[None, held]).min(axis=1) < gap
+        kept &= ~near
+        shift = np.zeros(p)
+        if free.size and kept.any():
+            left = gram[kept].sum(axis=0)[np.ix_(free, free)] / np.outer(total, total)
+            right = score[kept].sum(axis=0)[free] / total
+            shift[free] = -np.linalg.lstsq(left, right, rcond=1e-12)[0] / total
+        errors = fit.errors[held] + j[held] @ shift
+        out[held] = np.mean(errors**2, axis=1)
+    return out
+
+
+def compare(first: FloatArray, second: FloatArray, windows: Windows, dt: float) -> Comparison:
+    """Paired one-sided test over blocks that the second's squared errors (windows,) are smaller.
+
+    Two statistics, the better one's p doubled: the mean difference, which sees an effect that
+    acts in few blocks, and the mean log ratio, which sees one that acts in all of them.
+    """
+    blocks = block_numbers(windows, dt)
+    count = int(blocks.max()) + 1
+    sizes = np.bincount(blocks, minlength=count)
+    a = np.bincount(blocks, first, minlength=count) / sizes
+    b = np.bincount(blocks, second, minlength=count) / sizes
+    tiny = 1e-300
+    p_value = min(1.0, 2.0 * min(_one_sided(a - b), _one_sided(np.log((a + tiny) / (b + tiny)))))
+    error = float(np.std(a - b, ddof=1) / np.sqrt(count)) if count > 1 else float('inf')
+    return Comparison(float(np.mean(first - second)), error, p_value, count)
+
+
+def _one_sided(sample: FloatArray) -> float:
+    """p-value of Student's test that the mean of the sample is not above zero."""
+    if sample.size < 3:
+        return 1.0
+    error = float(np.std(sample, ddof=1) / np.sqrt(sample.size))
+    mean = float(np.mean(sample))
+    if not np.isfinite(error) or error == 0.0:
+        return 0.0 if mean > 0.0 and error == 0.0 else 1.0
+    return float(stats.t.sf(mean / error, sample.size - 1))
+
+
+def selection_probabilities(
+    errors: FloatArray, windows: Windows, dt: float, rng: np.random.Generator, draws: int = 2000
+) -> FloatArray:
+    """(m,) how often each of m models has the smallest error under resampled blocks.
+
+    errors (m, windows). Bayesian bootstrap (Rubin 1981) over blocks of windows.
+    """
+    blocks = block_numbers(windows, dt)
+    count = int(blocks.max()) + 1
+    summed = np.stack([np.bincount(blocks, row, minlength=count) for row in errors])
+    weights = rng.dirichlet(np.ones(count), size=draws)
+    best = np.argmin(weights @ summed.T, axis=1)
+    return np.bincount(best, minlength=errors.shape[0]) / draws

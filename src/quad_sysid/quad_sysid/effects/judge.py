@@ -1,0 +1,184 @@
+"""Open the validation segments, once: the paired test, the error figures, the verdict.
+
+Everything here takes a finished Discovery; nothing chosen before is chosen again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from collections.abc import Sequence
+
+import numpy as np
+
+from quad_sysid.contract import FloatArray
+from quad_sysid.effects.crossval import Comparison, compare
+from quad_sysid.effects.discover import Discovery
+from quad_sysid.greybox.data import AxisData, Span
+from quad_sysid.greybox.fit import Fit, block_numbers, fit_structure, simulator
+from quad_sysid.greybox.noise import NoiseModel
+from quad_sysid.greybox.simulate import Run, Simulator
+
+LEVEL = 0.05
+"""Level of the one final test per axis (contract, which data decide)."""
+EXCESS = 1.10
+"""The base's error may exceed what its noise predicts by this factor."""
+EARLY_S = 0.1
+"""Horizon over which the noise alone is taken to make the free-run error grow."""
+
+
+@dataclass(frozen=True)
+class Figures:
+    """Errors of one model on held-out windows, rad/s."""
+
+    free_run: float
+    one_step: float
+    interval: tuple[float, float]
+    """95 % of the free-run error, by resampled blocks."""
+    run: Run
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """The answer for one axis."""
+
+    verdict: str
+    reason: str
+    before: Figures
+    after: Figures
+    test: Comparison
+    noise_floor: float
+    predicted: float
+    """Free-run error of the base that its noise alone would explain, rad/s."""
+    hold: float
+    """Error of holding the last filtered rate instead of any model, rad/s."""
+    effect_tests: dict[str, tuple[float, float]]
+    """For each effect: p-value and growth of the error in % when it alone is left out."""
+    dependence: tuple[tuple[str, float], ...] = ()
+
+
+def figures(
+    data: AxisData, spans: Sequence[Span], fit: Fit, noise: NoiseModel,
+    rng: np.random.Generator,
+) -> tuple[Figures, Simulator]:
+    """The contract's error of a fitted model on spans it has not seen."""
+    sim = simulator(data, spans, noise.correction)
+    run = sim.run(fit.structure, fit.theta)
+    inside = np.concatenate([run.innovations[a + 1 : b] for a, b in spans])
+    inside = inside[np.isfinite(inside)]
+    squared = np.mean(run.errors**2, axis=1)
+    return Figures(
+        free_run=run.rms,
+        one_step=float(np.sqrt(np.mean(inside**2))),
+        interval=_interval(squared, block_numbers(sim.windows, data.dt), rng),
+        run=run,
+    ), sim
+
+
+def _interval(
+    squared: FloatArray, blocks: np.ndarray, rng: np.random.Generator, draws: int = 1000
+) -> tuple[float, float]:
+    """95 % interval of the RMS by resampling blocks of windows with replacement."""
+    count = int(blocks.max()) + 1
+    sums = np.bincount(blocks, squared, minlength=count)
+    sizes = np.bincount(blocks, minlength=count)
+    pick = rng.integers(0, count, size=(draws, count))
+    rms = np.sqrt(sums[pick].sum(axis=1) / sizes[pick].sum(axis=1))
+    low, high = np.percentile(rms, [2.5, 97.5])
+    return float(low), float(high)
+
+
+def judge(found: Discovery, rng: np.random.Generator) -> Judgement:
+    """Test the chosen model against the base on the validation segments; say what follows."""
+    data = found.data
+    before, sim = figures(data, data.validation, found.base, found.base_noise, rng)
+    after, _ = figures(data, data.validation, found.chosen, found.chosen_noise, rng)
+    test = compare(
+        np.mean(before.run.errors**2, axis=1), np.mean(after.run.errors**2, axis=1),
+        sim.windows, data.dt,
+    )
+    effects = bool(found.chosen.structure.effects)
+    predicted = predicted_from_start(before.run.errors, data.dt)
+    hold = hold_error(sim)
+    passed = effects and test.p_value < LEVEL and after.free_run < before.free_run
+    verdict, reason = _verdict(found, before, predicted, hold, test, passed=passed)
+    tests = _leave_one_out(found, after, rng) if passed else {}
+    noise = found.chosen_noise if passed else found.base_noise
+    return Judgement(
+        verdict=verdict, reason=reason, before=before, after=after if passed else before,
+        test=test, noise_floor=noise.measurement_rms, predicted=predicted, hold=hold,
+        effect_tests=tests,
+    )
+
+
+def _verdict(
+    found: Discovery, before: Figures, predicted: float, hold: float, test: Comparison,
+    *, passed: bool,
+) -> tuple[str, str]:
+    """One of the contract's four verdicts, with the reason in words."""
+    gain, deviation = float(found.base.theta[0]), float(found.base.std[0])
+    if before.free_run > 0.95 * hold or not abs(gain) > 3.0 * deviation:
+        return 'cannot_tell', (
+            f'free-run error {before.free_run:.3g} rad/s is hardly below that of holding the last '
+            f'rate ({hold:.3g} rad/s): the data do not excite the dynamics; '
+            'fly a PRBS on this axis (quad-sysid design-excitation)'
+        )
+    if passed:
+        names = ' and '.join(e.name for e in found.chosen.structure.effects)
+        return 'effects_added', (
+            f'{names} lowers the held-out error (p = {test.p_value:.2g} over {test.blocks} blocks)'
+        )
+    if before.free_run > EXCESS * predicted and not found.chosen.structure.effects:
+        return 'unexplained_residual', (
+            f'free-run error {before.free_run:.3g} rad/s against {predicted:.3g} rad/s that the '
+            'noise explains, yet nothing that was tried lowers it'
+        )
+    return 'no_missing_effect', (
+        'nothing lowers the error beyond chance, and the error agrees with the noise'
+    )
+
+
+def _leave_one_out(
+    found: Discovery, after: Figures, rng: np.random.Generator
+) -> dict[str, tuple[float, float]]:
+    """p-value and growth of the held-out error (%) when one effect alone is taken out."""
+    out: dict[str, tuple[float, float]] = {}
+    structure = found.chosen.structure
+    full = np.mean(after.run.errors**2, axis=1)
+    for effect, where in zip(structure.effects, structure.slices(), strict=True):
+        keep = np.ones(found.chosen.theta.size, dtype=bool)
+        keep[where] = False
+        if len(structure.effects) == 1:
+            fit, noise = found.base, found.base_noise
+        else:
+            fit = fit_structure(
+                found.chosen_simulator, structure.without(effect.name), found.chosen.theta[keep]
+            )
+            noise = found.chosen_noise
+        reduced, sim = figures(found.data, found.data.validation, fit, noise, rng)
+        test = compare(
+            np.mean(reduced.run.errors**2, axis=1), full, sim.windows, found.data.dt
+        )
+        out[effect.name] = (test.p_value, 100.0 * (reduced.free_run / after.free_run - 1.0))
+    return out
+
+
+def predicted_from_start(errors: FloatArray, dt: float) -> float:
+    """RMS over the window that the error's growth in its first 0.1 s leads one to expect, rad/s.
+
+    White torque noise makes the squared error grow in proportion to time; a torque that lasts
+    makes it grow faster.
+    """
+    squared = np.mean(errors**2, axis=0)
+    early = max(4, round(EARLY_S / dt))
+    steps = np.arange(squared.size)
+    design = np.stack([np.ones(early), steps[:early]], axis=1)
+    start, growth = np.linalg.lstsq(design, squared[:early], rcond=None)[0]
+    return float(np.sqrt(max(np.mean(start + max(growth, 0.0) * steps), 0.0)))
+
+
+def hold_error(sim: Simulator) -> float:
+    """RMS error of holding the mean of the last 20 ms before each window, rad/s."""
+    rate, dt = sim.data.rate, sim.data.dt
+    back = max(1, round(0.02 / dt))
+    last = np.array([np.mean(rate[s - back : s]) for s in sim.windows.starts])
+    return float(np.sqrt(np.mean((sim.measured - last[:, None]) ** 2)))
