@@ -1,6 +1,6 @@
 """What the run's nodes say, heard over the contract's topics by one small node.
 
-Listens only; nothing is published, and no process is started here.
+Listens, and calls the nodes' Trigger services; nothing is published, no process started here.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from rclpy.qos import (
 )
 from rclpy.utilities import try_shutdown
 from sensor_msgs.msg import Imu
+from std_srvs.srv import Trigger
 
 from quad_tuning.demo.errors import StageFailedError
 
@@ -122,6 +123,20 @@ class Observer:
             while (left := turn - time.monotonic()) > 0:
                 self._executor.spin_once(timeout_sec=left)
             meanwhile()
+
+    def call(self, stage: str, service: str, timeout_s: float) -> str:
+        """Call a Trigger service; its message. Raises StageFailedError where it is refused."""
+        client = self._node.create_client(Trigger, service)
+        try:
+            self.wait_for(stage, f'service {service}', client.service_is_ready, timeout_s)
+            future = client.call_async(Trigger.Request())
+            self.wait_for(stage, f'answer of {service}', future.done, timeout_s)
+            answer = future.result()
+        finally:
+            self._node.destroy_client(client)
+        if answer is None or not answer.success:
+            raise StageFailedError(stage, f'{service}: {answer and answer.message}')
+        return str(answer.message)
 
     def _complaints(self) -> str:
         bad = [

@@ -93,11 +93,14 @@ class Flight:
 
 
 def connect(campaign: Campaign, aircraft: Aircraft) -> None:
-    """Power the aircraft, open the port, wait until stamps and gains flow."""
+    """Power the aircraft, open the port, start the logger, wait until data and gains flow."""
     link = campaign.folder / 'stm32'
     campaign.crew.start('virtual_stm32', aircraft.command(link))
     campaign.wait('connect', 'pseudo-terminal of the virtual STM32', link.exists, CONNECT_S)
     campaign.crew.start_node('quad_bridge', 'serial_bridge', {'port': str(link)})
+    campaign.crew.start_node(
+        'quad_bridge', 'bag_logger', {'folder': str(campaign.folder), 'prefix': 'flight'}
+    )
     observer = campaign.observer
     observer.count_imu(on=True)
     campaign.wait('connect', '/imu/data', lambda: observer.imu_count > 250 * SETTLED_S, CONNECT_S)
@@ -107,28 +110,19 @@ def connect(campaign: Campaign, aircraft: Aircraft) -> None:
 
 def fly(campaign: Campaign, name: str, schedule: Path) -> Flight:
     """Record one flight of a schedule; the bag is complete on return."""
-    observer, crew = campaign.observer, campaign.crew
-    bag, planned = campaign.folder / name, load_schedule(schedule).duration_s
-    gains = dict(observer.active_gains)
-    observer.bag = {}
-    logger, pilot = f'{name}_logger', f'{name}_excitation'
-    crew.start_node('quad_bridge', 'bag_logger', {'path': str(bag)}, called=logger)
-    campaign.wait(name, 'recording', lambda: observer.bag.get('state') == 'recording', START_S)
+    observer = campaign.observer
+    planned, gains = load_schedule(schedule).duration_s, dict(observer.active_gains)
+    observer.call(name, '/bag_logger/start', START_S)
     began = time.monotonic()
     observer.segment = {}
-    child = crew.start_node('quad_bridge', 'excitation', {'schedule': str(schedule)}, called=pilot)
+    child = campaign.crew.start_node(
+        'quad_sysid', 'excitation', {'schedule': str(schedule)}, called=f'{name}_excitation'
+    )
     child.may_end = True
     campaign.wait(name, 'end of the schedule', lambda: child.ended is not None, planned + START_S)
     seconds = time.monotonic() - began
-    crew.stop(logger)
-    campaign.wait(name, 'complete bag', lambda: _closed(name, observer), CLOSE_S)
+    bag = Path(observer.call(name, '/bag_logger/stop', CLOSE_S))
     return Flight(bag, seconds, gains)
-
-
-def _closed(stage: str, observer: Observer) -> bool:
-    if observer.bag.get('state') == 'failed':
-        raise StageFailedError(stage, f'the logger could not write {observer.bag.get("path")}')
-    return observer.bag.get('state') == 'complete'
 
 
 def start_identification(campaign: Campaign, *, auto_update: bool, axes: Sequence[str]) -> None:
