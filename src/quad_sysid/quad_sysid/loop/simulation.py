@@ -8,6 +8,7 @@ fitting, no figures.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -56,7 +57,9 @@ def _constants(gains: CascadeGains, dt: float) -> kernels.Constants:
     )
 
 
+@lru_cache(maxsize=32)
 def _cycle(plant: LoopPlant) -> kernels.Cycle:
+    """The plant's matrices and tables; a search asks for the same plant hundreds of times."""
     a, b, c = dynamics(plant, Slopes())
     parts = np.array([plant.rest_delay_s, plant.dt - plant.rest_delay_s])
     steps = np.ceil(_steps_a_cycle(plant) * parts / plant.dt - 1e-9)
