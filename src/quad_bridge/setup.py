@@ -18,13 +18,25 @@ setup(
         (f'share/{PACKAGE}/config', glob('config/*.yaml')),
     ],
     python_requires='>=3.10',
-    install_requires=['numpy', 'numba', 'PyYAML', 'pyserial', 'pymavlink', 'fastcrc', 'rosbags'],
+    install_requires=[
+        'numpy',
+        'numba',
+        'PyYAML',
+        'pyserial',
+        'pymavlink',
+        'fastcrc',
+        'rosbags',
+        "backports.zstd; python_version < '3.14'",
+    ],
     extras_require={'test': ['pytest', 'hypothesis']},
     zip_safe=False,
     license='Apache-2.0',
     description='Serial bridge, bag logger and virtual STM32 for the quad suite.',
     entry_points={
         'console_scripts': [
+            'recover = quad_bridge.recover:main',
+            'bag_logger = quad_bridge.bag_logger_node:main',
+            'serial_bridge = quad_bridge.serial_bridge_node:main',
             'virtual_stm32 = quad_bridge.virtual.process:main',
         ]
     },

@@ -7,6 +7,7 @@ message must copy it.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 from geometry_msgs.msg import Vector3Stamped, WrenchStamped
@@ -136,18 +137,20 @@ def baro_message(sensors: SlowSensors, stamp_ns: int) -> FluidPressure | None:
     return message
 
 
-def gains_message(values: dict[str, float], node: str, stamp_ns: int) -> ParameterEvent:
-    """/gains/active: every known gain and loop constant as a double."""
+def event_message(values: Mapping[str, float | str], node: str, stamp_ns: int) -> ParameterEvent:
+    """Values as `changed_parameters`, doubles and strings: /gains/active, /logger/bag."""
     message = ParameterEvent(node=node)
     message.stamp.sec, message.stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
     message.changed_parameters = [
-        Parameter(
-            name=name,
-            value=ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value),
-        )
-        for name, value in values.items()
+        Parameter(name=name, value=_parameter_value(value)) for name, value in values.items()
     ]
     return message
+
+
+def _parameter_value(value: float | str) -> ParameterValue:
+    if isinstance(value, str):
+        return ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=value)
+    return ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value)
 
 
 def parameters(event: ParameterEvent) -> dict[str, float | int | str | bool]:

@@ -13,6 +13,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from quad_bridge.excitation_relay import ExcitationRelay
 from quad_bridge.link import Link
+from quad_bridge.recording import RecordingStatus
 from quad_bridge.serial_port import PortState, PortStatus
 from quad_bridge.wire.codec import Counts
 from quad_bridge.wire.frames import Flag
@@ -131,6 +132,25 @@ def gains_status(link: Link, refused: str, writes: int) -> Status:
     if not link.reader.complete:
         return Status('gains', WARN, 'the STM32 has not reported its parameters yet', values)
     return Status('gains', OK, 'read back', values)
+
+
+def recording_status(status: RecordingStatus | None, last: str) -> Status:
+    """The logger's state; `last` is what it announced last, `status` None while it is idle."""
+    if status is None:
+        return Status('recording', OK, last or 'idle')
+    values = {
+        'path': status.path,
+        'messages written': status.written,
+        'messages waiting': status.waiting,
+        'messages dropped (queue full)': status.dropped,
+        'messages lost (middleware)': status.lost,
+    }
+    if status.failure:
+        return Status('recording', ERROR, status.failure, values)
+    if status.dropped or status.lost:
+        text = f'recording, {status.dropped + status.lost} messages lost'
+        return Status('recording', WARN, text, values)
+    return Status('recording', OK, 'recording', values)
 
 
 def diagnostic_array(node: str, hardware: str, stamp: Any, entries: list[Status]) -> Any:

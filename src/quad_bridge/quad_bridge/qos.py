@@ -2,7 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rosbags.interfaces import (
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
+
+from quad_bridge.topics import LATCHED
 
 STREAM = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
@@ -28,4 +41,43 @@ EVENT = QoSProfile(
 )
 """Requests that count when they happen and not later: wanted gains, diagnostics."""
 
-LATCHED_TOPICS = frozenset({'/excitation/segment', '/gains/active', '/logger/bag'})
+
+def adapted(topic: str, publishers: Sequence[Any]) -> QoSProfile:
+    """What to subscribe with so that every publisher of the topic matches.
+
+    `publishers` are rclpy's TopicEndpointInfo; without any the contract's own QoS is taken.
+    """
+    reliable, latched = True, topic in LATCHED
+    for publisher in publishers:
+        offer = publisher.qos_profile
+        reliable &= offer.reliability == ReliabilityPolicy.RELIABLE
+        latched &= offer.durability == DurabilityPolicy.TRANSIENT_LOCAL
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=1000,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )
+
+
+def offered(publishers: Sequence[Any]) -> tuple[Qos, ...]:
+    """The publishers' QoS in rosbags' terms, to be recorded so that a replay keeps it."""
+    profiles = (publisher.qos_profile for publisher in publishers)
+    return tuple(
+        Qos(
+            history=QosHistory.KEEP_LAST,
+            depth=max(int(profile.depth), 1),
+            reliability=QosReliability(int(profile.reliability)),
+            durability=QosDurability(int(profile.durability)),
+            deadline=_time(profile.deadline),
+            lifespan=_time(profile.lifespan),
+            liveliness=QosLiveliness(int(profile.liveliness)),
+            liveliness_lease_duration=_time(profile.liveliness_lease_duration),
+            avoid_ros_namespace_conventions=bool(profile.avoid_ros_namespace_conventions),
+        )
+        for profile in profiles
+    )
+
+
+def _time(duration: Any) -> QosTime:
+    return QosTime(*divmod(int(duration.nanoseconds), 1_000_000_000))

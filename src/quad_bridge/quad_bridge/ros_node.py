@@ -5,7 +5,9 @@ No topics here.
 
 from __future__ import annotations
 
+import signal
 import sys
+import threading
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -17,6 +19,8 @@ from rclpy.signals import SignalHandlerOptions
 
 from quad_bridge.errors import BadInputError, QuadBridgeError
 
+WAKE_S = 0.1
+"""How long a signal may wait: rclpy's wait does not return for one."""
 _ROS_OWN = ('use_sim_time', 'qos_overrides.', 'start_type_description_service')
 
 
@@ -73,18 +77,22 @@ def integer(node: Any, name: str, default: int, limits: tuple[int, int], descrip
 
 
 def run(factory: Callable[[], Any], name: str) -> None:
-    """Spin one node until it is interrupted, then call its `close`.
+    """Spin one node until SIGINT or SIGTERM, then call its `close` while ROS still works.
 
     Exit status 2, with one line on stderr, where its parameters are wrong.
     """
-    rclpy.init(signal_handler_options=SignalHandlerOptions.ALL)
+    stopping = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stopping.set())
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node = None
     try:
         node = factory()
         executor = SingleThreadedExecutor()
         executor.add_node(node)
-        executor.spin()
-    except (KeyboardInterrupt, ExternalShutdownException):
+        while not stopping.is_set():
+            executor.spin_once(timeout_sec=WAKE_S)
+    except ExternalShutdownException:
         pass
     except (QuadBridgeError, ParameterException) as error:
         sys.stderr.write(f'{name}: {" ".join(str(error).split())}\n')

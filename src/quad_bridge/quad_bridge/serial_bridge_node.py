@@ -149,8 +149,8 @@ class SerialBridge(Node):  # type: ignore[misc]
                 self._refuse(f'gains not taken over: {outcome.reason}')
                 continue
             self._active.publish(
-                conversion.gains_message(
-                    dict(outcome.active),
+                conversion.event_message(
+                    outcome.active,
                     self.get_fully_qualified_name(),
                     self.get_clock().now().nanoseconds,
                 )

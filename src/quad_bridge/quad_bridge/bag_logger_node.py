@@ -1,0 +1,185 @@
+"""The `bag_logger` node: subscribes raw, hands the bytes to a Recording, says where the bag is."""
+
+from __future__ import annotations
+
+import importlib
+import time
+from collections.abc import Callable
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.msg import ParameterDescriptor, ParameterEvent
+from rclpy.duration import Duration
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.node import Node
+from std_srvs.srv import Trigger
+
+from quad_bridge import bag_writer, conversion, diagnostics, ros_node
+from quad_bridge.errors import BadInputError, QuadBridgeError
+from quad_bridge.qos import EVENT, STATE, adapted, offered
+from quad_bridge.recording import Recording, RecordingStatus
+from quad_bridge.topics import TOPIC_TYPES
+
+NAMES = ('folder', 'prefix', 'storage', 'compression', 'topics', 'autostart', 'queue_messages')
+
+
+class BagLogger(Node):  # type: ignore[misc]
+    """See the module; `close` ends a running recording."""
+
+    def __init__(self) -> None:
+        super().__init__('bag_logger')
+        ros_node.refuse_unknown(self, NAMES)
+        self._folder = Path(ros_node.text(self, 'folder', '.', 'where bags are written'))
+        self._prefix = ros_node.text(self, 'prefix', 'flight', 'how names of bags begin')
+        self._storage = ros_node.choice(self, 'storage', ('mcap', 'sqlite3'), 'storage of the bag')
+        self._compression = ros_node.choice(
+            self, 'compression', bag_writer.COMPRESSIONS, 'of chunks (mcap) or messages (sqlite3)'
+        )
+        self._capacity = ros_node.integer(
+            self,
+            'queue_messages',
+            50_000,
+            (100, 10_000_000),
+            'messages that may wait for the disk',
+        )
+        self._topics = self._declare_topics()
+        self._recording: Recording | None = None
+        self._subscribed: dict[str, tuple[Any, Any]] = {}
+        self._last = ''
+        self._bag = self.create_publisher(ParameterEvent, '/logger/bag', STATE)
+        self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', EVENT)
+        self.create_service(Trigger, '~/start', self._on_start)
+        self.create_service(Trigger, '~/stop', self._on_stop)
+        self.create_timer(1.0, self._on_report)
+        if ros_node.flag(self, 'autostart', False, 'record from the start of the node'):
+            self._start()
+
+    def close(self) -> None:
+        """End a running recording and see that `/logger/bag` is delivered."""
+        if self._recording is not None:
+            self._stop()
+            self._bag.wait_for_all_acked(Duration(seconds=0.5))
+
+    def _declare_topics(self) -> list[str]:
+        descriptor = ParameterDescriptor(description='topics to record', read_only=True)
+        topics = [
+            str(t) for t in self.declare_parameter('topics', list(TOPIC_TYPES), descriptor).value
+        ]
+        for topic in topics:
+            if topic not in TOPIC_TYPES:
+                raise BadInputError('parameter topics', 'is no topic of the contract', topic)
+        return topics
+
+    def _on_start(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if self._recording is not None:
+            response.message = f'already recording {self._recording.status.path}'
+            return response
+        try:
+            response.message = str(self._start())
+            response.success = True
+        except QuadBridgeError as error:
+            response.message = str(error)
+            self.get_logger().error(str(error))
+        return response
+
+    def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if self._recording is None:
+            response.message = 'not recording'
+            return response
+        status = self._stop()
+        response.success = not status.failure
+        response.message = status.failure or str(status.path)
+        return response
+
+    def _start(self) -> Path:
+        now = datetime.now(tz=timezone.utc)
+        path = bag_writer.free_path(self._folder, self._prefix, now).absolute()
+        writer = bag_writer.BagWriter(path, self._storage, self._compression)
+        self._recording = Recording(writer, capacity=self._capacity)
+        for topic in self._topics:
+            self._subscribe(topic)
+        self._announce(path, 'recording')
+        return path
+
+    def _stop(self) -> RecordingStatus:
+        recording, self._recording = self._recording, None
+        if recording is None:
+            raise BadInputError('bag_logger', 'is not recording')
+        for subscription, _ in self._subscribed.values():
+            self.destroy_subscription(subscription)
+        self._subscribed.clear()
+        status = recording.stop()
+        self._announce(status.path, 'failed' if status.failure else 'complete', status.failure)
+        return status
+
+    def _subscribe(self, topic: str) -> None:
+        """Subscribe as the topic's publishers offer; again where that has changed."""
+        qos = adapted(topic, self.get_publishers_info_by_topic(topic))
+        if topic in self._subscribed:
+            subscription, before = self._subscribed[topic]
+            if before == qos:
+                return
+            self.destroy_subscription(subscription)
+        subscription = self.create_subscription(
+            _message_class(TOPIC_TYPES[topic]),
+            topic,
+            self._receiver(topic),
+            qos,
+            raw=True,
+            event_callbacks=SubscriptionEventCallbacks(message_lost=self._on_lost),
+        )
+        self._subscribed[topic] = subscription, qos
+
+    def _receiver(self, topic: str) -> Callable[[bytes], None]:
+        def receive(data: bytes) -> None:
+            recording = self._recording
+            if recording is None:
+                return
+            if not recording.known(topic):
+                qos = offered(self.get_publishers_info_by_topic(topic))
+                recording.declare(topic, TOPIC_TYPES[topic], qos)
+            recording.put(topic, time.time_ns(), data)
+
+        return receive
+
+    def _on_lost(self, event: Any) -> None:
+        if self._recording is not None:
+            self._recording.count_lost(event.total_count_change)
+
+    def _announce(self, path: Path, state: str, reason: str = '') -> None:
+        values = {'path': str(path), 'state': state, **({'reason': reason} if reason else {})}
+        now_ns = self.get_clock().now().nanoseconds
+        self._bag.publish(
+            conversion.event_message(values, self.get_fully_qualified_name(), now_ns)
+        )
+        self._last = reason or f'{state}: {path}'
+        (self.get_logger().error if reason else self.get_logger().info)(self._last)
+
+    def _on_report(self) -> None:
+        status = None
+        if self._recording is not None:
+            status = self._recording.status
+            if status.failure:
+                self._stop()
+            for topic in list(self._subscribed):
+                self._subscribe(topic)
+        self._diagnostics.publish(
+            diagnostics.diagnostic_array(
+                self.get_name(),
+                str(self._folder),
+                self.get_clock().now().to_msg(),
+                [diagnostics.recording_status(status, self._last)],
+            )
+        )
+
+
+def _message_class(kind: str) -> Any:
+    package, _, name = kind.split('/')
+    return getattr(importlib.import_module(f'{package}.msg'), name)
+
+
+def main() -> None:
+    """Run the node until it is interrupted; exit status 2 where its parameters are wrong."""
+    ros_node.run(BagLogger, 'bag_logger')
