@@ -1,0 +1,154 @@
+"""What no design may leave: hard bounds of each gain, the step of one update, the plant's sign.
+
+Pure checks on names and numbers. The bridge has its own gate with bounds from its YAML; a
+proposal that passes here passes there.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from quad_sysid.loop.cascade import CONTRACT_NAMES, TUNED, CascadeGains
+from quad_sysid.model import AxisModel
+from quad_tuning.errors import DesignRefusedError
+
+STEP_FACTOR = 2.0
+"""Largest change of one gain in one update."""
+ROUNDING = 1e-4
+"""Share by which a proposal stays inside the factor: float32 on the wire must not leave it."""
+SIGN_CONFIDENCE = 3.0
+"""Standard errors that the plant's gain must be away from zero."""
+FOREIGN_DRIVE = 0.5
+"""Share of another axis' command in this axis' torque at which the motor order is doubted."""
+
+
+@dataclass(frozen=True)
+class Bound:
+    """Hard limits of a gain (SI), and the absolute step that is allowed where it is near zero."""
+
+    lower: float
+    upper: float
+    small_step: float
+    unit: str
+
+
+BOUNDS: Mapping[str, Bound] = {
+    'angle.kp': Bound(0.3, 15.0, 0.0, '1/s'),
+    'rate.kp': Bound(0.005, 0.5, 0.0, 's/rad'),
+    'rate.ki': Bound(0.0, 1.0, 0.02, '1/rad'),
+    'rate.kd': Bound(0.0, 0.02, 0.0005, 's²/rad'),
+}
+"""Contract's name behind the axis to its bound."""
+
+
+def check_finite(gains: Mapping[str, float]) -> None:
+    """Raise DesignRefusedError naming the first gain that is not a finite number."""
+    for name, value in gains.items():
+        if isinstance(value, bool) or not math.isfinite(value):
+            raise DesignRefusedError(f'{name}: must be finite: found {value}')
+
+
+def check_bounds(gains: Mapping[str, float]) -> None:
+    """Raise DesignRefusedError naming the first gain outside its hard bounds or unknown."""
+    check_finite(gains)
+    for name, value in gains.items():
+        bound = BOUNDS.get(name.partition('.')[2])
+        if bound is None:
+            raise DesignRefusedError(f'{name}: no gain that a designer may change')
+        if not bound.lower <= value <= bound.upper:
+            raise DesignRefusedError(
+                f'{name}: must lie in {bound.lower:g} .. {bound.upper:g} {bound.unit}: '
+                f'found {value:g}'
+            )
+
+
+def reachable(field: str, active: float) -> tuple[float, float]:
+    """Lowest and highest value of one gain (field of CascadeGains) that one update may set."""
+    bound = BOUNDS[CONTRACT_NAMES[field]]
+    factor = STEP_FACTOR * (1.0 - ROUNDING)
+    low = min(active / factor, active - bound.small_step)
+    high = max(active * factor, active + bound.small_step)
+    low, high = max(low, bound.lower), min(high, bound.upper)
+    if low > high:
+        raise DesignRefusedError(
+            f'{CONTRACT_NAMES[field]}: the active value {active:g} {bound.unit} is further than '
+            f'one step outside {bound.lower:g} .. {bound.upper:g}; bring it there by hand'
+        )
+    return low, high
+
+
+def check_step(gains: Mapping[str, float], active: Mapping[str, float]) -> None:
+    """Raise DesignRefusedError where a gain changes by more than one update may."""
+    check_bounds(gains)
+    for name, value in gains.items():
+        field = next(f for f in TUNED if CONTRACT_NAMES[f] == name.partition('.')[2])
+        if name not in active:
+            raise DesignRefusedError(f'{name}: its active value is not known')
+        low, high = reachable(field, active[name])
+        slack = 2.0 * ROUNDING * abs(value)
+        if not low - slack <= value <= high + slack:
+            raise DesignRefusedError(
+                f'{name}: one update may change {active[name]:g} to {low:g} .. {high:g}: '
+                f'found {value:g}; go there in steps'
+            )
+
+
+def steps_to(wanted: CascadeGains, active: CascadeGains) -> tuple[CascadeGains, ...]:
+    """The updates that lead from `active` to `wanted`, each within the step limit."""
+    path: list[CascadeGains] = []
+    now = active
+    for _ in range(64):
+        if now == wanted:
+            return tuple(path)
+        values = {}
+        for field in TUNED:
+            low, high = reachable(field, getattr(now, field))
+            values[field] = min(max(getattr(wanted, field), low), high)
+        following = CascadeGains(
+            **values,
+            d_filter_hz=wanted.d_filter_hz,
+            output_limit=wanted.output_limit,
+            rate_limit=wanted.rate_limit,
+            integrator_limit=wanted.integrator_limit,
+        )
+        if following == now:
+            break
+        now = following
+        path.append(now)
+    raise DesignRefusedError('the wanted gains lie outside the hard bounds')
+
+
+def check_polarity(model: AxisModel) -> None:
+    """Refuse a plant that answers with the wrong sign, not for certain, or to another axis.
+
+    With motors in another order than the contract's mixer the axis' own command drives it
+    backwards, not at all, or less than another axis' does.
+    """
+    gain = next(p for p in model.base if p.name == 'gain')
+    order = "check the motors' order and spin, and the gyro's axes"
+    if not math.isfinite(gain.value):
+        raise DesignRefusedError(f'{model.axis}: the plant gain is {gain.value}; identify again')
+    if gain.value <= 0.0:
+        raise DesignRefusedError(
+            f'{model.axis}: a positive command lowers the rate (plant gain {gain.value:.4g} '
+            f'rad/s², must be positive); {order}'
+        )
+    if gain.std is None or not math.isfinite(gain.std):
+        raise DesignRefusedError(
+            f'{model.axis}: the plant gain has no standard error, so its sign is not sure; '
+            'fly a longer excitation'
+        )
+    if gain.value - SIGN_CONFIDENCE * gain.std <= 0.0:
+        raise DesignRefusedError(
+            f'{model.axis}: the plant gain {gain.value:.4g} +- {gain.std:.2g} rad/s² may be zero '
+            f'or negative; {order}, or excite more'
+        )
+    for effect in model.effects:
+        share = next((p.value for p in effect.parameters if p.name == 'fraction'), 0.0)
+        if effect.name == 'cross_axis_input' and abs(share) > FOREIGN_DRIVE:
+            raise DesignRefusedError(
+                f"{model.axis}: another axis' command drives it with {share:.2f} of its own; "
+                f'{order}'
+            )

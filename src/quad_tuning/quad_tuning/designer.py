@@ -1,0 +1,125 @@
+"""The designer that the identification finds: an axis model in, a gain proposal or a refusal out.
+
+Wiring of admission, ensemble, PID design and bounds; offered as `pid` in the entry point group
+`quad_sysid.designers`. The arithmetic stands in those modules.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from quad_sysid.errors import QuadSysidError
+from quad_sysid.loop.cascade import CascadeGains
+from quad_sysid.loop.from_model import loop_plant, not_in_the_loop
+from quad_sysid.model import AxisModel, GainProposal
+from quad_tuning import ensemble as ensembles
+from quad_tuning.admission import BAND_REACH, check_band, check_model, flown_gains
+from quad_tuning.assess import LoopFigures, assess
+from quad_tuning.bounds import check_step
+from quad_tuning.errors import DesignRefusedError, QuadTuningError
+from quad_tuning.pid import PidDesign, Requirements, retune
+
+SEED = 20_250_101
+"""Of the draws, so that one model gives one proposal."""
+LEAST_GAIN_PCT = 2.0
+"""Promised drop of the tracking error below which the flown gains stay, if they keep margins."""
+LARGEST_SPREAD_PCT = 5.0
+"""Of the optimum over the starts; beyond, the optimum is not one."""
+
+
+def design(model: AxisModel) -> GainProposal:
+    """Gains for one axis, or the reason why there are none; never raises for a model's faults."""
+    try:
+        proposal = propose(model)
+    except (QuadTuningError, QuadSysidError) as refusal:
+        return GainProposal(gains=None, refused_because=str(refusal))
+    return proposal
+
+
+def propose(model: AxisModel, requirements: Requirements | None = None) -> GainProposal:
+    """Gains for one axis; raises DesignRefusedError with the reason where there are none."""
+    check_model(model)
+    active = flown_gains(model)
+    plant = loop_plant(model)
+    loops = ensembles.build(model, np.random.default_rng(SEED))
+    if loops.unstable(active)[loops.nominal].any():
+        raise DesignRefusedError(
+            f'{model.axis}: the model says that the gains that flew are unstable, so it does not '
+            'describe the flight; identify again'
+        )
+    before = assess(plant, active, loops)
+    check_band(model, before.crossover_rad_s)
+    needs = requirements or Requirements()
+    if model.trusted_band_rad_s is not None:
+        highest = max(BAND_REACH * model.trusted_band_rad_s[1], before.crossover_rad_s)
+        needs = dataclasses.replace(needs, highest_crossover_rad_s=highest)
+    try:
+        found = retune(plant, active, loops, needs)
+    except DesignRefusedError as refusal:
+        raise DesignRefusedError(f'{model.axis}: {refusal}') from refusal
+    _check_worth(model, found, needs)
+    gains = found.gains.to_mapping(model.axis)
+    check_step(gains, model.active_gains)
+    return GainProposal(gains=gains, figures=_figures(model, found, active, loops.draws))
+
+
+def _check_worth(model: AxisModel, found: PidDesign, needs: Requirements) -> None:
+    if found.objective_spread_pct > LARGEST_SPREAD_PCT:
+        raise DesignRefusedError(
+            f'{model.axis}: {found.starts} searches disagree by '
+            f'{found.objective_spread_pct:.0f} % in what they reach; the optimum is not sure'
+        )
+    before, after = found.before, found.figures
+    drop = 100.0 * (1.0 - after.rms_tracking_rad / before.rms_tracking_rad)
+    kept = (
+        before.worst_phase_margin_deg >= needs.phase_margin_deg
+        and before.worst_gain_margin_db >= needs.gain_margin_db
+        and before.worst_peak_sensitivity <= needs.peak_sensitivity
+    )
+    if kept and drop < LEAST_GAIN_PCT:
+        raise DesignRefusedError(
+            f'{model.axis}: the gains that flew keep all margins, and the best within one update '
+            f'would lower the tracking error by {drop:.1f} % only'
+        )
+
+
+def loop_figures(figures: LoopFigures, noise_rms: float | None = None) -> dict[str, float]:
+    """The figures by name; `motor_noise_rms` (normalised command) where the noise is known."""
+    values = {
+        'phase_margin_deg': figures.phase_margin_deg,
+        'gain_margin_db': figures.gain_margin_db,
+        'peak_sensitivity': figures.peak_sensitivity,
+        'crossover_rad_s': figures.crossover_rad_s,
+        'bandwidth_rad_s': figures.bandwidth_rad_s,
+        'worst_phase_margin_deg': figures.worst_phase_margin_deg,
+        'worst_gain_margin_db': figures.worst_gain_margin_db,
+        'worst_peak_sensitivity': figures.worst_peak_sensitivity,
+        'unstable_draws': float(figures.unstable),
+        'rise_time_s': figures.step.rise_time_s,
+        'overshoot_pct': figures.step.overshoot_pct,
+        'settling_time_s': figures.step.settling_time_s,
+        'rms_tracking_rad': figures.rms_tracking_rad,
+        'disturbance_rms_rad': figures.disturbance_rms_rad,
+    }
+    if noise_rms is not None:
+        values['motor_noise_rms'] = figures.noise_gain * noise_rms
+    return values
+
+
+def _figures(
+    model: AxisModel, found: PidDesign, active: CascadeGains, draws: int
+) -> dict[str, float]:
+    after = loop_figures(found.figures, model.noise_rms)
+    before = loop_figures(found.before, model.noise_rms)
+    values = dict(after)
+    values.update({f'{name}_before': value for name, value in before.items()})
+    values.update(
+        {f'{name}_before': value for name, value in active.to_mapping(model.axis).items()}
+    )
+    values['draws'] = float(draws)
+    values['searches_that_agree'] = float(found.starts)
+    values['optimum_spread_pct'] = found.spread_pct
+    values['effects_left_out'] = float(len(not_in_the_loop(model)))
+    return {name: float(value) for name, value in values.items() if np.isfinite(value)}

@@ -1,0 +1,151 @@
+"""The plants that a design must hold for: drawn from the model's covariance, with their effects.
+
+Each draw is linearised at one or several amplitudes (curves by their describing gains), so that a
+loop is judged both while it moves widely and near rest. No design here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from quad_sysid.contract import FloatArray
+from quad_sysid.loop.cascade import (
+    CascadeGains,
+    Margins,
+    closed_loop_radius,
+    frequency_grid,
+    margins,
+    open_loop,
+)
+from quad_sysid.loop.from_model import battery_factor, loop_plant
+from quad_sysid.loop.plant import ComplexArray, LoopPlant, Slopes, Step, exact_cycles, slopes_at
+from quad_sysid.model import AxisModel, Parameter
+
+DRAWS = 240
+"""Drawn models, the nominal one not counted."""
+
+FLOOR = {'gain': 0.03, 'lag': 0.03, 'damping': 0.1}
+"""Smallest relative standard error that is believed: a covariance knows only the noise."""
+DELAY_FLOOR_CYCLES = 0.25
+
+AMPLITUDES = ((4.0, 0.35, 0.3), (0.3, 0.05, 0.03))
+"""Rate rad/s, angle rad, command at which curves are replaced by gains: wide, near rest."""
+
+VOLTAGE_RANGE = (0.9, 1.08)
+"""Battery voltage over the next flight, of this one's mean."""
+
+
+@dataclass(frozen=True)
+class Ensemble:
+    """p linear loops to judge: the nominal plant and the draws, at each amplitude.
+
+    `nominal` (p,) marks the loops of the nominal plant. response (2, p, f) at omega (f,) rad/s.
+    """
+
+    cycle: Step
+    omega: FloatArray
+    response: ComplexArray
+    nominal: npt.NDArray[np.bool_]
+    draws: int
+
+    def margins(self, gains: CascadeGains) -> Margins:
+        """Margins (p,) with these gains."""
+        loop = open_loop(gains, self.response, self.omega, self.cycle.dt)
+        return margins(loop, self.omega)
+
+    def unstable(self, gains: CascadeGains) -> npt.NDArray[np.bool_]:
+        """(p,) True where the closed loop is not stable."""
+        return np.asarray(closed_loop_radius(gains, self.cycle) >= 1.0)
+
+    def subset(self, index: npt.NDArray[np.int64]) -> Ensemble:
+        """The loops of `index` alone."""
+        c = self.cycle
+        return Ensemble(
+            cycle=Step(
+                c.phi[index], c.now[index], c.before[index], c.c[index], c.whole[index], c.dt
+            ),
+            omega=self.omega,
+            response=self.response[:, index],
+            nominal=self.nominal[index],
+            draws=self.draws,
+        )
+
+
+def draw_models(model: AxisModel, rng: np.random.Generator, count: int) -> list[AxisModel]:
+    """`count` models whose parameters are drawn from N(estimate, covariance).
+
+    Where the covariance is smaller than FLOOR the floor counts; a parameter whose row is NaN (at
+    a bound) stays. Gain, lag, delay keep their sign.
+    """
+    names = model.parameter_names
+    matrix = _believed_covariance(model)
+    values, vectors = np.linalg.eigh(matrix)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    offsets = rng.standard_normal((count, len(names))) @ root.T
+    return [_moved(model, dict(zip(names, row, strict=True))) for row in offsets]
+
+
+def build(model: AxisModel, rng: np.random.Generator, count: int = DRAWS) -> Ensemble:
+    """The ensemble of an axis model; with battery sag the next flight's voltage is drawn too."""
+    models = draw_models(model, rng, count)
+    plants = [loop_plant(model)]
+    for drawn in models:
+        plant = loop_plant(drawn)
+        if drawn.mean_battery_v:
+            volts = drawn.mean_battery_v * rng.uniform(*VOLTAGE_RANGE)
+            factor = battery_factor(drawn, volts) / battery_factor(drawn)
+            plant = replace(plant, gain=plant.gain * factor)
+        plants.append(plant)
+    levels = AMPLITUDES if _has_curves(plants[0]) else AMPLITUDES[:1]
+    slopes: list[Slopes] = [slopes_at(p, *level) for level in levels for p in plants]
+    every = plants * len(levels)
+    cycle = exact_cycles(every, slopes)
+    omega = frequency_grid(model.dt)
+    return Ensemble(
+        cycle=cycle,
+        omega=omega,
+        response=cycle.response(omega),
+        nominal=np.arange(len(every)) % len(plants) == 0,
+        draws=count,
+    )
+
+
+def _believed_covariance(model: AxisModel) -> FloatArray:
+    names = model.parameter_names
+    if model.covariance is None:
+        matrix = np.zeros((len(names), len(names)))
+    else:
+        matrix = np.nan_to_num(np.array(model.covariance, dtype=float), nan=0.0)
+    for i, name in enumerate(names):
+        floor = 0.0
+        if name in FLOOR:
+            floor = FLOOR[name] * abs(model.value(name))
+        elif name == 'delay':
+            floor = DELAY_FLOOR_CYCLES * model.dt
+        matrix[i, i] += max(0.0, floor**2 - matrix[i, i])
+    return np.asarray(0.5 * (matrix + matrix.T))
+
+
+def _moved(model: AxisModel, offset: dict[str, float]) -> AxisModel:
+    def shifted(parameter: Parameter, name: str) -> Parameter:
+        value = parameter.value + offset.get(name, 0.0)
+        if name in ('gain', 'lag', 'delay'):
+            value = max(value, 0.1 * parameter.value)
+        return replace(parameter, value=value)
+
+    return replace(
+        model,
+        base=tuple(shifted(p, p.name) for p in model.base),
+        effects=tuple(
+            replace(e, parameters=tuple(shifted(p, f'{e.name}.{p.name}') for p in e.parameters))
+            for e in model.effects
+        ),
+    )
+
+
+def _has_curves(plant: LoopPlant) -> bool:
+    curves = (plant.rate_curve, plant.angle_curve, plant.command_curve)
+    return any(curve is not None for curve in curves)
