@@ -95,7 +95,7 @@ def _scalar(hint: object, value: object, where: str) -> object:
         return float(value)  # type: ignore[arg-type]
     if hint is int and isinstance(value, int) and not isinstance(value, bool):
         return value
-    if hint in (bool, str) and isinstance(value, hint):  # type: ignore[arg-type]
+    if hint in (bool, str) and isinstance(value, hint):
         return value
     names = {float: 'a finite number', int: 'a whole number', bool: 'true or false', str: 'text'}
     wanted = names.get(hint, str(hint))  # type: ignore[call-overload]

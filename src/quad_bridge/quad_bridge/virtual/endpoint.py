@@ -145,6 +145,11 @@ class Endpoint:
             request = Request(frame.injection, value, frame.valid_ms * 1e-3, frame.seq)
             self.firmware.excite(request, now_ns * 1e-9)
             return []
+        if isinstance(frame, Command):
+            return [self._command(frame)]
+        return self._parameter_answer(frame)
+
+    def _parameter_answer(self, frame: Frame) -> list[Frame]:
         if isinstance(frame, ParamRequestList):
             return [self._parameter(name) for name in NAMES]
         if isinstance(frame, ParamRequestRead):
@@ -154,8 +159,6 @@ class Endpoint:
             if frame.name in CONTRACT_NAMES:
                 self._write(CONTRACT_NAMES[frame.name], frame.value)
             return self._known(frame.name)
-        if isinstance(frame, Command):
-            return [self._command(frame)]
         return []
 
     def _command(self, frame: Command) -> Frame:

@@ -112,7 +112,7 @@ class FirmwareSettings:
 
 @dataclass(frozen=True)
 class Request:
-    """An excitation as asked for, in body FLU; `injection` 0 none, 1 attitude, 2 rate, 3 control."""
+    """An excitation as asked for, body FLU; `injection` 0 none, 1 attitude, 2 rate, 3 control."""
 
     injection: int
     value: Vector

@@ -69,6 +69,8 @@ def build_endpoint(given: argparse.Namespace) -> Endpoint:
     effect = None if given.effect_module is None else load_effect(given.effect_module)
     events = Receiver() if given.rc_events is None else read_events(given.rc_events)
     script = Receiver(events=profile.receiver.events + events.events)
+    sys.stdout.write('virtual STM32 prepares (some 15 s the first time, to compile)\n')
+    sys.stdout.flush()
     _warm_up(profile, python_effect=effect is not None)
     return Endpoint(Aircraft(profile, seed=given.seed, effect=effect), script)
 
