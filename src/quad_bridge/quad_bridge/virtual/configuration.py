@@ -19,24 +19,43 @@ from quad_bridge.virtual.errors import ConfigurationError
 _T = TypeVar('_T')
 
 
-def read_yaml(path: Path) -> dict[str, object]:
-    """The mapping in the YAML file `path`, with what it `extends` merged under it."""
+def read_yaml(path: Path, library: Path, above: tuple[Path, ...] = ()) -> dict[str, object]:
+    """The mapping in the YAML file `path`, with what it `extends` merged under it.
+
+    `extends` names a profile beside the file or in the folder `library`; `above` are the files
+    that extend this one.
+    """
+    mapping = read_mapping(path)
+    parent = mapping.pop('extends', None)
+    if parent is None:
+        return mapping
+    here = (path.parent / str(parent)).with_suffix('.yaml')
+    base = here if here.is_file() else (library / str(parent)).with_suffix('.yaml')
+    children = (*above, path.resolve())
+    if base.resolve() in children:
+        raise ConfigurationError(f'{path}: extends', 'profiles extend each other in a circle')
+    if not base.is_file():
+        raise ConfigurationError(f'{path}: extends', 'no such profile', repr(parent))
+    return merged(read_yaml(base, library, children), mapping)
+
+
+def read_mapping(path: Path) -> dict[str, object]:
+    """The mapping in one YAML file, {} for an empty one; ConfigurationError names the file."""
+    loaded = load(path)
+    mapping = {} if loaded is None else loaded
+    if not isinstance(mapping, dict):
+        raise ConfigurationError(str(path), f'must be a mapping of keys, is {loaded!r}')
+    return mapping
+
+
+def load(path: Path) -> object:
+    """What a YAML file holds; ConfigurationError names the file."""
     try:
-        loaded = yaml.safe_load(path.read_text(encoding='utf-8'))
+        return yaml.safe_load(path.read_text(encoding='utf-8'))
     except OSError as error:
         raise ConfigurationError(str(path), f'cannot be read ({error.strerror})') from error
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise ConfigurationError(str(path), f'is not YAML ({error})') from error
-    mapping = {} if loaded is None else loaded
-    if not isinstance(mapping, dict):
-        raise ConfigurationError(str(path), f'must be a mapping of keys, is {loaded!r}')
-    parent = mapping.pop('extends', None)
-    if parent is None:
-        return mapping
-    base = (path.parent / str(parent)).with_suffix('.yaml')
-    if base == path:
-        raise ConfigurationError(f'{path}: extends', 'a profile cannot extend itself')
-    return merged(read_yaml(base), mapping)
 
 
 def merged(under: Mapping[str, object], over: Mapping[str, object]) -> dict[str, object]:

@@ -107,7 +107,8 @@ def serve(endpoint: Endpoint, port: PseudoTerminal, duration_s: float | None) ->
             if answer:
                 port.write(answer)
         for _ in range(MAX_BURST):
-            if endpoint.aircraft.cycle * cycle_s > now_ns * 1e-9:
+            cycle = endpoint.aircraft.cycle
+            if cycle * cycle_s > now_ns * 1e-9 or cycle == last:
                 break
             port.write(endpoint.cycle())
 

@@ -61,4 +61,4 @@ def load_profile(name_or_path: str | Path) -> Profile:
             raise ConfigurationError(
                 'profile', f'unknown name {str(name_or_path)!r}', remedy=f'known are {known}'
             )
-    return build(Profile, read_yaml(path), f'{path}: profile')
+    return build(Profile, read_yaml(path, FOLDER), f'{path}: profile')

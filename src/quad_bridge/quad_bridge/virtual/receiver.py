@@ -9,10 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import yaml
-
 from quad_bridge.virtual.airframe import require
-from quad_bridge.virtual.configuration import build
+from quad_bridge.virtual.configuration import build, load
 from quad_bridge.virtual.errors import ConfigurationError
 
 NAMES = ('roll', 'pitch', 'throttle', 'yaw', 'aux1', 'aux2', 'aux3', 'aux4', 'aux5')
@@ -84,12 +82,7 @@ def channels_at(script: Receiver, time_s: float) -> Channels:
 
 def read_events(path: Path) -> Receiver:
     """A script from a YAML list of `{time_s: 3.0, channel: roll, value: 0.4}`."""
-    try:
-        loaded = yaml.safe_load(path.read_text(encoding='utf-8'))
-    except OSError as error:
-        raise ConfigurationError(str(path), f'cannot be read ({error.strerror})') from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ConfigurationError(str(path), f'is not YAML ({error})') from error
+    loaded = load(path)
     if not isinstance(loaded, list):
         raise ConfigurationError(str(path), 'must be a list of events')
     return Receiver(

@@ -1,0 +1,116 @@
+"""Profiles from YAML: what is shipped loads, what is wrong is one line with file and key."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+
+from quad_bridge.virtual.airframe import Airframe
+from quad_bridge.virtual.effects import Effects
+from quad_bridge.virtual.errors import ConfigurationError
+from quad_bridge.virtual.process import main
+from quad_bridge.virtual.profile import FOLDER, Profile, load_profile, profile_names
+from quad_bridge.virtual.receiver import Event, channels_at, read_events
+
+
+def test_plain_is_the_default_profile_and_has_no_effect_on():
+    assert load_profile('plain') == Profile()
+    assert load_profile('plain').effects == Effects()
+    assert load_profile('plain').airframe == Airframe()
+
+
+def test_plain_lists_every_key():
+    text = (FOLDER / 'plain.yaml').read_text(encoding='utf-8')
+
+    def keys(value):
+        for field in dataclasses.fields(value):
+            yield field.name
+            inner = getattr(value, field.name)
+            if dataclasses.is_dataclass(inner):
+                yield from keys(inner)
+
+    assert [key for key in keys(Profile()) if f'{key}:' not in text] == []
+
+
+@pytest.mark.parametrize('name', profile_names())
+def test_every_profile_loads(name):
+    profile = load_profile(name)
+    assert profile.effects.thrust_curve.enabled == name.startswith('paper')
+    assert (profile.mount == 'hover') == name.endswith('hover')
+
+
+@pytest.mark.parametrize(
+    ('text', 'said'),
+    [
+        ('airframe: {motors: {lagg_s: 0.1}}', 'airframe.motors.lagg_s: unknown key'),
+        ('airframe: {mass_kg: heavy}', "airframe.mass_kg: needs a finite number, is 'heavy'"),
+        ('airframe: {mass_kg: .nan}', 'airframe.mass_kg: needs a finite number'),
+        ('airframe: {mass_kg: -1}', 'mass_kg must be positive'),
+        ('airframe: {inertia_kg_m2: [1, 2]}', 'inertia_kg_m2: needs 3 values, has 2'),
+        ('effects: {stribeck: {enabled: 1}}', 'stribeck.enabled: needs true or false, is 1'),
+        ('effects: [a]', 'effects: must be a mapping'),
+        ('mount: wall', "mount must be rig or hover, is 'wall'"),
+        ('firmware: {physics_steps_per_cycle: 2}', 'less than 1 kHz'),
+        ('extends: nobody', 'no such profile'),
+        ('- 1', 'must be a mapping of keys'),
+        ('a: [', 'is not YAML'),
+    ],
+)
+def test_a_wrong_profile_is_one_line_that_names_file_and_key(tmp_path, capsys, text, said):
+    path = tmp_path / 'mine.yaml'
+    path.write_text(text, encoding='utf-8')
+    with pytest.raises(ConfigurationError) as caught:
+        load_profile(path)
+    assert said in str(caught.value)
+    assert str(tmp_path) in str(caught.value)
+    assert main(['--profile', str(path)]) == 2
+    assert capsys.readouterr().err.count('\n') == 1
+
+
+def test_a_profile_extends_another_by_name_or_beside_it(tmp_path):
+    (tmp_path / 'base.yaml').write_text('airframe: {mass_kg: 2.0, arm_m: 0.3}\n', encoding='utf-8')
+    (tmp_path / 'mine.yaml').write_text(
+        'extends: base\nairframe: {arm_m: 0.4}\n', encoding='utf-8'
+    )
+    (tmp_path / 'other.yaml').write_text('extends: paper\nmount: hover\n', encoding='utf-8')
+    airframe = load_profile(tmp_path / 'mine.yaml').airframe
+    assert (airframe.mass_kg, airframe.arm_m) == (2.0, 0.4)
+    assert load_profile(tmp_path / 'other.yaml').effects.thrust_curve.enabled
+
+
+def test_profiles_that_extend_each_other_in_a_circle_are_refused(tmp_path):
+    (tmp_path / 'one.yaml').write_text('extends: two\n', encoding='utf-8')
+    (tmp_path / 'two.yaml').write_text('extends: one\n', encoding='utf-8')
+    with pytest.raises(ConfigurationError, match='circle'):
+        load_profile(tmp_path / 'one.yaml')
+
+
+def test_an_unknown_profile_name_lists_the_known_ones():
+    with pytest.raises(ConfigurationError, match=r'nothing.*plain'):
+        load_profile('nothing')
+
+
+def test_stick_events_hold_until_the_next(tmp_path):
+    path = tmp_path / 'rc.yaml'
+    path.write_text(
+        '- {time_s: 1.0, channel: roll, value: 0.4}\n'
+        '- {time_s: 0.5, channel: throttle, value: 0.2}\n'
+        '- {time_s: 2.0, channel: roll, value: 0}\n',
+        encoding='utf-8',
+    )
+    script = read_events(path)
+    assert script.events[0] == Event(1.0, 'roll', 0.4)
+    assert [channels_at(script, t).roll for t in (0.9, 1.0, 1.9, 2.0)] == [0.0, 0.4, 0.4, 0.0]
+    assert channels_at(script, 0.0).throttle is None
+    assert channels_at(script, 3.0).throttle == 0.2
+
+
+@pytest.mark.parametrize(
+    'text', ['- {time_s: 1, channel: wing, value: 1}', '- {time_s: 1, channel: roll}', 'a: 1', '[']
+)
+def test_bad_stick_events_name_their_file(tmp_path, text):
+    path = tmp_path / 'rc.yaml'
+    path.write_text(text, encoding='utf-8')
+    with pytest.raises(ConfigurationError, match=r'rc\.yaml'):
+        read_events(path)

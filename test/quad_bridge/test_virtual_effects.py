@@ -1,0 +1,158 @@
+"""Each switchable effect acts, by its equation where a closed form exists; plain has none."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+from quad_bridge.virtual import effects as table
+from quad_bridge.virtual.aircraft import Aircraft
+from quad_bridge.virtual.airframe import Airframe, Mounts, Surroundings
+from quad_bridge.virtual.control import ARMED, INPUTS, THROTTLE
+from quad_bridge.virtual.cycle import COLUMNS
+from quad_bridge.virtual.effects import Effects
+from quad_bridge.virtual.physics import QUAT, RATES
+from quad_bridge.virtual.profile import Profile
+from quad_bridge.virtual.simulation import Excited, fly, without_noise
+
+NAMES = [field.name for field in fields(Effects)]
+
+
+def enabled(name: str, **values) -> Effects:
+    kind = type(getattr(Effects(), name))
+    return Effects(**{name: kind(enabled=True, **values)})
+
+
+def coast(effects: Effects, rate: float, angle: float, seconds: float, bias: float = 0.0):
+    still = Surroundings(
+        damping_per_s=(0.0,) * 3, bias_torque_nm=(bias, 0.0, 0.0), torque_noise_nm_rthz=(0.0,) * 3
+    )
+    profile = without_noise(
+        Profile(airframe=Airframe(mounts=Mounts(rig=still, hover=still)), effects=effects)
+    )
+    profile = replace(profile, firmware=replace(profile.firmware, auto_arm=False))
+    aircraft = Aircraft(profile, seed=1)
+    aircraft.machine.state[RATES] = rate
+    aircraft.machine.state[QUAT : QUAT + 2] = math.cos(angle / 2), math.sin(angle / 2)
+    log = aircraft.run(np.zeros((round(seconds * 250), INPUTS)))
+    return log[:, 0], log[:, COLUMNS['true_rates']][:, 0], log[:, COLUMNS['true_angles']][:, 0]
+
+
+def steps(rng: np.random.Generator, count: int, size: float) -> np.ndarray:
+    return np.repeat(rng.choice([-size, size], count // 25), 25)
+
+
+def excited_flight(effects: Effects, mount: str = 'hover'):
+    """All three axes are moved by control steps, the throttle by a stick."""
+    profile = without_noise(Profile(mount=mount, effects=effects))
+    aircraft = Aircraft(profile, seed=3)
+    rng = np.random.default_rng(5)
+    given = np.zeros((1000, INPUTS))
+    given[:, ARMED] = 1.0
+    given[:, THROTTLE] = aircraft.hover_throttle + steps(rng, 1000, 0.05)
+    given[:, 1] = 3.0
+    for i, size in enumerate((0.05, 0.05, 0.1)):
+        given[:, 2 + i] = steps(rng, 1000, size)
+    return aircraft.run(given)
+
+
+@pytest.mark.parametrize('name', NAMES)
+def test_every_effect_of_the_table_can_be_switched_on_and_changes_the_flight(name):
+    values = {'step_event': {'time_s': 1.0}, 'saturation': {'lower': 0.3, 'upper': 0.36}}
+    with_it = excited_flight(enabled(name, **values.get(name, {})))
+    without = excited_flight(Effects())
+    column = COLUMNS['rates' if name == 'vibration' else 'true_rates']
+    assert np.isfinite(with_it).all()
+    assert np.abs(with_it[:, column] - without[:, column]).max() > 2e-3
+
+
+def test_an_effect_that_is_off_is_exactly_absent_whatever_its_strength():
+    strong = Effects(
+        coulomb_friction=table.CoulombFriction(torque_nm=(1.0, 1.0, 1.0)),
+        thrust_curve=table.ThrustCurve(curvature=0.9),
+        dead_zone=table.DeadZone(half_width=(0.1, 0.1, 0.1)),
+    )
+    assert np.array_equal(excited_flight(strong), excited_flight(Effects()))
+
+
+def test_coulomb_friction_stops_a_spin_after_its_time_and_then_holds_it():
+    time, rate, _ = coast(enabled('coulomb_friction'), 1.0, 0.0, 6.0, bias=0.003)
+    slope = (0.004 - 0.003) / 0.0135
+    assert rate[time < 6.0] == pytest.approx(
+        np.maximum(0.0, 1.0 - slope * time)[time < 6.0], abs=1e-3
+    )
+    stuck = coast(enabled('coulomb_friction'), 0.0, 0.0, 2.0, bias=0.0039)
+    assert not stuck[1].any()
+    slips = coast(enabled('coulomb_friction'), 0.0, 0.0, 1.0, bias=0.0050)
+    assert slips[1][-1] == pytest.approx(0.001 / 0.0135, rel=0.01)
+
+
+def test_stribeck_holds_more_than_it_slides():
+    stuck = coast(enabled('stribeck'), 0.0, 0.0, 1.0, bias=0.0115)
+    sliding = coast(enabled('stribeck'), 1.0, 0.0, 1.0, bias=0.0115)
+    assert not stuck[1].any()
+    assert sliding[1][-1] == pytest.approx(1.0 + 0.0075 / 0.0135, rel=0.01)
+
+
+def test_quadratic_drag_decays_hyperbolically():
+    time, rate, _ = coast(enabled('quadratic_drag'), 3.0, 0.0, 4.0)
+    assert rate == pytest.approx(3.0 / (1.0 + 0.006 / 0.0135 * 3.0 * time), rel=1e-9)
+
+
+def test_pendulum_stiffness_swings_at_its_frequency_and_keeps_its_energy():
+    time, rate, angle = coast(enabled('pendulum_stiffness'), 0.0, 0.02, 8.0)
+    omega = math.sqrt(0.15 / 0.0135)
+    assert angle == pytest.approx(0.02 * np.cos(omega * time), abs=2e-5)
+    energy = 0.5 * 0.0135 * rate**2 + 0.15 * (1 - np.cos(angle))
+    assert np.ptp(energy) / energy[0] < 1e-8
+
+
+def test_cubic_stiffness_keeps_its_energy():
+    _, rate, angle = coast(enabled('cubic_stiffness'), 0.0, 0.3, 4.0)
+    energy = 0.5 * 0.0135 * rate**2 + 0.25 * 3.0 * angle**4
+    assert np.ptp(energy) / energy[0] < 1e-8
+    assert np.ptp(angle) > 0.55
+
+
+def test_plain_is_linear_and_does_not_know_its_battery():
+    profile = without_noise(Profile())
+    rate_loop = {f'{axis}.angle.kp': 0.0 for axis in ('roll', 'pitch', 'yaw')}
+    rng = np.random.default_rng(7)
+    first, second = steps(rng, 1000, 0.02), steps(rng, 1000, 0.03)
+
+    def response(samples, config=profile):
+        part = Excited(0.0, samples, 'roll', 'control')
+        return fly(config, [part], 4.0, 1, gains=rate_loop).true_rates[:, 0]
+
+    rest = response(0.0 * first)
+    both = response(first + second) - rest
+    assert both == pytest.approx(response(first) + response(second) - 2 * rest, abs=1e-9)
+    airframe = profile.airframe
+    empty = replace(airframe, battery=replace(airframe.battery, start_charge=0.2))
+    assert np.array_equal(response(first), response(first, replace(profile, airframe=empty)))
+
+
+def test_battery_sag_lowers_the_gain_by_its_power():
+    full, low = (
+        _first_acceleration(enabled('battery_sag', exponent=2.0), charge) for charge in (1.0, 0.2)
+    )
+    assert low[0] / full[0] == pytest.approx((low[1] / full[1]) ** 2, rel=1e-4)
+
+
+def _first_acceleration(effects: Effects, charge: float) -> tuple[float, float]:
+    profile = without_noise(Profile(effects=effects))
+    airframe = profile.airframe
+    battery = replace(airframe.battery, start_charge=charge)
+    mounts = Mounts(rig=replace(airframe.mounts.rig, bias_torque_nm=(0.0, 0.0, 0.0)))
+    profile = replace(profile, airframe=replace(airframe, battery=battery, mounts=mounts))
+    aircraft = Aircraft(profile, seed=1)
+    aircraft.gains[:, :4] = 0.0
+    given = np.zeros((12, INPUTS))
+    given[:, ARMED], given[:, THROTTLE], given[:, 1], given[:, 2] = 1.0, 0.32, 3.0, 0.01
+    aircraft.machine.state[7:11] = 0.32
+    aircraft.machine.memory[11:] = 0.32
+    log = aircraft.run(given)
+    return float(log[-1, COLUMNS['true_rates']][0]), float(log[-1, COLUMNS['battery_v']][0])

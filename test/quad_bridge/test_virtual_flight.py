@@ -1,0 +1,236 @@
+"""Whole simulated flights: determinism, the firmware's loop against a reference, sensors, bags."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rosbags.highlevel import AnyReader
+
+from quad_bridge.virtual.aircraft import Aircraft
+from quad_bridge.virtual.cycle import COLUMNS
+from quad_bridge.virtual.endpoint import Endpoint
+from quad_bridge.virtual.firmware import Gains
+from quad_bridge.virtual.flight_bag import STORE, write_bag
+from quad_bridge.virtual.profile import Profile
+from quad_bridge.virtual.receiver import Event, Receiver
+from quad_bridge.virtual.sensors import butterworth
+from quad_bridge.virtual.simulation import Excited, fly, without_noise
+from quad_bridge.wire import Decoder
+from quad_bridge.wire.axes import flip_attitude, flip_body, flip_control
+from quad_bridge.wire.frames import Cycle
+
+SIZE = math.radians(12.0)
+
+
+def square(seconds: float, period_s: float = 4.0, size: float = SIZE) -> np.ndarray:
+    time = (np.arange(round(seconds * 250)) + 0.5) / 250.0
+    return size * np.sign(np.sin(2 * np.pi * time / period_s))
+
+
+def reference_cascade(flight, axis: int, excitation: np.ndarray, injection: str):
+    """C1 and C2 of the contract in plain Python, on the recorded measurements."""
+    us = math.degrees(1.0) / 1000.0
+    kp, ki, kd, dt = 1.3 * us, 0.01 * us, 0.023 * us, 0.004
+    share = dt / (dt + 1.0 / (2 * math.pi * 30.0))
+    integral = slope = 0.0
+    last = flight.rates[0, axis]
+    rows = []
+    for k in range(flight.time_s.size):
+        reference = excitation[k] if injection == 'attitude' else 0.0
+        wanted = float(np.clip(3.0 * (reference - flight.angles[k, axis]), -4.0, 4.0))
+        wanted += excitation[k] if injection == 'rate' else 0.0
+        rate = flight.rates[k, axis]
+        error = wanted - rate
+        integral = float(np.clip(integral + ki * error * dt, -0.1, 0.1))
+        slope += share * ((rate - last) / dt - slope)
+        last = rate
+        u = float(np.clip(kp * error + integral - kd * slope, -0.3, 0.3))
+        rows.append((wanted, u + (excitation[k] if injection == 'control' else 0.0)))
+    return np.array(rows)
+
+
+@pytest.mark.parametrize(
+    ('injection', 'size'), [('attitude', 0.3), ('attitude', 1.4), ('rate', 1.0), ('control', 0.05)]
+)
+@pytest.mark.parametrize('axis', ['roll', 'pitch'])
+def test_the_control_cycle_is_the_contracts_cascade(injection, size, axis):
+    excitation = square(6.0, size=size)
+    part = Excited(0.0, excitation, axis, injection)
+    flight = fly(Profile(axis=axis), [part], 6.0, 2)
+    index = ('roll', 'pitch').index(axis)
+    expected = reference_cascade(flight, index, excitation, injection)
+    assert flight.rate_setpoint[:, index] == pytest.approx(expected[:, 0], abs=1e-12)
+    assert flight.wrench[:, 1 + index] == pytest.approx(expected[:, 1], abs=1e-12)
+    assert flight.excitation[:, index] == pytest.approx(excitation)
+
+
+def test_motor_commands_are_the_mixed_and_clipped_wrench():
+    flight = fly(Profile(), [Excited(0.0, square(4.0, size=0.25), 'roll', 'control')], 4.0, 1)
+    mixer = np.array([[1, 1, 1, 1], [1, -1, 1, -1], [1, -1, -1, 1], [1, 1, -1, -1]])
+    assert flight.motors == pytest.approx(np.clip(flight.wrench @ mixer.T, 0, 1), abs=1e-12)
+    assert (flight.limits > 0).any()
+
+
+@pytest.mark.parametrize('profile', ['plain', 'paper'])
+@pytest.mark.parametrize('axis', ['roll', 'pitch'])
+def test_the_papers_gains_track_a_square_wave_of_12_degrees(profile, axis):
+    config = fly(profile, [], 0.1, 1).profile
+    config = replace(config, axis=axis)
+    flight = fly(config, [Excited(1.0, square(40.0), axis)], 41.0, 4)
+    index = ('roll', 'pitch').index(axis)
+    turns = flight.angles[250:, index].reshape(-1, 500)
+    turns[1::2] *= -1
+    progress = (turns[2:].mean(axis=0) + SIZE) / (2 * SIZE)
+    rise_s = (np.argmax(progress > 0.9) - np.argmax(progress > 0.1)) * 0.004
+    assert 0.4 < rise_s < 0.9
+    assert progress.max() < 1.1
+    assert progress[-50:].mean() == pytest.approx(1.0, abs=0.03)
+
+
+def test_hover_stays_up_and_level_while_all_axes_move():
+    flight = fly('paper_hover', [Excited(1.0, square(20.0), 'pitch')], 25.0, 3)
+    assert np.abs(flight.true_angles[:, :2]).max() < math.radians(25.0)
+    assert np.abs(flight.altitude_m).max() < 5.0
+    assert np.abs(flight.throttle - flight.throttle[0]).max() < 0.09
+
+
+def test_the_same_seed_flies_the_same_flight_and_another_does_not():
+    one, two, other = (fly('paper', [Excited(0.5, square(2.0))], 3.0, s) for s in (1, 1, 2))
+    assert np.array_equal(one.rates, two.rates)
+    assert not np.array_equal(one.rates, other.rates)
+
+
+def test_a_python_effect_of_zero_changes_nothing_and_a_constant_one_is_a_bias_torque():
+    part = [Excited(0.0, square(2.0))]
+    plain = fly(Profile(), part, 2.0, 1)
+    nothing = fly(Profile(), part, 2.0, 1, effect=lambda *_: np.zeros(3))
+    assert np.array_equal(plain.true_rates, nothing.true_rates)
+    profile = without_noise(Profile())
+    rig = profile.airframe.mounts.rig
+    shifted = replace(rig, bias_torque_nm=(rig.bias_torque_nm[0] + 0.02, -0.003, 0.001))
+    mounts = replace(profile.airframe.mounts, rig=shifted)
+    biased = fly(replace(profile, airframe=replace(profile.airframe, mounts=mounts)), part, 2.0, 1)
+    pushed = fly(profile, part, 2.0, 1, effect=lambda *_: np.array([0.02, 0.0, 0.0]))
+    assert pushed.true_rates == pytest.approx(biased.true_rates, abs=1e-10)
+
+
+def test_an_effect_sees_time_rates_angles_thrusts_and_voltage_at_every_physics_step():
+    seen = []
+
+    def spy(t_s, rates, angles, thrusts, battery_v):
+        seen.append((t_s, *rates, *angles, *thrusts, battery_v))
+        return np.zeros(3)
+
+    flight = fly(without_noise(Profile()), [Excited(0.0, square(1.0))], 1.0, 1, effect=spy)
+    rows = np.array(seen)
+    assert rows.shape == (1000, 12)
+    assert rows[:, 0] == pytest.approx(np.arange(1000) * 0.001)
+    assert rows[::4, 1:4] == pytest.approx(flight.true_rates)
+    assert rows[::4, 4:7] == pytest.approx(flight.true_angles)
+    assert rows[:, 7:11].sum(axis=1) == pytest.approx(1.2 * 9.80665, rel=1e-3)
+    assert rows[::4, 11] == pytest.approx(flight.battery_v)
+
+
+def test_gyro_noise_and_grid_are_the_chips():
+    flight = fly(Profile(), [], 20.0, 6)
+    error = flight.rates[:, 1] - flight.true_rates[:, 1]
+    # white noise through a 2nd-order Butterworth: equivalent bandwidth 1.11 x cut-off
+    assert np.std(error) == pytest.approx(6.0e-4 * math.sqrt(1.11 * 42.0), rel=0.05)
+    lsb = math.radians(1.0 / 65.5)
+    assert flight.rates / lsb == pytest.approx(np.round(flight.rates / lsb), abs=1e-9)
+    assert np.abs(flight.true_angles - flight.angles).max() < math.radians(1.0)
+
+
+def test_the_gyro_filter_is_a_butterworth_of_42_hz():
+    b0, b1, b2, a1, a2 = butterworth(42.0, 0.001)
+    z = np.exp(-2j * np.pi * np.array([0.0, 42.0, 20.0]) * 0.001)
+    gain = np.abs((b0 + b1 * z + b2 * z**2) / (1 + a1 * z + a2 * z**2))
+    assert gain == pytest.approx([1.0, math.sqrt(0.5), (1 + (20 / 42) ** 4) ** -0.5], rel=2e-3)
+
+
+def test_the_delay_is_the_configured_number_of_cycles():
+    for delay in (1, 2, 3):
+        profile = without_noise(Profile())
+        profile = replace(profile, firmware=replace(profile.firmware, delay_cycles=delay))
+        pulse = Excited(0.4, np.full(10, 0.05), 'roll', 'control')
+        quiet = fly(profile, [], 0.5, 1).true_rates[:, 0]
+        moved = fly(profile, [pulse], 0.5, 1).true_rates[:, 0]
+        assert np.flatnonzero(moved != quiet)[0] == 100 + delay + 1
+
+
+def test_gains_in_firmware_units_become_the_contracts_si():
+    table = Gains().table()
+    assert table[0, :4] == pytest.approx([3.0, 0.0744845, 0.000572958, 0.00131780], rel=1e-5)
+
+
+def test_the_wire_process_and_the_array_flight_are_the_same_flight():
+    events = (Event(0.6, 'roll', 0.5), Event(0.7, 'roll', 0.0), Event(0.9, 'aux1', 1.0))
+    profile = Profile(receiver=Receiver(events=events))
+    flight = fly(profile, [], 1.0, 9)
+    endpoint, decoder = Endpoint(Aircraft(profile, seed=9), profile.receiver), Decoder()
+    frames = [f for _ in range(250) for f in decoder.feed(endpoint.cycle())]
+    cycles = [f for f in frames if isinstance(f, Cycle)]
+    assert [f.cycle for f in cycles] == list(range(250))
+    assert [f.time_us for f in cycles] == [4000 * k for k in range(250)]
+    for name, flip in (('gyro', flip_body), ('accel', flip_body), ('rate_setpoint', flip_body)):
+        own = {'gyro': 'rates', 'accel': 'acceleration'}.get(name, name)
+        wire = np.array([flip(getattr(f, name)) for f in cycles])
+        assert wire == pytest.approx(getattr(flight, own), rel=1e-6, abs=1e-6)
+    angles = np.array([flip_attitude(f.attitude) for f in cycles])
+    assert angles == pytest.approx(flight.angles, abs=1e-6)
+    wrench = np.array([flip_control(f.control) for f in cycles])
+    assert wrench == pytest.approx(flight.wrench, abs=1e-6)
+    motors = np.array([f.motors for f in cycles])
+    assert motors == pytest.approx(flight.motors, abs=1e-6)
+    assert not motors[226:].any()
+    assert flight.attitude_setpoint[160, 0] == pytest.approx(math.radians(15.0))
+
+
+@pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
+def test_a_flight_becomes_a_bag_of_the_contract(tmp_path, storage):
+    parts = [
+        Excited(1.0, square(2.0), 'roll', 'attitude', 'train', 'prbs', {'register_bits': 9}),
+        Excited(3.5, square(1.0), 'roll', 'attitude', 'validation', 'square'),
+    ]
+    flight = fly('paper', parts, 5.0, 1)
+    path = write_bag(flight, tmp_path / 'bag', storage=storage, leave_out=('/baro',))
+    rows: dict[str, list] = {}
+    with AnyReader([path], default_typestore=STORE) as reader:
+        for connection, stamp, raw in reader.messages():
+            message = reader.deserialize(raw, connection.msgtype)
+            rows.setdefault(connection.topic, []).append((stamp, message))
+    counts = {topic: len(messages) for topic, messages in rows.items()}
+    assert counts['/imu/data'] == counts['/motors/command'] == counts['/control/wrench'] == 1250
+    assert counts['/excitation/applied'] == 750
+    assert (counts['/rc/in'], counts['/imu/mag'], counts['/battery']) == (250, 250, 50)
+    assert '/baro' not in counts
+    imu = [m for _, m in rows['/imu/data']]
+    gyro = np.array(
+        [[m.angular_velocity.x, m.angular_velocity.y, m.angular_velocity.z] for m in imu]
+    )
+    assert np.array_equal(gyro, flight.rates)
+    assert imu[0].header.frame_id == 'base_link'
+    stamps = [m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in imu]
+    assert set(np.diff(stamps)) == {4_000_000}
+    effort = np.array([m.effort for _, m in rows['/motors/command']])
+    assert np.array_equal(effort, flight.motors)
+    assert rows['/motors/command'][0][1].name == [f'motor_{i}' for i in range(1, 5)]
+    force = np.array([m.wrench.force.z for _, m in rows['/control/wrench']])
+    assert np.array_equal(force, flight.wrench[:, 0])
+    said = [
+        {p.name: p.value.string_value or p.value.integer_value for p in m.changed_parameters}
+        for _, m in rows['/excitation/segment']
+    ]
+    assert [s['segment'] for s in said] == ['idle', 'train', 'idle', 'validation', 'idle']
+    assert said[1]['register_bits'] == 9
+    gains = {p.name: p.value.double_value for p in rows['/gains/active'][0][1].changed_parameters}
+    assert gains['roll.angle.kp'] == 3.0
+    assert gains['sensor.gyro_filter_hz'] == 42.0
+
+
+def test_columns_of_the_log_do_not_overlap():
+    used = [i for span in COLUMNS.values() for i in range(span.start, span.stop)]
+    assert sorted(used) == list(range(len(used)))

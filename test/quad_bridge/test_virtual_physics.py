@@ -1,0 +1,185 @@
+"""The virtual aircraft's dynamics against closed forms and invariants; all without noise."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from quad_bridge.virtual.aircraft import Aircraft
+from quad_bridge.virtual.airframe import Airframe, Mounts, Surroundings
+from quad_bridge.virtual.control import ADDED, ARMED, INJECTION, INPUTS, THROTTLE
+from quad_bridge.virtual.cycle import COLUMNS
+from quad_bridge.virtual.effects import Effects, GyroscopicCoupling, InertiaCoupling
+from quad_bridge.virtual.physics import CHARGE, QUAT, RATES, ROTORS
+from quad_bridge.virtual.plant import MIXER, axis_gains
+from quad_bridge.virtual.profile import Profile
+from quad_bridge.virtual.simulation import without_noise
+
+AXES = ('roll', 'pitch', 'yaw')
+
+
+def quiet_profile(effects: Effects | None = None, damping: float = 0.0, **changes) -> Profile:
+    still = Surroundings(
+        damping_per_s=(damping,) * 3, bias_torque_nm=(0.0,) * 3, torque_noise_nm_rthz=(0.0,) * 3
+    )
+    airframe = Airframe(mounts=Mounts(rig=still, hover=still))
+    return without_noise(Profile(airframe=airframe, effects=effects or Effects(), **changes))
+
+
+def coasting(profile: Profile, rates: tuple[float, float, float]) -> Aircraft:
+    """Motors stopped, given body rates."""
+    profile = replace(profile, firmware=replace(profile.firmware, auto_arm=False))
+    aircraft = Aircraft(profile, seed=1)
+    aircraft.machine.state[RATES : RATES + 3] = rates
+    return aircraft
+
+
+def inputs(cycles: int, aircraft: Aircraft, armed: bool = True) -> np.ndarray:
+    given = np.zeros((cycles, INPUTS))
+    given[:, ARMED] = float(armed)
+    given[:, THROTTLE] = aircraft.hover_throttle
+    return given
+
+
+def open_loop(aircraft: Aircraft) -> None:
+    aircraft.gains[:, :4] = 0.0
+
+
+def world_vector(quat: np.ndarray, v: np.ndarray) -> np.ndarray:
+    w, x, y, z = quat
+    rotation = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    return rotation @ v
+
+
+@pytest.mark.parametrize('axis', AXES)
+def test_a_free_spin_decays_exponentially_on_the_rig_and_only_about_the_free_axis(axis):
+    index = AXES.index(axis)
+    aircraft = coasting(quiet_profile(damping=0.4, axis=axis), tuple(2.0 * np.eye(3)[index]))
+    log = aircraft.run(inputs(500, aircraft, armed=False))
+    rates, time = log[:, COLUMNS['true_rates']], log[:, 0]
+    assert rates[:, index] == pytest.approx(2.0 * np.exp(-0.4 * time), rel=1e-10)
+    assert not rates[:, [i for i in range(3) if i != index]].any()
+
+
+def test_a_torque_free_body_keeps_its_angular_momentum_and_energy_while_it_tumbles():
+    profile = quiet_profile(Effects(inertia_coupling=InertiaCoupling(enabled=True)), mount='hover')
+    aircraft = coasting(profile, (3.0, -2.0, 4.0))
+    inertia = np.array(profile.airframe.inertia_kg_m2)
+    state = aircraft.machine.state
+    momentum = inertia * state[RATES : RATES + 3]
+    energy = float(momentum @ state[RATES : RATES + 3])
+    log = aircraft.run(inputs(1250, aircraft, armed=False))
+    after = world_vector(state[QUAT : QUAT + 4], inertia * state[RATES : RATES + 3])
+    assert np.ptp(log[:, COLUMNS['true_rates']], axis=0).min() > 0.04
+    assert after == pytest.approx(momentum, abs=1e-8)
+    assert inertia @ state[RATES : RATES + 3] ** 2 == pytest.approx(energy, rel=1e-8)
+
+
+def test_gyroscopic_coupling_conserves_momentum_with_the_spinning_part_and_does_no_work():
+    effects = Effects(
+        inertia_coupling=InertiaCoupling(enabled=True),
+        gyroscopic_coupling=GyroscopicCoupling(
+            enabled=True, rotor_scale=0.0, extra_momentum_nm_s=0.05
+        ),
+    )
+    profile = quiet_profile(effects, mount='hover')
+    aircraft = coasting(profile, (1.0, 0.5, 0.2))
+    inertia, spin = np.array(profile.airframe.inertia_kg_m2), np.array([0.0, 0.0, 0.05])
+    state = aircraft.machine.state
+    momentum = inertia * state[:3] + spin
+    energy = inertia @ state[:3] ** 2
+    aircraft.run(inputs(750, aircraft, armed=False))
+    after = world_vector(state[QUAT : QUAT + 4], inertia * state[:3] + spin)
+    assert after == pytest.approx(momentum, abs=1e-8)
+    assert inertia @ state[:3] ** 2 == pytest.approx(energy, rel=1e-8)
+
+
+def test_gyroscopic_terms_of_roll_and_pitch_have_opposite_signs():
+    effects = Effects(
+        gyroscopic_coupling=GyroscopicCoupling(
+            enabled=True, rotor_scale=0.0, extra_momentum_nm_s=0.01
+        )
+    )
+    pitching = coasting(quiet_profile(effects, mount='hover'), (0.0, 1.0, 0.0))
+    rolling = coasting(quiet_profile(effects, mount='hover'), (1.0, 0.0, 0.0))
+    for aircraft in (pitching, rolling):
+        aircraft.run(inputs(1, aircraft, armed=False))
+    # eqs. (4), (5): -(h/Ix) q about roll, +(h/Iy) p about pitch
+    assert pitching.machine.state[0] == pytest.approx(-0.01 / 0.0135 * 0.004, rel=1e-3)
+    assert rolling.machine.state[1] == pytest.approx(0.01 / 0.0140 * 0.004, rel=1e-3)
+
+
+@pytest.mark.parametrize('axis', AXES)
+def test_a_control_step_gives_gain_lag_and_delay_of_the_base(axis):
+    index, damping, size, lag = AXES.index(axis), 0.4, 0.02, 0.045
+    aircraft = Aircraft(quiet_profile(damping=damping, axis=axis), seed=1)
+    open_loop(aircraft)
+    given = inputs(250, aircraft)
+    given[:, INJECTION], given[:, ADDED + index] = 3.0, size
+    log = aircraft.run(given)
+    gain = axis_gains(aircraft.profile.airframe)[index]
+    since = np.maximum(0.0, log[:, 0] - 2 * 0.004)
+    slow, fast = np.exp(-damping * since), np.exp(-since / lag)
+    expected = (
+        gain * size / damping * (1 - slow - damping * lag * (slow - fast) / (1 - damping * lag))
+    )
+    assert log[:, COLUMNS['true_rates']][:, index] == pytest.approx(expected, abs=1e-6)
+
+
+def test_the_paper_airframe_has_the_gains_of_its_numbers():
+    gains = axis_gains(Airframe())
+    assert gains[0] == pytest.approx(4 * 9.218 * 0.225 * math.sqrt(0.5) / 0.0135)
+    assert gains[2] == pytest.approx(4 * 9.218 * 0.016 / 0.0240)
+
+
+def test_hover_throttle_carries_the_weight():
+    aircraft = Aircraft(quiet_profile(mount='hover'), seed=1)
+    assert aircraft.hover_throttle == pytest.approx(1.2 * 9.80665 / (4 * 9.218))
+    log = aircraft.run(inputs(500, aircraft))
+    assert np.abs(log[:, COLUMNS['altitude_m']]).max() < 1e-9
+    assert log[-1, COLUMNS['acceleration']] == pytest.approx([0.0, 0.0, 9.80665], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ('motor', 'signs'),
+    [(1, (1, 1, 1)), (2, (-1, 1, -1)), (3, (-1, -1, 1)), (4, (1, -1, -1))],
+)
+def test_each_motor_turns_the_body_as_its_place_and_sense_say(motor, signs):
+    # 1 rear left, 2 rear right, 3 front right, 4 front left; 1 and 3 clockwise from above
+    aircraft = coasting(quiet_profile(mount='hover'), (0.0, 0.0, 0.0))
+    aircraft.machine.state[ROTORS + motor - 1] = 0.5
+    aircraft.run(inputs(3, aircraft, armed=False))
+    assert tuple(np.sign(aircraft.machine.state[RATES : RATES + 3])) == signs
+    assert tuple(MIXER[motor - 1, 1:]) == signs
+
+
+@pytest.mark.parametrize('axis', AXES)
+def test_a_positive_control_of_an_axis_accelerates_that_axis_alone_and_positively(axis):
+    index = AXES.index(axis)
+    aircraft = Aircraft(quiet_profile(mount='hover'), seed=1)
+    open_loop(aircraft)
+    given = inputs(10, aircraft)
+    given[:, INJECTION], given[:, ADDED + index] = 3.0, 0.05
+    rates = aircraft.run(given)[-1, COLUMNS['true_rates']]
+    assert rates[index] > 0.005
+    assert np.abs(np.delete(rates, index)).max() < 1e-12
+
+
+def test_the_battery_sags_under_load_and_empties_by_its_current():
+    aircraft = Aircraft(quiet_profile(), seed=1)
+    machine = aircraft.machine
+    log = aircraft.run(inputs(2500, aircraft))
+    n = aircraft.hover_throttle
+    current = 0.4 + 4 * 14.0 * n**1.5
+    assert machine.state[CHARGE] - 0.05 * 4.5 * 3600 == pytest.approx(current * 10.0, rel=1e-6)
+    open_v = 3 * np.interp(0.95, (0.9, 1.0), (4.06, 4.2))
+    assert log[0, COLUMNS['battery_v']] == pytest.approx(open_v - 0.025 * current, abs=1e-9)
