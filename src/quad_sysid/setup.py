@@ -24,5 +24,9 @@ setup(
     zip_safe=False,
     license='Apache-2.0',
     description='Identification of quadrotor dynamics and of the effects a model lacks.',
-    entry_points={'console_scripts': []},
+    entry_points={
+        'console_scripts': [
+            'excitation = quad_sysid.excitation_node:main',
+        ]
+    },
 )

@@ -13,6 +13,7 @@ import numpy as np
 
 from quad_sysid.bags.cdr import WIDTH, Stamped, decode
 from quad_sysid.bags.events import EVENT, decode_events, gains_from, segments_from
+from quad_sysid.bags.orientation import euler_angles
 from quad_sysid.bags.stamps import Grid, uniform_grid
 from quad_sysid.bags.storage import Storage
 from quad_sysid.contract import (
@@ -173,27 +174,12 @@ def _finite(
 
 
 def _angles(orientation: FloatArray) -> FloatArray | None:
-    """Roll, pitch, yaw (n, 3) from x y z w and covariance[0]; None where it is not measured.
-
-    ZYX Euler angles (REP-103), yaw unwrapped over what is finite.
-    """
-    quaternion, covariance = orientation[:, :4], orientation[:, 4]
-    norm = np.linalg.norm(quaternion, axis=1)
-    known = np.isfinite(norm) & (norm > 0.5) & (covariance != -1.0)
-    if not known.any() or np.allclose(quaternion[known, :3], 0.0, atol=1e-12):
+    """Roll, pitch, yaw (n, 3); None where unknown, or the same identity throughout."""
+    angles = euler_angles(orientation)
+    known = np.isfinite(angles[:, 0])
+    if not known.any() or np.allclose(orientation[known, :3], 0.0, atol=1e-12):
         return None
-    with np.errstate(invalid='ignore', divide='ignore'):
-        x, y, z, w = (quaternion / norm[:, None]).T
-        angles = np.column_stack(
-            (
-                np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
-                np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0)),
-                np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
-            )
-        )
-    angles[~known] = np.nan
-    angles[known, 2] = np.unwrap(angles[known, 2])
-    return np.asarray(angles, dtype=float)
+    return angles
 
 
 def _battery(content: _Content, grid: Grid, warnings: list[str]) -> FloatArray | None:

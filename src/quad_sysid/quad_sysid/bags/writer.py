@@ -23,6 +23,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 
 from quad_sysid.bags.cdr import IMU, Stamped, encode, typestore
 from quad_sysid.bags.events import EVENT, Event, encode_event
+from quad_sysid.bags.orientation import quaternions
 from quad_sysid.bags.templates import template
 from quad_sysid.contract import MIXER, TOPIC_TYPES, FloatArray
 from quad_sysid.errors import BadInputError
@@ -141,20 +142,6 @@ def _imu(record: Record, stamps: np.ndarray) -> Stamped:
     values[:, 8:11] = 0.0 if record.acceleration is None else record.acceleration
     seen = np.isfinite(record.rates).any(axis=1)
     return Stamped(stamps[seen], values[seen])
-
-
-def quaternions(angles: FloatArray) -> FloatArray:
-    """(n, 4) x y z w from roll, pitch, yaw (n, 3), rad, in ZYX order (REP-103)."""
-    cr, cp, cy = np.cos(0.5 * angles).T
-    sr, sp, sy = np.sin(0.5 * angles).T
-    return np.column_stack(
-        (
-            sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy,
-            cr * cp * cy + sr * sp * sy,
-        )
-    )
 
 
 def _events(record: Record) -> dict[str, list[Event]]:

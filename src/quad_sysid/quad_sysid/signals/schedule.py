@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import accumulate
 
 from quad_sysid.contract import AXES
@@ -91,6 +91,11 @@ class Schedule:
             return None
         return sum(1 for start in self.starts_s if start <= time_s) - 1
 
+    def scaled(self, factor: float) -> Schedule:
+        """Make the same schedule with all amplitudes times `factor`."""
+        parts = tuple(replace(part, amplitude=factor * part.amplitude) for part in self.parts)
+        return replace(self, parts=parts)
+
     def sample(self, time_s: float) -> tuple[float, float, float]:
         """Excitation of roll, pitch, yaw at `time_s`, in the unit of the running part."""
         out = [0.0, 0.0, 0.0]
@@ -150,6 +155,9 @@ def _part(entry: object, where: str, ramp_s: float) -> Part:
     duration = _number(entry, 'duration_s', math.nan, where, 0.0)
     if duration <= 0.0:
         raise BadInputError(where, 'duration_s must be positive', duration)
+    ramp = 0.0
+    if role != 'idle':
+        ramp = _number(entry, 'ramp_s', ramp_s, where, 0.0, duration / 2.0)
     if signal == 'chirp':
         own.setdefault('sweep_s', duration)
     shape = waveform(signal, own, where)
@@ -157,7 +165,7 @@ def _part(entry: object, where: str, ramp_s: float) -> Part:
     return Part(
         role=str(role), duration_s=duration, signal=signal, axis=str(axis),
         injection=str(injection), amplitude=0.0 if role == 'idle' else amplitude * unit,
-        ramp_s=_number(entry, 'ramp_s', ramp_s, where, 0.0, duration / 2.0),
+        ramp_s=ramp,
         parameters=parameters, waveform=shape,
     )
 

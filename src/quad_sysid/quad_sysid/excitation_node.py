@@ -1,0 +1,244 @@
+"""The `excitation` node: plays a schedule on /excitation/setpoint, watched by the guard.
+
+Wiring only: signals, limits and states are in signals/; parameters in excitation_parameters.py.
+"""
+
+from __future__ import annotations
+
+import signal
+import sys
+import time
+from collections import deque
+from typing import Any
+
+import numpy as np
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import Vector3Stamped
+from rcl_interfaces.msg import Parameter, ParameterEvent, ParameterType, ParameterValue
+from rclpy.exceptions import ParameterException
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import qos_profile_sensor_data
+from rclpy.signals import SignalHandlerOptions
+from sensor_msgs.msg import BatteryState, Imu, Joy
+from std_srvs.srv import Trigger
+
+from quad_bridge.errors import QuadBridgeError
+from quad_bridge.qos import EVENT, STATE, STREAM
+from quad_sysid.bags.cdr import IMU, decode
+from quad_sysid.bags.orientation import euler_angles
+from quad_sysid.errors import QuadSysidError
+from quad_sysid.excitation_parameters import declare
+from quad_sysid.signals.guard import Readings
+from quad_sysid.signals.player import Announcement, Player, State, Tick
+
+ANGLE_TICKS = 5
+"""The orientation is decoded every so many ticks: at 250 Hz every 20 ms."""
+BATTERY_SAMPLES = 5
+"""The highest of so many voltages counts: a dip of one is no low battery."""
+LINGER_S = 0.1
+"""Time for the last messages to leave before the process ends."""
+LEVELS = {State.ENDING: DiagnosticStatus.WARN, State.ABORTED: DiagnosticStatus.ERROR}
+
+
+class ExcitationNode(Node):  # type: ignore[misc]
+    """Topics, services and timers around one Player."""
+
+    def __init__(self) -> None:
+        super().__init__('excitation')
+        self._settings = declare(self)
+        settings = self._settings
+        self._player = Player(settings.schedule, settings.limits, settings.ramp_out_s)
+        self._setpoint = self.create_publisher(Vector3Stamped, '/excitation/setpoint', STREAM)
+        self._segment = self.create_publisher(ParameterEvent, '/excitation/segment', STATE)
+        self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', EVENT)
+        self._message = Vector3Stamped()
+        self._message.header.frame_id = 'base_link'
+        self._imu: bytes = b''
+        self._angles: tuple[float, float, float] | None = None
+        self._imu_time = self._rc_time = 0.0
+        self._joy: Any = None
+        self._volts: deque[float] = deque(maxlen=BATTERY_SAMPLES)
+        self._ticks = 0
+        self._waiting = settings.autostart
+        self._refused = ''
+        sensor = qos_profile_sensor_data
+        self.create_subscription(Imu, '/imu/data', self._on_imu, sensor, raw=True)
+        self.create_subscription(Joy, '/rc/in', self._on_rc, sensor)
+        self.create_subscription(BatteryState, '/battery', self._on_battery, sensor)
+        self.create_service(Trigger, '~/start', self._on_start)
+        self.create_service(Trigger, '~/stop', self._on_stop)
+        self._timer = self.create_timer(1.0 / settings.rate_hz, self._tick)
+        self._timer.cancel()
+        self.create_timer(1.0, self._report)
+        self.create_timer(0.1, self._try_autostart)
+        self.get_logger().info(
+            f'{settings.schedule.source}: {len(settings.schedule.parts)} segments, '
+            f'{settings.schedule.duration_s:.0f} s, mount {settings.schedule.mount}'
+        )
+
+    @property
+    def exit_status(self) -> int | None:
+        """Status to end the process with; None: go on."""
+        if not self._settings.exit_when_done or self._player.active:
+            return None
+        return {State.DONE: 0, State.ABORTED: 1}.get(self._player.state)
+
+    def _on_imu(self, raw: bytes) -> None:
+        self._imu, self._imu_time = raw, time.monotonic()
+
+    def _on_rc(self, message: Any) -> None:
+        self._joy, self._rc_time = message, time.monotonic()
+
+    def _on_battery(self, message: Any) -> None:
+        self._volts.append(message.voltage)
+
+    def _readings(self, *, decode_angles: bool) -> Readings:
+        """Latest values, as the guard wants them."""
+        now = time.monotonic()
+        if decode_angles and self._imu:
+            angles = euler_angles(decode(IMU, [self._imu]).values[:, :5])
+            self._angles = (angles[0, 0], angles[0, 1], angles[0, 2]) if len(angles) else None
+        joy, switch = self._joy, self._settings.abort_axis
+        axes = [] if joy is None else list(joy.axes)
+        return Readings(
+            imu_age_s=now - self._imu_time if self._imu else None,
+            angles=self._angles,
+            rc_age_s=now - self._rc_time if joy is not None else None,
+            sticks=(axes[0], axes[1], axes[3]) if len(axes) > 3 else None,
+            abort_switch=axes[switch] if switch is not None and switch < len(axes) else None,
+            failsafe=bool(joy is not None and len(joy.buttons) and joy.buttons[0]),
+            battery_v=float(np.nanmax(self._volts)) if np.isfinite(self._volts).any() else None,
+        )
+
+    def _start(self) -> str:
+        now_s = self.get_clock().now().nanoseconds * 1e-9
+        refused = self._player.start(now_s, self._readings(decode_angles=True))
+        if not refused:
+            self._timer.reset()
+            self.get_logger().info('excitation runs')
+            self._report()
+        return refused
+
+    def _try_autostart(self) -> None:
+        if self._waiting:
+            self._refused = self._start()
+            self._waiting = bool(self._refused)
+
+    def _on_start(self, request: Any, response: Any) -> Any:
+        del request
+        refused = self._start()
+        response.success, response.message = not refused, refused or 'running'
+        if refused:
+            self.get_logger().warning(f'not started: {refused}')
+        return response
+
+    def _on_stop(self, request: Any, response: Any) -> Any:
+        del request
+        response.success = self._player.active
+        response.message = 'ramping out' if self._player.active else 'nothing runs'
+        self._waiting = False
+        self._player.stop(self.get_clock().now().nanoseconds * 1e-9, 'stopped by ~/stop')
+        return response
+
+    def _tick(self) -> None:
+        stamp = self.get_clock().now().nanoseconds
+        self._ticks += 1
+        readings = self._readings(decode_angles=self._ticks % ANGLE_TICKS == 0)
+        before = self._player.state
+        self._publish(self._player.tick(stamp * 1e-9, readings), stamp)
+        if self._player.state is not before:
+            self._on_state()
+
+    def _publish(self, tick: Tick, stamp: int) -> None:
+        if tick.announcement is not None:
+            self._segment.publish(segment_event(tick.announcement, stamp))
+        if tick.setpoint is not None:
+            message = self._message
+            message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 1_000_000_000)
+            message.vector.x, message.vector.y, message.vector.z = tick.setpoint
+            self._setpoint.publish(message)
+
+    def close(self) -> None:
+        """Take the excitation back at once where it still runs."""
+        self._publish(self._player.cut('the node ends'), self.get_clock().now().nanoseconds)
+
+    def _on_state(self) -> None:
+        """Say why the state changed, at once."""
+        player = self._player
+        if player.state is State.DONE:
+            self.get_logger().info(player.reason)
+        else:
+            self.get_logger().error(f'excitation {player.state.value}: {player.reason}')
+        if not player.active:
+            self._timer.cancel()
+        self._report()
+
+    def _report(self) -> None:
+        player, schedule = self._player, self._settings.schedule
+        part = schedule.parts[player.part] if player.part is not None else None
+        waiting = f'waits: {self._refused}' if self._waiting and self._refused else ''
+        level = DiagnosticStatus.WARN if waiting else LEVELS.get(player.state, DiagnosticStatus.OK)
+        values = {
+            'state': player.state.value, 'reason': player.reason or waiting,
+            'schedule': schedule.source,
+            'segment': part.role if part else 'idle', 'signal': part.signal if part else 'none',
+            'axis': part.axis if part else '',
+            'elapsed_s': f'{player.elapsed_s:.1f}', 'duration_s': f'{schedule.duration_s:.1f}',
+            'progress_pct': f'{100.0 * player.elapsed_s / schedule.duration_s:.0f}',
+        }
+        text = player.reason or waiting or player.state.value
+        status = DiagnosticStatus(
+            level=level, name=f'{self.get_name()}: schedule', message=text,
+            values=[KeyValue(key=key, value=value) for key, value in values.items()],
+        )
+        array = DiagnosticArray(status=[status])
+        array.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(array)
+
+
+def segment_event(announcement: Announcement, stamp_ns: int) -> Any:
+    """Build the message of /excitation/segment."""
+    event = ParameterEvent(node='/excitation')
+    event.stamp.sec, event.stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
+    for name, value in announcement.items():
+        content = ParameterValue()
+        if isinstance(value, str):
+            content.type, content.string_value = ParameterType.PARAMETER_STRING, value
+        elif isinstance(value, int):
+            content.type, content.integer_value = ParameterType.PARAMETER_INTEGER, value
+        else:
+            content.type, content.double_value = ParameterType.PARAMETER_DOUBLE, value
+        event.changed_parameters.append(Parameter(name=name, value=content))
+    return event
+
+
+def main() -> None:
+    """Spin until interrupted or, with exit_when_done, until the schedule has ended.
+
+    Exit status 2 with one line where a parameter or the schedule is wrong.
+    """
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    node = None
+    status: int | None = None
+    try:
+        node = ExcitationNode()
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        while status is None:
+            executor.spin_once()
+            status = node.exit_status
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    except (QuadSysidError, QuadBridgeError, ParameterException) as error:
+        sys.stderr.write(f'excitation: {" ".join(str(error).split())}\n')
+        status = 2
+    finally:
+        if node is not None:
+            node.close()
+            time.sleep(LINGER_S)
+            node.destroy_node()
+        rclpy.try_shutdown()
+    sys.exit(status or 0)

@@ -1,0 +1,175 @@
+"""The guard and the player: every reason to end, how it ends, and that nothing else ends it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from quad_sysid.signals.guard import Limits, Readings, check
+from quad_sysid.signals.player import Player, State
+from quad_sysid.signals.schedule import parse_schedule
+
+RIG = Limits(battery_min_v=10.2)
+HOVER = replace(RIG, mount='hover')
+GOOD = Readings(
+    imu_age_s=0.004, angles=(0.1, -0.1, 3.0), rc_age_s=0.02, sticks=(0.0, 0.05, 0.0),
+    abort_switch=-1.0, failsafe=False, battery_v=11.5,
+)
+DT = 0.004
+
+REASONS = [
+    ({'failsafe': True}, 'failsafe', True),
+    ({'rc_age_s': 1.5}, '/rc/in is 1.50 s old', True),
+    ({'abort_switch': 0.9}, 'abort switch', False),
+    ({'imu_age_s': None}, 'no /imu/data yet', False),
+    ({'imu_age_s': 0.25}, '/imu/data is 0.25 s old', False),
+    ({'angles': None}, 'no orientation', False),
+    ({'angles': (math.nan, 0.0, 0.0)}, 'no orientation', False),
+    ({'angles': (math.radians(26.0), 0.0, 0.0)}, 'roll of 26.0° is beyond 25°', False),
+    ({'angles': (0.0, math.radians(-25.5), 0.0)}, 'pitch of -25.5°', False),
+    ({'sticks': (0.0, 0.2, 0.0)}, 'the pitch stick is at 20 %', False),
+    ({'sticks': (0.0, 0.0, -0.15)}, 'the yaw stick', False),
+    ({'sticks': (math.nan, 0.0, 0.0)}, 'the roll stick', False),
+    ({'battery_v': 10.1}, 'battery at 10.10 V', False),
+]
+FINE = [
+    {}, {'rc_age_s': None, 'sticks': None, 'abort_switch': None}, {'battery_v': None},
+    {'battery_v': math.nan}, {'angles': (math.radians(24.9), 0.0, 3.1)}, {'imu_age_s': 0.19},
+]
+
+
+def schedule(axis: str = 'roll'):
+    square = {
+        'signal': 'square', 'period_s': 1.0, 'axis': axis, 'amplitude_deg': 10.0, 'ramp_s': 0.2,
+    }
+    return parse_schedule(
+        {
+            'schedule': {
+                'segments': [
+                    {'segment': 'idle', 'duration_s': 0.5},
+                    {'segment': 'train', 'duration_s': 2.0, **square},
+                    {'segment': 'idle', 'duration_s': 0.5},
+                    {'segment': 'validation', 'duration_s': 1.0, **square},
+                    {'segment': 'idle', 'duration_s': 0.5},
+                ]
+            }
+        },
+        'test',
+    )
+
+
+def play(player: Player, readings, seconds: float, start: float = 100.0):
+    """Ticks at 250 Hz; `readings` is a function of the elapsed time."""
+    ticks = []
+    for k in range(round(seconds / DT)):
+        if not player.active:
+            break
+        now = start + k * DT
+        ticks.append((k * DT, player.tick(now, readings(k * DT))))
+    return ticks
+
+
+@pytest.mark.parametrize(('change', 'words', 'immediate'), REASONS)
+def test_each_reason_ends_the_excitation_on_the_rig(change, words, immediate):
+    abort = check(RIG, replace(GOOD, **change), 'roll')
+    assert abort is not None
+    assert words in abort.reason
+    assert abort.immediate is immediate
+
+
+@pytest.mark.parametrize('change', FINE)
+@pytest.mark.parametrize('limits', [RIG, HOVER])
+def test_nothing_else_ends_it(limits, change):
+    assert check(limits, replace(GOOD, **change), 'roll') is None
+
+
+def test_in_hover_only_a_large_deflection_ends_it():
+    assert check(HOVER, replace(GOOD, sticks=(0.55, -0.55, 0.3)), 'roll') is None
+    abort = check(HOVER, replace(GOOD, sticks=(0.0, -0.65, 0.0)), 'roll')
+    assert abort is not None
+    assert 'pitch stick is at -65 %' in abort.reason
+
+
+def test_yaw_counts_from_its_start_and_only_while_excited():
+    turned = replace(GOOD, angles=(0.0, 0.0, -3.0))
+    assert check(RIG, turned, 'roll') is None
+    assert check(RIG, turned, 'yaw', yaw_start=3.1) is None
+    assert check(RIG, turned, 'yaw', yaw_start=0.0) is not None
+    assert check(replace(RIG, battery_min_v=0.0), replace(GOOD, battery_v=3.0), 'roll') is None
+
+
+def test_a_schedule_is_played_to_its_end():
+    player = Player(schedule(), RIG)
+    assert player.start(100.0, GOOD) == ''
+    assert player.start(100.0, GOOD) == 'it is running already'
+    ticks = play(player, lambda _: GOOD, 10.0)
+    assert player.state is State.DONE
+    assert ticks[-1][0] == pytest.approx(4.5, abs=0.005)
+    told = [(t, dict(tick.announcement)) for t, tick in ticks if tick.announcement]
+    assert [(round(t, 2), a['segment'], a['signal']) for t, a in told] == [
+        (0.0, 'idle', 'none'), (0.5, 'train', 'square'), (2.5, 'idle', 'none'),
+        (3.0, 'validation', 'square'), (4.0, 'idle', 'none'), (4.5, 'idle', 'none'),
+    ]
+    sent = [(t, tick.setpoint) for t, tick in ticks if tick.setpoint is not None]
+    assert len(sent) == 750
+    assert max(abs(s[0]) for _, s in sent) == pytest.approx(math.radians(10.0))
+    assert all(s[1] == s[2] == 0.0 for _, s in sent)
+    assert player.start(200.0, GOOD) == ''
+
+
+@pytest.mark.parametrize(('change', 'words', 'immediate'), REASONS)
+def test_an_abort_ramps_out_or_ends_at_once_and_says_idle(change, words, immediate):
+    player = Player(schedule(), RIG, ramp_out_s=0.4)
+    assert player.start(100.0, GOOD) == ''
+    ticks = play(player, lambda t: GOOD if t < 1.2 else replace(GOOD, **change), 10.0)
+    assert player.state is State.ABORTED
+    assert words in player.reason
+    after = [abs(tick.setpoint[0]) for t, tick in ticks if t >= 1.2 and tick.setpoint]
+    assert after[-1] == 0.0
+    assert ticks[-1][1].announcement['segment'] == 'idle'
+    assert ticks[-1][1].announcement['signal'] == 'none'
+    assert words in str(ticks[-1][1].announcement['reason'])
+    if immediate:
+        assert after == [0.0]
+    else:
+        assert len(after) == pytest.approx(101, abs=2)
+        assert after == sorted(after, reverse=True)
+        assert after[0] == pytest.approx(math.radians(10.0))
+
+
+def test_failsafe_cuts_a_ramp_short():
+    player = Player(schedule(), RIG, ramp_out_s=1.0)
+    player.start(100.0, GOOD)
+
+    def readings(t: float) -> Readings:
+        return replace(GOOD, abort_switch=1.0 if t > 1.0 else -1.0, failsafe=t > 1.2)
+
+    ticks = play(player, readings, 5.0)
+    assert ticks[-1][0] == pytest.approx(1.204, abs=0.005)
+    assert 'failsafe' in player.reason
+
+
+def test_a_start_is_refused_with_the_reason():
+    player = Player(schedule(), RIG)
+    assert 'no /imu/data yet' in player.start(0.0, Readings())
+    assert 'failsafe' in player.start(0.0, replace(GOOD, failsafe=True))
+    assert player.state is State.READY
+    assert player.tick(1.0, GOOD).setpoint is None
+
+
+def test_stop_and_cut():
+    player = Player(schedule(), RIG, ramp_out_s=0.2)
+    player.start(100.0, GOOD)
+    play(player, lambda _: GOOD, 1.0)
+    player.stop(101.0, 'stopped')
+    ticks = play(player, lambda _: GOOD, 1.0, start=101.0)
+    assert player.state is State.ABORTED
+    assert len(ticks) <= 52
+    player.start(200.0, GOOD)
+    play(player, lambda _: GOOD, 1.0, start=200.0)
+    last = player.cut('the node ends')
+    assert last.setpoint == (0.0, 0.0, 0.0)
+    assert last.announcement['segment'] == 'idle'
+    assert player.cut('again').announcement is None

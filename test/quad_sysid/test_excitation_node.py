@@ -1,0 +1,186 @@
+"""The excitation node as a process: topics, services, diagnostics, its end."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+rclpy = pytest.importorskip('rclpy', reason='needs ROS 2 (rclpy)')
+
+from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+from geometry_msgs.msg import Vector3Stamped  # noqa: E402
+from rcl_interfaces.msg import ParameterEvent  # noqa: E402
+from rclpy.context import Context  # noqa: E402
+from rclpy.executors import SingleThreadedExecutor  # noqa: E402
+from rclpy.qos import DurabilityPolicy, QoSProfile  # noqa: E402
+from sensor_msgs.msg import Imu, Joy  # noqa: E402
+from std_srvs.srv import Trigger  # noqa: E402
+
+SCHEDULE = """
+schedule:
+  ramp_s: 0.1
+  segments:
+    - {segment: idle, duration_s: 0.2}
+    - {segment: train, signal: prbs, axis: pitch, duration_s: 1.0, clock_s: 0.1, register_bits: 5}
+    - {segment: idle, duration_s: 0.2}
+"""
+RUN = 'from quad_sysid.excitation_node import main; main()'
+LATCHED = QoSProfile(depth=20, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+class Aircraft:
+    """Publishes what the guard wants to see and records what the node says."""
+
+    def __init__(self) -> None:
+        self.context = Context()
+        rclpy.init(context=self.context, domain_id=int(os.environ['ROS_DOMAIN_ID']))
+        self.node = rclpy.create_node('aircraft', context=self.context)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self.segments: list[dict] = []
+        self.setpoints: list[tuple[float, float, float]] = []
+        self.state: dict[str, str] = {}
+        self.failsafe = 0
+        node = self.node
+        self._imu = node.create_publisher(Imu, '/imu/data', 10)
+        self._joy = node.create_publisher(Joy, '/rc/in', 10)
+        node.create_subscription(ParameterEvent, '/excitation/segment', self._segment, LATCHED)
+        node.create_subscription(Vector3Stamped, '/excitation/setpoint', self._setpoint, 100)
+        node.create_subscription(DiagnosticArray, '/diagnostics', self._diagnose, 10)
+        node.create_timer(0.02, self._publish)
+
+    def _publish(self) -> None:
+        imu = Imu()
+        imu.orientation.w = 1.0
+        self._imu.publish(imu)
+        axes = [0.0, 0.0, 0.5, 0.0, -1.0, -1.0, -1.0, -1.0, -1.0]
+        self._joy.publish(Joy(axes=axes, buttons=[self.failsafe]))
+
+    def _segment(self, message) -> None:
+        kinds = {2: 'integer_value', 3: 'double_value', 4: 'string_value'}
+        self.segments.append(
+            {p.name: getattr(p.value, kinds[p.value.type]) for p in message.changed_parameters}
+        )
+
+    def _setpoint(self, message) -> None:
+        self.setpoints.append((message.vector.x, message.vector.y, message.vector.z))
+
+    def _diagnose(self, message) -> None:
+        for status in message.status:
+            if status.name == 'excitation: schedule':
+                self.state = {entry.key: entry.value for entry in status.values}
+
+    def until(self, condition, seconds: float = 15.0) -> None:
+        end = time.monotonic() + seconds
+        while not condition():
+            assert time.monotonic() < end, (self.state, self.segments, len(self.setpoints))
+            self.executor.spin_once(timeout_sec=0.05)
+
+    def call(self, name: str):
+        client = self.node.create_client(Trigger, name)
+        self.until(client.service_is_ready)
+        future = client.call_async(Trigger.Request())
+        self.until(future.done)
+        return future.result()
+
+    def close(self) -> None:
+        self.node.destroy_node()
+        rclpy.shutdown(context=self.context)
+
+
+@pytest.fixture
+def aircraft(monkeypatch):
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(100 + os.getpid() % 100))
+    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    aircraft = Aircraft()
+    yield aircraft
+    aircraft.close()
+
+
+@pytest.fixture
+def start(tmp_path, aircraft):
+    del aircraft
+    file = tmp_path / 'schedule.yaml'
+    file.write_text(SCHEDULE)
+    running = []
+
+    def begin(**parameters):
+        parameters = {'schedule': file, **parameters}
+        options = [word for k, v in parameters.items() for word in ('-p', f'{k}:={v}')]
+        process = subprocess.Popen(
+            [sys.executable, '-c', RUN, '--ros-args', *options],
+            stderr=subprocess.PIPE, text=True, env={**os.environ},
+        )
+        running.append(process)
+        return process
+
+    yield begin
+    for process in running:
+        process.kill()
+        process.wait()
+
+
+def test_a_schedule_is_flown_and_the_process_ends(aircraft, start):
+    process = start(autostart='true', exit_when_done='true')
+    aircraft.until(lambda: process.poll() is not None)
+    assert process.returncode == 0
+    aircraft.until(lambda: aircraft.state.get('state') == 'done')
+    aircraft.until(lambda: len(aircraft.segments) == 4)
+    assert [s['segment'] for s in aircraft.segments] == ['idle', 'train', 'idle', 'idle']
+    train = aircraft.segments[1]
+    assert (train['signal'], train['axis'], train['injection']) == ('prbs', 'pitch', 'attitude')
+    assert train['register_bits'] == 5
+    assert train['amplitude'] == pytest.approx(0.2094, abs=1e-4)
+    assert 100 < len(aircraft.setpoints) <= 251
+    assert max(abs(s[1]) for s in aircraft.setpoints) == pytest.approx(0.2094, abs=1e-4)
+    assert all(s[0] == s[2] == 0.0 for s in aircraft.setpoints)
+    assert 'complete' in aircraft.state['reason']
+
+
+def test_started_by_service_and_ended_by_failsafe(aircraft, start):
+    start()
+    aircraft.until(lambda: aircraft.state.get('state') == 'ready')
+    assert not aircraft.setpoints
+    assert aircraft.call('/excitation/start').success
+    aircraft.until(lambda: len(aircraft.setpoints) > 20)
+    aircraft.failsafe = 1
+    aircraft.until(lambda: aircraft.state.get('state') == 'aborted')
+    assert 'failsafe' in aircraft.state['reason']
+    aircraft.until(lambda: aircraft.segments[-1].get('reason'))
+    assert aircraft.segments[-1]['signal'] == 'none'
+    assert aircraft.setpoints[-1] == (0.0, 0.0, 0.0)
+    refused = aircraft.call('/excitation/start')
+    assert not refused.success
+    assert 'failsafe' in refused.message
+
+
+def test_an_interrupt_takes_the_excitation_back(aircraft, start):
+    process = start(autostart='true')
+    aircraft.until(lambda: len(aircraft.setpoints) > 20)
+    process.send_signal(signal.SIGINT)
+    aircraft.until(lambda: process.poll() is not None)
+    assert process.returncode == 0
+    aircraft.until(lambda: aircraft.segments[-1]['segment'] == 'idle')
+    assert aircraft.setpoints[-1] == (0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ('parameters', 'words'),
+    [
+        ({'schedule': '/does/not/exist.yaml'}, 'exist.yaml: cannot be read'),
+        ({'shedule': 'x'}, 'parameter shedule: is unknown'),
+        ({'angle_limit_deg': '90.0'}, 'angle_limit_deg'),
+    ],
+)
+def test_wrong_parameters_end_in_one_line(start, parameters, words):
+    process = start(**parameters)
+    _, error = process.communicate(timeout=20)
+    assert process.returncode == 2
+    lines = [line for line in error.splitlines() if line.startswith('excitation: ')]
+    assert len(lines) == 1
+    assert words in lines[0]
