@@ -97,7 +97,7 @@ class Crew:
             **os.environ,
             'ROS_DOMAIN_ID': str(self.domain),
             'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
-            'ROS_LOG_DIR': str(self.folder / 'logs'),
+            'ROS_LOG_DIR': str(self.folder / 'logs' / 'ros'),
             'PYTHONUNBUFFERED': '1',
         }
 

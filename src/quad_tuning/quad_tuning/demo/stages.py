@@ -116,7 +116,10 @@ def fly(campaign: Campaign, name: str, schedule: Path) -> Flight:
     began = time.monotonic()
     observer.segment = {}
     child = campaign.crew.start_node(
-        'quad_sysid', 'excitation', {'schedule': str(schedule)}, called=f'{name}_excitation'
+        'quad_sysid',
+        'excitation',
+        {'schedule': str(schedule), 'autostart': True, 'exit_when_done': True},
+        called=f'{name}_excitation',
     )
     child.may_end = True
     campaign.wait(name, 'end of the schedule', lambda: child.ended is not None, planned + START_S)
