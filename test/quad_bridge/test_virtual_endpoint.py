@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import os
 import select
@@ -38,6 +39,7 @@ from quad_bridge.wire.frames import (
     StatusText,
     TimeSync,
 )
+from quad_bridge.wire.gain_names import CONTRACT_NAMES
 
 
 class Peer:
@@ -75,6 +77,10 @@ def test_a_gain_out_of_bounds_is_refused_with_the_old_value(value):
     (answer,) = peer.ask(ParamSet('PITCH_RATE_KP', value))
     assert answer.name == 'PITCH_RATE_KP'
     assert answer.value == pytest.approx(0.0744845, rel=1e-5)
+
+
+def test_the_firmware_has_every_parameter_of_the_wire():
+    assert set(NAMES) == set(CONTRACT_NAMES)
 
 
 def test_all_parameters_are_listed_and_read_by_name_and_by_index():
@@ -230,6 +236,31 @@ def test_the_process_serves_a_real_pty_and_ends_cleanly(tmp_path):
     assert (process.returncode, errors) == (0, '')
     assert not link.is_symlink()
     assert decoder.counts.bad_crc == 0
+
+
+def test_a_stalled_process_catches_up_without_losing_a_cycle(tmp_path):
+    process, link = start(tmp_path)
+    decoder, cycles = Decoder(), []
+    try:
+        port = os.open(link, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        deadline = time.monotonic() + 30.0
+        stalled = False
+        while len(cycles) < 250 and time.monotonic() < deadline:
+            if select.select([port], [], [], 0.05)[0]:
+                cycles += only(decoder.feed(os.read(port, 65536)), Cycle)
+            if len(cycles) > 50 and not stalled:
+                stalled = True
+                process.send_signal(signal.SIGSTOP)
+                time.sleep(0.3)
+                process.send_signal(signal.SIGCONT)
+        os.close(port)
+    finally:
+        process.send_signal(signal.SIGINT)
+        process.communicate(timeout=20)
+    assert process.returncode == 0
+    assert len(cycles) >= 250
+    assert {b.cycle - a.cycle for a, b in itertools.pairwise(cycles)} == {1}
+    assert {b.time_us - a.time_us for a, b in itertools.pairwise(cycles)} == {4000}
 
 
 def test_the_process_does_not_block_when_nobody_reads(tmp_path):

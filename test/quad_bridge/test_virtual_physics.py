@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from quad_bridge.virtual import compiled
 from quad_bridge.virtual.aircraft import Aircraft
 from quad_bridge.virtual.airframe import Airframe, Mounts, Surroundings
 from quad_bridge.virtual.control import ADDED, ARMED, INJECTION, INPUTS, THROTTLE
@@ -183,3 +186,14 @@ def test_the_battery_sags_under_load_and_empties_by_its_current():
     assert machine.state[CHARGE] - 0.05 * 4.5 * 3600 == pytest.approx(current * 10.0, rel=1e-6)
     open_v = 3 * np.interp(0.95, (0.9, 1.0), (4.06, 4.2))
     assert log[0, COLUMNS['battery_v']] == pytest.approx(open_v - 0.025 * current, abs=1e-9)
+
+
+def test_the_compiled_cache_follows_every_file_with_kernels():
+    folder = Path(compiled.__file__).parent
+    marked = {
+        path.name
+        for path in folder.glob('*.py')
+        if re.search(r'^ *@(kernel|entry)$', path.read_text(encoding='utf-8'), re.MULTILINE)
+    }
+    assert marked <= set(compiled.KERNEL_FILES)
+    assert all((folder / name).is_file() for name in compiled.KERNEL_FILES)

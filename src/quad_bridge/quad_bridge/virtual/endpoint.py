@@ -12,7 +12,7 @@ import numpy as np
 
 from quad_bridge.virtual.aircraft import Aircraft
 from quad_bridge.virtual.cycle import COLUMNS
-from quad_bridge.virtual.firmware import Firmware, Request, limit_flags
+from quad_bridge.virtual.firmware import AXES, TABLE, Firmware, Request, limit_flags
 from quad_bridge.virtual.receiver import Channels, Receiver, channels_at
 from quad_bridge.wire import Decoder, Encoder
 from quad_bridge.wire.axes import flip_attitude, flip_body, flip_control
@@ -39,7 +39,14 @@ from quad_bridge.wire.gain_names import CONTRACT_NAMES
 ARM_DISARM, ACCEPTED, UNSUPPORTED = 400, 0, 3
 """MAV_CMD_COMPONENT_ARM_DISARM and two MAV_RESULTs."""
 FILTER_BOUNDS_HZ = (5.0, 200.0)
-NAMES = tuple(CONTRACT_NAMES)
+_OWN = {f'{axis}.{name}' for axis in AXES for name in TABLE}
+_FILTERS = ('sensor.gyro_filter_hz', 'sensor.accel_filter_hz')
+NAMES = tuple(
+    wire
+    for wire, contract in CONTRACT_NAMES.items()
+    if contract in {*_OWN, *_FILTERS, 'loop.rate_hz'}
+)
+"""Wire names of the parameters that this firmware has, in the order of their index."""
 _WATCHED = {
     int(Flag.RC_KILL): 'pilot: kill switch',
     int(Flag.RC_FAILSAFE): 'receiver failsafe',
@@ -57,10 +64,8 @@ class Endpoint:
         self._script = script
         self._decoder, self._encoder = Decoder(), Encoder()
         sensors = aircraft.profile.sensors
-        self._filters = {
-            'sensor.gyro_filter_hz': sensors.gyro_filter_hz,
-            'sensor.accel_filter_hz': sensors.accel_filter_hz,
-        }
+        cut_offs = (sensors.gyro_filter_hz, sensors.accel_filter_hz)
+        self._filters = dict(zip(_FILTERS, cut_offs, strict=True))
         self._battery_v = math.nan
         self._flags = 0
         self._low = False
@@ -156,7 +161,7 @@ class Endpoint:
             known = 0 <= frame.index < len(NAMES)
             return self._known(NAMES[frame.index] if known else frame.name)
         if isinstance(frame, ParamSet):
-            if frame.name in CONTRACT_NAMES:
+            if frame.name in NAMES:
                 self._write(CONTRACT_NAMES[frame.name], frame.value)
             return self._known(frame.name)
         return []
@@ -168,7 +173,7 @@ class Endpoint:
         return CommandAck(frame.command, ACCEPTED)
 
     def _known(self, name: str) -> list[Frame]:
-        if name in CONTRACT_NAMES:
+        if name in NAMES:
             return [self._parameter(name)]
         return [StatusText(4, f'unknown parameter {name[:16]}')]
 
@@ -186,9 +191,8 @@ class Endpoint:
         low, high = FILTER_BOUNDS_HZ
         if contract in self._filters and low <= value <= high:
             self._filters[contract] = value
-            self.aircraft.set_filters(
-                self._filters['sensor.gyro_filter_hz'], self._filters['sensor.accel_filter_hz']
-            )
+            gyro_hz, accel_hz = (self._filters[name] for name in _FILTERS)
+            self.aircraft.set_filters(gyro_hz, accel_hz)
         self.firmware.set_parameter(contract, value)
 
 
