@@ -18,7 +18,7 @@ setup(
         (f'share/{PACKAGE}/config', glob('config/*.yaml')),
     ],
     python_requires='>=3.10',
-    install_requires=['numpy', 'scipy', 'numba', 'matplotlib', 'PyYAML', 'rosbags', 'lz4',
+    install_requires=['numpy', 'scipy', 'numba', 'matplotlib', 'PyYAML', 'rosbags', 'lz4', 'threadpoolctl',
                       'backports.zstd; python_version < "3.14"'],
     extras_require={'test': ['pytest', 'hypothesis']},
     zip_safe=False,
@@ -27,6 +27,12 @@ setup(
     entry_points={
         'console_scripts': [
             'excitation = quad_sysid.excitation_node:main',
+            'identification = quad_sysid.identification_node:main',
+            'quad-sysid = quad_sysid.cli:main',
+            'identify = quad_sysid.commands:identify',
+            'evaluate = quad_sysid.commands:evaluate',
+            'import = quad_sysid.commands:import_',
+            'design-excitation = quad_sysid.commands:design_excitation',
         ]
     },
 )

@@ -69,6 +69,13 @@ class AxisModel:
     """Intensity of the torque noise that drives the rate, (rad/s²)/√Hz."""
     trusted_band_rad_s: tuple[float, float] | None = None
     """Where the data support the model, rad/s."""
+    realisation: str = 'continuous'
+    """How the far end integrates, as greybox.drive.REALISATIONS names it."""
+    correction: tuple[float, ...] = ()
+    """(4,) how the state follows the measured rate before a window, as greybox.noise gives it."""
+    plain: tuple[Parameter, ...] = ()
+    """The base fitted alone, what `before` is measured with; empty: the base above."""
+    plain_correction: tuple[float, ...] = ()
 
     def value(self, name: str) -> float:
         """Value of a base parameter, or of `<effect>.<parameter>`."""

@@ -116,3 +116,16 @@ SHAPES: tuple[Effect, ...] = (
         command=_command_map,
     ),
 )
+
+
+def curve_of(
+    effect: Effect, p: FloatArray, settings: Settings
+) -> tuple[FloatArray, FloatArray]:
+    """Knots x and values y of a fitted curve, for plots and for the closed loop.
+
+    A curve of the command is the whole map (the command itself included).
+    """
+    first, step, _, *y = _curve_values(p, settings)
+    x = first + step * np.arange(KNOTS)
+    values = np.array(y)
+    return x, x + values if effect.command is not None else values

@@ -23,6 +23,8 @@ REALISATIONS = ('continuous', 'stepped')
 """How the far end integrates: exactly, as nature does, or in semi-implicit steps of 1 ms, as
 common physics engines do; a command then acts half a step sooner. A bag does not tell; which one
 fits better is chosen on training data, for the delay's sake: the error hardly depends on it."""
+STEPPED_ADVANCE_S = 1.5 * SUBSTEP_S
+"""How much sooner the stepped chain (integration, two filter states) answers than the exact one."""
 
 
 @dataclass(frozen=True)

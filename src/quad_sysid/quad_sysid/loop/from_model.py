@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from quad_sysid.contract import FloatArray
+from quad_sysid.greybox.drive import STEPPED_ADVANCE_S
 from quad_sysid.loop.plant import Curve, LoopPlant
 from quad_sysid.model import AxisModel, EffectEstimate
 
@@ -89,10 +90,11 @@ def loop_plant(model: AxisModel) -> LoopPlant:
             shape = _shape(effect)
             if shape is not None:
                 tables[effect.name.split(':')[-1]].append(shape)
+    advance = STEPPED_ADVANCE_S if model.realisation == 'stepped' else 0.0
     return LoopPlant(
         gain=model.value('gain') * battery_factor(model),
         lag_s=model.value('lag'),
-        delay_s=model.value('delay'),
+        delay_s=max(0.0, model.value('delay') - advance),
         damping=model.value('damping'),
         bias=model.value('bias'),
         gyro_filter_hz=model.gyro_filter_hz,

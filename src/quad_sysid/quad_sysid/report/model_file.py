@@ -27,6 +27,7 @@ _MODEL_KEYS = frozenset(
     {
         'dt', 'gyro_filter_hz', 'base', 'effects', 'parameter_names', 'covariance',
         'active_gains', 'mean_battery_v', 'noise_rms', 'torque_noise', 'trusted_band_rad_s',
+        'realisation', 'correction', 'plain', 'plain_correction',
     }
 )  # fmt: skip
 _EFFECT_KEYS = frozenset(
@@ -111,6 +112,12 @@ def _model_out(model: AxisModel, where: str) -> dict[str, Any]:
         'trusted_band_rad_s': (
             None if band is None else [_finite(v, f'{where}.trusted_band_rad_s') for v in band]
         ),
+        'realisation': model.realisation,
+        'correction': [_finite(v, f'{where}.correction') for v in model.correction],
+        'plain': [_parameter_out(p, f'{where}.plain') for p in model.plain],
+        'plain_correction': [
+            _finite(v, f'{where}.plain_correction') for v in model.plain_correction
+        ],
     }
 
 
@@ -195,6 +202,10 @@ def _model_in(axis: str, tree: object, where: str) -> AxisModel:
         noise_rms=_optional(fields['noise_rms'], f'{where}.noise_rms'),
         torque_noise=_optional(fields['torque_noise'], f'{where}.torque_noise'),
         trusted_band_rad_s=band,
+        realisation=_string(fields['realisation'], f'{where}.realisation'),
+        correction=_numbers(fields['correction'], f'{where}.correction'),
+        plain=_parameters_in(fields['plain'], f'{where}.plain'),
+        plain_correction=_numbers(fields['plain_correction'], f'{where}.plain_correction'),
     )
 
 
@@ -288,6 +299,10 @@ def _number(tree: object, where: str) -> float:
     if isinstance(tree, bool) or not isinstance(tree, int | float) or not math.isfinite(tree):
         raise BadInputError(where, 'must be a finite number', tree)
     return float(tree)
+
+
+def _numbers(tree: object, where: str) -> tuple[float, ...]:
+    return tuple(_number(item, where) for item in _list(tree, where))
 
 
 def _optional(tree: object, where: str) -> float | None:

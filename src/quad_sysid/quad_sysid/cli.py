@@ -1,0 +1,251 @@
+"""`quad-sysid`: identify, evaluate, import, design-excitation. Arguments and wiring only."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from quad_sysid.bags import parse_span, read_bag, split_segments
+from quad_sysid.bags.importer import ImportOptions, import_csv, parse_units
+from quad_sysid.contract import AXES
+from quad_sysid.designers import find_designer
+from quad_sysid.errors import BadInputError, QuadSysidError
+from quad_sysid.pipeline.evaluate import evaluate
+from quad_sysid.pipeline.identify import Options, identify
+from quad_sysid.record import Record
+from quad_sysid.report import document, store, text
+from quad_sysid.report.model_file import load_models
+from quad_sysid.signals.design import design_excitation
+
+DONE, BAD_INPUT, NOT_ANSWERED = 0, 2, 3
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; the exit status of the contract."""
+    options = _parser().parse_args(arguments)
+    try:
+        status: int = options.run(options)
+    except QuadSysidError as error:
+        print(f'quad-sysid: {error}', file=sys.stderr)
+        return error.exit_status
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return DONE
+    return status
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog='quad-sysid',
+        description='Identify a quadrotor from bags and find what the model lacks.',
+    )
+    commands = parser.add_subparsers(required=True, metavar='COMMAND')
+    _identify_parser(commands)
+    _evaluate_parser(commands)
+    _import_parser(commands)
+    _design_parser(commands)
+    return parser
+
+
+def _command(
+    commands: Any, name: str, run: Any, summary: str, example: str
+) -> argparse.ArgumentParser:
+    parser: argparse.ArgumentParser = commands.add_parser(
+        name, help=summary, description=summary, epilog=f'example: {example}'
+    )
+    parser.set_defaults(run=run)
+    return parser
+
+
+def _identify_parser(commands: Any) -> None:
+    parser = _command(
+        commands, 'identify', _identify,
+        'Fit models to bags, validate them, and say what they lack.',
+        'quad-sysid identify flight/ --axis roll --out report/',
+    )
+    parser.add_argument('bags', nargs='+', metavar='BAG', help='rosbag2 directory or .mcap file')
+    parser.add_argument('--axis', choices=[*AXES, 'all'],
+                        help='default: the axes that the bag says were excited')
+    parser.add_argument('--train', metavar='A:B', help='seconds from the first /imu/data stamp')
+    parser.add_argument('--validate', metavar='A:B', help='seconds from the first stamp')
+    parser.add_argument('--out', metavar='DIR', help='folder of the report '
+                        '(default: <bag>_identified here, numbered where that exists)')
+    parser.add_argument('--inertia', metavar='IX,IY,IZ',
+                        help='kg m²; the report then gives torques in N m as well')
+    parser.add_argument('--no-effects', action='store_true', help='fit the models only')
+    parser.add_argument('--json', action='store_true', help='print report.json instead of text')
+    parser.add_argument('--quiet', action='store_true', help='print nothing but errors')
+
+
+def _evaluate_parser(commands: Any) -> None:
+    parser = _command(
+        commands, 'evaluate', _evaluate,
+        'Error figures of a stored model on a bag it has never seen.',
+        'quad-sysid evaluate report/model.json second_flight/ --json',
+    )
+    parser.add_argument('model', metavar='MODEL.json', help='written by quad-sysid identify')
+    parser.add_argument('bag', metavar='BAG', help='rosbag2 directory or .mcap file')
+    parser.add_argument('--axis', choices=AXES, help='default: every axis of the model')
+    parser.add_argument('--validate', metavar='A:B',
+                        help='seconds; default: all but the idle segments')
+    parser.add_argument('--json', action='store_true', help='print one JSON object')
+
+
+def _import_parser(commands: Any) -> None:
+    parser = _command(
+        commands, 'import', _import, 'Turn a foreign CSV into a bag of the contract.',
+        'quad-sysid import log.csv --axis roll --time t --control u --rate gx '
+        '--unit gx=deg/s --out bag/',
+    )
+    parser.add_argument('file', metavar='FILE', type=Path, help='CSV, also gzipped')
+    parser.add_argument('--axis', choices=AXES, required=True)
+    parser.add_argument('--time', metavar='COL', required=True)
+    source = parser.add_mutually_exclusive_group(required=True)
+    source.add_argument('--control', metavar='COL', help='command of the axis')
+    source.add_argument('--motors', metavar='COL,COL,COL,COL', help='the four motors')
+    parser.add_argument('--mixer', default='x', metavar='x|plus|FILE',
+                        help='what the motors mean (default x)')
+    parser.add_argument('--rate', metavar='COL', help='measured rate; else from --angle')
+    parser.add_argument('--angle', metavar='COL', help='measured angle or position')
+    parser.add_argument('--reference', metavar='COL')
+    parser.add_argument('--reference-is', choices=['angle', 'rate'], default='angle')
+    parser.add_argument('--battery', metavar='COL')
+    parser.add_argument('--unit', metavar='COL=UNIT', action='append', default=[],
+                        help='such as gx=deg/s, u=V, t=ms, or a factor: u=0.05; repeat')
+    parser.add_argument('--out', metavar='BAG', type=Path, required=True)
+
+
+def _design_parser(commands: Any) -> None:
+    parser = _command(
+        commands, 'design-excitation', _design,
+        'Design PRBS and others for a band by eqs. (9), (10).',
+        'quad-sysid design-excitation --band 0.1:20 --out schedule.yaml',
+    )
+    parser.add_argument('--band', metavar='LOW:HIGH', required=True, help='rad/s')
+    parser.add_argument('--rate', type=float, default=250.0, metavar='HZ', help='sample rate')
+    parser.add_argument('--axis', choices=AXES, default='roll')
+    parser.add_argument('--amplitude-deg', type=float, default=12.0)
+    parser.add_argument('--out', metavar='FILE', type=Path, help='write a schedule as YAML')
+
+
+def _identify(options: argparse.Namespace) -> int:
+    records = [_record(bag, options) for bag in options.bags]
+    designer, missing = find_designer()
+    axes = () if options.axis is None else AXES if options.axis == 'all' else (options.axis,)
+    answers = identify(
+        records,
+        Options(axes=axes, designer=designer, no_designer_because=missing,
+                search_effects=not options.no_effects),
+        _progress(options),
+    )
+    report = document.document(answers, options.bags, _inertia(options.inertia))
+    folder = Path(options.out) if options.out else store.free_folder(
+        Path(f'{Path(options.bags[0]).resolve().stem}_identified')
+    )
+    store.write(folder, report, answers)
+    if options.json:
+        print(json.dumps(report, indent=1))
+    elif not options.quiet:
+        print('\n'.join(text.lines(report)))
+        print(f'\nreport in {folder}')
+    unanswered = [a for a in answers.values() if not a.answered]
+    if len(unanswered) == len(answers):
+        reasons = '; '.join(dict.fromkeys(a.reason for a in unanswered))
+        print(f'quad-sysid: {options.bags[0]}: {reasons}', file=sys.stderr)
+        return NOT_ANSWERED
+    return DONE
+
+
+def _record(bag: str, options: argparse.Namespace) -> Record:
+    record = read_bag(bag)
+    train = parse_span(options.train, '--train') if options.train else None
+    validate = parse_span(options.validate, '--validate') if options.validate else None
+    axes = None if options.axis is None else AXES if options.axis == 'all' else (options.axis,)
+    return split_segments(record, train, validate, axes)
+
+
+def _inertia(given: str | None) -> dict[str, float] | None:
+    if given is None:
+        return None
+    parts = given.split(',')
+    try:
+        values = [float(part) for part in parts]
+    except ValueError:
+        values = []
+    if len(values) != len(AXES) or not all(0.0 < v < 1e3 for v in values):
+        raise BadInputError('--inertia', 'needs three positive numbers IX,IY,IZ', repr(given),
+                            'for example --inertia 0.0135,0.014,0.024')
+    return dict(zip(AXES, values, strict=True))
+
+
+def _progress(options: argparse.Namespace) -> Any:
+    if options.quiet or not sys.stderr.isatty():
+        return lambda _: None
+    return lambda line: print(f'\r\x1b[2K{line}', end='', file=sys.stderr, flush=True)
+
+
+def _evaluate(options: argparse.Namespace) -> int:
+    models = load_models(options.model)
+    if options.axis is not None and options.axis not in models:
+        raise BadInputError(f'{options.model}: axes', 'lacks this axis', options.axis,
+                            f'it holds {", ".join(models)}')
+    record = read_bag(options.bag)
+    spans = (parse_span(options.validate, '--validate'),) if options.validate else ()
+    found = [
+        evaluate(models[axis], record, spans)
+        for axis in ([options.axis] if options.axis else models)
+    ]
+    if options.json:
+        axes = {
+            e.axis: {'error': {
+                'metric': document.METRIC, 'unit': 'rad/s', 'before': e.before, 'after': e.after,
+                'one_step_before': e.one_step_before, 'one_step_after': e.one_step_after,
+                'hold_last_value': e.hold, 'windows': e.windows,
+            }}
+            for e in found
+        }
+        print(json.dumps({'schema': 'quad_sysid/evaluation/1', 'axes': axes}))
+        return DONE
+    for e in found:
+        print(f'{e.axis}: {document.METRIC}, rad/s, {e.windows} windows')
+        print(f'  base (before)       {e.before:.4g}')
+        print(f'  completed (after)   {e.after:.4g}')
+        print(f'  hold the last value {e.hold:.4g}')
+    return DONE
+
+
+def _import(options: argparse.Namespace) -> int:
+    motors = tuple(options.motors.split(',')) if options.motors else ()
+    path = import_csv(ImportOptions(
+        file=options.file, axis=options.axis, time=options.time, out=options.out,
+        control=options.control, motors=motors, mixer=options.mixer, rate=options.rate,
+        angle=options.angle, reference=options.reference, reference_is=options.reference_is,
+        battery=options.battery, units=parse_units(options.unit),
+    ))
+    record = read_bag(path)
+    print(f'{path}: {record.n} samples at {1.0 / record.dt:g} Hz, '
+          f'{record.n * record.dt:.1f} s')
+    for warning in record.warnings:
+        print(f'  {warning}')
+    return DONE
+
+
+def _design(options: argparse.Namespace) -> int:
+    band = parse_span(options.band, '--band')
+    design = design_excitation(band[0], band[1], options.rate)
+    print(design.text())
+    if options.out:
+        if options.out.exists():
+            raise BadInputError('--out', 'exists already', options.out, 'choose another name')
+        options.out.write_text(design.to_schedule_yaml(options.axis, options.amplitude_deg))
+        print(f'schedule in {options.out}')
+    return DONE
+
+
+if __name__ == '__main__':
+    sys.exit(main())

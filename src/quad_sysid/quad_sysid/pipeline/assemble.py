@@ -1,0 +1,119 @@
+"""From a finished discovery to the model that is handed on: AxisModel and its effects."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from quad_sysid.effects.discover import Discovery
+from quad_sysid.effects.judge import Judgement
+from quad_sysid.effects.shapes import curve_of
+from quad_sysid.greybox.data import AxisData
+from quad_sysid.greybox.fit import Fit
+from quad_sysid.greybox.structure import BASE_PARAMETERS, Effect, Settings
+from quad_sysid.model import AxisModel, EffectEstimate, Parameter
+
+
+def axis_model(
+    found: Discovery,
+    judgement: Judgement,
+    gains: Mapping[str, float],
+    band: tuple[float, float] | None,
+) -> AxisModel:
+    """The completed model where the effects stood the final test, the base where not."""
+    data = found.data
+    kept = judgement.verdict == 'effects_added'
+    fit = found.chosen if kept else found.base
+    noise = found.chosen_noise if kept else found.base_noise
+    volts = data.battery_v
+    return AxisModel(
+        axis=data.axis,
+        dt=data.dt,
+        gyro_filter_hz=data.gyro_filter_hz,
+        base=parameters(fit),
+        effects=tuple(
+            _estimate(effect, settings, where, fit, found, judgement)
+            for effect, settings, where in zip(
+                fit.structure.effects, fit.structure.settings, fit.structure.slices(), strict=True
+            )
+        ),
+        parameter_names=fit.structure.names,
+        covariance=fit.covariance,
+        active_gains=dict(gains),
+        mean_battery_v=None if volts is None else float(
+            np.mean(np.concatenate([volts[a:b] for a, b in data.train]))
+        ),
+        noise_rms=noise.measurement_rms,
+        torque_noise=noise.torque,
+        trusted_band_rad_s=band,
+        realisation=data.realisation,
+        correction=tuple(noise.correction.tolist()),
+        plain=parameters(found.base),
+        plain_correction=tuple(found.base_noise.correction.tolist()),
+    )
+
+
+def parameters(fit: Fit) -> tuple[Parameter, ...]:
+    """The base's parameters of a fit with their standard errors (None at a bound)."""
+    return tuple(
+        Parameter(spec.name, float(value), _std(deviation), spec.unit)
+        for spec, value, deviation in zip(
+            BASE_PARAMETERS, fit.theta, fit.std, strict=False
+        )
+    )
+
+
+def _estimate(
+    effect: Effect, settings: Settings, where: slice, fit: Fit, found: Discovery,
+    judgement: Judgement,
+) -> EffectEstimate:
+    p_value, growth = judgement.effect_tests[effect.name]
+    rivals = found.rivals.get(effect.name, ())
+    own = dict(rivals).get(effect.name, 1.0)
+    extra: dict[str, object] = {}
+    if effect.kind == 'shape':
+        x, y = curve_of(effect, fit.theta[where], settings)
+        extra = {'knots': tuple(x.tolist()), 'values': tuple(y.tolist())}
+    return EffectEstimate(
+        name=effect.name,
+        kind=effect.kind,
+        signals=effect.signals,
+        parameters=tuple(
+            Parameter(spec.name, float(value), _std(deviation), spec.unit)
+            for spec, value, deviation in zip(
+                effect.parameters, fit.theta[where], fit.std[where], strict=True
+            )
+        ),
+        settings={**settings, **extra},
+        p_value=p_value,
+        error_reduction_pct=growth,
+        probability=own,
+        rivals=tuple((name, p) for name, p in rivals if name != effect.name and p > 0.0),
+    )
+
+
+def _std(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def band_of(data: AxisData) -> tuple[float, float] | None:
+    """Band in which command and rate are coherent (squared coherence over 0.6), rad/s.
+
+    The widest unbroken one; None where there is none. In closed loop the coherence also falls
+    where the feedback has removed what was injected.
+    """
+    from quad_sysid.blackbox import coherence
+    from quad_sysid.errors import QuadSysidError
+    from quad_sysid.pipeline.blackbox_part import io_data
+
+    try:
+        w, values = coherence(io_data(data, data.train))
+    except QuadSysidError:
+        return None
+    good = values > 0.6
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], good, [False])))).reshape(-1, 2)
+    if not edges.size:
+        return None
+    a, b = max(edges, key=lambda e: np.log(w[e[1] - 1] / w[e[0]]))
+    return float(w[a]), float(w[b - 1])

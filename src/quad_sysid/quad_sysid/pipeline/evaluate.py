@@ -1,0 +1,126 @@
+"""The same error figures of a stored model on a bag it has never seen (contract, evaluate)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from quad_sysid.contract import FloatArray
+from quad_sysid.effects.judge import hold_error
+from quad_sysid.effects.shapes import SHAPES
+from quad_sysid.effects.table import EFFECTS
+from quad_sysid.errors import BadInputError, NotInformativeError
+from quad_sysid.greybox.data import AxisData, Span, axis_data
+from quad_sysid.greybox.fit import simulator
+from quad_sysid.greybox.structure import Effect, Structure
+from quad_sysid.model import AxisModel, EffectEstimate, Parameter
+from quad_sysid.record import Record, finite_runs
+
+KNOWN: Mapping[str, Effect] = {effect.name: effect for effect in EFFECTS + SHAPES}
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Errors of one axis on an unseen flight, rad/s."""
+
+    axis: str
+    before: float
+    after: float
+    one_step_before: float
+    one_step_after: float
+    hold: float
+    windows: int
+
+
+def evaluate(model: AxisModel, record: Record, spans_s: tuple[tuple[float, float], ...] = ()
+             ) -> Evaluation:
+    """Errors of the base and of the completed model, all parameters as stored.
+
+    spans_s: parts of the record in s; empty: all of it but its idle segments.
+    Raises BadInputError where the record does not fit the model, NotInformativeError where no
+    window of 0.5 s is left.
+    """
+    if abs(record.dt - model.dt) > 1e-6 * model.dt:
+        raise BadInputError(
+            record.source, 'sample rate must be the model\'s',
+            f'{1 / record.dt:.6g} Hz, model {1 / model.dt:.6g} Hz', 'identify at this rate',
+        )
+    data = replace(
+        axis_data([record], model.axis), realisation=model.realisation,
+        gyro_filter_hz=model.gyro_filter_hz,
+    )
+    spans = _spans(record, data, spans_s)
+    if not data.windows(spans).count:
+        raise NotInformativeError(
+            f'{record.source}: {model.axis}: no window of 0.5 s to evaluate on; '
+            'give a longer bag or --validate'
+        )
+    structure, theta = structure_of(model)
+    plain = vector(model.plain or model.base)
+    before = simulator(data, spans, np.array(model.plain_correction or model.correction))
+    after = simulator(data, spans, np.array(model.correction))
+    run_before = before.run(Structure(), plain)
+    run_after = after.run(structure, theta)
+
+    def one_step(innovations: FloatArray) -> float:
+        inside = np.concatenate([innovations[a + 1 : b] for a, b in spans])
+        return float(np.sqrt(np.nanmean(inside**2)))
+
+    return Evaluation(
+        axis=model.axis,
+        before=run_before.rms,
+        after=run_after.rms,
+        one_step_before=one_step(run_before.innovations),
+        one_step_after=one_step(run_after.innovations),
+        hold=hold_error(before),
+        windows=before.windows.count,
+    )
+
+
+def structure_of(model: AxisModel) -> tuple[Structure, FloatArray]:
+    """The structure and parameter vector that a stored model names."""
+    structure = Structure()
+    theta = [vector(model.base)]
+    for estimate in model.effects:
+        effect = KNOWN.get(estimate.name)
+        if effect is None:
+            raise BadInputError(
+                f'model: {model.axis}.effects', 'an effect this version does not know',
+                estimate.name, 'identify again with this version',
+            )
+        structure = structure.with_effect(effect, _settings(estimate))
+        theta.append(vector(estimate.parameters))
+    return structure, np.concatenate(theta)
+
+
+def vector(parameters: tuple[Parameter, ...]) -> FloatArray:
+    """Values in the order given."""
+    return np.array([p.value for p in parameters])
+
+
+def _settings(estimate: EffectEstimate) -> dict[str, float | str | tuple[float, ...]]:
+    """Settings as the effect prepared them, from what JSON made of them."""
+    out: dict[str, float | str | tuple[float, ...]] = {}
+    for key, value in estimate.settings.items():
+        if isinstance(value, bool | int | float):
+            out[key] = float(value)
+        elif isinstance(value, str):
+            out[key] = value
+        elif isinstance(value, list | tuple):
+            out[key] = tuple(float(v) for v in value)
+    return out
+
+
+def _spans(
+    record: Record, data: AxisData, spans_s: tuple[tuple[float, float], ...]
+) -> tuple[Span, ...]:
+    good = np.isfinite(data.rate)
+    if spans_s:
+        wanted = [(round(a / data.dt), min(data.rate.size, round(min(b, 1e9) / data.dt)))
+                  for a, b in spans_s]
+    else:
+        busy = [s for s in record.segments if s.role != 'idle']
+        wanted = [record.span(s) for s in busy] if record.segments else [(0, record.n)]
+    return tuple(run for span in wanted for run in finite_runs(good, span))

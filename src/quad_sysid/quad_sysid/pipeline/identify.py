@@ -1,0 +1,156 @@
+"""The pipeline: records of one aircraft to one answer per axis.
+
+Calls the rooms in the order of the data's line and nothing else; decides which axes are asked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from quad_sysid.contract import AXES
+from quad_sysid.effects.discover import discover
+from quad_sysid.effects.judge import judge
+from quad_sysid.effects.shapes import SHAPES
+from quad_sysid.effects.table import EFFECTS
+from quad_sysid.errors import BadInputError, NotInformativeError, QuadSysidError
+from quad_sysid.greybox.data import AxisData, axis_data
+from quad_sysid.loop.cascade import CascadeGains
+from quad_sysid.model import AxisModel, Designer, GainProposal
+from quad_sysid.pipeline import assemble, blackbox_part
+from quad_sysid.pipeline.answer import AxisAnswer
+from quad_sysid.pipeline.closed_loop import closed_loop
+from quad_sysid.record import Record, Segment
+
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Options:
+    """What a user may ask of an identification."""
+
+    axes: tuple[str, ...] = ()
+    """Empty: those that the segments excite, or all."""
+    designer: Designer | None = None
+    no_designer_because: str = 'no designer is installed (quad_tuning offers one)'
+    search_effects: bool = True
+    seed: int = 0
+
+
+def identify(
+    records: Sequence[Record], options: Options, progress: Progress = lambda _: None
+) -> dict[str, AxisAnswer]:
+    """One answer for every axis asked for; records share one aircraft and one sample rate.
+
+    Raises BadInputError where the records do not fit together.
+    """
+    rates = sorted({round(1.0 / record.dt, 6) for record in records})
+    if len(rates) != 1:
+        raise BadInputError(
+            records[-1].source, 'all bags must have one sample rate', f'{rates} Hz',
+            'identify them one by one',
+        )
+    with threadpool_limits(limits=1):  # the matrices are narrow: threads only wait for another
+        return {
+            axis: identify_axis(records, axis, options, progress)
+            for axis in options.axes or asked_axes(records)
+        }
+
+
+def asked_axes(records: Sequence[Record]) -> tuple[str, ...]:
+    """The axes that any segment trains; where no segment says, all."""
+    named = {s.axis for r in records for s in r.segments if s.role == 'train'}
+    return tuple(axis for axis in AXES if axis in named) or AXES
+
+
+def identify_axis(
+    records: Sequence[Record], axis: str, options: Options, progress: Progress
+) -> AxisAnswer:
+    """Fit, find what is missing, judge, design: one axis."""
+    rng = np.random.default_rng(options.seed)
+    segments = _segments(records, axis)
+    rate = 1.0 / records[0].dt
+    try:
+        data = axis_data(records, axis)
+        if not data.train or not data.windows(data.validation).count:
+            missing = 'training' if not data.train else 'validation'
+            raise NotInformativeError(
+                f'{axis}: no {missing} segment of this axis is long enough (1.5 s); '
+                'name them with --train and --validate'
+            )
+        progress(f'{axis}: base')
+        found = discover(data, EFFECTS + SHAPES if options.search_effects else (), rng, progress)
+    except NotInformativeError as error:
+        return AxisAnswer(
+            axis, rate, segments, 'cannot_tell', str(error),
+            proposal=GainProposal(None, str(error)),
+        )
+    data = found.data
+    judgement = judge(found, rng)
+    progress(f'{axis}: black-box models')
+    answer = AxisAnswer(
+        axis, rate, segments, judgement.verdict, judgement.reason, discovery=found,
+        judgement=judgement, train=blackbox_part.io_data(data, data.train),
+        model=assemble.axis_model(
+            found, judgement, _gains_of(records), assemble.band_of(data)
+        ),
+        warnings=tuple(w for r in records for w in r.warnings),
+    )
+    answer = _with_blackbox(answer, data, records)
+    answer = replace(answer, closed_loop=closed_loop(answer, records[0], data))
+    progress(f'{axis}: gains')
+    return replace(answer, proposal=_proposal(answer, options))
+
+
+def _segments(records: Sequence[Record], axis: str) -> tuple[Segment, ...]:
+    return tuple(
+        s for r in records for s in r.segments if s.axis == axis or s.role == 'idle'
+    )
+
+
+def _gains_of(records: Sequence[Record]) -> dict[str, float]:
+    """Gains and loop constants in force during the first record's training."""
+    trained = [s.start_s for s in records[0].segments if s.role == 'train']
+    return dict(records[0].gains_at(min(trained, default=0.0)))
+
+
+def _with_blackbox(
+    answer: AxisAnswer, data: AxisData, records: Sequence[Record]
+) -> AxisAnswer:
+    """Add the table of models, the selected one and its error in the contract's metric."""
+    try:
+        models = blackbox_part.fit_models(data)
+        rows, selected = blackbox_part.rows_of(data, models)
+    except QuadSysidError as error:
+        return replace(answer, warnings=(*answer.warnings, f'no black-box model: {error}'))
+    gains = _cascade(answer.model)
+    if len(records) == 1:
+        rows = tuple(
+            blackbox_part.second_step(row, data, records[0], gains) for row in rows
+        )
+    error = None
+    if selected is not None:
+        model = rows[selected].step_a.model
+        error = blackbox_part.window_error(data, model, data.validation)
+    return replace(answer, rows=rows, selected=selected, blackbox_error=error)
+
+
+def _cascade(model: AxisModel | None) -> CascadeGains | None:
+    """The gains the flight was flown with, where the bag says."""
+    if model is None or f'{model.axis}.rate.kp' not in model.active_gains:
+        return None
+    return CascadeGains.from_mapping(model.active_gains, model.axis)
+
+
+def _proposal(answer: AxisAnswer, options: Options) -> GainProposal:
+    if not answer.answered or answer.model is None:
+        return GainProposal(None, answer.reason)
+    if options.designer is None:
+        return GainProposal(None, options.no_designer_because)
+    try:
+        return options.designer(answer.model)
+    except QuadSysidError as error:
+        return GainProposal(None, str(error))

@@ -1,0 +1,116 @@
+"""The answer as plain text for a terminal of 80 columns. Strings only."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+ROW = '{:<22} {:>7} {:>9} {:>9} {:>7}  {}'
+
+
+def lines(report: Mapping[str, Any]) -> list[str]:
+    """What `quad-sysid identify` prints of a report's tree."""
+    out: list[str] = []
+    for axis, tree in report['axes'].items():
+        out += ['', f'{axis} at {tree["sample_rate_hz"]:g} Hz', '']
+        out += _models(tree)
+        out += _verdict(tree)
+        out += _errors(tree)
+        out += _gains(tree)
+    return out
+
+
+def _models(tree: Mapping[str, Any]) -> list[str]:
+    if not tree['models']:
+        return []
+    signals = list(dict.fromkeys(s for m in tree['models'] for s in m['fit_validation_pct']))
+    out = [ROW.format('model', 'train', *(_clip(s) for s in (signals + ['', ''])[:2]), 'loop',
+                      'first step')]
+    for index, model in enumerate(tree['models']):
+        name = f'{model["structure"]} ' + ' '.join(str(v) for v in model['orders'].values())
+        mark = '*' if index == tree['selected'] else ' '
+        fits = [_pct(model['fit_validation_pct'].get(s)) for s in signals]
+        out.append(
+            ROW.format(
+                mark + name, _pct(model['fit_train_pct']), *(fits + ['', ''])[:2],
+                _pct(model.get('closed_loop_fit_pct')),
+                'pass' if model['passed_first_step'] else 'out',
+            )
+        )
+        because = model.get('eliminated_because')
+        if because:
+            out += [f'    {part}' for part in because.split('; ')]
+    return [*out, '']
+
+
+def _verdict(tree: Mapping[str, Any]) -> list[str]:
+    out = [f'verdict  {tree["verdict"]}', *_wrapped(tree.get('reason', ''))]
+    for parameter in tree['base']['parameters']:
+        out.append('  base   ' + _number(parameter))
+    for effect in tree['effects']:
+        out.append(
+            f'  effect {effect["name"]}  p = {effect["p_value"]:.2g}, probability '
+            f'{effect["probability"]:.2f}, without it the error grows by '
+            f'{effect["error_reduction_pct"]:.0f} %'
+        )
+        out += ['         ' + _number(p) for p in effect['parameters']]
+        for rival in effect['rivals'][:3]:
+            out.append(f'         rival {rival["name"]} {rival["probability"]:.2f}')
+    untested = tree.get('not_tested', [])
+    if untested:
+        out.append('  not tested: ' + ', '.join(item['name'] for item in untested))
+    band = tree.get('trusted_band_rad_s')
+    if band:
+        out.append(f'  trusted from {band[0]:.2g} to {band[1]:.3g} rad/s')
+    return out
+
+
+def _errors(tree: Mapping[str, Any]) -> list[str]:
+    error = tree['error']
+    if error['before'] is None:
+        return []
+    out = ['', f'error on {error["data"]} data ({error["metric"]}), {error["unit"]}']
+    pairs = [
+        ('base (before)', error['before'], error.get('before_interval_95')),
+        ('completed (after)', error['after'], error.get('after_interval_95')),
+        ('black box', error.get('blackbox'), None),
+        ('measurement noise', error['noise_floor'], None),
+        ('hold the last value', error.get('hold_last_value'), None),
+    ]
+    for name, value, interval in pairs:
+        if value is not None:
+            span = f'  [{interval[0]:.4g}, {interval[1]:.4g}]' if interval else ''
+            out.append(f'  {name:<20} {value:.4g}{span}')
+    return out
+
+
+def _gains(tree: Mapping[str, Any]) -> list[str]:
+    if tree.get('gains'):
+        return ['', 'gains', *(f'  {k:<16} {v:.6g}' for k, v in tree['gains'].items())]
+    because = tree.get('gains_refused_because')
+    return ['', *_wrapped(f'no gains: {because}')] if because else []
+
+
+def _number(parameter: Mapping[str, Any]) -> str:
+    std = parameter['std']
+    error = f'± {std:.2g}' if std is not None else '(at its bound)'
+    return f'{parameter["name"]} {parameter["value"]:.4g} {error} {parameter["unit"]}'
+
+
+def _pct(value: float | None) -> str:
+    return '-' if value is None else f'{max(value, -999.0):.2f}'
+
+
+def _clip(text: str) -> str:
+    return text[:9]
+
+
+def _wrapped(text: str, width: int = 76) -> list[str]:
+    out, line = [], ''
+    for word in text.split():
+        if len(line) + len(word) + 1 > width:
+            out.append('  ' + line)
+            line = word
+        else:
+            line = f'{line} {word}'.strip()
+    return [*out, '  ' + line] if line else out
