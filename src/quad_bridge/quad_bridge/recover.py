@@ -66,7 +66,9 @@ def recover(bag: Path) -> Recovered:
     Raises BadInputError where nothing can be recovered or the result exists already.
     """
     files = _storage_files(bag)
-    target = bag.resolve().with_name(f'{bag.resolve().name.removesuffix(".mcap")}_recovered')
+    whole = bag.resolve()
+    stem = whole.name.removesuffix('.mcap').removesuffix('.db3')
+    target = whole.with_name(f'{stem}_recovered')
     if target.exists():
         raise BadInputError(str(target), 'exists already', remedy='move it away first')
     result = Recovered(target)
@@ -142,8 +144,10 @@ def _sqlite_messages(file: Path, result: Recovered) -> Iterator[Message]:
     """Read a copy: opening a database with a journal left over writes to it."""
     result.total_bytes += file.stat().st_size
     with tempfile.TemporaryDirectory() as folder:
-        for part in file.parent.glob(f'{file.name}*'):
-            shutil.copy(part, folder)
+        for suffix in ('', '-journal', '-wal'):
+            part = file.with_name(file.name + suffix)
+            if part.is_file():
+                shutil.copy(part, folder)
         try:
             with closing(sqlite3.connect(Path(folder) / file.name)) as base:
                 yield from _rows(base)

@@ -1,0 +1,127 @@
+"""Signs and units from the wire to ROS: FRD/NED to FLU/ENU, gauss, hPa, µs."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from quad_bridge.wire import frames as f
+from quad_bridge.wire.axes import flip_attitude, flip_body, flip_control, quaternion
+
+pytest.importorskip('sensor_msgs.msg', reason='needs the ROS 2 message packages')
+from quad_bridge import conversion
+
+STILL = f.Cycle(
+    0, 0, (0.0,) * 3, (0.0, 0.0, -9.81), (0.0,) * 3, (0.0,) * 3, (0.0,) * 3,
+    (0.5, 0.0, 0.0, 0.0), (0.0,) * 3, (0.5,) * 4, 1,
+)  # fmt: skip
+
+
+def filled(**changes):
+    messages = conversion.CycleMessages()
+    messages.fill(replace(STILL, **changes), 1_500_000_000)
+    return messages
+
+
+def vector(v):
+    return (v.x, v.y, v.z)
+
+
+def rotation(q):
+    """Matrix of a quaternion x y z w, body to earth."""
+    x, y, z, w = q
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def test_at_rest_and_level_the_acceleration_is_up():
+    assert vector(filled().imu.linear_acceleration) == (0.0, 0.0, 9.81)
+
+
+def test_all_messages_of_a_cycle_carry_the_same_stamp_and_frame():
+    m = filled()
+    kept = [m.imu, m.motors, m.wrench, m.attitude_setpoint, m.rate_setpoint, m.excitation]
+    stamps = {(x.header.stamp.sec, x.header.stamp.nanosec, x.header.frame_id) for x in kept}
+    assert stamps == {(1, 500_000_000, 'base_link')}
+
+
+def test_rates_setpoints_torques_and_excitation_turn_y_and_z():
+    m = filled(
+        gyro=(1.0, 2.0, 3.0),
+        rate_setpoint=(4.0, 5.0, 6.0),
+        control=(0.5, 0.1, 0.2, 0.3),
+        excitation=(7.0, 8.0, 9.0),
+    )
+    assert vector(m.imu.angular_velocity) == (1.0, -2.0, -3.0)
+    assert vector(m.rate_setpoint.vector) == (4.0, -5.0, -6.0)
+    assert m.wrench.wrench.force.z == 0.5
+    assert vector(m.wrench.wrench.torque) == (0.1, -0.2, -0.3)
+    assert vector(m.excitation.vector) == (7.0, -8.0, -9.0)
+    assert list(m.motors.effort) == [0.5] * 4
+    assert list(m.motors.name) == ['motor_1', 'motor_2', 'motor_3', 'motor_4']
+
+
+def test_facing_north_is_a_yaw_of_ninety_degrees_from_east():
+    m = filled(attitude_setpoint=(0.1, 0.2, 0.0))
+    assert vector(m.attitude_setpoint.vector) == pytest.approx((0.1, -0.2, math.pi / 2))
+    q = m.imu.orientation
+    forward = rotation((q.x, q.y, q.z, q.w))[:, 0]
+    assert forward == pytest.approx([0.0, 1.0, 0.0], abs=1e-12)  # ENU: north is y
+
+
+@pytest.mark.parametrize('rpy', [(0.3, -0.2, 0.0), (-0.1, 0.4, 2.5), (1.0, 0.5, -3.0)])
+def test_the_attitude_agrees_with_the_rotation_of_frames(rpy):
+    ned = rotation(quaternion(rpy))  # FRD to NED
+    earth = np.array([[0, 1, 0], [1, 0, 0], [0, 0, -1]])  # NED to ENU
+    body = np.diag([1, -1, -1])  # FLU to FRD
+    assert rotation(quaternion(flip_attitude(rpy))) == pytest.approx(earth @ ned @ body, abs=1e-12)
+
+
+def test_the_maps_are_their_own_inverses():
+    assert flip_body(flip_body((1.0, 2.0, 3.0))) == (1.0, 2.0, 3.0)
+    assert flip_control(flip_control((1.0, 2.0, 3.0, 4.0))) == (1.0, 2.0, 3.0, 4.0)
+    for yaw in (-3.1, 0.0, 1.0, 3.1):
+        back = flip_attitude(flip_attitude((0.1, 0.2, yaw)))
+        assert back == pytest.approx((0.1, 0.2, yaw))
+
+
+def test_receiver_pulses_become_axes_and_failsafe_a_button():
+    pulses = (1000, 1500, 1000, 2000, 1750, 1500, 1500, 1500, 0)
+    joy = conversion.rc_message(f.RcChannels(0, pulses), 0, failsafe=False)
+    assert list(joy.axes[:5]) == [-1.0, 0.0, 0.0, 1.0, 0.5]
+    assert math.isnan(joy.axes[8])
+    assert list(joy.buttons) == [0]
+    assert list(conversion.rc_message(f.RcChannels(0, pulses), 0, failsafe=True).buttons) == [1]
+
+
+def test_a_stick_without_a_pulse_is_a_failsafe():
+    joy = conversion.rc_message(f.RcChannels(0, ()), 0, failsafe=False)
+    assert list(joy.buttons) == [1]
+    assert len(joy.axes) == 9
+
+
+def test_slow_sensors_in_si():
+    sensors = f.SlowSensors(0, (0.2, 0.1, 0.4), 1013.25)
+    field = conversion.mag_message(sensors, 0).magnetic_field
+    assert vector(field) == pytest.approx((2e-5, -1e-5, -4e-5))
+    assert conversion.baro_message(sensors, 0).fluid_pressure == pytest.approx(101325.0)
+    assert conversion.mag_message(f.SlowSensors(0), 0) is None
+    assert conversion.baro_message(f.SlowSensors(0), 0) is None
+
+
+def test_a_battery_that_is_not_measured_is_nan():
+    message = conversion.battery_message(f.Battery(math.nan), 0)
+    assert math.isnan(message.voltage)
+    assert not message.present
+    assert conversion.battery_message(f.Battery(11.1), 0).voltage == pytest.approx(11.1)
+
+
+def test_parameter_events_come_back_as_a_mapping():
+    values = {'roll.rate.kp': 0.25, 'source': 'designer'}
+    assert conversion.parameters(conversion.event_message(values, '/n', 5)) == values

@@ -1,0 +1,115 @@
+"""What the bridge says of its link, clock, gains and excitation."""
+
+import pytest
+
+pytest.importorskip('diagnostic_msgs.msg', reason='needs the ROS 2 message packages')
+from pymavlink.dialects.v20 import common
+
+from quad_bridge import diagnostics as d
+from quad_bridge.excitation_relay import ExcitationRelay
+from quad_bridge.link import Link
+from quad_bridge.recording import RecordingStatus
+from quad_bridge.serial_port import PortState, PortStatus
+from quad_bridge.wire import frames as f
+from quad_bridge.wire.codec import Counts, Encoder
+
+OPEN = PortStatus(PortState.OPEN, '', 1, 0)
+NOTHING = d.Since(0.0, Counts(), 0)
+ZERO = (0.0, 0.0, 0.0)
+
+
+def cycle(number, flags=1):
+    frame = f.Cycle(
+        4000 * number, number, ZERO, ZERO, ZERO, ZERO, ZERO, (0.0,) * 4, ZERO, (0.0,) * 4, flags
+    )
+    return Encoder().encode(frame)
+
+
+def verdict(link, port=OPEN, since=NOTHING):
+    status = d.link_status(port, link, since, 1.0, Counts())
+    return status.level, status.message
+
+
+@pytest.mark.parametrize(
+    'state', [PortState.NOT_THERE, PortState.BUSY, PortState.DENIED, PortState.HUNG_UP]
+)
+def test_a_port_fault_is_an_error_in_its_own_words(state):
+    assert verdict(Link(), PortStatus(state, 'why', 0, 0)) == (d.ERROR, f'port {state.value}')
+
+
+def test_a_silent_port_is_an_error():
+    assert verdict(Link()) == (d.ERROR, 'port open, but nothing arrives')
+
+
+def test_another_protocol_is_named_after_enough_bytes():
+    link = Link()
+    link.receive(b'$GPGGA,1,2,3\r\n' * 10, 0)
+    assert verdict(link) == (d.WARN, 'bytes arrive, no valid frame yet')
+    link.receive(b'$GPGGA,1,2,3\r\n' * 200, 0)
+    level, text = verdict(link)
+    assert level == d.ERROR
+    assert text == 'speaks another protocol or baud rate: no valid frame in 2940 bytes'
+
+
+def test_a_controller_of_standard_messages_is_named_with_what_it_sends():
+    link, peer = Link(), common.MAVLink(None, srcSystem=1, srcComponent=1)
+    link.receive(peer.attitude_encode(1, 0, 0, 0, 0, 0, 0).pack(peer), 0)
+    still = (0.0,) * 13
+    link.receive(peer.highres_imu_encode(1, *still, 0x3F).pack(peer), 0)
+    link.receive(peer.heartbeat_encode(2, 3, 0, 0, 4).pack(peer), 0)
+    level, text = verdict(link)
+    assert level == d.WARN
+    assert 'only standard MAVLink messages arrive (ATTITUDE, HIGHRES_IMU)' in text
+
+
+def test_good_cycles_are_ok_and_new_losses_a_warning():
+    link = Link()
+    link.receive(cycle(1) + cycle(2), 0)
+    assert verdict(link) == (d.OK, 'control cycles arrive')
+    since = d.Since(0.0, link.decoder.counts, link.cycles)
+    link.receive(cycle(6), 0)
+    assert verdict(link, since=since) == (d.WARN, '3 cycles lost since the last report')
+    since = d.Since(1.0, link.decoder.counts, link.cycles)
+    link.receive(Encoder().encode(f.Heartbeat()), 0)
+    assert verdict(link, since=since)[0] == d.ERROR
+
+
+def test_the_clock_says_why_nothing_is_published():
+    link = Link()
+    assert 'no answer to TIMESYNC' in d.clock_status(link).message
+    link.clock.add(0, 100, 200)
+    assert 'not converged' in d.clock_status(link).message
+    for k in range(10):
+        link.clock.add(1000 * k, 1000 * k + 100, 1000 * k + 200)
+    assert d.clock_status(link).level == d.OK
+
+
+def test_a_refusal_stands_in_the_gain_state():
+    status = d.gains_status(Link(), 'roll.rate.kp: must be finite: found nan', 2)
+    assert (status.level, status.message) == (d.WARN, 'roll.rate.kp: must be finite: found nan')
+    assert status.values['writes acknowledged'] == 2
+    assert 'has not reported' in d.gains_status(Link(), '', 0).message
+
+
+def test_the_excitation_state_follows_the_flags():
+    link, relay = Link(), ExcitationRelay(100)
+    assert d.excitation_status(relay, link).message == 'idle'
+    link.receive(cycle(1, int(f.Flag.ARMED | f.Flag.EXCITATION)), 0)
+    status = d.excitation_status(relay, link)
+    assert status.message == 'running'
+    assert status.values['flags of the STM32'] == 'armed excitation'
+    link.receive(cycle(2, int(f.Flag.STALE_SETPOINT)), 0)
+    assert 'stale' in d.excitation_status(relay, link).message
+    relay.setpoint(0.1, 0.0, 0.0)
+    assert 'no segment is running' in d.excitation_status(relay, link).message
+
+
+def test_the_recording_warns_of_losses_and_names_a_failure(tmp_path):
+    def status(**changes):
+        base = {'written': 5, 'waiting': 0, 'dropped': 0, 'lost': 0, 'failure': ''}
+        return d.recording_status(RecordingStatus(tmp_path, **{**base, **changes}), '')
+
+    assert status().level == d.OK
+    assert status(dropped=2, lost=1).message == 'recording, 3 messages lost'
+    assert status(failure='disk is full').level == d.ERROR
+    assert d.recording_status(None, '').message == 'idle'

@@ -1,0 +1,157 @@
+"""The bridge's side of the conversation, with a far end made of the same codec."""
+
+import pytest
+
+from quad_bridge.errors import RefusedError
+from quad_bridge.excitation_relay import ExcitationRelay
+from quad_bridge.link import Link
+from quad_bridge.wire import frames as f
+from quad_bridge.wire.codec import Decoder, Encoder
+from quad_bridge.wire.gain_names import WIRE_NAMES
+from quad_bridge.wire.params import float32
+
+HOST0_NS = 7_000_000_000
+
+
+class FarEnd:
+    """A minimal STM32 on a line without jitter, driven in steps of 4 ms."""
+
+    def __init__(self, link):
+        self.link, self.encoder, self.decoder = link, Encoder(1, 1), Decoder()
+        self.values = {wire: float32(0.5) for wire in WIRE_NAMES.values()}
+        self.refuses, self.excitations, self.out = set(), [], []
+        self.now_us, self.cycle = 0, 0
+
+    @property
+    def host_ns(self):
+        return HOST0_NS + 1000 * self.now_us
+
+    def step(self, *frames):
+        self.now_us += 4000
+        self.cycle += 1
+        zero = (0.0, 0.0, 0.0)
+        cycle = f.Cycle(
+            self.now_us, self.cycle, zero, zero, zero, zero, zero, (0.0,) * 4, zero, (0.0,) * 4, 1
+        )
+        for frame in (cycle, *frames):
+            self.out += self.link.receive(self.encoder.encode(frame), self.host_ns)
+        if self.cycle % 12 == 0:
+            self.link.tick(self.host_ns)
+        self.answer()
+
+    def answer(self):
+        while data := self.link.drain():
+            for frame in self.decoder.feed(data):
+                for reply in self.replies(frame):
+                    received = self.encoder.encode(reply)
+                    self.out += self.link.receive(received, self.host_ns + 200_000)
+
+    def replies(self, frame):
+        names = list(self.values)
+        if isinstance(frame, f.TimeSync):
+            yield f.TimeSync(1000 * self.now_us + 100_000, frame.ts1_ns)
+        elif isinstance(frame, f.ParamRequestList):
+            for i, name in enumerate(names):
+                yield f.ParamValue(name, self.values[name], len(names), i)
+        elif isinstance(frame, f.ParamSet):
+            if frame.name not in self.refuses:
+                self.values[frame.name] = frame.value
+            value = self.values[frame.name]
+            yield f.ParamValue(frame.name, value, len(names), names.index(frame.name))
+        elif isinstance(frame, f.Excitation):
+            self.excitations.append(frame)
+
+
+@pytest.fixture
+def far():
+    far = FarEnd(Link())
+    far.link.opened()
+    for _ in range(150):
+        far.step()
+    return far
+
+
+def test_nothing_is_published_before_the_clock_has_converged(far):
+    assert 0 < far.link.held < 150
+    assert far.link.held + len(far.out) == 150
+
+
+def test_stamps_are_device_time_on_the_host_clock(far):
+    stamped = far.out[-1]
+    assert abs(stamped.stamp_ns - (HOST0_NS + 1000 * stamped.frame.time_us)) < 20_000
+
+
+def test_messages_of_one_cycle_share_its_stamp(far):
+    far.out.clear()
+    now = far.now_us + 4000
+    rc = f.RcChannels(now // 1000, (1500,) * 9)
+    far.step(rc, f.SlowSensors(now, (0.1, 0.2, 0.3), 1000.0), f.Battery(11.0))
+    assert len(far.out) == 4
+    assert len({item.stamp_ns for item in far.out}) == 1
+
+
+def test_gains_are_announced_once_after_connecting(far):
+    (outcome,) = far.link.outcomes
+    assert set(outcome.active) == set(WIRE_NAMES)
+    assert set(outcome.active.values()) == {0.5}
+
+
+def test_written_gains_are_announced_after_read_back(far):
+    far.link.outcomes.clear()
+    far.link.write_gains({'ROLL_RATE_KP': 0.1}, far.host_ns)
+    far.answer()
+    far.step()
+    (outcome,) = far.link.outcomes
+    assert outcome.active['roll.rate.kp'] == float32(0.1)
+    assert far.values['ROLL_RATE_KP'] == float32(0.1)
+
+
+def test_a_refused_write_is_rolled_back_and_said(far):
+    far.link.outcomes.clear()
+    far.refuses.add('ROLL_RATE_KI')
+    far.link.write_gains({'ROLL_RATE_KP': 0.1, 'ROLL_RATE_KI': 0.2}, far.host_ns)
+    for _ in range(300):
+        far.step()
+    failed, again = far.link.outcomes
+    assert failed.active is None
+    assert 'ROLL_RATE_KI' in failed.reason
+    assert again.active['roll.rate.kp'] == 0.5
+
+
+def test_gains_that_were_never_reported_cannot_be_written():
+    with pytest.raises(RefusedError):
+        Link().write_gains({'ROLL_RATE_KP': 0.1}, 0)
+
+
+def test_a_restart_of_the_stm32_holds_the_stamps_back_and_reads_the_gains_again(far):
+    far.link.outcomes.clear()
+    before = far.link.held
+    far.now_us, far.cycle = 0, 0
+    far.step()
+    assert far.link.decoder.counts.restarts == 1
+    assert far.link.held == before + 1
+    # the device counts from zero again: its offset to the host has changed, and is found again
+
+
+def test_the_bridge_addresses_the_peer_it_has_heard(far):
+    far.step(f.Heartbeat())
+    far.link.send(f.Excitation((0.1, 0.0, 0.0), 1, 1))
+    far.answer()
+    assert (far.excitations[-1].target_system, far.excitations[-1].target_component) == (1, 1)
+
+
+def test_set_points_follow_the_segment():
+    relay = ExcitationRelay(100)
+    assert relay.setpoint(0.1, 0.2, 0.3) is None
+    assert 'no segment is running' in relay.reason
+    segment = {'segment': 'train', 'signal': 'prbs', 'axis': 'pitch', 'injection': 'rate'}
+    assert relay.segment(segment) is None
+    frame = relay.setpoint(0.1, 0.2, 0.3)
+    assert frame.value == (0.1, -0.2, -0.3)  # FLU to FRD
+    assert frame.injection == f.Injection.RATE
+    assert frame.valid_ms == 100
+    assert relay.setpoint(float('nan'), 0.0, 0.0) is None
+    end = relay.segment({'segment': 'idle', 'signal': 'none', 'injection': 'rate'})
+    assert end.injection == f.Injection.NONE
+    assert relay.setpoint(0.1, 0.0, 0.0) is None
+    assert (relay.forwarded, relay.dropped) == (1, 3)

@@ -1,0 +1,177 @@
+"""The nodes as processes: a far end on a pseudo-terminal, the bridge, the logger, a real bag."""
+
+import contextlib
+import os
+import select
+import signal
+import subprocess
+import sys
+import threading
+import time
+import tty
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy', reason='needs ROS 2')
+import yaml
+from rosbags.highlevel import AnyReader
+
+from quad_bridge.wire import frames as f
+from quad_bridge.wire.codec import Decoder, Encoder
+from quad_bridge.wire.gain_names import WIRE_NAMES
+
+CONFIG = Path(__file__).resolve().parents[2] / 'src' / 'quad_bridge' / 'config'
+START = 'from quad_bridge.{0}_node import main; main()'
+WAIT_S = 30.0
+
+
+class FarEnd(threading.Thread):
+    """Sends 250 cycles a second and answers time and parameters, until told to stop."""
+
+    def __init__(self, link):
+        super().__init__(daemon=True)
+        self.master, self.slave = os.openpty()
+        tty.setraw(self.slave)
+        os.set_blocking(self.master, False)
+        link.symlink_to(os.ttyname(self.slave))
+        self.encoder, self.decoder = Encoder(1, 1), Decoder()
+        self.stopping, self.cycle, self.start_s = threading.Event(), 0, time.monotonic()
+
+    def send(self, frame):
+        with contextlib.suppress(BlockingIOError):
+            os.write(self.master, self.encoder.encode(frame))
+
+    def now_us(self):
+        return int(1e6 * (time.monotonic() - self.start_s))
+
+    def run(self):
+        zero = (0.0, 0.0, 0.0)
+        while not self.stopping.is_set():
+            pause = self.start_s + 0.004 * self.cycle - time.monotonic()
+            if select.select([self.master], [], [], max(pause, 0.0))[0]:
+                self.answer(os.read(self.master, 4096))
+            if pause > 0.0:
+                continue
+            gyro = (0.001 * (self.cycle % 100), 0.25, 0.5)
+            self.send(
+                f.Cycle(
+                    self.now_us(), self.cycle, gyro, (0.0, 0.0, -9.81), zero, zero, zero,
+                    (0.5, 0.0, 0.0, 0.0), zero, (0.5,) * 4, 1,
+                )
+            )  # fmt: skip
+            self.cycle += 1
+
+    def answer(self, data):
+        names = list(WIRE_NAMES.values())
+        for frame in self.decoder.feed(data):
+            if isinstance(frame, f.TimeSync):
+                self.send(f.TimeSync(1000 * self.now_us(), frame.ts1_ns))
+            elif isinstance(frame, f.ParamRequestList):
+                for i, name in enumerate(names):
+                    self.send(f.ParamValue(name, 0.5, len(names), i))
+
+
+@pytest.fixture
+def environment(tmp_path):
+    domain = str(100 + os.getpid() % 100)
+    local = {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', 'ROS_LOG_DIR': str(tmp_path / 'log')}
+    return {**os.environ, 'ROS_DOMAIN_ID': domain, **local}
+
+
+@pytest.fixture
+def spawn(environment):
+    started = []
+
+    def start(name, *arguments):
+        command = [sys.executable, '-c', START.format(name), '--ros-args', *arguments]
+        process = subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True)
+        started.append(process)
+        return process
+
+    yield start
+    for process in started:
+        process.kill()
+        process.wait()
+        process.stderr.close()
+
+
+def interrupt(process):
+    process.send_signal(signal.SIGINT)
+    return process.wait(timeout=10.0)
+
+
+def bag_in(folder):
+    deadline = time.monotonic() + WAIT_S
+    while time.monotonic() < deadline:
+        bags = list(folder.glob('flight_*'))
+        if bags and next(bags[0].glob('*.mcap')).stat().st_size > 100_000:
+            return bags[0]
+        time.sleep(0.05)
+    raise AssertionError('no bag has grown')
+
+
+def test_wire_to_bag(tmp_path, spawn):
+    far = FarEnd(tmp_path / 'tty')
+    far.start()
+    bags = tmp_path / 'bags'
+    shared = ('--params-file', str(CONFIG / 'serial_bridge.yaml'))
+    logger = spawn(
+        'bag_logger', '-p', f'bag_logger:folder:={bags}', '-p', 'bag_logger:autostart:=true'
+    )
+    bridge = spawn('serial_bridge', *shared, '-p', f'serial_bridge:port:={tmp_path / "tty"}')
+    bag = bag_in(bags)
+    assert interrupt(logger) == 0
+    assert interrupt(bridge) == 0
+    far.stopping.set()
+    far.join()
+
+    with AnyReader([bag]) as reader:
+        found = {}
+        for connection, _, raw in reader.messages():
+            decoded = reader.deserialize(raw, connection.msgtype)
+            found.setdefault(connection.topic, []).append(decoded)
+    imu = found['/imu/data']
+    stamps = np.array([m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in imu])
+    assert len(imu) > 100
+    assert np.median(np.diff(stamps)) == pytest.approx(0.004, abs=5e-4)
+    assert abs(stamps[-1] - time.time()) < 60.0
+    index = np.array([round(1000 * m.angular_velocity.x) for m in imu])
+    assert set(np.diff(index) % 100) == {1}  # no cycle lost from wire to bag
+    assert imu[0].linear_acceleration.z == pytest.approx(9.81)
+    assert imu[0].angular_velocity.y == -0.25
+    for topic in ('/motors/command', '/control/wrench', '/setpoint/rates', '/setpoint/attitude'):
+        others = {(m.header.stamp.sec, m.header.stamp.nanosec) for m in found[topic]}
+        mine = {(m.header.stamp.sec, m.header.stamp.nanosec) for m in imu}
+        assert len(mine ^ others) <= 2  # the first and the last may be cut
+    (active,) = found['/gains/active']
+    assert {p.name for p in active.changed_parameters} == set(WIRE_NAMES)
+    states = {status.name for array in found['/diagnostics'] for status in array.status}
+    assert {'serial_bridge: link', 'serial_bridge: clock', 'bag_logger: recording'} <= states
+
+
+@pytest.mark.parametrize(
+    ('node', 'setting', 'text'),
+    [
+        ('serial_bridge', 'baudd:=9600', 'parameter baudd: is unknown'),
+        ('serial_bridge', 'baud:=fast', 'baud'),
+        ('serial_bridge', 'baud:=1', 'baud'),
+        ('serial_bridge', 'bounds.roll.rate.kp:=[2.0, 1.0]', 'parameter bounds.roll.rate.kp'),
+        ('bag_logger', 'storage:=tape', 'must be one of mcap, sqlite3'),
+        ('bag_logger', 'topics:=[/nothing]', 'is no topic of the contract'),
+    ],
+)
+def test_a_wrong_parameter_ends_a_node_with_one_line(spawn, node, setting, text):
+    process = spawn(node, '-p', setting)
+    assert process.wait(timeout=WAIT_S) == 2
+    error = process.stderr.read()
+    assert error.count('\n') == 1
+    assert text in error
+
+
+def test_the_configuration_files_are_rooted_at_their_nodes():
+    for name in ('serial_bridge', 'bag_logger'):
+        text = (CONFIG / f'{name}.yaml').read_text(encoding='utf-8')
+        assert set(yaml.safe_load(text)) == {name}
+        assert set(yaml.safe_load(text)[name]) == {'ros__parameters'}

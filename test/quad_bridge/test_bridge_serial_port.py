@@ -1,0 +1,139 @@
+"""The port survives what ports do: absent, busy, hung up, replugged, foreign."""
+
+import fcntl
+import os
+import threading
+import time
+import tty
+
+import pytest
+
+from quad_bridge.serial_port import PortState, SerialPort
+
+WAIT_S = 10.0
+
+
+def until(condition):
+    """Poll a condition; the bound is a safety net, not a measurement."""
+    deadline = time.monotonic() + WAIT_S
+    while not condition():
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(0.005)
+    return True
+
+
+class Line:
+    """A pseudo-terminal behind a link with a fixed name, as an adapter that can be unplugged."""
+
+    def __init__(self, path):
+        self.path = path
+        self.plug()
+
+    def plug(self):
+        self.master, self.slave = os.openpty()
+        tty.setraw(self.slave)
+        self.path.symlink_to(os.ttyname(self.slave))
+
+    def unplug(self):
+        self.path.unlink()
+        os.close(self.slave)
+        os.close(self.master)
+
+
+@pytest.fixture
+def line(tmp_path):
+    return Line(tmp_path / 'tty')
+
+
+class Ears:
+    def __init__(self):
+        self.data, self.opened = b'', 0
+
+    def bytes(self, data):
+        self.data += data
+
+    def open(self):
+        self.opened += 1
+
+
+@pytest.fixture
+def start():
+    ports = []
+
+    def make(path):
+        ears = Ears()
+        port = SerialPort(str(path), 921600, ears.bytes, ears.open, reopen_s=0.02)
+        ports.append(port)
+        port.start()
+        return port, ears
+
+    yield make
+    for port in ports:
+        port.stop()
+        assert port.status.state is PortState.CLOSED
+
+
+def test_bytes_arrive_and_leave(line, start):
+    port, ears = start(line.path)
+    assert until(lambda: port.status.state is PortState.OPEN)
+    os.write(line.master, b'hello')
+    assert until(lambda: ears.data == b'hello')
+    assert port.write(b'back')
+    assert os.read(line.master, 10) == b'back'
+
+
+def test_a_port_that_does_not_exist_is_waited_for(tmp_path, start):
+    port, ears = start(tmp_path / 'tty')
+    assert until(lambda: port.status.state is PortState.NOT_THERE)
+    assert not port.write(b'lost')
+    assert port.status.dropped_writes == 1
+    line = Line(tmp_path / 'tty')
+    assert until(lambda: port.status.state is PortState.OPEN)
+    os.write(line.master, b'x')
+    assert until(lambda: ears.data == b'x')
+
+
+def test_a_busy_port_is_named_so_and_taken_when_free(line, start):
+    with os.fdopen(os.open(line.path, os.O_RDWR | os.O_NOCTTY), 'rb', buffering=0) as other:
+        fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        port, _ = start(line.path)
+        assert until(lambda: port.status.state is PortState.BUSY)
+    assert until(lambda: port.status.state is PortState.OPEN)
+
+
+def test_hang_up_and_replug_under_the_same_name(line, start):
+    port, ears = start(line.path)
+    assert until(lambda: port.status.state is PortState.OPEN)
+    line.unplug()
+    assert until(lambda: port.status.state in {PortState.HUNG_UP, PortState.NOT_THERE})
+    line.plug()
+    assert until(lambda: port.status.state is PortState.OPEN and ears.opened == 2)
+    os.write(line.master, b'again')
+    assert until(lambda: ears.data == b'again')
+    assert port.status.opened == 2
+
+
+def test_a_file_that_is_no_terminal_is_said_to_be_unusable(tmp_path, start):
+    path = tmp_path / 'file'
+    path.write_text('text', encoding='utf-8')
+    port, _ = start(path)
+    assert until(lambda: port.status.state is PortState.UNUSABLE)
+    assert '\n' not in port.status.detail
+
+
+def test_a_peer_that_does_not_read_costs_writes_and_not_the_node(line, start):
+    port, _ = start(line.path)
+    assert until(lambda: port.status.state is PortState.OPEN)
+    assert until(lambda: not port.write(bytes(4096)))
+    assert port.status.dropped_writes >= 1
+    assert port.status.state is PortState.OPEN
+
+
+def test_stop_ends_the_thread_at_once(line):
+    port = SerialPort(str(line.path), 921600, lambda _: None)
+    port.start()
+    assert until(lambda: port.status.state is PortState.OPEN)
+    port.stop()
+    port.stop()
+    assert 'serial reader' not in [t.name for t in threading.enumerate() if t.is_alive()]

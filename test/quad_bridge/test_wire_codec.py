@@ -1,0 +1,198 @@
+"""One table of frames drives encoder and decoder: whole, byte by byte, with trailing bytes."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, seed, settings
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import common
+
+from quad_bridge.errors import EncodeError
+from quad_bridge.wire import frames as f
+from quad_bridge.wire.codec import Decoder, Encoder
+
+CYCLE = f.Cycle(
+    time_us=0x0102030405060708,
+    cycle=0xA1B2C3D4,
+    gyro=(1.0, -2.0, 0.5),
+    accel=(0.0, 0.25, -9.75),
+    attitude=(0.125, -0.25, 3.0),
+    attitude_setpoint=(0.5, 0.0, -3.0),
+    rate_setpoint=(4.0, -4.0, 0.75),
+    control=(0.5, 0.0625, -0.0625, 0.03125),
+    excitation=(0.25, 0.0, 0.0),
+    motors=(0.5, 0.25, 0.75, 1.0),
+    flags=int(f.Flag.ARMED | f.Flag.EXCITATION),
+    excitation_seq=7,
+    injection=int(f.Injection.ATTITUDE),
+)
+GOLDEN = bytes.fromhex(
+    'fd 78 00 00 00 01 01 245e00'  # marker, length 120, flags, sequence 0, from 1/1, id 24100
+    '0807060504030201'  # time_usec
+    'd4c3b2a1'  # cycle
+    '0000803f 000000c0 0000003f'  # gyro
+    '00000000 0000803e 00001cc1'  # accel
+    '0000003e 000080be 00004040'  # attitude
+    '0000003f 00000000 000040c0'  # attitude_setpoint
+    '00008040 000080c0 0000403f'  # rate_setpoint
+    '0000003f 0000803d 000080bd 0000003d'  # control
+    '0000803e 00000000 00000000'  # excitation
+    '0000003f 0000803e 0000403f 0000803f'  # motors
+    '0500'  # flags: armed, excitation
+    '07'  # excitation_seq
+    '01'  # injection: attitude
+    'dffc'  # checksum with CRC_EXTRA 237
+)
+FRAMES = [
+    CYCLE,
+    f.Excitation((0.5, -0.25, 0.0), int(f.Injection.RATE), 255, 100, 1, 1),
+    f.Heartbeat(armed=True, system=1, component=1),
+    f.TimeSync(-5, 2**62),
+    f.ParamRequestList(1, 1),
+    f.ParamRequestRead('PITCH_RATE_ILIM', -1, 1, 1),
+    f.ParamSet('ROLL_RATE_KP', 0.5, 1, 1),
+    f.ParamValue('SIXTEEN_LETTERS_', -0.25, 27, 26),
+    f.RcChannels(123456, (1000, 1500, 2000, 1500, 1100, 1200, 1300, 1400, 1600), 200),
+    f.Battery(11.125, 3.5, 0.75),
+    f.SlowSensors(99, (0.25, -0.5, 0.125), 1013.25, 21.5),
+    f.Command(511, (30.0, 4000.0, 0.0, 0.0, 0.0, 0.0, 0.0), 0, 1, 1),
+    f.CommandAck(511, 3),
+    f.StatusText(4, 'kill switch is on'),
+]
+NAMES = [type(frame).__name__ for frame in FRAMES]
+
+
+@pytest.mark.parametrize('frame', FRAMES, ids=NAMES)
+def test_a_frame_comes_back_whole(frame):
+    assert Decoder().feed(Encoder().encode(frame)) == [frame]
+
+
+@pytest.mark.parametrize('frame', FRAMES, ids=NAMES)
+def test_a_frame_comes_back_byte_by_byte(frame):
+    decoder = Decoder()
+    found = [x for byte in Encoder().encode(frame) for x in decoder.feed(bytes([byte]))]
+    assert found == [frame]
+
+
+@pytest.mark.parametrize('frame', FRAMES, ids=NAMES)
+def test_trailing_bytes_wait_for_the_rest(frame):
+    encoder, decoder = Encoder(), Decoder()
+    first, second = encoder.encode(frame), encoder.encode(frame)
+    assert decoder.feed(first + second[:5]) == [frame]
+    assert decoder.feed(second[5:]) == [frame]
+    assert decoder.counts.garbage_bytes == 0
+
+
+def test_golden_bytes_of_the_cycle_frame():
+    assert Encoder(1, 1).encode(CYCLE) == GOLDEN
+    assert Decoder().feed(GOLDEN) == [CYCLE]
+
+
+def test_battery_that_is_not_measured_is_nan():
+    (battery,) = Decoder().feed(Encoder().encode(f.Battery(math.nan)))
+    assert math.isnan(battery.voltage_v)
+    assert math.isnan(battery.current_a)
+
+
+@pytest.mark.parametrize(
+    'frame',
+    [
+        f.RcChannels(0, (70000,)),
+        f.ParamSet('ROLL_RATE_KP', 'much'),
+        f.ParamSet('Größe', 1.0),
+        f.Excitation((1.0, 2.0), 1, 0),
+        f.Excitation((1.0, 2.0, 3.0), 1, 256),
+        f.Standard('ATTITUDE', 1, 1),
+    ],
+)
+def test_what_does_not_fit_is_refused_in_one_line(frame):
+    with pytest.raises(EncodeError) as caught:
+        Encoder().encode(frame)
+    assert '\n' not in str(caught.value)
+
+
+def cycles(numbers):
+    encoder = Encoder()
+    return [encoder.encode(f.Cycle(**{**vars(CYCLE), 'cycle': n})) for n in numbers]
+
+
+def test_lost_cycles_are_counted_by_the_32_bit_counter_across_its_wrap():
+    decoder = Decoder()
+    decoder.feed(b''.join(cycles([2**32 - 2, 2**32 - 1, 300, 301, 303])))
+    assert decoder.counts.lost_cycles == 300 + 1
+    assert decoder.counts.restarts == 0
+
+
+def test_a_counter_that_goes_back_is_a_restart_and_no_loss():
+    decoder = Decoder()
+    decoder.feed(b''.join(cycles([5000, 5001, 0, 1])))
+    assert (decoder.counts.lost_cycles, decoder.counts.restarts) == (0, 1)
+
+
+def test_standard_and_unknown_messages_are_counted_apart():
+    peer = common.MAVLink(None, srcSystem=9, srcComponent=1)
+    attitude = peer.attitude_encode(1, 0.1, 0.2, 0.3, 0.0, 0.0, 0.0).pack(peer)
+    unknown = peer.gps_raw_int_encode(1, 3, 1, 1, 1, 1, 1, 1, 1, 9).pack(peer)
+    decoder = Decoder()
+    found = decoder.feed(attitude + unknown + GOLDEN)
+    assert found == [f.Standard('ATTITUDE', 9, 1), CYCLE]
+    assert (decoder.counts.standard, decoder.counts.unknown) == (1, 1)
+    assert decoder.counts.bad_crc == 0
+
+
+def flip(data, at):
+    data[at] ^= 0x10
+
+
+def drop(data, at):
+    del data[at]
+
+
+def burst(data, at):
+    del data[at : at + 50]
+
+
+@pytest.mark.parametrize(('fault', 'bound'), [(flip, 1.2), (drop, 2.6), (burst, 2.7)])
+def test_frames_lost_per_fault_stay_below_the_measured_bound(fault, bound):
+    rng = np.random.default_rng(5)
+    stream = cycles(range(1000))
+    size, faults = len(stream[0]), 90
+    data = bytearray(b''.join(stream))
+    for k in range(faults, 0, -1):
+        fault(data, k * 11 * size + int(rng.integers(size)))
+    decoder = Decoder()
+    got = [frame.cycle for frame in decoder.feed(bytes(data)) if isinstance(frame, f.Cycle)]
+    lost = 1000 - len(got)
+    assert faults * 0.9 <= lost <= faults * bound
+    assert decoder.counts.lost_cycles == lost
+    assert got == sorted(set(got))
+
+
+PIECES = st.one_of(
+    st.binary(max_size=300),
+    st.sampled_from([Encoder().encode(frame) for frame in FRAMES]),
+    st.builds(lambda data, cut: data[:cut], st.just(GOLDEN), st.integers(0, len(GOLDEN))),
+    st.binary(max_size=40).map(lambda tail: b'\xfd' + tail),
+)
+
+
+@seed(1)
+@settings(max_examples=200, deadline=None, database=None)
+@given(st.lists(PIECES, max_size=12), st.integers(1, 97))
+def test_any_bytes_in_any_split_give_the_same_frames_and_never_raise(pieces, step):
+    data = b''.join(pieces)
+    whole, split = Decoder(), Decoder()
+    at_once = whole.feed(data)
+    in_parts = [x for i in range(0, len(data), step) for x in split.feed(data[i : i + step])]
+    assert repr(in_parts) == repr(at_once)  # NaN is not equal to itself
+    assert split.counts == whole.counts
+    assert whole.counts.bytes == len(data)
+
+
+def test_after_resync_the_half_frame_is_forgotten():
+    decoder = Decoder()
+    decoder.feed(GOLDEN[:60])
+    decoder.resync()
+    assert decoder.feed(GOLDEN) == [CYCLE]
+    assert decoder.counts.garbage_bytes == 0
