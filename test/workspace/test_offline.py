@@ -16,13 +16,13 @@ ABSENT = (
 
 
 def offline_modules() -> list[str]:
-    """Every module of quad_sysid and quad_tuning but the nodes and the demo."""
+    """Every module of quad_sysid and quad_tuning but the nodes, their parameters and the demo."""
     names = []
     for package in ('quad_sysid', 'quad_tuning'):
         root = ROOT / 'src' / package
         for path in sorted((root / package).rglob('*.py')):
             inside = path.relative_to(root)
-            if not path.name.endswith('_node.py') and 'demo' not in inside.parts:
+            if not path.name.endswith(('_node.py', '_parameters.py')) and 'demo' not in inside.parts:
                 names.append('.'.join(inside.with_suffix('').parts).removesuffix('.__init__'))
     return names
 
