@@ -11,6 +11,7 @@ import pytest
 
 from quad_sysid.bags import (
     BagOptions,
+    cdr,
     parse_span,
     read_bag,
     split_segments,
@@ -88,6 +89,19 @@ def refusal(path: Path) -> str:
     return line
 
 
+def record_or_line(path: Path) -> bool:
+    """Whether the bag gave a record; where not, one line that names it."""
+    try:
+        record = read_bag(path)
+    except BadInputError as error:
+        line = str(error)
+    else:
+        return record.n > 0
+    assert '\n' not in line
+    assert path.name in line
+    return False
+
+
 @pytest.mark.parametrize(
     ('storage', 'compression'),
     [
@@ -136,9 +150,7 @@ def test_without_motors_the_wrench_goes_through_the_mixer_and_its_limits(tmp_pat
     assert any('/motors/command' in line for line in got.warnings)
 
 
-def test_motors_are_taken_by_their_names(tmp_path):
-    import quad_sysid.bags.cdr as cdr
-
+def test_motors_are_taken_by_their_names():
     store = cdr.typestore()
     types = store.types
     header = types['std_msgs/msg/Header'](
@@ -298,9 +310,8 @@ def test_topics_at_other_stamps_go_to_the_nearest_cycle(tmp_path):
     stamps = regular(100)
     other = Stamped(stamps + 1_500_000, np.arange(300.0).reshape(100, 3))
     far = Stamped(stamps[-1:] + 10 * STEP, np.ones((1, 3)))
-    got = read_bag(
-        write_imu(tmp_path / 'bag', stamps, **{'/setpoint/rates': other, '/setpoint/attitude': far})
-    )
+    others = {'/setpoint/rates': other, '/setpoint/attitude': far}
+    got = read_bag(write_imu(tmp_path / 'bag', stamps, **others))
     np.testing.assert_array_equal(got.rate_setpoint, other.values)
     assert got.attitude_setpoint is None
     assert '/setpoint/attitude' in got.missing
@@ -372,11 +383,7 @@ def test_every_cut_gives_a_record_or_one_line(tmp_path):
     read = 0
     for length in sorted(rng.integers(0, len(whole), 60)):
         cut.write_bytes(whole[:length])
-        try:
-            read += read_bag(cut).n > 0
-        except BadInputError as error:
-            assert '\n' not in str(error)
-            assert 'cut.mcap' in str(error)
+        read += record_or_line(cut)
     assert read > 10
 
 
@@ -389,10 +396,7 @@ def test_noise_in_the_file_never_raises_anything_else(tmp_path):
         for place in rng.integers(8, len(data), 20):
             data[place] = rng.integers(256)
         spoiled.write_bytes(bytes(data))
-        try:
-            read_bag(spoiled)
-        except BadInputError as error:
-            assert '\n' not in str(error)
+        record_or_line(spoiled)
 
 
 def test_a_directory_without_metadata_is_read_with_a_warning(tmp_path):
@@ -434,7 +438,8 @@ def test_missing_topics_end_in_one_line_with_the_topic(tmp_path):
     line = refusal(only_imu)
     assert '/motors/command' in line
     assert '/control/wrench' in line
-    no_imu = write_streams(tmp_path / 'b', {'/control/wrench': Stamped(stamps, np.zeros((10, 6)))}, {})
+    wrench = Stamped(stamps, np.zeros((10, 6)))
+    no_imu = write_streams(tmp_path / 'b', {'/control/wrench': wrench}, {})
     assert '/imu/data' in refusal(no_imu)
     short = write_imu(tmp_path / 'c', stamps[:2])
     assert 'too few' in refusal(short)

@@ -187,7 +187,8 @@ GOOD = {'segment': 'train', 'signal': 'square', 'period_s': 2.0, 'duration_s': 1
     ],
 )
 def test_a_wrong_segment_is_told_with_file_number_and_key(change, named):
-    content = {'schedule': {'segments': [{'segment': 'idle', 'duration_s': 1}, {**GOOD, **change}]}}
+    segments = [{'segment': 'idle', 'duration_s': 1}, {**GOOD, **change}]
+    content = {'schedule': {'segments': segments}}
     with pytest.raises(BadInputError) as caught:
         parse_schedule(content, 'flight.yaml')
     line = str(caught.value)

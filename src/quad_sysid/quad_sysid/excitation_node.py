@@ -1,6 +1,6 @@
 """The `excitation` node: plays a schedule on /excitation/setpoint, watched by the guard.
 
-Wiring only: signals, limits and states are in signals/; parameters in excitation_parameters.py.
+Wiring only: signals, limits and states are in signals/, parameters in excitation_settings.py.
 """
 
 from __future__ import annotations
@@ -9,13 +9,22 @@ import signal
 import sys
 import time
 from collections import deque
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import rclpy
+from ament_index_python.packages import get_package_share_directory
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Vector3Stamped
-from rcl_interfaces.msg import Parameter, ParameterEvent, ParameterType, ParameterValue
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    Parameter,
+    ParameterDescriptor,
+    ParameterEvent,
+    ParameterType,
+    ParameterValue,
+)
 from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
@@ -24,12 +33,13 @@ from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import BatteryState, Imu, Joy
 from std_srvs.srv import Trigger
 
+from quad_bridge import ros_node
 from quad_bridge.errors import QuadBridgeError
 from quad_bridge.qos import EVENT, STATE, STREAM
 from quad_sysid.bags.cdr import IMU, decode
 from quad_sysid.bags.orientation import euler_angles
 from quad_sysid.errors import QuadSysidError
-from quad_sysid.excitation_parameters import declare
+from quad_sysid.excitation_settings import NUMBERS, Settings, find_schedule, settings_from
 from quad_sysid.signals.guard import Readings
 from quad_sysid.signals.player import Announcement, Player, State, Tick
 
@@ -196,6 +206,35 @@ class ExcitationNode(Node):  # type: ignore[misc]
         array = DiagnosticArray(status=[status])
         array.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(array)
+
+
+def declare(node: Any) -> Settings:
+    """Declare and read the parameters; raises BadInputError naming the file or parameter."""
+    others = ['schedule', 'autostart', 'exit_when_done', 'rate_hz', 'abort_aux']
+    ros_node.refuse_unknown(node, [*NUMBERS, *others])
+    name = ros_node.text(
+        node, 'schedule', 'schedule_rig', 'YAML file, or the name of a shipped schedule'
+    )
+    autostart = ros_node.flag(node, 'autostart', False, 'start as soon as the guard lets it')
+    exit_when_done = ros_node.flag(
+        node, 'exit_when_done', False, 'end the process with the schedule (status 0 done, 1 not)'
+    )
+    rate_hz = ros_node.integer(node, 'rate_hz', 250, (10, 1000), 'set-points per second')
+    aux = ros_node.integer(
+        node, 'abort_aux', 2, (0, 5), "channel aux 1..5 of the pilot's abort switch; 0: none"
+    )
+    numbers = {}
+    for key, (default, low, high, description) in NUMBERS.items():
+        span = FloatingPointRange(from_value=low, to_value=high, step=0.0)
+        descriptor = ParameterDescriptor(
+            description=description, read_only=True, floating_point_range=[span]
+        )
+        numbers[key] = float(node.declare_parameter(key, default, descriptor).value)
+    share = lambda: Path(get_package_share_directory('quad_sysid'))  # noqa: E731
+    return settings_from(
+        find_schedule(name, share), numbers, aux, rate_hz,
+        autostart=autostart, exit_when_done=exit_when_done,
+    )
 
 
 def segment_event(announcement: Announcement, stamp_ns: int) -> Any:

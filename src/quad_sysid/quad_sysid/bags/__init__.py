@@ -1,9 +1,11 @@
 """Recorded data in and out: bags ↔ Record, foreign tables → bags."""
 
+from quad_sysid.bags.importer import ImportOptions, import_csv, parse_units
 from quad_sysid.bags.reader import read_bag
 from quad_sysid.bags.split import parse_span, split_segments
 from quad_sysid.bags.writer import BagOptions, write_bag, write_streams
 
 __all__ = [
-    'BagOptions', 'parse_span', 'read_bag', 'split_segments', 'write_bag', 'write_streams',
+    'BagOptions', 'ImportOptions', 'import_csv', 'parse_span', 'parse_units', 'read_bag',
+    'split_segments', 'write_bag', 'write_streams',
 ]

@@ -50,7 +50,7 @@ def read_table(lines: Iterable[str], source: str, wanted: Sequence[str]) -> Tabl
         raise BadInputError(source, 'is empty', remedy='give a CSV file with a header line')
     delimiter = max(DELIMITERS, key=head[1].count)
     names = next(csv.reader([head[1]], delimiter=delimiter))
-    header = [name.strip().lstrip('\ufeff') for name in names]
+    header = [name.strip() for name in names]
     absent = [name for name in wanted if name not in header]
     if absent:
         raise BadInputError(

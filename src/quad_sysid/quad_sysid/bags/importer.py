@@ -14,7 +14,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from scipy.signal import savgol_filter
 
 from quad_sysid.bags.csv_table import Table, read_table
 from quad_sysid.bags.mixers import Mixer, mixer_of
@@ -181,7 +180,7 @@ def _lines(file: Path) -> Iterator[Iterator[str]]:
         with file.open('rb') as probe:
             packed = probe.read(2) == b'\x1f\x8b'
         opened = gzip.open if packed else open
-        with opened(file, 'rt', encoding='utf-8') as stream:
+        with opened(file, 'rt', encoding='utf-8-sig') as stream:
             yield iter(stream)
     except (OSError, EOFError, zlib.error) as error:
         reason = getattr(error, 'strerror', None) or str(error)
@@ -300,6 +299,8 @@ def _derivative(values: FloatArray, dt: float) -> tuple[FloatArray, str]:
     least 2 samples; its -3 dB frequency is some (order + 1) / (3.2 m - 4.6) of half the sample
     rate for m samples to either side. Runs too short for it stay NaN.
     """
+    from scipy.signal import savgol_filter  # slow to import, and only an angle alone needs it
+
     half = max(2, round(DERIVATIVE_HALF_WIDTH_S / dt))
     width = 2 * half + 1
     out = np.full(len(values), np.nan)

@@ -110,9 +110,7 @@ def parse_schedule(content: object, source: str) -> Schedule:
     """Read a schedule from parsed YAML; raises BadInputError naming file, segment and key."""
     top = _mapping(content, source, ('schedule',), 'the file')
     body = _mapping(top.get('schedule'), source, ('mount', 'segments', 'ramp_s'), 'schedule')
-    mount = body.get('mount', 'rig')
-    if mount not in MOUNTS:
-        raise BadInputError(source, 'mount is unknown', repr(mount), f'use {", ".join(MOUNTS)}')
+    mount = _choice(body, 'mount', 'rig', MOUNTS, source)
     listed = body.get('segments')
     if not isinstance(listed, Sequence) or isinstance(listed, str) or not listed:
         raise BadInputError(source, 'schedule needs a list of segments', repr(listed))
@@ -121,53 +119,52 @@ def parse_schedule(content: object, source: str) -> Schedule:
         _part(entry, f'{source}, segment {number}', ramp_s)
         for number, entry in enumerate(listed, 1)
     ]
-    return Schedule(tuple(parts), str(mount), source)
+    return Schedule(tuple(parts), mount, source)
 
 
 def _part(entry: object, where: str, ramp_s: float) -> Part:
     """One segment."""
     if not isinstance(entry, Mapping):
         raise BadInputError(where, 'must be a mapping of keys', repr(entry))
-    role = entry.get('segment')
-    if role not in ROLES:
-        raise BadInputError(where, 'segment is unknown', repr(role), f'use {", ".join(ROLES)}')
+    role = _choice(entry, 'segment', '', ROLES, where)
     signal = str(entry.get('signal', 'none'))
-    axis, injection = entry.get('axis', 'roll'), entry.get('injection', 'attitude')
-    if axis not in AXES:
-        raise BadInputError(where, 'axis is unknown', repr(axis), f'use {", ".join(AXES)}')
-    if injection not in AMPLITUDES:
-        raise BadInputError(
-            where, 'injection is unknown', repr(injection), f'use {", ".join(AMPLITUDES)}'
-        )
-    key, unit, default, limit = AMPLITUDES[str(injection)]
+    axis = _choice(entry, 'axis', 'roll', AXES, where)
+    injection = _choice(entry, 'injection', 'attitude', tuple(AMPLITUDES), where)
     if (role == 'idle') != (signal == 'none'):
         raise BadInputError(
             where, f'segment {role} with signal {signal}',
             remedy='idle goes with none, train and validation with a signal',
         )
-    own = {k: v for k, v in entry.items() if k not in PART_KEYS and k != key}
-    if role == 'idle':
-        _mapping(entry, where, PART_KEYS, 'an idle segment')
-        own = {}
-    elif any(k.startswith('amplitude') for k in own):
-        raise BadInputError(where, f'injection {injection} takes {key}', ', '.join(own))
-    amplitude = _number(entry, key, default, where, 0.0, limit)
     duration = _number(entry, 'duration_s', math.nan, where, 0.0)
     if duration <= 0.0:
         raise BadInputError(where, 'duration_s must be positive', duration)
-    ramp = 0.0
-    if role != 'idle':
-        ramp = _number(entry, 'ramp_s', ramp_s, where, 0.0, duration / 2.0)
+    if role == 'idle':
+        _mapping(entry, where, PART_KEYS, 'an idle segment')
+        return Part(role, duration, axis=axis, injection=injection)
+    key, unit, default, limit = AMPLITUDES[injection]
+    own = {k: v for k, v in entry.items() if k not in PART_KEYS and k != key}
+    if any(str(k).startswith('amplitude') for k in own):
+        raise BadInputError(where, f'injection {injection} takes {key}', ', '.join(map(str, own)))
     if signal == 'chirp':
         own.setdefault('sweep_s', duration)
     shape = waveform(signal, own, where)
-    parameters = {name: getattr(shape, name) for name in parameter_names(signal)}
     return Part(
-        role=str(role), duration_s=duration, signal=signal, axis=str(axis),
-        injection=str(injection), amplitude=0.0 if role == 'idle' else amplitude * unit,
-        ramp_s=ramp,
-        parameters=parameters, waveform=shape,
+        role, duration, signal, axis, injection,
+        amplitude=unit * _number(entry, key, default, where, 0.0, limit),
+        ramp_s=_number(entry, 'ramp_s', ramp_s, where, 0.0, duration / 2.0),
+        parameters={name: getattr(shape, name) for name in parameter_names(signal)},
+        waveform=shape,
     )
+
+
+def _choice(
+    entry: Mapping[str, object], key: str, default: str, allowed: Sequence[str], where: str
+) -> str:
+    """One of a few words."""
+    value = entry.get(key, default)
+    if value not in allowed:
+        raise BadInputError(where, f'{key} is unknown', repr(value), f'use {", ".join(allowed)}')
+    return str(value)
 
 
 def _mapping(value: object, where: str, keys: Sequence[str], what: str) -> Mapping[str, object]:

@@ -1,0 +1,88 @@
+"""Parameters of the `excitation` node: names, ranges, units, and what they become.
+
+Needs no ROS; declaring them is the node's business.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from quad_sysid.errors import BadInputError
+from quad_sysid.schedule_file import load_schedule
+from quad_sysid.signals.guard import Limits
+from quad_sysid.signals.schedule import Schedule
+
+FIRST_AUX = 4
+
+NUMBERS = {
+    'angle_limit_deg': (25.0, 1.0, 60.0, 'angle at which the excitation ends, degrees'),
+    'imu_stale_s': (0.2, 0.02, 2.0, 'age of /imu/data at which it ends, s'),
+    'rc_stale_s': (1.0, 0.1, 10.0, 'age of /rc/in at which it ends, once heard, s'),
+    'battery_min_v': (0.0, 0.0, 100.0, 'pack voltage below which it ends, V; 0: not checked'),
+    'stick_dead_band': (0.1, 0.0, 1.0, 'rig: stick deflection that ends it, 0..1'),
+    'hover_deflection': (0.6, 0.0, 1.0, 'hover: stick deflection that ends it, 0..1'),
+    'abort_threshold': (0.5, -1.0, 1.0, 'value of the abort switch that ends it, -1..1'),
+    'ramp_out_s': (0.5, 0.0, 5.0, 'time to take the excitation back after an abort, s'),
+    'amplitude_scale': (1.0, 0.05, 1.0, 'factor on all amplitudes of the schedule'),
+}
+
+
+"""Name → default, lowest, highest, description."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What the node was started with."""
+
+    schedule: Schedule
+    limits: Limits
+    ramp_out_s: float
+    rate_hz: int
+    abort_axis: int | None
+    """Index into the axes of /rc/in; None: no switch."""
+    autostart: bool
+    exit_when_done: bool
+
+
+def settings_from(
+    schedule: Path, numbers: Mapping[str, float], aux: int, rate_hz: int,
+    *, autostart: bool, exit_when_done: bool,
+) -> Settings:
+    """Put the parameters' values together; raises BadInputError where the schedule is wrong."""
+    loaded = load_schedule(schedule).scaled(numbers['amplitude_scale'])
+    limits = Limits(
+        mount=loaded.mount, angle_rad=math.radians(numbers['angle_limit_deg']),
+        imu_stale_s=numbers['imu_stale_s'], rc_stale_s=numbers['rc_stale_s'],
+        battery_min_v=numbers['battery_min_v'], stick_dead_band=numbers['stick_dead_band'],
+        hover_deflection=numbers['hover_deflection'],
+        abort_threshold=numbers['abort_threshold'],
+    )
+    return Settings(
+        loaded, limits, numbers['ramp_out_s'], rate_hz, FIRST_AUX + aux - 1 if aux else None,
+        autostart, exit_when_done,
+    )
+
+
+def find_schedule(name: str, share: Callable[[], Path]) -> Path:
+    """Path of a schedule: as given, or shipped under that name in the share directory."""
+    given = Path(name).expanduser()
+    if given.suffix or given.exists():
+        return given
+    try:
+        folder = share() / 'config'
+    except KeyError as error:
+        raise BadInputError(
+            'parameter schedule', 'names no file and the package is not installed', repr(name),
+            'give the path of a YAML file',
+        ) from error
+    shipped = folder / f'{name}.yaml'
+    if not shipped.exists():
+        known = ', '.join(sorted(p.stem for p in folder.glob('schedule_*.yaml')))
+        raise BadInputError(
+            'parameter schedule', 'is neither a file nor a shipped schedule', repr(name),
+            f'shipped are {known}',
+        )
+    return shipped
