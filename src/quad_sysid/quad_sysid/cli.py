@@ -10,15 +10,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from quad_sysid.bags import parse_span, read_bag, split_segments
+from quad_sysid import session
+from quad_sysid.bags import parse_span, read_bag
 from quad_sysid.bags.importer import ImportOptions, import_csv, parse_units
 from quad_sysid.contract import AXES
-from quad_sysid.designers import find_designer
 from quad_sysid.errors import BadInputError, QuadSysidError
 from quad_sysid.pipeline.evaluate import evaluate
-from quad_sysid.pipeline.identify import Options, identify
-from quad_sysid.record import Record
-from quad_sysid.report import document, store, text
+from quad_sysid.report import document, text
 from quad_sysid.report.model_file import load_models
 from quad_sysid.signals.design import design_excitation
 
@@ -134,53 +132,23 @@ def _design_parser(commands: Any) -> None:
 
 
 def _identify(options: argparse.Namespace) -> int:
-    records = [_record(bag, options) for bag in options.bags]
-    designer, missing = find_designer()
-    axes = () if options.axis is None else AXES if options.axis == 'all' else (options.axis,)
-    answers = identify(
-        records,
-        Options(axes=axes, designer=designer, no_designer_because=missing,
-                search_effects=not options.no_effects),
+    outcome = session.run(
+        session.Request(
+            bags=tuple(options.bags), axes=session.axes_of(options.axis),
+            train=options.train or '', validate=options.validate or '', out=options.out or '',
+            inertia=options.inertia or '', search_effects=not options.no_effects,
+        ),
         _progress(options),
     )
-    report = document.document(answers, options.bags, _inertia(options.inertia))
-    folder = Path(options.out) if options.out else store.free_folder(
-        Path(f'{Path(options.bags[0]).resolve().stem}_identified')
-    )
-    store.write(folder, report, answers)
     if options.json:
-        print(json.dumps(report, indent=1))
+        print(json.dumps(outcome.report, indent=1))
     elif not options.quiet:
-        print('\n'.join(text.lines(report)))
-        print(f'\nreport in {folder}')
-    unanswered = [a for a in answers.values() if not a.answered]
-    if len(unanswered) == len(answers):
-        reasons = '; '.join(dict.fromkeys(a.reason for a in unanswered))
-        print(f'quad-sysid: {options.bags[0]}: {reasons}', file=sys.stderr)
+        print('\n'.join(text.lines(outcome.report)))
+        print(f'\nreport in {outcome.folder}')
+    if not outcome.answered:
+        print(f'quad-sysid: {options.bags[0]}: {outcome.reasons}', file=sys.stderr)
         return NOT_ANSWERED
     return DONE
-
-
-def _record(bag: str, options: argparse.Namespace) -> Record:
-    record = read_bag(bag)
-    train = parse_span(options.train, '--train') if options.train else None
-    validate = parse_span(options.validate, '--validate') if options.validate else None
-    axes = None if options.axis is None else AXES if options.axis == 'all' else (options.axis,)
-    return split_segments(record, train, validate, axes)
-
-
-def _inertia(given: str | None) -> dict[str, float] | None:
-    if given is None:
-        return None
-    parts = given.split(',')
-    try:
-        values = [float(part) for part in parts]
-    except ValueError:
-        values = []
-    if len(values) != len(AXES) or not all(0.0 < v < 1e3 for v in values):
-        raise BadInputError('--inertia', 'needs three positive numbers IX,IY,IZ', repr(given),
-                            'for example --inertia 0.0135,0.014,0.024')
-    return dict(zip(AXES, values, strict=True))
 
 
 def _progress(options: argparse.Namespace) -> Any:

@@ -19,7 +19,7 @@ from numba import njit
 
 QUADRATIC, COULOMB, PENDULUM, CUBIC, RATE_CURVE, ANGLE_CURVE, RATE_TIMES, SIGNAL = range(1, 9)
 
-_OPTIONS = {'cache': True, 'error_model': 'numpy', 'fastmath': {'contract', 'nsz', 'arcp'}}
+_OPTIONS = {'cache': True, 'nogil': True, 'error_model': 'numpy', 'fastmath': {'contract', 'nsz', 'arcp'}}
 
 
 @njit(inline='always', **_OPTIONS)

@@ -1,0 +1,185 @@
+"""The `identification` node: when a bag is complete it identifies, reports, and proposes gains.
+
+Wiring only: the work is session.run, in a thread of its own so that the node goes on answering.
+"""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rcl_interfaces.msg import (
+    Parameter,
+    ParameterDescriptor,
+    ParameterEvent,
+    ParameterType,
+    ParameterValue,
+)
+from rclpy.node import Node
+from std_srvs.srv import Trigger
+
+from quad_bridge import ros_node
+from quad_bridge.errors import QuadBridgeError
+from quad_bridge.qos import EVENT, STATE
+from quad_sysid import session
+from quad_sysid.errors import QuadSysidError
+from quad_sysid.report.store import free_folder
+
+PARAMETERS = ('out', 'axes', 'auto_update', 'train', 'validate', 'inertia')
+
+
+class IdentificationNode(Node):  # type: ignore[misc]
+    """Topics, services and the worker around session.run."""
+
+    def __init__(self) -> None:
+        super().__init__('identification')
+        ros_node.refuse_unknown(self, PARAMETERS)
+        self._out = ros_node.text(
+            self, 'out', '', 'folder of the report; empty: <bag>_identified beside the bag'
+        )
+        self._auto_update = ros_node.flag(
+            self, 'auto_update', False, 'publish gains that are better and safe'
+        )
+        self._request = session.Request(
+            bags=(), axes=_axes(self),
+            train=ros_node.text(self, 'train', '', 'A:B, s; empty: as the bag says'),
+            validate=ros_node.text(self, 'validate', '', 'A:B, s; empty: as the bag says'),
+            inertia=ros_node.text(self, 'inertia', '', 'IX,IY,IZ, kg m²; adds torques in N m'),
+        )
+        self._bag = ''
+        self._done: set[str] = set()
+        self._values: dict[str, str] = {'state': 'waiting'}
+        self._level = DiagnosticStatus.OK
+        self._worker: threading.Thread | None = None
+        self._outcome: session.Outcome | str | None = None
+        self._gains = self.create_publisher(ParameterEvent, '/gains/update', EVENT)
+        self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', EVENT)
+        self.create_subscription(ParameterEvent, '/logger/bag', self._on_bag, STATE)
+        self.create_service(Trigger, '~/identify', self._on_identify)
+        self.create_timer(0.2, self._collect)
+        self.create_timer(1.0, self._report)
+        self.get_logger().info('waits for /logger/bag to say complete')
+
+    def _on_bag(self, event: Any) -> None:
+        pairs = [(p.name, p.value.string_value) for p in event.changed_parameters]
+        bag = session.bag_is_complete(pairs)
+        if bag and bag not in self._done:
+            self._bag = bag
+            self._start()
+
+    def _on_identify(self, request: Any, response: Any) -> Any:
+        del request
+        if self._worker is not None:
+            response.success, response.message = False, f'{self._bag} is still being identified'
+        elif not self._bag:
+            response.success, response.message = False, 'no complete bag on /logger/bag yet'
+        else:
+            self._start()
+            response.success, response.message = True, f'identifying {self._bag}'
+        return response
+
+    def _start(self) -> None:
+        if self._worker is not None:
+            self.get_logger().warning(f'{self._bag} waits: an identification still runs')
+            return
+        self._done.add(self._bag)
+        self._say(DiagnosticStatus.OK, state='identifying', bag=self._bag)
+        self._worker = threading.Thread(target=self._work, args=(self._bag,), daemon=True)
+        self._worker.start()
+
+    def _work(self, bag: str) -> None:
+        """Runs outside the executor; leaves its result for `_collect`."""
+        default = Path(bag).with_name(f'{Path(bag).stem}_identified')
+        folder = free_folder(Path(self._out) if self._out else default)
+        request = session.Request(
+            (bag,), self._request.axes, self._request.train, self._request.validate,
+            str(folder), self._request.inertia,
+        )
+        try:
+            self._outcome = session.run(request)
+        except QuadSysidError as error:
+            self._outcome = str(error)
+        except Exception as error:  # noqa: BLE001 - a fault here must not take the node down
+            self.get_logger().error(f'identification failed: {error!r}')
+            self._outcome = f'fault of the program: {error!r}'
+
+    def _collect(self) -> None:
+        if self._outcome is None:
+            return
+        outcome, bag = self._outcome, self._bag
+        self._outcome, self._worker = None, None
+        if isinstance(outcome, str):
+            self.get_logger().error(outcome)
+            self._say(DiagnosticStatus.ERROR, state='failed', reason=outcome, bag=bag)
+            return
+        verdicts = {axis: answer.verdict for axis, answer in outcome.answers.items()}
+        self.get_logger().info(f'{bag}: {verdicts}, report in {outcome.folder}')
+        self._say(
+            DiagnosticStatus.OK if outcome.answered else DiagnosticStatus.WARN,
+            state='done', bag=bag, report=str(outcome.folder / 'report.json'),
+            update=self._update(outcome, bag), **verdicts,
+        )
+
+    def _update(self, outcome: session.Outcome, bag: str) -> str:
+        """Publish the gains where that is asked for; what was done, or why not."""
+        for axis, reason in outcome.refusals().items():
+            self.get_logger().warning(f'{axis}: no gains: {reason}')
+        wanted = outcome.wanted_gains()
+        if not wanted:
+            return 'none: ' + '; '.join(outcome.refusals().values())
+        if not self._auto_update:
+            self.get_logger().info(f'gains not sent (auto_update is off): {wanted}')
+            return 'not sent: auto_update is off'
+        self._gains.publish(gains_event(wanted, f'identification of {bag}', self._now()))
+        self.get_logger().info(f'gains sent: {wanted}')
+        return 'sent'
+
+    def _now(self) -> Any:
+        return self.get_clock().now().to_msg()
+
+    def _say(self, level: bytes, **values: str) -> None:
+        self._level, self._values = level, values
+        self._report()
+
+    def _report(self) -> None:
+        status = DiagnosticStatus(
+            level=self._level, name=f'{self.get_name()}: identification',
+            message=self._values.get('reason', self._values['state']),
+            values=[KeyValue(key=key, value=value) for key, value in self._values.items()],
+        )
+        array = DiagnosticArray(status=[status])
+        array.header.stamp = self._now()
+        self._diagnostics.publish(array)
+
+    def close(self) -> None:
+        """Nothing to close: an identification that still runs ends with the process."""
+
+
+def gains_event(gains: dict[str, float], source: str, stamp: Any) -> Any:
+    """Build the message of /gains/update."""
+    event = ParameterEvent(node='/identification', stamp=stamp)
+    for name, value in gains.items():
+        content = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value)
+        event.changed_parameters.append(Parameter(name=name, value=content))
+    text = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=source)
+    event.changed_parameters.append(Parameter(name='source', value=text))
+    return event
+
+
+def _axes(node: Any) -> tuple[str, ...]:
+    """The parameter `axes`; empty: what the bag says was excited."""
+    descriptor = ParameterDescriptor(
+        description='axes to identify; empty: those that the bag excites', read_only=True
+    )
+    given = node.declare_parameter('axes', [''], descriptor).value
+    try:
+        return tuple(axis for name in given if name for axis in session.axes_of(name))
+    except QuadSysidError as error:
+        raise QuadBridgeError(f'identification: parameter axes: {error}') from error
+
+
+def main() -> None:
+    """Spin until interrupted."""
+    ros_node.run(IdentificationNode, 'identification')

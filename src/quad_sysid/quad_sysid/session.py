@@ -1,0 +1,123 @@
+"""One identification from bags to the files a user keeps; what the command and the node share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from quad_sysid.bags import parse_span, read_bag, split_segments
+from quad_sysid.contract import AXES
+from quad_sysid.designers import find_designer
+from quad_sysid.errors import BadInputError
+from quad_sysid.pipeline.answer import AxisAnswer
+from quad_sysid.pipeline.identify import Options, identify
+from quad_sysid.report import document, store
+
+
+@dataclass(frozen=True)
+class Request:
+    """What is asked; empty strings and tuples mean what the command's help says is the default."""
+
+    bags: tuple[str, ...]
+    axes: tuple[str, ...] = ()
+    train: str = ''
+    validate: str = ''
+    out: str = ''
+    inertia: str = ''
+    search_effects: bool = True
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came out, and where it lies."""
+
+    folder: Path
+    report: Mapping[str, Any]
+    answers: Mapping[str, AxisAnswer]
+
+    @property
+    def answered(self) -> bool:
+        """Whether any axis that was asked for could be answered."""
+        return any(answer.answered for answer in self.answers.values())
+
+    @property
+    def reasons(self) -> str:
+        """Why axes could not be answered, in one line."""
+        return '; '.join(
+            dict.fromkeys(a.reason for a in self.answers.values() if not a.answered)
+        )
+
+    def wanted_gains(self) -> dict[str, float]:
+        """The gains of all axes whose designer proposed some."""
+        wanted: dict[str, float] = {}
+        for answer in self.answers.values():
+            if answer.proposal is not None and answer.proposal.gains is not None:
+                wanted.update(answer.proposal.gains)
+        return wanted
+
+    def refusals(self) -> dict[str, str]:
+        """By axis, why there are no gains."""
+        return {
+            axis: answer.proposal.refused_because
+            for axis, answer in self.answers.items()
+            if answer.proposal is not None and answer.proposal.gains is None
+        }
+
+
+def run(request: Request, progress: Callable[[str], None] = lambda _: None) -> Outcome:
+    """Read, identify, design, write. Raises QuadSysidError for what a user can mend."""
+    inertia = parse_inertia(request.inertia)
+    train = parse_span(request.train, '--train') if request.train else None
+    validate = parse_span(request.validate, '--validate') if request.validate else None
+    records = []
+    for bag in request.bags:
+        progress(f'reading {bag}')
+        records.append(split_segments(read_bag(bag), train, validate, request.axes or None))
+    designer, missing = find_designer()
+    answers = identify(
+        records,
+        Options(axes=request.axes, designer=designer, no_designer_because=missing,
+                search_effects=request.search_effects),
+        progress,
+    )
+    report = document.document(answers, request.bags, inertia)
+    folder = Path(request.out) if request.out else store.free_folder(
+        Path(f'{Path(request.bags[0]).resolve().stem}_identified')
+    )
+    progress(f'writing {folder}')
+    store.write(folder, report, answers)
+    progress('')
+    return Outcome(folder, report, answers)
+
+
+def axes_of(name: str | None) -> tuple[str, ...]:
+    """The axes an option names: one, `all`, or nothing for what the bag excites."""
+    if not name:
+        return ()
+    if name == 'all':
+        return AXES
+    if name not in AXES:
+        raise BadInputError('axis', f'must be of {", ".join(AXES)}, all', repr(name))
+    return (name,)
+
+
+def parse_inertia(given: str) -> dict[str, float] | None:
+    """`IX,IY,IZ` in kg m² by axis; None for an empty string."""
+    if not given:
+        return None
+    try:
+        values = [float(part) for part in given.split(',')]
+    except ValueError:
+        values = []
+    if len(values) != len(AXES) or not all(0.0 < v < 1e3 for v in values):
+        raise BadInputError('--inertia', 'needs three positive numbers IX,IY,IZ', repr(given),
+                            'for example --inertia 0.0135,0.014,0.024')
+    return dict(zip(AXES, values, strict=True))
+
+
+def bag_is_complete(event: Sequence[tuple[str, str]]) -> str:
+    """The path in a /logger/bag event that says complete, else an empty string."""
+    values = dict(event)
+    return values.get('path', '') if values.get('state') == 'complete' else ''
