@@ -98,8 +98,11 @@ class Chips(NamedTuple):
 
 
 def butterworth(cutoff_hz: float, step_s: float) -> FloatArray:
-    """(5,) b0 b1 b2 a1 a2 of the 2nd-order Butterworth low-pass, bilinear, prewarped."""
-    k = math.tan(math.pi * cutoff_hz * step_s)
+    """(5,) b0 b1 b2 a1 a2 of the 2nd-order Butterworth low-pass, bilinear.
+
+    Not prewarped: its delay at low frequency is then exactly the continuous filter's.
+    """
+    k = math.pi * cutoff_hz * step_s
     norm = 1.0 / (1.0 + math.sqrt(2.0) * k + k * k)
     b0 = k * k * norm
     return np.array(
