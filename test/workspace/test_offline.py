@@ -22,7 +22,9 @@ def offline_modules() -> list[str]:
         root = ROOT / 'src' / package
         for path in sorted((root / package).rglob('*.py')):
             inside = path.relative_to(root)
-            if not path.name.endswith(('_node.py', '_parameters.py')) and 'demo' not in inside.parts:
+            nodes = {p.stem.removesuffix('_node') for p in path.parent.glob('*_node.py')}
+            of_a_node = any(path.stem.startswith(f'{name}_') for name in nodes)
+            if not of_a_node and 'demo' not in inside.parts:
                 names.append('.'.join(inside.with_suffix('').parts).removesuffix('.__init__'))
     return names
 
