@@ -7,7 +7,7 @@ from setuptools import find_packages, setup
 
 PACKAGE = 'quad_tuning'
 
-NODES = ['demo = quad_tuning.demo.main:main']
+NODES = ['demo = quad_tuning.demo.main:main', 'design = quad_tuning.cli:design_main']
 """Names for `ros2 run` alone: colcon calls setup.py develop or install, pip builds a wheel."""
 IN_WORKSPACE = bool({'develop', 'install'} & set(sys.argv))
 
@@ -28,5 +28,8 @@ setup(
     zip_safe=False,
     license='Apache-2.0',
     description='PID and LQR design on identified quadrotor models.',
-    entry_points={'console_scripts': NODES if IN_WORKSPACE else []},
+    entry_points={
+        'console_scripts': ['quad-tune = quad_tuning.cli:main', *(NODES if IN_WORKSPACE else [])],
+        'quad_sysid.designers': ['pid = quad_tuning.designer:design'],
+    },
 )

@@ -143,16 +143,17 @@ def test_effects_become_curves_with_the_contracts_signs():
             _effect('battery_sag', {'reference_v': 12.0}, exponent=2.0),
             _effect('gyroscopic_coupling', coefficient=1.0),
             _effect('shape:rate', {'knots': [-1.0, 0.0, 1.0], 'values': [0.5, 0.0, -0.5]}),
+            _effect('shape:command', {'knots': [-0.2, 0.2], 'values': [-0.02, 0.02]}),
         )
     )
     assert plant.gain == pytest.approx(450.0 * (11.0 / 12.0) ** 2)
     np.testing.assert_allclose(
-        plant.rate_curve([-2.0, 0.5]), [3.0 + 0.4 + 0.5, -3.0 - 0.025 - 0.25], atol=1e-3
+        plant.rate_curve([-2.0, 0.5]), [3.0 + 0.4 + 0.75, -3.0 - 0.025 - 0.25], atol=1e-3
     )
     np.testing.assert_allclose(
         plant.angle_curve([0.3]), [-12 * np.sin(0.3) - 5 * 0.027], atol=1e-3
     )
-    np.testing.assert_allclose(plant.command_curve([-0.1, 0.005]), [-0.09, 0.0], atol=1e-9)
+    np.testing.assert_allclose(plant.command_curve([-0.1, 0.005]), [-0.099, 0.0], atol=1e-6)
     assert plant.bias == 0.2
 
 

@@ -33,6 +33,12 @@ def check_model(model: AxisModel) -> None:
         raise DesignRefusedError(
             f'{model.axis}: the model has no covariance, so no margin can be assured'
         )
+    size = len(model.parameter_names)
+    if np.shape(model.covariance) != (size, size):
+        raise DesignRefusedError(
+            f'{model.axis}: the covariance is {np.shape(model.covariance)}, the parameters are '
+            f'{size}; identify again'
+        )
     _check_uncertainty(model)
 
 
@@ -43,7 +49,7 @@ def _check_uncertainty(model: AxisModel) -> None:
         value, std = model.value(name), float(known.get(name, np.nan))
         if name == 'gain' and not math.isfinite(std):
             raise DesignRefusedError(f'{model.axis}: the covariance lacks the plant gain')
-        if std > largest * abs(value):
+        if std > max(largest * abs(value), model.dt if name == 'lag' else 0.0):
             raise DesignRefusedError(
                 f'{model.axis}: {name} {value:.4g} +- {std:.2g} is too uncertain (at most '
                 f'{100 * largest:.0f} %); fly a longer or stronger excitation'

@@ -74,8 +74,9 @@ FACTORS = ('battery_sag',)
 def loop_plant(model: AxisModel) -> LoopPlant:
     """The plant of the closed loop at the flight's mean battery voltage.
 
-    Shapes (`shape:rate`, `shape:angle`, `shape:command`) are taken from settings `knots` (x) and
-    `values` (y) where both are there. Raises BadInputError for parameters that are not finite.
+    Shapes (`shape:rate`, `shape:angle` as torques, `shape:command` added to the command) are taken
+    from settings `knots` and `values` where both are there. Raises BadInputError for parameters
+    that are not finite.
     """
     tables: dict[str, list[Function]] = {'rate': [], 'angle': [], 'command': []}
     finest = RATE_RANGE / 600.0
@@ -134,7 +135,13 @@ def _shape(effect: EffectEstimate) -> Function | None:
     y = np.asarray(values if values is not None else (), dtype=float)
     if x.ndim != 1 or x.size < 2 or x.shape != y.shape:
         return None
-    return lambda at: np.asarray(np.interp(at, x, y))
+    if signal == 'command':  # added to the command; held outside its knots
+        return lambda u: u + np.interp(u, x, y)
+    # a torque goes on for half a knot outside, then is held (greybox/kernels.py, curve)
+    first, last = 0.5 * (x[1] - x[0]), 0.5 * (x[-1] - x[-2])
+    x_wide = np.concatenate(([x[0] - first], x, [x[-1] + last]))
+    y_wide = np.concatenate(([1.5 * y[0] - 0.5 * y[1]], y, [1.5 * y[-1] - 0.5 * y[-2]]))
+    return lambda at: np.asarray(np.interp(at, x_wide, y_wide))
 
 
 def _sum(functions: list[Function], half_width: float, step: float) -> Curve | None:

@@ -1,0 +1,170 @@
+"""`quad-tune design`: gains from a model.json, as a table or as JSON. Wiring only, no maths.
+
+Exit status by the contract: 0 done, 2 bad input (one line on stderr), 3 no axis could be answered.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NoReturn
+
+from quad_sysid.contract import AXES
+from quad_sysid.errors import BadInputError, QuadSysidError
+from quad_sysid.model import AxisModel
+from quad_sysid.report.model_file import load_models
+from quad_tuning.bounds import BOUNDS
+from quad_tuning.designer import design
+from quad_tuning.errors import DesignRefusedError, QuadTuningError
+
+SCHEMA = 'quad_tuning/design/1'
+NO_ANSWER = 3
+
+ROWS: tuple[tuple[str, str, str], ...] = (
+    ('phase_margin_deg', 'phase margin', 'deg'),
+    ('worst_phase_margin_deg', '  worst of the draws', 'deg'),
+    ('gain_margin_db', 'gain margin', 'dB'),
+    ('worst_gain_margin_db', '  worst of the draws', 'dB'),
+    ('peak_sensitivity', 'peak sensitivity', ''),
+    ('worst_peak_sensitivity', '  worst of the draws', ''),
+    ('crossover_rad_s', 'crossover', 'rad/s'),
+    ('bandwidth_rad_s', 'bandwidth', 'rad/s'),
+    ('rise_time_s', 'rise time', 's'),
+    ('overshoot_pct', 'overshoot', '%'),
+    ('settling_time_s', 'settling time', 's'),
+    ('rms_tracking_rad', 'RMS error, square wave', 'rad'),
+    ('disturbance_rms_rad', 'RMS angle, torque step', 'rad'),
+    ('motor_noise_rms', 'noise at the motors', ''),
+)
+"""Figure, its name in the table, unit."""
+
+
+class _Parser(argparse.ArgumentParser):
+    """Says what is wrong in one line."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f'{self.prog}: {message}; see --help\n')
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """`quad-tune`: the exit status of the command that was asked for."""
+    parser = _Parser(prog='quad-tune', description='Gains from identified models.')
+    commands = parser.add_subparsers(dest='command', required=True)
+    _arguments(commands.add_parser('design', help='gains from a model.json, with margins'))
+    return _run(parser.parse_args(argv))
+
+
+def design_main(argv: Sequence[str] | None = None) -> int:
+    """`ros2 run quad_tuning design`: the same as `quad-tune design`."""
+    parser = _Parser(prog='design', description='Gains from a model.json, with margins.')
+    _arguments(parser)
+    return _run(parser.parse_args(argv))
+
+
+def _arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument('model', type=Path, metavar='MODEL.json')
+    parser.add_argument('--method', choices=('pid', 'lqr'), default='pid')
+    parser.add_argument('--axis', choices=(*AXES, 'all'), default='all')
+    parser.add_argument('--json', action='store_true', help='print JSON instead of the table')
+    parser.add_argument('--out', type=Path, metavar='FILE', help='write the JSON there too')
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    try:
+        models = load_models(arguments.model)
+        axes = _wanted(models, arguments.axis, str(arguments.model))
+        answers = {axis: _answer(models[axis], arguments.method) for axis in axes}
+        tree = {'schema': SCHEMA, 'method': arguments.method, 'axes': answers}
+        text = json.dumps(tree, indent=1, allow_nan=False)
+        if arguments.out is not None:
+            _write(arguments.out, text)
+    except (QuadSysidError, QuadTuningError) as error:
+        print(f'quad-tune: {error}', file=sys.stderr)
+        return getattr(error, 'exit_status', 2)
+    if arguments.json:
+        print(text)
+    else:
+        for axis, answer in answers.items():
+            print(_table(axis, arguments.method, answer))
+    refusals = [a['refused_because'] for a in answers.values() if a['refused_because']]
+    if len(refusals) == len(answers):
+        print(f'quad-tune: no gains: {" | ".join(refusals)}', file=sys.stderr)
+        return NO_ANSWER
+    return 0
+
+
+def _wanted(models: Mapping[str, AxisModel], axis: str, file: str) -> list[str]:
+    if axis == 'all':
+        return list(models)
+    if axis not in models:
+        raise BadInputError(
+            f'{file}: axes', f'holds no model of {axis}', ', '.join(models),
+            'ask for another --axis or identify it',
+        )  # fmt: skip
+    return [axis]
+
+
+def _answer(model: AxisModel, method: str) -> dict[str, Any]:
+    if method == 'pid':
+        proposal = design(model)
+        gains = None if proposal.gains is None else dict(proposal.gains)
+        return {
+            'gains': gains,
+            'refused_because': proposal.refused_because,
+            'figures': dict(proposal.figures),
+        }
+    from quad_tuning.lqr_proposal import propose_lqr  # python-control takes its time
+
+    try:
+        found = propose_lqr(model)
+    except DesignRefusedError as refusal:
+        return {'controller': None, 'refused_because': str(refusal), 'figures': {}}
+    c = found.controller
+    return {
+        'controller': {
+            'a': c.a.tolist(),
+            'b': c.b.tolist(),
+            'c': c.c.tolist(),
+            'feedback': c.feedback.tolist(),
+            'integral_gain': c.integral_gain,
+            'observer': c.observer.tolist(),
+            'dt': c.dt,
+            'output_limit': c.output_limit,
+        },
+        'refused_because': '',
+        'figures': found.figures,
+    }
+
+
+def _table(axis: str, method: str, answer: Mapping[str, Any]) -> str:
+    if answer['refused_because']:
+        return f'{axis} ({method}): no gains: {answer["refused_because"]}\n'
+    figures = answer['figures']
+    lines = [f'{axis} ({method}), over {figures["draws"]:.0f} draws of the model']
+    lines.append(f'  {"":24}{"flown":>12}{"new":>12}  unit')
+    for name, value in (answer.get('gains') or {}).items():
+        unit = BOUNDS[name.partition('.')[2]].unit
+        lines.append(_row(name, figures.get(f'{name}_before'), value, unit))
+    for key, name, unit in ROWS:
+        if key in figures or f'{key}_before' in figures:
+            lines.append(_row(name, figures.get(f'{key}_before'), figures.get(key), unit))
+    return '\n'.join(lines) + '\n'
+
+
+def _row(name: str, before: float | None, after: float | None, unit: str) -> str:
+    cells = ''.join(f'{"-" if value is None else f"{value:.4g}":>12}' for value in (before, after))
+    return f'  {name:24}{cells}  {unit}'.rstrip()
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        path.write_text(text + '\n', encoding='utf-8')
+    except OSError as error:
+        raise BadInputError(str(path), 'cannot be written', error.strerror) from error
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,66 @@
+"""From an axis model to an LQR with figures, or a refusal; the same admission as the cascade's.
+
+Apart from designer.py because python-control is slow to import and the node has no need of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from quad_sysid.loop.from_model import loop_plant
+from quad_sysid.model import AxisModel
+from quad_tuning import ensemble as ensembles
+from quad_tuning.admission import check_band, check_model, flown_gains
+from quad_tuning.assess import assess
+from quad_tuning.designer import SEED, loop_figures
+from quad_tuning.errors import DesignRefusedError
+from quad_tuning.lqr import LqrController, LqrDesign, design_lqr
+
+
+@dataclass(frozen=True)
+class LqrProposal:
+    """A controller for one axis with its figures; `<name>_before` is the cascade that flew."""
+
+    controller: LqrController
+    figures: dict[str, float]
+
+
+def propose_lqr(model: AxisModel) -> LqrProposal:
+    """An LQR for the angle of one axis; raises DesignRefusedError with the reason."""
+    check_model(model)
+    active = flown_gains(model)
+    plant = loop_plant(model)
+    loops = ensembles.build(model, np.random.default_rng(SEED))
+    before = assess(plant, active, loops)
+    check_band(model, before.crossover_rad_s)
+    try:
+        found = design_lqr(plant, loops, active.output_limit)
+    except DesignRefusedError as refusal:
+        raise DesignRefusedError(f'{model.axis}: {refusal}') from refusal
+    figures = _figures(found)
+    old = loop_figures(before)
+    figures.update({f'{name}_before': old[name] for name in figures})
+    figures['draws'] = float(loops.draws)
+    figures['control_weight'] = found.control_weight
+    return LqrProposal(
+        controller=found.controller,
+        figures={name: value for name, value in figures.items() if np.isfinite(value)},
+    )
+
+
+def _figures(found: LqrDesign) -> dict[str, float]:
+    return {
+        'phase_margin_deg': float(found.nominal.phase_margin_deg[0]),
+        'gain_margin_db': float(found.nominal.gain_margin_db[0]),
+        'peak_sensitivity': float(found.nominal.peak_sensitivity[0]),
+        'crossover_rad_s': float(found.nominal.crossover_rad_s[0]),
+        'worst_phase_margin_deg': float(found.worst.phase_margin_deg[0]),
+        'worst_gain_margin_db': float(found.worst.gain_margin_db[0]),
+        'worst_peak_sensitivity': float(found.worst.peak_sensitivity[0]),
+        'rise_time_s': found.square.rise_time_s,
+        'overshoot_pct': found.square.overshoot_pct,
+        'settling_time_s': found.square.settling_time_s,
+        'rms_tracking_rad': found.square.rms_error_rad,
+    }

@@ -1,0 +1,102 @@
+"""Bounds, steps and polarity: what must never reach an aircraft is refused by name."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from quad_sysid.loop.cascade import CascadeGains
+from quad_sysid.model import EffectEstimate, Parameter
+from quad_tuning.bounds import (
+    check_bounds,
+    check_finite,
+    check_polarity,
+    check_step,
+    reachable,
+    steps_to,
+)
+from quad_tuning.errors import DesignRefusedError
+
+
+@pytest.mark.parametrize('value', [float('nan'), float('inf'), -float('inf'), True])
+def test_values_that_are_no_number_are_refused(value):
+    with pytest.raises(DesignRefusedError, match=r'roll\.rate\.kp: must be finite'):
+        check_finite({'roll.rate.kp': value})
+
+
+@pytest.mark.parametrize(
+    'gains', [{'roll.angle.kp': 16.0}, {'roll.rate.kp': -0.01}, {'roll.rate.kd': 0.03}]
+)
+def test_hard_bounds(gains):
+    with pytest.raises(DesignRefusedError, match='must lie in'):
+        check_bounds(gains)
+
+
+def test_a_name_no_designer_may_change_is_refused():
+    with pytest.raises(DesignRefusedError, match='no gain that a designer may change'):
+        check_bounds({'roll.rate.d_filter_hz': 30.0})
+
+
+def test_one_update_changes_a_gain_by_two_at_most_or_by_the_small_step():
+    active = {'roll.rate.kp': 0.07, 'roll.rate.kd': 0.0}
+    check_step({'roll.rate.kp': 0.139, 'roll.rate.kd': 0.0005}, active)
+    with pytest.raises(DesignRefusedError, match='go there in steps'):
+        check_step({'roll.rate.kp': 0.142}, active)
+    with pytest.raises(DesignRefusedError, match='go there in steps'):
+        check_step({'roll.rate.kd': 0.0006}, active)
+    with pytest.raises(DesignRefusedError, match='active value is not known'):
+        check_step({'roll.rate.kp': 0.07}, {})
+
+
+def test_reachable_stays_inside_the_bounds_and_the_factor_in_float32():
+    low, high = reachable('rate_kp', 0.07)
+    assert np.float32(high) / np.float32(0.07) < 2.0
+    assert np.float32(0.07) / np.float32(low) < 2.0
+    assert reachable('angle_kp', 14.0)[1] == 15.0
+    with pytest.raises(DesignRefusedError, match='further than'):
+        reachable('angle_kp', 40.0)
+
+
+def test_a_large_change_goes_in_steps_each_of_which_passes():
+    active = CascadeGains.default('roll')
+    wanted = dataclasses.replace(active, angle_kp=14.0, rate_kd=0.0)
+    path = steps_to(wanted, active)
+    assert path[-1] == wanted
+    assert len(path) >= 3
+    now = active
+    for following in path:
+        check_step(following.to_mapping('roll'), now.to_mapping('roll'))
+        now = following
+    with pytest.raises(DesignRefusedError, match='outside the hard bounds'):
+        steps_to(dataclasses.replace(active, angle_kp=20.0), active)
+
+
+@pytest.mark.parametrize(
+    ('values', 'stds', 'said'),
+    [
+        ({'gain': -450.0}, {}, 'a positive command lowers the rate'),
+        ({'gain': 0.0}, {}, 'lowers the rate'),
+        ({'gain': 20.0}, {'gain': 10.0}, 'may be zero or negative'),
+        ({'gain': float('nan')}, {}, 'plant gain is nan'),
+        ({}, {'gain': None}, 'no standard error'),
+    ],
+)
+def test_wrong_polarity_is_refused(model, values, stds, said):
+    fine = model()
+    base = tuple(
+        Parameter(p.name, values.get(p.name, p.value), stds.get(p.name, p.std), p.unit)
+        for p in fine.base
+    )
+    with pytest.raises(DesignRefusedError, match=said):
+        check_polarity(dataclasses.replace(fine, base=base))
+
+
+def test_an_axis_driven_by_another_ones_command_is_refused(model):
+    def crossed(fraction):
+        return EffectEstimate(
+            'cross_axis_input', 'named', ('other',), (Parameter('fraction', fraction, 0.01, '1'),)
+        )
+
+    check_polarity(model(effects=[crossed(0.1)]))
+    with pytest.raises(DesignRefusedError, match="motors' order"):
+        check_polarity(model(effects=[crossed(-0.9)]))
