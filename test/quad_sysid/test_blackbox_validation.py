@@ -136,9 +136,9 @@ def test_residual_test_catches_an_output_that_comes_before_its_cause(record):
 
 
 def test_cross_bound_covers_a_coloured_pair():
-    """99 % bound per lag with both signals AR(1): 1 % outside over 200 seeds x 51 lags."""
+    """99 % bound per lag with both signals AR(1): 1 % outside over 100 seeds x 51 lags."""
     outside, total = 0, 0
-    for seed in range(200):
+    for seed in range(100):
         rng = np.random.default_rng(seed)
         color = np.array([1.0, -0.9])
         u = filter_signal(np.ones(1), color, rng.standard_normal(1500))

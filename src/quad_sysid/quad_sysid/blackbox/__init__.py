@@ -3,7 +3,9 @@
 from quad_sysid.blackbox.arx import OrderSearch, arx, search_arx
 from quad_sysid.blackbox.excitation import delay_estimate, detrend, excitation_order
 from quad_sysid.blackbox.frequency import FrequencyResponse, frequency_response
+from quad_sysid.blackbox.instruments import clriv, iv4
 from quad_sysid.blackbox.polynomial import Model, polynomial_model
+from quad_sysid.blackbox.prediction_error import armax, bj, oe
 from quad_sysid.blackbox.residuals import ResidualTest, residual_test
 from quad_sysid.blackbox.simulate import (
     compare,
@@ -15,23 +17,35 @@ from quad_sysid.blackbox.simulate import (
 )
 from quad_sysid.blackbox.spectra import SpectralEstimate, coherence, spa
 from quad_sysid.blackbox.step_a import StepARow, select, step_a
+from quad_sysid.blackbox.subspace import n4sid
+from quad_sysid.blackbox.table2 import TABLE2, PaperRow, Table2Entry, fit_table2
 
 __all__ = [
+    'TABLE2',
     'FrequencyResponse',
     'Model',
     'OrderSearch',
+    'PaperRow',
     'ResidualTest',
     'SpectralEstimate',
     'StepARow',
+    'Table2Entry',
+    'armax',
     'arx',
+    'bj',
+    'clriv',
     'coherence',
     'compare',
     'delay_estimate',
     'detrend',
     'excitation_order',
     'fit_percent',
+    'fit_table2',
     'frequency_response',
     'initial_state',
+    'iv4',
+    'n4sid',
+    'oe',
     'polynomial_model',
     'predict',
     'residual_test',

@@ -15,6 +15,8 @@ from quad_sysid.record import IOData
 
 BLOCK_ROWS = 1 << 14
 """Rows factored at once, so that memory grows with the columns and not with the record."""
+SLICE = 8192
+"""Numbers in one slice of a tall matrix."""
 
 
 def check_order(where: str, name: str, value: int, least: int) -> int:
@@ -80,7 +82,18 @@ def arx_blocks(
 
 
 def upper(x: FloatArray) -> FloatArray:
-    """R of the QR factorisation of x (…, n, m), stacks of matrices included."""
+    """R of the QR factorisation of x (…, n, m), stacks of matrices included.
+
+    A tall matrix is factored in slices that fit the cache, then their factors together.
+    """
+    if x.ndim == 2:
+        rows, columns = x.shape
+        size = max(2 * columns, SLICE // max(columns, 1))
+        count = rows // size
+        if count >= 4:
+            slices = x[: count * size].reshape(count, size, columns)
+            factors = np.asarray(np.linalg.qr(slices, mode='r')).reshape(-1, columns)
+            return upper(np.vstack((factors, x[count * size :])))
     return np.asarray(np.linalg.qr(x, mode='r'))
 
 

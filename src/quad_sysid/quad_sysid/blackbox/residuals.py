@@ -15,7 +15,7 @@ from scipy import special
 from quad_sysid.blackbox.innovations import SegmentErrors, one_step_errors
 from quad_sysid.blackbox.polynomial import Model
 from quad_sysid.blackbox.regression import check_order, lagged, upper
-from quad_sysid.blackbox.spectra import autocovariance
+from quad_sysid.blackbox.spectra import autocovariance, cross_covariance
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.record import IOData
@@ -178,15 +178,10 @@ def _cross(
     u_parts = [z.u[part.start : part.start + part.errors.size] for part in parts]
     mean_u, mean_e = float(np.concatenate(u_parts).mean()), _mean(parts)
     n = sum(part.errors.size for part in parts)
-    total = np.zeros(lags.size)
-    for part, u in zip(parts, u_parts, strict=True):
-        e, x = part.errors - mean_e, u - mean_u
-        for i, lag in enumerate(lags):
-            k = abs(int(lag))
-            if k < e.size:
-                total[i] += e[k:] @ x[: e.size - k] if lag >= 0 else e[: e.size - k] @ x[k:]
+    e = [part.errors - mean_e for part in parts]
+    total = n * cross_covariance(e, [u - mean_u for u in u_parts], int(lags[-1]))
     cov_u = autocovariance([u - mean_u for u in u_parts], rho_e.size - 1)
-    var_e = sum(float(np.sum((part.errors - mean_e) ** 2)) for part in parts)
+    var_e = sum(float(np.sum(x**2)) for x in e)
     spread = math.sqrt(var_e * n * cov_u[0]) if cov_u[0] > 0.0 else 1.0
     rho_u = cov_u / cov_u[0] if cov_u[0] > 0.0 else np.eye(1, rho_e.size)[0]
     inflation = max(float(1.0 + 2.0 * rho_e[1:] @ rho_u[1:]), 0.1)

@@ -1,0 +1,222 @@
+"""Gauss-Newton with exact gradients on the sum of squared one-step errors of any structure.
+
+No start values and no choice between minima here (prediction_error.py).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from quad_sysid.blackbox.filters import filter_columns
+from quad_sysid.blackbox.innovations import errors_and_gradient
+from quad_sysid.blackbox.polynomial import Model
+from quad_sysid.blackbox.regression import upper
+from quad_sysid.blackbox.residuals import AR_ORDER_MAX, whitener
+from quad_sysid.blackbox.spectra import autocovariance
+from quad_sysid.blackbox.start_values import inside
+from quad_sysid.contract import FloatArray
+from quad_sysid.record import IOData
+
+MAX_ITERATIONS = 60
+DAMPINGS = (1e-13, 1e-6, 1e-2, 1.0)
+"""Tried in turn where the plain Gauss-Newton direction gives no descent."""
+TOLERANCE = 1e-4
+"""Converged where the next step would lower N ln V by less than this."""
+PATIENCE = 5
+"""Iterations before a second descent is measured against the first."""
+SLOW = 0.2
+"""Gauss-Newton is slow where a step leaves more than this part of what it promised."""
+
+
+@dataclass(frozen=True)
+class Point:
+    """The criterion at one parameter vector: e, and what is left of J beside the nuisance."""
+
+    errors: list[FloatArray]
+    gradients: list[FloatArray]
+    hessian: FloatArray
+    slope: FloatArray
+
+
+def sum_of_squares(point: Point) -> float:
+    """Sum of squared errors; inf where it overflowed."""
+    total = float(sum(e @ e for e in point.errors))
+    return total if math.isfinite(total) else math.inf
+
+
+def evaluate(model: Model, z: IOData) -> Point:
+    """Errors, JᵀJ with the initial states eliminated, Jᵀe."""
+    p = model.parameters.size
+    hessian, slope = np.zeros((p, p)), np.zeros(p)
+    errors, gradients = [], []
+    with np.errstate(over='ignore', invalid='ignore'):
+        for e, gradient, states in errors_and_gradient(model, z):
+            errors.append(e)
+            gradients.append(without(gradient, states))
+            hessian += gradients[-1].T @ gradients[-1]
+            slope += gradients[-1].T @ e
+    return Point(errors, gradients, hessian, slope)
+
+
+def without(gradient: FloatArray, states: FloatArray) -> FloatArray:
+    """Columns `gradient` (m, p) without their part in the span of the initial states (m, nf)."""
+    scale = np.linalg.norm(states, axis=0)
+    kept = states[:, scale > 0.0] / scale[scale > 0.0]
+    if kept.shape[1] == 0 or not np.isfinite(kept).all():
+        return gradient
+    gram = np.linalg.pinv(kept.T @ kept, rcond=1e-12, hermitian=True)
+    return np.asarray(gradient - kept @ (gram @ (kept.T @ gradient)))
+
+
+def descend(model: Model, point: Point, z: IOData, bar: float = math.inf) -> Model:
+    """Gauss-Newton with line search from `model` to the nearest minimum.
+
+    Given up early where even a multiple of what the next step promises stays above the loss `bar`.
+    """
+    converged, iteration, before = False, 0, math.inf
+    curvature = np.zeros_like(point.hessian)
+    rows = sum(e.size for e in point.errors)
+    if not math.isfinite(sum_of_squares(point)):
+        return replace(model, converged=False, loss=math.inf, samples=rows)
+    while iteration < MAX_ITERATIONS:
+        iteration += 1
+        promised = decrement(point)
+        if rows * promised <= TOLERANCE * sum_of_squares(point):
+            converged = True
+            break
+        if iteration > PATIENCE and sum_of_squares(point) - PATIENCE * promised > bar * rows:
+            break
+        ahead = _advance(model, point, z, curvature if promised > SLOW * before else None)
+        if ahead is None:
+            converged = rows * promised <= 100.0 * TOLERANCE * sum_of_squares(point)
+            break
+        curvature = _secant(curvature, model, point, *ahead)
+        before = promised
+        model, point = ahead
+    return _finished(model, point, converged, iteration)
+
+
+def _advance(
+    model: Model, point: Point, z: IOData, curvature: FloatArray | None
+) -> tuple[Model, Point] | None:
+    """Go to a lower point: with the residual's curvature where given, else by Gauss-Newton."""
+    if curvature is not None:
+        _, slope, scale = _scaled(point)
+        full = (point.hessian + curvature) / np.outer(scale, scale)
+        if np.linalg.eigvalsh(full)[0] > 1e-12:
+            ahead = _search(model, point, np.linalg.solve(full, slope) / scale, z)
+            if ahead is not None:
+                return ahead
+    for damping in DAMPINGS:
+        ahead = _search(model, point, _step(point, damping), z)
+        if ahead is not None:
+            return ahead
+    return None
+
+
+def _secant(
+    curvature: FloatArray, model: Model, point: Point, ahead: Model, next_point: Point
+) -> FloatArray:
+    """Update Σ e ∂²e, the part of the Hessian that Gauss-Newton leaves out.
+
+    It matters where the structure cannot make the residual white (Dennis, Gay, Welsch 1981).
+    """
+    s = ahead.parameters - model.parameters
+    y = next_point.slope - point.slope
+    bent = next_point.slope - sum(
+        (g.T @ e for g, e in zip(point.gradients, next_point.errors, strict=True)),
+        np.zeros(s.size),
+    )
+    ys = float(y @ s)
+    if ys <= 0.0:
+        return curvature
+    own = float(s @ curvature @ s)
+    sized = curvature * min(1.0, abs(float(s @ bent)) / abs(own)) if own else curvature
+    miss = bent - sized @ s
+    turned = np.outer(miss, y) / ys
+    return np.asarray(sized + turned + turned.T - float(miss @ s) / ys**2 * np.outer(y, y))
+
+
+def _search(
+    model: Model, point: Point, step: FloatArray, z: IOData
+) -> tuple[Model, Point] | None:
+    """Lower the criterion along -step: shorten, or pull back a step that went too far."""
+    sse, promised = sum_of_squares(point), float(point.slope @ step)
+    length = 1.0
+    while length > 1e-3:
+        trial = model.with_parameters(model.parameters - length * step)
+        if not (inside(trial.C) is trial.C and inside(trial.F) is trial.F):
+            length *= 0.5
+            continue
+        ahead = evaluate(trial, z)
+        if sum_of_squares(ahead) < sse:
+            break
+        rise = sum_of_squares(ahead) - sse + 2.0 * length * promised
+        length *= min(max(length * promised / rise, 0.1), 0.6) if rise > 0.0 else 0.5
+    else:
+        return None
+    beyond = -float(ahead.slope @ step) / promised
+    if length == 1.0 and beyond > 0.2:
+        middle = model.with_parameters(model.parameters - step / (1.0 + beyond))
+        if inside(middle.C) is middle.C and inside(middle.F) is middle.F:
+            back = evaluate(middle, z)
+            if sum_of_squares(back) < sum_of_squares(ahead):
+                return middle, back
+    return trial, ahead
+
+
+def _scaled(point: Point) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Unit-diagonal Hessian, slope in the same units, and the scale."""
+    scale = np.sqrt(np.diag(point.hessian))
+    scale[~(scale > 0.0)] = 1.0
+    return point.hessian / np.outer(scale, scale), point.slope / scale, scale
+
+
+def _step(point: Point, damping: float) -> FloatArray:
+    """Damped Gauss-Newton step (p,), to be subtracted."""
+    hessian, slope, scale = _scaled(point)
+    damped = hessian + damping * np.eye(slope.size)
+    return np.asarray(np.linalg.solve(damped, slope) / scale)
+
+
+def decrement(point: Point) -> float:
+    """Decrease of the sum of squares that the undamped step promises."""
+    hessian, slope, _ = _scaled(point)
+    values, vectors = np.linalg.eigh(hessian)
+    kept = values > 1e-13 * values[-1]
+    return float(np.sum((vectors[:, kept].T @ slope) ** 2 / values[kept]))
+
+
+def _finished(model: Model, point: Point, converged: bool, iterations: int) -> Model:
+    """Attach loss, noise variance and covariance (Ljung 1999, eq. 9.42)."""
+    n, p = sum(e.size for e in point.errors), model.parameters.size
+    sse = sum_of_squares(point)
+    scale = np.sqrt(np.diag(point.hessian))
+    scale[scale == 0.0] = 1.0
+    r = upper(np.vstack([upper(g / scale) for g in point.gradients]))
+    covariance = None
+    if r.shape[0] == p and np.linalg.cond(r) < 1e12:
+        inverse = np.linalg.solve(r, np.eye(p)) / scale[:, None]
+        covariance = sse / (n - p) * inverse @ inverse.T
+        if model.C.size == model.D.size == model.A.size == 1:
+            covariance = _sandwich(point, inverse @ inverse.T)
+    return replace(
+        model, noise_variance=sse / (n - p), covariance=covariance, converged=converged,
+        iterations=iterations, samples=n, loss=sse / n,
+    )
+
+
+def _sandwich(point: Point, bread: FloatArray) -> FloatArray:
+    """Covariance under a coloured residual: the gradient shaped by the residual's own filter."""
+    n = sum(e.size for e in point.errors)
+    cov = autocovariance(point.errors, min(AR_ORDER_MAX, n // 10))
+    ar = whitener(cov, n)
+    power = float(ar @ cov[: ar.size]) * n / (n - bread.shape[0])
+    shaped = [filter_columns(np.ones(1), ar, g) for g in point.gradients]
+    filling = sum((g.T @ g for g in shaped), np.zeros_like(bread))
+    return np.asarray(power * bread @ filling @ bread)
+
+

@@ -1,0 +1,253 @@
+"""Instrumental variables: IV4 and the refined closed-loop CL-RIV.
+
+Instruments carry no noise: the signal behind them is the input, or, under feedback, the external
+reference.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from quad_sysid.blackbox.arx import arx
+from quad_sysid.blackbox.descent import without
+from quad_sysid.blackbox.filters import filter_columns, pulses
+from quad_sysid.blackbox.innovations import errors_and_gradient, one_step_errors
+from quad_sysid.blackbox.polynomial import Model, delayed, monic
+from quad_sysid.blackbox.regression import check_informative, check_order, lagged
+from quad_sysid.blackbox.residuals import whitener
+from quad_sysid.blackbox.simulate import initial_state, predict, simulate
+from quad_sysid.blackbox.spectra import autocovariance
+from quad_sysid.blackbox.start_values import bj_starts, high_order, inside, stabilised
+from quad_sysid.contract import FloatArray
+from quad_sysid.errors import BadInputError
+from quad_sysid.record import IOData
+
+INPUT_ORDER = 20
+ROUNDS = 25
+SETTLED = 1e-3
+"""Converged where no parameter moves by more than this part of its standard error."""
+UNSTABLE = 'the estimate is unstable; its instruments were made with reflected poles'
+
+
+def iv4(
+    z: IOData, na: int, nb: int, nk: int, instrument: FloatArray | None = None
+) -> Model:
+    """Fit A y = B u + v by the four-stage instrumental variable method (Ljung 1999, eq. 15.26).
+
+    `instrument` (n,) is the signal behind the instruments; None takes the reference z.r where
+    the data hold one, else u, which is right in open loop only. Raises BadInputError as `arx`.
+    """
+    na, nb = check_order('iv4', 'na', na, 0), check_order('iv4', 'nb', nb, 1)
+    nk = check_order('iv4', 'nk', nk, 0)
+    lead = max(na, nk + nb - 1)
+    check_informative('iv4', z, 2 * (na + nb), lead)
+    external = z.r if instrument is None else instrument
+    source = z.u if external is None else _noise_free_input('iv4', z, external)
+    first = arx(z, na, nb, nk)
+    orders = {'na': na, 'nb': nb, 'nk': nk}
+    theta, _ = _solve('iv4', _iv_blocks(z, source, first, lead, np.ones(1)))
+    second = replace(first, A=monic(theta[:na]), B=delayed(theta[na:], nk), covariance=None)
+    errors = [part.errors - part.errors.mean() for part in one_step_errors(second, z)]
+    n = sum(e.size for e in errors)
+    ar = whitener(autocovariance(errors, min(na + nb, n // 10)), n)
+    blocks = _iv_blocks(z, source, second, lead, ar)
+    theta, spread = _solve('iv4', blocks)
+    whitened = np.concatenate([y - x @ theta for x, _, y in blocks])
+    model = replace(
+        second, A=monic(theta[:na]), B=delayed(theta[na:], nk), structure='IV4', orders=orders,
+        covariance=spread * float(whitened @ whitened) / (whitened.size - na - nb),
+    )
+    sse = sum(float(part.errors @ part.errors) for part in one_step_errors(model, z))
+    return replace(
+        model, samples=n, loss=sse / n, noise_variance=sse / (n - na - nb),
+        warnings=() if model.stable else (UNSTABLE,),
+    )
+
+
+def clriv(
+    z: IOData, nb: int, nc: int, nd: int, nf: int, nk: int, reference: FloatArray | None = None
+) -> Model:
+    """Fit y = (B/F) u + (C/D) e by closed-loop refined instrumental variables.
+
+    The noise-free input and output, both driven by the external reference (z.r where None), are
+    the instruments; data and instruments are filtered by D/(C F), renewed each round (Gilson,
+    Garnier, Young, Van den Hof 2008). Raises BadInputError where there is no reference.
+    """
+    nb, nc = check_order('clriv', 'nb', nb, 1), check_order('clriv', 'nc', nc, 0)
+    nd, nf = check_order('clriv', 'nd', nd, 0), check_order('clriv', 'nf', nf, 0)
+    nk = check_order('clriv', 'nk', nk, 0)
+    external = z.r if reference is None else reference
+    if external is None:
+        raise BadInputError(
+            'clriv', 'needs the external reference', None, 'give IOData(…, r=…) or reference='
+        )
+    check_informative('clriv', z, 2 * (nb + nc + nd + nf), nk + nb - 1 + nd + nf)
+    clean = _noise_free_input('clriv', z, external)
+    model = next(bj_starts(high_order(z, nk, nb + nc + nd + nf), nb, nc, nd, nf))
+    model = replace(
+        model, structure='CLRIV', orders={'nb': nb, 'nc': nc, 'nd': nd, 'nf': nf, 'nk': nk}
+    )
+    converged, iteration, was_unstable = False, 0, False
+    while iteration < ROUNDS:
+        iteration += 1
+        noise = _noise_step(model, z)
+        blocks = _refined_blocks(z, clean, noise.model)
+        theta, spread = _solve('clriv', blocks)
+        f = monic(theta[nb:])
+        was_unstable = inside(f) is not f
+        ahead = replace(noise.model, B=delayed(theta[:nb], nk), F=inside(f))
+        sigma = np.sqrt(np.maximum(np.diag(spread) * noise.variance, 1e-300))
+        moved = np.concatenate((ahead.B[nk:] - model.B[nk:], ahead.F[1:] - model.F[1:])) / sigma
+        model = replace(ahead, covariance=_joined_covariance(noise, spread, nb))
+        if float(np.max(np.abs(moved))) < SETTLED:
+            converged = True
+            break
+    parts = one_step_errors(model, z)
+    n, sse = sum(p.errors.size for p in parts), sum(float(p.errors @ p.errors) for p in parts)
+    return replace(
+        model, converged=converged and not was_unstable, iterations=iteration, samples=n,
+        loss=sse / n, noise_variance=sse / (n - model.parameters.size),
+        warnings=(UNSTABLE,) if was_unstable else (),
+    )
+
+
+def _noise_free_input(where: str, z: IOData, instrument: FloatArray) -> FloatArray:
+    """(n,) what the external signal alone explains of u: free run of a high-order ARX model."""
+    r = np.asarray(instrument, dtype=float)
+    if r.shape != z.u.shape:
+        raise BadInputError(where, f'the instrument must have {z.u.size} samples', r.shape)
+    if not all(np.isfinite(r[start:stop]).all() for start, stop in z.segments):
+        raise BadInputError(where, 'the instrument must be finite in all segments')
+    loop = IOData(u=r, y=z.u, dt=z.dt, segments=z.segments)
+    longest = max(stop - start for start, stop in z.segments)
+    order = max(1, min(INPUT_ORDER, longest // 20))
+    model = stabilised_plant(arx(loop, order, order, 0))
+    return np.asarray(np.nan_to_num(predict(model, loop, np.inf)))
+
+
+def stabilised_plant(model: Model) -> Model:
+    """Reflect the roots of A and F into the unit circle, so that the free run stays bounded."""
+    return replace(stabilised(model), A=inside(model.A))
+
+
+Block = tuple[FloatArray, FloatArray, FloatArray]
+"""Regressors (m, p), instruments (m, p), output (m,), all filtered."""
+
+
+def _iv_blocks(
+    z: IOData, source: FloatArray, model: Model, lead: int, ar: FloatArray
+) -> list[Block]:
+    """Rows of each segment for A y = B u, instruments from `model` driven by `source`."""
+    na, nb, nk = model.A.size - 1, model.B.size - model.nk, model.nk
+    runner = stabilised_plant(model)
+    blocks = []
+    for start, stop in z.segments:
+        if stop - start <= lead + ar.size:
+            continue
+        x, s = simulate(runner, source[start:stop]), source[start:stop]
+        y, u, n = z.y[start:stop], z.u[start:stop], stop - start
+        y_lags, u_lags = range(1, na + 1), range(nk, nk + nb)
+        stack = np.column_stack(
+            (
+                -lagged(y, y_lags, lead, n), lagged(u, u_lags, lead, n),
+                -lagged(x, y_lags, lead, n), lagged(s, u_lags, lead, n), y[lead:],
+            )
+        )
+        blocks.append(_split(filter_columns(ar, np.ones(1), stack)[ar.size - 1 :]))
+    return blocks
+
+
+def _refined_blocks(z: IOData, clean: FloatArray, model: Model) -> list[Block]:
+    """Rows of each segment for F y = B u behind D/(C F), instruments free of noise.
+
+    The filter's unknown start is spanned by pulses behind it and taken out of all columns.
+    """
+    nb, nf, nk = model.B.size - model.nk, model.F.size - 1, model.nk
+    lead = max(nf, nk + nb - 1)
+    shape = np.convolve(model.C, model.F)
+    blocks = []
+    for start, stop in z.segments:
+        if stop - start <= lead + shape.size + model.D.size:
+            continue
+        y, s, n = z.y[start:stop], clean[start:stop], stop - start
+        x = simulate(model, s, initial_state(model, s, y))
+        y_lags, u_lags = range(1, nf + 1), range(nk, nk + nb)
+        stack = np.column_stack(
+            (
+                lagged(z.u[start:stop], u_lags, lead, n), -lagged(y, y_lags, lead, n),
+                lagged(s, u_lags, lead, n), -lagged(x, y_lags, lead, n), y[lead:],
+                pulses(n - lead, nf),
+            )
+        )
+        smooth = filter_columns(model.D, shape, stack)
+        count = smooth.shape[1] - nf
+        blocks.append(_split(without(smooth[:, :count], smooth[:, count:])))
+    return blocks
+
+
+def _split(stack: FloatArray) -> Block:
+    """Part the columns [regressors | instruments | output]."""
+    p = (stack.shape[1] - 1) // 2
+    return stack[:, :p], stack[:, p : 2 * p], stack[:, -1]
+
+
+def _solve(where: str, blocks: list[Block]) -> tuple[FloatArray, FloatArray]:
+    """Return theta = (ZᵀX)⁻¹ Zᵀy, and (ZᵀX)⁻¹ ZᵀZ (ZᵀX)⁻ᵀ."""
+    if not blocks:
+        raise BadInputError(where, 'every segment is too short for the orders')
+    scale = np.sqrt(sum(np.einsum('ij,ij->j', x, x) for x, _, _ in blocks))
+    unit = np.sqrt(sum(np.einsum('ij,ij->j', w, w) for _, w, _ in blocks))
+    if not ((scale > 0.0).all() and (unit > 0.0).all() and np.isfinite(unit).all()):
+        raise BadInputError(where, 'an instrument is zero or diverges', remedy='lower the orders')
+    cross = sum(((w / unit).T @ (x / scale) for x, w, _ in blocks), np.zeros((scale.size,) * 2))
+    if np.linalg.cond(cross) > 1e14:
+        raise BadInputError(
+            where, 'the instruments do not excite all parameters', remedy='lower the orders'
+        )
+    right = sum(((w / unit).T @ y for _, w, y in blocks), np.zeros(scale.size))
+    gram = sum(((w / unit).T @ (w / unit) for _, w, _ in blocks), np.zeros_like(cross))
+    inverse = np.linalg.inv(cross) / scale[:, None]
+    return inverse @ right, inverse @ gram @ inverse.T
+
+
+@dataclass(frozen=True)
+class _Noise:
+    """A model with its noise part renewed, and what that part's fit says."""
+
+    model: Model
+    variance: float
+    covariance: FloatArray
+    """(nc + nd, nc + nd)"""
+
+
+def _noise_step(model: Model, z: IOData) -> _Noise:
+    """One Gauss-Newton step on C and D with the plant held."""
+    first = model.B.size - model.nk
+    count = model.C.size + model.D.size - 2
+    held = slice(first, first + count)
+    hessian, slope, sse, n = np.zeros((count, count)), np.zeros(count), 0.0, 0
+    for e, gradient, _ in errors_and_gradient(model, z):
+        part = gradient[:, held]
+        hessian += part.T @ part
+        slope += part.T @ e
+        sse, n = sse + float(e @ e), n + e.size
+    variance = sse / max(n - model.parameters.size, 1)
+    if not count:
+        return _Noise(model, variance, np.zeros((0, 0)))
+    inverse = np.linalg.pinv(hessian, rcond=1e-12, hermitian=True)
+    theta = model.parameters.copy()
+    theta[held] -= inverse @ slope
+    covariance = np.asarray(variance * inverse)
+    return _Noise(stabilised(model.with_parameters(theta)), variance, covariance)
+
+
+def _joined_covariance(noise: _Noise, spread: FloatArray, nb: int) -> FloatArray:
+    """Covariance (p, p) in the order b, c, d, f; plant and noise part independent."""
+    p, count = spread.shape[0] + noise.covariance.shape[0], noise.covariance.shape[0]
+    plant = [*range(nb), *range(nb + count, p)]
+    out = np.zeros((p, p))
+    out[np.ix_(plant, plant)] = noise.variance * spread
+    out[nb : nb + count, nb : nb + count] = noise.covariance
+    return out

@@ -1,0 +1,141 @@
+"""ARMAX, OE and BJ by the prediction error method: Gauss-Newton with exact gradients.
+
+Start values come from start_values.py, the descent from descent.py; here they are put together.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from quad_sysid.blackbox.descent import decrement, descend, evaluate, sum_of_squares
+from quad_sysid.blackbox.innovations import one_step_errors
+from quad_sysid.blackbox.polynomial import Model
+from quad_sysid.blackbox.regression import check_informative, check_order
+from quad_sysid.blackbox.start_values import (
+    HighOrder,
+    armax_starts,
+    bj_starts,
+    high_order,
+    oe_starts,
+    reinserted,
+    stabilised,
+)
+from quad_sysid.errors import BadInputError
+from quad_sysid.record import IOData
+
+AGREED = 0.1
+"""Two descents that end within this N ln V of each other have found the minimum."""
+
+Starts = Callable[[HighOrder], Iterator[Model]]
+
+
+def armax(z: IOData, na: int, nb: int, nc: int, nk: int, *, start: Model | None = None) -> Model:
+    """Fit A y = B u + C e over all segments.
+
+    Orders as in MATLAB; `start` replaces the own start values. C is kept stable. Raises
+    BadInputError for orders or data that cannot carry the fit; `converged` says how it ended.
+    """
+    na, nb = check_order('armax', 'na', na, 0), check_order('armax', 'nb', nb, 1)
+    nc, nk = check_order('armax', 'nc', nc, 0), check_order('armax', 'nk', nk, 0)
+    check_informative('armax', z, na + nb + nc, max(na, nk + nb - 1))
+    orders = {'na': na, 'nb': nb, 'nc': nc, 'nk': nk}
+    return _best('ARMAX', orders, z, start, lambda ho: armax_starts(ho, na, nb, nc))
+
+
+def oe(z: IOData, nb: int, nf: int, nk: int, *, start: Model | None = None) -> Model:
+    """Fit y = (B/F) u + e, the least free-run error, over all segments. F is kept stable.
+
+    The covariance allows for a coloured residual. Otherwise as `armax`.
+    """
+    nb, nf = check_order('oe', 'nb', nb, 1), check_order('oe', 'nf', nf, 0)
+    nk = check_order('oe', 'nk', nk, 0)
+    check_informative('oe', z, nb + nf, nk + nb - 1 + nf)
+    orders = {'nb': nb, 'nf': nf, 'nk': nk}
+    return _best('OE', orders, z, start, lambda ho: oe_starts(ho, nb, nf))
+
+
+def bj(
+    z: IOData, nb: int, nc: int, nd: int, nf: int, nk: int, *, start: Model | None = None
+) -> Model:
+    """Fit y = (B/F) u + (C/D) e over all segments. C and F are kept stable. As `armax`."""
+    nb, nc = check_order('bj', 'nb', nb, 1), check_order('bj', 'nc', nc, 0)
+    nd, nf = check_order('bj', 'nd', nd, 0), check_order('bj', 'nf', nf, 0)
+    nk = check_order('bj', 'nk', nk, 0)
+    check_informative('bj', z, nb + nc + nd + nf, nk + nb - 1 + nd + nf)
+    orders = {'nb': nb, 'nc': nc, 'nd': nd, 'nf': nf, 'nk': nk}
+    return _best('BJ', orders, z, start, lambda ho: bj_starts(ho, nb, nc, nd, nf))
+
+
+def _best(
+    structure: str, orders: dict[str, int], z: IOData, start: Model | None, starts: Starts
+) -> Model:
+    """Fit from the given start, or from own ones until the loss is as good as it can be."""
+    if start is not None:
+        _check_start(structure, orders, start)
+        first = stabilised(start)
+        best = descend(first, evaluate(first, z), z)
+    else:
+        ho = high_order(z, orders['nk'], sum(orders.values()) - orders['nk'])
+        spare = max(ho.model.parameters.size - sum(orders.values()) + orders['nk'], 0)
+        goal = ho.model.loss * math.exp((spare + math.sqrt(2.0 * spare)) / ho.model.samples)
+        candidates = sorted(starts(ho), key=lambda model: _squares(model, z))
+        best = descend(candidates[0], evaluate(candidates[0], z), z)
+        for model in candidates[1 : 2 if structure == 'OE' else None]:
+            if best.converged and best.loss <= goal:
+                break
+            other = descend(model, evaluate(model, z), z, best.loss)
+            agreed = (
+                best.converged
+                and other.converged
+                and abs(math.log(other.loss / best.loss)) * best.samples < AGREED
+            )
+            best = _better(best, other)
+            if agreed:
+                break
+        best = _without_false_pair(best, z)
+    return replace(best, structure=structure, orders=orders, warnings=_warnings(best))
+
+
+def _squares(model: Model, z: IOData) -> float:
+    """Sum of squared one-step errors; inf where it overflows."""
+    with np.errstate(over='ignore', invalid='ignore'):
+        total = sum(float(part.errors @ part.errors) for part in one_step_errors(model, z))
+    return total if math.isfinite(total) else math.inf
+
+
+def _without_false_pair(best: Model, z: IOData) -> Model:
+    """Descend again from the two most promising places of a nearly cancelling pair."""
+    moved = [(model, evaluate(model, z)) for model in reinserted(best)]
+    moved.sort(key=lambda item: sum_of_squares(item[1]) - decrement(item[1]))
+    for model, point in moved[:2]:
+        best = _better(best, descend(model, point, z, best.loss))
+    return best
+
+
+def _better(one: Model, other: Model) -> Model:
+    """Return the converged one of two fits, of equals that with the lower loss."""
+    return min(one, other, key=lambda model: (not model.converged, model.loss))
+
+
+def _check_start(structure: str, orders: dict[str, int], start: Model) -> None:
+    """Raise BadInputError where the start's polynomials do not have the orders asked for."""
+    sizes = {
+        'na': start.A.size - 1, 'nb': start.B.size - start.nk, 'nc': start.C.size - 1,
+        'nd': start.D.size - 1, 'nf': start.F.size - 1, 'nk': start.nk,
+    }
+    for name, size in sizes.items():
+        if size != orders.get(name, 0):
+            raise BadInputError(
+                structure.lower(), f'start must have {name} = {orders.get(name, 0)}', size
+            )
+
+
+def _warnings(model: Model) -> tuple[str, ...]:
+    """What a reader of the fit should know."""
+    if model.converged:
+        return ()
+    return (f'did not converge in {model.iterations} iterations',)

@@ -1,0 +1,272 @@
+"""Start values for the prediction error method, out of one high-order ARX model.
+
+That model is consistent in closed loop; each structure is then reached by linear least squares:
+Steiglitz-McBride on its noise-free response (MORSM, Everitt, Galrinho, Hjalmarsson 2018) for B
+and F, regression on its innovations (Hannan, Rissanen 1982) for A, C and D. No iteration on the
+criterion itself belongs here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from quad_sysid.blackbox.arx import arx
+from quad_sysid.blackbox.filters import filter_columns, pulses
+from quad_sysid.blackbox.innovations import one_step_errors
+from quad_sysid.blackbox.polynomial import Model, delayed, monic
+from quad_sysid.blackbox.regression import lagged, upper, usable_rows
+from quad_sysid.contract import FloatArray
+from quad_sysid.record import IOData
+
+ROUNDS = 12
+NEAR = 0.4
+"""Distance in the z plane within which a pole and a zero count as cancelling."""
+PLACES = (-0.7, -0.2, 0.3, 0.6, 0.8, 0.95)
+EDGE = 1.0 - 1e-7
+
+
+@dataclass(frozen=True)
+class HighOrder:
+    """The high-order ARX model of a record and its innovations."""
+
+    model: Model
+    data: IOData
+    innovations: FloatArray
+    """(n,) zero outside segments and before their first error."""
+
+
+def high_order(z: IOData, nk: int, parameters: int) -> HighOrder:
+    """ARX of order 20, more for large models, less where the record is short; nk given."""
+    longest = max(stop - start for start, stop in z.segments)
+    order = max(20, parameters)
+    while order > 1 and (nk + order > longest // 4 or usable_rows(z, nk + order) < 10 * order):
+        order //= 2
+    model = arx(z, order, order, nk)
+    innovations = np.zeros(z.y.size)
+    for part in one_step_errors(model, z):
+        innovations[part.start : part.start + part.errors.size] = part.errors
+    return HighOrder(model, z, innovations)
+
+
+def stabilised(model: Model) -> Model:
+    """Reflect roots of C and F that are not inside the unit circle."""
+    c, f = inside(model.C), inside(model.F)
+    if c is model.C and f is model.F:
+        return model
+    theta = np.concatenate((model.A[1:], model.B[model.nk :], c[1:], model.D[1:], f[1:]))
+    return model.with_parameters(theta)
+
+
+def inside(poly: FloatArray) -> FloatArray:
+    """Return poly with its roots reflected into the unit circle; itself where they are."""
+    if poly.size == 1 or not np.isfinite(poly).all():
+        return poly
+    roots = np.roots(poly)
+    radius = np.abs(roots)
+    if (radius < 1.0).all():
+        return poly
+    reflected = np.where(radius < 1.0, roots, roots / np.maximum(radius, 1.0) ** 2)
+    new = np.abs(reflected)
+    reflected = np.where(new > EDGE, reflected / np.maximum(new, EDGE) * EDGE, reflected)
+    padded = np.zeros(poly.size)
+    found = np.real(np.poly(reflected))
+    padded[: found.size] = found
+    return padded
+
+
+def armax_starts(ho: HighOrder, na: int, nb: int, nc: int) -> Iterator[Model]:
+    """Start values by the regression on innovations; then A from each plant denominator."""
+    theta = _regress(_joined(ho, na, nb, nc))
+    yield _model(ho, A=monic(theta[:na]), B=theta[na : na + nb], C=monic(theta[na + nb :]))
+    plain = _regress([block[:, [*range(na + nb), -1]] for block in _joined(ho, na, nb, 0)])
+    yield _model(ho, A=monic(plain[:na]), B=plain[na:], C=monic(np.zeros(nc)))
+    for b, f in _plants(ho, nb, na):
+        c = _moving_average(ho, b, f, na, nc)
+        yield _model(ho, A=f, B=b, C=c)
+
+
+def oe_starts(ho: HighOrder, nb: int, nf: int) -> Iterator[Model]:
+    """Start values from the plants B/F alone."""
+    for b, f in _plants(ho, nb, nf):
+        yield _model(ho, B=b, F=f)
+
+
+def bj_starts(ho: HighOrder, nb: int, nc: int, nd: int, nf: int) -> Iterator[Model]:
+    """Start values from the plants B/F, each with the noise model of what it leaves."""
+    for b, f in _plants(ho, nb, nf):
+        c, d = _noise(ho, b, f, nc, nd)
+        yield _model(ho, B=b, F=f, C=c, D=d)
+
+
+def reinserted(model: Model) -> Iterator[Model]:
+    """Move a nearly cancelling pole and zero of B/F (B/A) or C/D elsewhere, to several places.
+
+    Such a pair is what nearly all false minima have; where it stands matters little to the
+    criterion, so that the descent does not find the place where it matters.
+    """
+    plant = 'A' if model.F.size == 1 else 'F'
+    for zeros, poles in (('B', plant), ('C', 'D')):
+        num, den = getattr(model, zeros), getattr(model, poles)
+        lead = num[model.nk :] if zeros == 'B' else num
+        if lead.size < 2 or den.size < 2 or lead[0] == 0.0:
+            continue
+        z_roots, p_roots = np.roots(lead), np.roots(den)
+        pairs = np.abs(z_roots[:, None] - p_roots[None, :])
+        pairs[np.ix_(np.abs(z_roots.imag) > 1e-9, np.arange(p_roots.size))] = np.inf
+        pairs[:, np.abs(p_roots.imag) > 1e-9] = np.inf
+        i, j = np.unravel_index(int(np.argmin(pairs)), pairs.shape)
+        if pairs[i, j] > NEAR:
+            continue
+        rest_z = lead[0] * np.real(np.poly(np.delete(z_roots, i)))
+        rest_p = np.real(np.poly(np.delete(p_roots, j)))
+        for place in PLACES:
+            top, bottom = np.convolve(rest_z, [1.0, -place]), np.convolve(rest_p, [1.0, -place])
+            if zeros == 'C':
+                yield replace(model, C=top, D=bottom)
+            elif plant == 'A':
+                yield replace(model, B=delayed(top, model.nk), A=bottom)
+            else:
+                yield replace(model, B=delayed(top, model.nk), F=bottom)
+
+
+def _model(
+    ho: HighOrder,
+    *,
+    B: FloatArray,
+    A: FloatArray | None = None,
+    C: FloatArray | None = None,
+    D: FloatArray | None = None,
+    F: FloatArray | None = None,
+) -> Model:
+    """Put the polynomials (B without its delay) into a stabilised model."""
+    one, nk = np.ones(1), ho.model.nk
+    return stabilised(
+        Model(
+            structure='', orders={}, A=one if A is None else A, B=delayed(B, nk),
+            C=one if C is None else C, D=one if D is None else D, F=one if F is None else F,
+            nk=nk, dt=ho.data.dt, noise_variance=ho.model.noise_variance,
+        )
+    )
+
+
+def _plants(ho: HighOrder, nb: int, nf: int) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """Return B (without delay) and F by Steiglitz-McBride, on the model and on the data."""
+    z, nk = ho.data, ho.model.nk
+    lead = max(ho.model.B.size, ho.model.A.size) - 1
+    smooth, plain = [], []
+    for start, stop in z.segments:
+        if stop - start > lead + nb + nk + nf:
+            y1 = lagged(z.u, range(nk, ho.model.B.size), start + lead, stop) @ ho.model.B[nk:]
+            u1 = lagged(z.u, range(ho.model.A.size), start + lead, stop) @ ho.model.A
+            smooth.append(np.column_stack((y1, u1)))
+            plain.append(np.column_stack((z.y[start:stop], z.u[start:stop])))
+    yield _steiglitz_mcbride(smooth, nb, nf, nk)
+    if nf:
+        yield _steiglitz_mcbride(plain, nb, nf, nk)
+        yield _steiglitz_mcbride(plain, nb, nf, nk, rounds=1)
+
+
+def _steiglitz_mcbride(
+    parts: list[FloatArray], nb: int, nf: int, nk: int, rounds: int = ROUNDS
+) -> tuple[FloatArray, FloatArray]:
+    """B, F that minimise the error of y = (B/F) u over parts (n, 2) of y, u, by fixed point.
+
+    Each part's unknown start is fitted along, as pulses behind 1/F. One round is the ARX model.
+    """
+    f, b = np.ones(1), np.zeros(nb)
+    lead = max(nf, nk + nb - 1)
+    for _ in range(rounds if nf else 1):
+        factors = []
+        for part in parts:
+            n = part.shape[0]
+            smooth = filter_columns(
+                np.ones(1), f, np.column_stack((part, pulses(n, f.size - 1, lead)))
+            )
+            y, u = smooth[:, 0], smooth[:, 1]
+            rows = np.hstack(
+                (
+                    smooth[lead:, 2:],
+                    lagged(u, range(nk, nk + nb), lead, n),
+                    -lagged(y, range(1, nf + 1), lead, n),
+                    y[lead:, None],
+                )
+            )
+            factors.append(upper(rows)[f.size - 1 :, f.size - 1 :])
+        theta = _least_squares(np.vstack(factors))
+        new = inside(monic(theta[nb:]))
+        b, change = theta[:nb], float(np.max(np.abs(np.pad(f, (0, nf + 1 - f.size)) - new)))
+        f = new
+        if change < 1e-5:
+            break
+    return b, f
+
+
+def _noise(
+    ho: HighOrder, b: FloatArray, f: FloatArray, nc: int, nd: int
+) -> tuple[FloatArray, FloatArray]:
+    """C, D of v = y - (B/F) u by regression on the high-order innovations."""
+    rows = []
+    lead = max(nc, nd)
+    for part in one_step_errors(_model(ho, B=b, F=f), ho.data):
+        e = ho.innovations[part.start : part.start + part.errors.size]
+        v, n = part.errors, part.errors.size
+        begin = lead + ho.model.A.size
+        if n > begin:
+            d_columns, c_columns = (
+                -lagged(v, range(1, nd + 1), begin, n), lagged(e, range(1, nc + 1), begin, n)
+            )
+            rows.append(np.hstack((d_columns, c_columns, (v - e)[begin:, None])))
+    theta = _least_squares(np.vstack(rows)) if rows else np.zeros(nc + nd)
+    return inside(monic(theta[nd:])), inside(monic(theta[:nd]))
+
+
+def _moving_average(
+    ho: HighOrder, b: FloatArray, f: FloatArray, na: int, nc: int
+) -> FloatArray:
+    """C of F y - B u = C e by regression on the high-order innovations."""
+    rows = []
+    for block in _joined(ho, na, b.size, nc):
+        rest = block[:, -1] - block[:, :na] @ f[1:] - block[:, na : na + b.size] @ b
+        rows.append(np.column_stack((block[:, na + b.size : -1], rest)))
+    return inside(monic(_regress(rows)))
+
+
+def _joined(ho: HighOrder, na: int, nb: int, nc: int) -> list[FloatArray]:
+    """Blocks [-y lags | u lags | e lags | y - e] behind the first innovations."""
+    z, nk = ho.data, ho.model.nk
+    lead = max(ho.model.A.size - 1, ho.model.B.size - 1) + nc
+    lead = max(lead, na, nk + nb - 1)
+    return [
+        np.hstack(
+            (
+                -lagged(z.y, range(1, na + 1), start + lead, stop),
+                lagged(z.u, range(nk, nk + nb), start + lead, stop),
+                lagged(ho.innovations, range(1, nc + 1), start + lead, stop),
+                (z.y - ho.innovations)[start + lead : stop, None],
+            )
+        )
+        for start, stop in z.segments
+        if stop - start > lead
+    ]
+
+
+def _regress(blocks: list[FloatArray]) -> FloatArray:
+    """Least squares of the last column on the others, zeros where there are no rows."""
+    if not blocks:
+        return np.zeros(0)
+    return _least_squares(np.vstack([upper(block) for block in blocks]))
+
+
+def _least_squares(rows: FloatArray) -> FloatArray:
+    """Coefficients of the last column on the others, scaled, minimal norm where dependent."""
+    x, target = rows[:, :-1], rows[:, -1]
+    if x.shape[1] == 0:
+        return np.zeros(0)
+    scale = np.linalg.norm(x, axis=0)
+    scale[~(scale > 0.0)] = 1.0
+    if not (np.isfinite(x).all() and np.isfinite(target).all()):
+        return np.zeros(x.shape[1])
+    return np.asarray(np.linalg.lstsq(x / scale, target, rcond=1e-12)[0] / scale)

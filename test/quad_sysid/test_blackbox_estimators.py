@@ -1,0 +1,240 @@
+"""ARMAX, OE, BJ, IV4, CL-RIV, N4SID and Table 2: recovery of known plants in closed loop."""
+
+import math
+
+import numpy as np
+import pytest
+
+from quad_sysid.blackbox import (
+    TABLE2,
+    Model,
+    armax,
+    arx,
+    bj,
+    clriv,
+    compare,
+    fit_table2,
+    iv4,
+    n4sid,
+    oe,
+    polynomial_model,
+    residual_test,
+    simulate,
+)
+from quad_sysid.blackbox.descent import evaluate
+from quad_sysid.blackbox.filters import filter_signal
+from quad_sysid.blackbox.innovations import errors_and_gradient
+from quad_sysid.blackbox.studies import Study, reference_study, table3_study
+from quad_sysid.errors import BadInputError
+from quad_sysid.record import IOData
+
+SEEDS = range(20)
+
+
+@pytest.fixture(scope='module')
+def study() -> Study:
+    return reference_study()
+
+
+@pytest.fixture(scope='module')
+def validation(study) -> IOData:
+    return study.record(np.random.default_rng(1000))
+
+
+def distance(model: Model, truth: Model) -> float:
+    """Squared Mahalanobis distance of the parameters from the truth."""
+    error = model.parameters - truth.parameters
+    return float(error @ np.linalg.solve(model.covariance, error))
+
+
+@pytest.mark.parametrize('structure', ['ARMAX', 'OE', 'BJ'])
+def test_gradient_is_exact(structure):
+    """Against central differences of the criterion, over two segments."""
+    rng = np.random.default_rng(0)
+    z = IOData(rng.standard_normal(400), rng.standard_normal(400).cumsum(), 0.1,
+               segments=[(0, 180), (200, 400)])
+    polys = {
+        'ARMAX': {'A': [1, -0.5, 0.1], 'C': [1, 0.3]},
+        'OE': {'F': [1, -1.2, 0.5]},
+        'BJ': {'F': [1, -1.2, 0.5], 'C': [1, 0.3, 0.1], 'D': [1, -0.6]},
+    }[structure]
+    model = polynomial_model([0, 0, 0.4, 0.2], dt=0.1, **polys)
+    slope = evaluate(model, z).slope
+    theta, step = model.parameters, 1e-6
+    for i in range(theta.size):
+        values = []
+        for sign in (1, -1):
+            moved = theta.copy()
+            moved[i] += sign * step
+            parts = errors_and_gradient(model.with_parameters(moved), z)
+            values.append(sum(float(e @ e) for e, _, _ in parts) / 2)
+        assert slope[i] == pytest.approx((values[0] - values[1]) / (2 * step), rel=2e-5, abs=1e-3)
+
+
+def test_fits_reach_the_ceiling_on_each_of_20_seeds(study):
+    """Free-run fit on another seed, in points below the true model's: 0.03, 0.06.
+
+    ARMAX cannot describe this noise: its optimum lies 0.25 below (0.27 with 300,000 samples) and
+    scatters, 0.30 in the mean and 0.42 on each seed are asked.
+    """
+    below = []
+    for seed in SEEDS:
+        z = study.record(np.random.default_rng(seed))
+        validation = study.record(np.random.default_rng(1000 + seed))
+        models = [bj(z, 2, 2, 2, 2, 3), oe(z, 2, 2, 3), armax(z, 3, 3, 3, 1)]
+        assert all(model.converged for model in models)
+        below.append(compare(study.truth, validation)[0] - np.array(compare(models, validation)))
+    worst = np.max(below, axis=0)
+    assert worst[0] < 0.03
+    assert worst[1] < 0.06
+    assert worst[2] < 0.42
+    assert np.mean(below, axis=0)[2] < 0.30
+
+
+def test_bj_and_clriv_are_consistent_with_their_covariance(study):
+    """Eight parameters: mean squared distance near 8 (NEES) over 16 seeds, 4 sigma."""
+    nees, refined = [], []
+    for seed in range(100, 116):
+        z = study.record(np.random.default_rng(seed))
+        model = bj(z, 2, 2, 2, 2, 3)
+        nees.append(distance(model, study.truth))
+        other = clriv(z, 2, 2, 2, 2, 3)
+        assert other.converged
+        refined.append(distance(other, study.truth))
+        np.testing.assert_allclose(other.std, model.std, rtol=0.5)
+    assert np.mean(nees) == pytest.approx(8.0, abs=4 * math.sqrt(16 / 16))
+    assert np.mean(refined) == pytest.approx(8.0, abs=4 * math.sqrt(16 / 16))
+
+
+def test_bj_passes_the_residual_tests_and_a_smaller_one_does_not(study):
+    z = study.record(np.random.default_rng(3))
+    good = residual_test(bj(z, 2, 2, 2, 2, 3), z)
+    assert good.residual_white
+    assert good.residual_uncorrelated_with_input
+    assert good.causal
+    assert not residual_test(bj(z, 1, 0, 1, 1, 3), z).residual_white
+
+
+def test_several_segments_are_fitted_without_joining_their_ends(study):
+    z = study.record(np.random.default_rng(8))
+    wild = z.y.copy()
+    wild[6000:6100] = 1e4
+    parts = IOData(z.u, wild, z.dt, r=z.r, segments=[(0, 6000), (6100, 15000)])
+    for model in (bj(parts, 2, 2, 2, 2, 3), clriv(parts, 2, 2, 2, 2, 3)):
+        assert model.converged
+        assert distance(model, study.truth) < 26.1  # 99.9 % point of 8 degrees of freedom
+    assert np.isfinite(n4sid(parts, 4).loss)
+
+
+def test_oe_covariance_allows_for_coloured_residuals():
+    """Open loop, AR(1) noise: squared distances near 3 for 3 parameters over 60 seeds."""
+    truth = polynomial_model([0, 0.5, 0.2], F=[1, -0.9], dt=0.1)
+    distances = []
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        u = np.repeat(rng.choice([-1.0, 1.0], 250), 8)
+        noise = filter_signal(np.ones(1), np.array([1.0, -0.95]), 0.1 * rng.standard_normal(2000))
+        model = oe(IOData(u, simulate(truth, u) + noise, 0.1), 2, 1, 1)
+        distances.append(distance(model, truth))
+    assert np.mean(distances) == pytest.approx(3.0, abs=4 * math.sqrt(6 / 60))
+
+
+def test_armax_recovers_a_known_plant():
+    truth = polynomial_model([0, 0, 0.1, 0.05], A=[1, -1.5, 0.7], C=[1, 0.6], dt=0.004,
+                             noise_variance=0.01)
+    z = Study(truth, amplitude=1.0, samples=8000).record(np.random.default_rng(1), closed=False)
+    model = armax(z, 2, 2, 1, 2)
+    assert model.converged
+    assert distance(model, truth) < 20.5  # 99.9 % point of 5 degrees of freedom
+    assert model.noise_variance == pytest.approx(0.01, rel=0.08)
+
+
+def test_iv4_with_the_reference_is_right_where_least_squares_is_biased():
+    truth = polynomial_model([0, 0.3, 0.1], F=[1, -0.9], C=[1, 0.5], D=[1, -0.9], dt=0.004,
+                             noise_variance=0.05)
+    study = Study(truth, amplitude=5.0)
+    off, covered, least = [], 0, []
+    for seed in range(12):
+        z = study.record(np.random.default_rng(seed))
+        model = iv4(z, 1, 2, 1)
+        assert model.stable
+        off.append(model.parameters - [-0.9, 0.3, 0.1])
+        covered += int(np.sum(np.abs(off[-1]) < 2.58 * model.std))
+        least.append(arx(z, 1, 2, 1).parameters[0] + 0.9)
+    assert covered >= 33
+    assert abs(np.mean(least)) > 5 * abs(np.mean([x[0] for x in off]))
+
+
+def test_n4sid_in_closed_loop(study, validation):
+    z = study.record(np.random.default_rng(0))
+    model = n4sid(z, 6)
+    assert compare(model, validation)[0] > 92.0
+    assert compare(model, validation, 1)[0] > 98.5
+    assert model.stable
+
+
+def test_n4sid_recovers_an_exact_order():
+    truth = polynomial_model([0, 0.2, 0.1], A=[1, -1.6, 0.68], C=[1, -0.4, 0.1], dt=0.004,
+                             noise_variance=0.04)
+    z = Study(truth, amplitude=1.0).record(np.random.default_rng(2), closed=False)
+    model = n4sid(z, 2)
+    np.testing.assert_allclose(model.A, truth.A, atol=0.01)
+    np.testing.assert_allclose(model.B[1:], truth.B[1:], atol=0.01)
+    np.testing.assert_allclose(model.C, truth.C, atol=0.05)
+
+
+def test_noise_alone_yields_no_plant():
+    rng = np.random.default_rng(6)
+    z = IOData(rng.standard_normal(5000), rng.standard_normal(5000), 0.004)
+    for model in (oe(z, 1, 1, 1), bj(z, 1, 0, 1, 1, 1), armax(z, 1, 1, 1, 1)):
+        assert compare(model, z)[0] < 1.0
+        assert np.all(np.abs(np.roots(model.C)) < 1.0)
+        assert np.all(np.abs(np.roots(model.F)) < 1.0)
+
+
+def test_given_start_is_used_and_checked(study):
+    z = study.record(np.random.default_rng(4))
+    own, given = bj(z, 2, 2, 2, 2, 3), bj(z, 2, 2, 2, 2, 3, start=study.truth)
+    assert own.loss == pytest.approx(given.loss, rel=1e-7)
+    with pytest.raises(BadInputError, match='start must have nf = 1'):
+        bj(z, 2, 2, 2, 1, 3, start=study.truth)
+
+
+def test_table_2_has_the_papers_rows_and_keeps_order():
+    assert len(TABLE2) == 13
+    assert [row.name for row in TABLE2 if row.kept] == [
+        'ARMAX 3 3 3 1', 'ARX 10 10 5', 'IV 5 5 4', 'BJ 2 3 2 2 1',
+    ]
+    study = Study(table3_study().truth, samples=5000)
+    z = study.record(np.random.default_rng(0))
+    entries = fit_table2(z, {'prbs': study.record(np.random.default_rng(1))})
+    assert [entry.paper for entry in entries] == list(TABLE2)
+    winner = entries[5].row
+    assert winner.eliminated_because == ''
+    assert winner.fit_validation_pct['prbs'] > 60.0
+    assert entries[6].row.aic > winner.aic
+    short = IOData(z.u[:45], z.y[:45], z.dt)
+    with pytest.raises(BadInputError, match='too few'):
+        fit_table2(short, {})
+
+
+@pytest.mark.parametrize(
+    ('call', 'named'),
+    [
+        (lambda z: armax(z, 2, 2, -1, 1), 'nc'),
+        (lambda z: oe(z, 2, 2, -1), 'nk'),
+        (lambda z: bj(z, 2, 2, 2, 2.0, 1), 'nf'),
+        (lambda z: iv4(z, 2, 0, 1), 'nb'),
+        (lambda z: iv4(z, 2, 2, 1, instrument=np.ones(3)), 'instrument'),
+        (lambda z: clriv(z, 2, 2, 2, 2, 1), 'reference'),
+        (lambda z: n4sid(z, 0), 'order'),
+        (lambda z: bj(IOData(z.u[:12], z.y[:12], z.dt), 2, 2, 2, 2, 1), 'too few samples'),
+        (lambda z: oe(IOData(0 * z.u, z.y, z.dt), 2, 2, 1), 'u is constant'),
+    ],
+)
+def test_bad_input_names_the_argument(call, named):
+    rng = np.random.default_rng(0)
+    z = IOData(rng.standard_normal(300), rng.standard_normal(300), 0.1)
+    with pytest.raises(BadInputError, match=named) as caught:
+        call(z)
+    assert '\n' not in str(caught.value)
