@@ -53,6 +53,10 @@ class AxisAnswer:
     train: IOData | None = None
     proposal: GainProposal | None = None
     warnings: tuple[str, ...] = field(default=())
+    attitude_reference: FloatArray | None = None
+    """(n,) rad, on the grid of discovery.data; None where the bags do not hold it."""
+    rate_reference: FloatArray | None = None
+    """(n,) rad/s, alike."""
 
     @property
     def answered(self) -> bool:

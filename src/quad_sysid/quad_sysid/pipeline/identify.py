@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from quad_sysid.contract import AXES
+from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.effects.discover import discover
 from quad_sysid.effects.judge import judge
 from quad_sysid.effects.shapes import SHAPES
@@ -98,6 +98,8 @@ def identify_axis(
             found, judgement, _gains_of(records), assemble.band_of(data)
         ),
         warnings=tuple(w for r in records for w in r.warnings),
+        attitude_reference=_joined([r.attitude_setpoint for r in records], data.index),
+        rate_reference=_joined([r.rate_setpoint for r in records], data.index),
     )
     answer = _with_blackbox(answer, data, records)
     answer = replace(answer, closed_loop=closed_loop(answer, records[0], data))
@@ -109,6 +111,12 @@ def _segments(records: Sequence[Record], axis: str) -> tuple[Segment, ...]:
     return tuple(
         s for r in records for s in r.segments if s.axis == axis or s.role == 'idle'
     )
+
+
+def _joined(setpoints: Sequence[FloatArray | None], column: int) -> FloatArray | None:
+    """(n,) one axis of all records one behind the other; None where any lacks it."""
+    known = [s[:, column] for s in setpoints if s is not None]
+    return np.concatenate(known) if known and len(known) == len(setpoints) else None
 
 
 def _gains_of(records: Sequence[Record]) -> dict[str, float]:
