@@ -23,7 +23,7 @@ setup(
         (f'share/{PACKAGE}/config', glob('config/*.yaml')),
     ],
     python_requires='>=3.10',
-    install_requires=['numpy', 'scipy', 'control', 'quad_sysid'],
+    install_requires=['numpy', 'scipy', 'matplotlib', 'control', 'quad_sysid'],
     extras_require={'test': ['pytest', 'hypothesis']},
     zip_safe=False,
     license='Apache-2.0',

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,14 +15,25 @@ from quad_sysid.record import Record
 from quad_tuning.demo.errors import StageFailedError
 
 
-def flown_square(bag: Path, axis: str) -> SquareFigures:
-    """Figures of the square wave on `axis` in a bag; raises StageFailedError where none is."""
+@dataclass(frozen=True)
+class FlownSquare:
+    """The square wave of one flight: reference and angle (n,), rad, and the figures."""
+
+    reference: FloatArray
+    angle: FloatArray
+    dt: float
+    figures: SquareFigures
+
+
+def flown_square(bag: Path, axis: str) -> FlownSquare:
+    """The square wave on `axis` in a bag; raises StageFailedError where none is."""
     try:
         record = read_bag(bag)
         reference, angle = square_of(record, axis)
-        return square_figures(reference, angle, record.dt)
+        figures = square_figures(reference, angle, record.dt)
     except QuadSysidError as error:
         raise StageFailedError('compare', str(error)) from error
+    return FlownSquare(reference, angle, record.dt, figures)
 
 
 def square_of(record: Record, axis: str) -> tuple[FloatArray, FloatArray]:

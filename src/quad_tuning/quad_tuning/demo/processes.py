@@ -16,7 +16,11 @@ from pathlib import Path
 from types import TracebackType
 
 import yaml
-from ament_index_python.packages import PackageNotFoundError, get_package_prefix
+from ament_index_python.packages import (
+    PackageNotFoundError,
+    get_package_prefix,
+    get_package_share_directory,
+)
 
 from quad_tuning.demo.errors import StageFailedError
 
@@ -120,16 +124,17 @@ class Crew:
     def start_node(
         self, package: str, name: str, parameters: Mapping[str, object], *, called: str = ''
     ) -> Child:
-        """Start a node with its parameters in a YAML file beside its log.
+        """Start a node with its package's own configuration, if any, and these parameters.
 
-        `called` names log and parameter file where one node runs twice.
+        They are kept in a YAML file beside its log; `called` names both where one node runs twice.
         """
         called = called or name
         values = self.folder / 'logs' / f'{called}.yaml'
         values.write_text(yaml.safe_dump({'/**': {'ros__parameters': dict(parameters)}}))
-        return self.start(
-            called, [executable(package, name), '--ros-args', '--params-file', values]
-        )
+        shipped = Path(get_package_share_directory(package)) / 'config' / f'{name}.yaml'
+        files = [path for path in (shipped, values) if path.exists()]
+        arguments = [part for path in files for part in ('--params-file', path)]
+        return self.start(called, [executable(package, name), '--ros-args', *arguments])
 
     def check(self, stage: str) -> None:
         """Measure all; raises StageFailedError naming the first one that died."""

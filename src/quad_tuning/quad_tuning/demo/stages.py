@@ -22,6 +22,10 @@ SETTLED_S = 1.0
 """How long the stream must have flowed before a flight begins, in s of samples at 250 Hz."""
 
 
+STALE_S = 1.5
+"""Age of /imu/data that ends a flight: a simulation may stall on a busy host without danger."""
+
+
 @dataclass(frozen=True)
 class Aircraft:
     """Options of the virtual STM32 that is flown."""
@@ -118,7 +122,12 @@ def fly(campaign: Campaign, name: str, schedule: Path) -> Flight:
     child = campaign.crew.start_node(
         'quad_sysid',
         'excitation',
-        {'schedule': str(schedule), 'autostart': True, 'exit_when_done': True},
+        {
+            'schedule': str(schedule),
+            'autostart': True,
+            'exit_when_done': True,
+            'imu_stale_s': STALE_S,
+        },
         called=f'{name}_excitation',
     )
     child.may_end = True
@@ -142,15 +151,26 @@ def start_identification(campaign: Campaign, *, auto_update: bool, axes: Sequenc
 
 
 def await_report(campaign: Campaign) -> Path:
-    """Wait for report.json of the bag that was just completed."""
-    path = campaign.folder / 'report' / 'report.json'
-    campaign.wait('identify', 'report.json', path.exists, IDENTIFY_S)
-    return path
+    """Wait for the answer about the bag that was just completed; path of its report.json."""
+    said = campaign.observer.diagnostics
+    node = 'identification: identification'
+
+    def state() -> str:
+        return said[node][2].get('state', '') if node in said else ''
+
+    campaign.wait('identify', 'answer', lambda: state() in {'done', 'failed'}, IDENTIFY_S)
+    _, text, values = said[node]
+    if state() == 'failed':
+        raise StageFailedError('identify', text)
+    campaign.told['update'] = values.get('update', '')
+    return Path(values['report'])
 
 
 def await_new_gains(campaign: Campaign, old: Mapping[str, float]) -> float:
     """Wait until gains were sent and the STM32 has read them back; s from sending to that."""
     observer = campaign.observer
+    if campaign.told.get('update') != 'sent':
+        raise StageFailedError('update', f'no gains were sent: {campaign.told.get("update")}')
     campaign.wait('update', '/gains/update', lambda: bool(observer.updates), ACKNOWLEDGE_S)
     sent = time.monotonic()
     wanted = {

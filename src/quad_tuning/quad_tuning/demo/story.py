@@ -17,11 +17,11 @@ from quad_tuning.demo.comparison import flown_square
 from quad_tuning.demo.domain import own_domain
 from quad_tuning.demo.errors import StageFailedError
 from quad_tuning.demo.observer import Observer
+from quad_tuning.demo.picture import draw_square
 from quad_tuning.demo.processes import Crew
 from quad_tuning.demo.stages import (
     Aircraft,
     Campaign,
-    Flight,
     await_new_gains,
     await_report,
     connect,
@@ -73,26 +73,43 @@ def _close_the_loop(campaign: Campaign, seed: int, teller: Teller) -> Outcome:
     start_identification(campaign, auto_update=True, axes=[AXIS])
     first = fly(campaign, 'flight_1', first_schedule())
     teller.say('bag complete; the identification node works on it')
-    report = _axis_report(await_report(campaign))
+    report_path = await_report(campaign)
+    report = _axis_report(report_path)
     teller.say(f'verdict: {report["verdict"]}')
-    if not report.get('gains'):
-        raise StageFailedError('design', str(report.get('gains_reason', 'no gains were designed')))
     waited = await_new_gains(campaign, first.gains)
     teller.say(f'new gains acknowledged by the STM32 after {waited:.1f} s')
     campaign.crew.stop('identification')
     teller.say('second flight, with the new gains')
     second = fly(campaign, 'flight_2', HERE / 'second_flight.yaml')
     campaign.crew.stop()
+    squares = [flown_square(flight.bag, AXIS) for flight in (first, second)]
+    draw_square(
+        out / 'square_wave.png',
+        [
+            (name, square.reference, square.angle)
+            for name, square in zip(('old gains', 'new gains'), squares, strict=True)
+        ],
+        squares[0].dt,
+    )
+    unseen = _evaluate(report_path.with_name('model.json'), second.bag)
     teller.say('both flights compared')
     return Outcome(
         axis=AXIS,
-        first=_summary(first),
-        second=_summary(second),
+        first=FlightSummary(first.bag, first.seconds, first.gains, squares[0].figures),
+        second=FlightSummary(second.bag, second.seconds, second.gains, squares[1].figures),
         report=report,
-        unseen=_evaluate(out / 'report' / 'model.json', second.bag),
+        unseen=unseen,
         acknowledged_after_s=waited,
         folder=out,
-        files=[],
+        files=[
+            ('bag of the first flight', first.bag),
+            ('bag of the second flight', second.bag),
+            ('the report, for people', report_path.with_name('report.html')),
+            ('the same, for programs', report_path),
+            ('the model, for quad-sysid evaluate', report_path.with_name('model.json')),
+            ('picture of both square waves', out / 'square_wave.png'),
+            ('CPU time of each process', out / 'cpu.json'),
+        ],
         seconds=teller.seconds,
     )
 
@@ -104,12 +121,10 @@ def first_schedule() -> Path:
 
 def _axis_report(path: Path) -> Mapping[str, Any]:
     report: Mapping[str, Any] = json.loads(path.read_text())
+    if AXIS not in report['axes']:
+        raise StageFailedError('identify', f'{path} says nothing of {AXIS}')
     axis: Mapping[str, Any] = report['axes'][AXIS]
     return axis
-
-
-def _summary(flight: Flight) -> FlightSummary:
-    return FlightSummary(flight.bag, flight.seconds, flight.gains, flown_square(flight.bag, AXIS))
 
 
 def _evaluate(model: Path, bag: Path) -> Mapping[str, Any]:

@@ -110,7 +110,7 @@ def _worth(outcome: Outcome) -> list[str]:
 
 def _where(outcome: Outcome) -> list[str]:
     return [row('results in', f'{outcome.folder}/')] + [
-        row('', f'{path.name:24s} {what}') for what, path in outcome.files
+        row('', f'{path.relative_to(outcome.folder)!s:32s} {what}') for what, path in outcome.files
     ]
 
 
