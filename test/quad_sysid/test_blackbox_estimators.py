@@ -14,17 +14,20 @@ from quad_sysid.blackbox import (
     clriv,
     compare,
     fit_table2,
+    indirect,
     iv4,
+    joint,
     n4sid,
     oe,
     polynomial_model,
     residual_test,
+    search_arx,
     simulate,
 )
 from quad_sysid.blackbox.descent import evaluate
 from quad_sysid.blackbox.filters import filter_signal
 from quad_sysid.blackbox.innovations import errors_and_gradient
-from quad_sysid.blackbox.studies import Study, reference_study, table3_study
+from quad_sysid.blackbox.studies import Study, reference_study, run_controller, table3_study
 from quad_sysid.errors import BadInputError
 from quad_sysid.record import IOData
 
@@ -163,6 +166,43 @@ def test_iv4_with_the_reference_is_right_where_least_squares_is_biased():
         least.append(arx(z, 1, 2, 1).parameters[0] + 0.9)
     assert covered >= 33
     assert abs(np.mean(least)) > 5 * abs(np.mean([x[0] for x in off]))
+
+
+def test_joint_and_indirect_find_the_plant(study, validation):
+    """Free-run fit 0.3 points below the truth's; `indirect`, without the recorded u, 2."""
+    z = study.record(np.random.default_rng(12))
+    ceiling = compare(study.truth, validation)[0]
+
+    def controller(r: np.ndarray, y: np.ndarray) -> np.ndarray:
+        return run_controller(study.cascade, z.dt, r, y)
+
+    np.testing.assert_allclose(controller(z.r, z.y), z.u, atol=1e-9)
+
+    def fit(data: IOData) -> Model:
+        return bj(data, 2, 2, 2, 2, 3)
+
+    one = joint(z, fit)
+    blind = IOData(np.random.default_rng(0).standard_normal(z.y.size), z.y, z.dt, r=z.r)
+    other = indirect(blind, fit, controller)
+    assert (one.approach, other.approach) == ('joint', 'indirect')
+    assert compare(one, validation)[0] > ceiling - 0.3
+    assert compare(other, validation)[0] > ceiling - 2.0
+    with pytest.raises(BadInputError, match='reference r'):
+        joint(IOData(z.u, z.y, z.dt), fit)
+    with pytest.raises(BadInputError, match='controller'):
+        indirect(z, fit, lambda r, _: r[1:])
+
+
+def test_data_without_noise_give_the_plant_exactly():
+    truth = polynomial_model([0, 0, 0.1, 0.05], F=[1, -1.6, 0.68], dt=0.01)
+    u = np.random.default_rng(0).choice([-1.0, 1.0], 2000)
+    z = IOData(u, simulate(truth, u), 0.01)
+    models = [armax(z, 2, 2, 2, 2), oe(z, 2, 2, 2), bj(z, 2, 1, 1, 2, 2), iv4(z, 2, 2, 2)]
+    assert search_arx(z, range(1, 5), range(1, 5), range(5)).best == (2, 2, 2)
+    for model in models:
+        assert model.converged
+        np.testing.assert_allclose(model.denominator, truth.F, atol=1e-8)
+        np.testing.assert_allclose(model.B, truth.B, atol=1e-8)
 
 
 def test_n4sid_in_closed_loop(study, validation):

@@ -1,5 +1,6 @@
 """Black-box identification of one axis: polynomial models, order search, validation, tests."""
 
+from quad_sysid.blackbox.approaches import indirect, joint
 from quad_sysid.blackbox.arx import OrderSearch, arx, search_arx
 from quad_sysid.blackbox.excitation import delay_estimate, detrend, excitation_order
 from quad_sysid.blackbox.frequency import FrequencyResponse, frequency_response
@@ -42,8 +43,10 @@ __all__ = [
     'fit_percent',
     'fit_table2',
     'frequency_response',
+    'indirect',
     'initial_state',
     'iv4',
+    'joint',
     'n4sid',
     'oe',
     'polynomial_model',

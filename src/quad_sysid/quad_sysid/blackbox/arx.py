@@ -25,6 +25,8 @@ from quad_sysid.errors import BadInputError
 from quad_sysid.record import IOData
 
 IntArray = npt.NDArray[np.int64]
+ROUNDING = 1e-22
+"""Part of the output's power below which a residual sum is rounding: such models tie."""
 CRITERIA = ('aic', 'aicc', 'bic', 'mdl')
 
 
@@ -130,12 +132,10 @@ def search_arx(
     u_lags = range(nks[0], nks[-1] + nbs[-1])
     blocks = arx_blocks(z, range(1, nas[-1] + 1), u_lags, lead)
     rows = sum(block.shape[0] for block in blocks)
-    sse = _losses(triangular(blocks), nas, nbs, nks)
+    r = triangular(blocks)
+    floor = ROUNDING * float(np.sum(r[:, -1] ** 2))
+    sse = np.maximum(_losses(r, nas, nbs, nks), floor)
     grid = np.meshgrid(nas, nbs, nks, indexing='ij')
-    if not (sse > 0.0).all():
-        raise BadInputError(
-            'search_arx', 'a model fits the data exactly, criteria are undefined', float(sse.min())
-        )
     k = (grid[0] + grid[1]).ravel()
     best = _first_best(criterion_values(criterion, sse.ravel() / rows, k, rows), k)
     orders = [int(axis.ravel()[best]) for axis in grid]

@@ -27,6 +27,8 @@ TOLERANCE = 1e-4
 """Converged where the next step would lower N ln V by less than this."""
 PATIENCE = 5
 """Iterations before a second descent is measured against the first."""
+EXACT = 1e-18
+"""Part of the output's power below which a residual is rounding, as with data free of noise."""
 SLOW = 0.2
 """Gauss-Newton is slow where a step leaves more than this part of what it promised."""
 
@@ -79,12 +81,13 @@ def descend(model: Model, point: Point, z: IOData, bar: float = math.inf) -> Mod
     converged, iteration, before = False, 0, math.inf
     curvature = np.zeros_like(point.hessian)
     rows = sum(e.size for e in point.errors)
+    exact = EXACT * sum(float(z.y[start:stop] @ z.y[start:stop]) for start, stop in z.segments)
     if not math.isfinite(sum_of_squares(point)):
         return replace(model, converged=False, loss=math.inf, samples=rows)
     while iteration < MAX_ITERATIONS:
         iteration += 1
         promised = decrement(point)
-        if rows * promised <= TOLERANCE * sum_of_squares(point):
+        if rows * promised <= TOLERANCE * sum_of_squares(point) or sum_of_squares(point) <= exact:
             converged = True
             break
         if iteration > PATIENCE and sum_of_squares(point) - PATIENCE * promised > bar * rows:

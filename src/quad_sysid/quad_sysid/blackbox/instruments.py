@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from quad_sysid.blackbox.approaches import noise_free, stabilised_plant
 from quad_sysid.blackbox.arx import arx
 from quad_sysid.blackbox.descent import without
 from quad_sysid.blackbox.filters import filter_columns, pulses
@@ -17,14 +18,13 @@ from quad_sysid.blackbox.innovations import errors_and_gradient, one_step_errors
 from quad_sysid.blackbox.polynomial import Model, delayed, monic
 from quad_sysid.blackbox.regression import check_informative, check_order, lagged
 from quad_sysid.blackbox.residuals import whitener
-from quad_sysid.blackbox.simulate import initial_state, predict, simulate
+from quad_sysid.blackbox.simulate import initial_state, simulate
 from quad_sysid.blackbox.spectra import autocovariance
 from quad_sysid.blackbox.start_values import bj_starts, high_order, inside, stabilised
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.record import IOData
 
-INPUT_ORDER = 20
 ROUNDS = 25
 SETTLED = 1e-3
 """Converged where no parameter moves by more than this part of its standard error."""
@@ -44,7 +44,7 @@ def iv4(
     lead = max(na, nk + nb - 1)
     check_informative('iv4', z, 2 * (na + nb), lead)
     external = z.r if instrument is None else instrument
-    source = z.u if external is None else _noise_free_input('iv4', z, external)
+    source = z.u if external is None else noise_free('iv4', z, z.u, external)
     first = arx(z, na, nb, nk)
     orders = {'na': na, 'nb': nb, 'nk': nk}
     theta, _ = _solve('iv4', _iv_blocks(z, source, first, lead, np.ones(1)))
@@ -78,13 +78,8 @@ def clriv(
     nb, nc = check_order('clriv', 'nb', nb, 1), check_order('clriv', 'nc', nc, 0)
     nd, nf = check_order('clriv', 'nd', nd, 0), check_order('clriv', 'nf', nf, 0)
     nk = check_order('clriv', 'nk', nk, 0)
-    external = z.r if reference is None else reference
-    if external is None:
-        raise BadInputError(
-            'clriv', 'needs the external reference', None, 'give IOData(…, r=…) or reference='
-        )
     check_informative('clriv', z, 2 * (nb + nc + nd + nf), nk + nb - 1 + nd + nf)
-    clean = _noise_free_input('clriv', z, external)
+    clean = noise_free('clriv', z, z.u, z.r if reference is None else reference)
     model = next(bj_starts(high_order(z, nk, nb + nc + nd + nf), nb, nc, nd, nf))
     model = replace(
         model, structure='CLRIV', orders={'nb': nb, 'nc': nc, 'nd': nd, 'nf': nf, 'nk': nk}
@@ -111,25 +106,6 @@ def clriv(
         loss=sse / n, noise_variance=sse / (n - model.parameters.size),
         warnings=(UNSTABLE,) if was_unstable else (),
     )
-
-
-def _noise_free_input(where: str, z: IOData, instrument: FloatArray) -> FloatArray:
-    """(n,) what the external signal alone explains of u: free run of a high-order ARX model."""
-    r = np.asarray(instrument, dtype=float)
-    if r.shape != z.u.shape:
-        raise BadInputError(where, f'the instrument must have {z.u.size} samples', r.shape)
-    if not all(np.isfinite(r[start:stop]).all() for start, stop in z.segments):
-        raise BadInputError(where, 'the instrument must be finite in all segments')
-    loop = IOData(u=r, y=z.u, dt=z.dt, segments=z.segments)
-    longest = max(stop - start for start, stop in z.segments)
-    order = max(1, min(INPUT_ORDER, longest // 20))
-    model = stabilised_plant(arx(loop, order, order, 0))
-    return np.asarray(np.nan_to_num(predict(model, loop, np.inf)))
-
-
-def stabilised_plant(model: Model) -> Model:
-    """Reflect the roots of A and F into the unit circle, so that the free run stays bounded."""
-    return replace(stabilised(model), A=inside(model.A))
 
 
 Block = tuple[FloatArray, FloatArray, FloatArray]

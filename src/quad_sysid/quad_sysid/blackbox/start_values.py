@@ -19,6 +19,7 @@ from quad_sysid.blackbox.innovations import one_step_errors
 from quad_sysid.blackbox.polynomial import Model, delayed, monic
 from quad_sysid.blackbox.regression import lagged, upper, usable_rows
 from quad_sysid.contract import FloatArray
+from quad_sysid.errors import BadInputError
 from quad_sysid.record import IOData
 
 ROUNDS = 12
@@ -44,11 +45,21 @@ def high_order(z: IOData, nk: int, parameters: int) -> HighOrder:
     order = max(20, parameters)
     while order > 1 and (nk + order > longest // 4 or usable_rows(z, nk + order) < 10 * order):
         order //= 2
-    model = arx(z, order, order, nk)
+    model = _richest_arx(z, order, nk)
     innovations = np.zeros(z.y.size)
     for part in one_step_errors(model, z):
         innovations[part.start : part.start + part.errors.size] = part.errors
     return HighOrder(model, z, innovations)
+
+
+def _richest_arx(z: IOData, order: int, nk: int) -> Model:
+    """Fit ARX of the order, or of the next half where the data (without noise) carry no more."""
+    try:
+        return arx(z, order, order, nk)
+    except BadInputError:
+        if order == 1:
+            raise
+        return _richest_arx(z, order // 2, nk)
 
 
 def stabilised(model: Model) -> Model:

@@ -21,6 +21,9 @@ from quad_sysid.record import IOData
 WITH_NOISE_MODEL = ('ARX', 'ARMAX', 'BJ', 'N4SID')
 """Structures that claim a white residual; OE, IV4 and CLRIV leave the noise to itself."""
 
+DIVERGED_PCT = -1e4
+"""A fit below this says only that the run diverged."""
+
 
 @dataclass(frozen=True)
 class StepARow:
@@ -151,5 +154,5 @@ def _objections(
 
 
 def _finite(value: float) -> float | None:
-    """Return the value, or None where it is not finite."""
-    return value if math.isfinite(value) else None
+    """Return the fit, or None where the run has diverged."""
+    return value if value > DIVERGED_PCT else None

@@ -1,0 +1,95 @@
+"""The paper's Table 1: indirect and joint input-output identification under feedback.
+
+The direct approach is any estimator on (u, y) as recorded. Here u is replaced by one without
+noise, out of the external reference, and any estimator then fits the plant.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from quad_sysid.blackbox.arx import arx
+from quad_sysid.blackbox.polynomial import Model
+from quad_sysid.blackbox.prediction_error import oe
+from quad_sysid.blackbox.simulate import predict
+from quad_sysid.blackbox.start_values import inside, stabilised
+from quad_sysid.contract import FloatArray
+from quad_sysid.errors import BadInputError
+from quad_sysid.record import IOData
+
+LOOP_ORDER = 20
+"""Of the ARX model behind instruments, which need not be exact."""
+STAGE_ORDER = 6
+"""Of the output error model of the loop in joint and indirect: what it misses biases the plant."""
+
+Fit = Callable[[IOData], Model]
+Controller = Callable[[FloatArray, FloatArray], FloatArray]
+"""u (n,) that the known controller gives, from rest, for reference r (n,) and output y (n,)."""
+
+
+def joint(z: IOData, fit: Fit, *, order: int = STAGE_ORDER) -> Model:
+    """Joint input-output: u and y as outputs of r; `fit` runs on the part of u that r explains.
+
+    The two-stage method (Van den Hof, Schrama 1993), right whatever the noise and unknown the
+    controller. `order` is that of the loop's response from r. Fit an output error or BJ
+    structure. Needs r, else BadInputError.
+    """
+    clean = noise_free('joint', z, z.u, z.r, order)
+    return replace(fit(replace(z, u=clean)), approach='joint')
+
+
+def indirect(
+    z: IOData, fit: Fit, controller: Controller, *, order: int = STAGE_ORDER
+) -> Model:
+    """Indirect: y as output of r, and the known controller; the recorded u is not used.
+
+    The response of y to r goes through the controller to the noise-free u that belongs to it,
+    segment by segment from rest. Needs r, else BadInputError.
+    """
+    clean_y = noise_free('indirect', z, z.y, z.r, order)
+    u = np.zeros_like(z.u)
+    if z.r is not None:
+        for start, stop in z.segments:
+            given = np.asarray(controller(z.r[start:stop], clean_y[start:stop]), dtype=float)
+            if given.shape != (stop - start,) or not np.isfinite(given).all():
+                raise BadInputError(
+                    'indirect', f'controller must give {stop - start} finite values', given.shape
+                )
+            u[start:stop] = given
+    return replace(fit(replace(z, u=u)), approach='indirect')
+
+
+def noise_free(
+    where: str, z: IOData, x: FloatArray, external: FloatArray | None, order: int | None = None
+) -> FloatArray:
+    """(n,) what the external signal alone explains of x: free run of a model from r to x.
+
+    A high-order ARX model, or, with `order`, an output error model of that order.
+    """
+    if external is None:
+        raise BadInputError(
+            where, 'needs the external reference r', None, 'give IOData(…, r=…)'
+        )
+    r = np.asarray(external, dtype=float)
+    if r.shape != z.u.shape:
+        raise BadInputError(where, f'the instrument must have {z.u.size} samples', r.shape)
+    if not all(np.isfinite(r[start:stop]).all() for start, stop in z.segments):
+        raise BadInputError(where, 'the instrument must be finite in all segments')
+    if np.array_equal(r, x):
+        return r
+    loop = IOData(u=r, y=x, dt=z.dt, segments=z.segments)
+    if order is None:
+        longest = max(stop - start for start, stop in z.segments)
+        high = max(1, min(LOOP_ORDER, longest // 20))
+        model = stabilised_plant(arx(loop, high, high, 0))
+    else:
+        model = oe(loop, order, order, 0)
+    return np.asarray(np.nan_to_num(predict(model, loop, np.inf)))
+
+
+def stabilised_plant(model: Model) -> Model:
+    """Reflect the roots of A and F into the unit circle, so that the free run stays bounded."""
+    return replace(stabilised(model), A=inside(model.A))
