@@ -196,3 +196,11 @@ def test_after_resync_the_half_frame_is_forgotten():
     decoder.resync()
     assert decoder.feed(GOLDEN) == [CYCLE]
     assert decoder.counts.garbage_bytes == 0
+
+
+@pytest.mark.parametrize('lure', [b'\xfd\x50', b'\xfe\x30', b'\xfd\x60\x01\x00\x00\x01\x01'])
+def test_a_false_start_does_not_swallow_the_frame_behind_it(lure):
+    decoder = Decoder()
+    assert decoder.feed(lure + GOLDEN) == [CYCLE]
+    assert decoder.counts.garbage_bytes == len(lure)
+    assert decoder.counts.bad_crc + decoder.counts.unknown == 1
