@@ -159,10 +159,11 @@ def test_started_by_service_and_ended_by_failsafe(aircraft, start):
     assert 'failsafe' in refused.message
 
 
-def test_an_interrupt_takes_the_excitation_back(aircraft, start):
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_takes_the_excitation_back(aircraft, start, number):
     process = start(autostart='true')
     aircraft.until(lambda: len(aircraft.setpoints) > 20)
-    process.send_signal(signal.SIGINT)
+    process.send_signal(number)
     aircraft.until(lambda: process.poll() is not None)
     assert process.returncode == 0
     aircraft.until(lambda: aircraft.segments[-1]['segment'] == 'idle')

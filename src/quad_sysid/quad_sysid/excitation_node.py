@@ -5,14 +5,15 @@ Wiring only: signals, limits and states are in signals/, parameters in excitatio
 
 from __future__ import annotations
 
+import math
 import signal
 import sys
 import time
 from collections import deque
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import rclpy
 from ament_index_python.packages import get_package_share_directory
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -68,7 +69,7 @@ class ExcitationNode(Node):  # type: ignore[misc]
         self._imu: bytes = b''
         self._angles: tuple[float, float, float] | None = None
         self._imu_time = self._rc_time = 0.0
-        self._joy: Any = None
+        self._rc = Readings()
         self._volts: deque[float] = deque(maxlen=BATTERY_SAMPLES)
         self._ticks = 0
         self._waiting = settings.autostart
@@ -99,27 +100,30 @@ class ExcitationNode(Node):  # type: ignore[misc]
         self._imu, self._imu_time = raw, time.monotonic()
 
     def _on_rc(self, message: Any) -> None:
-        self._joy, self._rc_time = message, time.monotonic()
+        axes, switch = message.axes, self._settings.abort_axis
+        self._rc = Readings(
+            sticks=(axes[0], axes[1], axes[3]) if len(axes) > 3 else None,
+            abort_switch=axes[switch] if switch is not None and switch < len(axes) else None,
+            failsafe=bool(len(message.buttons) and message.buttons[0]),
+        )
+        self._rc_time = time.monotonic()
 
     def _on_battery(self, message: Any) -> None:
-        self._volts.append(message.voltage)
+        if math.isfinite(message.voltage):
+            self._volts.append(message.voltage)
 
     def _readings(self, *, decode_angles: bool) -> Readings:
         """Latest values, as the guard wants them."""
         now = time.monotonic()
         if decode_angles and self._imu:
-            angles = euler_angles(decode(IMU, [self._imu]).values[:, :5])
-            self._angles = (angles[0, 0], angles[0, 1], angles[0, 2]) if len(angles) else None
-        joy, switch = self._joy, self._settings.abort_axis
-        axes = [] if joy is None else list(joy.axes)
-        return Readings(
+            angles = euler_angles(decode(IMU, [self._imu]).values[:, :5]).tolist()
+            self._angles = tuple(angles[0]) if angles else None
+        return replace(
+            self._rc,
             imu_age_s=now - self._imu_time if self._imu else None,
             angles=self._angles,
-            rc_age_s=now - self._rc_time if joy is not None else None,
-            sticks=(axes[0], axes[1], axes[3]) if len(axes) > 3 else None,
-            abort_switch=axes[switch] if switch is not None and switch < len(axes) else None,
-            failsafe=bool(joy is not None and len(joy.buttons) and joy.buttons[0]),
-            battery_v=float(np.nanmax(self._volts)) if np.isfinite(self._volts).any() else None,
+            rc_age_s=now - self._rc_time if self._rc_time else None,
+            battery_v=max(self._volts) if self._volts else None,
         )
 
     def _start(self) -> str:
@@ -259,7 +263,8 @@ def main() -> None:
     Exit status 2 with one line where a parameter or the schedule is wrong.
     """
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)
     node = None
     status: int | None = None
     try:
