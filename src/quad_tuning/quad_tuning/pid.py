@@ -37,7 +37,9 @@ APART = 0.45
 DIFFERENCE = 2e-3
 WORST = 6
 """Loops taken up per requirement and round."""
-ROUNDS = 6
+ROUNDS = 5
+INFEASIBLE = 0.005
+"""Relative shortfall after a search beyond which no further round is tried."""
 
 
 @dataclass(frozen=True)
@@ -116,10 +118,12 @@ def retune(
     """
     problem = _problem(plant, active, ensemble, needs or Requirements(), weights or Weights())
     found: list[tuple[float, FloatArray]] = []
-    for start in _starts(problem):
+    for attempt, start in enumerate(_starts(problem)):
         point = _search(problem, start)
         if point is not None:
             found.append(point)
+        elif attempt and not found:
+            break  # two searches from afar found none
     if not found:
         raise DesignRefusedError(_why_not(problem))
     best = min(found, key=lambda item: item[0])
@@ -232,7 +236,10 @@ def _search(problem: _Problem, start: FloatArray) -> tuple[float, FloatArray] | 
     chosen = np.zeros(0, dtype=np.int64)
     x = start
     for _ in range(ROUNDS):
-        chosen = np.union1d(chosen, _worst(problem, x))
+        wider = np.union1d(chosen, _worst(problem, x))
+        if wider.size == chosen.size:
+            return None  # the loops that fall short were all taken up already
+        chosen = wider
         loops = problem.ensemble.subset(chosen)
 
         def judged(point: FloatArray, loops: Ensemble = loops) -> FloatArray:
@@ -245,6 +252,9 @@ def _search(problem: _Problem, start: FloatArray) -> tuple[float, FloatArray] | 
         x = _slsqp(judged, x)
         gains = problem.gains(x)
         value, kept = _objective(problem, gains)
+        short = min(np.min(kept), np.min(_shortfall(problem, loops, gains)))
+        if short < -INFEASIBLE:
+            return None  # what a part of the loops forbids, all of them forbid
         if np.min(kept) < -1e-3:
             continue
         every = problem.ensemble
@@ -287,7 +297,7 @@ def _slsqp(judged: Callable[[FloatArray], FloatArray], start: FloatArray) -> Flo
             'jac': lambda x: slope(x)[1:],
         },
         method='SLSQP',
-        options={'maxiter': 60, 'ftol': 1e-6},
+        options={'maxiter': 40, 'ftol': 1e-6},
     )
     return np.asarray(np.clip(result.x, 0.0, 1.0))
 
