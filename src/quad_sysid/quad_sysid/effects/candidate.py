@@ -8,14 +8,14 @@ import numpy as np
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.effects.crossval import held_out_errors
-from quad_sysid.greybox.fit import Fit, fit_structure
+from quad_sysid.greybox.fit import Fit, fit_structure, fit_with_effect
 from quad_sysid.greybox.simulate import Simulator
-from quad_sysid.greybox.structure import Effect, Settings
+from quad_sysid.greybox.structure import BASE_PARAMETERS, Effect, Settings, Structure
 
 Prepared = tuple[Effect, Settings]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Candidate:
     """A fitted structure; `errors` (windows,) held-out mean squared free-run errors."""
 
@@ -43,15 +43,13 @@ def candidate(sim: Simulator, fit: Fit) -> Candidate:
     return Candidate(fit, held_out_errors(fit, sim.windows, sim.data.dt))
 
 
-def refitted(sim: Simulator, old: Candidate) -> Candidate:
-    """The same structure fitted again, from where it was, with another state correction."""
-    return candidate(sim, fit_structure(sim, old.fit.structure, old.fit.theta))
+def without_effects(sim: Simulator, one: Candidate) -> Fit:
+    """The base alone, fitted from where the candidate's base parameters are."""
+    return fit_structure(sim, Structure(), one.fit.theta[: len(BASE_PARAMETERS)])
 
 
 def exchanged(sim: Simulator, chosen: Candidate, drop: str, put: Prepared) -> Candidate:
     """`chosen` with one effect replaced by another."""
-    from quad_sysid.greybox.fit import fit_with_effect
-
     return candidate(sim, fit_with_effect(sim, without(sim, chosen, drop).fit, *put))
 
 

@@ -16,11 +16,10 @@ from quad_sysid.effects.candidate import (
     Prepared,
     candidate,
     exchanged,
-    refitted,
     without,
+    without_effects,
 )
 from quad_sysid.effects.crossval import compare, selection_probabilities
-from quad_sysid.greybox import drive
 from quad_sysid.greybox.data import AxisData
 from quad_sysid.greybox.fit import Fit, fit_base, fit_with_effect, settle
 from quad_sysid.greybox.noise import NoiseModel
@@ -32,8 +31,14 @@ CHANCE = 0.01
 """Level of the cross-validated paired test, shared out over the candidates that were tried."""
 SMALLEST_GAIN = 0.015
 """An effect that lowers the cross-validated error by less than this share is not worth a name."""
-CURVE_MARGIN = 0.02
-"""A curve without a name must beat every named effect by this share of the error."""
+REFINEMENT_GAIN = 0.10
+"""A curve on top of a named effect of the same signal must lower the error by this share."""
+NAMED_SHARE = 0.8
+"""A named effect that explains this share of what a curve explains is taken first."""
+FOREMOST = 3
+"""So many trials are fitted again with the state correction that suits them."""
+WHOLE_CYCLES = (0.1, 0.2)
+"""A delay this near to whole cycles speaks for a realisation, this far against one."""
 
 Progress = Callable[[str], None]
 
@@ -71,45 +76,69 @@ def discover(
     progress: Progress = lambda _: None,
 ) -> Discovery:
     """Fit the base on the training segments, add what cross-validation asks for, or nothing."""
-    data, base, base_noise, sim = best_base(data)
+    base, base_noise, sim = fit_base(data, data.train)
     prepared, not_tested = _prepare(data, effects)
+    current, noise, sim, tried = _forward(sim, base, base_noise, prepared, progress)
+    current = _backward(sim, current)
+    if not current.names:
+        current, noise = candidate(sim, base), base_noise
+    other = _stepped(sim, current)
+    if other is not None:
+        current, noise, sim = other
+        data = sim.data
+        base, base_noise, _ = settle(replace(sim, _cache={}), without_effects(sim, current))
+    rivals = {
+        name: _rivals(sim, current, name, prepared, rng) for name in current.names
+    }
+    return Discovery(
+        data, base, base_noise, current.fit, noise, sim, rivals, tried, not_tested
+    )
+
+
+def _forward(
+    sim: Simulator, base: Fit, noise: NoiseModel, prepared: Sequence[Prepared],
+    progress: Progress,
+) -> tuple[Candidate, NoiseModel, Simulator, tuple[Tried, ...]]:
+    """Add effects one by one as long as cross-validation asks for one."""
     current = candidate(sim, base)
-    noise = base_noise
+    axis, dt = sim.data.axis, sim.data.dt
     tried: list[Tried] = []
     for step in range(1, MOST_EFFECTS + 1):
         trials: list[Candidate] = []
         for effect, settings in prepared:
             if effect.name in current.names:
                 continue
-            progress(f'{data.axis}: effect {step}, {effect.name}')
+            progress(f'{axis}: effect {step}, {effect.name}')
             trial = candidate(sim, fit_with_effect(sim, current.fit, effect, settings))
             trials.append(trial)
-            verdict = compare(current.errors, trial.errors, sim.windows, data.dt)
+            verdict = compare(current.errors, trial.errors, sim.windows, dt)
             tried.append(Tried(step, effect.name, trial.score, verdict.p_value))
-        best = _best(current, trials, sim)
-        if best is None:
+        worthy = _worthy(current, trials, sim)
+        if not worthy:
             break
-        fit, noise, sim = settle(sim, best.fit)
-        current = candidate(sim, fit)
-        current = _strongest(sim, current, trials)
-    current = _backward(sim, current)
-    if not current.names:
-        return Discovery(data, base, base_noise, base, base_noise, sim, {}, tuple(tried),
-                         not_tested)
-    rivals = {
-        name: _rivals(sim, current, name, prepared, rng) for name in current.names
-    }
-    return Discovery(data, base, base_noise, current.fit, noise, sim, rivals, tuple(tried),
-                     not_tested)
+        current, noise, sim = _strongest(sim, current, worthy)
+    return current, noise, sim, tuple(tried)
 
 
-def best_base(data: AxisData) -> tuple[AxisData, Fit, NoiseModel, Simulator]:
-    """The base in the realisation of the far end's integration that the training data prefer."""
-    found = []
-    for realisation in drive.REALISATIONS if data.gyro_filter_hz else ('continuous',):
-        kind = replace(data, realisation=realisation)
-        found.append((kind, *fit_base(kind, kind.train)))
-    return min(found, key=lambda item: item[1].rms)
+def _stepped(
+    sim: Simulator, current: Candidate
+) -> tuple[Candidate, NoiseModel, Simulator] | None:
+    """The same structure for a far end that integrates in steps, where that speaks for itself.
+
+    The errors hardly differ, but digital controllers delay by whole cycles: the realisation is
+    taken under which the delay comes out whole, if it fits no worse.
+    """
+    data = sim.data
+    if data.gyro_filter_hz is None:
+        return None
+    stepped = Simulator(
+        replace(data, realisation='stepped'), sim.spans, sim.windows, sim.correction
+    )
+    fit, noise, stepped = settle(stepped, current.fit)
+    off = [abs(x / data.dt - round(x / data.dt)) for x in (current.fit.theta[2], fit.theta[2])]
+    if off[0] < WHOLE_CYCLES[1] or off[1] > WHOLE_CYCLES[0] or fit.rms > 1.005 * current.fit.rms:
+        return None
+    return candidate(stepped, fit), noise, stepped
 
 
 def _prepare(
@@ -127,34 +156,65 @@ def _prepare(
     return ready, tuple(missing)
 
 
-def _best(current: Candidate, trials: Sequence[Candidate], sim: Simulator) -> Candidate | None:
-    """The trial to add: significant beyond the number tried, and worth its name."""
+def _worthy(current: Candidate, trials: Sequence[Candidate], sim: Simulator) -> list[Candidate]:
+    """The trials that lower the error beyond chance and by enough, best first."""
     good = [
         trial
         for trial in trials
-        if trial.score < (1.0 - SMALLEST_GAIN) * current.score
+        if trial.score < (1.0 - _least(current, trial)) * current.score
         and compare(current.errors, trial.errors, sim.windows, sim.data.dt).p_value
         < CHANCE / len(trials)
     ]
-    return min(good, key=_rank) if good else None
+    return sorted(good, key=lambda one: one.score)
 
 
-def _rank(one: Candidate) -> float:
-    """Score, with the margin that a curve without a name has to overcome."""
-    return one.score * (1.0 + CURVE_MARGIN * one.curves)
+def _least(current: Candidate, trial: Candidate) -> float:
+    """Share of the error that a trial must take away: more where a curve refines a name."""
+    signals = {s for e in current.fit.structure.effects for s in e.signals}
+    added = trial.fit.structure.effects[-1]
+    refines = added.kind == 'shape' and bool(signals & set(added.signals))
+    return REFINEMENT_GAIN if refines else SMALLEST_GAIN
 
 
-def _strongest(sim: Simulator, current: Candidate, trials: Sequence[Candidate]) -> Candidate:
-    """With the sharper state correction, look again whether a close rival is the better one."""
-    near = sorted(trials, key=_rank)[:4]
-    return min([current, *(refitted(sim, trial) for trial in near)], key=_rank)
+def _strongest(
+    sim: Simulator, current: Candidate, worthy: Sequence[Candidate]
+) -> tuple[Candidate, NoiseModel, Simulator]:
+    """The best of the foremost, each with the state correction that suits it.
+
+    A curve without a name gives way to a named effect that explains nearly as much; what the
+    name leaves can still be added as a curve in the next step.
+    """
+    settled = []
+    named = [one for one in worthy if not one.curves]
+    foremost = list(dict.fromkeys([*worthy[:FOREMOST], *named[:FOREMOST]]))
+    for one in foremost:
+        fit, noise, own = settle(sim, one.fit)
+        settled.append((candidate(own, fit), noise, own))
+    best = min(settled, key=lambda item: item[0].score)
+    if best[0].curves > current.curves:
+        gained = current.score**2 - best[0].score**2
+        enough = [
+            item for item in settled
+            if item[0].curves == current.curves
+            and current.score**2 - item[0].score**2 >= NAMED_SHARE * gained
+        ]
+        if enough:
+            return min(enough, key=lambda item: item[0].score)
+    return best
 
 
 def _backward(sim: Simulator, current: Candidate) -> Candidate:
-    """Take out what the others made superfluous."""
+    """Take out what the others made superfluous; a name never gives way to a curve."""
     while len(current.names) > 1:
-        reduced = [without(sim, current, name) for name in current.names]
-        best = min(reduced, key=_rank)
+        effects = current.fit.structure.effects
+        curves = {signal for e in effects if e.kind == 'shape' for signal in e.signals}
+        optional = [
+            e.name for e in effects if e.kind == 'shape' or not curves & set(e.signals)
+        ]
+        reduced = [without(sim, current, name) for name in optional]
+        if not reduced:
+            break
+        best = min(reduced, key=lambda one: one.score)
         lost = compare(best.errors, current.errors, sim.windows, sim.data.dt)
         if lost.p_value < CHANCE and current.score < (1.0 - SMALLEST_GAIN) * best.score:
             break

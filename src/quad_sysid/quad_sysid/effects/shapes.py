@@ -14,10 +14,14 @@ from quad_sysid.greybox.data import AxisData
 from quad_sysid.greybox.structure import Effect, ParameterSpec, Settings, Term
 
 KNOTS = 7
+RATE_KNOTS = 12
+"""An even number: none lies at zero, where friction jumps."""
+WARP_RATE = 0.05
+"""Knots of a rate curve are even in asinh(rate / 0.05 rad/s): friction lives near zero."""
 
 
-def _range_of(data: AxisData, signal: FloatArray) -> Settings | str:
-    """Knots from the 1st to the 99th percentile of the signal over the training segments."""
+def _range_of(data: AxisData, signal: FloatArray) -> tuple[float, float] | str:
+    """1st and 99th percentile of the signal over the training segments."""
     values = np.concatenate([signal[a:b] for a, b in data.train])
     values = values[np.isfinite(values)]
     if values.size < 100:
@@ -25,22 +29,53 @@ def _range_of(data: AxisData, signal: FloatArray) -> Settings | str:
     low, high = np.percentile(values, [1.0, 99.0])
     if high - low < 1e-6 * max(1.0, abs(high)):
         return 'the signal does not move during training'
-    return {'first': float(low), 'step': float((high - low) / (KNOTS - 1))}
+    return float(low), float(high)
+
+
+def _knots(found: tuple[float, float] | str, *, line: bool, warp: float = 0.0) -> Settings | str:
+    """Settings of a curve over a range; `line`: the base already has its straight part."""
+    if isinstance(found, str):
+        return found
+    low, high = found
+    count = KNOTS
+    if warp > 0.0:
+        reach = float(np.arcsinh(max(abs(low), abs(high)) / warp))
+        low, high, count = -reach, reach, RATE_KNOTS
+    return {
+        'first': low, 'step': (high - low) / (count - 1), 'count': float(count),
+        'warp': warp, 'line': 'base' if line else 'own',
+    }
+
+
+def _number(settings: Settings, key: str) -> float:
+    value = settings[key]
+    if not isinstance(value, float):
+        raise TypeError(f'setting {key} of a curve must be a number')
+    return value
+
+
+def _x(settings: Settings) -> FloatArray:
+    """(count,) where the knots lie, in the signal's unit."""
+    z = _number(settings, 'first') + _number(settings, 'step') * np.arange(
+        int(_number(settings, 'count'))
+    )
+    warp = _number(settings, 'warp')
+    return warp * np.sinh(z) if warp > 0.0 else z
 
 
 def _basis(settings: Settings) -> FloatArray:
-    """(KNOTS, m) knot values that no straight line (or constant) contains: the base has those."""
-    x = np.linspace(-1.0, 1.0, KNOTS)
-    known = np.stack([np.ones(KNOTS), x][: 2 if settings.get('line') == 'base' else 1], axis=1)
-    complete: FloatArray = np.linalg.qr(np.hstack([known, np.vander(x, KNOTS - known.shape[1])]))[0]
-    return complete[:, known.shape[1] :]
+    """(count, m) knot values that no straight line (or constant) contains: the base has those."""
+    x = _x(settings)
+    known = [np.ones(x.size), x / np.abs(x).max()]
+    columns = np.stack(known if settings['line'] == 'base' else known[:1], axis=1)
+    complete: FloatArray = np.linalg.qr(columns, mode='complete')[0]
+    return complete[:, columns.shape[1] :]
 
 
 def _curve_values(p: FloatArray, settings: Settings) -> tuple[float, ...]:
-    first, step = settings['first'], settings['step']
-    if not (isinstance(first, float) and isinstance(step, float)):
-        raise TypeError('a curve needs first and step as numbers')
-    return (first, step, float(KNOTS), *(_basis(settings) @ p).tolist())
+    """What the compiled curve takes: z0, step, count, warp, then the knots' values."""
+    head = [_number(settings, key) for key in ('first', 'step', 'count', 'warp')]
+    return (*head, *(_basis(settings) @ p).tolist())
 
 
 def _knot_parameters(count: int, unit: str, scale: float) -> tuple[ParameterSpec, ...]:
@@ -49,13 +84,8 @@ def _knot_parameters(count: int, unit: str, scale: float) -> tuple[ParameterSpec
     )
 
 
-def _with_line(settings: Settings | str) -> Settings | str:
-    """Mark a curve whose straight part the base already has."""
-    return settings if isinstance(settings, str) else {**settings, 'line': 'base'}
-
-
 def _rate_settings(data: AxisData) -> Settings | str:
-    return _with_line(_range_of(data, data.rate))
+    return _knots(_range_of(data, data.rate), line=True, warp=WARP_RATE)
 
 
 def _rate_torque(_: AxisData, p: FloatArray, settings: Settings) -> Term:
@@ -65,7 +95,7 @@ def _rate_torque(_: AxisData, p: FloatArray, settings: Settings) -> Term:
 def _angle_settings(data: AxisData) -> Settings | str:
     if data.angle is None:
         return 'the bag holds no orientation'
-    return _range_of(data, data.angle)
+    return _knots(_range_of(data, data.angle), line=False)
 
 
 def _angle_torque(_: AxisData, p: FloatArray, settings: Settings) -> Term:
@@ -73,15 +103,13 @@ def _angle_torque(_: AxisData, p: FloatArray, settings: Settings) -> Term:
 
 
 def _command_settings(data: AxisData) -> Settings | str:
-    return _with_line(_range_of(data, data.command))
+    return _knots(_range_of(data, data.command), line=True)
 
 
 def _command_map(
     _: AxisData, command: FloatArray, p: FloatArray, settings: Settings
 ) -> FloatArray:
-    first, step, _, *y = _curve_values(p, settings)
-    knots = first + step * np.arange(KNOTS)
-    return command + np.interp(command, knots, np.array(y))
+    return command + np.interp(command, _x(settings), _basis(settings) @ p)
 
 
 SHAPES: tuple[Effect, ...] = (
@@ -89,7 +117,7 @@ SHAPES: tuple[Effect, ...] = (
         name='shape:rate',
         kind='shape',
         signals=('rate',),
-        parameters=_knot_parameters(KNOTS - 2, 'rad/s²', 0.1),
+        parameters=_knot_parameters(RATE_KNOTS - 2, 'rad/s²', 0.1),
         physics='a torque that is a smooth curve of the rate',
         excite='rates spread evenly over their range: a chirp or a multisine',
         prepare=_rate_settings,
@@ -125,7 +153,5 @@ def curve_of(
 
     A curve of the command is the whole map (the command itself included).
     """
-    first, step, _, *y = _curve_values(p, settings)
-    x = first + step * np.arange(KNOTS)
-    values = np.array(y)
+    x, values = _x(settings), _basis(settings) @ p
     return x, x + values if effect.command is not None else values

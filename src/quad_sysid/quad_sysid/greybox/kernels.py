@@ -24,13 +24,17 @@ _OPTIONS = {'cache': True, 'nogil': True, 'error_model': 'numpy', 'fastmath': {'
 
 @njit(inline='always', **_OPTIONS)
 def _curve(values, j, x):
-    """Value at x of a linear curve: values[j] = [x0, step, count, y0, y1, ...]."""
+    """Value at x of a curve linear between knots: values[j] = [z0, step, count, w, y0, y1, ...].
+
+    The knots are even in z = asinh(x / w), dense around zero; in z = x where w is 0.
+    """
+    z = x if values[j, 3] == 0.0 else math.asinh(x / values[j, 3])
     last = int(values[j, 2]) - 1
-    position = (x - values[j, 0]) / values[j, 1]
+    position = (z - values[j, 0]) / values[j, 1]
     index = min(max(int(math.floor(position)), 0), last - 1)
     fraction = min(max(position - index, -0.5), 1.5)
-    low = values[j, 3 + index]
-    return low + fraction * (values[j, 4 + index] - low)
+    low = values[j, 4 + index]
+    return low + fraction * (values[j, 5 + index] - low)
 
 
 @njit(inline='always', **_OPTIONS)
