@@ -19,6 +19,7 @@ from quad_sysid.blackbox.regression import (
     solve_triangular_factor,
     triangular,
     upper,
+    usable_rows,
 )
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
@@ -42,7 +43,7 @@ def arx(z: IOData, na: int, nb: int, nk: int) -> Model:
     lead = max(na, nk + nb - 1)
     check_informative('arx', z, na + nb, lead)
     blocks = arx_blocks(z, range(1, na + 1), range(nk, nk + nb), lead)
-    rows = sum(block.shape[0] for block in blocks)
+    rows = usable_rows(z, lead)
     theta, sse, gram_inverse = solve_triangular_factor('arx', triangular(blocks))
     variance = sse / (rows - na - nb)
     return Model(
@@ -131,7 +132,7 @@ def search_arx(
     check_informative('search_arx', z, nas[-1] + nbs[-1], lead)
     u_lags = range(nks[0], nks[-1] + nbs[-1])
     blocks = arx_blocks(z, range(1, nas[-1] + 1), u_lags, lead)
-    rows = sum(block.shape[0] for block in blocks)
+    rows = usable_rows(z, lead)
     r = triangular(blocks)
     floor = ROUNDING * float(np.sum(r[:, -1] ** 2))
     sse = np.maximum(_losses(r, nas, nbs, nks), floor)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from quad_sysid.blackbox.arx import search_arx
-from quad_sysid.blackbox.regression import check_order, lagged, upper
+from quad_sysid.blackbox.regression import BLOCK_ROWS, check_order, lagged, triangular
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.record import IOData
@@ -33,10 +33,12 @@ def excitation_order(
     if longest < 2:
         raise BadInputError('excitation_order', 'u must have at least 2 samples', longest)
     order = min(max_order, (longest + 1) // 2)
-    blocks = [
-        lagged(part, range(order), order - 1, part.size) for part in parts if part.size >= order
-    ]
-    values = np.linalg.svd(upper(np.vstack(blocks)), compute_uv=False)
+    blocks = (
+        lagged(part, range(order), start, min(part.size, start + BLOCK_ROWS))
+        for part in parts
+        for start in range(order - 1, part.size, BLOCK_ROWS)
+    )
+    values = np.linalg.svd(triangular(blocks), compute_uv=False)
     return int(np.sum(values > tolerance * values[0])) if values[0] > 0.0 else 0
 
 

@@ -5,7 +5,7 @@ What every estimator here begins with. No model structure is decided here.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
@@ -63,22 +63,18 @@ def lagged(x: FloatArray, lags: Sequence[int], start: int, stop: int) -> FloatAr
 
 def arx_blocks(
     z: IOData, y_lags: Sequence[int], u_lags: Sequence[int], lead: int
-) -> list[FloatArray]:
+) -> Iterator[FloatArray]:
     """Row blocks [-y(t-i) …, u(t-j) …, y(t)] of all segments, each behind its first `lead`."""
-    blocks = []
     for first, stop in z.segments:
         for start in range(first + lead, stop, BLOCK_ROWS):
             end = min(stop, start + BLOCK_ROWS)
-            blocks.append(
-                np.hstack(
-                    (
-                        -lagged(z.y, y_lags, start, end),
-                        lagged(z.u, u_lags, start, end),
-                        z.y[start:end, None],
-                    )
+            yield np.hstack(
+                (
+                    -lagged(z.y, y_lags, start, end),
+                    lagged(z.u, u_lags, start, end),
+                    z.y[start:end, None],
                 )
             )
-    return blocks
 
 
 def upper(x: FloatArray) -> FloatArray:
@@ -97,10 +93,10 @@ def upper(x: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.qr(x, mode='r'))
 
 
-def triangular(blocks: Sequence[FloatArray]) -> FloatArray:
+def triangular(blocks: Iterable[FloatArray]) -> FloatArray:
     """R (m, m) of the QR factorisation of the stacked blocks (·, m), by Householder, blockwise."""
-    columns = blocks[0].shape[1]
     factors = [upper(block) for block in blocks]
+    columns = factors[0].shape[1]
     r = factors[0] if len(factors) == 1 else upper(np.vstack(factors))
     if r.shape[0] < columns:
         r = np.vstack((r, np.zeros((columns - r.shape[0], columns))))

@@ -6,6 +6,7 @@ Tests only; the choice that follows from them is made in step_a.py.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +15,7 @@ from scipy import special
 
 from quad_sysid.blackbox.innovations import SegmentErrors, one_step_errors
 from quad_sysid.blackbox.polynomial import Model
-from quad_sysid.blackbox.regression import check_order, lagged, upper
+from quad_sysid.blackbox.regression import BLOCK_ROWS, check_order, lagged, triangular, upper
 from quad_sysid.blackbox.spectra import autocovariance, cross_covariance
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
@@ -143,32 +144,36 @@ def _explained(
     of the whitened residual: N R² against chi-square; dependent columns leave the count.
     """
     lags = [*past, *future]
-    ahead, behind = max(0, -min(lags)), max(0, *lags) + ar.size - 1
-    blocks, mean = [], _mean(parts)
-    for part in parts:
-        start, stop = part.start + behind, part.start + part.errors.size - ahead
-        if stop - start < 2:
-            continue
-        shift = part.start
-        e = np.convolve(part.errors - mean, ar)[start - shift : stop - shift]
-        smooth = np.convolve(x[shift : stop + ahead], ar)
-        columns = lagged(smooth, lags, start - shift, stop - shift)
-        blocks.append(np.column_stack((columns, e)))
-    if not blocks:
+    n, blocks = 0, []
+    for block in _test_rows(parts, x, ar, lags):
+        n += block.shape[0]
+        blocks.append(upper(block))
+    if n <= len(lags) + 2:
         return 1.0
-    rows = np.vstack(blocks)
-    rows -= rows.mean(axis=0)
-    scale = np.linalg.norm(rows, axis=0)
-    if scale[-1] == 0.0:
-        return 1.0
-    r = upper(rows / np.where(scale > 0.0, scale, 1.0))
-    tested = slice(len(past), len(lags)) if len(future) else slice(0, len(lags))
+    r = triangular(blocks)
+    r = r / np.maximum(np.linalg.norm(r, axis=0), np.finfo(float).tiny)
+    tested = slice(1 + (len(past) if len(future) else 0), 1 + len(lags))
     counted = np.abs(np.diag(r))[tested] > 1e-8
     dof = int(counted.sum())
-    if dof == 0:
+    unexplained = float(r[-1, -1] ** 2) / (n - len(lags) - 1)
+    if dof == 0 or unexplained == 0.0:
         return 1.0
-    unexplained = float(r[-1, -1] ** 2) / max(rows.shape[0] - len(lags) - 1, 1)
     return float(special.chdtrc(dof, float(np.sum(r[tested, -1][counted] ** 2)) / unexplained))
+
+
+def _test_rows(
+    parts: list[SegmentErrors], x: FloatArray, ar: FloatArray, lags: list[int]
+) -> Iterator[FloatArray]:
+    """Blocks of rows [1, x(t - lag) …, e(t)], x and e whitened by `ar`."""
+    ahead, behind = max(0, -min(lags)), max(0, *lags) + ar.size - 1
+    for part in parts:
+        begin, end = part.start, part.start + part.errors.size - ahead
+        smooth = np.convolve(x[begin : end + ahead], ar)
+        e = np.convolve(part.errors, ar)
+        for start in range(behind, end - begin, BLOCK_ROWS):
+            stop = min(end - begin, start + BLOCK_ROWS)
+            columns = lagged(smooth, lags, start, stop)
+            yield np.column_stack((np.ones(stop - start), columns, e[start:stop]))
 
 
 def _cross(
