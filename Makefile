@@ -31,9 +31,11 @@ build:  ## venv with the pinned packages and colcon build into install/
 	@tools/set_up.sh
 
 lint: build  ## ruff, mypy --strict and the import rules
-	@$(RUN) ruff check $(SOURCES)
-	@$(RUN) mypy
-	@$(RUN) lint-imports
+	@$(RUN) status=0; \
+	ruff check --output-format concise $(SOURCES) || status=1; \
+	mypy || status=1; \
+	lint-imports --no-logo || status=1; \
+	exit $$status
 
 format: build  ## lay the code out with ruff
 	@$(RUN) ruff format $(SOURCES)

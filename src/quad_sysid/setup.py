@@ -1,10 +1,22 @@
 """ament_python package of the identification; installable with pip without ROS."""
 
+import sys
 from glob import glob
 
 from setuptools import find_packages, setup
 
 PACKAGE = 'quad_sysid'
+
+NODES = [
+    'excitation = quad_sysid.excitation_node:main',
+    'identification = quad_sysid.identification_node:main',
+    'identify = quad_sysid.commands:identify',
+    'evaluate = quad_sysid.commands:evaluate',
+    'import = quad_sysid.commands:import_',
+    'design-excitation = quad_sysid.commands:design_excitation',
+]
+"""Names for `ros2 run` alone: colcon calls setup.py develop or install, pip builds a wheel."""
+IN_WORKSPACE = bool({'develop', 'install'} & set(sys.argv))
 
 setup(
     name=PACKAGE,
@@ -18,21 +30,15 @@ setup(
         (f'share/{PACKAGE}/config', glob('config/*.yaml')),
     ],
     python_requires='>=3.10',
-    install_requires=['numpy', 'scipy', 'numba', 'matplotlib', 'PyYAML', 'rosbags', 'lz4', 'threadpoolctl',
-                      'backports.zstd; python_version < "3.14"'],
+    install_requires=[
+        'numpy', 'scipy', 'numba', 'matplotlib', 'PyYAML', 'rosbags', 'lz4', 'threadpoolctl',
+        'backports.zstd; python_version < "3.14"',
+    ],
     extras_require={'test': ['pytest', 'hypothesis']},
     zip_safe=False,
     license='Apache-2.0',
     description='Identification of quadrotor dynamics and of the effects a model lacks.',
     entry_points={
-        'console_scripts': [
-            'excitation = quad_sysid.excitation_node:main',
-            'identification = quad_sysid.identification_node:main',
-            'quad-sysid = quad_sysid.cli:main',
-            'identify = quad_sysid.commands:identify',
-            'evaluate = quad_sysid.commands:evaluate',
-            'import = quad_sysid.commands:import_',
-            'design-excitation = quad_sysid.commands:design_excitation',
-        ]
+        'console_scripts': ['quad-sysid = quad_sysid.cli:main', *(NODES if IN_WORKSPACE else [])]
     },
 )

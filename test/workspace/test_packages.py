@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import ast
+import contextlib
 import importlib.util
+import runpy
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
+from unittest import mock
 from xml.etree import ElementTree as ET
 
 import pytest
@@ -15,25 +19,22 @@ ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ('quad_bridge', 'quad_sysid', 'quad_tuning')
 
 
-def setup_arguments(package: str) -> dict[str, ast.expr]:
-    """Keyword arguments of the setup() call of a package, unevaluated."""
-    tree = ast.parse((ROOT / 'src' / package / 'setup.py').read_text())
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Call) and getattr(node.func, 'id', '') == 'setup':
-            return {k.arg: k.value for k in node.keywords if k.arg}
-    raise AssertionError(package)
+def setup_arguments(package: str, command: str = 'develop') -> dict[str, Any]:
+    """What the setup.py of a package hands to setuptools when called with `command`."""
+    folder = ROOT / 'src' / package
+    with (
+        mock.patch('setuptools.setup') as setup,
+        mock.patch.object(sys, 'argv', ['setup.py', command]),
+        contextlib.chdir(folder) if sys.version_info >= (3, 11) else contextlib.nullcontext(),
+    ):
+        runpy.run_path(str(folder / 'setup.py'))
+    return dict(setup.call_args.kwargs)
 
 
-def entry_points(package: str) -> list[str]:
-    """Every `name = module:function` string in the setup.py of a package."""
-    text = ast.parse((ROOT / 'src' / package / 'setup.py').read_text())
-    return [
-        node.value
-        for node in ast.walk(text)
-        if isinstance(node, ast.Constant) and isinstance(node.value, str)
-        and '=' in node.value and ':' in node.value and node.value.count('=') == 1
-        and '>' not in node.value
-    ]  # fmt: skip
+def entry_points(package: str, command: str = 'develop') -> list[str]:
+    """Every `name = module:function` of a package, of all groups."""
+    groups = setup_arguments(package, command)['entry_points']
+    return [line for lines in groups.values() for line in lines]
 
 
 def test_colcon_takes_all_three_for_ament_python() -> None:
@@ -54,8 +55,8 @@ def test_manifest_and_setup_agree(package: str) -> None:
     assert manifest.findtext('name') == package
     assert manifest.findtext('export/build_type') == 'ament_python'
     arguments = setup_arguments(package)
-    assert ast.literal_eval(arguments['version']) == manifest.findtext('version')
-    assert ast.literal_eval(arguments['license']) == manifest.findtext('license')
+    assert arguments['version'] == manifest.findtext('version')
+    assert arguments['license'] == manifest.findtext('license')
     assert (ROOT / 'src' / package / 'resource' / package).exists()
 
 
@@ -73,6 +74,16 @@ def test_every_entry_point_leads_to_a_function(package: str) -> None:
             if isinstance(node, ast.FunctionDef | ast.ClassDef)
         }
         assert function in names, line
+
+
+@pytest.mark.parametrize(
+    ('package', 'command'), [('quad_sysid', 'quad-sysid'), ('quad_tuning', 'quad-tune')]
+)
+def test_pip_puts_one_command_on_the_path(package: str, command: str) -> None:
+    """Names such as `identify` and `import` are other programs' there; `ros2 run` has them."""
+    scripts = setup_arguments(package, 'bdist_wheel')['entry_points']['console_scripts']
+    assert [line.split(' = ')[0] for line in scripts] == [command]
+    assert len(setup_arguments(package)['entry_points']['console_scripts']) > 1
 
 
 @pytest.mark.parametrize('package', PACKAGES)
