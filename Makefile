@@ -10,7 +10,7 @@ SHELL := /bin/bash
 MAKEFLAGS += --no-print-directory
 
 RUN := . tools/workspace.bash;
-SOURCES := src test tools
+SOURCES := $(wildcard src test tools bench)
 ARGS ?=
 
 .PHONY: help demo test test-fast build lint format bench wheel docs lock shell clean
