@@ -14,6 +14,7 @@ from quad_sysid.blackbox import (
     excitation_order,
     fit_percent,
     frequency_response,
+    horizon_errors,
     initial_state,
     polynomial_model,
     predict,
@@ -61,6 +62,20 @@ def test_horizon_grows_from_one_step_to_free_run(study, record):
     fits = [compare(study.truth, record, h)[0] for h in (1, 5, 20, 100, math.inf)]
     assert all(a > b - 0.01 for a, b in itertools.pairwise(fits))
     assert fits[3] == pytest.approx(fits[4], abs=0.3)
+
+
+def test_horizon_errors_equal_predictions_one_by_one(study, record):
+    spans = [(0, 3), (5, 400), (410, 900)]
+    short = IOData(record.u[:900], record.y[:900], record.dt, segments=spans)
+    for k, error in enumerate(horizon_errors(study.truth, short, 12), start=1):
+        expected = short.y - predict(study.truth, short, k)
+        np.testing.assert_allclose(error, expected, atol=1e-10)
+
+
+def test_feedback_alone_eliminates_no_model(study, record):
+    rows = step_a([study.truth], IOData(record.u, record.y, record.dt), {})
+    assert not rows[0].test.causal
+    assert rows[0].passed_first_step
 
 
 def test_initial_state_is_recovered(study):

@@ -11,6 +11,7 @@ from quad_sysid.blackbox.residuals import ResidualTest, residual_test
 from quad_sysid.blackbox.simulate import (
     compare,
     fit_percent,
+    horizon_errors,
     initial_state,
     predict,
     simulate,
@@ -43,6 +44,7 @@ __all__ = [
     'fit_percent',
     'fit_table2',
     'frequency_response',
+    'horizon_errors',
     'indirect',
     'initial_state',
     'iv4',

@@ -6,7 +6,7 @@ The whole of a model's use on data but the statistics of its residual (residuals
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -85,6 +85,25 @@ def predict(model: Model, z: IOData, horizon: float = 1) -> FloatArray:
         stop = part.start + error.size
         yhat[part.start : stop] = z.y[part.start : stop] - error
     return yhat
+
+
+def horizon_errors(model: Model, z: IOData, horizon: int) -> Iterator[FloatArray]:
+    """Errors (n,) of `predict` for 1, 2, …, `horizon` samples ahead, NaN where none is made.
+
+    One pass over the data for all horizons, since each adds one term to the one before.
+    """
+    parts = one_step_errors(model, z)
+    impulse = np.zeros(horizon)
+    impulse[0] = 1.0
+    h = filter_signal(model.C, np.convolve(model.A, model.D), impulse)
+    error = np.full(z.y.size, np.nan)
+    for part in parts:
+        error[part.start : part.start + part.errors.size] = 0.0
+    for k in range(horizon):
+        for part in parts:
+            stop = part.start + part.errors.size
+            error[part.start + k : stop] += h[k] * part.errors[: max(part.errors.size - k, 0)]
+        yield error.copy()
 
 
 def fit_percent(y: FloatArray, yhat: FloatArray) -> float:
