@@ -10,9 +10,7 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.effects.crossval import held_out_errors
 from quad_sysid.greybox.fit import Fit, fit_structure, fit_with_effect
 from quad_sysid.greybox.simulate import Simulator
-from quad_sysid.greybox.structure import BASE_PARAMETERS, Effect, Settings, Structure
-
-Prepared = tuple[Effect, Settings]
+from quad_sysid.greybox.structure import BASE_PARAMETERS, Prepared, Structure
 
 
 @dataclass(frozen=True, eq=False)

@@ -45,6 +45,8 @@ def held_out_errors(fit: Fit, windows: Windows, dt: float) -> FloatArray:
     free = np.flatnonzero(~fit.at_bound)
     # spread of each parameter, so that the solve is well scaled
     total = np.sqrt(np.maximum(np.einsum('wpp->p', gram), 1e-300))[free]
+    prior_gram = (fit.prior.T @ fit.prior)[np.ix_(free, free)]
+    prior_score = (fit.prior.T @ (fit.prior @ fit.theta))[free]
     out = np.empty(count)
     gap = round(GAP_S / dt) + length
     for number in range(folds):
@@ -54,8 +56,9 @@ def held_out_errors(fit: Fit, windows: Windows, dt: float) -> FloatArray:
         kept &= ~near
         shift = np.zeros(p)
         if free.size and kept.any():
-            left = gram[kept].sum(axis=0)[np.ix_(free, free)] / np.outer(total, total)
-            right = score[kept].sum(axis=0)[free] / total
+            left = gram[kept].sum(axis=0)[np.ix_(free, free)] + prior_gram
+            left /= np.outer(total, total)
+            right = (score[kept].sum(axis=0)[free] + prior_score) / total
             shift[free] = -np.linalg.lstsq(left, right, rcond=1e-12)[0] / total
         errors = fit.errors[held] + j[held] @ shift
         out[held] = np.mean(errors**2, axis=1)

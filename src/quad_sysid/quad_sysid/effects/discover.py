@@ -13,18 +13,18 @@ import numpy as np
 
 from quad_sysid.effects.candidate import (
     Candidate,
-    Prepared,
     candidate,
     exchanged,
     without,
     without_effects,
 )
 from quad_sysid.effects.crossval import compare, selection_probabilities
+from quad_sysid.effects.shapes import besides
 from quad_sysid.greybox.data import AxisData
 from quad_sysid.greybox.fit import Fit, fit_base, fit_with_effect, settle
 from quad_sysid.greybox.noise import NoiseModel
 from quad_sysid.greybox.simulate import Simulator
-from quad_sysid.greybox.structure import Effect
+from quad_sysid.greybox.structure import Effect, Prepared
 
 MOST_EFFECTS = 3
 CHANCE = 0.01
@@ -109,7 +109,8 @@ def _forward(
             if effect.name in current.names:
                 continue
             progress(f'{axis}: effect {step}, {effect.name}')
-            trial = candidate(sim, fit_with_effect(sim, current.fit, effect, settings))
+            put = _fitting(current, (effect, settings))
+            trial = candidate(sim, fit_with_effect(sim, current.fit, *put))
             trials.append(trial)
             verdict = compare(current.errors, trial.errors, sim.windows, dt)
             tried.append(Tried(step, effect.name, trial.score, verdict.p_value))
@@ -118,6 +119,16 @@ def _forward(
             break
         current, noise, sim = _strongest(sim, current, worthy)
     return current, noise, sim, tuple(tried)
+
+
+def _fitting(current: Candidate, put: Prepared) -> Prepared:
+    """A curve that refines named effects of its signal leaves out what they can say."""
+    effect, settings = put
+    names = tuple(
+        e.name for e in current.fit.structure.effects
+        if e.kind == 'named' and set(e.signals) & set(effect.signals)
+    )
+    return besides(effect, settings, names) if effect.kind == 'shape' and names else put
 
 
 def _stepped(
@@ -181,8 +192,8 @@ def _strongest(
 ) -> tuple[Candidate, NoiseModel, Simulator]:
     """The best of the foremost, each with the state correction that suits it.
 
-    A curve without a name gives way to a named effect that explains nearly as much; what the
-    name leaves can still be added as a curve in the next step.
+    A curve without a name gives way to a named effect of the same signal that explains nearly
+    as much; what the name leaves can still be added as a curve in the next step.
     """
     settled = []
     named = [one for one in worthy if not one.curves]
@@ -193,9 +204,11 @@ def _strongest(
     best = min(settled, key=lambda item: item[0].score)
     if best[0].curves > current.curves:
         gained = current.score**2 - best[0].score**2
+        signals = set(best[0].fit.structure.effects[-1].signals)
         enough = [
             item for item in settled
             if item[0].curves == current.curves
+            and signals & set(item[0].fit.structure.effects[-1].signals)
             and current.score**2 - item[0].score**2 >= NAMED_SHARE * gained
         ]
         if enough:
@@ -229,7 +242,7 @@ def _rivals(
     """Probabilities over all that could stand in the place of `name`, itself included."""
     own_curve = next(e.kind for e in current.fit.structure.effects if e.name == name) == 'shape'
     others = [
-        put for put in prepared
+        _fitting(current, put) for put in prepared
         if put[0].name not in current.names and (own_curve or put[0].kind != 'shape')
     ]
     field_ = [current, *(exchanged(sim, current, name, put) for put in others)]

@@ -6,12 +6,15 @@ explains clearly more; that is decided in discover.py.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+
 import numpy as np
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.greybox import kernels
 from quad_sysid.greybox.data import AxisData
-from quad_sysid.greybox.structure import Effect, ParameterSpec, Settings, Term
+from quad_sysid.greybox.structure import Effect, ParameterSpec, Prepared, Settings, Term
 
 KNOTS = 7
 RATE_KNOTS = 12
@@ -66,10 +69,32 @@ def _x(settings: Settings) -> FloatArray:
 def _basis(settings: Settings) -> FloatArray:
     """(count, m) knot values that no straight line (or constant) contains: the base has those."""
     x = _x(settings)
-    known = [np.ones(x.size), x / np.abs(x).max()]
-    columns = np.stack(known if settings['line'] == 'base' else known[:1], axis=1)
+    known = [np.ones(x.size)]
+    if settings['line'] == 'base':
+        known.append(x / np.abs(x).max())
+    names = settings.get('besides', ())
+    if isinstance(names, tuple):
+        known += [NAMED_CURVES[name](x) for name in names if name in NAMED_CURVES]
+    columns = np.stack([column / np.abs(column).max() for column in known], axis=1)
     complete: FloatArray = np.linalg.qr(columns, mode='complete')[0]
     return complete[:, columns.shape[1] :]
+
+
+NAMED_CURVES: dict[str, Callable[[FloatArray], FloatArray]] = {
+    'coulomb_friction': np.sign,
+    'quadratic_drag': lambda x: x * np.abs(x),
+    'pendulum_stiffness': np.sin,
+    'cubic_stiffness': lambda x: x**3,
+}
+"""What a curve leaves out where the named effect is there as well."""
+
+
+def besides(effect: Effect, settings: Settings, names: tuple[str, ...]) -> Prepared:
+    """The curve that refines these named effects: without what they can say themselves."""
+    kept = tuple(str(name) for name in names if name in NAMED_CURVES)
+    refined: Settings = {**settings, 'besides': kept}
+    free = _basis(refined).shape[1]
+    return replace(effect, parameters=effect.parameters[:free]), refined
 
 
 def _curve_values(p: FloatArray, settings: Settings) -> tuple[float, ...]:
@@ -82,6 +107,20 @@ def _knot_parameters(count: int, unit: str, scale: float) -> tuple[ParameterSpec
     return tuple(
         ParameterSpec(f'c{i}', unit, -np.inf, np.inf, (0.0,), scale) for i in range(count)
     )
+
+
+def _smooth(settings: Settings, size: float) -> FloatArray:
+    """Rows of a weak prior: second differences of the knots' values are of this size."""
+    bend: FloatArray = np.diff(np.eye(_x(settings).size), 2, axis=0) @ _basis(settings)
+    return bend / size
+
+
+def _torque_prior(settings: Settings) -> FloatArray:
+    return _smooth(settings, 1.0)
+
+
+def _command_prior(settings: Settings) -> FloatArray:
+    return _smooth(settings, 0.01)
 
 
 def _rate_settings(data: AxisData) -> Settings | str:
@@ -122,6 +161,7 @@ SHAPES: tuple[Effect, ...] = (
         excite='rates spread evenly over their range: a chirp or a multisine',
         prepare=_rate_settings,
         torque=_rate_torque,
+        prior=_torque_prior,
     ),
     Effect(
         name='shape:angle',
@@ -132,6 +172,7 @@ SHAPES: tuple[Effect, ...] = (
         excite='slow large angles: a slow chirp or a square wave of long period',
         prepare=_angle_settings,
         torque=_angle_torque,
+        prior=_torque_prior,
     ),
     Effect(
         name='shape:command',
@@ -142,6 +183,7 @@ SHAPES: tuple[Effect, ...] = (
         excite='commands spread evenly over their range: a multisine',
         prepare=_command_settings,
         command=_command_map,
+        prior=_command_prior,
     ),
 )
 

@@ -41,6 +41,8 @@ class Fit:
     converged: bool
     iterations: int
     at_bound: np.ndarray
+    prior: FloatArray
+    """(r, p) rows of the effects' priors, in the unit of the errors."""
 
     @property
     def rms(self) -> float:
@@ -76,12 +78,17 @@ def fit_structure(
     scale[0] = max(abs(start[0]) * 0.1, 1e-6)
     index = np.arange(start.size) if free is None else np.flatnonzero(free)
     full = np.array(start, dtype=float)
+    rows = structure.prior()
+    weight = sim.run(structure, full).rms if rows.size else 0.0
+    prior = rows * (weight if np.isfinite(weight) else 1.0)
 
     def residual(part: FloatArray) -> FloatArray:
         theta = full.copy()
         theta[index] = part
         errors: FloatArray = sim.run(structure, theta).errors.ravel()
-        return errors if np.isfinite(errors).all() else np.full(errors.size, 1e6)
+        if not np.isfinite(errors).all():
+            return np.full(errors.size + prior.shape[0], 1e6)
+        return np.concatenate([errors, prior @ theta]) if prior.size else errors
 
     found = levenberg.minimise(
         residual, full[index], lower[index], upper[index], scale[index],
@@ -93,21 +100,25 @@ def fit_structure(
     close = (theta - lower <= 1e-3 * scale) | (upper - theta <= 1e-3 * scale)
     theta = np.where(theta - lower <= 1e-3 * scale, lower, theta)
     shape = (sim.windows.count, sim.windows.length)
-    jacobian = np.zeros((found.residual.size, theta.size))
-    jacobian[:, index] = found.jacobian
+    count = shape[0] * shape[1]
+    jacobian = np.zeros((count, theta.size))
+    jacobian[:, index] = found.jacobian[:count]
     at_bound = np.ones(theta.size, dtype=bool)
     at_bound[index] = found.at_bound | close[index]
     jacobian = jacobian.reshape(*shape, theta.size)
-    errors = found.residual.reshape(shape)
+    errors = found.residual[:count].reshape(shape)
     return Fit(
         structure=structure,
         theta=theta,
-        covariance=robust_covariance(jacobian, errors, at_bound, sim.windows, sim.data.dt),
+        covariance=robust_covariance(
+            jacobian, errors, at_bound, sim.windows, sim.data.dt, prior
+        ),
         jacobian=jacobian,
         errors=errors,
         converged=found.converged,
         iterations=found.iterations,
         at_bound=at_bound,
+        prior=prior,
     )
 
 
@@ -121,7 +132,8 @@ def block_numbers(windows: Windows, dt: float, block_s: float = BLOCK_S) -> np.n
 
 
 def robust_covariance(
-    jacobian: FloatArray, errors: FloatArray, held: np.ndarray, windows: Windows, dt: float
+    jacobian: FloatArray, errors: FloatArray, held: np.ndarray, windows: Windows, dt: float,
+    prior: FloatArray,
 ) -> FloatArray:
     """Sandwich covariance with blocks of windows as clusters (Liang and Zeger 1986)."""
     p = jacobian.shape[2]
@@ -135,7 +147,8 @@ def robust_covariance(
     count = int(blocks.max()) + 1
     summed = np.zeros((count, index.size))
     np.add.at(summed, blocks, scores)
-    triangle = np.linalg.qr(j.reshape(-1, index.size), mode='r')
+    stacked = np.vstack([j.reshape(-1, index.size), prior[:, index]])
+    triangle = np.linalg.qr(stacked, mode='r')
     norms = np.linalg.norm(triangle, axis=0)
     norms[norms == 0] = 1.0
     inverse = np.linalg.pinv(triangle / norms) / norms[:, None]

@@ -13,7 +13,7 @@ import numpy as np
 from quad_sysid.contract import FloatArray
 from quad_sysid.greybox.data import AxisData
 
-Settings = Mapping[str, float | str | tuple[float, ...]]
+Settings = Mapping[str, float | str | tuple[float, ...] | tuple[str, ...]]
 
 
 @dataclass(frozen=True)
@@ -68,6 +68,12 @@ class Effect:
     """Settings from the training data, or in words why it cannot be tested on them."""
     command: Callable[[AxisData, FloatArray, FloatArray, Settings], FloatArray] | None = None
     torque: Callable[[AxisData, FloatArray, Settings], Term] | None = None
+    prior: Callable[[Settings], FloatArray] | None = None
+    """(r, p) rows whose product with the parameters is of size 1 beforehand; None: no prior."""
+
+
+Prepared = tuple[Effect, Settings]
+"""An effect with the settings that the training data gave it."""
 
 
 @dataclass(frozen=True)
@@ -97,6 +103,20 @@ class Structure:
             out.append(slice(position, position + len(effect.parameters)))
             position += len(effect.parameters)
         return out
+
+    def prior(self) -> FloatArray:
+        """(r, p) rows of all effects' priors over the whole parameter vector."""
+        p = len(self.specs)
+        blocks = [np.zeros((0, p))]
+        for effect, settings, where in zip(
+            self.effects, self.settings, self.slices(), strict=True
+        ):
+            if effect.prior is not None:
+                rows = effect.prior(settings)
+                block = np.zeros((rows.shape[0], p))
+                block[:, where] = rows
+                blocks.append(block)
+        return np.vstack(blocks)
 
     def with_effect(self, effect: Effect, settings: Settings) -> Structure:
         """This structure with one more effect."""

@@ -14,7 +14,7 @@ from quad_sysid.effects.table import EFFECTS
 from quad_sysid.errors import BadInputError, NotInformativeError
 from quad_sysid.greybox.data import AxisData, Span, axis_data
 from quad_sysid.greybox.fit import simulator
-from quad_sysid.greybox.structure import Effect, Structure
+from quad_sysid.greybox.structure import Effect, Settings, Structure
 from quad_sysid.model import AxisModel, EffectEstimate, Parameter
 from quad_sysid.record import Record, finite_runs
 
@@ -90,6 +90,8 @@ def structure_of(model: AxisModel) -> tuple[Structure, FloatArray]:
                 f'model: {model.axis}.effects', 'an effect this version does not know',
                 estimate.name, 'identify again with this version',
             )
+        # a curve that refines named effects has fewer parameters than one that stands alone
+        effect = replace(effect, parameters=effect.parameters[: len(estimate.parameters)])
         structure = structure.with_effect(effect, _settings(estimate))
         theta.append(vector(estimate.parameters))
     return structure, np.concatenate(theta)
@@ -100,16 +102,17 @@ def vector(parameters: tuple[Parameter, ...]) -> FloatArray:
     return np.array([p.value for p in parameters])
 
 
-def _settings(estimate: EffectEstimate) -> dict[str, float | str | tuple[float, ...]]:
+def _settings(estimate: EffectEstimate) -> Settings:
     """Settings as the effect prepared them, from what JSON made of them."""
-    out: dict[str, float | str | tuple[float, ...]] = {}
+    out: dict[str, float | str | tuple[float, ...] | tuple[str, ...]] = {}
     for key, value in estimate.settings.items():
         if isinstance(value, bool | int | float):
             out[key] = float(value)
         elif isinstance(value, str):
             out[key] = value
         elif isinstance(value, list | tuple):
-            out[key] = tuple(float(v) for v in value)
+            texts = all(isinstance(v, str) for v in value)
+            out[key] = tuple(map(str, value)) if texts else tuple(float(v) for v in value)
     return out
 
 

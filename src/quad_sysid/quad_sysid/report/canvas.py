@@ -1,0 +1,160 @@
+"""How every picture of a report looks: colours, size, axes; a figure as inline SVG or as PNG.
+
+matplotlib is imported inside functions only, so that who writes no pictures never loads it, and
+pyplot with its global state is never touched. What is drawn stands in the plots_*.py files.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from quad_sysid.contract import FloatArray
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+INK, MUTED, GRID = '#1b1f24', '#5f6b78', '#d5dae0'
+BLUE, ORANGE, GREEN, SKY, PINK = '#0072b2', '#d55e00', '#009e73', '#56b4e9', '#cc79a7'
+"""Okabe and Ito (2008): told apart by colour-blind people."""
+
+THEMED = {
+    INK: 'ink', MUTED: 'muted', GRID: 'grid',
+    BLUE: 'blue', ORANGE: 'orange', GREEN: 'green', SKY: 'sky', PINK: 'pink',
+}
+"""Colour to the page's CSS variable, which differs between light and dark."""
+
+MEASURED, BEFORE, AFTER, OTHER = INK, ORANGE, BLUE, GREEN
+WIDTH_IN = 5.0
+"""One width for all: 360 pt, so that the text keeps its size on a phone."""
+MOST_POINTS = 900
+"""Of one line; more cannot be seen at this width."""
+PNG_DPI = 130
+_RC: Mapping[str, Any] = {
+    'svg.fonttype': 'none', 'font.family': 'sans-serif', 'font.size': 8.5,
+    'axes.edgecolor': MUTED, 'axes.labelcolor': INK, 'text.color': INK, 'xtick.color': MUTED,
+    'ytick.color': MUTED, 'xtick.labelcolor': INK, 'ytick.labelcolor': INK,
+    'axes.spines.top': False, 'axes.spines.right': False, 'axes.grid': True,
+    'grid.color': GRID, 'grid.linewidth': 0.6, 'axes.axisbelow': True, 'lines.linewidth': 1.1,
+    'axes.titlesize': 8.5, 'axes.titlelocation': 'left', 'legend.fontsize': 8.0,
+    'legend.frameon': False, 'xtick.labelsize': 8.0, 'ytick.labelsize': 8.0,
+    'axes.formatter.useoffset': False, 'axes.unicode_minus': False, 'path.simplify': True,
+}
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One figure with what it shows in words."""
+
+    name: str
+    """Of its PNG file and its anchor, such as `bode`."""
+    title: str
+    caption: str
+    figure: Figure
+
+    @property
+    def labels(self) -> tuple[tuple[str, str], ...]:
+        """(x label, y label) of every panel, the shared x label filled in."""
+        shared = next((a.get_xlabel() for a in reversed(self.figure.axes) if a.get_xlabel()), '')
+        return tuple((a.get_xlabel() or shared, a.get_ylabel()) for a in self.figure.axes)
+
+
+def panels(
+    rows: int = 1, columns: int = 1, height_in: float = 3.0, *, share_x: bool = True,
+    ratios: Sequence[float] | None = None, left_in: float = 0.7,
+) -> tuple[Figure, list[Axes]]:
+    """A figure with `rows` x `columns` panels, margins in inches, panels row by row."""
+    import matplotlib as mpl
+    from matplotlib.figure import Figure
+
+    with mpl.rc_context(dict(_RC)):
+        figure = Figure(figsize=(WIDTH_IN, height_in))
+        figure.patch.set_alpha(0.0)
+        grid = figure.subplots(
+            rows, columns, squeeze=False, sharex=share_x and columns == 1,
+            gridspec_kw={
+                'left': left_in / WIDTH_IN, 'right': 1.0 - 0.12 / WIDTH_IN,
+                'bottom': 0.46 / height_in, 'top': 1.0 - 0.3 / height_in,
+                'hspace': 0.28, 'wspace': 0.42,
+                **({'height_ratios': list(ratios)} if ratios else {}),
+            },
+        )
+        axes = [one for row in grid for one in row]
+        for one in axes:
+            one.patch.set_alpha(0.0)
+            width_in = one.get_position().width * WIDTH_IN
+            one.yaxis.set_label_coords(-(left_in - 0.14) / width_in, 0.5)
+    return figure, axes
+
+
+def legend(axes: Axes, columns: int = 4) -> None:
+    """A legend in one line above the panel, outside the data."""
+    handles, labels = axes.get_legend_handles_labels()
+    if handles:
+        axes.legend(
+            handles, labels, loc='lower left', bbox_to_anchor=(-0.01, 0.985), ncols=columns,
+            borderaxespad=0.1, handlelength=1.3, columnspacing=1.0, handletextpad=0.4,
+            frameon=False, fontsize=8.0,
+        )
+
+
+def shade(axes: Axes, low: float, high: float, colour: str, label: str = '') -> None:
+    """A stretch of x in a light tint."""
+    axes.axvspan(low, high, color=colour, alpha=0.13, linewidth=0, label=label or None, zorder=0)
+
+
+def thinned(time_s: FloatArray, signal: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Line of at most MOST_POINTS points that keeps each stretch's extremes; NaN breaks it."""
+    n = signal.size
+    if n <= MOST_POINTS:
+        return time_s, signal
+    width = -(-n // (MOST_POINTS // 2))
+    padded = np.full(-(-n // width) * width, np.nan)
+    padded[:n] = signal
+    blocks = padded.reshape(-1, width)
+    known = np.isfinite(blocks).any(axis=1)
+    low = np.where(np.isfinite(blocks), blocks, np.inf)
+    high = np.where(np.isfinite(blocks), blocks, -np.inf)
+    at = np.sort(np.stack([low.argmin(axis=1), high.argmax(axis=1)], axis=1), axis=1)
+    rows = np.arange(blocks.shape[0])[:, None]
+    values = np.where(known[:, None], blocks[rows, at], np.nan)
+    return time_s[np.minimum(rows * width + at, n - 1)].ravel(), values.ravel()
+
+
+def svg(picture: Picture, prefix: str) -> str:
+    """The figure as an `<svg>` element for a page: theme colours as CSS variables, no links."""
+    import matplotlib as mpl
+
+    stream = io.StringIO()
+    with mpl.rc_context({**_RC, 'svg.hashsalt': f'{prefix}-{picture.name}'}):
+        picture.figure.savefig(stream, format='svg', transparent=True, metadata={'Date': None})
+    text = stream.getvalue()
+    text = text[text.index('<svg'):]
+    text = re.sub(r'<metadata>.*?</metadata>\s*', '', text, flags=re.DOTALL)
+    text = re.sub(r'\s(?:xmlns(?::xlink)?|version|width|height)="[^"]*"', '', text, count=5)
+    text = re.sub(r'<g id="[^"]*"', '<g', text).replace('xlink:href', 'href')
+    text = re.sub(r'font: ([\d.]+px) [^;"]*', r'font: \1 var(--font)', text)
+    text = re.sub(r'-?\d+\.\d{3,}', lambda m: f'{float(m.group()):.2f}', text)
+    for colour, name in THEMED.items():
+        text = text.replace(colour, f'var(--{name})')
+    text = text.replace('#000000', 'var(--ink)')
+    label = re.sub(r'[<>&"]', ' ', f'{picture.title}. {picture.caption}')
+    return text.replace('<svg', f'<svg role="img" aria-label="{label}"', 1)
+
+
+def png(picture: Picture) -> bytes:
+    """The figure on white, for a file."""
+    import matplotlib as mpl
+
+    stream = io.BytesIO()
+    with mpl.rc_context(dict(_RC)):
+        picture.figure.patch.set_alpha(1.0)
+        picture.figure.savefig(stream, format='png', dpi=PNG_DPI, facecolor='white')
+        picture.figure.patch.set_alpha(0.0)
+    return stream.getvalue()

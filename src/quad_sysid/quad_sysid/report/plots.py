@@ -1,0 +1,71 @@
+"""The table of pictures: for an answer, every figure that its data allow, in the order of reading.
+
+To add a picture is to add one entry here. How they are drawn stands in plots_*.py, how they look
+in canvas.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from quad_sysid.errors import BadInputError, QuadSysidError
+from quad_sysid.pipeline.answer import AxisAnswer
+from quad_sysid.report import plots_data, plots_effects, plots_loop, plots_models
+from quad_sysid.report.canvas import Picture, png
+
+PICTURES: tuple[tuple[str, Callable[[AxisAnswer], Picture | None]], ...] = (
+    ('signals', plots_data.signals),
+    ('signals_detail', plots_data.detail),
+    ('spectra', plots_data.spectra),
+    ('coherence', plots_data.coherences),
+    ('free_run', plots_models.free_run),
+    ('horizon', plots_models.horizon),
+    ('residual_test', plots_models.residuals),
+    ('bode', plots_models.bode),
+    ('left_out', plots_effects.left_out),
+    ('effect_shape', plots_effects.effect_shapes),
+    ('battery_sag', plots_effects.sag),
+    ('rivals', plots_effects.rivals),
+    ('closed_loop', plots_loop.overlay),
+    ('step', plots_loop.step_response),
+)
+"""Name and builder; a builder gives None where the answer lacks what it would show."""
+
+
+@dataclass(frozen=True)
+class Gallery:
+    """The pictures of one axis, by name, and why others could not be drawn."""
+
+    pictures: Mapping[str, Picture]
+    failed: tuple[tuple[str, str], ...] = ()
+
+
+def gallery(answer: AxisAnswer) -> Gallery:
+    """Draw all pictures of one axis; one that fails on odd data is named, the rest stand."""
+    drawn: dict[str, Picture] = {}
+    failed: list[tuple[str, str]] = []
+    for name, build in PICTURES:
+        try:
+            with np.errstate(all='ignore'):
+                picture = build(answer)
+        except (QuadSysidError, ValueError, ArithmeticError, LookupError) as error:
+            failed.append((name, str(error) or type(error).__name__))
+            continue
+        if picture is not None:
+            drawn[name] = picture
+    return Gallery(drawn, tuple(failed))
+
+
+def save(galleries: Mapping[str, Gallery], folder: Path) -> None:
+    """Write every picture as `<axis>_<name>.png` into `folder`, which is made where missing."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for axis, one in galleries.items():
+            for name, picture in one.pictures.items():
+                (folder / f'{axis}_{name}.png').write_bytes(png(picture))
+    except OSError as error:
+        raise BadInputError(str(folder), 'cannot be written', error.strerror) from error

@@ -1,0 +1,181 @@
+"""Pictures of what was measured: signals and segments, spectra, coherence. No model."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import signal as filters
+
+from quad_sysid.blackbox import coherence
+from quad_sysid.contract import FloatArray
+from quad_sysid.greybox.data import AxisData, Span
+from quad_sysid.pipeline.answer import AxisAnswer
+from quad_sysid.record import IOData
+from quad_sysid.report.canvas import (
+    AFTER, BLUE, GREEN, INK, MUTED, ORANGE, PINK, Picture, legend, panels, shade, thinned,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+DETAIL_S = 8.0
+COHERENT = 0.6
+"""Squared coherence above which command and rate are trusted to belong together."""
+
+
+def signals(answer: AxisAnswer) -> Picture | None:
+    """The whole record with its segments shaded."""
+    found = answer.discovery
+    if found is None:
+        return None
+    data = found.data
+    return Picture(
+        'signals', 'Signals and segments',
+        'The whole record. Blue stretches train the model, orange ones are held out and were '
+        'opened once, at the end.',
+        _traces(answer, data, (0, data.rate.size), segments=True),
+    )
+
+
+def detail(answer: AxisAnswer) -> Picture | None:
+    """A few seconds of training, in which single swings can be followed."""
+    found = answer.discovery
+    if found is None or not found.data.train:
+        return None
+    data = found.data
+    start, stop = max(found.data.train, key=lambda s: s[1] - s[0])
+    length = min(stop - start, round(DETAIL_S / data.dt))
+    begin = start + (stop - start - length) // 2
+    return Picture(
+        'signals_detail', f'{length * data.dt:.0f} s of training',
+        'The same signals close up, from the middle of the longest training segment.',
+        _traces(answer, data, (begin, begin + length), segments=False),
+    )
+
+
+def _traces(answer: AxisAnswer, data: AxisData, span: Span, *, segments: bool) -> Figure:
+    """Stacked panels of rate, angle (where measured) and command over `span`."""
+    inside = slice(*span)
+    time_s = np.arange(*span) * data.dt
+    rows = [
+        ('rate, rad/s', data.rate, answer.rate_reference),
+        ('angle, rad', data.angle, answer.attitude_reference),
+        ('command, norm.', data.command, None),
+    ]
+    rows = [row for row in rows if row[1] is not None or row[2] is not None]
+    figure, axes = panels(len(rows), height_in=1.2 + 1.15 * len(rows))
+    for number, (one, (label, measured, reference)) in enumerate(zip(axes, rows, strict=True)):
+        if segments:
+            for spans, colour, name in (
+                (data.train, BLUE, 'training'), (data.validation, ORANGE, 'held out'),
+            ):
+                for at, (a, b) in enumerate(_joined(spans, data.dt)):
+                    shade(one, a * data.dt, b * data.dt, colour, name if at == 0 else '')
+        if reference is not None:
+            one.plot(*thinned(time_s, reference[inside]), color=GREEN, lw=0.9, label='reference')
+        if measured is not None:
+            name = 'measured' if number < len(rows) - 1 else 'command'
+            one.plot(*thinned(time_s, measured[inside]), color=INK, lw=0.7, label=name)
+        one.set_ylabel(label)
+        one.margins(x=0.0)
+    legend(axes[0])
+    axes[-1].set_xlabel('time, s')
+    return figure
+
+
+def _joined(spans: tuple[Span, ...], dt: float) -> list[Span]:
+    """Spans with gaps below 0.2 s closed: lost samples are no segments to a reader."""
+    out: list[Span] = []
+    for a, b in sorted(spans):
+        if out and (a - out[-1][1]) * dt < 0.2:
+            out[-1] = (out[-1][0], b)
+        else:
+            out.append((a, b))
+    return out
+
+
+def spectra(answer: AxisAnswer) -> Picture | None:
+    """Power spectral densities of command, rate and reference over the training segments."""
+    train = answer.train
+    if train is None:
+        return None
+    figure, axes = panels(2, height_in=3.7)
+    for one, parts, label in (
+        (axes[0], [('measured', train.y, INK), ('reference', answer.rate_reference, GREEN)],
+         'rate, (rad/s)²/Hz'),
+        (axes[1], [('command', train.u, AFTER)], 'command, 1/Hz'),
+    ):
+        for name, values, colour in parts:
+            if values is None or not _finite(values, train):
+                continue
+            w, density = _density(values, train)
+            one.loglog(w, density, color=colour, label=name)
+        one.set_ylabel(label)
+        trusted(one, answer)
+    legend(axes[0])
+    axes[-1].set_xlabel('frequency, rad/s')
+    return Picture(
+        'spectra', 'Spectra',
+        'Power over frequency in the training segments: where the test flight had strength.'
+        + trusted_words(answer), figure,
+    )
+
+
+def coherences(answer: AxisAnswer) -> Picture | None:
+    """Squared coherence of the command, and where known the reference, with the rate."""
+    train = answer.train
+    if train is None:
+        return None
+    figure, (one,) = panels(height_in=2.6)
+    w, values = coherence(train)
+    one.semilogx(w, values, color=AFTER, label='command to rate')
+    reference = answer.rate_reference
+    if reference is not None and _finite(reference, train):
+        with_reference = replace(train, r=reference)
+        w, values = coherence(with_reference, joint=True)
+        one.semilogx(w, values, color=PINK, ls='--', label='reference to rate')
+    one.axhline(COHERENT, color=MUTED, lw=0.8, ls=':')
+    trusted(one, answer)
+    one.set_ylim(0.0, 1.02)
+    one.set_xlabel('frequency, rad/s')
+    one.set_ylabel('squared coherence, 1')
+    legend(one)
+    return Picture(
+        'coherence', 'Coherence',
+        f'1 means that the rate follows the command and nothing else. Above {COHERENT:g} the model '
+        'is trusted; noise, wind and what is not linear pull it down.' + trusted_words(answer),
+        figure,
+    )
+
+
+def trusted(axes: Axes, answer: AxisAnswer) -> None:
+    """Shade the trusted range on an axis of frequencies."""
+    band = answer.model.trusted_band_rad_s if answer.model else None
+    if band is not None:
+        shade(axes, band[0], band[1], GREEN)
+
+
+def trusted_words(answer: AxisAnswer) -> str:
+    """What the shading means; empty where there is none."""
+    band = answer.model.trusted_band_rad_s if answer.model else None
+    if band is None:
+        return ''
+    return f' Green: the trusted range, {band[0]:.2g} to {band[1]:.3g} rad/s.'
+
+
+def _finite(values: FloatArray, z: IOData) -> bool:
+    return all(bool(np.isfinite(values[a:b]).all()) for a, b in z.segments)
+
+
+def _density(values: FloatArray, z: IOData) -> tuple[FloatArray, FloatArray]:
+    """Frequencies, rad/s, and mean density, unit²/Hz, over the segments (Welch 1967)."""
+    longest = max(b - a for a, b in z.segments)
+    size = int(min(longest, max(256, round(8.0 / z.dt))))
+    parts = [s for s in z.segments if s[1] - s[0] >= size]
+    found = [filters.welch(values[a:b], 1.0 / z.dt, nperseg=size) for a, b in parts]
+    weights = [b - a for a, b in parts]
+    mean = np.average([density for _, density in found], axis=0, weights=weights)
+    return 2.0 * np.pi * found[0][0][1:], np.asarray(mean[1:])

@@ -1,0 +1,86 @@
+"""Pictures of the closed loop: simulated against recorded flight, a step with old and new gains."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from quad_sysid.errors import QuadSysidError
+from quad_sysid.loop.cascade import CascadeGains
+from quad_sysid.loop.from_model import loop_plant
+from quad_sysid.loop.simulation import simulate_cascade
+from quad_sysid.pipeline.answer import AxisAnswer
+from quad_sysid.report.canvas import (
+    AFTER, BEFORE, GREEN, INK, Picture, legend, panels, thinned,
+)
+
+SHOWN_S = 10.0
+STEP_RAD = float(np.radians(12.0))
+STEP_S = 2.0
+
+
+def overlay(answer: AxisAnswer) -> Picture | None:
+    """The simulated cascade on the recorded reference against the recorded rate."""
+    loop = answer.closed_loop
+    if loop is None or loop.time_s.size < 2:
+        return None
+    step = float(np.median(np.diff(loop.time_s)))
+    time_s = np.asarray(loop.time_s, dtype=float)
+    breaks = np.flatnonzero(np.diff(time_s) > 1.5 * step) + 1
+    pieces = np.split(np.arange(time_s.size), breaks)
+    shown = max(pieces, key=lambda p: float(np.var(loop.measured[p])) if p.size > 1 / step else 0.0)
+    shown = shown[: round(SHOWN_S / step)]
+    figure, (one,) = panels(height_in=2.9)
+    one.plot(*thinned(time_s[shown], loop.measured[shown]), color=INK, lw=1.0, label='measured')
+    if answer.model is not None and answer.model.effects:
+        one.plot(*thinned(time_s[shown], loop.before[shown]), color=BEFORE, ls='--',
+                 label='base')
+    one.plot(*thinned(time_s[shown], loop.after[shown]), color=AFTER, label='model in the loop')
+    one.set_xlabel('time, s')
+    one.set_ylabel('rate, rad/s')
+    one.margins(x=0.01)
+    legend(one)
+    return Picture(
+        'closed_loop', 'Simulated flight against the recorded one',
+        'The controller and the model flown on the recorded attitude reference alone, from the '
+        f'start of the record. RMS over the held-out segments: base {loop.rms_before:.3g}, '
+        f'completed {loop.rms_after:.3g} rad/s.', figure,
+    )
+
+
+def step_response(answer: AxisAnswer) -> Picture | None:
+    """A step of the attitude reference with the gains that flew and with those proposed."""
+    model, proposal = answer.model, answer.proposal
+    if model is None or f'{model.axis}.rate.kp' not in model.active_gains:
+        return None
+    n = round(STEP_S / model.dt)
+    lead = n // 10
+    reference = np.where(np.arange(n + lead) < lead, 0.0, STEP_RAD)
+    time_s = (np.arange(n + lead) - lead) * model.dt
+    sets = [('gains that flew', dict(model.active_gains), BEFORE, '--')]
+    if proposal is not None and proposal.gains is not None:
+        new = {**model.active_gains, **proposal.gains}
+        sets.append(('proposed gains', new, AFTER, '-'))
+    figure, axes = panels(2, height_in=3.7, ratios=(1.7, 1.0))
+    axes[0].plot(time_s, np.degrees(reference), color=GREEN, lw=1.0, label='reference')
+    plant = loop_plant(model)
+    for name, gains, colour, style in sets:
+        try:
+            flown = simulate_cascade(
+                plant, CascadeGains.from_mapping(gains, model.axis), reference, model.dt
+            )
+        except QuadSysidError:
+            return None
+        if not np.isfinite(flown.angle).all():
+            return None
+        axes[0].plot(*thinned(time_s, np.degrees(flown.angle)), color=colour, ls=style, lw=1.6,
+                     label=name)
+        axes[1].plot(*thinned(time_s, flown.control), color=colour, ls=style, lw=1.2)
+    axes[0].set_ylabel('angle, deg')
+    axes[1].set_ylabel('command, norm.')
+    axes[1].set_xlabel('time since the step, s')
+    legend(axes[0])
+    why = '' if len(sets) == 2 else ' No new gains are proposed; the words above say why.'
+    return Picture(
+        'step', 'Step before and after', f'A step of {np.degrees(STEP_RAD):.0f} degrees in the '
+        'attitude reference, simulated with the identified model.' + why, figure,
+    )

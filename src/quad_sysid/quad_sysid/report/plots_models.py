@@ -1,0 +1,268 @@
+"""Pictures of how well models do: free run, error over the horizon, residual tests, Bode."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from quad_sysid.blackbox import Model, frequency_response, spa
+from quad_sysid.contract import FloatArray
+from quad_sysid.errors import QuadSysidError
+from quad_sysid.greybox.data import Windows
+from quad_sysid.loop.plant import ComplexArray
+from quad_sysid.model import AxisModel
+from quad_sysid.pipeline.answer import AxisAnswer, ModelRow
+from quad_sysid.report.canvas import (
+    AFTER, BEFORE, GREEN, INK, MUTED, OTHER, Picture, legend, panels,
+)
+from quad_sysid.report.plots_data import trusted, trusted_words
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+SHOWN_WINDOWS = 10
+Z99 = 2.576
+
+
+def free_run(answer: AxisAnswer) -> Picture | None:
+    """Measured rate against free runs of base and completed model over held-out windows."""
+    found, judgement = answer.discovery, answer.judgement
+    if found is None or judgement is None:
+        return None
+    data = found.data
+    windows = data.windows(data.validation)
+    errors = judgement.before.run.errors
+    if not windows.count or errors.shape != (windows.count, windows.length):
+        return None
+    first, last = _lively(windows, data.rate)
+    a, b = int(windows.starts[first]), int(windows.starts[last]) + windows.length
+    time_s = np.arange(a, b) * data.dt
+    figure, axes = panels(2, height_in=3.9, ratios=(2.0, 1.0))
+    axes[0].plot(time_s, data.rate[a:b], color=INK, lw=1.0, label='measured')
+    runs = [(judgement.before, BEFORE, 'base')]
+    if judgement.after is not judgement.before:
+        runs.append((judgement.after, AFTER, 'completed'))
+    for number, (one, colour, name) in enumerate(runs):
+        for w in range(first, last + 1):
+            at = np.arange(windows.starts[w], windows.starts[w] + windows.length)
+            wrong = one.run.errors[w]
+            label = name if w == first else None
+            axes[0].plot(at * data.dt, data.rate[at] + wrong, color=colour, label=label,
+                         lw=1.3, ls='--' if number == 0 else '-')
+            axes[1].plot(at * data.dt, wrong, color=colour, lw=1.0)
+    for w in range(first, last + 1):
+        for one in axes:
+            one.axvline(windows.starts[w] * data.dt, color=MUTED, lw=0.5, ls=':')
+    axes[0].set_ylabel('rate, rad/s')
+    axes[1].set_ylabel('error, rad/s')
+    axes[1].set_xlabel('time, s')
+    axes[1].margins(x=0.01)
+    legend(axes[0])
+    return Picture(
+        'free_run', 'Free run on held-out data',
+        'In each window of 0.5 s (dotted) the model starts from what was measured before it and '
+        'then runs on the commands alone. The liveliest stretch of the held-out segments.',
+        figure,
+    )
+
+
+def _lively(windows: Windows, rate: FloatArray) -> tuple[int, int]:
+    """First and last of up to SHOWN_WINDOWS windows in a row with the largest motion."""
+    power = np.array([np.var(rate[s : s + windows.length]) for s in windows.starts])
+    best = (-1.0, 0, 0)
+    for first in range(windows.count):
+        last = first
+        while (
+            last + 1 < windows.count and last + 1 - first < SHOWN_WINDOWS
+            and windows.starts[last + 1] == windows.starts[last] + windows.length
+        ):
+            last += 1
+        total = float(np.sum(power[first : last + 1]))
+        if total > best[0]:
+            best = (total, first, last)
+    return best[1], best[2]
+
+
+def horizon(answer: AxisAnswer) -> Picture | None:
+    """RMS of the free-run error over the time since the window's start."""
+    found, judgement = answer.discovery, answer.judgement
+    if found is None or judgement is None or not judgement.before.run.errors.size:
+        return None
+    figure, (one,) = panels(height_in=2.6)
+    errors = judgement.before.run.errors
+    ahead = np.arange(errors.shape[1]) * found.data.dt
+    one.plot(ahead, _rms(errors), color=BEFORE, ls='--', lw=1.6, label='base')
+    if judgement.after is not judgement.before:
+        one.plot(ahead, _rms(judgement.after.run.errors), color=AFTER, lw=1.6, label='completed')
+    one.axhline(judgement.noise_floor, color=GREEN, lw=1.0, ls=':', label='measurement noise')
+    one.set_ylim(bottom=0.0)
+    one.set_xlabel('time since the start of the window, s')
+    one.set_ylabel('RMS error, rad/s')
+    legend(one)
+    return Picture(
+        'horizon', 'Error over the horizon',
+        'How fast a prediction loses its worth: RMS over all held-out windows. Its mean square '
+        'over the window is the error of the table.', figure,
+    )
+
+
+def _rms(errors: FloatArray) -> FloatArray:
+    return np.sqrt(np.mean(errors**2, axis=0))
+
+
+def chosen_row(answer: AxisAnswer) -> ModelRow | None:
+    """The selected black-box model's row."""
+    if answer.selected is None or not 0 <= answer.selected < len(answer.rows):
+        return None
+    return answer.rows[answer.selected]
+
+
+def residuals(answer: AxisAnswer) -> Picture | None:
+    """Auto- and cross-correlation of the selected black-box model's residual."""
+    row = chosen_row(answer)
+    if row is None:
+        return None
+    test = row.step_a.test
+    figure, axes = panels(2, height_in=3.7, share_x=False)
+    figure.subplots_adjust(hspace=0.5)
+    dt = row.step_a.model.dt
+    for one, lags, values, bound, label in (
+        (axes[0], test.lags[1:], test.autocorrelation[1:], test.autocorrelation_bound,
+         'autocorrelation, 1'),
+        (axes[1], test.cross_lags, test.cross_correlation, test.cross_bound,
+         'with command, 1'),
+    ):
+        at = lags * dt
+        one.axhspan(-bound, bound, color=GREEN, alpha=0.16, lw=0, label='99 % of one lag')
+        outside = np.abs(values) > bound
+        one.vlines(at, 0.0, values, color=AFTER, lw=1.0)
+        one.plot(at[~outside], values[~outside], 'o', ms=2.6, color=AFTER, label='inside')
+        one.plot(at[outside], values[outside], 'D', ms=3.0, color=BEFORE, label='outside')
+        one.axhline(0.0, color=MUTED, lw=0.7)
+        reach = 1.2 * max(float(np.max(np.abs(values))), 1.5 * bound)
+        one.set_ylim(-reach, reach)
+        one.set_ylabel(label)
+        one.set_xlabel('lag, s')
+    legend(axes[0])
+    model = row.step_a.model
+    return Picture(
+        'residual_test', f'Residual tests of {_name(model)}',
+        f'{test.samples} one-step residuals on training data. White: '
+        f'{_yes(test.residual_white)} (p = {test.p_white:.2g}); free of past commands: '
+        f'{_yes(test.residual_uncorrelated_with_input)} (p = {test.p_input:.2g}). At negative '
+        'lags a closed loop alone gives correlation.', figure,
+    )
+
+
+def _name(model: Model) -> str:
+    return ' '.join([model.structure, *(str(v) for v in model.orders.values())])
+
+
+def _yes(value: bool) -> str:
+    return 'yes' if value else 'no'
+
+
+def bode(answer: AxisAnswer) -> Picture | None:
+    """Response from command to measured rate: grey box and black box with bands, and the data."""
+    model, train = answer.model, answer.train
+    if model is None or train is None:
+        return None
+    w = np.geomspace(0.3, 0.9 * np.pi / model.dt, 160)
+    figure, axes = panels(2, height_in=4.3)
+    try:
+        data = spa(train)
+        good = data.coherence > 0.2
+        axes[0].loglog(data.w[good], np.abs(data.response[good]), '.', ms=3.5, color=INK,
+                       label='data')
+        axes[1].semilogx(data.w[good], _degrees(data.response[good]), '.', ms=3.5, color=INK)
+        w = w[w > 0.7 * data.w[0]]
+    except QuadSysidError:
+        axes[0].set_yscale('log')
+    row = chosen_row(answer)
+    if row is not None:
+        found = frequency_response(row.step_a.model, w)
+        _curve(axes, w, found.response, Z99 * found.magnitude_std, Z99 * found.phase_std,
+               OTHER, '--', _name(row.step_a.model))
+    response = grey_response(model, w)
+    _curve(axes, w, response, *_grey_spread(model, w, response), AFTER, '-', 'grey box')
+    for one in axes:
+        trusted(one, answer)
+        one.set_xscale('log')
+    seen = np.abs(response)
+    axes[0].set_ylim(max(float(seen.min()), 1e-4 * float(seen.max())) * 0.3,
+                     float(seen.max()) * 4.0)
+    axes[0].set_ylabel('magnitude, rad/s per command')
+    axes[1].set_ylabel('phase, deg')
+    axes[1].set_ylim(-720.0, 60.0)
+    axes[1].set_yticks(range(-720, 61, 180))
+    axes[1].set_xlabel('frequency, rad/s')
+    legend(axes[0])
+    left = ' Effects that are not linear are left out.' if model.effects else ''
+    return Picture(
+        'bode', 'Frequency response', 'From command to measured rate, bands of 99 %. Points: '
+        'spectral analysis without a model, where coherence exceeds 0.2.' + left
+        + trusted_words(answer), figure,
+    )
+
+
+def _curve(axes: list[Axes], w: FloatArray, response: ComplexArray, magnitude: FloatArray,
+           phase: FloatArray, colour: str, style: str, name: str) -> None:
+    """One response with its band; `magnitude` and `phase` (rad) are half widths, NaN for none."""
+    size, angle = np.abs(response), _degrees(response)
+    axes[0].loglog(w, size, color=colour, ls=style, lw=1.4, label=name)
+    axes[1].semilogx(w, angle, color=colour, ls=style, lw=1.4)
+    if np.isfinite(magnitude).all():
+        axes[0].fill_between(w, np.maximum(size - magnitude, 1e-3 * size), size + magnitude,
+                             color=colour, alpha=0.22, lw=0)
+        width = np.minimum(np.degrees(phase), 360.0)
+        axes[1].fill_between(w, angle - width, angle + width, color=colour, alpha=0.22, lw=0)
+
+
+def _degrees(response: ComplexArray) -> FloatArray:
+    """Unwrapped phase, moved by whole turns so that it starts within -270 to 90 degrees."""
+    phase = np.degrees(np.unwrap(np.angle(response)))
+    if phase.size:
+        phase = phase - 360.0 * np.ceil((phase[0] - 90.0) / 360.0)
+    return np.asarray(phase)
+
+
+def grey_response(
+    model: AxisModel, w: FloatArray, values: dict[str, float] | None = None
+) -> ComplexArray:
+    """(m,) base of the model with held command and gyro filter at w rad/s; rad/s per command."""
+    p = values or {parameter.name: parameter.value for parameter in model.base}
+    s = 1j * w
+    response = p['gain'] * np.exp(-s * p['delay']) / (1.0 + s * p['lag']) / (s + p['damping'])
+    response = response * (1.0 - np.exp(-s * model.dt)) / (s * model.dt)
+    if model.gyro_filter_hz:
+        x = s / (2.0 * np.pi * model.gyro_filter_hz)
+        response = response / (1.0 + np.sqrt(2.0) * x + x**2)
+    return np.asarray(response)
+
+
+def _grey_spread(
+    model: AxisModel, w: FloatArray, response: ComplexArray
+) -> tuple[FloatArray, FloatArray]:
+    """99 % half widths of magnitude and phase (rad), first order in the base's covariance."""
+    nothing = np.full(w.size, np.nan)
+    if model.covariance is None:
+        return nothing, nothing
+    values = {p.name: p.value for p in model.base}
+    index = [i for i, name in enumerate(model.parameter_names)
+             if name in values and np.isfinite(model.covariance[i, i])]
+    if not index:
+        return nothing, nothing
+    columns = []
+    for i in index:
+        name = model.parameter_names[i]
+        step = 0.01 * float(np.sqrt(model.covariance[i, i])) or 1e-9
+        moved = grey_response(model, w, {**values, name: values[name] + step})
+        columns.append((moved / response - 1.0) / step)
+    gradient = np.stack(columns, axis=1)
+    covariance = np.asarray(model.covariance)[np.ix_(index, index)]
+    spread = [
+        Z99 * np.sqrt(np.maximum(np.einsum('mi,ij,mj->m', g, covariance, g), 0.0))
+        for g in (gradient.real, gradient.imag)
+    ]
+    return spread[0] * np.abs(response), spread[1]
