@@ -23,7 +23,7 @@ from quad_sysid.record import IOData
 MAX_ITERATIONS = 60
 DAMPINGS = (1e-13, 1e-6, 1e-2, 1.0)
 """Tried in turn where the plain Gauss-Newton direction gives no descent."""
-TOLERANCE = 1e-4
+TOLERANCE = 1e-3
 """Converged where the next step would lower N ln V by less than this."""
 PATIENCE = 5
 """Iterations before a second descent is measured against the first."""

@@ -25,7 +25,7 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.record import IOData
 
-ROUNDS = 25
+ROUNDS = 15
 SETTLED = 1e-3
 """Converged where no parameter moves by more than this part of its standard error."""
 UNSTABLE = 'the estimate is unstable; its instruments were made with reflected poles'
