@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -31,12 +31,12 @@ THEMED = {
 """Colour to the page's CSS variable, which differs between light and dark."""
 
 MEASURED, BEFORE, AFTER, OTHER = INK, ORANGE, BLUE, GREEN
-WIDTH_IN = 5.0
-"""One width for all: 360 pt, so that the text keeps its size on a phone."""
+WIDTH_IN = 4.4
+"""One width for all: 317 pt, so that the text keeps its size on a phone."""
 MOST_POINTS = 900
 """Of one line; more cannot be seen at this width."""
-PNG_DPI = 130
-_RC: Mapping[str, Any] = {
+PNG_DPI = 150
+_RC: Any = {
     'svg.fonttype': 'none', 'font.family': 'sans-serif', 'font.size': 8.5,
     'axes.edgecolor': MUTED, 'axes.labelcolor': INK, 'text.color': INK, 'xtick.color': MUTED,
     'ytick.color': MUTED, 'xtick.labelcolor': INK, 'ytick.labelcolor': INK,
@@ -73,7 +73,7 @@ def panels(
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
-    with mpl.rc_context(dict(_RC)):
+    with mpl.rc_context(_RC):
         figure = Figure(figsize=(WIDTH_IN, height_in))
         figure.patch.set_alpha(0.0)
         grid = figure.subplots(
@@ -140,7 +140,7 @@ def svg(picture: Picture, prefix: str) -> str:
     text = re.sub(r'\s(?:xmlns(?::xlink)?|version|width|height)="[^"]*"', '', text, count=5)
     text = re.sub(r'<g id="[^"]*"', '<g', text).replace('xlink:href', 'href')
     text = re.sub(r'font: ([\d.]+px) [^;"]*', r'font: \1 var(--font)', text)
-    text = re.sub(r'-?\d+\.\d{3,}', lambda m: f'{float(m.group()):.2f}', text)
+    text = re.sub(r'<[^>]+>', lambda tag: _LONG.sub(_short, tag.group()), text)
     for colour, name in THEMED.items():
         text = text.replace(colour, f'var(--{name})')
     text = text.replace('#000000', 'var(--ink)')
@@ -148,12 +148,19 @@ def svg(picture: Picture, prefix: str) -> str:
     return text.replace('<svg', f'<svg role="img" aria-label="{label}"', 1)
 
 
+_LONG = re.compile(r'-?\d+\.\d{3,}')
+
+
+def _short(digits: re.Match[str]) -> str:
+    return f'{float(digits.group()):.2f}'
+
+
 def png(picture: Picture) -> bytes:
     """The figure on white, for a file."""
     import matplotlib as mpl
 
     stream = io.BytesIO()
-    with mpl.rc_context(dict(_RC)):
+    with mpl.rc_context(_RC):
         picture.figure.patch.set_alpha(1.0)
         picture.figure.savefig(stream, format='png', dpi=PNG_DPI, facecolor='white')
         picture.figure.patch.set_alpha(0.0)

@@ -1,8 +1,8 @@
-"""The angular acceleration that a model leaves out, over what it may depend on. Arrays, no drawing.
+"""The angular acceleration that a model leaves out, over what it may depend on. No drawing.
 
 Over a short span h the identity (rate(t + h) - rate(t - h)) / 2h = mean of the acceleration holds
-without any filter; the model's own acceleration is averaged alike and taken off. A model that lacks
-nothing leaves noise about zero whatever the rate, the angle or the command are.
+without any filter; the model's own acceleration is averaged alike and taken off. A model that
+lacks nothing leaves noise about zero whatever the rate, the angle or the command are.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from quad_sysid.loop.from_model import CURVES
 from quad_sysid.model import AxisModel, EffectEstimate, Parameter
 
 HALF_SPAN_S = 0.025
+BLOCK_S = 1.0
 BINS = 17
 LEAST_IN_A_BIN = 40
 
@@ -90,7 +91,7 @@ def curve(effect: EffectEstimate, model: AxisModel) -> tuple[str, Function] | No
     if entry is not None:
         name, function = entry[0], entry[1]({p.name: p.value for p in effect.parameters}, model.dt)
     elif kind == 'shape' and name in UNITS:
-        x, y = (np.asarray(effect.settings.get(key, ()), dtype=float) for key in ('knots', 'values'))
+        x, y = (np.asarray(effect.settings.get(k, ()), dtype=float) for k in ('knots', 'values'))
         if x.ndim != 1 or x.size < 2 or x.shape != y.shape:
             return None
         function = _table(x, y)
@@ -127,11 +128,12 @@ def binned(
 ) -> Binned | None:
     """Means of y over bins of x inside `spans`; None where too little is known.
 
-    The standard error counts one independent value per averaging span, not per sample.
+    The standard error takes blocks of BLOCK_S as clusters (Liang and Zeger 1986).
     """
     margin = _half(dt) + round(0.3 / dt)
-    inside = np.concatenate([np.arange(a + margin, max(a + margin, b)) for a, b in spans] or [[]])
-    inside = inside.astype(np.int64)
+    if not spans:
+        return None
+    inside = np.concatenate([np.arange(a + margin, max(a + margin, b)) for a, b in spans])
     good = inside[np.isfinite(x[inside]) & np.isfinite(y[inside])]
     if good.size < 4 * LEAST_IN_A_BIN or np.ptp(x[good]) <= 0.0:
         return None
@@ -145,9 +147,10 @@ def binned(
     safe = np.maximum(count, 1.0)
     middle = np.bincount(number, x, minlength=count.size) / safe
     mean = np.bincount(number, y, minlength=count.size) / safe
-    square = np.bincount(number, y**2, minlength=count.size) / safe
-    independent = np.maximum(count * dt / (2.0 * HALF_SPAN_S), 1.0)
-    spread = np.sqrt(np.maximum(square - mean**2, 0.0) / independent)
+    block = np.unique(good // max(1, round(BLOCK_S / dt)), return_inverse=True)[1].reshape(-1)
+    sums = np.bincount(number * (int(block.max()) + 1) + block, y - mean[number],
+                       minlength=count.size * (int(block.max()) + 1))
+    spread = np.sqrt(np.sum(sums.reshape(count.size, -1) ** 2, axis=1)) / safe
     return Binned(middle[keep], mean[keep], spread[keep])
 
 

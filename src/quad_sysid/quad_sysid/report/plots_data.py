@@ -14,7 +14,18 @@ from quad_sysid.greybox.data import AxisData, Span
 from quad_sysid.pipeline.answer import AxisAnswer
 from quad_sysid.record import IOData
 from quad_sysid.report.canvas import (
-    AFTER, BLUE, GREEN, INK, MUTED, ORANGE, PINK, Picture, legend, panels, shade, thinned,
+    AFTER,
+    BLUE,
+    GREEN,
+    INK,
+    MUTED,
+    ORANGE,
+    PINK,
+    Picture,
+    legend,
+    panels,
+    shade,
+    thinned,
 )
 
 if TYPE_CHECKING:
@@ -59,7 +70,7 @@ def detail(answer: AxisAnswer) -> Picture | None:
 def _traces(answer: AxisAnswer, data: AxisData, span: Span, *, segments: bool) -> Figure:
     """Stacked panels of rate, angle (where measured) and command over `span`."""
     inside = slice(*span)
-    time_s = np.arange(*span) * data.dt
+    time_s = np.asarray(np.arange(*span) * data.dt, dtype=np.float64)
     rows = [
         ('rate, rad/s', data.rate, answer.rate_reference),
         ('angle, rad', data.angle, answer.attitude_reference),
@@ -145,8 +156,9 @@ def coherences(answer: AxisAnswer) -> Picture | None:
     legend(one)
     return Picture(
         'coherence', 'Coherence',
-        f'1 means that the rate follows the command and nothing else. Above {COHERENT:g} the model '
-        'is trusted; noise, wind and what is not linear pull it down.' + trusted_words(answer),
+        f'1 means that the rate follows the command and nothing else. Above {COHERENT:g} the '
+        'model is trusted; noise, wind and what is not linear pull it down.'
+        + trusted_words(answer),
         figure,
     )
 

@@ -1,6 +1,8 @@
-"""Pictures of what the base lacks: the missing torque over its variable, the effects, the rivals."""
+"""Pictures of what the base lacks: what is left out, the effects, the rivals."""
 
 from __future__ import annotations
+
+import itertools
 
 import numpy as np
 
@@ -10,7 +12,14 @@ from quad_sysid.model import AxisModel
 from quad_sysid.pipeline.answer import AxisAnswer
 from quad_sysid.report import missing_torque
 from quad_sysid.report.canvas import (
-    AFTER, BEFORE, INK, MUTED, OTHER, Picture, legend, panels,
+    AFTER,
+    BEFORE,
+    INK,
+    MUTED,
+    OTHER,
+    Picture,
+    legend,
+    panels,
 )
 
 MOST_RIVALS = 5
@@ -25,8 +34,8 @@ def left_out(answer: AxisAnswer) -> Picture | None:
     at = missing_torque.variables(data, model.base)
     before, after = _before_after(data, model)
     names = [name for name in missing_torque.UNITS if name in at]
-    figure, axes = panels(len(names), height_in=0.9 + 1.5 * len(names), share_x=False)
-    figure.subplots_adjust(hspace=0.55)
+    figure, axes = panels(len(names), height_in=0.8 + 1.6 * len(names), share_x=False)
+    figure.subplots_adjust(hspace=0.72)
     drawn = False
     for one, name in zip(axes, names, strict=True):
         for values, colour, label in ((before, BEFORE, 'base'), (after, AFTER, 'completed')):
@@ -76,7 +85,7 @@ def effect_shapes(answer: AxisAnswer) -> Picture | None:
     at = missing_torque.variables(data, model.base)
     curves = [(e, c) for e, c in curves if c[0] in at]
     figure, axes = panels(len(curves), height_in=0.9 + 1.9 * len(curves), share_x=False)
-    figure.subplots_adjust(hspace=0.5)
+    figure.subplots_adjust(hspace=0.62)
     for one, (effect, (name, function)) in zip(axes, curves, strict=True):
         others = [c for e, c in curves if e is not effect]
         alone = missing_torque.left_out(data, model.base, others)
@@ -86,7 +95,8 @@ def effect_shapes(answer: AxisAnswer) -> Picture | None:
                          ms=3, lw=0, elinewidth=0.8, capsize=1.5, label='data')
             grid = np.linspace(points.x[0], points.x[-1], 400)
         else:
-            grid = np.linspace(*np.nanpercentile(at[name], [1.0, 99.0]), 400)
+            low, high = np.nanpercentile(at[name], [1.0, 99.0]).tolist()
+            grid = np.linspace(low, high, 400)
         one.plot(grid, function(grid), color=AFTER, lw=1.6, label=effect.name)
         one.axhline(0.0, color=MUTED, lw=0.8)
         where = 'acting command' if name == 'command' else name
@@ -114,7 +124,7 @@ def sag(answer: AxisAnswer) -> Picture | None:
     inside = inside[np.isfinite(rest[inside]) & np.isfinite(volts[inside])]
     edges = np.quantile(volts[inside], np.linspace(0.0, 1.0, 9))
     x, y, bars = [], [], []
-    for low, high in zip(edges[:-1], edges[1:], strict=True):
+    for low, high in itertools.pairwise(edges.tolist()):
         own = inside[(volts[inside] >= low) & (volts[inside] <= high)]
         power = float(np.sum(command[own] ** 2)) if own.size else 0.0
         if own.size < 100 or power <= 0.0:

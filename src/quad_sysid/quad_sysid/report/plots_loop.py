@@ -1,4 +1,4 @@
-"""Pictures of the closed loop: simulated against recorded flight, a step with old and new gains."""
+"""Pictures of the closed loop: simulated against recorded, a step with old and new gains."""
 
 from __future__ import annotations
 
@@ -10,7 +10,14 @@ from quad_sysid.loop.from_model import loop_plant
 from quad_sysid.loop.simulation import simulate_cascade
 from quad_sysid.pipeline.answer import AxisAnswer
 from quad_sysid.report.canvas import (
-    AFTER, BEFORE, GREEN, INK, Picture, legend, panels, thinned,
+    AFTER,
+    BEFORE,
+    GREEN,
+    INK,
+    Picture,
+    legend,
+    panels,
+    thinned,
 )
 
 SHOWN_S = 10.0
@@ -27,7 +34,8 @@ def overlay(answer: AxisAnswer) -> Picture | None:
     time_s = np.asarray(loop.time_s, dtype=float)
     breaks = np.flatnonzero(np.diff(time_s) > 1.5 * step) + 1
     pieces = np.split(np.arange(time_s.size), breaks)
-    shown = max(pieces, key=lambda p: float(np.var(loop.measured[p])) if p.size > 1 / step else 0.0)
+    long = [p for p in pieces if p.size > 1.0 / step] or pieces
+    shown = max(long, key=lambda p: float(np.var(loop.measured[p])))
     shown = shown[: round(SHOWN_S / step)]
     figure, (one,) = panels(height_in=2.9)
     one.plot(*thinned(time_s[shown], loop.measured[shown]), color=INK, lw=1.0, label='measured')
@@ -55,7 +63,7 @@ def step_response(answer: AxisAnswer) -> Picture | None:
     n = round(STEP_S / model.dt)
     lead = n // 10
     reference = np.where(np.arange(n + lead) < lead, 0.0, STEP_RAD)
-    time_s = (np.arange(n + lead) - lead) * model.dt
+    time_s = np.asarray((np.arange(n + lead) - lead) * model.dt, dtype=np.float64)
     sets = [('gains that flew', dict(model.active_gains), BEFORE, '--')]
     if proposal is not None and proposal.gains is not None:
         new = {**model.active_gains, **proposal.gains}

@@ -14,9 +14,18 @@ from quad_sysid.loop.plant import ComplexArray
 from quad_sysid.model import AxisModel
 from quad_sysid.pipeline.answer import AxisAnswer, ModelRow
 from quad_sysid.report.canvas import (
-    AFTER, BEFORE, GREEN, INK, MUTED, OTHER, Picture, legend, panels,
+    AFTER,
+    BEFORE,
+    GREEN,
+    INK,
+    MUTED,
+    OTHER,
+    Picture,
+    legend,
+    panels,
 )
 from quad_sysid.report.plots_data import trusted, trusted_words
+from quad_sysid.report.words import equals
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -52,8 +61,8 @@ def free_run(answer: AxisAnswer) -> Picture | None:
                          lw=1.3, ls='--' if number == 0 else '-')
             axes[1].plot(at * data.dt, wrong, color=colour, lw=1.0)
     for w in range(first, last + 1):
-        for one in axes:
-            one.axvline(windows.starts[w] * data.dt, color=MUTED, lw=0.5, ls=':')
+        for panel in axes:
+            panel.axvline(windows.starts[w] * data.dt, color=MUTED, lw=0.5, ls=':')
     axes[0].set_ylabel('rate, rad/s')
     axes[1].set_ylabel('error, rad/s')
     axes[1].set_xlabel('time, s')
@@ -108,7 +117,7 @@ def horizon(answer: AxisAnswer) -> Picture | None:
 
 
 def _rms(errors: FloatArray) -> FloatArray:
-    return np.sqrt(np.mean(errors**2, axis=0))
+    return np.asarray(np.sqrt(np.mean(errors**2, axis=0)))
 
 
 def chosen_row(answer: AxisAnswer) -> ModelRow | None:
@@ -125,7 +134,7 @@ def residuals(answer: AxisAnswer) -> Picture | None:
         return None
     test = row.step_a.test
     figure, axes = panels(2, height_in=3.7, share_x=False)
-    figure.subplots_adjust(hspace=0.5)
+    figure.subplots_adjust(hspace=0.62)
     dt = row.step_a.model.dt
     for one, lags, values, bound, label in (
         (axes[0], test.lags[1:], test.autocorrelation[1:], test.autocorrelation_bound,
@@ -149,8 +158,8 @@ def residuals(answer: AxisAnswer) -> Picture | None:
     return Picture(
         'residual_test', f'Residual tests of {_name(model)}',
         f'{test.samples} one-step residuals on training data. White: '
-        f'{_yes(test.residual_white)} (p = {test.p_white:.2g}); free of past commands: '
-        f'{_yes(test.residual_uncorrelated_with_input)} (p = {test.p_input:.2g}). At negative '
+        f'{_yes(test.residual_white)} (p {equals(test.p_white)}); free of past commands: '
+        f'{_yes(test.residual_uncorrelated_with_input)} (p {equals(test.p_input)}). At negative '
         'lags a closed loop alone gives correlation.', figure,
     )
 
@@ -169,7 +178,7 @@ def bode(answer: AxisAnswer) -> Picture | None:
     if model is None or train is None:
         return None
     w = np.geomspace(0.3, 0.9 * np.pi / model.dt, 160)
-    figure, axes = panels(2, height_in=4.3)
+    figure, axes = panels(2, height_in=4.3, ratios=(1.25, 1.0))
     try:
         data = spa(train)
         good = data.coherence > 0.2
@@ -192,7 +201,7 @@ def bode(answer: AxisAnswer) -> Picture | None:
     seen = np.abs(response)
     axes[0].set_ylim(max(float(seen.min()), 1e-4 * float(seen.max())) * 0.3,
                      float(seen.max()) * 4.0)
-    axes[0].set_ylabel('magnitude, rad/s per command')
+    axes[0].set_ylabel('gain, rad/s per command')
     axes[1].set_ylabel('phase, deg')
     axes[1].set_ylim(-720.0, 60.0)
     axes[1].set_yticks(range(-720, 61, 180))

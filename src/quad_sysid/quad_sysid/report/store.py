@@ -1,4 +1,4 @@
-"""Writes what an identification leaves in its folder: report.json, model.json, report.html."""
+"""Writes what an identification leaves: report.json, model.json, report.html, pictures/."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import Any
 
 from quad_sysid.errors import BadInputError
 from quad_sysid.pipeline.answer import AxisAnswer
+from quad_sysid.report import plots
 from quad_sysid.report.html import page
 from quad_sysid.report.model_file import save_models
 
@@ -27,9 +28,13 @@ def free_folder(wanted: Path) -> Path:
 
 def write(
     folder: Path, report: Mapping[str, Any], answers: Mapping[str, AxisAnswer],
-    *, html: bool = True,
+    *, html: bool = True, pictures: bool = True,
 ) -> None:
-    """All files of a report; report.json comes last, so that who waits for it finds the rest."""
+    """All files of a report; report.json comes last, so that who waits for it finds the rest.
+
+    `html` False writes no report.html; `pictures` False no folder `pictures` of PNG files (the
+    page has its own inside). With neither, nothing is drawn.
+    """
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -37,8 +42,12 @@ def write(
     models = {axis: a.model for axis, a in answers.items() if a.model is not None}
     if models:
         save_models(models, folder / 'model.json')
-    if html:
-        _replace(folder / 'report.html', page(report, answers))
+    if html or pictures:
+        drawn = {axis: plots.gallery(answer) for axis, answer in answers.items()}
+        if pictures:
+            plots.save(drawn, folder / 'pictures')
+        if html:
+            _replace(folder / 'report.html', page(report, answers, drawn))
     _replace(folder / 'report.json', json.dumps(report, indent=1, allow_nan=False) + '\n')
 
 

@@ -1,0 +1,190 @@
+"""The answer in plain words, from the report's tree alone: no numbers are made here but shares."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+Tree = Mapping[str, Any]
+
+PLAIN = {
+    'coulomb_friction': 'dry friction', 'quadratic_drag': 'drag that grows with rate squared',
+    'pendulum_stiffness': 'a centre of mass off the axis (pendulum)',
+    'cubic_stiffness': 'a spring that hardens with the angle',
+    'battery_sag': 'thrust that falls with the battery voltage',
+    'thrust_curve': 'a bent curve from command to thrust',
+    'dead_zone': 'a dead zone of the command',
+    'saturation': 'motor limits below the nominal ones', 'motor_lag': 'motors of unlike lag',
+    'gyroscopic_coupling': "gyroscopic coupling to another axis' rate",
+    'inertia_coupling': 'coupling to the product of the other rates',
+    'cross_axis_input': "another axis' command", 'resonance': 'a lightly damped mode',
+    'periodic_disturbance': 'a periodic disturbance', 'step_event': 'a sudden change in flight',
+    'backlash': 'play between command and torque', 'transport_delay': 'a transport delay',
+    'viscous_damping': 'viscous damping', 'bias_torque': 'a constant torque',
+    'mode': 'a hidden oscillation or slow state', 'event': 'an event in flight',
+}
+"""The contract's names of effects in everyday words."""
+
+VERDICTS = {
+    'effects_added': ('found', 'Something was missing, and it was found'),
+    'no_missing_effect': ('good', 'The plain model suffices'),
+    'unexplained_residual': ('open', 'Something is missing, but it has no name yet'),
+    'cannot_tell': ('none', 'The data cannot tell'),
+}
+"""Verdict to its style and headline."""
+
+FIGURES = {
+    'rise_time_s': ('rise time', 's', 1.0), 'overshoot_pct': ('overshoot', '%', 1.0),
+    'settling_time_s': ('settling time', 's', 1.0),
+    'rms_tracking_rad': ('tracking error, RMS', 'deg', 57.29578),
+    'disturbance_rms_rad': ('error after a torque step, RMS', 'deg', 57.29578),
+    'phase_margin_deg': ('phase margin', 'deg', 1.0), 'gain_margin_db': ('gain margin', 'dB', 1.0),
+    'peak_sensitivity': ('peak sensitivity', '1', 1.0),
+    'worst_phase_margin_deg': ('phase margin, worst draw', 'deg', 1.0),
+    'worst_gain_margin_db': ('gain margin, worst draw', 'dB', 1.0),
+    'worst_peak_sensitivity': ('peak sensitivity, worst draw', '1', 1.0),
+    'crossover_rad_s': ('crossover', 'rad/s', 1.0), 'bandwidth_rad_s': ('bandwidth', 'rad/s', 1.0),
+    'motor_noise_rms': ('noise in the command, RMS', 'norm.', 1.0),
+    'unstable_draws': ('unstable draws', '1', 1.0),
+}
+"""A designer's figure to its label, unit and factor into that unit, in the order of reading."""
+
+
+def named(effect: str) -> str:
+    """An effect in everyday words, with a curve's signal spelled out."""
+    if effect.startswith('shape:gain:'):
+        return f'a gain that depends on the {effect[11:]}'
+    if effect == 'shape:command':
+        return 'a command that acts through a smooth curve'
+    if effect.startswith('shape:'):
+        return f'a torque that is a smooth curve of the {effect[6:]}'
+    return PLAIN.get(effect, effect.replace('_', ' '))
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """A number for a reader, a dash where there is none."""
+    return '–' if value is None else f'{value:.{digits}g}'
+
+
+def chance(p: float | None) -> str:
+    """A p-value or probability without false precision."""
+    if p is None:
+        return '–'
+    return '< 0.0001' if p < 1e-4 else f'{p:.2g}'
+
+
+def equals(p: float | None) -> str:
+    """`= 0.03` or `< 0.0001`, to stand behind `p`."""
+    text = chance(p)
+    return text if text.startswith('<') else f'= {text}'
+
+
+def headline(tree: Tree) -> tuple[str, str]:
+    """Style of the verdict, and what it says in a line."""
+    style, text = VERDICTS.get(tree['verdict'], ('none', tree['verdict']))
+    if tree['verdict'] == 'effects_added' and tree['effects']:
+        return style, 'Was missing: ' + joined([named(e['name']) for e in tree['effects']])
+    return style, text
+
+
+def story(axis: str, tree: Tree) -> list[tuple[str, str]]:
+    """(question, answer) pairs in the order a reader asks."""
+    if tree['error'].get('after') is None:
+        return [('Why?', _bare(axis, tree.get('reason', '')) + '.')]
+    return [
+        ('What is the model worth?', _worth(tree)),
+        ('What was missing, and how sure is that?', ' '.join(_missing(tree))),
+        ('Which gains, and why?', _gains(axis, tree)),
+    ]
+
+
+def _worth(tree: Tree) -> str:
+    error = tree['error']
+    after, hold = float(error['after']), error.get('hold_last_value')
+    unit = error['unit']
+    text = (
+        f'Run free over half a second, on data that it had never seen, its rate is off by '
+        f'{number(after)} '
+        f'{unit} RMS{_interval(error.get("after_interval_95"))}.'
+    )
+    if hold:
+        text += (f' Holding the last value would be off by {number(hold)} {unit}, so the model '
+                 f'removes {100.0 * (1.0 - after / hold):.0f} % of that error.')
+    if error.get('noise_floor') is not None:
+        text += f' The measurement noise alone is about {number(error["noise_floor"])} {unit}.'
+    blackbox = error.get('blackbox')
+    if blackbox is not None:
+        text += f' The selected black-box model is off by {number(blackbox)} {unit}.'
+    band = tree.get('trusted_band_rad_s')
+    if band:
+        text += f' Trust it from {number(band[0], 2)} to {number(band[1])} rad/s.'
+    return text
+
+
+def _missing(tree: Tree) -> list[str]:
+    error = tree['error']
+    if tree['verdict'] != 'effects_added':
+        _, text = VERDICTS.get(tree['verdict'], ('', tree['verdict']))
+        return [f'{text}: {tree.get("reason", "")}.']
+    out = []
+    for effect in tree['effects']:
+        values = '; '.join(parameter(p) for p in effect['parameters'])
+        shown = f': {values}' if effect['kind'] != 'shape' else ' (its curve is drawn below)'
+        text = f'{named(effect["name"]).capitalize()} ({effect["name"]}){shown}.'
+        text += f' Chance alone would do as well with p {equals(effect["p_value"])}'
+        rivals = effect.get('rivals') or []
+        if rivals:
+            best = max(rivals, key=lambda r: r['probability'])
+            text += (f'; among its rivals it has a probability of {effect["probability"]:.2f} '
+                     f'(next: {best["name"]}, {best["probability"]:.2f})')
+        out.append(text + '. Taken out alone, the error grows by '
+                   f'{effect["error_reduction_pct"]:.0f} %.')
+    before, after = error.get('before'), error.get('after')
+    if before and after is not None:
+        out.append(
+            f'With {"it" if len(out) == 1 else "them"} the held-out error falls from '
+            f'{number(before)}{_interval(error.get("before_interval_95"))} to {number(after)} '
+            f'{error["unit"]}{_interval(error.get("after_interval_95"))}: '
+            f'{100.0 * (1.0 - after / before):.0f} % less.'
+        )
+    return out
+
+
+def _gains(axis: str, tree: Tree) -> str:
+    gains = tree.get('gains')
+    if not gains:
+        because = _bare(axis, tree.get('gains_refused_because') or 'none were designed')
+        return f'No new gains: {because}.'
+    listed = ', '.join(f'{name} {number(value, 4)}' for name, value in gains.items())
+    figures = tree.get('gain_figures') or {}
+    changes = []
+    for key in ('rise_time_s', 'overshoot_pct', 'rms_tracking_rad', 'worst_phase_margin_deg'):
+        label, unit, factor = FIGURES[key]
+        old, new = figures.get(f'{key}_before'), figures.get(key)
+        if old is not None and new is not None:
+            changes.append(f'{label} {number(old * factor)} to {number(new * factor)} {unit}')
+    because = f' In simulation with this model: {", ".join(changes)}.' if changes else ''
+    return f'{listed}.{because}'
+
+
+def parameter(p: Tree) -> str:
+    """One estimated number with its standard error and unit."""
+    spread = f' ± {p["std"]:.2g}' if p.get('std') is not None else ' (at its bound)'
+    torque = p.get('torque')
+    more = f' ({torque["value"]:.3g} {torque["unit"]})' if torque else ''
+    unit = '' if p['unit'] == '1' else f' {p["unit"]}'
+    return f'{p["name"].replace("_", " ")} {p["value"]:.4g}{spread}{unit}{more}'
+
+
+def joined(parts: Sequence[str]) -> str:
+    """`a, b and c`."""
+    return parts[0] if len(parts) == 1 else ', '.join(parts[:-1]) + ' and ' + parts[-1]
+
+
+def _bare(axis: str, reason: str) -> str:
+    """A reason without the axis that the headline has named already, and without a full stop."""
+    return reason.removeprefix(f'{axis}: ').rstrip('.')
+
+
+def _interval(interval: Sequence[float] | None) -> str:
+    return f' (95 %: {number(interval[0])} to {number(interval[1])})' if interval else ''
