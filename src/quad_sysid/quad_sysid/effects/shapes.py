@@ -146,7 +146,7 @@ def _command_settings(data: AxisData) -> Settings | str:
 
 
 def _command_map(
-    _: AxisData, command: FloatArray, p: FloatArray, settings: Settings
+    _: AxisData, command: FloatArray, p: FloatArray, settings: Settings, __: FloatArray
 ) -> FloatArray:
     return command + np.interp(command, _x(settings), _basis(settings) @ p)
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
@@ -18,6 +19,8 @@ from quad_sysid.greybox.data import AxisData, Span, Windows
 from quad_sysid.greybox.simulate import N_BASE, Simulator
 from quad_sysid.greybox.structure import BASE_PARAMETERS, Effect, Settings, Structure
 
+FIRST_STEPS = 4
+"""Iterations from each of several starts."""
 BLOCK_S = 2.0
 """Windows closer than this are not counted as independent in standard errors."""
 
@@ -231,18 +234,24 @@ def best_correction(sim: Simulator, fit: Fit) -> noise.NoiseModel:
 def fit_with_effect(
     sim: Simulator, base: Fit, effect: Effect, settings: Settings, *, max_iterations: int = 30
 ) -> Fit:
-    """Base and one more effect fitted together, from every start the effect names."""
+    """Base and one more effect fitted together, from every start the effect names.
+
+    Several starts are tried for a few steps only; the best is carried to its minimum.
+    """
     structure = base.structure.with_effect(effect, settings)
-    starts: list[list[float]] = [[]]
-    for spec in effect.parameters:
-        starts = [[*s, value] for s in starts for value in spec.starts]
-    best: Fit | None = None
-    for values in starts:
-        start = np.r_[base.theta, values]
-        fit = fit_structure(sim, structure, start, max_iterations=max_iterations)
-        if best is None or fit.rms < best.rms:
-            best = fit
-    assert best is not None  # noqa: S101 - an effect has at least one start
+    if effect.starts is not None:
+        innovations = sim.run(base.structure, base.theta).innovations
+        starts = effect.starts(sim.data, innovations)
+    else:
+        starts = tuple(product(*(spec.starts for spec in effect.parameters)))
+    short = FIRST_STEPS if len(starts) > 1 else max_iterations
+    tried = [
+        fit_structure(sim, structure, np.r_[base.theta, values], max_iterations=short)
+        for values in starts
+    ]
+    best = min(tried, key=lambda fit: fit.rms)
+    if len(starts) > 1 and not best.converged:
+        best = fit_structure(sim, structure, best.theta, max_iterations=max_iterations)
     return best
 
 

@@ -91,7 +91,9 @@ class Simulator:
             structure.effects, structure.settings, structure.slices(), strict=True
         ):
             if effect.command is not None:
-                command = effect.command(self.data, command, theta[where], settings)
+                command = effect.command(
+                    self.data, command, theta[where], settings, theta[:N_BASE]
+                )
         return command
 
     def _response(self, structure: Structure, theta: FloatArray) -> FloatArray:

@@ -48,12 +48,17 @@ class Term:
     signal: FloatArray | None = None
 
 
+CommandMap = Callable[[AxisData, FloatArray, FloatArray, Settings, FloatArray], FloatArray]
+"""(data, command (n,), parameters (p,), settings, base's parameters (5,)) -> command (n,)."""
+
+
 @dataclass(frozen=True)
 class Effect:
     """A physical effect that the base lacks. One entry of effects/table.py.
 
     It acts on the command before delay and lag (`command`), or adds a torque (`torque`), or both.
-    Both get the parameters (p,) in the order of `parameters` and the settings of `prepare`.
+    Both get the parameters (p,) in the order of `parameters` and the settings of `prepare`;
+    `command` gets the base's parameters as well.
     """
 
     name: str
@@ -66,8 +71,12 @@ class Effect:
     kind: str = 'named'
     prepare: Callable[[AxisData], Settings | str] | None = None
     """Settings from the training data, or in words why it cannot be tested on them."""
-    command: Callable[[AxisData, FloatArray, FloatArray, Settings], FloatArray] | None = None
+    command: CommandMap | None = None
     torque: Callable[[AxisData, FloatArray, Settings], Term] | None = None
+    variant: str = ''
+    """Tells entries of one name apart, such as the other axis that couples in."""
+    starts: Callable[[AxisData, FloatArray], tuple[tuple[float, ...], ...]] | None = None
+    """Values to start from, out of the data and the base's one-step errors (n,); None: specs'."""
     prior: Callable[[Settings], FloatArray] | None = None
     """(r, p) rows whose product with the parameters is of size 1 beforehand; None: no prior."""
 

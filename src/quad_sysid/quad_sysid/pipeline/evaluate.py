@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,7 +18,10 @@ from quad_sysid.greybox.structure import Effect, Settings, Structure
 from quad_sysid.model import AxisModel, EffectEstimate, Parameter
 from quad_sysid.record import Record, finite_runs
 
-KNOWN: Mapping[str, Effect] = {effect.name: effect for effect in EFFECTS + SHAPES}
+KNOWN: Mapping[str, Sequence[Effect]] = {
+    name: [e for e in EFFECTS + SHAPES if e.name == name]
+    for name in dict.fromkeys(e.name for e in EFFECTS + SHAPES)
+}
 
 
 @dataclass(frozen=True)
@@ -84,11 +87,18 @@ def structure_of(model: AxisModel) -> tuple[Structure, FloatArray]:
     structure = Structure()
     theta = [vector(model.base)]
     for estimate in model.effects:
-        effect = KNOWN.get(estimate.name)
+        parameters = [p.name for p in estimate.parameters]
+        effect = next(
+            (
+                e for e in KNOWN.get(estimate.name, ())
+                if [p.name for p in e.parameters][: len(parameters)] == parameters
+            ),
+            None,
+        )
         if effect is None:
             raise BadInputError(
                 f'model: {model.axis}.effects', 'an effect this version does not know',
-                estimate.name, 'identify again with this version',
+                f'{estimate.name} ({", ".join(parameters)})', 'identify again with this version',
             )
         # a curve that refines named effects has fewer parameters than one that stands alone
         effect = replace(effect, parameters=effect.parameters[: len(estimate.parameters)])

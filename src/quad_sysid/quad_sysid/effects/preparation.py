@@ -1,0 +1,115 @@
+"""What an effect needs before it can be fitted: whether the data can show it, and start values."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from quad_sysid.contract import AXES, FloatArray
+from quad_sysid.greybox.data import AxisData
+from quad_sysid.greybox.structure import Settings
+
+MOVES = 0.02
+"""A signal that must move for an effect to show must move by this share of its mean."""
+SHARE_OF_COMMAND = 0.05
+"""Another axis' command must be this large beside this axis'."""
+LEAST_RATE = 0.05
+"""Another axis must turn with this RMS, rad/s, beyond the noise of its gyro."""
+
+
+def over_training(data: AxisData, signal: FloatArray) -> FloatArray:
+    """The signal's samples in the training segments."""
+    return np.concatenate([signal[a:b] for a, b in data.train])
+
+
+def needs_angle(data: AxisData) -> Settings | str:
+    """Effects on the angle."""
+    return {} if data.angle is not None else 'the bag holds no orientation'
+
+
+def sag_settings(data: AxisData) -> Settings | str:
+    """Reference voltage: the mean over training."""
+    if data.battery_v is None:
+        return 'the bag holds no battery voltage'
+    used = over_training(data, data.battery_v)
+    if np.ptp(used) < 0.002 * np.mean(used):
+        return f'the voltage moves by {np.ptp(used):.3f} V only; fly longer or with more throttle'
+    return {'reference_v': float(np.mean(used))}
+
+
+def thrust_settings(data: AxisData) -> Settings | str:
+    """Mean throttle over training."""
+    throttle = over_training(data, data.control[:, 0])
+    others = [over_training(data, data.control[:, i + 1]) for i in range(3) if i != data.index]
+    mean = float(np.mean(throttle))
+    product = float(np.std(others[0] * others[1]))
+    command = float(np.std(over_training(data, data.command)))
+    if np.std(throttle) < MOVES * mean and product < MOVES * command:
+        return f'the throttle stays at {mean:.2f}; fly with throttle changes'
+    return {'throttle': mean}
+
+
+def coupled_command(data: AxisData, which: int) -> Settings | str:
+    """Column of another axis' command in U1..U4."""
+    name = data.other_axes[which]
+    column = AXES.index(name) + 1
+    own = float(np.std(over_training(data, data.command)))
+    if np.std(over_training(data, data.control[:, column])) < SHARE_OF_COMMAND * own:
+        return f'the command of {name} hardly moves during training; excite it as well'
+    return {'column': float(column)}
+
+
+def coupled_rate(data: AxisData, which: int) -> Settings | str:
+    """Column of another axis' rate."""
+    rate = over_training(data, data.other_rates[:, which])
+    if not np.isfinite(rate).all():
+        return f'the rate of {data.other_axes[which]} was not measured throughout'
+    if np.std(rate) < LEAST_RATE:
+        return f'{data.other_axes[which]} hardly turns during training'
+    return {'column': float(which)}
+
+
+def both_rates(data: AxisData) -> Settings | str:
+    """Both other rates turn."""
+    for which in (0, 1):
+        found = coupled_rate(data, which)
+        if isinstance(found, str):
+            return found
+    return {}
+
+
+def limit_starts(data: AxisData, _: FloatArray) -> tuple[tuple[float, ...], ...]:
+    """Limits of the motors where some of the training commands lie beyond them."""
+    motors = over_training(data, data.motors)
+    low, less, more, high = np.percentile(motors, [0.0, 5.0, 95.0, 100.0])
+    return ((less, high), (low, more), (less, more))
+
+
+def line_starts(data: AxisData, innovations: FloatArray) -> tuple[tuple[float, ...], ...]:
+    """Amplitude, frequency and phase of the strongest lines in the one-step errors.
+
+    The error of the rate answers a torque as its integral does; the phase follows by projection.
+    """
+    found: list[tuple[float, ...]] = []
+    start, stop = max(data.train, key=lambda span: span[1] - span[0])
+    error = -np.nan_to_num(innovations[start:stop])
+    torque = np.gradient(np.cumsum(error - error.mean()), data.dt)
+    n = torque.size
+    spectrum = np.fft.rfft(torque * np.hanning(n))
+    frequency = np.fft.rfftfreq(n, data.dt)
+    power = np.abs(spectrum) ** 2
+    power[frequency < 0.2] = 0.0
+    t = (np.arange(start, stop) + 0.5) * data.dt
+    for _ in range(2):
+        peak = int(np.argmax(power))
+        f = float(frequency[peak])
+        wave = np.stack([np.sin(2 * np.pi * f * t), np.cos(2 * np.pi * f * t)], axis=1)
+        a, b = np.linalg.lstsq(wave, torque, rcond=None)[0]
+        found.append((max(float(np.hypot(a, b)), 1e-3), f, float(np.arctan2(b, a))))
+        power[max(peak - 4, 0) : peak + 5] = 0.0
+    return tuple(found)
+
+
+def event_starts(data: AxisData, _: FloatArray) -> tuple[tuple[float, ...], ...]:
+    """Times spread over the training segments, with no change yet."""
+    times = np.concatenate([np.linspace(a, b, 9)[1:-1] for a, b in data.train]) * data.dt
+    return tuple((float(t), 0.0) for t in times)
