@@ -155,14 +155,16 @@ def sag(answer: AxisAnswer) -> Picture | None:
 
 def rivals(answer: AxisAnswer) -> Picture | None:
     """Probability of each effect and of what could stand in its place."""
-    model = answer.model
-    effects = [e for e in model.effects if e.rivals] if model else []
-    if not effects:
+    model, found = answer.model, answer.discovery
+    weighed = found.rivals if found is not None else {}
+    lists = []
+    for effect in model.effects if model else ():
+        others = [r for r in weighed.get(effect.name, effect.rivals) if r[0] != effect.name]
+        others.sort(key=lambda rival: -rival[1])
+        if others:
+            lists.append([(effect.name, effect.probability), *others[:MOST_RIVALS]])
+    if not lists:
         return None
-    lists = [
-        [(e.name, e.probability), *sorted(e.rivals, key=lambda r: -r[1])[:MOST_RIVALS]]
-        for e in effects
-    ]
     rows = sum(len(one) for one in lists)
     figure, axes = panels(
         len(lists), height_in=0.8 + 0.24 * rows + 0.35 * (len(lists) - 1), left_in=1.6,
