@@ -6,6 +6,7 @@ out costs no simulation. Folds are contiguous with gaps longer than the system's
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,26 +35,17 @@ class Comparison:
 
 def held_out_errors(fit: Fit, windows: Windows, dt: float) -> FloatArray:
     """(windows,) mean squared free-run error of each window by models that did not see it."""
-    count, length, p = fit.jacobian.shape
+    count, _, p = fit.jacobian.shape
     j = fit.jacobian
     gram = np.einsum('wlp,wlq->wpq', j, j)
     score = np.einsum('wlp,wl->wp', j, fit.errors)
-    order = np.argsort(windows.starts, kind='stable')
-    fold = np.empty(count, dtype=np.int64)
-    folds = min(FOLDS, max(2, count // 4))
-    fold[order] = np.arange(count) * folds // count
     free = np.flatnonzero(~fit.at_bound)
     # spread of each parameter, so that the solve is well scaled
     total = np.sqrt(np.maximum(np.einsum('wpp->p', gram), 1e-300))[free]
     prior_gram = (fit.prior.T @ fit.prior)[np.ix_(free, free)]
     prior_score = (fit.prior.T @ (fit.prior @ fit.theta))[free]
     out = np.empty(count)
-    gap = round(GAP_S / dt) + length
-    for number in range(folds):
-        held = fold == number
-        kept = ~held
-        near = np.abs(windows.starts[:, None] - windows.starts[None, held]).min(axis=1) < gap
-        kept &= ~near
+    for held, kept in folds_of(windows, dt):
         shift = np.zeros(p)
         if free.size and kept.any():
             left = gram[kept].sum(axis=0)[np.ix_(free, free)] + prior_gram
@@ -63,6 +55,20 @@ def held_out_errors(fit: Fit, windows: Windows, dt: float) -> FloatArray:
         errors = fit.errors[held] + j[held] @ shift
         out[held] = np.mean(errors**2, axis=1)
     return out
+
+
+def folds_of(windows: Windows, dt: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Masks (windows,) of each fold: held out, and kept for the fit with the gaps left out."""
+    count = windows.count
+    order = np.argsort(windows.starts, kind='stable')
+    fold = np.empty(count, dtype=np.int64)
+    folds = min(FOLDS, max(2, count // 4))
+    fold[order] = np.arange(count) * folds // count
+    gap = round(GAP_S / dt) + windows.length
+    for number in range(folds):
+        held = fold == number
+        near = np.abs(windows.starts[:, None] - windows.starts[None, held]).min(axis=1) < gap
+        yield held, ~held & ~near
 
 
 def compare(first: FloatArray, second: FloatArray, windows: Windows, dt: float) -> Comparison:

@@ -19,6 +19,7 @@ from quad_sysid.effects.candidate import (
     without_effects,
 )
 from quad_sysid.effects.crossval import compare, selection_probabilities
+from quad_sysid.effects.scan import Dependence, scan
 from quad_sysid.effects.shapes import besides
 from quad_sysid.greybox.data import AxisData
 from quad_sysid.greybox.fit import Fit, fit_base, fit_with_effect, settle
@@ -60,6 +61,7 @@ class Discovery:
     data: AxisData
     base: Fit
     base_noise: NoiseModel
+    base_simulator: Simulator
     chosen: Fit
     chosen_noise: NoiseModel
     chosen_simulator: Simulator
@@ -67,6 +69,8 @@ class Discovery:
     """For each chosen effect: (name, probability) of all that could stand in its place."""
     tried: tuple[Tried, ...] = ()
     not_tested: tuple[tuple[str, str], ...] = ()
+    dependence: tuple[Dependence, ...] = ()
+    """What the base's residual depends on, foremost first."""
 
 
 def discover(
@@ -77,6 +81,7 @@ def discover(
 ) -> Discovery:
     """Fit the base on the training segments, add what cross-validation asks for, or nothing."""
     base, base_noise, sim = fit_base(data, data.train)
+    base_sim = sim
     prepared, not_tested = _prepare(data, effects)
     current, noise, sim, tried = _forward(sim, base, base_noise, prepared, progress)
     current = _backward(sim, current)
@@ -86,12 +91,13 @@ def discover(
     if other is not None:
         current, noise, sim = other
         data = sim.data
-        base, base_noise, _ = settle(replace(sim, _cache={}), without_effects(sim, current))
+        base, base_noise, base_sim = settle(replace(sim, _cache={}), without_effects(sim, current))
     rivals = {
         name: _rivals(sim, current, name, prepared, rng) for name in current.names
     }
     return Discovery(
-        data, base, base_noise, current.fit, noise, sim, rivals, tried, not_tested
+        data, base, base_noise, base_sim, current.fit, noise, sim, rivals, tried, not_tested,
+        scan(base_sim, base),
     )
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from quad_sysid.contract import FloatArray
 from quad_sysid.effects.crossval import Comparison, compare
 from quad_sysid.effects.discover import Discovery
+from quad_sysid.effects.scan import Dependence, confirmed, strongest
 from quad_sysid.greybox.data import AxisData, Span
 from quad_sysid.greybox.fit import Fit, block_numbers, fit_structure, simulator
 from quad_sysid.greybox.noise import NoiseModel
@@ -20,10 +21,6 @@ from quad_sysid.greybox.simulate import Run, Simulator
 
 LEVEL = 0.05
 """Level of the one final test per axis (contract, which data decide)."""
-EXCESS = 1.10
-"""The base's error may exceed what its noise predicts by this factor."""
-EARLY_S = 0.1
-"""Horizon over which the noise alone is taken to make the free-run error grow."""
 
 
 @dataclass(frozen=True)
@@ -47,13 +44,12 @@ class Judgement:
     after: Figures
     test: Comparison
     noise_floor: float
-    predicted: float
-    """Free-run error of the base that its noise alone would explain, rad/s."""
     hold: float
     """Error of holding the last filtered rate instead of any model, rad/s."""
     effect_tests: dict[str, tuple[float, float]]
     """For each effect: p-value and growth of the error in % when it alone is left out."""
-    dependence: tuple[tuple[str, float], ...] = ()
+    dependence: tuple[Dependence, ...] = ()
+    """What the base's residual depends on, over the training windows, foremost first."""
 
 
 def figures(
@@ -97,22 +93,22 @@ def judge(found: Discovery, rng: np.random.Generator) -> Judgement:
         sim.windows, data.dt,
     )
     effects = bool(found.chosen.structure.effects)
-    predicted = predicted_from_start(before.run.errors, data.dt)
     hold = hold_error(sim)
     passed = effects and test.p_value < LEVEL and after.free_run < before.free_run
-    verdict, reason = _verdict(found, before, predicted, hold, test, passed=passed)
+    left = None if passed else _dependence(found, sim)
+    verdict, reason = _verdict(found, before, left, hold, test, passed=passed)
     tests = _leave_one_out(found, after, rng) if passed else {}
     noise = found.chosen_noise if passed else found.base_noise
     return Judgement(
         verdict=verdict, reason=reason, before=before, after=after if passed else before,
-        test=test, noise_floor=noise.measurement_rms, predicted=predicted, hold=hold,
-        effect_tests=tests,
+        test=test, noise_floor=noise.measurement_rms, hold=hold, effect_tests=tests,
+        dependence=found.dependence,
     )
 
 
 def _verdict(
-    found: Discovery, before: Figures, predicted: float, hold: float, test: Comparison,
-    *, passed: bool,
+    found: Discovery, before: Figures, left: Dependence | None, hold: float,
+    test: Comparison, *, passed: bool,
 ) -> tuple[str, str]:
     """One of the contract's four verdicts, with the reason in words."""
     gain, deviation = float(found.base.theta[0]), float(found.base.std[0])
@@ -127,13 +123,14 @@ def _verdict(
         return 'effects_added', (
             f'{names} lowers the held-out error (p = {test.p_value:.2g} over {test.blocks} blocks)'
         )
-    if before.free_run > EXCESS * predicted and not found.chosen.structure.effects:
+    if left is not None:
         return 'unexplained_residual', (
-            f'free-run error {before.free_run:.3g} rad/s against {predicted:.3g} rad/s that the '
-            'noise explains, yet nothing that was tried lowers it'
+            f'the residual depends on {left.name}: following it would lower the training error '
+            f'from {found.base.rms:.3g} to {left.score:.3g} rad/s, held-out data agree, yet no '
+            'effect that was tried mends it'
         )
     return 'no_missing_effect', (
-        'nothing lowers the error beyond chance, and the error agrees with the noise'
+        'nothing lowers the error beyond chance, and the residual depends on no signal at hand'
     )
 
 
@@ -162,18 +159,13 @@ def _leave_one_out(
     return out
 
 
-def predicted_from_start(errors: FloatArray, dt: float) -> float:
-    """RMS over the window that the error's growth in its first 0.1 s leads one to expect, rad/s.
-
-    White torque noise makes the squared error grow in proportion to time; a torque that lasts
-    makes it grow faster.
-    """
-    squared = np.mean(errors**2, axis=0)
-    early = max(4, round(EARLY_S / dt))
-    steps = np.arange(squared.size)
-    design = np.stack([np.ones(early), steps[:early]], axis=1)
-    start, growth = np.linalg.lstsq(design, squared[:early], rcond=None)[0]
-    return float(np.sqrt(max(np.mean(start + max(growth, 0.0) * steps), 0.0)))
+def _dependence(found: Discovery, held_out: Simulator) -> Dependence | None:
+    """What the base's residual depends on most, if the held-out data agree that it does."""
+    one = strongest(found.base_simulator, found.base, found.dependence)
+    if one is None:
+        return None
+    test = confirmed(found.base_simulator, held_out, found.base, one.name)
+    return one if test.p_value < LEVEL else None
 
 
 def hold_error(sim: Simulator) -> float:

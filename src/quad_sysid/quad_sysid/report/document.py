@@ -51,6 +51,11 @@ def _axis(answer: AxisAnswer, inertia: float | None) -> dict[str, Any]:
              'p_value': _number(t.p_value)}
             for t in (found.tried if found else ())
         ],
+        'dependence': [
+            {'on': d.name, 'cross_validated_error': _number(d.score),
+             'p_value': _number(d.comparison.p_value)}
+            for d in (found.dependence[:8] if found else ())
+        ],
         'base': {'parameters': [_parameter(p, inertia) for p in (model.plain if model else ())]},
         'completed': {
             'parameters': [_parameter(p, inertia) for p in (model.base if model else ())]
@@ -132,7 +137,6 @@ def _error(answer: AxisAnswer) -> dict[str, Any]:
         'closed_loop_after': _number(loop.rms_after) if loop else None,
         'before_interval_95': list(judgement.before.interval),
         'after_interval_95': list(judgement.after.interval),
-        'predicted_from_noise': _number(judgement.predicted),
         'hold_last_value': _number(judgement.hold),
         'windows': int(judgement.before.run.errors.shape[0]),
         'p_value': _number(judgement.test.p_value),

@@ -60,7 +60,6 @@ def errors(tree: Tree) -> str:
         ['completed (after)', number(error['after']), _span(error.get('after_interval_95')),
          number(error.get('one_step_after'))],
         ['black box', number(error.get('blackbox')), '', ''],
-        ['what the noise explains', number(error.get('predicted_from_noise')), '', ''],
         ['measurement noise', number(error.get('noise_floor')), '', ''],
         ['in the loop, base', number(error.get('closed_loop_before')), '', ''],
         ['in the loop, completed', number(error.get('closed_loop_after')), '', ''],
