@@ -50,9 +50,11 @@ MIXER_INVERSE.setflags(write=False)
 
 def motors_from_wrench(wrench: FloatArray) -> FloatArray:
     """Motor commands (n, 4) in 0..1 from controller outputs U1..U4 (n, 4)."""
-    return np.clip(wrench @ MIXER.T, 0.0, 1.0)
+    motors: FloatArray = np.clip(wrench @ MIXER.T, 0.0, 1.0)
+    return motors
 
 
 def control_from_motors(motors: FloatArray) -> FloatArray:
     """The plant's input U1..U4 (n, 4) from motor commands (n, 4), normalised."""
-    return motors @ MIXER_INVERSE.T
+    control: FloatArray = motors @ MIXER_INVERSE.T
+    return control

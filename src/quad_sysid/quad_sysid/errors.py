@@ -1,4 +1,4 @@
-"""The error root of quad_sysid: every message is one line that names what was wrong and what helps.
+"""The error root of quad_sysid: each message is one line that names what is wrong and what helps.
 
 Commands turn these into their exit status (contract.md, Commands); nothing else maps errors.
 """

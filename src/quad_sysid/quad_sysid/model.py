@@ -93,7 +93,7 @@ class AxisModel:
 
 @dataclass(frozen=True)
 class GainProposal:
-    """A designer's answer: gains of one axis on the contract's terms (SI), or why there are none."""
+    """A designer's answer: gains of one axis on the contract's terms, or why there are none."""
 
     gains: Mapping[str, float] | None
     """Such as `roll.angle.kp`, `roll.rate.kp`; None where the design is refused."""

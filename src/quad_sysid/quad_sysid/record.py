@@ -86,7 +86,7 @@ class Record:
     @property
     def time_s(self) -> FloatArray:
         """(n,) s from the first sample."""
-        return np.arange(self.n) * self.dt
+        return np.arange(self.n, dtype=np.float64) * self.dt
 
     def axis(self, name: str, role: str | None = None) -> IOData:
         """Input and output of one axis over the segments of `role` (all of the record: None)."""

@@ -47,7 +47,7 @@ def evaluate(model: AxisModel, record: Record, spans_s: tuple[tuple[float, float
     """
     if abs(record.dt - model.dt) > 1e-6 * model.dt:
         raise BadInputError(
-            record.source, 'sample rate must be the model\'s',
+            record.source, "sample rate must be the model's",
             f'{1 / record.dt:.6g} Hz, model {1 / model.dt:.6g} Hz', 'identify at this rate',
         )
     data = replace(

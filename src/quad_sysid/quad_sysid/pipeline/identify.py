@@ -75,12 +75,7 @@ def identify_axis(
     rate = 1.0 / records[0].dt
     try:
         data = axis_data(records, axis)
-        if not data.train or not data.windows(data.validation).count:
-            missing = 'training' if not data.train else 'validation'
-            raise NotInformativeError(
-                f'{axis}: no {missing} segment of this axis is long enough (1.5 s); '
-                'name them with --train and --validate'
-            )
+        _check_length(data)
         progress(f'{axis}: base')
         found = discover(data, EFFECTS + SHAPES if options.search_effects else (), rng, progress)
     except NotInformativeError as error:
@@ -105,6 +100,15 @@ def identify_axis(
     answer = replace(answer, closed_loop=closed_loop(answer, records[0], data))
     progress(f'{axis}: gains')
     return replace(answer, proposal=_proposal(answer, options))
+
+
+def _check_length(data: AxisData) -> None:
+    if not data.train or not data.windows(data.validation).count:
+        missing = 'training' if not data.train else 'validation'
+        raise NotInformativeError(
+            f'{data.axis}: no {missing} segment of this axis is long enough (1.5 s); '
+            'name them with --train and --validate'
+        )
 
 
 def _segments(records: Sequence[Record], axis: str) -> tuple[Segment, ...]:
@@ -139,11 +143,11 @@ def _with_blackbox(
         rows = tuple(
             blackbox_part.second_step(row, data, records[0], gains) for row in rows
         )
-    error = None
+    in_windows = None
     if selected is not None:
         model = rows[selected].step_a.model
-        error = blackbox_part.window_error(data, model, data.validation)
-    return replace(answer, rows=rows, selected=selected, blackbox_error=error)
+        in_windows = blackbox_part.window_error(data, model, data.validation)
+    return replace(answer, rows=rows, selected=selected, blackbox_error=in_windows)
 
 
 def _cascade(model: AxisModel | None) -> CascadeGains | None:

@@ -24,7 +24,7 @@ def _models(tree: Mapping[str, Any]) -> list[str]:
     if not tree['models']:
         return []
     signals = list(dict.fromkeys(s for m in tree['models'] for s in m['fit_validation_pct']))
-    out = [ROW.format('model', 'train', *(_clip(s) for s in (signals + ['', ''])[:2]), 'loop',
+    out = [ROW.format('model', 'train', *(_clip(s) for s in [*signals, '', ''][:2]), 'loop',
                       'first step')]
     for index, model in enumerate(tree['models']):
         name = f'{model["structure"]} ' + ' '.join(str(v) for v in model['orders'].values())
@@ -32,7 +32,7 @@ def _models(tree: Mapping[str, Any]) -> list[str]:
         fits = [_pct(model['fit_validation_pct'].get(s)) for s in signals]
         out.append(
             ROW.format(
-                mark + name, _pct(model['fit_train_pct']), *(fits + ['', ''])[:2],
+                mark + name, _pct(model['fit_train_pct']), *[*fits, '', ''][:2],
                 _pct(model.get('closed_loop_fit_pct')),
                 'pass' if model['passed_first_step'] else 'out',
             )
@@ -45,8 +45,7 @@ def _models(tree: Mapping[str, Any]) -> list[str]:
 
 def _verdict(tree: Mapping[str, Any]) -> list[str]:
     out = [f'verdict  {tree["verdict"]}', *_wrapped(tree.get('reason', ''))]
-    for parameter in tree['base']['parameters']:
-        out.append('  base   ' + _number(parameter))
+    out += ['  base   ' + _number(parameter) for parameter in tree['base']['parameters']]
     for effect in tree['effects']:
         out.append(
             f'  effect {effect["name"]}  p = {effect["p_value"]:.2g}, probability '
