@@ -1,12 +1,18 @@
 """The implied torque: a planted friction shows in it, and nothing shows where none is planted."""
 
+import dataclasses
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from quad_sysid.effects.table import EFFECTS
 from quad_sysid.greybox.data import axis_data
+from quad_sysid.greybox.fit import simulator
+from quad_sysid.greybox.structure import Structure
 from quad_sysid.model import AxisModel, EffectEstimate, Parameter
 from quad_sysid.record import Record, Segment
-from quad_sysid.report import missing_torque
+from quad_sysid.report import missing_torque, plots_effects
 from quad_sysid.report.canvas import MOST_POINTS, thinned
 
 DT, GAIN, LAG, DELAY_CYCLES, DAMPING, BIAS = 0.004, 100.0, 0.03, 2, 0.7, 0.2
@@ -63,21 +69,20 @@ def test_effect_taken_along_leaves_nothing():
     axis = data(0.6)
     one, model = effect(0.6)
     curve = missing_torque.curve(one, model)
-    rest = missing_torque.left_out(axis, BASE, [curve])
+    friction = curve[1](axis.rate)
+    rest = missing_torque.left_out(axis, BASE, [friction])
     points = missing_torque.binned(axis.rate, rest, axis.train, DT)
     assert np.max(np.abs(points.mean)) < 0.1
     assert curve[0] == 'rate'
     assert curve[1](np.array([-1.0, 1.0])) == pytest.approx([0.6, -0.6], abs=1e-6)
 
 
-def test_curve_of_a_shape_and_of_the_command():
-    x = (-0.1, 0.0, 0.1)
-    shape = EffectEstimate('shape:command', 'shape', ('command',), (),
-                           {'knots': x, 'values': (-0.12, 0.0, 0.12)})
+def test_curve_of_a_shape_and_of_what_is_no_curve():
+    shape = EffectEstimate('shape:angle', 'shape', ('angle',), (),
+                           {'knots': (-0.1, 0.0, 0.1), 'values': (-2.0, 0.0, 1.0)})
     name, function = missing_torque.curve(shape, effect(0.1)[1])
-    assert name == 'command'
-    # the map is 1.2 times the command: it adds 0.2 * gain * u
-    assert function(np.array([0.05])) == pytest.approx([0.2 * 0.05 * GAIN])
+    assert name == 'angle'
+    assert function(np.array([-0.05, 0.05])) == pytest.approx([-1.0, 0.5])
     event = EffectEstimate('step_event', 'event', (), ())
     assert missing_torque.curve(event, effect(0.1)[1]) is None
 
@@ -100,3 +105,72 @@ def test_thinned_line_keeps_extremes_and_gaps():
     assert time_s[np.nanargmax(values)] == pytest.approx(12_345 * DT)
     assert np.isnan(values).any()
     assert np.all(np.diff(time_s) >= 0.0)
+
+
+def answered(axis, name: str, theta, settings=None):
+    """What the pictures need of an answer whose model is BASE and one effect of the table."""
+    entry = next(e for e in EFFECTS if e.name == name)
+    structure = Structure().with_effect(entry, settings or {})
+    theta = np.array([p.value for p in BASE] + list(theta))
+    estimate = EffectEstimate(
+        name, entry.kind, entry.signals,
+        tuple(Parameter(p.name, v, 0.1, p.unit)
+              for p, v in zip(entry.parameters, theta[5:], strict=True)),
+        settings=settings or {},
+    )
+    found = SimpleNamespace(
+        data=axis, chosen=SimpleNamespace(structure=structure, theta=theta),
+        chosen_simulator=simulator(axis, axis.train, np.zeros(4)), rivals={},
+    )
+    return SimpleNamespace(
+        discovery=found, model=AxisModel('roll', DT, None, BASE, (estimate,))
+    )
+
+
+def test_contribution_of_a_command_effect_is_what_it_takes_away():
+    axis = data(0.0)
+    answer = answered(axis, 'dead_zone', [0.01])
+    (own,) = missing_torque.contributions(answer.discovery, answer.model)
+    command = axis.command
+    cut = np.sign(command) * np.maximum(np.abs(command) - 0.01, 0.0)
+    expected = GAIN * missing_torque.acting(axis, BASE, cut - command)
+    inside = np.isfinite(own)
+    assert inside.mean() > 0.99
+    np.testing.assert_allclose(own[inside], expected[inside], atol=1e-9)
+    assert missing_torque.contributions(
+        answer.discovery, AxisModel('roll', DT, None, BASE)
+    ) == ()
+
+
+@pytest.mark.parametrize(
+    ('name', 'theta', 'settings', 'label'),
+    [
+        ('coulomb_friction', [0.6], {}, 'rate, rad/s'),
+        ('dead_zone', [0.004], {}, 'added by the effect, rad/s²'),
+        ('periodic_disturbance', [0.5, 1.3, 0.2], {}, 'phase of the disturbance, rad'),
+        ('gyroscopic_coupling', [0.5], {'column': 1.0}, 'rate of yaw, rad/s'),
+    ],
+)
+def test_every_kind_of_effect_is_drawn_over_its_own_variable(name, theta, settings, label):
+    axis = data(0.6)
+    rng = np.random.default_rng(1)
+    axis = dataclasses.replace(axis, other_rates=rng.standard_normal((axis.rate.size, 2)))
+    answer = answered(axis, name, theta, settings)
+    picture = plots_effects.effect_shapes(answer)
+    assert picture.labels == ((label, 'torque / inertia, rad/s²'),)
+    assert len(picture.figure.axes[0].lines) >= 2
+    assert len(plots_effects.left_out(answer).figure.axes[0].containers) == 2
+
+
+def test_gain_over_the_voltage_is_the_fitted_power_law():
+    axis = data(0.0)
+    volts = np.linspace(16.0, 14.0, axis.rate.size)
+    axis = dataclasses.replace(axis, battery_v=volts)
+    answer = answered(axis, 'battery_sag', [2.0], {'reference_v': 15.0})
+    (panel,) = plots_effects.gain_over(answer).figure.axes
+    line = next(one for one in panel.lines if one.get_label() == 'model')
+    x, y = line.get_data()
+    np.testing.assert_allclose(y, GAIN * (x / 15.0) ** 2, rtol=0.01)
+    points = panel.containers[0].lines[0].get_ydata()
+    # the data were made without sag: they ask for one gain, in 2 %
+    np.testing.assert_allclose(points, GAIN, rtol=0.02)

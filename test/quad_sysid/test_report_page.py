@@ -12,6 +12,7 @@ import jsonschema
 import numpy as np
 import pytest
 
+from quad_sysid.effects.table import EFFECTS
 from quad_sysid.model import GainProposal
 from quad_sysid.pipeline.answer import AxisAnswer
 from quad_sysid.pipeline.identify import Options, identify
@@ -68,7 +69,11 @@ def designer(_):
 
 @pytest.fixture(scope='module')
 def answers() -> dict[str, AxisAnswer]:
-    return identify([flight()], Options(axes=('roll',), designer=designer))
+    few = tuple(e for e in EFFECTS if e.name in ('coulomb_friction', 'quadratic_drag'))
+    with pytest.MonkeyPatch.context() as patch:  # the whole table is searched in other tests
+        patch.setattr('quad_sysid.pipeline.identify.EFFECTS', few, raising=False)
+        patch.setattr('quad_sysid.pipeline.identify.SHAPES', (), raising=False)
+        return identify([flight()], Options(axes=('roll',), designer=designer))
 
 
 @pytest.fixture(scope='module')
@@ -118,7 +123,7 @@ def test_written_report_follows_the_schema(written):
 
 def test_every_figure_is_in_the_page_and_beside_it(answers, written):
     assert answers['roll'].verdict == 'effects_added'
-    expected = {name for name, _ in plots.PICTURES} - {'battery_sag'}
+    expected = {name for name, _ in plots.PICTURES} - {'gain'}
     shown = Page((written / 'report.html').read_text()).figures
     assert {one.removeprefix('roll-') for one in shown} == expected
     assert len(shown) == len(set(shown))
@@ -210,7 +215,7 @@ def test_cannot_tell_says_why_once():
     answer = AxisAnswer('yaw', 250.0, (), 'cannot_tell', 'yaw: the command never moves; excite it',
                         proposal=GainProposal(None, 'the same'))
     text = page(document.document({'yaw': answer}, ['bag']), {'yaw': answer})
-    assert text.count('the command never moves') == 1
+    assert text.count('command never moves') == 1
     assert '<figure' not in text
 
 

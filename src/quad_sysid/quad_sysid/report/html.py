@@ -20,7 +20,7 @@ from quad_sysid.report.style import SHEET
 DATA = ('signals', 'signals_detail', 'spectra', 'coherence')
 MODELS = ('residual_test', 'bode')
 PREDICTION = ('free_run', 'horizon')
-EFFECTS = ('effect_shape', 'left_out', 'battery_sag', 'rivals')
+EFFECTS = ('effect_shape', 'left_out', 'gain', 'rivals')
 LOOP = ('closed_loop', 'step')
 
 

@@ -11,10 +11,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.greybox import drive
+from quad_sysid.effects.discover import Discovery
+from quad_sysid.greybox import drive, kernels
 from quad_sysid.greybox.data import AxisData, Span
+from quad_sysid.greybox.structure import Structure, Term
 from quad_sysid.loop.from_model import CURVES
 from quad_sysid.model import AxisModel, EffectEstimate, Parameter
 
@@ -38,23 +41,69 @@ class Binned:
 
 def variables(data: AxisData, base: Sequence[Parameter]) -> dict[str, FloatArray]:
     """Rate and angle as measured, and the command as it acts, behind delay and lag; (n,) each."""
-    out = {'rate': data.rate, 'command': acting(data, base)}
+    out = {'rate': data.rate, 'command': acting(data, base, data.command)}
     if data.angle is not None:
         out['angle'] = data.angle
     return out
 
 
-def acting(data: AxisData, base: Sequence[Parameter]) -> FloatArray:
-    """(n,) mean over the short span of the command behind delay, lag and gyro filter; NaN at ends.
+def acting(data: AxisData, base: Sequence[Parameter], command: FloatArray) -> FloatArray:
+    """(n,) mean over the short span of a command behind delay, lag and gyro filter; NaN at ends.
 
     From the exact drive response (greybox/drive.py), whose slope it is.
     """
     values = {p.name: p.value for p in base}
     known = drive.response(
-        data.command, data.stretches, values['lag'], values['delay'], data.gyro_filter_hz,
+        command, data.stretches, values['lag'], values['delay'], data.gyro_filter_hz,
         data.dt, data.realisation,
     )
     return _slope(known[4] if data.gyro_filter_hz is not None else known[0], data.dt)
+
+
+def contributions(found: Discovery, model: AxisModel) -> tuple[FloatArray, ...]:
+    """(n,) rad/s² that each effect of the model adds, mean over the short span; NaN at ends.
+
+    Empty where the model has no effects or is not the one that discovery chose.
+    """
+    structure, theta, data = found.chosen.structure, found.chosen.theta, found.data
+    if [e.name for e in structure.effects] != [e.name for e in model.effects]:
+        return ()
+    sim = found.chosen_simulator
+    whole = acting(data, model.base, sim.commands(structure, theta))
+    out = []
+    for i, (effect, estimate, where) in enumerate(
+        zip(structure.effects, model.effects, structure.slices(), strict=True)
+    ):
+        added = np.zeros(data.rate.size)
+        if effect.command is not None:
+            others = [k for k in range(len(model.effects)) if k != i]
+            less = Structure(
+                tuple(structure.effects[k] for k in others),
+                tuple(structure.settings[k] for k in others),
+            )
+            keep = np.ones(theta.size, dtype=bool)
+            keep[where] = False
+            without = acting(data, model.base, sim.commands(less, theta[keep]))
+            added = model.value('gain') * (whole - without)
+        if effect.torque is not None:
+            term = effect.torque(data, theta[where], structure.settings[i])
+            added = added + _mean(_torque(data, term, curve(estimate, model)), data.dt)
+        out.append(added)
+    return tuple(out)
+
+
+def _torque(
+    data: AxisData, term: Term, shape: tuple[str, Function] | None
+) -> FloatArray:
+    """(n,) rad/s² of one term at the measured rate and angle."""
+    if term.signal is not None:
+        if term.code == kernels.SIGNAL:
+            return term.values[0] * term.signal
+        return -term.values[0] * data.rate * term.signal
+    if shape is None:
+        return np.full(data.rate.size, np.nan)
+    at = data.rate if shape[0] == 'rate' else data.angle
+    return np.full(data.rate.size, np.nan) if at is None else shape[1](at)
 
 
 def _slope(signal: FloatArray, dt: float) -> FloatArray:
@@ -82,25 +131,19 @@ def _half(dt: float) -> int:
 
 
 def curve(effect: EffectEstimate, model: AxisModel) -> tuple[str, Function] | None:
-    """Signal that the effect depends on, and its angular acceleration, rad/s², over it.
+    """`rate` or `angle`, and the effect's angular acceleration, rad/s², over it.
 
-    A curve of the command is what it adds to gain * command. None for effects of another kind.
+    None for effects that are no curve of one of these two.
     """
     kind, _, name = effect.name.partition(':')
     entry = CURVES.get(effect.name)
-    if entry is not None:
-        name, function = entry[0], entry[1]({p.name: p.value for p in effect.parameters}, model.dt)
-    elif kind == 'shape' and name in UNITS:
+    if entry is not None and entry[0] in ('rate', 'angle'):
+        return entry[0], entry[1]({p.name: p.value for p in effect.parameters}, model.dt)
+    if kind == 'shape' and name in ('rate', 'angle'):
         x, y = (np.asarray(effect.settings.get(k, ()), dtype=float) for k in ('knots', 'values'))
-        if x.ndim != 1 or x.size < 2 or x.shape != y.shape:
-            return None
-        function = _table(x, y)
-    else:
-        return None
-    if name == 'command':
-        gain = model.value('gain')
-        return name, lambda u: gain * (function(u) - u)
-    return name, function
+        if x.ndim == 1 and x.size > 1 and x.shape == y.shape:
+            return name, _table(x, y)
+    return None
 
 
 def _table(x: FloatArray, y: FloatArray) -> Function:
@@ -108,19 +151,22 @@ def _table(x: FloatArray, y: FloatArray) -> Function:
 
 
 def left_out(
-    data: AxisData, base: Sequence[Parameter], effects: Sequence[tuple[str, Function]] = ()
+    data: AxisData, base: Sequence[Parameter], added: Sequence[FloatArray] = ()
 ) -> FloatArray:
-    """(n,) rad/s², what base and effects do not explain; NaN near gaps."""
+    """(n,) rad/s², what the base and the `contributions` do not explain; NaN near gaps."""
     values = {p.name: p.value for p in base}
-    at = variables(data, base)
     rest = values['bias'] - values['damping'] * data.rate
-    averaged = values['gain'] * at['command']
-    for name, function in effects:
-        if name == 'command':  # already a mean over the span
-            averaged = averaged + function(at[name])
-        elif name in at:
-            rest = rest + function(at[name])
-    return _slope(data.rate, data.dt) - averaged - _mean(rest, data.dt)
+    given = values['gain'] * acting(data, base, data.command) + _mean(rest, data.dt)
+    for one in added:
+        given = given + one
+    return _slope(data.rate, data.dt) - given
+
+
+def settled(spans: Sequence[Span], dt: float) -> npt.NDArray[np.int64]:
+    """Indices inside `spans`, less the 0.3 s at each start in which lag and filter settle."""
+    margin = _half(dt) + round(0.3 / dt)
+    none = np.zeros(0, dtype=np.int64)
+    return np.concatenate([none, *(np.arange(a + margin, b, dtype=np.int64) for a, b in spans)])
 
 
 def binned(
@@ -130,10 +176,7 @@ def binned(
 
     The standard error takes blocks of BLOCK_S as clusters (Liang and Zeger 1986).
     """
-    margin = _half(dt) + round(0.3 / dt)
-    if not spans:
-        return None
-    inside = np.concatenate([np.arange(a + margin, max(a + margin, b)) for a, b in spans])
+    inside = settled(spans, dt)
     good = inside[np.isfinite(x[inside]) & np.isfinite(y[inside])]
     if good.size < 4 * LEAST_IN_A_BIN or np.ptp(x[good]) <= 0.0:
         return None

@@ -28,7 +28,7 @@ PICTURES: tuple[tuple[str, Callable[[AxisAnswer], Picture | None]], ...] = (
     ('bode', plots_models.bode),
     ('left_out', plots_effects.left_out),
     ('effect_shape', plots_effects.effect_shapes),
-    ('battery_sag', plots_effects.sag),
+    ('gain', plots_effects.gain_over),
     ('rivals', plots_effects.rivals),
     ('closed_loop', plots_loop.overlay),
     ('step', plots_loop.step_response),

@@ -146,7 +146,13 @@ def tried(tree: Tree) -> str:
     ]
     untested = [[t['name'], t['because']] for t in tree.get('not_tested', [])]
     head = ['step', 'effect', 'cross-validated error, rad/s', 'p']
-    return table(head, first, (0, 2, 3)) + table(['not tested', 'because'], untested)
+    leans = [
+        [str(d['on']), number(d.get('cross_validated_error'), 4), chance(d.get('p_value'))]
+        for d in tree.get('dependence', [])
+    ]
+    weighed = ['what the residual depends on', 'cross-validated error, rad/s', 'p']
+    return (table(head, first, (0, 2, 3)) + table(weighed, leans, (1, 2))
+            + table(['not tested', 'because'], untested))
 
 
 def gains(tree: Tree, axis: str, active: Mapping[str, float]) -> str:

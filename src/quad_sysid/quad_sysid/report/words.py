@@ -90,7 +90,8 @@ def headline(tree: Tree) -> tuple[str, str]:
 def story(axis: str, tree: Tree) -> list[tuple[str, str]]:
     """(question, answer) pairs in the order a reader asks."""
     if tree['error'].get('after') is None:
-        return [('Why?', _bare(axis, tree.get('reason', '')) + '.')]
+        reason = _bare(axis, tree.get('reason', ''))
+        return [('Why?', f'{reason[:1].upper()}{reason[1:]}.')]
     return [
         ('What is the model worth?', _worth(tree)),
         ('What was missing, and how sure is that?', ' '.join(_missing(tree))),
