@@ -37,16 +37,21 @@ def overlay(answer: AxisAnswer) -> Picture | None:
     long = [p for p in pieces if p.size > 1.0 / step] or pieces
     shown = max(long, key=lambda p: float(np.var(loop.measured[p])))
     shown = shown[: round(SHOWN_S / step)]
-    figure, (one,) = panels(height_in=2.9)
-    one.plot(*thinned(time_s[shown], loop.measured[shown]), color=INK, lw=1.0, label='measured')
+    figure, axes = panels(2, height_in=3.9, ratios=(2.0, 1.0))
+    measured = loop.measured[shown]
+    axes[0].plot(*thinned(time_s[shown], measured), color=INK, lw=1.0, label='measured')
+    runs = [(loop.after, AFTER, '-', 'completed')]
     if answer.model is not None and answer.model.effects:
-        one.plot(*thinned(time_s[shown], loop.before[shown]), color=BEFORE, ls='--',
-                 label='base')
-    one.plot(*thinned(time_s[shown], loop.after[shown]), color=AFTER, label='model in the loop')
-    one.set_xlabel('time, s')
-    one.set_ylabel('rate, rad/s')
-    one.margins(x=0.01)
-    legend(one)
+        runs.insert(0, (loop.before, BEFORE, '--', 'base'))
+    for simulated, colour, style, name in runs:
+        flown = simulated[shown]
+        axes[0].plot(*thinned(time_s[shown], flown), color=colour, ls=style, label=name)
+        axes[1].plot(*thinned(time_s[shown], flown - measured), color=colour, lw=0.8)
+    axes[0].set_ylabel('rate, rad/s')
+    axes[1].set_ylabel('error, rad/s')
+    axes[1].set_xlabel('time, s')
+    axes[1].margins(x=0.01)
+    legend(axes[0])
     return Picture(
         'closed_loop', 'Simulated flight against the recorded one',
         'The controller and the model flown on the recorded attitude reference alone, from the '
