@@ -20,6 +20,8 @@ class Parameter:
     value: float
     std: float | None
     unit: str
+    interval: tuple[float, float] | None = None
+    """95 %, where `std` does not give it: at a bound one-sided. Told in reports, not stored."""
 
 
 @dataclass(frozen=True)

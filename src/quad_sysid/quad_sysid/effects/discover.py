@@ -22,7 +22,14 @@ from quad_sysid.effects.crossval import compare, selection_probabilities
 from quad_sysid.effects.scan import Dependence, scan
 from quad_sysid.effects.shapes import besides
 from quad_sysid.greybox.data import AxisData
-from quad_sysid.greybox.fit import Fit, fit_base, fit_with_effect, settle
+from quad_sysid.greybox.fit import (
+    SHORT_WINDOW_S,
+    Fit,
+    fit_base,
+    fit_with_effect,
+    informative,
+    settle,
+)
 from quad_sysid.greybox.noise import NoiseModel
 from quad_sysid.greybox.simulate import Simulator
 from quad_sysid.greybox.structure import Effect, Prepared
@@ -71,6 +78,8 @@ class Discovery:
     not_tested: tuple[tuple[str, str], ...] = ()
     dependence: tuple[Dependence, ...] = ()
     """What the base's residual depends on, foremost first."""
+    informative: bool = True
+    """False: half a second of free run says nothing; the base is fitted over 50 ms instead."""
 
 
 def discover(
@@ -81,6 +90,9 @@ def discover(
 ) -> Discovery:
     """Fit the base on the training segments, add what cross-validation asks for, or nothing."""
     base, base_noise, sim = fit_base(data, data.train)
+    if not informative(base):
+        base, base_noise, sim = fit_base(data, data.train, SHORT_WINDOW_S)
+        return Discovery(data, base, base_noise, sim, base, base_noise, sim, informative=False)
     base_sim = sim
     prepared, not_tested = _prepare(data, effects)
     current, noise, sim, tried = _forward(sim, base, base_noise, prepared, progress)

@@ -19,6 +19,8 @@ from quad_sysid.greybox.fit import Fit, block_numbers, fit_structure, simulator
 from quad_sysid.greybox.noise import NoiseModel
 from quad_sysid.greybox.simulate import Run, Simulator
 
+HARDLY_BETTER = 0.95
+"""A base whose error exceeds this share of the error of holding the last rate is no model."""
 LEVEL = 0.05
 """Level of the one final test per axis (contract, which data decide)."""
 
@@ -95,7 +97,7 @@ def judge(found: Discovery, rng: np.random.Generator) -> Judgement:
     effects = bool(found.chosen.structure.effects)
     hold = hold_error(sim)
     passed = effects and test.p_value < LEVEL and after.free_run < before.free_run
-    left = None if passed else _dependence(found, sim)
+    left = None if passed or not found.informative else _dependence(found, sim)
     verdict, reason = _verdict(found, before, left, hold, test, passed=passed)
     tests = _leave_one_out(found, after, rng) if passed else {}
     noise = found.chosen_noise if passed else found.base_noise
@@ -111,12 +113,12 @@ def _verdict(
     test: Comparison, *, passed: bool,
 ) -> tuple[str, str]:
     """One of the contract's four verdicts, with the reason in words."""
-    gain, deviation = float(found.base.theta[0]), float(found.base.std[0])
-    if before.free_run > 0.95 * hold or not abs(gain) > 3.0 * deviation:
+    if not found.informative or before.free_run > HARDLY_BETTER * hold:
+        seen = 'even its sign is uncertain' if not found.informative else 'no better than holding'
         return 'cannot_tell', (
-            f'free-run error {before.free_run:.3g} rad/s is hardly below that of holding the last '
-            f'rate ({hold:.3g} rad/s): the data do not excite the dynamics; '
-            'fly a PRBS on this axis (quad-sysid design-excitation)'
+            f'the commands of this flight do not show what half a second of motion owes them '
+            f'({seen}: free-run error {before.free_run:.3g} rad/s, holding the last rate '
+            f'{hold:.3g} rad/s); fly a PRBS on this axis (quad-sysid design-excitation)'
         )
     if passed:
         names = ' and '.join(e.name for e in found.chosen.structure.effects)

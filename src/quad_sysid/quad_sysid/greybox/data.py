@@ -62,6 +62,8 @@ class AxisData:
     validation_names: tuple[str, ...] = ()
     realisation: str = 'continuous'
     """How the far end integrates, one of drive.REALISATIONS."""
+    reference: FloatArray | None = None
+    """(n,) what drives the loop from outside, as Record.external; NaN where a record lacks it."""
 
     @property
     def index(self) -> int:
@@ -80,11 +82,11 @@ class AxisData:
         first, second = (name for name in AXES if name != self.axis)
         return first, second
 
-    def windows(self, spans: Sequence[Span], stride_s: float = WINDOW_S) -> Windows:
-        """Windows of the contract's length in `spans`, `stride_s` apart, partial ones dropped."""
-        length = round(WINDOW_S / self.dt)
+    def windows(self, spans: Sequence[Span], length_s: float = WINDOW_S) -> Windows:
+        """Windows in `spans`, by default of the contract's length, end to end, no partial ones."""
+        length = max(2, round(length_s / self.dt))
         settle = round(SETTLE_S / self.dt)
-        stride = max(1, round(stride_s / self.dt))
+        stride = length
         starts: list[int] = []
         owners: list[int] = []
         for number, (start, stop) in enumerate(spans):
@@ -128,7 +130,7 @@ def axis_data(records: Sequence[Record], axis: str) -> AxisData:
     has_angle = bool(np.isfinite(joined['angle']).any())
     if has_angle:
         joined['angle'] = _held(joined['angle'])
-    battery = joined['battery_v']
+    battery, reference = joined['battery_v'], joined['reference']
     return AxisData(
         axis=axis,
         dt=dt,
@@ -144,6 +146,7 @@ def axis_data(records: Sequence[Record], axis: str) -> AxisData:
         validation=validation,
         idle=idle,
         validation_names=names,
+        reference=reference if np.isfinite(reference).any() else None,
     )
 
 
@@ -164,7 +167,7 @@ def _prepare(record: Record, axis: str) -> tuple[np.ndarray, dict[str, FloatArra
             f'{record.source}: {axis} has no sample with both rate and command; '
             'record /imu/data with /motors/command or /control/wrench'
         )
-    nothing = np.full(n, np.nan)
+    nothing, external = np.full(n, np.nan), record.external(axis)
     others = [i for i in range(3) if i != index]
     return good, {
         'rate': np.where(good, rate, np.nan),
@@ -173,6 +176,7 @@ def _prepare(record: Record, axis: str) -> tuple[np.ndarray, dict[str, FloatArra
         'motors': np.where(good[:, None], motors, 0.0),
         'other_rates': record.rates[:, others],
         'battery_v': nothing if record.battery_v is None else record.battery_v,
+        'reference': nothing if external is None else external,
     }
 
 

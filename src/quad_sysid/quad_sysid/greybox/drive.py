@@ -15,7 +15,7 @@ from scipy.linalg import expm
 from quad_sysid.contract import FloatArray
 from quad_sysid.greybox import kernels
 
-SHORTEST_LAG_S = 1e-5
+SHORTEST_LAG_S = 1e-6
 """A lag below this acts within the first sample as no lag at all does."""
 SUBSTEP_S = 0.001
 """Step of simulators and of the gyro's own sampling."""

@@ -15,12 +15,18 @@ import numpy as np
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import NotInformativeError
 from quad_sysid.greybox import levenberg, noise
-from quad_sysid.greybox.data import AxisData, Span, Windows
+from quad_sysid.greybox.data import WINDOW_S, AxisData, Span, Windows
 from quad_sysid.greybox.simulate import N_BASE, Simulator
 from quad_sysid.greybox.structure import BASE_PARAMETERS, Effect, Settings, Structure
 
 FIRST_STEPS = 4
 """Iterations from each of several starts."""
+SAME_AS_NONE = 0.25
+"""A lag or delay of less than this share of a cycle is told as none."""
+CLEAR_GAIN = 4.0
+"""A gain of fewer standard errors than this is no answer."""
+SHORT_WINDOW_S = 0.05
+"""Windows for data in which half a second of free run drowns in noise: lag and delay still show."""
 BLOCK_S = 2.0
 """Windows closer than this are not counted as independent in standard errors."""
 
@@ -46,6 +52,8 @@ class Fit:
     at_bound: np.ndarray
     prior: FloatArray
     """(r, p) rows of the effects' priors, in the unit of the errors."""
+    reach: FloatArray
+    """(p,) standard errors as if no bound held anything: how far a parameter at one may lie."""
 
     @property
     def rms(self) -> float:
@@ -59,10 +67,10 @@ class Fit:
 
 
 def simulator(
-    data: AxisData, spans: Sequence[Span], correction: FloatArray, stride_s: float = 0.5
+    data: AxisData, spans: Sequence[Span], correction: FloatArray, length_s: float = WINDOW_S
 ) -> Simulator:
     """A simulator over the windows of `spans`."""
-    return Simulator(data, tuple(spans), data.windows(spans, stride_s), correction)
+    return Simulator(data, tuple(spans), data.windows(spans, length_s), correction)
 
 
 def fit_structure(
@@ -100,22 +108,34 @@ def fit_structure(
     theta = full.copy()
     theta[index] = found.theta
     # so near a bound no ordinary standard error exists
-    close = (theta - lower <= 1e-3 * scale) | (upper - theta <= 1e-3 * scale)
-    theta = np.where(theta - lower <= 1e-3 * scale, lower, theta)
+    near = 1e-3 * scale
+    near[1:3] = np.maximum(near[1:3], SAME_AS_NONE * sim.data.dt)
+    close = (theta - lower <= near) | (upper - theta <= near)
+    theta = np.where(theta - lower <= near, lower, theta)
     shape = (sim.windows.count, sim.windows.length)
     count = shape[0] * shape[1]
     jacobian = np.zeros((count, theta.size))
     jacobian[:, index] = found.jacobian[:count]
     at_bound = np.ones(theta.size, dtype=bool)
     at_bound[index] = found.at_bound | close[index]
+    if free is None and (at_bound & ~found.at_bound)[1:3].any():
+        # lag and delay are one where they are short: without the one, fit the other again
+        return fit_structure(sim, structure, theta, max_iterations=max_iterations, free=~at_bound)
     jacobian = jacobian.reshape(*shape, theta.size)
     errors = found.residual[:count].reshape(shape)
+    if at_bound.any():
+        jacobian[:, :, at_bound] = _inside(sim, structure, theta, at_bound, lower, scale)
+
+    def covariance(held: np.ndarray) -> FloatArray:
+        return robust_covariance(jacobian, errors, held, sim.windows, sim.data.dt, prior)
+
+    full_covariance = covariance(at_bound)
+    reach = full_covariance if not at_bound.any() else covariance(np.zeros_like(at_bound))
     return Fit(
         structure=structure,
         theta=theta,
-        covariance=robust_covariance(
-            jacobian, errors, at_bound, sim.windows, sim.data.dt, prior
-        ),
+        covariance=full_covariance,
+        reach=np.sqrt(np.maximum(np.diag(reach), 0.0)),
         jacobian=jacobian,
         errors=errors,
         converged=found.converged,
@@ -123,6 +143,21 @@ def fit_structure(
         at_bound=at_bound,
         prior=prior,
     )
+
+
+def _inside(
+    sim: Simulator, structure: Structure, theta: FloatArray, held: np.ndarray,
+    lower: FloatArray, scale: FloatArray,
+) -> FloatArray:
+    """(windows, length, k) derivatives by parameters at a bound, a step to its inside."""
+    base = sim.run(structure, theta).errors
+    columns = []
+    for i in np.flatnonzero(held):
+        moved = theta.copy()
+        step = 0.1 * scale[i] * (1.0 if theta[i] - lower[i] <= scale[i] else -1.0)
+        moved[i] += step
+        columns.append((sim.run(structure, moved).errors - base) / step)
+    return np.stack(columns, axis=2)
 
 
 def block_numbers(windows: Windows, dt: float, block_s: float = BLOCK_S) -> np.ndarray:
@@ -161,12 +196,15 @@ def robust_covariance(
     return out
 
 
-def fit_base(data: AxisData, spans: Sequence[Span]) -> tuple[Fit, noise.NoiseModel, Simulator]:
+def fit_base(
+    data: AxisData, spans: Sequence[Span], length_s: float = WINDOW_S
+) -> tuple[Fit, noise.NoiseModel, Simulator]:
     """The contract's base on `spans`, from several starts, with its state correction.
 
-    Raises NotInformativeError where the spans are too short or not excited.
+    `length_s` of the free-run windows: the contract's, or shorter where noise has the better of
+    them (`informative`). Raises NotInformativeError where the spans are too short or not excited.
     """
-    windows = data.windows(spans)
+    windows = data.windows(spans, length_s)
     if windows.count < 8:
         raise NotInformativeError(
             f'{data.axis}: training holds {windows.count} windows of 0.5 s, at least 8 are '
@@ -175,25 +213,35 @@ def fit_base(data: AxisData, spans: Sequence[Span]) -> tuple[Fit, noise.NoiseMod
     _check_excitation(data, spans)
     base = Structure()
     model = noise.white_noise_model(3.0, 0.3, data, before_filter=False)
-    sim = simulator(data, spans, model.correction)
+    sim = simulator(data, spans, model.correction, length_s)
     best: Fit | None = None
-    for lag in BASE_PARAMETERS[1].starts:
+    short = length_s < WINDOW_S
+    # short windows cannot tell a lag from a delay: there the lag stays at none
+    free = np.arange(len(BASE_PARAMETERS)) != 1 if short else None
+    for lag in (0.0,) if short else BASE_PARAMETERS[1].starts:
         for delay in BASE_PARAMETERS[2].starts:
             start = np.array([1.0, lag, delay, 0.5, 0.0])
             start[[0, 3, 4]] = _linear_start(sim, base, start)
-            fit = fit_structure(sim, base, start, max_iterations=6)
+            fit = fit_structure(sim, base, start, max_iterations=6, free=free)
             if best is None or fit.rms < best.rms:
                 best = fit
     assert best is not None  # noqa: S101 - both start lists hold values
-    return settle(sim, best)
+    return settle(sim, best, free)
 
 
-def settle(sim: Simulator, fit: Fit) -> tuple[Fit, noise.NoiseModel, Simulator]:
+def informative(fit: Fit) -> bool:
+    """Whether the data say at least that the command turns the axis, and which way."""
+    return abs(float(fit.theta[0])) > CLEAR_GAIN * float(fit.std[0])
+
+
+def settle(
+    sim: Simulator, fit: Fit, free: np.ndarray | None = None
+) -> tuple[Fit, noise.NoiseModel, Simulator]:
     """Choose the state correction for a structure, then finish the fit with it; twice."""
     model = best_correction(sim, fit)
     for _ in range(2):
         sim = replace(sim, correction=model.correction, _cache={})
-        fit = fit_structure(sim, fit.structure, fit.theta)
+        fit = fit_structure(sim, fit.structure, fit.theta, free=free)
         again = best_correction(sim, fit)
         if np.allclose(again.correction, model.correction, rtol=0.05):
             break
@@ -285,6 +333,6 @@ def _check_excitation(data: AxisData, spans: Sequence[Span]) -> None:
 
 
 __all__ = [
-    'N_BASE', 'Fit', 'best_correction', 'block_numbers', 'fit_base', 'fit_structure',
-    'fit_with_effect', 'settle', 'simulator',
+    'N_BASE', 'SHORT_WINDOW_S', 'Fit', 'best_correction', 'block_numbers', 'fit_base', 'fit_structure',
+    'fit_with_effect', 'informative', 'settle', 'simulator',
 ]

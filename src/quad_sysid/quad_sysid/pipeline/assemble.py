@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from quad_sysid.effects.judge import Judgement
 from quad_sysid.effects.shapes import curve_of
 from quad_sysid.greybox.data import AxisData
 from quad_sysid.greybox.fit import Fit
-from quad_sysid.greybox.structure import BASE_PARAMETERS, Effect, Settings
+from quad_sysid.greybox.structure import BASE_PARAMETERS, Effect, ParameterSpec, Settings
 from quad_sysid.model import AxisModel, EffectEstimate, Parameter
 
 
@@ -56,12 +56,27 @@ def axis_model(
 
 def parameters(fit: Fit) -> tuple[Parameter, ...]:
     """The base's parameters of a fit with their standard errors (None at a bound)."""
-    return tuple(
-        Parameter(spec.name, float(value), _std(deviation), spec.unit)
-        for spec, value, deviation in zip(
-            BASE_PARAMETERS, fit.theta, fit.std, strict=False
-        )
-    )
+    return _parameters(BASE_PARAMETERS, slice(0, len(BASE_PARAMETERS)), fit)
+
+
+def _parameters(
+    specs: Sequence[ParameterSpec], where: slice, fit: Fit
+) -> tuple[Parameter, ...]:
+    """Values with standard errors or, at a bound, with how far inside they may lie."""
+    out = []
+    for spec, value, deviation, reach in zip(
+        specs, fit.theta[where], fit.std[where], fit.reach[where], strict=True
+    ):
+        interval = None
+        if not np.isfinite(deviation) and np.isfinite(reach):
+            far = 1.96 * float(reach)
+            at_lower = value - spec.lower <= spec.scale
+            interval = (
+                (float(value), float(value) + far) if at_lower
+                else (float(value) - far, float(value))
+            )
+        out.append(Parameter(spec.name, float(value), _std(deviation), spec.unit, interval))
+    return tuple(out)
 
 
 def _estimate(
@@ -79,12 +94,7 @@ def _estimate(
         name=effect.name,
         kind=effect.kind,
         signals=effect.signals,
-        parameters=tuple(
-            Parameter(spec.name, float(value), _std(deviation), spec.unit)
-            for spec, value, deviation in zip(
-                effect.parameters, fit.theta[where], fit.std[where], strict=True
-            )
-        ),
+        parameters=_parameters(effect.parameters, where, fit),
         settings={**settings, **extra},
         p_value=p_value,
         error_reduction_pct=growth,

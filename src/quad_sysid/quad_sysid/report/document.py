@@ -109,6 +109,8 @@ def _parameter(parameter: Parameter, inertia: float | None) -> dict[str, Any]:
         tree['interval_95'] = [
             parameter.value - 1.96 * parameter.std, parameter.value + 1.96 * parameter.std
         ]
+    elif parameter.interval is not None:
+        tree['interval_95'] = list(parameter.interval)
     if inertia is not None and parameter.unit.startswith('rad/s²'):
         tree['torque'] = {
             'value': parameter.value * inertia,

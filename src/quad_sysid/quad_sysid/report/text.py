@@ -92,7 +92,9 @@ def _gains(tree: Mapping[str, Any]) -> list[str]:
 
 def _number(parameter: Mapping[str, Any]) -> str:
     std = parameter['std']
-    error = f'± {std:.2g}' if std is not None else '(at its bound)'
+    upper = parameter.get('interval_95', [None, None])[1]
+    bound = '(at its bound)' if upper is None else f'(at its bound, below {upper:.2g})'
+    error = f'± {std:.2g}' if std is not None else bound
     return f'{parameter["name"]} {parameter["value"]:.4g} {error} {parameter["unit"]}'
 
 
