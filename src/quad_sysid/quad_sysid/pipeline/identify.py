@@ -23,6 +23,7 @@ from quad_sysid.model import AxisModel, Designer, GainProposal
 from quad_sysid.pipeline import assemble, blackbox_part
 from quad_sysid.pipeline.answer import AxisAnswer
 from quad_sysid.pipeline.closed_loop import closed_loop
+from quad_sysid.pipeline.motor_order import refusal
 from quad_sysid.record import Record, Segment
 
 Progress = Callable[[str], None]
@@ -92,14 +93,15 @@ def identify_axis(
         model=assemble.axis_model(
             found, judgement, _gains_of(records), assemble.band_of(data)
         ),
-        warnings=tuple(w for r in records for w in r.warnings),
+        warnings=tuple(w for r in records for w in (*r.warnings, refusal(r)) if w),
         attitude_reference=_joined([r.attitude_setpoint for r in records], data.index),
         rate_reference=_joined([r.rate_setpoint for r in records], data.index),
     )
     answer = _with_blackbox(answer, data, records)
     answer = replace(answer, closed_loop=closed_loop(answer, records[0], data))
     progress(f'{axis}: gains')
-    return replace(answer, proposal=_proposal(answer, options))
+    swapped = next((line for line in map(refusal, records) if line), '')
+    return replace(answer, proposal=_proposal(answer, options, swapped))
 
 
 def _check_length(data: AxisData) -> None:
@@ -157,7 +159,9 @@ def _cascade(model: AxisModel | None) -> CascadeGains | None:
     return CascadeGains.from_mapping(model.active_gains, model.axis)
 
 
-def _proposal(answer: AxisAnswer, options: Options) -> GainProposal:
+def _proposal(answer: AxisAnswer, options: Options, refused_because: str) -> GainProposal:
+    if refused_because:
+        return GainProposal(None, refused_because)
     if not answer.answered or answer.model is None:
         return GainProposal(None, answer.reason)
     if options.designer is None:
