@@ -8,7 +8,7 @@ import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from quad_sysid import session
 from quad_sysid.bags import parse_span, read_bag
@@ -20,7 +20,14 @@ from quad_sysid.report import document, text
 from quad_sysid.report.model_file import load_models
 from quad_sysid.signals.design import design_excitation
 
-DONE, BAD_INPUT, NOT_ANSWERED = 0, 2, 3
+DONE, BAD_INPUT, NOT_ANSWERED, INTERRUPTED = 0, 2, 3, 130
+
+
+class _Parser(argparse.ArgumentParser):
+    """Says what is wrong in one line; its subparsers are of its kind."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(BAD_INPUT, f'{self.prog}: {message}; see {self.prog} --help\n')
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -31,6 +38,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except QuadSysidError as error:
         print(f'quad-sysid: {error}', file=sys.stderr)
         return error.exit_status
+    except KeyboardInterrupt:
+        print('quad-sysid: interrupted', file=sys.stderr)
+        return INTERRUPTED
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
@@ -38,7 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog='quad-sysid',
         description='Identify a quadrotor from bags and find what the model lacks.',
     )
@@ -210,9 +220,18 @@ def _design(options: argparse.Namespace) -> int:
     if options.out:
         if options.out.exists():
             raise BadInputError('--out', 'exists already', options.out, 'choose another name')
-        options.out.write_text(design.to_schedule_yaml(options.axis, options.amplitude_deg))
+        _write(options.out, design.to_schedule_yaml(options.axis, options.amplitude_deg))
         print(f'schedule in {options.out}')
     return DONE
+
+
+def _write(path: Path, content: str) -> None:
+    try:
+        path.write_text(content, encoding='utf-8')
+    except OSError as error:
+        raise BadInputError(
+            '--out', f'{path} cannot be written', error.strerror, 'choose another place'
+        ) from error
 
 
 if __name__ == '__main__':

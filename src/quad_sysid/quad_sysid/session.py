@@ -71,6 +71,8 @@ def run(request: Request, progress: Callable[[str], None] = lambda _: None) -> O
     inertia = parse_inertia(request.inertia)
     train = parse_span(request.train, '--train') if request.train else None
     validate = parse_span(request.validate, '--validate') if request.validate else None
+    if request.out:
+        store.check_place(Path(request.out))
     records = []
     for bag in request.bags:
         progress(f'reading {bag}')

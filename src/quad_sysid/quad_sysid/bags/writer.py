@@ -108,6 +108,12 @@ def write_streams(
         queue += [(event.stamp, topic, encode_event(event, node)) for event in items]
     queue.sort(key=lambda entry: entry[0])
     plugin = StoragePlugin.MCAP if options.storage == 'mcap' else StoragePlugin.SQLITE3
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadInputError(
+            str(path), 'cannot be made', error.strerror, 'choose another --out'
+        ) from error
     writer = Writer(path, version=9, storage_plugin=plugin)
     writer.set_compression(CompressionMode[options.compression.upper()], CompressionFormat.ZSTD)
     for key, text in (options.notes or {}).items():

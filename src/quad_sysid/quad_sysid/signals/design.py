@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from quad_sysid.errors import BadInputError
 from quad_sysid.signals.prbs import TAPS
+from quad_sysid.signals.schedule import AMPLITUDES
 
 PERIODS = (3.0, 5.0)
 """Eq. (9): N * clock = 3 to 5 of the longest time constant."""
@@ -60,6 +61,11 @@ class Design:
 
     def to_schedule_yaml(self, axis: str = 'roll', amplitude_deg: float = 12.0) -> str:
         """Write a schedule of the excitation node: train, validate on PRBS and on a square."""
+        highest = AMPLITUDES['attitude'][3]
+        if not 0.0 < amplitude_deg <= highest:
+            raise BadInputError(
+                '--amplitude-deg', f'must be above 0 and at most {highest:g}°', amplitude_deg
+            )
         train = math.ceil(min(self.period_s, 120.0))
         prbs = f'signal: prbs, axis: {axis}, injection: attitude, amplitude_deg: {amplitude_deg:g}'
         square = prbs.replace('prbs', 'square')
@@ -96,6 +102,8 @@ def design_excitation(
             '--band', 'needs 0 < LOW < HIGH in rad/s', f'{low_rad_s:g}:{high_rad_s:g}',
             'for example --band 0.1:20',
         )
+    if not 0.0 < sample_rate_hz < math.inf:
+        raise BadInputError('--rate', 'must be a positive number of Hz', sample_rate_hz)
     clock = 0.3 * 2.0 * math.pi / high_rad_s
     samples = math.floor(clock * sample_rate_hz + 1e-9)
     if samples < SAMPLES_PER_CLOCK:
