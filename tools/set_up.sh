@@ -94,7 +94,7 @@ build() {
     # With --symlink-install a changed .py or .yaml is live at once; only the list of files and
     # what setup.py itself says need a new build.
     want=$({
-        cat .venv/packages.stamp src/*/setup.py src/*/setup.cfg src/*/package.xml
+        cat tools/set_up.sh .venv/packages.stamp src/*/setup.py src/*/setup.cfg src/*/package.xml
         find src -type f \( -path '*/launch/*' -o -path '*/config/*' -o -path '*/resource/*' \) \
             -not -name '*.pyc' | sort
     } | digest)
@@ -110,6 +110,9 @@ build() {
     rm -rf build install
     run_logged 'colcon build' .venv/bin/python -m colcon --log-base log build --base-paths src \
         --symlink-install --event-handlers console_direct- console_cohesion- console_stderr+
+    # The commands of the contract by their own names, without the nodes' names on PATH.
+    mkdir -p install/bin
+    ln -sf ../quad_sysid/lib/quad_sysid/quad-sysid ../quad_tuning/lib/quad_tuning/quad-tune install/bin/
     echo "$want" >install/build.stamp
 }
 

@@ -6,4 +6,5 @@ if [ "${ROS_DISTRO:-}" != jazzy ] || [ ! -d "${ROS_ROOT:-/opt/ros/jazzy}" ]; the
 fi
 set +u
 . install/local_setup.bash
+export PATH=$PWD/install/bin:$PATH
 export ROS_AUTOMATIC_DISCOVERY_RANGE=${ROS_AUTOMATIC_DISCOVERY_RANGE:-LOCALHOST}
