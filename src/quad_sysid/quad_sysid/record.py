@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from quad_sysid.contract import AXES, FloatArray
-from quad_sysid.errors import BadInputError
+from quad_sysid.errors import BadInputError, NotInformativeError
 
 
 @dataclass(frozen=True)
@@ -89,18 +89,40 @@ class Record:
         return np.arange(self.n, dtype=np.float64) * self.dt
 
     def axis(self, name: str, role: str | None = None) -> IOData:
-        """Input and output of one axis over the segments of `role` (all of the record: None)."""
+        """Input and output of one axis over the segments of `role` (all of the record: None).
+
+        r is `external(name)` where that is known throughout, else None.
+        """
         index = AXES.index(name)
         y = self.rates[:, index]
         u = self.control[:, index + 1]
-        r = None if self.rate_setpoint is None else self.rate_setpoint[:, index]
+        r = self.external(name)
         if role is None:
             spans: list[tuple[int, int]] = [(0, self.n)]
         else:
             spans = [self.span(s) for s in self.segments if s.role == role and s.axis == name]
         good = np.isfinite(y) & np.isfinite(u)
         runs = [run for span in spans for run in finite_runs(good, span)]
+        if not runs:
+            raise NotInformativeError(
+                f'{self.source}: {name} has no sample with both rate and command'
+                + (f' in a segment of role {role}' if role else '')
+            )
+        if r is not None and not all(np.isfinite(r[a:b]).all() for a, b in runs):
+            r = None
         return IOData(u=u, y=y, dt=self.dt, r=r, segments=tuple(runs))
+
+    def external(self, name: str) -> FloatArray | None:
+        """(n,) what drives the loop of an axis from outside; None where the bag does not hold it.
+
+        The attitude set-point (rad), which contains an excitation of the attitude; where the axis
+        is excited behind C1 or C2 instead, that excitation as applied (rad/s or normalised).
+        """
+        index = AXES.index(name)
+        inside = {s.injection for s in self.segments if s.axis == name} & {'rate', 'control'}
+        if inside and self.excitation is not None:
+            return np.nan_to_num(self.excitation[:, index])
+        return None if self.attitude_setpoint is None else self.attitude_setpoint[:, index]
 
     def span(self, segment: Segment) -> tuple[int, int]:
         """Index range [start, stop) of a segment."""

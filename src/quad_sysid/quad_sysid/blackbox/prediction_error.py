@@ -30,6 +30,9 @@ from quad_sysid.record import IOData
 AGREED = 0.1
 """Two descents that end within this N ln V of each other have found the minimum."""
 
+REINSERTED = 6
+"""Places of a nearly cancelling pair from which the descent is tried again."""
+
 Starts = Callable[[HighOrder], Iterator[Model]]
 
 
@@ -108,10 +111,10 @@ def _squares(model: Model, z: IOData) -> float:
 
 
 def _without_false_pair(best: Model, z: IOData) -> Model:
-    """Descend again from the two most promising places of a nearly cancelling pair."""
+    """Descend again from the most promising places of a nearly cancelling pair."""
     moved = [(model, evaluate(model, z)) for model in reinserted(best)]
     moved.sort(key=lambda item: sum_of_squares(item[1]) - decrement(item[1]))
-    for model, point in moved[:2]:
+    for model, point in moved[:REINSERTED]:
         best = _better(best, descend(model, point, z, best.loss))
     return best
 
