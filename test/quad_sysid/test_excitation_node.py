@@ -46,6 +46,7 @@ class Aircraft:
         self.setpoints: list[tuple[float, float, float]] = []
         self.state: dict[str, str] = {}
         self.failsafe = 0
+        self.silent = False
         node = self.node
         self._imu = node.create_publisher(Imu, '/imu/data', 10)
         self._joy = node.create_publisher(Joy, '/rc/in', 10)
@@ -57,7 +58,8 @@ class Aircraft:
     def _publish(self) -> None:
         imu = Imu()
         imu.orientation.w = 1.0
-        self._imu.publish(imu)
+        if not self.silent:
+            self._imu.publish(imu)
         axes = [0.0, 0.0, 0.5, 0.0, -1.0, -1.0, -1.0, -1.0, -1.0]
         self._joy.publish(Joy(axes=axes, buttons=[self.failsafe]))
 
@@ -157,6 +159,27 @@ def test_started_by_service_and_ended_by_failsafe(aircraft, start):
     refused = aircraft.call('/excitation/start')
     assert not refused.success
     assert 'failsafe' in refused.message
+
+
+def test_a_standstill_of_the_node_itself_is_no_stale_link(aircraft, start):
+    process = start(autostart='true', exit_when_done='true', imu_stale_s=0.4)
+    aircraft.until(lambda: len(aircraft.setpoints) > 20)
+    process.send_signal(signal.SIGSTOP)
+    end = time.monotonic() + 0.7
+    while time.monotonic() < end:
+        aircraft.executor.spin_once(timeout_sec=0.05)
+    process.send_signal(signal.SIGCONT)
+    aircraft.until(lambda: process.poll() is not None)
+    aircraft.until(lambda: aircraft.state.get('state') in {'done', 'aborted'})
+    assert aircraft.state['reason'] == 'the schedule is complete'
+
+
+def test_a_silent_link_ends_it(aircraft, start):
+    start(autostart='true')
+    aircraft.until(lambda: len(aircraft.setpoints) > 20)
+    aircraft.silent = True
+    aircraft.until(lambda: aircraft.state.get('state') == 'aborted')
+    assert '/imu/data is' in aircraft.state['reason']
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])

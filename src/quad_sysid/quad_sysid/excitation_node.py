@@ -43,6 +43,7 @@ from quad_sysid.errors import QuadSysidError
 from quad_sysid.excitation_settings import NUMBERS, Settings, find_schedule, settings_from
 from quad_sysid.signals.guard import Readings
 from quad_sysid.signals.player import Announcement, Player, State, Tick
+from quad_sysid.signals.stall import Stall
 
 ANGLE_TICKS = 5
 """The orientation is decoded every so many ticks: at 250 Hz every 20 ms."""
@@ -72,6 +73,7 @@ class ExcitationNode(Node):  # type: ignore[misc]
         self._rc = Readings()
         self._volts: deque[float] = deque(maxlen=BATTERY_SAMPLES)
         self._ticks = 0
+        self._stall = Stall()
         self._waiting = settings.autostart
         self._refused = ''
         sensor = qos_profile_sensor_data
@@ -130,6 +132,7 @@ class ExcitationNode(Node):  # type: ignore[misc]
         now_s = self.get_clock().now().nanoseconds * 1e-9
         refused = self._player.start(now_s, self._readings(decode_angles=True))
         if not refused:
+            self._stall.reset()
             self._timer.reset()
             self.get_logger().info('excitation runs')
             self._report()
@@ -160,6 +163,12 @@ class ExcitationNode(Node):  # type: ignore[misc]
         stamp = self.get_clock().now().nanoseconds
         self._ticks += 1
         readings = self._readings(decode_angles=self._ticks % ANGLE_TICKS == 0)
+        if self._stall.tick(time.monotonic()):  # what waits to be received is not old
+            readings = replace(readings, imu_age_s=0.0, rc_age_s=0.0)
+        if self._stall.stood_still_s:
+            self.get_logger().warning(
+                f'this node stood still for {self._stall.stood_still_s:.2f} s: the host is busy'
+            )
         before = self._player.state
         self._publish(self._player.tick(stamp * 1e-9, readings), stamp)
         if self._player.state is not before:
