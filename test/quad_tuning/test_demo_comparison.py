@@ -9,7 +9,7 @@ import pytest
 
 from quad_sysid.loop.figures import square_figures, square_wave
 from quad_sysid.record import Record, Segment
-from quad_tuning.demo.comparison import square_of
+from quad_tuning.demo.comparison import square_of, tracking_error
 from quad_tuning.demo.errors import StageFailedError
 
 DT = 0.004
@@ -39,6 +39,18 @@ def test_the_figures_are_those_of_the_segment() -> None:
     assert figures.rise_time_s == pytest.approx(0.1 * math.log(9), abs=2 * DT)
     assert figures.overshoot_pct < 0.1
     assert figures.step_rad == pytest.approx(0.4, rel=0.01)
+
+
+def test_ramps_in_and_out_count_for_nothing() -> None:
+    wave = square_wave(0.2, 1.5, 3, DT)
+    edge = round(1.5 / DT)
+    angle = wave - 0.05
+    angle[:edge] = angle[-edge:] = 7.0
+    assert tracking_error(wave, angle) == pytest.approx(0.05)
+    twice = np.concatenate([wave, [np.nan], wave, [np.nan]])
+    both = np.concatenate([angle, [np.nan], angle + 0.1, [np.nan]])
+    both[-edge - 1 :] = both[wave.size + 1 : wave.size + 1 + edge] = -3.0
+    assert tracking_error(twice, both) == pytest.approx(0.05)
 
 
 def test_a_flight_without_a_square_on_the_axis_is_named() -> None:

@@ -57,11 +57,13 @@ def test_every_figure_stands_in_it(outcome: Outcome) -> None:
     for said in (
         'effects_added', 'coulomb_friction (probability 0.93)', 'torque 0.4876 ± 0.01 rad/s²',
         '0.2000 before, 0.0500 after (0.25)', '0.3000 before, 0.0600 after (0.20)', 'report.html',
-        'acknowledged by the STM32 0.4 s',
+        'acknowledged 420 ms after sending',
     ):  # fmt: skip
         assert said in text
-    table = {line.split()[-3]: line.split()[-2:] for line in lines(outcome) if 'roll.' in line}
-    assert table == {'roll.angle.kp': ['3', '4.25'], 'roll.rate.kp': ['0.0745', '0.0745']}
+    table = {line.split()[-4]: line.split()[-3:] for line in lines(outcome) if 'roll.' in line}
+    assert table == {
+        'roll.angle.kp': ['3', '4.25', '1/s'], 'roll.rate.kp': ['0.0745', '0.0745', 's/rad']
+    }
     assert any(line.endswith('23.4       8.1') for line in lines(outcome))
 
 

@@ -58,6 +58,8 @@ class Observer:
     def __init__(self, domain: int) -> None:
         self.active_gains: dict[str, float] = {}
         self.updates: list[dict[str, Value]] = []
+        self.update_time = self.gains_time = 0.0
+        """When the last word on /gains/update and on /gains/active came, s on the steady clock."""
         self.bag: dict[str, Value] = {}
         self.segment: dict[str, Value] = {}
         self.diagnostics: dict[str, tuple[int, str, dict[str, str]]] = {}
@@ -145,11 +147,13 @@ class Observer:
         return f' ({"; ".join(bad)})' if bad else ''
 
     def _on_gains(self, event: ParameterEvent) -> None:
+        self.gains_time = time.monotonic()
         self.active_gains.update(
             {name: float(v) for name, v in values_of(event).items() if not isinstance(v, str)}
         )
 
     def _on_update(self, event: ParameterEvent) -> None:
+        self.update_time = time.monotonic()
         self.updates.append(values_of(event))
 
     def _on_bag(self, event: ParameterEvent) -> None:

@@ -28,8 +28,9 @@ def draw_square(
             time_s = np.arange(reference.size) * dt
             ax.plot(time_s, np.degrees(reference), color='0.5', lw=1.0, label='reference')
             ax.plot(time_s, np.degrees(angle), color=colour, lw=1.5, label='measured')
-            ax.set(title=name, ylabel='roll angle, deg')
-            ax.legend(loc='upper right')
+            ax.set_title(name, loc='left')
+            ax.set_ylabel('roll angle, deg')
+            ax.legend(loc='lower right', bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False)
             ax.grid(alpha=0.3)
         axes[-1].set_xlabel('time, s')
         figure.savefig(path, dpi=120)

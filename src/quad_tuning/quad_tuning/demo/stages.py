@@ -172,7 +172,6 @@ def await_new_gains(campaign: Campaign, old: Mapping[str, float]) -> float:
     if campaign.told.get('update') != 'sent':
         raise StageFailedError('update', f'no gains were sent: {campaign.told.get("update")}')
     campaign.wait('update', '/gains/update', lambda: bool(observer.updates), ACKNOWLEDGE_S)
-    sent = time.monotonic()
     wanted = {
         name: float(value)
         for name, value in observer.updates[-1].items()
@@ -186,7 +185,7 @@ def await_new_gains(campaign: Campaign, old: Mapping[str, float]) -> float:
         lambda: all(close(observer.active_gains.get(k, 0.0), v) for k, v in wanted.items()),
         ACKNOWLEDGE_S,
     )
-    return time.monotonic() - sent
+    return max(0.0, observer.gains_time - observer.update_time)
 
 
 def close(one: float, other: float) -> bool:

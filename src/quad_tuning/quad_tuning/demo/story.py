@@ -77,7 +77,7 @@ def _close_the_loop(campaign: Campaign, seed: int, teller: Teller) -> Outcome:
     report = _axis_report(report_path)
     teller.say(f'verdict: {report["verdict"]}')
     waited = await_new_gains(campaign, first.gains)
-    teller.say(f'new gains acknowledged by the STM32 after {waited:.1f} s')
+    teller.say(f'new gains sent; the STM32 acknowledged them {1000 * waited:.0f} ms later')
     campaign.crew.stop('identification')
     teller.say('second flight, with the new gains')
     second = fly(campaign, 'flight_2', HERE / 'second_flight.yaml')
@@ -107,6 +107,7 @@ def _close_the_loop(campaign: Campaign, seed: int, teller: Teller) -> Outcome:
             ('the report, for people', report_path.with_name('report.html')),
             ('the same, for programs', report_path),
             ('the model, for quad-sysid evaluate', report_path.with_name('model.json')),
+            ('pictures of the report', report_path.with_name('pictures')),
             ('picture of both square waves', out / 'square_wave.png'),
             ('CPU time of each process', out / 'cpu.json'),
         ],

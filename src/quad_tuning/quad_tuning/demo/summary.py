@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from quad_sysid.loop.figures import SquareFigures
+from quad_tuning.bounds import BOUNDS
 
 WIDTH = 12
 
@@ -90,9 +91,10 @@ def _gains(outcome: Outcome) -> list[str]:
     table = [row('gains', f'{"":16s}{"before":>10s}{"after":>10s}')]
     for name in sorted(shown):
         old = outcome.first.gains.get(name, math.nan)
-        table.append(row('', f'{name:16s}{old:10.4g}{outcome.second.gains[name]:10.4g}'))
+        unit = BOUNDS[name.partition('.')[2]].unit
+        table.append(row('', f'{name:16s}{old:10.4g}{outcome.second.gains[name]:10.4g}  {unit}'))
     table.append(
-        row('', f'acknowledged by the STM32 {outcome.acknowledged_after_s:.1f} s after sending')
+        row('', f'acknowledged {1000 * outcome.acknowledged_after_s:.0f} ms after sending')
     )
     return table
 
