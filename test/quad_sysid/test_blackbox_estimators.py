@@ -1,16 +1,19 @@
 """ARMAX, OE, BJ, IV4, CL-RIV, N4SID and Table 2: recovery of known plants in closed loop."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from quad_sysid.blackbox import (
     TABLE2,
+    LinearController,
     Model,
     armax,
     arx,
     bj,
+    cascade_controller,
     clriv,
     compare,
     fit_table2,
@@ -27,7 +30,7 @@ from quad_sysid.blackbox import (
 from quad_sysid.blackbox.descent import evaluate
 from quad_sysid.blackbox.filters import filter_signal
 from quad_sysid.blackbox.innovations import errors_and_gradient
-from quad_sysid.blackbox.studies import Study, reference_study, run_controller, table3_study
+from quad_sysid.blackbox.studies import Study, reference_study, table3_study
 from quad_sysid.errors import BadInputError
 from quad_sysid.record import IOData
 
@@ -168,29 +171,49 @@ def test_iv4_with_the_reference_is_right_where_least_squares_is_biased():
     assert abs(np.mean(least)) > 5 * abs(np.mean([x[0] for x in off]))
 
 
-def test_joint_and_indirect_find_the_plant(study, validation):
-    """Free-run fit 0.3 points below the truth's; `indirect`, without the recorded u, 2."""
+def known_controller(study) -> LinearController:
+    gains = study.cascade
+    return cascade_controller(
+        angle_kp=gains.angle_kp, rate_kp=gains.rate_kp, rate_ki=gains.rate_ki,
+        rate_kd=gains.rate_kd, dt=study.truth.dt, trapezoid=False,
+        d_weight=1.0 - np.exp(-2.0 * np.pi * gains.d_filter_hz * study.truth.dt),
+    )
+
+
+def test_joint_finds_the_plant(study, validation):
+    """Free-run fit within 0.3 points of the truth's."""
     z = study.record(np.random.default_rng(12))
-    ceiling = compare(study.truth, validation)[0]
-
-    def controller(r: np.ndarray, y: np.ndarray) -> np.ndarray:
-        return run_controller(study.cascade, z.dt, r, y)
-
-    np.testing.assert_allclose(controller(z.r, z.y), z.u, atol=1e-9)
-
-    def fit(data: IOData) -> Model:
-        return bj(data, 2, 2, 2, 2, 3)
-
-    one = joint(z, fit)
-    blind = IOData(np.random.default_rng(0).standard_normal(z.y.size), z.y, z.dt, r=z.r)
-    other = indirect(blind, fit, controller)
-    assert (one.approach, other.approach) == ('joint', 'indirect')
-    assert compare(one, validation)[0] > ceiling - 0.3
-    assert compare(other, validation)[0] > ceiling - 2.0
+    one = joint(z, lambda data: bj(data, 2, 2, 2, 2, 3))
+    assert one.approach == 'joint'
+    assert compare(one, validation)[0] > compare(study.truth, validation)[0] - 0.3
     with pytest.raises(BadInputError, match='reference r'):
-        joint(IOData(z.u, z.y, z.dt), fit)
-    with pytest.raises(BadInputError, match='controller'):
-        indirect(z, fit, lambda r, _: r[1:])
+        joint(IOData(z.u, z.y, z.dt), lambda data: bj(data, 2, 2, 2, 2, 3))
+
+
+def test_indirect_finds_the_plant_without_the_recorded_command(study, validation):
+    """Free run within 0.1 points of the truth's, coefficients within 4 standard errors."""
+    z = study.record(np.random.default_rng(12))
+    controller = known_controller(study)
+    np.testing.assert_allclose(controller.command(z.r, z.y), z.u, atol=1e-6)
+    blind = IOData(np.random.default_rng(0).standard_normal(z.y.size), z.y, z.dt, r=z.r)
+    model = indirect(blind, 2, 2, 3, controller)
+    assert model.approach == 'indirect'
+    assert model.converged
+    assert compare(model, validation)[0] > compare(study.truth, validation)[0] - 0.1
+    true = np.concatenate((study.truth.B[3:], study.truth.F[1:]))
+    assert np.all(np.abs(model.parameters - true) < 4 * model.std)
+    with pytest.raises(BadInputError, match='reference r'):
+        indirect(IOData(z.u, z.y, z.dt), 2, 2, 3, controller)
+
+
+def test_indirect_starts_anywhere_in_the_flight_and_without_an_integrator(study):
+    """Segments that start in motion; ki = 0. Coefficients within 4 standard errors."""
+    still = replace(study, cascade=replace(study.cascade, rate_ki=0.0))
+    z = still.record(np.random.default_rng(3))
+    cut = IOData(z.u, z.y, z.dt, r=z.r, segments=((2000, 8000), (9000, 15000)))
+    model = indirect(cut, 2, 2, 3, known_controller(still))
+    true = np.concatenate((study.truth.B[3:], study.truth.F[1:]))
+    assert np.all(np.abs(model.parameters - true) < 4 * model.std)
 
 
 def test_data_without_noise_give_the_plant_exactly():

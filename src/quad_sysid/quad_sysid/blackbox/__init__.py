@@ -1,9 +1,10 @@
 """Black-box identification of one axis: polynomial models, order search, validation, tests."""
 
-from quad_sysid.blackbox.approaches import indirect, joint
+from quad_sysid.blackbox.approaches import joint
 from quad_sysid.blackbox.arx import OrderSearch, arx, search_arx
 from quad_sysid.blackbox.excitation import delay_estimate, detrend, excitation_order
 from quad_sysid.blackbox.frequency import FrequencyResponse, frequency_response
+from quad_sysid.blackbox.indirect import LinearController, cascade_controller, indirect
 from quad_sysid.blackbox.instruments import clriv, iv4
 from quad_sysid.blackbox.polynomial import Model, polynomial_model
 from quad_sysid.blackbox.prediction_error import armax, bj, oe
@@ -25,6 +26,7 @@ from quad_sysid.blackbox.table2 import TABLE2, PaperRow, Table2Entry, fit_table2
 __all__ = [
     'TABLE2',
     'FrequencyResponse',
+    'LinearController',
     'Model',
     'OrderSearch',
     'PaperRow',
@@ -35,6 +37,7 @@ __all__ = [
     'armax',
     'arx',
     'bj',
+    'cascade_controller',
     'clriv',
     'coherence',
     'compare',

@@ -1,7 +1,8 @@
-"""The paper's Table 1: indirect and joint input-output identification under feedback.
+"""The paper's Table 1: joint input-output identification under feedback.
 
 The direct approach is any estimator on (u, y) as recorded. Here u is replaced by one without
-noise, out of the external reference, and any estimator then fits the plant.
+noise, out of the external reference, and any estimator then fits the plant. The indirect
+approach stands in indirect.py.
 """
 
 from __future__ import annotations
@@ -23,11 +24,9 @@ from quad_sysid.record import IOData
 LOOP_ORDER = 20
 """Of the ARX model behind instruments, which need not be exact."""
 STAGE_ORDER = 6
-"""Of the output error model of the loop in joint and indirect: what it misses biases the plant."""
+"""Of the output error model of the loop: what it misses biases the plant."""
 
 Fit = Callable[[IOData], Model]
-Controller = Callable[[FloatArray, FloatArray], FloatArray]
-"""u (n,) that the known controller gives, from rest, for reference r (n,) and output y (n,)."""
 
 
 def joint(z: IOData, fit: Fit, *, order: int = STAGE_ORDER) -> Model:
@@ -39,27 +38,6 @@ def joint(z: IOData, fit: Fit, *, order: int = STAGE_ORDER) -> Model:
     """
     clean = noise_free('joint', z, z.u, z.r, order)
     return replace(fit(replace(z, u=clean)), approach='joint')
-
-
-def indirect(
-    z: IOData, fit: Fit, controller: Controller, *, order: int = STAGE_ORDER
-) -> Model:
-    """Indirect: y as output of r, and the known controller; the recorded u is not used.
-
-    The response of y to r goes through the controller to the noise-free u that belongs to it,
-    segment by segment from rest. Needs r, else BadInputError.
-    """
-    clean_y = noise_free('indirect', z, z.y, z.r, order)
-    u = np.zeros_like(z.u)
-    if z.r is not None:
-        for start, stop in z.segments:
-            given = np.asarray(controller(z.r[start:stop], clean_y[start:stop]), dtype=float)
-            if given.shape != (stop - start,) or not np.isfinite(given).all():
-                raise BadInputError(
-                    'indirect', f'controller must give {stop - start} finite values', given.shape
-                )
-            u[start:stop] = given
-    return replace(fit(replace(z, u=u)), approach='indirect')
 
 
 def noise_free(

@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 import numba
 import numpy as np
 
-from quad_sysid.blackbox.filters import filter_signal
 from quad_sysid.blackbox.polynomial import Model, polynomial_model
 from quad_sysid.contract import FloatArray
 from quad_sysid.record import IOData
@@ -94,16 +93,6 @@ def run_loop(
     a, b, c, d, f = polys
     _run_loop(a, b, c, d, f, gains, dt, closed, np.array(r), np.array(e), u, y)
     return u, y
-
-
-def run_controller(cascade: Cascade, dt: float, r: FloatArray, y: FloatArray) -> FloatArray:
-    """Output u (n,) of C1 and C2 for reference r (n,) and rate y (n,), from rest."""
-    alpha = 1.0 - np.exp(-2.0 * np.pi * cascade.d_filter_hz * dt)
-    error = cascade.angle_kp * (r - dt * np.cumsum(y)) - y
-    slope = np.diff(y, prepend=0.0) / dt
-    smooth = filter_signal(np.array([alpha]), np.array([1.0, alpha - 1.0]), slope)
-    integral = cascade.rate_ki * dt * np.cumsum(error)
-    return np.asarray(cascade.rate_kp * error + integral - cascade.rate_kd * smooth)
 
 
 @numba.njit(
