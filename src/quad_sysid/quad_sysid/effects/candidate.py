@@ -8,9 +8,9 @@ import numpy as np
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.effects.crossval import held_out_errors
-from quad_sysid.greybox.fit import Fit, fit_structure, fit_with_effect
+from quad_sysid.greybox.fit import Fit, fit_structure
 from quad_sysid.greybox.simulate import Simulator
-from quad_sysid.greybox.structure import BASE_PARAMETERS, Prepared, Structure
+from quad_sysid.greybox.structure import BASE_PARAMETERS, Structure
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,11 +44,6 @@ def candidate(sim: Simulator, fit: Fit) -> Candidate:
 def without_effects(sim: Simulator, one: Candidate) -> Fit:
     """The base alone, fitted from where the candidate's base parameters are."""
     return fit_structure(sim, Structure(), one.fit.theta[: len(BASE_PARAMETERS)])
-
-
-def exchanged(sim: Simulator, chosen: Candidate, drop: str, put: Prepared) -> Candidate:
-    """`chosen` with one effect replaced by another."""
-    return candidate(sim, fit_with_effect(sim, without(sim, chosen, drop).fit, *put))
 
 
 def without(sim: Simulator, chosen: Candidate, name: str) -> Candidate:

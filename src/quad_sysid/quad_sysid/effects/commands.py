@@ -101,7 +101,10 @@ def slow_motors(
 def resonance(
     data: AxisData, command: FloatArray, p: FloatArray, _: Settings, __: FloatArray
 ) -> FloatArray:
-    """A light mode in the drive: adds `in_phase` z + `quadrature` z'/w of z'' + 2 d w z' + w² z."""
+    """A light mode in the drive: adds `in_phase` z + `quadrature` z'/w to the command u.
+
+    z'' + 2 d w z' + w² z = w² u.
+    """
     omega, damping = 2.0 * math.pi * float(p[0]), float(p[1])
     a = np.array([[0.0, 1.0], [-(omega**2), -2.0 * damping * omega]])
     step, drive = _held_step(a, np.array([0.0, omega**2]), data.dt)
@@ -114,7 +117,7 @@ def resonance(
 
 
 def _held_step(a: FloatArray, b: FloatArray, dt: float) -> tuple[FloatArray, FloatArray]:
-    """Exact step of x' = a x + b u (2 states) for a held input, by the series of the exponential."""
+    """Exact step of x' = a x + b u (2 states) for a held input: series of the exponential."""
     block = np.zeros((3, 3))
     block[:2, :2], block[:2, 2] = a * dt, b * dt
     scale = max(0, math.ceil(math.log2(max(float(np.abs(block).sum()), 1e-12))) + 4)

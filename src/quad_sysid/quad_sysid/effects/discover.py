@@ -14,7 +14,6 @@ import numpy as np
 from quad_sysid.effects.candidate import (
     Candidate,
     candidate,
-    exchanged,
     without,
     without_effects,
 )
@@ -45,6 +44,8 @@ NAMED_SHARE = 0.8
 """A named effect that explains this share of what a curve explains is taken first."""
 FOREMOST = 3
 """So many trials are fitted again with the state correction that suits them."""
+MOST_RIVALS = 4
+"""So many of the nearest others are fitted in the place of a chosen effect."""
 WHOLE_CYCLES = (0.1, 0.2)
 """A delay this near to whole cycles speaks for a realisation, this far against one."""
 
@@ -105,7 +106,7 @@ def discover(
         data = sim.data
         base, base_noise, base_sim = settle(replace(sim, _cache={}), without_effects(sim, current))
     rivals = {
-        name: _rivals(sim, current, name, prepared, rng) for name in current.names
+        name: _rivals(sim, current, name, prepared, tried, rng) for name in current.names
     }
     return Discovery(
         data, base, base_noise, base_sim, current.fit, noise, sim, rivals, tried, not_tested,
@@ -255,18 +256,27 @@ def _backward(sim: Simulator, current: Candidate) -> Candidate:
 
 def _rivals(
     sim: Simulator, current: Candidate, name: str, prepared: Sequence[Prepared],
-    rng: np.random.Generator,
+    tried: Sequence[Tried], rng: np.random.Generator,
 ) -> tuple[tuple[str, float], ...]:
-    """Probabilities over all that could stand in the place of `name`, itself included."""
+    """Probabilities over all that could stand in the place of `name`, itself included.
+
+    Only those that came near when it was chosen are fitted in its place; the others count as
+    ruled out.
+    """
     own_curve = next(e.kind for e in current.fit.structure.effects if e.name == name) == 'shape'
+    step = next(t.step for t in tried if t.name == name)
+    near = sorted((t for t in tried if t.step == step), key=lambda t: t.score)[: 1 + MOST_RIVALS]
+    names = {t.name for t in near} - set(current.names)
     others = [
         _fitting(current, put) for put in prepared
-        if put[0].name not in current.names and (own_curve or put[0].kind != 'shape')
+        if put[0].name in names and (own_curve or put[0].kind != 'shape')
     ]
-    field_ = [current, *(exchanged(sim, current, name, put) for put in others)]
+    rest = without(sim, current, name)
+    one_of = [current, *(candidate(sim, fit_with_effect(sim, rest.fit, *put)) for put in others)]
     weights = selection_probabilities(
-        np.stack([one.errors for one in field_]), sim.windows, sim.data.dt, rng
+        np.stack([one.errors for one in one_of]), sim.windows, sim.data.dt, rng
     )
-    names = [name, *(put[0].name for put in others)]
-    pairs = sorted(zip(names, weights.tolist(), strict=True), key=lambda pair: -pair[1])
-    return tuple(pairs)
+    summed: dict[str, float] = {}
+    for label, weight in zip([name, *(put[0].name for put in others)], weights, strict=True):
+        summed[label] = summed.get(label, 0.0) + float(weight)
+    return tuple(sorted(summed.items(), key=lambda pair: -pair[1]))

@@ -5,8 +5,8 @@ Everything here takes a finished Discovery; nothing chosen before is chosen agai
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -163,7 +163,7 @@ def _leave_one_out(
 
 def _dependence(found: Discovery, held_out: Simulator) -> Dependence | None:
     """What the base's residual depends on most, if the held-out data agree that it does."""
-    one = strongest(found.base_simulator, found.base, found.dependence)
+    one = strongest(found.base, found.dependence)
     if one is None:
         return None
     test = confirmed(found.base_simulator, held_out, found.base, one.name)

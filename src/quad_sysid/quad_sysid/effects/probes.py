@@ -63,10 +63,9 @@ def _signals(
     for i in range(3):
         if i != data.index:
             yield f'command {("roll", "pitch", "yaw")[i]}', data.control[:, i + 1]
-    yield 'product of other rates', np.nan_to_num(
-        data.other_rates[:, 0] * data.other_rates[:, 1]
-    )
-    yield 'time', np.arange(data.rate.size) * data.dt
+    product: FloatArray = data.other_rates[:, 0] * data.other_rates[:, 1]
+    yield 'product of other rates', np.nan_to_num(product)
+    yield 'time', np.arange(data.rate.size, dtype=np.float64) * data.dt
 
 
 def _hats(data: AxisData, signal: FloatArray) -> list[FloatArray] | None:

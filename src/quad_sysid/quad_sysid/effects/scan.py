@@ -55,7 +55,7 @@ def scan(sim: Simulator, fit: Fit) -> tuple[Dependence, ...]:
     return tuple(sorted(out, key=lambda one: one.score))
 
 
-def strongest(sim: Simulator, fit: Fit, found: Sequence[Dependence]) -> Dependence | None:
+def strongest(fit: Fit, found: Sequence[Dependence]) -> Dependence | None:
     """The foremost dependence that is beyond chance and worth its name, if any."""
     for one in found:
         if one.score < (1.0 - LEAST) * fit.rms and one.comparison.p_value < CHANCE / len(found):

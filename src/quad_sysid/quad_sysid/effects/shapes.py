@@ -19,8 +19,8 @@ from quad_sysid.greybox.structure import Effect, ParameterSpec, Prepared, Settin
 KNOTS = 7
 RATE_KNOTS = 12
 """An even number: none lies at zero, where friction jumps."""
-WARP_RATE = 0.05
-"""Knots of a rate curve are even in asinh(rate / 0.05 rad/s): friction lives near zero."""
+WARP = 0.15
+"""Knots of a rate curve are even in x / (|x| + 0.15 range): friction lives near zero."""
 
 
 def _range_of(data: AxisData, signal: FloatArray) -> tuple[float, float] | str:
@@ -35,15 +35,16 @@ def _range_of(data: AxisData, signal: FloatArray) -> tuple[float, float] | str:
     return float(low), float(high)
 
 
-def _knots(found: tuple[float, float] | str, *, line: bool, warp: float = 0.0) -> Settings | str:
+def _knots(found: tuple[float, float] | str, *, line: bool, share: float = 0.0) -> Settings | str:
     """Settings of a curve over a range; `line`: the base already has its straight part."""
     if isinstance(found, str):
         return found
     low, high = found
     count = KNOTS
+    far = max(abs(low), abs(high))
+    warp = share * far
     if warp > 0.0:
-        reach = float(np.arcsinh(max(abs(low), abs(high)) / warp))
-        low, high, count = -reach, reach, RATE_KNOTS
+        low, high, count = -far / (far + warp), far / (far + warp), RATE_KNOTS
     return {
         'first': low, 'step': (high - low) / (count - 1), 'count': float(count),
         'warp': warp, 'line': 'base' if line else 'own',
@@ -59,11 +60,10 @@ def _number(settings: Settings, key: str) -> float:
 
 def _x(settings: Settings) -> FloatArray:
     """(count,) where the knots lie, in the signal's unit."""
-    z = _number(settings, 'first') + _number(settings, 'step') * np.arange(
-        int(_number(settings, 'count'))
-    )
+    steps = np.arange(int(_number(settings, 'count')), dtype=np.float64)
+    z = np.asarray(_number(settings, 'first') + _number(settings, 'step') * steps)
     warp = _number(settings, 'warp')
-    return warp * np.sinh(z) if warp > 0.0 else z
+    return z if warp == 0.0 else np.asarray(warp * z / (1.0 - np.abs(z)))
 
 
 def _basis(settings: Settings) -> FloatArray:
@@ -124,7 +124,7 @@ def _command_prior(settings: Settings) -> FloatArray:
 
 
 def _rate_settings(data: AxisData) -> Settings | str:
-    return _knots(_range_of(data, data.rate), line=True, warp=WARP_RATE)
+    return _knots(_range_of(data, data.rate), line=True, share=WARP)
 
 
 def _rate_torque(_: AxisData, p: FloatArray, settings: Settings) -> Term:

@@ -37,14 +37,14 @@ def cubic(_: AxisData, p: FloatArray, __: Settings) -> Term:
 
 
 def other_rate(data: AxisData, p: FloatArray, settings: Settings) -> Term:
-    """h times another axis' rate."""
+    """H times another axis' rate."""
     column = settings['column']
     signal = data.other_rates[:, int(column) if isinstance(column, float) else 0]
     return Term(kernels.SIGNAL, (p[0],), _mid(signal))
 
 
 def rate_product(data: AxisData, p: FloatArray, _: Settings) -> Term:
-    """c times the product of the other two rates (Euler's equations)."""
+    """C times the product of the other two rates (Euler's equations)."""
     return Term(kernels.SIGNAL, (p[0],), _mid(data.other_rates[:, 0] * data.other_rates[:, 1]))
 
 

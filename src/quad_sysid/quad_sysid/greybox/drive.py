@@ -24,7 +24,7 @@ REALISATIONS = ('continuous', 'stepped')
 common physics engines do; a command then acts half a step sooner. A bag does not tell; which one
 fits better is chosen on training data, for the delay's sake: the error hardly depends on it."""
 STEPPED_ADVANCE_S = 1.5 * SUBSTEP_S
-"""How much sooner the stepped chain (integration, two filter states) answers than the exact one."""
+"""How much sooner the stepped chain (integration, two filter states) answers than the exact."""
 
 
 @dataclass(frozen=True)
@@ -129,6 +129,7 @@ def response(
     out = np.zeros((5, command.size))
     for start, stop in stretches:
         kernels.feedforward(
-            command, exact.whole, exact.matrices, exact.inputs, exact.pattern, gyro, start, stop, out
+            command, exact.whole, exact.matrices, exact.inputs, exact.pattern, gyro, start, stop,
+            out,
         )
     return out

@@ -7,7 +7,7 @@ The state correction (Kalman gain) is chosen on the training data too, by the sa
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
@@ -26,7 +26,7 @@ SAME_AS_NONE = 0.25
 CLEAR_GAIN = 4.0
 """A gain of fewer standard errors than this is no answer."""
 SHORT_WINDOW_S = 0.05
-"""Windows for data in which half a second of free run drowns in noise: lag and delay still show."""
+"""Windows for data in which half a second of free run drowns in noise: delay still shows."""
 BLOCK_S = 2.0
 """Windows closer than this are not counted as independent in standard errors."""
 
@@ -114,14 +114,14 @@ def fit_structure(
     theta = np.where(theta - lower <= near, lower, theta)
     shape = (sim.windows.count, sim.windows.length)
     count = shape[0] * shape[1]
-    jacobian = np.zeros((count, theta.size))
-    jacobian[:, index] = found.jacobian[:count]
+    flat = np.zeros((count, theta.size))
+    flat[:, index] = found.jacobian[:count]
     at_bound = np.ones(theta.size, dtype=bool)
     at_bound[index] = found.at_bound | close[index]
     if free is None and (at_bound & ~found.at_bound)[1:3].any():
         # lag and delay are one where they are short: without the one, fit the other again
         return fit_structure(sim, structure, theta, max_iterations=max_iterations, free=~at_bound)
-    jacobian = jacobian.reshape(*shape, theta.size)
+    jacobian = flat.reshape(*shape, theta.size)
     errors = found.residual[:count].reshape(shape)
     if at_bound.any():
         jacobian[:, :, at_bound] = _inside(sim, structure, theta, at_bound, lower, scale)
@@ -240,7 +240,7 @@ def settle(
     """Choose the state correction for a structure, then finish the fit with it; twice."""
     model = best_correction(sim, fit)
     for _ in range(2):
-        sim = replace(sim, correction=model.correction, _cache={})
+        sim = sim.corrected(model.correction)
         fit = fit_structure(sim, fit.structure, fit.theta, free=free)
         again = best_correction(sim, fit)
         if np.allclose(again.correction, model.correction, rtol=0.05):
@@ -257,9 +257,7 @@ def best_correction(sim: Simulator, fit: Fit) -> noise.NoiseModel:
         model = noise.white_noise_model(
             10.0**exponent, float(fit.theta[3]), data, before_filter=before_filter
         )
-        run = replace(sim, correction=model.correction, _cache=sim._cache).run(
-            fit.structure, fit.theta
-        )
+        run = sim.corrected(model.correction).run(fit.structure, fit.theta)
         rms = run.rms
         if not np.isfinite(rms):
             return rms, model
@@ -333,6 +331,6 @@ def _check_excitation(data: AxisData, spans: Sequence[Span]) -> None:
 
 
 __all__ = [
-    'N_BASE', 'SHORT_WINDOW_S', 'Fit', 'best_correction', 'block_numbers', 'fit_base', 'fit_structure',
-    'fit_with_effect', 'informative', 'settle', 'simulator',
+    'N_BASE', 'SHORT_WINDOW_S', 'Fit', 'best_correction', 'block_numbers', 'fit_base',
+    'fit_structure', 'fit_with_effect', 'informative', 'settle', 'simulator',
 ]

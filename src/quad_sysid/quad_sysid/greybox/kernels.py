@@ -17,21 +17,25 @@ import math
 import numpy as np
 from numba import njit
 
-QUADRATIC, COULOMB, PENDULUM, CUBIC, RATE_CURVE, ANGLE_CURVE, RATE_TIMES, SIGNAL = range(1, 9)
+(
+    QUADRATIC, COULOMB, PENDULUM, CUBIC, RATE_CURVE, ANGLE_CURVE, RATE_TIMES, SIGNAL
+) = range(1, 9)
 
-_OPTIONS = {'cache': True, 'nogil': True, 'error_model': 'numpy', 'fastmath': {'contract', 'nsz', 'arcp'}}
+_OPTIONS = {
+    'cache': True, 'nogil': True, 'error_model': 'numpy', 'fastmath': {'contract', 'nsz', 'arcp'},
+}
 
 
 @njit(inline='always', **_OPTIONS)
 def _curve(values, j, x):
     """Value at x of a curve linear between knots: values[j] = [z0, step, count, w, y0, y1, ...].
 
-    The knots are even in z = asinh(x / w), dense around zero; in z = x where w is 0.
+    The knots are even in z = x / (|x| + w), dense around zero; in z = x where w is 0.
     """
-    z = x if values[j, 3] == 0.0 else math.asinh(x / values[j, 3])
+    z = x if values[j, 3] == 0.0 else x / (abs(x) + values[j, 3])
     last = int(values[j, 2]) - 1
     position = (z - values[j, 0]) / values[j, 1]
-    index = min(max(int(math.floor(position)), 0), last - 1)
+    index = min(max(math.floor(position), 0), last - 1)
     fraction = min(max(position - index, -0.5), 1.5)
     low = values[j, 4 + index]
     return low + fraction * (values[j, 5 + index] - low)
@@ -46,7 +50,13 @@ def _torque(rate, angle, k, codes, values, signals):
         if code == QUADRATIC:
             total -= values[j, 0] * rate * abs(rate)
         elif code == COULOMB:
-            total -= values[j, 0] * math.tanh(rate / values[j, 1])
+            reach = rate / values[j, 1]
+            if reach > 8.0:
+                total -= values[j, 0]
+            elif reach < -8.0:
+                total += values[j, 0]
+            else:
+                total -= values[j, 0] * math.tanh(reach)
         elif code == PENDULUM:
             total -= values[j, 0] * math.sin(angle)
         elif code == CUBIC:
@@ -128,7 +138,7 @@ def _step(v, s, k, gain, known, damping, bias, dt, codes, values, signals):
         slope = bias - damping * rate + _torque(rate, angle, k, codes, values, signals)
         if stage == 0:
             first = slope
-        weight = 1.0 if stage == 0 or stage == 3 else 2.0
+        weight = 2.0 if 0 < stage < 3 else 1.0
         sum_v += weight * slope
         sum_s += weight * trial
     new_v = v + dt / 6.0 * sum_v
@@ -143,10 +153,10 @@ def track(rate, angle, has_angle, known, gain, damping, bias, dt, codes, values,
     """Follow the measured rate over [start, stop) and run free from each window's start.
 
     rate, angle (n,) measured; known (5, n) from `feedforward`; gyro (2, 5): state transition and
-    weights of v at begin, half and end of the cycle; correction (4,): what the innovation adds to
-    v, to the filter's two states, and to its second state one cycle later. starts (w,) ascending; innovations (n,) and windows (w, length) receive the
-    one-step error and the free-run prediction. A window sees nothing measured at or after its
-    first sample.
+    weights of v at begin, half and end of the cycle; correction (4,): what the innovation adds
+    to v, to the filter's two states, and to its second state one cycle later. starts (w,)
+    ascending; innovations (n,) and windows (w, length) receive the one-step error and the
+    free-run prediction. A window sees nothing measured at or after its first sample.
     """
     v = rate[start] - gain * known[0, start]
     s = (angle[start] - gain * known[2, start]) if has_angle else 0.0
@@ -198,7 +208,7 @@ def track(rate, angle, has_angle, known, gain, damping, bias, dt, codes, values,
 
 @njit(**_OPTIONS)
 def steady_covariance(f, q, c, r, iterations):
-    """(n, n) predicted covariance of the stationary Kalman filter, by iterating Riccati's equation.
+    """(n, n) predicted covariance of the stationary Kalman filter (Riccati, iterated).
 
     f (n, n) transition, q (n, n) its noise, c (n,) output, r its noise.
     """

@@ -56,8 +56,9 @@ def minimise(
     converged = False
     jacobian = np.zeros((r.size, theta.size))
     held = np.zeros(theta.size, dtype=bool)
-    iteration = 0
-    for iteration in range(1, max_iterations + 1):
+    iterations = 0
+    while iterations < max_iterations:
+        iterations += 1
         jacobian = difference_jacobian(residual, theta, r, lower, upper, scale)
         evaluations += theta.size
         gradient = jacobian.T @ r
@@ -96,7 +97,7 @@ def minimise(
             damping *= 8.0
         if converged or not improved:
             break
-    return Minimum(theta, r, jacobian, cost, iteration, evaluations, converged, held)
+    return Minimum(theta, r, jacobian, cost, iterations, evaluations, converged, held)
 
 
 def difference_jacobian(
@@ -115,7 +116,6 @@ def difference_jacobian(
             step = -step
         moved = theta.copy()
         moved[i] += step
-        if moved[i] < lower[i]:
-            moved[i] = lower[i]
+        moved[i] = max(moved[i], lower[i])
         jacobian[:, i] = (residual(moved) - r) / (moved[i] - theta[i])
     return jacobian

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-
 from quad_sysid.contract import FloatArray
 from quad_sysid.greybox import kernels
 from quad_sysid.greybox.data import AxisData
@@ -36,7 +35,7 @@ class NoiseModel:
 def _linear(
     damping: float, data: AxisData
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """State (rate, gyro noise, filter output, carry): F (4, 4), G (4, 2), C (4,), filter (2, 5)."""
+    """F (4, 4), G (4, 2), C (4,) of (rate, gyro noise, output, carry); the filter (2, 5)."""
     dt = data.dt
     step = gyro_step(data.gyro_filter_hz, dt, data.realisation).copy()
     # between two cycles the noise-driven rate is a straight line to first order

@@ -5,7 +5,7 @@ Calls the compiled loops with arrays; knows nothing of fitting or choosing.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -67,6 +67,10 @@ class Simulator:
         )
         self._no_signal = np.zeros((0, self.data.rate.size))
         self._angle = self.data.angle if self.data.angle is not None else np.zeros(1)
+
+    def corrected(self, correction: FloatArray) -> Simulator:
+        """The same passes with another state correction; the drive response is shared."""
+        return replace(self, correction=correction)
 
     def run(self, structure: Structure, theta: FloatArray) -> Run:
         """One-step and free-run errors (prediction - measured) with parameters theta (p,)."""

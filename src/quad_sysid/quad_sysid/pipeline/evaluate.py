@@ -13,7 +13,8 @@ from quad_sysid.effects.shapes import SHAPES
 from quad_sysid.effects.table import EFFECTS
 from quad_sysid.errors import BadInputError, NotInformativeError
 from quad_sysid.greybox.data import AxisData, Span, axis_data
-from quad_sysid.greybox.fit import simulator
+from quad_sysid.greybox.fit import fit_structure, simulator
+from quad_sysid.greybox.simulate import Simulator
 from quad_sysid.greybox.structure import Effect, Settings, Structure
 from quad_sysid.model import AxisModel, EffectEstimate, Parameter
 from quad_sysid.record import Record, finite_runs
@@ -61,6 +62,7 @@ def evaluate(model: AxisModel, record: Record, spans_s: tuple[tuple[float, float
             'give a longer bag or --validate'
         )
     structure, theta = structure_of(model)
+    theta = of_this_flight(simulator(data, spans, np.array(model.correction)), structure, theta)
     plain = vector(model.plain or model.base)
     before = simulator(data, spans, np.array(model.plain_correction or model.correction))
     after = simulator(data, spans, np.array(model.correction))
@@ -80,6 +82,27 @@ def evaluate(model: AxisModel, record: Record, spans_s: tuple[tuple[float, float
         hold=hold_error(before),
         windows=before.windows.count,
     )
+
+
+def of_this_flight(sim: Simulator, structure: Structure, theta: FloatArray) -> FloatArray:
+    """The parameters with what belongs to the flight and not to the aircraft put right.
+
+    The phase of a periodic disturbance is estimated again; after a step event the values after
+    the event hold (contract, evaluate).
+    """
+    theta = theta.copy()
+    names = structure.names
+    for index, name in enumerate(names):
+        if name == 'step_event.time':
+            theta[index] = 0.0
+    free = np.array([name == 'periodic_disturbance.phase' for name in names])
+    if not free.any():
+        return theta
+    fits = []
+    for phase in np.arange(4) * np.pi / 2:
+        start = np.where(free, phase, theta)
+        fits.append(fit_structure(sim, structure, start, max_iterations=15, free=free))
+    return min(fits, key=lambda fit: fit.rms).theta
 
 
 def structure_of(model: AxisModel) -> tuple[Structure, FloatArray]:
