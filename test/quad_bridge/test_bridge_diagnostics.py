@@ -86,7 +86,7 @@ def test_the_clock_says_why_nothing_is_published():
 
 def test_a_refusal_stands_in_the_gain_state():
     status = d.gains_status(Link(), 'roll.rate.kp: must be finite: found nan', 2)
-    assert (status.level, status.message) == (d.WARN, 'roll.rate.kp: must be finite: found nan')
+    assert (status.level, status.message) == (d.ERROR, 'roll.rate.kp: must be finite: found nan')
     assert status.values['writes acknowledged'] == 2
     assert 'has not reported' in d.gains_status(Link(), '', 0).message
 

@@ -126,7 +126,7 @@ def gains_status(link: Link, refused: str, writes: int) -> Status:
     values: dict[str, object] = {f'{name}': f'{value:.9g}' for name, value in link.active.items()}
     values['writes acknowledged'] = writes
     if refused:
-        return Status('gains', WARN, refused, values)
+        return Status('gains', ERROR, refused, values)
     if link.transaction is not None:
         return Status('gains', OK, link.transaction.phase.value, values)
     if not link.reader.complete:

@@ -29,11 +29,11 @@ class PortState(Enum):
 
     CLOSED = 'closed'
     OPEN = 'open'
-    NOT_THERE = 'not there'
+    NOT_THERE = 'not there: plug it in, or set the parameter port'
     BUSY = 'busy: another program has it open'
-    DENIED = 'permission denied'
+    DENIED = 'not permitted: add the user to the group dialout and log in again'
     UNUSABLE = 'cannot be used as a serial port'
-    HUNG_UP = 'hung up'
+    HUNG_UP = 'hung up: waiting for it to come back'
 
 
 _BY_ERRNO = {
