@@ -6,6 +6,7 @@ Wiring only: the work is session.run, in a thread of its own so that the node go
 from __future__ import annotations
 
 import threading
+from collections import deque
 from pathlib import Path
 from typing import Any
 
@@ -49,7 +50,8 @@ class IdentificationNode(Node):  # type: ignore[misc]
             inertia=ros_node.text(self, 'inertia', '', 'IX,IY,IZ, kg m²; adds torques in N m'),
         )
         self._bag = ''
-        self._done: set[str] = set()
+        self._seen: set[str] = set()
+        self._queue: deque[str] = deque()
         self._values: dict[str, str] = {'state': 'waiting'}
         self._level = DiagnosticStatus.OK
         self._worker: threading.Thread | None = None
@@ -65,9 +67,10 @@ class IdentificationNode(Node):  # type: ignore[misc]
     def _on_bag(self, event: Any) -> None:
         pairs = [(p.name, p.value.string_value) for p in event.changed_parameters]
         bag = session.bag_is_complete(pairs)
-        if bag and bag not in self._done:
-            self._bag = bag
-            self._start()
+        if bag and bag not in self._seen:
+            self._seen.add(bag)
+            self._queue.append(bag)
+            self._start_next()
 
     def _on_identify(self, request: Any, response: Any) -> Any:
         del request
@@ -76,15 +79,15 @@ class IdentificationNode(Node):  # type: ignore[misc]
         elif not self._bag:
             response.success, response.message = False, 'no complete bag on /logger/bag yet'
         else:
-            self._start()
+            self._queue.append(self._bag)
+            self._start_next()
             response.success, response.message = True, f'identifying {self._bag}'
         return response
 
-    def _start(self) -> None:
-        if self._worker is not None:
-            self.get_logger().warning(f'{self._bag} waits: an identification still runs')
+    def _start_next(self) -> None:
+        if self._worker is not None or not self._queue:
             return
-        self._done.add(self._bag)
+        self._bag = self._queue.popleft()
         self._say(DiagnosticStatus.OK, state='identifying', bag=self._bag)
         self._worker = threading.Thread(target=self._work, args=(self._bag,), daemon=True)
         self._worker.start()
@@ -113,13 +116,19 @@ class IdentificationNode(Node):  # type: ignore[misc]
         if isinstance(outcome, str):
             self.get_logger().error(outcome)
             self._say(DiagnosticStatus.ERROR, state='failed', reason=outcome, bag=bag)
-            return
+        else:
+            self._tell(outcome, bag)
+        self._start_next()
+
+    def _tell(self, outcome: session.Outcome, bag: str) -> None:
+        """Say what came out, and what became of the gains."""
         verdicts = {axis: answer.verdict for axis, answer in outcome.answers.items()}
         self.get_logger().info(f'{bag}: {verdicts}, report in {outcome.folder}')
+        update = self._update(outcome, bag)
         self._say(
             DiagnosticStatus.OK if outcome.answered else DiagnosticStatus.WARN,
-            state='done', bag=bag, report=str(outcome.folder / 'report.json'),
-            update=self._update(outcome, bag), **verdicts,
+            state='done', reason=outcome.reasons or f'done; gains: {update}', bag=bag,
+            report=str(outcome.folder / 'report.json'), update=update, **verdicts,
         )
 
     def _update(self, outcome: session.Outcome, bag: str) -> str:
