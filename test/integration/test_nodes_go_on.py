@@ -127,6 +127,23 @@ def test_the_bridge_outlives_every_bad_port_and_refuses_bad_gains(bench, tmp_pat
     assert bench.observer.active_gains == flown
 
 
+@pytest.mark.parametrize(
+    ('name', 'value', 'words'),
+    [
+        ('train', '5:1', 'parameter train: needs two times START:END'),
+        ('inertia', 'abc', 'inertia: needs three positive numbers'),
+        ('axes', ['sideways'], 'axis: must be of roll, pitch, yaw, all'),
+        ('autoupdate', True, 'parameter autoupdate: is unknown; known are auto_update'),
+    ],
+)
+def test_a_wrong_parameter_ends_the_identification_before_any_flight(bench, name, value, words):
+    bench.crew.start_node('quad_sysid', 'identification', {name: value})
+    with pytest.raises(StageFailedError, match=f'status 2: identification: .*{words}'):
+        bench.observer.wait_for(
+            'start', 'end', lambda: False, PATIENCE_S, lambda: bench.crew.check('start')
+        )
+
+
 def flight(folder: Path) -> Path:
     """A bag of the plain profile, flown faster than time."""
     rng = np.random.default_rng(1)

@@ -25,6 +25,7 @@ from quad_bridge import ros_node
 from quad_bridge.errors import QuadBridgeError
 from quad_bridge.qos import EVENT, STATE
 from quad_sysid import session
+from quad_sysid.bags import parse_span
 from quad_sysid.errors import QuadSysidError
 from quad_sysid.report.store import free_folder
 
@@ -43,12 +44,7 @@ class IdentificationNode(Node):  # type: ignore[misc]
         self._auto_update = ros_node.flag(
             self, 'auto_update', False, 'publish gains that are better and safe'
         )
-        self._request = session.Request(
-            bags=(), axes=_axes(self),
-            train=ros_node.text(self, 'train', '', 'A:B, s; empty: as the bag says'),
-            validate=ros_node.text(self, 'validate', '', 'A:B, s; empty: as the bag says'),
-            inertia=ros_node.text(self, 'inertia', '', 'IX,IY,IZ, kg m²; adds torques in N m'),
-        )
+        self._request = _request(self)
         self._bag = ''
         self._seen: set[str] = set()
         self._queue: deque[str] = deque()
@@ -177,16 +173,26 @@ def gains_event(gains: dict[str, float], source: str, stamp: Any) -> Any:
     return event
 
 
-def _axes(node: Any) -> tuple[str, ...]:
-    """The parameter `axes`; empty: what the bag says was excited."""
+def _request(node: Any) -> session.Request:
+    """What the parameters ask of every bag; a wrong one ends the node before any flight."""
     descriptor = ParameterDescriptor(
         description='axes to identify; empty: those that the bag excites', read_only=True
     )
     given = node.declare_parameter('axes', [''], descriptor).value
+    texts = {
+        'train': ros_node.text(node, 'train', '', 'A:B, s; empty: as the bag says'),
+        'validate': ros_node.text(node, 'validate', '', 'A:B, s; empty: as the bag says'),
+        'inertia': ros_node.text(node, 'inertia', '', 'IX,IY,IZ, kg m²; adds torques in N m'),
+    }
     try:
-        return tuple(axis for name in given if name for axis in session.axes_of(name))
+        for name in ('train', 'validate'):
+            if texts[name]:
+                parse_span(texts[name], name)
+        session.parse_inertia(texts['inertia'])
+        axes = tuple(axis for name in given if name for axis in session.axes_of(name))
     except QuadSysidError as error:
-        raise QuadBridgeError(f'identification: parameter axes: {error}') from error
+        raise QuadBridgeError(f'identification: parameter {error}') from error
+    return session.Request(bags=(), axes=axes, **texts)
 
 
 def main() -> None:
