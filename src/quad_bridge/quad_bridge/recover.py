@@ -5,7 +5,6 @@ The original is only read. What was lost is said on stdout; exit status as in th
 
 from __future__ import annotations
 
-import argparse
 import shutil
 import sqlite3
 import sys
@@ -18,6 +17,7 @@ from pathlib import Path
 from rosbags.interfaces import Qos
 from rosbags.rosbag2.metadata import parse_qos
 
+from quad_bridge.arguments import OneLineParser
 from quad_bridge.bag_writer import BagWriter, Definition
 from quad_bridge.compression import ZstdError, decompress
 from quad_bridge.damaged_mcap import DamagedMcap, Message, Topic
@@ -174,7 +174,7 @@ def _rows(base: sqlite3.Connection) -> Iterator[Message]:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command; exits with the contract's status."""
-    parser = argparse.ArgumentParser(
+    parser = OneLineParser(
         prog='recover', description='Rebuild a bag whose recorder was killed, as BAG_recovered.'
     )
     parser.add_argument('bag', type=Path, metavar='BAG', help='bag directory, .mcap or .db3 file')

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from quad_bridge.arguments import OneLineParser
 from quad_bridge.errors import QuadBridgeError
 from quad_bridge.virtual.aircraft import Aircraft
 from quad_bridge.virtual.control import INPUTS
@@ -31,7 +32,7 @@ MAX_BURST = 50
 
 def arguments() -> argparse.ArgumentParser:
     """The command line of `virtual_stm32`."""
-    parser = argparse.ArgumentParser(
+    parser = OneLineParser(
         prog='virtual_stm32',
         description='A simulated quadrotor with its STM32 behind a pseudo-terminal, in real time.',
         epilog='Example: virtual_stm32 --profile plain --mount rig --axis roll --link /tmp/stm32',

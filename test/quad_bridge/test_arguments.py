@@ -1,0 +1,22 @@
+"""Wrong arguments of this package's programs are said in one line, status 2."""
+
+import pytest
+
+from quad_bridge.recover import main as recover
+from quad_bridge.virtual.process import main as virtual_stm32
+
+
+@pytest.mark.parametrize(
+    ('program', 'arguments', 'words'),
+    [
+        (recover, [], 'recover: the following arguments are required: BAG'),
+        (virtual_stm32, ['--mount', 'kite'], "virtual_stm32: argument --mount: invalid choice"),
+        (virtual_stm32, ['--sede', '1'], 'virtual_stm32: unrecognized arguments: --sede'),
+    ],
+)
+def test_wrong_arguments(capsys, program, arguments, words):
+    with pytest.raises(SystemExit) as left:
+        program(arguments)
+    error = capsys.readouterr().err
+    assert (left.value.code, error.count('\n')) == (2, 1)
+    assert words in error
