@@ -86,6 +86,8 @@ def _identify_parser(commands: Any) -> None:
     parser.add_argument('--inertia', metavar='IX,IY,IZ',
                         help='kg m²; the report then gives torques in N m as well')
     parser.add_argument('--no-effects', action='store_true', help='fit the models only')
+    parser.add_argument('--table2', action='store_true',
+                        help="fit the paper's 13 rows too and print its Table 2 beside them")
     parser.add_argument('--json', action='store_true', help='print report.json instead of text')
     parser.add_argument('--quiet', action='store_true', help='print nothing but errors')
 
@@ -147,6 +149,7 @@ def _identify(options: argparse.Namespace) -> int:
             bags=tuple(options.bags), axes=session.axes_of(options.axis),
             train=options.train or '', validate=options.validate or '', out=options.out or '',
             inertia=options.inertia or '', search_effects=not options.no_effects,
+            table2=options.table2,
         ),
         _progress(options),
     )

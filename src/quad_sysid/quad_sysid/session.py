@@ -27,6 +27,7 @@ class Request:
     out: str = ''
     inertia: str = ''
     search_effects: bool = True
+    table2: bool = False
 
 
 @dataclass(frozen=True)
@@ -81,7 +82,7 @@ def run(request: Request, progress: Callable[[str], None] = lambda _: None) -> O
     answers = identify(
         records,
         Options(axes=request.axes, designer=designer, no_designer_because=missing,
-                search_effects=request.search_effects),
+                search_effects=request.search_effects, table2=request.table2),
         progress,
     )
     report = document.document(answers, request.bags, inertia)

@@ -68,11 +68,15 @@ def cascade_controller(
     )
 
 
-def indirect(z: IOData, nb: int, nf: int, nk: int, controller: LinearController) -> Model:
+def indirect(
+    z: IOData, nb: int, nf: int, nk: int, controller: LinearController, *,
+    start: Model | None = None,
+) -> Model:
     """Fit y = (B/F) u behind the known controller to z.y and the reference z.r.
 
-    Consistent whatever the noise. Raises BadInputError where r is missing or no stable loop is
-    found to start from.
+    Consistent whatever the noise. `start` replaces the own start values where it is stable behind
+    the controller; its A, C and D do not count. Raises BadInputError where r is missing or no
+    stable loop is found to start from.
     """
     nb, nf = check_order('indirect', 'nb', nb, 1), check_order('indirect', 'nf', nf, 0)
     nk = check_order('indirect', 'nk', nk, 1)
@@ -80,7 +84,7 @@ def indirect(z: IOData, nb: int, nf: int, nk: int, controller: LinearController)
         raise BadInputError('indirect', 'needs the external reference r', None,
                             'give IOData(…, r=…)')
     check_informative('indirect', z, nb + nf, nk + nb + nf + controller.P.size)
-    model = _start(z, nb, nf, nk, controller)
+    model = _given(start, z, nb, nf, nk, controller) or _start(z, nb, nf, nk, controller)
     ar, converged, iterations = np.ones(1), False, 0
     for _ in range(WHITENED):
         model, converged, count = _descend(model, z, controller, ar)
@@ -98,6 +102,22 @@ def indirect(z: IOData, nb: int, nf: int, nk: int, controller: LinearController)
         loss=sum(float(e @ e) for e in errors) / n,
         noise_variance=sum(float(e @ e) for e in errors) / (n - nb - nf),
     )
+
+
+def _given(
+    start: Model | None, z: IOData, nb: int, nf: int, nk: int, controller: LinearController
+) -> Model | None:
+    """The given start as an output error model; None where it cannot serve."""
+    if start is None or start.A.size > 1:
+        return None
+    if (start.B.size - start.nk, start.F.size - 1, start.nk) != (nb, nf, nk):
+        return None
+    one = np.ones(1)
+    model = replace(
+        start, C=one, D=one, structure='OE', orders={'nb': nb, 'nf': nf, 'nk': nk},
+        approach='indirect', warnings=(),
+    )
+    return None if _errors(model, z, controller, one) is None else model
 
 
 def _start(z: IOData, nb: int, nf: int, nk: int, controller: LinearController) -> Model:

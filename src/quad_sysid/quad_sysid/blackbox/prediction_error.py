@@ -49,16 +49,19 @@ def armax(z: IOData, na: int, nb: int, nc: int, nk: int, *, start: Model | None 
     return _best('ARMAX', orders, z, start, lambda ho: armax_starts(ho, na, nb, nc))
 
 
-def oe(z: IOData, nb: int, nf: int, nk: int, *, start: Model | None = None) -> Model:
+def oe(
+    z: IOData, nb: int, nf: int, nk: int, *, start: Model | None = None, thorough: bool = True
+) -> Model:
     """Fit y = (B/F) u + e, the least free-run error, over all segments. F is kept stable.
 
-    The covariance allows for a coloured residual. Otherwise as `armax`.
+    The covariance allows for a coloured residual. Not `thorough`, the first minimum will do, as
+    where the model only serves to smooth. Otherwise as `armax`.
     """
     nb, nf = check_order('oe', 'nb', nb, 1), check_order('oe', 'nf', nf, 0)
     nk = check_order('oe', 'nk', nk, 0)
     check_informative('oe', z, nb + nf, nk + nb - 1 + nf)
     orders = {'nb': nb, 'nf': nf, 'nk': nk}
-    return _best('OE', orders, z, start, lambda ho: oe_starts(ho, nb, nf))
+    return _best('OE', orders, z, start, lambda ho: oe_starts(ho, nb, nf), thorough=thorough)
 
 
 def bj(
@@ -74,7 +77,8 @@ def bj(
 
 
 def _best(
-    structure: str, orders: dict[str, int], z: IOData, start: Model | None, starts: Starts
+    structure: str, orders: dict[str, int], z: IOData, start: Model | None, starts: Starts,
+    *, thorough: bool = True,
 ) -> Model:
     """Fit from the given start, or from own ones until the loss is as good as it can be."""
     if start is not None:
@@ -87,7 +91,7 @@ def _best(
         goal = ho.model.loss * math.exp((spare + math.sqrt(2.0 * spare)) / ho.model.samples)
         candidates = sorted(starts(ho), key=lambda model: _squares(model, z))
         best = descend(candidates[0], evaluate(candidates[0], z), z)
-        for model in candidates[1 : 2 if structure == 'OE' else None]:
+        for model in candidates[1 : 2 if structure == 'OE' else None] if thorough else ():
             if best.converged and best.loss <= goal:
                 break
             other = descend(model, evaluate(model, z), z, best.loss)
@@ -99,7 +103,8 @@ def _best(
             best = _better(best, other)
             if agreed:
                 break
-        best = _without_false_pair(best, z)
+        if thorough:
+            best = _without_false_pair(best, z)
     return replace(best, structure=structure, orders=orders, warnings=_warnings(best))
 
 

@@ -2,14 +2,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from quad_sysid.blackbox import StepARow
+from quad_sysid.blackbox import Model, StepARow, Table2Entry
 from quad_sysid.contract import FloatArray
 from quad_sysid.effects.discover import Discovery
 from quad_sysid.effects.judge import Judgement
 from quad_sysid.model import AxisModel, GainProposal
 from quad_sysid.record import IOData, Segment
+
+
+@dataclass(frozen=True)
+class LoopRun:
+    """A model in the simulated cascade of one flight, against the recorded rate (step B)."""
+
+    bag: str
+    gains_changed: bool
+    """Whether it was flown with other gains than the training."""
+    signals: tuple[str, ...]
+    fit_pct: float | None
+    rmse: float | None
+    """rad/s."""
+    mae: float | None
+    """rad/s."""
+    diverged: bool = False
+    because: str = ''
+    """Why there are no figures."""
 
 
 @dataclass(frozen=True)
@@ -20,6 +39,56 @@ class ModelRow:
     closed_loop_fit_pct: float | None = None
     """Fit of the simulated closed loop to the recorded rate on the validation segments."""
     passed_second_step: bool = False
+    loop_runs: tuple[LoopRun, ...] = ()
+    """All flights and sets of gains; the first is that of `closed_loop_fit_pct`."""
+    second_step_because: str = ''
+    """Why step B eliminated it."""
+
+
+@dataclass(frozen=True)
+class Approach:
+    """One of the paper's Table 1: whether the signals allow it, and why not."""
+
+    name: str
+    """`direct`, `indirect` or `joint`."""
+    possible: bool
+    because: str
+
+
+@dataclass(frozen=True)
+class Check:
+    """One rule of section 2.6 on the data's preparation, held against the record."""
+
+    name: str
+    kept: bool | None
+    """None where the record does not allow the check."""
+    words: str
+
+
+@dataclass(frozen=True)
+class SharedModel:
+    """One model for roll and pitch, where their confidence bands agree (the paper's choice)."""
+
+    agree: bool
+    because: str
+    model: Model | None = None
+    """Fitted on both axes' training together; None where they do not agree."""
+    fit_validation_pct: Mapping[str, float | None] = field(default_factory=dict)
+    """Free-run fit of the shared model by axis."""
+
+
+@dataclass(frozen=True)
+class Selection:
+    """How the black-box models of one axis were found and chosen between, in words and values."""
+
+    approaches: tuple[Approach, ...] = ()
+    feedback: bool | None = None
+    """Whether the data show feedback from the rate to the command."""
+    checks: tuple[Check, ...] = ()
+    advice: tuple[str, ...] = ()
+    table2: tuple[Table2Entry, ...] = ()
+    """The paper's rows, where they were asked for."""
+    shared: SharedModel | None = None
 
 
 @dataclass(frozen=True)
@@ -51,12 +120,16 @@ class AxisAnswer:
     blackbox_error: float | None = None
     closed_loop: ClosedLoop | None = None
     train: IOData | None = None
+    """Command and rate of the training segments about their means, with the reference."""
+    validation: IOData | None = None
+    """All validation segments, about the same means."""
     proposal: GainProposal | None = None
     warnings: tuple[str, ...] = field(default=())
     attitude_reference: FloatArray | None = None
     """(n,) rad, on the grid of discovery.data; None where the bags do not hold it."""
     rate_reference: FloatArray | None = None
     """(n,) rad/s, alike."""
+    selection: Selection = field(default_factory=Selection)
 
     @property
     def answered(self) -> bool:

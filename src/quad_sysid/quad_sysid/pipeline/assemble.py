@@ -6,13 +6,21 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from quad_sysid.blackbox import Model, coherence, frequency_response
 from quad_sysid.effects.discover import Discovery
 from quad_sysid.effects.judge import Judgement
 from quad_sysid.effects.shapes import curve_of
+from quad_sysid.errors import QuadSysidError
 from quad_sysid.greybox.data import AxisData
 from quad_sysid.greybox.fit import Fit
 from quad_sysid.greybox.structure import BASE_PARAMETERS, Effect, ParameterSpec, Settings
 from quad_sysid.model import AxisModel, EffectEstimate, Parameter
+from quad_sysid.pipeline.blackbox_part import io_data
+
+COHERENT = 0.6
+CONFIDENT = 2.576
+HALF_POWER = 0.41
+"""A gain that is off by this part is off by 3 dB."""
 
 
 def axis_model(
@@ -107,21 +115,22 @@ def _std(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def band_of(data: AxisData) -> tuple[float, float] | None:
-    """Band in which command and rate are coherent (squared coherence over 0.6), rad/s.
+def band_of(data: AxisData, model: Model | None = None) -> tuple[float, float] | None:
+    """Band in which the data support a model, rad/s: the widest unbroken one, None without any.
 
-    The widest unbroken one; None where there is none. In closed loop the coherence also falls
-    where the feedback has removed what was injected.
+    There command and rate are coherent (squared coherence over 0.6; where the external reference
+    is known, that of reference and rate, since feedback alone makes the first high), and the 99 %
+    band of `model`'s gain, where it has one, is narrower than 3 dB to either side.
     """
-    from quad_sysid.blackbox import coherence
-    from quad_sysid.errors import QuadSysidError
-    from quad_sysid.pipeline.blackbox_part import io_data
-
+    z = io_data(data, data.train)
     try:
-        w, values = coherence(io_data(data, data.train))
+        w, values = coherence(z, joint=z.r is not None)
     except QuadSysidError:
         return None
-    good = values > 0.6
+    good = values > COHERENT
+    if model is not None and model.covariance is not None:
+        response = frequency_response(model, w)
+        good &= CONFIDENT * response.magnitude_std < HALF_POWER * response.magnitude
     edges = np.flatnonzero(np.diff(np.concatenate(([False], good, [False])))).reshape(-1, 2)
     if not edges.size:
         return None

@@ -1,52 +1,208 @@
-"""The black-box side of one axis: order search, both steps of the paper, error in the metric."""
+"""The black-box side of one axis: the models that are tried, step A, the error in the metric.
+
+Step B stands in step_b.py, the approaches of Table 1 in approaches.py, advice in advice.py.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
-from quad_sysid.blackbox import Model, predict, search_arx, select, step_a
+from quad_sysid.blackbox import (
+    Model,
+    OrderSearch,
+    armax,
+    bj,
+    clriv,
+    delay_estimate,
+    horizon_errors,
+    iv4,
+    oe,
+    search_arx,
+    step_a,
+)
 from quad_sysid.contract import FloatArray
-from quad_sysid.errors import QuadSysidError
+from quad_sysid.errors import BadInputError, QuadSysidError
 from quad_sysid.greybox.data import AxisData, Span
-from quad_sysid.loop.cascade import CascadeGains
-from quad_sysid.loop.simulation import simulate_polynomial_cascade
 from quad_sysid.pipeline.answer import ModelRow
-from quad_sysid.record import IOData, Record
+from quad_sysid.record import IOData, finite_runs
 
-SECOND_STEP_PCT = 0.0
-"""A model whose simulated closed loop fits the recording no better than its mean is out."""
-
-
-def io_data(data: AxisData, spans: tuple[Span, ...]) -> IOData:
-    """Input and output over spans, as the black-box room takes them."""
-    return IOData(u=data.command, y=data.rate, dt=data.dt, segments=spans)
+ORDERS = (2, 3, 4)
+"""Of the plant B/F in the structures with a model of the noise apart."""
+NOISE_ORDER = 2
+SHORTEST = 100
+"""Samples of a validation span that is worth a fit."""
 
 
-def fit_models(data: AxisData) -> tuple[Model, ...]:
-    """ARX by order search (AIC and BIC; the paper's ranges), as far as the data carry it."""
-    z = io_data(data, data.train)
-    models: list[Model] = []
-    for criterion in ('aic', 'bic'):
-        found = search_arx(z, range(2, 11), range(1, 11), range(1, 9), criterion).model
-        if all(dict(found.orders) != dict(m.orders) for m in models):
-            models.append(found)
-    return tuple(models)
+@dataclass(frozen=True)
+class Offsets:
+    """Means over the training segments: the trim about which the linear models hold."""
+
+    command: float
+    rate: float
+    """rad/s."""
+    reference: float
 
 
-def rows_of(data: AxisData, models: tuple[Model, ...]) -> tuple[tuple[ModelRow, ...], int | None]:
-    """Step A for every model, and the index of the one that the training data select."""
-    validations: dict[str, IOData] = {}
+def offsets(data: AxisData) -> Offsets:
+    """Trim of the training segments; taken off every segment alike, never fitted anew."""
+
+    def mean(x: FloatArray) -> float:
+        parts = np.concatenate([x[a:b] for a, b in data.train])
+        known = parts[np.isfinite(parts)]
+        return float(known.mean()) if known.size else 0.0
+
+    reference = 0.0 if data.reference is None else mean(data.reference)
+    return Offsets(mean(data.command), mean(data.rate), reference)
+
+
+def io_data(data: AxisData, spans: tuple[Span, ...], *, external: bool = True) -> IOData:
+    """Command and rate about their trim over spans, with the external reference where known.
+
+    Spans are cut where the reference was lost; it is left out where most of it is missing or
+    where it stands still.
+    """
+    trim = offsets(data)
+    r = data.reference if external else None
+    if r is not None:
+        known = np.isfinite(r)
+        inside = np.concatenate([known[a:b] for a, b in spans])
+        cut = tuple(run for span in spans for run in finite_runs(known, span))
+        moves = any(np.ptp(r[a:b]) > 0.0 for a, b in cut)
+        if inside.mean() > 0.9 and moves:
+            spans = cut
+        else:
+            r = None
+    return IOData(
+        u=data.command - trim.command, y=data.rate - trim.rate, dt=data.dt,
+        r=None if r is None else r - trim.reference, segments=spans,
+    )
+
+
+@dataclass(frozen=True)
+class Fits:
+    """The models of one axis, with what is known of those that could not be fitted."""
+
+    models: tuple[Model, ...]
+    search: OrderSearch
+    """The search for ARX orders by AIC."""
+    delay: int
+    """Delay in samples by the lowest BIC."""
+    order: int
+    """Of the plant B/F, by BJ's lowest BIC."""
+    refused: tuple[str, ...] = ()
+
+
+def fit_models(z: IOData) -> Fits:
+    """Fit ARX by order search (AIC, BIC; the paper's ranges) and the other structures beside it.
+
+    Their plant's order is the one with which BJ has the lowest BIC.
+    """
+    searches = [
+        search_arx(z, range(2, 11), range(1, 11), range(1, 9), criterion)
+        for criterion in ('aic', 'bic')
+    ]
+    models = [search.model for search in searches]
+    if dict(models[0].orders) == dict(models[1].orders):
+        models.pop()
+    delay = delay_estimate(z)
+    nk = min(max(delay, 1), 8)
+    refused: list[str] = []
+    several = tried(refused, *(_bj(z, order, nk) for order in ORDERS))
+    n = ORDERS[0]
+    if several:
+        best = min(several, key=lambda model: (not model.converged, model.bic))
+        n = best.F.size - 1
+        models.append(best)
+    else:
+        refused.append('no Box-Jenkins model could be fitted')
+    models += tried(refused, lambda: armax(z, n, n, n, nk), lambda: oe(z, n, n, nk))
+    models += _highest_stable(refused, n, lambda order: iv4(z, order, order, nk))
+    if z.r is not None:
+        models += _highest_stable(
+            refused, n, lambda order: clriv(z, order, NOISE_ORDER, NOISE_ORDER, order, nk)
+        )
+    return Fits(tuple(models), searches[0], delay, n, tuple(refused))
+
+
+def _bj(z: IOData, order: int, nk: int) -> Callable[[], Model]:
+    return lambda: bj(z, order, NOISE_ORDER, NOISE_ORDER, order, nk)
+
+
+def _highest_stable(
+    refused: list[str], order: int, fit: Callable[[int], Model]
+) -> tuple[Model, ...]:
+    """The instrumental variable fit of the order, or of the next lower one that settles.
+
+    More coefficients than the plant has leave these estimators without an answer.
+    """
+    told: list[str] = []
+    found: tuple[Model, ...] = ()
+    for lower in range(order, ORDERS[0] - 1, -1):
+        found = tried(told, lambda lower=lower: fit(lower)) or found  # type: ignore[misc]
+        if found and found[0].stable and found[0].converged:
+            return found
+    refused += told
+    return found
+
+
+def tried(refused: list[str], *fits: Callable[[], Model]) -> tuple[Model, ...]:
+    """The fits that the data carry; what is said of the others goes to `refused`."""
+    found = [_attempt(fit) for fit in fits]
+    refused += [one for one in found if isinstance(one, str)]
+    return tuple(one for one in found if isinstance(one, Model))
+
+
+def _attempt(fit: Callable[[], Model]) -> Model | str:
+    try:
+        return fit()
+    except BadInputError as error:
+        return str(error)
+
+
+def validations(data: AxisData) -> dict[str, IOData]:
+    """By signal, what the models are validated on."""
+    found: dict[str, IOData] = {}
     for name in dict.fromkeys(data.validation_names):
         spans = tuple(
             s for s, n in zip(data.validation, data.validation_names, strict=True)
-            if n == name and s[1] - s[0] > 100
+            if n == name and s[1] - s[0] > SHORTEST
         )
         if spans:
-            validations[name] = io_data(data, spans)
-    rows = step_a(models, io_data(data, data.train), validations)
-    return tuple(ModelRow(row) for row in rows), select(rows)
+            found[name] = io_data(data, spans, external=False)
+    return found
+
+
+def rows_of(data: AxisData, models: tuple[Model, ...]) -> tuple[ModelRow, ...]:
+    """Step A for every model."""
+    rows = step_a(models, io_data(data, data.train), validations(data))
+    return tuple(ModelRow(row) for row in rows)
+
+
+def select(rows: tuple[ModelRow, ...], data: AxisData) -> int | None:
+    """Index of the lowest BIC among the rows that passed most; None where all are unstable.
+
+    Where none passed the first step the least error over windows of the training is taken, since
+    then no model of the noise, on which BIC rests, holds. Training data alone decide between the
+    rows: validation may reject a model but never rank it.
+    """
+    stable = [
+        i for i, row in enumerate(rows)
+        if row.step_a.model.stable and row.step_a.bic is not None
+    ]
+    first = [i for i in stable if rows[i].step_a.passed_first_step]
+    second = [i for i in first if rows[i].passed_second_step]
+    if first:
+        return min(second or first, key=lambda i: rows[i].step_a.bic or 0.0)
+
+    def error(i: int) -> float:
+        found = window_error(data, rows[i].step_a.model, data.train)
+        return math.inf if found is None else found
+
+    return min(stable, key=error, default=None)
 
 
 def window_error(data: AxisData, model: Model, spans: tuple[Span, ...]) -> float | None:
@@ -58,36 +214,12 @@ def window_error(data: AxisData, model: Model, spans: tuple[Span, ...]) -> float
     windows = data.windows(spans)
     if not windows.count:
         return None
-    z = io_data(data, data.stretches)
+    z = io_data(data, data.stretches, external=False)
     total = 0.0
-    for i in range(windows.length):
-        at = windows.starts + i
-        error: FloatArray = predict(model, z, i + 1)[at] - data.rate[at]
-        total += float(np.sum(error**2))
+    try:
+        for i, errors in enumerate(horizon_errors(model, z, windows.length)):
+            total += float(np.sum(errors[windows.starts + i] ** 2))
+    except QuadSysidError:
+        return None
     value = math.sqrt(total / (windows.count * windows.length))
     return value if math.isfinite(value) else None
-
-
-def second_step(
-    row: ModelRow, data: AxisData, record: Record, gains: CascadeGains | None
-) -> ModelRow:
-    """Step B: the model in the simulated cascade with the recorded attitude reference."""
-    if gains is None or record.attitude_setpoint is None:
-        return row
-    reference = record.attitude_setpoint[:, data.index]
-    model = row.step_a.model
-    if model.structure not in ('ARX', 'ARMAX') or not np.isfinite(reference).all():
-        return row
-    try:
-        response = simulate_polynomial_cascade(
-            model.A, model.B, gains, reference, data.dt
-        )
-    except QuadSysidError:
-        return row
-    inside = np.concatenate([np.arange(a, b) for a, b in data.validation])
-    y, simulated = data.rate[inside], response.rate[inside]
-    if not np.isfinite(simulated).all():
-        return ModelRow(row.step_a, None, passed_second_step=False)
-    fit = 100.0 * (1.0 - np.linalg.norm(y - simulated) / np.linalg.norm(y - y.mean()))
-    passed = bool(row.step_a.passed_first_step and fit > SECOND_STEP_PCT)
-    return ModelRow(row.step_a, float(fit), passed_second_step=passed)

@@ -18,12 +18,13 @@ from quad_sysid.effects.shapes import SHAPES
 from quad_sysid.effects.table import EFFECTS
 from quad_sysid.errors import BadInputError, NotInformativeError, QuadSysidError
 from quad_sysid.greybox.data import AxisData, axis_data
-from quad_sysid.loop.cascade import CascadeGains
-from quad_sysid.model import AxisModel, Designer, GainProposal
+from quad_sysid.model import Designer, GainProposal
 from quad_sysid.pipeline import assemble, blackbox_part
 from quad_sysid.pipeline.answer import AxisAnswer
 from quad_sysid.pipeline.closed_loop import closed_loop
 from quad_sysid.pipeline.motor_order import refusal
+from quad_sysid.pipeline.selection import with_blackbox
+from quad_sysid.pipeline.shared import share
 from quad_sysid.record import Record, Segment
 
 Progress = Callable[[str], None]
@@ -38,6 +39,8 @@ class Options:
     designer: Designer | None = None
     no_designer_because: str = 'no designer is installed (quad_tuning offers one)'
     search_effects: bool = True
+    table2: bool = False
+    """Fit the paper's 13 rows as well."""
     seed: int = 0
 
 
@@ -55,10 +58,10 @@ def identify(
             'identify them one by one',
         )
     with threadpool_limits(limits=1):  # the matrices are narrow: threads only wait for another
-        return {
+        return share({
             axis: identify_axis(records, axis, options, progress)
             for axis in options.axes or asked_axes(records)
-        }
+        })
 
 
 def asked_axes(records: Sequence[Record]) -> tuple[str, ...]:
@@ -97,7 +100,7 @@ def identify_axis(
         attitude_reference=_joined([r.attitude_setpoint for r in records], data.index),
         rate_reference=_joined([r.rate_setpoint for r in records], data.index),
     )
-    answer = _with_blackbox(answer, data, records)
+    answer = with_blackbox(answer, data, records, table2=options.table2)
     answer = replace(answer, closed_loop=closed_loop(answer, records[0], data))
     progress(f'{axis}: gains')
     swapped = next((line for line in map(refusal, records) if line), '')
@@ -129,34 +132,6 @@ def _gains_of(records: Sequence[Record]) -> dict[str, float]:
     """Gains and loop constants in force during the first record's training."""
     trained = [s.start_s for s in records[0].segments if s.role == 'train']
     return dict(records[0].gains_at(min(trained, default=0.0)))
-
-
-def _with_blackbox(
-    answer: AxisAnswer, data: AxisData, records: Sequence[Record]
-) -> AxisAnswer:
-    """Add the table of models, the selected one and its error in the contract's metric."""
-    try:
-        models = blackbox_part.fit_models(data)
-        rows, selected = blackbox_part.rows_of(data, models)
-    except QuadSysidError as error:
-        return replace(answer, warnings=(*answer.warnings, f'no black-box model: {error}'))
-    gains = _cascade(answer.model)
-    if len(records) == 1:
-        rows = tuple(
-            blackbox_part.second_step(row, data, records[0], gains) for row in rows
-        )
-    in_windows = None
-    if selected is not None:
-        model = rows[selected].step_a.model
-        in_windows = blackbox_part.window_error(data, model, data.validation)
-    return replace(answer, rows=rows, selected=selected, blackbox_error=in_windows)
-
-
-def _cascade(model: AxisModel | None) -> CascadeGains | None:
-    """The gains the flight was flown with, where the bag says."""
-    if model is None or f'{model.axis}.rate.kp' not in model.active_gains:
-        return None
-    return CascadeGains.from_mapping(model.active_gains, model.axis)
 
 
 def _proposal(answer: AxisAnswer, options: Options, refused_because: str) -> GainProposal:

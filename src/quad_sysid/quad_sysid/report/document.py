@@ -8,6 +8,7 @@ from typing import Any
 
 from quad_sysid.model import EffectEstimate, GainProposal, Parameter
 from quad_sysid.pipeline.answer import AxisAnswer
+from quad_sysid.report.selection import row_tree, selection_tree
 
 SCHEMA = 'quad_sysid/report/1'
 METRIC = 'rms of the rate over free-run windows of 0.5 s'
@@ -37,7 +38,7 @@ def _axis(answer: AxisAnswer, inertia: float | None) -> dict[str, Any]:
             {'role': s.role, 'signal': s.signal, 'start_s': s.start_s, 'end_s': s.end_s}
             for s in answer.segments
         ],
-        'models': [_row(answer, i) for i in range(len(answer.rows))],
+        'models': [row_tree(row) for row in answer.rows],
         'selected': answer.selected,
         'verdict': answer.verdict,
         'reason': answer.reason,
@@ -64,20 +65,9 @@ def _axis(answer: AxisAnswer, inertia: float | None) -> dict[str, Any]:
         'trusted_band_rad_s': list(model.trusted_band_rad_s)
         if model and model.trusted_band_rad_s else None,
         'warnings': list(answer.warnings),
+        **selection_tree(answer.selection),
     }
     tree.update(_gains(answer.proposal))
-    return tree
-
-
-def _row(answer: AxisAnswer, index: int) -> dict[str, Any]:
-    row = answer.rows[index]
-    tree: dict[str, Any] = {
-        **row.step_a.as_report(),
-        'closed_loop_fit_pct': _number(row.closed_loop_fit_pct),
-        'passed_second_step': row.passed_second_step,
-    }
-    if not tree.get('eliminated_because'):
-        tree.pop('eliminated_because', None)
     return tree
 
 

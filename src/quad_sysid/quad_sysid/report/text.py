@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from quad_sysid.report import selection
+
 ROW = '{:<22} {:>7} {:>9} {:>9} {:>7}  {}'
 
 
@@ -14,6 +16,7 @@ def lines(report: Mapping[str, Any]) -> list[str]:
     for axis, tree in report['axes'].items():
         out += ['', f'{axis} at {tree["sample_rate_hz"]:g} Hz', '']
         out += _models(tree)
+        out += selection.lines(tree)
         out += _verdict(tree)
         out += _errors(tree)
         out += _gains(tree)
@@ -28,6 +31,8 @@ def _models(tree: Mapping[str, Any]) -> list[str]:
                       'first step')]
     for index, model in enumerate(tree['models']):
         name = f'{model["structure"]} ' + ' '.join(str(v) for v in model['orders'].values())
+        if model['approach'] != 'direct':
+            name += f' {model["approach"]}'
         mark = '*' if index == tree['selected'] else ' '
         fits = [_pct(model['fit_validation_pct'].get(s)) for s in signals]
         out.append(

@@ -1,0 +1,145 @@
+"""Advice in words where the data are poor: what the figures of the selection mean to a user."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from quad_sysid.blackbox import excitation_order
+from quad_sysid.model import AxisModel
+from quad_sysid.pipeline.answer import ModelRow
+from quad_sysid.pipeline.blackbox_part import Fits
+from quad_sysid.record import IOData
+
+PAPERS_BAND = (0.1, 20.0)
+"""rad/s."""
+RICHEST = 50
+"""Order up to which the paper's PRBS is persistently exciting."""
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What advice is drawn from."""
+
+    z: IOData
+    """Training data of the axis."""
+    fits: Fits
+    rows: tuple[ModelRow, ...]
+    selected: int | None
+    band: tuple[float, float] | None
+    """In which the model can be trusted, rad/s."""
+    feedback: bool | None
+    model: AxisModel | None
+    refused: tuple[str, ...] = ()
+    no_second_step: str = ''
+    """Why there was nothing to run step B on."""
+
+
+def advice(e: Evidence) -> tuple[str, ...]:
+    """One line each, most weighty first; empty where nothing speaks against the data."""
+    return (
+        *_excitation(e), *_delay(e), *_band(e), *_edge(e), *_unstable(e.rows), *_selection(e),
+        *e.refused,
+    )
+
+
+def _excitation(e: Evidence) -> Iterator[str]:
+    found = excitation_order(e.z, RICHEST)
+    asked = max((_inputs(row) for row in e.rows), default=0)
+    if found < asked:
+        yield (
+            f'the command is persistently exciting of order {found} only, the largest model asks '
+            f'for {asked}: its coefficients are not all told by the data; fly a PRBS of more bits '
+            'or fit lower orders'
+        )
+
+
+def _inputs(row: ModelRow) -> int:
+    """Order of excitation that a model needs: its plant's coefficients."""
+    model = row.step_a.model
+    return int(model.B.size - model.nk + model.denominator.size - 1)
+
+
+def _delay(e: Evidence) -> Iterator[str]:
+    dt = e.z.dt
+    if e.fits.delay == 0:
+        yield (
+            'the delay comes out as 0 samples: in the cascade a command cannot act on the rate of '
+            'its own cycle; the stamps of command and rate seem to be one cycle apart'
+        )
+    if e.model is not None:
+        lag = e.model.value('delay') + e.model.value('lag')
+        latest = int(np.ceil(lag / dt)) + 3
+        if e.fits.delay > max(latest, 8):
+            yield (
+                f'the delay of {e.fits.delay} samples ({1e3 * e.fits.delay * dt:.0f} ms) is not '
+                f'that of the grey box (delay and lag {1e3 * lag:.0f} ms): check the stamps'
+            )
+    broken = [row for row in e.rows if any(r.diverged for r in row.loop_runs)
+              and row.step_a.passed_first_step]
+    if broken:
+        names = ', '.join(row.step_a.model.name for row in broken)
+        yield (
+            f'with the recorded gains the simulated cascade diverges for {names}, while the '
+            'aircraft flew: gain or delay of the model is not consistent with the cascade'
+        )
+
+
+def _band(e: Evidence) -> Iterator[str]:
+    if e.band is None:
+        yield (
+            'at no frequency do command and rate hang together well enough to trust a model: '
+            'excite with more amplitude'
+        )
+        return
+    low, high = e.band
+    if low > 2.0 * PAPERS_BAND[0]:
+        why = (
+            'there the feedback has removed what was injected, and the direct approach sees noise '
+            'through the controller; compare with the joint approach, or fly a slower PRBS'
+            if e.feedback else 'the excitation holds too little of it; fly longer or slower'
+        )
+        yield f'below {low:.2g} rad/s the models are not to be trusted: {why}'
+    if high < PAPERS_BAND[1]:
+        yield (
+            f'above {high:.3g} rad/s the models are not to be trusted; a faster clock of the PRBS '
+            'or more amplitude would reach further'
+        )
+
+
+def _edge(e: Evidence) -> Iterator[str]:
+    edge = e.fits.search.at_edge
+    if edge:
+        yield (
+            f'the best ARX order by AIC lies at the edge of the search in {", ".join(edge)}: '
+            'coloured noise asks for more lags than the plant has; a structure with a noise model '
+            'of its own (ARMAX, BJ) needs fewer'
+        )
+
+
+def _unstable(rows: Sequence[ModelRow]) -> Iterator[str]:
+    for row in rows:
+        model = row.step_a.model
+        if model.structure in ('IV4', 'CLRIV') and (not model.stable or model.warnings):
+            yield (
+                f'{model.name}: the instrumental variable estimate is unstable or did not settle; '
+                'its instruments are too weak, do not use it'
+            )
+        elif model.warnings:
+            yield f'{model.name}: {"; ".join(model.warnings)}'
+
+
+def _selection(e: Evidence) -> Iterator[str]:
+    if e.no_second_step:
+        yield f'no second step in the simulated closed loop: {e.no_second_step}'
+    if e.selected is None:
+        yield 'every black-box model is unstable; none was selected'
+    elif not e.rows[e.selected].step_a.passed_first_step:
+        yield (
+            'no black-box model passed the first step; the selected one has the least error over '
+            'windows of the training data'
+        )
+    elif not e.rows[e.selected].passed_second_step and not e.no_second_step:
+        yield 'no black-box model passed the second step; the selected one passed the first'

@@ -1,0 +1,159 @@
+"""Step B of the paper: each model in the simulated cascade, against what was recorded.
+
+Every flight and every set of gains that it was flown with is a run of its own, so that a change
+of gains tests the model as in the paper. The cascade itself stands in the room `loop`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from quad_sysid.blackbox import Model
+from quad_sysid.contract import AXES, FloatArray
+from quad_sysid.errors import QuadSysidError
+from quad_sysid.loop.cascade import CascadeGains
+from quad_sysid.loop.simulation import simulate_polynomial_cascade
+from quad_sysid.pipeline.answer import LoopRun, ModelRow
+from quad_sysid.record import Record, Segment, finite_runs
+
+LEAST_FIT_PCT = 0.0
+"""A model whose simulated closed loop fits the recording no better than its mean is out."""
+
+
+@dataclass(frozen=True)
+class Flown:
+    """What one flight recorded under one set of gains, behind the loop that flew it."""
+
+    bag: str
+    gains: CascadeGains
+    gains_changed: bool
+    """Whether the gains differ from those of the training."""
+    signals: tuple[str, ...]
+    reference: FloatArray
+    """(n,) attitude reference of the whole record, rad."""
+    rate: FloatArray
+    """(n,) measured, rad/s."""
+    rows: FloatArray
+    """(m,) indices that are compared."""
+    injected: bool
+    """Whether an excitation acted behind the attitude reference, which the simulation lacks."""
+
+
+def flown(records: Sequence[Record], axis: str) -> tuple[Flown, ...] | str:
+    """The runs that the records allow, or in words why there is none.
+
+    Compared are the validation segments; of a flight without any, all but its idle ones.
+    """
+    found: list[Flown] = []
+    reasons: list[str] = []
+    trained: Mapping[str, float] | None = None
+    for record in records:
+        own = [s for s in record.segments if s.axis == axis and s.role != 'idle']
+        for segment in own:
+            if segment.role == 'train' and trained is None:
+                trained = _of_axis(record.gains_at(segment.start_s), axis)
+        chosen = [s for s in own if s.role == 'validation'] or own
+        groups: dict[tuple[tuple[str, float], ...], list[Segment]] = {}
+        for segment in chosen:
+            known = _of_axis(record.gains_at(segment.start_s), axis)
+            groups.setdefault(tuple(sorted(known.items())), []).append(segment)
+        for key, segments in groups.items():
+            one = _flown(record, axis, dict(key), segments, dict(key) != (trained or dict(key)))
+            if isinstance(one, str):
+                reasons.append(one)
+            else:
+                found.append(one)
+    return tuple(found) or '; '.join(dict.fromkeys(reasons)) or 'no segment to compare'
+
+
+def _of_axis(gains: Mapping[str, float], axis: str) -> dict[str, float]:
+    return {name: value for name, value in gains.items() if name.startswith(f'{axis}.')}
+
+
+def _flown(
+    record: Record, axis: str, values: Mapping[str, float], segments: Sequence[Segment],
+    changed: bool,
+) -> Flown | str:
+    """One run, or why it cannot be simulated."""
+    index = AXES.index(axis)
+    if record.attitude_setpoint is None:
+        return f'{record.source}: no /setpoint/attitude'
+    if f'{axis}.rate.kp' not in values:
+        return f'{record.source}: /gains/active does not say the gains of {axis}'
+    reference = _held(record.attitude_setpoint[:, index])
+    if reference is None:
+        return f'{record.source}: /setpoint/attitude is not finite'
+    good = np.isfinite(record.rates[:, index])
+    runs = [run for s in segments for run in finite_runs(good, record.span(s))]
+    if not runs:
+        return f'{record.source}: no rate in the segments to compare'
+    return Flown(
+        bag=record.source,
+        gains=CascadeGains.from_mapping(values, axis),
+        gains_changed=changed,
+        signals=tuple(dict.fromkeys(s.signal for s in segments)),
+        reference=reference,
+        rate=record.rates[:, index],
+        rows=np.concatenate([np.arange(a, b) for a, b in runs]),
+        injected=any(s.injection in ('rate', 'control') for s in segments),
+    )
+
+
+def _held(reference: FloatArray) -> FloatArray | None:
+    """The set-point with lost cycles held, as the firmware holds it; None where all are lost."""
+    good = np.isfinite(reference)
+    if not good.any():
+        return None
+    last = np.maximum.accumulate(np.where(good, np.arange(reference.size), 0))
+    last[: int(np.argmax(good))] = int(np.argmax(good))
+    return np.asarray(reference[last])
+
+
+def run(model: Model, flight: Flown) -> LoopRun:
+    """The model's run beside the recorded rate; figures are None where it diverges or cannot."""
+    failed = LoopRun(flight.bag, flight.gains_changed, flight.signals, None, None, None)
+    if flight.injected:
+        return replace(failed, because='the excitation acted behind the attitude reference')
+    if model.B[0] != 0.0:
+        return replace(failed, because='nk = 0: the command would act before it is known')
+    try:
+        rate = simulate_polynomial_cascade(
+            model.denominator, model.B, flight.gains, flight.reference, model.dt
+        ).rate[flight.rows]
+    except QuadSysidError as refusal:
+        return replace(failed, because=str(refusal))
+    if not np.isfinite(rate).all():
+        return replace(failed, diverged=True, because='the simulated loop diverges')
+    measured = flight.rate[flight.rows]
+    error = (measured - measured.mean()) - (rate - rate.mean())
+    spread = float(np.linalg.norm(measured - measured.mean()))
+    fit = 100.0 * (1.0 - float(np.linalg.norm(error)) / spread) if spread > 0.0 else None
+    return replace(
+        failed, fit_pct=fit, rmse=float(np.sqrt(np.mean(error**2))),
+        mae=float(np.mean(np.abs(error))),
+    )
+
+
+def second_step(row: ModelRow, flights: Sequence[Flown]) -> ModelRow:
+    """The row with its runs, and whether it passed: none of them may fail."""
+    runs = tuple(run(row.step_a.model, flight) for flight in flights)
+    objections = []
+    for one in runs:
+        if one.diverged:
+            objections.append(f'in the simulated loop of {one.bag} it diverges')
+        elif one.fit_pct is not None and one.fit_pct <= LEAST_FIT_PCT:
+            objections.append(f'its simulated loop fits {one.bag} no better than the mean')
+    fits = [one.fit_pct for one in runs if one.fit_pct is not None]
+    return replace(
+        row, loop_runs=runs, closed_loop_fit_pct=fits[0] if fits else None,
+        second_step_because='; '.join(objections),
+        passed_second_step=bool(row.step_a.passed_first_step and fits and not objections),
+    )
+
+
+def open_loop_step(row: ModelRow) -> ModelRow:
+    """The row of an axis flown without feedback (the paper's yaw): step A alone decides."""
+    return replace(row, passed_second_step=row.step_a.passed_first_step)
