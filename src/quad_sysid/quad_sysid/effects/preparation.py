@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.ndimage import median_filter
 
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.greybox.data import AxisData
@@ -12,6 +13,12 @@ MOVES = 0.02
 """A signal that must move for an effect to show must move by this share of its mean."""
 SHARE_OF_COMMAND = 0.05
 """Another axis' command must be this large beside this axis'."""
+LINES = 2
+LINE_NEIGHBOURS = 41
+LINE_BAND_HZ = (0.2, 15.0)
+"""Faster lines are vibration of the sensor and not motion of the aircraft."""
+LINE_START = 0.05
+"""Amplitude to start a line from, rad/s²."""
 LEAST_RATE = 0.05
 """Another axis must turn with this RMS, rad/s, beyond the noise of its gyro."""
 
@@ -85,27 +92,22 @@ def limit_starts(data: AxisData, _: FloatArray) -> tuple[tuple[float, ...], ...]
 
 
 def line_starts(data: AxisData, innovations: FloatArray) -> tuple[tuple[float, ...], ...]:
-    """Amplitude, frequency and phase of the strongest lines in the one-step errors.
+    """Amplitude, frequency and four phases for the strongest lines in the one-step errors.
 
-    The error of the rate answers a torque as its integral does; the phase follows by projection.
+    These are white where nothing is missing, so a line stands out over its neighbourhood.
     """
-    found: list[tuple[float, ...]] = []
     start, stop = max(data.train, key=lambda span: span[1] - span[0])
-    error = -np.nan_to_num(innovations[start:stop])
-    torque = np.gradient(np.cumsum(error - error.mean()), data.dt)
-    n = torque.size
-    spectrum = np.fft.rfft(torque * np.hanning(n))
-    frequency = np.fft.rfftfreq(n, data.dt)
-    power = np.abs(spectrum) ** 2
-    power[frequency < 0.2] = 0.0
-    t = (np.arange(start, stop) + 0.5) * data.dt
-    for _ in range(2):
-        peak = int(np.argmax(power))
+    error = np.nan_to_num(innovations[start:stop])
+    power = np.abs(np.fft.rfft((error - error.mean()) * np.hanning(error.size))) ** 2
+    frequency = np.fft.rfftfreq(error.size, data.dt)
+    height = power / np.maximum(median_filter(power, LINE_NEIGHBOURS), 1e-300)
+    height[(frequency < LINE_BAND_HZ[0]) | (frequency > LINE_BAND_HZ[1])] = 0.0
+    found: list[tuple[float, ...]] = []
+    for _ in range(LINES):
+        peak = int(np.argmax(height))
         f = float(frequency[peak])
-        wave = np.stack([np.sin(2 * np.pi * f * t), np.cos(2 * np.pi * f * t)], axis=1)
-        a, b = np.linalg.lstsq(wave, torque, rcond=None)[0]
-        found.append((max(float(np.hypot(a, b)), 1e-3), f, float(np.arctan2(b, a))))
-        power[max(peak - 4, 0) : peak + 5] = 0.0
+        found += [(LINE_START, f, phase * np.pi / 2.0) for phase in range(4)]
+        height[max(peak - 4, 0) : peak + 5] = 0.0
     return tuple(found)
 
 

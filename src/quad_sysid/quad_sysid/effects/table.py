@@ -174,7 +174,7 @@ EFFECTS: tuple[Effect, ...] = (
         signals=('time',),
         parameters=(
             _spec('amplitude', 'rad/s²', (0.1,), (0.0, _INF), 0.1),
-            _spec('frequency', 'Hz', (1.0,), (0.05, 100.0), 0.01),
+            _spec('frequency', 'Hz', (1.0,), (0.05, 16.0), 0.01),
             _spec('phase', 'rad', (0.0,), (-_INF, _INF), 0.3),
         ),
         physics='A sin(2 pi f t + phase): an unbalanced part, a swinging load',
