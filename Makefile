@@ -13,13 +13,19 @@ RUN := . tools/workspace.bash;
 SOURCES := $(wildcard src test tools bench)
 ARGS ?=
 
-.PHONY: help demo test test-fast build lint format bench wheel docs lock shell clean
+.PHONY: help demo pictures test test-fast build lint format bench wheel docs lock shell clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 demo: build  ## the whole loop on a virtual quadrotor, results in demo_out/ (4 minutes)
 	@$(RUN) exec python -m quad_tuning.demo $(ARGS)
+
+pictures:  ## renew the pictures of README and docs from the last demo_out/
+	@[ -d demo_out/report ] || { echo 'no demo_out/report: run make demo first' >&2; exit 2; }
+	@cp demo_out/square_wave.png docs/images/square_wave.png
+	@cp demo_out/report/pictures/roll_effect_shape.png docs/images/missing_torque.png
+	@ls -l docs/images/*.png
 
 test: build  ## all tests, the real-time ones through nodes, pty and bag included
 	@$(RUN) exec python -m pytest --timeout 600 $(ARGS)

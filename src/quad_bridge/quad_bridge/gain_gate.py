@@ -54,7 +54,10 @@ def _check_one(
         raise RefusedError(f'{name}: must be finite: found {value}')
     bound = bounds.get(name)
     if bound is None:
-        raise RefusedError(f'{name}: the configuration allows no change of it: found {value:g}')
+        raise RefusedError(
+            f'{name}: the configuration allows no change of it: found {value:g}; '
+            'list it under bounds as in config/serial_bridge.yaml'
+        )
     if not bound.lower <= value <= bound.upper:
         raise RefusedError(
             f'{name}: must lie in {bound.lower:g} .. {bound.upper:g}: found {value:g}'
