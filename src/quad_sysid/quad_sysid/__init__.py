@@ -1,1 +1,121 @@
-"""quad_sysid of the quad suite."""
+"""System identification of a quadrotor's axes from flights: records, models, validation.
+
+    from quad_sysid import read_bag, bj, compare
+    z = read_bag('flight').axis('roll', 'train')
+    model = bj(z, 2, 2, 2, 2, 3)
+
+Names and orders are MATLAB's; nk = 1 is one sample of delay. What stands here is loaded when it is
+first used, so that the import itself costs nothing and needs neither ROS nor matplotlib.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from quad_sysid import greybox as greybox
+    from quad_sysid.bags import read_bag as read_bag
+    from quad_sysid.blackbox import (
+        FrequencyResponse,
+        LinearController,
+        Model,
+        OrderSearch,
+        ResidualTest,
+        SpectralEstimate,
+        armax,
+        arx,
+        bj,
+        cascade_controller,
+        clriv,
+        coherence,
+        compare,
+        delay_estimate,
+        detrend,
+        excitation_order,
+        fit_percent,
+        frequency_response,
+        indirect,
+        iv4,
+        joint,
+        n4sid,
+        oe,
+        polynomial_model,
+        predict,
+        residual_test,
+        search_arx,
+        simulate,
+        spa,
+    )
+    from quad_sysid.errors import BadInputError, NotInformativeError, QuadSysidError
+    from quad_sysid.record import IOData, Record, Segment
+
+_HOMES = {
+    'quad_sysid.bags': ('read_bag',),
+    'quad_sysid.errors': ('BadInputError', 'NotInformativeError', 'QuadSysidError'),
+    'quad_sysid.record': ('IOData', 'Record', 'Segment'),
+    'quad_sysid.blackbox': (
+        'FrequencyResponse', 'LinearController', 'Model', 'OrderSearch', 'ResidualTest',
+        'SpectralEstimate', 'armax', 'arx', 'bj', 'cascade_controller', 'clriv', 'coherence',
+        'compare', 'delay_estimate', 'detrend', 'excitation_order', 'fit_percent',
+        'frequency_response', 'indirect', 'iv4', 'joint', 'n4sid', 'oe', 'polynomial_model',
+        'predict', 'residual_test', 'search_arx', 'simulate', 'spa',
+    ),
+}
+_HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
+
+__all__ = [
+    'BadInputError',
+    'FrequencyResponse',
+    'IOData',
+    'LinearController',
+    'Model',
+    'NotInformativeError',
+    'OrderSearch',
+    'QuadSysidError',
+    'Record',
+    'ResidualTest',
+    'Segment',
+    'SpectralEstimate',
+    'armax',
+    'arx',
+    'bj',
+    'cascade_controller',
+    'clriv',
+    'coherence',
+    'compare',
+    'delay_estimate',
+    'detrend',
+    'excitation_order',
+    'fit_percent',
+    'frequency_response',
+    'greybox',
+    'indirect',
+    'iv4',
+    'joint',
+    'n4sid',
+    'oe',
+    'polynomial_model',
+    'predict',
+    'read_bag',
+    'residual_test',
+    'search_arx',
+    'simulate',
+    'spa',
+]
+
+
+def __getattr__(name: str) -> object:
+    """Load a public name from its home (PEP 562)."""
+    if name == 'greybox':
+        return import_module('quad_sysid.greybox')
+    home = _HOME_OF.get(name)
+    if home is None:
+        raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
+    value = getattr(import_module(home), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

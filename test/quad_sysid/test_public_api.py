@@ -1,0 +1,68 @@
+"""What `import quad_sysid` offers: the names that the field expects, loaded when used."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import quad_sysid
+from quad_sysid.blackbox.studies import reference_study
+
+NAMES = ['read_bag', 'Record', 'IOData', 'arx', 'armax', 'oe', 'bj', 'iv4', 'clriv', 'n4sid', 'greybox', 'search_arx', 'delay_estimate', 'Model', 'simulate', 'predict', 'fit_percent', 'compare', 'residual_test', 'frequency_response', 'spa', 'coherence', 'excitation_order']
+
+
+def test_every_promised_name_is_there():
+    for name in NAMES:
+        assert callable(getattr(quad_sysid, name)), name
+    assert set(NAMES) <= set(quad_sysid.__all__)
+    assert set(quad_sysid.__all__) <= set(dir(quad_sysid))
+    assert all(getattr(quad_sysid, name) is not None for name in quad_sysid.__all__)
+    with pytest.raises(AttributeError, match='no attribute'):
+        quad_sysid.nothing  # noqa: B018
+
+
+def test_the_import_loads_nothing_heavy():
+    code = (
+        'import sys, quad_sysid; '
+        'heavy = {"numpy", "numba", "scipy", "matplotlib", "rclpy"} & set(sys.modules); '
+        'print(sorted(heavy))'
+    )
+    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == '[]'
+
+
+def test_the_models_need_neither_ros_nor_matplotlib():
+    code = (
+        'import sys\n'
+        'for name in ("rclpy", "matplotlib", "rosbags"): sys.modules[name] = None\n'
+        'from quad_sysid import IOData, arx, greybox\n'
+        'import numpy as np\n'
+        'u = np.random.default_rng(0).standard_normal(500)\n'
+        'print(arx(IOData(u, np.roll(u, 1), 0.01), 1, 1, 1).name, callable(greybox))'
+    )
+    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ['ARX', '1', '1', '1', 'True']
+
+
+def test_the_grey_box_is_a_call_on_the_same_data():
+    """Plant 20/((s + 0.3)(0.05 s + 1)) behind two samples: each value within 4 standard errors.
+
+    The zero-order hold of u and its 2 samples are the delay; nothing else is in the data.
+    """
+    study = reference_study()
+    z = study.record(np.random.default_rng(5))
+    found = quad_sysid.greybox(z)
+    assert found.converged
+    truth = {'gain': 20.0, 'lag': 0.05, 'delay': 0.008, 'damping': 0.3, 'bias': 0.0}
+    for name, std in zip(found.parameter_names, found.std, strict=True):
+        off = abs(found.value(name) - truth[name])
+        assert off < 4.0 * std, (name, found.value(name), std)
+    with pytest.raises(ValueError, match='gyro_filter_hz'):
+        quad_sysid.greybox(z, gyro_filter_hz=1e4)
+
+
+def test_the_room_keeps_its_modules():
+    from quad_sysid.greybox import fit
+
+    assert quad_sysid.greybox.fit is fit
