@@ -9,7 +9,11 @@ import pytest
 import quad_sysid
 from quad_sysid.blackbox.studies import reference_study
 
-NAMES = ['read_bag', 'Record', 'IOData', 'arx', 'armax', 'oe', 'bj', 'iv4', 'clriv', 'n4sid', 'greybox', 'search_arx', 'delay_estimate', 'Model', 'simulate', 'predict', 'fit_percent', 'compare', 'residual_test', 'frequency_response', 'spa', 'coherence', 'excitation_order']
+NAMES = (
+    'read_bag', 'Record', 'IOData', 'arx', 'armax', 'oe', 'bj', 'iv4', 'clriv', 'n4sid', 'greybox',
+    'search_arx', 'delay_estimate', 'Model', 'simulate', 'predict', 'fit_percent', 'compare',
+    'residual_test', 'frequency_response', 'spa', 'coherence', 'excitation_order',
+)
 
 
 def test_every_promised_name_is_there():

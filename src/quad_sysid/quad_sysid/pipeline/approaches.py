@@ -41,37 +41,46 @@ def feedback(z: IOData, fits: Fits) -> bool | None:
 
 
 def approaches(
-    z: IOData, gains: CascadeGains | None, *, behind_attitude: bool, closed: bool | None
+    z: IOData, gains: CascadeGains | None, *, behind_attitude: bool, one_loop: bool,
+    closed: bool | None,
 ) -> tuple[tuple[Approach, ...], LinearController | None]:
     """Judge each approach by the signals it needs; the controller where `indirect` is possible.
 
     `behind_attitude`: the external reference is the attitude set-point and not an excitation
-    that was added behind C1 or C2.
+    that was added behind C1 or C2. `one_loop`: all training was flown with the same gains.
     """
-    direct = Approach('direct', possible=True, because='command and rate are recorded')
+    no = ''
     if closed is False:
         no = 'no feedback in the data: the direct approach has nothing to avoid'
-        return (direct, Approach('indirect', False, no), Approach('joint', False, no)), None
-    if z.r is None:
+    elif z.r is None:
         no = 'no external reference that moves: record /setpoint/attitude or /excitation/applied'
-        return (direct, Approach('indirect', False, no), Approach('joint', False, no)), None
-    both = Approach('joint', possible=True, because='command, rate and reference are recorded')
-    if gains is None:
-        no = '/gains/active does not say the controller'
-        return (direct, Approach('indirect', False, no), both), None
-    if not behind_attitude:
-        no = 'the excitation acts behind C1 or C2, not on the attitude reference'
-        return (direct, Approach('indirect', False, no), both), None
+    elif not one_loop:
+        no = 'the training was flown with several sets of gains, which are several loops'
+    known, told = None, no
+    if not no and gains is None:
+        told = '/gains/active does not say the controller'
+    elif not no and not behind_attitude:
+        told = 'the excitation acts behind C1 or C2, not on the attitude reference'
+    elif not no and gains is not None:
+        known, told = _known(z, gains)
+    return (
+        Approach('direct', possible=True, because='command and rate are recorded'),
+        Approach('indirect', possible=known is not None, because=told),
+        Approach('joint', possible=not no,
+                 because=no or 'command, rate and reference are recorded'),
+    ), known
+
+
+def _known(z: IOData, gains: CascadeGains) -> tuple[LinearController | None, str]:
+    """The controller, if its own command is the recorded one, and what was found."""
     known = controller(gains, z.dt)
     fit = _reproduced(z, known)
     if fit < KNOWN_CONTROLLER_PCT:
-        no = (
+        return None, (
             f'the controller of /gains/active gives only {max(fit, 0.0):.0f} % of the recorded '
             'command; limits or another loop act as well'
         )
-        return (direct, Approach('indirect', False, no), both), None
-    because = f'reference and rate are recorded; the controller gives {fit:.0f} % of the command'
-    return (direct, Approach('indirect', possible=True, because=because), both), known
+    return known, f'reference and rate are recorded, {fit:.0f} % of the command is the controller'
 
 
 def controller(gains: CascadeGains, dt: float) -> LinearController:
@@ -110,7 +119,7 @@ def fit_others(
 ) -> tuple[tuple[Model, ...], tuple[str, ...]]:
     """Fit the plant by every approach but the direct one that is possible; models and refusals."""
     refused: list[str] = []
-    nk, n = min(max(fits.delay, 1), 8), fits.order
+    nk, n = fits.nk, fits.order
     models: tuple[Model, ...] = ()
     start = next((m for m in fits.models if m.structure == 'BJ'), None)
     names = {one.name for one in possible if one.possible}

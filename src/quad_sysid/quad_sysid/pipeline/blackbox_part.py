@@ -93,6 +93,8 @@ class Fits:
     """Delay in samples by the lowest BIC."""
     order: int
     """Of the plant B/F, by BJ's lowest BIC."""
+    nk: int
+    """Delay of the other structures, alike: noise hides a small first coefficient from ARX."""
     refused: tuple[str, ...] = ()
 
 
@@ -108,24 +110,35 @@ def fit_models(z: IOData) -> Fits:
     models = [search.model for search in searches]
     if dict(models[0].orders) == dict(models[1].orders):
         models.pop()
-    delay = delay_estimate(z)
-    nk = min(max(delay, 1), 8)
     refused: list[str] = []
-    several = tried(refused, *(_bj(z, order, nk) for order in ORDERS))
-    n = ORDERS[0]
-    if several:
-        best = min(several, key=lambda model: (not model.converged, model.bic))
-        n = best.F.size - 1
+    delay = delay_estimate(z)
+    best = _box_jenkins(refused, z, min(max(delay, 1), 8))
+    n, nk = (ORDERS[0], min(max(delay, 1), 8)) if best is None else (best.F.size - 1, best.nk)
+    if best is not None:
         models.append(best)
-    else:
-        refused.append('no Box-Jenkins model could be fitted')
     models += tried(refused, lambda: armax(z, n, n, n, nk), lambda: oe(z, n, n, nk))
     models += _highest_stable(refused, n, lambda order: iv4(z, order, order, nk))
     if z.r is not None:
         models += _highest_stable(
             refused, n, lambda order: clriv(z, order, NOISE_ORDER, NOISE_ORDER, order, nk)
         )
-    return Fits(tuple(models), searches[0], delay, n, tuple(refused))
+    return Fits(tuple(models), searches[0], delay, n, nk, tuple(refused))
+
+
+def _box_jenkins(refused: list[str], z: IOData, nk: int) -> Model | None:
+    """The BJ model of the lowest BIC over the orders, and then over shorter delays."""
+
+    def rank(model: Model) -> tuple[bool, float]:
+        return not model.converged, model.bic
+
+    found = tried(refused, *(_bj(z, order, nk) for order in ORDERS))
+    best = min(found, key=rank, default=None)
+    while best is not None and best.nk > 1:
+        earlier = tried(refused, _bj(z, best.F.size - 1, best.nk - 1))
+        if not earlier or rank(earlier[0]) >= rank(best):
+            break
+        best = earlier[0]
+    return best
 
 
 def _bj(z: IOData, order: int, nk: int) -> Callable[[], Model]:

@@ -32,7 +32,7 @@ def with_blackbox(
         closed = approaches.feedback(z, fits)
         possible, known = approaches.approaches(
             z, _cascade(gains, data.axis), behind_attitude=_behind_attitude(records, data.axis),
-            closed=closed,
+            one_loop=_one_loop(records, data.axis), closed=closed,
         )
         others, refused = approaches.fit_others(z, fits, possible, known)
         rows = blackbox_part.rows_of(data, fits.models + others)
@@ -69,6 +69,15 @@ def _behind_attitude(records: Sequence[Record], axis: str) -> bool:
     return not any(
         s.injection in ('rate', 'control') for r in records for s in r.segments if s.axis == axis
     )
+
+
+def _one_loop(records: Sequence[Record], axis: str) -> bool:
+    """Whether all training segments were flown with one set of gains, as far as is known."""
+    flown = {
+        tuple(sorted(step_b.gains_of_axis(r, axis, s.start_s).items()))
+        for r in records for s in r.segments if s.role == 'train' and s.axis == axis
+    }
+    return len(flown) <= 1
 
 
 def _second_steps(

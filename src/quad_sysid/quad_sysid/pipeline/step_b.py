@@ -54,11 +54,11 @@ def flown(records: Sequence[Record], axis: str) -> tuple[Flown, ...] | str:
         own = [s for s in record.segments if s.axis == axis and s.role != 'idle']
         for segment in own:
             if segment.role == 'train' and trained is None:
-                trained = _of_axis(record.gains_at(segment.start_s), axis)
+                trained = gains_of_axis(record, axis, segment.start_s)
         chosen = [s for s in own if s.role == 'validation'] or own
         groups: dict[tuple[tuple[str, float], ...], list[Segment]] = {}
         for segment in chosen:
-            known = _of_axis(record.gains_at(segment.start_s), axis)
+            known = gains_of_axis(record, axis, segment.start_s)
             groups.setdefault(tuple(sorted(known.items())), []).append(segment)
         for key, segments in groups.items():
             one = _flown(record, axis, dict(key), segments, dict(key) != (trained or dict(key)))
@@ -69,8 +69,10 @@ def flown(records: Sequence[Record], axis: str) -> tuple[Flown, ...] | str:
     return tuple(found) or '; '.join(dict.fromkeys(reasons)) or 'no segment to compare'
 
 
-def _of_axis(gains: Mapping[str, float], axis: str) -> dict[str, float]:
-    return {name: value for name, value in gains.items() if name.startswith(f'{axis}.')}
+def gains_of_axis(record: Record, axis: str, time_s: float) -> dict[str, float]:
+    """What is known at a time of the gains and constants of one axis."""
+    known = record.gains_at(time_s)
+    return {name: value for name, value in known.items() if name.startswith(f'{axis}.')}
 
 
 def _flown(

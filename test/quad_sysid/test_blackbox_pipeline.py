@@ -1,0 +1,292 @@
+"""The black-box part of an identification: approaches, both steps, preparation, advice."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from quad_sysid.blackbox import arx, frequency_response, polynomial_model, simulate
+from quad_sysid.errors import NotInformativeError
+from quad_sysid.greybox.data import axis_data
+from quad_sysid.loop.cascade import CascadeGains
+from quad_sysid.loop.plant import LoopPlant
+from quad_sysid.loop.simulation import simulate_cascade
+from quad_sysid.pipeline import blackbox_part, preparation, step_b
+from quad_sysid.pipeline.identify import Options, identify
+from quad_sysid.record import GainChange, Record, Segment
+from quad_sysid.report import document, text
+from quad_sysid.signals.prbs import prbs
+
+DT, TRIM = 0.004, 0.013
+SPANS = (('train', 'prbs', 0.0, 34.0), ('validation', 'prbs', 35.0, 50.0),
+         ('validation', 'square', 51.0, 66.0))
+SLOW = CascadeGains.default('roll')
+FAST = dataclasses.replace(SLOW, angle_kp=4.5, rate_kp=1.6 * SLOW.rate_kp)
+
+
+def references(n: int, seed: int) -> np.ndarray:
+    """PRBS, another PRBS, a square wave: 0.2 rad."""
+    time = np.arange(n) * DT
+    one = np.resize(prbs(9, 24, 0.2, seed), n)
+    other = np.resize(prbs(10, 24, 0.2, seed), n)
+    square = 0.2 * np.sign(np.sin(2 * np.pi * 0.4 * time))
+    return np.where(time < 34.5, one, np.where(time < 50.5, other, square))
+
+
+def flight(
+    seed: int = 0, gains: CascadeGains = SLOW, gain: tuple[float, float] = (450.0, 450.0),
+    noise: float = 0.01, source: str = 'flight', trim: float = TRIM,
+) -> Record:
+    """Roll and pitch excited in the cascade; white gyro noise and a white torque."""
+    n = round(66.0 / DT)
+    rng = np.random.default_rng(seed)
+    rates, commands, wanted, angles = (np.zeros((n, 3)) for _ in range(4))
+    segments: list[Segment] = []
+    for axis, name in enumerate(('roll', 'pitch')):
+        reference = references(n, seed + 1)
+        run = simulate_cascade(
+            LoopPlant(gain=gain[axis], lag_s=0.04, delay_s=0.008, damping=0.4, bias=0.0, dt=DT,
+                      gyro_filter_hz=None),
+            gains, reference, DT, noise=noise * rng.standard_normal(n),
+            disturbance=0.5 * rng.standard_normal(n),
+        )
+        rates[:, axis], angles[:, axis], wanted[:, axis] = run.rate, run.angle, reference
+        commands[:, axis] = run.control + trim
+        segments += [Segment(r, s, name, 'attitude', a, b) for r, s, a, b in SPANS]
+    values = gains.to_mapping('roll', constants=True) | gains.to_mapping('pitch', constants=True)
+    return Record(
+        source=source, dt=DT, rates=rates, angles=angles, attitude_setpoint=wanted,
+        control=np.column_stack((np.full(n, 0.5), commands)), segments=tuple(segments),
+        gains=(GainChange(0.0, values),),
+    )
+
+
+@pytest.fixture(scope='module')
+def answers():
+    records = [flight(), flight(7, FAST, source='second')]
+    return identify(records, Options(search_effects=False, table2=True))
+
+
+@pytest.fixture(scope='module')
+def roll(answers):
+    return answers['roll']
+
+
+def test_every_structure_stands_in_the_table(roll):
+    kinds = {row.step_a.model.structure for row in roll.rows}
+    assert {'ARX', 'ARMAX', 'OE', 'BJ', 'IV4', 'CLRIV'} <= kinds
+    assert {row.step_a.model.approach for row in roll.rows} == {'direct'}
+    because = {a.name: a.because for a in roll.selection.approaches if not a.possible}
+    assert all('several sets of gains' in because[name] for name in ('indirect', 'joint'))
+    assert roll.selection.feedback is True
+
+
+def test_one_loop_is_identified_by_all_three_approaches():
+    """Each free run within 3 points of the direct one's on the square wave."""
+    found = identify([flight()], Options(axes=('roll',), search_effects=False))['roll']
+    assert all(a.possible for a in found.selection.approaches)
+    rows = {(r.step_a.model.approach, r.step_a.model.structure): r.step_a for r in found.rows}
+    direct = rows['direct', 'BJ'].fit_validation_pct['square']
+    for key in (('joint', 'BJ'), ('indirect', 'OE')):
+        assert rows[key].fit_validation_pct['square'] > direct - 3.0, key
+
+
+def test_the_selected_model_passed_both_steps_and_finds_the_plant(roll):
+    """Gain at 3 rad/s within 3 %, free run over 90 % on both validations."""
+    row = roll.rows[roll.selected]
+    assert row.step_a.passed_first_step
+    assert row.passed_second_step
+    assert all(fit > 90.0 for fit in row.step_a.fit_validation_pct.values())
+    w = np.array([3.0])
+    true = 450.0 / abs((3j + 0.4) * (0.04 * 3j + 1.0))
+    found = frequency_response(row.step_a.model, w).magnitude[0]
+    assert abs(found / true - 1.0) < 0.03
+
+
+def test_step_b_runs_every_polynomial_structure_on_both_flights(roll):
+    for row in roll.rows:
+        if not row.step_a.model.stable or not row.step_a.model.converged:
+            continue
+        first, second = row.loop_runs
+        assert (first.gains_changed, second.gains_changed) == (False, True)
+        assert first.fit_pct > 80.0, row.step_a.model.name
+        assert second.fit_pct > 80.0, row.step_a.model.name
+        assert 0.0 < first.mae < first.rmse < 0.3
+
+
+def test_a_change_of_gains_within_a_flight_is_a_run_of_its_own():
+    record = flight()
+    changed = FAST.to_mapping('roll', constants=True)
+    both = dataclasses.replace(record, gains=(*record.gains, GainChange(50.7, changed)))
+    first, second = step_b.flown([both], 'roll')
+    assert first.signals == ('prbs',)
+    assert second.signals == ('square',)
+    assert (first.gains_changed, second.gains_changed) == (False, True)
+    assert second.gains.angle_kp == 4.5
+
+
+def test_step_b_says_what_is_missing():
+    bare = dataclasses.replace(flight(), gains=())
+    assert 'gains' in step_b.flown([bare], 'roll')
+    blind = dataclasses.replace(flight(), attitude_setpoint=None)
+    assert '/setpoint/attitude' in step_b.flown([blind], 'roll')
+
+
+def test_roll_and_pitch_share_a_model_where_they_are_alike(answers):
+    shared = answers['roll'].selection.shared
+    assert shared == answers['pitch'].selection.shared
+    assert shared.agree, shared.because
+    assert min(shared.fit_validation_pct.values()) > 80.0
+
+
+def test_roll_and_pitch_keep_two_models_where_they_differ():
+    """A tenth more gain on pitch."""
+    found = identify([flight(gain=(450.0, 495.0))], Options(search_effects=False))
+    shared = found['roll'].selection.shared
+    assert not shared.agree
+    assert shared.model is None
+    assert 'differ' in shared.because
+
+
+def test_table2_stands_beside_the_papers_figures(answers):
+    tree = document.document(answers, ['flight'])
+    entries = tree['axes']['roll']['table2']
+    assert len(entries) == 13
+    lines = text.lines(tree)
+    line = next(one for one in lines if one.startswith('ARX 10 10 5 *'))
+    assert line.split()[6:12:2] == ['98.30', '73.84', '80.15']
+    assert max(len(one) for one in lines) <= 80
+    assert tree['axes']['roll']['roll_and_pitch']['agree'] is True
+
+
+def test_every_elimination_has_its_reason(answers):
+    tree = document.document(answers, ['flight'])
+    for model in tree['axes']['roll']['models']:
+        gone = not (model['passed_first_step'] and model['passed_second_step'])
+        assert gone == bool(model.get('eliminated_because')), model
+
+
+def test_a_trim_of_the_command_costs_nothing():
+    """Twenty times the trim: the same free-run fit to 0.1 points."""
+    fits = []
+    for trim in (0.0, 20 * TRIM):
+        data = axis_data([flight(trim=trim)], 'roll')
+        model = arx(blackbox_part.io_data(data, data.train), 10, 10, 3)
+        rows = blackbox_part.rows_of(data, (model,))
+        fits.append(rows[0].step_a.fit_validation_pct['square'])
+    assert abs(fits[1] - fits[0]) < 0.1
+
+
+def test_window_error_uses_nothing_from_inside_the_window():
+    data = axis_data([flight()], 'roll')
+    model = arx(blackbox_part.io_data(data, data.train), 6, 6, 3)
+    whole = blackbox_part.window_error(data, model, data.validation)
+    windows = data.windows(data.validation)
+    last = int(windows.starts[-1])
+    spoiled = data.rate.copy()
+    spoiled[last + 1 : last + windows.length] += 50.0
+    found = blackbox_part.window_error(
+        dataclasses.replace(data, rate=spoiled), model, data.validation
+    )
+    count = windows.count * windows.length
+    trim = float(np.mean(data.rate[slice(*data.train[0])]))
+    assert trim == pytest.approx(float(np.mean(spoiled[slice(*data.train[0])])))
+    # each of the other samples of that window is missed by 50 more, whatever was predicted
+    added = count * (found**2 - whole**2)
+    assert added == pytest.approx(2500.0 * (windows.length - 1), rel=0.01)
+
+
+def test_open_loop_is_found_in_the_data_and_stands_by_the_first_step():
+    record = flight()
+    rng = np.random.default_rng(1)
+    n = record.n
+    u = np.resize(prbs(9, 24, 0.02, 1), n)
+    plant = polynomial_model([0, 0, 0.02, 0.02], A=[1, -1.85, 0.855], dt=DT)
+    y = 2.0 * simulate(plant, u) + 0.01 * rng.standard_normal(n)
+    control = record.control.copy()
+    control[:, 3] = u
+    rates = record.rates.copy()
+    rates[:, 2] = y
+    segments = tuple(Segment(r, s, 'yaw', 'control', a, b) for r, s, a, b in SPANS)
+    yaw = dataclasses.replace(
+        record, control=control, rates=rates, segments=segments, gains=(), attitude_setpoint=None
+    )
+    found = identify([yaw], Options(axes=('yaw',), search_effects=False))['yaw']
+    assert found.selection.feedback is False
+    assert [a.possible for a in found.selection.approaches] == [True, False, False]
+    row = found.rows[found.selected]
+    assert row.passed_second_step == row.step_a.passed_first_step
+    assert any('without feedback' in line for line in found.selection.advice)
+
+
+def test_poor_excitation_is_told():
+    """A square wave alone, hardly any noise: few frequencies."""
+    record = flight(noise=1e-6)
+    slow = 0.2 * np.sign(np.sin(2 * np.pi * 0.1 * np.arange(record.n) * DT))
+    quiet = simulate_cascade(
+        LoopPlant(gain=450.0, lag_s=0.04, delay_s=0.008, damping=0.4, bias=0.0, dt=DT,
+                  gyro_filter_hz=None),
+        SLOW, slow, DT, noise=2.0 * np.random.default_rng(0).standard_normal(record.n),
+    )
+    rates, control = record.rates.copy(), record.control.copy()
+    rates[:, 0], control[:, 1] = quiet.rate, quiet.control
+    wanted = np.column_stack((slow, np.zeros((record.n, 2))))
+    poor = dataclasses.replace(record, rates=rates, control=control, attitude_setpoint=wanted)
+    found = identify([poor], Options(axes=('roll',), search_effects=False))['roll']
+    assert any('not to be trusted' in line or 'no frequency' in line
+               for line in found.selection.advice)
+
+
+def test_preparation_keeps_the_rules_of_section_2_6():
+    record = flight()
+    good = {'sensor.gyro_filter_hz': 42.0}
+    kept = {c.name: c.kept for c in preparation.checks(record, 'roll', good)}
+    assert kept == {'gyro filter': True, 'sample rate': True, 'gyro bias': True,
+                    'lost samples': True, 'gyro roll spectrum': True}
+    low = {c.name: c.kept for c in preparation.checks(
+        record, 'roll', {'sensor.gyro_filter_hz': 10.0})}
+    assert low['gyro filter'] is False
+    fast = {c.name: c.kept for c in preparation.checks(
+        record, 'roll', {'sensor.gyro_filter_hz': 80.0})}
+    assert fast['sample rate'] is False
+    assert {c.name: c.kept for c in preparation.checks(record, 'roll', {})}['gyro filter'] is None
+
+
+def test_preparation_finds_bias_losses_and_a_resonance():
+    record = flight()
+    rates = record.rates.copy()
+    rates[:, 0] += 0.05 + 0.02 * np.sin(2 * np.pi * 37.0 * np.arange(record.n) * DT)
+    rates[2000:2300] = np.nan
+    bad = {c.name: c for c in preparation.checks(
+        dataclasses.replace(record, rates=rates), 'roll', {})}
+    assert bad['gyro bias'].kept is False
+    assert bad['lost samples'].kept is False
+    assert 'in 1 gaps' in bad['lost samples'].words
+    assert bad['gyro roll spectrum'].kept is False
+    assert 'at 37 Hz' in bad['gyro roll spectrum'].words
+
+
+def test_white_noise_has_no_resonance():
+    """200 spectra of white noise at 0.1 % each: no more than 3 with a peak."""
+    rng = np.random.default_rng(0)
+    found = [preparation.resonance_peaks(rng.standard_normal(4000), DT) for _ in range(200)]
+    assert sum(bool(peaks) for peaks in found) <= 3
+    assert preparation.resonance_peaks(rng.standard_normal(300), DT) is None
+
+
+def test_the_reference_is_what_drives_the_loop_from_outside():
+    record = flight()
+    z = record.axis('roll', 'train')
+    np.testing.assert_array_equal(z.r, record.attitude_setpoint[:, 0])
+    inner = tuple(dataclasses.replace(s, injection='rate') for s in record.segments)
+    applied = np.full((record.n, 3), np.nan)
+    applied[100:200, 0] = 0.5
+    behind = dataclasses.replace(record, segments=inner, excitation=applied)
+    np.testing.assert_array_equal(behind.axis('roll').r, np.nan_to_num(applied[:, 0]))
+    lost = record.attitude_setpoint.copy()
+    lost[500] = np.nan
+    assert dataclasses.replace(record, attitude_setpoint=lost).axis('roll', 'train').r is None
+    with pytest.raises(NotInformativeError, match='no sample'):
+        record.axis('yaw', 'train')
