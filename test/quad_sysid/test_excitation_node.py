@@ -112,7 +112,8 @@ def start(tmp_path, aircraft):
     running = []
 
     def begin(**parameters):
-        parameters = {'schedule': file, **parameters}
+        # This process publishes the aircraft's data and may itself stand still on a busy host.
+        parameters = {'schedule': file, 'imu_stale_s': 1.5, **parameters}
         options = [word for k, v in parameters.items() for word in ('-p', f'{k}:={v}')]
         process = subprocess.Popen(
             [sys.executable, '-c', RUN, '--ros-args', *options],

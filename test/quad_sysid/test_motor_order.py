@@ -12,6 +12,7 @@ from quad_sysid.contract import control_from_motors, motors_from_wrench
 from quad_sysid.pipeline.identify import Options, identify
 from quad_sysid.pipeline.motor_order import refusal, swapped_motors
 from quad_sysid.record import Record, Segment
+from quad_tuning.designer import design
 
 DT = 0.004
 
@@ -79,3 +80,17 @@ def test_no_gains_come_of_swapped_motors_that_leave_the_axis_as_it_was():
     assert answer.proposal.gains is None
     assert 'in the order 4, 3, 2, 1' in answer.proposal.refused_because
     assert answer.proposal.refused_because in answer.warnings
+
+
+def test_no_gains_come_of_a_plant_that_answers_the_wrong_way_round():
+    record = flight()
+    assert record.wrench is not None
+    wrench = record.wrench.copy()
+    wrench[:, 1:] *= -1.0
+    motors = motors_from_wrench(wrench)
+    turned = replace(record, wrench=wrench, motors=motors, control=control_from_motors(motors))
+    options = Options(('roll',), designer=design, search_effects=False)
+    answer = identify([turned], options)['roll']
+    assert answer.proposal is not None
+    assert answer.proposal.gains is None
+    assert 'a positive command lowers the rate' in answer.proposal.refused_because
