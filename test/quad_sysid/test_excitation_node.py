@@ -176,7 +176,7 @@ def test_a_standstill_of_the_node_itself_is_no_stale_link(aircraft, start):
 
 
 def test_a_silent_link_ends_it(aircraft, start):
-    start(autostart='true')
+    start(autostart='true', imu_stale_s=0.3)
     aircraft.until(lambda: len(aircraft.setpoints) > 20)
     aircraft.silent = True
     aircraft.until(lambda: aircraft.state.get('state') == 'aborted')

@@ -192,7 +192,10 @@ def _request(node: Any) -> session.Request:
         axes = tuple(axis for name in given if name for axis in session.axes_of(name))
     except QuadSysidError as error:
         raise QuadBridgeError(f'identification: parameter {error}') from error
-    return session.Request(bags=(), axes=axes, **texts)
+    return session.Request(
+        bags=(), axes=axes, train=texts['train'], validate=texts['validate'],
+        inertia=texts['inertia'],
+    )
 
 
 def main() -> None:
