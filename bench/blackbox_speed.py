@@ -1,17 +1,23 @@
 """Times of the black-box fits on the reference record, beside 1,000 plain lstsq calls.
 
-    OPENBLAS_NUM_THREADS=1 python bench/blackbox_speed.py
+    OPENBLAS_NUM_THREADS=1 python bench/blackbox_speed.py [--peers PYTHON] [--bag BAG]
 
-Peers (`sippy_unipi`, `SysIdentPy`) are timed where they are installed. Best of several calls,
-after one that compiles or loads. Ends with one JSON object on its last line.
+PYTHON is a Python that has `sippy_unipi` and `sysidentpy` (in a venv of its own: they pin other
+packages); without it the peers are left out. With --bag the command `quad-sysid identify` is
+timed on one axis of it as well. Best of several calls, after one that compiles or loads. Ends
+with one JSON object on its last line.
 """
 
 from __future__ import annotations
 
-import importlib.util
+import argparse
 import json
+import subprocess
+import sys
+import tempfile
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 
@@ -48,37 +54,49 @@ def thousand_lstsq(z: IOData) -> tuple[float, np.ndarray]:
     return 1e3 * (time.perf_counter() - begin), values.ravel()
 
 
-def peers(z: IOData) -> dict[str, float]:
-    """Milliseconds of the same fits by what else is installed."""
-    found: dict[str, float] = {}
-    if importlib.util.find_spec('sippy_unipi') is not None:
-        from sippy_unipi import system_identification as identify
+def peers(z: IOData, python: str) -> dict[str, float | str]:
+    """Milliseconds of the same fits by the libraries that `python` has."""
+    with tempfile.TemporaryDirectory() as folder:
+        record = Path(folder) / 'record.npz'
+        np.savez(record, u=z.u, y=z.y, dt=z.dt)
+        done = subprocess.run(
+            [python, str(Path(__file__).with_name('blackbox_peers.py')), str(record)],
+            capture_output=True, text=True, check=True,
+        )
+    found: dict[str, float | str] = json.loads(done.stdout.splitlines()[-1])
+    return found
 
-        for name, orders in (
-            ('ARMAX', {'ARMAX_orders': [3, 3, 3, 1]}), ('OE', {'OE_orders': [2, 2, 3]}),
-            ('BJ', {'BJ_orders': [2, 2, 2, 2, 3]}),
-        ):
+
+def identify_seconds(bag: str) -> float:
+    """Shortest of three whole runs of the command on the first trained axis, effects aside."""
+    times = []
+    with tempfile.TemporaryDirectory() as folder:
+        for i in range(3):
             begin = time.perf_counter()
-            try:
-                identify(z.y, z.u, name, **orders, tsample=z.dt)
-            except Exception as error:  # noqa: BLE001  a peer may fail in any way
-                print(f'sippy {name} failed: {error}')
-            found[f'sippy_{name}'] = 1e3 * (time.perf_counter() - begin)
-    if importlib.util.find_spec('sysidentpy') is not None:
-        from sysidentpy.basis_function import Polynomial
-        from sysidentpy.model_structure_selection import FROLS
+            subprocess.run(
+                [sys.executable, '-m', 'quad_sysid.cli', 'identify', bag, '--axis', 'roll',
+                 '--no-effects', '--quiet', '--out', f'{folder}/{i}'], check=True,
+            )
+            times.append(time.perf_counter() - begin)
+    return min(times)
 
-        begin = time.perf_counter()
-        FROLS(
-            order_selection=False, n_terms=20, ylag=10, xlag=list(range(5, 15)),
-            basis_function=Polynomial(degree=1),
-        ).fit(X=z.u[:, None], y=z.y[:, None])
-        found['sysidentpy_ARX_10_10_5'] = 1e3 * (time.perf_counter() - begin)
+
+def ratios(result: dict[str, float | str]) -> dict[str, float]:
+    """How many times faster than each peer, and than the plain fits."""
+    found = {'lstsq_1000 / search_1000_arx': result['lstsq_1000'] / result['search_1000_arx']}
+    for name, value in result.items():
+        peer, _, ours = name.partition('_')
+        if peer in ('sippy', 'sysidentpy') and ours in result:
+            found[f'{name} / {ours}'] = value / result[ours]
     return found
 
 
 def main() -> None:
     """Time everything and print table and JSON."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument('--peers', metavar='PYTHON', help='a Python that has the peers')
+    parser.add_argument('--bag', metavar='BAG', help='time the whole command on it')
+    options = parser.parse_args()
     study = reference_study()
     z = study.record(np.random.default_rng(0))
     others = {
@@ -87,7 +105,7 @@ def main() -> None:
     }
     plain_ms, plain = thousand_lstsq(z)
     ours = search_arx(z, range(1, 11), range(1, 11), range(10)).values()
-    result: dict[str, float] = {
+    result: dict[str, float | str] = {
         'search_1000_arx': best(lambda: search_arx(z, range(1, 11), range(1, 11), range(10))),
         'lstsq_1000': plain_ms,
         'criterion_largest_relative_difference': float(np.max(np.abs(ours / plain - 1.0))),
@@ -100,11 +118,18 @@ def main() -> None:
         'n4sid_6': best(lambda: n4sid(z, 6)),
         'table2_with_validations': best(lambda: fit_table2(z, others), 3),
     }
-    result |= peers(z)
+    if options.peers:
+        result |= peers(z, options.peers)
     for name, value in result.items():
-        print(f'{name:40s} {value:12.4g}' + ('' if 'difference' in name else ' ms'))
-    print(f'{"lstsq / search":40s} {plain_ms / result["search_1000_arx"]:12.0f} x')
-    print(json.dumps(result))
+        unit = '' if 'difference' in name or name.endswith(('variance', 'error')) else ' ms'
+        print(f'{name:40s} {value if isinstance(value, str) else f"{value:12.4g}"}{unit}')
+    if options.bag:
+        result['identify_s'] = identify_seconds(options.bag)
+        print(f'{"quad-sysid identify":40s} {result["identify_s"]:12.3g} s')
+    found = ratios(result)
+    for name, value in found.items():
+        print(f'{name:52s} {value:8.0f} x')
+    print(json.dumps(result | {'ratios': found}))
 
 
 if __name__ == '__main__':

@@ -19,6 +19,8 @@ from pathlib import Path
 import effects_scenarios as scenarios
 import numpy as np
 from effects_undeclared import UNDECLARED
+from threadpoolctl import threadpool_limits
+
 from quad_sysid.effects.discover import discover
 from quad_sysid.effects.judge import judge
 from quad_sysid.effects.shapes import SHAPES
@@ -27,7 +29,6 @@ from quad_sysid.greybox.data import axis_data
 from quad_sysid.greybox.fit import fit_with_effect, settle, simulator
 from quad_sysid.pipeline.assemble import axis_model
 from quad_sysid.pipeline.evaluate import evaluate, of_this_flight
-from threadpoolctl import threadpool_limits
 
 WORTH = 1.5
 NAMES = (*scenarios.STRENGTHS, 'nothing', *UNDECLARED)
@@ -59,7 +60,7 @@ def judged(scenario: scenarios.Scenario) -> dict[str, object]:
     }
 
 
-def _true_structure(scenario, found, unseen) -> float | None:  # noqa: ANN001
+def _true_structure(scenario, found, unseen) -> float | None:
     """Error on the unseen flight of the true structure refitted, where it stands in the table."""
     if scenario.name not in scenarios.STRENGTHS:
         return None
@@ -169,7 +170,7 @@ def main() -> int:
     return 0
 
 
-def _collect(results, total: int, began: float) -> list[dict[str, object]]:  # noqa: ANN001
+def _collect(results, total: int, began: float) -> list[dict[str, object]]:
     rows = []
     for row in results:
         rows.append(row)

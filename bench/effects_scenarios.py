@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+
 from quad_bridge.virtual.profile import load_profile
 from quad_bridge.virtual.simulation import Excited, Flight, fly
 from quad_sysid.contract import control_from_motors

@@ -24,7 +24,7 @@ def _on(index: int, value: float) -> np.ndarray:
 def stribeck(index: int, size: float, _: int) -> EffectFunction:
     """Friction that is higher near standstill."""
 
-    def effect(t, rates, angles, thrusts, battery_v):  # noqa: ANN001, ANN202, ARG001
+    def effect(t, rates, angles, thrusts, battery_v):  # noqa: ARG001
         w = float(rates[index])
         level = 0.5 * size + size / (1.0 + (w / 0.3) ** 2)
         return _on(index, -level * math.tanh(w / 0.03))
@@ -35,7 +35,7 @@ def stribeck(index: int, size: float, _: int) -> EffectFunction:
 def one_sided_spring(index: int, size: float, _: int) -> EffectFunction:
     """A cable that only pulls beyond 4 degrees to one side."""
 
-    def effect(t, rates, angles, thrusts, battery_v):  # noqa: ANN001, ANN202, ARG001
+    def effect(t, rates, angles, thrusts, battery_v):  # noqa: ARG001
         return _on(index, -size * 10.0 * max(0.0, float(angles[index]) - 0.07))
 
     return effect
@@ -44,7 +44,7 @@ def one_sided_spring(index: int, size: float, _: int) -> EffectFunction:
 def friction_by_angle(index: int, size: float, _: int) -> EffectFunction:
     """A bent shaft: friction that grows with the angle."""
 
-    def effect(t, rates, angles, thrusts, battery_v):  # noqa: ANN001, ANN202, ARG001
+    def effect(t, rates, angles, thrusts, battery_v):  # noqa: ARG001
         level = size * min(3.0, abs(float(angles[index])) / 0.1)
         return _on(index, -level * math.tanh(float(rates[index]) / 0.05))
 
@@ -55,7 +55,7 @@ def relaxing_load(index: int, size: float, _: int) -> EffectFunction:
     """A load on a viscous strap: a hidden state that follows the angle with 0.8 s."""
     state = [0.0, 0.0]
 
-    def effect(t, rates, angles, thrusts, battery_v):  # noqa: ANN001, ANN202, ARG001
+    def effect(t, rates, angles, thrusts, battery_v):  # noqa: ARG001
         dt = max(0.0, float(t) - state[1])
         state[0] += (float(angles[index]) - state[0]) * (1.0 - math.exp(-dt / 0.8))
         state[1] = float(t)
@@ -67,7 +67,7 @@ def relaxing_load(index: int, size: float, _: int) -> EffectFunction:
 def growing_friction(index: int, size: float, _: int) -> EffectFunction:
     """A bearing that warms: friction fades with time."""
 
-    def effect(t, rates, angles, thrusts, battery_v):  # noqa: ANN001, ANN202, ARG001
+    def effect(t, rates, angles, thrusts, battery_v):  # noqa: ARG001
         level = 2.0 * size * math.exp(-float(t) / 25.0)
         return _on(index, -level * math.tanh(float(rates[index]) / 0.05))
 
@@ -77,7 +77,7 @@ def growing_friction(index: int, size: float, _: int) -> EffectFunction:
 def detents(index: int, size: float, _: int) -> EffectFunction:
     """Cogging: a torque periodic in the angle."""
 
-    def effect(t, rates, angles, thrusts, battery_v):  # noqa: ANN001, ANN202, ARG001
+    def effect(t, rates, angles, thrusts, battery_v):  # noqa: ARG001
         return _on(index, -size * math.sin(float(angles[index]) / 0.03))
 
     return effect
