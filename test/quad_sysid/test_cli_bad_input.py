@@ -7,15 +7,18 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
+import jsonschema
 import numpy as np
 import pytest
 
+import quad_sysid.report
 from quad_sysid.bags import write_bag
 from quad_sysid.cli import main
 from quad_sysid.record import Record, Segment
 
 Run = Callable[..., tuple[int, str]]
 DT = 0.004
+SCHEMA = Path(quad_sysid.report.__file__).with_name('report.schema.json')
 
 
 def flight(seconds: float = 30.0, *, seed: int = 1) -> Record:
@@ -151,7 +154,9 @@ def test_what_cannot_be_answered_is_status_3_with_a_report(run, tmp_path, change
     path = bag(tmp_path / 'flight', record, **change(record))
     status, error = run('identify', path, '--axis', 'roll', '--out', tmp_path / 'out', '--quiet')
     assert (status, words in error, str(path) in error) == (3, True, True), error
-    axis = json.loads((tmp_path / 'out' / 'report.json').read_text())['axes']['roll']
+    report = json.loads((tmp_path / 'out' / 'report.json').read_text())
+    jsonschema.validate(report, json.loads(SCHEMA.read_text()))
+    axis = report['axes']['roll']
     assert axis['verdict'] == 'cannot_tell'
     assert axis['gains'] is None
     assert (tmp_path / 'out' / 'report.html').exists()
