@@ -30,7 +30,7 @@ from quad_sysid.record import IOData
 AGREED = 0.1
 """Two descents that end within this N ln V of each other have found the minimum."""
 
-REINSERTED = 6
+REINSERTED = 3
 """Places of a nearly cancelling pair from which the descent is tried again."""
 
 Starts = Callable[[HighOrder], Iterator[Model]]
@@ -65,15 +65,21 @@ def oe(
 
 
 def bj(
-    z: IOData, nb: int, nc: int, nd: int, nf: int, nk: int, *, start: Model | None = None
+    z: IOData, nb: int, nc: int, nd: int, nf: int, nk: int, *, start: Model | None = None,
+    thorough: bool = True,
 ) -> Model:
-    """Fit y = (B/F) u + (C/D) e over all segments. C and F are kept stable. As `armax`."""
+    """Fit y = (B/F) u + (C/D) e over all segments. C and F are kept stable. As `armax`.
+
+    Not `thorough`, the minimum that the best start value leads to will do.
+    """
     nb, nc = check_order('bj', 'nb', nb, 1), check_order('bj', 'nc', nc, 0)
     nd, nf = check_order('bj', 'nd', nd, 0), check_order('bj', 'nf', nf, 0)
     nk = check_order('bj', 'nk', nk, 0)
     check_informative('bj', z, nb + nc + nd + nf, nk + nb - 1 + nd + nf)
     orders = {'nb': nb, 'nc': nc, 'nd': nd, 'nf': nf, 'nk': nk}
-    return _best('BJ', orders, z, start, lambda ho: bj_starts(ho, nb, nc, nd, nf))
+    return _best(
+        'BJ', orders, z, start, lambda ho: bj_starts(ho, nb, nc, nd, nf), thorough=thorough
+    )
 
 
 def _best(

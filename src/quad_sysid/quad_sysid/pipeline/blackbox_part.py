@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -126,23 +126,38 @@ def fit_models(z: IOData) -> Fits:
 
 
 def _box_jenkins(refused: list[str], z: IOData, nk: int) -> Model | None:
-    """The BJ model of the lowest BIC over the orders, and then over shorter delays."""
+    """The BJ model of the lowest BIC: orders rise while it falls, then delays shrink alike."""
 
     def rank(model: Model) -> tuple[bool, float]:
         return not model.converged, model.bic
 
-    found = tried(refused, *(_bj(z, order, nk) for order in ORDERS))
-    best = min(found, key=rank, default=None)
+    best: Model | None = None
+    for order in ORDERS:
+        found = tried(refused, _bj(z, order, nk, thorough=False))
+        if found and not found[0].converged:
+            found = tried(refused, _bj(z, order, nk)) or found
+        if best is not None and (not found or rank(found[0]) >= rank(best)):
+            break
+        best = found[0] if found else best
     while best is not None and best.nk > 1:
-        earlier = tried(refused, _bj(z, best.F.size - 1, best.nk - 1))
+        earlier = tried(refused, _bj(z, best.F.size - 1, best.nk - 1, _earlier(best)))
         if not earlier or rank(earlier[0]) >= rank(best):
             break
         best = earlier[0]
     return best
 
 
-def _bj(z: IOData, order: int, nk: int) -> Callable[[], Model]:
-    return lambda: bj(z, order, NOISE_ORDER, NOISE_ORDER, order, nk)
+def _bj(
+    z: IOData, order: int, nk: int, start: Model | None = None, *, thorough: bool = True
+) -> Callable[[], Model]:
+    return lambda: bj(
+        z, order, NOISE_ORDER, NOISE_ORDER, order, nk, start=start, thorough=thorough
+    )
+
+
+def _earlier(model: Model) -> Model:
+    """The model with a delay of one sample less, its last coefficient of B given up."""
+    return replace(model, B=model.B[:-1], nk=model.nk - 1)
 
 
 def _highest_stable(
