@@ -46,6 +46,9 @@ lint: build  ## ruff, mypy --strict and the import rules
 format: build  ## lay the code out with ruff
 	@$(RUN) ruff format $(SOURCES)
 
+bench: build  ## black-box accuracy and speed (ten minutes; ARGS='--quick --peers PYTHON')
+	@$(RUN) exec python bench/blackbox.py $(ARGS)
+
 wheel: build  ## wheels of the part that needs no ROS, in dist/
 	@$(RUN) for package in quad_sysid quad_tuning; do \
 	    python -m pip wheel --quiet --no-deps --no-build-isolation \

@@ -10,6 +10,7 @@ import numpy as np
 from quad_sysid.blackbox import excitation_order
 from quad_sysid.model import AxisModel
 from quad_sysid.pipeline.answer import ModelRow
+from quad_sysid.pipeline.assemble import resolution
 from quad_sysid.pipeline.blackbox_part import Fits
 from quad_sysid.record import IOData
 
@@ -95,7 +96,12 @@ def _band(e: Evidence) -> Iterator[str]:
         )
         return
     low, high = e.band
-    if low > 2.0 * PAPERS_BAND[0]:
+    if PAPERS_BAND[0] < low <= 1.05 * resolution(e.z):
+        yield (
+            f'below {low:.2g} rad/s nothing can be said: the longest unbroken training stretch '
+            'is too short for it'
+        )
+    elif low > 2.0 * PAPERS_BAND[0]:
         why = (
             'there the feedback has removed what was injected, and the direct approach sees noise '
             'through the controller; compare with the joint approach, or fly a slower PRBS'

@@ -16,6 +16,7 @@ from quad_sysid.greybox.fit import Fit
 from quad_sysid.greybox.structure import BASE_PARAMETERS, Effect, ParameterSpec, Settings
 from quad_sysid.model import AxisModel, EffectEstimate, Parameter
 from quad_sysid.pipeline.blackbox_part import io_data
+from quad_sysid.record import IOData
 
 COHERENT = 0.6
 CONFIDENT = 2.576
@@ -115,6 +116,16 @@ def _std(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
+def lag_window(z: IOData) -> int:
+    """Half-width of the lag window, samples: the longest stretch told in four."""
+    return max(2, max(b - a for a, b in z.segments) // 4)
+
+
+def resolution(z: IOData) -> float:
+    """Lowest frequency of the band that these data can tell, rad/s."""
+    return float(np.pi / (lag_window(z) * z.dt))
+
+
 def band_of(data: AxisData, model: Model | None = None) -> tuple[float, float] | None:
     """Band in which the data support a model, rad/s: the widest unbroken one, None without any.
 
@@ -124,7 +135,7 @@ def band_of(data: AxisData, model: Model | None = None) -> tuple[float, float] |
     """
     z = io_data(data, data.train)
     try:
-        w, values = coherence(z, joint=z.r is not None)
+        w, values = coherence(z, window=lag_window(z), joint=z.r is not None)
     except QuadSysidError:
         return None
     good = values > COHERENT
