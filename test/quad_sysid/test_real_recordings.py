@@ -177,15 +177,6 @@ def test_independent_errors_agree_within_5_percent(independent, capsys):
 # nanobench: flights without a test signal
 
 
-def not_yet_for_figure8(request: pytest.FixtureRequest) -> None:
-    """There the loop's own feedback is taken for the plant, backwards: damping at its bound."""
-    if 'figure8' in request.node.name:
-        request.applymarker(pytest.mark.xfail(
-            reason='a base of negative gain with damping at its upper bound counts as informative',
-            strict=False,
-        ))
-
-
 @pytest.fixture(scope='module', params=NANOBENCH)
 def nanobench(request, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, int, Path]:
     """The bag, identify's exit status and the folder of its report."""
@@ -206,9 +197,8 @@ def nanobench(request, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, 
     return folder / 'bag', status, out
 
 
-def test_nanobench_gets_an_honest_verdict(nanobench, request):
+def test_nanobench_gets_an_honest_verdict(nanobench):
     """No test signal was flown: nothing is claimed, and the one line says what would help."""
-    not_yet_for_figure8(request)
     _, status, out = nanobench
     axis = report_of(out)
     assert axis['verdict'] == 'cannot_tell'
@@ -311,9 +301,8 @@ def test_pendulum_added_to_the_independent_flight_is_found():
     assert stiffness_found(answer_of(loaded)) == pytest.approx(2.0, rel=0.05)
 
 
-def test_torque_added_to_nanobench_stays_untold(nanobench, request):
+def test_torque_added_to_nanobench_stays_untold(nanobench):
     """There even the gain's sign is unsure, so an added torque of any name would be a guess."""
-    not_yet_for_figure8(request)
     record = split_segments(read_bag(nanobench[0]), None, None, ('roll',))
     bare = dataclasses.replace(record, rates=np.nan_to_num(record.rates))
     angles = record.angles.copy()

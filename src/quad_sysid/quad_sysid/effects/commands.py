@@ -107,8 +107,8 @@ def resonance(
     """
     omega, damping = 2.0 * math.pi * float(p[0]), float(p[1])
     a = np.array([[0.0, 1.0], [-(omega**2), -2.0 * damping * omega]])
-    step, drive = _held_step(a, np.array([0.0, omega**2]), data.dt)
-    half, half_drive = _held_step(a, np.array([0.0, omega**2]), 0.5 * data.dt)
+    step, drive = held_step(a, np.array([0.0, omega**2]), data.dt)
+    half, half_drive = held_step(a, np.array([0.0, omega**2]), 0.5 * data.dt)
     weights = np.array([float(p[2]), float(p[3]) / omega])
     out = np.empty_like(command)
     for start, stop in data.stretches:
@@ -116,7 +116,7 @@ def resonance(
     return out
 
 
-def _held_step(a: FloatArray, b: FloatArray, dt: float) -> tuple[FloatArray, FloatArray]:
+def held_step(a: FloatArray, b: FloatArray, dt: float) -> tuple[FloatArray, FloatArray]:
     """Exact step of x' = a x + b u (2 states) for a held input: series of the exponential."""
     block = np.zeros((3, 3))
     block[:2, :2], block[:2, 2] = a * dt, b * dt

@@ -136,6 +136,7 @@ def _forward(
         worthy = _worthy(current, trials, sim)
         if not worthy:
             break
+        worthy += _pairs(sim, current, worthy, prepared)
         current, noise, sim = _strongest(sim, current, worthy)
     return current, noise, sim, tuple(tried)
 
@@ -206,6 +207,27 @@ def _least(current: Candidate, trial: Candidate) -> float:
     return REFINEMENT_GAIN if refines else SMALLEST_GAIN
 
 
+def _pairs(
+    sim: Simulator, current: Candidate, worthy: Sequence[Candidate], prepared: Sequence[Prepared]
+) -> list[Candidate]:
+    """Where a curve leads: the pairs of named effects of its signal, which it may stand for."""
+    if not worthy or worthy[0].curves == current.curves:
+        return []
+    signals = set(worthy[0].fit.structure.effects[-1].signals)
+    if len(current.names) + 2 > MOST_EFFECTS:
+        return []
+    named = [
+        put for put in prepared
+        if put[0].kind == 'named' and set(put[0].signals) == signals
+        and put[0].name not in current.names
+    ]
+    out = []
+    for i, first in enumerate(named):
+        one = fit_with_effect(sim, current.fit, *first)
+        out += [candidate(sim, fit_with_effect(sim, one, *second)) for second in named[i + 1 :]]
+    return out
+
+
 def _strongest(
     sim: Simulator, current: Candidate, worthy: Sequence[Candidate]
 ) -> tuple[Candidate, NoiseModel, Simulator]:
@@ -215,7 +237,7 @@ def _strongest(
     as much; what the name leaves can still be added as a curve in the next step.
     """
     settled = []
-    named = [one for one in worthy if not one.curves]
+    named = sorted((one for one in worthy if not one.curves), key=lambda one: one.score)
     foremost = list(dict.fromkeys([*worthy[:FOREMOST], *named[:FOREMOST]]))
     for one in foremost:
         fit, noise, own = settle(sim, one.fit)

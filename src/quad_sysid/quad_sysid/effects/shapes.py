@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from quad_sysid.contract import FloatArray
+from quad_sysid.effects import torques
 from quad_sysid.greybox import kernels
 from quad_sysid.greybox.data import AxisData
 from quad_sysid.greybox.structure import Effect, ParameterSpec, Prepared, Settings, Term
@@ -152,6 +153,34 @@ def _command_map(
 
 
 SHAPES: tuple[Effect, ...] = (
+    Effect(
+        name='mode',
+        kind='mode',
+        variant='slow state',
+        signals=('rate', 'history'),
+        parameters=(
+            ParameterSpec('stiffness', 'rad/s² per rad', -np.inf, np.inf, (0.0,), 1.0),
+            ParameterSpec('time_constant', 's', 0.02, 30.0, (0.2, 1.5), 0.3),
+        ),
+        physics='a hidden state that follows the angle slowly, as a strap or a fluid does',
+        excite='steps with long rests: a square wave of long period',
+        torque=torques.slow_state,
+    ),
+    Effect(
+        name='mode',
+        kind='mode',
+        variant='oscillation',
+        signals=('rate', 'history'),
+        parameters=(
+            ParameterSpec('frequency', 'Hz', 0.1, 20.0, (0.6, 2.0, 6.0), 0.3),
+            ParameterSpec('damping_ratio', '1', 0.005, 1.0, (0.2,), 0.1),
+            ParameterSpec('in_phase', 'rad/s² per rad/s', -np.inf, np.inf, (0.0,), 0.5),
+            ParameterSpec('quadrature', 'rad/s² per rad/s', -np.inf, np.inf, (0.1,), 0.5),
+        ),
+        physics='something that swings along with the aircraft: a load on a cord, a loose arm',
+        excite='a chirp through its frequency',
+        torque=torques.swinging,
+    ),
     Effect(
         name='shape:rate',
         kind='shape',

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from quad_sysid.contract import FloatArray
+from quad_sysid.effects.commands import held_step
 from quad_sysid.greybox import kernels
 from quad_sysid.greybox.data import AxisData
 from quad_sysid.greybox.structure import Settings, Term
@@ -57,6 +58,28 @@ def periodic(data: AxisData, p: FloatArray, _: Settings) -> Term:
 def step_torque(data: AxisData, p: FloatArray, _: Settings) -> Term:
     """A torque that sets in at a time."""
     return Term(kernels.SIGNAL, (p[1],), after(data, float(p[0])))
+
+
+def slow_state(data: AxisData, p: FloatArray, _: Settings) -> Term:
+    """A spring on a damper: y' = -k rate - y / tau."""
+    a = np.array([[-1.0 / max(float(p[1]), data.dt), 0.0], [0.0, -1.0]])
+    return _hidden(a, np.array([-float(p[0]), 0.0]), np.array([1.0, 0.0]), data.dt)
+
+
+def swinging(data: AxisData, p: FloatArray, _: Settings) -> Term:
+    """Something that swings along: z'' + 2 d w z' + w² z = w rate; torque a w z + b z'."""
+    omega, damping = 2.0 * math.pi * float(p[0]), float(p[1])
+    a = np.array([[0.0, 1.0], [-(omega**2), -2.0 * damping * omega]])
+    weights = np.array([float(p[2]) * omega, float(p[3])])
+    return _hidden(a, np.array([0.0, omega]), weights, data.dt)
+
+
+def _hidden(a: FloatArray, b: FloatArray, c: FloatArray, dt: float) -> Term:
+    """A hidden state x' = a x + b rate with torque c x, exact for a rate held over the step."""
+    whole, drive = held_step(a, b, dt)
+    half, half_drive = held_step(a, b, 0.5 * dt)
+    values = np.concatenate([whole.ravel(), drive, half.ravel(), half_drive, c])
+    return Term(kernels.HIDDEN, tuple(values.tolist()))
 
 
 def after(data: AxisData, time_s: float) -> FloatArray:

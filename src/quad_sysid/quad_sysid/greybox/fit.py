@@ -156,7 +156,8 @@ def _inside(
         moved = theta.copy()
         step = 0.1 * scale[i] * (1.0 if theta[i] - lower[i] <= scale[i] else -1.0)
         moved[i] += step
-        columns.append((sim.run(structure, moved).errors - base) / step)
+        column = (sim.run(structure, moved).errors - base) / step
+        columns.append(column if np.isfinite(column).all() else np.zeros_like(column))
     return np.stack(columns, axis=2)
 
 
@@ -177,7 +178,8 @@ def robust_covariance(
     p = jacobian.shape[2]
     out = np.full((p, p), np.nan)
     index = np.flatnonzero(~held)
-    if not index.size or not windows.count:
+    index = index[np.any(jacobian[:, :, index], axis=(0, 1))] if windows.count else index
+    if not index.size or not windows.count or not np.isfinite(jacobian).all():
         return out
     j = jacobian[:, :, index]
     scores = np.einsum('wlp,wl->wp', j, errors)
@@ -230,7 +232,14 @@ def fit_base(
 
 
 def informative(fit: Fit) -> bool:
-    """Whether the data say at least that the command turns the axis, and which way."""
+    """Whether the data say at least that the command turns the axis, and which way.
+
+    A delay or damping at its upper bound is what feedback read backwards looks like.
+    """
+    upper = np.array([spec.upper for spec in BASE_PARAMETERS])
+    bounded = [2, 3]
+    if (fit.theta[bounded] >= 0.99 * upper[bounded]).any():
+        return False
     return abs(float(fit.theta[0])) > CLEAR_GAIN * float(fit.std[0])
 
 

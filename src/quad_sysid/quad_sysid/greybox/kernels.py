@@ -18,8 +18,8 @@ import numpy as np
 from numba import njit
 
 (
-    QUADRATIC, COULOMB, PENDULUM, CUBIC, RATE_CURVE, ANGLE_CURVE, RATE_TIMES, SIGNAL
-) = range(1, 9)
+    QUADRATIC, COULOMB, PENDULUM, CUBIC, RATE_CURVE, ANGLE_CURVE, RATE_TIMES, SIGNAL, HIDDEN
+) = range(1, 10)
 
 _OPTIONS = {
     'cache': True, 'nogil': True, 'error_model': 'numpy', 'fastmath': {'contract', 'nsz', 'arcp'},
@@ -147,6 +147,31 @@ def _step(v, s, k, gain, known, damping, bias, dt, codes, values, signals):
     return new_v, new_s, 0.5 * (v + new_v) + 0.125 * dt * (first - slope)
 
 
+@njit(inline='always', **_OPTIONS)
+def _hidden(states, rate, codes, values):
+    """Torque of the hidden states (m, 2) at half of the cycle, driven by the rate at its begin.
+
+    A HIDDEN term is values[j] = [A (2, 2), B (2,) of a cycle, the same of half a cycle, C (2,)].
+    """
+    total = 0.0
+    for j in range(codes.size):
+        if codes[j] == HIDDEN:
+            x, y = states[j, 0], states[j, 1]
+            total += values[j, 12] * (values[j, 6] * x + values[j, 7] * y + values[j, 10] * rate)
+            total += values[j, 13] * (values[j, 8] * x + values[j, 9] * y + values[j, 11] * rate)
+    return total
+
+
+@njit(inline='always', **_OPTIONS)
+def _advance(states, rate, codes, values):
+    """Hidden states (m, 2) one cycle on, driven by the mean rate over it."""
+    for j in range(codes.size):
+        if codes[j] == HIDDEN:
+            x, y = states[j, 0], states[j, 1]
+            states[j, 0] = values[j, 0] * x + values[j, 1] * y + values[j, 4] * rate
+            states[j, 1] = values[j, 2] * x + values[j, 3] * y + values[j, 5] * rate
+
+
 @njit(**_OPTIONS)
 def track(rate, angle, has_angle, known, gain, damping, bias, dt, codes, values, signals,
           filtered, gyro, correction, start, stop, starts, length, innovations, windows):
@@ -165,9 +190,12 @@ def track(rate, angle, has_angle, known, gain, damping, bias, dt, codes, values,
     nxt = np.searchsorted(starts, start)
     first = nxt
     begin = np.empty((starts.size, 4))
+    hidden = np.zeros((codes.size, 2))
+    hidden_begin = np.zeros((starts.size, codes.size, 2))
     for k in range(start, stop):
         if nxt < starts.size and starts[nxt] == k:
             begin[nxt, 0], begin[nxt, 1], begin[nxt, 2], begin[nxt, 3] = v, s, g, d
+            hidden_begin[nxt] = hidden
             nxt += 1
         predicted = gain * known[4, k] + g if filtered else gain * known[0, k] + v
         e = rate[k] - predicted
@@ -179,7 +207,10 @@ def track(rate, angle, has_angle, known, gain, damping, bias, dt, codes, values,
         d += correction[2] * e
         if has_angle:
             s = angle[k] - gain * known[2, k]
-        new_v, s, middle = _step(v, s, k, gain, known, damping, bias, dt, codes, values, signals)
+        before = gain * known[0, k] + v
+        torque = bias + _hidden(hidden, before, codes, values)
+        new_v, s, middle = _step(v, s, k, gain, known, damping, torque, dt, codes, values, signals)
+        _advance(hidden, 0.5 * (before + gain * known[0, k + 1] + new_v), codes, values)
         if filtered:
             new_g = (gyro[0, 0] * g + gyro[0, 1] * d + gyro[0, 2] * v + gyro[0, 3] * middle
                      + gyro[0, 4] * new_v)
@@ -189,14 +220,18 @@ def track(rate, angle, has_angle, known, gain, damping, bias, dt, codes, values,
         v = new_v
     for w in range(first, nxt):
         v, s, g, d = begin[w, 0], begin[w, 1], begin[w, 2], begin[w, 3]
+        hidden[:] = hidden_begin[w]
         for i in range(length):
             k = starts[w] + i
             windows[w, i] = gain * known[4, k] + g if filtered else gain * known[0, k] + v
             if k + 1 >= stop:
                 break
+            before = gain * known[0, k] + v
+            torque = bias + _hidden(hidden, before, codes, values)
             new_v, s, middle = _step(
-                v, s, k, gain, known, damping, bias, dt, codes, values, signals
+                v, s, k, gain, known, damping, torque, dt, codes, values, signals
             )
+            _advance(hidden, 0.5 * (before + gain * known[0, k + 1] + new_v), codes, values)
             if filtered:
                 new_g = (gyro[0, 0] * g + gyro[0, 1] * d + gyro[0, 2] * v + gyro[0, 3] * middle
                          + gyro[0, 4] * new_v)
