@@ -64,7 +64,7 @@ def noise_free(
         high = max(1, min(LOOP_ORDER, longest // 20))
         model = stabilised_plant(arx(loop, high, high, 0))
     else:
-        model = oe(loop, order, order, 0, thorough=False)
+        model = oe(loop, order, order, 0)
     return np.asarray(np.nan_to_num(predict(model, loop, np.inf)))
 
 

@@ -26,8 +26,10 @@ from quad_sysid.errors import BadInputError
 from quad_sysid.record import IOData
 
 ROUNDS = 15
-SETTLED = 1e-3
+SETTLED = 0.02
 """Converged where no parameter moves by more than this part of its standard error."""
+SWINGING = 6
+"""Rounds after which the average of the rounds is gone on from."""
 UNSTABLE = 'the estimate is unstable; its instruments were made with reflected poles'
 
 
@@ -95,6 +97,10 @@ def clriv(
         ahead = replace(noise.model, B=delayed(theta[:nb], nk), F=inside(f))
         sigma = np.sqrt(np.maximum(np.diag(spread) * noise.variance, 1e-300))
         moved = np.concatenate((ahead.B[nk:] - model.B[nk:], ahead.F[1:] - model.F[1:])) / sigma
+        if iteration > SWINGING:  # parameters that the data hardly tell swing about the solution
+            share = 1.0 / (iteration - SWINGING + 1.0)
+            f = inside(model.F + share * (ahead.F - model.F))
+            ahead = replace(ahead, B=model.B + share * (ahead.B - model.B), F=f)
         model = replace(ahead, covariance=_joined_covariance(noise, spread, nb))
         if float(np.max(np.abs(moved))) < SETTLED:
             converged = True

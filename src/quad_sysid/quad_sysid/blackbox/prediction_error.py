@@ -49,19 +49,16 @@ def armax(z: IOData, na: int, nb: int, nc: int, nk: int, *, start: Model | None 
     return _best('ARMAX', orders, z, start, lambda ho: armax_starts(ho, na, nb, nc))
 
 
-def oe(
-    z: IOData, nb: int, nf: int, nk: int, *, start: Model | None = None, thorough: bool = True
-) -> Model:
+def oe(z: IOData, nb: int, nf: int, nk: int, *, start: Model | None = None) -> Model:
     """Fit y = (B/F) u + e, the least free-run error, over all segments. F is kept stable.
 
-    The covariance allows for a coloured residual. Not `thorough`, the first minimum will do, as
-    where the model only serves to smooth. Otherwise as `armax`.
+    The covariance allows for a coloured residual. Otherwise as `armax`.
     """
     nb, nf = check_order('oe', 'nb', nb, 1), check_order('oe', 'nf', nf, 0)
     nk = check_order('oe', 'nk', nk, 0)
     check_informative('oe', z, nb + nf, nk + nb - 1 + nf)
     orders = {'nb': nb, 'nf': nf, 'nk': nk}
-    return _best('OE', orders, z, start, lambda ho: oe_starts(ho, nb, nf), thorough=thorough)
+    return _best('OE', orders, z, start, lambda ho: oe_starts(ho, nb, nf))
 
 
 def bj(

@@ -134,11 +134,11 @@ def _box_jenkins(refused: list[str], z: IOData, nk: int) -> Model | None:
     best: Model | None = None
     for order in ORDERS:
         found = tried(refused, _bj(z, order, nk, thorough=False))
-        if found and not found[0].converged:
-            found = tried(refused, _bj(z, order, nk)) or found
         if best is not None and (not found or rank(found[0]) >= rank(best)):
             break
         best = found[0] if found else best
+    if best is not None:  # the orders are compared by first minima, the chosen one by the best
+        best = min(best, *tried(refused, _bj(z, best.F.size - 1, nk)), key=rank)
     while best is not None and best.nk > 1:
         earlier = tried(refused, _bj(z, best.F.size - 1, best.nk - 1, _earlier(best)))
         if not earlier or rank(earlier[0]) >= rank(best):
