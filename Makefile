@@ -13,7 +13,7 @@ RUN := . tools/workspace.bash;
 SOURCES := $(wildcard src test tools bench)
 ARGS ?=
 
-.PHONY: help demo pictures test test-fast build lint format bench wheel docs lock shell clean
+.PHONY: help demo pictures test test-fast build lint format bench bench-effects wheel docs lock shell clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -48,6 +48,9 @@ format: build  ## lay the code out with ruff
 
 bench: build  ## black-box accuracy and speed (ten minutes; ARGS='--quick --peers PYTHON')
 	@$(RUN) exec python bench/blackbox.py $(ARGS)
+
+bench-effects: build  ## planted effects against named ones (half an hour; ARGS='--seeds 1 --nothing 6')
+	@$(RUN) exec python bench/effects.py $(ARGS)
 
 wheel: build  ## wheels of the part that needs no ROS, in dist/
 	@$(RUN) for package in quad_sysid quad_tuning; do \

@@ -143,7 +143,7 @@ def test_effects_become_curves_with_the_contracts_signs():
             _effect('battery_sag', {'reference_v': 12.0}, exponent=2.0),
             _effect('gyroscopic_coupling', coefficient=1.0),
             _effect('shape:rate', {'knots': [-1.0, 0.0, 1.0], 'values': [0.5, 0.0, -0.5]}),
-            _effect('shape:command', {'knots': [-0.2, 0.2], 'values': [-0.02, 0.02]}),
+            _effect('shape:command', {'knots': [-0.2, 0.2], 'values': [-0.22, 0.22]}),
         )
     )
     assert plant.gain == pytest.approx(450.0 * (11.0 / 12.0) ** 2)

@@ -135,8 +135,8 @@ def _shape(effect: EffectEstimate) -> Function | None:
     y = np.asarray(values if values is not None else (), dtype=float)
     if x.ndim != 1 or x.size < 2 or x.shape != y.shape:
         return None
-    if signal == 'command':  # added to the command; held outside its knots
-        return lambda u: u + np.interp(u, x, y)
+    if signal == 'command':  # the knots hold the whole map; outside them it goes on beside u
+        return lambda u: u + np.interp(u, x, y - x)
     # a torque goes on for half a knot outside, then is held (greybox/kernels.py, curve)
     first, last = 0.5 * (x[1] - x[0]), 0.5 * (x[-1] - x[-2])
     x_wide = np.concatenate(([x[0] - first], x, [x[-1] + last]))
