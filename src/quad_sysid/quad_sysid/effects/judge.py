@@ -99,6 +99,11 @@ def judge(found: Discovery, rng: np.random.Generator) -> Judgement:
     passed = effects and test.p_value < LEVEL and after.free_run < before.free_run
     left = None if passed or not found.informative else _dependence(found, sim)
     verdict, reason = _verdict(found, before, left, hold, test, passed=passed)
+    if found.informative and found.base.theta[0] < 0.0:
+        reason += (
+            '; a positive command lowers the rate: check the order of the motors, the mixer and '
+            'the sign of the gyro before anything else'
+        )
     tests = _leave_one_out(found, after, rng) if passed else {}
     noise = found.chosen_noise if passed else found.base_noise
     return Judgement(
@@ -116,7 +121,7 @@ def _verdict(
     if not found.informative or before.free_run > HARDLY_BETTER * hold:
         seen = 'even its sign is uncertain' if not found.informative else 'no better than holding'
         return 'cannot_tell', (
-            f'the commands of this flight do not show what half a second of motion owes them '
+            f'{found.data.axis}: the commands of this flight do not show what half a second of motion owes them '
             f'({seen}: free-run error {before.free_run:.3g} rad/s, holding the last rate '
             f'{hold:.3g} rad/s); fly a PRBS on this axis (quad-sysid design-excitation)'
         )
