@@ -39,14 +39,19 @@ _EFFECT_KEYS = frozenset(
 _PARAMETER_KEYS = frozenset({'name', 'value', 'std', 'unit'})
 
 
-def save_models(models: Mapping[str, AxisModel], path: str | os.PathLike[str]) -> None:
+def save_models(
+    models: Mapping[str, AxisModel], path: str | os.PathLike[str],
+    blackbox: Mapping[str, Mapping[str, Any]] | None = None,
+) -> None:
     """Write the models of a flight, by axis, to `path`; the file is replaced whole or not at all.
 
-    Raises BadInputError where a number that must be finite is not, or the file can't be written.
+    `blackbox`: trees of the selected black-box models by axis (blackbox_file.py). Raises
+    BadInputError where a number that must be finite is not, or the file can't be written.
     """
     target = Path(path)
     axes = {axis: _model_out(model, f'{target}: {axis}') for axis, model in models.items()}
-    text = json.dumps({'schema': SCHEMA, 'axes': axes}, indent=1, allow_nan=False) + '\n'
+    tree = {'schema': SCHEMA, 'axes': axes, **({'blackbox': blackbox} if blackbox else {})}
+    text = json.dumps(tree, indent=1, allow_nan=False) + '\n'
     temporary: str | None = None
     try:
         handle, temporary = tempfile.mkstemp(

@@ -12,6 +12,7 @@ from typing import Any
 from quad_sysid.errors import BadInputError
 from quad_sysid.pipeline.answer import AxisAnswer
 from quad_sysid.report import plots
+from quad_sysid.report.blackbox_file import tree_of
 from quad_sysid.report.html import page
 from quad_sysid.report.model_file import save_models
 
@@ -50,7 +51,11 @@ def write(
         raise BadInputError('--out', f'{folder} cannot be made', error.strerror) from error
     models = {axis: a.model for axis, a in answers.items() if a.model is not None}
     if models:
-        save_models(models, folder / 'model.json')
+        blackbox = {
+            axis: tree_of(a.rows[a.selected].step_a.model)
+            for axis, a in answers.items() if a.selected is not None
+        }
+        save_models(models, folder / 'model.json', blackbox)
     if html or pictures:
         drawn = {axis: plots.gallery(answer) for axis, answer in answers.items()}
         if pictures:
