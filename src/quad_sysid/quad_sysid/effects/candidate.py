@@ -32,8 +32,8 @@ class Candidate:
 
     @property
     def curves(self) -> int:
-        """How many of the effects are curves without a name."""
-        return sum(e.kind == 'shape' for e in self.fit.structure.effects)
+        """How many of the effects have no name: curves and hidden states."""
+        return sum(e.kind != 'named' for e in self.fit.structure.effects)
 
 
 def candidate(sim: Simulator, fit: Fit) -> Candidate:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy import stats
 
 from quad_sysid.effects.candidate import (
     Candidate,
@@ -193,10 +194,25 @@ def _worthy(current: Candidate, trials: Sequence[Candidate], sim: Simulator) -> 
         trial
         for trial in trials
         if trial.score < (1.0 - _least(current, trial)) * current.score
-        and compare(current.errors, trial.errors, sim.windows, sim.data.dt).p_value
-        < CHANCE / len(trials)
+        and _chance(current, trial, sim) < CHANCE / len(trials)
     ]
     return sorted(good, key=lambda one: one.score)
+
+
+def _chance(current: Candidate, trial: Candidate, sim: Simulator) -> float:
+    """p-value that the last effect of a trial is nothing: by error, or by its one parameter.
+
+    An effect of one parameter that is many cluster-robust standard errors from zero is seen long
+    before its share of the error is.
+    """
+    paired = compare(current.errors, trial.errors, sim.windows, sim.data.dt)
+    where = trial.fit.structure.slices()[-1]
+    if where.stop - where.start > 1:
+        return paired.p_value
+    size = abs(float(trial.fit.theta[where][0])) / float(trial.fit.std[where][0])
+    freedom = max(paired.blocks - trial.fit.theta.size, 1)
+    wald = 2.0 * float(stats.t.sf(size, freedom)) if np.isfinite(size) else 1.0
+    return min(1.0, 2.0 * min(paired.p_value, wald))
 
 
 def _least(current: Candidate, trial: Candidate) -> float:
@@ -261,9 +277,9 @@ def _backward(sim: Simulator, current: Candidate) -> Candidate:
     """Take out what the others made superfluous; a name never gives way to a curve."""
     while len(current.names) > 1:
         effects = current.fit.structure.effects
-        curves = {signal for e in effects if e.kind == 'shape' for signal in e.signals}
+        curves = {signal for e in effects if e.kind != 'named' for signal in e.signals}
         optional = [
-            e.name for e in effects if e.kind == 'shape' or not curves & set(e.signals)
+            e.name for e in effects if e.kind != 'named' or not curves & set(e.signals)
         ]
         reduced = [without(sim, current, name) for name in optional]
         if not reduced:
@@ -285,13 +301,13 @@ def _rivals(
     Only those that came near when it was chosen are fitted in its place; the others count as
     ruled out.
     """
-    own_curve = next(e.kind for e in current.fit.structure.effects if e.name == name) == 'shape'
+    own_curve = next(e.kind for e in current.fit.structure.effects if e.name == name) != 'named'
     step = next(t.step for t in tried if t.name == name)
     near = sorted((t for t in tried if t.step == step), key=lambda t: t.score)[: 1 + MOST_RIVALS]
     names = {t.name for t in near} - set(current.names)
     others = [
         _fitting(current, put) for put in prepared
-        if put[0].name in names and (own_curve or put[0].kind != 'shape')
+        if put[0].name in names and (own_curve or put[0].kind == 'named')
     ]
     rest = without(sim, current, name)
     one_of = [current, *(candidate(sim, fit_with_effect(sim, rest.fit, *put)) for put in others)]

@@ -121,9 +121,9 @@ def _verdict(
     if not found.informative or before.free_run > HARDLY_BETTER * hold:
         seen = 'even its sign is uncertain' if not found.informative else 'no better than holding'
         return 'cannot_tell', (
-            f'{found.data.axis}: the commands of this flight do not show what half a second of motion owes them '
-            f'({seen}: free-run error {before.free_run:.3g} rad/s, holding the last rate '
-            f'{hold:.3g} rad/s); fly a PRBS on this axis (quad-sysid design-excitation)'
+            f'{found.data.axis}: the commands of this flight do not show what half a second of '
+            f'motion owes them ({seen}: free-run error {before.free_run:.3g} rad/s, holding the '
+            f'last rate {hold:.3g} rad/s); fly a PRBS on this axis (quad-sysid design-excitation)'
         )
     if passed:
         names = ' and '.join(e.name for e in found.chosen.structure.effects)

@@ -7,12 +7,17 @@ from scipy.ndimage import median_filter
 
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.greybox.data import AxisData
-from quad_sysid.greybox.structure import Settings
+from quad_sysid.greybox.fit import Fit
+from quad_sysid.greybox.simulate import Simulator
+from quad_sysid.greybox.structure import Effect, Settings
 
 MOVES = 0.02
 """A signal that must move for an effect to show must move by this share of its mean."""
 SHARE_OF_COMMAND = 0.05
 """Another axis' command must be this large beside this axis'."""
+EVENTS = 3
+EVENT_GRID_S = 0.5
+EVENT_STEP = 1e-3
 LINES = 2
 LINE_NEIGHBOURS = 41
 LINE_BAND_HZ = (0.2, 15.0)
@@ -84,26 +89,27 @@ def both_rates(data: AxisData) -> Settings | str:
     return {}
 
 
-def limit_starts(data: AxisData, _: FloatArray) -> tuple[tuple[float, ...], ...]:
+def limit_starts(sim: Simulator, _: Fit, __: Effect) -> tuple[tuple[float, ...], ...]:
     """Limits of the motors where some of the training commands lie beyond them."""
-    motors = over_training(data, data.motors)
+    motors = over_training(sim.data, sim.data.motors)
     low, less, more, high = np.percentile(motors, [0.0, 5.0, 95.0, 100.0])
     return ((less, high), (low, more), (less, more))
 
 
-def line_starts(data: AxisData, innovations: FloatArray) -> tuple[tuple[float, ...], ...]:
+def line_starts(sim: Simulator, fit: Fit, _: Effect) -> tuple[tuple[float, ...], ...]:
     """Amplitude, frequency and four phases for the strongest lines in the one-step errors.
 
     These are white where nothing is missing, so a line stands out over its neighbourhood.
     """
+    data = sim.data
     start, stop = max(data.train, key=lambda span: span[1] - span[0])
-    error = np.nan_to_num(innovations[start:stop])
+    error = np.nan_to_num(sim.run(fit.structure, fit.theta).innovations[start:stop])
     power = np.abs(np.fft.rfft((error - error.mean()) * np.hanning(error.size))) ** 2
     frequency = np.fft.rfftfreq(error.size, data.dt)
     height = power / np.maximum(median_filter(power, LINE_NEIGHBOURS), 1e-300)
     height[(frequency < LINE_BAND_HZ[0]) | (frequency > LINE_BAND_HZ[1])] = 0.0
     found: list[tuple[float, ...]] = []
-    for _ in range(LINES):
+    for _number in range(LINES):
         peak = int(np.argmax(height))
         f = float(frequency[peak])
         found += [(LINE_START, f, phase * np.pi / 2.0) for phase in range(4)]
@@ -111,7 +117,24 @@ def line_starts(data: AxisData, innovations: FloatArray) -> tuple[tuple[float, .
     return tuple(found)
 
 
-def event_starts(data: AxisData, _: FloatArray) -> tuple[tuple[float, ...], ...]:
-    """Times spread over the training segments, with no change yet."""
-    times = np.concatenate([np.linspace(a, b, 9)[1:-1] for a, b in data.train]) * data.dt
-    return tuple((float(t), 0.0) for t in times)
+def event_starts(sim: Simulator, fit: Fit, effect: Effect) -> tuple[tuple[float, ...], ...]:
+    """The times at which a small change would explain most of the errors, to first order."""
+    data = sim.data
+    spans = [np.arange(a * data.dt + 1.0, b * data.dt - 1.0, EVENT_GRID_S) for a, b in data.train]
+    times = np.concatenate(spans)
+    structure = fit.structure.with_effect(effect, {})
+    free = np.flatnonzero(~fit.at_bound)
+    known = np.linalg.qr(fit.jacobian.reshape(-1, fit.theta.size)[:, free])[0]
+    error = fit.errors.ravel() - known @ (known.T @ fit.errors.ravel())
+    worth = np.zeros(times.size)
+    size = np.zeros(times.size)
+    for i, time in enumerate(times):
+        run = sim.run(structure, np.r_[fit.theta, time, EVENT_STEP])
+        column = (run.errors - fit.errors).ravel() / EVENT_STEP
+        column -= known @ (known.T @ column)
+        strength = float(column @ column)
+        if np.isfinite(strength) and strength > 0.0:
+            size[i] = -float(column @ error) / strength
+            worth[i] = size[i] ** 2 * strength
+    best = np.argsort(-worth)[:EVENTS]
+    return tuple((float(times[i]), float(size[i])) for i in best)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -15,9 +16,18 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.effects import torques
 from quad_sysid.greybox import kernels
 from quad_sysid.greybox.data import AxisData
-from quad_sysid.greybox.structure import Effect, ParameterSpec, Prepared, Settings, Term
+from quad_sysid.greybox.structure import (
+    CommandMap,
+    Effect,
+    ParameterSpec,
+    Prepared,
+    Settings,
+    Term,
+)
 
 KNOTS = 7
+SLOW_MOVES = 0.003
+"""A slow signal must move by this share to carry a curve."""
 RATE_KNOTS = 12
 """An even number: none lies at zero, where friction jumps."""
 WARP = 0.15
@@ -152,7 +162,77 @@ def _command_map(
     return command + np.interp(command, _x(settings), _basis(settings) @ p)
 
 
+def _slow(data: AxisData, name: str) -> FloatArray | None:
+    """A slow signal that is known throughout a window: time, voltage or throttle."""
+    if name == 'time':
+        return np.arange(data.rate.size, dtype=np.float64) * data.dt
+    return data.battery_v if name == 'battery' else data.control[:, 0]
+
+
+def _slow_settings(data: AxisData, name: str, *, gain: bool) -> Settings | str:
+    signal = _slow(data, name)
+    if signal is None:
+        return 'the bag holds no battery voltage'
+    found = _range_of(data, signal)
+    if not isinstance(found, str) and found[1] - found[0] < SLOW_MOVES * abs(found[1]):
+        return f'{name} hardly moves during training'
+    settings = _knots(found, line=False)
+    return settings if isinstance(settings, str) else {**settings, 'gain': str(gain)}
+
+
+def _slow_curve(data: AxisData, p: FloatArray, settings: Settings, name: str) -> FloatArray:
+    """(n,) the curve along the record, held outside its knots."""
+    signal = _slow(data, name)
+    if signal is None:
+        return np.zeros(data.rate.size)
+    out: FloatArray = np.interp(signal, _x(settings), _basis(settings) @ p)
+    return out
+
+
+def _slow_gain(name: str) -> CommandMap:
+    def change(
+        data: AxisData, command: FloatArray, p: FloatArray, settings: Settings, _: FloatArray
+    ) -> FloatArray:
+        out: FloatArray = command * (1.0 + _slow_curve(data, p, settings, name))
+        return out
+
+    return change
+
+
+def _slow_torque(data: AxisData, p: FloatArray, settings: Settings) -> Term:
+    return Term(kernels.SIGNAL, (1.0,), _slow_curve(data, p, settings, 'time'))
+
+
+def _gain_prior(settings: Settings) -> FloatArray:
+    return _smooth(settings, 0.1)
+
+
 SHAPES: tuple[Effect, ...] = (
+    *(
+        Effect(
+            name=f'shape:gain:{name}',
+            kind='shape',
+            signals=('command', name),
+            parameters=_knot_parameters(KNOTS - 1, '1', 0.02),
+            physics=f'the gain is scaled by 1 + a smooth curve of {name}',
+            excite=f'a flight in which {name} moves over its range during the excitation',
+            prepare=partial(_slow_settings, name=name, gain=True),
+            command=_slow_gain(name),
+            prior=_gain_prior,
+        )
+        for name in ('time', 'battery', 'throttle')
+    ),
+    Effect(
+        name='shape:time',
+        kind='shape',
+        signals=('time',),
+        parameters=_knot_parameters(KNOTS - 1, 'rad/s²', 0.1),
+        physics='a torque that drifts slowly over the flight',
+        excite='a long flight',
+        prepare=partial(_slow_settings, name='time', gain=False),
+        torque=_slow_torque,
+        prior=_torque_prior,
+    ),
     Effect(
         name='mode',
         kind='mode',
@@ -225,4 +305,4 @@ def curve_of(
     A curve of the command is the whole map (the command itself included).
     """
     x, values = _x(settings), _basis(settings) @ p
-    return x, x + values if effect.command is not None else values
+    return x, x + values if effect.name == 'shape:command' else values

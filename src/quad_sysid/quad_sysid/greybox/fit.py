@@ -295,8 +295,7 @@ def fit_with_effect(
     """
     structure = base.structure.with_effect(effect, settings)
     if effect.starts is not None:
-        innovations = sim.run(base.structure, base.theta).innovations
-        starts = effect.starts(sim.data, innovations)
+        starts = effect.starts(sim, base, effect)
     else:
         starts = tuple(product(*(spec.starts for spec in effect.parameters)))
     short = FIRST_STEPS if len(starts) > 1 else max_iterations

@@ -75,8 +75,8 @@ class Effect:
     torque: Callable[[AxisData, FloatArray, Settings], Term] | None = None
     variant: str = ''
     """Tells entries of one name apart, such as the other axis that couples in."""
-    starts: Callable[[AxisData, FloatArray], tuple[tuple[float, ...], ...]] | None = None
-    """Values to start from, out of the data and the base's one-step errors (n,); None: specs'."""
+    starts: Callable[..., tuple[tuple[float, ...], ...]] | None = None
+    """(simulator, fit without it, itself) -> values to start from; None: those of the specs."""
     prior: Callable[[Settings], FloatArray] | None = None
     """(r, p) rows whose product with the parameters is of size 1 beforehand; None: no prior."""
 
