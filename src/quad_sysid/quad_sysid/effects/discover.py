@@ -302,7 +302,7 @@ def _rivals(
     ruled out.
     """
     own_curve = next(e.kind for e in current.fit.structure.effects if e.name == name) != 'named'
-    step = next(t.step for t in tried if t.name == name)
+    step = max(t.step for t in tried if t.name == name)
     near = sorted((t for t in tried if t.step == step), key=lambda t: t.score)[: 1 + MOST_RIVALS]
     names = {t.name for t in near} - set(current.names)
     others = [
