@@ -102,6 +102,11 @@ def _axis(
         ('What the base lacks', tables.effects(tree) + tables.parameters(tree)
          + figures(EFFECTS) + _fold('All that was tried', tables.tried(tree))),
         ('Black-box models', tables.models(tree) + figures(MODELS)),
+        ('Advice', _notes([
+            *tree.get('advice', []),
+            *(f'{c["name"]}: {c["words"]}' for c in tree.get('preparation', [])
+              if c['kept'] is False),
+        ])),
         ('Loop and gains', tables.gains(tree, axis, active) + figures(LOOP)),
         ('Warnings', _notes([
             *tree.get('warnings', []),
