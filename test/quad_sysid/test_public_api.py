@@ -66,6 +66,20 @@ def test_the_grey_box_is_a_call_on_the_same_data():
         quad_sysid.greybox(z, gyro_filter_hz=1e4)
 
 
+def test_a_rate_that_does_not_fit_is_told():
+    rng = np.random.default_rng(0)
+    u = rng.standard_normal(300)
+    y = np.roll(u, 1) + 0.1 * rng.standard_normal(300)
+    model = quad_sysid.arx(quad_sysid.IOData(u, y, 0.01), 1, 1, 1)
+    other = quad_sysid.IOData(u, y, 0.02)
+    for call in (quad_sysid.compare, quad_sysid.residual_test,
+                 lambda m, z: quad_sysid.predict(m, z, 1)):
+        with pytest.raises(ValueError, match='100 Hz: found 50 Hz'):
+            call(model, other)
+    with pytest.raises(ValueError, match='greybox'):
+        quad_sysid.greybox(quad_sysid.IOData(u, y, 0.01))
+
+
 def test_the_room_keeps_its_modules():
     from quad_sysid.greybox import fit
 

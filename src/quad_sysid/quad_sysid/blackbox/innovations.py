@@ -15,6 +15,7 @@ from quad_sysid.blackbox.filters import filter_columns, pulses
 from quad_sysid.blackbox.polynomial import Model
 from quad_sysid.blackbox.regression import lagged
 from quad_sysid.contract import FloatArray
+from quad_sysid.errors import BadInputError
 from quad_sysid.record import IOData
 
 
@@ -36,8 +37,18 @@ def lead_of(model: Model) -> tuple[int, int]:
     return first, first + model.D.size - 1
 
 
+def check_rate(model: Model, z: IOData) -> None:
+    """Raise BadInputError where z was not sampled at the model's rate."""
+    if abs(z.dt - model.dt) > 1e-6 * model.dt:
+        raise BadInputError(
+            'z', f"must be sampled at the model's {1.0 / model.dt:.6g} Hz", f'{1.0 / z.dt:.6g} Hz',
+            'resample it or identify at its rate',
+        )
+
+
 def one_step_errors(model: Model, z: IOData) -> list[SegmentErrors]:
     """Errors of every segment that is long enough, in order."""
+    check_rate(model, z)
     first, lead = lead_of(model)
     found = []
     for start, stop in z.segments:

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from quad_sysid.blackbox.filters import filter_columns, filter_signal, pulses
-from quad_sysid.blackbox.innovations import one_step_errors
+from quad_sysid.blackbox.innovations import check_rate, one_step_errors
 from quad_sysid.blackbox.polynomial import Model
 from quad_sysid.blackbox.regression import upper
 from quad_sysid.contract import FloatArray
@@ -69,6 +69,7 @@ def predict(model: Model, z: IOData, horizon: float = 1) -> FloatArray:
     (h_0 + … + h_{k-1} q^{-(k-1)}) e, with h the impulse response of the noise model C/(A D)
     (Ljung 1999, eq. 3.31).
     """
+    check_rate(model, z)
     yhat = np.full(z.y.size, np.nan)
     if math.isinf(horizon):
         for start, stop in z.segments:

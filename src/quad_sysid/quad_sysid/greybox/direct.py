@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.errors import BadInputError
+from quad_sysid.errors import BadInputError, NotInformativeError
 from quad_sysid.greybox.data import AxisData
 from quad_sysid.greybox.fit import fit_base
 from quad_sysid.greybox.structure import BASE_PARAMETERS
@@ -54,7 +54,7 @@ def fit_greybox(z: IOData, *, gyro_filter_hz: float | None = None) -> GreyBox:
     """Fit the base to command z.u and rate z.y by its free run over windows of 0.5 s.
 
     With `gyro_filter_hz` the model contains the sensor's 2nd-order Butterworth filter. Raises
-    NotInformativeError where z holds too few windows or no excitation.
+    BadInputError where z holds too few windows or no excitation.
     """
     if gyro_filter_hz is not None and not 0.0 < gyro_filter_hz < 0.5 / z.dt:
         raise BadInputError(
@@ -69,7 +69,10 @@ def fit_greybox(z: IOData, *, gyro_filter_hz: float | None = None) -> GreyBox:
         other_rates=np.full((n, 2), np.nan), battery_v=None, gyro_filter_hz=gyro_filter_hz,
         stretches=spans, train=spans, validation=(),
     )
-    fit, _, _ = fit_base(data, data.train)
+    try:
+        fit, _, _ = fit_base(data, data.train)
+    except NotInformativeError as error:
+        raise BadInputError('greybox', str(error)) from error
     return GreyBox(
         parameter_names=tuple(spec.name for spec in BASE_PARAMETERS), parameters=fit.theta,
         covariance=fit.covariance, converged=fit.converged, iterations=fit.iterations,
