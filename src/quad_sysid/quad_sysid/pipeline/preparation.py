@@ -58,20 +58,30 @@ def _rate(record: Record, gains: Mapping[str, float]) -> Check:
 
 
 def _bias(record: Record, axis: str) -> Check:
-    """Mean rate while idle, else over the record: what stays level turns by nothing."""
-    rate = record.rates[:, AXES.index(axis)]
+    """Mean rate while idle, else over the record, less what the measured angle has turned by."""
+    index = AXES.index(axis)
+    rate = record.rates[:, index]
     idle = [record.span(s) for s in record.segments if s.role == 'idle']
-    parts = [rate[a:b] for a, b in idle if b - a > 1.0 / record.dt]
-    where = 'while idle' if parts else 'over the record'
-    values = np.concatenate(parts) if parts else rate
-    values = values[np.isfinite(values)]
-    if not values.size:
+    spans = [span for span in idle if span[1] - span[0] > 1.0 / record.dt]
+    where = 'while idle' if spans else 'over the record'
+    known = np.isfinite(rate)
+    if record.angles is not None:
+        known &= np.isfinite(record.angles[:, index])
+    turned, length = 0.0, 0
+    for span in spans or [(0, record.n)]:
+        for a, b in finite_runs(known, span):
+            turned += float(rate[a:b].sum()) * record.dt
+            length += b - a
+            if record.angles is not None:
+                turned -= float(record.angles[b - 1, index] - record.angles[a, index])
+    if not length:
         return Check('gyro bias', None, 'no rate to take a mean of')
-    mean = float(values.mean())
+    mean = turned / (length * record.dt)
+    beside = ' beside the measured angle' if record.angles is not None else ''
     return Check(
         'gyro bias', kept=abs(mean) < BIAS_RAD_S,
-        words=f'mean rate {where} {mean:.2g} rad/s, below {BIAS_RAD_S:g}; the black-box models '
-        'are fitted about the means of the training',
+        words=f'mean rate {where}{beside} {mean:.2g} rad/s, limit {BIAS_RAD_S:g}; the black-box '
+        'models are fitted about the means of the training',
     )
 
 
