@@ -43,6 +43,8 @@ REFINEMENT_GAIN = 0.10
 """A curve on top of a named effect of the same signal must lower the error by this share."""
 NAMED_SHARE = 0.8
 """A named effect that explains this share of what a curve explains is taken first."""
+HIDDEN_SHARE = 0.9
+"""The same for a hidden state, over named effects of any signal."""
 FOREMOST = 3
 """So many trials are fitted again with the state correction that suits them."""
 MOST_RIVALS = 4
@@ -261,12 +263,14 @@ def _strongest(
     best = min(settled, key=lambda item: item[0].score)
     if best[0].curves > current.curves:
         gained = current.score**2 - best[0].score**2
-        signals = set(best[0].fit.structure.effects[-1].signals)
+        unnamed = best[0].fit.structure.effects[-1]
+        hidden = unnamed.kind == 'mode'  # it can mimic what acts through any signal
+        share = HIDDEN_SHARE if hidden else NAMED_SHARE
         enough = [
             item for item in settled
             if item[0].curves == current.curves
-            and signals & set(item[0].fit.structure.effects[-1].signals)
-            and current.score**2 - item[0].score**2 >= NAMED_SHARE * gained
+            and (hidden or set(unnamed.signals) & set(item[0].fit.structure.effects[-1].signals))
+            and current.score**2 - item[0].score**2 >= share * gained
         ]
         if enough:
             return min(enough, key=lambda item: item[0].score)
