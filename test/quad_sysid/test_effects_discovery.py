@@ -222,7 +222,6 @@ def one_sided_spring() -> Torque:
     return torque
 
 
-@pytest.mark.xfail(strict=True, reason='an overdamped resonance at 0.3 Hz takes its place')
 def test_a_hidden_state_comes_out_as_a_mode_with_its_time_constant():
     planted = Planted(torque=relaxing_strap)
     found, answer, model = answered(planted)

@@ -602,7 +602,6 @@ def test_events_start_near_where_they_happened(variant):
     assert change == pytest.approx(size, rel=0.35)
 
 
-@pytest.mark.xfail(strict=True, reason='event_starts finds no time in segments under 2 s')
 def test_events_have_a_start_where_training_is_in_short_pieces(moved):
     """Pieces of 1.8 s, each long enough for a window: the fit needs a start all the same."""
     data, sim, fit = moved
@@ -670,7 +669,6 @@ def test_the_page_tells_the_table_and_nothing_else():
 # the simulator's memory of what it has run
 
 
-@pytest.mark.xfail(strict=True, reason='the stored drive response is keyed by name alone')
 def test_two_variants_of_one_name_are_not_taken_for_each_other():
     """The same numbers for pitch's and for yaw's share of the command: two different runs."""
     data = moving()

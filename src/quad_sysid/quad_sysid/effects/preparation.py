@@ -122,6 +122,9 @@ def event_starts(sim: Simulator, fit: Fit, effect: Effect) -> tuple[tuple[float,
     data = sim.data
     spans = [np.arange(a * data.dt + 1.0, b * data.dt - 1.0, EVENT_GRID_S) for a, b in data.train]
     times = np.concatenate(spans)
+    if not times.size:
+        start, stop = max(data.train, key=lambda span: span[1] - span[0])
+        return ((0.5 * (start + stop) * data.dt, 0.0),)
     structure = fit.structure.with_effect(effect, {})
     free = np.flatnonzero(~fit.at_bound)
     known = np.linalg.qr(fit.jacobian.reshape(-1, fit.theta.size)[:, free])[0]

@@ -125,8 +125,8 @@ EFFECTS: tuple[Effect, ...] = (
         name='resonance',
         signals=('command', 'history'),
         parameters=(
-            _spec('frequency', 'Hz', (2.5, 5.0, 8.0, 13.0), (0.3, 20.0), 0.5),
-            _spec('damping_ratio', '1', (0.1,), (0.002, 0.7), 0.05),
+            _spec('frequency', 'Hz', (2.5, 5.0, 8.0, 13.0), (0.5, 20.0), 0.5),
+            _spec('damping_ratio', '1', (0.1,), (0.002, 0.3), 0.05),
             _spec('in_phase', '1', (0.0,), (-5.0, 5.0), 0.2),
             _spec('quadrature', '1', (0.1,), (-5.0, 5.0), 0.2),
         ),

@@ -104,10 +104,12 @@ class Simulator:
         """Drive response, computed anew only where lag, delay or a command effect changed."""
         relevant = [theta[1:3]]
         names = []
-        for effect, where in zip(structure.effects, structure.slices(), strict=True):
+        for effect, settings, where in zip(
+            structure.effects, structure.settings, structure.slices(), strict=True
+        ):
             if effect.command is not None:
                 relevant.append(theta[where])
-                names.append(effect.name)
+                names.append(f'{effect.name}/{effect.variant}/{sorted(settings.items())}')
         key = np.concatenate(relevant).tobytes() + ','.join(names).encode()
         found = self._cache.get(key)
         if found is None:
