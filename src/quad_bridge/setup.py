@@ -26,6 +26,7 @@ setup(
         'pymavlink',
         'fastcrc',
         'rosbags',
+        'lz4',
         "backports.zstd; python_version < '3.14'",
     ],
     extras_require={'test': ['pytest', 'hypothesis']},

@@ -17,12 +17,23 @@ from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from quad_bridge import bag_writer, conversion, diagnostics, ros_node
+from quad_bridge.disk import MB, Budget, free_bytes
 from quad_bridge.errors import BadInputError, QuadBridgeError
 from quad_bridge.qos import EVENT, STATE, adapted, offered
 from quad_bridge.recording import Recording, RecordingStatus
 from quad_bridge.topics import TOPIC_TYPES
 
-NAMES = ('folder', 'prefix', 'storage', 'compression', 'topics', 'autostart', 'queue_messages')
+NUMBERS = {
+    'queue_messages': (50_000, (100, 10_000_000), 'messages that may wait for the disk'),
+    'split_mb': (0, (0, 1_000_000), 'a new file in the bag after so many MB, 0 for never'),
+    'split_s': (0, (0, 86_400), 'a new file in the bag after so many seconds, 0 for never'),
+    'reserve_mb': (200, (0, 1_000_000), 'MB reserved on the disk before a recording starts'),
+    'disk_budget_mb': (0, (0, 100_000_000), 'MB that all bags of the folder may take, 0: any'),
+}
+"""Integer parameters: default, range, description."""
+NAMES = (
+    'folder', 'prefix', 'storage', 'compression', 'topics', 'autostart', 'delete_oldest', *NUMBERS,
+)  # fmt: skip
 
 
 class BagLogger(Node):  # type: ignore[misc]
@@ -37,12 +48,16 @@ class BagLogger(Node):  # type: ignore[misc]
         self._compression = ros_node.choice(
             self, 'compression', bag_writer.COMPRESSIONS, 'of chunks (mcap) or messages (sqlite3)'
         )
-        self._capacity = ros_node.integer(
-            self,
-            'queue_messages',
-            50_000,
-            (100, 10_000_000),
-            'messages that may wait for the disk',
+        numbers = {name: ros_node.integer(self, name, *rest) for name, rest in NUMBERS.items()}
+        self._capacity = numbers['queue_messages']
+        self._limits = bag_writer.Limits(
+            numbers['split_mb'] * MB, numbers['split_s'], numbers['reserve_mb'] * MB
+        )
+        self._budget = Budget(
+            self._folder,
+            self._prefix,
+            numbers['disk_budget_mb'] * MB,
+            ros_node.flag(self, 'delete_oldest', False, 'delete closed bags to keep the budget'),
         )
         self._topics = self._declare_topics()
         self._recording: Recording | None = None
@@ -96,12 +111,17 @@ class BagLogger(Node):  # type: ignore[misc]
     def _start(self) -> Path:
         now = datetime.now(tz=timezone.utc)
         path = bag_writer.free_path(self._folder, self._prefix, now).absolute()
-        writer = bag_writer.BagWriter(path, self._storage, self._compression)
+        self._make_room(self._limits.reserve_bytes)
+        writer = bag_writer.BagWriter(path, self._storage, self._compression, self._limits)
         self._recording = Recording(writer, capacity=self._capacity)
         for topic in self._topics:
             self._subscribe(topic)
         self._announce(path, 'recording')
         return path
+
+    def _make_room(self, more: int, current: Path | None = None) -> None:
+        for bag in self._budget.make_room(more, current):
+            self.get_logger().warning(f'disk budget: deleted the oldest bag {bag}')
 
     def _stop(self) -> RecordingStatus:
         recording, self._recording = self._recording, None
@@ -161,6 +181,7 @@ class BagLogger(Node):  # type: ignore[misc]
         status = None
         if self._recording is not None:
             status = self._recording.status
+            self._keep_budget(self._recording, status.path)
             if status.failure:
                 self._stop()
             for topic in list(self._subscribed):
@@ -170,9 +191,22 @@ class BagLogger(Node):  # type: ignore[misc]
                 self.get_name(),
                 str(self._folder),
                 self.get_clock().now().to_msg(),
-                [diagnostics.recording_status(status, self._last)],
+                [diagnostics.recording_status(status, self._last, self._free())],
             )
         )
+
+    def _keep_budget(self, recording: Recording, path: Path) -> None:
+        try:
+            self._make_room(0, path)
+        except (BadInputError, OSError) as error:
+            recording.end(str(error))
+
+    def _free(self) -> int | None:
+        """Bytes; None where the folder is gone."""
+        try:
+            return free_bytes(self._folder)
+        except OSError:
+            return None
 
 
 def _message_class(kind: str) -> Any:

@@ -1,29 +1,31 @@
-"""Serialised messages into a rosbag2 bag, mcap or sqlite3, through rosbags. No ROS, no threads.
+"""Serialised messages into a rosbag2 bag: one directory, one storage file after the other.
 
-What is written is on its way to the disk after `flush`, also when the process dies afterwards:
-rosbags alone would hold up to a megabyte back.
+No ROS, no threads. What was written is on the disk after `flush`, also when the power fails then;
+the formats of the files stand in mcap_file.py and sqlite_file.py.
 """
 
 from __future__ import annotations
 
-import os
+import sqlite3
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Any, Literal
 
-from rosbags.interfaces import Connection, Qos
-from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
-from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
+from rosbags.interfaces import Qos
 from rosbags.typesys import Stores, TypesysError, get_typestore
 
+from quad_bridge.bag_metadata import BagFormat, FileEntry, RecordedTopic, information, yaml_text
+from quad_bridge.compression import COMPRESSORS
+from quad_bridge.disk import MB, Reserve, free_bytes, sync_folder
 from quad_bridge.errors import BadInputError
+from quad_bridge.mcap_file import McapFile
+from quad_bridge.sqlite_file import SqliteFile
 
-STORAGES = {'mcap': StoragePlugin.MCAP, 'sqlite3': StoragePlugin.SQLITE3}
-COMPRESSIONS = ('none', 'zstd')
-METADATA_VERSION: Literal[9] = 9
-"""Of metadata.yaml, as Jazzy writes it."""
+STORAGES: dict[str, type[McapFile | SqliteFile]] = {'mcap': McapFile, 'sqlite3': SqliteFile}
+COMPRESSIONS = tuple(COMPRESSORS)
+CLOSING_RESERVE = 4 * MB
+"""Kept for index and metadata when the disk is full: that of some hours."""
 
 
 def free_path(folder: Path, prefix: str, now: datetime) -> Path:
@@ -49,29 +51,62 @@ class Definition:
     """RIHS01 hash; empty where unknown."""
 
 
+@dataclass(frozen=True)
+class Limits:
+    """When the next file of a bag begins (0: never), and what is reserved for the bag."""
+
+    split_bytes: int = 0
+    split_s: float = 0.0
+    """Seconds of receive time."""
+    reserve_bytes: int = 0
+
+
 class BagWriter:
     """One bag, open from construction to `close`; never writes over an existing one."""
 
-    def __init__(self, path: Path, storage: str = 'mcap', compression: str = 'none') -> None:
-        """Create the bag's directory. Raises BadInputError where it cannot be."""
-        if storage not in STORAGES:
-            raise BadInputError(str(path), 'storage must be mcap or sqlite3', storage)
-        if compression not in COMPRESSIONS:
-            raise BadInputError(str(path), 'compression must be none or zstd', compression)
+    def __init__(
+        self,
+        path: Path,
+        storage: str = 'mcap',
+        compression: str = 'none',
+        limits: Limits | None = None,
+    ) -> None:
+        """Create the bag's directory and first file. Raises BadInputError where it cannot be."""
+        _check(path, storage, compression)
         self.path = path
         self.counts: dict[str, int] = {}
         """Messages written, by topic."""
-        self._connections: dict[str, Connection] = {}
+        self._format = BagFormat(storage, compression)
+        self._limits = limits or Limits()
+        self._topics: dict[str, RecordedTopic] = {}
         self._store = get_typestore(Stores.ROS2_JAZZY)
+        self._closed: list[FileEntry] = []
+        self._began_ns = 0
+        self._split_due = False
+        made = False
         try:
-            self._writer = Writer(path, version=METADATA_VERSION, storage_plugin=STORAGES[storage])
-            if compression == 'zstd':
-                chunks = storage == 'mcap'
-                mode = CompressionMode.STORAGE if chunks else CompressionMode.MESSAGE
-                self._writer.set_compression(mode, CompressionFormat.ZSTD)
-            self._writer.open()
-        except (OSError, WriterError) as error:
-            raise BadInputError(str(path), f'cannot write a bag here: {error}') from error
+            _check_space(path, self._limits.reserve_bytes)
+            path.mkdir(parents=True)
+            made = True
+            self._reserve = Reserve(path, self._limits.reserve_bytes)
+            self._closing = Reserve(path, CLOSING_RESERVE if self._limits.reserve_bytes else 0)
+            self._file = self._open_file()
+            sync_folder(path.parent)
+        except (OSError, sqlite3.Error) as error:
+            if made:
+                _remove_empty(path)
+            reason = getattr(error, 'strerror', None) or str(error)
+            raise BadInputError(str(path), f'cannot write a bag here: {reason}') from error
+
+    @property
+    def pending(self) -> int:
+        """Messages that a kill at this moment would lose."""
+        return self._file.pending
+
+    @property
+    def size(self) -> int:
+        """Bytes of all files so far, what waits for the disk included."""
+        return sum(entry.size for entry in self._closed) + self._file.size
 
     def add_topic(
         self,
@@ -85,7 +120,7 @@ class BagWriter:
         `kind` such as `sensor_msgs/msg/Imu`. Raises BadInputError for a type that neither Jazzy's
         standard types nor `definition` give.
         """
-        if topic in self._connections:
+        if topic in self._topics:
             return
         try:
             text, _ = self._store.generate_msgdef(kind, ros_version=2)
@@ -95,31 +130,128 @@ class BagWriter:
                 where = f'{self.path}: {topic}'
                 raise BadInputError(where, 'message type is not a standard one', kind) from error
             text, digest = definition.text, definition.digest or 'RIHS01_' + '0' * 64
-        self._connections[topic] = self._writer.add_connection(
-            topic, kind, msgdef=text, rihs01=digest, offered_qos_profiles=qos
-        )
+        self._topics[topic] = RecordedTopic(topic, kind, text, digest, qos)
+        self._file.add_topic(self._topics[topic])
         self.counts[topic] = 0
 
     def write(self, topic: str, time_ns: int, data: bytes | memoryview) -> None:
         """Append one serialised message; `time_ns` is when it was received."""
-        self._writer.write(self._connections[topic], time_ns, data)
+        if self._split_due or self._over_time(time_ns):
+            self._split()
+        self._began_ns = self._began_ns or time_ns
+        self._file.write(topic, time_ns, data)
         self.counts[topic] += 1
 
     def flush(self) -> None:
         """Hand everything written so far to the disk. Raises OSError or sqlite3.Error."""
-        storage: Any = self._writer.storage
-        if hasattr(storage, 'close_chunk'):
-            if storage.chunk.msgs:
-                storage.close_chunk()
-            storage.bio.flush()
-            os.fdatasync(storage.bio.fileno())
-        else:
-            storage.conn.commit()
+        if not self._file.path.exists():
+            raise FileNotFoundError(f'{self._file.path.name} was removed or renamed')
+        self._file.sync()
+        self._reserve.give(self.size)
+        self._split_due = 0 < self._limits.split_bytes <= self._file.size
 
     def close(self) -> None:
         """Write the index and metadata.yaml."""
-        self._writer.close()
+        self._release()
+        if not self._file_closed:
+            self._close_file()
+        whole = information(self._format, list(self._topics.values()), self._closed)
+        part = self.path / 'metadata.yaml.part'
+        part.write_text(yaml_text({'rosbag2_bagfile_information': whole}), encoding='utf-8')
+        part.replace(self.path / 'metadata.yaml')
+        sync_folder(self.path)
+
+    def close_after_fault(self) -> None:
+        """Write what waits from the reserve and close; `counts` says what is there.
+
+        Raises OSError or sqlite3.Error where that fails too: then `abort`, and `recover` later.
+        """
+        self._release()
+        if not self._file.path.exists():
+            raise FileNotFoundError(f'{self._file.path.name} was removed or renamed')
+        if not self._file_closed:
+            self._file.cut_back()
+            try:
+                self._file.sync()
+            except (OSError, sqlite3.Error):
+                self._file.cut_back()
+                self._file.forget()
+        self._recount()
+        self.close()
 
     def abort(self) -> None:
         """Give up without index: what was flushed stays, `recover` reads it."""
-        self._writer.abort()
+        self._release()
+        self._recount()
+        self._file.abandon()
+
+    def _recount(self) -> None:
+        """Count what is stored, without what waits."""
+        entries = {id(entry): entry for entry in (*self._closed, self._file.entry)}.values()
+        for topic in self.counts:
+            self.counts[topic] = sum(entry.counts.get(topic, 0) for entry in entries)
+
+    @property
+    def _file_closed(self) -> bool:
+        """No next file could be opened after the last one."""
+        return any(entry is self._file.entry for entry in self._closed)
+
+    def _release(self) -> None:
+        self._reserve.release()
+        self._closing.release()
+
+    def _over_time(self, time_ns: int) -> bool:
+        limit = self._limits.split_s
+        return bool(limit and self._began_ns and time_ns - self._began_ns >= limit * 1e9)
+
+    def _split(self) -> None:
+        self._close_file()
+        self._file = self._open_file()
+        self._began_ns, self._split_due = 0, False
+        for topic in self._topics.values():
+            self._file.add_topic(topic)
+
+    def _open_file(self) -> McapFile | SqliteFile:
+        name = f'{self.path.name}_{len(self._closed)}{self._format.suffix}'
+        file = STORAGES[self._format.storage](self.path / name, self._format.compression)
+        sync_folder(self.path)
+        return file
+
+    def _close_file(self) -> None:
+        self._file.sync()
+        entry = self._file.entry
+        alone = information(self._format, list(self._topics.values()), [entry])
+        self._file.close(yaml_text(alone).strip())
+        entry.size = self._file.size
+        self._closed.append(entry)
+
+
+def _check(path: Path, storage: str, compression: str) -> None:
+    if storage not in STORAGES:
+        raise BadInputError(str(path), 'storage must be mcap or sqlite3', storage)
+    if compression not in COMPRESSIONS:
+        known = ', '.join(COMPRESSIONS)
+        raise BadInputError(str(path), f'compression must be one of {known}', compression)
+    if (storage, compression) == ('sqlite3', 'lz4'):
+        raise BadInputError(
+            str(path), 'compression lz4 exists in mcap only', remedy='take zstd or storage mcap'
+        )
+
+
+def _check_space(path: Path, reserve: int) -> None:
+    if path.exists():
+        raise BadInputError(str(path), 'exists already, not overwritten')
+    free = free_bytes(path)
+    if free < reserve + CLOSING_RESERVE and reserve:
+        raise BadInputError(
+            str(path),
+            f'needs {(reserve + CLOSING_RESERVE) / MB:.0f} MB of free disk for a flight',
+            f'{free / MB:.0f} MB',
+            'free the disk or lower reserve_mb',
+        )
+
+
+def _remove_empty(path: Path) -> None:
+    for file in path.iterdir():
+        file.unlink()
+    path.rmdir()

@@ -1,23 +1,32 @@
 """Reads what is whole in an mcap file that was cut off: no summary, index or footer needed.
 
-rosbags needs the summary; this pass over the records does not. Source: the MCAP specification,
-version 0 (opcode u8, length u64, little-endian).
+rosbags needs the summary; this pass over the records does not. A chunk whose checksum fails is
+left out; behind nonsense the next chunk is searched. Source: the MCAP specification, version 0
+(opcode u8, length u64, little-endian).
 """
 
 from __future__ import annotations
 
+import mmap
+import re
 import struct
-from collections.abc import Iterator
+import zlib
+from collections.abc import Collection, Generator, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from quad_bridge.compression import ZstdDecompressor, ZstdError
+from quad_bridge.compression import decompress
 from quad_bridge.errors import BadInputError
 
 MAGIC = b'\x89MCAP0\r\n'
 FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, DATA_END = 0x02, 0x03, 0x04, 0x05, 0x06, 0x0F
+HIGHEST = 0x0F
+"""The last opcode of the specification; 0x80 and above are left to others."""
 _RECORD = struct.Struct('<BQ')
 _MESSAGE = struct.Struct('<HIQQ')
+_CHUNK = struct.Struct('<QQQII')
+"""Start, end, uncompressed size, checksum, length of the compression's name."""
+_CHUNK_HEAD = re.compile(rb'\x06.{36}(?:\0\0\0\0|\x04\0\0\0zstd|\x03\0\0\0lz4)', re.DOTALL)
 
 
 @dataclass(frozen=True)
@@ -44,19 +53,22 @@ class DamagedMcap:
     """One file; `messages` may be run once, the figures hold afterwards."""
 
     def __init__(self, path: Path) -> None:
-        """Read the file. Raises BadInputError where it is empty or no mcap."""
+        """Look at the file. Raises BadInputError where it is empty or no mcap."""
         try:
-            self._data = path.read_bytes()
+            self.size = path.stat().st_size
+            with path.open('rb') as file:
+                head = file.read(len(MAGIC))
         except OSError as error:
             raise BadInputError(str(path), f'cannot be read: {error.strerror}') from error
-        if not self._data:
+        if not self.size:
             raise BadInputError(str(path), 'is empty', remedy='nothing can be recovered')
-        if not self._data.startswith(MAGIC):
-            head = self._data[:8].hex()
-            raise BadInputError(str(path), 'is no mcap file', f'first bytes {head}')
-        self.size = len(self._data)
+        if head != MAGIC:
+            raise BadInputError(str(path), 'is no mcap file', f'first bytes {head.hex()}')
+        self._path = path
         self.unread = 0
         """Bytes that belong to no whole record."""
+        self.bad_chunks = 0
+        """Chunks that fail their checksum or cannot be decompressed to their end."""
         self.complete = False
         """The end of the data section was found."""
         self._schemas: dict[int, tuple[str, str]] = {}
@@ -64,45 +76,81 @@ class DamagedMcap:
 
     def messages(self) -> Iterator[Message]:
         """All whole messages in the file's order."""
+        with (
+            self._path.open('rb') as file,
+            mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data,
+        ):
+            yield from self._pass(data)
+
+    def _pass(self, data: mmap.mmap) -> Iterator[Message]:
         position = len(MAGIC)
         while position + _RECORD.size <= self.size:
-            opcode, length = _RECORD.unpack_from(self._data, position)
+            opcode, length = _RECORD.unpack_from(data, position)
             start, end = position + _RECORD.size, position + _RECORD.size + length
-            if opcode in {DATA_END, FOOTER}:
+            if opcode in {DATA_END, FOOTER} and end <= self.size:
                 self.complete = True
                 return
-            body = self._data[start:end]
+            if end > self.size or not (0 < opcode <= HIGHEST or opcode >= 0x80):
+                found = self._next_chunk(data, position + 1)
+                stop = self.size if found is None else found
+                if opcode == CHUNK:
+                    yield from self._chunk(data[start:stop], length)
+                else:
+                    self.unread += stop - position
+                position = stop
+                continue
             if opcode == CHUNK:
-                yield from self._chunk(body, length)
-            elif end <= self.size:
-                yield from self._record(opcode, body)
-            if end > self.size:
-                self.unread = self.size - start if opcode != CHUNK else self.unread
-                return
+                yield from self._chunk(data[start:end], length)
+            elif opcode in {SCHEMA, CHANNEL, MESSAGE}:
+                yield from self._record(opcode, data[start:end])
             position = end
         self.unread += self.size - position
 
+    def _next_chunk(self, data: mmap.mmap, position: int) -> int | None:
+        """Where the next chunk begins whose lengths agree with each other."""
+        for found in _CHUNK_HEAD.finditer(data, position):
+            (length,) = struct.unpack_from('<Q', data, found.start() + 1)
+            if found.end() + 8 > self.size or length > self.size:
+                continue
+            (packed,) = struct.unpack_from('<Q', data, found.end())
+            if found.start() + _RECORD.size + length == found.end() + 8 + packed:
+                return found.start()
+        return None
+
     def _chunk(self, body: bytes, length: int) -> Iterator[Message]:
-        if len(body) < 32:
+        """Messages of a chunk; of one that is cut off, as far as it goes."""
+        if len(body) < _CHUNK.size:
             self.unread += len(body)
             return
-        (name_length,) = struct.unpack_from('<I', body, 28)
-        packed = body[40 + name_length :]
-        try:
-            records = _unpacked(body[32 : 32 + name_length], packed)
-        except ZstdError:
-            self.unread += len(packed)
+        *_, checksum, name_length = _CHUNK.unpack_from(body)
+        begin = _CHUNK.size + name_length + 8
+        name = body[_CHUNK.size : begin - 8].decode(errors='replace')
+        records, whole = decompress(name, body[begin:])
+        if len(body) == length and checksum and zlib.crc32(records) != checksum:
+            self.bad_chunks += 1
+            self.unread += length
+            for _ in self._records(records, without={MESSAGE}):  # the names may serve later
+                pass
             return
+        if not whole or len(body) < length:
+            self.bad_chunks += 1
+        used = yield from self._records(records)
+        self.unread += len(records) - used if whole or used else len(body)
+
+    def _records(
+        self, records: bytes, without: Collection[int] = ()
+    ) -> Generator[Message, None, int]:
+        """Messages of a chunk's content; returns how many bytes of it are whole records."""
         used = 0
         while used + _RECORD.size <= len(records):
             opcode, size = _RECORD.unpack_from(records, used)
             start, end = used + _RECORD.size, used + _RECORD.size + size
             if end > len(records):
                 break
-            yield from self._record(opcode, records[start:end])
+            if opcode not in without:
+                yield from self._record(opcode, records[start:end])
             used = end
-        if len(body) < length:
-            self.unread += len(records) - used
+        return used
 
     def _record(self, opcode: int, body: bytes) -> Iterator[Message]:
         """Take in a schema or channel, hand out a message; a record of nonsense is left out."""
@@ -142,12 +190,3 @@ def _string(body: bytes, offset: int) -> tuple[str, int]:
     if end > len(body):
         raise struct.error('string runs over the end of its record')
     return body[offset + 4 : end].decode(), end
-
-
-def _unpacked(compression: bytes, packed: bytes) -> bytes:
-    """Records of a chunk; of one that is cut off, as far as the decompressor gets."""
-    if compression == b'':
-        return packed
-    if compression == b'zstd':
-        return bytes(ZstdDecompressor().decompress(packed))
-    raise ZstdError(f'unknown compression {compression!r}')

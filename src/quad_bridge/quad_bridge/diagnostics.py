@@ -13,12 +13,14 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from quad_bridge.excitation_relay import ExcitationRelay
 from quad_bridge.link import Link
-from quad_bridge.recording import RecordingStatus
+from quad_bridge.recording import SLOW_S, RecordingStatus
 from quad_bridge.serial_port import PortState, PortStatus
 from quad_bridge.wire.codec import Counts
 from quad_bridge.wire.frames import Flag
 
 OK, WARN, ERROR = 0, 1, 2
+LOW_DISK_BYTES = 100_000_000
+"""A warning below it; what was reserved for the bag counts as taken."""
 FOREIGN_BYTES = 2000
 """Bytes without one valid frame after which the far end is said to speak another protocol."""
 
@@ -134,21 +136,33 @@ def gains_status(link: Link, refused: str, writes: int) -> Status:
     return Status('gains', OK, 'read back', values)
 
 
-def recording_status(status: RecordingStatus | None, last: str) -> Status:
+def recording_status(
+    status: RecordingStatus | None, last: str, free_bytes: int | None = None
+) -> Status:
     """The logger's state; `last` is what it announced last, `status` None while it is idle."""
+    disk = {} if free_bytes is None else {'free disk (MB)': free_bytes // 1_000_000}
     if status is None:
-        return Status('recording', OK, last or 'idle')
+        return Status('recording', OK, last or 'idle', disk)
     values = {
         'path': status.path,
         'messages written': status.written,
         'messages waiting': status.waiting,
-        'messages dropped (queue full)': status.dropped,
+        'messages dropped (disk)': status.dropped,
         'messages lost (middleware)': status.lost,
+        'bag (MB)': f'{status.size / 1e6:.1f}',
+        'longest sync of the disk (s)': f'{status.longest_sync_s:.2f}',
+        **disk,
     }
     if status.failure:
         return Status('recording', ERROR, status.failure, values)
     if status.dropped or status.lost:
         text = f'recording, {status.dropped + status.lost} messages lost'
+        return Status('recording', WARN, text, values)
+    if free_bytes is not None and free_bytes < LOW_DISK_BYTES:
+        text = f'recording, the disk is nearly full: {free_bytes // 1_000_000} MB are free'
+        return Status('recording', WARN, text, values)
+    if status.longest_sync_s > SLOW_S:
+        text = f'recording, the disk is slow: {status.longest_sync_s:.1f} s for one sync'
         return Status('recording', WARN, text, values)
     return Status('recording', OK, 'recording', values)
 

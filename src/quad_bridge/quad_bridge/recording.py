@@ -1,24 +1,29 @@
 """A recording in progress: a queue between the subscriptions and the thread that writes the bag.
 
-No ROS. Losses are counted, a fault of the disk ends the recording with a reason.
+No ROS. A slow disk fills the queue; a full queue drops its oldest messages and counts them. A
+disk that is full, read-only or gone ends the recording: the bag is closed as far as it came.
 """
 
 from __future__ import annotations
 
-import queue
 import sqlite3
 import threading
 import time
+from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
 
 from rosbags.interfaces import Qos
-from rosbags.rosbag2 import WriterError
 
 from quad_bridge.bag_writer import BagWriter
 
-FLUSH_S = 0.5
-_FAULTS = (OSError, sqlite3.Error, WriterError, ValueError)
+FLUSH_S = 0.4
+"""A chunk is closed and synced this long after it was begun: what a kill can cost."""
+POLL_S = 0.05
+"""How long messages may wait before the thread takes them, many at once."""
+SLOW_S = 1.0
+"""A sync that takes longer is told."""
+_FAULTS = (OSError, sqlite3.Error, ValueError)
 
 
 @dataclass(frozen=True)
@@ -29,11 +34,14 @@ class RecordingStatus:
     written: int
     waiting: int
     dropped: int
-    """Messages that found the queue full."""
+    """Messages lost here: the oldest of a full queue, or those after the disk's fault."""
     lost: int
     """Messages that the middleware reports as lost before they arrived."""
     failure: str
     """Why the recording has ended by itself; empty while all is well."""
+    size: int = 0
+    """Bytes of the bag."""
+    longest_sync_s: float = 0.0
 
 
 class Recording:
@@ -43,13 +51,16 @@ class Recording:
         """Start the thread; `capacity` is the number of messages that may wait."""
         self._writer = writer
         self._capacity = capacity
-        self._queue: queue.SimpleQueue[tuple[str, int, bytes] | None] = queue.SimpleQueue()
+        self._queue: deque[tuple[str, int, bytes]] = deque()
+        self._declared: dict[str, tuple[str, tuple[Qos, ...]]] = {}
         self._dropped = 0
         self._lost = 0
+        self._taken = 0
+        """Messages that have left the queue for the writer."""
         self._written = 0
+        self._longest_sync_s = 0.0
         self._failure = ''
-        self._topics: set[str] = set()
-        self._lock = threading.Lock()
+        self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name='bag writer', daemon=True)
         self._thread.start()
 
@@ -59,71 +70,94 @@ class Recording:
         return RecordingStatus(
             path=self._writer.path,
             written=self._written,
-            waiting=self._queue.qsize(),
+            waiting=len(self._queue),
             dropped=self._dropped,
             lost=self._lost,
             failure=self._failure,
+            size=self._writer.size,
+            longest_sync_s=self._longest_sync_s,
         )
 
     def known(self, topic: str) -> bool:
         """True once the topic has been declared."""
-        return topic in self._topics
+        return topic in self._declared
 
     def declare(self, topic: str, kind: str, qos: tuple[Qos, ...]) -> None:
         """Declare a topic before its first message, with the QoS that its publishers offer."""
-        with self._lock:
-            self._writer.add_topic(topic, kind, qos)
-        self._topics.add(topic)
+        self._declared[topic] = kind, qos
 
     def put(self, topic: str, time_ns: int, data: bytes) -> None:
         """Queue one serialised message of a declared topic; returns at once."""
-        if self._failure or self._queue.qsize() >= self._capacity:
+        if self._failure:
             self._dropped += 1
-        else:
-            self._queue.put((topic, time_ns, data))
+            return
+        if len(self._queue) >= self._capacity and self._drop_oldest():
+            self._dropped += 1
+        self._queue.append((topic, time_ns, data))
 
     def count_lost(self, number: int) -> None:
         """Add messages that the middleware lost."""
         self._lost += number
 
+    def end(self, reason: str) -> None:
+        """End the recording from outside as a fault of the disk would; `stop` is still to come."""
+        self._failure = self._failure or f'{self._writer.path}: {reason}'
+
     def stop(self) -> RecordingStatus:
         """Write what waits, close the bag; the status afterwards tells whether it is whole."""
-        self._queue.put(None)
+        self._stopping.set()
         self._thread.join()
-        if not self._failure:
-            try:
-                self._writer.close()
-            except _FAULTS as error:
-                self._fail(error)
         return self.status
+
+    def _drop_oldest(self) -> bool:
+        try:
+            self._queue.popleft()
+        except IndexError:  # the thread was faster
+            return False
+        return True
 
     def _run(self) -> None:
         try:
             self._write_until_stopped()
+            self._drain()
+            self._writer.close()
         except _FAULTS as error:
             self._fail(error)
 
     def _write_until_stopped(self) -> None:
         flushed_s = time.monotonic()
-        while True:
+        while not self._stopping.wait(POLL_S) and not self._failure:
+            self._drain()
+            began_s = time.monotonic()
+            if began_s - flushed_s >= FLUSH_S - POLL_S:
+                flushed_s = began_s
+                self._writer.flush()
+                self._longest_sync_s = max(self._longest_sync_s, time.monotonic() - began_s)
+
+    def _drain(self) -> None:
+        """Write what waits now; what arrives meanwhile is left for the next time."""
+        for _ in range(len(self._queue)):
             try:
-                item = self._queue.get(timeout=FLUSH_S)
-                if item is None:
-                    return
-                with self._lock:
-                    self._writer.write(*item)
-                self._written += 1
-            except queue.Empty:
-                pass
-            now_s = time.monotonic()
-            if now_s - flushed_s >= FLUSH_S:
-                flushed_s = now_s
-                with self._lock:
-                    self._writer.flush()
+                topic, time_ns, data = self._queue.popleft()
+            except IndexError:  # dropped meanwhile
+                return
+            self._taken += 1
+            if topic not in self._writer.counts:
+                self._writer.add_topic(topic, *self._declared[topic])
+            self._writer.write(topic, time_ns, data)
+            self._written += 1
 
     def _fail(self, error: Exception) -> None:
-        self._failure = f'{self._writer.path}: writing failed: {" ".join(str(error).split())}'
+        """Close the bag as far as it came; what was taken and is not in it counts as dropped."""
+        reason = f'writing failed: {" ".join(str(error).split())}'
+        self._failure = f'{self._writer.path}: {reason}'  # from here on `put` drops
         try:
-            self._writer.abort()
+            self._writer.close_after_fault()
+            end = 'closed, whole up to here'
         except _FAULTS as second:
-            self._failure += f' ({second})'
+            self._writer.abort()
+            end = f'not closed ({second}); `ros2 run quad_bridge recover` reads it'
+        self._written = sum(self._writer.counts.values())
+        self._dropped += self._taken - self._written + len(self._queue)
+        self._queue.clear()
+        self._failure = f'{self._writer.path}: {reason}; the bag is {end}'

@@ -5,12 +5,10 @@ The original is only read. What was lost is said on stdout; exit status as in th
 
 from __future__ import annotations
 
+import re
 import shutil
-import sqlite3
 import sys
-import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -19,11 +17,14 @@ from rosbags.rosbag2.metadata import parse_qos
 
 from quad_bridge.arguments import OneLineParser
 from quad_bridge.bag_writer import BagWriter, Definition
-from quad_bridge.compression import ZstdError, decompress
+from quad_bridge.compression import decompress
 from quad_bridge.damaged_mcap import DamagedMcap, Message, Topic
+from quad_bridge.damaged_sqlite import DamagedSqlite
 from quad_bridge.errors import BadInputError, QuadBridgeError
 
 ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
+HOLE_S = 1.0
+"""Silence of all topics that is told."""
 
 
 @dataclass
@@ -39,6 +40,8 @@ class Recovered:
     undecodable: int = 0
     """Messages whose own compression is damaged."""
     notes: list[str] = field(default_factory=list)
+    holes: list[tuple[int, int]] = field(default_factory=list)
+    """Stretches of receive time (ns) without any message."""
 
     @property
     def messages(self) -> int:
@@ -53,9 +56,14 @@ class Recovered:
         if self.undecodable:
             lost += f', {self.undecodable} messages are damaged in themselves'
         counts = [f'  {count:8d}  {topic}' for topic, count in sorted(self.counts.items())]
+        holes = [
+            f'  nothing for {(end - start) * 1e-9:.2f} s at {(start - self.first_ns) * 1e-9:.2f} s'
+            for start, end in self.holes
+        ]
         return [
             f'{self.path}: {self.messages} messages over {seconds:.2f} s recovered; lost: {lost}',
             *self.notes,
+            *holes,
             *counts,
         ]
 
@@ -71,7 +79,8 @@ def recover(bag: Path) -> Recovered:
     target = whole.with_name(f'{stem}_recovered')
     if target.exists():
         raise BadInputError(str(target), 'exists already', remedy='move it away first')
-    result = Recovered(target)
+    result = Recovered(target, total_bytes=sum(file.stat().st_size for file in files))
+    result.notes += _missing_parts(files)
     storage = 'sqlite3' if files[0].suffix == '.db3' else 'mcap'
     work = target.with_name(f'{target.name}.part')
     shutil.rmtree(work, ignore_errors=True)
@@ -80,8 +89,13 @@ def recover(bag: Path) -> Recovered:
         writer = BagWriter(work / target.name, storage)
         for file in files:
             read = _sqlite_messages if file.suffix == '.db3' else _mcap_messages
-            for message in read(file, result):
-                _copy(message, writer, result)
+            try:
+                for message in read(file, result):
+                    _copy(message, writer, result)
+            except BadInputError as error:  # one file of a split bag; alone it is the answer
+                if len(files) == 1:
+                    raise
+                result.notes.append(f'  {error}')
         writer.close()
         if not result.messages:
             raise BadInputError(str(bag), 'holds no whole message', remedy='nothing to recover')
@@ -104,12 +118,20 @@ def _storage_files(bag: Path) -> list[Path]:
     return files
 
 
+def _missing_parts(files: list[Path]) -> list[str]:
+    """Parts of a split bag, numbered by the recorder, that are not there."""
+    numbers = [int(m[1]) for m in (re.search(r'_(\d+)$', file.stem) for file in files) if m]
+    if len(numbers) != len(files) or min(numbers) > 0 or max(numbers) > 10_000:
+        return []
+    absent = sorted(set(range(max(numbers))) - set(numbers))
+    return [f'  part {number} of the bag is missing' for number in absent]
+
+
 def _copy(message: Message, writer: BagWriter, result: Recovered) -> None:
     topic, data = message.topic, message.data
     if data[:4] == ZSTD_MAGIC:
-        try:
-            data = decompress(data)
-        except ZstdError:
+        data, whole = decompress('zstd', data)
+        if not whole:
             result.undecodable += 1
             return
     if topic.name not in writer.counts:
@@ -117,6 +139,8 @@ def _copy(message: Message, writer: BagWriter, result: Recovered) -> None:
         writer.add_topic(topic.name, topic.kind, qos, Definition(topic.definition, ''))
     writer.write(topic.name, message.time_ns, data)
     result.counts[topic.name] = writer.counts[topic.name]
+    if result.last_ns and message.time_ns - result.last_ns > HOLE_S * 1e9:
+        result.holes.append((result.last_ns, message.time_ns))
     result.first_ns = min(result.first_ns or message.time_ns, message.time_ns)
     result.last_ns = max(result.last_ns, message.time_ns)
 
@@ -135,41 +159,18 @@ def _mcap_messages(file: Path, result: Recovered) -> Iterator[Message]:
     damaged = DamagedMcap(file)
     yield from damaged.messages()
     result.unread_bytes += damaged.unread
-    result.total_bytes += damaged.size
+    if damaged.bad_chunks:
+        result.notes.append(f'  {file.name}: {damaged.bad_chunks} chunks are not whole')
     if damaged.complete:
         result.notes.append(f'  {file.name}: its data were complete')
+    else:
+        result.notes.append(f'  {file.name}: ends without its index')
 
 
 def _sqlite_messages(file: Path, result: Recovered) -> Iterator[Message]:
-    """Read a copy: opening a database with a journal left over writes to it."""
-    result.total_bytes += file.stat().st_size
-    with tempfile.TemporaryDirectory() as folder:
-        for suffix in ('', '-journal', '-wal'):
-            part = file.with_name(file.name + suffix)
-            if part.is_file():
-                shutil.copy(part, folder)
-        try:
-            with closing(sqlite3.connect(Path(folder) / file.name)) as base:
-                yield from _rows(base)
-        except sqlite3.Error as error:
-            result.notes.append(f'  {file.name}: damaged ({error}): what came before is kept')
-
-
-def _rows(base: sqlite3.Connection) -> Iterator[Message]:
-    definitions = dict(
-        base.execute('SELECT topic_type, encoded_message_definition FROM message_definitions')
-    )
-    topics = {
-        number: Topic(name, kind, definitions.get(kind, ''), qos)
-        for number, name, kind, qos in base.execute(
-            'SELECT id, name, type, offered_qos_profiles FROM topics'
-        )
-    }
-    for number, time_ns, data in base.execute(
-        'SELECT topic_id, timestamp, data FROM messages ORDER BY id'
-    ):
-        if number in topics:
-            yield Message(topics[number], time_ns, data)
+    damaged = DamagedSqlite(file)
+    yield from damaged.messages()
+    result.notes += [f'  {note}' for note in damaged.notes]
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -1,0 +1,122 @@
+"""The disk under the bags: free space, a reserve for the flight, room by deleting old bags.
+
+Knows paths and bytes, no formats; a bag is a directory, closed once it holds metadata.yaml.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import shutil
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+from quad_bridge.errors import BadInputError
+
+MB = 1_000_000
+
+
+def free_bytes(folder: Path) -> int:
+    """What may still be written into the nearest existing folder. Raises OSError."""
+    while not folder.exists():
+        folder = folder.parent
+    told = os.statvfs(folder)
+    return told.f_bavail * told.f_frsize
+
+
+class Reserve:
+    """Blocks of the disk that nobody else can take: an unnamed file, gone when the process ends.
+
+    `give` returns as much as the bag has grown by, so that bag and reserve together stay as large
+    as the reserve was; `release` returns the rest.
+    """
+
+    def __init__(self, folder: Path, size: int) -> None:
+        """Reserve `size` bytes (0 for none). Raises OSError where there are not as many."""
+        self._size, self._given = size, 0
+        self._file = None
+        if size <= 0:
+            return
+        file = tempfile.TemporaryFile(dir=folder, buffering=0)  # noqa: SIM115  (lives on)
+        try:
+            os.posix_fallocate(file.fileno(), 0, size)
+        except OSError:
+            file.close()
+            raise
+        self._file = file
+
+    def give(self, used: int) -> None:
+        """Shrink the reserve to what `used` bytes of the bag leave of it."""
+        if self._file is None or used - self._given < MB:
+            return
+        self._given = used
+        self._file.truncate(max(self._size - used, 0))
+
+    def release(self) -> None:
+        """Return all of it; a second time does nothing."""
+        file, self._file = self._file, None
+        if file is not None:
+            file.close()
+
+
+@dataclass(frozen=True)
+class Budget:
+    """How much the bags of one folder may take together."""
+
+    folder: Path
+    prefix: str
+    limit: int = 0
+    """Bytes; 0 for no limit."""
+    delete_oldest: bool = False
+    """Closed bags may be deleted, the oldest first, to stay within the limit."""
+
+    def bags(self) -> list[Path]:
+        """Bags of this folder and prefix, by name, which is by time."""
+        if not self.folder.is_dir():
+            return []
+        return sorted(p for p in self.folder.glob(f'{self.prefix}_*') if p.is_dir())
+
+    def excess(self, more: int = 0) -> int:
+        """Bytes by which all bags and `more` exceed the limit; not above 0 while they do not."""
+        if not self.limit:
+            return -1
+        return sum(map(bag_bytes, self.bags())) + more - self.limit
+
+    def make_room(self, more: int, current: Path | None = None) -> list[Path]:
+        """Delete closed bags as far as is allowed and needed; returns them.
+
+        `current` is never deleted, nor is a bag without metadata.yaml: it may be another
+        recorder's, or wait for `recover`. Raises BadInputError where the limit stays exceeded.
+        """
+        deleted: list[Path] = []
+        while (excess := self.excess(more)) > 0:
+            closed = [b for b in self.bags() if b != current and (b / 'metadata.yaml').is_file()]
+            if not self.delete_oldest or not closed:
+                raise BadInputError(
+                    str(self.folder),
+                    f'bags {self.prefix}_* and the reserve exceed the disk budget',
+                    f'{excess / MB:.0f} MB too much',
+                    'remove bags, raise disk_budget_mb or set delete_oldest',
+                )
+            shutil.rmtree(closed[0])
+            deleted.append(closed[0])
+        return deleted
+
+
+def bag_bytes(bag: Path) -> int:
+    """Size of the files of a bag; 0 where there is none."""
+    files = list(bag.iterdir()) if bag.is_dir() else []
+    return sum(file.stat().st_size for file in files if file.is_file())
+
+
+def sync_folder(folder: Path) -> None:
+    """Make new names in a folder survive a power cut. Raises OSError."""
+    fd = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(fd)
+    except OSError as error:
+        if error.errno != errno.EINVAL:  # file systems that cannot sync a folder
+            raise
+    finally:
+        os.close(fd)
