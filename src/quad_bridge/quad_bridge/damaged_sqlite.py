@@ -6,6 +6,7 @@ back on a copy. Source: the SQLite file format (big-endian; b-tree pages, cells,
 
 from __future__ import annotations
 
+import mmap
 import shutil
 import sqlite3
 import struct
@@ -18,7 +19,11 @@ from pathlib import Path
 from quad_bridge.damaged_mcap import Message, Topic
 
 JOURNALS = ('-journal', '-wal')
+JOURNAL_STARTS = (b'\xd9', b'\x37')
+"""First byte of a rollback journal that is still to be played back, and of a write-ahead log."""
 LEAF = 0x0D
+FIRST_BYTES = 1 << 20
+"""Of a file: in them stand the topics and their types."""
 _COLUMNS = 4
 """Of the table `messages`: id, topic_id, timestamp, data; no other table has as many."""
 _FIRST_BLOB = 12
@@ -40,11 +45,9 @@ class DamagedSqlite:
             played = plain != self.path
             if played:
                 self.notes.append(f'{self.path.name}: its last transaction was not finished')
-            topics: dict[int, Topic] = {}
             last = 0
             try:
-                uri = f'{plain.resolve().as_uri()}?mode={"rw" if played else "ro&immutable=1"}'
-                with closing(sqlite3.connect(uri, uri=True)) as base:
+                with closing(_connected(plain, 'rw' if played else 'ro&immutable=1')) as base:
                     topics = _topics(base)
                     for number, topic, time_ns, data in base.execute(
                         'SELECT id, topic_id, timestamp, data FROM messages ORDER BY id'
@@ -55,16 +58,46 @@ class DamagedSqlite:
             except (sqlite3.Error, UnicodeDecodeError) as error:
                 self.complete = False
                 self.notes.append(f'{self.path.name}: {error}: read page by page')
-                for topic, time_ns, data in Pages(plain.read_bytes()).rows(last):
-                    if topic in topics:
-                        yield Message(topics[topic], time_ns, data)
+                yield from self._torn(plain, last)
+
+    def _torn(self, plain: Path, last: int) -> Iterator[Message]:
+        """Messages with an id above `last` without their tree."""
+        with (
+            plain.open('rb') as file,
+            mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data,
+        ):
+            try:
+                topics = _first_topics(data)
+            except (sqlite3.Error, UnicodeDecodeError) as error:
+                self.notes.append(f'{self.path.name}: its list of topics is lost ({error})')
+                return
+            for topic, time_ns, content in Pages(data).rows(last):
+                if topic in topics:
+                    yield Message(topics[topic], time_ns, content)
+
+
+def _connected(file: Path, mode: str) -> sqlite3.Connection:
+    return sqlite3.connect(f'{file.resolve().as_uri()}?mode={mode}', uri=True)
+
+
+def _first_topics(data: mmap.mmap) -> dict[int, Topic]:
+    """The tables at the beginning of a file of which the end may be missing."""
+    size = Pages(data).page_size or 1
+    count = min(len(data), FIRST_BYTES) // size
+    head = bytearray(data[: count * size])
+    head[28:32] = struct.pack('>I', count)  # else SQLite calls the whole file malformed
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder, 'head.db3')
+        file.write_bytes(head)
+        with closing(_connected(file, 'ro&immutable=1')) as base:
+            return _topics(base)
 
 
 @contextmanager
 def _still(path: Path) -> Iterator[Path]:
     """The file, or where it has a journal a copy of both."""
     journals = [path.with_name(path.name + suffix) for suffix in JOURNALS]
-    journals = [file for file in journals if file.is_file() and file.stat().st_size]
+    journals = [p for p in journals if p.is_file() and p.read_bytes()[:1] in JOURNAL_STARTS]
     if not journals:
         yield path
         return
@@ -92,7 +125,7 @@ def _topics(base: sqlite3.Connection) -> dict[int, Topic]:
 class Pages:
     """The pages of a database file, without its trees."""
 
-    data: bytes
+    data: bytes | mmap.mmap
 
     @property
     def page_size(self) -> int:

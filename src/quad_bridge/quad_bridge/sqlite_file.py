@@ -41,6 +41,7 @@ class SqliteFile:
         self.path = path
         self._compress = COMPRESSORS[compression]
         self._base = sqlite3.connect(path, check_same_thread=False)
+        self._base.execute('PRAGMA locking_mode=EXCLUSIVE')  # no reader can hold up the recorder
         self._base.executescript(TABLES)
         self._topics: dict[str, int] = {}
         self._kinds: set[str] = set()

@@ -30,6 +30,9 @@ else:
 
 ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
 SQLITE_MAGIC = b'SQLite format 3\x00'
+JOURNALS = ('-journal', '-wal')
+JOURNAL_STARTS = (b'\xd9', b'\x37')
+"""First byte of a rollback journal that is still to be played back, and of a write-ahead log."""
 FOREIGN = {
     '.csv': 'a CSV file; turn it into a bag with `quad-sysid import`',
     '.gz': 'a compressed table; turn it into a bag with `quad-sysid import`',
@@ -141,7 +144,10 @@ class Storage:
 
     def _read_sqlite(self, plain: Path, shown: Path) -> Iterator[Batch]:
         try:
-            with closing(sqlite3.connect(f'{plain.resolve().as_uri()}?mode=ro', uri=True)) as base:
+            with (
+                _settled(plain, shown, self.warnings) as address,
+                closing(sqlite3.connect(address, uri=True)) as base,
+            ):
                 names = {}
                 for number, name, kind in base.execute('SELECT id, name, type FROM topics'):
                     self.types[name] = kind
@@ -158,7 +164,10 @@ class Storage:
                         batch.setdefault(names[number], []).append(raw)
                     yield batch
         except sqlite3.DatabaseError as error:
-            self.warnings.append(f'{shown}: damaged sqlite3 file ({error}): read what is whole')
+            self.warnings.append(
+                f'{shown}: damaged sqlite3 file ({error}): read what is whole; '
+                '`ros2 run quad_bridge recover` may find more'
+            )
 
     def _decompressed(self, raws: list[bytes], shown: Path) -> list[bytes]:
         """Messages as CDR: those that were compressed one by one (by their magic) are opened."""
@@ -169,6 +178,24 @@ class Storage:
         if damaged:
             self.warnings.append(f'{shown}: {damaged} compressed messages are damaged; left out')
         return [raw for raw in opened if raw]
+
+
+@contextmanager
+def _settled(plain: Path, shown: Path, warnings: list[str]) -> Iterator[str]:
+    """Address of a database to read; one with a journal left over is played back on a copy."""
+    journals = [
+        file
+        for file in (plain.with_name(plain.name + suffix) for suffix in JOURNALS)
+        if file.is_file() and file.read_bytes()[:1] in JOURNAL_STARTS
+    ]
+    if not journals:
+        yield f'{plain.resolve().as_uri()}?mode=ro&immutable=1'
+        return
+    warnings.append(f'{shown}: the recorder was killed within a transaction: read without it')
+    with TemporaryDirectory() as folder:
+        for file in (plain, *journals):
+            shutil.copy(file, folder)
+        yield f'{Path(folder, plain.name).as_uri()}?mode=rw'
 
 
 def _opened(raw: bytes) -> bytes:
