@@ -1,25 +1,22 @@
 """Stamped messages of fixed layout in bulk: many CDR byte strings ↔ stamps and one array.
 
-No files, no topics, no grids. A message whose layout differs from its neighbours' goes through
-rosbags' own deserialiser, so the answer never depends on which way it was read.
-Source of the layout: OMG CDR (XCDR1), 4 bytes of encapsulation header, alignment counted after it.
+No files, no topics, no grids. Messages of one layout (layout.py) are read together; what fits none
+goes through rosbags' own deserialiser, so the answer never depends on which way it was read.
 """
 
 from __future__ import annotations
 
-import struct
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
-from rosbags.typesys import Stores, get_typestore
+
+from quad_sysid.bags.layout import Layout, LayoutError, layout_of, steps_of, typestore
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
-
-    from rosbags.typesys.store import Typestore
 
     from quad_sysid.contract import FloatArray
 
@@ -31,11 +28,23 @@ BATTERY = 'sensor_msgs/msg/BatteryState'
 
 MOTOR_NAMES = ('motor_1', 'motor_2', 'motor_3', 'motor_4')
 
-WIDTH = {IMU: 11, JOINTS: 4, WRENCH: 6, VECTOR: 3, BATTERY: 1}
-"""Columns per type. Imu: orientation x y z w, orientation_covariance[0], rates, acceleration.
-JointState: effort of motor_1..motor_4. Wrench: force, torque. Battery: voltage."""
+COLUMNS = {
+    IMU: (
+        *(f'orientation.{axis}' for axis in 'xyzw'), 'orientation_covariance[0]',
+        *(f'angular_velocity.{axis}' for axis in 'xyz'),
+        *(f'linear_acceleration.{axis}' for axis in 'xyz'),
+    ),
+    JOINTS: tuple(f'effort of {name}' for name in MOTOR_NAMES),
+    WRENCH: tuple(f'wrench.{part}.{axis}' for part in ('force', 'torque') for axis in 'xyz'),
+    VECTOR: ('vector.x', 'vector.y', 'vector.z'),
+    BATTERY: ('voltage',),
+}
+"""Which fields of a type are read, in the order of the columns."""
 
-LITTLE_ENDIAN = b'\x00\x01'
+WIDTH = {msgtype: len(columns) for msgtype, columns in COLUMNS.items()}
+
+MOST_LAYOUTS = 8
+"""How many layouts are tried among messages of one length before they are read one by one."""
 
 
 @dataclass(frozen=True)
@@ -47,28 +56,6 @@ class Stamped:
     spoiled: int = 0
 
 
-@dataclass(frozen=True)
-class Layout:
-    """Where the numbers of one message lie. Messages of this layout agree in `fixed` bytes."""
-
-    columns: tuple[tuple[int, str, int], ...]
-    """(offset, dtype, count) of each run of numbers; in the order of the columns."""
-    order: tuple[int, ...]
-    """Which number of the runs stands in which column."""
-    fixed: tuple[tuple[int, int], ...]
-    """Byte ranges [start, stop) of lengths and names."""
-
-
-class LayoutError(Exception):
-    """The bytes hold no message of a layout that can be read in bulk."""
-
-
-@lru_cache(maxsize=1)
-def typestore() -> Typestore:
-    """Rosbags' table of Jazzy's message types."""
-    return get_typestore(Stores.ROS2_JAZZY)
-
-
 def decode(msgtype: str, messages: Sequence[bytes]) -> Stamped:
     """Stamps and values of `messages` in their order; those that cannot be read are left out."""
     stamps = np.zeros(len(messages), dtype=np.int64)
@@ -77,9 +64,13 @@ def decode(msgtype: str, messages: Sequence[bytes]) -> Stamped:
     lengths = np.fromiter(map(len, messages), dtype=np.int64, count=len(messages))
     for length in np.unique(lengths):
         rows = np.flatnonzero(lengths == length)
-        group = [messages[i] for i in rows.tolist()]
-        taken = _decode_group(msgtype, group, stamps, values, rows)
-        good[taken] = True
+        for _ in range(MOST_LAYOUTS):
+            if len(rows) == 0:
+                break
+            taken = _decode_group(msgtype, messages, rows, stamps, values)
+            good[rows[taken]] = True
+            taken[0] = True  # of no layout to be read in bulk: one by one below
+            rows = rows[~taken]
     for i in np.flatnonzero(~good).tolist():
         try:
             stamps[i], values[i] = _decode_one(msgtype, messages[i])
@@ -91,27 +82,31 @@ def decode(msgtype: str, messages: Sequence[bytes]) -> Stamped:
 
 def _decode_group(
     msgtype: str,
-    messages: list[bytes],
+    messages: Sequence[bytes],
+    rows: npt.NDArray[np.intp],
     stamps: npt.NDArray[np.int64],
     values: FloatArray,
-    rows: npt.NDArray[np.intp],
-) -> npt.NDArray[np.intp]:
-    """Fill in the rows whose bytes agree with the first one's layout; returns these rows."""
+) -> npt.NDArray[np.bool_]:
+    """Fill in the rows, all of one length, that share the first one's layout; which they are."""
     try:
-        layout = layout_of(msgtype, messages[0])
-    except (LayoutError, struct.error, UnicodeDecodeError):
-        return rows[:0]
-    table = np.frombuffer(b''.join(messages), dtype=np.uint8).reshape(len(messages), -1)
-    same = np.ones(len(messages), dtype=bool)
+        layout = layout_of(msgtype, messages[rows[0]])
+        columns, order = _columns(msgtype, layout)
+    except LayoutError:
+        return np.zeros(len(rows), dtype=bool)
+    joined = b''.join(messages if len(rows) == len(messages) else [messages[i] for i in rows])
+    table = np.frombuffer(joined, dtype=np.uint8).reshape(len(rows), -1)
+    same = np.ones(len(rows), dtype=bool)
     for start, stop in layout.fixed:
         same &= (table[:, start:stop] == table[0, start:stop]).all(axis=1)
+    for start, stop in layout.texts:  # plain ASCII; whatever else rosbags may judge
+        same &= (table[:, start : stop - 1] < 0x80).all(axis=1) & (table[:, stop - 1] == 0)
     picked = table if same.all() else table[same]
     taken = rows[same]
     seconds = _numbers(picked, 4, '<i4', 1)[:, 0].astype(np.int64)
     stamps[taken] = seconds * 1_000_000_000 + _numbers(picked, 8, '<u4', 1)[:, 0]
-    columns = [_numbers(picked, *column) for column in layout.columns]
-    values[taken] = np.concatenate(columns, axis=1)[:, list(layout.order)]
-    return taken
+    numbers = np.concatenate([_numbers(picked, *column) for column in columns], axis=1)
+    values[taken] = numbers if order is None else numbers[:, list(order)]
+    return same
 
 
 def _numbers(table: npt.NDArray[np.uint8], offset: int, dtype: str, count: int) -> Any:
@@ -120,89 +115,58 @@ def _numbers(table: npt.NDArray[np.uint8], offset: int, dtype: str, count: int) 
     return np.ascontiguousarray(table[:, offset : offset + size]).view(dtype)
 
 
+def _columns(
+    msgtype: str, layout: Layout
+) -> tuple[list[tuple[int, str, int]], tuple[int, ...] | None]:
+    """(offset, dtype, count) of each run of numbers, and which number goes to which column."""
+    steps = steps_of(msgtype)
+    if msgtype == JOINTS:
+        index = next(i for i, step in enumerate(steps) if step.names == ('effort',))
+        offset, count = layout.places[index]
+        if count != len(MOTOR_NAMES):
+            raise LayoutError('effort does not hold four motors')
+        return [(offset, '<f8', count)], motor_order(layout.lists['name'])
+    return [
+        (layout.places[i][0] + first * steps[i].size, steps[i].dtype, count)
+        for i, first, count in _runs(msgtype)
+    ], None
+
+
+@lru_cache(maxsize=16)
+def _runs(msgtype: str) -> tuple[tuple[int, int, int], ...]:
+    """(step, first number, count) of the columns' runs."""
+    runs: list[tuple[int, int, int]] = []
+    steps = enumerate(steps_of(msgtype))
+    places = {name: (i, k) for i, step in steps for k, name in enumerate(step.names)}
+    for name in COLUMNS[msgtype]:
+        step, place = places[name]
+        if runs and runs[-1][0] == step and sum(runs[-1][1:]) == place:
+            runs[-1] = step, runs[-1][1], runs[-1][2] + 1
+        else:
+            runs.append((step, place, 1))
+    return tuple(runs)
+
+
 def encode(
     msgtype: str, template: bytes, stamps: npt.NDArray[np.int64], values: FloatArray
 ) -> list[bytes]:
     """Copy one serialised message, `template`, with other stamps (n,) and values (n, w)."""
-    layout = layout_of(msgtype, template)
+    columns, order = _columns(msgtype, layout_of(msgtype, template))
+    places = order or range(WIDTH[msgtype])
     table = np.tile(np.frombuffer(template, dtype=np.uint8), (len(stamps), 1))
     seconds, rest = np.divmod(stamps, 1_000_000_000)
     table[:, 4:8] = seconds.astype('<i4')[:, None].view(np.uint8)
     table[:, 8:12] = rest.astype('<u4')[:, None].view(np.uint8)
     start = 0
-    for offset, dtype, count in layout.columns:
+    for offset, dtype, count in columns:
         block = np.empty((len(stamps), count), dtype=dtype)
-        for column, place in enumerate(layout.order):
+        for column, place in enumerate(places):
             if start <= place < start + count:
                 block[:, place - start] = values[:, column]
         size = block.dtype.itemsize * count
         table[:, offset : offset + size] = block.view(np.uint8)
         start += count
     return [row.tobytes() for row in table]
-
-
-def layout_of(msgtype: str, raw: bytes) -> Layout:
-    """Layout of one little-endian message; raises LayoutError where it is not of that kind."""
-    if raw[:2] != LITTLE_ENDIAN:
-        raise LayoutError(raw[:2].hex())
-    layout = _LAYOUTS[msgtype](raw)
-    end = max(offset + np.dtype(dtype).itemsize * count for offset, dtype, count in layout.columns)
-    if end > len(raw):
-        raise LayoutError(f'{len(raw)} bytes')
-    return layout
-
-
-def _align(offset: int, size: int) -> int:
-    """Next offset aligned to `size`, counted after the encapsulation header."""
-    return offset + (4 - offset) % size
-
-
-def _header(raw: bytes) -> int:
-    """Offset after std_msgs/Header."""
-    (length,) = struct.unpack_from('<I', raw, 12)
-    return 16 + int(length)
-
-
-def _plain(dtype: str, count: int) -> Callable[[bytes], Layout]:
-    """Layout of a header and `count` numbers of one dtype."""
-
-    def layout(raw: bytes) -> Layout:
-        offset = _align(_header(raw), np.dtype(dtype).itemsize)
-        return Layout(((offset, dtype, count),), tuple(range(count)), ((0, 2), (12, 16)))
-
-    return layout
-
-
-def _imu(raw: bytes) -> Layout:
-    start = _align(_header(raw), 8)
-    columns = ((start, '<f8', 5), (start + 13 * 8, '<f8', 3), (start + 25 * 8, '<f8', 3))
-    return Layout(columns, tuple(range(11)), ((0, 2), (12, 16)))
-
-
-def _joints(raw: bytes) -> Layout:
-    fixed = [(0, 2), (12, 16)]
-    offset = _align(_header(raw), 4)
-    start = offset
-    (count,) = struct.unpack_from('<I', raw, offset)
-    offset += 4
-    names = []
-    for _ in range(min(count, 64)):
-        offset = _align(offset, 4)
-        (length,) = struct.unpack_from('<I', raw, offset)
-        names.append(raw[offset + 4 : offset + 3 + length].decode())
-        offset += 4 + length
-    fixed.append((start, offset))
-    for field in ('position', 'velocity', 'effort'):
-        offset = _align(offset, 4)
-        (count,) = struct.unpack_from('<I', raw, offset)
-        fixed.append((offset, offset + 4))
-        offset += 4
-        if count:
-            offset = _align(offset, 8)
-        if field == 'effort' and count == len(MOTOR_NAMES):
-            return Layout(((offset, '<f8', 4),), motor_order(names), tuple(fixed))
-        offset += 8 * count
-    raise LayoutError('effort does not hold four motors')
 
 
 def motor_order(names: Sequence[str]) -> tuple[int, ...]:
@@ -234,14 +198,6 @@ def _imu_values(message: Any) -> FloatArray:
         ]
     )
 
-
-_LAYOUTS: dict[str, Callable[[bytes], Layout]] = {
-    IMU: _imu,
-    JOINTS: _joints,
-    WRENCH: _plain('<f8', 6),
-    VECTOR: _plain('<f8', 3),
-    BATTERY: _plain('<f4', 1),
-}
 
 _VALUES: dict[str, Callable[[Any], FloatArray]] = {
     IMU: _imu_values,

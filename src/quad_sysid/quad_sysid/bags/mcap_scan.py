@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import struct
 import sys
+import zlib
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol
@@ -55,38 +56,42 @@ class McapScan:
     def batches(self) -> Iterator[Batch]:
         """Messages of the wanted topics, some thousand at a time."""
         position, end, finished = len(MAGIC), len(self.data), False
-        loose: Batch = {}
+        batch: Batch = {}
         count = 0
         while not finished and position + 9 <= end:
             opcode, size = struct.unpack('<BQ', self.data[position : position + 9])
             start, position = position + 9, position + 9 + size
             if opcode == CHUNK:
-                yield self._chunk(self.data[start : min(position, end)], size)
+                count += self._chunk(self.data[start : min(position, end)], size, batch)
             elif position > end:
                 break
             elif opcode in (SCHEMA, CHANNEL, MESSAGE):
-                count += self._record(opcode, self.data[start:position], loose)
-                if count >= BATCH:
-                    yield loose
-                    loose, count = {}, 0
+                count += self._record(opcode, self.data[start:position], batch)
+            if count >= BATCH:
+                yield batch
+                batch, count = {}, 0
             finished = opcode in (FOOTER, DATA_END)
         self.cut_off = not finished
-        yield loose
+        yield batch
 
-    def _chunk(self, body: bytes, size: int) -> Batch:
-        """Messages of one chunk; of a chunk that is cut off, those that are whole."""
-        batch: Batch = {}
+    def _chunk(self, body: bytes, size: int, batch: Batch) -> int:
+        """Take in one chunk and return the number of messages kept.
+
+        Of one that is cut off what is whole counts, of one whose checksum fails only the names.
+        """
         if len(body) < 36:
             self.damaged_chunks += 1
-            return batch
-        (name_length,) = struct.unpack_from('<I', body, 28)
+            return 0
+        checksum, name_length = struct.unpack_from('<II', body, 24)
         name = body[32 : 32 + name_length].decode(errors='replace')
         payload = body[40 + name_length :]
         records, whole = _decompress(name, payload)
-        if not whole or len(body) < size:
+        complete = whole and len(body) == size
+        sound = not complete or not checksum or zlib.crc32(records) == checksum
+        if not complete or not sound:
             self.damaged_chunks += 1
-        position, end = 0, len(records)
-        wanted = {key for key, topic in self._channels.items() if topic in self.topics}
+        position, end, count = 0, len(records), 0
+        wanted = self._wanted() if sound else set()
         unpack = struct.Struct('<BQH').unpack_from
         while position + 11 <= end:
             opcode, length, channel = unpack(records, position)
@@ -99,10 +104,15 @@ class McapScan:
                     batch.setdefault(self._channels[channel], []).append(
                         records[start + 22 : position]
                     )
+                    count += 1
             elif opcode in (SCHEMA, CHANNEL):
                 self._record(opcode, records[start:position], batch)
-                wanted = {key for key, topic in self._channels.items() if topic in self.topics}
-        return batch
+                wanted = self._wanted() if sound else set()
+        return count
+
+    def _wanted(self) -> set[int]:
+        """Channels whose messages are asked for."""
+        return {key for key, topic in self._channels.items() if topic in self.topics}
 
     def _record(self, opcode: int, body: bytes, batch: Batch) -> int:
         """Take in one schema, channel or message; returns the number of messages kept."""

@@ -131,9 +131,8 @@ class Storage:
             plain.open('rb') as stream,
             mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data,
         ):
-            scan = McapScan(data, self.topics)
+            scan = McapScan(data, self.topics, self.types)
             yield from scan.batches()
-        self.types.update(scan.types)
         if scan.cut_off:
             self.warnings.append(
                 f'{shown}: cut off (no end of data): read what is whole; '
