@@ -18,6 +18,7 @@ from quad_sysid.errors import BadInputError, QuadSysidError
 from quad_sysid.pipeline.evaluate import evaluate
 from quad_sysid.report import document, text
 from quad_sysid.report.model_file import load_models
+from quad_sysid.separation import words
 from quad_sysid.signals.design import design_excitation
 
 DONE, BAD_INPUT, NOT_ANSWERED, INTERRUPTED = 0, 2, 3, 130
@@ -133,13 +134,23 @@ def _import_parser(commands: Any) -> None:
 def _design_parser(commands: Any) -> None:
     parser = _command(
         commands, 'design-excitation', _design,
-        'Design PRBS and others for a band by eqs. (9), (10).',
+        'Design PRBS and others for a band by eqs. (9), (10), or the flight that tells two '
+        'effects apart.',
         'quad-sysid design-excitation --band 0.1:20 --out schedule.yaml',
     )
-    parser.add_argument('--band', metavar='LOW:HIGH', required=True, help='rad/s')
+    what = parser.add_mutually_exclusive_group(required=True)
+    what.add_argument('--band', metavar='LOW:HIGH', help='rad/s')
+    what.add_argument('--separate', metavar='EFFECT', nargs='*',
+                      help='two effects (or one and "nothing"); none: the effect of --model and '
+                      'its nearest rival')
+    parser.add_argument('--model', metavar='MODEL.json', help='with --separate: the aircraft '
+                        "(default: the paper's)")
+    parser.add_argument('--seconds', type=float, default=60.0, metavar='S',
+                        help='with --separate: length of the training (default 60)')
     parser.add_argument('--rate', type=float, default=250.0, metavar='HZ', help='sample rate')
-    parser.add_argument('--axis', choices=AXES, default='roll')
-    parser.add_argument('--amplitude-deg', type=float, default=12.0)
+    parser.add_argument('--axis', choices=AXES,
+                        help="default: roll, or the model's axis with the nearest rivals")
+    parser.add_argument('--amplitude-deg', type=float, default=12.0, help='with --band')
     parser.add_argument('--out', metavar='FILE', type=Path, help='write a schedule as YAML')
 
 
@@ -165,7 +176,7 @@ def _identify(options: argparse.Namespace) -> int:
 
 
 def _progress(options: argparse.Namespace) -> Any:
-    if options.quiet or not sys.stderr.isatty():
+    if getattr(options, 'quiet', False) or not sys.stderr.isatty():
         return lambda _: None
     return lambda line: print(f'\r\x1b[2K{line}', end='', file=sys.stderr, flush=True)
 
@@ -217,13 +228,22 @@ def _import(options: argparse.Namespace) -> int:
 
 
 def _design(options: argparse.Namespace) -> int:
-    band = parse_span(options.band, '--band')
-    design = design_excitation(band[0], band[1], options.rate)
-    print(design.text())
+    if options.out and options.out.exists():
+        raise BadInputError('--out', 'exists already', options.out, 'choose another name')
+    if options.separate is not None:
+        found = session.separation(
+            options.separate, options.model, options.axis, options.seconds, _progress(options)
+        )
+        _progress(options)('')
+        print(words.text(found))
+        content = words.schedule(found)
+    else:
+        band = parse_span(options.band, '--band')
+        design = design_excitation(band[0], band[1], options.rate)
+        print(design.text())
+        content = design.to_schedule_yaml(options.axis or 'roll', options.amplitude_deg)
     if options.out:
-        if options.out.exists():
-            raise BadInputError('--out', 'exists already', options.out, 'choose another name')
-        _write(options.out, design.to_schedule_yaml(options.axis, options.amplitude_deg))
+        _write(options.out, content)
         print(f'schedule in {options.out}')
     return DONE
 

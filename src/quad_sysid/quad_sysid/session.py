@@ -14,6 +14,9 @@ from quad_sysid.errors import BadInputError
 from quad_sysid.pipeline.answer import AxisAnswer
 from quad_sysid.pipeline.identify import Options, identify
 from quad_sysid.report import document, store
+from quad_sysid.report.model_file import load_models
+from quad_sysid.separation.aircraft import aircraft_of, effect_of, paper_aircraft
+from quad_sysid.separation.design import Separation, nearest, rivals_of, separate
 
 
 @dataclass(frozen=True)
@@ -93,6 +96,35 @@ def run(request: Request, progress: Callable[[str], None] = lambda _: None) -> O
     store.write(folder, report, answers)
     progress('')
     return Outcome(folder, report, answers)
+
+
+def separation(
+    names: Sequence[str], model_file: str | None, axis: str | None, seconds: float,
+    progress: Callable[[str], None] = lambda _: None,
+) -> Separation:
+    """The flights that tell two effects apart, on a stored model or the paper's aircraft.
+
+    No names: an effect of the model and its nearest rival. Raises QuadSysidError for what a user
+    can mend.
+    """
+    if len(names) not in (0, 2):
+        raise BadInputError('--separate', 'needs two effects or none', ' '.join(names) or None,
+                            'for example --separate coulomb_friction quadratic_drag')
+    if model_file is None:
+        if not names:
+            raise BadInputError('--separate', 'without effects needs --model')
+        return separate(
+            paper_aircraft(axis or AXES[0]), (names[0], names[1]), seconds, progress=progress
+        )
+    models = load_models(model_file)
+    if axis is not None and axis not in models:
+        raise BadInputError(f'{model_file}: axes', 'lacks this axis', axis,
+                            f'it holds {", ".join(models)}')
+    model = models[axis] if axis else nearest(models)
+    pair = (names[0], names[1]) if names else rivals_of(model)
+    inside = next((name for name in pair if effect_of(model, name) is not None), '')
+    aircraft = aircraft_of(model, inside, model_file)
+    return separate(aircraft, pair, seconds, model, progress)
 
 
 def axes_of(name: str | None) -> tuple[str, ...]:

@@ -120,3 +120,25 @@ def predicted_rms(
         total += float(c @ p @ c) + r
         p = f @ p @ f.T + g @ q @ g.T
     return float(np.sqrt(total / length))
+
+
+def window_covariance(
+    model: NoiseModel, damping: float, data: AxisData, length: int
+) -> FloatArray:
+    """(length, length) covariance of the free-run error over a window, from the noise alone.
+
+    Its mean diagonal is the square of `predicted_rms`.
+    """
+    f, g, c, step = _linear(damping, data)
+    q, r = _intensities(
+        model.torque, model.measurement_rms, step, data.dt, before_filter=model.before_filter
+    )
+    p, out = model.covariance, np.zeros((length, length))
+    for i in range(length):
+        ahead = p @ c
+        for j in range(i, length):
+            out[i, j] = out[j, i] = float(c @ ahead)
+            ahead = f @ ahead
+        out[i, i] += r
+        p = f @ p @ f.T + g @ q @ g.T
+    return out

@@ -16,6 +16,8 @@ from quad_sysid.record import IOData
 
 PAPERS_BAND = (0.1, 20.0)
 """rad/s."""
+NEAR_RIVAL = 0.1
+"""A rival of a higher probability deserves a flight of its own."""
 RICHEST = 50
 """Order up to which the paper's PRBS is persistently exciting."""
 
@@ -41,9 +43,22 @@ class Evidence:
 def advice(e: Evidence) -> tuple[str, ...]:
     """One line each, most weighty first; empty where nothing speaks against the data."""
     return (
-        *_excitation(e), *_delay(e), *_band(e), *_edge(e), *_unstable(e.rows), *_selection(e),
-        *e.refused,
+        *rivalry(e.model), *_excitation(e), *_delay(e), *_band(e), *_edge(e),
+        *_unstable(e.rows), *_selection(e), *e.refused,
     )
+
+
+def rivalry(model: AxisModel | None) -> Iterator[str]:
+    """Which command designs the flight that settles an effect's nearest rival, if it is near."""
+    for effect in () if model is None else model.effects:
+        name, near = max(effect.rivals, key=lambda pair: pair[1], default=('', 0.0))
+        if near > NEAR_RIVAL and model is not None:
+            yield (
+                f'{effect.name} (probability {effect.probability:.2g}) or {name} ({near:.2g}): '
+                'this flight hardly tells them apart; the flight that does: quad-sysid '
+                f'design-excitation --separate {effect.name} {name} --axis {model.axis} '
+                '--model model.json --out schedule.yaml'
+            )
 
 
 def _excitation(e: Evidence) -> Iterator[str]:

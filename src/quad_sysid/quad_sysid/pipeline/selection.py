@@ -13,7 +13,7 @@ from quad_sysid.errors import QuadSysidError
 from quad_sysid.greybox.data import AxisData
 from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.pipeline import approaches, blackbox_part, preparation, step_b
-from quad_sysid.pipeline.advice import Evidence, advice
+from quad_sysid.pipeline.advice import Evidence, advice, rivalry
 from quad_sysid.pipeline.answer import AxisAnswer, ModelRow, Selection
 from quad_sysid.pipeline.assemble import band_of
 from quad_sysid.pipeline.shared import box_jenkins
@@ -39,7 +39,7 @@ def with_blackbox(
     except QuadSysidError as error:
         return replace(
             answer, warnings=(*answer.warnings, f'no black-box model: {error}'),
-            selection=Selection(checks=checks),
+            selection=Selection(checks=checks, advice=tuple(rivalry(answer.model))),
         )
     rows, why_not = _second_steps(rows, records, data.axis, closed=closed)
     selected = blackbox_part.select(rows, data)

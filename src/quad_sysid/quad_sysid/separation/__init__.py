@@ -1,0 +1,1 @@
+"""Which flight tells two rival effects apart: simulated closed-loop flights, ranked by that."""

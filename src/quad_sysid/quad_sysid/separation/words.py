@@ -1,0 +1,206 @@
+"""A separation in words: the table, why the first is first, and the schedule to fly."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+
+from quad_sysid.separation.design import CERTAIN, Row, Separation
+from quad_sysid.separation.flight import THROTTLE_STEP, THROTTLE_STEP_S, Excitation
+from quad_sysid.separation.measure import Apart
+from quad_sysid.signals.schedule import AMPLITUDES, Part
+
+SHOWN = 8
+WIDTH = 80
+ROW = '{:>2} {:<39}{:>6}{:>9}{:>8}{:>8}{:>7}'
+IDLE = '{segment: idle, duration_s: 3.0}'
+
+
+def text(found: Separation) -> str:
+    """The table of flights and why, lines of 80 columns."""
+    return '\n'.join(_lines(found))
+
+
+def _lines(found: Separation) -> Iterator[str]:
+    a = found.aircraft
+    yield f'{found.first.name} or {found.second.name} on {a.axis}: which flight tells'
+    yield from _wrapped(
+        f'plant: {a.told}, gain {a.theta[0]:.3g}, lag {1e3 * a.theta[1]:.0f} ms, '
+        f'delay {1e3 * a.theta[2]:.0f} ms; assumed: {found.first.words()}; '
+        f'{found.second.words()}'
+    )
+    yield ''
+    yield ROW.format('', '', 'angle', 'apart', 'apart', 'right', '95 %')
+    yield ROW.format('', f'flight of {found.seconds:g} s', '°', 'first', 'second', 'one',
+                     'after')
+    for number, row in enumerate(found.rows[:SHOWN], 1):
+        yield _row(str(number), row, found.seconds)
+    if found.plain not in found.rows[:SHOWN]:
+        yield _row('', found.plain, found.seconds)
+    yield ''
+    yield from _wrapped(
+        'apart: what is left when the other one is fitted to a flight with this one, in standard '
+        'deviations of the noise. right one: probability that the true one has the smaller '
+        'error. 95 % after: seconds until that is so sure.'
+    )
+    shown = [row.excitation for row in found.rows[:SHOWN]]
+    if any(e.before is not None for e in shown):
+        yield '+P: behind a plain PRBS for a third of the time, which tells the base.'
+    if any(e.throttle_steps for e in shown):
+        yield '+T: the pilot steps the throttle.'
+    if any(e.others_move for e in shown):
+        yield '+A: the pilot stirs the other two axes.'
+    if found.refused:
+        yield from _wrapped(
+            f'{found.refused} more would go near the angle at which the excitation node ends a '
+            'flight, or move too little to tell the model itself.'
+        )
+    yield ''
+    yield from _wrapped(why(found))
+
+
+def why(found: Separation) -> str:
+    """Why the first flight is the one to fly."""
+    best, plain = found.best, found.plain
+    gain = best.worst.score / plain.worst.score if plain.worst.score > 0.0 else math.inf
+    harder = found.first if best.worst is best.first else found.second
+    other = found.second if best.worst is best.first else found.first
+    matched = plain.first if best.worst is best.first else plain.second
+    words = f'Fly {name_of(best.excitation)}: '
+    if best is plain:
+        return words + 'no candidate tells them apart better than the plain PRBS.'
+    if other.effect is None:
+        words += f'{harder.name} stands out of the noise '
+    else:
+        words += f'{other.name} takes over {_pct(best.worst)} of the trace of {harder.name}'
+        if matched is not None and matched.mimicked > best.worst.mimicked + 0.01:
+            words += f', with the plain PRBS {_pct(matched)}'
+        words += '; they stand apart '
+    more = f'{gain:.1f} times as far as' if gain < 1e3 else 'far more than'
+    words += (
+        f'{more} with the plain PRBS (rate {best.rate_rms:.2f} rad/s RMS, angle up to '
+        f'{math.degrees(best.peak_angle):.0f}°; there {plain.rate_rms:.2f} rad/s and '
+        f'{math.degrees(plain.peak_angle):.0f}°).'
+    )
+    if _worst(best, found.seconds).probability < CERTAIN:
+        words += (
+            f' {found.seconds:g} s are not enough for {100 * CERTAIN:.0f} %: '
+            f'fly {_seconds(best.worst.seconds_for(CERTAIN))}, in several flights if need be.'
+        )
+    return words + pilot_of(best.excitation)
+
+
+def _pct(one: Apart) -> str:
+    return f'{100.0 * one.mimicked:.0f} %'
+
+
+def pilot_of(excitation: Excitation) -> str:
+    """What the pilot does during training, for it is in no schedule."""
+    words = ''
+    if excitation.throttle_steps:
+        words += (
+            f' Meanwhile the pilot steps the throttle by {2 * THROTTLE_STEP:g} up and down every '
+            f'{THROTTLE_STEP_S:g} s.'
+        )
+    if excitation.others_move:
+        words += ' Meanwhile the pilot stirs the other two axes, some 8° each.'
+    return words
+
+
+def name_of(excitation: Excitation) -> str:
+    """Signal, its times, its size, and what the pilot adds."""
+    part = excitation.part
+    p = part.parameters
+    shape = {
+        'prbs': lambda: f'prbs, clock {p["clock_s"]:g} s',
+        'square': lambda: f'square, period {p["period_s"]:g} s',
+        'multisine': lambda: (
+            f'slow sine, {p["period_s"]:g} s' if p['f0_hz'] == p['f1_hz']
+            else f'multisine, {p["f0_hz"]:g} to {p["f1_hz"]:g} Hz'
+        ),
+        'chirp': lambda: f'chirp, {p["f0_hz"]:g} to {p["f1_hz"]:g} Hz',
+        '3211': lambda: f'3-2-1-1, unit {p["unit_s"]:g} s',
+    }[part.signal]()
+    size = part.amplitude / AMPLITUDES[part.injection][1]
+    unit = '°' if part.injection == 'attitude' else ' control'
+    extra = ''.join(
+        word for word, on in (
+            (' +P', excitation.before is not None), (' +T', excitation.throttle_steps),
+            (' +A', excitation.others_move),
+        ) if on
+    )
+    return f'{shape}, {size:g}{unit}{extra}'
+
+
+def _row(number: str, row: Row, seconds: float) -> str:
+    worst = _worst(row, seconds)
+    return ROW.format(
+        number, name_of(row.excitation), f'{math.degrees(row.peak_angle):.0f}',
+        _distance(row.first, seconds), _distance(row.second, seconds),
+        f'{worst.probability:.2f}', _seconds(worst.seconds_for(CERTAIN)),
+    )
+
+
+def _worst(row: Row, seconds: float) -> Apart:
+    return row.worst.over(seconds)
+
+
+def _distance(one: Apart | None, seconds: float) -> str:
+    return '-' if one is None else f'{one.over(seconds).distance:.1f}'
+
+
+def _seconds(value: float) -> str:
+    return f'{math.ceil(value)} s' if value < 5994.0 else 'never'
+
+
+def schedule(found: Separation) -> str:
+    """YAML of the excitation node: trains with the best flight, validates on its like."""
+    best = found.best.excitation
+    part = best.part
+    scale = found.seconds / sum(p.duration_s for p in best.parts)
+    trains = [_entry('train', p, p.parameters, scale * p.duration_s) for p in best.parts]
+    checks = [_entry('validation', part, _like(part), max(15.0, 0.4 * found.seconds))]
+    if best.before is not None:
+        checks.insert(0, _entry('validation', best.before, _like(best.before), 15.0))
+    rows = [*(row for entry in (*trains, *checks) for row in (IDLE, entry)), IDLE]
+    head = [f'Tells {found.first.name} and {found.second.name} on {part.axis} apart:',
+            *_wrapped(why(found), WIDTH - 2)]
+    lines = [*(f'# {line}' for line in head), 'schedule:', '  mount: rig', '  segments:']
+    return '\n'.join([*lines, *(f'    - {row}' for row in rows)]) + '\n'
+
+
+def _like(part: Part) -> dict[str, float | int]:
+    """The same kind of signal, but not the same again."""
+    p = dict(part.parameters)
+    if part.signal == 'prbs':
+        p['seed'] = int(p['seed']) + 1
+        p['register_bits'] = int(p['register_bits']) - 1
+    elif part.signal == 'square':
+        p['period_s'] = round(1.3 * p['period_s'], 3)
+    elif part.signal == '3211':
+        p['unit_s'] = round(1.2 * p['unit_s'], 3)
+    return p
+
+
+def _entry(
+    role: str, part: Part, parameters: Mapping[str, float | int], seconds: float
+) -> str:
+    key, unit, _, _ = AMPLITUDES[part.injection]
+    fields = {
+        'segment': role, 'signal': part.signal, 'axis': part.axis, 'injection': part.injection,
+        key: f'{part.amplitude / unit:g}', 'duration_s': f'{seconds:.1f}',
+        **{name: f'{value:g}' for name, value in parameters.items()},
+    }
+    return '{' + ', '.join(f'{name}: {value}' for name, value in fields.items()) + '}'
+
+
+def _wrapped(words: str, width: int = WIDTH) -> Iterator[str]:
+    line = ''
+    for word in words.split():
+        if line and len(line) + 1 + len(word) > width:
+            yield line
+            line = word
+        else:
+            line = f'{line} {word}'.strip()
+    if line:
+        yield line
