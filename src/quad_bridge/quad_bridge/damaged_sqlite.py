@@ -62,6 +62,8 @@ class DamagedSqlite:
 
     def _torn(self, plain: Path, last: int) -> Iterator[Message]:
         """Messages with an id above `last` without their tree."""
+        if not plain.stat().st_size:
+            return
         with (
             plain.open('rb') as file,
             mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data,

@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import mmap
 import shutil
-import sqlite3
 import sys
-from contextlib import closing, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -18,6 +17,8 @@ from typing import TYPE_CHECKING
 import yaml
 
 from quad_sysid.bags.mcap_scan import MAGIC, Batch, McapScan
+from quad_sysid.bags.sqlite_scan import MAGIC as SQLITE_MAGIC
+from quad_sysid.bags.sqlite_scan import SqliteScan
 from quad_sysid.errors import BadInputError
 
 if TYPE_CHECKING:
@@ -29,10 +30,6 @@ else:
     from backports import zstd
 
 ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
-SQLITE_MAGIC = b'SQLite format 3\x00'
-JOURNALS = ('-journal', '-wal')
-JOURNAL_STARTS = (b'\xd9', b'\x37')
-"""First byte of a rollback journal that is still to be played back, and of a write-ahead log."""
 FOREIGN = {
     '.csv': 'a CSV file; turn it into a bag with `quad-sysid import`',
     '.gz': 'a compressed table; turn it into a bag with `quad-sysid import`',
@@ -55,9 +52,15 @@ class Storage:
 
     def batches(self) -> Iterator[Batch]:
         """Messages of the wanted topics, decompressed; raises BadInputError."""
-        for file in self._files():
+        files = self._files()
+        for file in files:
             with _plain_file(file) as plain:
-                yield from self._read(plain, file)
+                try:
+                    yield from self._read(plain, file)
+                except BadInputError as error:
+                    if len(files) == 1:
+                        raise
+                    self.warnings.append(f'{error}: that part of the flight is missing')
 
     def _files(self) -> list[Path]:
         """List the storage files, in order."""
@@ -142,31 +145,9 @@ class Storage:
             self.warnings.append(f'{shown}: {scan.damaged_chunks} damaged chunks: read the rest')
 
     def _read_sqlite(self, plain: Path, shown: Path) -> Iterator[Batch]:
-        try:
-            with (
-                _settled(plain, shown, self.warnings) as address,
-                closing(sqlite3.connect(address, uri=True)) as base,
-            ):
-                names = {}
-                for number, name, kind in base.execute('SELECT id, name, type FROM topics'):
-                    self.types[name] = kind
-                    if name in self.topics:
-                        names[number] = name
-                marks = ','.join('?' * len(names))
-                rows = base.execute(
-                    f'SELECT topic_id, data FROM messages WHERE topic_id IN ({marks})',  # noqa: S608
-                    list(names),
-                )
-                while part := rows.fetchmany(20_000):
-                    batch: Batch = {}
-                    for number, raw in part:
-                        batch.setdefault(names[number], []).append(raw)
-                    yield batch
-        except sqlite3.DatabaseError as error:
-            self.warnings.append(
-                f'{shown}: damaged sqlite3 file ({error}): read what is whole; '
-                '`ros2 run quad_bridge recover` may find more'
-            )
+        scan = SqliteScan(plain, self.topics, self.types)
+        yield from scan.batches()
+        self.warnings += [f'{shown}: {note}' for note in scan.notes]
 
     def _decompressed(self, raws: list[bytes], shown: Path) -> list[bytes]:
         """Messages as CDR: those that were compressed one by one (by their magic) are opened."""
@@ -177,24 +158,6 @@ class Storage:
         if damaged:
             self.warnings.append(f'{shown}: {damaged} compressed messages are damaged; left out')
         return [raw for raw in opened if raw]
-
-
-@contextmanager
-def _settled(plain: Path, shown: Path, warnings: list[str]) -> Iterator[str]:
-    """Address of a database to read; one with a journal left over is played back on a copy."""
-    journals = [
-        file
-        for file in (plain.with_name(plain.name + suffix) for suffix in JOURNALS)
-        if file.is_file() and file.read_bytes()[:1] in JOURNAL_STARTS
-    ]
-    if not journals:
-        yield f'{plain.resolve().as_uri()}?mode=ro&immutable=1'
-        return
-    warnings.append(f'{shown}: the recorder was killed within a transaction: read without it')
-    with TemporaryDirectory() as folder:
-        for file in (plain, *journals):
-            shutil.copy(file, folder)
-        yield f'{Path(folder, plain.name).as_uri()}?mode=rw'
 
 
 def _opened(raw: bytes) -> bytes:

@@ -1,0 +1,104 @@
+"""Messages of a sqlite3 bag file; what a killed recorder or a torn disk left is read on a copy.
+
+The file itself is never written to. No decoding of messages. Source: rosbag2_storage_sqlite3's
+tables; the SQLite file format (header: page size at byte 16, number of pages at byte 28).
+"""
+
+from __future__ import annotations
+
+import shutil
+import sqlite3
+import struct
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
+
+from quad_sysid.bags.mcap_scan import BATCH, Batch
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterator
+
+MAGIC = b'SQLite format 3\x00'
+JOURNALS = ('-journal', '-wal')
+JOURNAL_STARTS = (b'\xd9', b'\x37')
+"""First byte of a rollback journal that is still to be played back, and of a write-ahead log."""
+
+
+@dataclass
+class SqliteScan:
+    """One pass over one file; `types` and `notes` are complete once `batches` has run."""
+
+    path: Path
+    topics: Collection[str]
+    types: dict[str, str] = field(default_factory=dict)
+    """Topic → message type, of all topics of the file."""
+    notes: list[str] = field(default_factory=list)
+
+    def batches(self) -> Iterator[Batch]:
+        """Messages of the wanted topics in the order of writing, some thousand at a time."""
+        batch: Batch = {}
+        count = 0
+        try:
+            with self._settled() as address, closing(sqlite3.connect(address, uri=True)) as base:
+                for topic, raw in self._rows(base):
+                    batch.setdefault(topic, []).append(raw)
+                    count += 1
+                    if count >= BATCH:
+                        yield batch
+                        batch, count = {}, 0
+        except sqlite3.DatabaseError as error:
+            self.notes.append(
+                f'damaged sqlite3 file ({error}): read what is whole; '
+                '`ros2 run quad_bridge recover` may find more'
+            )
+        yield batch
+
+    def _rows(self, base: sqlite3.Connection) -> Iterator[tuple[str, bytes]]:
+        names = {}
+        for number, name, kind in base.execute('SELECT id, name, type FROM topics'):
+            self.types[name] = kind
+            if name in self.topics:
+                names[number] = name
+        marks = ','.join('?' * len(names))
+        rows = base.execute(
+            f'SELECT topic_id, data FROM messages WHERE topic_id IN ({marks}) ORDER BY id',  # noqa: S608
+            list(names),
+        )
+        for number, raw in rows:
+            yield names[number], raw
+
+    @contextmanager
+    def _settled(self) -> Iterator[str]:
+        """Address of a database that can be read without being written to."""
+        journals = [self.path.with_name(self.path.name + suffix) for suffix in JOURNALS]
+        hot = [p for p in journals if p.is_file() and p.read_bytes()[:1] in JOURNAL_STARTS]
+        pages = _pages(self.path)
+        if not hot and pages is None:
+            yield f'{self.path.resolve().as_uri()}?mode=ro&immutable=1'
+            return
+        with TemporaryDirectory() as folder:
+            for file in (self.path, *hot):
+                shutil.copy(file, folder)
+            copy = Path(folder, self.path.name)
+            if hot:
+                self.notes.append('the recorder was killed within a transaction: read without it')
+            elif pages is not None:
+                self.notes.append('its end is missing')
+                with copy.open('r+b') as stream:  # else SQLite takes the whole file for malformed
+                    stream.seek(28)
+                    stream.write(struct.pack('>I', pages))
+            yield f'{copy.as_uri()}?mode=rw'
+
+
+def _pages(path: Path) -> int | None:
+    """How many pages are there, where the header counts more; else None."""
+    with path.open('rb') as stream:
+        head = stream.read(100)
+    if len(head) < 100:
+        return None
+    (size,) = struct.unpack_from('>H', head, 16)
+    (told,) = struct.unpack_from('>I', head, 28)
+    there = path.stat().st_size // (65536 if size == 1 else max(size, 512))
+    return there if there < told else None
