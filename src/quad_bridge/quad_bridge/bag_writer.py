@@ -26,6 +26,8 @@ STORAGES: dict[str, type[McapFile | SqliteFile]] = {'mcap': McapFile, 'sqlite3':
 COMPRESSIONS = tuple(COMPRESSORS)
 CLOSING_RESERVE = 4 * MB
 """Kept for index and metadata when the disk is full: that of some hours."""
+AHEAD = 2 * MB
+"""What may be written from one `flush` to the next: the reserve gives it back beforehand."""
 
 
 def free_path(folder: Path, prefix: str, now: datetime) -> Path:
@@ -146,8 +148,8 @@ class BagWriter:
         """Hand everything written so far to the disk. Raises OSError or sqlite3.Error."""
         if not self._file.path.exists():
             raise FileNotFoundError(f'{self._file.path.name} was removed or renamed')
+        self._reserve.give(self.size + AHEAD)
         self._file.sync()
-        self._reserve.give(self.size)
         self._split_due = 0 < self._limits.split_bytes <= self._file.size
 
     def close(self) -> None:

@@ -34,7 +34,7 @@ class Reserve:
 
     def __init__(self, folder: Path, size: int) -> None:
         """Reserve `size` bytes (0 for none). Raises OSError where there are not as many."""
-        self._size, self._given = size, 0
+        self._size = size
         self._file = None
         if size <= 0:
             return
@@ -47,11 +47,9 @@ class Reserve:
         self._file = file
 
     def give(self, used: int) -> None:
-        """Shrink the reserve to what `used` bytes of the bag leave of it."""
-        if self._file is None or used - self._given < MB:
-            return
-        self._given = used
-        self._file.truncate(max(self._size - used, 0))
+        """Shrink the reserve to what `used` bytes of the bag, written or about to be, leave."""
+        if self._file is not None:
+            self._file.truncate(max(self._size - used, 0))
 
     def release(self) -> None:
         """Return all of it; a second time does nothing."""

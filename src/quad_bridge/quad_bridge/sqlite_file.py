@@ -45,6 +45,8 @@ class SqliteFile:
         self._base.executescript(TABLES)
         self._topics: dict[str, int] = {}
         self._kinds: set[str] = set()
+        self._declarations: list[tuple[str, tuple[object, ...]]] = []
+        """Statements that declare topics, for the next transaction."""
         self._rows: list[tuple[int, int, bytes | memoryview]] = []
         self._written = 0
         self.entry = FileEntry(path.name)
@@ -64,17 +66,20 @@ class SqliteFile:
         """Declare a topic of this file before its first message."""
         if topic.kind not in self._kinds:
             coding = 'ros2idl' if topic.definition.startswith('=' * 80) else 'ros2msg'
-            self._base.execute(
-                'INSERT INTO message_definitions VALUES(NULL, ?, ?, ?, ?)',
-                (topic.kind, coding, topic.definition, topic.digest),
+            self._declarations.append(
+                (
+                    'INSERT INTO message_definitions VALUES(NULL, ?, ?, ?, ?)',
+                    (topic.kind, coding, topic.definition, topic.digest),
+                )
             )
             self._kinds.add(topic.kind)
         number = len(self._topics) + 1
-        self._base.execute(
-            'INSERT INTO topics VALUES(?, ?, ?, ?, ?, ?)',
-            (number, topic.name, topic.kind, 'cdr', topic.qos_text, topic.digest),
+        self._declarations.append(
+            (
+                'INSERT INTO topics VALUES(?, ?, ?, ?, ?, ?)',
+                (number, topic.name, topic.kind, 'cdr', topic.qos_text, topic.digest),
+            )
         )
-        self._base.commit()
         self._topics[topic.name] = number
 
     def write(self, topic: str, time_ns: int, data: bytes | memoryview) -> None:
@@ -85,9 +90,12 @@ class SqliteFile:
 
     def sync(self) -> None:
         """Write what waits in one transaction: from here it survives a power cut."""
+        for statement, values in self._declarations:
+            self._base.execute(statement, values)
         if self._rows:
             self._base.executemany('INSERT INTO messages VALUES(NULL, ?, ?, ?)', self._rows)
         self._base.commit()
+        self._declarations.clear()
         names = list(self._topics)
         for number, time_ns, _ in self._rows:
             self.entry.add(names[number - 1], 1, time_ns, time_ns)

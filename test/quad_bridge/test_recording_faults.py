@@ -1,0 +1,308 @@
+"""A recording on a disk that is full, slow, read-only or gone: what is kept, counted and said."""
+
+import errno
+import json
+import os
+import shutil
+import struct
+import subprocess
+import sys
+import time
+
+import pytest
+from rosbags.highlevel import AnyReader
+
+from quad_bridge import diagnostics, mcap_file
+from quad_bridge.bag_writer import BagWriter, Limits
+from quad_bridge.disk import MB, Budget, Reserve, free_bytes
+from quad_bridge.errors import BadInputError
+from quad_bridge.recording import Recording
+from quad_bridge.recover import recover
+
+VECTOR = 'geometry_msgs/msg/Vector3Stamped'
+TOPIC = '/setpoint/rates'
+WAIT_S = 20.0
+
+
+def started(path, storage='mcap', compression='none', limits=None, **settings):
+    recording = Recording(BagWriter(path, storage, compression, limits), **settings)
+    recording.declare(TOPIC, VECTOR, ())
+    return recording
+
+
+def numbered(k):
+    return struct.pack('<4xQ', k) + bytes(100)
+
+
+def put(recording, numbers):
+    for k in numbers:
+        recording.put(TOPIC, 10**18 + k, numbered(k))
+
+
+def until(condition):
+    end_s = time.monotonic() + WAIT_S
+    while not condition():
+        assert time.monotonic() < end_s
+        time.sleep(0.01)
+
+
+def numbers_in(bag):
+    with AnyReader([bag]) as reader:
+        return [struct.unpack_from('<Q', raw, 4)[0] for _, _, raw in reader.messages()]
+
+
+def test_a_sync_that_stalls_for_two_seconds_loses_nothing_and_is_told(tmp_path, monkeypatch):
+    sync, stalls = os.fdatasync, [2.0]
+    monkeypatch.setattr(
+        mcap_file.os, 'fdatasync', lambda fd: (time.sleep(stalls.pop() if stalls else 0), sync(fd))
+    )
+    recording = started(tmp_path / 'bag')
+    begin_s = time.monotonic()
+    for k in range(10_000):  # 4,000 a second
+        put(recording, [k])
+        time.sleep(max(begin_s + k / 4000 - time.monotonic(), 0.0) if k % 16 == 0 else 0.0)
+    status = recording.stop()
+    assert (status.written, status.dropped, status.failure) == (10_000, 0, '')
+    assert numbers_in(tmp_path / 'bag') == list(range(10_000))
+    told = diagnostics.recording_status(status, '', 10**10)
+    assert told.level == diagnostics.WARN
+    assert 'the disk is slow: 2.' in told.message
+
+
+def test_a_full_queue_drops_its_oldest_and_counts_them(tmp_path, monkeypatch):
+    recording = started(tmp_path / 'bag', capacity=100)
+    monkeypatch.setattr(recording, '_drain', lambda: None)
+    put(recording, range(250))
+    monkeypatch.undo()
+    status = recording.stop()
+    assert (status.written, status.dropped) == (100, 150)
+    assert numbers_in(tmp_path / 'bag') == list(range(150, 250))
+    assert '150 messages lost' in diagnostics.recording_status(status, '').message
+
+
+@pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
+def test_a_bag_that_is_removed_ends_the_recording_with_one_line(tmp_path, storage):
+    recording = started(tmp_path / 'bag', storage)
+    put(recording, range(10))
+    until(lambda: recording.status.written == 10)
+    shutil.rmtree(tmp_path / 'bag')
+    until(lambda: recording.status.failure)
+    put(recording, range(5))
+    status = recording.stop()
+    assert 'was removed or renamed' in status.failure
+    assert '\n' not in status.failure
+    assert status.dropped >= 5
+    assert diagnostics.recording_status(status, '').level == diagnostics.ERROR
+
+
+def test_a_disk_that_turns_read_only_keeps_what_was_synced(tmp_path, monkeypatch):
+    recording = started(tmp_path / 'bag')
+    put(recording, range(100))
+    until(lambda: recording.status.size > 0 and recording._writer.pending == 0
+          and recording.status.written == 100)  # fmt: skip
+
+    def refuse(*_):
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+
+    monkeypatch.setattr(mcap_file.os, 'write', refuse)
+    put(recording, range(100, 150))
+    until(lambda: 'recover' in recording.status.failure)
+    status = recording.stop()
+    monkeypatch.undo()
+    assert 'Read-only file system' in status.failure
+    assert 'quad_bridge recover' in status.failure
+    assert (status.written, status.dropped) == (100, 50)
+    assert numbers_in(recover(tmp_path / 'bag').path) == list(range(100))
+
+
+def test_a_write_that_fails_half_way_is_cut_back_and_done_again(tmp_path, monkeypatch):
+    recording = started(tmp_path / 'bag')
+    write, faults = os.write, [True]
+
+    def half(fd, data):
+        if faults and len(data) > 5000:
+            faults.pop()
+            write(fd, bytes(data[:3000]))
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return write(fd, data)
+
+    monkeypatch.setattr(mcap_file.os, 'write', half)
+    put(recording, range(200))
+    until(lambda: recording.status.failure)
+    status = recording.stop()
+    assert 'No space left on device; the bag is closed, whole up to here' in status.failure
+    assert (status.written, status.dropped) == (200, 0)
+    assert numbers_in(tmp_path / 'bag') == list(range(200))
+
+
+FULL = """
+import json, os, struct, sys, time
+from pathlib import Path
+from quad_bridge.bag_writer import BagWriter, Limits
+from quad_bridge.errors import BadInputError
+from quad_bridge.recording import Recording
+from rosbags.highlevel import AnyReader
+folder, storage = Path(sys.argv[1]), sys.argv[2]
+try:
+    BagWriter(folder / 'large', storage, 'none', Limits(reserve_bytes=20_000_000))
+    refused = ''
+except BadInputError as error:
+    refused = str(error)
+writer = BagWriter(folder / 'bag', storage, 'none', Limits(reserve_bytes=5_000_000))
+try:
+    (folder / 'other').write_bytes(bytes(20_000_000))  # somebody else takes what is free
+except OSError:
+    pass
+recording = Recording(writer)
+recording.declare('/setpoint/rates', 'geometry_msgs/msg/Vector3Stamped', ())
+k = 0
+while not recording.status.failure and k < 40_000:
+    for _ in range(8):
+        recording.put('/setpoint/rates', 10**18 + k, struct.pack('<4xQ', k) + bytes(500))
+        k += 1
+    time.sleep(0.002)
+status = recording.stop()
+with AnyReader([folder / 'bag']) as reader:
+    found = [struct.unpack_from('<Q', raw, 4)[0] for _, _, raw in reader.messages()]
+print(json.dumps({
+    'refused': refused, 'failure': status.failure, 'written': status.written,
+    'dropped': status.dropped, 'put': k, 'whole': found == list(range(len(found))),
+    'found': len(found), 'bytes': sum(p.stat().st_size for p in (folder / 'bag').iterdir()),
+}))
+"""
+
+
+def on_a_small_disk(tmp_path, megabytes, script, *arguments):
+    """Run a script on a tmpfs of its own; what it printed as JSON."""
+    mount = f'mount -t tmpfs -o size={megabytes}m none "$1" && shift && exec "$@"'
+    command = ['unshare', '-rm', 'sh', '-c', mount, 'sh', str(tmp_path)]
+    if shutil.which('unshare') is None or subprocess.run(
+        [*command, 'true'], check=False, capture_output=True
+    ).returncode:
+        pytest.skip('no mount namespaces here: a disk of known size cannot be had')
+    done = subprocess.run(
+        [*command, sys.executable, '-c', script, str(tmp_path), *arguments],
+        capture_output=True, text=True, check=False, timeout=60,
+        env={**os.environ, 'PYTHONPATH': os.pathsep.join(sys.path), 'TMPDIR': str(tmp_path)},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+@pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
+def test_a_full_disk_ends_with_a_sound_bag_and_the_reserve_used(tmp_path, storage):
+    told = on_a_small_disk(tmp_path, 16, FULL, storage)
+    assert 'needs 24 MB of free disk for a flight' in told['refused']
+    assert 'full' in told['failure'] or 'No space left' in told['failure']
+    assert 'the bag is closed, whole up to here' in told['failure']
+    assert told['whole']
+    assert told['found'] == told['written'] > 3000
+    assert told['written'] + told['dropped'] == told['put']
+    assert told['bytes'] > 5_000_000  # what was reserved could be used, whoever took the rest
+
+
+def test_a_reserve_keeps_blocks_from_others_and_gives_them_back(tmp_path):
+    before = free_bytes(tmp_path)
+    reserve = Reserve(tmp_path, 200 * MB)
+    taken = before - free_bytes(tmp_path)
+    assert list(tmp_path.iterdir()) == []  # without a name: gone with the process
+    reserve.give(150 * MB)
+    left = before - free_bytes(tmp_path)
+    reserve.release()
+    after = before - free_bytes(tmp_path)
+    # the disk is shared with whatever else runs
+    assert taken > 150 * MB
+    assert left < taken - 100 * MB
+    assert after < 40 * MB
+
+
+def test_a_folder_that_takes_no_bag_is_refused_in_one_line(tmp_path):
+    (tmp_path / 'file').write_text('here')
+    with pytest.raises(BadInputError, match='cannot write a bag here') as caught:
+        BagWriter(tmp_path / 'file' / 'bag')
+    assert '\n' not in str(caught.value)
+    with pytest.raises(BadInputError, match=r'needs \d+ MB of free disk .* lower reserve_mb'):
+        BagWriter(tmp_path / 'bag', limits=Limits(reserve_bytes=10**15))
+    assert not (tmp_path / 'bag').exists()
+
+
+# ---- the budget -------------------------------------------------------------------------------
+
+
+def bag_of(folder, name, size, closed=True):
+    (folder / name).mkdir()
+    (folder / name / 'data.mcap').write_bytes(bytes(size))
+    if closed:
+        (folder / name / 'metadata.yaml').write_text('')
+
+
+def test_old_bags_are_deleted_only_where_that_is_allowed(tmp_path):
+    for i in range(4):
+        bag_of(tmp_path, f'flight_{i}', 1000, closed=i != 1)
+    bag_of(tmp_path, 'other_0', 9000)
+    with pytest.raises(BadInputError, match='exceed the disk budget'):
+        Budget(tmp_path, 'flight', 3500).make_room(0)
+    assert len(list(tmp_path.iterdir())) == 5
+    allowed = Budget(tmp_path, 'flight', 3500, delete_oldest=True)
+    assert [b.name for b in allowed.make_room(500)] == ['flight_0']
+    # an unclosed bag waits for recover, the current one is being written
+    assert [b.name for b in allowed.make_room(1500, tmp_path / 'flight_2')] == ['flight_3']
+    with pytest.raises(BadInputError, match='MB too much'):
+        allowed.make_room(3000, tmp_path / 'flight_2')
+    assert sorted(p.name for p in tmp_path.iterdir()) == ['flight_1', 'flight_2', 'other_0']
+    assert Budget(tmp_path, 'flight').make_room(10**12) == []
+
+
+def test_a_recording_that_is_ended_from_outside_is_closed(tmp_path):
+    recording = started(tmp_path / 'bag')
+    put(recording, range(20))
+    recording.end('the disk budget is used up')
+    until((tmp_path / 'bag' / 'metadata.yaml').exists)
+    put(recording, range(20, 25))
+    status = recording.stop()
+    assert 'the disk budget is used up' in status.failure
+    assert (status.written, status.dropped) == (20, 5)
+    assert numbers_in(tmp_path / 'bag') == list(range(20))
+
+
+# ---- one bag, several files -------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(('storage', 'compression'), [('mcap', 'lz4'), ('sqlite3', 'zstd')])
+@pytest.mark.parametrize('limits', [Limits(split_s=0.1), Limits(split_bytes=20_000)])
+def test_a_bag_is_split_by_time_and_by_size(tmp_path, storage, compression, limits):
+    writer = BagWriter(tmp_path / 'bag', storage, compression, limits)
+    writer.add_topic(TOPIC, VECTOR)
+    for k in range(1000):
+        # data that no compressor makes small
+        noise = os.urandom(100)
+        writer.write(TOPIC, 10**18 + k * 1_000_000, struct.pack('<4xQ', k) + noise)
+        if k % 100 == 99:
+            writer.flush()
+    writer.close()
+    files = [p for p in (tmp_path / 'bag').iterdir() if p.name != 'metadata.yaml']
+    assert len(files) >= 5
+    assert numbers_in(tmp_path / 'bag') == list(range(1000))
+    alone = [
+        p.rename(tmp_path / p.name) for p in files if p.suffix == '.mcap'
+    ]  # each file of the bag is whole in itself
+    with AnyReader(alone[:1] or [tmp_path / 'bag']) as reader:
+        assert reader.message_count >= 100
+
+
+def test_of_a_split_bag_all_files_are_recovered_and_a_missing_one_is_told(tmp_path):
+    writer = BagWriter(tmp_path / 'bag', limits=Limits(split_s=0.1))
+    writer.add_topic(TOPIC, VECTOR)
+    for k in range(450):
+        writer.write(TOPIC, 10**18 + k * 1_000_000, numbered(k))
+    writer.flush()
+    writer.abort()
+    (tmp_path / 'bag' / 'bag_5.mcap').touch()  # opened, nothing in it yet
+    result = recover(tmp_path / 'bag')
+    assert numbers_in(result.path) == list(range(450))
+    assert 'bag_5.mcap: is empty' in '\n'.join(result.notes)
+    shutil.rmtree(result.path)
+    (tmp_path / 'bag' / 'bag_1.mcap').unlink()
+    result = recover(tmp_path / 'bag')
+    assert result.messages == 350
+    assert 'part 1 of the bag is missing' in '\n'.join(result.notes)
