@@ -94,13 +94,13 @@ class DamagedMcap:
                 found = self._next_chunk(data, position + 1)
                 stop = self.size if found is None else found
                 if opcode == CHUNK:
-                    yield from self._chunk(data[start:stop], length)
+                    yield from self._chunk(data[start:stop])
                 else:
                     self.unread += stop - position
                 position = stop
                 continue
             if opcode == CHUNK:
-                yield from self._chunk(data[start:end], length)
+                yield from self._chunk(data[start:end])
             elif opcode in {SCHEMA, CHANNEL, MESSAGE}:
                 yield from self._record(opcode, data[start:end])
             position = end
@@ -117,22 +117,24 @@ class DamagedMcap:
                 return found.start()
         return None
 
-    def _chunk(self, body: bytes, length: int) -> Iterator[Message]:
+    def _chunk(self, body: bytes) -> Iterator[Message]:
         """Messages of a chunk; of one that is cut off, as far as it goes."""
-        if len(body) < _CHUNK.size:
+        if len(body) < _CHUNK.size + 16:
             self.unread += len(body)
             return
         *_, checksum, name_length = _CHUNK.unpack_from(body)
-        begin = _CHUNK.size + name_length + 8
+        begin = _CHUNK.size + min(name_length, 4) + 8
         name = body[_CHUNK.size : begin - 8].decode(errors='replace')
-        records, whole = decompress(name, body[begin:])
-        if len(body) == length and checksum and zlib.crc32(records) != checksum:
+        (length,) = struct.unpack_from('<Q', body, begin - 8)
+        content = body[begin : begin + length]
+        records, whole = decompress(name, content)
+        if len(content) == length and checksum and zlib.crc32(records) != checksum:
             self.bad_chunks += 1
-            self.unread += length
+            self.unread += len(body)
             for _ in self._records(records, without={MESSAGE}):  # the names may serve later
                 pass
             return
-        if not whole or len(body) < length:
+        if not whole or len(content) < length:
             self.bad_chunks += 1
         used = yield from self._records(records)
         self.unread += len(records) - used if whole or used else len(body)
