@@ -18,8 +18,12 @@ import numpy as np
 from numba import njit
 
 (
-    QUADRATIC, COULOMB, PENDULUM, CUBIC, RATE_CURVE, ANGLE_CURVE, RATE_TIMES, SIGNAL, HIDDEN
-) = range(1, 10)
+    QUADRATIC, COULOMB, PENDULUM, CUBIC, RATE_CURVE, ANGLE_CURVE, RATE_TIMES, SIGNAL, HIDDEN,
+    DRIVE_BY_RATE, DRIVE_BY_ANGLE, FRICTION_BY_ANGLE, FRICTION_SIGNAL, HYSTERESIS,
+) = range(1, 15)
+
+CURVES = (RATE_CURVE, ANGLE_CURVE, DRIVE_BY_RATE, DRIVE_BY_ANGLE, FRICTION_BY_ANGLE)
+"""Terms whose values are a curve's."""
 
 _OPTIONS = {
     'cache': True, 'nogil': True, 'error_model': 'numpy', 'fastmath': {'contract', 'nsz', 'arcp'},
@@ -28,13 +32,13 @@ _OPTIONS = {
 
 @njit(inline='always', **_OPTIONS)
 def _curve(values, j, x):
-    """Value at x of a curve linear between knots: values[j] = [z0, step, count, w, y0, y1, ...].
+    """Value at x of a curve linear between knots: values[j] = [z0, 1/step, count, w, y0, ...].
 
     The knots are even in z = x / (|x| + w), dense around zero; in z = x where w is 0.
     """
     z = x if values[j, 3] == 0.0 else x / (abs(x) + values[j, 3])
     last = int(values[j, 2]) - 1
-    position = (z - values[j, 0]) / values[j, 1]
+    position = (z - values[j, 0]) * values[j, 1]
     index = min(max(math.floor(position), 0), last - 1)
     fraction = min(max(position - index, -0.5), 1.5)
     low = values[j, 4 + index]
@@ -42,21 +46,25 @@ def _curve(values, j, x):
 
 
 @njit(inline='always', **_OPTIONS)
-def _torque(rate, angle, k, codes, values, signals):
-    """Sum of the feedback terms, rad/s²: codes (m,), values (m, q), signals (m, n)."""
+def _sign(rate, width):
+    """The rate's sign, smooth within +-width."""
+    reach = rate / width
+    return 1.0 if reach > 8.0 else (-1.0 if reach < -8.0 else math.tanh(reach))
+
+
+@njit(inline='always', **_OPTIONS)
+def _torque(rate, angle, drive, k, codes, values, signals):
+    """Sum of the feedback terms, rad/s²: codes (m,), values (m, q), signals (m, n).
+
+    `drive` is the mean acceleration of this cycle by the motors.
+    """
     total = 0.0
     for j in range(codes.size):
         code = codes[j]
         if code == QUADRATIC:
             total -= values[j, 0] * rate * abs(rate)
         elif code == COULOMB:
-            reach = rate / values[j, 1]
-            if reach > 8.0:
-                total -= values[j, 0]
-            elif reach < -8.0:
-                total += values[j, 0]
-            else:
-                total -= values[j, 0] * math.tanh(reach)
+            total -= values[j, 0] * _sign(rate, values[j, 1])
         elif code == PENDULUM:
             total -= values[j, 0] * math.sin(angle)
         elif code == CUBIC:
@@ -69,6 +77,15 @@ def _torque(rate, angle, k, codes, values, signals):
             total -= values[j, 0] * rate * signals[j, k]
         elif code == SIGNAL:
             total += values[j, 0] * signals[j, k]
+        elif code == DRIVE_BY_RATE:
+            total += drive * _curve(values, j, rate)
+        elif code == DRIVE_BY_ANGLE:
+            total += drive * _curve(values, j, angle)
+        elif code == FRICTION_BY_ANGLE:
+            width = values[j, 4 + int(values[j, 2])]
+            total -= _sign(rate, width) * _curve(values, j, angle)
+        elif code == FRICTION_SIGNAL:
+            total -= _sign(rate, values[j, 0]) * signals[j, k]
     return total
 
 
@@ -117,41 +134,48 @@ def feedforward(command, whole, matrices, inputs, pattern, gyro, start, stop, ou
 @njit(inline='always', **_OPTIONS)
 def _step(v, s, k, gain, known, damping, bias, dt, codes, values, signals):
     """One Runge-Kutta step of v = rate - rate_d and s = angle - angle_d; also v at half cycle."""
-    first = 0.0
-    slope = 0.0
-    shift = v
-    sum_v = 0.0
-    sum_s = 0.0
-    trial = v
-    for stage in range(4):
-        reach = 0.0 if stage == 0 else (0.5 * dt if stage < 3 else dt)
-        if stage == 0:
-            rate_d, angle_d = known[0, k], known[2, k]
-        elif stage < 3:
-            rate_d, angle_d = known[1, k], known[3, k]
-        else:
-            rate_d, angle_d = known[0, k + 1], known[2, k + 1]
-        trial = v + reach * slope
-        angle = gain * angle_d + s + reach * shift
-        rate = gain * rate_d + trial
-        shift = trial
-        slope = bias - damping * rate + _torque(rate, angle, k, codes, values, signals)
-        if stage == 0:
-            first = slope
-        weight = 2.0 if 0 < stage < 3 else 1.0
-        sum_v += weight * slope
-        sum_s += weight * trial
-    new_v = v + dt / 6.0 * sum_v
-    new_s = s + dt / 6.0 * sum_s
+    half = 0.5 * dt
+    rate_d, middle_d, end_d = gain * known[0, k], gain * known[1, k], gain * known[0, k + 1]
+    middle_angle = gain * known[3, k] + s
+    drive = (end_d - rate_d) / dt
+    rate = rate_d + v
+    k1 = bias - damping * rate + _torque(
+        rate, gain * known[2, k] + s, drive, k, codes, values, signals
+    )
+    v2 = v + half * k1
+    rate = middle_d + v2
+    k2 = bias - damping * rate + _torque(
+        rate, middle_angle + half * v, drive, k, codes, values, signals
+    )
+    v3 = v + half * k2
+    rate = middle_d + v3
+    k3 = bias - damping * rate + _torque(
+        rate, middle_angle + half * v2, drive, k, codes, values, signals
+    )
+    v4 = v + dt * k3
+    rate = end_d + v4
+    k4 = bias - damping * rate + _torque(
+        rate, gain * known[2, k + 1] + s + dt * v3, drive, k, codes, values, signals
+    )
+    new_v = v + dt / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
+    new_s = s + dt / 6.0 * (v + 2.0 * (v2 + v3) + v4)
     # cubic Hermite value at the half cycle, for the gyro filter behind
-    return new_v, new_s, 0.5 * (v + new_v) + 0.125 * dt * (first - slope)
+    return new_v, new_s, 0.5 * (v + new_v) + 0.125 * dt * (k1 - k4)
+
+
+@njit(inline='always', **_OPTIONS)
+def _built_up(state, rate, share):
+    """A friction's share (-1..1) after some motion: exact for a rate that is held."""
+    way = 1.0 if rate > 0.0 else -1.0
+    return way + (state - way) * math.exp(-abs(rate) * share)
 
 
 @njit(inline='always', **_OPTIONS)
 def _hidden(states, rate, codes, values):
     """Torque of the hidden states (m, 2) at half of the cycle, driven by the rate at its begin.
 
-    A HIDDEN term is values[j] = [A (2, 2), B (2,) of a cycle, the same of half a cycle, C (2,)].
+    A HIDDEN term is values[j] = [A (2, 2), B (2,) of a cycle, the same of half a cycle, C (2,)];
+    a HYSTERESIS [torque, cycle over the angle of its build-up] (Dahl 1968).
     """
     total = 0.0
     for j in range(codes.size):
@@ -159,6 +183,8 @@ def _hidden(states, rate, codes, values):
             x, y = states[j, 0], states[j, 1]
             total += values[j, 12] * (values[j, 6] * x + values[j, 7] * y + values[j, 10] * rate)
             total += values[j, 13] * (values[j, 8] * x + values[j, 9] * y + values[j, 11] * rate)
+        elif codes[j] == HYSTERESIS:
+            total -= values[j, 0] * _built_up(states[j, 0], rate, 0.5 * values[j, 1])
     return total
 
 
@@ -170,6 +196,25 @@ def _advance(states, rate, codes, values):
             x, y = states[j, 0], states[j, 1]
             states[j, 0] = values[j, 0] * x + values[j, 1] * y + values[j, 4] * rate
             states[j, 1] = values[j, 2] * x + values[j, 3] * y + values[j, 5] * rate
+        elif codes[j] == HYSTERESIS:
+            states[j, 0] = _built_up(states[j, 0], rate, values[j, 1])
+
+
+@njit(**_OPTIONS)
+def _parted(bias, codes, values, signals, n, start, stop):
+    """What is known before the run, (n,) filled in [start, stop), and the terms that feed back."""
+    push = np.empty(n)
+    push[start:stop] = bias
+    for j in range(codes.size):
+        if codes[j] == SIGNAL:
+            push[start:stop] += values[j, 0] * signals[j, start:stop]
+    fed = np.nonzero((codes != SIGNAL) & (codes != HIDDEN) & (codes != HYSTERESIS))[0]
+    fed_codes, fed_values = codes[fed], values[fed]
+    for j in range(fed.size):
+        code = fed_codes[j]
+        if code in CURVES:
+            fed_values[j, 1] = 1.0 / fed_values[j, 1]  # multiplied by four times a cycle
+    return push, fed_codes, fed_values, signals[fed] if signals.shape[0] else signals
 
 
 @njit(**_OPTIONS)
@@ -190,6 +235,10 @@ def track(rate, angle, has_angle, known, gain, damping, bias, dt, codes, values,
     nxt = np.searchsorted(starts, start)
     first = nxt
     begin = np.empty((starts.size, 4))
+    push, fed, fed_values, fed_signals = _parted(
+        bias, codes, values, signals, rate.size, start, stop
+    )
+    stateful = np.any((codes == HIDDEN) | (codes == HYSTERESIS))
     hidden = np.zeros((codes.size, 2))
     hidden_begin = np.zeros((starts.size, codes.size, 2))
     for k in range(start, stop):
@@ -208,9 +257,14 @@ def track(rate, angle, has_angle, known, gain, damping, bias, dt, codes, values,
         if has_angle:
             s = angle[k] - gain * known[2, k]
         before = gain * known[0, k] + v
-        torque = bias + _hidden(hidden, before, codes, values)
-        new_v, s, middle = _step(v, s, k, gain, known, damping, torque, dt, codes, values, signals)
-        _advance(hidden, 0.5 * (before + gain * known[0, k + 1] + new_v), codes, values)
+        torque = push[k]
+        if stateful:
+            torque += _hidden(hidden, before, codes, values)
+        new_v, s, middle = _step(
+            v, s, k, gain, known, damping, torque, dt, fed, fed_values, fed_signals
+        )
+        if stateful:
+            _advance(hidden, 0.5 * (before + gain * known[0, k + 1] + new_v), codes, values)
         if filtered:
             new_g = (gyro[0, 0] * g + gyro[0, 1] * d + gyro[0, 2] * v + gyro[0, 3] * middle
                      + gyro[0, 4] * new_v)
@@ -227,11 +281,14 @@ def track(rate, angle, has_angle, known, gain, damping, bias, dt, codes, values,
             if k + 1 >= stop:
                 break
             before = gain * known[0, k] + v
-            torque = bias + _hidden(hidden, before, codes, values)
+            torque = push[k]
+            if stateful:
+                torque += _hidden(hidden, before, codes, values)
             new_v, s, middle = _step(
-                v, s, k, gain, known, damping, torque, dt, codes, values, signals
+                v, s, k, gain, known, damping, torque, dt, fed, fed_values, fed_signals
             )
-            _advance(hidden, 0.5 * (before + gain * known[0, k + 1] + new_v), codes, values)
+            if stateful:
+                _advance(hidden, 0.5 * (before + gain * known[0, k + 1] + new_v), codes, values)
             if filtered:
                 new_g = (gyro[0, 0] * g + gyro[0, 1] * d + gyro[0, 2] * v + gyro[0, 3] * middle
                          + gyro[0, 4] * new_v)

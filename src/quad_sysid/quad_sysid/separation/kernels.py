@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numba import njit
 
-from quad_sysid.greybox.kernels import _advance, _hidden, _step
+from quad_sysid.greybox.kernels import _advance, _hidden, _parted, _step
 from quad_sysid.loop.kernels import control
 
 AFFINE, TABLE, LIMITS, PLAY, SLOW, SLOW_MOTOR, MODE = range(1, 8)
@@ -91,6 +91,7 @@ def fly(constants, excitation, whole, matrices, inputs, pattern, gyro, filtered,
     known = np.zeros((5, n + 1))
     acting = np.zeros(n)
     stage_states = np.zeros((stage_codes.size, 2))
+    push, fed, fed_values, fed_signals = _parted(bias, codes, values, signals, n, 0, n)
     hidden = np.zeros((codes.size, 2))
     memory = np.zeros(3)
     lag = rate_d = angle_d = g_d = d_d = 0.0
@@ -122,8 +123,10 @@ def fly(constants, excitation, whole, matrices, inputs, pattern, gyro, filtered,
         )
         known[0, k + 1], known[2, k + 1], known[4, k + 1] = rate_d, angle_d, g_d
         before = gain * begin + v
-        torque = bias + _hidden(hidden, before, codes, values)
-        new_v, s, middle = _step(v, s, k, gain, known, damping, torque, dt, codes, values, signals)
+        torque = push[k] + _hidden(hidden, before, codes, values)
+        new_v, s, middle = _step(
+            v, s, k, gain, known, damping, torque, dt, fed, fed_values, fed_signals
+        )
         _advance(hidden, 0.5 * (before + gain * rate_d + new_v), codes, values)
         g, d = (
             gyro[0, 0] * g + gyro[0, 1] * d + gyro[0, 2] * v + gyro[0, 3] * middle
