@@ -14,6 +14,7 @@ from quad_bridge.bag_writer import BagWriter
 from quad_bridge.damaged_mcap import DamagedMcap
 from quad_bridge.damaged_sqlite import DamagedSqlite
 from quad_bridge.recover import recover
+from quad_sysid.bags.storage import Storage
 
 STUDY = Path(__file__).resolve().parents[2] / 'bench' / 'log_kills.py'
 VECTOR = 'geometry_msgs/msg/Vector3Stamped'
@@ -65,6 +66,34 @@ def test_a_transaction_that_was_not_finished_is_undone_on_a_copy(tmp_path):
     assert result.messages == 500
     assert 'last transaction was not finished' in '\n'.join(result.notes)
     assert {p.name: p.read_bytes() for p in killed.iterdir()} == before
+
+
+def test_a_torn_page_is_never_filled_up_with_zeros(tmp_path):
+    rng = np.random.default_rng(8)
+    rows = {k: rng.integers(1, 256, 150, dtype=np.uint8).tobytes() for k in range(1500)}
+    writer = BagWriter(tmp_path / 'bag', 'sqlite3')
+    writer.add_topic(TOPIC, VECTOR)
+    for k, data in rows.items():
+        writer.write(TOPIC, 10**18 + k, data)
+    writer.flush()
+    synced = writer._file.path.stat().st_size
+    base = writer._file._base
+    base.execute('PRAGMA cache_size=5')
+    base.executemany(
+        'INSERT INTO messages VALUES(NULL, 1, ?, ?)', [(k, b'\7' * 300) for k in range(1000)]
+    )
+    for i, cut in enumerate(rng.integers(synced // 4, synced, 8)):
+        killed = tmp_path / f'killed{i}'
+        killed.mkdir()
+        for file in (tmp_path / 'bag').iterdir():
+            (killed / file.name).write_bytes(file.read_bytes())
+        os.truncate(killed / 'bag_0.db3', int(cut))
+        whole = set(rows.values())
+        found = [m.data for m in DamagedSqlite(killed / 'bag_0.db3').messages()]
+        read = [raw for batch in Storage(killed, (TOPIC,)).batches() for raw in batch[TOPIC]]
+        assert set(found) <= whole
+        assert len(found) == len(set(found)) > 100
+        assert set(read) <= set(found)
 
 
 def test_a_database_cut_off_anywhere_gives_the_rows_before_the_cut(tmp_path):

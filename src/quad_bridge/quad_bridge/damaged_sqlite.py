@@ -7,6 +7,7 @@ back on a copy. Source: the SQLite file format (big-endian; b-tree pages, cells,
 from __future__ import annotations
 
 import mmap
+import os
 import shutil
 import sqlite3
 import struct
@@ -106,7 +107,12 @@ def _still(path: Path) -> Iterator[Path]:
     with tempfile.TemporaryDirectory() as folder:
         for file in (path, *journals):
             shutil.copy(file, folder)
-        yield Path(folder, path.name)
+        copy = Path(folder, path.name)
+        with path.open('rb') as stream:
+            page = Pages(stream.read(100)).page_size
+        if page:  # else SQLite fills a torn page up with zeros
+            os.truncate(copy, path.stat().st_size // page * page)
+        yield copy
 
 
 def _topics(base: sqlite3.Connection) -> dict[int, Topic]:
@@ -143,7 +149,7 @@ class Pages:
         if size < 512:
             return []
         found: dict[int, tuple[int, int, bytes]] = {}
-        for start in range(size, len(self.data), size):
+        for start in range(size, len(self.data) - size + 1, size):
             if self.data[start] != LEAF:
                 continue
             (count,) = struct.unpack_from('>H', self.data[start : start + 8].ljust(8, b'\0'), 3)

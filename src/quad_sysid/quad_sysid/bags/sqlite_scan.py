@@ -6,6 +6,7 @@ tables; the SQLite file format (header: page size at byte 16, number of pages at
 
 from __future__ import annotations
 
+import os
 import shutil
 import sqlite3
 import struct
@@ -82,6 +83,7 @@ class SqliteScan:
             for file in (self.path, *hot):
                 shutil.copy(file, folder)
             copy = Path(folder, self.path.name)
+            os.truncate(copy, _whole(copy))  # else SQLite fills a torn page up with zeros
             if hot:
                 self.notes.append('the recorder was killed within a transaction: read without it')
             elif pages is not None:
@@ -92,13 +94,22 @@ class SqliteScan:
             yield f'{copy.as_uri()}?mode=rw'
 
 
+def _page_size(head: bytes) -> int:
+    (size,) = struct.unpack_from('>H', head.ljust(100, b'\0'), 16)
+    return 65536 if size == 1 else max(size, 512)
+
+
+def _whole(path: Path) -> int:
+    """Bytes of the file's whole pages."""
+    with path.open('rb') as stream:
+        page = _page_size(stream.read(100))
+    return path.stat().st_size // page * page
+
+
 def _pages(path: Path) -> int | None:
     """How many pages are there, where the header counts more; else None."""
     with path.open('rb') as stream:
         head = stream.read(100)
-    if len(head) < 100:
-        return None
-    (size,) = struct.unpack_from('>H', head, 16)
-    (told,) = struct.unpack_from('>I', head, 28)
-    there = path.stat().st_size // (65536 if size == 1 else max(size, 512))
+    (told,) = struct.unpack_from('>I', head.ljust(100, b'\0'), 28)
+    there = path.stat().st_size // _page_size(head)
     return there if there < told else None
