@@ -1,5 +1,7 @@
 """The loop's plant: exact steps against scipy and python-control, curves, effects as curves."""
 
+import dataclasses
+
 import control
 import numpy as np
 import pytest
@@ -7,16 +9,25 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from quad_sysid.errors import BadInputError
-from quad_sysid.loop.from_model import battery_factor, loop_plant, not_in_the_loop
+from quad_sysid.loop.cascade import CascadeGains
+from quad_sysid.loop.from_model import (
+    battery_factor,
+    loop_plant,
+    not_in_the_loop,
+    throttle_factor,
+)
 from quad_sysid.loop.plant import (
     Curve,
+    LightMode,
     LoopPlant,
     Slopes,
+    SlowMotors,
     exact_cycles,
     exact_step,
     slopes_at,
     state_space,
 )
+from quad_sysid.loop.simulation import simulate_cascade
 from quad_sysid.model import AxisModel, EffectEstimate, Parameter
 
 PLANT = LoopPlant(450.0, 0.043, 0.0094, 0.4, 0.0, 42.0, 0.004)
@@ -179,3 +190,72 @@ def test_exact_step_is_scipys_matrix_exponential():
         want = expm(block)
         np.testing.assert_allclose(phi[i], want[:4, :4], atol=1e-9)
         np.testing.assert_allclose(gamma[i], want[:4, 4:], atol=1e-9)
+
+
+def test_slow_motors_and_a_mode_against_python_control():
+    """A quarter of the drive behind 0.1 s and a mode at 7 Hz, both in the drive: c2d(zoh)."""
+    plant = LoopPlant(
+        450.0, 0.043, 0.008, 0.4, 0.0, None, 0.004,
+        slow=SlowMotors(0.25, 0.1), mode=LightMode(44.0, 0.05, 0.1, 0.2),
+    )  # fmt: skip
+    s = control.tf('s')
+    drive = 450.0 * (0.75 / (0.043 * s + 1) + 0.25 / (0.1 * s + 1))
+    light = 44.0**2 / (s**2 + 2 * 0.05 * 44.0 * s + 44.0**2)
+    exact = control.c2d(drive * (1 + light * (0.1 + 0.2 * s / 44.0)) / (s + 0.4), 0.004, 'zoh')
+    omega = np.geomspace(0.5, 700.0, 60)
+    mine = exact_cycles([plant], [Slopes()]).response(omega)[0, 0]
+    z = np.exp(1j * omega * 0.004)
+    np.testing.assert_allclose(mine, exact(z) * z**-2, rtol=1e-5)
+
+
+def test_the_simulation_runs_the_same_states_as_the_linear_plant():
+    """Command steps through simulate_cascade with zero gains against the state space."""
+    plant = LoopPlant(
+        300.0, 0.03, 0.0062, 0.4, 0.0, 42.0, 0.004,
+        slow=SlowMotors(0.25, 0.1), mode=LightMode(44.0, 0.05, 0.1, 0.2),
+    )  # fmt: skip
+    u = 0.02 * np.sign(np.sin(np.arange(200) / 9.0))
+    silent = CascadeGains(0.0, 0.0, 0.0, 0.0)
+    run = simulate_cascade(plant, silent, np.zeros(200), 0.004, control_excitation=u)
+    model = state_space(plant)
+    x, rates = np.zeros(model.a.shape[0]), []
+    for value in u:
+        rates.append((model.c @ x)[0])
+        x = model.a @ x + model.b[:, 0] * value
+    np.testing.assert_allclose(run.rate, rates, atol=1e-9)
+
+
+def test_plants_with_and_without_a_mode_do_not_mix():
+    other = dataclasses.replace(PLANT, mode=LightMode(44.0, 0.05, 0.1, 0.2))
+    with pytest.raises(BadInputError, match='slow motors and mode'):
+        exact_cycles([PLANT, other], [Slopes(), Slopes()])
+
+
+def test_events_throttle_and_motor_limits_come_from_the_model():
+    """After an event its values hold; the thrust curve is a factor; limits clip both sides."""
+
+    def found(name, settings=None, **parameters):
+        values = tuple(Parameter(k, v, 0.01, '') for k, v in parameters.items())
+        return EffectEstimate(name, 'named', ('command',), values, settings or {})
+
+    def plant_of(*effects):
+        return loop_plant(dataclasses.replace(model_of(), effects=effects))
+
+    plain = plant_of()
+    assert plant_of(found('step_event', change=-0.2)).gain == pytest.approx(0.8 * plain.gain)
+    assert plant_of(found('step_event', torque=0.3)).bias == pytest.approx(plain.bias + 0.3)
+    curve = found('thrust_curve', {'throttle': 0.4}, curvature=0.5)
+    bent = dataclasses.replace(model_of(), effects=(curve,))
+    assert throttle_factor(bent, 1.0) == 1.0
+    assert throttle_factor(bent, 1.2) == pytest.approx((0.5 + 0.48) / (0.5 + 0.4))
+    assert loop_plant(bent).command_curve is None
+    limited = plant_of(found('saturation', lower=0.1, upper=0.5)).command_curve
+    np.testing.assert_allclose(limited([-0.5, 0.1, 0.5]), [-0.2, 0.1, 0.2], atol=1e-12)
+    assert not_in_the_loop(bent) == ()
+
+
+def model_of():
+    names = ('gain', 'lag', 'delay', 'damping', 'bias')
+    values = (450.0, 0.043, 0.008, 0.4, 0.1)
+    base = tuple(Parameter(n, v, 0.01, '') for n, v in zip(names, values, strict=True))
+    return AxisModel('roll', 0.004, 42.0, base)

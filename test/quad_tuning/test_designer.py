@@ -49,7 +49,16 @@ def with_base(m, name, value):
         (lambda m: with_gains(m, roll__rate__kp=0.4), 'gains that flew are unstable'),
         (lambda m: dataclasses.replace(m, trusted_band_rad_s=(0.1, 5.0)), 'excite that band'),
         (lambda m: with_base(m, 'delay', 0.08), 'gains that flew are unstable'),
-        (lambda m: with_base(m, 'delay', 0.024), 'within one update'),
+        (
+            lambda m: dataclasses.replace(
+                m, covariance=np.diag([85.0**2, 0.016**2, 0.0055**2, 0, 0])
+            ),
+            'within the hard bounds',
+        ),
+        (
+            lambda m: with_base(with_base(with_base(m, 'delay', 0.03), 'lag', 0.2), 'gain', 250.0),
+            'would raise the tracking error',
+        ),
     ],
 )
 def test_a_model_that_allows_no_design_is_refused_with_the_reason(model, change, said):
@@ -61,9 +70,9 @@ def test_a_model_that_allows_no_design_is_refused_with_the_reason(model, change,
 
 
 def test_gains_that_are_already_the_best_are_left_alone(model):
-    """The design fed with its own answer until the box no longer binds: then it refuses."""
+    """The design fed with its own answer: there is nothing left to gain."""
     m = model(lag=0.02, delay=0.004, gain=300.0)
-    for _ in range(6):
+    for _ in range(3):
         proposal = design(m)
         if proposal.gains is None:
             break

@@ -36,6 +36,42 @@ def test_json_and_file_hold_the_same(stored, tmp_path, capsys):
     assert printed['axes']['roll']['gains']['roll.angle.kp'] > 3.0
 
 
+def test_steps_lead_to_the_target_and_the_use_of_effects_is_said(stored, capsys):
+    assert main(['design', str(stored), '--axis', 'roll', '--json']) == 0
+    answer = json.loads(capsys.readouterr().out)['axes']['roll']
+    assert answer['steps'][-1] == answer['target'] == answer['gains']
+    assert len(answer['steps']) >= 2
+    assert answer['effects_used'][0]['name'] == 'bias_torque'
+    assert main(['design', str(stored), '--axis', 'roll']) == 0
+    assert f'makes {len(answer["steps"])} updates of it' in capsys.readouterr().out
+
+
+def test_pictures_are_drawn_for_the_axis_that_has_gains(stored, tmp_path, capsys):
+    folder = tmp_path / 'pictures'
+    assert main(['design', str(stored), '--pictures', str(folder)]) == 0
+    capsys.readouterr()
+    names = sorted(path.name for path in folder.iterdir())
+    assert names == ['roll_bode.png', 'roll_nyquist.png', 'roll_step.png']
+    assert all(path.read_bytes().startswith(b'\x89PNG') for path in folder.iterdir())
+    (tmp_path / 'file').touch()
+    assert main(['design', str(stored), '--pictures', str(tmp_path / 'file')]) == 2
+    assert 'file' in capsys.readouterr().err
+
+
+def test_brysons_weights_are_options(stored, capsys):
+    rise = []
+    for given in ([], ['--max-rate', '0.3']):
+        arguments = ['design', str(stored), '--method', 'lqr', '--axis', 'roll', '--json']
+        assert main([*arguments, *given]) == 0
+        answer = json.loads(capsys.readouterr().out)['axes']['roll']
+        rise.append(answer['figures']['rise_time_s'])
+    assert rise[1] > 1.2 * rise[0]
+    with pytest.raises(SystemExit) as left:
+        main(['design', str(stored), '--method', 'lqr', '--max-angle', '-1'])
+    assert left.value.code == 2
+    assert 'must be a positive number' in capsys.readouterr().err
+
+
 def test_lqr_by_the_ros_name_of_the_command(stored, capsys):
     assert design_main([str(stored), '--method', 'lqr', '--axis', 'roll', '--json']) == 0
     answer = json.loads(capsys.readouterr().out)['axes']['roll']

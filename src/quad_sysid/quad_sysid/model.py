@@ -103,6 +103,12 @@ class GainProposal:
     figures: Mapping[str, float] = field(default_factory=dict)
     """What the design promises and what the old gains gave: phase_margin_deg, rise_time_s, …,
     each also as `<name>_before`."""
+    steps: tuple[Mapping[str, float], ...] = ()
+    """The updates that lead to the target, each within the step limit; the last is the target."""
+    used: tuple[tuple[str, str], ...] = ()
+    """Effect (or rival) and, in words, what the design made of it."""
+    schedule: tuple[tuple[float, Mapping[str, float]], ...] = ()
+    """Battery voltage, V, and the gains for it, where the plant's gain follows the voltage."""
 
 
 Designer = Callable[[AxisModel], GainProposal]

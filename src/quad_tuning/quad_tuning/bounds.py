@@ -37,7 +37,7 @@ class Bound:
 BOUNDS: Mapping[str, Bound] = {
     'angle.kp': Bound(0.3, 15.0, 0.0, '1/s'),
     'rate.kp': Bound(0.005, 0.5, 0.0, 's/rad'),
-    'rate.ki': Bound(0.0, 1.0, 0.02, '1/rad'),
+    'rate.ki': Bound(0.0, 1.0, 0.004, '1/rad'),
     'rate.kd': Bound(0.0, 0.02, 0.0005, 's²/rad'),
 }
 """Contract's name behind the axis to its bound."""

@@ -14,6 +14,7 @@ from typing import Any, NoReturn
 
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError, QuadSysidError
+from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.model import AxisModel
 from quad_sysid.report.model_file import load_models
 from quad_tuning.bounds import BOUNDS
@@ -40,6 +41,10 @@ ROWS: tuple[tuple[str, str, str], ...] = (
     ('motor_noise_rms', 'noise at the motors', ''),
 )
 """Figure, its name in the table, unit."""
+
+
+BRYSON = {'angle': 'RAD', 'rate': 'RAD/S', 'integral': 'RAD*S', 'control': 'SHARE'}
+"""Options `--max-<name>` of the LQR's weights, and their units."""
 
 
 class _Parser(argparse.ArgumentParser):
@@ -70,17 +75,33 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--axis', choices=(*AXES, 'all'), default='all')
     parser.add_argument('--json', action='store_true', help='print JSON instead of the table')
     parser.add_argument('--out', type=Path, metavar='FILE', help='write the JSON there too')
+    parser.add_argument('--pictures', type=Path, metavar='DIR',
+                        help='Bode, Nyquist and step with bands (pid)')
+    bryson = parser.add_argument_group(
+        'lqr', "Bryson's rule: the largest value of each that is acceptable"
+    )
+    for name, unit in BRYSON.items():
+        bryson.add_argument(f'--max-{name}', type=_positive, metavar=unit)
+
+
+def _positive(text: str) -> float:
+    value = float(text)
+    if not 0.0 < value < float('inf'):
+        raise argparse.ArgumentTypeError(f'must be a positive number: found {text}')
+    return value
 
 
 def _run(arguments: argparse.Namespace) -> int:
     try:
         models = load_models(arguments.model)
         axes = _wanted(models, arguments.axis, str(arguments.model))
-        answers = {axis: _answer(models[axis], arguments.method) for axis in axes}
+        answers = {axis: _answer(models[axis], arguments) for axis in axes}
         tree = {'schema': SCHEMA, 'method': arguments.method, 'axes': answers}
         text = json.dumps(tree, indent=1, allow_nan=False)
         if arguments.out is not None:
             _write(arguments.out, text)
+        if arguments.pictures is not None and arguments.method == 'pid':
+            _draw(models, answers, arguments.pictures)
     except (QuadSysidError, QuadTuningError) as error:
         print(f'quad-tune: {error}', file=sys.stderr)
         return getattr(error, 'exit_status', 2)
@@ -107,19 +128,26 @@ def _wanted(models: Mapping[str, AxisModel], axis: str, file: str) -> list[str]:
     return [axis]
 
 
-def _answer(model: AxisModel, method: str) -> dict[str, Any]:
-    if method == 'pid':
+def _answer(model: AxisModel, arguments: argparse.Namespace) -> dict[str, Any]:
+    if arguments.method == 'pid':
         proposal = design(model)
         gains = None if proposal.gains is None else dict(proposal.gains)
         return {
             'gains': gains,
+            'target': dict(proposal.steps[-1]) if proposal.steps else None,
+            'steps': [dict(step) for step in proposal.steps],
+            'schedule': [
+                {'battery_v': volts, 'gains': dict(row)} for volts, row in proposal.schedule
+            ],
+            'effects_used': [{'name': name, 'use': use} for name, use in proposal.used],
             'refused_because': proposal.refused_because,
             'figures': dict(proposal.figures),
         }
     from quad_tuning.lqr_proposal import propose_lqr  # python-control takes its time
 
+    given = {name: getattr(arguments, f'max_{name}') for name in BRYSON}
     try:
-        found = propose_lqr(model)
+        found = propose_lqr(model, {k: v for k, v in given.items() if v is not None})
     except DesignRefusedError as refusal:
         return {'controller': None, 'refused_because': str(refusal), 'figures': {}}
     c = found.controller
@@ -145,13 +173,35 @@ def _table(axis: str, method: str, answer: Mapping[str, Any]) -> str:
     figures = answer['figures']
     lines = [f'{axis} ({method}), over {figures["draws"]:.0f} draws of the model']
     lines.append(f'  {"":24}{"flown":>12}{"new":>12}  unit')
-    for name, value in (answer.get('gains') or {}).items():
+    for name, value in (answer.get('target') or {}).items():
         unit = BOUNDS[name.partition('.')[2]].unit
         lines.append(_row(name, figures.get(f'{name}_before'), value, unit))
     for key, name, unit in ROWS:
         if key in figures or f'{key}_before' in figures:
             lines.append(_row(name, figures.get(f'{key}_before'), figures.get(key), unit))
+    if answer.get('steps'):
+        lines.append(_updates(answer))
+    lines += [f'  {item["name"]}: {item["use"]}' for item in answer.get('effects_used', ())]
+    for row in answer.get('schedule', ()):
+        gains = '  '.join(f'{name} {value:.4g}' for name, value in row['gains'].items())
+        lines.append(f'  at {row["battery_v"]:.1f} V: {gains}')
     return '\n'.join(lines) + '\n'
+
+
+def _updates(answer: Mapping[str, Any]) -> str:
+    count = len(answer['steps'])
+    if answer['gains'] == answer['target']:
+        return f'  to be sent whole; the step limit makes {count} updates of it'
+    return f'  to be sent one by one in {count} updates (--json: steps), all at once is not safe'
+
+
+def _draw(models: Mapping[str, AxisModel], answers: Mapping[str, Any], folder: Path) -> None:
+    from quad_tuning.report.pictures import write_pictures  # matplotlib takes its time
+
+    for axis, answer in answers.items():
+        if answer['target'] is not None:
+            known = {**models[axis].active_gains, **answer['target']}
+            write_pictures(models[axis], CascadeGains.from_mapping(known, axis), folder)
 
 
 def _row(name: str, before: float | None, after: float | None, unit: str) -> str:

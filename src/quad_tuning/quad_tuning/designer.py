@@ -1,7 +1,7 @@
 """The designer that the identification finds: an axis model in, a gain proposal or a refusal out.
 
-Wiring of admission, ensemble, PID design and bounds; offered as `pid` in the entry point group
-`quad_sysid.designers`. The arithmetic stands in those modules.
+Wiring of admission, ensemble, PID design, path and effects' use; offered as `pid` in the entry
+point group `quad_sysid.designers`. The arithmetic stands in those modules.
 """
 
 from __future__ import annotations
@@ -17,14 +17,18 @@ from quad_sysid.model import AxisModel, GainProposal
 from quad_tuning import ensemble as ensembles
 from quad_tuning.admission import BAND_REACH, check_band, check_model, flown_gains
 from quad_tuning.assess import LoopFigures, assess
-from quad_tuning.bounds import check_step
+from quad_tuning.bounds import check_bounds
 from quad_tuning.errors import DesignRefusedError, QuadTuningError
 from quad_tuning.pid import PidDesign, Requirements, retune
+from quad_tuning.use import schedule, uses
+from quad_tuning.way import way_to
 
 SEED = 20_250_101
 """Of the draws, so that one model gives one proposal."""
 LEAST_GAIN_PCT = 2.0
 """Promised drop of the tracking error below which the flown gains stay, if they keep margins."""
+LARGEST_LOSS_PCT = 3.0
+"""Promised rise of the tracking error above which margins are not bought by a design."""
 LARGEST_SPREAD_PCT = 5.0
 """Of the optimum over the starts; beyond, the optimum is not one."""
 
@@ -52,6 +56,9 @@ def propose(model: AxisModel, requirements: Requirements | None = None) -> GainP
     before = assess(plant, active, loops)
     check_band(model, before.crossover_rad_s)
     needs = requirements or Requirements()
+    if model.noise_rms:
+        spare = needs.motor_noise / (before.noise_gain * model.noise_rms)
+        needs = dataclasses.replace(needs, noise_factor=max(needs.noise_factor, spare))
     if model.trusted_band_rad_s is not None:
         highest = max(BAND_REACH * model.trusted_band_rad_s[1], before.crossover_rad_s)
         needs = dataclasses.replace(needs, highest_crossover_rad_s=highest)
@@ -60,9 +67,20 @@ def propose(model: AxisModel, requirements: Requirements | None = None) -> GainP
     except DesignRefusedError as refusal:
         raise DesignRefusedError(f'{model.axis}: {refusal}') from refusal
     _check_worth(model, found, needs)
-    gains = found.gains.to_mapping(model.axis)
-    check_step(gains, model.active_gains)
-    return GainProposal(gains=gains, figures=_figures(model, found, active, loops.draws))
+    check_bounds(found.gains.to_mapping(model.axis))
+    try:
+        way = way_to(found.gains, active, loops, needs)
+    except DesignRefusedError as refusal:
+        raise DesignRefusedError(f'{model.axis}: {refusal}') from refusal
+    # who is told the target goes there with every gain as far as it may: only where that is safe
+    told = found.gains if way.together else way.first
+    return GainProposal(
+        gains=told.to_mapping(model.axis),
+        figures=_figures(model, found, active, loops.draws),
+        steps=tuple(step.to_mapping(model.axis) for step in way.steps),
+        used=uses(model),
+        schedule=schedule(model, found.gains),
+    )
 
 
 def _check_worth(model: AxisModel, found: PidDesign, needs: Requirements) -> None:
@@ -80,8 +98,14 @@ def _check_worth(model: AxisModel, found: PidDesign, needs: Requirements) -> Non
     )
     if kept and drop < LEAST_GAIN_PCT:
         raise DesignRefusedError(
-            f'{model.axis}: the gains that flew keep all margins, and the best within one update '
-            f'would lower the tracking error by {drop:.1f} % only'
+            f'{model.axis}: the gains that flew keep all margins, and the best ones would lower '
+            f'the tracking error by {drop:.1f} % only'
+        )
+    if drop < -LARGEST_LOSS_PCT:
+        raise DesignRefusedError(
+            f'{model.axis}: the best gains that keep all margins would raise the tracking error '
+            f'by {-drop:.0f} % (flown: phase margin {before.worst_phase_margin_deg:.0f} deg at '
+            'worst); lower the gains by hand'
         )
 
 
@@ -121,5 +145,8 @@ def _figures(
     values['draws'] = float(draws)
     values['searches_that_agree'] = float(found.starts)
     values['optimum_spread_pct'] = found.spread_pct
+    values['grid_points'] = float(found.grid_points)
+    values['grid_excess_pct'] = found.grid_excess_pct
+    values['disturbance_kept'] = float(found.disturbance_kept)
     values['effects_left_out'] = float(len(not_in_the_loop(model)))
     return {name: float(value) for name, value in values.items() if np.isfinite(value)}

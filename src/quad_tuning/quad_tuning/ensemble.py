@@ -1,5 +1,6 @@
 """The plants that a design must hold for: drawn from the model's covariance, with their effects.
 
+A share of the draws that is the rivals' probability has a rival in an effect's place (rivals.py).
 Each draw is linearised at one or several amplitudes (curves by their describing gains), so that a
 loop is judged both while it moves widely and near rest. No design here.
 """
@@ -20,22 +21,35 @@ from quad_sysid.loop.cascade import (
     margins,
     open_loop,
 )
-from quad_sysid.loop.from_model import battery_factor, loop_plant
-from quad_sysid.loop.plant import ComplexArray, LoopPlant, Slopes, Step, exact_cycles, slopes_at
+from quad_sysid.loop.from_model import battery_factor, loop_plant, throttle_factor
+from quad_sysid.loop.plant import (
+    ComplexArray,
+    LightMode,
+    LoopPlant,
+    Slopes,
+    SlowMotors,
+    Step,
+    exact_cycles,
+    slopes_at,
+)
 from quad_sysid.model import AxisModel, Parameter
+from quad_tuning.rivals import shares, variants
 
 DRAWS = 240
 """Drawn models, the nominal one not counted."""
 
-FLOOR = {'gain': 0.03, 'lag': 0.03, 'damping': 0.1}
-"""Smallest relative standard error that is believed: a covariance knows only the noise."""
-DELAY_FLOOR_CYCLES = 0.25
+FLOOR = {'gain': 0.015, 'lag': 0.01, 'damping': 0.1}
+"""Smallest relative standard error that is believed: a covariance knows only the noise. Twice what
+100 identified virtual airframes were off by (bench/tuning.py)."""
+DELAY_FLOOR_CYCLES = 0.05
 
 AMPLITUDES = ((4.0, 0.35, 0.3), (0.3, 0.05, 0.03))
 """Rate rad/s, angle rad, command at which curves are replaced by gains: wide, near rest."""
 
 VOLTAGE_RANGE = (0.9, 1.08)
 """Battery voltage over the next flight, of this one's mean."""
+THROTTLE_RANGE = (0.85, 1.15)
+"""Throttle over the next flight, of this one's mean."""
 
 
 @dataclass(frozen=True)
@@ -89,17 +103,18 @@ def draw_models(model: AxisModel, rng: np.random.Generator, count: int) -> list[
 
 
 def build(model: AxisModel, rng: np.random.Generator, count: int = DRAWS) -> Ensemble:
-    """The ensemble of an axis model; with battery sag the next flight's voltage is drawn too."""
-    models = draw_models(model, rng, count)
+    """The ensemble of an axis model, its rivals included.
+
+    With battery sag or a thrust curve the next flight's voltage and throttle are drawn too.
+    """
     plants = [loop_plant(model)]
-    for drawn in models:
-        plant = loop_plant(drawn)
-        if drawn.mean_battery_v:
-            volts = drawn.mean_battery_v * rng.uniform(*VOLTAGE_RANGE)
-            factor = battery_factor(drawn, volts) / battery_factor(drawn)
-            plant = replace(plant, gain=plant.gain * factor)
-        plants.append(plant)
-    levels = AMPLITUDES if _has_curves(plants[0]) else AMPLITUDES[:1]
+    choices = variants(model)
+    for number, (_, variant) in zip(
+        shares(tuple(weight for weight, _ in choices), count), choices, strict=True
+    ):
+        plants += [_next_flight(drawn, rng) for drawn in draw_models(variant, rng, number)]
+    plants = _alike(plants)
+    levels = AMPLITUDES if any(_has_curves(p) for p in plants) else AMPLITUDES[:1]
     slopes: list[Slopes] = [slopes_at(p, *level) for level in levels for p in plants]
     every = plants * len(levels)
     cycle = exact_cycles(every, slopes)
@@ -111,6 +126,29 @@ def build(model: AxisModel, rng: np.random.Generator, count: int = DRAWS) -> Ens
         nominal=np.arange(len(every)) % len(plants) == 0,
         draws=count,
     )
+
+
+def _next_flight(drawn: AxisModel, rng: np.random.Generator) -> LoopPlant:
+    plant = loop_plant(drawn)
+    factor = 1.0
+    if drawn.mean_battery_v:
+        volts = drawn.mean_battery_v * rng.uniform(*VOLTAGE_RANGE)
+        factor *= battery_factor(drawn, volts) / battery_factor(drawn)
+    factor *= throttle_factor(drawn, rng.uniform(*THROTTLE_RANGE))
+    return replace(plant, gain=plant.gain * factor)
+
+
+def _alike(plants: list[LoopPlant]) -> list[LoopPlant]:
+    """The plants with the same kinds of states: who lacks one has it without any weight."""
+    slow = next((p.slow for p in plants if p.slow is not None), None)
+    mode = next((p.mode for p in plants if p.mode is not None), None)
+    if slow is not None:
+        none = SlowMotors(0.0, slow.lag_s)
+        plants = [p if p.slow is not None else replace(p, slow=none) for p in plants]
+    if mode is not None:
+        flat = LightMode(mode.frequency_rad_s, mode.damping_ratio, 0.0, 0.0)
+        plants = [p if p.mode is not None else replace(p, mode=flat) for p in plants]
+    return plants
 
 
 def _believed_covariance(model: AxisModel) -> FloatArray:

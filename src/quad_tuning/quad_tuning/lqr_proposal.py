@@ -5,6 +5,7 @@ Apart from designer.py because python-control is slow to import and the node has
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +17,7 @@ from quad_tuning.admission import check_band, check_model, flown_gains
 from quad_tuning.assess import assess
 from quad_tuning.designer import SEED, loop_figures
 from quad_tuning.errors import DesignRefusedError
-from quad_tuning.lqr import LqrController, LqrDesign, design_lqr
+from quad_tuning.lqr import LqrController, LqrDesign, Noise, Weights, design_lqr
 
 
 @dataclass(frozen=True)
@@ -27,8 +28,17 @@ class LqrProposal:
     figures: dict[str, float]
 
 
-def propose_lqr(model: AxisModel) -> LqrProposal:
-    """An LQR for the angle of one axis; raises DesignRefusedError with the reason."""
+WEIGHTS = {'angle': 'angle_rad', 'rate': 'rate_rad_s', 'integral': 'integral_rad_s',
+           'control': 'control'}  # fmt: skip
+"""Short name to the field of Weights."""
+
+
+def propose_lqr(model: AxisModel, largest: Mapping[str, float] | None = None) -> LqrProposal:
+    """An LQR for the angle of one axis; raises DesignRefusedError with the reason.
+
+    `largest` are Bryson's largest acceptable values by the names of WEIGHTS: rad, rad/s, rad s,
+    normalised command; those not given have their defaults.
+    """
     check_model(model)
     active = flown_gains(model)
     plant = loop_plant(model)
@@ -36,7 +46,8 @@ def propose_lqr(model: AxisModel) -> LqrProposal:
     before = assess(plant, active, loops)
     check_band(model, before.crossover_rad_s)
     try:
-        found = design_lqr(plant, loops, active.output_limit)
+        weights = Weights(**{WEIGHTS[name]: value for name, value in (largest or {}).items()})
+        found = design_lqr(plant, loops, active.output_limit, weights, _noise(model))
     except DesignRefusedError as refusal:
         raise DesignRefusedError(f'{model.axis}: {refusal}') from refusal
     figures = _figures(found)
@@ -48,6 +59,11 @@ def propose_lqr(model: AxisModel) -> LqrProposal:
         controller=found.controller,
         figures={name: value for name, value in figures.items() if np.isfinite(value)},
     )
+
+
+def _noise(model: AxisModel) -> Noise:
+    """What the observer expects: the flight's measurement noise where the model knows it."""
+    return Noise(rate=model.noise_rms) if model.noise_rms else Noise()
 
 
 def _figures(found: LqrDesign) -> dict[str, float]:

@@ -213,7 +213,7 @@ def closed_loop_radius(gains: CascadeGains, cycle: Step) -> FloatArray:
     error = -(gains.angle_kp * angle + rate)
     integral = np.zeros((p, size))
     integral[:, :n] = gains.rate_ki * dt * error
-    integral[:, n] = 1.0
+    integral[:, n] = float(abs(gains.rate_ki) > 1e-9)  # without ki it stays at 0: no mode
     derivative = np.zeros((p, size))
     derivative[:, :n] = weight / dt * rate
     derivative[:, n + 1] = -weight / dt

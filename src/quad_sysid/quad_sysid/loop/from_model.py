@@ -1,7 +1,8 @@
 """From the identified AxisModel to the LoopPlant: each effect becomes a curve or a factor.
 
-One table, `CURVES`; an effect that has no place in one axis' loop (coupling, events, periodic
-torque) is named in `not_in_the_loop`. No fitting; the effects' physics stands in effects/table.py.
+One table, `CURVES`; slow motors and a resonance become states, sag, throttle and events factors.
+An effect that has no place in one axis' loop (coupling, periodic torque, play) is named in
+`not_in_the_loop`. No fitting; the effects' physics stands in effects/table.py.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import numpy as np
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.greybox.drive import STEPPED_ADVANCE_S
-from quad_sysid.loop.plant import Curve, LoopPlant
+from quad_sysid.loop.plant import Curve, LightMode, LoopPlant, SlowMotors
 from quad_sysid.model import AxisModel, EffectEstimate
 
 STICTION_RATE = 0.01
@@ -48,12 +49,9 @@ def _dead_zone(p: Mapping[str, float], _: float) -> Function:
 
 
 def _saturation(p: Mapping[str, float], _: float) -> Function:
-    low, high = p.get('lower', -COMMAND_RANGE), p.get('upper', COMMAND_RANGE)
-    return lambda u: np.clip(u, low, high)
-
-
-def _thrust(p: Mapping[str, float], _: float) -> Function:
-    return lambda u: u + p['curvature'] * u * np.abs(u)
+    # the motors' own limits leave this much to either side of a throttle in their middle
+    reach = 0.5 * max(0.0, min(p.get('upper', 1.0), 1.0) - max(p.get('lower', 0.0), 0.0))
+    return lambda u: np.clip(u, -reach, reach)
 
 
 CURVES: Mapping[str, tuple[str, Callable[[Mapping[str, float], float], Function]]] = {
@@ -63,12 +61,14 @@ CURVES: Mapping[str, tuple[str, Callable[[Mapping[str, float], float], Function]
     'cubic_stiffness': ('angle', _cubic),
     'dead_zone': ('command', _dead_zone),
     'saturation': ('command', _saturation),
-    'thrust_curve': ('command', _thrust),
 }
 """Effect to the signal it depends on and its curve; parameters as the contract names them."""
 
-FACTORS = ('battery_sag',)
-"""Effects that scale the gain."""
+FACTORS = ('battery_sag', 'thrust_curve', 'step_event')
+"""Effects that scale the gain: with the voltage, with the throttle (the thrust curve's quadratic
+part cancels between the motors of an axis), once and for good."""
+STATES = ('motor_lag', 'resonance')
+"""Effects that add states to the plant."""
 
 
 def loop_plant(model: AxisModel) -> LoopPlant:
@@ -91,19 +91,56 @@ def loop_plant(model: AxisModel) -> LoopPlant:
             shape = _shape(effect)
             if shape is not None:
                 tables[effect.name.split(':')[-1]].append(shape)
+    stepped = 1.0 + _parameter(model, 'step_event.change')
     advance = STEPPED_ADVANCE_S if model.realisation == 'stepped' else 0.0
     return LoopPlant(
-        gain=model.value('gain') * battery_factor(model),
+        gain=model.value('gain') * battery_factor(model) * stepped,
         lag_s=model.value('lag'),
         delay_s=max(0.0, model.value('delay') - advance),
         damping=model.value('damping'),
-        bias=model.value('bias'),
+        bias=model.value('bias') + _parameter(model, 'step_event.torque'),
         gyro_filter_hz=model.gyro_filter_hz,
         dt=model.dt,
         rate_curve=_sum(tables['rate'], RATE_RANGE, finest),
         angle_curve=_sum(tables['angle'], ANGLE_RANGE, 0.01),
         command_curve=_chain(tables['command']),
+        slow=_slow_motors(model),
+        mode=_mode(model),
     )
+
+
+def _parameter(model: AxisModel, name: str) -> float:
+    """Value of `<effect>.<parameter>`, 0 where the model has no such effect."""
+    try:
+        return model.value(name)
+    except KeyError:
+        return 0.0
+
+
+def _slow_motors(model: AxisModel) -> SlowMotors | None:
+    lag = _parameter(model, 'motor_lag.slow_time_constant')
+    single = any(e.name == 'motor_lag' and 'motor' in e.settings for e in model.effects)
+    share = 0.25 if single else min(max(_parameter(model, 'motor_lag.share'), 0.0), 1.0)
+    return SlowMotors(share, lag) if lag > 0.0 else None
+
+
+def _mode(model: AxisModel) -> LightMode | None:
+    frequency = _parameter(model, 'resonance.frequency')
+    if frequency <= 0.0:
+        return None
+    names = ('damping_ratio', 'in_phase', 'quadrature')
+    damping, in_phase, quadrature = (_parameter(model, f'resonance.{n}') for n in names)
+    return LightMode(2.0 * np.pi * frequency, max(damping, 1e-3), in_phase, quadrature)
+
+
+def throttle_factor(model: AxisModel, share: float) -> float:
+    """What the gain is multiplied by where the throttle is `share` of the flight's mean."""
+    for effect in model.effects:
+        mean = effect.settings.get('throttle')
+        if effect.name == 'thrust_curve' and isinstance(mean, int | float):
+            k = model.value('thrust_curve.curvature')
+            return float((1.0 - k + 2.0 * k * mean * share) / max(1.0 - k + 2.0 * k * mean, 1e-3))
+    return 1.0
 
 
 def battery_factor(model: AxisModel, battery_v: float | None = None) -> float:
@@ -121,7 +158,7 @@ def not_in_the_loop(model: AxisModel) -> tuple[str, ...]:
     return tuple(
         effect.name
         for effect in model.effects
-        if effect.name not in CURVES and effect.name not in FACTORS and _shape(effect) is None
+        if effect.name not in {*CURVES, *FACTORS, *STATES} and _shape(effect) is None
     )
 
 
@@ -130,6 +167,8 @@ def _shape(effect: EffectEstimate) -> Function | None:
     kind, _, signal = effect.name.partition(':')
     knots, values = effect.settings.get('knots'), effect.settings.get('values')
     if kind != 'shape' or signal not in ('rate', 'angle', 'command'):
+        return None
+    if effect.settings.get('variant') == 'friction':  # acts against the rate
         return None
     x = np.asarray(knots if knots is not None else (), dtype=float)
     y = np.asarray(values if values is not None else (), dtype=float)

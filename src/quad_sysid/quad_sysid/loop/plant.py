@@ -4,6 +4,9 @@
     rate' = w - damping * rate + bias + f_rate(rate) + f_angle(angle)
     angle' = rate
 
+Where some motors are slower than the others their share of the drive has a lag of its own; a
+light mode in the drive adds `in_phase` z + `quadrature` z'/v, z'' + 2 d v z' + v² z = v² w.
+
 u(t) is held over each control cycle and changes right after the measurement at its start. The
 measured rate and angle are both behind the gyro's 2nd-order Butterworth filter (the attitude
 filter integrates the filtered rate). No controller and no time simulation here (cascade.py,
@@ -93,6 +96,24 @@ class Curve:
 
 
 @dataclass(frozen=True)
+class SlowMotors:
+    """A share of the drive, 0..1, that comes from motors with a longer lag, s."""
+
+    share: float
+    lag_s: float
+
+
+@dataclass(frozen=True)
+class LightMode:
+    """A lightly damped mode in the drive (module docstring); frequency in rad/s."""
+
+    frequency_rad_s: float
+    damping_ratio: float
+    in_phase: float
+    quadrature: float
+
+
+@dataclass(frozen=True)
 class LoopPlant:
     """One axis from the normalised command to the measured rate and angle (module docstring)."""
 
@@ -113,6 +134,8 @@ class LoopPlant:
     """Extra angular acceleration, rad/s², of the angle, rad (pendulum)."""
     command_curve: Curve | None = None
     """What the command does, in units of command (dead zone, thrust curve)."""
+    slow: SlowMotors | None = None
+    mode: LightMode | None = None
 
     def __post_init__(self) -> None:
         """Check that all numbers are finite and times not negative; raises BadInputError."""
@@ -162,12 +185,13 @@ def slopes_at(plant: LoopPlant, rate: float, angle: float, command: float) -> Sl
 def dynamics(plant: LoopPlant, slopes: Slopes) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Continuous state matrices of the delay-free plant.
 
-    States (drive, rate, angle[, filtered rate, filtered angle]), the last two one Butterworth
-    filter; returns A (n, n), B (n, 2) for the inputs (f_command(u), torque in rad/s²) and C (2, n)
-    for (measured rate, angle); n is 3 without a gyro filter and 5 with it.
+    States (drive, rate, angle[, filtered rate, filtered angle][, slow drive][, mode z, z']), the
+    filter a Butterworth; returns A (n, n), B (n, 2) for the inputs (f_command(u), torque in
+    rad/s²) and C (2, n) for (measured rate, angle).
     """
     filtered = plant.gyro_filter_hz is not None
-    n = 5 if filtered else 3
+    core = 5 if filtered else 3
+    n = core + (plant.slow is not None) + 2 * (plant.mode is not None)
     a = np.zeros((n, n))
     b = np.zeros((n, 2))
     c = np.zeros((2, n))
@@ -183,7 +207,26 @@ def dynamics(plant: LoopPlant, slopes: Slopes) -> tuple[FloatArray, FloatArray, 
         cutoff = 2.0 * np.pi * plant.gyro_filter_hz
         a[3, 2], a[3, 3], a[3, 4] = cutoff**2, -np.sqrt(2.0) * cutoff, -(cutoff**2)
         a[4, 3] = 1.0
+    _add_states(plant, a, b, core)
     return a, b, c
+
+
+def _add_states(plant: LoopPlant, a: FloatArray, b: FloatArray, core: int) -> None:
+    """Write the slow motors' and the mode's states behind the first `core` ones."""
+    drives = [0]
+    if plant.slow is not None:
+        lag = max(plant.slow.lag_s, SHORTEST_LAG_S)
+        a[core, core] = -1.0 / lag
+        b[core, 0] = plant.slow.share * b[0, 0] * max(plant.lag_s, SHORTEST_LAG_S) / lag
+        b[0, 0] *= 1.0 - plant.slow.share
+        a[1, core] = 1.0
+        drives.append(core)
+    if plant.mode is not None:
+        at, v = core + len(drives) - 1, plant.mode.frequency_rad_s
+        a[at, at + 1] = 1.0
+        a[at + 1, at], a[at + 1, at + 1] = -(v**2), -2.0 * plant.mode.damping_ratio * v
+        a[at + 1, drives] = v**2
+        a[1, at], a[1, at + 1] = plant.mode.in_phase, plant.mode.quadrature / v
 
 
 def exact_step(a: FloatArray, b: FloatArray, step_s: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -245,11 +288,11 @@ class Step:
 
 
 def exact_cycles(plants: Sequence[LoopPlant], slopes: Sequence[Slopes]) -> Step:
-    """The plants' exact control cycle, all of one dt and all with or all without gyro filter."""
+    """The plants' exact control cycle, all of one dt and with the same kinds of states."""
     dt = plants[0].dt
-    if any(p.dt != dt or (p.gyro_filter_hz is None) != (plants[0].gyro_filter_hz is None)
-           for p in plants):  # fmt: skip
-        raise BadInputError('exact_cycles', 'plants must share dt and the presence of a filter')
+    kinds = {(p.dt, p.gyro_filter_hz is None, p.slow is None, p.mode is None) for p in plants}
+    if len(kinds) > 1:
+        raise BadInputError('exact_cycles', 'plants must share dt, filter, slow motors and mode')
     parts = [dynamics(p, s) for p, s in zip(plants, slopes, strict=True)]
     a = np.stack([part[0] for part in parts])
     b = np.stack([part[1][:, :1] for part in parts])

@@ -145,6 +145,11 @@ def _gains(proposal: GainProposal | None) -> dict[str, Any]:
         'gain_figures': {
             name: _number(float(value)) for name, value in proposal.figures.items()
         },
+        'gain_steps': [dict(step) for step in proposal.steps],
+        'gain_schedule': [
+            {'battery_v': volts, 'gains': dict(gains)} for volts, gains in proposal.schedule
+        ],
+        'effects_used': [{'name': name, 'use': use} for name, use in proposal.used],
     }
 
 

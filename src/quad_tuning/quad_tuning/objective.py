@@ -1,0 +1,170 @@
+"""What a retune is judged by: tracking, disturbance, noise, and the room to each requirement.
+
+Figures of one set of gains relative to the flown ones, and the box that gains are sought in. The
+search stands in search.py; the figures themselves in assess.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from quad_sysid.contract import FloatArray
+from quad_sysid.loop.cascade import CONTRACT_NAMES, TUNED, CascadeGains, Margins
+from quad_sysid.loop.plant import LoopPlant
+from quad_tuning.assess import disturbance, noise_gain, reference_square, tracking
+from quad_tuning.bounds import BOUNDS, check_bounds
+from quad_tuning.ensemble import Ensemble
+from quad_tuning.errors import DesignRefusedError
+
+REACH = 16.0
+"""Widest factor between the flown gain and the one that is sought; hard bounds hold besides."""
+POWERS = {'rate_ki': 3.0, 'rate_kd': 2.0}
+"""Gains that may be 0 are sought on this power of the cube's coordinate, the others' logarithm."""
+NOMINAL = 4
+"""Requirements of the nominal loop: overshoot, noise, crossover, disturbance."""
+
+
+@dataclass(frozen=True)
+class Requirements:
+    """What every loop of the ensemble, or the nominal one, must keep."""
+
+    phase_margin_deg: float = 45.0
+    gain_margin_db: float = 8.0
+    peak_sensitivity: float = 1.8
+    overshoot_pct: float = 15.0
+    """Nominal square wave."""
+    noise_factor: float = 3.0
+    """Noise at the motors, of what the flown gains gave; more is allowed up to `motor_noise`."""
+    motor_noise: float = 0.01
+    """RMS of the noise at the motors, normalised command, that no airframe minds."""
+    disturbance_factor: float = 1.0
+    """RMS angle under a torque step, of what the flown gains gave."""
+    highest_crossover_rad_s: float = float('inf')
+    """Nominal."""
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Shares of the objective, each figure relative to the flown gains."""
+
+    tracking: float = 1.0
+    disturbance: float = 0.05
+    noise: float = 0.02
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Everything that does not change while one design is sought."""
+
+    plant: LoopPlant
+    active: CascadeGains
+    ensemble: Ensemble
+    nominal: Ensemble
+    needs: Requirements
+    weights: Weights
+    reference: FloatArray
+    scale: tuple[float, float, float]
+    low: FloatArray
+    high: FloatArray
+
+    def gains(self, x: FloatArray) -> CascadeGains:
+        """Gains at a point (4,) of the unit cube."""
+        values = {}
+        for field, share, low, high in zip(
+            TUNED, np.clip(x, 0.0, 1.0), self.low, self.high, strict=True
+        ):
+            power = POWERS.get(field)
+            values[field] = float(low * (high / low) ** share if power is None
+                                  else low + share**power * (high - low))  # fmt: skip
+        return replace(self.active, **values)
+
+    def point(self, gains: CascadeGains) -> FloatArray:
+        """The point (4,) of the unit cube at which `gains` stand, clipped to it."""
+        values = np.array([getattr(gains, field) for field in TUNED])
+        shares = []
+        for field, value, low, high in zip(TUNED, values, self.low, self.high, strict=True):
+            power = POWERS.get(field)
+            if power is None:
+                shares.append(np.log(max(value, 1e-12) / low) / np.log(high / low))
+            else:
+                shares.append(max((value - low) / (high - low), 0.0) ** (1.0 / power))
+        return np.asarray(np.clip(np.array(shares), 0.0, 1.0))
+
+    def value(self, gains: CascadeGains) -> tuple[float, FloatArray]:
+        """The objective, and the nominal requirements (4,), kept where >= 0."""
+        rms, beyond = tracking(self.plant, gains, self.reference)
+        push = disturbance(self.plant, gains) / self.scale[1]
+        noise = noise_gain(gains, self.nominal) / self.scale[2]
+        w = self.weights
+        value = w.tracking * rms / self.scale[0] + w.disturbance * push + w.noise * noise
+        if not np.isfinite(value):
+            return 1e3, np.full(NOMINAL, -1.0)
+        highest = self.needs.highest_crossover_rad_s
+        crossover = float('nan')
+        if np.isfinite(highest):
+            crossover = float(self.nominal.margins(gains).crossover_rad_s[0])
+        kept = [
+            (self.needs.overshoot_pct - beyond) / 100.0,
+            1.0 - noise / self.needs.noise_factor,
+            1.0 if np.isnan(crossover) else 1.0 - crossover / highest,
+            1.0 - push / self.needs.disturbance_factor,
+        ]
+        return float(value), np.clip(kept, -1.0, 1.0)
+
+    def room(self, loops: Ensemble, gains: CascadeGains) -> FloatArray:
+        """(3 p,) relative room of every loop to each requirement, kept where >= 0."""
+        m, needs = loops.margins(gains), self.needs
+        return np.concatenate(
+            [
+                np.clip(m.phase_margin_deg / needs.phase_margin_deg - 1.0, -1.0, 1.0),
+                np.clip(m.gain_margin_db / needs.gain_margin_db - 1.0, -1.0, 1.0),
+                np.clip(1.0 - m.peak_sensitivity / needs.peak_sensitivity, -1.0, 1.0),
+            ]
+        )
+
+    def holds(self, gains: CascadeGains) -> bool:
+        """Whether every loop of the ensemble keeps its margins and is stable."""
+        kept = meets(self.ensemble.margins(gains), self.needs).all()
+        return bool(kept and not self.ensemble.unstable(gains).any())
+
+
+def meets(margins: Margins, needs: Requirements) -> npt.NDArray[np.bool_]:
+    """(p,) True where a loop keeps phase margin, gain margin and peak sensitivity."""
+    return np.asarray(
+        (margins.phase_margin_deg >= needs.phase_margin_deg)
+        & (margins.gain_margin_db >= needs.gain_margin_db)
+        & (margins.peak_sensitivity <= needs.peak_sensitivity)
+    )
+
+
+def pose(
+    plant: LoopPlant,
+    active: CascadeGains,
+    ensemble: Ensemble,
+    needs: Requirements,
+    weights: Weights,
+) -> Problem:
+    """The problem of one axis; raises DesignRefusedError where the flown loop diverges."""
+    check_bounds({f'flown.{CONTRACT_NAMES[f]}': getattr(active, f) for f in TUNED})
+    low, high = [], []
+    for field in TUNED:
+        bound, value = BOUNDS[CONTRACT_NAMES[field]], getattr(active, field)
+        free = field in POWERS
+        low.append(bound.lower if free else max(bound.lower, value / REACH))
+        high.append(bound.upper if free else min(bound.upper, value * REACH))
+    reference = reference_square(plant.dt)
+    nominal = ensemble.subset(np.flatnonzero(ensemble.nominal)[:1])
+    scale = (
+        tracking(plant, active, reference)[0],
+        disturbance(plant, active),
+        noise_gain(active, nominal),
+    )
+    if not np.isfinite(scale).all():
+        raise DesignRefusedError('the simulated loop with the flown gains diverges')
+    return Problem(
+        plant, active, ensemble, nominal, needs, weights, reference, scale,
+        np.array(low), np.array(high),
+    )  # fmt: skip

@@ -1,0 +1,80 @@
+"""What a design makes of each effect that was found, in words, and the schedule on the voltage.
+
+Values and words from a model; how the effects enter the plant stands in quad_sysid.loop and
+ensemble.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from quad_sysid.loop.cascade import CascadeGains
+from quad_sysid.loop.from_model import CURVES, battery_factor, not_in_the_loop
+from quad_sysid.model import AxisModel
+from quad_tuning.bounds import BOUNDS
+from quad_tuning.ensemble import VOLTAGE_RANGE
+from quad_tuning.rivals import LEAST_PROBABILITY
+
+VOLTAGES = 5
+"""Rows of the schedule over VOLTAGE_RANGE."""
+WORDS: Mapping[str, str] = {
+    'rate': 'simulated with it; in the margins by its gain in wide motion and near rest',
+    'angle': 'simulated with it; in the margins by its stiffness at large and small angles',
+    'command': 'simulated with it; in the margins by its gain for large and small commands',
+}
+SPECIAL: Mapping[str, str] = {
+    'motor_lag': 'a second lag of the plant, in simulation and margins',
+    'resonance': 'a mode of the plant, in simulation and margins; the firmware has no notch',
+    'step_event': 'the plant as it is after the event',
+    'thrust_curve': 'margins hold over the throttle of the next flight, 0.85 to 1.15 of the mean',
+    'battery_sag': 'margins hold over the whole pack; the schedule gives gains by voltage',
+}
+OUTSIDE = 'left out of the loop: the margins stand for it'
+NO_FEED_FORWARD = '; the firmware has no parameter to feed it forward'
+
+
+def uses(model: AxisModel) -> tuple[tuple[str, str], ...]:
+    """(name, what was made of it) for the bias, each effect and each rival that stays possible."""
+    out = [('bias_torque', 'simulated with it; the integrator carries it' + NO_FEED_FORWARD)]
+    left_out = not_in_the_loop(model)
+    for effect in model.effects:
+        if effect.name in SPECIAL:
+            words = SPECIAL[effect.name]
+        elif effect.name in left_out:
+            words = OUTSIDE
+        else:
+            signal = CURVES[effect.name][0] if effect.name in CURVES else effect.name[6:]
+            words = WORDS[signal]
+        if effect.name == 'coulomb_friction':
+            words += NO_FEED_FORWARD
+        out.append((effect.name, words))
+        out += [
+            (name, f'rival of {effect.name}: {100 * p:.0f} % of the draws have it instead')
+            for name, p in effect.rivals
+            if p >= LEAST_PROBABILITY
+        ]
+    return tuple(out)
+
+
+def schedule(
+    model: AxisModel, gains: CascadeGains
+) -> tuple[tuple[float, Mapping[str, float]], ...]:
+    """(battery voltage V, gains): rate gains that keep the loop gain where the voltage moves it.
+
+    Empty without battery sag. The firmware does not follow it by itself.
+    """
+    mean = model.mean_battery_v
+    if mean is None or all(effect.name != 'battery_sag' for effect in model.effects):
+        return ()
+    rows = []
+    low, high = VOLTAGE_RANGE
+    for k in range(VOLTAGES):
+        volts = mean * (low + (high - low) * k / (VOLTAGES - 1))
+        factor = battery_factor(model) / battery_factor(model, volts)
+        row = {}
+        for name, value in gains.to_mapping(model.axis).items():
+            bound = BOUNDS[name.partition('.')[2]]
+            scaled = value * (factor if '.rate.' in name else 1.0)
+            row[name] = min(max(scaled, bound.lower), bound.upper)
+        rows.append((float(volts), row))
+    return tuple(rows)

@@ -1,0 +1,85 @@
+"""The search: one optimum from any start, nothing better on the grid, no unstable point taken."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.optimize import differential_evolution
+
+from quad_sysid.loop.cascade import CascadeGains, closed_loop_radius
+from quad_sysid.loop.from_model import loop_plant
+from quad_tuning import ensemble as ensembles
+from quad_tuning import search as searches
+from quad_tuning.objective import Requirements, Weights, pose
+
+
+def problem_of(m, axis='roll', **needs):
+    loops = ensembles.build(m, np.random.default_rng(7))
+    active = CascadeGains.default(axis)
+    return pose(loop_plant(m), active, loops, Requirements(**needs), Weights())
+
+
+@pytest.mark.parametrize('values', [{}, {'gain': 850.0, 'lag': 0.08, 'delay': 0.012}])
+def test_random_starts_end_at_the_optimum_or_above_it(model, values):
+    """8 starts drawn from where the nominal loop is stable: none ends lower by 0.1 %.
+
+    Some get stuck where the margins fold, and say so; those that do not end within 1 %.
+    """
+    problem = problem_of(model(**values))
+    best = searches.search(problem).points[0][0]
+    drawn = np.random.default_rng(3).uniform(0.05, 0.95, (200, 4))
+    starts = [x for x in drawn if not problem.nominal.unstable(problem.gains(x)).any()][:8]
+    ends = [searches._polish(problem, x) for x in starts]
+    reached = np.array([end[0] for end in ends if end is not None])
+    assert reached.size >= 2
+    assert np.all((reached > 0.999 * best) & (reached < 1.01 * best))
+
+
+@pytest.mark.parametrize('values', [{}, {'gain': 260.0, 'lag': 0.075, 'delay': 0.012}])
+def test_another_global_optimiser_finds_nothing_better(model, values):
+    """Differential evolution with a penalty, on the loops that bind: within 1 % on either side."""
+    problem = problem_of(model(**values))
+    found = searches.search(problem)
+    best, at = found.points[0]
+    loops = problem.ensemble.subset(searches._worst(problem, problem.gains(at), 2))
+
+    def judged(x):
+        gains = problem.gains(x)
+        if loops.unstable(gains).any():
+            return 10.0
+        value, kept = problem.value(gains)
+        return value - 20.0 * min(0.0, np.min(kept), np.min(problem.room(loops, gains)))
+
+    other = differential_evolution(
+        judged, [(0.0, 1.0)] * 4, seed=5, popsize=10, maxiter=60, tol=1e-4, polish=False
+    )
+    assert best < 1.01 * other.fun
+    assert other.fun > 0.99 * best
+    assert found.grid_best > best
+
+
+def test_turns_tell_unstable_loops_from_stable_ones(model):
+    """Nyquist's count over gains from a tenth to thirty times the flown, against eigenvalues."""
+    problem = problem_of(model())
+    rows = [
+        dataclasses.replace(problem.active, rate_kp=f * 0.0745, angle_kp=a, rate_ki=i)
+        for f in (0.1, 0.5, 1.0, 2.0, 3.0, 5.0, 30.0)
+        for a in (1.0, 4.0, 12.0)
+        for i in (0.0, 0.05)
+    ]
+    loop, _ = searches._loops_of(rows, problem.nominal.response, problem.nominal.omega, 0.004)
+    stable = searches._turns(loop[:, 0]) == 0
+    true = np.array([closed_loop_radius(g, problem.nominal.cycle)[0] < 1.0 for g in rows])
+    np.testing.assert_array_equal(stable, true)
+    assert 5 < true.sum() < len(rows) - 5
+
+
+def test_a_point_and_its_gains_are_inverse(model):
+    problem = problem_of(model())
+    for x in np.random.default_rng(1).uniform(0.02, 0.98, (20, 4)):
+        np.testing.assert_allclose(problem.point(problem.gains(x)), x, atol=1e-9)
+    assert problem.gains(np.zeros(4)).rate_kd == 0.0
+
+
+def test_what_no_gains_can_keep_is_not_found(model):
+    assert searches.search(problem_of(model(), peak_sensitivity=1.01)).points == ()
