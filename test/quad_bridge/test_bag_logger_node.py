@@ -1,0 +1,181 @@
+"""The logger as a process: every storage, killed and restarted, its budget, what it refuses."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+pytest.importorskip('rclpy', reason='needs ROS 2')
+import rclpy
+from geometry_msgs.msg import Vector3Stamped
+from rclpy.qos import QoSProfile
+from rosbags.highlevel import AnyReader
+
+from quad_bridge.recover import recover
+from quad_sysid.bags.storage import Storage
+
+START = 'from quad_bridge.bag_logger_node import main; main()'
+TOPICS = ('/setpoint/attitude', '/setpoint/rates', '/excitation/setpoint', '/excitation/applied')
+WAIT_S = 30.0
+
+
+@pytest.fixture
+def environment(tmp_path, monkeypatch):
+    local = {
+        'ROS_DOMAIN_ID': str(1 + os.getpid() % 100),
+        'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
+        'ROS_LOG_DIR': str(tmp_path / 'log'),
+    }
+    for name, value in local.items():
+        monkeypatch.setenv(name, value)
+    return {**os.environ, **local}
+
+
+@pytest.fixture
+def logger(environment):
+    started = []
+
+    def start(folder, **settings):
+        given = {'folder': folder, 'autostart': 'true', **settings}
+        arguments = [a for name, value in given.items() for a in ('-p', f'{name}:={value}')]
+        command = [sys.executable, '-c', START, '--ros-args', *arguments]
+        process = subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True)
+        started.append(process)
+        return process
+
+    yield start
+    for process in started:
+        process.kill()
+        process.wait()
+        process.stderr.close()
+
+
+class Load:
+    """Publishes numbered messages on four topics."""
+
+    def __init__(self):
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context)
+        self.node = rclpy.create_node('load', context=self.context)
+        qos = QoSProfile(depth=1000)
+        self.publishers = [self.node.create_publisher(Vector3Stamped, t, qos) for t in TOPICS]
+        self.message = Vector3Stamped()
+        self.message.header.frame_id = 'base_link'
+        self.count = 0
+
+    def wait(self):
+        end_s = time.monotonic() + WAIT_S
+        while any(p.get_subscription_count() < 1 for p in self.publishers):
+            assert time.monotonic() < end_s
+            time.sleep(0.05)
+
+    def run(self, seconds, rate):
+        begin_s, first = time.monotonic(), self.count
+        while (passed := time.monotonic() - begin_s) < seconds:
+            while self.count - first < passed * rate:
+                self.message.vector.x = float(self.count)
+                self.publishers[self.count % len(TOPICS)].publish(self.message)
+                self.count += 1
+            time.sleep(0.002)
+
+    def close(self):
+        self.node.destroy_node()
+        rclpy.shutdown(context=self.context)
+
+
+@pytest.fixture
+def load(environment):
+    del environment
+    load = Load()
+    yield load
+    load.close()
+
+
+def numbers_in(bag):
+    with AnyReader([bag]) as reader:
+        chosen = [c for c in reader.connections if c.topic in TOPICS]
+        return [reader.deserialize(raw, c.msgtype).vector.x for c, _, raw in
+                reader.messages(chosen)]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    'settings', [{'storage': 'sqlite3'}, {'compression': 'lz4', 'split_s': 1}]
+)
+def test_four_thousand_messages_a_second_come_into_the_bag(tmp_path, logger, load, settings):
+    process = logger(tmp_path, **settings)
+    load.wait()
+    time.sleep(0.5)
+    load.run(3.0, 4000)
+    time.sleep(0.5)
+    process.send_signal(signal.SIGINT)
+    assert process.wait(timeout=WAIT_S) == 0
+    (bag,) = tmp_path.glob('flight_*')
+    assert sorted(numbers_in(bag)) == [float(k) for k in range(load.count)]
+    parts = len(list(bag.iterdir())) - 1  # beside metadata.yaml
+    assert parts >= 3 if 'split_s' in settings else parts == 1
+    with AnyReader([bag]) as reader:
+        qos = {c.topic: c.ext.offered_qos_profiles for c in reader.connections}
+    assert [q.reliability.name for q in qos['/setpoint/rates']] == ['RELIABLE']
+
+
+def test_a_killed_logger_leaves_a_bag_that_is_read_and_recovered(tmp_path, logger, load):
+    process = logger(tmp_path)
+    load.wait()
+    time.sleep(0.3)
+    load.run(2.0, 1500)
+    published, moment = load.count, time.monotonic()
+    load.run(0.5, 1500)
+    process.kill()
+    process.wait()
+    assert time.monotonic() - moment < 1.0
+    (bag,) = tmp_path.glob('flight_*')
+    storage = Storage(bag, TOPICS)
+    read = sum(len(raws) for batch in storage.batches() for raws in batch.values())
+    assert 'metadata.yaml is missing' in storage.warnings[0]
+    result = recover(bag)
+    got = sorted(numbers_in(result.path))
+    assert len(got) == read
+    assert got[:published] == [float(k) for k in range(published)]
+
+
+@pytest.mark.parametrize(
+    ('settings', 'text'),
+    [
+        ({'reserve_mb': 1_000_000}, 'MB of free disk for a flight'),
+        ({'disk_budget_mb': 100}, 'exceed the disk budget'),
+        ({'storage': 'sqlite3', 'compression': 'lz4'}, 'lz4 exists in mcap only'),
+        ({'split_mb': -1}, 'split_mb'),
+        ({'folder': '/proc/nowhere', 'reserve_mb': 0}, 'cannot write a bag here'),
+    ],
+)
+def test_what_cannot_be_recorded_ends_the_node_with_one_line(tmp_path, logger, settings, text):
+    process = logger(**{'folder': tmp_path, **settings})
+    assert process.wait(timeout=WAIT_S) == 2
+    error = process.stderr.read()
+    assert error.count('\n') == 1
+    assert text in error
+    assert not list(tmp_path.glob('flight_*'))
+
+
+def test_the_oldest_bags_make_room_where_the_settings_say_so(tmp_path, logger):
+    for i in range(3):
+        bag = tmp_path / f'flight_2001010{i}_000000'
+        bag.mkdir()
+        (bag / 'data.mcap').write_bytes(bytes(10_000_000))
+        (bag / 'metadata.yaml').write_text('')
+    settings = {'disk_budget_mb': 40, 'reserve_mb': 15, 'delete_oldest': 'true'}
+    process = logger(tmp_path, **settings)
+    end_s, bags = time.monotonic() + WAIT_S, []
+    while not bags and time.monotonic() < end_s:
+        time.sleep(0.05)
+        bags = [b for b in tmp_path.glob('flight_*') if '2001' not in b.name]
+    process.send_signal(signal.SIGINT)
+    assert process.wait(timeout=WAIT_S) == 0
+    assert 'deleted the oldest bag' in process.stderr.read()
+    assert sorted(b.name[:15] for b in tmp_path.glob('flight_2001*')) == [
+        'flight_20010101', 'flight_20010102',
+    ]  # fmt: skip
+    assert len(bags) == 1
