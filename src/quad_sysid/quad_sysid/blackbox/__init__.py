@@ -8,7 +8,7 @@ from quad_sysid.blackbox.indirect import LinearController, cascade_controller, i
 from quad_sysid.blackbox.instruments import clriv, iv4
 from quad_sysid.blackbox.polynomial import Model, polynomial_model
 from quad_sysid.blackbox.prediction_error import armax, bj, oe
-from quad_sysid.blackbox.residuals import ResidualTest, residual_test
+from quad_sysid.blackbox.residuals import ResidualTest, innovation_test, residual_test
 from quad_sysid.blackbox.simulate import (
     compare,
     fit_percent,
@@ -50,6 +50,7 @@ __all__ = [
     'horizon_errors',
     'indirect',
     'initial_state',
+    'innovation_test',
     'iv4',
     'joint',
     'n4sid',

@@ -19,7 +19,7 @@ from quad_sysid.blackbox.regression import BLOCK_ROWS, check_order, lagged, tria
 from quad_sysid.blackbox.spectra import autocovariance, cross_covariance
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
-from quad_sysid.record import IOData
+from quad_sysid.record import IOData, finite_runs
 
 AR_ORDER_MAX = 30
 BOUND_LAGS = 1000
@@ -66,8 +66,38 @@ def residual_test(
     autoregression of the residual, so that a coloured residual (OE, IV) is judged fairly.
     Raises BadInputError where z is too short for the lags.
     """
-    lags, parts = _checked(model, z, lags, confidence)
+    _check(lags, confidence)
+    return _tested(one_step_errors(model, z), z, lags, confidence, at_once=model.nk == 0)
+
+
+def innovation_test(
+    innovations: FloatArray, z: IOData, lags: int = 25, confidence: float = 0.99
+) -> ResidualTest:
+    """Test one-step errors (n,) that were made elsewhere (a Kalman filter's) over z's segments.
+
+    A NaN ends a stretch. The input may not act at lag 0. Raises BadInputError as residual_test.
+    """
+    _check(lags, confidence)
+    if innovations.shape != z.y.shape:
+        raise BadInputError('innovation_test', 'innovations must have the length of z.y',
+                            innovations.shape)
+    known = np.isfinite(innovations)
+    parts = [
+        SegmentErrors(a, innovations[a:b], np.zeros(0))
+        for segment in z.segments for a, b in finite_runs(known, (segment[0], segment[1]))
+    ]
+    return _tested(parts, z, lags, confidence, at_once=False)
+
+
+def _tested(
+    parts: list[SegmentErrors], z: IOData, lags: int, confidence: float, *, at_once: bool
+) -> ResidualTest:
+    """All tests of one-step errors; `at_once`: the input may act in its own sample."""
     n = sum(part.errors.size for part in parts)
+    if n < 10 * lags:
+        raise BadInputError(
+            'residual_test', f'too few residuals for {lags} lags, needs {10 * lags}', n
+        )
     errors = [part.errors - _mean(parts) for part in parts]
     cov = autocovariance(errors, max(lags, min(BOUND_LAGS, n // 5)))
     if cov[0] <= 0.0:
@@ -76,10 +106,10 @@ def residual_test(
     box = n * (n + 2.0) * np.sum(rho[1 : lags + 1] ** 2 / (n - np.arange(1, lags + 1)))
     p_white = float(special.chdtrc(lags, box))
     ar = whitener(cov[: AR_ORDER_MAX + 1], n)
-    p_input = _explained(parts, z.u, ar, range(0 if model.nk == 0 else 1, lags + 1), range(0))
+    p_input = _explained(parts, z.u, ar, range(0 if at_once else 1, lags + 1), range(0))
     signal = z.u if z.r is None else z.r
     past, future = (
-        (range(1, lags + 1), range(-lags, 1 if model.nk else 0)) if z.r is None
+        (range(1, lags + 1), range(-lags, 0 if at_once else 1)) if z.r is None
         else (range(lags + 1), range(-lags, 0))
     )
     p_causal = _explained(parts, signal, ar, past, future)
@@ -97,20 +127,10 @@ def residual_test(
     )
 
 
-def _checked(
-    model: Model, z: IOData, lags: int, confidence: float
-) -> tuple[int, list[SegmentErrors]]:
-    """Check the arguments; the lags and the residuals."""
-    lags = check_order('residual_test', 'lags', lags, 1)
+def _check(lags: int, confidence: float) -> None:
+    check_order('residual_test', 'lags', lags, 1)
     if not 0.5 <= confidence < 1.0:
         raise BadInputError('residual_test', 'confidence must be in 0.5..1', confidence)
-    parts = one_step_errors(model, z)
-    n = sum(part.errors.size for part in parts)
-    if n < 10 * lags:
-        raise BadInputError(
-            'residual_test', f'too few residuals for {lags} lags, needs {10 * lags}', n
-        )
-    return lags, parts
 
 
 def whitener(cov: FloatArray, n: int) -> FloatArray:

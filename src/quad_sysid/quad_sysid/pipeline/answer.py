@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from quad_sysid.blackbox import Model, StepARow, Table2Entry
+import numpy as np
+
+from quad_sysid.blackbox import Model, ResidualTest, StepARow, Table2Entry
 from quad_sysid.contract import FloatArray
 from quad_sysid.effects.discover import Discovery
 from quad_sysid.effects.judge import Judgement
@@ -92,6 +94,47 @@ class Selection:
 
 
 @dataclass(frozen=True)
+class MissingTorque:
+    """The torque (over inertia) by which a Kalman filter keeps pushing the model's rate."""
+
+    time_s: FloatArray
+    """(m,) of the samples that have one, from the first sample of the record."""
+    acceleration: FloatArray
+    """(m,) rad/s², mean over `smooth_s`."""
+    smooth_s: float
+    expected_rms: float
+    """rad/s², RMS that white one-step errors of this size would show."""
+
+    @property
+    def rms(self) -> float:
+        """rad/s²."""
+        return float(np.sqrt(np.mean(self.acceleration**2)))
+
+    @property
+    def largest(self) -> tuple[float, float]:
+        """Time, s, and value, rad/s², of the largest."""
+        i = int(np.argmax(np.abs(self.acceleration)))
+        return float(self.time_s[i]), float(self.acceleration[i])
+
+
+@dataclass(frozen=True)
+class Residual:
+    """One model's one-step errors on the held-out segments."""
+
+    test: ResidualTest
+    rms: float
+    """rad/s."""
+    frequency_hz: FloatArray
+    """(m,) of `density`; empty where the segments are too short for a spectrum."""
+    density: FloatArray
+    """(m,) (rad/s)² per Hz."""
+    peaks: tuple[tuple[float, float], ...] = ()
+    """Frequency, Hz, and power over the surroundings, strongest first."""
+    missing: MissingTorque | None = None
+    """None for a black-box model, which has no torque."""
+
+
+@dataclass(frozen=True)
 class ClosedLoop:
     """The completed model in the simulated cascade against the recording, validation only."""
 
@@ -130,6 +173,8 @@ class AxisAnswer:
     rate_reference: FloatArray | None = None
     """(n,) rad/s, alike."""
     selection: Selection = field(default_factory=Selection)
+    residuals: Mapping[str, Residual] = field(default_factory=dict)
+    """What is left on the held-out segments by `before`, `after`, `blackbox`."""
 
     @property
     def answered(self) -> bool:

@@ -12,17 +12,18 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from quad_sysid.contract import AXES, FloatArray
-from quad_sysid.effects.discover import discover
-from quad_sysid.effects.judge import judge
+from quad_sysid.effects.discover import Discovery, discover
+from quad_sysid.effects.judge import Judgement, judge
 from quad_sysid.effects.shapes import SHAPES
 from quad_sysid.effects.table import EFFECTS
 from quad_sysid.errors import BadInputError, NotInformativeError, QuadSysidError
 from quad_sysid.greybox.data import AxisData, axis_data
 from quad_sysid.model import Designer, GainProposal
 from quad_sysid.pipeline import assemble, blackbox_part
-from quad_sysid.pipeline.answer import AxisAnswer
+from quad_sysid.pipeline.answer import AxisAnswer, Residual
 from quad_sysid.pipeline.closed_loop import closed_loop
 from quad_sysid.pipeline.motor_order import refusal
+from quad_sysid.pipeline.residual import of_black_box, of_grey_box
 from quad_sysid.pipeline.selection import with_blackbox
 from quad_sysid.pipeline.shared import share
 from quad_sysid.record import Record, Segment
@@ -101,6 +102,7 @@ def identify_axis(
         rate_reference=_joined([r.rate_setpoint for r in records], data.index),
     )
     answer = with_blackbox(answer, data, records, table2=options.table2)
+    answer = replace(answer, residuals=_residuals(answer, found, judgement))
     answer = replace(answer, closed_loop=closed_loop(answer, records[0], data))
     progress(f'{axis}: gains')
     swapped = next((line for line in map(refusal, records) if line), '')
@@ -126,6 +128,18 @@ def _joined(setpoints: Sequence[FloatArray | None], column: int) -> FloatArray |
     """(n,) one axis of all records one behind the other; None where any lacks it."""
     known = [s[:, column] for s in setpoints if s is not None]
     return np.concatenate(known) if known and len(known) == len(setpoints) else None
+
+
+def _residuals(
+    answer: AxisAnswer, found: Discovery, judgement: Judgement
+) -> dict[str, Residual]:
+    """What the base, the completed model and the black-box winner leave on the held-out data."""
+    left = of_grey_box(found, judgement)
+    if answer.selected is not None:
+        winner = of_black_box(found.data, answer.rows[answer.selected].step_a.model)
+        if winner is not None:
+            left['blackbox'] = winner
+    return left
 
 
 def _gains_of(records: Sequence[Record]) -> dict[str, float]:

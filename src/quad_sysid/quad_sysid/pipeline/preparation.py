@@ -123,12 +123,39 @@ def _resonances(record: Record, axis: str) -> tuple[Check, ...]:
     return tuple(found)
 
 
-def resonance_peaks(values: FloatArray, dt: float) -> tuple[tuple[float, float], ...] | None:
+def resonance_peaks(
+    values: FloatArray, dt: float, lowest_hz: float = LOWEST_PEAK_HZ
+) -> tuple[tuple[float, float], ...] | None:
     """Frequency (Hz) and power over the surroundings of each narrow peak, strongest first.
 
     Welch's spectrum over the unbroken stretches against its own running median; a peak must
     stand out of the scatter of the estimate at 0.1 % over all frequencies together. None where
     there is too little for a spectrum.
+    """
+    found = spectrum(values, dt)
+    if found is None:
+        return None
+    f, density, count = found
+    if not density.max() > 0.0:
+        return ()
+    width = max(9, round(10.0 * WINDOW_S) | 1)
+    around = ndimage.median_filter(density, size=width, mode='nearest')
+    ratio = density / np.maximum(around, 1e-12 * density.max())
+    looked = (f >= lowest_hz) & (f < 0.95 * f[-1])
+    freedom = 1.2 * count  # halves overlap, so neighbours in time are not independent
+    level = float(special.chdtri(freedom, 1e-3 / max(int(looked.sum()), 1))) / freedom
+    high = looked & (ratio > max(PEAK, 1.5 * level))
+    peaks = [
+        (float(f[i]), float(ratio[i])) for i in np.flatnonzero(high)
+        if ratio[i] == ratio[max(i - 4, 0) : i + 5].max()
+    ]
+    return tuple(sorted(peaks, key=lambda item: -item[1]))
+
+
+def spectrum(values: FloatArray, dt: float) -> tuple[FloatArray, FloatArray, int] | None:
+    """Frequencies (m,) Hz, Welch's density (m,) per Hz over the unbroken stretches, its windows.
+
+    None where there is too little for a spectrum.
     """
     size = round(WINDOW_S / dt)
     runs = [r for r in finite_runs(np.isfinite(values), (0, values.size)) if r[1] - r[0] >= size]
@@ -143,17 +170,4 @@ def resonance_peaks(values: FloatArray, dt: float) -> tuple[tuple[float, float],
     if count < 4:
         return None
     density = np.average(spectra, axis=0, weights=weights)
-    if not density.max() > 0.0:
-        return ()
-    width = max(9, round(10.0 * WINDOW_S) | 1)
-    around = ndimage.median_filter(density, size=width, mode='nearest')
-    ratio = density / np.maximum(around, 1e-12 * density.max())
-    looked = (f >= LOWEST_PEAK_HZ) & (f < 0.95 * f[-1])
-    freedom = 1.2 * count  # halves overlap, so neighbours in time are not independent
-    level = float(special.chdtri(freedom, 1e-3 / max(int(looked.sum()), 1))) / freedom
-    high = looked & (ratio > max(PEAK, 1.5 * level))
-    peaks = [
-        (float(f[i]), float(ratio[i])) for i in np.flatnonzero(high)
-        if ratio[i] == ratio[max(i - 4, 0) : i + 5].max()
-    ]
-    return tuple(sorted(peaks, key=lambda item: -item[1]))
+    return f, np.asarray(density), count

@@ -8,6 +8,7 @@ from typing import Any
 
 from quad_sysid.model import EffectEstimate, GainProposal, Parameter
 from quad_sysid.pipeline.answer import AxisAnswer
+from quad_sysid.report.residual_tree import residual_tree
 from quad_sysid.report.selection import row_tree, selection_tree
 
 SCHEMA = 'quad_sysid/report/1'
@@ -64,6 +65,7 @@ def _axis(answer: AxisAnswer, inertia: float | None) -> dict[str, Any]:
         'error': _error(answer),
         'trusted_band_rad_s': list(model.trusted_band_rad_s)
         if model and model.trusted_band_rad_s else None,
+        'residual': residual_tree(answer.residuals),
         'warnings': list(answer.warnings),
         **selection_tree(answer.selection),
     }
