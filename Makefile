@@ -13,7 +13,7 @@ RUN := . tools/workspace.bash;
 SOURCES := $(wildcard src test tools bench)
 ARGS ?=
 
-.PHONY: help demo pictures test test-fast build lint format bench bench-effects bench-effects-speed wheel docs lock shell clean
+.PHONY: help demo pictures test test-fast build lint format bench bench-effects bench-tuning bench-effects-speed wheel docs lock shell clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-19s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -54,6 +54,9 @@ bench-effects: build  ## planted effects against named ones (half an hour; ARGS=
 
 bench-effects-speed: build  ## a candidate's cost beside scipy's solvers, a whole axis' time (two minutes)
 	@$(RUN) exec python bench/effects_speed.py $(ARGS)
+
+bench-tuning: build  ## gains on 100 virtual airframes, and peers (20 minutes; ARGS='--count 12')
+	@$(RUN) OPENBLAS_NUM_THREADS=1 exec python bench/tuning.py $(ARGS)
 
 wheel: build  ## wheels of the part that needs no ROS, in dist/
 	@$(RUN) for package in quad_sysid quad_tuning; do \

@@ -12,6 +12,7 @@ from quad_sysid.errors import BadInputError
 from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.loop.from_model import (
     battery_factor,
+    gain_range,
     loop_plant,
     not_in_the_loop,
     throttle_factor,
@@ -252,6 +253,11 @@ def test_events_throttle_and_motor_limits_come_from_the_model():
     limited = plant_of(found('saturation', lower=0.1, upper=0.5)).command_curve
     np.testing.assert_allclose(limited([-0.5, 0.1, 0.5]), [-0.2, 0.1, 0.2], atol=1e-12)
     assert not_in_the_loop(bent) == ()
+    along = EffectEstimate('shape:gain:time', 'shape', ('time',), (), {'values': (0.1, 0.0, -0.2)})
+    drifted = dataclasses.replace(model_of(), effects=(along,))
+    assert gain_range(drifted) == pytest.approx((0.8, 0.8, 1.1))
+    assert loop_plant(drifted).gain == pytest.approx(0.8 * plain.gain)
+    assert not_in_the_loop(drifted) == ()
 
 
 def model_of():

@@ -73,6 +73,25 @@ def test_integral_action_removes_a_standing_torque(model):
     assert angle[-1] == pytest.approx(0.2, rel=2e-3)
 
 
+def test_figures_of_a_torque_step_and_of_noise(model):
+    """Integral action: a torque step leaves less than the cascade; noise as in a simulation."""
+    m = model()
+    found = propose_lqr(m)
+    assert found.figures['disturbance_rms_rad'] < found.figures['disturbance_rms_rad_before']
+    c, plant = found.controller, state_space(loop_plant(m))
+    rng = np.random.default_rng(4)
+    x, guess, total, controls = np.zeros(c.a.shape[0]), np.zeros(c.a.shape[0]), 0.0, []
+    for noise in 0.01 * rng.standard_normal(20_000):
+        y = plant.c @ x + (noise, 0.0)
+        guess = guess + c.observer @ (y - c.c @ guess)
+        u = -float(c.feedback @ guess) - c.integral_gain * total
+        total -= c.dt * y[1]
+        guess = c.a @ guess + c.b[:, 0] * u
+        x = plant.a @ x + plant.b[:, 0] * u
+        controls.append(u)
+    assert found.figures['motor_noise_rms'] == pytest.approx(np.std(controls), rel=0.08)
+
+
 def test_the_loop_is_the_one_the_time_simulation_runs(model):
     """Step of the linear loop settles, with overshoot under 10 %, as the margins promise."""
     m = model()

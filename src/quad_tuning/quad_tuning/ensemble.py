@@ -21,7 +21,12 @@ from quad_sysid.loop.cascade import (
     margins,
     open_loop,
 )
-from quad_sysid.loop.from_model import battery_factor, loop_plant, throttle_factor
+from quad_sysid.loop.from_model import (
+    battery_factor,
+    gain_range,
+    loop_plant,
+    throttle_factor,
+)
 from quad_sysid.loop.plant import (
     ComplexArray,
     LightMode,
@@ -135,6 +140,8 @@ def _next_flight(drawn: AxisModel, rng: np.random.Generator) -> LoopPlant:
         volts = drawn.mean_battery_v * rng.uniform(*VOLTAGE_RANGE)
         factor *= battery_factor(drawn, volts) / battery_factor(drawn)
     factor *= throttle_factor(drawn, rng.uniform(*THROTTLE_RANGE))
+    low, usual, high = gain_range(drawn)
+    factor *= rng.uniform(low, high) / usual
     return replace(plant, gain=plant.gain * factor)
 
 

@@ -170,9 +170,17 @@ def stable(controller: LqrController, ensemble: Ensemble) -> bool:
 
 
 def simulate_lqr(
-    model: StateSpace, controller: LqrController, reference: FloatArray, start_angle: float = 0.0
+    model: StateSpace,
+    controller: LqrController,
+    reference: FloatArray,
+    start_angle: float = 0.0,
+    push: FloatArray | None = None,
 ) -> FloatArray:
-    """(n,) measured angle, rad, of the linear plant under the controller with its limit."""
+    """(n,) measured angle, rad, of the linear plant under the controller with its limit.
+
+    `push` is what a torque adds to the plant's states in every cycle; the observer knows nothing
+    of it.
+    """
     x = np.zeros(model.a.shape[0])
     x[_resting(model)] = start_angle
     guess, total = x.copy(), 0.0
@@ -189,6 +197,8 @@ def simulate_lqr(
             total += controller.dt * (wanted - y[1])
         guess = controller.a @ guess + controller.b[:, 0] * u
         x = model.a @ x + model.b[:, 0] * u
+        if push is not None:
+            x = x + push
     return angles
 
 

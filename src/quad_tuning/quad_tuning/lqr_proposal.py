@@ -13,6 +13,7 @@ import numpy as np
 from quad_sysid.loop.from_model import loop_plant
 from quad_sysid.model import AxisModel
 from quad_tuning import ensemble as ensembles
+from quad_tuning import lqr_figures
 from quad_tuning.admission import check_band, check_model, flown_gains
 from quad_tuning.assess import assess
 from quad_tuning.designer import SEED, loop_figures
@@ -51,7 +52,12 @@ def propose_lqr(model: AxisModel, largest: Mapping[str, float] | None = None) ->
     except DesignRefusedError as refusal:
         raise DesignRefusedError(f'{model.axis}: {refusal}') from refusal
     figures = _figures(found)
-    old = loop_figures(before)
+    figures['disturbance_rms_rad'] = lqr_figures.disturbance(plant, found.controller)
+    if model.noise_rms:
+        nominal = loops.subset(np.flatnonzero(loops.nominal)[:1])
+        noise = lqr_figures.noise_gain(found.controller, nominal)
+        figures['motor_noise_rms'] = noise * model.noise_rms
+    old = loop_figures(before, model.noise_rms)
     figures.update({f'{name}_before': old[name] for name in figures})
     figures['draws'] = float(loops.draws)
     figures['control_weight'] = found.control_weight

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from quad_sysid.loop.cascade import CascadeGains
-from quad_sysid.loop.from_model import CURVES, battery_factor, not_in_the_loop
+from quad_sysid.loop.from_model import CURVES, GAIN_SHAPE, battery_factor, not_in_the_loop
 from quad_sysid.model import AxisModel
 from quad_tuning.bounds import BOUNDS
 from quad_tuning.ensemble import VOLTAGE_RANGE
@@ -40,6 +40,8 @@ def uses(model: AxisModel) -> tuple[tuple[str, str], ...]:
     for effect in model.effects:
         if effect.name in SPECIAL:
             words = SPECIAL[effect.name]
+        elif effect.name.startswith(GAIN_SHAPE):
+            words = 'margins hold over all gains that the curve takes'
         elif effect.name in left_out:
             words = OUTSIDE
         else:

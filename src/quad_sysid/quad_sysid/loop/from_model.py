@@ -67,6 +67,7 @@ CURVES: Mapping[str, tuple[str, Callable[[Mapping[str, float], float], Function]
 FACTORS = ('battery_sag', 'thrust_curve', 'step_event')
 """Effects that scale the gain: with the voltage, with the throttle (the thrust curve's quadratic
 part cancels between the motors of an axis), once and for good."""
+GAIN_SHAPE = 'shape:gain:'
 STATES = ('motor_lag', 'resonance')
 """Effects that add states to the plant."""
 
@@ -94,7 +95,7 @@ def loop_plant(model: AxisModel) -> LoopPlant:
     stepped = 1.0 + _parameter(model, 'step_event.change')
     advance = STEPPED_ADVANCE_S if model.realisation == 'stepped' else 0.0
     return LoopPlant(
-        gain=model.value('gain') * battery_factor(model) * stepped,
+        gain=model.value('gain') * battery_factor(model) * stepped * gain_range(model)[1],
         lag_s=model.value('lag'),
         delay_s=max(0.0, model.value('delay') - advance),
         damping=model.value('damping'),
@@ -153,12 +154,29 @@ def battery_factor(model: AxisModel, battery_v: float | None = None) -> float:
     return 1.0
 
 
+def gain_range(model: AxisModel) -> tuple[float, float, float]:
+    """Least, usual and largest factor of the gain under curves of it (`shape:gain:<signal>`).
+
+    Usual is where a curve of time ends, for other signals its mean; 1, 1, 1 without any.
+    """
+    low = usual = high = 1.0
+    for effect in model.effects:
+        values = np.asarray(effect.settings.get('values', ()), dtype=float)
+        if effect.name.startswith(GAIN_SHAPE) and values.ndim == 1 and values.size:
+            factors = np.maximum(1.0 + values, 0.1)
+            low, high = low * float(factors.min()), high * float(factors.max())
+            usual *= float(factors[-1] if effect.name.endswith(':time') else factors.mean())
+    return low, usual, high
+
+
 def not_in_the_loop(model: AxisModel) -> tuple[str, ...]:
     """Names of the model's effects that the loop plant leaves out."""
     return tuple(
         effect.name
         for effect in model.effects
-        if effect.name not in {*CURVES, *FACTORS, *STATES} and _shape(effect) is None
+        if effect.name not in {*CURVES, *FACTORS, *STATES}
+        and not effect.name.startswith(GAIN_SHAPE)
+        and _shape(effect) is None
     )
 
 
