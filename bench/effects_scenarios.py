@@ -1,17 +1,24 @@
-"""Flights with something planted in them, or nothing: what the judge of bench/effects.py draws.
+"""What bench/effects.py flies: scenarios drawn from fixed seeds, and how each is flown.
 
-The virtual STM32's physics, faster than time. Strengths are log-uniform; a scenario counts where
-the true structure is worth the factor it was drawn for, which the judge measures by a fit.
+The draws know strengths, axes, mounts and traps; the analysis gets nothing but the record. How
+large a strength makes the error on unseen flights two times the true structure's was measured once
+(STRENGTHS); the judge measures the factor of each flight again.
 """
 
 from __future__ import annotations
 
+import importlib.util
+import sys
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from types import ModuleType
 
 import numpy as np
+from effects_undeclared import NEEDS_DRIVE, UNDECLARED, plain_torque
 
-from quad_bridge.virtual.profile import load_profile
+from quad_bridge.virtual.profile import Profile, load_profile
+from quad_bridge.virtual.receiver import Event, Receiver
 from quad_bridge.virtual.simulation import Excited, Flight, fly
 from quad_sysid.contract import control_from_motors
 from quad_sysid.record import GainChange, Record, Segment
@@ -21,82 +28,255 @@ RATE_HZ = 250.0
 AMPLITUDE = np.deg2rad(12.0)
 PLAN = (('train', 'prbs', 40.0), ('validation', 'prbs', 18.0), ('validation', 'square', 16.0))
 UNSEEN = (('validation', 'prbs', 20.0), ('validation', 'square', 15.0))
+AXES = ('roll', 'pitch', 'yaw')
+PLACES = tuple((axis, mount) for mount in ('rig', 'hover') for axis in ('roll', 'pitch'))
+FACTORS = (1.3, 5.0)
+"""Range over which the worth of an effect is drawn, log-uniform."""
 
-EffectFunction = Callable[..., np.ndarray]
+Settings = Mapping[str, Mapping[str, object]]
 
 
 @dataclass(frozen=True)
 class Scenario:
-    """One flight to be judged: what is planted, where, with which seed."""
+    """One flight to be judged. `planted` is what the judge holds the answer against."""
 
-    name: str
-    """Of the planted effect; `nothing`; or of an effect that stands in no list."""
+    number: int
+    kind: str
+    """`named`, `pair`, `nothing` or `undeclared`."""
+    planted: tuple[str, ...]
+    simulator: str
+    """`virtual`: the virtual STM32's physics; `plain`: the tests' own simulator."""
     axis: str
     mount: str
     seed: int
-    effects: Mapping[str, Mapping[str, object]]
-    module: EffectFunction | None = None
+    effects: Settings = field(default_factory=dict)
+    wanted_factor: float = 0.0
+    module: str = ''
+    """Of effects_undeclared, with `size` (rad/s²)."""
+    size: float = 0.0
     torque_bandwidth_hz: float = 0.0
+    stirred: bool = False
+    """The pilot moves sticks and throttle besides the excitation."""
+    start_charge: float = 0.95
+
+    def sealed(self) -> dict[str, object]:
+        """As it is written before the flight and opened by the judge."""
+        return asdict(self)
 
 
-STRENGTHS: dict[str, tuple[str, float, float]] = {
-    'coulomb_friction': ('torque_nm', 0.0005, 0.006),
-    'quadratic_drag': ('coefficient_nm_s2', 0.004, 0.04),
-    'pendulum_stiffness': ('stiffness_nm_rad', 0.004, 0.05),
-    'cubic_stiffness': ('stiffness_nm_rad3', 0.1, 2.0),
-    'dead_zone': ('half_width', 0.0001, 0.001),
-    'backlash': ('half_width', 0.0003, 0.003),
-    'saturation': ('upper', 0.50, 0.60),
-    'motor_lag': ('slow_time_constant_s', 0.09, 0.3),
-    'resonance': ('peak', 0.05, 0.6),
-    'periodic_disturbance': ('amplitude_nm', 0.0015, 0.015),
-    'step_event': ('torque_nm', 0.0005, 0.006),
-    'battery_sag': ('exponent', 1.0, 3.0),
+# ------------------------------------------------------------------ strengths of named effects
+
+STRENGTHS: dict[str, tuple[str, str, float, float]] = {
+    'coulomb_friction': ('torque_nm', 'acceleration', 0.086, 0.15),
+    'quadratic_drag': ('coefficient_nm_s2', 'acceleration', 0.58, 0.96),
+    'pendulum_stiffness': ('stiffness_nm_rad', 'acceleration', 0.38, 0.70),
+    'cubic_stiffness': ('stiffness_nm_rad3', 'acceleration', 11.0, 29.0),
+    'dead_zone': ('half_width', '', 2.5e-4, 3.6e-4),
+    'backlash': ('half_width', '', 9.2e-4, 1.1e-3),
+    'motor_lag': ('slow_time_constant_s', 'lag', 0.106, 0.106),
+    'resonance': ('peak', '', 0.081, 0.139),
+    'periodic_disturbance': ('amplitude_nm', 'acceleration', 0.06, 0.098),
+    'step_event': ('torque_nm', 'acceleration', 0.146, 0.234),
+    'battery_sag': ('exponent', '', 0.37, 1.0),
+    'thrust_curve': ('curvature', '', 0.085, 0.085),
+    'saturation': ('upper', 'limit', 0.465, 0.455),
+    'cross_axis_input': ('fraction', '', 0.116, 0.116),
+    'gyroscopic_coupling': ('extra_momentum_nm_s', 'acceleration', 0.6, 0.6),
 }
-"""Effect to the key of its strength and the range it is drawn from."""
+"""Effect: key of its strength, how it scales, and what doubles the error on rig and in hover."""
+
+STIRRED = {'battery_sag', 'thrust_curve', 'cross_axis_input', 'gyroscopic_coupling'}
+"""These are only seen where throttle or other axes move."""
+ONLY_ON = {'gyroscopic_coupling': 'hover', 'cross_axis_input': 'hover', 'thrust_curve': 'rig'}
+"""Other axes move in hover alone; a pilot who holds height does not move the throttle."""
 
 
-def named(rng: np.random.Generator, name: str, seed: int, axis: str, mount: str) -> Scenario:
-    """A scenario with one named effect of drawn strength."""
-    key, low, high = STRENGTHS[name]
-    value = float(np.exp(rng.uniform(np.log(low), np.log(high))))
-    settings: dict[str, object] = {key: value}
+def strength(name: str, axis: str, mount: str, factor: float) -> float:
+    """The strength that should make the base's error `factor` times the true structure's."""
+    _, scale, rig, hover = STRENGTHS[name]
+    two = rig if mount == 'rig' else hover
+    share = float(np.sqrt((factor**2 - 1.0) / 3.0))
+    if scale == 'lag':
+        return 0.045 + (two - 0.045) * share
+    if scale == 'limit':
+        return two - 0.05 * (share - 1.0)
+    inertia = load_profile('plain').airframe.inertia_kg_m2[AXES.index(axis)]
+    return two * share * (inertia if scale == 'acceleration' else 1.0)
+
+
+def settings_of(
+    rng: np.random.Generator, name: str, axis: str, mount: str, factor: float
+) -> dict[str, object]:
+    """The virtual aircraft's switches for one named effect."""
+    settings: dict[str, object] = {STRENGTHS[name][0]: strength(name, axis, mount, factor)}
     if name == 'saturation':
         settings['lower'] = 0.02
-    return Scenario(name, axis, mount, seed, {name: settings})
+    if name == 'step_event':
+        settings['time_s'] = float(rng.uniform(12.0, 34.0))
+    if name == 'resonance':
+        settings['frequency_hz'] = float(np.exp(rng.uniform(np.log(2.0), np.log(10.0))))
+        settings['damping_ratio'] = float(rng.uniform(0.03, 0.1))
+    if name == 'periodic_disturbance':
+        settings['frequency_hz'] = float(np.exp(rng.uniform(np.log(0.4), np.log(5.0))))
+    if name == 'motor_lag':
+        settings['motors'] = (int(rng.integers(1, 5)),)
+    if name == 'cross_axis_input':
+        settings['from_axis'] = 'pitch' if axis == 'roll' else 'roll'
+        settings['to_axis'] = axis
+    return settings
 
 
-def nothing(rng: np.random.Generator, seed: int, axis: str, mount: str) -> Scenario:
-    """A flight with nothing missing, often with coloured torque noise or vibration as a trap."""
-    effects: dict[str, dict[str, object]] = {}
-    if rng.random() < 0.3:
-        effects['vibration'] = {}
-    bandwidth = float(rng.choice([0.0, 0.0, 2.0, 5.0]))
-    return Scenario('nothing', axis, mount, seed, effects, torque_bandwidth_hz=bandwidth)
+PAIRS = (
+    ('coulomb_friction', 'pendulum_stiffness'), ('coulomb_friction', 'quadratic_drag'),
+    ('coulomb_friction', 'resonance'), ('coulomb_friction', 'battery_sag'),
+    ('quadratic_drag', 'pendulum_stiffness'), ('quadratic_drag', 'periodic_disturbance'),
+    ('pendulum_stiffness', 'periodic_disturbance'), ('pendulum_stiffness', 'backlash'),
+    ('cubic_stiffness', 'coulomb_friction'), ('step_event', 'coulomb_friction'),
+    ('motor_lag', 'pendulum_stiffness'), ('resonance', 'quadratic_drag'),
+)
 
 
-def flown(scenario: Scenario, plan: tuple[tuple[str, str, float], ...], seed: int) -> Record:
-    """Fly a scenario over a plan of segments."""
+def factor_of(rng: np.random.Generator) -> float:
+    """Log-uniform worth."""
+    return float(np.exp(rng.uniform(*np.log(FACTORS))))
+
+
+def draw(
+    first_seed: int, *, seeds: int, pairs: int, nothing: int, undeclared: int
+) -> list[Scenario]:
+    """All scenarios of a run; `seeds` flights per named effect, `pairs` per pair and so on."""
+    rng = np.random.default_rng(first_seed)
+    out: list[Scenario] = []
+
+    def add(**values: object) -> None:
+        number = len(out)
+        out.append(Scenario(number=number, seed=first_seed + number, **values))
+
+    for name in STRENGTHS:
+        for k in range(seeds):
+            axis, mount = PLACES[k % 4]
+            mount = ONLY_ON.get(name, mount)
+            factor = factor_of(rng)
+            settings = settings_of(rng, name, axis, mount, factor)
+            add(
+                kind='named', planted=(name,), simulator='virtual', axis=axis, mount=mount,
+                effects={name: settings}, wanted_factor=factor, stirred=name in STIRRED,
+            )
+        if name in PLAIN:
+            for _ in range(max(1, seeds // 4)):
+                factor = factor_of(rng)
+                add(
+                    kind='named', planted=(name,), simulator='plain', axis='roll', mount='rig',
+                    effects={name: {'strength': PLAIN[name] * np.sqrt((factor**2 - 1) / 3)}},
+                    wanted_factor=factor,
+                )
+    for both in PAIRS:
+        for k in range(pairs):
+            axis, mount = PLACES[k % 4]
+            effects = {
+                name: settings_of(rng, name, axis, mount, float(rng.uniform(1.8, 4.0)))
+                for name in both
+            }
+            add(
+                kind='pair', planted=both, simulator='virtual', axis=axis, mount=mount,
+                effects=effects, stirred='battery_sag' in both,
+            )
+    places = (*PLACES, ('yaw', 'rig'), ('yaw', 'hover'))
+    for k in range(nothing):
+        axis, mount = places[k % 6]
+        add(
+            kind='nothing', planted=(), simulator='plain' if k % 10 == 9 else 'virtual',
+            axis='roll' if k % 10 == 9 else axis, mount='rig' if k % 10 == 9 else mount,
+            effects={'vibration': {}} if rng.random() < 0.3 else {},
+            torque_bandwidth_hz=float(rng.choice([0.0, 0.0, 2.0, 5.0])),
+            stirred=bool(rng.random() < 0.4), start_charge=float(rng.choice([0.95, 0.4, 0.15])),
+        )
+    for name in UNDECLARED:
+        for k in range(undeclared):
+            axis, mount = PLACES[k % 4]
+            plain = k % 4 == 3 and name not in NEEDS_DRIVE
+            add(
+                kind='undeclared', planted=(name,), axis='roll' if plain else axis,
+                simulator='plain' if plain else 'virtual',
+                mount='rig' if plain else mount, module=name,
+                size=float(np.exp(rng.uniform(np.log(0.15), np.log(0.6)))),
+            )
+    return out
+
+
+# ------------------------------------------------------------------------------- flying them
+
+
+def flown(scenario: Scenario, *, unseen: bool) -> Record:
+    """The record of the scenario's flight, or of the one that is kept for the judge."""
+    seed = scenario.seed + (500_000 if unseen else 0)
+    if scenario.simulator == 'plain':
+        return _plain(scenario, seed, unseen=unseen)
+    return record_of(flight_of(scenario, seed, unseen=unseen))
+
+
+def without(scenario: Scenario) -> Scenario:
+    """The same flight by an aircraft that lacks nothing (traps stay)."""
+    traps = {k: v for k, v in scenario.effects.items() if k == 'vibration'}
+    return replace(scenario, effects=traps, module='')
+
+
+def flight_of(scenario: Scenario, seed: int, *, unseen: bool) -> Flight:
+    """The flight on the virtual STM32's physics."""
+    profile = _profile(scenario, unseen=unseen)
+    plan = UNSEEN if unseen else PLAN
+    schedule, end = _schedule(scenario.axis, plan, seed)
+    if scenario.stirred:
+        profile = replace(profile, receiver=_sticks(scenario, seed, end))
+    module = None
+    if scenario.module:
+        index = AXES.index(scenario.axis)
+        size = scenario.size * profile.airframe.inertia_kg_m2[index]
+        module = UNDECLARED[scenario.module].torque(index, size)
+    return fly(profile, schedule, end, seed, effect=module)
+
+
+def _profile(scenario: Scenario, *, unseen: bool) -> Profile:
     profile = load_profile('plain')
     effects = profile.effects
     for name, settings in scenario.effects.items():
         entry = replace(getattr(effects, name), enabled=True)
         for key, value in settings.items():
             old = getattr(entry, key)
-            entry = replace(entry, **{key: (value,) * 3 if isinstance(old, tuple) else value})
+            spread = isinstance(old, tuple) and not isinstance(value, (tuple, list))
+            given = tuple(value) if isinstance(value, list) else value
+            entry = replace(entry, **{key: (value,) * 3 if spread else given})
+        if name == 'step_event' and unseen:
+            entry = replace(entry, time_s=0.0)  # what happened before has happened
         effects = replace(effects, **{name: entry})
-    mounts = profile.airframe.mounts
+    mounts, bandwidth = profile.airframe.mounts, scenario.torque_bandwidth_hz
     mounts = replace(
         mounts,
-        rig=replace(mounts.rig, torque_noise_bandwidth_hz=scenario.torque_bandwidth_hz),
-        hover=replace(mounts.hover, torque_noise_bandwidth_hz=scenario.torque_bandwidth_hz),
+        rig=replace(mounts.rig, torque_noise_bandwidth_hz=bandwidth),
+        hover=replace(mounts.hover, torque_noise_bandwidth_hz=bandwidth),
     )
-    profile = replace(
+    charge = scenario.start_charge - (0.25 if unseen and scenario.start_charge > 0.5 else 0.0)
+    battery = replace(profile.airframe.battery, start_charge=charge)
+    return replace(
         profile, mount=scenario.mount, axis=scenario.axis, effects=effects,
-        airframe=replace(profile.airframe, mounts=mounts),
+        airframe=replace(profile.airframe, mounts=mounts, battery=battery),
     )
-    schedule, end = _schedule(scenario.axis, plan, seed)
-    return record_of(fly(profile, schedule, end, seed, effect=scenario.module))
+
+
+def _sticks(scenario: Scenario, seed: int, end: float) -> Receiver:
+    """A busy pilot: the other axes in hover, the throttle on the rig."""
+    rng = np.random.default_rng([seed, 7])
+    events: list[Event] = []
+    time = 2.0
+    others = [name for name in ('roll', 'pitch') if name != scenario.axis]
+    while time < end:
+        if scenario.mount == 'hover':
+            channel = str(rng.choice([*others, 'yaw']))
+            events.append(Event(time, channel, float(rng.uniform(-0.35, 0.35))))
+        else:
+            events.append(Event(time, 'throttle', float(rng.uniform(0.28, 0.6))))
+        time += float(rng.uniform(0.2, 1.5 if scenario.mount == 'hover' else 5.0))
+    return Receiver(tuple(events))
 
 
 def _schedule(
@@ -109,7 +289,7 @@ def _schedule(
         if signal == 'square':
             samples = AMPLITUDE * np.where((np.arange(n) // 375) % 2 == 0, 1.0, -1.0)
         else:
-            wave = prbs(9, 23, float(AMPLITUDE), 1 + 13 * seed + 101 * number)
+            wave = prbs(9, 23, float(AMPLITUDE), 1 + (13 * seed + 101 * number) % 510)
             samples = np.resize(wave, n)
         out.append(Excited(time, samples, axis, 'attitude', role, signal))
         time += seconds + 2.0
@@ -133,3 +313,51 @@ def record_of(flight: Flight) -> Record:
         rate_setpoint=flight.rate_setpoint, battery_v=flight.battery_v,
         segments=tuple(segments), gains=(GainChange(0.0, dict(flight.gains)),),
     )
+
+
+# ----------------------------------------------------------------- the second simulator
+
+PLAIN = {'coulomb_friction': 0.2, 'quadratic_drag': 2.1, 'pendulum_stiffness': 0.9,
+         'cubic_stiffness': 30.0, 'dead_zone': 6.0e-4}
+"""What doubles the error there (rad/s² and so on)."""
+
+
+def _simulator() -> ModuleType:
+    """The simulator of the tests: plain Python, no line shared with the virtual STM32."""
+    path = Path(__file__).parents[1] / 'test' / 'quad_sysid' / 'conftest.py'
+    if 'plain_simulator' not in sys.modules:
+        spec = importlib.util.spec_from_file_location('plain_simulator', path)
+        module = importlib.util.module_from_spec(spec)
+        sys.modules['plain_simulator'] = module
+        spec.loader.exec_module(module)
+    return sys.modules['plain_simulator']
+
+
+def _plain(scenario: Scenario, seed: int, *, unseen: bool) -> Record:
+    plain = _simulator()
+    axis = plain.Axis()
+    for name, settings in scenario.effects.items():
+        if name in PLAIN:
+            axis = replace(axis, **_plain_effect(name, float(settings['strength'])))
+    if scenario.module:
+        axis = replace(axis, torque=plain_torque(scenario.module, scenario.size))
+    plan = plain.Plan(
+        seconds=72.0,
+        segments=(('idle', 'none', 0.0, 1.0), ('train', 'prbs', 1.0, 41.0),
+                  ('validation', 'prbs', 42.0, 72.0)),
+    )
+    if unseen:
+        plan = plain.Plan(36.0, (('idle', 'none', 0.0, 1.0), ('validation', 'prbs', 1.0, 36.0)))
+    return plain.fly(axis, seed, plan)
+
+
+def _plain_effect(name: str, size: float) -> dict[str, Callable[[float, float], float]]:
+    if name == 'dead_zone':
+        return {'command': lambda u, _: np.sign(u) * max(abs(u) - size, 0.0)}
+    torques: dict[str, Callable[[float, float], float]] = {
+        'coulomb_friction': lambda w, _: -size * np.tanh(w / 1e-3),
+        'quadratic_drag': lambda w, _: -size * w * abs(w),
+        'pendulum_stiffness': lambda _, a: -size * np.sin(a),
+        'cubic_stiffness': lambda _, a: -size * a**3,
+    }
+    return {'torque': torques[name]}

@@ -98,6 +98,23 @@ def slow_motors(
     return out
 
 
+def one_slow_motor(
+    data: AxisData, command: FloatArray, p: FloatArray, settings: Settings, base: FloatArray
+) -> FloatArray:
+    """One motor has a longer lag: what it owes of all axes' commands acts on this one too."""
+    motor = settings['motor']
+    if not isinstance(motor, float):
+        return command
+    wanted = data.motors[:, int(motor)]
+    slow = max(float(p[0]), 1e-3)
+    lagged = np.empty_like(wanted)
+    for start, stop in data.stretches:
+        _lag(wanted, slow, data.dt, start, stop, lagged)
+    share = MIXER_INVERSE[data.index + 1, int(motor)]
+    out: FloatArray = command + share * (1.0 - float(base[1]) / slow) * (lagged - wanted)
+    return out
+
+
 def resonance(
     data: AxisData, command: FloatArray, p: FloatArray, _: Settings, __: FloatArray
 ) -> FloatArray:

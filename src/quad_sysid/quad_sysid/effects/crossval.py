@@ -13,8 +13,9 @@ import numpy as np
 from scipy import stats
 
 from quad_sysid.contract import FloatArray
+from quad_sysid.greybox.covariance import block_numbers
 from quad_sysid.greybox.data import Windows
-from quad_sysid.greybox.fit import Fit, block_numbers
+from quad_sysid.greybox.fit import Fit
 
 FOLDS = 6
 GAP_S = 1.0
@@ -35,25 +36,33 @@ class Comparison:
 
 def held_out_errors(fit: Fit, windows: Windows, dt: float) -> FloatArray:
     """(windows,) mean squared free-run error of each window by models that did not see it."""
-    count, _, p = fit.jacobian.shape
-    j = fit.jacobian
-    gram = np.einsum('wlp,wlq->wpq', j, j)
-    score = np.einsum('wlp,wl->wp', j, fit.errors)
     free = np.flatnonzero(~fit.at_bound)
+    return linear_held_out(
+        fit.jacobian[:, :, free], fit.errors, fit.prior[:, free], fit.prior @ fit.theta,
+        windows, dt,
+    )
+
+
+def linear_held_out(
+    jacobian: FloatArray, errors: FloatArray, prior: FloatArray, prior_error: FloatArray,
+    windows: Windows, dt: float,
+) -> FloatArray:
+    """The same of a linear model: jacobian (windows, length, p), prior (r, p) with its error (r,).
+
+    Each fold's parameters are those of the linear problem without it.
+    """
+    gram = np.einsum('wlp,wlq->wpq', jacobian, jacobian, optimize=True)
+    score = np.einsum('wlp,wl->wp', jacobian, errors)
     # spread of each parameter, so that the solve is well scaled
-    total = np.sqrt(np.maximum(np.einsum('wpp->p', gram), 1e-300))[free]
-    prior_gram = (fit.prior.T @ fit.prior)[np.ix_(free, free)]
-    prior_score = (fit.prior.T @ (fit.prior @ fit.theta))[free]
-    out = np.empty(count)
+    total = np.sqrt(np.maximum(np.einsum('wpp->p', gram), 1e-300))
+    prior_gram, prior_score = prior.T @ prior, prior.T @ prior_error
+    out = np.empty(windows.count)
     for held, kept in folds_of(windows, dt):
-        shift = np.zeros(p)
-        if free.size and kept.any():
-            left = gram[kept].sum(axis=0)[np.ix_(free, free)] + prior_gram
-            left /= np.outer(total, total)
-            right = (score[kept].sum(axis=0)[free] + prior_score) / total
-            shift[free] = -np.linalg.lstsq(left, right, rcond=1e-12)[0] / total
-        errors = fit.errors[held] + j[held] @ shift
-        out[held] = np.mean(errors**2, axis=1)
+        left = gram[kept].sum(axis=0) + prior_gram
+        left /= np.outer(total, total)
+        right = (score[kept].sum(axis=0) + prior_score) / total
+        shift = -np.linalg.lstsq(left, right, rcond=1e-12)[0] / total
+        out[held] = np.mean((errors[held] + jacobian[held] @ shift) ** 2, axis=1)
     return out
 
 
@@ -97,18 +106,3 @@ def _one_sided(sample: FloatArray) -> float:
     if not np.isfinite(error) or error == 0.0:
         return 0.0 if mean > 0.0 and error == 0.0 else 1.0
     return float(stats.t.sf(mean / error, sample.size - 1))
-
-
-def selection_probabilities(
-    errors: FloatArray, windows: Windows, dt: float, rng: np.random.Generator, draws: int = 2000
-) -> FloatArray:
-    """(m,) how often each of m models has the smallest error under resampled blocks.
-
-    errors (m, windows). Bayesian bootstrap (Rubin 1981) over blocks of windows.
-    """
-    blocks = block_numbers(windows, dt)
-    count = int(blocks.max()) + 1
-    summed = np.stack([np.bincount(blocks, row, minlength=count) for row in errors])
-    weights = rng.dirichlet(np.ones(count), size=draws)
-    best = np.argmin(weights @ summed.T, axis=1)
-    return np.bincount(best, minlength=errors.shape[0]) / draws

@@ -10,45 +10,29 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy import stats
 
-from quad_sysid.effects.candidate import (
-    Candidate,
-    candidate,
-    without,
-    without_effects,
+from quad_sysid.effects.candidate import Candidate, candidate, without_effects
+from quad_sysid.effects.choice import (
+    MOST_EFFECTS,
+    backward,
+    couples,
+    fitting,
+    pairs,
+    strongest,
+    trial,
+    worthy,
 )
-from quad_sysid.effects.crossval import compare, selection_probabilities
+from quad_sysid.effects.crossval import compare
+from quad_sysid.effects.rivals import MOST_RIVALS, rivals_of
 from quad_sysid.effects.scan import Dependence, scan
-from quad_sysid.effects.shapes import besides
+from quad_sysid.effects.screening import Columns, Screen, vanishes
 from quad_sysid.greybox.data import AxisData
-from quad_sysid.greybox.fit import (
-    SHORT_WINDOW_S,
-    Fit,
-    fit_base,
-    fit_with_effect,
-    informative,
-    settle,
-)
+from quad_sysid.greybox.fit import SHORT_WINDOW_S, Fit, fit_base, informative, settle
 from quad_sysid.greybox.noise import NoiseModel
+from quad_sysid.greybox.one_step import sharpened
 from quad_sysid.greybox.simulate import Simulator
 from quad_sysid.greybox.structure import Effect, Prepared
 
-MOST_EFFECTS = 3
-CHANCE = 0.01
-"""Level of the cross-validated paired test, shared out over the candidates that were tried."""
-SMALLEST_GAIN = 0.015
-"""An effect that lowers the cross-validated error by less than this share is not worth a name."""
-REFINEMENT_GAIN = 0.10
-"""A curve on top of a named effect of the same signal must lower the error by this share."""
-NAMED_SHARE = 0.8
-"""A named effect that explains this share of what a curve explains is taken first."""
-HIDDEN_SHARE = 0.9
-"""The same for a hidden state, over named effects of any signal."""
-FOREMOST = 3
-"""So many trials are fitted again with the state correction that suits them."""
-MOST_RIVALS = 4
-"""So many of the nearest others are fitted in the place of a chosen effect."""
 WHOLE_CYCLES = (0.1, 0.2)
 """A delay this near to whole cycles speaks for a realisation, this far against one."""
 
@@ -63,6 +47,9 @@ class Tried:
     name: str
     score: float
     p_value: float
+    screened: bool = False
+    """True: told by its first-order worth alone, never fitted."""
+    variant: str = ''
 
 
 @dataclass(frozen=True)
@@ -100,7 +87,7 @@ def discover(
     base_sim = sim
     prepared, not_tested = _prepare(data, effects)
     current, noise, sim, tried = _forward(sim, base, base_noise, prepared, progress)
-    current = _backward(sim, current)
+    current = backward(sim, current)
     if not current.names:
         current, noise = candidate(sim, base), base_noise
     other = _stepped(sim, current)
@@ -109,10 +96,12 @@ def discover(
         data = sim.data
         base, base_noise, base_sim = settle(replace(sim, _cache={}), without_effects(sim, current))
     rivals = {
-        name: _rivals(sim, current, name, prepared, tried, rng) for name in current.names
+        name: rivals_of(sim, current, name, prepared, _near(name, tried, current), rng)
+        for name in current.names
     }
+    chosen = sharpened(sim, current.fit) if current.names else current.fit
     return Discovery(
-        data, base, base_noise, base_sim, current.fit, noise, sim, rivals, tried, not_tested,
+        data, base, base_noise, base_sim, chosen, noise, sim, rivals, tried, not_tested,
         scan(base_sim, base),
     )
 
@@ -121,37 +110,37 @@ def _forward(
     sim: Simulator, base: Fit, noise: NoiseModel, prepared: Sequence[Prepared],
     progress: Progress,
 ) -> tuple[Candidate, NoiseModel, Simulator, tuple[Tried, ...]]:
-    """Add effects one by one as long as cross-validation asks for one."""
+    """Add effects one by one, or two at once, as long as cross-validation asks for one."""
     current = candidate(sim, base)
-    axis, dt = sim.data.axis, sim.data.dt
     tried: list[Tried] = []
     for step in range(1, MOST_EFFECTS + 1):
+        puts = [fitting(current, put) for put in prepared if put[0].name not in current.names]
         trials: list[Candidate] = []
-        for effect, settings in prepared:
-            if effect.name in current.names:
-                continue
-            progress(f'{axis}: effect {step}, {effect.name}')
-            put = _fitting(current, (effect, settings))
-            trial = candidate(sim, fit_with_effect(sim, current.fit, *put))
-            trials.append(trial)
-            verdict = compare(current.errors, trial.errors, sim.windows, dt)
-            tried.append(Tried(step, effect.name, trial.score, verdict.p_value))
-        worthy = _worthy(current, trials, sim)
-        if not worthy:
+        looked: list[tuple[Prepared, Columns]] = []
+        screen = Screen(sim, current.fit)
+        for put in puts:
+            effect = put[0]
+            progress(f'{sim.data.axis}: effect {step}, {effect.name}')
+            added = screen.columns(*put) if vanishes(effect) else None
+            if added is not None and effect.kind == 'named':
+                looked.append((put, added))
+            one = trial(screen, current, put, added)
+            fitted = isinstance(one, Candidate)
+            if isinstance(one, Candidate):
+                trials.append(one)
+            p_value = compare(current.errors, one.errors, sim.windows, sim.data.dt).p_value
+            tried.append(
+                Tried(step, effect.name, one.score, p_value, not fitted, effect.variant)
+            )
+        alone = min((one.score for one in trials), default=current.score)
+        twos, count = couples(screen, current, looked, min(alone, current.score))
+        good = worthy(current, trials, sim, len(puts)) + worthy(current, twos, sim, count)
+        if not good:
             break
-        worthy += _pairs(sim, current, worthy, prepared)
-        current, noise, sim = _strongest(sim, current, worthy)
+        good.sort(key=lambda one: one.score)
+        good += pairs(sim, current, good, prepared)
+        current, noise, sim = strongest(sim, current, good)
     return current, noise, sim, tuple(tried)
-
-
-def _fitting(current: Candidate, put: Prepared) -> Prepared:
-    """A curve that refines named effects of its signal leaves out what they can say."""
-    effect, settings = put
-    names = tuple(
-        e.name for e in current.fit.structure.effects
-        if e.kind == 'named' and set(e.signals) & set(effect.signals)
-    )
-    return besides(effect, settings, names) if effect.kind == 'shape' and names else put
 
 
 def _stepped(
@@ -187,138 +176,14 @@ def _prepare(
             missing.append((effect.name, settings))
         else:
             ready.append((effect, settings))
-    return ready, tuple(missing)
+    tested = {effect.name for effect, _ in ready}  # in another variant
+    return ready, tuple(dict.fromkeys(m for m in missing if m[0] not in tested))
 
 
-def _worthy(current: Candidate, trials: Sequence[Candidate], sim: Simulator) -> list[Candidate]:
-    """The trials that lower the error beyond chance and by enough, best first."""
-    good = [
-        trial
-        for trial in trials
-        if trial.score < (1.0 - _least(current, trial)) * current.score
-        and _chance(current, trial, sim) < CHANCE / len(trials)
-    ]
-    return sorted(good, key=lambda one: one.score)
-
-
-def _chance(current: Candidate, trial: Candidate, sim: Simulator) -> float:
-    """p-value that the last effect of a trial is nothing: by error, or by its one parameter.
-
-    An effect of one parameter that is many cluster-robust standard errors from zero is seen long
-    before its share of the error is.
-    """
-    paired = compare(current.errors, trial.errors, sim.windows, sim.data.dt)
-    where = trial.fit.structure.slices()[-1]
-    if where.stop - where.start > 1:
-        return paired.p_value
-    size = abs(float(trial.fit.theta[where][0])) / float(trial.fit.std[where][0])
-    freedom = max(paired.blocks - trial.fit.theta.size, 1)
-    wald = 2.0 * float(stats.t.sf(size, freedom)) if np.isfinite(size) else 1.0
-    return min(1.0, 2.0 * min(paired.p_value, wald))
-
-
-def _least(current: Candidate, trial: Candidate) -> float:
-    """Share of the error that a trial must take away: more where a curve refines a name."""
-    signals = {s for e in current.fit.structure.effects for s in e.signals}
-    added = trial.fit.structure.effects[-1]
-    refines = added.kind == 'shape' and bool(signals & set(added.signals))
-    return REFINEMENT_GAIN if refines else SMALLEST_GAIN
-
-
-def _pairs(
-    sim: Simulator, current: Candidate, worthy: Sequence[Candidate], prepared: Sequence[Prepared]
-) -> list[Candidate]:
-    """Where a curve leads: the pairs of named effects of its signal, which it may stand for."""
-    if not worthy or worthy[0].curves == current.curves:
-        return []
-    signals = set(worthy[0].fit.structure.effects[-1].signals)
-    if len(current.names) + 2 > MOST_EFFECTS:
-        return []
-    named = [
-        put for put in prepared
-        if put[0].kind == 'named' and set(put[0].signals) == signals
-        and put[0].name not in current.names
-    ]
-    out = []
-    for i, first in enumerate(named):
-        one = fit_with_effect(sim, current.fit, *first)
-        out += [candidate(sim, fit_with_effect(sim, one, *second)) for second in named[i + 1 :]]
-    return out
-
-
-def _strongest(
-    sim: Simulator, current: Candidate, worthy: Sequence[Candidate]
-) -> tuple[Candidate, NoiseModel, Simulator]:
-    """The best of the foremost, each with the state correction that suits it.
-
-    A curve without a name gives way to a named effect of the same signal that explains nearly
-    as much; what the name leaves can still be added as a curve in the next step.
-    """
-    settled = []
-    named = sorted((one for one in worthy if not one.curves), key=lambda one: one.score)
-    foremost = list(dict.fromkeys([*worthy[:FOREMOST], *named[:FOREMOST]]))
-    for one in foremost:
-        fit, noise, own = settle(sim, one.fit)
-        settled.append((candidate(own, fit), noise, own))
-    best = min(settled, key=lambda item: item[0].score)
-    if best[0].curves > current.curves:
-        gained = current.score**2 - best[0].score**2
-        unnamed = best[0].fit.structure.effects[-1]
-        hidden = unnamed.kind == 'mode'  # it can mimic what acts through any signal
-        share = HIDDEN_SHARE if hidden else NAMED_SHARE
-        enough = [
-            item for item in settled
-            if item[0].curves == current.curves
-            and (hidden or set(unnamed.signals) & set(item[0].fit.structure.effects[-1].signals))
-            and current.score**2 - item[0].score**2 >= share * gained
-        ]
-        if enough:
-            return min(enough, key=lambda item: item[0].score)
-    return best
-
-
-def _backward(sim: Simulator, current: Candidate) -> Candidate:
-    """Take out what the others made superfluous; a name never gives way to a curve."""
-    while len(current.names) > 1:
-        effects = current.fit.structure.effects
-        curves = {signal for e in effects if e.kind != 'named' for signal in e.signals}
-        optional = [
-            e.name for e in effects if e.kind != 'named' or not curves & set(e.signals)
-        ]
-        reduced = [without(sim, current, name) for name in optional]
-        if not reduced:
-            break
-        best = min(reduced, key=lambda one: one.score)
-        lost = compare(best.errors, current.errors, sim.windows, sim.data.dt)
-        if lost.p_value < CHANCE and current.score < (1.0 - SMALLEST_GAIN) * best.score:
-            break
-        current = best
-    return current
-
-
-def _rivals(
-    sim: Simulator, current: Candidate, name: str, prepared: Sequence[Prepared],
-    tried: Sequence[Tried], rng: np.random.Generator,
-) -> tuple[tuple[str, float], ...]:
-    """Probabilities over all that could stand in the place of `name`, itself included.
-
-    Only those that came near when it was chosen are fitted in its place; the others count as
-    ruled out.
-    """
-    own_curve = next(e.kind for e in current.fit.structure.effects if e.name == name) != 'named'
-    step = max(t.step for t in tried if t.name == name)
-    near = sorted((t for t in tried if t.step == step), key=lambda t: t.score)[: 1 + MOST_RIVALS]
-    names = {t.name for t in near} - set(current.names)
-    others = [
-        _fitting(current, put) for put in prepared
-        if put[0].name in names and (own_curve or put[0].kind == 'named')
-    ]
-    rest = without(sim, current, name)
-    one_of = [current, *(candidate(sim, fit_with_effect(sim, rest.fit, *put)) for put in others)]
-    weights = selection_probabilities(
-        np.stack([one.errors for one in one_of]), sim.windows, sim.data.dt, rng
-    )
-    summed: dict[str, float] = {}
-    for label, weight in zip([name, *(put[0].name for put in others)], weights, strict=True):
-        summed[label] = summed.get(label, 0.0) + float(weight)
-    return tuple(sorted(summed.items(), key=lambda pair: -pair[1]))
+def _near(name: str, tried: Sequence[Tried], current: Candidate) -> set[str]:
+    """The names that came nearest in the step in which `name` was chosen."""
+    mine = [t.step for t in tried if t.name == name and not t.screened]
+    step = max(mine or [t.step for t in tried if t.name == name])
+    fitted = (t for t in tried if t.step == step and not t.screened)
+    near = sorted(fitted, key=lambda t: t.score)[: 1 + MOST_RIVALS]
+    return {t.name for t in near} - set(current.names)

@@ -11,11 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from quad_sysid.contract import FloatArray
+from quad_sysid.effects.consistency import inconsistency
 from quad_sysid.effects.crossval import Comparison, compare
 from quad_sysid.effects.discover import Discovery
 from quad_sysid.effects.scan import Dependence, confirmed, strongest
+from quad_sysid.greybox.covariance import block_numbers
 from quad_sysid.greybox.data import AxisData, Span
-from quad_sysid.greybox.fit import Fit, block_numbers, fit_structure, simulator
+from quad_sysid.greybox.fit import Fit, fit_structure, simulator
 from quad_sysid.greybox.noise import NoiseModel
 from quad_sysid.greybox.simulate import Run, Simulator
 
@@ -98,7 +100,11 @@ def judge(found: Discovery, rng: np.random.Generator) -> Judgement:
     hold = hold_error(sim)
     passed = effects and test.p_value < LEVEL and after.free_run < before.free_run
     left = None if passed or not found.informative else _dependence(found, sim)
-    verdict, reason = _verdict(found, before, left, hold, test, passed=passed)
+    odd = '' if passed or not found.informative else inconsistency(
+        np.mean(found.base.errors**2, axis=1), found.base.windows,
+        np.mean(before.run.errors**2, axis=1), sim.windows, data.dt,
+    )
+    verdict, reason = _verdict(found, before, left, hold, test, odd=odd, passed=passed)
     if found.informative and found.base.theta[0] < 0.0:
         reason += (
             '; a positive command lowers the rate: check the order of the motors, the mixer and '
@@ -115,7 +121,7 @@ def judge(found: Discovery, rng: np.random.Generator) -> Judgement:
 
 def _verdict(
     found: Discovery, before: Figures, left: Dependence | None, hold: float,
-    test: Comparison, *, passed: bool,
+    test: Comparison, *, odd: str, passed: bool,
 ) -> tuple[str, str]:
     """One of the contract's four verdicts, with the reason in words."""
     if not found.informative or before.free_run > HARDLY_BETTER * hold:
@@ -136,6 +142,8 @@ def _verdict(
             f'from {found.base.rms:.3g} to {left.score:.3g} rad/s, held-out data agree, yet no '
             'effect that was tried mends it'
         )
+    if odd:
+        return 'unexplained_residual', f'{odd}; no effect that was tried mends it'
     return 'no_missing_effect', (
         'nothing lowers the error beyond chance, and the residual depends on no signal at hand'
     )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy.ndimage import median_filter
 
@@ -18,6 +20,12 @@ SHARE_OF_COMMAND = 0.05
 EVENTS = 3
 EVENT_GRID_S = 0.5
 EVENT_STEP = 1e-3
+FOR_GOOD = 1e6
+"""Duration of an event that does not end, s."""
+LONGEST_EVENT_S = 10.0
+MOST_TIMES = 240
+MOST_ERRORS = 40_000
+"""So many times, and about so many of the errors, are enough to see an event."""
 LINES = 2
 LINE_NEIGHBOURS = 41
 LINE_BAND_HZ = (0.2, 15.0)
@@ -70,6 +78,14 @@ def coupled_command(data: AxisData, which: int) -> Settings | str:
     return {'column': float(column)}
 
 
+def single_motor(data: AxisData, motor: int) -> Settings | str:
+    """Index of one motor, where it does more than this axis asks of it."""
+    for which in (0, 1):
+        if not isinstance(coupled_command(data, which), str):
+            return {'motor': float(motor)}
+    return 'the other axes hardly move, so no single motor can be told from its like'
+
+
 def coupled_rate(data: AxisData, which: int) -> Settings | str:
     """Column of another axis' rate."""
     rate = over_training(data, data.other_rates[:, which])
@@ -119,25 +135,58 @@ def line_starts(sim: Simulator, fit: Fit, _: Effect) -> tuple[tuple[float, ...],
 
 def event_starts(sim: Simulator, fit: Fit, effect: Effect) -> tuple[tuple[float, ...], ...]:
     """The times at which a small change would explain most of the errors, to first order."""
-    data = sim.data
-    spans = [np.arange(a * data.dt + 1.0, b * data.dt - 1.0, EVENT_GRID_S) for a, b in data.train]
-    times = np.concatenate(spans)
+    times, gram, score = _steps(sim, fit, effect, lambda time: (time, EVENT_STEP))
     if not times.size:
-        start, stop = max(data.train, key=lambda span: span[1] - span[0])
-        return ((0.5 * (start + stop) * data.dt, 0.0),)
+        return ((_middle(sim.data), 0.0),)
+    strength = np.maximum(np.diag(gram), 1e-300)
+    best = np.argsort(-(score**2) / strength)[:EVENTS]
+    return tuple((float(times[i]), float(-score[i] / strength[i])) for i in best)
+
+
+def passing_starts(sim: Simulator, fit: Fit, effect: Effect) -> tuple[tuple[float, ...], ...]:
+    """The same for something that begins and ends: the difference of two steps."""
+    times, gram, score = _steps(sim, fit, effect, lambda time: (time, FOR_GOOD, EVENT_STEP))
+    if times.size < 2:
+        return ((_middle(sim.data), EVENT_GRID_S, 0.0),)
+    i, j = np.triu_indices(times.size, 1)
+    short = times[j] - times[i] <= LONGEST_EVENT_S
+    i, j = i[short], j[short]
+    strength = np.maximum(gram[i, i] + gram[j, j] - 2.0 * gram[i, j], 1e-300)
+    push = score[i] - score[j]
+    best = np.argsort(-(push**2) / strength)[:EVENTS]
+    return tuple(
+        (float(times[i[k]]), float(times[j[k]] - times[i[k]]), float(-push[k] / strength[k]))
+        for k in best
+    )
+
+
+def _middle(data: AxisData) -> float:
+    start, stop = max(data.train, key=lambda span: span[1] - span[0])
+    return 0.5 * (start + stop) * data.dt
+
+
+def _steps(
+    sim: Simulator, fit: Fit, effect: Effect, step_at: Callable[[float], tuple[float, ...]]
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Times (m,), Gram matrix (m, m) and product with the errors (m,) of unit steps there.
+
+    What the parameters that are there already can explain is taken out.
+    """
+    data = sim.data
+    total = sum(b - a for a, b in data.train) * data.dt
+    grid = max(EVENT_GRID_S, total / MOST_TIMES)
+    times = np.concatenate(
+        [np.arange(a * data.dt + 1.0, b * data.dt - 1.0, grid) for a, b in data.train]
+    )
+    thin = slice(None, None, max(1, fit.errors.size // MOST_ERRORS))
     structure = fit.structure.with_effect(effect, {})
     free = np.flatnonzero(~fit.at_bound)
-    known = np.linalg.qr(fit.jacobian.reshape(-1, fit.theta.size)[:, free])[0]
-    error = fit.errors.ravel() - known @ (known.T @ fit.errors.ravel())
-    worth = np.zeros(times.size)
-    size = np.zeros(times.size)
-    for i, time in enumerate(times):
-        run = sim.run(structure, np.r_[fit.theta, time, EVENT_STEP])
-        column = (run.errors - fit.errors).ravel() / EVENT_STEP
-        column -= known @ (known.T @ column)
-        strength = float(column @ column)
-        if np.isfinite(strength) and strength > 0.0:
-            size[i] = -float(column @ error) / strength
-            worth[i] = size[i] ** 2 * strength
-    best = np.argsort(-worth)[:EVENTS]
-    return tuple((float(times[i]), float(size[i])) for i in best)
+    known = np.linalg.qr(fit.jacobian.reshape(-1, fit.theta.size)[thin, free])[0]
+    errors = fit.errors.ravel()[thin]
+    columns = np.empty((times.size, errors.size))
+    for row, time in zip(columns, times, strict=True):
+        run = sim.run(structure, np.r_[fit.theta, step_at(float(time))])
+        row[:] = (run.errors.ravel()[thin] - errors) / EVENT_STEP
+    columns[~np.isfinite(columns).all(axis=1)] = 0.0
+    columns -= (columns @ known) @ known.T
+    return times, columns @ columns.T, columns @ errors

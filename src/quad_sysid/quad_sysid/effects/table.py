@@ -113,6 +113,21 @@ EFFECTS: tuple[Effect, ...] = (
         excite='a PRBS that reaches beyond 1 / lag',
         command=commands.slow_motors,
     ),
+    *(
+        Effect(
+            name='motor_lag',
+            variant=f'motor {motor + 1}',
+            signals=('command', 'motors'),
+            parameters=(
+                _spec('slow_time_constant', 's', (0.1, 0.2), (0.005, 1.0), 0.03),
+            ),
+            physics='one motor answers with a longer lag; the other axes then act here as well',
+            excite='hover with all axes moving',
+            prepare=partial(preparation.single_motor, motor=motor),
+            command=commands.one_slow_motor,
+        )
+        for motor in range(4)
+    ),
     Effect(
         name='backlash',
         signals=('command', 'history'),

@@ -74,6 +74,17 @@ def swinging(data: AxisData, p: FloatArray, _: Settings) -> Term:
     return _hidden(a, np.array([0.0, omega]), weights, data.dt)
 
 
+def hysteresis(data: AxisData, p: FloatArray, _: Settings) -> Term:
+    """-T z, z' = rate / reach (1 - z sign(rate)): friction that builds up over an angle (Dahl)."""
+    return Term(kernels.HYSTERESIS, (float(p[0]), data.dt / max(float(p[1]), 1e-4)))
+
+
+def pulse_torque(data: AxisData, p: FloatArray, _: Settings) -> Term:
+    """A torque that acts from a time on for a while."""
+    shape = after(data, float(p[0])) - after(data, float(p[0]) + float(p[1]))
+    return Term(kernels.SIGNAL, (p[2],), shape)
+
+
 def _hidden(a: FloatArray, b: FloatArray, c: FloatArray, dt: float) -> Term:
     """A hidden state x' = a x + b rate with torque c x, exact for a rate held over the step."""
     whole, drive = held_step(a, b, dt)

@@ -8,13 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
 
 import numpy as np
+from scipy import stats
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import NotInformativeError
 from quad_sysid.greybox import levenberg, noise
+from quad_sysid.greybox.covariance import block_numbers, robust_covariance
 from quad_sysid.greybox.data import WINDOW_S, AxisData, Span, Windows
 from quad_sysid.greybox.simulate import N_BASE, Simulator
 from quad_sysid.greybox.structure import BASE_PARAMETERS, Effect, Settings, Structure
@@ -27,22 +30,18 @@ CLEAR_GAIN = 4.0
 """A gain of fewer standard errors than this is no answer."""
 SHORT_WINDOW_S = 0.05
 """Windows for data in which half a second of free run drowns in noise: delay still shows."""
-BLOCK_S = 2.0
-"""Windows closer than this are not counted as independent in standard errors."""
 
 RATIOS = np.logspace(-1.0, 4.0, 11)
 """Torque noise over measurement noise tried for the state correction, (rad/s²)/√Hz per rad/s."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Fit:
     """A fitted structure on training windows."""
 
     structure: Structure
     theta: FloatArray
     """(p,) in the order of structure.names."""
-    covariance: FloatArray
-    """(p, p) cluster-robust; NaN rows and columns for parameters held at a bound."""
     jacobian: FloatArray
     """(windows, length, p) of the free-run error."""
     errors: FloatArray
@@ -52,18 +51,47 @@ class Fit:
     at_bound: np.ndarray
     prior: FloatArray
     """(r, p) rows of the effects' priors, in the unit of the errors."""
-    reach: FloatArray
-    """(p,) standard errors as if no bound held anything: how far a parameter at one may lie."""
+    windows: Windows
+    dt: float
+    sharp: FloatArray | None = None
+    """(p, p) covariance of a fit that the one-step errors have sharpened (one_step.py)."""
 
     @property
     def rms(self) -> float:
         """Training RMS of the free-run error, rad/s."""
         return float(np.sqrt(np.mean(self.errors**2)))
 
+    @cached_property
+    def covariance(self) -> FloatArray:
+        """(p, p) robust; NaN rows and columns for parameters held at a bound."""
+        return self._covariance(self.at_bound) if self.sharp is None else self.sharp
+
+    @cached_property
+    def reach(self) -> FloatArray:
+        """(p,) standard errors as if no bound held anything: how far one at a bound may lie."""
+        full = self._covariance(np.zeros_like(self.at_bound))
+        return np.sqrt(np.maximum(np.diag(full), 0.0))
+
+    def _covariance(self, held: np.ndarray) -> FloatArray:
+        return robust_covariance(
+            self.jacobian, self.errors, held, self.windows, self.dt, self.prior
+        )
+
     @property
     def std(self) -> FloatArray:
         """(p,) standard errors, NaN at a bound."""
         return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def freedom(self) -> int:
+        """Blocks of windows less free parameters: what the standard errors rest on."""
+        blocks = int(block_numbers(self.windows, self.dt).max(initial=0)) + 1
+        return max(blocks - int((~self.at_bound).sum()), 2)
+
+    @property
+    def quoted(self) -> float:
+        """Factor on standard errors with which +-1.96 of them hold 95 % (Student's t)."""
+        return float(stats.t.ppf(0.975, self.freedom) / stats.norm.ppf(0.975))
 
 
 def simulator(
@@ -125,23 +153,17 @@ def fit_structure(
     errors = found.residual[:count].reshape(shape)
     if at_bound.any():
         jacobian[:, :, at_bound] = _inside(sim, structure, theta, at_bound, lower, scale)
-
-    def covariance(held: np.ndarray) -> FloatArray:
-        return robust_covariance(jacobian, errors, held, sim.windows, sim.data.dt, prior)
-
-    full_covariance = covariance(at_bound)
-    reach = full_covariance if not at_bound.any() else covariance(np.zeros_like(at_bound))
     return Fit(
         structure=structure,
         theta=theta,
-        covariance=full_covariance,
-        reach=np.sqrt(np.maximum(np.diag(reach), 0.0)),
         jacobian=jacobian,
         errors=errors,
         converged=found.converged,
         iterations=found.iterations,
         at_bound=at_bound,
         prior=prior,
+        windows=sim.windows,
+        dt=sim.data.dt,
     )
 
 
@@ -159,43 +181,6 @@ def _inside(
         column = (sim.run(structure, moved).errors - base) / step
         columns.append(column if np.isfinite(column).all() else np.zeros_like(column))
     return np.stack(columns, axis=2)
-
-
-def block_numbers(windows: Windows, dt: float, block_s: float = BLOCK_S) -> np.ndarray:
-    """(windows,) number of the block of `block_s` s each window lies in; spans never share one."""
-    if not windows.count:
-        return np.zeros(0, dtype=np.int64)
-    position = windows.starts * dt
-    key = windows.spans * 10**9 + (position // block_s).astype(np.int64)
-    return np.unique(key, return_inverse=True)[1].reshape(-1)
-
-
-def robust_covariance(
-    jacobian: FloatArray, errors: FloatArray, held: np.ndarray, windows: Windows, dt: float,
-    prior: FloatArray,
-) -> FloatArray:
-    """Sandwich covariance with blocks of windows as clusters (Liang and Zeger 1986)."""
-    p = jacobian.shape[2]
-    out = np.full((p, p), np.nan)
-    index = np.flatnonzero(~held)
-    index = index[np.any(jacobian[:, :, index], axis=(0, 1))] if windows.count else index
-    if not index.size or not windows.count or not np.isfinite(jacobian).all():
-        return out
-    j = jacobian[:, :, index]
-    scores = np.einsum('wlp,wl->wp', j, errors)
-    blocks = block_numbers(windows, dt)
-    count = int(blocks.max()) + 1
-    summed = np.zeros((count, index.size))
-    np.add.at(summed, blocks, scores)
-    stacked = np.vstack([j.reshape(-1, index.size), prior[:, index]])
-    triangle = np.linalg.qr(stacked, mode='r')
-    norms = np.linalg.norm(triangle, axis=0)
-    norms[norms == 0] = 1.0
-    inverse = np.linalg.pinv(triangle / norms) / norms[:, None]
-    bread = inverse @ inverse.T
-    small_sample = count / max(count - index.size, 1)
-    out[np.ix_(index, index)] = small_sample * bread @ (summed.T @ summed) @ bread
-    return out
 
 
 def fit_base(
@@ -287,13 +272,16 @@ def best_correction(sim: Simulator, fit: Fit) -> noise.NoiseModel:
 
 
 def fit_with_effect(
-    sim: Simulator, base: Fit, effect: Effect, settings: Settings, *, max_iterations: int = 30
+    sim: Simulator, base: Fit, effect: Effect, settings: Settings, *, max_iterations: int = 30,
+    start: FloatArray | None = None,
 ) -> Fit:
-    """Base and one more effect fitted together, from every start the effect names.
+    """Base and one more effect fitted together, from `start` (p,) or every start it names.
 
     Several starts are tried for a few steps only; the best is carried to its minimum.
     """
     structure = base.structure.with_effect(effect, settings)
+    if start is not None:
+        return fit_structure(sim, structure, start, max_iterations=max_iterations)
     if effect.starts is not None:
         starts = effect.starts(sim, base, effect)
     else:
@@ -339,6 +327,6 @@ def _check_excitation(data: AxisData, spans: Sequence[Span]) -> None:
 
 
 __all__ = [
-    'N_BASE', 'SHORT_WINDOW_S', 'Fit', 'best_correction', 'block_numbers', 'fit_base',
+    'N_BASE', 'SHORT_WINDOW_S', 'Fit', 'best_correction', 'fit_base',
     'fit_structure', 'fit_with_effect', 'informative', 'settle', 'simulator',
 ]

@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from quad_sysid.blackbox import Model, coherence, frequency_response
+from quad_sysid.effects.curves import curve_of
 from quad_sysid.effects.discover import Discovery
 from quad_sysid.effects.judge import Judgement
-from quad_sysid.effects.shapes import curve_of
 from quad_sysid.errors import QuadSysidError
 from quad_sysid.greybox.data import AxisData
 from quad_sysid.greybox.fit import Fit
@@ -48,7 +48,7 @@ def axis_model(
             )
         ),
         parameter_names=fit.structure.names,
-        covariance=fit.covariance,
+        covariance=fit.covariance * fit.quoted**2,
         active_gains=dict(gains),
         mean_battery_v=None if volts is None else float(
             np.mean(np.concatenate([volts[a:b] for a, b in data.train]))
@@ -74,7 +74,8 @@ def _parameters(
     """Values with standard errors or, at a bound, with how far inside they may lie."""
     out = []
     for spec, value, deviation, reach in zip(
-        specs, fit.theta[where], fit.std[where], fit.reach[where], strict=True
+        specs, fit.theta[where], fit.quoted * fit.std[where], fit.quoted * fit.reach[where],
+        strict=True,
     ):
         interval = None
         if not np.isfinite(deviation) and np.isfinite(reach):
@@ -104,7 +105,7 @@ def _estimate(
         kind=effect.kind,
         signals=effect.signals,
         parameters=_parameters(effect.parameters, where, fit),
-        settings={**settings, **extra},
+        settings={**settings, **({'variant': effect.variant} if effect.variant else {}), **extra},
         p_value=p_value,
         error_reduction_pct=growth,
         probability=own,

@@ -95,6 +95,8 @@ def of_this_flight(sim: Simulator, structure: Structure, theta: FloatArray) -> F
     for index, name in enumerate(names):
         if name == 'step_event.time':
             theta[index] = 0.0
+        if name in ('event.torque', 'event.change'):
+            theta[index] = 0.0  # it has passed
     free = np.array([name == 'periodic_disturbance.phase' for name in names])
     if not free.any():
         return theta
@@ -115,6 +117,7 @@ def structure_of(model: AxisModel) -> tuple[Structure, FloatArray]:
             (
                 e for e in KNOWN.get(estimate.name, ())
                 if [p.name for p in e.parameters][: len(parameters)] == parameters
+                and e.variant == estimate.settings.get('variant', e.variant)
             ),
             None,
         )

@@ -1,0 +1,142 @@
+"""One flight of bench/effects.py, answered by the analysis, then measured against the truth."""
+
+from __future__ import annotations
+
+import math
+import time
+
+import effects_scenarios as scenarios
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from quad_bridge.virtual.profile import load_profile
+from quad_sysid.effects.discover import Discovery, discover
+from quad_sysid.effects.judge import judge
+from quad_sysid.effects.shapes import SHAPES
+from quad_sysid.effects.table import EFFECTS
+from quad_sysid.greybox.data import AxisData, axis_data
+from quad_sysid.greybox.fit import Fit, fit_with_effect, settle, simulator
+from quad_sysid.greybox.simulate import Simulator
+from quad_sysid.model import AxisModel
+from quad_sysid.pipeline.assemble import axis_model
+from quad_sysid.pipeline.evaluate import evaluate, of_this_flight
+from quad_sysid.record import Record
+
+Row = dict[str, object]
+
+
+def answered(scenario: scenarios.Scenario) -> Row:
+    """The analysis' answer to one flight, and how near it came on a flight it has not seen."""
+    with threadpool_limits(limits=1):
+        record = scenarios.flown(scenario, unseen=False)
+        began = time.perf_counter()
+        data = axis_data([record], scenario.axis)
+        rng = np.random.default_rng(0)
+        found = discover(data, EFFECTS + SHAPES, rng)
+        answer = judge(found, rng)
+        model = axis_model(found, answer, {}, None)
+        seconds = time.perf_counter() - began
+        unseen = scenarios.flown(scenario, unseen=True)
+        error = evaluate(model, unseen)
+        true = true_error(scenario, found, unseen)
+    return {
+        'number': scenario.number, 'verdict': answer.verdict,
+        'named': [e.name for e in model.effects],
+        'probabilities': [e.probability for e in model.effects],
+        'rivals': [
+            [[e.name, e.probability], *[[n, p] for n, p in e.rivals]] for e in model.effects
+        ],
+        'parameters': {
+            e.name: {p.name: [p.value, p.std] for p in e.parameters} for e in model.effects
+        },
+        'covered': covered(scenario, model),
+        'before': error.before, 'after': error.after, 'true': true,
+        'factor': error.before / true, 'lost': error.before / true,
+        'depends_on': found.dependence[0].name if found.dependence else '',
+        'p_value': answer.test.p_value, 'seconds': seconds,
+    }
+
+
+def true_error(scenario: scenarios.Scenario, found: Discovery, unseen: Record) -> float:
+    """Error on the unseen flight of the true structure, refitted; floor where it has no name."""
+    data = axis_data([unseen], scenario.axis)
+    if scenario.kind in {'nothing', 'undeclared'}:
+        return _floor(scenario, found)
+    fit: Fit | None = found.base
+    sim = found.base_simulator
+    for name in scenario.planted:
+        fit = _with(sim, fit, name, found.data)
+    fit, noise, _ = settle(sim, fit)
+    judge_sim = simulator(data, data.validation, noise.correction)
+    theta = of_this_flight(judge_sim, fit.structure, fit.theta)
+    return judge_sim.run(fit.structure, theta).rms
+
+
+def _with(sim: Simulator, fit: Fit, name: str, data: AxisData) -> Fit:
+    """The best variant of a named effect on top of a fit."""
+    best = None
+    for effect in (e for e in EFFECTS if e.name == name):
+        settings = effect.prepare(data) if effect.prepare else {}
+        if isinstance(settings, str):
+            continue
+        one = fit_with_effect(sim, fit, effect, settings)
+        if best is None or one.rms < best.rms:
+            best = one
+    return best or fit
+
+
+def _floor(scenario: scenarios.Scenario, found: Discovery) -> float:
+    """What the base reaches where nothing is missing: flown by the same aircraft without it."""
+    plain = scenarios.without(scenario)
+    record = scenarios.flown(plain, unseen=False)
+    data = axis_data([record], scenario.axis)
+    rng = np.random.default_rng(0)
+    found = discover(data, (), rng)
+    model = axis_model(found, judge(found, rng), {}, None)
+    return evaluate(model, scenarios.flown(plain, unseen=True)).before
+
+
+def covered(scenario: scenarios.Scenario, model: AxisModel) -> dict[str, bool]:
+    """Whether the 95 % interval of each planted effect's parameters holds the truth."""
+    out = {}
+    for effect in model.effects:
+        truth = truth_of(scenario, effect.name)
+        for parameter in effect.parameters:
+            if parameter.name in truth and parameter.std:
+                off = abs(abs(parameter.value) - truth[parameter.name])
+                out[f'{effect.name}.{parameter.name}'] = bool(off <= 1.96 * parameter.std)
+    return out
+
+
+def truth_of(scenario: scenarios.Scenario, name: str) -> dict[str, float]:
+    """The planted parameters in the report's units, without their sign."""
+    if name not in scenario.effects:
+        return {}
+    set_to = scenario.effects[name]
+    if scenario.simulator == 'plain':
+        keys = {'coulomb_friction': 'torque', 'quadratic_drag': 'coefficient',
+                'dead_zone': 'half_width'}
+        return {keys.get(name, 'stiffness'): float(set_to['strength'])}
+    index = scenarios.AXES.index(scenario.axis)
+    airframe = load_profile('plain').airframe
+    inertia = airframe.inertia_kg_m2[index]
+    value = float(set_to[scenarios.STRENGTHS[name][0]])
+    per_inertia = {
+        'coulomb_friction': 'torque', 'quadratic_drag': 'coefficient',
+        'pendulum_stiffness': 'stiffness', 'cubic_stiffness': 'stiffness',
+        'step_event': 'torque', 'gyroscopic_coupling': 'coefficient',
+        'periodic_disturbance': 'amplitude',
+    }
+    out = {per_inertia[name]: value / inertia} if name in per_inertia else {}
+    direct = {
+        'dead_zone': 'half_width', 'backlash': 'half_width', 'saturation': 'upper',
+        'motor_lag': 'slow_time_constant', 'battery_sag': 'exponent',
+        'thrust_curve': 'curvature', 'cross_axis_input': 'fraction',
+    }
+    if name in direct:
+        out[direct[name]] = value
+    if 'frequency_hz' in set_to:
+        out['frequency'] = float(set_to['frequency_hz'])
+    if 'time_s' in set_to:
+        out['time'] = float(set_to['time_s'])
+    return {key: v for key, v in out.items() if math.isfinite(v)}

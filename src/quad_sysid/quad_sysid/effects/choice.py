@@ -1,0 +1,234 @@
+"""Which trial is worth adding, and which of several that are: by cross-validation alone.
+
+The search that calls this stands in discover.py; the final test on unseen data in judge.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+
+from quad_sysid.effects.candidate import Candidate, candidate, without
+from quad_sysid.effects.crossval import compare
+from quad_sysid.effects.curves import besides
+from quad_sysid.effects.screening import (
+    Columns,
+    FirstLook,
+    Screen,
+    enters_linearly,
+    sharp_p,
+    vanishes,
+)
+from quad_sysid.greybox.fit import fit_structure, fit_with_effect, settle
+from quad_sysid.greybox.noise import NoiseModel
+from quad_sysid.greybox.simulate import Simulator
+from quad_sysid.greybox.structure import Effect, Prepared
+
+MOST_EFFECTS = 3
+CHANCE = 0.01
+"""Level of the cross-validated paired test, shared out over the candidates that were tried."""
+SMALLEST_GAIN = 0.015
+"""An effect that lowers the cross-validated error by less than this share is not worth a name."""
+HARMLESS = 1.005
+"""An effect that is certain by the one-step errors may not raise the free-run error by more."""
+SCREENED_GAIN = 0.005
+"""What promises less than this to first order is not fitted."""
+SCREENED_CURVE_GAIN = 0.012
+COUPLE_GAIN = 0.05
+"""Two effects at once must lower the error of the best single one by this share."""
+REFINEMENT_GAIN = 0.10
+"""A curve on top of a named effect of the same signal must lower the error by this share."""
+AS_GOOD = 1.03
+"""A name explains as much as a curve where its error is at most this much larger."""
+NAMED_SHARE = 0.8
+"""Where it can't be told which is better, a name must explain this share of what a curve does."""
+FOREMOST = 3
+"""So many trials are fitted again with the state correction that suits them."""
+
+
+def fitting(current: Candidate, put: Prepared) -> Prepared:
+    """A curve that refines named effects of its signal leaves out what they can say."""
+    effect, settings = put
+    names = tuple(
+        e.name for e in current.fit.structure.effects
+        if e.kind == 'named' and set(e.signals) & set(effect.signals)
+    )
+    return besides(effect, settings, names) if effect.kind == 'shape' and names else put
+
+
+def trial(
+    screen: Screen, current: Candidate, put: Prepared, added: Columns | None
+) -> Candidate | FirstLook:
+    """One more effect: fitted and cross-validated, or only looked at where that says enough.
+
+    added: its columns (screening.py), where it has some.
+    """
+    effect, settings = put
+    look = None
+    if added is not None and enters_linearly(effect):
+        look = screen.look([put], [added])
+        least = SCREENED_GAIN if len(effect.parameters) == 1 else SCREENED_CURVE_GAIN
+        if look.score > (1.0 - least) * current.score and look.p_value > CHANCE:
+            return look
+    fit = fit_with_effect(
+        screen.sim, current.fit, effect, settings, start=None if look is None else look.theta
+    )
+    return candidate(screen.sim, fit)
+
+
+def couples(
+    screen: Screen, current: Candidate, looked: Sequence[tuple[Prepared, Columns]],
+    best_alone: float,
+) -> tuple[list[Candidate], int]:
+    """Two named effects at once, where each alone is masked by the other; how many were tried.
+
+    best_alone: the smallest error that one effect reaches.
+    """
+    if len(current.names) + 2 > MOST_EFFECTS:
+        return [], 0
+    single = [pair for pair in looked if len(pair[0][0].parameters) == 1]
+    tried = [
+        (first, second, screen.look([first, second], [a, b]))
+        for (first, a), (second, b) in combinations(single, 2)
+        if first[0].name != second[0].name
+    ]
+    out = []
+    for first, second, look in sorted(tried, key=lambda one: one[2].score)[:FOREMOST]:
+        chance = min(
+            look.p_value,
+            compare(current.errors, look.errors, screen.sim.windows, screen.sim.data.dt).p_value,
+        )
+        if look.score > (1.0 - COUPLE_GAIN) * best_alone or chance > CHANCE / len(tried):
+            continue
+        structure = current.fit.structure.with_effect(*first).with_effect(*second)
+        out.append(candidate(screen.sim, fit_structure(screen.sim, structure, look.theta)))
+    return out, len(tried)
+
+
+def worthy(
+    current: Candidate, trials: Sequence[Candidate], sim: Simulator, count: int
+) -> list[Candidate]:
+    """The trials that lower the error beyond chance and by enough, best first.
+
+    count: how many were looked at, screened ones included. One parameter that the one-step errors
+    see beyond chance is enough, however little it lowers the free-run error of these data.
+    """
+    good = []
+    for one in trials:
+        level = CHANCE / count
+        small = one.score >= (1.0 - _least(current, one)) * current.score
+        chance = compare(current.errors, one.errors, sim.windows, sim.data.dt).p_value
+        single = one.fit.theta.size - current.fit.theta.size == 1
+        if single and vanishes(one.fit.structure.effects[-1]):
+            if one.score > HARMLESS * current.score:
+                continue
+            sharp = 2.0 * float(sharp_p(sim, one.fit)[-1])
+            small, chance = small and sharp >= level, min(2.0 * chance, sharp)
+        if not small and chance < level:
+            good.append(one)
+    return sorted(good, key=_score)
+
+
+def _least(current: Candidate, one: Candidate) -> float:
+    """Share of the error that a trial must take away: more where a curve refines a name."""
+    signals = {s for e in current.fit.structure.effects for s in e.signals}
+    added = one.fit.structure.effects[-1]
+    refines = added.kind == 'shape' and bool(signals & set(added.signals))
+    return REFINEMENT_GAIN if refines else SMALLEST_GAIN
+
+
+def pairs(
+    sim: Simulator, current: Candidate, good: Sequence[Candidate], prepared: Sequence[Prepared]
+) -> list[Candidate]:
+    """Where a curve leads: the pairs of named effects of its signal, which it may stand for."""
+    if not good or not _added_unnamed(current, good[0]):
+        return []
+    signals = set(good[0].fit.structure.effects[-1].signals)
+    if len(current.names) + 2 > MOST_EFFECTS:
+        return []
+    named = [
+        put for put in prepared
+        if put[0].kind == 'named' and set(put[0].signals) == signals
+        and put[0].name not in current.names
+    ]
+    out = []
+    for i, first in enumerate(named):
+        one = fit_with_effect(sim, current.fit, *first)
+        out += [candidate(sim, fit_with_effect(sim, one, *second)) for second in named[i + 1 :]]
+    return out
+
+
+def strongest(
+    sim: Simulator, current: Candidate, good: Sequence[Candidate]
+) -> tuple[Candidate, NoiseModel, Simulator]:
+    """The best of the foremost, each with the state correction that suits it.
+
+    A curve or a hidden state gives way to a name that explains as much; two names at once give way
+    to one that does.
+    """
+    settled = []
+    named = sorted((one for one in good if not _added_unnamed(current, one)), key=_score)
+    single = [one for one in named if len(one.names) == len(current.names) + 1]
+    for one in dict.fromkeys([*good[:FOREMOST], *named[:FOREMOST], *single[:1]]):
+        fit, noise, own = settle(sim, one.fit)
+        settled.append((candidate(own, fit), noise, own))
+    best = min(settled, key=lambda item: item[0].score)
+    unnamed = _added_unnamed(current, best[0])
+    last = best[0].fit.structure.effects[-1]
+    simpler = [
+        item for item in settled
+        if not _added_unnamed(current, item[0])
+        and (not unnamed or _same_signal(last, item[0].fit.structure.effects[-1]))
+        and (unnamed or len(item[0].names) < len(best[0].names))
+        and _explains_as_much(current, item[0], best[0], sim)
+    ]
+    return min(simpler, key=lambda item: item[0].score) if simpler else best
+
+
+def _score(one: Candidate) -> float:
+    return one.score
+
+
+def _added_unnamed(current: Candidate, one: Candidate) -> bool:
+    return one.curves > current.curves
+
+
+def _same_signal(unnamed: Effect, named: Effect) -> bool:
+    """Whether a name can stand for it: a hidden state can mimic what acts through any signal."""
+    return unnamed.kind != 'shape' or bool(set(unnamed.signals) & set(named.signals))
+
+
+def _explains_as_much(
+    current: Candidate, simple: Candidate, best: Candidate, sim: Simulator
+) -> bool:
+    """By its error, or because the data can't tell which is better."""
+    if simple.score <= AS_GOOD * best.score:
+        return True
+    share = (current.score**2 - simple.score**2) / (current.score**2 - best.score**2)
+    better = compare(simple.errors, best.errors, sim.windows, sim.data.dt)
+    return share >= NAMED_SHARE and better.p_value > CHANCE
+
+
+def backward(sim: Simulator, current: Candidate) -> Candidate:
+    """Take out what the others made superfluous; a name never gives way to a curve."""
+    while len(current.names) > 1:
+        effects = current.fit.structure.effects
+        curves = {signal for e in effects if e.kind != 'named' for signal in e.signals}
+        sharp = sharp_p(sim, current.fit)
+        optional = [
+            e.name for e, where in zip(effects, current.fit.structure.slices(), strict=True)
+            if (e.kind != 'named' or not curves & set(e.signals))
+            and not (
+                where.stop - where.start == 1 and vanishes(e)
+                and sharp[where.start] < 0.5 * CHANCE
+            )
+        ]
+        reduced = [without(sim, current, name) for name in optional]
+        if not reduced:
+            break
+        best = min(reduced, key=_score)
+        lost = compare(best.errors, current.errors, sim.windows, sim.data.dt)
+        if lost.p_value < CHANCE and current.score < (1.0 - SMALLEST_GAIN) * best.score:
+            break
+        current = best
+    return current

@@ -1,0 +1,91 @@
+"""How probable each effect is against what could stand in its place.
+
+Only what came near when it was chosen is fitted in its place; the others count as ruled out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from collections.abc import Set as AbstractSet
+
+import numpy as np
+
+from quad_sysid.contract import FloatArray
+from quad_sysid.effects.candidate import Candidate, candidate, without
+from quad_sysid.effects.choice import fitting
+from quad_sysid.greybox.fit import Fit, fit_with_effect
+from quad_sysid.greybox.one_step import BAND_HZ, block_of_rows, one_step, slow_errors
+from quad_sysid.greybox.simulate import Simulator
+from quad_sysid.greybox.structure import Prepared
+
+MOST_RIVALS = 4
+"""So many of the nearest others are fitted in the place of a chosen effect."""
+
+
+def rivals_of(
+    sim: Simulator, current: Candidate, name: str, prepared: Sequence[Prepared],
+    near: AbstractSet[str], rng: np.random.Generator,
+) -> tuple[tuple[str, float], ...]:
+    """Probabilities over all that could stand in the place of `name`, itself included.
+
+    A name may be replaced by names, and by a curve of its signal that is there beside it; a curve
+    by anything. `near`: what came close to it when it was chosen.
+    """
+    kind = next(e.kind for e in current.fit.structure.effects if e.name == name)
+    rest = without(sim, current, name)
+    others = [
+        fitting(rest, put) for put in prepared
+        if put[0].name in near and (kind != 'named' or put[0].kind == 'named')
+    ]
+    labels = [name, *(put[0].name for put in others)]
+    one_of = [current, *(candidate(sim, fit_with_effect(sim, rest.fit, *put)) for put in others)]
+    if kind == 'named':
+        for label, alone in _curves_alone(sim, current, name, prepared):
+            labels.append(label)
+            one_of.append(alone)
+    weights = selection_probabilities(sim, [one.fit for one in one_of], rng)
+    summed: dict[str, float] = {}
+    for label, weight in zip(labels, weights, strict=True):
+        summed[label] = summed.get(label, 0.0) + float(weight)
+    return tuple(sorted(summed.items(), key=lambda pair: -pair[1]))
+
+
+def selection_probabilities(
+    sim: Simulator, fits: Sequence[Fit], rng: np.random.Generator, draws: int = 2000
+) -> FloatArray:
+    """(m,) how often each of m models is the best by Akaike's criterion on resampled blocks.
+
+    Bayesian bootstrap (Rubin 1981) over blocks of the low-passed one-step errors, each model at
+    the parameters that fit them best.
+    """
+    block = block_of_rows(sim)
+    count = int(block.max()) + 1
+    summed = np.empty((len(fits), count))
+    for row, fit in zip(summed, fits, strict=True):
+        theta = one_step(sim, fit).theta if not fit.prior.size else fit.theta
+        row[:] = np.bincount(block, slow_errors(sim, fit.structure, theta) ** 2, minlength=count)
+    samples = block.size * min(1.0, 2.0 * BAND_HZ * sim.data.dt)
+    size = np.array([int((~fit.at_bound).sum()) for fit in fits])
+    weights = rng.dirichlet(np.ones(count), size=draws)
+    criterion = samples * np.log(np.maximum(weights @ summed.T, 1e-300)) + 2.0 * size
+    return np.asarray(np.bincount(criterion.argmin(axis=1), minlength=len(fits)) / draws)
+
+
+def _curves_alone(
+    sim: Simulator, current: Candidate, name: str, prepared: Sequence[Prepared]
+) -> list[tuple[str, Candidate]]:
+    """A curve that refines `name`, widened so that it may say all that the name said."""
+    structure = current.fit.structure
+    own = next(e for e in structure.effects if e.name == name)
+    out = []
+    for effect, settings in zip(structure.effects, structure.settings, strict=True):
+        if effect.kind != 'shape' or not set(effect.signals) & set(own.signals):
+            continue
+        put = next(
+            p for p in prepared if (p[0].name, p[0].variant) == (effect.name, effect.variant)
+        )
+        rest = without(sim, without(sim, current, name), effect.name)
+        whole = fitting(rest, put)
+        if whole[1] != settings:
+            out.append((effect.name, candidate(sim, fit_with_effect(sim, rest.fit, *whole))))
+    return out
