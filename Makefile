@@ -13,7 +13,7 @@ RUN := . tools/workspace.bash;
 SOURCES := $(wildcard src test tools bench)
 ARGS ?=
 
-.PHONY: help demo pictures test test-fast build lint format bench bench-effects bench-tuning bench-effects-speed wheel docs lock shell clean
+.PHONY: help demo pictures test test-fast build lint format bench bench-effects bench-log bench-tuning bench-effects-speed wheel docs lock shell clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-19s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -57,6 +57,9 @@ bench-effects-speed: build  ## a candidate's cost beside scipy's solvers, a whol
 
 bench-tuning: build  ## gains on 100 virtual airframes, and peers (20 minutes; ARGS='--count 12')
 	@$(RUN) OPENBLAS_NUM_THREADS=1 exec python bench/tuning.py $(ARGS)
+
+bench-log: build  ## what the log loses under load and when killed, how fast bags are read (10 min)
+	@$(RUN) exec python bench/log.py $(ARGS)
 
 wheel: build  ## wheels of the part that needs no ROS, in dist/
 	@$(RUN) for package in quad_sysid quad_tuning; do \
