@@ -148,7 +148,7 @@ def damaged_at(bag: Path, ledger: Ledger, damage: str, rng: np.random.Generator)
         least = int(mine[-1, 3]) if len(mine) else 0
         os.truncate(newest, int(rng.integers(least, size + 1)))
         return moment
-    cut = int(rng.integers(0, size))
+    cut = int(rng.integers(0, size + 1))
     os.truncate(newest, cut)
     after = mine[mine[:, 3] > cut]
     return int(after[0, 1]) if len(after) else moment
