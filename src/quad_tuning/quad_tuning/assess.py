@@ -15,6 +15,7 @@ from quad_sysid.loop.cascade import (
     CascadeGains,
     bandwidth,
     noise_response,
+    open_loop,
     reference_response,
 )
 from quad_sysid.loop.figures import StepFigures, square_figures, square_wave
@@ -48,6 +49,10 @@ class LoopFigures:
     worst_gain_margin_db: float
     worst_peak_sensitivity: float
     unstable: int
+    rate_rms_rad_s: float
+    """Of the rate over the square wave."""
+    worst_peak_complementary: float
+    """Largest |L / (1 + L)| over the ensemble."""
 
 
 def assess(plant: LoopPlant, gains: CascadeGains, ensemble: Ensemble) -> LoopFigures:
@@ -75,7 +80,14 @@ def assess(plant: LoopPlant, gains: CascadeGains, ensemble: Ensemble) -> LoopFig
         worst_gain_margin_db=float(np.min(every.gain_margin_db)),
         worst_peak_sensitivity=float(np.max(every.peak_sensitivity)),
         unstable=int(np.sum(ensemble.unstable(gains))),
+        rate_rms_rad_s=float(np.sqrt(np.mean(run.rate**2))),
+        worst_peak_complementary=_peak_complementary(gains, ensemble),
     )
+
+
+def _peak_complementary(gains: CascadeGains, ensemble: Ensemble) -> float:
+    loop = open_loop(gains, ensemble.response, ensemble.omega, ensemble.cycle.dt)
+    return float(np.max(np.abs(loop / (1.0 + loop))))
 
 
 def reference_square(dt: float) -> FloatArray:

@@ -31,6 +31,7 @@ ROWS: tuple[tuple[str, str, str], ...] = (
     ('worst_gain_margin_db', '  worst of the draws', 'dB'),
     ('peak_sensitivity', 'peak sensitivity', ''),
     ('worst_peak_sensitivity', '  worst of the draws', ''),
+    ('worst_peak_complementary', 'worst complementary', ''),
     ('crossover_rad_s', 'crossover', 'rad/s'),
     ('bandwidth_rad_s', 'bandwidth', 'rad/s'),
     ('rise_time_s', 'rise time', 's'),
