@@ -17,7 +17,7 @@ from quad_sysid.effects.judge import Judgement, judge
 from quad_sysid.effects.shapes import SHAPES
 from quad_sysid.effects.table import EFFECTS
 from quad_sysid.errors import BadInputError, NotInformativeError, QuadSysidError
-from quad_sysid.greybox.data import AxisData, axis_data
+from quad_sysid.greybox.data import axis_data
 from quad_sysid.model import Designer, GainProposal
 from quad_sysid.pipeline import assemble, blackbox_part
 from quad_sysid.pipeline.answer import AxisAnswer, Residual
@@ -26,6 +26,7 @@ from quad_sysid.pipeline.motor_order import refusal
 from quad_sysid.pipeline.residual import of_black_box, of_grey_box
 from quad_sysid.pipeline.selection import with_blackbox
 from quad_sysid.pipeline.shared import share
+from quad_sysid.pipeline.usable import check_usable
 from quad_sysid.record import Record, Segment
 
 Progress = Callable[[str], None]
@@ -80,7 +81,7 @@ def identify_axis(
     rate = 1.0 / records[0].dt
     try:
         data = axis_data(records, axis)
-        _check_length(data)
+        check_usable(data)
         progress(f'{axis}: base')
         found = discover(data, EFFECTS + SHAPES if options.search_effects else (), rng, progress)
     except NotInformativeError as error:
@@ -107,15 +108,6 @@ def identify_axis(
     progress(f'{axis}: gains')
     swapped = next((line for line in map(refusal, records) if line), '')
     return replace(answer, proposal=_proposal(answer, options, swapped))
-
-
-def _check_length(data: AxisData) -> None:
-    if not data.train or not data.windows(data.validation).count:
-        missing = 'training' if not data.train else 'validation'
-        raise NotInformativeError(
-            f'{data.axis}: no {missing} segment of this axis is long enough (1.5 s); '
-            'name them with --train and --validate'
-        )
 
 
 def _segments(records: Sequence[Record], axis: str) -> tuple[Segment, ...]:

@@ -61,8 +61,11 @@ def _verdict(tree: Mapping[str, Any]) -> list[str]:
         for rival in effect['rivals'][:3]:
             out.append(f'         rival {rival["name"]} {rival["probability"]:.2f}')
     untested = tree.get('not_tested', [])
-    if untested:
-        out.append('  not tested: ' + ', '.join(item['name'] for item in untested))
+    reasons: dict[str, list[str]] = {}
+    for item in untested:
+        reasons.setdefault(item['because'], []).append(item['name'])
+    for because, names in reasons.items():
+        out.append(f'  not tested: {", ".join(dict.fromkeys(names))}: {because}')
     band = tree.get('trusted_band_rad_s')
     if band:
         out.append(f'  trusted from {band[0]:.2g} to {band[1]:.3g} rad/s')

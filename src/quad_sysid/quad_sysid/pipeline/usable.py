@@ -1,0 +1,63 @@
+"""Whether an axis' data can be answered at all, before anything is fitted: refusals only."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from quad_sysid.contract import FloatArray
+from quad_sysid.errors import NotInformativeError
+from quad_sysid.greybox.data import AxisData
+
+AT_LIMIT = 1e-3
+"""A motor this near to 0 or 1 is at its limit."""
+THROUGHOUT = 0.9
+"""Share of the training in which all motors at their limits leave nothing to learn from."""
+CLIPPED = 0.2
+"""Share of the training that a gyro may spend on one and the same largest rate."""
+RESTING = 0.05
+"""rad/s. Below it a gyro that rests shows the few steps of its resolution, no limit."""
+
+
+def check_usable(data: AxisData) -> None:
+    """Raise NotInformativeError for segments too short, motors or gyro at their limits."""
+    _length(data)
+    _motors(data)
+    _gyro(data)
+
+
+def _length(data: AxisData) -> None:
+    if not data.train or not data.windows(data.validation).count:
+        missing = 'training' if not data.train else 'validation'
+        raise NotInformativeError(
+            f'{data.axis}: no {missing} segment of this axis is long enough (1.5 s); '
+            'name them with --train and --validate'
+        )
+
+
+def _training(data: AxisData, signal: FloatArray) -> FloatArray:
+    return np.concatenate([signal[a:b] for a, b in data.train])
+
+
+def _motors(data: AxisData) -> None:
+    """All four at 0 or 1: the commands no longer say what the controller does."""
+    motors = _training(data, data.motors)
+    stuck = np.all((motors <= AT_LIMIT) | (motors >= 1.0 - AT_LIMIT), axis=1)
+    if stuck.mean() > THROUGHOUT:
+        raise NotInformativeError(
+            f'{data.axis}: all motors stand at their limits (0 or 1) during '
+            f'{100.0 * stuck.mean():.0f} % of the training; is it armed? Fly with less excitation '
+            'or lower gains'
+        )
+
+
+def _gyro(data: AxisData) -> None:
+    """The very same largest rate again and again, which no noisy gyro gives."""
+    rate = _training(data, data.rate)
+    largest = float(np.abs(rate).max())
+    clipped = np.abs(rate) >= largest * (1.0 - 1e-9)
+    if largest > RESTING and np.ptp(rate) > 0.0 and clipped.mean() > CLIPPED:
+        raise NotInformativeError(
+            f'{data.axis}: the measured rate stands at {largest:.3g} rad/s during '
+            f'{100.0 * clipped.mean():.0f} % of the training: the gyro is at its limit; widen its '
+            'range or fly more gently'
+        )
