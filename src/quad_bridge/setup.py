@@ -36,6 +36,8 @@ setup(
     entry_points={
         'console_scripts': [
             'recover = quad_bridge.recover:main',
+            'sensors = quad_bridge.sensors_command:main',
+            'sensor_watch = quad_bridge.sensor_watch_node:main',
             'bag_logger = quad_bridge.bag_logger_node:main',
             'serial_bridge = quad_bridge.serial_bridge_node:main',
             'virtual_stm32 = quad_bridge.virtual.process:main',

@@ -1,0 +1,48 @@
+"""What is known of one aircraft's sensors, kept in one YAML file: read, add, write. No maths."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from quad_bridge.errors import BadInputError
+from quad_bridge.sensors.compass import HardIron
+from quad_bridge.sensors.rest import RestEstimate
+
+ROOT = 'sensors'
+
+
+def entry(found: RestEstimate | HardIron, when: datetime, source: str) -> dict[str, Any]:
+    """The section of one estimate: its figures, when and from which bag."""
+    numbers = {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(found).items()}
+    return {'measured': when.isoformat(timespec='seconds'), 'source': source, **numbers}
+
+
+def read(path: Path) -> dict[str, Any]:
+    """Sections of the file; none where it does not exist. Raises BadInputError."""
+    if not path.exists():
+        return {}
+    try:
+        content = yaml.safe_load(path.read_text(encoding='utf-8'))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise BadInputError(str(path), f'cannot be read ({error})', remedy='mend it') from error
+    if not isinstance(content, dict) or not isinstance(content.get(ROOT), dict):
+        raise BadInputError(str(path), f'has no section {ROOT}', remedy='give another --out')
+    return dict(content[ROOT])
+
+
+def write(path: Path, sections: Mapping[str, Any]) -> None:
+    """Replace these sections of the file, keep the others; whole or not at all."""
+    merged = {**read(path), **sections}
+    part = path.with_name(f'{path.name}.part')
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part.write_text(yaml.safe_dump({ROOT: merged}, sort_keys=False), encoding='utf-8')
+        part.replace(path)
+    except OSError as error:
+        raise BadInputError(str(path), f'cannot be written: {error.strerror}') from error

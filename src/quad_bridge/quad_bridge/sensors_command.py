@@ -1,0 +1,166 @@
+"""`ros2 run quad_bridge sensors …`: biases, compass, vibration from a bag, the bench by hand.
+
+Wiring only: arguments, the bag, the aircraft's YAML. The maths is in the room `sensors`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rosbags.highlevel import AnyReader, AnyReaderError
+from rosbags.typesys import Stores, get_typestore
+
+from quad_bridge.arguments import OneLineParser
+from quad_bridge.errors import BadInputError, QuadBridgeError, RefusedError
+from quad_bridge.sensors import aircraft_file, by_hand, compass, rest, vibration
+
+IMU, MAG = '/imu/data', '/imu/mag'
+
+
+def _series(bag: Path, topic: str, seconds: float) -> tuple[rest.FloatArray, list[Any]]:
+    """Stamps in s from the first and messages of one topic, the first `seconds` of them."""
+    if not bag.exists():
+        raise BadInputError(str(bag), 'no such bag', remedy='check the path')
+    try:
+        with AnyReader([bag], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
+            chosen = [c for c in reader.connections if c.topic == topic]
+            found = (
+                [reader.deserialize(raw, c.msgtype) for c, _, raw in reader.messages(chosen)]
+                if chosen
+                else []
+            )
+    except AnyReaderError as error:
+        remedy = 'a damaged bag is mended by `ros2 run quad_bridge recover`'
+        raise BadInputError(str(bag), f'cannot be read: {error}', remedy=remedy) from error
+    if not found:
+        raise BadInputError(str(bag), f'holds no {topic}', remedy='record it')
+    stamps: list[Any] = [m.header.stamp for m in found]  # type: ignore[attr-defined]
+    times = np.array([s.sec - stamps[0].sec + 1e-9 * s.nanosec for s in stamps])
+    times -= times[0]
+    kept = int(np.count_nonzero(times <= seconds))
+    return times[:kept], found[:kept]
+
+
+def _xyz(vectors: Sequence[Any]) -> rest.FloatArray:
+    return np.array([[v.x, v.y, v.z] for v in vectors], dtype=float)
+
+
+def _rest(given: argparse.Namespace) -> list[str]:
+    times, messages = _series(given.bag, IMU, given.seconds)
+    gyro = _xyz([m.angular_velocity for m in messages])
+    found = rest.estimate_at_rest(times, gyro, _xyz([m.linear_acceleration for m in messages]))
+    _keep(given, 'rest', found)
+    bias, drift = (
+        ', '.join(f'{v:+.5f}' for v in values) for values in (found.gyro_bias, found.gyro_drift)
+    )
+    return [
+        f'gyro bias {bias} rad/s, drift {drift} rad/s per s over {found.duration_s:.0f} s',
+        (
+            f'gravity is measured {found.acceleration_norm_error:+.3f} m/s² off; level offset '
+            f'roll {found.level[0]:+.4f} rad, pitch {found.level[1]:+.4f} rad'
+        ),
+    ]
+
+
+def _compass(given: argparse.Namespace) -> list[str]:
+    _, messages = _series(given.bag, MAG, np.inf)
+    found = compass.hard_iron(_xyz([m.magnetic_field for m in messages]))
+    _keep(given, 'compass', found)
+    offset = ', '.join(f'{1e6 * v:+.2f}' for v in found.offset)
+    return [
+        (
+            f'hard-iron offset {offset} µT, field {1e6 * found.field:.1f} µT, '
+            f'{100 * found.misfit:.1f} % off a sphere'
+        )
+    ]
+
+
+def _vibration(given: argparse.Namespace) -> list[str]:
+    times, messages = _series(given.bag, IMU, np.inf)
+    rate_hz = 1.0 / float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+    lines = []
+    for name, unit in (('angular_velocity', 'rad/s'), ('linear_acceleration', 'm/s²')):
+        signal = _xyz([getattr(m, name) for m in messages])
+        peak = vibration.strongest(signal, rate_hz, given.filter_hz)
+        if peak is None:
+            raise RefusedError(f'{len(signal)} samples of {name} are too few, or not all finite')
+        verdict = 'covers it' if peak.covered else 'does not cover it'
+        lines.append(
+            f'{name} {peak.axis}: {peak.amplitude:.3g} {unit} at {peak.frequency_hz:.1f} Hz '
+            f'({100 * peak.share:.0f} % of what shakes); the {given.filter_hz:g} Hz filter '
+            f'{verdict} (gain {peak.filter_gain:.2f})'
+        )
+    return lines
+
+
+def _inertia(given: argparse.Namespace) -> list[str]:
+    value = by_hand.bifilar_inertia(given.mass, given.distance, given.length, given.period)
+    return [f'{value:.5f} kg m²: one of inertia_kg_m2 in the airframe section']
+
+
+def _thrust(given: argparse.Namespace) -> list[str]:
+    try:
+        table = np.loadtxt(given.table, delimiter=',', comments='#', ndmin=2)
+    except (OSError, ValueError) as error:
+        remedy = 'two columns, command and thrust in N, separated by a comma'
+        raise BadInputError(str(given.table), f'cannot be read: {error}', remedy=remedy) from error
+    if table.shape[1] != 2:
+        raise BadInputError(str(given.table), 'needs two columns', table.shape[1])
+    found = by_hand.thrust_curve(table[:, 0], table[:, 1])
+    return [
+        (
+            f'full_thrust_n: {found.full_thrust_n:.3f}, curvature {found.curvature:.3f} of '
+            f'effects.thrust_curve; {100 * found.misfit:.1f} % of it unexplained'
+        )
+    ]
+
+
+def _keep(given: argparse.Namespace, name: str, found: Any) -> None:
+    if given.out is not None:
+        now = datetime.now(tz=timezone.utc)
+        aircraft_file.write(given.out, {name: aircraft_file.entry(found, now, str(given.bag))})
+
+
+def _parser() -> OneLineParser:
+    parser = OneLineParser(prog='sensors', description="What an aircraft's sensors are worth.")
+    kinds = parser.add_subparsers(required=True, metavar='WHAT')
+    for name, run, text in (
+        ('rest', _rest, 'biases, drift, level of an aircraft that stands still'),
+        ('compass', _compass, 'hard-iron offsets while it is turned about all axes'),
+        ('vibration', _vibration, 'the strongest vibration of a flight'),
+    ):
+        kind = kinds.add_parser(name, help=text, description=text)
+        kind.add_argument('bag', type=Path, metavar='BAG')
+        kind.set_defaults(run=run)
+        if name == 'vibration':
+            kind.add_argument('--filter-hz', type=float, default=42.0, help="the gyro filter's")
+        else:
+            kind.add_argument('--out', type=Path, metavar='AIRCRAFT.yaml', help='kept there')
+        if name == 'rest':
+            kind.add_argument('--seconds', type=float, default=np.inf, help='the first so many')
+    kind = kinds.add_parser('inertia', help='moment of inertia by a swing on two strings')
+    for name, text in (('mass', 'kg'), ('distance', 'm between the strings'),
+                       ('length', 'm of a string'), ('period', 's of one swing')):  # fmt: skip
+        kind.add_argument(f'--{name}', type=float, required=True, help=text)
+    kind.set_defaults(run=_inertia)
+    kind = kinds.add_parser('thrust', help='thrust curve of a motor on a scale')
+    kind.add_argument('table', type=Path, metavar='CSV', help='command 0..1, thrust in N')
+    kind.set_defaults(run=_thrust)
+    return parser
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command; exits with the contract's status."""
+    given = _parser().parse_args(arguments)
+    try:
+        lines = given.run(given)
+    except (QuadBridgeError, OSError) as error:
+        sys.stderr.write(f'sensors: {" ".join(str(error).split())}\n')
+        sys.exit(2)
+    sys.stdout.write('\n'.join(lines) + '\n')

@@ -1,0 +1,218 @@
+"""Known biases, offsets, vibrations and swings are found; what moves or is unclear is refused."""
+
+import math
+
+import numpy as np
+import pytest
+import yaml
+from rosbags.typesys import Stores, get_typestore
+
+from quad_bridge.bag_writer import BagWriter
+from quad_bridge.errors import BadInputError, RefusedError
+from quad_bridge.sensors import aircraft_file
+from quad_bridge.sensors.by_hand import bifilar_inertia, thrust_curve
+from quad_bridge.sensors.compass import hard_iron
+from quad_bridge.sensors.rest import GRAVITY, estimate_at_rest
+from quad_bridge.sensors.vibration import butterworth_gain, strongest
+from quad_bridge.sensors_command import main
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+RATE_HZ = 250.0
+BIAS, DRIFT = np.array([0.012, -0.02, 0.004]), np.array([2e-5, 0.0, -1e-4])
+ROLL, PITCH = 0.03, -0.02
+
+
+def resting(seconds=20.0, seed=3):
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, seconds, 1.0 / RATE_HZ)
+    gyro = BIAS + DRIFT * (t - t.mean())[:, None] + 0.005 * rng.standard_normal((len(t), 3))
+    up = GRAVITY * np.array(
+        [-math.sin(PITCH), math.cos(PITCH) * math.sin(ROLL), math.cos(PITCH) * math.cos(ROLL)]
+    )
+    return t, gyro, up + 0.05 * rng.standard_normal((len(t), 3))
+
+
+def test_bias_drift_and_level_are_found_within_their_errors():
+    found = estimate_at_rest(*resting())
+    # 40 block means: four standard errors
+    assert np.all(np.abs(np.array(found.gyro_bias) - BIAS) < 4 * np.array(found.gyro_bias_std))
+    assert np.all(np.abs(np.array(found.gyro_drift) - DRIFT) < 4 * np.array(found.gyro_drift_std))
+    assert max(found.gyro_bias_std) < 2e-4
+    assert found.gyro_noise == pytest.approx((0.005,) * 3, rel=0.05)
+    assert found.level == pytest.approx((ROLL, PITCH), abs=2e-4)
+    assert found.acceleration_norm_error == pytest.approx(0.0, abs=0.005)
+
+
+def nudged(t, gyro, felt):
+    gyro[2000:2200, 1] += 0.1 * np.hanning(200)
+    return t, gyro, felt
+
+
+def shaken(t, gyro, felt):
+    felt[2000:2200, 0] += np.hanning(200)
+    return t, gyro, felt
+
+
+def turning(t, gyro, felt):
+    return t, gyro + np.array([0.0, 0.0, 0.5]), felt
+
+
+def short(t, gyro, felt):
+    return t[:1000], gyro[:1000], felt[:1000]
+
+
+def on_its_side(t, gyro, felt):
+    return t, gyro, 1.2 * felt
+
+
+@pytest.mark.parametrize(
+    ('what', 'text'),
+    [
+        (nudged, 'it turns: .* at 8'), (shaken, 'is moved or shaken'), (turning, 'rate z is 0.5'),
+        (short, r'only 4\.0 s'), (on_its_side, 'gravity is measured as 11.7'),
+    ],
+)  # fmt: skip
+def test_what_is_not_at_rest_is_refused(what, text):
+    with pytest.raises(RefusedError, match=text) as caught:
+        estimate_at_rest(*what(*resting()))
+    assert '\n' not in str(caught.value)
+
+
+def turned_about(n=600, seed=5, axes=3):
+    rng = np.random.default_rng(seed)
+    directions = rng.standard_normal((n, 3))
+    directions[:, axes:] = 0.02 * directions[:, axes:]
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    offset = np.array([12e-6, -30e-6, 5e-6])
+    return offset, offset + 45e-6 * directions + 3e-7 * rng.standard_normal((n, 3))
+
+
+def test_a_compass_offset_is_found():
+    offset, readings = turned_about()
+    readings[7] = np.nan
+    found = hard_iron(readings)
+    assert found.offset == pytest.approx(offset, abs=1e-7)
+    assert found.field == pytest.approx(45e-6, abs=1e-7)
+    assert found.misfit < 0.02
+
+
+def test_a_compass_that_cannot_tell_is_refused():
+    with pytest.raises(RefusedError, match='turned about too little'):
+        hard_iron(turned_about(axes=2)[1])
+    with pytest.raises(RefusedError, match='only 20 readings'):
+        hard_iron(turned_about(20)[1])
+    with pytest.raises(RefusedError, match='check the unit'):
+        hard_iron(turned_about()[1] * 1e4)
+    noise = np.random.default_rng(2).uniform(-50e-6, 50e-6, (400, 3))
+    with pytest.raises(RefusedError, match='off a sphere'):
+        hard_iron(noise)
+
+
+@pytest.mark.parametrize(('frequency', 'covered'), [(33.3, False), (61.0, False), (104.2, True)])
+def test_the_strongest_vibration_and_whether_the_filter_covers_it(frequency, covered):
+    rng = np.random.default_rng(4)
+    t = np.arange(2000) / RATE_HZ
+    signal = 0.05 * rng.standard_normal((2000, 3)) + 3.0 * np.sin(2.0 * t)[:, None]
+    signal[:, 1] += 0.4 * np.sin(2 * np.pi * frequency * t + 1.0)
+    found = strongest(signal, RATE_HZ)
+    assert found.axis == 'y'
+    assert found.frequency_hz == pytest.approx(frequency, abs=0.2)
+    assert found.amplitude == pytest.approx(0.4, rel=0.05)
+    assert found.share > 0.8
+    assert found.covered is covered
+    assert strongest(signal[:100], RATE_HZ) is None
+    assert strongest(0.05 * rng.standard_normal((2000, 3)), RATE_HZ).share < 0.2
+
+
+def test_the_filter_leaves_half_the_power_at_its_cutoff():
+    assert butterworth_gain(42.0, 42.0) == pytest.approx(math.sqrt(0.5))
+
+
+def test_a_swing_on_two_strings_gives_the_inertia():
+    # a pendulum of known inertia, swung by its equation of motion
+    mass, distance, length, inertia = 1.2, 0.4, 1.0, 0.0135
+    angle, rate, time, step = 0.05, 0.0, 0.0, 1e-4
+    while angle > 0.0:  # a quarter of a period
+        rate -= step * mass * GRAVITY * distance**2 / (4.0 * length) / inertia * math.sin(angle)
+        angle += step * rate
+        time += step
+    assert bifilar_inertia(mass, distance, length, 4 * time) == pytest.approx(inertia, rel=2e-3)
+    with pytest.raises(RefusedError, match='period must be positive'):
+        bifilar_inertia(mass, distance, length, 0.0)
+
+
+def test_a_thrust_curve_is_found_and_half_of_one_refused():
+    u = np.linspace(0.1, 1.0, 10)
+    thrust = 9.2 * (0.6 * u + 0.4 * u**2) + 0.01 * np.random.default_rng(1).standard_normal(10)
+    found = thrust_curve(u, thrust)
+    assert found.full_thrust_n == pytest.approx(9.2, abs=0.03)
+    assert found.curvature == pytest.approx(0.4, abs=0.02)
+    with pytest.raises(RefusedError, match=r'over 0\.4 are needed'):
+        thrust_curve(u[:3], thrust[:3])
+    with pytest.raises(RefusedError, match=r'commands must lie in 0\.\.1'):
+        thrust_curve(100 * u, thrust)
+
+
+def imu_bag(path, t, gyro, felt):
+    types = STORE.types
+    nine, vector = np.zeros(9), types['geometry_msgs/msg/Vector3']
+    still = types['geometry_msgs/msg/Quaternion'](x=0.0, y=0.0, z=0.0, w=1.0)
+    writer = BagWriter(path)
+    writer.add_topic('/imu/data', 'sensor_msgs/msg/Imu')
+    for k in range(len(t)):
+        ns = 1_700_000_000_000_000_000 + round(t[k] * 1e9)
+        stamp = types['builtin_interfaces/msg/Time'](sec=ns // 10**9, nanosec=ns % 10**9)
+        message = types['sensor_msgs/msg/Imu'](
+            header=types['std_msgs/msg/Header'](stamp=stamp, frame_id='base_link'),
+            orientation=still, orientation_covariance=nine,
+            angular_velocity=vector(*map(float, gyro[k])), angular_velocity_covariance=nine,
+            linear_acceleration=vector(*map(float, felt[k])),
+            linear_acceleration_covariance=nine,
+        )
+        writer.write('/imu/data', ns, STORE.serialize_cdr(message, 'sensor_msgs/msg/Imu'))
+    writer.close()
+
+
+def test_the_command_keeps_what_it_finds_per_aircraft(tmp_path, capsys):
+    imu_bag(tmp_path / 'bag', *resting(8.0))
+    file = tmp_path / 'aircraft' / 'one.yaml'
+    file.parent.mkdir()
+    file.write_text('sensors: {compass: {field: 4.5e-05}}\n')
+    main(['rest', str(tmp_path / 'bag'), '--out', str(file)])
+    assert 'gyro bias +0.01197, -0.02005' in capsys.readouterr().out
+    kept = yaml.safe_load(file.read_text())['sensors']
+    assert kept['compass'] == {'field': 4.5e-05}
+    assert kept['rest']['gyro_bias'] == pytest.approx(list(BIAS), abs=1e-3)
+    assert kept['rest']['source'] == str(tmp_path / 'bag')
+    main(['vibration', str(tmp_path / 'bag')])
+    assert capsys.readouterr().out.count('\n') == 2
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'text'),
+    [
+        (['rest', '{}/absent'], 'no such bag'),
+        (['rest', '{}/bag', '--seconds', '2'], 'let it stand still for 5 s'),
+        (['compass', '{}/bag'], 'holds no /imu/mag'),
+        (['thrust', '{}/absent.csv'], 'cannot be read'),
+        (['inertia', '--mass', '1', '--distance', '-1', '--length', '1', '--period', '1'],
+         'distance must be positive'),
+        ([], 'see sensors --help'),
+        (['rest', '{}/bag', '--out', '{}/list.yaml'], 'has no section sensors'),
+    ],
+)  # fmt: skip
+def test_what_the_command_refuses_it_says_in_one_line(tmp_path, capsys, arguments, text):
+    imu_bag(tmp_path / 'bag', *resting(6.0))
+    (tmp_path / 'list.yaml').write_text('- 1\n')
+    with pytest.raises(SystemExit) as caught:
+        main([a.format(tmp_path) for a in arguments])
+    assert caught.value.code == 2
+    error = capsys.readouterr().err
+    assert error.count('\n') == 1
+    assert text in error
+
+
+def test_a_file_that_is_no_yaml_is_named(tmp_path):
+    (tmp_path / 'a.yaml').write_text('sensors: [')
+    with pytest.raises(BadInputError, match=r'a\.yaml: cannot be read'):
+        aircraft_file.read(tmp_path / 'a.yaml')
