@@ -6,6 +6,7 @@ The search that calls this stands in discover.py; the final test on unseen data 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import combinations
 
 from quad_sysid.effects.candidate import Candidate, candidate, without
@@ -25,7 +26,7 @@ from quad_sysid.greybox.simulate import Simulator
 from quad_sysid.greybox.structure import Effect, Prepared
 
 MOST_EFFECTS = 3
-CHANCE = 0.01
+CHANCE = 0.02
 """Level of the cross-validated paired test, shared out over the candidates that were tried."""
 SMALLEST_GAIN = 0.015
 """An effect that lowers the cross-validated error by less than this share is not worth a name."""
@@ -42,6 +43,12 @@ AS_GOOD = 1.03
 """A name explains as much as a curve where its error is at most this much larger."""
 NAMED_SHARE = 0.8
 """Where it can't be told which is better, a name must explain this share of what a curve does."""
+HIDDEN_SHARE = 0.9
+"""A hidden state, which can mimic much, gives way to a name that explains this share of it."""
+ROUGH = 3e-5
+"""A trial is fitted until its sum of squares changes by less; what is chosen, to the end."""
+OUTCLASSED = 1.5
+"""What errs this much more than the best first look is not fitted to the end."""
 FOREMOST = 3
 """So many trials are fitted again with the state correction that suits them."""
 
@@ -56,29 +63,46 @@ def fitting(current: Candidate, put: Prepared) -> Prepared:
     return besides(effect, settings, names) if effect.kind == 'shape' and names else put
 
 
-def trial(
-    screen: Screen, current: Candidate, put: Prepared, added: Columns | None
-) -> Candidate | FirstLook:
-    """One more effect: fitted and cross-validated, or only looked at where that says enough.
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """One more effect on top of what is there, with its first look where it has one."""
 
-    added: its columns (screening.py), where it has some.
+    put: Prepared
+    columns: Columns | None
+    look: FirstLook | None
+
+
+def looked_at(screen: Screen, put: Prepared) -> Trial:
+    """The first look at one more effect."""
+    added = screen.columns(*put) if vanishes(put[0]) else None
+    linear = added is not None and enters_linearly(put[0])
+    return Trial(put, added, screen.look([put], [added]) if added and linear else None)
+
+
+def fitted(
+    screen: Screen, current: Candidate, one: Trial, best_look: float
+) -> Candidate | FirstLook:
+    """The effect fitted and cross-validated, or its first look where that says enough.
+
+    best_look: the smallest error that a first look at any effect promises.
     """
-    effect, settings = put
-    look = None
-    if added is not None and enters_linearly(effect):
-        look = screen.look([put], [added])
+    effect, settings = one.put
+    bar = OUTCLASSED * min(best_look, current.score)
+    if one.look is not None:
         least = SCREENED_GAIN if len(effect.parameters) == 1 else SCREENED_CURVE_GAIN
-        if look.score > (1.0 - least) * current.score and look.p_value > CHANCE:
-            return look
+        nothing = one.look.score > (1.0 - least) * current.score and one.look.p_value > CHANCE
+        if nothing or one.look.score > bar:
+            return one.look
     fit = fit_with_effect(
-        screen.sim, current.fit, effect, settings, start=None if look is None else look.theta
+        screen.sim, current.fit, effect, settings,
+        start=None if one.look is None else one.look.theta, hopeless=bar,
+        tolerance=ROUGH,
     )
     return candidate(screen.sim, fit)
 
 
 def couples(
-    screen: Screen, current: Candidate, looked: Sequence[tuple[Prepared, Columns]],
-    best_alone: float,
+    screen: Screen, current: Candidate, trials: Sequence[Trial], best_alone: float
 ) -> tuple[list[Candidate], int]:
     """Two named effects at once, where each alone is masked by the other; how many were tried.
 
@@ -86,7 +110,11 @@ def couples(
     """
     if len(current.names) + 2 > MOST_EFFECTS:
         return [], 0
-    single = [pair for pair in looked if len(pair[0][0].parameters) == 1]
+    single = [
+        (one.put, one.columns) for one in trials
+        if one.columns is not None and one.put[0].kind == 'named'
+        and len(one.put[0].parameters) == 1
+    ]
     tried = [
         (first, second, screen.look([first, second], [a, b]))
         for (first, a), (second, b) in combinations(single, 2)
@@ -205,6 +233,8 @@ def _explains_as_much(
     if simple.score <= AS_GOOD * best.score:
         return True
     share = (current.score**2 - simple.score**2) / (current.score**2 - best.score**2)
+    if best.fit.structure.effects[-1].kind == 'mode' and share >= HIDDEN_SHARE:
+        return True
     better = compare(simple.errors, best.errors, sim.windows, sim.data.dt)
     return share >= NAMED_SHARE and better.p_value > CHANCE
 

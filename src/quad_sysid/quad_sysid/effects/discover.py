@@ -16,16 +16,17 @@ from quad_sysid.effects.choice import (
     MOST_EFFECTS,
     backward,
     couples,
+    fitted,
     fitting,
+    looked_at,
     pairs,
     strongest,
-    trial,
     worthy,
 )
 from quad_sysid.effects.crossval import compare
 from quad_sysid.effects.rivals import MOST_RIVALS, rivals_of
 from quad_sysid.effects.scan import Dependence, scan
-from quad_sysid.effects.screening import Columns, Screen, vanishes
+from quad_sysid.effects.screening import Screen
 from quad_sysid.greybox.data import AxisData
 from quad_sysid.greybox.fit import SHORT_WINDOW_S, Fit, fit_base, informative, settle
 from quad_sysid.greybox.noise import NoiseModel
@@ -115,25 +116,23 @@ def _forward(
     tried: list[Tried] = []
     for step in range(1, MOST_EFFECTS + 1):
         puts = [fitting(current, put) for put in prepared if put[0].name not in current.names]
-        trials: list[Candidate] = []
-        looked: list[tuple[Prepared, Columns]] = []
         screen = Screen(sim, current.fit)
-        for put in puts:
-            effect = put[0]
+        looks = [looked_at(screen, put) for put in puts]
+        best_look = min((one.look.score for one in looks if one.look), default=float('inf'))
+        trials: list[Candidate] = []
+        for one in looks:
+            effect = one.put[0]
             progress(f'{sim.data.axis}: effect {step}, {effect.name}')
-            added = screen.columns(*put) if vanishes(effect) else None
-            if added is not None and effect.kind == 'named':
-                looked.append((put, added))
-            one = trial(screen, current, put, added)
-            fitted = isinstance(one, Candidate)
-            if isinstance(one, Candidate):
-                trials.append(one)
-            p_value = compare(current.errors, one.errors, sim.windows, sim.data.dt).p_value
+            found = fitted(screen, current, one, best_look)
+            screened = not isinstance(found, Candidate)
+            if isinstance(found, Candidate):
+                trials.append(found)
+            p_value = compare(current.errors, found.errors, sim.windows, sim.data.dt).p_value
             tried.append(
-                Tried(step, effect.name, one.score, p_value, not fitted, effect.variant)
+                Tried(step, effect.name, found.score, p_value, screened, effect.variant)
             )
         alone = min((one.score for one in trials), default=current.score)
-        twos, count = couples(screen, current, looked, min(alone, current.score))
+        twos, count = couples(screen, current, looks, min(alone, current.score))
         good = worthy(current, trials, sim, len(puts)) + worthy(current, twos, sim, count)
         if not good:
             break

@@ -22,7 +22,7 @@ from quad_sysid.greybox.data import WINDOW_S, AxisData, Span, Windows
 from quad_sysid.greybox.simulate import N_BASE, Simulator
 from quad_sysid.greybox.structure import BASE_PARAMETERS, Effect, Settings, Structure
 
-FIRST_STEPS = 4
+FIRST_STEPS = 3
 """Iterations from each of several starts."""
 SAME_AS_NONE = 0.25
 """A lag or delay of less than this share of a cycle is told as none."""
@@ -108,8 +108,12 @@ def fit_structure(
     *,
     max_iterations: int = 40,
     free: np.ndarray | None = None,
+    tolerance: float = 1e-6,
 ) -> Fit:
-    """Least squares of the free-run error from `start` (p,); `free` (p,) False holds a value."""
+    """Least squares of the free-run error from `start` (p,); `free` (p,) False holds a value.
+
+    `tolerance` of the sum of squares ends it.
+    """
     specs = structure.specs
     lower = np.array([s.lower for s in specs])
     upper = np.array([s.upper for s in specs])
@@ -131,7 +135,7 @@ def fit_structure(
 
     found = levenberg.minimise(
         residual, full[index], lower[index], upper[index], scale[index],
-        max_iterations=max_iterations,
+        max_iterations=max_iterations, tolerance=tolerance,
     )
     theta = full.copy()
     theta[index] = found.theta
@@ -273,27 +277,34 @@ def best_correction(sim: Simulator, fit: Fit) -> noise.NoiseModel:
 
 def fit_with_effect(
     sim: Simulator, base: Fit, effect: Effect, settings: Settings, *, max_iterations: int = 30,
-    start: FloatArray | None = None,
+    start: FloatArray | None = None, hopeless: float = float('inf'), tolerance: float = 1e-6,
 ) -> Fit:
     """Base and one more effect fitted together, from `start` (p,) or every start it names.
 
-    Several starts are tried for a few steps only; the best is carried to its minimum.
+    Several starts are tried for a few steps only; the best is carried to its minimum, unless its
+    RMS is still above `hopeless`.
     """
     structure = base.structure.with_effect(effect, settings)
+
+    def refined(theta: FloatArray, iterations: int) -> Fit:
+        return fit_structure(
+            sim, structure, theta, max_iterations=iterations, tolerance=tolerance
+        )
+
     if start is not None:
-        return fit_structure(sim, structure, start, max_iterations=max_iterations)
+        return refined(start, max_iterations)
     if effect.starts is not None:
         starts = effect.starts(sim, base, effect)
     else:
         starts = tuple(product(*(spec.starts for spec in effect.parameters)))
     short = FIRST_STEPS if len(starts) > 1 else max_iterations
     tried = [
-        fit_structure(sim, structure, np.r_[base.theta, values], max_iterations=short)
+        refined(np.r_[base.theta, values], short)
         for values in starts
     ]
     best = min(tried, key=lambda fit: fit.rms)
-    if len(starts) > 1 and not best.converged:
-        best = fit_structure(sim, structure, best.theta, max_iterations=max_iterations)
+    if len(starts) > 1 and not best.converged and best.rms <= hopeless:
+        best = refined(best.theta, max_iterations)
     return best
 
 

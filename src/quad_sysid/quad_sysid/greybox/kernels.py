@@ -228,6 +228,9 @@ def track(rate, angle, has_angle, known, gain, damping, bias, dt, codes, values,
     ascending; innovations (n,) and windows (w, length) receive the one-step error and the
     free-run prediction. A window sees nothing measured at or after its first sample.
     """
+    g00, g01, g02, g03, g04 = gyro[0, 0], gyro[0, 1], gyro[0, 2], gyro[0, 3], gyro[0, 4]
+    g10, g11, g12, g13, g14 = gyro[1, 0], gyro[1, 1], gyro[1, 2], gyro[1, 3], gyro[1, 4]
+    c0, c1, c2, c3 = correction[0], correction[1], correction[2], correction[3]
     v = rate[start] - gain * known[0, start]
     s = (angle[start] - gain * known[2, start]) if has_angle else 0.0
     g = rate[start] - gain * known[4, start]
@@ -251,9 +254,9 @@ def track(rate, angle, has_angle, known, gain, damping, bias, dt, codes, values,
         innovations[k] = e
         if k + 1 >= stop:
             break
-        v += correction[0] * e
-        g += correction[1] * e
-        d += correction[2] * e
+        v += c0 * e
+        g += c1 * e
+        d += c2 * e
         if has_angle:
             s = angle[k] - gain * known[2, k]
         before = gain * known[0, k] + v
@@ -266,10 +269,10 @@ def track(rate, angle, has_angle, known, gain, damping, bias, dt, codes, values,
         if stateful:
             _advance(hidden, 0.5 * (before + gain * known[0, k + 1] + new_v), codes, values)
         if filtered:
-            new_g = (gyro[0, 0] * g + gyro[0, 1] * d + gyro[0, 2] * v + gyro[0, 3] * middle
-                     + gyro[0, 4] * new_v)
-            d = (gyro[1, 0] * g + gyro[1, 1] * d + gyro[1, 2] * v + gyro[1, 3] * middle
-                 + gyro[1, 4] * new_v) + correction[3] * e
+            new_g = (g00 * g + g01 * d + g02 * v + g03 * middle
+                     + g04 * new_v)
+            d = (g10 * g + g11 * d + g12 * v + g13 * middle
+                 + g14 * new_v) + c3 * e
             g = new_g
         v = new_v
     for w in range(first, nxt):
@@ -290,10 +293,10 @@ def track(rate, angle, has_angle, known, gain, damping, bias, dt, codes, values,
             if stateful:
                 _advance(hidden, 0.5 * (before + gain * known[0, k + 1] + new_v), codes, values)
             if filtered:
-                new_g = (gyro[0, 0] * g + gyro[0, 1] * d + gyro[0, 2] * v + gyro[0, 3] * middle
-                         + gyro[0, 4] * new_v)
-                d = (gyro[1, 0] * g + gyro[1, 1] * d + gyro[1, 2] * v + gyro[1, 3] * middle
-                     + gyro[1, 4] * new_v)
+                new_g = (g00 * g + g01 * d + g02 * v + g03 * middle
+                         + g04 * new_v)
+                d = (g10 * g + g11 * d + g12 * v + g13 * middle
+                     + g14 * new_v)
                 g = new_g
             v = new_v
 
