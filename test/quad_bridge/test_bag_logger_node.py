@@ -121,6 +121,30 @@ def test_four_thousand_messages_a_second_come_into_the_bag(tmp_path, logger, loa
     assert [q.reliability.name for q in qos['/setpoint/rates']] == ['RELIABLE']
 
 
+def test_what_the_middleware_loses_is_counted_to_the_last_message(tmp_path, logger, load):
+    process = logger(tmp_path)
+    load.wait()
+    time.sleep(0.3)
+    load.run(0.5, 1000)
+    process.send_signal(signal.SIGSTOP)  # a machine that has no time for the logger
+    load.run(3.0, 4000)
+    process.send_signal(signal.SIGCONT)
+    time.sleep(1.0)
+    load.run(2.5, 1000)
+    time.sleep(1.5)
+    process.send_signal(signal.SIGINT)
+    assert process.wait(timeout=WAIT_S) == 0
+    (bag,) = tmp_path.glob('flight_*')
+    found = len(numbers_in(bag))
+    with AnyReader([bag]) as reader:
+        chosen = [c for c in reader.connections if c.topic == '/diagnostics']
+        *_, last = (reader.deserialize(raw, c.msgtype) for c, _, raw in reader.messages(chosen))
+    told = {v.key: v.value for v in last.status[0].values}
+    assert found < load.count - 1000
+    assert int(told['messages lost (middleware)']) == load.count - found
+    assert last.status[0].message == f'recording, {load.count - found} messages lost'
+
+
 def test_a_killed_logger_leaves_a_bag_that_is_read_and_recovered(tmp_path, logger, load):
     process = logger(tmp_path)
     load.wait()

@@ -19,6 +19,7 @@ from quad_sysid.bags.storage import Storage
 STUDY = Path(__file__).resolve().parents[2] / 'bench' / 'log_kills.py'
 VECTOR = 'geometry_msgs/msg/Vector3Stamped'
 TOPIC = '/setpoint/rates'
+FILL = b'\x55' * 150
 
 
 def test_thirty_recorders_lose_at_most_a_second(tmp_path):
@@ -39,14 +40,16 @@ def written(path, storage, n=3000, flush=100):
     writer = BagWriter(path, storage)
     writer.add_topic(TOPIC, VECTOR)
     for k in range(n):
-        writer.write(TOPIC, 10**18 + k, k.to_bytes(8, 'little') + bytes(150))
+        writer.write(TOPIC, 10**18 + k, k.to_bytes(8, 'little') + FILL)
         if k % flush == flush - 1:
             writer.flush()
     return writer
 
 
 def numbers(messages):
-    return [int.from_bytes(m.data[:8], 'little') for m in messages]
+    found = list(messages)
+    assert {m.data[8:] for m in found} <= {FILL}  # no message with another content
+    return [int.from_bytes(m.data[:8], 'little') for m in found]
 
 
 def test_a_transaction_that_was_not_finished_is_undone_on_a_copy(tmp_path):
@@ -102,7 +105,8 @@ def test_a_database_cut_off_anywhere_gives_the_rows_before_the_cut(tmp_path):
     writer.abort()
     rng = np.random.default_rng(4)
     cut_file = tmp_path / 'cut.db3'
-    for cut in rng.integers(len(data) // 10, len(data), 25):
+    # within the last page too: SQLite would take that for whole
+    for cut in (*rng.integers(len(data) // 10, len(data), 25), len(data) - 1500, len(data) - 1):
         cut_file.write_bytes(data[:cut])
         got = numbers(DamagedSqlite(cut_file).messages())
         assert got == sorted(set(got))
@@ -158,7 +162,7 @@ def test_behind_a_damaged_chunk_the_next_one_is_found(tmp_path, where):
     writer = written(tmp_path / 'bag', 'mcap', 1000)
     data = bytearray(writer._file.path.read_bytes())
     writer.abort()
-    chunk = data.find(b'\x06', data.find((350).to_bytes(8, 'little') + bytes(150)))
+    chunk = data.find(b'\x06', data.find((350).to_bytes(8, 'little') + FILL))
     # the chunk of 400 to 499: from its record's opcode on
     while int.from_bytes(data[chunk + 9 : chunk + 17], 'little') != 10**18 + 400:
         chunk = data.find(b'\x06', chunk + 1)

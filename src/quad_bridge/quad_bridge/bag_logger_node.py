@@ -21,6 +21,7 @@ from quad_bridge.disk import MB, Budget, free_bytes
 from quad_bridge.errors import BadInputError, QuadBridgeError
 from quad_bridge.qos import EVENT, STATE, adapted, offered
 from quad_bridge.recording import Recording, RecordingStatus
+from quad_bridge.sequence import Gaps
 from quad_bridge.topics import TOPIC_TYPES
 
 NUMBERS = {
@@ -62,6 +63,9 @@ class BagLogger(Node):  # type: ignore[misc]
         self._topics = self._declare_topics()
         self._recording: Recording | None = None
         self._subscribed: dict[str, tuple[Any, Any]] = {}
+        self._gaps: dict[str, Gaps] = {}
+        self._numbered: set[str] = set()
+        """Topics whose messages come with their publisher's number."""
         self._last = ''
         self._bag = self.create_publisher(ParameterEvent, '/logger/bag', STATE)
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', EVENT)
@@ -130,6 +134,8 @@ class BagLogger(Node):  # type: ignore[misc]
         for subscription, _ in self._subscribed.values():
             self.destroy_subscription(subscription)
         self._subscribed.clear()
+        self._gaps.clear()
+        self._numbered.clear()
         status = recording.stop()
         self._announce(status.path, 'failed' if status.failure else 'complete', status.failure)
         return status
@@ -148,15 +154,24 @@ class BagLogger(Node):  # type: ignore[misc]
             self._receiver(topic),
             qos,
             raw=True,
-            event_callbacks=SubscriptionEventCallbacks(message_lost=self._on_lost),
+            event_callbacks=SubscriptionEventCallbacks(message_lost=self._loser(topic)),
         )
         self._subscribed[topic] = subscription, qos
 
-    def _receiver(self, topic: str) -> Callable[[bytes], None]:
-        def receive(data: bytes) -> None:
+    def _receiver(self, topic: str) -> Callable[[bytes, dict[str, Any]], None]:
+        gaps = self._gaps.setdefault(topic, Gaps())
+
+        def publishers() -> int:
+            return len(self.get_publishers_info_by_topic(topic))
+
+        def receive(data: bytes, about: dict[str, Any]) -> None:
             recording = self._recording
             if recording is None:
                 return
+            number = about.get('publication_sequence_number')
+            if number is not None:
+                self._numbered.add(topic)
+                recording.count_lost(gaps.lost_before(number, publishers))
             if not recording.known(topic):
                 qos = offered(self.get_publishers_info_by_topic(topic))
                 recording.declare(topic, TOPIC_TYPES[topic], qos)
@@ -164,9 +179,14 @@ class BagLogger(Node):  # type: ignore[misc]
 
         return receive
 
-    def _on_lost(self, event: Any) -> None:
-        if self._recording is not None:
-            self._recording.count_lost(event.total_count_change)
+    def _loser(self, topic: str) -> Callable[[Any], None]:
+        """Count what the middleware reports, where messages are not numbered."""
+
+        def lose(event: Any) -> None:
+            if self._recording is not None and topic not in self._numbered:
+                self._recording.count_lost(event.total_count_change)
+
+        return lose
 
     def _announce(self, path: Path, state: str, reason: str = '') -> None:
         values = {'path': str(path), 'state': state, **({'reason': reason} if reason else {})}

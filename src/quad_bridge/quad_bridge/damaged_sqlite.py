@@ -48,6 +48,8 @@ class DamagedSqlite:
                 self.notes.append(f'{self.path.name}: its last transaction was not finished')
             last = 0
             try:
+                if plain.stat().st_size % (_page_size(plain) or 1):
+                    raise sqlite3.DatabaseError('its last page is torn')  # SQLite adds zeros
                 with closing(_connected(plain, 'rw' if played else 'ro&immutable=1')) as base:
                     topics = _topics(base)
                     for number, topic, time_ns, data in base.execute(
@@ -96,6 +98,11 @@ def _first_topics(data: mmap.mmap) -> dict[int, Topic]:
             return _topics(base)
 
 
+def _page_size(path: Path) -> int:
+    with path.open('rb') as stream:
+        return Pages(stream.read(100)).page_size
+
+
 @contextmanager
 def _still(path: Path) -> Iterator[Path]:
     """The file, or where it has a journal a copy of both."""
@@ -108,8 +115,7 @@ def _still(path: Path) -> Iterator[Path]:
         for file in (path, *journals):
             shutil.copy(file, folder)
         copy = Path(folder, path.name)
-        with path.open('rb') as stream:
-            page = Pages(stream.read(100)).page_size
+        page = _page_size(path)
         if page:  # else SQLite fills a torn page up with zeros
             os.truncate(copy, path.stat().st_size // page * page)
         yield copy
