@@ -14,6 +14,7 @@ import argparse
 import json
 import os
 import sys
+import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -22,12 +23,14 @@ from pathlib import Path
 
 import effects_judge as judge_of
 import effects_scenarios as scenarios
-from effects_answer import answered
+from effects_answer import answered, answered_by_command
 from effects_picture import draw as draw_pictures
 
 FIRST_SEED = 20_000
 HELD_BACK_SEED = 70_000
 """Seeds of the flights that are kept until the end."""
+BY_COMMAND = 3
+"""Last digit of the numbers of flights that go through bag and command as well."""
 
 
 def main() -> int:
@@ -49,6 +52,7 @@ def main() -> int:
             file.write(json.dumps(row) + '\n')
             file.flush()
     rows = opened(sealed, answers)
+    agree = _by_command(drawn, rows, folder / 'bags')
     (folder / 'rows.jsonl').write_text(''.join(json.dumps(row) + '\n' for row in rows))
     draw_pictures(rows, folder)
     print(judge_of.matrix(rows), judge_of.errors(rows), sep='\n\n')
@@ -58,8 +62,29 @@ def main() -> int:
     print('\nprobability said, share true, claims')
     for said, true, count in judge_of.reliability(rows):
         print(f'{said:8.2f} {true:8.2f} {count:6d}')
-    print(json.dumps(judge_of.summary(rows)))
+    print(f'\nthrough bag and command: {agree["same"]} of {agree["flights"]} as at array level')
+    print(json.dumps({**judge_of.summary(rows), 'by_command': agree}))
     return 0
+
+
+def _by_command(
+    drawn: Sequence[scenarios.Scenario], rows: Sequence[judge_of.Row], folder: Path
+) -> dict[str, object]:
+    """Every tenth flight of the virtual aircraft once more through a bag and the commands."""
+    known = {row['number']: row for row in rows}
+    tenth = [s for s in drawn if s.number % 10 == BY_COMMAND and s.simulator == 'virtual']
+    same, seconds, apart = 0, [], []
+    for scenario in tenth:
+        with tempfile.TemporaryDirectory(dir=folder.parent) as work:
+            row = answered_by_command(scenario, Path(work))
+        array = known[scenario.number]
+        agrees = (row['verdict'], row['named']) == (array['verdict'], array['named'])
+        same += agrees
+        seconds.append(row['seconds'])
+        if not agrees:
+            apart.append([scenario.number, row['verdict'], row['named'], array['named']])
+    worst = max(seconds, default=None)
+    return {'flights': len(tenth), 'same': same, 'seconds_worst': worst, 'apart': apart}
 
 
 def opened(sealed: Path, answers: Path) -> list[judge_of.Row]:

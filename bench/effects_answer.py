@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import json
 import math
+import subprocess
+import sys
 import time
+from pathlib import Path
 
 import effects_scenarios as scenarios
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from quad_bridge.virtual.flight_bag import write_bag
 from quad_bridge.virtual.profile import load_profile
 from quad_sysid.effects.discover import Discovery, discover
 from quad_sysid.effects.judge import judge
@@ -55,6 +60,35 @@ def answered(scenario: scenarios.Scenario) -> Row:
         'depends_on': found.dependence[0].name if found.dependence else '',
         'p_value': answer.test.p_value, 'seconds': seconds,
     }
+
+
+def answered_by_command(scenario: scenarios.Scenario, folder: Path) -> Row:
+    """The same through a bag, `quad-sysid identify` and `quad-sysid evaluate`, as a user would."""
+    folder.mkdir(parents=True, exist_ok=True)
+    bags = [folder / 'flight', folder / 'unseen']
+    for bag, unseen in zip(bags, (False, True), strict=True):
+        seed = scenario.seed + (500_000 if unseen else 0)
+        write_bag(scenarios.flight_of(scenario, seed, unseen=unseen), bag)
+    began = time.perf_counter()
+    _run('identify', str(bags[0]), '--axis', scenario.axis, '--out', str(folder / 'out'))
+    seconds = time.perf_counter() - began
+    found = json.loads((folder / 'out' / 'report.json').read_text())['axes'][scenario.axis]
+    said = _run('evaluate', str(folder / 'out' / 'model.json'), str(bags[1]), '--json')
+    error = json.loads(said)['axes'][scenario.axis]['error']
+    return {
+        'number': scenario.number, 'verdict': found['verdict'],
+        'named': [e['name'] for e in found['effects']],
+        'before': error['before'], 'after': error['after'], 'seconds': seconds,
+    }
+
+
+def _run(*arguments: str) -> str:
+    """Output of quad-sysid; raises where it fails."""
+    command = [sys.executable, '-m', 'quad_sysid.cli', *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode not in (0, 3):
+        raise RuntimeError(f'{" ".join(command)}: exit {done.returncode}: {done.stderr}')
+    return done.stdout
 
 
 def true_error(scenario: scenarios.Scenario, found: Discovery, unseen: Record) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 
 import numpy as np
 from effects_undeclared import UNDECLARED
@@ -37,16 +38,19 @@ def summary(rows: Sequence[Row]) -> dict[str, object]:
         'nothing_unexplained': sum(r['verdict'] == 'unexplained_residual' for r in none),
         'gap_closed_median': _median(gaps),
         'undeclared': len(odd),
-        'undeclared_not_silent': _share(odd, lambda r: r['verdict'] != 'no_missing_effect')['share'],
+        'undeclared_not_silent': _share(odd, _speaks)['share'],
         'undeclared_gap_closed_median': _median([_gap(r) for r in odd]),
         'undeclared_wrong_name': len(lies) / len(odd) if odd else None,
         'coverage_95': _coverage(known),
         'brier': _brier(rows),
-        'before_worst_ratio': max((r['base_ratio'] for r in rows if r.get('base_ratio')), default=None),
         'seconds_median': _median([r['seconds'] for r in rows]),
         'seconds_nothing_median': _median([r['seconds'] for r in none]),
         'seconds_worst': max(r['seconds'] for r in rows),
     }
+
+
+def _speaks(row: Row) -> bool:
+    return row['verdict'] != 'no_missing_effect'
 
 
 def right(row: Row) -> bool:
@@ -146,7 +150,7 @@ def detection(rows: Sequence[Row]) -> list[tuple[float, float, int]]:
     edges = (1.0, 1.1, 1.2, 1.35, 1.5, 1.75, 2.0, 2.5, 3.5, 50.0)
     known = [r for r in rows if r['kind'] == 'named' and r['factor']]
     out = []
-    for low, high in zip(edges, edges[1:], strict=False):
+    for low, high in pairwise(edges):
         inside = [r for r in known if low <= r['factor'] < high]
         if inside:
             mean = math.exp(float(np.mean([math.log(r['factor']) for r in inside])))

@@ -10,7 +10,7 @@ import numpy as np
 from effects_judge import Row, detection, reliability
 
 mpl.use('Agg')
-from matplotlib import pyplot as plt  # noqa: E402
+from matplotlib import pyplot as plt
 
 
 def draw(rows: Sequence[Row], folder: Path) -> None:

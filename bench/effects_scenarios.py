@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import importlib.util
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from types import ModuleType
@@ -146,62 +146,75 @@ def draw(
 ) -> list[Scenario]:
     """All scenarios of a run; `seeds` flights per named effect, `pairs` per pair and so on."""
     rng = np.random.default_rng(first_seed)
-    out: list[Scenario] = []
+    parts = (
+        _named(rng, seeds), _pairs(rng, pairs), _nothing(rng, nothing), _invented(rng, undeclared)
+    )
+    values = [one for part in parts for one in part]
+    return [Scenario(number=i, seed=first_seed + i, **v) for i, v in enumerate(values)]
 
-    def add(**values: object) -> None:
-        number = len(out)
-        out.append(Scenario(number=number, seed=first_seed + number, **values))
 
+Drawn = Iterator[dict[str, object]]
+
+
+def _named(rng: np.random.Generator, seeds: int) -> Drawn:
     for name in STRENGTHS:
         for k in range(seeds):
             axis, mount = PLACES[k % 4]
             mount = ONLY_ON.get(name, mount)
             factor = factor_of(rng)
-            settings = settings_of(rng, name, axis, mount, factor)
-            add(
-                kind='named', planted=(name,), simulator='virtual', axis=axis, mount=mount,
-                effects={name: settings}, wanted_factor=factor, stirred=name in STIRRED,
-            )
-        if name in PLAIN:
-            for _ in range(max(1, seeds // 4)):
-                factor = factor_of(rng)
-                add(
-                    kind='named', planted=(name,), simulator='plain', axis='roll', mount='rig',
-                    effects={name: {'strength': PLAIN[name] * np.sqrt((factor**2 - 1) / 3)}},
-                    wanted_factor=factor,
-                )
+            yield {
+                'kind': 'named', 'planted': (name,), 'simulator': 'virtual', 'axis': axis,
+                'mount': mount, 'wanted_factor': factor, 'stirred': name in STIRRED,
+                'effects': {name: settings_of(rng, name, axis, mount, factor)},
+            }
+        for _ in range(max(1, seeds // 4) if name in PLAIN and seeds else 0):
+            factor = factor_of(rng)
+            yield {
+                'kind': 'named', 'planted': (name,), 'simulator': 'plain', 'axis': 'roll',
+                'mount': 'rig', 'wanted_factor': factor,
+                'effects': {name: {'strength': PLAIN[name] * np.sqrt((factor**2 - 1) / 3)}},
+            }
+
+
+def _pairs(rng: np.random.Generator, pairs: int) -> Drawn:
     for both in PAIRS:
         for k in range(pairs):
             axis, mount = PLACES[k % 4]
-            effects = {
-                name: settings_of(rng, name, axis, mount, float(rng.uniform(1.8, 4.0)))
-                for name in both
+            yield {
+                'kind': 'pair', 'planted': both, 'simulator': 'virtual', 'axis': axis,
+                'mount': mount, 'stirred': 'battery_sag' in both,
+                'effects': {
+                    name: settings_of(rng, name, axis, mount, float(rng.uniform(1.8, 4.0)))
+                    for name in both
+                },
             }
-            add(
-                kind='pair', planted=both, simulator='virtual', axis=axis, mount=mount,
-                effects=effects, stirred='battery_sag' in both,
-            )
+
+
+def _nothing(rng: np.random.Generator, count: int) -> Drawn:
     places = (*PLACES, ('yaw', 'rig'), ('yaw', 'hover'))
-    for k in range(nothing):
-        axis, mount = places[k % 6]
-        add(
-            kind='nothing', planted=(), simulator='plain' if k % 10 == 9 else 'virtual',
-            axis='roll' if k % 10 == 9 else axis, mount='rig' if k % 10 == 9 else mount,
-            effects={'vibration': {}} if rng.random() < 0.3 else {},
-            torque_bandwidth_hz=float(rng.choice([0.0, 0.0, 2.0, 5.0])),
-            stirred=bool(rng.random() < 0.4), start_charge=float(rng.choice([0.95, 0.4, 0.15])),
-        )
+    for k in range(count):
+        plain = k % 10 == 9
+        axis, mount = ('roll', 'rig') if plain else places[k % 6]
+        yield {
+            'kind': 'nothing', 'planted': (), 'simulator': 'plain' if plain else 'virtual',
+            'axis': axis, 'mount': mount,
+            'effects': {'vibration': {}} if rng.random() < 0.3 else {},
+            'torque_bandwidth_hz': float(rng.choice([0.0, 0.0, 2.0, 5.0])),
+            'stirred': bool(rng.random() < 0.4),
+            'start_charge': float(rng.choice([0.95, 0.4, 0.15])),
+        }
+
+
+def _invented(rng: np.random.Generator, count: int) -> Drawn:
     for name in UNDECLARED:
-        for k in range(undeclared):
-            axis, mount = PLACES[k % 4]
+        for k in range(count):
             plain = k % 4 == 3 and name not in NEEDS_DRIVE
-            add(
-                kind='undeclared', planted=(name,), axis='roll' if plain else axis,
-                simulator='plain' if plain else 'virtual',
-                mount='rig' if plain else mount, module=name,
-                size=float(np.exp(rng.uniform(np.log(0.15), np.log(0.6)))),
-            )
-    return out
+            axis, mount = ('roll', 'rig') if plain else PLACES[k % 4]
+            yield {
+                'kind': 'undeclared', 'planted': (name,), 'axis': axis, 'mount': mount,
+                'simulator': 'plain' if plain else 'virtual', 'module': name,
+                'size': float(np.exp(rng.uniform(np.log(0.15), np.log(0.6)))),
+            }
 
 
 # ------------------------------------------------------------------------------- flying them

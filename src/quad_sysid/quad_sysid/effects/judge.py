@@ -143,9 +143,22 @@ def _verdict(
             'effect that was tried mends it'
         )
     if odd:
-        return 'unexplained_residual', f'{odd}; no effect that was tried mends it'
+        return 'unexplained_residual', f'{odd}; no effect that was tried mends it{_failed(found)}'
     return 'no_missing_effect', (
         'nothing lowers the error beyond chance, and the residual depends on no signal at hand'
+        + _failed(found)
+    )
+
+
+def _failed(found: Discovery) -> str:
+    """What the training segments alone would have said, where the unseen ones say otherwise."""
+    effects = found.chosen.structure.effects
+    if not effects:
+        return ''
+    names = ' and '.join(f'{e.name} ({e.variant})' if e.variant else e.name for e in effects)
+    return (
+        f'; {names} would lower the error of the training segments from {found.base.rms:.3g} to '
+        f'{found.chosen.rms:.3g} rad/s, which the held-out ones do not bear out'
     )
 
 

@@ -49,8 +49,8 @@ def _axis(answer: AxisAnswer, inertia: float | None) -> dict[str, Any]:
             for name, because in (found.not_tested if found else ())
         ],
         'tried': [
-            {'step': t.step, 'name': t.name, 'cross_validated_error': _number(t.score),
-             'p_value': _number(t.p_value)}
+            {'step': t.step, 'name': t.name, 'variant': t.variant, 'screened_out': t.screened,
+             'cross_validated_error': _number(t.score), 'p_value': _number(t.p_value)}
             for t in (found.tried if found else ())
         ],
         'dependence': [
@@ -84,6 +84,9 @@ def _effect(effect: EffectEstimate, inertia: float | None) -> dict[str, Any]:
         'rivals': [{'name': name, 'probability': p} for name, p in effect.rivals],
         'probability': min(max(effect.probability, 0.0), 1.0),
     }
+    variant = effect.settings.get('variant')
+    if variant:
+        tree['variant'] = variant
     knots, values = effect.settings.get('knots'), effect.settings.get('values')
     if isinstance(knots, tuple | list) and isinstance(values, tuple | list):
         tree['curve'] = {'x': list(knots), 'y': list(values)}

@@ -140,12 +140,13 @@ def effects(tree: Tree) -> str:
 def tried(tree: Tree) -> str:
     """Every effect that cross-validation weighed, and what could not be tested."""
     first = [
-        [str(t['step']), t['name'], number(t.get('cross_validated_error'), 4),
-         chance(t.get('p_value'))]
+        [str(t['step']), f'{t["name"]} {t.get("variant", "")}',
+         number(t.get('cross_validated_error'), 4), chance(t.get('p_value')),
+         'screened out at first look' if t.get('screened_out') else 'fitted']
         for t in tree.get('tried', [])
     ]
     untested = [[t['name'], t['because']] for t in tree.get('not_tested', [])]
-    head = ['step', 'effect', 'cross-validated error, rad/s', 'p']
+    head = ['step', 'effect', 'cross-validated error, rad/s', 'p', '']
     leans = [
         [str(d['on']), number(d.get('cross_validated_error'), 4), chance(d.get('p_value'))]
         for d in tree.get('dependence', [])

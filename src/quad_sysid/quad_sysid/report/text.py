@@ -52,8 +52,9 @@ def _verdict(tree: Mapping[str, Any]) -> list[str]:
     out = [f'verdict  {tree["verdict"]}', *_wrapped(tree.get('reason', ''))]
     out += ['  base   ' + _number(parameter) for parameter in tree['base']['parameters']]
     for effect in tree['effects']:
+        variant = f' ({effect["variant"]})' if 'variant' in effect else ''
         out.append(
-            f'  effect {effect["name"]}  p = {effect["p_value"]:.2g}, probability '
+            f'  effect {effect["name"]}{variant}  p = {effect["p_value"]:.2g}, probability '
             f'{effect["probability"]:.2f}, without it the error grows by '
             f'{effect["error_reduction_pct"]:.0f} %'
         )
