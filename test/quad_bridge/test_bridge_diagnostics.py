@@ -1,12 +1,17 @@
 """What the bridge says of its link, clock, gains and excitation."""
 
+import math
+
 import pytest
 
 pytest.importorskip('diagnostic_msgs.msg', reason='needs the ROS 2 message packages')
 from pymavlink.dialects.v20 import common
 
 from quad_bridge import diagnostics as d
+from quad_bridge.errors import RefusedError
 from quad_bridge.excitation_relay import ExcitationRelay
+from quad_bridge.gain_keeper import GainKeeper
+from quad_bridge.gain_state import KeeperSettings
 from quad_bridge.link import Link
 from quad_bridge.recording import RecordingStatus
 from quad_bridge.serial_port import PortState, PortStatus
@@ -85,10 +90,15 @@ def test_the_clock_says_why_nothing_is_published():
 
 
 def test_a_refusal_stands_in_the_gain_state():
-    status = d.gains_status(Link(), 'roll.rate.kp: must be finite: found nan', 2)
-    assert (status.level, status.message) == (d.ERROR, 'roll.rate.kp: must be finite: found nan')
-    assert status.values['writes acknowledged'] == 2
-    assert 'has not reported' in d.gains_status(Link(), '', 0).message
+    link = Link()
+    keeper = GainKeeper(KeeperSettings(), link.gains)
+    assert 'has not reported' in d.gains_status(link, keeper).message
+    with pytest.raises(RefusedError):
+        keeper.ask({'roll.rate.kp': math.nan, 'source': 'me'}, 0.0)
+    status = d.gains_status(link, keeper)
+    words = 'gains of me refused: roll.rate.kp: must be finite: found nan'
+    assert (status.level, status.message) == (d.ERROR, words)
+    assert (status.values['refused'], status.values['writes acknowledged']) == (1, 0)
 
 
 def test_the_excitation_state_follows_the_flags():

@@ -4,7 +4,9 @@ import pytest
 
 from quad_bridge.errors import RefusedError
 from quad_bridge.excitation_relay import ExcitationRelay
+from quad_bridge.gain_line import What
 from quad_bridge.link import Link
+from quad_bridge.virtual.gain_store import GainStore
 from quad_bridge.wire import frames as f
 from quad_bridge.wire.codec import Decoder, Encoder
 from quad_bridge.wire.gain_names import WIRE_NAMES
@@ -19,7 +21,8 @@ class FarEnd:
     def __init__(self, link):
         self.link, self.encoder, self.decoder = link, Encoder(1, 1), Decoder()
         self.values = {wire: float32(0.5) for wire in WIRE_NAMES.values()}
-        self.refuses, self.excitations, self.out = set(), [], []
+        self.excitations, self.out = [], []
+        self.store = GainStore(self.values, lambda *_: True, 7)
         self.now_us, self.cycle = 0, 0
 
     @property
@@ -52,12 +55,14 @@ class FarEnd:
             yield f.TimeSync(1000 * self.now_us + 100_000, frame.ts1_ns)
         elif isinstance(frame, f.ParamRequestList):
             for i, name in enumerate(names):
-                yield f.ParamValue(name, self.values[name], len(names), i)
-        elif isinstance(frame, f.ParamSet):
-            if frame.name not in self.refuses:
-                self.values[frame.name] = frame.value
-            value = self.values[frame.name]
+                yield f.ParamValue(name, self.store.active[name], len(names), i)
+        elif isinstance(frame, (f.ParamSet, f.ParamRequestRead)):
+            if isinstance(frame, f.ParamSet):
+                self.store.write(frame.name, frame.value)
+            value = self.store.shown(frame.name)
             yield f.ParamValue(frame.name, value, len(names), names.index(frame.name))
+        elif isinstance(frame, f.GainsCommand):
+            yield self.store.take(frame, 1e-6 * self.now_us)
         elif isinstance(frame, f.Excitation):
             self.excitations.append(frame)
 
@@ -91,40 +96,67 @@ def test_messages_of_one_cycle_share_its_stamp(far):
 
 
 def test_gains_are_announced_once_after_connecting(far):
-    (outcome,) = far.link.outcomes
-    assert set(outcome.active) == set(WIRE_NAMES)
-    assert set(outcome.active.values()) == {0.5}
+    (event,) = far.link.gains.events
+    assert event.what is What.READ
+    assert set(event.active) == set(WIRE_NAMES)
+    assert set(event.active.values()) == {0.5}
+
+
+def write(far, **writes):
+    far.link.gains.events.clear()
+    far.link.gains.write(writes, 10_000)
+    for _ in range(50):
+        far.step()
+    return far.link.gains.events
 
 
 def test_written_gains_are_announced_after_read_back(far):
-    far.link.outcomes.clear()
-    far.link.write_gains({'ROLL_RATE_KP': 0.1}, far.host_ns)
-    far.answer()
-    far.step()
-    (outcome,) = far.link.outcomes
-    assert outcome.active['roll.rate.kp'] == float32(0.1)
-    assert far.values['ROLL_RATE_KP'] == float32(0.1)
+    (event,) = write(far, ROLL_RATE_KP=0.1)
+    assert event.what is What.COMMITTED
+    assert event.active['roll.rate.kp'] == float32(0.1)
+    assert far.store.active['ROLL_RATE_KP'] == float32(0.1)
+    far.link.gains.write({'ROLL_RATE_KP': 0.2}, 1)
+    with pytest.raises(RefusedError, match='busy'):
+        far.link.gains.write({'ROLL_RATE_KP': 0.1}, 1)
 
 
-def test_a_refused_write_is_rolled_back_and_said(far):
-    far.link.outcomes.clear()
-    far.refuses.add('ROLL_RATE_KI')
-    far.link.write_gains({'ROLL_RATE_KP': 0.1, 'ROLL_RATE_KI': 0.2}, far.host_ns)
-    for _ in range(300):
+def test_taken_back_gains_are_read_again(far):
+    write(far, ROLL_RATE_KP=0.1)
+    far.link.gains.events.clear()
+    far.link.gains.revert('why')
+    for _ in range(50):
         far.step()
-    failed, again = far.link.outcomes
-    assert failed.active is None
-    assert 'ROLL_RATE_KI' in failed.reason
+    back, again = far.link.gains.events
+    assert (back.what, back.reason, back.by_stm32) == (What.REVERTED, 'why', False)
     assert again.active['roll.rate.kp'] == 0.5
 
 
-def test_gains_that_were_never_reported_cannot_be_written():
+def test_what_somebody_else_has_changed_is_read_again(far):
+    far.link.gains.events.clear()
+    far.store.write('YAW_RATE_KP', 0.25)
+    far.step(far.store.state())
+    for _ in range(50):
+        far.step()
+    (event,) = far.link.gains.events
+    assert event.active['yaw.rate.kp'] == 0.25
+
+
+def test_an_unconfirmed_set_of_an_earlier_bridge_is_taken_back(far):
+    write(far, ROLL_RATE_KP=0.1)
+    far.link.opened()
+    far.link.gains.events.clear()
+    for _ in range(100):
+        far.step()
+    assert What.REVERTED in [event.what for event in far.link.gains.events]
+    assert far.store.active['ROLL_RATE_KP'] == 0.5
+
+
+def test_gains_cannot_be_written_before_the_stm32_has_reported():
     with pytest.raises(RefusedError):
-        Link().write_gains({'ROLL_RATE_KP': 0.1}, 0)
+        Link().gains.write({'ROLL_RATE_KP': 0.1}, 0)
 
 
 def test_a_restart_of_the_stm32_holds_the_stamps_back_and_reads_the_gains_again(far):
-    far.link.outcomes.clear()
     before = far.link.held
     far.now_us, far.cycle = 0, 0
     far.step()

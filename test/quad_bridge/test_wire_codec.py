@@ -53,6 +53,8 @@ FRAMES = [
     f.ParamRequestRead('PITCH_RATE_ILIM', -1, 1, 1),
     f.ParamSet('ROLL_RATE_KP', 0.5, 1, 1),
     f.ParamValue('SIXTEEN_LETTERS_', -0.25, 27, 26),
+    f.GainsCommand(int(f.GainsAction.COMMIT), 200, 0xFEDCBA98, 15000, 1, 1),
+    f.GainsState(2**63 + 5, 0x01234567, 200, 2, int(f.GainsResult.CHECKSUM), 1),
     f.RcChannels(123456, (1000, 1500, 2000, 1500, 1100, 1200, 1300, 1400, 1600), 200),
     f.Battery(11.125, 3.5, 0.75),
     f.SlowSensors(99, (0.25, -0.5, 0.125), 1013.25, 21.5),

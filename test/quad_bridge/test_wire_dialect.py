@@ -8,7 +8,12 @@ from pymavlink.dialects.v20 import common
 from quad_bridge.wire import dialect
 from quad_bridge.wire.generate import DIALECT, dialect_source
 
-OWN = {dialect.MAVLINK_MSG_ID_QUAD_CYCLE, dialect.MAVLINK_MSG_ID_QUAD_EXCITATION}
+OWN = {
+    dialect.MAVLINK_MSG_ID_QUAD_CYCLE,
+    dialect.MAVLINK_MSG_ID_QUAD_EXCITATION,
+    dialect.MAVLINK_MSG_ID_QUAD_GAINS,
+    dialect.MAVLINK_MSG_ID_QUAD_GAINS_STATE,
+}
 WIRE_FIELDS = ('crc_extra', 'fieldnames', 'fieldtypes', 'array_lengths', 'orders')
 
 

@@ -12,6 +12,8 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from quad_bridge.excitation_relay import ExcitationRelay
+from quad_bridge.gain_keeper import GainKeeper
+from quad_bridge.gain_state import State
 from quad_bridge.link import Link
 from quad_bridge.recording import SLOW_S, RecordingStatus
 from quad_bridge.serial_port import PortState, PortStatus
@@ -123,17 +125,21 @@ def clock_status(link: Link) -> Status:
     return Status('clock', WARN, 'not converged: nothing is published', values)
 
 
-def gains_status(link: Link, refused: str, writes: int) -> Status:
-    """State of the parameters and the last refusal."""
-    values: dict[str, object] = {f'{name}': f'{value:.9g}' for name, value in link.active.items()}
-    values['writes acknowledged'] = writes
-    if refused:
-        return Status('gains', ERROR, refused, values)
-    if link.transaction is not None:
-        return Status('gains', OK, link.transaction.phase.value, values)
-    if not link.reader.complete:
+def gains_status(link: Link, keeper: GainKeeper) -> Status:
+    """State of the parameters, the last refusal or roll-back, and what is watched."""
+    values: dict[str, object] = {n: f'{v:.9g}' for n, v in link.gains.active.items()}
+    values['writes acknowledged'] = keeper.commits
+    values['refused'] = keeper.refusals
+    values['rolled back'] = keeper.rollbacks
+    values['polarity'] = keeper.polarity.words()
+    values |= {f'watch {n} (rad/s)': f'{v:.3f}' for n, v in keeper.watch.figures().items()}
+    if keeper.refused:
+        return Status('gains', ERROR, keeper.refused, values)
+    if keeper.disk_fault:
+        return Status('gains', WARN, keeper.disk_fault, values)
+    if keeper.state is State.IDLE and not link.gains.reader.complete:
         return Status('gains', WARN, 'the STM32 has not reported its parameters yet', values)
-    return Status('gains', OK, 'read back', values)
+    return Status('gains', OK, keeper.words, values)
 
 
 def recording_status(

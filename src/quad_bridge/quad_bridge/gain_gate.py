@@ -1,6 +1,7 @@
-"""What stands between /gains/update and the aircraft: names, finite, bounds, steps. Pure.
+"""What stands between /gains/update and the aircraft: names, finite, bounds, steps, sources. Pure.
 
-The bounds are the installation's (YAML); whether gains are good is the designer's business.
+The bounds are the installation's (YAML, over the defaults here); whether gains are good is the
+designer's business, whether they turned out good the watch's.
 """
 
 from __future__ import annotations
@@ -8,48 +9,97 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 
 from quad_bridge.errors import BadInputError, RefusedError
-from quad_bridge.wire.gain_names import READ_ONLY, WIRE_NAMES
+from quad_bridge.wire.gain_names import AXES, READ_ONLY, WIRE_NAMES
+from quad_bridge.wire.params import float32
+
+LARGEST_FACTOR = 2.0
+"""Of one gain in one step; YAML may ask for less, not for more."""
+ROUNDING = 1e-4
+"""Share by which a step stays inside the factor: float32 on the wire must not leave it."""
+MOST_STEPS = 16
+"""More than that from one update is taken as a mistake: 2 to the 16 is 65536."""
 
 
 @dataclass(frozen=True)
 class Bound:
-    """Hard limits of one gain in its SI unit, and the largest factor it may change by at once."""
+    """Hard limits of one gain in its SI unit, and how far one step may go."""
 
     lower: float
     upper: float
-    max_factor: float = math.inf
-    """Largest ratio of new to active value and of active to new; from or to 0 it does not hold."""
+    max_factor: float = LARGEST_FACTOR
+    """Largest ratio of new to active value and of active to new."""
+    small_step: float = 0.0
+    """Absolute change that is allowed in any case: a gain near zero has no useful ratio."""
 
 
-def check(
-    wanted: Mapping[str, float],
-    active: Mapping[str, float],
-    bounds: Mapping[str, Bound],
-    *,
-    excitation_running: bool = False,
-) -> dict[str, float]:
-    """The writes that `wanted` (contract names, SI) amounts to, as wire name to value.
+_PER_AXIS = {
+    'angle.kp': Bound(0.3, 15.0),
+    'rate.kp': Bound(0.005, 0.5),
+    # 0.004 per rad at kp 0.07 is an integral corner at 0.06 rad/s: far below any crossover
+    'rate.ki': Bound(0.0, 1.0, small_step=0.004),
+    'rate.kd': Bound(0.0, 0.05, small_step=0.0005),
+    'rate.d_filter_hz': Bound(5.0, 100.0),
+}
+DEFAULT_BOUNDS: Mapping[str, Bound] = {
+    **{f'{axis}.{name}': bound for axis in AXES for name, bound in _PER_AXIS.items()},
+    # yaw's torque is some ten times weaker
+    'yaw.rate.kp': Bound(0.005, 1.0),
+}
+"""Contract name to bound where the YAML says nothing; what is in neither cannot be changed."""
 
-    Raises RefusedError with the first fault; nothing is let through in part.
-    """
-    if excitation_running:
-        raise RefusedError('gains refused while the excitation runs: send them when it is idle')
-    if not wanted:
-        raise RefusedError('gains refused: no gain in changed_parameters')
-    writes = {}
+
+def numbers(wanted: Mapping[str, object]) -> dict[str, float]:
+    """The values as floats. Raises RefusedError where one is a string or a bool."""
     for name, value in wanted.items():
-        if name not in WIRE_NAMES or name in READ_ONLY:
-            raise RefusedError(f'{name}: no gain of this name can be set')
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise RefusedError(f'{name}: must be a number: found {value!r}')
+    return {name: float(value) for name, value in wanted.items()}  # type: ignore[arg-type]
+
+
+def check_source(source: str, allowed: Sequence[str]) -> None:
+    """Raise RefusedError unless `source` fits one of the patterns (`*`, `identification*`)."""
+    if not any(fnmatchcase(source, pattern) for pattern in allowed):
+        raise RefusedError(
+            f'the source is not allowed; parameter sources has {", ".join(allowed) or "none"}'
+        )
+
+
+def steps(
+    wanted: Mapping[str, float], active: Mapping[str, float], bounds: Mapping[str, Bound]
+) -> list[dict[str, float]]:
+    """The sets (contract names, SI) that lead from `active` to `wanted`, one after the other.
+
+    In each step each gain goes as far as it may; the last one is `wanted`. Raises RefusedError
+    with the first fault; nothing is let through in part.
+    """
+    if not wanted:
+        raise RefusedError('no gain in changed_parameters')
+    for name, value in wanted.items():
         _check_one(name, value, active, bounds)
-        writes[WIRE_NAMES[name]] = value
-    return writes
+    path, now = list[dict[str, float]](), {name: active[name] for name in wanted}
+    while any(float32(now[name]) != float32(value) for name, value in wanted.items()):
+        if len(path) == MOST_STEPS:
+            raise RefusedError(f'more than {MOST_STEPS} steps away; send what lies between first')
+        now = {name: _towards(now[name], value, bounds[name]) for name, value in wanted.items()}
+        path.append(now)
+    return path or [dict(wanted)]
+
+
+def _towards(now: float, wanted: float, bound: Bound) -> float:
+    factor = 1.0 + (bound.max_factor - 1.0) * (1.0 - ROUNDING)
+    low = min(now / factor, now - bound.small_step)
+    high = max(now * factor, now + bound.small_step)
+    return min(max(wanted, low, bound.lower), high, bound.upper)
 
 
 def _check_one(
     name: str, value: float, active: Mapping[str, float], bounds: Mapping[str, Bound]
 ) -> None:
+    if name not in WIRE_NAMES or name in READ_ONLY:
+        raise RefusedError(f'{name}: no gain of this name can be set')
     if not math.isfinite(value):
         raise RefusedError(f'{name}: must be finite: found {value}')
     bound = bounds.get(name)
@@ -65,34 +115,32 @@ def _check_one(
     now = active.get(name)
     if now is None:
         raise RefusedError(f'{name}: the STM32 has not reported it yet')
-    if now > 0.0 and value > 0.0 and max(value / now, now / value) > bound.max_factor:
+    slack = 1e-6 * max(abs(bound.lower), abs(bound.upper))
+    if not bound.lower - slack <= now <= bound.upper + slack:
         raise RefusedError(
-            f'{name}: may change by a factor of at most {bound.max_factor:g}: '
-            f'found {now:g} to {value:g}; go there in steps'
+            f'{name}: its active value {now:g} lies outside {bound.lower:g} .. {bound.upper:g}; '
+            'bring it there by hand'
         )
 
 
-def numbers(wanted: Mapping[str, object]) -> dict[str, float]:
-    """The values as floats. Raises RefusedError where one is a string or a bool."""
-    for name, value in wanted.items():
-        if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise RefusedError(f'{name}: must be a number: found {value!r}')
-    return {name: float(value) for name, value in wanted.items()}  # type: ignore[arg-type]
-
-
 def bound_from(name: str, values: Sequence[float]) -> Bound:
-    """The bound that the YAML's list `[lower, upper]` or `[lower, upper, max_factor]` means.
+    """The bound that the YAML's `[lower, upper(, max_factor(, small_step))]` means.
 
     Raises BadInputError naming the parameter.
     """
     where = f'parameter bounds.{name}'
-    if len(values) not in {2, 3}:
+    if len(values) not in {2, 3, 4}:
         raise BadInputError(
-            where, 'must be [lower, upper] or [lower, upper, max_factor]', list(values)
+            where, 'must be [lower, upper], or with max_factor and small_step behind', list(values)
         )
-    bound = Bound(*values)
-    if not (math.isfinite(bound.lower) and math.isfinite(bound.upper)):
+    standard = DEFAULT_BOUNDS.get(name, Bound(0.0, 0.0))
+    lower, upper, factor, small = (
+        *values, *(LARGEST_FACTOR, standard.small_step)[len(values) - 2 :]
+    )  # fmt: skip
+    if not all(math.isfinite(v) for v in (lower, upper, small)):
         raise BadInputError(where, 'limits must be finite', list(values))
-    if bound.lower > bound.upper or bound.max_factor < 1.0 or math.isnan(bound.max_factor):
-        raise BadInputError(where, 'needs lower <= upper and max_factor >= 1', list(values))
-    return bound
+    if lower > upper or not factor > 1.0 or small < 0.0:
+        raise BadInputError(
+            where, 'needs lower <= upper, max_factor > 1 and small_step >= 0', list(values)
+        )
+    return Bound(lower, upper, min(factor, LARGEST_FACTOR), small)

@@ -6,9 +6,10 @@ times are ns of one steady host clock. Not thread-safe: the node holds a lock ar
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+from quad_bridge.gain_line import GainLine
 from quad_bridge.wire.clock import ClockEstimator
 from quad_bridge.wire.codec import Decoder, Encoder
 from quad_bridge.wire.frames import (
@@ -16,6 +17,8 @@ from quad_bridge.wire.frames import (
     Cycle,
     Excitation,
     Frame,
+    GainsCommand,
+    GainsState,
     Heartbeat,
     ParamRequestList,
     ParamRequestRead,
@@ -27,12 +30,10 @@ from quad_bridge.wire.frames import (
     StatusText,
     TimeSync,
 )
-from quad_bridge.wire.gain_names import CONTRACT_NAMES
-from quad_bridge.wire.params import ParamReader, ParamTransaction, Phase
 
 BRIDGE_SYSTEM, BRIDGE_COMPONENT = 1, 191
 ONBOARD_CONTROLLER, NO_AUTOPILOT = 18, 8
-ADDRESSED = (Excitation, ParamRequestList, ParamRequestRead, ParamSet)
+ADDRESSED = (Excitation, GainsCommand, ParamRequestList, ParamRequestRead, ParamSet)
 HEARTBEAT_NS = 1_000_000_000
 SYNC_NS = 200_000_000
 """Between TIMESYNC questions once the clock has converged; before, every tick asks."""
@@ -46,24 +47,15 @@ class Stamped:
     stamp_ns: int | None
 
 
-@dataclass(frozen=True)
-class GainOutcome:
-    """What became of the gains: `active` (contract names, SI) or why a write failed."""
-
-    active: Mapping[str, float] | None
-    reason: str = ''
-
-
 class Link:
     """State of the conversation with the STM32."""
 
     def __init__(self) -> None:
+        self.on_cycle: Callable[[Cycle, int], None] = lambda _frame, _now_ns: None
+        """Called for every cycle, also those that are held back for want of a clock."""
         self.decoder = Decoder()
         self.clock = ClockEstimator()
-        self.reader = ParamReader()
-        self.transaction: ParamTransaction | None = None
-        self.outcomes: list[GainOutcome] = []
-        """Gain events not yet taken by the node."""
+        self.gains = GainLine()
         self.peer: Heartbeat | None = None
         self.standard_names: set[str] = set()
         """Standard messages seen that the bridge does not use."""
@@ -77,15 +69,8 @@ class Link:
         self._outbox = bytearray()
         self._stamp_ns = 0
         self._restarts = 0
-        self._announced = False
         self._next_heartbeat_ns = 0
         self._next_sync_ns = 0
-
-    @property
-    def active(self) -> dict[str, float]:
-        """Gains and loop constants as last reported, contract names, SI."""
-        values = self.reader.values
-        return {CONTRACT_NAMES[w]: values[w] for w in sorted(values) if w in CONTRACT_NAMES}
 
     def opened(self) -> None:
         """Start afresh: the port was opened, the far end may be another one."""
@@ -114,12 +99,12 @@ class Link:
         if now_ns >= self._next_sync_ns:
             self._next_sync_ns = now_ns + SYNC_NS if self.clock.converged else now_ns
             self.send(TimeSync(0, now_ns))
-        self._parameters(now_ns)
+        self.poll_gains(now_ns)
 
-    def write_gains(self, writes: Mapping[str, float], now_ns: int) -> None:
-        """Begin a transaction (wire names). Raises RefusedError before anything is sent."""
-        self.transaction = ParamTransaction(writes, self.reader.values)
-        self._parameters(now_ns)
+    def poll_gains(self, now_ns: int) -> None:
+        """Put into the outbox what the parameters' state machine wants to send."""
+        for request in self.gains.poll(1e-9 * now_ns):
+            self.send(request)
 
     def send(self, frame: Frame) -> None:
         """Queue a frame, addressed to the peer where the message has an address."""
@@ -142,6 +127,7 @@ class Link:
         self.cycles += 1
         self.last_cycle = frame
         self.last_cycle_ns = now_ns
+        self.on_cycle(frame, now_ns)
         if not self.clock.converged:
             self.held += 1
             return
@@ -153,8 +139,9 @@ class Link:
             self._for_topic(frame, out)
         elif isinstance(frame, TimeSync):
             self._time_sync(frame, now_ns)
-        elif isinstance(frame, ParamValue):
-            self._param_value(frame, now_ns)
+        elif isinstance(frame, (ParamValue, GainsState)):
+            self.gains.take(frame, 1e-9 * now_ns)
+            self.poll_gains(now_ns)
         elif isinstance(frame, Heartbeat):
             if frame.autopilot != NO_AUTOPILOT:
                 self.peer = frame
@@ -193,43 +180,6 @@ class Link:
         elif frame.ts1_ns <= now_ns:
             self.clock.add(frame.ts1_ns, frame.tc1_ns, now_ns)
 
-    def _param_value(self, frame: ParamValue, now_ns: int) -> None:
-        self.reader.take(frame, 1e-9 * now_ns)
-        if self.transaction is not None:
-            self.transaction.take(frame)
-        self._parameters(now_ns)
-
-    def _parameters(self, now_ns: int) -> None:
-        now_s = 1e-9 * now_ns
-        transaction = self.transaction
-        if transaction is not None:
-            request: ParamSet | ParamRequestList | ParamRequestRead | None
-            request = transaction.poll(now_s)
-            if request is not None:
-                self.send(request)
-            if transaction.finished:
-                self._finish(transaction)
-            return
-        request = self.reader.poll(now_s)
-        if request is not None:
-            self.send(request)
-        if self.reader.complete and not self._announced:
-            self._announced = True
-            self.outcomes.append(GainOutcome(self.active))
-
-    def _finish(self, transaction: ParamTransaction) -> None:
-        self.transaction = None
-        if transaction.phase is Phase.DONE:
-            self.outcomes.append(GainOutcome(self.active))
-            return
-        self.outcomes.append(GainOutcome(None, transaction.reason))
-        self.reader.restart()
-        self._announced = False
-
     def _far_end_restarted(self) -> None:
-        if self.transaction is not None:
-            self.outcomes.append(GainOutcome(None, 'the link broke during the write'))
-        self.transaction = None
         self.clock.reset()
-        self.reader.restart()
-        self._announced = False
+        self.gains.restart()

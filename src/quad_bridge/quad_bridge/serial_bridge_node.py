@@ -6,8 +6,10 @@ executor; a lock guards the link between them.
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -17,10 +19,13 @@ from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import BatteryState, FluidPressure, Imu, JointState, Joy, MagneticField
 
-from quad_bridge import conversion, diagnostics, gain_gate
+from quad_bridge import conversion, diagnostics
 from quad_bridge.bridge_parameters import BridgeSettings, declare
-from quad_bridge.errors import QuadBridgeError, RefusedError
+from quad_bridge.errors import RefusedError
 from quad_bridge.excitation_relay import ExcitationRelay
+from quad_bridge.gain_keeper import GainKeeper
+from quad_bridge.gain_services import GainServices
+from quad_bridge.gain_state import News, State
 from quad_bridge.link import Link, Stamped
 from quad_bridge.qos import EVENT, STATE, STREAM
 from quad_bridge.ros_node import run
@@ -31,7 +36,9 @@ from quad_bridge.wire.frames import Battery, Cycle, Flag, RcChannels, SlowSensor
 TICK_S = 0.05
 CLOCK_STEP_NS = 5_000_000
 """ROS time may move this much against the steady clock before the mapping is taken anew."""
-EXCITATION_QUIET_NS = 500_000_000
+REPORT_S = 0.1
+"""Least time between two reports, however many updates are refused."""
+YAW_STICK = 3
 
 
 class SerialBridge(Node):  # type: ignore[misc]
@@ -44,10 +51,10 @@ class SerialBridge(Node):  # type: ignore[misc]
         self._link = Link()
         self._relay = ExcitationRelay(self._settings.excitation_valid_ms)
         self._messages = conversion.CycleMessages()
-        self._refused = ''
-        self._writes = 0
-        self._asked = False
-        self._excited_ns = -EXCITATION_QUIET_NS
+        self._keeper = GainKeeper(self._settings.keeper, self._link.gains)
+        self._gain_services = GainServices(self, self._ask_gains, self._ask_check)
+        self._link.on_cycle = self._watch_cycle
+        self._reported_s = 0.0
         self._epoch_ns = self._epoch()
         self._since = diagnostics.Since(time.monotonic(), Counts(), 0)
         self._opened_counts = Counts()
@@ -103,6 +110,7 @@ class SerialBridge(Node):  # type: ignore[misc]
         with self._lock:
             for item in self._link.receive(data, now_ns):
                 self._publish(item)
+            self._link.poll_gains(now_ns)
             reply = self._link.drain()
         if reply:
             self._port.write(reply)
@@ -114,16 +122,13 @@ class SerialBridge(Node):  # type: ignore[misc]
             return
         stamp_ns = item.stamp_ns + self._epoch_ns
         if isinstance(frame, Cycle):
-            self._messages.fill(frame, stamp_ns)
-            for publish, message in self._per_cycle:
-                publish(message)
-            if conversion.excited(frame):
-                self._excited_ns = time.monotonic_ns()
-                self._applied.publish(self._messages.excitation)
+            self._publish_cycle(frame, stamp_ns)
         elif isinstance(frame, RcChannels):
             last = self._link.last_cycle
             lost = last is not None and bool(last.flags & Flag.RC_FAILSAFE)
-            self._rc.publish(conversion.rc_message(frame, stamp_ns, failsafe=lost))
+            message = conversion.rc_message(frame, stamp_ns, failsafe=lost)
+            self._rc.publish(message)
+            self._keeper.sticks(message.axes[YAW_STICK], time.monotonic())
         elif isinstance(frame, Battery):
             self._battery.publish(conversion.battery_message(frame, stamp_ns))
         elif isinstance(frame, SlowSensors):
@@ -134,28 +139,44 @@ class SerialBridge(Node):  # type: ignore[misc]
                 if message is not None:
                     publisher.publish(message)
 
+    def _watch_cycle(self, frame: Cycle, now_ns: int) -> None:
+        pulse = self._keeper.cycle(frame, 1e-9 * now_ns)
+        if pulse is not None:
+            self._link.send(pulse)
+
+    def _publish_cycle(self, frame: Cycle, stamp_ns: int) -> None:
+        self._messages.fill(frame, stamp_ns)
+        for publish, message in self._per_cycle:
+            publish(message)
+        if conversion.excited(frame):
+            self._applied.publish(self._messages.excitation)
+
     # In the executor.
 
     def _on_tick(self) -> None:
         with self._lock:
             self._link.tick(time.monotonic_ns())
+            self._keeper.tick(time.monotonic())
+            self._link.poll_gains(time.monotonic_ns())
             outgoing = self._link.drain()
-            outcomes, self._link.outcomes = self._link.outcomes, []
+            news, self._keeper.news = self._keeper.news, []
         self._send(outgoing)
-        for outcome in outcomes:
-            asked, self._asked = self._asked, False
-            self._writes += asked and outcome.active is not None
-            if outcome.active is None:
-                self._refuse(f'gains not taken over: {outcome.reason}')
-                continue
-            self._active.publish(
-                conversion.event_message(
-                    outcome.active,
-                    self.get_fully_qualified_name(),
-                    self.get_clock().now().nanoseconds,
-                )
-            )
-            self.get_logger().info(f'{len(outcome.active)} gains and constants read back')
+        for item in news:
+            self._tell(item)
+        if news and time.monotonic() - self._reported_s > REPORT_S:
+            self._on_report()
+
+    def _tell(self, item: News) -> None:
+        if item.fault:
+            self.get_logger().error(item.text)
+        else:
+            self.get_logger().info(item.text)
+        if item.active is not None:
+            name, now_ns = self.get_fully_qualified_name(), self.get_clock().now().nanoseconds
+            self._active.publish(conversion.event_message(item.active, name, now_ns))
+        with self._lock:
+            active = self._link.gains.active
+        self._gain_services.show(active)
 
     def _send(self, outgoing: bytes) -> None:
         # Nothing is written to a shut port; the diagnostics say that it is shut.
@@ -164,6 +185,11 @@ class SerialBridge(Node):  # type: ignore[misc]
 
     def _on_segment(self, event: ParameterEvent) -> None:
         end = self._relay.segment(conversion.parameters(event))
+        with self._lock:
+            if end is None:
+                self._keeper.disturb()
+            elif self._keeper.state is State.CHECKING:
+                end = None
         if end is not None:
             self._forward(end)
 
@@ -180,47 +206,33 @@ class SerialBridge(Node):  # type: ignore[misc]
         self._send(outgoing)
 
     def _on_gains(self, event: ParameterEvent) -> None:
-        wanted = conversion.parameters(event)
-        source = str(wanted.pop('source', 'unknown source'))
-        now_ns = time.monotonic_ns()
-        try:
-            with self._lock:
-                self._accept_gains(wanted, now_ns)
-                outgoing = self._link.drain()
-        except QuadBridgeError as error:
-            self._refuse(f'gains of {source} refused: {error}')
-            return
-        self._refused = ''
-        self._asked = True
-        self.get_logger().info(f'writing {len(wanted)} gains of {source}')
+        with contextlib.suppress(RefusedError):  # it is in the keeper's news
+            self._ask_gains(conversion.parameters(event))
+
+    def _ask_gains(self, parameters: Mapping[str, object]) -> None:
+        """Hand an update to the keeper; raises RefusedError."""
+        with self._lock:
+            words = self._keeper.ask(parameters, time.monotonic())
+            self._link.poll_gains(time.monotonic_ns())
+            outgoing = self._link.drain()
         self._send(outgoing)
+        self.get_logger().info(words)
 
-    def _accept_gains(self, wanted: dict[str, Any], now_ns: int) -> None:
-        if now_ns - self._link.last_cycle_ns > EXCITATION_QUIET_NS:
-            raise RefusedError('the link is down: no control cycle in the last 0.5 s')
-        if self._link.transaction is not None:
-            raise RefusedError('an earlier write is still running')
-        writes = gain_gate.check(
-            gain_gate.numbers(wanted),
-            self._link.active,
-            self._settings.bounds,
-            excitation_running=now_ns - self._excited_ns < EXCITATION_QUIET_NS,
-        )
-        self._link.write_gains(writes, now_ns)
-
-    def _refuse(self, reason: str) -> None:
-        self._refused = reason
-        self.get_logger().error(reason)
+    def _ask_check(self, told: Callable[[str], None], motors: bool) -> None:
+        """Have the polarity or the motors checked; raises RefusedError."""
+        with self._lock:
+            self._keeper.check(time.monotonic(), told, motors=motors)
 
     def _on_report(self) -> None:
         self._keep_epoch()
+        self._reported_s = time.monotonic()
         now_s = time.monotonic()
         with self._lock:
             link, port = self._link, self._port.status
             entries = [
                 diagnostics.link_status(port, link, self._since, now_s, self._opened_counts),
                 diagnostics.clock_status(link),
-                diagnostics.gains_status(link, self._refused, self._writes),
+                diagnostics.gains_status(link, self._keeper),
                 diagnostics.excitation_status(self._relay, link),
             ]
             self._since = diagnostics.Since(now_s, link.decoder.counts, link.cycles)

@@ -6,6 +6,7 @@ is in s since boot; the control cycle k starts at exactly k cycles.
 
 from __future__ import annotations
 
+import hashlib
 import math
 
 import numpy as np
@@ -13,6 +14,7 @@ import numpy as np
 from quad_bridge.virtual.aircraft import Aircraft
 from quad_bridge.virtual.cycle import COLUMNS
 from quad_bridge.virtual.firmware import AXES, TABLE, Firmware, Request, limit_flags
+from quad_bridge.virtual.gain_store import GainStore
 from quad_bridge.virtual.receiver import Channels, Receiver, channels_at
 from quad_bridge.wire import Decoder, Encoder
 from quad_bridge.wire.axes import flip_attitude, flip_body, flip_control
@@ -24,6 +26,8 @@ from quad_bridge.wire.frames import (
     Excitation,
     Flag,
     Frame,
+    GainsCommand,
+    GainsResult,
     Heartbeat,
     ParamRequestList,
     ParamRequestRead,
@@ -34,7 +38,7 @@ from quad_bridge.wire.frames import (
     StatusText,
     TimeSync,
 )
-from quad_bridge.wire.gain_names import CONTRACT_NAMES
+from quad_bridge.wire.gain_names import CONTRACT_NAMES, WIRE_NAMES
 
 ARM_DISARM, ACCEPTED, UNSUPPORTED = 400, 0, 3
 """MAV_CMD_COMPONENT_ARM_DISARM and two MAV_RESULTs."""
@@ -47,6 +51,10 @@ NAMES = tuple(
     if contract in {*_OWN, *_FILTERS, 'loop.rate_hz'}
 )
 """Wire names of the parameters that this firmware has, in the order of their index."""
+_REVERTED = {
+    int(GainsResult.LINK_LOST): 'link lost: last good gains restored',
+    int(GainsResult.NOT_CONFIRMED): 'gains not confirmed: last good restored',
+}
 _WATCHED = {
     int(Flag.RC_KILL): 'pilot: kill switch',
     int(Flag.RC_FAILSAFE): 'receiver failsafe',
@@ -66,6 +74,9 @@ class Endpoint:
         sensors = aircraft.profile.sensors
         cut_offs = (sensors.gyro_filter_hz, sensors.accel_filter_hz)
         self._filters = dict(zip(_FILTERS, cut_offs, strict=True))
+        values = {name: self._value(CONTRACT_NAMES[name]) for name in NAMES}
+        self._store = GainStore(values, self._fits, aircraft_number(aircraft))
+        self._stored_version = self._store.version
         self._battery_v = math.nan
         self._flags = 0
         self._low = False
@@ -74,13 +85,17 @@ class Endpoint:
         """Take bytes that arrived at device time `now_ns`; the bytes of what answers them."""
         answers: list[Frame] = []
         for frame in self._decoder.feed(data):
+            self._store.heard(now_ns * 1e-9)
             answers += self._answer(frame, now_ns)
+        self._put_into_force()
         return b''.join(self._encoder.encode(answer) for answer in answers)
 
     def cycle(self) -> bytes:
         """Run the coming control cycle; the bytes of what the STM32 sends in it."""
         number = self.aircraft.cycle
         now_s = number * self.aircraft.cycle_s
+        reverted = self._store.tick(now_s)
+        self._put_into_force()
         channels = channels_at(self._script, now_s)
         given, flags = self.firmware.prepare(channels, self.aircraft.hover_throttle, now_s)
         row = self.aircraft.run(given[np.newaxis])[0]
@@ -89,6 +104,8 @@ class Endpoint:
         self.firmware.note(self._battery_v, float(row[COLUMNS['limits'].start]))
         frames = [self._cycle_frame(number, given, row, flags)]
         frames += self._events(flags)
+        if reverted is not None:
+            frames += [reverted, StatusText(2, _REVERTED[reverted.result])]
         frames += self._slow_frames(number, channels, row)
         return b''.join(self._encoder.encode(frame) for frame in frames)
 
@@ -128,6 +145,7 @@ class Endpoint:
         if number % round(rate) == 0:
             armed = bool(self._flags & Flag.ARMED)
             frames.append(Heartbeat(armed=armed, system_status=4 if armed else 3))
+            frames.append(self._store.state())
         if number % round(rate / 10.0) == 0:
             frames.append(Battery(voltage_v=self._battery_v))
         if number % round(rate / 50.0) == 0:
@@ -152,6 +170,8 @@ class Endpoint:
             return []
         if isinstance(frame, Command):
             return [self._command(frame)]
+        if isinstance(frame, GainsCommand):
+            return [self._store.take(frame, now_ns * 1e-9)]
         return self._parameter_answer(frame)
 
     def _parameter_answer(self, frame: Frame) -> list[Frame]:
@@ -162,7 +182,7 @@ class Endpoint:
             return self._known(NAMES[frame.index] if known else frame.name)
         if isinstance(frame, ParamSet):
             if frame.name in NAMES:
-                self._write(CONTRACT_NAMES[frame.name], frame.value)
+                self._store.write(frame.name, frame.value)
             return self._known(frame.name)
         return []
 
@@ -178,22 +198,39 @@ class Endpoint:
         return [StatusText(4, f'unknown parameter {name[:16]}')]
 
     def _parameter(self, name: str) -> Frame:
-        """PARAM_VALUE of the wire's `name`: what is in force."""
-        contract = CONTRACT_NAMES[name]
-        value = self.firmware.parameter(contract)
-        if value is None:
-            loop_hz = self.aircraft.profile.firmware.rate_hz
-            value = self._filters.get(contract, loop_hz)
-        return ParamValue(name, value, len(NAMES), NAMES.index(name))
+        """PARAM_VALUE of the wire's `name`: what is in force, or in the copy while one is open."""
+        return ParamValue(name, self._store.shown(name), len(NAMES), NAMES.index(name))
 
-    def _write(self, contract: str, value: float) -> None:
-        """Write if allowed; a filter's cut-off changes the chip at once."""
-        low, high = FILTER_BOUNDS_HZ
-        if contract in self._filters and low <= value <= high:
-            self._filters[contract] = value
-            gyro_hz, accel_hz = (self._filters[name] for name in _FILTERS)
-            self.aircraft.set_filters(gyro_hz, accel_hz)
-        self.firmware.set_parameter(contract, value)
+    def _value(self, contract: str) -> float:
+        """What is in force at boot."""
+        value = self.firmware.parameter(contract)
+        if value is not None:
+            return value
+        return self._filters.get(contract, self.aircraft.profile.firmware.rate_hz)
+
+    def _fits(self, wire: str, value: float) -> bool:
+        contract, (low, high) = CONTRACT_NAMES[wire], FILTER_BOUNDS_HZ
+        if contract in self._filters:
+            return low <= value <= high
+        return self.firmware.fits(contract, value)
+
+    def _put_into_force(self) -> None:
+        """Between two cycles: the whole active set at once; cut-offs change the chip at once."""
+        if self._stored_version == self._store.version:
+            return
+        self._stored_version = self._store.version
+        for wire, value in self._store.active.items():
+            self.firmware.set_parameter(CONTRACT_NAMES[wire], value)
+        cut_offs = {name: self._store.active[WIRE_NAMES[name]] for name in _FILTERS}
+        if cut_offs != self._filters:
+            self._filters = cut_offs
+            self.aircraft.set_filters(*(cut_offs[name] for name in _FILTERS))
+
+
+def aircraft_number(aircraft: Aircraft) -> int:
+    """As the STM32's unique id: the same for the same airframe on any mount, 64 bits."""
+    digest = hashlib.blake2b(repr(aircraft.profile.airframe).encode(), digest_size=8).digest()
+    return int.from_bytes(digest, 'little')
 
 
 def _rc_frame(now_s: float, channels: Channels, trim: float) -> Frame:

@@ -141,18 +141,20 @@ class Firmware:
             return None
         return float(self._gains[AXES.index(axis), TABLE[rest][0]])
 
-    def set_parameter(self, name: str, value: float) -> float | None:
-        """Write a gain as float32 if finite and in bounds; returns what is in force then."""
-        if self.parameter(name) is None:
-            return None
+    def fits(self, name: str, value: float) -> bool:
+        """Whether a gain of the contract's name may have this value: finite and in bounds."""
         axis, _, rest = name.partition('.')
-        column, lowest, highest = TABLE[rest]
-        stored = float(np.float32(value))
+        if axis not in AXES or rest not in TABLE:
+            return False
+        _, lowest, highest = TABLE[rest]
         # the bound itself may round up in float32
-        slack = 1e-6 * highest
-        if math.isfinite(stored) and lowest <= stored <= highest + slack:
-            self._gains[AXES.index(axis), column] = stored
-        return self.parameter(name)
+        return math.isfinite(value) and lowest <= value <= highest * (1.0 + 1e-6)
+
+    def set_parameter(self, name: str, value: float) -> None:
+        """Put a gain into force, as float32, if it fits."""
+        if self.fits(name, value):
+            axis, _, rest = name.partition('.')
+            self._gains[AXES.index(axis), TABLE[rest][0]] = float(np.float32(value))
 
     def excite(self, request: Request, now_s: float) -> None:
         """Take a new excitation set-point; injection 0 ends the excitation."""

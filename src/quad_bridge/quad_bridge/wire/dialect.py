@@ -396,6 +396,50 @@ enums["QUAD_INJECTION"][3] = EnumEntry("QUAD_INJECTION_CONTROL", """To U2..U4 be
 QUAD_INJECTION_ENUM_END = 4
 enums["QUAD_INJECTION"][4] = EnumEntry("QUAD_INJECTION_ENUM_END", """""")
 
+# QUAD_GAINS_ACTION
+enums["QUAD_GAINS_ACTION"] = Enum()
+enums["QUAD_GAINS_ACTION"].bitmask = False
+QUAD_GAINS_ACTION_QUERY = 0
+enums["QUAD_GAINS_ACTION"][0] = EnumEntry("QUAD_GAINS_ACTION_QUERY", """Only answer with the state.""")
+QUAD_GAINS_ACTION_OPEN = 1
+enums["QUAD_GAINS_ACTION"][1] = EnumEntry("QUAD_GAINS_ACTION_OPEN", """Copy the active set; until COMMIT or REVERT, PARAM_SET writes the copy and its PARAM_VALUE shows the copy.""")
+QUAD_GAINS_ACTION_COMMIT = 2
+enums["QUAD_GAINS_ACTION"][2] = EnumEntry("QUAD_GAINS_ACTION_COMMIT", """Make the copy active, whole, in the next cycle, if its checksum agrees; the last confirmed set is kept.""")
+QUAD_GAINS_ACTION_CONFIRM = 3
+enums["QUAD_GAINS_ACTION"][3] = EnumEntry("QUAD_GAINS_ACTION_CONFIRM", """The active set is good: keep it, end the watch.""")
+QUAD_GAINS_ACTION_REVERT = 4
+enums["QUAD_GAINS_ACTION"][4] = EnumEntry("QUAD_GAINS_ACTION_REVERT", """Drop the copy and return to the last confirmed set at once.""")
+QUAD_GAINS_ACTION_ENUM_END = 5
+enums["QUAD_GAINS_ACTION"][5] = EnumEntry("QUAD_GAINS_ACTION_ENUM_END", """""")
+
+# QUAD_GAINS_PHASE
+enums["QUAD_GAINS_PHASE"] = Enum()
+enums["QUAD_GAINS_PHASE"].bitmask = False
+QUAD_GAINS_PHASE_IDLE = 0
+enums["QUAD_GAINS_PHASE"][0] = EnumEntry("QUAD_GAINS_PHASE_IDLE", """The active set is confirmed.""")
+QUAD_GAINS_PHASE_STAGING = 1
+enums["QUAD_GAINS_PHASE"][1] = EnumEntry("QUAD_GAINS_PHASE_STAGING", """A copy is open.""")
+QUAD_GAINS_PHASE_WATCH = 2
+enums["QUAD_GAINS_PHASE"][2] = EnumEntry("QUAD_GAINS_PHASE_WATCH", """The active set is not confirmed; without CONFIRM in time, or with a dead link, the controller reverts by itself.""")
+QUAD_GAINS_PHASE_ENUM_END = 3
+enums["QUAD_GAINS_PHASE"][3] = EnumEntry("QUAD_GAINS_PHASE_ENUM_END", """""")
+
+# QUAD_GAINS_RESULT
+enums["QUAD_GAINS_RESULT"] = Enum()
+enums["QUAD_GAINS_RESULT"].bitmask = False
+QUAD_GAINS_RESULT_OK = 0
+enums["QUAD_GAINS_RESULT"][0] = EnumEntry("QUAD_GAINS_RESULT_OK", """Done, or already the case.""")
+QUAD_GAINS_RESULT_WRONG_ID = 1
+enums["QUAD_GAINS_RESULT"][1] = EnumEntry("QUAD_GAINS_RESULT_WRONG_ID", """Another transaction is open or watched.""")
+QUAD_GAINS_RESULT_CHECKSUM = 2
+enums["QUAD_GAINS_RESULT"][2] = EnumEntry("QUAD_GAINS_RESULT_CHECKSUM", """The copy is not what the sender believes; nothing was changed.""")
+QUAD_GAINS_RESULT_LINK_LOST = 3
+enums["QUAD_GAINS_RESULT"][3] = EnumEntry("QUAD_GAINS_RESULT_LINK_LOST", """Unasked: reverted by itself, the link was dead.""")
+QUAD_GAINS_RESULT_NOT_CONFIRMED = 4
+enums["QUAD_GAINS_RESULT"][4] = EnumEntry("QUAD_GAINS_RESULT_NOT_CONFIRMED", """Unasked: reverted by itself, no CONFIRM came in time.""")
+QUAD_GAINS_RESULT_ENUM_END = 5
+enums["QUAD_GAINS_RESULT"][5] = EnumEntry("QUAD_GAINS_RESULT_ENUM_END", """""")
+
 # message IDs
 MAVLINK_MSG_ID_BAD_DATA = -1
 MAVLINK_MSG_ID_UNKNOWN = -2
@@ -421,6 +465,8 @@ MAVLINK_MSG_ID_BATTERY_STATUS = 147
 MAVLINK_MSG_ID_STATUSTEXT = 253
 MAVLINK_MSG_ID_QUAD_CYCLE = 24100
 MAVLINK_MSG_ID_QUAD_EXCITATION = 24101
+MAVLINK_MSG_ID_QUAD_GAINS = 24102
+MAVLINK_MSG_ID_QUAD_GAINS_STATE = 24103
 
 
 class MAVLink_heartbeat_message(MAVLink_message):
@@ -1424,6 +1470,95 @@ class MAVLink_quad_excitation_message(MAVLink_message):
 setattr(MAVLink_quad_excitation_message, "name", mavlink_msg_deprecated_name_property())
 
 
+class MAVLink_quad_gains_message(MAVLink_message):
+    """
+    Writes a set of parameters whole or not at all: OPEN, PARAM_SET of
+    each, COMMIT, then CONFIRM or REVERT. Always answered by
+    QUAD_GAINS_STATE.
+    """
+
+    id = MAVLINK_MSG_ID_QUAD_GAINS
+    msgname = "QUAD_GAINS"
+    fieldnames = ["checksum", "watch_ms", "target_system", "target_component", "transaction", "action"]
+    ordered_fieldnames = ["checksum", "watch_ms", "target_system", "target_component", "transaction", "action"]
+    fieldtypes = ["uint32_t", "uint16_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {"action": "QUAD_GAINS_ACTION"}
+    fieldunits_by_name: Dict[str, str] = {"watch_ms": "ms"}
+    native_format = bytearray(b"<IHBBBB")
+    orders = [0, 1, 2, 3, 4, 5]
+    lengths = [1, 1, 1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 0, 0, 0]
+    crc_extra = 194
+    unpacker = struct.Struct("<IHBBBB")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, checksum: int, watch_ms: int, target_system: int, target_component: int, transaction: int, action: int):
+        MAVLink_message.__init__(self, MAVLink_quad_gains_message.id, MAVLink_quad_gains_message.msgname)
+        self._fieldnames = MAVLink_quad_gains_message.fieldnames
+        self._instance_field = MAVLink_quad_gains_message.instance_field
+        self._instance_offset = MAVLink_quad_gains_message.instance_offset
+        self.checksum = checksum
+        self.watch_ms = watch_ms
+        self.target_system = target_system
+        self.target_component = target_component
+        self.transaction = transaction
+        self.action = action
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.checksum, self.watch_ms, self.target_system, self.target_component, self.transaction, self.action), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_quad_gains_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_quad_gains_state_message(MAVLink_message):
+    """
+    Answer to QUAD_GAINS; also unasked, once a second and when the
+    controller reverts by itself.
+    """
+
+    id = MAVLINK_MSG_ID_QUAD_GAINS_STATE
+    msgname = "QUAD_GAINS_STATE"
+    fieldnames = ["aircraft", "checksum", "transaction", "action", "result", "phase"]
+    ordered_fieldnames = ["aircraft", "checksum", "transaction", "action", "result", "phase"]
+    fieldtypes = ["uint64_t", "uint32_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {"action": "QUAD_GAINS_ACTION", "result": "QUAD_GAINS_RESULT", "phase": "QUAD_GAINS_PHASE"}
+    fieldunits_by_name: Dict[str, str] = {}
+    native_format = bytearray(b"<QIBBBB")
+    orders = [0, 1, 2, 3, 4, 5]
+    lengths = [1, 1, 1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 0, 0, 0]
+    crc_extra = 135
+    unpacker = struct.Struct("<QIBBBB")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, aircraft: int, checksum: int, transaction: int, action: int, result: int, phase: int):
+        MAVLink_message.__init__(self, MAVLink_quad_gains_state_message.id, MAVLink_quad_gains_state_message.msgname)
+        self._fieldnames = MAVLink_quad_gains_state_message.fieldnames
+        self._instance_field = MAVLink_quad_gains_state_message.instance_field
+        self._instance_offset = MAVLink_quad_gains_state_message.instance_offset
+        self.aircraft = aircraft
+        self.checksum = checksum
+        self.transaction = transaction
+        self.action = action
+        self.result = result
+        self.phase = phase
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.aircraft, self.checksum, self.transaction, self.action, self.result, self.phase), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_quad_gains_state_message, "name", mavlink_msg_deprecated_name_property())
+
+
 mavlink_map: Dict[int, Type[MAVLink_message]] = {
     MAVLINK_MSG_ID_HEARTBEAT: MAVLink_heartbeat_message,
     MAVLINK_MSG_ID_SYSTEM_TIME: MAVLink_system_time_message,
@@ -1447,6 +1582,8 @@ mavlink_map: Dict[int, Type[MAVLink_message]] = {
     MAVLINK_MSG_ID_STATUSTEXT: MAVLink_statustext_message,
     MAVLINK_MSG_ID_QUAD_CYCLE: MAVLink_quad_cycle_message,
     MAVLINK_MSG_ID_QUAD_EXCITATION: MAVLink_quad_excitation_message,
+    MAVLINK_MSG_ID_QUAD_GAINS: MAVLink_quad_gains_message,
+    MAVLINK_MSG_ID_QUAD_GAINS_STATE: MAVLink_quad_gains_state_message,
 }
 
 
@@ -2560,3 +2697,65 @@ class MAVLink(object):
 
         """
         self.send(self.quad_excitation_encode(value, valid_ms, target_system, target_component, seq, injection), force_mavlink1=force_mavlink1)
+
+    def quad_gains_encode(self, checksum: int, watch_ms: int, target_system: int, target_component: int, transaction: int, action: int) -> MAVLink_quad_gains_message:
+        """
+        Writes a set of parameters whole or not at all: OPEN, PARAM_SET of
+        each, COMMIT, then CONFIRM or REVERT. Always answered by
+        QUAD_GAINS_STATE.
+
+        checksum                  : COMMIT: CRC-32 (IEEE) over all parameters of the copy, float32 little endian in the order of their index (type:uint32_t)
+        watch_ms                  : COMMIT: revert without CONFIRM after this long [ms] (type:uint16_t)
+        target_system             : System ID (type:uint8_t)
+        target_component          : Component ID (type:uint8_t)
+        transaction               : Number of the transaction, not 0 (type:uint8_t)
+        action                    : What to do (type:uint8_t, values:QUAD_GAINS_ACTION)
+
+        """
+        return MAVLink_quad_gains_message(checksum, watch_ms, target_system, target_component, transaction, action)
+
+    def quad_gains_send(self, checksum: int, watch_ms: int, target_system: int, target_component: int, transaction: int, action: int, force_mavlink1: bool = False) -> None:
+        """
+        Writes a set of parameters whole or not at all: OPEN, PARAM_SET of
+        each, COMMIT, then CONFIRM or REVERT. Always answered by
+        QUAD_GAINS_STATE.
+
+        checksum                  : COMMIT: CRC-32 (IEEE) over all parameters of the copy, float32 little endian in the order of their index (type:uint32_t)
+        watch_ms                  : COMMIT: revert without CONFIRM after this long [ms] (type:uint16_t)
+        target_system             : System ID (type:uint8_t)
+        target_component          : Component ID (type:uint8_t)
+        transaction               : Number of the transaction, not 0 (type:uint8_t)
+        action                    : What to do (type:uint8_t, values:QUAD_GAINS_ACTION)
+
+        """
+        self.send(self.quad_gains_encode(checksum, watch_ms, target_system, target_component, transaction, action), force_mavlink1=force_mavlink1)
+
+    def quad_gains_state_encode(self, aircraft: int, checksum: int, transaction: int, action: int, result: int, phase: int) -> MAVLink_quad_gains_state_message:
+        """
+        Answer to QUAD_GAINS; also unasked, once a second and when the
+        controller reverts by itself.
+
+        aircraft                  : Unique number of this controller (type:uint64_t)
+        checksum                  : CRC-32 over all active parameters, as in QUAD_GAINS (type:uint32_t)
+        transaction               : Number of the transaction that is open or was committed last, 0 before the first (type:uint8_t)
+        action                    : The action that is answered; QUERY where unasked (type:uint8_t, values:QUAD_GAINS_ACTION)
+        result                    : What became of it (type:uint8_t, values:QUAD_GAINS_RESULT)
+        phase                     : State now (type:uint8_t, values:QUAD_GAINS_PHASE)
+
+        """
+        return MAVLink_quad_gains_state_message(aircraft, checksum, transaction, action, result, phase)
+
+    def quad_gains_state_send(self, aircraft: int, checksum: int, transaction: int, action: int, result: int, phase: int, force_mavlink1: bool = False) -> None:
+        """
+        Answer to QUAD_GAINS; also unasked, once a second and when the
+        controller reverts by itself.
+
+        aircraft                  : Unique number of this controller (type:uint64_t)
+        checksum                  : CRC-32 over all active parameters, as in QUAD_GAINS (type:uint32_t)
+        transaction               : Number of the transaction that is open or was committed last, 0 before the first (type:uint8_t)
+        action                    : The action that is answered; QUERY where unasked (type:uint8_t, values:QUAD_GAINS_ACTION)
+        result                    : What became of it (type:uint8_t, values:QUAD_GAINS_RESULT)
+        phase                     : State now (type:uint8_t, values:QUAD_GAINS_PHASE)
+
+        """
+        self.send(self.quad_gains_state_encode(aircraft, checksum, transaction, action, result, phase), force_mavlink1=force_mavlink1)

@@ -37,6 +37,34 @@ class Injection(IntEnum):
     CONTROL = 3
 
 
+class GainsAction(IntEnum):
+    """What to do with the staged set (enum QUAD_GAINS_ACTION); all are idempotent."""
+
+    QUERY = 0
+    OPEN = 1
+    COMMIT = 2
+    CONFIRM = 3
+    REVERT = 4
+
+
+class GainsPhase(IntEnum):
+    """Where the STM32's set of parameters stands (enum QUAD_GAINS_PHASE)."""
+
+    IDLE = 0
+    STAGING = 1
+    WATCH = 2
+
+
+class GainsResult(IntEnum):
+    """What became of an action (enum QUAD_GAINS_RESULT); the last two come unasked."""
+
+    OK = 0
+    WRONG_ID = 1
+    CHECKSUM = 2
+    LINK_LOST = 3
+    NOT_CONFIRMED = 4
+
+
 @dataclass(frozen=True)
 class Cycle:
     """Everything one control cycle knew."""
@@ -147,6 +175,39 @@ class ParamValue:
 
 
 @dataclass(frozen=True)
+class GainsCommand:
+    """One action on the staged set of parameters; answered by a GainsState."""
+
+    action: int
+    """A `GainsAction`."""
+    transaction: int
+    """1..255."""
+    checksum: int = 0
+    """COMMIT: of the whole copy (params.checksum)."""
+    watch_ms: int = 0
+    """COMMIT: revert without CONFIRM after this long, ms."""
+    target_system: int = 0
+    target_component: int = 0
+
+
+@dataclass(frozen=True)
+class GainsState:
+    """The answer to a GainsCommand; unasked once a second and after the STM32's own revert."""
+
+    aircraft: int
+    """Unique number of the controller, 64 bits."""
+    checksum: int
+    """Of all active parameters (params.checksum)."""
+    transaction: int
+    action: int
+    """A `GainsAction`; QUERY where unasked."""
+    result: int
+    """A `GainsResult`."""
+    phase: int
+    """A `GainsPhase`."""
+
+
+@dataclass(frozen=True)
 class RcChannels:
     """RC_CHANNELS: pulse lengths in µs, receiver order; `channels` holds `count` <= 18 of them."""
 
@@ -222,6 +283,8 @@ Frame = (
     | ParamRequestRead
     | ParamSet
     | ParamValue
+    | GainsCommand
+    | GainsState
     | RcChannels
     | Battery
     | SlowSensors

@@ -1,7 +1,8 @@
 """Writes dialect.py from quad_suite.xml with pymavlink's mavgen.
 
-`python -m quad_bridge.wire.generate`, run by developers after a change of the XML; a test holds
-the committed file against the XML. Nothing at run time imports this.
+`python src/quad_bridge/quad_bridge/wire/generate.py`, run by developers after a change of the XML
+(as a file: the package imports what it writes); a test holds the committed file against the XML.
+Nothing at run time imports this.
 """
 
 from __future__ import annotations

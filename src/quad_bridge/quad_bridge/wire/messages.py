@@ -14,6 +14,8 @@ from quad_bridge.wire.frames import (
     Cycle,
     Excitation,
     Frame,
+    GainsCommand,
+    GainsState,
     Heartbeat,
     ParamRequestList,
     ParamRequestRead,
@@ -118,6 +120,12 @@ FROM_MESSAGE: dict[int, Callable[[Any], Frame]] = {
     d.MAVLINK_MSG_ID_PARAM_VALUE: lambda m: ParamValue(
         m.param_id, m.param_value, m.param_count, m.param_index
     ),
+    d.MAVLINK_MSG_ID_QUAD_GAINS: lambda m: GainsCommand(
+        m.action, m.transaction, m.checksum, m.watch_ms, m.target_system, m.target_component
+    ),
+    d.MAVLINK_MSG_ID_QUAD_GAINS_STATE: lambda m: GainsState(
+        m.aircraft, m.checksum, m.transaction, m.action, m.result, m.phase
+    ),
     d.MAVLINK_MSG_ID_RC_CHANNELS: _rc_channels,
     d.MAVLINK_MSG_ID_BATTERY_STATUS: _battery,
     d.MAVLINK_MSG_ID_HIGHRES_IMU: _slow_sensors,
@@ -205,6 +213,12 @@ TO_MESSAGE: dict[type, Callable[[Any], Any]] = {
     ),
     ParamValue: lambda f: d.MAVLink_param_value_message(
         f.name.encode('ascii'), f.value, REAL32, f.count, f.index
+    ),
+    GainsCommand: lambda f: d.MAVLink_quad_gains_message(
+        f.checksum, f.watch_ms, f.target_system, f.target_component, f.transaction, f.action
+    ),
+    GainsState: lambda f: d.MAVLink_quad_gains_state_message(
+        f.aircraft, f.checksum, f.transaction, f.action, f.result, f.phase
     ),
     RcChannels: _to_rc_channels,
     Battery: _to_battery,

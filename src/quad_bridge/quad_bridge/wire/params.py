@@ -1,22 +1,19 @@
-"""Reading and writing the STM32's parameters, as state machines over frames. No I/O, no timers.
+"""Reading the STM32's parameters, as a state machine over frames. No I/O, no timers.
 
 `poll(now)` says what to send, `take(frame, now)` what came back; times in s on any steady clock.
-A write counts only when PARAM_VALUE reads back the same float32; where one of a set cannot be
-written, all that were are put back.
+Writing is gain_transaction.py's.
 """
 
 from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Mapping
-from enum import Enum
+import zlib
+from collections.abc import Sequence
 
 from quad_bridge.errors import RefusedError
-from quad_bridge.wire.frames import ParamRequestList, ParamRequestRead, ParamSet, ParamValue
+from quad_bridge.wire.frames import ParamRequestList, ParamRequestRead, ParamValue
 
-TIMEOUT_S = 0.25
-RETRIES = 3
 _FLOAT32_MAX = 3.4028234663852886e38
 
 
@@ -35,101 +32,9 @@ def check_writable(name: str, value: float) -> None:
         raise RefusedError(f'{name}: a wire name has 1 to 16 ASCII characters')
 
 
-class Phase(Enum):
-    """Where a transaction stands."""
-
-    WRITING = 'writing'
-    ROLLING_BACK = 'rolling back'
-    DONE = 'done'
-    FAILED = 'failed'
-
-
-class ParamTransaction:
-    """Writes a set of parameters, all or none.
-
-    `wanted` and `previous` map wire names to values; `previous` is what a rollback restores and
-    must hold every wanted name. Raises RefusedError before anything is sent.
-    """
-
-    def __init__(
-        self,
-        wanted: Mapping[str, float],
-        previous: Mapping[str, float],
-        *,
-        timeout_s: float = TIMEOUT_S,
-        retries: int = RETRIES,
-    ) -> None:
-        for name, value in wanted.items():
-            check_writable(name, value)
-            if name not in previous:
-                raise RefusedError(f'{name}: the STM32 has not reported it; nothing to go back to')
-        self._previous = {name: previous[name] for name in wanted}
-        self._queue = [(name, float32(value)) for name, value in wanted.items()]
-        self._timeout_s = timeout_s
-        self._retries = retries
-        self._attempts = 0
-        self._deadline_s = -math.inf
-        self._touched: list[str] = []
-        self.phase = Phase.WRITING if self._queue else Phase.DONE
-        self.reason = ''
-        """Why it failed, one line; names what is in doubt where the rollback failed too."""
-        self.read_back: dict[str, float] = {}
-        """Wire name to the value last reported during the transaction."""
-
-    @property
-    def finished(self) -> bool:
-        """True when nothing more will be sent."""
-        return self.phase in {Phase.DONE, Phase.FAILED}
-
-    def poll(self, now_s: float) -> ParamSet | None:
-        """The frame to send now, if any; also notices time-outs."""
-        if self.finished or now_s < self._deadline_s:
-            return None
-        name, value = self._queue[0]
-        if self._attempts > self._retries:
-            self._give_up(f'{name}: {self._complaint(name, value)}')
-            return self.poll(now_s)
-        if name not in self._touched:
-            self._touched.append(name)
-        self._attempts += 1
-        self._deadline_s = now_s + self._timeout_s
-        return ParamSet(name, value)
-
-    def take(self, frame: ParamValue) -> None:
-        """Use a reported value; those of other parameters are ignored."""
-        if self.finished or frame.name != self._queue[0][0]:
-            return
-        name, value = self._queue[0]
-        self.read_back[name] = frame.value
-        if frame.value != value:
-            self._deadline_s = -math.inf
-            return
-        self._queue.pop(0)
-        self._next()
-        if not self._queue:
-            self.phase = Phase.DONE if self.phase is Phase.WRITING else Phase.FAILED
-
-    def _next(self) -> None:
-        self._attempts = 0
-        self._deadline_s = -math.inf
-
-    def _complaint(self, name: str, value: float) -> str:
-        tries = self._retries + 1
-        if name in self.read_back:
-            return f'the STM32 kept {self.read_back[name]:g} instead of {value:g}'
-        return f'no answer to {tries} writes'
-
-    def _give_up(self, reason: str) -> None:
-        if self.phase is Phase.ROLLING_BACK:
-            in_doubt = ', '.join(name for name, _ in self._queue)
-            self.reason += f'; rollback failed too, in doubt: {in_doubt}'
-            self.phase = Phase.FAILED
-            return
-        self.phase = Phase.ROLLING_BACK
-        self.reason = reason
-        self.read_back = {}
-        self._queue = [(n, float32(self._previous[n])) for n in reversed(self._touched)]
-        self._next()
+def checksum(values: Sequence[float]) -> int:
+    """CRC-32 over all parameters in the order of their index, as QUAD_GAINS has it."""
+    return zlib.crc32(struct.pack(f'<{len(values)}f', *values))
 
 
 class ParamReader:
@@ -142,18 +47,22 @@ class ParamReader:
         self._timeout_s = timeout_s
         self._deadline_s = -math.inf
         self._count: int | None = None
-        self._seen: set[int] = set()
+        self._names: dict[int, str] = {}
         self.values: dict[str, float] = {}
 
     @property
     def complete(self) -> bool:
         """True when every index up to the reported count has come."""
-        return self._count is not None and len(self._seen) >= self._count
+        return self._count is not None and len(self._names) >= self._count
+
+    def ordered(self) -> list[str]:
+        """Names in the order of their index; empty before all have come."""
+        return [self._names[i] for i in sorted(self._names)] if self.complete else []
 
     def restart(self) -> None:
         """Forget all: the far end may be another one."""
         self._count = None
-        self._seen.clear()
+        self._names.clear()
         self.values.clear()
         self._deadline_s = -math.inf
 
@@ -164,7 +73,7 @@ class ParamReader:
         self._deadline_s = now_s + self._timeout_s
         if self._count is None:
             return ParamRequestList()
-        missing = next(i for i in range(self._count) if i not in self._seen)
+        missing = next(i for i in range(self._count) if i not in self._names)
         return ParamRequestRead('', missing)
 
     def take(self, frame: ParamValue, now_s: float) -> None:
@@ -173,6 +82,6 @@ class ParamReader:
         if frame.index >= frame.count:
             return
         self._count = frame.count
-        self._seen.add(frame.index)
-        waiting = len(self._seen) < self._count
+        self._names[frame.index] = frame.name
+        waiting = len(self._names) < self._count
         self._deadline_s = now_s + (0.1 if waiting and self._timeout_s > 0.1 else 0.0)

@@ -1,0 +1,221 @@
+"""Whether an aircraft moves worse than its gains promise: rate RMS and oscillation per cycle.
+
+Pure arithmetic on arrays of three axes, no clock and no ROS. What an axis may do is what it did
+before (times a margin and what the design predicts), plus what its references explain, plus a
+floor; whoever is beyond that for a while is unwell. Acting on it is gain_keeper.py's.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+
+AXES = ('roll', 'pitch', 'yaw')
+CENTRES_RAD_S = (4.0, 8.0, 16.0, 32.0, 64.0)
+"""Bands one octave wide, from slow angle loops to fast rate loops; the last channel is the RMS."""
+RMS_CUT_RAD_S = 120.0
+RMS_AVERAGE_S = 1.0
+MARGIN = 2.0
+"""Factor on the figures before that gusts may make between one ten seconds and the next."""
+PEAK = 1.8
+"""Largest complementary sensitivity of a good loop: how much of a reference comes back as rate."""
+FLOOR_DEG = 1.5
+"""Amplitude of an oscillation that is of no concern whatever it was before."""
+FAR_DEG, FAR_PATIENCE_S = 8.0, 0.04
+"""Roll or pitch away from the reference, beyond what the reference's own motion explains."""
+LEAD_S = 0.06
+"""By which the place is foreseen from the rate: turning back takes that long."""
+FOLLOW_S, FOLLOW_FACTOR, TURN_S = 0.5, 1.6, 0.25
+BEFORE_S, BLOCK_S = 10.0, 0.5
+SETTLE_S = 1.0
+"""Of data before the first figures count."""
+
+
+@dataclass(frozen=True)
+class Predicted:
+    """What the design says of one axis, as ratios of after to before; 1 where it says nothing."""
+
+    rate_rms_ratio: float = 1.0
+    oscillation_ratio: float = 1.0
+    peak: float = PEAK
+    """Largest complementary sensitivity of the new loop."""
+
+
+@dataclass(frozen=True)
+class Alarm:
+    """Why the gains must go back."""
+
+    axis: str
+    what: str
+    found: float
+    bound: float
+    unit: str = 'rad/s RMS'
+
+    def __str__(self) -> str:
+        """One line."""
+        return f'{self.axis}: {self.what} {self.found:.2f} {self.unit}, bound {self.bound:.2f}'
+
+
+class GainWatch:
+    """Fed every cycle, armed by `begin`, asked for an alarm after each `step`."""
+
+    def __init__(self, rate_hz: float = 250.0) -> None:
+        self._dt = 1.0 / rate_hz
+        centres = np.array(CENTRES_RAD_S)
+        self._b, self._a = _bank(centres, self._dt)
+        periods = 2.0 * math.pi / np.append(centres, RMS_CUT_RAD_S)
+        average = np.clip(periods, 0.15, 0.8)
+        average[-1] = RMS_AVERAGE_S
+        self._share = (self._dt / average)[:, np.newaxis]
+        self._fade = np.exp(-self._dt / (2.0 * average))[:, np.newaxis]
+        self._patience = np.clip(periods, 0.12, 0.5)[:, np.newaxis]
+        self._patience[-1] = 0.3
+        rate_floor = np.append(centres, 8.0) * math.radians(FLOOR_DEG) / math.sqrt(2.0)
+        self._floor = (np.clip(rate_floor, 0.2, 0.5) ** 2)[:, np.newaxis]
+        self._memory = np.zeros((2, 2, periods.size, 3))
+        self._energy = np.zeros((2, periods.size, 3))
+        self._explained = np.zeros((periods.size, 3))
+        self._over_s = np.zeros((periods.size, 3))
+        self._blocks: deque[FloatArray] = deque(maxlen=round(BEFORE_S / BLOCK_S))
+        self._worst = np.zeros((periods.size, 3))
+        self._last: FloatArray | None = None
+        self._slow = np.zeros(3)
+        self._distance = np.zeros(2)
+        self._allowed = np.zeros(2)
+        self._allowed_before = np.zeros(2)
+        self._far_s = np.zeros(2)
+        self._cycles = 0
+        self._bound: FloatArray | None = None
+        self._peak = np.full(3, PEAK**2)
+
+    @property
+    def settled(self) -> bool:
+        """Whether there are figures of before to compare with."""
+        return self._cycles * self._dt >= SETTLE_S
+
+    def step(
+        self,
+        rates: FloatArray,
+        attitude: FloatArray,
+        reference: FloatArray,
+        injected: FloatArray,
+    ) -> None:
+        """Take one cycle: `rates` (3,) rad/s, `attitude` and its `reference` (3,) rad.
+
+        `injected` (3,) is the excitation inside the loop as a rate reference, rad/s.
+        """
+        if self._last is None:
+            self._last = self._slow = reference
+        turn = reference - self._last
+        turn -= 2.0 * math.pi * np.round(turn / (2.0 * math.pi))
+        self._last = reference
+        self._slow = self._slow + self._dt / FOLLOW_S * (reference - self._slow)
+        moved = np.abs(reference - self._slow) + TURN_S * np.abs(injected)
+        follows = FOLLOW_FACTOR * moved[:2]
+        self._distance = np.abs(attitude + LEAD_S * rates - reference)[:2]
+        self._allowed = np.maximum(follows, self._allowed * (1.0 - self._dt / FOLLOW_S))
+        signals = np.stack((rates, turn / self._dt + injected))[:, np.newaxis, :]
+        memory, b, a = self._memory, self._b, self._a
+        out = b[0] * signals + memory[0]
+        memory[0] = b[1] * signals - a[0] * out + memory[1]
+        memory[1] = b[2] * signals - a[1] * out
+        self._energy += self._share * (out * out - self._energy)
+        self._explained = np.maximum(self._energy[1], self._explained * self._fade)
+        self._cycles += 1
+        if self._bound is None:
+            self._remember()
+        else:
+            self._compare(self._bound)
+
+    def begin(self, predicted: Mapping[str, Predicted] | None = None) -> None:
+        """From now on compare with the figures before this call, times what is `predicted`."""
+        said = [(predicted or {}).get(axis, Predicted()) for axis in AXES]
+        ratio = np.ones_like(self._worst)
+        ratio[:-1] = [p.oscillation_ratio**2 for p in said]
+        ratio[-1] = [p.rate_rms_ratio**2 for p in said]
+        self._peak = np.array([p.peak**2 for p in said])
+        before = np.max([*self._blocks, self._worst], axis=0)
+        self._far_s[:] = 0.0
+        self._bound = MARGIN**2 * ratio * before + self._floor
+        self._over_s[:] = 0.0
+
+    def end(self) -> None:
+        """Stop comparing; figures of before are collected anew."""
+        self._bound = None
+        self._blocks.clear()
+        self._worst[:] = 0.0
+        self._allowed_before[:] = 0.0
+
+    def alarm(self) -> Alarm | None:
+        """The worst axis and band where the patience has run out; None while all is well."""
+        if self._bound is None:
+            return None
+        if (self._far_s > FAR_PATIENCE_S).any():
+            i = int(np.argmax(self._far_s))
+            found, limit = np.degrees((self._distance[i], self._limit()[i]))
+            return Alarm(AXES[i], 'away from its reference', float(found), float(limit), 'deg')
+        late = self._over_s > self._patience
+        if not late.any():
+            return None
+        bound = self._bound + self._peak * self._explained
+        ratio = np.where(late, self._energy[0] / bound, 0.0)
+        channel, axis = np.unravel_index(int(np.argmax(ratio)), ratio.shape)
+        what = 'rate'
+        if channel < len(CENTRES_RAD_S):
+            what = f'oscillation near {CENTRES_RAD_S[channel]:.0f} rad/s:'
+        found, limit = self._energy[0, channel, axis], bound[channel, axis]
+        return Alarm(AXES[axis], what, float(np.sqrt(found)), float(np.sqrt(limit)))
+
+    def figures(self) -> dict[str, float]:
+        """Rate RMS per axis now, and the bound while it is watched, rad/s."""
+        found = {'rate_rms': self._energy[0, -1]}
+        if self._bound is not None:
+            found['rate_rms_bound'] = self._bound[-1] + self._peak * self._explained[-1]
+        return {
+            f'{axis}.{name}': math.sqrt(energy[i])
+            for name, energy in found.items()
+            for i, axis in enumerate(AXES)
+        }
+
+    def _remember(self) -> None:
+        if not self.settled:
+            return
+        excess = self._energy[0] - self._peak * self._explained
+        self._worst = np.maximum(self._worst, excess)
+        fade = 1.0 - self._dt / BEFORE_S
+        self._allowed_before = np.maximum(
+            self._distance - self._allowed, self._allowed_before * fade
+        )
+        if self._cycles % round(BLOCK_S / self._dt) == 0:
+            self._blocks.append(self._worst)
+            self._worst = np.zeros_like(self._worst)
+
+    def _limit(self) -> FloatArray:
+        """(2,) rad that roll and pitch may be away from their reference."""
+        return math.radians(FAR_DEG) + self._allowed + MARGIN * self._allowed_before
+
+    def _compare(self, bound: FloatArray) -> None:
+        self._far_s = np.where(self._distance > self._limit(), self._far_s + self._dt, 0.0)
+        over = self._energy[0] > bound + self._peak * self._explained
+        self._over_s = np.where(over, self._over_s + self._dt, 0.0)
+
+
+def _bank(centres: FloatArray, dt: float) -> tuple[FloatArray, FloatArray]:
+    """Biquads (b0 b1 b2), (a1 a2), each (6, 1): band passes of quality 1.4, and one low pass.
+
+    Bilinear transform, as in Bristow-Johnson's cookbook.
+    """
+    w = np.append(centres, RMS_CUT_RAD_S) * dt
+    quality = np.append(np.full(centres.size, 1.4), math.sqrt(0.5))
+    alpha, cos = np.sin(w) / (2.0 * quality), np.cos(w)
+    b = np.stack((alpha, np.zeros_like(w), -alpha))
+    b[:, -1] = np.array([0.5, 1.0, 0.5]) * (1.0 - cos[-1])
+    a = np.stack((-2.0 * cos, 1.0 - alpha))
+    return (b / (1.0 + alpha))[..., np.newaxis], (a / (1.0 + alpha))[..., np.newaxis]

@@ -1,0 +1,176 @@
+"""Whether each axis answers with the right sign, and which motor is which: small pulses. Pure.
+
+A pulse is a doublet added to U2..U4, once each way round; the rates' answers are compared with
+what the contract's mixer and axes promise. The pulses are sent by gain_keeper.py.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from quad_bridge.wire.frames import Vector3
+
+FloatArray = npt.NDArray[np.float64]
+
+AXES = ('roll', 'pitch', 'yaw')
+MOTORS = ('rear left', 'rear right', 'front right', 'front left')
+MIXER = ((1, 1, 1), (-1, 1, -1), (-1, -1, 1), (1, -1, -1))
+"""Signs of U2, U3, U4 in the command of motors 1..4 (contract): a push of that motor alone."""
+LEVELS = {'roll': (0.012, 0.04), 'pitch': (0.012, 0.04), 'yaw': (0.03, 0.08)}
+"""Half-amplitudes that are tried on an axis until it answers, normalised command."""
+MOTOR_LEVELS = (0.012, 0.03)
+QUIET_S, HALF_S, REST_S = 0.16, 0.12, 0.36
+LISTEN_S = (0.04, 0.18)
+"""Of the answer, from the start of the doublet: before its second half can be felt."""
+LEAST_RAD_S = 0.015
+LEAST_SIGMAS = 5.0
+
+
+@dataclass(frozen=True)
+class Pulse:
+    """A direction in (U2, U3, U4) and the sizes to try."""
+
+    name: str
+    direction: tuple[float, float, float]
+    levels: tuple[float, ...]
+    watched: tuple[int, ...]
+    """Axes whose answer ends the tries."""
+
+
+def axis_pulses(axes: Sequence[str]) -> list[Pulse]:
+    """One pulse about each of the axes."""
+    found = []
+    for axis in axes:
+        i = AXES.index(axis)
+        direction = (float(i == 0), float(i == 1), float(i == 2))
+        found.append(Pulse(axis, direction, LEVELS[axis], (i,)))
+    return found
+
+
+def motor_pulses() -> list[Pulse]:
+    """One pulse per motor channel: U2..U4 with the signs of its mixer row push it alone."""
+    return [
+        Pulse(f'motor_{k + 1}', (float(a), float(b), float(c)), MOTOR_LEVELS, (0, 1, 2))
+        for k, (a, b, c) in enumerate(MIXER)
+    ]
+
+
+class PulseRun:
+    """Plays pulses cycle by cycle and collects the answers, (3,) rad/s of rate per pulse."""
+
+    def __init__(self, pulses: Sequence[Pulse], rate_hz: float = 250.0) -> None:
+        self._queue = [(pulse, level) for pulse in pulses[:1] for level in pulse.levels[:1]]
+        self._left = list(pulses[1:])
+        self._rate_hz = rate_hz
+        self._samples: list[Vector3] = []
+        self._length = round((QUIET_S + 2 * HALF_S + REST_S) * rate_hz)
+        self.answers: dict[str, FloatArray] = {}
+        """Name of a pulse to the rates' answers; 0 where an axis did not answer."""
+
+    @property
+    def finished(self) -> bool:
+        """True when all answers are there."""
+        return not self._queue
+
+    def step(self, rates: Vector3) -> Vector3:
+        """Take the rates of one cycle; what to add to U2..U4 in the next."""
+        if self.finished:
+            return (0.0, 0.0, 0.0)
+        self._samples.append(rates)
+        pulse, level = self._queue[0]
+        size = level * self._shape(len(self._samples))
+        if len(self._samples) == 2 * self._length:
+            self._judge(pulse, level)
+        x, y, z = pulse.direction
+        return (size * x, size * y, size * z)
+
+    def _shape(self, sample: int) -> float:
+        """+ -, then after a rest - +."""
+        second, k = divmod(sample, self._length)
+        sign = 1.0 if second == 0 else -1.0
+        t = k / self._rate_hz - QUIET_S
+        if 0.0 <= t < HALF_S:
+            return sign
+        return -sign if HALF_S <= t < 2 * HALF_S else 0.0
+
+    def _judge(self, pulse: Pulse, level: float) -> None:
+        rates = np.array(self._samples).reshape(2, self._length, 3)
+        self._samples = []
+        quiet = rates[:, : round(QUIET_S * self._rate_hz)]
+        first, last = (round((QUIET_S + t) * self._rate_hz) for t in LISTEN_S)
+        change = rates[:, first:last].mean(axis=1) - quiet.mean(axis=1)
+        change[1] *= -1.0
+        spread = quiet.std(axis=1).mean(axis=0)
+        least = np.maximum(LEAST_RAD_S, LEAST_SIGMAS * spread / math.sqrt(last - first))
+        heard = (np.sign(change[0]) == np.sign(change[1])) & (np.abs(change) > least).all(axis=0)
+        self.answers[pulse.name] = np.where(heard, change.mean(axis=0), 0.0)
+        larger = [x for x in pulse.levels if x > level]
+        if larger and not heard[list(pulse.watched)].any():
+            self._queue = [(pulse, larger[0])]
+        elif self._left:
+            following = self._left.pop(0)
+            self._queue = [(following, following.levels[0])]
+        else:
+            self._queue = []
+
+
+def judge_axes(answers: Mapping[str, FloatArray]) -> dict[str, str]:
+    """Axis to `right`, `wrong`, `crossed` (another axis answers more) or `silent`."""
+    verdicts = {}
+    for axis, answer in answers.items():
+        if axis not in AXES:
+            continue
+        own = answer[AXES.index(axis)]
+        foreign = max(abs(float(v)) for i, v in enumerate(answer) if i != AXES.index(axis))
+        if foreign > abs(own):
+            verdicts[axis] = 'crossed'
+        elif own == 0.0:
+            verdicts[axis] = 'silent'
+        else:
+            verdicts[axis] = 'right' if own > 0.0 else 'wrong'
+    return verdicts
+
+
+def merge_motors(
+    known: Mapping[str, Mapping[str, int]], answers: Mapping[str, FloatArray]
+) -> dict[str, dict[str, int]]:
+    """Signs per motor channel and axis: those of this run over those of earlier mounts.
+
+    In a run of four channels an axis counts only where at least three of them moved it.
+    """
+    rows = {name: answers[name] for name in answers if name.startswith('motor_')}
+    counted = [i for i in range(3) if sum(row[i] != 0.0 for row in rows.values()) >= 3]
+    merged = {name: dict(signs) for name, signs in known.items()}
+    for name, row in rows.items():
+        for i in counted:
+            if row[i] != 0.0:
+                merged.setdefault(name, {})[AXES[i]] = int(np.sign(row[i]))
+    return merged
+
+
+def where_motors_are(signs: Mapping[str, Mapping[str, int]]) -> tuple[dict[str, str], list[str]]:
+    """Channel to what is known of it, in words, and the faults found; from `merge_motors`."""
+    words, faults = {}, []
+    for k in range(4):
+        name = f'motor_{k + 1}'
+        found = signs.get(name, {})
+        wanted = dict(zip(AXES, MIXER[k], strict=True))
+        fits = [
+            MOTORS[j]
+            for j in range(4)
+            if all(
+                sign == MIXER[j][AXES.index(axis)] for axis, sign in found.items() if axis != 'yaw'
+            )
+        ]
+        words[name] = ' or '.join(fits) if found else 'unknown'
+        bad = [axis for axis, sign in found.items() if sign != wanted[axis]]
+        if 'roll' in bad or 'pitch' in bad:
+            faults.append(f'{name} drives the {words[name]}, must be the {MOTORS[k]}')
+        elif bad:
+            faults.append(f'{name} turns the wrong way')
+    return words, faults

@@ -1,0 +1,314 @@
+"""Updates between the bridge's keeper and the virtual STM32: good ones, faults, abuse."""
+
+import json
+import math
+from dataclasses import replace
+
+import pytest
+
+from quad_bridge.errors import RefusedError
+from quad_bridge.gain_state import State
+from quad_bridge.virtual.receiver import Event
+from quad_bridge.wire import frames as f
+from quad_bridge.wire.gain_names import WIRE_NAMES
+from quad_bridge.wire.params import float32
+
+KP, ANGLE = 'roll.rate.kp', 'roll.angle.kp'
+OLD_KP = 0.07448451
+
+
+def history(folder):
+    (path,) = folder.rglob('gains.jsonl')
+    return [json.loads(line) for line in path.read_text().splitlines()]
+
+
+def flown(bench):
+    return {n: None if (v := bench.gain(n)) is None else float32(v) for n in WIRE_NAMES}
+
+
+def test_a_good_update_is_written_whole_watched_and_confirmed(bench, tmp_path):
+    made = bench()
+    made.ask(roll_rate_kp=0.1, roll_angle_kp=5.0, source='designer', model='model.json')
+    assert made.keeper.state is State.WRITING
+    made.fly_until('step 1 of 1 of designer is in force')
+    assert made.gain(KP) == pytest.approx(0.1)
+    assert made.told[ANGLE] == made.gain(ANGLE) == 5.0
+    begin = made.now_s
+    made.fly_until('confirmed')
+    assert made.now_s - begin == pytest.approx(10.0, abs=0.3)
+    found, active, confirmed = history(tmp_path)
+    assert (found['reason'], found['gains'][ANGLE]) == ('read from the STM32', 3.0)
+    assert (active['source'], active['model'], active['gains'][ANGLE]) == (
+        'designer', 'model.json', 5.0,
+    )  # fmt: skip
+    assert (confirmed['state'], confirmed['update']) == ('confirmed', active['update'])
+    made.cut = True
+    made.fly(20.0)
+    assert made.gain(ANGLE) == 5.0
+
+
+def test_a_larger_change_goes_in_steps_with_three_seconds_between(bench):
+    made = bench()
+    made.ask(roll_angle_kp=9.0, roll_rate_kd=0.002)
+    made.fly_until('step 1 of 2')
+    first = made.now_s
+    assert made.gain(ANGLE) == pytest.approx(6.0, rel=1e-3)
+    made.fly_until('step 2 of 2')
+    assert made.now_s - first == pytest.approx(3.0, abs=0.3)
+    assert made.gain(ANGLE) == 9.0
+
+
+@pytest.mark.parametrize(
+    ('asked', 'words'),
+    [
+        ({'roll_rate_kp': math.nan}, 'must be finite'),
+        ({'roll_rate_kp': math.inf}, 'must be finite'),
+        ({'roll_rate_kp': -0.05}, 'must lie in'),
+        ({'roll_rate_kp': 1e6}, 'must lie in'),
+        ({'roll_rate_kp': 'fast'}, 'must be a number'),
+        ({'roll_rate_kp': 0.1, 'source': 'a stranger'}, 'source is not allowed'),
+        ({'roll_rate_kp': 0.1, 'predicted.roll.peak': math.nan}, 'predicted.roll.peak: must be'),
+        ({'roll_rate_kp': 0.1, 'predicted.roll.colour': 1.0}, 'no such prediction'),
+    ],
+)
+def test_bad_updates_are_refused_and_change_nothing(bench, asked, words):
+    made = bench(sources=('test', 'designer*'))
+    before = flown(made)
+    with pytest.raises(RefusedError, match=words):
+        made.ask(**asked)
+    made.fly(1.0)
+    assert words in made.keeper.refused
+    assert flown(made) == before
+
+
+def test_nothing_passes_while_excitation_runs_or_the_pilot_has_killed(bench):
+    made = bench(events=[Event(5.0, 'aux1', 1.0)])
+    made.link.send(f.Excitation((0.05, 0.0, 0.0), int(f.Injection.ATTITUDE), 1, 300))
+    made.fly(0.1)
+    with pytest.raises(RefusedError, match='not while the excitation runs'):
+        made.ask(roll_rate_kp=0.1)
+    made.fly(2.5)
+    with pytest.raises(RefusedError, match='kill switch'):
+        made.ask(roll_rate_kp=0.1)
+
+
+def test_a_flood_of_updates_is_one_update(bench):
+    made = bench()
+    made.ask(roll_rate_kp=0.08)
+    for k in range(499):
+        with pytest.raises(RefusedError, match='in flight'):
+            made.ask(roll_rate_kp=0.08 + 1e-5 * k)
+        if k % 10 == 0:
+            made.fly(0.004)
+    made.fly_until('confirmed')
+    assert made.gain(KP) == pytest.approx(0.08)
+    assert (made.keeper.commits, made.keeper.refusals) == (1, 499)
+
+
+def test_an_update_without_a_link_is_refused(bench):
+    made = bench()
+    made.cut = True
+    made.fly(0.6)
+    with pytest.raises(RefusedError, match='the link is down'):
+        made.ask(roll_rate_kp=0.1)
+
+
+# What the wire can do to it.
+
+
+class Some:
+    """Loses, doubles or falsifies every third frame of a kind."""
+
+    def __init__(self, kinds, change):
+        self.kinds, self.change, self.count = kinds, change, 0
+
+    def __call__(self, frame):
+        if not isinstance(frame, self.kinds):
+            return [frame]
+        self.count += 1
+        return self.change(frame) if self.count % 3 == 0 else [frame]
+
+
+GAINS = (f.ParamSet, f.ParamValue, f.ParamRequestRead, f.GainsCommand, f.GainsState)
+
+
+@pytest.mark.parametrize('change', [lambda _: [], lambda x: [x, x]], ids=['dropped', 'doubled'])
+def test_dropped_and_doubled_frames_do_no_harm(bench, change):
+    made = bench()
+    made.up, made.down = Some(GAINS, change), Some(GAINS, change)
+    made.ask(roll_rate_kp=0.1, roll_rate_ki=0.003, roll_rate_kd=0.0015, roll_angle_kp=5.0)
+    made.fly_until('confirmed')
+    assert made.gain(KP) == pytest.approx(0.1)
+    assert made.told == pytest.approx({**made.told, KP: 0.1, ANGLE: 5.0})
+
+
+def test_values_falsified_on_the_way_are_noticed_and_repeated(bench):
+    made = bench()
+    made.up = Some(f.ParamSet, lambda x: [replace(x, value=1.07 * x.value)])
+    made.ask(roll_rate_kp=0.1, roll_rate_ki=0.003, roll_rate_kd=0.0015, roll_angle_kp=5.0)
+    made.fly_until('in force')
+    assert made.gain('roll.rate.kd') == pytest.approx(0.0015)
+
+
+@pytest.mark.parametrize(
+    ('kind', 'change'),
+    [
+        (f.ParamSet, lambda x: [replace(x, value=1.07 * x.value)]),
+        (f.ParamSet, lambda _: []),
+        (f.ParamValue, lambda x: [replace(x, value=-x.value)]),
+        (f.GainsCommand, lambda x: [replace(x, checksum=x.checksum ^ 1)]),
+    ],
+    ids=['falsified', 'lost', 'falsified answers', 'falsified checksum'],
+)
+def test_a_wire_that_always_spoils_the_set_leaves_the_old_gains(bench, kind, change):
+    made = bench()
+    before, started = flown(made), [False]
+
+    def spoil(frame):
+        spoilt = started[0] and isinstance(frame, kind)
+        return change(frame) if spoilt else [frame]
+
+    made.up = made.down = spoil
+    started[0] = True
+    made.ask(roll_rate_kp=0.1, roll_angle_kp=5.0)
+    made.fly_until('not taken over')
+    started[0] = False
+    made.fly(2.0)
+    assert flown(made) == before
+    assert made.told[KP] == pytest.approx(OLD_KP)
+
+
+def test_a_gain_that_the_stm32_refuses_undoes_the_others(bench):
+    made = bench(bounds={KP: made_bound(2.0), ANGLE: made_bound(50.0)})
+    fits = made.endpoint.firmware.fits
+    made.endpoint.firmware.fits = lambda name, value: name != KP and fits(name, value)
+    made.ask(roll_angle_kp=5.0, roll_rate_kp=0.1)
+    assert 'ROLL_RATE_KP: the STM32 kept' in made.fly_until('not taken over')
+    made.fly(1.0)
+    assert (made.gain(ANGLE), made.told[ANGLE]) == (3.0, 3.0)
+
+
+def made_bound(upper):
+    from quad_bridge.gain_gate import Bound
+
+    return Bound(0.0, upper)
+
+
+@pytest.mark.parametrize('action', [f.GainsAction.COMMIT, f.GainsAction.OPEN])
+@pytest.mark.parametrize('arrives', [True, False])
+def test_a_link_cut_around_the_commit_leaves_the_old_gains(bench, action, arrives):
+    made = bench()
+    before = flown(made)
+
+    def cut_here(frame):
+        if isinstance(frame, f.GainsCommand) and frame.action == action:
+            made.cut = True
+            return [frame] if arrives else []
+        return [frame]
+
+    made.up = cut_here
+    made.ask(roll_rate_kp=0.1, roll_angle_kp=5.0)
+    made.fly(3.0)
+    assert flown(made) == before  # by itself: nobody could tell it
+    made.up, made.cut = lambda frame: [frame], False
+    made.fly(4.0)
+    assert made.told[KP] == pytest.approx(OLD_KP)
+    assert made.keeper.refused
+    assert made.keeper.state is State.IDLE
+
+
+def test_a_link_that_dies_in_the_watch_brings_the_old_gains_back(bench):
+    made = bench()
+    made.ask(roll_rate_kp=0.1)
+    made.fly_until('in force')
+    made.cut = True
+    made.fly(3.0)
+    assert made.gain(KP) == pytest.approx(OLD_KP)
+    made.cut = False
+    made.fly(3.0)
+    assert made.told[KP] == pytest.approx(OLD_KP)
+    assert 'rolled back' in made.keeper.refused
+
+
+@pytest.mark.parametrize('after_s', [0.004, 0.008, 0.1, 2.0])
+def test_a_bridge_killed_in_the_middle_leaves_the_old_gains(bench, after_s):
+    made = bench()
+    made.ask(roll_rate_kp=0.1, roll_angle_kp=9.0)
+    made.fly(after_s)
+    made.cut = True
+    made.fly(2.2)
+    assert made.gain(ANGLE) == 3.0
+    made.cut = False
+    made.new_bridge()
+    made.fly(2.0)
+    assert made.told[ANGLE] == 3.0
+
+
+def test_a_bridge_that_comes_back_at_once_takes_back_what_it_finds_unconfirmed(bench):
+    made = bench()
+    made.ask(roll_rate_kp=0.1)
+    made.fly_until('in force')
+    made.new_bridge()
+    made.fly_until('rolled back')
+    assert made.gain(KP) == pytest.approx(OLD_KP)
+
+
+# The watch.
+
+
+def test_a_destabilising_set_is_taken_back_before_twenty_degrees(bench):
+    made = bench(profile='hover', mount='hover', bounds={
+        KP: made_bound(1.0), 'pitch.rate.kp': made_bound(1.0),
+    })  # fmt: skip
+    made.ask(roll_rate_kp=0.6, pitch_rate_kp=0.6)
+    assert 'oscillation' in made.fly_until('rolled back')
+    made.fly(2.0)
+    assert made.told[KP] == made.gain(KP) == pytest.approx(OLD_KP)
+    assert math.degrees(made.peak_rad) < 20.0
+
+
+def test_a_set_that_turns_the_feedback_around_is_taken_back_before_twenty_degrees(bench):
+    made = bench(bounds={KP: replace(made_bound(1.0), lower=-1.0, small_step=0.2)})
+    fits = made.endpoint.firmware.fits
+    made.endpoint.firmware.fits = lambda name, value: name == KP or fits(name, value)
+    made.ask(roll_rate_kp=-0.05)
+    made.fly_until('rolled back')
+    made.fly(2.0)
+    assert made.gain(KP) == pytest.approx(OLD_KP)
+    assert math.degrees(made.peak_rad) < 20.0
+
+
+def test_the_kill_switch_and_the_stick_gesture_take_the_gains_back(bench):
+    ends = [Event(6.0 + 0.3 * k, 'yaw', v) for k, v in enumerate([0.9, -0.9, 0.9, 0.0])]
+    for events, words in (
+        ([Event(6.0, 'aux1', 1.0)], 'kill switch'),
+        (ends, 'stick gesture'),
+    ):
+        made = bench(events=events)
+        made.ask(roll_rate_kp=0.1)
+        assert words in made.fly_until('rolled back')
+        assert made.gain(KP) == pytest.approx(OLD_KP)
+
+
+def test_a_roll_back_can_be_asked_for(bench, tmp_path):
+    made = bench()
+    made.ask(roll_rate_kp=0.1, roll_angle_kp=12.0)
+    made.fly_until('step 1')
+    made.ask(rollback=True, source='operator')
+    assert 'operator asked for it' in made.fly_until('rolled back')
+    made.fly(1.0)
+    assert made.gain(ANGLE) == made.told[ANGLE] == 3.0
+    *_, outcome, active = history(tmp_path)
+    assert (outcome['state'], outcome['reason']) == ('rolled back', 'operator asked for it')
+    assert active['gains'][ANGLE] == 3.0
+
+
+def test_a_full_disk_does_not_keep_gains_from_being_flown_or_taken_back(bench, tmp_path):
+    (tmp_path / 'state').write_text('no folder can be made here')
+    made = bench()
+    made.ask(roll_rate_kp=0.1)
+    made.fly_until('in force')
+    assert 'cannot be written' in made.keeper.disk_fault
+    made.ask(rollback=True)
+    made.fly_until('rolled back')
+    assert made.gain(KP) == pytest.approx(OLD_KP)

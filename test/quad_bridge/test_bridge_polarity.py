@@ -1,0 +1,165 @@
+"""Pulses find the right sign, a wrong one, a fixed axis, and which motor is which."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from quad_bridge.errors import RefusedError
+from quad_bridge.polarity import MIXER, merge_motors, where_motors_are
+from quad_bridge.polarity_check import PolarityCheck
+from quad_bridge.wire import frames as f
+
+ROLL = {'roll_rate_kp': 0.1}
+
+
+def checked(made, *, motors=False):
+    words = []
+    made.keeper.check(made.now_s, words.append, motors=motors)
+    for _ in range(200):
+        made.fly(0.1)
+        if words:
+            return words[0]
+    raise AssertionError('no answer')
+
+
+def turned(axis):
+    """A wire on which the gyro of one axis is reported with the other sign."""
+
+    def down(frame):
+        if not isinstance(frame, f.Cycle):
+            return [frame]
+        gyro = tuple(-v if i == axis else v for i, v in enumerate(frame.gyro))
+        return [replace(frame, gyro=gyro)]
+
+    return down
+
+
+def test_the_first_update_of_an_axis_waits_for_its_pulses(bench):
+    made = bench(polarity='auto')
+    assert 'checking the polarity of roll' in made.ask(**ROLL)
+    made.fly_until('in force')
+    assert 'polarity: roll right' in made.news
+    assert np.degrees(made.peak_rad) < 3.0
+
+
+def test_the_check_is_kept_for_the_aircraft(bench):
+    made = bench(polarity='auto')
+    made.ask(**ROLL)
+    made.fly_until('in force')
+    again = bench(polarity='manual')
+    assert 'writing' in again.ask(**ROLL)
+
+
+def test_a_wrong_sign_refuses_every_update_until_it_is_mended(bench):
+    made = bench(polarity='auto')
+    made.down = turned(0)
+    made.ask(**ROLL)
+    words = made.fly_until('refused')
+    assert 'roll answers with the wrong sign: mend' in words
+    for wanted in (ROLL, {'yaw_rate_kp': 0.2}):
+        with pytest.raises(RefusedError, match='wrong sign'):
+            made.ask(**wanted)
+    made.down = lambda frame: [frame]
+    assert 'roll right' in checked(made)
+    made.ask(**ROLL)
+    made.fly_until('in force')
+
+
+def test_a_fixed_axis_is_silent_and_its_gains_are_refused(bench):
+    made = bench(polarity='auto')
+    made.ask(pitch_rate_kp=0.1)
+    assert 'pitch did not answer to the pulses' in made.fly_until('refused')
+    assert made.gain('pitch.rate.kp') == pytest.approx(0.0744845, rel=1e-5)
+
+
+def test_manual_means_that_somebody_must_ask(bench):
+    made = bench(polarity='manual')
+    with pytest.raises(RefusedError, match='call ~/check_polarity'):
+        made.ask(**ROLL)
+    assert checked(made) == 'roll right; pitch silent; yaw silent'
+    made.ask(**ROLL)
+
+
+def test_all_axes_answer_in_hover(bench):
+    made = bench(polarity='manual', mount='hover', profile='paper_hover')
+    assert checked(made) == 'roll right; pitch right; yaw right'
+    assert np.degrees(made.peak_rad) < 6.0
+
+
+def test_pulses_stop_when_an_excitation_starts_and_an_unarmed_aircraft_gets_none(bench):
+    made = bench(polarity='auto')
+    made.ask(**ROLL)
+    made.fly(0.3)
+    made.keeper.disturb()
+    assert 'stopped: the excitation has started' in made.fly_until('refused')
+    made.endpoint.firmware.armed = False
+    made.fly(1.0)
+    with pytest.raises(RefusedError, match='not armed'):
+        made.ask(**ROLL)
+
+
+def test_the_motors_are_found_mount_by_mount(bench):
+    made = bench(polarity='manual')
+    words = checked(made, motors=True)
+    assert 'motor_1 rear left or front left; motor_2 rear right or front right' in words
+    flying = bench(polarity='manual', mount='hover', profile='hover')
+    words = checked(flying, motors=True)
+    names = ('rear left', 'rear right', 'front right', 'front left')
+    assert words == '; '.join(f'motor_{k + 1} {name}' for k, name in enumerate(names))
+
+
+def test_two_swapped_motors_are_named(bench):
+    made = bench(polarity='auto')
+    machine = made.aircraft.machine
+    crossed = tuple((b, a, c, d) for a, b, c, d in machine.plant.torque_map)
+    # nothing holds the roll angle any more: a stiff bearing, or it drifts to the rig's limit
+    still = {'bias_torque': (0.0, 0.0, 0.0), 'damping': (0.05, 0.05, 0.05)}
+    plant = machine.plant._replace(torque_map=crossed, **still)
+    made.aircraft.machine = machine._replace(plant=plant)
+    words = checked(made, motors=True)
+    assert 'motor_1 drives the rear right or front right, must be the rear left' in words
+    assert 'motor_2 drives the rear left or front left, must be the rear right' in words
+    with pytest.raises(RefusedError, match='motor_1 drives'):
+        made.ask(**ROLL)
+
+
+def answers(order, spins=(1, 1, 1, 1)):
+    """What pulses show where channel k drives the motor `order[k]`."""
+    rows = {}
+    for k, motor in enumerate(order):
+        roll, pitch, yaw = MIXER[motor]
+        rows[f'motor_{k + 1}'] = np.array([0.2 * roll, 0.2 * pitch, 0.03 * yaw * spins[k]])
+    return rows
+
+
+@pytest.mark.parametrize('order', list(itertools.permutations(range(4))))
+def test_every_order_is_told(order):
+    places, faults = where_motors_are(merge_motors({}, answers(order)))
+    names = ('rear left', 'rear right', 'front right', 'front left')
+    assert list(places.values()) == [names[motor] for motor in order]
+    wrong = [k for k, motor in enumerate(order) if k != motor]
+    assert [fault.split()[0] for fault in faults] == [f'motor_{k + 1}' for k in wrong]
+
+
+def test_a_motor_that_turns_the_wrong_way_is_told():
+    _, faults = where_motors_are(merge_motors({}, answers(range(4), (1, -1, 1, 1))))
+    assert faults == ['motor_2 turns the wrong way']
+
+
+def test_a_motor_fault_refuses_updates_and_survives_the_disk():
+    check = PolarityCheck('auto')
+    motors = merge_motors({}, answers((1, 0, 2, 3)))
+    check.load({'axes': {'roll': 'right'}, 'motors': motors})
+    with pytest.raises(RefusedError, match='motor_1 drives the rear right'):
+        check.missing(['roll.rate.kp'])
+
+
+@pytest.mark.parametrize('record', [{}, {'axes': 3}, {'axes': {'roll': 1}, 'motors': {'a': 'b'}}])
+def test_a_damaged_record_counts_as_no_check(record):
+    check = PolarityCheck('auto')
+    check.load(record)
+    assert check.missing(['roll.rate.kp', 'sensor.gyro_filter_hz']) == ['roll']
