@@ -160,14 +160,14 @@ def attainable(airframe: Airframe, true: AxisModel, before: Flown) -> Outcome:
 
 def tuned(airframe: Airframe, models: Path | None, *, peers: bool) -> list[Outcome]:
     """All ways to gains on one airframe."""
-    record = first_flight(airframe)
-    model = _model(airframe, models, record)
+    model = _model(airframe, models)
     if isinstance(model, str):
         return [Outcome('identified', model, 0.0, False)]
     before, true = judged(second_flight(airframe, {})), truth(airframe, model)
     rows = [ours(airframe, model, true, before), attainable(airframe, true, before)]
     if peers:
         active = CascadeGains.from_mapping(model.active_gains, airframe.axis)
+        record = first_flight(airframe)
         for name, gains in (
             ('PX4-like', px4_like(record, airframe.axis, active)),
             ('Ziegler-Nichols', ziegler_nichols(model, active)),
@@ -177,11 +177,11 @@ def tuned(airframe: Airframe, models: Path | None, *, peers: bool) -> list[Outco
     return rows
 
 
-def _model(airframe: Airframe, models: Path | None, record: object) -> AxisModel | str:
+def _model(airframe: Airframe, models: Path | None) -> AxisModel | str:
     path = None if models is None else models / f'{airframe.number:03d}.json'
     if path is not None and path.exists():
         return load_models(path)[airframe.axis]
-    model = identified(record, airframe.axis)
+    model = identified(first_flight(airframe), airframe.axis)
     if path is not None and not isinstance(model, str):
         path.parent.mkdir(parents=True, exist_ok=True)
         save_models({airframe.axis: model}, path)
@@ -256,7 +256,7 @@ def main() -> int:
         print(
             f'{airframe.number:3d} {airframe.axis:5} {airframe.mount:5} {airframe.effect:20} '
             f'{told}  (promised {first.predicted_pct:.1f} %, {first.steps} steps'
-            f'{"" if first.together else " by equal ratios"}, {first.seconds:.1f} s) '
+            f'{"" if first.together else " with a halt"}, {first.seconds:.1f} s) '
             f'{first.refused_because}', flush=True,
         )  # fmt: skip
     print('\nchange of the RMS tracking error of the square wave, less is a positive number')

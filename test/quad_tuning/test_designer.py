@@ -1,13 +1,16 @@
 """The designer's refusals: each says why in one line, and gives no gains."""
 
 import dataclasses
+import types
 from importlib.metadata import entry_points
 
 import numpy as np
 import pytest
 
 from quad_sysid.model import Parameter
-from quad_tuning.designer import design
+from quad_tuning.designer import _check_worth, design
+from quad_tuning.errors import DesignRefusedError
+from quad_tuning.objective import Requirements
 
 
 def without_gains(m):
@@ -55,10 +58,6 @@ def with_base(m, name, value):
             ),
             'within the hard bounds',
         ),
-        (
-            lambda m: with_base(with_base(with_base(m, 'delay', 0.03), 'lag', 0.2), 'gain', 250.0),
-            'would raise the tracking error',
-        ),
     ],
 )
 def test_a_model_that_allows_no_design_is_refused_with_the_reason(model, change, said):
@@ -67,6 +66,16 @@ def test_a_model_that_allows_no_design_is_refused_with_the_reason(model, change,
     assert said in proposal.refused_because
     assert proposal.refused_because.startswith('roll')
     assert '\n' not in proposal.refused_because
+
+
+def test_margins_are_not_bought_with_tracking(model):
+    found = types.SimpleNamespace(
+        objective_spread_pct=0.0, starts=4,
+        before=types.SimpleNamespace(rms_tracking_rad=0.1, worst_phase_margin_deg=9.0),
+        figures=types.SimpleNamespace(rms_tracking_rad=0.104),
+    )  # fmt: skip
+    with pytest.raises(DesignRefusedError, match='would raise the tracking error by 4 %'):
+        _check_worth(model(), found, Requirements())
 
 
 def test_gains_that_are_already_the_best_are_left_alone(model):

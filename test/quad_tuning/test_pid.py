@@ -16,6 +16,7 @@ from quad_tuning.assess import disturbance, tracking
 from quad_tuning.designer import design
 from quad_tuning.pid import Requirements, meets, retune
 
+ACTIVE = CascadeGains.default('roll')
 FRICTION = EffectEstimate(
     'coulomb_friction', 'named', ('rate',), (Parameter('torque', 2.5, 0.1, 'rad/s²'),)
 )
@@ -35,7 +36,7 @@ def test_design_improves_tracking_and_keeps_margins_over_fresh_draws(model, axis
     m = model(axis, **values)
     proposal = design(m)
     assert proposal.refused_because == ''
-    gains = CascadeGains.from_mapping({**m.active_gains, **proposal.gains}, axis)
+    gains = CascadeGains.from_mapping({**m.active_gains, **proposal.steps[-1]}, axis)
     loops = ensembles.build(m, np.random.default_rng(99), 300)
     needs = Requirements(44.0, 7.8, 1.84)  # fresh draws go a little further than the design's
     assert meets(loops.margins(gains), needs).mean() > 0.99
@@ -119,7 +120,7 @@ def test_friction_of_a_real_bearing_does_not_hunt_with_the_new_gains(model):
     reference = square_wave(np.radians(12), 3.0, 3, 0.004)
     before, after = (
         simulate_cascade(plant, g, reference, 0.004)
-        for g in (CascadeGains.default('roll'), CascadeGains.from_mapping(proposal.gains, 'roll'))
+        for g in (ACTIVE, CascadeGains.from_mapping(proposal.steps[-1], 'roll'))
     )
     old, new = (square_figures(reference, run.angle, 0.004) for run in (before, after))
     assert new.rms_error_rad < 0.85 * old.rms_error_rad

@@ -34,7 +34,7 @@ def test_hard_bounds(gains):
 
 def test_a_name_no_designer_may_change_is_refused():
     with pytest.raises(DesignRefusedError, match='no gain that a designer may change'):
-        check_bounds({'roll.rate.d_filter_hz': 30.0})
+        check_bounds({'roll.rate.output_limit': 0.3})
 
 
 def test_one_update_changes_a_gain_by_two_at_most_or_by_the_small_step():

@@ -14,6 +14,8 @@ from quad_sysid.loop.cascade import CONTRACT_NAMES, TUNED, CascadeGains
 from quad_sysid.model import AxisModel
 from quad_tuning.errors import DesignRefusedError
 
+DESIGNED = (*TUNED, 'd_filter_hz')
+"""Fields of CascadeGains that a designer changes; the D filter only where the flight told it."""
 STEP_FACTOR = 2.0
 """Largest change of one gain in one update."""
 ROUNDING = 1e-4
@@ -39,6 +41,7 @@ BOUNDS: Mapping[str, Bound] = {
     'rate.kp': Bound(0.005, 0.5, 0.0, 's/rad'),
     'rate.ki': Bound(0.0, 1.0, 0.004, '1/rad'),
     'rate.kd': Bound(0.0, 0.02, 0.0005, 's²/rad'),
+    'rate.d_filter_hz': Bound(5.0, 100.0, 0.0, 'Hz'),
 }
 """Contract's name behind the axis to its bound."""
 
@@ -79,11 +82,19 @@ def reachable(field: str, active: float) -> tuple[float, float]:
     return low, high
 
 
+def told(gains: CascadeGains, axis: str, active: Mapping[str, float]) -> dict[str, float]:
+    """The designed gains by the contract's names, without those that `active` does not know."""
+    names = {f'{axis}.{CONTRACT_NAMES[field]}': field for field in DESIGNED}
+    return {
+        name: float(getattr(gains, field)) for name, field in names.items() if name in active
+    }
+
+
 def check_step(gains: Mapping[str, float], active: Mapping[str, float]) -> None:
     """Raise DesignRefusedError where a gain changes by more than one update may."""
     check_bounds(gains)
     for name, value in gains.items():
-        field = next(f for f in TUNED if CONTRACT_NAMES[f] == name.partition('.')[2])
+        field = next(f for f in DESIGNED if CONTRACT_NAMES[f] == name.partition('.')[2])
         if name not in active:
             raise DesignRefusedError(f'{name}: its active value is not known')
         low, high = reachable(field, active[name])
@@ -103,12 +114,11 @@ def steps_to(wanted: CascadeGains, active: CascadeGains) -> tuple[CascadeGains, 
         if now == wanted:
             return tuple(path)
         values = {}
-        for field in TUNED:
+        for field in DESIGNED:
             low, high = reachable(field, getattr(now, field))
             values[field] = min(max(getattr(wanted, field), low), high)
         following = CascadeGains(
             **values,
-            d_filter_hz=wanted.d_filter_hz,
             output_limit=wanted.output_limit,
             rate_limit=wanted.rate_limit,
             integrator_limit=wanted.integrator_limit,

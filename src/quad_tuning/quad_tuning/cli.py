@@ -193,7 +193,14 @@ def _updates(answer: Mapping[str, Any]) -> str:
     count = len(answer['steps'])
     if answer['gains'] == answer['target']:
         return f'  to be sent whole; the step limit makes {count} updates of it'
-    return f'  to be sent one by one in {count} updates (--json: steps), all at once is not safe'
+    return (
+        f'  {count} updates lead there; send {_short(answer["gains"])} first and identify again, '
+        'all at once is not safe'
+    )
+
+
+def _short(gains: Mapping[str, float]) -> str:
+    return ', '.join(f'{name} {value:.4g}' for name, value in gains.items())
 
 
 def _draw(models: Mapping[str, AxisModel], answers: Mapping[str, Any], folder: Path) -> None:

@@ -7,17 +7,17 @@ point group `quad_sysid.designers`. The arithmetic stands in those modules.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 
 import numpy as np
 
 from quad_sysid.errors import QuadSysidError
-from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.loop.from_model import loop_plant, not_in_the_loop
 from quad_sysid.model import AxisModel, GainProposal
 from quad_tuning import ensemble as ensembles
 from quad_tuning.admission import BAND_REACH, check_band, check_model, flown_gains
 from quad_tuning.assess import LoopFigures, assess
-from quad_tuning.bounds import check_bounds
+from quad_tuning.bounds import DESIGNED, check_bounds, told
 from quad_tuning.errors import DesignRefusedError, QuadTuningError
 from quad_tuning.pid import PidDesign, Requirements, retune
 from quad_tuning.use import schedule, uses
@@ -62,22 +62,22 @@ def propose(model: AxisModel, requirements: Requirements | None = None) -> GainP
     if model.trusted_band_rad_s is not None:
         highest = max(BAND_REACH * model.trusted_band_rad_s[1], before.crossover_rad_s)
         needs = dataclasses.replace(needs, highest_crossover_rad_s=highest)
+    known = told(active, model.axis, model.active_gains)
+    fixed = DESIGNED[len(known) :]  # the filter of D, where the flight did not tell it
     try:
-        found = retune(plant, active, loops, needs)
+        found = retune(plant, active, loops, needs, fixed=fixed)
     except DesignRefusedError as refusal:
         raise DesignRefusedError(f'{model.axis}: {refusal}') from refusal
     _check_worth(model, found, needs)
-    check_bounds(found.gains.to_mapping(model.axis))
+    check_bounds(told(found.gains, model.axis, known))
     try:
-        way = way_to(found.gains, active, loops, needs)
+        way = way_to(found.gains, active, loops)
     except DesignRefusedError as refusal:
         raise DesignRefusedError(f'{model.axis}: {refusal}') from refusal
-    # who is told the target goes there with every gain as far as it may: only where that is safe
-    told = found.gains if way.together else way.first
     return GainProposal(
-        gains=told.to_mapping(model.axis),
-        figures=_figures(model, found, active, loops.draws),
-        steps=tuple(step.to_mapping(model.axis) for step in way.steps),
+        gains=told(way.told, model.axis, known),
+        figures=_figures(model, found, known, loops.draws),
+        steps=tuple(told(step, model.axis, known) for step in way.steps),
         used=uses(model),
         schedule=schedule(model, found.gains),
     )
@@ -135,15 +135,13 @@ def loop_figures(figures: LoopFigures, noise_rms: float | None = None) -> dict[s
 
 
 def _figures(
-    model: AxisModel, found: PidDesign, active: CascadeGains, draws: int
+    model: AxisModel, found: PidDesign, known: Mapping[str, float], draws: int
 ) -> dict[str, float]:
     after = loop_figures(found.figures, model.noise_rms)
     before = loop_figures(found.before, model.noise_rms)
     values = dict(after)
     values.update({f'{name}_before': value for name, value in before.items()})
-    values.update(
-        {f'{name}_before': value for name, value in active.to_mapping(model.axis).items()}
-    )
+    values.update({f'{name}_before': value for name, value in known.items()})
     values['draws'] = float(draws)
     values['searches_that_agree'] = float(found.starts)
     values['optimum_spread_pct'] = found.spread_pct

@@ -6,16 +6,17 @@ search stands in search.py; the figures themselves in assess.py.
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.loop.cascade import CONTRACT_NAMES, TUNED, CascadeGains, Margins
+from quad_sysid.loop.cascade import CONTRACT_NAMES, CascadeGains, Margins
 from quad_sysid.loop.plant import LoopPlant
 from quad_tuning.assess import disturbance, noise_gain, reference_square, tracking
-from quad_tuning.bounds import BOUNDS, check_bounds
+from quad_tuning.bounds import BOUNDS, DESIGNED, check_bounds
 from quad_tuning.ensemble import Ensemble
 from quad_tuning.errors import DesignRefusedError
 
@@ -52,7 +53,7 @@ class Weights:
 
     tracking: float = 1.0
     disturbance: float = 0.05
-    noise: float = 0.02
+    noise: float = 0.005
 
 
 @dataclass(frozen=True)
@@ -71,10 +72,10 @@ class Problem:
     high: FloatArray
 
     def gains(self, x: FloatArray) -> CascadeGains:
-        """Gains at a point (4,) of the unit cube."""
+        """Gains at a point (5,) of the unit cube."""
         values = {}
         for field, share, low, high in zip(
-            TUNED, np.clip(x, 0.0, 1.0), self.low, self.high, strict=True
+            DESIGNED, np.clip(x, 0.0, 1.0), self.low, self.high, strict=True
         ):
             power = POWERS.get(field)
             values[field] = float(low * (high / low) ** share if power is None
@@ -82,13 +83,14 @@ class Problem:
         return replace(self.active, **values)
 
     def point(self, gains: CascadeGains) -> FloatArray:
-        """The point (4,) of the unit cube at which `gains` stand, clipped to it."""
-        values = np.array([getattr(gains, field) for field in TUNED])
+        """The point (5,) of the unit cube at which `gains` stand, clipped to it."""
+        values = np.array([getattr(gains, field) for field in DESIGNED])
         shares = []
-        for field, value, low, high in zip(TUNED, values, self.low, self.high, strict=True):
+        for field, value, low, high in zip(DESIGNED, values, self.low, self.high, strict=True):
             power = POWERS.get(field)
             if power is None:
-                shares.append(np.log(max(value, 1e-12) / low) / np.log(high / low))
+                width = np.log(high / low)
+                shares.append(np.log(max(value, 1e-12) / low) / width if width > 0.0 else 0.0)
             else:
                 shares.append(max((value - low) / (high - low), 0.0) ** (1.0 / power))
         return np.asarray(np.clip(np.array(shares), 0.0, 1.0))
@@ -146,12 +148,20 @@ def pose(
     ensemble: Ensemble,
     needs: Requirements,
     weights: Weights,
+    fixed: Collection[str] = (),
 ) -> Problem:
-    """The problem of one axis; raises DesignRefusedError where the flown loop diverges."""
-    check_bounds({f'flown.{CONTRACT_NAMES[f]}': getattr(active, f) for f in TUNED})
+    """The problem of one axis; raises DesignRefusedError where the flown loop diverges.
+
+    `fixed` are fields of CascadeGains that stay as they are.
+    """
+    check_bounds({f'flown.{CONTRACT_NAMES[f]}': getattr(active, f) for f in DESIGNED})
     low, high = [], []
-    for field in TUNED:
+    for field in DESIGNED:
         bound, value = BOUNDS[CONTRACT_NAMES[field]], getattr(active, field)
+        if field in fixed:
+            low.append(value)
+            high.append(value)
+            continue
         free = field in POWERS
         low.append(bound.lower if free else max(bound.lower, value / REACH))
         high.append(bound.upper if free else min(bound.upper, value * REACH))

@@ -7,6 +7,7 @@ every loop of the ensemble. What is judged stands in objective.py, the search in
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 
 from quad_sysid.loop.cascade import TUNED, CascadeGains
@@ -49,13 +50,15 @@ def retune(
     ensemble: Ensemble,
     needs: Requirements | None = None,
     weights: Weights | None = None,
+    fixed: Collection[str] = (),
 ) -> PidDesign:
     """The best gains within the hard bounds that hold for every loop of the ensemble.
 
-    Deterministic. Raises DesignRefusedError where no gains in the box meet the requirements.
+    `fixed` are fields of CascadeGains that stay as they are. Deterministic. Raises
+    DesignRefusedError where no gains in the box meet the requirements.
     """
     needs = needs or Requirements()
-    problem = pose(plant, active, ensemble, needs, weights or Weights())
+    problem = pose(plant, active, ensemble, needs, weights or Weights(), fixed)
     found, kept = search(problem), True
     if not found.points:
         kept = False

@@ -16,20 +16,21 @@ from scipy.optimize import minimize
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.loop.cascade import (
-    TUNED,
     CascadeGains,
     controller_response,
     margins,
 )
 from quad_sysid.loop.plant import ComplexArray
 from quad_tuning.assess import SQUARE_HALF_PERIOD_S
+from quad_tuning.bounds import DESIGNED
 from quad_tuning.ensemble import Ensemble
 from quad_tuning.objective import Problem
 
-GRID = (11, 15, 4, 9)
-"""Points along angle kp, rate kp, ki, kd."""
+GRID = (9, 14, 3, 7, 3)
+"""Points along angle kp, rate kp, ki, kd and the filter of D."""
 KI_SHARES, KD_SHARES = (0.15, 0.6), (0.08, 0.8)
 """Of the cube's edge; not from 0, where their powers are flat and no search gets away."""
+FILTER_HZ = (30.0, 55.0, 100.0)
 JUDGED = 60
 """Points of the grid that the whole objective judges."""
 STARTS = 4
@@ -57,7 +58,7 @@ class Found:
 
 def search(problem: Problem) -> Found:
     """Grid, then polish; no points where nothing in the box meets the requirements."""
-    grid = _grid()
+    grid = _grid(problem)
     loops = problem.ensemble.subset(_binding(problem))
     order = _ranked(problem, loops, grid)
     judged = [(_merit(problem, loops, grid[i]), grid[i]) for i in order[:JUDGED]]
@@ -76,12 +77,14 @@ def search(problem: Problem) -> Found:
     return Found(tuple(ends), grid.shape[0], best)
 
 
-def _grid() -> FloatArray:
-    """(g, 4) points of the unit cube."""
+def _grid(problem: Problem) -> FloatArray:
+    """(g, 5) points of the unit cube; one value of the filter where it is fixed."""
     axes = [(np.arange(n) + 0.5) / n for n in GRID]
     axes[2] = np.linspace(*KI_SHARES, GRID[2])
     axes[3] = np.linspace(*KD_SHARES, GRID[3])
-    return np.stack(np.meshgrid(*axes, indexing='ij'), axis=-1).reshape(-1, len(TUNED))
+    cutoffs = [problem.point(replace(problem.active, d_filter_hz=hz))[-1] for hz in FILTER_HZ]
+    axes[4] = np.unique(cutoffs)
+    return np.stack(np.meshgrid(*axes, indexing='ij'), axis=-1).reshape(-1, len(DESIGNED))
 
 
 def _binding(problem: Problem) -> npt.NDArray[np.int64]:

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.loop.from_model import CURVES, GAIN_SHAPE, battery_factor, not_in_the_loop
 from quad_sysid.model import AxisModel
-from quad_tuning.bounds import BOUNDS
+from quad_tuning.bounds import BOUNDS, told
 from quad_tuning.ensemble import VOLTAGE_RANGE
 from quad_tuning.rivals import LEAST_PROBABILITY
 
@@ -74,9 +74,9 @@ def schedule(
         volts = mean * (low + (high - low) * k / (VOLTAGES - 1))
         factor = battery_factor(model) / battery_factor(model, volts)
         row = {}
-        for name, value in gains.to_mapping(model.axis).items():
+        for name, value in told(gains, model.axis, model.active_gains).items():
             bound = BOUNDS[name.partition('.')[2]]
-            scaled = value * (factor if '.rate.' in name else 1.0)
+            scaled = value * (factor if '.rate.k' in name else 1.0)
             row[name] = min(max(scaled, bound.lower), bound.upper)
         rows.append((float(volts), row))
     return tuple(rows)
