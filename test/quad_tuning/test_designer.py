@@ -70,7 +70,6 @@ def test_a_model_that_allows_no_design_is_refused_with_the_reason(model, change,
 
 def test_margins_are_not_bought_with_tracking(model):
     found = types.SimpleNamespace(
-        objective_spread_pct=0.0, starts=4,
         before=types.SimpleNamespace(rms_tracking_rad=0.1, worst_phase_margin_deg=9.0),
         figures=types.SimpleNamespace(rms_tracking_rad=0.104),
     )  # fmt: skip

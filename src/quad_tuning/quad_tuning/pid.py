@@ -20,6 +20,7 @@ from quad_tuning.search import Found, search
 
 __all__ = ['PidDesign', 'Requirements', 'Weights', 'meets', 'retune']
 
+AGREED = 0.01
 RELAXED_DISTURBANCE = 1.5
 """Where the flown gains reject a torque only without margins, this much of it may be lost."""
 
@@ -33,10 +34,12 @@ class PidDesign:
     before: LoopFigures
     objective: float
     spread_pct: float
-    """Largest difference of a gain that matters (angle kp, rate kp) between the starts."""
+    """Largest difference of a gain that matters (angle kp, rate kp) between those that agree."""
     objective_spread_pct: float
     starts: int
-    """Searches that ended inside all requirements."""
+    """Searches that ended within AGREED of the best objective."""
+    searches: int
+    """Searches that ended inside all requirements; the others stopped at lesser optima."""
     grid_points: int
     grid_excess_pct: float
     """By how much the best grid point that holds is worse than the optimum; negative: better."""
@@ -69,15 +72,17 @@ def retune(
         raise DesignRefusedError(_why_not(plant, active, ensemble))
     objective, best = found.points[0]
     chosen = problem.gains(best)
-    spreads = _spreads([problem.gains(x) for _, x in found.points], chosen)
+    agreed = [(value, x) for value, x in found.points if value <= (1.0 + AGREED) * objective]
+    spreads = _spreads([problem.gains(x) for _, x in agreed], chosen)
     return PidDesign(
         gains=chosen,
         figures=assess(plant, chosen, ensemble),
         before=assess(plant, active, ensemble),
         objective=objective,
         spread_pct=100.0 * spreads,
-        objective_spread_pct=100.0 * (found.points[-1][0] / objective - 1.0),
-        starts=len(found.points),
+        objective_spread_pct=100.0 * (agreed[-1][0] / objective - 1.0),
+        starts=len(agreed),
+        searches=len(found.points),
         grid_points=found.grid_points,
         grid_excess_pct=_excess(found, objective),
         disturbance_kept=kept,

@@ -31,11 +31,13 @@ GRID = (9, 14, 3, 7, 3)
 KI_SHARES, KD_SHARES = (0.15, 0.6), (0.08, 0.8)
 """Of the cube's edge; not from 0, where their powers are flat and no search gets away."""
 FILTER_HZ = (30.0, 55.0, 100.0)
-JUDGED = 60
+JUDGED = 120
 """Points of the grid that the whole objective judges."""
-STARTS = 4
-"""Searches, begun at the best points of the grid that lie at least APART from each other."""
-APART = 0.12
+STARTS = 5
+"""Searches, begun at the best points of the grid that lie at least APART in SHAPE: angle kp, rate kp
+and kd. A resonance folds the margins, and lesser optima lie between."""
+APART = 0.11
+SHAPE = [0, 1, 3]
 DIFFERENCE = 5e-4
 WORST = 6
 """Loops taken up per requirement and round."""
@@ -179,7 +181,7 @@ def _whole(problem: Problem, point: FloatArray) -> bool:
 def _apart(points: list[FloatArray]) -> list[FloatArray]:
     chosen: list[FloatArray] = []
     for point in points:
-        if all(np.linalg.norm(point - other) >= APART for other in chosen):
+        if all(np.linalg.norm((point - other)[SHAPE]) >= APART for other in chosen):
             chosen.append(point)
         if len(chosen) == STARTS:
             break
