@@ -34,8 +34,8 @@ FILTER_HZ = (30.0, 55.0, 100.0)
 JUDGED = 120
 """Points of the grid that the whole objective judges."""
 STARTS = 5
-"""Searches, begun at the best points of the grid that lie at least APART in SHAPE: angle kp, rate kp
-and kd. A resonance folds the margins, and lesser optima lie between."""
+"""Searches, begun at the best points of the grid that lie at least APART in SHAPE: angle kp, rate
+kp and kd. A resonance folds the margins, and lesser optima lie between."""
 APART = 0.11
 SHAPE = [0, 1, 3]
 DIFFERENCE = 5e-4
