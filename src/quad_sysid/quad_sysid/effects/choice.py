@@ -45,6 +45,8 @@ NAMED_SHARE = 0.8
 """Where it can't be told which is better, a name must explain this share of what a curve does."""
 HIDDEN_SHARE = 0.9
 """A hidden state, which can mimic much, gives way to a name that explains this share of it."""
+PLACES = 1000
+"""So many beginnings and ends of an event are tried, more or less."""
 ROUGH = 3e-5
 """A trial is fitted until its sum of squares changes by less; what is chosen, to the end."""
 OUTCLASSED = 1.5
@@ -139,19 +141,23 @@ def worthy(
     """The trials that lower the error beyond chance and by enough, best first.
 
     count: how many were looked at, screened ones included. One parameter that the one-step errors
-    see beyond chance is enough, however little it lowers the free-run error of these data.
+    see beyond chance is enough, however little it lowers the free-run error of these data; not on
+    top of a curve or hidden state, whose own coarseness they would see as well.
     """
     good = []
     for one in trials:
         level = CHANCE / count
         small = one.score >= (1.0 - _least(current, one)) * current.score
         chance = compare(current.errors, one.errors, sim.windows, sim.data.dt).p_value
+        if one.fit.structure.effects[-1].kind == 'event':
+            chance = min(1.0, PLACES * float(sharp_p(sim, one.fit)[-1]))
         single = one.fit.theta.size - current.fit.theta.size == 1
         if single and vanishes(one.fit.structure.effects[-1]):
             if one.score > HARMLESS * current.score:
                 continue
             sharp = 2.0 * float(sharp_p(sim, one.fit)[-1])
-            small, chance = small and sharp >= level, min(2.0 * chance, sharp)
+            small = small and (sharp >= level or current.curves > 0)
+            chance = min(2.0 * chance, sharp)
         if not small and chance < level:
             good.append(one)
     return sorted(good, key=_score)
@@ -241,6 +247,8 @@ def _explains_as_much(
 
 def backward(sim: Simulator, current: Candidate) -> Candidate:
     """Take out what the others made superfluous; a name never gives way to a curve."""
+    for name in _absent(current):
+        current = without(sim, current, name)
     while len(current.names) > 1:
         effects = current.fit.structure.effects
         curves = {signal for e in effects if e.kind != 'named' for signal in e.signals}
@@ -262,3 +270,12 @@ def backward(sim: Simulator, current: Candidate) -> Candidate:
             break
         current = best
     return current
+
+
+def _absent(current: Candidate) -> list[str]:
+    """Effects whose only parameter ended at zero."""
+    structure, theta = current.fit.structure, current.fit.theta
+    return [
+        e.name for e, where in zip(structure.effects, structure.slices(), strict=True)
+        if where.stop - where.start == 1 and vanishes(e) and theta[where.start] == 0.0
+    ]

@@ -19,6 +19,8 @@ LEVEL = 0.01
 """Of Welch's test over blocks that the held-out error is no larger."""
 WORST = 0.2
 """Share of the blocks that may hold an event."""
+STRUCK = 4.0
+"""A block is named whose squared error is this many times that of an ordinary one."""
 UNEVEN = 1.4
 """Error of all blocks over that without the worst ones (nothing missing: up to 1.2)."""
 
@@ -37,7 +39,8 @@ def inconsistency(
     rest = np.delete(unseen, worst)
     uneven = float(np.sqrt(unseen.mean() / max(rest.mean(), 1e-300)))
     if uneven > UNEVEN:
-        times = ', '.join(f'{starts[i] * dt:.0f}' for i in sorted(worst[-3:]))
+        struck = [i for i in sorted(worst[-3:]) if unseen[i] > STRUCK * np.median(rest)]
+        times = ', '.join(f'{starts[i] * dt:.0f}' for i in struck or worst[-1:])
         return (
             f'the held-out error is {uneven:.1f} times as large with a few moments (around '
             f'{times} s) as without them: something happens there that the model does not know'

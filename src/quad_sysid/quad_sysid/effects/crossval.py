@@ -16,6 +16,7 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.greybox.covariance import block_numbers
 from quad_sysid.greybox.data import Windows
 from quad_sysid.greybox.fit import Fit
+from quad_sysid.greybox.one_step import ABRUPT
 
 FOLDS = 6
 GAP_S = 1.0
@@ -35,8 +36,15 @@ class Comparison:
 
 
 def held_out_errors(fit: Fit, windows: Windows, dt: float) -> FloatArray:
-    """(windows,) mean squared free-run error of each window by models that did not see it."""
-    free = np.flatnonzero(~fit.at_bound)
+    """(windows,) mean squared free-run error of each window by models that did not see it.
+
+    What is local in time (when an event sets in; all of one that passes) is taken as known: no
+    other part of the flight could tell it.
+    """
+    local = np.array([spec.name in ABRUPT for spec in fit.structure.specs])
+    for effect, where in zip(fit.structure.effects, fit.structure.slices(), strict=True):
+        local[where] |= effect.kind == 'event'
+    free = np.flatnonzero(~fit.at_bound & ~local)
     return linear_held_out(
         fit.jacobian[:, :, free], fit.errors, fit.prior[:, free], fit.prior @ fit.theta,
         windows, dt,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy.ndimage import median_filter
@@ -135,29 +135,49 @@ def line_starts(sim: Simulator, fit: Fit, _: Effect) -> tuple[tuple[float, ...],
 
 def event_starts(sim: Simulator, fit: Fit, effect: Effect) -> tuple[tuple[float, ...], ...]:
     """The times at which a small change would explain most of the errors, to first order."""
-    times, gram, score = _steps(sim, fit, effect, lambda time: (time, EVENT_STEP))
+    steps = _Steps(sim, fit, effect, lambda time: (time, EVENT_STEP))
+    times = _coarse(sim.data)
     if not times.size:
         return ((_middle(sim.data), 0.0),)
-    strength = np.maximum(np.diag(gram), 1e-300)
-    best = np.argsort(-(score**2) / strength)[:EVENTS]
-    return tuple((float(times[i]), float(-score[i] / strength[i])) for i in best)
+    found = _best_steps(*steps.at(times))
+    fine = _around([time for time, _ in found], times)
+    return tuple(_best_steps(*steps.at(fine)))
 
 
 def passing_starts(sim: Simulator, fit: Fit, effect: Effect) -> tuple[tuple[float, ...], ...]:
     """The same for something that begins and ends: the difference of two steps."""
-    times, gram, score = _steps(sim, fit, effect, lambda time: (time, FOR_GOOD, EVENT_STEP))
+    steps = _Steps(sim, fit, effect, lambda time: (time, FOR_GOOD, EVENT_STEP))
+    times = _coarse(sim.data)
     if times.size < 2:
         return ((_middle(sim.data), EVENT_GRID_S, 0.0),)
+    start, duration, _ = _best_pulses(*steps.at(times))[0]
+    fine = _around([start, start + duration], times)
+    return tuple(_best_pulses(*steps.at(fine)))
+
+
+def _best_steps(
+    times: FloatArray, gram: FloatArray, score: FloatArray
+) -> list[tuple[float, float]]:
+    """(time, size) of what explains most, at most EVENTS of them."""
+    strength = np.maximum(np.diag(gram), 1e-300)
+    best = np.argsort(-(score**2) / strength)[:EVENTS]
+    return [(float(times[i]), float(-score[i] / strength[i])) for i in best]
+
+
+def _best_pulses(
+    times: FloatArray, gram: FloatArray, score: FloatArray
+) -> list[tuple[float, float, float]]:
+    """(time, duration, size) of what explains most, at most EVENTS of them."""
     i, j = np.triu_indices(times.size, 1)
     short = times[j] - times[i] <= LONGEST_EVENT_S
     i, j = i[short], j[short]
     strength = np.maximum(gram[i, i] + gram[j, j] - 2.0 * gram[i, j], 1e-300)
     push = score[i] - score[j]
     best = np.argsort(-(push**2) / strength)[:EVENTS]
-    return tuple(
+    return [
         (float(times[i[k]]), float(times[j[k]] - times[i[k]]), float(-push[k] / strength[k]))
         for k in best
-    )
+    ]
 
 
 def _middle(data: AxisData) -> float:
@@ -165,28 +185,43 @@ def _middle(data: AxisData) -> float:
     return 0.5 * (start + stop) * data.dt
 
 
-def _steps(
-    sim: Simulator, fit: Fit, effect: Effect, step_at: Callable[[float], tuple[float, ...]]
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Times (m,), Gram matrix (m, m) and product with the errors (m,) of unit steps there.
-
-    What the parameters that are there already can explain is taken out.
-    """
-    data = sim.data
+def _coarse(data: AxisData) -> FloatArray:
+    """Times over the training segments at which something may set in."""
     total = sum(b - a for a, b in data.train) * data.dt
     grid = max(EVENT_GRID_S, total / MOST_TIMES)
-    times = np.concatenate(
+    return np.concatenate(
         [np.arange(a * data.dt + 1.0, b * data.dt - 1.0, grid) for a, b in data.train]
     )
-    thin = slice(None, None, max(1, fit.errors.size // MOST_ERRORS))
-    structure = fit.structure.with_effect(effect, {})
-    free = np.flatnonzero(~fit.at_bound)
-    known = np.linalg.qr(fit.jacobian.reshape(-1, fit.theta.size)[thin, free])[0]
-    errors = fit.errors.ravel()[thin]
-    columns = np.empty((times.size, errors.size))
-    for row, time in zip(columns, times, strict=True):
-        run = sim.run(structure, np.r_[fit.theta, step_at(float(time))])
-        row[:] = (run.errors.ravel()[thin] - errors) / EVENT_STEP
-    columns[~np.isfinite(columns).all(axis=1)] = 0.0
-    columns -= (columns @ known) @ known.T
-    return times, columns @ columns.T, columns @ errors
+
+
+def _around(times: Sequence[float], coarse: FloatArray) -> FloatArray:
+    """A grid ten times as fine, one coarse step to either side of each time."""
+    grid = float(np.diff(coarse).min(initial=EVENT_GRID_S))
+    shifts = grid * np.linspace(-1.0, 1.0, 21)
+    return np.unique(np.concatenate([time + shifts for time in times]))
+
+
+class _Steps:
+    """Unit steps at given times, less what the parameters that are there already can explain."""
+
+    def __init__(
+        self, sim: Simulator, fit: Fit, effect: Effect,
+        step_at: Callable[[float], tuple[float, ...]],
+    ) -> None:
+        self._sim, self._step_at, self._theta = sim, step_at, fit.theta
+        self._structure = fit.structure.with_effect(effect, {})
+        self._thin = slice(None, None, max(1, fit.errors.size // MOST_ERRORS))
+        free = np.flatnonzero(~fit.at_bound)
+        known = fit.jacobian.reshape(-1, fit.theta.size)[self._thin, free]
+        self._known = np.linalg.qr(known)[0]
+        self._errors = fit.errors.ravel()[self._thin]
+
+    def at(self, times: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """The times (m,), the steps' Gram matrix (m, m), their product with the errors (m,)."""
+        columns = np.empty((times.size, self._errors.size))
+        for row, time in zip(columns, times, strict=True):
+            run = self._sim.run(self._structure, np.r_[self._theta, self._step_at(float(time))])
+            row[:] = (run.errors.ravel()[self._thin] - self._errors) / EVENT_STEP
+        columns[~np.isfinite(columns).all(axis=1)] = 0.0
+        columns -= (columns @ self._known) @ self._known.T
+        return times, columns @ columns.T, columns @ self._errors

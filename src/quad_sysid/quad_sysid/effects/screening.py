@@ -19,6 +19,7 @@ from quad_sysid.greybox.one_step import (
     block_of_rows,
     least_squares,
     one_step,
+    oversampling,
     slow,
     slow_errors,
     slow_jacobian,
@@ -81,7 +82,9 @@ def sharp_p(sim: Simulator, fit: Fit) -> FloatArray:
     """(p,) p-values that each parameter of a fit is nothing, by the one-step errors."""
     found = one_step(sim, fit)
     freedom = max(found.blocks - fit.theta.size, 1)
-    return np.array([students_p(float(size), freedom) for size in found.theta / found.std])
+    with np.errstate(divide='ignore', invalid='ignore'):
+        sizes = found.theta / found.std
+    return np.array([students_p(float(size), freedom) for size in sizes])
 
 
 class Screen:
@@ -140,7 +143,8 @@ class Screen:
         if any(one.slow.shape[1] > 1 for one in added):
             return 1.0  # too few blocks to judge a curve's parameters one by one
         jacobian = np.column_stack([self._known, *(one.slow for one in added)])
-        found = least_squares(jacobian, self._run, self._block)
-        sizes = found.shift[-count:] / np.sqrt(np.diag(found.covariance)[-count:])
+        found = least_squares(jacobian, self._run, self._block, oversampling(self.sim))
+        with np.errstate(divide='ignore', invalid='ignore'):
+            sizes = found.shift[-count:] / np.sqrt(np.diag(found.covariance)[-count:])
         freedom = max(found.blocks - jacobian.shape[1], 1)
         return max(students_p(float(size), freedom) for size in sizes)

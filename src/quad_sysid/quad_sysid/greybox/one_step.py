@@ -26,6 +26,8 @@ BAND_HZ = 12.0
 """Beyond this the one-step errors are vibration more than motion."""
 AGREES = 1.01
 """The free-run error may grow by this much when the one-step estimates are taken."""
+ABRUPT = ('time', 'duration')
+"""Parameters on which the errors do not depend smoothly: these stay as the free run has them."""
 ITERATIONS = 2
 """Gauss-Newton from the free run's optimum, which is near."""
 
@@ -61,12 +63,13 @@ def one_step(sim: Simulator, fit: Fit) -> OneStep:
     """Refine a free-run fit on the one-step errors of the simulator's spans."""
     specs = fit.structure.specs
     lower, upper = np.array([s.lower for s in specs]), np.array([s.upper for s in specs])
-    free = np.flatnonzero(~fit.at_bound)
+    bends = np.array([s.name not in ABRUPT for s in specs])
+    free = np.flatnonzero(~fit.at_bound & bends)
     theta = fit.theta.copy()
     for _ in range(ITERATIONS):
         errors = slow_errors(sim, fit.structure, theta)
         jacobian = slow_jacobian(sim, fit.structure, theta, errors, free)
-        found = least_squares(jacobian, errors, block_of_rows(sim))
+        found = least_squares(jacobian, errors, block_of_rows(sim), oversampling(sim))
         theta[free] = np.clip(theta[free] + found.shift, lower[free], upper[free])
     covariance = np.full((theta.size, theta.size), np.nan)
     covariance[np.ix_(free, free)] = found.covariance
@@ -86,7 +89,12 @@ def sharpened(sim: Simulator, fit: Fit) -> Fit:
     errors = sim.run(fit.structure, found.theta).errors
     if not np.isfinite(errors).all() or np.sqrt(np.mean(errors**2)) > AGREES * fit.rms:
         return fit
-    return replace(fit, theta=found.theta, errors=errors, sharp=found.covariance)
+    covariance = found.covariance.copy()
+    kept = np.flatnonzero(np.isnan(np.diag(covariance)) & ~fit.at_bound)
+    covariance[kept, kept] = np.diag(fit.covariance)[kept]
+    apart = np.isnan(covariance) & ~(fit.at_bound[:, None] | fit.at_bound)
+    covariance[apart] = 0.0
+    return replace(fit, theta=found.theta, errors=errors, sharp=covariance)
 
 
 def slow_errors(sim: Simulator, structure: Structure, theta: FloatArray) -> FloatArray:
@@ -126,10 +134,18 @@ def block_of_rows(sim: Simulator) -> np.ndarray:
     return np.unique(block, return_inverse=True)[1].reshape(-1)
 
 
-def least_squares(jacobian: FloatArray, errors: FloatArray, block: np.ndarray) -> Linear:
+def oversampling(sim: Simulator) -> float:
+    """How many low-passed samples hold what one independent sample would."""
+    return max(1.0, 0.5 / (sim.data.dt * BAND_HZ))
+
+
+def least_squares(
+    jacobian: FloatArray, errors: FloatArray, block: np.ndarray, oversampled: float
+) -> Linear:
     """One Gauss-Newton step from errors (m,) and jacobian (m, p); block (m,) as clusters.
 
-    Each standard error is the larger one of the clustered and the white-noise one.
+    Each standard error is the larger one of the clustered one and that of noise that is white up
+    to the low-pass (`oversampled` samples of it count as one).
     """
     p = jacobian.shape[1]
     size = np.linalg.norm(jacobian, axis=0)
@@ -140,11 +156,11 @@ def least_squares(jacobian: FloatArray, errors: FloatArray, block: np.ndarray) -
     bread = inverse @ inverse.T
     shift = -(inverse * size[:, None] @ triangle[:p, p]) / size
     left = errors + jacobian @ shift
-    white = float(left @ left) / max(left.size - p, 1) * bread
+    white = oversampled * float(left @ left) / max(left.size - p, 1) * bread
     count = int(block.max()) + 1
     summed = np.stack(
         [np.bincount(block, jacobian[:, i] * left, minlength=count) for i in range(p)], axis=1
     )
     robust = count / max(count - p, 1) * bread @ (summed.T @ summed) @ bread
-    larger = np.sqrt(np.maximum(np.diag(white) / np.maximum(np.diag(robust), 1e-300), 1.0))
+    larger = np.sqrt(np.maximum(np.diag(white) / np.maximum(np.diag(robust), 1e-30), 1.0))
     return Linear(shift, robust * np.outer(larger, larger), count)
