@@ -196,11 +196,13 @@ class GainKeeper:
         if watching and now_s - self._cycle_s > LINK_S:
             self._take_back(f'no control cycle for {LINK_S:g} s')
         elif watching and now_s >= self._until_s and not self._line.busy:
-            self._go_on()
+            self._go_on(now_s)
 
-    def _go_on(self) -> None:
+    def _go_on(self, now_s: float) -> None:
         update = self._update
         if update is not None and update.written < len(update.steps):
+            if now_s - self._excited_s < QUIET_S:
+                return  # the step waits for the excitation's end, watched all the time
             try:
                 self._write_step(update)
             except QuadBridgeError as error:

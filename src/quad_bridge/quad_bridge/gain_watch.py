@@ -32,7 +32,7 @@ FAR_DEG, FAR_PATIENCE_S = 8.0, 0.04
 """Roll or pitch away from the reference, beyond what the reference's own motion explains."""
 LEAD_S = 0.06
 """By which the place is foreseen from the rate: turning back takes that long."""
-FOLLOW_S, FOLLOW_FACTOR, TURN_S = 0.5, 1.6, 0.25
+FOLLOW_S, FOLLOW_FACTOR, TURN_S = 0.5, 2.0, 0.25
 BEFORE_S, BLOCK_S = 10.0, 0.5
 SETTLE_S = 1.0
 """Of data before the first figures count."""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import threading
 from collections import deque
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -137,7 +138,11 @@ class IdentificationNode(Node):  # type: ignore[misc]
         if not self._auto_update:
             self.get_logger().info(f'gains not sent (auto_update is off): {wanted}')
             return 'not sent: auto_update is off'
-        self._gains.publish(gains_event(wanted, f'identification of {bag}', self._now()))
+        told: dict[str, float | str] = {
+            **wanted, **outcome.predictions(), 'source': f'identification of {bag}', 'bag': bag,
+            'model': str(outcome.folder / 'model.json'),
+        }  # fmt: skip
+        self._gains.publish(gains_event(told, self._now()))
         self.get_logger().info(f'gains sent: {wanted}')
         return 'sent'
 
@@ -162,14 +167,15 @@ class IdentificationNode(Node):  # type: ignore[misc]
         """Nothing to close: an identification that still runs ends with the process."""
 
 
-def gains_event(gains: dict[str, float], source: str, stamp: Any) -> Any:
-    """Build the message of /gains/update."""
+def gains_event(told: Mapping[str, float | str], stamp: Any) -> Any:
+    """Build the message of /gains/update: gains and predictions as doubles, the rest as text."""
     event = ParameterEvent(node='/identification', stamp=stamp)
-    for name, value in gains.items():
-        content = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value)
+    for name, value in told.items():
+        if isinstance(value, str):
+            content = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=value)
+        else:
+            content = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value)
         event.changed_parameters.append(Parameter(name=name, value=content))
-    text = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=source)
-    event.changed_parameters.append(Parameter(name='source', value=text))
     return event
 
 

@@ -18,6 +18,9 @@ from quad_sysid.report.model_file import load_models
 from quad_sysid.separation.aircraft import aircraft_of, effect_of, paper_aircraft
 from quad_sysid.separation.design import Separation, nearest, rivals_of, separate
 
+PROMISES = ('rate_rms_ratio', 'oscillation_ratio', 'peak')
+"""Figures of a proposal that the bridge's watch compares the flight with."""
+
 
 @dataclass(frozen=True)
 class Request:
@@ -60,6 +63,16 @@ class Outcome:
             if answer.proposal is not None and answer.proposal.gains is not None:
                 wanted.update(answer.proposal.gains)
         return wanted
+
+    def predictions(self) -> dict[str, float]:
+        """What the designs promise to the watch in flight, as /gains/update has it."""
+        return {
+            f'predicted.{axis}.{name}': answer.proposal.figures[name]
+            for axis, answer in self.answers.items()
+            if answer.proposal is not None and answer.proposal.gains is not None
+            for name in PROMISES
+            if name in answer.proposal.figures
+        }
 
     def refusals(self) -> dict[str, str]:
         """By axis, why there are no gains."""

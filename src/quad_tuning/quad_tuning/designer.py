@@ -20,6 +20,7 @@ from quad_tuning.assess import LoopFigures, assess
 from quad_tuning.bounds import DESIGNED, check_bounds, told
 from quad_tuning.errors import DesignRefusedError, QuadTuningError
 from quad_tuning.pid import PidDesign, Requirements, retune
+from quad_tuning.promise import promise
 from quad_tuning.use import schedule, uses
 from quad_tuning.way import way_to
 
@@ -74,7 +75,10 @@ def propose(model: AxisModel, requirements: Requirements | None = None) -> GainP
         raise DesignRefusedError(f'{model.axis}: {refusal}') from refusal
     return GainProposal(
         gains=told(way.told, model.axis, known),
-        figures=_figures(model, found, known, loops.draws),
+        figures={
+            **_figures(model, found, known, loops.draws),
+            **promise(loops, active, found.gains, plant.lag_s),
+        },
         steps=tuple(told(step, model.axis, known) for step in way.steps),
         used=uses(model),
         schedule=schedule(model, found.gains),

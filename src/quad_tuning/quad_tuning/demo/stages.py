@@ -16,7 +16,7 @@ from quad_tuning.demo.errors import StageFailedError
 from quad_tuning.demo.observer import Observer
 from quad_tuning.demo.processes import Crew, executable
 
-CONNECT_S, START_S, CLOSE_S, ACKNOWLEDGE_S, IDENTIFY_S = 40.0, 20.0, 20.0, 15.0, 150.0
+CONNECT_S, START_S, CLOSE_S, ACKNOWLEDGE_S, IDENTIFY_S = 40.0, 20.0, 20.0, 60.0, 150.0
 """Patience of the stages, s."""
 SETTLED_S = 1.0
 """How long the stream must have flowed before a flight begins, in s of samples at 250 Hz."""
@@ -101,7 +101,8 @@ def connect(campaign: Campaign, aircraft: Aircraft) -> None:
     link = campaign.folder / 'stm32'
     campaign.crew.start('virtual_stm32', aircraft.command(link))
     campaign.wait('connect', 'pseudo-terminal of the virtual STM32', link.exists, CONNECT_S)
-    campaign.crew.start_node('quad_bridge', 'serial_bridge', {'port': str(link)})
+    settings = {'port': str(link), 'state_folder': str(campaign.folder / 'aircraft')}
+    campaign.crew.start_node('quad_bridge', 'serial_bridge', settings)
     campaign.crew.start_node(
         'quad_bridge', 'bag_logger', {'folder': str(campaign.folder), 'prefix': 'flight'}
     )
