@@ -44,8 +44,9 @@ DRAWS = 240
 """Drawn models, the nominal one not counted."""
 
 FLOOR = {'gain': 0.015, 'lag': 0.01, 'damping': 0.1}
-"""Smallest relative standard error that is believed: a covariance knows only the noise. Twice what
-100 identified virtual airframes were off by (bench/tuning.py)."""
+"""Smallest relative standard error that is believed: a covariance knows only the noise. Of 100
+identified airframes (bench/tuning.py) 95 were off by less than 0.9 % in lag, 0.03 cycles in delay
+and, where another charge of the battery changed it, 3 % in gain (0.1 % in the median)."""
 DELAY_FLOOR_CYCLES = 0.05
 
 AMPLITUDES = ((4.0, 0.35, 0.3), (0.3, 0.05, 0.03))
