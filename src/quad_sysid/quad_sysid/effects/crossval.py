@@ -15,10 +15,12 @@ from scipy import stats
 from quad_sysid.contract import FloatArray
 from quad_sysid.greybox.covariance import block_numbers
 from quad_sysid.greybox.data import Windows
-from quad_sysid.greybox.fit import Fit
+from quad_sysid.greybox.fit import RUNAWAY, Fit
 from quad_sysid.greybox.one_step import ABRUPT
 
 FOLDS = 6
+STEEPEST = 1e100
+"""Derivatives beyond this are no derivatives."""
 GAP_S = 1.0
 """Training windows this near to a held-out fold are left out of its fit."""
 
@@ -57,8 +59,11 @@ def linear_held_out(
 ) -> FloatArray:
     """The same of a linear model: jacobian (windows, length, p), prior (r, p) with its error (r,).
 
-    Each fold's parameters are those of the linear problem without it.
+    Each fold's parameters are those of the linear problem without it. A model that ran away is
+    given RUNAWAY's error everywhere.
     """
+    if not ((np.abs(errors) < RUNAWAY).all() and (np.abs(jacobian) < STEEPEST).all()):
+        return np.full(windows.count, RUNAWAY**2)
     gram = np.einsum('wlp,wlq->wpq', jacobian, jacobian, optimize=True)
     score = np.einsum('wlp,wl->wp', jacobian, errors)
     # spread of each parameter, so that the solve is well scaled

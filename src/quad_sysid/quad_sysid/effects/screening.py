@@ -14,7 +14,7 @@ from scipy import stats
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.effects.crossval import linear_held_out
-from quad_sysid.greybox.fit import Fit
+from quad_sysid.greybox.fit import RUNAWAY, Fit
 from quad_sysid.greybox.one_step import (
     block_of_rows,
     least_squares,
@@ -111,7 +111,8 @@ class Screen:
             errors.append((run.errors - self.fit.errors) / step)
             slowly.append((slow(self.sim, run.innovations) - self._run) / step)
         out = Columns(np.stack(errors, axis=2), np.stack(slowly, axis=1))
-        return out if np.isfinite(out.errors).all() and np.isfinite(out.slow).all() else None
+        tame = (np.abs(out.errors) < RUNAWAY / STEP).all() and np.isfinite(out.slow).all()
+        return out if tame else None
 
     def look(self, puts: Sequence[Prepared], added: Sequence[Columns]) -> FirstLook:
         """The worth of adding effects that vanish at zero, from their columns."""

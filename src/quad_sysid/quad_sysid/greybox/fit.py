@@ -22,6 +22,8 @@ from quad_sysid.greybox.data import WINDOW_S, AxisData, Span, Windows
 from quad_sysid.greybox.simulate import N_BASE, Simulator
 from quad_sysid.greybox.structure import BASE_PARAMETERS, Effect, Settings, Structure
 
+RUNAWAY = 1e6
+"""A free run this far off has left the aircraft behind, rad/s; nothing beyond it is told apart."""
 FIRST_STEPS = 3
 """Iterations from each of several starts."""
 SAME_AS_NONE = 0.25
@@ -129,8 +131,8 @@ def fit_structure(
         theta = full.copy()
         theta[index] = part
         errors: FloatArray = sim.run(structure, theta).errors.ravel()
-        if not np.isfinite(errors).all():
-            return np.full(errors.size + prior.shape[0], 1e6)
+        if not (np.abs(errors) < RUNAWAY).all():  # NaN included
+            return np.full(errors.size + prior.shape[0], RUNAWAY)
         return np.concatenate([errors, prior @ theta]) if prior.size else errors
 
     found = levenberg.minimise(
@@ -183,7 +185,7 @@ def _inside(
         step = 0.1 * scale[i] * (1.0 if theta[i] - lower[i] <= scale[i] else -1.0)
         moved[i] += step
         column = (sim.run(structure, moved).errors - base) / step
-        columns.append(column if np.isfinite(column).all() else np.zeros_like(column))
+        columns.append(column if (np.abs(column) < RUNAWAY).all() else np.zeros_like(column))
     return np.stack(columns, axis=2)
 
 

@@ -16,7 +16,7 @@ from scipy import signal
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.greybox.covariance import BLOCK_S
-from quad_sysid.greybox.fit import Fit
+from quad_sysid.greybox.fit import RUNAWAY, Fit
 from quad_sysid.greybox.simulate import Simulator
 from quad_sysid.greybox.structure import Structure
 
@@ -104,7 +104,8 @@ def slow_errors(sim: Simulator, structure: Structure, theta: FloatArray) -> Floa
 
 def slow(sim: Simulator, innovations: FloatArray) -> FloatArray:
     """The same of innovations (n,) that are there already."""
-    parts = [np.nan_to_num(innovations[a + 1 : b]) for a, b in sim.spans]
+    tame = np.clip(np.nan_to_num(innovations), -RUNAWAY, RUNAWAY)
+    parts = [tame[a + 1 : b] for a, b in sim.spans]
     if 0.4 / sim.data.dt <= BAND_HZ:
         return np.concatenate(parts)
     sections = signal.butter(4, BAND_HZ, fs=1.0 / sim.data.dt, output='sos')
