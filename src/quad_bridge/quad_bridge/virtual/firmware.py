@@ -104,7 +104,7 @@ class FirmwareSettings:
     def __post_init__(self) -> None:
         """Check bounds."""
         require(50.0 <= self.rate_hz <= 1000.0, f'rate_hz must lie in 50..1000: {self.rate_hz}')
-        require(0 <= self.delay_cycles <= 3, f'delay_cycles must be 0..3: {self.delay_cycles}')
+        require(0 <= self.delay_cycles <= 4, f'delay_cycles must be 0..4: {self.delay_cycles}')
         steps = self.physics_steps_per_cycle
         fine = steps * self.rate_hz >= 1000.0
         require(fine, f'physics_steps_per_cycle {steps} gives less than 1 kHz of physics')
