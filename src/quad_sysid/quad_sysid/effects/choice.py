@@ -43,14 +43,18 @@ AS_GOOD = 1.03
 """A name explains as much as a curve where its error is at most this much larger."""
 NAMED_SHARE = 0.8
 """Where it can't be told which is better, a name must explain this share of what a curve does."""
+NEARLY_ALL = 0.95
+"""So is one that explains this share of what the curve explains, of the mean square."""
 HIDDEN_SHARE = 0.9
 """A hidden state, which can mimic much, gives way to a name that explains this share of it."""
 PLACES = 1000
 """So many beginnings and ends of an event are tried, more or less."""
 ROUGH = 3e-5
 """A trial is fitted until its sum of squares changes by less; what is chosen, to the end."""
-OUTCLASSED = 1.5
+OUTCLASSED = 1.3
 """What errs this much more than the best first look is not fitted to the end."""
+MOST_FITTED = 6
+"""So many of the best first looks are fitted at most."""
 FOREMOST = 3
 """So many trials are fitted again with the state correction that suits them."""
 
@@ -81,24 +85,34 @@ def looked_at(screen: Screen, put: Prepared) -> Trial:
     return Trial(put, added, screen.look([put], [added]) if added and linear else None)
 
 
+def promising(looks: Sequence[Trial]) -> float:
+    """The error that a first look must stay below to be fitted: the few best of them, and near."""
+    scores = sorted(one.look.score for one in looks if one.look)
+    if not scores:
+        return float('inf')
+    return min(OUTCLASSED * scores[0], scores[min(MOST_FITTED, len(scores)) - 1])
+
+
 def fitted(
-    screen: Screen, current: Candidate, one: Trial, best_look: float
+    screen: Screen, current: Candidate, one: Trial, bar: float
 ) -> Candidate | FirstLook:
     """The effect fitted and cross-validated, or its first look where that says enough.
 
-    best_look: the smallest error that a first look at any effect promises.
+    bar: what first looks must promise to be fitted (`promising`). What no first look can judge is
+    fitted anyway, though not to the end where it stays far above.
     """
     effect, settings = one.put
-    bar = OUTCLASSED * min(best_look, current.score)
     if one.look is not None:
-        least = SCREENED_GAIN if len(effect.parameters) == 1 else SCREENED_CURVE_GAIN
-        nothing = one.look.score > (1.0 - least) * current.score and one.look.p_value > CHANCE
-        if nothing or one.look.score > bar:
+        single = len(effect.parameters) == 1
+        least = SCREENED_GAIN if single else SCREENED_CURVE_GAIN
+        certain = single and one.look.p_value < CHANCE
+        gains = one.look.score <= min((1.0 - least) * current.score, bar)
+        if not gains and not certain:
             return one.look
     fit = fit_with_effect(
         screen.sim, current.fit, effect, settings,
-        start=None if one.look is None else one.look.theta, hopeless=bar,
-        tolerance=ROUGH,
+        start=None if one.look is None else one.look.theta,
+        hopeless=OUTCLASSED * min(bar, current.score), tolerance=ROUGH,
     )
     return candidate(screen.sim, fit)
 
@@ -239,7 +253,8 @@ def _explains_as_much(
     if simple.score <= AS_GOOD * best.score:
         return True
     share = (current.score**2 - simple.score**2) / (current.score**2 - best.score**2)
-    if best.fit.structure.effects[-1].kind == 'mode' and share >= HIDDEN_SHARE:
+    hidden = best.fit.structure.effects[-1].kind == 'mode'
+    if share >= (HIDDEN_SHARE if hidden else NEARLY_ALL):
         return True
     better = compare(simple.errors, best.errors, sim.windows, sim.data.dt)
     return share >= NAMED_SHARE and better.p_value > CHANCE
@@ -269,6 +284,29 @@ def backward(sim: Simulator, current: Candidate) -> Candidate:
         if lost.p_value < CHANCE and current.score < (1.0 - SMALLEST_GAIN) * best.score:
             break
         current = best
+    return current
+
+
+def renamed(sim: Simulator, current: Candidate, prepared: Sequence[Prepared]) -> Candidate:
+    """Names in the place of curves and hidden states, where beside the rest they say as much.
+
+    A curve that was best alone may be no more than a name once the others are there.
+    """
+    for effect in current.fit.structure.effects:
+        if effect.kind == 'named' or len(current.names) < 2:
+            continue
+        rest = without(sim, current, effect.name)
+        best: Candidate | None = None
+        for put in prepared:
+            if put[0].kind != 'named' or put[0].name in current.names:
+                continue
+            if not _same_signal(effect, put[0]):
+                continue
+            one = candidate(sim, fit_with_effect(sim, rest.fit, *put, tolerance=ROUGH))
+            if best is None or one.score < best.score:
+                best = one
+        if best is not None and _explains_as_much(rest, best, current, sim):
+            current = best
     return current
 
 

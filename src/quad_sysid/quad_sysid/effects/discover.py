@@ -20,6 +20,8 @@ from quad_sysid.effects.choice import (
     fitting,
     looked_at,
     pairs,
+    promising,
+    renamed,
     strongest,
     worthy,
 )
@@ -88,7 +90,7 @@ def discover(
     base_sim = sim
     prepared, not_tested = _prepare(data, effects)
     current, noise, sim, tried = _forward(sim, base, base_noise, prepared, progress)
-    current = backward(sim, current)
+    current = backward(sim, renamed(sim, current, prepared))
     if not current.names:
         current, noise = candidate(sim, base), base_noise
     other = _stepped(sim, current)
@@ -118,12 +120,12 @@ def _forward(
         puts = [fitting(current, put) for put in prepared if put[0].name not in current.names]
         screen = Screen(sim, current.fit)
         looks = [looked_at(screen, put) for put in puts]
-        best_look = min((one.look.score for one in looks if one.look), default=float('inf'))
+        bar = promising(looks)
         trials: list[Candidate] = []
         for one in looks:
             effect = one.put[0]
             progress(f'{sim.data.axis}: effect {step}, {effect.name}')
-            found = fitted(screen, current, one, best_look)
+            found = fitted(screen, current, one, bar)
             screened = not isinstance(found, Candidate)
             if isinstance(found, Candidate):
                 trials.append(found)

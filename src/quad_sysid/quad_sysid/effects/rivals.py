@@ -12,7 +12,7 @@ import numpy as np
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.effects.candidate import Candidate, candidate, without
-from quad_sysid.effects.choice import fitting
+from quad_sysid.effects.choice import ROUGH, fitting
 from quad_sysid.greybox.fit import Fit, fit_with_effect
 from quad_sysid.greybox.one_step import BAND_HZ, block_of_rows, one_step, slow_errors
 from quad_sysid.greybox.simulate import Simulator
@@ -38,7 +38,7 @@ def rivals_of(
         if put[0].name in near and (kind != 'named' or put[0].kind == 'named')
     ]
     labels = [name, *(put[0].name for put in others)]
-    one_of = [current, *(candidate(sim, fit_with_effect(sim, rest.fit, *put)) for put in others)]
+    one_of = [current, *(_put(sim, rest, put) for put in others)]
     if kind == 'named':
         for label, alone in _curves_alone(sim, current, name, prepared):
             labels.append(label)
@@ -48,6 +48,10 @@ def rivals_of(
     for label, weight in zip(labels, weights, strict=True):
         summed[label] = summed.get(label, 0.0) + float(weight)
     return tuple(sorted(summed.items(), key=lambda pair: -pair[1]))
+
+
+def _put(sim: Simulator, rest: Candidate, put: Prepared) -> Candidate:
+    return candidate(sim, fit_with_effect(sim, rest.fit, *put, tolerance=ROUGH))
 
 
 def selection_probabilities(
@@ -87,5 +91,5 @@ def _curves_alone(
         rest = without(sim, without(sim, current, name), effect.name)
         whole = fitting(rest, put)
         if whole[1] != settings:
-            out.append((effect.name, candidate(sim, fit_with_effect(sim, rest.fit, *whole))))
+            out.append((effect.name, _put(sim, rest, whole)))
     return out
