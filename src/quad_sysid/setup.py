@@ -11,6 +11,7 @@ NODES = [
     'excitation = quad_sysid.excitation_node:main',
     'identification = quad_sysid.identification_node:main',
     'identify = quad_sysid.commands:identify',
+    'inspect = quad_sysid.commands:inspect',
     'evaluate = quad_sysid.commands:evaluate',
     'import = quad_sysid.commands:import_',
     'design-excitation = quad_sysid.commands:design_excitation',

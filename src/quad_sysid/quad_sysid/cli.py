@@ -1,4 +1,4 @@
-"""`quad-sysid`: identify, evaluate, import, design-excitation. Arguments and wiring only."""
+"""`quad-sysid`: the commands' arguments and wiring; those of a room stand in its cli.py."""
 
 from __future__ import annotations
 
@@ -8,27 +8,22 @@ import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NoReturn
 
 from quad_sysid import session
+from quad_sysid.arguments import Commands, Parser, command, quiet_and_json
 from quad_sysid.bags import parse_span, read_bag
 from quad_sysid.bags.importer import ImportOptions, import_csv, parse_units
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError, QuadSysidError
+from quad_sysid.inspection import cli as inspection
 from quad_sysid.pipeline.evaluate import evaluate
+from quad_sysid.progress import progress
 from quad_sysid.report import document, text
 from quad_sysid.report.model_file import load_models
 from quad_sysid.separation import words
 from quad_sysid.signals.design import design_excitation
 
-DONE, BAD_INPUT, NOT_ANSWERED, INTERRUPTED = 0, 2, 3, 130
-
-
-class _Parser(argparse.ArgumentParser):
-    """Says what is wrong in one line; its subparsers are of its kind."""
-
-    def error(self, message: str) -> NoReturn:
-        self.exit(BAD_INPUT, f'{self.prog}: {message}; see {self.prog} --help\n')
+DONE, NOT_ANSWERED, INTERRUPTED = 0, 3, 130
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -49,11 +44,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(
+    parser = Parser(
         prog='quad-sysid',
         description='Identify a quadrotor from bags and find what the model lacks.',
     )
     commands = parser.add_subparsers(required=True, metavar='COMMAND')
+    inspection.add(commands)
     _identify_parser(commands)
     _evaluate_parser(commands)
     _import_parser(commands)
@@ -61,18 +57,8 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _command(
-    commands: Any, name: str, run: Any, summary: str, example: str
-) -> argparse.ArgumentParser:
-    parser: argparse.ArgumentParser = commands.add_parser(
-        name, help=summary, description=summary, epilog=f'example: {example}'
-    )
-    parser.set_defaults(run=run)
-    return parser
-
-
-def _identify_parser(commands: Any) -> None:
-    parser = _command(
+def _identify_parser(commands: Commands) -> None:
+    parser = command(
         commands, 'identify', _identify,
         'Fit models to bags, validate them, and say what they lack.',
         'quad-sysid identify flight/ --axis roll --out report/',
@@ -89,12 +75,11 @@ def _identify_parser(commands: Any) -> None:
     parser.add_argument('--no-effects', action='store_true', help='fit the models only')
     parser.add_argument('--table2', action='store_true',
                         help="fit the paper's 13 rows too and print its Table 2 beside them")
-    parser.add_argument('--json', action='store_true', help='print report.json instead of text')
-    parser.add_argument('--quiet', action='store_true', help='print nothing but errors')
+    quiet_and_json(parser, 'report.json')
 
 
-def _evaluate_parser(commands: Any) -> None:
-    parser = _command(
+def _evaluate_parser(commands: Commands) -> None:
+    parser = command(
         commands, 'evaluate', _evaluate,
         'Error figures of a stored model on a bag it has never seen.',
         'quad-sysid evaluate report/model.json second_flight/ --json',
@@ -104,11 +89,11 @@ def _evaluate_parser(commands: Any) -> None:
     parser.add_argument('--axis', choices=AXES, help='default: every axis of the model')
     parser.add_argument('--validate', metavar='A:B',
                         help='seconds; default: all but the idle segments')
-    parser.add_argument('--json', action='store_true', help='print one JSON object')
+    quiet_and_json(parser, 'one JSON object')
 
 
-def _import_parser(commands: Any) -> None:
-    parser = _command(
+def _import_parser(commands: Commands) -> None:
+    parser = command(
         commands, 'import', _import, 'Turn a foreign CSV into a bag of the contract.',
         'quad-sysid import log.csv --axis roll --time t --control u --rate gx '
         '--unit gx=deg/s --out bag/',
@@ -131,8 +116,8 @@ def _import_parser(commands: Any) -> None:
     parser.add_argument('--out', metavar='BAG', type=Path, required=True)
 
 
-def _design_parser(commands: Any) -> None:
-    parser = _command(
+def _design_parser(commands: Commands) -> None:
+    parser = command(
         commands, 'design-excitation', _design,
         'Design PRBS and others for a band by eqs. (9), (10), or the flight that tells two '
         'effects apart.',
@@ -162,7 +147,7 @@ def _identify(options: argparse.Namespace) -> int:
             inertia=options.inertia or '', search_effects=not options.no_effects,
             table2=options.table2,
         ),
-        _progress(options),
+        progress(quiet=options.quiet, axes=session.axes_of(options.axis)),
     )
     if options.json:
         print(json.dumps(outcome.report, indent=1))
@@ -173,12 +158,6 @@ def _identify(options: argparse.Namespace) -> int:
         print(f'quad-sysid: {options.bags[0]}: {outcome.reasons}', file=sys.stderr)
         return NOT_ANSWERED
     return DONE
-
-
-def _progress(options: argparse.Namespace) -> Any:
-    if getattr(options, 'quiet', False) or not sys.stderr.isatty():
-        return lambda _: None
-    return lambda line: print(f'\r\x1b[2K{line}', end='', file=sys.stderr, flush=True)
 
 
 def _evaluate(options: argparse.Namespace) -> int:
@@ -203,7 +182,7 @@ def _evaluate(options: argparse.Namespace) -> int:
         }
         print(json.dumps({'schema': 'quad_sysid/evaluation/1', 'axes': axes}))
         return DONE
-    for e in found:
+    for e in () if options.quiet else found:
         print(f'{e.axis}: {document.METRIC}, rad/s, {e.windows} windows')
         print(f'  base (before)       {e.before:.4g}')
         print(f'  completed (after)   {e.after:.4g}')
@@ -231,10 +210,11 @@ def _design(options: argparse.Namespace) -> int:
     if options.out and options.out.exists():
         raise BadInputError('--out', 'exists already', options.out, 'choose another name')
     if options.separate is not None:
+        show = progress()
         found = session.separation(
-            options.separate, options.model, options.axis, options.seconds, _progress(options)
+            options.separate, options.model, options.axis, options.seconds, show
         )
-        _progress(options)('')
+        show('')
         print(words.text(found))
         content = words.schedule(found)
     else:

@@ -25,3 +25,8 @@ def import_() -> int:
 def design_excitation() -> int:
     """`ros2 run quad_sysid design-excitation …`."""
     return main(['design-excitation', *sys.argv[1:]])
+
+
+def inspect() -> int:
+    """`ros2 run quad_sysid inspect …`."""
+    return main(['inspect', *sys.argv[1:]])

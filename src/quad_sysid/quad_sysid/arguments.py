@@ -1,0 +1,51 @@
+"""How every command of quad-sysid takes its arguments: one-line errors, an example in each --help.
+
+No command stands here; they are in cli.py and in the cli.py of their rooms.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from typing import Any, NoReturn
+
+from quad_sysid.errors import BadInputError
+
+BAD_ARGUMENTS = 2
+"""Exit status (contract, Commands)."""
+
+Commands = Any
+"""What `add_subparsers` gives; argparse keeps its type to itself."""
+
+
+class Parser(argparse.ArgumentParser):
+    """Says what is wrong in one line; its subparsers are of its kind."""
+
+    def error(self, message: str) -> NoReturn:
+        """End with the contract's status and one line on stderr."""
+        self.exit(BAD_ARGUMENTS, f'{self.prog}: {message}; see {self.prog} --help\n')
+
+
+def command(
+    commands: Commands, name: str, run: Callable[[argparse.Namespace], int], summary: str,
+    example: str,
+) -> argparse.ArgumentParser:
+    """Add one command; `example` stands below its --help as it can be typed."""
+    parser: argparse.ArgumentParser = commands.add_parser(
+        name, help=summary, description=summary, epilog=f'example: {example}'
+    )
+    parser.set_defaults(run=run)
+    return parser
+
+
+def quiet_and_json(parser: argparse.ArgumentParser, what: str) -> None:
+    """Add `--json`, which prints `what` instead of text, and `--quiet`."""
+    parser.add_argument('--json', action='store_true', help=f'print {what} instead of text')
+    parser.add_argument('--quiet', action='store_true', help='print nothing but errors')
+
+
+def positive(option: str, value: float) -> float:
+    """The value, where it is a finite number above 0; BadInputError naming the option else."""
+    if not 0.0 < value < float('inf'):
+        raise BadInputError(option, 'must be a positive number', value)
+    return value

@@ -1,0 +1,103 @@
+"""What `inspect` says of a bag is what was put into it, and costs no fit."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from quad_sysid.bags import write_bag
+from quad_sysid.cli import main
+from quad_sysid.inspection import content, lines
+
+
+@pytest.fixture(scope='module')
+def record(flown, axis_type, plan_type):
+    return flown(axis_type(volts=(12.4, 12.3)), 3, plan_type(
+        30.0, (('idle', 'none', 0.0, 1.0), ('train', 'prbs', 1.0, 18.0),
+               ('validation', 'square', 19.0, 30.0)),
+    ))
+
+
+@pytest.fixture(scope='module')
+def bag(record, tmp_path_factory):
+    rates = record.rates.copy()
+    rates[2000:2051] = np.nan
+    motors = np.clip(record.control @ np.ones((4, 4)), 0.0, 0.9)
+    motors[:750, 0] = 1.0
+    lossy = replace(record, rates=rates, motors=motors, control=motors)
+    return write_bag(lossy, tmp_path_factory.mktemp('inspect') / 'bag')
+
+
+def test_topics_gaps_limits_and_battery(bag, record):
+    held = content(bag)
+    topics = {topic.name: topic for topic in held.topics.found}
+    assert topics['/imu/data'].messages == record.n - 51
+    assert topics['/imu/data'].rate_hz == pytest.approx(250.0)
+    assert topics['/imu/data'].gaps == 1
+    assert topics['/imu/data'].longest_gap_s == pytest.approx(52 * record.dt)
+    assert topics['/battery'].rate_hz == pytest.approx(10.0)
+    assert topics['/excitation/segment'].rate_hz is None
+    assert '/control/wrench' in held.topics.absent
+    assert held.lost_pct == pytest.approx(100.0 * 51 / record.n, abs=0.001)  # stamp 0 is none
+    assert held.longest_gap_s == pytest.approx(51 * record.dt)
+    assert held.motors_at_limit_pct == pytest.approx((10.0, 0.0, 0.0, 0.0), abs=0.01)
+    assert held.battery.first == pytest.approx(12.4, abs=0.01)
+    assert held.battery.last == pytest.approx(12.3, abs=0.01)
+    assert not held.split
+
+
+def test_an_axis_and_its_uses(record, tmp_path):
+    held = content(write_bag(record, tmp_path / 'bag'))
+    (roll,) = held.axes
+    assert roll.axis == 'roll'
+    assert (roll.train_s, roll.validation_s) == pytest.approx((17.0, 11.0))
+    assert roll.windows == 20
+    train = record.rates[250:4500, 0]
+    assert roll.rate_rms == pytest.approx(float(np.std(train)), rel=1e-3)
+    low, high = roll.coherent_band_rad_s
+    # levels of up to 0.7 s through a loop of some 3 rad/s: coherent around there, not at 300 rad/s
+    assert low < 3.0
+    assert 8.0 < high < 300.0
+    uses = {use.name: use for use in roll.uses}
+    assert uses['identify roll'].possible
+    assert uses['closed-loop check, gain design'].possible
+    assert 'throttle stays' in uses['find thrust curve'].because
+    assert not {use.name: use for use in held.uses}['one model for roll and pitch'].possible
+
+
+def test_a_flight_in_which_nothing_moves_is_good_for_nothing(record, tmp_path, capsys):
+    still = replace(record, control=np.tile([0.5, 0.0, 0.0, 0.0], (record.n, 1)))
+    path = write_bag(still, tmp_path / 'still')
+    assert main(['inspect', str(path)]) == 3
+    out, err = capsys.readouterr()
+    assert 'no  identify roll: the command never moves' in out
+    assert len(err.splitlines()) == 1
+
+
+def test_a_bag_without_commands_tells_its_topics(record, tmp_path, capsys):
+    path = write_bag(
+        replace(record, wrench=np.full((record.n, 4), np.nan)), tmp_path / 'uncommanded'
+    )
+    assert main(['inspect', str(path)]) == 3
+    out, err = capsys.readouterr()
+    assert '/imu/data' in out
+    assert 'usable for nothing' in out
+    assert '/control/wrench are both missing' in err
+
+
+def test_the_page_fits_a_terminal_and_json_is_whole(bag, capsys):
+    assert max(map(len, lines(content(bag)))) <= 80
+    assert main(['inspect', str(bag), '--json']) == 0
+    tree = json.loads(capsys.readouterr().out)
+    assert tree['schema'] == 'quad_sysid/inspection/1'
+    assert tree['axes'][0]['axis'] == 'roll'
+    assert main(['inspect', str(bag), '--quiet']) == 0
+    assert capsys.readouterr().out == ''
+
+
+def test_what_is_no_bag_is_one_line(tmp_path, capsys):
+    assert main(['inspect', str(tmp_path / 'nothing')]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1
