@@ -74,6 +74,7 @@ def _detection(rows: Sequence[Row], path: Path) -> None:
         half = 1.96 * np.sqrt(np.maximum(y * (1.0 - y), 0.02) / n)
         right.errorbar(x, y, half, marker='o', color='#d55e00', capsize=3)
     right.plot([0, 1], [0, 1], color='0.6', linestyle=':')
+    right.set_ylim(-0.05, 1.05)
     right.set_xlabel('probability that was said')
     right.set_ylabel('share that was planted')
     figure.tight_layout()

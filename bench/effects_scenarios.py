@@ -79,7 +79,7 @@ STRENGTHS: dict[str, tuple[str, str, float, float]] = {
     'step_event': ('torque_nm', 'acceleration', 0.146, 0.234),
     'battery_sag': ('exponent', '', 0.37, 1.0),
     'thrust_curve': ('curvature', '', 0.085, 0.085),
-    'saturation': ('upper', 'limit', 0.465, 0.455),
+    'saturation': ('upper', 'limit', 0.445, 0.445),
     'cross_axis_input': ('fraction', '', 0.116, 0.116),
     'gyroscopic_coupling': ('extra_momentum_nm_s', 'acceleration', 0.6, 0.6),
 }
