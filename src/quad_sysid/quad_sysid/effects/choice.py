@@ -254,7 +254,8 @@ def _explains_as_much(
         return True
     share = (current.score**2 - simple.score**2) / (current.score**2 - best.score**2)
     hidden = best.fit.structure.effects[-1].kind == 'mode'
-    if share >= (HIDDEN_SHARE if hidden else NEARLY_ALL):
+    one_name = len(simple.names) == len(current.names) + 1
+    if one_name and share >= (HIDDEN_SHARE if hidden else NEARLY_ALL):
         return True
     better = compare(simple.errors, best.errors, sim.windows, sim.data.dt)
     return share >= NAMED_SHARE and better.p_value > CHANCE

@@ -26,7 +26,7 @@ from quad_sysid.effects.choice import (
     worthy,
 )
 from quad_sysid.effects.crossval import compare
-from quad_sysid.effects.rivals import MOST_RIVALS, rivals_of
+from quad_sysid.effects.rivals import MOST_RIVALS, less_named, rivals_of
 from quad_sysid.effects.scan import Dependence, scan
 from quad_sysid.effects.screening import Screen
 from quad_sysid.greybox.data import AxisData
@@ -90,7 +90,8 @@ def discover(
     base_sim = sim
     prepared, not_tested = _prepare(data, effects)
     current, noise, sim, tried = _forward(sim, base, base_noise, prepared, progress)
-    current = backward(sim, renamed(sim, current, prepared))
+    current = less_named(sim, renamed(sim, current, prepared), prepared, rng)
+    current = backward(sim, current)
     if not current.names:
         current, noise = candidate(sim, base), base_noise
     other = _stepped(sim, current)

@@ -20,6 +20,8 @@ from quad_sysid.greybox.structure import Prepared
 
 MOST_RIVALS = 4
 """So many of the nearest others are fitted in the place of a chosen effect."""
+SUPERFLUOUS = 0.9
+"""A name goes where the curve alone is the better model with this probability."""
 
 
 def rivals_of(
@@ -73,6 +75,21 @@ def selection_probabilities(
     weights = rng.dirichlet(np.ones(count), size=draws)
     criterion = samples * np.log(np.maximum(weights @ summed.T, 1e-300)) + 2.0 * size
     return np.asarray(np.bincount(criterion.argmin(axis=1), minlength=len(fits)) / draws)
+
+
+def less_named(
+    sim: Simulator, current: Candidate, prepared: Sequence[Prepared], rng: np.random.Generator
+) -> Candidate:
+    """Names taken back that a curve of their signal, which is there anyway, makes superfluous."""
+    for effect in current.fit.structure.effects:
+        if effect.kind != 'named' or effect.name not in current.names:
+            continue
+        for _, alone in _curves_alone(sim, current, effect.name, prepared):
+            chances = selection_probabilities(sim, [current.fit, alone.fit], rng)
+            if chances[1] > SUPERFLUOUS and alone.score <= 1.01 * current.score:
+                current = alone
+                break
+    return current
 
 
 def _curves_alone(
