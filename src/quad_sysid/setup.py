@@ -35,7 +35,10 @@ setup(
         'numpy', 'scipy', 'numba', 'matplotlib', 'PyYAML', 'rosbags', 'lz4', 'threadpoolctl',
         'backports.zstd; python_version < "3.14"',
     ],
-    extras_require={'test': ['pytest', 'hypothesis', 'jsonschema']},
+    extras_require={
+        'logs': ['pyulog', 'pymavlink'],
+        'test': ['pytest', 'hypothesis', 'jsonschema'],
+    },
     zip_safe=False,
     license='Apache-2.0',
     description='Identification of quadrotor dynamics and of the effects a model lacks.',

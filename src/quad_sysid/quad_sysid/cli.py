@@ -12,9 +12,9 @@ from pathlib import Path
 from quad_sysid import session
 from quad_sysid.arguments import Commands, Parser, command, quiet_and_json
 from quad_sysid.bags import parse_span, read_bag
-from quad_sysid.bags.importer import ImportOptions, import_csv, parse_units
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError, QuadSysidError
+from quad_sysid.imports import cli as imports
 from quad_sysid.inspection import cli as inspection
 from quad_sysid.pipeline.evaluate import evaluate
 from quad_sysid.progress import progress
@@ -52,7 +52,7 @@ def _parser() -> argparse.ArgumentParser:
     inspection.add(commands)
     _identify_parser(commands)
     _evaluate_parser(commands)
-    _import_parser(commands)
+    imports.add(commands)
     _design_parser(commands)
     return parser
 
@@ -90,30 +90,6 @@ def _evaluate_parser(commands: Commands) -> None:
     parser.add_argument('--validate', metavar='A:B',
                         help='seconds; default: all but the idle segments')
     quiet_and_json(parser, 'one JSON object')
-
-
-def _import_parser(commands: Commands) -> None:
-    parser = command(
-        commands, 'import', _import, 'Turn a foreign CSV into a bag of the contract.',
-        'quad-sysid import log.csv --axis roll --time t --control u --rate gx '
-        '--unit gx=deg/s --out bag/',
-    )
-    parser.add_argument('file', metavar='FILE', type=Path, help='CSV, also gzipped')
-    parser.add_argument('--axis', choices=AXES, required=True)
-    parser.add_argument('--time', metavar='COL', required=True)
-    source = parser.add_mutually_exclusive_group(required=True)
-    source.add_argument('--control', metavar='COL', help='command of the axis')
-    source.add_argument('--motors', metavar='COL,COL,COL,COL', help='the four motors')
-    parser.add_argument('--mixer', default='x', metavar='x|plus|FILE',
-                        help='what the motors mean (default x)')
-    parser.add_argument('--rate', metavar='COL', help='measured rate; else from --angle')
-    parser.add_argument('--angle', metavar='COL', help='measured angle or position')
-    parser.add_argument('--reference', metavar='COL')
-    parser.add_argument('--reference-is', choices=['angle', 'rate'], default='angle')
-    parser.add_argument('--battery', metavar='COL')
-    parser.add_argument('--unit', metavar='COL=UNIT', action='append', default=[],
-                        help='such as gx=deg/s, u=V, t=ms, or a factor: u=0.05; repeat')
-    parser.add_argument('--out', metavar='BAG', type=Path, required=True)
 
 
 def _design_parser(commands: Commands) -> None:
@@ -187,22 +163,6 @@ def _evaluate(options: argparse.Namespace) -> int:
         print(f'  base (before)       {e.before:.4g}')
         print(f'  completed (after)   {e.after:.4g}')
         print(f'  hold the last value {e.hold:.4g}')
-    return DONE
-
-
-def _import(options: argparse.Namespace) -> int:
-    motors = tuple(options.motors.split(',')) if options.motors else ()
-    path = import_csv(ImportOptions(
-        file=options.file, axis=options.axis, time=options.time, out=options.out,
-        control=options.control, motors=motors, mixer=options.mixer, rate=options.rate,
-        angle=options.angle, reference=options.reference, reference_is=options.reference_is,
-        battery=options.battery, units=parse_units(options.unit),
-    ))
-    record = read_bag(path)
-    print(f'{path}: {record.n} samples at {1.0 / record.dt:g} Hz, '
-          f'{record.n * record.dt:.1f} s')
-    for warning in record.warnings:
-        print(f'  {warning}')
     return DONE
 
 

@@ -34,7 +34,8 @@ FOREIGN = {
     '.csv': 'a CSV file; turn it into a bag with `quad-sysid import`',
     '.gz': 'a compressed table; turn it into a bag with `quad-sysid import`',
     '.bag': 'a ROS 1 bag; convert it with `rosbags-convert`',
-    '.ulg': 'a PX4 log, not a bag',
+    '.ulg': 'a PX4 log; turn it into a bag with `quad-sysid import`',
+    '.bin': 'a log of another controller; turn it into a bag with `quad-sysid import`',
     '.yaml': 'a YAML file; give the directory it lies in',
 }
 

@@ -1,0 +1,63 @@
+"""Frames and motor orders of other flight controllers → the contract's. Array maths only.
+
+FRD/NED (PX4, ArduPilot): x forward, y right, z down. FLU/ENU (contract, REP-103): x forward, y
+left, z up. Roll is the same in both, pitch and yaw turn the other way, yaw counts from east.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from quad_sysid.contract import FloatArray
+
+MIRROR: FloatArray = np.array([1.0, -1.0, -1.0])
+"""Body vectors, rates and torques from FRD to FLU (and back)."""
+MIRROR.setflags(write=False)
+
+PLACES = ('rear left', 'rear right', 'front right', 'front left')
+"""Of the contract's motors 1..4."""
+
+ROLL_PITCH: FloatArray = np.array(
+    [[0.25, 0.25, 0.25, 0.25], [0.25, -0.25, -0.25, 0.25], [0.25, 0.25, -0.25, -0.25]]
+)
+"""(3, 4): U1..U3 from the motors at PLACES: they depend on the places alone."""
+ROLL_PITCH.setflags(write=False)
+
+YAW: FloatArray = np.array([0.25, -0.25, 0.25, -0.25])
+"""(4,): U4 where rear left and front right turn clockwise seen from above (the contract)."""
+YAW.setflags(write=False)
+
+
+def control_at_places(motors: FloatArray, *, clockwise_rear_left: bool) -> FloatArray:
+    """U1..U4 (n, 4) from motor commands (n, 4) at PLACES, whichever way the motors turn.
+
+    A propeller that turns clockwise pushes the body counter-clockwise: positive yaw in FLU.
+    """
+    yaw = YAW if clockwise_rear_left else -YAW
+    return np.column_stack([motors @ ROLL_PITCH.T, motors @ yaw])
+
+
+def angles_from_ned(angles: FloatArray) -> FloatArray:
+    """Roll, pitch, yaw (n, 3) of FRD in NED → of FLU in ENU, rad, yaw unwrapped."""
+    out = angles * MIRROR
+    out[:, 2] = np.unwrap(0.5 * np.pi + out[:, 2])
+    return np.asarray(out)
+
+
+def euler_from_quaternion(wxyz: FloatArray) -> FloatArray:
+    """Roll, pitch, yaw (n, 3), rad, ZYX, from unit quaternions w x y z (n, 4)."""
+    w, x, y, z = wxyz.T
+    return np.column_stack([
+        np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
+        np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0)),
+        np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
+    ])
+
+
+def order_by_places(x: FloatArray, y_right: FloatArray) -> tuple[int, ...] | None:
+    """Which of four rotors stands at each of PLACES, from positions; None where it is no X."""
+    wanted = ((-1, -1), (-1, 1), (1, 1), (1, -1))
+    signs = [(int(np.sign(a)), int(np.sign(b))) for a, b in zip(x, y_right, strict=True)]
+    if sorted(signs) != sorted(wanted):
+        return None
+    return tuple(signs.index(place) for place in wanted)
