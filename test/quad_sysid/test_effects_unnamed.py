@@ -64,6 +64,17 @@ def only(model):
     return model.effects[0]
 
 
+def friction_curve(model, name):
+    """Knots and level of a friction along a curve, with the constant part that has the name."""
+    kinds = {e.name for e in model.effects}
+    assert name in kinds
+    assert kinds <= {name, 'coulomb_friction'}, kinds
+    effect = next(e for e in model.effects if e.name == name)
+    assert effect.settings['variant'] == 'friction'
+    constant = sum(e.parameters[0].value for e in model.effects if e.name == 'coulomb_friction')
+    return np.array(effect.settings['knots']), np.array(effect.settings['values']) + constant
+
+
 def test_a_friction_that_builds_up_is_a_hidden_state_with_its_strength(axis_type, flown):
     _, answer, model = answered(flown(axis_type(torque=hysteresis(), **QUIET), 3))
     assert answer.verdict == 'effects_added', answer.reason
@@ -80,9 +91,7 @@ def test_a_friction_along_the_angle_is_told_as_a_curve_and_pays(axis_type, flown
 
     _, answer, model = answered(flown(axis_type(torque=torque, **QUIET), 4))
     assert answer.verdict == 'effects_added', answer.reason
-    effect = only(model)
-    assert (effect.name, effect.settings['variant']) == ('shape:angle', 'friction')
-    x, y = np.array(effect.settings['knots']), np.array(effect.settings['values'])
+    x, y = friction_curve(model, 'shape:angle')
     level = np.interp([-0.15, 0.0, 0.15], x, y)
     assert level[1] < 0.5 * min(level[0], level[2])  # the kink lies between two knots
     error = evaluate(model, flown(axis_type(torque=torque, **QUIET), 504, second_plan))
@@ -94,9 +103,7 @@ def test_a_bearing_that_warms_up_is_a_friction_that_drifts(axis_type, flown):
     torque = clocked(lambda t, w, _: -0.8 * math.exp(-t / 20.0) * math.tanh(w / 0.03))
     _, answer, model = answered(flown(axis_type(torque=torque, **QUIET), 5))
     assert answer.verdict == 'effects_added', answer.reason
-    effect = only(model)
-    assert (effect.name, effect.settings['variant']) == ('shape:time', 'friction')
-    x, y = effect.settings['knots'], effect.settings['values']
+    x, y = friction_curve(model, 'shape:time')
     for time in (5.0, 30.0):
         assert np.interp(time, x, y) == pytest.approx(0.8 * math.exp(-time / 20.0), rel=0.25)
 

@@ -255,7 +255,10 @@ def _explains_as_much(
     share = (current.score**2 - simple.score**2) / (current.score**2 - best.score**2)
     hidden = best.fit.structure.effects[-1].kind == 'mode'
     one_name = len(simple.names) == len(current.names) + 1
-    if one_name and share >= (HIDDEN_SHARE if hidden else NEARLY_ALL):
+    # a friction along a curve is friction first, and the curve can be added on top
+    friction = best.fit.structure.effects[-1].variant == 'friction'
+    least = HIDDEN_SHARE if hidden else NAMED_SHARE if friction else NEARLY_ALL
+    if one_name and share >= least:
         return True
     better = compare(simple.errors, best.errors, sim.windows, sim.data.dt)
     return share >= NAMED_SHARE and better.p_value > CHANCE

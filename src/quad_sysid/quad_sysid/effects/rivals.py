@@ -12,7 +12,7 @@ import numpy as np
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.effects.candidate import Candidate, candidate, without
-from quad_sysid.effects.choice import ROUGH, fitting
+from quad_sysid.effects.choice import NEARLY_ALL, ROUGH, fitting
 from quad_sysid.greybox.fit import Fit, fit_with_effect
 from quad_sysid.greybox.one_step import BAND_HZ, block_of_rows, one_step, slow_errors
 from quad_sysid.greybox.simulate import Simulator
@@ -84,12 +84,25 @@ def less_named(
     for effect in current.fit.structure.effects:
         if effect.kind != 'named' or effect.name not in current.names:
             continue
-        for _, alone in _curves_alone(sim, current, effect.name, prepared):
+        for label, alone in _curves_alone(sim, current, effect.name, prepared):
+            if _says_nearly_all(sim, current, effect.name, label):
+                continue
             chances = selection_probabilities(sim, [current.fit, alone.fit], rng)
             if chances[1] > SUPERFLUOUS and alone.score <= 1.01 * current.score:
                 current = alone
                 break
     return current
+
+
+def _says_nearly_all(sim: Simulator, current: Candidate, name: str, curve: str) -> bool:
+    """Whether a name alone explains nearly all of what it explains together with a curve."""
+    effect = next(e for e in current.fit.structure.effects if e.name == curve)
+    if effect.variant == 'friction':
+        return True  # friction first, its curve on top
+    named = without(sim, current, curve)
+    neither = without(sim, named, name)
+    gained = neither.score**2 - current.score**2
+    return gained > 0.0 and neither.score**2 - named.score**2 >= NEARLY_ALL * gained
 
 
 def _curves_alone(
