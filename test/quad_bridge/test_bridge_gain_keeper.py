@@ -67,8 +67,10 @@ def test_a_larger_change_goes_in_steps_with_three_seconds_between(bench):
         ({'roll_rate_kp': 1e6}, 'must lie in'),
         ({'roll_rate_kp': 'fast'}, 'must be a number'),
         ({'roll_rate_kp': 0.1, 'source': 'a stranger'}, 'source is not allowed'),
-        ({'roll_rate_kp': 0.1, 'predicted.roll.peak': math.nan}, 'predicted.roll.peak: must be'),
-        ({'roll_rate_kp': 0.1, 'predicted.roll.colour': 1.0}, 'no such prediction'),
+        ({'roll_rate_kp': 0.1, 'predicted': '{"roll.peak": NaN}'}, 'roll.peak must be finite'),
+        ({'roll_rate_kp': 0.1, 'predicted': '{"roll.colour": 1}'}, 'roll.colour is not known'),
+        ({'roll_rate_kp': 0.1, 'predicted': 'good'}, 'predicted: must be a JSON object'),
+        ({'roll_rate_kp': 0.1, 'predicted': '[1]'}, 'predicted: must be a JSON object'),
     ],
 )
 def test_bad_updates_are_refused_and_change_nothing(bench, asked, words):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
@@ -10,7 +11,6 @@ from quad_bridge.errors import RefusedError
 from quad_bridge.gain_gate import numbers
 from quad_bridge.gain_watch import AXES, Predicted
 
-PREDICTED = 'predicted.'
 _LIMITS = {'rate_rms_ratio': (0.5, 3.0), 'oscillation_ratio': (0.5, 3.0), 'peak': (1.0, 2.5)}
 """How far a prediction may move the watch's bounds; beyond, the limit counts."""
 
@@ -35,21 +35,26 @@ def read_request(parameters: Mapping[str, object]) -> GainRequest:
     rest = dict(parameters)
     texts = {name: str(rest.pop(name)) for name in ('source', 'model', 'bag') if name in rest}
     rollback = bool(rest.pop('rollback', False))
-    said = {n: rest.pop(n) for n in list(rest) if n.startswith(PREDICTED)}
-    return GainRequest(
-        gains=numbers(rest), rollback=rollback, predicted=_predictions(numbers(said)), **texts
-    )
+    predicted = _predictions(str(rest.pop('predicted', '{}')))
+    return GainRequest(gains=numbers(rest), rollback=rollback, predicted=predicted, **texts)
 
 
-def _predictions(said: Mapping[str, float]) -> dict[str, Predicted]:
+def _predictions(text: str) -> dict[str, Predicted]:
+    """Of JSON such as `{"roll.peak": 1.2, "roll.rate_rms_ratio": 0.9}`."""
+    try:
+        said = json.loads(text)
+        pairs = numbers(dict(said))
+    except (ValueError, TypeError) as error:
+        raise RefusedError(f'predicted: must be a JSON object of numbers: {error}') from error
     values: dict[str, dict[str, float]] = {}
     known = {f.name for f in fields(Predicted)}
-    for name, value in said.items():
-        axis, _, figure = name.removeprefix(PREDICTED).partition('.')
+    for name, value in pairs.items():
+        axis, _, figure = name.partition('.')
         if axis not in AXES or figure not in known:
-            raise RefusedError(f'{name}: no such prediction; known are {", ".join(sorted(known))}')
+            words = f'{name} is not known; known are {", ".join(sorted(known))}'
+            raise RefusedError(f'predicted: {words}')
         if not math.isfinite(value):
-            raise RefusedError(f'{name}: must be finite: found {value}')
+            raise RefusedError(f'predicted: {name} must be finite: found {value}')
         low, high = _LIMITS[figure]
         values.setdefault(axis, {})[figure] = min(max(value, low), high)
     return {axis: Predicted(**figures) for axis, figures in values.items()}

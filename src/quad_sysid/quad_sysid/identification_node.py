@@ -139,8 +139,8 @@ class IdentificationNode(Node):  # type: ignore[misc]
             self.get_logger().info(f'gains not sent (auto_update is off): {wanted}')
             return 'not sent: auto_update is off'
         told: dict[str, float | str] = {
-            **wanted, **outcome.predictions(), 'source': f'identification of {bag}', 'bag': bag,
-            'model': str(outcome.folder / 'model.json'),
+            **wanted, 'source': f'identification of {bag}', 'bag': bag,
+            'model': str(outcome.folder / 'model.json'), 'predicted': outcome.predictions(),
         }  # fmt: skip
         self._gains.publish(gains_event(told, self._now()))
         self.get_logger().info(f'gains sent: {wanted}')
@@ -168,7 +168,7 @@ class IdentificationNode(Node):  # type: ignore[misc]
 
 
 def gains_event(told: Mapping[str, float | str], stamp: Any) -> Any:
-    """Build the message of /gains/update: gains and predictions as doubles, the rest as text."""
+    """Build the message of /gains/update: gains as doubles, the rest as text."""
     event = ParameterEvent(node='/identification', stamp=stamp)
     for name, value in told.items():
         if isinstance(value, str):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -64,15 +65,16 @@ class Outcome:
                 wanted.update(answer.proposal.gains)
         return wanted
 
-    def predictions(self) -> dict[str, float]:
-        """What the designs promise to the watch in flight, as /gains/update has it."""
-        return {
-            f'predicted.{axis}.{name}': answer.proposal.figures[name]
+    def predictions(self) -> str:
+        """What the designs promise to the watch in flight, as /gains/update has it: JSON."""
+        said = {
+            f'{axis}.{name}': round(answer.proposal.figures[name], 6)
             for axis, answer in self.answers.items()
             if answer.proposal is not None and answer.proposal.gains is not None
             for name in PROMISES
             if name in answer.proposal.figures
         }
+        return json.dumps(said)
 
     def refusals(self) -> dict[str, str]:
         """By axis, why there are no gains."""
