@@ -12,16 +12,17 @@ from pathlib import PurePath
 from typing import Any
 
 from quad_sysid.pipeline.answer import AxisAnswer
-from quad_sysid.report import tables, words
+from quad_sysid.report import selection_tables, tables, words
 from quad_sysid.report.canvas import Picture, svg
 from quad_sysid.report.plots import Gallery, gallery
 from quad_sysid.report.style import SHEET
 
 DATA = ('signals', 'signals_detail', 'spectra', 'coherence')
 MODELS = ('residual_test', 'bode')
-PREDICTION = ('free_run', 'horizon')
+PREDICTION = ('free_run', 'horizon', 'one_step')
 EFFECTS = ('effect_shape', 'left_out', 'gain', 'rivals')
-LOOP = ('closed_loop', 'step')
+LEFT = ('correlations', 'residual_spectrum', 'missing_torque')
+LOOP = ('closed_loop', 'step', 'margins')
 
 
 def page(
@@ -101,7 +102,10 @@ def _axis(
         ('Prediction on held-out data', tables.errors(tree) + figures(PREDICTION)),
         ('What the base lacks', tables.effects(tree) + tables.parameters(tree)
          + figures(EFFECTS) + _fold('All that was tried', tables.tried(tree))),
-        ('Black-box models', tables.models(tree) + figures(MODELS)),
+        ('What is left', selection_tables.residuals(tree) + figures(LEFT)),
+        ('Black-box models', tables.models(tree) + selection_tables.shared(tree)
+         + figures(MODELS) + selection_tables.approaches(tree)
+         + _fold("Beside the paper's Table 2", selection_tables.table2(tree))),
         ('Advice', _notes([
             *tree.get('advice', []),
             *(f'{c["name"]}: {c["words"]}' for c in tree.get('preparation', [])

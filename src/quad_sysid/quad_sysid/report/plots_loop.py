@@ -1,12 +1,13 @@
-"""Pictures of the closed loop: simulated against recorded, a step with old and new gains."""
+"""Pictures of the loop: simulated against recorded, a step and margins with old and new gains."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from quad_sysid.errors import QuadSysidError
-from quad_sysid.loop.cascade import CascadeGains
+from quad_sysid.loop.cascade import CascadeGains, frequency_grid, margins, open_loop
 from quad_sysid.loop.from_model import loop_plant
+from quad_sysid.loop.plant import exact_cycles, slopes_at
 from quad_sysid.loop.simulation import simulate_cascade
 from quad_sysid.pipeline.answer import AxisAnswer
 from quad_sysid.report.canvas import (
@@ -14,6 +15,7 @@ from quad_sysid.report.canvas import (
     BEFORE,
     GREEN,
     INK,
+    MUTED,
     Picture,
     legend,
     panels,
@@ -23,6 +25,8 @@ from quad_sysid.report.canvas import (
 SHOWN_S = 10.0
 STEP_RAD = float(np.radians(12.0))
 STEP_S = 2.0
+WIDE = (4.0, 0.35, 0.3)
+"""Rate, rad/s, angle, rad, and command at which curves count by their gain, as in the design."""
 
 
 def overlay(answer: AxisAnswer) -> Picture | None:
@@ -96,4 +100,51 @@ def step_response(answer: AxisAnswer) -> Picture | None:
     return Picture(
         'step', 'Step before and after', f'A step of {np.degrees(STEP_RAD):.0f} degrees in the '
         'attitude reference, simulated with the identified model.' + why, figure,
+    )
+
+
+def open_loop_margins(answer: AxisAnswer) -> Picture | None:
+    """Loop gain and phase, broken at the command, before and after, with their margins."""
+    model, proposal = answer.model, answer.proposal
+    if model is None or f'{model.axis}.rate.kp' not in model.active_gains:
+        return None
+    sets = [('gains that flew', dict(model.active_gains), BEFORE, '--')]
+    if proposal is not None and proposal.gains is not None:
+        new = {**model.active_gains, **proposal.gains}
+        sets.append(('proposed gains', new, AFTER, '-'))
+    plant = loop_plant(model)
+    omega = frequency_grid(model.dt, 400, 0.3)
+    response = exact_cycles([plant], [slopes_at(plant, *WIDE)]).response(omega)
+    figure, axes = panels(2, height_in=4.1)
+    told = []
+    for name, gains, colour, style in sets:
+        loop = open_loop(CascadeGains.from_mapping(gains, model.axis), response, omega, model.dt)
+        found = margins(loop, omega)
+        phase = np.degrees(np.unwrap(np.angle(loop[0])))
+        phase -= 360.0 * np.ceil((phase[0] - 90.0) / 360.0)
+        axes[0].loglog(omega, np.abs(loop[0]), color=colour, ls=style, lw=1.4, label=name)
+        axes[1].semilogx(omega, phase, color=colour, ls=style, lw=1.4)
+        crossover = float(found.crossover_rad_s[0])
+        if np.isfinite(crossover):
+            at = float(np.interp(np.log(crossover), np.log(omega), phase))
+            axes[0].plot([crossover], [1.0], 'o', ms=4, color=colour)
+            axes[1].plot([crossover], [at], 'o', ms=4, color=colour)
+        told.append(
+            f'{name}: phase margin {found.phase_margin_deg[0]:.0f} deg, gain margin '
+            f'{found.gain_margin_db[0]:.1f} dB, crossover {crossover:.3g} rad/s, peak '
+            f'sensitivity {found.peak_sensitivity[0]:.2f}'
+        )
+    axes[0].axhline(1.0, color=MUTED, lw=0.8, ls=':')
+    axes[1].axhline(-180.0, color=MUTED, lw=0.8, ls=':')
+    axes[1].set_ylim(-540.0, 0.0)
+    axes[1].set_yticks(range(-540, 1, 180))
+    axes[0].set_ylabel('loop gain, 1')
+    axes[1].set_ylabel('phase, deg')
+    axes[1].set_xlabel('frequency, rad/s')
+    legend(axes[0])
+    words = '; '.join(told)
+    return Picture(
+        'margins', 'The open loop and its margins',
+        f'Broken at the command; dots mark the crossover. {words[:1].upper()}{words[1:]}. For the '
+        'model itself, in wide motion; the table has the worst of all draws too.', figure,
     )
