@@ -15,6 +15,8 @@ NODES = [
     'evaluate = quad_sysid.commands:evaluate',
     'import = quad_sysid.commands:import_',
     'design-excitation = quad_sysid.commands:design_excitation',
+    'export = quad_sysid.commands:export',
+    'fleet = quad_sysid.commands:fleet',
 ]
 """Names for `ros2 run` alone: colcon calls setup.py develop or install, pip builds a wheel."""
 IN_WORKSPACE = bool({'develop', 'install'} & set(sys.argv))
@@ -37,6 +39,9 @@ setup(
     ],
     extras_require={
         'logs': ['pyulog', 'pymavlink'],
+        'fleet': ['distributed', 'pyarrow'],
+        'export': ['control'],
+        'shell': ['argcomplete'],
         'test': ['pytest', 'hypothesis', 'jsonschema'],
     },
     zip_safe=False,

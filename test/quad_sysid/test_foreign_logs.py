@@ -15,7 +15,9 @@ import pytest
 from quad_sysid.bags import read_bag
 from quad_sysid.cli import main
 from quad_sysid.errors import BadInputError
-from quad_sysid.imports import import_log, kind_of, read_log, table
+from quad_sysid.imports.kinds import kind_of, read_log
+from quad_sysid.imports.to_bag import import_log
+from quad_sysid.imports.words import table
 
 SAMPLE = Path(__file__).resolve().parents[2] / '../shared/data/px4/sample_log_small.ulg'
 DT_US = 4000

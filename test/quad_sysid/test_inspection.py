@@ -10,7 +10,8 @@ import pytest
 
 from quad_sysid.bags import write_bag
 from quad_sysid.cli import main
-from quad_sysid.inspection import content, lines
+from quad_sysid.inspection.content import content
+from quad_sysid.inspection.page import lines
 
 
 @pytest.fixture(scope='module')

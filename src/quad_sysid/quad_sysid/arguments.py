@@ -6,7 +6,8 @@ No command stands here; they are in cli.py and in the cli.py of their rooms.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
 
 from quad_sysid.errors import BadInputError
@@ -49,3 +50,31 @@ def positive(option: str, value: float) -> float:
     if not 0.0 < value < float('inf'):
         raise BadInputError(option, 'must be a positive number', value)
     return value
+
+
+def offer_completion(parser: argparse.ArgumentParser) -> None:
+    """Answer the shell's request for completions, where it asks and argcomplete is installed."""
+    try:
+        import argcomplete
+    except ImportError:
+        return
+    argcomplete.autocomplete(parser)
+
+
+def completion_command(commands: Commands, programs: Sequence[str]) -> None:
+    """Add `completion`, which prints what a shell must source to complete `programs`."""
+
+    def run(options: argparse.Namespace) -> int:
+        try:
+            from argcomplete.shell_integration import shellcode
+        except ImportError as error:
+            raise BadInputError('completion', 'needs the package argcomplete',
+                                remedy='pip install argcomplete') from error
+        sys.stdout.write(shellcode(list(programs), shell=options.shell))
+        return 0
+
+    parser = command(
+        commands, 'completion', run, 'Print what completes these commands in your shell.',
+        'eval "$(quad-sysid completion)"',
+    )
+    parser.add_argument('shell', nargs='?', default='bash', choices=['bash', 'zsh', 'fish'])

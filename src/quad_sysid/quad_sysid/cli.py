@@ -1,4 +1,9 @@
-"""`quad-sysid`: the commands' arguments and wiring; those of a room stand in its cli.py."""
+# PYTHON_ARGCOMPLETE_OK
+"""`quad-sysid`: the commands' arguments and wiring; those of a room stand in its cli.py.
+
+What takes long to import (numba, scipy) is imported where a command needs it, so that --help and
+the shell's completion come at once.
+"""
 
 from __future__ import annotations
 
@@ -8,27 +13,36 @@ import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from quad_sysid import session
-from quad_sysid.arguments import Commands, Parser, command, quiet_and_json
-from quad_sysid.bags import parse_span, read_bag
+from quad_sysid.arguments import (
+    BAD_ARGUMENTS,
+    Commands,
+    Parser,
+    command,
+    completion_command,
+    offer_completion,
+    quiet_and_json,
+)
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError, QuadSysidError
+from quad_sysid.exports import cli as exports
+from quad_sysid.fleet import cli as fleet
 from quad_sysid.imports import cli as imports
 from quad_sysid.inspection import cli as inspection
-from quad_sysid.pipeline.evaluate import evaluate
 from quad_sysid.progress import progress
-from quad_sysid.report import document, text
-from quad_sysid.report.model_file import load_models
-from quad_sysid.separation import words
-from quad_sysid.signals.design import design_excitation
+
+if TYPE_CHECKING:
+    from quad_sysid.session import Request
 
 DONE, NOT_ANSWERED, INTERRUPTED = 0, 3, 130
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; the exit status of the contract."""
-    options = _parser().parse_args(arguments)
+    parser = _parser()
+    offer_completion(parser)
+    options = parser.parse_args(arguments)
     try:
         status: int = options.run(options)
     except QuadSysidError as error:
@@ -54,6 +68,9 @@ def _parser() -> argparse.ArgumentParser:
     _evaluate_parser(commands)
     imports.add(commands)
     _design_parser(commands)
+    exports.add(commands)
+    fleet.add(commands)
+    completion_command(commands, ('quad-sysid', 'quad-tune'))
     return parser
 
 
@@ -72,6 +89,8 @@ def _identify_parser(commands: Commands) -> None:
                         '(default: <bag>_identified here, numbered where that exists)')
     parser.add_argument('--inertia', metavar='IX,IY,IZ',
                         help='kg m²; the report then gives torques in N m as well')
+    parser.add_argument('--apart', action='store_true',
+                        help='several bags: a report for each instead of one fit to all')
     parser.add_argument('--no-effects', action='store_true', help='fit the models only')
     parser.add_argument('--table2', action='store_true',
                         help="fit the paper's 13 rows too and print its Table 2 beside them")
@@ -113,18 +132,22 @@ def _design_parser(commands: Commands) -> None:
                         help="default: roll, or the model's axis with the nearest rivals")
     parser.add_argument('--amplitude-deg', type=float, default=12.0, help='with --band')
     parser.add_argument('--out', metavar='FILE', type=Path, help='write a schedule as YAML')
+    parser.add_argument('--quiet', action='store_true', help='print nothing but errors')
 
 
 def _identify(options: argparse.Namespace) -> int:
-    outcome = session.run(
-        session.Request(
-            bags=tuple(options.bags), axes=session.axes_of(options.axis),
-            train=options.train or '', validate=options.validate or '', out=options.out or '',
-            inertia=options.inertia or '', search_effects=not options.no_effects,
-            table2=options.table2,
-        ),
-        progress(quiet=options.quiet, axes=session.axes_of(options.axis)),
+    from quad_sysid import session
+    from quad_sysid.report import text
+
+    request = session.Request(
+        bags=tuple(options.bags), axes=session.axes_of(options.axis),
+        train=options.train or '', validate=options.validate or '', out=options.out or '',
+        inertia=options.inertia or '', search_effects=not options.no_effects,
+        table2=options.table2,
     )
+    if options.apart and len(options.bags) > 1:
+        return _identify_apart(request, options)
+    outcome = session.run(request, progress(quiet=options.quiet, axes=request.axes))
     if options.json:
         print(json.dumps(outcome.report, indent=1))
     elif not options.quiet:
@@ -136,7 +159,33 @@ def _identify(options: argparse.Namespace) -> int:
     return DONE
 
 
+def _identify_apart(request: Request, options: argparse.Namespace) -> int:
+    from quad_sysid import session
+    from quad_sysid.report import text
+
+    show = progress(quiet=options.quiet)
+    reports, answered = {}, False
+    for bag, outcome in session.run_apart(request, show):
+        if isinstance(outcome, QuadSysidError):
+            print(f'quad-sysid: {outcome}', file=sys.stderr)
+            continue
+        answered = answered or outcome.answered
+        reports[bag] = outcome.report
+        if not options.json and not options.quiet:
+            print('\n'.join([bag, *text.brief(outcome.report), f'  report in {outcome.folder}']))
+    if options.json:
+        print(json.dumps(reports, indent=1))
+    if not reports:
+        return BAD_ARGUMENTS
+    return DONE if answered else NOT_ANSWERED
+
+
 def _evaluate(options: argparse.Namespace) -> int:
+    from quad_sysid.bags import parse_span, read_bag
+    from quad_sysid.pipeline.evaluate import evaluate
+    from quad_sysid.report import document
+    from quad_sysid.report.model_file import load_models
+
     models = load_models(options.model)
     if options.axis is not None and options.axis not in models:
         raise BadInputError(f'{options.model}: axes', 'lacks this axis', options.axis,
@@ -167,24 +216,31 @@ def _evaluate(options: argparse.Namespace) -> int:
 
 
 def _design(options: argparse.Namespace) -> int:
+    from quad_sysid import session
+    from quad_sysid.bags import parse_span
+    from quad_sysid.separation import words
+    from quad_sysid.signals.design import design_excitation
+
     if options.out and options.out.exists():
         raise BadInputError('--out', 'exists already', options.out, 'choose another name')
     if options.separate is not None:
-        show = progress()
+        show = progress(quiet=options.quiet)
         found = session.separation(
             options.separate, options.model, options.axis, options.seconds, show
         )
         show('')
-        print(words.text(found))
+        told = words.text(found)
         content = words.schedule(found)
     else:
         band = parse_span(options.band, '--band')
         design = design_excitation(band[0], band[1], options.rate)
-        print(design.text())
+        told = design.text()
         content = design.to_schedule_yaml(options.axis or 'roll', options.amplitude_deg)
     if options.out:
         _write(options.out, content)
-        print(f'schedule in {options.out}')
+        told += f'\nschedule in {options.out}'
+    if not options.quiet:
+        print(told)
     return DONE
 
 

@@ -30,3 +30,13 @@ def design_excitation() -> int:
 def inspect() -> int:
     """`ros2 run quad_sysid inspect …`."""
     return main(['inspect', *sys.argv[1:]])
+
+
+def export() -> int:
+    """`ros2 run quad_sysid export …`."""
+    return main(['export', *sys.argv[1:]])
+
+
+def fleet() -> int:
+    """`ros2 run quad_sysid fleet …`."""
+    return main(['fleet', *sys.argv[1:]])

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from quad_sysid.bags import parse_span, read_bag, split_segments
 from quad_sysid.contract import AXES
 from quad_sysid.designers import find_designer
-from quad_sysid.errors import BadInputError
+from quad_sysid.errors import BadInputError, QuadSysidError
 from quad_sysid.pipeline.answer import AxisAnswer
 from quad_sysid.pipeline.identify import Options, identify
 from quad_sysid.report import document, store
@@ -111,6 +111,32 @@ def run(request: Request, progress: Callable[[str], None] = lambda _: None) -> O
     store.write(folder, report, answers)
     progress('')
     return Outcome(folder, report, answers)
+
+
+def run_apart(
+    request: Request, progress: Callable[[str], None] = lambda _: None
+) -> Iterator[tuple[str, Outcome | QuadSysidError]]:
+    """Each bag by itself, its report in a folder of its own; one bad bag stops no other.
+
+    With `out`, folders are made in it by the bags' names.
+    """
+    for number, bag in enumerate(request.bags, 1):
+        name = Path(bag).resolve().stem
+        out = str(store.free_folder(Path(request.out) / name)) if request.out else ''
+        told = f'bag {number} of {len(request.bags)}, '
+        try:
+            outcome: Outcome | QuadSysidError = run(
+                replace(request, bags=(bag,), out=out),
+                _behind(told, progress),
+            )
+        except QuadSysidError as error:
+            outcome = error
+        yield bag, outcome
+
+
+def _behind(told: str, progress: Callable[[str], None]) -> Callable[[str], None]:
+    """Progress whose lines stand behind `told`."""
+    return lambda line: progress(told + line if line else line)
 
 
 def separation(

@@ -7,8 +7,6 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from quad_sysid.arguments import Commands, command
-from quad_sysid.bags import read_bag
-from quad_sysid.bags.importer import ImportOptions, import_csv, parse_units
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError
 
@@ -66,7 +64,9 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _log(options: argparse.Namespace) -> int:
-    from quad_sysid.imports import import_log, kind_of, read_log, table
+    from quad_sysid.imports.kinds import kind_of, read_log
+    from quad_sysid.imports.to_bag import import_log
+    from quad_sysid.imports.words import table
 
     done = import_log(read_log(options.file, kind_of(options.file)), options.out)
     if not options.quiet:
@@ -76,6 +76,9 @@ def _log(options: argparse.Namespace) -> int:
 
 
 def _table(options: argparse.Namespace) -> int:
+    from quad_sysid.bags import read_bag
+    from quad_sysid.bags.importer import ImportOptions, import_csv, parse_units
+
     for name in ('axis', 'time'):
         if getattr(options, name) is None:
             raise BadInputError(

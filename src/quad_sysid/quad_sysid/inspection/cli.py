@@ -23,7 +23,8 @@ def add(commands: Commands) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from quad_sysid.inspection import content, lines, tree  # numba and scipy: only where needed
+    from quad_sysid.inspection.content import content  # numba and scipy: only where needed
+    from quad_sysid.inspection.page import lines, tree
 
     held = content(options.bag)
     if options.json:

@@ -23,6 +23,20 @@ def lines(report: Mapping[str, Any]) -> list[str]:
     return out
 
 
+def brief(report: Mapping[str, Any]) -> list[str]:
+    """Two lines per axis, for several flights one below the other."""
+    out = []
+    for axis, tree in report['axes'].items():
+        error = tree['error']
+        effects = ', '.join(e['name'] for e in tree['effects'])
+        out.append(f'  {axis}: {tree["verdict"]}{": " + effects if effects else ""}')
+        if error['before'] is not None:
+            out.append(f'    error {error["before"]:.4g} -> {error["after"]:.4g} {error["unit"]}')
+        else:
+            out += ['  ' + line for line in _wrapped(tree.get('reason', ''), 74)]
+    return out
+
+
 def _models(tree: Mapping[str, Any]) -> list[str]:
     if not tree['models']:
         return []
@@ -44,7 +58,7 @@ def _models(tree: Mapping[str, Any]) -> list[str]:
         )
         because = model.get('eliminated_because')
         if because:
-            out += [f'    {part}' for part in because.split('; ')]
+            out += [f'  {line}' for part in because.split('; ') for line in _wrapped(part, 74)]
     return [*out, '']
 
 
@@ -53,11 +67,11 @@ def _verdict(tree: Mapping[str, Any]) -> list[str]:
     out += ['  base   ' + _number(parameter) for parameter in tree['base']['parameters']]
     for effect in tree['effects']:
         variant = f' ({effect["variant"]})' if 'variant' in effect else ''
-        out.append(
-            f'  effect {effect["name"]}{variant}  p = {effect["p_value"]:.2g}, probability '
-            f'{effect["probability"]:.2f}, without it the error grows by '
-            f'{effect["error_reduction_pct"]:.0f} %'
-        )
+        out += [
+            f'  effect {effect["name"]}{variant}',
+            (f'         p = {effect["p_value"]:.2g}, probability {effect["probability"]:.2f}, '
+             f'without it the error grows by {effect["error_reduction_pct"]:.0f} %'),
+        ]
         out += ['         ' + _number(p) for p in effect['parameters']]
         for rival in effect['rivals'][:3]:
             out.append(f'         rival {rival["name"]} {rival["probability"]:.2f}')
@@ -66,7 +80,7 @@ def _verdict(tree: Mapping[str, Any]) -> list[str]:
     for item in untested:
         reasons.setdefault(item['because'], []).append(item['name'])
     for because, names in reasons.items():
-        out.append(f'  not tested: {", ".join(dict.fromkeys(names))}: {because}')
+        out += _wrapped(f'not tested: {", ".join(dict.fromkeys(names))}: {because}')
     band = tree.get('trusted_band_rad_s')
     if band:
         out.append(f'  trusted from {band[0]:.2g} to {band[1]:.3g} rad/s')
@@ -77,7 +91,7 @@ def _errors(tree: Mapping[str, Any]) -> list[str]:
     error = tree['error']
     if error['before'] is None:
         return []
-    out = ['', f'error on {error["data"]} data ({error["metric"]}), {error["unit"]}']
+    out = ['', f'error on {error["data"]} data, {error["unit"]},', f'{error["metric"]}']
     pairs = [
         ('base (before)', error['before'], error.get('before_interval_95')),
         ('completed (after)', error['after'], error.get('after_interval_95')),
@@ -118,7 +132,7 @@ def _clip(text: str) -> str:
 def _wrapped(text: str, width: int = 76) -> list[str]:
     out, line = [], ''
     for word in text.split():
-        if len(line) + len(word) + 1 > width:
+        if line and len(line) + len(word) + 1 > width:
             out.append('  ' + line)
             line = word
         else:

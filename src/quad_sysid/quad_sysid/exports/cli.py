@@ -1,0 +1,48 @@
+"""`quad-sysid export`: arguments and wiring only."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from quad_sysid.arguments import Commands, command
+from quad_sysid.contract import AXES
+from quad_sysid.errors import BadInputError
+
+
+def add(commands: Commands) -> None:
+    """Register the command."""
+    parser = command(
+        commands, 'export', _run, 'Write a model for python-control, MATLAB or as JSON.',
+        'quad-sysid export result/model.json --to mat --out aircraft.mat',
+    )
+    parser.add_argument('model', metavar='MODEL.json', type=Path)
+    parser.add_argument('--to', required=True, choices=['control', 'mat', 'json'],
+                        help='control: a Python file; mat: MATLAB')
+    parser.add_argument('--axis', choices=AXES, help='default: every axis of the model')
+    parser.add_argument('--out', metavar='FILE', type=Path,
+                        help='default: beside the model, with the suffix of the format')
+    parser.add_argument('--quiet', action='store_true', help='print nothing but errors')
+
+
+def _run(options: argparse.Namespace) -> int:
+    from quad_sysid.exports.files import WRITERS
+    from quad_sysid.report.model_file import load_models
+
+    models = load_models(options.model)
+    if options.axis is not None:
+        if options.axis not in models:
+            raise BadInputError(f'{options.model}: axes', 'lacks this axis', options.axis,
+                                f'it holds {", ".join(models)}')
+        models = {options.axis: models[options.axis]}
+    write, suffix = WRITERS[options.to]
+    out = options.out or options.model.with_name(f'{options.model.stem}_export{suffix}')
+    if out.exists():
+        raise BadInputError('--out', 'exists already', out, 'choose another name')
+    try:
+        out.write_bytes(write(models))
+    except OSError as error:
+        raise BadInputError('--out', f'{out} cannot be written', error.strerror) from error
+    if not options.quiet:
+        print(f'{out}: {", ".join(models)}')
+    return 0

@@ -1,0 +1,123 @@
+"""One bag → one flat row of plain values, whatever happens to it.
+
+What a worker process runs. Nothing is drawn; the report.json of each bag is kept where asked.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from quad_sysid.contract import AXES
+from quad_sysid.errors import QuadSysidError
+
+Row = dict[str, Any]
+
+ANSWERED, CANNOT_TELL, FAILED = 'answered', 'cannot_tell', 'failed'
+BASE = ('gain', 'lag', 'delay', 'damping', 'bias')
+"""Parameters of the base that every row holds, by axis."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """One bag to be looked at; small, as it is sent to workers."""
+
+    bag: str
+    """Path as it is given to the reader."""
+    name: str
+    """Path below the fleet's folder, which names it in the table."""
+    aircraft: str
+    """First folder below the fleet's, empty where the bag lies in it directly."""
+    fingerprint: str
+    """Size and time of the bag's files: where it changes the bag is looked at again."""
+    axes: tuple[str, ...] = ()
+    search_effects: bool = True
+    keep: str = ''
+    """Folder for report.json and model.json of each bag; empty: only the row is kept."""
+
+
+def look(job: Job) -> Row:
+    """The row of a bag; an error of any kind becomes a row that says so."""
+    start = time.monotonic()
+    row: Row = {
+        'bag': job.name, 'aircraft': job.aircraft, 'fingerprint': job.fingerprint,
+        'status': FAILED, 'reason': '',
+    }
+    try:
+        row.update(_identified(job))
+    except QuadSysidError as error:
+        row['reason'] = str(error)
+    except Exception as error:  # noqa: BLE001  one bad bag never stops the run
+        row['reason'] = f'{type(error).__name__}: {error}'
+    return {**row, 'seconds': round(time.monotonic() - start, 3)}
+
+
+def _identified(job: Job) -> Row:
+    from quad_sysid.bags import read_bag, split_segments
+    from quad_sysid.designers import find_designer
+    from quad_sysid.pipeline.identify import Options, identify
+    from quad_sysid.report import document, store
+
+    record = split_segments(read_bag(job.bag), axes=job.axes or None)
+    designer, missing = find_designer()
+    answers = identify([record], Options(
+        axes=job.axes, designer=designer, no_designer_because=missing,
+        search_effects=job.search_effects,
+    ))
+    report = document.document(answers, [job.name])
+    if job.keep:
+        store.write(Path(job.keep) / job.name, report, answers, html=False, pictures=False)
+    answered = any(answer.answered for answer in answers.values())
+    row: Row = {
+        'status': ANSWERED if answered else CANNOT_TELL,
+        'reason': '' if answered else '; '.join(
+            dict.fromkeys(a.reason for a in answers.values())
+        ),
+        'start_ns': record.t0_ns, 'length_s': record.n * record.dt,
+        'sample_rate_hz': 1.0 / record.dt, 'warnings': len(record.warnings),
+    }
+    for axis, tree in report['axes'].items():
+        row.update(columns(axis, tree))
+    return row
+
+
+def columns(axis: str, tree: Mapping[str, Any]) -> Row:
+    """What a row holds of one axis, from its tree in report.json."""
+    error = tree['error']
+    row: Row = {
+        f'{axis}_verdict': tree['verdict'],
+        f'{axis}_effects': ','.join(e['name'] for e in tree['effects']),
+        f'{axis}_error_before': error['before'],
+        f'{axis}_error_after': error['after'],
+        f'{axis}_effect_parameters': json.dumps({
+            f'{e["name"]}.{p["name"]}': p['value']
+            for e in tree['effects'] for p in e['parameters']
+        }),
+        f'{axis}_gains': json.dumps(tree.get('gains')),
+    }
+    known = {p['name']: p for p in tree['completed']['parameters']}
+    for name in BASE:
+        found = known.get(name, {})
+        row[f'{axis}_{name}'] = found.get('value')
+        row[f'{axis}_{name}_std'] = found.get('std')
+    return row
+
+
+TEXT = (
+    'bag', 'aircraft', 'fingerprint', 'status', 'reason',
+    *(f'{axis}_{name}' for axis in AXES
+      for name in ('verdict', 'effects', 'effect_parameters', 'gains')),
+)
+"""Columns of text."""
+WHOLE = ('start_ns', 'warnings')
+"""Columns of whole numbers."""
+REAL = (
+    'seconds', 'length_s', 'sample_rate_hz',
+    *(f'{axis}_{name}' for axis in AXES for name in ('error_before', 'error_after')),
+    *(f'{axis}_{name}{end}' for axis in AXES for name in BASE for end in ('', '_std')),
+)
+"""Columns of numbers; null where there is none."""

@@ -1,0 +1,140 @@
+"""The run over a fleet: finds bags, skips what is done, hands the rest to Dask, keeps each row."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from quad_sysid.errors import BadInputError
+from quad_sysid.fleet.find import bags, fingerprint
+from quad_sysid.fleet.journal import Journal
+from quad_sysid.fleet.row import FAILED, Job, Row, look
+
+RETRIES = 1
+"""A worker that died (memory, a fault) has its bag tried once more, elsewhere."""
+AHEAD = 4
+"""Bags in the queue per worker: thousands need not all be described to the scheduler at once."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """What is asked of a fleet."""
+
+    folder: Path
+    out: Path
+    axes: tuple[str, ...] = ()
+    search_effects: bool = True
+    scheduler: str = ''
+    """Address of a Dask scheduler; empty: processes of this machine."""
+    workers: int = 0
+    """Processes; 0: one per core."""
+    keep_reports: bool = False
+    again: bool = False
+    """Look at bags anew that failed before."""
+
+
+def jobs(request: Request) -> list[Job]:
+    """Every bag of the fleet; raises BadInputError where there is none."""
+    found = []
+    for bag in bags(request.folder):
+        below = bag.relative_to(request.folder)
+        found.append(Job(
+            bag=str(bag.resolve()), name=str(below) if below.parts else bag.name,
+            aircraft=below.parts[0] if len(below.parts) > 1 else '',
+            fingerprint=fingerprint(bag), axes=request.axes,
+            search_effects=request.search_effects,
+            keep=str((request.out / 'reports').resolve()) if request.keep_reports else '',
+        ))
+    return found
+
+
+def waiting(every: Sequence[Job], done: Mapping[str, Row], *, again: bool) -> list[Job]:
+    """Those that have no row yet, or whose files changed since, or that failed (`again`)."""
+    return [
+        job for job in every
+        if job.name not in done or done[job.name].get('fingerprint') != job.fingerprint
+        or (again and done[job.name]['status'] == FAILED)
+    ]
+
+
+def run(
+    request: Request, progress: Callable[[str], None] = lambda _: None,
+    work: Callable[[Job], Row] = look,
+) -> list[Row]:
+    """Look at all bags that wait; the rows of all bags of the folder, in their order."""
+    every = jobs(request)
+    journal = Journal(request.out)
+    todo = waiting(every, journal.rows(), again=request.again)
+    if todo:
+        with _client(request, len(todo)) as client:
+            for number, row in enumerate(_rows(client, todo, work), 1):
+                journal.add(row)
+                progress(f'bag {min(number + 1, len(todo))} of {len(todo)}, {row["bag"]} '
+                         f'{row["status"]}')
+    progress('')
+    done = journal.rows()
+    return [done[job.name] for job in every if job.name in done]
+
+
+@contextmanager
+def _client(request: Request, count: int) -> Iterator[Any]:
+    try:
+        from distributed import Client, LocalCluster
+    except ImportError as error:
+        raise BadInputError('fleet', 'needs the package distributed (Dask)',
+                            remedy='pip install "quad_sysid[fleet]"') from error
+    if request.scheduler:
+        try:
+            client = Client(request.scheduler, timeout='20s', set_as_default=False)
+        except (OSError, ValueError) as error:
+            raise BadInputError('--scheduler', 'cannot be reached', request.scheduler,
+                                'check the address, or leave it out') from error
+        with client:
+            yield client
+        return
+    import os
+
+    workers = min(request.workers or os.cpu_count() or 1, count)
+    with (
+        LocalCluster(
+            n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None,
+            silence_logs='ERROR', memory_limit=0,
+        ) as cluster,
+        Client(cluster, set_as_default=False) as client,
+    ):
+        yield client
+
+
+def _rows(client: Any, todo: Sequence[Job], work: Callable[[Job], Row]) -> Iterator[Row]:
+    """Rows as they come; a bag whose worker died is a row that says so."""
+    from distributed import as_completed
+
+    width = AHEAD * max(1, sum(client.nthreads().values()))
+    names: dict[str, Job] = {}
+
+    def submit(job: Job) -> Any:
+        future = client.submit(work, job, pure=False, retries=RETRIES)
+        names[future.key] = job
+        return future
+
+    queue = iter(todo)
+    first = [submit(job) for _, job in zip(range(width), queue, strict=False)]
+    running = as_completed(first, loop=client.loop)
+    for future in running:
+        job = names.pop(future.key)
+        error = future.exception()
+        yield future.result() if error is None else _dead(job, error)
+        future.release()
+        following = next(queue, None)
+        if following is not None:
+            running.add(submit(following))
+
+
+def _dead(job: Job, error: BaseException) -> Row:
+    return {
+        'bag': job.name, 'aircraft': job.aircraft, 'fingerprint': job.fingerprint,
+        'status': FAILED, 'reason': f'its worker died ({type(error).__name__})', 'seconds': 0.0,
+    }

@@ -1,0 +1,111 @@
+"""An exported model is the model: same response in every format, and the commands say so."""
+
+from __future__ import annotations
+
+import json
+import runpy
+
+import numpy as np
+import pytest
+
+from quad_sysid.cli import main
+from quad_sysid.exports.files import WRITERS
+from quad_sysid.exports.linear import linear_model, to_control
+from quad_sysid.model import AxisModel, EffectEstimate, Parameter
+from quad_sysid.report.model_file import save_models
+
+BASE = {'gain': 450.0, 'lag': 0.042, 'delay': 0.0094, 'damping': 0.4, 'bias': 0.1}
+DT, FILTER_HZ = 0.004, 42.0
+
+
+@pytest.fixture
+def model():
+    return AxisModel(
+        'roll', DT, FILTER_HZ, tuple(Parameter(n, v, None, '1') for n, v in BASE.items()),
+        (EffectEstimate('coulomb_friction', 'named', ('rate',),
+                        (Parameter('torque', 0.16, 0.01, 'rad/s²'),)),),
+    )
+
+
+@pytest.fixture
+def stored(model, tmp_path):
+    save_models({'roll': model}, tmp_path / 'model.json')
+    return tmp_path / 'model.json'
+
+
+def expected(omega: np.ndarray) -> np.ndarray:
+    """Rate per command by the formula, without the hold."""
+    s = 1j * omega
+    x = s / (2 * np.pi * FILTER_HZ)
+    return (BASE['gain'] * np.exp(-s * BASE['delay']) / (1 + s * BASE['lag'])
+            / (s + BASE['damping']) / (1 + np.sqrt(2) * x + x**2))
+
+
+def respond(a, b, c, points):
+    return np.array([(c @ np.linalg.solve(p * np.eye(len(a)) - a, b))[0, 0] for p in points])
+
+
+def test_both_forms_have_the_response_of_the_formula(model):
+    found = linear_model(model)
+    omega = np.array([0.5, 3.0, 10.0, 30.0])
+    continuous = respond(found.a, found.b, found.c, 1j * omega)
+    continuous *= np.exp(-1j * omega * found.delay_s)
+    np.testing.assert_allclose(continuous, expected(omega), rtol=1e-9)
+    discrete = respond(found.a_discrete, found.b_discrete, found.c_discrete,
+                       np.exp(1j * omega * DT))
+    hold = (1 - np.exp(-1j * omega * DT)) / (1j * omega * DT)
+    # a held command adds its hold, and aliases little this far below 785 rad/s
+    np.testing.assert_allclose(discrete, expected(omega) * hold, rtol=2e-3)
+
+
+def test_python_control_has_the_same_system(model, stored, tmp_path):
+    pytest.importorskip('control')
+    system = to_control(model)
+    found = linear_model(model)
+    assert system.dt == DT
+    np.testing.assert_array_equal(system.A, found.a_discrete)
+    out = tmp_path / 'aircraft.py'
+    assert main(['export', str(stored), '--to', 'control', '--out', str(out), '--quiet']) == 0
+    again = runpy.run_path(str(out))['axes']['roll']
+    np.testing.assert_allclose(again.A, found.a_discrete, rtol=1e-15)
+    np.testing.assert_allclose(again.C, found.c_discrete, rtol=1e-15)
+    assert again.input_labels == ['command']
+    assert 'coulomb_friction.torque = 0.16 rad/s²' in out.read_text()
+
+
+def test_matlab(model, stored, tmp_path, capsys):
+    from scipy.io import loadmat
+
+    assert main(['export', str(stored), '--to', 'mat']) == 0
+    assert 'model_export.mat' in capsys.readouterr().out
+    content = loadmat(tmp_path / 'model_export.mat', squeeze_me=True, simplify_cells=True)
+    roll, found = content['roll'], linear_model(model)
+    np.testing.assert_allclose(roll['A'], found.a)
+    np.testing.assert_allclose(np.reshape(roll['Bd'], (-1, 1)), found.b_discrete)
+    assert roll['delay_s'] == BASE['delay']
+    assert roll['base']['gain'] == BASE['gain']
+    assert roll['effects']['coulomb_friction']['torque'] == 0.16
+
+
+def test_json(stored, tmp_path):
+    out = tmp_path / 'x.json'
+    assert main(['export', str(stored), '--to', 'json', '--axis', 'roll', '--out', str(out)]) == 0
+    tree = json.loads(out.read_text())
+    roll = tree['axes']['roll']
+    assert roll['effects'][0]['parameters'][0]['value'] == 0.16
+    assert np.shape(roll['discrete']['A'])[0] == np.shape(roll['discrete']['B'])[0]
+    assert 'not in the matrices' in tree['note']
+
+
+def test_wrong_requests_are_one_line(stored, tmp_path, capsys):
+    for arguments, words in (
+        ([str(tmp_path / 'no.json'), '--to', 'json'], 'cannot be read'),
+        ([str(stored), '--to', 'json', '--axis', 'yaw'], 'lacks this axis'),
+        ([str(stored), '--to', 'json', '--out', str(stored)], 'exists already'),
+        ([str(stored), '--to', 'json', '--out', str(tmp_path / 'no' / 'x')], 'cannot be written'),
+    ):
+        assert main(['export', *arguments]) == 2
+        error = capsys.readouterr().err
+        assert words in error
+        assert len(error.splitlines()) == 1
+    assert set(WRITERS) == {'json', 'mat', 'control'}
