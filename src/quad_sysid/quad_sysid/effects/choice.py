@@ -49,6 +49,8 @@ HIDDEN_SHARE = 0.9
 """A hidden state, which can mimic much, gives way to a name that explains this share of it."""
 PLACES = 1000
 """So many beginnings and ends of an event are tried, more or less."""
+LOSSES = ('quadratic_drag', 'coulomb_friction')
+"""Effects that only take energy away, as the base's damping does."""
 ROUGH = 3e-5
 """A trial is fitted until its sum of squares changes by less; what is chosen, to the end."""
 OUTCLASSED = 1.3
@@ -172,9 +174,20 @@ def worthy(
             sharp = 2.0 * float(sharp_p(sim, one.fit)[-1])
             small = small and (sharp >= level or current.curves > 0)
             chance = min(2.0 * chance, sharp)
-        if not small and chance < level:
+        if not small and chance < level and not _against_nature(current, one):
             good.append(one)
     return sorted(good, key=_score)
+
+
+def _against_nature(current: Candidate, one: Candidate) -> bool:
+    """A loss that is paid for by a viscous damping below zero is the shape of something else.
+
+    Friction that falls with the rate (Stribeck) looks like drag beside a negative damping.
+    """
+    damping, error = float(one.fit.theta[3]), float(one.fit.std[3])
+    added = one.fit.structure.effects[-1].name
+    falls = damping < -0.5 * error and damping < float(current.fit.theta[3])
+    return added in LOSSES and falls
 
 
 def _least(current: Candidate, one: Candidate) -> float:
