@@ -7,7 +7,11 @@ from setuptools import find_packages, setup
 
 PACKAGE = 'quad_tuning'
 
-NODES = ['demo = quad_tuning.demo.main:main', 'design = quad_tuning.cli:design_main']
+NODES = [
+    'demo = quad_tuning.demo.main:main',
+    'design = quad_tuning.cli:design_main',
+    'export = quad_tuning.cli:export_main',
+]
 """Names for `ros2 run` alone: colcon calls setup.py develop or install, pip builds a wheel."""
 IN_WORKSPACE = bool({'develop', 'install'} & set(sys.argv))
 

@@ -40,7 +40,7 @@ def maths_files() -> list[Path]:
     files += [
         path
         for path in sorted(TUNING.rglob('*.py'))
-        if path.relative_to(TUNING).parts[0] not in ORCHESTRATION
+        if path.relative_to(TUNING).parts[0] not in ORCHESTRATION and path.name != 'cli.py'
     ]
     return [path for path in files if path.exists()]
 

@@ -1,3 +1,4 @@
+# PYTHON_ARGCOMPLETE_OK
 """`quad-tune design`: gains from a model.json, as a table or as JSON. Wiring only, no maths.
 
 Exit status by the contract: 0 done, 2 bad input (one line on stderr), 3 no axis could be answered.
@@ -12,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
+from quad_sysid.arguments import offer_completion
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError, QuadSysidError
 from quad_sysid.loop.cascade import CascadeGains
@@ -20,9 +22,11 @@ from quad_sysid.report.model_file import load_models
 from quad_tuning.bounds import BOUNDS
 from quad_tuning.designer import design
 from quad_tuning.errors import DesignRefusedError, QuadTuningError
+from quad_tuning.exports import cli as exports
 
 SCHEMA = 'quad_tuning/design/1'
 NO_ANSWER = 3
+EXAMPLE = 'example: quad-tune design result/model.json --out gains.json'
 
 ROWS: tuple[tuple[str, str, str], ...] = (
     ('phase_margin_deg', 'phase margin', 'deg'),
@@ -59,22 +63,40 @@ def main(argv: Sequence[str] | None = None) -> int:
     """`quad-tune`: the exit status of the command that was asked for."""
     parser = _Parser(prog='quad-tune', description='Gains from identified models.')
     commands = parser.add_subparsers(dest='command', required=True)
-    _arguments(commands.add_parser('design', help='gains from a model.json, with margins'))
-    return _run(parser.parse_args(argv))
+    _arguments(commands.add_parser(
+        'design', help='gains from a model.json, with margins', epilog=EXAMPLE,
+    ))
+    exports.add(commands)
+    offer_completion(parser)
+    arguments = parser.parse_args(argv)
+    try:
+        status: int = arguments.run(arguments)
+    except (QuadSysidError, QuadTuningError) as error:
+        print(f'quad-tune: {error}', file=sys.stderr)
+        return getattr(error, 'exit_status', 2)
+    return status
 
 
 def design_main(argv: Sequence[str] | None = None) -> int:
     """`ros2 run quad_tuning design`: the same as `quad-tune design`."""
-    parser = _Parser(prog='design', description='Gains from a model.json, with margins.')
+    parser = _Parser(prog='design', description='Gains from a model.json, with margins.',
+                     epilog=EXAMPLE)
     _arguments(parser)
     return _run(parser.parse_args(argv))
 
 
+def export_main(argv: Sequence[str] | None = None) -> int:
+    """`ros2 run quad_tuning export`: the same as `quad-tune export`."""
+    return main(['export', *(sys.argv[1:] if argv is None else argv)])
+
+
 def _arguments(parser: argparse.ArgumentParser) -> None:
+    parser.set_defaults(run=_run)
     parser.add_argument('model', type=Path, metavar='MODEL.json')
     parser.add_argument('--method', choices=('pid', 'lqr'), default='pid')
     parser.add_argument('--axis', choices=(*AXES, 'all'), default='all')
     parser.add_argument('--json', action='store_true', help='print JSON instead of the table')
+    parser.add_argument('--quiet', action='store_true', help='print nothing but errors')
     parser.add_argument('--out', type=Path, metavar='FILE', help='write the JSON there too')
     parser.add_argument('--pictures', type=Path, metavar='DIR',
                         help='Bode, Nyquist and step with bands (pid)')
@@ -108,7 +130,7 @@ def _run(arguments: argparse.Namespace) -> int:
         return getattr(error, 'exit_status', 2)
     if arguments.json:
         print(text)
-    else:
+    elif not arguments.quiet:
         for axis, answer in answers.items():
             print(_table(axis, arguments.method, answer))
     refusals = [a['refused_because'] for a in answers.values() if a['refused_because']]

@@ -1,0 +1,1 @@
+"""Designed gains as parameter files of other flight controllers."""

@@ -1,0 +1,132 @@
+"""Gains of the contract → parameters of PX4 and ArduPilot, with each conversion written out.
+
+Ours: u = kp e + ki ∫e dt - kd d(rate)/dt in normalised command per rad/s, C1 in 1/s (contract).
+Theirs: the same in the unit of their own torque, -1..1. `scale` is our U per unit of their torque:
+1 where the model was identified on their torque set-points (quad-sysid import says so), else what
+their mixer makes of it. No files.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from quad_sysid.contract import AXES
+from quad_sysid.errors import BadInputError
+
+PX4 = 'px4'
+ARDUPILOT = 'ardupilot'
+
+PX4_AXIS = {'roll': 'ROLL', 'pitch': 'PITCH', 'yaw': 'YAW'}
+ARDUPILOT_AXIS = {'roll': 'RLL', 'pitch': 'PIT', 'yaw': 'YAW'}
+FIRMWARES = (PX4, ARDUPILOT)
+
+NOTES: Mapping[str, tuple[str, ...]] = {
+    PX4: (
+        ('PX4 differentiates the measured rate, as ours; its D filter (IMU_DGYRO_CUTOFF) is of '
+        'second order and one for all axes.'),
+        'MC_*RATE_K is set to 1, so that P, I and D stand by themselves.',
+    ),
+    ARDUPILOT: (
+        ('ArduPilot differentiates the error, ours the measured rate: the answer to a reference '
+         'is quicker there, that to a disturbance the same.'),
+        ('Its input shaping (ATC_ACCEL_*) and its filters of target and error (FLTT, FLTE) are '
+         'not part of our loop.'),
+    ),
+}
+"""What does not correspond."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """One parameter with where it comes from."""
+
+    name: str
+    value: float
+    how: str
+    """The conversion with its numbers."""
+
+
+def lines(firmware: str, gains: Mapping[str, float], scale: Mapping[str, float]) -> list[Line]:
+    """Parameters for `gains` (the contract's names, any axes); scale by axis, default 1.
+
+    Raises BadInputError where an axis' gains are incomplete, negative or the scale is not above 0.
+    """
+    out: list[Line] = []
+    for axis in AXES:
+        own = {k.partition('.')[2]: v for k, v in gains.items() if k.startswith(f'{axis}.')}
+        if not own:
+            continue
+        lacking = [n for n in ('angle.kp', 'rate.kp', 'rate.ki', 'rate.kd') if n not in own]
+        if lacking:
+            raise BadInputError(f'gains of {axis}', f'lack {", ".join(lacking)}',
+                                remedy='take them from quad-tune design --out or report.json')
+        unit = scale.get(axis, 1.0)
+        if not 0.0 < unit < float('inf'):
+            raise BadInputError('--scale', f'{axis} must be a positive number', unit)
+        out += (_px4 if firmware == PX4 else _ardupilot)(axis, own, unit)
+    if not out:
+        raise BadInputError('gains', 'hold none of roll, pitch, yaw')
+    return out
+
+
+def _px4(axis: str, own: Mapping[str, float], unit: float) -> list[Line]:
+    name = PX4_AXIS[axis]
+    out = [
+        Line(f'MC_{name}_P', own['angle.kp'], f'{axis}.angle.kp {own["angle.kp"]:.6g} 1/s'),
+        Line(f'MC_{name}RATE_K', 1.0, 'P, I, D stand by themselves'),
+        *_rate(axis, own, unit, {'rate.kp': f'MC_{name}RATE_P', 'rate.ki': f'MC_{name}RATE_I',
+                                 'rate.kd': f'MC_{name}RATE_D'}),
+    ]
+    if 'rate.d_filter_hz' in own:
+        out.append(Line('IMU_DGYRO_CUTOFF', own['rate.d_filter_hz'],
+                        f'{axis}.rate.d_filter_hz, in Hz; one for all axes'))
+    return out
+
+
+def _ardupilot(axis: str, own: Mapping[str, float], unit: float) -> list[Line]:
+    name = ARDUPILOT_AXIS[axis]
+    out = [
+        Line(f'ATC_ANG_{name}_P', own['angle.kp'], f'{axis}.angle.kp {own["angle.kp"]:.6g} 1/s'),
+        *_rate(axis, own, unit, {
+            'rate.kp': f'ATC_RAT_{name}_P', 'rate.ki': f'ATC_RAT_{name}_I',
+            'rate.kd': f'ATC_RAT_{name}_D',
+        }),
+    ]
+    if 'rate.d_filter_hz' in own:
+        out.append(Line(f'ATC_RAT_{name}_FLTD', own['rate.d_filter_hz'],
+                        f'{axis}.rate.d_filter_hz, in Hz'))
+    return out
+
+
+def _rate(
+    axis: str, own: Mapping[str, float], unit: float, names: Mapping[str, str]
+) -> list[Line]:
+    out = []
+    for ours, theirs in names.items():
+        value = own[ours]
+        if value < 0.0:
+            raise BadInputError(f'{axis}.{ours}', 'must not be negative', value)
+        out.append(Line(theirs, value / unit, f'{axis}.{ours} {value:.6g} / {unit:.6g}'))
+    return out
+
+
+def text(firmware: str, found: list[Line], source: str) -> str:
+    """The parameter file, which the ground stations of either firmware load.
+
+    The cut-off of PX4's D filter is one for all axes: the lowest counts.
+    """
+    kept: dict[str, Line] = {}
+    for line in found:
+        if line.name not in kept or line.value < kept[line.name].value:
+            kept[line.name] = line
+    head = [f'# Gains of {source}, converted by quad-tune export', *(
+        f'# {note}' for note in NOTES[firmware]
+    )]
+    body = [f'# {line.name} = {line.how}' for line in kept.values()]
+    if firmware == PX4:
+        head.append('# Vehicle-Id\tComponent-Id\tName\tValue\tType (9: float)')
+        rows = [f'1\t1\t{line.name}\t{line.value:.9g}\t9' for line in kept.values()]
+    else:
+        rows = [f'{line.name},{line.value:.9g}' for line in kept.values()]
+    return '\n'.join([*head, *body, *rows]) + '\n'

@@ -1,0 +1,86 @@
+"""Gains become parameters of PX4 and ArduPilot that give back the same controller."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from quad_sysid.errors import BadInputError
+from quad_tuning.cli import main
+from quad_tuning.exports.parameters import lines, text
+
+GAINS = {
+    'roll.angle.kp': 9.5, 'roll.rate.kp': 0.08, 'roll.rate.ki': 0.13, 'roll.rate.kd': 0.0028,
+    'roll.rate.d_filter_hz': 69.0, 'yaw.angle.kp': 2.0, 'yaw.rate.kp': 0.17, 'yaw.rate.ki': 0.001,
+    'yaw.rate.kd': 0.0, 'yaw.rate.d_filter_hz': 30.0,
+}
+
+
+@pytest.fixture
+def file(tmp_path):
+    path = tmp_path / 'gains.json'
+    axes = {axis: {'gains': {k: v for k, v in GAINS.items() if k.startswith(axis)}}
+            for axis in ('roll', 'yaw')}
+    path.write_text(json.dumps({'schema': 'quad_tuning/design/1', 'axes': axes}))
+    return path
+
+
+def test_px4_gives_the_same_command_for_the_same_error(file, capsys):
+    assert main(['export', str(file), '--to', 'px4', '--scale', 'roll=0.25']) == 0
+    told = capsys.readouterr().out
+    rows = [line.split('\t') for line in told.splitlines() if not line.startswith('#')]
+    values = {row[2]: float(row[3]) for row in rows}
+    assert all(row[:2] == ['1', '1'] and row[4] == '9' for row in rows)
+    # PX4's torque for an error of 1 rad/s, times our command per torque, is our kp
+    assert values['MC_ROLLRATE_K'] * values['MC_ROLLRATE_P'] * 0.25 == pytest.approx(0.08)
+    assert values['MC_ROLLRATE_D'] * 0.25 == pytest.approx(0.0028)
+    assert values['MC_YAWRATE_P'] == pytest.approx(0.17)
+    assert values['MC_ROLL_P'] == 9.5
+    assert values['IMU_DGYRO_CUTOFF'] == 30.0
+    assert '# MC_ROLLRATE_P = roll.rate.kp 0.08 / 0.25' in told
+
+
+def test_ardupilot_through_a_file(file, tmp_path, capsys):
+    out = tmp_path / 'gains.param'
+    assert main(['export', str(file), '--to', 'ardupilot', '--out', str(out)]) == 0
+    rows = [line.split(',') for line in out.read_text().splitlines() if not line.startswith('#')]
+    values = {name: float(value) for name, value in rows}
+    assert values['ATC_RAT_RLL_P'] == pytest.approx(0.08)
+    assert values['ATC_RAT_RLL_FLTD'] == 69.0
+    assert values['ATC_ANG_YAW_P'] == 2.0
+    assert 'differentiates the error' in out.read_text()
+    assert main(['export', str(file), '--to', 'ardupilot', '--out', str(out)]) == 2
+    assert 'exists already' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ('content', 'arguments', 'words'),
+    [
+        (None, [], 'cannot be read'), ('{', [], 'is not JSON'), ('{}', [], 'axes'),
+        ('{"axes": {"roll": {"gains": null}}}', [], 'holds none'),
+        ('{"axes": {"roll": {"gains": {"roll.rate.kp": 1}}}}', [], 'lack angle.kp'),
+        ('', ['--scale', 'roll=0'], '--scale'), ('', ['--scale', 'nose=1'], '--scale'),
+    ],
+)
+def test_wrong_files_and_options_are_one_line(file, content, arguments, words, capsys, tmp_path):
+    path = file if content == '' else tmp_path / 'other.json'
+    if content:
+        path.write_text(content)
+    assert main(['export', str(path), '--to', 'px4', *arguments]) == 2
+    error = capsys.readouterr().err
+    assert words in error
+    assert len(error.splitlines()) == 1
+
+
+def test_a_negative_gain_is_refused():
+    with pytest.raises(BadInputError, match='must not be negative'):
+        lines('px4', {**GAINS, 'roll.rate.ki': -1.0}, {})
+    assert text('px4', lines('px4', GAINS, {}), 'x').endswith('\t9\n')
+
+
+def test_both_commands_have_an_example_in_their_help(capsys):
+    for name in ('design', 'export'):
+        with pytest.raises(SystemExit):
+            main([name, '--help'])
+        assert f'quad-tune {name}' in ' '.join(capsys.readouterr().out.split())
