@@ -248,9 +248,7 @@ class GainKeeper:
         if update is None:
             return
         if update.written == 0:
-            touched = {name.partition('.')[0] for name in update.asked.gains}
-            axes = touched if touched <= set(AXES) else AXES
-            self.watch.begin(update.asked.predicted, axes)
+            self.watch.begin(update.asked.predicted)
         update.written += 1
         self.commits += 1
         last = update.written == len(update.steps)
