@@ -88,7 +88,7 @@ def fly(
         if k in marks and alarm is None:
             set_gains(aircraft, marks[k])
             if k == min(marks):
-                watch.begin()
+                watch.begin(axes={name.partition('.')[0] for name in marks[k]})
         if k == back:
             set_gains(aircraft, before)
         row = aircraft.run(given[k : k + 1])[0]

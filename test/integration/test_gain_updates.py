@@ -12,6 +12,8 @@ import math
 import os
 import select
 import signal
+import subprocess
+import sys
 import threading
 import tty
 from collections.abc import Iterator
@@ -212,7 +214,7 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
 
 
 def test_updates_parameters_services_and_a_killed_bridge(bench):
-    bench.start(polarity='manual', sources=['test', 'a flood', 'ros2 *'])
+    bench.start(polarity='manual', sources=['test', 'a flood', 'ros2 *', 'quad-tune*'])
     bench.ask({KP: 0.1})
     bench.said('call ~/check_polarity')
     answer = bench.call(Trigger, '/serial_bridge/check_polarity', Trigger.Request())
@@ -228,8 +230,13 @@ def test_updates_parameters_services_and_a_killed_bridge(bench):
     refused = bench.set(roll_angle_kp=5.0)
     assert not refused.successful
     assert 'in flight' in refused.reason
-    bench.ask({'rollback': True})
-    bench.said('rolled back, old gains: test asked for it')
+    done = subprocess.run(
+        [sys.executable, '-m', 'quad_tuning.cli', 'rollback', '--folder', str(bench.state)],
+        env=bench.crew.environment(), capture_output=True, text=True, check=False, timeout=60,
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (0, '')
+    assert 'back to set 1 of' in done.stdout
+    bench.said('rolled back, old gains: quad-tune rollback asked for it')
     bench.active(roll_rate_kp=OLD[KP], roll_angle_kp=3.0)
 
     for bad, words in ((math.nan, 'finite'), (99.0, 'must lie in')):

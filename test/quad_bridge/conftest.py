@@ -29,9 +29,11 @@ def same(frame):
 class Bench:
     """`up` and `down` say what becomes of a frame on the wire; `cut` takes both away."""
 
-    def __init__(self, folder, *, profile='plain', mount='rig', events=(), **settings):
+    def __init__(
+        self, folder, *, profile='plain', mount='rig', events=(), effect=None, **settings
+    ):
         profile = replace(load_profile(profile), mount=mount)
-        self.aircraft = Aircraft(profile, seed=1)
+        self.aircraft = Aircraft(profile, seed=1, effect=effect)
         self.endpoint = Endpoint(self.aircraft, Receiver(events=tuple(events)))
         self.settings = KeeperSettings(folder=folder, **settings)
         self.up = self.down = same

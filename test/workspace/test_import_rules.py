@@ -29,7 +29,7 @@ FILE_CALLS = {
     'open', 'print', 'exit', 'input', 'read_text', 'write_text', 'read_bytes', 'write_bytes',
     'loadtxt', 'savetxt', 'genfromtxt', 'fromfile', 'tofile', 'memmap',
 }  # fmt: skip
-ORCHESTRATION = {'demo', 'report', 'cli.py'}
+ORCHESTRATION = {'demo', 'report', 'history', 'cli.py'}
 
 
 def maths_files() -> list[Path]:

@@ -89,7 +89,7 @@ def steps(
 
 
 def _towards(now: float, wanted: float, bound: Bound) -> float:
-    factor = 1.0 + (bound.max_factor - 1.0) * (1.0 - ROUNDING)
+    factor = max(bound.max_factor * (1.0 - ROUNDING), 1.0)
     low = min(now / factor, now - bound.small_step)
     high = max(now * factor, now + bound.small_step)
     return min(max(wanted, low, bound.lower), high, bound.upper)

@@ -248,7 +248,9 @@ class GainKeeper:
         if update is None:
             return
         if update.written == 0:
-            self.watch.begin(update.asked.predicted)
+            touched = {name.partition('.')[0] for name in update.asked.gains}
+            axes = touched if touched <= set(AXES) else AXES
+            self.watch.begin(update.asked.predicted, axes)
         update.written += 1
         self.commits += 1
         last = update.written == len(update.steps)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -93,6 +93,7 @@ class GainWatch:
         self._far_s = np.zeros(2)
         self._cycles = 0
         self._bound: FloatArray | None = None
+        self._watched = np.ones(3, bool)
         self._peak = np.full(3, PEAK**2)
 
     @property
@@ -134,8 +135,16 @@ class GainWatch:
         else:
             self._compare(self._bound)
 
-    def begin(self, predicted: Mapping[str, Predicted] | None = None) -> None:
-        """From now on compare with the figures before this call, times what is `predicted`."""
+    def begin(
+        self,
+        predicted: Mapping[str, Predicted] | None = None,
+        axes: Collection[str] = AXES,
+    ) -> None:
+        """From now on compare with the figures before this call, times what is `predicted`.
+
+        Only `axes` are looked at: what gains have not changed, they have not spoilt.
+        """
+        self._watched = np.array([axis in axes for axis in AXES])
         said = [(predicted or {}).get(axis, Predicted()) for axis in AXES]
         ratio = np.ones_like(self._worst)
         ratio[:-1] = [p.oscillation_ratio**2 for p in said]
@@ -202,8 +211,9 @@ class GainWatch:
         return math.radians(FAR_DEG) + self._allowed + MARGIN * self._allowed_before
 
     def _compare(self, bound: FloatArray) -> None:
-        self._far_s = np.where(self._distance > self._limit(), self._far_s + self._dt, 0.0)
-        over = self._energy[0] > bound + self._peak * self._explained
+        far = (self._distance > self._limit()) & self._watched[:2]
+        self._far_s = np.where(far, self._far_s + self._dt, 0.0)
+        over = (self._energy[0] > bound + self._peak * self._explained) & self._watched
         self._over_s = np.where(over, self._over_s + self._dt, 0.0)
 
 

@@ -23,6 +23,7 @@ from quad_tuning.bounds import BOUNDS
 from quad_tuning.designer import design
 from quad_tuning.errors import DesignRefusedError, QuadTuningError
 from quad_tuning.exports import cli as exports
+from quad_tuning.history import cli as history
 
 SCHEMA = 'quad_tuning/design/1'
 NO_ANSWER = 3
@@ -67,6 +68,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         'design', help='gains from a model.json, with margins', epilog=EXAMPLE,
     ))
     exports.add(commands)
+    history.add(commands)
     offer_completion(parser)
     arguments = parser.parse_args(argv)
     try:

@@ -1,0 +1,110 @@
+"""`quad-tune history` and `quad-tune rollback`: what flew, and back to it. Wiring only.
+
+Exit status: 0 done, 2 bad input, 3 refused by the bridge; both with one line on stderr.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from quad_tuning.history.sets import (
+    GainSet,
+    changed,
+    default_folder,
+    history_file,
+    read_history,
+    way_back,
+)
+
+SCHEMA = 'quad_tuning/history/1'
+SOURCE = 'quad-tune rollback'
+REFUSED = 3
+
+
+def add(commands: Any) -> None:
+    """Add both to the subparsers of `quad-tune`."""
+    history = commands.add_parser('history', help='every set of gains that was ever active')
+    history.add_argument('--json', action='store_true', help='print JSON instead of the table')
+    rollback = commands.add_parser('rollback', help='back to the last good set of gains')
+    rollback.add_argument('--to', type=int, metavar='N', help='this set of the history')
+    rollback.add_argument('--print', action='store_true', help='only print what would be sent')
+    for parser, run in ((history, show), (rollback, go_back)):
+        parser.set_defaults(run=run)
+        parser.add_argument('--folder', type=Path, metavar='DIR',
+                            help="the bridge's state_folder; default quad_suite in ROS_HOME")
+        parser.add_argument('--aircraft', default='', metavar='NAME')
+
+
+def show(arguments: argparse.Namespace) -> int:
+    """`quad-tune history`. Raises QuadSysidError for bad input."""
+    sets = _sets(arguments)
+    print(_json(sets) if arguments.json else table(sets))
+    return 0
+
+
+def go_back(arguments: argparse.Namespace) -> int:
+    """`quad-tune rollback`. Raises QuadSysidError for bad input."""
+    chosen, gains = way_back(_sets(arguments), arguments.to)
+    told = f'set {chosen.number} of {chosen.time}: {_words(gains) or "nothing differs"}'
+    if arguments.print or not gains:
+        print(f'{told}\n{by_hand(gains)}' if gains else told)
+        return 0
+    try:
+        from quad_tuning.history.rollback_node import publish  # where ROS is installed
+    except ImportError:
+        print(f'{told}\nno ROS 2 here; on the aircraft:\n{by_hand(gains)}')
+        return 0
+    refusal = publish(gains, SOURCE)
+    if refusal:
+        print(f'quad-tune: {refusal}', file=sys.stderr)
+        return REFUSED
+    print(f'back to {told}')
+    return 0
+
+
+def _sets(arguments: argparse.Namespace) -> list[GainSet]:
+    return read_history(history_file(arguments.folder or default_folder(), arguments.aircraft))
+
+
+def table(sets: Sequence[GainSet]) -> str:
+    """One line per set: what it changed, whose it was, how it went."""
+    lines = [f'{"":>4}  {"time (UTC)":19}  {"outcome":12}  {"source":28}  changed']
+    before: Mapping[str, float] = {}
+    for one in sets:
+        words = _words(changed(before, one.gains)) if before else f'{len(one.gains)} values'
+        source = one.source or 'read from the STM32'
+        lines.append(
+            f'{one.number:4}  {one.time[:19]:19}  {one.outcome:12}  {source:28.28}  {words}'
+        )
+        if one.reason and one.outcome not in {'found', 'confirmed', 'passed'}:
+            lines.append(f'{"":39}  {one.reason}')
+        if one.bag or one.model:
+            lines.append(f'{"":39}  of {" and ".join(x for x in (one.bag, one.model) if x)}')
+        before = one.gains
+    return '\n'.join(lines)
+
+
+def by_hand(gains: Mapping[str, float]) -> str:
+    """The `ros2 topic pub` that sends these gains."""
+    parts = [
+        f'{{name: {name}, value: {{type: 3, double_value: {value!r}}}}}'
+        for name, value in gains.items()
+    ]
+    parts.append(f'{{name: source, value: {{type: 4, string_value: {SOURCE}}}}}')
+    parts.append('{name: rollback, value: {type: 1, bool_value: true}}')
+    body = '{changed_parameters: [' + ', '.join(parts) + ']}'
+    return f"ros2 topic pub --once /gains/update rcl_interfaces/msg/ParameterEvent '{body}'"
+
+
+def _words(gains: Mapping[str, float]) -> str:
+    return ', '.join(f'{name} {value:.4g}' for name, value in gains.items())
+
+
+def _json(sets: Sequence[GainSet]) -> str:
+    return json.dumps({'schema': SCHEMA, 'sets': [asdict(one) for one in sets]}, indent=1)

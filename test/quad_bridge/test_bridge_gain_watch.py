@@ -1,0 +1,99 @@
+"""The watch stays silent over good gains in gusts, and speaks in time over bad ones.
+
+bench/watch.py has the study on 100 airframes; here a few flights through the whole keeper.
+"""
+
+import numpy as np
+import pytest
+
+from quad_bridge.gain_watch import GainWatch, Predicted
+from quad_bridge.stick_gesture import StickGesture
+from quad_bridge.virtual.receiver import Event
+
+DT = 0.004
+STILL = np.zeros(3)
+
+
+class Gusts:
+    """Coloured torque of 1.5 rad/s^2 and pushes of twice that, from `begin_s` on."""
+
+    def __init__(self, seed, begin_s):
+        self.rng, self.begin_s, self.state = np.random.default_rng(seed), begin_s, np.zeros(3)
+
+    def __call__(self, t_s, *_):
+        self.state += -0.002 * self.state + 0.063 * self.rng.normal(size=3)
+        push = 2.0 * (t_s % 4.0 > 3.0)
+        inertia = np.array([0.0135, 0.0140, 0.008])
+        return 1.5 * inertia * (self.state + push) * (t_s >= self.begin_s)
+
+
+@pytest.mark.parametrize(('seed', 'begin_s', 'mount'), [(1, 0.0, 'hover'), (2, 4.0, 'rig')])
+def test_good_gains_are_confirmed_in_gusts_and_with_sticks(bench, seed, begin_s, mount):
+    rng = np.random.default_rng(seed)
+    names = ('roll', 'pitch') if mount == 'hover' else ('roll',)
+    sticks = [
+        Event(2.0 + 0.7 * k, str(rng.choice(names)), float(rng.uniform(-0.6, 0.6)))
+        for k in range(20)
+    ]
+    profile = 'hover' if mount == 'hover' else 'plain'
+    made = bench(effect=Gusts(seed, begin_s), events=sticks, mount=mount, profile=profile)
+    made.fly(1.0)
+    made.ask(roll_angle_kp=5.5, roll_rate_kp=0.085, pitch_angle_kp=5.5, pitch_rate_kp=0.085)
+    made.fly_until('confirmed', seconds=12.0)
+
+
+def fed(watch, seconds, size, omega, axis=0, start=0):
+    """Feed an oscillation of the rate, rad/s; the time of the alarm, None without one."""
+    for k in range(start, start + round(seconds / DT)):
+        rates = np.zeros(3)
+        rates[axis] = size * np.sin(omega * k * DT)
+        watch.step(rates, STILL, STILL, STILL)
+        if watch.alarm() is not None:
+            return (k - start) * DT
+    return None
+
+
+@pytest.mark.parametrize('omega', [6.0, 12.0, 25.0, 50.0])
+def test_a_new_oscillation_is_heard_and_named(omega):
+    watch = GainWatch()
+    assert fed(watch, 5.0, 0.05, omega) is None
+    watch.begin()
+    assert fed(watch, 3.0, 0.05, omega) is None
+    assert fed(watch, 2.0, 1.2, omega) is not None
+    assert 'roll' in str(watch.alarm())
+
+
+def test_what_was_there_before_is_no_alarm_unless_the_design_promised_less():
+    for ratio, heard in ((1.0, False), (0.5, True)):
+        watch = GainWatch()
+        fed(watch, 6.0, 0.8, 12.0)
+        watch.begin({'roll': Predicted(ratio, ratio)})
+        assert (fed(watch, 4.0, 1.1, 12.0) is not None) is heard
+
+
+def test_an_axis_that_was_not_changed_is_not_watched():
+    watch = GainWatch()
+    fed(watch, 3.0, 0.01, 12.0, axis=2)
+    watch.begin(axes=['roll'])
+    assert fed(watch, 3.0, 2.0, 12.0, axis=2) is None
+
+
+def test_a_drift_away_from_the_reference_is_heard_without_any_oscillation():
+    watch = GainWatch()
+    fed(watch, 3.0, 0.0, 1.0)
+    watch.begin()
+    for k in range(1000):
+        watch.step(STILL, np.array([0.002 * k, 0.0, 0.0]), STILL, STILL)
+        if watch.alarm() is not None:
+            break
+    assert str(watch.alarm()).startswith('roll: away from its reference')
+    assert np.degrees(0.002 * k) < 10.5
+
+
+def test_a_gesture_is_three_ends_within_two_seconds():
+    gesture = StickGesture()
+    assert [gesture.step(v, 0.5 * k) for k, v in enumerate((0.9, -0.9, 0.9))] == [
+        False, False, True,
+    ]  # fmt: skip
+    assert not any(gesture.step(v, 10.0 + 1.5 * k) for k, v in enumerate((0.9, -0.9, 0.9)))
+    assert not any(gesture.step(0.9, 20.0 + 0.02 * k) for k in range(100))

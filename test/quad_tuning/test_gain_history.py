@@ -1,0 +1,102 @@
+"""`quad-tune history` and `quad-tune rollback` on the lines that the bridge writes."""
+
+import json
+import sys
+
+import pytest
+
+from quad_bridge.gain_log import GainLog
+from quad_bridge.gain_request import GainRequest
+from quad_sysid.errors import BadInputError
+from quad_tuning.cli import main
+from quad_tuning.history.sets import SCHEMA, read_history, way_back
+
+KP, ANGLE = 'roll.rate.kp', 'roll.angle.kp'
+
+
+def gains(kp, angle):
+    return {KP: kp, ANGLE: angle, 'loop.rate_hz': 250.0}
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Found, one good update in two steps, one that was taken back."""
+    log = GainLog(tmp_path)
+    log.open('quad_7')
+    log.found(gains(0.07, 3.0))
+    asked = GainRequest({}, source='identification of flight_1', bag='flight_1')
+    log.write('active', gains(0.1, 6.0), asked, update='a')
+    log.write('active', gains(0.1, 7.0), asked, update='a')
+    log.write('confirmed', None, asked, update='a')
+    asked = GainRequest({}, source='operator')
+    log.write('active', gains(0.2, 7.0), asked, update='b')
+    log.write('rolled back', None, asked, update='b', reason='roll: oscillation')
+    log.found(gains(0.1, 7.0))
+    return tmp_path
+
+
+def test_every_set_stands_there_with_its_source_and_outcome(folder, capsys):
+    assert main(['history', '--folder', str(folder), '--json']) == 0
+    sets = json.loads(capsys.readouterr().out)['sets']
+    assert [one['outcome'] for one in sets] == [
+        'found', 'passed', 'confirmed', 'rolled back', 'found',
+    ]  # fmt: skip
+    assert [one['gains'][ANGLE] for one in sets] == [3.0, 6.0, 7.0, 7.0, 7.0]
+    assert (sets[2]['bag'], sets[3]['reason']) == ('flight_1', 'roll: oscillation')
+    assert main(['history', '--folder', str(folder)]) == 0
+    table = capsys.readouterr().out
+    assert 'rolled back   operator' in table
+    assert 'roll.rate.kp 0.2' in table
+    assert 'loop.rate_hz' not in table
+
+
+def test_the_way_back_leads_to_the_last_good_set_that_differs(folder):
+    sets = read_history(folder / 'quad_7' / 'gains.jsonl')
+    chosen, difference = way_back(sets)
+    assert (chosen.number, difference) == (1, {KP: 0.07, ANGLE: 3.0})
+    assert way_back(sets, 4)[1] == {KP: 0.2}
+    assert way_back(sets[:4])[1] == {KP: 0.1}
+    with pytest.raises(BadInputError, match=r'must be 1\.\.5'):
+        way_back(sets, 9)
+    with pytest.raises(BadInputError, match='no earlier good set'):
+        way_back(sets[:1])
+
+
+def test_without_ros_the_rollback_says_what_to_send(folder, capsys, monkeypatch):
+    monkeypatch.delitem(sys.modules, 'quad_tuning.history.rollback_node', raising=False)
+    monkeypatch.setitem(sys.modules, 'rclpy', None)
+    for more in ([], ['--print']):
+        assert main(['rollback', '--folder', str(folder), *more]) == 0
+        out = capsys.readouterr().out
+        assert 'set 1 of' in out
+        assert 'ros2 topic pub --once /gains/update' in out
+        assert '{name: roll.angle.kp, value: {type: 3, double_value: 3.0}}' in out
+
+
+def test_a_torn_line_is_left_out_and_the_next_one_begins_anew(folder):
+    path = folder / 'quad_7' / 'gains.jsonl'
+    with path.open('a') as file:
+        file.write('{"schema": "quad_bri')
+    log = GainLog(folder)
+    log.open('quad_7')
+    log.found(gains(0.05, 2.0))
+    assert [one.gains[ANGLE] for one in read_history(path)] == [3.0, 6.0, 7.0, 7.0, 7.0, 2.0]
+
+
+@pytest.mark.parametrize(
+    ('options', 'words'),
+    [
+        (['--folder', 'nowhere'], 'holds no history of gains'),
+        (['--aircraft', 'quad_9'], 'must be of quad_7, quad_8: found quad_9'),
+        ([], 'holds several aircraft: found quad_7, quad_8; choose one by --aircraft'),
+        (['--aircraft', 'quad_8'], f'schema must be {SCHEMA}: found other'),
+    ],
+)
+def test_bad_input_is_one_line_and_status_2(folder, options, words, capsys):
+    (folder / 'quad_8').mkdir()
+    (folder / 'quad_8' / 'gains.jsonl').write_text('{"schema": "other"}\n')
+    given = options if '--folder' in options else ['--folder', str(folder), *options]
+    assert main(['history', *given]) == 2
+    error = capsys.readouterr().err
+    assert error.count('\n') == 1
+    assert words in error
