@@ -25,6 +25,7 @@ from quad_bridge.wire.gain_names import WIRE_NAMES
 CONFIG = Path(__file__).resolve().parents[2] / 'src' / 'quad_bridge' / 'config'
 START = 'from quad_bridge.{0}_node import main; main()'
 WAIT_S = 30.0
+DIAGNOSTICS = ('serial_bridge: link', 'serial_bridge: clock', 'bag_logger: recording')
 
 
 class FarEnd(threading.Thread):
@@ -106,10 +107,12 @@ def bag_in(folder):
     deadline = time.monotonic() + WAIT_S
     while time.monotonic() < deadline:
         bags = list(folder.glob('flight_*'))
-        if bags and next(bags[0].glob('*.mcap')).stat().st_size > 100_000:
+        # Every node's diagnostics come once a second; the bag grows faster than that.
+        held = next(bags[0].glob('*.mcap')).read_bytes() if bags else b''
+        if len(held) > 100_000 and all(name.encode() in held for name in DIAGNOSTICS):
             return bags[0]
-        time.sleep(0.05)
-    raise AssertionError('no bag has grown')
+        time.sleep(0.2)
+    raise AssertionError('no bag has grown, or it lacks diagnostics')
 
 
 def test_wire_to_bag(tmp_path, spawn):
@@ -148,7 +151,7 @@ def test_wire_to_bag(tmp_path, spawn):
     (active,) = found['/gains/active']
     assert {p.name for p in active.changed_parameters} == set(WIRE_NAMES)
     states = {status.name for array in found['/diagnostics'] for status in array.status}
-    assert {'serial_bridge: link', 'serial_bridge: clock', 'bag_logger: recording'} <= states
+    assert set(DIAGNOSTICS) <= states
 
 
 @pytest.mark.parametrize(
