@@ -38,6 +38,7 @@ setup(
             'recover = quad_bridge.recover:main',
             'sensors = quad_bridge.sensors_command:main',
             'sensor_watch = quad_bridge.sensor_watch_node:main',
+            'make_key = quad_bridge.key_file:main',
             'bag_logger = quad_bridge.bag_logger_node:main',
             'serial_bridge = quad_bridge.serial_bridge_node:main',
             'virtual_stm32 = quad_bridge.virtual.process:main',

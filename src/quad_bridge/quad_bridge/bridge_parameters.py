@@ -14,8 +14,13 @@ from quad_bridge.aircraft_store import default_folder
 from quad_bridge.errors import BadInputError
 from quad_bridge.gain_gate import DEFAULT_BOUNDS, Bound, bound_from
 from quad_bridge.gain_state import KeeperSettings
+from quad_bridge.key_file import signing_from
 from quad_bridge.polarity_check import MODES
 from quad_bridge.wire.gain_names import READ_ONLY, WIRE_NAMES
+from quad_bridge.wire.signing import Signing
+
+WIRED = ('loop', 'spy', 'hwgrep', 'alt', 'cp2110')
+"""Schemes of pyserial's URLs that lead to no network."""
 
 
 @dataclass(frozen=True)
@@ -25,11 +30,14 @@ class BridgeSettings:
     port: str
     baud: int
     excitation_valid_ms: int
+    signing: Signing | None
+    require_enable: bool
     keeper: KeeperSettings
 
 
 OWN = (
-    'port', 'baud', 'excitation_valid_ms', 'sources', 'polarity', 'aircraft', 'state_folder',
+    'port', 'baud', 'excitation_valid_ms', 'key_file', 'require_enable', 'sources', 'polarity',
+    'aircraft', 'state_folder',
 )  # fmt: skip
 
 
@@ -37,21 +45,48 @@ def declare(node: Any) -> BridgeSettings:
     """Declare and read the parameters. Raises BadInputError naming the one that is wrong."""
     bounds = {f'bounds.{name}': name for name in WIRE_NAMES if name not in READ_ONLY}
     ros_node.refuse_unknown(node, [*OWN, *bounds])
+    port = ros_node.text(node, 'port', '/dev/ttyACM0', 'serial device, or a URL of pyserial')
     settings = BridgeSettings(
-        port=ros_node.text(node, 'port', '/dev/ttyACM0', 'serial device, or a URL of pyserial'),
+        port=port,
         baud=ros_node.integer(node, 'baud', 921600, (9600, 12_000_000), 'baud rate, bit/s'),
         excitation_valid_ms=ros_node.integer(
             node,
             'excitation_valid_ms',
             100,
-            (8, 1000),
+            (8, 500),
             'how long the STM32 keeps an excitation set-point that nothing replaces, ms',
+        ),
+        signing=_signing(node, port),
+        require_enable=ros_node.flag(
+            node,
+            'require_enable',
+            over_network(port),
+            'excite and arm only while /operator/enable is alive; default: where port is a URL',
         ),
         keeper=_keeper(node, bounds),
     )
     if not settings.port:
         raise BadInputError('serial_bridge: parameter port', 'must name a device', "''")
     return settings
+
+
+def over_network(port: str) -> bool:
+    """Whether others than whoever holds the wire can speak on `port`."""
+    scheme, separator, _ = port.partition('://')
+    return bool(separator) and scheme.lower() not in WIRED
+
+
+def _signing(node: Any, port: str) -> Signing | None:
+    given = ros_node.text(
+        node, 'key_file', '', 'key for MAVLink 2 signing; required where port is a network URL'
+    )
+    if not given and over_network(port):
+        raise BadInputError(
+            'serial_bridge: parameter key_file',
+            f'is required where the port is a network URL ({port})',
+            remedy='make one: ros2 run quad_bridge make_key FILE',
+        )
+    return signing_from(Path(given).expanduser() if given else None)
 
 
 def _keeper(node: Any, bounds: Mapping[str, str]) -> KeeperSettings:

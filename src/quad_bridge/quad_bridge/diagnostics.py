@@ -64,6 +64,9 @@ def link_status(
         'garbage bytes': counts.garbage_bytes,
         'unknown messages': counts.unknown,
         'standard messages not used': counts.standard,
+        'refused, unsigned': counts.unsigned,
+        'refused, other key': counts.forged,
+        'refused, replayed': counts.replayed,
         'restarts of the STM32': counts.restarts,
         'dropped writes': port.dropped_writes,
         'bytes': counts.bytes,
@@ -80,7 +83,7 @@ def _link_verdict(
     if counts.bytes == since.counts.bytes:
         return ERROR, 'port open, but nothing arrives'
     if counts.frames == opened.frames:
-        return _no_frame(counts.bytes - opened.bytes)
+        return _no_frame(counts, opened)
     if link.cycles == since.cycles:
         return _no_cycle(link)
     lost = counts.lost_cycles - since.counts.lost_cycles
@@ -89,7 +92,21 @@ def _link_verdict(
     return OK, 'control cycles arrive'
 
 
-def _no_frame(garbage: int) -> tuple[int, str]:
+def _no_speaker(counts: Counts, opened: Counts) -> str:
+    """Where frames come, but none that may speak: why."""
+    if counts.unsigned > opened.unsigned:
+        return 'the far end does not sign: give it the key of key_file'
+    if counts.forged > opened.forged:
+        return 'the far end signs with another key than key_file'
+    if counts.replayed > opened.replayed:
+        return 'only old frames arrive: a recording, or a far end that does not take our time'
+    return ''
+
+
+def _no_frame(counts: Counts, opened: Counts) -> tuple[int, str]:
+    refused, garbage = _no_speaker(counts, opened), counts.bytes - opened.bytes
+    if refused:
+        return ERROR, refused
     if garbage < FOREIGN_BYTES:
         return WARN, 'bytes arrive, no valid frame yet'
     text = f'speaks another protocol or baud rate: no valid frame in {garbage} bytes'
@@ -190,8 +207,8 @@ def diagnostic_array(node: str, hardware: str, stamp: Any, entries: list[Status]
     return array
 
 
-def excitation_status(relay: ExcitationRelay, link: Link) -> Status:
-    """What is forwarded and what the STM32 does with it."""
+def excitation_status(relay: ExcitationRelay, link: Link, disabled: str = '') -> Status:
+    """What is forwarded and what the STM32 does with it; `disabled` the operator's fault."""
     last = link.last_cycle
     flags = Flag(last.flags) if last is not None else Flag.NONE
     values = {
@@ -206,5 +223,7 @@ def excitation_status(relay: ExcitationRelay, link: Link) -> Status:
         return Status('excitation', WARN, 'the STM32 dropped a stale set-point', values)
     if Flag.EXCITATION_REFUSED in flags:
         return Status('excitation', WARN, 'the STM32 refuses the excitation', values)
+    if disabled:
+        return Status('excitation', OK, f'disabled: {disabled}', values)
     running = Flag.EXCITATION in flags
     return Status('excitation', OK, 'running' if running else 'idle', values)

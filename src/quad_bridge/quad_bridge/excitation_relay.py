@@ -1,6 +1,7 @@
 """From /excitation/setpoint and /excitation/segment to Excitation frames. Pure.
 
-The segment says where to inject; without a running segment nothing is forwarded.
+The segment says where to inject; without a running segment nothing is forwarded. Where the
+operator's enable is required and lost, the excitation ends, until the next segment begins.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from quad_bridge.operator_enable import OperatorEnable
 from quad_bridge.wire.axes import flip_body
 from quad_bridge.wire.frames import Excitation, Injection, Vector3
 
@@ -22,8 +24,10 @@ INJECTIONS = {
 class ExcitationRelay:
     """Numbers and addresses the set-points of the running segment."""
 
-    def __init__(self, valid_ms: int) -> None:
+    def __init__(self, valid_ms: int, enable: OperatorEnable | None = None) -> None:
         self._valid_ms = valid_ms
+        self._enable = enable or OperatorEnable(required=False)
+        self._lost = False
         self._seq = 0
         self._injection = Injection.NONE
         self.forwarded = 0
@@ -41,12 +45,26 @@ class ExcitationRelay:
         running = parameters.get('segment') != 'idle' and parameters.get('signal') != 'none'
         wanted = INJECTIONS.get(str(parameters.get('injection', '')))
         self._injection = wanted if running and wanted is not None else Injection.NONE
+        self._lost = False
         if self._injection is Injection.NONE:
             return self._frame((0.0, 0.0, 0.0))
         return None
 
-    def setpoint(self, x: float, y: float, z: float) -> Excitation | None:
+    def tick(self, now_s: float) -> Excitation | None:
+        """The frame that ends a running excitation where the operator has let go."""
+        running = self._injection is not Injection.NONE and not self._lost
+        if not running or not self._enable.fault(now_s):
+            return None
+        self._lost = True
+        return Excitation((0.0, 0.0, 0.0), int(Injection.NONE), self._next(), self._valid_ms)
+
+    def setpoint(self, x: float, y: float, z: float, now_s: float = 0.0) -> Excitation | None:
         """The frame of a set-point (FLU, the segment's unit); None where it must not be sent."""
+        fault = self._enable.fault(now_s)
+        if fault:
+            return self._drop(fault)
+        if self._lost:
+            return self._drop('the operator had let go: start the next segment')
         if self._injection is Injection.NONE:
             return self._drop('no segment is running: publish /excitation/segment first')
         if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
@@ -56,8 +74,11 @@ class ExcitationRelay:
         return self._frame(flip_body((x, y, z)))
 
     def _frame(self, value: Vector3) -> Excitation:
+        return Excitation(value, int(self._injection), self._next(), self._valid_ms)
+
+    def _next(self) -> int:
         self._seq = (self._seq + 1) % 256
-        return Excitation(value, int(self._injection), self._seq, self._valid_ms)
+        return self._seq
 
     def _drop(self, reason: str) -> Excitation | None:
         self.dropped += 1

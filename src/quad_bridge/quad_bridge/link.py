@@ -14,6 +14,8 @@ from quad_bridge.wire.clock import ClockEstimator
 from quad_bridge.wire.codec import Decoder, Encoder
 from quad_bridge.wire.frames import (
     Battery,
+    Command,
+    CommandAck,
     Cycle,
     Excitation,
     Frame,
@@ -30,10 +32,11 @@ from quad_bridge.wire.frames import (
     StatusText,
     TimeSync,
 )
+from quad_bridge.wire.signing import Signing
 
 BRIDGE_SYSTEM, BRIDGE_COMPONENT = 1, 191
 ONBOARD_CONTROLLER, NO_AUTOPILOT = 18, 8
-ADDRESSED = (Excitation, GainsCommand, ParamRequestList, ParamRequestRead, ParamSet)
+ADDRESSED = (Command, Excitation, GainsCommand, ParamRequestList, ParamRequestRead, ParamSet)
 HEARTBEAT_NS = 1_000_000_000
 SYNC_NS = 200_000_000
 """Between TIMESYNC questions once the clock has converged; before, every tick asks."""
@@ -50,10 +53,12 @@ class Stamped:
 class Link:
     """State of the conversation with the STM32."""
 
-    def __init__(self) -> None:
+    def __init__(self, signing: Signing | None = None) -> None:
+        self.on_ack: Callable[[CommandAck], None] = lambda _frame: None
+        """Called for the answer to a command."""
         self.on_cycle: Callable[[Cycle, int], None] = lambda _frame, _now_ns: None
         """Called for every cycle, also those that are held back for want of a clock."""
-        self.decoder = Decoder()
+        self.decoder = Decoder(signing)
         self.clock = ClockEstimator()
         self.gains = GainLine()
         self.peer: Heartbeat | None = None
@@ -65,7 +70,7 @@ class Link:
         self.cycles = 0
         self.held = 0
         """Cycles not published because the clock had not converged."""
-        self._encoder = Encoder(BRIDGE_SYSTEM, BRIDGE_COMPONENT)
+        self._encoder = Encoder(BRIDGE_SYSTEM, BRIDGE_COMPONENT, signing)
         self._outbox = bytearray()
         self._stamp_ns = 0
         self._restarts = 0
@@ -142,6 +147,8 @@ class Link:
         elif isinstance(frame, (ParamValue, GainsState)):
             self.gains.take(frame, 1e-9 * now_ns)
             self.poll_gains(now_ns)
+        elif isinstance(frame, CommandAck):
+            self.on_ack(frame)
         elif isinstance(frame, Heartbeat):
             if frame.autopilot != NO_AUTOPILOT:
                 self.peer = frame

@@ -27,6 +27,8 @@ from quad_bridge.gain_keeper import GainKeeper
 from quad_bridge.gain_services import GainServices
 from quad_bridge.gain_state import News, State
 from quad_bridge.link import Link, Stamped
+from quad_bridge.operator_enable import OperatorEnable
+from quad_bridge.operator_services import OperatorServices
 from quad_bridge.qos import EVENT, STATE, STREAM
 from quad_bridge.ros_node import run
 from quad_bridge.serial_port import SerialPort
@@ -48,11 +50,14 @@ class SerialBridge(Node):  # type: ignore[misc]
         super().__init__('serial_bridge')
         self._settings: BridgeSettings = declare(self)
         self._lock = threading.Lock()
-        self._link = Link()
-        self._relay = ExcitationRelay(self._settings.excitation_valid_ms)
+        self._link = Link(self._settings.signing)
+        self._enable = OperatorEnable(required=self._settings.require_enable)
+        self._relay = ExcitationRelay(self._settings.excitation_valid_ms, self._enable)
         self._messages = conversion.CycleMessages()
         self._keeper = GainKeeper(self._settings.keeper, self._link.gains)
         self._gain_services = GainServices(self, self._ask_gains, self._ask_check)
+        self._operator = OperatorServices(self, self._enable, self._forward)
+        self._link.on_ack = self._operator.acknowledged
         self._link.on_cycle = self._watch_cycle
         self._reported_s = 0.0
         self._epoch_ns = self._epoch()
@@ -140,6 +145,8 @@ class SerialBridge(Node):  # type: ignore[misc]
                     publisher.publish(message)
 
     def _watch_cycle(self, frame: Cycle, now_ns: int) -> None:
+        if self._keeper.state is State.CHECKING and self._enable.fault(time.monotonic()):
+            self._keeper.disturb()
         pulse = self._keeper.cycle(frame, 1e-9 * now_ns)
         if pulse is not None:
             self._link.send(pulse)
@@ -161,6 +168,10 @@ class SerialBridge(Node):  # type: ignore[misc]
             outgoing = self._link.drain()
             news, self._keeper.news = self._keeper.news, []
         self._send(outgoing)
+        self._operator.tick()
+        end = self._relay.tick(time.monotonic())
+        if end is not None:
+            self._forward(end)
         for item in news:
             self._tell(item)
         if news and time.monotonic() - self._reported_s > REPORT_S:
@@ -195,7 +206,7 @@ class SerialBridge(Node):  # type: ignore[misc]
 
     def _on_setpoint(self, message: Vector3Stamped) -> None:
         v = message.vector
-        frame = self._relay.setpoint(v.x, v.y, v.z)
+        frame = self._relay.setpoint(v.x, v.y, v.z, time.monotonic())
         if frame is not None:
             self._forward(frame)
 
@@ -233,7 +244,7 @@ class SerialBridge(Node):  # type: ignore[misc]
                 diagnostics.link_status(port, link, self._since, now_s, self._opened_counts),
                 diagnostics.clock_status(link),
                 diagnostics.gains_status(link, self._keeper),
-                diagnostics.excitation_status(self._relay, link),
+                diagnostics.excitation_status(self._relay, link, self._enable.fault(now_s)),
             ]
             self._since = diagnostics.Since(now_s, link.decoder.counts, link.cycles)
         self._diagnostics.publish(

@@ -18,6 +18,7 @@ TOPIC_TYPES = {
     '/gains/update': 'rcl_interfaces/msg/ParameterEvent',
     '/gains/active': 'rcl_interfaces/msg/ParameterEvent',
     '/logger/bag': 'rcl_interfaces/msg/ParameterEvent',
+    '/operator/enable': 'std_msgs/msg/Bool',
     '/diagnostics': 'diagnostic_msgs/msg/DiagnosticArray',
 }
 

@@ -39,6 +39,7 @@ from quad_bridge.wire.frames import (
     TimeSync,
 )
 from quad_bridge.wire.gain_names import CONTRACT_NAMES, WIRE_NAMES
+from quad_bridge.wire.signing import Signing
 
 ARM_DISARM, ACCEPTED, UNSUPPORTED = 400, 0, 3
 """MAV_CMD_COMPONENT_ARM_DISARM and two MAV_RESULTs."""
@@ -66,11 +67,13 @@ _WATCHED = {
 class Endpoint:
     """The aircraft, its firmware and receiver behind a codec."""
 
-    def __init__(self, aircraft: Aircraft, script: Receiver) -> None:
+    def __init__(
+        self, aircraft: Aircraft, script: Receiver, signing: Signing | None = None
+    ) -> None:
         self.aircraft = aircraft
         self.firmware = Firmware(aircraft.profile.firmware, aircraft.gains)
         self._script = script
-        self._decoder, self._encoder = Decoder(), Encoder()
+        self._decoder, self._encoder = Decoder(signing), Encoder(signing=signing)
         sensors = aircraft.profile.sensors
         cut_offs = (sensors.gyro_filter_hz, sensors.accel_filter_hz)
         self._filters = dict(zip(_FILTERS, cut_offs, strict=True))

@@ -54,6 +54,9 @@ TABLE = {
 }
 """Parameter of an axis (contract's name behind the axis): gain column, lowest, highest."""
 
+DEAD_MAN_S = 0.5
+"""An excitation that nothing replaces ends after this long, whatever validity it came with."""
+
 INJECTION_LIMITS = {1: math.radians(30.0), 2: 5.0, 3: 0.3}
 """Largest excitation that is accepted: attitude rad, rate rad/s, control."""
 
@@ -209,7 +212,7 @@ class Firmware:
 
     def _expire(self, now_s: float) -> None:
         request = self._request
-        if request is not None and now_s - self._since_s > request.valid_s:
+        if request is not None and now_s - self._since_s > min(request.valid_s, DEAD_MAN_S):
             self._request, self._stale = None, True
 
 

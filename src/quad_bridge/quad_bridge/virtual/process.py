@@ -18,6 +18,7 @@ import numpy as np
 
 from quad_bridge.arguments import OneLineParser
 from quad_bridge.errors import QuadBridgeError
+from quad_bridge.key_file import signing_from
 from quad_bridge.virtual.aircraft import Aircraft
 from quad_bridge.virtual.control import INPUTS
 from quad_bridge.virtual.effect_module import load_effect
@@ -58,6 +59,9 @@ def arguments() -> argparse.ArgumentParser:
         metavar='FILE.yaml',
         help='stick movements: a list of {time_s: 3.0, channel: roll, value: 0.4}',
     )
+    parser.add_argument(
+        '--key', type=Path, metavar='FILE', help='sign, and ignore whoever does not (make_key)'
+    )
     parser.add_argument('--link', type=Path, help='symbolic link to make to the port')
     parser.add_argument('--duration', type=float, metavar='S', help='end after so many seconds')
     return parser
@@ -69,11 +73,12 @@ def build_endpoint(given: argparse.Namespace) -> Endpoint:
     profile = replace(profile, mount=given.mount or profile.mount, axis=given.axis or profile.axis)
     effect = None if given.effect_module is None else load_effect(given.effect_module)
     events = Receiver() if given.rc_events is None else read_events(given.rc_events)
+    signing = signing_from(given.key)
     script = Receiver(events=profile.receiver.events + events.events)
     sys.stdout.write('virtual STM32 prepares (some 15 s the first time, to compile)\n')
     sys.stdout.flush()
     _warm_up(profile, python_effect=effect is not None)
-    return Endpoint(Aircraft(profile, seed=given.seed, effect=effect), script)
+    return Endpoint(Aircraft(profile, seed=given.seed, effect=effect), script, signing)
 
 
 def _warm_up(profile: Profile, *, python_effect: bool) -> None:

@@ -15,6 +15,7 @@ from quad_bridge.wire import dialect
 from quad_bridge.wire.frames import Cycle, Frame
 from quad_bridge.wire.messages import FROM_MESSAGE, TO_MESSAGE, standard
 from quad_bridge.wire.sequence import CycleWatch
+from quad_bridge.wire.signing import Signing, Verdict
 
 dialect.MAVLINK_IGNORE_CRC = 0  # an environment variable must not let corrupted frames in
 
@@ -41,12 +42,21 @@ class Counts:
     """Gaps in the 32-bit cycle counter."""
     restarts: int = 0
     """The cycle counter went back: the far end has restarted."""
+    unsigned: int = 0
+    """Ignored: a key is set, and these frames bear no signature."""
+    forged: int = 0
+    """Ignored: signed with another key, or changed on the way."""
+    replayed: int = 0
+    """Ignored: signed well, but not newer than what came before."""
 
 
 class Decoder:
     """Bytes in, frames out; keeps what is incomplete for the next call."""
 
-    def __init__(self) -> None:
+    def __init__(self, signing: Signing | None = None) -> None:
+        """With `signing` only well signed frames are handed out."""
+        self._signing = signing
+        self._refused = dict.fromkeys(Verdict, 0)
         self._mav = dialect.MAVLink(None)
         self._mav.robust_parsing = True
         self._watch = CycleWatch()
@@ -70,6 +80,9 @@ class Decoder:
             standard=self._standard,
             lost_cycles=self._watch.lost,
             restarts=self._watch.restarts,
+            unsigned=self._refused[Verdict.UNSIGNED],
+            forged=self._refused[Verdict.FORGED],
+            replayed=self._refused[Verdict.REPLAYED],
         )
 
     @property
@@ -108,8 +121,15 @@ class Decoder:
             elif not suspect:
                 self._bad_crc += 1
             self._hand_back(message.data)
-        else:
+        elif self._may_speak(message):
             self._use(message, frames)
+
+    def _may_speak(self, message: Any) -> bool:
+        if self._signing is None:
+            return True
+        verdict = self._signing.judge(bytes(message.get_msgbuf()))
+        self._refused[verdict] += 1
+        return verdict is Verdict.GOOD
 
     def _hand_back(self, data: bytes) -> None:
         """Drop the marker and have the rest parsed again: good frames may lie inside."""
@@ -134,15 +154,24 @@ class Decoder:
 class Encoder:
     """Frames to bytes, with the sender's ids and running sequence number."""
 
-    def __init__(self, system: int = 1, component: int = 1) -> None:
+    def __init__(
+        self, system: int = 1, component: int = 1, signing: Signing | None = None
+    ) -> None:
         """Ids of the sender: the STM32 is 1, 1; the bridge 1, 191 (onboard computer)."""
         self._mav = dialect.MAVLink(None, srcSystem=system, srcComponent=component)
+        self._signing = signing
+        if signing is not None:
+            state = self._mav.signing
+            state.secret_key, state.link_id = signing.key, signing.link_id
+            state.sign_outgoing = True
 
     def encode(self, frame: Frame) -> bytes:
         """The bytes of one frame. Raises EncodeError where a value does not fit its field."""
         build = TO_MESSAGE.get(type(frame))
         if build is None:
             raise EncodeError(f'{type(frame).__name__}: has no message of its own to be sent as')
+        if self._signing is not None:
+            self._mav.signing.timestamp = self._signing.stamp()
         try:
             data = bytes(build(frame).pack(self._mav))
         except (struct.error, ValueError, TypeError, IndexError, OverflowError) as error:

@@ -1,0 +1,56 @@
+"""The operator's dead-man switch: alive or not, and what the excitation relay makes of it."""
+
+from quad_bridge.bridge_parameters import over_network
+from quad_bridge.excitation_relay import ExcitationRelay
+from quad_bridge.operator_enable import OperatorEnable
+from quad_bridge.virtual.firmware import Request
+from quad_bridge.wire.frames import Injection
+
+TRAIN = {'segment': 'train', 'signal': 'prbs', 'axis': 'roll', 'injection': 'rate'}
+
+
+def test_half_a_second_of_silence_counts_as_letting_go():
+    enable = OperatorEnable(required=True)
+    assert 'silent' in enable.fault(0.0)
+    enable.take(True, 1.0)
+    assert enable.fault(1.5) == ''
+    assert 'silent' in enable.fault(1.501)
+    enable.take(False, 2.0)
+    assert 'off' in enable.fault(2.0)
+    assert OperatorEnable(required=False).fault(5.0) == ''
+
+
+def test_the_relay_ends_the_excitation_once_and_waits_for_the_next_segment():
+    enable = OperatorEnable(required=True)
+    relay = ExcitationRelay(100, enable)
+    relay.segment(TRAIN)
+    assert relay.setpoint(0.1, 0.0, 0.0, 0.9) is None
+    assert 'silent' in relay.reason
+    enable.take(True, 1.0)
+    assert relay.tick(1.2) is None
+    assert relay.setpoint(0.1, 0.0, 0.0, 1.2).injection == Injection.RATE
+    end = relay.tick(1.6)
+    assert (end.injection, end.value) == (Injection.NONE, (0.0, 0.0, 0.0))
+    assert relay.tick(1.7) is None
+    enable.take(True, 1.8)
+    assert relay.setpoint(0.1, 0.0, 0.0, 1.9) is None  # not by itself: somebody had let go
+    assert 'next segment' in relay.reason
+    relay.segment(TRAIN)
+    assert relay.setpoint(0.1, 0.0, 0.0, 1.9).injection == Injection.RATE
+
+
+def test_what_leads_over_a_network():
+    assert over_network('socket://localhost:5760')
+    assert over_network('RFC2217://rig:4000')
+    assert over_network('unknown://rig')
+    for wire in ('/dev/ttyACM0', 'COM3', 'loop://', 'spy:///dev/ttyUSB0', 'hwgrep://FTDI'):
+        assert not over_network(wire)
+
+
+def test_the_stm32_lets_no_excitation_outlive_half_a_second(bench):
+    firmware = bench().endpoint.firmware
+    firmware.excite(Request(2, (0.1, 0.0, 0.0), 60.0, 1), 10.0)
+    firmware._expire(10.5)
+    assert firmware.sequence == 1
+    firmware._expire(10.501)
+    assert firmware.sequence == 0

@@ -1,0 +1,127 @@
+"""Signing: pymavlink's own signer and ours understand each other; forgeries are refused."""
+
+import hashlib
+
+import pytest
+from pymavlink.dialects.v20 import common
+
+from quad_bridge.wire import frames as f
+from quad_bridge.wire.codec import Decoder, Encoder
+from quad_bridge.wire.signing import Signing, Verdict, signing_time
+
+KEY, OTHER = bytes(range(32)), bytes(32)
+FRAME = f.ParamSet('ROLL_RATE_KP', 0.5, 1, 1)
+
+
+class Clock:
+    def __init__(self, now=10_000_000):
+        self.now = now
+
+    def __call__(self):
+        return self.now
+
+
+def signing(key=KEY, now=10_000_000, **more):
+    return Signing(key, Clock(now), **more)
+
+
+def encoder(**more):
+    return Encoder(1, 191, signing(**more))
+
+
+def test_the_signature_is_mavlinks():
+    # https://mavlink.io/en/guide/message_signing.html: sha256(key, header, payload, crc, link,
+    # time), the first 48 bits
+    data = encoder(link_id=7, now=0x0102030405).encode(FRAME)
+    assert data[2] == 0x01
+    assert data[-13] == 7
+    # the clock's time was the start; the first frame must be later than it
+    assert data[-12:-6] == (0x0102030406).to_bytes(6, 'little')
+    assert data[-6:] == hashlib.sha256(KEY + data[:-6]).digest()[:6]
+
+
+def test_time_counts_from_2015_in_10_us():
+    assert signing_time(1_420_070_400_000_000_000 + 25_000) == 2
+    assert signing_time(0) == 0
+
+
+def theirs(key=KEY, time=10_000_000):
+    mav = common.MAVLink(None, srcSystem=1, srcComponent=1)
+    mav.signing.secret_key, mav.signing.timestamp = key, time
+    mav.signing.sign_outgoing = True
+    return mav
+
+
+def test_pymavlink_accepts_ours_and_we_accept_pymavlinks():
+    (found,) = theirs().parse_buffer(encoder().encode(FRAME))
+    assert (found.get_type(), found.get_signed()) == ('PARAM_SET', True)
+    decoder = Decoder(signing())
+    mav = theirs()
+    data = common.MAVLink_param_value_message(b'YAW_ANG_KP', 2.0, 9, 27, 16).pack(mav)
+    assert decoder.feed(data) == [f.ParamValue('YAW_ANG_KP', 2.0, 27, 16)]
+
+
+def test_nobody_else_is_heard_and_each_is_counted_apart():
+    decoder = Decoder(signing())
+    assert decoder.feed(Encoder(1, 191).encode(FRAME)) == []
+    assert decoder.feed(encoder(key=OTHER).encode(FRAME)) == []
+    assert decoder.feed(encoder(now=9_000_000).encode(FRAME)) == []
+    old = common.MAVLink(None, srcSystem=1, srcComponent=1)  # MAVLink 1 knows no signatures
+    heartbeat = common.MAVLink_heartbeat_message(2, 0, 0, 0, 4, 3)
+    assert decoder.feed(heartbeat.pack(old, force_mavlink1=True)) == []
+    counts = decoder.counts
+    assert (counts.unsigned, counts.forged, counts.replayed) == (2, 1, 1)
+    assert (counts.frames, counts.bad_crc) == (0, 0)
+    good = encoder().encode(FRAME)
+    assert decoder.feed(good) == [FRAME]
+
+
+def test_a_replay_is_refused_before_and_after_a_restart():
+    sender, first = encoder(), Decoder(signing())
+    data = [sender.encode(FRAME) for _ in range(3)]
+    assert first.feed(b''.join(data)) == [FRAME] * 3
+    assert first.feed(b''.join(data)) == []
+    assert first.counts.replayed == 3
+    # restarted a second later: the recording is from before its start
+    assert Decoder(signing(now=10_100_000)).feed(b''.join(data)) == []
+    # and frames of another link, system or component have their own time
+    other = Encoder(1, 190, signing(now=10_000_000))
+    assert first.feed(other.encode(FRAME)) == [FRAME]
+
+
+def test_any_changed_byte_of_a_signed_frame_is_refused():
+    data = encoder().encode(f.GainsCommand(2, 9, 0x12345678, 15_000, 1, 1))
+    for place in range(len(data)):
+        damaged = bytearray(data)
+        damaged[place] ^= 0x10
+        assert Decoder(signing()).feed(bytes(damaged)) == [], place
+    # the time of an unsigned forgery does not count: the true sender is still heard
+    decoder = Decoder(signing())
+    forged = encoder(key=OTHER, now=2**40).encode(FRAME)
+    assert decoder.feed(forged) == []
+    assert decoder.feed(data) != []
+
+
+def test_ends_whose_clocks_differ_meet():
+    ahead, behind = signing(now=20_000_000), signing(now=5_000_000)
+    to_ahead = Encoder(1, 191, behind)
+    assert Decoder(ahead).feed(to_ahead.encode(FRAME)) == []
+    assert Decoder(behind).feed(Encoder(1, 1, ahead).encode(FRAME)) == [FRAME]
+    assert Decoder(ahead).feed(to_ahead.encode(FRAME)) == [FRAME]
+
+
+def test_stamps_rise_while_the_clock_stands_or_falls():
+    clock = Clock(1000)
+    signer = Signing(KEY, clock)
+    stamps = [signer.stamp() for _ in range(3)]
+    clock.now = 10
+    stamps.append(signer.stamp())
+    clock.now = 5000
+    stamps.append(signer.stamp())
+    assert stamps == [1001, 1002, 1003, 1004, 5000]
+
+
+def test_a_key_has_32_bytes():
+    with pytest.raises(ValueError, match='32 bytes: found 31'):
+        Signing(bytes(31), Clock())
+    assert signing().judge(Encoder().encode(FRAME)) is Verdict.UNSIGNED
