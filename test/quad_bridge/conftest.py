@@ -1,8 +1,12 @@
-"""The bridge's gain keeper and the virtual STM32 on one line in memory, faster than time."""
+"""The bridge's gain keeper and the virtual STM32 on one line in memory; the C firmware, built."""
 
 from __future__ import annotations
 
+import shutil
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -137,3 +141,25 @@ def bench(tmp_path):
         return made
 
     return make
+
+
+@pytest.fixture(scope='session')
+def firmware(tmp_path_factory):
+    """A function that builds a target of firmware/Makefile and gives its path."""
+    missing = [tool for tool in ('gcc', 'make') if shutil.which(tool) is None]
+    if missing:
+        pytest.skip(f'no {missing[0]} here')
+    folder = tmp_path_factory.mktemp('firmware')
+
+    def build(target):
+        source = Path(__file__).resolve().parents[2] / 'firmware'
+        made = subprocess.run(
+            ['make', '-s', '-C', source, f'BUILD={folder}', f'PYTHON={sys.executable}',
+             str(folder / target)],
+            capture_output=True, text=True, timeout=300, check=False,
+        )  # fmt: skip
+        assert made.returncode == 0, made.stdout + made.stderr
+        assert made.stderr == ''
+        return folder / target
+
+    return build

@@ -1,0 +1,29 @@
+/* Linux only: the pseudo-terminal that stands for the UART, and the file with the key. */
+#ifndef TERMINAL_H
+#define TERMINAL_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+typedef struct {
+    int master, slave;
+    const char *link;
+    char path[64];
+} terminal;
+
+/* Open a raw pseudo-terminal; `link` (or NULL) becomes a symbolic link to it. False: errno. */
+bool terminal_open(terminal *t, const char *link);
+
+/* What arrives within wait_us; 0 where nothing does. */
+size_t terminal_read(terminal *t, uint8_t *bytes, size_t room, int64_t wait_us);
+
+/* Send what fits; the rest is lost, as on a UART that nobody reads. */
+void terminal_write(terminal *t, const uint8_t *bytes, size_t count);
+
+void terminal_close(terminal *t);
+
+/* 32 bytes of key, raw or hexadecimal, from a file for its owner alone. NULL, or what is wrong. */
+const char *terminal_read_key(const char *path, uint8_t key[32]);
+
+#endif

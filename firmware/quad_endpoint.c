@@ -1,0 +1,147 @@
+/* See quad_endpoint.h. The cycle and what is due when; frames in: quad_inbox.c, out: quad_outbox.c. */
+#include "quad_endpoint.h"
+
+#include <string.h>
+
+#include "quad_outbox.h"
+
+#define LOWEST_RATE_HZ 50
+#define LIST_PER_CYCLE 2 /* parameters, so that a list does not delay the cycles */
+
+static void start_signing(quad_endpoint *e, const quad_settings *settings)
+{
+    if (settings->key == NULL) {
+        return;
+    }
+    memcpy(e->signing.secret_key, settings->key, sizeof e->signing.secret_key);
+    e->signing.flags = MAVLINK_SIGNING_FLAG_SIGN_OUTGOING;
+    e->signing.timestamp = settings->signing_time;
+    e->link.signing = &e->signing;
+    e->link.signing_streams = &e->streams;
+}
+
+void quad_endpoint_init(quad_endpoint *e, const quad_settings *settings)
+{
+    memset(e, 0, sizeof *e);
+    e->settings = *settings;
+    if (e->settings.rate_hz < LOWEST_RATE_HZ) {
+        e->settings.rate_hz = LOWEST_RATE_HZ;
+    }
+    e->settings.stored = NULL;
+    e->settings.key = NULL;
+    e->armed = settings->armed;
+    e->list_next = QUAD_PARAMETERS;
+    quad_excitation_init(&e->excitation);
+    quad_gains_init(&e->gains, settings->stored);
+    e->gains.good[QUAD_LOOP_RATE_HZ] = (float)e->settings.rate_hz;
+    e->gains.active[QUAD_LOOP_RATE_HZ] = (float)e->settings.rate_hz;
+    memcpy(e->in_force, e->gains.active, sizeof e->in_force);
+    start_signing(e, settings);
+}
+
+uint64_t quad_endpoint_signing_time(const quad_endpoint *e)
+{
+    return e->signing.timestamp;
+}
+
+/* The signature's clock goes on with the board's, and never back. */
+static void keep_time(quad_endpoint *e, uint64_t now_us)
+{
+    const uint64_t time = e->settings.signing_time + now_us / 10u;
+    if (time > e->signing.timestamp) {
+        e->signing.timestamp = time;
+    }
+}
+
+static uint16_t late(const quad_endpoint *e, uint64_t now_us)
+{
+    const uint64_t period_us = 1000000u / e->settings.rate_hz;
+    const bool overrun = e->cycle > 0 && now_us > e->began_us + period_us + period_us / 2u;
+    return overrun ? QUAD_FLAG_OVERRUN : 0u;
+}
+
+static void revert_where_due(quad_endpoint *e, uint64_t now_us)
+{
+    uint8_t result;
+    if (quad_gains_tick(&e->gains, now_us, &result)) {
+        quad_put_gains_state(e, QUAD_GAINS_ACTION_QUERY, result);
+        quad_put_text(e, 2, result == QUAD_GAINS_RESULT_LINK_LOST
+                                ? "link lost: last good gains restored"
+                                : "gains not confirmed: last good restored");
+    }
+}
+
+void quad_endpoint_begin_cycle(quad_endpoint *e, uint64_t now_us, const quad_pilot *pilot,
+                               quad_cycle *record)
+{
+    keep_time(e, now_us);
+    revert_where_due(e, now_us);
+    memcpy(e->in_force, e->gains.active, sizeof e->in_force);
+    const bool turning = e->armed && !pilot->kill;
+    const bool allowed = turning && !pilot->failsafe && !e->low_battery && !e->tilted;
+    memset(record, 0, sizeof *record);
+    record->flags = quad_excitation_tick(&e->excitation, allowed, now_us);
+    record->flags |= turning ? QUAD_FLAG_ARMED : 0u;
+    record->flags |= pilot->kill ? QUAD_FLAG_RC_KILL : 0u;
+    record->flags |= pilot->failsafe ? QUAD_FLAG_RC_FAILSAFE : 0u;
+    record->flags |= late(e, now_us);
+    record->time_us = now_us;
+    record->cycle = e->cycle++;
+    record->gains = e->in_force;
+    record->injection = e->excitation.injection;
+    record->excitation_seq = e->excitation.seq;
+    memcpy(record->excitation, e->excitation.value, sizeof record->excitation);
+    e->began_us = now_us;
+}
+
+/* A text for each flag that has come up, and once for a low battery. */
+static void tell(quad_endpoint *e, uint16_t flags, bool low_battery)
+{
+    static const struct {
+        uint16_t flag;
+        const char *text;
+    } texts[] = {
+        {QUAD_FLAG_RC_KILL, "pilot: kill switch"},
+        {QUAD_FLAG_RC_FAILSAFE, "receiver failsafe"},
+        {QUAD_FLAG_STALE_SETPOINT, "excitation stale, dropped"},
+        {QUAD_FLAG_EXCITATION_REFUSED, "excitation refused"},
+    };
+    for (size_t i = 0; i < sizeof texts / sizeof texts[0]; i++) {
+        if ((flags & texts[i].flag) != 0 && (e->last_flags & texts[i].flag) == 0) {
+            quad_put_text(e, 4, texts[i].text);
+        }
+    }
+    if (low_battery && !e->low_battery) {
+        quad_put_text(e, 2, "low battery");
+    }
+    e->last_flags = flags;
+}
+
+static bool due(const quad_endpoint *e, uint32_t cycle, uint32_t per_second)
+{
+    return cycle % (e->settings.rate_hz / per_second) == 0;
+}
+
+void quad_endpoint_end_cycle(quad_endpoint *e, const quad_cycle *record, const quad_pilot *pilot,
+                             const quad_slow *slow)
+{
+    const bool low_battery = slow->battery_v < e->settings.low_battery_v; /* not for NaN */
+    quad_put_cycle(e, record);
+    tell(e, record->flags, low_battery);
+    e->low_battery = low_battery;
+    e->tilted = (record->flags & QUAD_FLAG_ANGLE_LIMIT) != 0;
+    if (due(e, record->cycle, 1)) {
+        quad_put_heartbeat(e);
+        quad_put_gains_state(e, QUAD_GAINS_ACTION_QUERY, QUAD_GAINS_RESULT_OK);
+    }
+    if (due(e, record->cycle, 10)) {
+        quad_put_battery(e, slow);
+    }
+    if (due(e, record->cycle, 50)) {
+        quad_put_receiver(e, record, pilot);
+        quad_put_slow_sensors(e, record, slow);
+    }
+    for (int i = 0; i < LIST_PER_CYCLE && e->list_next < QUAD_PARAMETERS; i++) {
+        quad_put_parameter(e, e->list_next++);
+    }
+}

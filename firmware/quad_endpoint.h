@@ -1,0 +1,122 @@
+/* The STM32's end of the link: bytes in, control cycles in, bytes out.
+ *
+ * One struct holds all state; nothing is allocated, nothing is read or written but through the
+ * calls below, and nothing blocks. All calls belong into one context (the control loop):
+ *
+ *     quad_endpoint_receive(&e, bytes, count, now_us);         what the UART has brought
+ *     quad_endpoint_begin_cycle(&e, now_us, &pilot, &record);  what to add, and with which gains
+ *     ... filters, control law and mixer fill the record ...
+ *     quad_endpoint_end_cycle(&e, &record, &slow);
+ *     count = quad_endpoint_send(&e, buffer, room);            to the UART's DMA
+ *
+ * Times are us since boot on a counter that never goes back. Body axes are FRD (x forward, y
+ * right, z down), attitude is relative to NED, units are SI. */
+#ifndef QUAD_ENDPOINT_H
+#define QUAD_ENDPOINT_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "quad_excitation.h"
+#include "quad_gains.h"
+#include "quad_mavlink.h"
+#include "quad_parameters.h"
+
+#define QUAD_OUTBOX 2048 /* bytes: five cycles at 921600 baud and 250 Hz */
+#define QUAD_RC_CHANNELS 18
+
+typedef struct {
+    uint8_t system, component; /* ids of this end, usually 1 and 1 */
+    uint64_t aircraft;         /* unique number of this controller, as the chip's id */
+    uint16_t rate_hz;          /* of the control cycle, 50 or more */
+    float low_battery_v;       /* no excitation below it */
+    bool armed;                /* at the start: for rigs, whose switch is in the supply */
+    bool may_arm;              /* by command of the bridge; disarming is always obeyed */
+    const float *stored;       /* QUAD_PARAMETERS confirmed values from flash, or NULL */
+    const uint8_t *key;        /* 32 bytes, or NULL: nobody signs */
+    uint64_t signing_time;     /* with a key: see quad_endpoint_signing_time */
+} quad_settings;
+
+/* What the pilot's receiver says. */
+typedef struct {
+    uint16_t pulse_us[QUAD_RC_CHANNELS];
+    uint8_t count;
+    bool failsafe, kill;
+} quad_pilot;
+
+/* All that one control cycle knew. begin_cycle fills what is marked (e), the control law the rest
+ * and adds its flags SATURATED and ANGLE_LIMIT. */
+typedef struct {
+    uint64_t time_us; /* (e) start of the cycle */
+    uint32_t cycle;   /* (e) */
+    uint16_t flags;   /* (e) QUAD_FLAG_* */
+    uint8_t injection, excitation_seq; /* (e) */
+    float excitation[3];               /* (e) to be added in this cycle, and logged as added */
+    const float *gains;                /* (e) QUAD_PARAMETERS values in force in this cycle */
+    float gyro[3];                     /* rad/s, filtered, bias removed */
+    float accel[3];                    /* m/s^2: at rest and level 0, 0, -9.81 */
+    float attitude[3];                 /* roll, pitch, yaw, rad */
+    float attitude_setpoint[3];        /* that C1 used, excitation included */
+    float rate_setpoint[3];            /* that C2 used, excitation included */
+    float control[4];                  /* U1 (up) and U2..U4 before the mixer, normalised */
+    float motors[4];                   /* 0..1, after the limits */
+} quad_cycle;
+
+/* What changes slowly; NaN where it is not measured. */
+typedef struct {
+    float battery_v;
+    float mag_gauss[3];
+    float pressure_hpa;
+    float temperature_c;
+} quad_slow;
+
+typedef struct {
+    uint32_t frames;   /* used */
+    uint32_t bad;      /* wrong checksum, or of an unknown message */
+    uint32_t unsigned_frames, forged, replayed; /* with a key: ignored */
+    uint32_t dropped;  /* ours, for want of room in the outbox */
+} quad_counts;
+
+typedef struct {
+    quad_settings settings;
+    quad_counts counts;
+    quad_gains gains;
+    quad_excitation excitation;
+    float in_force[QUAD_PARAMETERS];
+    bool armed, low_battery, tilted;
+    uint16_t last_flags;
+    uint32_t cycle;
+    uint64_t began_us;
+    uint8_t list_next; /* parameter that PARAM_REQUEST_LIST still waits for */
+    mavlink_message_t rx;
+    mavlink_status_t link;
+    mavlink_signing_t signing;
+    mavlink_signing_streams_t streams;
+    uint8_t outbox[QUAD_OUTBOX];
+    size_t first, waiting;
+} quad_endpoint;
+
+/* The settings are copied; `stored` and `key` need not outlive the call. */
+void quad_endpoint_init(quad_endpoint *e, const quad_settings *settings);
+
+/* Take bytes that arrived at now_us; what answers them waits for quad_endpoint_send. */
+void quad_endpoint_receive(quad_endpoint *e, const uint8_t *bytes, size_t count, uint64_t now_us);
+
+/* Begin the cycle that starts at now_us: fills the record as told there. */
+void quad_endpoint_begin_cycle(quad_endpoint *e, uint64_t now_us, const quad_pilot *pilot,
+                               quad_cycle *record);
+
+/* End it: queues the cycle's frame and what is due beside it. */
+void quad_endpoint_end_cycle(quad_endpoint *e, const quad_cycle *record, const quad_pilot *pilot,
+                             const quad_slow *slow);
+
+/* Up to `room` bytes to send now; their number. */
+size_t quad_endpoint_send(quad_endpoint *e, uint8_t *out, size_t room);
+
+/* Signature time now, 10 us since 2015. Without a clock of its own the board keeps it in flash:
+ * store it plus a minute, once a minute, and hand the stored one to the next start. Whatever is
+ * older than that start is refused, so that no recording can be replayed. */
+uint64_t quad_endpoint_signing_time(const quad_endpoint *e);
+
+#endif

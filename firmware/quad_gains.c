@@ -1,0 +1,157 @@
+/* See quad_gains.h. */
+#include "quad_gains.h"
+
+#include <string.h>
+
+#include "quad_mavlink.h"
+
+static void copy_set(float *to, const float *from)
+{
+    memcpy(to, from, QUAD_PARAMETERS * sizeof(float));
+}
+
+/* True where `now` is later than `then` by more than `limit`; `now` may lie before `then`. */
+static bool passed(uint64_t now_us, uint64_t then_us, uint64_t limit_us)
+{
+    return now_us > then_us && now_us - then_us > limit_us;
+}
+
+static void revert(quad_gains *gains)
+{
+    gains->staging = false;
+    gains->watching = false;
+    copy_set(gains->active, gains->good);
+}
+
+void quad_gains_init(quad_gains *gains, const float *stored)
+{
+    memset(gains, 0, sizeof *gains);
+    for (size_t i = 0; i < QUAD_PARAMETERS; i++) {
+        const bool use = stored != NULL && quad_parameter_fits(i, stored[i]);
+        gains->good[i] = use ? stored[i] : quad_parameters[i].start;
+    }
+    copy_set(gains->active, gains->good);
+}
+
+void quad_gains_heard(quad_gains *gains, uint64_t now_us)
+{
+    gains->heard_us = now_us;
+}
+
+void quad_gains_write(quad_gains *gains, size_t index, float value)
+{
+    if (index >= QUAD_PARAMETERS || !quad_parameter_fits(index, value)) {
+        return;
+    }
+    if (gains->staging) {
+        gains->copy[index] = value;
+        return;
+    }
+    gains->active[index] = value;
+    if (!gains->watching) {
+        gains->good[index] = value;
+        gains->confirmations++;
+    }
+}
+
+float quad_gains_shown(const quad_gains *gains, size_t index)
+{
+    return gains->staging ? gains->copy[index] : gains->active[index];
+}
+
+static uint8_t commit(quad_gains *gains, const quad_gains_request *request, uint64_t now_us)
+{
+    if (!gains->staging) { /* repeated after a lost answer */
+        const bool same = request->checksum == quad_gains_checksum(gains->active);
+        return same && gains->watching ? QUAD_GAINS_RESULT_OK : QUAD_GAINS_RESULT_CHECKSUM;
+    }
+    if (request->checksum != quad_gains_checksum(gains->copy)) {
+        return QUAD_GAINS_RESULT_CHECKSUM;
+    }
+    copy_set(gains->active, gains->copy);
+    gains->staging = false;
+    gains->watching = true;
+    gains->deadline_us = now_us + 1000u * (uint64_t)request->watch_ms;
+    return QUAD_GAINS_RESULT_OK;
+}
+
+static void open_copy(quad_gains *gains, uint8_t transaction)
+{
+    if (gains->transaction != transaction || !gains->staging) {
+        copy_set(gains->copy, gains->active);
+        gains->staging = true;
+        gains->transaction = transaction;
+    }
+}
+
+uint8_t quad_gains_act(quad_gains *gains, const quad_gains_request *request, uint64_t now_us,
+                       uint8_t *answered)
+{
+    *answered = request->action;
+    if (request->action > QUAD_GAINS_ACTION_REVERT) {
+        *answered = QUAD_GAINS_ACTION_QUERY;
+        return QUAD_GAINS_RESULT_WRONG_ID;
+    }
+    if (request->action == QUAD_GAINS_ACTION_QUERY) {
+        return QUAD_GAINS_RESULT_OK;
+    }
+    if (request->action == QUAD_GAINS_ACTION_OPEN) {
+        open_copy(gains, request->transaction);
+        return QUAD_GAINS_RESULT_OK;
+    }
+    if (request->transaction != gains->transaction) {
+        return QUAD_GAINS_RESULT_WRONG_ID;
+    }
+    switch (request->action) {
+    case QUAD_GAINS_ACTION_COMMIT:
+        return commit(gains, request, now_us);
+    case QUAD_GAINS_ACTION_CONFIRM:
+        copy_set(gains->good, gains->active);
+        gains->watching = false;
+        gains->confirmations++;
+        break;
+    default:
+        revert(gains);
+    }
+    return QUAD_GAINS_RESULT_OK;
+}
+
+bool quad_gains_tick(quad_gains *gains, uint64_t now_us, uint8_t *result)
+{
+    if (!gains->staging && !gains->watching) {
+        return false;
+    }
+    if (passed(now_us, gains->heard_us, QUAD_LINK_DEAD_US)) {
+        *result = QUAD_GAINS_RESULT_LINK_LOST;
+    } else if (gains->watching && now_us > gains->deadline_us) {
+        *result = QUAD_GAINS_RESULT_NOT_CONFIRMED;
+    } else {
+        return false;
+    }
+    revert(gains);
+    return true;
+}
+
+uint8_t quad_gains_phase(const quad_gains *gains)
+{
+    if (gains->staging) {
+        return QUAD_GAINS_PHASE_STAGING;
+    }
+    return gains->watching ? QUAD_GAINS_PHASE_WATCH : QUAD_GAINS_PHASE_IDLE;
+}
+
+uint32_t quad_gains_checksum(const float set[QUAD_PARAMETERS])
+{
+    uint32_t crc = 0xFFFFFFFFu;
+    for (size_t i = 0; i < QUAD_PARAMETERS; i++) {
+        uint32_t bits;
+        memcpy(&bits, &set[i], sizeof bits);
+        for (unsigned shift = 0; shift < 32; shift += 8) { /* little endian on any machine */
+            crc ^= (bits >> shift) & 0xFFu;
+            for (int bit = 0; bit < 8; bit++) {
+                crc = (crc >> 1) ^ (0xEDB88320u & (0u - (crc & 1u)));
+            }
+        }
+    }
+    return ~crc;
+}

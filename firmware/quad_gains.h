@@ -1,0 +1,58 @@
+/* The sets of parameters: in force, the copy that is being written, the last confirmed one.
+ *
+ * The bridge opens a copy, writes it, commits it with a checksum and confirms it after a watch.
+ * Without its word, or with a dead link, the confirmed set comes back by itself: a bad set never
+ * outlives the link that brought it. No frames here. */
+#ifndef QUAD_GAINS_H
+#define QUAD_GAINS_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "quad_parameters.h"
+
+#define QUAD_LINK_DEAD_US 2000000 /* silence after which the bridge is taken as gone */
+
+typedef struct {
+    float active[QUAD_PARAMETERS];
+    float good[QUAD_PARAMETERS]; /* worth keeping in flash when `confirmations` has changed */
+    float copy[QUAD_PARAMETERS];
+    bool staging, watching;
+    uint8_t transaction;
+    uint32_t confirmations;
+    uint64_t deadline_us, heard_us;
+} quad_gains;
+
+/* One QUAD_GAINS message. */
+typedef struct {
+    uint8_t action, transaction;
+    uint16_t watch_ms;
+    uint32_t checksum;
+} quad_gains_request;
+
+/* `stored`: QUAD_PARAMETERS values kept from before; where one does not fit, or NULL: the table's. */
+void quad_gains_init(quad_gains *gains, const float *stored);
+
+/* A frame of the bridge has come. */
+void quad_gains_heard(quad_gains *gains, uint64_t now_us);
+
+/* PARAM_SET: into the copy, or into force where none is open; nothing where it does not fit. */
+void quad_gains_write(quad_gains *gains, size_t index, float value);
+
+/* What PARAM_VALUE says. */
+float quad_gains_shown(const quad_gains *gains, size_t index);
+
+/* Act on a request. Returns a QUAD_GAINS_RESULT; `answered` is the action that was understood. */
+uint8_t quad_gains_act(quad_gains *gains, const quad_gains_request *request, uint64_t now_us,
+                       uint8_t *answered);
+
+/* Once a cycle. True where the confirmed set has come back by itself; then `result` says why. */
+bool quad_gains_tick(quad_gains *gains, uint64_t now_us, uint8_t *result);
+
+/* A QUAD_GAINS_PHASE. */
+uint8_t quad_gains_phase(const quad_gains *gains);
+
+/* CRC-32 (IEEE) over a set as float32, little endian, in the order of the index. */
+uint32_t quad_gains_checksum(const float set[QUAD_PARAMETERS]);
+
+#endif

@@ -1,0 +1,52 @@
+/* The firmware's parameters: names, bounds and first values, in the order of their index. SI.
+ * What becomes of them at run time stands in quad_gains.h. */
+#ifndef QUAD_PARAMETERS_H
+#define QUAD_PARAMETERS_H
+
+#include <stdbool.h>
+#include <stddef.h>
+
+/* Of each axis, roll pitch yaw. C1: rate reference = kp (angle reference - angle), limited.
+ * C2: u = kp e + ki int(e dt) - kd d(rate)/dt, the last behind a first-order filter. */
+enum {
+    QUAD_ANGLE_KP,         /* 1/s */
+    QUAD_ANGLE_RATE_LIMIT, /* rad/s, of the rate reference */
+    QUAD_RATE_KP,          /* normalised command per rad/s */
+    QUAD_RATE_KI,          /* per rad */
+    QUAD_RATE_KD,          /* per rad/s^2 */
+    QUAD_RATE_D_FILTER_HZ,
+    QUAD_RATE_I_LIMIT, /* normalised command */
+    QUAD_RATE_U_LIMIT, /* normalised command */
+    QUAD_PER_AXIS
+};
+
+enum {
+    QUAD_GYRO_FILTER_HZ = 3 * QUAD_PER_AXIS,
+    QUAD_ACCEL_FILTER_HZ,
+    QUAD_LOOP_RATE_HZ, /* read only */
+    QUAD_PARAMETERS
+};
+
+#define QUAD_NAME_LENGTH 16 /* on the wire; no NUL behind a name that fills it */
+
+typedef struct {
+    char name[QUAD_NAME_LENGTH + 1];
+    float lowest, highest; /* nothing fits where lowest > highest */
+    float start;
+} quad_parameter;
+
+extern const quad_parameter quad_parameters[QUAD_PARAMETERS];
+
+/* Index of a name of up to 16 characters, or -1. */
+int quad_parameter_index(const char name[QUAD_NAME_LENGTH]);
+
+/* Whether a parameter may have this value: finite and inside its bounds. */
+bool quad_parameter_fits(size_t index, float value);
+
+/* The value of an axis (0 roll, 1 pitch, 2 yaw) in a set of QUAD_PARAMETERS values. */
+static inline float quad_of_axis(const float *set, size_t axis, size_t which)
+{
+    return set[axis * QUAD_PER_AXIS + which];
+}
+
+#endif
