@@ -7,6 +7,7 @@ from pymavlink.dialects.v20 import common
 
 from quad_bridge.wire import dialect
 from quad_bridge.wire.generate import DIALECT, dialect_source
+from quad_bridge.wire.other_messages import OTHER_MESSAGES
 
 OWN = {
     dialect.MAVLINK_MSG_ID_QUAD_CYCLE,
@@ -30,6 +31,15 @@ def test_standard_messages_are_those_of_common(number):
         if isinstance(mine, list):
             other = other[: len(mine)]
         assert json.dumps(mine) == json.dumps(other), (ours.msgname, name)
+
+
+def test_the_table_of_other_messages_agrees_with_common_and_lacks_none():
+    theirs = {k: (m.msgname, m.crc_extra) for k, m in common.mavlink_map.items() if k >= 0}
+    assert not set(OTHER_MESSAGES) & set(dialect.mavlink_map)
+    # a newer pymavlink may have more messages than when the table was written, not other ones
+    shared = set(OTHER_MESSAGES) & set(theirs)
+    assert {k: OTHER_MESSAGES[k] for k in shared} == {k: theirs[k] for k in shared}
+    assert len(set(theirs) - set(OTHER_MESSAGES) - set(dialect.mavlink_map)) < 20
 
 
 def test_fastcrc_is_in_use():

@@ -64,6 +64,9 @@ def link_status(
         'garbage bytes': counts.garbage_bytes,
         'unknown messages': counts.unknown,
         'standard messages not used': counts.standard,
+        'from other senders': counts.foreign,
+        'implausible': counts.implausible,
+        'MAVLink 1 messages': counts.old_version,
         'refused, unsigned': counts.unsigned,
         'refused, other key': counts.forged,
         'refused, replayed': counts.replayed,
@@ -107,6 +110,8 @@ def _no_frame(counts: Counts, opened: Counts) -> tuple[int, str]:
     refused, garbage = _no_speaker(counts, opened), counts.bytes - opened.bytes
     if refused:
         return ERROR, refused
+    if counts.old_version > opened.old_version:
+        return ERROR, 'speaks MAVLink 1: set it to MAVLink 2 (SERIALn_PROTOCOL, MAV_PROTO_VER)'
     if garbage < FOREIGN_BYTES:
         return WARN, 'bytes arrive, no valid frame yet'
     text = f'speaks another protocol or baud rate: no valid frame in {garbage} bytes'

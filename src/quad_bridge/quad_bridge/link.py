@@ -13,6 +13,7 @@ from quad_bridge.gain_line import GainLine
 from quad_bridge.wire.clock import ClockEstimator
 from quad_bridge.wire.codec import Decoder, Encoder
 from quad_bridge.wire.frames import (
+    Attitude,
     Battery,
     Command,
     CommandAck,
@@ -58,7 +59,7 @@ class Link:
         """Called for the answer to a command."""
         self.on_cycle: Callable[[Cycle, int], None] = lambda _frame, _now_ns: None
         """Called for every cycle, also those that are held back for want of a clock."""
-        self.decoder = Decoder(signing)
+        self.decoder = Decoder(signing, own=(BRIDGE_SYSTEM, BRIDGE_COMPONENT))
         self.clock = ClockEstimator()
         self.gains = GainLine()
         self.peer: Heartbeat | None = None
@@ -154,11 +155,13 @@ class Link:
                 self.peer = frame
         elif isinstance(frame, Standard):
             self.standard_names.add(frame.name)
+        elif isinstance(frame, Attitude):
+            self.standard_names.add('ATTITUDE')
 
     def _for_topic(
         self, frame: RcChannels | SlowSensors | Battery | StatusText, out: list[Stamped]
     ) -> None:
-        if isinstance(frame, SlowSensors) and frame.has_inertial:
+        if isinstance(frame, SlowSensors) and frame.gyro is not None:
             self.standard_names.add('HIGHRES_IMU')
         if isinstance(frame, StatusText):
             out.append(Stamped(frame, None))

@@ -1,26 +1,36 @@
-"""Bytes to frames and frames to bytes. The rule here: bytes go in, frames come out, nothing reads.
+"""Packets to frames and frames to bytes. The rule: bytes go in, frames come out, nothing reads.
 
 `Decoder.feed` never raises, whatever the bytes; what could not be used is counted in `Counts`.
-Encoder and Decoder serve both ends of the link. The framing is pymavlink's generated `dialect`.
+Finding packets is framing.py's; what fields mean is messages.py's. Encoder and Decoder serve both
+ends of the link.
 """
 
 from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
-from typing import Any
 
 from quad_bridge.errors import EncodeError
 from quad_bridge.wire import dialect
-from quad_bridge.wire.frames import Cycle, Frame
-from quad_bridge.wire.messages import FROM_MESSAGE, TO_MESSAGE, standard
+from quad_bridge.wire.frames import Cycle, Frame, Heartbeat, Standard
+from quad_bridge.wire.framing import Framer, Packet
+from quad_bridge.wire.messages import FROM_AUTOPILOT, FROM_MESSAGE, TO_MESSAGE, cycle, unpacked
+from quad_bridge.wire.other_messages import OTHER_MESSAGES
+from quad_bridge.wire.plausible import plausible
 from quad_bridge.wire.sequence import CycleWatch
 from quad_bridge.wire.signing import Signing, Verdict
 
-dialect.MAVLINK_IGNORE_CRC = 0  # an environment variable must not let corrupted frames in
-
-_CHUNK = 4096
-"""Bytes given to the parser at a time: bounds what a damaged stretch has copied."""
+_OURS = {number: kind for number, kind in dialect.mavlink_map.items() if number >= 0}
+_NAMES = {number: kind.msgname for number, kind in _OURS.items()} | {
+    number: name for number, (name, _) in OTHER_MESSAGES.items()
+}
+_EXTRAS = {number: kind.crc_extra for number, kind in _OURS.items()} | {
+    number: extra for number, (_, extra) in OTHER_MESSAGES.items()
+}
+_BUILD = {**FROM_MESSAGE, **FROM_AUTOPILOT}
+_CYCLE = dialect.MAVLINK_MSG_ID_QUAD_CYCLE
+NO_AUTOPILOT = 8
+"""MAV_AUTOPILOT_INVALID: the heartbeat of something that flies nothing."""
 
 
 @dataclass(frozen=True)
@@ -35,9 +45,9 @@ class Counts:
     garbage_bytes: int = 0
     """Bytes that belong to no usable message."""
     unknown: int = 0
-    """Messages of an id that the dialect lacks (their checksum cannot be verified)."""
+    """Messages of an id that nobody knows (their checksum cannot be verified)."""
     standard: int = 0
-    """Known standard messages that the suite does not use yet."""
+    """Known standard messages that the suite does not use."""
     lost_cycles: int = 0
     """Gaps in the 32-bit cycle counter."""
     restarts: int = 0
@@ -48,25 +58,36 @@ class Counts:
     """Ignored: signed with another key, or changed on the way."""
     replayed: int = 0
     """Ignored: signed well, but not newer than what came before."""
+    foreign: int = 0
+    """Ignored: from another sender than the far end (own echo, ground station, other aircraft)."""
+    implausible: int = 0
+    """Ignored: a good checksum, but values that cannot be (plausible.py)."""
+    old_version: int = 0
+    """MAVLink 1 messages; they are ignored, and part of the garbage."""
 
 
 class Decoder:
     """Bytes in, frames out; keeps what is incomplete for the next call."""
 
-    def __init__(self, signing: Signing | None = None) -> None:
-        """With `signing` only well signed frames are handed out."""
+    def __init__(
+        self, signing: Signing | None = None, *, own: tuple[int, int] | None = None
+    ) -> None:
+        """With `signing` only well signed frames are handed out.
+
+        With `own`, the system and component of this end, only one sender counts, the first that
+        flies something, and only plausible values. Without, all pass.
+        """
         self._signing = signing
+        self._own = own
+        self._peer: tuple[int, int] | None = None
         self._refused = dict.fromkeys(Verdict, 0)
-        self._mav = dialect.MAVLink(None)
-        self._mav.robust_parsing = True
+        self._framer = Framer(_EXTRAS)
         self._watch = CycleWatch()
         self._bytes = 0
         self._frames = 0
-        self._bad_crc = 0
-        self._garbage = 0
-        self._unknown = 0
         self._standard = 0
-        self._suspect = 0
+        self._foreign = 0
+        self._implausible = 0
 
     @property
     def counts(self) -> Counts:
@@ -74,15 +95,18 @@ class Decoder:
         return Counts(
             bytes=self._bytes,
             frames=self._frames,
-            bad_crc=self._bad_crc,
-            garbage_bytes=self._garbage,
-            unknown=self._unknown,
+            bad_crc=self._framer.bad_crc,
+            garbage_bytes=self._framer.garbage,
+            unknown=self._framer.unknown,
             standard=self._standard,
             lost_cycles=self._watch.lost,
             restarts=self._watch.restarts,
             unsigned=self._refused[Verdict.UNSIGNED],
             forged=self._refused[Verdict.FORGED],
             replayed=self._refused[Verdict.REPLAYED],
+            foreign=self._foreign,
+            implausible=self._implausible,
+            old_version=self._framer.old_version,
         )
 
     @property
@@ -90,65 +114,63 @@ class Decoder:
         """`counts.restarts`, cheap enough to be asked for every cycle."""
         return self._watch.restarts
 
+    @property
+    def peer(self) -> tuple[int, int] | None:
+        """System and component of the far end, where `own` was given and it has spoken."""
+        return self._peer
+
     def resync(self) -> None:
-        """Forget an incomplete frame: the port was opened anew. Counts stay."""
-        self._mav.buf = bytearray()
-        self._mav.buf_index = 0
-        self._suspect = 0
+        """Forget an incomplete frame and the far end: the port was opened anew. Counts stay."""
+        self._framer.clear()
+        self._peer = None
 
     def feed(self, data: bytes) -> list[Frame]:
         """Frames completed by `data`, in order of arrival. Never raises."""
         self._bytes += len(data)
         frames: list[Frame] = []
-        parse = self._mav.parse_char
-        for start in range(0, len(data), _CHUNK):
-            message = parse(data[start : start + _CHUNK])
-            while message is not None:
-                self._take(message, frames)
-                message = parse(b'')
+        for packet in self._framer.feed(data):
+            if self._may_speak(packet):
+                self._use(packet, frames)
         self._frames += len(frames)
         return frames
 
-    def _take(self, message: Any, frames: list[Frame]) -> None:
-        size = len(message.get_msgbuf()) or len(getattr(message, 'data', b''))
-        suspect, self._suspect = self._suspect > 0, max(0, self._suspect - size)
-        kind = message.get_type()
-        if kind == 'BAD_DATA' and message.reason == 'Bad prefix':
-            self._garbage += size
-        elif kind == 'BAD_DATA' or kind.startswith('UNKNOWN_'):
-            if not suspect and kind != 'BAD_DATA':
-                self._unknown += 1
-            elif not suspect:
-                self._bad_crc += 1
-            self._hand_back(message.data)
-        elif self._may_speak(message):
-            self._use(message, frames)
-
-    def _may_speak(self, message: Any) -> bool:
-        if self._signing is None:
+    def _may_speak(self, packet: Packet) -> bool:
+        if self._signing is not None:
+            verdict = self._signing.judge(packet.whole)
+            self._refused[verdict] += 1
+            if verdict is not Verdict.GOOD:
+                return False
+        sender = (packet.system, packet.component)
+        if self._own is None or sender == self._peer:
             return True
-        verdict = self._signing.judge(bytes(message.get_msgbuf()))
-        self._refused[verdict] += 1
-        return verdict is Verdict.GOOD
+        if sender == self._own or self._peer is not None:
+            self._foreign += 1
+            return False
+        return True
 
-    def _hand_back(self, data: bytes) -> None:
-        """Drop the marker and have the rest parsed again: good frames may lie inside."""
-        self._garbage += 1
-        rest = self._mav.buf[self._mav.buf_index :]
-        self._mav.buf = bytearray(data[1:]) + rest
-        self._mav.buf_index = 0
-        self._suspect = max(self._suspect, len(data) - 1)
-
-    def _use(self, message: Any, frames: list[Frame]) -> None:
-        build = FROM_MESSAGE.get(message.get_msgId())
-        if build is None:
+    def _use(self, packet: Packet, frames: list[Frame]) -> None:
+        frame: Frame
+        if packet.message == _CYCLE:
+            frame = cycle(packet.payload)
+        elif (build := _BUILD.get(packet.message)) is not None:
+            frame = build(unpacked(packet))
+        else:
             self._standard += 1
-            frames.append(standard(message))
+            frame = Standard(_NAMES[packet.message], packet.system, packet.component)
+        if self._own is not None and not plausible(frame):
+            self._implausible += 1
             return
-        frame = build(message)
         if isinstance(frame, Cycle):
             self._watch.step(frame.cycle)
+        if self._own is not None and self._peer is None and _flies(frame):
+            self._peer = (packet.system, packet.component)
         frames.append(frame)
+
+
+def _flies(frame: Frame) -> bool:
+    return isinstance(frame, Cycle) or (
+        isinstance(frame, Heartbeat) and frame.autopilot != NO_AUTOPILOT
+    )
 
 
 class Encoder:

@@ -444,11 +444,13 @@ enums["QUAD_GAINS_RESULT"][5] = EnumEntry("QUAD_GAINS_RESULT_ENUM_END", """""")
 MAVLINK_MSG_ID_BAD_DATA = -1
 MAVLINK_MSG_ID_UNKNOWN = -2
 MAVLINK_MSG_ID_HEARTBEAT = 0
+MAVLINK_MSG_ID_SYS_STATUS = 1
 MAVLINK_MSG_ID_SYSTEM_TIME = 2
 MAVLINK_MSG_ID_PARAM_REQUEST_READ = 20
 MAVLINK_MSG_ID_PARAM_REQUEST_LIST = 21
 MAVLINK_MSG_ID_PARAM_VALUE = 22
 MAVLINK_MSG_ID_PARAM_SET = 23
+MAVLINK_MSG_ID_SCALED_IMU = 26
 MAVLINK_MSG_ID_SCALED_PRESSURE = 29
 MAVLINK_MSG_ID_ATTITUDE = 30
 MAVLINK_MSG_ID_ATTITUDE_QUATERNION = 31
@@ -511,6 +513,56 @@ class MAVLink_heartbeat_message(MAVLink_message):
 # Define name on the class for backwards compatibility (it is now msgname).
 # Done with setattr to hide the class variable from mypy.
 setattr(MAVLink_heartbeat_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_sys_status_message(MAVLink_message):
+    """
+    The general system state
+    """
+
+    id = MAVLINK_MSG_ID_SYS_STATUS
+    msgname = "SYS_STATUS"
+    fieldnames = ["onboard_control_sensors_present", "onboard_control_sensors_enabled", "onboard_control_sensors_health", "load", "voltage_battery", "current_battery", "battery_remaining", "drop_rate_comm", "errors_comm", "errors_count1", "errors_count2", "errors_count3", "errors_count4"]
+    ordered_fieldnames = ["onboard_control_sensors_present", "onboard_control_sensors_enabled", "onboard_control_sensors_health", "load", "voltage_battery", "current_battery", "drop_rate_comm", "errors_comm", "errors_count1", "errors_count2", "errors_count3", "errors_count4", "battery_remaining"]
+    fieldtypes = ["uint32_t", "uint32_t", "uint32_t", "uint16_t", "uint16_t", "int16_t", "int8_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {"load": "d%", "voltage_battery": "mV", "current_battery": "cA", "battery_remaining": "%", "drop_rate_comm": "c%"}
+    native_format = bytearray(b"<IIIHHhHHHHHHb")
+    orders = [0, 1, 2, 3, 4, 5, 12, 6, 7, 8, 9, 10, 11]
+    lengths = [1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]
+    crc_extra = 124
+    unpacker = struct.Struct("<IIIHHhHHHHHHb")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, onboard_control_sensors_present: int, onboard_control_sensors_enabled: int, onboard_control_sensors_health: int, load: int, voltage_battery: int, current_battery: int, battery_remaining: int, drop_rate_comm: int, errors_comm: int, errors_count1: int, errors_count2: int, errors_count3: int, errors_count4: int):
+        MAVLink_message.__init__(self, MAVLink_sys_status_message.id, MAVLink_sys_status_message.msgname)
+        self._fieldnames = MAVLink_sys_status_message.fieldnames
+        self._instance_field = MAVLink_sys_status_message.instance_field
+        self._instance_offset = MAVLink_sys_status_message.instance_offset
+        self.onboard_control_sensors_present = onboard_control_sensors_present
+        self.onboard_control_sensors_enabled = onboard_control_sensors_enabled
+        self.onboard_control_sensors_health = onboard_control_sensors_health
+        self.load = load
+        self.voltage_battery = voltage_battery
+        self.current_battery = current_battery
+        self.battery_remaining = battery_remaining
+        self.drop_rate_comm = drop_rate_comm
+        self.errors_comm = errors_comm
+        self.errors_count1 = errors_count1
+        self.errors_count2 = errors_count2
+        self.errors_count3 = errors_count3
+        self.errors_count4 = errors_count4
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.onboard_control_sensors_present, self.onboard_control_sensors_enabled, self.onboard_control_sensors_health, self.load, self.voltage_battery, self.current_battery, self.drop_rate_comm, self.errors_comm, self.errors_count1, self.errors_count2, self.errors_count3, self.errors_count4, self.battery_remaining), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_sys_status_message, "name", mavlink_msg_deprecated_name_property())
 
 
 class MAVLink_system_time_message(MAVLink_message):
@@ -717,6 +769,54 @@ class MAVLink_param_set_message(MAVLink_message):
 # Define name on the class for backwards compatibility (it is now msgname).
 # Done with setattr to hide the class variable from mypy.
 setattr(MAVLink_param_set_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_scaled_imu_message(MAVLink_message):
+    """
+    The IMU readings in the body frame (FRD)
+    """
+
+    id = MAVLINK_MSG_ID_SCALED_IMU
+    msgname = "SCALED_IMU"
+    fieldnames = ["time_boot_ms", "xacc", "yacc", "zacc", "xgyro", "ygyro", "zgyro", "xmag", "ymag", "zmag", "temperature"]
+    ordered_fieldnames = ["time_boot_ms", "xacc", "yacc", "zacc", "xgyro", "ygyro", "zgyro", "xmag", "ymag", "zmag", "temperature"]
+    fieldtypes = ["uint32_t", "int16_t", "int16_t", "int16_t", "int16_t", "int16_t", "int16_t", "int16_t", "int16_t", "int16_t", "int16_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {"time_boot_ms": "ms", "xacc": "mG", "yacc": "mG", "zacc": "mG", "xgyro": "mrad/s", "ygyro": "mrad/s", "zgyro": "mrad/s", "xmag": "mgauss", "ymag": "mgauss", "zmag": "mgauss", "temperature": "cdegC"}
+    native_format = bytearray(b"<Ihhhhhhhhhh")
+    orders = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10]
+    lengths = [1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]
+    crc_extra = 170
+    unpacker = struct.Struct("<Ihhhhhhhhhh")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, time_boot_ms: int, xacc: int, yacc: int, zacc: int, xgyro: int, ygyro: int, zgyro: int, xmag: int, ymag: int, zmag: int, temperature: int = 0):
+        MAVLink_message.__init__(self, MAVLink_scaled_imu_message.id, MAVLink_scaled_imu_message.msgname)
+        self._fieldnames = MAVLink_scaled_imu_message.fieldnames
+        self._instance_field = MAVLink_scaled_imu_message.instance_field
+        self._instance_offset = MAVLink_scaled_imu_message.instance_offset
+        self.time_boot_ms = time_boot_ms
+        self.xacc = xacc
+        self.yacc = yacc
+        self.zacc = zacc
+        self.xgyro = xgyro
+        self.ygyro = ygyro
+        self.zgyro = zgyro
+        self.xmag = xmag
+        self.ymag = ymag
+        self.zmag = zmag
+        self.temperature = temperature
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.time_boot_ms, self.xacc, self.yacc, self.zacc, self.xgyro, self.ygyro, self.zgyro, self.xmag, self.ymag, self.zmag, self.temperature), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_scaled_imu_message, "name", mavlink_msg_deprecated_name_property())
 
 
 class MAVLink_scaled_pressure_message(MAVLink_message):
@@ -1561,11 +1661,13 @@ setattr(MAVLink_quad_gains_state_message, "name", mavlink_msg_deprecated_name_pr
 
 mavlink_map: Dict[int, Type[MAVLink_message]] = {
     MAVLINK_MSG_ID_HEARTBEAT: MAVLink_heartbeat_message,
+    MAVLINK_MSG_ID_SYS_STATUS: MAVLink_sys_status_message,
     MAVLINK_MSG_ID_SYSTEM_TIME: MAVLink_system_time_message,
     MAVLINK_MSG_ID_PARAM_REQUEST_READ: MAVLink_param_request_read_message,
     MAVLINK_MSG_ID_PARAM_REQUEST_LIST: MAVLink_param_request_list_message,
     MAVLINK_MSG_ID_PARAM_VALUE: MAVLink_param_value_message,
     MAVLINK_MSG_ID_PARAM_SET: MAVLink_param_set_message,
+    MAVLINK_MSG_ID_SCALED_IMU: MAVLink_scaled_imu_message,
     MAVLINK_MSG_ID_SCALED_PRESSURE: MAVLink_scaled_pressure_message,
     MAVLINK_MSG_ID_ATTITUDE: MAVLink_attitude_message,
     MAVLINK_MSG_ID_ATTITUDE_QUATERNION: MAVLink_attitude_quaternion_message,
@@ -2010,6 +2112,48 @@ class MAVLink(object):
         """
         self.send(self.heartbeat_encode(type, autopilot, base_mode, custom_mode, system_status, mavlink_version), force_mavlink1=force_mavlink1)
 
+    def sys_status_encode(self, onboard_control_sensors_present: int, onboard_control_sensors_enabled: int, onboard_control_sensors_health: int, load: int, voltage_battery: int, current_battery: int, battery_remaining: int, drop_rate_comm: int, errors_comm: int, errors_count1: int, errors_count2: int, errors_count3: int, errors_count4: int) -> MAVLink_sys_status_message:
+        """
+        The general system state
+
+        onboard_control_sensors_present        : Bitmap of the sensors that are present (type:uint32_t)
+        onboard_control_sensors_enabled        : Bitmap of the sensors that are enabled (type:uint32_t)
+        onboard_control_sensors_health        : Bitmap of the sensors that are healthy (type:uint32_t)
+        load                      : Used time of the main loop [d%] (type:uint16_t)
+        voltage_battery           : Battery voltage, UINT16_MAX: not sent by autopilot [mV] (type:uint16_t)
+        current_battery           : Battery current, -1: not sent by autopilot [cA] (type:int16_t)
+        battery_remaining         : Remaining battery energy, -1: not sent by autopilot [%] (type:int8_t)
+        drop_rate_comm            : Communication drop rate [c%] (type:uint16_t)
+        errors_comm               : Communication errors (type:uint16_t)
+        errors_count1             : Autopilot-specific errors (type:uint16_t)
+        errors_count2             : Autopilot-specific errors (type:uint16_t)
+        errors_count3             : Autopilot-specific errors (type:uint16_t)
+        errors_count4             : Autopilot-specific errors (type:uint16_t)
+
+        """
+        return MAVLink_sys_status_message(onboard_control_sensors_present, onboard_control_sensors_enabled, onboard_control_sensors_health, load, voltage_battery, current_battery, battery_remaining, drop_rate_comm, errors_comm, errors_count1, errors_count2, errors_count3, errors_count4)
+
+    def sys_status_send(self, onboard_control_sensors_present: int, onboard_control_sensors_enabled: int, onboard_control_sensors_health: int, load: int, voltage_battery: int, current_battery: int, battery_remaining: int, drop_rate_comm: int, errors_comm: int, errors_count1: int, errors_count2: int, errors_count3: int, errors_count4: int, force_mavlink1: bool = False) -> None:
+        """
+        The general system state
+
+        onboard_control_sensors_present        : Bitmap of the sensors that are present (type:uint32_t)
+        onboard_control_sensors_enabled        : Bitmap of the sensors that are enabled (type:uint32_t)
+        onboard_control_sensors_health        : Bitmap of the sensors that are healthy (type:uint32_t)
+        load                      : Used time of the main loop [d%] (type:uint16_t)
+        voltage_battery           : Battery voltage, UINT16_MAX: not sent by autopilot [mV] (type:uint16_t)
+        current_battery           : Battery current, -1: not sent by autopilot [cA] (type:int16_t)
+        battery_remaining         : Remaining battery energy, -1: not sent by autopilot [%] (type:int8_t)
+        drop_rate_comm            : Communication drop rate [c%] (type:uint16_t)
+        errors_comm               : Communication errors (type:uint16_t)
+        errors_count1             : Autopilot-specific errors (type:uint16_t)
+        errors_count2             : Autopilot-specific errors (type:uint16_t)
+        errors_count3             : Autopilot-specific errors (type:uint16_t)
+        errors_count4             : Autopilot-specific errors (type:uint16_t)
+
+        """
+        self.send(self.sys_status_encode(onboard_control_sensors_present, onboard_control_sensors_enabled, onboard_control_sensors_health, load, voltage_battery, current_battery, battery_remaining, drop_rate_comm, errors_comm, errors_count1, errors_count2, errors_count3, errors_count4), force_mavlink1=force_mavlink1)
+
     def system_time_encode(self, time_unix_usec: int, time_boot_ms: int) -> MAVLink_system_time_message:
         """
         The system time is the time of the sender's master clock
@@ -2125,6 +2269,44 @@ class MAVLink(object):
 
         """
         self.send(self.param_set_encode(target_system, target_component, param_id, param_value, param_type), force_mavlink1=force_mavlink1)
+
+    def scaled_imu_encode(self, time_boot_ms: int, xacc: int, yacc: int, zacc: int, xgyro: int, ygyro: int, zgyro: int, xmag: int, ymag: int, zmag: int, temperature: int = 0) -> MAVLink_scaled_imu_message:
+        """
+        The IMU readings in the body frame (FRD)
+
+        time_boot_ms              : Timestamp (time since system boot) [ms] (type:uint32_t)
+        xacc                      : X acceleration [mG] (type:int16_t)
+        yacc                      : Y acceleration [mG] (type:int16_t)
+        zacc                      : Z acceleration [mG] (type:int16_t)
+        xgyro                     : Angular speed around X axis [mrad/s] (type:int16_t)
+        ygyro                     : Angular speed around Y axis [mrad/s] (type:int16_t)
+        zgyro                     : Angular speed around Z axis [mrad/s] (type:int16_t)
+        xmag                      : X Magnetic field [mgauss] (type:int16_t)
+        ymag                      : Y Magnetic field [mgauss] (type:int16_t)
+        zmag                      : Z Magnetic field [mgauss] (type:int16_t)
+        temperature               : Temperature, 0: IMU does not provide temperature values [cdegC] (type:int16_t)
+
+        """
+        return MAVLink_scaled_imu_message(time_boot_ms, xacc, yacc, zacc, xgyro, ygyro, zgyro, xmag, ymag, zmag, temperature)
+
+    def scaled_imu_send(self, time_boot_ms: int, xacc: int, yacc: int, zacc: int, xgyro: int, ygyro: int, zgyro: int, xmag: int, ymag: int, zmag: int, temperature: int = 0, force_mavlink1: bool = False) -> None:
+        """
+        The IMU readings in the body frame (FRD)
+
+        time_boot_ms              : Timestamp (time since system boot) [ms] (type:uint32_t)
+        xacc                      : X acceleration [mG] (type:int16_t)
+        yacc                      : Y acceleration [mG] (type:int16_t)
+        zacc                      : Z acceleration [mG] (type:int16_t)
+        xgyro                     : Angular speed around X axis [mrad/s] (type:int16_t)
+        ygyro                     : Angular speed around Y axis [mrad/s] (type:int16_t)
+        zgyro                     : Angular speed around Z axis [mrad/s] (type:int16_t)
+        xmag                      : X Magnetic field [mgauss] (type:int16_t)
+        ymag                      : Y Magnetic field [mgauss] (type:int16_t)
+        zmag                      : Z Magnetic field [mgauss] (type:int16_t)
+        temperature               : Temperature, 0: IMU does not provide temperature values [cdegC] (type:int16_t)
+
+        """
+        self.send(self.scaled_imu_encode(time_boot_ms, xacc, yacc, zacc, xgyro, ygyro, zgyro, xmag, ymag, zmag, temperature), force_mavlink1=force_mavlink1)
 
     def scaled_pressure_encode(self, time_boot_ms: int, press_abs: float, press_diff: float, temperature: int, temperature_press_diff: int = 0) -> MAVLink_scaled_pressure_message:
         """

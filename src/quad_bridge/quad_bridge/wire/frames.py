@@ -227,14 +227,19 @@ class Battery:
 
 @dataclass(frozen=True)
 class SlowSensors:
-    """HIGHRES_IMU: magnetometer (gauss, FRD) and barometer (hPa); None where not updated."""
+    """HIGHRES_IMU, SCALED_IMU, SCALED_PRESSURE; None where not updated.
+
+    Magnetometer in gauss, FRD, barometer in hPa; boards of ours send nothing else in it.
+    """
 
     time_us: int
     mag_gauss: Vector3 | None = None
     pressure_hpa: float | None = None
     temperature_c: float = 0.0
-    has_inertial: bool = False
-    """True where the sender also filled gyro or accelerometer (a standard controller)."""
+    gyro: Vector3 | None = None
+    """rad/s, FRD; only other autopilots fill it."""
+    accel: Vector3 | None = None
+    """m/s², FRD; only other autopilots fill it."""
 
 
 @dataclass(frozen=True)
@@ -266,6 +271,25 @@ class StatusText:
 
 
 @dataclass(frozen=True)
+class Attitude:
+    """ATTITUDE of another autopilot: roll, pitch, yaw, rad, FRD relative to NED; rates, rad/s."""
+
+    time_ms: int
+    angles: Vector3
+    rates: Vector3
+
+
+@dataclass(frozen=True)
+class Outputs:
+    """SERVO_OUTPUT_RAW of another autopilot: the first four pulses of a port, µs."""
+
+    time_us: int
+    """32 bits: wraps after 71.6 minutes."""
+    port: int
+    pulses: tuple[int, int, int, int]
+
+
+@dataclass(frozen=True)
 class Standard:
     """A standard message that the suite knows by name but does not use yet."""
 
@@ -291,5 +315,7 @@ Frame = (
     | Command
     | CommandAck
     | StatusText
+    | Attitude
+    | Outputs
     | Standard
 )

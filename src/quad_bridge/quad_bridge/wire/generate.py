@@ -1,4 +1,4 @@
-"""Writes dialect.py from quad_suite.xml with pymavlink's mavgen.
+"""Writes dialect.py from quad_suite.xml with pymavlink's mavgen, and other_messages.py.
 
 `python src/quad_bridge/quad_bridge/wire/generate.py`, run by developers after a change of the XML
 (as a file: the package imports what it writes); a test holds the committed file against the XML.
@@ -12,11 +12,21 @@ import io
 import tempfile
 from pathlib import Path
 from types import SimpleNamespace
+from xml.etree import ElementTree as ET
 
+from pymavlink.dialects.v20 import ardupilotmega
 from pymavlink.generator import mavgen
 
 XML = Path(__file__).with_name('quad_suite.xml')
 DIALECT = Path(__file__).with_name('dialect.py')
+OTHERS = Path(__file__).with_name('other_messages.py')
+_HEAD = '''"""Standard messages without a use here: id, name, CRC_EXTRA. Written by generate.py.
+
+With these their checksums can be verified, so that nothing inside them is taken for a frame.
+"""
+
+OTHER_MESSAGES: dict[int, tuple[str, int]] = {
+'''
 
 
 def dialect_source(xml: Path = XML) -> str:
@@ -37,5 +47,19 @@ def dialect_source(xml: Path = XML) -> str:
     return '\n'.join(line.rstrip() for line in text.splitlines()) + '\n'
 
 
+def others_source() -> str:
+    """Source text of the table: what ArduPilot's dialect (common's superset) has beside ours."""
+    root = ET.parse(XML).getroot()  # noqa: S314  (our own file)
+    own = root.iterfind('messages/message')
+    taken = {int(message.get('id', '-1')) for message in own}
+    lines = [
+        f"    {number}: ('{message.msgname}', {message.crc_extra}),\n"
+        for number, message in sorted(ardupilotmega.mavlink_map.items())
+        if number >= 0 and number not in taken
+    ]
+    return _HEAD + ''.join(lines) + '}\n'
+
+
 if __name__ == '__main__':
     DIALECT.write_text(dialect_source(), encoding='utf-8')
+    OTHERS.write_text(others_source(), encoding='utf-8')

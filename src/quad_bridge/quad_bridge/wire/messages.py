@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 from quad_bridge.wire import dialect as d
 from quad_bridge.wire.frames import (
+    Attitude,
     Battery,
     Command,
     CommandAck,
@@ -17,40 +19,68 @@ from quad_bridge.wire.frames import (
     GainsCommand,
     GainsState,
     Heartbeat,
+    Outputs,
     ParamRequestList,
     ParamRequestRead,
     ParamSet,
     ParamValue,
     RcChannels,
     SlowSensors,
-    Standard,
     StatusText,
     TimeSync,
+    Vector3,
 )
+from quad_bridge.wire.framing import Packet
 
 REAL32 = 9
 """MAV_PARAM_TYPE_REAL32."""
 _ARMED = 128
-_INERTIAL, _MAG, _PRESSURE = 0x3F, 0x1C0, 0x200
+_ACCEL, _GYRO, _MAG, _PRESSURE = 0x07, 0x38, 0x1C0, 0x200
+GRAVITY = 9.80665
 _NO_VOLTAGE = 0xFFFF
 
 
-def _cycle(m: Any) -> Cycle:
+_CYCLE = d.MAVLink_quad_cycle_message.unpacker
+_LAYOUT: dict[int, tuple[Any, int, tuple[tuple[str, int, int], ...]]] = {}
+
+
+def cycle(payload: bytes) -> Cycle:
+    """QUAD_CYCLE straight from its payload: it comes in every cycle."""
+    v = _CYCLE.unpack(payload[: _CYCLE.size].ljust(_CYCLE.size, b'\0'))
     return Cycle(
-        m.time_usec,
-        m.cycle,
-        tuple(m.gyro),
-        tuple(m.accel),
-        tuple(m.attitude),
-        tuple(m.attitude_setpoint),
-        tuple(m.rate_setpoint),
-        tuple(m.control),
-        tuple(m.excitation),
-        tuple(m.motors),
-        m.flags,
-        m.excitation_seq,
-        m.injection,
+        v[0], v[1], v[2:5], v[5:8], v[8:11], v[11:14], v[14:17], v[17:21], v[21:24], v[24:28],
+        v[28], v[29], v[30],
+    )  # fmt: skip
+
+
+def unpacked(packet: Packet) -> Any:
+    """The fields of a message of the dialect by name; texts end at their first NUL.
+
+    Zeros that were cut off at the end are put back, unknown extensions are left out.
+    """
+    layout = _LAYOUT.get(packet.message)
+    if layout is None:
+        layout = _LAYOUT[packet.message] = _layout(d.mavlink_map[packet.message])
+    unpacker, size, places = layout
+    values = unpacker.unpack(packet.payload[:size].ljust(size, b'\0'))
+    fields = SimpleNamespace(
+        sender_system=packet.system, sender_component=packet.component, payload=packet.payload
     )
+    for name, first, length in places:
+        value = values[first] if length == 1 else values[first : first + length]
+        if isinstance(value, bytes):
+            value = value.split(b'\0', 1)[0].decode('ascii', 'replace')
+        setattr(fields, name, value)
+    return fields
+
+
+def _layout(kind: Any) -> tuple[Any, int, tuple[tuple[str, int, int], ...]]:
+    """Unpacker, bytes, and where each field begins among the unpacked values, and how many."""
+    places, first = [], 0
+    for name, length in zip(kind.ordered_fieldnames, kind.lengths, strict=True):
+        places.append((name, first, length))
+        first += length
+    return kind.unpacker, kind.unpacker.size, tuple(places)
 
 
 def _heartbeat(m: Any) -> Heartbeat:
@@ -60,8 +90,8 @@ def _heartbeat(m: Any) -> Heartbeat:
         armed=bool(m.base_mode & _ARMED),
         system_status=m.system_status,
         custom_mode=m.custom_mode,
-        system=m.get_srcSystem(),
-        component=m.get_srcComponent(),
+        system=m.sender_system,
+        component=m.sender_component,
     )
 
 
@@ -87,7 +117,8 @@ def _slow_sensors(m: Any) -> SlowSensors:
         mag_gauss=(m.xmag, m.ymag, m.zmag) if updated & _MAG == _MAG else None,
         pressure_hpa=m.abs_pressure if updated & _PRESSURE else None,
         temperature_c=m.temperature,
-        has_inertial=bool(updated & _INERTIAL),
+        gyro=(m.xgyro, m.ygyro, m.zgyro) if updated & _GYRO == _GYRO else None,
+        accel=(m.xacc, m.yacc, m.zacc) if updated & _ACCEL == _ACCEL else None,
     )
 
 
@@ -96,13 +127,44 @@ def _command(m: Any) -> Command:
     return Command(m.command, values, m.confirmation, m.target_system, m.target_component)
 
 
-def standard(m: Any) -> Standard:
-    """A standard message that has no frame of its own."""
-    return Standard(m.get_type(), m.get_srcSystem(), m.get_srcComponent())
+def _text(m: Any) -> StatusText:
+    return StatusText(m.severity, ''.join(c if c.isprintable() else '?' for c in m.text))
+
+
+def _attitude(m: Any) -> Attitude:
+    angles, rates = (m.roll, m.pitch, m.yaw), (m.rollspeed, m.pitchspeed, m.yawspeed)
+    return Attitude(m.time_boot_ms, angles, rates)
+
+
+def _scaled_imu(m: Any) -> SlowSensors:
+    mag = (m.xmag, m.ymag, m.zmag)
+    return SlowSensors(
+        time_us=1000 * m.time_boot_ms,
+        mag_gauss=_scaled(mag, 1e-3) if any(mag) else None,
+        gyro=_scaled((m.xgyro, m.ygyro, m.zgyro), 1e-3),
+        accel=_scaled((m.xacc, m.yacc, m.zacc), 1e-3 * GRAVITY),
+    )
+
+
+def _scaled(values: tuple[int, int, int], unit: float) -> Vector3:
+    x, y, z = values
+    return (x * unit, y * unit, z * unit)
+
+
+def _outputs(m: Any) -> Outputs:
+    return Outputs(m.time_usec, m.port, (m.servo1_raw, m.servo2_raw, m.servo3_raw, m.servo4_raw))
+
+
+def _system_status(m: Any) -> Battery:
+    return Battery(
+        math.nan if m.voltage_battery == _NO_VOLTAGE else m.voltage_battery / 1000.0,
+        m.current_battery / 100.0 if m.current_battery >= 0 else math.nan,
+        m.battery_remaining / 100.0 if m.battery_remaining >= 0 else math.nan,
+    )
 
 
 FROM_MESSAGE: dict[int, Callable[[Any], Frame]] = {
-    d.MAVLINK_MSG_ID_QUAD_CYCLE: _cycle,
+    d.MAVLINK_MSG_ID_QUAD_CYCLE: lambda m: cycle(m.payload),
     d.MAVLINK_MSG_ID_QUAD_EXCITATION: lambda m: Excitation(
         tuple(m.value), m.injection, m.seq, m.valid_ms, m.target_system, m.target_component
     ),
@@ -131,9 +193,20 @@ FROM_MESSAGE: dict[int, Callable[[Any], Frame]] = {
     d.MAVLINK_MSG_ID_HIGHRES_IMU: _slow_sensors,
     d.MAVLINK_MSG_ID_COMMAND_LONG: _command,
     d.MAVLINK_MSG_ID_COMMAND_ACK: lambda m: CommandAck(m.command, m.result),
-    d.MAVLINK_MSG_ID_STATUSTEXT: lambda m: StatusText(m.severity, m.text),
+    d.MAVLINK_MSG_ID_STATUSTEXT: _text,
 }
-"""Message id to the frame's constructor; ids of the dialect that are missing are `Standard`."""
+"""Message id to the frame's constructor: what the suite's own firmware and the bridge speak."""
+
+FROM_AUTOPILOT: dict[int, Callable[[Any], Frame]] = {
+    d.MAVLINK_MSG_ID_ATTITUDE: _attitude,
+    d.MAVLINK_MSG_ID_SCALED_IMU: _scaled_imu,
+    d.MAVLINK_MSG_ID_SCALED_PRESSURE: lambda m: SlowSensors(
+        1000 * m.time_boot_ms, pressure_hpa=m.press_abs, temperature_c=0.01 * m.temperature
+    ),
+    d.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: _outputs,
+    d.MAVLINK_MSG_ID_SYS_STATUS: _system_status,
+}
+"""The same for what other autopilots send beside; ids in neither table are `Standard`."""
 
 
 def _to_cycle(f: Cycle) -> Any:
@@ -177,14 +250,18 @@ def _to_battery(f: Battery) -> Any:
 
 def _to_slow_sensors(f: SlowSensors) -> Any:
     updated = 0
-    mag, pressure = (0.0, 0.0, 0.0), 0.0
+    mag = gyro = accel = (0.0, 0.0, 0.0)
+    pressure = 0.0
     if f.mag_gauss is not None:
         mag, updated = f.mag_gauss, updated | _MAG
     if f.pressure_hpa is not None:
         pressure, updated = f.pressure_hpa, updated | _PRESSURE
-    still = (0.0,) * 6
+    if f.gyro is not None:
+        gyro, updated = f.gyro, updated | _GYRO
+    if f.accel is not None:
+        accel, updated = f.accel, updated | _ACCEL
     return d.MAVLink_highres_imu_message(
-        f.time_us, *still, *mag, pressure, 0.0, 0.0, f.temperature_c, updated
+        f.time_us, *accel, *gyro, *mag, pressure, 0.0, 0.0, f.temperature_c, updated
     )
 
 

@@ -1,0 +1,130 @@
+"""Bytes to checked MAVLink 2 packets: marker, length, flags, checksum. No payload is read here.
+
+Rule: what is handed out depends on the bytes alone, never on how they were split. A packet whose
+checksum cannot be verified or is wrong loses its marker only; good ones may lie inside it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from fastcrc.crc16 import mcrf4xx
+
+MARKER = 0xFD
+OLD_MARKER = 0xFE
+HEADER, CHECKSUM, SIGNATURE = 10, 2, 13
+SIGNED = 0x01
+_OLD_HEADER = 6
+_SENDERS = 16
+"""Senders whose sequence numbers are remembered."""
+
+
+class Packet(NamedTuple):
+    """One packet with a good checksum."""
+
+    message: int
+    """Its 24-bit id."""
+    system: int
+    component: int
+    payload: bytes
+    """As sent: zeros at the end may be missing."""
+    whole: bytes
+    """Marker to checksum or signature."""
+
+
+class Framer:
+    """Finds packets; keeps what is incomplete. `extras` has the CRC_EXTRA of all known ids."""
+
+    def __init__(self, extras: Mapping[int, int]) -> None:
+        self.bad_crc = 0
+        """False starts: wrong checksum or incompatible flags, those inside another left out."""
+        self.garbage = 0
+        """Bytes of no packet."""
+        self.unknown = 0
+        """Packets of unknown ids: no checksum can be verified."""
+        self.old_version = 0
+        """MAVLink 1 packets with a good checksum among the garbage."""
+        self._extras = extras
+        self._pending = bytearray()
+        self._suspect = 0
+        """Up to here in `_pending` a false start has been counted already."""
+        self._expected: dict[tuple[int, int], int] = {}
+
+    def clear(self) -> None:
+        """Forget what is incomplete; counts stay."""
+        self._pending.clear()
+        self._expected.clear()
+        self._suspect = 0
+
+    def feed(self, data: bytes) -> list[Packet]:
+        """Packets completed by `data`. Never raises."""
+        pending = self._pending
+        pending += data
+        found: list[Packet] = []
+        at, end = 0, len(pending)
+        while True:
+            start = pending.find(MARKER, at)
+            if start != at:
+                stop = end if start < 0 else start
+                self._waste(at, stop)
+                at = stop
+            if end - at < 3:
+                break
+            flags = pending[at + 2]
+            size = HEADER + pending[at + 1] + CHECKSUM + (SIGNATURE if flags & SIGNED else 0)
+            if flags & ~SIGNED:
+                at = self._false_start(at, size, known=True)
+            elif end - at < size:
+                break
+            else:
+                at = self._packet(at, size, flags, found)
+        del pending[:at]
+        self._suspect = max(0, self._suspect - at)
+        return found
+
+    def _packet(self, at: int, size: int, flags: int, found: list[Packet]) -> int:
+        """Take the candidate at `at`; where to look on."""
+        whole = bytes(self._pending[at : at + size])
+        message = whole[7] | whole[8] << 8 | whole[9] << 16
+        sender = (whole[5], whole[6])
+        extra = self._extras.get(message)
+        if extra is None:
+            if self._expected.get(sender) != whole[4]:
+                return self._false_start(at, size, known=False)
+            self.unknown += 1  # in sequence: a true message of which only the sender knows
+        else:
+            last = size - (CHECKSUM + SIGNATURE if flags else CHECKSUM)
+            crc = mcrf4xx(whole[1:last] + bytes((extra,)))
+            if crc != whole[last] | whole[last + 1] << 8:
+                return self._false_start(at, size, known=True)
+            found.append(Packet(message, *sender, whole[HEADER:last], whole))
+        if sender in self._expected or len(self._expected) < _SENDERS:
+            self._expected[sender] = (whole[4] + 1) % 256
+        return at + size
+
+    def _false_start(self, at: int, size: int, *, known: bool) -> int:
+        if at >= self._suspect:
+            self.bad_crc += known
+            self.unknown += not known
+        self._suspect = max(self._suspect, at + size)
+        self.garbage += 1
+        return at + 1
+
+    def _waste(self, begin: int, end: int) -> None:
+        """Count garbage; say how much of it is the protocol's first version."""
+        self.garbage += end - begin
+        pending, extras = self._pending, self._extras
+        at = pending.find(OLD_MARKER, begin, end)
+        while at >= 0 and at + _OLD_HEADER + CHECKSUM <= end:
+            last = at + _OLD_HEADER + pending[at + 1]
+            extra = extras.get(pending[at + 5])
+            if (
+                extra is not None
+                and last + CHECKSUM <= end
+                and mcrf4xx(bytes(pending[at + 1 : last]) + bytes((extra,)))
+                == pending[last] | pending[last + 1] << 8
+            ):
+                self.old_version += 1
+                at = last + CHECKSUM - 1
+            at = pending.find(OLD_MARKER, at + 1, end)

@@ -1,0 +1,75 @@
+"""Whether a frame can be what was sent: one damaged frame in 65,536 has a good checksum after all.
+
+The bounds are far outside of what a quadrotor does; what is merely unlikely passes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+from quad_bridge.wire.frames import (
+    Attitude,
+    Cycle,
+    Excitation,
+    Frame,
+    GainsAction,
+    GainsCommand,
+    GainsPhase,
+    GainsResult,
+    GainsState,
+    Injection,
+    ParamValue,
+    SlowSensors,
+)
+
+LARGEST = 1000.0
+"""No value of a cycle is larger, in rad, rad/s, m/s² or normalised command."""
+LARGEST_ANGLE = 6.3
+LARGEST_FLAGS = 0x0FFF
+_ABOVE_ONE = 1.001
+
+
+def plausible(frame: Frame) -> bool:
+    """False for values that are no numbers, out of all bounds, or of no known meaning."""
+    check = _CHECKS.get(type(frame))
+    return check is None or check(frame)
+
+
+def _cycle(frame: Cycle) -> bool:
+    angles = frame.attitude + frame.attitude_setpoint
+    return (
+        _bounded(frame.gyro + frame.accel + frame.rate_setpoint + frame.control + frame.excitation)
+        and _bounded(angles + frame.motors)
+        and max(angles) < LARGEST_ANGLE
+        and min(angles) > -LARGEST_ANGLE
+        and min(frame.motors) >= 0.0
+        and max(frame.motors) < _ABOVE_ONE
+        and frame.flags <= LARGEST_FLAGS
+        and frame.injection <= Injection.CONTROL
+    )
+
+
+def _bounded(values: tuple[float, ...]) -> bool:
+    # the sum finds NaN, which the comparisons would let pass
+    return math.isfinite(sum(values)) and max(values) < LARGEST and min(values) > -LARGEST
+
+
+def _sensors(frame: SlowSensors) -> bool:
+    return all(_bounded(v) for v in (frame.gyro, frame.accel, frame.mag_gauss) if v is not None)
+
+
+_CHECKS: dict[type, Callable[[Any], bool]] = {
+    Cycle: _cycle,
+    GainsState: lambda f: (
+        f.action <= max(GainsAction)
+        and f.result <= max(GainsResult)
+        and f.phase <= max(GainsPhase)
+    ),
+    GainsCommand: lambda f: f.action <= max(GainsAction),
+    ParamValue: lambda f: math.isfinite(f.value),
+    Excitation: lambda f: _bounded(f.value) and f.injection <= max(Injection),
+    Attitude: lambda f: _bounded(f.angles + f.rates),
+    SlowSensors: _sensors,
+}
