@@ -15,6 +15,7 @@ from quad_bridge.gain_gate import (
     numbers,
     steps,
 )
+from quad_bridge.wire.gain_names import AXES
 
 BOUNDS = {'roll.angle.kp': Bound(0.3, 15.0), 'roll.rate.ki': Bound(0.0, 2.0, small_step=0.004)}
 ACTIVE = {'roll.angle.kp': 3.0, 'roll.rate.ki': 0.0, 'yaw.rate.kp': 0.2}
@@ -40,13 +41,28 @@ def test_a_larger_change_goes_in_steps_by_itself():
 def test_no_step_leaves_factor_two_or_the_small_step(name, a, b):
     bound = DEFAULT_BOUNDS[name]
     now, wanted = (bound.lower + x * (bound.upper - bound.lower) for x in (a, b))
-    for step in steps({name: wanted}, {name: now}, DEFAULT_BOUNDS):
+    model = {f'{axis}.lqr.gain': 100.0 for axis in AXES}
+    for step in steps({name: wanted}, {**model, name: now}, DEFAULT_BOUNDS):
         value = step[name]
         small = abs(value - now) <= bound.small_step * (1 + 1e-9)
         assert small or max(value / now, now / value) <= 2.0
         assert bound.lower <= value <= bound.upper
         now = value
     assert now == pytest.approx(wanted, rel=1e-6, abs=1e-30)
+
+
+def test_a_state_feedback_comes_in_by_quarters_and_its_gains_move_freely_only_before():
+    off = {'roll.lqr.share': 0.0, 'roll.lqr.k_angle': 0.0, 'roll.lqr.gain': 0.0}
+    wanted = {'roll.lqr.share': 1.0, 'roll.lqr.k_angle': 0.4, 'roll.lqr.gain': 450.0}
+    path = steps(wanted, off, DEFAULT_BOUNDS)
+    assert [p['roll.lqr.share'] for p in path] == pytest.approx([0.25, 0.5, 1.0, 1.0], rel=1e-3)
+    assert all(p['roll.lqr.k_angle'] == 0.4 for p in path)
+    path = steps({'roll.lqr.k_angle': 0.9}, wanted, DEFAULT_BOUNDS)
+    assert [p['roll.lqr.k_angle'] for p in path] == pytest.approx([0.8, 0.9], rel=1e-3)
+    with pytest.raises(RefusedError, match=r'has no model as long as roll\.lqr\.gain is 0'):
+        steps({'roll.lqr.share': 0.25}, off, DEFAULT_BOUNDS)
+    with pytest.raises(RefusedError, match='must lie in'):
+        steps({'roll.lqr.share': 1.5}, wanted, DEFAULT_BOUNDS)
 
 
 def test_the_integral_gain_of_the_paper_cannot_jump_at_once():

@@ -63,7 +63,7 @@ def test_the_way_back_leads_to_the_last_good_set_that_differs(folder):
 
 
 def test_without_ros_the_rollback_says_what_to_send(folder, capsys, monkeypatch):
-    monkeypatch.delitem(sys.modules, 'quad_tuning.history.rollback_node', raising=False)
+    monkeypatch.delitem(sys.modules, 'quad_tuning.history.update_node', raising=False)
     monkeypatch.setitem(sys.modules, 'rclpy', None)
     for more in ([], ['--print']):
         assert main(['rollback', '--folder', str(folder), *more]) == 0

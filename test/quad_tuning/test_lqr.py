@@ -8,10 +8,12 @@ import pytest
 from quad_sysid.loop.from_model import loop_plant
 from quad_sysid.loop.plant import state_space
 from quad_tuning import ensemble as ensembles
+from quad_tuning.admission import flown_gains
 from quad_tuning.errors import DesignRefusedError
-from quad_tuning.lqr import Noise, Weights, design_lqr, simulate_lqr, stable
+from quad_tuning.lqr import Noise, Weights, design_lqr, way_is_safe
 from quad_tuning.lqr_proposal import propose_lqr
 from quad_tuning.pid import Requirements
+from quad_tuning.state_feedback import beside, controller_response, simulate, stable
 
 
 def loops_of(m, seed=3):
@@ -25,40 +27,43 @@ def test_margins_hold_over_fresh_draws(model, values):
     assert found.figures['worst_phase_margin_deg'] >= 45.0
     assert found.figures['worst_gain_margin_db'] >= 8.0
     assert found.figures['worst_peak_sensitivity'] <= 1.8
-    assert stable(found.controller, loops_of(m, 77))
+    assert stable(found.controller.dynamics(), loops_of(m, 77).cycle)
     # eight times the gain is beyond any gain margin that was found
-    assert not stable(found.controller, loops_of(model(**{**values, 'gain': 8 * 450.0})))
+    strong = loops_of(model(**{**values, 'gain': 8 * 450.0}))
+    assert not stable(found.controller.dynamics(), strong.cycle)
 
 
 def test_feedback_solves_the_riccati_equation_and_beats_its_neighbours(model):
-    """Cost of the state feedback from a 0.1 rad offset: no perturbed gain does better."""
-    m = model()
-    d = design_lqr(loop_plant(m), loops_of(m), 0.3)
-    c, w, f = d.controller, Weights(), d.control_weight
-    n = c.a.shape[0]
-    a = np.zeros((n + 1, n + 1))
-    a[:n, :n], a[n, :n], a[n, n] = c.a, -c.dt * c.c[1], 1.0
-    b = np.append(c.b[:, 0], 0.0)
+    """Cost of the feedback from a 0.1 rad offset, the delay included: no perturbed gain is better.
 
-    def cost(gain):
-        x = np.zeros(n + 1)
-        x[2] = x[4] = 0.1
-        total = 0.0
+    The delay only shifts the states that count, so the predicted ones are weighted.
+    """
+    d = design_lqr(loop_plant(model()), loops_of(model()), 0.3)
+    w, f = Weights(), d.control_weight
+
+    def cost(controller):
+        own, error, rate, sums = np.zeros(controller.size), -0.1, 0.0, np.zeros(4)
+        commands, drive = [0.0] * controller.late, 0.0
         for _ in range(4000):
-            u = -gain @ x
-            total += (
-                np.sqrt(f) * x[1] ** 2 / w.rate_rad_s**2
-                + x[2] ** 2 / w.angle_rad**2
-                + x[n] ** 2 / np.sqrt(f) / w.integral_rad_s**2
-                + f * u**2 / w.control**2
-            )
-            x = a @ x + b * u
-        return total
+            u, own = controller.command(own, rate, error)
+            own = controller.moved(own, error, u)
+            commands.append(u)
+            acting = commands[-1 - controller.late]
+            if len(commands) > 2 * controller.late:  # before, no command has come through
+                sums += (rate**2, error**2, (own[2]) ** 2, acting**2)
+            following, after = controller._moved(drive, rate, acting)
+            error -= 0.5 * controller.dt * (rate + after)
+            drive, rate = following, after
+        return (
+            np.sqrt(f) * sums[0] / w.rate_rad_s**2 + sums[1] / w.angle_rad**2
+            + sums[2] / np.sqrt(f) / w.integral_rad_s**2 + f * sums[3] / w.control**2
+        )
 
-    best = np.append(c.feedback, c.integral_gain)
-    rng = np.random.default_rng(2)
-    for _ in range(12):
-        assert cost(best * (1 + rng.normal(0, 0.1, n + 1))) > cost(best)
+    names = ('k_angle', 'k_rate', 'k_drive', 'k_integral')
+    best, rng = cost(d.controller), np.random.default_rng(2)
+    for _ in range(10):
+        other = {n: getattr(d.controller, n) * (1 + rng.normal(0, 0.1)) for n in names}
+        assert cost(dataclasses.replace(d.controller, **other)) > 0.999 * best
 
 
 def test_integral_action_removes_a_standing_torque(model):
@@ -69,7 +74,7 @@ def test_integral_action_removes_a_standing_torque(model):
     exact = state_space(plant)
     # a constant torque acts like a constant command behind the plant's gain
     weaker = dataclasses.replace(exact, b=exact.b * 0.8)
-    angle = simulate_lqr(weaker, d.controller, np.full(6000, 0.2))
+    angle, _ = simulate(weaker, d.controller, np.full(6000, 0.2))
     assert angle[-1] == pytest.approx(0.2, rel=2e-3)
 
 
@@ -78,17 +83,10 @@ def test_figures_of_a_torque_step_and_of_noise(model):
     m = model()
     found = propose_lqr(m)
     assert found.figures['disturbance_rms_rad'] < found.figures['disturbance_rms_rad_before']
-    c, plant = found.controller, state_space(loop_plant(m))
-    rng = np.random.default_rng(4)
-    x, guess, total, controls = np.zeros(c.a.shape[0]), np.zeros(c.a.shape[0]), 0.0, []
-    for noise in 0.01 * rng.standard_normal(20_000):
-        y = plant.c @ x + (noise, 0.0)
-        guess = guess + c.observer @ (y - c.c @ guess)
-        u = -float(c.feedback @ guess) - c.integral_gain * total
-        total -= c.dt * y[1]
-        guess = c.a @ guess + c.b[:, 0] * u
-        x = plant.a @ x + plant.b[:, 0] * u
-        controls.append(u)
+    noise = 0.01 * np.random.default_rng(4).standard_normal(20_000)
+    _, controls = simulate(
+        state_space(loop_plant(m)), found.controller, np.zeros(noise.size), noise=noise
+    )
     assert found.figures['motor_noise_rms'] == pytest.approx(np.std(controls), rel=0.08)
 
 
@@ -100,16 +98,25 @@ def test_the_loop_is_the_one_the_time_simulation_runs(model):
     assert 0.1 < d.square.rise_time_s < 0.6
     a, b, c, dd = d.controller.dynamics()
     y = np.random.default_rng(1).normal(size=(50, 2)) * 1e-3
-    x = np.zeros(a.shape[0])
-    guess, total = np.zeros(d.controller.a.shape[0]), 0.0
-    for row in y:
-        want = (c @ x + dd @ row)[0]
-        guess = guess + d.controller.observer @ (row - d.controller.c @ guess)
-        u = -d.controller.feedback @ guess - d.controller.integral_gain * total
+    x, own = np.zeros(a.shape[0]), np.zeros(d.controller.size)
+    for rate, angle in y:
+        want = (c @ x + dd @ (rate, angle))[0]
+        u, own = d.controller.command(own, rate, -angle)
         assert u == pytest.approx(want, abs=1e-12)
-        total -= d.controller.dt * row[1]
-        guess = d.controller.a @ guess + d.controller.b[:, 0] * u
-        x = a @ x + b @ row
+        own = d.controller.moved(own, -angle, u)
+        x = a @ x + b @ (rate, angle)
+
+
+def test_shares_of_it_beside_the_cascade_are_safe_and_the_whole_is_itself(model):
+    """On the way in a quarter and half fly beside the cascade; all of it must be the feedback."""
+    m = model()
+    d, loops, active = design_lqr(loop_plant(m), loops_of(m), 0.3), loops_of(m), flown_gains(m)
+    assert way_is_safe(d.controller, active, loops)
+    whole = controller_response(beside(d.controller, active, 1.0), loops.omega, m.dt)
+    own = controller_response(d.controller.dynamics(), loops.omega, m.dt)
+    np.testing.assert_allclose(whole, own, rtol=1e-9)
+    shaky = dataclasses.replace(active, rate_kp=6.0 * active.rate_kp)
+    assert not stable(beside(d.controller, shaky, 0.25), loops.cycle)
 
 
 def test_what_cannot_be_is_refused(model):

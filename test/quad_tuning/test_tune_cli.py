@@ -75,9 +75,10 @@ def test_brysons_weights_are_options(stored, capsys):
 def test_lqr_by_the_ros_name_of_the_command(stored, capsys):
     assert design_main([str(stored), '--method', 'lqr', '--axis', 'roll', '--json']) == 0
     answer = json.loads(capsys.readouterr().out)['axes']['roll']
-    n = len(answer['controller']['feedback'])
-    assert len(answer['controller']['a']) == n
-    assert len(answer['controller']['observer']) == n
+    assert answer['gains']['roll.lqr.share'] == 1.0
+    assert len(answer['gains']) == 10
+    assert main(['design', str(stored), '--method', 'lqr', '--axis', 'roll']) == 0
+    assert 'roll.lqr.k_angle' in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

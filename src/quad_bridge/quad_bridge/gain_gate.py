@@ -42,6 +42,17 @@ _PER_AXIS = {
     'rate.ki': Bound(0.0, 1.0, small_step=0.004),
     'rate.kd': Bound(0.0, 0.05, small_step=0.0005),
     'rate.d_filter_hz': Bound(5.0, 100.0),
+    # 0, a quarter, half, the whole: each with its watch
+    'lqr.share': Bound(0.0, 1.0, small_step=0.25),
+    'lqr.k_angle': Bound(0.005, 3.0),
+    'lqr.k_rate': Bound(0.005, 0.5),
+    'lqr.k_drive': Bound(0.0, 0.05, small_step=0.0005),
+    'lqr.k_integral': Bound(0.0, 5.0, small_step=0.01),
+    'lqr.gain': Bound(5.0, 5000.0),
+    'lqr.lag_s': Bound(0.001, 0.3),
+    'lqr.delay_s': Bound(0.0, 0.06, small_step=0.002),
+    'lqr.damping': Bound(-5.0, 20.0, small_step=2.0),
+    'lqr.observer': Bound(0.005, 1.0),
 }
 DEFAULT_BOUNDS: Mapping[str, Bound] = {
     **{f'{axis}.{name}': bound for axis in AXES for name, bound in _PER_AXIS.items()},
@@ -72,20 +83,40 @@ def steps(
 ) -> list[dict[str, float]]:
     """The sets (contract names, SI) that lead from `active` to `wanted`, one after the other.
 
-    In each step each gain goes as far as it may; the last one is `wanted`. Raises RefusedError
-    with the first fault; nothing is let through in part.
+    In each step each gain goes as far as it may; the last one is `wanted`. What has no effect as
+    yet, a state feedback without a share, is set whole. Raises RefusedError with the first fault;
+    nothing is let through in part.
     """
     if not wanted:
         raise RefusedError('no gain in changed_parameters')
     for name, value in wanted.items():
         _check_one(name, value, active, bounds)
+    _check_feedback(wanted, active)
     path, now = list[dict[str, float]](), {name: active[name] for name in wanted}
+    now.update({name: value for name, value in wanted.items() if _idle(name, active)})
     while any(float32(now[name]) != float32(value) for name, value in wanted.items()):
         if len(path) == MOST_STEPS:
             raise RefusedError(f'more than {MOST_STEPS} steps away; send what lies between first')
         now = {name: _towards(now[name], value, bounds[name]) for name, value in wanted.items()}
         path.append(now)
     return path or [dict(wanted)]
+
+
+def _idle(name: str, active: Mapping[str, float]) -> bool:
+    """Whether a gain of the state feedback has no share in what is flown."""
+    axis, _, rest = name.partition('.')
+    without = active.get(f'{axis}.lqr.share', 1.0) == 0.0
+    return without and rest.startswith('lqr.') and rest != 'lqr.share'
+
+
+def _check_feedback(wanted: Mapping[str, float], active: Mapping[str, float]) -> None:
+    gains = {**active, **wanted}
+    for axis in AXES:
+        if wanted.get(f'{axis}.lqr.share', 0.0) > 0.0 and not gains.get(f'{axis}.lqr.gain'):
+            raise RefusedError(
+                f'{axis}.lqr.share: the state feedback has no model as long as {axis}.lqr.gain '
+                'is 0; send the whole set that quad-tune design --method lqr gives'
+            )
 
 
 def _towards(now: float, wanted: float, bound: Bound) -> float:
@@ -116,7 +147,7 @@ def _check_one(
     if now is None:
         raise RefusedError(f'{name}: the STM32 has not reported it yet')
     slack = 1e-6 * max(abs(bound.lower), abs(bound.upper))
-    if not bound.lower - slack <= now <= bound.upper + slack:
+    if not _idle(name, active) and not bound.lower - slack <= now <= bound.upper + slack:
         raise RefusedError(
             f'{name}: its active value {now:g} lies outside {bound.lower:g} .. {bound.upper:g}; '
             'bring it there by hand'

@@ -130,12 +130,20 @@ class Record:
         return start, min(self.n, round(segment.end_s / self.dt))
 
     def gains_at(self, time_s: float) -> Mapping[str, float]:
-        """The gains in force at `time_s`; empty where the bag does not say."""
+        """The gains in force at `time_s`; empty where the bag does not say.
+
+        Without the cascade's of an axis that another controller flew (`<axis>.lqr.share`): to the
+        analysis, which knows the cascade alone, that axis' loop is unknown.
+        """
         known: dict[str, float] = {}
         for change in self.gains:
             if change.time_s <= time_s or not known:
                 known.update(change.values)
-        return known
+        other = {axis for axis in AXES if known.get(f'{axis}.lqr.share', 0.0) > 0.0}
+        return {
+            name: value for name, value in known.items()
+            if name.partition('.')[0] not in other or name.split('.')[1] not in {'angle', 'rate'}
+        }
 
 
 def finite_runs(good: np.ndarray, span: tuple[int, int]) -> list[tuple[int, int]]:

@@ -67,6 +67,11 @@ def flown_gains(model: AxisModel) -> CascadeGains:
     """The gains of the flight; refused where the bag does not say, or they are out of bounds."""
     names = [f'{model.axis}.{CONTRACT_NAMES[field]}' for field in TUNED]
     missing = [name for name in names if name not in model.active_gains]
+    if model.active_gains.get(f'{model.axis}.lqr.share', 0.0) > 0.0:
+        raise DesignRefusedError(
+            f'{model.axis}: the flight was flown by state feedback ({model.axis}.lqr.share is not '
+            '0); a design starts from the cascade: set the share to 0 and fly again'
+        )
     if missing:
         raise DesignRefusedError(
             f"{model.axis}: the flight's gains are not known ({missing[0]} missing); "

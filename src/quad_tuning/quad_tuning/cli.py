@@ -24,6 +24,7 @@ from quad_tuning.designer import design
 from quad_tuning.errors import DesignRefusedError, QuadTuningError
 from quad_tuning.exports import cli as exports
 from quad_tuning.history import cli as history
+from quad_tuning.state_feedback import LIMITS
 
 SCHEMA = 'quad_tuning/design/1'
 NO_ANSWER = 3
@@ -90,6 +91,21 @@ def design_main(argv: Sequence[str] | None = None) -> int:
 def export_main(argv: Sequence[str] | None = None) -> int:
     """`ros2 run quad_tuning export`: the same as `quad-tune export`."""
     return main(['export', *(sys.argv[1:] if argv is None else argv)])
+
+
+def history_main(argv: Sequence[str] | None = None) -> int:
+    """`ros2 run quad_tuning history`: the same as `quad-tune history`."""
+    return main(['history', *(sys.argv[1:] if argv is None else argv)])
+
+
+def rollback_main(argv: Sequence[str] | None = None) -> int:
+    """`ros2 run quad_tuning rollback`: the same as `quad-tune rollback`."""
+    return main(['rollback', *(sys.argv[1:] if argv is None else argv)])
+
+
+def send_main(argv: Sequence[str] | None = None) -> int:
+    """`ros2 run quad_tuning send`: the same as `quad-tune send`."""
+    return main(['send', *(sys.argv[1:] if argv is None else argv)])
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
@@ -174,22 +190,8 @@ def _answer(model: AxisModel, arguments: argparse.Namespace) -> dict[str, Any]:
     try:
         found = propose_lqr(model, {k: v for k, v in given.items() if v is not None})
     except DesignRefusedError as refusal:
-        return {'controller': None, 'refused_because': str(refusal), 'figures': {}}
-    c = found.controller
-    return {
-        'controller': {
-            'a': c.a.tolist(),
-            'b': c.b.tolist(),
-            'c': c.c.tolist(),
-            'feedback': c.feedback.tolist(),
-            'integral_gain': c.integral_gain,
-            'observer': c.observer.tolist(),
-            'dt': c.dt,
-            'output_limit': c.output_limit,
-        },
-        'refused_because': '',
-        'figures': found.figures,
-    }
+        return {'gains': None, 'refused_because': str(refusal), 'figures': {}}
+    return {'gains': found.gains, 'refused_because': '', 'figures': found.figures}
 
 
 def _table(axis: str, method: str, answer: Mapping[str, Any]) -> str:
@@ -198,8 +200,8 @@ def _table(axis: str, method: str, answer: Mapping[str, Any]) -> str:
     figures = answer['figures']
     lines = [f'{axis} ({method}), over {figures["draws"]:.0f} draws of the model']
     lines.append(f'  {"":24}{"flown":>12}{"new":>12}  unit')
-    for name, value in (answer.get('target') or {}).items():
-        unit = BOUNDS[name.partition('.')[2]].unit
+    for name, value in (answer.get('target') or answer['gains']).items():
+        unit = _unit(name.partition('.')[2])
         lines.append(_row(name, figures.get(f'{name}_before'), value, unit))
     for key, name, unit in ROWS:
         if key in figures or f'{key}_before' in figures:
@@ -211,6 +213,12 @@ def _table(axis: str, method: str, answer: Mapping[str, Any]) -> str:
         gains = '  '.join(f'{name} {value:.4g}' for name, value in row['gains'].items())
         lines.append(f'  at {row["battery_v"]:.1f} V: {gains}')
     return '\n'.join(lines) + '\n'
+
+
+def _unit(name: str) -> str:
+    if name in BOUNDS:
+        return BOUNDS[name].unit
+    return LIMITS.get(name.partition('.')[2], (0.0, 1.0, ''))[2]
 
 
 def _updates(answer: Mapping[str, Any]) -> str:

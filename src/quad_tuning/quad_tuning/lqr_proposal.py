@@ -18,14 +18,17 @@ from quad_tuning.admission import check_band, check_model, flown_gains
 from quad_tuning.assess import assess
 from quad_tuning.designer import SEED, loop_figures
 from quad_tuning.errors import DesignRefusedError
-from quad_tuning.lqr import LqrController, LqrDesign, Noise, Weights, design_lqr
+from quad_tuning.lqr import LqrDesign, Noise, Weights, design_lqr, way_is_safe
+from quad_tuning.state_feedback import StateFeedback
 
 
 @dataclass(frozen=True)
 class LqrProposal:
     """A controller for one axis with its figures; `<name>_before` is the cascade that flew."""
 
-    controller: LqrController
+    controller: StateFeedback
+    gains: dict[str, float]
+    """What /gains/update takes: the controller by the contract's names, with the whole share."""
     figures: dict[str, float]
 
 
@@ -51,6 +54,11 @@ def propose_lqr(model: AxisModel, largest: Mapping[str, float] | None = None) ->
         found = design_lqr(plant, loops, active.output_limit, weights, _noise(model))
     except DesignRefusedError as refusal:
         raise DesignRefusedError(f'{model.axis}: {refusal}') from refusal
+    if not way_is_safe(found.controller, active, loops):
+        raise DesignRefusedError(
+            f'{model.axis}: a quarter or half of the LQR beside the gains that fly leaves poor '
+            'margins; take quad-tune design without --method lqr first'
+        )
     figures = _figures(found)
     figures['disturbance_rms_rad'] = lqr_figures.disturbance(plant, found.controller)
     if model.noise_rms:
@@ -59,10 +67,12 @@ def propose_lqr(model: AxisModel, largest: Mapping[str, float] | None = None) ->
         figures['motor_noise_rms'] = noise * model.noise_rms
     old = loop_figures(before, model.noise_rms)
     figures.update({f'{name}_before': old[name] for name in figures})
+    figures.update(lqr_figures.promise(loops, active, found.controller, plant.lag_s))
     figures['draws'] = float(loops.draws)
     figures['control_weight'] = found.control_weight
     return LqrProposal(
         controller=found.controller,
+        gains=found.controller.to_mapping(model.axis),
         figures={name: value for name, value in figures.items() if np.isfinite(value)},
     )
 

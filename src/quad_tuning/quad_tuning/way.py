@@ -42,7 +42,7 @@ def way_to(wanted: CascadeGains, active: CascadeGains, loops: Ensemble) -> Way:
     Tried are: every gain as far as it may go in each step; the same with a halt between; all by
     equal ratios.
     """
-    least = _least(active, loops)
+    least = least_on_the_way(active, loops)
     for way in _tried(wanted, active):
         if all(_safe(gains, loops, least) for gains in way.steps[:-1]):
             return way
@@ -93,7 +93,8 @@ def _within(following: CascadeGains, now: CascadeGains) -> bool:
     return True
 
 
-def _least(active: CascadeGains, loops: Ensemble) -> tuple[float, float, float]:
+def least_on_the_way(active: CascadeGains, loops: Ensemble) -> tuple[float, float, float]:
+    """Phase margin, deg, gain margin, dB, and peak sensitivity that a set for seconds keeps."""
     m = loops.margins(active)
     return (
         min(FOR_SECONDS.phase_margin_deg, SLACK * float(np.min(m.phase_margin_deg))),

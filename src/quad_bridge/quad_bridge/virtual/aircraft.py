@@ -87,7 +87,7 @@ class Aircraft:
 
     @property
     def gains(self) -> FloatArray:
-        """(3, 8) SI gains in use, written in place (columns: control.py)."""
+        """(3, n) SI gains in use, written in place (columns: gain_columns.py)."""
         return self.machine.controller.gains
 
     @property

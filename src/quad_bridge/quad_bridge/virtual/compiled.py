@@ -21,10 +21,12 @@ KERNEL_FILES = (
     'compiled.py',
     'control.py',
     'cycle.py',
+    'gain_columns.py',
     'physics.py',
     'plant.py',
     'rotation.py',
     'sensors.py',
+    'state_feedback.py',
 )
 
 

@@ -1,9 +1,13 @@
-"""Compiled control cycle of the firmware: C1, C2, excitation, mixer with limits.
+"""Compiled control cycle of the firmware: C1, C2 or state feedback, excitation, mixer with limits.
 
 C1: rate reference = kp (reference - angle), limited. C2: u = kp e + ki int e - kd d(rate)/dt with
 the D term on the measured rate behind a first-order filter (backward Euler), integrator clamped,
 output limited. Excitation is added to the attitude reference, behind C1's limit to the rate
 reference, or behind C2's limit to U2..U4. Gains are SI (contract).
+
+An axis flies `lqr.share` of the state feedback (state_feedback.py) and the rest of the cascade: 0,
+the default, is the cascade alone. Only one integral runs, the state feedback's where it has a
+share; the other follows.
 """
 
 from __future__ import annotations
@@ -15,16 +19,35 @@ import numpy as np
 import numpy.typing as npt
 
 from quad_bridge.virtual.compiled import kernel
+from quad_bridge.virtual.gain_columns import (
+    ANGLE_KP,
+    D_FILTER_HZ,
+    INTEGRATOR_LIMIT,
+    KD,
+    KI,
+    KP,
+    LQR_GAIN,
+    LQR_INTEGRAL,
+    LQR_RATE,
+    LQR_SHARE,
+    OUTPUT_LIMIT,
+    RATE_LIMIT,
+)
 from quad_bridge.virtual.rotation import wrapped
+from quad_bridge.virtual.state_feedback import INTEGRAL as TOTAL
+from quad_bridge.virtual.state_feedback import (
+    RATE,
+    STATES,
+    state_feedback,
+    state_feedback_moved,
+)
 
 FloatArray = npt.NDArray[np.float64]
 
-ANGLE_KP, KP, KI, KD, RATE_LIMIT, OUTPUT_LIMIT, INTEGRATOR_LIMIT, D_FILTER_HZ = range(8)
-"""Columns of the gain table (3 axes, 8)."""
-
 INTEGRAL, D_STATE, LAST_RATE, YAW_REFERENCE, STARTED, QUEUE = 0, 3, 6, 9, 10, 11
 QUEUE_ROWS = 5
-CONTROL_STATES = QUEUE + 4 * QUEUE_ROWS
+FEEDBACK = QUEUE + 4 * QUEUE_ROWS
+CONTROL_STATES = FEEDBACK + 3 * STATES
 
 ARMED, INJECTION, ADDED, STICK_ROLL, STICK_PITCH, THROTTLE, STICK_YAW = 0, 1, 2, 5, 6, 7, 8
 INPUTS = 9
@@ -75,6 +98,32 @@ def second_loop(
 
 
 @kernel
+def _own(memory: FloatArray, axis: int) -> FloatArray:
+    """The state feedback's states of an axis, written in place."""
+    return memory[FEEDBACK + axis * STATES : FEEDBACK + (axis + 1) * STATES]
+
+
+@kernel
+def blended(
+    memory: FloatArray, controller: Controller, axis: int, u: float, error: float, rate: float,
+    added: float,
+) -> float:  # fmt: skip
+    """`u` of the cascade with the axis' share of state feedback in it; `added` rad/s wanted."""
+    row, own = controller.gains[axis], _own(memory, axis)
+    share, limit = row[LQR_SHARE], row[OUTPUT_LIMIT]
+    if share <= 0.0 and row[LQR_INTEGRAL] > 0.0:
+        own[TOTAL] = memory[INTEGRAL + axis] / row[LQR_INTEGRAL]
+    raw = state_feedback(own, row, controller.cycle_s, error, rate) + row[LQR_RATE] * added
+    if share <= 0.0:
+        return u
+    # two integrals of the same error would drift apart
+    total = row[LQR_INTEGRAL] * own[TOTAL]
+    memory[INTEGRAL + axis] = min(row[INTEGRATOR_LIMIT], max(-row[INTEGRATOR_LIMIT], total))
+    mixed = share * raw + (1.0 - share) * u
+    return float(min(limit, max(-limit, mixed)))
+
+
+@kernel
 def mix(wrench: FloatArray, armed: bool, motors: FloatArray) -> bool:
     """Write the motor commands (4,) of U1..U4 (4,), 0..1; True where one was cut."""
     motors[0] = wrench[0] + wrench[1] + wrench[2] + wrench[3]
@@ -108,6 +157,9 @@ def control_cycle(
         for i in range(3):
             memory[INTEGRAL + i] = 0.0
             memory[LAST_RATE + i] = gyro[i]
+            own = _own(memory, i)
+            own[:] = 0.0
+            own[RATE] = gyro[i]
     memory[YAW_REFERENCE] = wrapped(
         memory[YAW_REFERENCE] + given[STICK_YAW] * controller.stick_yaw_rate * controller.cycle_s
     )
@@ -119,14 +171,22 @@ def control_cycle(
         if given[INJECTION] == 1.0:
             out.attitude_reference[i] += given[ADDED + i]
         row = controller.gains[i]
-        wanted = row[ANGLE_KP] * wrapped(out.attitude_reference[i] - attitude[i])
+        error = wrapped(out.attitude_reference[i] - attitude[i])
+        wanted = row[ANGLE_KP] * error
         wanted = min(row[RATE_LIMIT], max(-row[RATE_LIMIT], wanted))
+        added = given[ADDED + i] if given[INJECTION] == 2.0 else 0.0
         if given[INJECTION] == 2.0:
-            wanted += given[ADDED + i]
+            wanted += added
         out.rate_reference[i] = wanted
         u = second_loop(memory, controller, i, wanted, gyro[i])
+        followed = row[LQR_GAIN] > 0.0
+        if followed:
+            u = blended(memory, controller, i, u, error, gyro[i], added)
+        held = abs(u) >= row[OUTPUT_LIMIT]
         if given[INJECTION] == 3.0:
             u += given[ADDED + i]
+        if followed:
+            state_feedback_moved(_own(memory, i), row, controller.cycle_s, error, u, held)
         out.wrench[1 + i] = u if armed else 0.0
     cut = mix(out.wrench, armed, out.motors)
     limited = max(abs(attitude[0]), abs(attitude[1])) > controller.angle_limit
@@ -147,5 +207,5 @@ def delayed(memory: FloatArray, controller: Controller, cycle: int, motors: Floa
 def initial_memory(throttle: float) -> FloatArray:
     """State of the controller at boot: the motors already run at `throttle` (0 if disarmed)."""
     memory = np.zeros(CONTROL_STATES)
-    memory[QUEUE:] = throttle
+    memory[QUEUE:FEEDBACK] = throttle
     return memory

@@ -15,23 +15,36 @@ import numpy.typing as npt
 from quad_bridge.virtual.airframe import Vector, require
 from quad_bridge.virtual.control import (
     ADDED,
-    ANGLE_KP,
     ANGLE_LIMITED,
     ARMED,
-    D_FILTER_HZ,
     INJECTION,
     INPUTS,
-    INTEGRATOR_LIMIT,
-    KD,
-    KI,
-    KP,
-    OUTPUT_LIMIT,
-    RATE_LIMIT,
     SATURATED,
     STICK_PITCH,
     STICK_ROLL,
     STICK_YAW,
     THROTTLE,
+)
+from quad_bridge.virtual.gain_columns import (
+    ANGLE_KP,
+    COLUMNS,
+    D_FILTER_HZ,
+    INTEGRATOR_LIMIT,
+    KD,
+    KI,
+    KP,
+    LQR_ANGLE,
+    LQR_DAMPING,
+    LQR_DELAY_S,
+    LQR_DRIVE,
+    LQR_GAIN,
+    LQR_INTEGRAL,
+    LQR_LAG_S,
+    LQR_OBSERVER,
+    LQR_RATE,
+    LQR_SHARE,
+    OUTPUT_LIMIT,
+    RATE_LIMIT,
 )
 from quad_bridge.virtual.receiver import Channels
 from quad_bridge.wire.frames import Flag
@@ -51,6 +64,16 @@ TABLE = {
     'rate.d_filter_hz': (D_FILTER_HZ, 1.0, 120.0),
     'rate.integrator_limit': (INTEGRATOR_LIMIT, 0.0, 1.0),
     'rate.output_limit': (OUTPUT_LIMIT, 0.01, 1.0),
+    'lqr.share': (LQR_SHARE, 0.0, 1.0),
+    'lqr.k_angle': (LQR_ANGLE, 0.0, 5.0),
+    'lqr.k_rate': (LQR_RATE, 0.0, 1.0),
+    'lqr.k_drive': (LQR_DRIVE, 0.0, 0.1),
+    'lqr.k_integral': (LQR_INTEGRAL, 0.0, 10.0),
+    'lqr.gain': (LQR_GAIN, 0.0, 5000.0),
+    'lqr.lag_s': (LQR_LAG_S, 0.0, 0.5),
+    'lqr.delay_s': (LQR_DELAY_S, 0.0, 0.06),
+    'lqr.damping': (LQR_DAMPING, -20.0, 50.0),
+    'lqr.observer': (LQR_OBSERVER, 0.0, 1.0),
 }
 """Parameter of an axis (contract's name behind the axis): gain column, lowest, highest."""
 
@@ -75,8 +98,8 @@ class Gains:
     d_filter_hz: Vector = (30.0, 30.0, 30.0)
 
     def table(self) -> FloatArray:
-        """(3, 8) SI gains in the columns of control.py."""
-        columns = np.zeros((3, len(TABLE)))
+        """(3, COLUMNS) SI gains in the columns of gain_columns.py; state feedback off."""
+        columns = np.zeros((3, COLUMNS))
         columns[:, ANGLE_KP] = self.angle_kp_per_s
         columns[:, KP] = np.array(self.rate_kp_us_per_deg_s) * SI_PER_US_DEG
         columns[:, KI] = np.array(self.rate_ki_us_per_deg) * SI_PER_US_DEG
@@ -164,7 +187,7 @@ class Firmware:
         self._stale = self._refused = False
         self._request = request if request.injection != 0 else None
         self._since_s = now_s
-        limit = INJECTION_LIMITS.get(request.injection, 0.0)
+        limit = INJECTION_LIMITS.get(request.injection, -1.0)
         if self._request is not None and not all(abs(v) <= limit for v in request.value):
             self._request, self._refused = None, True
 

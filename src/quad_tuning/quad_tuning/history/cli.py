@@ -1,4 +1,4 @@
-"""`quad-tune history` and `quad-tune rollback`: what flew, and back to it. Wiring only.
+"""`quad-tune history`, `rollback` and `send`: what flew, back to it, and what flies next. Wiring.
 
 Exit status: 0 done, 2 bad input, 3 refused by the bridge; both with one line on stderr.
 """
@@ -13,6 +13,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from quad_sysid.errors import BadInputError
+from quad_tuning.exports.cli import read_gains
 from quad_tuning.history.sets import (
     GainSet,
     changed,
@@ -23,12 +25,14 @@ from quad_tuning.history.sets import (
 )
 
 SCHEMA = 'quad_tuning/history/1'
-SOURCE = 'quad-tune rollback'
+SOURCE, SENDER = 'quad-tune rollback', 'quad-tune send'
 REFUSED = 3
+PROMISES = ('rate_rms_ratio', 'oscillation_ratio', 'peak')
+"""Figures of a design that the bridge's watch compares the flight with."""
 
 
 def add(commands: Any) -> None:
-    """Add both to the subparsers of `quad-tune`."""
+    """Add them to the subparsers of `quad-tune`."""
     history = commands.add_parser('history', help='every set of gains that was ever active')
     history.add_argument('--json', action='store_true', help='print JSON instead of the table')
     rollback = commands.add_parser('rollback', help='back to the last good set of gains')
@@ -39,6 +43,10 @@ def add(commands: Any) -> None:
         parser.add_argument('--folder', type=Path, metavar='DIR',
                             help="the bridge's state_folder; default quad_suite in ROS_HOME")
         parser.add_argument('--aircraft', default='', metavar='NAME')
+    sending = commands.add_parser('send', help='designed gains to the bridge, through its gate')
+    sending.add_argument('design', type=Path, metavar='GAINS.json',
+                         help='of quad-tune design --out')
+    sending.set_defaults(run=send)
 
 
 def show(arguments: argparse.Namespace) -> int:
@@ -56,16 +64,47 @@ def go_back(arguments: argparse.Namespace) -> int:
         print(f'{told}\n{by_hand(gains)}' if gains else told)
         return 0
     try:
-        from quad_tuning.history.rollback_node import publish  # where ROS is installed
+        from quad_tuning.history.update_node import publish  # where ROS is installed
     except ImportError:
         print(f'{told}\nno ROS 2 here; on the aircraft:\n{by_hand(gains)}')
         return 0
-    refusal = publish(gains, SOURCE)
+    refusal = publish(gains, SOURCE, rollback=True)
     if refusal:
         print(f'quad-tune: {refusal}', file=sys.stderr)
         return REFUSED
     print(f'back to {told}')
     return 0
+
+
+def send(arguments: argparse.Namespace) -> int:
+    """`quad-tune send`. Raises QuadSysidError for bad input."""
+    gains, predicted = read_design(arguments.design)
+    try:
+        from quad_tuning.history.update_node import publish  # where ROS is installed
+    except ImportError as missing:
+        raise BadInputError(
+            'quad-tune send', 'needs ROS 2', missing.name, 'run it where the bridge runs'
+        ) from missing
+    refusal = publish(gains, SENDER, predicted=json.dumps(predicted))
+    if refusal:
+        print(f'quad-tune: {refusal}', file=sys.stderr)
+        return REFUSED
+    print(f'active, and watched by the bridge: {_words(gains)}')
+    return 0
+
+
+def read_design(path: Path) -> tuple[dict[str, float], dict[str, float]]:
+    """Gains of all axes in the file of a design, and what it promises. Raises BadInputError."""
+    gains = read_gains(path)
+    axes = json.loads(path.read_text(encoding='utf-8'))['axes']
+    figures = {axis: one.get('figures') or {} for axis, one in axes.items() if one.get('gains')}
+    predicted = {
+        f'{axis}.{name}': float(said[name])
+        for axis, said in figures.items()
+        for name in PROMISES
+        if name in said
+    }
+    return gains, predicted
 
 
 def _sets(arguments: argparse.Namespace) -> list[GainSet]:

@@ -1,0 +1,110 @@
+"""The node of `quad-tune send` and `rollback`: an update to the bridge, and its answer."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.msg import Parameter, ParameterEvent, ParameterType, ParameterValue
+from rclpy.qos import DurabilityPolicy, QoSProfile
+
+from quad_sysid.errors import BadInputError
+
+STATE = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+LISTEN_S, ANSWER_S = 10.0, 60.0
+FAILED = ('rolled back', 'not taken over')
+"""What the bridge says of an update that was begun and did not come into force."""
+GAINS = 'serial_bridge: gains'
+
+
+def publish(
+    gains: Mapping[str, float], source: str, *, rollback: bool = False, predicted: str = ''
+) -> str:
+    """Have the bridge fly `gains` (contract names, SI); `rollback`: or take back those in flight.
+
+    `predicted` is the JSON that /gains/update takes. Returns empty where they are active, else
+    why they are not. Raises BadInputError where no bridge listens or none answers.
+    """
+    rclpy.init()
+    try:
+        node: Any = rclpy.create_node('quad_tune')
+        heard = _Heard(source, () if rollback else FAILED)
+        node.create_subscription(ParameterEvent, '/gains/active', heard.active, STATE)
+        node.create_subscription(DiagnosticArray, '/diagnostics', heard.diagnostics, 10)
+        publisher = node.create_publisher(ParameterEvent, '/gains/update', 10)
+
+        def spin(until: Any, seconds: float) -> bool:
+            end = time.monotonic() + seconds
+            while not until() and time.monotonic() < end:
+                rclpy.spin_once(node, timeout_sec=0.1)
+            return bool(until())
+
+        def ready() -> bool:
+            return bool(publisher.get_subscription_count() and heard.gains and heard.message)
+
+        if not spin(ready, LISTEN_S):
+            raise BadInputError('/gains/update', f'no bridge has been heard for {LISTEN_S:.0f} s')
+        heard.before = heard.message
+        publisher.publish(_message(gains, source, rollback=rollback, predicted=predicted))
+        if not spin(lambda: heard.refusal or heard.has(gains), ANSWER_S):
+            raise BadInputError('/gains/active', f'no answer of the bridge for {ANSWER_S:.0f} s')
+        return heard.refusal
+    finally:
+        rclpy.try_shutdown()
+
+
+class _Heard:
+    """The bridge's last words, and those from `before` the update."""
+
+    def __init__(self, source: str, failed: Sequence[str]) -> None:
+        self._words = (f'gains of {source} refused', *failed)
+        self.gains: dict[str, float] = {}
+        self.message = self.before = ''
+
+    @property
+    def refusal(self) -> str:
+        """Why the update is not flown; empty as long as nothing says so."""
+        new = self.before and self.message != self.before
+        return self.message if new and any(w in self.message for w in self._words) else ''
+
+    def active(self, event: Any) -> None:
+        self.gains = {p.name: p.value.double_value for p in event.changed_parameters}
+
+    def diagnostics(self, array: Any) -> None:
+        for status in array.status:
+            if status.name == GAINS:
+                self.message = status.message
+
+    def has(self, gains: Mapping[str, float]) -> bool:
+        return all(
+            abs(self.gains.get(name, float('inf')) - value) <= 1e-6 * max(abs(value), 1e-9)
+            for name, value in gains.items()
+        )
+
+
+def _message(
+    gains: Mapping[str, float], source: str, *, rollback: bool, predicted: str
+) -> Any:
+    number, text, flag = (
+        ParameterType.PARAMETER_DOUBLE,
+        ParameterType.PARAMETER_STRING,
+        ParameterType.PARAMETER_BOOL,
+    )
+    message = ParameterEvent(node='/quad_tune')
+    message.changed_parameters = [
+        Parameter(name=name, value=ParameterValue(type=number, double_value=value))
+        for name, value in gains.items()
+    ]
+    texts = {'source': source, **({'predicted': predicted} if predicted else {})}
+    message.changed_parameters += [
+        Parameter(name=name, value=ParameterValue(type=text, string_value=words))
+        for name, words in texts.items()
+    ]
+    if rollback:
+        message.changed_parameters.append(
+            Parameter(name='rollback', value=ParameterValue(type=flag, bool_value=True))
+        )
+    return message

@@ -1,0 +1,222 @@
+"""The state feedback that the firmware flies as its second control mode: its numbers, its loop.
+
+    drive' = (gain u(t - delay) - drive) / lag,  rate' = drive - damping rate,  angle' = rate
+    u = k_angle e - k_rate rate - k_drive drive + k_integral xi,  e = reference - angle, xi' = e
+
+An observer corrects the model's rate by the measured one; the states are predicted over the delay
+with the commands under way. Written from the same equations as the firmware, one step as it forms
+it. How the numbers are found stands in lqr.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from quad_sysid.contract import FloatArray
+from quad_sysid.loop.cascade import CascadeGains, derivative_weight
+from quad_sysid.loop.plant import ComplexArray, StateSpace, Step
+from quad_tuning.errors import DesignRefusedError
+
+Dynamics = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+"""Discrete (a, b, c, d) of a controller from (measured rate, angle) to u, reference 0."""
+DRIVE, RATE, TOTAL, COMMANDS = range(4)
+
+LIMITS: Mapping[str, tuple[float, float, str]] = {
+    'k_angle': (0.005, 3.0, '1/rad'),
+    'k_rate': (0.005, 0.5, 's/rad'),
+    'k_drive': (0.0, 0.05, 's²/rad'),
+    'k_integral': (0.0, 5.0, '1/(rad s)'),
+    'gain': (5.0, 5000.0, 'rad/s²'),
+    'lag_s': (0.001, 0.3, 's'),
+    'delay_s': (0.0, 0.06, 's'),
+    'damping': (-5.0, 20.0, '1/s'),
+    'observer': (0.005, 1.0, ''),
+}
+"""What the bridge's gate lets through, SI, and the unit."""
+
+
+@dataclass(frozen=True)
+class StateFeedback:
+    """One axis; names and units as on the wire (`<axis>.lqr.<name>`)."""
+
+    k_angle: float
+    """Command per rad."""
+    k_rate: float
+    """Command per rad/s."""
+    k_drive: float
+    """Command per rad/s²."""
+    k_integral: float
+    """Command per rad s."""
+    gain: float
+    """rad/s² per unit command."""
+    lag_s: float
+    delay_s: float
+    """Whole control cycles; the gyro filter's delay is in it."""
+    damping: float
+    """1/s."""
+    observer: float
+    """Share of the difference between measured and predicted rate that is taken over."""
+    dt: float
+    output_limit: float
+
+    @property
+    def late(self) -> int:
+        """The delay in control cycles."""
+        return int(np.floor(self.delay_s / self.dt + 0.5))
+
+    @property
+    def size(self) -> int:
+        """States: drive, rate, integral, the commands under way."""
+        return COMMANDS + self.late
+
+    def to_mapping(self, axis: str, share: float = 1.0) -> dict[str, float]:
+        """The contract's names; raises DesignRefusedError where one is out of bounds."""
+        for name, (low, high, _) in LIMITS.items():
+            if not low <= getattr(self, name) <= high:
+                raise DesignRefusedError(
+                    f'{axis}.lqr.{name}: must lie in {low:g} .. {high:g}: '
+                    f'found {getattr(self, name):g}; choose other weights (--max-...)'
+                )
+        values = {f'{axis}.lqr.{name}': float(getattr(self, name)) for name in LIMITS}
+        return {**values, f'{axis}.lqr.share': share}
+
+    def command(self, x: FloatArray, rate: float, error: float) -> tuple[float, FloatArray]:
+        """The command without limits, and the states (size,) corrected by the measured rate."""
+        x = x.copy()
+        x[RATE] += self.observer * (rate - x[RATE])
+        drive, speed, total = x[DRIVE], x[RATE], x[TOTAL]
+        for j in range(self.late):
+            following, after = self._moved(drive, speed, x[COMMANDS + self.late - 1 - j])
+            total += self.dt * error
+            error -= 0.5 * self.dt * (speed + after)
+            drive, speed = following, after
+        u = self.k_angle * error - self.k_rate * speed - self.k_drive * drive
+        return float(u + self.k_integral * total), x
+
+    def moved(self, x: FloatArray, error: float, u: float, *, held: bool = False) -> FloatArray:
+        """States (size,) of the next cycle; `held`: the integral stays."""
+        commands = np.concatenate(([u], x[COMMANDS:]))
+        following, after = self._moved(x[DRIVE], x[RATE], commands[self.late])
+        total = x[TOTAL] + (0.0 if held else self.dt * error)
+        return np.concatenate(([following, after, total], commands[: self.late]))
+
+    def _moved(self, drive: float, speed: float, command: float) -> tuple[float, float]:
+        following = drive + -np.expm1(-self.dt / self.lag_s) * (self.gain * command - drive)
+        slope = 0.5 * (drive + following) - self.damping * speed
+        return following, speed + self.dt * slope
+
+    def dynamics(self) -> Dynamics:
+        """The linear controller: its step on each state and each measurement."""
+        n = self.size
+        columns, outputs = [], []
+        for unit in np.eye(n + 2):
+            x, rate, angle = unit[:n], unit[n], unit[n + 1]
+            u, corrected = self.command(x, rate, -angle)
+            columns.append(self.moved(corrected, -angle, u))
+            outputs.append(u)
+        a, c = np.array(columns).T, np.array(outputs)[None]
+        return a[:, :n], a[:, n:], c[:, :n], c[:, n:]
+
+
+def cascade_dynamics(gains: CascadeGains, dt: float) -> Dynamics:
+    """The cascade as the firmware forms it (quad_sysid.loop.cascade), as a linear controller.
+
+    States: integral, last rate, D part.
+    """
+    w = derivative_weight(gains.d_filter_hz, dt)
+    error = np.array([-1.0, -gains.angle_kp])  # of the rate, by (rate, angle)
+    keep = float(abs(gains.rate_ki) > 1e-9)  # without ki it stays at 0: no mode
+    a = np.array([[keep, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, -w / dt, 1.0 - w]])
+    b = np.array([gains.rate_ki * dt * error, [1.0, 0.0], [w / dt, 0.0]])
+    c = a[:1] - gains.rate_kd * a[2:]
+    d = gains.rate_kp * error + b[:1] - gains.rate_kd * b[2:]
+    return a, b, c, d
+
+
+def beside(found: StateFeedback, gains: CascadeGains, share: float) -> Dynamics:
+    """`share` of the feedback and the rest of the cascade, as the firmware mixes them.
+
+    One integral runs, the feedback's; the cascade's follows.
+    """
+    one, other = found.dynamics(), cascade_dynamics(replace(gains, rate_ki=0.0), found.dt)
+    n, m = one[0].shape[0], other[0].shape[0]
+    a, b = np.zeros((n + m, n + m)), np.vstack([one[1], other[1]])
+    a[n:, n:] = other[0]
+    c = np.hstack([share * one[2], (1.0 - share) * other[2]])
+    c[0, TOTAL] += (1.0 - share) * found.k_integral
+    d = share * one[3] + (1.0 - share) * other[3]
+    # the observer hears of the command that is flown, not of its own
+    heard = np.zeros((n, 1))
+    heard[:, 0] = found.moved(np.zeros(n), 0.0, 1.0)
+    a[:n, :n] = one[0] - heard @ one[2]
+    b[:n] = one[1] - heard @ one[3] + heard @ d
+    a[:n] += heard @ c
+    return a, b, c, d
+
+
+def controller_response(dynamics: Dynamics, omega: FloatArray, dt: float) -> ComplexArray:
+    """(2, f) from the measured rate and angle to u at omega, rad/s."""
+    a, b, c, d = dynamics
+    z = np.exp(1j * omega * dt)
+    states = np.linalg.solve(z[:, None, None] * np.eye(a.shape[0]) - a, b[None])
+    return np.asarray((c @ states + d)[:, 0, :].T)
+
+
+def stable(dynamics: Dynamics, cycle: Step) -> bool:
+    """Whether the controller stabilises every plant (eigenvalues)."""
+    ca, cb, cc, cd = dynamics
+    n = cycle.phi.shape[-1]
+    depth = int(cycle.whole.max()) + 1
+    m = ca.shape[0]
+    p = cycle.phi.shape[0]
+    matrix = np.zeros((p, n + depth + m, n + depth + m))
+    for i in range(p):
+        y, late = cycle.c[i], int(cycle.whole[i])
+        u = np.zeros((1, n + depth + m))
+        u[:, :n] = cd @ y
+        u[:, n + depth :] = cc
+        matrix[i, :n, :n] = cycle.phi[i]
+        matrix[i, :n, n + late] += cycle.before[i]
+        if late == 0:
+            matrix[i, :n] += cycle.now[i][:, None] @ u
+        else:
+            matrix[i, :n, n + late - 1] += cycle.now[i]
+        matrix[i, n] = u[0]
+        matrix[i, n + depth :, :n] = cb @ y
+        matrix[i, n + depth :, n + depth :] = ca
+    for j in range(1, depth):
+        matrix[:, n + j, n + j - 1] = 1.0
+    return bool(np.max(np.abs(np.linalg.eigvals(matrix))) < 1.0)
+
+
+def simulate(
+    model: StateSpace,
+    controller: StateFeedback,
+    reference: FloatArray,
+    start_angle: float = 0.0,
+    push: FloatArray | None = None,
+    noise: FloatArray | None = None,
+) -> tuple[FloatArray, FloatArray]:
+    """(n,) measured angle, rad, and command of the linear plant, its limit included.
+
+    `push` is what a torque adds to the plant's states in every cycle, `noise` (n,) rad/s is on the
+    measured rate; the observer knows nothing of them.
+    """
+    x = np.zeros(model.a.shape[0])
+    x[sorted({2, int(np.argmax(model.c[1]))})] = start_angle  # the true angle and the filtered
+    own = np.zeros(controller.size)
+    angles, commands = np.empty(reference.size), np.empty(reference.size)
+    for k, wanted in enumerate(reference):
+        rate, angle = model.c @ x
+        error = wanted - angle
+        raw, own = controller.command(own, rate + (0.0 if noise is None else noise[k]), error)
+        u = min(max(raw, -controller.output_limit), controller.output_limit)
+        own = controller.moved(own, error, u, held=u != raw)
+        x = model.a @ x + model.b[:, 0] * u
+        if push is not None:
+            x = x + push
+        angles[k], commands[k] = angle, u
+    return angles, commands
