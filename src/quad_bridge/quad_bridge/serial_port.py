@@ -19,6 +19,8 @@ import serial
 REOPEN_S = 0.5
 READ_TIMEOUT_S = 0.2
 WRITE_TIMEOUT_S = 0.05
+SOCKET_READ = 4096
+"""Bytes taken from a socket at once."""
 FAULTS = (serial.SerialException, OSError, termios.error, TypeError, ValueError)
 """SerialException from read and write, OSError from in_waiting, termios.error from configuring,
 TypeError and ValueError when another thread has closed the port."""
@@ -154,13 +156,22 @@ class SerialPort:
         port = self._port
         while not self._stop.is_set():
             try:
-                data = port.read(port.in_waiting or 1)
+                data = self._read(port)
             except FAULTS as error:
                 self._state = PortState.HUNG_UP
                 self._detail = _one_line(error)
                 return
             if data:
                 self._on_bytes(data)
+
+    def _read(self, port: Any) -> bytes:
+        data = bytes(port.read(port.in_waiting or 1))
+        if data and '://' in self._path:
+            # a socket of pyserial tells that something waits, not how much
+            port.timeout = 0
+            data += port.read(SOCKET_READ)
+            port.timeout = READ_TIMEOUT_S
+        return data
 
     def _close(self) -> None:
         with self._write_lock:
