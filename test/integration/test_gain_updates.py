@@ -37,11 +37,15 @@ from std_srvs.srv import Trigger
 
 from quad_bridge.wire.codec import Decoder, Encoder
 from quad_bridge.wire.frames import GainsAction, GainsCommand, ParamSet
+from quad_sysid.loop.cascade import CascadeGains
+from quad_sysid.model import AxisModel
+from quad_sysid.model import Parameter as IdentifiedParameter
 from quad_tuning.demo.domain import own_domain
 from quad_tuning.demo.errors import StageFailedError
 from quad_tuning.demo.observer import VOLATILE, Observer
 from quad_tuning.demo.processes import Crew, executable
 from quad_tuning.demo.stages import Aircraft
+from quad_tuning.lqr_proposal import propose_lqr
 
 PATIENCE_S = 60.0
 OK, ERROR = 0, 2
@@ -199,6 +203,19 @@ class Bench:
         rclpy.try_shutdown(context=self.context)
 
 
+def paper_model():
+    """Roll of the virtual aircraft on the rig, as an identification would hand it on."""
+    values = {'gain': 435.0, 'lag': 0.043, 'delay': 0.008, 'damping': 0.4, 'bias': 0.0}
+    deviations = {'gain': 4.0, 'lag': 5e-4, 'delay': 4e-4, 'damping': 0.05, 'bias': 0.02}
+    return AxisModel(
+        axis='roll', dt=0.004, gyro_filter_hz=42.0,
+        base=tuple(IdentifiedParameter(n, v, deviations[n], '') for n, v in values.items()),
+        parameter_names=tuple(values), covariance=np.diag([deviations[n] ** 2 for n in values]),
+        active_gains=CascadeGains.default('roll').to_mapping('roll', constants=True),
+        noise_rms=0.01,
+    )  # fmt: skip
+
+
 @pytest.fixture
 def bench(tmp_path: Path) -> Iterator[Bench]:
     try:
@@ -239,7 +256,9 @@ def test_updates_parameters_services_and_a_killed_bridge(bench):
     bench.said('rolled back, old gains: quad-tune rollback asked for it')
     bench.active(roll_rate_kp=OLD[KP], roll_angle_kp=3.0)
 
-    for bad, words in ((math.nan, 'finite'), (99.0, 'must lie in')):
+    for bad, words in (
+        (math.nan, 'finite'), (math.inf, 'finite'), (-3.0, 'must lie in'), (99.0, 'must lie in'),
+    ):
         assert words in bench.set(roll_angle_kp=bad).reason
     assert bench.set(roll_angle_kp=5.0).successful
     bench.active(roll_angle_kp=5.0)
@@ -258,7 +277,7 @@ def test_updates_parameters_services_and_a_killed_bridge(bench):
 
 
 def test_a_wire_with_faults_never_leaves_half_a_set(bench):
-    bench.start(relay=True)
+    bench.start(relay=True, **{'bounds.roll.rate.kd': [0.0, 0.2, 2.0, 0.2]})
     relay, count = bench.relay, iter(range(10_000))
 
     def every_third(change):
@@ -285,6 +304,10 @@ def test_a_wire_with_faults_never_leaves_half_a_set(bench):
     bench.active(roll_rate_kp=OLD[KP], roll_angle_kp=3.0)
     relay.noisy = 0.0
 
+    bench.ask({ANGLE: 5.0, 'roll.rate.kd': 0.1})  # the YAML lets it pass, the STM32 does not
+    assert 'ROLL_RATE_KD: the STM32 kept' in bench.said('not taken over')[1]
+    bench.active(roll_rate_kp=OLD[KP], roll_angle_kp=3.0)
+
     def cut_at_commit(frame):
         if isinstance(frame, GainsCommand) and frame.action == GainsAction.COMMIT:
             relay.cut = True
@@ -299,6 +322,31 @@ def test_a_wire_with_faults_never_leaves_half_a_set(bench):
     bench.active(roll_rate_kp=OLD[KP], roll_angle_kp=3.0)
     level, text, _ = bench.said('not taken over')
     assert (level, 'committing' in text) == (ERROR, True)
+
+
+def test_the_second_control_mode_comes_in_by_quarters_and_goes_back_at_once(bench, tmp_path):
+    design = tmp_path / 'gains.json'
+    proposal = propose_lqr(paper_model())
+    axes = {'roll': {'gains': proposal.gains, 'figures': proposal.figures}}
+    design.write_text(json.dumps({'schema': 'quad_tuning/design/1', 'axes': axes}))
+    bench.start(sources=['test', 'quad-tune*'])
+    bench.watch_imu()
+    done = subprocess.run(
+        [sys.executable, '-m', 'quad_tuning.cli', 'send', str(design)],
+        env=bench.crew.environment(), capture_output=True, text=True, check=False, timeout=120,
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (0, '')
+    bench.active(roll_lqr_share=1.0)
+    sets = [entry['gains'] for entry in bench.history() if 'gains' in entry]
+    shares = [gains['roll.lqr.share'] for gains in sets]
+    assert shares[:3] == pytest.approx([0.0, 0.25, 0.5], rel=1e-3)
+    assert (shares[-1], max(shares)) == (1.0, 1.0)
+    assert sets[1]['roll.lqr.k_angle'] == pytest.approx(proposal.gains['roll.lqr.k_angle'])
+    bench.ask({'rollback': True})
+    bench.said('rolled back, old gains')
+    bench.active(roll_lqr_share=0.0)
+    bench.rest(0.5)
+    assert math.degrees(bench.peak_rad) < 4.0
 
 
 def test_a_destabilising_set_is_taken_back_before_twenty_degrees(bench):
