@@ -1,5 +1,8 @@
 """The bridge's side of the conversation, with a far end made of the same codec."""
 
+from dataclasses import replace
+from itertools import pairwise
+
 import pytest
 
 from quad_bridge.errors import RefusedError
@@ -18,7 +21,8 @@ HOST0_NS = 7_000_000_000
 class FarEnd:
     """A minimal STM32 on a line without jitter, driven in steps of 4 ms."""
 
-    def __init__(self, link):
+    def __init__(self, link, bits=64):
+        self.mask = (1 << bits) - 1
         self.link, self.encoder, self.decoder = link, Encoder(1, 1), Decoder()
         self.values = {wire: float32(0.5) for wire in WIRE_NAMES.values()}
         self.excitations, self.out = [], []
@@ -34,7 +38,17 @@ class FarEnd:
         self.cycle += 1
         zero = (0.0, 0.0, 0.0)
         cycle = f.Cycle(
-            self.now_us, self.cycle, zero, zero, zero, zero, zero, (0.0,) * 4, zero, (0.0,) * 4, 1
+            self.now_us & self.mask,
+            self.cycle,
+            zero,
+            zero,
+            zero,
+            zero,
+            zero,
+            (0.0,) * 4,
+            zero,
+            (0.0,) * 4,
+            1,
         )
         for frame in (cycle, *frames):
             self.out += self.link.receive(self.encoder.encode(frame), self.host_ns)
@@ -52,7 +66,7 @@ class FarEnd:
     def replies(self, frame):
         names = list(self.values)
         if isinstance(frame, f.TimeSync):
-            yield f.TimeSync(1000 * self.now_us + 100_000, frame.ts1_ns)
+            yield f.TimeSync(1000 * (self.now_us & self.mask) + 100_000, frame.ts1_ns)
         elif isinstance(frame, f.ParamRequestList):
             for i, name in enumerate(names):
                 yield f.ParamValue(name, self.store.active[name], len(names), i)
@@ -163,6 +177,41 @@ def test_a_restart_of_the_stm32_holds_the_stamps_back_and_reads_the_gains_again(
     assert far.link.decoder.counts.restarts == 1
     assert far.link.held == before + 1
     # the device counts from zero again: its offset to the host has changed, and is found again
+
+
+def test_no_stamp_runs_backwards_over_restart_and_wrap(far):
+    far.now_us = 2**32 - 4_000_000  # a jump, as if the bridge had been away
+    far.link.opened()
+    for k in range(2000):
+        if k == 1400:
+            far.now_us, far.cycle = 2**33, 0
+        far.step()
+    stamps = [item.stamp_ns for item in far.out]
+    assert len(stamps) > 1500
+    assert min(b - a for a, b in pairwise(stamps)) > 0
+    assert far.link.decoder.restarts == 1
+
+
+def test_a_stamp_in_the_future_is_held_back_and_does_not_stop_the_others(far):
+    held, told = far.link.held, len(far.out)
+    bad = replace(far.link.last_cycle, time_us=far.now_us + 10**9, cycle=far.cycle + 1)
+    far.link.receive(far.encoder.encode(bad), far.host_ns)
+    far.step()
+    assert far.link.held == held + 1
+    assert len(far.out) == told + 1
+
+
+def test_device_time_of_32_bits_goes_on_through_its_wrap():
+    far = FarEnd(Link(), bits=32)
+    far.link.opened()
+    far.now_us = 2**32 - 3_000_000
+    for _ in range(1500):
+        far.step()
+    stamps = [item.stamp_ns for item in far.out]
+    assert len(stamps) > 1350
+    assert {round((b - a) / 1e5) for a, b in pairwise(stamps)} == {40}
+    assert far.link.device_time.wraps == 1
+    assert far.link.clock.state.restarts == 0
 
 
 def test_the_bridge_addresses_the_peer_it_has_heard(far):

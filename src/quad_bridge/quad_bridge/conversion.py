@@ -14,11 +14,15 @@ from geometry_msgs.msg import Vector3Stamped, WrenchStamped
 from rcl_interfaces.msg import Parameter, ParameterEvent, ParameterType, ParameterValue
 from sensor_msgs.msg import BatteryState, FluidPressure, Imu, JointState, Joy, MagneticField
 
+from quad_bridge.autopilot import Inertial
 from quad_bridge.wire.axes import flip_attitude, flip_body, flip_control, quaternion
-from quad_bridge.wire.frames import Battery, Cycle, Flag, RcChannels, SlowSensors
+from quad_bridge.wire.frames import Battery, Cycle, Flag, Outputs, RcChannels, SlowSensors
 
 FRAME_ID = 'base_link'
 MOTORS = ('motor_1', 'motor_2', 'motor_3', 'motor_4')
+AUTOPILOT_ORDER = (1, 3, 0, 2)
+"""Outputs of PX4's and ArduPilot's X frame (front right, rear left, front left, rear right) that
+are the contract's motors 1 to 4. Theirs turn the other way round: U4 has the opposite sign."""
 TESLA_PER_GAUSS = 1e-4
 PASCAL_PER_HPA = 100.0
 RC_CHANNELS, THROTTLE, STICKS = 9, 2, 4
@@ -78,6 +82,32 @@ class CycleMessages:
 def excited(cycle: Cycle) -> bool:
     """True where the STM32 says that it added an excitation in this cycle."""
     return bool(cycle.flags & Flag.EXCITATION)
+
+
+def inertial_message(inertial: Inertial, stamp_ns: int) -> Imu:
+    """What another autopilot tells; -1 in a covariance marks what it does not (sensor_msgs)."""
+    message = _framed(Imu())
+    _stamp(message, stamp_ns)
+    _set(message.angular_velocity, flip_body(inertial.gyro))
+    if inertial.accel is None:
+        message.linear_acceleration_covariance[0] = -1.0
+    else:
+        _set(message.linear_acceleration, flip_body(inertial.accel))
+    if inertial.attitude is None:
+        message.orientation_covariance[0] = -1.0
+    else:
+        q = message.orientation
+        q.x, q.y, q.z, q.w = quaternion(flip_attitude(inertial.attitude))
+    return message
+
+
+def outputs_message(outputs: Outputs, stamp_ns: int) -> JointState:
+    """Pulses of PX4's and ArduPilot's X frame in the contract's order of motors, 0..1."""
+    message = _framed(JointState(name=list(MOTORS)))
+    _stamp(message, stamp_ns)
+    pulses = [outputs.pulses[i] for i in AUTOPILOT_ORDER]
+    message.effort = [min(max((pulse - 1000) / 1000.0, 0.0), 1.0) for pulse in pulses]
+    return message
 
 
 def rc_message(rc: RcChannels, stamp_ns: int, *, failsafe: bool) -> Joy:

@@ -23,6 +23,8 @@ from quad_bridge.wire.frames import Flag
 OK, WARN, ERROR = 0, 1, 2
 LOW_DISK_BYTES = 100_000_000
 """A warning below it; what was reserved for the bag counts as taken."""
+COARSE_S = 0.002
+"""Where half a round trip is longer, so may the error of the stamps be."""
 FOREIGN_BYTES = 2000
 """Bytes without one valid frame after which the far end is said to speak another protocol."""
 
@@ -74,12 +76,12 @@ def link_status(
         'dropped writes': port.dropped_writes,
         'bytes': counts.bytes,
     }
-    level, text = _link_verdict(port, link, counts, since, opened)
+    level, text = _link_verdict(port, link, counts, since, opened, now_s)
     return Status('link', level, text, values)
 
 
 def _link_verdict(
-    port: PortStatus, link: Link, counts: Counts, since: Since, opened: Counts
+    port: PortStatus, link: Link, counts: Counts, since: Since, opened: Counts, now_s: float
 ) -> tuple[int, str]:
     if port.state is not PortState.OPEN:
         return ERROR, f'port {port.state.value}'
@@ -88,7 +90,7 @@ def _link_verdict(
     if counts.frames == opened.frames:
         return _no_frame(counts, opened)
     if link.cycles == since.cycles:
-        return _no_cycle(link)
+        return _no_cycle(link, round(1e9 * now_s))
     lost = counts.lost_cycles - since.counts.lost_cycles
     if lost:
         return WARN, f'{lost} cycles lost since the last report'
@@ -118,28 +120,42 @@ def _no_frame(counts: Counts, opened: Counts) -> tuple[int, str]:
     return ERROR, text
 
 
-def _no_cycle(link: Link) -> tuple[int, str]:
-    names = ', '.join(sorted(link.standard_names))
+def _no_cycle(link: Link, now_ns: int) -> tuple[int, str]:
+    names = ', '.join(link.autopilot.names)
     if not names:
         return ERROR, 'no control cycle since the last report'
+    missing = ', '.join(link.autopilot.missing(now_ns))
     return WARN, (
-        f'only standard MAVLink messages arrive ({names}): '
-        'the bridge needs QUAD_CYCLE for its topics'
+        f'only standard MAVLink messages arrive ({names}): without QUAD_CYCLE there is no '
+        f'{missing}; excitation and gains are refused'
     )
 
 
-def clock_status(link: Link) -> Status:
-    """How well device time is mapped to host time."""
+def clock_status(link: Link, behind_ns: int = 0) -> Status:
+    """How well device time is mapped to host time; `behind_ns` by how much that was set since."""
     state = link.clock.state
     values = {
         'offset (s)': f'{state.offset_s:.6f}',
         'drift (ppm)': f'{state.drift_ppm:.2f}',
         'shortest round trip (ms)': f'{1e3 * state.round_trip_s:.3f}',
+        'unseen asymmetry, at most (ms)': f'{500.0 * state.round_trip_s:.3f}',
         'round trips used': state.accepted,
         'round trips dropped': state.rejected,
         'restarts': state.restarts,
+        'wraps at 32 bits': link.device_time.wraps,
         'cycles held back': link.held,
     }
+    if behind_ns:
+        text = (
+            f'stamps keep the time of before the system clock was set by {1e-9 * behind_ns:.3f} s'
+        )
+        return Status('clock', WARN, text, values)
+    if state.one_way and state.converged:
+        text = 'no answer to TIMESYNC: stamps are arrivals, late by the transport'
+        return Status('clock', WARN, text, values)
+    if state.converged and state.round_trip_s > 2.0 * COARSE_S:
+        text = f'converged, but stamps may be off by up to {500.0 * state.round_trip_s:.1f} ms'
+        return Status('clock', WARN, text, values)
     if state.converged:
         return Status('clock', OK, 'converged', values)
     if state.accepted == 0 and state.rejected == 0:
@@ -155,6 +171,8 @@ def gains_status(link: Link, keeper: GainKeeper) -> Status:
     values['rolled back'] = keeper.rollbacks
     values['polarity'] = keeper.polarity.words()
     values |= {f'watch {n} (rad/s)': f'{v:.3f}' for n, v in keeper.watch.figures().items()}
+    if link.last_cycle is None and link.autopilot.asked:
+        return Status('gains', WARN, 'refused: the far end has no QUAD_GAINS', values)
     if keeper.refused:
         return Status('gains', ERROR, keeper.refused, values)
     if keeper.disk_fault:

@@ -34,6 +34,8 @@ class ExcitationRelay:
         self.dropped = 0
         self.reason = ''
         """Why the last dropped set-point was dropped; empty after a good one."""
+        self.refusal = ''
+        """Why the far end cannot be excited at all."""
 
     @property
     def injection(self) -> Injection:
@@ -60,7 +62,7 @@ class ExcitationRelay:
 
     def setpoint(self, x: float, y: float, z: float, now_s: float = 0.0) -> Excitation | None:
         """The frame of a set-point (FLU, the segment's unit); None where it must not be sent."""
-        fault = self._enable.fault(now_s)
+        fault = self.refusal or self._enable.fault(now_s)
         if fault:
             return self._drop(fault)
         if self._lost:

@@ -9,8 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+from quad_bridge.autopilot import Autopilot, Inertial
 from quad_bridge.gain_line import GainLine
-from quad_bridge.wire.clock import ClockEstimator
+from quad_bridge.wire.clock import ClockEstimator, DeviceTime
 from quad_bridge.wire.codec import Decoder, Encoder
 from quad_bridge.wire.frames import (
     Attitude,
@@ -23,6 +24,7 @@ from quad_bridge.wire.frames import (
     GainsCommand,
     GainsState,
     Heartbeat,
+    Outputs,
     ParamRequestList,
     ParamRequestRead,
     ParamSet,
@@ -41,13 +43,20 @@ ADDRESSED = (Command, Excitation, GainsCommand, ParamRequestList, ParamRequestRe
 HEARTBEAT_NS = 1_000_000_000
 SYNC_NS = 200_000_000
 """Between TIMESYNC questions once the clock has converged; before, every tick asks."""
+NO_SYNC_NS = 3_000_000_000
+"""Without an answer to TIMESYNC for so long, an autopilot's arrivals must do."""
+NO_CYCLE_NS = 1_000_000_000
+"""An autopilot without a QUAD_CYCLE for so long sends none."""
+FUTURE_NS = 100_000_000
+NEAR_US = 60_000_000
+"""A device time is believed to have wrapped at 32 bits within this of the wrap."""
 
 
 @dataclass(frozen=True)
 class Stamped:
     """A frame for a topic with its host time; `stamp_ns` is None where it has no time."""
 
-    frame: Cycle | RcChannels | Battery | SlowSensors | StatusText
+    frame: Cycle | RcChannels | Battery | SlowSensors | StatusText | Inertial | Outputs
     stamp_ns: int | None
 
 
@@ -63,18 +72,20 @@ class Link:
         self.clock = ClockEstimator()
         self.gains = GainLine()
         self.peer: Heartbeat | None = None
-        self.standard_names: set[str] = set()
-        """Standard messages seen that the bridge does not use."""
+        self.autopilot = Autopilot()
+        """Where the far end sends standard messages only."""
+        self.device_time = DeviceTime()
         self.last_cycle: Cycle | None = None
         self.last_cycle_ns = 0
         """Host time at which the last cycle arrived."""
         self.cycles = 0
         self.held = 0
-        """Cycles not published because the clock had not converged."""
+        """Cycles not published: no clock yet, or a stamp that runs backwards."""
         self._encoder = Encoder(BRIDGE_SYSTEM, BRIDGE_COMPONENT, signing)
         self._outbox = bytearray()
         self._stamp_ns = 0
         self._restarts = 0
+        self._peer_since_ns = 0
         self._next_heartbeat_ns = 0
         self._next_sync_ns = 0
 
@@ -83,7 +94,7 @@ class Link:
         self.decoder.resync()
         self._far_end_restarted()
         self.peer = None
-        self.standard_names.clear()
+        self.autopilot.clear()
         self.last_cycle = None
         self._outbox.clear()
 
@@ -103,12 +114,26 @@ class Link:
             self._next_heartbeat_ns = now_ns + HEARTBEAT_NS
             self.send(Heartbeat(ONBOARD_CONTROLLER, NO_AUTOPILOT))
         if now_ns >= self._next_sync_ns:
-            self._next_sync_ns = now_ns + SYNC_NS if self.clock.converged else now_ns
+            calm = self.clock.converged and not self.clock.doubtful
+            self._next_sync_ns = now_ns + SYNC_NS if calm else now_ns
             self.send(TimeSync(0, now_ns))
+        if self.standard_only(now_ns):
+            for command in self.autopilot.due(now_ns):
+                self.send(command)
         self.poll_gains(now_ns)
+
+    def standard_only(self, now_ns: int) -> bool:
+        """Whether an autopilot is there that has sent no control cycle."""
+        return (
+            self.peer is not None
+            and self.last_cycle is None
+            and now_ns - self._peer_since_ns > NO_CYCLE_NS
+        )
 
     def poll_gains(self, now_ns: int) -> None:
         """Put into the outbox what the parameters' state machine wants to send."""
+        if self.standard_only(now_ns):
+            return  # its parameters are its own, and a thousand
         for request in self.gains.poll(1e-9 * now_ns):
             self.send(request)
 
@@ -134,15 +159,30 @@ class Link:
         self.last_cycle = frame
         self.last_cycle_ns = now_ns
         self.on_cycle(frame, now_ns)
-        if not self.clock.converged:
+        device_ns = 1000 * self.device_time.extend(frame.time_us, NEAR_US)
+        if not self._publishable(device_ns, now_ns):
             self.held += 1
             return
-        self._stamp_ns = self.clock.host_ns(1000 * frame.time_us)
         out.append(Stamped(frame, self._stamp_ns))
+
+    def _publishable(self, device_ns: int, now_ns: int) -> bool:
+        """Whether a cycle of this time may go out; its stamp is then the latest one.
+
+        None runs backwards, none lies in the future.
+        """
+        if not self.clock.converged:
+            return False
+        stamp_ns = self.clock.host_ns(device_ns)
+        if stamp_ns <= self._stamp_ns or stamp_ns > now_ns + FUTURE_NS:
+            return False
+        self._stamp_ns = stamp_ns
+        return True
 
     def _other(self, frame: Frame, now_ns: int, out: list[Stamped]) -> None:
         if isinstance(frame, (RcChannels, SlowSensors, Battery, StatusText)):
-            self._for_topic(frame, out)
+            self._for_topic(frame, now_ns, out)
+        elif isinstance(frame, (Attitude, Outputs)):
+            self._standard(frame, now_ns, out)
         elif isinstance(frame, TimeSync):
             self._time_sync(frame, now_ns)
         elif isinstance(frame, (ParamValue, GainsState)):
@@ -151,26 +191,55 @@ class Link:
         elif isinstance(frame, CommandAck):
             self.on_ack(frame)
         elif isinstance(frame, Heartbeat):
-            if frame.autopilot != NO_AUTOPILOT:
-                self.peer = frame
+            self._heartbeat(frame, now_ns)
         elif isinstance(frame, Standard):
-            self.standard_names.add(frame.name)
-        elif isinstance(frame, Attitude):
-            self.standard_names.add('ATTITUDE')
+            self.autopilot.note(frame.name, now_ns)
+
+    def _heartbeat(self, frame: Heartbeat, now_ns: int) -> None:
+        if frame.autopilot != NO_AUTOPILOT:
+            if self.peer is None:
+                self._peer_since_ns = now_ns
+            self.peer = frame
 
     def _for_topic(
-        self, frame: RcChannels | SlowSensors | Battery | StatusText, out: list[Stamped]
+        self,
+        frame: RcChannels | SlowSensors | Battery | StatusText,
+        now_ns: int,
+        out: list[Stamped],
     ) -> None:
-        if isinstance(frame, SlowSensors) and frame.gyro is not None:
-            self.standard_names.add('HIGHRES_IMU')
         if isinstance(frame, StatusText):
             out.append(Stamped(frame, None))
         elif isinstance(frame, RcChannels):
+            self.autopilot.note('RC_CHANNELS', now_ns)
             self._stamped(frame, frame.time_ms * 1000, 1000, out)
         elif isinstance(frame, SlowSensors):
+            self._standard(frame, now_ns, out)
             self._stamped(frame, frame.time_us, 1, out)
-        elif self.clock.converged and self.last_cycle is not None:
+        elif self.autopilot.battery(frame, now_ns) and self.clock.converged and self._stamp_ns:
             out.append(Stamped(frame, self._stamp_ns))
+
+    def _standard(
+        self, frame: Attitude | Outputs | SlowSensors, now_ns: int, out: list[Stamped]
+    ) -> None:
+        """What another autopilot says in place of a cycle; nothing once a cycle has come."""
+        if isinstance(frame, Outputs):
+            wanted = self.autopilot.outputs(frame, now_ns)
+            if wanted and self.last_cycle is None and self.clock.converged:
+                device_ns = 1000 * self.device_time.nearest(frame.time_us)
+                out.append(Stamped(frame, self.clock.host_ns(device_ns)))
+            return
+        inertial = self.autopilot.inertial(frame, now_ns)
+        if inertial is None or self.last_cycle is not None:
+            return
+        device_ns = 1000 * self.device_time.extend(inertial.time_us, NEAR_US)
+        if now_ns - self._opened_ns(now_ns) > NO_SYNC_NS:
+            self.clock.add_arrival(device_ns, now_ns)
+        if self._publishable(device_ns, now_ns):
+            out.append(Stamped(inertial, self._stamp_ns))
+
+    def _opened_ns(self, now_ns: int) -> int:
+        """When the far end was first heard; now, where it has not been."""
+        return self._peer_since_ns if self.peer is not None else now_ns
 
     def _stamped(
         self, frame: RcChannels | SlowSensors, time_us: int, grain_us: int, out: list[Stamped]
@@ -182,14 +251,19 @@ class Link:
         if last is not None and last.time_us // grain_us == time_us // grain_us:
             out.append(Stamped(frame, self._stamp_ns))
         else:
-            out.append(Stamped(frame, self.clock.host_ns(1000 * time_us)))
+            device_us = self.device_time.extend(time_us, NEAR_US)
+            out.append(Stamped(frame, self.clock.host_ns(1000 * device_us)))
 
     def _time_sync(self, frame: TimeSync, now_ns: int) -> None:
         if frame.tc1_ns == 0:
             self.send(TimeSync(now_ns, frame.ts1_ns))
         elif frame.ts1_ns <= now_ns:
-            self.clock.add(frame.ts1_ns, frame.tc1_ns, now_ns)
+            # a far end that counts µs in 32 bits wraps here too
+            whole_us, rest_ns = divmod(frame.tc1_ns, 1000)
+            device_ns = 1000 * self.device_time.extend(whole_us, NEAR_US) + rest_ns
+            self.clock.add(frame.ts1_ns, device_ns, now_ns)
 
     def _far_end_restarted(self) -> None:
         self.clock.reset()
+        self.device_time.restart()
         self.gains.restart()

@@ -20,12 +20,14 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import BatteryState, FluidPressure, Imu, JointState, Joy, MagneticField
 
 from quad_bridge import conversion, diagnostics
+from quad_bridge.autopilot import Inertial
 from quad_bridge.bridge_parameters import BridgeSettings, declare
 from quad_bridge.errors import RefusedError
 from quad_bridge.excitation_relay import ExcitationRelay
 from quad_bridge.gain_keeper import GainKeeper
 from quad_bridge.gain_services import GainServices
 from quad_bridge.gain_state import News, State
+from quad_bridge.host_time import HostTime
 from quad_bridge.link import Link, Stamped
 from quad_bridge.operator_enable import OperatorEnable
 from quad_bridge.operator_services import OperatorServices
@@ -33,14 +35,13 @@ from quad_bridge.qos import EVENT, STATE, STREAM
 from quad_bridge.ros_node import run
 from quad_bridge.serial_port import SerialPort
 from quad_bridge.wire.codec import Counts
-from quad_bridge.wire.frames import Battery, Cycle, Flag, RcChannels, SlowSensors
+from quad_bridge.wire.frames import Battery, Cycle, Flag, Outputs, RcChannels, SlowSensors
 
 TICK_S = 0.05
-CLOCK_STEP_NS = 5_000_000
-"""ROS time may move this much against the steady clock before the mapping is taken anew."""
 REPORT_S = 0.1
 """Least time between two reports, however many updates are refused."""
 YAW_STICK = 3
+NO_EXCITATION = 'the far end sends standard messages only: it has no QUAD_EXCITATION'
 
 
 class SerialBridge(Node):  # type: ignore[misc]
@@ -60,7 +61,7 @@ class SerialBridge(Node):  # type: ignore[misc]
         self._link.on_ack = self._operator.acknowledged
         self._link.on_cycle = self._watch_cycle
         self._reported_s = 0.0
-        self._epoch_ns = self._epoch()
+        self._time = HostTime(self._epoch())
         self._since = diagnostics.Since(time.monotonic(), Counts(), 0)
         self._opened_counts = Counts()
         self._faults: dict[str, str] = {}
@@ -107,6 +108,7 @@ class SerialBridge(Node):  # type: ignore[misc]
     def _on_open(self) -> None:
         with self._lock:
             self._link.opened()
+            self._time.opened(self._epoch())
             self._opened_counts = self._link.decoder.counts
         self.get_logger().info(f'{self._settings.port}: open at {self._settings.baud} baud')
 
@@ -125,7 +127,7 @@ class SerialBridge(Node):  # type: ignore[misc]
         if item.stamp_ns is None:
             self.get_logger().info(f'STM32: {getattr(frame, "text", "")}')
             return
-        stamp_ns = item.stamp_ns + self._epoch_ns
+        stamp_ns = item.stamp_ns + self._time.epoch_ns
         if isinstance(frame, Cycle):
             self._publish_cycle(frame, stamp_ns)
         elif isinstance(frame, RcChannels):
@@ -134,6 +136,10 @@ class SerialBridge(Node):  # type: ignore[misc]
             message = conversion.rc_message(frame, stamp_ns, failsafe=lost)
             self._rc.publish(message)
             self._keeper.sticks(message.axes[YAW_STICK], time.monotonic())
+        elif isinstance(frame, Inertial):
+            self._per_cycle[0][0](conversion.inertial_message(frame, stamp_ns))
+        elif isinstance(frame, Outputs):
+            self._per_cycle[1][0](conversion.outputs_message(frame, stamp_ns))
         elif isinstance(frame, Battery):
             self._battery.publish(conversion.battery_message(frame, stamp_ns))
         elif isinstance(frame, SlowSensors):
@@ -240,9 +246,11 @@ class SerialBridge(Node):  # type: ignore[misc]
         now_s = time.monotonic()
         with self._lock:
             link, port = self._link, self._port.status
+            standard = link.standard_only(time.monotonic_ns())
+            self._relay.refusal = NO_EXCITATION if standard else ''
             entries = [
                 diagnostics.link_status(port, link, self._since, now_s, self._opened_counts),
-                diagnostics.clock_status(link),
+                diagnostics.clock_status(link, self._time.behind_ns),
                 diagnostics.gains_status(link, self._keeper),
                 diagnostics.excitation_status(self._relay, link, self._enable.fault(now_s)),
             ]
@@ -271,11 +279,11 @@ class SerialBridge(Node):  # type: ignore[misc]
         return int(self.get_clock().now().nanoseconds) - time.monotonic_ns()
 
     def _keep_epoch(self) -> None:
-        epoch_ns = self._epoch()
-        if abs(epoch_ns - self._epoch_ns) > CLOCK_STEP_NS:
-            step_ms = (epoch_ns - self._epoch_ns) * 1e-6
-            self.get_logger().warning(f'the system clock was set: stamps move by {step_ms:.0f} ms')
-            self._epoch_ns = epoch_ns
+        last = self._link.last_cycle
+        armed = last is not None and bool(last.flags & Flag.ARMED)
+        words = self._time.measured(self._epoch(), armed=armed)
+        if words:
+            self.get_logger().warning(words)
 
 
 def main() -> None:

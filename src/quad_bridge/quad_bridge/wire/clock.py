@@ -4,6 +4,9 @@ Model: host = device + offset + drift (device - now). Weighted least squares ove
 trips; a trip weighs by how much longer than the shortest it took (half of the excess bounds its
 error), the drift has a prior of 100 ppm, a crystal's. A constant asymmetry of the two directions
 cannot be seen; half the shortest round trip bounds it.
+
+A trip's error is at most half of what it took beyond the shortest one, and the changes of the
+asymmetry: what disagrees by more is a jump of one of the clocks, not noise.
 """
 
 from __future__ import annotations
@@ -13,6 +16,7 @@ from collections import deque
 from dataclasses import dataclass
 
 DRIFT_PRIOR = 1e-4
+BLOCK_NS = 250_000_000
 FLOOR_S = 20e-6
 """Standard deviation of the best round trip's offset, s."""
 
@@ -26,10 +30,13 @@ class ClockState:
     """Host minus device at the latest sample, s."""
     drift_ppm: float
     round_trip_s: float
-    """Shortest round trip in the window, s; NaN without samples."""
+    """Shortest round trip in the window, s; NaN without samples. Half of it bounds the error of a
+    constant asymmetry."""
     accepted: int
     rejected: int
     restarts: int
+    one_way: bool = False
+    """From arrivals alone, for want of TIMESYNC: late by the transport, which nobody knows."""
 
 
 @dataclass(frozen=True)
@@ -49,11 +56,12 @@ class ClockEstimator:
         max_round_trip_s: float = 0.010,
         window: int = 150,
         min_samples: int = 8,
-        jump_s: float = 0.005,
+        jump_s: float = 0.001,
     ) -> None:
         """Set the limits: trips longer than `max_round_trip_s` are dropped.
 
         `jump_s` beyond a trip's own error is a jump; `min_samples` trips make it converged.
+        While the first trips still find the drift, five times as much is allowed.
         """
         self._max_ns = round(max_round_trip_s * 1e9)
         self._jump_ns = round(jump_s * 1e9)
@@ -66,11 +74,18 @@ class ClockEstimator:
         self._rejected = 0
         self._restarts = 0
         self._last: tuple[int, int] | None = None
+        self._one_way = False
+        self._block: list[tuple[int, int]] = []
 
     @property
     def converged(self) -> bool:
         """True once stamps may be published."""
         return len(self._trips) >= self._min_samples
+
+    @property
+    def doubtful(self) -> bool:
+        """True where the last round trip disagreed: ask again at once."""
+        return self._outliers > 0
 
     @property
     def state(self) -> ClockState:
@@ -83,6 +98,7 @@ class ClockEstimator:
             accepted=self._accepted,
             rejected=self._rejected,
             restarts=self._restarts,
+            one_way=self._one_way,
         )
 
     def reset(self) -> None:
@@ -92,6 +108,25 @@ class ClockEstimator:
         self._outliers = 0
         self._drift = 0.0
         self._last = None
+        self._one_way = False
+        self._block.clear()
+
+    def add_arrival(self, device_ns: int, arrived_ns: int) -> None:
+        """Take a message's device time and arrival, for a far end that answers no TIMESYNC.
+
+        Of each block the one that took least counts.
+        """
+        if self._trips and not self._one_way:
+            return
+        self._block.append((device_ns, arrived_ns))
+        if device_ns - self._block[0][0] < BLOCK_NS:
+            if device_ns < self._block[0][0]:
+                self.reset()
+            return
+        device, arrived = min(self._block, key=lambda one: one[1] - one[0])
+        self._block.clear()
+        self._one_way = True
+        self._take(_Trip(device, arrived - device, 0))
 
     def add(self, sent_ns: int, device_ns: int, received_ns: int) -> bool:
         """Take one round trip (host ns, device ns, host ns); False where it was dropped.
@@ -102,12 +137,19 @@ class ClockEstimator:
         if not 0 <= trip.round_trip_ns <= self._max_ns:
             self._rejected += 1
             return False
+        if self._one_way:
+            self.reset()
+        return self._take(trip)
+
+    def _take(self, trip: _Trip) -> bool:
         if self._trips and self._jumped(trip):
             self._outliers += 1
             self._rejected += 1
             if self._outliers < 2:
                 return False
+            one_way = self._one_way
             self.reset()
+            self._one_way = one_way
         self._outliers = 0
         self._trips.append(trip)
         self._accepted += 1
@@ -126,7 +168,10 @@ class ClockEstimator:
     def _jumped(self, trip: _Trip) -> bool:
         since = trip.device_ns - self._trips[-1].device_ns
         expected = self._offset_ns + self._drift * since
-        allowed = self._jump_ns + trip.round_trip_ns / 2 + 2.0 * DRIFT_PRIOR * abs(since)
+        shortest = min(t.round_trip_ns for t in self._trips)
+        own = abs(trip.round_trip_ns - shortest) / 2
+        jump = self._jump_ns * (20 if self._one_way else 1 if self.converged else 5)
+        allowed = jump + own + 2.0 * DRIFT_PRIOR * abs(since)
         return since < 0 or abs(trip.offset_ns - expected) > allowed
 
     def _fit(self) -> None:
@@ -148,3 +193,35 @@ class ClockEstimator:
         determinant = s0 * sxx - sx * sx
         self._drift = (s0 * sxy - sx * sy) / determinant
         self._offset_ns = last.offset_ns + 1e9 * (sy - self._drift * sx) / s0
+
+
+class DeviceTime:
+    """Device times that may wrap at 32 bits, as one that does not. µs, or any unit."""
+
+    def __init__(self, bits: int = 32) -> None:
+        """`bits` of the counter that may lie behind the time."""
+        self._span = 1 << bits
+        self._base = 0
+        self._last = 0
+        self.wraps = 0
+
+    def restart(self) -> None:
+        """Forget: the device has restarted."""
+        self._base = self._last = 0
+
+    def extend(self, time: int, near: int) -> int:
+        """`time` with its wraps; a wrap is believed within `near` of the counter's end."""
+        extended = time + self._base
+        if self._last - extended > self._span - near and time < near:
+            self._base += self._span
+            self.wraps += 1
+            extended += self._span
+        elif self._base and extended - self._last > self._span - near:
+            return extended - self._span  # sent before the wrap, arrived behind it
+        self._last = max(self._last, extended)
+        return extended
+
+    def nearest(self, time: int) -> int:
+        """The time closest to the latest one of which `time` holds the low bits."""
+        offset = (time - self._last + self._span // 2) % self._span - self._span // 2
+        return self._last + offset

@@ -223,6 +223,8 @@ class Battery:
     voltage_v: float
     current_a: float = float('nan')
     remaining: float = float('nan')
+    name: str = 'BATTERY_STATUS'
+    """The message that it came in; SYS_STATUS has it too."""
 
 
 @dataclass(frozen=True)
@@ -240,6 +242,8 @@ class SlowSensors:
     """rad/s, FRD; only other autopilots fill it."""
     accel: Vector3 | None = None
     """m/s², FRD; only other autopilots fill it."""
+    name: str = 'HIGHRES_IMU'
+    """The message that it came in."""
 
 
 @dataclass(frozen=True)

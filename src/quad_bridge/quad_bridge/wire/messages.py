@@ -143,6 +143,16 @@ def _scaled_imu(m: Any) -> SlowSensors:
         mag_gauss=_scaled(mag, 1e-3) if any(mag) else None,
         gyro=_scaled((m.xgyro, m.ygyro, m.zgyro), 1e-3),
         accel=_scaled((m.xacc, m.yacc, m.zacc), 1e-3 * GRAVITY),
+        name='SCALED_IMU',
+    )
+
+
+def _scaled_pressure(m: Any) -> SlowSensors:
+    return SlowSensors(
+        time_us=1000 * m.time_boot_ms,
+        pressure_hpa=m.press_abs,
+        temperature_c=0.01 * m.temperature,
+        name='SCALED_PRESSURE',
     )
 
 
@@ -160,6 +170,7 @@ def _system_status(m: Any) -> Battery:
         math.nan if m.voltage_battery == _NO_VOLTAGE else m.voltage_battery / 1000.0,
         m.current_battery / 100.0 if m.current_battery >= 0 else math.nan,
         m.battery_remaining / 100.0 if m.battery_remaining >= 0 else math.nan,
+        name='SYS_STATUS',
     )
 
 
@@ -200,9 +211,7 @@ FROM_MESSAGE: dict[int, Callable[[Any], Frame]] = {
 FROM_AUTOPILOT: dict[int, Callable[[Any], Frame]] = {
     d.MAVLINK_MSG_ID_ATTITUDE: _attitude,
     d.MAVLINK_MSG_ID_SCALED_IMU: _scaled_imu,
-    d.MAVLINK_MSG_ID_SCALED_PRESSURE: lambda m: SlowSensors(
-        1000 * m.time_boot_ms, pressure_hpa=m.press_abs, temperature_c=0.01 * m.temperature
-    ),
+    d.MAVLINK_MSG_ID_SCALED_PRESSURE: _scaled_pressure,
     d.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: _outputs,
     d.MAVLINK_MSG_ID_SYS_STATUS: _system_status,
 }

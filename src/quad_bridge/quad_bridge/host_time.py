@@ -1,0 +1,42 @@
+"""From the steady clock to ROS time, where the system clock may be set while bytes arrive. Pure.
+
+A record with a step in its stamps is spoilt, so in flight the stamps keep the time of before; on
+the ground they follow a clock that is set forward. A step back would let stamps run backwards: it
+waits for the next opening of the port.
+"""
+
+from __future__ import annotations
+
+STEP_NS = 5_000_000
+"""A smaller difference is the time it takes to read two clocks."""
+
+
+class HostTime:
+    """`epoch_ns` is what to add to the steady clock, ns."""
+
+    def __init__(self, epoch_ns: int) -> None:
+        self.epoch_ns = epoch_ns
+        self.behind_ns = 0
+        """How much the system clock has been set beyond the stamps; below 0: set back."""
+
+    def opened(self, epoch_ns: int) -> None:
+        """Take the system clock as it is: nothing is being published."""
+        self.epoch_ns, self.behind_ns = epoch_ns, 0
+
+    def measured(self, epoch_ns: int, *, armed: bool) -> str:
+        """Compare with the clocks as they are now; what to say where they have parted, or ''."""
+        step = epoch_ns - self.epoch_ns
+        if abs(step) <= STEP_NS:
+            self.behind_ns = 0
+            return ''
+        if step > 0 and not armed:
+            self.opened(epoch_ns)
+            return f'the system clock was set: stamps move by {step * 1e-6:.0f} ms'
+        known = abs(step - self.behind_ns) <= STEP_NS
+        self.behind_ns = step
+        if known:
+            return ''
+        return (
+            f'the system clock was set by {step * 1e-6:.0f} ms: stamps keep the time of before'
+            f' {"until disarmed" if step > 0 else "until the port is opened anew"}'
+        )

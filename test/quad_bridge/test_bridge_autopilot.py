@@ -1,0 +1,289 @@
+"""A far end made of pymavlink's `common` dialect: what the bridge makes of standard messages."""
+
+import contextlib
+import math
+import os
+import select
+import signal
+import subprocess
+import sys
+import threading
+import time
+import tty
+
+import numpy as np
+import pytest
+from pymavlink.dialects.v20 import common
+from rosbags.highlevel import AnyReader
+
+from quad_bridge.autopilot import INTERVALS_US, SET_MESSAGE_INTERVAL, Inertial
+from quad_bridge.link import Link
+from quad_bridge.wire import frames as f
+from quad_bridge.wire.codec import Decoder, Encoder
+
+HOST0_NS = 5_000_000_000
+NAMES = {number: name for name, (number, _) in INTERVALS_US.items()}
+
+
+class Autopilot:
+    """Flies nothing, but talks: streams what was asked for, answers TIMESYNC, has 3 parameters."""
+
+    def __init__(self, *, only=tuple(INTERVALS_US), sync=True, system_id=1):
+        self.mav = common.MAVLink(None, srcSystem=system_id, srcComponent=1)
+        self.ears = common.MAVLink(None)
+        self.ears.robust_parsing = True
+        self.only, self.sync, self.asked = only, sync, {}
+        self.heard = []
+
+    def pack(self, message):
+        self.mav.seq = (self.mav.seq + 1) % 256
+        return bytes(message.pack(self.mav))
+
+    def stream(self, step, now_us):
+        """Bytes of one step of 4 ms."""
+        out = b''
+        if step % 250 == 0:
+            out += self.pack(common.MAVLink_heartbeat_message(2, 3, 128, 0, 4, 3))
+            health = (1, 1, 1, 100, 11_800, 250, 77, 0, 0, 0, 0, 0, 0)
+            out += self.pack(common.MAVLink_sys_status_message(*health))
+        for name, message in self.messages(now_us).items():
+            if name in self.asked and step % max(self.asked[name] // 4000, 1) == 0:
+                out += self.pack(message)
+        return out
+
+    def messages(self, now_us):
+        ms = now_us // 1000
+        return {
+            'ATTITUDE': common.MAVLink_attitude_message(ms, 0.1, 0.2, 0.3, 0.5, -0.25, 0.125),
+            'HIGHRES_IMU': common.MAVLink_highres_imu_message(
+                now_us, 0.0, 0.0, -9.81, 0.5, -0.25, 0.125, 0.2, 0.1, -0.4, 1000.0, 0, 0, 20.0,
+                0x0FFF,
+            ),
+            'SCALED_IMU': common.MAVLink_scaled_imu_message(
+                ms, 0, 0, -1000, 500, -250, 125, 200, 100, -400
+            ),
+            'SERVO_OUTPUT_RAW': common.MAVLink_servo_output_raw_message(
+                now_us % 2**32, 0, 1100, 1200, 1300, 1400, 0, 0, 0, 0
+            ),
+            'RC_CHANNELS': common.MAVLink_rc_channels_message(
+                ms, 8, 1500, 1600, 1200, 1500, *([1000] * 4), *([65535] * 10), 255
+            ),
+            'SCALED_PRESSURE': common.MAVLink_scaled_pressure_message(ms, 990.0, 0.0, 2000),
+            'BATTERY_STATUS': common.MAVLink_battery_status_message(
+                0, 0, 0, 2000, [3900, 3900, 3900, *([65535] * 7)], 150, -1, -1, 80
+            ),
+        }  # fmt: skip
+
+    def answer(self, data, now_us):
+        out = b''
+        for message in self.ears.parse_buffer(data) or []:
+            self.heard.append(message.get_type())
+            if message.get_type() == 'TIMESYNC' and message.tc1 == 0 and self.sync:
+                out += self.pack(common.MAVLink_timesync_message(1000 * now_us, message.ts1))
+            elif message.get_type() == 'COMMAND_LONG':
+                assert message.command == SET_MESSAGE_INTERVAL
+                name = NAMES[int(message.param1)]
+                known = name in self.only
+                if known:
+                    self.asked[name] = int(message.param2)
+                out += self.pack(common.MAVLink_command_ack_message(511, 0 if known else 3))
+            elif message.get_type() == 'PARAM_REQUEST_LIST':
+                for i, name in enumerate((b'MC_ROLL_P', b'MC_PITCH_P', b'MC_YAW_P')):
+                    out += self.pack(common.MAVLink_param_value_message(name, 0.15, 9, 3, i))
+        return out
+
+
+def converse(peer, seconds, link=None):
+    link = link or Link()
+    link.opened()
+    out = []
+    for step in range(round(250 * seconds)):
+        now_us = 4000 * (step + 1)
+        now_ns = HOST0_NS + 1000 * now_us
+        out += link.receive(peer.stream(step, now_us), now_ns)
+        if step % 12 == 0:
+            link.tick(now_ns)
+        while data := link.drain():
+            out += link.receive(peer.answer(data, now_us + 100), now_ns + 200_000)
+    return link, out
+
+
+def kinds(out):
+    return {type(item.frame).__name__ for item in out if item.stamp_ns is not None}
+
+
+def test_streams_are_asked_for_and_become_what_the_topics_need():
+    peer = Autopilot()
+    link, out = converse(peer, 6.0)
+    assert peer.asked == {name: us for name, (_, us) in INTERVALS_US.items()}
+    assert kinds(out) == {'Inertial', 'Outputs', 'RcChannels', 'SlowSensors', 'Battery'}
+    inertial = [item for item in out if isinstance(item.frame, Inertial)]
+    assert len(inertial) > 900
+    stamps = np.array([item.stamp_ns for item in inertial])
+    assert np.diff(stamps).min() > 0
+    true = HOST0_NS + 1000 * np.array([item.frame.time_us for item in inertial])
+    assert np.abs(stamps - true).max() < 300_000
+    last = inertial[-1].frame
+    assert last.gyro == (0.5, -0.25, 0.125)
+    assert last.accel == pytest.approx((0.0, 0.0, -9.81), abs=1e-6)
+    assert last.attitude == pytest.approx((0.1, 0.2, 0.3), abs=1e-6)
+    batteries = {item.frame.voltage_v for item in out if isinstance(item.frame, f.Battery)}
+    # SYS_STATUS stands in only as long as no BATTERY_STATUS comes
+    assert batteries <= {11.7, 11.8}
+    assert out[-1].stamp_ns > 0
+    late = [i.frame.voltage_v for i in out[-200:] if isinstance(i.frame, f.Battery)]
+    assert set(late) == {11.7}
+    missing = link.autopilot.missing(HOST0_NS + 6_000_000_000)
+    assert missing == ['/control/wrench', '/setpoint/attitude', '/setpoint/rates',
+                       '/excitation/applied']  # fmt: skip
+
+
+def test_without_highres_imu_the_scaled_one_does_and_without_both_the_attitude():
+    _, out = converse(Autopilot(only=('SCALED_IMU', 'ATTITUDE')), 4.0)
+    last = [item.frame for item in out if isinstance(item.frame, Inertial)][-1]
+    assert last.accel == pytest.approx((0.0, 0.0, -9.80665), abs=1e-6)
+    assert last.gyro == pytest.approx((0.5, -0.25, 0.125))
+    _, out = converse(Autopilot(only=('ATTITUDE',)), 4.0)
+    last = [item.frame for item in out if isinstance(item.frame, Inertial)][-1]
+    assert last.accel is None
+    assert last.gyro == pytest.approx((0.5, -0.25, 0.125))
+
+
+def test_an_autopilot_that_answers_no_timesync_is_stamped_by_arrival():
+    link, out = converse(Autopilot(sync=False), 12.0)
+    assert link.clock.state.one_way
+    inertial = [item for item in out if isinstance(item.frame, Inertial)]
+    assert len(inertial) > 1000
+    true = HOST0_NS + 1000 * np.array([item.frame.time_us for item in inertial])
+    assert np.abs(np.array([item.stamp_ns for item in inertial]) - true).max() < 1_000_000
+
+
+def test_its_parameters_are_let_alone_and_nothing_of_ours_is_sent_to_it():
+    peer = Autopilot()
+    converse(peer, 8.0)
+    assert peer.heard.count('PARAM_REQUEST_LIST') <= 2
+    # in the first second, before the bridge knows, it may have asked for our own set of gains
+    ours = [name for name in peer.heard if name.startswith(('UNKNOWN', 'BAD'))]
+    assert set(ours) <= {'UNKNOWN_24102'}
+    assert len(ours) <= 5
+
+
+def test_messages_that_do_not_come_are_asked_for_again():
+    peer = Autopilot(only=('ATTITUDE',))
+    link, _ = converse(peer, 12.0)
+    assert peer.asked == {'ATTITUDE': 4000}
+    assert link.autopilot.asked > 2 * (len(INTERVALS_US) - 1)
+    assert '/motors/command' in link.autopilot.missing(HOST0_NS + 12_000_000_000)
+
+
+def test_our_own_controller_is_asked_for_nothing():
+    link = Link()
+    link.opened()
+    zero = (0.0, 0.0, 0.0)
+    cycle = f.Cycle(1, 1, zero, zero, zero, zero, zero, (0.0,) * 4, zero, (0.0,) * 4, 0)
+    encoder = Encoder(1, 1)
+    link.receive(encoder.encode(f.Heartbeat()) + encoder.encode(cycle), HOST0_NS)
+    link.tick(HOST0_NS + 9_000_000_000)
+    sent = Decoder().feed(link.drain())
+    assert not [frame for frame in sent if isinstance(frame, f.Command)]
+
+
+def test_messages_in_ros_units_and_axes():
+    pytest.importorskip('sensor_msgs.msg', reason='needs the ROS 2 message packages')
+    from quad_bridge import conversion
+
+    imu = conversion.inertial_message(
+        Inertial(0, (0.5, -0.25, 0.125), (0.0, 0.0, -9.81), None), 7_000_000_001
+    )
+    assert imu.header.stamp.nanosec == 1
+    rate = imu.angular_velocity
+    assert (rate.x, rate.y, rate.z) == (0.5, 0.25, -0.125)
+    assert imu.linear_acceleration.z == 9.81
+    assert imu.orientation_covariance[0] == -1.0
+    imu = conversion.inertial_message(Inertial(0, (0.0,) * 3, None, (0.0, 0.0, 0.0)), 1)
+    assert imu.linear_acceleration_covariance[0] == -1.0
+    # front right 0.1, rear left 0.2, front left 0.3, rear right 0.4 in the autopilots' order
+    motors = conversion.outputs_message(f.Outputs(0, 0, (1100, 1200, 1300, 1400)), 1)
+    assert list(motors.effort) == pytest.approx([0.2, 0.4, 0.1, 0.3])
+    assert not math.isnan(sum(motors.effort))
+
+
+class Port(threading.Thread):
+    """The peer behind a pseudo-terminal, in real time."""
+
+    def __init__(self, link, peer):
+        super().__init__(daemon=True)
+        self.peer, self.stopping = peer, threading.Event()
+        self.master, self.slave = os.openpty()
+        tty.setraw(self.slave)
+        os.set_blocking(self.master, False)
+        link.symlink_to(os.ttyname(self.slave))
+
+    def run(self):
+        begin_s, step = time.monotonic(), 0
+        while not self.stopping.is_set():
+            pause = begin_s + 0.004 * step - time.monotonic()
+            data = b''
+            if select.select([self.master], [], [], max(pause, 0.0))[0]:
+                now_us = int(1e6 * (time.monotonic() - begin_s))
+                data = self.peer.answer(os.read(self.master, 4096), now_us)
+            if pause <= 0.0:
+                data += self.peer.stream(step, 4000 * step)
+                step += 1
+            with contextlib.suppress(BlockingIOError):
+                os.write(self.master, data)
+
+
+@pytest.fixture
+def start(tmp_path):
+    started = []
+    environment = {
+        **os.environ,
+        'ROS_DOMAIN_ID': str(100 + os.getpid() % 100),
+        'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
+        'ROS_LOG_DIR': str(tmp_path / 'log'),
+    }
+
+    def make(name, *settings):
+        code = f'from quad_bridge.{name}_node import main; main()'
+        arguments = [word for setting in settings for word in ('-p', setting)]
+        command = [sys.executable, '-c', code, '--ros-args', *arguments]
+        started.append(subprocess.Popen(command, env=environment))
+        return started[-1]
+
+    yield make
+    for process in started:
+        process.kill()
+        process.wait()
+
+
+def read(bag):
+    found = {}
+    with AnyReader([bag]) as reader:
+        for connection, _, raw in reader.messages():
+            message = reader.deserialize(raw, connection.msgtype)
+            found.setdefault(connection.topic, []).append(message)
+    return found
+
+
+def test_the_node_publishes_what_it_can_and_says_what_is_missing(tmp_path, start):
+    pytest.importorskip('rclpy', reason='needs ROS 2')
+    port = Port(tmp_path / 'tty', Autopilot())
+    port.start()
+    logger = start('bag_logger', f'folder:={tmp_path}', 'autostart:=true')
+    bridge = start('serial_bridge', f'port:={tmp_path / "tty"}')
+    time.sleep(9.0)
+    for process in (bridge, logger):
+        process.send_signal(signal.SIGINT)
+        assert process.wait(timeout=10.0) == 0
+    port.stopping.set()
+    port.join()
+    found = read(next(tmp_path.glob('flight_*')))
+    for topic in ('/imu/data', '/motors/command', '/rc/in', '/imu/mag', '/baro', '/battery'):
+        assert len(found.get(topic, [])) > 5, topic
+    assert '/control/wrench' not in found
+    assert found['/imu/data'][-1].linear_acceleration.z == pytest.approx(9.81)
+    assert found['/motors/command'][-1].effort.tolist() == pytest.approx([0.2, 0.4, 0.1, 0.3])
+    said = {s.name: s.message for array in found['/diagnostics'] for s in array.status}
+    assert 'without QUAD_CYCLE there is no /control/wrench' in said['serial_bridge: link']
+    assert said['serial_bridge: gains'] == 'refused: the far end has no QUAD_GAINS'
