@@ -259,6 +259,27 @@ def test_an_excitation_beyond_its_limits_is_refused(board, value, injection):
     assert not cycle.flags & f.Flag.EXCITATION
 
 
+@pytest.mark.parametrize(
+    'unsafe',
+    [{'kill': True}, {'failsafe': True}, {'battery_v': 9.5}, {'flags': int(f.Flag.ANGLE_LIMIT)}],
+    ids=str,
+)
+def test_an_unsafe_state_ends_the_excitation_in_the_next_cycle_at_the_latest(board, unsafe):
+    made = board()
+    made.run()
+    made.tell(f.Excitation((0.1, 0.0, 0.0), int(f.Injection.RATE), 7, valid_ms=400))
+    (cycle,) = of(f.Cycle, made.run())
+    assert cycle.flags & f.Flag.EXCITATION
+    frames = made.run(2, **unsafe)
+    last = of(f.Cycle, frames)[-1]
+    assert not last.flags & f.Flag.EXCITATION
+    assert last.flags & f.Flag.EXCITATION_REFUSED
+    assert last.excitation == (0.0, 0.0, 0.0)
+    assert 'excitation refused' in [t.text for t in of(f.StatusText, frames)]
+    # and it does not come back by itself
+    assert not any(c.flags & f.Flag.EXCITATION for c in of(f.Cycle, made.run(5)))
+
+
 def test_only_who_is_meant_is_commanded(board):
     made = board()
     assert made.tell(f.ParamRequestRead('YAW_ANG_KP', -1, 2, 1)) == []
