@@ -31,14 +31,16 @@ DIAGNOSTICS = ('serial_bridge: link', 'serial_bridge: clock', 'bag_logger: recor
 class FarEnd(threading.Thread):
     """Sends 250 cycles a second and answers time and parameters, until told to stop."""
 
-    def __init__(self, link):
+    def __init__(self, link, *, cycle=0, start_s=None):
         super().__init__(daemon=True)
+        self.link = link
         self.master, self.slave = os.openpty()
         tty.setraw(self.slave)
         os.set_blocking(self.master, False)
         link.symlink_to(os.ttyname(self.slave))
         self.encoder, self.decoder = Encoder(1, 1), Decoder()
-        self.stopping, self.cycle, self.start_s = threading.Event(), 0, time.monotonic()
+        self.stopping, self.cycle = threading.Event(), cycle
+        self.start_s = time.monotonic() if start_s is None else start_s
 
     def send(self, frame):
         with contextlib.suppress(BlockingIOError):
@@ -63,6 +65,13 @@ class FarEnd(threading.Thread):
                 )
             )  # fmt: skip
             self.cycle += 1
+
+    def unplug(self):
+        self.stopping.set()
+        self.join()
+        self.link.unlink()
+        os.close(self.slave)
+        os.close(self.master)
 
     def answer(self, data):
         names = list(WIRE_NAMES.values())
@@ -152,6 +161,49 @@ def test_wire_to_bag(tmp_path, spawn):
     assert {p.name for p in active.changed_parameters} == set(WIRE_NAMES)
     states = {status.name for array in found['/diagnostics'] for status in array.status}
     assert set(DIAGNOSTICS) <= states
+
+
+def values(arrays, name):
+    """All values that /diagnostics had under `name`, by key, the last of each."""
+    entries = [s for array in arrays for s in array.status if s.name == name]
+    return {v.key: v.value for entry in entries for v in entry.values}
+
+
+def test_replugged_under_another_name_the_flight_goes_on(tmp_path, spawn):
+    first = FarEnd(tmp_path / 'ttyACM0')
+    first.start()
+    bags = tmp_path / 'bags'
+    logger = spawn('bag_logger', '-p', f'folder:={bags}', '-p', 'autostart:=true')
+    bridge = spawn('serial_bridge', '-p', f'port:={tmp_path}/ttyACM*')
+    bag = bag_in(bags)
+    first.unplug()
+    time.sleep(1.0)
+    # the STM32 has gone on meanwhile
+    cycle = int((time.monotonic() - first.start_s) / 0.004)
+    second = FarEnd(tmp_path / 'ttyACM1', cycle=cycle, start_s=first.start_s)
+    begin_s = time.time()
+    second.start()
+    time.sleep(3.0)
+    assert interrupt(bridge) == 0
+    assert interrupt(logger) == 0
+    said = bridge.stderr.read().count('\n')
+    second.unplug()
+    found = {}
+    with AnyReader([bag]) as reader:
+        for connection, _, raw in reader.messages():
+            message = reader.deserialize(raw, connection.msgtype)
+            found.setdefault(connection.topic, []).append(message)
+    stamps = [m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in found['/imu/data']]
+    steps = np.diff(stamps)
+    assert steps.min() > 0.0
+    assert (steps > 0.5).sum() == 1  # one gap, and no other
+    after = [t for t in stamps if t > begin_s]
+    assert len(after) > 100
+    link = values(found['/diagnostics'], 'serial_bridge: link')
+    assert int(link['lost cycles']) >= cycle - first.cycle
+    assert int(link['times opened']) == 2
+    assert link['device'].endswith('ttyACM1')
+    assert said < 15
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,9 @@ import tty
 
 import pytest
 
+from quad_bridge import serial_port
 from quad_bridge.serial_port import PortState, SerialPort
+from quad_bridge.sparing import Sparing
 
 WAIT_S = 10.0
 
@@ -112,6 +114,59 @@ def test_hang_up_and_replug_under_the_same_name(line, start):
     os.write(line.master, b'again')
     assert until(lambda: ears.data == b'again')
     assert port.status.opened == 2
+
+
+def test_a_pattern_finds_the_adapter_under_another_name(tmp_path, start):
+    port, ears = start(tmp_path / 'ttyACM*')
+    assert until(lambda: port.status.state is PortState.NOT_THERE)
+    assert 'nothing matches' in port.status.detail
+    first = Line(tmp_path / 'ttyACM0')
+    assert until(lambda: port.status.state is PortState.OPEN)
+    first.unplug()
+    assert until(lambda: port.status.state is PortState.NOT_THERE)
+    second = Line(tmp_path / 'ttyACM1')
+    assert until(lambda: port.status.state is PortState.OPEN)
+    assert port.status.path == str(tmp_path / 'ttyACM1')
+    os.write(second.master, b'here')
+    assert until(lambda: ears.data == b'here')
+
+
+def test_a_link_that_leads_elsewhere_is_followed_though_nothing_has_hung_up(line, start):
+    """As /dev/serial/by-id after a re-enumeration that left the old device half-open."""
+    port, ears = start(line.path)
+    assert until(lambda: port.status.state is PortState.OPEN)
+    line.path.unlink()
+    line.plug()  # the old pty stays open, and silent
+    assert until(lambda: ears.opened == 2)
+    os.write(line.master, b'new')
+    assert until(lambda: ears.data == b'new')
+
+
+def test_a_silent_one_of_several_is_left_for_the_next(tmp_path, start, monkeypatch):
+    monkeypatch.setattr(serial_port, 'HALF_OPEN_S', (0.3, 60.0))
+    Line(tmp_path / 'ttyACM0')
+    talking = Line(tmp_path / 'ttyACM1')
+    port, ears = start(tmp_path / 'ttyACM*')
+    assert until(lambda: port.status.path.endswith('1'))
+    os.write(talking.master, b'x')
+    assert until(lambda: ears.data == b'x')
+
+
+def test_a_silent_port_is_opened_anew_ever_less_often(line, start, monkeypatch):
+    monkeypatch.setattr(serial_port, 'HALF_OPEN_S', (0.05, 1e9))
+    port, ears = start(line.path)
+    assert until(lambda: ears.opened == 3)
+    os.write(line.master, b'x')
+    assert until(lambda: ears.data == b'x')
+    assert port.status.state is PortState.OPEN
+
+
+def test_a_log_says_things_once_and_never_floods():
+    log = Sparing(repeat_s=30.0, burst=5, per_s=60.0)
+    assert [log.allow('hung up', t) for t in (0.0, 1.0, 29.0, 30.0)] == [True, False, False, True]
+    assert [log.allow(f'line {k}', 31.0) for k in range(5)] == [True] * 3 + [False] * 2
+    assert log.allow('line 9', 70.0)
+    assert log.left_out == 4
 
 
 def test_a_file_that_is_no_terminal_is_said_to_be_unusable(tmp_path, start):

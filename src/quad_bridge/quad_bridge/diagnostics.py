@@ -25,6 +25,7 @@ LOW_DISK_BYTES = 100_000_000
 """A warning below it; what was reserved for the bag counts as taken."""
 COARSE_S = 0.002
 """Where half a round trip is longer, so may the error of the stamps be."""
+FTDI_MS = 2
 FOREIGN_BYTES = 2000
 """Bytes without one valid frame after which the far end is said to speak another protocol."""
 
@@ -58,6 +59,7 @@ def link_status(
     values = {
         'port': port.state.value,
         'port fault': port.detail,
+        'device': port.path,
         'times opened': port.opened,
         'cycle rate (Hz)': f'{rate:.1f}',
         'cycles': link.cycles,
@@ -91,9 +93,17 @@ def _link_verdict(
         return _no_frame(counts, opened)
     if link.cycles == since.cycles:
         return _no_cycle(link, round(1e9 * now_s))
-    lost = counts.lost_cycles - since.counts.lost_cycles
+    return _flowing(port, counts.lost_cycles - since.counts.lost_cycles)
+
+
+def _flowing(port: PortStatus, lost: int) -> tuple[int, str]:
     if lost:
         return WARN, f'{lost} cycles lost since the last report'
+    if port.latency_ms is not None and port.latency_ms > FTDI_MS:
+        return WARN, (
+            f'control cycles arrive, but the FTDI adapter holds bytes for {port.latency_ms} ms: '
+            f'set latency_timer of {port.path} to 1'
+        )
     return OK, 'control cycles arrive'
 
 

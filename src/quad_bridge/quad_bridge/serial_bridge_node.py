@@ -34,12 +34,15 @@ from quad_bridge.operator_services import OperatorServices
 from quad_bridge.qos import EVENT, STATE, STREAM
 from quad_bridge.ros_node import run
 from quad_bridge.serial_port import SerialPort
+from quad_bridge.sparing import Sparing
 from quad_bridge.wire.codec import Counts
 from quad_bridge.wire.frames import Battery, Cycle, Flag, Outputs, RcChannels, SlowSensors
 
 TICK_S = 0.05
 REPORT_S = 0.1
 """Least time between two reports, however many updates are refused."""
+SETTLED_S = 0.5
+"""Least time over which rates and losses are told."""
 YAW_STICK = 3
 NO_EXCITATION = 'the far end sends standard messages only: it has no QUAD_EXCITATION'
 
@@ -62,9 +65,10 @@ class SerialBridge(Node):  # type: ignore[misc]
         self._link.on_cycle = self._watch_cycle
         self._reported_s = 0.0
         self._time = HostTime(self._epoch())
-        self._since = diagnostics.Since(time.monotonic(), Counts(), 0)
+        self._since = self._before = diagnostics.Since(time.monotonic(), Counts(), 0)
         self._opened_counts = Counts()
         self._faults: dict[str, str] = {}
+        self._sparing = Sparing()
         self._create_topics()
         self._port = SerialPort(
             self._settings.port, self._settings.baud, self._on_bytes, self._on_open
@@ -82,18 +86,25 @@ class SerialBridge(Node):  # type: ignore[misc]
             return self.create_publisher(kind, topic, qos)
 
         m = self._messages
+        imu, motors = publisher(Imu, '/imu/data'), publisher(JointState, '/motors/command')
         self._per_cycle = (
-            (publisher(Imu, '/imu/data').publish, m.imu),
-            (publisher(JointState, '/motors/command').publish, m.motors),
+            (imu.publish, m.imu),
+            (motors.publish, m.motors),
             (publisher(WrenchStamped, '/control/wrench').publish, m.wrench),
             (publisher(Vector3Stamped, '/setpoint/attitude').publish, m.attitude_setpoint),
             (publisher(Vector3Stamped, '/setpoint/rates').publish, m.rate_setpoint),
         )
         self._applied = publisher(Vector3Stamped, '/excitation/applied')
         self._rc = publisher(Joy, '/rc/in')
-        self._battery = publisher(BatteryState, '/battery')
-        self._mag = publisher(MagneticField, '/imu/mag')
-        self._baro = publisher(FluidPressure, '/baro')
+        self._others: dict[type, tuple[tuple[Any, Callable[[Any, int], Any]], ...]] = {
+            Battery: ((publisher(BatteryState, '/battery'), conversion.battery_message),),
+            SlowSensors: (
+                (publisher(MagneticField, '/imu/mag'), conversion.mag_message),
+                (publisher(FluidPressure, '/baro'), conversion.baro_message),
+            ),
+            Inertial: ((imu, conversion.inertial_message),),
+            Outputs: ((motors, conversion.outputs_message),),
+        }
         self._active = publisher(ParameterEvent, '/gains/active', STATE)
         self._diagnostics = publisher(DiagnosticArray, '/diagnostics', EVENT)
         subscribe = self.create_subscription
@@ -110,7 +121,9 @@ class SerialBridge(Node):  # type: ignore[misc]
             self._link.opened()
             self._time.opened(self._epoch())
             self._opened_counts = self._link.decoder.counts
-        self.get_logger().info(f'{self._settings.port}: open at {self._settings.baud} baud')
+        words = f'{self._port.status.path}: open at {self._settings.baud} baud'
+        if self._sparing.allow(words, time.monotonic()):
+            self.get_logger().info(words)
 
     def _on_bytes(self, data: bytes) -> None:
         now_ns = time.monotonic_ns()
@@ -125,34 +138,33 @@ class SerialBridge(Node):  # type: ignore[misc]
     def _publish(self, item: Stamped) -> None:
         frame = item.frame
         if item.stamp_ns is None:
-            self.get_logger().info(f'STM32: {getattr(frame, "text", "")}')
+            words = f'STM32: {getattr(frame, "text", "")}'
+            if self._sparing.allow(words, time.monotonic()):
+                self.get_logger().info(words)
             return
         stamp_ns = item.stamp_ns + self._time.epoch_ns
         if isinstance(frame, Cycle):
             self._publish_cycle(frame, stamp_ns)
         elif isinstance(frame, RcChannels):
-            last = self._link.last_cycle
-            lost = last is not None and bool(last.flags & Flag.RC_FAILSAFE)
-            message = conversion.rc_message(frame, stamp_ns, failsafe=lost)
-            self._rc.publish(message)
-            self._keeper.sticks(message.axes[YAW_STICK], time.monotonic())
-        elif isinstance(frame, Inertial):
-            self._per_cycle[0][0](conversion.inertial_message(frame, stamp_ns))
-        elif isinstance(frame, Outputs):
-            self._per_cycle[1][0](conversion.outputs_message(frame, stamp_ns))
-        elif isinstance(frame, Battery):
-            self._battery.publish(conversion.battery_message(frame, stamp_ns))
-        elif isinstance(frame, SlowSensors):
-            for publisher, message in (
-                (self._mag, conversion.mag_message(frame, stamp_ns)),
-                (self._baro, conversion.baro_message(frame, stamp_ns)),
-            ):
+            self._publish_sticks(frame, stamp_ns)
+        else:
+            for publisher, convert in self._others[type(frame)]:
+                message = convert(frame, stamp_ns)
                 if message is not None:
                     publisher.publish(message)
 
+    def _publish_sticks(self, frame: RcChannels, stamp_ns: int) -> None:
+        last = self._link.last_cycle
+        lost = last is not None and bool(last.flags & Flag.RC_FAILSAFE)
+        message = conversion.rc_message(frame, stamp_ns, failsafe=lost)
+        self._rc.publish(message)
+        self._keeper.sticks(message.axes[YAW_STICK], time.monotonic())
+
     def _watch_cycle(self, frame: Cycle, now_ns: int) -> None:
-        if self._keeper.state is State.CHECKING and self._enable.fault(time.monotonic()):
-            self._keeper.disturb()
+        if self._keeper.state is State.CHECKING:
+            fault = self._enable.fault(1e-9 * now_ns)
+            if fault:
+                self._keeper.disturb(fault)
         pulse = self._keeper.cycle(frame, 1e-9 * now_ns)
         if pulse is not None:
             self._link.send(pulse)
@@ -246,15 +258,20 @@ class SerialBridge(Node):  # type: ignore[misc]
         now_s = time.monotonic()
         with self._lock:
             link, port = self._link, self._port.status
+            # a report out of turn may follow the last one so closely that nothing came between
+            settled = now_s - self._since.time_s > SETTLED_S
+            since = self._since if settled else self._before
             standard = link.standard_only(time.monotonic_ns())
             self._relay.refusal = NO_EXCITATION if standard else ''
             entries = [
-                diagnostics.link_status(port, link, self._since, now_s, self._opened_counts),
+                diagnostics.link_status(port, link, since, now_s, self._opened_counts),
                 diagnostics.clock_status(link, self._time.behind_ns),
                 diagnostics.gains_status(link, self._keeper),
                 diagnostics.excitation_status(self._relay, link, self._enable.fault(now_s)),
             ]
-            self._since = diagnostics.Since(now_s, link.decoder.counts, link.cycles)
+            if settled:
+                counts = diagnostics.Since(now_s, link.decoder.counts, link.cycles)
+                self._before, self._since = since, counts
         self._diagnostics.publish(
             diagnostics.diagnostic_array(
                 self.get_name(), self._settings.port, self.get_clock().now().to_msg(), entries
@@ -268,6 +285,8 @@ class SerialBridge(Node):  # type: ignore[misc]
             if self._faults.get(entry.name) == entry.message:
                 continue
             self._faults[entry.name] = entry.message
+            if not self._sparing.allow(entry.name + entry.message, time.monotonic()):
+                continue
             text = f'{self._settings.port}: {entry.name}: {entry.message}'
             if entry.level == diagnostics.OK:
                 self.get_logger().info(text)

@@ -1,24 +1,34 @@
 """The one place that opens a serial port: a reader thread that survives whatever the port does.
 
 Bytes go to a callback, in the reader's thread; what they mean is not known here. All faults of
-pyserial and the terminal layer are caught in this file and become a `PortState`.
+pyserial and the terminal layer are caught in this file and become a `PortState`. A port that falls
+silent is looked at: its name may lead to another device by now, or the far end be gone unsaid.
 """
 
 from __future__ import annotations
 
+import contextlib
 import errno
+import glob
+import os
+import select
 import termios
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
+from pathlib import Path
 from typing import Any
 
 import serial
 
-REOPEN_S = 0.5
-READ_TIMEOUT_S = 0.2
-WRITE_TIMEOUT_S = 0.05
+REOPEN_S = 0.25
+SILENT_S = 0.2
+"""After so long without a byte it is looked whether the name still leads to the same device."""
+HALF_OPEN_S = (5.0, 60.0)
+"""Silent for so long, the port is opened anew; each time after twice as long, up to the second."""
+CHUNK = 65536
 SOCKET_READ = 4096
 """Bytes taken from a socket at once."""
 FAULTS = (serial.SerialException, OSError, termios.error, TypeError, ValueError)
@@ -60,6 +70,10 @@ class PortStatus:
     """Times the port has been opened."""
     dropped_writes: int
     """Writes that found the output full or the port shut."""
+    path: str = ''
+    """The device that is open, or was last: what a link or pattern has led to."""
+    latency_ms: int | None = None
+    """An FTDI adapter's latency timer; None where there is none."""
 
 
 class SerialPort:
@@ -74,7 +88,11 @@ class SerialPort:
         *,
         reopen_s: float = REOPEN_S,
     ) -> None:
-        """`path` is a device or a URL of pyserial; both callbacks run in the reader's thread."""
+        """`path` is a device, a pattern (`/dev/ttyACM*`) or a URL of pyserial.
+
+        Of several devices that match, the first that opens is taken, and the next one where that
+        stays silent. Both callbacks run in the reader's thread.
+        """
         self._path = path
         self._baud = baud
         self._on_bytes = on_bytes
@@ -87,12 +105,23 @@ class SerialPort:
         self._detail = ''
         self._opened = 0
         self._dropped = 0
+        self._device = ''
+        self._latency_ms: int | None = None
+        self._patience_s = HALF_OPEN_S[0]
+        self._skip = 0
         self._thread = threading.Thread(target=self._run, name='serial reader', daemon=True)
 
     @property
     def status(self) -> PortStatus:
         """State, last fault and counts."""
-        return PortStatus(self._state, self._detail, self._opened, self._dropped)
+        return PortStatus(
+            self._state,
+            self._detail,
+            self._opened,
+            self._dropped,
+            self._device,
+            self._latency_ms,
+        )
 
     def start(self) -> None:
         """Start the reader's thread; the port need not be there yet."""
@@ -101,12 +130,6 @@ class SerialPort:
     def stop(self) -> None:
         """End the thread and close the port; safe to call twice."""
         self._stop.set()
-        port = self._port
-        if port is not None:
-            try:
-                port.cancel_read()
-            except (*FAULTS, AttributeError):
-                pass
         if self._thread.is_alive():
             self._thread.join(timeout=2.0)
 
@@ -115,8 +138,7 @@ class SerialPort:
         with self._write_lock:
             port = self._port
             try:
-                if port is not None:
-                    port.write(data)
+                if port is not None and port.write(data) == len(data):
                     return True
             except FAULTS as error:
                 self._detail = _one_line(error)
@@ -132,46 +154,53 @@ class SerialPort:
         self._state = PortState.CLOSED
 
     def _open(self) -> bool:
-        try:
-            self._port = serial.serial_for_url(
-                self._path,
-                baudrate=self._baud,
-                timeout=READ_TIMEOUT_S,
-                write_timeout=WRITE_TIMEOUT_S,
-                exclusive=True,
-            )
-        except FAULTS as error:
-            number = getattr(error, 'errno', None)
-            known = _BY_ERRNO.get(number) if isinstance(number, int) else None
-            self._state = known or PortState.UNUSABLE
-            self._detail = _one_line(error)
-            return False
-        self._opened += 1
-        self._detail = ''
-        self._state = PortState.OPEN
-        self._on_open()
-        return True
+        found = candidates(self._path)
+        for k in range(len(found)):
+            device = found[(k + self._skip) % len(found)]
+            try:
+                self._port = serial.serial_for_url(
+                    device, baudrate=self._baud, timeout=0, write_timeout=0, exclusive=True
+                )
+            except FAULTS as error:
+                number = getattr(error, 'errno', None)
+                known = _BY_ERRNO.get(number) if isinstance(number, int) else None
+                self._state = known or PortState.UNUSABLE
+                self._detail = _one_line(error)
+                continue
+            self._device = device
+            self._latency_ms = latency_timer(device)
+            self._opened += 1
+            self._detail = ''
+            self._state = PortState.OPEN
+            self._on_open()
+            return True
+        if not found:
+            self._state, self._detail = PortState.NOT_THERE, f'nothing matches {self._path}'
+        return False
 
     def _read_until_fault(self) -> None:
-        port = self._port
+        port, heard_s = self._port, time.monotonic()
+        opened = identity(self._device)
         while not self._stop.is_set():
             try:
-                data = self._read(port)
+                data = _read(port)
             except FAULTS as error:
                 self._state = PortState.HUNG_UP
                 self._detail = _one_line(error)
                 return
             if data:
+                heard_s = time.monotonic()
+                self._patience_s = HALF_OPEN_S[0]
                 self._on_bytes(data)
-
-    def _read(self, port: Any) -> bytes:
-        data = bytes(port.read(port.in_waiting or 1))
-        if data and '://' in self._path:
-            # a socket of pyserial tells that something waits, not how much
-            port.timeout = 0
-            data += port.read(SOCKET_READ)
-            port.timeout = READ_TIMEOUT_S
-        return data
+            elif identity(self._device) != opened:
+                self._state = PortState.HUNG_UP
+                self._detail = 'its name leads to another device now, or to none'
+                return
+            elif time.monotonic() - heard_s > self._patience_s:
+                # half-open: a far end that went without a word, or the wrong one of several
+                self._patience_s = min(2.0 * self._patience_s, HALF_OPEN_S[1])
+                self._skip += 1
+                return
 
     def _close(self) -> None:
         with self._write_lock:
@@ -180,6 +209,45 @@ class SerialPort:
                 port.close()
             except FAULTS as error:
                 self._detail = _one_line(error)
+
+
+def candidates(path: str) -> list[str]:
+    """What `path` may mean now: a URL and a plain name as they are, a pattern's matches sorted."""
+    if '://' in path or not glob.has_magic(path):
+        return [path]
+    return sorted(glob.glob(path))  # noqa: PTH207  (Path.glob takes no absolute pattern)
+
+
+def identity(device: str) -> tuple[int, int] | None:
+    """Which device a name leads to: another one when it is plugged anew, None without one."""
+    if '://' in device:
+        return (0, 0)
+    try:
+        found = Path(device).stat()
+    except OSError:
+        return None
+    return (found.st_rdev, found.st_ino)
+
+
+def latency_timer(device: str) -> int | None:
+    """The latency timer of an FTDI adapter in ms, None for anything else."""
+    name = os.path.realpath(device).rpartition('/')[2]
+    with contextlib.suppress(OSError, ValueError):
+        text = Path(f'/sys/class/tty/{name}/device/latency_timer').read_text(encoding='ascii')
+        return int(text)
+    return None
+
+
+def _read(port: Any) -> bytes:
+    """What has arrived, after waiting a little for it; b'' where nothing has."""
+    try:
+        number = port.fileno()
+    except (AttributeError, OSError):  # `loop://` and its like
+        time.sleep(0.002)
+        return bytes(port.read(CHUNK))
+    if not select.select([number], [], [], SILENT_S)[0]:
+        return b''
+    return bytes(port.read(CHUNK))
 
 
 def _one_line(error: BaseException) -> str:
