@@ -12,6 +12,7 @@ from itertools import combinations
 from quad_sysid.effects.candidate import Candidate, candidate, without
 from quad_sysid.effects.crossval import compare
 from quad_sysid.effects.curves import besides
+from quad_sysid.effects.persistence import persists
 from quad_sysid.effects.screening import (
     Columns,
     FirstLook,
@@ -176,7 +177,16 @@ def worthy(
             chance = min(2.0 * chance, sharp)
         if not small and chance < level and not _against_nature(current, one):
             good.append(one)
-    return sorted(good, key=_score)
+    return [one for one in sorted(good, key=_score) if _stands(sim, current, one)]
+
+
+def _stands(sim: Simulator, current: Candidate, one: Candidate) -> bool:
+    """Whether what is added shows without what is slow, and does not mend a curve's coarseness."""
+    curves = [set(e.signals) for e in current.fit.structure.effects if e.kind == 'shape']
+    added = [e for e in one.fit.structure.effects if e.name not in current.names]
+    return not any(e.kind == 'named' and set(e.signals) in curves for e in added) and all(
+        persists(sim, one.fit, e.name) for e in added
+    )
 
 
 def _against_nature(current: Candidate, one: Candidate) -> bool:
@@ -281,6 +291,9 @@ def backward(sim: Simulator, current: Candidate) -> Candidate:
     """Take out what the others made superfluous; a name never gives way to a curve."""
     for name in _absent(current):
         current = without(sim, current, name)
+    for name in current.names:
+        if not persists(sim, current.fit, name):  # what was added later took its place
+            current = without(sim, current, name)
     while len(current.names) > 1:
         effects = current.fit.structure.effects
         curves = {signal for e in effects if e.kind != 'named' for signal in e.signals}

@@ -115,6 +115,25 @@ def one_slow_motor(
     return out
 
 
+def behind_lag(
+    data: AxisData, command: FloatArray, tau: float, x: FloatArray, y: FloatArray
+) -> FloatArray:
+    """The command that makes the lagged motors give m + y(m), y linear between knots x.
+
+    With m' = (u - m) / tau, v = m + y(m) follows v' = (c - v) / tau where c is
+    u + y(m) + y'(m) (u - m).
+    """
+    lagged = np.empty_like(command)
+    for start, stop in data.stretches:
+        _lag(command, max(tau, 1e-3), data.dt, start, stop, lagged)
+    slopes = np.r_[0.0, np.diff(y) / np.diff(x), 0.0]
+    out: FloatArray = (
+        command + np.interp(lagged, x, y)
+        + slopes[np.searchsorted(x, lagged, side='right')] * (command - lagged)
+    )
+    return out
+
+
 def resonance(
     data: AxisData, command: FloatArray, p: FloatArray, _: Settings, __: FloatArray
 ) -> FloatArray:

@@ -25,6 +25,10 @@ UNEVEN = 1.4
 """Error of all blocks over that without the worst ones (nothing missing: up to 1.2)."""
 
 
+SPREAD = 2.5
+"""Error of all blocks over that of the middle one (nothing missing: up to 1.3)."""
+
+
 def inconsistency(
     training: FloatArray, training_windows: Windows, held_out: FloatArray,
     held_out_windows: Windows, dt: float,
@@ -38,12 +42,14 @@ def inconsistency(
     worst = order[-max(1, round(WORST * unseen.size)) :]
     rest = np.delete(unseen, worst)
     uneven = float(np.sqrt(unseen.mean() / max(rest.mean(), 1e-300)))
-    if uneven > UNEVEN:
+    spread = float(np.sqrt(unseen.mean() / max(float(np.median(unseen)), 1e-300)))
+    if uneven > UNEVEN or spread > SPREAD:
         struck = [i for i in sorted(worst[-3:]) if unseen[i] > STRUCK * np.median(rest)]
         times = ', '.join(f'{starts[i] * dt:.0f}' for i in struck or worst[-1:])
         return (
-            f'the held-out error is {uneven:.1f} times as large with a few moments (around '
-            f'{times} s) as without them: something happens there that the model does not know'
+            f'the held-out error is {max(uneven, spread):.1f} times as large with a few moments '
+            f'(around {times} s) as without them: something happens there that the model does '
+            'not know'
         )
     growth = float(np.sqrt(unseen.mean() / max(seen.mean(), 1e-300)))
     larger = stats.ttest_ind(

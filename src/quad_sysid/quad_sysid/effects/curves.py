@@ -18,6 +18,8 @@ from quad_sysid.greybox.structure import Effect, ParameterSpec, Prepared, Settin
 KNOTS = 7
 FINE_KNOTS = 21
 """Of a curve that turns often: detents, a hard stop."""
+BROAD_KNOTS = 5
+"""Of a curve that bends once, as drag does: three free values find it where twelve drown."""
 RATE_KNOTS = 12
 """An even number: none lies at zero, where friction jumps."""
 
@@ -45,6 +47,8 @@ def knots(
         return found
     low, high = found
     far = max(abs(low), abs(high))
+    if low < 0.0 < high and count % 2:
+        low, high = -far, far  # a knot at zero, where one side may differ from the other
     warp = share * far
     if warp > 0.0:
         low, high, count = -far / (far + warp), far / (far + warp), RATE_KNOTS

@@ -23,6 +23,8 @@ from quad_sysid.greybox.simulate import Run, Simulator
 
 HARDLY_BETTER = 0.95
 """A base whose error exceeds this share of the error of holding the last rate is no model."""
+CLEARLY_LESS = 0.8
+"""Share of the training error that effects leave where, unconfirmed, they are not passed over."""
 LEVEL = 0.05
 """Level of the one final test per axis (contract, which data decide)."""
 
@@ -144,6 +146,11 @@ def _verdict(
         )
     if odd:
         return 'unexplained_residual', f'{odd}; no effect that was tried mends it{_failed(found)}'
+    if found.chosen.rms < CLEARLY_LESS * found.base.rms:
+        return 'unexplained_residual', (
+            'the training segments clearly lack something that the held-out ones do not confirm'
+            + _failed(found)
+        )
     return 'no_missing_effect', (
         'nothing lowers the error beyond chance, and the residual depends on no signal at hand'
         + _failed(found)

@@ -12,8 +12,9 @@ from functools import partial
 import numpy as np
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.effects import preparation, torques
+from quad_sysid.effects import commands, preparation, torques
 from quad_sysid.effects.curves import (
+    BROAD_KNOTS,
     FINE_KNOTS,
     KNOTS,
     NAMED_CURVES,
@@ -85,6 +86,10 @@ def _friction_by_angle(_: AxisData, p: FloatArray, settings: Settings) -> Term:
     return Term(kernels.FRICTION_BY_ANGLE, (*values, torques.STICTION_RATE))
 
 
+def _damping_by_time(data: AxisData, p: FloatArray, settings: Settings) -> Term:
+    return Term(kernels.RATE_TIMES, (1.0,), _along(data, p, settings, 'time'))
+
+
 def _friction_by_time(data: AxisData, p: FloatArray, settings: Settings) -> Term:
     level = _along(data, p, settings, 'time')
     width = max(torques.STICTION_RATE, float(np.abs(level).max()) * data.dt)
@@ -95,6 +100,13 @@ def _command_map(
     _: AxisData, command: FloatArray, p: FloatArray, settings: Settings, __: FloatArray
 ) -> FloatArray:
     return command + np.interp(command, knot_positions(settings), basis(settings) @ p)
+
+
+def _thrust_map(
+    data: AxisData, command: FloatArray, p: FloatArray, settings: Settings, base: FloatArray
+) -> FloatArray:
+    curve = knot_positions(settings), basis(settings) @ p
+    return commands.behind_lag(data, command, float(base[1]), *curve)
 
 
 def _along(data: AxisData, p: FloatArray, settings: Settings, name: str) -> FloatArray:
@@ -188,6 +200,18 @@ SHAPES: tuple[Effect, ...] = (
         prior=_torque_prior,
     ),
     Effect(
+        name='shape:time',
+        kind='shape',
+        variant='damping',
+        signals=('rate', 'time'),
+        parameters=knot_parameters(KNOTS - 1, '1/s', 0.1),
+        physics='a viscous damping that drifts over the flight: grease that warms up',
+        excite='a long flight with large rates',
+        prepare=partial(_laid, name='time', known='own'),
+        torque=_damping_by_time,
+        prior=_torque_prior,
+    ),
+    Effect(
         name='mode',
         kind='mode',
         variant='slow state',
@@ -228,16 +252,20 @@ SHAPES: tuple[Effect, ...] = (
         excite='small and large slow reversals',
         torque=torques.hysteresis,
     ),
-    Effect(
-        name='shape:rate',
-        kind='shape',
-        signals=('rate',),
-        parameters=knot_parameters(RATE_KNOTS - 2, 'rad/s²', 0.1),
-        physics='a torque that is a smooth curve of the rate',
-        excite='rates spread evenly over their range: a chirp or a multisine',
-        prepare=partial(_laid, name='rate', known='base', share=WARP),
-        torque=partial(_torque_curve, kernels.RATE_CURVE),
-        prior=_torque_prior,
+    *(
+        Effect(
+            name='shape:rate',
+            kind='shape',
+            variant=variant,
+            signals=('rate',),
+            parameters=knot_parameters(count - 2, 'rad/s²', 0.1),
+            physics='a torque that is a smooth curve of the rate',
+            excite='rates spread evenly over their range: a chirp or a multisine',
+            prepare=partial(_laid, name='rate', known='base', share=share, count=count),
+            torque=partial(_torque_curve, kernels.RATE_CURVE),
+            prior=_torque_prior,
+        )
+        for variant, count, share in (('', RATE_KNOTS, WARP), ('broad', BROAD_KNOTS, 0.0))
     ),
     *(
         Effect(
@@ -266,16 +294,26 @@ SHAPES: tuple[Effect, ...] = (
         torque=_friction_by_angle,
         prior=_torque_prior,
     ),
-    Effect(
-        name='shape:command',
-        kind='shape',
-        signals=('command',),
-        parameters=knot_parameters(KNOTS - 2, '1', 0.002),
-        physics='the command acts through a smooth curve',
-        excite='commands spread evenly over their range: a multisine',
-        prepare=partial(_laid, name='command', known='base'),
-        command=_command_map,
-        prior=_command_prior,
+    *(
+        Effect(
+            name='shape:command',
+            kind='shape',
+            variant=variant,
+            signals=('command',),
+            parameters=knot_parameters(count - 2, '1', 0.002),
+            physics=physics,
+            excite='commands spread evenly over their range: a multisine',
+            prepare=partial(_laid, name='command', known='base', share=share),
+            command=curve,
+            prior=_command_prior,
+        )
+        for variant, count, share, physics, curve in (
+            ('', KNOTS, 0.0, 'the command acts through a smooth curve', _command_map),
+            (
+                'thrust', RATE_KNOTS, WARP,
+                'what the motors give, after their lag, is a smooth curve', _thrust_map,
+            ),
+        )
     ),
     Effect(
         name='event',

@@ -14,10 +14,22 @@ from numba import njit
 from quad_sysid.greybox.kernels import _advance, _hidden, _parted, _step
 from quad_sysid.loop.kernels import control
 
-AFFINE, TABLE, LIMITS, PLAY, SLOW, SLOW_MOTOR, MODE = range(1, 8)
+AFFINE, TABLE, LIMITS, PLAY, SLOW, SLOW_MOTOR, MODE, THRUST = range(1, 9)
 
 # not cached on disk: numba would not see that the steps in the other files have changed
 _OPTIONS = {'nogil': True, 'error_model': 'numpy'}
+
+
+@njit(**_OPTIONS)
+def _bent(at, rest, count, p):
+    """A curve between knots p[3:3 + count], y behind them, and its slope times `rest`."""
+    if at < p[3]:
+        return p[3 + count]
+    for i in range(3, 2 + count):
+        if at < p[i + 1]:
+            slope = (p[i + 1 + count] - p[i + count]) / (p[i + 1] - p[i])
+            return p[i + count] + slope * (at - p[i] + rest)
+    return p[2 + 2 * count]
 
 
 @njit(**_OPTIONS)
@@ -35,6 +47,10 @@ def _staged(u, k, codes, values, signals, states):
             position = (u - p[0]) / p[1]
             index = min(max(math.floor(position), 0), last - 1)
             u = p[3 + index] + (position - index) * (p[4 + index] - p[3 + index])
+        elif code == THRUST:
+            mean = u + (x[0] - u) * p[1]
+            x[0] = u + (x[0] - u) * p[0]
+            u += _bent(mean, u - mean, int(p[2]), p)
         elif code == LIMITS:
             lost = 0.0
             for i in range(4):

@@ -16,6 +16,7 @@ import numpy as np
 from quad_sysid.contract import MIXER, MIXER_INVERSE, FloatArray
 from quad_sysid.effects import commands
 from quad_sysid.effects.commands import held_step
+from quad_sysid.effects.curves import basis, knot_positions
 from quad_sysid.greybox.data import AxisData
 from quad_sysid.greybox.simulate import N_BASE
 from quad_sysid.greybox.structure import CommandMap, Effect, Settings, Structure
@@ -57,6 +58,15 @@ def _table(
     u = np.linspace(-HALF_RANGE, HALF_RANGE, TABLE_POINTS)
     y = u if effect.command is None else effect.command(data, u, p, settings, base)
     return Stage(kernels.TABLE, (-HALF_RANGE, float(u[1] - u[0]), float(u.size), *y.tolist()))
+
+
+def _thrust(
+    _: Effect, data: AxisData, p: FloatArray, settings: Settings, base: FloatArray
+) -> Stage:
+    """A curve of what the motors give behind their lag (commands.behind_lag)."""
+    x, y = knot_positions(settings), basis(settings) @ p
+    decay, mean, _ratio = _lag(float(base[1]), data.dt, base)
+    return Stage(kernels.THRUST, (decay, mean, float(x.size), *x.tolist(), *y.tolist()))
 
 
 def _limits(
@@ -123,7 +133,7 @@ STAGES: Mapping[CommandMap, Maker] = {
 
 def _maker(effect: Effect) -> Maker:
     if effect.name == 'shape:command':
-        return _table
+        return _thrust if effect.variant == 'thrust' else _table
     return _affine if effect.command is None else STAGES.get(effect.command, _affine)
 
 
