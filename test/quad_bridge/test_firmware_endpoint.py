@@ -21,7 +21,11 @@ from quad_bridge.wire.signing import Signing
 
 CYCLE_US = 4000
 KEY = bytes(range(32))
-NAMES = tuple(wire for name, wire in WIRE_NAMES.items() if '.lqr.' not in name)
+NAMES = tuple(
+    wire
+    for name, wire in WIRE_NAMES.items()
+    if any(part in name for part in ('.angle.', '.rate.', 'sensor.', 'loop.'))
+)
 """What the C firmware has: it flies the cascade only."""
 COUNTS = ('frames', 'bad', 'unsigned', 'forged', 'replayed', 'dropped')
 

@@ -119,10 +119,10 @@ class GainKeeper:
         self._start_check(() if motors else AXES, now_s)
         self._checked = told
 
-    def disturb(self) -> None:
-        """Somebody else excites: a check cannot go on."""
+    def disturb(self, why: str = 'the excitation has started') -> None:
+        """Somebody else excites, or nobody may: a check cannot go on."""
         if self.state is State.CHECKING:
-            self.polarity.abort('stopped: the excitation has started')
+            self.polarity.abort(f'stopped: {why}')
             self._end_check()
 
     def _admit(self, asked: GainRequest, now_s: float) -> list[dict[str, float]]:
