@@ -41,7 +41,7 @@ def test_a_larger_change_goes_in_steps_by_itself():
 def test_no_step_leaves_factor_two_or_the_small_step(name, a, b):
     bound = DEFAULT_BOUNDS[name]
     now, wanted = (bound.lower + x * (bound.upper - bound.lower) for x in (a, b))
-    model = {f'{axis}.lqr.gain': 100.0 for axis in AXES}
+    model = {f'{axis}.{own}': 20.0 for axis in AXES for own in ('lqr.gain', 'sag.reference_v')}
     for step in steps({name: wanted}, {**model, name: now}, DEFAULT_BOUNDS):
         value = step[name]
         small = abs(value - now) <= bound.small_step * (1 + 1e-9)
@@ -63,6 +63,8 @@ def test_a_state_feedback_comes_in_by_quarters_and_its_gains_move_freely_only_be
         steps({'roll.lqr.share': 0.25}, off, DEFAULT_BOUNDS)
     with pytest.raises(RefusedError, match='must lie in'):
         steps({'roll.lqr.share': 1.5}, wanted, DEFAULT_BOUNDS)
+    with pytest.raises(RefusedError, match=r'roll\.sag\.reference_v is 0'):
+        steps({'roll.sag.exponent': 1.0}, {'roll.sag.exponent': 0.0}, DEFAULT_BOUNDS)
 
 
 def test_the_integral_gain_of_the_paper_cannot_jump_at_once():

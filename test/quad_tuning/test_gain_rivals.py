@@ -85,5 +85,5 @@ def test_every_effect_is_told_once_and_feed_forward_is_not_claimed(model):
     ]
     told = dict(uses(model(effects=found)))
     assert list(told) == ['bias_torque', 'coulomb_friction', 'backlash', 'thrust_curve']
-    assert 'no parameter to feed it forward' in told['coulomb_friction']
+    assert 'better the tracking by less than 1 %' in told['coulomb_friction']
     assert 'left out of the loop' in told['backlash']

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from quad_bridge.virtual.aircraft import Aircraft
-from quad_bridge.virtual.control import FEEDBACK
+from quad_bridge.virtual.control import FEEDBACK, VOLTS
 from quad_bridge.virtual.cycle import COLUMNS
 from quad_bridge.virtual.firmware import Firmware
 from quad_bridge.virtual.plant import axis_gains
@@ -90,7 +90,7 @@ def test_it_comes_in_by_quarters_and_goes_out_without_a_jump(profile, proposal):
 def test_off_it_leaves_no_trace(profile):
     aircraft = Aircraft(profile, seed=2)
     aircraft.run(inputs(aircraft, [Excited(0.5, np.full(200, 0.1))], 500))
-    states = aircraft.machine.memory[FEEDBACK:].reshape(3, -1)
+    states = aircraft.machine.memory[FEEDBACK:VOLTS].reshape(3, -1)
     assert not states[:, 2:].any()
     assert not states[:, 0].any()
 

@@ -53,6 +53,9 @@ _PER_AXIS = {
     'lqr.delay_s': Bound(0.0, 0.06, small_step=0.002),
     'lqr.damping': Bound(-5.0, 20.0, small_step=2.0),
     'lqr.observer': Bound(0.005, 1.0),
+    # a pack moves by some 15 %: a step of the power by a half is one of the command by 7 %
+    'sag.exponent': Bound(0.0, 2.5, small_step=0.5),
+    'sag.reference_v': Bound(3.0, 60.0),
 }
 DEFAULT_BOUNDS: Mapping[str, Bound] = {
     **{f'{axis}.{name}': bound for axis in AXES for name, bound in _PER_AXIS.items()},
@@ -84,14 +87,14 @@ def steps(
     """The sets (contract names, SI) that lead from `active` to `wanted`, one after the other.
 
     In each step each gain goes as far as it may; the last one is `wanted`. What has no effect as
-    yet, a state feedback without a share, is set whole. Raises RefusedError with the first fault;
+    yet (a state feedback without a share) is set whole. Raises RefusedError with the first fault;
     nothing is let through in part.
     """
     if not wanted:
         raise RefusedError('no gain in changed_parameters')
     for name, value in wanted.items():
         _check_one(name, value, active, bounds)
-    _check_feedback(wanted, active)
+    _check_switches(wanted, active)
     path, now = list[dict[str, float]](), {name: active[name] for name in wanted}
     now.update({name: value for name, value in wanted.items() if _idle(name, active)})
     while any(float32(now[name]) != float32(value) for name, value in wanted.items()):
@@ -103,19 +106,26 @@ def steps(
 
 
 def _idle(name: str, active: Mapping[str, float]) -> bool:
-    """Whether a gain of the state feedback has no share in what is flown."""
+    """Whether a gain belongs to what is switched off: state feedback, schedule on the voltage."""
     axis, _, rest = name.partition('.')
-    without = active.get(f'{axis}.lqr.share', 1.0) == 0.0
-    return without and rest.startswith('lqr.') and rest != 'lqr.share'
+    group, _, own = rest.partition('.')
+    switch = {'lqr': 'share', 'sag': 'exponent'}.get(group, own)
+    return own != switch and active.get(f'{axis}.{group}.{switch}', 1.0) == 0.0
 
 
-def _check_feedback(wanted: Mapping[str, float], active: Mapping[str, float]) -> None:
+def _check_switches(wanted: Mapping[str, float], active: Mapping[str, float]) -> None:
     gains = {**active, **wanted}
     for axis in AXES:
         if wanted.get(f'{axis}.lqr.share', 0.0) > 0.0 and not gains.get(f'{axis}.lqr.gain'):
             raise RefusedError(
                 f'{axis}.lqr.share: the state feedback has no model as long as {axis}.lqr.gain '
                 'is 0; send the whole set that quad-tune design --method lqr gives'
+            )
+        scheduled = wanted.get(f'{axis}.sag.exponent', 0.0) > 0.0
+        if scheduled and not gains.get(f'{axis}.sag.reference_v'):
+            raise RefusedError(
+                f'{axis}.sag.exponent: {axis}.sag.reference_v is 0; send the voltage with it at '
+                'which commands stay as they are'
             )
 
 

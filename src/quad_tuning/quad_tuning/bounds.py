@@ -42,6 +42,8 @@ BOUNDS: Mapping[str, Bound] = {
     'rate.ki': Bound(0.0, 1.0, 0.004, '1/rad'),
     'rate.kd': Bound(0.0, 0.02, 0.0005, 's²/rad'),
     'rate.d_filter_hz': Bound(5.0, 100.0, 0.0, 'Hz'),
+    'sag.exponent': Bound(0.0, 2.5, 0.5, ''),
+    'sag.reference_v': Bound(3.0, 60.0, 0.0, 'V'),
 }
 """Contract's name behind the axis to its bound."""
 

@@ -22,6 +22,7 @@ from quad_tuning.errors import DesignRefusedError, QuadTuningError
 from quad_tuning.pid import PidDesign, Requirements, retune
 from quad_tuning.promise import promise
 from quad_tuning.use import schedule, uses
+from quad_tuning.voltage import along, scheduled, settings
 from quad_tuning.way import way_to
 
 SEED = 20_250_101
@@ -45,6 +46,8 @@ def propose(model: AxisModel, requirements: Requirements | None = None) -> GainP
     """Gains for one axis; raises DesignRefusedError with the reason where there are none."""
     check_model(model)
     active = flown_gains(model)
+    flown, chosen = model, settings(model)
+    model = scheduled(model, chosen)
     plant = loop_plant(model)
     loops = ensembles.build(model, np.random.default_rng(SEED))
     if loops.unstable(active)[loops.nominal].any():
@@ -74,14 +77,16 @@ def propose(model: AxisModel, requirements: Requirements | None = None) -> GainP
     except DesignRefusedError as refusal:
         raise DesignRefusedError(f'{model.axis}: {refusal}') from refusal
     return GainProposal(
-        gains=told(way.told, model.axis, known),
+        gains={**told(way.told, model.axis, known), **chosen},
         figures={
             **_figures(model, found, known, loops.draws),
             **promise(loops, active, found.gains, plant.lag_s),
         },
-        steps=tuple(told(step, model.axis, known) for step in way.steps),
+        steps=along(
+            [told(step, model.axis, known) for step in way.steps], chosen, flown.active_gains
+        ),
         used=uses(model),
-        schedule=schedule(model, found.gains),
+        schedule=() if chosen else schedule(model, found.gains),
     )
 
 

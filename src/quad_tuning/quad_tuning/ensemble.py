@@ -25,6 +25,7 @@ from quad_sysid.loop.from_model import (
     battery_factor,
     gain_range,
     loop_plant,
+    schedule_factor,
     throttle_factor,
 )
 from quad_sysid.loop.plant import (
@@ -140,6 +141,7 @@ def _next_flight(drawn: AxisModel, rng: np.random.Generator) -> LoopPlant:
     if drawn.mean_battery_v:
         volts = drawn.mean_battery_v * rng.uniform(*VOLTAGE_RANGE)
         factor *= battery_factor(drawn, volts) / battery_factor(drawn)
+        factor *= schedule_factor(drawn, volts) / schedule_factor(drawn)
     factor *= throttle_factor(drawn, rng.uniform(*THROTTLE_RANGE))
     low, usual, high = gain_range(drawn)
     factor *= rng.uniform(low, high) / usual

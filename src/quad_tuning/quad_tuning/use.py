@@ -14,6 +14,7 @@ from quad_sysid.model import AxisModel
 from quad_tuning.bounds import BOUNDS, told
 from quad_tuning.ensemble import VOLTAGE_RANGE
 from quad_tuning.rivals import LEAST_PROBABILITY
+from quad_tuning.voltage import EFFECT, settings
 
 VOLTAGES = 5
 """Rows of the schedule over VOLTAGE_RANGE."""
@@ -24,13 +25,13 @@ WORDS: Mapping[str, str] = {
 }
 SPECIAL: Mapping[str, str] = {
     'motor_lag': 'a second lag of the plant, in simulation and margins',
-    'resonance': 'a mode of the plant, in simulation and margins; the firmware has no notch',
+    'resonance': 'a mode of the plant, in simulation and margins; a notch is not used',
     'step_event': 'the plant as it is after the event',
     'thrust_curve': 'margins hold over the throttle of the next flight, 0.85 to 1.15 of the mean',
     'battery_sag': 'margins hold over the whole pack; the schedule gives gains by voltage',
 }
 OUTSIDE = 'left out of the loop: the margins stand for it'
-NO_FEED_FORWARD = '; the firmware has no parameter to feed it forward'
+NO_FEED_FORWARD = '; fed forward it would better the tracking by less than 1 %'
 
 
 def uses(model: AxisModel) -> tuple[tuple[str, str], ...]:
@@ -38,7 +39,9 @@ def uses(model: AxisModel) -> tuple[tuple[str, str], ...]:
     out = [('bias_torque', 'simulated with it; the integrator carries it' + NO_FEED_FORWARD)]
     left_out = not_in_the_loop(model)
     for effect in model.effects:
-        if effect.name in SPECIAL:
+        if effect.name == EFFECT and settings(model):
+            words = 'the firmware schedules the command on the voltage (sag.exponent)'
+        elif effect.name in SPECIAL:
             words = SPECIAL[effect.name]
         elif effect.name.startswith(GAIN_SHAPE):
             words = 'margins hold over all gains that the curve takes'
@@ -63,7 +66,7 @@ def schedule(
 ) -> tuple[tuple[float, Mapping[str, float]], ...]:
     """(battery voltage V, gains): rate gains that keep the loop gain where the voltage moves it.
 
-    Empty without battery sag. The firmware does not follow it by itself.
+    Empty without battery sag. For a firmware that has no schedule of its own (voltage.py).
     """
     mean = model.mean_battery_v
     if mean is None or all(effect.name != 'battery_sag' for effect in model.effects):

@@ -8,6 +8,9 @@ reference, or behind C2's limit to U2..U4. Gains are SI (contract).
 An axis flies `lqr.share` of the state feedback (state_feedback.py) and the rest of the cascade: 0,
 the default, is the cascade alone. Only one integral runs, the state feedback's where it has a
 share; the other follows.
+
+Where `sag.exponent` is not 0, what C2 or the feedback commands is multiplied by that power of
+(reference voltage / voltage), low-passed: a pack that sags does not weaken the loop.
 """
 
 from __future__ import annotations
@@ -32,6 +35,8 @@ from quad_bridge.virtual.gain_columns import (
     LQR_SHARE,
     OUTPUT_LIMIT,
     RATE_LIMIT,
+    SAG_EXPONENT,
+    SAG_VOLTS,
 )
 from quad_bridge.virtual.rotation import wrapped
 from quad_bridge.virtual.state_feedback import INTEGRAL as TOTAL
@@ -47,7 +52,11 @@ FloatArray = npt.NDArray[np.float64]
 INTEGRAL, D_STATE, LAST_RATE, YAW_REFERENCE, STARTED, QUEUE = 0, 3, 6, 9, 10, 11
 QUEUE_ROWS = 5
 FEEDBACK = QUEUE + 4 * QUEUE_ROWS
-CONTROL_STATES = FEEDBACK + 3 * STATES
+VOLTS = FEEDBACK + 3 * STATES
+CONTROL_STATES = VOLTS + 1
+VOLTAGE_LAG_S = 0.5
+LARGEST_LIFT = 1.5
+"""Of the command, either way, whatever voltage is measured."""
 
 ARMED, INJECTION, ADDED, STICK_ROLL, STICK_PITCH, THROTTLE, STICK_YAW = 0, 1, 2, 5, 6, 7, 8
 INPUTS = 9
@@ -95,6 +104,15 @@ def second_loop(
     memory[LAST_RATE + axis] = rate
     raw = row[KP] * error + memory[INTEGRAL + axis] - row[KD] * memory[D_STATE + axis]
     return float(min(row[OUTPUT_LIMIT], max(-row[OUTPUT_LIMIT], raw)))
+
+
+@kernel
+def lift(row: FloatArray, volts: float) -> float:
+    """What a command is multiplied by at this voltage."""
+    if not (row[SAG_EXPONENT] > 0.0 and row[SAG_VOLTS] > 0.0 and volts > 0.0):
+        return 1.0
+    factor = (row[SAG_VOLTS] / volts) ** row[SAG_EXPONENT]
+    return float(min(LARGEST_LIFT, max(1.0 / LARGEST_LIFT, factor)))
 
 
 @kernel
@@ -147,10 +165,13 @@ def control_cycle(
     given: FloatArray,
     gyro: FloatArray,
     attitude: FloatArray,
+    volts: float,
     out: Output,
 ) -> float:
     """One cycle; writes `out`, returns the sum of SATURATED and ANGLE_LIMITED that apply."""
     armed = given[ARMED] > 0.5
+    share = controller.cycle_s / VOLTAGE_LAG_S if memory[VOLTS] > 0.0 else 1.0
+    memory[VOLTS] += share * (volts - memory[VOLTS])
     if memory[STARTED] == 0.0 or not armed:
         memory[STARTED] = 1.0
         memory[YAW_REFERENCE] = attitude[2]
@@ -183,11 +204,10 @@ def control_cycle(
         if followed:
             u = blended(memory, controller, i, u, error, gyro[i], added)
         held = abs(u) >= row[OUTPUT_LIMIT]
-        if given[INJECTION] == 3.0:
-            u += given[ADDED + i]
+        added = given[ADDED + i] if given[INJECTION] == 3.0 else 0.0
         if followed:
-            state_feedback_moved(_own(memory, i), row, controller.cycle_s, error, u, held)
-        out.wrench[1 + i] = u if armed else 0.0
+            state_feedback_moved(_own(memory, i), row, controller.cycle_s, error, u + added, held)
+        out.wrench[1 + i] = u * lift(row, memory[VOLTS]) + added if armed else 0.0
     cut = mix(out.wrench, armed, out.motors)
     limited = max(abs(attitude[0]), abs(attitude[1])) > controller.angle_limit
     return (SATURATED if cut else 0.0) + (ANGLE_LIMITED if limited else 0.0)

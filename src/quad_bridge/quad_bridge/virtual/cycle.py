@@ -91,7 +91,8 @@ def begin(
     hold = -controller.climb_kp * state[POSITION + 2] - controller.climb_kd * state[VELOCITY + 2]
     used[THROTTLE] = min(1.0, max(0.0, given[THROTTLE] + min(0.08, max(-0.08, hold))))
     out = Output(log[10:13], log[13:16], log[16:20], log[20:24])
-    log[29] = control_cycle(memory, controller, used, gyro, angles, out)
+    volts = battery_voltage(state, plant)
+    log[29] = control_cycle(memory, controller, used, gyro, angles, volts, out)
     acting[:] = log[20:24]
     delayed(memory, controller, cycle, acting)
     log[0] = state[TIME]

@@ -45,6 +45,8 @@ from quad_bridge.virtual.gain_columns import (
     LQR_SHARE,
     OUTPUT_LIMIT,
     RATE_LIMIT,
+    SAG_EXPONENT,
+    SAG_VOLTS,
 )
 from quad_bridge.virtual.receiver import Channels
 from quad_bridge.wire.frames import Flag
@@ -74,6 +76,8 @@ TABLE = {
     'lqr.delay_s': (LQR_DELAY_S, 0.0, 0.06),
     'lqr.damping': (LQR_DAMPING, -20.0, 50.0),
     'lqr.observer': (LQR_OBSERVER, 0.0, 1.0),
+    'sag.exponent': (SAG_EXPONENT, 0.0, 3.0),
+    'sag.reference_v': (SAG_VOLTS, 0.0, 100.0),
 }
 """Parameter of an axis (contract's name behind the axis): gain column, lowest, highest."""
 
@@ -98,7 +102,7 @@ class Gains:
     d_filter_hz: Vector = (30.0, 30.0, 30.0)
 
     def table(self) -> FloatArray:
-        """(3, COLUMNS) SI gains in the columns of gain_columns.py; state feedback off."""
+        """(3, COLUMNS) SI gains as in gain_columns.py; state feedback and schedule off."""
         columns = np.zeros((3, COLUMNS))
         columns[:, ANGLE_KP] = self.angle_kp_per_s
         columns[:, KP] = np.array(self.rate_kp_us_per_deg_s) * SI_PER_US_DEG

@@ -32,6 +32,9 @@ _STATE_FEEDBACK = {
 }
 """A second control mode that a firmware may have; none of these names, no such mode."""
 
+_SCHEDULE = {'sag.exponent': 'SAG_EXP', 'sag.reference_v': 'SAG_VREF'}
+"""Commands times (reference / voltage) to this power; exponent 0: off."""
+
 _SHARED = {
     'sensor.gyro_filter_hz': 'GYRO_FILT_HZ',
     'sensor.accel_filter_hz': 'ACC_FILT_HZ',
@@ -48,7 +51,7 @@ WIRE_NAMES: dict[str, str] = {
     **{
         f'{axis}.{name}': f'{axis.upper()}_{wire}'
         for axis in AXES
-        for name, wire in _STATE_FEEDBACK.items()
+        for name, wire in {**_STATE_FEEDBACK, **_SCHEDULE}.items()
     },
 }
 """Contract name to wire name.
@@ -57,6 +60,7 @@ angle.kp 1/s; rate.kp, ki, kd normalised command per rad/s, per rad, per rad/s²
 angle.rate_limit rad/s; rate.output_limit and rate.integrator_limit normalised command; *_hz Hz.
 lqr.share 0 (cascade) to 1; lqr.k_* normalised command per rad, rad/s, rad/s², rad s; lqr.gain
 rad/s² per command, lag_s and delay_s s, damping 1/s, observer the share of a rate's innovation.
+sag.exponent 1, sag.reference_v V.
 """
 
 CONTRACT_NAMES: dict[str, str] = {wire: name for name, wire in WIRE_NAMES.items()}

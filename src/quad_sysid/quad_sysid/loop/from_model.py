@@ -73,7 +73,7 @@ STATES = ('motor_lag', 'resonance')
 
 
 def loop_plant(model: AxisModel) -> LoopPlant:
-    """The plant of the closed loop at the flight's mean battery voltage.
+    """The plant that the controller sees at the flight's mean battery voltage.
 
     Shapes (`shape:rate`, `shape:angle` as torques, `shape:command` added to the command) are taken
     from settings `knots` and `values` where both are there. Raises BadInputError for parameters
@@ -95,7 +95,8 @@ def loop_plant(model: AxisModel) -> LoopPlant:
     stepped = 1.0 + _parameter(model, 'step_event.change')
     advance = STEPPED_ADVANCE_S if model.realisation == 'stepped' else 0.0
     return LoopPlant(
-        gain=model.value('gain') * battery_factor(model) * stepped * gain_range(model)[1],
+        gain=model.value('gain') * battery_factor(model) * schedule_factor(model) * stepped
+        * gain_range(model)[1],
         lag_s=model.value('lag'),
         delay_s=max(0.0, model.value('delay') - advance),
         damping=model.value('damping'),
@@ -152,6 +153,19 @@ def battery_factor(model: AxisModel, battery_v: float | None = None) -> float:
         if effect.name == 'battery_sag' and isinstance(reference, int | float) and volts:
             return float((volts / reference) ** model.value('battery_sag.exponent'))
     return 1.0
+
+
+def schedule_factor(model: AxisModel, battery_v: float | None = None) -> float:
+    """What the firmware multiplies commands by at `battery_v` (None: the flight's mean).
+
+    Its schedule on the voltage (`<axis>.sag.*`); 1 without one.
+    """
+    volts = model.mean_battery_v if battery_v is None else battery_v
+    exponent, reference = (
+        model.active_gains.get(f'{model.axis}.sag.{name}', 0.0)
+        for name in ('exponent', 'reference_v')
+    )
+    return float((reference / volts) ** exponent) if volts and reference > 0.0 else 1.0
 
 
 def gain_range(model: AxisModel) -> tuple[float, float, float]:

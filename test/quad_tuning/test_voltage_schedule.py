@@ -1,0 +1,97 @@
+"""The schedule on the battery's voltage: in the firmware, in the design, on the way there."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from quad_bridge.gain_gate import DEFAULT_BOUNDS
+from quad_bridge.gain_gate import steps as gate_steps
+from quad_bridge.virtual.profile import load_profile
+from quad_bridge.virtual.simulation import Excited, fly, without_noise
+from quad_sysid.loop.from_model import loop_plant, schedule_factor
+from quad_sysid.model import EffectEstimate, Parameter
+from quad_tuning.assess import SQUARE_AMPLITUDE_RAD
+from quad_tuning.designer import design
+from quad_tuning.use import uses
+
+EXPONENT, REFERENCE = 'roll.sag.exponent', 'roll.sag.reference_v'
+
+
+def sagging(model, changed, power=1.2, offered=True, **active):
+    """An identified model with sag; `offered`: the firmware reports the schedule, switched off."""
+    effect = EffectEstimate(
+        'battery_sag', 'named', ('battery',), (Parameter('exponent', power, 0.05, '1'),),
+        settings={'reference_v': 11.1},
+    )  # fmt: skip
+    m = model(effects=[effect])
+    known = {EXPONENT: 0.0, REFERENCE: 0.0, **active} if offered else {}
+    return changed(m, mean_battery_v=11.4, active_gains={**m.active_gains, **known})
+
+
+def slopes(charge, gains, power=1.5):
+    """RMS of the roll rate's steps per command that acts, on a pack of this charge."""
+    profile = without_noise(load_profile('plain'))
+    sag = dataclasses.replace(profile.effects.battery_sag, enabled=True, exponent=power)
+    battery = dataclasses.replace(profile.airframe.battery, start_charge=charge)
+    profile = dataclasses.replace(
+        profile, mount='rig', axis='roll',
+        effects=dataclasses.replace(profile.effects, battery_sag=sag),
+        airframe=dataclasses.replace(profile.airframe, battery=battery),
+    )  # fmt: skip
+    wave = SQUARE_AMPLITUDE_RAD * np.where((np.arange(3000) // 500) % 2 == 0, 1.0, -1.0)
+    flight = fly(profile, [Excited(3.0, wave)], 15.0, 5, gains=gains)
+    return flight.true_angles[1250:, 0], float(flight.battery_v.mean())
+
+
+def test_a_low_pack_flies_as_a_full_one():
+    """The schedule leaves less than a fifth of what the voltage changes in the step response."""
+    full, volts = slopes(0.95, {})
+    low, _ = slopes(0.15, {})
+    scheduled, _ = slopes(0.15, {EXPONENT: 1.5, REFERENCE: volts})
+    lost = np.sqrt(np.mean((low - full) ** 2))
+    left = np.sqrt(np.mean((scheduled - full) ** 2))
+    assert left < 0.2 * lost
+    assert np.degrees(lost) > 0.1
+    off, _ = slopes(0.15, {EXPONENT: 0.0, REFERENCE: volts})
+    np.testing.assert_array_equal(off, low)
+
+
+def test_the_design_takes_the_schedule_and_tracks_better_for_it(model, changed):
+    with_it, without = (design(sagging(model, changed, offered=o)) for o in (True, False))
+    assert with_it.gains[EXPONENT] == pytest.approx(1.2)
+    assert with_it.gains[REFERENCE] == pytest.approx(11.4)
+    assert (with_it.schedule, len(without.schedule)) == ((), 5)
+    assert EXPONENT not in without.gains
+    better = with_it.figures['rms_tracking_rad'] / without.figures['rms_tracking_rad']
+    assert better < 0.995
+    assert with_it.figures['worst_phase_margin_deg'] >= 45.0
+    said = dict(uses(sagging(model, changed)))
+    assert 'schedules the command on the voltage' in said['battery_sag']
+
+
+def test_no_sag_no_schedule(model, changed):
+    m = model()
+    m = changed(m, mean_battery_v=11.4, active_gains={**m.active_gains, EXPONENT: 0.0,
+                                                      REFERENCE: 0.0})
+    assert EXPONENT not in design(m).gains
+
+
+def test_each_step_is_one_that_the_gate_makes(model, changed):
+    m = sagging(model, changed)
+    proposal = design(m)
+    made = gate_steps(proposal.gains, m.active_gains, DEFAULT_BOUNDS)
+    powers = [step[EXPONENT] for step in made]
+    assert powers[: len(proposal.steps)] == pytest.approx(
+        [step[EXPONENT] for step in proposal.steps][: len(powers)], rel=1e-3
+    )
+    assert all(step[REFERENCE] == pytest.approx(11.4) for step in made)
+
+
+def test_a_flight_with_the_schedule_is_analysed_with_it(model, changed):
+    """The controller sees the plant times what the firmware makes of its command."""
+    m = sagging(model, changed, **{EXPONENT: 1.2, REFERENCE: 12.0})
+    assert schedule_factor(m) == pytest.approx((12.0 / 11.4) ** 1.2)
+    bare = sagging(model, changed)
+    assert loop_plant(m).gain == pytest.approx(loop_plant(bare).gain * (12.0 / 11.4) ** 1.2)
+    assert design(m).gains[REFERENCE] == 12.0
