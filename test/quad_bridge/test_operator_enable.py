@@ -1,5 +1,9 @@
 """The operator's dead-man switch: alive or not, and what the excitation relay makes of it."""
 
+import pytest
+
+pytest.importorskip('rcl_interfaces.msg', reason='needs the ROS 2 message packages')
+
 from quad_bridge.bridge_parameters import over_network
 from quad_bridge.excitation_relay import ExcitationRelay
 from quad_bridge.operator_enable import OperatorEnable

@@ -2,6 +2,11 @@
 
 from dataclasses import replace
 
+import pytest
+
+pytest.importorskip('diagnostic_msgs.msg', reason='needs the ROS 2 message packages')
+
+from quad_bridge.diagnostics import clock_status
 from quad_bridge.link import Link
 from quad_bridge.virtual.aircraft import Aircraft
 from quad_bridge.virtual.endpoint import Endpoint
@@ -18,11 +23,11 @@ KEY = bytes(range(32))
 class Pair:
     """Both ends; `key` of the aircraft may differ from the bridge's."""
 
-    def __init__(self, key=KEY):
+    def __init__(self, key=KEY, *, signed=True):
         aircraft = Aircraft(replace(load_profile('plain'), mount='rig'), seed=1)
         self.now_ns = 1_000_000_000
         self.stm32 = Endpoint(aircraft, Receiver(), self.signing(key))
-        self.link = Link(self.signing(KEY))
+        self.link = Link(self.signing(KEY) if signed else None)
         self.link.opened()
         self.recorded = b''
 
@@ -55,6 +60,14 @@ def test_with_another_key_nothing_is_heard_on_either_side():
     assert pair.run(250) == 0
     assert pair.link.decoder.counts.forged > 250
     assert not pair.link.gains.reader.complete
+
+
+def test_a_bridge_without_the_key_is_told_so():
+    pair = Pair(signed=False)
+    pair.run(250)
+    assert pair.link.decoder.counts.unverified > 250
+    assert not pair.link.gains.reader.complete
+    assert 'see key_file' in clock_status(pair.link).message
 
 
 def test_a_recording_and_the_unsigned_are_not_obeyed():

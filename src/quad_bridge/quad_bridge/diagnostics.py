@@ -160,8 +160,11 @@ def clock_status(link: Link, behind_ns: int = 0) -> Status:
             f'stamps keep the time of before the system clock was set by {1e-9 * behind_ns:.3f} s'
         )
         return Status('clock', WARN, text, values)
+    deaf = 'no answer to TIMESYNC'
+    if link.decoder.counts.unverified:
+        deaf += ' (the far end signs: it heeds who has its key, see key_file)'
     if state.one_way and state.converged:
-        text = 'no answer to TIMESYNC: stamps are arrivals, late by the transport'
+        text = f'{deaf}: stamps are arrivals, late by the transport'
         return Status('clock', WARN, text, values)
     if state.converged and state.round_trip_s > 2.0 * COARSE_S:
         text = f'converged, but stamps may be off by up to {500.0 * state.round_trip_s:.1f} ms'
@@ -169,7 +172,7 @@ def clock_status(link: Link, behind_ns: int = 0) -> Status:
     if state.converged:
         return Status('clock', OK, 'converged', values)
     if state.accepted == 0 and state.rejected == 0:
-        return Status('clock', WARN, 'no answer to TIMESYNC: nothing is published', values)
+        return Status('clock', WARN, f'{deaf}: nothing is published', values)
     return Status('clock', WARN, 'not converged: nothing is published', values)
 
 

@@ -18,7 +18,7 @@ from quad_bridge.wire.messages import FROM_AUTOPILOT, FROM_MESSAGE, TO_MESSAGE, 
 from quad_bridge.wire.other_messages import OTHER_MESSAGES
 from quad_bridge.wire.plausible import plausible
 from quad_bridge.wire.sequence import CycleWatch
-from quad_bridge.wire.signing import Signing, Verdict
+from quad_bridge.wire.signing import SIGNED_FLAG, Signing, Verdict
 
 _OURS = {number: kind for number, kind in dialect.mavlink_map.items() if number >= 0}
 _NAMES = {number: kind.msgname for number, kind in _OURS.items()} | {
@@ -64,6 +64,8 @@ class Counts:
     """Ignored: a good checksum, but values that cannot be (plausible.py)."""
     old_version: int = 0
     """MAVLink 1 messages; they are ignored, and part of the garbage."""
+    unverified: int = 0
+    """Signed frames that were taken as they are, because no key is set."""
 
 
 class Decoder:
@@ -88,6 +90,7 @@ class Decoder:
         self._standard = 0
         self._foreign = 0
         self._implausible = 0
+        self._unverified = 0
 
     @property
     def counts(self) -> Counts:
@@ -107,6 +110,7 @@ class Decoder:
             foreign=self._foreign,
             implausible=self._implausible,
             old_version=self._framer.old_version,
+            unverified=self._unverified,
         )
 
     @property
@@ -140,6 +144,8 @@ class Decoder:
             self._refused[verdict] += 1
             if verdict is not Verdict.GOOD:
                 return False
+        elif packet.whole[2] & SIGNED_FLAG:
+            self._unverified += 1
         sender = (packet.system, packet.component)
         if self._own is None or sender == self._peer:
             return True
