@@ -41,8 +41,10 @@ from quad_bridge.wire.frames import (
 from quad_bridge.wire.gain_names import CONTRACT_NAMES, WIRE_NAMES
 from quad_bridge.wire.signing import Signing
 
-ARM_DISARM, ACCEPTED, UNSUPPORTED = 400, 0, 3
-"""MAV_CMD_COMPONENT_ARM_DISARM and two MAV_RESULTs."""
+ARM_DISARM, ACCEPTED, NOT_NOW, UNSUPPORTED = 400, 0, 1, 3
+"""MAV_CMD_COMPONENT_ARM_DISARM and three MAV_RESULTs."""
+UNSAFE = Flag.RC_KILL | Flag.RC_FAILSAFE | Flag.ANGLE_LIMIT
+"""Flags of the last cycle with which nothing is armed."""
 FILTER_BOUNDS_HZ = (5.0, 200.0)
 _OWN = {f'{axis}.{name}' for axis in AXES for name in TABLE}
 _FILTERS = ('sensor.gyro_filter_hz', 'sensor.accel_filter_hz')
@@ -190,9 +192,12 @@ class Endpoint:
         return []
 
     def _command(self, frame: Command) -> Frame:
-        if frame.command != ARM_DISARM or not frame.parameters:
+        if frame.command != ARM_DISARM or frame.parameters[:1] not in {(0.0,), (1.0,)}:
             return CommandAck(frame.command, UNSUPPORTED)
-        self.firmware.armed = frame.parameters[0] > 0.5
+        wanted = frame.parameters[0] > 0.5
+        if wanted and (self._flags & UNSAFE or self.firmware.low_battery):
+            return CommandAck(frame.command, NOT_NOW)
+        self.firmware.armed = wanted
         return CommandAck(frame.command, ACCEPTED)
 
     def _known(self, name: str) -> list[Frame]:
