@@ -28,6 +28,8 @@ PEAK = 1.8
 """Largest complementary sensitivity of a good loop: how much of a reference comes back as rate."""
 FLOOR_DEG = 1.5
 """Amplitude of an oscillation that is of no concern whatever it was before."""
+FLOOR_RMS_RAD_S = 0.3
+"""The same for the rate as a whole: gusts that begin with the update shake a slow aircraft so."""
 FAR_DEG, FAR_PATIENCE_S = 8.0, 0.04
 """Roll or pitch away from the reference, beyond what the reference's own motion explains."""
 LEAD_S = 0.06
@@ -77,8 +79,8 @@ class GainWatch:
         self._fade = np.exp(-self._dt / (2.0 * average))[:, np.newaxis]
         self._patience = np.clip(periods, 0.12, 0.5)[:, np.newaxis]
         self._patience[-1] = 0.3
-        rate_floor = np.append(centres, 8.0) * math.radians(FLOOR_DEG) / math.sqrt(2.0)
-        self._floor = (np.clip(rate_floor, 0.2, 0.5) ** 2)[:, np.newaxis]
+        octaves = np.clip(centres * math.radians(FLOOR_DEG) / math.sqrt(2.0), 0.2, 0.5)
+        self._floor = (np.append(octaves, FLOOR_RMS_RAD_S) ** 2)[:, np.newaxis]
         self._memory = np.zeros((2, 2, periods.size, 3))
         self._energy = np.zeros((2, periods.size, 3))
         self._explained = np.zeros((periods.size, 3))
