@@ -13,12 +13,12 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import ParameterDescriptor, ParameterEvent
 from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from quad_bridge import bag_writer, conversion, diagnostics, ros_node
 from quad_bridge.disk import MB, Budget, free_bytes
 from quad_bridge.errors import BadInputError, QuadBridgeError
+from quad_bridge.managed_node import ManagedNode, relative
 from quad_bridge.qos import EVENT, STATE, adapted, offered
 from quad_bridge.recording import Recording, RecordingStatus
 from quad_bridge.sequence import Gaps
@@ -33,12 +33,16 @@ NUMBERS = {
 }
 """Integer parameters: default, range, description."""
 NAMES = (
-    'folder', 'prefix', 'storage', 'compression', 'topics', 'autostart', 'delete_oldest', *NUMBERS,
+    'folder', 'prefix', 'storage', 'compression', 'topics', 'autostart', 'delete_oldest',
+    'managed', *NUMBERS,
 )  # fmt: skip
 
 
-class BagLogger(Node):  # type: ignore[misc]
-    """See the module; `close` ends a running recording."""
+class BagLogger(ManagedNode):
+    """See the module. Configured it has its topics and services, active it records when asked.
+
+    Topics are looked for in the node's namespace; in the bag they have the contract's names.
+    """
 
     def __init__(self) -> None:
         super().__init__('bag_logger')
@@ -67,19 +71,35 @@ class BagLogger(Node):  # type: ignore[misc]
         self._numbered: set[str] = set()
         """Topics whose messages come with their publisher's number."""
         self._last = ''
-        self._bag = self.create_publisher(ParameterEvent, '/logger/bag', STATE)
-        self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', EVENT)
+        self._autostart = ros_node.flag(
+            self, 'autostart', False, 'record from the start of the node'
+        )
+        simulated = bool(self.get_parameter('use_sim_time').value)
+        self._now_ns: Callable[[], int] = self._ros_now_ns if simulated else time.time_ns
+        self._timer: Any = None
         self.create_service(Trigger, '~/start', self._on_start)
         self.create_service(Trigger, '~/stop', self._on_stop)
-        self.create_timer(1.0, self._on_report)
-        if ros_node.flag(self, 'autostart', False, 'record from the start of the node'):
-            self._start()
 
-    def close(self) -> None:
+    def configure(self) -> None:
+        """Create what is published."""
+        self._bag = self.publisher(ParameterEvent, '/logger/bag', STATE)
+        self._diagnostics = self.publisher(DiagnosticArray, '/diagnostics', EVENT)
+
+    def activate(self) -> None:
+        """Report, and record where `autostart` says so."""
+        if self._autostart:
+            self._start()
+        self._timer = self.create_timer(1.0, self._on_report)
+
+    def deactivate(self) -> None:
         """End a running recording and see that `/logger/bag` is delivered."""
+        self.destroy_timer(self._timer)
         if self._recording is not None:
             self._stop()
             self._bag.wait_for_all_acked(Duration(seconds=0.5))
+
+    def _ros_now_ns(self) -> int:
+        return int(self.get_clock().now().nanoseconds)
 
     def _declare_topics(self) -> list[str]:
         descriptor = ParameterDescriptor(description='topics to record', read_only=True)
@@ -92,6 +112,9 @@ class BagLogger(Node):  # type: ignore[misc]
         return topics
 
     def _on_start(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if not self.active:
+            response.message = 'the node is not active'
+            return response
         if self._recording is not None:
             response.message = f'already recording {self._recording.status.path}'
             return response
@@ -142,7 +165,7 @@ class BagLogger(Node):  # type: ignore[misc]
 
     def _subscribe(self, topic: str) -> None:
         """Subscribe as the topic's publishers offer; again where that has changed."""
-        qos = adapted(topic, self.get_publishers_info_by_topic(topic))
+        qos = adapted(topic, self._offers(topic))
         if topic in self._subscribed:
             subscription, before = self._subscribed[topic]
             if before == qos:
@@ -150,7 +173,7 @@ class BagLogger(Node):  # type: ignore[misc]
             self.destroy_subscription(subscription)
         subscription = self.create_subscription(
             _message_class(TOPIC_TYPES[topic]),
-            topic,
+            relative(topic),
             self._receiver(topic),
             qos,
             raw=True,
@@ -158,11 +181,14 @@ class BagLogger(Node):  # type: ignore[misc]
         )
         self._subscribed[topic] = subscription, qos
 
+    def _offers(self, topic: str) -> list[Any]:
+        return list(self.get_publishers_info_by_topic(relative(topic)))
+
     def _receiver(self, topic: str) -> Callable[[bytes, dict[str, Any]], None]:
         gaps = self._gaps.setdefault(topic, Gaps())
 
         def publishers() -> int:
-            return len(self.get_publishers_info_by_topic(topic))
+            return len(self._offers(topic))
 
         def receive(data: bytes, about: dict[str, Any]) -> None:
             recording = self._recording
@@ -173,9 +199,9 @@ class BagLogger(Node):  # type: ignore[misc]
                 self._numbered.add(topic)
                 recording.count_lost(gaps.lost_before(number, publishers))
             if not recording.known(topic):
-                qos = offered(self.get_publishers_info_by_topic(topic))
+                qos = offered(self._offers(topic))
                 recording.declare(topic, TOPIC_TYPES[topic], qos)
-            recording.put(topic, time.time_ns(), data)
+            recording.put(topic, self._now_ns(), data)
 
         return receive
 

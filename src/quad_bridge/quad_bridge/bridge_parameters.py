@@ -37,7 +37,7 @@ class BridgeSettings:
 
 OWN = (
     'port', 'baud', 'excitation_valid_ms', 'key_file', 'require_enable', 'sources', 'polarity',
-    'aircraft', 'state_folder',
+    'aircraft', 'state_folder', 'managed',
 )  # fmt: skip
 
 
@@ -45,7 +45,9 @@ def declare(node: Any) -> BridgeSettings:
     """Declare and read the parameters. Raises BadInputError naming the one that is wrong."""
     bounds = {f'bounds.{name}': name for name in WIRE_NAMES if name not in READ_ONLY}
     ros_node.refuse_unknown(node, [*OWN, *bounds])
-    port = ros_node.text(node, 'port', '/dev/ttyACM0', 'serial device, or a URL of pyserial')
+    port = ros_node.text(
+        node, 'port', '/dev/ttyACM0', 'device, pattern (/dev/ttyACM*) or URL of pyserial'
+    )
     settings = BridgeSettings(
         port=port,
         baud=ros_node.integer(node, 'baud', 921600, (9600, 12_000_000), 'baud rate, bit/s'),

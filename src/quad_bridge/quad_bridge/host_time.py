@@ -7,6 +7,8 @@ waits for the next opening of the port.
 
 from __future__ import annotations
 
+SIMULATED_STEP_NS = 100_000_000
+"""Simulated time comes in steps; it is followed where it has parted by more."""
 STEP_NS = 5_000_000
 """A smaller difference is the time it takes to read two clocks."""
 
@@ -22,6 +24,11 @@ class HostTime:
     def opened(self, epoch_ns: int) -> None:
         """Take the system clock as it is: nothing is being published."""
         self.epoch_ns, self.behind_ns = epoch_ns, 0
+
+    def follow(self, epoch_ns: int) -> None:
+        """Simulated time (`use_sim_time`): it may run at another pace, stop or start anew."""
+        if abs(epoch_ns - self.epoch_ns) > SIMULATED_STEP_NS:
+            self.opened(epoch_ns)
 
     def measured(self, epoch_ns: int, *, armed: bool) -> str:
         """Compare with the clocks as they are now; what to say where they have parted, or ''."""

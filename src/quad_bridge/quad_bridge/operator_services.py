@@ -1,4 +1,4 @@
-"""The operator's part of the bridge: topic /operator/enable and service ~/arm. Wiring only.
+"""The operator's part of the bridge: topic operator/enable and service ~/arm. Wiring only.
 
 `~/arm` answers with what the STM32 said, without blocking the executor.
 """
@@ -31,7 +31,7 @@ class OperatorServices:
         self._waiting: Any = None
         self._until_s = 0.0
         node.create_subscription(
-            Bool, '/operator/enable', self._on_enable, qos_profile_sensor_data
+            Bool, 'operator/enable', self._on_enable, qos_profile_sensor_data
         )
         node.create_service(SetBool, '~/arm', self._on_arm)
 

@@ -88,6 +88,9 @@ def run(factory: Callable[[], Any], name: str) -> None:
     node = None
     try:
         node = factory()
+        begin = getattr(node, 'begin', None)
+        if begin is not None:
+            begin()
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         while not stopping.is_set():

@@ -32,8 +32,8 @@ class SensorWatch(Node):  # type: ignore[misc]
         )
         self._stamps: deque[float] = deque(maxlen=SAMPLES)
         self._samples: deque[tuple[float, ...]] = deque(maxlen=SAMPLES)
-        self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', EVENT)
-        self.create_subscription(Imu, '/imu/data', self._on_imu, STREAM)
+        self._diagnostics = self.create_publisher(DiagnosticArray, 'diagnostics', EVENT)
+        self.create_subscription(Imu, 'imu/data', self._on_imu, STREAM)
         self.create_timer(1.0, self._on_report)
 
     def close(self) -> None:

@@ -15,7 +15,6 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Vector3Stamped, WrenchStamped
 from rcl_interfaces.msg import ParameterEvent
-from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import BatteryState, FluidPressure, Imu, JointState, Joy, MagneticField
 
@@ -29,6 +28,7 @@ from quad_bridge.gain_services import GainServices
 from quad_bridge.gain_state import News, State
 from quad_bridge.host_time import HostTime
 from quad_bridge.link import Link, Stamped
+from quad_bridge.managed_node import ManagedNode
 from quad_bridge.operator_enable import OperatorEnable
 from quad_bridge.operator_services import OperatorServices
 from quad_bridge.qos import EVENT, STATE, STREAM
@@ -47,8 +47,8 @@ YAW_STICK = 3
 NO_EXCITATION = 'the far end sends standard messages only: it has no QUAD_EXCITATION'
 
 
-class SerialBridge(Node):  # type: ignore[misc]
-    """See the module; `close` stops the port's thread."""
+class SerialBridge(ManagedNode):
+    """See the module. Configured it has its topics, active the port."""
 
     def __init__(self) -> None:
         super().__init__('serial_bridge')
@@ -64,26 +64,40 @@ class SerialBridge(Node):  # type: ignore[misc]
         self._link.on_ack = self._operator.acknowledged
         self._link.on_cycle = self._watch_cycle
         self._reported_s = 0.0
+        self._simulated = bool(self.get_parameter('use_sim_time').value)
         self._time = HostTime(self._epoch())
         self._since = self._before = diagnostics.Since(time.monotonic(), Counts(), 0)
         self._opened_counts = Counts()
         self._faults: dict[str, str] = {}
         self._sparing = Sparing()
-        self._create_topics()
-        self._port = SerialPort(
-            self._settings.port, self._settings.baud, self._on_bytes, self._on_open
+        self._port = self._new_port()
+
+    def _new_port(self) -> SerialPort:
+        return SerialPort(self._settings.port, self._settings.baud, self._on_bytes, self._on_open)
+
+    def activate(self) -> None:
+        """Open the port; it need not be there yet."""
+        self._port = self._new_port()
+        self._timers_of_work = (
+            self.create_timer(TICK_S, self._on_tick),
+            self.create_timer(1.0, self._on_report),
         )
-        self.create_timer(TICK_S, self._on_tick)
-        self.create_timer(1.0, self._on_report)
         self._port.start()
 
-    def close(self) -> None:
-        """Stop the port's thread."""
+    def deactivate(self) -> None:
+        """End a running excitation, stop the port's thread."""
+        end = self._relay.segment({'segment': 'idle'})
+        if end is not None:
+            self._forward(end)
+        for timer in self._timers_of_work:
+            self.destroy_timer(timer)
         self._port.stop()
 
-    def _create_topics(self) -> None:
+    def configure(self) -> None:
+        """Create the topics."""
+
         def publisher(kind: Any, topic: str, qos: Any = STREAM) -> Any:
-            return self.create_publisher(kind, topic, qos)
+            return self.publisher(kind, topic, qos)
 
         m = self._messages
         imu, motors = publisher(Imu, '/imu/data'), publisher(JointState, '/motors/command')
@@ -107,7 +121,7 @@ class SerialBridge(Node):  # type: ignore[misc]
         }
         self._active = publisher(ParameterEvent, '/gains/active', STATE)
         self._diagnostics = publisher(DiagnosticArray, '/diagnostics', EVENT)
-        subscribe = self.create_subscription
+        subscribe = self.subscribe
         subscribe(ParameterEvent, '/excitation/segment', self._on_segment, STATE)
         subscribe(ParameterEvent, '/gains/update', self._on_gains, EVENT)
         subscribe(
@@ -143,6 +157,8 @@ class SerialBridge(Node):  # type: ignore[misc]
                 self.get_logger().info(words)
             return
         stamp_ns = item.stamp_ns + self._time.epoch_ns
+        if stamp_ns <= 0:  # simulated time has not come yet
+            return
         if isinstance(frame, Cycle):
             self._publish_cycle(frame, stamp_ns)
         elif isinstance(frame, RcChannels):
@@ -240,6 +256,8 @@ class SerialBridge(Node):  # type: ignore[misc]
 
     def _ask_gains(self, parameters: Mapping[str, object]) -> None:
         """Hand an update to the keeper; raises RefusedError."""
+        if not self.active:
+            raise RefusedError('the node is not active')
         with self._lock:
             words = self._keeper.ask(parameters, time.monotonic())
             self._link.poll_gains(time.monotonic_ns())
@@ -249,6 +267,8 @@ class SerialBridge(Node):  # type: ignore[misc]
 
     def _ask_check(self, told: Callable[[str], None], motors: bool) -> None:
         """Have the polarity or the motors checked; raises RefusedError."""
+        if not self.active:
+            raise RefusedError('the node is not active')
         with self._lock:
             self._keeper.check(time.monotonic(), told, motors=motors)
 
@@ -300,6 +320,9 @@ class SerialBridge(Node):  # type: ignore[misc]
     def _keep_epoch(self) -> None:
         last = self._link.last_cycle
         armed = last is not None and bool(last.flags & Flag.ARMED)
+        if self._simulated:
+            self._time.follow(self._epoch())
+            return
         words = self._time.measured(self._epoch(), armed=armed)
         if words:
             self.get_logger().warning(words)

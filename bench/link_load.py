@@ -1,0 +1,218 @@
+"""The link under load: virtual STM32, bridge, logger and a subscriber as processes of their own.
+
+    make bench-link ARGS='--seconds 250=300,500=120,1000=60,excite=60'
+
+Per rate: cycles lost from wire to bag, CPU of each process, latency from the last byte of a
+cycle's frame to the subscriber's callback, memory. Beside it, in the same run, bare rclpy that
+publishes the same five messages at the same rate. The last line is one JSON object.
+The processes' own part is link_load_roles.py.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+from rosbags.highlevel import AnyReader
+
+os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+ROLES = str(Path(__file__).with_name('link_load_roles.py'))
+NODE = 'from quad_bridge.{0}_node import main; main()'
+CYCLE_TOPICS = (
+    '/imu/data', '/motors/command', '/control/wrench', '/setpoint/attitude', '/setpoint/rates',
+)  # fmt: skip
+TICK_HZ = os.sysconf('SC_CLK_TCK')
+SETTLE_S = 4.0
+
+
+def cpu_s(pid: int) -> float:
+    fields = Path(f'/proc/{pid}/stat').read_text().rsplit(')', 1)[1].split()
+    return (int(fields[11]) + int(fields[12])) / TICK_HZ
+
+
+def memory_mb(pid: int) -> float:
+    lines = Path(f'/proc/{pid}/status').read_text().splitlines()
+    return next(int(line.split()[1]) / 1024 for line in lines if line.startswith('VmRSS'))
+
+
+class Processes:
+    """Started by name, ended by SIGINT in the order given."""
+
+    def __init__(self) -> None:
+        self.running: dict[str, subprocess.Popen[bytes]] = {}
+
+    def start(self, name: str, *command: str) -> None:
+        self.running[name] = subprocess.Popen(
+            [sys.executable, *command], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        )
+
+    def node(self, name: str, **settings: object) -> None:
+        given = [word for key, value in settings.items() for word in ('-p', f'{key}:={value}')]
+        self.start(name, '-c', NODE.format(name), '--ros-args', *given)
+
+    def end(self, *names: str) -> None:
+        for name in names:
+            process = self.running.pop(name, None)
+            if process is None:
+                continue
+            process.send_signal(signal.SIGINT)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(timeout=15.0)
+            process.kill()
+            process.wait()
+
+    def measure(self, seconds: float) -> dict[str, dict[str, float]]:
+        """CPU in % of a core, memory after a fifth of the time and at its end."""
+        pids = {name: process.pid for name, process in self.running.items()}
+        before, began_s = {n: cpu_s(p) for n, p in pids.items()}, time.monotonic()
+        time.sleep(0.2 * seconds)
+        early = {n: memory_mb(p) for n, p in pids.items()}
+        time.sleep(0.8 * seconds)
+        passed_s = time.monotonic() - began_s
+        return {
+            name: {
+                'cpu_percent': round(100.0 * (cpu_s(pid) - before[name]) / passed_s, 1),
+                'memory_mb': round(memory_mb(pid), 1),
+                'grown_mb': round(memory_mb(pid) - early[name], 1),
+            }
+            for name, pid in pids.items()
+        }
+
+
+def wait_for(path: Path, seconds: float = 60.0) -> None:
+    deadline = time.monotonic() + seconds
+    while not path.exists():
+        if time.monotonic() > deadline:
+            raise TimeoutError(f'{path}: has not appeared in {seconds:g} s')
+        time.sleep(0.1)
+
+
+def quantiles(values: np.ndarray) -> dict[str, float]:
+    return {
+        'median_ms': round(float(np.median(values)), 3),
+        'p99_ms': round(float(np.percentile(values, 99)), 3),
+        'max_ms': round(float(values.max()), 3),
+    }
+
+
+def latency(folder: Path, rate: float) -> dict[str, float]:
+    """From the write of a cycle's last byte to the callback, ms."""
+    wire, ears = np.load(folder / 'wire.npy'), np.load(folder / 'ears.npy')
+    start_ns = int((folder / 'start').read_text())
+    number = np.rint((ears[:, 0] - start_ns) * 1e-9 * rate).astype(int)
+    inside = (number >= 0) & (number < len(wire))
+    found = 1e-6 * (ears[inside, 1] - wire[number[inside]])
+    return quantiles(found)
+
+
+def lost(folder: Path, rate: float) -> dict[str, int]:
+    """Cycles missing in the bag between its first and last, worst of the five topics."""
+    (bag,) = folder.glob('flight_*')
+    with AnyReader([bag]) as reader:
+        missing, cycles = 0, 0
+        for topic in CYCLE_TOPICS:
+            wanted = [c for c in reader.connections if c.topic == topic]
+            stamps = []
+            for connection, _, raw in reader.messages(wanted):
+                stamp = reader.deserialize(raw, connection.msgtype).header.stamp
+                stamps.append(stamp.sec + 1e-9 * stamp.nanosec)
+            number = np.rint((np.array(stamps) - stamps[0]) * rate).astype(int)
+            missing = max(missing, int(number[-1]) + 1 - len(set(number.tolist())))
+            cycles = max(cycles, len(stamps))
+        told = said(reader)
+    return {'cycles_in_bag': cycles, 'lost': missing, 'said': told}
+
+
+def said(reader: AnyReader) -> dict[str, str]:
+    """Where it was lost: the last counts of the nodes in /diagnostics."""
+    wanted = {
+        'lost cycles', 'cycles held back', 'dropped writes', 'messages lost (middleware)',
+        'messages dropped (disk)', 'restarts', 'bad CRC', 'round trips dropped',
+    }  # fmt: skip
+    found = {}
+    connections = [c for c in reader.connections if c.topic == '/diagnostics']
+    for connection, _, raw in reader.messages(connections):
+        for status in reader.deserialize(raw, connection.msgtype).status:
+            found |= {v.key: v.value for v in status.values if v.key in wanted}
+    return found
+
+
+def link(rate: float, seconds: float, folder: Path, *, excite: bool) -> dict[str, object]:
+    run = Processes()
+    try:
+        run.start('stm32', ROLES, 'stm32', str(folder), str(rate))
+        wait_for(folder / 'tty')
+        run.node('serial_bridge', port=folder / 'tty', state_folder=folder / 'state')
+        run.node('bag_logger', folder=folder, autostart='true', reserve_mb=0)
+        run.start('ears', ROLES, 'ears', str(folder))
+        if excite:
+            run.start('exciter', ROLES, 'exciter', str(folder))
+        time.sleep(SETTLE_S)
+        figures = run.measure(seconds)
+    finally:
+        run.end('exciter', 'bag_logger', 'ears', 'serial_bridge', 'stm32')
+    unread = int((folder / 'dropped').read_text())
+    return {
+        'processes': figures, **lost(folder, rate), 'latency': latency(folder, rate),
+        'bytes_nobody_read': unread,
+    }  # fmt: skip
+
+
+def bare(rate: float, seconds: float, folder: Path) -> dict[str, object]:
+    """The same five messages without a link: publishing alone, to the same subscribers."""
+    run = Processes()
+    try:
+        run.node('bag_logger', folder=folder, autostart='true', reserve_mb=0)
+        run.start('ears', ROLES, 'ears', str(folder))
+        time.sleep(2.0)
+        run.start('bare', ROLES, 'bare', str(folder), str(rate))
+        time.sleep(2.0)
+        figures = run.measure(seconds)
+    finally:
+        run.end('bare', 'bag_logger', 'ears')
+    heard = np.load(folder / 'ears.npy')
+    return {'processes': figures, 'latency': quantiles(1e-6 * (heard[:, 1] - heard[:, 0]))}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('--seconds', default='250=300,500=120,1000=60,excite=60')
+    parser.add_argument('--bare', type=float, default=20.0, help='s of bare rclpy beside each')
+    given = parser.parse_args()
+    told: dict[str, object] = {'schema': 'quad_bridge/link_load/1', 'cores': os.cpu_count()}
+    print(
+        'case      cycles  lost  bridge %  logger %  stm32 %  bare %   median  p99 ms   bare  p99'
+    )
+    for part in given.seconds.split(','):
+        name, _, seconds = part.partition('=')
+        rate = 250.0 if name == 'excite' else float(name)
+        with tempfile.TemporaryDirectory() as place:
+            folder = Path(place)
+            (folder / 'bare').mkdir()
+            load = os.getloadavg()[0]
+            beside = bare(rate, given.bare, folder / 'bare')
+            found = link(rate, float(seconds), folder, excite=name == 'excite')
+        used, late, bared = found['processes'], found['latency'], beside['latency']
+        cpu = {n: figures['cpu_percent'] for n, figures in used.items()}
+        print(
+            f'{name:8} {found["cycles_in_bag"]:7d} {found["lost"]:5d} {cpu["serial_bridge"]:9.1f}'
+            f' {cpu["bag_logger"]:9.1f} {cpu["stm32"]:8.1f}'
+            f' {beside["processes"]["bare"]["cpu_percent"]:7.1f} {late["median_ms"]:8.2f}'
+            f' {late["p99_ms"]:7.2f} {bared["median_ms"]:6.2f} {bared["p99_ms"]:4.1f}',
+            flush=True,
+        )
+        told[name] = {**found, 'bare': beside, 'load_before': load}
+    print(json.dumps(told))
+
+
+if __name__ == '__main__':
+    main()

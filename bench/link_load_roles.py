@@ -1,0 +1,157 @@
+"""The processes of link_load.py that are not the suite's own: far end, subscriber, bare publisher.
+
+python bench/link_load_roles.py stm32|ears|bare|exciter FOLDER [RATE]
+"""
+
+from __future__ import annotations
+
+import math
+import signal
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+
+class Stopped:
+    def __init__(self) -> None:
+        self.yes = False
+        signal.signal(signal.SIGINT, self._stop)
+
+    def _stop(self, *_: object) -> None:
+        self.yes = True
+
+
+def stm32(folder: Path, rate: float) -> None:
+    """The virtual STM32, which notes when the last byte of each cycle was written."""
+    from quad_bridge.virtual import process
+    from quad_bridge.virtual.aircraft import Aircraft
+    from quad_bridge.virtual.endpoint import Endpoint
+    from quad_bridge.virtual.profile import load_profile
+    from quad_bridge.virtual.pseudo_terminal import PseudoTerminal
+    from quad_bridge.virtual.receiver import Receiver
+
+    profile = load_profile('plain')
+    profile = replace(profile, mount='rig', firmware=replace(profile.firmware, rate_hz=rate))
+    process._warm_up(profile, python_effect=False)  # noqa: SLF001
+    endpoint = Endpoint(Aircraft(profile, seed=1), Receiver())
+    written: list[int] = []
+
+    class Port(PseudoTerminal):
+        def write(self, data: bytes) -> None:
+            super().write(data)
+            if endpoint.aircraft.cycle > len(written):
+                written.append(time.monotonic_ns())
+
+    port = Port(folder / 'tty')
+    (folder / 'start').write_text(str(time.monotonic_ns()))
+    process.serve(endpoint, port, None)
+    np.save(folder / 'wire.npy', np.array(written, np.int64))
+    (folder / 'dropped').write_text(str(port.dropped_bytes))
+    port.close()
+
+
+def spin(node, stopped: Stopped) -> None:
+    from rclpy.executors import SingleThreadedExecutor
+
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    while not stopped.yes:
+        executor.spin_once(timeout_sec=0.1)
+
+
+def ears(folder: Path) -> None:
+    """Subscribes to /imu/data as an analysis would, and notes stamp and time of each."""
+    import rclpy
+    from rclpy.qos import qos_profile_sensor_data
+    from rclpy.signals import SignalHandlerOptions
+    from sensor_msgs.msg import Imu
+
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    stopped, node = Stopped(), rclpy.create_node('ears')
+    epoch_ns, heard = time.time_ns() - time.monotonic_ns(), []
+
+    def take(message: Imu) -> None:
+        stamp = message.header.stamp
+        now_ns = time.monotonic_ns()
+        heard.append((stamp.sec * 10**9 + stamp.nanosec - epoch_ns, now_ns))
+
+    node.create_subscription(Imu, '/imu/data', take, qos_profile_sensor_data)
+    spin(node, stopped)
+    np.save(folder / 'ears.npy', np.array(heard, np.int64))
+
+
+def bare(_: Path, rate: float) -> None:
+    """Publishes the bridge's five messages on schedule, filled as the bridge fills them."""
+    import rclpy
+    from geometry_msgs.msg import Vector3Stamped, WrenchStamped
+    from rclpy.signals import SignalHandlerOptions
+    from sensor_msgs.msg import Imu, JointState
+
+    from quad_bridge.conversion import CycleMessages
+    from quad_bridge.qos import STREAM
+    from quad_bridge.wire.frames import Cycle
+
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    stopped, node = Stopped(), rclpy.create_node('bare')
+    messages = CycleMessages()
+    pairs = [
+        (node.create_publisher(Imu, '/imu/data', STREAM), messages.imu),
+        (node.create_publisher(JointState, '/motors/command', STREAM), messages.motors),
+        (node.create_publisher(WrenchStamped, '/control/wrench', STREAM), messages.wrench),
+        (
+            node.create_publisher(Vector3Stamped, '/setpoint/attitude', STREAM),
+            messages.attitude_setpoint,
+        ),
+        (node.create_publisher(Vector3Stamped, '/setpoint/rates', STREAM), messages.rate_setpoint),
+    ]
+    still = (0.0, 0.0, 0.0)
+    cycle = Cycle(0, 0, still, still, still, still, still, (0.0,) * 4, still, (0.0,) * 4, 0)
+    begin_s, count = time.monotonic(), 0
+    while not stopped.yes:
+        time.sleep(max(0.0, begin_s + count / rate - time.monotonic()))
+        messages.fill(cycle, time.time_ns())
+        for publisher, message in pairs:
+            publisher.publish(message)
+        count += 1
+
+
+def exciter(_: Path) -> None:
+    """A running segment and 250 set-points a second."""
+    import rclpy
+    from geometry_msgs.msg import Vector3Stamped
+    from rcl_interfaces.msg import ParameterEvent
+    from rclpy.qos import qos_profile_sensor_data
+    from rclpy.signals import SignalHandlerOptions
+
+    from quad_bridge.conversion import event_message
+    from quad_bridge.qos import STATE
+
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    stopped, node = Stopped(), rclpy.create_node('exciter')
+    segment = node.create_publisher(ParameterEvent, '/excitation/segment', STATE)
+    setpoint = node.create_publisher(
+        Vector3Stamped, '/excitation/setpoint', qos_profile_sensor_data
+    )
+    running = {'segment': 'train', 'signal': 'prbs', 'axis': 'roll', 'injection': 'rate'}
+    segment.publish(event_message(running, 'exciter', time.time_ns()))
+    message, begin_s, count = Vector3Stamped(), time.monotonic(), 0
+    while not stopped.yes:
+        time.sleep(max(0.0, begin_s + count / 250.0 - time.monotonic()))
+        message.vector.x = 0.1 * math.sin(0.1 * count)
+        setpoint.publish(message)
+        count += 1
+
+
+def main() -> None:
+    role, folder = sys.argv[1], Path(sys.argv[2])
+    if role in {'stm32', 'bare'}:
+        {'stm32': stm32, 'bare': bare}[role](folder, float(sys.argv[3]))
+    else:
+        {'ears': ears, 'exciter': exciter}[role](folder)
+
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,116 @@
+"""A lifecycle node (configure, activate) that starts by itself unless a manager is to do it.
+
+Nodes say what to do in `configure`, `activate`, `deactivate` and `cleanup`; the states and their
+services are rclpy's. No topics here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
+
+from quad_bridge import ros_node
+from quad_bridge.errors import QuadBridgeError
+
+
+class ManagedNode(LifecycleNode):  # type: ignore[misc]
+    """`begin` makes it active at once, unless the parameter `managed` is true."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        self.active = False
+        self._managed = ros_node.flag(
+            self, 'managed', False, 'wait for a lifecycle manager to configure and activate'
+        )
+        self._fault: Exception | None = None
+        self._entities: list[tuple[Callable[[Any], object], Any]] = []
+        """What `configure` has created, and how it is destroyed."""
+
+    def begin(self) -> None:
+        """Go to the first state. Raises QuadBridgeError where that fails."""
+        if self._managed:
+            return
+        self.trigger_configure()
+        if self._fault is None:
+            self.trigger_activate()
+        if self._fault is not None:
+            raise self._fault
+
+    def publisher(self, kind: Any, topic: str, qos: Any) -> Any:
+        """Create a publisher that lives until `cleanup`; `topic` relative to the namespace."""
+        made = self.create_publisher(kind, relative(topic), qos)
+        self._entities.append((self.destroy_publisher, made))
+        return made
+
+    def subscribe(self, kind: Any, topic: str, callback: Callable[[Any], None], qos: Any) -> None:
+        """Create a subscription that lives until `cleanup`."""
+        made = self.create_subscription(kind, relative(topic), callback, qos)
+        self._entities.append((self.destroy_subscription, made))
+
+    def configure(self) -> None:
+        """Create topics. Raises QuadBridgeError."""
+
+    def activate(self) -> None:
+        """Begin to work. Raises QuadBridgeError."""
+
+    def deactivate(self) -> None:
+        """Cease to work; called before an active node ends too."""
+
+    def close(self) -> None:
+        """End: what runs is stopped."""
+        if self.active:
+            self.active = False
+            self.deactivate()
+
+    def on_configure(self, state: Any) -> Any:
+        """Answer rclpy's transition."""
+        del state
+        return self._try(self.configure)
+
+    def on_activate(self, state: Any) -> Any:
+        """Answer rclpy's transition."""
+        del state
+        self.active = True
+        answer = self._try(self.activate)
+        self.active = self._fault is None
+        return answer
+
+    def on_deactivate(self, state: Any) -> Any:
+        """Answer rclpy's transition."""
+        del state
+        self.active = False
+        return self._try(self.deactivate)
+
+    def on_cleanup(self, state: Any) -> Any:
+        """Answer rclpy's transition."""
+        del state
+        for destroy, made in self._entities:
+            destroy(made)
+        self._entities.clear()
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_shutdown(self, state: Any) -> Any:
+        """Answer rclpy's transition."""
+        self.close()
+        return self.on_cleanup(state)
+
+    def _try(self, step: Callable[[], None]) -> Any:
+        self._fault = None
+        try:
+            step()
+        except QuadBridgeError as error:
+            self._fault = error
+            if self._managed:
+                self.get_logger().error(str(error))
+            return TransitionCallbackReturn.FAILURE
+        except Exception as error:
+            self._fault = error  # rclpy says nothing of it
+            raise
+        return TransitionCallbackReturn.SUCCESS
+
+
+def relative(topic: str) -> str:
+    """A topic of the contract in the node's own namespace: two aircraft on one machine."""
+    return topic.lstrip('/')
