@@ -138,6 +138,43 @@ def _fading_blade() -> Scalar:
     return lambda t, _w, _a, d: -0.25 * d * min(1.0, t / 60.0)
 
 
+def _weak_side() -> Scalar:
+    return lambda _t, _w, _a, d: -0.12 * max(0.0, d)
+
+
+def _one_way_drag() -> Scalar:
+    return lambda _t, w, _a, _d: -3.0 * w * w if w > 0.0 else 0.0
+
+
+def _thick_grease() -> Scalar:
+    return lambda t, w, _a, _d: -4.0 * w * math.exp(-t / 20.0)
+
+
+def _slung_load() -> Scalar:
+    """A load on a cord: 0.7 Hz, driven by the angle."""
+    state = [0.0, 0.0, 0.0]
+    omega = 2.0 * math.pi * 0.7
+
+    def torque(t: float, _w: float, a: float, _d: float) -> float:
+        dt = max(0.0, t - state[2])
+        state[1] += dt * (omega**2 * (a - state[0]) - 0.16 * omega * state[1])
+        state[0] += dt * state[1]
+        state[2] = t
+        return -9.0 * (a - state[0])
+
+    return torque
+
+
+def _missing_motor() -> Scalar:
+    return lambda t, _w, _a, d: -0.3 * d if 15.0 < t < 24.0 or 52.0 < t < 58.0 else 0.0
+
+
+def _jumping_wind() -> Scalar:
+    """It jumps to and fro at random, every 4 s on average."""
+    jumps = np.cumsum(np.random.default_rng(4).exponential(4.0, 200))
+    return lambda t, _w, _a, _d: 1.5 * (-1.0) ** int(np.searchsorted(jumps, t))
+
+
 UNDECLARED: dict[str, Undeclared] = {
     'stribeck': Undeclared(_stribeck, ('coulomb_friction',)),
     'one_sided_spring': Undeclared(_one_sided_spring, ('pendulum_stiffness', 'cubic_stiffness')),
@@ -153,5 +190,11 @@ UNDECLARED: dict[str, Undeclared] = {
     'sloshing': Undeclared(_sloshing, ('resonance',)),
     'inflow': Undeclared(_inflow, ()),
     'fading_blade': Undeclared(_fading_blade, ()),
+    'weak_side': Undeclared(_weak_side, ('thrust_curve',)),
+    'one_way_drag': Undeclared(_one_way_drag, ('quadratic_drag',)),
+    'thick_grease': Undeclared(_thick_grease, ()),
+    'slung_load': Undeclared(_slung_load, ('resonance',)),
+    'missing_motor': Undeclared(_missing_motor, ('step_event',)),
+    'jumping_wind': Undeclared(_jumping_wind, ('step_event', 'periodic_disturbance')),
 }
-NEEDS_DRIVE = ('inflow', 'fading_blade')
+NEEDS_DRIVE = ('inflow', 'fading_blade', 'weak_side', 'missing_motor')
