@@ -48,7 +48,10 @@ from quad_sysid.model import AxisModel
 from quad_sysid.report.model_file import load_models, save_models
 from quad_tuning import ensemble
 from quad_tuning.designer import design
+from quad_tuning.errors import DesignRefusedError
+from quad_tuning.lqr_proposal import propose_lqr
 from quad_tuning.objective import Requirements, meets
+from quad_tuning.state_feedback import controller_response, stable
 
 LARGEST_ANGLE_DEG = 45.0
 RESTLESS_RAD_S = 0.5
@@ -166,6 +169,7 @@ def tuned(airframe: Airframe, models: Path | None, *, peers: bool) -> list[Outco
     before, true = judged(second_flight(airframe, {})), truth(airframe, model)
     rows = [ours(airframe, model, true, before), attainable(airframe, true, before)]
     if peers:
+        rows.append(state_feedback(airframe, model, true, before))
         active = CascadeGains.from_mapping(model.active_gains, airframe.axis)
         record = first_flight(airframe)
         for name, gains in (
@@ -175,6 +179,25 @@ def tuned(airframe: Airframe, models: Path | None, *, peers: bool) -> list[Outco
             given = None if gains is None else gains.to_mapping(airframe.axis)
             rows.append(outcome(name, airframe, true, given, before, 'negative gains')[0])
     return rows
+
+
+def state_feedback(
+    airframe: Airframe, model: AxisModel, true: AxisModel, before: Flown
+) -> Outcome:
+    """The LQR on the identified model, flown by the firmware's second control mode."""
+    try:
+        found = propose_lqr(model)
+    except DesignRefusedError as refusal:
+        return Outcome('LQR', str(refusal), 0.0, False)
+    after = judged(second_flight(airframe, found.gains))
+    plant = loop_plant(true)
+    cycle = exact_cycles([plant], [slopes_at(plant, *ensemble.AMPLITUDES[0])])
+    omega, dynamics = frequency_grid(plant.dt, points=1000), found.controller.dynamics()
+    response = controller_response(dynamics, omega, plant.dt)
+    m = margins(-np.einsum('of,opf->pf', response, cycle.response(omega)), omega)
+    kept = meets(m, Requirements())[0] and stable(dynamics, cycle)
+    change = 100.0 * (1.0 - after.rms_rad / before.rms_rad)
+    return Outcome('LQR', '', change, after.unstable, bool(kept), float(m.phase_margin_deg[0]))
 
 
 def _model(airframe: Airframe, models: Path | None) -> AxisModel | str:

@@ -63,6 +63,20 @@ def test_a_new_oscillation_is_heard_and_named(omega):
     assert 'roll' in str(watch.alarm())
 
 
+@pytest.mark.parametrize(('rms', 'heard'), [(0.2, False), (0.6, True)])
+def test_gusts_out_of_calm_air_are_no_alarm_and_a_shaken_aircraft_is(rms, heard):
+    """Coloured rates (0.1 s) that begin with the update; the bound is 0.3 rad/s RMS."""
+    rng, watch, rate = np.random.default_rng(3), GainWatch(), 0.0
+    fed(watch, 5.0, 0.0, 1.0)
+    watch.begin()
+    alarms = []
+    for _ in range(round(10.0 / DT)):
+        rate += -10.0 * DT * rate + rms * np.sqrt(20.0 * DT) * rng.normal()
+        watch.step(np.array([0.0, rate, 0.0]), STILL, STILL, STILL)
+        alarms.append(watch.alarm())
+    assert any(alarms) is heard
+
+
 def test_what_was_there_before_is_no_alarm_unless_the_design_promised_less():
     for ratio, heard in ((1.0, False), (0.5, True)):
         watch = GainWatch()

@@ -1,4 +1,4 @@
-"""Three of the bench's 100 airframes: identified from their own flight, designed, flown again."""
+"""Two of the bench's 100 airframes: identified from their own flight, designed, flown again."""
 
 import sys
 from pathlib import Path
@@ -22,9 +22,9 @@ def bench():
     return {'run': tuning, 'airframes': tuning_airframes, 'peers': tuning_peers}
 
 
-@pytest.mark.parametrize('number', [2, 4, 9])
+@pytest.mark.parametrize('number', [2, 9])
 def test_an_airframe_is_better_with_the_gains_from_its_own_flight(bench, number):
-    """Hover; rig; dead zone. Promise within 5 points, 0.85 of what the true plant allows."""
+    """Hover; rig with a dead zone. Promise within 5 points, 0.85 of what the true plant allows."""
     run, airframe = bench['run'], bench['airframes'].draw(100, 1000)[number]
     ours, best = run.tuned(airframe, None, peers=False)
     assert ours.refused_because == ''
