@@ -15,8 +15,15 @@ import numpy as np
 import pytest
 
 pytest.importorskip('rclpy', reason='needs ROS 2')
+import rclpy
 import yaml
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import qos_profile_sensor_data
 from rosbags.highlevel import AnyReader
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import Imu
 
 from quad_bridge.wire import frames as f
 from quad_bridge.wire.codec import Decoder, Encoder
@@ -31,8 +38,9 @@ DIAGNOSTICS = ('serial_bridge: link', 'serial_bridge: clock', 'bag_logger: recor
 class FarEnd(threading.Thread):
     """Sends 250 cycles a second and answers time and parameters, until told to stop."""
 
-    def __init__(self, link, *, cycle=0, start_s=None):
+    def __init__(self, link, *, cycle=0, start_s=None, q=0.25):
         super().__init__(daemon=True)
+        self.q = q
         self.link = link
         self.master, self.slave = os.openpty()
         tty.setraw(self.slave)
@@ -57,7 +65,7 @@ class FarEnd(threading.Thread):
                 self.answer(os.read(self.master, 4096))
             if pause > 0.0:
                 continue
-            gyro = (0.001 * (self.cycle % 100), 0.25, 0.5)
+            gyro = (0.001 * (self.cycle % 100), self.q, 0.5)
             self.send(
                 f.Cycle(
                     self.now_us(), self.cycle, gyro, (0.0, 0.0, -9.81), zero, zero, zero,
@@ -161,6 +169,129 @@ def test_wire_to_bag(tmp_path, spawn):
     assert {p.name for p in active.changed_parameters} == set(WIRE_NAMES)
     states = {status.name for array in found['/diagnostics'] for status in array.status}
     assert set(DIAGNOSTICS) <= states
+
+
+class Ears:
+    """A node in the test's process that hears what nodes publish, and calls their services."""
+
+    def __init__(self, domain):
+        self.context = rclpy.Context()
+        self.context.init(domain_id=int(domain))
+        self.node = rclpy.create_node('ears', context=self.context)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self.heard = {}
+
+    def listen(self, topic, kind=Imu):
+        heard = self.heard.setdefault(topic, [])
+        self.node.create_subscription(kind, topic, heard.append, qos_profile_sensor_data)
+        return heard
+
+    def until(self, condition):
+        deadline = time.monotonic() + WAIT_S
+        while not condition():
+            assert time.monotonic() < deadline
+            self.executor.spin_once(timeout_sec=0.05)
+
+    def spin(self, seconds):
+        deadline = time.monotonic() + seconds
+        while time.monotonic() < deadline:
+            self.executor.spin_once(timeout_sec=0.05)
+
+    def call(self, kind, name, request):
+        client = self.node.create_client(kind, name)
+        assert client.wait_for_service(timeout_sec=WAIT_S)
+        answer = client.call_async(request)
+        self.until(answer.done)
+        return answer.result()
+
+    def transition(self, number):
+        request = ChangeState.Request(transition=Transition(id=number))
+        return self.call(ChangeState, '/serial_bridge/change_state', request).success
+
+    def close(self):
+        self.executor.shutdown()
+        self.node.destroy_node()
+        self.context.try_shutdown()
+
+
+@pytest.fixture
+def ears(environment):
+    ears = Ears(environment['ROS_DOMAIN_ID'])
+    yield ears
+    ears.close()
+
+
+def test_two_aircraft_on_one_machine_keep_apart(tmp_path, spawn, ears):
+    left, right = (FarEnd(tmp_path / name, q=q) for name, q in (('left', 0.25), ('right', 0.75)))
+    for far in (left, right):
+        far.start()
+    settings = ('-p', f'folder:={tmp_path / "bags"}', '-p', 'autostart:=true', '-r', '__ns:=/left')
+    logger = spawn('bag_logger', *settings)
+    for name in ('left', 'right'):
+        spawn('serial_bridge', '-p', f'port:={tmp_path / name}', '-r', f'__ns:=/{name}')
+    topics = [f'/{name}/imu/data' for name in ('left', 'right')]
+    heard = [ears.listen(topic) for topic in topics]
+    ears.until(lambda: min(len(h) for h in heard) > 300)
+    assert {m.angular_velocity.y for m in heard[0]} == {-0.25}
+    assert {m.angular_velocity.y for m in heard[1]} == {-0.75}
+    # in the bag topics have the contract's names, so that every analysis reads it
+    bag = bag_in(tmp_path / 'bags')
+    assert interrupt(logger) == 0
+    with AnyReader([bag]) as reader:
+        wanted = [c for c in reader.connections if c.topic == '/imu/data']
+        found = [reader.deserialize(r, c.msgtype) for c, _, r in reader.messages(wanted)]
+    assert {m.angular_velocity.y for m in found} == {-0.25}
+
+
+def test_a_manager_leads_the_bridge_through_its_states(tmp_path, spawn, ears):
+    far = FarEnd(tmp_path / 'tty')
+    far.start()
+    settings = ('-p', f'port:={tmp_path / "tty"}', '-p', 'managed:=true')
+    bridge = spawn('serial_bridge', *settings)
+    heard = ears.listen('/imu/data')
+    assert ears.transition(Transition.TRANSITION_CONFIGURE)
+    ears.spin(1.0)
+    assert heard == []
+    for _ in range(2):
+        assert ears.transition(Transition.TRANSITION_ACTIVATE)
+        ears.until(lambda: len(heard) > 50)
+        assert ears.transition(Transition.TRANSITION_DEACTIVATE)
+        ears.spin(0.5)
+        heard.clear()
+        ears.spin(0.5)
+        assert heard == []
+    assert ears.transition(Transition.TRANSITION_CLEANUP)
+    assert not ears.transition(Transition.TRANSITION_ACTIVATE)  # not before configure
+    assert ears.transition(Transition.TRANSITION_CONFIGURE)
+    assert ears.transition(Transition.TRANSITION_ACTIVATE)
+    ears.until(lambda: len(heard) > 50)
+    assert interrupt(bridge) == 0
+
+
+def test_simulated_time_is_respected(tmp_path, spawn, ears):
+    far = FarEnd(tmp_path / 'tty')
+    far.start()
+    clock = ears.node.create_publisher(Clock, '/clock', 10)
+    begin_s = time.monotonic()
+
+    def tick():
+        message = Clock()
+        now_ns = round(1e9 * (5000.0 + time.monotonic() - begin_s))
+        message.clock.sec, message.clock.nanosec = divmod(now_ns, 10**9)
+        clock.publish(message)
+
+    ears.node.create_timer(0.01, tick)
+    heard = ears.listen('/imu/data')
+    settings = ('-p', f'port:={tmp_path / "tty"}', '-p', 'use_sim_time:=true')
+    bridge = spawn('serial_bridge', *settings)
+    ears.until(lambda: len(heard) > 50)
+    heard.clear()
+    ears.until(lambda: len(heard) > 250)
+    stamps = np.array([m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in heard])
+    assert 5000.0 < stamps[0] < 5000.0 + WAIT_S
+    assert np.median(np.diff(stamps)) == pytest.approx(0.004, abs=5e-4)
+    assert interrupt(bridge) == 0
 
 
 def values(arrays, name):

@@ -9,10 +9,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 
 from quad_bridge import ros_node
 from quad_bridge.errors import QuadBridgeError
+
+RCLError = rclpy_implementation.RCLError
 
 
 class ManagedNode(LifecycleNode):  # type: ignore[misc]
@@ -20,6 +23,8 @@ class ManagedNode(LifecycleNode):  # type: ignore[misc]
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
+        service = self._service_change_state
+        service.callback = _refusing(service.callback)
         self.active = False
         self._managed = ros_node.flag(
             self, 'managed', False, 'wait for a lifecycle manager to configure and activate'
@@ -109,6 +114,19 @@ class ManagedNode(LifecycleNode):  # type: ignore[misc]
             self._fault = error  # rclpy says nothing of it
             raise
         return TransitionCallbackReturn.SUCCESS
+
+
+def _refusing(change: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+    """Answer a transition that does not fit the state with False; rclpy would let the node die."""
+
+    def answer(request: Any, response: Any) -> Any:
+        try:
+            return change(request, response)
+        except RCLError:
+            response.success = False
+            return response
+
+    return answer
 
 
 def relative(topic: str) -> str:

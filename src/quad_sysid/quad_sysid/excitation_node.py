@@ -62,9 +62,9 @@ class ExcitationNode(Node):  # type: ignore[misc]
         self._settings = declare(self)
         settings = self._settings
         self._player = Player(settings.schedule, settings.limits, settings.ramp_out_s)
-        self._setpoint = self.create_publisher(Vector3Stamped, '/excitation/setpoint', STREAM)
-        self._segment = self.create_publisher(ParameterEvent, '/excitation/segment', STATE)
-        self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', EVENT)
+        self._setpoint = self.create_publisher(Vector3Stamped, 'excitation/setpoint', STREAM)
+        self._segment = self.create_publisher(ParameterEvent, 'excitation/segment', STATE)
+        self._diagnostics = self.create_publisher(DiagnosticArray, 'diagnostics', EVENT)
         self._message = Vector3Stamped()
         self._message.header.frame_id = 'base_link'
         self._imu: bytes = b''
@@ -77,9 +77,9 @@ class ExcitationNode(Node):  # type: ignore[misc]
         self._waiting = settings.autostart
         self._refused = ''
         sensor = qos_profile_sensor_data
-        self.create_subscription(Imu, '/imu/data', self._on_imu, sensor, raw=True)
-        self.create_subscription(Joy, '/rc/in', self._on_rc, sensor)
-        self.create_subscription(BatteryState, '/battery', self._on_battery, sensor)
+        self.create_subscription(Imu, 'imu/data', self._on_imu, sensor, raw=True)
+        self.create_subscription(Joy, 'rc/in', self._on_rc, sensor)
+        self.create_subscription(BatteryState, 'battery', self._on_battery, sensor)
         self.create_service(Trigger, '~/start', self._on_start)
         self.create_service(Trigger, '~/stop', self._on_stop)
         self._timer = self.create_timer(1.0 / settings.rate_hz, self._tick)

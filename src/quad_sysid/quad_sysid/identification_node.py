@@ -53,9 +53,9 @@ class IdentificationNode(Node):  # type: ignore[misc]
         self._level = DiagnosticStatus.OK
         self._worker: threading.Thread | None = None
         self._outcome: session.Outcome | str | None = None
-        self._gains = self.create_publisher(ParameterEvent, '/gains/update', EVENT)
-        self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', EVENT)
-        self.create_subscription(ParameterEvent, '/logger/bag', self._on_bag, STATE)
+        self._gains = self.create_publisher(ParameterEvent, 'gains/update', EVENT)
+        self._diagnostics = self.create_publisher(DiagnosticArray, 'diagnostics', EVENT)
+        self.create_subscription(ParameterEvent, 'logger/bag', self._on_bag, STATE)
         self.create_service(Trigger, '~/identify', self._on_identify)
         self.create_timer(0.2, self._collect)
         self.create_timer(1.0, self._report)

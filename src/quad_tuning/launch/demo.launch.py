@@ -1,0 +1,42 @@
+"""Starts the rig without an aircraft: a virtual STM32 in its place, the demo's schedule running.
+
+`make demo` tells the whole story, with figures; this shows the nodes at work.
+"""
+
+from pathlib import Path
+
+from ament_index_python.packages import get_package_share_directory
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument, ExecuteProcess, IncludeLaunchDescription
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+from launch.substitutions import LaunchConfiguration
+
+
+def generate_launch_description() -> LaunchDescription:
+    """Describe the virtual STM32 and rig.launch.py on its pseudo-terminal."""
+    rig = Path(get_package_share_directory('quad_tuning')) / 'launch' / 'rig.launch.py'
+    return LaunchDescription(
+        [
+            DeclareLaunchArgument('profile', default_value='demo_rig'),
+            DeclareLaunchArgument('link', default_value='stm32'),
+            DeclareLaunchArgument('folder', default_value='.'),
+            DeclareLaunchArgument('auto_update', default_value='false'),
+            ExecuteProcess(
+                cmd=[
+                    'ros2', 'run', 'quad_bridge', 'virtual_stm32',
+                    '--profile', LaunchConfiguration('profile'),
+                    '--link', LaunchConfiguration('link'),
+                ],
+                output='screen',
+            ),
+            IncludeLaunchDescription(
+                PythonLaunchDescriptionSource(str(rig)),
+                launch_arguments={
+                    'port': LaunchConfiguration('link'),
+                    'folder': LaunchConfiguration('folder'),
+                    'auto_update': LaunchConfiguration('auto_update'),
+                    'schedule': 'schedule_demo',
+                }.items(),
+            ),
+        ]
+    )  # fmt: skip
