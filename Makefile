@@ -58,6 +58,9 @@ bench-effects-speed: build  ## a candidate's cost beside scipy's solvers, a whol
 bench-tuning: build  ## gains on 100 virtual airframes, and peers (20 minutes; ARGS='--count 12')
 	@$(RUN) OPENBLAS_NUM_THREADS=1 exec python bench/tuning.py $(ARGS)
 
+bench-link: build  ## decoder fuzzed, clock studied, link under load (15 minutes; ARGS='--seconds 250=60')
+	@$(RUN) python bench/link_fuzz.py; python bench/link_clock.py; exec python bench/link_load.py $(ARGS)
+
 bench-log: build  ## what the log loses under load and when killed, how fast bags are read (10 min)
 	@$(RUN) exec python bench/log.py $(ARGS)
 
