@@ -201,6 +201,15 @@ def test_a_stamp_in_the_future_is_held_back_and_does_not_stop_the_others(far):
     assert len(far.out) == told + 1
 
 
+def test_another_far_end_is_heard_once_the_first_is_silent(far):
+    other = Encoder(7, 1)
+    assert far.link.receive(other.encode(f.StatusText(4, 'me too')), far.host_ns) == []
+    far.link.tick(far.host_ns + 4_000_000_000)
+    (told,) = far.link.receive(other.encode(f.StatusText(4, 'now me')), far.host_ns)
+    assert told.frame.text == 'now me'
+    assert far.link.decoder.counts.foreign == 1
+
+
 def test_device_time_of_32_bits_goes_on_through_its_wrap():
     far = FarEnd(Link(), bits=32)
     far.link.opened()

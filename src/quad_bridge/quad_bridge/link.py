@@ -48,6 +48,9 @@ NO_SYNC_NS = 3_000_000_000
 NO_CYCLE_NS = 1_000_000_000
 """An autopilot without a QUAD_CYCLE for so long sends none."""
 FUTURE_NS = 100_000_000
+"""A stamp later than its arrival by more is false."""
+RELEASE_NS = 3_000_000_000
+"""A far end silent for so long may be followed by another one on the same line."""
 NEAR_US = 60_000_000
 """A device time is believed to have wrapped at 32 bits within this of the wrap."""
 
@@ -86,6 +89,7 @@ class Link:
         self._stamp_ns = 0
         self._restarts = 0
         self._peer_since_ns = 0
+        self._heard_ns = 0
         self._next_heartbeat_ns = 0
         self._next_sync_ns = 0
 
@@ -101,7 +105,10 @@ class Link:
     def receive(self, data: bytes, now_ns: int) -> list[Stamped]:
         """Frames for topics out of `data`, which arrived at `now_ns`."""
         out: list[Stamped] = []
-        for frame in self.decoder.feed(data):
+        frames = self.decoder.feed(data)
+        if frames:
+            self._heard_ns = now_ns
+        for frame in frames:
             if isinstance(frame, Cycle):
                 self._cycle(frame, now_ns, out)
             else:
@@ -110,6 +117,8 @@ class Link:
 
     def tick(self, now_ns: int) -> None:
         """Put into the outbox what is due: heartbeat, TIMESYNC, parameter requests, repeats."""
+        if self.decoder.peer is not None and now_ns - self._heard_ns > RELEASE_NS:
+            self.decoder.release()
         if now_ns >= self._next_heartbeat_ns:
             self._next_heartbeat_ns = now_ns + HEARTBEAT_NS
             self.send(Heartbeat(ONBOARD_CONTROLLER, NO_AUTOPILOT))

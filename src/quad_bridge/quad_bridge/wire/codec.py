@@ -128,6 +128,10 @@ class Decoder:
         self._framer.clear()
         self._peer = None
 
+    def release(self) -> None:
+        """Let another sender be the far end: the one before has fallen silent."""
+        self._peer = None
+
     def feed(self, data: bytes) -> list[Frame]:
         """Frames completed by `data`, in order of arrival. Never raises."""
         self._bytes += len(data)
