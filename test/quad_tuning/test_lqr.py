@@ -125,5 +125,7 @@ def test_what_cannot_be_is_refused(model):
         design_lqr(
             loop_plant(m), loops_of(m), 0.3, noise=Noise(), needs=Requirements(89.0, 30.0, 1.01)
         )
+    with pytest.raises(DesignRefusedError, match=r'raise the tracking error by \d+ %; the delay'):
+        propose_lqr(model(lag=0.1, delay=0.02))
     with pytest.raises(DesignRefusedError, match='lowers the rate'):
         propose_lqr(model(gain=-450.0))

@@ -16,7 +16,7 @@ from quad_tuning import ensemble as ensembles
 from quad_tuning import lqr_figures
 from quad_tuning.admission import check_band, check_model, flown_gains
 from quad_tuning.assess import assess
-from quad_tuning.designer import SEED, loop_figures
+from quad_tuning.designer import LARGEST_LOSS_PCT, SEED, loop_figures
 from quad_tuning.errors import DesignRefusedError
 from quad_tuning.lqr import LqrDesign, Noise, Weights, design_lqr, way_is_safe
 from quad_tuning.state_feedback import StateFeedback
@@ -67,6 +67,7 @@ def propose_lqr(model: AxisModel, largest: Mapping[str, float] | None = None) ->
         figures['motor_noise_rms'] = noise * model.noise_rms
     old = loop_figures(before, model.noise_rms)
     figures.update({f'{name}_before': old[name] for name in figures})
+    _check_worth(model.axis, figures)
     figures.update(lqr_figures.promise(loops, active, found.controller, plant.lag_s))
     figures['draws'] = float(loops.draws)
     figures['control_weight'] = found.control_weight
@@ -75,6 +76,15 @@ def propose_lqr(model: AxisModel, largest: Mapping[str, float] | None = None) ->
         gains=found.controller.to_mapping(model.axis),
         figures={name: value for name, value in figures.items() if np.isfinite(value)},
     )
+
+
+def _check_worth(axis: str, figures: Mapping[str, float]) -> None:
+    lost = 100.0 * (figures['rms_tracking_rad'] / figures['rms_tracking_rad_before'] - 1.0)
+    if lost > LARGEST_LOSS_PCT:
+        raise DesignRefusedError(
+            f'{axis}: the LQR that keeps all margins would raise the tracking error by '
+            f'{lost:.0f} %; the delay is too long for it, take the cascade (--method pid)'
+        )
 
 
 def _noise(model: AxisModel) -> Noise:
