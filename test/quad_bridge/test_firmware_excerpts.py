@@ -26,7 +26,7 @@ def test_the_excerpts_compile(firmware, tmp_path):
 
 def test_the_parameters_that_it_names_exist():
     named = re.findall(r'`((?:ROLL|GYRO|ACC|LOOP)_[A-Z_]+)`', PAGE)
-    assert len(named) == 11
+    assert len(named) == 23
     assert set(named) <= set(WIRE_NAMES.values())
 
 
