@@ -16,6 +16,7 @@ setup(
         (f'share/{PACKAGE}', ['package.xml']),
         (f'share/{PACKAGE}/launch', glob('launch/*.launch.py')),
         (f'share/{PACKAGE}/config', glob('config/*.yaml')),
+        (f'share/{PACKAGE}/layouts', glob('layouts/*')),
     ],
     python_requires='>=3.10',
     install_requires=[
@@ -36,6 +37,7 @@ setup(
     entry_points={
         'console_scripts': [
             'recover = quad_bridge.recover:main',
+            'monitor = quad_bridge.monitor_node:main',
             'sensors = quad_bridge.sensors_command:main',
             'sensor_watch = quad_bridge.sensor_watch_node:main',
             'make_key = quad_bridge.key_file:main',

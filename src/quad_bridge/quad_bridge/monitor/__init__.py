@@ -1,0 +1,1 @@
+"""What an operator sees during a flight: state, coverage of the band, lines. No ROS, no I/O."""

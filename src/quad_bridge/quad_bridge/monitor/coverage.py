@@ -1,0 +1,172 @@
+"""How far the excitation of an axis has come: in which band the rate answers it, so far.
+
+Squared coherence of the excitation as applied with the measured rate, by sine tapers (Riedel and
+Sidorenko 1995) over each unbroken part: a frequency is told once one whole period of it lies in a
+part. Feedback alone gives no coherence, because the excitation comes from outside the loop.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+Stamps = npt.NDArray[np.int64]
+
+TAPERS = 5
+LEAST_PERIODS = 1.0
+"""A part tells frequencies of at least so many periods in it."""
+SMOOTHING = 0.15
+"""Half the width over which a frequency is averaged, as a share of it."""
+FINENESS = 8.0
+"""Samples per period of the highest wanted frequency that are kept; more only cost time."""
+COHERENT = 0.6
+"""Squared coherence from which the pair is trusted, as in the analysis."""
+CHANCE = 0.01
+"""A coherence that noise alone would reach with this probability does not count."""
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """What is covered of the wanted band, rad/s."""
+
+    wanted: tuple[float, float]
+    w: FloatArray
+    """(m,) frequencies inside the wanted band, log-spaced."""
+    coherent: npt.NDArray[np.bool_]
+    """(m,)"""
+
+    @property
+    def share(self) -> float:
+        """Of the wanted band, on a logarithmic scale, 0..1."""
+        return float(np.mean(self.coherent)) if self.coherent.size else 0.0
+
+    @property
+    def band(self) -> tuple[float, float] | None:
+        """The widest unbroken stretch that is covered."""
+        edges = np.flatnonzero(np.diff(np.concatenate(([False], self.coherent, [False]))))
+        if not edges.size:
+            return None
+        a, b = max(edges.reshape(-1, 2), key=lambda e: int(e[1] - e[0]))
+        return float(self.w[a]), float(self.w[b - 1])
+
+    @property
+    def enough(self) -> bool:
+        """Whether the whole wanted band is covered."""
+        return bool(self.coherent.size) and bool(self.coherent.all())
+
+
+def coverage(
+    parts: Sequence[tuple[FloatArray, FloatArray]], dt: float, wanted: tuple[float, float],
+    points: int = 30,
+) -> Coverage:
+    """Coverage by unbroken parts of (excitation (n,), rate (n,)), dt in s, `wanted` in rad/s."""
+    w = np.geomspace(*wanted, points)
+    xx, yy, windows = np.zeros(points), np.zeros(points), np.zeros(points)
+    xy = np.zeros(points, dtype=complex)
+    every = max(1, int(2.0 * np.pi / (FINENESS * wanted[1] * dt)))
+    for x, y in parts:
+        seconds = x.size * dt
+        told = w * seconds >= 2.0 * np.pi * LEAST_PERIODS
+        if told.any() and x.size > 4 * every:
+            sums = _spectra(_thinned(x, every), _thinned(y, every), every * dt, w[told])
+            xx[told] += sums[0]
+            yy[told] += sums[1]
+            xy[told] += sums[2]
+            windows[told] += _windows(w[told], seconds)
+    squared = np.abs(xy) ** 2 / np.maximum(xx * yy, np.finfo(float).tiny)
+    chance = 1.0 - CHANCE ** (1.0 / np.maximum(windows - 1.0, 1.0))
+    return Coverage(wanted, w, (windows > 0.0) & (squared > np.maximum(COHERENT, chance)))
+
+
+def _thinned(x: FloatArray, every: int) -> FloatArray:
+    """Means of so many samples each."""
+    rows: FloatArray = x[:x.size // every * every].reshape(-1, every).mean(axis=1)
+    return rows
+
+
+def _spectra(
+    x: FloatArray, y: FloatArray, dt: float, w: FloatArray
+) -> tuple[FloatArray, FloatArray, npt.NDArray[np.complex128]]:
+    """Sums over tapers and the neighbours of each w, of the excitation's change and the rate.
+
+    Its change, because the loop holds the angle: the rate's answer to the excitation itself goes
+    through zero at rest, and a window across it would see both signs.
+    """
+    a, b = np.diff(x), y[1:] - y[1:].mean()
+    n = a.size
+    k = np.arange(1, TAPERS + 1)[:, None]
+    tapers = np.sqrt(2.0 / (n + 1)) * np.sin(np.pi * k * np.arange(1, n + 1) / (n + 1))
+    fa, fb = np.fft.rfft(tapers * a), np.fft.rfft(tapers * b)
+    xx, yy = (np.abs(fa) ** 2).sum(axis=0), (np.abs(fb) ** 2).sum(axis=0)
+    xy = (np.conj(fa) * fb).sum(axis=0)
+    bins = 2.0 * np.pi / (n * dt)
+    low = np.clip(np.floor((1.0 - SMOOTHING) * w / bins + 0.5).astype(int), 0, xx.size - 1)
+    high = np.clip(np.floor((1.0 + SMOOTHING) * w / bins + 0.5).astype(int), 0, xx.size - 1)
+    total = [np.concatenate(([0.0], np.cumsum(one))) for one in (xx, yy, xy)]
+    xx, yy, xy = (one[high + 1] - one[low] for one in total)
+    return xx.real, yy.real, xy
+
+
+def _windows(w: FloatArray, seconds: float) -> FloatArray:
+    """How many independent windows the sums at w are worth."""
+    half = np.pi * (TAPERS + 1) / seconds  # half a taper's width, rad/s
+    # a window that reaches below zero sees the same twice
+    return TAPERS * np.maximum(1.0, SMOOTHING * w / half) * np.where(w < half, 0.5, 1.0)
+
+
+class Pairs:
+    """Excitation and rate of one axis, matched by the stamps of their control cycles."""
+
+    def __init__(self) -> None:
+        self._rates: list[tuple[int, float]] = []
+        self._inputs: list[tuple[int, float]] = []
+        self._matched: list[tuple[Stamps, FloatArray, FloatArray]] = []
+
+    def rate(self, stamp_ns: int, value: float) -> None:
+        """The measured rate of a cycle, rad/s."""
+        self._rates.append((stamp_ns, value))
+
+    def excitation(self, stamp_ns: int, value: float) -> None:
+        """What the STM32 says it added in a cycle."""
+        self._inputs.append((stamp_ns, value))
+
+    def clear(self) -> None:
+        """Forget all: another axis begins."""
+        self._rates, self._inputs, self._matched = [], [], []
+
+    @property
+    def cycles(self) -> int:
+        """Cycles of which both are known, as far as they were matched."""
+        return sum(stamps.size for stamps, _, _ in self._matched)
+
+    def parts(self) -> tuple[list[tuple[FloatArray, FloatArray]], float]:
+        """Unbroken parts (excitation, rate) and the cycle in s (0 where too little is known)."""
+        self._match()
+        if self.cycles < 3:
+            return [], 0.0
+        stamps, x, y = (np.concatenate(column) for column in zip(*self._matched, strict=True))
+        steps = np.diff(stamps)
+        dt = float(np.median(steps)) * 1e-9
+        if dt <= 0.0:
+            return [], 0.0
+        cuts = np.flatnonzero(steps > 1.5e9 * dt) + 1
+        return list(zip(np.split(x, cuts), np.split(y, cuts), strict=True)), dt
+
+    def _match(self) -> None:
+        """Pair what has come since; what may still get its partner waits."""
+        if not self._rates or not self._inputs:
+            return
+        common = min(max(s for s, _ in self._rates), max(s for s, _ in self._inputs))
+        rates, inputs = dict(self._rates), dict(self._inputs)
+        found = sorted(s for s in rates.keys() & inputs.keys())
+        if found:
+            self._matched.append((
+                np.array(found, dtype=np.int64),
+                np.array([inputs[s] for s in found]), np.array([rates[s] for s in found]),
+            ))
+        self._rates = [pair for pair in self._rates if pair[0] > common]
+        self._inputs = [pair for pair in self._inputs if pair[0] > common]

@@ -1,0 +1,172 @@
+"""The `monitor` node: a dashboard in the terminal during a flight. Wiring only.
+
+On a terminal the screen is rewritten and a bell rings when enough data are in; piped, it prints a
+block of lines every few seconds.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections import deque
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import Vector3Stamped
+from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, ParameterEvent
+from rclpy.node import Node
+from sensor_msgs.msg import BatteryState, Imu
+from std_srvs.srv import Trigger
+
+from quad_bridge import ros_node
+from quad_bridge.monitor import view
+from quad_bridge.monitor.coverage import Pairs, coverage
+from quad_bridge.qos import EVENT, STATE, STREAM
+
+AXES = ('roll', 'pitch', 'yaw')
+LEAST_NEW = 250
+"""Cycles between two looks at the coverage."""
+CLEAR, HOME, BELL = '\x1b[2J', '\x1b[H\x1b[J', '\a'
+NUMBERS = {
+    'band_low_rad_s': (0.5, 0.01, 100.0, 'low end of the band that is to be covered, rad/s'),
+    'band_high_rad_s': (20.0, 0.1, 1000.0, 'its high end, rad/s'),
+    'validation_s': (10.0, 0.0, 600.0, 'validation that is to be flown before "stop now", s'),
+}
+"""Parameter: default, least, largest, description."""
+
+
+class Monitor(Node):  # type: ignore[misc]
+    """See the module."""
+
+    def __init__(self) -> None:
+        super().__init__('monitor')
+        ros_node.refuse_unknown(self, [*NUMBERS, 'stop_when_covered', 'every_s'])
+        known = {name: self._number(name) for name in NUMBERS}
+        self._band = known['band_low_rad_s'], known['band_high_rad_s']
+        self._validation_s = known['validation_s']
+        self._stop = ros_node.flag(self, 'stop_when_covered', False,
+                                   'call excitation/stop when "stop now" is said')
+        every = ros_node.integer(self, 'every_s', 5, (1, 3600), 'between two blocks when piped, s')
+        self._terminal = sys.stdout.isatty()
+        self._state = view.State()
+        self._pairs, self._stamps = Pairs(), deque[int](maxlen=250)
+        self._step_s = 0.004
+        self._role, self._axis, self._new, self._said = '', '', 0, ''
+        self._stopper = self.create_client(Trigger, 'excitation/stop')
+        self.create_subscription(DiagnosticArray, 'diagnostics', self._on_diagnostics, EVENT)
+        self.create_subscription(Imu, 'imu/data', self._on_imu, STREAM)
+        self.create_subscription(BatteryState, 'battery', self._on_battery, STREAM)
+        self.create_subscription(Vector3Stamped, 'excitation/applied', self._on_applied, STREAM)
+        self.create_subscription(ParameterEvent, 'excitation/segment', self._on_segment, STATE)
+        self.create_subscription(ParameterEvent, 'logger/bag', self._on_bag, STATE)
+        self.create_timer(0.5 if self._terminal else float(every), self._show)
+        self.create_timer(1.0, self._look)
+        if self._terminal:
+            sys.stdout.write(CLEAR)
+
+    def close(self) -> None:
+        """Leave the last screen where it stands."""
+        sys.stdout.flush()
+
+    def _number(self, name: str) -> float:
+        default, low, high, description = NUMBERS[name]
+        span = FloatingPointRange(from_value=low, to_value=high, step=0.0)
+        descriptor = ParameterDescriptor(
+            description=description, read_only=True, floating_point_range=[span]
+        )
+        return float(self.declare_parameter(name, default, descriptor).value)
+
+    def _on_diagnostics(self, message: Any) -> None:
+        now = time.monotonic()
+        for status in message.status:
+            values = {item.key: item.value for item in status.values}
+            self._state.entries[status.name] = view.Entry(
+                int.from_bytes(status.level, 'little'), status.message, values, now
+            )
+
+    def _on_imu(self, message: Any) -> None:
+        stamp = _nanoseconds(message.header.stamp)
+        self._stamps.append(stamp)
+        self._state.imu_at_s = time.monotonic()
+        q, rate = message.orientation, message.angular_velocity
+        self._state.angles_deg = _degrees(q.w, q.x, q.y, q.z)
+        if self._role == 'train':
+            self._pairs.rate(stamp, (rate.x, rate.y, rate.z)[AXES.index(self._axis)])
+
+    def _on_applied(self, message: Any) -> None:
+        if self._role == 'train':
+            v = message.vector
+            self._pairs.excitation(_nanoseconds(message.header.stamp),
+                                   (v.x, v.y, v.z)[AXES.index(self._axis)])
+            self._state.trained_s += self._step_s
+            self._new += 1
+        elif self._role == 'validation':
+            self._state.validated_s += self._step_s
+
+    def _on_battery(self, message: Any) -> None:
+        self._state.battery_v = message.voltage
+
+    def _on_segment(self, message: Any) -> None:
+        values = {p.name: p.value.string_value for p in message.changed_parameters}
+        self._role, axis = values.get('segment', ''), values.get('axis', '')
+        if axis in AXES and axis != self._axis:
+            self._axis = axis
+            self._pairs.clear()
+            self._state.coverage, self._said = None, ''
+            self._state.trained_s = self._state.validated_s = 0.0
+        if self._axis not in AXES:
+            self._role = ''
+        self._state.segment = values
+
+    def _on_bag(self, message: Any) -> None:
+        values = {p.name: p.value.string_value for p in message.changed_parameters}
+        self._state.bag, self._state.bag_state = values.get('path', ''), values.get('state', '')
+
+    def _look(self) -> None:
+        if self._new >= LEAST_NEW:
+            self._new = 0
+            parts, dt = self._pairs.parts()
+            if dt > 0.0:
+                self._state.coverage = coverage(parts, dt, self._band)
+        if len(self._stamps) > 1:
+            step_s = 1e-9 * float(np.median(np.diff(np.array(self._stamps))))
+            if step_s > 0.0:
+                self._step_s, self._state.rate_hz = step_s, 1.0 / step_s
+        said = view.call(self._state, self._validation_s)
+        if said and said != self._said:
+            self._said = said
+            if self._terminal:
+                sys.stdout.write(BELL)
+            else:
+                sys.stdout.write(said + '\n')
+                sys.stdout.flush()
+            if self._stop and said.startswith('stop now') and self._stopper.service_is_ready():
+                self._stopper.call_async(Trigger.Request())
+
+    def _show(self) -> None:
+        text = '\n'.join(view.lines(self._state, time.monotonic()))
+        if self._terminal:
+            sys.stdout.write(f'{HOME}{text}\n\n{self._said}\n')
+        else:
+            sys.stdout.write(text + '\n\n')
+        sys.stdout.flush()
+
+
+def _nanoseconds(stamp: Any) -> int:
+    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+
+
+def _degrees(w: float, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Roll, pitch, yaw of a unit quaternion, deg."""
+    return (
+        math.degrees(math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))),
+        math.degrees(math.asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x))))),
+        math.degrees(math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))),
+    )
+
+
+def main() -> None:
+    """Run the node until it is interrupted; exit status 2 where its parameters are wrong."""
+    ros_node.run(Monitor, 'monitor')

@@ -1,0 +1,235 @@
+"""The monitor: coverage of a known answer and of none, the screen, and the node as a process."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+
+from quad_bridge.monitor.coverage import Pairs, coverage
+from quad_bridge.monitor.view import WIDTH, Entry, State, call, lines
+from quad_bridge.topics import TOPIC_TYPES
+
+LAYOUTS = Path(__file__).resolve().parents[2] / 'src/quad_bridge/layouts'
+DT = 0.004
+WAIT_S = 30.0
+
+
+def answered(seconds: float, noise: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Random levels of 0.1 s as angles asked for, and the rate of a loop that follows; noise.
+
+    Rate reference 3 (asked - angle), followed with a lag of 0.05 s.
+    """
+    rng = np.random.default_rng(seed)
+    n = round(seconds / DT)
+    x = np.repeat(rng.choice([-1.0, 1.0], n // 25 + 1), 25)[:n]
+    y, angle = np.zeros(n), 0.0
+    for k in range(1, n):
+        y[k] = y[k - 1] + DT / 0.05 * (3.0 * (x[k - 1] - angle) - y[k - 1])
+        angle += DT * y[k]
+    return x, y + noise * rng.standard_normal(n)
+
+
+def test_an_answer_covers_the_band_and_noise_none_of_it():
+    x, y = answered(40.0, 0.05, 1)
+    assert coverage([(x, y)], DT, (0.6, 20.0)).enough
+    nothing = np.random.default_rng(2).standard_normal(x.size)
+    shares = [coverage([(x, np.roll(nothing, k * 997))], DT, (0.2, 20.0)).share for k in range(10)]
+    assert max(shares) < 0.2
+    assert np.mean(shares) < 0.05
+
+
+def test_the_answer_to_another_excitation_is_no_coverage():
+    """Two flights share the excitation's law but not its values."""
+    flown, _ = answered(40.0, 0.05, 3)
+    _, other = answered(40.0, 0.05, 4)
+    assert coverage([(flown, other)], DT, (0.2, 20.0)).share < 0.2
+
+
+def test_low_frequencies_take_longer_and_noise_hides_high_ones():
+    x, y = answered(70.0, 0.05, 3)
+    assert coverage([(x, y)], DT, (0.1, 20.0)).enough
+    short = coverage([(x[:2500], y[:2500])], DT, (0.1, 20.0))
+    assert not short.enough
+    assert not short.coherent[short.w < 2.0 * np.pi / 10.0].any()
+    assert short.coherent[short.w > 2.5].all()
+    loud = coverage([(x, y + 2.0 * np.random.default_rng(4).standard_normal(y.size))], DT,
+                    (0.5, 100.0))
+    assert not loud.enough
+    assert loud.band[1] < 60.0
+    assert coverage([], DT, (0.5, 20.0)).band is None
+
+
+def test_parts_add_up_but_a_period_needs_an_unbroken_one():
+    x, y = answered(60.0, 1.0, 6)
+    halves = [(x[:7500], y[:7500]), (x[7500:], y[7500:])]
+    one, both = (coverage(parts, DT, (0.15, 20.0)) for parts in (halves[:1], halves))
+    assert one.share < both.share
+    assert not both.coherent[both.w < 2.0 * np.pi / 30.0].any()
+    x, y = answered(60.0, 0.05, 6)
+    assert coverage([(x, y)], DT, (0.15, 20.0)).band[0] < 2.0 * np.pi / 30.0
+
+
+def test_pairs_match_by_stamp_and_break_at_gaps():
+    pairs = Pairs()
+    for k in range(1000):
+        if k >= 10:  # the rate comes later than what was added in its cycle
+            pairs.rate((k - 10) * 4_000_000, float(k - 10))
+        if k < 400 or k > 600:
+            pairs.excitation(k * 4_000_000, -float(k))
+        if k % 77 == 0:
+            pairs.parts()
+    parts, dt = pairs.parts()
+    assert dt == pytest.approx(DT)
+    assert [x.size for x, _ in parts] == [400, 389]
+    assert all((x == -y).all() for x, y in parts)
+    pairs.clear()
+    assert pairs.parts() == ([], 0.0)
+
+
+def full_state() -> State:
+    entry = Entry(0, 'control cycles arrive', {}, 100.0)
+    x, y = answered(40.0, 0.05, 1)
+    return State(
+        entries={
+            'serial_bridge: link': entry,
+            'serial_bridge: clock': Entry(1, 'not converged', {}, 90.0),
+            'excitation: schedule': Entry(0, 'running', {
+                'progress_pct': '42', 'segment': 'train', 'signal': 'prbs', 'axis': 'roll',
+                'angle_limit_deg': '25', 'battery_min_v': '11.8',
+            }, 100.0),
+            'serial_bridge: excitation': Entry(1, 'a stale set-point', {}, 100.0),
+            'bag_logger: recording': Entry(2, 'disk full ' * 12, {}, 99.9),
+        },
+        rate_hz=250.0, imu_at_s=99.9, angles_deg=(22.0, -1.0, 170.0), battery_v=11.7,
+        bag='flights/one', bag_state='recording', segment={'axis': 'roll'}, trained_s=70.0,
+        coverage=coverage([(x, y)], DT, (0.5, 20.0)),
+    )
+
+
+def test_the_screen_tells_all_in_one_place():
+    state = full_state()
+    shown = '\n'.join(lines(state, 100.0))
+    assert max(len(line) for line in shown.splitlines()) <= WIDTH
+    for pattern in (
+        r'link +ok +control cycles', r'clock +stale +no news for 10 s', r'imu +ok +250 Hz',
+        r'recording +ERROR +disk full', r'42 %  train prbs roll',
+        r'angles +WARN .*roll  \+22.0.*limit 25',
+        r'battery +ERROR +11.70 V', r'WARN +a stale',
+        r'coverage +ok +roll 0.5 to 20 of 0.5 to 20',
+        r'gains +- +nothing heard', r'100 %',
+    ):
+        assert re.search(pattern, shown), pattern
+    assert 'nothing heard' in '\n'.join(lines(State(), 0.0))
+
+
+def test_the_call_comes_when_enough_is_in_and_not_before():
+    state = full_state()
+    assert 'go on to validation' in call(state, 10.0)
+    state.validated_s = 12.0
+    assert call(state, 10.0) == 'stop now: 0.5 to 20 rad/s covered'
+    state.coverage = coverage([], DT, (0.5, 20.0))
+    assert call(state, 10.0) == ''
+    assert call(State(), 10.0) == ''
+
+
+def test_layouts_show_topics_of_the_contract():
+    curves = [c.get('name') for c in ET.parse(LAYOUTS / 'plotjuggler.xml').iter('curve')]
+    assert len(curves) > 10
+    assert all(any(c.startswith(f'{t}/') for t in TOPIC_TYPES) for c in curves)
+    tree = json.loads((LAYOUTS / 'foxglove.json').read_text())
+    paths = [p['value'] for c in tree['configById'].values() for p in c.get('paths', [])]
+    assert len(paths) > 10
+    assert all(path.partition('.')[0] in TOPIC_TYPES for path in paths)
+
+    def panels(node):
+        return [node] if isinstance(node, str) else panels(node['first']) + panels(node['second'])
+
+    assert sorted(panels(tree['layout'])) == sorted(tree['configById'])
+
+
+def test_the_node_says_when_enough_is_in_and_stops_the_excitation(tmp_path, monkeypatch):
+    rclpy = pytest.importorskip('rclpy', reason='needs ROS 2')
+    from geometry_msgs.msg import Vector3Stamped
+    from rcl_interfaces.msg import Parameter, ParameterEvent, ParameterValue
+    from rclpy.executors import SingleThreadedExecutor
+    from sensor_msgs.msg import Imu
+    from std_srvs.srv import Trigger
+
+    from quad_bridge.qos import STATE, STREAM
+
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(1 + (os.getpid() + 17) % 100))
+    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    monkeypatch.setenv('ROS_LOG_DIR', str(tmp_path))
+    out = (tmp_path / 'out').open('w+')
+    process = subprocess.Popen(
+        [sys.executable, '-c', 'from quad_bridge.monitor_node import main; main()', '--ros-args',
+         '-p', 'stop_when_covered:=true', '-p', 'band_low_rad_s:=2.0', '-p', 'every_s:=1',
+         '-p', 'validation_s:=1.0'], stdout=out,
+    )
+    context = rclpy.Context()
+    rclpy.init(context=context)
+    node = rclpy.create_node('flight', context=context)
+    stopped = []
+
+    def stop(_, response):
+        stopped.append(True)
+        response.success = True
+        return response
+
+    node.create_service(Trigger, '/excitation/stop', stop)
+    imu = node.create_publisher(Imu, '/imu/data', STREAM)
+    applied = node.create_publisher(Vector3Stamped, '/excitation/applied', STREAM)
+    segment = node.create_publisher(ParameterEvent, '/excitation/segment', STATE)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+
+    def announce(role: str) -> None:
+        event = ParameterEvent()
+        for name, value in (('segment', role), ('axis', 'pitch'), ('signal', 'prbs')):
+            event.changed_parameters.append(
+                Parameter(name=name, value=ParameterValue(type=4, string_value=value)))
+        segment.publish(event)
+
+    x, y = answered(60.0, 0.05, 5)
+    end_s, k, role = time.monotonic() + WAIT_S, 0, ''
+    while not stopped and time.monotonic() < end_s:
+        if imu.get_subscription_count() and applied.get_subscription_count() \
+                and segment.get_subscription_count():
+            wanted = 'train' if k < 10_000 else 'validation'
+            if wanted != role:
+                announce(wanted)
+                role = wanted
+            for _ in range(40):  # stamps, not the clock, say how long it took
+                message, vector = Imu(), Vector3Stamped()
+                for stamp in (message.header.stamp, vector.header.stamp):
+                    stamp.sec, stamp.nanosec = divmod(10**9 + k * 4_000_000, 10**9)
+                message.angular_velocity.y, message.orientation.w = float(y[k % y.size]), 1.0
+                vector.vector.y = float(x[k % x.size])
+                imu.publish(message)
+                applied.publish(vector)
+                k += 1
+        executor.spin_once(timeout_sec=0.02)
+    process.send_signal(signal.SIGINT)
+    status = process.wait(timeout=WAIT_S)
+    executor.shutdown()
+    node.destroy_node()
+    rclpy.shutdown(context=context)
+    out.seek(0)
+    told = out.read()
+    out.close()
+    assert status == 0
+    assert stopped, told[-1500:]
+    assert 'go on to validation' in told
+    assert 'stop now: 2 to 20 rad/s covered' in told
+    assert re.search(r'imu +ok +250 Hz', told)
+    assert '\x1b' not in told
