@@ -26,7 +26,7 @@ from quad_sysid.effects.choice import (
     worthy,
 )
 from quad_sysid.effects.crossval import compare
-from quad_sysid.effects.rivals import MOST_RIVALS, less_named, rivals_of
+from quad_sysid.effects.rivals import MOST_RIVALS, Shares, less_named, settled
 from quad_sysid.effects.scan import Dependence, scan
 from quad_sysid.effects.screening import Screen
 from quad_sysid.greybox.data import AxisData
@@ -99,10 +99,11 @@ def discover(
         current, noise, sim = other
         data = sim.data
         base, base_noise, base_sim = settle(replace(sim, _cache={}), without_effects(sim, current))
-    rivals = {
-        name: rivals_of(sim, current, name, prepared, _near(name, tried, current), rng)
-        for name in current.names
-    }
+    rivals: dict[str, Shares] = {}
+    for chosen_name in current.names:
+        near = _near(chosen_name, tried, current)
+        current, name, shares = settled(sim, current, chosen_name, prepared, near, rng)
+        rivals[name] = shares
     chosen = sharpened(sim, current.fit) if current.names else current.fit
     return Discovery(
         data, base, base_noise, base_sim, chosen, noise, sim, rivals, tried, not_tested,

@@ -12,8 +12,9 @@ import numpy as np
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.effects.candidate import Candidate, candidate, without
-from quad_sysid.effects.choice import NEARLY_ALL, ROUGH, fitting
-from quad_sysid.greybox.fit import Fit, fit_with_effect
+from quad_sysid.effects.choice import AS_GOOD, NEARLY_ALL, ROUGH, fitting
+from quad_sysid.effects.persistence import persists
+from quad_sysid.greybox.fit import Fit, fit_structure, fit_with_effect
 from quad_sysid.greybox.one_step import BAND_HZ, block_of_rows, one_step, slow_errors
 from quad_sysid.greybox.simulate import Simulator
 from quad_sysid.greybox.structure import Prepared
@@ -24,11 +25,44 @@ SUPERFLUOUS = 0.9
 """A name goes where the curve alone is the better model with this probability."""
 
 
-def rivals_of(
+Shares = tuple[tuple[str, float], ...]
+"""(name, probability) of all that could stand in a place, most probable first."""
+
+
+def settled(
     sim: Simulator, current: Candidate, name: str, prepared: Sequence[Prepared],
     near: AbstractSet[str], rng: np.random.Generator,
-) -> tuple[tuple[str, float], ...]:
-    """Probabilities over all that could stand in the place of `name`, itself included.
+) -> tuple[Candidate, str, Shares]:
+    """The more probable name in the place of `name`, and the probabilities of all that could be.
+
+    The free run chose `name`; where it can hardly tell it from another and the one-step errors,
+    which are sharper, say that the other is more probable than all the rest, that one is taken.
+    """
+    labels, one_of, shares = _contest(sim, current, name, prepared, near, rng)
+    first, chance = shares[0]
+    kind = next(e.kind for e in current.fit.structure.effects if e.name == name)
+    if first == name or chance < 0.5 or kind != 'named' or first in current.names:
+        return current, name, shares
+    best = min(
+        (one for label, one in zip(labels, one_of, strict=True) if label == first), key=_score
+    )
+    alike = best.score <= AS_GOOD * current.score and len(best.names) == len(current.names)
+    if not alike or not persists(sim, best.fit, first):
+        return current, name, shares
+    best = candidate(sim, fit_structure(sim, best.fit.structure, best.fit.theta))
+    near = {*near, name} - {first}
+    return best, first, _contest(sim, best, first, prepared, near, rng)[2]
+
+
+def _score(one: Candidate) -> float:
+    return one.score
+
+
+def _contest(
+    sim: Simulator, current: Candidate, name: str, prepared: Sequence[Prepared],
+    near: AbstractSet[str], rng: np.random.Generator,
+) -> tuple[list[str], list[Candidate], Shares]:
+    """All that could stand in the place of `name`, fitted, itself included.
 
     A name may be replaced by names, and by a curve of its signal that is there beside it; a curve
     by anything. `near`: what came close to it when it was chosen.
@@ -49,7 +83,7 @@ def rivals_of(
     summed: dict[str, float] = {}
     for label, weight in zip(labels, weights, strict=True):
         summed[label] = summed.get(label, 0.0) + float(weight)
-    return tuple(sorted(summed.items(), key=lambda pair: -pair[1]))
+    return labels, one_of, tuple(sorted(summed.items(), key=lambda pair: -pair[1]))
 
 
 def _put(sim: Simulator, rest: Candidate, put: Prepared) -> Candidate:
