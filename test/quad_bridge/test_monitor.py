@@ -42,10 +42,10 @@ def answered(seconds: float, noise: float, seed: int) -> tuple[np.ndarray, np.nd
 def test_an_answer_covers_the_band_and_noise_none_of_it():
     x, y = answered(40.0, 0.05, 1)
     assert coverage([(x, y)], DT, (0.6, 20.0)).enough
-    nothing = np.random.default_rng(2).standard_normal(x.size)
-    shares = [coverage([(x, np.roll(nothing, k * 997))], DT, (0.2, 20.0)).share for k in range(10)]
-    assert max(shares) < 0.2
-    assert np.mean(shares) < 0.05
+    noise = np.random.default_rng(2).standard_normal((40, x.size))
+    shares = [coverage([(x, y)], DT, (0.2, 20.0)).share for y in noise]
+    assert np.mean(shares) < 0.03  # chance is 1 % of the frequencies
+    assert max(shares) < 0.5
 
 
 def test_the_answer_to_another_excitation_is_no_coverage():
@@ -84,7 +84,7 @@ def test_pairs_match_by_stamp_and_break_at_gaps():
     for k in range(1000):
         if k >= 10:  # the rate comes later than what was added in its cycle
             pairs.rate((k - 10) * 4_000_000, float(k - 10))
-        if k < 400 or k > 600:
+        if k < 400 or k > 600 :
             pairs.excitation(k * 4_000_000, -float(k))
         if k % 77 == 0:
             pairs.parts()
@@ -94,6 +94,17 @@ def test_pairs_match_by_stamp_and_break_at_gaps():
     assert all((x == -y).all() for x, y in parts)
     pairs.clear()
     assert pairs.parts() == ([], 0.0)
+
+
+def test_a_few_lost_cycles_do_not_break_a_part():
+    pairs, x, y = Pairs(), *answered(40.0, 0.05, 1)
+    for k in range(x.size):
+        if k % 500 > 10:  # 44 ms
+            pairs.rate(k * 4_000_000, float(y[k]))
+            pairs.excitation(k * 4_000_000, float(x[k]))
+    parts, dt = pairs.parts()
+    assert len(parts) == 1
+    assert coverage(parts, dt, (0.2, 20.0)).enough
 
 
 def full_state() -> State:

@@ -22,7 +22,7 @@ from std_srvs.srv import Trigger
 
 from quad_bridge import ros_node
 from quad_bridge.monitor import view
-from quad_bridge.monitor.coverage import Pairs, coverage
+from quad_bridge.monitor.coverage import BAND, Pairs, coverage
 from quad_bridge.qos import EVENT, STATE, STREAM
 
 AXES = ('roll', 'pitch', 'yaw')
@@ -30,11 +30,11 @@ LEAST_NEW = 250
 """Cycles between two looks at the coverage."""
 CLEAR, HOME, BELL = '\x1b[2J', '\x1b[H\x1b[J', '\a'
 NUMBERS = {
-    'band_low_rad_s': (0.5, 0.01, 100.0, 'low end of the band that is to be covered, rad/s'),
-    'band_high_rad_s': (20.0, 0.1, 1000.0, 'its high end, rad/s'),
+    'band_low_rad_s': (BAND[0], 0.01, 100.0, 'low end of the band that is to be covered, rad/s'),
+    'band_high_rad_s': (BAND[1], 0.1, 1000.0, 'its high end, rad/s'),
     'validation_s': (10.0, 0.0, 600.0, 'validation that is to be flown before "stop now", s'),
 }
-"""Parameter: default, least, largest, description."""
+"""Name: default, least, largest, description."""
 
 
 class Monitor(Node):  # type: ignore[misc]

@@ -16,6 +16,8 @@ import numpy.typing as npt
 FloatArray = npt.NDArray[np.float64]
 Stamps = npt.NDArray[np.int64]
 
+BAND = 0.25, 20.0
+"""rad/s, what is wanted where nobody says else: its lowest period lasts 25 s."""
 TAPERS = 5
 LEAST_PERIODS = 1.0
 """A part tells frequencies of at least so many periods in it."""
@@ -25,6 +27,8 @@ FINENESS = 8.0
 """Samples per period of the highest wanted frequency that are kept; more only cost time."""
 COHERENT = 0.6
 """Squared coherence from which the pair is trusted, as in the analysis."""
+BRIDGED_S = 0.1
+"""A part goes on over cycles lost for less than this; between them both are drawn as lines."""
 CHANCE = 0.01
 """A coherence that noise alone would reach with this probability does not count."""
 
@@ -114,8 +118,15 @@ def _spectra(
 def _windows(w: FloatArray, seconds: float) -> FloatArray:
     """How many independent windows the sums at w are worth."""
     half = np.pi * (TAPERS + 1) / seconds  # half a taper's width, rad/s
-    # a window that reaches below zero sees the same twice
-    return TAPERS * np.maximum(1.0, SMOOTHING * w / half) * np.where(w < half, 0.5, 1.0)
+    return TAPERS * np.maximum(1.0, SMOOTHING * w / half)
+
+
+def _even(
+    time_s: FloatArray, x: FloatArray, y: FloatArray, dt: float
+) -> tuple[FloatArray, FloatArray]:
+    """Both on an even grid."""
+    grid = np.arange(time_s[0], time_s[-1] + 0.5 * dt, dt)
+    return np.interp(grid, time_s, x), np.interp(grid, time_s, y)
 
 
 class Pairs:
@@ -153,8 +164,11 @@ class Pairs:
         dt = float(np.median(steps)) * 1e-9
         if dt <= 0.0:
             return [], 0.0
-        cuts = np.flatnonzero(steps > 1.5e9 * dt) + 1
-        return list(zip(np.split(x, cuts), np.split(y, cuts), strict=True)), dt
+        time_s = 1e-9 * (stamps - stamps[0])
+        cuts = np.flatnonzero(steps > 1e9 * max(BRIDGED_S, 1.5 * dt)) + 1
+        return [_even(*part, dt) for part in zip(
+            np.split(time_s, cuts), np.split(x, cuts), np.split(y, cuts), strict=True
+        )], dt
 
     def _match(self) -> None:
         """Pair what has come since; what may still get its partner waits."""
