@@ -46,7 +46,6 @@ def stm32(folder: Path, rate: float) -> None:
                 written.append(time.monotonic_ns())
 
     port = Port(folder / 'tty')
-    (folder / 'start').write_text(str(time.monotonic_ns()))
     process.serve(endpoint, port, None)
     np.save(folder / 'wire.npy', np.array(written, np.int64))
     (folder / 'dropped').write_text(str(port.dropped_bytes))

@@ -10,6 +10,7 @@ import threading
 import time
 import tty
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -38,10 +39,13 @@ DIAGNOSTICS = ('serial_bridge: link', 'serial_bridge: clock', 'bag_logger: recor
 class FarEnd(threading.Thread):
     """Sends 250 cycles a second and answers time and parameters, until told to stop."""
 
+    running: ClassVar[list['FarEnd']] = []
+
     def __init__(self, link, *, cycle=0, start_s=None, q=0.25):
         super().__init__(daemon=True)
         self.q = q
         self.link = link
+        self.running.append(self)
         self.master, self.slave = os.openpty()
         tty.setraw(self.slave)
         os.set_blocking(self.master, False)
@@ -89,6 +93,16 @@ class FarEnd(threading.Thread):
             elif isinstance(frame, f.ParamRequestList):
                 for i, name in enumerate(names):
                     self.send(f.ParamValue(name, 0.5, len(names), i))
+
+
+@pytest.fixture(autouse=True)
+def _no_far_end_is_left():
+    yield
+    for far in FarEnd.running:
+        far.stopping.set()
+        if far.is_alive():
+            far.join()
+    FarEnd.running.clear()
 
 
 @pytest.fixture

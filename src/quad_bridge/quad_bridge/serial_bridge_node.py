@@ -86,9 +86,8 @@ class SerialBridge(ManagedNode):
 
     def deactivate(self) -> None:
         """End a running excitation, stop the port's thread."""
-        end = self._relay.segment({'segment': 'idle'})
-        if end is not None:
-            self._forward(end)
+        if self._relay.injection:
+            self._forward(self._relay.segment({'segment': 'idle'}))
         for timer in self._timers_of_work:
             self.destroy_timer(timer)
         self._port.stop()
