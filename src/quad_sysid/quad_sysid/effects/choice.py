@@ -21,25 +21,18 @@ from quad_sysid.effects.screening import (
     sharp_p,
     vanishes,
 )
+from quad_sysid.effects.worth import CHANCE, SMALLEST_GAIN
 from quad_sysid.greybox.fit import fit_structure, fit_with_effect, settle
 from quad_sysid.greybox.noise import NoiseModel
 from quad_sysid.greybox.simulate import Simulator
 from quad_sysid.greybox.structure import Effect, Prepared
 
 MOST_EFFECTS = 3
-CHANCE = 0.02
-"""Level of the cross-validated paired test, shared out over the candidates that were tried."""
-SMALLEST_GAIN = 0.015
-"""An effect that lowers the cross-validated error by less than this share is not worth a name."""
-HARMLESS = 1.005
-"""An effect that is certain by the one-step errors may not raise the free-run error by more."""
 SCREENED_GAIN = 0.005
 """What promises less than this to first order is not fitted."""
 SCREENED_CURVE_GAIN = 0.012
 COUPLE_GAIN = 0.05
 """Two effects at once must lower the error of the best single one by this share."""
-REFINEMENT_GAIN = 0.10
-"""A curve on top of a named effect of the same signal must lower the error by this share."""
 AS_GOOD = 1.03
 """A name explains as much as a curve where its error is at most this much larger."""
 NAMED_SHARE = 0.8
@@ -48,10 +41,6 @@ NEARLY_ALL = 0.95
 """So is one that explains this share of what the curve explains, of the mean square."""
 HIDDEN_SHARE = 0.9
 """A hidden state, which can mimic much, gives way to a name that explains this share of it."""
-PLACES = 1000
-"""So many beginnings and ends of an event are tried, more or less."""
-LOSSES = ('quadratic_drag', 'coulomb_friction')
-"""Effects that only take energy away, as the base's damping does."""
 ROUGH = 3e-5
 """A trial is fitted until its sum of squares changes by less; what is chosen, to the end."""
 OUTCLASSED = 1.3
@@ -152,80 +141,31 @@ def couples(
     return out, len(tried)
 
 
-def worthy(
-    current: Candidate, trials: Sequence[Candidate], sim: Simulator, count: int
-) -> list[Candidate]:
-    """The trials that lower the error beyond chance and by enough, best first.
-
-    count: how many were looked at, screened ones included. One parameter that the one-step errors
-    see beyond chance is enough, however little it lowers the free-run error of these data; not on
-    top of a curve or hidden state, whose own coarseness they would see as well.
-    """
-    good = []
-    for one in trials:
-        level = CHANCE / count
-        small = one.score >= (1.0 - _least(current, one)) * current.score
-        chance = compare(current.errors, one.errors, sim.windows, sim.data.dt).p_value
-        if one.fit.structure.effects[-1].kind == 'event':
-            chance = min(1.0, PLACES * float(sharp_p(sim, one.fit)[-1]))
-        single = one.fit.theta.size - current.fit.theta.size == 1
-        if single and vanishes(one.fit.structure.effects[-1]):
-            if one.score > HARMLESS * current.score:
-                continue
-            sharp = 2.0 * float(sharp_p(sim, one.fit)[-1])
-            small = small and (sharp >= level or current.curves > 0)
-            chance = min(2.0 * chance, sharp)
-        if not small and chance < level and not _against_nature(current, one):
-            good.append(one)
-    return [one for one in sorted(good, key=_score) if _stands(sim, current, one)]
-
-
-def _stands(sim: Simulator, current: Candidate, one: Candidate) -> bool:
-    """Whether what is added shows without what is slow, and does not mend a curve's coarseness."""
-    curves = [set(e.signals) for e in current.fit.structure.effects if e.kind == 'shape']
-    added = [e for e in one.fit.structure.effects if e.name not in current.names]
-    return not any(e.kind == 'named' and set(e.signals) in curves for e in added) and all(
-        persists(sim, one.fit, e.name) for e in added
-    )
-
-
-def _against_nature(current: Candidate, one: Candidate) -> bool:
-    """A loss that is paid for by a viscous damping below zero is the shape of something else.
-
-    Friction that falls with the rate (Stribeck) looks like drag beside a negative damping.
-    """
-    damping, error = float(one.fit.theta[3]), float(one.fit.std[3])
-    added = one.fit.structure.effects[-1].name
-    falls = damping < -0.5 * error and damping < float(current.fit.theta[3])
-    return added in LOSSES and falls
-
-
-def _least(current: Candidate, one: Candidate) -> float:
-    """Share of the error that a trial must take away: more where a curve refines a name."""
-    signals = {s for e in current.fit.structure.effects for s in e.signals}
-    added = one.fit.structure.effects[-1]
-    refines = added.kind == 'shape' and bool(signals & set(added.signals))
-    return REFINEMENT_GAIN if refines else SMALLEST_GAIN
-
-
 def pairs(
     sim: Simulator, current: Candidate, good: Sequence[Candidate], prepared: Sequence[Prepared]
 ) -> list[Candidate]:
-    """Where a curve leads: the pairs of named effects of its signal, which it may stand for."""
-    if not good or not _added_unnamed(current, good[0]):
+    """Where a curve leads: the pairs of named effects of its signal, which it may stand for.
+
+    A hidden state can mimic anything: the foremost names are what it may stand for.
+    """
+    full = len(current.names) + 2 > MOST_EFFECTS
+    if full or not good or not _added_unnamed(current, good[0]):
         return []
-    signals = set(good[0].fit.structure.effects[-1].signals)
-    if len(current.names) + 2 > MOST_EFFECTS:
-        return []
+    last = good[0].fit.structure.effects[-1]
+    foremost = [one.names[-1] for one in good if not _added_unnamed(current, one)][:FOREMOST]
     named = [
         put for put in prepared
-        if put[0].kind == 'named' and set(put[0].signals) == signals
-        and put[0].name not in current.names
+        if put[0].kind == 'named' and put[0].name not in current.names
+        and (
+            put[0].name in foremost if last.kind == 'mode'
+            else set(put[0].signals) == set(last.signals)
+        )
     ]
     out = []
     for i, first in enumerate(named):
         one = fit_with_effect(sim, current.fit, *first)
-        out += [candidate(sim, fit_with_effect(sim, one, *second)) for second in named[i + 1 :]]
+        others = [put for put in named[i + 1 :] if put[0].name != first[0].name]
+        out += [candidate(sim, fit_with_effect(sim, one, *second)) for second in others]
     return out
 
 

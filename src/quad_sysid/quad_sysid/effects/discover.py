@@ -23,12 +23,12 @@ from quad_sysid.effects.choice import (
     promising,
     renamed,
     strongest,
-    worthy,
 )
 from quad_sysid.effects.crossval import compare
 from quad_sysid.effects.rivals import MOST_RIVALS, Shares, less_named, settled
 from quad_sysid.effects.scan import Dependence, scan
 from quad_sysid.effects.screening import Screen
+from quad_sysid.effects.worth import worthy
 from quad_sysid.greybox.data import AxisData
 from quad_sysid.greybox.fit import SHORT_WINDOW_S, Fit, fit_base, informative, settle
 from quad_sysid.greybox.noise import NoiseModel
