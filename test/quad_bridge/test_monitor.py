@@ -133,20 +133,26 @@ def test_the_screen_tells_all_in_one_place():
     assert max(len(line) for line in shown.splitlines()) <= WIDTH
     for pattern in (
         r'link +ok +control cycles', r'clock +stale +no news for 10 s', r'imu +ok +250 Hz',
-        r'recording +ERROR +disk full', r'42 %  train prbs roll',
+        r'recording +ERROR +disk full', r'42 % train prbs roll',
         r'angles +WARN .*roll  \+22.0.*limit 25',
         r'battery +ERROR +11.70 V', r'WARN +a stale',
         r'coverage +ok +roll 0.5 to 20 of 0.5 to 20',
-        r'gains +- +nothing heard', r'100 %',
+        r'gains +- +nothing heard', r'100 %', r' 70 s trained, 0 s validated$',
     ):
-        assert re.search(pattern, shown), pattern
-    assert 'nothing heard' in '\n'.join(lines(State(), 0.0))
+        assert re.search(pattern, shown, re.MULTILINE), pattern
+    nothing = '\n'.join(lines(State(), 0.0))
+    assert 'nothing heard' in nothing
+    assert 'roll' not in nothing
 
 
 def test_the_call_comes_when_enough_is_in_and_not_before():
     state = full_state()
     assert 'go on to validation' in call(state, 10.0)
     state.validated_s = 12.0
+    assert call(state, 10.0) == 'stop now: 0.5 to 20 rad/s covered'
+    state.entries['excitation: schedule'] = Entry(0, 'running', {'axes': 'roll pitch'}, 100.0)
+    assert call(state, 10.0) == 'roll suffices: 0.5 to 20 rad/s covered; pitch to come'
+    state.done, state.segment = {'roll'}, {'axis': 'pitch'}
     assert call(state, 10.0) == 'stop now: 0.5 to 20 rad/s covered'
     state.coverage = coverage([], DT, (0.5, 20.0))
     assert call(state, 10.0) == ''

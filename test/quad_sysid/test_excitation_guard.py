@@ -119,6 +119,41 @@ def test_a_schedule_is_played_to_its_end():
     assert player.start(200.0, GOOD) == ''
 
 
+def test_a_training_segment_with_enough_ends_early_and_a_validation_one_does_not():
+    player = Player(schedule(), RIG)
+    player.start(1.7e9, GOOD)
+    ticks, granted = [], []
+    for k in range(1200):
+        if not player.active:
+            break
+        if k % 50 == 0 and k >= 300:  # asked from 1.2 s on, every 0.2 s
+            granted.append((k * DT, player.enough(1.7e9 + k * DT)))
+        ticks.append((k * DT, player.tick(1.7e9 + k * DT, GOOD)))
+    assert [t for t, yes in granted if yes] == [1.2]
+    assert player.state is State.DONE
+    told = [(round(t, 1), tick.announcement['segment']) for t, tick in ticks if tick.announcement]
+    assert told == [  # 1.2 s and the ramp of 0.2 s; what follows keeps its length
+        (0.0, 'idle'), (0.5, 'train'), (1.4, 'idle'), (1.9, 'validation'), (2.9, 'idle'),
+        (3.4, 'idle'),
+    ]
+    ramp = [tick.setpoint[0] for t, tick in ticks if 1.2 <= t < 1.4]
+    assert ramp == sorted(ramp, key=abs, reverse=True)
+    assert abs(ramp[0]) == pytest.approx(math.radians(10.0))
+    assert abs(ramp[-1]) < math.radians(0.3)
+    validation = [abs(tick.setpoint[0]) for t, tick in ticks if 1.9 <= t < 2.9 and tick.setpoint]
+    assert len(validation) == pytest.approx(250, abs=2)
+    assert max(validation) == pytest.approx(math.radians(10.0))
+
+
+def test_nothing_to_end_early():
+    player = Player(schedule(), RIG)
+    assert not player.enough(100.0)
+    player.start(100.0, GOOD)
+    assert not player.enough(100.0)
+    play(player, lambda _: GOOD, 2.4)  # 0.1 s before its end, in its own ramp
+    assert not player.enough(102.4)
+
+
 @pytest.mark.parametrize(('change', 'words', 'immediate'), REASONS)
 def test_an_abort_ramps_out_or_ends_at_once_and_says_idle(change, words, immediate):
     player = Player(schedule(), RIG, ramp_out_s=0.4)

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 
+import numpy as np
 import pytest
 
 rclpy = pytest.importorskip('rclpy', reason='needs ROS 2 (rclpy)')
@@ -43,6 +44,7 @@ class Aircraft:
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
         self.segments: list[dict] = []
+        self.starts_s: list[float] = []
         self.setpoints: list[tuple[float, float, float]] = []
         self.state: dict[str, str] = {}
         self.failsafe = 0
@@ -64,6 +66,7 @@ class Aircraft:
         self._joy.publish(Joy(axes=axes, buttons=[self.failsafe]))
 
     def _segment(self, message) -> None:
+        self.starts_s.append(message.stamp.sec + 1e-9 * message.stamp.nanosec)
         kinds = {2: 'integer_value', 3: 'double_value', 4: 'string_value'}
         self.segments.append(
             {p.name: getattr(p.value, kinds[p.value.type]) for p in message.changed_parameters}
@@ -162,6 +165,58 @@ def test_started_by_service_and_ended_by_failsafe(aircraft, start):
     assert 'failsafe' in refused.message
 
 
+LONG = """
+schedule:
+  ramp_s: 0.1
+  segments:
+    - {segment: train, signal: prbs, axis: pitch, duration_s: 60.0, clock_s: 0.1, register_bits: 5}
+    - {segment: validation, signal: square, axis: pitch, duration_s: 1.0, period_s: 0.5}
+"""
+
+
+@pytest.mark.parametrize('answers', [True, False])
+def test_training_ends_when_the_rate_answers_the_whole_band(aircraft, start, tmp_path, answers):
+    """Stamps, not the clock, say how long was flown: 8 s of them come in 2 s."""
+    (tmp_path / 'long.yaml').write_text(LONG)
+    process = start(schedule=tmp_path / 'long.yaml', autostart='true', exit_when_done='true',
+                    end_when_covered='true', band_low_rad_s='2.0', least_train_s='5.0')
+    node = aircraft.node
+    imu = node.create_publisher(Imu, '/imu/data', 100)
+    applied = node.create_publisher(Vector3Stamped, '/excitation/applied', 100)
+    rng = np.random.default_rng(1)
+    levels = np.repeat(rng.choice([-0.2, 0.2], 500), 25)
+    aircraft.until(lambda: len(aircraft.setpoints) > 20)
+    aircraft.until(lambda: imu.get_subscription_count() and applied.get_subscription_count())
+    rate = angle = 0.0
+    for k in range(levels.size if answers else 2000):
+        if len(aircraft.segments) > 1:
+            break
+        rate += 0.08 * (3.0 * (levels[k] - angle) - rate)
+        angle += 0.004 * rate
+        message, vector = Imu(), Vector3Stamped()
+        for stamp in (message.header.stamp, vector.header.stamp):
+            stamp.sec, stamp.nanosec = divmod(10**9 + k * 4_000_000, 10**9)
+        message.orientation.w, vector.vector.y = 1.0, float(levels[k])
+        message.angular_velocity.y = rate if answers else float(rng.standard_normal())
+        imu.publish(message)
+        applied.publish(vector)
+        if k % 20 == 0:
+            time.sleep(0.02)
+            aircraft.executor.spin_once(timeout_sec=0.0)
+    if not answers:
+        end = time.monotonic() + 3.0
+        aircraft.until(lambda: time.monotonic() > end)
+        assert [s['segment'] for s in aircraft.segments] == ['train']
+        return
+    aircraft.until(lambda: process.poll() is not None)
+    assert process.returncode == 0
+    aircraft.until(lambda: len(aircraft.segments) == 3)
+    assert [s['segment'] for s in aircraft.segments] == ['train', 'validation', 'idle']
+    began, validated, ended = aircraft.starts_s
+    assert validated - began < 30.0
+    assert ended - validated == pytest.approx(1.0, abs=0.3)
+
+
 def test_a_standstill_of_the_node_itself_is_no_stale_link(aircraft, start):
     process = start(autostart='true', exit_when_done='true', imu_stale_s=0.4)
     aircraft.until(lambda: len(aircraft.setpoints) > 20)
@@ -200,6 +255,7 @@ def test_an_interrupt_takes_the_excitation_back(aircraft, start, number):
         ({'schedule': '/does/not/exist.yaml'}, 'exist.yaml: cannot be read'),
         ({'shedule': 'x'}, 'parameter shedule: is unknown'),
         ({'angle_limit_deg': '90.0'}, 'angle_limit_deg'),
+        ({'band_low_rad_s': '30.0'}, 'band_low_rad_s: is not below band_high_rad_s 20'),
     ],
 )
 def test_wrong_parameters_end_in_one_line(start, parameters, words):

@@ -112,6 +112,8 @@ class Monitor(Node):  # type: ignore[misc]
         values = {p.name: p.value.string_value for p in message.changed_parameters}
         self._role, axis = values.get('segment', ''), values.get('axis', '')
         if axis in AXES and axis != self._axis:
+            if view.suffices(self._state, self._validation_s):
+                self._state.done.add(self._axis)
             self._axis = axis
             self._pairs.clear()
             self._state.coverage, self._said = None, ''

@@ -40,6 +40,7 @@ from quad_bridge.qos import EVENT, STATE, STREAM
 from quad_sysid.bags.cdr import IMU, decode
 from quad_sysid.bags.orientation import euler_angles
 from quad_sysid.errors import QuadSysidError
+from quad_sysid.excitation_coverage import CoverageWatch
 from quad_sysid.excitation_settings import NUMBERS, Settings, find_schedule, settings_from
 from quad_sysid.signals.guard import Readings
 from quad_sysid.signals.player import Announcement, Player, State, Tick
@@ -76,7 +77,14 @@ class ExcitationNode(Node):  # type: ignore[misc]
         self._stall = Stall()
         self._waiting = settings.autostart
         self._refused = ''
+        self._watch = CoverageWatch(settings.wanted) if settings.wanted is not None else None
+        self._watched: int | None = None
         sensor = qos_profile_sensor_data
+        if self._watch is not None:  # each cycle counts
+            self.create_subscription(Vector3Stamped, 'excitation/applied', self._watch.applied,
+                                     STREAM, raw=True)
+            self.create_timer(1.0, self._look)
+            sensor = STREAM
         self.create_subscription(Imu, 'imu/data', self._on_imu, sensor, raw=True)
         self.create_subscription(Joy, 'rc/in', self._on_rc, sensor)
         self.create_subscription(BatteryState, 'battery', self._on_battery, sensor)
@@ -100,6 +108,8 @@ class ExcitationNode(Node):  # type: ignore[misc]
 
     def _on_imu(self, raw: bytes) -> None:
         self._imu, self._imu_time = raw, time.monotonic()
+        if self._watch is not None:
+            self._watch.imu(raw)
 
     def _on_rc(self, message: Any) -> None:
         axes, switch = message.axes, self._settings.abort_axis
@@ -171,8 +181,17 @@ class ExcitationNode(Node):  # type: ignore[misc]
             )
         before = self._player.state
         self._publish(self._player.tick(stamp * 1e-9, readings), stamp)
+        if self._watch is not None and self._player.part != self._watched:
+            self._watched = part = self._player.part
+            self._watch.begin(None if part is None else self._settings.schedule.parts[part])
         if self._player.state is not before:
             self._on_state()
+
+    def _look(self) -> None:
+        """End a training segment that has told enough."""
+        found = self._watch.look() if self._watch is not None else ''
+        if found and self._player.enough(self.get_clock().now().nanoseconds * 1e-9):
+            self.get_logger().info(f'the training segment ends early: {found}')
 
     def _publish(self, tick: Tick, stamp: int) -> None:
         if tick.announcement is not None:
@@ -210,6 +229,7 @@ class ExcitationNode(Node):  # type: ignore[misc]
             'axis': part.axis if part else '',
             'elapsed_s': f'{player.elapsed_s:.1f}', 'duration_s': f'{schedule.duration_s:.1f}',
             'progress_pct': f'{100.0 * player.elapsed_s / schedule.duration_s:.0f}',
+            **told(self._settings),
         }
         text = player.reason or waiting or player.state.value
         status = DiagnosticStatus(
@@ -221,16 +241,31 @@ class ExcitationNode(Node):  # type: ignore[misc]
         self._diagnostics.publish(array)
 
 
+def told(settings: Settings) -> dict[str, str]:
+    """What is flown and what ends it, for who watches."""
+    return {
+        'axes': ' '.join(dict.fromkeys(
+            part.axis for part in settings.schedule.parts if part.role == 'train'
+        )),
+        'angle_limit_deg': f'{math.degrees(settings.limits.angle_rad):g}',
+        'battery_min_v': f'{settings.limits.battery_min_v:g}',
+    }
+
+
 def declare(node: Any) -> Settings:
     """Declare and read the parameters; raises BadInputError naming the file or parameter."""
-    others = ['schedule', 'autostart', 'exit_when_done', 'rate_hz', 'abort_aux']
-    ros_node.refuse_unknown(node, [*NUMBERS, *others])
+    flags = ['autostart', 'exit_when_done', 'end_when_covered']
+    ros_node.refuse_unknown(node, [*NUMBERS, *flags, 'schedule', 'rate_hz', 'abort_aux'])
     name = ros_node.text(
         node, 'schedule', 'schedule_rig', 'YAML file, or the name of a shipped schedule'
     )
     autostart = ros_node.flag(node, 'autostart', False, 'start as soon as the guard lets it')
     exit_when_done = ros_node.flag(
         node, 'exit_when_done', False, 'end the process with the schedule (status 0 done, 1 not)'
+    )
+    covered = ros_node.flag(
+        node, 'end_when_covered', False,
+        'end a training segment when the rate answers the whole band; validation is flown whole',
     )
     rate_hz = ros_node.integer(node, 'rate_hz', 250, (10, 1000), 'set-points per second')
     aux = ros_node.integer(
@@ -246,7 +281,7 @@ def declare(node: Any) -> Settings:
     share = lambda: Path(get_package_share_directory('quad_sysid'))  # noqa: E731
     return settings_from(
         find_schedule(name, share), numbers, aux, rate_hz,
-        autostart=autostart, exit_when_done=exit_when_done,
+        autostart=autostart, exit_when_done=exit_when_done, end_when_covered=covered,
     )
 
 

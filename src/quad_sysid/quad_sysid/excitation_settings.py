@@ -10,7 +10,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from quad_bridge.monitor.coverage import BAND
 from quad_sysid.errors import BadInputError
+from quad_sysid.excitation_coverage import Wanted
 from quad_sysid.schedule_file import load_schedule
 from quad_sysid.signals.guard import Limits
 from quad_sysid.signals.schedule import Schedule
@@ -27,9 +29,10 @@ NUMBERS = {
     'abort_threshold': (0.5, -1.0, 1.0, 'value of the abort switch that ends it, -1..1'),
     'ramp_out_s': (0.5, 0.0, 5.0, 'time to take the excitation back after an abort, s'),
     'amplitude_scale': (1.0, 0.05, 1.0, 'factor on all amplitudes of the schedule'),
+    'band_low_rad_s': (BAND[0], 0.01, 100.0, 'end_when_covered: low end of the band, rad/s'),
+    'band_high_rad_s': (BAND[1], 0.1, 1000.0, 'end_when_covered: its high end, rad/s'),
+    'least_train_s': (20.0, 5.0, 600.0, 'end_when_covered: training that is flown anyway, s'),
 }
-
-
 """Name → default, lowest, highest, description."""
 
 
@@ -45,11 +48,13 @@ class Settings:
     """Index into the axes of /rc/in; None: no switch."""
     autostart: bool
     exit_when_done: bool
+    wanted: Wanted | None = None
+    """What ends a training segment early; None: nothing does."""
 
 
 def settings_from(
     schedule: Path, numbers: Mapping[str, float], aux: int, rate_hz: int,
-    *, autostart: bool, exit_when_done: bool,
+    *, autostart: bool, exit_when_done: bool, end_when_covered: bool = False,
 ) -> Settings:
     """Put the parameters' values together; raises BadInputError where the schedule is wrong."""
     loaded = load_schedule(schedule).scaled(numbers['amplitude_scale'])
@@ -60,9 +65,16 @@ def settings_from(
         hover_deflection=numbers['hover_deflection'],
         abort_threshold=numbers['abort_threshold'],
     )
+    band = numbers['band_low_rad_s'], numbers['band_high_rad_s']
+    if not band[0] < band[1]:
+        raise BadInputError(
+            'parameter band_low_rad_s', f'is not below band_high_rad_s {band[1]:g}', band[0],
+            'lower it',
+        )
     return Settings(
         loaded, limits, numbers['ramp_out_s'], rate_hz, FIRST_AUX + aux - 1 if aux else None,
         autostart, exit_when_done,
+        Wanted(band, numbers['least_train_s']) if end_when_covered else None,
     )
 
 

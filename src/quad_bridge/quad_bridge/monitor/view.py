@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from quad_bridge.monitor.coverage import Coverage
 
 WIDTH = 79
-BAR = 30
+BAR = 26
 STALE_S = 3.0
 """Without news for this long a line says so."""
 NEAR_LIMIT = 0.8
@@ -43,6 +43,8 @@ class State:
     trained_s: float = 0.0
     validated_s: float = 0.0
     coverage: Coverage | None = None
+    done: set[str] = field(default_factory=set)
+    """Axes that need no more, the running one not among them."""
 
 
 def lines(state: State, now_s: float) -> list[str]:
@@ -57,15 +59,31 @@ def lines(state: State, now_s: float) -> list[str]:
     return [line[:WIDTH] for line in out]
 
 
+def suffices(state: State, validation_s: float) -> bool:
+    """Whether the running axis is covered and validated."""
+    covered = state.coverage is not None and state.coverage.enough
+    return covered and state.validated_s >= validation_s
+
+
 def call(state: State, validation_s: float) -> str:
     """What the operator is told aloud, empty where nothing is to be said."""
     covered = state.coverage
     if covered is None or not covered.enough:
         return ''
     low, high = covered.wanted
-    if state.validated_s < validation_s:
+    axis = state.segment.get('axis', '')
+    if not suffices(state, validation_s):
         return f'training suffices: {low:g} to {high:g} rad/s covered; go on to validation'
+    left = [a for a in _axes(state) if a not in state.done and a != axis]
+    if left:
+        return f'{axis} suffices: {low:g} to {high:g} rad/s covered; {", ".join(left)} to come'
     return f'stop now: {low:g} to {high:g} rad/s covered'
+
+
+def _axes(state: State) -> list[str]:
+    """Axes that the running schedule trains, as far as the excitation tells."""
+    entry = _entry(state, 'schedule')
+    return entry.values.get('axes', '').split() if entry is not None else []
 
 
 def _entry(state: State, end: str) -> Entry | None:
@@ -128,7 +146,7 @@ def _progress(state: State) -> list[str]:
         return []
     share = min(max(percent / 100.0, 0.0), 1.0)
     text = ' '.join(entry.values.get(k, '') for k in ('segment', 'signal', 'axis')).strip()
-    return [f'{"":<18} {bar(share)} {100.0 * share:3.0f} %  {text}']
+    return [f'{"":<18} {bar(share)} {100.0 * share:3.0f} % {text}']
 
 
 def bar(share: float) -> str:
@@ -138,6 +156,8 @@ def bar(share: float) -> str:
 
 
 def _angles(state: State) -> str:
+    if not math.isfinite(state.imu_at_s):
+        return _line('angles', '-', 'not measured')
     roll, pitch, yaw = state.angles_deg
     largest = max(abs(roll), abs(pitch))
     limit = _value(state, 'schedule', 'angle_limit_deg')
@@ -161,12 +181,14 @@ def _coverage(state: State) -> list[str]:
     flown = f'{state.trained_s:.0f} s trained, {state.validated_s:.0f} s validated'
     axis = state.segment.get('axis', '')
     if state.coverage is None:
-        return [_line('coverage', '-', f'{flown}; too little yet to say')]
+        little = f'{axis} too little yet to say'.strip()
+        return [_line('coverage', '-', little), _line('', '', flown)]
     low, high = state.coverage.wanted
     band = state.coverage.band
     told = f'{band[0]:.2g} to {band[1]:.3g}' if band else 'nothing'
     return [
         _line('coverage', 'ok' if state.coverage.enough else '...',
-              f'{axis} {told} of {low:g} to {high:g} rad/s; {flown}'),
+              f'{axis} {told} of {low:g} to {high:g} rad/s'),
         f'{"":<18} {bar(state.coverage.share)} {100.0 * state.coverage.share:3.0f} %',
+        _line('', '', flown),
     ]
