@@ -13,7 +13,7 @@ RUN := . tools/workspace.bash;
 SOURCES := $(wildcard src test tools bench)
 ARGS ?=
 
-.PHONY: help demo pictures test test-fast build lint format bench bench-effects bench-log bench-tuning bench-effects-speed wheel docs lock shell clean
+.PHONY: help demo pictures test test-fast build lint format bench bench-effects bench-log bench-tuning bench-watch bench-link bench-effects-speed wheel docs lock shell clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-19s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -58,11 +58,17 @@ bench-effects-speed: build  ## a candidate's cost beside scipy's solvers, a whol
 bench-tuning: build  ## gains on 100 virtual airframes, and peers (20 minutes; ARGS='--count 12')
 	@$(RUN) OPENBLAS_NUM_THREADS=1 exec python bench/tuning.py $(ARGS)
 
+bench-watch: build  ## good and bad updates in flight on 100 airframes (20 minutes; ARGS='--count 12')
+	@$(RUN) exec python bench/watch.py $(ARGS)
+
 bench-link: build  ## decoder fuzzed, clock studied, link under load (15 minutes; ARGS='--seconds 250=60')
 	@$(RUN) python bench/link_fuzz.py; python bench/link_clock.py; exec python bench/link_load.py $(ARGS)
 
 bench-log: build  ## what the log loses under load and when killed, how fast bags are read (10 min)
 	@$(RUN) exec python bench/log.py $(ARGS)
+
+docs: build  ## the documentation as a site in site/, links checked
+	@$(RUN) exec python -m mkdocs build --clean --quiet
 
 wheel: build  ## wheels of the part that needs no ROS, in dist/
 	@$(RUN) for package in quad_sysid quad_tuning; do \
@@ -81,4 +87,4 @@ shell: build  ## a shell with the venv and the workspace sourced
 	@$(RUN) exec bash --norc
 
 clean:  ## remove what make made, demo_out*/ excepted
-	rm -rf .venv build install log dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf .venv build install log dist site .pytest_cache .mypy_cache .ruff_cache .hypothesis
