@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -86,6 +87,7 @@ def test_a_dead_worker_is_a_row_and_the_rest_go_on(folder, tmp_path):
     def work(job: Job) -> dict:
         if 'torn' in job.name:
             os._exit(1)
+        time.sleep(0.2)  # still at work, or its row not fetched yet, when the other one dies
         return {'bag': job.name, 'aircraft': job.aircraft, 'fingerprint': job.fingerprint,
                 'status': 'answered', 'reason': '', 'seconds': 0.0}
 

@@ -13,8 +13,6 @@ from quad_sysid.fleet.find import bags, fingerprint
 from quad_sysid.fleet.journal import Journal
 from quad_sysid.fleet.row import FAILED, Job, Row, look
 
-RETRIES = 1
-"""A worker that died (memory, a fault) has its bag tried once more, elsewhere."""
 AHEAD = 4
 """Bags in the queue per worker: thousands need not all be described to the scheduler at once."""
 
@@ -109,14 +107,19 @@ def _client(request: Request, count: int) -> Iterator[Any]:
 
 
 def _rows(client: Any, todo: Sequence[Job], work: Callable[[Job], Row]) -> Iterator[Row]:
-    """Rows as they come; a bag whose worker died is a row that says so."""
+    """Rows as they come; a bag whose worker died is a row that says so.
+
+    A dying worker takes along what else was handed to it: those bags are tried again, one at a
+    time, at the end, so that only the one that kills is blamed.
+    """
     from distributed import as_completed
 
     width = AHEAD * max(1, sum(client.nthreads().values()))
     names: dict[str, Job] = {}
+    suspects: list[Job] = []
 
     def submit(job: Job) -> Any:
-        future = client.submit(work, job, pure=False, retries=RETRIES)
+        future = client.submit(work, job, pure=False)
         names[future.key] = job
         return future
 
@@ -125,12 +128,19 @@ def _rows(client: Any, todo: Sequence[Job], work: Callable[[Job], Row]) -> Itera
     running = as_completed(first, loop=client.loop)
     for future in running:
         job = names.pop(future.key)
-        error = future.exception()
-        yield future.result() if error is None else _dead(job, error)
+        if future.exception() is None:
+            yield future.result()
+        else:
+            suspects.append(job)
         future.release()
         following = next(queue, None)
         if following is not None:
             running.add(submit(following))
+    for job in suspects:
+        future = client.submit(work, job, pure=False)
+        error = future.exception()
+        yield future.result() if error is None else _dead(job, error)
+        future.release()
 
 
 def _dead(job: Job, error: BaseException) -> Row:
