@@ -17,7 +17,6 @@ from quad_sysid.contract import control_from_motors, motors_from_wrench
 from quad_sysid.errors import BadInputError
 
 SHARED = Path(__file__).resolve().parents[2] / '../shared/data'
-CONFIG = Path(__file__).resolve().parents[2] / 'src/quad_sysid/config'
 N = 500
 DT = 0.004
 
@@ -297,7 +296,7 @@ def test_nanobench_becomes_a_bag_with_the_signs_of_the_contract(tmp_path, axis):
     import_csv(
         ImportOptions(
             file, axis, 't', tmp_path / 'bag', motors=motors,
-            mixer=str(CONFIG / 'mixer_crazyflie.yaml'), rate=f'imu_gyro_{"xyz"[k]}', angle=axis,
+            mixer='crazyflie', rate=f'imu_gyro_{"xyz"[k]}', angle=axis,
             battery='pwr_pm_vbat', units=dict.fromkeys(motors, 'pwm16'),
         )
     )

@@ -28,7 +28,7 @@ from quad_sysid.report import document
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA = ROOT / '../shared/data'
-MIXER = ROOT / 'src/quad_sysid/config/mixer_crazyflie.yaml'
+MIXER = 'crazyflie'
 SCHEMA = json.loads(
     (Path(document.__file__).parent / 'report.schema.json').read_text(encoding='utf-8')
 )

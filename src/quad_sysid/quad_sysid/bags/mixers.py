@@ -1,4 +1,4 @@
-"""Motors of other frames and orders → the contract's: `x`, `plus` or a small file.
+"""Motors of other frames and orders → the contract's: `x`, `plus`, `crazyflie` or a small file.
 
 Source of the contract's order and signs: eq. (7) of the paper, contract.MIXER.
 """
@@ -27,6 +27,8 @@ PLUS: FloatArray = np.array(
 """U1..U4 from the motors front, right, rear, left of a plus frame (FLU: positive roll lifts the
 left, positive pitch lowers the nose; front and rear turn clockwise seen from above)."""
 PLUS.setflags(write=False)
+SHIPPED = Path(__file__).with_name('frames')
+"""Mixer files that are known by their name alone."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,11 @@ class Mixer:
     matrix: FloatArray
     """(4, 4): U1..U4 from the motors in the order in which the columns are given."""
     order: tuple[int, ...] | None = None
+
+
+def shipped() -> list[str]:
+    """Names of the mixer files that come with the package."""
+    return sorted(file.stem for file in SHIPPED.glob('*.yaml'))
 
 
 def mixer_of(name: str, columns: Sequence[str]) -> Mixer:
@@ -48,13 +55,13 @@ def mixer_of(name: str, columns: Sequence[str]) -> Mixer:
         return Mixer(MIXER_INVERSE, (0, 1, 2, 3))
     if name == 'plus':
         return Mixer(PLUS)
-    file = Path(name)
+    file = SHIPPED / f'{name}.yaml' if name in shipped() else Path(name)
     try:
         text = file.read_text(encoding='utf-8')
     except (OSError, UnicodeDecodeError) as error:
         raise BadInputError(
             f'--mixer {name}', 'is no mixer and cannot be read as a file',
-            remedy='use x, plus or a YAML file with columns: or matrix:',
+            remedy=f'use x, plus, {", ".join(shipped())} or a YAML file with columns: or matrix:',
         ) from error
     if file.suffix == '.csv':
         pairs = [line.split(',', 1) for line in text.splitlines() if ',' in line]
@@ -67,7 +74,7 @@ def mixer_of(name: str, columns: Sequence[str]) -> Mixer:
         raise BadInputError(
             name, 'needs exactly one of the keys columns and matrix',
             ', '.join(map(str, content)) if isinstance(content, dict) else type(content).__name__,
-            'see the shipped mixer_crazyflie.yaml',
+            f'{SHIPPED / "crazyflie.yaml"} is an example',
         )
     if 'columns' in content:
         return _by_columns(content['columns'], columns, name)

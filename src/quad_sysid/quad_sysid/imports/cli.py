@@ -37,7 +37,7 @@ def add(commands: Commands) -> None:
     source = table.add_mutually_exclusive_group()
     source.add_argument('--control', metavar='COL', help='command of the axis')
     source.add_argument('--motors', metavar='COL,COL,COL,COL', help='the four motors')
-    table.add_argument('--mixer', default='x', metavar='x|plus|FILE',
+    table.add_argument('--mixer', default='x', metavar='x|plus|crazyflie|FILE',
                        help='what the motors mean (default x)')
     table.add_argument('--rate', metavar='COL', help='measured rate; else from --angle')
     table.add_argument('--angle', metavar='COL', help='measured angle or position')
