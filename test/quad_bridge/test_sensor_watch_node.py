@@ -17,7 +17,7 @@ from sensor_msgs.msg import Imu
 
 from quad_bridge.diagnostics import OK, WARN
 from quad_bridge.qos import EVENT, STREAM
-from quad_bridge.sensor_watch_node import vibration_status
+from quad_bridge.sensor_status import vibration_status
 from quad_bridge.sensors.vibration import Vibration
 
 START = 'from quad_bridge.sensor_watch_node import main; main()'

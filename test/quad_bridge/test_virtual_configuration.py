@@ -50,6 +50,7 @@ def test_every_profile_loads(name):
         ('airframe: {inertia_kg_m2: [1, 2]}', 'inertia_kg_m2: needs 3 values, has 2'),
         ('effects: {stribeck: {enabled: 1}}', 'stribeck.enabled: needs true or false, is 1'),
         ('effects: [a]', 'effects: must be a mapping'),
+        ('airframe: {mounts: {rig: {bias_torque_nm: 0}}}', 'rig.damping_per_s: is missing'),
         ('mount: wall', "mount must be rig or hover, is 'wall'"),
         ('firmware: {physics_steps_per_cycle: 2}', 'less than 1 kHz'),
         ('extends: nobody', 'no such profile'),

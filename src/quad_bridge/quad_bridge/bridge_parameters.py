@@ -32,12 +32,13 @@ class BridgeSettings:
     excitation_valid_ms: int
     signing: Signing | None
     require_enable: bool
+    correct_sensors: bool
     keeper: KeeperSettings
 
 
 OWN = (
     'port', 'baud', 'excitation_valid_ms', 'key_file', 'require_enable', 'sources', 'polarity',
-    'aircraft', 'state_folder', 'managed',
+    'aircraft', 'state_folder', 'managed', 'correct_sensors',
 )  # fmt: skip
 
 
@@ -64,6 +65,12 @@ def declare(node: Any) -> BridgeSettings:
             'require_enable',
             over_network(port),
             'excite and arm only while /operator/enable is alive; default: where port is a URL',
+        ),
+        correct_sensors=ros_node.flag(
+            node,
+            'correct_sensors',
+            True,
+            "subtract the gyro's bias at rest and the compass's offset from what is published",
         ),
         keeper=_keeper(node, bounds),
     )
@@ -103,7 +110,9 @@ def _keeper(node: Any, bounds: Mapping[str, str]) -> KeeperSettings:
     return KeeperSettings(
         bounds={**DEFAULT_BOUNDS, **_bounds(node, bounds)},
         sources=_sources(node),
-        polarity=ros_node.choice(node, 'polarity', MODES, 'pulses before the first update'),
+        polarity=ros_node.choice(
+            node, 'polarity', MODES, 'pulses before the first update', no='off'
+        ),
         folder=Path(folder).expanduser() if folder else default_folder(),
         aircraft=aircraft,
     )

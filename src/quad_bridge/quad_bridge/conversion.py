@@ -16,7 +16,15 @@ from sensor_msgs.msg import BatteryState, FluidPressure, Imu, JointState, Joy, M
 
 from quad_bridge.autopilot import Inertial
 from quad_bridge.wire.axes import flip_attitude, flip_body, flip_control, quaternion
-from quad_bridge.wire.frames import Battery, Cycle, Flag, Outputs, RcChannels, SlowSensors
+from quad_bridge.wire.frames import (
+    Battery,
+    Cycle,
+    Flag,
+    Outputs,
+    RcChannels,
+    SlowSensors,
+    Vector3,
+)
 
 FRAME_ID = 'base_link'
 MOTORS = ('motor_1', 'motor_2', 'motor_3', 'motor_4')
@@ -42,6 +50,10 @@ def _set(vector: Any, values: tuple[float, float, float]) -> None:
     vector.x, vector.y, vector.z = values
 
 
+def _less(values: Vector3, offset: Vector3) -> Vector3:
+    return values[0] - offset[0], values[1] - offset[1], values[2] - offset[2]
+
+
 class CycleMessages:
     """The messages of one control cycle, all with the same stamp."""
 
@@ -61,14 +73,17 @@ class CycleMessages:
             self.excitation,
         )
 
-    def fill(self, cycle: Cycle, stamp_ns: int) -> None:
-        """Take over one cycle; `excitation` is to be published only where `excited(cycle)`."""
+    def fill(self, cycle: Cycle, stamp_ns: int, gyro_bias: Vector3 = (0.0, 0.0, 0.0)) -> None:
+        """Take over one cycle, its rates without `gyro_bias` (rad/s, FLU).
+
+        `excitation` is to be published only where `excited(cycle)`.
+        """
         for message in self._all:
             _stamp(message, stamp_ns)
         imu = self.imu
         q = imu.orientation
         q.x, q.y, q.z, q.w = quaternion(flip_attitude(cycle.attitude))
-        _set(imu.angular_velocity, flip_body(cycle.gyro))
+        _set(imu.angular_velocity, _less(flip_body(cycle.gyro), gyro_bias))
         _set(imu.linear_acceleration, flip_body(cycle.accel))
         self.motors.effort = cycle.motors
         u1, u2, u3, u4 = flip_control(cycle.control)
@@ -145,15 +160,17 @@ def battery_message(battery: Battery, stamp_ns: int) -> BatteryState:
     return message
 
 
-def mag_message(sensors: SlowSensors, stamp_ns: int) -> MagneticField | None:
-    """Tesla, FLU; None where the magnetometer was not updated."""
+def mag_message(
+    sensors: SlowSensors, stamp_ns: int, hard_iron: Vector3 = (0.0, 0.0, 0.0)
+) -> MagneticField | None:
+    """Tesla, FLU, without `hard_iron`; None where the magnetometer was not updated."""
     if sensors.mag_gauss is None:
         return None
     message = _framed(MagneticField())
     _stamp(message, stamp_ns)
     x, y, z = flip_body(sensors.mag_gauss)
     scale = TESLA_PER_GAUSS
-    _set(message.magnetic_field, (x * scale, y * scale, z * scale))
+    _set(message.magnetic_field, _less((x * scale, y * scale, z * scale), hard_iron))
     return message
 
 

@@ -334,9 +334,7 @@ class GainKeeper:
     # The aircraft's files.
 
     def _open_files(self) -> None:
-        state, name = self._line.state, self._settings.aircraft
-        if not name and state is not None:
-            name = f'{state.aircraft:016x}'
+        name = self._settings.name_of(self._line.state)
         record = self._files.open(name) if name else None
         if record is not None:
             self.polarity.load(record)

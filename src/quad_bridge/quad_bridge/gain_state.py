@@ -8,6 +8,7 @@ from enum import Enum
 from pathlib import Path
 
 from quad_bridge.gain_gate import DEFAULT_BOUNDS, Bound
+from quad_bridge.wire.frames import GainsState
 
 
 class State(Enum):
@@ -31,6 +32,10 @@ class KeeperSettings:
     folder: Path = Path()
     aircraft: str = ''
     """Name of the folder of its files; empty: the STM32's unique number."""
+
+    def name_of(self, state: GainsState | None) -> str:
+        """Name of the folder of the aircraft that says this; '' while it is not known."""
+        return self.aircraft or (f'{state.aircraft:016x}' if state is not None else '')
 
 
 @dataclass(frozen=True)

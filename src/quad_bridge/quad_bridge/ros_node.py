@@ -48,12 +48,19 @@ def text(node: Any, name: str, default: str, description: str) -> str:
     return str(node.declare_parameter(name, default, descriptor).value)
 
 
-def choice(node: Any, name: str, options: tuple[str, ...], description: str) -> str:
+def choice(
+    node: Any, name: str, options: tuple[str, ...], description: str, *, no: str = ''
+) -> str:
     """Declare a string parameter of a few values, the first being the default.
 
-    Raises BadInputError.
+    Where `no` is given, false stands for it: YAML takes a plain `off` for that. Raises
+    BadInputError.
     """
-    value = text(node, name, options[0], f'{description}: {", ".join(options)}')
+    descriptor = ParameterDescriptor(
+        description=f'{description}: {", ".join(options)}', read_only=True, dynamic_typing=True
+    )
+    value = node.declare_parameter(name, options[0], descriptor).value
+    value = no if no and value is False else value
     if value not in options:
         where = f'{node.get_name()}: parameter {name}'
         raise BadInputError(where, f'must be one of {", ".join(options)}', repr(value))

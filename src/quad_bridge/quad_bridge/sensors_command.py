@@ -8,43 +8,66 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from rosbags.highlevel import AnyReader, AnyReaderError
 from rosbags.typesys import Stores, get_typestore
 
 from quad_bridge.arguments import OneLineParser
 from quad_bridge.errors import BadInputError, QuadBridgeError, RefusedError
 from quad_bridge.sensors import aircraft_file, by_hand, compass, rest, vibration
+from quad_bridge.sensors.correction import STATUS, Correction, as_sent, from_values
 
-IMU, MAG = '/imu/data', '/imu/mag'
+IMU, MAG, DIAGNOSTICS = '/imu/data', '/imu/mag', '/diagnostics'
 
 
-def _series(bag: Path, topic: str, seconds: float) -> tuple[rest.FloatArray, list[Any]]:
-    """Stamps in s from the first and messages of one topic, the first `seconds` of them."""
+@dataclass(frozen=True)
+class _Series:
+    """One topic of a bag, and what the bridge says it has subtracted from it."""
+
+    stamps_ns: npt.NDArray[np.int64]
+    messages: list[Any]
+    told: list[Correction]
+
+    @property
+    def times(self) -> rest.FloatArray:
+        """Stamps in s from the first."""
+        return np.asarray(1e-9 * (self.stamps_ns - self.stamps_ns[0]), dtype=float)
+
+    def as_sent(self, vectors: Sequence[Any], name: str) -> rest.FloatArray:
+        """Vectors (n, 3) as the STM32 sent them."""
+        return as_sent(self.stamps_ns, _xyz(vectors), self.told, name)
+
+
+def _series(bag: Path, topic: str, seconds: float) -> _Series:
+    """Stamps and messages of one topic, the first `seconds` of them."""
     if not bag.exists():
         raise BadInputError(str(bag), 'no such bag', remedy='check the path')
     try:
         with AnyReader([bag], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
-            chosen = [c for c in reader.connections if c.topic == topic]
-            found = (
-                [reader.deserialize(raw, c.msgtype) for c, _, raw in reader.messages(chosen)]
-                if chosen
-                else []
-            )
+            found, reports = _messages(reader, topic), _messages(reader, DIAGNOSTICS)
     except AnyReaderError as error:
         remedy = 'a damaged bag is mended by `ros2 run quad_bridge recover`'
         raise BadInputError(str(bag), f'cannot be read: {error}', remedy=remedy) from error
     if not found:
         raise BadInputError(str(bag), f'holds no {topic}', remedy='record it')
-    stamps: list[Any] = [m.header.stamp for m in found]  # type: ignore[attr-defined]
-    times = np.array([s.sec - stamps[0].sec + 1e-9 * s.nanosec for s in stamps])
-    times -= times[0]
-    kept = int(np.count_nonzero(times <= seconds))
-    return times[:kept], found[:kept]
+    stamps = np.array([10**9 * m.header.stamp.sec + m.header.stamp.nanosec for m in found])
+    kept = int(np.count_nonzero(stamps - stamps[0] <= 1e9 * seconds))
+    statuses = [s for report in reports for s in report.status if s.name.endswith(f': {STATUS}')]
+    told = [from_values({v.key: v.value for v in s.values}) for s in statuses]
+    return _Series(stamps[:kept], found[:kept], [one for one in told if one is not None])
+
+
+def _messages(reader: AnyReader, topic: str) -> list[Any]:
+    chosen = [c for c in reader.connections if c.topic == topic]
+    if not chosen:
+        return []  # to rosbags an empty list means all
+    return [reader.deserialize(raw, c.msgtype) for c, _, raw in reader.messages(chosen)]
 
 
 def _xyz(vectors: Sequence[Any]) -> rest.FloatArray:
@@ -52,9 +75,10 @@ def _xyz(vectors: Sequence[Any]) -> rest.FloatArray:
 
 
 def _rest(given: argparse.Namespace) -> list[str]:
-    times, messages = _series(given.bag, IMU, given.seconds)
-    gyro = _xyz([m.angular_velocity for m in messages])
-    found = rest.estimate_at_rest(times, gyro, _xyz([m.linear_acceleration for m in messages]))
+    bag = _series(given.bag, IMU, given.seconds)
+    gyro = bag.as_sent([m.angular_velocity for m in bag.messages], 'gyro_bias')
+    felt = _xyz([m.linear_acceleration for m in bag.messages])
+    found = rest.estimate_at_rest(bag.times, gyro, felt)
     _keep(given, 'rest', found)
     bias, drift = (
         ', '.join(f'{v:+.5f}' for v in values) for values in (found.gyro_bias, found.gyro_drift)
@@ -69,8 +93,9 @@ def _rest(given: argparse.Namespace) -> list[str]:
 
 
 def _compass(given: argparse.Namespace) -> list[str]:
-    _, messages = _series(given.bag, MAG, np.inf)
-    found = compass.hard_iron(_xyz([m.magnetic_field for m in messages]))
+    bag = _series(given.bag, MAG, np.inf)
+    sent = bag.as_sent([m.magnetic_field for m in bag.messages], 'hard_iron')
+    found = compass.hard_iron(sent)
     _keep(given, 'compass', found)
     offset = ', '.join(f'{1e6 * v:+.2f}' for v in found.offset)
     return [
@@ -82,7 +107,8 @@ def _compass(given: argparse.Namespace) -> list[str]:
 
 
 def _vibration(given: argparse.Namespace) -> list[str]:
-    times, messages = _series(given.bag, IMU, np.inf)
+    bag = _series(given.bag, IMU, np.inf)
+    times, messages = bag.times, bag.messages
     rate_hz = 1.0 / float(np.median(np.diff(times))) if len(times) > 1 else 0.0
     lines = []
     for name, unit in (('angular_velocity', 'rad/s'), ('linear_acceleration', 'm/s²')):

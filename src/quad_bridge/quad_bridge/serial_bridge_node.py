@@ -33,6 +33,8 @@ from quad_bridge.operator_enable import OperatorEnable
 from quad_bridge.operator_services import OperatorServices
 from quad_bridge.qos import EVENT, STATE, STREAM
 from quad_bridge.ros_node import run
+from quad_bridge.sensor_keeper import SensorKeeper
+from quad_bridge.sensor_services import SensorServices
 from quad_bridge.serial_port import SerialPort
 from quad_bridge.sparing import Sparing
 from quad_bridge.wire.codec import Counts
@@ -61,6 +63,10 @@ class SerialBridge(ManagedNode):
         self._keeper = GainKeeper(self._settings.keeper, self._link.gains)
         self._gain_services = GainServices(self, self._ask_gains, self._ask_check)
         self._operator = OperatorServices(self, self._enable, self._forward)
+        self._sensor_keeper = SensorKeeper(
+            self._settings.keeper.folder, correct=self._settings.correct_sensors
+        )
+        self._sensors = SensorServices(self, self._sensor_keeper, self._lock, self._on_report)
         self._link.on_ack = self._operator.acknowledged
         self._link.on_cycle = self._watch_cycle
         self._reported_s = 0.0
@@ -112,7 +118,7 @@ class SerialBridge(ManagedNode):
         self._others: dict[type, tuple[tuple[Any, Callable[[Any, int], Any]], ...]] = {
             Battery: ((publisher(BatteryState, '/battery'), conversion.battery_message),),
             SlowSensors: (
-                (publisher(MagneticField, '/imu/mag'), conversion.mag_message),
+                (publisher(MagneticField, '/imu/mag'), self._mag_message),
                 (publisher(FluidPressure, '/baro'), conversion.baro_message),
             ),
             Inertial: ((imu, conversion.inertial_message),),
@@ -175,7 +181,12 @@ class SerialBridge(ManagedNode):
         self._rc.publish(message)
         self._keeper.sticks(message.axes[YAW_STICK], time.monotonic())
 
+    def _mag_message(self, frame: SlowSensors, stamp_ns: int) -> MagneticField | None:
+        offset = self._sensor_keeper.stamped(stamp_ns).hard_iron
+        return conversion.mag_message(frame, stamp_ns, offset)
+
     def _watch_cycle(self, frame: Cycle, now_ns: int) -> None:
+        self._sensors.cycle(frame, self._link.decoder.restarts)
         if self._keeper.state is State.CHECKING:
             fault = self._enable.fault(1e-9 * now_ns)
             if fault:
@@ -185,7 +196,7 @@ class SerialBridge(ManagedNode):
             self._link.send(pulse)
 
     def _publish_cycle(self, frame: Cycle, stamp_ns: int) -> None:
-        self._messages.fill(frame, stamp_ns)
+        self._messages.fill(frame, stamp_ns, self._sensor_keeper.stamped(stamp_ns).gyro_bias)
         for publish, message in self._per_cycle:
             publish(message)
         if conversion.excited(frame):
@@ -200,8 +211,10 @@ class SerialBridge(ManagedNode):
             self._link.poll_gains(time.monotonic_ns())
             outgoing = self._link.drain()
             news, self._keeper.news = self._keeper.news, []
+            aircraft = self._settings.keeper.name_of(self._link.gains.state)
         self._send(outgoing)
         self._operator.tick()
+        self._sensors.tick(aircraft)
         end = self._relay.tick(time.monotonic())
         if end is not None:
             self._forward(end)
@@ -287,6 +300,7 @@ class SerialBridge(ManagedNode):
                 diagnostics.clock_status(link, self._time.behind_ns),
                 diagnostics.gains_status(link, self._keeper),
                 diagnostics.excitation_status(self._relay, link, self._enable.fault(now_s)),
+                *self._sensors.entries(link),
             ]
             if settled:
                 counts = diagnostics.Since(now_s, link.decoder.counts, link.cycles)

@@ -1,4 +1,4 @@
-"""Starts what flies along: bridge, logger, sensor watch, identification; `port:=`, `folder:=`.
+"""Starts what flies along: bridge, logger, identification; `port:=`, `folder:=`.
 
 The logger waits for `~/start`. Gains are only proposed, unless `auto_update:=true`. The excitation
 is started by hand: `ros2 launch quad_sysid excitation.launch.py schedule:=schedule_hover`.
@@ -39,13 +39,6 @@ def generate_launch_description() -> LaunchDescription:
                     'log': 'true',
                     'record': 'false',
                 }.items(),
-            ),
-            Node(
-                package='quad_bridge',
-                executable='sensor_watch',
-                name='sensor_watch',
-                namespace=namespace,
-                output='screen',
             ),
             Node(
                 package='quad_sysid',

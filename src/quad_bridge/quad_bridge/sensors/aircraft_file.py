@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict
 from datetime import datetime
@@ -12,15 +13,33 @@ import yaml
 
 from quad_bridge.errors import BadInputError
 from quad_bridge.sensors.compass import HardIron
+from quad_bridge.sensors.correction import Triple
 from quad_bridge.sensors.rest import RestEstimate
 
 ROOT = 'sensors'
+NAME = 'sensors.yaml'
+"""In the aircraft's folder, beside the history of its gains: there the bridge looks for it."""
 
 
 def entry(found: RestEstimate | HardIron, when: datetime, source: str) -> dict[str, Any]:
     """The section of one estimate: its figures, when and from which bag."""
     numbers = {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(found).items()}
     return {'measured': when.isoformat(timespec='seconds'), 'source': source, **numbers}
+
+
+def three(sections: Mapping[str, Any], section: str, key: str) -> Triple | None:
+    """A vector of a section; None where there is none. Raises BadInputError."""
+    part = sections.get(section)
+    if not isinstance(part, dict) or key not in part:
+        return None
+    try:
+        x, y, z = (float(v) for v in part[key])
+    except (TypeError, ValueError) as error:
+        where = f'{ROOT}: {section}: {key}'
+        raise BadInputError(where, 'must be three numbers', part[key]) from error
+    if not all(math.isfinite(v) for v in (x, y, z)):
+        raise BadInputError(f'{ROOT}: {section}: {key}', 'must be finite', part[key])
+    return x, y, z
 
 
 def read(path: Path) -> dict[str, Any]:

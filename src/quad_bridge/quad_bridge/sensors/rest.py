@@ -65,8 +65,14 @@ def estimate_at_rest(
     clock = _means(t[:, None], blocks)[:, 0] - middle
     line, errors, off = _line(clock, _means(rates, blocks))
     _still(off, STILL_RATE, 'rad/s', 'turns')
-    _, _, off = _line(clock, _means(felt, blocks))
+    tilt, _, off = _line(clock, _means(felt, blocks))
     _still(off, STILL_ACCELERATION, 'm/s²', 'is moved or shaken')
+    tilted = float(np.abs(tilt[1]).max()) * duration
+    if tilted > STILL_ACCELERATION:
+        raise RefusedError(
+            f'it tilts: accelerations change by {tilted:.2g} m/s² in {duration:.0f} s, rest is '
+            f'below {STILL_ACCELERATION:g}; let it stand still'
+        )
     bias = line[0]
     if np.abs(bias).max() > MOST_BIAS:
         axis = 'xyz'[int(np.argmax(np.abs(bias)))]

@@ -78,11 +78,24 @@ def build(kind: type[_T], mapping: object, where: str) -> _T:
         if key not in hints:
             known = ', '.join(hints)
             raise ConfigurationError(f'{where}.{key}', f'unknown key; known are {known}')
+    for key in _required(kind):
+        if key not in mapping:
+            raise ConfigurationError(f'{where}.{key}', 'is missing; give it beside the others')
     values = {key: _value(hints[key], value, f'{where}.{key}') for key, value in mapping.items()}
     try:
         return kind(**values)
     except ValueError as error:
         raise ConfigurationError(where, str(error)) from error
+
+
+def _required(kind: type) -> list[str]:
+    """Fields without a default."""
+    missing = dataclasses.MISSING
+    return [
+        f.name
+        for f in dataclasses.fields(kind)
+        if f.default is missing and f.default_factory is missing
+    ]
 
 
 def _value(hint: object, value: object, where: str) -> object:

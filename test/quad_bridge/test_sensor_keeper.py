@@ -1,0 +1,238 @@
+"""What stands before a flight is estimated, kept, subtracted and can be had back; or refused."""
+
+import numpy as np
+import pytest
+import yaml
+
+from quad_bridge import conversion
+from quad_bridge.diagnostics import OK, WARN
+from quad_bridge.errors import RefusedError
+from quad_bridge.sensor_keeper import SensorKeeper, Wanted
+from quad_bridge.sensor_status import sensors_status, vibration_entries
+from quad_bridge.sensors.correction import Correction, as_sent, from_values
+from quad_bridge.wire.axes import flip_body
+from quad_bridge.wire.frames import Cycle, Flag
+
+BIAS = (0.012, -0.02, 0.004)
+"""rad/s, FLU."""
+IRON = (12e-6, -30e-6, 5e-6)
+START_S = 1.7e9
+"""System time at which the STM32 started."""
+ZERO = (0.0, 0.0, 0.0)
+
+
+class Aircraft:
+    """An STM32 that stands still with a biased gyro, its bridge's keeper, and its bag."""
+
+    def __init__(self, folder, name='one', start_s=START_S, seed=7, **settings):
+        self.keeper = SensorKeeper(folder, **{'correct': True, **settings})
+        self.name, self.start_s, self.cycle = name, start_s, 0
+        self.rng = np.random.default_rng(seed)
+        self.stamps, self.sent, self.published, self.told = [], [], [], []
+        self.said = []
+        self.shake = lambda _t: 0.0
+
+    def run(self, seconds, *, armed=False):
+        for _ in range(round(250 * seconds)):
+            time_us = 4000 * self.cycle
+            gyro = np.array(BIAS) + 0.005 * self.rng.standard_normal(3)
+            gyro[1] += self.shake(1e-6 * time_us)
+            felt = np.array([0.0, 0.0, 9.80665]) + 0.05 * self.rng.standard_normal(3)
+            frame = Cycle(
+                time_us, self.cycle, flip_body(gyro), flip_body(felt), ZERO, ZERO, ZERO,
+                (0.0,) * 4, ZERO, (0.0,) * 4, int(Flag.ARMED if armed else Flag.NONE),
+            )  # fmt: skip
+            self.keeper.cycle(frame, self.start_s + 1e-6 * time_us)
+            self._publish(frame, round(1e9 * self.start_s) + 1000 * time_us)
+            if self.cycle % 12 == 0:
+                self.tick()
+            self.cycle += 1
+
+    def tick(self):
+        self.keeper.aircraft(self.name)
+        wanted = self.keeper.wanted()
+        if wanted is not None:
+            self.ask(wanted)
+        self.told.append(from_values(sensors_status(self.keeper).values))
+
+    def ask(self, wanted):
+        try:
+            self.said.append(self.keeper.take(wanted, self.keeper.estimate(wanted)))
+        except RefusedError as error:
+            self.said.append(self.keeper.refused(wanted, str(error)))
+
+    def _publish(self, frame, stamp_ns):
+        messages = conversion.CycleMessages()
+        messages.fill(frame, stamp_ns, self.keeper.stamped(stamp_ns).gyro_bias)
+        rate = messages.imu.angular_velocity
+        self.stamps.append(stamp_ns)
+        self.sent.append(flip_body(frame.gyro))
+        self.published.append((rate.x, rate.y, rate.z))
+
+    @property
+    def file(self):
+        return self.keeper.path
+
+    @property
+    def status(self):
+        return sensors_status(self.keeper)
+
+
+def test_before_it_arms_the_bias_is_estimated_kept_and_subtracted(tmp_path):
+    one = Aircraft(tmp_path)
+    one.run(8.0)
+    one.run(3.0, armed=True)
+    (said,) = one.said
+    assert 'at rest, arming' in said
+    flown = np.array(one.published[-500:])
+    # 6 s of 0.005 rad/s: a standard error of 1.3e-4 rad/s, 2.2e-4 of the 2 s compared
+    assert flown.mean(axis=0) == pytest.approx((0.0, 0.0, 0.0), abs=1e-3)
+    kept = yaml.safe_load(one.file.read_text())['sensors']['rest']
+    assert kept['gyro_bias'] == pytest.approx(BIAS, abs=6e-4)
+    assert kept['source'] == 'the bridge, arming'
+    assert (one.status.level, one.status.message) == (OK, said)
+
+
+def test_what_was_sent_can_be_had_back_from_what_is_told(tmp_path):
+    one = Aircraft(tmp_path)
+    one.run(7.0)
+    one.run(1.0, armed=True)
+    one.run(7.0)
+    one.run(1.0, armed=True)
+    assert len({c.since_ns for c in one.told}) == 3  # none, and two estimates
+    back = as_sent(np.array(one.stamps), np.array(one.published), one.told, 'gyro_bias')
+    assert np.abs(back - np.array(one.sent)).max() < 1e-15
+    assert np.abs(np.array(one.published) - np.array(one.sent)).max() > 0.01
+    before = yaml.safe_load(one.file.read_text())['sensors']['rest']['before']
+    assert before['gyro_bias'] == pytest.approx(BIAS, abs=6e-4)
+
+
+def test_nothing_told_means_nothing_subtracted():
+    assert from_values({'unrelated': '1'}) is None
+    assert from_values({**Correction().told(), 'removed since (ns)': 'soon'}) is None
+    found = as_sent(np.arange(3), np.ones((3, 3)), [Correction(gyro_bias=BIAS)], 'gyro_bias')
+    assert np.array_equal(found, np.ones((3, 3)))
+
+
+def test_an_aircraft_that_moves_is_refused_and_the_earlier_estimate_stays(tmp_path):
+    one = Aircraft(tmp_path)
+    one.run(7.0)
+    one.run(0.5, armed=True)
+    before = one.keeper.current
+    one.shake = lambda t: 0.1 * np.sin(4.0 * t)
+    one.run(7.0)
+    one.run(0.5, armed=True)
+    assert 'not estimated (arming): it turns: ' in one.said[-1]
+    assert one.said[-1].endswith('the earlier one stays')
+    assert one.keeper.current == before
+    assert one.status.level == WARN
+    assert len(one.said) == 2
+
+
+def test_too_short_a_stand_is_told_without_a_warning(tmp_path):
+    one = Aircraft(tmp_path)
+    one.run(1.0)
+    one.run(1.0, armed=True)
+    assert 'only 1.0 s of data' in one.status.message
+    assert one.status.level == OK
+    assert one.keeper.current == Correction()
+
+
+def test_a_recording_wants_an_estimate_only_where_it_stands(tmp_path):
+    one = Aircraft(tmp_path)
+    one.run(7.0)
+    one.keeper.want('recording')
+    one.run(0.1)
+    assert 'at rest, recording' in one.said[0]
+    one.run(7.0, armed=True)
+    one.keeper.want('recording')
+    one.run(0.1, armed=True)
+    assert len(one.said) == 2  # the second is of the arming
+    one.ask(Wanted('asked for', one.keeper.window.standing()))
+    assert 'it is armed' in one.said[-1]
+
+
+def test_a_restart_of_the_stm32_forgets_its_bias_and_keeps_the_compass(tmp_path):
+    (tmp_path / 'one').mkdir()
+    file = tmp_path / 'one' / 'sensors.yaml'
+    file.write_text(f'sensors: {{compass: {{offset: {list(IRON)}}}}}\n')
+    one = Aircraft(tmp_path)
+    one.run(7.0)
+    one.run(0.1, armed=True)
+    assert one.keeper.current.gyro_bias != ZERO
+    assert one.keeper.current.hard_iron == IRON
+    one.keeper.restarted()
+    one.run(0.1, armed=True)
+    assert one.keeper.current.gyro_bias == ZERO
+    assert one.keeper.current.hard_iron == IRON
+    assert 'not estimated since' in one.status.message
+    compass = yaml.safe_load(file.read_text())['sensors']['compass']
+    assert [float(v) for v in compass['offset']] == list(IRON)
+
+
+@pytest.mark.parametrize(('later_s', 'resumed'), [(0.3, True), (60.0, False)])
+def test_another_bridge_takes_the_bias_of_this_power_up_only(tmp_path, later_s, resumed):
+    first = Aircraft(tmp_path)
+    first.run(7.0)
+    first.run(0.1, armed=True)
+    second = Aircraft(tmp_path, start_s=START_S + later_s)
+    second.cycle = first.cycle
+    second.run(1.0, armed=True)
+    assert (second.keeper.current.gyro_bias == first.keeper.current.gyro_bias) is resumed
+    assert (second.keeper.current.gyro_bias != ZERO) is resumed
+
+
+def test_an_estimate_before_the_aircraft_is_known_is_kept_once_it_is(tmp_path):
+    one = Aircraft(tmp_path, name='')
+    one.run(7.0)
+    one.run(0.1, armed=True)
+    assert one.file is None
+    assert one.status.values['kept in'] == 'nowhere: the aircraft is not known'
+    one.name = 'late'
+    one.run(0.1, armed=True)
+    kept = yaml.safe_load((tmp_path / 'late' / 'sensors.yaml').read_text())
+    assert kept['sensors']['rest']['gyro_bias'] == pytest.approx(BIAS, abs=6e-4)
+
+
+@pytest.mark.parametrize(
+    ('text', 'fault'),
+    [
+        ('sensors: [', 'cannot be read'),
+        ('sensors: {compass: {offset: [1, 2]}}', 'compass: offset: must be three numbers'),
+        ('sensors: {compass: {offset: [1, 2, .nan]}}', 'compass: offset: must be finite'),
+    ],
+)
+def test_a_spoilt_file_is_told_and_left_alone(tmp_path, text, fault):
+    (tmp_path / 'one').mkdir()
+    file = tmp_path / 'one' / 'sensors.yaml'
+    file.write_text(text)
+    one = Aircraft(tmp_path)
+    one.run(7.0)
+    one.run(0.1, armed=True)
+    assert one.status.level == WARN
+    assert str(file) in one.status.message
+    assert fault in one.status.message
+    assert one.keeper.current.hard_iron == ZERO
+    assert one.keeper.current.gyro_bias == pytest.approx(BIAS, abs=6e-4)
+    if 'offset' not in text:
+        assert file.read_text() == text
+
+
+def test_where_it_may_not_correct_it_only_keeps(tmp_path):
+    one = Aircraft(tmp_path, correct=False)
+    one.run(7.0)
+    one.run(0.1, armed=True)
+    assert one.published == one.sent
+    assert one.file.exists()
+
+
+def test_the_spectrum_is_of_the_latest_cycles_in_flight_too(tmp_path):
+    one = Aircraft(tmp_path)
+    one.shake = lambda t: 0.3 * np.sin(2 * np.pi * 40.0 * t)
+    one.run(5.0, armed=True)
+    rates, accelerations = vibration_entries(*one.keeper.window.spectrum(), 42.0)
+    assert rates.level == WARN
+    assert rates.message.startswith(('40.', '39.'))
+    assert 'Hz on y' in rates.message
+    assert accelerations.message == 'no line stands out'
+    assert vibration_entries(*one.keeper.window.spectrum(), 10.0)[0].level == OK
