@@ -196,9 +196,10 @@ def test_a_stamp_in_the_future_is_held_back_and_does_not_stop_the_others(far):
     held, told = far.link.held, len(far.out)
     bad = replace(far.link.last_cycle, time_us=far.now_us + 10**9, cycle=far.cycle + 1)
     far.link.receive(far.encoder.encode(bad), far.host_ns)
-    far.step()
+    for _ in range(8):  # they wait until TIMESYNC has told that the clock has not jumped
+        far.step()
     assert far.link.held == held + 1
-    assert len(far.out) == told + 1
+    assert len(far.out) == told + 8
 
 
 def test_another_far_end_is_heard_once_the_first_is_silent(far):
@@ -245,3 +246,88 @@ def test_set_points_follow_the_segment():
     assert end.injection == f.Injection.NONE
     assert relay.setpoint(0.1, 0.0, 0.0) is None
     assert (relay.forwarded, relay.dropped) == (1, 3)
+
+
+class Shaky(FarEnd):
+    """A far end whose clock is set, or whose cycles come unevenly: true time is the host's."""
+
+    set_us = 0
+
+    def true_errors_ms(self):
+        """By how much each stamp is off the time at which its cycle began."""
+        cycles = [s for s in self.out if isinstance(s.frame, f.Cycle)]
+        begun = {k: HOST0_NS + 4_000_000 * k for k in range(self.cycle + 1)}
+        return [1e-6 * (s.stamp_ns - begun[s.frame.cycle]) for s in cycles]
+
+    def sent_cycle(self):
+        zero = (0.0, 0.0, 0.0)
+        return f.Cycle(
+            self.now_us + self.set_us, self.cycle, zero, zero, zero, zero, zero, (0.0,) * 4, zero,
+            (0.0,) * 4, 1,
+        )  # fmt: skip
+
+    def run(self, cycles, late_us=lambda _k: 0):
+        for _ in range(cycles):
+            self.cycle += 1
+            self.now_us = 4000 * self.cycle + late_us(self.cycle)
+            data = self.encoder.encode(self.sent_cycle())
+            self.out += self.link.receive(data, self.host_ns)
+            if self.cycle % 12 == 0:
+                self.link.tick(self.host_ns)
+            self.answer()
+
+    def replies(self, frame):
+        if isinstance(frame, f.TimeSync):
+            yield f.TimeSync(1000 * (self.now_us + self.set_us) + 100_000, frame.ts1_ns)
+
+
+@pytest.mark.parametrize('set_ms', [40.0, -40.0, 3.0, -3.0, 2500.0, -2500.0])
+def test_no_cycle_is_stamped_wrongly_when_the_far_ends_clock_is_set(set_ms):
+    link = Link()
+    far = Shaky(link)
+    link.opened()
+    far.run(800)
+    held = link.held
+    far.set_us = round(1000 * set_ms)
+    far.run(1500)
+    errors = far.true_errors_ms()
+    assert max(map(abs, errors)) < 1.0  # ms
+    assert link.guard.alarms == 1
+    assert link.clock.state.restarts == 1
+    # until eight new round trips are in: half a second and the one that told
+    assert 0 < link.held - held < 250
+    assert len(errors) == far.cycle - link.held
+
+
+def test_cycles_that_come_unevenly_are_neither_lost_nor_wrong():
+    link = Link()
+    far = Shaky(link)
+    link.opened()
+    far.run(500)
+    held = link.held
+    far.run(5000, late_us=lambda k: 3000 if k % 50 == 0 else 0)
+    assert link.held == held
+    assert link.clock.state.restarts == 0
+    # doubled twice, what may be off covers them
+    assert 0 < link.guard.alarms <= 4
+    late = [e for e in far.true_errors_ms() if e > 2.5]
+    assert len(late) == 100  # the late ones bear the time at which they began
+    assert len(far.out) == far.cycle - link.held
+    stamps = [s.stamp_ns for s in far.out]
+    assert all(b > a for a, b in pairwise(stamps))
+
+
+def test_a_far_end_that_no_longer_answers_timesync_is_not_held_back_for_long():
+    link = Link()
+    far = Shaky(link)
+    link.opened()
+    far.run(500)
+    held, before = link.held, len(far.out)
+    far.replies = lambda _frame: ()
+    far.run(10)
+    far.run(1, late_us=lambda _k: 3000)
+    far.run(40)
+    assert len(far.out) == before + 10  # waits
+    far.run(60)
+    assert link.held == held
+    assert len(far.out) == before + 111

@@ -152,6 +152,7 @@ def clock_status(link: Link, behind_ns: int = 0) -> Status:
         'round trips used': state.accepted,
         'round trips dropped': state.rejected,
         'restarts': state.restarts,
+        'uneven steps of device time': link.guard.alarms,
         'wraps at 32 bits': link.device_time.wraps,
         'cycles held back': link.held,
     }

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 from quad_bridge.autopilot import Autopilot, Inertial
 from quad_bridge.gain_line import GainLine
@@ -36,6 +37,7 @@ from quad_bridge.wire.frames import (
     TimeSync,
 )
 from quad_bridge.wire.signing import Signing
+from quad_bridge.wire.step_guard import StepGuard
 
 BRIDGE_SYSTEM, BRIDGE_COMPONENT = 1, 191
 ONBOARD_CONTROLLER, NO_AUTOPILOT = 18, 8
@@ -43,6 +45,8 @@ ADDRESSED = (Command, Excitation, GainsCommand, ParamRequestList, ParamRequestRe
 HEARTBEAT_NS = 1_000_000_000
 SYNC_NS = 200_000_000
 """Between TIMESYNC questions once the clock has converged; before, every tick asks."""
+URGENT_NS = 20_000_000
+"""Between questions while cycles wait for an answer."""
 NO_SYNC_NS = 3_000_000_000
 """Without an answer to TIMESYNC for so long, an autopilot's arrivals must do."""
 NO_CYCLE_NS = 1_000_000_000
@@ -78,6 +82,7 @@ class Link:
         self.autopilot = Autopilot()
         """Where the far end sends standard messages only."""
         self.device_time = DeviceTime()
+        self.guard = StepGuard()
         self.last_cycle: Cycle | None = None
         self.last_cycle_ns = 0
         """Host time at which the last cycle arrived."""
@@ -87,11 +92,15 @@ class Link:
         self._encoder = Encoder(BRIDGE_SYSTEM, BRIDGE_COMPONENT, signing)
         self._outbox = bytearray()
         self._stamp_ns = 0
+        self._stamped_cycle: Cycle | None = None
+        """The cycle that has this stamp."""
+        self._waiting: list[Callable[[int, list[Stamped]], None]] = []
+        """What is stamped once TIMESYNC has told whether the far end's clock was set."""
         self._restarts = 0
         self._peer_since_ns = 0
         self._heard_ns = 0
         self._next_heartbeat_ns = 0
-        self._next_sync_ns = 0
+        self._next_sync_ns = self._next_urgent_ns = 0
 
     def opened(self) -> None:
         """Start afresh: the port was opened, the far end may be another one."""
@@ -169,10 +178,33 @@ class Link:
         self.last_cycle_ns = now_ns
         self.on_cycle(frame, now_ns)
         device_ns = 1000 * self.device_time.extend(frame.time_us, NEAR_US)
+        waits = self.guard.step(frame.cycle, device_ns // 1000, now_ns)
+        if waits and self.clock.converged and not self.clock.one_way:
+            self._waiting.append(partial(self._stamp_cycle, frame, device_ns))
+            self._ask_urgently(now_ns)
+            return
+        self._release(now_ns, out)
+        self._stamp_cycle(frame, device_ns, now_ns, out)
+
+    def _stamp_cycle(
+        self, frame: Cycle, device_ns: int, now_ns: int, out: list[Stamped]
+    ) -> None:
         if not self._publishable(device_ns, now_ns):
             self.held += 1
             return
+        self._stamped_cycle = frame
         out.append(Stamped(frame, self._stamp_ns))
+
+    def _ask_urgently(self, now_ns: int) -> None:
+        if now_ns >= self._next_urgent_ns:
+            self._next_urgent_ns = now_ns + URGENT_NS
+            self.send(TimeSync(0, now_ns))
+
+    def _release(self, now_ns: int, out: list[Stamped]) -> None:
+        """Stamp what has waited."""
+        waiting, self._waiting = self._waiting, []
+        for stamp in waiting:
+            stamp(now_ns, out)
 
     def _publishable(self, device_ns: int, now_ns: int) -> bool:
         """Whether a cycle of this time may go out; its stamp is then the latest one.
@@ -193,7 +225,7 @@ class Link:
         elif isinstance(frame, (Attitude, Outputs)):
             self._standard(frame, now_ns, out)
         elif isinstance(frame, TimeSync):
-            self._time_sync(frame, now_ns)
+            self._time_sync(frame, now_ns, out)
         elif isinstance(frame, (ParamValue, GainsState)):
             self.gains.take(frame, 1e-9 * now_ns)
             self.poll_gains(now_ns)
@@ -220,10 +252,10 @@ class Link:
             out.append(Stamped(frame, None))
         elif isinstance(frame, RcChannels):
             self.autopilot.note('RC_CHANNELS', now_ns)
-            self._stamped(frame, frame.time_ms * 1000, 1000, out)
+            self._stamped(frame, frame.time_ms * 1000, 1000, now_ns, out)
         elif isinstance(frame, SlowSensors):
             self._standard(frame, now_ns, out)
-            self._stamped(frame, frame.time_us, 1, out)
+            self._stamped(frame, frame.time_us, 1, now_ns, out)
         elif self.autopilot.battery(frame, now_ns) and self.clock.converged and self._stamp_ns:
             out.append(Stamped(frame, self._stamp_ns))
 
@@ -251,28 +283,55 @@ class Link:
         return self._peer_since_ns if self.peer is not None else now_ns
 
     def _stamped(
-        self, frame: RcChannels | SlowSensors, time_us: int, grain_us: int, out: list[Stamped]
+        self,
+        frame: RcChannels | SlowSensors,
+        time_us: int,
+        grain_us: int,
+        now_ns: int,
+        out: list[Stamped],
     ) -> None:
         """Stamp a frame: the cycle's own stamp where it was sent in that cycle."""
+        if self._waiting:
+            self._waiting.append(partial(self._stamp_other, frame, time_us, grain_us))
+        else:
+            self._stamp_other(frame, time_us, grain_us, now_ns, out)
+
+    def _stamp_other(
+        self,
+        frame: RcChannels | SlowSensors,
+        time_us: int,
+        grain_us: int,
+        _now_ns: int,
+        out: list[Stamped],
+    ) -> None:
         if not self.clock.converged:
             return
-        last = self.last_cycle
+        last = self._stamped_cycle
         if last is not None and last.time_us // grain_us == time_us // grain_us:
             out.append(Stamped(frame, self._stamp_ns))
         else:
             device_us = self.device_time.extend(time_us, NEAR_US)
             out.append(Stamped(frame, self.clock.host_ns(1000 * device_us)))
 
-    def _time_sync(self, frame: TimeSync, now_ns: int) -> None:
+    def _time_sync(self, frame: TimeSync, now_ns: int, out: list[Stamped]) -> None:
         if frame.tc1_ns == 0:
             self.send(TimeSync(now_ns, frame.ts1_ns))
         elif frame.ts1_ns <= now_ns:
             # a far end that counts µs in 32 bits wraps here too
             whole_us, rest_ns = divmod(frame.tc1_ns, 1000)
             device_ns = 1000 * self.device_time.extend(whole_us, NEAR_US) + rest_ns
-            self.clock.add(frame.ts1_ns, device_ns, now_ns)
+            accepted = self.clock.add(frame.ts1_ns, device_ns, now_ns)
+            self.guard.trip(frame.ts1_ns, self.clock.off_ns, accepted=accepted)
+            if not self.clock.converged:
+                self.guard.restart()
+            if not self.guard.waiting:
+                self._release(now_ns, out)
 
     def _far_end_restarted(self) -> None:
         self.clock.reset()
         self.device_time.restart()
+        self.guard.restart()
+        self.held += len(self._waiting)
+        self._waiting.clear()
+        self._stamped_cycle = None
         self.gains.restart()

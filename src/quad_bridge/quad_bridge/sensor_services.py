@@ -55,11 +55,13 @@ class SensorServices:
             self._report()
 
     def entries(self, link: Link) -> list[Status]:
-        """Status of offsets and vibration; the caller holds the lock."""
-        rate_hz, samples = self._keeper.window.spectrum()
-        filter_hz = link.gains.active.get('sensor.gyro_filter_hz', FILTER_HZ)
-        lines = vibration_entries(rate_hz, samples, filter_hz)
-        return [sensors_status(self._keeper), *(lines if link.last_cycle is not None else [])]
+        """Status of offsets and vibration. The spectrum takes a millisecond, without the lock."""
+        with self._lock:
+            offsets = sensors_status(self._keeper)
+            rate_hz, samples = self._keeper.window.spectrum()
+            filter_hz = link.gains.active.get('sensor.gyro_filter_hz', FILTER_HZ)
+            flies = link.last_cycle is not None
+        return [offsets, *(vibration_entries(rate_hz, samples, filter_hz) if flies else [])]
 
     def _estimate(self, wanted: Wanted) -> str:
         try:

@@ -300,11 +300,11 @@ class SerialBridge(ManagedNode):
                 diagnostics.clock_status(link, self._time.behind_ns),
                 diagnostics.gains_status(link, self._keeper),
                 diagnostics.excitation_status(self._relay, link, self._enable.fault(now_s)),
-                *self._sensors.entries(link),
             ]
             if settled:
                 counts = diagnostics.Since(now_s, link.decoder.counts, link.cycles)
                 self._before, self._since = since, counts
+        entries += self._sensors.entries(link)
         self._diagnostics.publish(
             diagnostics.diagnostic_array(
                 self.get_name(), self._settings.port, self.get_clock().now().to_msg(), entries

@@ -74,6 +74,8 @@ class ClockEstimator:
         self._rejected = 0
         self._restarts = 0
         self._last: tuple[int, int] | None = None
+        self.off_ns = 0.0
+        """By how much the last round trip was off what was estimated before it."""
         self._one_way = False
         self._block: list[tuple[int, int]] = []
 
@@ -86,6 +88,11 @@ class ClockEstimator:
     def doubtful(self) -> bool:
         """True where the last round trip disagreed: ask again at once."""
         return self._outliers > 0
+
+    @property
+    def one_way(self) -> bool:
+        """True where arrivals must do for want of TIMESYNC."""
+        return self._one_way
 
     @property
     def state(self) -> ClockState:
@@ -167,12 +174,12 @@ class ClockEstimator:
 
     def _jumped(self, trip: _Trip) -> bool:
         since = trip.device_ns - self._trips[-1].device_ns
-        expected = self._offset_ns + self._drift * since
+        self.off_ns = trip.offset_ns - self._offset_ns - self._drift * since
         shortest = min(t.round_trip_ns for t in self._trips)
         own = abs(trip.round_trip_ns - shortest) / 2
         jump = self._jump_ns * (20 if self._one_way else 1 if self.converged else 5)
         allowed = jump + own + 2.0 * DRIFT_PRIOR * abs(since)
-        return since < 0 or abs(trip.offset_ns - expected) > allowed
+        return since < 0 or abs(self.off_ns) > allowed
 
     def _fit(self) -> None:
         """Weighted least squares of offset (at the latest trip) and drift."""
