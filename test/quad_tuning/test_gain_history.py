@@ -71,6 +71,8 @@ def test_without_ros_the_rollback_says_what_to_send(folder, capsys, monkeypatch)
         assert 'set 1 of' in out
         assert 'ros2 topic pub --once /gains/update' in out
         assert '{name: roll.angle.kp, value: {type: 3, double_value: 3.0}}' in out
+    assert main(['rollback', '--folder', str(folder), '--print', '--namespace', '/left']) == 0
+    assert 'ros2 topic pub --once /left/gains/update' in capsys.readouterr().out
 
 
 def test_a_torn_line_is_left_out_and_the_next_one_begins_anew(folder):

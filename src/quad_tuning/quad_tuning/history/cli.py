@@ -47,6 +47,9 @@ def add(commands: Any) -> None:
     sending.add_argument('design', type=Path, metavar='GAINS.json',
                          help='of quad-tune design --out')
     sending.set_defaults(run=send)
+    for parser in (rollback, sending):
+        parser.add_argument('--namespace', default='', metavar='NS',
+                            help="the bridge's, where several aircraft fly")
 
 
 def show(arguments: argparse.Namespace) -> int:
@@ -61,14 +64,14 @@ def go_back(arguments: argparse.Namespace) -> int:
     chosen, gains = way_back(_sets(arguments), arguments.to)
     told = f'set {chosen.number} of {chosen.time}: {_words(gains) or "nothing differs"}'
     if arguments.print or not gains:
-        print(f'{told}\n{by_hand(gains)}' if gains else told)
+        print(f'{told}\n{by_hand(gains, arguments.namespace)}' if gains else told)
         return 0
     try:
         from quad_tuning.history.update_node import publish  # where ROS is installed
     except ImportError:
-        print(f'{told}\nno ROS 2 here; on the aircraft:\n{by_hand(gains)}')
+        print(f'{told}\nno ROS 2 here; on the aircraft:\n{by_hand(gains, arguments.namespace)}')
         return 0
-    refusal = publish(gains, SOURCE, rollback=True)
+    refusal = publish(gains, SOURCE, rollback=True, namespace=arguments.namespace)
     if refusal:
         print(f'quad-tune: {refusal}', file=sys.stderr)
         return REFUSED
@@ -85,7 +88,9 @@ def send(arguments: argparse.Namespace) -> int:
         raise BadInputError(
             'quad-tune send', 'needs ROS 2', missing.name, 'run it where the bridge runs'
         ) from missing
-    refusal = publish(gains, SENDER, predicted=json.dumps(predicted))
+    refusal = publish(
+        gains, SENDER, predicted=json.dumps(predicted), namespace=arguments.namespace
+    )
     if refusal:
         print(f'quad-tune: {refusal}', file=sys.stderr)
         return REFUSED
@@ -129,7 +134,7 @@ def table(sets: Sequence[GainSet]) -> str:
     return '\n'.join(lines)
 
 
-def by_hand(gains: Mapping[str, float]) -> str:
+def by_hand(gains: Mapping[str, float], namespace: str = '') -> str:
     """The `ros2 topic pub` that sends these gains."""
     parts = [
         f'{{name: {name}, value: {{type: 3, double_value: {value!r}}}}}'
@@ -138,7 +143,8 @@ def by_hand(gains: Mapping[str, float]) -> str:
     parts.append(f'{{name: source, value: {{type: 4, string_value: {SOURCE}}}}}')
     parts.append('{name: rollback, value: {type: 1, bool_value: true}}')
     body = '{changed_parameters: [' + ', '.join(parts) + ']}'
-    return f"ros2 topic pub --once /gains/update rcl_interfaces/msg/ParameterEvent '{body}'"
+    topic = '/'.join(['', *filter(None, namespace.split('/')), 'gains', 'update'])
+    return f"ros2 topic pub --once {topic} rcl_interfaces/msg/ParameterEvent '{body}'"
 
 
 def _words(gains: Mapping[str, float]) -> str:

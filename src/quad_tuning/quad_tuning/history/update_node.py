@@ -9,6 +9,7 @@ from typing import Any
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import Parameter, ParameterEvent, ParameterType, ParameterValue
+from rclpy.exceptions import InvalidNamespaceException
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from quad_sysid.errors import BadInputError
@@ -21,20 +22,29 @@ GAINS = 'serial_bridge: gains'
 
 
 def publish(
-    gains: Mapping[str, float], source: str, *, rollback: bool = False, predicted: str = ''
+    gains: Mapping[str, float],
+    source: str,
+    *,
+    rollback: bool = False,
+    predicted: str = '',
+    namespace: str = '',
 ) -> str:
     """Have the bridge fly `gains` (contract names, SI); `rollback`: or take back those in flight.
 
-    `predicted` is the JSON that /gains/update takes. Returns empty where they are active, else
-    why they are not. Raises BadInputError where no bridge listens or none answers.
+    `predicted` is the JSON that /gains/update takes, `namespace` the bridge's. Returns empty where
+    they are active, else why they are not. Raises BadInputError where the namespace is no name, no
+    bridge listens or none answers.
     """
     rclpy.init()
     try:
-        node: Any = rclpy.create_node('quad_tune')
+        try:
+            node: Any = rclpy.create_node('quad_tune', namespace=namespace)
+        except InvalidNamespaceException as error:
+            raise BadInputError('--namespace', 'is no name of a namespace', namespace) from error
         heard = _Heard(source, () if rollback else FAILED)
-        node.create_subscription(ParameterEvent, '/gains/active', heard.active, STATE)
-        node.create_subscription(DiagnosticArray, '/diagnostics', heard.diagnostics, 10)
-        publisher = node.create_publisher(ParameterEvent, '/gains/update', 10)
+        node.create_subscription(ParameterEvent, 'gains/active', heard.active, STATE)
+        node.create_subscription(DiagnosticArray, 'diagnostics', heard.diagnostics, 10)
+        publisher = node.create_publisher(ParameterEvent, 'gains/update', 10)
 
         def spin(until: Any, seconds: float) -> bool:
             end = time.monotonic() + seconds
@@ -45,12 +55,13 @@ def publish(
         def ready() -> bool:
             return bool(publisher.get_subscription_count() and heard.gains and heard.message)
 
+        asked, answered = (node.resolve_topic_name(t) for t in ('gains/update', 'gains/active'))
         if not spin(ready, LISTEN_S):
-            raise BadInputError('/gains/update', f'no bridge has been heard for {LISTEN_S:.0f} s')
+            raise BadInputError(asked, f'no bridge has been heard for {LISTEN_S:.0f} s')
         heard.before = heard.message
         publisher.publish(_message(gains, source, rollback=rollback, predicted=predicted))
         if not spin(lambda: heard.refusal or heard.has(gains), ANSWER_S):
-            raise BadInputError('/gains/active', f'no answer of the bridge for {ANSWER_S:.0f} s')
+            raise BadInputError(answered, f'no answer of the bridge for {ANSWER_S:.0f} s')
         return heard.refusal
     finally:
         rclpy.try_shutdown()
