@@ -201,6 +201,46 @@ def test_a_full_disk_ends_with_a_sound_bag_and_the_reserve_used(tmp_path, storag
     assert told['bytes'] > 5_000_000  # what was reserved could be used, whoever took the rest
 
 
+GREEDY = """
+import json, struct, sys, threading, time
+from pathlib import Path
+from quad_bridge.bag_writer import BagWriter, Limits
+from quad_bridge.recording import Recording
+folder, storage = Path(sys.argv[1]), sys.argv[2]
+writer = BagWriter(folder / 'bag', storage, 'none', Limits(reserve_bytes=10_000_000))
+recording = Recording(writer)
+
+def eat():
+    with (folder / 'other').open('wb', buffering=0) as other:
+        while not recording.status.failure:  # whatever becomes free is taken at once
+            try:
+                other.write(bytes(4096))
+            except OSError:
+                time.sleep(0.02)
+
+threading.Thread(target=eat, daemon=True).start()
+recording.declare('/setpoint/rates', 'geometry_msgs/msg/Vector3Stamped', ())
+k = 0
+while not recording.status.failure and k < 40_000:
+    for _ in range(8):
+        recording.put('/setpoint/rates', 10**18 + k, struct.pack('<4xQ', k) + bytes(500))
+        k += 1
+    time.sleep(0.002)
+status = recording.stop()
+print(json.dumps({'failure': status.failure, 'written': status.written,
+                  'bytes': sum(p.stat().st_size for p in (folder / 'bag').iterdir())}))
+"""
+
+
+@pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
+def test_what_is_reserved_can_be_used_beside_somebody_who_takes_all_he_can(tmp_path, storage):
+    told = on_a_small_disk(tmp_path, 24, GREEDY, storage)
+    assert 'the bag is closed, whole up to here' in told['failure']
+    # each time he may have been quicker to take what was given back for the next write
+    assert told['bytes'] > 2_500_000
+    assert told['written'] > 4000
+
+
 def test_a_reserve_keeps_blocks_from_others_and_gives_them_back(tmp_path):
     before = free_bytes(tmp_path)
     reserve = Reserve(tmp_path, 200 * MB)

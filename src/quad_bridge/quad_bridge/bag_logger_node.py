@@ -221,7 +221,10 @@ class BagLogger(ManagedNode):
             conversion.event_message(values, self.get_fully_qualified_name(), now_ns)
         )
         self._last = reason or f'{state}: {path}'
-        (self.get_logger().error if reason else self.get_logger().info)(self._last)
+        if reason:  # to rclpy a line of code has one severity for good
+            self.get_logger().error(self._last)
+        else:
+            self.get_logger().info(self._last)
 
     def _on_report(self) -> None:
         status = None

@@ -17,7 +17,7 @@ from rosbags.typesys import Stores, TypesysError, get_typestore
 
 from quad_bridge.bag_metadata import BagFormat, FileEntry, RecordedTopic, information, yaml_text
 from quad_bridge.compression import COMPRESSORS
-from quad_bridge.disk import MB, Reserve, free_bytes, sync_folder
+from quad_bridge.disk import MB, Reserve, free_bytes, is_full, sync_folder
 from quad_bridge.errors import BadInputError
 from quad_bridge.mcap_file import McapFile
 from quad_bridge.sqlite_file import SqliteFile
@@ -141,7 +141,11 @@ class BagWriter:
         if self._split_due or self._over_time(time_ns):
             self._split()
         self._began_ns = self._began_ns or time_ns
-        self._file.write(topic, time_ns, data)
+        try:
+            self._file.write(topic, time_ns, data)
+        except (OSError, sqlite3.Error) as error:  # it waits in the file's chunk all the same
+            self._take_more(error)
+            self._sync()
         self.counts[topic] += 1
 
     def flush(self) -> None:
@@ -149,7 +153,7 @@ class BagWriter:
         if not self._file.path.exists():
             raise FileNotFoundError(f'{self._file.path.name} was removed or renamed')
         self._reserve.give(self.size + AHEAD)
-        self._file.sync()
+        self._sync()
         self._split_due = 0 < self._limits.split_bytes <= self._file.size
 
     def close(self) -> None:
@@ -186,6 +190,19 @@ class BagWriter:
         self._release()
         self._recount()
         self._file.abandon()
+
+    def _sync(self) -> None:
+        while True:
+            try:
+                return self._file.sync()
+            except (OSError, sqlite3.Error) as error:  # noqa: PERF203  (once, mostly)
+                self._take_more(error)
+
+    def _take_more(self, error: Exception) -> None:
+        """Take more of the reserve for another try; raises `error` where that cannot help."""
+        if not is_full(error) or not self._reserve.more(AHEAD):
+            raise error
+        self._file.cut_back()
 
     def _recount(self) -> None:
         """Count what is stored, without what waits."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 import errno
 import os
 import shutil
+import sqlite3
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,7 +35,7 @@ class Reserve:
 
     def __init__(self, folder: Path, size: int) -> None:
         """Reserve `size` bytes (0 for none). Raises OSError where there are not as many."""
-        self._size = size
+        self._size = self._left = size
         self._file = None
         if size <= 0:
             return
@@ -48,8 +49,20 @@ class Reserve:
 
     def give(self, used: int) -> None:
         """Shrink the reserve to what `used` bytes of the bag, written or about to be, leave."""
+        self._shrink(min(self._left, self._size - used))
+
+    def more(self, size: int) -> bool:
+        """Shrink by `size`, for good: others took what was given. False where none is left."""
+        if self._file is None or self._left <= 0:
+            return False
+        self._size -= size
+        self._shrink(self._left - size)
+        return True
+
+    def _shrink(self, left: int) -> None:
         if self._file is not None:
-            self._file.truncate(max(self._size - used, 0))
+            self._left = max(left, 0)
+            self._file.truncate(self._left)
 
     def release(self) -> None:
         """Return all of it; a second time does nothing."""
@@ -106,6 +119,13 @@ def bag_bytes(bag: Path) -> int:
     """Size of the files of a bag; 0 where there is none."""
     files = list(bag.iterdir()) if bag.is_dir() else []
     return sum(file.stat().st_size for file in files if file.is_file())
+
+
+def is_full(error: Exception) -> bool:
+    """Whether a write failed for want of room, by the operating system's or sqlite's words."""
+    if isinstance(error, OSError):
+        return error.errno in {errno.ENOSPC, errno.EDQUOT}
+    return isinstance(error, sqlite3.Error) and 'full' in str(error)
 
 
 def sync_folder(folder: Path) -> None:
