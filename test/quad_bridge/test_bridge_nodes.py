@@ -185,6 +185,28 @@ def test_wire_to_bag(tmp_path, spawn):
     assert set(DIAGNOSTICS) <= states
 
 
+def test_a_logger_without_cpu_for_a_second_and_a_half_loses_nothing(tmp_path, spawn):
+    far = FarEnd(tmp_path / 'tty')
+    far.start()
+    bags = tmp_path / 'bags'
+    logger = spawn('bag_logger', '-p', f'folder:={bags}', '-p', 'autostart:=true')
+    bridge = spawn('serial_bridge', '-p', f'port:={tmp_path / "tty"}')
+    bag = bag_in(bags)
+    os.kill(logger.pid, signal.SIGSTOP)
+    time.sleep(1.5)
+    os.kill(logger.pid, signal.SIGCONT)
+    time.sleep(1.0)
+    assert interrupt(bridge) == 0
+    time.sleep(0.5)
+    assert interrupt(logger) == 0
+    with AnyReader([bag]) as reader:
+        wanted = [c for c in reader.connections if c.topic == '/imu/data']
+        found = [reader.deserialize(r, c.msgtype) for c, _, r in reader.messages(wanted)]
+    index = np.array([round(1000 * m.angular_velocity.x) for m in found])
+    assert len(index) > 600
+    assert set(np.diff(index) % 100) == {1}
+
+
 class Ears:
     """A node in the test's process that hears what nodes publish, and calls their services."""
 

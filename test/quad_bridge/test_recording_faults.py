@@ -266,6 +266,34 @@ def test_a_folder_that_takes_no_bag_is_refused_in_one_line(tmp_path):
     assert not (tmp_path / 'bag').exists()
 
 
+RECOVER = """
+import json, sys
+from pathlib import Path
+from quad_bridge.bag_writer import BagWriter
+from quad_bridge.errors import BadInputError
+from quad_bridge.recover import recover
+folder = Path(sys.argv[1])
+writer = BagWriter(folder / 'bag')
+writer.add_topic('/setpoint/rates', 'geometry_msgs/msg/Vector3Stamped')
+for k in range(20_000):
+    writer.write('/setpoint/rates', 10**18 + k, bytes(500))
+writer.flush()
+writer.abort()
+try:
+    recover(folder / 'bag')
+    said = ''
+except BadInputError as error:
+    said = str(error)
+print(json.dumps({'said': said, 'left': sorted(p.name for p in folder.iterdir())}))
+"""
+
+
+def test_a_recovery_without_room_is_refused_in_one_line_and_leaves_nothing(tmp_path):
+    told = on_a_small_disk(tmp_path, 16, RECOVER)
+    assert 'bag_recovered: cannot be written: No space left on device; make room' in told['said']
+    assert told['left'] == ['bag']
+
+
 # ---- the budget -------------------------------------------------------------------------------
 
 

@@ -19,11 +19,12 @@ from quad_bridge.topics import LATCHED
 
 STREAM = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
-    depth=100,
+    depth=1000,
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.VOLATILE,
 )
-"""Streams of up to 250 Hz: reliable, 0.4 s deep, readable by best-effort subscribers too."""
+"""Streams of up to 250 Hz: reliable, readable by best-effort subscribers too; 4 s deep, so that a
+logger that gets no CPU for a while misses nothing."""
 
 STATE = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,

@@ -84,8 +84,8 @@ def recover(bag: Path) -> Recovered:
     storage = 'sqlite3' if files[0].suffix == '.db3' else 'mcap'
     work = target.with_name(f'{target.name}.part')
     shutil.rmtree(work, ignore_errors=True)
-    work.mkdir()
     try:
+        work.mkdir()
         writer = BagWriter(work / target.name, storage)
         for file in files:
             read = _sqlite_messages if file.suffix == '.db3' else _mcap_messages
@@ -100,6 +100,10 @@ def recover(bag: Path) -> Recovered:
         if not result.messages:
             raise BadInputError(str(bag), 'holds no whole message', remedy='nothing to recover')
         (work / target.name).rename(target)
+    except OSError as error:
+        what = f'cannot be written: {error.strerror or error}'
+        remedy = 'make room, or copy the bag elsewhere'
+        raise BadInputError(str(target), what, remedy=remedy) from error
     finally:
         shutil.rmtree(work, ignore_errors=True)
     return result
