@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -41,6 +42,8 @@ INERTIA = 0.0135
 GAIN = 4 * 9.218 * 0.225 / math.sqrt(2) / INERTIA
 """Of the plain profile: four motors of 9.218 N on arms of 0.225 m in X, rad/s² per command."""
 FRICTION_NM = 0.008
+CROWDED = 2.0
+"""Load per core, over a minute, that two campaigns alone do not bring about."""
 MODULE = f"""
 import math
 
@@ -100,6 +103,26 @@ def campaign(folder: Path, module: Path | None, seed: int, *, auto_update: bool)
     return Flown(read_bag(flight.bag), report, flight.gains, after, updates)
 
 
+def undisturbed(folder: Path, module: Path | None, seed: int, *, auto_update: bool) -> Flown:
+    """A campaign; again, twice at most, where others took the CPU meanwhile and cycles were lost.
+
+    With the machine to itself, two campaigns at once, every cycle must be in the first bag.
+    """
+    for attempt in range(3):
+        flown = campaign(
+            folder.with_name(f'{folder.name}_{attempt}'), module, seed, auto_update=auto_update
+        )
+        crowded = os.getloadavg()[0] > CROWDED * (os.cpu_count() or 1)
+        if not (crowded and lost_cycles(flown.record)):
+            return flown
+    return flown
+
+
+def lost_cycles(record: Record) -> int:
+    """Cycles that the bag lacks."""
+    return int(np.isnan(record.rates).any(axis=1).sum())
+
+
 @pytest.fixture(scope='module')
 def flown(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, Flown]:
     """Both campaigns, at the same time."""
@@ -111,8 +134,8 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, Flown]:
     module = folder / 'my_bearing.py'
     module.write_text(MODULE)
     with ThreadPoolExecutor(2) as pool:
-        friction = pool.submit(campaign, folder / 'friction', module, 11, auto_update=True)
-        plain = pool.submit(campaign, folder / 'plain', None, 12, auto_update=False)
+        friction = pool.submit(undisturbed, folder / 'friction', module, 11, auto_update=True)
+        plain = pool.submit(undisturbed, folder / 'plain', None, 12, auto_update=False)
         return {'friction': friction.result(), 'plain': plain.result()}
 
 
@@ -121,7 +144,7 @@ def test_the_bag_holds_every_topic_and_every_cycle(flown: Mapping[str, Flown], n
     record = flown[name].record
     assert record.missing == ()
     assert record.dt == pytest.approx(0.004, rel=1e-3)
-    assert int(np.isnan(record.rates).any(axis=1).sum()) == 0
+    assert lost_cycles(record) == 0
     signals = [s.signal for s in record.segments if s.role != 'idle']
     assert signals == ['prbs', 'prbs', 'square']
 
