@@ -19,6 +19,7 @@ def generate_launch_description() -> LaunchDescription:
     """One node with the shipped parameters and the arguments on top."""
     config = Path(get_package_share_directory('quad_sysid')) / 'config' / 'excitation.yaml'
     shipped = yaml.safe_load(config.read_text(encoding='utf-8'))['excitation']['ros__parameters']
+    schedule = ParameterValue(LaunchConfiguration('schedule'), value_type=str)
     return LaunchDescription(
         [
             DeclareLaunchArgument('schedule', default_value='schedule_rig'),
@@ -35,7 +36,7 @@ def generate_launch_description() -> LaunchDescription:
                     shipped,
                     LaunchConfiguration('config'),
                     {
-                        'schedule': ParameterValue(LaunchConfiguration('schedule'), value_type=str),
+                        'schedule': schedule,
                         'autostart': ParameterValue(
                             LaunchConfiguration('autostart'), value_type=bool
                         ),
