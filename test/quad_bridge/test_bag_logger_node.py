@@ -1,6 +1,7 @@
 """The logger as a process: every storage, killed and restarted, its budget, what it refuses."""
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -11,8 +12,10 @@ import pytest
 pytest.importorskip('rclpy', reason='needs ROS 2')
 import rclpy
 from geometry_msgs.msg import Vector3Stamped
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile
 from rosbags.highlevel import AnyReader
+from std_srvs.srv import Trigger
 
 from quad_bridge.recover import recover
 from quad_sysid.bags.storage import Storage
@@ -163,6 +166,35 @@ def test_a_killed_logger_leaves_a_bag_that_is_read_and_recovered(tmp_path, logge
     got = sorted(numbers_in(result.path))
     assert len(got) == read
     assert got[:published] == [float(k) for k in range(published)]
+
+
+def test_after_a_recording_that_failed_the_logger_records_the_next(tmp_path, logger, load):
+    process = logger(tmp_path)
+    load.wait()
+    load.run(1.0, 1000)
+    (lost,) = tmp_path.glob('flight_*')
+    shutil.rmtree(lost)
+    client = load.node.create_client(Trigger, '/bag_logger/start')
+    executor = SingleThreadedExecutor(context=load.context)
+    executor.add_node(load.node)
+    started, end_s = False, time.monotonic() + WAIT_S
+    while not started and time.monotonic() < end_s:  # refused as long as the first one records
+        answer = client.call_async(Trigger.Request())
+        executor.spin_until_future_complete(answer, timeout_sec=5.0)
+        started = answer.result() is not None and answer.result().success
+        time.sleep(0.2)
+    executor.shutdown()
+    assert started
+    load.wait()
+    load.run(1.0, 1000)
+    time.sleep(0.5)
+    process.send_signal(signal.SIGINT)
+    assert process.wait(timeout=WAIT_S) == 0
+    said = process.stderr.read()
+    assert 'was removed or renamed; the bag is gone, unless it was moved' in said
+    assert 'Traceback' not in said
+    (bag,) = tmp_path.glob('flight_*')
+    assert len(numbers_in(bag)) > 500
 
 
 @pytest.mark.parametrize(

@@ -157,6 +157,8 @@ class Recording:
         except _FAULTS as second:
             self._writer.abort()
             end = f'not closed ({second}); `ros2 run quad_bridge recover` reads it'
+            if not self._writer.path.exists():
+                end = 'gone, unless it was moved: `ros2 run quad_bridge recover` reads it there'
         self._written = sum(self._writer.counts.values())
         self._dropped += self._taken - self._written + len(self._queue)
         self._queue.clear()
