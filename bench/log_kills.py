@@ -123,7 +123,7 @@ def fly(bag: Path, ledger: Ledger, storage: str, compression: str, split_s: floa
 
 
 def start(folder: Path, kind: tuple[str, str, float], life_s: float) -> tuple[int, float]:
-    """Fork a recorder; its process id and when it is to die."""
+    """Fork a recorder; its process id and when it is to die, `life_s` after its bag is there."""
     folder.mkdir()
     ledger = Ledger(folder / 'ledger')
     pid = os.fork()
@@ -132,6 +132,11 @@ def start(folder: Path, kind: tuple[str, str, float], life_s: float) -> tuple[in
             fly(folder / 'bag', ledger, *kind)
         finally:
             os._exit(1)
+    patience_s = time.monotonic() + 30.0
+    while not (bag := folder / 'bag').is_dir() or not storage_files(bag):
+        if time.monotonic() > patience_s:
+            raise RuntimeError(f'{bag}: its recorder has not begun')
+        time.sleep(0.005)
     return pid, time.monotonic() + life_s
 
 
