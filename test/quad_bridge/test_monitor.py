@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import re
 import signal
@@ -15,8 +16,8 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 
-from quad_bridge.monitor.coverage import Pairs, coverage
-from quad_bridge.monitor.view import WIDTH, Entry, State, call, lines
+from quad_bridge.monitor.coverage import BAND, Pairs, coverage, needed_s, reachable
+from quad_bridge.monitor.view import WIDTH, Entry, State, call, lines, wanted
 from quad_bridge.topics import TOPIC_TYPES
 
 LAYOUTS = Path(__file__).resolve().parents[2] / 'src/quad_bridge/layouts'
@@ -159,6 +160,26 @@ def test_the_call_comes_when_enough_is_in_and_not_before():
     assert call(State(), 10.0) == ''
 
 
+def test_the_band_is_what_the_segments_can_tell_and_the_screen_says_so():
+    assert BAND == (0.1, 20.0)
+    assert reachable(BAND, math.nan) == reachable(BAND, 0.0) == BAND
+    assert reachable(BAND, needed_s(0.1)) == pytest.approx(BAND)
+    low, high = reachable(BAND, 40.0)
+    assert 2.0 * np.pi / low < 40.0 < needed_s(0.1)
+    assert high == 20.0
+    assert reachable(BAND, 0.1) == (20.0, 20.0)
+    x, y = answered(40.0, 0.05, 1)
+    state = State(asked=BAND, validated_s=12.0)
+    assert wanted(state, BAND) == BAND
+    state.entries['excitation: schedule'] = Entry(0, 'running', {'train_s': '40'}, 100.0)
+    assert wanted(state, BAND) == (low, high)
+    state.coverage = coverage([(x, y)], DT, wanted(state, BAND))
+    assert call(state, 10.0) == 'stop now: 0.25 to 20 rad/s covered'
+    shown = '\n'.join(lines(state, 100.0))
+    assert '0.25 to 20 of 0.25 to 20 rad/s' in shown
+    assert '0 s trained, 12 s validated; 0.1 rad/s needs 100 s' in shown
+
+
 def test_layouts_show_topics_of_the_contract():
     curves = [c.get('name') for c in ET.parse(LAYOUTS / 'plotjuggler.xml').iter('curve')]
     assert len(curves) > 10
@@ -191,7 +212,7 @@ def test_the_node_says_when_enough_is_in_and_stops_the_excitation(tmp_path, monk
     process = subprocess.Popen(
         [sys.executable, '-c', 'from quad_bridge.monitor_node import main; main()', '--ros-args',
          '-p', 'stop_when_covered:=true', '-p', 'band_low_rad_s:=2.0', '-p', 'every_s:=1',
-         '-p', 'validation_s:=1.0'], stdout=out,
+         '-p', 'validation_s:=1.0', '-r', '__ns:=/left'], stdout=out,
     )
     context = rclpy.Context()
     rclpy.init(context=context)
@@ -203,10 +224,10 @@ def test_the_node_says_when_enough_is_in_and_stops_the_excitation(tmp_path, monk
         response.success = True
         return response
 
-    node.create_service(Trigger, '/excitation/stop', stop)
-    imu = node.create_publisher(Imu, '/imu/data', STREAM)
-    applied = node.create_publisher(Vector3Stamped, '/excitation/applied', STREAM)
-    segment = node.create_publisher(ParameterEvent, '/excitation/segment', STATE)
+    node.create_service(Trigger, '/left/excitation/stop', stop)
+    imu = node.create_publisher(Imu, '/left/imu/data', STREAM)
+    applied = node.create_publisher(Vector3Stamped, '/left/excitation/applied', STREAM)
+    segment = node.create_publisher(ParameterEvent, '/left/excitation/segment', STATE)
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
 
@@ -218,6 +239,7 @@ def test_the_node_says_when_enough_is_in_and_stops_the_excitation(tmp_path, monk
         segment.publish(event)
 
     x, y = answered(60.0, 0.05, 5)
+    y[8000:10_000] += 20.0 * np.random.default_rng(7).standard_normal(2000)  # covered by then
     end_s, k, role = time.monotonic() + WAIT_S, 0, ''
     while not stopped and time.monotonic() < end_s:
         if imu.get_subscription_count() and applied.get_subscription_count() \
@@ -250,3 +272,14 @@ def test_the_node_says_when_enough_is_in_and_stops_the_excitation(tmp_path, monk
     assert 'stop now: 2 to 20 rad/s covered' in told
     assert re.search(r'imu +ok +250 Hz', told)
     assert '\x1b' not in told
+
+
+def test_a_band_upside_down_ends_in_one_line(tmp_path):
+    pytest.importorskip('rclpy', reason='needs ROS 2')
+    done = subprocess.run(
+        [sys.executable, '-c', 'from quad_bridge.monitor_node import main; main()', '--ros-args',
+         '-p', 'band_low_rad_s:=30.0'], capture_output=True, text=True, timeout=WAIT_S,
+        env={**os.environ, 'ROS_LOG_DIR': str(tmp_path)}, check=False,
+    )
+    assert done.returncode == 2
+    assert 'monitor: parameter band_low_rad_s: is not below band_high_rad_s 20' in done.stderr

@@ -21,6 +21,7 @@ from sensor_msgs.msg import BatteryState, Imu
 from std_srvs.srv import Trigger
 
 from quad_bridge import ros_node
+from quad_bridge.errors import BadInputError
 from quad_bridge.monitor import view
 from quad_bridge.monitor.coverage import BAND, Pairs, coverage
 from quad_bridge.qos import EVENT, STATE, STREAM
@@ -45,12 +46,17 @@ class Monitor(Node):  # type: ignore[misc]
         ros_node.refuse_unknown(self, [*NUMBERS, 'stop_when_covered', 'every_s'])
         known = {name: self._number(name) for name in NUMBERS}
         self._band = known['band_low_rad_s'], known['band_high_rad_s']
+        if not self._band[0] < self._band[1]:
+            raise BadInputError(
+                'parameter band_low_rad_s', f'is not below band_high_rad_s {self._band[1]:g}',
+                f'{self._band[0]:g}', 'lower it',
+            )
         self._validation_s = known['validation_s']
         self._stop = ros_node.flag(self, 'stop_when_covered', False,
                                    'call excitation/stop when "stop now" is said')
         every = ros_node.integer(self, 'every_s', 5, (1, 3600), 'between two blocks when piped, s')
         self._terminal = sys.stdout.isatty()
-        self._state = view.State()
+        self._state = view.State(asked=self._band)
         self._pairs, self._stamps = Pairs(), deque[int](maxlen=250)
         self._step_s = 0.004
         self._role, self._axis, self._new, self._said = '', '', 0, ''
@@ -130,8 +136,8 @@ class Monitor(Node):  # type: ignore[misc]
         if self._new >= LEAST_NEW:
             self._new = 0
             parts, dt = self._pairs.parts()
-            if dt > 0.0:
-                self._state.coverage = coverage(parts, dt, self._band)
+            if dt > 0.0 and not view.covered(self._state):
+                self._state.coverage = coverage(parts, dt, view.wanted(self._state, self._band))
         if len(self._stamps) > 1:
             step_s = 1e-9 * float(np.median(np.diff(np.array(self._stamps))))
             if step_s > 0.0:

@@ -247,6 +247,7 @@ def told(settings: Settings) -> dict[str, str]:
         'axes': ' '.join(dict.fromkeys(
             part.axis for part in settings.schedule.parts if part.role == 'train'
         )),
+        'train_s': f'{settings.schedule.training_s:g}',
         'angle_limit_deg': f'{math.degrees(settings.limits.angle_rad):g}',
         'battery_min_v': f'{settings.limits.battery_min_v:g}',
     }

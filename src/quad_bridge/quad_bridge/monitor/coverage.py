@@ -16,8 +16,10 @@ import numpy.typing as npt
 FloatArray = npt.NDArray[np.float64]
 Stamps = npt.NDArray[np.int64]
 
-BAND = 0.25, 20.0
-"""rad/s, what is wanted where nobody says else: its lowest period lasts 25 s."""
+BAND = 0.1, 20.0
+"""rad/s, what is wanted where nobody says else: its lowest period lasts 63 s."""
+SPARED = 0.63
+"""Share of a training segment in which the lowest period must fit: the rest may be spared."""
 TAPERS = 5
 LEAST_PERIODS = 1.0
 """A part tells frequencies of at least so many periods in it."""
@@ -61,6 +63,22 @@ class Coverage:
     def enough(self) -> bool:
         """Whether the whole wanted band is covered."""
         return bool(self.coherent.size) and bool(self.coherent.all())
+
+
+def reachable(wanted: tuple[float, float], segment_s: float) -> tuple[float, float]:
+    """Of a band, rad/s, what a segment of so many seconds can tell; all where that is unknown.
+
+    Its low end rises to the frequency of which a period fits into SPARED of the segment.
+    """
+    low, high = wanted
+    if not segment_s > 0.0:
+        return wanted
+    return min(max(low, 2.0 * np.pi * LEAST_PERIODS / (SPARED * segment_s)), high), high
+
+
+def needed_s(low: float) -> float:
+    """Length of a training segment that can tell `low`, rad/s; s."""
+    return 2.0 * np.pi * LEAST_PERIODS / (SPARED * low)
 
 
 def coverage(

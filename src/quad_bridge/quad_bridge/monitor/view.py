@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from quad_bridge.monitor.coverage import Coverage
+from quad_bridge.monitor.coverage import Coverage, needed_s, reachable
 
 WIDTH = 79
 BAR = 26
@@ -42,6 +42,8 @@ class State:
     segment: Mapping[str, str] = field(default_factory=dict)
     trained_s: float = 0.0
     validated_s: float = 0.0
+    asked: tuple[float, float] | None = None
+    """Band that the operator wants, rad/s; the segments may be too short for its low end."""
     coverage: Coverage | None = None
     done: set[str] = field(default_factory=set)
     """Axes that need no more, the running one not among them."""
@@ -59,25 +61,34 @@ def lines(state: State, now_s: float) -> list[str]:
     return [line[:WIDTH] for line in out]
 
 
+def wanted(state: State, asked: tuple[float, float]) -> tuple[float, float]:
+    """Of the band that is asked for what the schedule's training segments can tell."""
+    return reachable(asked, _value(state, 'schedule', 'train_s'))
+
+
+def covered(state: State) -> bool:
+    """Whether the running axis is covered; what was told aloud is not taken back."""
+    return state.coverage is not None and state.coverage.enough
+
+
 def suffices(state: State, validation_s: float) -> bool:
     """Whether the running axis is covered and validated."""
-    covered = state.coverage is not None and state.coverage.enough
-    return covered and state.validated_s >= validation_s
+    return covered(state) and state.validated_s >= validation_s
 
 
 def call(state: State, validation_s: float) -> str:
     """What the operator is told aloud, empty where nothing is to be said."""
-    covered = state.coverage
-    if covered is None or not covered.enough:
+    if state.coverage is None or not covered(state):
         return ''
-    low, high = covered.wanted
+    low, high = state.coverage.wanted
+    band = f'{low:.2g} to {high:g} rad/s covered'
     axis = state.segment.get('axis', '')
     if not suffices(state, validation_s):
-        return f'training suffices: {low:g} to {high:g} rad/s covered; go on to validation'
+        return f'training suffices: {band}; go on to validation'
     left = [a for a in _axes(state) if a not in state.done and a != axis]
     if left:
-        return f'{axis} suffices: {low:g} to {high:g} rad/s covered; {", ".join(left)} to come'
-    return f'stop now: {low:g} to {high:g} rad/s covered'
+        return f'{axis} suffices: {band}; {", ".join(left)} to come'
+    return f'stop now: {band}'
 
 
 def _axes(state: State) -> list[str]:
@@ -184,11 +195,13 @@ def _coverage(state: State) -> list[str]:
         little = f'{axis} too little yet to say'.strip()
         return [_line('coverage', '-', little), _line('', '', flown)]
     low, high = state.coverage.wanted
+    if state.asked is not None and low > state.asked[0]:
+        flown += f'; {state.asked[0]:g} rad/s needs {needed_s(state.asked[0]):.0f} s'
     band = state.coverage.band
     told = f'{band[0]:.2g} to {band[1]:.3g}' if band else 'nothing'
     return [
         _line('coverage', 'ok' if state.coverage.enough else '...',
-              f'{axis} {told} of {low:g} to {high:g} rad/s'),
+              f'{axis} {told} of {low:.2g} to {high:g} rad/s'),
         f'{"":<18} {bar(state.coverage.share)} {100.0 * state.coverage.share:3.0f} %',
         _line('', '', flown),
     ]

@@ -85,6 +85,15 @@ class Schedule:
         """Length of the whole."""
         return sum(part.duration_s for part in self.parts)
 
+    @property
+    def training_s(self) -> float:
+        """Longest training segment of an axis, of all axes the shortest such; 0 without one."""
+        longest: dict[str, float] = {}
+        for part in self.parts:
+            if part.role == 'train':
+                longest[part.axis] = max(part.duration_s, longest.get(part.axis, 0.0))
+        return min(longest.values(), default=0.0)
+
     def index(self, time_s: float) -> int | None:
         """Which part runs at `time_s`; None before the start and after the end."""
         if not 0.0 <= time_s < self.duration_s:
