@@ -186,9 +186,7 @@ class Link:
         self._release(now_ns, out)
         self._stamp_cycle(frame, device_ns, now_ns, out)
 
-    def _stamp_cycle(
-        self, frame: Cycle, device_ns: int, now_ns: int, out: list[Stamped]
-    ) -> None:
+    def _stamp_cycle(self, frame: Cycle, device_ns: int, now_ns: int, out: list[Stamped]) -> None:
         if not self._publishable(device_ns, now_ns):
             self.held += 1
             return
