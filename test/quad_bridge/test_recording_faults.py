@@ -273,7 +273,7 @@ from quad_bridge.bag_writer import BagWriter
 from quad_bridge.errors import BadInputError
 from quad_bridge.recover import recover
 folder = Path(sys.argv[1])
-writer = BagWriter(folder / 'bag')
+writer = BagWriter(folder / 'bag', sys.argv[2])
 writer.add_topic('/setpoint/rates', 'geometry_msgs/msg/Vector3Stamped')
 for k in range(20_000):
     writer.write('/setpoint/rates', 10**18 + k, bytes(500))
@@ -288,9 +288,13 @@ print(json.dumps({'said': said, 'left': sorted(p.name for p in folder.iterdir())
 """
 
 
-def test_a_recovery_without_room_is_refused_in_one_line_and_leaves_nothing(tmp_path):
-    told = on_a_small_disk(tmp_path, 16, RECOVER)
-    assert 'bag_recovered: cannot be written: No space left on device; make room' in told['said']
+@pytest.mark.parametrize(
+    ('storage', 'why'), [('mcap', 'No space left on device'), ('sqlite3', 'disk is full')]
+)
+def test_a_recovery_without_room_is_refused_in_one_line(tmp_path, storage, why):
+    told = on_a_small_disk(tmp_path, 20, RECOVER, storage)
+    assert 'bag_recovered: cannot be written: ' in told['said']
+    assert f'{why}; make room' in told['said']
     assert told['left'] == ['bag']
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 import shutil
+import sqlite3
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -100,8 +101,8 @@ def recover(bag: Path) -> Recovered:
         if not result.messages:
             raise BadInputError(str(bag), 'holds no whole message', remedy='nothing to recover')
         (work / target.name).rename(target)
-    except OSError as error:
-        what = f'cannot be written: {error.strerror or error}'
+    except (OSError, sqlite3.Error) as error:
+        what = f'cannot be written: {getattr(error, "strerror", None) or error}'
         remedy = 'make room, or copy the bag elsewhere'
         raise BadInputError(str(target), what, remedy=remedy) from error
     finally:
