@@ -1,0 +1,167 @@
+"""Every command of README and docs: run for real where that takes moments, else checked.
+
+A command is a line of an indented block that begins with one of our programs. The offline ones run
+in-process, in a folder with small bags. Which are only checked stands in ONLY_PARSED and
+STARTED_ELSEWHERE, with the reason; a new command that no list knows is run, and so fails where it
+does not work.
+"""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from quad_sysid import cli as sysid
+from quad_sysid.bags import write_bag
+from quad_sysid.loop.cascade import CascadeGains
+from quad_sysid.record import GainChange, Record, Segment
+from quad_tuning import cli as tuning
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = [ROOT / 'README.md', *sorted((ROOT / 'docs').rglob('*.md')), ROOT / 'CONTRIBUTING.md']
+DT = 0.004
+
+PROGRAMS = {'quad-sysid': sysid.main, 'quad-tune': tuning.main}
+STARTED_ELSEWHERE = {
+    'make': 'its targets are in test_documents.py; .ci/run calls build, lint and test',
+    'ros2': 'executables, launch files: test_documents.py; nodes have their tests',
+    'pip': 'needs a network; the packages named must exist',
+    'echo': "a setting of the reader's machine",
+    'build/quad_host': 'test_firmware_host.py runs it',
+}
+ONLY_PARSED = {
+    'quad-tune send': 'needs ROS; test_update_node.py sends',
+    'quad-tune rollback': 'needs ROS; test_gain_history.py rolls back',
+    'quad-tune history': 'needs gains that flew; test_gain_history.py',
+    'quad-tune design result/model.json --pictures': 'test_tune_cli.py draws them',
+    'quad-tune design result/model.json --json': 'test_tune_cli.py',
+    'quad-tune design result/model.json --out': 'the fixture runs it',
+    'quad-sysid import': 'its logs are not at hand; test_foreign_logs.py and test_csv_import.py',
+    'quad-sysid fleet': 'starts processes; test_fleet.py',
+    'quad-sysid identify': 'half a minute each; the fixture runs one as README has it',
+    'quad-sysid design-excitation --separate': 'test_separation.py',
+}
+RUN_ALL_THE_SAME = ('quad-sysid import log.csv',)
+
+
+def commands() -> list[tuple[str, str]]:
+    """(page, command) of every block, continued lines joined, comments cut, each command once."""
+    found: dict[str, str] = {}
+    for path in PAGES:
+        text = re.sub(r'\\\n\s*', '', path.read_text())
+        for line in re.findall(r'^(?: {4,}|\$ )(\S.*)$', text, re.MULTILINE):
+            command = re.split(r'\s+#\s', line)[0].strip()
+            program = command.split()[0]
+            if program in PROGRAMS or program in STARTED_ELSEWHERE:
+                found.setdefault(command, str(path.relative_to(ROOT)))
+    return [(page, command) for command, page in found.items()]
+
+
+COMMANDS = commands()
+OURS = [(page, line) for page, line in COMMANDS if line.split()[0] in PROGRAMS]
+
+
+def quick(line: str) -> bool:
+    return line.startswith(RUN_ALL_THE_SAME) or not line.startswith(tuple(ONLY_PARSED))
+
+
+def flight(seed: int) -> Record:
+    """Roll after a random binary command through a lag, in a loop that follows a square wave."""
+    rng = np.random.default_rng(seed)
+    n = round(20.0 / DT)
+    reference = np.zeros((n, 3))
+    reference[:, 0] = 0.2 * np.repeat(rng.choice([-1.0, 1.0], n // 50 + 1), 50)[:n]
+    control, rates, angles = np.zeros((n, 4)), rng.normal(0.0, 0.004, (n, 3)), np.zeros((n, 3))
+    control[:, 0] = 0.5
+    rate = lag = angle = 0.0
+    for k in range(n):
+        control[k, 1] = np.clip(
+            0.06 * (3.0 * (reference[k, 0] - angle) - rates[k, 0] - rate), -0.3, 0.3
+        )
+        lag += DT / 0.05 * (control[k, 1] - lag)
+        rate += DT * (400.0 * lag - rate) + 0.02 * rng.normal()
+        angle += DT * rate
+        rates[k, 0] += rate
+        angles[k, 0] = angle
+    segments = (
+        Segment('train', 'prbs', 'roll', 'attitude', 1.0, 13.0),
+        Segment('validation', 'prbs', 'roll', 'attitude', 13.5, 20.0),
+    )
+    return Record(
+        source='flight',
+        dt=DT,
+        rates=rates,
+        control=control,
+        angles=angles,
+        attitude_setpoint=reference,
+        segments=segments,
+        gains=(GainChange(0.0, CascadeGains.default('roll').to_mapping('roll', constants=True)),),
+        t0_ns=10**18,
+    )
+
+
+@pytest.fixture(scope='module')
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Bags, table and result by the names that the docs use."""
+    here = tmp_path_factory.mktemp('docs')
+    for seed, name in enumerate(('my_flight', 'my_flight_bag', 'another_flight_bag')):
+        write_bag(flight(seed), here / name)
+    (here / 'another_flight').symlink_to('another_flight_bag')
+    (here / 'emps_pulses').symlink_to('another_flight_bag')
+    rows = [
+        f'{DT * k:.4f},{0.1 * np.sin(0.01 * k):.5f},{20 * np.cos(0.01 * k):.4f}'
+        for k in range(1000)
+    ]
+    (here / 'log.csv').write_text('\n'.join(['t,u,gx', *rows]) + '\n')
+    quickly = ['--axis', 'roll', '--no-effects', '--quiet', '--out', str(here / 'result')]
+    assert sysid.main(['identify', str(here / 'my_flight'), *quickly]) == 0
+    assert (
+        tuning.main(['design', str(here / 'result/model.json'), '--out', str(here / 'gains.json')])
+        == 0
+    )
+    return here
+
+
+def test_the_docs_have_commands_and_the_lists_no_others() -> None:
+    """Nothing is left out by a slip of the pattern, no entry outlives its command."""
+    lines = [line for _, line in COMMANDS]
+    assert len(OURS) > 25
+    for known in (*ONLY_PARSED, *(set(STARTED_ELSEWHERE) - {'build/quad_host'})):
+        assert any(line.startswith(known) for line in lines), known
+
+
+@pytest.mark.parametrize(('page', 'line'), OURS, ids=[line for _, line in OURS])
+def test_a_command_works(
+    page: str,
+    line: str,
+    folder: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys,
+    tmp_path: Path,
+) -> None:
+    """Run in a folder where its files are (an `import` elsewhere: its bag must be new)."""
+    program, *arguments = shlex.split(line)
+    monkeypatch.chdir(folder)
+    monkeypatch.setenv('HOME', str(tmp_path))
+    if not quick(line):
+        with pytest.raises(SystemExit) as left:  # an option that is unknown ends with 2
+            PROGRAMS[program]([*arguments, '--help'])
+        assert left.value.code == 0
+        known = capsys.readouterr().out
+        for option in (word for word in arguments if word.startswith('--')):
+            assert option in known, f'{page}: {line}: {option}'
+        return
+    if line.startswith('quad-sysid import'):
+        arguments[arguments.index('--out') + 1] = str(tmp_path / 'imported')
+    assert PROGRAMS[program](arguments) == 0, f'{page}: {line}\n{capsys.readouterr().err}'
+
+
+def test_pip_installs_folders_that_exist() -> None:
+    for page, line in COMMANDS:
+        if line.startswith('pip install'):
+            for word in shlex.split(line)[2:]:
+                assert (ROOT / word.split('[')[0] / 'setup.py').exists(), f'{page}: {line}'
