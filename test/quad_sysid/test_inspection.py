@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -76,6 +77,19 @@ def test_a_flight_in_which_nothing_moves_is_good_for_nothing(record, tmp_path, c
     out, err = capsys.readouterr()
     assert 'no  identify roll: the command never moves' in out
     assert len(err.splitlines()) == 1
+
+
+def test_what_identify_would_refuse_is_no_use(record, tmp_path, capsys):
+    short = tuple(replace(s, end_s=s.start_s + 4.0) if s.role == 'train' else s
+                  for s in record.segments)  # 6 windows, the fit needs 8
+    path = write_bag(replace(record, segments=short), tmp_path / 'bag')
+    assert main(['inspect', str(path)]) == 3
+    out = ' '.join(capsys.readouterr().out.split())
+    assert re.search(r'no identify roll: training holds \d windows of 0.5 s, at least 8', out)
+    assert 'gain design' not in out
+    assert 'yes evaluate a stored model' in out
+    assert main(['identify', str(path), '--axis', 'roll', '--out', str(tmp_path / 'out')]) == 3
+    assert re.search(r'training holds \d windows of 0.5 s, at least 8', capsys.readouterr().err)
 
 
 def test_a_bag_without_commands_tells_its_topics(record, tmp_path, capsys):

@@ -28,6 +28,7 @@ FIRST_STEPS = 3
 """Iterations from each of several starts."""
 SAME_AS_NONE = 0.25
 """A lag or delay of less than this share of a cycle is told as none."""
+LEAST_WINDOWS = 8
 CLEAR_GAIN = 4.0
 """A gain of fewer standard errors than this is no answer."""
 SHORT_WINDOW_S = 0.05
@@ -197,13 +198,7 @@ def fit_base(
     `length_s` of the free-run windows: the contract's, or shorter where noise has the better of
     them (`informative`). Raises NotInformativeError where the spans are too short or not excited.
     """
-    windows = data.windows(spans, length_s)
-    if windows.count < 8:
-        raise NotInformativeError(
-            f'{data.axis}: training holds {windows.count} windows of 0.5 s, at least 8 are '
-            'needed; fly a longer excitation or widen --train'
-        )
-    _check_excitation(data, spans)
+    check_training(data, spans, length_s)
     base = Structure()
     model = noise.white_noise_model(3.0, 0.3, data, before_filter=False)
     sim = simulator(data, spans, model.correction, length_s)
@@ -220,6 +215,29 @@ def fit_base(
                 best = fit
     assert best is not None  # noqa: S101 - both start lists hold values
     return settle(sim, best, free)
+
+
+def check_training(
+    data: AxisData, spans: Sequence[Span], length_s: float = WINDOW_S
+) -> None:
+    """Refuse, by NotInformativeError, what no fit can answer: too short, or nothing moves."""
+    count = data.windows(spans, length_s).count
+    if count < LEAST_WINDOWS:
+        raise NotInformativeError(
+            f'{data.axis}: training holds {count} windows of {length_s:g} s, at least '
+            f'{LEAST_WINDOWS} are needed; fly a longer excitation or widen --train'
+        )
+    command = np.concatenate([data.command[a:b] for a, b in spans])
+    rate = np.concatenate([data.rate[a:b] for a, b in spans])
+    if np.ptp(command) < 1e-9:
+        raise NotInformativeError(
+            f'{data.axis}: the command never moves during training; excite this axis'
+        )
+    if np.ptp(rate) < 1e-9:
+        raise NotInformativeError(
+            f'{data.axis}: the measured rate is constant during training; '
+            'check the gyro and that the axis is free to turn'
+        )
 
 
 def informative(fit: Fit) -> bool:
@@ -324,22 +342,7 @@ def _linear_start(sim: Simulator, base: Structure, start: FloatArray) -> FloatAr
     return np.array([solution[0], 0.3, solution[1]])
 
 
-def _check_excitation(data: AxisData, spans: Sequence[Span]) -> None:
-    """Refuse what no fit can answer: a command that never moves, a rate that never answers."""
-    command = np.concatenate([data.command[a:b] for a, b in spans])
-    rate = np.concatenate([data.rate[a:b] for a, b in spans])
-    if np.ptp(command) < 1e-9:
-        raise NotInformativeError(
-            f'{data.axis}: the command never moves during training; excite this axis'
-        )
-    if np.ptp(rate) < 1e-9:
-        raise NotInformativeError(
-            f'{data.axis}: the measured rate is constant during training; '
-            'check the gyro and that the axis is free to turn'
-        )
-
-
 __all__ = [
-    'N_BASE', 'SHORT_WINDOW_S', 'Fit', 'best_correction', 'fit_base',
+    'N_BASE', 'SHORT_WINDOW_S', 'Fit', 'best_correction', 'check_training', 'fit_base',
     'fit_structure', 'fit_with_effect', 'informative', 'settle', 'simulator',
 ]

@@ -33,7 +33,9 @@ def _run(options: argparse.Namespace) -> int:
         print('\n'.join(lines(held)))
     answers = [use.possible for one in held.axes for use in one.uses]
     if not any(answers):
-        why = held.unusable or '; '.join(u.because for one in held.axes for u in one.uses)
+        why = held.unusable or '; '.join(
+            f'{one.axis}: {u.because}' for one in held.axes for u in one.uses
+        )
         print(f'quad-sysid: {options.bag}: {why}', file=sys.stderr)
         return NOT_ANSWERED
     return 0

@@ -122,7 +122,10 @@ def of_record(record: Record, held: Topics, *, split: bool) -> Content:
         motors_at_limit_pct=_at_limit(record),
         battery=_battery(record),
         axes=axes,
-        uses=uses_of_flight(tuple(one.axis for one in axes if one.identifiable)),
+        uses=uses_of_flight(
+            tuple(one.axis for one in axes if one.identifiable),
+            moving=any(one.windows and one.rate_rms and one.command_rms for one in axes),
+        ),
         warnings=(*record.warnings, *((warning,) if warning else ())),
     )
 
@@ -138,7 +141,7 @@ def _axis(record: Record, axis: str) -> AxisContent:
     except NotInformativeError as error:
         return AxisContent(
             axis, lengths['train'], lengths['validation'], 0, None, None, None, None, None,
-            (Use(f'identify {axis}', possible=False, because=str(error)),),
+            (Use(f'identify {axis}', possible=False, because=str(error).removeprefix(f'{axis}: ')),),
         )
     windows = data.windows(data.validation).count
     uses = uses_of_axis(record, data)

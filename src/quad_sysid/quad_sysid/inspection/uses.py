@@ -14,6 +14,7 @@ from quad_sysid.effects.preparation import coupled_command, needs_angle, sag_set
 from quad_sysid.effects.preparation import thrust_settings as throttle_settings
 from quad_sysid.errors import NotInformativeError
 from quad_sysid.greybox.data import AxisData
+from quad_sysid.greybox.fit import check_training
 from quad_sysid.pipeline.usable import check_usable
 from quad_sysid.record import Record
 
@@ -51,12 +52,12 @@ def uses_of_axis(record: Record, data: AxisData) -> tuple[Use, ...]:
     )
 
 
-def uses_of_flight(identifiable: tuple[str, ...]) -> tuple[Use, ...]:
-    """What the flight as a whole allows, by the axes that can be identified."""
+def uses_of_flight(identifiable: tuple[str, ...], *, moving: bool) -> tuple[Use, ...]:
+    """What the flight as a whole allows: by the axes to identify, and whether one moves."""
     both = {'roll', 'pitch'} <= set(identifiable)
     return (
-        Use('evaluate a stored model', bool(identifiable),
-            '' if identifiable else 'no axis holds rate and command that move'),
+        Use('evaluate a stored model', moving,
+            '' if moving else 'no axis holds rate and command that move'),
         Use('one model for roll and pitch', both,
             '' if both else 'it needs both, and this bag does not hold them'),
     )
@@ -65,12 +66,9 @@ def uses_of_flight(identifiable: tuple[str, ...]) -> tuple[Use, ...]:
 def _refusal(data: AxisData) -> str:
     try:
         check_usable(data)
+        check_training(data, data.train)
     except NotInformativeError as error:
         return str(error).removeprefix(f'{data.axis}: ')
-    if not _moves(data, data.command):
-        return 'the command never moves during training; excite this axis'
-    if not _moves(data, data.rate):
-        return 'the measured rate is constant during training'
     return ''
 
 
