@@ -16,7 +16,7 @@ from quad_tuning.demo.errors import StageFailedError
 from quad_tuning.demo.observer import Observer
 from quad_tuning.demo.processes import Crew, executable
 
-CONNECT_S, START_S, CLOSE_S, ACKNOWLEDGE_S, IDENTIFY_S = 40.0, 20.0, 20.0, 60.0, 150.0
+CONNECT_S, START_S, CLOSE_S, ACKNOWLEDGE_S, IDENTIFY_S = 40.0, 20.0, 20.0, 60.0, 600.0
 """Patience of the stages, s."""
 SETTLED_S = 1.0
 """How long the stream must have flowed before a flight begins, in s of samples at 250 Hz."""
