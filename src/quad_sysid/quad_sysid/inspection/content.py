@@ -141,7 +141,8 @@ def _axis(record: Record, axis: str) -> AxisContent:
     except NotInformativeError as error:
         return AxisContent(
             axis, lengths['train'], lengths['validation'], 0, None, None, None, None, None,
-            (Use(f'identify {axis}', possible=False, because=str(error).removeprefix(f'{axis}: ')),),
+            (Use(f'identify {axis}', possible=False,
+                 because=str(error).removeprefix(f'{axis}: ')),),
         )
     windows = data.windows(data.validation).count
     uses = uses_of_axis(record, data)
