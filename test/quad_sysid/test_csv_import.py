@@ -313,3 +313,15 @@ def test_nanobench_becomes_a_bag_with_the_signs_of_the_contract(tmp_path, axis):
     turned = np.gradient(record.angles[:, k], record.dt)
     good = np.isfinite(turned) & np.isfinite(record.rates[:, k])
     assert np.corrcoef(turned[good], record.rates[good, k])[0, 1] > 0.4
+
+
+def test_an_advised_unit_can_be_typed_as_it_stands(tmp_path):
+    """Headers have blanks and brackets, which a shell would take apart."""
+    table = columns()
+    told = write(tmp_path / 'a.csv', {'Time [s]': table['t'], 'cmd roll': 1000.0 * table['u'],
+                                      'Angle (roll)': np.degrees(table['angle'])})
+    base = ImportOptions(file=told, axis='roll', time='Time [s]', out=tmp_path / 'bag',
+                         control='cmd roll', angle='Angle (roll)')
+    assert "--unit 'cmd roll=0.0025'" in refusal(base)
+    scaled = replace(base, units=parse_units(['cmd roll=0.001']))
+    assert "--unit 'Angle (roll)=deg'" in refusal(scaled)

@@ -112,11 +112,16 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         write_bag(flight(seed), here / name)
     (here / 'another_flight').symlink_to('another_flight_bag')
     (here / 'emps_pulses').symlink_to('another_flight_bag')
-    rows = [
-        f'{DT * k:.4f},{0.1 * np.sin(0.01 * k):.5f},{20 * np.cos(0.01 * k):.4f}'
-        for k in range(1000)
-    ]
-    (here / 'log.csv').write_text('\n'.join(['t,u,gx', *rows]) + '\n')
+    columns = {
+        't': 1e-3,
+        'u': 1e-5,
+        'gx': 0.02,
+        'Time [ms]': 1.0,
+        'cmd roll': 0.01,
+        'Gyro (deg/s)': 0.02,
+    }
+    rows = [','.join(f'{scale * 4 * k:.6g}' for scale in columns.values()) for k in range(1000)]
+    (here / 'log.csv').write_text('\n'.join([','.join(columns), *rows]) + '\n')
     quickly = ['--axis', 'roll', '--no-effects', '--quiet', '--out', str(here / 'result')]
     assert sysid.main(['identify', str(here / 'my_flight'), *quickly]) == 0
     assert (

@@ -7,6 +7,7 @@ metadata and comes back in `Record.warnings`. No identification.
 from __future__ import annotations
 
 import gzip
+import shlex
 import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -278,7 +279,8 @@ def _check_range(table: Table, name: str, unit: Unit, low: float, high: float) -
             int(outside[0]), name,
             f'in unit {unit.name} is outside {low:g}..{high:g} of a normalised command '
             f'({len(outside)} rows)',
-            f'name its unit, or a factor such as --unit {name}={1.0 / scale:.2g}',
+            'name its unit, or a factor such as '
+            f'--unit {shlex.quote(f"{name}={1.0 / scale:.2g}")}',
         )
 
 
@@ -288,7 +290,8 @@ def _check_angle(angle: FloatArray, options: ImportOptions) -> None:
     if largest >= limit:
         raise BadInputError(
             f'{options.file}, column {options.angle}', f'is beyond a {options.axis} angle',
-            f'{largest:.4g} of {limit:.4g}', f'name its unit, such as --unit {options.angle}=deg',
+            f'{largest:.4g} of {limit:.4g}',
+            f'name its unit, such as --unit {shlex.quote(f"{options.angle}=deg")}',
         )
 
 
