@@ -6,7 +6,7 @@ The search that calls this stands in discover.py; the final test on unseen data 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 from quad_sysid.effects.candidate import Candidate, candidate, without
@@ -21,9 +21,10 @@ from quad_sysid.effects.screening import (
     sharp_p,
     vanishes,
 )
-from quad_sysid.effects.worth import CHANCE, SMALLEST_GAIN
+from quad_sysid.effects.worth import CHANCE, LOSSES, SMALLEST_GAIN, against_nature
 from quad_sysid.greybox.fit import fit_structure, fit_with_effect, settle
 from quad_sysid.greybox.noise import NoiseModel
+from quad_sysid.greybox.one_step import sharpened
 from quad_sysid.greybox.simulate import Simulator
 from quad_sysid.greybox.structure import Effect, Prepared
 
@@ -234,6 +235,7 @@ def backward(sim: Simulator, current: Candidate) -> Candidate:
     for name in current.names:
         if not persists(sim, current.fit, name):  # what was added later took its place
             current = without(sim, current, name)
+    current = _natural(sim, current)
     while len(current.names) > 1:
         effects = current.fit.structure.effects
         curves = {signal for e in effects if e.kind != 'named' for signal in e.signals}
@@ -257,6 +259,22 @@ def backward(sim: Simulator, current: Candidate) -> Candidate:
     return current
 
 
+def _natural(sim: Simulator, current: Candidate) -> Candidate:
+    """Less the losses that are against nature, by the free run or by the sharper one-step errors.
+
+    Of two losses the one goes that the other can do without.
+    """
+    sharp = replace(current, fit=sharpened(sim, current.fit))
+    rests = [without(sim, current, name) for name in current.names if name in LOSSES]
+    losses = [name for name in current.names if name in LOSSES]
+    if not any(
+        against_nature(rest, one, name)
+        for rest, name in zip(rests, losses, strict=True) for one in (current, sharp)
+    ):
+        return current
+    return _natural(sim, min(rests, key=_score))
+
+
 def renamed(sim: Simulator, current: Candidate, prepared: Sequence[Prepared]) -> Candidate:
     """Names in the place of curves and hidden states, where beside the rest they say as much.
 
@@ -273,6 +291,8 @@ def renamed(sim: Simulator, current: Candidate, prepared: Sequence[Prepared]) ->
             if not _same_signal(effect, put[0]):
                 continue
             one = candidate(sim, fit_with_effect(sim, rest.fit, *put, tolerance=ROUGH))
+            if against_nature(rest, one, put[0].name):
+                continue
             if best is None or one.score < best.score:
                 best = one
         if best is not None and _explains_as_much(rest, best, current, sim):

@@ -103,7 +103,8 @@ def discover(
     for chosen_name in current.names:
         near = _near(chosen_name, tried, current)
         current, name, shares = settled(sim, current, chosen_name, prepared, near, rng)
-        rivals[name] = shares
+        if name:
+            rivals[name] = shares
     chosen = sharpened(sim, current.fit) if current.names else current.fit
     return Discovery(
         data, base, base_noise, base_sim, chosen, noise, sim, rivals, tried, not_tested,

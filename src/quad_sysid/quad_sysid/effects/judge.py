@@ -25,6 +25,8 @@ HARDLY_BETTER = 0.95
 """A base whose error exceeds this share of the error of holding the last rate is no model."""
 CLEARLY_LESS = 0.8
 """Share of the training error that effects leave where, unconfirmed, they are not passed over."""
+WORTH_SAYING = 0.99
+"""What takes less from the held-out error is not called missing, however certain it is."""
 LEVEL = 0.05
 """Level of the one final test per axis (contract, which data decide)."""
 
@@ -100,7 +102,8 @@ def judge(found: Discovery, rng: np.random.Generator) -> Judgement:
     )
     effects = bool(found.chosen.structure.effects)
     hold = hold_error(sim)
-    passed = effects and test.p_value < LEVEL and after.free_run < before.free_run
+    less = after.free_run < WORTH_SAYING * before.free_run
+    passed = effects and test.p_value < LEVEL and less
     left = None if passed or not found.informative else _dependence(found, sim)
     odd = '' if passed or not found.informative else inconsistency(
         np.mean(found.base.errors**2, axis=1), found.base.windows,
@@ -160,7 +163,7 @@ def _verdict(
 def _failed(found: Discovery) -> str:
     """What the training segments alone would have said, where the unseen ones say otherwise."""
     effects = found.chosen.structure.effects
-    if not effects:
+    if not effects or found.chosen.rms > WORTH_SAYING * found.base.rms:
         return ''
     names = ' and '.join(f'{e.name} ({e.variant})' if e.variant else e.name for e in effects)
     return (

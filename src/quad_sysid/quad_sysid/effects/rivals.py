@@ -14,6 +14,7 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.effects.candidate import Candidate, candidate, without
 from quad_sysid.effects.choice import AS_GOOD, NEARLY_ALL, ROUGH, fitting
 from quad_sysid.effects.persistence import persists
+from quad_sysid.effects.worth import against_nature
 from quad_sysid.greybox.fit import Fit, fit_structure, fit_with_effect
 from quad_sysid.greybox.one_step import BAND_HZ, block_of_rows, one_step, slow_errors
 from quad_sysid.greybox.simulate import Simulator
@@ -37,6 +38,7 @@ def settled(
 
     The free run chose `name`; where it can hardly tell it from another and the one-step errors,
     which are sharper, say that the other is more probable than all the rest, that one is taken.
+    Where the other is against nature both are the shape of something else, and go: no name.
     """
     labels, one_of, shares = _contest(sim, current, name, prepared, near, rng)
     first, chance = shares[0]
@@ -46,6 +48,9 @@ def settled(
     best = min(
         (one for label, one in zip(labels, one_of, strict=True) if label == first), key=_score
     )
+    rest = without(sim, best, first)
+    if against_nature(rest, best, first):
+        return rest, '', ()
     alike = best.score <= AS_GOOD * current.score and len(best.names) == len(current.names)
     if not alike or not persists(sim, best.fit, first):
         return current, name, shares

@@ -27,6 +27,8 @@ MOST_ASKED = 8
 """So many of the best are asked whether they stand in the wind; the rest fall behind them."""
 LOSSES = ('quadratic_drag', 'coulomb_friction')
 """Effects that only take energy away, as the base's damping does."""
+FALLEN = 3.0
+"""Standard errors by which a damping must have fallen where it ends just below zero."""
 
 
 def worthy(
@@ -52,7 +54,8 @@ def worthy(
             sharp = 2.0 * float(sharp_p(sim, one.fit)[-1])
             small = small and (sharp >= level or current.curves > 0)
             chance = min(2.0 * chance, sharp)
-        if not small and chance < level and not _against_nature(current, one):
+        paid = against_nature(current, one, one.names[-1])
+        if not small and chance < level and not paid:
             good.append(one)
     good = sorted(good, key=lambda one: one.score)[:MOST_ASKED]
     return [one for one in good if _stands(sim, current, one)]
@@ -67,15 +70,16 @@ def _stands(sim: Simulator, current: Candidate, one: Candidate) -> bool:
     )
 
 
-def _against_nature(current: Candidate, one: Candidate) -> bool:
+def against_nature(rest: Candidate, one: Candidate, added: str) -> bool:
     """A loss that is paid for by a viscous damping below zero is the shape of something else.
 
     Friction that falls with the rate (Stribeck) looks like drag beside a negative damping.
+    rest: the model without the loss `added`.
     """
     damping, error = float(one.fit.theta[3]), float(one.fit.std[3])
-    added = one.fit.structure.effects[-1].name
-    falls = damping < -0.5 * error and damping < float(current.fit.theta[3])
-    return added in LOSSES and falls
+    fallen = float(rest.fit.theta[3]) - damping
+    below = damping < -0.5 * error and fallen > 0.0
+    return added in LOSSES and (below or (damping < 0.0 and fallen > FALLEN * error))
 
 
 def _least(current: Candidate, one: Candidate) -> float:
