@@ -95,6 +95,18 @@ def test_what_is_measured_inside_a_window_changes_nothing_there(flight):
             assert np.abs(again[number + 1] - plain[number + 1]).max() > 1e-6
 
 
+@pytest.mark.parametrize('lost_s', [0.0, 0.8])
+def test_measurement_noise_is_what_was_added_gap_or_not(flight, lost_s):
+    """0.005 rad/s of white noise, 6 %: neither torque noise nor the state after a gap count."""
+    data = flight[0]
+    (first, last), *_ = data.train
+    gap = (first + last) // 2 + round(lost_s / DT)
+    spans = ((first, (first + last) // 2), (gap, last))
+    base, model, _ = fit_base(data, spans)
+    assert base.noise_rms(model) == pytest.approx(0.005, rel=0.06)
+    assert model.innovation_rms == pytest.approx(flight[2].innovation_rms, rel=0.05)
+
+
 # the compiled loops against an ODE solver
 
 HELD = np.random.default_rng(8).choice([-0.02, -0.005, 0.01, 0.02], 60).repeat(5)

@@ -220,6 +220,16 @@ def test_identify_is_the_heart_and_the_black_box(axis_type, flown):
     assert low < 10.0 < high
 
 
+def test_a_torque_that_never_ends_does_not_spoil_the_black_box(axis_type, flown):
+    """4 rad/s² of bias: about the equilibrium, not about the means, models run free as without."""
+    answer = answer_of([flown(dataclasses.replace(axis_type(), bias=4.0), SEED)])
+    fits = [
+        fit for row in answer.rows for fit in row.step_a.fit_validation_pct.values()
+        if row.step_a.model.stable
+    ]
+    assert np.median(fits) > 90.0
+
+
 def test_wrong_sign_of_the_command_is_told_by_the_gain(axis_type, flown):
     """Motors in the wrong order show as a negative gain, within 2 %."""
     record = flown(axis_type(), SEED)

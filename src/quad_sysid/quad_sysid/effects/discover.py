@@ -75,6 +75,12 @@ class Discovery:
     informative: bool = True
     """False: half a second of free run says nothing; the base is fitted over 50 ms instead."""
 
+    @property
+    def trim(self) -> tuple[float, float] | None:
+        """Command and rate at which the base rests; None where it says nothing of that."""
+        gain, bias = float(self.base.theta[0]), float(self.base.theta[4])
+        return (-bias / gain, 0.0) if self.informative else None
+
 
 def discover(
     data: AxisData,

@@ -116,10 +116,12 @@ def judge(found: Discovery, rng: np.random.Generator) -> Judgement:
             'the sign of the gyro before anything else'
         )
     tests = _leave_one_out(found, after, rng) if passed else {}
-    noise = found.chosen_noise if passed else found.base_noise
+    fit, noise = (
+        (found.chosen, found.chosen_noise) if passed else (found.base, found.base_noise)
+    )
     return Judgement(
         verdict=verdict, reason=reason, before=before, after=after if passed else before,
-        test=test, noise_floor=noise.measurement_rms, hold=hold, effect_tests=tests,
+        test=test, noise_floor=fit.noise_rms(noise), hold=hold, effect_tests=tests,
         dependence=found.dependence,
     )
 

@@ -64,6 +64,8 @@ class AxisData:
     """How the far end integrates, one of drive.REALISATIONS."""
     reference: FloatArray | None = None
     """(n,) what drives the loop from outside, as Record.external; NaN where a record lacks it."""
+    trim: tuple[float, float] | None = None
+    """Command and rate (rad/s) of the equilibrium, once a fit has told; None: not known."""
 
     @property
     def index(self) -> int:

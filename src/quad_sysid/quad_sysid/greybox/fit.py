@@ -26,6 +26,8 @@ RUNAWAY = 1e6
 """A free run this far off has left the aircraft behind, rad/s; nothing beyond it is told apart."""
 FIRST_STEPS = 3
 """Iterations from each of several starts."""
+SETTLED_S = 1.0
+"""Each span begins with a guess of the state: innovations count from here on."""
 SAME_AS_NONE = 0.25
 """A lag or delay of less than this share of a cycle is told as none."""
 LEAST_WINDOWS = 8
@@ -84,6 +86,11 @@ class Fit:
     def std(self) -> FloatArray:
         """(p,) standard errors, NaN at a bound."""
         return np.sqrt(np.diag(self.covariance))
+
+    def noise_rms(self, model: noise.NoiseModel) -> float:
+        """RMS of the measurement noise, rad/s; by the innovations where windows are too short."""
+        found = noise.measured_noise(self.errors, self.dt)
+        return model.measurement_rms if found is None else found
 
     @property
     def freedom(self) -> int:
@@ -270,6 +277,7 @@ def settle(
 def best_correction(sim: Simulator, fit: Fit) -> noise.NoiseModel:
     """The Kalman gain with the smallest free-run error on the training windows."""
     data = sim.data
+    lead = round(SETTLED_S / data.dt)
 
     def score(exponent: float, before_filter: bool) -> tuple[float, noise.NoiseModel]:
         model = noise.white_noise_model(
@@ -279,8 +287,10 @@ def best_correction(sim: Simulator, fit: Fit) -> noise.NoiseModel:
         rms = run.rms
         if not np.isfinite(rms):
             return rms, model
-        innovations = run.innovations[np.isfinite(run.innovations)]
-        return rms, noise.scaled(model, float(np.sqrt(np.mean(innovations**2))))
+        parts = [run.innovations[a + lead : b] for a, b in sim.spans]
+        settled = np.concatenate([part for part in parts if part.size] or [run.innovations])
+        settled = settled[np.isfinite(settled)]
+        return rms, noise.scaled(model, float(np.sqrt(np.mean(settled**2))))
 
     # where the noise enters hardly shows in the free run, but clearly in the one-step error
     kinds: list[tuple[float, float, bool]] = []

@@ -15,6 +15,11 @@ from quad_sysid.greybox import kernels
 from quad_sysid.greybox.data import AxisData
 from quad_sysid.greybox.drive import gyro_step
 
+NUGGET_S = (0.03, 0.12)
+"""Lags of the variogram: longer than the gyro filter's memory, too short for much torque."""
+LEAD_S = 0.04
+"""So long a window still knows the noise that was in its first sample."""
+
 
 @dataclass(frozen=True)
 class NoiseModel:
@@ -91,6 +96,23 @@ def _intensities(
         impulse[i] = g
     variance = measurement_rms**2 / float(impulse @ impulse)
     return np.diag([torque**2 * dt, variance]), 1e-6 * measurement_rms**2
+
+
+def measured_noise(errors: FloatArray, dt: float) -> float | None:
+    """RMS of the noise in the measured rate, rad/s, whatever its colour; None: cannot be told.
+
+    errors (windows, length): free-run errors. Half the mean square of what they change by over a
+    lag is the noise's variance and what torque and model error add, which vanishes as the lag
+    goes to zero; the value there (the nugget of a variogram, Matheron 1963) by a parabola.
+    """
+    within = errors[:, round(LEAD_S / dt) :]
+    last = min(round(NUGGET_S[1] / dt), within.shape[1] - 1)
+    lags = np.arange(max(1, round(NUGGET_S[0] / dt)), last + 1)
+    if lags.size < 4 or not np.isfinite(within).all():
+        return None
+    half = [0.5 * float(np.mean((within[:, k:] - within[:, :-k]) ** 2)) for k in lags]
+    nugget = np.polynomial.Polynomial.fit(lags * dt, half, 2)(0.0)
+    return float(np.sqrt(max(nugget, 0.0)))
 
 
 def scaled(model: NoiseModel, innovation_rms: float) -> NoiseModel:

@@ -53,7 +53,7 @@ def axis_model(
         mean_battery_v=None if volts is None else float(
             np.mean(np.concatenate([volts[a:b] for a, b in data.train]))
         ),
-        noise_rms=noise.measurement_rms,
+        noise_rms=fit.noise_rms(noise),
         torque_noise=noise.torque,
         trusted_band_rad_s=band,
         realisation=data.realisation,

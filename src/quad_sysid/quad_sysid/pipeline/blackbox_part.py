@@ -39,7 +39,7 @@ SHORTEST = 100
 
 @dataclass(frozen=True)
 class Offsets:
-    """Means over the training segments: the trim about which the linear models hold."""
+    """The trim about which the linear models hold."""
 
     command: float
     rate: float
@@ -48,7 +48,11 @@ class Offsets:
 
 
 def offsets(data: AxisData) -> Offsets:
-    """Trim of the training segments; taken off every segment alike, never fitted anew."""
+    """Trim of the training segments; taken off every segment alike, never fitted anew.
+
+    The base's equilibrium where it is known: an axis nearly integrates, and the means of a command
+    and a rate that ends elsewhere than it began are no equilibrium. Otherwise the means.
+    """
 
     def mean(x: FloatArray) -> float:
         parts = np.concatenate([x[a:b] for a, b in data.train])
@@ -56,7 +60,8 @@ def offsets(data: AxisData) -> Offsets:
         return float(known.mean()) if known.size else 0.0
 
     reference = 0.0 if data.reference is None else mean(data.reference)
-    return Offsets(mean(data.command), mean(data.rate), reference)
+    command, rate = data.trim or (mean(data.command), mean(data.rate))
+    return Offsets(command, rate, reference)
 
 
 def io_data(data: AxisData, spans: tuple[Span, ...], *, external: bool = True) -> IOData:

@@ -89,6 +89,7 @@ def identify_axis(
             axis, rate, segments, 'cannot_tell', str(error),
             proposal=GainProposal(None, str(error)),
         )
+    found = replace(found, data=replace(found.data, trim=found.trim))
     data = found.data
     judgement = judge(found, rng)
     progress(f'{axis}: black-box models')
