@@ -107,7 +107,7 @@ def discover(
         base, base_noise, base_sim = settle(replace(sim, _cache={}), without_effects(sim, current))
     rivals: dict[str, Shares] = {}
     for chosen_name in current.names:
-        near = _near(chosen_name, tried, current)
+        near = _near(chosen_name, tried, current, prepared)
         current, name, shares = settled(sim, current, chosen_name, prepared, near, rng)
         if name:
             rivals[name] = shares
@@ -190,10 +190,19 @@ def _prepare(
     return ready, tuple(dict.fromkeys(m for m in missing if m[0] not in tested))
 
 
-def _near(name: str, tried: Sequence[Tried], current: Candidate) -> set[str]:
-    """The names that came nearest in the step in which `name` was chosen."""
+def _near(
+    name: str, tried: Sequence[Tried], current: Candidate, prepared: Sequence[Prepared]
+) -> set[str]:
+    """The names that came nearest in the step in which `name` was chosen.
+
+    A name is contested by names alone: curves that came nearer do not shield it.
+    """
+    names = {effect.name for effect, _ in prepared if effect.kind == 'named'}
     mine = [t.step for t in tried if t.name == name and not t.screened]
     step = max(mine or [t.step for t in tried if t.name == name])
-    fitted = (t for t in tried if t.step == step and not t.screened)
+    fitted = [
+        t for t in tried
+        if t.step == step and not t.screened and (name not in names or t.name in names)
+    ]
     near = sorted(fitted, key=lambda t: t.score)[: 1 + MOST_RIVALS]
     return {t.name for t in near} - set(current.names)
