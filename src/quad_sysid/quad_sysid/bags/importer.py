@@ -18,6 +18,7 @@ import numpy as np
 
 from quad_sysid.bags.csv_table import Table, read_table
 from quad_sysid.bags.mixers import Mixer, mixer_of
+from quad_sysid.bags.plausible import Column, check_rate, check_reference, check_times
 from quad_sysid.bags.stamps import Grid, uniform_grid
 from quad_sysid.bags.units import Role, Unit, unit_of
 from quad_sysid.bags.writer import BagOptions, write_bag
@@ -83,6 +84,7 @@ def import_csv(options: ImportOptions) -> Path:
     with _lines(options.file) as lines:
         table = read_table(lines, str(options.file), list(roles))
     seconds = units[options.time](table.columns[options.time])
+    odd = check_times(_column(options, units, options.time, seconds))
     grid = _grid(seconds, table, options)
     columns = {
         name: _on_grid(units[name](table.columns[name]), seconds, grid)
@@ -95,8 +97,7 @@ def import_csv(options: ImportOptions) -> Path:
         notes.append(f'{left_out} rows left out that no motors of an X frame can give')
     rate = columns.get(options.rate or '')
     angle = columns.get(options.angle or '')
-    if angle is not None:
-        _check_angle(angle, options)
+    odd += _compared(options, units, columns, grid.dt)
     if rate is None:
         rate, told = _derivative(columns[options.angle or ''], grid.dt)
         notes.append(f'rate of {options.angle} by {told}')
@@ -115,8 +116,10 @@ def import_csv(options: ImportOptions) -> Path:
         rate_setpoint=None if by_angle else reference,
         battery_v=columns.get(options.battery or ''),
     )
-    bag = BagOptions(notes={'import': f'{options.file.name}: {"; ".join(notes)}'})
-    return write_bag(record, options.out, bag)
+    notes_of_bag = {'import': f'{options.file.name}: {"; ".join(notes)}'}
+    if odd:
+        notes_of_bag['import check'] = '; '.join(odd)
+    return write_bag(record, options.out, BagOptions(notes=notes_of_bag))
 
 
 def _notes(
@@ -293,6 +296,28 @@ def _check_angle(angle: FloatArray, options: ImportOptions) -> None:
             f'{largest:.4g} of {limit:.4g}',
             f'name its unit, such as --unit {shlex.quote(f"{options.angle}=deg")}',
         )
+
+
+def _column(
+    options: ImportOptions, units: Mapping[str, Unit], name: str, values: FloatArray
+) -> Column:
+    return Column(str(options.file), name, units[name], name in options.units, values)
+
+
+def _compared(
+    options: ImportOptions, units: Mapping[str, Unit], columns: Mapping[str, FloatArray], dt: float
+) -> list[str]:
+    """Hold rate, angle and reference against each other; what is odd, in words."""
+    rate, angle, reference = (
+        _column(options, units, name, columns[name]) if name else None
+        for name in (options.rate, options.angle, options.reference)
+    )
+    if angle is not None:
+        _check_angle(angle.values, options)
+    odd = [] if rate is None else check_rate(rate, angle, dt)
+    if reference is not None and angle is not None and options.reference_is == 'angle':
+        check_reference(reference, angle)
+    return odd
 
 
 def _derivative(values: FloatArray, dt: float) -> tuple[FloatArray, str]:

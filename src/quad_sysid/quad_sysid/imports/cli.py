@@ -98,4 +98,5 @@ def _table(options: argparse.Namespace) -> int:
               f'{record.n * record.dt:.1f} s')
         for warning in record.warnings:
             print(f'  {warning}')
+        print(f'\nnext: quad-sysid inspect {path}')
     return 0
