@@ -76,6 +76,8 @@ def test_a_flight_in_which_nothing_moves_is_good_for_nothing(record, tmp_path, c
     assert main(['inspect', str(path)]) == 3
     out, err = capsys.readouterr()
     assert 'no  identify roll: the command never moves' in out
+    assert 'not excited: the command stands still' in out
+    assert 'persistently' not in out
     assert len(err.splitlines()) == 1
 
 

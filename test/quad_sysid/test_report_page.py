@@ -17,7 +17,7 @@ from quad_sysid.model import GainProposal
 from quad_sysid.pipeline.answer import AxisAnswer
 from quad_sysid.pipeline.identify import Options, identify
 from quad_sysid.record import GainChange, Record, Segment
-from quad_sysid.report import document, plots, store
+from quad_sysid.report import document, plots, selection_tables, store, tables, text
 from quad_sysid.report.canvas import Picture, panels, svg
 from quad_sysid.report.html import page
 
@@ -217,6 +217,17 @@ def test_cannot_tell_says_why_once():
     text = page(document.document({'yaw': answer}, ['bag']), {'yaw': answer})
     assert text.count('command never moves') == 1
     assert '<figure' not in text
+
+
+def test_nothing_is_completed_where_nothing_was_added(answers):
+    tree = document.document(answers, ['bag'])['axes']['roll']
+    told = [tables.errors, tables.parameters, selection_tables.residuals]
+    assert all('completed' in tell(tree) for tell in told)
+    assert any('completed' in line for line in text.lines({'axes': {'roll': tree}}))
+    bare = {**tree, 'effects': [], 'verdict': 'no_missing_effect'}
+    assert not any('completed' in tell(bare) for tell in told)
+    assert all('base' in tell(bare) for tell in told)
+    assert not any('completed' in line for line in text.lines({'axes': {'roll': bare}}))
 
 
 def test_a_picture_that_fails_is_named_and_the_rest_stand(answers, monkeypatch):

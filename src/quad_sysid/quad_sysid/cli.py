@@ -210,7 +210,8 @@ def _evaluate(options: argparse.Namespace) -> int:
     for e in () if options.quiet else found:
         print(f'{e.axis}: {document.METRIC}, rad/s, {e.windows} windows')
         print(f'  base (before)       {e.before:.4g}')
-        print(f'  completed (after)   {e.after:.4g}')
+        if models[e.axis].effects:
+            print(f'  completed (after)   {e.after:.4g}')
         print(f'  hold the last value {e.hold:.4g}')
     return DONE
 

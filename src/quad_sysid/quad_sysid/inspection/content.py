@@ -17,7 +17,7 @@ from quad_sysid.blackbox import excitation_order
 from quad_sysid.errors import BadInputError, NotInformativeError, QuadSysidError
 from quad_sysid.greybox.data import AxisData, axis_data
 from quad_sysid.inspection.topics import Topics, topics
-from quad_sysid.inspection.uses import Use, uses_of_axis, uses_of_flight
+from quad_sysid.inspection.uses import MOVES, Use, uses_of_axis, uses_of_flight
 from quad_sysid.pipeline.assemble import band_of
 from quad_sysid.pipeline.blackbox_part import io_data
 from quad_sysid.pipeline.identify import asked_axes
@@ -45,7 +45,7 @@ class AxisContent:
     reference_rms: float | None
     """rad, rad/s or normalised, as the excitation is injected; None where the bag lacks it."""
     excitation_order: int | None
-    """Order to which the command is persistently exciting, at most RICHEST."""
+    """Order to which the command is persistently exciting, at most RICHEST; 0: it stands still."""
     coherent_band_rad_s: tuple[float, float] | None
     """Widest unbroken band of squared coherence above 0.6."""
     uses: tuple[Use, ...]
@@ -155,11 +155,14 @@ def _axis(record: Record, axis: str) -> AxisContent:
     command = _rms(data, data.command)
     return AxisContent(
         axis, lengths['train'], lengths['validation'], windows, _rms(data, data.rate),
-        command, reference, _order(data), band_of(data) if command else None, uses,
+        command, reference, _order(data, command),
+        band_of(data) if command and command > MOVES else None, uses,
     )
 
 
-def _order(data: AxisData) -> int | None:
+def _order(data: AxisData, command_rms: float | None) -> int | None:
+    if command_rms is not None and command_rms <= MOVES:
+        return 0  # else rounding of the mixer would count as excitation
     try:
         return excitation_order(io_data(data, data.train), RICHEST)
     except QuadSysidError:

@@ -90,7 +90,9 @@ def _axis(one: AxisContent) -> Iterator[str]:
     if one.rate_rms is not None and one.command_rms is not None:
         reference = '' if one.reference_rms is None else f', reference {one.reference_rms:.3g}'
         yield f'  RMS: rate {one.rate_rms:.3g} rad/s, command {one.command_rms:.3g}{reference}'
-    if one.excitation_order is not None:
+    if one.excitation_order == 0:
+        yield '  not excited: the command stands still'
+    elif one.excitation_order is not None:
         band = one.coherent_band_rad_s
         told = f'{band[0]:.2g} to {band[1]:.3g} rad/s' if band else 'in no band'
         yield (f'  persistently exciting of order {one.excitation_order}; '

@@ -44,8 +44,9 @@ def overlay(answer: AxisAnswer) -> Picture | None:
     figure, axes = panels(2, height_in=3.9, ratios=(2.0, 1.0))
     measured = loop.measured[shown]
     axes[0].plot(*thinned(time_s[shown], measured), color=INK, lw=1.0, label='measured')
-    runs = [(loop.after, AFTER, '-', 'completed')]
-    if answer.model is not None and answer.model.effects:
+    added = answer.model is not None and bool(answer.model.effects)
+    runs = [(loop.after, AFTER, '-', 'completed' if added else 'base')]
+    if added:
         runs.insert(0, (loop.before, BEFORE, '--', 'base'))
     for simulated, colour, style, name in runs:
         flown = simulated[shown]
@@ -59,8 +60,8 @@ def overlay(answer: AxisAnswer) -> Picture | None:
     return Picture(
         'closed_loop', 'Simulated flight against the recorded one',
         'The controller and the model flown on the recorded attitude reference alone, from the '
-        f'start of the record. RMS over the held-out segments: base {loop.rms_before:.3g}, '
-        f'completed {loop.rms_after:.3g} rad/s.', figure,
+        f'start of the record. RMS over the held-out segments: base {loop.rms_before:.3g}'
+        + (f', completed {loop.rms_after:.3g} rad/s.' if added else ' rad/s.'), figure,
     )
 
 

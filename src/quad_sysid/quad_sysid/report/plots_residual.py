@@ -53,10 +53,12 @@ def one_step(answer: AxisAnswer) -> Picture | None:
     axes[0].plot(time_s, data.rate[inside], color=INK, lw=2.2, alpha=0.35, label='measured')
     axes[0].plot(time_s, (data.rate - errors)[inside], color=AFTER, lw=0.9,
                  label='one step ahead')
-    if judgement.after is not judgement.before:
+    added = judgement.after is not judgement.before
+    if added:
         axes[1].plot(time_s, judgement.before.run.innovations[inside], color=BEFORE, lw=0.9,
                      ls='--', label='base')
-    axes[1].plot(time_s, errors[inside], color=AFTER, lw=0.9, label='completed')
+    axes[1].plot(time_s, errors[inside], color=AFTER, lw=0.9,
+                 label='completed' if added else 'base')
     bound = Z99 * judgement.noise_floor
     axes[1].axhspan(-bound, bound, color=GREEN, alpha=0.14, lw=0, label='99 % of the noise')
     axes[0].set_ylabel('rate, rad/s')

@@ -68,7 +68,7 @@ def residuals(tree: Tree) -> str:
     rows = []
     for key, name in MODELS:
         found = (tree.get('residual') or {}).get(key)
-        if not found:
+        if not found or (key == 'after' and not tree['effects']):
             continue
         peaks = ', '.join(f'{p["frequency_hz"]:.1f} Hz' for p in found['peaks'][:3])
         torque = found.get('missing_torque')

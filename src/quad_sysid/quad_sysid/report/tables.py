@@ -43,7 +43,7 @@ def overview(report: Tree) -> str:
         names = ', '.join(e['name'] for e in tree['effects']) or '–'
         gains = 'proposed' if tree.get('gains') else 'none'
         rows.append([axis, tree['verdict'], names, number(error['before']),
-                     number(error['after']), gains])
+                     number(error['after']) if tree['effects'] else '–', gains])
     return table(['axis', 'verdict', 'effects', 'before, rad/s', 'after, rad/s', 'gains'], rows,
                  (3, 4))
 
@@ -64,6 +64,8 @@ def errors(tree: Tree) -> str:
         ['in the loop, base', number(error.get('closed_loop_before')), '', ''],
         ['in the loop, completed', number(error.get('closed_loop_after')), '', ''],
     ]
+    if not tree['effects']:
+        rows = [row for row in rows if 'completed' not in row[0]]
     rows = [row for row in rows if row[1] != '–']
     windows = f', {error["windows"]} windows' if error.get('windows') else ''
     caption = f'{error["metric"]}, {error["unit"]}, {error["data"]} data{windows}'
@@ -110,7 +112,10 @@ def _outcome(model: Tree, *, chosen: bool) -> str:
 
 
 def parameters(tree: Tree) -> str:
-    """Base alone and completed, side by side."""
+    """Base alone and, where effects were added, completed, side by side."""
+    if not tree['effects']:
+        alone = [[p['name'], _value(p), p['unit']] for p in tree['base']['parameters']]
+        return table(['parameter', 'base', 'unit'], alone, (1,), caption='± one standard error')
     after = {p['name']: p for p in tree.get('completed', {}).get('parameters', [])}
     rows = [
         [p['name'], _value(p), _value(after.get(p['name'])), p['unit']]

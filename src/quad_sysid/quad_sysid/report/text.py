@@ -31,7 +31,8 @@ def brief(report: Mapping[str, Any]) -> list[str]:
         effects = ', '.join(e['name'] for e in tree['effects'])
         out.append(f'  {axis}: {tree["verdict"]}{": " + effects if effects else ""}')
         if error['before'] is not None:
-            out.append(f'    error {error["before"]:.4g} -> {error["after"]:.4g} {error["unit"]}')
+            after = f' -> {error["after"]:.4g}' if tree['effects'] else ''
+            out.append(f'    error {error["before"]:.4g}{after} {error["unit"]}')
         else:
             out += ['  ' + line for line in _wrapped(tree.get('reason', ''), 74)]
     return out
@@ -94,7 +95,8 @@ def _errors(tree: Mapping[str, Any]) -> list[str]:
     out = ['', f'error on {error["data"]} data, {error["unit"]},', f'{error["metric"]}']
     pairs = [
         ('base (before)', error['before'], error.get('before_interval_95')),
-        ('completed (after)', error['after'], error.get('after_interval_95')),
+        ('completed (after)', error['after'] if tree['effects'] else None,
+         error.get('after_interval_95')),
         ('black box', error.get('blackbox'), None),
         ('measurement noise', error['noise_floor'], None),
         ('hold the last value', error.get('hold_last_value'), None),
