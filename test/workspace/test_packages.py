@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import configparser
 import contextlib
 import importlib.util
 import runpy
@@ -111,3 +112,17 @@ def test_ros_imports_stand_in_the_manifest(package: str) -> None:
             tops = {SYSTEM_KEYS.get(top, top) for top in tops}
             wanted = tops & (ros | set(SYSTEM_KEYS.values()))
             assert wanted <= declared, f'{path}: {wanted - declared}'
+
+
+def test_colcon_runs_every_folder_of_tests_once() -> None:
+    named: list[Path] = []
+    for package in PACKAGES:
+        folder = ROOT / 'src' / package
+        setup = configparser.ConfigParser()
+        setup.read(folder / 'setup.cfg')
+        assert '--import-mode=importlib' in setup['tool:pytest']['addopts']
+        paths = [(folder / p).resolve() for p in setup['tool:pytest']['testpaths'].split()]
+        assert ROOT / 'test' / package in paths
+        named += paths
+    there = [p for p in (ROOT / 'test').iterdir() if any(p.glob('test_*.py'))]
+    assert sorted(named) == sorted(there)
