@@ -29,6 +29,8 @@ PATIENCE = 5
 """Iterations before a second descent is measured against the first."""
 EXACT = 1e-18
 """Part of the output's power below which a residual is rounding, as with data free of noise."""
+FLAT = 1e-13
+"""Eigenvalue of a scaled Hessian, against the largest, below which it is rounding."""
 SLOW = 0.2
 """Gauss-Newton is slow where a step leaves more than this part of what it promised."""
 
@@ -44,9 +46,10 @@ class Point:
 
 
 def sum_of_squares(point: Point) -> float:
-    """Sum of squared errors; inf where it overflowed."""
+    """Sum of squared errors; inf where it or its derivatives overflowed."""
     total = float(sum(e @ e for e in point.errors))
-    return total if math.isfinite(total) else math.inf
+    known = np.isfinite(point.hessian).all() and np.isfinite(point.slope).all()
+    return total if known and math.isfinite(total) else math.inf
 
 
 def evaluate(model: Model, z: IOData) -> Point:
@@ -108,11 +111,10 @@ def _advance(
     """Go to a lower point: with the residual's curvature where given, else by Gauss-Newton."""
     if curvature is not None:
         _, slope, scale = _scaled(point)
-        full = (point.hessian + curvature) / np.outer(scale, scale)
-        if np.linalg.eigvalsh(full)[0] > 1e-12:
-            ahead = _search(model, point, np.linalg.solve(full, slope) / scale, z)
-            if ahead is not None:
-                return ahead
+        bent = _bent_step((point.hessian + curvature) / np.outer(scale, scale), slope)
+        ahead = None if bent is None else _search(model, point, bent / scale, z)
+        if ahead is not None:
+            return ahead
     for damping in DAMPINGS:
         ahead = _search(model, point, _step(point, damping), z)
         if ahead is not None:
@@ -181,15 +183,30 @@ def _scaled(point: Point) -> tuple[FloatArray, FloatArray, FloatArray]:
 def _step(point: Point, damping: float) -> FloatArray:
     """Damped Gauss-Newton step (p,), to be subtracted."""
     hessian, slope, scale = _scaled(point)
-    damped = hessian + damping * np.eye(slope.size)
-    return np.asarray(np.linalg.solve(damped, slope) / scale)
+    values, vectors = np.linalg.eigh(hessian)
+    raised = np.maximum(values, 0.0) + max(damping, FLAT * values[-1])
+    return np.asarray(vectors @ ((vectors.T @ slope) / raised) / scale)
+
+
+def _bent_step(full: FloatArray, slope: FloatArray) -> FloatArray | None:
+    """Newton step of a Hessian (p, p) with curvature; None where it bends down or is flat.
+
+    Flat is judged against its largest eigenvalue: a curvature far above the Gauss-Newton part
+    leaves the small ones to rounding.
+    """
+    if not np.isfinite(full).all():
+        return None
+    values, vectors = np.linalg.eigh(full)
+    if values[0] <= FLAT * max(values[-1], 1.0):
+        return None
+    return np.asarray(vectors @ ((vectors.T @ slope) / values))
 
 
 def decrement(point: Point) -> float:
     """Decrease of the sum of squares that the undamped step promises."""
     hessian, slope, _ = _scaled(point)
     values, vectors = np.linalg.eigh(hessian)
-    kept = values > 1e-13 * values[-1]
+    kept = values > FLAT * values[-1]
     return float(np.sum((vectors[:, kept].T @ slope) ** 2 / values[kept]))
 
 
