@@ -20,9 +20,11 @@ ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ('quad_bridge', 'quad_sysid', 'quad_tuning')
 SYSTEM_KEYS = {
     'numpy': 'python3-numpy', 'scipy': 'python3-scipy', 'yaml': 'python3-yaml',
-    'serial': 'python3-serial', 'matplotlib': 'python3-matplotlib',
+    'serial': 'python3-serial', 'matplotlib': 'python3-matplotlib', 'numba': 'python3-numba',
+    'rosbags': 'python3-rosbags-pip', 'pymavlink': 'python3-pymavlink-pip',
+    'control': 'python-control-pip', 'argcomplete': 'python3-argcomplete',
 }  # fmt: skip
-"""Imports that rosdep provides; the others come from PyPI by requirements/."""
+"""Imports that rosdep knows (rosdistro, rosdep/python.yaml); others: requirements/."""
 
 
 def setup_arguments(package: str, command: str = 'develop') -> dict[str, Any]:
