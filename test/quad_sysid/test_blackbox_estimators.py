@@ -216,6 +216,43 @@ def test_indirect_starts_anywhere_in_the_flight_and_without_an_integrator(study)
     assert np.all(np.abs(model.parameters - true) < 4 * model.std)
 
 
+@pytest.mark.parametrize('seed', [1, 5, 6, 7])
+def test_a_drift_leaves_oe_on_the_edge_of_stability_and_converged(seed):
+    """A random walk beside the plant: the least loss is on the edge, no start has less (1e-6)."""
+    truth = polynomial_model([0, 0, 0.004, 0.003], F=[1, -1.9, 0.9025], dt=0.004)
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.choice([-1.0, 1.0], 300), 20)
+    drift = 0.02 * rng.standard_normal(6000).cumsum()
+    z = IOData(u, simulate(truth, u) + drift + 0.02 * rng.standard_normal(6000), 0.004)
+    model = oe(z, 2, 3, 2)
+    assert model.converged
+    assert np.max(np.abs(model.poles)) == pytest.approx(1.0, abs=1e-6)
+    assert model.stable
+    assert 'edge of stability' in model.warnings[0]
+    spread = model.covariance[2:, 2:]
+    assert spread.sum() < 1e-6 * np.trace(spread)  # of F(1), which a pole at 1 holds at 0
+    inner = sorted(model.poles, key=abs)[:-1]
+    for pole in (0.99, 0.9999):
+        start = replace(model, F=np.real(np.poly([*(0.99 * one for one in inner), pole])))
+        again = oe(z, 2, 3, 2, start=start)
+        assert again.converged
+        assert model.loss <= again.loss * (1.0 + 1e-6)
+
+
+def test_a_pole_on_the_edge_is_let_go_where_the_data_have_none():
+    """Recovery within 4 standard errors from a start on the edge, real or as a pair."""
+    truth = polynomial_model([0, 0, 0.1, 0.05], F=[1, -1.6, 0.68], dt=0.01)
+    rng = np.random.default_rng(0)
+    u = rng.choice([-1.0, 1.0], 3000)
+    z = IOData(u, simulate(truth, u) + 0.1 * rng.standard_normal(3000), 0.01)
+    for tail in ([1, -1.9, 0.9], [1, -1.8, 1.0]):
+        model = oe(z, 2, 2, 2, start=replace(truth, F=np.array(tail)))
+        assert model.converged
+        assert model.warnings == ()
+        off = model.parameters - truth.parameters
+        assert np.all(np.abs(off) < 4 * model.std)
+
+
 def test_data_without_noise_give_the_plant_exactly():
     truth = polynomial_model([0, 0, 0.1, 0.05], F=[1, -1.6, 0.68], dt=0.01)
     u = np.random.default_rng(0).choice([-1.0, 1.0], 2000)

@@ -11,12 +11,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from quad_sysid.blackbox.filters import filter_columns
-from quad_sysid.blackbox.innovations import errors_and_gradient
+from quad_sysid.blackbox.innovations import DEPENDENT, errors_and_gradient
 from quad_sysid.blackbox.polynomial import Model
 from quad_sysid.blackbox.regression import upper
 from quad_sysid.blackbox.residuals import AR_ORDER_MAX, whitener
 from quad_sysid.blackbox.spectra import autocovariance
-from quad_sysid.blackbox.start_values import inside
+from quad_sysid.blackbox.stability_edge import free_directions, on_edge, pulled
 from quad_sysid.contract import FloatArray
 from quad_sysid.record import IOData
 
@@ -72,8 +72,9 @@ def without(gradient: FloatArray, states: FloatArray) -> FloatArray:
     kept = states[:, scale > 0.0] / scale[scale > 0.0]
     if kept.shape[1] == 0 or not np.isfinite(kept).all():
         return gradient
-    gram = np.linalg.pinv(kept.T @ kept, rcond=1e-12, hermitian=True)
-    return np.asarray(gradient - kept @ (gram @ (kept.T @ gradient)))
+    basis, values, _ = np.linalg.svd(kept, full_matrices=False)
+    basis = basis[:, values > DEPENDENT * values[0]]
+    return np.asarray(gradient - basis @ (basis.T @ gradient))
 
 
 def descend(model: Model, point: Point, z: IOData, bar: float = math.inf) -> Model:
@@ -89,13 +90,16 @@ def descend(model: Model, point: Point, z: IOData, bar: float = math.inf) -> Mod
         return replace(model, converged=False, loss=math.inf, samples=rows)
     while iteration < MAX_ITERATIONS:
         iteration += 1
-        promised = decrement(point)
+        free = _free(model, point)
+        local = _confined(point, free)
+        promised = decrement(local)
         if rows * promised <= TOLERANCE * sum_of_squares(point) or sum_of_squares(point) <= exact:
             converged = True
             break
         if iteration > PATIENCE and sum_of_squares(point) - PATIENCE * promised > bar * rows:
             break
-        ahead = _advance(model, point, z, curvature if promised > SLOW * before else None)
+        bent = None if promised <= SLOW * before else _inside(curvature, free)
+        ahead = _advance(model, local, z, bent)
         if ahead is None:
             converged = rows * promised <= 100.0 * TOLERANCE * sum_of_squares(point)
             break
@@ -103,6 +107,30 @@ def descend(model: Model, point: Point, z: IOData, bar: float = math.inf) -> Mod
         before = promised
         model, point = ahead
     return _finished(model, point, converged, iteration)
+
+
+def _free(model: Model, point: Point) -> FloatArray | None:
+    """(p, m) what may move where the plain step would carry a root across the edge; None: all."""
+    if not on_edge(model):
+        return None
+    hessian, slope, scale = _scaled(point)
+    return free_directions(model, -np.linalg.lstsq(hessian, slope, rcond=1e-13)[0] / scale)
+
+
+def _confined(point: Point, free: FloatArray | None) -> Point:
+    """The criterion as it is seen in the free directions (p, m) alone."""
+    if free is None:
+        return point
+    onto = free @ free.T
+    beside = np.eye(onto.shape[0]) - onto
+    stiff = float(np.max(np.diag(point.hessian)))
+    return replace(
+        point, hessian=onto @ point.hessian @ onto + stiff * beside, slope=onto @ point.slope
+    )
+
+
+def _inside(curvature: FloatArray, free: FloatArray | None) -> FloatArray:
+    return curvature if free is None else free @ free.T @ curvature @ free @ free.T
 
 
 def _advance(
@@ -152,10 +180,7 @@ def _search(
     sse, promised = sum_of_squares(point), float(point.slope @ step)
     length = 1.0
     while length > 1e-3:
-        trial = model.with_parameters(model.parameters - length * step)
-        if not (inside(trial.C) is trial.C and inside(trial.F) is trial.F):
-            length *= 0.5
-            continue
+        trial = pulled(model.with_parameters(model.parameters - length * step))
         ahead = evaluate(trial, z)
         if sum_of_squares(ahead) < sse:
             break
@@ -165,11 +190,10 @@ def _search(
         return None
     beyond = -float(ahead.slope @ step) / promised
     if length == 1.0 and beyond > 0.2:
-        middle = model.with_parameters(model.parameters - step / (1.0 + beyond))
-        if inside(middle.C) is middle.C and inside(middle.F) is middle.F:
-            back = evaluate(middle, z)
-            if sum_of_squares(back) < sum_of_squares(ahead):
-                return middle, back
+        middle = pulled(model.with_parameters(model.parameters - step / (1.0 + beyond)))
+        back = evaluate(middle, z)
+        if sum_of_squares(back) < sum_of_squares(ahead):
+            return middle, back
     return trial, ahead
 
 
@@ -211,15 +235,21 @@ def decrement(point: Point) -> float:
 
 
 def _finished(model: Model, point: Point, converged: bool, iterations: int) -> Model:
-    """Attach loss, noise variance and covariance (Ljung 1999, eq. 9.42)."""
+    """Attach loss, noise variance and covariance (Ljung 1999, eq. 9.42).
+
+    Roots at the edge of stability have no spread: the covariance is that of the rest.
+    """
     n, p = sum(e.size for e in point.errors), model.parameters.size
     sse = sum_of_squares(point)
-    scale = np.sqrt(np.diag(point.hessian))
+    free = _free(model, point)
+    kept = np.eye(p) if free is None else free
+    own = [g @ kept for g in point.gradients]
+    scale = np.sqrt(sum(np.einsum('ij,ij->j', g, g) for g in own))
     scale[scale == 0.0] = 1.0
-    r = upper(np.vstack([upper(g / scale) for g in point.gradients]))
+    r = upper(np.vstack([upper(g / scale) for g in own]))
     covariance = None
-    if r.shape[0] == p and np.linalg.cond(r) < 1e12:
-        inverse = np.linalg.solve(r, np.eye(p)) / scale[:, None]
+    if r.shape[0] == kept.shape[1] and np.linalg.cond(r) < 1e12:
+        inverse = kept @ (np.linalg.solve(r, np.eye(r.shape[0])) / scale[:, None])
         covariance = sse / (n - p) * inverse @ inverse.T
         if model.C.size == model.D.size == model.A.size == 1:
             covariance = _sandwich(point, inverse @ inverse.T)

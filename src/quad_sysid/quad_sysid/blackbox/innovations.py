@@ -18,6 +18,9 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.record import IOData
 
+DEPENDENT = 1e-13
+"""Relative singular value below which columns of initial states are taken as dependent."""
+
 
 @dataclass(frozen=True)
 class SegmentErrors:
@@ -125,11 +128,12 @@ def _shifts(x: FloatArray, count: int) -> FloatArray:
 
 
 def _nuisance(columns: FloatArray, target: FloatArray) -> FloatArray:
-    """Least-squares coefficients of the few initial-state columns, pseudo-inverted."""
-    if columns.shape[1] == 0:
-        return np.zeros(0)
+    """Least-squares coefficients of the few initial-state columns, of least norm where dependent.
+
+    By orthogonal factors: slow poles make the columns so much alike that their products lose it.
+    """
+    if columns.shape[1] == 0 or not (np.isfinite(columns).all() and np.isfinite(target).all()):
+        return np.zeros(columns.shape[1])
     scale = np.sqrt(np.einsum('ij,ij->j', columns, columns))
     scale[scale == 0.0] = 1.0
-    unit = columns / scale
-    gram, right = unit.T @ unit, unit.T @ target
-    return np.asarray(np.linalg.pinv(gram, rcond=1e-12, hermitian=True) @ right / scale)
+    return np.asarray(np.linalg.lstsq(columns / scale, target, rcond=DEPENDENT)[0] / scale)

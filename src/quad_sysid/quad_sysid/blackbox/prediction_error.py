@@ -15,6 +15,7 @@ from quad_sysid.blackbox.descent import decrement, descend, evaluate, sum_of_squ
 from quad_sysid.blackbox.innovations import one_step_errors
 from quad_sysid.blackbox.polynomial import Model
 from quad_sysid.blackbox.regression import check_informative, check_order
+from quad_sysid.blackbox.stability_edge import on_edge
 from quad_sysid.blackbox.start_values import (
     HighOrder,
     armax_starts,
@@ -32,6 +33,13 @@ AGREED = 0.1
 
 REINSERTED = 3
 """Places of a nearly cancelling pair from which the descent is tried again."""
+
+EDGE_TOLD = {
+    'F': 'a pole is held at the edge of stability (an integrator): the rate drifts in a way that '
+    'the command does not explain',
+    'C': 'a zero of the noise model is held at the unit circle: the residual lacks that frequency',
+}
+"""By polynomial, what a root at the edge of stability means."""
 
 Starts = Callable[[HighOrder], Iterator[Model]]
 
@@ -94,7 +102,7 @@ def _best(
         goal = ho.model.loss * math.exp((spare + math.sqrt(2.0 * spare)) / ho.model.samples)
         candidates = sorted(starts(ho), key=lambda model: _squares(model, z))
         best = descend(candidates[0], evaluate(candidates[0], z), z)
-        for model in candidates[1 : 2 if structure == 'OE' else None] if thorough else ():
+        for model in candidates[1:] if thorough else ():
             if best.converged and best.loss <= goal:
                 break
             other = descend(model, evaluate(model, z), z, best.loss)
@@ -147,6 +155,7 @@ def _check_start(structure: str, orders: dict[str, int], start: Model) -> None:
 
 def _warnings(model: Model) -> tuple[str, ...]:
     """What a reader of the fit should know."""
-    if model.converged:
-        return ()
-    return (f'did not converge in {model.iterations} iterations',)
+    told = [EDGE_TOLD[name] for name in on_edge(model)]
+    if not model.converged:
+        told.insert(0, f'did not converge in {model.iterations} iterations')
+    return tuple(told)

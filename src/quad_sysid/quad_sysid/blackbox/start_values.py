@@ -27,6 +27,8 @@ NEAR = 0.4
 """Distance in the z plane within which a pole and a zero count as cancelling."""
 PLACES = (-0.7, -0.2, 0.3, 0.6, 0.8, 0.95)
 EDGE = 1.0 - 1e-7
+SLOW_FACTOR = np.array([1.0, -0.9999])
+"""Of a pole and the zero that cancels it, from where a drift can draw them apart."""
 
 
 @dataclass(frozen=True)
@@ -100,9 +102,12 @@ def armax_starts(ho: HighOrder, na: int, nb: int, nc: int) -> Iterator[Model]:
 
 
 def oe_starts(ho: HighOrder, nb: int, nf: int) -> Iterator[Model]:
-    """Start values from the plants B/F alone."""
+    """Start values from the plants B/F alone, and from one in which a pole is left to a drift."""
     for b, f in _plants(ho, nb, nf):
         yield _model(ho, B=b, F=f)
+    if nb > 1 and nf > 1:
+        b, f = _steiglitz_mcbride(_differenced(ho.data), nb - 1, nf - 1, ho.model.nk)
+        yield _model(ho, B=np.convolve(b, SLOW_FACTOR), F=np.convolve(f, SLOW_FACTOR))
 
 
 def bj_starts(ho: HighOrder, nb: int, nc: int, nd: int, nf: int) -> Iterator[Model]:
@@ -178,6 +183,14 @@ def _plants(ho: HighOrder, nb: int, nf: int) -> Iterator[tuple[FloatArray, Float
     if nf:
         yield _steiglitz_mcbride(plain, nb, nf, nk)
         yield _steiglitz_mcbride(plain, nb, nf, nk, rounds=1)
+
+
+def _differenced(z: IOData) -> list[FloatArray]:
+    """Per segment (n - 1, 2) the changes of y and u, in which a drift is small."""
+    return [
+        np.diff(np.column_stack((z.y[start:stop], z.u[start:stop])), axis=0)
+        for start, stop in z.segments
+    ]
 
 
 def _steiglitz_mcbride(
