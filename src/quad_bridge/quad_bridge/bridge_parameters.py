@@ -75,7 +75,7 @@ def declare(node: Any) -> BridgeSettings:
         keeper=_keeper(node, bounds),
     )
     if not settings.port:
-        raise BadInputError('serial_bridge: parameter port', 'must name a device', "''")
+        raise BadInputError('parameter port', 'must name a device', "''")
     return settings
 
 
@@ -91,7 +91,7 @@ def _signing(node: Any, port: str) -> Signing | None:
     )
     if not given and over_network(port):
         raise BadInputError(
-            'serial_bridge: parameter key_file',
+            'parameter key_file',
             f'is required where the port is a network URL ({port})',
             remedy='make one: ros2 run quad_bridge make_key FILE',
         )
@@ -106,7 +106,7 @@ def _keeper(node: Any, bounds: Mapping[str, str]) -> KeeperSettings:
         node, 'aircraft', '', "name of its folder there; empty: the STM32's unique number"
     )
     if '/' in aircraft or aircraft.startswith('.'):
-        raise BadInputError('serial_bridge: parameter aircraft', 'must be a plain name', aircraft)
+        raise BadInputError('parameter aircraft', 'must be a plain name', aircraft)
     return KeeperSettings(
         bounds={**DEFAULT_BOUNDS, **_bounds(node, bounds)},
         sources=_sources(node),

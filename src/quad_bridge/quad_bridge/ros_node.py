@@ -36,7 +36,7 @@ def refuse_unknown(node: Any, known: Iterable[str]) -> None:
     for name in overrides(node):
         if name not in names and not name.startswith(_ROS_OWN):
             raise BadInputError(
-                f'{node.get_name()}: parameter {name}',
+                f'parameter {name}',
                 'is unknown',
                 remedy=f'known are {", ".join(sorted(names))}',
             )
@@ -62,7 +62,7 @@ def choice(
     value = node.declare_parameter(name, options[0], descriptor).value
     value = no if no and value is False else value
     if value not in options:
-        where = f'{node.get_name()}: parameter {name}'
+        where = f'parameter {name}'
         raise BadInputError(where, f'must be one of {", ".join(options)}', repr(value))
     return value
 

@@ -197,7 +197,7 @@ def _request(node: Any) -> session.Request:
         session.parse_inertia(texts['inertia'])
         axes = tuple(axis for name in given if name for axis in session.axes_of(name))
     except QuadSysidError as error:
-        raise QuadBridgeError(f'identification: parameter {error}') from error
+        raise QuadBridgeError(f'parameter {error}') from error
     return session.Request(
         bags=(), axes=axes, train=texts['train'], validate=texts['validate'],
         inertia=texts['inertia'],
