@@ -319,6 +319,31 @@ def test_table_2_has_the_papers_rows_and_keeps_order():
 
 
 @pytest.mark.parametrize(
+    'fit',
+    [lambda z: bj(z, 4, 2, 2, 4, 1), lambda z: oe(z, 2, 2, 1), lambda z: armax(z, 2, 3, 1, 1)],
+)
+def test_a_sine_alone_is_refused_and_prbs_beside_it_is_not(fit):
+    """A sine tells two numbers of a plant, no more."""
+    sine = np.sin(0.3 * np.arange(2000))
+    rng = np.random.default_rng(0)
+    truth = polynomial_model([0, 0.1, 0.05], F=[1, -1.5, 0.6], dt=0.01)
+    noise = 0.01 * rng.standard_normal(2000)
+    with pytest.raises(BadInputError, match='does not excite'):
+        fit(IOData(sine, simulate(truth, sine) + noise, 0.01))
+    rich = sine + rng.choice([-1.0, 1.0], 2000)
+    assert fit(IOData(rich, simulate(truth, rich) + noise, 0.01)).converged
+
+
+def test_a_fit_without_standard_errors_says_so():
+    """Noise-free data of order 2 under a model of order 4: two roots are anywhere."""
+    truth = polynomial_model([0, 0.1, 0.05], F=[1, -1.5, 0.6], dt=0.01)
+    u = np.random.default_rng(0).choice([-1.0, 1.0], 2000)
+    model = bj(IOData(u, simulate(truth, u), 0.01), 4, 2, 2, 4, 1)
+    assert model.std is None
+    assert any('no standard errors' in told for told in model.warnings)
+
+
+@pytest.mark.parametrize(
     ('call', 'named'),
     [
         (lambda z: armax(z, 2, 2, -1, 1), 'nc'),

@@ -264,5 +264,15 @@ def test_bad_arguments(study, record):
         residual_test(study.truth, IOData(record.u[:200], record.y[:200], record.dt))
     with pytest.raises(BadInputError, match='w must be'):
         frequency_response(study.truth, np.array([1e5]))
+    with pytest.raises(BadInputError, match=r'within 0\.\..*found -1'):
+        frequency_response(study.truth, np.array([1.0, -1.0]))
+    with pytest.raises(BadInputError, match='w must be'):
+        spa(record, w=np.array([-1.0]))
+    still = IOData(0.0 * record.u, record.y, record.dt, r=record.r)
+    for estimate in (spa, coherence):
+        with pytest.raises(BadInputError, match='u is constant'):
+            estimate(still)
+    with pytest.raises(BadInputError, match='r is constant'):
+        spa(IOData(record.u, record.y, record.dt, r=0.0 * record.u), joint=True)
     with pytest.raises(BadInputError, match='models'):
         step_a([], record, {})

@@ -64,13 +64,15 @@ class FrequencyResponse:
 def frequency_response(model: Model, w: FloatArray) -> FrequencyResponse:
     """Response of B/(A F) at w (m,) rad/s, with its covariance by the first-order formula.
 
-    Raises BadInputError where w is not finite or beyond the Nyquist frequency.
+    Raises BadInputError where w is negative, not finite or beyond the Nyquist frequency.
     """
     grid = np.atleast_1d(np.asarray(w, dtype=float))
     nyquist = np.pi / model.dt
-    if grid.ndim != 1 or not np.isfinite(grid).all() or (np.abs(grid) > nyquist * 1.000001).any():
+    inside = np.isfinite(grid) & (grid >= 0.0) & (grid <= nyquist * 1.000001)
+    if grid.ndim != 1 or not inside.all():
         raise BadInputError(
-            'frequency_response', f'w must be 1-D, finite and at most {nyquist:.6g} rad/s'
+            'frequency_response', f'w must be 1-D and within 0..{nyquist:.6g} rad/s',
+            grid[~inside][0] if grid.ndim == 1 else f'shape {grid.shape}',
         )
     q = np.exp(-1j * grid * model.dt)
     a, b, f = (_at(poly, q) for poly in (model.A, model.B, model.F))

@@ -14,7 +14,7 @@ import numpy as np
 from quad_sysid.blackbox.descent import decrement, descend, evaluate, sum_of_squares
 from quad_sysid.blackbox.innovations import one_step_errors
 from quad_sysid.blackbox.polynomial import Model
-from quad_sysid.blackbox.regression import check_informative, check_order
+from quad_sysid.blackbox.regression import check_exciting, check_informative, check_order
 from quad_sysid.blackbox.stability_edge import on_edge
 from quad_sysid.blackbox.start_values import (
     HighOrder,
@@ -53,6 +53,7 @@ def armax(z: IOData, na: int, nb: int, nc: int, nk: int, *, start: Model | None 
     na, nb = check_order('armax', 'na', na, 0), check_order('armax', 'nb', nb, 1)
     nc, nk = check_order('armax', 'nc', nc, 0), check_order('armax', 'nk', nk, 0)
     check_informative('armax', z, na + nb + nc, max(na, nk + nb - 1))
+    check_exciting('armax', z, nb)
     orders = {'na': na, 'nb': nb, 'nc': nc, 'nk': nk}
     return _best('ARMAX', orders, z, start, lambda ho: armax_starts(ho, na, nb, nc))
 
@@ -65,6 +66,7 @@ def oe(z: IOData, nb: int, nf: int, nk: int, *, start: Model | None = None) -> M
     nb, nf = check_order('oe', 'nb', nb, 1), check_order('oe', 'nf', nf, 0)
     nk = check_order('oe', 'nk', nk, 0)
     check_informative('oe', z, nb + nf, nk + nb - 1 + nf)
+    check_exciting('oe', z, nb + nf)
     orders = {'nb': nb, 'nf': nf, 'nk': nk}
     return _best('OE', orders, z, start, lambda ho: oe_starts(ho, nb, nf))
 
@@ -81,6 +83,7 @@ def bj(
     nd, nf = check_order('bj', 'nd', nd, 0), check_order('bj', 'nf', nf, 0)
     nk = check_order('bj', 'nk', nk, 0)
     check_informative('bj', z, nb + nc + nd + nf, nk + nb - 1 + nd + nf)
+    check_exciting('bj', z, nb + nf)
     orders = {'nb': nb, 'nc': nc, 'nd': nd, 'nf': nf, 'nk': nk}
     return _best(
         'BJ', orders, z, start, lambda ho: bj_starts(ho, nb, nc, nd, nf), thorough=thorough
@@ -158,4 +161,6 @@ def _warnings(model: Model) -> tuple[str, ...]:
     told = [EDGE_TOLD[name] for name in on_edge(model)]
     if not model.converged:
         told.insert(0, f'did not converge in {model.iterations} iterations')
+    if model.covariance is None:
+        told.append('the data do not tell all parameters apart: no standard errors')
     return tuple(told)

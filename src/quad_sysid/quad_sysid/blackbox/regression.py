@@ -18,6 +18,9 @@ BLOCK_ROWS = 1 << 14
 SLICE = 8192
 """Numbers in one slice of a tall matrix."""
 
+DEPENDENT = 1e13
+"""Condition number from which regressors count as linearly dependent."""
+
 
 def check_order(where: str, name: str, value: int, least: int) -> int:
     """`value` as an int >= least, or BadInputError naming the argument."""
@@ -46,6 +49,27 @@ def check_informative(where: str, z: IOData, parameters: int, lead: int) -> None
                 where, f'{name} is constant, nothing can be fitted', lows[0],
                 'use a stretch with excitation',
             )
+
+
+def check_exciting(where: str, z: IOData, count: int) -> None:
+    """Raise BadInputError where u has not `count` independent lags (Ljung 1999, def. 13.2).
+
+    So many coefficients of B and F together need them; only what rounding alone makes different
+    counts as dependent.
+    """
+    if not any(stop - start >= count for start, stop in z.segments):
+        return
+    r = triangular(
+        lagged(z.u, range(count), begin, min(stop, begin + BLOCK_ROWS))
+        for start, stop in z.segments
+        for begin in range(start + count - 1, stop, BLOCK_ROWS)
+    )
+    scale = np.linalg.norm(r, axis=0)
+    if not (scale > 0.0).all() or np.linalg.cond(r / scale) > DEPENDENT:
+        raise BadInputError(
+            where, f'u does not excite {count} parameters (its lags are linearly dependent)',
+            remedy='lower the orders or excite more richly',
+        )
 
 
 def usable_rows(z: IOData, lead: int) -> int:
@@ -113,7 +137,7 @@ def solve_triangular_factor(where: str, r: FloatArray) -> tuple[FloatArray, floa
     if p and (scale == 0.0).any():
         raise BadInputError(where, 'a regressor is zero throughout', remedy='lower the orders')
     x = r[:p, :p] / scale
-    if p and np.linalg.cond(x) > 1e13:
+    if p and np.linalg.cond(x) > DEPENDENT:
         raise BadInputError(
             where, f'the data do not excite {p} parameters (regressors linearly dependent)',
             remedy='lower the orders or excite more richly',

@@ -60,7 +60,8 @@ def spa(
 
     w in rad/s (default 100 from one resolution to 0.9 Nyquist), `window` the Hann lag window's
     half-width in samples (default a tenth of the longest segment). `joint` takes the ratio of the
-    responses to the reference z.r, which feedback does not bias.
+    responses to the reference z.r, which feedback does not bias. Raises BadInputError where u (or,
+    `joint`, r) is constant.
     """
     longest = max(stop - start for start, stop in z.segments)
     half = max(2, longest // 10) if window is None else int(window)
@@ -69,8 +70,15 @@ def spa(
     if joint and z.r is None:
         raise BadInputError('spa', 'joint needs the reference r', None, 'give IOData(…, r=…)')
     grid = frequency_grid(z, half) if w is None else np.asarray(w, dtype=float)
-    if grid.ndim != 1 or not np.isfinite(grid).all() or (grid * z.dt > np.pi + 1e-9).any():
-        raise BadInputError('spa', f'w must be 1-D, finite and below {np.pi / z.dt:.6g} rad/s')
+    inside = np.isfinite(grid) & (grid >= 0.0) & (grid * z.dt <= np.pi + 1e-9)
+    if grid.ndim != 1 or not inside.all():
+        raise BadInputError('spa', f'w must be 1-D and within 0..{np.pi / z.dt:.6g} rad/s')
+    for name, x in (('u', z.u), ('r', z.r if joint else None)):
+        if x is not None and np.ptp(np.concatenate([x[a:b] for a, b in z.segments])) == 0.0:
+            raise BadInputError(
+                'spa', f'{name} is constant, it has no spectrum', float(x[z.segments[0][0]]),
+                'use a stretch with excitation',
+            )
     u, y = _centred(z, z.u), _centred(z, z.y)
     spectrum = _Spectrum(grid * z.dt, half)
     uu, yy, yu = spectrum.auto(u), spectrum.auto(y), spectrum.cross(y, u)
