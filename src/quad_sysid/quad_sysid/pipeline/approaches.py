@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from quad_sysid.blackbox import (
@@ -13,31 +11,15 @@ from quad_sysid.blackbox import (
     cascade_controller,
     indirect,
     joint,
-    residual_test,
 )
 from quad_sysid.contract import FloatArray
-from quad_sysid.errors import QuadSysidError
 from quad_sysid.loop.cascade import CascadeGains, derivative_weight
 from quad_sysid.pipeline.answer import Approach
 from quad_sysid.pipeline.blackbox_part import NOISE_ORDER, ORDERS, Fits, tried
 from quad_sysid.record import IOData
 
-FEEDBACK_LEVEL = 0.01
 KNOWN_CONTROLLER_PCT = 70.0
 """Fit of the known controller's own command to the recorded one below which it is not known."""
-
-
-def feedback(z: IOData, fits: Fits) -> bool | None:
-    """Whether the command answers to what the models leave unexplained of the rate.
-
-    None where the data do not allow the test. A residual that foresees the command, with nothing
-    but the past of the command taken out, is feedback (or a plant that is not causal).
-    """
-    try:
-        test = residual_test(fits.search.model, replace(z, r=None))
-    except QuadSysidError:
-        return None
-    return test.p_causal < FEEDBACK_LEVEL
 
 
 def approaches(
@@ -74,7 +56,7 @@ def approaches(
 def _known(z: IOData, gains: CascadeGains) -> tuple[LinearController | None, str]:
     """The controller, if its own command is the recorded one, and what was found."""
     known = controller(gains, z.dt)
-    fit = _reproduced(z, known)
+    fit = reproduced(z, known)
     if fit < KNOWN_CONTROLLER_PCT:
         return None, (
             f'the controller of /gains/active gives only {max(fit, 0.0):.0f} % of the recorded '
@@ -91,7 +73,7 @@ def controller(gains: CascadeGains, dt: float) -> LinearController:
     )
 
 
-def _reproduced(z: IOData, known: LinearController) -> float:
+def reproduced(z: IOData, known: LinearController) -> float:
     """Fit in percent of the known controller's command to the recorded one, drift aside.
 
     The angle's start and the gyro's bias are not known to the running sum, so the recorded and

@@ -16,6 +16,7 @@ from quad_sysid.pipeline import approaches, blackbox_part, preparation, step_b
 from quad_sysid.pipeline.advice import Evidence, advice, rivalry
 from quad_sysid.pipeline.answer import AxisAnswer, ModelRow, Selection
 from quad_sysid.pipeline.assemble import band_of
+from quad_sysid.pipeline.feedback import feedback, through_controller
 from quad_sysid.pipeline.shared import box_jenkins
 from quad_sysid.record import IOData, Record
 
@@ -29,10 +30,14 @@ def with_blackbox(
     try:
         z = blackbox_part.io_data(data, data.train)
         fits = blackbox_part.fit_models(z)
-        closed = approaches.feedback(z, fits)
+        cascade, behind = _cascade(gains, data.axis), _behind_attitude(records, data.axis)
+        closed = feedback(
+            z, fits.search.model, cascade, behind_attitude=behind,
+            through=through_controller(records, data.axis),
+        )
         possible, known = approaches.approaches(
-            z, _cascade(gains, data.axis), behind_attitude=_behind_attitude(records, data.axis),
-            one_loop=_one_loop(records, data.axis), closed=closed,
+            z, cascade, behind_attitude=behind, one_loop=_one_loop(records, data.axis),
+            closed=closed,
         )
         others, refused = approaches.fit_others(z, fits, possible, known)
         rows = blackbox_part.rows_of(data, fits.models + others)

@@ -24,7 +24,8 @@ def approaches(tree: Tree) -> str:
     ]
     feedback = tree.get('feedback')
     told = {True: 'The data show feedback from the rate to the command.',
-            False: 'The data show no feedback.', None: ''}[feedback]
+            False: 'The data exclude feedback.',
+            None: 'The data neither show nor exclude feedback.'}[feedback]
     return table(['approach', 'possible', 'because'], rows, caption=told)
 
 
