@@ -1,0 +1,59 @@
+"""What `make shell` offers of `ros2` where ROS 2 is not installed: it starts what was built."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture
+def ros2(tmp_path):
+    """Run the stand-in with one package whose executable prints its arguments."""
+    folder = tmp_path / 'lib/quad_bridge'
+    folder.mkdir(parents=True)
+    script = folder / 'talk'
+    script.write_text('#!/bin/sh\necho "talks: $*"\nexit 7\n')
+    script.chmod(0o755)
+
+    def command(*words: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [sys.executable, str(ROOT / 'tools/ros2_stand_in.py'), *words], check=False,
+            capture_output=True, text=True, env={**os.environ, 'AMENT_PREFIX_PATH': str(tmp_path)},
+        )
+
+    return command
+
+
+def test_it_becomes_the_executable(ros2):
+    done = ros2('run', 'quad_bridge', 'talk', '--ros-args', '-p', 'port:=stm32')
+    assert (done.returncode, done.stdout) == (7, 'talks: --ros-args -p port:=stm32\n')
+
+
+@pytest.mark.parametrize(
+    ('words', 'told'),
+    [
+        (('run', 'quad_bridge', 'tlak'), 'quad_bridge has no tlak; it has talk'),
+        (('run', 'quad_brigde', 'talk'), 'quad_brigde: is not built; run make build'),
+        (('topic', 'list'), 'without ROS 2 installed there is only'),
+        (('launch', 'quad_bridge', 'bridge.launch.py'), 'without ROS 2 installed'),
+        ((), 'without ROS 2 installed'),
+    ],
+)
+def test_what_it_cannot_do_is_one_line(ros2, words, told):
+    done = ros2(*words)
+    assert (done.returncode, done.stdout) == (2, '')
+    assert told in done.stderr
+    assert done.stderr.count('\n') == 1
+
+
+def test_an_unknown_type_of_service_is_one_line(ros2):
+    pytest.importorskip('rclpy', reason='needs ROS 2')
+    done = ros2('service', 'call', '/x', 'std_srvs/srv/Nix')
+    assert (done.returncode, done.stderr.count('\n')) == (2, 1)
+    assert 'no service type' in done.stderr

@@ -1,0 +1,80 @@
+"""`ros2 run` and `ros2 service call` for a shell of `make shell` where ROS 2 itself is missing.
+
+The rclpy wheels bring no `ros2` command. Nothing else of it is imitated here: launch files, `ros2
+topic` and the like need ROS 2.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+from pathlib import Path
+
+USAGE = (
+    'ros2: without ROS 2 installed there is only: ros2 run PACKAGE EXECUTABLE [ARGS …] and '
+    'ros2 service call NAME TYPE [YAML]'
+)
+PATIENCE_S = 10.0
+
+
+def run(package: str, executable: str, arguments: list[str]) -> str:
+    """Become the executable, as `ros2 run` starts it; returns what is wrong."""
+    prefixes = [Path(p) for p in os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep) if p]
+    folders = [prefix / 'lib' / package for prefix in prefixes]
+    for folder in folders:
+        path = folder / executable
+        if path.is_file() and os.access(path, os.X_OK):
+            os.execv(path, [str(path), *arguments])  # noqa: S606  (signals reach the node itself)
+    there = (path for folder in folders if folder.is_dir() for path in folder.iterdir())
+    known = sorted({path.name for path in there})
+    if not known:
+        return f'ros2 run: package {package}: is not built; run make build'
+    return f'ros2 run: {package} has no {executable}; it has {", ".join(known)}'
+
+
+def call(name: str, kind: str, text: str) -> str:
+    """Call a service once and write its answer; returns what is wrong."""
+    import rclpy
+    import yaml
+
+    package, _, service = kind.partition('/srv/')
+    try:
+        offered = getattr(importlib.import_module(f'{package}.srv'), service)
+    except (ImportError, AttributeError, ValueError):
+        return f'ros2 service call: {kind} is no service type, such as std_srvs/srv/Trigger'
+    request = offered.Request()
+    for field, value in (yaml.safe_load(text) or {}).items():
+        setattr(request, field, value)
+    rclpy.init()
+    try:
+        node = rclpy.create_node('service_call')
+        client = node.create_client(offered, name)
+        if not client.wait_for_service(PATIENCE_S):
+            return f'ros2 service call: nobody offers {name} within {PATIENCE_S:g} s'
+        answer = client.call_async(request)
+        rclpy.spin_until_future_complete(node, answer, timeout_sec=6.0 * PATIENCE_S)
+        if not answer.done():
+            return f'ros2 service call: {name} gave no answer'
+        sys.stdout.write(f'response:\n{answer.result()!r}\n')
+    finally:
+        rclpy.try_shutdown()
+    return ''
+
+
+def main(words: list[str]) -> int:
+    """Exit status: that of what was started, or 2 with one line on stderr."""
+    if len(words) >= 3 and words[0] == 'run':
+        wrong = run(words[1], words[2], words[3:])
+    elif len(words) in (4, 5) and words[:2] == ['service', 'call']:
+        wrong = call(words[2], words[3], words[4] if len(words) == 5 else '')
+    else:
+        wrong = USAGE
+    if wrong:
+        sys.stderr.write(f'{wrong}\n')
+        return 2
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main(sys.argv[1:]))
