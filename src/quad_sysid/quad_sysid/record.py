@@ -5,6 +5,8 @@ Built by bag_reader (from bags) or by hand (from arrays). No file access, no fil
 
 from __future__ import annotations
 
+import itertools
+import operator
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -91,9 +93,10 @@ class Record:
     def axis(self, name: str, role: str | None = None) -> IOData:
         """Input and output of one axis over the segments of `role` (all of the record: None).
 
-        r is `external(name)` where that is known throughout, else None.
+        r is `external(name)` where that is known throughout, else None. Raises BadInputError for
+        another axis and NotInformativeError where nothing is left.
         """
-        index = AXES.index(name)
+        index = axis_index('Record.axis', name)
         y = self.rates[:, index]
         u = self.control[:, index + 1]
         r = self.external(name)
@@ -118,7 +121,7 @@ class Record:
         The attitude set-point (rad), which contains an excitation of the attitude; where the axis
         is excited behind C1 or C2 instead, that excitation as applied (rad/s or normalised).
         """
-        index = AXES.index(name)
+        index = axis_index('Record.external', name)
         inside = {s.injection for s in self.segments if s.axis == name} & {'rate', 'control'}
         if inside and self.excitation is not None:
             return np.nan_to_num(self.excitation[:, index])
@@ -157,8 +160,8 @@ def finite_runs(good: np.ndarray, span: tuple[int, int]) -> list[tuple[int, int]
 class IOData:
     """Input and output of one channel, in one or several unbroken segments.
 
-    u, y, r are (n,); `segments` are index ranges [start, stop) that are fitted together without
-    joining their ends (empty: the whole). dt in s.
+    u, y, r are (n,), finite inside the segments; `segments` are index ranges [start, stop) that do
+    not overlap and are fitted together without joining their ends (empty: the whole). dt in s.
     """
 
     u: FloatArray
@@ -168,36 +171,74 @@ class IOData:
     segments: Sequence[tuple[int, int]] = ()
 
     def __post_init__(self) -> None:
-        """Check lengths and dt; raises BadInputError naming the argument."""
-        u = np.asarray(self.u, dtype=float)
-        y = np.asarray(self.y, dtype=float)
-        if u.ndim != 1 or y.ndim != 1 or u.shape != y.shape:
+        """Check every field; raises BadInputError naming the argument."""
+        u, y = _signal('u', self.u), _signal('y', self.y)
+        if u.ndim != 1 or u.shape != y.shape:
             raise BadInputError(
                 'IOData', 'u and y must be 1-D of one length', f'{u.shape} and {y.shape}'
             )
-        if not (np.isfinite(self.dt) and self.dt > 0):
+        if not _is_interval(self.dt):
             raise BadInputError('IOData', 'dt must be a positive number of seconds', self.dt)
-        object.__setattr__(self, 'u', u)
-        object.__setattr__(self, 'y', y)
-        segments = tuple(self.segments) or ((0, int(y.size)),)
-        for start, stop in segments:
-            if not 0 <= start < stop <= y.size:
-                raise BadInputError(
-                    'IOData', f'a segment must lie in 0..{y.size}', (start, stop)
-                )
-            if not (np.isfinite(u[start:stop]).all() and np.isfinite(y[start:stop]).all()):
-                raise BadInputError(
-                    'IOData', f'segment {start}:{stop} of u or y holds NaN or infinity',
-                    remedy='split it there, as Record.axis does',
-                )
-        object.__setattr__(self, 'segments', segments)
-        if self.r is not None:
-            r = np.asarray(self.r, dtype=float)
-            if r.shape != y.shape:
-                raise BadInputError('IOData', 'r must have the length of y', r.shape)
-            object.__setattr__(self, 'r', r)
+        r = None if self.r is None else _signal('r', self.r)
+        if r is not None and r.shape != y.shape:
+            raise BadInputError('IOData', 'r must have the length of y', r.shape)
+        segments = _spans(self.segments, int(y.size))
+        for name, x in (('u', u), ('y', y), ('r', y if r is None else r)):
+            for start, stop in segments:
+                if not np.isfinite(x[start:stop]).all():
+                    raise BadInputError(
+                        'IOData', f'segment {start}:{stop} of {name} holds NaN or infinity',
+                        remedy='split it there, as Record.axis does',
+                    )
+        for name, value in (('u', u), ('y', y), ('r', r), ('segments', segments)):
+            object.__setattr__(self, name, value)
 
     @property
     def n(self) -> int:
         """Number of samples in all segments."""
         return sum(stop - start for start, stop in self.segments)
+
+
+def axis_index(where: str, name: str) -> int:
+    """0, 1, 2 for roll, pitch, yaw; BadInputError, naming who asked, for anything else."""
+    if name not in AXES:
+        raise BadInputError(where, f'axis must be one of {", ".join(AXES)}', repr(name))
+    return AXES.index(name)
+
+
+def _signal(name: str, given: object) -> FloatArray:
+    """`given` as real numbers, or BadInputError naming the argument."""
+    try:
+        array = np.asarray(given)
+        real = None if array.dtype.kind == 'c' else np.asarray(array, dtype=float)
+    except (TypeError, ValueError):
+        real = None
+    if real is None:
+        kind = getattr(given, 'dtype', type(given).__name__)
+        raise BadInputError('IOData', f'{name} must hold real numbers', kind)
+    return real
+
+
+def _is_interval(dt: object) -> bool:
+    return isinstance(dt, (int, float, np.number)) and bool(np.isfinite(dt) and dt > 0)
+
+
+def _spans(given: object, n: int) -> tuple[tuple[int, int], ...]:
+    """Index ranges inside 0..n that do not overlap, in the order given; all where none is."""
+    try:
+        spans = tuple((operator.index(a), operator.index(b)) for a, b in given)  # type: ignore[attr-defined]
+    except (TypeError, ValueError) as error:
+        raise BadInputError(
+            'IOData', 'segments must be pairs of whole numbers (start, stop)', given
+        ) from error
+    for start, stop in spans:
+        if not 0 <= start < stop <= n:
+            raise BadInputError('IOData', f'a segment must lie in 0..{n}', (start, stop))
+    ordered = sorted(spans)
+    for one, other in itertools.pairwise(ordered):
+        if other[0] < one[1]:
+            raise BadInputError(
+                'IOData', 'segments must not overlap, samples would count twice',
+                f'{one} and {other}',
+            )
+    return spans or ((0, n),)

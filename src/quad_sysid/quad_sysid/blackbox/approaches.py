@@ -41,11 +41,13 @@ def joint(z: IOData, fit: Fit, *, order: int = STAGE_ORDER) -> Model:
 
 
 def noise_free(
-    where: str, z: IOData, x: FloatArray, external: FloatArray | None, order: int | None = None
+    where: str, z: IOData, x: FloatArray, external: FloatArray | None, order: int | None = None,
+    *, name: str = 'the reference r',
 ) -> FloatArray:
     """(n,) what the external signal alone explains of x: free run of a model from r to x.
 
-    A high-order ARX model, or, with `order`, an output error model of that order.
+    A high-order ARX model, or, with `order`, an output error model of that order. Raises
+    BadInputError, naming `where` and the signal's `name`, where it is missing or cannot serve.
     """
     if external is None:
         raise BadInputError(
@@ -53,19 +55,29 @@ def noise_free(
         )
     r = np.asarray(external, dtype=float)
     if r.shape != z.u.shape:
-        raise BadInputError(where, f'the instrument must have {z.u.size} samples', r.shape)
-    if not all(np.isfinite(r[start:stop]).all() for start, stop in z.segments):
-        raise BadInputError(where, 'the instrument must be finite in all segments')
+        raise BadInputError(where, f'{name} must have {z.u.size} samples', r.shape)
+    inside = np.concatenate([r[start:stop] for start, stop in z.segments])
+    if not np.isfinite(inside).all():
+        raise BadInputError(where, f'{name} must be finite in all segments')
+    if np.ptp(inside) == 0.0:
+        raise BadInputError(where, f'{name} is constant, it drives nothing', float(inside[0]),
+                            'use a stretch with excitation')
     if np.array_equal(r, x):
         return r
-    loop = IOData(u=r, y=x, dt=z.dt, segments=z.segments)
-    if order is None:
-        longest = max(stop - start for start, stop in z.segments)
-        high = max(1, min(LOOP_ORDER, longest // 20))
-        model = stabilised_plant(arx(loop, high, high, 0))
-    else:
-        model = oe(loop, order, order, 0)
+    try:
+        loop = IOData(u=r, y=x, dt=z.dt, segments=z.segments)
+        model = _loop_model(loop, order)
+    except BadInputError as error:
+        raise BadInputError(where, f'no response from {name} can be fitted ({error})') from error
     return np.asarray(np.nan_to_num(predict(model, loop, np.inf)))
+
+
+def _loop_model(loop: IOData, order: int | None) -> Model:
+    if order is not None:
+        return oe(loop, order, order, 0)
+    longest = max(stop - start for start, stop in loop.segments)
+    high = max(1, min(LOOP_ORDER, longest // 20))
+    return stabilised_plant(arx(loop, high, high, 0))
 
 
 def stabilised_plant(model: Model) -> Model:

@@ -8,7 +8,13 @@ from __future__ import annotations
 import numpy as np
 
 from quad_sysid.blackbox.arx import search_arx
-from quad_sysid.blackbox.regression import BLOCK_ROWS, check_order, lagged, triangular
+from quad_sysid.blackbox.regression import (
+    BLOCK_ROWS,
+    check_informative,
+    check_order,
+    lagged,
+    triangular,
+)
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.record import IOData
@@ -48,10 +54,10 @@ def delay_estimate(
     """Delay nk in samples of the ARX model with the lowest BIC, na and nb up to those given."""
     nk_min = check_order('delay_estimate', 'nk_min', nk_min, 0)
     nk_max = check_order('delay_estimate', 'nk_max', nk_max, nk_min)
+    na, nb = (check_order('delay_estimate', k, v, 1) for k, v in (('na', na), ('nb', nb)))
+    check_informative('delay_estimate', z, na + nb, max(na, nk_max + nb - 1))
     found = search_arx(
-        z, range(1, check_order('delay_estimate', 'na', na, 1) + 1),
-        range(1, check_order('delay_estimate', 'nb', nb, 1) + 1),
-        range(nk_min, nk_max + 1), criterion='bic',
+        z, range(1, na + 1), range(1, nb + 1), range(nk_min, nk_max + 1), criterion='bic'
     )
     return found.model.nk
 

@@ -46,7 +46,8 @@ def iv4(
     lead = max(na, nk + nb - 1)
     check_informative('iv4', z, 2 * (na + nb), lead)
     external = z.r if instrument is None else instrument
-    source = z.u if external is None else noise_free('iv4', z, z.u, external)
+    named = 'the reference r' if instrument is None else 'the instrument'
+    source = z.u if external is None else noise_free('iv4', z, z.u, external, name=named)
     first = arx(z, na, nb, nk)
     orders = {'na': na, 'nb': nb, 'nk': nk}
     theta, _ = _solve('iv4', _iv_blocks(z, source, first, lead, np.ones(1)))

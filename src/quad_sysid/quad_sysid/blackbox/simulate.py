@@ -70,13 +70,15 @@ def predict(model: Model, z: IOData, horizon: float = 1) -> FloatArray:
     (Ljung 1999, eq. 3.31).
     """
     check_rate(model, z)
+    if isinstance(horizon, bool) or not isinstance(horizon, (int, float, np.number)):
+        raise BadInputError('predict', 'horizon must be an integer >= 1 or math.inf', horizon)
     yhat = np.full(z.y.size, np.nan)
-    if math.isinf(horizon):
+    if horizon == math.inf:
         for start, stop in z.segments:
             u, y = z.u[start:stop], z.y[start:stop]
             yhat[start:stop] = simulate(model, u, initial_state(model, u, y))
         return yhat
-    if horizon < 1 or horizon != int(horizon):
+    if not horizon >= 1 or horizon != int(horizon):
         raise BadInputError('predict', 'horizon must be an integer >= 1 or math.inf', horizon)
     impulse = np.zeros(int(horizon))
     impulse[0] = 1.0
