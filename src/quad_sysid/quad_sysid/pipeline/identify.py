@@ -105,7 +105,7 @@ def identify_axis(
     )
     answer = with_blackbox(answer, data, records, table2=options.table2)
     answer = replace(answer, residuals=_residuals(answer, found, judgement))
-    answer = replace(answer, closed_loop=closed_loop(answer, records[0], data))
+    answer = replace(answer, closed_loop=closed_loop(answer, records, data))
     progress(f'{axis}: gains')
     swapped = next((line for line in map(refusal, records) if line), '')
     return replace(answer, proposal=_proposal(answer, options, swapped))

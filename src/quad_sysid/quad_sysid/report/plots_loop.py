@@ -59,7 +59,7 @@ def overlay(answer: AxisAnswer) -> Picture | None:
     legend(axes[0])
     return Picture(
         'closed_loop', 'Simulated flight against the recorded one',
-        'The controller and the model flown on the recorded attitude reference alone, from the '
+        'The controller and the model flown on the recorded reference and excitation, from the '
         f'start of the record. RMS over the held-out segments: base {loop.rms_before:.3g}'
         + (f', completed {loop.rms_after:.3g} rad/s.' if added else ' rad/s.'), figure,
     )
