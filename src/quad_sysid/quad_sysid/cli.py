@@ -182,7 +182,7 @@ def _identify_apart(request: Request, options: argparse.Namespace) -> int:
 
 def _evaluate(options: argparse.Namespace) -> int:
     from quad_sysid.bags import parse_span, read_bag
-    from quad_sysid.pipeline.evaluate import evaluate
+    from quad_sysid.pipeline.evaluate import evaluate_or_say
     from quad_sysid.report import document
     from quad_sysid.report.model_file import load_models
 
@@ -192,10 +192,17 @@ def _evaluate(options: argparse.Namespace) -> int:
                             f'it holds {", ".join(models)}')
     record = read_bag(options.bag)
     spans = (parse_span(options.validate, '--validate'),) if options.validate else ()
-    found = [
-        evaluate(models[axis], record, spans)
-        for axis in ([options.axis] if options.axis else models)
-    ]
+    found, refused = [], {}
+    for axis in [options.axis] if options.axis else models:
+        one = evaluate_or_say(models[axis], record, spans)
+        if isinstance(one, str):
+            refused[axis] = one
+        else:
+            found.append(one)
+    if refused:
+        print('quad-sysid:', '; '.join(refused.values()), file=sys.stderr)
+    if not found:
+        return NOT_ANSWERED
     if options.json:
         axes = {
             e.axis: {'error': {
@@ -205,7 +212,8 @@ def _evaluate(options: argparse.Namespace) -> int:
             }}
             for e in found
         }
-        print(json.dumps({'schema': 'quad_sysid/evaluation/1', 'axes': axes}))
+        told = {'not_answered': refused} if refused else {}
+        print(json.dumps({'schema': 'quad_sysid/evaluation/1', 'axes': axes, **told}))
         return DONE
     for e in () if options.quiet else found:
         print(f'{e.axis}: {document.METRIC}, rad/s, {e.windows} windows')

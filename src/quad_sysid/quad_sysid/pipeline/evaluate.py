@@ -17,7 +17,11 @@ from quad_sysid.greybox.fit import fit_structure, simulator
 from quad_sysid.greybox.simulate import Simulator
 from quad_sysid.greybox.structure import Effect, Settings, Structure
 from quad_sysid.model import AxisModel, EffectEstimate, Parameter
+from quad_sysid.pipeline.usable import check_limits
 from quad_sysid.record import Record, finite_runs
+
+MOTION = 1.5
+"""Error of holding the last rate over the measurement noise, below which nothing moved."""
 
 KNOWN: Mapping[str, Sequence[Effect]] = {
     name: [e for e in EFFECTS + SHAPES if e.name == name]
@@ -44,7 +48,7 @@ def evaluate(model: AxisModel, record: Record, spans_s: tuple[tuple[float, float
 
     spans_s: parts of the record in s; empty: all of it but its idle segments.
     Raises BadInputError where the record does not fit the model, NotInformativeError where no
-    window of 0.5 s is left.
+    window of 0.5 s is left, motors or gyro stand at their limits, or the rate does not move.
     """
     if abs(record.dt - model.dt) > 1e-6 * model.dt:
         raise BadInputError(
@@ -66,6 +70,8 @@ def evaluate(model: AxisModel, record: Record, spans_s: tuple[tuple[float, float
     plain = vector(model.plain or model.base)
     before = simulator(data, spans, np.array(model.plain_correction or model.correction))
     after = simulator(data, spans, np.array(model.correction))
+    hold = hold_error(before)
+    _check_motion(model, record, data, spans, hold)
     run_before = before.run(Structure(), plain)
     run_after = after.run(structure, theta)
 
@@ -79,9 +85,32 @@ def evaluate(model: AxisModel, record: Record, spans_s: tuple[tuple[float, float
         after=run_after.rms,
         one_step_before=one_step(run_before.innovations),
         one_step_after=one_step(run_after.innovations),
-        hold=hold_error(before),
+        hold=hold,
         windows=before.windows.count,
     )
+
+
+def evaluate_or_say(
+    model: AxisModel, record: Record, spans_s: tuple[tuple[float, float], ...] = ()
+) -> Evaluation | str:
+    """As `evaluate`, but why the flight says nothing of the model in words."""
+    try:
+        return evaluate(model, record, spans_s)
+    except NotInformativeError as reason:
+        return str(reason)
+
+
+def _check_motion(
+    model: AxisModel, record: Record, data: AxisData, spans: tuple[Span, ...], hold: float
+) -> None:
+    """Raise NotInformativeError where no figure would say anything of the model."""
+    check_limits(data, spans, f'{record.source}')
+    if hold <= MOTION * (model.noise_rms or 0.0):
+        noise = f', the noise is {model.noise_rms:.2g}' if model.noise_rms else ''
+        raise NotInformativeError(
+            f'{record.source}: {model.axis}: the rate does not move (it changes by {hold:.2g} '
+            f'rad/s in half a second{noise}); is the axis held, or the aircraft at rest?'
+        )
 
 
 def of_this_flight(sim: Simulator, structure: Structure, theta: FloatArray) -> FloatArray:

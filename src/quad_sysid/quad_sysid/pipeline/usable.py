@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import NotInformativeError
-from quad_sysid.greybox.data import AxisData
+from quad_sysid.greybox.data import AxisData, Span
 
 AT_LIMIT = 1e-3
 """A motor this near to 0 or 1 is at its limit."""
@@ -21,8 +23,13 @@ RESTING = 0.05
 def check_usable(data: AxisData) -> None:
     """Raise NotInformativeError for segments too short, motors or gyro at their limits."""
     _length(data)
-    _motors(data)
-    _gyro(data)
+    check_limits(data, data.train, 'the training')
+
+
+def check_limits(data: AxisData, spans: Sequence[Span], where: str) -> None:
+    """Raise NotInformativeError for motors or gyro at their limits over spans, named `where`."""
+    _motors(data, spans, where)
+    _gyro(data, spans, where)
 
 
 def _length(data: AxisData) -> None:
@@ -34,30 +41,30 @@ def _length(data: AxisData) -> None:
         )
 
 
-def _training(data: AxisData, signal: FloatArray) -> FloatArray:
-    return np.concatenate([signal[a:b] for a, b in data.train])
+def _inside(signal: FloatArray, spans: Sequence[Span]) -> FloatArray:
+    return np.concatenate([signal[a:b] for a, b in spans])
 
 
-def _motors(data: AxisData) -> None:
+def _motors(data: AxisData, spans: Sequence[Span], where: str) -> None:
     """All four at 0 or 1: the commands no longer say what the controller does."""
-    motors = _training(data, data.motors)
+    motors = _inside(data.motors, spans)
     stuck = np.all((motors <= AT_LIMIT) | (motors >= 1.0 - AT_LIMIT), axis=1)
     if stuck.mean() > THROUGHOUT:
         raise NotInformativeError(
             f'{data.axis}: all motors stand at their limits (0 or 1) during '
-            f'{100.0 * stuck.mean():.0f} % of the training; is it armed? Fly with less excitation '
+            f'{100.0 * stuck.mean():.0f} % of {where}; is it armed? Fly with less excitation '
             'or lower gains'
         )
 
 
-def _gyro(data: AxisData) -> None:
+def _gyro(data: AxisData, spans: Sequence[Span], where: str) -> None:
     """The very same largest rate again and again, which no noisy gyro gives."""
-    rate = _training(data, data.rate)
+    rate = _inside(data.rate, spans)
     largest = float(np.abs(rate).max())
     clipped = np.abs(rate) >= largest * (1.0 - 1e-9)
     if largest > RESTING and np.ptp(rate) > 0.0 and clipped.mean() > CLIPPED:
         raise NotInformativeError(
             f'{data.axis}: the measured rate stands at {largest:.3g} rad/s during '
-            f'{100.0 * clipped.mean():.0f} % of the training: the gyro is at its limit; widen its '
+            f'{100.0 * clipped.mean():.0f} % of {where}: the gyro is at its limit; widen its '
             'range or fly more gently'
         )
