@@ -20,6 +20,7 @@ from quad_bridge.autopilot import INTERVALS_US, SET_MESSAGE_INTERVAL, Inertial
 from quad_bridge.link import Link
 from quad_bridge.wire import frames as f
 from quad_bridge.wire.codec import Decoder, Encoder
+from quad_sysid.bags.storage import Storage
 
 HOST0_NS = 5_000_000_000
 NAMES = {number: name for name, (number, _) in INTERVALS_US.items()}
@@ -208,6 +209,11 @@ def test_messages_in_ros_units_and_axes():
     assert not math.isnan(sum(motors.effort))
 
 
+WAIT_S = 60.0
+PUBLISHED = ('/imu/data', '/motors/command', '/rc/in', '/imu/mag', '/baro', '/battery')
+REFUSED = 'refused: the far end has no QUAD_GAINS'
+
+
 class Port(threading.Thread):
     """The peer behind a pseudo-terminal, in real time."""
 
@@ -235,20 +241,15 @@ class Port(threading.Thread):
 
 
 @pytest.fixture
-def start(tmp_path):
+def start(ros_domain):
+    del ros_domain
     started = []
-    environment = {
-        **os.environ,
-        'ROS_DOMAIN_ID': str(100 + os.getpid() % 100),
-        'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
-        'ROS_LOG_DIR': str(tmp_path / 'log'),
-    }
 
     def make(name, *settings):
         code = f'from quad_bridge.{name}_node import main; main()'
         arguments = [word for setting in settings for word in ('-p', setting)]
         command = [sys.executable, '-c', code, '--ros-args', *arguments]
-        started.append(subprocess.Popen(command, env=environment))
+        started.append(subprocess.Popen(command))
         return started[-1]
 
     yield make
@@ -266,24 +267,42 @@ def read(bag):
     return found
 
 
+def await_in_bag(folder):
+    """Wait until the bag that is being written has six of each topic and the bridge's refusal."""
+    deadline, told = time.monotonic() + WAIT_S, {}
+    while time.monotonic() < deadline:
+        time.sleep(0.5)
+        for file in folder.glob('flight_*/*.mcap'):
+            held = file.read_bytes()
+            if REFUSED.encode() not in held:  # comes after the first second
+                continue
+            told = dict.fromkeys(PUBLISHED, 0)
+            for batch in Storage(file.parent, PUBLISHED).batches():
+                for topic, raws in batch.items():
+                    told[topic] += len(raws)
+            if min(told.values()) > 5:
+                return
+    raise AssertionError(f'not all is in the bag: {told}')
+
+
 def test_the_node_publishes_what_it_can_and_says_what_is_missing(tmp_path, start):
     pytest.importorskip('rclpy', reason='needs ROS 2')
     port = Port(tmp_path / 'tty', Autopilot())
     port.start()
     logger = start('bag_logger', f'folder:={tmp_path}', 'autostart:=true')
     bridge = start('serial_bridge', f'port:={tmp_path / "tty"}')
-    time.sleep(9.0)
+    await_in_bag(tmp_path)
     for process in (bridge, logger):
         process.send_signal(signal.SIGINT)
-        assert process.wait(timeout=10.0) == 0
+        assert process.wait(timeout=WAIT_S) == 0
     port.stopping.set()
     port.join()
     found = read(next(tmp_path.glob('flight_*')))
-    for topic in ('/imu/data', '/motors/command', '/rc/in', '/imu/mag', '/baro', '/battery'):
+    for topic in PUBLISHED:
         assert len(found.get(topic, [])) > 5, topic
     assert '/control/wrench' not in found
     assert found['/imu/data'][-1].linear_acceleration.z == pytest.approx(9.81)
     assert found['/motors/command'][-1].effort.tolist() == pytest.approx([0.2, 0.4, 0.1, 0.3])
     said = {s.name: s.message for array in found['/diagnostics'] for s in array.status}
     assert 'without QUAD_CYCLE there is no /control/wrench' in said['serial_bridge: link']
-    assert said['serial_bridge: gains'] == 'refused: the far end has no QUAD_GAINS'
+    assert said['serial_bridge: gains'] == REFUSED

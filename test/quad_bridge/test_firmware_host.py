@@ -170,9 +170,8 @@ class Rig:
 
 
 @pytest.fixture
-def rig(firmware, tmp_path, monkeypatch):
-    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    made = Rig(firmware('quad_host_checked'), tmp_path, 100 + os.getpid() % 100)
+def rig(firmware, tmp_path, ros_domain):
+    made = Rig(firmware('quad_host_checked'), tmp_path, ros_domain)
     yield made
     made.close()
 

@@ -195,7 +195,7 @@ def test_layouts_show_topics_of_the_contract():
     assert sorted(panels(tree['layout'])) == sorted(tree['configById'])
 
 
-def test_the_node_says_when_enough_is_in_and_stops_the_excitation(tmp_path, monkeypatch):
+def test_the_node_says_when_enough_is_in_and_stops_the_excitation(tmp_path, ros_domain):
     rclpy = pytest.importorskip('rclpy', reason='needs ROS 2')
     from geometry_msgs.msg import Vector3Stamped
     from rcl_interfaces.msg import Parameter, ParameterEvent, ParameterValue
@@ -205,9 +205,6 @@ def test_the_node_says_when_enough_is_in_and_stops_the_excitation(tmp_path, monk
 
     from quad_bridge.qos import STATE, STREAM
 
-    monkeypatch.setenv('ROS_DOMAIN_ID', str(1 + (os.getpid() + 17) % 100))
-    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    monkeypatch.setenv('ROS_LOG_DIR', str(tmp_path))
     out = (tmp_path / 'out').open('w+')
     process = subprocess.Popen(
         [sys.executable, '-c', 'from quad_bridge.monitor_node import main; main()', '--ros-args',
@@ -215,7 +212,7 @@ def test_the_node_says_when_enough_is_in_and_stops_the_excitation(tmp_path, monk
          '-p', 'validation_s:=1.0', '-r', '__ns:=/left'], stdout=out,
     )
     context = rclpy.Context()
-    rclpy.init(context=context)
+    rclpy.init(context=context, domain_id=ros_domain)
     node = rclpy.create_node('flight', context=context)
     stopped = []
 

@@ -3,7 +3,6 @@
 What the bridge subtracts is told in the bag; the command `sensors` has the readings back from it.
 """
 
-import os
 import signal
 import subprocess
 import sys
@@ -40,15 +39,8 @@ START = {
 
 
 @pytest.fixture
-def domain():
-    return 1 + os.getpid() % 100
-
-
-@pytest.fixture
-def spawn(tmp_path, monkeypatch, domain):
-    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
-    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    monkeypatch.setenv('ROS_LOG_DIR', str(tmp_path / 'log'))
+def spawn(ros_domain):
+    del ros_domain
     started = []
 
     def start(name, *arguments):
@@ -62,9 +54,9 @@ def spawn(tmp_path, monkeypatch, domain):
 
 
 @pytest.fixture
-def call(domain):
+def call(ros_domain):
     context = rclpy.Context()
-    context.init(domain_id=domain)
+    context.init(domain_id=ros_domain)
     node = rclpy.create_node('caller', context=context)
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -26,9 +28,9 @@ SCHEDULE = """
 schedule:
   ramp_s: 0.1
   segments:
-    - {segment: idle, duration_s: 0.2}
+    - {segment: idle, duration_s: 0.8}
     - {segment: train, signal: prbs, axis: pitch, duration_s: 1.0, clock_s: 0.1, register_bits: 5}
-    - {segment: idle, duration_s: 0.2}
+    - {segment: idle, duration_s: 0.5}
 """
 RUN = 'from quad_sysid.excitation_node import main; main()'
 LATCHED = QoSProfile(depth=20, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -37,9 +39,9 @@ LATCHED = QoSProfile(depth=20, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 class Aircraft:
     """Publishes what the guard wants to see and records what the node says."""
 
-    def __init__(self) -> None:
+    def __init__(self, domain: int) -> None:
         self.context = Context()
-        rclpy.init(context=self.context, domain_id=int(os.environ['ROS_DOMAIN_ID']))
+        rclpy.init(context=self.context, domain_id=domain)
         self.node = rclpy.create_node('aircraft', context=self.context)
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
@@ -49,6 +51,9 @@ class Aircraft:
         self.state: dict[str, str] = {}
         self.failsafe = 0
         self.silent = False
+        self.paused_s = 0.0
+        """The longest time without /imu/data, where this process itself got no CPU."""
+        self._published_s = math.inf
         node = self.node
         self._imu = node.create_publisher(Imu, '/imu/data', 10)
         self._joy = node.create_publisher(Joy, '/rc/in', 10)
@@ -62,6 +67,9 @@ class Aircraft:
         imu.orientation.w = 1.0
         if not self.silent:
             self._imu.publish(imu)
+            now_s = time.monotonic()
+            self.paused_s = max(self.paused_s, now_s - self._published_s)
+            self._published_s = now_s
         axes = [0.0, 0.0, 0.5, 0.0, -1.0, -1.0, -1.0, -1.0, -1.0]
         self._joy.publish(Joy(axes=axes, buttons=[self.failsafe]))
 
@@ -80,7 +88,7 @@ class Aircraft:
             if status.name == 'excitation: schedule':
                 self.state = {entry.key: entry.value for entry in status.values}
 
-    def until(self, condition, seconds: float = 15.0) -> None:
+    def until(self, condition, seconds: float = 60.0) -> None:
         end = time.monotonic() + seconds
         while not condition():
             assert time.monotonic() < end, (self.state, self.segments, len(self.setpoints))
@@ -93,16 +101,20 @@ class Aircraft:
         self.until(future.done)
         return future.result()
 
+    def forget(self) -> None:
+        """Make ready for another flight."""
+        for heard in (self.segments, self.starts_s, self.setpoints, self.state):
+            heard.clear()
+        self.paused_s = 0.0
+
     def close(self) -> None:
         self.node.destroy_node()
         rclpy.shutdown(context=self.context)
 
 
 @pytest.fixture
-def aircraft(monkeypatch):
-    monkeypatch.setenv('ROS_DOMAIN_ID', str(100 + os.getpid() % 100))
-    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    aircraft = Aircraft()
+def aircraft(ros_domain):
+    aircraft = Aircraft(ros_domain)
     yield aircraft
     aircraft.close()
 
@@ -131,10 +143,23 @@ def start(tmp_path, aircraft):
         process.wait()
 
 
+def stood_still(ended) -> list[float]:
+    """The standstills (s) that a node told of which has ended."""
+    _, said = ended.communicate(timeout=60)
+    return [float(x) for x in re.findall(r'stood still for ([0-9.]+) s', said)]
+
+
 def test_a_schedule_is_flown_and_the_process_ends(aircraft, start):
-    process = start(autostart='true', exit_when_done='true')
-    aircraft.until(lambda: process.poll() is not None)
-    assert process.returncode == 0
+    processes = []
+    for _ in range(6):
+        aircraft.forget()
+        processes.append(start(autostart='true', exit_when_done='true'))
+        aircraft.until(lambda: processes[-1].poll() is not None)
+        if not any(t > 0.2 for t in stood_still(processes[-1])):
+            break  # no segment was slept through
+    else:
+        pytest.skip('no CPU: the node stood still for longer than 0.2 s in each of six flights')
+    assert processes[-1].returncode == 0
     aircraft.until(lambda: aircraft.state.get('state') == 'done')
     aircraft.until(lambda: len(aircraft.segments) == 4)
     assert [s['segment'] for s in aircraft.segments] == ['idle', 'train', 'idle', 'idle']
@@ -218,20 +243,31 @@ def test_training_ends_when_the_rate_answers_the_whole_band(aircraft, start, tmp
 
 
 def test_a_standstill_of_the_node_itself_is_no_stale_link(aircraft, start):
-    process = start(autostart='true', exit_when_done='true', imu_stale_s=0.4)
-    aircraft.until(lambda: len(aircraft.setpoints) > 20)
-    process.send_signal(signal.SIGSTOP)
-    end = time.monotonic() + 0.7
-    while time.monotonic() < end:
-        aircraft.executor.spin_once(timeout_sec=0.05)
-    process.send_signal(signal.SIGCONT)
-    aircraft.until(lambda: process.poll() is not None)
+    processes = []
+    for _ in range(6):
+        aircraft.forget()
+        process = start(autostart='true', exit_when_done='true', imu_stale_s=0.4)
+        processes.append(process)
+        aircraft.until(lambda: len(aircraft.setpoints) > 20)
+        process.send_signal(signal.SIGSTOP)
+        end = time.monotonic() + 0.6
+        while time.monotonic() < end:
+            aircraft.executor.spin_once(timeout_sec=0.05)
+        process.send_signal(signal.SIGCONT)
+        aircraft.until(lambda: processes[-1].poll() is not None)
+        slept = stood_still(processes[-1])
+        if aircraft.paused_s < 0.3 and sum(slept) < 0.95:
+            break  # undisturbed: this process went on publishing, and the node slept but once
+    else:
+        pytest.skip(f'no CPU: /imu/data paused {aircraft.paused_s:.2f} s, {slept} s asleep')
     aircraft.until(lambda: aircraft.state.get('state') in {'done', 'aborted'})
+    assert max(slept) > 0.5
     assert aircraft.state['reason'] == 'the schedule is complete'
 
 
-def test_a_silent_link_ends_it(aircraft, start):
-    start(autostart='true', imu_stale_s=0.3)
+def test_a_silent_link_ends_it(aircraft, start, tmp_path):
+    (tmp_path / 'long.yaml').write_text(LONG)
+    start(schedule=tmp_path / 'long.yaml', autostart='true')
     aircraft.until(lambda: len(aircraft.setpoints) > 20)
     aircraft.silent = True
     aircraft.until(lambda: aircraft.state.get('state') == 'aborted')
@@ -260,7 +296,7 @@ def test_an_interrupt_takes_the_excitation_back(aircraft, start, number):
 )
 def test_wrong_parameters_end_in_one_line(start, parameters, words):
     process = start(**parameters)
-    _, error = process.communicate(timeout=20)
+    _, error = process.communicate(timeout=60)
     assert process.returncode == 2
     lines = [line for line in error.splitlines() if line.startswith('excitation: ')]
     assert len(lines) == 1

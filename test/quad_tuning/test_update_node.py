@@ -1,6 +1,5 @@
 """`quad-tune send` to the bridge of one namespace; another aircraft's must not hear it."""
 
-import os
 import threading
 
 import pytest
@@ -39,12 +38,9 @@ class Bridge:
 
 
 @pytest.fixture
-def bridges(monkeypatch, tmp_path):
-    monkeypatch.setenv('ROS_DOMAIN_ID', str(1 + os.getpid() % 100))
-    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    monkeypatch.setenv('ROS_LOG_DIR', str(tmp_path))
+def bridges(ros_domain):
     context = rclpy.Context()
-    context.init()
+    context.init(domain_id=ros_domain)
     executor = SingleThreadedExecutor(context=context)
     both = [Bridge(name, context) for name in ('left', 'right')]
     for bridge in both:

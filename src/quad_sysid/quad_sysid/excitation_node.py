@@ -107,7 +107,7 @@ class ExcitationNode(Node):  # type: ignore[misc]
         return {State.DONE: 0, State.ABORTED: 1}.get(self._player.state)
 
     def _on_imu(self, raw: bytes) -> None:
-        self._imu, self._imu_time = raw, time.monotonic()
+        self._imu, self._imu_time = raw, self._stall.awake_s(time.monotonic())
         if self._watch is not None:
             self._watch.imu(raw)
 
@@ -118,7 +118,7 @@ class ExcitationNode(Node):  # type: ignore[misc]
             abort_switch=axes[switch] if switch is not None and switch < len(axes) else None,
             failsafe=bool(len(message.buttons) and message.buttons[0]),
         )
-        self._rc_time = time.monotonic()
+        self._rc_time = self._stall.awake_s(time.monotonic())
 
     def _on_battery(self, message: Any) -> None:
         if math.isfinite(message.voltage):
@@ -126,7 +126,7 @@ class ExcitationNode(Node):  # type: ignore[misc]
 
     def _readings(self, *, decode_angles: bool) -> Readings:
         """Latest values, as the guard wants them."""
-        now = time.monotonic()
+        now = self._stall.awake_s(time.monotonic())
         if decode_angles and self._imu:
             angles = euler_angles(decode(IMU, [self._imu]).values[:, :5]).tolist()
             self._angles = tuple(angles[0]) if angles else None
@@ -139,10 +139,11 @@ class ExcitationNode(Node):  # type: ignore[misc]
         )
 
     def _start(self) -> str:
+        began_s = time.monotonic()  # the first decoding takes its time, and so may the first tick
         now_s = self.get_clock().now().nanoseconds * 1e-9
         refused = self._player.start(now_s, self._readings(decode_angles=True))
         if not refused:
-            self._stall.reset()
+            self._stall.begin(began_s)
             self._timer.reset()
             self.get_logger().info('excitation runs')
             self._report()
@@ -172,9 +173,8 @@ class ExcitationNode(Node):  # type: ignore[misc]
     def _tick(self) -> None:
         stamp = self.get_clock().now().nanoseconds
         self._ticks += 1
+        self._stall.tick(time.monotonic())  # first: what waits to be received is not old
         readings = self._readings(decode_angles=self._ticks % ANGLE_TICKS == 0)
-        if self._stall.tick(time.monotonic()):  # what waits to be received is not old
-            readings = replace(readings, imu_age_s=0.0, rc_age_s=0.0)
         if self._stall.stood_still_s:
             self.get_logger().warning(
                 f'this node stood still for {self._stall.stood_still_s:.2f} s: the host is busy'
