@@ -28,6 +28,8 @@ MOST_ERRORS = 40_000
 """So many times, and about so many of the errors, are enough to see an event."""
 LINES = 2
 LINE_NEIGHBOURS = 41
+MIRRORED = 0.02
+"""Motors whose mean moves by less than this share of what they move by."""
 LINE_BAND_HZ = (0.2, 15.0)
 """Faster lines are vibration of the sensor and not motion of the aircraft."""
 LINE_START = 0.05
@@ -106,10 +108,15 @@ def both_rates(data: AxisData) -> Settings | str:
 
 
 def limit_starts(sim: Simulator, _: Fit, __: Effect) -> tuple[tuple[float, ...], ...]:
-    """Limits of the motors where some of the training commands lie beyond them."""
+    """Limits of the motors where some of the training commands lie beyond them.
+
+    Where throttle stands still one side rises as the other falls, and an upper limit takes the
+    same torque as a lower one: the upper is asked for then, as the one that aircraft have.
+    """
     motors = over_training(sim.data, sim.data.motors)
     low, less, more, high = np.percentile(motors, [0.0, 5.0, 95.0, 100.0])
-    return ((less, high), (low, more), (less, more))
+    mirrored = np.std(motors.mean(axis=1)) < MIRRORED * np.std(motors)
+    return ((low, more),) if mirrored else ((low, more), (less, high), (less, more))
 
 
 def line_starts(sim: Simulator, fit: Fit, _: Effect) -> tuple[tuple[float, ...], ...]:

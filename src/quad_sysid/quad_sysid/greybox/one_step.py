@@ -94,6 +94,8 @@ def sharpened(sim: Simulator, fit: Fit) -> Fit:
     covariance[kept, kept] = np.diag(fit.covariance)[kept]
     apart = np.isnan(covariance) & ~(fit.at_bound[:, None] | fit.at_bound)
     covariance[apart] = 0.0
+    unseen = ~fit.jacobian.any(axis=(0, 1))  # no sample depends on it: there is no error to quote
+    covariance[unseen] = covariance[:, unseen] = np.nan
     return replace(fit, theta=found.theta, errors=errors, sharp=covariance)
 
 
