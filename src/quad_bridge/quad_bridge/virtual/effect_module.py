@@ -27,7 +27,7 @@ def load_effect(path: Path) -> EffectFunction:
     module = importlib.util.module_from_spec(spec)
     try:
         spec.loader.exec_module(module)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise EffectModuleError(str(path), f'cannot be loaded: {_named(error)}') from error
     function = getattr(module, 'effect', None)
     if not callable(function):
@@ -50,7 +50,7 @@ def checked(function: EffectFunction, name: str) -> EffectFunction:
         try:
             returned = function(t_s, rates, angles, thrusts, battery_v)
             torque = np.array(returned, dtype=np.float64)
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             raise EffectModuleError(
                 name, f'effect() at t = {t_s:.3f} s: {_named(error)}'
             ) from error
@@ -65,5 +65,5 @@ def checked(function: EffectFunction, name: str) -> EffectFunction:
     return effect
 
 
-def _named(error: Exception) -> str:
+def _named(error: BaseException) -> str:
     return f'{type(error).__name__}: {error}'

@@ -27,6 +27,7 @@ from quad_bridge.virtual.profile import Profile, load_profile, profile_names
 from quad_bridge.virtual.pseudo_terminal import PseudoTerminal
 from quad_bridge.virtual.receiver import Receiver, read_events
 
+INTERRUPTED = 130
 MAX_BURST = 50
 """Cycles that are run at once after a stall before the port is looked at again."""
 
@@ -120,7 +121,10 @@ def serve(endpoint: Endpoint, port: PseudoTerminal, duration_s: float | None) ->
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the virtual STM32; 0 when ended by signal or duration, 2 on bad input."""
+    """Run the virtual STM32; 0 when ended by signal or duration, 2 on bad input.
+
+    130 where it was interrupted before it ran.
+    """
     given = arguments().parse_args(argv)
     try:
         endpoint = build_endpoint(given)
@@ -136,6 +140,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     except QuadBridgeError as error:
         sys.stderr.write(f'virtual_stm32: {error}\n')
         return 2
+    except KeyboardInterrupt:  # before `serve` takes the signal, as while compiling
+        sys.stderr.write('virtual_stm32: interrupted\n')
+        return INTERRUPTED
     return 0
 
 
