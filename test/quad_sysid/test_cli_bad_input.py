@@ -192,8 +192,9 @@ def test_a_foreign_file_is_no_model(good, run, tmp_path, content, words):
 @pytest.mark.parametrize(
     ('arguments', 'words'),
     [
-        (['--band', '20:0.1'], '--band: needs two times'),
-        (['--band', 'a:b'], '--band: needs two times'),
+        (['--band', '20:0.1'], '--band: needs 0 < LOW < HIGH in rad/s'),
+        (['--band', 'a:b'], '--band: needs 0 < LOW < HIGH in rad/s'),
+        (['--band', '1'], "in rad/s: found '1'; for example --band 0.1:20"),
         (['--band', ':20'], '--band: needs 0 < LOW < HIGH'),
         (['--band', '0.1:2000'], 'HIGH is too fast for 250 Hz'),
         (['--band', '0.1:20', '--rate', '-5'], '--rate: must be a positive number'),
@@ -209,6 +210,20 @@ def test_wrong_options_of_design_excitation(run, tmp_path, monkeypatch, argument
     status, error = run('design-excitation', *arguments)
     assert (status, words in error) == (2, True), error
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_validation_beyond_the_end_is_bad_input_to_evaluate_too(good, run, monkeypatch):
+    monkeypatch.setattr('quad_sysid.report.model_file.load_models', lambda _: {'roll': None})
+    status, error = run('evaluate', 'model.json', good, '--validate', '1e5:2e5')
+    assert (status, '--validate starts after the end' in error) == (2, True), error
+
+
+def test_a_mixer_without_motors_is_refused(run, tmp_path):
+    (tmp_path / 'some.csv').write_text(TABLE)
+    status, error = run('import', tmp_path / 'some.csv', '--axis', 'roll', '--time', 't',
+                        '--control', 'u', '--rate', 'r', '--mixer', 'plus',
+                        '--out', tmp_path / 'out')
+    assert (status, '--mixer: belongs to --motors' in error) == (2, True), error
 
 
 ROWS = [f'{DT * k:.3f},{0.1 * (k // 50 % 2)},{0.1 * k:.1f}' for k in range(600)]

@@ -181,7 +181,7 @@ def _identify_apart(request: Request, options: argparse.Namespace) -> int:
 
 
 def _evaluate(options: argparse.Namespace) -> int:
-    from quad_sysid.bags import parse_span, read_bag
+    from quad_sysid.bags import clip_span, parse_span, read_bag
     from quad_sysid.pipeline.evaluate import evaluate_or_say
     from quad_sysid.report import document
     from quad_sysid.report.model_file import load_models
@@ -190,8 +190,10 @@ def _evaluate(options: argparse.Namespace) -> int:
     if options.axis is not None and options.axis not in models:
         raise BadInputError(f'{options.model}: axes', 'lacks this axis', options.axis,
                             f'it holds {", ".join(models)}')
+    wanted = parse_span(options.validate, '--validate') if options.validate else None
     record = read_bag(options.bag)
-    spans = (parse_span(options.validate, '--validate'),) if options.validate else ()
+    span = clip_span(wanted, record, '--validate')
+    spans = () if span is None else (span,)
     found, refused = [], {}
     for axis in [options.axis] if options.axis else models:
         one = evaluate_or_say(models[axis], record, spans)
@@ -226,9 +228,8 @@ def _evaluate(options: argparse.Namespace) -> int:
 
 def _design(options: argparse.Namespace) -> int:
     from quad_sysid import session
-    from quad_sysid.bags import parse_span
     from quad_sysid.separation import words
-    from quad_sysid.signals.design import design_excitation
+    from quad_sysid.signals.design import design_excitation, parse_band
 
     if options.out and options.out.exists():
         raise BadInputError('--out', 'exists already', options.out, 'choose another name')
@@ -241,8 +242,7 @@ def _design(options: argparse.Namespace) -> int:
         told = words.text(found)
         content = words.schedule(found)
     else:
-        band = parse_span(options.band, '--band')
-        design = design_excitation(band[0], band[1], options.rate)
+        design = design_excitation(*parse_band(options.band), options.rate)
         told = design.text()
         content = design.to_schedule_yaml(options.axis or 'roll', options.amplitude_deg)
     if options.out:

@@ -56,8 +56,8 @@ def split_segments(
     if axes is None:
         axes = tuple(axis for axis in AXES if axis in {s.axis for s in known}) or AXES
     length = record.n * record.dt
-    train = _clipped(train, length, record, '--train')
-    validate = _clipped(validate, length, record, '--validate')
+    train = clip_span(train, record, '--train')
+    validate = clip_span(validate, record, '--validate')
     segments: list[Segment] = []
     for role, span, other in (('train', train, validate), ('validation', validate, train)):
         if span is None and known:
@@ -70,9 +70,11 @@ def split_segments(
     return replace(record, segments=tuple(sorted(segments, key=lambda s: s.start_s)))
 
 
-def _clipped(span: Span | None, length: float, record: Record, option: str) -> Span | None:
+def clip_span(span: Span | None, record: Record, option: str) -> Span | None:
+    """The span within the record; BadInputError, naming the option, where it starts beyond."""
     if span is None:
         return None
+    length = record.n * record.dt
     if span[0] >= length:
         raise BadInputError(
             record.source, f'{option} starts after the end of the record',

@@ -37,7 +37,7 @@ def add(commands: Commands) -> None:
     source = table.add_mutually_exclusive_group()
     source.add_argument('--control', metavar='COL', help='command of the axis')
     source.add_argument('--motors', metavar='COL,COL,COL,COL', help='the four motors')
-    table.add_argument('--mixer', default='x', metavar='x|plus|crazyflie|FILE',
+    table.add_argument('--mixer', metavar='x|plus|crazyflie|FILE',
                        help='what the motors mean (default x)')
     table.add_argument('--rate', metavar='COL', help='measured rate; else from --angle')
     table.add_argument('--angle', metavar='COL', help='measured angle or position')
@@ -85,10 +85,15 @@ def _table(options: argparse.Namespace) -> int:
                 f'{options.file}', f'is a plain CSV, which needs --{name}',
                 remedy='see quad-sysid import --help',
             )
+    if options.mixer is not None and not options.motors:
+        raise BadInputError(
+            '--mixer', 'belongs to --motors, a --control column is behind no mixer',
+            options.mixer, 'leave it out or give --motors',
+        )
     motors = tuple(options.motors.split(',')) if options.motors else ()
     path = import_csv(ImportOptions(
         file=options.file, axis=options.axis, time=options.time, out=options.out,
-        control=options.control, motors=motors, mixer=options.mixer, rate=options.rate,
+        control=options.control, motors=motors, mixer=options.mixer or 'x', rate=options.rate,
         angle=options.angle, reference=options.reference, reference_is=options.reference_is,
         battery=options.battery, units=parse_units(options.unit),
     ))

@@ -88,6 +88,20 @@ class Design:
         )
 
 
+def parse_band(text: str) -> tuple[float, float]:
+    """Read `LOW:HIGH` (rad/s) of --band; BadInputError where they are not two numbers in order."""
+    low, _, high = text.partition(':')
+    try:
+        band = (float(low), float(high))
+    except ValueError:
+        band = (math.nan, math.nan)
+    if not 0.0 < band[0] < band[1] < math.inf:
+        raise BadInputError(
+            '--band', 'needs 0 < LOW < HIGH in rad/s', repr(text), 'for example --band 0.1:20'
+        )
+    return band
+
+
 def design_excitation(
     low_rad_s: float, high_rad_s: float, sample_rate_hz: float = 250.0
 ) -> Design:
