@@ -8,7 +8,7 @@ from __future__ import annotations
 import itertools
 import operator
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -131,6 +131,19 @@ class Record:
         """Index range [start, stop) of a segment."""
         start = max(0, round(segment.start_s / self.dt))
         return start, min(self.n, round(segment.end_s / self.dt))
+
+    def at_interval(self, dt: float) -> Record:
+        """The same samples as if taken every dt s; times of segments and gains go with them."""
+        if dt == self.dt:
+            return self
+        ratio = dt / self.dt
+        return replace(
+            self, dt=dt,
+            segments=tuple(
+                replace(s, start_s=s.start_s * ratio, end_s=s.end_s * ratio) for s in self.segments
+            ),
+            gains=tuple(replace(g, time_s=g.time_s * ratio) for g in self.gains),
+        )
 
     def gains_at(self, time_s: float) -> Mapping[str, float]:
         """The gains in force at `time_s`; empty where the bag does not say.

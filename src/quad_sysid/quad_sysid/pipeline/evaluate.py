@@ -17,6 +17,7 @@ from quad_sysid.greybox.fit import fit_structure, simulator
 from quad_sysid.greybox.simulate import Simulator
 from quad_sysid.greybox.structure import Effect, Settings, Structure
 from quad_sysid.model import AxisModel, EffectEstimate, Parameter
+from quad_sysid.pipeline.together import same_rate
 from quad_sysid.pipeline.usable import check_limits
 from quad_sysid.record import Record, finite_runs
 
@@ -46,11 +47,12 @@ def evaluate(model: AxisModel, record: Record, spans_s: tuple[tuple[float, float
              ) -> Evaluation:
     """Errors of the base and of the completed model, all parameters as stored.
 
-    spans_s: parts of the record in s; empty: all of it but its idle segments.
+    spans_s: parts of the record in s; empty: all of it but its idle segments. The simulation runs
+    at the record's own interval, which may differ by what two clocks differ (SAME_RATE).
     Raises BadInputError where the record does not fit the model, NotInformativeError where no
     window of 0.5 s is left, motors or gyro stand at their limits, or the rate does not move.
     """
-    if abs(record.dt - model.dt) > 1e-6 * model.dt:
+    if not same_rate(record.dt, model.dt):
         raise BadInputError(
             record.source, "sample rate must be the model's",
             f'{1 / record.dt:.6g} Hz, model {1 / model.dt:.6g} Hz', 'identify at this rate',

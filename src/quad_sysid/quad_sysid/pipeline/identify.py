@@ -16,7 +16,7 @@ from quad_sysid.effects.discover import Discovery, discover
 from quad_sysid.effects.judge import Judgement, judge
 from quad_sysid.effects.shapes import SHAPES
 from quad_sysid.effects.table import EFFECTS
-from quad_sysid.errors import BadInputError, NotInformativeError, QuadSysidError
+from quad_sysid.errors import NotInformativeError, QuadSysidError
 from quad_sysid.greybox.data import axis_data
 from quad_sysid.model import Designer, GainProposal
 from quad_sysid.pipeline import assemble, blackbox_part
@@ -26,6 +26,7 @@ from quad_sysid.pipeline.motor_order import refusal
 from quad_sysid.pipeline.residual import of_black_box, of_grey_box
 from quad_sysid.pipeline.selection import with_blackbox
 from quad_sysid.pipeline.shared import share
+from quad_sysid.pipeline.together import together
 from quad_sysid.pipeline.usable import check_usable
 from quad_sysid.record import Record, Segment
 
@@ -51,14 +52,9 @@ def identify(
 ) -> dict[str, AxisAnswer]:
     """One answer for every axis asked for; records share one aircraft and one sample rate.
 
-    Raises BadInputError where the records do not fit together.
+    Raises BadInputError where the records do not fit together (pipeline.together).
     """
-    rates = sorted({round(1.0 / record.dt, 6) for record in records})
-    if len(rates) != 1:
-        raise BadInputError(
-            records[-1].source, 'all bags must have one sample rate', f'{rates} Hz',
-            'identify them one by one',
-        )
+    records = together(records)
     with threadpool_limits(limits=1):  # the matrices are narrow: threads only wait for another
         return share({
             axis: identify_axis(records, axis, options, progress)
