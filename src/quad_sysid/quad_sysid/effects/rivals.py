@@ -14,6 +14,7 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.effects.candidate import Candidate, candidate, without
 from quad_sysid.effects.choice import AS_GOOD, NEARLY_ALL, ROUGH, fitting
 from quad_sysid.effects.persistence import persists
+from quad_sysid.effects.screening import vanishes
 from quad_sysid.effects.worth import against_nature
 from quad_sysid.greybox.fit import Fit, fit_structure, fit_with_effect
 from quad_sysid.greybox.one_step import BAND_HZ, block_of_rows, one_step, slow_errors
@@ -38,7 +39,8 @@ def settled(
 
     The free run chose `name`; where it can hardly tell it from another and the one-step errors,
     which are sharper, say that the other is more probable than all the rest, that one is taken.
-    Where the other is against nature both are the shape of something else, and go: no name.
+    Where the other is against nature both are the shape of something else, and go: no name. So
+    does a name whose likelier rival ends as nothing.
     """
     labels, one_of, shares = _contest(sim, current, name, prepared, near, rng)
     first, chance = shares[0]
@@ -49,7 +51,7 @@ def settled(
         (one for label, one in zip(labels, one_of, strict=True) if label == first), key=_score
     )
     rest = without(sim, best, first)
-    if against_nature(rest, best, first):
+    if against_nature(rest, best, first) or _is_nothing(best, first):
         return rest, '', ()
     alike = best.score <= AS_GOOD * current.score and len(best.names) == len(current.names)
     if not alike or not persists(sim, best.fit, first):
@@ -57,6 +59,14 @@ def settled(
     best = candidate(sim, fit_structure(sim, best.fit.structure, best.fit.theta))
     near = {*near, name} - {first}
     return best, first, _contest(sim, best, first, prepared, near, rng)[2]
+
+
+def _is_nothing(one: Candidate, name: str) -> bool:
+    """Whether an effect that is gone at zero ended there: the rest alone says as much."""
+    structure = one.fit.structure
+    index = [e.name for e in structure.effects].index(name)
+    gone = not one.fit.theta[structure.slices()[index]].any()
+    return gone and vanishes(structure.effects[index])
 
 
 def _score(one: Candidate) -> float:

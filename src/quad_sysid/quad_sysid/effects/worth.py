@@ -25,7 +25,8 @@ PLACES = 1000
 """So many beginnings and ends of an event are tried, more or less."""
 MOST_ASKED = 8
 """So many of the best are asked whether they stand in the wind; the rest fall behind them."""
-LOSSES = ('quadratic_drag', 'coulomb_friction')
+DRAG = 'quadratic_drag'
+LOSSES = (DRAG, 'coulomb_friction')
 """Effects that only take energy away, as the base's damping does."""
 FALLEN = 3.0
 """Standard errors by which a damping must have fallen where it ends just below zero."""
@@ -73,13 +74,15 @@ def _stands(sim: Simulator, current: Candidate, one: Candidate) -> bool:
 def against_nature(rest: Candidate, one: Candidate, added: str) -> bool:
     """A loss that is paid for by a viscous damping below zero is the shape of something else.
 
-    Friction that falls with the rate (Stribeck) looks like drag beside a negative damping.
-    rest: the model without the loss `added`.
+    Friction that falls with the rate (Stribeck) looks like drag beside a negative damping; alone
+    it is still friction. rest: the model without the loss `added`.
     """
+    if added not in LOSSES or DRAG not in one.names:
+        return False
     damping, error = float(one.fit.theta[3]), float(one.fit.std[3])
     fallen = float(rest.fit.theta[3]) - damping
     below = damping < -0.5 * error and fallen > 0.0
-    return added in LOSSES and (below or (damping < 0.0 and fallen > FALLEN * error))
+    return below or (damping < 0.0 and fallen > FALLEN * error)
 
 
 def _least(current: Candidate, one: Candidate) -> float:
