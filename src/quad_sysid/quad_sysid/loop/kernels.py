@@ -115,9 +115,10 @@ def advance(cycle: Cycle, part: int, v: float, torque: float, state: FloatArray)
 
 @kernel
 def run_plant(
-    gains: Constants, cycle: Cycle, signals: FloatArray, state: FloatArray, out: FloatArray
+    gains: Constants, cycle: Cycle, signals: FloatArray, state: FloatArray, out: FloatArray,
+    lead: float,
 ) -> None:
-    """The cascade around the plant.
+    """The cascade around the plant; `lead` in s of the measured angle over the rate's integral.
 
     signals (5, n): angle reference, noise of the rate, torque, rate and control excitation;
     out (4, n): angle, rate, control, rate reference. `state` ends where the run ends.
@@ -126,7 +127,7 @@ def run_plant(
     memory[LAST_RATE] = state[cycle.rate_output]
     for k in range(signals.shape[1]):
         rate = state[cycle.rate_output] + signals[1, k]
-        angle = state[cycle.angle_output]
+        angle = state[cycle.angle_output] + lead * rate
         wanted, u = control(gains, memory, signals[0, k], angle, rate, signals[3, k])
         out[0, k], out[1, k], out[2, k], out[3, k] = angle, rate, u + signals[4, k], wanted
         for part in range(2):
@@ -140,7 +141,8 @@ def run_plant(
 
 @kernel
 def run_polynomial(
-    gains: Constants, signals: FloatArray, a: FloatArray, b: FloatArray, out: FloatArray
+    gains: Constants, signals: FloatArray, a: FloatArray, b: FloatArray, out: FloatArray,
+    lead: float,
 ) -> None:
     """The cascade around A(q) rate = B(q) u with a[0] = 1, b[0] = 0; the angle is its sum."""
     memory = np.zeros(3)
@@ -156,5 +158,6 @@ def run_polynomial(
         if k > 0:
             angle += 0.5 * gains.dt * (clean[k] + clean[k - 1])
         rate = total + signals[1, k]
-        wanted, u = control(gains, memory, signals[0, k], angle, rate, 0.0)
-        out[0, k], out[1, k], out[2, k], out[3, k] = angle, rate, u, wanted
+        seen = angle + lead * rate
+        wanted, u = control(gains, memory, signals[0, k], seen, rate, 0.0)
+        out[0, k], out[1, k], out[2, k], out[3, k] = seen, rate, u, wanted

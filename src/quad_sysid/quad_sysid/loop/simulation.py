@@ -121,13 +121,15 @@ def simulate_cascade(
     control_excitation: npt.ArrayLike | None = None,
     initial_angle: float = 0.0,
     initial_rate: float = 0.0,
+    angle_lead_s: float = 0.0,
 ) -> LoopResponse:
     """The cascade around `plant` for an angle reference (n,), rad.
 
     noise (n,) rad/s on the measured rate; disturbance (n,) or a number, rad/s² on the axis, held
     over the cycle; rate_excitation and control_excitation (n,) are added behind the limits of C1
     and C2, as the firmware does (excitation of the attitude is part of the reference). The drive
-    starts at zero. Raises BadInputError for shapes, values that are not finite and a dt that is
+    starts at zero. angle_lead_s is how far the measured angle leads the rate's integral
+    (angle_lead.py). Raises BadInputError for shapes, values that are not finite and a dt that is
     not the plant's.
     """
     reference = _checked_reference(reference_angle, dt, plant.dt)
@@ -148,7 +150,9 @@ def simulate_cascade(
         behind = np.sqrt(2.0) / (2.0 * np.pi * plant.gyro_filter_hz)
         state[3], state[4] = initial_rate, initial_angle - behind * initial_rate
     out = np.zeros((4, n))
-    kernels.run_plant(_constants(gains, plant.dt), cycle, signals, state, out)
+    kernels.run_plant(
+        _constants(gains, plant.dt), cycle, signals, state, out, float(angle_lead_s)
+    )
     return LoopResponse(*out)
 
 
@@ -161,12 +165,13 @@ def simulate_polynomial_cascade(
     *,
     nk: int = 0,
     noise: npt.ArrayLike | None = None,
+    angle_lead_s: float = 0.0,
 ) -> LoopResponse:
     """The cascade around a discrete model A(q) rate = B(q) q^-nk u (the paper's step B).
 
     A (na + 1,) with A[0] != 0, B (m,) in powers of q^-1 from q^0 (leading zeros are delay, `nk`
-    more may be given apart). The angle is the trapezoid sum of the rate. A model without any
-    delay would need u before it is known: BadInputError.
+    more may be given apart). The angle is the trapezoid sum of the rate, angle_lead_s ahead.
+    A model without any delay would need u before it is known: BadInputError.
     """
     array = _checked_reference(reference, dt, dt)
     a = np.asarray(A, dtype=float)
@@ -179,5 +184,7 @@ def simulate_polynomial_cascade(
         )
     out = np.zeros((4, array.size))
     signals = np.stack((array, _signal(noise, array.size, 'noise')))
-    kernels.run_polynomial(_constants(gains, dt), signals, a / a[0], b / a[0], out)
+    kernels.run_polynomial(
+        _constants(gains, dt), signals, a / a[0], b / a[0], out, float(angle_lead_s)
+    )
     return LoopResponse(*out)

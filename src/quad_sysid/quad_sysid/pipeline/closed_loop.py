@@ -108,6 +108,7 @@ def _simulated(model: AxisModel, run: Run, dt: float) -> FloatArray:
     response = simulate_cascade(
         loop_plant(model), flight.gains, flight.reference, dt,
         rate_excitation=run.at_rate, control_excitation=run.at_control,
+        angle_lead_s=flight.angle_lead_s,
     )
     rate: FloatArray = response.rate[flight.rows]
     return rate

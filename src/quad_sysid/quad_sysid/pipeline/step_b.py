@@ -14,6 +14,7 @@ import numpy as np
 from quad_sysid.blackbox import Model
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.errors import QuadSysidError
+from quad_sysid.loop.angle_lead import angle_lead_s
 from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.loop.simulation import simulate_polynomial_cascade
 from quad_sysid.pipeline.answer import LoopRun, ModelRow
@@ -40,6 +41,8 @@ class Flown:
     """(m,) indices that are compared."""
     injected: bool
     """Whether an excitation acted behind the attitude reference, which the simulation lacks."""
+    angle_lead_s: float = 0.0
+    """Of the far end's angle over the integral of its rate, as recorded."""
 
 
 def flown(records: Sequence[Record], axis: str) -> tuple[Flown, ...] | str:
@@ -88,6 +91,7 @@ def _flown(
     reference = _held(record.attitude_setpoint[:, index])
     if reference is None:
         return f'{record.source}: /setpoint/attitude is not finite'
+    angle = None if record.angles is None else record.angles[:, index]
     good = np.isfinite(record.rates[:, index])
     runs = [run for s in segments for run in finite_runs(good, record.span(s))]
     if not runs:
@@ -101,6 +105,7 @@ def _flown(
         rate=record.rates[:, index],
         rows=np.concatenate([np.arange(a, b) for a, b in runs]),
         injected=any(s.injection in ('rate', 'control') for s in segments),
+        angle_lead_s=angle_lead_s(angle, record.rates[:, index], record.dt),
     )
 
 
@@ -123,7 +128,8 @@ def run(model: Model, flight: Flown) -> LoopRun:
         return replace(failed, because='nk = 0: the command would act before it is known')
     try:
         rate = simulate_polynomial_cascade(
-            model.denominator, model.B, flight.gains, flight.reference, model.dt
+            model.denominator, model.B, flight.gains, flight.reference, model.dt,
+            angle_lead_s=flight.angle_lead_s,
         ).rate[flight.rows]
     except QuadSysidError as refusal:
         return replace(failed, because=str(refusal))
