@@ -55,7 +55,8 @@ def approaches(
 
 def _known(z: IOData, gains: CascadeGains) -> tuple[LinearController | None, str]:
     """The controller, if its own command is the recorded one, and what was found."""
-    known = controller(gains, z.dt)
+    ways = [controller(gains, z.dt, trapezoid=trapezoid) for trapezoid in (True, False)]
+    known = max(ways, key=lambda way: reproduced(z, way))
     fit = reproduced(z, known)
     if fit < KNOWN_CONTROLLER_PCT:
         return None, (
@@ -65,11 +66,12 @@ def _known(z: IOData, gains: CascadeGains) -> tuple[LinearController | None, str
     return known, f'reference and rate are recorded, {fit:.0f} % of the command is the controller'
 
 
-def controller(gains: CascadeGains, dt: float) -> LinearController:
-    """C1 and C2 without their limits."""
+def controller(gains: CascadeGains, dt: float, *, trapezoid: bool = True) -> LinearController:
+    """C1 and C2 without their limits; the far end's angle by trapezoids or by rectangles."""
     return cascade_controller(
         angle_kp=gains.angle_kp, rate_kp=gains.rate_kp, rate_ki=gains.rate_ki,
         rate_kd=gains.rate_kd, d_weight=derivative_weight(gains.d_filter_hz, dt), dt=dt,
+        trapezoid=trapezoid,
     )
 
 
