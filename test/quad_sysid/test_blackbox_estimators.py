@@ -292,6 +292,18 @@ def test_noise_alone_yields_no_plant():
         assert np.all(np.abs(np.roots(model.F)) < 1.0)
 
 
+@pytest.mark.parametrize('fit', [lambda z: oe(z, 3, 3, 2), lambda z: bj(z, 3, 2, 2, 3, 2)])
+def test_a_segment_shorter_than_the_lags_is_left_out(study, fit):
+    """Three samples between two gaps hold no row: nearly the same plant as without them."""
+    z = study.record(np.random.default_rng(3))
+    start, stop = z.segments[0]
+    middle = (start + stop) // 2
+    halves = ((start, middle), (middle + 10, stop))
+    torn = replace(z, segments=(halves[0], (middle + 3, middle + 6), halves[1]))
+    whole = fit(replace(z, segments=halves))
+    assert fit(torn).F == pytest.approx(whole.F, abs=0.01)
+
+
 def test_given_start_is_used_and_checked(study):
     z = study.record(np.random.default_rng(4))
     own, given = bj(z, 2, 2, 2, 2, 3), bj(z, 2, 2, 2, 2, 3, start=study.truth)

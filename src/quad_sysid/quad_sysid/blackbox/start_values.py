@@ -202,6 +202,9 @@ def _steiglitz_mcbride(
     """
     f, b = np.ones(1), np.zeros(nb)
     lead = max(nf, nk + nb - 1)
+    parts = [part for part in parts if part.shape[0] > lead]  # a shorter one holds no row
+    if not parts:
+        return b, monic(np.zeros(nf))
     for _ in range(rounds if nf else 1):
         factors = []
         for part in parts:
