@@ -12,6 +12,7 @@ from scipy.integrate import solve_ivp
 from quad_sysid.effects.crossval import folds_of, held_out_errors
 from quad_sysid.effects.table import by_name
 from quad_sysid.greybox import drive, levenberg, noise
+from quad_sysid.greybox.covariance import robust_covariance
 from quad_sysid.greybox.data import Windows, axis_data
 from quad_sysid.greybox.fit import fit_base, fit_structure, fit_with_effect, simulator
 from quad_sysid.greybox.simulate import Simulator
@@ -274,6 +275,18 @@ ONES = np.ones(2)
 
 def rosenbrock(x):
     return np.array([10.0 * (x[1] - x[0] ** 2), 1.0 - x[0]])
+
+
+def test_blocks_that_agree_to_the_last_digit_promise_no_certainty():
+    windows = Windows(np.arange(40) * 125, 2, np.zeros(40, dtype=np.int64))
+    jacobian = np.ones((40, 2, 1))
+    errors = np.tile([[0.1, 0.1], [-0.1, -0.1]], (20, 1))  # no block is off, each window is
+    with np.errstate(all='raise'):
+        covariance = robust_covariance(
+            jacobian, errors, np.array([False]), windows, 0.004, np.zeros((0, 1))
+        )
+    # two samples of a window say the same: 40 values of 0.1, each counted once
+    assert covariance[0, 0] == pytest.approx(0.1**2 / 40, rel=0.05)
 
 
 def test_a_linear_problem_is_solved_at_once():

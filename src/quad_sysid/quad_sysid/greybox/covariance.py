@@ -15,6 +15,8 @@ from quad_sysid.greybox.data import Windows
 
 BLOCK_S = 2.0
 """Windows closer than this are not counted as independent in standard errors."""
+ROUNDING = 1e-12
+"""A clustered variance below this share of the pooled one is rounding."""
 
 
 def block_numbers(windows: Windows, dt: float, block_s: float = BLOCK_S) -> np.ndarray:
@@ -45,7 +47,11 @@ def robust_covariance(
     bread = _bread(j, prior[:, index])
     clustered = bread @ _between_blocks(j, errors, windows, dt) @ bread
     pooled = bread @ _pooled(j, errors) @ bread
-    larger = np.sqrt(np.maximum(np.diag(pooled) / np.maximum(np.diag(clustered), 1e-300), 1.0))
+    whole = np.diag(pooled)
+    if np.any(np.diag(clustered) <= ROUNDING * whole):  # blocks that agree to the last digit
+        out[np.ix_(index, index)] = pooled
+        return out
+    larger = np.sqrt(np.maximum(whole / np.diag(clustered), 1.0))
     out[np.ix_(index, index)] = clustered * np.outer(larger, larger)
     return out
 

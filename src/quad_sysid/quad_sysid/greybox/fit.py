@@ -85,7 +85,7 @@ class Fit:
     @property
     def std(self) -> FloatArray:
         """(p,) standard errors, NaN at a bound."""
-        return np.sqrt(np.diag(self.covariance))
+        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
 
     def noise_rms(self, model: noise.NoiseModel) -> float:
         """RMS of the measurement noise, rad/s; by the innovations where windows are too short."""
