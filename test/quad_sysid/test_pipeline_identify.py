@@ -222,12 +222,17 @@ def test_identify_is_the_heart_and_the_black_box(axis_type, flown):
 
 def test_a_torque_that_never_ends_does_not_spoil_the_black_box(axis_type, flown):
     """4 rad/s² of bias: about the equilibrium, not about the means, models run free as without."""
-    answer = answer_of([flown(dataclasses.replace(axis_type(), bias=4.0), SEED)])
+    record = flown(dataclasses.replace(axis_type(), bias=4.0), SEED)
+    answer = answer_of([record])
     fits = [
         fit for row in answer.rows for fit in row.step_a.fit_validation_pct.values()
         if row.step_a.model.stable
     ]
     assert np.median(fits) > 90.0
+    spans = tuple((s.start_s, s.end_s) for s in record.segments if s.role == 'validation')
+    polynomial = answer.rows[answer.selected].step_a.model
+    again = evaluate(answer.model, record, spans, polynomial)
+    assert again.blackbox == pytest.approx(answer.blackbox_error, rel=1e-6)
 
 
 def test_wrong_sign_of_the_command_is_told_by_the_gain(axis_type, flown):

@@ -184,9 +184,10 @@ def _evaluate(options: argparse.Namespace) -> int:
     from quad_sysid.bags import clip_span, parse_span, read_bag
     from quad_sysid.pipeline.evaluate import evaluate_or_say
     from quad_sysid.report import document
+    from quad_sysid.report.blackbox_file import load_blackbox
     from quad_sysid.report.model_file import load_models
 
-    models = load_models(options.model)
+    models, polynomials = load_models(options.model), load_blackbox(options.model)
     if options.axis is not None and options.axis not in models:
         raise BadInputError(f'{options.model}: axes', 'lacks this axis', options.axis,
                             f'it holds {", ".join(models)}')
@@ -196,7 +197,7 @@ def _evaluate(options: argparse.Namespace) -> int:
     spans = () if span is None else (span,)
     found, refused = [], {}
     for axis in [options.axis] if options.axis else models:
-        one = evaluate_or_say(models[axis], record, spans)
+        one = evaluate_or_say(models[axis], record, spans, polynomials.get(axis))
         if isinstance(one, str):
             refused[axis] = one
         else:
@@ -210,7 +211,7 @@ def _evaluate(options: argparse.Namespace) -> int:
             e.axis: {'error': {
                 'metric': document.METRIC, 'unit': 'rad/s', 'before': e.before, 'after': e.after,
                 'one_step_before': e.one_step_before, 'one_step_after': e.one_step_after,
-                'hold_last_value': e.hold, 'windows': e.windows,
+                'blackbox': e.blackbox, 'hold_last_value': e.hold, 'windows': e.windows,
             }}
             for e in found
         }
@@ -222,6 +223,8 @@ def _evaluate(options: argparse.Namespace) -> int:
         print(f'  base (before)       {e.before:.4g}')
         if models[e.axis].effects:
             print(f'  completed (after)   {e.after:.4g}')
+        if e.blackbox is not None:
+            print(f'  black box           {e.blackbox:.4g}')
         print(f'  hold the last value {e.hold:.4g}')
     return DONE
 

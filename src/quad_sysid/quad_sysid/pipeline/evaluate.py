@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from quad_sysid.blackbox import Model
 from quad_sysid.contract import FloatArray
 from quad_sysid.effects.judge import hold_error
 from quad_sysid.effects.shapes import SHAPES
@@ -17,6 +18,7 @@ from quad_sysid.greybox.fit import fit_structure, simulator
 from quad_sysid.greybox.simulate import Simulator
 from quad_sysid.greybox.structure import Effect, Settings, Structure
 from quad_sysid.model import AxisModel, EffectEstimate, Parameter
+from quad_sysid.pipeline.blackbox_part import window_error
 from quad_sysid.pipeline.together import same_rate
 from quad_sysid.pipeline.usable import check_limits
 from quad_sysid.record import Record, finite_runs
@@ -41,13 +43,18 @@ class Evaluation:
     one_step_after: float
     hold: float
     windows: int
+    blackbox: float | None = None
+    """None where none was given, or where its predictions run away."""
 
 
-def evaluate(model: AxisModel, record: Record, spans_s: tuple[tuple[float, float], ...] = ()
-             ) -> Evaluation:
+def evaluate(
+    model: AxisModel, record: Record, spans_s: tuple[tuple[float, float], ...] = (),
+    blackbox: Model | None = None,
+) -> Evaluation:
     """Errors of the base and of the completed model, all parameters as stored.
 
-    spans_s: parts of the record in s; empty: all of it but its idle segments. The simulation runs
+    spans_s: parts of the record in s; empty: all of it but its idle segments. blackbox: the
+    polynomial model of this axis, run about the stored base's equilibrium. The simulation runs
     at the record's own interval, which may differ by what two clocks differ (SAME_RATE).
     Raises BadInputError where the record does not fit the model, NotInformativeError where no
     window of 0.5 s is left, motors or gyro stand at their limits, or the rate does not move.
@@ -70,6 +77,8 @@ def evaluate(model: AxisModel, record: Record, spans_s: tuple[tuple[float, float
     structure, theta = structure_of(model)
     theta = of_this_flight(simulator(data, spans, np.array(model.correction)), structure, theta)
     plain = vector(model.plain or model.base)
+    gain, bias = float(plain[0]), float(plain[4])
+    data = replace(data, trim=(-bias / gain, 0.0) if gain else None)
     before = simulator(data, spans, np.array(model.plain_correction or model.correction))
     after = simulator(data, spans, np.array(model.correction))
     hold = hold_error(before)
@@ -89,15 +98,17 @@ def evaluate(model: AxisModel, record: Record, spans_s: tuple[tuple[float, float
         one_step_after=one_step(run_after.innovations),
         hold=hold,
         windows=before.windows.count,
+        blackbox=None if blackbox is None else window_error(data, blackbox, spans),
     )
 
 
 def evaluate_or_say(
-    model: AxisModel, record: Record, spans_s: tuple[tuple[float, float], ...] = ()
+    model: AxisModel, record: Record, spans_s: tuple[tuple[float, float], ...] = (),
+    blackbox: Model | None = None,
 ) -> Evaluation | str:
     """As `evaluate`, but why the flight says nothing of the model in words."""
     try:
-        return evaluate(model, record, spans_s)
+        return evaluate(model, record, spans_s, blackbox)
     except NotInformativeError as reason:
         return str(reason)
 
