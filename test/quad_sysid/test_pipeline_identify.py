@@ -233,6 +233,8 @@ def test_a_torque_that_never_ends_does_not_spoil_the_black_box(axis_type, flown)
     polynomial = answer.rows[answer.selected].step_a.model
     again = evaluate(answer.model, record, spans, polynomial)
     assert again.blackbox == pytest.approx(answer.blackbox_error, rel=1e-6)
+    unseen = dataclasses.replace(record, segments=())  # a flight that nobody cut into segments
+    assert evaluate(answer.model, unseen, spans, polynomial).blackbox == again.blackbox
 
 
 def test_wrong_sign_of_the_command_is_told_by_the_gain(axis_type, flown):

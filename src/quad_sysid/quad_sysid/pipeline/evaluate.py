@@ -77,8 +77,6 @@ def evaluate(
     structure, theta = structure_of(model)
     theta = of_this_flight(simulator(data, spans, np.array(model.correction)), structure, theta)
     plain = vector(model.plain or model.base)
-    gain, bias = float(plain[0]), float(plain[4])
-    data = replace(data, trim=(-bias / gain, 0.0) if gain else None)
     before = simulator(data, spans, np.array(model.plain_correction or model.correction))
     after = simulator(data, spans, np.array(model.correction))
     hold = hold_error(before)
@@ -98,8 +96,16 @@ def evaluate(
         one_step_after=one_step(run_after.innovations),
         hold=hold,
         windows=before.windows.count,
-        blackbox=None if blackbox is None else window_error(data, blackbox, spans),
+        blackbox=None if blackbox is None else _blackbox_error(data, plain, blackbox, spans),
     )
+
+
+def _blackbox_error(
+    data: AxisData, plain: FloatArray, blackbox: Model, spans: tuple[Span, ...]
+) -> float | None:
+    gain, bias = float(plain[0]), float(plain[4])
+    trim = (-bias / gain, 0.0) if gain else (0.0, 0.0)
+    return window_error(replace(data, trim=trim, reference=None), blackbox, spans)
 
 
 def evaluate_or_say(
