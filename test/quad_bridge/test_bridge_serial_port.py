@@ -2,9 +2,11 @@
 
 import fcntl
 import os
+import socket
 import threading
 import time
 import tty
+from types import SimpleNamespace
 
 import pytest
 
@@ -183,6 +185,66 @@ def test_a_peer_that_does_not_read_costs_writes_and_not_the_node(line, start):
     assert until(lambda: not port.write(bytes(4096)))
     assert port.status.dropped_writes >= 1
     assert port.status.state is PortState.OPEN
+
+
+@pytest.fixture
+def deaf():
+    """A network peer that accepts and never reads."""
+    with socket.socket() as server:
+        server.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
+        server.bind(('127.0.0.1', 0))
+        server.listen(1)
+        yield f'socket://127.0.0.1:{server.getsockname()[1]}'
+
+
+def written(port, writes):
+    """Whether so many writes come to an end; they are made in a thread that may hang."""
+    thread = threading.Thread(target=lambda: [port.write(bytes(60)) for _ in range(writes)])
+    thread.daemon = True
+    thread.start()
+    thread.join(WAIT_S)
+    return not thread.is_alive()
+
+
+def test_no_write_waits_for_a_terminal_whose_output_is_full(line, start):
+    port, _ = start(line.path)
+    assert until(lambda: port.status.state is PortState.OPEN)
+    assert written(port, 2000)  # 120 KB, where 20 KB have room
+    dropped = port.status.dropped_writes
+    assert 1000 < dropped < 2000
+    while not port.write(b'again'):
+        os.read(line.master, 65536)
+    assert port.status.state is PortState.OPEN
+
+
+def test_no_write_waits_for_a_network_peer_that_stops_reading(deaf):
+    port = SerialPort(deaf, 921600, lambda _: None)
+    port.start()
+    assert until(lambda: port.status.state is PortState.OPEN)
+    assert written(port, 100_000)  # 6 MB, more than both ends buffer
+    assert port.status.dropped_writes > 1000
+    port.stop()
+    assert port.status.state is PortState.CLOSED
+
+
+def test_what_opens_after_the_stop_is_not_announced(monkeypatch):
+    """A network's peer may be waited for longer than anybody waits for the thread."""
+    opening, stopped = threading.Event(), threading.Event()
+
+    def late(*_args, **_named):
+        opening.set()
+        stopped.wait(WAIT_S)
+        return SimpleNamespace(close=lambda: None, fileno=lambda: -1)
+
+    monkeypatch.setattr(serial_port.serial, 'serial_for_url', late)
+    ears = Ears()
+    port = SerialPort('socket://far', 921600, ears.bytes, ears.open)
+    port.start()
+    assert opening.wait(WAIT_S)
+    port._stop.set()
+    stopped.set()
+    port.stop()
+    assert (port.status.state, ears.opened) == (PortState.CLOSED, 0)
 
 
 def test_stop_ends_the_thread_at_once(line):

@@ -134,11 +134,11 @@ class SerialPort:
             self._thread.join(timeout=2.0)
 
     def write(self, data: bytes) -> bool:
-        """Send `data`; False (and counted) where the port is shut or its output full."""
+        """Send `data` without waiting; False (and counted) where the port is shut or full."""
         with self._write_lock:
             port = self._port
             try:
-                if port is not None and port.write(data) == len(data):
+                if port is not None and _write(port, data) == len(data):
                     return True
             except FAULTS as error:
                 self._detail = _one_line(error)
@@ -172,7 +172,8 @@ class SerialPort:
             self._opened += 1
             self._detail = ''
             self._state = PortState.OPEN
-            self._on_open()
+            if not self._stop.is_set():  # while a network's peer was waited for
+                self._on_open()
             return True
         if not found:
             self._state, self._detail = PortState.NOT_THERE, f'nothing matches {self._path}'
@@ -203,12 +204,12 @@ class SerialPort:
                 return
 
     def _close(self) -> None:
-        with self._write_lock:
+        with self._write_lock:  # nobody writes behind it; closing a socket takes its time
             port, self._port = self._port, None
-            try:
-                port.close()
-            except FAULTS as error:
-                self._detail = _one_line(error)
+        try:
+            port.close()
+        except FAULTS as error:
+            self._detail = _one_line(error)
 
 
 def candidates(path: str) -> list[str]:
@@ -248,6 +249,25 @@ def _read(port: Any) -> bytes:
     if not select.select([number], [], [], SILENT_S)[0]:
         return b''
     return bytes(port.read(CHUNK))
+
+
+def _write(port: Any, data: bytes) -> int:
+    """How many bytes the output takes now, without waiting.
+
+    pyserial's own write tries for ever where the output is full, a core at its limit.
+    """
+    try:
+        number = port.fileno()
+    except (AttributeError, OSError):
+        # `rfc2217://` sends all or waits: ask before; `loop://` has no socket and takes all
+        line = getattr(port, '_socket', None)
+        if line is not None and not select.select([], [line], [], 0.0)[1]:
+            return 0
+        return int(port.write(data))
+    try:
+        return os.write(number, data)
+    except BlockingIOError:
+        return 0
 
 
 def _one_line(error: BaseException) -> str:
