@@ -248,6 +248,16 @@ def test_set_points_follow_the_segment():
     assert (relay.forwarded, relay.dropped) == (1, 3)
 
 
+@pytest.mark.parametrize('value', [1e300, -3.5e38, float('inf'), float('nan'), 1000.0])
+def test_a_set_point_that_no_frame_can_carry_is_dropped_with_its_reason(far, value):
+    relay = ExcitationRelay(100)
+    relay.segment({'segment': 'train', 'signal': 'prbs', 'injection': 'rate'})
+    assert relay.setpoint(0.0, value, 0.0) is None
+    assert 'within ±1000' in relay.reason
+    far.link.send(relay.setpoint(999.0, -999.0, 0.0))
+    assert relay.reason == ''
+
+
 class Shaky(FarEnd):
     """A far end whose clock is set, or whose cycles come unevenly: true time is the host's."""
 

@@ -13,6 +13,7 @@ from typing import Any
 from quad_bridge.operator_enable import OperatorEnable
 from quad_bridge.wire.axes import flip_body
 from quad_bridge.wire.frames import Excitation, Injection, Vector3
+from quad_bridge.wire.plausible import LARGEST
 
 INJECTIONS = {
     'attitude': Injection.ATTITUDE,
@@ -69,8 +70,8 @@ class ExcitationRelay:
             return self._drop('the operator had let go: start the next segment')
         if self._injection is Injection.NONE:
             return self._drop('no segment is running: publish /excitation/segment first')
-        if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
-            return self._drop(f'set-point must be finite: found {x}, {y}, {z}')
+        if not max(abs(x), abs(y), abs(z)) < LARGEST or math.isnan(x + y + z):
+            return self._drop(f'set-point must lie within ±{LARGEST:g}: found {x}, {y}, {z}')
         self.forwarded += 1
         self.reason = ''
         return self._frame(flip_body((x, y, z)))

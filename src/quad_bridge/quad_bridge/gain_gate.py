@@ -7,6 +7,7 @@ designer's business, whether they turned out good the watch's.
 from __future__ import annotations
 
 import math
+import reprlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -19,6 +20,8 @@ LARGEST_FACTOR = 2.0
 """Of one gain in one step; YAML may ask for less, not for more."""
 ROUNDING = 1e-4
 """Share by which a step stays inside the factor: float32 on the wire must not leave it."""
+LONGEST_NAME = 60
+"""Characters of a name in a message."""
 MOST_STEPS = 16
 """More than that from one update is taken as a mistake: 2 to the 16 is 65536."""
 
@@ -66,11 +69,22 @@ DEFAULT_BOUNDS: Mapping[str, Bound] = {
 
 
 def numbers(wanted: Mapping[str, object]) -> dict[str, float]:
-    """The values as floats. Raises RefusedError where one is a string or a bool."""
+    """The values as floats. Raises RefusedError where one is a string, a bool or too large."""
+    found: dict[str, float] = {}
     for name, value in wanted.items():
         if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise RefusedError(f'{name}: must be a number: found {value!r}')
-    return {name: float(value) for name, value in wanted.items()}  # type: ignore[arg-type]
+            raise RefusedError(f'{shorten(name)}: must be a number: found {reprlib.repr(value)}')
+        try:
+            found[name] = float(value)
+        except OverflowError as error:
+            raise RefusedError(f'{shorten(name)}: is too large a number') from error
+    return found
+
+
+def shorten(text: str) -> str:
+    """A name that was sent, fit for one line of a log."""
+    kept = ''.join(c if c.isprintable() else '?' for c in text[: LONGEST_NAME + 1])
+    return kept if len(text) <= LONGEST_NAME else f'{kept[:LONGEST_NAME]}…'
 
 
 def check_source(source: str, allowed: Sequence[str]) -> None:
@@ -140,7 +154,7 @@ def _check_one(
     name: str, value: float, active: Mapping[str, float], bounds: Mapping[str, Bound]
 ) -> None:
     if name not in WIRE_NAMES or name in READ_ONLY:
-        raise RefusedError(f'{name}: no gain of this name can be set')
+        raise RefusedError(f'{shorten(name)}: no gain of this name can be set')
     if not math.isfinite(value):
         raise RefusedError(f'{name}: must be finite: found {value}')
     bound = bounds.get(name)

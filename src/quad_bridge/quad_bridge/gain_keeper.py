@@ -87,7 +87,7 @@ class GainKeeper:
 
         Raises RefusedError; the refusal is in `news` too.
         """
-        source = str(parameters.get('source', 'unknown source'))
+        source = gain_gate.shorten(str(parameters.get('source', 'unknown source')))
         try:
             return self._request(read_request(parameters), now_s)
         except RefusedError as error:

@@ -8,11 +8,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 
 from quad_bridge.errors import RefusedError
-from quad_bridge.gain_gate import numbers
+from quad_bridge.gain_gate import numbers, shorten
 from quad_bridge.gain_watch import AXES, Predicted
 
 _LIMITS = {'rate_rms_ratio': (0.5, 3.0), 'oscillation_ratio': (0.5, 3.0), 'peak': (1.0, 2.5)}
 """How far a prediction may move the watch's bounds; beyond, the limit counts."""
+LONGEST = 4096
+"""Characters of a text."""
 
 
 @dataclass(frozen=True)
@@ -33,10 +35,25 @@ class GainRequest:
 def read_request(parameters: Mapping[str, object]) -> GainRequest:
     """The request of a message's parameters. Raises RefusedError where one has no meaning."""
     rest = dict(parameters)
-    texts = {name: str(rest.pop(name)) for name in ('source', 'model', 'bag') if name in rest}
+    texts = {n: _text(n, rest.pop(n)) for n in ('source', 'model', 'bag') if n in rest}
     rollback = bool(rest.pop('rollback', False))
-    predicted = _predictions(str(rest.pop('predicted', '{}')))
+    predicted = _predictions(_short('predicted', rest.pop('predicted', '{}')))
     return GainRequest(gains=numbers(rest), rollback=rollback, predicted=predicted, **texts)
+
+
+def _text(name: str, value: object) -> str:
+    """A text that may stand in a log and in the aircraft's history."""
+    text = _short(name, value)
+    if not text.isprintable():
+        raise RefusedError(f'{name}: must be printable and one line: found {shorten(text)!r}')
+    return text
+
+
+def _short(name: str, value: object) -> str:
+    text = str(value)
+    if len(text) > LONGEST:
+        raise RefusedError(f'{name}: must have {LONGEST} characters at most: found {len(text)}')
+    return text
 
 
 def _predictions(text: str) -> dict[str, Predicted]:
@@ -44,14 +61,14 @@ def _predictions(text: str) -> dict[str, Predicted]:
     try:
         said = json.loads(text)
         pairs = numbers(dict(said))
-    except (ValueError, TypeError) as error:
+    except (ValueError, TypeError, RecursionError) as error:
         raise RefusedError(f'predicted: must be a JSON object of numbers: {error}') from error
     values: dict[str, dict[str, float]] = {}
     known = {f.name for f in fields(Predicted)}
     for name, value in pairs.items():
         axis, _, figure = name.partition('.')
         if axis not in AXES or figure not in known:
-            words = f'{name} is not known; known are {", ".join(sorted(known))}'
+            words = f'{shorten(name)} is not known; known are {", ".join(sorted(known))}'
             raise RefusedError(f'predicted: {words}')
         if not math.isfinite(value):
             raise RefusedError(f'predicted: {name} must be finite: found {value}')
