@@ -50,9 +50,12 @@ class Since:
 
 
 def link_status(
-    port: PortStatus, link: Link, since: Since, now_s: float, opened: Counts
+    port: PortStatus, link: Link, since: Since, now_s: float, opened: Counts, failed: int = 0
 ) -> Status:
-    """Port, frames and losses; `opened` are the decoder's counts when the port was opened."""
+    """Port, frames and losses; `opened` are the decoder's counts when the port was opened.
+
+    `failed` callbacks were logged and left out.
+    """
     counts = link.decoder.counts
     seconds = max(now_s - since.time_s, 1e-3)
     rate = (link.cycles - since.cycles) / seconds
@@ -77,6 +80,7 @@ def link_status(
         'restarts of the STM32': counts.restarts,
         'dropped writes': port.dropped_writes,
         'bytes': counts.bytes,
+        'failed callbacks': failed,
     }
     level, text = _link_verdict(port, link, counts, since, opened, now_s)
     return Status('link', level, text, values)

@@ -26,6 +26,8 @@ class ManagedNode(LifecycleNode):  # type: ignore[misc]
         service = self._service_change_state
         service.callback = _refusing(service.callback)
         self.active = False
+        self.fence = ros_node.Fence(self.get_logger().error)
+        """What notes callbacks that fail."""
         self._managed = ros_node.flag(
             self, 'managed', False, 'wait for a lifecycle manager to configure and activate'
         )

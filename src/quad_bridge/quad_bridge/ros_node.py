@@ -5,10 +5,14 @@ No topics here.
 
 from __future__ import annotations
 
+import contextlib
 import signal
 import sys
 import threading
+import time
+import traceback
 from collections.abc import Callable, Iterable
+from pathlib import Path
 from typing import Any
 
 import rclpy
@@ -18,9 +22,14 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
 from quad_bridge.errors import BadInputError, QuadBridgeError
+from quad_bridge.sparing import Sparing
 
 WAKE_S = 0.1
 """How long a signal may wait: rclpy's wait does not return for one."""
+MOST_IN_A_ROW = 1000
+"""Failures without anything that works between them: it is ROS itself that fails."""
+LONGEST = 500
+"""Characters of a fault that are logged."""
 _ROS_OWN = ('use_sim_time', 'qos_overrides.', 'start_type_description_service')
 
 
@@ -83,10 +92,55 @@ def integer(node: Any, name: str, default: int, limits: tuple[int, int], descrip
     return int(node.declare_parameter(name, default, descriptor).value)
 
 
+class Fence:
+    """Keeps a node alive when one of its callbacks fails: logs the fault and counts it.
+
+    `log` takes one line. What fails without end is not kept: `take` raises it again.
+    """
+
+    def __init__(self, log: Callable[[str], None]) -> None:
+        self.failed = 0
+        """Callbacks that have raised."""
+        self._log = log
+        self._in_a_row = 0
+        self._sparing = Sparing()
+
+    def take(self, error: Exception) -> None:
+        """Note what a callback has raised."""
+        self.failed += 1
+        self._in_a_row += 1
+        if self._in_a_row > MOST_IN_A_ROW:
+            raise error
+        frame = traceback.extract_tb(error.__traceback__)[-1]
+        words = f'{type(error).__name__}: {" ".join(str(error).split())[:LONGEST]}'
+        where = f'{Path(frame.filename).name}:{frame.lineno}'
+        if self._sparing.allow(where + words, time.monotonic()):
+            self._log(f'a callback failed and was left out: {words} ({where})')
+
+    def passed(self) -> None:
+        """Note that one has not failed."""
+        self._in_a_row = 0
+
+    def around(self, callback: Callable[..., None]) -> Callable[..., None]:
+        """`callback`, for a thread of its own, that never raises."""
+
+        def fenced(*args: Any) -> None:
+            try:
+                callback(*args)
+            except Exception as error:  # noqa: BLE001  (whatever it is, the thread goes on)
+                with contextlib.suppress(Exception):
+                    self.take(error)
+            else:
+                self.passed()
+
+        return fenced
+
+
 def run(factory: Callable[[], Any], name: str) -> None:
     """Spin one node until SIGINT or SIGTERM, then call its `close` while ROS still works.
 
-    Exit status 2, with one line on stderr, where its parameters are wrong.
+    A callback that fails is logged and left out. Exit status 2, with one line on stderr, where
+    the parameters are wrong.
     """
     stopping = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -100,8 +154,9 @@ def run(factory: Callable[[], Any], name: str) -> None:
             begin()
         executor = SingleThreadedExecutor()
         executor.add_node(node)
+        fence = getattr(node, 'fence', None) or Fence(node.get_logger().error)
         while not stopping.is_set():
-            executor.spin_once(timeout_sec=WAKE_S)
+            _spin_once(executor, fence)
     except ExternalShutdownException:
         pass
     except (QuadBridgeError, ParameterException) as error:
@@ -112,3 +167,14 @@ def run(factory: Callable[[], Any], name: str) -> None:
             node.close()
             node.destroy_node()
         rclpy.try_shutdown()
+
+
+def _spin_once(executor: Any, fence: Fence) -> None:
+    try:
+        executor.spin_once(timeout_sec=WAKE_S)
+    except ExternalShutdownException:
+        raise
+    except Exception as error:  # noqa: BLE001  (a node in flight does not end for one message)
+        fence.take(error)
+    else:
+        fence.passed()

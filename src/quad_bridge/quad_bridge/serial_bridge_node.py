@@ -79,7 +79,8 @@ class SerialBridge(ManagedNode):
         self._port = self._new_port()
 
     def _new_port(self) -> SerialPort:
-        return SerialPort(self._settings.port, self._settings.baud, self._on_bytes, self._on_open)
+        heard, opened = self.fence.around(self._on_bytes), self.fence.around(self._on_open)
+        return SerialPort(self._settings.port, self._settings.baud, heard, opened)
 
     def activate(self) -> None:
         """Open the port; it need not be there yet."""
@@ -291,12 +292,13 @@ class SerialBridge(ManagedNode):
         with self._lock:
             link, port = self._link, self._port.status
             # a report out of turn may follow the last one so closely that nothing came between
+            failed = self.fence.failed
             settled = now_s - self._since.time_s > SETTLED_S
             since = self._since if settled else self._before
             standard = link.standard_only(time.monotonic_ns())
             self._relay.refusal = NO_EXCITATION if standard else ''
             entries = [
-                diagnostics.link_status(port, link, since, now_s, self._opened_counts),
+                diagnostics.link_status(port, link, since, now_s, self._opened_counts, failed),
                 diagnostics.clock_status(link, self._time.behind_ns),
                 diagnostics.gains_status(link, self._keeper),
                 diagnostics.excitation_status(self._relay, link, self._enable.fault(now_s)),
