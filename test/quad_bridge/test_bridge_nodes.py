@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 import tty
+from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
@@ -19,14 +20,18 @@ pytest.importorskip('rclpy', reason='needs ROS 2')
 import rclpy
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import Vector3Stamped
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
+from rcl_interfaces.msg import Parameter, ParameterEvent, ParameterType, ParameterValue
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import qos_profile_sensor_data
 from rosbags.highlevel import AnyReader
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu
+from std_srvs.srv import SetBool, Trigger
 
+from quad_bridge.qos import EVENT, STATE
 from quad_bridge.wire import frames as f
 from quad_bridge.wire.codec import Decoder, Encoder
 from quad_bridge.wire.gain_names import WIRE_NAMES
@@ -56,6 +61,8 @@ class FarEnd(threading.Thread):
         self.encoder, self.decoder = Encoder(1, 1), Decoder()
         self.stopping, self.cycle = threading.Event(), cycle
         self.start_s = time.monotonic() if start_s is None else start_s
+        self.commands = []
+        """First parameters of what has been commanded; nothing is answered."""
         self.not_taken = set()
         """Numbers of the cycles that never came onto the wire: the bridge got no CPU."""
 
@@ -101,6 +108,8 @@ class FarEnd(threading.Thread):
         for frame in self.decoder.feed(data):
             if isinstance(frame, f.TimeSync):
                 self.send(f.TimeSync(1000 * self.now_us(), frame.ts1_ns))
+            elif isinstance(frame, f.Command):
+                self.commands.append(frame.parameters[0])
             elif isinstance(frame, f.ParamRequestList):
                 for i, name in enumerate(names):
                     self.send(f.ParamValue(name, 0.5, len(names), i))
@@ -256,12 +265,17 @@ class Ears:
         while time.monotonic() < deadline:
             self.executor.spin_once(timeout_sec=0.05)
 
-    def call(self, kind, name, request):
+    def request(self, kind, name, request):
         client = self.node.create_client(kind, name)
         assert client.wait_for_service(timeout_sec=WAIT_S)
-        answer = client.call_async(request)
-        self.until(answer.done)
-        return answer.result()
+        return client.call_async(request)
+
+    def answer(self, future):
+        self.until(future.done)
+        return future.result()
+
+    def call(self, kind, name, request):
+        return self.answer(self.request(kind, name, request))
 
     def transition(self, number):
         request = ChangeState.Request(transition=Transition(id=number))
@@ -325,6 +339,62 @@ def test_a_manager_leads_the_bridge_through_its_states(tmp_path, spawn, ears):
     assert ears.transition(Transition.TRANSITION_ACTIVATE)
     ears.until(lambda: len(heard) > 50)
     assert interrupt(bridge) == 0
+
+
+def test_nothing_that_is_sent_or_left_unanswered_stops_the_bridge(tmp_path, spawn, ears):
+    far = FarEnd(tmp_path / 'tty')
+    far.start()
+    bridge = spawn('serial_bridge', '-p', f'port:={tmp_path / "tty"}', '-p', 'managed:=true')
+    link = ears.listen('/diagnostics', DiagnosticArray)
+    arm = partial(ears.request, SetBool, '/serial_bridge/arm')
+    refused = ears.answer(arm(SetBool.Request(data=False)))
+    assert (refused.success, refused.message) == (False, 'the node is not active')
+    for number in (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE):
+        assert ears.transition(number)
+    ears.until(lambda: len(link) > 1)
+    # the far end answers no command: all goes on, and disarming passes at once
+    told = len(link)
+    armed = arm(SetBool.Request(data=True))
+    checked = ears.request(Trigger, '/serial_bridge/check_polarity', Trigger.Request())
+    ears.until(lambda: far.commands)
+    disarmed = arm(SetBool.Request(data=False))
+    assert 'request to disarm' in ears.answer(armed).message
+    assert ears.answer(disarmed).message == 'the STM32: no answer in 1 s'
+    assert far.commands.count(1.0) == 1
+    assert far.commands.count(0.0) > 3
+    assert len(link) > told
+    # what no frame, float or parser can take
+    segment, update = (
+        ears.node.create_publisher(ParameterEvent, topic, qos)
+        for topic, qos in (('/excitation/segment', STATE), ('/gains/update', EVENT))
+    )
+    point = ears.node.create_publisher(Vector3Stamped, '/excitation/setpoint', 10)
+    ears.until(lambda: point.get_subscription_count() and update.get_subscription_count())
+    segment.publish(parameters(segment='train', signal='prbs', injection='rate'))
+    ears.spin(0.2)
+    huge = Vector3Stamped()
+    huge.vector.x = 1e300
+    for predicted in ('[' * 200_000, '[' * 4000, '{"roll.peak": 1%s}' % ('0' * 400)):
+        update.publish(parameters(predicted=predicted))
+        point.publish(huge)
+    ears.spin(0.5)
+    told = len(link)
+    ears.until(lambda: len(link) > told + 1)
+    values = {v.key: v.value for s in link[-1].status for v in s.values}
+    assert values['failed callbacks'] == '0'
+    assert int(values['set-points dropped']) == 3
+    assert int(values['refused']) >= 3
+    assert ears.transition(Transition.TRANSITION_DEACTIVATE)
+    # the check needs a far end that is heard: this one says why it has ended
+    assert not ears.answer(checked).success
+    assert interrupt(bridge) == 0
+
+
+def parameters(**texts):
+    """The contract's ParameterEvent with strings."""
+    kind = ParameterType.PARAMETER_STRING
+    values = {n: ParameterValue(type=kind, string_value=v) for n, v in texts.items()}
+    return ParameterEvent(changed_parameters=[Parameter(name=n, value=values[n]) for n in values])
 
 
 def test_simulated_time_is_respected(tmp_path, spawn, ears):

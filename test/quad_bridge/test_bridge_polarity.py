@@ -102,6 +102,24 @@ def test_pulses_stop_when_an_excitation_starts_and_an_unarmed_aircraft_gets_none
         made.ask(**ROLL)
 
 
+def test_a_check_whose_link_is_cut_ends_and_is_not_gone_on_with_later(bench):
+    made = bench(polarity='auto')
+    before = made.gain('roll.rate.kp')
+    made.ask(**ROLL)
+    made.fly(0.6)
+    made.cut = True
+    assert 'no control cycle for 0.5 s' in made.fly_until('refused', seconds=1.0)
+    made.fly(10.0)
+    made.cut = False
+    excited = []
+    for _ in range(60):
+        made.fly(0.05)
+        excited.append(made.cycle.flags & f.Flag.EXCITATION)
+    assert not any(excited)
+    assert made.gain('roll.rate.kp') == before
+    assert 'roll right' in checked(made)
+
+
 def test_the_motors_are_found_mount_by_mount(bench):
     made = bench(polarity='manual')
     words = checked(made, motors=True)

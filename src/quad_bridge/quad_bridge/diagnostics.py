@@ -17,6 +17,7 @@ from quad_bridge.gain_state import State
 from quad_bridge.link import Link
 from quad_bridge.recording import SLOW_S, RecordingStatus
 from quad_bridge.serial_port import PortState, PortStatus
+from quad_bridge.sparing import Sparing
 from quad_bridge.wire.codec import Counts
 from quad_bridge.wire.frames import Flag
 
@@ -47,6 +48,20 @@ class Since:
     time_s: float
     counts: Counts
     cycles: int
+
+
+class Changes:
+    """Says a state when it begins, not every second."""
+
+    def __init__(self, sparing: Sparing) -> None:
+        self._sparing = sparing
+        self._told: dict[str, str] = {}
+
+    def new(self, entries: list[Status], now_s: float) -> list[Status]:
+        """Those whose message is another one than before, and may be logged."""
+        begun = [e for e in entries if self._told.get(e.name) != e.message]
+        self._told.update({e.name: e.message for e in begun})
+        return [e for e in begun if self._sparing.allow(e.name + e.message, now_s)]
 
 
 def link_status(

@@ -29,7 +29,7 @@ STEP_WATCH_S, WATCH_S = 3.0, 10.0
 STM32_WATCH_MS = 15_000
 """After which the STM32 takes an unconfirmed set back: the watch, and time to confirm."""
 QUIET_S = 0.5
-"""Without excitation before gains may change."""
+"""Without excitation before gains may change; without a cycle after which a check ends."""
 LINK_S = 1.0
 """Without a control cycle after which gains on trial are asked back."""
 
@@ -193,6 +193,8 @@ class GainKeeper:
         self._take_events(now_s)
         self._open_files()
         watching = self.state is State.WATCHING
+        if self.state is State.CHECKING and now_s - self._cycle_s > QUIET_S:
+            self.disturb(f'no control cycle for {QUIET_S:g} s')
         if watching and now_s - self._cycle_s > LINK_S:
             self._take_back(f'no control cycle for {LINK_S:g} s')
         elif watching and now_s >= self._until_s and not self._line.busy:

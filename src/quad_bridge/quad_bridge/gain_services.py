@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.parameter import Parameter
 from rclpy.task import Future
 from std_srvs.srv import Trigger
@@ -42,8 +43,12 @@ class GainServices:
             if name not in READ_ONLY:
                 node.declare_parameter(name, math.nan, descriptor)
         node.add_on_set_parameters_callback(self._on_set)
-        node.create_service(Trigger, '~/check_polarity', self._on_polarity)
-        node.create_service(Trigger, '~/find_motors', self._on_motors)
+        group = ReentrantCallbackGroup()  # of their own: while they wait the node goes on
+        for name, answer in (
+            ('~/check_polarity', self._on_polarity),
+            ('~/find_motors', self._on_motors),
+        ):
+            node.create_service(Trigger, name, answer, callback_group=group)
 
     def show(self, active: Mapping[str, float]) -> None:
         """Let the parameters say what is in force."""

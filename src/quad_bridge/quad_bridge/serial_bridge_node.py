@@ -74,8 +74,8 @@ class SerialBridge(ManagedNode):
         self._time = HostTime(self._epoch())
         self._since = self._before = diagnostics.Since(time.monotonic(), Counts(), 0)
         self._opened_counts = Counts()
-        self._faults: dict[str, str] = {}
         self._sparing = Sparing()
+        self._changes = diagnostics.Changes(self._sparing)
         self._port = self._new_port()
 
     def _new_port(self) -> SerialPort:
@@ -97,6 +97,9 @@ class SerialBridge(ManagedNode):
             self._forward(self._relay.segment({'segment': 'idle'}))
         for timer in self._timers_of_work:
             self.destroy_timer(timer)
+        self._operator.end()
+        with self._lock:
+            self._keeper.disturb('the node was deactivated')
         self._port.stop()
 
     def configure(self) -> None:
@@ -139,6 +142,7 @@ class SerialBridge(ManagedNode):
     def _on_open(self) -> None:
         with self._lock:
             self._link.opened()
+            self._keeper.disturb('the port was opened anew')
             self._time.opened(self._epoch())
             self._opened_counts = self._link.decoder.counts
         words = f'{self._port.status.path}: open at {self._settings.baud} baud'
@@ -312,16 +316,7 @@ class SerialBridge(ManagedNode):
                 self.get_name(), self._settings.port, self.get_clock().now().to_msg(), entries
             )
         )
-        self._log_changes(entries)
-
-    def _log_changes(self, entries: list[diagnostics.Status]) -> None:
-        """Say a state once when it begins, not every second."""
-        for entry in entries[:2]:
-            if self._faults.get(entry.name) == entry.message:
-                continue
-            self._faults[entry.name] = entry.message
-            if not self._sparing.allow(entry.name + entry.message, time.monotonic()):
-                continue
+        for entry in self._changes.new(entries[:2], now_s):
             text = f'{self._settings.port}: {entry.name}: {entry.message}'
             if entry.level == diagnostics.OK:
                 self.get_logger().info(text)

@@ -1,0 +1,79 @@
+"""Requests to arm and disarm: who gets which answer, what is sent again and what never."""
+
+import pytest
+
+from quad_bridge.arming import ARM_DISARM, Arming
+from quad_bridge.errors import RefusedError
+from quad_bridge.wire.frames import CommandAck
+
+GOOD, DENIED = CommandAck(ARM_DISARM, 0), CommandAck(ARM_DISARM, 2)
+
+
+class Desk:
+    def __init__(self):
+        self.arming, self.answers = Arming(), []
+
+    def ask(self, arm, now_s):
+        return self.arming.ask(arm, self.answers.append, now_s)
+
+
+@pytest.fixture
+def desk():
+    return Desk()
+
+
+@pytest.mark.parametrize(('ack', 'told'), [(GOOD, 'accepted'), (DENIED, 'denied')])
+@pytest.mark.parametrize('arm', [True, False])
+def test_the_answer_goes_to_who_asked_once(desk, arm, ack, told):
+    assert desk.ask(arm, 0.0).parameters == (1.0 if arm else 0.0,)
+    desk.arming.acknowledged(CommandAck(511, 0), 0.1)
+    desk.arming.acknowledged(ack, 0.1)
+    desk.arming.acknowledged(GOOD, 0.2)
+    assert desk.answers == [told]
+    assert desk.arming.tick(0.3) is None
+
+
+def test_arming_is_sent_once_and_a_second_one_waits_its_turn(desk):
+    desk.ask(True, 0.0)
+    assert desk.arming.tick(0.5) is None
+    with pytest.raises(RefusedError, match='earlier request'):
+        desk.ask(True, 0.6)
+    assert desk.arming.tick(1.1) is None
+    assert desk.answers == ['no answer in 1 s']
+    with pytest.raises(RefusedError, match='earlier request'):
+        desk.ask(True, 2.0)  # an answer to the first could still come
+    desk.ask(True, 2.2)
+    desk.arming.acknowledged(DENIED, 2.3)
+    assert desk.answers == ['no answer in 1 s', 'denied']
+
+
+def test_disarming_passes_while_arming_waits_and_takes_no_answer_of_its(desk):
+    desk.ask(True, 0.0)
+    assert desk.ask(False, 0.1).parameters == (0.0,)
+    assert desk.answers == ['given up for a request to disarm']
+    desk.arming.acknowledged(GOOD, 0.2)  # to the arming
+    assert len(desk.answers) == 1
+    assert desk.arming.tick(0.25).parameters == (0.0,)
+    desk.arming.acknowledged(GOOD, 0.3)
+    assert desk.answers[1:] == ['accepted']
+
+
+def test_disarming_is_sent_until_it_is_answered_and_given_up_after_a_second(desk):
+    desk.ask(False, 0.0)
+    sent = [desk.arming.tick(0.05 * k) for k in range(1, 30)]
+    assert [command is not None for command in sent] == [True] * 20 + [False] * 9
+    assert desk.answers == ['no answer in 1 s']
+
+
+def test_all_who_ask_to_disarm_are_told(desk):
+    desk.ask(False, 0.0)
+    desk.ask(False, 0.5)
+    desk.arming.acknowledged(GOOD, 0.6)
+    assert desk.answers == ['accepted'] * 2
+
+
+def test_who_waits_is_told_when_the_node_ends(desk):
+    desk.ask(True, 0.0)
+    desk.arming.end('the node was deactivated')
+    desk.arming.end('again')
+    assert desk.answers == ['the node was deactivated']
