@@ -15,7 +15,7 @@ static void start_signing(quad_endpoint *e, const quad_settings *settings)
     }
     memcpy(e->signing.secret_key, settings->key, sizeof e->signing.secret_key);
     e->signing.flags = MAVLINK_SIGNING_FLAG_SIGN_OUTGOING;
-    e->signing.timestamp = settings->signing_time;
+    e->signing.timestamp = e->settings.signing_time;
     e->link.signing = &e->signing;
     e->link.signing_streams = &e->streams;
 }
@@ -26,6 +26,9 @@ void quad_endpoint_init(quad_endpoint *e, const quad_settings *settings)
     e->settings = *settings;
     if (e->settings.rate_hz < LOWEST_RATE_HZ) {
         e->settings.rate_hz = LOWEST_RATE_HZ;
+    }
+    if (e->settings.signing_time > QUAD_SIGNING_LAST) {
+        e->settings.signing_time = 0; /* flash that was erased: no time is known */
     }
     e->settings.stored = NULL;
     e->settings.key = NULL;

@@ -25,6 +25,7 @@
 
 #define QUAD_OUTBOX 2048 /* bytes: five cycles at 921600 baud and 250 Hz */
 #define QUAD_RC_CHANNELS 18
+#define QUAD_SIGNING_LAST (1ull << 47) /* August 2059: no signature's time is beyond it */
 
 typedef struct {
     uint8_t system, component; /* ids of this end, usually 1 and 1 */
@@ -35,7 +36,7 @@ typedef struct {
     bool may_arm;              /* by command of the bridge; disarming is always obeyed */
     const float *stored;       /* QUAD_PARAMETERS confirmed values from flash, or NULL */
     const uint8_t *key;        /* 32 bytes, or NULL: nobody signs */
-    uint64_t signing_time;     /* with a key: see quad_endpoint_signing_time */
+    uint64_t signing_time;     /* with a key: see quad_endpoint_signing_time; 0 where unknown */
 } quad_settings;
 
 /* What the pilot's receiver says. */

@@ -158,14 +158,16 @@ static void use(quad_endpoint *e, uint64_t now_us)
     }
 }
 
-/* Whether the well signed frame in `rx` is from before this start (the headers allow a minute). */
-static bool too_old(const quad_endpoint *e)
+/* Whether the well signed frame in `rx` is from before this start (the headers allow a minute), or
+ * of a time that cannot be. */
+static bool wrong_time(const quad_endpoint *e)
 {
     uint64_t time = 0;
     for (size_t i = 6; i > 0; i--) {
         time = (time << 8) | e->rx.signature[i];
     }
-    return e->link.signing != NULL && time < e->settings.signing_time;
+    return e->link.signing != NULL &&
+           (time < e->settings.signing_time || time > QUAD_SIGNING_LAST);
 }
 
 static void count_refused(quad_endpoint *e)
@@ -181,13 +183,19 @@ static void count_refused(quad_endpoint *e)
 
 void quad_endpoint_receive(quad_endpoint *e, const uint8_t *bytes, size_t count, uint64_t now_us)
 {
+    mavlink_signing_streams_t streams = e->streams;
+    uint64_t time = e->signing.timestamp;
     for (size_t i = 0; i < count; i++) {
         switch (mavlink_frame_char_buffer(&e->rx, &e->link, bytes[i], NULL, NULL)) {
         case MAVLINK_FRAMING_OK:
-            if (too_old(e)) {
+            if (wrong_time(e)) { /* the headers have noted it by now */
+                e->streams = streams;
+                e->signing.timestamp = time;
                 e->counts.replayed++;
             } else {
                 use(e, now_us);
+                streams = e->streams;
+                time = e->signing.timestamp;
             }
             break;
         case MAVLINK_FRAMING_BAD_CRC:

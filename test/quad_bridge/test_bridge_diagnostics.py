@@ -17,6 +17,7 @@ from quad_bridge.recording import RecordingStatus
 from quad_bridge.serial_port import PortState, PortStatus
 from quad_bridge.wire import frames as f
 from quad_bridge.wire.codec import Counts, Encoder
+from quad_bridge.wire.signing import Signing
 
 OPEN = PortStatus(PortState.OPEN, '', 1, 0)
 NOTHING = d.Since(0.0, Counts(), 0)
@@ -54,6 +55,17 @@ def test_another_protocol_is_named_after_enough_bytes():
     level, text = verdict(link)
     assert level == d.ERROR
     assert text == 'speaks another protocol or baud rate: no valid frame in 2940 bytes'
+
+
+def test_a_far_end_of_a_broken_clock_is_told_what_to_set():
+    key, today = bytes(range(32)), 2**45
+    far = Signing(key, lambda: today)
+    far.stamp = lambda: 2**48 - 2
+    link = Link(Signing(key, lambda: today))
+    link.receive(Encoder(1, 1, far).encode(f.Heartbeat(2, 12)), 0)
+    level, text = verdict(link)
+    assert level == d.ERROR
+    assert 'signs with a time far ahead: set its clock' in text
 
 
 def test_a_controller_of_standard_messages_is_named_with_what_it_sends():

@@ -348,6 +348,29 @@ def test_a_board_without_a_clock_takes_the_bridges_time(board):
     assert of(f.Cycle, first.feed(made.raw()))
 
 
+@pytest.mark.parametrize('stored', [2**64 - 1, 2**48 - 1, 2**47 + 1])
+def test_erased_flash_is_no_time(board, stored):
+    made = board(key=KEY, time=stored)
+    bridge = Signing(KEY, lambda: 10**12)
+    made.run(1)
+    ask = f.ParamRequestRead('YAW_ANG_KP')
+    assert len(made.feed(Encoder(1, 191, bridge).encode(ask))) == 1
+
+
+def test_one_frame_of_a_broken_clock_locks_nobody_out(board):
+    made = board(key=KEY, time=10**12)
+    ask = f.ParamRequestRead('YAW_ANG_KP')
+    broken = Signing(KEY, lambda: 10**12)
+    broken.stamp = lambda: 2**48 - 1
+    data = Encoder(1, 191, broken).encode(ask)
+    assert made.feed(data) == []
+    assert made.counts['replayed'] == 1
+    assert len(made.tell(ask)) == 1
+    # behind a good frame in the same bytes, and before one
+    good = [made.encoder.encode(ask) for _ in range(2)]
+    assert len(made.feed(good[0] + data + good[1])) == 2
+
+
 # The same input to both.
 
 TOLD = (f.GainsState, f.ParamValue, f.CommandAck, f.TimeSync, f.StatusText)

@@ -7,7 +7,7 @@ from pymavlink.dialects.v20 import common
 
 from quad_bridge.wire import frames as f
 from quad_bridge.wire.codec import Decoder, Encoder
-from quad_bridge.wire.signing import Signing, Verdict, signing_time
+from quad_bridge.wire.signing import LAST, Signing, Verdict, signing_time
 
 KEY, OTHER = bytes(range(32)), bytes(32)
 FRAME = f.ParamSet('ROLL_RATE_KP', 0.5, 1, 1)
@@ -109,6 +109,41 @@ def test_ends_whose_clocks_differ_meet():
     assert Decoder(ahead).feed(to_ahead.encode(FRAME)) == []
     assert Decoder(behind).feed(Encoder(1, 1, ahead).encode(FRAME)) == [FRAME]
     assert Decoder(ahead).feed(to_ahead.encode(FRAME)) == [FRAME]
+
+
+TODAY = signing_time(1_780_000_000_000_000_000)
+YEAR = 365 * 86_400 * 100_000
+
+
+@pytest.mark.parametrize(
+    ('own', 'theirs', 'heard'),
+    [
+        (TODAY, 2**48 - 2, False), (TODAY, LAST + 1, False), (0, 2**48 - 2, False),
+        (TODAY, TODAY + 2 * YEAR, False), (TODAY, TODAY + YEAR // 2, True),
+        (0, TODAY, True), (5 * YEAR, TODAY, True), (2**48 - 1, TODAY, True),
+    ],
+)  # fmt: skip
+def test_a_broken_clock_is_not_followed_and_one_that_was_never_set_follows(own, theirs, heard):
+    ours, far = signing(now=own), Encoder(1, 1, signing(now=10))
+    decoder = Decoder(ours)
+    far._signing.stamp = lambda: theirs
+    assert decoder.feed(far.encode(FRAME)) == ([FRAME] if heard else [])
+    assert decoder.counts.ahead == (not heard)
+    assert ours.stamp() < LAST
+    # restarted with the right time it is heard, by either end
+    again = signing(now=max(theirs if heard else 0, TODAY) + 100)
+    assert decoder.feed(Encoder(1, 1, again).encode(FRAME)) == [FRAME]
+    assert Decoder(again).feed(Encoder(1, 191, ours).encode(FRAME)) == [FRAME]
+
+
+def test_a_clock_that_falls_by_years_does_not_part_the_ends():
+    clock = Clock(TODAY)
+    ours, far = Signing(KEY, clock), signing(now=TODAY)
+    decoder, encoder = Decoder(ours), Encoder(1, 1, far)
+    assert decoder.feed(encoder.encode(FRAME)) == [FRAME]
+    clock.now = TODAY - 2 * YEAR
+    assert decoder.feed(encoder.encode(FRAME)) == [FRAME]
+    assert Decoder(far).feed(Encoder(1, 191, ours).encode(FRAME)) == [FRAME]
 
 
 def test_stamps_rise_while_the_clock_stands_or_falls():

@@ -92,6 +92,7 @@ def link_status(
         'refused, unsigned': counts.unsigned,
         'refused, other key': counts.forged,
         'refused, replayed': counts.replayed,
+        'refused, time ahead': counts.ahead,
         'restarts of the STM32': counts.restarts,
         'dropped writes': port.dropped_writes,
         'bytes': counts.bytes,
@@ -132,6 +133,8 @@ def _no_speaker(counts: Counts, opened: Counts) -> str:
         return 'the far end does not sign: give it the key of key_file'
     if counts.forged > opened.forged:
         return 'the far end signs with another key than key_file'
+    if counts.ahead > opened.ahead:
+        return "the far end signs with a time far ahead: set its clock, or this computer's"
     if counts.replayed > opened.replayed:
         return 'only old frames arrive: a recording, or a far end that does not take our time'
     return ''

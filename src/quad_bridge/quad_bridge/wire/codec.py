@@ -58,6 +58,8 @@ class Counts:
     """Ignored: signed with another key, or changed on the way."""
     replayed: int = 0
     """Ignored: signed well, but not newer than what came before."""
+    ahead: int = 0
+    """Ignored: signed well, but of a time that cannot be yet: a clock is broken, or not set."""
     foreign: int = 0
     """Ignored: from another sender than the far end (own echo, ground station, other aircraft)."""
     implausible: int = 0
@@ -107,6 +109,7 @@ class Decoder:
             unsigned=self._refused[Verdict.UNSIGNED],
             forged=self._refused[Verdict.FORGED],
             replayed=self._refused[Verdict.REPLAYED],
+            ahead=self._refused[Verdict.AHEAD],
             foreign=self._foreign,
             implausible=self._implausible,
             old_version=self._framer.old_version,

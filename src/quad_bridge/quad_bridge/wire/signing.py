@@ -17,6 +17,11 @@ SIGNED_FLAG = 0x01
 """Bit of the incompatibility flags of a signed frame."""
 _EPOCH_NS = 1_420_070_400_000_000_000
 """2015-01-01 GMT, from which signatures count, in ns since 1970."""
+LAST = 1 << 47
+"""August 2059. A time has 48 bits; whoever accepted one near the end would soon have none left."""
+_YEAR = 365 * 86_400 * 100_000
+_SET = 10 * _YEAR
+"""A clock behind it, in the end of 2024, was never set."""
 _MARKER, _BLOCK, _DIGEST = 0xFD, 13, 6
 
 
@@ -27,6 +32,7 @@ class Verdict(Enum):
     UNSIGNED = 'unsigned'
     FORGED = 'signed with another key'
     REPLAYED = 'replayed'
+    AHEAD = 'of a time that cannot be yet'
 
 
 def signing_time(unix_ns: int) -> int:
@@ -40,22 +46,24 @@ class Signing:
     Refused is what is not newer than the last accepted frame of the same link id, system and
     component, and from a new such stream what is older than this end's start. (MAVLink lets a
     minute pass there, in which a recording could be replayed after a restart.) An end whose
-    clock is behind follows the frames that it accepts, so two honest ends always meet.
+    clock is behind follows the frames that it accepts, so two honest ends always meet. It does not
+    follow a clock that is broken: refused is what is a year ahead of a clock that was set, and
+    whatever is beyond LAST.
     """
 
     def __init__(self, key: bytes, clock: Callable[[], int], *, link_id: int = 0) -> None:
-        """`clock` gives the signature time now; it may jump."""
+        """`clock` gives the signature time now; it may jump. Beyond LAST it counts as not set."""
         if len(key) != KEY_BYTES:
             raise ValueError(f'a key has {KEY_BYTES} bytes: found {len(key)}')
         self.key = bytes(key)
         self.link_id = link_id
         self._clock = clock
-        self._start = self._latest = clock()
+        self._start = self._latest = self._now()
         self._streams: dict[tuple[int, int, int], int] = {}
 
     def stamp(self) -> int:
         """Time for the next frame to send: now, but later than all sent and accepted before."""
-        self._latest = max(self._latest + 1, self._clock())
+        self._latest = max(self._latest + 1, self._now())
         return self._latest
 
     def judge(self, frame: bytes) -> Verdict:
@@ -71,6 +79,17 @@ class Signing:
         last = self._streams.get(stream, self._start - 1)
         if time <= last:
             return Verdict.REPLAYED
+        if time > self._horizon():
+            return Verdict.AHEAD
         self._streams[stream] = time
         self._latest = max(self._latest, time)
         return Verdict.GOOD
+
+    def _now(self) -> int:
+        time = self._clock()
+        return time if time <= LAST else 0
+
+    def _horizon(self) -> int:
+        """The last time that is accepted now."""
+        now = max(self._latest, self._now())
+        return min(LAST, now + _YEAR) if now > _SET else LAST
