@@ -61,7 +61,7 @@ class FarEnd(threading.Thread):
         self.encoder, self.decoder = Encoder(1, 1), Decoder()
         self.stopping, self.cycle = threading.Event(), cycle
         self.start_s = time.monotonic() if start_s is None else start_s
-        self.commands = []
+        self.questions, self.commands = 0, []
         """First parameters of what has been commanded; nothing is answered."""
         self.not_taken = set()
         """Numbers of the cycles that never came onto the wire: the bridge got no CPU."""
@@ -107,6 +107,7 @@ class FarEnd(threading.Thread):
         names = list(WIRE_NAMES.values())
         for frame in self.decoder.feed(data):
             if isinstance(frame, f.TimeSync):
+                self.questions += 1
                 self.send(f.TimeSync(1000 * self.now_us(), frame.ts1_ns))
             elif isinstance(frame, f.Command):
                 self.commands.append(frame.parameters[0])
@@ -409,10 +410,15 @@ def test_simulated_time_is_respected(tmp_path, spawn, ears):
         message.clock.sec, message.clock.nanosec = divmod(now_ns, 10**9)
         clock.publish(message)
 
-    ears.node.create_timer(0.01, tick)
     heard = ears.listen('/imu/data')
+    told = ears.listen('/diagnostics', DiagnosticArray)
     settings = ('-p', f'port:={tmp_path / "tty"}', '-p', 'use_sim_time:=true')
     bridge = spawn('serial_bridge', *settings)
+    # a node's own clock stands still; its work and its words must not
+    ears.until(lambda: any('nothing comes on /clock' in s.message for m in told for s in m.status))
+    ears.until(lambda: far.questions > 8)
+    assert heard == []
+    ears.node.create_timer(0.01, tick)
     ears.until(lambda: len(heard) > 50)
     heard.clear()
     ears.until(lambda: len(heard) > 250)

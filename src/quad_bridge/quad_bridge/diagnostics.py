@@ -163,8 +163,11 @@ def _no_cycle(link: Link, now_ns: int) -> tuple[int, str]:
     )
 
 
-def clock_status(link: Link, behind_ns: int = 0) -> Status:
-    """How well device time is mapped to host time; `behind_ns` by how much that was set since."""
+def clock_status(link: Link, behind_ns: int = 0, *, unset: bool = False) -> Status:
+    """How well device time is mapped to host time; `behind_ns` by how much that was set since.
+
+    `unset`: time is simulated, and nobody has told it yet.
+    """
     state = link.clock.state
     values = {
         'offset (s)': f'{state.offset_s:.6f}',
@@ -178,10 +181,10 @@ def clock_status(link: Link, behind_ns: int = 0) -> Status:
         'wraps at 32 bits': link.device_time.wraps,
         'cycles held back': link.held,
     }
-    if behind_ns:
-        text = (
-            f'stamps keep the time of before the system clock was set by {1e-9 * behind_ns:.3f} s'
-        )
+    if unset or behind_ns:
+        set_by = f'the system clock was set by {1e-9 * behind_ns:.3f} s'
+        silent = 'use_sim_time is set and nothing comes on /clock: nothing is published'
+        text = silent if unset else f'stamps keep the time of before {set_by}'
         return Status('clock', WARN, text, values)
     deaf = 'no answer to TIMESYNC'
     if link.decoder.counts.unverified:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from rclpy.clock import Clock, ClockType
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 
@@ -44,6 +45,13 @@ class ManagedNode(LifecycleNode):  # type: ignore[misc]
             self.trigger_activate()
         if self._fault is not None:
             raise self._fault
+
+    def create_timer(
+        self, timer_period_sec: float, callback: Any, *others: Any, clock: Any = None, **more: Any
+    ) -> Any:
+        """As rclpy's, but on the steady clock: see `ros_node.steady_timer`."""
+        clock = clock or Clock(clock_type=ClockType.STEADY_TIME)
+        return super().create_timer(timer_period_sec, callback, *others, clock=clock, **more)
 
     def publisher(self, kind: Any, topic: str, qos: Any) -> Any:
         """Create a publisher that lives until `cleanup`; `topic` relative to the namespace."""

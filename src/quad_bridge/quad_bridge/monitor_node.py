@@ -67,8 +67,8 @@ class Monitor(Node):  # type: ignore[misc]
         self.create_subscription(Vector3Stamped, 'excitation/applied', self._on_applied, STREAM)
         self.create_subscription(ParameterEvent, 'excitation/segment', self._on_segment, STATE)
         self.create_subscription(ParameterEvent, 'logger/bag', self._on_bag, STATE)
-        self.create_timer(0.5 if self._terminal else float(every), self._show)
-        self.create_timer(1.0, self._look)
+        ros_node.steady_timer(self, 0.5 if self._terminal else float(every), self._show)
+        ros_node.steady_timer(self, 1.0, self._look)
         if self._terminal:
             sys.stdout.write(CLEAR)
 

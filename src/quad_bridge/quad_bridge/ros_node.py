@@ -17,6 +17,7 @@ from typing import Any
 
 import rclpy
 from rcl_interfaces.msg import IntegerRange, ParameterDescriptor
+from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
@@ -90,6 +91,15 @@ def integer(node: Any, name: str, default: int, limits: tuple[int, int], descrip
         integer_range=[IntegerRange(from_value=limits[0], to_value=limits[1], step=1)],
     )
     return int(node.declare_parameter(name, default, descriptor).value)
+
+
+def steady_timer(node: Any, period_s: float, callback: Callable[[], None]) -> Any:
+    """Create a timer that runs whatever becomes of the system's clock, or of simulated time.
+
+    A node's own clock stands still for as long as the system clock was set back. (The timers of
+    a ManagedNode are of this kind without it.)
+    """
+    return node.create_timer(period_s, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
 
 class Fence:

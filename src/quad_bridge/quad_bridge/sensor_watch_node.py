@@ -33,7 +33,7 @@ class SensorWatch(Node):  # type: ignore[misc]
         self._samples: deque[tuple[float, ...]] = deque(maxlen=SHAKING)
         self._diagnostics = self.create_publisher(DiagnosticArray, 'diagnostics', EVENT)
         self.create_subscription(Imu, 'imu/data', self._on_imu, STREAM)
-        self.create_timer(1.0, self._on_report)
+        ros_node.steady_timer(self, 1.0, self._on_report)
 
     def close(self) -> None:
         """Nothing is held open."""

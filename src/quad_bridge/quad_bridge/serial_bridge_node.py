@@ -26,7 +26,7 @@ from quad_bridge.excitation_relay import ExcitationRelay
 from quad_bridge.gain_keeper import GainKeeper
 from quad_bridge.gain_services import GainServices
 from quad_bridge.gain_state import News, State
-from quad_bridge.host_time import HostTime
+from quad_bridge.host_time import NEVER_NS, HostTime
 from quad_bridge.link import Link, Stamped
 from quad_bridge.managed_node import ManagedNode
 from quad_bridge.operator_enable import OperatorEnable
@@ -297,13 +297,14 @@ class SerialBridge(ManagedNode):
             link, port = self._link, self._port.status
             # a report out of turn may follow the last one so closely that nothing came between
             failed = self.fence.failed
+            unset = self._time.epoch_ns == NEVER_NS
             settled = now_s - self._since.time_s > SETTLED_S
             since = self._since if settled else self._before
             standard = link.standard_only(time.monotonic_ns())
             self._relay.refusal = NO_EXCITATION if standard else ''
             entries = [
                 diagnostics.link_status(port, link, since, now_s, self._opened_counts, failed),
-                diagnostics.clock_status(link, self._time.behind_ns),
+                diagnostics.clock_status(link, self._time.behind_ns, unset=unset),
                 diagnostics.gains_status(link, self._keeper),
                 diagnostics.excitation_status(self._relay, link, self._enable.fault(now_s)),
             ]
@@ -325,7 +326,8 @@ class SerialBridge(ManagedNode):
 
     def _epoch(self) -> int:
         """ROS time minus the steady clock, ns."""
-        return int(self.get_clock().now().nanoseconds) - time.monotonic_ns()
+        now_ns = int(self.get_clock().now().nanoseconds)
+        return NEVER_NS if self._simulated and not now_ns else now_ns - time.monotonic_ns()
 
     def _keep_epoch(self) -> None:
         last = self._link.last_cycle
