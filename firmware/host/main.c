@@ -17,6 +17,7 @@
 #define THROTTLE 0.5f
 #define BURST 50 /* cycles run at once after a stall of the machine */
 #define EPOCH_2015 1420070400
+#define LONGEST_S 1e9
 
 static volatile sig_atomic_t stopped;
 
@@ -74,51 +75,90 @@ static int fail(const char *what, const char *why)
     return 2;
 }
 
+/* What the command line says. */
+typedef struct {
+    const char *link, *key_file;
+    uint64_t last_us;
+    bool disarmed;
+} options;
+
+static const char *take_seconds(const char *text, uint64_t *us)
+{
+    char *end;
+    const double seconds = strtod(text, &end);
+    if (end == text || *end != '\0' || !(seconds > 0.0 && seconds <= LONGEST_S)) {
+        return "must be seconds, above 0 and at most 1e9";
+    }
+    *us = (uint64_t)(1e6 * seconds);
+    return NULL;
+}
+
+/* 0, or the exit status. */
+static int read_options(int count, char **given, options *o)
+{
+    for (int i = 1; i < count; i++) {
+        const char *name = given[i], *value = i + 1 < count ? given[i + 1] : "";
+        if (strcmp(name, "--disarmed") == 0) {
+            o->disarmed = true;
+            continue;
+        }
+        const bool link = strcmp(name, "--link") == 0, key = strcmp(name, "--key") == 0;
+        if (!link && !key && strcmp(name, "--duration") != 0) {
+            return fail(name, "known are --link PATH, --key FILE, --duration S, --disarmed");
+        }
+        if (value[0] == '\0') {
+            return fail(name, "needs a value");
+        }
+        if (link) {
+            o->link = value;
+        } else if (key) {
+            o->key_file = value;
+        } else {
+            const char *why = take_seconds(value, &o->last_us);
+            if (why != NULL) {
+                return fail(name, why);
+            }
+        }
+        i++;
+    }
+    return 0;
+}
+
 int main(int count, char **given)
 {
     static quad_endpoint endpoint;
+    options asked = {NULL, NULL, UINT64_MAX, false};
+    uint8_t key[32];
+    terminal port;
+    const int status = read_options(count, given, &asked);
+    if (status != 0) {
+        return status;
+    }
     quad_settings settings = {.system = 1,
                               .component = 1,
                               .aircraft = 0x686f737471756164u,
                               .rate_hz = RATE_HZ,
                               .low_battery_v = 9.9f,
-                              .armed = true,
+                              .armed = !asked.disarmed,
                               .may_arm = true};
-    const char *link = NULL;
-    uint8_t key[32];
-    uint64_t last_us = UINT64_MAX;
-    terminal port;
-    for (int i = 1; i < count; i++) {
-        const char *value = i + 1 < count ? given[i + 1] : "";
-        if (strcmp(given[i], "--disarmed") == 0) {
-            settings.armed = false;
-            continue;
+    if (asked.key_file != NULL) {
+        const char *why = terminal_read_key(asked.key_file, key);
+        if (why != NULL) {
+            return fail(asked.key_file, why);
         }
-        if (strcmp(given[i], "--link") == 0 && value[0] != '\0') {
-            link = value;
-        } else if (strcmp(given[i], "--duration") == 0 && atof(value) > 0.0) {
-            last_us = (uint64_t)(1e6 * atof(value));
-        } else if (strcmp(given[i], "--key") == 0) {
-            const char *why = terminal_read_key(value, key);
-            if (why != NULL) {
-                return fail(value, why);
-            }
-            settings.key = key;
-            settings.signing_time = clock_us(CLOCK_REALTIME) / 10u - EPOCH_2015 * 100000ull;
-        } else {
-            return fail(given[i], "known are --link PATH, --key FILE, --duration S, --disarmed");
-        }
-        i++;
+        settings.key = key;
+        settings.signing_time = clock_us(CLOCK_REALTIME) / 10u - EPOCH_2015 * 100000ull;
     }
-    if (!terminal_open(&port, link)) {
-        return fail(link != NULL ? link : "pseudo-terminal", "cannot be made");
+    const char *why = terminal_open(&port, asked.link);
+    if (why != NULL) {
+        return fail(asked.link != NULL ? asked.link : "pseudo-terminal", why);
     }
     signal(SIGINT, stop);
     signal(SIGTERM, stop);
     printf("quad host on %s\n", port.path);
     fflush(stdout);
     quad_endpoint_init(&endpoint, &settings);
-    run(&endpoint, &port, last_us);
+    run(&endpoint, &port, asked.last_us);
     terminal_close(&port);
     const quad_counts *c = &endpoint.counts;
     printf("frames %u bad %u unsigned %u forged %u replayed %u dropped %u\n", c->frames, c->bad,

@@ -12,8 +12,9 @@ typedef struct {
     char path[64];
 } terminal;
 
-/* Open a raw pseudo-terminal; `link` (or NULL) becomes a symbolic link to it. False: errno. */
-bool terminal_open(terminal *t, const char *link);
+/* Open a raw pseudo-terminal; `link` (or NULL) becomes a symbolic link to it, in the place of one
+ * that is there. NULL, or what is wrong. */
+const char *terminal_open(terminal *t, const char *link);
 
 /* What arrives within wait_us; 0 where nothing does. */
 size_t terminal_read(terminal *t, uint8_t *bytes, size_t room, int64_t wait_us);
@@ -21,9 +22,11 @@ size_t terminal_read(terminal *t, uint8_t *bytes, size_t room, int64_t wait_us);
 /* Send what fits; the rest is lost, as on a UART that nobody reads. */
 void terminal_write(terminal *t, const uint8_t *bytes, size_t count);
 
+/* Takes the link away too, if it is still ours. */
 void terminal_close(terminal *t);
 
-/* 32 bytes of key, raw or hexadecimal, from a file for its owner alone. NULL, or what is wrong. */
+/* The key in a file for its owner alone: 64 hexadecimal digits with white space around, or 32 raw
+ * bytes. NULL, or what is wrong. */
 const char *terminal_read_key(const char *path, uint8_t key[32]);
 
 #endif

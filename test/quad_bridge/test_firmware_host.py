@@ -352,3 +352,45 @@ def test_no_key_no_network(rig, settings, text):
     assert rig.bridge.wait(timeout=PATIENCE_S) == 2
     error = rig.bridge.stderr.read()
     assert (error.count('\n'), text in error, 'make_key' in error) == (1, True, True)
+
+
+def test_a_host_takes_the_place_of_a_killed_ones_link_and_of_nothing_else(rig):
+    rig.port.symlink_to('/dev/pts/of_a_killed_host')
+    rig.start_host('--duration', '60')
+    assert str(rig.port.readlink()).startswith('/dev/pts/')
+    assert rig.port.exists()
+    rig.port.unlink()
+    rig.port.symlink_to('/dev/pts/of_another')  # that one's link stays
+    rig.end_host()
+    assert rig.port.is_symlink()
+    rig.port.unlink()
+    rig.port.write_text('mine')
+    told = refused(rig.host_path, '--link', rig.port)
+    assert told == f'quad_host: {rig.port}: exists and is not a symbolic link\n'
+    assert rig.port.read_text() == 'mine'
+    assert list(rig.folder.iterdir()) == [rig.port]
+
+
+def refused(*command):
+    """What a command with wrong arguments says."""
+    run = subprocess.run(command, capture_output=True, text=True, check=False, timeout=PATIENCE_S)
+    assert run.returncode == 2
+    return run.stderr
+
+
+@pytest.mark.parametrize(
+    ('given', 'words'),
+    [
+        (['--duration', 'soon'], '--duration: must be seconds'),
+        (['--duration', 'nan'], '--duration: must be seconds'),
+        (['--duration', '1e30'], '--duration: must be seconds'),
+        (['--duration', '5x'], '--duration: must be seconds'),
+        (['--link'], '--link: needs a value'),
+        (['--key', ''], '--key: needs a value'),
+        (['--rate', '3'], '--rate: known are --link PATH'),
+        (['--link', '/nowhere/port'], '/nowhere/port: No such file or directory'),
+    ],
+)
+def test_what_the_host_does_not_understand_it_says(firmware, given, words):
+    told = refused(firmware('quad_host_checked'), *given)
+    assert (told.count('\n'), words in told) == (1, True), told

@@ -20,12 +20,81 @@ def test_a_key_that_was_made_is_read(tmp_path):
     assert read_key(tmp_path / 'second') != read_key(path)
 
 
-@pytest.mark.parametrize('data', [bytes(range(32)), bytes(range(32)).hex().encode() + b'\r\n'])
-def test_raw_or_hexadecimal(tmp_path, data):
-    path = tmp_path / 'key'
+KEY = bytes([0xAB, 9, *range(1, 31)])
+HEX = KEY.hex().encode()
+NO_KEY, ZEROS = 'must hold 64 hexadecimal digits, or 32 raw bytes', 'is all zeros'
+FILES = {
+    'raw': (KEY, ''),
+    'raw, white at its ends': (b'\n' + KEY[1:-1] + b' ', ''),
+    'hex': (HEX, ''),
+    'upper case': (HEX.upper(), ''),
+    'a line of Windows': (HEX + b'\r\n', ''),
+    'white space around': (b' \t\n' + HEX + b'\v\f \n', ''),
+    'the most white space': (HEX + b' ' * (4096 - 64), ''),
+    'empty': (b'', NO_KEY),
+    'white space alone': (b' ' * 32, NO_KEY),
+    'half a key in hex': (HEX[:32], NO_KEY),
+    'less than half, with its line end': (HEX[:31] + b'\n', NO_KEY),
+    'a digit missing': (HEX[:63] + b'\n', NO_KEY),
+    'two keys': (HEX + HEX, NO_KEY),
+    'text behind': (HEX + b' of the rig\n', NO_KEY),
+    'a zero byte behind': (HEX + b'\0', NO_KEY),
+    'white space within': (HEX[:32] + b' ' + HEX[32:], NO_KEY),
+    'pairs': (b' '.join(HEX[i : i + 2] for i in range(0, 64, 2)), NO_KEY),
+    'byte order mark': (b'\xef\xbb\xbf' + HEX, NO_KEY),
+    'no digits': (b'x' * 64, NO_KEY),
+    '31 bytes': (KEY[:31], NO_KEY),
+    '33 bytes': (KEY + b'\1', NO_KEY),
+    'raw with a line end': (KEY + b'\n', NO_KEY),
+    'zeros': (bytes(32), ZEROS),
+    'zeros in hex': (b'00' * 32 + b'\n', ZEROS),
+}
+"""Content of a file, and what is wrong with it: the same in Python and in C."""
+
+
+def held(folder, data):
+    """A file for its owner alone."""
+    path = folder / 'key'
     path.write_bytes(data)
     path.chmod(0o400)
-    assert read_key(path) == bytes(range(32))
+    return path
+
+
+@pytest.mark.parametrize(('data', 'wrong'), FILES.values(), ids=FILES)
+def test_what_is_a_key_and_what_is_none(tmp_path, data, wrong):
+    path = held(tmp_path, data)
+    if wrong:
+        with pytest.raises(BadInputError, match=f'^key file {path}: {wrong}.*make_key FILE$'):
+            read_key(path)
+    else:
+        assert read_key(path) in (data, KEY)
+
+
+def test_the_c_host_takes_the_same_files(tmp_path, firmware):
+    host = firmware('quad_host_checked')
+    told = {}
+    for number, (name, (data, wrong)) in enumerate(FILES.items()):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        path = held(folder, data)
+        run = subprocess.run(
+            [host, '--key', path, '--duration', '0.01'],
+            capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        line = f'quad_host: {path}: {wrong}' if wrong else ''
+        if (run.returncode, run.stderr[: len(line)]) != (2 if wrong else 0, line):
+            told[name] = run.stderr
+    assert told == {}
+
+
+def test_a_file_that_is_too_long_or_a_folder_is_no_key(tmp_path, firmware):
+    path = held(tmp_path, HEX + b' ' * 4096)
+    host = firmware('quad_host_checked')
+    for place, wrong in ((path, NO_KEY), (tmp_path, 'Is a directory')):
+        with pytest.raises(BadInputError, match=wrong):
+            read_key(place)
+        run = subprocess.run([host, '--key', place], capture_output=True, text=True, check=False)
+        assert (run.returncode, run.stderr.count('\n')) == (2, 1)
 
 
 @pytest.mark.parametrize('mode', [0o640, 0o604, 0o620, 0o660, 0o644])
@@ -34,15 +103,6 @@ def test_a_file_that_others_may_touch_is_refused(tmp_path, mode):
     write_key(path)
     path.chmod(mode)
     with pytest.raises(BadInputError, match=rf'{path}.*mode {mode:04o}; chmod 600'):
-        read_key(path)
-
-
-@pytest.mark.parametrize('data', [b'', b'12ab', bytes(31), bytes(33), b'x' * 64, b'00' * 33])
-def test_what_is_no_key_is_refused(tmp_path, data):
-    path = tmp_path / 'key'
-    path.write_bytes(data)
-    path.chmod(0o600)
-    with pytest.raises(BadInputError, match='64 hexadecimal digits'):
         read_key(path)
 
 
