@@ -220,7 +220,7 @@ def test_device_time_of_32_bits_goes_on_through_its_wrap():
     stamps = [item.stamp_ns for item in far.out]
     assert len(stamps) > 1350
     assert {round((b - a) / 1e5) for a, b in pairwise(stamps)} == {40}
-    assert far.link.device_time.wraps == 1
+    assert far.link.stamping.device_time.wraps == 1
     assert far.link.clock.state.restarts == 0
 
 
@@ -302,7 +302,7 @@ def test_no_cycle_is_stamped_wrongly_when_the_far_ends_clock_is_set(set_ms):
     far.run(1500)
     errors = far.true_errors_ms()
     assert max(map(abs, errors)) < 1.0  # ms
-    assert link.guard.alarms == 1
+    assert link.stamping.guard.alarms == 1
     assert link.clock.state.restarts == 1
     # until eight new round trips are in: half a second and the one that told
     assert 0 < link.held - held < 250
@@ -319,7 +319,7 @@ def test_cycles_that_come_unevenly_are_neither_lost_nor_wrong():
     assert link.held == held
     assert link.clock.state.restarts == 0
     # doubled twice, what may be off covers them
-    assert 0 < link.guard.alarms <= 4
+    assert 0 < link.stamping.guard.alarms <= 4
     late = [e for e in far.true_errors_ms() if e > 2.5]
     assert len(late) == 100  # the late ones bear the time at which they began
     assert len(far.out) == far.cycle - link.held

@@ -177,8 +177,8 @@ def clock_status(link: Link, behind_ns: int = 0, *, unset: bool = False) -> Stat
         'round trips used': state.accepted,
         'round trips dropped': state.rejected,
         'restarts': state.restarts,
-        'uneven steps of device time': link.guard.alarms,
-        'wraps at 32 bits': link.device_time.wraps,
+        'uneven steps of device time': link.stamping.guard.alarms,
+        'wraps at 32 bits': link.stamping.device_time.wraps,
         'cycles held back': link.held,
     }
     if unset or behind_ns:

@@ -7,12 +7,11 @@ times are ns of one steady host clock. Not thread-safe: the node holds a lock ar
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import replace
 
-from quad_bridge.autopilot import Autopilot, Inertial
+from quad_bridge.autopilot import Autopilot
 from quad_bridge.gain_line import GainLine
-from quad_bridge.wire.clock import ClockEstimator, DeviceTime
+from quad_bridge.stamping import Stamped, Stamping
 from quad_bridge.wire.codec import Decoder, Encoder
 from quad_bridge.wire.frames import (
     Attitude,
@@ -37,7 +36,6 @@ from quad_bridge.wire.frames import (
     TimeSync,
 )
 from quad_bridge.wire.signing import Signing
-from quad_bridge.wire.step_guard import StepGuard
 
 BRIDGE_SYSTEM, BRIDGE_COMPONENT = 1, 191
 ONBOARD_CONTROLLER, NO_AUTOPILOT = 18, 8
@@ -51,20 +49,8 @@ NO_SYNC_NS = 3_000_000_000
 """Without an answer to TIMESYNC for so long, an autopilot's arrivals must do."""
 NO_CYCLE_NS = 1_000_000_000
 """An autopilot without a QUAD_CYCLE for so long sends none."""
-FUTURE_NS = 100_000_000
-"""A stamp later than its arrival by more is false."""
 RELEASE_NS = 3_000_000_000
 """A far end silent for so long may be followed by another one on the same line."""
-NEAR_US = 60_000_000
-"""A device time is believed to have wrapped at 32 bits within this of the wrap."""
-
-
-@dataclass(frozen=True)
-class Stamped:
-    """A frame for a topic with its host time; `stamp_ns` is None where it has no time."""
-
-    frame: Cycle | RcChannels | Battery | SlowSensors | StatusText | Inertial | Outputs
-    stamp_ns: int | None
 
 
 class Link:
@@ -76,31 +62,29 @@ class Link:
         self.on_cycle: Callable[[Cycle, int], None] = lambda _frame, _now_ns: None
         """Called for every cycle, also those that are held back for want of a clock."""
         self.decoder = Decoder(signing, own=(BRIDGE_SYSTEM, BRIDGE_COMPONENT))
-        self.clock = ClockEstimator()
+        self.stamping = Stamping()
+        self.stamping.on_restart = self._restarted_unseen
+        self.clock = self.stamping.clock
         self.gains = GainLine()
         self.peer: Heartbeat | None = None
         self.autopilot = Autopilot()
         """Where the far end sends standard messages only."""
-        self.device_time = DeviceTime()
-        self.guard = StepGuard()
         self.last_cycle: Cycle | None = None
         self.last_cycle_ns = 0
         """Host time at which the last cycle arrived."""
         self.cycles = 0
-        self.held = 0
-        """Cycles not published: no clock yet, or a stamp that runs backwards."""
         self._encoder = Encoder(BRIDGE_SYSTEM, BRIDGE_COMPONENT, signing)
         self._outbox = bytearray()
-        self._stamp_ns = 0
-        self._stamped_cycle: Cycle | None = None
-        """The cycle that has this stamp."""
-        self._waiting: list[Callable[[int, list[Stamped]], None]] = []
-        """What is stamped once TIMESYNC has told whether the far end's clock was set."""
         self._restarts = 0
         self._peer_since_ns = 0
         self._heard_ns = 0
         self._next_heartbeat_ns = 0
         self._next_sync_ns = self._next_urgent_ns = 0
+
+    @property
+    def held(self) -> int:
+        """Cycles not published, see `Stamping`."""
+        return self.stamping.held
 
     def opened(self) -> None:
         """Start afresh: the port was opened, the far end may be another one."""
@@ -177,45 +161,13 @@ class Link:
         self.last_cycle = frame
         self.last_cycle_ns = now_ns
         self.on_cycle(frame, now_ns)
-        device_ns = 1000 * self.device_time.extend(frame.time_us, NEAR_US)
-        waits = self.guard.step(frame.cycle, device_ns // 1000, now_ns)
-        if waits and self.clock.converged and not self.clock.one_way:
-            self._waiting.append(partial(self._stamp_cycle, frame, device_ns))
-            self._ask_urgently(now_ns)
-            return
-        self._release(now_ns, out)
-        self._stamp_cycle(frame, device_ns, now_ns, out)
-
-    def _stamp_cycle(self, frame: Cycle, device_ns: int, now_ns: int, out: list[Stamped]) -> None:
-        if not self._publishable(device_ns, now_ns):
-            self.held += 1
-            return
-        self._stamped_cycle = frame
-        out.append(Stamped(frame, self._stamp_ns))
+        self.stamping.cycle(frame, now_ns, out)
+        self._ask_urgently(now_ns)
 
     def _ask_urgently(self, now_ns: int) -> None:
-        if now_ns >= self._next_urgent_ns:
+        if self.stamping.asks and now_ns >= self._next_urgent_ns:
             self._next_urgent_ns = now_ns + URGENT_NS
             self.send(TimeSync(0, now_ns))
-
-    def _release(self, now_ns: int, out: list[Stamped]) -> None:
-        """Stamp what has waited."""
-        waiting, self._waiting = self._waiting, []
-        for stamp in waiting:
-            stamp(now_ns, out)
-
-    def _publishable(self, device_ns: int, now_ns: int) -> bool:
-        """Whether a cycle of this time may go out; its stamp is then the latest one.
-
-        None runs backwards, none lies in the future.
-        """
-        if not self.clock.converged:
-            return False
-        stamp_ns = self.clock.host_ns(device_ns)
-        if stamp_ns <= self._stamp_ns or stamp_ns > now_ns + FUTURE_NS:
-            return False
-        self._stamp_ns = stamp_ns
-        return True
 
     def _other(self, frame: Frame, now_ns: int, out: list[Stamped]) -> None:
         if isinstance(frame, (RcChannels, SlowSensors, Battery, StatusText)):
@@ -250,12 +202,13 @@ class Link:
             out.append(Stamped(frame, None))
         elif isinstance(frame, RcChannels):
             self.autopilot.note('RC_CHANNELS', now_ns)
-            self._stamped(frame, frame.time_ms * 1000, 1000, now_ns, out)
+            self.stamping.other(frame, frame.time_ms * 1000, 1000, now_ns, out)
         elif isinstance(frame, SlowSensors):
             self._standard(frame, now_ns, out)
-            self._stamped(frame, frame.time_us, 1, now_ns, out)
-        elif self.autopilot.battery(frame, now_ns) and self.clock.converged and self._stamp_ns:
-            out.append(Stamped(frame, self._stamp_ns))
+            self.stamping.other(frame, frame.time_us, 1, now_ns, out)
+        elif self.autopilot.battery(frame, now_ns) and self.clock.converged:
+            last_ns = self.stamping.last_ns
+            out += [Stamped(frame, last_ns)] if last_ns else []
 
     def _standard(
         self, frame: Attitude | Outputs | SlowSensors, now_ns: int, out: list[Stamped]
@@ -263,73 +216,30 @@ class Link:
         """What another autopilot says in place of a cycle; nothing once a cycle has come."""
         if isinstance(frame, Outputs):
             wanted = self.autopilot.outputs(frame, now_ns)
-            if wanted and self.last_cycle is None and self.clock.converged:
-                device_ns = 1000 * self.device_time.nearest(frame.time_us)
-                out.append(Stamped(frame, self.clock.host_ns(device_ns)))
+            if wanted and self.last_cycle is None:
+                self.stamping.outputs(frame, out)
             return
         inertial = self.autopilot.inertial(frame, now_ns)
         if inertial is None or self.last_cycle is not None:
             return
-        device_ns = 1000 * self.device_time.extend(inertial.time_us, NEAR_US)
-        if now_ns - self._opened_ns(now_ns) > NO_SYNC_NS:
-            self.clock.add_arrival(device_ns, now_ns)
-        if self._publishable(device_ns, now_ns):
-            out.append(Stamped(inertial, self._stamp_ns))
+        arrivals = now_ns - self._opened_ns(now_ns) > NO_SYNC_NS
+        self.stamping.inertial(inertial, now_ns, out, arrivals=arrivals)
+        self._ask_urgently(now_ns)
 
     def _opened_ns(self, now_ns: int) -> int:
         """When the far end was first heard; now, where it has not been."""
         return self._peer_since_ns if self.peer is not None else now_ns
 
-    def _stamped(
-        self,
-        frame: RcChannels | SlowSensors,
-        time_us: int,
-        grain_us: int,
-        now_ns: int,
-        out: list[Stamped],
-    ) -> None:
-        """Stamp a frame: the cycle's own stamp where it was sent in that cycle."""
-        if self._waiting:
-            self._waiting.append(partial(self._stamp_other, frame, time_us, grain_us))
-        else:
-            self._stamp_other(frame, time_us, grain_us, now_ns, out)
-
-    def _stamp_other(
-        self,
-        frame: RcChannels | SlowSensors,
-        time_us: int,
-        grain_us: int,
-        _now_ns: int,
-        out: list[Stamped],
-    ) -> None:
-        if not self.clock.converged:
-            return
-        last = self._stamped_cycle
-        if last is not None and last.time_us // grain_us == time_us // grain_us:
-            out.append(Stamped(frame, self._stamp_ns))
-        else:
-            device_us = self.device_time.extend(time_us, NEAR_US)
-            out.append(Stamped(frame, self.clock.host_ns(1000 * device_us)))
-
     def _time_sync(self, frame: TimeSync, now_ns: int, out: list[Stamped]) -> None:
         if frame.tc1_ns == 0:
             self.send(TimeSync(now_ns, frame.ts1_ns))
         elif frame.ts1_ns <= now_ns:
-            # a far end that counts µs in 32 bits wraps here too
-            whole_us, rest_ns = divmod(frame.tc1_ns, 1000)
-            device_ns = 1000 * self.device_time.extend(whole_us, NEAR_US) + rest_ns
-            accepted = self.clock.add(frame.ts1_ns, device_ns, now_ns)
-            self.guard.trip(frame.ts1_ns, self.clock.off_ns, accepted=accepted)
-            if not self.clock.converged:
-                self.guard.restart()
-            if not self.guard.waiting:
-                self._release(now_ns, out)
+            self.stamping.trip(frame.ts1_ns, frame.tc1_ns, now_ns, out)
+
+    def _restarted_unseen(self) -> None:
+        self._restarts = self.decoder.restarted()
+        self.gains.restart()
 
     def _far_end_restarted(self) -> None:
-        self.clock.reset()
-        self.device_time.restart()
-        self.guard.restart()
-        self.held += len(self._waiting)
-        self._waiting.clear()
-        self._stamped_cycle = None
+        self.stamping.restart()
         self.gains.restart()

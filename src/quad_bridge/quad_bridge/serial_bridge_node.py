@@ -27,7 +27,7 @@ from quad_bridge.gain_keeper import GainKeeper
 from quad_bridge.gain_services import GainServices
 from quad_bridge.gain_state import News, State
 from quad_bridge.host_time import NEVER_NS, HostTime
-from quad_bridge.link import Link, Stamped
+from quad_bridge.link import Link
 from quad_bridge.managed_node import ManagedNode
 from quad_bridge.operator_enable import OperatorEnable
 from quad_bridge.operator_services import OperatorServices
@@ -37,6 +37,7 @@ from quad_bridge.sensor_keeper import SensorKeeper
 from quad_bridge.sensor_services import SensorServices
 from quad_bridge.serial_port import SerialPort
 from quad_bridge.sparing import Sparing
+from quad_bridge.stamping import Stamped
 from quad_bridge.wire.codec import Counts
 from quad_bridge.wire.frames import Battery, Cycle, Flag, Outputs, RcChannels, SlowSensors
 

@@ -163,10 +163,14 @@ class ClockEstimator:
         self._fit()
         return True
 
-    def host_ns(self, device_ns: int) -> int:
-        """Host time of a device time, ns; never runs backwards while device time does not."""
+    def estimate_ns(self, device_ns: int) -> int:
+        """Host time of a device time, ns, as the estimate is now."""
         base = self._trips[-1].device_ns if self._trips else device_ns
-        host = device_ns + round(self._offset_ns + self._drift * (device_ns - base))
+        return device_ns + round(self._offset_ns + self._drift * (device_ns - base))
+
+    def host_ns(self, device_ns: int) -> int:
+        """Stamp of a device time, ns: it never runs backwards while device time does not."""
+        host = self.estimate_ns(device_ns)
         if self._last is not None and device_ns >= self._last[0] and host < self._last[1]:
             host = self._last[1]
         self._last = (device_ns, host)
@@ -203,7 +207,10 @@ class ClockEstimator:
 
 
 class DeviceTime:
-    """Device times that may wrap at 32 bits, as one that does not. µs, or any unit."""
+    """Device times that may wrap at 32 bits, as one that does not. µs, or any unit.
+
+    Only what `extend` is given moves it: a false time of something else must not.
+    """
 
     def __init__(self, bits: int = 32) -> None:
         """`bits` of the counter that may lie behind the time."""
@@ -218,14 +225,21 @@ class DeviceTime:
 
     def extend(self, time: int, near: int) -> int:
         """`time` with its wraps; a wrap is believed within `near` of the counter's end."""
+        extended = self.peek(time, near)
+        wrapped = extended > time + self._base
+        self._base += self._span if wrapped else 0
+        self.wraps += wrapped
+        if extended >= time + self._base:
+            self._last = extended
+        return extended
+
+    def peek(self, time: int, near: int) -> int:
+        """What `extend` would give, without believing it."""
         extended = time + self._base
-        if self._last - extended > self._span - near and time < near:
-            self._base += self._span
-            self.wraps += 1
-            extended += self._span
-        elif self._base and extended - self._last > self._span - near:
+        if self._span - near < self._last - extended <= self._span and time < near:
+            return extended + self._span
+        if self._base and extended - self._last > self._span - near:
             return extended - self._span  # sent before the wrap, arrived behind it
-        self._last = max(self._last, extended)
         return extended
 
     def nearest(self, time: int) -> int:

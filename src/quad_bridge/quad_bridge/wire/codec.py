@@ -12,7 +12,16 @@ from dataclasses import dataclass
 
 from quad_bridge.errors import EncodeError
 from quad_bridge.wire import dialect
-from quad_bridge.wire.frames import Cycle, Frame, Heartbeat, Standard
+from quad_bridge.wire.frames import (
+    CommandAck,
+    Cycle,
+    Frame,
+    GainsState,
+    Heartbeat,
+    ParamValue,
+    Standard,
+    TimeSync,
+)
 from quad_bridge.wire.framing import Framer, Packet
 from quad_bridge.wire.messages import FROM_AUTOPILOT, FROM_MESSAGE, TO_MESSAGE, cycle, unpacked
 from quad_bridge.wire.other_messages import OTHER_MESSAGES
@@ -29,6 +38,8 @@ _EXTRAS = {number: kind.crc_extra for number, kind in _OURS.items()} | {
 }
 _BUILD = {**FROM_MESSAGE, **FROM_AUTOPILOT}
 _CYCLE = dialect.MAVLINK_MSG_ID_QUAD_CYCLE
+_ANSWERS = (TimeSync, ParamValue, GainsState, CommandAck)
+"""They mean something only from who was asked: the far end, once it is known."""
 NO_AUTOPILOT = 8
 """MAV_AUTOPILOT_INVALID: the heartbeat of something that flies nothing."""
 
@@ -121,6 +132,11 @@ class Decoder:
         """`counts.restarts`, cheap enough to be asked for every cycle."""
         return self._watch.restarts
 
+    def restarted(self) -> int:
+        """Count a restart that the cycle counter has not shown; restarts so far."""
+        self._watch.restarts += 1
+        return self._watch.restarts
+
     @property
     def peer(self) -> tuple[int, int] | None:
         """System and component of the far end, where `own` was given and it has spoken."""
@@ -175,8 +191,12 @@ class Decoder:
             return
         if isinstance(frame, Cycle):
             self._watch.step(frame.cycle)
-        if self._own is not None and self._peer is None and _flies(frame):
-            self._peer = (packet.system, packet.component)
+        if self._own is not None and self._peer is None:
+            if _flies(frame):
+                self._peer = (packet.system, packet.component)
+            elif isinstance(frame, _ANSWERS):
+                self._foreign += 1
+                return
         frames.append(frame)
 
 

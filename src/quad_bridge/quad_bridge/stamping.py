@@ -1,0 +1,187 @@
+"""Which stamp a frame gets, and which frames wait for one: clock, wraps and guards together. Pure.
+
+All times are ns of one steady host clock, device times µs. What TIMESYNC asks is the link's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+from quad_bridge.autopilot import Inertial
+from quad_bridge.wire.clock import ClockEstimator, DeviceTime
+from quad_bridge.wire.frames import Battery, Cycle, Outputs, RcChannels, SlowSensors, StatusText
+from quad_bridge.wire.late_guard import LateGuard
+from quad_bridge.wire.step_guard import StepGuard
+
+FUTURE_NS = 100_000_000
+"""A stamp later than its arrival by more is false."""
+NEAR_US = 60_000_000
+"""A device time is believed to have wrapped at 32 bits within this of the wrap."""
+
+
+@dataclass(frozen=True)
+class Stamped:
+    """A frame for a topic with its host time; `stamp_ns` is None where it has no time."""
+
+    frame: Cycle | RcChannels | Battery | SlowSensors | StatusText | Inertial | Outputs
+    stamp_ns: int | None
+
+
+class Stamping:
+    """What is stamped goes to the list `out`, in order."""
+
+    def __init__(self) -> None:
+        self.on_restart: Callable[[], None] = lambda: None
+        """Called where the far end has restarted and its cycle counter does not tell."""
+        self.clock = ClockEstimator()
+        self.device_time = DeviceTime()
+        self.guard = StepGuard()
+        self.late = LateGuard()
+        self.held = 0
+        """Not published: no clock yet, or a stamp that runs backwards or lies in the future."""
+        self.last_ns = 0
+        """The latest stamp."""
+        self._stamped: Cycle | Inertial | None = None
+        """What has this stamp."""
+        self._waiting: list[Callable[[int, list[Stamped]], None]] = []
+        """What is stamped once it is known whether the far end's clock is still the same."""
+        self._arrived_ns = 0
+
+    def restart(self) -> None:
+        """Forget: the far end has restarted, or is another one."""
+        self.clock.reset()
+        self.device_time.restart()
+        self.guard.restart()
+        self.late.restart()
+        self.held += len(self._waiting)
+        self._waiting.clear()
+        self._stamped = None
+
+    @property
+    def asks(self) -> bool:
+        """Whether frames wait for a round trip."""
+        return self.guard.waiting or self.late.waiting
+
+    def cycle(self, frame: Cycle, now_ns: int, out: list[Stamped]) -> None:
+        """Stamp a cycle that has arrived, or let it wait."""
+        device_us = self.device_time.extend(frame.time_us, NEAR_US)
+        uneven = self.guard.step(frame.cycle, device_us, now_ns)
+        self._timed(frame, 1000 * device_us, now_ns, out, uneven=uneven)
+
+    def inertial(
+        self, frame: Inertial, now_ns: int, out: list[Stamped], *, arrivals: bool
+    ) -> None:
+        """Stamp what an autopilot sends in place of a cycle; its arrival tells the clock too."""
+        device_ns = 1000 * self.device_time.extend(frame.time_us, NEAR_US)
+        if arrivals:
+            self.clock.add_arrival(device_ns, now_ns)
+        self._timed(frame, device_ns, now_ns, out, uneven=False)
+
+    def outputs(self, frame: Outputs, out: list[Stamped]) -> None:
+        """Stamp an autopilot's motor pulses, whose time has 32 bits."""
+        if self.clock.converged:
+            device_ns = 1000 * self.device_time.nearest(frame.time_us)
+            out.append(Stamped(frame, self.clock.host_ns(device_ns)))
+
+    def other(
+        self,
+        frame: RcChannels | SlowSensors,
+        time_us: int,
+        grain_us: int,
+        now_ns: int,
+        out: list[Stamped],
+    ) -> None:
+        """Stamp a frame whose time has this grain: with its cycle's stamp where it was of one."""
+        device_ns = 1000 * self.device_time.peek(time_us, NEAR_US)
+        stamp = partial(self._stamp_other, frame, time_us // grain_us, grain_us, device_ns)
+        if self._waiting or (self._sure and self.late.late(self._late_ns(device_ns, now_ns))):
+            self._waiting.append(stamp)
+        else:
+            stamp(now_ns, out)
+
+    def trip(self, sent_ns: int, told_ns: int, now_ns: int, out: list[Stamped]) -> None:
+        """Take a round trip of TIMESYNC: sent and received by us, told by the far end."""
+        # a far end that counts µs in 32 bits wraps here too
+        whole_us, rest_ns = divmod(told_ns, 1000)
+        device_ns = 1000 * self.device_time.peek(whole_us, NEAR_US) + rest_ns
+        if self._sure:
+            off_ns = (sent_ns + now_ns) // 2 - self.clock.estimate_ns(device_ns)
+            self.late.trip(sent_ns, off_ns, now_ns - sent_ns)
+        if self.late.gone:
+            self._begin_anew()
+            device_ns = told_ns
+        accepted = self.clock.add(sent_ns, device_ns, now_ns)
+        self.guard.trip(sent_ns, self.clock.off_ns, accepted=accepted)
+        if not self.clock.converged:
+            self.guard.restart()
+        if not self.asks:
+            self._release(now_ns, out)
+
+    @property
+    def _sure(self) -> bool:
+        return self.clock.converged and not self.clock.one_way
+
+    def _late_ns(self, device_ns: int, now_ns: int) -> int:
+        return now_ns - self.clock.estimate_ns(device_ns)
+
+    def _timed(
+        self,
+        frame: Cycle | Inertial,
+        device_ns: int,
+        now_ns: int,
+        out: list[Stamped],
+        *,
+        uneven: bool,
+    ) -> None:
+        unheard_ns, self._arrived_ns = now_ns - self._arrived_ns, now_ns
+        if self._sure:
+            late_ns = self._late_ns(device_ns, now_ns)
+            waits = self.late.step(late_ns, now_ns, anew=device_ns < unheard_ns)
+            if self.late.gone:
+                self._begin_anew()
+            elif waits or uneven:
+                self._waiting.append(partial(self._stamp_timed, frame, device_ns))
+                return
+        self._release(now_ns, out)
+        self._stamp_timed(frame, device_ns, now_ns, out)
+
+    def _begin_anew(self) -> None:
+        """What came late was of another clock."""
+        restarted = self.late.anew
+        self.restart()
+        if restarted:
+            self.on_restart()
+
+    def _release(self, now_ns: int, out: list[Stamped]) -> None:
+        """Stamp what has waited."""
+        waiting, self._waiting = self._waiting, []
+        for stamp in waiting:
+            stamp(now_ns, out)
+
+    def _stamp_timed(
+        self, frame: Cycle | Inertial, device_ns: int, now_ns: int, out: list[Stamped]
+    ) -> None:
+        """Stamp it where it may go out: no stamp runs backwards or lies in the future."""
+        stamp_ns = self.clock.host_ns(device_ns) if self.clock.converged else 0
+        if stamp_ns <= self.last_ns or stamp_ns > now_ns + FUTURE_NS:
+            self.held += 1
+            return
+        self.last_ns, self._stamped = stamp_ns, frame
+        out.append(Stamped(frame, stamp_ns))
+
+    def _stamp_other(
+        self,
+        frame: RcChannels | SlowSensors,
+        grains: int,
+        grain_us: int,
+        device_ns: int,
+        _now_ns: int,
+        out: list[Stamped],
+    ) -> None:
+        if not self.clock.converged:
+            return
+        last = self._stamped
+        same = last is not None and last.time_us // grain_us == grains
+        out.append(Stamped(frame, self.last_ns if same else self.clock.host_ns(device_ns)))
