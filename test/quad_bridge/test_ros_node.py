@@ -1,6 +1,7 @@
 """Parameters of nodes: what YAML makes of a plain `off` is taken for it where it makes sense."""
 
 import signal
+import sys
 from types import SimpleNamespace
 
 import pytest
@@ -47,8 +48,69 @@ def test_a_refusal_names_the_node_once(monkeypatch, capsys):
     with pytest.raises(SystemExit) as caught:
         run(lambda: refuse_unknown(given, ['folder']), 'bag_logger')
     assert caught.value.code == 2
-    told = 'bag_logger: parameter foldr: is unknown; known are folder\n'
+    told = 'bag_logger: parameter foldr: is unknown; is it folder?\n'
     assert capsys.readouterr().err == told
+
+
+def test_of_an_unknown_name_that_is_like_none_all_are_told_groups_once():
+    given = SimpleNamespace(_parameter_overrides={'x': SimpleNamespace(value=1)})
+    with pytest.raises(BadInputError, match=r'known are bounds\.\*, port$'):
+        refuse_unknown(given, ['port', 'bounds.roll.rate.kp', 'bounds.yaw.rate.kp'])
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'words'),
+    [
+        (['--params-file', '{}/absent.yaml'], 'absent.yaml: cannot be read (No such file'),
+        (['--params-file', '{}'], 'cannot be read (Is a directory)'),
+        (['--params-file', '{}/broken.yaml'], 'Sequences can only be values'),
+        (['--params-file', '{}/rootless.yaml'], 'Cannot have a value before ros__parameters'),
+        (['-r', '__ns:=/2bad'], "'-r __ns:=/2bad'; write -r FROM:=TO"),
+        (['-p', 'port:='], "'-p port:='; write -p NAME:=VALUE"),
+        (['--log-level', 'loud'], 'does not use a valid severity level'),
+        (['--nonsense'], "unknown argument: found ['--nonsense']"),
+    ],
+)
+def test_wrong_arguments_of_ros_are_one_line(monkeypatch, tmp_path, capfd, arguments, words):
+    (tmp_path / 'broken.yaml').write_text('bridge: [\n')
+    (tmp_path / 'rootless.yaml').write_text('bridge:\n  port: x\n')
+    given = ['bridge', '--ros-args', *(a.format(tmp_path) for a in arguments)]
+    monkeypatch.setattr(sys, 'argv', given)
+    monkeypatch.setattr('quad_bridge.ros_node.signal.signal', lambda *_: None)
+    with pytest.raises(SystemExit) as caught:
+        run(pytest.fail, 'bridge')
+    assert caught.value.code == 2
+    error = capfd.readouterr().err  # what rcl writes by itself included
+    assert (error.count('\n'), words in error) == (1, True), error
+
+
+def test_what_keeps_a_node_from_beginning_is_one_line(monkeypatch, capsys):
+    def begin():
+        raise OSError(36, 'File name too long', 'aaa')
+
+    node = Told()
+    node.begin = begin
+    monkeypatch.setattr('quad_bridge.ros_node.rclpy.init', lambda **_: None)
+    monkeypatch.setattr('quad_bridge.ros_node.rclpy.try_shutdown', lambda: None)
+    monkeypatch.setattr('quad_bridge.ros_node.signal.signal', lambda *_: None)
+    with pytest.raises(SystemExit) as caught:
+        run(lambda: node, 'bag_logger')
+    assert (caught.value.code, node.closed) == (2, 1)
+    assert capsys.readouterr().err == 'bag_logger: aaa: File name too long\n'
+
+
+@pytest.mark.parametrize(('set_', 'warned'), [({}, 1), ({'port': SimpleNamespace(value='x')}, 0)])
+def test_a_parameter_file_of_another_node_is_told(monkeypatch, set_, warned):
+    lines = []
+    node = SimpleNamespace(
+        _parameter_overrides=set_,
+        get_fully_qualified_name=lambda: '/left/serial_bridge',
+        get_logger=lambda: SimpleNamespace(warning=lines.append),
+    )
+    monkeypatch.setattr(sys, 'argv', ['bridge', '--ros-args', '--params-file', 'mine.yaml'])
+    ros_node.tell_unused(node)
+    assert len(lines) == warned
+    assert all('root it at "/left/serial_bridge:"' in line for line in lines)
 
 
 def spun(monkeypatch, callback, node):

@@ -6,6 +6,9 @@ No topics here.
 from __future__ import annotations
 
 import contextlib
+import difflib
+import itertools
+import re
 import signal
 import sys
 import threading
@@ -18,8 +21,10 @@ from typing import Any
 import rclpy
 from rcl_interfaces.msg import IntegerRange, ParameterDescriptor
 from rclpy.clock import Clock, ClockType
-from rclpy.exceptions import ParameterException
+from rclpy.exceptions import NameValidationException, ParameterException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.logging import LoggingSeverity, get_logger_level, set_logger_level
 from rclpy.signals import SignalHandlerOptions
 
 from quad_bridge.errors import BadInputError, QuadBridgeError
@@ -31,6 +36,14 @@ MOST_IN_A_ROW = 1000
 """Failures without anything that works between them: it is ROS itself that fails."""
 LONGEST = 500
 """Characters of a fault that are logged."""
+RCLError = rclpy_implementation.RCLError
+WRONG = (QuadBridgeError, ParameterException, NameValidationException)
+"""What a wrong parameter or name makes a node's constructor raise."""
+_OF_THE_LIBRARY = re.compile(r'^failed to initialize \w+: |, at \S+:\d+')
+_FORMS = {
+    'remap rule': 'write -r FROM:=TO; names have letters, digits and _, and begin with no digit',
+    'parameter override rule': "write -p NAME:=VALUE, an empty value as ''",
+}
 _ROS_OWN = ('use_sim_time', 'qos_overrides.', 'start_type_description_service')
 
 
@@ -45,11 +58,10 @@ def refuse_unknown(node: Any, known: Iterable[str]) -> None:
     names = set(known)
     for name in overrides(node):
         if name not in names and not name.startswith(_ROS_OWN):
-            raise BadInputError(
-                f'parameter {name}',
-                'is unknown',
-                remedy=f'known are {", ".join(sorted(names))}',
-            )
+            near = difflib.get_close_matches(name, names, cutoff=0.7)
+            groups = sorted({re.sub(r'\..*', '.*', one) for one in names})
+            remedy = f'is it {near[0]}?' if near else f'known are {", ".join(groups)}'
+            raise BadInputError(f'parameter {name}', 'is unknown', remedy=remedy)
 
 
 def text(node: Any, name: str, default: str, description: str) -> str:
@@ -146,22 +158,79 @@ class Fence:
         return fenced
 
 
+def begin_ros() -> None:
+    """Take what stands behind --ros-args; signals are the caller's.
+
+    Raises BadInputError, in one line, where it is no argument of ROS or a file cannot be read.
+    """
+    for name, value in itertools.pairwise(sys.argv):
+        if name == '--params-file':
+            _readable(value)
+    set_logger_level('rcl', LoggingSeverity.FATAL)  # it says the same, in lines of its own
+    try:
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    except rclpy_implementation.UnknownROSArgsError as error:
+        raise BadInputError('--ros-args', 'unknown argument', str(error)) from error
+    except RCLError as error:
+        raise BadInputError('--ros-args', *_told(_plain(error))) from error
+    finally:
+        if get_logger_level('rcl') == LoggingSeverity.FATAL:
+            set_logger_level('rcl', LoggingSeverity.UNSET)
+
+
+def _readable(file: str) -> None:
+    try:
+        with Path(file).open('rb') as stream:
+            stream.read(1)
+    except OSError as error:
+        what = f'cannot be read ({error.strerror})'
+        raise BadInputError(f'--params-file {file}', what, remedy='check the path') from error
+
+
+def _told(words: str) -> tuple[str, None, str]:
+    """What was wrong, and where rcl speaks of its lexer what would be right."""
+    for kind, remedy in _FORMS.items():
+        if kind in words:
+            return words.partition(' Error: ')[0].rstrip('.'), None, remedy
+    return words, None, ''
+
+
+def _plain(error: Exception) -> str:
+    """One line of an error: what rcl says without the places in its own source."""
+    if isinstance(error, OSError) and error.filename:
+        return f'{error.filename}: {error.strerror}'
+    return _OF_THE_LIBRARY.sub('', ' '.join(str(error).split()))
+
+
+def tell_unused(node: Any) -> None:
+    """Warn where parameter files were given and hold nothing of this node."""
+    if '--params-file' in sys.argv and not overrides(node):
+        name = node.get_fully_qualified_name()
+        text = f'the parameter files hold nothing of {name}: root it at "{name}:" or "/**:"'
+        node.get_logger().warning(text)
+
+
 def run(factory: Callable[[], Any], name: str) -> None:
     """Spin one node until SIGINT or SIGTERM, then call its `close` while ROS still works.
 
     A callback that fails is logged and left out. Exit status 2, with one line on stderr, where
-    the parameters are wrong.
+    arguments or parameters are wrong or the node cannot begin.
     """
     stopping = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stopping.set())
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node = None
     try:
-        node = factory()
-        begin = getattr(node, 'begin', None)
-        if begin is not None:
-            begin()
+        try:
+            begin_ros()
+            node = factory()
+            tell_unused(node)
+            begin = getattr(node, 'begin', None)
+            if begin is not None:
+                begin()
+        except (*WRONG, RCLError, OSError) as error:
+            sys.stderr.write(f'{name}: {_plain(error)}\n')
+            sys.exit(2)
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         fence = getattr(node, 'fence', None) or Fence(node.get_logger().error)
@@ -169,9 +238,6 @@ def run(factory: Callable[[], Any], name: str) -> None:
             _spin_once(executor, fence)
     except ExternalShutdownException:
         pass
-    except (QuadBridgeError, ParameterException) as error:
-        sys.stderr.write(f'{name}: {" ".join(str(error).split())}\n')
-        sys.exit(2)
     finally:
         if node is not None:
             node.close()

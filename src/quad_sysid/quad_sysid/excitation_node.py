@@ -26,16 +26,13 @@ from rcl_interfaces.msg import (
     ParameterType,
     ParameterValue,
 )
-from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
-from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import BatteryState, Imu, Joy
 from std_srvs.srv import Trigger
 
 from quad_bridge import ros_node
-from quad_bridge.errors import QuadBridgeError
 from quad_bridge.qos import EVENT, STATE, STREAM
 from quad_sysid.bags.cdr import IMU, decode
 from quad_sysid.bags.orientation import euler_angles
@@ -307,13 +304,14 @@ def main() -> None:
 
     Exit status 2 with one line where a parameter or the schedule is wrong.
     """
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.default_int_handler)
     node = None
     status: int | None = None
     try:
+        ros_node.begin_ros()
         node = ExcitationNode()
+        ros_node.tell_unused(node)
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         while status is None:
@@ -321,7 +319,7 @@ def main() -> None:
             status = node.exit_status
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
-    except (QuadSysidError, QuadBridgeError, ParameterException) as error:
+    except (QuadSysidError, *ros_node.WRONG) as error:
         sys.stderr.write(f'excitation: {" ".join(str(error).split())}\n')
         status = 2
     finally:
