@@ -21,7 +21,14 @@ def test_half_a_second_of_silence_counts_as_letting_go():
     assert 'silent' in enable.fault(1.501)
     enable.take(False, 2.0)
     assert 'off' in enable.fault(2.0)
-    assert OperatorEnable(required=False).fault(5.0) == ''
+
+
+def test_where_nobody_needs_to_hold_it_who_has_taken_it_is_relied_on():
+    enable = OperatorEnable(required=False)
+    assert enable.fault(5.0) == ''
+    enable.take(True, 6.0)
+    assert enable.fault(6.4) == ''
+    assert 'silent' in enable.fault(6.6)
 
 
 def test_the_relay_ends_the_excitation_once_and_waits_for_the_next_segment():

@@ -64,7 +64,8 @@ def declare(node: Any) -> BridgeSettings:
             node,
             'require_enable',
             over_network(port),
-            'excite and arm only while /operator/enable is alive; default: where port is a URL',
+            'excite and arm only while /operator/enable is alive; default: where port is a URL; '
+            'elsewhere once somebody has held it',
         ),
         correct_sensors=ros_node.flag(
             node,

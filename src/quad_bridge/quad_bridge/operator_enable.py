@@ -1,6 +1,7 @@
 """The operator's dead-man switch, /operator/enable: alive or not. Pure.
 
 Whoever holds it says `true` at 5 Hz or faster; half a second of silence counts as letting go.
+Where somebody has held it once, it is needed from then on: who takes a switch relies on it.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ TIMEOUT_S = 0.5
 
 
 class OperatorEnable:
-    """`required` False: nobody needs to hold it. Times in s on a steady clock."""
+    """`required` False: needed only once somebody has held it. Times in s on a steady clock."""
 
     def __init__(self, *, required: bool) -> None:
         self.required = required
@@ -21,6 +22,7 @@ class OperatorEnable:
     def take(self, on: bool, now_s: float) -> None:
         """A message has come."""
         self._on, self._heard_s = on, now_s
+        self.required = True
 
     def fault(self, now_s: float) -> str:
         """Why nobody may excite or arm now, empty where somebody may."""
