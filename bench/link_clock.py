@@ -3,8 +3,9 @@
     python bench/link_clock.py --minutes 20
 
 At the level of numbers, faster than time: a device whose clock drifts answers TIMESYNC over a line
-with delays, the estimator stamps 250 cycles a second. Cycles before convergence are held back, as
-the link does. The last line is one JSON object.
+with delays, the bridge's stamping stamps 250 cycles a second. Cycles before convergence are held
+back. `late ms` is the longest time from a cycle's begin to its stamp. The last line is one JSON
+object.
 """
 
 from __future__ import annotations
@@ -15,11 +16,12 @@ import math
 
 import numpy as np
 
-from quad_bridge.wire.clock import ClockEstimator, DeviceTime
-from quad_bridge.wire.step_guard import StepGuard
+from quad_bridge.stamping import Stamped, Stamping
+from quad_bridge.wire.frames import Cycle
 
 OFFSET_NS = 1_700_000_000_000_000_000
 CYCLE_S = 0.004
+ZERO = (0.0, 0.0, 0.0)
 
 
 class World:
@@ -46,12 +48,66 @@ class World:
         return there, back
 
 
+class Far:
+    """What the far end sends, when the host gets it, and what became of it."""
+
+    def __init__(self, case: dict[str, float], seed: int) -> None:
+        self.world, self.stamping = World(case, seed), Stamping()
+        self.out: list[Stamped] = []
+        self.found: list[tuple[float, float, float]] = []
+        """True time, stamp and when it was given, s."""
+        self.begun_s = -1.0
+        self.stall = (case.get('stall_from_s', math.inf), case.get('stall_s', 0.0))
+        self.kept: list[Cycle] = []
+
+    def unheard(self, at_s: float) -> bool:
+        begin = self.world.case.get('silent_from_s', math.inf)
+        return begin <= at_s < begin + self.world.case.get('silent_s', 0.0)
+
+    def stalled(self, at_s: float) -> bool:
+        return self.stall[0] <= at_s < sum(self.stall)
+
+    def question(self, at_s: float) -> None:
+        there, back = self.world.delays()
+        told_ns = 1000 * self.world.device_us(at_s + there)
+        sent, received = (host_ns(t) for t in (at_s, at_s + there + back))
+        self.stamping.trip(sent, told_ns, received, self.out)
+        self.collect(at_s)
+
+    def cycle(self, at_s: float) -> None:
+        world, begun_s = self.world, at_s
+        if world.rng.random() < world.case.get('uneven', 0.0):
+            begun_s += 0.02 * world.rng.random()  # the control loop came late, and catches up
+        self.begun_s = begun_s = max(begun_s, self.begun_s + 0.001)
+        if self.unheard(at_s):
+            return
+        number = round((at_s - world.zero_s) / CYCLE_S)
+        true = (begun_s, 0.0, 0.0)
+        frame = Cycle(
+            world.device_us(begun_s), number, true, ZERO, ZERO, ZERO, ZERO, (0.0,) * 4, ZERO,
+            (0.0,) * 4, 0,
+        )  # fmt: skip
+        self.kept.append(frame)
+        if not self.stalled(at_s):
+            for one in self.kept:
+                self.stamping.cycle(one, host_ns(at_s), self.out)
+            self.kept.clear()
+            self.collect(at_s)
+
+    def collect(self, at_s: float) -> None:
+        for item in self.out:
+            self.found.append((item.frame.gyro[0], 1e-9 * (item.stamp_ns - OFFSET_NS), at_s))
+        self.out.clear()
+
+
+def host_ns(at_s: float) -> int:
+    return OFFSET_NS + round(1e9 * at_s)
+
+
 def run(case: dict[str, float], seconds: float, seed: int) -> dict[str, float]:
-    world, clock, time, guard = World(case, seed), ClockEstimator(), DeviceTime(), StepGuard()
-    errors, stamps, held, wrong, cycle = [], [], 0, 0, 0
-    waiting: list[tuple[int, float]] = []
-    next_sync_s = at_s = last_s = 0.0
-    last_ns = longest = 0
+    far = Far(case, seed)
+    stamping, world = far.stamping, far.world
+    next_sync_s = at_s = 0.0
     jump_s, restart_s = case.get('jump_at_s', math.inf), case.get('restart_at_s', math.inf)
     while at_s < seconds:
         if at_s >= jump_s:
@@ -59,53 +115,29 @@ def run(case: dict[str, float], seconds: float, seed: int) -> dict[str, float]:
             jump_s = math.inf
         if at_s >= restart_s:
             world.zero_s, world.begin_s, restart_s = at_s, 0.0, math.inf
-            clock.reset()  # the link resets it: the cycle counter went back
-            time.restart()
-            guard.restart()
-        if at_s >= next_sync_s:
-            there, back = world.delays()
-            middle = time.extend(world.device_us(at_s + there), 60_000_000)
-            sent, received = (OFFSET_NS + round(1e9 * t) for t in (at_s, at_s + there + back))
-            accepted = clock.add(sent, 1000 * middle, received)
-            guard.trip(sent, clock.off_ns, accepted=accepted)
-            if not clock.converged:
-                guard.restart()
-            next_sync_s = at_s + (0.2 if clock.converged and not clock.doubtful else 0.05)
-        begun_s = at_s
-        if world.rng.random() < case.get('uneven', 0.0):
-            begun_s += 0.02 * world.rng.random()  # the control loop came late, and catches up
-        begun_s = max(begun_s, last_s + 0.001)
-        last_s = begun_s
-        device_us = time.extend(world.device_us(begun_s), 60_000_000)
-        cycle += 1
-        waiting.append((device_us, begun_s))
-        if guard.step(cycle, device_us, OFFSET_NS + round(1e9 * at_s)) and clock.converged:
+            if not far.unheard(at_s):
+                stamping.restart()  # the cycle counter went back
+        if at_s >= next_sync_s and not far.unheard(at_s) and not far.stalled(at_s):
+            far.question(at_s)
+            calm = stamping.clock.converged and not stamping.clock.doubtful
+            next_sync_s = at_s + (0.2 if calm else 0.05)
+        far.cycle(at_s)
+        if stamping.asks:
             next_sync_s = min(next_sync_s, at_s + 0.02)
-            longest = max(longest, len(waiting))
-        else:
-            for device, true_s in waiting:
-                stamp_ns = clock.host_ns(1000 * device) if clock.converged else 0
-                if stamp_ns <= last_ns:
-                    held += 1
-                    continue
-                last_ns = stamp_ns
-                errors.append(1e-6 * (stamp_ns - OFFSET_NS - 1e9 * true_s))
-                stamps.append(stamp_ns)
-                wrong += abs(errors[-1]) > 2.0
-            waiting.clear()
         at_s += CYCLE_S
-    found, steps = np.array(errors), np.diff(np.array(stamps))
+    true, stamps, given = np.array(far.found).T
+    errors, steps = 1e3 * (stamps - true), np.diff(stamps)
     return {
-        'rms_ms': float(np.sqrt(np.mean(found**2))),
-        'max_ms': float(np.abs(found).max()),
+        'rms_ms': float(np.sqrt(np.mean(errors**2))),
+        'max_ms': float(np.abs(errors).max()),
         'backwards': int((steps <= 0).sum()),
-        'held': held,
-        'over_2_ms': wrong,
-        'restarts': clock.state.restarts,
-        'wraps': time.wraps,
-        'alarms': guard.alarms,
-        'late_ms': 1e3 * CYCLE_S * longest,
-        'bound_ms': 500.0 * clock.state.round_trip_s,
+        'held': stamping.held,
+        'over_2_ms': int((np.abs(errors) > 2.0).sum()),
+        'restarts': stamping.clock.state.restarts,
+        'wraps': stamping.device_time.wraps,
+        'alarms': stamping.guard.alarms,
+        'late_ms': float(1e3 * (given - true).max()),
+        'bound_ms': 500.0 * stamping.clock.state.round_trip_s,
     }
 
 
@@ -127,6 +159,15 @@ CASES: dict[str, dict[str, float]] = {
     'device jumps back 40 ms': {**WORST, 'jump_at_s': -1.0, 'jump_ms': -40.0},
     'device jumps 2.5 ms': {**WORST, 'jump_at_s': -1.0, 'jump_ms': 2.5},
     'uneven cycles, 1 in 50 late': {**WORST, 'uneven': 0.02},
+    'host stands still for 1 s': {**WORST, 'stall_from_s': -1.0, 'stall_s': 1.0},
+    'nothing heard for 3 s': {**WORST, 'silent_from_s': -1.0, 'silent_s': 3.0},
+    # heard again with a higher counter than before
+    'unheard for 4.5 s, restarted': {
+        **WORST, 'silent_from_s': 2.0, 'silent_s': 4.5, 'restart_at_s': 2.5,
+    },
+    'unheard for 90 s, restarted': {
+        **WORST, 'silent_from_s': 30.0, 'silent_s': 90.0, 'restart_at_s': 31.0,
+    },
 }
 
 
@@ -140,6 +181,7 @@ def main() -> None:
     print(f'{"case":32}{heads}')
     for name, case in CASES.items():
         half = {'jump_at_s': seconds / 2, 'restart_at_s': seconds / 2}
+        half |= {'stall_from_s': seconds / 2, 'silent_from_s': seconds / 2}
         half['device_begin_s'] = 2**32 * 1e-6 - seconds / 2
         filled = {k: half.get(k, v) if v == -1.0 else v for k, v in case.items()}
         runs = [run(filled, seconds, seed) for seed in range(1, given.seeds + 1)]

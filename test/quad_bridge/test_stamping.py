@@ -21,7 +21,7 @@ class Line:
     def __init__(self, *, answers=True):
         self.link, self.encoder, self.decoder = Link(), Encoder(1, 1), Decoder()
         self.answers, self.number, self.boot = answers, 0, 0
-        self.out = []
+        self.out, self.bits = [], 64
         self.link.opened()
 
     @property
@@ -30,7 +30,7 @@ class Line:
 
     @property
     def device_us(self):
-        return (self.number - self.boot) * CYCLE_NS // 1000
+        return (self.number - self.boot) * CYCLE_NS // 1000 % (1 << self.bits)
 
     def sent(self):
         gyro = (1e-3 * self.number, 0.0, 0.0)
@@ -179,6 +179,46 @@ def test_only_the_far_end_answers_and_no_other_time_moves_the_clock():
     assert len(line.errors_ms()) > 400
     assert max(map(abs, line.errors_ms())) < 1.0
     assert line.link.stamping.device_time.wraps == 0
+
+
+def test_who_sends_cycles_is_the_far_end_whoever_was_heard_first():
+    line, other = Line(), Encoder(255, 190)
+    line.hear(other.encode(f.Heartbeat(autopilot=3)))
+    assert line.link.peer is not None
+    line.fly(1.0)
+    line.hear(other.encode(f.Heartbeat(autopilot=3)))
+    assert line.link.decoder.peer == (1, 1)
+    assert line.link.cycles == 250
+    line.hear(other.encode(line.link.last_cycle))
+    assert line.link.decoder.counts.foreign == 2  # heard a cycle too late to be the far end
+    line.link.send(f.Command(400))
+    (command,) = [c for c in line.decoder.feed(line.link.drain()) if isinstance(c, f.Command)]
+    assert command.target_system in {0, 1}
+
+
+@pytest.mark.parametrize(
+    ('away_s', 'restart_after', 'restarts'), [(8.0, None, 0), (8.0, 1.0, 1), (0.5, 0.1, 1)]
+)
+def test_another_start_is_seen_when_the_port_is_opened_anew(away_s, restart_after, restarts):
+    line = Line()
+    line.fly(3.0)
+    line.lose(away_s, restart_after=restart_after)
+    line.link.opened()
+    line.fly(2.0)
+    assert line.link.decoder.restarts == restarts
+    assert max(map(abs, line.errors_ms())) < 1.0
+
+
+def test_a_time_of_32_bits_that_wraps_while_the_cable_is_out_is_no_other_start():
+    line = Line()
+    line.boot = -(2**32 - 5_000_000) // 4000
+    line.bits = 32
+    line.fly(3.0)
+    line.lose(4.0)
+    line.link.opened()
+    line.fly(1.0)
+    assert line.link.last_cycle.time_us < 4_000_000
+    assert line.link.decoder.restarts == 0
 
 
 def test_a_time_that_is_only_looked_at_or_false_by_far_is_no_wrap():

@@ -53,6 +53,11 @@ RELEASE_NS = 3_000_000_000
 """A far end silent for so long may be followed by another one on the same line."""
 
 
+SAME_START_NS = 2_000_000_000
+"""Starts that differ by less are one: the clocks drift, and the last bytes may have come late."""
+WRAP_NS = 1000 << 32
+
+
 class Link:
     """State of the conversation with the STM32."""
 
@@ -76,6 +81,8 @@ class Link:
         self._encoder = Encoder(BRIDGE_SYSTEM, BRIDGE_COMPONENT, signing)
         self._outbox = bytearray()
         self._restarts = 0
+        self._started_ns: int | None = None
+        """When the far end had started that was heard before the port was opened anew."""
         self._peer_since_ns = 0
         self._heard_ns = 0
         self._next_heartbeat_ns = 0
@@ -88,6 +95,8 @@ class Link:
 
     def opened(self) -> None:
         """Start afresh: the port was opened, the far end may be another one."""
+        if self.last_cycle is not None:
+            self._started_ns = self.last_cycle_ns - 1000 * self.last_cycle.time_us
         self.decoder.resync()
         self._far_end_restarted()
         self.peer = None
@@ -154,15 +163,28 @@ class Link:
 
     def _cycle(self, frame: Cycle, now_ns: int, out: list[Stamped]) -> None:
         restarts = self.decoder.restarts
+        if self.peer is not None and self.decoder.peer != (self.peer.system, self.peer.component):
+            self._far_end_restarted()  # what was known was of one that had sent no cycle
+            self.peer = None
+            self.autopilot.clear()
         if restarts != self._restarts:
             self._restarts = restarts
             self._far_end_restarted()
+        elif self._started_ns is not None and self._moved(frame, now_ns, self._started_ns):
+            self._restarted_unseen()
+        self._started_ns = None
         self.cycles += 1
         self.last_cycle = frame
         self.last_cycle_ns = now_ns
         self.on_cycle(frame, now_ns)
         self.stamping.cycle(frame, now_ns, out)
         self._ask_urgently(now_ns)
+
+    @staticmethod
+    def _moved(frame: Cycle, now_ns: int, started_ns: int) -> bool:
+        """Whether the far end has started at another time; its µs may wrap at 32 bits."""
+        moved = now_ns - 1000 * frame.time_us - started_ns
+        return abs((moved + WRAP_NS // 2) % WRAP_NS - WRAP_NS // 2) > SAME_START_NS
 
     def _ask_urgently(self, now_ns: int) -> None:
         if self.stamping.asks and now_ns >= self._next_urgent_ns:

@@ -62,7 +62,7 @@ class Stamping:
     @property
     def asks(self) -> bool:
         """Whether frames wait for a round trip."""
-        return self.guard.waiting or self.late.waiting
+        return bool(self._waiting)
 
     def cycle(self, frame: Cycle, now_ns: int, out: list[Stamped]) -> None:
         """Stamp a cycle that has arrived, or let it wait."""
@@ -116,7 +116,7 @@ class Stamping:
         self.guard.trip(sent_ns, self.clock.off_ns, accepted=accepted)
         if not self.clock.converged:
             self.guard.restart()
-        if not self.asks:
+        if not (self.guard.waiting or self.late.waiting):
             self._release(now_ns, out)
 
     @property

@@ -89,12 +89,15 @@ class Decoder:
     ) -> None:
         """With `signing` only well signed frames are handed out.
 
-        With `own`, the system and component of this end, only one sender counts, the first that
-        flies something, and only plausible values. Without, all pass.
+        With `own`, the system and component of this end, only one sender counts, and only
+        plausible values: the first that sends control cycles, and until then the first that
+        flies something. Without, all pass.
         """
         self._signing = signing
         self._own = own
         self._peer: tuple[int, int] | None = None
+        self._cycles = False
+        """Whether the peer has sent control cycles."""
         self._refused = dict.fromkeys(Verdict, 0)
         self._framer = Framer(_EXTRAS)
         self._watch = CycleWatch()
@@ -145,11 +148,11 @@ class Decoder:
     def resync(self) -> None:
         """Forget an incomplete frame and the far end: the port was opened anew. Counts stay."""
         self._framer.clear()
-        self._peer = None
+        self.release()
 
     def release(self) -> None:
         """Let another sender be the far end: the one before has fallen silent."""
-        self._peer = None
+        self._peer, self._cycles = None, False
 
     def feed(self, data: bytes) -> list[Frame]:
         """Frames completed by `data`, in order of arrival. Never raises."""
@@ -172,7 +175,9 @@ class Decoder:
         sender = (packet.system, packet.component)
         if self._own is None or sender == self._peer:
             return True
-        if sender == self._own or self._peer is not None:
+        # who sends control cycles is the far end; a heartbeat alone is a guess
+        free = self._peer is None or (packet.message == _CYCLE and not self._cycles)
+        if sender == self._own or not free:
             self._foreign += 1
             return False
         return True
@@ -191,19 +196,25 @@ class Decoder:
             return
         if isinstance(frame, Cycle):
             self._watch.step(frame.cycle)
-        if self._own is not None and self._peer is None:
-            if _flies(frame):
-                self._peer = (packet.system, packet.component)
-            elif isinstance(frame, _ANSWERS):
-                self._foreign += 1
-                return
+        if self._own is not None and not self._known(frame, packet):
+            self._foreign += 1
+            return
         frames.append(frame)
 
 
+    def _known(self, frame: Frame, packet: Packet) -> bool:
+        """Take who flies for the far end; False for an answer of somebody else."""
+        if isinstance(frame, Cycle):
+            self._peer, self._cycles = (packet.system, packet.component), True
+        elif self._peer is None:
+            if not _flies(frame):
+                return not isinstance(frame, _ANSWERS)
+            self._peer = (packet.system, packet.component)
+        return True
+
+
 def _flies(frame: Frame) -> bool:
-    return isinstance(frame, Cycle) or (
-        isinstance(frame, Heartbeat) and frame.autopilot != NO_AUTOPILOT
-    )
+    return isinstance(frame, Heartbeat) and frame.autopilot != NO_AUTOPILOT
 
 
 class Encoder:
