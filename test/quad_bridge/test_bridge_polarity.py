@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from quad_bridge.aircraft_store import AircraftStore
 from quad_bridge.errors import RefusedError
 from quad_bridge.polarity import MIXER, merge_motors, where_motors_are
 from quad_bridge.polarity_check import PolarityCheck
@@ -176,8 +177,23 @@ def test_a_motor_fault_refuses_updates_and_survives_the_disk():
         check.missing(['roll.rate.kp'])
 
 
-@pytest.mark.parametrize('record', [{}, {'axes': 3}, {'axes': {'roll': 1}, 'motors': {'a': 'b'}}])
+@pytest.mark.parametrize(
+    'record',
+    [
+        {},
+        {'axes': 3},
+        {'axes': {'roll': 1}, 'motors': {'a': 'b'}},
+        {'motors': {'1': {'roll': [1]}}},
+    ],
+)
 def test_a_damaged_record_counts_as_no_check(record):
     check = PolarityCheck('auto')
     check.load(record)
     assert check.missing(['roll.rate.kp', 'sensor.gyro_filter_hz']) == ['roll']
+
+
+@pytest.mark.parametrize('text', ['[' * 100_000, '[1]', '{', '\xff'])
+def test_a_file_that_holds_no_record_counts_as_no_check(tmp_path, text):
+    (tmp_path / 'one').mkdir()
+    (tmp_path / 'one' / 'polarity.json').write_text(text, encoding='latin-1')
+    assert AircraftStore(tmp_path, 'one').polarity() == {}

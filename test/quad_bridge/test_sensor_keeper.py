@@ -199,7 +199,12 @@ def test_an_estimate_before_the_aircraft_is_known_is_kept_once_it_is(tmp_path):
     [
         ('sensors: [', 'cannot be read'),
         ('sensors: {compass: {offset: [1, 2]}}', 'compass: offset: must be three numbers'),
-        ('sensors: {compass: {offset: [1, 2, .nan]}}', 'compass: offset: must be finite'),
+        ('sensors: {compass: {offset: [1, 2, .nan]}}', 'offset: must be within ±0.001 (SI'),
+        ('sensors: {compass: {offset: [20.0, -3.0, 5.0]}}', 'must be within ±0.001 (SI units)'),
+        ('sensors: {compass: {offset: "123"}}', 'must be three numbers: found'),
+        ('sensors: {compass: {offset: [true, 0, 0]}}', 'must be three numbers: found'),
+        (f'sensors: {{compass: {{offset: [{10**400}, 0, 0]}}}}', 'must be three numbers: found'),
+        ('[' * 5000, 'cannot be read'),
     ],
 )
 def test_a_spoilt_file_is_told_and_left_alone(tmp_path, text, fault):

@@ -54,7 +54,7 @@ class AircraftStore:
         path = self.folder / POLARITY
         try:
             found = json.loads(path.read_text(encoding='utf-8'))
-        except (OSError, ValueError):
+        except (OSError, ValueError, RecursionError):
             return {}
         return found if isinstance(found, dict) else {}
 

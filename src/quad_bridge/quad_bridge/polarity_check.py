@@ -62,7 +62,7 @@ class PolarityCheck:
         self._motors = {}
         if isinstance(motors, dict):
             self._motors = {
-                str(m): {a: int(s) for a, s in row.items() if a in AXES and s in {-1, 1}}
+                str(m): {a: int(s) for a, s in row.items() if a in AXES and s in (-1, 1)}
                 for m, row in motors.items()
                 if isinstance(row, dict)
             }

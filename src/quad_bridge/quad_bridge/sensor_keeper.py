@@ -23,6 +23,9 @@ from quad_bridge.wire.frames import Cycle, Flag
 SAME_START_S = 2.0
 """The STM32 has not restarted where the time of its start agrees to this."""
 
+MOST_TESLA, MOST_RAD_S = 1e-3, 1.0
+"""No compass is off by more, nor a gyro at rest: a figure beyond is in another unit."""
+
 
 @dataclass(frozen=True)
 class Wanted:
@@ -141,8 +144,8 @@ class SensorKeeper:
         """Take the compass's offset from the file; with `resume` the bias of this power-up too."""
         sections = self._sections()
         try:
-            iron = aircraft_file.three(sections, 'compass', 'offset') or NOTHING
-            bias = aircraft_file.three(sections, 'rest', 'gyro_bias')
+            iron = aircraft_file.three(sections, 'compass', 'offset', MOST_TESLA) or NOTHING
+            bias = aircraft_file.three(sections, 'rest', 'gyro_bias', MOST_RAD_S)
         except BadInputError as error:
             self.fault = f'{self.path}: {error}'
             return

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import reprlib
 from collections.abc import Mapping
 from dataclasses import asdict
 from datetime import datetime
@@ -27,19 +28,31 @@ def entry(found: RestEstimate | HardIron, when: datetime, source: str) -> dict[s
     return {'measured': when.isoformat(timespec='seconds'), 'source': source, **numbers}
 
 
-def three(sections: Mapping[str, Any], section: str, key: str) -> Triple | None:
-    """A vector of a section; None where there is none. Raises BadInputError."""
+def three(
+    sections: Mapping[str, Any], section: str, key: str, most: float = math.inf
+) -> Triple | None:
+    """A vector of a section; None where there is none.
+
+    Raises BadInputError, also where a component is not within ±`most` (another unit).
+    """
     part = sections.get(section)
     if not isinstance(part, dict) or key not in part:
         return None
+    where, found = f'{ROOT}: {section}: {key}', part[key]
     try:
-        x, y, z = (float(v) for v in part[key])
-    except (TypeError, ValueError) as error:
-        where = f'{ROOT}: {section}: {key}'
-        raise BadInputError(where, 'must be three numbers', part[key]) from error
-    if not all(math.isfinite(v) for v in (x, y, z)):
-        raise BadInputError(f'{ROOT}: {section}: {key}', 'must be finite', part[key])
+        x, y, z = map(_number, found if isinstance(found, list) else [])
+    except (TypeError, ValueError, OverflowError) as error:
+        raise BadInputError(where, 'must be three numbers', reprlib.repr(found)) from error
+    if not all(abs(v) <= most and math.isfinite(v) for v in (x, y, z)):
+        bound = 'finite' if math.isinf(most) else f'within ±{most:g} (SI units)'
+        raise BadInputError(where, f'must be {bound}', reprlib.repr(found))
     return x, y, z
+
+
+def _number(value: Any) -> float:
+    if isinstance(value, bool):
+        raise TypeError
+    return float(value)  # also of a text: YAML takes 1e-5, without a point, for one
 
 
 def read(path: Path) -> dict[str, Any]:
@@ -48,7 +61,7 @@ def read(path: Path) -> dict[str, Any]:
         return {}
     try:
         content = yaml.safe_load(path.read_text(encoding='utf-8'))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+    except (OSError, UnicodeDecodeError, yaml.YAMLError, RecursionError) as error:
         raise BadInputError(str(path), f'cannot be read ({error})', remedy='mend it') from error
     if not isinstance(content, dict) or not isinstance(content.get(ROOT), dict):
         raise BadInputError(str(path), f'has no section {ROOT}', remedy='give another --out')
