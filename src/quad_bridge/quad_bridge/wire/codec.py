@@ -201,7 +201,6 @@ class Decoder:
             return
         frames.append(frame)
 
-
     def _known(self, frame: Frame, packet: Packet) -> bool:
         """Take who flies for the far end; False for an answer of somebody else."""
         if isinstance(frame, Cycle):
