@@ -1,11 +1,14 @@
-"""What tests of all packages share: a ROS domain of its own, so that no two runs hear each other.
+"""What tests of all packages share: a ROS domain of its own, so that no two runs hear each other;
+a system clock that can be set back.
 
 Two checkouts may be tested on one machine at the same time, beside a demo and other nodes.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import shutil
+import subprocess
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -21,3 +24,37 @@ def ros_domain(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[int]
         monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
         monkeypatch.setenv('ROS_LOG_DIR', str(tmp_path / 'ros_log'))
         yield domain
+
+
+SET_BACK = r"""
+#define _GNU_SOURCE
+#include <dlfcn.h>
+#include <stdlib.h>
+#include <time.h>
+#include <unistd.h>
+
+int clock_gettime(clockid_t id, struct timespec *time) {
+    static int (*real)(clockid_t, struct timespec *);
+    if (!real)
+        real = (int (*)(clockid_t, struct timespec *))dlsym(RTLD_NEXT, "clock_gettime");
+    int result = real(id, time);
+    if (id == CLOCK_REALTIME && access(getenv("SET_BACK"), F_OK) == 0)
+        time->tv_sec -= 3600;
+    return result;
+}
+"""
+"""The system clock is an hour back as soon as the file named by SET_BACK exists."""
+
+
+@pytest.fixture
+def set_back(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[[], None]:
+    """A function that sets the system clock back an hour, in the processes started from now on."""
+    if shutil.which('gcc') is None:
+        pytest.skip('no gcc here')
+    source, library, file = (tmp_path / name for name in ('back.c', 'back.so', 'back'))
+    source.write_text(SET_BACK, encoding='utf-8')
+    monkeypatch.delenv('LD_PRELOAD', raising=False)
+    subprocess.run(['gcc', '-shared', '-fPIC', '-o', library, source, '-ldl'], check=True)
+    monkeypatch.setenv('LD_PRELOAD', str(library))
+    monkeypatch.setenv('SET_BACK', str(file))
+    return file.touch

@@ -10,6 +10,7 @@ import threading
 import time
 import tty
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import ClassVar
 
@@ -426,6 +427,23 @@ def test_simulated_time_is_respected(tmp_path, spawn, ears):
     assert 5000.0 < stamps[0] < 5000.0 + WAIT_S
     assert np.median(np.diff(stamps)) == pytest.approx(0.004, abs=5e-4)
     assert interrupt(bridge) == 0
+
+
+def test_a_system_clock_that_is_set_back_stops_nothing(tmp_path, set_back, spawn, ears):
+    far = FarEnd(tmp_path / 'tty')
+    far.start()
+    spawn('serial_bridge', '-p', f'port:={tmp_path / "tty"}')
+    imu, told = ears.listen('/imu/data'), ears.listen('/diagnostics', DiagnosticArray)
+    ears.until(lambda: len(imu) > 50)
+    set_back()
+    # timers on the node's own clock would stand still for an hour
+    ears.until(lambda: any('system clock was set' in s.message for m in told for s in m.status))
+    asked, reports = far.questions, len(told)
+    imu.clear()
+    ears.until(lambda: far.questions > asked + 5 and len(told) > reports + 1 and len(imu) > 50)
+    stamps = [m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in imu]
+    assert all(0.0 < b - a < 1.0 for a, b in pairwise(stamps))
+    assert abs(stamps[-1] - time.time()) < 60.0  # those of before
 
 
 def values(arrays, name):

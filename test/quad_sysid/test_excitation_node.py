@@ -301,3 +301,17 @@ def test_wrong_parameters_end_in_one_line(start, parameters, words):
     lines = [line for line in error.splitlines() if line.startswith('excitation: ')]
     assert len(lines) == 1
     assert words in lines[0]
+
+
+def test_a_system_clock_that_is_set_back_does_not_stop_a_schedule(
+    set_back, aircraft, start, tmp_path
+):
+    (tmp_path / 'long.yaml').write_text(LONG)
+    process = start(schedule=tmp_path / 'long.yaml', autostart='true')
+    aircraft.until(lambda: len(aircraft.setpoints) > 100)
+    set_back()
+    before, elapsed_s = len(aircraft.setpoints), float(aircraft.state.get('elapsed_s', 0.0))
+    aircraft.until(lambda: len(aircraft.setpoints) > before + 500)
+    aircraft.until(lambda: float(aircraft.state['elapsed_s']) > elapsed_s + 1.0)
+    assert aircraft.state['state'] == 'running'
+    assert process.poll() is None

@@ -26,6 +26,7 @@ from rcl_interfaces.msg import (
     ParameterType,
     ParameterValue,
 )
+from rclpy.clock import Clock, ClockType
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
@@ -58,6 +59,9 @@ class ExcitationNode(Node):  # type: ignore[misc]
     def __init__(self) -> None:
         super().__init__('excitation')
         self._settings = declare(self)
+        simulated = bool(self.get_parameter('use_sim_time').value)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._pace = self.get_clock() if simulated else steady  # it is not set back in flight
         settings = self._settings
         self._player = Player(settings.schedule, settings.limits, settings.ramp_out_s)
         self._setpoint = self.create_publisher(Vector3Stamped, 'excitation/setpoint', STREAM)
@@ -80,17 +84,18 @@ class ExcitationNode(Node):  # type: ignore[misc]
         if self._watch is not None:  # each cycle counts
             self.create_subscription(Vector3Stamped, 'excitation/applied', self._watch.applied,
                                      STREAM, raw=True)
-            self.create_timer(1.0, self._look)
+            self.create_timer(1.0, self._look, clock=self._pace)
             sensor = STREAM
         self.create_subscription(Imu, 'imu/data', self._on_imu, sensor, raw=True)
         self.create_subscription(Joy, 'rc/in', self._on_rc, sensor)
         self.create_subscription(BatteryState, 'battery', self._on_battery, sensor)
         self.create_service(Trigger, '~/start', self._on_start)
         self.create_service(Trigger, '~/stop', self._on_stop)
-        self._timer = self.create_timer(1.0 / settings.rate_hz, self._tick)
+        period_s = 1.0 / settings.rate_hz
+        self._timer = self.create_timer(period_s, self._tick, clock=self._pace)
         self._timer.cancel()
-        self.create_timer(1.0, self._report)
-        self.create_timer(0.1, self._try_autostart)
+        ros_node.steady_timer(self, 1.0, self._report)
+        self.create_timer(0.1, self._try_autostart, clock=self._pace)
         self.get_logger().info(
             f'{settings.schedule.source}: {len(settings.schedule.parts)} segments, '
             f'{settings.schedule.duration_s:.0f} s, mount {settings.schedule.mount}'
@@ -135,10 +140,13 @@ class ExcitationNode(Node):  # type: ignore[misc]
             battery_v=max(self._volts) if self._volts else None,
         )
 
+    def _now_s(self) -> float:
+        """The schedule's time."""
+        return float(self._pace.now().nanoseconds) * 1e-9
+
     def _start(self) -> str:
         began_s = time.monotonic()  # the first decoding takes its time, and so may the first tick
-        now_s = self.get_clock().now().nanoseconds * 1e-9
-        refused = self._player.start(now_s, self._readings(decode_angles=True))
+        refused = self._player.start(self._now_s(), self._readings(decode_angles=True))
         if not refused:
             self._stall.begin(began_s)
             self._timer.reset()
@@ -164,7 +172,7 @@ class ExcitationNode(Node):  # type: ignore[misc]
         response.success = self._player.active
         response.message = 'ramping out' if self._player.active else 'nothing runs'
         self._waiting = False
-        self._player.stop(self.get_clock().now().nanoseconds * 1e-9, 'stopped by ~/stop')
+        self._player.stop(self._now_s(), 'stopped by ~/stop')
         return response
 
     def _tick(self) -> None:
@@ -177,7 +185,7 @@ class ExcitationNode(Node):  # type: ignore[misc]
                 f'this node stood still for {self._stall.stood_still_s:.2f} s: the host is busy'
             )
         before = self._player.state
-        self._publish(self._player.tick(stamp * 1e-9, readings), stamp)
+        self._publish(self._player.tick(self._now_s(), readings), stamp)
         if self._watch is not None and self._player.part != self._watched:
             self._watched = part = self._player.part
             self._watch.begin(None if part is None else self._settings.schedule.parts[part])
@@ -187,7 +195,7 @@ class ExcitationNode(Node):  # type: ignore[misc]
     def _look(self) -> None:
         """End a training segment that has told enough."""
         found = self._watch.look() if self._watch is not None else ''
-        if found and self._player.enough(self.get_clock().now().nanoseconds * 1e-9):
+        if found and self._player.enough(self._now_s()):
             self.get_logger().info(f'the training segment ends early: {found}')
 
     def _publish(self, tick: Tick, stamp: int) -> None:

@@ -57,8 +57,8 @@ class IdentificationNode(Node):  # type: ignore[misc]
         self._diagnostics = self.create_publisher(DiagnosticArray, 'diagnostics', EVENT)
         self.create_subscription(ParameterEvent, 'logger/bag', self._on_bag, STATE)
         self.create_service(Trigger, '~/identify', self._on_identify)
-        self.create_timer(0.2, self._collect)
-        self.create_timer(1.0, self._report)
+        ros_node.steady_timer(self, 0.2, self._collect)
+        ros_node.steady_timer(self, 1.0, self._report)
         self.get_logger().info('waits for /logger/bag to say complete')
 
     def _on_bag(self, event: Any) -> None:
