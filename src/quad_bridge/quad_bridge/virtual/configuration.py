@@ -6,7 +6,6 @@ Knows nothing of aircraft. Profiles may `extends` another one; mappings merge, v
 from __future__ import annotations
 
 import dataclasses
-import math
 import typing
 from collections.abc import Mapping
 from pathlib import Path
@@ -16,6 +15,8 @@ import yaml
 
 from quad_bridge.virtual.errors import ConfigurationError
 
+LARGEST = 1e9
+"""No number of a profile is larger: none would fit the simulation's floats or memory."""
 _T = TypeVar('_T')
 
 
@@ -54,7 +55,7 @@ def load(path: Path) -> object:
         return yaml.safe_load(path.read_text(encoding='utf-8'))
     except OSError as error:
         raise ConfigurationError(str(path), f'cannot be read ({error.strerror})') from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+    except (yaml.YAMLError, ValueError, RecursionError) as error:  # no text, digits, brackets
         raise ConfigurationError(str(path), f'is not YAML ({error})') from error
 
 
@@ -122,13 +123,13 @@ def _value(hint: object, value: object, where: str) -> object:
 
 def _scalar(hint: object, value: object, where: str) -> object:
     """A bool, int, finite float or string, or the error that names the key."""
-    number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    if hint is float and number and math.isfinite(float(value)):  # type: ignore[arg-type]
-        return float(value)  # type: ignore[arg-type]
-    if hint is int and isinstance(value, int) and not isinstance(value, bool):
-        return value
+    if isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) <= LARGEST:
+        if hint is float:
+            return float(value)
+        if hint is int and isinstance(value, int):
+            return value
     if hint in (bool, str) and isinstance(value, hint):
         return value
     names = {float: 'a finite number', int: 'a whole number', bool: 'true or false', str: 'text'}
     wanted = names.get(hint, str(hint))  # type: ignore[call-overload]
-    raise ConfigurationError(where, f'needs {wanted}, is {value!r}')
+    raise ConfigurationError(where, f'needs {wanted}, is {value!r:.80}')

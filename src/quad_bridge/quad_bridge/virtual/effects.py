@@ -28,6 +28,10 @@ class BatterySag:
     exponent: float = 1.5
     reference_v: float = 11.1
 
+    def __post_init__(self) -> None:
+        """Check bounds."""
+        require(self.reference_v > 0, f'reference_v must be positive: {self.reference_v}')
+
 
 @dataclass(frozen=True)
 class CoulombFriction:

@@ -101,6 +101,10 @@ class Gains:
     integrator_limit: Vector = (0.1, 0.1, 0.1)
     d_filter_hz: Vector = (30.0, 30.0, 30.0)
 
+    def __post_init__(self) -> None:
+        """Check bounds."""
+        require(min(self.d_filter_hz) > 0, f'd_filter_hz must be positive: {self.d_filter_hz}')
+
     def table(self) -> FloatArray:
         """(3, COLUMNS) SI gains as in gain_columns.py; state feedback and schedule off."""
         columns = np.zeros((3, COLUMNS))
@@ -138,6 +142,7 @@ class FirmwareSettings:
         steps = self.physics_steps_per_cycle
         fine = steps * self.rate_hz >= 1000.0
         require(fine, f'physics_steps_per_cycle {steps} gives less than 1 kHz of physics')
+        require(steps <= 100, f'physics_steps_per_cycle must be at most 100: {steps}')
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from quad_bridge.arguments import OneLineParser
+from quad_bridge.arguments import OneLineParser, positive, seed
 from quad_bridge.errors import QuadBridgeError
 from quad_bridge.key_file import signing_from
 from quad_bridge.virtual.aircraft import Aircraft
@@ -47,7 +47,7 @@ def arguments() -> argparse.ArgumentParser:
         '--mount', choices=('rig', 'hover'), help='one free axis on a bearing, or free flight'
     )
     parser.add_argument('--axis', choices=('roll', 'pitch', 'yaw'), help="the rig's free axis")
-    parser.add_argument('--seed', type=int, default=1, help='of all noise; default 1')
+    parser.add_argument('--seed', type=seed, default=1, help='of all noise; default 1')
     parser.add_argument(
         '--effect-module',
         type=Path,
@@ -64,7 +64,7 @@ def arguments() -> argparse.ArgumentParser:
         '--key', type=Path, metavar='FILE', help='sign, and ignore whoever does not (make_key)'
     )
     parser.add_argument('--link', type=Path, help='symbolic link to make to the port')
-    parser.add_argument('--duration', type=float, metavar='S', help='end after so many seconds')
+    parser.add_argument('--duration', type=positive, metavar='S', help='end after so many seconds')
     return parser
 
 
