@@ -508,3 +508,121 @@ def test_bad_spans_are_refused():
             with pytest.raises(BadInputError, match='--train'):
                 parse_span(text, '--train')
     assert parse_span('5:45', '--train') == (5.0, 45.0)
+
+
+# ---- what is damaged is told, and read as far as it is whole ----------------------------------
+
+
+def chunks_of(data: bytes) -> list[int]:
+    """Where the chunks of an mcap file begin."""
+    found, place = [], 8
+    while place + 9 <= len(data) - 8:
+        if data[place] == 6:
+            found.append(place)
+        place += 9 + int.from_bytes(data[place + 1 : place + 9], 'little')
+    return found
+
+
+@pytest.fixture(scope='module')
+def chunked(tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes, np.ndarray]:
+    """An mcap file of many chunks, and the rates in it."""
+    bag = write_bag(make_record(60_000), tmp_path_factory.mktemp('b') / 'bag',
+                    BagOptions('mcap', 'storage'))  # fmt: skip
+    return (bag / 'bag.mcap').read_bytes(), read_bag(bag).rates
+
+
+@pytest.mark.parametrize('harm', ['length', 'opcode', 'private', 'checksum'])
+def test_a_damaged_chunk_costs_that_chunk_and_is_told(tmp_path, chunked, harm):
+    data, rates = chunked
+    chunks = chunks_of(data)
+    assert len(chunks) > 5
+    place = chunks[2]
+    noisy = bytearray(data)
+    where, mask = {
+        'length': (3, 0x02), 'opcode': (0, 0x01), 'private': (0, 0x80),
+        'checksum': (9 + 24, 0x01),
+    }[harm]  # fmt: skip
+    noisy[place + where] ^= mask
+    spoiled = tmp_path / 'spoiled.mcap'
+    spoiled.write_bytes(bytes(noisy))
+    got = read_bag(spoiled)
+    assert got.n == len(rates)
+    known = np.isfinite(got.rates[:, 0])
+    np.testing.assert_array_equal(got.rates[known], rates[known])
+    if harm in {'opcode', 'private'}:  # its lengths and its checksum hold
+        assert known.all()
+    else:
+        assert 0.0 < 1.0 - known.mean() < 2.0 / len(chunks)
+        assert 'damaged chunks' in '\n'.join(got.warnings)
+
+
+def test_zeros_behind_the_data_are_passed_over_at_once(tmp_path, chunked):
+    data, rates = chunked
+    spoiled = tmp_path / 'spoiled.mcap'
+    spoiled.write_bytes(data[: chunks_of(data)[3]] + bytes(20_000_000))
+    got = read_bag(spoiled)
+    assert 0 < got.n < len(rates)
+    assert 'cut off' in '\n'.join(got.warnings)
+
+
+@pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
+@pytest.mark.parametrize('foreign_last', [True, False])
+def test_of_a_topic_with_two_types_the_contracts_one_is_read(tmp_path, storage, foreign_last):
+    from rosbags.rosbag2 import Reader, StoragePlugin, Writer
+
+    bag = write_bag(make_record(200), tmp_path / 'bag')
+    store = cdr.typestore()
+    text = bytes(store.serialize_cdr(store.types['std_msgs/msg/String'](data='hello'),
+                                     'std_msgs/msg/String'))  # fmt: skip
+    plugin = StoragePlugin.MCAP if storage == 'mcap' else StoragePlugin.SQLITE3
+    with Reader(bag) as reader, Writer(
+        tmp_path / 'two', version=9, storage_plugin=plugin
+    ) as writer:
+        kinds = {c.topic: c.msgtype for c in reader.connections}
+        pairs = [*kinds.items(), ('/imu/data', 'std_msgs/msg/String')]
+        out = {
+            pair: writer.add_connection(*pair, typestore=store)
+            for pair in (pairs if foreign_last else pairs[::-1])
+        }
+        for connection, time, raw in reader.messages():
+            writer.write(out[connection.topic, connection.msgtype], time, raw)
+            if connection.topic == '/battery':
+                writer.write(out['/imu/data', 'std_msgs/msg/String'], time, text)
+    got = read_bag(tmp_path / 'two')
+    np.testing.assert_array_equal(got.rates, make_record(200).rates)
+    assert '/imu/data: 8 messages of type std_msgs/msg/String left out' in '\n'.join(got.warnings)
+
+
+def test_parts_that_metadata_does_not_list_are_read_and_told(tmp_path):
+    bag = write_bag(make_record(), tmp_path / 'bag')
+    other = replace(make_record(), t0_ns=T0 + N * STEP)
+    second = write_bag(other, tmp_path / 'second')
+    shutil.copy(second / 'second.mcap', bag / 'bag_1.mcap')
+    got = read_bag(bag)
+    assert got.n == 2 * N
+    assert 'does not list bag_1.mcap: read as parts of the flight' in '\n'.join(got.warnings)
+    shutil.copy(second / 'second.mcap', bag / 'copy.mcap')
+    got = read_bag(bag)
+    assert got.n == 2 * N
+    assert 'does not list copy.mcap: left out' in '\n'.join(got.warnings)
+
+
+def test_rows_that_are_no_messages_are_told(tmp_path):
+    import sqlite3
+
+    bag = write_bag(make_record(), tmp_path / 'bag', BagOptions('sqlite3'))
+    (file,) = bag.glob('*.db3')
+    base = sqlite3.connect(file)
+    for number, value in ((100, 1.5), (102, 'text'), (103, 5)):
+        base.execute('UPDATE messages SET data=? WHERE id=?', (value, number))
+    base.commit()
+    base.close()
+    data = file.read_bytes()
+    assert '3 rows are no messages' in '\n'.join(read_bag(bag).warnings)
+    rng = np.random.default_rng(9)
+    for _ in range(30):
+        noisy = bytearray(data)
+        for place in rng.integers(0, len(data), 30):
+            noisy[place] = rng.integers(256)
+        file.write_bytes(bytes(noisy))
+        record_or_line(bag)

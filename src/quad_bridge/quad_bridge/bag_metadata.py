@@ -27,6 +27,13 @@ class RecordedTopic:
     digest: str
     """RIHS01 hash of the type."""
     qos: tuple[Qos, ...] = ()
+    key: str = ''
+    """What it is counted under; its name unless another type has taken that."""
+
+    @property
+    def label(self) -> str:
+        """Key of its messages in this bag."""
+        return self.key or self.name
 
     @property
     def qos_text(self) -> str:
@@ -101,7 +108,7 @@ def information(
                     'offered_qos_profiles': dump_qos_v9(list(topic.qos)),
                     'type_description_hash': topic.digest,
                 },
-                'message_count': sum(entry.counts.get(topic.name, 0) for entry in files),
+                'message_count': sum(entry.counts.get(topic.label, 0) for entry in files),
             }
             for topic in topics
         ],

@@ -116,9 +116,13 @@ class BagWriter:
         kind: str,
         qos: tuple[Qos, ...] = (),
         definition: Definition | None = None,
+        *,
+        name: str = '',
     ) -> None:
         """Declare a topic before its first message; a second time does nothing.
 
+        Where a bag that is copied has a topic with a second type, that is declared under another
+        `topic` with the `name` of the first.
         `kind` such as `sensor_msgs/msg/Imu`. Raises BadInputError for a type that neither Jazzy's
         standard types nor `definition` give.
         """
@@ -132,7 +136,7 @@ class BagWriter:
                 where = f'{self.path}: {topic}'
                 raise BadInputError(where, 'message type is not a standard one', kind) from error
             text, digest = definition.text, definition.digest or 'RIHS01_' + '0' * 64
-        self._topics[topic] = RecordedTopic(topic, kind, text, digest, qos)
+        self._topics[topic] = RecordedTopic(name or topic, kind, text, digest, qos, topic)
         self._file.add_topic(self._topics[topic])
         self.counts[topic] = 0
 

@@ -18,7 +18,12 @@ else:
 ZSTD_LEVEL = 1
 """Twice as fast as zstd's usual level 3, and on flight data as small to within a few per cent."""
 
-DecompressError: tuple[type[Exception], ...] = (zstd.ZstdError, RuntimeError, EOFError)
+CODECS = ('', 'zstd', 'lz4')
+"""Names of the compressions in an mcap file."""
+
+DecompressError: tuple[type[Exception], ...] = (
+    zstd.ZstdError, RuntimeError, EOFError, MemoryError,
+)  # fmt: skip
 """What damaged content raises."""
 
 
@@ -43,7 +48,7 @@ def decompress(name: str, packed: bytes, piece: int = 4096) -> tuple[bytes, bool
     """Content as far as it can be had, and whether that is all; `name` as MCAP writes it."""
     if not name:
         return packed, True
-    if name not in {'zstd', 'lz4'}:
+    if name not in CODECS:
         return b'', False
     try:
         whole = zstd.decompress(packed) if name == 'zstd' else lz4.frame.decompress(packed)

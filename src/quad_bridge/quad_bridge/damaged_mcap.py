@@ -1,43 +1,48 @@
-"""Reads what is whole in an mcap file that was cut off: no summary, index or footer needed.
+"""Reads what is whole in a damaged mcap file: no summary, index or footer needed.
 
 rosbags needs the summary; this pass over the records does not. A chunk whose checksum fails is
-left out; behind nonsense the next chunk is searched. Source: the MCAP specification, version 0
-(opcode u8, length u64, little-endian).
+left out; behind nonsense the next record is searched (mcap_records.py). How many messages are lost
+is known from the statistics of a closed file, else from the index behind each chunk.
 """
 
 from __future__ import annotations
 
 import mmap
-import re
-import struct
 import zlib
-from collections.abc import Collection, Generator, Iterator
+from array import array
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from quad_bridge.compression import decompress
+import numpy as np
+
+from quad_bridge.compression import CODECS, decompress
 from quad_bridge.errors import BadInputError
+from quad_bridge.mcap_records import (
+    CHANNEL,
+    CHUNK,
+    CHUNK_HEAD,
+    DATA_END,
+    FOOTER,
+    MAGIC,
+    MESSAGE,
+    MESSAGE_HEAD,
+    MESSAGE_INDEX,
+    PRIVATE,
+    RECORD,
+    SCHEMA,
+    Names,
+    Topic,
+    chunk_ends,
+    end_of,
+    has_chunks,
+    looks_chunked,
+    next_record,
+    summary_of,
+)
 
-MAGIC = b'\x89MCAP0\r\n'
-FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, DATA_END = 0x02, 0x03, 0x04, 0x05, 0x06, 0x0F
-HIGHEST = 0x0F
-"""The last opcode of the specification; 0x80 and above are left to others."""
-_RECORD = struct.Struct('<BQ')
-_MESSAGE = struct.Struct('<HIQQ')
-_CHUNK = struct.Struct('<QQQII')
-"""Start, end, uncompressed size, checksum, length of the compression's name."""
-_CHUNK_HEAD = re.compile(rb'\x06.{36}(?:\0\0\0\0|\x04\0\0\0zstd|\x03\0\0\0lz4)', re.DOTALL)
-
-
-@dataclass(frozen=True)
-class Topic:
-    """A channel with its schema."""
-
-    name: str
-    kind: str
-    definition: str
-    qos: str
-    """`offered_qos_profiles`, YAML as rosbag2 writes it; empty where unknown."""
+ZEROS = 64
+"""So many at the end of a file are blocks that were never written."""
 
 
 @dataclass(frozen=True)
@@ -69,10 +74,52 @@ class DamagedMcap:
         """Bytes that belong to no whole record."""
         self.bad_chunks = 0
         """Chunks that fail their checksum or cannot be decompressed to their end."""
-        self.complete = False
+        self.mended = 0
+        """Chunks whose opcode or length is damaged and whose content is not."""
+        self.ended = False
         """The end of the data section was found."""
-        self._schemas: dict[int, tuple[str, str]] = {}
-        self._channels: dict[int, Topic] = {}
+        self.unchecked = 0
+        """Messages of a chunk that is cut off: its checksum says nothing of them."""
+        self.unnamed = 0
+        """Messages whose channel stands nowhere."""
+        self.doubtful_names: set[str] = set()
+        """Topics whose channel stands in a damaged chunk alone."""
+        self.stated: int | None = None
+        """Messages by the statistics of a file that was closed; None without them."""
+        self._found = 0
+        self._times: dict[int, array[int]] = {}
+        """Of all messages found, by channel, ns."""
+        self._told: set[tuple[int, int]] = set()
+        """(channel, time) in the indexes of chunks that were not read."""
+        self._names = Names()
+        self._doubtful = Names()
+        """From chunks that fail their checksum: better than none."""
+        self._chunk: dict[int, int] = {}
+        """Where in `_times` the messages of the last chunk begin, by channel."""
+        self._behind_chunk = False
+        """Nothing but its indexes has come since the last chunk."""
+        self._plain = False
+        """The file holds its messages without chunks."""
+        self._looked_ahead = False
+        self._only_names = False
+        """Channels are looked for, behind the end of the data too."""
+
+    @property
+    def lost(self) -> int:
+        """Messages that were in the file and did not come out: all of a closed one, else least."""
+        if self.stated is not None:
+            return max(self.stated - self._found, 0)
+        if not self._times:
+            return self.unnamed
+        found = np.concatenate([np.array(times, '<u8') for times in self._times.values()])
+        told = np.array([time for _, time in sorted(self._told)], '<u8')
+        within = (told > found.min()) & (told < found.max())  # an index may be damaged too
+        return int(np.count_nonzero(within & ~np.isin(told, found))) + self.unnamed
+
+    @property
+    def complete(self) -> bool:
+        """The file was read to the end of its data, and nothing was left out."""
+        return self.ended and not (self.lost or self.unread or self.bad_chunks)
 
     def messages(self) -> Iterator[Message]:
         """All whole messages in the file's order."""
@@ -80,115 +127,188 @@ class DamagedMcap:
             self._path.open('rb') as file,
             mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data,
         ):
-            yield from self._pass(data)
+            stop = self.size
+            summary = summary_of(data)
+            if summary is not None:
+                self._names, self.stated = summary.names, summary.messages
+                stop = summary.start
+            self._plain = not has_chunks(data, stop)
+            for message in self._pass(data, stop):
+                self._found += 1
+                yield message
+            self.ended = self.ended or summary is not None
 
-    def _pass(self, data: mmap.mmap) -> Iterator[Message]:
-        position = len(MAGIC)
-        while position + _RECORD.size <= self.size:
-            opcode, length = _RECORD.unpack_from(data, position)
-            start, end = position + _RECORD.size, position + _RECORD.size + length
-            if opcode in {DATA_END, FOOTER} and end <= self.size:
-                self.complete = True
-                return
-            if end > self.size or not (0 < opcode <= HIGHEST or opcode >= 0x80):
-                found = self._next_chunk(data, position + 1)
-                stop = self.size if found is None else found
-                if opcode == CHUNK:
-                    yield from self._chunk(data[start:stop])
-                else:
-                    self.unread += stop - position
-                position = stop
+    def _pass(self, data: mmap.mmap, stop: int) -> Iterator[Message]:
+        before = position = len(MAGIC)
+        while position < stop and (not self.ended or self._only_names):
+            end = end_of(data, position, stop)
+            opcode = data[position]
+            if end is None or (
+                (opcode == MESSAGE or opcode >= PRIVATE)  # of these any length agrees
+                and not (self._bare(data, position, end) and self._goes_on(data, end, stop))
+            ):
+                before, position = (
+                    position,
+                    (yield from self._nonsense(data, before, position, stop)),
+                )
                 continue
             if opcode == CHUNK:
-                yield from self._chunk(data[start:end])
+                body = data[position + RECORD.size : end]
+                content = _content(body)
+                if content is None:
+                    self._doubtful_names(body)
+                    before, position = position, self._skip(data, position, position, stop)
+                    continue
+                yield from self._sound_chunk(content)
+            elif opcode == MESSAGE_INDEX:
+                self._compare(data[position + RECORD.size : end])
+            elif opcode in {SCHEMA, CHANNEL} and self.ended:  # of a summary that is damaged
+                self._doubtful.take(opcode, data[position + RECORD.size : end])
             elif opcode in {SCHEMA, CHANNEL, MESSAGE}:
-                yield from self._record(opcode, data[start:end])
-            position = end
-        self.unread += self.size - position
+                yield from self._record(opcode, data[position + RECORD.size : end])
+            elif opcode in {DATA_END, FOOTER} and not has_chunks(data, stop, end):
+                self.ended = True
+            before, position = (end - 1 if opcode == CHUNK else position), end
 
-    def _next_chunk(self, data: mmap.mmap, position: int) -> int | None:
-        """Where the next chunk begins whose lengths agree with each other."""
-        for found in _CHUNK_HEAD.finditer(data, position):
-            (length,) = struct.unpack_from('<Q', data, found.start() + 1)
-            if found.end() + 8 > self.size or length > self.size:
-                continue
-            (packed,) = struct.unpack_from('<Q', data, found.end())
-            if found.start() + _RECORD.size + length == found.end() + 8 + packed:
-                return found.start()
-        return None
+    def _bare(self, data: mmap.mmap, position: int, end: int) -> bool:
+        """Whether the record is no chunk or index whose opcode is damaged."""
+        return self._plain or not looks_chunked(data, position, end)
 
-    def _chunk(self, body: bytes) -> Iterator[Message]:
-        """Messages of a chunk; of one that is cut off, as far as it goes."""
-        if len(body) < _CHUNK.size + 16:
-            self.unread += len(body)
-            return
-        *_, checksum, name_length = _CHUNK.unpack_from(body)
-        begin = _CHUNK.size + min(name_length, 4) + 8
-        name = body[_CHUNK.size : begin - 8].decode(errors='replace')
-        (length,) = struct.unpack_from('<Q', body, begin - 8)
-        content = body[begin : begin + length]
-        records, whole = decompress(name, content)
-        if len(content) == length and checksum and zlib.crc32(records) != checksum:
-            self.bad_chunks += 1
-            self.unread += len(body)
-            for _ in self._records(records, without={MESSAGE}):  # the names may serve later
-                pass
-            return
-        if not whole or len(content) < length:
-            self.bad_chunks += 1
-        used = yield from self._records(records)
-        self.unread += len(records) - used if whole or used else len(body)
+    def _goes_on(self, data: mmap.mmap, position: int, stop: int) -> bool:
+        """Whether a record begins at `position`, or the file ends there within the next one."""
+        if stop - position < RECORD.size or end_of(data, position, stop):
+            return True
+        last = next_record(data, position, stop, plain=True) is None
+        return last and data[position] == MESSAGE and stop == self.size
 
-    def _records(
-        self, records: bytes, without: Collection[int] = ()
+    def _nonsense(
+        self, data: mmap.mmap, before: int, position: int, stop: int
     ) -> Generator[Message, None, int]:
+        """What can be had of a damaged record; returns where the next one begins.
+
+        `before`: where the last record began. If that is damaged too, the next one begins in it.
+        """
+        ends = chunk_ends(data, position, stop)
+        for end in ends:  # its opcode or one of its lengths may be all that is damaged
+            if end <= stop:
+                content = _content(data[position + RECORD.size : end], needs_checksum=True)
+                if content is not None:
+                    self.mended += 1
+                    yield from self._sound_chunk(content)
+                    return end
+        last = len(ends) == 1 and ends[0] > stop == self.size and data[position] == CHUNK
+        if last and next_record(data, position + 1, stop, plain=False) is None:
+            yield from self._cut_off_chunk(data[position + RECORD.size : stop])
+            return stop
+        return self._skip(data, before, position, stop)
+
+    def _skip(self, data: mmap.mmap, before: int, position: int, stop: int) -> int:
+        """Leave out a damaged record; returns where the next one begins, within it or behind."""
+        plain = self._plain and data[position] != CHUNK
+        begin = position if self._plain else before
+        found = next_record(data, begin + 1, stop, plain=plain)
+        following = stop if found is None else found
+        self.bad_chunks += data[position] == CHUNK
+        self.unread += max(following - position, 0)
+        self._behind_chunk = False
+        return following
+
+    def _sound_chunk(self, content: bytes) -> Iterator[Message]:
+        self._behind_chunk = True
+        self._chunk = {channel: len(times) for channel, times in self._times.items()}
+        used = yield from self._records(content)
+        self.unread += len(content) - used
+
+    def _cut_off_chunk(self, body: bytes) -> Iterator[Message]:
+        """Messages of the file's last chunk, as far as it goes."""
+        self.bad_chunks += 1
+        packed = body.rstrip(b'\0')
+        packed = body if len(body) - len(packed) <= ZEROS else packed
+        name, begin, _ = _head(body)
+        content, _ = decompress(name, packed[begin:])
+        found = self._found
+        used = yield from self._records(content)
+        self.unchecked = self._found - found
+        self.unread += len(body) - len(packed) + len(content) - used if used else len(body)
+
+    def _doubtful_names(self, body: bytes) -> None:
+        name, begin, _ = _head(body)
+        content, _ = decompress(name, body[begin:])
+        self._doubtful.schemas = {**self._doubtful.schemas, **self._names.schemas}
+        for opcode, record in _split(content):
+            self._doubtful.take(opcode, record)
+
+    def _records(self, content: bytes) -> Generator[Message, None, int]:
         """Messages of a chunk's content; returns how many bytes of it are whole records."""
         used = 0
-        while used + _RECORD.size <= len(records):
-            opcode, size = _RECORD.unpack_from(records, used)
-            start, end = used + _RECORD.size, used + _RECORD.size + size
-            if end > len(records):
-                break
-            if opcode not in without:
-                yield from self._record(opcode, records[start:end])
-            used = end
+        for opcode, body in _split(content):
+            yield from self._record(opcode, body)
+            used += RECORD.size + len(body)
         return used
 
     def _record(self, opcode: int, body: bytes) -> Iterator[Message]:
         """Take in a schema or channel, hand out a message; a record of nonsense is left out."""
-        try:
-            if opcode == MESSAGE:
-                channel, _, log_ns, _ = _MESSAGE.unpack_from(body)
-                if channel in self._channels:
-                    yield Message(self._channels[channel], log_ns, body[_MESSAGE.size :])
-            elif opcode == SCHEMA:
-                name, after = _string(body, 2)
-                _, after = _string(body, after)
-                definition, _ = _string(body, after)
-                self._schemas[struct.unpack_from('<H', body)[0]] = name, definition
-            elif opcode == CHANNEL:
-                self._channel(body)
-        except (struct.error, UnicodeDecodeError, KeyError):
-            self.unread += len(body)
+        if opcode in {SCHEMA, CHANNEL}:
+            if not self._names.take(opcode, body):
+                self.unread += len(body)
+        elif opcode == MESSAGE and len(body) >= MESSAGE_HEAD.size:
+            channel, _, log_ns, _ = MESSAGE_HEAD.unpack_from(body)
+            self._times.setdefault(channel, array('Q')).append(log_ns)
+            topic = self._names.channels.get(channel) or self._named(channel)
+            if topic is None:
+                self.unnamed += 1
+            else:
+                yield Message(topic, log_ns, body[MESSAGE_HEAD.size :])
 
-    def _channel(self, body: bytes) -> None:
-        number, schema = struct.unpack_from('<HH', body)
-        name, after = _string(body, 4)
-        _, after = _string(body, after)
-        (length,) = struct.unpack_from('<I', body, after)
-        end, after = after + 4 + length, after + 4
-        metadata = {}
-        while after < end:
-            key, after = _string(body, after)
-            metadata[key], after = _string(body, after)
-        kind, definition = self._schemas[schema]
-        qos = metadata.get('offered_qos_profiles', '')
-        self._channels[number] = Topic(name, kind, definition, qos)
+    def _named(self, channel: int) -> Topic | None:
+        """A channel whose record is not among those before: further on, or in a damaged chunk."""
+        if not self._looked_ahead:
+            self._looked_ahead = True
+            ahead = DamagedMcap(self._path)
+            ahead._looked_ahead = ahead._only_names = True
+            for _ in ahead.messages():
+                pass
+            known = {**ahead._names.channels, **self._names.channels}
+            doubtful = {k: v for k, v in ahead._doubtful.channels.items() if k not in known}
+            self.doubtful_names = {topic.name for topic in doubtful.values()}
+            self._names.channels = {**doubtful, **known}
+        return self._names.channels.get(channel)
+
+    def _compare(self, index: bytes) -> None:
+        """Keep the times of an index whose chunk did not give as many messages."""
+        channel = int.from_bytes(index[:2], 'little')
+        told = np.frombuffer(index, '<u8', offset=6)[::2].tolist()
+        there = self._times.get(channel, array('Q'))[self._chunk.get(channel, 0) :]
+        of_another = not self._behind_chunk and set(told).isdisjoint(there)
+        if len(told) > len(there) or of_another:
+            self._told.update((channel, time) for time in told)
 
 
-def _string(body: bytes, offset: int) -> tuple[str, int]:
-    (length,) = struct.unpack_from('<I', body, offset)
-    end = offset + 4 + length
-    if end > len(body):
-        raise struct.error('string runs over the end of its record')
-    return body[offset + 4 : end].decode(), end
+def _head(body: bytes) -> tuple[str, int, int]:
+    """Compression, where the content begins, checksum of a chunk with room for all that."""
+    *_, checksum, length = CHUNK_HEAD.unpack_from(body)
+    begin = CHUNK_HEAD.size + length
+    return body[CHUNK_HEAD.size : begin].decode(errors='replace'), begin + 8, checksum
+
+
+def _content(body: bytes, *, needs_checksum: bool = False) -> bytes | None:
+    """The records of a chunk; None where they are damaged or cannot be checked as they must."""
+    name, begin, checksum = _head(body)
+    known = name in CODECS
+    for codec in (name,) if known else CODECS:  # the checksum tells which, if it is damaged
+        content, whole = decompress(codec, body[begin:])
+        if whole and (zlib.crc32(content) == checksum if checksum else known):
+            return None if needs_checksum and not checksum else content
+    return None
+
+
+def _split(content: bytes) -> Iterator[tuple[int, bytes]]:
+    """Opcode and content of the whole records of a chunk."""
+    position = 0
+    while position + RECORD.size <= len(content):
+        opcode, length = RECORD.unpack_from(content, position)
+        start, position = position + RECORD.size, position + RECORD.size + length
+        known = opcode in {SCHEMA, CHANNEL, MESSAGE} or opcode >= PRIVATE
+        if not known or position > len(content):
+            return
+        yield opcode, content[start:position]

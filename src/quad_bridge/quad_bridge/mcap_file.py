@@ -23,6 +23,10 @@ HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = ra
 STATISTICS, METADATA, METADATA_INDEX, SUMMARY_OFFSET, DATA_END = 0x0B, 0x0C, 0x0D, 0x0E, 0x0F
 CHUNK_BYTES = 1 << 20
 """A chunk is closed at this size at the latest."""
+REPEAT = 100
+"""Topics are declared again when the file has doubled, and at the latest when it has grown by so
+many times what that takes: else one damaged chunk, the first, would leave all others of a killed
+recording without names."""
 _MESSAGE = struct.Struct('<BQHIQQ')
 _PREFIX = 22
 """Bytes of a message record before its data."""
@@ -61,6 +65,7 @@ class McapFile:
         self._chunk_indexes: list[bytes] = []
         self.entry = FileEntry(path.name)
         """What closed chunks hold."""
+        self._repeat_at = 0
         self._begin_chunk()
         self._append(MAGIC + record(HEADER, text('ros2') + text('quad_bridge')))
 
@@ -91,8 +96,8 @@ class McapFile:
                 'topic_type_hash': topic.digest,
             }
         )
-        self._channels[topic.name] = channel, record(CHANNEL, body)
-        self._chunk += self._channels[topic.name][1]
+        self._channels[topic.label] = channel, record(CHANNEL, body)
+        self._chunk += self._channels[topic.label][1]
 
     def write(self, topic: str, time_ns: int, data: bytes | memoryview) -> None:
         """Append one message to the open chunk."""
@@ -187,6 +192,10 @@ class McapFile:
         for channel, rows in tables.items():
             self.entry.add(names[channel - 1], len(rows), min(times), max(times))
         self._begin_chunk()
+        if self._end >= self._repeat_at:
+            self._chunk += b''.join(self._schemas.values())
+            self._chunk += b''.join(channel for _, channel in self._channels.values())
+            self._repeat_at = self._end + min(self._end, REPEAT * len(self._chunk))
 
     def _statistics(self) -> bytes:
         stored = [self.entry.counts.get(name, 0) for name in self._channels]

@@ -13,17 +13,21 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import yaml
 from rosbags.interfaces import Qos
 from rosbags.rosbag2.metadata import parse_qos
 
 from quad_bridge.arguments import OneLineParser
 from quad_bridge.bag_writer import BagWriter, Definition
 from quad_bridge.compression import decompress
-from quad_bridge.damaged_mcap import DamagedMcap, Message, Topic
+from quad_bridge.damaged_mcap import DamagedMcap, Message
 from quad_bridge.damaged_sqlite import DamagedSqlite
 from quad_bridge.errors import BadInputError, QuadBridgeError
+from quad_bridge.mcap_records import Topic
 
 ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
+LATEST_NS = 1 << 63
+"""No recorder writes a later time: sqlite3 has no room for it."""
 HOLE_S = 1.0
 """Silence of all topics that is told."""
 
@@ -34,15 +38,22 @@ class Recovered:
 
     path: Path
     counts: dict[str, int] = field(default_factory=dict)
+    lost: int = 0
+    """Messages that were in the files and are known not to be here; where the end of a file is
+    missing, there were more."""
     unread_bytes: int = 0
     total_bytes: int = 0
     first_ns: int = 0
     last_ns: int = 0
     undecodable: int = 0
-    """Messages whose own compression is damaged."""
+    """Messages that are damaged in themselves: compression, time, topic."""
     notes: list[str] = field(default_factory=list)
     holes: list[tuple[int, int]] = field(default_factory=list)
     """Stretches of receive time (ns) without any message."""
+    kinds: dict[str, str] = field(default_factory=dict)
+    """Types of the topics, the first one of each."""
+    refused: set[str] = field(default_factory=set)
+    """Topics whose type is damaged."""
 
     @property
     def messages(self) -> int:
@@ -56,6 +67,8 @@ class Recovered:
         lost = f'{self.unread_bytes} of {self.total_bytes} bytes ({share:.2f} %) are not whole'
         if self.undecodable:
             lost += f', {self.undecodable} messages are damaged in themselves'
+        if self.lost:
+            lost += f', at least {self.lost} messages are missing'
         counts = [f'  {count:8d}  {topic}' for topic, count in sorted(self.counts.items())]
         holes = [
             f'  nothing for {(end - start) * 1e-9:.2f} s at {(start - self.first_ns) * 1e-9:.2f} s'
@@ -82,6 +95,7 @@ def recover(bag: Path) -> Recovered:
         raise BadInputError(str(target), 'exists already', remedy='move it away first')
     result = Recovered(target, total_bytes=sum(file.stat().st_size for file in files))
     result.notes += _missing_parts(files)
+    counted = _counted(bag)
     storage = 'sqlite3' if files[0].suffix == '.db3' else 'mcap'
     work = target.with_name(f'{target.name}.part')
     shutil.rmtree(work, ignore_errors=True)
@@ -99,7 +113,12 @@ def recover(bag: Path) -> Recovered:
                 result.notes.append(f'  {error}')
         writer.close()
         if not result.messages:
-            raise BadInputError(str(bag), 'holds no whole message', remedy='nothing to recover')
+            what = '; '.join(('holds no whole message', *map(str.strip, result.notes)))
+            raise BadInputError(str(bag), what, remedy='nothing to recover')
+        absent = counted - result.messages - result.undecodable
+        if absent > 0:
+            result.notes.append(f'  metadata.yaml counts {counted} messages')
+            result.lost = max(result.lost, absent)
         (work / target.name).rename(target)
     except (OSError, sqlite3.Error) as error:
         what = f'cannot be written: {getattr(error, "strerror", None) or error}'
@@ -132,22 +151,45 @@ def _missing_parts(files: list[Path]) -> list[str]:
     return [f'  part {number} of the bag is missing' for number in absent]
 
 
+def _counted(bag: Path) -> int:
+    """Messages by metadata.yaml; 0 where that does not say."""
+    try:
+        content = yaml.safe_load((bag / 'metadata.yaml').read_text(encoding='utf-8'))
+        return int(content['rosbag2_bagfile_information']['message_count'])
+    except (OSError, ValueError, LookupError, TypeError, yaml.YAMLError):
+        return 0
+
+
 def _copy(message: Message, writer: BagWriter, result: Recovered) -> None:
-    topic, data = message.topic, message.data
+    topic, data, whole = message.topic, message.data, message.time_ns < LATEST_NS
     if data[:4] == ZSTD_MAGIC:
-        data, whole = decompress('zstd', data)
-        if not whole:
-            result.undecodable += 1
-            return
-    if topic.name not in writer.counts:
-        qos = _qos(topic, result)
-        writer.add_topic(topic.name, topic.kind, qos, Definition(topic.definition, ''))
-    writer.write(topic.name, message.time_ns, data)
-    result.counts[topic.name] = writer.counts[topic.name]
+        data, opened = decompress('zstd', data)
+        whole = whole and opened
+    key = _declared(topic, writer, result) if whole else ''
+    if not key:
+        result.undecodable += 1
+        return
+    writer.write(key, message.time_ns, data)
+    result.counts[key] = writer.counts[key]
     if result.last_ns and message.time_ns - result.last_ns > HOLE_S * 1e9:
         result.holes.append((result.last_ns, message.time_ns))
     result.first_ns = min(result.first_ns or message.time_ns, message.time_ns)
     result.last_ns = max(result.last_ns, message.time_ns)
+
+
+def _declared(topic: Topic, writer: BagWriter, result: Recovered) -> str:
+    """Declare the topic; what to write it under, empty where its type is damaged."""
+    key = topic.name
+    if result.kinds.setdefault(key, topic.kind) != topic.kind:
+        key = f'{topic.name} as {topic.kind}'
+    if key not in writer.counts and key not in result.refused:
+        try:
+            qos, definition = _qos(topic, result), Definition(topic.definition, '')
+            writer.add_topic(key, topic.kind, qos, definition, name=topic.name)
+        except BadInputError as error:
+            result.refused.add(key)
+            result.notes.append(f'  {topic.name}: left out, {error}')
+    return '' if key in result.refused else key
 
 
 def _qos(topic: Topic, result: Recovered) -> tuple[Qos, ...]:
@@ -161,21 +203,40 @@ def _qos(topic: Topic, result: Recovered) -> tuple[Qos, ...]:
 
 
 def _mcap_messages(file: Path, result: Recovered) -> Iterator[Message]:
-    damaged = DamagedMcap(file)
+    damaged, undecodable = DamagedMcap(file), result.undecodable
     yield from damaged.messages()
     result.unread_bytes += damaged.unread
+    result.lost += damaged.lost
+    found = []
+    if damaged.mended:
+        found.append(f'{damaged.mended} chunks are whole but for their opcode or length')
     if damaged.bad_chunks:
-        result.notes.append(f'  {file.name}: {damaged.bad_chunks} chunks are not whole')
-    if damaged.complete:
-        result.notes.append(f'  {file.name}: its data were complete')
+        found.append(f'{damaged.bad_chunks} chunks are not whole')
+    if damaged.unchecked:
+        found.append(f'{damaged.unchecked} messages of the last one have no checksum any more')
+    if damaged.doubtful_names:
+        found.append(f'a damaged chunk alone names {", ".join(sorted(damaged.doubtful_names))}')
+    if damaged.unnamed:
+        found.append(f'{damaged.unnamed} messages have lost their topic')
+    if damaged.stated is not None and damaged.lost:
+        found.append(f'its statistics count {damaged.stated} messages')
+    if not damaged.ended:
+        found.append('ends without its index')
+    elif damaged.complete and result.undecodable == undecodable:
+        found.append('its data are complete')
     else:
-        result.notes.append(f'  {file.name}: ends without its index')
+        found.append('its data are damaged, their end is there')
+    result.notes += [f'  {file.name}: {note}' for note in found]
 
 
 def _sqlite_messages(file: Path, result: Recovered) -> Iterator[Message]:
-    damaged = DamagedSqlite(file)
+    damaged, undecodable = DamagedSqlite(file), result.undecodable
     yield from damaged.messages()
+    result.unread_bytes += damaged.unread
+    result.lost += damaged.lost
     result.notes += [f'  {note}' for note in damaged.notes]
+    if damaged.complete and result.undecodable == undecodable:
+        result.notes.append(f'  {file.name}: all its rows are there (without checksums)')
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -80,7 +80,7 @@ class SqliteFile:
                 (number, topic.name, topic.kind, 'cdr', topic.qos_text, topic.digest),
             )
         )
-        self._topics[topic.name] = number
+        self._topics[topic.label] = number
 
     def write(self, topic: str, time_ns: int, data: bytes | memoryview) -> None:
         """Keep one message for the next transaction."""

@@ -111,18 +111,14 @@ def _read(path: Path) -> _Content:
     storage = Storage(path, TOPICS)
     parts: dict[str, list[Stamped]] = {}
     events: dict[str, list[bytes]] = {}
-    foreign: set[str] = set()
     for batch in storage.batches():
         for topic, raws in batch.items():
             wanted = TOPIC_TYPES[topic]
-            found = storage.types.get(topic) or wanted
-            if found.replace('/msg/', '/') != wanted.replace('/msg/', '/'):
-                foreign.add(f'{topic}: found type {found}, left out; the contract has {wanted}')
-            elif wanted == EVENT:
+            if wanted == EVENT:
                 events.setdefault(topic, []).extend(raws)
             else:
                 parts.setdefault(topic, []).append(decode(wanted, raws))
-    warnings = [*storage.warnings, *sorted(foreign)]
+    warnings = list(storage.warnings)
     warnings += [f'{key}: {text}' for key, text in storage.notes.items()]
     streams = {}
     for topic, pieces in parts.items():

@@ -10,18 +10,20 @@ import os
 import shutil
 import sqlite3
 import struct
+from collections import Counter
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
-from quad_sysid.bags.mcap_scan import BATCH, Batch
+from quad_sysid.bags.mcap_scan import BATCH, Batch, same_type
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator
+    from collections.abc import Iterator, Mapping
 
 MAGIC = b'SQLite format 3\x00'
+RECOVER = '`ros2 run quad_bridge recover` may find more'
 JOURNALS = ('-journal', '-wal')
 JOURNAL_STARTS = (b'\xd9', b'\x37')
 """First byte of a rollback journal that is still to be played back, and of a write-ahead log."""
@@ -29,13 +31,16 @@ JOURNAL_STARTS = (b'\xd9', b'\x37')
 
 @dataclass
 class SqliteScan:
-    """One pass over one file; `types` and `notes` are complete once `batches` has run."""
+    """One pass over one file; `foreign` and `notes` are complete once `batches` has run."""
 
     path: Path
-    topics: Collection[str]
-    types: dict[str, str] = field(default_factory=dict)
-    """Topic → message type, of all topics of the file."""
+    wanted: Mapping[str, str]
+    """Topic → message type; empty where any type counts."""
+    foreign: Counter[tuple[str, str]] = field(default_factory=Counter)
+    """(topic, type) → messages of wanted topics that are of another type."""
     notes: list[str] = field(default_factory=list)
+    strange: int = 0
+    """Rows of wanted topics whose data are no bytes."""
 
     def batches(self) -> Iterator[Batch]:
         """Messages of the wanted topics in the order of writing, some thousand at a time."""
@@ -49,26 +54,37 @@ class SqliteScan:
                     if count >= BATCH:
                         yield batch
                         batch, count = {}, 0
-        except sqlite3.DatabaseError as error:
-            self.notes.append(
-                f'damaged sqlite3 file ({error}): read what is whole; '
-                '`ros2 run quad_bridge recover` may find more'
-            )
+        except (sqlite3.Error, UnicodeDecodeError) as error:  # its own words may be damaged
+            reason = error if isinstance(error, sqlite3.Error) else 'malformed'
+            self.notes.append(f'damaged sqlite3 file ({reason}): read what is whole; {RECOVER}')
+        if self.strange:
+            self.notes.append(f'{self.strange} rows are no messages; left out')
         yield batch
 
     def _rows(self, base: sqlite3.Connection) -> Iterator[tuple[str, bytes]]:
-        names = {}
+        base.text_factory = lambda raw: raw.decode(errors='replace')
+        told = [str(row[0]) for row in base.execute('PRAGMA quick_check(1)')]
+        names, foreign = {}, {}
         for number, name, kind in base.execute('SELECT id, name, type FROM topics'):
-            self.types[name] = kind
-            if name in self.topics:
+            if name in self.wanted and same_type(str(kind), self.wanted[name]):
                 names[number] = name
-        marks = ','.join('?' * len(names))
+            elif name in self.wanted:
+                foreign[number] = name, str(kind)
+        marks = ','.join('?' * (len(names) + len(foreign)))
         rows = base.execute(
             f'SELECT topic_id, data FROM messages WHERE topic_id IN ({marks}) ORDER BY id',  # noqa: S608
-            list(names),
+            [*names, *foreign],
         )
         for number, raw in rows:
-            yield names[number], raw
+            if number in foreign:
+                self.foreign[foreign[number]] += 1
+            elif isinstance(raw, bytes):
+                yield names[number], raw
+            else:
+                self.strange += 1
+        if told != ['ok']:  # SQLite may leave out rows without a word
+            what = ' '.join(told).removeprefix('*** in database main ***').strip()
+            self.notes.append(f'damaged sqlite3 file ({what}): read what is whole; {RECOVER}')
 
     @contextmanager
     def _settled(self) -> Iterator[str]:

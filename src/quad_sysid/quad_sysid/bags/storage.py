@@ -6,8 +6,10 @@ Knows directories, mcap, sqlite3 and compression; knows nothing of what the mess
 from __future__ import annotations
 
 import mmap
+import re
 import shutil
 import sys
+from collections import Counter
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,9 +18,10 @@ from typing import TYPE_CHECKING
 
 import yaml
 
-from quad_sysid.bags.mcap_scan import MAGIC, Batch, McapScan
+from quad_sysid.bags.mcap_scan import DAMAGED, MAGIC, Batch, McapScan
 from quad_sysid.bags.sqlite_scan import MAGIC as SQLITE_MAGIC
-from quad_sysid.bags.sqlite_scan import SqliteScan
+from quad_sysid.bags.sqlite_scan import RECOVER, SqliteScan
+from quad_sysid.contract import TOPIC_TYPES
 from quad_sysid.errors import BadInputError
 
 if TYPE_CHECKING:
@@ -42,11 +45,13 @@ FOREIGN = {
 
 @dataclass
 class Storage:
-    """A bag's raw messages. `types` and `warnings` are complete once `batches` has run."""
+    """A bag's raw messages. `warnings` are complete once `batches` has run.
+
+    Of a topic that has messages of several types, those of the contract's type count.
+    """
 
     path: Path
     topics: Collection[str]
-    types: dict[str, str] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
     notes: dict[str, str] = field(default_factory=dict)
     """`custom_data` of metadata.yaml."""
@@ -54,14 +59,20 @@ class Storage:
     def batches(self) -> Iterator[Batch]:
         """Messages of the wanted topics, decompressed; raises BadInputError."""
         files = self._files()
+        foreign: Counter[tuple[str, str]] = Counter()
         for file in files:
             with _plain_file(file) as plain:
                 try:
-                    yield from self._read(plain, file)
+                    yield from self._read(plain, file, foreign)
                 except BadInputError as error:
                     if len(files) == 1:
                         raise
                     self.warnings.append(f'{error}: that part of the flight is missing')
+        self.warnings += [
+            f'{topic}: {count} messages of type {kind} left out; '
+            f'the contract has {TOPIC_TYPES[topic]}'
+            for (topic, kind), count in sorted(foreign.items())
+        ]
 
     def _files(self) -> list[Path]:
         """List the storage files, in order."""
@@ -79,7 +90,8 @@ class Storage:
         listed = self._metadata()
         if not found:
             raise BadInputError(
-                str(path), 'holds no storage file (.mcap or .db3)',
+                str(path),
+                'holds no storage file (.mcap or .db3)',
                 remedy='give a rosbag2 directory or an .mcap file',
             )
         if listed is None:
@@ -95,7 +107,18 @@ class Storage:
                 'that part of the flight is missing'
             )
         present = [path / name for name in listed if (path / name).exists()]
-        return present or found
+        if not present:
+            return found
+        unlisted = [file for file in found if file.name not in listed]
+        parts = [file for file in unlisted if _is_part(file.name, listed)]
+        for files, what in (
+            (parts, 'read as parts of the flight'),
+            ([file for file in unlisted if file not in parts], 'left out'),
+        ):
+            if files:
+                names = ', '.join(file.name for file in files)
+                self.warnings.append(f'{path}: metadata.yaml does not list {names}: {what}')
+        return sorted([*present, *parts], key=lambda p: (len(p.name), p.name))
 
     def _metadata(self) -> list[str] | None:
         """File names that metadata.yaml lists; None where there is none to be had."""
@@ -110,55 +133,87 @@ class Storage:
             return None
         return names
 
-    def _read(self, plain: Path, shown: Path) -> Iterator[Batch]:
-        """Batches of one decompressed file."""
+    def _read(
+        self, plain: Path, shown: Path, foreign: Counter[tuple[str, str]]
+    ) -> Iterator[Batch]:
+        """Batches of one decompressed file; counts messages of another type in `foreign`."""
         with plain.open('rb') as stream:
             head = stream.read(16)
         if not head:
             raise BadInputError(
                 str(shown), 'is empty', remedy='the recording never reached the disk; record again'
             )
+        wanted = {topic: TOPIC_TYPES.get(topic, '') for topic in self.topics}
         if head.startswith(MAGIC):
-            batches = self._read_mcap(plain, shown)
+            batches = self._read_mcap(plain, shown, wanted, foreign)
         elif head == SQLITE_MAGIC:
-            batches = self._read_sqlite(plain, shown)
+            batches = self._read_sqlite(plain, shown, wanted, foreign)
         else:
             raise BadInputError(
-                str(shown), 'is neither mcap nor sqlite3', f'first bytes {head[:8].hex()}',
+                str(shown),
+                'is neither mcap nor sqlite3',
+                f'first bytes {head[:8].hex()}',
                 'give a rosbag2 directory or an .mcap file',
             )
         for batch in batches:
             yield {topic: self._decompressed(raws, shown) for topic, raws in batch.items()}
 
-    def _read_mcap(self, plain: Path, shown: Path) -> Iterator[Batch]:
+    def _read_mcap(
+        self,
+        plain: Path,
+        shown: Path,
+        wanted: dict[str, str],
+        foreign: Counter[tuple[str, str]],
+    ) -> Iterator[Batch]:
         with (
             plain.open('rb') as stream,
             mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data,
         ):
-            scan = McapScan(data, self.topics, self.types)
+            scan = McapScan(data, wanted, foreign)
             yield from scan.batches()
+            stated = scan.stated
         if scan.cut_off:
             self.warnings.append(
                 f'{shown}: cut off (no end of data): read what is whole; '
                 '`ros2 run quad_bridge recover` rebuilds the bag'
             )
-        elif scan.damaged_chunks:
-            self.warnings.append(f'{shown}: {scan.damaged_chunks} damaged chunks: read the rest')
+        elif scan.damaged:
+            self.warnings.append(f'{shown}: {scan.damaged} damaged chunks: read the rest')
+        if scan.unnamed:
+            self.warnings.append(f'{shown}: {scan.unnamed} messages have lost their topic')
+        if stated is not None and stated > scan.seen:
+            self.warnings.append(
+                f'{shown}: {stated - scan.seen} of {stated} messages are missing; {RECOVER}'
+            )
 
-    def _read_sqlite(self, plain: Path, shown: Path) -> Iterator[Batch]:
-        scan = SqliteScan(plain, self.topics, self.types)
+    def _read_sqlite(
+        self,
+        plain: Path,
+        shown: Path,
+        wanted: dict[str, str],
+        foreign: Counter[tuple[str, str]],
+    ) -> Iterator[Batch]:
+        scan = SqliteScan(plain, wanted, foreign)
         yield from scan.batches()
         self.warnings += [f'{shown}: {note}' for note in scan.notes]
 
     def _decompressed(self, raws: list[bytes], shown: Path) -> list[bytes]:
         """Messages as CDR: those that were compressed one by one (by their magic) are opened."""
-        if not raws or raws[0][:4] != ZSTD_MAGIC:
+        if not raws or ZSTD_MAGIC not in (raws[0][:4], raws[-1][:4]):
             return raws
-        opened = [_opened(raw) for raw in raws]
+        opened = [_opened(raw) if raw[:4] == ZSTD_MAGIC else raw for raw in raws]
         damaged = opened.count(b'')
         if damaged:
             self.warnings.append(f'{shown}: {damaged} compressed messages are damaged; left out')
         return [raw for raw in opened if raw]
+
+
+def _is_part(name: str, listed: Collection[str]) -> bool:
+    """Whether a file is a part of the split bag whose listed ones are `listed`, and no copy."""
+    stem = name.partition('.')[0]
+    known = {other.partition('.')[0] for other in listed}
+    numbered = {re.sub(r'_\d+$', '', other) for other in known}
+    return stem not in known and re.sub(r'_\d+$', '', stem) in numbered
 
 
 def _opened(raw: bytes) -> bytes:
@@ -166,7 +221,7 @@ def _opened(raw: bytes) -> bytes:
     frame = zstd.ZstdDecompressor()  # a third faster than zstd.decompress on so short a text
     try:
         content = frame.decompress(raw)
-    except zstd.ZstdError:
+    except DAMAGED:
         return b''
     return content if frame.eof else b''
 
@@ -183,7 +238,7 @@ def _plain_file(file: Path) -> Iterator[Path]:
         plain = Path(folder, file.stem)
         with (
             plain.open('wb') as target,
-            suppress(zstd.ZstdError, EOFError),
+            suppress(*DAMAGED),
             zstd.open(file, 'rb') as content,
         ):
             shutil.copyfileobj(content, target)

@@ -1,0 +1,232 @@
+"""What the bytes of an mcap file say of its records: where they begin and end, what they name.
+
+Without trust: a record counts only where its content agrees with its length, so one damaged
+length hides nothing behind it. No messages here, no decompression (damaged_mcap.py).
+Source: the MCAP specification, version 0 (opcode u8, length u64, little-endian).
+"""
+
+from __future__ import annotations
+
+import mmap
+import re
+import struct
+import zlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+MAGIC = b'\x89MCAP0\r\n'
+HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = range(1, 9)
+ATTACHMENT, ATTACHMENT_INDEX, STATISTICS, METADATA, METADATA_INDEX = range(0x09, 0x0E)
+SUMMARY_OFFSET, DATA_END = 0x0E, 0x0F
+PRIVATE = 0x80
+"""From here on opcodes are left to others."""
+RECORD = struct.Struct('<BQ')
+MESSAGE_HEAD = struct.Struct('<HIQQ')
+CHUNK_HEAD = struct.Struct('<QQQII')
+"""Start, end, uncompressed size, checksum, length of the compression's name."""
+LONGEST_NAME = 16
+"""Of a compression."""
+_FOOTER = struct.Struct('<QQI')
+_INDEX = 6
+"""Bytes of a message index without entries; of a longer one two lengths must agree."""
+_CHUNK_START = rb'\x06(?=.{36}(?:\0{4}|\x04\0{3}zstd|\x03\0{3}lz4))'
+_IN_CHUNKS = re.compile(_CHUNK_START + rb'|\x07(?=.{4}\0{4})|\x0f(?=\x04\0{7})', re.DOTALL)
+_PLAIN = re.compile(rb'[\3\4\5](?=.{4}\0{4})|' + _IN_CHUNKS.pattern, re.DOTALL)
+
+Data = bytes | mmap.mmap
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A channel with its schema."""
+
+    name: str
+    kind: str
+    definition: str
+    qos: str
+    """`offered_qos_profiles`, YAML as rosbag2 writes it; empty where unknown."""
+
+
+@dataclass
+class Names:
+    """Schemas and channels by their numbers."""
+
+    schemas: dict[int, tuple[str, str]] = field(default_factory=dict)
+    """Number to (type, definition)."""
+    channels: dict[int, Topic] = field(default_factory=dict)
+
+    def take(self, opcode: int, body: bytes) -> bool:
+        """Take in a schema or channel record; False where its content is nonsense."""
+        try:
+            if opcode == SCHEMA:
+                name, after = _string(body, 2)
+                _, after = _string(body, after)
+                definition, _ = _string(body, after)
+                self.schemas[struct.unpack_from('<H', body)[0]] = name, definition
+            elif opcode == CHANNEL:
+                number, schema = struct.unpack_from('<HH', body)
+                name, after = _string(body, 4)
+                _, after = _string(body, after)
+                qos = dict(_pairs(body, after)).get('offered_qos_profiles', '')
+                self.channels[number] = Topic(name, *self.schemas[schema], qos)
+        except (struct.error, UnicodeDecodeError, KeyError):
+            return False
+        return True
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What stands behind the data of a file that was closed."""
+
+    start: int
+    """Where it begins; the data end before."""
+    names: Names
+    messages: int | None
+    """How many the file holds by its statistics; None where these are missing."""
+
+
+def summary_of(data: Data) -> Summary | None:
+    """Summary of a file that was closed; None where it is missing or damaged."""
+    foot = len(data) - len(MAGIC) - RECORD.size - _FOOTER.size
+    if foot < len(MAGIC) or data[-len(MAGIC) :] != MAGIC:
+        return None
+    if data[foot : foot + RECORD.size] != RECORD.pack(FOOTER, _FOOTER.size):
+        return None
+    start, _, checksum = _FOOTER.unpack_from(data, foot + RECORD.size)
+    if not len(MAGIC) <= start < foot:
+        return None
+    if checksum and zlib.crc32(data[start : len(data) - len(MAGIC) - 4]) != checksum:
+        return None
+    names, messages, position = Names(), None, start
+    while position < foot:
+        end = end_of(data, position, foot)
+        if end is None:
+            return None
+        opcode, body = data[position], data[position + RECORD.size : end]
+        if opcode == STATISTICS:
+            (messages,) = struct.unpack_from('<Q', body)
+        names.take(opcode, body)
+        position = end
+    return Summary(start, names, messages)
+
+
+def end_of(data: Data, position: int, stop: int) -> int | None:
+    """Where the record at `position` ends; None where its content disagrees with its length."""
+    if position + RECORD.size > stop:
+        return None
+    opcode, length = RECORD.unpack_from(data, position)
+    start = position + RECORD.size
+    if start + length > stop:
+        return None
+    try:
+        sound = opcode >= PRIVATE or (opcode in _LENGTHS and _LENGTHS[opcode](data, start, length))
+    except (struct.error, IndexError):
+        return None
+    return start + length if sound else None
+
+
+def next_record(data: Data, position: int, stop: int, *, plain: bool) -> int | None:
+    """Where the next record begins that can be told from nonsense; None where there is none.
+
+    `plain`: the file holds messages outside of chunks, which are looked for too.
+    """
+    for found in (_PLAIN if plain else _IN_CHUNKS).finditer(data, position, stop):
+        start = found.start()
+        end = end_of(data, start, stop)
+        if end is None:
+            continue
+        telling = data[start] in {CHUNK, MESSAGE_INDEX} and end - start > RECORD.size + _INDEX
+        if telling or end == stop or end_of(data, end, stop):
+            return start
+    return None
+
+
+def has_chunks(data: Data, stop: int, position: int = len(MAGIC)) -> bool:
+    """Whether a chunk, or an index of one, follows, before anything else that can be told."""
+    found = next_record(data, position, stop, plain=False)
+    return found is not None and data[found] in {CHUNK, MESSAGE_INDEX}
+
+
+def looks_chunked(data: Data, position: int, end: int) -> bool:
+    """Whether the record has the shape of a chunk or its index, whatever its opcode says."""
+    start, length = position + RECORD.size, end - position - RECORD.size
+    return _is_chunk(data, start, length) or (length > _INDEX and _is_index(data, start, length))
+
+
+def chunk_ends(data: Data, position: int, stop: int) -> list[int]:
+    """Where the chunk at `position` may end: by its content's length, by its own."""
+    start = position + RECORD.size
+    if start + CHUNK_HEAD.size + 8 > stop:
+        return []
+    *_, name_length = CHUNK_HEAD.unpack_from(data, start)
+    inner = start + CHUNK_HEAD.size + name_length
+    if name_length > LONGEST_NAME or inner + 8 > stop:
+        return []
+    content = inner + 8
+    inner = content + struct.unpack_from('<Q', data, inner)[0]
+    outer = start + RECORD.unpack_from(data, position)[1]
+    return [inner] if outer == inner or outer < content else [inner, outer]
+
+
+def _string(body: bytes, offset: int) -> tuple[str, int]:
+    (length,) = struct.unpack_from('<I', body, offset)
+    end = offset + 4 + length
+    if end > len(body):
+        raise struct.error('string runs over the end of its record')
+    return body[offset + 4 : end].decode(), end
+
+
+def _pairs(body: bytes, offset: int) -> Iterator[tuple[str, str]]:
+    """Content of a map of strings."""
+    (length,) = struct.unpack_from('<I', body, offset)
+    end, offset = offset + 4 + length, offset + 4
+    while offset < end:
+        key, offset = _string(body, offset)
+        value, offset = _string(body, offset)
+        yield key, value
+
+
+def _made_of(parts: str) -> Callable[[Data, int, int], bool]:
+    """Check of a record of these parts: bytes by number, `s` and `l` counted in 32 and 64 bits."""
+
+    def check(data: Data, start: int, length: int) -> bool:
+        place = start
+        for part in parts.split():
+            if part in 'sl':
+                (count,) = struct.unpack_from('<I' if part == 's' else '<Q', data, place)
+                place += (4 if part == 's' else 8) + count
+            else:
+                place += int(part)
+            if place > start + length:
+                return False
+        return place == start + length
+
+    return check
+
+
+def _is_index(data: Data, start: int, length: int) -> bool:
+    return length % 16 == 6 and struct.unpack_from('<I', data, start + 2)[0] == length - 6
+
+
+def _is_chunk(data: Data, start: int, length: int) -> bool:
+    end = start + length
+    return chunk_ends(data, start - RECORD.size, end) == [end]
+
+
+_LENGTHS: dict[int, Callable[[Data, int, int], bool]] = {
+    HEADER: _made_of('s s'),
+    FOOTER: _made_of('20'),
+    SCHEMA: _made_of('2 s s s'),
+    CHANNEL: _made_of('4 s s s'),
+    MESSAGE: lambda _data, _start, length: length >= MESSAGE_HEAD.size,
+    CHUNK: _is_chunk,
+    MESSAGE_INDEX: _is_index,
+    CHUNK_INDEX: _made_of('32 s 8 s 16'),
+    ATTACHMENT: _made_of('16 s s l 4'),
+    ATTACHMENT_INDEX: _made_of('40 s s'),
+    STATISTICS: _made_of('42 s'),
+    METADATA: _made_of('s s'),
+    METADATA_INDEX: _made_of('16 s'),
+    SUMMARY_OFFSET: _made_of('17'),
+    DATA_END: _made_of('4'),
+}
