@@ -21,7 +21,7 @@ from quad_sysid.effects.screening import (
     sharp_p,
     vanishes,
 )
-from quad_sysid.effects.worth import CHANCE, LOSSES, SMALLEST_GAIN, against_nature
+from quad_sysid.effects.worth import CHANCE, LOSSES, SMALLEST_GAIN, SPRINGS, against_nature
 from quad_sysid.greybox.fit import fit_structure, fit_with_effect, settle
 from quad_sysid.greybox.noise import NoiseModel
 from quad_sysid.greybox.one_step import sharpened
@@ -167,7 +167,7 @@ def pairs(
         one = fit_with_effect(sim, current.fit, *first)
         others = [put for put in named[i + 1 :] if put[0].name != first[0].name]
         out += [candidate(sim, fit_with_effect(sim, one, *second)) for second in others]
-    return out
+    return [one for one in out if not against_nature(sim, current, one, one.names[-1])]
 
 
 def strongest(
@@ -190,7 +190,7 @@ def strongest(
     simpler = [
         item for item in settled
         if not _added_unnamed(current, item[0])
-        and (not unnamed or _same_signal(last, item[0].fit.structure.effects[-1]))
+        and (not unnamed or same_signal(last, item[0].fit.structure.effects[-1]))
         and (unnamed or len(item[0].names) < len(best[0].names))
         and _explains_as_much(current, item[0], best[0], sim)
     ]
@@ -205,7 +205,7 @@ def _added_unnamed(current: Candidate, one: Candidate) -> bool:
     return one.curves > current.curves
 
 
-def _same_signal(unnamed: Effect, named: Effect) -> bool:
+def same_signal(unnamed: Effect, named: Effect) -> bool:
     """Whether a name can stand for it: a hidden state can mimic what acts through any signal."""
     return unnamed.kind != 'shape' or bool(set(unnamed.signals) & set(named.signals))
 
@@ -260,19 +260,20 @@ def backward(sim: Simulator, current: Candidate) -> Candidate:
 
 
 def _natural(sim: Simulator, current: Candidate) -> Candidate:
-    """Less the losses that are against nature, by the free run or by the sharper one-step errors.
+    """Less what is against nature, by the free run or by the sharper one-step errors.
 
-    Of two losses the one goes that the other can do without.
+    Of two of a family the one goes that the other can do without.
     """
     sharp = replace(current, fit=sharpened(sim, current.fit))
-    rests = [without(sim, current, name) for name in current.names if name in LOSSES]
-    losses = [name for name in current.names if name in LOSSES]
-    if not any(
-        against_nature(rest, one, name)
-        for rest, name in zip(rests, losses, strict=True) for one in (current, sharp)
-    ):
-        return current
-    return _natural(sim, min(rests, key=_score))
+    for family in (LOSSES, tuple(SPRINGS)):
+        alike = [name for name in current.names if name in family]
+        rests = [without(sim, current, name) for name in alike]
+        if any(
+            against_nature(sim, rest, one, name)
+            for rest, name in zip(rests, alike, strict=True) for one in (current, sharp)
+        ):
+            return _natural(sim, min(rests, key=_score))
+    return current
 
 
 def renamed(sim: Simulator, current: Candidate, prepared: Sequence[Prepared]) -> Candidate:
@@ -288,10 +289,10 @@ def renamed(sim: Simulator, current: Candidate, prepared: Sequence[Prepared]) ->
         for put in prepared:
             if put[0].kind != 'named' or put[0].name in current.names:
                 continue
-            if not _same_signal(effect, put[0]):
+            if not same_signal(effect, put[0]):
                 continue
             one = candidate(sim, fit_with_effect(sim, rest.fit, *put, tolerance=ROUGH))
-            if against_nature(rest, one, put[0].name):
+            if against_nature(sim, rest, one, put[0].name):
                 continue
             if best is None or one.score < best.score:
                 best = one

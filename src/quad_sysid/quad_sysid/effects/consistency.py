@@ -17,6 +17,8 @@ GROWTH = 1.3
 """Held-out over training error beyond which a base does not hold (nothing missing: up to 1.2)."""
 LEVEL = 0.01
 """Of Welch's test over blocks that the held-out error is no larger."""
+CLEAR_GROWTH, CLEAR_LEVEL = 1.5, 0.05
+"""The same where it is larger than nothing missing ever makes it."""
 WORST = 0.2
 """Share of the blocks that may hold an event."""
 STRUCK = 4.0
@@ -55,7 +57,8 @@ def inconsistency(
     larger = stats.ttest_ind(
         np.log(unseen + 1e-300), np.log(seen + 1e-300), equal_var=False, alternative='greater'
     )
-    if growth > GROWTH and float(larger.pvalue) < LEVEL:
+    level = CLEAR_LEVEL if growth > CLEAR_GROWTH else LEVEL
+    if growth > GROWTH and float(larger.pvalue) < level:
         return (
             f'the error on the held-out segments is {growth:.1f} times that on the training '
             'segments: the base has bent around something that acts differently there'

@@ -25,7 +25,7 @@ from quad_sysid.effects.choice import (
     strongest,
 )
 from quad_sysid.effects.crossval import compare
-from quad_sysid.effects.rivals import MOST_RIVALS, Shares, less_named, settled
+from quad_sysid.effects.rivals import MOST_RIVALS, Shares, less_named, outdone, settled
 from quad_sysid.effects.scan import Dependence, scan
 from quad_sysid.effects.screening import Screen
 from quad_sysid.effects.worth import worthy
@@ -109,6 +109,12 @@ def discover(
     for chosen_name in current.names:
         near = _near(chosen_name, tried, current, prepared)
         current, name, shares = settled(sim, current, chosen_name, prepared, near, rng)
+        unnamed = _nearer_unnamed(name, tried, prepared)
+        other = outdone(sim, current, name, unnamed, rng) if unnamed else current
+        if other is not current:
+            name = other.names[-1]
+            near = _near(name, tried, other, prepared)
+            current, name, shares = settled(sim, other, name, prepared, near, rng)
         if name:
             rivals[name] = shares
     chosen = sharpened(sim, current.fit) if current.names else current.fit
@@ -198,11 +204,35 @@ def _near(
     A name is contested by names alone: curves that came nearer do not shield it.
     """
     names = {effect.name for effect, _ in prepared if effect.kind == 'named'}
-    mine = [t.step for t in tried if t.name == name and not t.screened]
-    step = max(mine or [t.step for t in tried if t.name == name])
+    step = _step_of(name, tried)
     fitted = [
         t for t in tried
         if t.step == step and not t.screened and (name not in names or t.name in names)
     ]
     near = sorted(fitted, key=lambda t: t.score)[: 1 + MOST_RIVALS]
     return {t.name for t in near} - set(current.names)
+
+
+def _nearer_unnamed(
+    name: str, tried: Sequence[Tried], prepared: Sequence[Prepared]
+) -> list[Prepared]:
+    """Curves and hidden states that were before a name in the step in which it was chosen."""
+    named = {effect.name for effect, _ in prepared if effect.kind == 'named'}
+    if name not in named:
+        return []
+    step = _step_of(name, tried)
+    mine = min(t.score for t in tried if t.name == name and t.step == step)
+    nearer = sorted(
+        (
+            t for t in tried
+            if t.step == step and not t.screened and t.score < mine and t.name not in named
+        ),
+        key=lambda t: t.score,
+    )
+    wanted = [(t.name, t.variant) for t in nearer[:MOST_RIVALS]]
+    return [put for put in prepared if (put[0].name, put[0].variant) in wanted]
+
+
+def _step_of(name: str, tried: Sequence[Tried]) -> int:
+    mine = [t.step for t in tried if t.name == name and not t.screened]
+    return max(mine or [t.step for t in tried if t.name == name])

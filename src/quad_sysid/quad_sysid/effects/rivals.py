@@ -7,12 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
+from dataclasses import dataclass
 
 import numpy as np
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.effects.candidate import Candidate, candidate, without
-from quad_sysid.effects.choice import AS_GOOD, NEARLY_ALL, ROUGH, fitting
+from quad_sysid.effects.choice import AS_GOOD, NEARLY_ALL, ROUGH, fitting, same_signal
 from quad_sysid.effects.persistence import persists
 from quad_sysid.effects.screening import vanishes
 from quad_sysid.effects.worth import against_nature
@@ -25,6 +26,13 @@ MOST_RIVALS = 4
 """So many of the nearest others are fitted in the place of a chosen effect."""
 SUPERFLUOUS = 0.9
 """A name goes where the curve alone is the better model with this probability."""
+OUTDONE = 0.95
+"""So likely, at Schwarz's price of a parameter, must be what takes the place of a name unnamed."""
+EVIDENCE = 30.0
+"""And so much less its deviance: models that are nearly the same differ by a few, yet surely."""
+AKAIKE = 2.0
+"""Price of a parameter in the criterion."""
+FRICTION = 'coulomb_friction'
 
 
 Shares = tuple[tuple[str, float], ...]
@@ -51,7 +59,7 @@ def settled(
         (one for label, one in zip(labels, one_of, strict=True) if label == first), key=_score
     )
     rest = without(sim, best, first)
-    if against_nature(rest, best, first) or _is_nothing(best, first):
+    if against_nature(sim, rest, best, first) or _is_nothing(best, first):
         return rest, '', ()
     alike = best.score <= AS_GOOD * current.score and len(best.names) == len(current.names)
     if not alike or not persists(sim, best.fit, first):
@@ -113,6 +121,28 @@ def selection_probabilities(
     Bayesian bootstrap (Rubin 1981) over blocks of the low-passed one-step errors, each model at
     the parameters that fit them best.
     """
+    errors = _one_step_errors(sim, fits)
+    weights = rng.dirichlet(np.ones(errors.summed.shape[1]), size=draws)
+    best = errors.criterion(weights, AKAIKE).argmin(axis=1)
+    return np.asarray(np.bincount(best, minlength=len(fits)) / draws)
+
+
+@dataclass(frozen=True, eq=False)
+class _OneStepErrors:
+    summed: FloatArray
+    """(m, blocks) squares of the low-passed errors, each model at what fits them best."""
+    size: np.ndarray
+    """(m,) free parameters."""
+    samples: float
+    """Independent ones."""
+
+    def criterion(self, weights: FloatArray, price: float) -> FloatArray:
+        """(draws, m) deviance with blocks weighted (draws, blocks), and a price per parameter."""
+        squares = np.maximum(weights @ self.summed.T, 1e-300)
+        return np.asarray(self.samples * np.log(squares) + price * self.size)
+
+
+def _one_step_errors(sim: Simulator, fits: Sequence[Fit]) -> _OneStepErrors:
     block = block_of_rows(sim)
     count = int(block.max()) + 1
     summed = np.empty((len(fits), count))
@@ -121,9 +151,41 @@ def selection_probabilities(
         row[:] = np.bincount(block, slow_errors(sim, fit.structure, theta) ** 2, minlength=count)
     samples = block.size * min(1.0, 2.0 * BAND_HZ * sim.data.dt)
     size = np.array([int((~fit.at_bound).sum()) for fit in fits])
-    weights = rng.dirichlet(np.ones(count), size=draws)
-    criterion = samples * np.log(np.maximum(weights @ summed.T, 1e-300)) + 2.0 * size
-    return np.asarray(np.bincount(criterion.argmin(axis=1), minlength=len(fits)) / draws)
+    return _OneStepErrors(summed, size, samples)
+
+
+def outdone(
+    sim: Simulator, current: Candidate, name: str, unnamed: Sequence[Prepared],
+    rng: np.random.Generator, draws: int = 2000,
+) -> Candidate:
+    """With a curve or hidden state in the place of `name` where free run and one step ask for it.
+
+    A name goes before what explains hardly more in the free run, but that may be blunt: there
+    hysteresis looks like a cubic spring. The one-step errors tell them apart. Friction gives way
+    to no curve of the rate, which is friction too.
+    """
+    rest = without(sim, current, name)
+    own = next(e for e in current.fit.structure.effects if e.name == name)
+    others = [
+        _put(sim, rest, fitting(rest, put)) for put in unnamed
+        if same_signal(put[0], own) and not (name == FRICTION and put[0].kind == 'shape')
+    ]
+    others = [one for one in others if one.score < current.score]
+    if not others:
+        return current
+    errors = _one_step_errors(sim, [one.fit for one in (current, *others)])
+    blocks = errors.summed.shape[1]
+    drawn = errors.criterion(
+        rng.dirichlet(np.ones(blocks), size=draws), float(np.log(errors.samples))
+    )
+    best = 1 + int(drawn.mean(axis=0)[1:].argmin())
+    likely = float(np.mean(drawn[:, best] < drawn[:, 0]))
+    deviance = errors.criterion(np.full((1, blocks), 1.0 / blocks), 0.0)[0]
+    other = others[best - 1]
+    clearly = likely >= OUTDONE and deviance[0] - deviance[best] >= EVIDENCE
+    if not clearly or not persists(sim, other.fit, other.names[-1]):
+        return current
+    return candidate(sim, fit_structure(sim, other.fit.structure, other.fit.theta))
 
 
 def less_named(

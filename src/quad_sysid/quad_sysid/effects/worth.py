@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from quad_sysid.effects.candidate import Candidate
 from quad_sysid.effects.crossval import compare
 from quad_sysid.effects.persistence import persists
@@ -28,6 +30,12 @@ MOST_ASKED = 8
 DRAG = 'quadratic_drag'
 LOSSES = (DRAG, 'coulomb_friction')
 """Effects that only take energy away, as the base's damping does."""
+SPRINGS = {'pendulum_stiffness': np.sin, 'cubic_stiffness': lambda angle: angle**3}
+"""Torques along the angle, per unit of stiffness."""
+LARGEST_PCT = 99.0
+WEAK = 0.5
+"""Of two springs against each other one that is weaker than this share of the other, at the
+largest angles, only bends the other's curve."""
 FALLEN = 3.0
 """Standard errors by which a damping must have fallen where it ends just below zero."""
 
@@ -55,7 +63,7 @@ def worthy(
             sharp = 2.0 * float(sharp_p(sim, one.fit)[-1])
             small = small and (sharp >= level or current.curves > 0)
             chance = min(2.0 * chance, sharp)
-        paid = against_nature(current, one, one.names[-1])
+        paid = against_nature(sim, current, one, one.names[-1])
         if not small and chance < level and not paid:
             good.append(one)
     good = sorted(good, key=lambda one: one.score)[:MOST_ASKED]
@@ -71,18 +79,38 @@ def _stands(sim: Simulator, current: Candidate, one: Candidate) -> bool:
     )
 
 
-def against_nature(rest: Candidate, one: Candidate, added: str) -> bool:
-    """A loss that is paid for by a viscous damping below zero is the shape of something else.
+def against_nature(sim: Simulator, rest: Candidate, one: Candidate, added: str) -> bool:
+    """Whether `added` and what is beside it are together the shape of something else.
 
-    Friction that falls with the rate (Stribeck) looks like drag beside a negative damping; alone
-    it is still friction. rest: the model without the loss `added`.
+    A loss that is paid for by a viscous damping below zero: friction that falls with the rate
+    (Stribeck) looks like drag beside a negative damping; alone it is still friction. A weak spring
+    against a stronger one. rest: the model without `added`.
     """
+    if added in SPRINGS:
+        return _weak_against_strong(sim, one)
     if added not in LOSSES or DRAG not in one.names:
         return False
     damping, error = float(one.fit.theta[3]), float(one.fit.std[3])
     fallen = float(rest.fit.theta[3]) - damping
     below = damping < -0.5 * error and fallen > 0.0
     return below or (damping < 0.0 and fallen > FALLEN * error)
+
+
+def _weak_against_strong(sim: Simulator, one: Candidate) -> bool:
+    """Soft stops look like a cubic spring that a weak negative pendulum flattens."""
+    angle = sim.data.angle
+    structure = one.fit.structure
+    where = dict(zip((e.name for e in structure.effects), structure.slices(), strict=True))
+    if angle is None or not set(SPRINGS) <= set(where):
+        return False
+    inside = np.concatenate([angle[a:b] for a, b in sim.spans])
+    far = float(np.nanpercentile(np.abs(inside), LARGEST_PCT))
+    first, second = (
+        float(one.fit.theta[where[name].start]) * float(curve(far))
+        for name, curve in SPRINGS.items()
+    )
+    weak, strong = sorted((abs(first), abs(second)))
+    return first * second < 0.0 and weak < WEAK * strong
 
 
 def _least(current: Candidate, one: Candidate) -> float:
