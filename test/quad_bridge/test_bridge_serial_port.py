@@ -227,6 +227,14 @@ def test_no_write_waits_for_a_network_peer_that_stops_reading(deaf):
     assert port.status.state is PortState.CLOSED
 
 
+def test_a_network_peer_that_does_not_listen_is_said_to_be_unreachable(start):
+    with socket.socket() as closed:
+        closed.bind(('127.0.0.1', 0))
+        port, _ = start(f'socket://127.0.0.1:{closed.getsockname()[1]}')
+        assert until(lambda: port.status.state is PortState.UNREACHABLE)
+        assert 'refused' in port.status.detail
+
+
 def test_what_opens_after_the_stop_is_not_announced(monkeypatch):
     """A network's peer may be waited for longer than anybody waits for the thread."""
     opening, stopped = threading.Event(), threading.Event()
@@ -241,9 +249,10 @@ def test_what_opens_after_the_stop_is_not_announced(monkeypatch):
     port = SerialPort('socket://far', 921600, ears.bytes, ears.open)
     port.start()
     assert opening.wait(WAIT_S)
-    port._stop.set()
+    port.stop()  # does not wait for it
+    assert port._thread.is_alive()
     stopped.set()
-    port.stop()
+    port._thread.join(WAIT_S)
     assert (port.status.state, ears.opened) == (PortState.CLOSED, 0)
 
 

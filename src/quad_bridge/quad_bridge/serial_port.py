@@ -28,9 +28,10 @@ SILENT_S = 0.2
 """After so long without a byte it is looked whether the name still leads to the same device."""
 HALF_OPEN_S = (5.0, 60.0)
 """Silent for so long, the port is opened anew; each time after twice as long, up to the second."""
+STOP_S, OPENING_S = 2.0, 0.5
+"""How long the thread's end is waited for, with the port open and while it is being opened."""
 CHUNK = 65536
-SOCKET_READ = 4096
-"""Bytes taken from a socket at once."""
+NETWORK = ('socket://', 'rfc2217://')
 FAULTS = (serial.SerialException, OSError, termios.error, TypeError, ValueError)
 """SerialException from read and write, OSError from in_waiting, termios.error from configuring,
 TypeError and ValueError when another thread has closed the port."""
@@ -45,6 +46,7 @@ class PortState(Enum):
     BUSY = 'busy: another program has it open'
     DENIED = 'not permitted: add the user to the group dialout and log in again'
     UNUSABLE = 'cannot be used as a serial port'
+    UNREACHABLE = 'not reachable: does the far end listen there?'
     HUNG_UP = 'hung up: waiting for it to come back'
 
 
@@ -128,10 +130,13 @@ class SerialPort:
         self._thread.start()
 
     def stop(self) -> None:
-        """End the thread and close the port; safe to call twice."""
+        """End the thread and close the port; safe to call twice.
+
+        A network's peer that is still being looked for is not waited for: the thread ends then.
+        """
         self._stop.set()
         if self._thread.is_alive():
-            self._thread.join(timeout=2.0)
+            self._thread.join(timeout=STOP_S if self._port is not None else OPENING_S)
 
     def write(self, data: bytes) -> bool:
         """Send `data` without waiting; False (and counted) where the port is shut or full."""
@@ -164,7 +169,9 @@ class SerialPort:
             except FAULTS as error:
                 number = getattr(error, 'errno', None)
                 known = _BY_ERRNO.get(number) if isinstance(number, int) else None
-                self._state = known or PortState.UNUSABLE
+                network = device.lower().startswith(NETWORK)
+                otherwise = PortState.UNREACHABLE if network else PortState.UNUSABLE
+                self._state = known or otherwise
                 self._detail = _one_line(error)
                 continue
             self._device = device
