@@ -7,7 +7,9 @@ import pytest
 import yaml
 from rosbags.typesys import Stores, get_typestore
 
+from quad_bridge.bag_messages import read_topics
 from quad_bridge.bag_writer import BagWriter
+from quad_bridge.compression import zstd_compress
 from quad_bridge.errors import BadInputError, RefusedError
 from quad_bridge.sensors import aircraft_file
 from quad_bridge.sensors.by_hand import bifilar_inertia, thrust_curve
@@ -124,6 +126,14 @@ def test_the_strongest_vibration_and_whether_the_filter_covers_it(frequency, cov
     assert strongest(0.05 * rng.standard_normal((2000, 3)), RATE_HZ).share < 0.2
 
 
+def test_what_no_sensor_reads_is_no_estimate():
+    t, gyro, felt = resting(8.0)
+    felt[:, 2] = 1e308
+    with pytest.raises(RefusedError, match=r'only 0\.0 s'):
+        estimate_at_rest(t, gyro, felt)
+    assert strongest(np.full((300, 3), 1e200) * np.sin(np.arange(300))[:, None], 250.0) is None
+
+
 def test_the_filter_leaves_half_the_power_at_its_cutoff():
     assert butterworth_gain(42.0, 42.0) == pytest.approx(math.sqrt(0.5))
 
@@ -153,11 +163,11 @@ def test_a_thrust_curve_is_found_and_half_of_one_refused():
         thrust_curve(100 * u, thrust)
 
 
-def imu_bag(path, t, gyro, felt):
+def imu_bag(path, t, gyro, felt, storage='mcap'):
     types = STORE.types
     nine, vector = np.zeros(9), types['geometry_msgs/msg/Vector3']
     still = types['geometry_msgs/msg/Quaternion'](x=0.0, y=0.0, z=0.0, w=1.0)
-    writer = BagWriter(path)
+    writer = BagWriter(path, storage)
     writer.add_topic('/imu/data', 'sensor_msgs/msg/Imu')
     for k in range(len(t)):
         ns = 1_700_000_000_000_000_000 + round(t[k] * 1e9)
@@ -188,10 +198,115 @@ def test_the_command_keeps_what_it_finds_per_aircraft(tmp_path, capsys):
     assert capsys.readouterr().out.count('\n') == 2
 
 
+def rested(bag, capsys):
+    """The line on stdout of `sensors rest`, and what stderr warns of."""
+    main(['rest', str(bag)])
+    told = capsys.readouterr()
+    assert all(line.startswith('sensors: warning: ') for line in told.err.splitlines())
+    return told.out, told.err
+
+
+@pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
+def test_a_bag_that_was_not_recovered_is_read_with_a_warning(tmp_path, capsys, storage):
+    bag = tmp_path / 'bag'
+    imu_bag(bag, *resting(12.0), storage)
+    whole, warned = rested(bag, capsys)
+    assert warned == ''
+    (bag / 'metadata.yaml').unlink()
+    told, warned = rested(bag, capsys)
+    assert told == whole
+    assert 'has no metadata.yaml' in warned
+    assert 'quad_bridge recover' in warned
+    (file,) = (path for path in bag.iterdir() if path.name.endswith(('.mcap', '.db3')))
+    file.write_bytes(file.read_bytes()[: file.stat().st_size * 3 // 4])
+    told, warned = rested(bag, capsys)
+    assert 'gyro bias +0.01' in told
+    assert f'{file}: damaged or cut off' in warned
+
+
+def test_a_damaged_chunk_costs_its_messages_only(tmp_path, capsys):
+    bag = tmp_path / 'bag'
+    imu_bag(bag, *resting(20.0))
+    (file,) = bag.glob('*.mcap')
+    data = bytearray(file.read_bytes())
+    data[8] ^= 0x40  # the opcode of the header
+    data[len(data) // 2] ^= 0x01
+    file.write_bytes(data)
+    told, warned = rested(bag, capsys)
+    assert 'gyro bias +0.01' in told
+    assert 'messages are missing: read what is whole' in warned
+
+
+def test_a_file_that_is_compressed_as_a_whole_is_read(tmp_path, capsys):
+    bag = tmp_path / 'bag'
+    imu_bag(bag, *resting(8.0))
+    whole, _ = rested(bag, capsys)
+    (file,) = bag.glob('*.mcap')
+    file.with_name(f'{file.name}.zstd').write_bytes(zstd_compress(file.read_bytes()))
+    file.unlink()
+    assert rested(bag, capsys) == (whole, '')
+
+
+def test_stamps_that_cannot_be_and_any_order_do_no_harm(tmp_path, capsys):
+    t, gyro, felt = resting(8.0)
+    bag = tmp_path / 'bag'
+    imu_bag(bag, t, gyro, felt)
+    whole, _ = rested(bag, capsys)
+    mixed = np.random.default_rng(1).permutation(len(t))
+    imu_bag(tmp_path / 'mixed', t[mixed], gyro[mixed], felt[mixed])
+    assert rested(tmp_path / 'mixed', capsys) == (whole, '')
+    found = read_topics(bag, {'/imu/data': 'sensor_msgs/msg/Imu'}).messages['/imu/data']
+    found[100].content.header.stamp.sec = 2_000_000_000
+    far = tmp_path / 'far'
+    writer = BagWriter(far)
+    writer.add_topic('/imu/data', 'sensor_msgs/msg/Imu')
+    for one in found:
+        raw = STORE.serialize_cdr(one.content, 'sensor_msgs/msg/Imu')
+        writer.write('/imu/data', one.time_ns, raw)
+    writer.close()
+    told, warned = rested(far, capsys)
+    assert told.split(' rad/s')[0][:20] == whole[:20]
+    assert '1 /imu/data left out, their stamps cannot be' in warned
+
+
+@pytest.mark.parametrize(
+    ('rows', 'text'),
+    [
+        ('0.1,1\nnan,2\n0.5,3\n0.9,5\n', 'reading 2 is nan, 2'),
+        ('0.1,1\n0.3,2\n0.5,nan\n0.9,5\n', 'reading 3 is 0.5, nan'),
+        ('0.1,1\n0.3,2\n0.5,1e308\n0.9,inf\n', 'reading 3 is 0.5, 1e+308'),
+        ('', '0 readings over 0.00'),
+        ('# command,newton\n\n', '0 readings over 0.00'),
+        ('0.1,1\n0.3\n', 'cannot be read'),
+        ('0.1;1\n0.3;2\n', 'cannot be read'),
+        ('1\n2\n', 'needs two columns'),
+        ('\udcff', 'cannot be read'),
+    ],
+)
+def test_a_thrust_table_that_is_none_is_one_line(tmp_path, capsys, rows, text):
+    table = tmp_path / 'table.csv'
+    table.write_bytes(rows.encode(errors='surrogateescape'))
+    with pytest.raises(SystemExit) as caught:
+        main(['thrust', str(table)])
+    assert caught.value.code == 2
+    error = capsys.readouterr().err
+    assert (error.count('\n'), text in error) == (1, True), error
+
+
 @pytest.mark.parametrize(
     ('arguments', 'text'),
     [
         (['rest', '{}/absent'], 'no such bag'),
+        (['rest', '{}/list.yaml'], 'is no mcap file'),
+        (['rest', '{}'], 'holds no .mcap or .db3 file'),
+        (['rest', '{}/bag', '--seconds', 'nan'], "--seconds: must be a number above 0"),
+        (['rest', '{}/bag', '--seconds', '-1'], "must be a number above 0, found '-1'"),
+        (['vibration', '{}/bag', '--filter-hz', '0'], "must be a number above 0, found '0'"),
+        (['vibration', '{}/bag', '--filter-hz', 'inf'], "must be a number above 0, found 'inf'"),
+        (['inertia', '--mass', '1e308', '--distance', '1e300', '--length', '1', '--period', '1'],
+         'check the units'),
+        (['inertia', '--mass', 'nan', '--distance', '1', '--length', '1', '--period', '1'],
+         'mass must be positive'),
         (['rest', '{}/bag', '--seconds', '2'], 'let it stand still for 5 s'),
         (['compass', '{}/bag'], 'holds no /imu/mag'),
         (['thrust', '{}/absent.csv'], 'cannot be read'),
@@ -214,5 +329,8 @@ def test_what_the_command_refuses_it_says_in_one_line(tmp_path, capsys, argument
 
 def test_a_file_that_is_no_yaml_is_named(tmp_path):
     (tmp_path / 'a.yaml').write_text('sensors: [')
+    with pytest.raises(BadInputError, match=r'a\.yaml: cannot be read'):
+        aircraft_file.read(tmp_path / 'a.yaml')
+    (tmp_path / 'a.yaml').write_text('sensors: ' + '9' * 5000)
     with pytest.raises(BadInputError, match=r'a\.yaml: cannot be read'):
         aircraft_file.read(tmp_path / 'a.yaml')

@@ -15,15 +15,21 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from rosbags.highlevel import AnyReader, AnyReaderError
-from rosbags.typesys import Stores, get_typestore
 
-from quad_bridge.arguments import OneLineParser
+from quad_bridge.arguments import OneLineParser, positive
+from quad_bridge.bag_messages import read_topics
 from quad_bridge.errors import BadInputError, QuadBridgeError, RefusedError
 from quad_bridge.sensors import aircraft_file, by_hand, compass, rest, vibration
 from quad_bridge.sensors.correction import STATUS, Correction, as_sent, from_values
 
 IMU, MAG, DIAGNOSTICS = '/imu/data', '/imu/mag', '/diagnostics'
+KINDS = {
+    IMU: 'sensor_msgs/msg/Imu',
+    MAG: 'sensor_msgs/msg/MagneticField',
+    DIAGNOSTICS: 'diagnostic_msgs/msg/DiagnosticArray',
+}
+MOST_AGE_S = 60.0
+"""A message whose age differs by more from the others' has a damaged stamp."""
 
 
 @dataclass(frozen=True)
@@ -44,30 +50,31 @@ class _Series:
         return as_sent(self.stamps_ns, _xyz(vectors), self.told, name)
 
 
-def _series(bag: Path, topic: str, seconds: float) -> _Series:
+def _series(given: argparse.Namespace, topic: str, seconds: float = np.inf) -> _Series:
     """Stamps and messages of one topic, the first `seconds` of them."""
-    if not bag.exists():
-        raise BadInputError(str(bag), 'no such bag', remedy='check the path')
-    try:
-        with AnyReader([bag], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
-            found, reports = _messages(reader, topic), _messages(reader, DIAGNOSTICS)
-    except AnyReaderError as error:
-        remedy = 'a damaged bag is mended by `ros2 run quad_bridge recover`'
-        raise BadInputError(str(bag), f'cannot be read: {error}', remedy=remedy) from error
-    if not found:
-        raise BadInputError(str(bag), f'holds no {topic}', remedy='record it')
-    stamps = np.array([10**9 * m.header.stamp.sec + m.header.stamp.nanosec for m in found])
-    kept = int(np.count_nonzero(stamps - stamps[0] <= 1e9 * seconds))
-    statuses = [s for report in reports for s in report.status if s.name.endswith(f': {STATUS}')]
+    bag = read_topics(given.bag, {topic: KINDS[topic], DIAGNOSTICS: KINDS[DIAGNOSTICS]})
+    given.warnings += bag.warnings
+    received = bag.messages[topic]
+    if not received:
+        what = f'holds no {topic} ({KINDS[topic]})'
+        raise BadInputError(str(given.bag), what, remedy='record it')
+    headers = [one.content.header.stamp for one in received]
+    stamps = np.array([10**9 * stamp.sec + stamp.nanosec for stamp in headers], np.int64)
+    age = np.array([one.time_ns for one in received], float) - stamps
+    sound = np.flatnonzero(np.abs(age - np.median(age)) <= 1e9 * MOST_AGE_S)
+    if len(sound) < len(stamps):
+        count = len(stamps) - len(sound)
+        given.warnings.append(f'{given.bag}: {count} {topic} left out, their stamps cannot be')
+    order = sound[np.argsort(stamps[sound], kind='stable')]
+    order = order[stamps[order] - stamps[order[0]] <= 1e9 * seconds]
+    statuses = [s for one in bag.messages[DIAGNOSTICS] for s in one.content.status]
+    statuses = [s for s in statuses if s.name.endswith(f': {STATUS}')]
     told = [from_values({v.key: v.value for v in s.values}) for s in statuses]
-    return _Series(stamps[:kept], found[:kept], [one for one in told if one is not None])
-
-
-def _messages(reader: AnyReader, topic: str) -> list[Any]:
-    chosen = [c for c in reader.connections if c.topic == topic]
-    if not chosen:
-        return []  # to rosbags an empty list means all
-    return [reader.deserialize(raw, c.msgtype) for c, _, raw in reader.messages(chosen)]
+    return _Series(
+        stamps[order],
+        [received[k].content for k in order],
+        [one for one in told if one is not None],
+    )
 
 
 def _xyz(vectors: Sequence[Any]) -> rest.FloatArray:
@@ -75,7 +82,7 @@ def _xyz(vectors: Sequence[Any]) -> rest.FloatArray:
 
 
 def _rest(given: argparse.Namespace) -> list[str]:
-    bag = _series(given.bag, IMU, given.seconds)
+    bag = _series(given, IMU, given.seconds)
     gyro = bag.as_sent([m.angular_velocity for m in bag.messages], 'gyro_bias')
     felt = _xyz([m.linear_acceleration for m in bag.messages])
     found = rest.estimate_at_rest(bag.times, gyro, felt)
@@ -93,7 +100,7 @@ def _rest(given: argparse.Namespace) -> list[str]:
 
 
 def _compass(given: argparse.Namespace) -> list[str]:
-    bag = _series(given.bag, MAG, np.inf)
+    bag = _series(given, MAG)
     sent = bag.as_sent([m.magnetic_field for m in bag.messages], 'hard_iron')
     found = compass.hard_iron(sent)
     _keep(given, 'compass', found)
@@ -107,15 +114,20 @@ def _compass(given: argparse.Namespace) -> list[str]:
 
 
 def _vibration(given: argparse.Namespace) -> list[str]:
-    bag = _series(given.bag, IMU, np.inf)
+    bag = _series(given, IMU)
     times, messages = bag.times, bag.messages
-    rate_hz = 1.0 / float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+    step_s = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+    if step_s <= 0.0:
+        raise RefusedError(f'{len(times)} samples of {IMU}, their stamps do not rise')
     lines = []
     for name, unit in (('angular_velocity', 'rad/s'), ('linear_acceleration', 'm/s²')):
         signal = _xyz([getattr(m, name) for m in messages])
-        peak = vibration.strongest(signal, rate_hz, given.filter_hz)
+        peak = vibration.strongest(signal, 1.0 / step_s, given.filter_hz)
         if peak is None:
-            raise RefusedError(f'{len(signal)} samples of {name} are too few, or not all finite')
+            raise RefusedError(
+                f'{len(signal)} samples of {name} at {1.0 / step_s:.0f} Hz show none: too few, '
+                f'not all finite, or nothing above {vibration.LOWEST_HZ:g} Hz'
+            )
         verdict = 'covers it' if peak.covered else 'does not cover it'
         lines.append(
             f'{name} {peak.axis}: {peak.amplitude:.3g} {unit} at {peak.frequency_hz:.1f} Hz '
@@ -132,7 +144,9 @@ def _inertia(given: argparse.Namespace) -> list[str]:
 
 def _thrust(given: argparse.Namespace) -> list[str]:
     try:
-        table = np.loadtxt(given.table, delimiter=',', comments='#', ndmin=2)
+        lines = given.table.read_text(encoding='utf-8').splitlines()
+        rows = [line for line in lines if line.partition('#')[0].strip()]
+        table = np.loadtxt(rows, delimiter=',', ndmin=2) if rows else np.empty((0, 2))
     except (OSError, ValueError) as error:
         remedy = 'two columns, command and thrust in N, separated by a comma'
         raise BadInputError(str(given.table), f'cannot be read: {error}', remedy=remedy) from error
@@ -165,11 +179,11 @@ def _parser() -> OneLineParser:
         kind.add_argument('bag', type=Path, metavar='BAG')
         kind.set_defaults(run=run)
         if name == 'vibration':
-            kind.add_argument('--filter-hz', type=float, default=42.0, help="the gyro filter's")
+            kind.add_argument('--filter-hz', type=positive, default=42.0, help="the gyro filter's")
         else:
             kind.add_argument('--out', type=Path, metavar='AIRCRAFT.yaml', help='kept there')
         if name == 'rest':
-            kind.add_argument('--seconds', type=float, default=np.inf, help='the first so many')
+            kind.add_argument('--seconds', type=positive, default=np.inf, help='the first so many')
     kind = kinds.add_parser('inertia', help='moment of inertia by a swing on two strings')
     for name, text in (('mass', 'kg'), ('distance', 'm between the strings'),
                        ('length', 'm of a string'), ('period', 's of one swing')):  # fmt: skip
@@ -183,10 +197,11 @@ def _parser() -> OneLineParser:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command; exits with the contract's status."""
-    given = _parser().parse_args(arguments)
+    given = _parser().parse_args(arguments, argparse.Namespace(warnings=[]))
     try:
         lines = given.run(given)
     except (QuadBridgeError, OSError) as error:
         sys.stderr.write(f'sensors: {" ".join(str(error).split())}\n')
         sys.exit(2)
+    sys.stderr.writelines(f'sensors: warning: {warning}\n' for warning in given.warnings)
     sys.stdout.write('\n'.join(lines) + '\n')

@@ -61,7 +61,7 @@ def read(path: Path) -> dict[str, Any]:
         return {}
     try:
         content = yaml.safe_load(path.read_text(encoding='utf-8'))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError, RecursionError) as error:
+    except (OSError, ValueError, yaml.YAMLError, RecursionError) as error:
         raise BadInputError(str(path), f'cannot be read ({error})', remedy='mend it') from error
     if not isinstance(content, dict) or not isinstance(content.get(ROOT), dict):
         raise BadInputError(str(path), f'has no section {ROOT}', remedy='give another --out')

@@ -14,6 +14,8 @@ from quad_bridge.errors import RefusedError
 from quad_bridge.sensors.rest import GRAVITY, FloatArray
 
 LEAST_POINTS = 4
+MOST_THRUST_N = 1e4
+"""Of one motor: more is no reading."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +39,11 @@ def bifilar_inertia(mass_kg: float, distance_m: float, length_m: float, period_s
     for name, value in named.items():
         if not (math.isfinite(value) and value > 0.0):
             raise RefusedError(f'{name} must be positive, found {value:g}')
-    return mass_kg * GRAVITY * distance_m**2 * period_s**2 / (16.0 * math.pi**2 * length_m)
+    swing = distance_m * period_s
+    inertia = mass_kg * GRAVITY * swing * swing / (16.0 * math.pi**2 * length_m)
+    if not 0.0 < inertia < math.inf:
+        raise RefusedError(f'the inertia comes out as {inertia:g} kg m²; check the units')
+    return inertia
 
 
 def thrust_curve(command: FloatArray, thrust_n: FloatArray) -> ThrustCurve:
@@ -50,6 +56,10 @@ def thrust_curve(command: FloatArray, thrust_n: FloatArray) -> ThrustCurve:
             f'{len(command)} readings over {np.ptp(command) if len(command) else 0.0:.2f} of the '
             f'command; {LEAST_POINTS} over 0.4 are needed'
         )
+    odd = np.flatnonzero(~(np.isfinite(command) & (np.abs(thrust_n) < MOST_THRUST_N)))
+    if len(odd):
+        k = int(odd[0])
+        raise RefusedError(f'reading {k + 1} is {command[k]:g}, {thrust_n[k]:g}: no such thrust')
     if command.min() < 0.0 or command.max() > 1.0:
         raise RefusedError(
             f'commands must lie in 0..1, found {command.min():g}..{command.max():g}'

@@ -22,6 +22,8 @@ STILL_RATE = 0.01
 """rad/s: by how much the mean of a block may leave the straight line through all."""
 STILL_ACCELERATION = 0.15
 """m/s²: the same for the accelerations."""
+MOST_READING = 1e4
+"""rad/s, m/s²: more is no reading, and not counted."""
 MOST_BIAS = 0.15
 """rad/s: more is no bias but a turn, or a sensor that is broken."""
 MOST_NORM_ERROR = 0.8
@@ -55,7 +57,7 @@ def estimate_at_rest(
     Axes FLU; at rest the acceleration points up. Raises RefusedError, in one line, where the data
     are too short or the aircraft moves.
     """
-    good = np.isfinite(gyro).all(axis=1) & np.isfinite(acceleration).all(axis=1)
+    good = (np.abs(np.hstack([gyro, acceleration])) < MOST_READING).all(axis=1)
     t, rates, felt = times[good], gyro[good], acceleration[good]
     duration = float(t[-1] - t[0]) if len(t) else 0.0
     if duration < LEAST_S:

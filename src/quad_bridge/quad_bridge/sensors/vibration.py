@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from quad_bridge.sensors.rest import FloatArray
+from quad_bridge.sensors.rest import MOST_READING, FloatArray
 
 LOWEST_HZ = 12.0
 """Below it the aircraft flies; above it shakes."""
@@ -42,7 +42,7 @@ def strongest(
     signal: FloatArray, rate_hz: float, cutoff_hz: float = 42.0, window: int = 256
 ) -> Vibration | None:
     """Find the peak in (n, 3) samples by averaged Hann periodograms; None where n < window."""
-    if len(signal) < window or not np.isfinite(signal).all():
+    if len(signal) < window or not (np.abs(signal) < MOST_READING).all():
         return None
     taper = np.hanning(window)
     starts = range(0, len(signal) - window + 1, window // 2)

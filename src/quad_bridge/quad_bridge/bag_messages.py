@@ -1,0 +1,141 @@
+"""Messages of some topics of a bag, decoded, whether the bag was closed, cut off or damaged.
+
+Reads with the readers of `recover`, so what can be recovered can be read. No arrays here.
+"""
+
+from __future__ import annotations
+
+import shutil
+import sqlite3
+import sys
+from collections import defaultdict
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.store import Typestore
+
+from quad_bridge.compression import DecompressError, decompress
+from quad_bridge.damaged_mcap import DamagedMcap, Message
+from quad_bridge.damaged_sqlite import DamagedSqlite
+from quad_bridge.errors import BadInputError
+
+if sys.version_info >= (3, 14):
+    from compression import zstd
+else:
+    from backports import zstd
+
+SQLITE, ZSTD = b'SQLite format 3\0', b'\x28\xb5\x2f\xfd'
+ENDINGS = ('.mcap', '.db3', '.mcap.zstd', '.db3.zstd')
+REMEDY = '`ros2 run quad_bridge recover` says more'
+
+
+@dataclass(frozen=True)
+class Received:
+    """One decoded message."""
+
+    time_ns: int
+    """When it was recorded, ns since 1970."""
+    content: Any
+
+
+@dataclass
+class Contents:
+    """What a bag holds of the wanted topics."""
+
+    messages: dict[str, list[Received]] = field(default_factory=lambda: defaultdict(list))
+    """By topic, in the order of recording."""
+    warnings: list[str] = field(default_factory=list)
+    """A line for each thing that is missing or damaged."""
+
+
+def read_topics(bag: Path, kinds: Mapping[str, str]) -> Contents:
+    """Messages of the topics in `kinds` (topic to type) of a bag directory or storage file.
+
+    Messages of another type are no messages of the topic. Raises BadInputError where there is no
+    bag, or nothing of it can be read.
+    """
+    found, store = Contents(), get_typestore(Stores.ROS2_JAZZY)
+    files = _files(bag)
+    if bag.is_dir() and not (bag / 'metadata.yaml').is_file():
+        found.warnings.append(f'{bag}: has no metadata.yaml (the recorder was killed?); {REMEDY}')
+    damaged = 0
+    for file in files:
+        try:
+            for message in _whole(file, found.warnings):
+                topic = message.topic
+                if kinds.get(topic.name) != topic.kind:
+                    continue
+                content = _decoded(store, message)
+                if content is None:
+                    damaged += 1
+                else:
+                    found.messages[topic.name].append(Received(message.time_ns, content))
+        except BadInputError as error:
+            if len(files) == 1:
+                raise
+            found.warnings.append(f'{error}: that part is missing')
+    if damaged:
+        found.warnings.append(f'{bag}: {damaged} messages are damaged and left out; {REMEDY}')
+    return found
+
+
+def _decoded(store: Typestore, message: Message) -> Any:
+    """The message; None where it is damaged."""
+    data, whole = message.data, True
+    if data[:4] == ZSTD:
+        data, whole = decompress('zstd', data)
+    try:
+        return store.deserialize_cdr(data, message.topic.kind) if whole else None
+    except Exception:  # noqa: BLE001  (whatever nonsense makes the decoder raise)
+        return None
+
+
+def _files(bag: Path) -> list[Path]:
+    if not bag.exists():
+        raise BadInputError(str(bag), 'no such bag', remedy='check the path')
+    if bag.is_file():
+        return [bag]
+    found = [file for file in bag.iterdir() if file.name.endswith(ENDINGS)]
+    if not found:
+        remedy = 'give a rosbag2 directory, an .mcap or a .db3 file'
+        raise BadInputError(str(bag), 'holds no .mcap or .db3 file', remedy=remedy)
+    return sorted(found, key=lambda file: (len(file.name), file.name))
+
+
+def _whole(file: Path, warnings: list[str]) -> Iterator[Message]:
+    """What is whole in one file."""
+    with _plain(file) as plain:
+        with plain.open('rb') as stream:
+            sqlite = stream.read(len(SQLITE)) == SQLITE
+        try:
+            damaged = DamagedSqlite(plain) if sqlite else DamagedMcap(plain)
+            yield from damaged.messages()
+        except (BadInputError, sqlite3.Error, OSError) as error:
+            raise BadInputError(str(file), str(error).replace(f'{plain}: ', '')) from error
+        if not damaged.complete:
+            lost = f', at least {damaged.lost} messages are missing' if damaged.lost else ''
+            warnings.append(f'{file}: damaged or cut off{lost}: read what is whole; {REMEDY}')
+
+
+@contextmanager
+def _plain(file: Path) -> Iterator[Path]:
+    """The file, or where it is compressed as a whole an uncompressed copy."""
+    with file.open('rb') as stream:
+        compressed = stream.read(len(ZSTD)) == ZSTD
+    if not compressed:
+        yield file
+        return
+    with TemporaryDirectory() as folder:
+        copy = Path(folder, file.stem)
+        with (
+            copy.open('wb') as target,
+            suppress(*DecompressError),  # its end is missing, as that of the file within
+            zstd.open(file, 'rb') as content,
+        ):
+            shutil.copyfileobj(content, target)
+        yield copy
