@@ -219,3 +219,7 @@ def test_files_that_are_no_schedule_are_told(tmp_path):
     broken.write_text('schedule:\n  segments: [\n')
     with pytest.raises(BadInputError, match=r'broken.yaml, line 3: is not YAML'):
         load_schedule(broken)
+    for text in ('[' * 5000, 'schedule: ' + '9' * 5000):
+        broken.write_text(text)
+        with pytest.raises(BadInputError, match=r'broken.yaml: is not YAML'):
+            load_schedule(broken)

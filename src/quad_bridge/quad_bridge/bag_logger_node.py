@@ -137,8 +137,12 @@ class BagLogger(ManagedNode):
 
     def _start(self) -> Path:
         now = datetime.now(tz=timezone.utc)
-        path = bag_writer.free_path(self._folder, self._prefix, now).absolute()
-        self._make_room(self._limits.reserve_bytes)
+        try:
+            path = bag_writer.free_path(self._folder, self._prefix, now).absolute()
+            self._make_room(self._limits.reserve_bytes)
+        except OSError as error:
+            where = str(error.filename or self._folder)
+            raise BadInputError(where, f'cannot be used ({error.strerror})') from error
         writer = bag_writer.BagWriter(path, self._storage, self._compression, self._limits)
         self._recording = Recording(writer, capacity=self._capacity)
         for topic in self._topics:

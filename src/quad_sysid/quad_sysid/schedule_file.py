@@ -20,7 +20,7 @@ def load_schedule(path: str | Path) -> Schedule:
         raise BadInputError(
             source, f'cannot be read ({reason})', remedy='give a schedule in YAML'
         ) from error
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, ValueError, RecursionError) as error:  # also endless digits, brackets
         mark = getattr(error, 'problem_mark', None)
         place = f'{source}, line {mark.line + 1}' if mark else source
         raise BadInputError(place, 'is not YAML', remedy='mend the syntax') from error
