@@ -18,7 +18,7 @@ from rosbags.interfaces import (
 )
 from rosbags.typesys import Stores, get_typestore
 
-from quad_bridge.bag_writer import BagWriter, free_path
+from quad_bridge.bag_writer import BagWriter, free_paths, new_bag
 from quad_bridge.errors import BadInputError
 from quad_bridge.recording import Recording
 from quad_bridge.recover import main, recover
@@ -93,10 +93,21 @@ def test_an_existing_bag_is_never_written_over(tmp_path):
 
 def test_a_free_path_is_numbered_where_the_second_is_taken(tmp_path):
     now = datetime(2024, 5, 6, 7, 8, 9, tzinfo=timezone.utc)
-    first = free_path(tmp_path, 'flight', now)
-    assert first.name == 'flight_20240506_070809'
-    first.mkdir()
-    assert free_path(tmp_path, 'flight', now).name == 'flight_20240506_070809_2'
+    for name in ('flight_20240506_070809', 'flight_20240506_070809_2'):
+        # looked for before the other recorder's bag is there
+        writer = new_bag(free_paths(tmp_path, 'flight', now), 'mcap', 'none')
+        assert writer.path.name == name
+        writer.close()
+    with pytest.raises(BadInputError, match='exists already'):
+        new_bag([tmp_path / name], 'mcap', 'none')
+
+
+def test_a_folder_that_appears_at_the_last_moment_is_another_recorders(tmp_path, monkeypatch):
+    (tmp_path / 'a').mkdir()
+    monkeypatch.setattr('quad_bridge.bag_writer._check', lambda *_: None)
+    monkeypatch.setattr('quad_bridge.bag_writer._check_space', lambda *_: None)
+    assert new_bag([tmp_path / 'a', tmp_path / 'b'], 'mcap', 'none').path == tmp_path / 'b'
+    assert list((tmp_path / 'a').iterdir()) == []
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ import struct
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 from rosbags.highlevel import AnyReader
@@ -311,20 +312,62 @@ def bag_of(folder, name, size, closed=True):
 
 
 def test_old_bags_are_deleted_only_where_that_is_allowed(tmp_path):
-    for i in range(4):
-        bag_of(tmp_path, f'flight_{i}', 1000, closed=i != 1)
-    bag_of(tmp_path, 'other_0', 9000)
+    names = [f'flight_20250101_12000{i}' for i in range(4)]
+    for i, name in enumerate(names):
+        bag_of(tmp_path, name, 1000, closed=i != 1)
+    for other in ('other_20250101_120000', 'flight_b_20250101_120000', f'{names[0]}_recovered'):
+        bag_of(tmp_path, other, 9000)
     with pytest.raises(BadInputError, match='exceed the disk budget'):
         Budget(tmp_path, 'flight', 3500).make_room(0)
-    assert len(list(tmp_path.iterdir())) == 5
+    assert len(list(tmp_path.iterdir())) == 7
     allowed = Budget(tmp_path, 'flight', 3500, delete_oldest=True)
-    assert [b.name for b in allowed.make_room(500)] == ['flight_0']
+    assert [b.name for b in allowed.make_room(500)] == [names[0]]
     # an unclosed bag waits for recover, the current one is being written
-    assert [b.name for b in allowed.make_room(1500, tmp_path / 'flight_2')] == ['flight_3']
+    assert [b.name for b in allowed.make_room(1500, tmp_path / names[2])] == [names[3]]
     with pytest.raises(BadInputError, match='MB too much'):
-        allowed.make_room(3000, tmp_path / 'flight_2')
-    assert sorted(p.name for p in tmp_path.iterdir()) == ['flight_1', 'flight_2', 'other_0']
+        allowed.make_room(3000, tmp_path / names[2])
+    assert len(list(tmp_path.iterdir())) == 5
     assert Budget(tmp_path, 'flight').make_room(10**12) == []
+
+
+def test_the_oldest_bag_is_the_one_closed_first_whatever_its_clock_said(tmp_path):
+    names = ['flight_19700101_000500', 'flight_20250101_120000', 'flight_20250101_130000']
+    for name, closed_s in zip(names, (3000, 1000, 2000), strict=True):
+        bag_of(tmp_path, name, 1000)
+        os.utime(tmp_path / name / 'metadata.yaml', (closed_s, closed_s))
+    budget = Budget(tmp_path, 'flight', 1500, delete_oldest=True)
+    assert [b.name for b in budget.make_room(0)] == names[1:]
+
+
+def test_a_bag_that_may_not_be_deleted_stays_whole(tmp_path, monkeypatch):
+    names = ['flight_20250101_120000', 'flight_20250101_130000']
+    for name in names:
+        bag_of(tmp_path, name, 1000)
+    unlink = Path.unlink
+
+    def refuse(path, *rest, **more):
+        if path.parent.name == names[0]:
+            raise PermissionError(errno.EPERM, os.strerror(errno.EPERM))
+        unlink(path, *rest, **more)
+
+    monkeypatch.setattr(Path, 'unlink', refuse)
+    budget = Budget(tmp_path, 'flight', 1500, delete_oldest=True)
+    assert [b.name for b in budget.make_room(0)] == [names[1]]
+    assert {p.name for p in (tmp_path / names[0]).iterdir()} == {'data.mcap', 'metadata.yaml'}
+    with pytest.raises(BadInputError, match='MB too much'):
+        budget.make_room(1500)
+
+
+def test_whatever_goes_wrong_in_the_writers_thread_ends_the_recording(tmp_path):
+    recording = started(tmp_path / 'bag')
+    put(recording, range(10))
+    recording.put(TOPIC, -5, numbered(10))  # no time of an mcap file
+    until(lambda: recording.status.failure)
+    put(recording, range(11, 20))
+    status = recording.stop()
+    assert 'writing failed' in status.failure
+    assert status.dropped >= 9
+    assert numbers_in(tmp_path / 'bag') == list(range(status.written))
 
 
 def test_a_recording_that_is_ended_from_outside_is_closed(tmp_path):
@@ -362,6 +405,16 @@ def test_a_bag_is_split_by_time_and_by_size(tmp_path, storage, compression, limi
     ]  # each file of the bag is whole in itself
     with AnyReader(alone[:1] or [tmp_path / 'bag']) as reader:
         assert reader.message_count >= 100
+
+
+def test_a_clock_set_back_does_not_end_the_splitting(tmp_path):
+    writer = BagWriter(tmp_path / 'bag', limits=Limits(split_s=0.1))
+    writer.add_topic(TOPIC, VECTOR)
+    for k in range(450):
+        back_ns = 3600 * 10**9 if k >= 50 else 0
+        writer.write(TOPIC, 10**18 + k * 1_000_000 - back_ns, numbered(k))
+    writer.close()
+    assert len(list((tmp_path / 'bag').glob('*.mcap'))) == 4
 
 
 def test_of_a_split_bag_all_files_are_recovered_and_a_missing_one_is_told(tmp_path):

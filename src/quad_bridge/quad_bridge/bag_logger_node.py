@@ -70,6 +70,8 @@ class BagLogger(ManagedNode):
         self._gaps: dict[str, Gaps] = {}
         self._numbered: set[str] = set()
         """Topics whose messages come with their publisher's number."""
+        self._foreign: set[tuple[str, str]] = set()
+        """Topics with a type of a publisher that is not the contract's; each is told once."""
         self._last = ''
         self._autostart = ros_node.flag(
             self, 'autostart', False, 'record from the start of the node'
@@ -138,12 +140,13 @@ class BagLogger(ManagedNode):
     def _start(self) -> Path:
         now = datetime.now(tz=timezone.utc)
         try:
-            path = bag_writer.free_path(self._folder, self._prefix, now).absolute()
             self._make_room(self._limits.reserve_bytes)
+            paths = bag_writer.free_paths(self._folder.absolute(), self._prefix, now)
+            writer = bag_writer.new_bag(paths, self._storage, self._compression, self._limits)
         except OSError as error:
             where = str(error.filename or self._folder)
             raise BadInputError(where, f'cannot be used ({error.strerror})') from error
-        writer = bag_writer.BagWriter(path, self._storage, self._compression, self._limits)
+        path = writer.path
         self._recording = Recording(writer, capacity=self._capacity)
         for topic in self._topics:
             self._subscribe(topic)
@@ -187,6 +190,17 @@ class BagLogger(ManagedNode):
 
     def _offers(self, topic: str) -> list[Any]:
         return list(self.get_publishers_info_by_topic(relative(topic)))
+
+    def _tell_foreign(self, topic: str) -> None:
+        """Warn once of publishers whose messages are not recorded, for their type."""
+        for offer in self._offers(topic):
+            found = (topic, offer.topic_type)
+            if offer.topic_type != TOPIC_TYPES[topic] and found not in self._foreign:
+                self._foreign.add(found)
+                self.get_logger().warning(
+                    f'{topic}: a publisher has type {offer.topic_type}, which is not recorded; '
+                    f'the contract has {TOPIC_TYPES[topic]}'
+                )
 
     def _receiver(self, topic: str) -> Callable[[bytes, dict[str, Any]], None]:
         gaps = self._gaps.setdefault(topic, Gaps())
@@ -239,6 +253,7 @@ class BagLogger(ManagedNode):
                 self._stop()
             for topic in list(self._subscribed):
                 self._subscribe(topic)
+                self._tell_foreign(topic)
         self._diagnostics.publish(
             diagnostics.diagnostic_array(
                 self.get_name(),

@@ -7,13 +7,14 @@ the formats of the files stand in mcap_file.py and sqlite_file.py.
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
 from rosbags.interfaces import Qos
-from rosbags.typesys import Stores, TypesysError, get_typestore
+from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 
 from quad_bridge.bag_metadata import BagFormat, FileEntry, RecordedTopic, information, yaml_text
 from quad_bridge.compression import COMPRESSORS
@@ -24,24 +25,24 @@ from quad_bridge.sqlite_file import SqliteFile
 
 STORAGES: dict[str, type[McapFile | SqliteFile]] = {'mcap': McapFile, 'sqlite3': SqliteFile}
 COMPRESSIONS = tuple(COMPRESSORS)
+MOST_NAMESAKES = 1000
+"""Bags of one second."""
 CLOSING_RESERVE = 4 * MB
 """Kept for index and metadata when the disk is full: that of some hours."""
 AHEAD = 2 * MB
 """What may be written from one `flush` to the next: the reserve gives it back beforehand."""
 
 
-def free_path(folder: Path, prefix: str, now: datetime) -> Path:
-    """A path in `folder` that does not exist yet: prefix, date, time, a number where needed."""
+class TakenError(BadInputError):
+    """There is something at the path where a bag was to begin."""
+
+
+def free_paths(folder: Path, prefix: str, now: datetime) -> Iterator[Path]:
+    """Paths for a bag: prefix, date, time, a number where that is taken."""
     stem = f'{prefix}_{now:%Y%m%d_%H%M%S}'
-
-    def candidates() -> Iterator[Path]:
-        yield folder / stem
-        number = 2
-        while True:
-            yield folder / f'{stem}_{number}'
-            number += 1
-
-    return next(path for path in candidates() if not path.exists())
+    yield folder / stem
+    for number in range(2, MOST_NAMESAKES + 1):
+        yield folder / f'{stem}_{number}'
 
 
 @dataclass(frozen=True)
@@ -94,6 +95,8 @@ class BagWriter:
             self._closing = Reserve(path, CLOSING_RESERVE if self._limits.reserve_bytes else 0)
             self._file = self._open_file()
             sync_folder(path.parent)
+        except FileExistsError as error:  # another recorder's, of this moment
+            raise TakenError(str(path), 'exists already, not overwritten') from error
         except (OSError, sqlite3.Error) as error:
             if made:
                 _remove_empty(path)
@@ -135,10 +138,18 @@ class BagWriter:
             if definition is None or not definition.text:
                 where = f'{self.path}: {topic}'
                 raise BadInputError(where, 'message type is not a standard one', kind) from error
-            text, digest = definition.text, definition.digest or 'RIHS01_' + '0' * 64
+            text, digest = definition.text, self._hash(kind, definition)
         self._topics[topic] = RecordedTopic(name or topic, kind, text, digest, qos, topic)
         self._file.add_topic(self._topics[topic])
         self.counts[topic] = 0
+
+    def _hash(self, kind: str, definition: Definition) -> str:
+        """RIHS01 of a type that is no standard one; as the definition says where it is unknown."""
+        try:
+            self._store.register(get_types_from_msg(definition.text, kind))
+            return self._store.hash_rihs01(kind)
+        except Exception:  # noqa: BLE001  (whatever a damaged text makes the parser raise)
+            return definition.digest or 'RIHS01_' + '0' * 64
 
     def write(self, topic: str, time_ns: int, data: bytes | memoryview) -> None:
         """Append one serialised message; `time_ns` is when it was received."""
@@ -225,6 +236,7 @@ class BagWriter:
 
     def _over_time(self, time_ns: int) -> bool:
         limit = self._limits.split_s
+        self._began_ns = min(self._began_ns, time_ns)  # the clock was set back
         return bool(limit and self._began_ns and time_ns - self._began_ns >= limit * 1e9)
 
     def _split(self) -> None:
@@ -263,7 +275,7 @@ def _check(path: Path, storage: str, compression: str) -> None:
 
 def _check_space(path: Path, reserve: int) -> None:
     if path.exists():
-        raise BadInputError(str(path), 'exists already, not overwritten')
+        raise TakenError(str(path), 'exists already, not overwritten')
     free = free_bytes(path)
     if free < reserve + CLOSING_RESERVE and reserve:
         raise BadInputError(
@@ -278,3 +290,17 @@ def _remove_empty(path: Path) -> None:
     for file in path.iterdir():
         file.unlink()
     path.rmdir()
+
+
+def new_bag(
+    paths: Iterable[Path], storage: str, compression: str, limits: Limits | None = None
+) -> BagWriter:
+    """A bag at the first of `paths` that is free, also where others look for one now.
+
+    Raises BadInputError where none can be.
+    """
+    *others, last = paths
+    for path in others:
+        with suppress(TakenError):
+            return BagWriter(path, storage, compression, limits)
+    return BagWriter(last, storage, compression, limits)

@@ -5,8 +5,12 @@ Python 3.14 has zstd, before that the backport that rosbags brings along.
 
 from __future__ import annotations
 
+import shutil
 import sys
-from collections.abc import Callable
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
 
 import lz4.frame  # type: ignore[import-untyped]
 
@@ -62,3 +66,16 @@ def decompress(name: str, packed: bytes, piece: int = 4096) -> tuple[bytes, bool
     except DecompressError:
         pass
     return bytes(out), False
+
+
+@contextmanager
+def unpacked(file: Path) -> Iterator[Path]:
+    """The file itself, or of one that is compressed as a whole (`.zstd`) a copy of its content."""
+    if file.suffix != '.zstd':
+        yield file
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        plain = Path(folder, file.stem)
+        with plain.open('wb') as target, suppress(*DecompressError):  # its end may be missing
+            shutil.copyfileobj(zstd.open(file, 'rb'), target)
+        yield plain

@@ -91,6 +91,8 @@ class DamagedMcap:
         """Of all messages found, by channel, ns."""
         self._told: set[tuple[int, int]] = set()
         """(channel, time) in the indexes of chunks that were not read."""
+        self._closed = False
+        """The summary behind the data is whole."""
         self._names = Names()
         self._doubtful = Names()
         """From chunks that fail their checksum: better than none."""
@@ -118,8 +120,8 @@ class DamagedMcap:
 
     @property
     def complete(self) -> bool:
-        """The file was read to the end of its data, and nothing was left out."""
-        return self.ended and not (self.lost or self.unread or self.bad_chunks)
+        """Its data were read to their end, nothing was left out, and its summary agrees."""
+        return self.ended and self._closed and not (self.lost or self.unread or self.bad_chunks)
 
     def messages(self) -> Iterator[Message]:
         """All whole messages in the file's order."""
@@ -136,7 +138,8 @@ class DamagedMcap:
             for message in self._pass(data, stop):
                 self._found += 1
                 yield message
-            self.ended = self.ended or summary is not None
+            self._closed = summary is not None
+            self.ended = self.ended or self._closed
 
     def _pass(self, data: mmap.mmap, stop: int) -> Iterator[Message]:
         before = position = len(MAGIC)

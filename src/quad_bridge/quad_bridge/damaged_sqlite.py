@@ -118,7 +118,7 @@ def _survey(
     pages: Pages,
 ) -> tuple[dict[int, Topic], list[tuple[int, tuple[int, int], tuple[int, int]]]]:
     """Topics by number; (number, (topic, time), place) of all messages."""
-    names: dict[int, tuple[str, str, str]] = {}
+    names: dict[int, tuple[str, str, str, str]] = {}
     definitions: dict[str, str] = {}
     rows = []
     for row in pages.rows():
@@ -126,13 +126,13 @@ def _survey(
             case (None, int(topic), int(time_ns), bytes()):
                 rows.append((row.number, (topic, time_ns), row.place))
             case (None, str(name), str(kind), str(), *more) if name[:1] == '/':
-                qos = more[0] if more and isinstance(more[0], str) else ''
-                names.setdefault(row.number, (name, kind, qos))
+                qos, digest = [value for value in (*more, '', '') if isinstance(value, str)][:2]
+                names.setdefault(row.number, (name, kind, qos, digest))
             case (None, str(kind), str(), str(text), str()):
                 definitions.setdefault(kind, text)
     return {
-        number: Topic(name, kind, definitions.get(kind, ''), qos)
-        for number, (name, kind, qos) in names.items()
+        number: Topic(name, kind, definitions.get(kind, ''), qos, digest)
+        for number, (name, kind, qos, digest) in names.items()
     }, rows
 
 
@@ -194,9 +194,13 @@ def _topics(base: sqlite3.Connection) -> dict[int, Topic]:
         )
     except sqlite3.OperationalError:  # before schema version 4
         definitions = {}
-    rows = base.execute('SELECT id, name, type, offered_qos_profiles FROM topics')
-    return {
-        number: Topic(name, kind, str(definitions.get(kind, '')), str(qos))
-        for number, name, kind, qos in rows
-        if isinstance(name, str) and isinstance(kind, str)
-    }
+    cursor = base.execute('SELECT * FROM topics')  # of its columns not every version has all
+    columns = [column[0] for column in cursor.description]
+    topics = {}
+    for values in cursor:
+        row = dict(zip(columns, values, strict=True))
+        if isinstance(row['name'], str) and isinstance(row['type'], str):
+            more = (row.get('offered_qos_profiles', ''), row.get('type_description_hash', ''))
+            definition = str(definitions.get(row['type'], ''))
+            topics[row['id']] = Topic(row['name'], row['type'], definition, *map(str, more))
+    return topics

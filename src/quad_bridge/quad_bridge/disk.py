@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import shutil
 import sqlite3
 import tempfile
@@ -16,6 +17,8 @@ from pathlib import Path
 from quad_bridge.errors import BadInputError
 
 MB = 1_000_000
+METADATA = 'metadata.yaml'
+"""What makes a folder a closed bag."""
 
 
 def free_bytes(folder: Path) -> int:
@@ -83,10 +86,12 @@ class Budget:
     """Closed bags may be deleted, the oldest first, to stay within the limit."""
 
     def bags(self) -> list[Path]:
-        """Bags of this folder and prefix, by name, which is by time."""
+        """Bags that a recorder with this prefix made in the folder, the first closed first."""
         if not self.folder.is_dir():
             return []
-        return sorted(p for p in self.folder.glob(f'{self.prefix}_*') if p.is_dir())
+        name = re.compile(re.escape(self.prefix) + r'_\d{8}_\d{6}(_\d+)?')
+        found = (p for p in self.folder.iterdir() if name.fullmatch(p.name) and p.is_dir())
+        return sorted(found, key=lambda bag: (_closed_s(bag), bag.name))
 
     def excess(self, more: int = 0) -> int:
         """Bytes by which all bags and `more` exceed the limit; not above 0 while they do not."""
@@ -101,8 +106,8 @@ class Budget:
         recorder's, or wait for `recover`. Raises BadInputError where the limit stays exceeded.
         """
         deleted: list[Path] = []
+        closed = [b for b in self.bags() if b != current and (b / METADATA).is_file()]
         while (excess := self.excess(more)) > 0:
-            closed = [b for b in self.bags() if b != current and (b / 'metadata.yaml').is_file()]
             if not self.delete_oldest or not closed:
                 raise BadInputError(
                     str(self.folder),
@@ -110,9 +115,27 @@ class Budget:
                     f'{excess / MB:.0f} MB too much',
                     'remove bags, raise disk_budget_mb or set delete_oldest',
                 )
-            shutil.rmtree(closed[0])
-            deleted.append(closed[0])
+            if _delete(oldest := closed.pop(0)):
+                deleted.append(oldest)
         return deleted
+
+
+def _closed_s(bag: Path) -> float:
+    """When a bag was closed, s (its name may be of a clock not yet set); infinity where never."""
+    try:
+        return (bag / METADATA).stat().st_mtime
+    except OSError:
+        return float('inf')
+
+
+def _delete(bag: Path) -> bool:
+    """Delete a closed bag; False where that is not allowed, then it stays as it is."""
+    try:
+        (bag / METADATA).unlink()
+        shutil.rmtree(bag)
+    except OSError:
+        return False
+    return True
 
 
 def bag_bytes(bag: Path) -> int:

@@ -102,10 +102,10 @@ class McapFile:
     def write(self, topic: str, time_ns: int, data: bytes | memoryview) -> None:
         """Append one message to the open chunk."""
         channel = self._channels[topic][0]
-        times = self._index.setdefault(channel, [])
-        times.append((time_ns, len(self._chunk)))
         length = _PREFIX + len(data)
-        self._chunk += _MESSAGE.pack(MESSAGE, length, channel, 0, time_ns, time_ns)
+        head = _MESSAGE.pack(MESSAGE, length, channel, 0, time_ns, time_ns)
+        self._index.setdefault(channel, []).append((time_ns, len(self._chunk)))
+        self._chunk += head
         self._chunk += data
         if len(self._chunk) >= CHUNK_BYTES:
             self._close_chunk()

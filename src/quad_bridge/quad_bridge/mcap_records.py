@@ -45,6 +45,8 @@ class Topic:
     definition: str
     qos: str
     """`offered_qos_profiles`, YAML as rosbag2 writes it; empty where unknown."""
+    digest: str = ''
+    """RIHS01 hash of the type; empty where unknown."""
 
 
 @dataclass
@@ -67,8 +69,9 @@ class Names:
                 number, schema = struct.unpack_from('<HH', body)
                 name, after = _string(body, 4)
                 _, after = _string(body, after)
-                qos = dict(_pairs(body, after)).get('offered_qos_profiles', '')
-                self.channels[number] = Topic(name, *self.schemas[schema], qos)
+                more = dict(_pairs(body, after))
+                qos, digest = more.get('offered_qos_profiles', ''), more.get('topic_type_hash', '')
+                self.channels[number] = Topic(name, *self.schemas[schema], qos, digest)
         except (struct.error, UnicodeDecodeError, KeyError):
             return False
         return True
@@ -93,12 +96,15 @@ def summary_of(data: Data) -> Summary | None:
     if data[foot : foot + RECORD.size] != RECORD.pack(FOOTER, _FOOTER.size):
         return None
     start, _, checksum = _FOOTER.unpack_from(data, foot + RECORD.size)
-    if not len(MAGIC) <= start < foot:
-        return None
+    start = start or foot  # some write none
     if checksum and zlib.crc32(data[start : len(data) - len(MAGIC) - 4]) != checksum:
         return None
+    return _summary_between(data, start, foot)
+
+
+def _summary_between(data: Data, start: int, foot: int) -> Summary | None:
     names, messages, position = Names(), None, start
-    while position < foot:
+    while len(MAGIC) <= position < foot:
         end = end_of(data, position, foot)
         if end is None:
             return None
@@ -107,7 +113,7 @@ def summary_of(data: Data) -> Summary | None:
             (messages,) = struct.unpack_from('<Q', body)
         names.take(opcode, body)
         position = end
-    return Summary(start, names, messages)
+    return Summary(start, names, messages) if position == foot else None
 
 
 def end_of(data: Data, position: int, stop: int) -> int | None:

@@ -19,12 +19,14 @@ from rosbags.rosbag2.metadata import parse_qos
 
 from quad_bridge.arguments import OneLineParser
 from quad_bridge.bag_writer import BagWriter, Definition
-from quad_bridge.compression import decompress
+from quad_bridge.compression import decompress, unpacked
 from quad_bridge.damaged_mcap import DamagedMcap, Message
 from quad_bridge.damaged_sqlite import DamagedSqlite
 from quad_bridge.errors import BadInputError, QuadBridgeError
 from quad_bridge.mcap_records import Topic
 
+PACKED = '.zstd'
+"""Ending of a file that is compressed as a whole."""
 ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
 LATEST_NS = 1 << 63
 """No recorder writes a later time: sqlite3 has no room for it."""
@@ -43,13 +45,16 @@ class Recovered:
     missing, there were more."""
     unread_bytes: int = 0
     total_bytes: int = 0
+    span_ns: int = 0
+    """Receive time from the first message to the last, a clock that was set back left out."""
     first_ns: int = 0
     last_ns: int = 0
+    """Of the stretch since the clock was last set back."""
     undecodable: int = 0
     """Messages that are damaged in themselves: compression, time, topic."""
     notes: list[str] = field(default_factory=list)
     holes: list[tuple[int, int]] = field(default_factory=list)
-    """Stretches of receive time (ns) without any message."""
+    """Stretches without any message: when since the first one, how long (ns)."""
     kinds: dict[str, str] = field(default_factory=dict)
     """Types of the topics, the first one of each."""
     refused: set[str] = field(default_factory=set)
@@ -62,7 +67,7 @@ class Recovered:
 
     def lines(self) -> list[str]:
         """The summary for people."""
-        seconds = (self.last_ns - self.first_ns) * 1e-9
+        seconds = (self.span_ns + self.last_ns - self.first_ns) * 1e-9
         share = 100.0 * self.unread_bytes / max(self.total_bytes, 1)
         lost = f'{self.unread_bytes} of {self.total_bytes} bytes ({share:.2f} %) are not whole'
         if self.undecodable:
@@ -71,8 +76,8 @@ class Recovered:
             lost += f', at least {self.lost} messages are missing'
         counts = [f'  {count:8d}  {topic}' for topic, count in sorted(self.counts.items())]
         holes = [
-            f'  nothing for {(end - start) * 1e-9:.2f} s at {(start - self.first_ns) * 1e-9:.2f} s'
-            for start, end in self.holes
+            f'  nothing for {length * 1e-9:.2f} s at {start * 1e-9:.2f} s'
+            for start, length in self.holes
         ]
         return [
             f'{self.path}: {self.messages} messages over {seconds:.2f} s recovered; lost: {lost}',
@@ -89,28 +94,21 @@ def recover(bag: Path) -> Recovered:
     """
     files = _storage_files(bag)
     whole = bag.resolve()
-    stem = whole.name.removesuffix('.mcap').removesuffix('.db3')
+    stem = whole.name.removesuffix(PACKED).removesuffix('.mcap').removesuffix('.db3')
     target = whole.with_name(f'{stem}_recovered')
     if target.exists():
         raise BadInputError(str(target), 'exists already', remedy='move it away first')
-    result = Recovered(target, total_bytes=sum(file.stat().st_size for file in files))
+    result = Recovered(target)
     result.notes += _missing_parts(files)
     counted = _counted(bag)
-    storage = 'sqlite3' if files[0].suffix == '.db3' else 'mcap'
+    storage = 'sqlite3' if _is_sqlite(files[0]) else 'mcap'
     work = target.with_name(f'{target.name}.part')
     shutil.rmtree(work, ignore_errors=True)
     try:
         work.mkdir()
         writer = BagWriter(work / target.name, storage)
         for file in files:
-            read = _sqlite_messages if file.suffix == '.db3' else _mcap_messages
-            try:
-                for message in read(file, result):
-                    _copy(message, writer, result)
-            except BadInputError as error:  # one file of a split bag; alone it is the answer
-                if len(files) == 1:
-                    raise
-                result.notes.append(f'  {error}')
+            _copy_file(file, writer, result, alone=len(files) == 1)
         writer.close()
         if not result.messages:
             what = '; '.join(('holds no whole message', *map(str.strip, result.notes)))
@@ -129,22 +127,30 @@ def recover(bag: Path) -> Recovered:
     return result
 
 
+def _is_sqlite(file: Path) -> bool:
+    return file.name.removesuffix(PACKED).endswith('.db3')
+
+
 def _storage_files(bag: Path) -> list[Path]:
-    if bag.is_file():
-        files = [bag]
-    elif bag.is_dir():
-        found = (p for p in bag.iterdir() if p.suffix in {'.mcap', '.db3'})
-        files = sorted(found, key=lambda p: (len(p.name), p.name))
-    else:
+    if not bag.exists():
         raise BadInputError(str(bag), 'does not exist', remedy='check the path')
-    if not files or files[0].suffix not in {'.mcap', '.db3'}:
+    found = {p.name: p for p in (bag.iterdir() if bag.is_dir() else [bag])}
+    files = [
+        file
+        for name, file in found.items()
+        if name.removesuffix(PACKED).endswith(('.mcap', '.db3'))
+        and (not name.endswith(PACKED) or name.removesuffix(PACKED) not in found)
+    ]
+    files.sort(key=lambda p: (len(p.name), p.name))
+    if not files:
         raise BadInputError(str(bag), 'holds no .mcap or .db3 file', remedy='check the path')
     return files
 
 
 def _missing_parts(files: list[Path]) -> list[str]:
     """Parts of a split bag, numbered by the recorder, that are not there."""
-    numbers = [int(m[1]) for m in (re.search(r'_(\d+)$', file.stem) for file in files) if m]
+    stems = [file.name.partition('.')[0] for file in files]
+    numbers = [int(m[1]) for m in (re.search(r'_(\d+)$', stem) for stem in stems) if m]
     if len(numbers) != len(files) or min(numbers) > 0 or max(numbers) > 10_000:
         return []
     absent = sorted(set(range(max(numbers))) - set(numbers))
@@ -160,6 +166,20 @@ def _counted(bag: Path) -> int:
         return 0
 
 
+def _copy_file(file: Path, writer: BagWriter, result: Recovered, *, alone: bool) -> None:
+    """Copy what is whole; raises BadInputError where the bag's only file is none."""
+    read = _sqlite_messages if _is_sqlite(file) else _mcap_messages
+    with unpacked(file) as plain:
+        result.total_bytes += plain.stat().st_size
+        try:
+            for message in read(plain, result):
+                _copy(message, writer, result)
+        except BadInputError as error:
+            if alone:
+                raise
+            result.notes.append(f'  {error}')
+
+
 def _copy(message: Message, writer: BagWriter, result: Recovered) -> None:
     topic, data, whole = message.topic, message.data, message.time_ns < LATEST_NS
     if data[:4] == ZSTD_MAGIC:
@@ -171,10 +191,19 @@ def _copy(message: Message, writer: BagWriter, result: Recovered) -> None:
         return
     writer.write(key, message.time_ns, data)
     result.counts[key] = writer.counts[key]
-    if result.last_ns and message.time_ns - result.last_ns > HOLE_S * 1e9:
-        result.holes.append((result.last_ns, message.time_ns))
-    result.first_ns = min(result.first_ns or message.time_ns, message.time_ns)
-    result.last_ns = max(result.last_ns, message.time_ns)
+    _follow(message.time_ns, result)
+
+
+def _follow(time_ns: int, result: Recovered) -> None:
+    """Keep span and holes of the receive times."""
+    if not result.first_ns or result.last_ns - time_ns > HOLE_S * 1e9:
+        result.span_ns += result.last_ns - result.first_ns
+        result.first_ns = result.last_ns = time_ns
+    elif time_ns - result.last_ns > HOLE_S * 1e9:
+        since = result.span_ns + result.last_ns - result.first_ns
+        result.holes.append((since, time_ns - result.last_ns))
+    result.first_ns = min(result.first_ns, time_ns)
+    result.last_ns = max(result.last_ns, time_ns)
 
 
 def _declared(topic: Topic, writer: BagWriter, result: Recovered) -> str:
@@ -184,7 +213,7 @@ def _declared(topic: Topic, writer: BagWriter, result: Recovered) -> str:
         key = f'{topic.name} as {topic.kind}'
     if key not in writer.counts and key not in result.refused:
         try:
-            qos, definition = _qos(topic, result), Definition(topic.definition, '')
+            qos, definition = _qos(topic, result), Definition(topic.definition, topic.digest)
             writer.add_topic(key, topic.kind, qos, definition, name=topic.name)
         except BadInputError as error:
             result.refused.add(key)
@@ -224,6 +253,8 @@ def _mcap_messages(file: Path, result: Recovered) -> Iterator[Message]:
         found.append('ends without its index')
     elif damaged.complete and result.undecodable == undecodable:
         found.append('its data are complete')
+    elif not (damaged.stated or damaged.lost or damaged.unread or damaged.bad_chunks):
+        found.append('read to its end, where its summary is damaged: what is missing is not known')
     else:
         found.append('its data are damaged, their end is there')
     result.notes += [f'  {file.name}: {note}' for note in found]
