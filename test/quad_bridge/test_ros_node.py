@@ -121,6 +121,7 @@ def spun(monkeypatch, callback, node):
     monkeypatch.setattr('quad_bridge.ros_node.signal.signal', handlers.__setitem__)
     executor = SimpleNamespace(
         add_node=lambda _node: None,
+        shutdown=lambda timeout_sec: None,  # noqa: ARG005
         spin_once=lambda timeout_sec: callback(handlers[signal.SIGTERM]),  # noqa: ARG005
     )
     monkeypatch.setattr('quad_bridge.ros_node.SingleThreadedExecutor', lambda: executor)

@@ -219,7 +219,7 @@ def run(factory: Callable[[], Any], name: str) -> None:
     stopping = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stopping.set())
-    node = None
+    node = executor = None
     try:
         try:
             begin_ros()
@@ -241,6 +241,8 @@ def run(factory: Callable[[], Any], name: str) -> None:
     finally:
         if node is not None:
             node.close()
+            if executor is not None:
+                executor.shutdown(timeout_sec=0)  # else its own end comes after ROS's
             node.destroy_node()
         rclpy.try_shutdown()
 
