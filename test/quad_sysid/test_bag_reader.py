@@ -430,6 +430,7 @@ def test_bags_that_are_none_end_in_one_line(tmp_path):
     broken = tmp_path / 'broken.db3'
     broken.write_bytes(b'SQLite format 3\x00' + bytes(500))
     assert '/imu/data' in refusal(broken)
+    assert 'damaged sqlite3 file' in refusal(broken)  # why it is missing
 
 
 def test_missing_topics_end_in_one_line_with_the_topic(tmp_path):
