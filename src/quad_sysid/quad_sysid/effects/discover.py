@@ -110,11 +110,11 @@ def discover(
         near = _near(chosen_name, tried, current, prepared)
         current, name, shares = settled(sim, current, chosen_name, prepared, near, rng)
         unnamed = _nearer_unnamed(name, tried, prepared)
-        other = outdone(sim, current, name, unnamed, rng) if unnamed else current
-        if other is not current:
-            name = other.names[-1]
-            near = _near(name, tried, other, prepared)
-            current, name, shares = settled(sim, other, name, prepared, near, rng)
+        better = outdone(sim, current, name, unnamed, rng) if unnamed else current
+        if better is not current:
+            name = better.names[-1]
+            near = _near(name, tried, better, prepared)
+            current, name, shares = settled(sim, better, name, prepared, near, rng)
         if name:
             rivals[name] = shares
     chosen = sharpened(sim, current.fit) if current.names else current.fit
