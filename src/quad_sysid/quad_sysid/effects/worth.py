@@ -5,7 +5,8 @@ How trials come about and which of them is taken stands in choice.py.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -30,7 +31,9 @@ MOST_ASKED = 8
 DRAG = 'quadratic_drag'
 LOSSES = (DRAG, 'coulomb_friction')
 """Effects that only take energy away, as the base's damping does."""
-SPRINGS = {'pendulum_stiffness': np.sin, 'cubic_stiffness': lambda angle: angle**3}
+SPRINGS: dict[str, Callable[[float], float]] = {
+    'pendulum_stiffness': math.sin, 'cubic_stiffness': lambda angle: angle**3,
+}
 """Torques along the angle, per unit of stiffness."""
 LARGEST_PCT = 99.0
 WEAK = 0.5
@@ -106,7 +109,7 @@ def _weak_against_strong(sim: Simulator, one: Candidate) -> bool:
     inside = np.concatenate([angle[a:b] for a, b in sim.spans])
     far = float(np.nanpercentile(np.abs(inside), LARGEST_PCT))
     first, second = (
-        float(one.fit.theta[where[name].start]) * float(curve(far))
+        float(one.fit.theta[where[name].start]) * curve(far)
         for name, curve in SPRINGS.items()
     )
     weak, strong = sorted((abs(first), abs(second)))
