@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from quad_sysid.effects.consistency import inconsistency
 from quad_sysid.effects.discover import discover
-from quad_sysid.effects.judge import judge
+from quad_sysid.effects.judge import _unconfirmed, judge
 from quad_sysid.effects.shapes import SHAPES
 from quad_sysid.effects.table import EFFECTS, by_name
 from quad_sysid.greybox.data import Windows, axis_data
@@ -207,3 +207,12 @@ def test_an_error_that_nothing_missing_ever_makes_needs_less_certainty():
         grown = growth**2 * seen.mean() / unseen.mean() * unseen
         said = inconsistency(seen, windows(80), grown, windows(60), 0.004)
         assert ('bent around something' in said) == told, said
+
+
+def test_an_effect_that_unseen_data_deny_is_called_uncertain():
+    tests = {'pendulum_stiffness': (1e-4, 135.0), 'cubic_stiffness': (1.0, -27.3)}
+    said = _unconfirmed(tests)
+    assert 'cubic_stiffness does not add to that' in said
+    assert '27 % smaller' in said
+    assert 'pendulum' not in said
+    assert _unconfirmed({'coulomb_friction': (1e-6, 200.0)}) == ''

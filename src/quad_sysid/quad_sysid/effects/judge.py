@@ -5,7 +5,7 @@ Everything here takes a finished Discovery; nothing chosen before is chosen agai
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -116,6 +116,7 @@ def judge(found: Discovery, rng: np.random.Generator) -> Judgement:
             'the sign of the gyro before anything else'
         )
     tests = _leave_one_out(found, after, rng) if passed else {}
+    reason += _unconfirmed(tests)
     fit, noise = (
         (found.chosen, found.chosen_noise) if passed else (found.base, found.base_noise)
     )
@@ -171,6 +172,16 @@ def _failed(found: Discovery) -> str:
     return (
         f'; {names} would lower the error of the training segments from {found.base.rms:.3g} to '
         f'{found.chosen.rms:.3g} rad/s, which the held-out ones do not bear out'
+    )
+
+
+def _unconfirmed(tests: Mapping[str, tuple[float, float]]) -> str:
+    """Effects that the training asked for beside others, and whose part unseen data deny."""
+    against = [(name, grown) for name, (_, grown) in tests.items() if grown < 0.0]
+    return ''.join(
+        f'; {name} does not add to that: without it the held-out error is {-grown:.2g} % smaller, '
+        'take it as uncertain'
+        for name, grown in against
     )
 
 
