@@ -419,3 +419,21 @@ def test_a_clock_that_was_set_back_is_no_time_without_messages(tmp_path):
     said = recover(tmp_path / 'bag').lines()
     assert '100 messages over 9.80 s' in said[0]
     assert not any('nothing for' in line for line in said)
+
+
+@pytest.mark.parametrize('compression', ['none', 'zstd', 'lz4'])
+def test_of_a_chunk_that_is_cut_off_and_damaged_nothing_is_taken(tmp_path, sound, compression):
+    data, ledger = sound[compression, False]
+    begin, end = positions(data, CHUNK)[4]
+    cut = begin + (end - begin) * 3 // 4
+    whole, got = read(tmp_path, data[:cut])
+    assert got[: 4 * EVERY] == ledger[: 4 * EVERY]
+    assert set(got) <= set(ledger)
+    if compression == 'none':
+        assert len(got) > 4.5 * EVERY
+        assert whole.unchecked == len(got) - 4 * EVERY
+    # a block of something else before the cut
+    block = random.Random(3).randbytes(1000)
+    damaged, got = read(tmp_path, data[: cut - 1000] + block)
+    assert got == ledger[: 4 * EVERY]
+    assert damaged.bad_chunks == 1

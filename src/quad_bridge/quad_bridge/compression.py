@@ -48,8 +48,13 @@ COMPRESSORS: dict[str, Callable[[bytes], bytes]] = {
 }
 
 
-def decompress(name: str, packed: bytes, piece: int = 4096) -> tuple[bytes, bool]:
-    """Content as far as it can be had, and whether that is all; `name` as MCAP writes it."""
+def decompress(
+    name: str, packed: bytes, piece: int = 4096, *, cut_off: bool = False
+) -> tuple[bytes, bool]:
+    """Content as far as it can be had, and whether that is all; `name` as MCAP writes it.
+
+    `cut_off`: nothing but the end may be missing; of what is damaged besides nothing is taken.
+    """
     if not name:
         return packed, True
     if name not in CODECS:
@@ -64,7 +69,7 @@ def decompress(name: str, packed: bytes, piece: int = 4096) -> tuple[bytes, bool
         for start in range(0, len(packed), piece):
             out += stream.decompress(packed[start : start + piece])
     except DecompressError:
-        pass
+        return b'' if cut_off else bytes(out), False
     return bytes(out), False
 
 

@@ -41,6 +41,8 @@ from quad_bridge.mcap_records import (
     summary_of,
 )
 
+LONGEST = 1 << 30
+"""Bytes of a message."""
 ZEROS = 64
 """So many at the end of a file are blocks that were never written."""
 
@@ -228,11 +230,28 @@ class DamagedMcap:
         packed = body.rstrip(b'\0')
         packed = body if len(body) - len(packed) <= ZEROS else packed
         name, begin, _ = _head(body)
-        content, _ = decompress(name, packed[begin:])
+        content, _ = decompress(name, packed[begin:], cut_off=True)
+        content = content if self._ends_in_a_record(content) else b''
         found = self._found
         used = yield from self._records(content)
         self.unchecked = self._found - found
         self.unread += len(body) - len(packed) + len(content) - used if used else len(body)
+
+    def _ends_in_a_record(self, content: bytes) -> bool:
+        """Whether nothing but its end is missing, as far as that can be told."""
+        used, known = 0, set(self._names.channels)
+        for opcode, body in _split(content):
+            used += RECORD.size + len(body)
+            if opcode == CHANNEL:
+                known.add(int.from_bytes(body[:2], 'little'))
+        rest = content[used:]
+        if len(rest) < RECORD.size + 2:
+            return True
+        opcode, length = RECORD.unpack_from(rest)
+        if opcode == MESSAGE:
+            channel = int.from_bytes(rest[RECORD.size : RECORD.size + 2], 'little')
+            return channel in known and length < LONGEST
+        return opcode in {SCHEMA, CHANNEL} and length < LONGEST
 
     def _doubtful_names(self, body: bytes) -> None:
         name, begin, _ = _head(body)

@@ -61,9 +61,9 @@ def read_bag(path: str | Path) -> Record:
     content = _read(Path(path))
     imu = content.streams.get(IMU_TOPIC)
     if imu is None or len(imu.stamps) == 0:
-        told = f' ({"; ".join(content.warnings)})' if content.warnings else ''
+        why = f' ({"; ".join(content.warnings)})' if content.warnings else ''
         raise BadInputError(
-            source, f'{IMU_TOPIC} is missing or empty{told}',
+            source, f'{IMU_TOPIC} is missing or empty{why}',
             remedy='record it (sensor_msgs/msg/Imu); nothing can be identified without it',
         )
     grid = uniform_grid(imu.stamps, source)
