@@ -1,7 +1,12 @@
-"""Wrong arguments of this package's programs are said in one line, status 2."""
+"""Wrong arguments of this package's programs are one line, status 2; a full disk is no fault."""
+
+import subprocess
+import sys
 
 import pytest
 
+from quad_bridge.arguments import ended_in_one_line
+from quad_bridge.errors import BadInputError
 from quad_bridge.recover import main as recover
 from quad_bridge.virtual.process import main as virtual_stm32
 
@@ -25,3 +30,43 @@ def test_wrong_arguments(capsys, program, arguments, words):
     error = capsys.readouterr().err
     assert (left.value.code, error.count('\n')) == (2, 1)
     assert words in error
+
+
+@pytest.mark.parametrize(
+    ('program', 'stdout'),
+    [
+        ('key_file', '>/dev/full'),
+        ('key_file', '>&-'),
+        ('key_file', '| true'),
+        ('virtual.process', '>/dev/full'),
+    ],
+)
+def test_that_nobody_reads_what_is_said_is_no_fault(tmp_path, program, stdout):
+    key = tmp_path / 'key'
+    given = f'--duration 0.02 --link {key}' if program == 'virtual.process' else key
+    line = f'set -o pipefail; {sys.executable} -m quad_bridge.{program} {given} {stdout}'
+    run = subprocess.run(['bash', '-c', line], capture_output=True, text=True, check=False)
+    assert (run.returncode, run.stderr) == (0, '')
+    assert key.exists() == (program == 'key_file')
+
+
+def raising(error):
+    def work():
+        raise error
+
+    return work
+
+
+@pytest.mark.parametrize(
+    ('error', 'status', 'words'),
+    [
+        (BadInputError('a.mcap', 'is empty'), 2, 'recover: a.mcap: is empty\n'),
+        (PermissionError(13, 'Permission denied', 'b'), 2, 'recover: b: Permission denied\n'),
+        (KeyboardInterrupt(), 130, 'recover: interrupted\n'),
+    ],
+)
+def test_a_command_ends_in_one_line(capsys, error, status, words):
+    with pytest.raises(SystemExit) as left:
+        ended_in_one_line('recover', raising(error))
+    assert left.value.code == status
+    assert capsys.readouterr().err == words

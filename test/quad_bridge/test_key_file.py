@@ -111,7 +111,9 @@ def test_the_command_keeps_what_is_there_and_says_one_line(tmp_path, capsys):
     assert main([str(path)]) == 0
     before = path.read_bytes()
     capsys.readouterr()
-    assert main([str(path)]) == 2
+    with pytest.raises(SystemExit) as left:
+        main([str(path)])
+    assert left.value.code == 2
     error = capsys.readouterr().err
     assert (error.count('\n'), 'cannot be made' in error) == (1, True)
     assert path.read_bytes() == before

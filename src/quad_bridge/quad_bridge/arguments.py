@@ -1,12 +1,19 @@
-"""The command line parser of this package's programs: what is wrong is said in one line."""
+"""The command line of this package's programs: wrong arguments, what they say, how they end."""
 
 from __future__ import annotations
 
 import argparse
 import math
-from typing import NoReturn
+import os
+import sys
+from collections.abc import Callable
+from typing import NoReturn, TypeVar
 
-BAD_INPUT = 2
+from quad_bridge.errors import QuadBridgeError
+
+_T = TypeVar('_T')
+
+BAD_INPUT, INTERRUPTED = 2, 130
 MOST_DIGITS = 30
 
 
@@ -34,3 +41,38 @@ def seed(text: str) -> int:
     if not (text.isascii() and text.isdigit() and len(text) <= MOST_DIGITS):
         raise argparse.ArgumentTypeError(f'must be a whole number of 0 or more, found {text!r}')
     return int(text)
+
+
+def say(text: str) -> bool:
+    """Write to stdout at once; False where nobody takes it: closed, `| head`, a full disk.
+
+    What follows is dropped then: that nobody reads is no reason to leave a work half done.
+    """
+    if sys.stdout is None:
+        return False
+    try:
+        sys.stdout.write(text)
+        sys.stdout.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return False
+    return True
+
+
+def ended_in_one_line(program: str, work: Callable[[], _T]) -> _T:
+    """What `work` returns; ends the program with one line where it raises what a user can mend."""
+    try:
+        return work()
+    except (QuadBridgeError, OSError) as error:
+        sys.stderr.write(f'{program}: {one_line(error)}\n')
+        sys.exit(BAD_INPUT)
+    except KeyboardInterrupt:
+        sys.stderr.write(f'{program}: interrupted\n')
+        sys.exit(INTERRUPTED)
+
+
+def one_line(error: Exception) -> str:
+    """The words of an error, file before reason."""
+    if isinstance(error, OSError) and error.filename:
+        return f'{error.filename}: {error.strerror}'
+    return ' '.join(str(error).split())

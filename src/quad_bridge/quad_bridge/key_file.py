@@ -14,7 +14,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from quad_bridge.arguments import OneLineParser
+from quad_bridge.arguments import OneLineParser, ended_in_one_line, say
 from quad_bridge.errors import BadInputError
 from quad_bridge.wire.signing import KEY_BYTES, Signing, signing_time
 
@@ -80,18 +80,14 @@ def signing_from(path: Path | None, *, link_id: int = 0) -> Signing | None:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """`make_key FILE`: 0 when it was written, 2 with one line where it was not."""
+    """`make_key FILE`: 0 when it was written; ends with 2 and one line where it was not."""
     parser = OneLineParser(
         prog='make_key', description='Writes a new key for the link between bridge and STM32.'
     )
     parser.add_argument('file', type=Path, help='must not exist yet')
     given = parser.parse_args(argv)
-    try:
-        write_key(given.file)
-    except BadInputError as error:
-        sys.stderr.write(f'make_key: {error}\n')
-        return 2
-    sys.stdout.write(f'{given.file}: copy it to the other end, and nowhere else\n')
+    ended_in_one_line('make_key', lambda: write_key(given.file))
+    say(f'{given.file}: copy it to the other end, and nowhere else\n')
     return 0
 
 

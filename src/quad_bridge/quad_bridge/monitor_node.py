@@ -16,11 +16,13 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Vector3Stamped
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, ParameterEvent
+from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from sensor_msgs.msg import BatteryState, Imu
 from std_srvs.srv import Trigger
 
 from quad_bridge import ros_node
+from quad_bridge.arguments import say
 from quad_bridge.errors import BadInputError
 from quad_bridge.monitor import view
 from quad_bridge.monitor.coverage import BAND, Pairs, coverage
@@ -55,7 +57,7 @@ class Monitor(Node):  # type: ignore[misc]
         self._stop = ros_node.flag(self, 'stop_when_covered', False,
                                    'call excitation/stop when "stop now" is said')
         every = ros_node.integer(self, 'every_s', 5, (1, 3600), 'between two blocks when piped, s')
-        self._terminal = sys.stdout.isatty()
+        self._terminal = sys.stdout is not None and sys.stdout.isatty()
         self._state = view.State(asked=self._band)
         self._pairs, self._stamps = Pairs(), deque[int](maxlen=250)
         self._step_s = 0.004
@@ -70,11 +72,10 @@ class Monitor(Node):  # type: ignore[misc]
         ros_node.steady_timer(self, 0.5 if self._terminal else float(every), self._show)
         ros_node.steady_timer(self, 1.0, self._look)
         if self._terminal:
-            sys.stdout.write(CLEAR)
+            say(CLEAR)
 
     def close(self) -> None:
         """Leave the last screen where it stands."""
-        sys.stdout.flush()
 
     def _number(self, name: str) -> float:
         default, low, high, description = NUMBERS[name]
@@ -145,21 +146,17 @@ class Monitor(Node):  # type: ignore[misc]
         said = view.call(self._state, self._validation_s)
         if said and said != self._said:
             self._said = said
-            if self._terminal:
-                sys.stdout.write(BELL)
-            else:
-                sys.stdout.write(said + '\n')
-                sys.stdout.flush()
+            self._write(BELL if self._terminal else f'{said}\n')
             if self._stop and said.startswith('stop now') and self._stopper.service_is_ready():
                 self._stopper.call_async(Trigger.Request())
 
     def _show(self) -> None:
         text = '\n'.join(view.lines(self._state, time.monotonic()))
-        if self._terminal:
-            sys.stdout.write(f'{HOME}{text}\n\n{self._said}\n')
-        else:
-            sys.stdout.write(text + '\n\n')
-        sys.stdout.flush()
+        self._write(f'{HOME}{text}\n\n{self._said}\n' if self._terminal else f'{text}\n\n')
+
+    def _write(self, text: str) -> None:
+        if not say(text) and not self._stop:
+            raise ExternalShutdownException  # nobody looks, and nothing else is to be done
 
 
 def _nanoseconds(stamp: Any) -> int:

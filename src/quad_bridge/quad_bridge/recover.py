@@ -8,7 +8,6 @@ from __future__ import annotations
 import re
 import shutil
 import sqlite3
-import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,12 +16,12 @@ import yaml
 from rosbags.interfaces import Qos
 from rosbags.rosbag2.metadata import parse_qos
 
-from quad_bridge.arguments import OneLineParser
+from quad_bridge.arguments import OneLineParser, ended_in_one_line, say
 from quad_bridge.bag_writer import BagWriter, Definition
 from quad_bridge.compression import decompress, unpacked
 from quad_bridge.damaged_mcap import DamagedMcap, Message
 from quad_bridge.damaged_sqlite import DamagedSqlite
-from quad_bridge.errors import BadInputError, QuadBridgeError
+from quad_bridge.errors import BadInputError
 from quad_bridge.mcap_records import Topic
 
 PACKED = '.zstd'
@@ -277,9 +276,5 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     parser.add_argument('bag', type=Path, metavar='BAG', help='bag directory, .mcap or .db3 file')
     bag = parser.parse_args(arguments).bag
-    try:
-        result = recover(bag)
-    except (QuadBridgeError, OSError) as error:
-        sys.stderr.write(f'recover: {" ".join(str(error).split())}\n')
-        sys.exit(2)
-    sys.stdout.write('\n'.join(result.lines()) + '\n')
+    result = ended_in_one_line('recover', lambda: recover(bag))
+    say('\n'.join(result.lines()) + '\n')

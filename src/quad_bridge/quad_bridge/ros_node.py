@@ -27,6 +27,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.logging import LoggingSeverity, get_logger_level, set_logger_level
 from rclpy.signals import SignalHandlerOptions
 
+from quad_bridge.arguments import one_line
 from quad_bridge.errors import BadInputError, QuadBridgeError
 from quad_bridge.sparing import Sparing
 
@@ -197,9 +198,7 @@ def _told(words: str) -> tuple[str, None, str]:
 
 def _plain(error: Exception) -> str:
     """One line of an error: what rcl says without the places in its own source."""
-    if isinstance(error, OSError) and error.filename:
-        return f'{error.filename}: {error.strerror}'
-    return _OF_THE_LIBRARY.sub('', ' '.join(str(error).split()))
+    return _OF_THE_LIBRARY.sub('', one_line(error))
 
 
 def tell_unused(node: Any) -> None:

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from quad_bridge.arguments import OneLineParser, positive
+from quad_bridge.arguments import OneLineParser, ended_in_one_line, positive, say
 from quad_bridge.bag_messages import read_topics
-from quad_bridge.errors import BadInputError, QuadBridgeError, RefusedError
+from quad_bridge.errors import BadInputError, RefusedError
 from quad_bridge.sensors import aircraft_file, by_hand, compass, rest, vibration
 from quad_bridge.sensors.correction import STATUS, Correction, as_sent, from_values
 
@@ -198,10 +198,6 @@ def _parser() -> OneLineParser:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command; exits with the contract's status."""
     given = _parser().parse_args(arguments, argparse.Namespace(warnings=[]))
-    try:
-        lines = given.run(given)
-    except (QuadBridgeError, OSError) as error:
-        sys.stderr.write(f'sensors: {" ".join(str(error).split())}\n')
-        sys.exit(2)
+    lines = ended_in_one_line('sensors', lambda: given.run(given))
     sys.stderr.writelines(f'sensors: warning: {warning}\n' for warning in given.warnings)
-    sys.stdout.write('\n'.join(lines) + '\n')
+    say('\n'.join(lines) + '\n')

@@ -16,7 +16,15 @@ from pathlib import Path
 
 import numpy as np
 
-from quad_bridge.arguments import OneLineParser, positive, seed
+from quad_bridge.arguments import (
+    BAD_INPUT,
+    INTERRUPTED,
+    OneLineParser,
+    one_line,
+    positive,
+    say,
+    seed,
+)
 from quad_bridge.errors import QuadBridgeError
 from quad_bridge.key_file import signing_from
 from quad_bridge.virtual.aircraft import Aircraft
@@ -27,7 +35,6 @@ from quad_bridge.virtual.profile import Profile, load_profile, profile_names
 from quad_bridge.virtual.pseudo_terminal import PseudoTerminal
 from quad_bridge.virtual.receiver import Receiver, read_events
 
-INTERRUPTED = 130
 MAX_BURST = 50
 """Cycles that are run at once after a stall before the port is looked at again."""
 
@@ -76,8 +83,7 @@ def build_endpoint(given: argparse.Namespace) -> Endpoint:
     events = Receiver() if given.rc_events is None else read_events(given.rc_events)
     signing = signing_from(given.key)
     script = Receiver(events=profile.receiver.events + events.events)
-    sys.stdout.write('virtual STM32 prepares (some 15 s the first time, to compile)\n')
-    sys.stdout.flush()
+    say('virtual STM32 prepares (some 15 s the first time, to compile)\n')
     _warm_up(profile, python_effect=effect is not None)
     return Endpoint(Aircraft(profile, seed=given.seed, effect=effect), script, signing)
 
@@ -130,16 +136,15 @@ def main(argv: Sequence[str] | None = None) -> int:
         endpoint = build_endpoint(given)
         port = PseudoTerminal(given.link)
         try:
-            sys.stdout.write(f'virtual STM32 on {port.path}\n')
-            sys.stdout.flush()
+            say(f'virtual STM32 on {port.path}\n')
             serve(endpoint, port, given.duration)
         finally:
             port.close()
         if port.dropped_bytes:
-            sys.stdout.write(f'{port.dropped_bytes} bytes dropped: nobody read them\n')
-    except QuadBridgeError as error:
-        sys.stderr.write(f'virtual_stm32: {error}\n')
-        return 2
+            say(f'{port.dropped_bytes} bytes dropped: nobody read them\n')
+    except (QuadBridgeError, OSError) as error:
+        sys.stderr.write(f'virtual_stm32: {one_line(error)}\n')
+        return BAD_INPUT
     except KeyboardInterrupt:  # before `serve` takes the signal, as while compiling
         sys.stderr.write('virtual_stm32: interrupted\n')
         return INTERRUPTED
