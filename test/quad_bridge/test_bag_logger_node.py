@@ -15,6 +15,7 @@ from geometry_msgs.msg import Vector3Stamped
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile
 from rosbags.highlevel import AnyReader
+from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from quad_bridge.recover import recover
@@ -252,3 +253,23 @@ def test_the_oldest_bags_make_room_where_the_settings_say_so(tmp_path, logger):
         'flight_20010101', 'flight_20010102',
     ]  # fmt: skip
     assert len(bags) == 1
+
+
+def test_a_publisher_of_another_type_is_told_by_name(tmp_path, logger, load):
+    other = load.node.create_publisher(String, '/rc/in', 10)
+    process = logger(tmp_path)
+    load.wait()
+    told = next(line for line in process.stderr if 'which is not recorded' in line)
+    assert '/rc/in: a publisher has type std_msgs/msg/String' in told
+    assert 'sensor_msgs/msg/Joy' in told
+    load.node.destroy_publisher(other)
+
+
+def test_two_loggers_of_one_folder_record_both(tmp_path, logger, load):
+    processes = [logger(tmp_path) for _ in range(3)]  # at the same moment
+    load.wait()
+    for process in processes:
+        assert any('recording: ' in line for line in process.stderr)
+        process.send_signal(signal.SIGINT)
+        assert process.wait(WAIT_S) == 0
+    assert [(bag / 'metadata.yaml').is_file() for bag in tmp_path.glob('flight_*')] == 3 * [True]
