@@ -237,6 +237,16 @@ def test_a_damaged_chunk_costs_its_messages_only(tmp_path, capsys):
     assert 'messages are missing: read what is whole' in warned
 
 
+def test_a_part_of_a_split_bag_that_is_missing_is_told(tmp_path, capsys):
+    bag = tmp_path / 'bag'
+    imu_bag(bag, *resting(8.0))
+    (file,) = bag.glob('*.mcap')
+    file.rename(bag / 'bag_2.mcap')
+    (bag / 'bag_0.mcap').write_bytes((bag / 'bag_2.mcap').read_bytes())
+    _, warned = rested(bag, capsys)
+    assert warned == f'sensors: warning: {bag}: part 1 of the bag is missing\n'
+
+
 def test_a_file_that_is_compressed_as_a_whole_is_read(tmp_path, capsys):
     bag = tmp_path / 'bag'
     imu_bag(bag, *resting(8.0))
@@ -296,8 +306,8 @@ def test_a_thrust_table_that_is_none_is_one_line(tmp_path, capsys, rows, text):
 @pytest.mark.parametrize(
     ('arguments', 'text'),
     [
-        (['rest', '{}/absent'], 'no such bag'),
-        (['rest', '{}/list.yaml'], 'is no mcap file'),
+        (['rest', '{}/absent'], 'does not exist'),
+        (['rest', '{}/list.yaml'], 'holds no .mcap or .db3 file'),
         (['rest', '{}'], 'holds no .mcap or .db3 file'),
         (['rest', '{}/bag', '--seconds', 'nan'], "--seconds: must be a number above 0"),
         (['rest', '{}/bag', '--seconds', '-1'], "must be a number above 0, found '-1'"),

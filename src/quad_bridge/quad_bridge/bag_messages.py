@@ -5,32 +5,23 @@ Reads with the readers of `recover`, so what can be recovered can be read. No ar
 
 from __future__ import annotations
 
-import shutil
 import sqlite3
-import sys
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
-from quad_bridge.compression import DecompressError, decompress
+from quad_bridge.bag_files import is_sqlite, missing_parts, storage_files
+from quad_bridge.compression import decompress, unpacked
 from quad_bridge.damaged_mcap import DamagedMcap, Message
 from quad_bridge.damaged_sqlite import DamagedSqlite
 from quad_bridge.errors import BadInputError
 
-if sys.version_info >= (3, 14):
-    from compression import zstd
-else:
-    from backports import zstd
-
-SQLITE, ZSTD = b'SQLite format 3\0', b'\x28\xb5\x2f\xfd'
-ENDINGS = ('.mcap', '.db3', '.mcap.zstd', '.db3.zstd')
+ZSTD = b'\x28\xb5\x2f\xfd'
 REMEDY = '`ros2 run quad_bridge recover` says more'
 
 
@@ -60,7 +51,8 @@ def read_topics(bag: Path, kinds: Mapping[str, str]) -> Contents:
     bag, or nothing of it can be read.
     """
     found, store = Contents(), get_typestore(Stores.ROS2_JAZZY)
-    files = _files(bag)
+    files = storage_files(bag)
+    found.warnings += [f'{bag}: {note}' for note in missing_parts(files)]
     if bag.is_dir() and not (bag / 'metadata.yaml').is_file():
         found.warnings.append(f'{bag}: has no metadata.yaml (the recorder was killed?); {REMEDY}')
     damaged = 0
@@ -95,47 +87,14 @@ def _decoded(store: Typestore, message: Message) -> Any:
         return None
 
 
-def _files(bag: Path) -> list[Path]:
-    if not bag.exists():
-        raise BadInputError(str(bag), 'no such bag', remedy='check the path')
-    if bag.is_file():
-        return [bag]
-    found = [file for file in bag.iterdir() if file.name.endswith(ENDINGS)]
-    if not found:
-        remedy = 'give a rosbag2 directory, an .mcap or a .db3 file'
-        raise BadInputError(str(bag), 'holds no .mcap or .db3 file', remedy=remedy)
-    return sorted(found, key=lambda file: (len(file.name), file.name))
-
-
 def _whole(file: Path, warnings: list[str]) -> Iterator[Message]:
     """What is whole in one file."""
-    with _plain(file) as plain:
-        with plain.open('rb') as stream:
-            sqlite = stream.read(len(SQLITE)) == SQLITE
+    with unpacked(file) as plain:
         try:
-            damaged = DamagedSqlite(plain) if sqlite else DamagedMcap(plain)
+            damaged = DamagedSqlite(plain) if is_sqlite(file) else DamagedMcap(plain)
             yield from damaged.messages()
         except (BadInputError, sqlite3.Error, OSError) as error:
             raise BadInputError(str(file), str(error).replace(f'{plain}: ', '')) from error
         if not damaged.complete:
             lost = f', at least {damaged.lost} messages are missing' if damaged.lost else ''
             warnings.append(f'{file}: damaged or cut off{lost}: read what is whole; {REMEDY}')
-
-
-@contextmanager
-def _plain(file: Path) -> Iterator[Path]:
-    """The file, or where it is compressed as a whole an uncompressed copy."""
-    with file.open('rb') as stream:
-        compressed = stream.read(len(ZSTD)) == ZSTD
-    if not compressed:
-        yield file
-        return
-    with TemporaryDirectory() as folder:
-        copy = Path(folder, file.stem)
-        with (
-            copy.open('wb') as target,
-            suppress(*DecompressError),  # its end is missing, as that of the file within
-            zstd.open(file, 'rb') as content,
-        ):
-            shutil.copyfileobj(content, target)
-        yield copy

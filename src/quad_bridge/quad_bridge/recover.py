@@ -5,7 +5,6 @@ The original is only read. What was lost is said on stdout; exit status as in th
 
 from __future__ import annotations
 
-import re
 import shutil
 import sqlite3
 from collections.abc import Iterator, Sequence
@@ -17,6 +16,7 @@ from rosbags.interfaces import Qos
 from rosbags.rosbag2.metadata import parse_qos
 
 from quad_bridge.arguments import OneLineParser, ended_in_one_line, say
+from quad_bridge.bag_files import PACKED, is_sqlite, missing_parts, storage_files
 from quad_bridge.bag_writer import BagWriter, Definition
 from quad_bridge.compression import decompress, unpacked
 from quad_bridge.damaged_mcap import DamagedMcap, Message
@@ -24,8 +24,6 @@ from quad_bridge.damaged_sqlite import DamagedSqlite
 from quad_bridge.errors import BadInputError
 from quad_bridge.mcap_records import Topic
 
-PACKED = '.zstd'
-"""Ending of a file that is compressed as a whole."""
 ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
 LATEST_NS = 1 << 63
 """No recorder writes a later time: sqlite3 has no room for it."""
@@ -91,16 +89,16 @@ def recover(bag: Path) -> Recovered:
 
     Raises BadInputError where nothing can be recovered or the result exists already.
     """
-    files = _storage_files(bag)
+    files = storage_files(bag)
     whole = bag.resolve()
     stem = whole.name.removesuffix(PACKED).removesuffix('.mcap').removesuffix('.db3')
     target = whole.with_name(f'{stem}_recovered')
     if target.exists():
         raise BadInputError(str(target), 'exists already', remedy='move it away first')
     result = Recovered(target)
-    result.notes += _missing_parts(files)
+    result.notes += [f'  {note}' for note in missing_parts(files)]
     counted = _counted(bag)
-    storage = 'sqlite3' if _is_sqlite(files[0]) else 'mcap'
+    storage = 'sqlite3' if is_sqlite(files[0]) else 'mcap'
     work = target.with_name(f'{target.name}.part')
     shutil.rmtree(work, ignore_errors=True)
     try:
@@ -126,36 +124,6 @@ def recover(bag: Path) -> Recovered:
     return result
 
 
-def _is_sqlite(file: Path) -> bool:
-    return file.name.removesuffix(PACKED).endswith('.db3')
-
-
-def _storage_files(bag: Path) -> list[Path]:
-    if not bag.exists():
-        raise BadInputError(str(bag), 'does not exist', remedy='check the path')
-    found = {p.name: p for p in (bag.iterdir() if bag.is_dir() else [bag])}
-    files = [
-        file
-        for name, file in found.items()
-        if name.removesuffix(PACKED).endswith(('.mcap', '.db3'))
-        and (not name.endswith(PACKED) or name.removesuffix(PACKED) not in found)
-    ]
-    files.sort(key=lambda p: (len(p.name), p.name))
-    if not files:
-        raise BadInputError(str(bag), 'holds no .mcap or .db3 file', remedy='check the path')
-    return files
-
-
-def _missing_parts(files: list[Path]) -> list[str]:
-    """Parts of a split bag, numbered by the recorder, that are not there."""
-    stems = [file.name.partition('.')[0] for file in files]
-    numbers = [int(m[1]) for m in (re.search(r'_(\d+)$', stem) for stem in stems) if m]
-    if len(numbers) != len(files) or min(numbers) > 0 or max(numbers) > 10_000:
-        return []
-    absent = sorted(set(range(max(numbers))) - set(numbers))
-    return [f'  part {number} of the bag is missing' for number in absent]
-
-
 def _counted(bag: Path) -> int:
     """Messages by metadata.yaml; 0 where that does not say."""
     try:
@@ -167,7 +135,7 @@ def _counted(bag: Path) -> int:
 
 def _copy_file(file: Path, writer: BagWriter, result: Recovered, *, alone: bool) -> None:
     """Copy what is whole; raises BadInputError where the bag's only file is none."""
-    read = _sqlite_messages if _is_sqlite(file) else _mcap_messages
+    read = _sqlite_messages if is_sqlite(file) else _mcap_messages
     with unpacked(file) as plain:
         result.total_bytes += plain.stat().st_size
         try:
