@@ -179,6 +179,8 @@ def test_bags_of_different_rates_do_not_go_together(good, run, tmp_path):
         ('{"schema": "quad_sysid/report/1", "axes": {}}', 'schema: must be quad_sysid/model/1'),
         ('{"schema": "quad_sysid/model/1", "axes": {"roll": {', 'is not JSON'),
         ('schema: quad_sysid/model/1', 'is not JSON'),
+        ('[' * 100_000, 'is not JSON'),
+        ('{"schema": ' + '9' * 5000 + '}', 'is not JSON'),
     ],
 )
 def test_a_foreign_file_is_no_model(good, run, tmp_path, content, words):
@@ -217,6 +219,16 @@ def test_a_validation_beyond_the_end_is_bad_input_to_evaluate_too(good, run, mon
     monkeypatch.setattr('quad_sysid.report.blackbox_file.load_blackbox', lambda _: {})
     status, error = run('evaluate', 'model.json', good, '--validate', '1e5:2e5')
     assert (status, '--validate starts after the end' in error) == (2, True), error
+
+
+@pytest.mark.parametrize('content', ['[' * 5000, 'columns: ' + '9' * 5000, 'columns: ['])
+def test_a_mixer_that_is_no_yaml_is_refused(run, tmp_path, content):
+    (tmp_path / 'some.csv').write_text(TABLE)
+    (tmp_path / 'mixer.yaml').write_text(content)
+    status, error = run('import', tmp_path / 'some.csv', '--axis', 'roll', '--time', 't',
+                        '--motors', 'a,b,c,d', '--rate', 'r', '--mixer', tmp_path / 'mixer.yaml',
+                        '--out', tmp_path / 'out')
+    assert (status, 'is not YAML' in error) == (2, True), error
 
 
 def test_a_mixer_without_motors_is_refused(run, tmp_path):

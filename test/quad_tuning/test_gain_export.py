@@ -57,7 +57,8 @@ def test_ardupilot_through_a_file(file, tmp_path, capsys):
 @pytest.mark.parametrize(
     ('content', 'arguments', 'words'),
     [
-        (None, [], 'cannot be read'), ('{', [], 'is not JSON'), ('{}', [], 'axes'),
+        (None, [], 'cannot be read'), ('{', [], 'is not JSON'),
+        ('[' * 100_000, [], 'is not JSON'), ('{}', [], 'axes'),
         ('{"axes": {"roll": {"gains": null}}}', [], 'holds none'),
         ('{"axes": {"roll": {"gains": {"roll.rate.kp": 1}}}}', [], 'lack angle.kp'),
         ('', ['--scale', 'roll=0'], '--scale'), ('', ['--scale', 'nose=1'], '--scale'),

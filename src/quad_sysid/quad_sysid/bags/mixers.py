@@ -68,7 +68,7 @@ def mixer_of(name: str, columns: Sequence[str]) -> Mixer:
         return _by_columns({key.strip(): value.strip() for key, value in pairs}, columns, name)
     try:
         content = yaml.safe_load(text)
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise BadInputError(name, 'is not YAML', remedy='mend it') from error
     if not isinstance(content, dict) or {*content} not in ({'columns'}, {'matrix'}):
         raise BadInputError(

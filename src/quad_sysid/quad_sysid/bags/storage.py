@@ -129,7 +129,10 @@ class Storage:
             names = [Path(str(name)).name for name in information['relative_file_paths']]
             custom = information.get('custom_data') or {}
             self.notes.update({str(key): str(value) for key, value in custom.items()})
-        except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError, AttributeError):
+        except (
+            OSError, ValueError, RecursionError, yaml.YAMLError, LookupError, TypeError,
+            AttributeError,
+        ):  # fmt: skip
             return None
         return names
 

@@ -46,7 +46,7 @@ def load_blackbox(path: str | os.PathLike[str]) -> dict[str, Model]:
         tree = json.loads(Path(path).read_text(encoding='utf-8'))
     except OSError as error:
         raise BadInputError(str(path), 'cannot be read', error.strerror) from error
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+    except (ValueError, RecursionError) as error:  # no text, no JSON, endless digits or brackets
         raise BadInputError(str(path), 'is not JSON', str(error)) from error
     axes = tree.get('blackbox', {}) if isinstance(tree, dict) else {}
     if not isinstance(axes, dict):

@@ -78,7 +78,7 @@ def load_models(path: str | os.PathLike[str]) -> dict[str, AxisModel]:
         raise BadInputError(
             name, 'cannot be read', error.strerror, 'give the model.json of quad-sysid identify'
         ) from error
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+    except (ValueError, RecursionError) as error:  # no text, no JSON, endless digits or brackets
         raise BadInputError(name, 'is not JSON', str(error)) from error
     root = _object(tree, name, frozenset({'schema', 'axes'}), open_ended=True)
     if root['schema'] != SCHEMA:

@@ -72,7 +72,7 @@ def read_gains(path: Path) -> dict[str, float]:
         tree = json.loads(path.read_text(encoding='utf-8'))
     except OSError as error:
         raise BadInputError(str(path), 'cannot be read', error.strerror) from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise BadInputError(str(path), 'is not JSON', str(error)) from error
     axes = tree.get('axes') if isinstance(tree, dict) else None
     if not isinstance(axes, Mapping):
