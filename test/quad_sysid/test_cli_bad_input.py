@@ -223,7 +223,8 @@ def test_a_validation_beyond_the_end_is_bad_input_to_evaluate_too(good, run, mon
 
 @pytest.mark.parametrize('content', ['[' * 5000, 'columns: ' + '9' * 5000, 'columns: ['])
 def test_a_mixer_that_is_no_yaml_is_refused(run, tmp_path, content):
-    (tmp_path / 'some.csv').write_text(TABLE)
+    rows = [','.join([row, *3 * [row.split(',')[1]]]) for row in ROWS]
+    (tmp_path / 'some.csv').write_text('\n'.join(['t,a,r,b,c,d', *rows, '']))
     (tmp_path / 'mixer.yaml').write_text(content)
     status, error = run('import', tmp_path / 'some.csv', '--axis', 'roll', '--time', 't',
                         '--motors', 'a,b,c,d', '--rate', 'r', '--mixer', tmp_path / 'mixer.yaml',
