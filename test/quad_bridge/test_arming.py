@@ -53,15 +53,16 @@ def test_disarming_passes_while_arming_waits_and_takes_no_answer_of_its(desk):
     assert desk.answers == ['given up for a request to disarm']
     desk.arming.acknowledged(GOOD, 0.2)  # to the arming
     assert len(desk.answers) == 1
-    assert desk.arming.tick(0.25).parameters == (0.0,)
-    desk.arming.acknowledged(GOOD, 0.3)
+    assert desk.arming.tick(0.25) is None
+    assert desk.arming.tick(0.35).parameters == (0.0,)
+    desk.arming.acknowledged(GOOD, 0.4)
     assert desk.answers[1:] == ['accepted']
 
 
 def test_disarming_is_sent_until_it_is_answered_and_given_up_after_a_second(desk):
     desk.ask(False, 0.0)
-    sent = [desk.arming.tick(0.05 * k) for k in range(1, 30)]
-    assert [command is not None for command in sent] == [True] * 20 + [False] * 9
+    sent = [desk.arming.tick(k / 16) for k in range(1, 30)]
+    assert [k for k, command in enumerate(sent, 1) if command is not None] == [4, 8, 12, 16]
     assert desk.answers == ['no answer in 1 s']
 
 
@@ -77,3 +78,25 @@ def test_who_waits_is_told_when_the_node_ends(desk):
     desk.arming.end('the node was deactivated')
     desk.arming.end('again')
     assert desk.answers == ['the node was deactivated']
+
+
+def test_the_answers_to_a_repeated_disarm_are_none_to_the_next_arm(desk):
+    """A slow line: three disarms are on the way before the first answer."""
+    desk.ask(False, 0.0)
+    assert desk.arming.tick(0.2)
+    assert desk.arming.tick(0.4)
+    desk.arming.acknowledged(GOOD, 0.5)
+    with pytest.raises(RefusedError, match='earlier request'):
+        desk.ask(True, 0.55)
+    desk.arming.acknowledged(GOOD, 0.7)
+    desk.arming.acknowledged(GOOD, 0.9)
+    desk.ask(True, 0.95)
+    desk.arming.acknowledged(DENIED, 1.4)
+    assert desk.answers == ['accepted', 'denied']
+
+
+def test_everybody_hears_that_nobody_answers_however_often_it_is_asked(desk):
+    for k in range(20):
+        desk.arming.tick(0.5 * k)
+        desk.ask(False, 0.5 * k)
+    assert desk.answers == ['no answer in 1 s'] * 17

@@ -135,3 +135,12 @@ def test_the_recording_warns_of_losses_and_names_a_failure(tmp_path):
     assert status(dropped=2, lost=1).message == 'recording, 3 messages lost'
     assert status(failure='disk is full').level == d.ERROR
     assert d.recording_status(None, '').message == 'idle'
+
+
+def test_callbacks_that_fail_are_a_warning_for_as_long_as_they_come():
+    assert d.callback_entries(0, 0) == []
+    (now,) = d.callback_entries(3, 2)
+    assert (now.level, now.values) == (d.WARN, {'failed callbacks': 3})
+    assert now.message.startswith('2 callbacks failed')
+    (later,) = d.callback_entries(3, 0)
+    assert later.level == d.OK

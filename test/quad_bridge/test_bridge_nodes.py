@@ -363,7 +363,7 @@ def test_nothing_that_is_sent_or_left_unanswered_stops_the_bridge(tmp_path, spaw
     assert 'request to disarm' in ears.answer(armed).message
     assert ears.answer(disarmed).message == 'the STM32: no answer in 1 s'
     assert far.commands.count(1.0) == 1
-    assert far.commands.count(0.0) > 3
+    assert far.commands.count(0.0) >= 3
     assert len(link) > told
     # what no frame, float or parser can take
     segment, update = (
@@ -383,7 +383,7 @@ def test_nothing_that_is_sent_or_left_unanswered_stops_the_bridge(tmp_path, spaw
     told = len(link)
     ears.until(lambda: len(link) > told + 1)
     values = {v.key: v.value for s in link[-1].status for v in s.values}
-    assert values['failed callbacks'] == '0'
+    assert 'failed callbacks' not in values
     assert int(values['set-points dropped']) == 3
     assert int(values['refused']) >= 3
     assert ears.transition(Transition.TRANSITION_DEACTIVATE)

@@ -2,6 +2,7 @@
 
 import signal
 import sys
+import threading
 from types import SimpleNamespace
 
 import pytest
@@ -186,3 +187,26 @@ def test_a_thread_of_its_own_outlives_whatever_its_callback_raises(monkeypatch):
         fenced(data)
     assert len(heard) == 7
     assert fence.failed == 6
+    assert (fence.lately(), fence.lately()) == (6, 0)
+
+
+def test_a_port_that_goes_on_does_not_hide_that_ros_fails_without_end(monkeypatch):
+    monkeypatch.setattr(ros_node, 'MOST_IN_A_ROW', 3)
+    fence = Fence(lambda _line: None)
+
+    def spin():
+        raise RuntimeError('wait set')
+
+    def both():
+        for _ in range(10):
+            try:
+                spin()
+            except RuntimeError as error:
+                fence.take(error)
+            port = threading.Thread(target=fence.around(lambda: None))
+            port.start()
+            port.join()
+
+    with pytest.raises(RuntimeError, match='wait set'):
+        both()
+    assert fence.failed == 4

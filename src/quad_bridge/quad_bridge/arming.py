@@ -1,7 +1,8 @@
 """A request to arm or to disarm, from its sending to the STM32's answer. Pure, safe in threads.
 
-COMMAND_ACK does not say which request it answers: arming is sent once and nothing is armed while
-an answer to it may still come; disarming passes at any time, and is sent again until answered.
+COMMAND_ACK does not say which request it answers: arming is sent once, and nothing is armed while
+an answer to an earlier request may still come; disarming passes at any time, and is sent again
+until it is answered.
 """
 
 from __future__ import annotations
@@ -9,7 +10,6 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
 
 from quad_bridge.errors import RefusedError
 from quad_bridge.wire.frames import Command, CommandAck
@@ -19,22 +19,29 @@ ARM_DISARM = 400
 ANSWER_S = 1.0
 """An answer is waited for so long; a late one may come for as long again."""
 ACCEPTED = 'accepted'
+AGAIN_S = 0.2
+"""Between two disarms that nothing has answered."""
 _RESULTS = (ACCEPTED, 'not now', 'denied', 'not supported', 'failed')
 
 
-@dataclass(frozen=True)
 class _Asked:
-    arm: bool
-    until_s: float
-    told: tuple[Callable[[str], None], ...]
+    """One request on the wire, and who waits for its answer until when."""
 
-    @property
-    def command(self) -> Command:
+    def __init__(self, arm: bool) -> None:
+        self.arm = arm
+        self.sent = 0
+        self.last_s = -math.inf
+        self.told: list[tuple[float, Callable[[str], None]]] = []
+
+    def send(self, now_s: float) -> Command:
+        self.sent, self.last_s = self.sent + 1, now_s
         return Command(ARM_DISARM, (1.0 if self.arm else 0.0,))
 
-    def tell(self, text: str) -> None:
-        for told in self.told:
-            told(text)
+    def late(self, now_s: float) -> list[Callable[[str], None]]:
+        """Those whose time is up; they wait no longer."""
+        late = [told for until_s, told in self.told if now_s > until_s]
+        self.told = [one for one in self.told if now_s <= one[0]]
+        return late
 
 
 class Arming:
@@ -43,50 +50,69 @@ class Arming:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._asked: _Asked | None = None
-        self._owed_until_s = -math.inf
-        """Until then an answer may be to arming that nobody waits for any more."""
+        self._owed, self._owed_until_s = 0, -math.inf
+        """So many answers may come until then to what nobody waits for any more."""
 
     def ask(self, arm: bool, told: Callable[[str], None], now_s: float) -> Command:
         """Take on a request; what to send. Raises RefusedError."""
+        given_up: list[Callable[[str], None]] = []
         with self._lock:
-            earlier = self._asked
-            if arm and (earlier is not None or now_s < self._owed_until_s):
+            asked = self._asked
+            if arm and (asked is not None or self._waits_for_owed(now_s)):
                 raise RefusedError('an earlier request waits for its answer')
-            others = earlier.told if earlier is not None and not earlier.arm else ()
-            self._asked = asked = _Asked(arm, now_s + ANSWER_S, (*others, told))
-            if earlier is not None and earlier.arm:
-                self._owed_until_s = now_s + ANSWER_S
-        if earlier is not None and earlier.arm:
-            earlier.tell('given up for a request to disarm')
-        return asked.command
+            if asked is not None and asked.arm:
+                given_up = [one for _, one in asked.told]
+                self._owe(asked.sent, now_s)
+                asked = None
+            self._asked = asked = asked or _Asked(arm)
+            asked.told.append((now_s + ANSWER_S, told))
+            command = asked.send(now_s)
+        for one in given_up:
+            one('given up for a request to disarm')
+        return command
 
     def tick(self, now_s: float) -> Command | None:
         """Give up where no answer has come; what to send again."""
+        command = None
         with self._lock:
             asked = self._asked
-            if asked is None or now_s <= asked.until_s:
-                return asked.command if asked is not None and not asked.arm else None
-            self._asked = None
-            if asked.arm:
-                self._owed_until_s = now_s + ANSWER_S
-        asked.tell(f'no answer in {ANSWER_S:g} s')
-        return None
+            if asked is None:
+                return None
+            late = asked.late(now_s)
+            if not asked.told:
+                self._asked = None
+                self._owe(asked.sent, now_s)
+            elif not asked.arm and now_s - asked.last_s >= AGAIN_S:
+                command = asked.send(now_s)
+        for told in late:
+            told(f'no answer in {ANSWER_S:g} s')
+        return command
 
     def acknowledged(self, ack: CommandAck, now_s: float) -> None:
         """The STM32 has answered a command."""
         if ack.command != ARM_DISARM:
             return
         with self._lock:
-            owed, self._owed_until_s = now_s < self._owed_until_s, -math.inf
-            if owed or self._asked is None:
+            if self._waits_for_owed(now_s):
+                self._owed -= 1
                 return
             asked, self._asked = self._asked, None
+            if asked is None:
+                return
+            self._owe(asked.sent - 1, now_s)
         known = ack.result < len(_RESULTS)
-        asked.tell(_RESULTS[ack.result] if known else f'result {ack.result}')
+        for _, told in asked.told:
+            told(_RESULTS[ack.result] if known else f'result {ack.result}')
 
     def end(self, why: str) -> None:
         """Nobody is there to answer any more."""
         with self._lock:
             asked, self._asked = self._asked, None
-        if asked is not None:
-            asked.tell(why)
+        for _, told in asked.told if asked is not None else ():
+            told(why)
+
+    def _waits_for_owed(self, now_s: float) -> bool:
+        return self._owed > 0 and now_s < self._owed_until_s
+
+    def _owe(self, answers: int, now_s: float) -> None:
+        self._owed, self._owed_until_s = answers, now_s + ANSWER_S

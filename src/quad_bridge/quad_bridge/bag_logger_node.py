@@ -254,13 +254,11 @@ class BagLogger(ManagedNode):
             for topic in list(self._subscribed):
                 self._subscribe(topic)
                 self._tell_foreign(topic)
+        entries = [diagnostics.recording_status(status, self._last, self._free())]
+        entries += diagnostics.callback_entries(self.fence.failed, self.fence.lately())
+        now = self.get_clock().now().to_msg()
         self._diagnostics.publish(
-            diagnostics.diagnostic_array(
-                self.get_name(),
-                str(self._folder),
-                self.get_clock().now().to_msg(),
-                [diagnostics.recording_status(status, self._last, self._free())],
-            )
+            diagnostics.diagnostic_array(self.get_name(), str(self._folder), now, entries)
         )
 
     def _keep_budget(self, recording: Recording, path: Path) -> None:

@@ -64,13 +64,20 @@ class Changes:
         return [e for e in begun if self._sparing.allow(e.name + e.message, now_s)]
 
 
-def link_status(
-    port: PortStatus, link: Link, since: Since, now_s: float, opened: Counts, failed: int = 0
-) -> Status:
-    """Port, frames and losses; `opened` are the decoder's counts when the port was opened.
+def callback_entries(failed: int, lately: int) -> list[Status]:
+    """Of callbacks that failed and were left out, all and since the last report; maybe none."""
+    if not failed:
+        return []
+    level, text = OK, 'no callback has failed since the last report'
+    if lately:
+        level, text = WARN, f'{lately} callbacks failed since the last report: see the log'
+    return [Status('callbacks', level, text, {'failed callbacks': failed})]
 
-    `failed` callbacks were logged and left out.
-    """
+
+def link_status(
+    port: PortStatus, link: Link, since: Since, now_s: float, opened: Counts
+) -> Status:
+    """Port, frames and losses; `opened` are the decoder's counts when the port was opened."""
     counts = link.decoder.counts
     seconds = max(now_s - since.time_s, 1e-3)
     rate = (link.cycles - since.cycles) / seconds
@@ -96,7 +103,6 @@ def link_status(
         'restarts of the STM32': counts.restarts,
         'dropped writes': port.dropped_writes,
         'bytes': counts.bytes,
-        'failed callbacks': failed,
     }
     level, text = _link_verdict(port, link, counts, since, opened, now_s)
     return Status('link', level, text, values)

@@ -124,15 +124,18 @@ class Fence:
     def __init__(self, log: Callable[[str], None]) -> None:
         self.failed = 0
         """Callbacks that have raised."""
+        self._told = 0
         self._log = log
-        self._in_a_row = 0
+        self._in_a_row: dict[int, int] = {}
+        """By thread: the port goes on while ROS fails."""
         self._sparing = Sparing()
 
     def take(self, error: Exception) -> None:
         """Note what a callback has raised."""
         self.failed += 1
-        self._in_a_row += 1
-        if self._in_a_row > MOST_IN_A_ROW:
+        thread = threading.get_ident()
+        self._in_a_row[thread] = self._in_a_row.get(thread, 0) + 1
+        if self._in_a_row[thread] > MOST_IN_A_ROW:
             raise error
         frame = traceback.extract_tb(error.__traceback__)[-1]
         words = f'{type(error).__name__}: {" ".join(str(error).split())[:LONGEST]}'
@@ -142,7 +145,13 @@ class Fence:
 
     def passed(self) -> None:
         """Note that one has not failed."""
-        self._in_a_row = 0
+        self._in_a_row[threading.get_ident()] = 0
+
+    def lately(self) -> int:
+        """How many have raised since this was last asked."""
+        failed = self.failed
+        new, self._told = failed - self._told, failed
+        return new
 
     def around(self, callback: Callable[..., None]) -> Callable[..., None]:
         """`callback`, for a thread of its own, that never raises."""

@@ -14,7 +14,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import Imu
 
 from quad_bridge import ros_node
-from quad_bridge.diagnostics import diagnostic_array
+from quad_bridge.diagnostics import callback_entries, diagnostic_array
 from quad_bridge.qos import EVENT, STREAM
 from quad_bridge.sensor_status import vibration_entries
 from quad_bridge.sensors.window import SHAKING
@@ -33,6 +33,7 @@ class SensorWatch(Node):  # type: ignore[misc]
         self._samples: deque[tuple[float, ...]] = deque(maxlen=SHAKING)
         self._diagnostics = self.create_publisher(DiagnosticArray, 'diagnostics', EVENT)
         self.create_subscription(Imu, 'imu/data', self._on_imu, STREAM)
+        self.fence = ros_node.Fence(self.get_logger().error)
         ros_node.steady_timer(self, 1.0, self._on_report)
 
     def close(self) -> None:
@@ -48,6 +49,7 @@ class SensorWatch(Node):  # type: ignore[misc]
         steps = np.diff(np.array(self._stamps))
         rate_hz = 1.0 / float(np.median(steps)) if len(steps) and np.median(steps) > 0.0 else 0.0
         entries = vibration_entries(rate_hz, samples, self._filter_hz)
+        entries += callback_entries(self.fence.failed, self.fence.lately())
         now = self.get_clock().now().to_msg()
         self._diagnostics.publish(diagnostic_array(self.get_name(), '', now, entries))
 

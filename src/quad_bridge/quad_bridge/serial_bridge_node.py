@@ -297,14 +297,13 @@ class SerialBridge(ManagedNode):
         with self._lock:
             link, port = self._link, self._port.status
             # a report out of turn may follow the last one so closely that nothing came between
-            failed = self.fence.failed
             unset = self._time.epoch_ns == NEVER_NS
             settled = now_s - self._since.time_s > SETTLED_S
             since = self._since if settled else self._before
             standard = link.standard_only(time.monotonic_ns())
             self._relay.refusal = NO_EXCITATION if standard else ''
             entries = [
-                diagnostics.link_status(port, link, since, now_s, self._opened_counts, failed),
+                diagnostics.link_status(port, link, since, now_s, self._opened_counts),
                 diagnostics.clock_status(link, self._time.behind_ns, unset=unset),
                 diagnostics.gains_status(link, self._keeper),
                 diagnostics.excitation_status(self._relay, link, self._enable.fault(now_s)),
@@ -313,6 +312,7 @@ class SerialBridge(ManagedNode):
                 counts = diagnostics.Since(now_s, link.decoder.counts, link.cycles)
                 self._before, self._since = since, counts
         entries += self._sensors.entries(link)
+        entries += diagnostics.callback_entries(self.fence.failed, self.fence.lately())
         self._diagnostics.publish(
             diagnostics.diagnostic_array(
                 self.get_name(), self._settings.port, self.get_clock().now().to_msg(), entries
