@@ -331,28 +331,35 @@ def test_old_bags_are_deleted_only_where_that_is_allowed(tmp_path):
 
 
 def test_the_oldest_bag_is_the_one_closed_first_whatever_its_clock_said(tmp_path):
-    names = ['flight_19700101_000500', 'flight_20250101_120000', 'flight_20250101_130000']
-    for name, closed_s in zip(names, (3000, 1000, 2000), strict=True):
+    names = [
+        'flight_19700101_000500', 'flight_20250101_120000', 'flight_20250101_130000',
+        'flight_19700101_000100',
+    ]  # fmt: skip
+    # the first was closed last of all, the fourth by a computer that has no clock: of unknown age
+    for name, closed_s in zip(names, (1.76e9, 1.74e9, 1.75e9, 100.0), strict=True):
         bag_of(tmp_path, name, 1000)
         os.utime(tmp_path / name / 'metadata.yaml', (closed_s, closed_s))
     budget = Budget(tmp_path, 'flight', 1500, delete_oldest=True)
-    assert [b.name for b in budget.make_room(0)] == names[1:]
+    assert [b.name for b in budget.make_room(0)] == [names[1], names[2], names[0]]
 
 
-def test_a_bag_that_may_not_be_deleted_stays_whole(tmp_path, monkeypatch):
+@pytest.mark.parametrize('locked', ['data.mcap', 'metadata.yaml'])
+def test_a_bag_that_may_not_be_deleted_stays_whole(tmp_path, monkeypatch, locked):
     names = ['flight_20250101_120000', 'flight_20250101_130000']
     for name in names:
         bag_of(tmp_path, name, 1000)
-    unlink = Path.unlink
+    rename = Path.rename
 
-    def refuse(path, *rest, **more):
-        if path.parent.name == names[0]:
+    def refuse(path, target):  # as of a file that chattr +i protects
+        if path.parent.name == names[0] and path.name == locked:
             raise PermissionError(errno.EPERM, os.strerror(errno.EPERM))
-        unlink(path, *rest, **more)
+        return rename(path, target)
 
-    monkeypatch.setattr(Path, 'unlink', refuse)
-    budget = Budget(tmp_path, 'flight', 1500, delete_oldest=True)
-    assert [b.name for b in budget.make_room(0)] == [names[1]]
+    monkeypatch.setattr(Path, 'rename', refuse)
+    budget, kept = Budget(tmp_path, 'flight', 1500, delete_oldest=True), []
+    assert [b.name for b in budget.make_room(0, refused=kept.append)] == [names[1]]
+    assert [b.name for b in kept] == [names[0]]
+    assert [p.name for p in tmp_path.iterdir()] == [names[0]]
     assert {p.name for p in (tmp_path / names[0]).iterdir()} == {'data.mcap', 'metadata.yaml'}
     with pytest.raises(BadInputError, match='MB too much'):
         budget.make_room(1500)

@@ -105,7 +105,7 @@ class Arming:
             told(_RESULTS[ack.result] if known else f'result {ack.result}')
 
     def end(self, why: str) -> None:
-        """Nobody is there to answer any more."""
+        """Nobody is there to answer any more; who waits is told why."""
         with self._lock:
             asked, self._asked = self._asked, None
         for _, told in asked.told if asked is not None else ():

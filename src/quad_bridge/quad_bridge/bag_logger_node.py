@@ -154,7 +154,10 @@ class BagLogger(ManagedNode):
         return path
 
     def _make_room(self, more: int, current: Path | None = None) -> None:
-        for bag in self._budget.make_room(more, current):
+        def refused(bag: Path) -> None:
+            self.get_logger().warning(f'disk budget: {bag} cannot be deleted and stays')
+
+        for bag in self._budget.make_room(more, current, refused):
             self.get_logger().warning(f'disk budget: deleted the oldest bag {bag}')
 
     def _stop(self) -> RecordingStatus:
@@ -264,8 +267,10 @@ class BagLogger(ManagedNode):
     def _keep_budget(self, recording: Recording, path: Path) -> None:
         try:
             self._make_room(0, path)
-        except (BadInputError, OSError) as error:
+        except BadInputError as error:
             recording.end(str(error))
+        except OSError as error:  # a folder that is gone, the recording itself will notice
+            self.get_logger().warning(f'disk budget: not looked after: {error}')
 
     def _free(self) -> int | None:
         """Bytes; None where the folder is gone."""

@@ -196,6 +196,8 @@ def _topics(base: sqlite3.Connection) -> dict[int, Topic]:
         definitions = {}
     cursor = base.execute('SELECT * FROM topics')  # of its columns not every version has all
     columns = [column[0] for column in cursor.description]
+    if not {'id', 'name', 'type'} <= set(columns):
+        raise sqlite3.DatabaseError('its table of topics is damaged')
     topics = {}
     for values in cursor:
         row = dict(zip(columns, values, strict=True))

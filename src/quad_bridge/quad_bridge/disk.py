@@ -5,12 +5,14 @@ Knows paths and bytes, no formats; a bag is a directory, closed once it holds me
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import re
 import shutil
 import sqlite3
 import tempfile
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,6 +21,8 @@ from quad_bridge.errors import BadInputError
 MB = 1_000_000
 METADATA = 'metadata.yaml'
 """What makes a folder a closed bag."""
+CLOCK_SET_S = 1_577_836_800
+"""2020: a time before is of a computer without a clock, and says nothing of the age."""
 
 
 def free_bytes(folder: Path) -> int:
@@ -99,9 +103,13 @@ class Budget:
             return -1
         return sum(map(bag_bytes, self.bags())) + more - self.limit
 
-    def make_room(self, more: int, current: Path | None = None) -> list[Path]:
+    def make_room(
+        self, more: int, current: Path | None = None,
+        refused: Callable[[Path], None] = lambda _bag: None,
+    ) -> list[Path]:  # fmt: skip
         """Delete closed bags as far as is allowed and needed; returns them.
 
+        `refused` hears of bags that cannot be deleted; they stay whole.
         `current` is never deleted, nor is a bag without metadata.yaml: it may be another
         recorder's, or wait for `recover`. Raises BadInputError where the limit stays exceeded.
         """
@@ -117,31 +125,50 @@ class Budget:
                 )
             if _delete(oldest := closed.pop(0)):
                 deleted.append(oldest)
+            else:
+                refused(oldest)
         return deleted
 
 
 def _closed_s(bag: Path) -> float:
-    """When a bag was closed, s (its name may be of a clock not yet set); infinity where never."""
+    """When a bag was closed, s; infinity where never, or by a clock that was not set."""
     try:
-        return (bag / METADATA).stat().st_mtime
+        closed_s = (bag / METADATA).stat().st_mtime
     except OSError:
         return float('inf')
+    return closed_s if closed_s > CLOCK_SET_S else float('inf')
 
 
 def _delete(bag: Path) -> bool:
-    """Delete a closed bag; False where that is not allowed, then it stays as it is."""
+    """Delete a closed bag; False where that is not allowed, then it stays as it is.
+
+    What may not be deleted may not be moved either: the files are moved out first, or back.
+    """
+    doomed = bag.with_name(f'{bag.name}.deleting')
+    moved: list[Path] = []
     try:
-        (bag / METADATA).unlink()
-        shutil.rmtree(bag)
+        doomed.mkdir()
+        for file in sorted(bag.iterdir()):
+            file.rename(doomed / file.name)
+            moved.append(file)
+        bag.rmdir()
     except OSError:
+        with contextlib.suppress(OSError):
+            for file in moved:
+                (doomed / file.name).rename(file)
+            doomed.rmdir()
         return False
+    shutil.rmtree(doomed, ignore_errors=True)
     return True
 
 
 def bag_bytes(bag: Path) -> int:
     """Size of the files of a bag; 0 where there is none."""
-    files = list(bag.iterdir()) if bag.is_dir() else []
-    return sum(file.stat().st_size for file in files if file.is_file())
+    total = 0
+    for file in list(bag.iterdir()) if bag.is_dir() else []:
+        with contextlib.suppress(OSError):  # gone since it was listed
+            total += file.stat().st_size if file.is_file() else 0
+    return total
 
 
 def is_full(error: Exception) -> bool:

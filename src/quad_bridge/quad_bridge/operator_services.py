@@ -44,7 +44,7 @@ class OperatorServices:
 
     def end(self) -> None:
         """The port is about to be shut."""
-        self._arming.end('the node was deactivated')
+        self._arming.end('no answer before the node was deactivated')
 
     def _on_enable(self, message: Bool) -> None:
         self._enable.take(bool(message.data), time.monotonic())

@@ -198,6 +198,8 @@ def _parser() -> OneLineParser:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command; exits with the contract's status."""
     given = _parser().parse_args(arguments, argparse.Namespace(warnings=[]))
-    lines = ended_in_one_line('sensors', lambda: given.run(given))
-    sys.stderr.writelines(f'sensors: warning: {warning}\n' for warning in given.warnings)
+    try:
+        lines = ended_in_one_line('sensors', lambda: given.run(given))
+    finally:  # they may be why it was refused
+        sys.stderr.writelines(f'sensors: warning: {warning}\n' for warning in given.warnings)
     say('\n'.join(lines) + '\n')

@@ -327,7 +327,7 @@ def main() -> None:
             status = node.exit_status
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
-    except (QuadSysidError, *ros_node.WRONG) as error:
+    except (QuadSysidError, *ros_node.WRONG, ros_node.RCLError, OSError) as error:
         sys.stderr.write(f'excitation: {" ".join(str(error).split())}\n')
         status = 2
     finally:
