@@ -95,6 +95,22 @@ def test_the_answers_to_a_repeated_disarm_are_none_to_the_next_arm(desk):
     assert desk.answers == ['accepted', 'denied']
 
 
+def test_an_answer_to_the_disarm_of_before_is_as_good_for_the_next_one(desk):
+    """Five disarms went into a line that came back: who asks again hears the first answer."""
+    desk.ask(False, 0.0)
+    for k in range(1, 18):
+        desk.arming.tick(k / 16)
+    assert desk.answers == ['no answer in 1 s']
+    desk.ask(False, 1.2)
+    desk.arming.acknowledged(GOOD, 1.25)
+    assert desk.answers[1:] == ['accepted']
+    with pytest.raises(RefusedError, match='earlier request'):
+        desk.ask(True, 1.3)  # the others' answers are on the way
+    desk.ask(True, 2.3)
+    desk.arming.acknowledged(DENIED, 2.4)
+    assert desk.answers[2:] == ['denied']
+
+
 def test_everybody_hears_that_nobody_answers_however_often_it_is_asked(desk):
     for k in range(20):
         desk.arming.tick(0.5 * k)

@@ -328,6 +328,10 @@ def test_old_bags_are_deleted_only_where_that_is_allowed(tmp_path):
         allowed.make_room(3000, tmp_path / names[2])
     assert len(list(tmp_path.iterdir())) == 5
     assert Budget(tmp_path, 'flight').make_room(10**12) == []
+    # what a recorder was killed at while it deleted is room as well
+    bag_of(tmp_path, f'{names[0]}.deleting', 3000)
+    assert allowed.make_room(500) == []
+    assert len(list(tmp_path.iterdir())) == 5
 
 
 def test_the_oldest_bag_is_the_one_closed_first_whatever_its_clock_said(tmp_path):

@@ -278,3 +278,18 @@ def test_without_a_round_trip_the_uptime_decides(anew):
     assert guard.step(LATE, PATIENCE_NS, anew=False)
     assert not guard.step(LATE, PATIENCE_NS + 1, anew=False)
     assert guard.gone == anew
+
+
+def test_what_comes_late_beside_no_cycle_waits_no_longer_than_patience():
+    """The control task hangs, the radio's frames go on 250 ms late, TIMESYNC is silent."""
+    line = Line()
+    line.fly(3.0)
+    line.answers, heard = False, len(line.out)
+    for k in range(500):
+        line.number += 5
+        us = line.device_us - 250_000
+        line.hear(line.encoder.encode(f.RcChannels(us // 1000, (1500,) * 9)))
+        line.tick()
+        assert len(line.link.stamping._waiting) <= PATIENCE_NS / (5 * CYCLE_NS) + 2, k
+    late = [s for s in line.out[heard:] if isinstance(s.frame, f.RcChannels)]
+    assert len(late) > 480

@@ -50,8 +50,9 @@ class Arming:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._asked: _Asked | None = None
-        self._owed, self._owed_until_s = 0, -math.inf
-        """So many answers may come until then to what nobody waits for any more."""
+        self._owed = {True: 0, False: 0}
+        """So many answers to arming and to disarming may still come that nobody waits for."""
+        self._owed_until_s = -math.inf
 
     def ask(self, arm: bool, told: Callable[[str], None], now_s: float) -> Command:
         """Take on a request; what to send. Raises RefusedError."""
@@ -62,7 +63,7 @@ class Arming:
                 raise RefusedError('an earlier request waits for its answer')
             if asked is not None and asked.arm:
                 given_up = [one for _, one in asked.told]
-                self._owe(asked.sent, now_s)
+                self._owe(asked, asked.sent, now_s)
                 asked = None
             self._asked = asked = asked or _Asked(arm)
             asked.told.append((now_s + ANSWER_S, told))
@@ -81,7 +82,7 @@ class Arming:
             late = asked.late(now_s)
             if not asked.told:
                 self._asked = None
-                self._owe(asked.sent, now_s)
+                self._owe(asked, asked.sent, now_s)
             elif not asked.arm and now_s - asked.last_s >= AGAIN_S:
                 command = asked.send(now_s)
         for told in late:
@@ -93,13 +94,18 @@ class Arming:
         if ack.command != ARM_DISARM:
             return
         with self._lock:
+            asked = self._asked
             if self._waits_for_owed(now_s):
-                self._owed -= 1
-                return
-            asked, self._asked = self._asked, None
+                arm = self._owed[True] > 0  # arming came before the disarming that ended it
+                self._owed[arm] -= 1
+                if arm or asked is None or asked.arm:
+                    return
+                # an answer to the disarm of before is as good for the one that waits
+                asked.sent += 1
             if asked is None:
                 return
-            self._owe(asked.sent - 1, now_s)
+            self._asked = None
+            self._owe(asked, asked.sent - 1, now_s)
         known = ack.result < len(_RESULTS)
         for _, told in asked.told:
             told(_RESULTS[ack.result] if known else f'result {ack.result}')
@@ -112,7 +118,10 @@ class Arming:
             told(why)
 
     def _waits_for_owed(self, now_s: float) -> bool:
-        return self._owed > 0 and now_s < self._owed_until_s
+        if now_s >= self._owed_until_s:
+            self._owed = {True: 0, False: 0}
+        return any(self._owed.values())
 
-    def _owe(self, answers: int, now_s: float) -> None:
-        self._owed, self._owed_until_s = answers, now_s + ANSWER_S
+    def _owe(self, asked: _Asked, answers: int, now_s: float) -> None:
+        self._owed[asked.arm] += answers
+        self._owed_until_s = now_s + ANSWER_S

@@ -21,6 +21,8 @@ from quad_bridge.errors import BadInputError
 MB = 1_000_000
 METADATA = 'metadata.yaml'
 """What makes a folder a closed bag."""
+DOOMED = '.deleting'
+"""Ends the name of a bag that is about to go."""
 CLOCK_SET_S = 1_577_836_800
 """2020: a time before is of a computer without a clock, and says nothing of the age."""
 
@@ -93,7 +95,7 @@ class Budget:
         """Bags that a recorder with this prefix made in the folder, the first closed first."""
         if not self.folder.is_dir():
             return []
-        name = re.compile(re.escape(self.prefix) + r'_\d{8}_\d{6}(_\d+)?')
+        name = re.compile(re.escape(self.prefix) + r'_\d{8}_\d{6}(_\d+)?' + f'({DOOMED})?')
         found = (p for p in self.folder.iterdir() if name.fullmatch(p.name) and p.is_dir())
         return sorted(found, key=lambda bag: (_closed_s(bag), bag.name))
 
@@ -113,6 +115,9 @@ class Budget:
         `current` is never deleted, nor is a bag without metadata.yaml: it may be another
         recorder's, or wait for `recover`. Raises BadInputError where the limit stays exceeded.
         """
+        if self.delete_oldest:
+            for left in [b for b in self.bags() if b.name.endswith(DOOMED)]:
+                shutil.rmtree(left, ignore_errors=True)  # somebody was killed at it
         deleted: list[Path] = []
         closed = [b for b in self.bags() if b != current and (b / METADATA).is_file()]
         while (excess := self.excess(more)) > 0:
@@ -144,7 +149,7 @@ def _delete(bag: Path) -> bool:
 
     What may not be deleted may not be moved either: the files are moved out first, or back.
     """
-    doomed = bag.with_name(f'{bag.name}.deleting')
+    doomed = bag.with_name(bag.name + DOOMED)
     moved: list[Path] = []
     try:
         doomed.mkdir()

@@ -73,6 +73,7 @@ class SerialBridge(ManagedNode):
         self._reported_s = 0.0
         self._simulated = bool(self.get_parameter('use_sim_time').value)
         self._time = HostTime(self._epoch())
+        self._failed_lately = 0
         self._since = self._before = diagnostics.Since(time.monotonic(), Counts(), 0)
         self._opened_counts = Counts()
         self._sparing = Sparing()
@@ -312,7 +313,8 @@ class SerialBridge(ManagedNode):
                 counts = diagnostics.Since(now_s, link.decoder.counts, link.cycles)
                 self._before, self._since = since, counts
         entries += self._sensors.entries(link)
-        entries += diagnostics.callback_entries(self.fence.failed, self.fence.lately())
+        self._failed_lately = self.fence.lately() if settled else self._failed_lately
+        entries += diagnostics.callback_entries(self.fence.failed, self._failed_lately)
         self._diagnostics.publish(
             diagnostics.diagnostic_array(
                 self.get_name(), self._settings.port, self.get_clock().now().to_msg(), entries

@@ -12,7 +12,7 @@ from functools import partial
 from quad_bridge.autopilot import Inertial
 from quad_bridge.wire.clock import ClockEstimator, DeviceTime
 from quad_bridge.wire.frames import Battery, Cycle, Outputs, RcChannels, SlowSensors, StatusText
-from quad_bridge.wire.late_guard import LateGuard
+from quad_bridge.wire.late_guard import PATIENCE_NS, LateGuard
 from quad_bridge.wire.step_guard import StepGuard
 
 FUTURE_NS = 100_000_000
@@ -47,7 +47,7 @@ class Stamping:
         """What has this stamp."""
         self._waiting: list[Callable[[int, list[Stamped]], None]] = []
         """What is stamped once it is known whether the far end's clock is still the same."""
-        self._arrived_ns = 0
+        self._arrived_ns = self._waits_since_ns = 0
 
     def restart(self) -> None:
         """Forget: the far end has restarted, or is another one."""
@@ -96,8 +96,12 @@ class Stamping:
         """Stamp a frame whose time has this grain: with its cycle's stamp where it was of one."""
         device_ns = 1000 * self.device_time.peek(time_us, NEAR_US)
         stamp = partial(self._stamp_other, frame, time_us // grain_us, grain_us, device_ns)
-        if self._waiting or (self._sure and self.late.late(self._late_ns(device_ns, now_ns))):
-            self._waiting.append(stamp)
+        late_ns = self._late_ns(device_ns, now_ns) if self._sure else 0
+        if self._waiting and now_ns - self._waits_since_ns > PATIENCE_NS:
+            self.late.believe(late_ns)  # no cycle comes that would tell
+            self._release(now_ns, out)
+        if self._waiting or self.late.late(late_ns):
+            self._wait(stamp, now_ns)
         else:
             stamp(now_ns, out)
 
@@ -142,10 +146,15 @@ class Stamping:
             if self.late.gone:
                 self._begin_anew()
             elif waits or uneven:
-                self._waiting.append(partial(self._stamp_timed, frame, device_ns))
+                self._wait(partial(self._stamp_timed, frame, device_ns), now_ns)
                 return
         self._release(now_ns, out)
         self._stamp_timed(frame, device_ns, now_ns, out)
+
+    def _wait(self, stamp: Callable[[int, list[Stamped]], None], now_ns: int) -> None:
+        if not self._waiting:
+            self._waits_since_ns = now_ns
+        self._waiting.append(stamp)
 
     def _begin_anew(self) -> None:
         """What came late was of another clock."""

@@ -64,5 +64,10 @@ class LateGuard:
         else:
             self._believe()
 
+    def believe(self, late_ns: int) -> None:
+        """Take so much lateness as it is from now on: nobody tells."""
+        self._late_ns = late_ns
+        self._believe()
+
     def _believe(self) -> None:
         self._since_ns, self._allowed_ns = None, self._late_ns + PAST_NS
