@@ -15,6 +15,7 @@ from geometry_msgs.msg import Vector3Stamped
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile
 from rosbags.highlevel import AnyReader
+from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
@@ -72,6 +73,12 @@ class Load:
     def wait(self):
         end_s = time.monotonic() + WAIT_S
         while any(p.get_subscription_count() < 1 for p in self.publishers):
+            assert time.monotonic() < end_s
+            time.sleep(0.05)
+
+    def wait_for_logger(self):
+        end_s = time.monotonic() + WAIT_S
+        while 'bag_logger' not in self.node.get_node_names():
             assert time.monotonic() < end_s
             time.sleep(0.05)
 
@@ -273,3 +280,19 @@ def test_two_loggers_of_one_folder_record_both(tmp_path, logger, load):
         process.send_signal(signal.SIGINT)
         assert process.wait(WAIT_S) == 0
     assert [(bag / 'metadata.yaml').is_file() for bag in tmp_path.glob('flight_*')] == 3 * [True]
+
+
+def test_simulated_time_that_nobody_tells_is_waited_for(tmp_path, logger, load):
+    process = logger(tmp_path, use_sim_time='true')
+    load.wait_for_logger()
+    load.run(2.0, 100)  # two reports
+    assert list(tmp_path.glob('flight_*')) == []
+    clock = load.node.create_publisher(Clock, '/clock', 10)
+    end_s, told = time.monotonic() + WAIT_S, Clock()
+    while not list(tmp_path.glob('flight_*')) and time.monotonic() < end_s:
+        told.clock.sec += 1
+        clock.publish(told)
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    assert process.wait(timeout=WAIT_S) == 0
+    assert len(list(tmp_path.glob('flight_*'))) == 1

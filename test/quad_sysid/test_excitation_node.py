@@ -190,6 +190,14 @@ def test_started_by_service_and_ended_by_failsafe(aircraft, start):
     assert 'failsafe' in refused.message
 
 
+def test_simulated_time_that_nobody_tells_flies_nothing_and_says_so(aircraft, start):
+    start(use_sim_time='true')
+    aircraft.until(lambda: aircraft.state.get('state') == 'ready')
+    refused = aircraft.call('/excitation/start')
+    assert (refused.success, '/clock' in refused.message) == (False, True), refused.message
+    assert not aircraft.setpoints
+
+
 LONG = """
 schedule:
   ramp_s: 0.1

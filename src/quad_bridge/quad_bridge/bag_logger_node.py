@@ -89,8 +89,9 @@ class BagLogger(ManagedNode):
 
     def activate(self) -> None:
         """Report, and record where `autostart` says so."""
-        if self._autostart:
-            self._start()
+        self._waits = self._autostart
+        if self._clock_runs:
+            self._start_by_itself()
         self._timer = self.create_timer(1.0, self._on_report)
 
     def deactivate(self) -> None:
@@ -99,6 +100,16 @@ class BagLogger(ManagedNode):
         if self._recording is not None:
             self._stop()
             self._bag.wait_for_all_acked(Duration(seconds=0.5))
+
+    @property
+    def _clock_runs(self) -> bool:
+        """False where time is simulated and nobody has told it yet."""
+        return self._ros_now_ns() > 0
+
+    def _start_by_itself(self) -> None:
+        if self._waits:
+            self._waits = False
+            self._start()
 
     def _ros_now_ns(self) -> int:
         return int(self.get_clock().now().nanoseconds)
@@ -138,6 +149,9 @@ class BagLogger(ManagedNode):
         return response
 
     def _start(self) -> Path:
+        if not self._clock_runs:
+            what = 'is set, and nothing comes on /clock'
+            raise BadInputError('use_sim_time', what, remedy='start what publishes it')
         now = datetime.now(tz=timezone.utc)
         try:
             self._make_room(self._limits.reserve_bytes)
@@ -248,6 +262,11 @@ class BagLogger(ManagedNode):
             self.get_logger().info(self._last)
 
     def _on_report(self) -> None:
+        if self._waits and self._clock_runs:
+            try:
+                self._start_by_itself()
+            except QuadBridgeError as error:
+                self.get_logger().error(str(error))
         status = None
         if self._recording is not None:
             status = self._recording.status
@@ -258,6 +277,9 @@ class BagLogger(ManagedNode):
                 self._subscribe(topic)
                 self._tell_foreign(topic)
         entries = [diagnostics.recording_status(status, self._last, self._free())]
+        if not self._clock_runs:
+            silent = 'time is simulated, and nothing comes on /clock: nothing is recorded'
+            entries.append(diagnostics.Status('clock', diagnostics.WARN, silent))
         entries += diagnostics.callback_entries(self.fence.failed, self.fence.lately())
         now = self.get_clock().now().to_msg()
         self._diagnostics.publish(

@@ -145,6 +145,8 @@ class ExcitationNode(Node):  # type: ignore[misc]
         return float(self._pace.now().nanoseconds) * 1e-9
 
     def _start(self) -> str:
+        if not self._now_s():
+            return 'time is simulated, and nothing comes on /clock'
         began_s = time.monotonic()  # the first decoding takes its time, and so may the first tick
         refused = self._player.start(self._now_s(), self._readings(decode_angles=True))
         if not refused:
