@@ -144,3 +144,13 @@ def test_callbacks_that_fail_are_a_warning_for_as_long_as_they_come():
     assert now.message.startswith('2 callbacks failed')
     (later,) = d.callback_entries(3, 0)
     assert later.level == d.OK
+
+
+def test_a_far_end_that_does_not_read_is_told():
+    link, port = Link(), PortStatus(PortState.OPEN, 'x', dropped_writes=7, opened=1)
+    verdicts = [
+        d._flowing(port, 0, port.dropped_writes - since.dropped_writes)
+        for since in (NOTHING, d.Since(1.0, link.decoder.counts, 0, 7))
+    ]
+    assert [level for level, _ in verdicts] == [d.WARN, d.OK]
+    assert 'does not read' in verdicts[0][1]

@@ -2,7 +2,8 @@
 
 COMMAND_ACK does not say which request it answers: arming is sent once, and nothing is armed while
 an answer to an earlier request may still come; disarming passes at any time, and is sent again
-until it is answered.
+until it is answered. Arming that is given up is followed by disarming: it may still lie in a
+buffer on the way.
 """
 
 from __future__ import annotations
@@ -27,8 +28,8 @@ _RESULTS = (ACCEPTED, 'not now', 'denied', 'not supported', 'failed')
 class _Asked:
     """One request on the wire, and who waits for its answer until when."""
 
-    def __init__(self, arm: bool) -> None:
-        self.arm = arm
+    def __init__(self, arm: bool, *, armed: bool = False) -> None:
+        self.arm, self.armed = arm, armed
         self.sent = 0
         self.last_s = -math.inf
         self.told: list[tuple[float, Callable[[str], None]]] = []
@@ -54,8 +55,10 @@ class Arming:
         """So many answers to arming and to disarming may still come that nobody waits for."""
         self._owed_until_s = -math.inf
 
-    def ask(self, arm: bool, told: Callable[[str], None], now_s: float) -> Command:
-        """Take on a request; what to send. Raises RefusedError."""
+    def ask(
+        self, arm: bool, told: Callable[[str], None], now_s: float, *, armed: bool = False
+    ) -> Command:
+        """Take on a request; what to send. `armed`: it is so already. Raises RefusedError."""
         given_up: list[Callable[[str], None]] = []
         with self._lock:
             asked = self._asked
@@ -65,16 +68,19 @@ class Arming:
                 given_up = [one for _, one in asked.told]
                 self._owe(asked, asked.sent, now_s)
                 asked = None
-            self._asked = asked = asked or _Asked(arm)
+            self._asked = asked = asked or _Asked(arm, armed=armed)
             asked.told.append((now_s + ANSWER_S, told))
             command = asked.send(now_s)
         for one in given_up:
             one('given up for a request to disarm')
         return command
 
-    def tick(self, now_s: float) -> Command | None:
-        """Give up where no answer has come; what to send again."""
-        command = None
+    def tick(self, now_s: float, *, armed: bool = False) -> Command | None:
+        """Give up where no answer has come; what to send again.
+
+        `armed` says what the far end is: where it has armed, its answer alone was lost.
+        """
+        command, text = None, f'no answer in {ANSWER_S:g} s'
         with self._lock:
             asked = self._asked
             if asked is None:
@@ -83,10 +89,17 @@ class Arming:
             if not asked.told:
                 self._asked = None
                 self._owe(asked, asked.sent, now_s)
+                if asked.arm and not asked.armed and armed:
+                    text = ACCEPTED
+                elif asked.arm and not asked.armed:
+                    text += ': told to disarm'
+                    self._asked = behind = _Asked(arm=False)
+                    behind.told.append((now_s + ANSWER_S, lambda _: None))
+                    command = behind.send(now_s)
             elif not asked.arm and now_s - asked.last_s >= AGAIN_S:
                 command = asked.send(now_s)
         for told in late:
-            told(f'no answer in {ANSWER_S:g} s')
+            told(text)
         return command
 
     def acknowledged(self, ack: CommandAck, now_s: float) -> None:

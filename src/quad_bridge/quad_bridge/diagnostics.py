@@ -48,6 +48,7 @@ class Since:
     time_s: float
     counts: Counts
     cycles: int
+    dropped_writes: int = 0
 
 
 class Changes:
@@ -119,12 +120,15 @@ def _link_verdict(
         return _no_frame(counts, opened)
     if link.cycles == since.cycles:
         return _no_cycle(link, round(1e9 * now_s))
-    return _flowing(port, counts.lost_cycles - since.counts.lost_cycles)
+    lost = counts.lost_cycles - since.counts.lost_cycles
+    return _flowing(port, lost, port.dropped_writes - since.dropped_writes)
 
 
-def _flowing(port: PortStatus, lost: int) -> tuple[int, str]:
+def _flowing(port: PortStatus, lost: int, dropped: int) -> tuple[int, str]:
     if lost:
         return WARN, f'{lost} cycles lost since the last report'
+    if dropped > 0:
+        return WARN, 'control cycles arrive, but the far end does not read what it is sent'
     if port.latency_ms is not None and port.latency_ms > FTDI_MS:
         return WARN, (
             f'control cycles arrive, but the FTDI adapter holds bytes for {port.latency_ms} ms: '

@@ -20,6 +20,7 @@ from quad_bridge.wire.frames import (
     CommandAck,
     Cycle,
     Excitation,
+    Flag,
     Frame,
     GainsCommand,
     GainsState,
@@ -92,6 +93,13 @@ class Link:
     def held(self) -> int:
         """Cycles not published, see `Stamping`."""
         return self.stamping.held
+
+    @property
+    def armed(self) -> bool:
+        """Whether the far end was armed when it was last heard."""
+        if self.last_cycle is not None:
+            return bool(self.last_cycle.flags & Flag.ARMED)
+        return self.peer is not None and self.peer.armed
 
     def opened(self) -> None:
         """Start afresh: the port was opened, the far end may be another one."""

@@ -23,10 +23,19 @@ from quad_bridge.wire.frames import Command, CommandAck
 
 
 class OperatorServices:
-    """`send` puts a frame on the wire; `acknowledged` may be called from any thread."""
+    """`send` puts a frame on the wire; `acknowledged` may be called from any thread.
 
-    def __init__(self, node: Any, enable: OperatorEnable, send: Callable[[Command], None]) -> None:
-        self._node, self._enable, self._send = node, enable, send
+    `armed` says whether the aircraft was so when it was last heard.
+    """
+
+    def __init__(
+        self,
+        node: Any,
+        enable: OperatorEnable,
+        send: Callable[[Command], None],
+        armed: Callable[[], bool],
+    ) -> None:
+        self._node, self._enable, self._send, self._armed = node, enable, send, armed
         self._arming = Arming()
         node.create_subscription(Bool, 'operator/enable', self._on_enable, qos_profile_sensor_data)
         group = ReentrantCallbackGroup()
@@ -38,7 +47,7 @@ class OperatorServices:
 
     def tick(self) -> None:
         """Send again, or give up waiting, where no answer has come."""
-        command = self._arming.tick(time.monotonic())
+        command = self._arming.tick(time.monotonic(), armed=self._armed())
         if command is not None:
             self._send(command)
 
@@ -56,7 +65,7 @@ class OperatorServices:
         fault = self._enable.fault(now_s) if arm else ''
         if fault:
             raise RefusedError(fault)
-        return self._arming.ask(arm, told, now_s)
+        return self._arming.ask(arm, told, now_s, armed=self._armed())
 
     async def _on_arm(self, request: Any, response: Any) -> Any:
         done = Future()

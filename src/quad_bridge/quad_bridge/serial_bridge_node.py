@@ -63,7 +63,9 @@ class SerialBridge(ManagedNode):
         self._messages = conversion.CycleMessages()
         self._keeper = GainKeeper(self._settings.keeper, self._link.gains)
         self._gain_services = GainServices(self, self._ask_gains, self._ask_check)
-        self._operator = OperatorServices(self, self._enable, self._forward)
+        self._operator = OperatorServices(
+            self, self._enable, self._forward, lambda: self._link.armed
+        )
         self._sensor_keeper = SensorKeeper(
             self._settings.keeper.folder, correct=self._settings.correct_sensors
         )
@@ -310,7 +312,9 @@ class SerialBridge(ManagedNode):
                 diagnostics.excitation_status(self._relay, link, self._enable.fault(now_s)),
             ]
             if settled:
-                counts = diagnostics.Since(now_s, link.decoder.counts, link.cycles)
+                counts = diagnostics.Since(
+                    now_s, link.decoder.counts, link.cycles, port.dropped_writes
+                )
                 self._before, self._since = since, counts
         entries += self._sensors.entries(link)
         self._failed_lately = self.fence.lately() if settled else self._failed_lately
@@ -333,12 +337,10 @@ class SerialBridge(ManagedNode):
         return NEVER_NS if self._simulated and not now_ns else now_ns - time.monotonic_ns()
 
     def _keep_epoch(self) -> None:
-        last = self._link.last_cycle
-        armed = last is not None and bool(last.flags & Flag.ARMED)
         if self._simulated:
             self._time.follow(self._epoch())
             return
-        words = self._time.measured(self._epoch(), armed=armed)
+        words = self._time.measured(self._epoch(), armed=self._link.armed)
         if words:
             self.get_logger().warning(words)
 
