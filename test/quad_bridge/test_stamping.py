@@ -290,6 +290,25 @@ def test_what_comes_late_beside_no_cycle_waits_no_longer_than_patience():
         us = line.device_us - 250_000
         line.hear(line.encoder.encode(f.RcChannels(us // 1000, (1500,) * 9)))
         line.tick()
-        assert len(line.link.stamping._waiting) <= PATIENCE_NS / (5 * CYCLE_NS) + 2, k
+        assert len(line.link.stamping._waiting) <= 2 * PATIENCE_NS / (5 * CYCLE_NS) + 2, k
     late = [s for s in line.out[heard:] if isinstance(s.frame, f.RcChannels)]
-    assert len(late) > 480
+    assert len(late) > 465
+
+
+def test_sticks_that_come_before_the_cycle_do_not_end_the_wait_for_an_answer():
+    """Restarted unheard, TIMESYNC deaf for 0.4 s more: sticks are no reason to believe the past."""
+    line = Line()
+    line.fly(2.0)
+    line.lose(3.0, restart_after=0.3)
+    before, line.answers = len(line.out), False
+    for k in range(350):
+        line.number += 1
+        line.answers = k > 100
+        line.hear(line.encoder.encode(f.RcChannels(line.device_us // 1000, (1500,) * 9)))
+        line.hear(line.sent())
+        line.tick()
+    line.out = line.out[before:]
+    assert line.link.decoder.restarts == 1
+    assert len(line.errors_ms()) > 100
+    assert max(map(abs, line.errors_ms())) < 1.0
+    assert max(map(abs, line.sticks_ms())) < 1.0

@@ -97,9 +97,8 @@ class Stamping:
         device_ns = 1000 * self.device_time.peek(time_us, NEAR_US)
         stamp = partial(self._stamp_other, frame, time_us // grain_us, grain_us, device_ns)
         late_ns = self._late_ns(device_ns, now_ns) if self._sure else 0
-        if self._waiting and now_ns - self._waits_since_ns > PATIENCE_NS:
-            self.late.believe(late_ns)  # no cycle comes that would tell
-            self._release(now_ns, out)
+        if self._waiting and now_ns - self._waits_since_ns > 2 * PATIENCE_NS:
+            self._no_cycle_tells(late_ns, now_ns, out)
         if self._waiting or self.late.late(late_ns):
             self._wait(stamp, now_ns)
         else:
@@ -150,6 +149,14 @@ class Stamping:
                 return
         self._release(now_ns, out)
         self._stamp_timed(frame, device_ns, now_ns, out)
+
+    def _no_cycle_tells(self, late_ns: int, now_ns: int, out: list[Stamped]) -> None:
+        """Cycles would have lost their patience by now: they have stopped, others go on."""
+        if self.late.waiting and self.late.anew:
+            self._begin_anew()
+        else:
+            self.late.believe(late_ns)
+            self._release(now_ns, out)
 
     def _wait(self, stamp: Callable[[int, list[Stamped]], None], now_ns: int) -> None:
         if not self._waiting:
