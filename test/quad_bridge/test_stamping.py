@@ -296,7 +296,7 @@ def test_what_comes_late_beside_no_cycle_waits_no_longer_than_patience():
 
 
 def test_sticks_that_come_before_the_cycle_do_not_end_the_wait_for_an_answer():
-    """Restarted unheard, TIMESYNC deaf for 0.4 s more: sticks are no reason to believe the past."""
+    """Restarted unheard, TIMESYNC deaf for 0.4 s more: sticks tell nothing of the past."""
     line = Line()
     line.fly(2.0)
     line.lose(3.0, restart_after=0.3)
