@@ -99,6 +99,8 @@ def test_the_clock_says_why_nothing_is_published():
     for k in range(10):
         link.clock.add(1000 * k, 1000 * k + 100, 1000 * k + 200)
     assert d.clock_status(link).level == d.OK
+    late = d.clock_status(link, now_ns=4_000_000_000)
+    assert (late.level, 'for 4 s: does the far end hear us?' in late.message) == (d.WARN, True)
 
 
 def test_a_refusal_stands_in_the_gain_state():

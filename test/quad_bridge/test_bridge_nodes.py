@@ -52,7 +52,7 @@ class FarEnd(threading.Thread):
 
     def __init__(self, link, *, cycle=0, start_s=None, q=0.25):
         super().__init__(daemon=True)
-        self.q = q
+        self.q, self.flags = q, 1
         self.link = link
         self.running.append(self)
         self.master, self.slave = os.openpty()
@@ -90,7 +90,7 @@ class FarEnd(threading.Thread):
             taken = self.send(
                 f.Cycle(
                     4000 * self.cycle, self.cycle, gyro, (0.0, 0.0, -9.81), zero, zero, zero,
-                    (0.5, 0.0, 0.0, 0.0), zero, (0.5,) * 4, 1,
+                    (0.5, 0.0, 0.0, 0.0), zero, (0.5,) * 4, self.flags,
                 )
             )  # fmt: skip
             if not taken:
@@ -356,9 +356,14 @@ def test_nothing_that_is_sent_or_left_unanswered_stops_the_bridge(tmp_path, spaw
     ears.until(lambda: len(link) > 1)
     # the far end answers no command: all goes on, and disarming passes at once
     told = len(link)
+    refused = ears.answer(arm(SetBool.Request(data=True)))
+    assert (refused.success, refused.message) == (False, 'it is armed already')
+    far.flags = 0
+    ears.spin(0.2)
     armed = arm(SetBool.Request(data=True))
-    checked = ears.request(Trigger, '/serial_bridge/check_polarity', Trigger.Request())
     ears.until(lambda: far.commands)
+    far.flags = 1
+    checked = ears.request(Trigger, '/serial_bridge/check_polarity', Trigger.Request())
     disarmed = arm(SetBool.Request(data=False))
     assert 'request to disarm' in ears.answer(armed).message
     assert ears.answer(disarmed).message == 'the STM32: no answer in 1 s'

@@ -2,8 +2,8 @@
 
 COMMAND_ACK does not say which request it answers: arming is sent once, and nothing is armed while
 an answer to an earlier request may still come; disarming passes at any time, and is sent again
-until it is answered. Arming that is given up is followed by disarming: it may still lie in a
-buffer on the way.
+until it is answered. Arming that was given up may still lie in a buffer on the way: where
+the aircraft arms later, `late` says so; nothing is disarmed without a person, it may fly.
 """
 
 from __future__ import annotations
@@ -20,6 +20,8 @@ ARM_DISARM = 400
 ANSWER_S = 1.0
 """An answer is waited for so long; a late one may come for as long again."""
 ACCEPTED = 'accepted'
+LATE_S = 60.0
+"""So long a request may have lain on the way."""
 AGAIN_S = 0.2
 """Between two disarms that nothing has answered."""
 _RESULTS = (ACCEPTED, 'not now', 'denied', 'not supported', 'failed')
@@ -28,8 +30,8 @@ _RESULTS = (ACCEPTED, 'not now', 'denied', 'not supported', 'failed')
 class _Asked:
     """One request on the wire, and who waits for its answer until when."""
 
-    def __init__(self, arm: bool, *, armed: bool = False) -> None:
-        self.arm, self.armed = arm, armed
+    def __init__(self, arm: bool) -> None:
+        self.arm = arm
         self.sent = 0
         self.last_s = -math.inf
         self.told: list[tuple[float, Callable[[str], None]]] = []
@@ -53,12 +55,10 @@ class Arming:
         self._asked: _Asked | None = None
         self._owed = {True: 0, False: 0}
         """So many answers to arming and to disarming may still come that nobody waits for."""
-        self._owed_until_s = -math.inf
+        self._owed_until_s = self._given_up_s = -math.inf
 
-    def ask(
-        self, arm: bool, told: Callable[[str], None], now_s: float, *, armed: bool = False
-    ) -> Command:
-        """Take on a request; what to send. `armed`: it is so already. Raises RefusedError."""
+    def ask(self, arm: bool, told: Callable[[str], None], now_s: float) -> Command:
+        """Take on a request; what to send. Raises RefusedError."""
         given_up: list[Callable[[str], None]] = []
         with self._lock:
             asked = self._asked
@@ -68,7 +68,7 @@ class Arming:
                 given_up = [one for _, one in asked.told]
                 self._owe(asked, asked.sent, now_s)
                 asked = None
-            self._asked = asked = asked or _Asked(arm, armed=armed)
+            self._asked = asked = asked or _Asked(arm)
             asked.told.append((now_s + ANSWER_S, told))
             command = asked.send(now_s)
         for one in given_up:
@@ -89,13 +89,10 @@ class Arming:
             if not asked.told:
                 self._asked = None
                 self._owe(asked, asked.sent, now_s)
-                if asked.arm and not asked.armed and armed:
+                if asked.arm and armed:
                     text = ACCEPTED
-                elif asked.arm and not asked.armed:
-                    text += ': told to disarm'
-                    self._asked = behind = _Asked(arm=False)
-                    behind.told.append((now_s + ANSWER_S, lambda _: None))
-                    command = behind.send(now_s)
+                elif asked.arm:
+                    self._given_up_s = now_s
             elif not asked.arm and now_s - asked.last_s >= AGAIN_S:
                 command = asked.send(now_s)
         for told in late:
@@ -122,6 +119,18 @@ class Arming:
         known = ack.result < len(_RESULTS)
         for _, told in asked.told:
             told(_RESULTS[ack.result] if known else f'result {ack.result}')
+
+    def late(self, now_s: float, *, armed: bool) -> str:
+        """What is to be said of an aircraft that armed after it had been given up; once."""
+        with self._lock:
+            passed_s = now_s - self._given_up_s
+            if not armed or passed_s > LATE_S:
+                return ''
+            self._given_up_s = -math.inf
+        return (
+            f'armed {passed_s:.0f} s after a request to arm was given up: disarm it if that is '
+            'not wanted'
+        )
 
     def end(self, why: str) -> None:
         """Nobody is there to answer any more; who waits is told why."""

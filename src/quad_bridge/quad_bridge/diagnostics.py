@@ -27,6 +27,8 @@ LOW_DISK_BYTES = 100_000_000
 COARSE_S = 0.002
 """Where half a round trip is longer, so may the error of the stamps be."""
 FTDI_MS = 2
+SILENT_S = 3.0
+"""Without an answer to TIMESYNC for so long the estimate ages."""
 FOREIGN_BYTES = 2000
 """Bytes without one valid frame after which the far end is said to speak another protocol."""
 
@@ -173,10 +175,13 @@ def _no_cycle(link: Link, now_ns: int) -> tuple[int, str]:
     )
 
 
-def clock_status(link: Link, behind_ns: int = 0, *, unset: bool = False) -> Status:
+def clock_status(
+    link: Link, behind_ns: int = 0, *, unset: bool = False, now_ns: int = 0
+) -> Status:
     """How well device time is mapped to host time; `behind_ns` by how much that was set since.
 
-    `unset`: time is simulated, and nobody has told it yet.
+    `unset`: time is simulated, and nobody has told it yet. `now_ns` of the steady clock tells how
+    long no round trip has come.
     """
     state = link.clock.state
     values = {
@@ -202,11 +207,13 @@ def clock_status(link: Link, behind_ns: int = 0, *, unset: bool = False) -> Stat
     if state.one_way and state.converged:
         text = f'{deaf}: stamps are arrivals, late by the transport'
         return Status('clock', WARN, text, values)
-    if state.converged and state.round_trip_s > 2.0 * COARSE_S:
-        text = f'converged, but stamps may be off by up to {500.0 * state.round_trip_s:.1f} ms'
-        return Status('clock', WARN, text, values)
     if state.converged:
-        return Status('clock', OK, 'converged', values)
+        silent_s, but = 1e-9 * (now_ns - link.answered_ns), ''
+        if state.round_trip_s > 2.0 * COARSE_S:
+            but = f', but stamps may be off by up to {500.0 * state.round_trip_s:.1f} ms'
+        elif silent_s > SILENT_S:
+            but = f', but {deaf} for {silent_s:.0f} s: does the far end hear us?'
+        return Status('clock', WARN if but else OK, f'converged{but}', values)
     if state.accepted == 0 and state.rejected == 0:
         return Status('clock', WARN, f'{deaf}: nothing is published', values)
     return Status('clock', WARN, 'not converged: nothing is published', values)

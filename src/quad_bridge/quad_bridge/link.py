@@ -54,6 +54,8 @@ RELEASE_NS = 3_000_000_000
 """A far end silent for so long may be followed by another one on the same line."""
 
 
+CYCLE_OLD_NS, PEER_OLD_NS = 500_000_000, 2_500_000_000
+"""An older cycle, or heartbeat where there are none, says nothing of now."""
 SAME_START_NS = 2_000_000_000
 """Starts that differ by less are one: the clocks drift, and the last bytes may have come late."""
 WRAP_NS = 1000 << 32
@@ -85,7 +87,9 @@ class Link:
         self._started_ns: int | None = None
         """When the far end had started that was heard before the port was opened anew."""
         self._peer_since_ns = 0
-        self._heard_ns = 0
+        self.answered_ns = 0
+        """When TIMESYNC was last answered."""
+        self._heard_ns = self._peer_ns = 0
         self._next_heartbeat_ns = 0
         self._next_sync_ns = self._next_urgent_ns = 0
 
@@ -100,6 +104,14 @@ class Link:
         if self.last_cycle is not None:
             return bool(self.last_cycle.flags & Flag.ARMED)
         return self.peer is not None and self.peer.armed
+
+    def armed_lately(self, now_ns: int) -> bool | None:
+        """Whether it is armed by a cycle, else a heartbeat, of just now; None without any."""
+        if self.last_cycle is not None:
+            heard = now_ns - self.last_cycle_ns < CYCLE_OLD_NS
+        else:
+            heard = self.peer is not None and now_ns - self._peer_ns < PEER_OLD_NS
+        return self.armed if heard else None
 
     def opened(self) -> None:
         """Start afresh: the port was opened, the far end may be another one."""
@@ -220,7 +232,7 @@ class Link:
         if frame.autopilot != NO_AUTOPILOT:
             if self.peer is None:
                 self._peer_since_ns = now_ns
-            self.peer = frame
+            self.peer, self._peer_ns = frame, now_ns
 
     def _for_topic(
         self,
@@ -264,6 +276,7 @@ class Link:
         if frame.tc1_ns == 0:
             self.send(TimeSync(now_ns, frame.ts1_ns))
         elif frame.ts1_ns <= now_ns:
+            self.answered_ns = now_ns
             self.stamping.trip(frame.ts1_ns, frame.tc1_ns, now_ns, out)
 
     def _restarted_unseen(self) -> None:

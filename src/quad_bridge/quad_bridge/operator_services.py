@@ -17,6 +17,7 @@ from std_msgs.msg import Bool
 from std_srvs.srv import SetBool
 
 from quad_bridge.arming import ACCEPTED, Arming
+from quad_bridge.diagnostics import WARN, Status
 from quad_bridge.errors import RefusedError
 from quad_bridge.operator_enable import OperatorEnable
 from quad_bridge.wire.frames import Command, CommandAck
@@ -25,7 +26,7 @@ from quad_bridge.wire.frames import Command, CommandAck
 class OperatorServices:
     """`send` puts a frame on the wire; `acknowledged` may be called from any thread.
 
-    `armed` says whether the aircraft was so when it was last heard.
+    `armed` says whether the aircraft is, as heard just now; None where it is not heard.
     """
 
     def __init__(
@@ -33,10 +34,11 @@ class OperatorServices:
         node: Any,
         enable: OperatorEnable,
         send: Callable[[Command], None],
-        armed: Callable[[], bool],
+        armed: Callable[[], bool | None],
     ) -> None:
         self._node, self._enable, self._send, self._armed = node, enable, send, armed
         self._arming = Arming()
+        self._late = ''
         node.create_subscription(Bool, 'operator/enable', self._on_enable, qos_profile_sensor_data)
         group = ReentrantCallbackGroup()
         node.create_service(SetBool, '~/arm', self._on_arm, callback_group=group)
@@ -47,9 +49,18 @@ class OperatorServices:
 
     def tick(self) -> None:
         """Send again, or give up waiting, where no answer has come."""
-        command = self._arming.tick(time.monotonic(), armed=self._armed())
+        now_s, armed = time.monotonic(), self._armed()
+        command = self._arming.tick(now_s, armed=bool(armed))
         if command is not None:
             self._send(command)
+        late = self._arming.late(now_s, armed=bool(armed))
+        if late:
+            self._node.get_logger().error(late)
+        self._late = late or self._late if armed else ''
+
+    def entries(self) -> list[Status]:
+        """What stands in /diagnostics for as long as it holds."""
+        return [Status('operator', WARN, self._late)] if self._late else []
 
     def end(self) -> None:
         """The port is about to be shut."""
@@ -62,10 +73,16 @@ class OperatorServices:
         now_s = time.monotonic()
         if not self._node.active:
             raise RefusedError('the node is not active')
-        fault = self._enable.fault(now_s) if arm else ''
+        fault = (self._enable.fault(now_s) or self._not_disarmed()) if arm else ''
         if fault:
             raise RefusedError(fault)
-        return self._arming.ask(arm, told, now_s, armed=self._armed())
+        return self._arming.ask(arm, told, now_s)
+
+    def _not_disarmed(self) -> str:
+        armed = self._armed()
+        if armed is None:
+            return 'the aircraft is not heard: nothing says that it is disarmed'
+        return 'it is armed already' if armed else ''
 
     async def _on_arm(self, request: Any, response: Any) -> Any:
         done = Future()

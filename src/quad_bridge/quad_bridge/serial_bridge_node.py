@@ -64,7 +64,7 @@ class SerialBridge(ManagedNode):
         self._keeper = GainKeeper(self._settings.keeper, self._link.gains)
         self._gain_services = GainServices(self, self._ask_gains, self._ask_check)
         self._operator = OperatorServices(
-            self, self._enable, self._forward, lambda: self._link.armed
+            self, self._enable, self._forward, self._armed
         )
         self._sensor_keeper = SensorKeeper(
             self._settings.keeper.folder, correct=self._settings.correct_sensors
@@ -286,6 +286,10 @@ class SerialBridge(ManagedNode):
         self._send(outgoing)
         self.get_logger().info(words)
 
+    def _armed(self) -> bool | None:
+        with self._lock:
+            return self._link.armed_lately(time.monotonic_ns())
+
     def _ask_check(self, told: Callable[[str], None], motors: bool) -> None:
         """Have the polarity or the motors checked; raises RefusedError."""
         if not self.active:
@@ -307,7 +311,9 @@ class SerialBridge(ManagedNode):
             self._relay.refusal = NO_EXCITATION if standard else ''
             entries = [
                 diagnostics.link_status(port, link, since, now_s, self._opened_counts),
-                diagnostics.clock_status(link, self._time.behind_ns, unset=unset),
+                diagnostics.clock_status(
+                    link, self._time.behind_ns, unset=unset, now_ns=time.monotonic_ns()
+                ),
                 diagnostics.gains_status(link, self._keeper),
                 diagnostics.excitation_status(self._relay, link, self._enable.fault(now_s)),
             ]
@@ -316,7 +322,7 @@ class SerialBridge(ManagedNode):
                     now_s, link.decoder.counts, link.cycles, port.dropped_writes
                 )
                 self._before, self._since = since, counts
-        entries += self._sensors.entries(link)
+        entries += self._sensors.entries(link) + self._operator.entries()
         self._failed_lately = self.fence.lately() if settled else self._failed_lately
         entries += diagnostics.callback_entries(self.fence.failed, self._failed_lately)
         self._diagnostics.publish(
