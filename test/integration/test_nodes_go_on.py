@@ -133,7 +133,7 @@ def test_the_bridge_outlives_every_bad_port_and_refuses_bad_gains(bench, tmp_pat
         ('train', '5:1', 'parameter train: needs two times START:END'),
         ('inertia', 'abc', 'inertia: needs three positive numbers'),
         ('axes', ['sideways'], 'axis: must be of roll, pitch, yaw, all'),
-        ('autoupdate', True, 'parameter autoupdate: is unknown; known are auto_update'),
+        ('autoupdate', True, 'parameter autoupdate: is unknown; is it auto_update'),
     ],
 )
 def test_a_wrong_parameter_ends_the_identification_before_any_flight(bench, name, value, words):
