@@ -90,8 +90,7 @@ class BagLogger(ManagedNode):
     def activate(self) -> None:
         """Report, and record where `autostart` says so."""
         self._waits = self._autostart
-        if self._clock_runs:
-            self._start_by_itself()
+        self._start_by_itself()
         self._timer = self.create_timer(1.0, self._on_report)
 
     def deactivate(self) -> None:
@@ -107,7 +106,8 @@ class BagLogger(ManagedNode):
         return self._ros_now_ns() > 0
 
     def _start_by_itself(self) -> None:
-        if self._waits:
+        """Start where `autostart` asked for it, once the clock runs."""
+        if self._waits and self._clock_runs:
             self._waits = False
             self._start()
 
@@ -262,11 +262,10 @@ class BagLogger(ManagedNode):
             self.get_logger().info(self._last)
 
     def _on_report(self) -> None:
-        if self._waits and self._clock_runs:
-            try:
-                self._start_by_itself()
-            except QuadBridgeError as error:
-                self.get_logger().error(str(error))
+        try:
+            self._start_by_itself()
+        except QuadBridgeError as error:
+            self.get_logger().error(str(error))
         status = None
         if self._recording is not None:
             status = self._recording.status

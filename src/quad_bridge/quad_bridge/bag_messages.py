@@ -16,12 +16,11 @@ from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
 from quad_bridge.bag_files import is_sqlite, missing_parts, storage_files
-from quad_bridge.compression import decompress, unpacked
+from quad_bridge.compression import plain_message, unpacked
 from quad_bridge.damaged_mcap import DamagedMcap, Message
 from quad_bridge.damaged_sqlite import DamagedSqlite
 from quad_bridge.errors import BadInputError
 
-ZSTD = b'\x28\xb5\x2f\xfd'
 REMEDY = '`ros2 run quad_bridge recover` says more'
 
 
@@ -78,9 +77,7 @@ def read_topics(bag: Path, kinds: Mapping[str, str]) -> Contents:
 
 def _decoded(store: Typestore, message: Message) -> Any:
     """The message; None where it is damaged."""
-    data, whole = message.data, True
-    if data[:4] == ZSTD:
-        data, whole = decompress('zstd', data)
+    data, whole = plain_message(message.data)
     try:
         return store.deserialize_cdr(data, message.topic.kind) if whole else None
     except Exception:  # noqa: BLE001  (whatever nonsense makes the decoder raise)

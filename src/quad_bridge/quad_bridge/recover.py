@@ -18,13 +18,12 @@ from rosbags.rosbag2.metadata import parse_qos
 from quad_bridge.arguments import OneLineParser, ended_in_one_line, say
 from quad_bridge.bag_files import PACKED, is_sqlite, missing_parts, storage_files
 from quad_bridge.bag_writer import BagWriter, Definition
-from quad_bridge.compression import decompress, unpacked
+from quad_bridge.compression import plain_message, unpacked
 from quad_bridge.damaged_mcap import DamagedMcap, Message
 from quad_bridge.damaged_sqlite import DamagedSqlite
 from quad_bridge.errors import BadInputError
 from quad_bridge.mcap_records import Topic
 
-ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
 LATEST_NS = 1 << 63
 """No recorder writes a later time: sqlite3 has no room for it."""
 HOLE_S = 1.0
@@ -148,11 +147,9 @@ def _copy_file(file: Path, writer: BagWriter, result: Recovered, *, alone: bool)
 
 
 def _copy(message: Message, writer: BagWriter, result: Recovered) -> None:
-    topic, data, whole = message.topic, message.data, message.time_ns < LATEST_NS
-    if data[:4] == ZSTD_MAGIC:
-        data, opened = decompress('zstd', data)
-        whole = whole and opened
-    key = _declared(topic, writer, result) if whole else ''
+    data, whole = plain_message(message.data)
+    sound = whole and message.time_ns < LATEST_NS
+    key = _declared(message.topic, writer, result) if sound else ''
     if not key:
         result.undecodable += 1
         return

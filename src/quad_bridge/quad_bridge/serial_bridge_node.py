@@ -63,9 +63,7 @@ class SerialBridge(ManagedNode):
         self._messages = conversion.CycleMessages()
         self._keeper = GainKeeper(self._settings.keeper, self._link.gains)
         self._gain_services = GainServices(self, self._ask_gains, self._ask_check)
-        self._operator = OperatorServices(
-            self, self._enable, self._forward, self._armed
-        )
+        self._operator = OperatorServices(self, self._enable, self._forward, self._armed)
         self._sensor_keeper = SensorKeeper(
             self._settings.keeper.folder, correct=self._settings.correct_sensors
         )

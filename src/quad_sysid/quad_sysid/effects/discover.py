@@ -34,7 +34,7 @@ from quad_sysid.greybox.fit import SHORT_WINDOW_S, Fit, fit_base, informative, s
 from quad_sysid.greybox.noise import NoiseModel
 from quad_sysid.greybox.one_step import sharpened
 from quad_sysid.greybox.simulate import Simulator
-from quad_sysid.greybox.structure import Effect, Prepared
+from quad_sysid.greybox.structure import Effect, Prepared, equilibrium
 
 WHOLE_CYCLES = (0.1, 0.2)
 """A delay this near to whole cycles speaks for a realisation, this far against one."""
@@ -78,8 +78,7 @@ class Discovery:
     @property
     def trim(self) -> tuple[float, float] | None:
         """Command and rate at which the base rests; None where it says nothing of that."""
-        gain, bias = float(self.base.theta[0]), float(self.base.theta[4])
-        return (-bias / gain, 0.0) if self.informative else None
+        return equilibrium(self.base.theta) if self.informative else None
 
 
 def discover(
@@ -203,7 +202,7 @@ def _near(
 
     A name is contested by names alone: curves that came nearer do not shield it.
     """
-    names = {effect.name for effect, _ in prepared if effect.kind == 'named'}
+    names = _named(prepared)
     step = _step_of(name, tried)
     fitted = [
         t for t in tried
@@ -217,7 +216,7 @@ def _nearer_unnamed(
     name: str, tried: Sequence[Tried], prepared: Sequence[Prepared]
 ) -> list[Prepared]:
     """Curves and hidden states that were before a name in the step in which it was chosen."""
-    named = {effect.name for effect, _ in prepared if effect.kind == 'named'}
+    named = _named(prepared)
     if name not in named:
         return []
     step = _step_of(name, tried)
@@ -231,6 +230,10 @@ def _nearer_unnamed(
     )
     wanted = [(t.name, t.variant) for t in nearer[:MOST_RIVALS]]
     return [put for put in prepared if (put[0].name, put[0].variant) in wanted]
+
+
+def _named(prepared: Sequence[Prepared]) -> set[str]:
+    return {effect.name for effect, _ in prepared if effect.kind == 'named'}
 
 
 def _step_of(name: str, tried: Sequence[Tried]) -> int:

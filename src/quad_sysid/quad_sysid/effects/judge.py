@@ -177,11 +177,10 @@ def _failed(found: Discovery) -> str:
 
 def _unconfirmed(tests: Mapping[str, tuple[float, float]]) -> str:
     """Effects that the training asked for beside others, and whose part unseen data deny."""
-    against = [(name, grown) for name, (_, grown) in tests.items() if grown < 0.0]
     return ''.join(
         f'; {name} does not add to that: without it the held-out error is {-grown:.2g} % smaller, '
         'take it as uncertain'
-        for name, grown in against
+        for name, (_, grown) in tests.items() if grown < 0.0
     )
 
 

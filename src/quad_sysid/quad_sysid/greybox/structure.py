@@ -85,6 +85,12 @@ Prepared = tuple[Effect, Settings]
 """An effect with the settings that the training data gave it."""
 
 
+def equilibrium(base: FloatArray) -> tuple[float, float]:
+    """Command and rate (rad/s) at which a base rests whose parameters (5, or more) these are."""
+    gain, bias = float(base[0]), float(base[4])
+    return (-bias / gain if gain else 0.0), 0.0
+
+
 @dataclass(frozen=True)
 class Structure:
     """The base and the effects on top, with the settings each effect was prepared with."""

@@ -16,7 +16,7 @@ from quad_sysid.errors import BadInputError, NotInformativeError
 from quad_sysid.greybox.data import AxisData, Span, axis_data
 from quad_sysid.greybox.fit import fit_structure, simulator
 from quad_sysid.greybox.simulate import Simulator
-from quad_sysid.greybox.structure import Effect, Settings, Structure
+from quad_sysid.greybox.structure import Effect, Settings, Structure, equilibrium
 from quad_sysid.model import AxisModel, EffectEstimate, Parameter
 from quad_sysid.pipeline.blackbox_part import window_error
 from quad_sysid.pipeline.together import same_rate
@@ -103,9 +103,8 @@ def evaluate(
 def _blackbox_error(
     data: AxisData, plain: FloatArray, blackbox: Model, spans: tuple[Span, ...]
 ) -> float | None:
-    gain, bias = float(plain[0]), float(plain[4])
-    trim = (-bias / gain, 0.0) if gain else (0.0, 0.0)
-    return window_error(replace(data, trim=trim, reference=None), blackbox, spans)
+    about = replace(data, trim=equilibrium(plain), reference=None)
+    return window_error(about, blackbox, spans)
 
 
 def evaluate_or_say(

@@ -5,17 +5,16 @@ The file itself, whole and checked, is model_file.py's business.
 
 from __future__ import annotations
 
-import json
 import math
 import os
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from quad_sysid.blackbox import Model
 from quad_sysid.errors import BadInputError
+from quad_sysid.json_file import read_json
 
 POLYNOMIALS = ('A', 'B', 'C', 'D', 'F')
 
@@ -42,12 +41,7 @@ def load_blackbox(path: str | os.PathLike[str]) -> dict[str, Model]:
 
     Raises BadInputError naming file and field where they cannot be read.
     """
-    try:
-        tree = json.loads(Path(path).read_text(encoding='utf-8'))
-    except OSError as error:
-        raise BadInputError(str(path), 'cannot be read', error.strerror) from error
-    except (ValueError, RecursionError) as error:  # no text, no JSON, endless digits or brackets
-        raise BadInputError(str(path), 'is not JSON', str(error)) from error
+    tree = read_json(path)
     axes = tree.get('blackbox', {}) if isinstance(tree, dict) else {}
     if not isinstance(axes, dict):
         raise BadInputError(f'{path}: blackbox', 'must be an object', type(axes).__name__)

@@ -19,6 +19,7 @@ import numpy as np
 
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.errors import BadInputError
+from quad_sysid.json_file import read_json
 from quad_sysid.model import AxisModel, EffectEstimate, Parameter
 
 SCHEMA = 'quad_sysid/model/1'
@@ -72,14 +73,7 @@ def save_models(
 def load_models(path: str | os.PathLike[str]) -> dict[str, AxisModel]:
     """Models by axis from a model.json; raises BadInputError naming file, field and remedy."""
     name = str(path)
-    try:
-        tree = json.loads(Path(path).read_text(encoding='utf-8'))
-    except OSError as error:
-        raise BadInputError(
-            name, 'cannot be read', error.strerror, 'give the model.json of quad-sysid identify'
-        ) from error
-    except (ValueError, RecursionError) as error:  # no text, no JSON, endless digits or brackets
-        raise BadInputError(name, 'is not JSON', str(error)) from error
+    tree = read_json(path, 'give the model.json of quad-sysid identify')
     root = _object(tree, name, frozenset({'schema', 'axes'}), open_ended=True)
     if root['schema'] != SCHEMA:
         raise BadInputError(

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError
+from quad_sysid.json_file import read_json
 from quad_tuning.exports.parameters import FIRMWARES, lines, text
 
 
@@ -68,12 +68,7 @@ def scales(items: list[str]) -> dict[str, float]:
 
 def read_gains(path: Path) -> dict[str, float]:
     """The gains of all axes in a design or report: what is sent, before any target."""
-    try:
-        tree = json.loads(path.read_text(encoding='utf-8'))
-    except OSError as error:
-        raise BadInputError(str(path), 'cannot be read', error.strerror) from error
-    except (ValueError, RecursionError) as error:
-        raise BadInputError(str(path), 'is not JSON', str(error)) from error
+    tree = read_json(path)
     axes = tree.get('axes') if isinstance(tree, dict) else None
     if not isinstance(axes, Mapping):
         raise BadInputError(f'{path}: axes', 'is missing',
