@@ -1,0 +1,1 @@
+"""Which structure the training segments speak for, and whether other data agree."""

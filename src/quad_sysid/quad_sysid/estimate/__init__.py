@@ -1,0 +1,1 @@
+"""Fit a structure to the training segments by the likelihood of its innovations."""

@@ -1,0 +1,294 @@
+"""Maximum a posteriori by Gauss-Newton on the innovations, the evidence, and honest errors.
+
+The innovations are Student's t, whose scale and degrees of freedom follow from the flight, so that
+bursts of noise do not rule. Least squares by QR. Evidence by Laplace's approximation.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.special import gammaln
+
+from quad_sysid.contract import FloatArray
+from quad_sysid.model.data import AxisData, Span
+from quad_sysid.model.effect import Part
+from quad_sysid.model.plant import BASE, N_BASE, N_NOISE, NOISE, Flight, Prediction, Structure
+
+SETTLE_S = 0.5
+"""Innovations count from so long after the begin of an unbroken stretch."""
+DEGREES = (3.0, 4.0, 6.0, 10.0, 20.0, 50.0, 1e4)
+"""Degrees of freedom of the innovations that are tried; the last is a normal distribution."""
+BLOCK_S = 1.0
+"""Innovations further apart are taken for independent, for standard errors."""
+SMALL_NATS = 0.02
+MOST_STEPS = 40
+SLOW_S = 0.04
+"""Span over which the rate's change is taken for the flight's typical acceleration."""
+
+
+@dataclass(frozen=True)
+class Tail:
+    """The distribution of the innovations: Student's t."""
+
+    scale: float
+    degrees: float
+
+    def log_density(self, e: FloatArray) -> FloatArray:
+        """Of innovations e, nats."""
+        v = self.degrees
+        constant = gammaln(0.5 * (v + 1.0)) - gammaln(0.5 * v) - 0.5 * math.log(math.pi * v)
+        out: FloatArray = (
+            constant - math.log(self.scale)
+            - 0.5 * (v + 1.0) * np.log1p((e / self.scale) ** 2 / v)
+        )
+        return out
+
+    def weights(self, e: FloatArray) -> FloatArray:
+        """Of the rows of the equivalent least squares; 1 for a normal distribution."""
+        out: FloatArray = (self.degrees + 1.0) / (self.degrees + (e / self.scale) ** 2)
+        return out
+
+    @property
+    def information(self) -> float:
+        """Fisher information of the location, times scale²."""
+        return (self.degrees + 1.0) / (self.degrees + 3.0)
+
+
+def tail_of(e: FloatArray, degrees: tuple[float, ...] = DEGREES) -> Tail:
+    """The likeliest scale and degrees of freedom."""
+    best, value = Tail(1.0, degrees[-1]), -math.inf
+    square = e**2
+    scale = math.sqrt(float(np.mean(square))) or 1e-12
+    for v in degrees[::-1]:
+        for _ in range(60):
+            new = math.sqrt(float(np.mean((v + 1.0) / (v + square / scale**2) * square)))
+            done = abs(new - scale) < 1e-7 * scale
+            scale = max(new, 1e-12)
+            if done:
+                break
+        tail = Tail(scale, v)
+        total = float(np.sum(tail.log_density(e)))
+        if total > value:
+            best, value = tail, total
+        elif total < value - 1.0:
+            break
+    return best
+
+
+@dataclass
+class Problem:
+    """An axis' flight, and which of its samples count."""
+
+    data: AxisData
+    spans: tuple[Span, ...]
+    flight: Flight = field(init=False)
+    rows: np.ndarray = field(init=False)
+    acceleration: float = field(init=False)
+    """Typical acceleration of the axis, rad/s²: what priors are measured by."""
+
+    def __post_init__(self) -> None:
+        self.flight = Flight(self.data, self.spans)
+        count = np.zeros(self.data.rate.size, dtype=bool)
+        for start, stop in self.spans:
+            count[start:stop] = True
+        settle = round(SETTLE_S / self.data.dt)
+        for start, _ in self.flight.passes:
+            count[start : start + settle] = False
+        self.rows = np.flatnonzero(count)
+        reach = max(1, round(0.5 * SLOW_S / self.data.dt))
+        inside = [self.data.rate[a:b] for a, b in self.spans if b - a > 4 * reach]
+        change = np.concatenate([x[2 * reach :] - x[: -2 * reach] for x in inside])
+        self.acceleration = float(np.std(change)) / (2 * reach * self.data.dt) or 1.0
+
+    def sizes(self, structure: Structure, theta: FloatArray) -> FloatArray:
+        """Prior standard deviation of each parameter in the coordinates of the fit."""
+        p = structure.natural(theta)
+        rows = self.rows
+        acceleration = self.acceleration
+        halves, states = self.flight.driven(structure, p)
+        signals = self.flight.signals(p, halves, states, self.flight.rate)
+        command = _high(self.data.command[rows])
+        rate = _high(self.data.rate[rows])
+        base = [30.0 * acceleration / command, BASE[1].spread, BASE[2].spread,
+                0.5 * acceleration / rate, acceleration]
+        own: list[float] = []
+        for part in structure.parts:
+            for j, spec in enumerate(part.effect.parameters):
+                if spec.spread is not None:
+                    own.append(spec.spread)
+                    continue
+                unit = _high(part.effect.size(signals, j, part.settings)[rows])
+                own.append(0.5 * acceleration / unit)
+        return np.array([*base, *own, *[s.spread for s in NOISE]], dtype=float)
+
+    def centres(self, structure: Structure) -> FloatArray:
+        """Prior means in the coordinates of the fit."""
+        return np.array([s.centre for s in structure.specs])
+
+    def precision(self, structure: Structure, sizes: FloatArray) -> FloatArray:
+        """Prior precision of all parameters."""
+        out = np.diag(sizes**-2.0)
+        for part, where in zip(structure.parts, structure.slices(), strict=True):
+            out[where, where] = part.effect.precision(part.settings, sizes[where])
+        return out
+
+
+def _high(x: FloatArray) -> float:
+    """97th percentile of the size, of what is not zero throughout."""
+    return max(float(np.nanpercentile(np.abs(x), 97.0)), 1e-9)
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A fitted structure."""
+
+    structure: Structure
+    theta: FloatArray
+    """(p,) in the coordinates of the fit."""
+    tail: Tail
+    log_likelihood: float
+    log_posterior: float
+    evidence: float
+    """log p(data | structure), by Laplace."""
+    hessian: FloatArray
+    precision: FloatArray
+    converged: bool
+    steps: int
+    prediction: Prediction
+    rate: FloatArray
+    """The trajectory that the fit ended with."""
+
+    @property
+    def values(self) -> FloatArray:
+        """(p,) in their units."""
+        return self.structure.natural(self.theta)
+
+    def value(self, name: str) -> float:
+        """One parameter by its name."""
+        return float(self.values[self.structure.names.index(name)])
+
+
+def start_of(problem: Problem) -> FloatArray:
+    """A start of the base from nothing but priors."""
+    theta = np.array([s.centre for s in (*BASE, *NOISE)])
+    command = problem.data.command[problem.rows]
+    theta[0] = problem.acceleration / max(float(np.std(command)), 1e-9)
+    return theta
+
+
+def fit(
+    problem: Problem, structure: Structure, start: FloatArray, *, most_steps: int = MOST_STEPS,
+    rate: FloatArray | None = None,
+) -> Fit:
+    """The most probable parameters from `start` (coordinates of the fit), by Gauss-Newton."""
+    flight = problem.flight
+    if rate is not None:
+        flight.rate = rate.copy()
+    theta = start.astype(float).copy()
+    sizes = problem.sizes(structure, theta)
+    precision = problem.precision(structure, sizes)
+    root = np.linalg.cholesky(precision).T
+    centres = problem.centres(structure)
+    positive = np.array([s.positive and not s.log for s in structure.specs])
+    steps = np.minimum(1e-3 * sizes, 1e-3)
+    steps = np.where(sizes > 1.0, 1e-4 * sizes, np.where(sizes < 1e-2, 1e-3 * sizes, 1e-4))
+
+    def objective(found: Prediction, at: FloatArray, tail: Tail | None) -> tuple[float, Tail]:
+        e = found.innovation[problem.rows]
+        if not np.isfinite(e).all():
+            return -math.inf, tail or Tail(1.0, 1e4)
+        own = tail_of(e)
+        away = root @ (at - centres)
+        return float(np.sum(own.log_density(e))) - 0.5 * float(away @ away), own
+
+    found = flight.predict(structure, theta, sweeps=3, steps=steps)
+    value, tail = objective(found, theta, None)
+    if not math.isfinite(value):
+        raise FloatingPointError('the start runs away')
+    damping, converged, count = 1e-3, False, 0
+    r_factor = np.eye(theta.size)
+    for count in range(1, most_steps + 1):
+        e = found.innovation[problem.rows]
+        assert found.jacobian is not None
+        j = found.jacobian[problem.rows]
+        w = np.sqrt(tail.weights(e)) / tail.scale
+        stacked = np.empty((e.size + theta.size, theta.size + 1))
+        np.multiply(j, w[:, None], out=stacked[: e.size, :-1])
+        stacked[: e.size, -1] = e * w
+        stacked[e.size :, :-1] = root
+        stacked[e.size :, -1] = root @ (theta - centres)
+        r_factor = np.linalg.qr(stacked, mode='r')[: theta.size]
+        a, b = r_factor[:, :-1], r_factor[:, -1]
+        promise = 0.5 * float(b @ b)
+        if promise < SMALL_NATS:
+            converged = True
+            break
+        kept = flight.rate
+        improved = False
+        for _ in range(12):
+            scale = np.sqrt(np.sum(a**2, axis=0))
+            damped = np.vstack([a, math.sqrt(damping) * np.diag(scale)])
+            step = -np.linalg.lstsq(damped, np.r_[b, np.zeros(theta.size)], rcond=None)[0]
+            trial = theta + step
+            trial = np.where(positive, np.maximum(trial, 0.0), trial)
+            flight.rate = kept
+            tried = flight.predict(structure, trial, sweeps=2)
+            new, new_tail = objective(tried, trial, tail)
+            if new > value - 1e-9:
+                improved = True
+                break
+            damping = max(damping * 8.0, 1e-4)
+        if not improved:
+            flight.rate = kept
+            break
+        gained = new - value
+        theta, value, tail = trial, new, new_tail
+        damping *= 0.15
+        found = flight.predict(structure, theta, sweeps=1, steps=steps)
+        value, tail = objective(found, theta, tail)
+        if gained < SMALL_NATS:
+            converged = True
+            break
+    e = found.innovation[problem.rows]
+    assert found.jacobian is not None
+    j = found.jacobian[problem.rows] * (math.sqrt(tail.information) / tail.scale)
+    r = np.linalg.qr(np.vstack([j, root]), mode='r')
+    hessian = r.T @ r
+    log_likelihood = float(np.sum(tail.log_density(e)))
+    away = root @ (theta - centres)
+    evidence = (
+        log_likelihood - 0.5 * float(away @ away)
+        + float(np.sum(np.log(np.diag(root)))) - float(np.sum(np.log(np.abs(np.diag(r)))))
+        + math.log(2.0) * int(positive.sum())
+    )
+    return Fit(
+        structure, theta, tail, log_likelihood, value, evidence, hessian, precision, converged,
+        count, found, flight.rate.copy(),
+    )
+
+
+def covariance(problem: Problem, fitted: Fit) -> FloatArray:
+    """(p, p) of the coordinates of the fit, robust to innovations that are not white.
+
+    The sandwich with scores summed over blocks (White 1982), never below the model's own errors
+    by chance alone.
+    """
+    e = fitted.prediction.innovation[problem.rows]
+    assert fitted.prediction.jacobian is not None
+    j = fitted.prediction.jacobian[problem.rows]
+    tail = fitted.tail
+    score = j * (tail.weights(e) * e / tail.scale**2)[:, None]
+    length = max(2, round(BLOCK_S / problem.data.dt))
+    number = np.cumsum(np.r_[0, (np.diff(problem.rows) > 1).astype(int)]) * 10**6
+    number = number + (np.arange(problem.rows.size) // length)
+    _, index = np.unique(number, return_inverse=True)
+    sums = np.zeros((int(index.max()) + 1, j.shape[1]))
+    np.add.at(sums, index, score)
+    meat = sums.T @ sums + fitted.precision
+    half = np.linalg.inv(fitted.hessian)
+    out: FloatArray = half @ meat @ half
+    return out

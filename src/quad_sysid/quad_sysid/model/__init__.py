@@ -1,0 +1,11 @@
+"""The model of one axis: data, physics, noise and the compiled recursion; and what is handed on."""
+
+from quad_sysid.model.identified import (
+    AxisModel,
+    Designer,
+    EffectEstimate,
+    GainProposal,
+    Parameter,
+)
+
+__all__ = ['AxisModel', 'Designer', 'EffectEstimate', 'GainProposal', 'Parameter']

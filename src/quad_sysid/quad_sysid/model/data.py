@@ -1,0 +1,188 @@
+"""What the grey box of one axis needs of a record, cut into unbroken stretches and windows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from quad_sysid.contract import AXES, FloatArray
+from quad_sysid.errors import NotInformativeError
+from quad_sysid.record import Record, finite_runs
+
+Span = tuple[int, int]
+
+WINDOW_S = 0.5
+"""Length of a free-run window (contract, error.before)."""
+SETTLE_S = 1.0
+"""First window starts at least this long after the start of its segment or a gap."""
+
+
+@dataclass(frozen=True)
+class Windows:
+    """Free-run windows of one length: first indices, and the span each lies in."""
+
+    starts: np.ndarray
+    length: int
+    spans: np.ndarray
+
+    @property
+    def count(self) -> int:
+        """Number of windows."""
+        return int(self.starts.size)
+
+
+@dataclass(frozen=True)
+class AxisData:
+    """One axis of one or several records on one grid; arrays (n,) or (n, k), read-only.
+
+    Where several flights are fitted together they lie one behind the other, with no stretch
+    across their ends.
+    """
+
+    axis: str
+    dt: float
+    rate: FloatArray
+    """(n,) measured, rad/s."""
+    angle: FloatArray | None
+    """(n,) measured, rad."""
+    control: FloatArray
+    """(n, 4) U1..U4."""
+    motors: FloatArray
+    """(n, 4) motor commands 0..1."""
+    other_rates: FloatArray
+    """(n, 2) the other two axes' rates in the order of AXES, rad/s; NaN where not measured."""
+    battery_v: FloatArray | None
+    gyro_filter_hz: float | None
+    stretches: tuple[Span, ...]
+    train: tuple[Span, ...]
+    validation: tuple[Span, ...]
+    idle: tuple[Span, ...] = ()
+    validation_names: tuple[str, ...] = ()
+    realisation: str = 'continuous'
+    """How the far end integrates, one of drive.REALISATIONS."""
+    reference: FloatArray | None = None
+    """(n,) what drives the loop from outside, as Record.external; NaN where a record lacks it."""
+    trim: tuple[float, float] | None = None
+    """Command and rate (rad/s) of the equilibrium, once a fit has told; None: not known."""
+
+    @property
+    def index(self) -> int:
+        """0 roll, 1 pitch, 2 yaw."""
+        return AXES.index(self.axis)
+
+    @property
+    def command(self) -> FloatArray:
+        """(n,) this axis' input U2, U3 or U4, normalised."""
+        column: FloatArray = np.ascontiguousarray(self.control[:, self.index + 1])
+        return column
+
+    @property
+    def other_axes(self) -> tuple[str, str]:
+        """Names of the other two axes, in the order of `other_rates`."""
+        first, second = (name for name in AXES if name != self.axis)
+        return first, second
+
+    def windows(self, spans: Sequence[Span], length_s: float = WINDOW_S) -> Windows:
+        """Windows in `spans`, by default of the contract's length, end to end, no partial ones."""
+        length = max(2, round(length_s / self.dt))
+        settle = round(SETTLE_S / self.dt)
+        stride = length
+        starts: list[int] = []
+        owners: list[int] = []
+        for number, (start, stop) in enumerate(spans):
+            found = range(start + settle, stop - length + 1, stride)
+            starts.extend(found)
+            owners.extend([number] * len(found))
+        return Windows(np.array(starts, dtype=np.int64), length, np.array(owners, dtype=np.int64))
+
+
+def axis_data(records: Sequence[Record], axis: str) -> AxisData:
+    """Join the axis of several records (same dt) into one AxisData.
+
+    Raises NotInformativeError where the axis was not measured or never trained on.
+    """
+    dt = records[0].dt
+    parts = [_prepare(record, axis) for record in records]
+    offsets = np.cumsum([0] + [record.n for record in records])
+
+    def spans(role: str) -> tuple[tuple[Span, ...], tuple[str, ...]]:
+        found: list[Span] = []
+        names: list[str] = []
+        for record, (good, _), offset in zip(records, parts, offsets, strict=False):
+            for segment in record.segments:
+                if segment.role == role and (segment.axis == axis or role == 'idle'):
+                    for a, b in finite_runs(good, record.span(segment)):
+                        found.append((a + int(offset), b + int(offset)))
+                        names.append(segment.signal)
+        return tuple(found), tuple(names)
+
+    train, _ = spans('train')
+    validation, names = spans('validation')
+    idle, _ = spans('idle')
+    stretches = tuple(
+        (a + int(offset), b + int(offset))
+        for record, (good, _), offset in zip(records, parts, offsets, strict=False)
+        for a, b in finite_runs(good, (0, record.n))
+    )
+    joined = {
+        key: np.concatenate([values[key] for _, values in parts]) for key in parts[0][1]
+    }
+    has_angle = bool(np.isfinite(joined['angle']).any())
+    if has_angle:
+        joined['angle'] = _held(joined['angle'])
+    battery, reference = joined['battery_v'], joined['reference']
+    return AxisData(
+        axis=axis,
+        dt=dt,
+        rate=joined['rate'],
+        angle=joined['angle'] if has_angle else None,
+        control=joined['control'],
+        motors=joined['motors'],
+        other_rates=joined['other_rates'],
+        battery_v=_held(battery) if np.isfinite(battery).mean() > 0.5 else None,
+        gyro_filter_hz=records[0].gains_at(np.inf).get('sensor.gyro_filter_hz') or None,
+        stretches=stretches,
+        train=train,
+        validation=validation,
+        idle=idle,
+        validation_names=names,
+        reference=reference if np.isfinite(reference).any() else None,
+    )
+
+
+def _prepare(record: Record, axis: str) -> tuple[np.ndarray, dict[str, FloatArray]]:
+    """Mask of usable samples and the axis' arrays of one record."""
+    index = AXES.index(axis)
+    n = record.n
+    rate = record.rates[:, index]
+    control = record.control
+    motors = record.motors
+    if motors is None:
+        from quad_sysid.contract import motors_from_wrench
+
+        motors = motors_from_wrench(control)
+    good = np.isfinite(rate) & np.isfinite(control[:, index + 1])
+    if not good.any():
+        raise NotInformativeError(
+            f'{record.source}: {axis} has no sample with both rate and command; '
+            'record /imu/data with /motors/command or /control/wrench'
+        )
+    nothing, external = np.full(n, np.nan), record.external(axis)
+    others = [i for i in range(3) if i != index]
+    return good, {
+        'rate': np.where(good, rate, np.nan),
+        'angle': nothing if record.angles is None else record.angles[:, index],
+        'control': np.where(good[:, None], control, 0.0),
+        'motors': np.where(good[:, None], motors, 0.0),
+        'other_rates': record.rates[:, others],
+        'battery_v': nothing if record.battery_v is None else record.battery_v,
+        'reference': nothing if external is None else external,
+    }
+
+
+def _held(signal: FloatArray) -> FloatArray:
+    """A slow signal with its missing samples filled from their neighbours by a straight line."""
+    good = np.flatnonzero(np.isfinite(signal))
+    return np.interp(np.arange(signal.size), good, signal[good])

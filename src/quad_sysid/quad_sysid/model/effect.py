@@ -1,0 +1,169 @@
+"""What an effect is: its physics, written once, and the numbers that physics has.
+
+The same `torque`, `command` or `actuate` serves the fit, the free run, the simulated loop, the
+linearisation and the report. Arrays in, arrays out: along a flight they are (n,), in a free run
+one value a window. Effects stand in quad_sysid.effects; nothing is fitted here.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from quad_sysid.contract import FloatArray
+from quad_sysid.model.data import AxisData
+
+Settings = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Spec:
+    """One parameter: its unit, its prior, and where a search starts.
+
+    The prior is normal about `centre` with standard deviation `spread`; of the logarithm where
+    `log`. Without a spread it is what makes the effect's acceleration, at the 97th percentile of
+    the flight, as large as half of what the axis is accelerated by: `torque` is linear in it then.
+    """
+
+    name: str
+    unit: str
+    spread: float | None = None
+    centre: float = 0.0
+    log: bool = False
+    positive: bool = False
+    """Physics allows no negative value."""
+    starts: tuple[float, ...] = ()
+    """Values to search from; a parameter without a spread starts at none of its effect."""
+
+
+@dataclass(frozen=True)
+class Signals:
+    """What physics may depend on, each an array of one shape; None where it was not measured."""
+
+    rate: FloatArray
+    """rad/s"""
+    angle: FloatArray | None
+    """rad"""
+    drive: FloatArray
+    """Acceleration by the motors, mean over the cycle, rad/s²."""
+    command: FloatArray
+    """The acceleration that the delayed command asks for, rad/s²."""
+    change: FloatArray
+    """How fast the drive changes, rad/s³."""
+    lagged: FloatArray
+    """The command behind delay and lag, normalised."""
+    throttle: FloatArray
+    """U1, normalised."""
+    battery_v: FloatArray | None
+    other_rates: tuple[FloatArray, FloatArray] | None
+    """Of the other two axes, in the order of AXES, rad/s."""
+    other_commands: tuple[FloatArray, FloatArray]
+    """Normalised."""
+    time: FloatArray
+    """s from the first sample."""
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Commands on their way to the motors: each channel has its lag and its share of the axis."""
+
+    commands: FloatArray
+    """(c, n) normalised, held over a cycle."""
+    row: FloatArray
+    """(c,)"""
+    lag: FloatArray
+    """(c, n) s"""
+    asymmetry: float = 0.0
+    """A motor that slows down has the lag times exp(asymmetry), one that speeds up the inverse."""
+
+
+class Effect:
+    """A physical effect that the base lacks. Subclasses say what it does; one of three at least."""
+
+    name: str = ''
+    kind: str = 'named'
+    signals: tuple[str, ...] = ()
+    physics: str = ''
+    """The equation, with units, and its source."""
+    excite: str = ''
+    """Which test flight would show it."""
+    variant: str = ''
+    """Tells effects of one name apart, such as the other axis that couples in."""
+    parameters: tuple[Spec, ...] = ()
+
+    def prepare(self, data: AxisData) -> Settings | str:
+        """Settings from the training data, or in words why it cannot be tested on them."""
+        del data
+        return {}
+
+    def command(self, data: AxisData, command: FloatArray, p: FloatArray, settings: Settings) -> FloatArray:
+        """(n,) command of the axis after the effect."""
+        del data, p, settings
+        return command
+
+    def actuate(self, data: AxisData, drive: Drive, p: FloatArray, settings: Settings) -> Drive:
+        """The motors' lags after the effect."""
+        del data, p, settings
+        return drive
+
+    def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray | None:
+        """Acceleration that it adds, rad/s²; None where it adds none."""
+        del s, p, settings
+        return None
+
+    def size(self, s: Signals, j: int, settings: Settings) -> FloatArray:
+        """Acceleration for one unit of a parameter without a spread, the others at their centre."""
+        p = np.array([
+            0.0 if spec.spread is None else (np.exp(spec.centre) if spec.log else spec.centre)
+            for spec in self.parameters
+        ])
+        p[j] = 1.0
+        own = self.torque(s, p, settings)
+        if own is None:
+            raise NotImplementedError(f'{self.label}.{self.parameters[j].name} needs a spread')
+        return own
+
+    def starts(self, data: AxisData, settings: Settings) -> Sequence[FloatArray]:
+        """Parameters to search from, in their units; those without a spread count for nothing."""
+        del data, settings
+        grid = [spec.starts or (0.0,) for spec in self.parameters]
+        return [np.array(values) for values in itertools.product(*grid)]
+
+    def readable(self, p: FloatArray, settings: Settings) -> Mapping[str, tuple[float, str]]:
+        """What a report says of the parameters: name to value and unit."""
+        del settings
+        return {
+            spec.name: (float(value), spec.unit)
+            for spec, value in zip(self.parameters, p, strict=True)
+        }
+
+    def precision(self, settings: Settings, sizes: FloatArray) -> FloatArray:
+        """(p, p) precision of the prior of its parameters, in the coordinates of the fit.
+
+        sizes (p,): standard deviation of each.
+        """
+        del settings
+        return np.diag(sizes**-2.0)
+
+    @property
+    def moves_command(self) -> bool:
+        """Whether it acts before the torque."""
+        kind = type(self)
+        return kind.command is not Effect.command or kind.actuate is not Effect.actuate
+
+    @property
+    def label(self) -> str:
+        """Name and variant."""
+        return f'{self.name}/{self.variant}' if self.variant else self.name
+
+
+@dataclass(frozen=True)
+class Part:
+    """An effect in a structure, with what the training data made of it."""
+
+    effect: Effect
+    settings: Settings = field(default_factory=dict)

@@ -1,0 +1,450 @@
+"""The base and the effects on top, run along a flight: predicted with innovations, or free.
+
+    rate' = drive - damping rate + bias + effects + d         lag drive' = gain u(t - delay) - drive
+
+Physics is evaluated on whole arrays along the rate that the filter itself estimated; the compiled
+recursion takes it as known accelerations and their slope, and the trajectory is followed until it
+agrees with itself. That is Newton's method on the nonlinear filter: each step is linear, and so
+are the derivatives.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from quad_sysid.contract import MIXER_INVERSE, FloatArray
+from quad_sysid.model import recursion
+from quad_sysid.model.data import AxisData, Span, Windows
+from quad_sysid.model.effect import Drive, Effect, Part, Signals, Spec
+from quad_sysid.model.noise import Filter, Noise, gyro_step, kalman
+
+LEAD_S = 1.0
+"""Each span is followed from so long before it, where the flight is unbroken there."""
+SLOPE_STEP = 1e-4
+"""Step of the rate for the slope of a torque, rad/s."""
+SHORTEST_S = 1e-5
+"""A lag or delay below this is none."""
+
+BASE = (
+    Spec('gain', 'rad/s² per unit command'),
+    Spec('lag', 's', spread=1.2, centre=math.log(0.04), log=True, starts=(0.04,)),
+    Spec('delay', 's', spread=1.2, centre=math.log(0.01), log=True, starts=(0.01,)),
+    Spec('damping', '1/s'),
+    Spec('bias', 'rad/s²'),
+)
+NOISE = (
+    Spec('white', '(rad/s²)/√Hz per rad/s', spread=3.0, centre=math.log(10.0), log=True),
+    Spec('disturbance', 'rad/s² per rad/s', spread=3.0, centre=math.log(30.0), log=True),
+    Spec('correlation', 's', spread=1.0, centre=math.log(0.3), log=True),
+)
+N_BASE, N_NOISE = len(BASE), len(NOISE)
+
+
+@dataclass(frozen=True)
+class Structure:
+    """The effects on top of the base, each with its settings."""
+
+    parts: tuple[Part, ...] = ()
+
+    @property
+    def specs(self) -> tuple[Spec, ...]:
+        """In the order of the vector: base, effect by effect, noise."""
+        return BASE + tuple(s for part in self.parts for s in part.effect.parameters) + NOISE
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """`gain`, …, then `<effect>.<parameter>`, then the noise."""
+        return (
+            tuple(s.name for s in BASE)
+            + tuple(f'{p.effect.name}.{s.name}' for p in self.parts for s in p.effect.parameters)
+            + tuple(f'noise.{s.name}' for s in NOISE)
+        )
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Of the effects."""
+        return tuple(part.effect.label for part in self.parts)
+
+    def slices(self) -> list[slice]:
+        """Where each effect's parameters stand."""
+        out, position = [], N_BASE
+        for part in self.parts:
+            count = len(part.effect.parameters)
+            out.append(slice(position, position + count))
+            position += count
+        return out
+
+    def plus(self, part: Part) -> Structure:
+        """With one more effect."""
+        return Structure((*self.parts, part))
+
+    def minus(self, index: int) -> Structure:
+        """Without one."""
+        return Structure(self.parts[:index] + self.parts[index + 1 :])
+
+    def natural(self, theta: FloatArray) -> FloatArray:
+        """Parameters in their units from the coordinates of the fit."""
+        logs = np.array([s.log for s in self.specs])
+        return np.where(logs, np.exp(np.clip(np.where(logs, theta, 0.0), -40.0, 40.0)), theta)
+
+
+@dataclass(frozen=True)
+class Pushed:
+    """What drives the rate along a trajectory: see recursion.predict."""
+
+    known: FloatArray
+    slope: FloatArray
+
+
+@dataclass
+class Flight:
+    """One axis of a flight as the filter follows it.
+
+    `spans` are what counts; each is followed from LEAD_S before it. The trajectory on which
+    physics is evaluated is kept from call to call.
+    """
+
+    data: AxisData
+    spans: tuple[Span, ...]
+    passes: tuple[Span, ...] = ()
+    rate: FloatArray = field(default_factory=lambda: np.zeros(0))
+    """(n,) rate at half of each cycle as the filter last estimated it."""
+
+    def __post_init__(self) -> None:
+        data = self.data
+        lead = round(LEAD_S / data.dt)
+        merged: list[list[int]] = []
+        for start, stop in sorted(self.spans):
+            home = next(s for s in data.stretches if s[0] <= start < s[1])
+            begin = max(home[0], start - lead)
+            if merged and begin <= merged[-1][1] and merged[-1][0] >= home[0]:
+                merged[-1][1] = max(merged[-1][1], stop)
+            else:
+                merged.append([begin, stop])
+        self.passes = tuple((a, b) for a, b in merged)
+        self.gyro = gyro_step(data.gyro_filter_hz, data.dt)
+        self.filtered = data.gyro_filter_hz is not None
+        self.late = 0.0 if not self.filtered else math.sqrt(2.0) / (
+            2.0 * math.pi * float(data.gyro_filter_hz or 1.0)
+        )
+        n = data.rate.size
+        self.row = np.ascontiguousarray(MIXER_INVERSE[data.index + 1])
+        self.time = (np.arange(n) + 0.5) * data.dt
+        self.angle = None if data.angle is None else np.nan_to_num(data.angle)
+        self.others = None
+        if np.isfinite(data.other_rates).mean() > 0.5:
+            ahead = 0.5 + self.late / data.dt
+            grid = np.arange(n) + ahead
+            self.others = tuple(
+                np.interp(grid, np.arange(n), np.nan_to_num(column))
+                for column in data.other_rates.T
+            )
+        names = [i for i in range(3) if i != data.index]
+        self.other_commands = tuple(
+            np.ascontiguousarray(data.control[:, i + 1]) for i in names
+        )
+        self.throttle = np.ascontiguousarray(data.control[:, 0])
+        self._drives: dict[bytes, tuple[FloatArray, FloatArray]] = {}
+        if self.rate.size != n:
+            self.rate = self._first_guess()
+
+    def _first_guess(self) -> FloatArray:
+        """The measured rate, smoothed over five cycles and put right by the filter's delay."""
+        measured = np.nan_to_num(self.data.rate)
+        smooth = np.convolve(measured, np.full(5, 0.2), mode='same')
+        shift = 0.5 + self.late / self.data.dt
+        return np.interp(np.arange(measured.size) + shift, np.arange(measured.size), smooth)
+
+    # -------------------------------------------------------------------------- physics
+
+    def driven(self, structure: Structure, p: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Drive for unit gain: (2, n) over the halves, (2, n) drive and command at mid-cycle.
+
+        p: parameters in their units.
+        """
+        acting = [
+            (part, where) for part, where in zip(structure.parts, structure.slices(), strict=True)
+            if part.effect.moves_command
+        ]
+        key = p[1:3].tobytes() + b''.join(
+            part.effect.label.encode() + p[where].tobytes() + repr(part.settings).encode()
+            for part, where in acting
+        )
+        found = self._drives.get(key)
+        if found is not None:
+            return found
+        data = self.data
+        command = data.command
+        for part, where in acting:
+            command = part.effect.command(data, command, p[where], part.settings)
+        n = command.size
+        lag = np.full((1, n), max(float(p[1]), SHORTEST_S))
+        drive = Drive(command[None, :], np.ones(1), lag)
+        for part, where in acting:
+            drive = part.effect.actuate(data, drive, p[where], part.settings)
+        delay = min(max(float(p[2]), 0.0), 0.5) / data.dt
+        whole = math.floor(delay + 1e-9)
+        halves, states = np.zeros((2, n)), np.zeros((2, n))
+        for start, stop in self.passes:
+            recursion.motors(
+                np.ascontiguousarray(drive.commands), np.ascontiguousarray(drive.row),
+                np.ascontiguousarray(drive.lag), float(drive.asymmetry), whole,
+                min(max(delay - whole, 0.0), 1.0), data.dt, start, stop, halves, states,
+            )
+        if len(self._drives) > 40:
+            self._drives.clear()
+        self._drives[key] = halves, states
+        return halves, states
+
+    def signals(
+        self, p: FloatArray, halves: FloatArray, states: FloatArray, rate: FloatArray
+    ) -> Signals:
+        """All signals along the flight for a rate at half cycle."""
+        data, gain = self.data, p[0]
+        angle = None
+        if self.angle is not None:
+            angle = self.angle + (0.5 * data.dt + self.late) * rate
+        drive = gain * 0.5 * (halves[0] + halves[1])
+        command = gain * states[1]
+        return Signals(
+            rate=rate, angle=angle, drive=drive, command=command,
+            change=(command - gain * states[0]) / max(float(p[1]), 0.25 * data.dt),
+            lagged=0.5 * (halves[0] + halves[1]), throttle=self.throttle, battery_v=data.battery_v, other_rates=self.others,
+            other_commands=self.other_commands, time=self.time,
+        )
+
+    def pushed(self, structure: Structure, p: FloatArray, rate: FloatArray) -> Pushed:
+        """Accelerations along the trajectory `rate`, and their slope over it."""
+        halves, states = self.driven(structure, p)
+        s = self.signals(p, halves, states, rate)
+        torque = p[4] - p[3] * rate
+        slope = np.full(rate.size, -p[3])
+        for part, where in zip(structure.parts, structure.slices(), strict=True):
+            own = part.effect.torque(s, p[where], part.settings)
+            if own is None:
+                continue
+            torque = torque + own
+            if 'rate' in part.effect.signals or 'angle' in part.effect.signals:
+                ahead = part.effect.torque(
+                    replace(s, rate=rate + SLOPE_STEP), p[where], part.settings
+                )
+                back = part.effect.torque(
+                    replace(s, rate=rate - SLOPE_STEP), p[where], part.settings
+                )
+                slope = slope + (ahead - back) / (2.0 * SLOPE_STEP)
+        rest = torque - slope * rate
+        return Pushed(p[0] * halves + rest, slope)
+
+    def columns(
+        self, structure: Structure, theta: FloatArray, rate: FloatArray, steps: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """(n, m) derivatives of the acceleration over base and effects, (n, b) of its bend.
+
+        In the coordinates of the fit, by central differences of `steps` (p,) along a fixed
+        trajectory: exact to rounding for what is linear.
+        """
+        n, m = rate.size, theta.size - N_NOISE
+        first = [0, 1, 2]
+        for part, where in zip(structure.parts, structure.slices(), strict=True):
+            if part.effect.moves_command:
+                first += range(where.start, where.stop)
+        order = first + [j for j in range(m) if j not in first]
+        out, bends = np.empty((n, m)), np.empty((n, len(first)))
+        centre = structure.natural(theta)
+        halves, states = self.driven(structure, centre)
+        s = self.signals(centre, halves, states, rate)
+        owner = {
+            j: (part, where)
+            for part, where in zip(structure.parts, structure.slices(), strict=True)
+            for j in range(where.start, where.stop)
+        }
+        for place, j in enumerate(order):
+            if j == 3:
+                out[:, place] = -rate
+            elif j == 4:
+                out[:, place] = 1.0
+            elif j not in first:
+                part, where = owner[j]
+                up, down = self._stepped(structure, theta, j, steps[j])
+                span = 2.0 * steps[j]
+                out[:, place] = (
+                    part.effect.torque(s, up[where], part.settings)
+                    - part.effect.torque(s, down[where], part.settings)
+                ) / span
+            else:
+                up, down = self._stepped(structure, theta, j, steps[j])
+                difference = (
+                    self.pushed(structure, up, rate).known
+                    - self.pushed(structure, down, rate).known
+                )
+                difference /= 2.0 * steps[j]
+                out[:, place] = 0.5 * (difference[0] + difference[1])
+                bends[:, place] = 0.5 * (difference[0] - difference[1])
+        self.order = order
+        return out, bends
+
+    @staticmethod
+    def _stepped(
+        structure: Structure, theta: FloatArray, j: int, step: float
+    ) -> tuple[FloatArray, FloatArray]:
+        up, down = theta.copy(), theta.copy()
+        up[j] += step
+        down[j] -= step
+        return structure.natural(up), structure.natural(down)
+
+    # ------------------------------------------------------------------------ the filter
+
+    def filter_of(self, structure: Structure, theta: FloatArray, damping: float) -> Filter:
+        """The steady Kalman filter at these parameters."""
+        p = structure.natural(theta)[-N_NOISE:]
+        noise = Noise(float(p[0]), float(p[1]), float(p[2]))
+        return kalman(noise, damping, self.gyro, self.filtered, self.data.dt)
+
+    def predict(
+        self, structure: Structure, theta: FloatArray, *, sweeps: int = 2,
+        steps: FloatArray | None = None,
+    ) -> Prediction:
+        """Innovations along the flight; with `steps` their derivatives as well."""
+        data, n = self.data, self.data.rate.size
+        p = structure.natural(theta)
+        rate = self.rate
+        nothing = np.zeros((n, 0))
+        innovation = np.full(n, np.nan)
+        states = np.zeros((n, 4))
+        for sweep in range(sweeps):
+            push = self.pushed(structure, p, rate)
+            damping = -float(np.mean(push.slope))
+            found = self.filter_of(structure, theta, damping)
+            with_columns = steps is not None and sweep == sweeps - 1
+            columns, bends, gains = nothing, nothing, np.zeros((0, 4))
+            if with_columns:
+                physics, bends = self.columns(structure, theta, rate, steps)
+                columns = np.ascontiguousarray(np.hstack([physics, np.zeros((n, N_NOISE))]))
+                gains = np.zeros((theta.size, 4))
+                for j in range(N_NOISE):
+                    at = theta.size - N_NOISE + j
+                    up, down = theta.copy(), theta.copy()
+                    up[at] += 1e-4
+                    down[at] -= 1e-4
+                    gains[at] = (
+                        self.filter_of(structure, up, damping).gain
+                        - self.filter_of(structure, down, damping).gain
+                    ) / 2e-4
+            new_rate = rate.copy()
+            jacobian = np.zeros((n, columns.shape[1]))
+            for start, stop in self.passes:
+                recursion.predict(
+                    data.rate, push.known, push.slope, columns, bends, found.gain, gains,
+                    self.gyro, self.filtered, found.fade, found.hold, data.dt, start, stop,
+                    new_rate, states, innovation, jacobian,
+                )
+            if not np.isfinite(new_rate).all() or np.abs(new_rate).max() > 1e6:
+                return Prediction(np.full(n, np.inf), None, states, found, rate)
+            rate = new_rate
+        self.rate = rate
+        if steps is not None:
+            put = np.empty_like(jacobian)
+            put[:, self.order] = jacobian[:, : len(self.order)]
+            put[:, len(self.order) :] = jacobian[:, len(self.order) :]
+            jacobian = put
+        return Prediction(innovation, jacobian if steps is not None else None, states, found, rate)
+
+    # ---------------------------------------------------------------------- the free run
+
+    def free_run(
+        self, structure: Structure, theta: FloatArray, windows: Windows, *,
+        prediction: Prediction | None = None,
+    ) -> FloatArray:
+        """(windows, length) error of the rate, run from the state predicted at each start."""
+        data, dt = self.data, self.data.dt
+        p = structure.natural(theta)
+        prediction = prediction or self.predict(structure, theta)
+        found = prediction.filter
+        halves, states = self.driven(structure, p)
+        x = prediction.states[windows.starts]
+        r, d, g, q = (x[:, i].copy() for i in range(4))
+        angle = None if self.angle is None else self.angle[windows.starts] + self.late * r
+        out = np.full((windows.count, windows.length), np.nan)
+        last = data.rate.size - 1
+        gyro = self.gyro
+        acting = [
+            (part, p[where])
+            for part, where in zip(structure.parts, structure.slices(), strict=True)
+        ]
+        for i in range(windows.length):
+            k = np.minimum(windows.starts + i, last)
+            out[:, i] = (g if self.filtered else r) - data.rate[k]
+            drive = p[0] * halves[:, k]
+            mean = 0.5 * (drive[0] + drive[1])
+            middle = r + 0.5 * dt * mean  # where physics is evaluated, then corrected by its slope
+            force, slope = self._force(acting, p, k, middle, angle, mean, states)
+            a = 0.5 * dt * slope
+            push = mean + force - slope * middle + found.hold * d
+            new = ((1.0 + a) * r + dt * push) / (1.0 - a)
+            half = 0.5 * (r + new)
+            bent = half + 0.25 * dt * (drive[0] - drive[1])
+            g, q = (
+                gyro[0, 0] * g + gyro[0, 1] * q + gyro[0, 2] * r + gyro[0, 3] * bent
+                + gyro[0, 4] * new,
+                gyro[1, 0] * g + gyro[1, 1] * q + gyro[1, 2] * r + gyro[1, 3] * bent
+                + gyro[1, 4] * new,
+            )
+            if angle is not None:
+                angle = angle + dt * half
+            r, d = new, d * found.fade
+        return out
+
+    def _force(self, acting, p, k, rate, angle, drive, states):  # type: ignore[no-untyped-def]
+        """Torque and its slope over the rate at half cycle of samples k."""
+        data = self.data
+        force, slope = p[4] - p[3] * rate, np.full(rate.size, -p[3])
+        if not acting:
+            return force, slope
+        command = p[0] * states[1, k]
+        s = Signals(
+            rate=rate, angle=None if angle is None else angle + 0.5 * data.dt * rate,
+            drive=drive, command=command,
+            change=(command - p[0] * states[0, k]) / max(float(p[1]), 0.25 * data.dt),
+            lagged=drive / p[0] if p[0] else 0.0 * drive, throttle=self.throttle[k],
+            battery_v=None if data.battery_v is None else data.battery_v[k],
+            other_rates=None if self.others is None else (self.others[0][k], self.others[1][k]),
+            other_commands=(self.other_commands[0][k], self.other_commands[1][k]),
+            time=self.time[k],
+        )
+        for part, values in acting:
+            own = part.effect.torque(s, values, part.settings)
+            if own is None:
+                continue
+            force = force + own
+            if 'rate' in part.effect.signals:
+                ahead = part.effect.torque(
+                    replace(s, rate=rate + SLOPE_STEP), values, part.settings
+                )
+                back = part.effect.torque(
+                    replace(s, rate=rate - SLOPE_STEP), values, part.settings
+                )
+                slope = slope + (ahead - back) / (2.0 * SLOPE_STEP)
+        return force, slope
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What the filter gives along a flight."""
+
+    innovation: FloatArray
+    """(n,) rad/s; NaN outside the passes."""
+    jacobian: FloatArray | None
+    """(n, p) derivatives over the coordinates of the fit."""
+    states: FloatArray
+    """(n, 4) prediction of rate, disturbance and filter states, before the sample was seen."""
+    filter: Filter
+    rate: FloatArray
+
+
+def effects_of(parts: Sequence[Part]) -> tuple[Effect, ...]:
+    """The effects of a structure."""
+    return tuple(part.effect for part in parts)

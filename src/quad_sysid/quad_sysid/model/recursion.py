@@ -1,0 +1,257 @@
+"""Compiled inner loops: motors behind a lag, and the Kalman predictor with its sensitivities.
+
+Only arithmetic on arrays. The predictor's state is the rate, the torque disturbance and the two
+states of the gyro filter. Physics comes in as accelerations over the two halves of each cycle,
+already evaluated along a trajectory, together with their slope over the rate; so the recursion is
+linear, and one loop serves every structure and all its derivatives (model/plant.py).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+_OPTIONS = {'cache': True, 'nogil': True, 'error_model': 'numpy'}
+
+
+@njit(**_OPTIONS)
+def motors(commands, row, lag, asymmetry, whole, fraction, dt, start, stop, halves, states):
+    """Drive of one axis: each command behind its delay and its lag, mixed by `row`.
+
+    commands (c, n) held over a cycle; row (c,); lag (c, n) s; a motor that speeds up has the lag
+    times exp(-asymmetry), one that slows down times exp(asymmetry). The delay is `whole` cycles
+    and a `fraction` of one. halves (2, n) receives the mean drive over both halves of each cycle,
+    states (2, n) the drive and the delayed command at its middle; filled in [start, stop).
+    Solved exactly for a held command.
+    """
+    for k in range(start, stop):
+        halves[0, k] = 0.0
+        halves[1, k] = 0.0
+        states[0, k] = 0.0
+        states[1, k] = 0.0
+    early = fraction < 0.5
+    cut0 = fraction if early else 0.5
+    cut1 = 0.5 if early else fraction
+    lengths = (cut0 * dt, (cut1 - cut0) * dt, (1.0 - cut1) * dt)
+    up, down = math.exp(-asymmetry), math.exp(asymmetry)
+    for c in range(commands.shape[0]):
+        weight = row[c]
+        if weight == 0.0:
+            continue
+        w = commands[c, start]
+        last_tau = -1.0
+        decays = (1.0, 1.0, 1.0)
+        for k in range(start, stop):
+            new = commands[c, max(k - whole, start)]
+            before = commands[c, max(k - whole - 1, start)]
+            for i in range(3):
+                h = lengths[i]
+                if early:
+                    u = before if i == 0 else new
+                else:
+                    u = new if i == 2 else before
+                if h > 0.0:
+                    tau = lag[c, k]
+                    if asymmetry != 0.0:
+                        tau *= up if u > w else down
+                    if tau != last_tau:
+                        last_tau = tau
+                        decays = (
+                            math.exp(-lengths[0] / tau), math.exp(-lengths[1] / tau),
+                            math.exp(-lengths[2] / tau),
+                        )
+                    decay = decays[i]
+                    away = w - u
+                    area = u * h + away * tau * (1.0 - decay)
+                    w = u + away * decay
+                    first = (i <= 1) if early else (i == 0)
+                    halves[0 if first else 1, k] += weight * area
+                if (early and i == 1) or (not early and i == 0):
+                    states[0, k] += weight * w
+                    states[1, k] += weight * u
+    half = 2.0 / dt
+    for k in range(start, stop):
+        halves[0, k] *= half
+        halves[1, k] *= half
+
+
+@njit(**_OPTIONS)
+def predict(y, known, slope, columns, bends, gain, gain_columns, gyro, filtered, fade, hold, dt,
+            start, stop, rate, states, innovation, jacobian):
+    """Innovations of the predictor over [start, stop) and their derivatives.
+
+    y (n,) measured rate. known (2, n) acceleration over the halves of each cycle, without what
+    `slope` (n,) times the rate at half cycle adds. columns (n, m) derivatives of the mean
+    acceleration of each cycle, bends (n, b) half the difference of its halves for the first b of
+    them. gain (4,) what the innovation adds to rate, disturbance and
+    filter states; gain_columns (m, 4) its derivatives. gyro (2, 5) as in noise.gyro_step; fade and
+    hold: what is left of the disturbance after a cycle, and its mean over it. rate (n,) receives
+    the rate at half cycle, states (n, 4) the prediction before the innovation, innovation (n,) and
+    jacobian (n, m) what the name says.
+    """
+    m = columns.shape[1]
+    g00, g01, g02, g03, g04 = gyro[0, 0], gyro[0, 1], gyro[0, 2], gyro[0, 3], gyro[0, 4]
+    g10, g11, g12, g13, g14 = gyro[1, 0], gyro[1, 1], gyro[1, 2], gyro[1, 3], gyro[1, 4]
+    c0, c1, c2, c3 = gain[0], gain[1], gain[2], gain[3]
+    r = y[start]
+    d = 0.0
+    g = y[start]
+    q = 0.0
+    sr = np.zeros(m)
+    sd = np.zeros(m)
+    sg = np.zeros(m)
+    sq = np.zeros(m)
+    n0 = np.ascontiguousarray(gain_columns[:, 0])
+    n1 = np.ascontiguousarray(gain_columns[:, 1])
+    n2 = np.ascontiguousarray(gain_columns[:, 2])
+    n3 = np.ascontiguousarray(gain_columns[:, 3])
+    for k in range(start, stop):
+        states[k, 0] = r
+        states[k, 1] = d
+        states[k, 2] = g
+        states[k, 3] = q
+        e = y[k] - (g if filtered else r)
+        innovation[k] = e
+        r += c0 * e
+        d += c1 * e
+        g += c2 * e
+        q += c3 * e
+        a = 0.5 * dt * slope[k]
+        ahead = (1.0 + a) / (1.0 - a)
+        push = dt / (1.0 - a)
+        mean = 0.5 * (known[0, k] + known[1, k])
+        new = ahead * r + push * (mean + hold * d)
+        middle = 0.5 * (r + new)
+        rate[k] = middle
+        bent = middle + 0.25 * dt * (known[0, k] - known[1, k])
+        ng = g00 * g + g01 * q + g02 * r + g03 * bent + g04 * new
+        q = g10 * g + g11 * q + g12 * r + g13 * bent + g14 * new
+        g = ng
+        r = new
+        d *= fade
+        for j in range(m):
+            s = -(sg[j] if filtered else sr[j])
+            jacobian[k, j] = s
+            x0 = sr[j] + c0 * s + n0[j] * e
+            x1 = sd[j] + c1 * s + n1[j] * e
+            x2 = sg[j] + c2 * s + n2[j] * e
+            x3 = sq[j] + c3 * s + n3[j] * e
+            x4 = ahead * x0 + push * (columns[k, j] + hold * x1)
+            mid = 0.5 * (x0 + x4)
+            sg[j] = g00 * x2 + g01 * x3 + g02 * x0 + g03 * mid + g04 * x4
+            sq[j] = g10 * x2 + g11 * x3 + g12 * x0 + g13 * mid + g14 * x4
+            sr[j] = x4
+            sd[j] = fade * x1
+        for j in range(bends.shape[1]):
+            sg[j] += g03 * 0.5 * dt * bends[k, j]
+            sq[j] += g13 * 0.5 * dt * bends[k, j]
+
+
+@njit(**_OPTIONS)
+def respond(columns, slope, gain, gyro, filtered, fade, hold, dt, start, stop, out):
+    """What `columns` (n, m), accelerations, do to the innovations: (n, m) into `out`."""
+    m = columns.shape[1]
+    g00, g01, g02, g03, g04 = gyro[0, 0], gyro[0, 1], gyro[0, 2], gyro[0, 3], gyro[0, 4]
+    g10, g11, g12, g13, g14 = gyro[1, 0], gyro[1, 1], gyro[1, 2], gyro[1, 3], gyro[1, 4]
+    c0, c1, c2, c3 = gain[0], gain[1], gain[2], gain[3]
+    sr = np.zeros(m)
+    sd = np.zeros(m)
+    sg = np.zeros(m)
+    sq = np.zeros(m)
+    for k in range(start, stop):
+        a = 0.5 * dt * slope[k]
+        ahead = (1.0 + a) / (1.0 - a)
+        push = dt / (1.0 - a)
+        for j in range(m):
+            s = -(sg[j] if filtered else sr[j])
+            out[k, j] = s
+            x0 = sr[j] + c0 * s
+            x1 = sd[j] + c1 * s
+            x2 = sg[j] + c2 * s
+            x3 = sq[j] + c3 * s
+            x4 = ahead * x0 + push * (columns[k, j] + hold * x1)
+            mid = 0.5 * (x0 + x4)
+            sg[j] = g00 * x2 + g01 * x3 + g02 * x0 + g03 * mid + g04 * x4
+            sq[j] = g10 * x2 + g11 * x3 + g12 * x0 + g13 * mid + g14 * x4
+            sr[j] = x4
+            sd[j] = fade * x1
+
+
+@njit(**_OPTIONS)
+def riccati(f, q, c, r):
+    """Steady predicted covariance (n, n) of a Kalman filter, by doubling.
+
+    f (n, n) transition, q (n, n) its noise, c (n,) output, r its noise variance. Anderson (1978).
+    """
+    n = f.shape[0]
+    a = np.ascontiguousarray(f.T)
+    g = np.outer(c, c) / r
+    h = q.copy()
+    eye = np.eye(n)
+    for _ in range(60):
+        w = np.linalg.inv(eye + g @ h)
+        new_h = h + a.T @ h @ w @ a
+        g = g + a @ w @ g @ a.T
+        a = a @ w @ a
+        change = np.max(np.abs(new_h - h))
+        h = 0.5 * (new_h + new_h.T)
+        if change <= 1e-13 * np.max(np.abs(h)):
+            break
+    return h
+
+
+@njit(**_OPTIONS)
+def play(command, width, start, stop, out):
+    """Backlash of +-width between command and what follows it."""
+    held = command[start]
+    for k in range(start, stop):
+        held = min(max(held, command[k] - width), command[k] + width)
+        out[k] = held
+
+
+@njit(**_OPTIONS)
+def slew(command, step, start, stop, out):
+    """A command that changes by at most `step` a cycle."""
+    held = command[start]
+    for k in range(start, stop):
+        held += min(max(command[k] - held, -step), step)
+        out[k] = held
+
+
+@njit(**_OPTIONS)
+def first_order(command, tau, dt, start, stop, out):
+    """Mean over each cycle of a first-order lag of a held command."""
+    decay = math.exp(-dt / tau)
+    mean = tau / dt * (1.0 - decay)
+    state = command[start]
+    for k in range(start, stop):
+        u = command[k]
+        out[k] = u + (state - u) * mean
+        state = u + (state - u) * decay
+
+
+@njit(**_OPTIONS)
+def light_mode(command, omega, damping, in_phase, quadrature, dt, start, stop, out):
+    """Command plus a light mode's answer at half of each cycle.
+
+    z'' + 2 damping omega z' + omega² z = omega² u, exact for a held u (damping below 1).
+    """
+    ring = omega * math.sqrt(max(1.0 - damping * damping, 1e-6))
+    x = command[start]
+    v = 0.0
+    half = 0.5 * dt
+    decay = math.exp(-damping * omega * half)
+    c, s = math.cos(ring * half), math.sin(ring * half)
+    a00 = decay * (c + damping * omega / ring * s)
+    a01 = decay * s / ring
+    a10 = -decay * omega * omega / ring * s
+    a11 = decay * (c - damping * omega / ring * s)
+    for k in range(start, stop):
+        u = command[k]
+        x -= u
+        x, v = a00 * x + a01 * v, a10 * x + a11 * v
+        out[k] = u + in_phase * (x + u) + quadrature * v / omega
+        x, v = a00 * x + a01 * v, a10 * x + a11 * v
+        x += u

@@ -1,0 +1,91 @@
+"""What the other two axes do to this one."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from quad_sysid.contract import AXES, FloatArray
+from quad_sysid.model.data import AxisData
+from quad_sysid.model.effect import Effect, Settings, Signals, Spec
+
+LEAST_SHARE = 0.05
+"""Another axis' command must be this large beside this axis'."""
+LEAST_RATE = 0.05
+"""Another axis must turn with this RMS, rad/s, beyond the noise of its gyro."""
+
+
+def over_training(data: AxisData, signal: FloatArray) -> FloatArray:
+    """The signal's samples in the training segments."""
+    return np.concatenate([signal[a:b] for a, b in data.train])
+
+
+def turns(data: AxisData, which: int) -> str:
+    """Why another axis' rate cannot be used; empty where it can."""
+    rate = over_training(data, data.other_rates[:, which])
+    if np.isfinite(rate).mean() < 0.95:
+        return f'the rate of {data.other_axes[which]} was not measured throughout'
+    if np.nanstd(rate) < LEAST_RATE:
+        return f'{data.other_axes[which]} hardly turns during training'
+    return ''
+
+
+class CrossAxisInput(Effect):
+    name = 'cross_axis_input'
+    signals = ('other command',)
+    parameters = (Spec('fraction', '1', spread=0.2),)
+    physics = "a fraction of another axis' command acts here (motors out of line)"
+    excite = 'both axes excited with different signals'
+
+    def __init__(self, which: int) -> None:
+        self.which = which
+        self.variant = f'other axis {which + 1}'
+
+    def prepare(self, data: AxisData) -> Settings | str:
+        name = data.other_axes[self.which]
+        other = over_training(data, data.control[:, AXES.index(name) + 1])
+        if np.std(other) < LEAST_SHARE * np.std(over_training(data, data.command)):
+            return f'the command of {name} hardly moves during training; excite it as well'
+        return {'other': name}
+
+    def command(
+        self, data: AxisData, command: FloatArray, p: FloatArray, settings: Settings
+    ) -> FloatArray:
+        return command + p[0] * data.control[:, AXES.index(str(settings['other'])) + 1]
+
+
+class GyroscopicCoupling(Effect):
+    name = 'gyroscopic_coupling'
+    signals = ('other rate',)
+    parameters = (Spec('coefficient', '1/s'),)
+    physics = "h times another axis' rate: spinning rotors (paper, eqs. 4 and 5)"
+    excite = 'hover with all axes moving'
+
+    def __init__(self, which: int) -> None:
+        self.which = which
+        self.variant = f'other axis {which + 1}'
+
+    def prepare(self, data: AxisData) -> Settings | str:
+        return turns(data, self.which) or {'other': data.other_axes[self.which]}
+
+    def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+        return p[0] * s.other_rates[self.which]
+
+
+class InertiaCoupling(Effect):
+    name = 'inertia_coupling'
+    signals = ('product of other rates',)
+    parameters = (Spec('coefficient', '1'),)
+    physics = 'c times the product of the other two rates (Euler; paper, eqs. 4 to 6)'
+    excite = 'hover with all axes moving fast'
+
+    def prepare(self, data: AxisData) -> Settings | str:
+        return turns(data, 0) or turns(data, 1) or {}
+
+    def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+        return p[0] * s.other_rates[0] * s.other_rates[1]
+
+
+COUPLINGS = (
+    CrossAxisInput(0), CrossAxisInput(1), GyroscopicCoupling(0), GyroscopicCoupling(1),
+    InertiaCoupling(),
+)

@@ -1,0 +1,92 @@
+"""What happens at a time, and what repeats in time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from quad_sysid.contract import FloatArray
+from quad_sysid.model.data import AxisData
+from quad_sysid.model.effect import Effect, Settings, Signals, Spec
+
+EDGE_S = 1.0
+"""Events nearer than this to an end of the training segments cannot be told from it."""
+GRID_S = 0.5
+
+
+def times(data: AxisData) -> FloatArray:
+    """A grid of times inside the training segments, s."""
+    parts = [
+        np.arange(a * data.dt + EDGE_S, b * data.dt - EDGE_S, GRID_S) for a, b in data.train
+    ]
+    return np.concatenate([np.zeros(0), *parts])
+
+
+def after(s: Signals, time_s: float) -> FloatArray:
+    """Share of each cycle after a time, told smoothly over a few cycles."""
+    return 0.5 * (1.0 + np.tanh((s.time - time_s) / 0.02))
+
+
+class StepTorque(Effect):
+    name = 'step_event'
+    variant = 'torque'
+    signals = ('time',)
+    parameters = (Spec('time', 's', spread=30.0), Spec('torque', 'rad/s²'))
+    physics = 'from a time on a constant torque acts (a load shifts)'
+    excite = 'any; the event itself must fall into the training segments'
+
+    def starts(self, data: AxisData, settings: Settings) -> Sequence[FloatArray]:
+        return [np.array([t, 0.0]) for t in times(data)]
+
+    def size(self, s: Signals, j: int, settings: Settings) -> FloatArray:
+        return np.ones_like(s.time)
+
+    def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+        return p[1] * after(s, p[0])
+
+
+class StepGain(Effect):
+    name = 'step_event'
+    variant = 'gain'
+    signals = ('time', 'command')
+    parameters = (Spec('time', 's', spread=30.0), Spec('change', '1', spread=0.3))
+    physics = 'from a time on the gain is scaled by 1 + change (a blade chips)'
+    excite = 'any; the event itself must fall into the training segments'
+
+    def starts(self, data: AxisData, settings: Settings) -> Sequence[FloatArray]:
+        return [np.array([t, 0.0]) for t in times(data)]
+
+    def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+        return p[1] * s.drive * after(s, p[0])
+
+
+class PeriodicDisturbance(Effect):
+    name = 'periodic_disturbance'
+    signals = ('time',)
+    parameters = (
+        Spec('frequency', 'Hz', spread=1.3, centre=math.log(1.5), log=True),
+        Spec('sine', 'rad/s²'),
+        Spec('cosine', 'rad/s²'),
+    )
+    physics = 'A sin(2 pi f t + phase): an unbalanced part, a swinging load'
+    excite = 'any flight of many periods'
+    from_lines = True
+    """Starts come from lines in the innovations."""
+
+    def size(self, s: Signals, j: int, settings: Settings) -> FloatArray:
+        return np.ones_like(s.time)
+
+    def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+        phase = 2.0 * math.pi * p[0] * s.time
+        return p[1] * np.sin(phase) + p[2] * np.cos(phase)
+
+    def readable(self, p: FloatArray, settings: Settings) -> dict[str, tuple[float, str]]:
+        return {
+            'amplitude': (math.hypot(p[1], p[2]), 'rad/s²'), 'frequency': (float(p[0]), 'Hz'),
+            'phase': (math.atan2(p[2], p[1]), 'rad'),
+        }
+
+
+EVENTS = (StepTorque(), StepGain(), PeriodicDisturbance())

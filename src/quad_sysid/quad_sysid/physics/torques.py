@@ -1,0 +1,70 @@
+"""Torques of rate and angle that have a name. Divided by the axis' inertia: rad/s²."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from quad_sysid.contract import FloatArray
+from quad_sysid.model.data import AxisData
+from quad_sysid.model.effect import Effect, Settings, Signals, Spec
+
+STICTION_RATE = 0.01
+"""Rate over which a friction changes its sign, rad/s: below any gyro's noise."""
+
+
+def needs_angle(data: AxisData) -> Settings | str:
+    """Of effects on the angle."""
+    return {} if data.angle is not None else 'the bag holds no orientation'
+
+
+class CoulombFriction(Effect):
+    name = 'coulomb_friction'
+    signals = ('rate',)
+    parameters = (Spec('torque', 'rad/s²', positive=True),)
+    physics = '-T sign(rate): dry friction of a bearing (Coulomb 1785)'
+    excite = 'slow and fast motion with many reversals: a PRBS or a slow square wave'
+
+    def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+        return -p[0] * np.tanh(s.rate / STICTION_RATE)
+
+
+class QuadraticDrag(Effect):
+    name = 'quadratic_drag'
+    signals = ('rate',)
+    parameters = (Spec('coefficient', 'rad/s² per (rad/s)²', positive=True),)
+    physics = '-k rate |rate|: drag of arms and discs in turbulent flow'
+    excite = 'high rates: a square wave of large amplitude, a chirp'
+
+    def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+        return -p[0] * s.rate * np.abs(s.rate)
+
+
+class PendulumStiffness(Effect):
+    name = 'pendulum_stiffness'
+    signals = ('angle',)
+    parameters = (Spec('stiffness', 'rad/s² per rad'),)
+    physics = '-k sin(angle): centre of mass below (k > 0) or above the axis'
+    excite = 'large slow angles: a square wave of long period, a slow chirp'
+
+    def prepare(self, data: AxisData) -> Settings | str:
+        return needs_angle(data)
+
+    def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+        return -p[0] * np.sin(s.angle)
+
+
+class CubicStiffness(Effect):
+    name = 'cubic_stiffness'
+    signals = ('angle',)
+    parameters = (Spec('stiffness', 'rad/s² per rad³'),)
+    physics = '-k angle³: a spring that hardens (k > 0), as cables do'
+    excite = 'large angles'
+
+    def prepare(self, data: AxisData) -> Settings | str:
+        return needs_angle(data)
+
+    def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+        return -p[0] * s.angle**3
+
+
+TORQUES = (CoulombFriction(), QuadraticDrag(), PendulumStiffness(), CubicStiffness())
