@@ -1,1 +1,12 @@
-"""What the base lacks: the table of effects, and how one is chosen or none."""
+"""The effects that a base may lack: one class a physics, one list of them all."""
+
+from quad_sysid.effects.actuators import ACTUATORS
+from quad_sysid.effects.couplings import COUPLINGS
+from quad_sysid.effects.curves import CURVES
+from quad_sysid.effects.events import EVENTS
+from quad_sysid.effects.torques import TORQUES
+
+EFFECTS = (*TORQUES, *ACTUATORS, *COUPLINGS, *EVENTS, *CURVES)
+"""What `discover` compares: each pays the same price."""
+
+__all__ = ['EFFECTS']

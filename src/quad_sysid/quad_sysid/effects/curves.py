@@ -1,141 +1,160 @@
-"""Curves of one signal by their values at knots: where the knots lie, what the base already has.
+"""The matrix: each term of the base varies with a signal, as a smooth curve.
 
-Linear between knots that are laid where the training data lie. Which curves there are stands in
-shapes.py.
+Terms are torque, gain, damping, lag and delay; a cell is one entry of CURVES. A curve is a
+Gaussian process seen at knots, linear between; two smoothnesses of each compete.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.greybox.data import AxisData
-from quad_sysid.greybox.structure import Effect, ParameterSpec, Prepared, Settings
+from quad_sysid.model.data import AxisData
+from quad_sysid.model.effect import Drive, Effect, Settings, Signals, Spec
+from quad_sysid.effects.couplings import over_training, turns
+from quad_sysid.effects.torques import STICTION_RATE
 
-KNOTS = 7
-FINE_KNOTS = 21
-"""Of a curve that turns often: detents, a hard stop."""
-BROAD_KNOTS = 5
-"""Of a curve that bends once, as drag does: three free values find it where twelve drown."""
-RATE_KNOTS = 12
-"""An even number: none lies at zero, where friction jumps."""
-
-
-def range_of(data: AxisData, signal: FloatArray) -> tuple[float, float] | str:
-    """1st and 99th percentile of the signal over the training segments."""
-    values = np.concatenate([signal[a:b] for a, b in data.train])
-    values = values[np.isfinite(values)]
-    if values.size < 100:
-        return 'the signal was not measured during training'
-    low, high = np.percentile(values, [1.0, 99.0])
-    if high - low < 1e-6 * max(1.0, abs(high)):
-        return 'the signal does not move during training'
-    return float(low), float(high)
+SLOW_MOVES = 0.01
+"""A slow signal must move by this share of its mean to carry a curve."""
+SMOOTH = {'smooth': (6, 0.6), 'rough': (11, 0.2)}
+"""Number of knots, and length over which the curve changes as a share of the signal's range; the knots of
+the first lie among those of the second."""
+UNITS = {'torque': 'rad/s²', 'gain': '1', 'damping': '1/s', 'lag': '1', 'delay': 's',
+         'friction': 'rad/s²'}
 
 
-def knots(
-    found: tuple[float, float] | str, *, known: str, share: float = 0.0, count: int = KNOTS
-) -> Settings | str:
-    """Settings of a curve over a range, with what of it the base has `known`.
-
-    `base`: its straight part and constant; `own`: its constant; `free`: nothing.
-    """
-    if isinstance(found, str):
-        return found
-    low, high = found
-    far = max(abs(low), abs(high))
-    if low < 0.0 < high and count % 2:
-        low, high = -far, far  # a knot at zero, where one side may differ from the other
-    warp = share * far
-    if warp > 0.0:
-        low, high, count = -far / (far + warp), far / (far + warp), RATE_KNOTS
-    return {
-        'first': low, 'step': (high - low) / (count - 1), 'count': float(count),
-        'warp': warp, 'line': known,
-    }
+def measured(data: AxisData, name: str) -> FloatArray | str:
+    """(n,) a signal before the fit, for the range of its knots; or why it cannot be used."""
+    column = {'other rate 1': 0, 'other rate 2': 1}.get(name)
+    if column is not None:
+        return turns(data, column) or np.nan_to_num(data.other_rates[:, column])
+    others = [i for i in range(3) if i != data.index]
+    if name.startswith('other command'):
+        signal = data.control[:, others[int(name[-1]) - 1] + 1]
+        if np.std(over_training(data, signal)) < 0.05 * np.std(over_training(data, data.command)):
+            return f'{name} hardly moves'
+        return signal
+    if name == 'time':
+        return np.arange(data.rate.size) * data.dt
+    if name == 'angle':
+        return 'the bag holds no orientation' if data.angle is None else data.angle
+    if name == 'battery':
+        return 'the bag holds no battery voltage' if data.battery_v is None else data.battery_v
+    return {'rate': data.rate, 'command': data.command, 'throttle': data.control[:, 0]}[name]
 
 
-def number(settings: Settings, key: str) -> float:
-    """One setting that must be a number."""
-    value = settings[key]
-    if not isinstance(value, float):
-        raise TypeError(f'setting {key} of a curve must be a number')
-    return value
+class Curve(Effect):
+    """A term of the base that follows a signal."""
+
+    kind = 'shape'
+
+    def __init__(self, term: str, signal: str, smoothness: str) -> None:
+        self.term, self.signal, self.variant = term, signal, smoothness
+        told = signal.rstrip(' 12') if signal.startswith('other') else signal
+        told = told.replace(' ', '_')
+        self.name = f'shape:{told}' if term in ('torque', 'friction') else f'shape:{term}:{told}'
+        if signal.startswith('other'):
+            self.variant += f' {signal[-1]}'
+        if term == 'friction':
+            self.variant += ' friction'
+        self.signals = {
+            'torque': (signal,), 'gain': (signal, 'command'), 'damping': (signal, 'rate'),
+            'friction': (signal, 'rate'), 'lag': (signal, 'command'), 'delay': (signal, 'command'),
+        }[term]
+        self.count, self.length = SMOOTH[smoothness]
+        spread = {'lag': 0.5, 'delay': None}.get(term)
+        self.parameters = tuple(
+            Spec(f'y{i}', UNITS[term], spread=spread) for i in range(self.count)
+        )
+        self.physics = f'{term} follows {signal} as a smooth curve'
+        self.excite = f'let {signal} cover its range while the axis is excited'
+
+    def prepare(self, data: AxisData) -> Settings | str:
+        signal = measured(data, self.signal)
+        if isinstance(signal, str):
+            return signal
+        used = over_training(data, signal)
+        low, high = np.nanpercentile(used, [0.5, 99.5])
+        if self.signal in ('throttle', 'battery') and high - low < SLOW_MOVES * abs(high):
+            return f'{self.signal} hardly moves during training'
+        if not high - low > 1e-9 * max(1.0, abs(high)):
+            return f'{self.signal} does not move during training'
+        if self.signal in ('rate', 'command'):
+            far = max(abs(low), abs(high))
+            z = np.linspace(-1.0, 1.0, self.count)
+            knots = far * np.sign(z) * np.abs(z) ** 1.7  # dense around zero, where friction lives
+            place = z
+        else:
+            knots = np.linspace(low, high, self.count)
+            place = np.linspace(-1.0, 1.0, self.count)
+        return {'knots': tuple(knots.tolist()), 'place': tuple(place.tolist())}
+
+    def _along(self, x: FloatArray, p: FloatArray, settings: Settings) -> FloatArray:
+        return np.interp(x, settings['knots'], p)
+
+    def _signal(self, s: Signals, scale: float = 1.0) -> FloatArray:
+        if self.signal.startswith('other rate'):
+            return s.other_rates[int(self.signal[-1]) - 1]
+        if self.signal.startswith('other command'):
+            return s.other_commands[int(self.signal[-1]) - 1]
+        return {
+            'rate': s.rate, 'angle': s.angle, 'throttle': s.throttle, 'battery': s.battery_v,
+            'time': s.time, 'command': s.lagged,
+        }[self.signal]
+
+    def _factor(self, s: Signals) -> FloatArray | float:
+        return {
+            'torque': 1.0, 'gain': s.drive, 'damping': -s.rate, 'delay': -s.change,
+            'friction': -np.tanh(s.rate / STICTION_RATE),
+        }[self.term]
+
+    def size(self, s: Signals, j: int, settings: Settings) -> FloatArray:
+        return np.broadcast_to(np.asarray(self._factor(s), dtype=float), s.rate.shape)
+
+    def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray | None:
+        if self.term == 'lag':
+            return None
+        return self._factor(s) * self._along(self._signal(s), p, settings)
+
+    def actuate(self, data: AxisData, drive: Drive, p: FloatArray, settings: Settings) -> Drive:
+        if self.term != 'lag':
+            return drive
+        signal = measured(data, self.signal)
+        return replace(drive, lag=drive.lag * np.exp(self._along(signal, p, settings))[None, :])
+
+    @property
+    def moves_command(self) -> bool:
+        return self.term == 'lag'
+
+    def precision(self, settings: Settings, sizes: FloatArray) -> FloatArray:
+        place = np.array(settings['place'])
+        apart = (place[:, None] - place[None, :]) / (2.0 * self.length)
+        kernel = np.exp(-0.5 * apart**2) + 1e-3 * np.eye(place.size)
+        return np.linalg.inv(kernel) / sizes[0] ** 2
+
+    def starts(self, data: AxisData, settings: Settings) -> Sequence[FloatArray]:
+        return [np.zeros(self.count)]
+
+    def readable(self, p: FloatArray, settings: Settings) -> dict[str, tuple[float, str]]:
+        unit = UNITS[self.term]
+        return {f'y{i}': (float(v), unit) for i, v in enumerate(p)}
 
 
-def knot_positions(settings: Settings) -> FloatArray:
-    """(count,) where the knots lie, in the signal's unit."""
-    steps = np.arange(int(number(settings, 'count')), dtype=np.float64)
-    z = np.asarray(number(settings, 'first') + number(settings, 'step') * steps)
-    warp = number(settings, 'warp')
-    return z if warp == 0.0 else np.asarray(warp * z / (1.0 - np.abs(z)))
-
-
-def basis(settings: Settings) -> FloatArray:
-    """(count, m) knot values that no straight line (or constant) contains: the base has those."""
-    x = knot_positions(settings)
-    known = [] if settings['line'] == 'free' else [np.ones(x.size)]
-    if settings['line'] == 'base':
-        known.append(x / np.abs(x).max())
-    names = settings.get('besides', ())
-    if isinstance(names, tuple):
-        known += [NAMED_CURVES[name](x) for name in names if name in NAMED_CURVES]
-    if not known:
-        return np.eye(x.size)
-    columns = np.stack([column / np.abs(column).max() for column in known], axis=1)
-    complete: FloatArray = np.linalg.qr(columns, mode='complete')[0]
-    return complete[:, columns.shape[1] :]
-
-
-NAMED_CURVES: dict[str, Callable[[FloatArray], FloatArray]] = {
-    'coulomb_friction': np.sign,
-    'quadratic_drag': lambda x: x * np.abs(x),
-    'pendulum_stiffness': np.sin,
-    'cubic_stiffness': lambda x: x**3,
+CELLS = {
+    'torque': ('rate', 'angle', 'command', 'throttle', 'battery', 'time', 'other rate 1',
+               'other rate 2', 'other command 1', 'other command 2'),
+    'gain': ('rate', 'angle', 'command', 'throttle', 'battery', 'time'),
+    'damping': ('angle', 'command', 'throttle', 'battery', 'time'),
+    'friction': ('angle', 'command', 'throttle', 'time'),
+    'lag': ('command', 'throttle', 'battery', 'time'),
+    'delay': ('throttle', 'battery', 'time'),
 }
-"""What a curve leaves out where the named effect is there as well."""
+"""Term to the signals it may follow."""
 
-
-def besides(effect: Effect, settings: Settings, names: tuple[str, ...]) -> Prepared:
-    """The curve that refines these named effects: without what they can say themselves."""
-    if effect.variant == 'friction':
-        constant = 'coulomb_friction' in names and settings['line'] == 'free'
-        refined: Settings = {**settings, 'line': 'own'} if constant else settings
-    else:
-        kept = tuple(str(name) for name in names if name in NAMED_CURVES)
-        refined = {**settings, 'besides': kept}
-    free = basis(refined).shape[1]
-    return replace(effect, parameters=effect.parameters[:free]), refined
-
-
-def curve_values(p: FloatArray, settings: Settings) -> tuple[float, ...]:
-    """What the compiled curve takes: z0, step, count, warp, then the knots' values."""
-    head = [number(settings, key) for key in ('first', 'step', 'count', 'warp')]
-    return (*head, *(basis(settings) @ p).tolist())
-
-
-def knot_parameters(count: int, unit: str, scale: float) -> tuple[ParameterSpec, ...]:
-    """Specs of the free coordinates of a curve, in the unit of its values."""
-    return tuple(
-        ParameterSpec(f'c{i}', unit, -np.inf, np.inf, (0.0,), scale) for i in range(count)
-    )
-
-
-def smooth(settings: Settings, size: float) -> FloatArray:
-    """Rows of a weak prior: second differences of the knots' values are of this size."""
-    bend: FloatArray = np.diff(np.eye(knot_positions(settings).size), 2, axis=0) @ basis(settings)
-    return bend / size
-
-
-def curve_of(
-    effect: Effect, p: FloatArray, settings: Settings
-) -> tuple[FloatArray, FloatArray]:
-    """Knots x and values y of a fitted curve, for plots and for the closed loop.
-
-    A curve of the command is the whole map (the command itself included).
-    """
-    x, values = knot_positions(settings), basis(settings) @ p
-    return x, x + values if effect.name == 'shape:command' else values
+CURVES = tuple(
+    Curve(term, signal, smoothness)
+    for term, signals in CELLS.items() for signal in signals for smoothness in SMOOTH
+)

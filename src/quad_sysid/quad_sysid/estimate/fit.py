@@ -182,13 +182,18 @@ def start_of(problem: Problem) -> FloatArray:
 
 def fit(
     problem: Problem, structure: Structure, start: FloatArray, *, most_steps: int = MOST_STEPS,
-    rate: FloatArray | None = None,
+    rate: FloatArray | None = None, still: tuple[int, ...] = (),
 ) -> Fit:
-    """The most probable parameters from `start` (coordinates of the fit), by Gauss-Newton."""
+    """The most probable parameters from `start` (coordinates of the fit), by Gauss-Newton.
+
+    Parameters in `still` are held; the first of them, the gain, at zero.
+    """
     flight = problem.flight
     if rate is not None:
         flight.rate = rate.copy()
     theta = start.astype(float).copy()
+    if still:
+        theta[0] = 0.0
     sizes = problem.sizes(structure, theta)
     precision = problem.precision(structure, sizes)
     root = np.linalg.cholesky(precision).T
@@ -215,6 +220,7 @@ def fit(
         e = found.innovation[problem.rows]
         assert found.jacobian is not None
         j = found.jacobian[problem.rows]
+        j[:, list(still)] = 0.0
         w = np.sqrt(tail.weights(e)) / tail.scale
         stacked = np.empty((e.size + theta.size, theta.size + 1))
         np.multiply(j, w[:, None], out=stacked[: e.size, :-1])
@@ -223,7 +229,8 @@ def fit(
         stacked[e.size :, -1] = root @ (theta - centres)
         r_factor = np.linalg.qr(stacked, mode='r')[: theta.size]
         a, b = r_factor[:, :-1], r_factor[:, -1]
-        promise = 0.5 * float(b @ b)
+        free = np.delete(np.arange(theta.size), list(still))
+        promise = 0.5 * float(b[free] @ b[free]) if not still else math.inf
         if promise < SMALL_NATS:
             converged = True
             break
@@ -233,6 +240,7 @@ def fit(
             scale = np.sqrt(np.sum(a**2, axis=0))
             damped = np.vstack([a, math.sqrt(damping) * np.diag(scale)])
             step = -np.linalg.lstsq(damped, np.r_[b, np.zeros(theta.size)], rcond=None)[0]
+            step[list(still)] = 0.0
             trial = theta + step
             trial = np.where(positive, np.maximum(trial, 0.0), trial)
             flight.rate = kept

@@ -12,7 +12,7 @@ from quad_sysid.contract import MIXER_INVERSE, FloatArray
 from quad_sysid.model import recursion
 from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import Drive, Effect, Settings, Signals, Spec
-from quad_sysid.physics.couplings import over_training
+from quad_sysid.effects.couplings import over_training
 
 MOVES = 0.02
 """A signal that must move for an effect to show must move by this share of its mean."""
@@ -94,14 +94,18 @@ class ThrustCurve(Effect):
             return f'the throttle stays at {mean:.2f}; fly with throttle changes'
         return {'throttle': mean}
 
-    def command(
-        self, data: AxisData, command: FloatArray, p: FloatArray, settings: Settings
-    ) -> FloatArray:
-        others = [i for i in range(3) if i != data.index]
-        product = data.control[:, others[0] + 1] * data.control[:, others[1] + 1]
-        k, mean = p[0], float(settings['throttle'])
-        slope = max(1.0 - k + 2.0 * k * mean, 1e-3)
-        return (command * (1.0 - k + 2.0 * k * data.control[:, 0]) + 2.0 * k * product) / slope
+    def actuate(self, data: AxisData, drive: Drive, p: FloatArray, settings: Settings) -> Drive:
+        # the lag is the motor's, the curve its propeller's: v = (1 - k) m + k m² of the lagged m
+        # follows the same lag where the command is (1 - k) u + k (2 u m - m²)
+        k, tau = p[0], float(drive.lag[0, 0])
+        u = data.motors.T
+        m = np.stack([
+            along(data, np.ascontiguousarray(one), recursion.first_order, tau, data.dt) for one in u
+        ])
+        slope = max(1.0 - k + 2.0 * k * float(settings['throttle']), 1e-3)
+        row = MIXER_INVERSE[data.index + 1]
+        bent = (row @ (k * (2.0 * u * m - m * m - u)) + drive.commands[0]) / slope
+        return replace(drive, commands=np.vstack([bent, drive.commands[1:]]))
 
 
 class Motors(Effect):

@@ -1,0 +1,296 @@
+"""What the validation segments say: opened once, when everything has been chosen.
+
+One paired comparison of predictive log-likelihoods over blocks, as a bet against the claim that
+the added effects foresee nothing (an e-value: Shafer 2021, Waudby-Smith & Ramdas 2024): its
+expectation is at most 1 where they do not, whatever the noise is.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from quad_sysid.contract import FloatArray
+from quad_sysid.discover.search import Found
+from quad_sysid.estimate.fit import Fit, Problem, fit
+from quad_sysid.model.data import AxisData, Windows
+from quad_sysid.model.noise import growth
+from quad_sysid.model.plant import Structure
+
+BLOCK_S = 1.0
+"""Predictive log-likelihoods are compared over blocks of this length."""
+STAKES = (0.1, 0.3, 0.5, 0.9)
+"""Shares of what is left that are bet on each block; the mean of the bets counts."""
+LEVEL = 0.05
+HORIZONS_S = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
+DISAGREES = 1.1
+"""Error over what the noise predicts from which something is unexplained (contract)."""
+WORTH_A_LOOK = 1e-3
+"""Posterior probability of a structure below which it is not tried on validation data."""
+
+
+def bet(differences: FloatArray) -> float:
+    """E-value of 'the differences are not above zero on average', from blocks in their order."""
+    largest = np.maximum.accumulate(np.abs(differences))
+    share = np.divide(differences, largest, out=np.zeros_like(differences), where=largest > 0.0)
+    with np.errstate(over='ignore'):
+        return float(np.mean([np.prod(1.0 + stake * share) for stake in STAKES]))
+
+
+@dataclass(frozen=True)
+class Horizon:
+    """RMS error of the rate so long after the start of a free run, rad/s."""
+
+    horizon_s: float
+    hold: float
+    before: float
+    after: float
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The answer for one axis."""
+
+    verdict: str
+    reason: str
+    chosen: Fit
+    """What is reported: the base where nothing was accepted."""
+    e_value: float
+    """Of the chosen effects against the base, on the validation segments."""
+    before: float
+    after: float
+    one_step_before: float
+    one_step_after: float
+    hold: float
+    predicted: float
+    """What the chosen model's own noise lets one expect for `after`, rad/s."""
+    noise_floor: float
+    horizons: tuple[Horizon, ...]
+    without: tuple[float, ...]
+    """Error without each effect of the chosen structure, the rest refitted, rad/s."""
+    probabilities: tuple[float, ...]
+    """Posterior of each chosen effect."""
+    rivals: tuple[tuple[tuple[str, float], ...], ...]
+    """For each chosen effect, what else could stand in its place, with probabilities."""
+
+
+class Unseen:
+    """The validation segments and what fitted models make of them."""
+
+    def __init__(self, data: AxisData, spans: Sequence[tuple[int, int]]) -> None:
+        self.problem = Problem(data, tuple(spans))
+        self.windows = data.windows(spans)
+        self.long = data.windows(spans, HORIZONS_S[-1])
+        length = max(2, round(BLOCK_S / data.dt))
+        rows = self.problem.rows
+        stretch = np.cumsum(np.r_[0, np.diff(rows) > 1])
+        label = stretch * 10**6 + np.arange(rows.size) // length
+        self.block = np.unique(label, return_inverse=True)[1]
+
+    def log_likelihood(self, fitted: Fit) -> FloatArray:
+        """(blocks,) predictive log-likelihood, nats."""
+        found = self.problem.flight.predict(fitted.structure, fitted.theta, sweeps=3)
+        e = found.innovation[self.problem.rows]
+        with np.errstate(over='ignore', invalid='ignore'):
+            values = fitted.tail.log_density(np.nan_to_num(e, nan=1e6, posinf=1e6))
+        return np.bincount(self.block, weights=values)
+
+    def errors(self, fitted: Fit, windows: Windows | None = None) -> FloatArray:
+        """(windows, length) of the free run."""
+        windows = windows or self.windows
+        prediction = self.problem.flight.predict(fitted.structure, fitted.theta, sweeps=3)
+        with np.errstate(over='ignore', invalid='ignore'):
+            return self.problem.flight.free_run(
+                fitted.structure, fitted.theta, windows, prediction=prediction
+            )
+
+    def one_step(self, fitted: Fit) -> float:
+        """RMS of the innovations."""
+        found = self.problem.flight.predict(fitted.structure, fitted.theta, sweeps=3)
+        return rms(found.innovation[self.problem.rows])
+
+    def holding(self, windows: Windows) -> FloatArray:
+        """(windows, length) error of holding the last rate."""
+        rate = self.problem.data.rate
+        index = windows.starts[:, None] + np.arange(windows.length)[None, :]
+        return rate[windows.starts - 1][:, None] - rate[index]
+
+
+def rms(errors: FloatArray) -> float:
+    """Root mean square; infinite where a model runs away."""
+    with np.errstate(over='ignore', invalid='ignore'):
+        value = float(np.sqrt(np.mean(errors**2))) if errors.size else math.nan
+    return value if not math.isnan(value) else math.inf
+
+
+def expected(fitted: Fit, length: int) -> float:
+    """RMS of the free run over `length` cycles that the model's own noise predicts, rad/s."""
+    found = fitted.prediction.filter
+    v = fitted.tail.degrees
+    variance = fitted.tail.scale**2 * (v / (v - 2.0) if v > 2.0 else 3.0)
+    return math.sqrt(variance / found.innovation * float(np.mean(growth(found, length))))
+
+
+def floor_of(fitted: Fit) -> float:
+    """RMS of the measurement noise in the rate, rad/s."""
+    found = fitted.prediction.filter
+    v = fitted.tail.degrees
+    variance = fitted.tail.scale**2 * (v / (v - 2.0) if v > 2.0 else 3.0)
+    return math.sqrt(variance / found.innovation * found.floor)
+
+
+def judge(problem: Problem, found: Found) -> Verdict:
+    """Open the validation segments and decide."""
+    unseen = Unseen(problem.data, problem.data.validation)
+    base = found.base
+    against = unseen.log_likelihood(base)
+    base_error = rms(unseen.errors(base))
+    tried: list[tuple[float, Fit, float]] = []
+    for scored, probability in zip(found.all, found.probabilities(), strict=True):
+        fitted = scored.fit
+        if not fitted.structure.parts or probability < WORTH_A_LOOK:
+            continue
+        gain = unseen.log_likelihood(fitted) - against
+        tried.append((scored.score + float(np.sum(_blunt(gain))), fitted, bet(gain)))
+    smaller = _smaller(problem, found)
+    for fitted in smaller:
+        gain = unseen.log_likelihood(fitted) - against
+        score = next(s.score for s in found.all if s.fit is fitted) if any(
+            s.fit is fitted for s in found.all
+        ) else fitted.evidence - 8.0 * len(fitted.structure.parts)
+        tried.append((score + float(np.sum(_blunt(gain))), fitted, bet(gain)))
+    tried.sort(key=lambda one: -one[0])
+    chosen, e_value = base, 1.0
+    if tried:
+        _, best, e_value = tried[0]
+        better = e_value * LEVEL >= 1.0 and rms(unseen.errors(best)) < base_error
+        chosen = best if better else base
+    return _verdict(problem, found, unseen, base, chosen, e_value)
+
+
+def _blunt(gain: FloatArray) -> FloatArray:
+    """Block differences of which no single one outweighs the others."""
+    if gain.size < 3:
+        return gain
+    limit = 3.0 * float(np.median(np.abs(gain)))
+    return np.clip(gain, -limit, limit)
+
+
+def _smaller(problem: Problem, found: Found) -> list[Fit]:
+    """The most probable structure less one effect, where it has several."""
+    best = found.best
+    out = []
+    for index in range(len(best.structure.parts) if len(best.structure.parts) > 1 else 0):
+        structure = best.structure.minus(index)
+        known = [s.fit for s in found.all if set(s.fit.structure.labels) == set(structure.labels)]
+        out.append(known[0] if known else refit(problem, best, index))
+    return out
+
+
+def refit(problem: Problem, fitted: Fit, index: int) -> Fit:
+    """A fit without one of its effects, the rest refitted."""
+    where = fitted.structure.slices()[index]
+    keep = np.r_[0 : where.start, where.stop : fitted.theta.size]
+    return fit(problem, fitted.structure.minus(index), fitted.theta[keep], rate=fitted.rate)
+
+
+def _verdict(
+    problem: Problem, found: Found, unseen: Unseen, base: Fit, chosen: Fit, e_value: float
+) -> Verdict:
+    data = problem.data
+    before_e, after_e = unseen.errors(base), unseen.errors(chosen)
+    before, after = rms(before_e), rms(after_e)
+    horizons = _horizons(unseen, base, chosen)
+    parts = chosen.structure.parts
+    without = tuple(
+        rms(unseen.errors(base if len(parts) == 1 else refit(problem, chosen, i)))
+        for i in range(len(parts))
+    )
+    probabilities, rivals = _posterior(found, chosen)
+    predicted = expected(chosen, unseen.windows.length)
+    verdict, reason = 'effects_added', ''
+    if not parts:
+        verdict, reason = _empty(problem, unseen, base, before_e, predicted)
+    return Verdict(
+        verdict=verdict, reason=reason, chosen=chosen, e_value=e_value, before=before, after=after,
+        one_step_before=unseen.one_step(base), one_step_after=unseen.one_step(chosen),
+        hold=rms(unseen.holding(unseen.windows)), predicted=predicted,
+        noise_floor=floor_of(chosen), horizons=horizons, without=without,
+        probabilities=probabilities, rivals=rivals,
+    )
+
+
+def _horizons(unseen: Unseen, base: Fit, chosen: Fit) -> tuple[Horizon, ...]:
+    windows, dt = unseen.long, unseen.problem.data.dt
+    if not windows.count:
+        return ()
+    errors = [unseen.holding(windows), unseen.errors(base, windows), unseen.errors(chosen, windows)]
+    out = []
+    for horizon in HORIZONS_S:
+        k = min(max(round(horizon / dt), 1), windows.length) - 1
+        out.append(Horizon(horizon, *(rms(e[:, k]) for e in errors)))
+    return tuple(out)
+
+
+def _empty(
+    problem: Problem, unseen: Unseen, base: Fit, errors: FloatArray, predicted: float
+) -> tuple[str, str]:
+    """Nothing was added: do the commands foresee anything, and is the error as expected?"""
+    silent = fit(problem, Structure(), base.theta, rate=base.rate, still=(0, 1, 2))
+    windows = unseen.long if unseen.long.count >= 8 else unseen.windows
+    with_commands, without = unseen.errors(base, windows), unseen.errors(silent, windows)
+    dt = unseen.problem.data.dt
+    evidence = []
+    for horizon in HORIZONS_S:
+        k = round(horizon / dt)
+        if 1 <= k <= windows.length:
+            evidence.append(bet(without[:, k - 1] ** 2 - with_commands[:, k - 1] ** 2))
+    evidence.append(bet(unseen.log_likelihood(base) - unseen.log_likelihood(silent)))
+    if max(evidence, default=0.0) * LEVEL < len(evidence):
+        return 'cannot_tell', (
+            'the commands do not foresee the held-out rates better than the rates themselves do'
+        )
+    square = np.mean(errors**2, axis=1) / predicted**2
+    ratio = float(np.sqrt(np.mean(square)))
+    if ratio > DISAGREES and bet(square - DISAGREES**2) * LEVEL >= 1.0:
+        return 'unexplained_residual', (
+            f"the held-out error is {ratio:.2f} times what the model's own noise predicts"
+        )
+    return 'no_missing_effect', ''
+
+
+def _posterior(
+    found: Found, chosen: Fit
+) -> tuple[tuple[float, ...], tuple[tuple[tuple[str, float], ...], ...]]:
+    """Probability of each chosen effect, and of those that could stand in its place."""
+    p = found.probabilities()
+    names = [
+        tuple(part.effect.name for part in scored.fit.structure.parts) for scored in found.all
+    ]
+    probabilities, rivals = [], []
+    own = [part.effect.name for part in chosen.structure.parts]
+    for i, name in enumerate(own):
+        rest = own[:i] + own[i + 1 :]
+        share: dict[str, float] = {}
+        for parts, weight in zip(names, p, strict=True):
+            left = list(parts)
+            if all(_taken(left, one) for one in rest):
+                for one in set(left) or {'nothing'}:
+                    share[one] = share.get(one, 0.0) + float(weight) / max(len(set(left)), 1)
+        total = sum(share.values()) or 1.0
+        probabilities.append(share.get(name, 0.0) / total)
+        rivals.append(tuple(sorted(
+            ((one, v / total) for one, v in share.items() if one != name and v / total > 0.005),
+            key=lambda item: -item[1],
+        )))
+    return tuple(probabilities), tuple(rivals)
+
+
+def _taken(names: list[str], name: str) -> bool:
+    if name not in names:
+        return False
+    names.remove(name)
+    return True
