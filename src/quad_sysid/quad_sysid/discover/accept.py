@@ -239,7 +239,7 @@ def _empty(
     problem: Problem, unseen: Unseen, base: Fit, errors: FloatArray, predicted: float
 ) -> tuple[str, str]:
     """Nothing was added: do the commands foresee anything, and is the error as expected?"""
-    silent = fit(problem, Structure(), base.theta, rate=base.rate, still=(0, 1, 2))
+    silent = fit(problem, base.structure, base.theta, rate=base.rate, still=(0, 1, 2))
     windows = unseen.long if unseen.long.count >= 8 else unseen.windows
     with_commands, without = unseen.errors(base, windows), unseen.errors(silent, windows)
     dt = unseen.problem.data.dt

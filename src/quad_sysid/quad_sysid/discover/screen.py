@@ -17,7 +17,7 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.estimate.fit import Fit, Problem
 from quad_sysid.model import recursion
 from quad_sysid.model.effect import Part
-from quad_sysid.model.plant import N_NOISE, Structure
+from quad_sysid.model.plant import Structure
 
 STEP = 1e-4
 PER_NONLINEAR = 2.0
@@ -48,14 +48,19 @@ class _Block:
     """Column of what it does at `p` already; -1: nothing."""
 
 
-def lines(problem: Problem, fitted: Fit) -> FloatArray:
-    """Frequencies (Hz) of the strongest lines in the innovations."""
+def _spectrum(problem: Problem, fitted: Fit) -> tuple[FloatArray, FloatArray]:
+    """Frequency (Hz) and power of the innovations over the longest segment."""
     e = np.where(np.isfinite(fitted.prediction.innovation), fitted.prediction.innovation, 0.0)
     start, stop = max(problem.spans, key=lambda span: span[1] - span[0])
     part = e[start:stop] - e[start:stop].mean()
     size = 4 * part.size
     power = np.abs(np.fft.rfft(part * np.hanning(part.size), size)) ** 2
-    frequency = np.fft.rfftfreq(size, problem.data.dt)
+    return np.fft.rfftfreq(size, problem.data.dt), power
+
+
+def lines(problem: Problem, fitted: Fit) -> FloatArray:
+    """Frequencies (Hz) of the strongest lines in the innovations that may be motion."""
+    frequency, power = _spectrum(problem, fitted)
     power[(frequency < LINE_BAND_HZ[0]) | (frequency > LINE_BAND_HZ[1])] = 0.0
     found = []
     for _ in range(LINES):
@@ -63,6 +68,17 @@ def lines(problem: Problem, fitted: Fit) -> FloatArray:
         found.append(float(frequency[peak]))
         power[max(peak - 12, 0) : peak + 13] = 0.0
     return np.array(found)
+
+
+def vibration_line(problem: Problem, fitted: Fit) -> float | None:
+    """Frequency (Hz) of the strongest line above that band; None where the rate is too low."""
+    frequency, power = _spectrum(problem, fitted)
+    above = frequency > LINE_BAND_HZ[1]
+    if above.sum() < 100:
+        return None
+    smooth = np.convolve(power, np.full(25, 1.0 / 25.0), mode='same')
+    smooth[~above] = 0.0
+    return float(frequency[int(np.argmax(smooth))])
 
 
 def coordinates(part: Part, values: FloatArray) -> FloatArray:
@@ -78,7 +94,7 @@ def screen(problem: Problem, fitted: Fit, parts: Sequence[Part]) -> list[Score]:
     flight = problem.flight
     flight.rate = fitted.rate
     structure, theta = fitted.structure, fitted.theta
-    base = theta.size - N_NOISE
+    base = theta.size - len(structure.noise)
     values = structure.natural(theta)
     push = flight.pushed(structure, values, fitted.rate)
     halves, states = flight.driven(structure, values)
@@ -134,7 +150,7 @@ def screen(problem: Problem, fitted: Fit, parts: Sequence[Part]) -> list[Score]:
     found = fitted.prediction.filter
     for start, stop in flight.passes:
         recursion.respond(
-            inputs, push.slope, found.gain, flight.gyro, flight.filtered, found.fade, found.hold,
+            inputs, push.slope, found.gain, found.move, flight.gyro, flight.filtered,
             problem.data.dt, start, stop, out,
         )
     e = fitted.prediction.innovation[problem.rows]

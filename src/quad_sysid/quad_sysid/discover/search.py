@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.discover.screen import Score, candidates, screen
+from quad_sysid.discover.screen import Score, candidates, screen, vibration_line
 from quad_sysid.estimate.fit import Fit, Problem, fit, start_of
 from quad_sysid.model.effect import Part
-from quad_sysid.model.plant import N_BASE, N_NOISE, Structure
+from quad_sysid.model.plant import Structure
 
 EXPECTED = 0.05
 """Prior probability that an effect is missing, shared by all candidates (log odds each)."""
@@ -21,6 +21,8 @@ BEAM = 3
 REFITS = 6
 """Candidates that are fitted beside each of them."""
 MOST_EFFECTS = 4
+MOST_LINES = 3
+"""Narrow lines of vibration that the noise may hold."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +57,7 @@ class Found:
 
 def extended(fitted: Fit, score: Score) -> FloatArray:
     """Start of a fit with one more effect."""
-    base = fitted.theta.size - N_NOISE
+    base = fitted.theta.size - len(fitted.structure.noise)
     return np.r_[fitted.theta[:base], score.start, fitted.theta[base:]]
 
 
@@ -118,7 +120,27 @@ def best_base(problem: Problem) -> Fit:
             continue
     if not fits:
         raise FloatingPointError('no start of the base holds')
-    return max(fits, key=lambda f: f.log_posterior)
+    base = max(fits, key=lambda f: f.log_posterior)
+    for _ in range(MOST_LINES):
+        shaken = with_vibration(problem, base)
+        if shaken is None or shaken.evidence <= base.evidence:
+            break
+        base = shaken
+    return base
 
 
-__all__ = ['N_BASE', 'Found', 'Part', 'Scored', 'best_base', 'search']
+def with_vibration(problem: Problem, base: Fit) -> Fit | None:
+    """The base with one more narrow line in the gyro's noise, the strongest that is left."""
+    frequency = vibration_line(problem, base)
+    if frequency is None:
+        return None
+    try:
+        return fit(
+            problem, replace(base.structure, lines=base.structure.lines + 1),
+            np.r_[base.theta, 0.0, math.log(frequency), math.log(0.1)], rate=base.rate,
+        )
+    except (FloatingPointError, np.linalg.LinAlgError):
+        return None
+
+
+__all__ = ['Found', 'Part', 'Scored', 'best_base', 'search']

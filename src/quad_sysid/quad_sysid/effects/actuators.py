@@ -18,6 +18,10 @@ MOVES = 0.02
 """A signal that must move for an effect to show must move by this share of its mean."""
 
 
+LIGHT = 0.3
+"""Damping ratio up to which a mode is a light one."""
+
+
 def along(data: AxisData, signal: FloatArray, kernel, *numbers: float) -> FloatArray:  # type: ignore[no-untyped-def]  # noqa: ANN001
     """A kernel with memory along each unbroken stretch of a signal (n,)."""
     out = np.array(signal, dtype=float)
@@ -306,7 +310,7 @@ class Resonance(Effect):
     ) -> FloatArray:
         return along(
             data, command, recursion.light_mode, 2.0 * math.pi * min(float(p[0]), 0.4 / data.dt),
-            float(p[1]), float(p[2]), float(p[3]), data.dt,
+            min(float(p[1]), LIGHT), float(p[2]), float(p[3]), data.dt,
         )
 
 

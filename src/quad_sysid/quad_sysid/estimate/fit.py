@@ -16,7 +16,7 @@ from scipy.special import gammaln
 from quad_sysid.contract import FloatArray
 from quad_sysid.model.data import AxisData, Span
 from quad_sysid.model.effect import Part
-from quad_sysid.model.plant import BASE, N_BASE, N_NOISE, NOISE, Flight, Prediction, Structure
+from quad_sysid.model.plant import BASE, NOISE, Flight, Prediction, Structure
 
 SETTLE_S = 0.5
 """Innovations count from so long after the begin of an unbroken stretch."""
@@ -123,7 +123,7 @@ class Problem:
                     continue
                 unit = _high(part.effect.size(signals, j, part.settings)[rows])
                 own.append(0.5 * acceleration / unit)
-        return np.array([*base, *own, *[s.spread for s in NOISE]], dtype=float)
+        return np.array([*base, *own, *[s.spread for s in structure.noise]], dtype=float)
 
     def centres(self, structure: Structure) -> FloatArray:
         """Prior means in the coordinates of the fit."""

@@ -31,6 +31,9 @@ class Noise:
     white: float
     disturbance: float
     correlation_s: float
+    lines: tuple[tuple[float, float, float], ...] = ()
+    """Narrow lines of vibration in the measured rate that move no aircraft, each with its RMS
+    over the gyro noise, its frequency and its width, Hz."""
 
 
 @lru_cache(maxsize=16)
@@ -59,17 +62,21 @@ class Filter:
     """The steady Kalman filter of one noise and damping."""
 
     gain: FloatArray
-    """(4,) what an innovation adds to rate, disturbance and the two states of the gyro filter."""
+    """(4 + 2 v,) what an innovation adds to rate, disturbance, the gyro filter's two states and two
+    of each line of vibration."""
+    move: FloatArray
+    """(2 + 2 v,) what is left of the disturbance after a cycle, its mean over the cycle, and how
+    each line turns in it: see recursion.predict."""
     innovation: float
     """Variance of the innovations over that of the gyro noise."""
-    fade: float
-    """What is left of the disturbance after a cycle."""
-    hold: float
-    """Its mean over the cycle over its value at the begin."""
     transition: FloatArray
     process: FloatArray
     covariance: FloatArray
-    """(4, 4) of the prediction, over the variance of the gyro noise."""
+    """Of the prediction, over the variance of the gyro noise."""
+    output: FloatArray
+    """From the states to the measured rate."""
+    after: float
+    """Variance of the noise that no state holds."""
     floor: float
     """Variance of the gyro's noise in the measured rate, over that of the noise before it."""
 
@@ -80,9 +87,10 @@ def kalman(noise: Noise, damping: float, gyro: FloatArray, filtered: bool, dt: f
     hold = noise.correlation_s / dt * (1.0 - fade)
     a = -0.5 * damping * dt
     ahead, push = (1.0 + a) / (1.0 - a), dt / (1.0 - a)
-    rows = np.zeros((4, 4))  # rate, disturbance, filter's two states
+    size = 4 + 2 * len(noise.lines)
+    rows = np.zeros((size, size))
     rows[0, 0], rows[0, 1], rows[1, 1] = ahead, push * hold, fade
-    b = np.zeros((4, 2))  # accelerations over the two halves
+    b = np.zeros((size, 2))  # accelerations over the two halves
     b[0] = 0.5 * push
     bend = 0.25 * dt * np.array([1.0, -1.0])
     for i in range(2):
@@ -93,24 +101,36 @@ def kalman(noise: Noise, damping: float, gyro: FloatArray, filtered: bool, dt: f
         b[2 + i] = (0.5 * half + end) * 0.5 * push + half * bend
     process = noise.white**2 * 2.0 / dt * (b @ b.T)
     process[1, 1] += noise.disturbance**2 * (1.0 - fade**2)
-    if not filtered:
-        used = slice(0, 2)
-        c, r = np.array([1.0, 0.0]), 1.0
-        floor = 1.0
-    else:
-        used = slice(0, 4)
-        c, r = np.array([0.0, 0.0, 1.0, 0.0]), AFTER_FILTER**2
+    c = np.zeros(size)
+    c[2 if filtered else 0] = 1.0
+    move = [fade, hold]
+    for i, (size_of, frequency, width) in enumerate(noise.lines):
+        left = math.exp(-math.pi * width * dt)
+        angle = 2.0 * math.pi * frequency * dt
+        turn, over = left * math.cos(angle), left * math.sin(angle)
+        at = 4 + 2 * i
+        rows[at : at + 2, at : at + 2] = [[turn, -over], [over, turn]]
+        process[at, at] = process[at + 1, at + 1] = size_of**2 * (1.0 - left**2)
+        c[at] = 1.0
+        move += [turn, over]
+    r = floor = 1.0
+    if filtered:
+        r = AFTER_FILTER**2
         inside = gyro[:, 2:].sum(axis=1)
-        process[2:, 2:] += np.outer(inside, inside)
+        process[2:4, 2:4] += np.outer(inside, inside)
         floor = _floor(gyro) + r
-    f, p = np.ascontiguousarray(rows[used, used]), np.ascontiguousarray(process[used, used])
-    covariance = riccati(f, p, c, r)
-    s = float(c @ covariance @ c + r)
-    gain = np.zeros(4)
-    gain[used] = covariance @ c / s
-    full = np.zeros((4, 4))
-    full[used, used] = covariance
-    return Filter(gain, s, fade, hold, rows, process, full, floor)
+    floor += sum(line[0] ** 2 for line in noise.lines)
+    used = np.array([0, 1, *([2, 3] if filtered else []), *range(4, size)])
+    block = np.ix_(used, used)
+    covariance = riccati(
+        np.ascontiguousarray(rows[block]), np.ascontiguousarray(process[block]), c[used], r
+    )
+    s = float(c[used] @ covariance @ c[used] + r)
+    gain = np.zeros(size)
+    gain[used] = covariance @ c[used] / s
+    full = np.zeros((size, size))
+    full[block] = covariance
+    return Filter(gain, np.array(move), s, rows, process, full, c, r, floor)
 
 
 @lru_cache(maxsize=16)
@@ -137,16 +157,9 @@ def growth(found: Filter, steps: int) -> FloatArray:
 
     Of the measured rate: the noise of the measurement is in it.
     """
-    f, q = found.transition, found.process
-    filtered = found.covariance[2, 2] > 0.0
-    c = np.array([0.0, 0.0, 1.0, 0.0]) if filtered else np.array([1.0, 0.0, 0.0, 0.0])
-    r = AFTER_FILTER**2 if filtered else 1.0
-    if not filtered:
-        f, q = f.copy(), q.copy()
-        f[2:], q[2:], q[:, 2:] = 0.0, 0.0, 0.0
-    p = found.covariance.copy()
+    f, q, c, p = found.transition, found.process, found.output, found.covariance
     out = np.empty(steps)
     for k in range(steps):
-        out[k] = c @ p @ c + r
+        out[k] = c @ p @ c + found.after
         p = f @ p @ f.T + q
     return out

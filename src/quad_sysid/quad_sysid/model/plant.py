@@ -41,7 +41,13 @@ NOISE = (
     Spec('disturbance', 'rad/s² per rad/s', spread=3.0, centre=math.log(30.0), log=True),
     Spec('correlation', 's', spread=1.0, centre=math.log(0.3), log=True),
 )
-N_BASE, N_NOISE = len(BASE), len(NOISE)
+VIBRATION = (
+    Spec('vibration', '1', spread=2.0, centre=0.0, log=True),
+    Spec('vibration_frequency', 'Hz', spread=1.0, centre=math.log(50.0), log=True),
+    Spec('vibration_width', 'Hz', spread=1.5, centre=math.log(1.0), log=True),
+)
+"""A narrow line in the gyro's noise, where a flight has one."""
+N_BASE = len(BASE)
 
 
 @dataclass(frozen=True)
@@ -49,11 +55,18 @@ class Structure:
     """The effects on top of the base, each with its settings."""
 
     parts: tuple[Part, ...] = ()
+    lines: int = 0
+    """How many narrow lines of vibration the gyro's noise holds."""
+
+    @property
+    def noise(self) -> tuple[Spec, ...]:
+        """The noise's parameters: the last of the vector."""
+        return NOISE + VIBRATION * self.lines
 
     @property
     def specs(self) -> tuple[Spec, ...]:
         """In the order of the vector: base, effect by effect, noise."""
-        return BASE + tuple(s for part in self.parts for s in part.effect.parameters) + NOISE
+        return BASE + tuple(s for part in self.parts for s in part.effect.parameters) + self.noise
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -61,7 +74,7 @@ class Structure:
         return (
             tuple(s.name for s in BASE)
             + tuple(f'{p.effect.name}.{s.name}' for p in self.parts for s in p.effect.parameters)
-            + tuple(f'noise.{s.name}' for s in NOISE)
+            + tuple(f'noise.{s.name}' for s in self.noise)
         )
 
     @property
@@ -80,11 +93,11 @@ class Structure:
 
     def plus(self, part: Part) -> Structure:
         """With one more effect."""
-        return Structure((*self.parts, part))
+        return replace(self, parts=(*self.parts, part))
 
     def minus(self, index: int) -> Structure:
         """Without one."""
-        return Structure(self.parts[:index] + self.parts[index + 1 :])
+        return replace(self, parts=self.parts[:index] + self.parts[index + 1 :])
 
     def natural(self, theta: FloatArray) -> FloatArray:
         """Parameters in their units from the coordinates of the fit."""
@@ -247,7 +260,7 @@ class Flight:
         In the coordinates of the fit, by central differences of `steps` (p,) along a fixed
         trajectory: exact to rounding for what is linear.
         """
-        n, m = rate.size, theta.size - N_NOISE
+        n, m = rate.size, theta.size - len(structure.noise)
         first = [0, 1, 2]
         for part, where in zip(structure.parts, structure.slices(), strict=True):
             if part.effect.moves_command:
@@ -300,8 +313,11 @@ class Flight:
 
     def filter_of(self, structure: Structure, theta: FloatArray, damping: float) -> Filter:
         """The steady Kalman filter at these parameters."""
-        p = structure.natural(theta)[-N_NOISE:]
-        noise = Noise(float(p[0]), float(p[1]), float(p[2]))
+        p = structure.natural(theta)[-len(structure.noise) :]
+        noise = Noise(
+            *(float(v) for v in p[:3]),
+            lines=tuple((float(a), float(f), float(w)) for a, f, w in p[3:].reshape(-1, 3)),
+        )
         return kalman(noise, damping, self.gyro, self.filtered, self.data.dt)
 
     def predict(
@@ -314,32 +330,26 @@ class Flight:
         rate = self.rate
         nothing = np.zeros((n, 0))
         innovation = np.full(n, np.nan)
-        states = np.zeros((n, 4))
+        states = np.zeros((n, 4 + 2 * structure.lines))
         for sweep in range(sweeps):
             push = self.pushed(structure, p, rate)
             damping = -float(np.mean(push.slope))
             found = self.filter_of(structure, theta, damping)
             with_columns = steps is not None and sweep == sweeps - 1
-            columns, bends, gains = nothing, nothing, np.zeros((0, 4))
+            columns, bends = nothing, nothing
+            gains = np.zeros((0, 4 + 2 * structure.lines))
+            moves = np.zeros((0, 2 + 2 * structure.lines))
             if with_columns:
                 physics, bends = self.columns(structure, theta, rate, steps)
-                columns = np.ascontiguousarray(np.hstack([physics, np.zeros((n, N_NOISE))]))
-                gains = np.zeros((theta.size, 4))
-                for j in range(N_NOISE):
-                    at = theta.size - N_NOISE + j
-                    up, down = theta.copy(), theta.copy()
-                    up[at] += 1e-4
-                    down[at] -= 1e-4
-                    gains[at] = (
-                        self.filter_of(structure, up, damping).gain
-                        - self.filter_of(structure, down, damping).gain
-                    ) / 2e-4
+                count = theta.size - physics.shape[1]
+                columns = np.ascontiguousarray(np.hstack([physics, np.zeros((n, count))]))
+                gains, moves = self._noise_columns(structure, theta, damping, count)
             new_rate = rate.copy()
             jacobian = np.zeros((n, columns.shape[1]))
             for start, stop in self.passes:
                 recursion.predict(
                     data.rate, push.known, push.slope, columns, bends, found.gain, gains,
-                    self.gyro, self.filtered, found.fade, found.hold, data.dt, start, stop,
+                    found.move, moves, self.gyro, self.filtered, data.dt, start, stop,
                     new_rate, states, innovation, jacobian,
                 )
             if not np.isfinite(new_rate).all() or np.abs(new_rate).max() > 1e6:
@@ -352,6 +362,34 @@ class Flight:
             put[:, len(self.order) :] = jacobian[:, len(self.order) :]
             jacobian = put
         return Prediction(innovation, jacobian if steps is not None else None, states, found, rate)
+
+    def _noise_columns(
+        self, structure: Structure, theta: FloatArray, damping: float, count: int
+    ) -> tuple[FloatArray, FloatArray]:
+        """(p, 4 + 2 v), (p, 2 + 2 v) derivatives of the filter's gain and of how noise moves on."""
+        more = 2 * structure.lines
+        gains, moves = np.zeros((theta.size, 4 + more)), np.zeros((theta.size, 2 + more))
+        step = 1e-4
+
+        def difference(up: Filter, down: Filter, at: int) -> None:
+            gains[at] = (up.gain - down.gain) / (2.0 * step)
+            moves[at] = (up.move - down.move) / (2.0 * step)
+
+        # the base's damping comes fourth in the vector, and fourth among the columns only where
+        # no effect acts on the command
+        difference(
+            self.filter_of(structure, theta, damping + step),
+            self.filter_of(structure, theta, damping - step), self.order.index(3),
+        )
+        for at in range(theta.size - count, theta.size):
+            up, down = theta.copy(), theta.copy()
+            up[at] += step
+            down[at] -= step
+            difference(
+                self.filter_of(structure, up, damping), self.filter_of(structure, down, damping),
+                at,
+            )
+        return gains, moves
 
     # ---------------------------------------------------------------------- the free run
 
@@ -367,6 +405,9 @@ class Flight:
         halves, states = self.driven(structure, p)
         x = prediction.states[windows.starts]
         r, d, g, q = (x[:, i].copy() for i in range(4))
+        v = x[:, 4::2] + 1j * x[:, 5::2]
+        turn = found.move[2::2] + 1j * found.move[3::2]
+        fade, hold = found.move[:2]
         angle = None if self.angle is None else self.angle[windows.starts] + self.late * r
         out = np.full((windows.count, windows.length), np.nan)
         last = data.rate.size - 1
@@ -377,13 +418,13 @@ class Flight:
         ]
         for i in range(windows.length):
             k = np.minimum(windows.starts + i, last)
-            out[:, i] = (g if self.filtered else r) - data.rate[k]
+            out[:, i] = (g if self.filtered else r) + v.real.sum(axis=1) - data.rate[k]
             drive = p[0] * halves[:, k]
             mean = 0.5 * (drive[0] + drive[1])
             middle = r + 0.5 * dt * mean  # where physics is evaluated, then corrected by its slope
             force, slope = self._force(acting, p, k, middle, angle, mean, states)
             a = 0.5 * dt * slope
-            push = mean + force - slope * middle + found.hold * d
+            push = mean + force - slope * middle + hold * d
             new = ((1.0 + a) * r + dt * push) / (1.0 - a)
             half = 0.5 * (r + new)
             bent = half + 0.25 * dt * (drive[0] - drive[1])
@@ -395,7 +436,8 @@ class Flight:
             )
             if angle is not None:
                 angle = angle + dt * half
-            r, d = new, d * found.fade
+            r, d = new, d * fade
+            v = v * turn
         return out
 
     def _force(self, acting, p, k, rate, angle, drive, states):  # type: ignore[no-untyped-def]
@@ -440,7 +482,7 @@ class Prediction:
     jacobian: FloatArray | None
     """(n, p) derivatives over the coordinates of the fit."""
     states: FloatArray
-    """(n, 4) prediction of rate, disturbance and filter states, before the sample was seen."""
+    """(n, 4 + 2 v) prediction of the filter's states, before the sample was seen."""
     filter: Filter
     rate: FloatArray
 

@@ -78,46 +78,52 @@ def motors(commands, row, lag, asymmetry, whole, fraction, dt, start, stop, halv
 
 
 @njit(**_OPTIONS)
-def predict(y, known, slope, columns, bends, gain, gain_columns, gyro, filtered, fade, hold, dt,
-            start, stop, rate, states, innovation, jacobian):
+def predict(y, known, slope, columns, bends, gain, gain_columns, move, move_columns, gyro, filtered,
+            dt, start, stop, rate, states, innovation, jacobian):
     """Innovations of the predictor over [start, stop) and their derivatives.
 
     y (n,) measured rate. known (2, n) acceleration over the halves of each cycle, without what
     `slope` (n,) times the rate at half cycle adds. columns (n, m) derivatives of the mean
     acceleration of each cycle, bends (n, b) half the difference of its halves for the first b of
-    them. gain (4,) what the innovation adds to rate, disturbance and
-    filter states; gain_columns (m, 4) its derivatives. gyro (2, 5) as in noise.gyro_step; fade and
-    hold: what is left of the disturbance after a cycle, and its mean over it. rate (n,) receives
-    the rate at half cycle, states (n, 4) the prediction before the innovation, innovation (n,) and
-    jacobian (n, m) what the name says.
+    them. States: rate, disturbance, the gyro filter's two, and two of each of the v lines of
+    vibration. gain (4 + 2 v,) what the innovation adds to them; move (2 + 2 v,): what is left of
+    the disturbance after a cycle, its mean over the cycle, and the turn of each line (cosine and
+    sine times what is left of it); gain_columns (m, 4 + 2 v) and move_columns (m, 2 + 2 v) their
+    derivatives. gyro (2, 5) as in
+    noise.gyro_step. rate (n,) receives the rate at half cycle, states (n, 4 + 2 v) the prediction
+    before the innovation, innovation (n,) and jacobian (n, m) what the name says.
     """
     m = columns.shape[1]
     g00, g01, g02, g03, g04 = gyro[0, 0], gyro[0, 1], gyro[0, 2], gyro[0, 3], gyro[0, 4]
     g10, g11, g12, g13, g14 = gyro[1, 0], gyro[1, 1], gyro[1, 2], gyro[1, 3], gyro[1, 4]
     c0, c1, c2, c3 = gain[0], gain[1], gain[2], gain[3]
+    fade, hold = move[0], move[1]
     r = y[start]
     d = 0.0
     g = y[start]
     q = 0.0
-    sr = np.zeros(m)
-    sd = np.zeros(m)
-    sg = np.zeros(m)
-    sq = np.zeros(m)
-    n0 = np.ascontiguousarray(gain_columns[:, 0])
-    n1 = np.ascontiguousarray(gain_columns[:, 1])
-    n2 = np.ascontiguousarray(gain_columns[:, 2])
-    n3 = np.ascontiguousarray(gain_columns[:, 3])
+    lines = move.size // 2 - 1
+    v = np.zeros(2 * lines)
+    s = np.zeros((4 + 2 * lines, m))
+    n = np.ascontiguousarray(gain_columns.T)
+    t = np.ascontiguousarray(move_columns.T)
     for k in range(start, stop):
         states[k, 0] = r
         states[k, 1] = d
         states[k, 2] = g
         states[k, 3] = q
         e = y[k] - (g if filtered else r)
+        for i in range(2 * lines):
+            states[k, 4 + i] = v[i]
+        for i in range(lines):
+            e -= v[2 * i]
         innovation[k] = e
         r += c0 * e
         d += c1 * e
         g += c2 * e
         q += c3 * e
+        for i in range(2 * lines):
+            v[i] += gain[4 + i] * e
         a = 0.5 * dt * slope[k]
         ahead = (1.0 + a) / (1.0 - a)
         push = dt / (1.0 - a)
@@ -126,57 +132,88 @@ def predict(y, known, slope, columns, bends, gain, gain_columns, gyro, filtered,
         middle = 0.5 * (r + new)
         rate[k] = middle
         bent = middle + 0.25 * dt * (known[0, k] - known[1, k])
+        for j in range(m):
+            jacobian[k, j] = -(s[2, j] if filtered else s[0, j])
+        for i in range(lines):
+            for j in range(m):
+                jacobian[k, j] -= s[4 + 2 * i, j]
+        for i in range(lines):
+            turn, over = move[2 + 2 * i], move[3 + 2 * i]
+            p, o = 4 + 2 * i, 5 + 2 * i
+            for j in range(m):
+                z = jacobian[k, j]
+                x5 = s[p, j] + gain[p] * z + n[p, j] * e
+                x6 = s[o, j] + gain[o] * z + n[o, j] * e
+                t2, t3 = t[2 + 2 * i, j], t[3 + 2 * i, j]
+                s[p, j] = turn * x5 - over * x6 + t2 * v[2 * i] - t3 * v[2 * i + 1]
+                s[o, j] = over * x5 + turn * x6 + t3 * v[2 * i] + t2 * v[2 * i + 1]
+        for j in range(m):
+            z = jacobian[k, j]
+            x0 = s[0, j] + c0 * z + n[0, j] * e
+            x1 = s[1, j] + c1 * z + n[1, j] * e
+            x2 = s[2, j] + c2 * z + n[2, j] * e
+            x3 = s[3, j] + c3 * z + n[3, j] * e
+            x4 = ahead * x0 + push * (columns[k, j] + hold * x1 + t[1, j] * d)
+            mid = 0.5 * (x0 + x4)
+            s[0, j] = x4
+            s[1, j] = fade * x1 + t[0, j] * d
+            s[2, j] = g00 * x2 + g01 * x3 + g02 * x0 + g03 * mid + g04 * x4
+            s[3, j] = g10 * x2 + g11 * x3 + g12 * x0 + g13 * mid + g14 * x4
+        for j in range(bends.shape[1]):
+            s[2, j] += g03 * 0.5 * dt * bends[k, j]
+            s[3, j] += g13 * 0.5 * dt * bends[k, j]
         ng = g00 * g + g01 * q + g02 * r + g03 * bent + g04 * new
         q = g10 * g + g11 * q + g12 * r + g13 * bent + g14 * new
         g = ng
         r = new
         d *= fade
-        for j in range(m):
-            s = -(sg[j] if filtered else sr[j])
-            jacobian[k, j] = s
-            x0 = sr[j] + c0 * s + n0[j] * e
-            x1 = sd[j] + c1 * s + n1[j] * e
-            x2 = sg[j] + c2 * s + n2[j] * e
-            x3 = sq[j] + c3 * s + n3[j] * e
-            x4 = ahead * x0 + push * (columns[k, j] + hold * x1)
-            mid = 0.5 * (x0 + x4)
-            sg[j] = g00 * x2 + g01 * x3 + g02 * x0 + g03 * mid + g04 * x4
-            sq[j] = g10 * x2 + g11 * x3 + g12 * x0 + g13 * mid + g14 * x4
-            sr[j] = x4
-            sd[j] = fade * x1
-        for j in range(bends.shape[1]):
-            sg[j] += g03 * 0.5 * dt * bends[k, j]
-            sq[j] += g13 * 0.5 * dt * bends[k, j]
+        for i in range(lines):
+            turn, over = move[2 + 2 * i], move[3 + 2 * i]
+            v[2 * i], v[2 * i + 1] = (
+                turn * v[2 * i] - over * v[2 * i + 1], over * v[2 * i] + turn * v[2 * i + 1]
+            )
 
 
 @njit(**_OPTIONS)
-def respond(columns, slope, gain, gyro, filtered, fade, hold, dt, start, stop, out):
+def respond(columns, slope, gain, move, gyro, filtered, dt, start, stop, out):
     """What `columns` (n, m), accelerations, do to the innovations: (n, m) into `out`."""
     m = columns.shape[1]
     g00, g01, g02, g03, g04 = gyro[0, 0], gyro[0, 1], gyro[0, 2], gyro[0, 3], gyro[0, 4]
     g10, g11, g12, g13, g14 = gyro[1, 0], gyro[1, 1], gyro[1, 2], gyro[1, 3], gyro[1, 4]
     c0, c1, c2, c3 = gain[0], gain[1], gain[2], gain[3]
-    sr = np.zeros(m)
-    sd = np.zeros(m)
-    sg = np.zeros(m)
-    sq = np.zeros(m)
+    fade, hold = move[0], move[1]
+    lines = move.size // 2 - 1
+    s = np.zeros((4 + 2 * lines, m))
     for k in range(start, stop):
         a = 0.5 * dt * slope[k]
         ahead = (1.0 + a) / (1.0 - a)
         push = dt / (1.0 - a)
         for j in range(m):
-            s = -(sg[j] if filtered else sr[j])
-            out[k, j] = s
-            x0 = sr[j] + c0 * s
-            x1 = sd[j] + c1 * s
-            x2 = sg[j] + c2 * s
-            x3 = sq[j] + c3 * s
+            out[k, j] = -(s[2, j] if filtered else s[0, j])
+        for i in range(lines):
+            for j in range(m):
+                out[k, j] -= s[4 + 2 * i, j]
+        for i in range(lines):
+            turn, over = move[2 + 2 * i], move[3 + 2 * i]
+            p, o = 4 + 2 * i, 5 + 2 * i
+            for j in range(m):
+                z = out[k, j]
+                x5 = s[p, j] + gain[p] * z
+                x6 = s[o, j] + gain[o] * z
+                s[p, j] = turn * x5 - over * x6
+                s[o, j] = over * x5 + turn * x6
+        for j in range(m):
+            z = out[k, j]
+            x0 = s[0, j] + c0 * z
+            x1 = s[1, j] + c1 * z
+            x2 = s[2, j] + c2 * z
+            x3 = s[3, j] + c3 * z
             x4 = ahead * x0 + push * (columns[k, j] + hold * x1)
             mid = 0.5 * (x0 + x4)
-            sg[j] = g00 * x2 + g01 * x3 + g02 * x0 + g03 * mid + g04 * x4
-            sq[j] = g10 * x2 + g11 * x3 + g12 * x0 + g13 * mid + g14 * x4
-            sr[j] = x4
-            sd[j] = fade * x1
+            s[0, j] = x4
+            s[1, j] = fade * x1
+            s[2, j] = g00 * x2 + g01 * x3 + g02 * x0 + g03 * mid + g04 * x4
+            s[3, j] = g10 * x2 + g11 * x3 + g12 * x0 + g13 * mid + g14 * x4
 
 
 @njit(**_OPTIONS)
