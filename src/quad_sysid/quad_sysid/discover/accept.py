@@ -129,17 +129,13 @@ def rms(errors: FloatArray) -> float:
 def expected(fitted: Fit, length: int) -> float:
     """RMS of the free run over `length` cycles that the model's own noise predicts, rad/s."""
     found = fitted.prediction.filter
-    v = fitted.tail.degrees
-    variance = fitted.tail.scale**2 * (v / (v - 2.0) if v > 2.0 else 3.0)
-    return math.sqrt(variance / found.innovation * float(np.mean(growth(found, length))))
+    return math.sqrt(fitted.tail.variance / found.innovation * float(np.mean(growth(found, length))))
 
 
 def floor_of(fitted: Fit) -> float:
     """RMS of the measurement noise in the rate, rad/s."""
     found = fitted.prediction.filter
-    v = fitted.tail.degrees
-    variance = fitted.tail.scale**2 * (v / (v - 2.0) if v > 2.0 else 3.0)
-    return math.sqrt(variance / found.innovation * found.floor)
+    return math.sqrt(fitted.tail.variance / found.innovation * found.floor)
 
 
 def judge(problem: Problem, found: Found) -> Verdict:

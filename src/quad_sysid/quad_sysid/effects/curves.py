@@ -138,6 +138,9 @@ class Curve(Effect):
     def starts(self, data: AxisData, settings: Settings) -> Sequence[FloatArray]:
         return [np.zeros(self.count)]
 
+    def elsewhere(self, p: FloatArray, settings: Settings, phase: float) -> FloatArray:
+        return np.full(p.size, p[-1]) if self.signal == 'time' else p
+
     def readable(self, p: FloatArray, settings: Settings) -> dict[str, tuple[float, str]]:
         unit = UNITS[self.term]
         return {f'y{i}': (float(v), unit) for i, v in enumerate(p)}

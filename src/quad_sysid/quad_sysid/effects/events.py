@@ -14,6 +14,8 @@ from quad_sysid.model.effect import Effect, Settings, Signals, Spec
 EDGE_S = 1.0
 """Events nearer than this to an end of the training segments cannot be told from it."""
 GRID_S = 0.5
+LONG_AGO_S = -1e6
+"""When an event happened that another flight has shown."""
 
 
 def times(data: AxisData) -> FloatArray:
@@ -46,6 +48,9 @@ class StepTorque(Effect):
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         return p[1] * after(s, p[0])
 
+    def elsewhere(self, p: FloatArray, settings: Settings, phase: float) -> FloatArray:
+        return np.array([LONG_AGO_S, p[1]])
+
 
 class StepGain(Effect):
     name = 'step_event'
@@ -61,6 +66,9 @@ class StepGain(Effect):
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         return p[1] * s.drive * after(s, p[0])
 
+    def elsewhere(self, p: FloatArray, settings: Settings, phase: float) -> FloatArray:
+        return np.array([LONG_AGO_S, p[1]])
+
 
 class PeriodicDisturbance(Effect):
     name = 'periodic_disturbance'
@@ -72,6 +80,7 @@ class PeriodicDisturbance(Effect):
     )
     physics = 'A sin(2 pi f t + phase): an unbalanced part, a swinging load'
     excite = 'any flight of many periods'
+    phased = True
     from_lines = True
     """Starts come from lines in the innovations."""
 
@@ -81,6 +90,10 @@ class PeriodicDisturbance(Effect):
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         phase = 2.0 * math.pi * p[0] * s.time
         return p[1] * np.sin(phase) + p[2] * np.cos(phase)
+
+    def elsewhere(self, p: FloatArray, settings: Settings, phase: float) -> FloatArray:
+        size = math.hypot(p[1], p[2])
+        return np.array([p[0], size * math.cos(phase), size * math.sin(phase)])
 
     def readable(self, p: FloatArray, settings: Settings) -> dict[str, tuple[float, str]]:
         return {

@@ -53,6 +53,12 @@ class Tail:
         return out
 
     @property
+    def variance(self) -> float:
+        """Of the innovations; of a tail so heavy that it has none, three times the scale's."""
+        v = self.degrees
+        return self.scale**2 * (v / (v - 2.0) if v > 2.0 else 3.0)
+
+    @property
     def information(self) -> float:
         """Fisher information of the location, times scale²."""
         return (self.degrees + 1.0) / (self.degrees + 3.0)

@@ -5,7 +5,8 @@ from quad_sysid.model.identified import (
     Designer,
     EffectEstimate,
     GainProposal,
+    NoiseEstimate,
     Parameter,
 )
 
-__all__ = ['AxisModel', 'Designer', 'EffectEstimate', 'GainProposal', 'Parameter']
+__all__ = ['AxisModel', 'Designer', 'EffectEstimate', 'GainProposal', 'NoiseEstimate', 'Parameter']

@@ -94,6 +94,8 @@ class Effect:
     variant: str = ''
     """Tells effects of one name apart, such as the other axis that couples in."""
     parameters: tuple[Spec, ...] = ()
+    phased: bool = False
+    """Whether each flight has a phase of its own, which `elsewhere` takes."""
 
     def prepare(self, data: AxisData) -> Settings | str:
         """Settings from the training data, or in words why it cannot be tested on them."""
@@ -140,6 +142,11 @@ class Effect:
             spec.name: (float(value), spec.unit)
             for spec, value in zip(self.parameters, p, strict=True)
         }
+
+    def elsewhere(self, p: FloatArray, settings: Settings, phase: float) -> FloatArray:
+        """The parameters on another flight: of an event those after it; phase in rad."""
+        del settings, phase
+        return p
 
     def precision(self, settings: Settings, sizes: FloatArray) -> FloatArray:
         """(p, p) precision of the prior of its parameters, in the coordinates of the fit.

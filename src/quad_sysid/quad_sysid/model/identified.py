@@ -1,7 +1,7 @@
 """The identified model of one axis, as it is handed on: to the report, to a designer, to a file.
 
-Frozen values only: how they are fitted stands in greybox and effects, how they are stored in
-report/model_file.py.
+Frozen values only: how a fit becomes one, and how it is run again, stands in estimate/stored.py,
+its file in report/model_file.py.
 """
 
 from __future__ import annotations
@@ -33,6 +33,10 @@ class EffectEstimate:
     """`named`, `shape`, `mode` or `event`."""
     signals: tuple[str, ...]
     parameters: tuple[Parameter, ...]
+    variant: str = ''
+    """Tells effects of one name apart, as in quad_sysid.effects."""
+    fitted: tuple[float, ...] = ()
+    """The parameters as the effect's physics takes them, from which `parameters` follow."""
     settings: Mapping[str, object] = field(default_factory=dict)
     """What is not estimated but needed to run it again (knots, reference voltage)."""
     p_value: float = 1.0
@@ -40,6 +44,31 @@ class EffectEstimate:
     probability: float = 1.0
     rivals: tuple[tuple[str, float], ...] = ()
     """Names of what explains the data nearly as well, with probabilities."""
+
+
+@dataclass(frozen=True)
+class NoiseEstimate:
+    """The noise of a fit: what its Kalman filter follows from, and how large it is."""
+
+    white: float
+    """White torque noise over the gyro's, (rad/s²)/√Hz per rad/s."""
+    disturbance: float
+    """RMS of the torque disturbance over the gyro's noise, rad/s² per rad/s."""
+    correlation_s: float
+    """Correlation time of the torque disturbance, s."""
+    scale: float
+    """Of the innovations' distribution, Student's t, rad/s."""
+    degrees: float
+    """Its degrees of freedom."""
+    gyro_rms: float
+    """RMS of the gyro's noise before its filter, rad/s."""
+    measured_rms: float
+    """RMS of the measurement noise in the recorded rate, rad/s."""
+
+    @property
+    def disturbance_rms(self) -> float:
+        """RMS of the torque disturbance, rad/s²."""
+        return self.disturbance * self.gyro_rms
 
 
 @dataclass(frozen=True)
@@ -61,23 +90,22 @@ class AxisModel:
     parameter_names: tuple[str, ...] = ()
     """Order of rows and columns of `covariance`: `gain`, …, then `<effect>.<parameter>`."""
     covariance: FloatArray | None = None
-    """(p, p); NaN rows for parameters held at a bound."""
+    """(p, p); NaN rows for parameters that have no ordinary standard error."""
     active_gains: Mapping[str, float] = field(default_factory=dict)
     """What /gains/active said during the flight, all axes and loop constants."""
     mean_battery_v: float | None = None
-    noise_rms: float | None = None
-    """RMS of the measurement noise of the rate, rad/s."""
-    torque_noise: float | None = None
-    """Intensity of the torque noise that drives the rate, (rad/s²)/√Hz."""
+    noise: NoiseEstimate | None = None
+    """Of the completed model."""
     trusted_band_rad_s: tuple[float, float] | None = None
     """Where the data support the model, rad/s."""
-    realisation: str = 'continuous'
-    """How the far end integrates, as greybox.drive.REALISATIONS names it."""
-    correction: tuple[float, ...] = ()
-    """(4,) how the state follows the measured rate before a window, as greybox.noise gives it."""
     plain: tuple[Parameter, ...] = ()
     """The base fitted alone, what `before` is measured with; empty: the base above."""
-    plain_correction: tuple[float, ...] = ()
+    plain_noise: NoiseEstimate | None = None
+
+    @property
+    def noise_rms(self) -> float | None:
+        """RMS of the measurement noise of the rate, rad/s."""
+        return None if self.noise is None else self.noise.measured_rms
 
     def value(self, name: str) -> float:
         """Value of a base parameter, or of `<effect>.<parameter>`."""

@@ -1,0 +1,219 @@
+"""A fit as the values that are handed on, and a handed-on model as what can be run again.
+
+Standard errors are those of the sandwich (fit.covariance); of what the fit holds as a logarithm,
+and of what a report reads off several parameters, by the delta method.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from quad_sysid.contract import FloatArray
+from quad_sysid.effects import EFFECTS
+from quad_sysid.errors import BadInputError
+from quad_sysid.estimate.fit import Fit, Problem, Tail, covariance
+from quad_sysid.model import AxisModel, EffectEstimate, NoiseEstimate, Parameter
+from quad_sysid.model.effect import Effect, Part, Settings, Spec
+from quad_sysid.model.plant import BASE, N_BASE, N_NOISE, Structure
+
+SHORTEST = 0.25
+"""A time below this share of a cycle is none: the data hold nothing of it."""
+VAGUE = 1.0
+"""A logarithm with a larger standard error is not determined."""
+
+KNOWN: Mapping[tuple[str, str], Effect] = {(e.name, e.variant): e for e in EFFECTS}
+
+
+@dataclass(frozen=True)
+class Stored:
+    """What runs a model again: its structure, parameters and the innovations' distribution."""
+
+    structure: Structure
+    theta: FloatArray
+    """(p,) in the coordinates of the fit."""
+    tail: Tail
+
+
+@dataclass(frozen=True)
+class Readings:
+    """The parameters of a fit as a report gives them."""
+
+    base: tuple[Parameter, ...]
+    effects: tuple[tuple[Parameter, ...], ...]
+    names: tuple[str, ...]
+    """`gain`, …, then `<effect>.<parameter>`."""
+    covariance: FloatArray
+    """(p, p) of these; NaN rows where there is no ordinary standard error."""
+
+
+def readings(problem: Problem, fitted: Fit) -> Readings:
+    """All parameters with their standard errors and joint covariance."""
+    raw = covariance(problem, fitted)
+    structure, theta, dt = fitted.structure, fitted.theta, problem.data.dt
+    names = _names(structure)
+    deviations = np.sqrt(np.diag(raw))
+    jacobian = np.stack(
+        [
+            (_read(structure, theta + step) - _read(structure, theta - step)) / (2.0 * step[j])
+            for j, step in enumerate(np.diag(1e-3 * np.minimum(deviations, 1.0)))
+        ],
+        axis=1,
+    )
+    joint = jacobian @ raw @ jacobian.T
+    vague = {
+        name for name, spec, value, deviation in zip(
+            structure.names, structure.specs, fitted.values, deviations, strict=True
+        ) if _vague(spec, value, deviation, dt)
+    }
+    for i, name in enumerate(names):
+        if name in vague or not joint[i, i] > 0.0:
+            joint[i, :] = joint[:, i] = np.nan
+    values, units = _read(structure, theta), _units(structure)
+    told = [
+        Parameter(
+            name.rpartition('.')[2], float(value), _std(joint[i, i]), unit,
+            _interval(structure, theta, deviations, name) if name in vague else None,
+        )
+        for i, (name, value, unit) in enumerate(zip(names, values, units, strict=True))
+    ]
+    effects, at = [], N_BASE
+    for part, where in zip(structure.parts, structure.slices(), strict=True):
+        count = len(part.effect.readable(fitted.values[where], part.settings))
+        effects.append(tuple(told[at : at + count]))
+        at += count
+    return Readings(tuple(told[:N_BASE]), tuple(effects), names, joint)
+
+
+def _vague(spec: Spec, value: float, deviation: float, dt: float) -> bool:
+    """Whether a parameter is at the end of what it may be, or not determined."""
+    if spec.log:
+        return deviation > VAGUE or (spec.unit == 's' and value < SHORTEST * dt)
+    return spec.positive and value <= 0.0
+
+
+def _interval(
+    structure: Structure, theta: FloatArray, deviations: FloatArray, name: str
+) -> tuple[float, float] | None:
+    """From nothing to where a logarithm may reach, 95 %."""
+    j = structure.names.index(name)
+    if not structure.specs[j].log:
+        return None
+    return 0.0, float(np.exp(theta[j] + 1.645 * deviations[j]))
+
+
+def _std(variance: float) -> float | None:
+    return float(np.sqrt(variance)) if np.isfinite(variance) else None
+
+
+def _names(structure: Structure) -> tuple[str, ...]:
+    nothing = structure.natural(np.zeros(len(structure.specs)))
+    return tuple(s.name for s in BASE) + tuple(
+        f'{part.effect.name}.{name}'
+        for part, where in zip(structure.parts, structure.slices(), strict=True)
+        for name in part.effect.readable(nothing[where], part.settings)
+    )
+
+
+def _read(structure: Structure, theta: FloatArray) -> FloatArray:
+    """Base and what a report reads of the effects, in the order of `_names`."""
+    p = structure.natural(theta)
+    read = [
+        value
+        for part, where in zip(structure.parts, structure.slices(), strict=True)
+        for value, _ in part.effect.readable(p[where], part.settings).values()
+    ]
+    return np.array([*p[:N_BASE], *read])
+
+
+def _units(structure: Structure) -> tuple[str, ...]:
+    nothing = structure.natural(np.zeros(len(structure.specs)))
+    return tuple(s.unit for s in BASE) + tuple(
+        unit
+        for part, where in zip(structure.parts, structure.slices(), strict=True)
+        for _, unit in part.effect.readable(nothing[where], part.settings).values()
+    )
+
+
+def noise_of(fitted: Fit) -> NoiseEstimate:
+    """The noise that a fit ended with."""
+    white, disturbance, correlation = (float(v) for v in fitted.values[-N_NOISE:])
+    found, tail = fitted.prediction.filter, fitted.tail
+    variance = tail.variance / found.innovation
+    return NoiseEstimate(
+        white, disturbance, correlation, tail.scale, tail.degrees,
+        float(np.sqrt(variance)), float(np.sqrt(variance * found.floor)),
+    )
+
+
+def effects_of(
+    fitted: Fit, told: Readings, p_value: float, reductions: Sequence[float],
+    probabilities: Sequence[float], rivals: Sequence[tuple[tuple[str, float], ...]],
+) -> tuple[EffectEstimate, ...]:
+    """The effects of a fit, as they are handed on."""
+    values = fitted.values
+    return tuple(
+        EffectEstimate(
+            name=part.effect.name, kind=part.effect.kind, signals=part.effect.signals,
+            parameters=parameters, variant=part.effect.variant,
+            fitted=tuple(float(v) for v in values[where]), settings=dict(part.settings),
+            p_value=p_value, error_reduction_pct=reduction, probability=probability, rivals=others,
+        )
+        for part, where, parameters, reduction, probability, others in zip(
+            fitted.structure.parts, fitted.structure.slices(), told.effects, reductions,
+            probabilities, rivals, strict=True,
+        )
+    )
+
+
+def completed(model: AxisModel) -> Stored:
+    """The model with its effects, to be run. Raises BadInputError for an unknown effect."""
+    parts = tuple(part_of(model, effect) for effect in model.effects)
+    return _stored(
+        model.base, Structure(parts), [effect.fitted for effect in model.effects], model.noise
+    )
+
+
+def plain(model: AxisModel) -> Stored:
+    """The base as it was fitted alone, to be run."""
+    return _stored(
+        model.plain or model.base, Structure(), [], model.plain_noise or model.noise
+    )
+
+
+def _stored(
+    base: Sequence[Parameter], structure: Structure, effects: Sequence[Sequence[float]],
+    noise: NoiseEstimate | None,
+) -> Stored:
+    values = {p.name: p.value for p in base}
+    known = (1.0, 1.0) if noise is None else (noise.scale, noise.degrees)
+    numbers = (
+        [np.exp(spec.centre) for spec in structure.specs[-N_NOISE:]] if noise is None
+        else [noise.white, noise.disturbance, noise.correlation_s]
+    )
+    p = np.array([
+        *(values[spec.name] for spec in BASE), *(v for own in effects for v in own), *numbers,
+    ])
+    logs = np.array([spec.log for spec in structure.specs])
+    theta = np.where(logs, np.log(np.maximum(np.where(logs, p, 1.0), 1e-17)), p)
+    return Stored(structure, theta, Tail(*known))
+
+
+def part_of(model: AxisModel, effect: EffectEstimate) -> Part:
+    """The physics of a stored effect. Raises BadInputError for one that is not known."""
+    known = KNOWN.get((effect.name, effect.variant))
+    if known is None or len(known.parameters) != len(effect.fitted):
+        raise BadInputError(
+            f'model: {model.axis}.effects', 'an effect this version does not know',
+            f'{effect.name} {effect.variant}'.strip(), 'identify again with this version',
+        )
+    return Part(known, _settings(effect.settings))
+
+
+def _settings(stored: Mapping[str, object]) -> Settings:
+    """Settings as the effect prepared them, from what JSON made of them."""
+    return {
+        key: tuple(value) if isinstance(value, list) else value for key, value in stored.items()
+    }
