@@ -19,8 +19,7 @@ SHOW_AFTER_S = 1.0
 LEAST_SHARE = 0.05
 """Before so much is done, no remaining time is estimated."""
 STAGES = (
-    ('base', 0.04), ('effect 1', 0.08), ('effect 2', 0.32), ('effect 3', 0.50),
-    ('effect', 0.60), ('black-box', 0.65), ('gains', 0.80),
+    ('what is missing', 0.05), ('held-out', 0.40), ('black-box', 0.45), ('gains', 0.80),
 )
 """Stage of an axis to its share of the time when it begins, measured on a flight of 90 s with
 one effect."""

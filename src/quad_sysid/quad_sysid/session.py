@@ -6,7 +6,7 @@ import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from quad_sysid.bags import parse_span, read_bag, split_segments
 from quad_sysid.contract import AXES
@@ -16,8 +16,9 @@ from quad_sysid.pipeline.answer import AxisAnswer
 from quad_sysid.pipeline.identify import Options, identify
 from quad_sysid.report import document, store
 from quad_sysid.report.model_file import load_models
-from quad_sysid.separation.aircraft import aircraft_of, effect_of, paper_aircraft
-from quad_sysid.separation.design import Separation, nearest, rivals_of, separate
+
+if TYPE_CHECKING:
+    from quad_sysid.separation.design import Separation
 
 PROMISES = ('rate_rms_ratio', 'oscillation_ratio', 'peak')
 """Figures of a proposal that the bridge's watch compares the flight with."""
@@ -148,6 +149,9 @@ def separation(
     No names: an effect of the model and its nearest rival. Raises QuadSysidError for what a user
     can mend.
     """
+    from quad_sysid.separation.aircraft import aircraft_of, effect_of, paper_aircraft
+    from quad_sysid.separation.design import nearest, rivals_of, separate
+
     if len(names) not in (0, 2):
         raise BadInputError('--separate', 'needs two effects or none', ' '.join(names) or None,
                             'for example --separate coulomb_friction quadratic_drag')

@@ -10,12 +10,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.discover.search import Found
-from quad_sysid.estimate.fit import Fit, Problem, fit
+from quad_sysid.estimate.fit import Fit, Problem, Tail, fit
 from quad_sysid.model.data import AxisData, Windows
 from quad_sysid.model.noise import growth
 from quad_sysid.model.plant import Structure
@@ -77,6 +78,22 @@ class Verdict:
     """For each chosen effect, what else could stand in its place, with probabilities."""
 
 
+class Fitted(Protocol):
+    """What predicts: a fit, or a stored model."""
+
+    @property
+    def structure(self) -> Structure:
+        """The base and its effects."""
+
+    @property
+    def theta(self) -> FloatArray:
+        """(p,) in the coordinates of the fit."""
+
+    @property
+    def tail(self) -> Tail:
+        """Distribution of the innovations."""
+
+
 class Unseen:
     """The validation segments and what fitted models make of them."""
 
@@ -90,7 +107,7 @@ class Unseen:
         label = stretch * 10**6 + np.arange(rows.size) // length
         self.block = np.unique(label, return_inverse=True)[1]
 
-    def log_likelihood(self, fitted: Fit) -> FloatArray:
+    def log_likelihood(self, fitted: Fitted) -> FloatArray:
         """(blocks,) predictive log-likelihood, nats."""
         found = self.problem.flight.predict(fitted.structure, fitted.theta, sweeps=3)
         e = found.innovation[self.problem.rows]
@@ -98,7 +115,7 @@ class Unseen:
             values = fitted.tail.log_density(np.nan_to_num(e, nan=1e6, posinf=1e6))
         return np.bincount(self.block, weights=values)
 
-    def errors(self, fitted: Fit, windows: Windows | None = None) -> FloatArray:
+    def errors(self, fitted: Fitted, windows: Windows | None = None) -> FloatArray:
         """(windows, length) of the free run."""
         windows = windows or self.windows
         prediction = self.problem.flight.predict(fitted.structure, fitted.theta, sweeps=3)
@@ -107,7 +124,7 @@ class Unseen:
                 fitted.structure, fitted.theta, windows, prediction=prediction
             )
 
-    def one_step(self, fitted: Fit) -> float:
+    def one_step(self, fitted: Fitted) -> float:
         """RMS of the innovations."""
         found = self.problem.flight.predict(fitted.structure, fitted.theta, sweeps=3)
         return rms(found.innovation[self.problem.rows])
@@ -199,7 +216,6 @@ def _verdict(
     data = problem.data
     before_e, after_e = unseen.errors(base), unseen.errors(chosen)
     before, after = rms(before_e), rms(after_e)
-    horizons = _horizons(unseen, base, chosen)
     parts = chosen.structure.parts
     without = tuple(
         rms(unseen.errors(base if len(parts) == 1 else refit(problem, chosen, i)))
@@ -214,21 +230,27 @@ def _verdict(
         verdict=verdict, reason=reason, chosen=chosen, e_value=e_value, before=before, after=after,
         one_step_before=unseen.one_step(base), one_step_after=unseen.one_step(chosen),
         hold=rms(unseen.holding(unseen.windows)), predicted=predicted,
-        noise_floor=floor_of(chosen), horizons=horizons, without=without,
+        noise_floor=floor_of(chosen), horizons=horizons(unseen, base, chosen), without=without,
         probabilities=probabilities, rivals=rivals,
     )
 
 
-def _horizons(unseen: Unseen, base: Fit, chosen: Fit) -> tuple[Horizon, ...]:
+def horizons(unseen: Unseen, base: Fitted, chosen: Fitted) -> tuple[Horizon, ...]:
+    """How the error of holding the rate, the base and the chosen model grows."""
     windows, dt = unseen.long, unseen.problem.data.dt
     if not windows.count:
         return ()
     errors = [unseen.holding(windows), unseen.errors(base, windows), unseen.errors(chosen, windows)]
     out = []
     for horizon in HORIZONS_S:
-        k = min(max(round(horizon / dt), 1), windows.length) - 1
+        k = at_horizon(horizon, dt)
         out.append(Horizon(horizon, *(rms(e[:, k]) for e in errors)))
     return tuple(out)
+
+
+def at_horizon(horizon_s: float, dt: float) -> int:
+    """Column of a free run's errors that lies so long after its start."""
+    return max(round(horizon_s / dt), 1) - 1
 
 
 def _empty(

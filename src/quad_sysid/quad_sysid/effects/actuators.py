@@ -33,6 +33,7 @@ def along(data: AxisData, signal: FloatArray, kernel, *numbers: float) -> FloatA
 class DeadZone(Effect):
     name = 'dead_zone'
     signals = ('command',)
+    term = 'command'
     parameters = (
         Spec('half_width', '1', spread=2.0, centre=math.log(0.003), log=True,
              starts=(0.0003, 0.001, 0.003, 0.01)),
@@ -49,6 +50,7 @@ class DeadZone(Effect):
 class Backlash(Effect):
     name = 'backlash'
     signals = ('command', 'history')
+    term = 'command'
     parameters = (
         Spec('half_width', '1', spread=2.0, centre=math.log(0.003), log=True,
              starts=(0.0003, 0.001, 0.003, 0.01)),
@@ -64,7 +66,8 @@ class Backlash(Effect):
 
 class BatterySag(Effect):
     name = 'battery_sag'
-    signals = ('command', 'battery')
+    signals = ('battery', 'command')
+    term = 'gain'
     parameters = (Spec('exponent', '1', spread=1.5),)
     physics = 'gain (V / V_ref)^n: thrust per command falls with the pack voltage'
     excite = 'a long flight, or throttle changes, so that the voltage moves by 5 % or more'
@@ -84,6 +87,7 @@ class BatterySag(Effect):
 class ThrustCurve(Effect):
     name = 'thrust_curve'
     signals = ('command', 'throttle')
+    term = 'command'
     parameters = (Spec('curvature', '1', spread=0.4),)
     physics = 'thrust (1 - k) m + k m² of each motor command m'
     excite = 'throttle changes during the excitation, or large commands on two axes at once'
@@ -114,6 +118,8 @@ class ThrustCurve(Effect):
 
 class Motors(Effect):
     """A map of each motor's command: subclasses give what becomes of (4, n) commands."""
+
+    term = 'command'
 
     def map(self, data: AxisData, motors: FloatArray, p: FloatArray, settings: Settings) -> FloatArray:
         """(4, n) commands after the effect."""
@@ -164,6 +170,7 @@ class SlewLimit(Motors):
     kind = 'shape'
     variant = 'slew limit'
     signals = ('command', 'motors', 'history')
+    term = 'response'
     parameters = (
         Spec('slew', '1/s', spread=1.5, centre=math.log(3.0), log=True, starts=(0.5, 1.5, 4.0, 10.0)),
     )
@@ -193,6 +200,7 @@ class Steps(Motors):
 class SlowShare(Effect):
     name = 'motor_lag'
     signals = ('command',)
+    term = 'response'
     parameters = (
         Spec('slow_time_constant', 's', spread=0.7, centre=math.log(0.12), log=True,
              starts=(0.09, 0.15, 0.3)),
@@ -225,6 +233,7 @@ def by_motor(data: AxisData, drive: Drive) -> Drive:
 class SlowMotor(Effect):
     name = 'motor_lag'
     signals = ('command', 'motors')
+    term = 'response'
     parameters = (
         Spec('slow_time_constant', 's', spread=0.7, centre=math.log(0.12), log=True,
              starts=(0.07, 0.12, 0.25)),
@@ -257,6 +266,7 @@ class AsymmetricLag(Effect):
     name = 'shape:lag:direction'
     kind = 'shape'
     signals = ('command', 'direction')
+    term = 'response'
     parameters = (Spec('asymmetry', '1', spread=0.5),)
     physics = 'a motor slows down with the lag times exp(a) and speeds up with the lag over exp(a)'
     excite = 'steps of the command up and down'
@@ -279,6 +289,7 @@ class SecondLag(Effect):
     kind = 'mode'
     variant = 'second lag'
     signals = ('command', 'history')
+    term = 'response'
     parameters = (
         Spec('time_constant', 's', spread=1.0, centre=math.log(0.02), log=True,
              starts=(0.01, 0.03, 0.1)),
@@ -295,6 +306,7 @@ class SecondLag(Effect):
 class Resonance(Effect):
     name = 'resonance'
     signals = ('command', 'history')
+    term = 'response'
     parameters = (
         Spec('frequency', 'Hz', spread=0.8, centre=math.log(5.0), log=True,
              starts=tuple(np.geomspace(1.5, 16.0, 12))),

@@ -32,6 +32,7 @@ def turns(data: AxisData, which: int) -> str:
 class CrossAxisInput(Effect):
     name = 'cross_axis_input'
     signals = ('other command',)
+    term = 'command'
     parameters = (Spec('fraction', '1', spread=0.2),)
     physics = "a fraction of another axis' command acts here (motors out of line)"
     excite = 'both axes excited with different signals'

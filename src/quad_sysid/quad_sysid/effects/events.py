@@ -56,6 +56,7 @@ class StepGain(Effect):
     name = 'step_event'
     variant = 'gain'
     signals = ('time', 'command')
+    term = 'gain'
     parameters = (Spec('time', 's', spread=30.0), Spec('change', '1', spread=0.3))
     physics = 'from a time on the gain is scaled by 1 + change (a blade chips)'
     excite = 'any; the event itself must fall into the training segments'

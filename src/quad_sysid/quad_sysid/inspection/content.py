@@ -15,9 +15,9 @@ from threadpoolctl import threadpool_limits
 from quad_sysid.bags import read_bag, split_segments
 from quad_sysid.blackbox import excitation_order
 from quad_sysid.errors import BadInputError, NotInformativeError, QuadSysidError
-from quad_sysid.greybox.data import AxisData, axis_data
 from quad_sysid.inspection.topics import Topics, topics
 from quad_sysid.inspection.uses import MOVES, Use, uses_of_axis, uses_of_flight
+from quad_sysid.model.data import AxisData, axis_data
 from quad_sysid.pipeline.assemble import band_of
 from quad_sysid.pipeline.blackbox_part import io_data
 from quad_sysid.pipeline.identify import asked_axes

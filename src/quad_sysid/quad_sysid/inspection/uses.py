@@ -5,16 +5,13 @@ The conditions are those of the pipeline itself, asked before anything is fitted
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from quad_sysid.effects.preparation import coupled_command, needs_angle, sag_settings
-from quad_sysid.effects.preparation import thrust_settings as throttle_settings
+from quad_sysid.effects import EFFECTS
 from quad_sysid.errors import NotInformativeError
-from quad_sysid.greybox.data import AxisData
-from quad_sysid.greybox.fit import check_training
+from quad_sysid.model.data import AxisData
 from quad_sysid.pipeline.usable import check_usable
 from quad_sysid.record import Record
 
@@ -48,7 +45,7 @@ def uses_of_axis(record: Record, data: AxisData) -> tuple[Use, ...]:
         Use('indirect and joint approach', reference, '' if reference else other),
         Use('closed-loop check, gain design', reference and gains,
             '' if reference and gains else other if not reference else no_gains),
-        *(_effect(name, ask, data) for name, ask in _EFFECTS),
+        *(_effect(told, name, data) for told, name in _EFFECTS),
     )
 
 
@@ -66,7 +63,6 @@ def uses_of_flight(identifiable: tuple[str, ...], *, moving: bool) -> tuple[Use,
 def _refusal(data: AxisData) -> str:
     try:
         check_usable(data)
-        check_training(data, data.train)
     except NotInformativeError as error:
         return str(error).removeprefix(f'{data.axis}: ')
     return ''
@@ -79,23 +75,18 @@ def _moves(data: AxisData, signal: np.ndarray | None) -> bool:
     return bool(np.isfinite(used).all() and np.ptp(used) > MOVES)
 
 
-def _effect(
-    name: str, ask: Callable[[AxisData], object], data: AxisData
-) -> Use:
-    told = ask(data)
-    because = told if isinstance(told, str) else ''
-    return Use(f'find {name}', possible=not because, because=because)
+def _effect(told: str, name: str, data: AxisData) -> Use:
+    """Whether any effect of this name can be tested on the data."""
+    answers = [effect.prepare(data) for effect in EFFECTS if effect.name == name]
+    refused = [one for one in answers if isinstance(one, str)]
+    because = refused[0] if len(refused) == len(answers) else ''
+    return Use(f'find {told}', possible=not because, because=because)
 
 
-def _coupling(data: AxisData) -> object:
-    first, second = coupled_command(data, 0), coupled_command(data, 1)
-    return first if isinstance(first, str) and isinstance(second, str) else {}
-
-
-_EFFECTS: tuple[tuple[str, Callable[[AxisData], object]], ...] = (
-    ('effects of the angle', needs_angle),
-    ('battery sag', sag_settings),
-    ('thrust curve', throttle_settings),
-    ("another axis' command", _coupling),
+_EFFECTS = (
+    ('effects of the angle', 'pendulum_stiffness'),
+    ('battery sag', 'battery_sag'),
+    ('thrust curve', 'thrust_curve'),
+    ("another axis' command", 'cross_axis_input'),
 )
 """Effects that need more of a flight than the axis' own motion."""

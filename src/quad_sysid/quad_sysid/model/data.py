@@ -60,8 +60,6 @@ class AxisData:
     validation: tuple[Span, ...]
     idle: tuple[Span, ...] = ()
     validation_names: tuple[str, ...] = ()
-    realisation: str = 'continuous'
-    """How the far end integrates, one of drive.REALISATIONS."""
     reference: FloatArray | None = None
     """(n,) what drives the loop from outside, as Record.external; NaN where a record lacks it."""
     trim: tuple[float, float] | None = None

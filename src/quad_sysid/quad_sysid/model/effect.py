@@ -87,6 +87,10 @@ class Effect:
     name: str = ''
     kind: str = 'named'
     signals: tuple[str, ...] = ()
+    """What it depends on; the first is what it is drawn over."""
+    term: str = 'torque'
+    """What of the base it changes: torque, gain, damping, friction, lag or delay as a function of
+    a signal, the command as a map of it, or the response of the motors."""
     physics: str = ''
     """The equation, with units, and its source."""
     excite: str = ''

@@ -9,9 +9,11 @@ import numpy as np
 
 from quad_sysid.blackbox import Model, ResidualTest, StepARow, Table2Entry
 from quad_sysid.contract import FloatArray
-from quad_sysid.effects.discover import Discovery
-from quad_sysid.effects.judge import Judgement
+from quad_sysid.discover.accept import Verdict
+from quad_sysid.discover.search import Found
+from quad_sysid.estimate.fit import Fit, Problem
 from quad_sysid.model import AxisModel, GainProposal
+from quad_sysid.model.data import AxisData
 from quad_sysid.record import IOData, Segment
 
 
@@ -94,16 +96,52 @@ class Selection:
 
 
 @dataclass(frozen=True)
+class HeldOut:
+    """What a fitted structure makes of the held-out segments."""
+
+    fit: Fit
+    errors: FloatArray
+    """(windows, length) of the free run over windows of 0.5 s, rad/s."""
+    interval: tuple[float, float]
+    """95 % of the RMS of `errors`, rad/s."""
+    innovations: FloatArray
+    """(n,) one-step errors, measured less predicted, rad/s; NaN outside of the segments."""
+    disturbance: FloatArray
+    """(n,) the torque disturbance that its filter sees, rad/s²; NaN alike."""
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What the search and the held-out segments said of one axis."""
+
+    problem: Problem
+    found: Found
+    verdict: Verdict
+    before: HeldOut
+    after: HeldOut
+    """The same object as `before` where nothing was added."""
+
+    @property
+    def data(self) -> AxisData:
+        """The flight."""
+        return self.problem.data
+
+    @property
+    def added(self) -> bool:
+        """Whether effects were accepted."""
+        return self.after is not self.before
+
+
+@dataclass(frozen=True)
 class MissingTorque:
-    """The torque (over inertia) by which a Kalman filter keeps pushing the model's rate."""
+    """The torque (over inertia) that the filter's disturbance state takes the place of."""
 
     time_s: FloatArray
-    """(m,) of the samples that have one, from the first sample of the record."""
+    """(m,) of the held-out samples, from the first sample of the record."""
     acceleration: FloatArray
-    """(m,) rad/s², mean over `smooth_s`."""
-    smooth_s: float
+    """(m,) rad/s²."""
     expected_rms: float
-    """rad/s², RMS that white one-step errors of this size would show."""
+    """rad/s², RMS that the model's own noise lets one expect."""
 
     @property
     def rms(self) -> float:
@@ -157,10 +195,11 @@ class AxisAnswer:
     reason: str
     rows: tuple[ModelRow, ...] = ()
     selected: int | None = None
-    discovery: Discovery | None = None
-    judgement: Judgement | None = None
+    findings: Findings | None = None
     model: AxisModel | None = None
     blackbox_error: float | None = None
+    blackbox_horizons: Mapping[float, float] = field(default_factory=dict)
+    """Seconds after the start of a free run to the selected black box's RMS error, rad/s."""
     closed_loop: ClosedLoop | None = None
     train: IOData | None = None
     """Command and rate of the training segments about their means, with the reference."""
@@ -169,7 +208,7 @@ class AxisAnswer:
     proposal: GainProposal | None = None
     warnings: tuple[str, ...] = field(default=())
     attitude_reference: FloatArray | None = None
-    """(n,) rad, on the grid of discovery.data; None where the bags do not hold it."""
+    """(n,) rad, on the grid of findings.data; None where the bags do not hold it."""
     rate_reference: FloatArray | None = None
     """(n,) rad/s, alike."""
     selection: Selection = field(default_factory=Selection)

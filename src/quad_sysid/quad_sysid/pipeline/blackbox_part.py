@@ -25,14 +25,17 @@ from quad_sysid.blackbox import (
     step_a,
 )
 from quad_sysid.contract import FloatArray
+from quad_sysid.discover.accept import HORIZONS_S, at_horizon, rms
 from quad_sysid.errors import BadInputError, QuadSysidError
-from quad_sysid.greybox.data import AxisData, Span
+from quad_sysid.model.data import AxisData, Span, Windows
 from quad_sysid.pipeline.answer import ModelRow
 from quad_sysid.record import IOData, finite_runs
 
 ORDERS = (2, 3, 4)
 """Of the plant B/F in the structures with a model of the noise apart."""
 NOISE_ORDER = 2
+RUNS_AWAY = 1e6
+"""rad/s"""
 SHORTEST = 100
 """Samples of a validation span that is worth a fit."""
 
@@ -62,6 +65,11 @@ def offsets(data: AxisData) -> Offsets:
     reference = 0.0 if data.reference is None else mean(data.reference)
     command, rate = data.trim or (mean(data.command), mean(data.rate))
     return Offsets(command, rate, reference)
+
+
+def about_base(data: AxisData, gain: float, bias: float) -> AxisData:
+    """The data with the equilibrium of a base of this gain and bias (rad/s²) as their trim."""
+    return replace(data, trim=(-bias / gain if gain else 0.0, 0.0))
 
 
 def io_data(data: AxisData, spans: tuple[Span, ...], *, external: bool = True) -> IOData:
@@ -244,15 +252,27 @@ def window_error(data: AxisData, model: Model, spans: tuple[Span, ...]) -> float
     A window's first sample is predicted one step ahead from what was measured before it, its
     second two steps, and so on: nothing measured inside the window is used.
     """
-    windows = data.windows(spans)
+    found = window_errors(data, model, data.windows(spans))
+    return None if found is None else float(np.sqrt(np.mean(found**2)))
+
+
+def window_errors(data: AxisData, model: Model, windows: Windows) -> FloatArray | None:
+    """(windows, length) errors of a polynomial model; None without any, or where it runs away."""
     if not windows.count:
         return None
     z = io_data(data, data.stretches, external=False)
-    total = 0.0
+    out = np.empty((windows.count, windows.length))
     try:
         for i, errors in enumerate(horizon_errors(model, z, windows.length)):
-            total += float(np.sum(errors[windows.starts + i] ** 2))
+            out[:, i] = errors[windows.starts + i]
     except QuadSysidError:
         return None
-    value = math.sqrt(total / (windows.count * windows.length))
-    return value if math.isfinite(value) else None
+    return out if np.isfinite(out).all() and np.abs(out).max() < RUNS_AWAY else None
+
+
+def horizons(data: AxisData, model: Model, spans: tuple[Span, ...]) -> dict[float, float]:
+    """Seconds after the start of a free run to the RMS error, rad/s; empty without any."""
+    errors = window_errors(data, model, data.windows(spans, HORIZONS_S[-1]))
+    if errors is None:
+        return {}
+    return {h: rms(errors[:, at_horizon(h, data.dt)]) for h in HORIZONS_S}

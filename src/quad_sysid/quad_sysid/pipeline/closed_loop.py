@@ -12,10 +12,10 @@ import numpy as np
 
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.errors import QuadSysidError
-from quad_sysid.greybox.data import AxisData
 from quad_sysid.loop.from_model import loop_plant
 from quad_sysid.loop.simulation import simulate_cascade
 from quad_sysid.model import AxisModel
+from quad_sysid.model.data import AxisData
 from quad_sysid.pipeline.answer import AxisAnswer, ClosedLoop
 from quad_sysid.pipeline.step_b import Flown, flown
 from quad_sysid.record import Record
@@ -49,7 +49,7 @@ def closed_loop(
     runs = tuple(_runs(records, model.axis))
     if not runs:
         return None
-    plain = replace(model, base=model.plain or model.base, effects=())
+    plain = replace(model, base=model.plain or model.base, effects=(), noise=model.plain_noise)
     try:
         before, after = (
             np.concatenate([_simulated(one, run, data.dt) for run in runs])

@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from quad_sysid.blackbox import Model
-from quad_sysid.contract import FloatArray
-from quad_sysid.effects.judge import hold_error
-from quad_sysid.effects.shapes import SHAPES
-from quad_sysid.effects.table import EFFECTS
+from quad_sysid.discover.accept import Horizon, Unseen, horizons, rms
 from quad_sysid.errors import BadInputError, NotInformativeError
-from quad_sysid.greybox.data import AxisData, Span, axis_data
-from quad_sysid.greybox.fit import fit_structure, simulator
-from quad_sysid.greybox.simulate import Simulator
-from quad_sysid.greybox.structure import Effect, Settings, Structure, equilibrium
-from quad_sysid.model import AxisModel, EffectEstimate, Parameter
-from quad_sysid.pipeline.blackbox_part import window_error
+from quad_sysid.estimate import stored
+from quad_sysid.estimate.stored import Stored
+from quad_sysid.model import AxisModel
+from quad_sysid.model.data import AxisData, Span, axis_data
+from quad_sysid.pipeline import blackbox_part
 from quad_sysid.pipeline.together import same_rate
 from quad_sysid.pipeline.usable import check_limits
 from quad_sysid.record import Record, finite_runs
@@ -26,10 +22,11 @@ from quad_sysid.record import Record, finite_runs
 MOTION = 1.5
 """Error of holding the last rate over the measurement noise, below which nothing moved."""
 
-KNOWN: Mapping[str, Sequence[Effect]] = {
-    name: [e for e in EFFECTS + SHAPES if e.name == name]
-    for name in dict.fromkeys(e.name for e in EFFECTS + SHAPES)
-}
+PHASES = 12
+"""Starts of the search for the phase of what repeats."""
+NEEDS = {'angle': 'an orientation in /imu/data', 'battery': '/battery',
+         'other rate': "the other axes' rates"}
+"""Signals that a bag may lack, and what brings them."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +42,8 @@ class Evaluation:
     windows: int
     blackbox: float | None = None
     """None where none was given, or where its predictions run away."""
+    horizons: tuple[Horizon, ...] = ()
+    blackbox_horizons: dict[float, float] = field(default_factory=dict)
 
 
 def evaluate(
@@ -54,8 +53,8 @@ def evaluate(
     """Errors of the base and of the completed model, all parameters as stored.
 
     spans_s: parts of the record in s; empty: all of it but its idle segments. blackbox: the
-    polynomial model of this axis, run about the stored base's equilibrium. The simulation runs
-    at the record's own interval, which may differ by what two clocks differ (SAME_RATE).
+    polynomial model of this axis, run about the stored base's equilibrium. The model runs at
+    the record's own interval, which may differ by what two clocks differ (SAME_RATE).
     Raises BadInputError where the record does not fit the model, NotInformativeError where no
     window of 0.5 s is left, motors or gyro stand at their limits, or the rate does not move.
     """
@@ -64,47 +63,34 @@ def evaluate(
             record.source, "sample rate must be the model's",
             f'{1 / record.dt:.6g} Hz, model {1 / model.dt:.6g} Hz', 'identify at this rate',
         )
-    data = replace(
-        axis_data([record], model.axis), realisation=model.realisation,
-        gyro_filter_hz=model.gyro_filter_hz,
-    )
+    data = replace(axis_data([record], model.axis), gyro_filter_hz=model.gyro_filter_hz)
     spans = _spans(record, data, spans_s)
     if not data.windows(spans).count:
         raise NotInformativeError(
             f'{record.source}: {model.axis}: no window of 0.5 s to evaluate on; '
             'give a longer bag or --validate'
         )
-    structure, theta = structure_of(model)
-    theta = of_this_flight(simulator(data, spans, np.array(model.correction)), structure, theta)
-    plain = vector(model.plain or model.base)
-    before = simulator(data, spans, np.array(model.plain_correction or model.correction))
-    after = simulator(data, spans, np.array(model.correction))
-    hold = hold_error(before)
+    unseen = Unseen(data, spans)
+    hold = rms(unseen.holding(unseen.windows))
     _check_motion(model, record, data, spans, hold)
-    run_before = before.run(Structure(), plain)
-    run_after = after.run(structure, theta)
-
-    def one_step(innovations: FloatArray) -> float:
-        inside = np.concatenate([innovations[a + 1 : b] for a, b in spans])
-        return float(np.sqrt(np.nanmean(inside**2)))
-
+    before, after = stored.plain(model), stored.completed(model)
+    _check_signals(record, unseen, after)
+    after = of_this_flight(unseen, after)
+    base = {p.name: p.value for p in model.plain or model.base}
+    about = blackbox_part.about_base(replace(data, reference=None), base['gain'], base['bias'])
     return Evaluation(
         axis=model.axis,
-        before=run_before.rms,
-        after=run_after.rms,
-        one_step_before=one_step(run_before.innovations),
-        one_step_after=one_step(run_after.innovations),
+        before=rms(unseen.errors(before)),
+        after=rms(unseen.errors(after)),
+        one_step_before=unseen.one_step(before),
+        one_step_after=unseen.one_step(after),
         hold=hold,
-        windows=before.windows.count,
-        blackbox=None if blackbox is None else _blackbox_error(data, plain, blackbox, spans),
+        windows=unseen.windows.count,
+        blackbox=None if blackbox is None else blackbox_part.window_error(about, blackbox, spans),
+        horizons=horizons(unseen, before, after),
+        blackbox_horizons={} if blackbox is None
+        else blackbox_part.horizons(about, blackbox, spans),
     )
-
-
-def _blackbox_error(
-    data: AxisData, plain: FloatArray, blackbox: Model, spans: tuple[Span, ...]
-) -> float | None:
-    about = replace(data, trim=equilibrium(plain), reference=None)
-    return window_error(about, blackbox, spans)
 
 
 def evaluate_or_say(
@@ -131,72 +117,53 @@ def _check_motion(
         )
 
 
-def of_this_flight(sim: Simulator, structure: Structure, theta: FloatArray) -> FloatArray:
+def _check_signals(record: Record, unseen: Unseen, model: Stored) -> None:
+    """Raise BadInputError where an effect needs a signal that the bag lacks."""
+    data = unseen.problem.data
+    known = {
+        'angle': data.angle is not None, 'battery': data.battery_v is not None,
+        'other rate': unseen.problem.flight.others is not None,
+    }
+    for part in model.structure.parts:
+        for signal in part.effect.signals:
+            need = next((n for n in NEEDS if n in signal), '')
+            if need and not known[need]:
+                raise BadInputError(
+                    record.source, f'{part.effect.name} of the model needs {NEEDS[need]}', None,
+                    'evaluate on a bag that holds it',
+                )
+
+
+def of_this_flight(unseen: Unseen, model: Stored) -> Stored:
     """The parameters with what belongs to the flight and not to the aircraft put right.
 
-    The phase of a periodic disturbance is estimated again; after a step event the values after
-    the event hold (contract, evaluate).
+    A phase is estimated again from the flight, by its likelihood; after an event the values
+    after it hold (contract, evaluate).
     """
-    theta = theta.copy()
-    names = structure.names
-    for index, name in enumerate(names):
-        if name == 'step_event.time':
-            theta[index] = 0.0
-        if name in ('event.torque', 'event.change'):
-            theta[index] = 0.0  # it has passed
-    free = np.array([name == 'periodic_disturbance.phase' for name in names])
-    if not free.any():
-        return theta
-    fits = []
-    for phase in np.arange(4) * np.pi / 2:
-        start = np.where(free, phase, theta)
-        fits.append(fit_structure(sim, structure, start, max_iterations=15, free=free))
-    return min(fits, key=lambda fit: fit.rms).theta
+    structure = model.structure
 
+    def at(phase: float) -> Stored:
+        theta = model.theta.copy()
+        for part, where in zip(structure.parts, structure.slices(), strict=True):
+            logs = [spec.log for spec in part.effect.parameters]
+            p = structure.natural(model.theta)[where]
+            other = part.effect.elsewhere(p, part.settings, phase)
+            theta[where] = np.where(logs, np.log(np.where(logs, other, 1.0)), other)
+        return replace(model, theta=theta)
 
-def structure_of(model: AxisModel) -> tuple[Structure, FloatArray]:
-    """The structure and parameter vector that a stored model names."""
-    structure = Structure()
-    theta = [vector(model.base)]
-    for estimate in model.effects:
-        parameters = [p.name for p in estimate.parameters]
-        effect = next(
-            (
-                e for e in KNOWN.get(estimate.name, ())
-                if [p.name for p in e.parameters][: len(parameters)] == parameters
-                and e.variant == estimate.settings.get('variant', e.variant)
-            ),
-            None,
-        )
-        if effect is None:
-            raise BadInputError(
-                f'model: {model.axis}.effects', 'an effect this version does not know',
-                f'{estimate.name} ({", ".join(parameters)})', 'identify again with this version',
-            )
-        # a curve that refines named effects has fewer parameters than one that stands alone
-        effect = replace(effect, parameters=effect.parameters[: len(estimate.parameters)])
-        structure = structure.with_effect(effect, _settings(estimate))
-        theta.append(vector(estimate.parameters))
-    return structure, np.concatenate(theta)
+    if not any(part.effect.phased for part in structure.parts):
+        return at(0.0)
 
+    def unlikely(phase: float) -> float:
+        return -float(np.sum(unseen.log_likelihood(at(phase))))
 
-def vector(parameters: tuple[Parameter, ...]) -> FloatArray:
-    """Values in the order given."""
-    return np.array([p.value for p in parameters])
-
-
-def _settings(estimate: EffectEstimate) -> Settings:
-    """Settings as the effect prepared them, from what JSON made of them."""
-    out: dict[str, float | str | tuple[float, ...] | tuple[str, ...]] = {}
-    for key, value in estimate.settings.items():
-        if isinstance(value, bool | int | float):
-            out[key] = float(value)
-        elif isinstance(value, str):
-            out[key] = value
-        elif isinstance(value, list | tuple):
-            texts = all(isinstance(v, str) for v in value)
-            out[key] = tuple(map(str, value)) if texts else tuple(float(v) for v in value)
-    return out
+    grid = 2.0 * np.pi * np.arange(PHASES) / PHASES
+    best = float(min(grid, key=unlikely))
+    step = 2.0 * np.pi / PHASES
+    found = minimize_scalar(
+        unlikely, bounds=(best - step, best + step), method='bounded', options={'xatol': 1e-4}
+    )
+    return at(float(found.x))
 
 
 def _spans(

@@ -12,16 +12,17 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from quad_sysid.contract import AXES, FloatArray
-from quad_sysid.effects.discover import Discovery, discover
-from quad_sysid.effects.judge import Judgement, judge
-from quad_sysid.effects.shapes import SHAPES
-from quad_sysid.effects.table import EFFECTS
+from quad_sysid.discover.accept import judge
+from quad_sysid.discover.search import search
+from quad_sysid.effects import EFFECTS
 from quad_sysid.errors import NotInformativeError, QuadSysidError
-from quad_sysid.greybox.data import axis_data
+from quad_sysid.estimate.fit import Problem
 from quad_sysid.model import Designer, GainProposal
+from quad_sysid.model.data import AxisData, axis_data
 from quad_sysid.pipeline import assemble, blackbox_part
-from quad_sysid.pipeline.answer import AxisAnswer, Residual
+from quad_sysid.pipeline.answer import AxisAnswer, Findings, Residual
 from quad_sysid.pipeline.closed_loop import closed_loop
+from quad_sysid.pipeline.held_out import findings
 from quad_sysid.pipeline.motor_order import refusal
 from quad_sysid.pipeline.residual import of_black_box, of_grey_box
 from quad_sysid.pipeline.selection import with_blackbox
@@ -44,7 +45,6 @@ class Options:
     search_effects: bool = True
     table2: bool = False
     """Fit the paper's 13 rows as well."""
-    seed: int = 0
 
 
 def identify(
@@ -72,39 +72,82 @@ def identify_axis(
     records: Sequence[Record], axis: str, options: Options, progress: Progress
 ) -> AxisAnswer:
     """Fit, find what is missing, judge, design: one axis."""
-    rng = np.random.default_rng(options.seed)
     segments = _segments(records, axis)
     rate = 1.0 / records[0].dt
     try:
         data = axis_data(records, axis)
         check_usable(data)
-        progress(f'{axis}: base')
-        found = discover(data, EFFECTS + SHAPES if options.search_effects else (), rng, progress)
+        told = _found(data, options, progress)
     except NotInformativeError as error:
         return AxisAnswer(
             axis, rate, segments, 'cannot_tell', str(error),
             proposal=GainProposal(None, str(error)),
         )
-    found = replace(found, data=replace(found.data, trim=found.trim))
-    data = found.data
-    judgement = judge(found, rng)
+    base = told.before.fit
+    data = blackbox_part.about_base(data, base.value('gain'), base.value('bias'))
+    verdict, reason = told.verdict.verdict, _reason(told)
     progress(f'{axis}: black-box models')
     answer = AxisAnswer(
-        axis, rate, segments, judgement.verdict, judgement.reason, discovery=found,
-        judgement=judgement, train=blackbox_part.io_data(data, data.train),
-        model=assemble.axis_model(
-            found, judgement, _gains_of(records), assemble.band_of(data)
-        ),
+        axis, rate, segments, verdict, reason, findings=told,
+        train=blackbox_part.io_data(data, data.train),
+        model=assemble.axis_model(told, _gains_of(records), assemble.band_of(data)),
         warnings=tuple(w for r in records for w in (*r.warnings, refusal(r)) if w),
         attitude_reference=_joined([r.attitude_setpoint for r in records], data.index),
         rate_reference=_joined([r.rate_setpoint for r in records], data.index),
     )
     answer = with_blackbox(answer, data, records, table2=options.table2)
-    answer = replace(answer, residuals=_residuals(answer, found, judgement))
+    answer = replace(answer, residuals=_residuals(answer, data, told))
     answer = replace(answer, closed_loop=closed_loop(answer, records, data))
     progress(f'{axis}: gains')
     swapped = next((line for line in map(refusal, records) if line), '')
     return replace(answer, proposal=_proposal(answer, options, swapped))
+
+
+def _found(data: AxisData, options: Options, progress: Progress) -> Findings:
+    """Search on the training segments, then the held-out ones. Raises NotInformativeError."""
+    progress(f'{data.axis}: what is missing')
+    try:
+        problem = Problem(data, data.train)
+        found = search(problem, EFFECTS if options.search_effects else ())
+        progress(f'{data.axis}: held-out segments')
+        return findings(problem, found, judge(problem, found))
+    except (FloatingPointError, np.linalg.LinAlgError) as error:
+        raise NotInformativeError(
+            f'{data.axis}: no model of this axis can be fitted to the training ({error}); '
+            'look at its command and rate'
+        ) from error
+
+
+def _reason(told: Findings) -> str:
+    """The verdict's reason in words, with what would help."""
+    verdict, best = told.verdict, told.found.best
+    reason = verdict.reason
+    if verdict.verdict == 'cannot_tell':
+        reason += (
+            f'; fly a PRBS on {told.data.axis} (quad-sysid design-excitation), with more '
+            'amplitude where one was flown'
+        )
+    elif verdict.verdict == 'effects_added':
+        names = ' and '.join(part.effect.name for part in verdict.chosen.structure.parts)
+        reason = (
+            f'{names} foresees the held-out segments better than the base does '
+            f'(e-value {min(verdict.e_value, 1e99):.3g})'
+        )
+    else:
+        reason = reason or 'nothing foresees the held-out segments better than the base does'
+        if best.structure.parts:
+            names = ' and '.join(part.effect.name for part in best.structure.parts)
+            reason += (
+                f'; the training segments alone would speak for {names}, which the held-out ones '
+                'do not bear out'
+            )
+    gain = verdict.chosen.value('gain')
+    if verdict.verdict != 'cannot_tell' and gain < 0.0:
+        reason += (
+            '; a positive command lowers the rate: check the order of the motors, the mixer and '
+            'the sign of the gyro before anything else'
+        )
+    return reason
 
 
 def _segments(records: Sequence[Record], axis: str) -> tuple[Segment, ...]:
@@ -119,13 +162,11 @@ def _joined(setpoints: Sequence[FloatArray | None], column: int) -> FloatArray |
     return np.concatenate(known) if known and len(known) == len(setpoints) else None
 
 
-def _residuals(
-    answer: AxisAnswer, found: Discovery, judgement: Judgement
-) -> dict[str, Residual]:
+def _residuals(answer: AxisAnswer, data: AxisData, told: Findings) -> dict[str, Residual]:
     """What the base, the completed model and the black-box winner leave on the held-out data."""
-    left = of_grey_box(found, judgement)
+    left = of_grey_box(data, told)
     if answer.selected is not None:
-        winner = of_black_box(found.data, answer.rows[answer.selected].step_a.model)
+        winner = of_black_box(data, answer.rows[answer.selected].step_a.model)
         if winner is not None:
             left['blackbox'] = winner
     return left

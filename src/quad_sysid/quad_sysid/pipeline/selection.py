@@ -10,8 +10,8 @@ from dataclasses import replace
 
 from quad_sysid.blackbox import Model, Table2Entry, fit_table2
 from quad_sysid.errors import QuadSysidError
-from quad_sysid.greybox.data import AxisData
 from quad_sysid.loop.cascade import CascadeGains
+from quad_sysid.model.data import AxisData
 from quad_sysid.pipeline import approaches, blackbox_part, preparation, step_b
 from quad_sysid.pipeline.advice import Evidence, advice, rivalry
 from quad_sysid.pipeline.answer import AxisAnswer, ModelRow, Selection
@@ -54,9 +54,10 @@ def with_blackbox(
     told = Evidence(
         z, fits, rows, selected, band, closed, axis_model, fits.refused + refused, why_not
     )
+    error, horizons = _errors(data, model)
     return replace(
-        answer,
-        model=axis_model, rows=rows, selected=selected, blackbox_error=_error(data, model),
+        answer, model=axis_model, rows=rows, selected=selected, blackbox_error=error,
+        blackbox_horizons=horizons,
         train=z, validation=_validation(data),
         selection=Selection(
             approaches=possible, feedback=closed, checks=checks, advice=advice(told),
@@ -100,8 +101,16 @@ def _second_steps(
     return tuple(step_b.second_step(row, flights) for row in rows), ''
 
 
-def _error(data: AxisData, model: Model | None) -> float | None:
-    return None if model is None else blackbox_part.window_error(data, model, data.validation)
+def _errors(
+    data: AxisData, model: Model | None
+) -> tuple[float | None, dict[float, float]]:
+    """The contract's error of the selected model, and that so long after a window's start."""
+    if model is None:
+        return None, {}
+    return (
+        blackbox_part.window_error(data, model, data.validation),
+        blackbox_part.horizons(data, model, data.validation),
+    )
 
 
 def _table2(z: IOData, data: AxisData) -> tuple[Table2Entry, ...]:

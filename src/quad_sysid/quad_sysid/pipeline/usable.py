@@ -8,8 +8,10 @@ import numpy as np
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import NotInformativeError
-from quad_sysid.greybox.data import AxisData, Span
+from quad_sysid.model.data import AxisData, Span
 
+LEAST_WINDOWS = 8
+"""Of 0.5 s, in which the training must be long enough for any fit."""
 AT_LIMIT = 1e-3
 """A motor this near to 0 or 1 is at its limit."""
 THROUGHOUT = 0.9
@@ -21,9 +23,10 @@ RESTING = 0.05
 
 
 def check_usable(data: AxisData) -> None:
-    """Raise NotInformativeError for segments too short, motors or gyro at their limits."""
+    """Raise NotInformativeError for segments too short, nothing that moves, or limits."""
     _length(data)
     check_limits(data, data.train, 'the training')
+    _moving(data)
 
 
 def check_limits(data: AxisData, spans: Sequence[Span], where: str) -> None:
@@ -38,6 +41,24 @@ def _length(data: AxisData) -> None:
         raise NotInformativeError(
             f'{data.axis}: no {missing} segment of this axis is long enough (1.5 s); '
             'name them with --train and --validate'
+        )
+
+
+def _moving(data: AxisData) -> None:
+    count = data.windows(data.train).count
+    if count < LEAST_WINDOWS:
+        raise NotInformativeError(
+            f'{data.axis}: training holds {count} windows of 0.5 s, at least {LEAST_WINDOWS} are '
+            'needed; fly a longer excitation or widen --train'
+        )
+    if np.ptp(_inside(data.command, data.train)) < 1e-9:
+        raise NotInformativeError(
+            f'{data.axis}: the command never moves during training; excite this axis'
+        )
+    if np.ptp(_inside(data.rate, data.train)) < 1e-9:
+        raise NotInformativeError(
+            f'{data.axis}: the measured rate is constant during training; '
+            'check the gyro and that the axis is free to turn'
         )
 
 

@@ -6,12 +6,14 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from quad_sysid.model import EffectEstimate, GainProposal, Parameter
-from quad_sysid.pipeline.answer import AxisAnswer
+from quad_sysid.discover.accept import Horizon
+from quad_sysid.model import EffectEstimate, GainProposal, NoiseEstimate, Parameter
+from quad_sysid.pipeline.answer import AxisAnswer, Findings
 from quad_sysid.report.residual_tree import residual_tree
 from quad_sysid.report.selection import row_tree, selection_tree
 
 SCHEMA = 'quad_sysid/report/1'
+MOST_TRIED = 40
 METRIC = 'rms of the rate over free-run windows of 0.5 s'
 
 
@@ -31,8 +33,7 @@ def document(
 
 
 def _axis(answer: AxisAnswer, inertia: float | None) -> dict[str, Any]:
-    model = answer.model
-    found = answer.discovery
+    model, findings = answer.model, answer.findings
     tree: dict[str, Any] = {
         'sample_rate_hz': answer.sample_rate_hz,
         'segments': [
@@ -46,21 +47,16 @@ def _axis(answer: AxisAnswer, inertia: float | None) -> dict[str, Any]:
         'effects': [_effect(e, inertia) for e in model.effects] if model else [],
         'not_tested': [
             {'name': name, 'because': because}
-            for name, because in (found.not_tested if found else ())
+            for name, because in (findings.found.reasons.items() if findings else ())
         ],
-        'tried': [
-            {'step': t.step, 'name': t.name, 'variant': t.variant, 'screened_out': t.screened,
-             'cross_validated_error': _number(t.score), 'p_value': _number(t.p_value)}
-            for t in (found.tried if found else ())
-        ],
-        'dependence': [
-            {'on': d.name, 'cross_validated_error': _number(d.score),
-             'p_value': _number(d.comparison.p_value)}
-            for d in (found.dependence[:8] if found else ())
-        ],
-        'base': {'parameters': [_parameter(p, inertia) for p in (model.plain if model else ())]},
+        'tried': _tried(findings) if findings else [],
+        'base': {
+            'parameters': [_parameter(p, inertia) for p in (model.plain if model else ())],
+            'noise': _noise(model.plain_noise if model else None),
+        },
         'completed': {
-            'parameters': [_parameter(p, inertia) for p in (model.base if model else ())]
+            'parameters': [_parameter(p, inertia) for p in (model.base if model else ())],
+            'noise': _noise(model.noise if model else None),
         },
         'error': _error(answer),
         'trusted_band_rad_s': list(model.trusted_band_rad_s)
@@ -84,13 +80,37 @@ def _effect(effect: EffectEstimate, inertia: float | None) -> dict[str, Any]:
         'rivals': [{'name': name, 'probability': p} for name, p in effect.rivals],
         'probability': min(max(effect.probability, 0.0), 1.0),
     }
-    variant = effect.settings.get('variant')
-    if variant:
-        tree['variant'] = variant
-    knots, values = effect.settings.get('knots'), effect.settings.get('values')
-    if isinstance(knots, tuple | list) and isinstance(values, tuple | list):
-        tree['curve'] = {'x': list(knots), 'y': list(values)}
+    if effect.variant:
+        tree['variant'] = effect.variant
+    knots = effect.settings.get('knots')
+    if isinstance(knots, tuple | list):
+        tree['curve'] = {'x': list(knots), 'y': list(effect.fitted)}
     return tree
+
+
+def _noise(noise: NoiseEstimate | None) -> list[dict[str, Any]]:
+    """Torque disturbance and measurement noise; errors of these are not estimated."""
+    if noise is None:
+        return []
+    return [
+        {'name': name, 'value': value, 'std': None, 'unit': unit}
+        for name, value, unit in (
+            ('disturbance_rms', noise.disturbance_rms, 'rad/s²'),
+            ('disturbance_correlation', noise.correlation_s, 's'),
+            ('measurement_rms', noise.measured_rms, 'rad/s'),
+        )
+    ]
+
+
+def _tried(findings: Findings) -> list[dict[str, Any]]:
+    """Structures that were fitted, the most probable first."""
+    found = findings.found
+    base = next(one.score for one in found.all if not one.fit.structure.parts)
+    return [
+        {'effects': list(one.fit.structure.labels), 'log_evidence_over_base': one.score - base,
+         'probability': float(p), 'converged': one.fit.converged}
+        for one, p in zip(found.all[:MOST_TRIED], found.probabilities(), strict=False)
+    ]
 
 
 def _parameter(parameter: Parameter, inertia: float | None) -> dict[str, Any]:
@@ -115,29 +135,42 @@ def _parameter(parameter: Parameter, inertia: float | None) -> dict[str, Any]:
 
 
 def _error(answer: AxisAnswer) -> dict[str, Any]:
-    judgement = answer.judgement
+    findings = answer.findings
     tree: dict[str, Any] = {'metric': METRIC, 'unit': 'rad/s', 'data': 'held-out'}
-    if judgement is None:
+    if findings is None:
         return {**tree, 'before': None, 'after': None, 'blackbox': None, 'noise_floor': None,
                 'one_step_before': None, 'one_step_after': None, 'closed_loop_before': None,
-                'closed_loop_after': None}
-    loop = answer.closed_loop
+                'closed_loop_after': None, 'horizons': []}
+    loop, verdict = answer.closed_loop, findings.verdict
     return {
         **tree,
-        'before': _number(judgement.before.free_run),
-        'after': _number(judgement.after.free_run),
+        'before': _number(verdict.before),
+        'after': _number(verdict.after),
         'blackbox': _number(answer.blackbox_error),
-        'noise_floor': _number(judgement.noise_floor),
-        'one_step_before': _number(judgement.before.one_step),
-        'one_step_after': _number(judgement.after.one_step),
+        'noise_floor': _number(verdict.noise_floor),
+        'one_step_before': _number(verdict.one_step_before),
+        'one_step_after': _number(verdict.one_step_after),
         'closed_loop_before': _number(loop.rms_before) if loop else None,
         'closed_loop_after': _number(loop.rms_after) if loop else None,
-        'before_interval_95': list(judgement.before.interval),
-        'after_interval_95': list(judgement.after.interval),
-        'hold_last_value': _number(judgement.hold),
-        'windows': int(judgement.before.run.errors.shape[0]),
-        'p_value': _number(judgement.test.p_value),
+        'before_interval_95': [_number(v) for v in findings.before.interval],
+        'after_interval_95': [_number(v) for v in findings.after.interval],
+        'hold_last_value': _number(verdict.hold),
+        'predicted_by_noise': _number(verdict.predicted),
+        'windows': int(findings.before.errors.shape[0]),
+        'e_value': _number(verdict.e_value),
+        'horizons': horizons_tree(verdict.horizons, answer.blackbox_horizons),
     }
+
+
+def horizons_tree(
+    found: Sequence[Horizon], blackbox: Mapping[float, float]
+) -> list[dict[str, Any]]:
+    """How the error grows, as the contract's `error.horizons`."""
+    return [
+        {'horizon_s': one.horizon_s, 'hold': _number(one.hold), 'before': _number(one.before),
+         'after': _number(one.after), 'blackbox': _number(blackbox.get(one.horizon_s))}
+        for one in found
+    ]
 
 
 def _gains(proposal: GainProposal | None) -> dict[str, Any]:

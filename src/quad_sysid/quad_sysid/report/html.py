@@ -20,7 +20,7 @@ from quad_sysid.report.style import SHEET
 DATA = ('signals', 'signals_detail', 'spectra', 'coherence')
 MODELS = ('residual_test', 'bode')
 PREDICTION = ('free_run', 'horizon', 'one_step')
-EFFECTS = ('effect_shape', 'left_out', 'gain', 'rivals')
+EFFECTS = ('effect_shape', 'left_out', 'rivals')
 LEFT = ('correlations', 'residual_spectrum', 'missing_torque')
 LOOP = ('closed_loop', 'step', 'margins')
 
@@ -74,6 +74,8 @@ def _tiles(tree: Mapping[str, Any]) -> str:
     tiles = [('error of the base', f'{words.number(error["before"])} {unit}')]
     if tree['verdict'] == 'effects_added':
         tiles.append(('error completed', f'{words.number(error["after"])} {unit}'))
+    far = words.reach(error)
+    tiles.append(('halves the error up to', 'nowhere' if far is None else f'{far:g} s'))
     tiles.append(('measurement noise', f'{words.number(error["noise_floor"])} {unit}'))
     figures = tree.get('gain_figures') or {}
     old, new = figures.get('rise_time_s_before'), figures.get('rise_time_s')
@@ -99,7 +101,8 @@ def _axis(
 
     sections = [
         ('Data', _fold('Segments', tables.segments(tree)) + figures(DATA)),
-        ('Prediction on held-out data', tables.errors(tree) + figures(PREDICTION)),
+        ('Prediction on held-out data', tables.errors(tree) + tables.horizons(tree)
+         + figures(PREDICTION)),
         ('What the base lacks', tables.effects(tree) + tables.parameters(tree)
          + figures(EFFECTS) + _fold('All that was tried', tables.tried(tree))),
         ('What is left', selection_tables.residuals(tree) + figures(LEFT)),

@@ -1,33 +1,41 @@
-"""The angular acceleration that a model leaves out, over what it may depend on. No drawing.
+"""What a model leaves out and what its effects add, over what it may depend on. No drawing.
 
 Over a short span h the identity (rate(t + h) - rate(t - h)) / 2h = mean of the acceleration holds
-without any filter; the model's own acceleration is averaged alike and taken off. A model that
-lacks nothing leaves noise about zero whatever the rate, the angle or the command are.
+without any filter; the model's own acceleration, run along the rate that its Kalman filter
+follows, is averaged alike and taken off. Every curve is the effect's own physics.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
-from quad_sysid.contract import FloatArray
-from quad_sysid.effects.discover import Discovery
-from quad_sysid.greybox import drive, kernels
-from quad_sysid.greybox.data import AxisData, Span
-from quad_sysid.greybox.structure import Structure, Term
-from quad_sysid.loop.from_model import CURVES
-from quad_sysid.model import AxisModel, EffectEstimate, Parameter
+from quad_sysid.contract import AXES, FloatArray, motors_from_wrench
+from quad_sysid.effects.torques import STICTION_RATE
+from quad_sysid.estimate.fit import Fit, Problem, covariance
+from quad_sysid.model.data import AxisData, Span
+from quad_sysid.model.effect import Drive, Part, Signals
+from quad_sysid.model.plant import N_BASE, N_NOISE, Flight, Structure
 
 HALF_SPAN_S = 0.025
 BLOCK_S = 1.0
 BINS = 17
 LEAST_IN_A_BIN = 40
+GRID = 301
+RAMP_S = 12.0
+"""Of the slow triangle on which a map of the command is drawn."""
+RESPONSE_S = 0.6
+Z95 = 1.96
 
-Function = Callable[[FloatArray], FloatArray]
-UNITS = {'rate': 'rad/s', 'angle': 'rad', 'command': 'norm.'}
+UNITS = {
+    'rate': 'rad/s', 'angle': 'rad', 'command': 'norm.', 'throttle': 'norm.', 'battery': 'V',
+    'time': 's', 'other rate': 'rad/s', 'other command': 'norm.',
+    'product of other rates': '(rad/s)²',
+}
+"""Signals that an effect is drawn over."""
 
 
 @dataclass(frozen=True)
@@ -39,71 +47,288 @@ class Binned:
     spread: FloatArray
 
 
-def variables(data: AxisData, base: Sequence[Parameter]) -> dict[str, FloatArray]:
-    """Rate and angle as measured, and the command as it acts, behind delay and lag; (n,) each."""
-    out = {'rate': data.rate, 'command': acting(data, base, data.command)}
-    if data.angle is not None:
-        out['angle'] = data.angle
+@dataclass(frozen=True)
+class Drawn:
+    """An effect over its variable: its physics with a band of 95 %."""
+
+    over: str
+    """Label of x with its unit."""
+    label: str
+    """Of y."""
+    x: FloatArray
+    y: FloatArray
+    band: FloatArray
+    """Half width."""
+    plain: FloatArray | None = None
+    """What the base alone gives, where that is not zero."""
+
+
+@dataclass(frozen=True)
+class Along:
+    """A fitted structure along the training segments."""
+
+    problem: Problem
+    fit: Fit
+
+    @property
+    def signals(self) -> Signals:
+        """What its effects depend on."""
+        flight, values = self.problem.flight, self.fit.values
+        halves, states = flight.driven(self.fit.structure, values)
+        return flight.signals(values, halves, states, self.fit.rate)
+
+    def acceleration(self, without: int | None = None) -> FloatArray:
+        """(n,) mean over each cycle, rad/s², also with one effect taken out."""
+        structure, values = self.fit.structure, self.fit.values
+        if without is not None:
+            values = np.delete(values, structure.slices()[without])
+            structure = structure.minus(without)
+        pushed = self.problem.flight.pushed(structure, values, self.fit.rate)
+        mean: FloatArray = 0.5 * (pushed.known[0] + pushed.known[1])
+        return mean + pushed.slope * self.fit.rate
+
+    def seen(self, signal: FloatArray) -> FloatArray:
+        """(n,) mean over the short span of what is known per cycle, as the gyro lags behind."""
+        half = _half(self.problem.data.dt)
+        total = np.concatenate([[0.0], np.cumsum(self._late(signal, 0.0))])
+        out = np.full(signal.size, np.nan)
+        if signal.size > 2 * half:
+            out[half:-half] = (total[2 * half : -1] - total[: -2 * half - 1]) / (2.0 * half)
+        return out
+
+    def at_samples(self, signal: FloatArray) -> FloatArray:
+        """(n,) what is known at half of each cycle, at the samples, as the gyro lags behind."""
+        return self._late(signal, 0.5)
+
+    def _late(self, signal: FloatArray, cycles: float) -> FloatArray:
+        flight = self.problem.flight
+        index = np.arange(signal.size, dtype=float)
+        return np.interp(index - cycles - flight.late / self.problem.data.dt, index, signal)
+
+    def left_out(self) -> FloatArray:
+        """(n,) rad/s², what the model does not explain; NaN near gaps."""
+        data = self.problem.data
+        return _slope(data.rate, data.dt) - self.seen(self.acceleration())
+
+    def added(self, index: int) -> FloatArray:
+        """(n,) rad/s² that one effect adds, mean over the short span."""
+        return self.seen(self.acceleration() - self.acceleration(index))
+
+
+def variables(along: Along) -> dict[str, FloatArray]:
+    """Rate, angle (where measured) and the command behind delay and lag; (n,) each."""
+    s = along.signals
+    out = {'rate': along.at_samples(s.rate), 'command': along.at_samples(s.lagged)}
+    if s.angle is not None:
+        out['angle'] = along.at_samples(s.angle)
     return out
 
 
-def acting(data: AxisData, base: Sequence[Parameter], command: FloatArray) -> FloatArray:
-    """(n,) mean over the short span of a command behind delay, lag and gyro filter; NaN at ends.
+def weight(along: Along, part: Part) -> FloatArray | None:
+    """(n,) rad/s² that one unit of what the effect changes adds; None where that is not known."""
+    s = along.signals
+    known = {
+        'torque': np.ones_like(s.rate), 'gain': s.drive, 'damping': -s.rate, 'delay': -s.change,
+        'friction': -np.tanh(s.rate / STICTION_RATE),
+    }.get(part.effect.term)
+    return None if known is None else along.seen(known)
 
-    From the exact drive response (greybox/drive.py), whose slope it is.
-    """
-    values = {p.name: p.value for p in base}
-    known = drive.response(
-        command, data.stretches, values['lag'], values['delay'], data.gyro_filter_hz,
-        data.dt, data.realisation,
+
+def variable(along: Along, part: Part) -> FloatArray:
+    """(n,) of the signal that an effect is drawn over, at the samples."""
+    s, signal = along.signals, part.effect.signals[0]
+    if part.effect.phased:
+        return (2.0 * np.pi * _frequency(along, part) * along.at_samples(s.time)) % (2.0 * np.pi)
+    which = _which(part)
+    found = {
+        'rate': s.rate, 'angle': s.angle, 'command': s.lagged, 'throttle': s.throttle,
+        'battery': s.battery_v, 'time': s.time, 'other command': s.other_commands[which],
+    }.get(signal.rstrip(' 12') if signal.startswith('other') else signal)
+    if found is None and s.other_rates is not None:
+        found = (
+            s.other_rates[0] * s.other_rates[1] if signal.startswith('product')
+            else s.other_rates[which]
+        )
+    return np.full_like(s.rate, np.nan) if found is None else along.at_samples(found)
+
+
+def _which(part: Part) -> int:
+    """Which of the other two axes: curves tell it in their signal, couplings in `which`."""
+    signal = part.effect.signals[0]
+    return int(signal[-1]) - 1 if signal[-1:].isdigit() else int(getattr(part.effect, 'which', 0))
+
+
+def _frequency(along: Along, part: Part) -> float:
+    index = along.fit.structure.parts.index(part)
+    where = along.fit.structure.slices()[index]
+    told = part.effect.readable(along.fit.values[where], part.settings)
+    return told['frequency'][0]
+
+
+def drawn(along: Along, index: int) -> Drawn:
+    """An effect's own physics over its variable, with the band of its parameters' errors."""
+    structure, theta = along.fit.structure, along.fit.theta
+    part, where = structure.parts[index], structure.slices()[index]
+    evaluate, x, over, label, plain = _picture(along, part)
+
+    def at(moved: FloatArray) -> FloatArray:
+        return evaluate(structure.natural(moved)[where])
+
+    raw = covariance(along.problem, along.fit)[where, where]
+    columns = []
+    for j, deviation in enumerate(np.sqrt(np.diag(raw))):
+        step = np.zeros(theta.size)
+        step[where.start + j] = 0.5 * deviation
+        columns.append((at(theta + step) - at(theta - step)) / max(deviation, 1e-300))
+    slope = np.stack(columns, axis=1)
+    spread = np.sqrt(np.maximum(np.einsum('ni,ij,nj->n', slope, raw, slope), 0.0))
+    return Drawn(over, label, x, at(theta), Z95 * spread, plain)
+
+
+Evaluate = Callable[[FloatArray], FloatArray]
+Sketch = tuple[Evaluate, FloatArray, str, str, FloatArray | None]
+LABELS = {
+    'torque': 'torque / inertia, rad/s²', 'gain': 'change of the gain, 1',
+    'damping': 'change of the damping, 1/s', 'friction': 'friction / inertia, rad/s²',
+    'delay': 'change of the delay, s', 'lag': 'factor of the lag, 1',
+}
+
+
+def _picture(along: Along, part: Part) -> Sketch:
+    """How to evaluate an effect, over what, the labels, and what the base alone gives."""
+    term = part.effect.term
+    if term == 'command':
+        return _map(along, part)
+    if term == 'response':
+        return _response(along, part)
+    inside = settled(along.problem.data.train, along.problem.data.dt)
+    values = variable(along, part)[inside]
+    x = np.linspace(*np.nanpercentile(values, [0.5, 99.5]), GRID)
+    signal = part.effect.signals[0]
+    name = signal.rstrip(' 12') if signal.startswith('other') else signal
+    over = f'{_named(along.problem.data, part, name)}, {UNITS.get(name, "1")}'
+    if part.effect.phased:
+        x, over = np.linspace(0.0, 2.0 * np.pi, GRID), 'phase of the disturbance, rad'
+    if term == 'lag':
+        return _lag(along, part, x), x, over, LABELS[term], np.ones(GRID)
+
+    def evaluate(p: FloatArray) -> FloatArray:
+        out = part.effect.torque(_signals(along, part, name, x), p, part.settings)
+        return np.zeros(GRID) if out is None else out + 0.0 * x
+
+    return evaluate, x, over, LABELS[term], None
+
+
+def _named(data: AxisData, part: Part, name: str) -> str:
+    if name in ('other rate', 'other command'):
+        return f'{name.removeprefix("other ")} of {data.other_axes[_which(part)]}'
+    return 'acting command' if name == 'command' else name
+
+
+def _signals(along: Along, part: Part, name: str, x: FloatArray) -> Signals:
+    """Signals (GRID,) that hold one unit of what the effect changes, its variable over `x`."""
+    nothing, one = np.zeros(x.size), np.ones(x.size)
+    term, which = part.effect.term, _which(part)
+    others = [nothing, nothing]
+    if name in ('other rate', 'other command'):
+        others[which] = x
+    pair = (x, one) if name.startswith('product') else (others[0], others[1])
+    time = x
+    if part.effect.phased:
+        time = x / (2.0 * np.pi * _frequency(along, part))
+    rate = {'rate': x}.get(name, -one if term in ('damping', 'friction') else nothing)
+    return Signals(
+        rate=rate, angle=x if name == 'angle' else nothing,
+        drive=one if term == 'gain' else nothing, command=nothing,
+        change=-one if term == 'delay' else nothing,
+        lagged=x if name == 'command' else nothing,
+        throttle=x if name == 'throttle' else nothing,
+        battery_v=x if name == 'battery' else one, other_rates=pair,
+        other_commands=(others[0], others[1]), time=time,
     )
-    return _slope(known[4] if data.gyro_filter_hz is not None else known[0], data.dt)
 
 
-def contributions(found: Discovery, model: AxisModel) -> tuple[FloatArray, ...]:
-    """(n,) rad/s² that each effect of the model adds, mean over the short span; NaN at ends.
+def _lag(along: Along, part: Part, x: FloatArray) -> Evaluate:
+    """Of the lag, over the signal it follows, on a record in which that signal is `x`."""
+    data, n = along.problem.data, x.size
+    control = np.zeros((n, 4))
+    control[:, 0] = x
+    control[:, data.index + 1] = x
+    record = _record(data, control, battery_v=x, dt=float(x[1] - x[0]))
+    drive = Drive(np.zeros((1, n)), np.ones(1), np.ones((1, n)))
 
-    Empty where the model has no effects or is not the one that discovery chose.
-    """
-    structure, theta, data = found.chosen.structure, found.chosen.theta, found.data
-    if [e.name for e in structure.effects] != [e.name for e in model.effects]:
-        return ()
-    sim = found.chosen_simulator
-    whole = acting(data, model.base, sim.commands(structure, theta))
-    out = []
-    for i, (effect, estimate, where) in enumerate(
-        zip(structure.effects, model.effects, structure.slices(), strict=True)
-    ):
-        added = np.zeros(data.rate.size)
-        if effect.command is not None:
-            others = [k for k in range(len(model.effects)) if k != i]
-            less = Structure(
-                tuple(structure.effects[k] for k in others),
-                tuple(structure.settings[k] for k in others),
-            )
-            keep = np.ones(theta.size, dtype=bool)
-            keep[where] = False
-            without = acting(data, model.base, sim.commands(less, theta[keep]))
-            added = model.value('gain') * (whole - without)
-        if effect.torque is not None:
-            term = effect.torque(data, theta[where], structure.settings[i])
-            added = added + _mean(_torque(data, term, curve(estimate, model)), data.dt)
-        out.append(added)
-    return tuple(out)
+    def evaluate(p: FloatArray) -> FloatArray:
+        out: FloatArray = part.effect.actuate(record, drive, p, part.settings).lag[0]
+        return out
+
+    return evaluate
 
 
-def _torque(
-    data: AxisData, term: Term, shape: tuple[str, Function] | None
-) -> FloatArray:
-    """(n,) rad/s² of one term at the measured rate and angle."""
-    if term.signal is not None:
-        if term.code == kernels.SIGNAL:
-            return term.values[0] * term.signal
-        return -term.values[0] * data.rate * term.signal
-    if shape is None:
-        return np.full(data.rate.size, np.nan)
-    at = data.rate if shape[0] == 'rate' else data.angle
-    return np.full(data.rate.size, np.nan) if at is None else shape[1](at)
+def _record(
+    data: AxisData, control: FloatArray, *, dt: float, battery_v: FloatArray | None = None
+) -> AxisData:
+    """A made-up stretch of commands (n, 4) for the effects that act on them."""
+    n = control.shape[0]
+    return replace(
+        data, dt=dt, rate=np.zeros(n), angle=None, control=control,
+        motors=motors_from_wrench(control), other_rates=np.zeros((n, 2)),
+        battery_v=battery_v, gyro_filter_hz=None, stretches=((0, n),), train=((0, n),),
+        validation=(), idle=(), validation_names=(), reference=None,
+    )
+
+
+def _largest(data: AxisData, column: int) -> float:
+    used = np.concatenate([data.control[a:b, column] for a, b in data.train])
+    return max(float(np.percentile(np.abs(used - used.mean()), 99.5)), 1e-6)
+
+
+def _map(along: Along, part: Part) -> Sketch:
+    """The drive over a slow triangle of the command that the effect maps."""
+    data = along.problem.data
+    other = part.effect.signals[0] == 'other command'
+    column = AXES.index(data.other_axes[_which(part)]) + 1 if other else data.index + 1
+    n = round(RAMP_S / data.dt)
+    largest = _largest(data, column)
+    x = largest * np.interp(np.arange(n) / n, [0.0, 0.25, 0.75, 1.0], [0.0, 1.0, -1.0, 0.0])
+    name = f'command of {AXES[column - 1]}, norm.'
+    evaluate = _driven(along, part, column, x, still=True)
+    thin = slice(0, None, max(1, n // (4 * GRID)))
+    return (
+        lambda p: evaluate(p)[thin], x[thin], name, 'command that acts, norm.',
+        np.zeros_like(x[thin]) if other else x[thin],
+    )
+
+
+def _response(along: Along, part: Part) -> Sketch:
+    """The drive after a step of the command up and, half way, down again."""
+    data = along.problem.data
+    n = round(2.0 * RESPONSE_S / data.dt)
+    time = np.arange(n) * data.dt
+    x = _largest(data, data.index + 1) * ((time > 0.05) & (time < RESPONSE_S))
+    evaluate = _driven(along, part, data.index + 1, x, still=False)
+    plain = _driven(along, None, data.index + 1, x, still=False)(np.zeros(0))
+    return evaluate, time, 'time, s', 'command that acts, norm.', plain
+
+
+def _driven(
+    along: Along, part: Part | None, column: int, x: FloatArray, *, still: bool
+) -> Evaluate:
+    """The drive for unit gain on a made-up command; `still` without lag and delay."""
+    data, base = along.problem.data, along.fit.values[:N_BASE].copy()
+    control = np.zeros((x.size, 4))
+    control[:, 0] = np.mean(np.concatenate([data.control[a:b, 0] for a, b in data.train]))
+    control[:, column] = x
+    flight = Flight(_record(data, control, dt=data.dt), ((0, x.size),))
+    structure = Structure(() if part is None else (part,))
+    if still:
+        base[1:3] = 0.0
+
+    def evaluate(p: FloatArray) -> FloatArray:
+        halves, _ = flight.driven(structure, np.r_[base, p, np.ones(N_NOISE)])
+        out: FloatArray = 0.5 * (halves[0] + halves[1])
+        return out.copy()
+
+    return evaluate
 
 
 def _slope(signal: FloatArray, dt: float) -> FloatArray:
@@ -115,51 +340,8 @@ def _slope(signal: FloatArray, dt: float) -> FloatArray:
     return out
 
 
-def _mean(signal: FloatArray, dt: float) -> FloatArray:
-    """(n,) mean over the same span by the trapezoidal rule; NaN at the ends."""
-    half = _half(dt)
-    weights = np.full(2 * half + 1, 0.5 / half)
-    weights[[0, -1]] *= 0.5
-    out = np.full(signal.size, np.nan)
-    if signal.size > 2 * half:
-        out[half:-half] = np.convolve(signal, weights, mode='valid')
-    return out
-
-
 def _half(dt: float) -> int:
     return max(1, round(HALF_SPAN_S / dt))
-
-
-def curve(effect: EffectEstimate, model: AxisModel) -> tuple[str, Function] | None:
-    """`rate` or `angle`, and the effect's angular acceleration, rad/s², over it.
-
-    None for effects that are no curve of one of these two.
-    """
-    kind, _, name = effect.name.partition(':')
-    entry = CURVES.get(effect.name)
-    if entry is not None and entry[0] in ('rate', 'angle'):
-        return entry[0], entry[1]({p.name: p.value for p in effect.parameters}, model.dt)
-    if kind == 'shape' and name in ('rate', 'angle'):
-        x, y = (np.asarray(effect.settings.get(k, ()), dtype=float) for k in ('knots', 'values'))
-        if x.ndim == 1 and x.size > 1 and x.shape == y.shape:
-            return name, _table(x, y)
-    return None
-
-
-def _table(x: FloatArray, y: FloatArray) -> Function:
-    return lambda at: np.asarray(np.interp(at, x, y))
-
-
-def left_out(
-    data: AxisData, base: Sequence[Parameter], added: Sequence[FloatArray] = ()
-) -> FloatArray:
-    """(n,) rad/s², what the base and the `contributions` do not explain; NaN near gaps."""
-    values = {p.name: p.value for p in base}
-    rest = values['bias'] - values['damping'] * data.rate
-    given = values['gain'] * acting(data, base, data.command) + _mean(rest, data.dt)
-    for one in added:
-        given = given + one
-    return _slope(data.rate, data.dt) - given
 
 
 def settled(spans: Sequence[Span], dt: float) -> npt.NDArray[np.int64]:
@@ -170,30 +352,33 @@ def settled(spans: Sequence[Span], dt: float) -> npt.NDArray[np.int64]:
 
 
 def binned(
-    x: FloatArray, y: FloatArray, spans: Sequence[Span], dt: float, bins: int = BINS
+    x: FloatArray, y: FloatArray, spans: Sequence[Span], dt: float, bins: int = BINS,
+    weights: FloatArray | None = None,
 ) -> Binned | None:
     """Means of y over bins of x inside `spans`; None where too little is known.
 
-    The standard error takes blocks of BLOCK_S as clusters (Liang and Zeger 1986).
+    With weights (n,) the factor by which they explain y, by least squares in each bin. The
+    standard error takes blocks of BLOCK_S as clusters (Liang and Zeger 1986).
     """
+    f = np.ones_like(x) if weights is None else weights
     inside = settled(spans, dt)
-    good = inside[np.isfinite(x[inside]) & np.isfinite(y[inside])]
+    good = inside[np.isfinite(x[inside]) & np.isfinite(y[inside]) & np.isfinite(f[inside])]
     if good.size < 4 * LEAST_IN_A_BIN or np.ptp(x[good]) <= 0.0:
         return None
-    x, y = x[good], y[good]
+    x, y, f = x[good], y[good], f[good]
     edges = _edges(x, bins)
     number = np.clip(np.searchsorted(edges, x, side='right') - 1, 0, edges.size - 2)
     count = np.bincount(number, minlength=edges.size - 1).astype(float)
-    keep = count >= LEAST_IN_A_BIN
+    power = np.maximum(np.bincount(number, f**2, minlength=count.size), 1e-300)
+    keep = (count >= LEAST_IN_A_BIN) & (power > 1e-6 * power.max())
     if keep.sum() < 3:
         return None
-    safe = np.maximum(count, 1.0)
-    middle = np.bincount(number, x, minlength=count.size) / safe
-    mean = np.bincount(number, y, minlength=count.size) / safe
+    middle = np.bincount(number, x, minlength=count.size) / np.maximum(count, 1.0)
+    mean = np.bincount(number, f * y, minlength=count.size) / power
     block = np.unique(good // max(1, round(BLOCK_S / dt)), return_inverse=True)[1].reshape(-1)
-    sums = np.bincount(number * (int(block.max()) + 1) + block, y - mean[number],
+    sums = np.bincount(number * (int(block.max()) + 1) + block, f * (y - mean[number] * f),
                        minlength=count.size * (int(block.max()) + 1))
-    spread = np.sqrt(np.sum(sums.reshape(count.size, -1) ** 2, axis=1)) / safe
+    spread = np.sqrt(np.sum(sums.reshape(count.size, -1) ** 2, axis=1)) / power
     return Binned(middle[keep], mean[keep], spread[keep])
 
 

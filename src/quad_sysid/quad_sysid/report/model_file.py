@@ -1,12 +1,13 @@
 """model.json: identified axis models on disk and back, strictly checked.
 
-Schema quad_sysid/model/1. NaN is not JSON: a covariance row held at a bound and a standard error
+Schema quad_sysid/model/2. NaN is not JSON: a covariance row held at a bound and a standard error
 that does not exist are stored as null. What a model
 means stands in quad_sysid/model.py; nothing is fitted or judged here.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import os
@@ -20,23 +21,23 @@ import numpy as np
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.json_file import read_json
-from quad_sysid.model import AxisModel, EffectEstimate, Parameter
+from quad_sysid.model import AxisModel, EffectEstimate, NoiseEstimate, Parameter
 
-SCHEMA = 'quad_sysid/model/1'
+SCHEMA = 'quad_sysid/model/2'
 BASE_NAMES = ('gain', 'lag', 'delay', 'damping', 'bias')
 _MODEL_KEYS = frozenset(
     {
         'dt', 'gyro_filter_hz', 'base', 'effects', 'parameter_names', 'covariance',
-        'active_gains', 'mean_battery_v', 'noise_rms', 'torque_noise', 'trusted_band_rad_s',
-        'realisation', 'correction', 'plain', 'plain_correction',
+        'active_gains', 'mean_battery_v', 'noise', 'trusted_band_rad_s', 'plain', 'plain_noise',
     }
 )  # fmt: skip
 _EFFECT_KEYS = frozenset(
     {
-        'name', 'kind', 'signals', 'parameters', 'settings', 'p_value', 'error_reduction_pct',
-        'probability', 'rivals',
+        'name', 'kind', 'signals', 'parameters', 'variant', 'fitted', 'settings', 'p_value',
+        'error_reduction_pct', 'probability', 'rivals',
     }
 )  # fmt: skip
+_NOISE_KEYS = frozenset(one.name for one in dataclasses.fields(NoiseEstimate))
 _PARAMETER_KEYS = frozenset({'name', 'value', 'std', 'unit'})
 
 
@@ -106,18 +107,20 @@ def _model_out(model: AxisModel, where: str) -> dict[str, Any]:
             for key, value in model.active_gains.items()
         },
         'mean_battery_v': _null(model.mean_battery_v),
-        'noise_rms': _null(model.noise_rms),
-        'torque_noise': _null(model.torque_noise),
+        'noise': _noise_out(model.noise, f'{where}.noise'),
         'trusted_band_rad_s': (
             None if band is None else [_finite(v, f'{where}.trusted_band_rad_s') for v in band]
         ),
-        'realisation': model.realisation,
-        'correction': [_finite(v, f'{where}.correction') for v in model.correction],
         'plain': [_parameter_out(p, f'{where}.plain') for p in model.plain],
-        'plain_correction': [
-            _finite(v, f'{where}.plain_correction') for v in model.plain_correction
-        ],
+        'plain_noise': _noise_out(model.plain_noise, f'{where}.plain_noise'),
     }
+
+
+def _noise_out(noise: NoiseEstimate | None, where: str) -> dict[str, float] | None:
+    if noise is None:
+        return None
+    numbers = dataclasses.asdict(noise)
+    return {name: _finite(value, f'{where}.{name}') for name, value in numbers.items()}
 
 
 def _parameter_out(parameter: Parameter, where: str) -> dict[str, Any]:
@@ -135,6 +138,8 @@ def _effect_out(effect: EffectEstimate, where: str) -> dict[str, Any]:
         'kind': effect.kind,
         'signals': list(effect.signals),
         'parameters': [_parameter_out(p, where) for p in effect.parameters],
+        'variant': effect.variant,
+        'fitted': [_finite(v, f'{where}.fitted') for v in effect.fitted],
         'settings': {key: _plain(v, f'{where}.settings') for key, v in effect.settings.items()},
         'p_value': _finite(effect.p_value, f'{where}.p_value'),
         'error_reduction_pct': _finite(effect.error_reduction_pct, f'{where}.error_reduction_pct'),
@@ -198,14 +203,22 @@ def _model_in(axis: str, tree: object, where: str) -> AxisModel:
         covariance=_covariance_in(fields['covariance'], parameter_names, f'{where}.covariance'),
         active_gains={k: _number(v, f'{where}.active_gains.{k}') for k, v in gains.items()},
         mean_battery_v=_optional(fields['mean_battery_v'], f'{where}.mean_battery_v'),
-        noise_rms=_optional(fields['noise_rms'], f'{where}.noise_rms'),
-        torque_noise=_optional(fields['torque_noise'], f'{where}.torque_noise'),
+        noise=_noise_in(fields['noise'], f'{where}.noise'),
         trusted_band_rad_s=band,
-        realisation=_string(fields['realisation'], f'{where}.realisation'),
-        correction=_numbers(fields['correction'], f'{where}.correction'),
         plain=_parameters_in(fields['plain'], f'{where}.plain'),
-        plain_correction=_numbers(fields['plain_correction'], f'{where}.plain_correction'),
+        plain_noise=_noise_in(fields['plain_noise'], f'{where}.plain_noise'),
     )
+
+
+def _noise_in(tree: object, where: str) -> NoiseEstimate | None:
+    if tree is None:
+        return None
+    numbers = _object(tree, where, _NOISE_KEYS)
+    noise = {name: _number(value, f'{where}.{name}') for name, value in numbers.items()}
+    for name, value in noise.items():
+        if value < 0.0:
+            raise BadInputError(f'{where}.{name}', 'must not be negative', value)
+    return NoiseEstimate(**noise)
 
 
 def _parameters_in(tree: object, where: str) -> tuple[Parameter, ...]:
@@ -234,6 +247,8 @@ def _effect_in(tree: object, where: str) -> EffectEstimate:
         kind=_string(fields['kind'], f'{where}.kind'),
         signals=_strings(fields['signals'], f'{where}.signals'),
         parameters=_parameters_in(fields['parameters'], f'{where}.parameters'),
+        variant=_string(fields['variant'], f'{where}.variant'),
+        fitted=_numbers(fields['fitted'], f'{where}.fitted'),
         settings=fields['settings'],
         p_value=_number(fields['p_value'], f'{where}.p_value'),
         error_reduction_pct=_number(fields['error_reduction_pct'], f'{where}.error_reduction_pct'),

@@ -29,7 +29,6 @@ PICTURES: tuple[tuple[str, Callable[[AxisAnswer], Picture | None]], ...] = (
     ('bode', plots_models.bode),
     ('left_out', plots_effects.left_out),
     ('effect_shape', plots_effects.effect_shapes),
-    ('gain', plots_effects.gain_over),
     ('rivals', plots_effects.rivals),
     ('correlations', plots_residual.correlations),
     ('residual_spectrum', plots_residual.spectrum),

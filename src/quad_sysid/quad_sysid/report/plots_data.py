@@ -10,7 +10,7 @@ from scipy import signal as filters
 
 from quad_sysid.blackbox import coherence
 from quad_sysid.contract import FloatArray
-from quad_sysid.greybox.data import AxisData, Span
+from quad_sysid.model.data import AxisData, Span
 from quad_sysid.pipeline.answer import AxisAnswer
 from quad_sysid.record import IOData
 from quad_sysid.report.canvas import (
@@ -39,7 +39,7 @@ COHERENT = 0.6
 
 def signals(answer: AxisAnswer) -> Picture | None:
     """The whole record with its segments shaded."""
-    found = answer.discovery
+    found = answer.findings
     if found is None:
         return None
     data = found.data
@@ -53,7 +53,7 @@ def signals(answer: AxisAnswer) -> Picture | None:
 
 def detail(answer: AxisAnswer) -> Picture | None:
     """A few seconds of training, in which single swings can be followed."""
-    found = answer.discovery
+    found = answer.findings
     if found is None or not found.data.train:
         return None
     data = found.data

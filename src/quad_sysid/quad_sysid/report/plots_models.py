@@ -9,9 +9,9 @@ import numpy as np
 from quad_sysid.blackbox import Model, frequency_response, spa
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import QuadSysidError
-from quad_sysid.greybox.data import Windows
 from quad_sysid.loop.plant import ComplexArray
 from quad_sysid.model import AxisModel
+from quad_sysid.model.data import Windows
 from quad_sysid.pipeline.answer import AxisAnswer, ModelRow
 from quad_sysid.report.canvas import (
     AFTER,
@@ -36,12 +36,12 @@ Z99 = 2.576
 
 def free_run(answer: AxisAnswer) -> Picture | None:
     """Measured rate against free runs of base and completed model over held-out windows."""
-    found, judgement = answer.discovery, answer.judgement
-    if found is None or judgement is None:
+    found = answer.findings
+    if found is None:
         return None
     data = found.data
     windows = data.windows(data.validation)
-    errors = judgement.before.run.errors
+    errors = found.before.errors
     if not windows.count or errors.shape != (windows.count, windows.length):
         return None
     first, last = _lively(windows, data.rate)
@@ -49,13 +49,13 @@ def free_run(answer: AxisAnswer) -> Picture | None:
     time_s = np.arange(a, b) * data.dt
     figure, axes = panels(2, height_in=3.9, ratios=(2.0, 1.0))
     axes[0].plot(time_s, data.rate[a:b], color=INK, lw=1.0, label='measured')
-    runs = [(judgement.before, BEFORE, 'base')]
-    if judgement.after is not judgement.before:
-        runs.append((judgement.after, AFTER, 'completed'))
+    runs = [(found.before, BEFORE, 'base')]
+    if found.added:
+        runs.append((found.after, AFTER, 'completed'))
     for number, (one, colour, name) in enumerate(runs):
         for w in range(first, last + 1):
             at = np.arange(windows.starts[w], windows.starts[w] + windows.length)
-            wrong = one.run.errors[w]
+            wrong = one.errors[w]
             label = name if w == first else None
             axes[0].plot(at * data.dt, data.rate[at] + wrong, color=colour, label=label,
                          lw=1.3, ls='--' if number == 0 else '-')
@@ -95,16 +95,16 @@ def _lively(windows: Windows, rate: FloatArray) -> tuple[int, int]:
 
 def horizon(answer: AxisAnswer) -> Picture | None:
     """RMS of the free-run error over the time since the window's start."""
-    found, judgement = answer.discovery, answer.judgement
-    if found is None or judgement is None or not judgement.before.run.errors.size:
+    found = answer.findings
+    if found is None or not found.before.errors.size:
         return None
     figure, (one,) = panels(height_in=2.6)
-    errors = judgement.before.run.errors
+    errors = found.before.errors
     ahead = np.arange(errors.shape[1]) * found.data.dt
     one.plot(ahead, _rms(errors), color=BEFORE, ls='--', lw=1.6, label='base')
-    if judgement.after is not judgement.before:
-        one.plot(ahead, _rms(judgement.after.run.errors), color=AFTER, lw=1.6, label='completed')
-    one.axhline(judgement.noise_floor, color=GREEN, lw=1.0, ls=':', label='measurement noise')
+    if found.added:
+        one.plot(ahead, _rms(found.after.errors), color=AFTER, lw=1.6, label='completed')
+    one.axhline(found.verdict.noise_floor, color=GREEN, lw=1.0, ls=':', label='measurement noise')
     one.set_ylim(bottom=0.0)
     one.set_xlabel('time since the start of the window, s')
     one.set_ylabel('RMS error, rad/s')

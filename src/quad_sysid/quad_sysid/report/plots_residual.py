@@ -34,11 +34,11 @@ OFFSET = 0.3
 
 def one_step(answer: AxisAnswer) -> Picture | None:
     """Measured rate against the prediction of one cycle ahead, and its error."""
-    found, judgement = answer.discovery, answer.judgement
-    if found is None or judgement is None or not found.data.validation:
+    found = answer.findings
+    if found is None or not found.data.validation:
         return None
     data = found.data
-    errors = judgement.after.run.innovations
+    errors = found.after.innovations
     start, stop = max(
         data.validation, key=lambda s: float(np.nanvar(data.rate[s[0]:s[1]]) * (s[1] - s[0]))
     )
@@ -53,13 +53,12 @@ def one_step(answer: AxisAnswer) -> Picture | None:
     axes[0].plot(time_s, data.rate[inside], color=INK, lw=2.2, alpha=0.35, label='measured')
     axes[0].plot(time_s, (data.rate - errors)[inside], color=AFTER, lw=0.9,
                  label='one step ahead')
-    added = judgement.after is not judgement.before
-    if added:
-        axes[1].plot(time_s, judgement.before.run.innovations[inside], color=BEFORE, lw=0.9,
+    if found.added:
+        axes[1].plot(time_s, found.before.innovations[inside], color=BEFORE, lw=0.9,
                      ls='--', label='base')
     axes[1].plot(time_s, errors[inside], color=AFTER, lw=0.9,
-                 label='completed' if added else 'base')
-    bound = Z99 * judgement.noise_floor
+                 label='completed' if found.added else 'base')
+    bound = Z99 * found.verdict.noise_floor
     axes[1].axhspan(-bound, bound, color=GREEN, alpha=0.14, lw=0, label='99 % of the noise')
     axes[0].set_ylabel('rate, rad/s')
     axes[1].set_ylabel('error, rad/s')
@@ -76,8 +75,7 @@ def one_step(answer: AxisAnswer) -> Picture | None:
 
 def _known(answer: AxisAnswer) -> Iterator[tuple[Residual, str, str, str]]:
     """Residuals to draw: of the base, and of the completed model where it is another one."""
-    judgement = answer.judgement
-    same = judgement is not None and judgement.after is judgement.before
+    same = answer.findings is None or not answer.findings.added
     for key, name, colour, style in NAMES:
         if key in answer.residuals and not (same and key == 'after'):
             yield answer.residuals[key], name, colour, style
@@ -86,7 +84,7 @@ def _known(answer: AxisAnswer) -> Iterator[tuple[Residual, str, str, str]]:
 def correlations(answer: AxisAnswer) -> Picture | None:
     """Auto- and cross-correlation of the one-step errors of base and completed model."""
     shown = list(_known(answer))
-    found = answer.discovery
+    found = answer.findings
     if not shown or found is None:
         return None
     dt = found.data.dt
@@ -165,16 +163,16 @@ def torque(answer: AxisAnswer) -> Picture | None:
         for number, at in enumerate(pieces):
             one.plot(*thinned(time_s[at], values[at]), color=colour, lw=0.8,
                      label='' if number else name)
-    first = shown[0][0]
-    bound = Z99 * first.expected_rms
-    one.axhspan(-bound, bound, color=GREEN, alpha=0.14, lw=0, label='99 % where nothing lacks')
+    last = shown[-1][0]
+    bound = Z99 * last.expected_rms
+    one.axhspan(-bound, bound, color=GREEN, alpha=0.14, lw=0, label='99 % of its noise')
     one.set_xlabel('time, s')
     one.set_ylabel('torque / inertia, rad/s²')
     legend(one)
     return Picture(
         'missing_torque', 'The torque that seems to lack, over time',
-        f"By how much a Kalman filter keeps pushing the model's rate, mean over "
-        f'{first.smooth_s:g} s, on held-out data. The green band is that of the base.', figure,
+        "The torque disturbance that the model's Kalman filter sees on held-out data. The green "
+        "band is what the last model's own noise lets one expect.", figure,
     )
 
 

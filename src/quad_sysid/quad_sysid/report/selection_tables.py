@@ -77,13 +77,13 @@ def residuals(tree: Tree) -> str:
             name, number(found['rms']), _test(found['white'], found['p_white']),
             _test(found['uncorrelated_with_input'], found['p_input']), peaks or 'none',
             '' if torque is None else number(torque['rms']),
-            '' if torque is None else number(torque['expected_rms_where_white']),
+            '' if torque is None else number(torque['expected_rms']),
         ])
     return table(
         ['model', 'RMS, rad/s', 'white', 'free of past commands', 'peaks',
          'torque, rad/s²', 'expected'], rows, (1, 5, 6),
-        caption='One-step errors on held-out data, tests at 99 %. Torque: RMS of the torque over '
-        'inertia that the model seems to lack; expected: what noise alone would show.',
+        caption='One-step errors on held-out data, tests at 99 %. Torque: RMS of the disturbance '
+        "that the model's filter sees; expected: what its own noise model says.",
     )
 
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
-from quad_sysid.report.words import FIGURES, chance, named, number, parameter
+from quad_sysid.report.words import FIGURES, bound, chance, named, number, parameter
 
 Tree = Mapping[str, Any]
 
@@ -71,6 +71,17 @@ def errors(tree: Tree) -> str:
     caption = f'{error["metric"]}, {error["unit"]}, {error["data"]} data{windows}'
     return table(['model', 'free run', '95 % interval', 'one step'], rows, (1, 2, 3),
                  caption=caption)
+
+
+def horizons(tree: Tree) -> str:
+    """How the error grows with the time since the start of a free run."""
+    listed = tree['error'].get('horizons') or []
+    columns = ['hold', 'before', *(['after'] if tree['effects'] else []), 'blackbox']
+    names = {'hold': 'hold the last value', 'before': 'base', 'after': 'completed',
+             'blackbox': 'black box'}
+    rows = [[f'{h["horizon_s"]:g}', *(number(h[c]) for c in columns)] for h in listed]
+    return table(['after, s', *(names[c] for c in columns)], rows, range(len(columns) + 1),
+                 caption='RMS error so long after the start of a free run, rad/s')
 
 
 def models(tree: Tree) -> str:
@@ -138,26 +149,20 @@ def effects(tree: Tree) -> str:
          chance(e['p_value']), f'{e["probability"]:.2f}', f'{e["error_reduction_pct"]:.0f} %']
         for e in tree['effects']
     ]
-    return table(['effect', 'in words', 'parameters', 'p', 'probability', 'error without it'],
+    return table(['effect', 'in words', 'parameters', 'p', 'probability', 'lowers the error by'],
                  rows, (3, 4, 5))
 
 
 def tried(tree: Tree) -> str:
-    """Every effect that cross-validation weighed, and what could not be tested."""
-    first = [
-        [str(t['step']), f'{t["name"]} {t.get("variant", "")}',
-         number(t.get('cross_validated_error'), 4), chance(t.get('p_value')),
-         'screened out at first look' if t.get('screened_out') else 'fitted']
+    """Every structure that was fitted, and what could not be tested."""
+    fitted = [
+        [' + '.join(t['effects']) or 'the base alone', number(t['log_evidence_over_base'], 4),
+         chance(t['probability']), '' if t['converged'] else 'did not converge']
         for t in tree.get('tried', [])
     ]
     untested = [[t['name'], t['because']] for t in tree.get('not_tested', [])]
-    head = ['step', 'effect', 'cross-validated error, rad/s', 'p', '']
-    leans = [
-        [str(d['on']), number(d.get('cross_validated_error'), 4), chance(d.get('p_value'))]
-        for d in tree.get('dependence', [])
-    ]
-    weighed = ['what the residual depends on', 'cross-validated error, rad/s', 'p']
-    return (table(head, first, (0, 2, 3)) + table(weighed, leans, (1, 2))
+    head = ['structure', 'log evidence over the base', 'probability', '']
+    return (table(head, fitted, (1, 2), caption='Of the training segments alone, prior included.')
             + table(['not tested', 'because'], untested))
 
 
@@ -193,7 +198,7 @@ def segments(tree: Tree) -> str:
 def _value(p: Tree | None) -> str:
     if p is None:
         return '–'
-    return f'{p["value"]:.4g}' + (f' ± {p["std"]:.2g}' if p.get('std') is not None else ' (bound)')
+    return f'{p["value"]:.4g}' + (f' ± {p["std"]:.2g}' if p.get('std') is not None else bound(p))
 
 
 def _span(interval: Sequence[float] | None) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from quad_sysid.report import selection
+from quad_sysid.report import selection, words
 
 ROW = '{:<22} {:>7} {:>9} {:>9} {:>7}  {}'
 
@@ -66,12 +66,16 @@ def _models(tree: Mapping[str, Any]) -> list[str]:
 def _verdict(tree: Mapping[str, Any]) -> list[str]:
     out = [f'verdict  {tree["verdict"]}', *_wrapped(tree.get('reason', ''))]
     out += ['  base   ' + _number(parameter) for parameter in tree['base']['parameters']]
+    out += [
+        f'  noise  {p["name"].replace("_", " ")} {p["value"]:.3g} {p["unit"]}'
+        for p in tree['base']['noise']
+    ]
     for effect in tree['effects']:
         variant = f' ({effect["variant"]})' if 'variant' in effect else ''
         out += [
             f'  effect {effect["name"]}{variant}',
             (f'         p = {effect["p_value"]:.2g}, probability {effect["probability"]:.2f}, '
-             f'without it the error grows by {effect["error_reduction_pct"]:.0f} %'),
+             f'it lowers the error by {effect["error_reduction_pct"]:.0f} %'),
         ]
         out += ['         ' + _number(p) for p in effect['parameters']]
         for rival in effect['rivals'][:3]:
@@ -105,7 +109,22 @@ def _errors(tree: Mapping[str, Any]) -> list[str]:
         if value is not None:
             span = f'  [{interval[0]:.4g}, {interval[1]:.4g}]' if interval else ''
             out.append(f'  {name:<20} {value:.4g}{span}')
-    return out
+    return [*out, *horizons(error, completed=bool(tree['effects']))]
+
+
+def horizons(error: Mapping[str, Any], *, completed: bool) -> list[str]:
+    """How the error grows, and up to where the model is worth something."""
+    listed = error.get('horizons', [])
+    if not listed:
+        return []
+    columns = ['hold', 'before', *(['after'] if completed else []), 'blackbox']
+    columns = [c for c in columns if any(h[c] is not None for h in listed)]
+    out = ['', f'error so long after the start, {error["unit"]}',
+           '  ' + ''.join(f'{c:>10}' for c in ['s', *columns])]
+    for h in listed:
+        cells = ['–' if h[c] is None else f'{h[c]:.4g}' for c in columns]
+        out.append('  ' + ''.join(f'{c:>10}' for c in [f'{h["horizon_s"]:g}', *cells]))
+    return [*out, *_wrapped(words.horizon_words(error))]
 
 
 def _gains(tree: Mapping[str, Any]) -> list[str]:
@@ -117,9 +136,7 @@ def _gains(tree: Mapping[str, Any]) -> list[str]:
 
 def _number(parameter: Mapping[str, Any]) -> str:
     std = parameter['std']
-    upper = parameter.get('interval_95', [None, None])[1]
-    bound = '(at its bound)' if upper is None else f'(at its bound, below {upper:.2g})'
-    error = f'± {std:.2g}' if std is not None else bound
+    error = f'± {std:.2g}' if std is not None else words.bound(parameter).strip()
     return f'{parameter["name"]} {parameter["value"]:.4g} {error} {parameter["unit"]}'
 
 

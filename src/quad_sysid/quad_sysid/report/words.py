@@ -7,6 +7,9 @@ from typing import Any
 
 Tree = Mapping[str, Any]
 
+CLEARLY = 2.0
+"""By this factor a model must beat holding the last value to be called worth something."""
+
 PLAIN = {
     'coulomb_friction': 'dry friction', 'quadratic_drag': 'drag that grows with rate squared',
     'pendulum_stiffness': 'a centre of mass off the axis (pendulum)',
@@ -52,12 +55,11 @@ FIGURES = {
 
 def named(effect: str) -> str:
     """An effect in everyday words, with a curve's signal spelled out."""
-    if effect.startswith('shape:gain:'):
-        return f'a gain that depends on the {effect[11:]}'
-    if effect == 'shape:command':
-        return 'a command that acts through a smooth curve'
-    if effect.startswith('shape:'):
-        return f'a torque that is a smooth curve of the {effect[6:]}'
+    kind, *rest = effect.split(':')
+    if kind == 'shape' and len(rest) == 2:
+        return f'a {rest[0]} that depends on the {rest[1].replace("_", " ")}'
+    if kind == 'shape':
+        return f'a torque that is a smooth curve of the {rest[0].replace("_", " ")}'
     return PLAIN.get(effect, effect.replace('_', ' '))
 
 
@@ -111,6 +113,7 @@ def _worth(tree: Tree) -> str:
     if hold:
         text += (f' Holding the last value would be off by {number(hold)} {unit}, so the model '
                  f'removes {100.0 * (1.0 - after / hold):.0f} % of that error.')
+    text += horizon_words(error)
     if error.get('noise_floor') is not None:
         text += f' The measurement noise alone is about {number(error["noise_floor"])} {unit}.'
     blackbox = error.get('blackbox')
@@ -120,6 +123,38 @@ def _worth(tree: Tree) -> str:
     if band:
         text += f' Trust it from {number(band[0], 2)} to {number(band[1])} rad/s.'
     return text
+
+
+def reach(error: Tree) -> float | None:
+    """Furthest horizon, s, at which the model errs by half of what holding does, or less."""
+    worth = [
+        h['horizon_s'] for h in error.get('horizons', ())
+        if h['after'] is not None and h['hold'] is not None
+        and CLEARLY * h['after'] <= h['hold']
+    ]
+    return max(worth, default=None)
+
+
+def horizon_words(error: Tree) -> str:
+    """Up to where the model is worth something."""
+    listed = [h for h in error.get('horizons', ()) if h['after'] is not None]
+    if not listed:
+        return ''
+    far = reach(error)
+    if far is None:
+        best = max(listed, key=lambda h: (h['hold'] or 0.0) / max(h['after'], 1e-12))
+        return (
+            f' At no horizon does it halve the error of holding the last value; it comes nearest '
+            f'{best["horizon_s"]:g} s ahead, off by {number(best["after"])} where holding is off '
+            f'by {number(best["hold"])} {error["unit"]}.'
+        )
+    at = next(h for h in listed if h['horizon_s'] == far)
+    last = listed[-1]['horizon_s']
+    beyond = '' if far == last else f'; further ahead, up to {last:g} s, it is worth less'
+    return (
+        f' It halves the error of holding the last value up to {far:g} s ahead (off by '
+        f'{number(at["after"])} instead of {number(at["hold"])} {error["unit"]}){beyond}.'
+    )
 
 
 def _missing(tree: Tree) -> list[str]:
@@ -132,13 +167,13 @@ def _missing(tree: Tree) -> list[str]:
         values = '; '.join(parameter(p) for p in effect['parameters'])
         shown = f': {values}' if effect['kind'] != 'shape' else ' (its curve is drawn below)'
         text = f'{named(effect["name"]).capitalize()} ({effect["name"]}){shown}.'
-        text += f' Chance alone would do as well with p {equals(effect["p_value"])}'
+        text += f' That nothing is missing has p {equals(effect["p_value"])} on held-out data'
         rivals = effect.get('rivals') or []
         if rivals:
             best = max(rivals, key=lambda r: r['probability'])
             text += (f'; among its rivals it has a probability of {effect["probability"]:.2f} '
                      f'(next: {best["name"]}, {best["probability"]:.2f})')
-        out.append(text + '. Taken out alone, the error grows by '
+        out.append(text + '. It alone lowers the error by '
                    f'{effect["error_reduction_pct"]:.0f} %.')
     before, after = error.get('before'), error.get('after')
     if before and after is not None:
@@ -170,11 +205,17 @@ def _gains(axis: str, tree: Tree) -> str:
 
 def parameter(p: Tree) -> str:
     """One estimated number with its standard error and unit."""
-    spread = f' ± {p["std"]:.2g}' if p.get('std') is not None else ' (at its bound)'
+    spread = f' ± {p["std"]:.2g}' if p.get('std') is not None else bound(p)
     torque = p.get('torque')
     more = f' ({torque["value"]:.3g} {torque["unit"]})' if torque else ''
     unit = '' if p['unit'] == '1' else f' {p["unit"]}'
     return f'{p["name"].replace("_", " ")} {p["value"]:.4g}{spread}{unit}{more}'
+
+
+def bound(p: Tree) -> str:
+    """What is said in place of a standard error."""
+    limits = p.get('interval_95')
+    return f' (none told; below {limits[1]:.2g})' if limits else ' (no error known)'
 
 
 def joined(parts: Sequence[str]) -> str:
