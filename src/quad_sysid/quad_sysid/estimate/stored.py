@@ -17,7 +17,7 @@ from quad_sysid.errors import BadInputError
 from quad_sysid.estimate.fit import Fit, Problem, Tail, covariance
 from quad_sysid.model import AxisModel, EffectEstimate, NoiseEstimate, Parameter
 from quad_sysid.model.effect import Effect, Part, Settings, Spec
-from quad_sysid.model.plant import BASE, N_BASE, N_NOISE, Structure
+from quad_sysid.model.plant import BASE, N_BASE, NOISE, Structure
 
 SHORTEST = 0.25
 """A time below this share of a cycle is none: the data hold nothing of it."""
@@ -139,12 +139,14 @@ def _units(structure: Structure) -> tuple[str, ...]:
 
 def noise_of(fitted: Fit) -> NoiseEstimate:
     """The noise that a fit ended with."""
-    white, disturbance, correlation = (float(v) for v in fitted.values[-N_NOISE:])
+    values = fitted.values[-len(fitted.structure.noise) :]
+    white, disturbance, correlation = (float(v) for v in values[:3])
     found, tail = fitted.prediction.filter, fitted.tail
     variance = tail.variance / found.innovation
     return NoiseEstimate(
         white, disturbance, correlation, tail.scale, tail.degrees,
         float(np.sqrt(variance)), float(np.sqrt(variance * found.floor)),
+        tuple((float(a), float(f), float(w)) for a, f, w in values[3:].reshape(-1, 3)),
     )
 
 
@@ -171,30 +173,29 @@ def effects_of(
 def completed(model: AxisModel) -> Stored:
     """The model with its effects, to be run. Raises BadInputError for an unknown effect."""
     parts = tuple(part_of(model, effect) for effect in model.effects)
-    return _stored(
-        model.base, Structure(parts), [effect.fitted for effect in model.effects], model.noise
-    )
+    return _stored(model.base, parts, [effect.fitted for effect in model.effects], model.noise)
 
 
 def plain(model: AxisModel) -> Stored:
     """The base as it was fitted alone, to be run."""
-    return _stored(
-        model.plain or model.base, Structure(), [], model.plain_noise or model.noise
-    )
+    return _stored(model.plain or model.base, (), [], model.plain_noise or model.noise)
 
 
 def _stored(
-    base: Sequence[Parameter], structure: Structure, effects: Sequence[Sequence[float]],
+    base: Sequence[Parameter], parts: tuple[Part, ...], effects: Sequence[Sequence[float]],
     noise: NoiseEstimate | None,
 ) -> Stored:
     values = {p.name: p.value for p in base}
     known = (1.0, 1.0) if noise is None else (noise.scale, noise.degrees)
+    lines = () if noise is None else noise.lines
     numbers = (
-        [np.exp(spec.centre) for spec in structure.specs[-N_NOISE:]] if noise is None
+        [np.exp(spec.centre) for spec in NOISE] if noise is None
         else [noise.white, noise.disturbance, noise.correlation_s]
     )
+    structure = Structure(parts, len(lines))
     p = np.array([
         *(values[spec.name] for spec in BASE), *(v for own in effects for v in own), *numbers,
+        *(v for line in lines for v in line),
     ])
     logs = np.array([spec.log for spec in structure.specs])
     theta = np.where(logs, np.log(np.maximum(np.where(logs, p, 1.0), 1e-17)), p)

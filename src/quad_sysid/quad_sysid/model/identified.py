@@ -64,6 +64,8 @@ class NoiseEstimate:
     """RMS of the gyro's noise before its filter, rad/s."""
     measured_rms: float
     """RMS of the measurement noise in the recorded rate, rad/s."""
+    lines: tuple[tuple[float, float, float], ...] = ()
+    """Lines of vibration in the recorded rate: RMS over the gyro's noise, frequency, width, Hz."""
 
     @property
     def disturbance_rms(self) -> float:

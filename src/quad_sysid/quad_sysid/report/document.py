@@ -98,6 +98,8 @@ def _noise(noise: NoiseEstimate | None) -> list[dict[str, Any]]:
             ('disturbance_rms', noise.disturbance_rms, 'rad/s²'),
             ('disturbance_correlation', noise.correlation_s, 's'),
             ('measurement_rms', noise.measured_rms, 'rad/s'),
+            *((f'vibration_frequency_{i}', line[1], 'Hz')
+              for i, line in enumerate(noise.lines, 1)),
         )
     ]
 

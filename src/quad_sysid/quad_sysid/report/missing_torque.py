@@ -18,7 +18,7 @@ from quad_sysid.effects.torques import STICTION_RATE
 from quad_sysid.estimate.fit import Fit, Problem, covariance
 from quad_sysid.model.data import AxisData, Span
 from quad_sysid.model.effect import Drive, Part, Signals
-from quad_sysid.model.plant import N_BASE, N_NOISE, Flight, Structure
+from quad_sysid.model.plant import N_BASE, NOISE, Flight, Structure
 
 HALF_SPAN_S = 0.025
 BLOCK_S = 1.0
@@ -324,7 +324,7 @@ def _driven(
         base[1:3] = 0.0
 
     def evaluate(p: FloatArray) -> FloatArray:
-        halves, _ = flight.driven(structure, np.r_[base, p, np.ones(N_NOISE)])
+        halves, _ = flight.driven(structure, np.r_[base, p, np.ones(len(NOISE))])
         out: FloatArray = 0.5 * (halves[0] + halves[1])
         return out.copy()
 

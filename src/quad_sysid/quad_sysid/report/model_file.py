@@ -116,11 +116,14 @@ def _model_out(model: AxisModel, where: str) -> dict[str, Any]:
     }
 
 
-def _noise_out(noise: NoiseEstimate | None, where: str) -> dict[str, float] | None:
+def _noise_out(noise: NoiseEstimate | None, where: str) -> dict[str, Any] | None:
     if noise is None:
         return None
-    numbers = dataclasses.asdict(noise)
-    return {name: _finite(value, f'{where}.{name}') for name, value in numbers.items()}
+    numbers = {n: v for n, v in dataclasses.asdict(noise).items() if n != 'lines'}
+    return {
+        **{name: _finite(value, f'{where}.{name}') for name, value in numbers.items()},
+        'lines': [[_finite(v, f'{where}.lines') for v in line] for line in noise.lines],
+    }
 
 
 def _parameter_out(parameter: Parameter, where: str) -> dict[str, Any]:
@@ -213,12 +216,15 @@ def _model_in(axis: str, tree: object, where: str) -> AxisModel:
 def _noise_in(tree: object, where: str) -> NoiseEstimate | None:
     if tree is None:
         return None
-    numbers = _object(tree, where, _NOISE_KEYS)
+    numbers = dict(_object(tree, where, _NOISE_KEYS))
+    lines = [_numbers(one, f'{where}.lines') for one in _list(numbers.pop('lines'), where)]
+    if any(len(one) != 3 for one in lines):
+        raise BadInputError(f'{where}.lines', 'must hold size, frequency and width of each', lines)
     noise = {name: _number(value, f'{where}.{name}') for name, value in numbers.items()}
     for name, value in noise.items():
-        if value < 0.0:
-            raise BadInputError(f'{where}.{name}', 'must not be negative', value)
-    return NoiseEstimate(**noise)
+        if not value > 0.0:
+            raise BadInputError(f'{where}.{name}', 'must be positive', value)
+    return NoiseEstimate(**noise, lines=tuple((a, f, w) for a, f, w in lines))
 
 
 def _parameters_in(tree: object, where: str) -> tuple[Parameter, ...]:
