@@ -98,7 +98,7 @@ class Unseen:
     """The validation segments and what fitted models make of them."""
 
     def __init__(self, data: AxisData, spans: Sequence[tuple[int, int]]) -> None:
-        self.problem = Problem(data, tuple(spans))
+        self.problem = Problem(data, tuple(spans), whole=True)
         self.windows = data.windows(spans)
         self.long = data.windows(spans, HORIZONS_S[-1])
         length = max(2, round(BLOCK_S / data.dt))
@@ -155,9 +155,9 @@ def floor_of(fitted: Fit) -> float:
     return math.sqrt(fitted.tail.variance / found.innovation * found.floor)
 
 
-def judge(problem: Problem, found: Found) -> Verdict:
+def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
     """Open the validation segments and decide."""
-    unseen = Unseen(problem.data, problem.data.validation)
+    unseen = Unseen(data, data.validation)
     base = found.base
     against = unseen.log_likelihood(base)
     base_error = rms(unseen.errors(base))

@@ -17,7 +17,6 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.estimate.fit import Fit, Problem
 from quad_sysid.model import recursion
 from quad_sysid.model.effect import Part
-from quad_sysid.model.plant import Structure
 
 STEP = 1e-4
 PER_NONLINEAR = 2.0
@@ -31,8 +30,8 @@ class Score:
     """What one linear step says of a candidate."""
 
     part: Part
-    start: FloatArray
-    """(q,) coordinates of the fit to start its parameters from."""
+    starts: tuple[FloatArray, ...]
+    """Each (q,): coordinates of the fit to start its parameters from."""
     nats: float
 
 
@@ -103,13 +102,13 @@ def screen(problem: Problem, fitted: Fit, parts: Sequence[Part]) -> list[Score]:
     columns: list[FloatArray] = []
     blocks: list[_Block] = []
 
-    def pushed(part: Part, p: FloatArray) -> FloatArray:
-        whole = np.r_[theta[:base], p, theta[base:]]
+    def driven(part: Part, p: FloatArray) -> FloatArray:
         more = structure.plus(part)
-        known = flight.pushed(more, more.natural(whole), fitted.rate).known
-        return 0.5 * (known[0] + known[1])
+        whole = more.natural(np.r_[theta[:base], p, theta[base:]])
+        own = flight.driven(more, whole)[0]
+        return values[0] * 0.5 * (own[0] + own[1])
 
-    plain = 0.5 * (push.known[0] + push.known[1])
+    plain = values[0] * 0.5 * (halves[0] + halves[1])
     for part in parts:
         effect = part.effect
         specs = effect.parameters
@@ -125,23 +124,18 @@ def screen(problem: Problem, fitted: Fit, parts: Sequence[Part]) -> list[Score]:
         for start in starts:
             p = coordinates(part, start)
             block = _Block(part, p, linear, len(columns), len(linear))
-            for j in linear:
-                up, down = p.copy(), p.copy()
-                up[j] += STEP
-                down[j] -= STEP
-                if effect.moves_command:
-                    column = (pushed(part, up) - pushed(part, down)) / (2.0 * STEP)
-                else:
-                    logs = [s.log for s in specs]
-                    u, d = (np.where(logs, np.exp(np.where(logs, x, 0.0)), x) for x in (up, down))
-                    column = (
-                        effect.torque(signals, u, part.settings)
-                        - effect.torque(signals, d, part.settings)
-                    ) / (2.0 * STEP)
-                columns.append(np.broadcast_to(column, (n,)))
-            if len(linear) < len(specs) and not linear:
-                block.shift = len(columns)
-                columns.append(pushed(part, p) - plain)
+            if effect.moves_command:
+                for j in linear:
+                    up = p.copy()
+                    up[j] += STEP
+                    columns.append((driven(part, up) - plain) / STEP)
+                if not linear:
+                    block.shift = len(columns)
+                    columns.append(driven(part, p) - plain)
+            else:
+                logs = np.array([s.log for s in specs])
+                at = np.where(logs, np.exp(np.where(logs, p, 0.0)), p)
+                columns.extend(effect.columns(signals, at, linear, part.settings).T)
             blocks.append(block)
     if not columns:
         return []
@@ -180,7 +174,7 @@ def screen(problem: Problem, fitted: Fit, parts: Sequence[Part]) -> list[Score]:
             cc, qcc = c[:, where], qc[:, where]
             gram = cc.T @ cc - qcc.T @ qcc
             b = -(cc.T @ residual - qcc.T @ q_residual)
-            sizes = _sizes(problem, block, signals)
+            sizes = problem.sizes_of(block.part)
             full = block.part.effect.precision(block.part.settings, sizes)
             precision = full[np.ix_(block.linear, block.linear)]
             factor = cho_factor(gram + precision)
@@ -193,19 +187,14 @@ def screen(problem: Problem, fitted: Fit, parts: Sequence[Part]) -> list[Score]:
             start[block.linear] = x
         label = block.part.effect.label
         if label not in score or nats > score[label].nats:
-            score[label] = Score(block.part, start, nats)
+            starts = (start,)
+            if block.count and block.count < start.size:
+                # a linear step may overshoot what is not linear
+                gentle = start.copy()
+                gentle[block.linear] *= 0.3
+                starts = (start, gentle)
+            score[label] = Score(block.part, starts, nats)
     return sorted(score.values(), key=lambda s: -s.nats)
-
-
-def _sizes(problem: Problem, block: _Block, signals) -> FloatArray:  # type: ignore[no-untyped-def]  # noqa: ANN001
-    from quad_sysid.estimate.fit import _high
-
-    return np.array([
-        spec.spread if spec.spread is not None else 0.5 * problem.acceleration / _high(
-            np.asarray(block.part.effect.size(signals, j, block.part.settings))[problem.rows]
-        )
-        for j, spec in enumerate(block.part.effect.parameters)
-    ])
 
 
 def candidates(problem: Problem, effects) -> tuple[list[Part], dict[str, str]]:  # type: ignore[no-untyped-def]  # noqa: ANN001
@@ -218,8 +207,3 @@ def candidates(problem: Problem, effects) -> tuple[list[Part], dict[str, str]]: 
         else:
             parts.append(Part(effect, settings))
     return parts, reasons
-
-
-def nothing() -> Structure:
-    """The base alone."""
-    return Structure()

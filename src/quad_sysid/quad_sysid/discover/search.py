@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from quad_sysid.contract import FloatArray
 from quad_sysid.discover.screen import Score, candidates, screen, vibration_line
 from quad_sysid.estimate.fit import Fit, Problem, fit, start_of
-from quad_sysid.model.effect import Part
+from quad_sysid.model.effect import Effect, Part
 from quad_sysid.model.plant import Structure
 
 EXPECTED = 0.05
@@ -20,9 +20,18 @@ BEAM = 3
 """Structures that are built upon at each level."""
 REFITS = 6
 """Candidates that are fitted beside each of them."""
+EXCHANGES = 4
+"""Candidates that are fitted in the place of an effect of the best structure."""
 MOST_EFFECTS = 4
+HOPELESS = -12.0
+"""Linear score plus log prior below which a candidate is not fitted, nats."""
+ABANDONED = 20.0
+"""A structure so many nats behind the best of its size is not built upon."""
 MOST_LINES = 3
 """Narrow lines of vibration that the noise may hold."""
+
+
+Log = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -55,57 +64,105 @@ class Found:
         return out
 
 
-def extended(fitted: Fit, score: Score) -> FloatArray:
-    """Start of a fit with one more effect."""
-    base = fitted.theta.size - len(fitted.structure.noise)
-    return np.r_[fitted.theta[:base], score.start, fitted.theta[base:]]
+class _Search:
+    """What was fitted so far, by the labels of its effects."""
+
+    def __init__(self, problem: Problem, parts: Sequence[Part], base: Fit, log: Log | None) -> None:
+        self.problem, self.parts, self.log = problem, parts, log or (lambda _: None)
+        self.price = math.log(EXPECTED / max(len(parts), 1))
+        self.known: dict[frozenset[str], Scored] = {frozenset(): Scored(base, base.evidence)}
+        self.screened = 0
+
+    def build_on(self, parent: Fit, refits: int) -> list[Scored]:
+        """Structures with one more effect that linear scores speak for, fitted."""
+        have = set(parent.structure.labels)
+        rest = [p for p in self.parts if p.effect.label not in have]
+        scores = screen(self.problem, parent, rest)
+        self.screened += len(scores)
+        self.log(f'{parent.structure.labels}: ' + ', '.join(
+            f'{s.part.effect.label} {s.nats:.1f}' for s in scores[:8]
+        ))
+        out = []
+        for one in scores[:refits]:
+            if one.nats + self.price < HOPELESS:
+                break
+            fitted = self.add(parent, one)
+            if fitted is not None:
+                out.append(fitted)
+        return out
+
+    def add(self, parent: Fit, one: Score) -> Scored | None:
+        """A structure with one more effect; None where it was fitted before or runs away."""
+        labels = frozenset((*parent.structure.labels, one.part.effect.label))
+        if labels in self.known:
+            return None
+        structure = parent.structure.plus(one.part)
+        base = parent.theta.size - len(parent.structure.noise)
+        best: Fit | None = None
+        for start in one.starts:
+            theta = np.r_[parent.theta[:base], start, parent.theta[base:]]
+            try:
+                fitted = fit(self.problem, structure, theta, rate=parent.rate)
+            except (FloatingPointError, np.linalg.LinAlgError):
+                continue
+            if best is None or fitted.log_posterior > best.log_posterior:
+                best = fitted
+        return None if best is None else self.keep(best)
+
+    def keep(self, fitted: Fit) -> Scored:
+        """Note a fit with its score: log evidence plus log prior."""
+        labels = frozenset(fitted.structure.labels)
+        count = len(labels)
+        # effects come in any order: the list of a set counts once
+        scored = Scored(fitted, fitted.evidence + count * self.price - math.lgamma(count + 1))
+        self.known[labels] = scored
+        self.log(f'    {fitted.structure.labels} {scored.score:.1f}, {fitted.steps} steps'
+                 + ('' if fitted.converged else ', not converged'))
+        return scored
+
+    def best(self) -> Scored:
+        """The most probable structure."""
+        return max(self.known.values(), key=lambda s: s.score)
+
+    def exchange(self) -> bool:
+        """Try to put another effect in the place of each of the best; whether one was better."""
+        best = self.best()
+        if len(best.fit.structure.parts) < 2:
+            return False
+        for index in range(len(best.fit.structure.parts)):
+            structure = best.fit.structure.minus(index)
+            labels = frozenset(structure.labels)
+            if labels not in self.known:
+                where = best.fit.structure.slices()[index]
+                keep = np.r_[0 : where.start, where.stop : best.fit.theta.size]
+                self.keep(fit(self.problem, structure, best.fit.theta[keep], rate=best.fit.rate))
+            self.build_on(self.known[labels].fit, EXCHANGES)
+        return self.best() is not best
 
 
-def search(problem: Problem, effects: Sequence, *, log=None) -> Found:  # type: ignore[no-untyped-def, type-arg]  # noqa: ANN001
-    """The structures that the training segments speak for."""
+def search(problem: Problem, effects: Sequence[Effect], *, log: Log | None = None) -> Found:
+    """The structures that the training segments speak for.
+
+    A beam over structures, one effect at a time, until the evidence falls; then each effect of
+    the best is exchanged for what else could stand there, until nothing is better.
+    """
     parts, reasons = candidates(problem, effects)
-    price = math.log(EXPECTED / max(len(parts), 1))
     base = best_base(problem)
-    known: dict[frozenset[str], Scored] = {
-        frozenset(): Scored(base, base.evidence)
-    }
-    beam = [known[frozenset()]]
-    scored = 0
-    for level in range(MOST_EFFECTS):
-        fresh: list[Scored] = []
-        for parent in beam:
-            have = set(parent.fit.structure.labels)
-            rest = [p for p in parts if p.effect.label not in have]
-            scores = screen(problem, parent.fit, rest)
-            scored += len(scores)
-            if log:
-                log(f'{level} {parent.fit.structure.labels} {parent.score:.1f}: ' + ', '.join(
-                    f'{s.part.effect.label} {s.nats:.1f}' for s in scores[:8]))
-            for one in scores[:REFITS]:
-                if one.nats + price < -12.0:
-                    break
-                labels = frozenset((*have, one.part.effect.label))
-                if labels in known:
-                    continue
-                try:
-                    fitted = fit(problem, parent.fit.structure.plus(one.part),
-                                 extended(parent.fit, one), rate=parent.fit.rate)
-                except (FloatingPointError, np.linalg.LinAlgError):
-                    continue
-                known[labels] = Scored(
-                    fitted, fitted.evidence + price * len(fitted.structure.parts)
-                    - math.lgamma(len(labels) + 1)
-                )
-                if log:
-                    log(f'    {fitted.structure.labels} {known[labels].score:.1f} {fitted.steps}{"" if fitted.converged else " NOT CONVERGED"}')
-                fresh.append(known[labels])
+    problem.measure(base)
+    found = _Search(problem, parts, base, log)
+    beam = [found.best()]
+    for _ in range(MOST_EFFECTS):
         top = max(s.score for s in beam)
+        fresh = [s for parent in beam for s in found.build_on(parent.fit, REFITS)]
         fresh.sort(key=lambda s: -s.score)
         if not fresh or fresh[0].score <= top:
             break
-        beam = [s for s in fresh[:BEAM] if s.score > fresh[0].score - 20.0]
-    ordered = tuple(sorted(known.values(), key=lambda s: -s.score))
-    return Found(base, ordered, reasons, scored)
+        beam = [s for s in fresh[:BEAM] if s.score > fresh[0].score - ABANDONED]
+    for _ in range(MOST_EFFECTS):
+        if not found.exchange():
+            break
+    ordered = tuple(sorted(found.known.values(), key=lambda s: -s.score))
+    return Found(base, ordered, reasons, found.screened)
 
 
 def best_base(problem: Problem) -> Fit:
@@ -123,7 +180,7 @@ def best_base(problem: Problem) -> Fit:
     base = max(fits, key=lambda f: f.log_posterior)
     for _ in range(MOST_LINES):
         shaken = with_vibration(problem, base)
-        if shaken is None or shaken.evidence <= base.evidence:
+        if shaken is None or shaken.evidence + math.log(EXPECTED) <= base.evidence:
             break
         base = shaken
     return base

@@ -105,19 +105,37 @@ class Curve(Effect):
             'time': s.time, 'command': s.lagged,
         }[self.signal]
 
-    def _factor(self, s: Signals) -> FloatArray | float:
-        return {
-            'torque': 1.0, 'gain': s.drive, 'damping': -s.rate, 'delay': -s.change,
-            'friction': -np.tanh(s.rate / STICTION_RATE),
-        }[self.term]
+    def _factor(self, s: Signals) -> FloatArray:
+        if self.term == 'gain':
+            return s.drive
+        if self.term == 'damping':
+            return -s.rate
+        if self.term == 'delay':
+            return -s.change
+        if self.term == 'friction':
+            return -np.tanh(s.rate / STICTION_RATE)
+        return np.ones_like(s.rate)
 
     def size(self, s: Signals, j: int, settings: Settings) -> FloatArray:
-        return np.broadcast_to(np.asarray(self._factor(s), dtype=float), s.rate.shape)
+        return self._factor(s)
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray | None:
         if self.term == 'lag':
             return None
         return self._factor(s) * self._along(self._signal(s), p, settings)
+
+    def columns(self, s: Signals, p: FloatArray, linear: Sequence[int], settings: Settings) -> FloatArray:
+        """The hats of all knots at once."""
+        knots = np.array(settings['knots'])
+        x = np.clip(self._signal(s), knots[0], knots[-1])
+        index = np.clip(np.searchsorted(knots, x, side='right') - 1, 0, knots.size - 2)
+        share = (x - knots[index]) / (knots[index + 1] - knots[index])
+        factor = self._factor(s)
+        out = np.zeros((x.size, knots.size))
+        rows = np.arange(x.size)
+        out[rows, index] = factor * (1.0 - share)
+        out[rows, index + 1] = factor * share
+        return out
 
     def actuate(self, data: AxisData, drive: Drive, p: FloatArray, settings: Settings) -> Drive:
         if self.term != 'lag':

@@ -14,9 +14,9 @@ from scipy.linalg import solve_triangular
 from scipy.special import gammaln
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.model.data import AxisData, Span
+from quad_sysid.model.data import AxisData, Span, part_of
 from quad_sysid.model.effect import Part
-from quad_sysid.model.plant import BASE, NOISE, Flight, Prediction, Structure
+from quad_sysid.model.plant import BASE, NOISE, Flight, Prediction, Structure, passes_of
 
 SETTLE_S = 0.5
 """Innovations count from so long after the begin of an unbroken stretch."""
@@ -87,17 +87,24 @@ def tail_of(e: FloatArray, degrees: tuple[float, ...] = DEGREES) -> Tail:
 
 @dataclass
 class Problem:
-    """An axis' flight, and which of its samples count."""
+    """What is fitted: spans of an axis' flight, each with its lead; the rest is left out.
+
+    `data` and `spans` are those of the part that is kept; of the whole flight where `whole`.
+    """
 
     data: AxisData
     spans: tuple[Span, ...]
+    whole: bool = False
     flight: Flight = field(init=False)
     rows: np.ndarray = field(init=False)
     acceleration: float = field(init=False)
     """Typical acceleration of the axis, rad/s²: what priors are measured by."""
 
     def __post_init__(self) -> None:
+        if not self.whole:
+            self._keep(passes_of(self.data, self.spans))
         self.flight = Flight(self.data, self.spans)
+        self._sizes: dict[str, FloatArray] = {}
         count = np.zeros(self.data.rate.size, dtype=bool)
         for start, stop in self.spans:
             count[start:stop] = True
@@ -110,26 +117,52 @@ class Problem:
         change = np.concatenate([x[2 * reach :] - x[: -2 * reach] for x in inside])
         self.acceleration = float(np.std(change)) / (2 * reach * self.data.dt) or 1.0
 
-    def sizes(self, structure: Structure, theta: FloatArray) -> FloatArray:
-        """Prior standard deviation of each parameter in the coordinates of the fit."""
-        p = structure.natural(theta)
-        rows = self.rows
-        acceleration = self.acceleration
-        halves, states = self.flight.driven(structure, p)
-        signals = self.flight.signals(p, halves, states, self.flight.rate)
-        command = _high(self.data.command[rows])
-        rate = _high(self.data.rate[rows])
-        base = [30.0 * acceleration / command, BASE[1].spread, BASE[2].spread,
-                0.5 * acceleration / rate, acceleration]
-        own: list[float] = []
-        for part in structure.parts:
+    def _keep(self, passes: tuple[Span, ...]) -> None:
+        begins = np.cumsum([0] + [b - a for a, b in passes])
+        self.spans = tuple(
+            (a - start + int(begin), b - start + int(begin))
+            for a, b in sorted(self.spans)
+            for (start, stop), begin in zip(passes, begins, strict=False)
+            if start <= a and b <= stop
+        )
+        self.data = part_of(self.data, passes)
+
+    def measure(self, fitted: Fit) -> None:
+        """Take the signals of a fit for the sizes of priors from now on: one for all structures."""
+        p = fitted.values
+        halves, states = self.flight.driven(fitted.structure, p)
+        self._reference = self.flight.signals(p, halves, states, fitted.rate)
+        self._sizes = {}
+
+    def sizes_of(self, part: Part) -> FloatArray:
+        """Prior standard deviation of an effect's parameters in the coordinates of the fit."""
+        label = part.effect.label
+        if label not in self._sizes:
+            out = np.empty(len(part.effect.parameters))
+            alike: float | None = None
             for j, spec in enumerate(part.effect.parameters):
                 if spec.spread is not None:
-                    own.append(spec.spread)
-                    continue
-                unit = _high(part.effect.size(signals, j, part.settings)[rows])
-                own.append(0.5 * acceleration / unit)
-        return np.array([*base, *own, *[s.spread for s in structure.noise]], dtype=float)
+                    out[j] = spec.spread
+                elif alike is not None:
+                    out[j] = alike
+                else:
+                    unit = _high(part.effect.size(self._reference, j, part.settings)[self.rows])
+                    out[j] = 0.5 * self.acceleration / unit
+                    if part.effect.kind == 'shape':
+                        alike = float(out[j])
+            self._sizes[label] = out
+        return self._sizes[label]
+
+    def sizes(self, structure: Structure) -> FloatArray:
+        """Prior standard deviation of each parameter in the coordinates of the fit."""
+        rows, acceleration = self.rows, self.acceleration
+        base = [
+            30.0 * acceleration / _high(self.data.command[rows]), BASE[1].spread, BASE[2].spread,
+            0.5 * acceleration / _high(self.data.rate[rows]), acceleration,
+        ]
+        own = [self.sizes_of(part) for part in structure.parts]
+        noise = [s.spread for s in structure.noise]
+        return np.concatenate([np.array(base, dtype=float), *own, np.array(noise, dtype=float)])
 
     def centres(self, structure: Structure) -> FloatArray:
         """Prior means in the coordinates of the fit."""
@@ -200,7 +233,7 @@ def fit(
     theta = start.astype(float).copy()
     if still:
         theta[0] = 0.0
-    sizes = problem.sizes(structure, theta)
+    sizes = problem.sizes(structure)
     precision = problem.precision(structure, sizes)
     root = np.linalg.cholesky(precision).T
     centres = problem.centres(structure)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -62,6 +62,8 @@ class AxisData:
     validation_names: tuple[str, ...] = ()
     reference: FloatArray | None = None
     """(n,) what drives the loop from outside, as Record.external; NaN where a record lacks it."""
+    time_s: FloatArray | None = None
+    """(n,) time of each sample where the samples are a part of a flight; None: from its first."""
     trim: tuple[float, float] | None = None
     """Command and rate (rad/s) of the equilibrium, once a fit has told; None: not known."""
 
@@ -94,6 +96,37 @@ class AxisData:
             starts.extend(found)
             owners.extend([number] * len(found))
         return Windows(np.array(starts, dtype=np.int64), length, np.array(owners, dtype=np.int64))
+
+
+def part_of(data: AxisData, passes: Sequence[Span]) -> AxisData:
+    """The samples of some unbroken stretches alone, one behind the other."""
+    index = np.concatenate([np.arange(a, b) for a, b in passes])
+    ends = np.cumsum([b - a for a, b in passes])
+    begins = np.r_[0, ends[:-1]]
+
+    def moved(spans: Sequence[Span]) -> tuple[Span, ...]:
+        return tuple(
+            (a - start + int(begin), b - start + int(begin))
+            for a, b in spans
+            for (start, stop), begin in zip(passes, begins, strict=True)
+            if start <= a and b <= stop
+        )
+
+    def cut(signal: FloatArray | None) -> FloatArray | None:
+        return None if signal is None else np.ascontiguousarray(signal[index])
+
+    time = np.arange(data.rate.size) * data.dt if data.time_s is None else data.time_s
+    return replace(
+        data, rate=data.rate[index], angle=cut(data.angle), control=data.control[index],
+        motors=data.motors[index], other_rates=data.other_rates[index],
+        battery_v=cut(data.battery_v), reference=cut(data.reference), time_s=time[index],
+        stretches=tuple((int(a), int(b)) for a, b in zip(begins, ends, strict=True)),
+        train=moved(data.train), validation=moved(data.validation), idle=moved(data.idle),
+        validation_names=tuple(
+            name for name, (a, b) in zip(data.validation_names, data.validation, strict=False)
+            if any(start <= a and b <= stop for start, stop in passes)
+        ),
+    )
 
 
 def axis_data(records: Sequence[Record], axis: str) -> AxisData:

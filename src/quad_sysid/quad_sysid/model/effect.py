@@ -18,6 +18,8 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.model.data import AxisData
 
 Settings = Mapping[str, Any]
+SMALL = 1e-4
+"""Of a parameter, for what it does to first order."""
 
 
 @dataclass(frozen=True)
@@ -132,6 +134,19 @@ class Effect:
         if own is None:
             raise NotImplementedError(f'{self.label}.{self.parameters[j].name} needs a spread')
         return own
+
+    def columns(
+        self, s: Signals, p: FloatArray, linear: Sequence[int], settings: Settings
+    ) -> FloatArray:
+        """(n, len(linear)) acceleration per unit of parameters that are zero in p (units)."""
+        out = np.empty((s.rate.size, len(linear)))
+        for place, j in enumerate(linear):
+            at = p.copy()
+            at[j] = SMALL
+            own = self.torque(s, at, settings)
+            assert own is not None
+            out[:, place] = own / SMALL
+        return out
 
     def starts(self, data: AxisData, settings: Settings) -> Sequence[FloatArray]:
         """Parameters to search from, in their units; those without a spread count for nothing."""

@@ -16,10 +16,6 @@ from scipy.linalg import expm
 from quad_sysid.contract import FloatArray
 from quad_sysid.model.recursion import riccati
 
-AFTER_FILTER = 0.1
-"""Noise of the rate behind the gyro filter (rounding, sampling) as a share of that before it."""
-
-
 @dataclass(frozen=True)
 class Noise:
     """Ratios to the gyro's noise, whose size the innovations give.
@@ -31,6 +27,9 @@ class Noise:
     white: float
     disturbance: float
     correlation_s: float
+    after: float = 0.1
+    """Noise behind the gyro filter (rounding, sampling) over that before it, in a model that
+    contains the filter."""
     lines: tuple[tuple[float, float, float], ...] = ()
     """Narrow lines of vibration in the measured rate that move no aircraft, each with its RMS
     over the gyro noise, its frequency and its width, Hz."""
@@ -115,7 +114,7 @@ def kalman(noise: Noise, damping: float, gyro: FloatArray, filtered: bool, dt: f
         move += [turn, over]
     r = floor = 1.0
     if filtered:
-        r = AFTER_FILTER**2
+        r = noise.after**2
         inside = gyro[:, 2:].sum(axis=1)
         process[2:4, 2:4] += np.outer(inside, inside)
         floor = _floor(gyro) + r

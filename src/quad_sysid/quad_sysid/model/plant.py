@@ -40,6 +40,7 @@ NOISE = (
     Spec('white', '(rad/s²)/√Hz per rad/s', spread=3.0, centre=math.log(10.0), log=True),
     Spec('disturbance', 'rad/s² per rad/s', spread=3.0, centre=math.log(30.0), log=True),
     Spec('correlation', 's', spread=1.0, centre=math.log(0.3), log=True),
+    Spec('after', '1', spread=1.0, centre=math.log(0.1), log=True),
 )
 VIBRATION = (
     Spec('vibration', '1', spread=2.0, centre=0.0, log=True),
@@ -113,6 +114,20 @@ class Pushed:
     slope: FloatArray
 
 
+def passes_of(data: AxisData, spans: Sequence[Span]) -> tuple[Span, ...]:
+    """What the filter follows: the spans with LEAD_S before each, where that is unbroken."""
+    lead = round(LEAD_S / data.dt)
+    merged: list[list[int]] = []
+    for start, stop in sorted(spans):
+        home = next(s for s in data.stretches if s[0] <= start < s[1])
+        begin = max(home[0], start - lead)
+        if merged and begin <= merged[-1][1] and merged[-1][0] >= home[0]:
+            merged[-1][1] = max(merged[-1][1], stop)
+        else:
+            merged.append([begin, stop])
+    return tuple((a, b) for a, b in merged)
+
+
 @dataclass
 class Flight:
     """One axis of a flight as the filter follows it.
@@ -129,16 +144,7 @@ class Flight:
 
     def __post_init__(self) -> None:
         data = self.data
-        lead = round(LEAD_S / data.dt)
-        merged: list[list[int]] = []
-        for start, stop in sorted(self.spans):
-            home = next(s for s in data.stretches if s[0] <= start < s[1])
-            begin = max(home[0], start - lead)
-            if merged and begin <= merged[-1][1] and merged[-1][0] >= home[0]:
-                merged[-1][1] = max(merged[-1][1], stop)
-            else:
-                merged.append([begin, stop])
-        self.passes = tuple((a, b) for a, b in merged)
+        self.passes = passes_of(data, self.spans)
         self.gyro = gyro_step(data.gyro_filter_hz, data.dt)
         self.filtered = data.gyro_filter_hz is not None
         self.late = 0.0 if not self.filtered else math.sqrt(2.0) / (
@@ -146,7 +152,8 @@ class Flight:
         )
         n = data.rate.size
         self.row = np.ascontiguousarray(MIXER_INVERSE[data.index + 1])
-        self.time = (np.arange(n) + 0.5) * data.dt
+        time = np.arange(n) * data.dt if data.time_s is None else data.time_s
+        self.time = time + 0.5 * data.dt
         self.angle = None if data.angle is None else np.nan_to_num(data.angle)
         self.others = None
         if np.isfinite(data.other_rates).mean() > 0.5:
@@ -270,6 +277,10 @@ class Flight:
         centre = structure.natural(theta)
         halves, states = self.driven(structure, centre)
         s = self.signals(centre, halves, states, rate)
+        follows_drive = any(
+            'command' in part.effect.signals and type(part.effect).torque is not Effect.torque
+            for part in structure.parts
+        )
         owner = {
             j: (part, where)
             for part, where in zip(structure.parts, structure.slices(), strict=True)
@@ -290,11 +301,17 @@ class Flight:
                 ) / span
             else:
                 up, down = self._stepped(structure, theta, j, steps[j])
-                difference = (
-                    self.pushed(structure, up, rate).known
-                    - self.pushed(structure, down, rate).known
-                )
-                difference /= 2.0 * steps[j]
+                if follows_drive:
+                    difference = (
+                        self.pushed(structure, up, rate).known
+                        - self.pushed(structure, down, rate).known
+                    ) / (2.0 * steps[j])
+                elif j == 0:
+                    difference = halves
+                else:
+                    difference = (
+                        self.driven(structure, up)[0] - self.driven(structure, down)[0]
+                    ) * (centre[0] / (2.0 * steps[j]))
                 out[:, place] = 0.5 * (difference[0] + difference[1])
                 bends[:, place] = 0.5 * (difference[0] - difference[1])
         self.order = order
@@ -315,8 +332,8 @@ class Flight:
         """The steady Kalman filter at these parameters."""
         p = structure.natural(theta)[-len(structure.noise) :]
         noise = Noise(
-            *(float(v) for v in p[:3]),
-            lines=tuple((float(a), float(f), float(w)) for a, f, w in p[3:].reshape(-1, 3)),
+            *(float(v) for v in p[: len(NOISE)]),
+            lines=tuple((float(a), float(f), float(w)) for a, f, w in p[len(NOISE) :].reshape(-1, 3)),
         )
         return kalman(noise, damping, self.gyro, self.filtered, self.data.dt)
 

@@ -114,17 +114,13 @@ class HeldOut:
 class Findings:
     """What the search and the held-out segments said of one axis."""
 
+    data: AxisData
     problem: Problem
     found: Found
     verdict: Verdict
     before: HeldOut
     after: HeldOut
     """The same object as `before` where nothing was added."""
-
-    @property
-    def data(self) -> AxisData:
-        """The flight."""
-        return self.problem.data
 
     @property
     def added(self) -> bool:

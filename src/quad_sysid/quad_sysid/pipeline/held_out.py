@@ -11,15 +11,16 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.discover.accept import Unseen, Verdict
 from quad_sysid.discover.search import Found
 from quad_sysid.estimate.fit import Fit, Problem
+from quad_sysid.model.data import AxisData
 from quad_sysid.pipeline.answer import Findings, HeldOut
 
 
-def findings(problem: Problem, found: Found, verdict: Verdict) -> Findings:
+def findings(data: AxisData, problem: Problem, found: Found, verdict: Verdict) -> Findings:
     """Base and chosen model on the validation segments."""
-    unseen = Unseen(problem.data, problem.data.validation)
+    unseen = Unseen(data, data.validation)
     before = _held_out(unseen, found.base)
     after = before if verdict.chosen is found.base else _held_out(unseen, verdict.chosen)
-    return Findings(problem, found, verdict, before, after)
+    return Findings(data, problem, found, verdict, before, after)
 
 
 def _held_out(unseen: Unseen, fitted: Fit) -> HeldOut:

@@ -110,7 +110,7 @@ def _found(data: AxisData, options: Options, progress: Progress) -> Findings:
         problem = Problem(data, data.train)
         found = search(problem, EFFECTS if options.search_effects else ())
         progress(f'{data.axis}: held-out segments')
-        return findings(problem, found, judge(problem, found))
+        return findings(data, problem, found, judge(data, problem, found))
     except (FloatingPointError, np.linalg.LinAlgError) as error:
         raise NotInformativeError(
             f'{data.axis}: no model of this axis can be fitted to the training ({error}); '
