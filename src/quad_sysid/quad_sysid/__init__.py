@@ -14,7 +14,6 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from quad_sysid import greybox as greybox
     from quad_sysid.bags import read_bag as read_bag
     from quad_sysid.blackbox import (
         FrequencyResponse,
@@ -48,11 +47,13 @@ if TYPE_CHECKING:
         spa,
     )
     from quad_sysid.errors import BadInputError, NotInformativeError, QuadSysidError
+    from quad_sysid.pipeline.direct import greybox
     from quad_sysid.record import IOData, Record, Segment
 
 _HOMES = {
     'quad_sysid.bags': ('read_bag',),
     'quad_sysid.errors': ('BadInputError', 'NotInformativeError', 'QuadSysidError'),
+    'quad_sysid.pipeline.direct': ('greybox',),
     'quad_sysid.record': ('IOData', 'Record', 'Segment'),
     'quad_sysid.blackbox': (
         'FrequencyResponse', 'LinearController', 'Model', 'OrderSearch', 'ResidualTest',
@@ -107,8 +108,6 @@ __all__ = [
 
 def __getattr__(name: str) -> object:
     """Load a public name from its home (PEP 562)."""
-    if name == 'greybox':
-        return import_module('quad_sysid.greybox')
     home = _HOME_OF.get(name)
     if home is None:
         raise AttributeError(f'module {__name__!r} has no attribute {name!r}')

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -163,6 +163,9 @@ class Saturation(Motors):
             'lower': (0.0 if upper else float(p[0]), '1'),
             'upper': (float(p[0]) if upper else 1.0, '1'),
         }
+
+    def fitted(self, values: Mapping[str, float], settings: Settings) -> FloatArray:
+        return np.array([values[self.variant]])
 
 
 class SlewLimit(Motors):

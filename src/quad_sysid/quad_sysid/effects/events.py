@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -101,6 +101,10 @@ class PeriodicDisturbance(Effect):
             'amplitude': (math.hypot(p[1], p[2]), 'rad/s²'), 'frequency': (float(p[0]), 'Hz'),
             'phase': (math.atan2(p[2], p[1]), 'rad'),
         }
+
+    def fitted(self, values: Mapping[str, float], settings: Settings) -> FloatArray:
+        size, phase = values['amplitude'], values['phase']
+        return np.array([values['frequency'], size * math.cos(phase), size * math.sin(phase)])
 
 
 EVENTS = (StepTorque(), StepGain(), PeriodicDisturbance())

@@ -155,17 +155,14 @@ def effects_of(
     probabilities: Sequence[float], rivals: Sequence[tuple[tuple[str, float], ...]],
 ) -> tuple[EffectEstimate, ...]:
     """The effects of a fit, as they are handed on."""
-    values = fitted.values
     return tuple(
         EffectEstimate(
             name=part.effect.name, kind=part.effect.kind, signals=part.effect.signals,
-            parameters=parameters, variant=part.effect.variant,
-            fitted=tuple(float(v) for v in values[where]), settings=dict(part.settings),
+            parameters=parameters, variant=part.effect.variant, settings=dict(part.settings),
             p_value=p_value, error_reduction_pct=reduction, probability=probability, rivals=others,
         )
-        for part, where, parameters, reduction, probability, others in zip(
-            fitted.structure.parts, fitted.structure.slices(), told.effects, reductions,
-            probabilities, rivals, strict=True,
+        for part, parameters, reduction, probability, others in zip(
+            fitted.structure.parts, told.effects, reductions, probabilities, rivals, strict=True
         )
     )
 
@@ -173,7 +170,8 @@ def effects_of(
 def completed(model: AxisModel) -> Stored:
     """The model with its effects, to be run. Raises BadInputError for an unknown effect."""
     parts = tuple(part_of(model, effect) for effect in model.effects)
-    return _stored(model.base, parts, [effect.fitted for effect in model.effects], model.noise)
+    fitted = [fitted_of(part, one) for part, one in zip(parts, model.effects, strict=True)]
+    return _stored(model.base, parts, fitted, model.noise)
 
 
 def plain(model: AxisModel) -> Stored:
@@ -182,7 +180,7 @@ def plain(model: AxisModel) -> Stored:
 
 
 def _stored(
-    base: Sequence[Parameter], parts: tuple[Part, ...], effects: Sequence[Sequence[float]],
+    base: Sequence[Parameter], parts: tuple[Part, ...], effects: Sequence[FloatArray],
     noise: NoiseEstimate | None,
 ) -> Stored:
     values = {p.name: p.value for p in base}
@@ -205,12 +203,23 @@ def _stored(
 def part_of(model: AxisModel, effect: EffectEstimate) -> Part:
     """The physics of a stored effect. Raises BadInputError for one that is not known."""
     known = KNOWN.get((effect.name, effect.variant))
-    if known is None or len(known.parameters) != len(effect.fitted):
+    names = {p.name for p in effect.parameters}
+    settings = _settings(effect.settings)
+    wanted = set() if known is None else {
+        *known.readable(np.ones(len(known.parameters)), settings)
+    }
+    if known is None or names != wanted:
         raise BadInputError(
             f'model: {model.axis}.effects', 'an effect this version does not know',
-            f'{effect.name} {effect.variant}'.strip(), 'identify again with this version',
+            f'{effect.name} {effect.variant} ({", ".join(sorted(names))})',
+            'identify again with this version',
         )
-    return Part(known, _settings(effect.settings))
+    return Part(known, settings)
+
+
+def fitted_of(part: Part, effect: EffectEstimate) -> FloatArray:
+    """(p,) parameters of a stored effect as its physics takes them."""
+    return part.effect.fitted({p.name: p.value for p in effect.parameters}, part.settings)
 
 
 def _settings(stored: Mapping[str, object]) -> Settings:

@@ -162,6 +162,11 @@ class Effect:
             for spec, value in zip(self.parameters, p, strict=True)
         }
 
+    def fitted(self, values: Mapping[str, float], settings: Settings) -> FloatArray:
+        """The parameters that `readable` says so of, in their units."""
+        del settings
+        return np.array([values[spec.name] for spec in self.parameters])
+
     def elsewhere(self, p: FloatArray, settings: Settings, phase: float) -> FloatArray:
         """The parameters on another flight: of an event those after it; phase in rad."""
         del settings, phase

@@ -35,8 +35,6 @@ class EffectEstimate:
     parameters: tuple[Parameter, ...]
     variant: str = ''
     """Tells effects of one name apart, as in quad_sysid.effects."""
-    fitted: tuple[float, ...] = ()
-    """The parameters as the effect's physics takes them, from which `parameters` follow."""
     settings: Mapping[str, object] = field(default_factory=dict)
     """What is not estimated but needed to run it again (knots, reference voltage)."""
     p_value: float = 1.0

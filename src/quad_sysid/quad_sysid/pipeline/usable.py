@@ -26,7 +26,7 @@ def check_usable(data: AxisData) -> None:
     """Raise NotInformativeError for segments too short, nothing that moves, or limits."""
     _length(data)
     check_limits(data, data.train, 'the training')
-    _moving(data)
+    check_moving(data)
 
 
 def check_limits(data: AxisData, spans: Sequence[Span], where: str) -> None:
@@ -44,7 +44,8 @@ def _length(data: AxisData) -> None:
         )
 
 
-def _moving(data: AxisData) -> None:
+def check_moving(data: AxisData) -> None:
+    """Raise NotInformativeError for training too short for a fit, or in which nothing moves."""
     count = data.windows(data.train).count
     if count < LEAST_WINDOWS:
         raise NotInformativeError(

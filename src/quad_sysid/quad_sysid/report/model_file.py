@@ -33,7 +33,7 @@ _MODEL_KEYS = frozenset(
 )  # fmt: skip
 _EFFECT_KEYS = frozenset(
     {
-        'name', 'kind', 'signals', 'parameters', 'variant', 'fitted', 'settings', 'p_value',
+        'name', 'kind', 'signals', 'parameters', 'variant', 'settings', 'p_value',
         'error_reduction_pct', 'probability', 'rivals',
     }
 )  # fmt: skip
@@ -142,7 +142,6 @@ def _effect_out(effect: EffectEstimate, where: str) -> dict[str, Any]:
         'signals': list(effect.signals),
         'parameters': [_parameter_out(p, where) for p in effect.parameters],
         'variant': effect.variant,
-        'fitted': [_finite(v, f'{where}.fitted') for v in effect.fitted],
         'settings': {key: _plain(v, f'{where}.settings') for key, v in effect.settings.items()},
         'p_value': _finite(effect.p_value, f'{where}.p_value'),
         'error_reduction_pct': _finite(effect.error_reduction_pct, f'{where}.error_reduction_pct'),
@@ -254,7 +253,6 @@ def _effect_in(tree: object, where: str) -> EffectEstimate:
         signals=_strings(fields['signals'], f'{where}.signals'),
         parameters=_parameters_in(fields['parameters'], f'{where}.parameters'),
         variant=_string(fields['variant'], f'{where}.variant'),
-        fitted=_numbers(fields['fitted'], f'{where}.fitted'),
         settings=fields['settings'],
         p_value=_number(fields['p_value'], f'{where}.p_value'),
         error_reduction_pct=_number(fields['error_reduction_pct'], f'{where}.error_reduction_pct'),
