@@ -140,13 +140,15 @@ def _units(structure: Structure) -> tuple[str, ...]:
 def noise_of(fitted: Fit) -> NoiseEstimate:
     """The noise that a fit ended with."""
     values = fitted.values[-len(fitted.structure.noise) :]
-    white, disturbance, correlation = (float(v) for v in values[:3])
     found, tail = fitted.prediction.filter, fitted.tail
     variance = tail.variance / found.innovation
     return NoiseEstimate(
-        white, disturbance, correlation, tail.scale, tail.degrees,
-        float(np.sqrt(variance)), float(np.sqrt(variance * found.floor)),
-        tuple((float(a), float(f), float(w)) for a, f, w in values[3:].reshape(-1, 3)),
+        ratios={spec.name: float(v) for spec, v in zip(NOISE, values, strict=False)},
+        scale=tail.scale, degrees=tail.degrees,
+        gyro_rms=float(np.sqrt(variance)), measured_rms=float(np.sqrt(variance * found.floor)),
+        lines=tuple(
+            (float(a), float(f), float(w)) for a, f, w in values[len(NOISE) :].reshape(-1, 3)
+        ),
     )
 
 
@@ -186,10 +188,8 @@ def _stored(
     values = {p.name: p.value for p in base}
     known = (1.0, 1.0) if noise is None else (noise.scale, noise.degrees)
     lines = () if noise is None else noise.lines
-    numbers = (
-        [np.exp(spec.centre) for spec in NOISE] if noise is None
-        else [noise.white, noise.disturbance, noise.correlation_s]
-    )
+    ratios = {} if noise is None else noise.ratios
+    numbers = [ratios.get(spec.name, np.exp(spec.centre)) for spec in NOISE]
     structure = Structure(parts, len(lines))
     p = np.array([
         *(values[spec.name] for spec in BASE), *(v for own in effects for v in own), *numbers,

@@ -48,12 +48,9 @@ class EffectEstimate:
 class NoiseEstimate:
     """The noise of a fit: what its Kalman filter follows from, and how large it is."""
 
-    white: float
-    """White torque noise over the gyro's, (rad/s²)/√Hz per rad/s."""
-    disturbance: float
-    """RMS of the torque disturbance over the gyro's noise, rad/s² per rad/s."""
-    correlation_s: float
-    """Correlation time of the torque disturbance, s."""
+    ratios: Mapping[str, float]
+    """White torque noise, torque disturbance and so on over the gyro's noise, as named and with
+    the units of plant.NOISE."""
     scale: float
     """Of the innovations' distribution, Student's t, rad/s."""
     degrees: float
@@ -68,7 +65,12 @@ class NoiseEstimate:
     @property
     def disturbance_rms(self) -> float:
         """RMS of the torque disturbance, rad/s²."""
-        return self.disturbance * self.gyro_rms
+        return self.ratios['disturbance'] * self.gyro_rms
+
+    @property
+    def correlation_s(self) -> float:
+        """Correlation time of the torque disturbance, s."""
+        return self.ratios['correlation']
 
 
 @dataclass(frozen=True)

@@ -115,7 +115,9 @@ class Findings:
     """What the search and the held-out segments said of one axis."""
 
     data: AxisData
+    """The whole flight."""
     problem: Problem
+    """Its training segments, cut out, on which `found` was fitted."""
     found: Found
     verdict: Verdict
     before: HeldOut

@@ -69,7 +69,7 @@ def missing_torque(held: HeldOut, dt: float) -> MissingTorque:
     """The torque disturbance that the filter sees, beside what its own noise lets one expect."""
     known = np.flatnonzero(np.isfinite(held.disturbance))
     noise, found = stored.noise_of(held.fit), held.fit.prediction.filter
-    seen = max(noise.disturbance**2 - float(found.covariance[1, 1]), 0.0)
+    seen = max(noise.ratios['disturbance'] ** 2 - float(found.covariance[1, 1]), 0.0)
     return MissingTorque(
         known * dt, held.disturbance[known], noise.gyro_rms * float(np.sqrt(seen))
     )

@@ -201,7 +201,7 @@ def _picture(along: Along, part: Part) -> Sketch:
         return _map(along, part)
     if term == 'response':
         return _response(along, part)
-    inside = settled(along.problem.data.train, along.problem.data.dt)
+    inside = settled(along.problem.spans, along.problem.data.dt)
     values = variable(along, part)[inside]
     x = np.linspace(*np.nanpercentile(values, [0.5, 99.5]), GRID)
     signal = part.effect.signals[0]
@@ -273,7 +273,7 @@ def _record(
         data, dt=dt, rate=np.zeros(n), angle=None, control=control,
         motors=motors_from_wrench(control), other_rates=np.zeros((n, 2)),
         battery_v=battery_v, gyro_filter_hz=None, stretches=((0, n),), train=((0, n),),
-        validation=(), idle=(), validation_names=(), reference=None,
+        validation=(), idle=(), validation_names=(), reference=None, time_s=None,
     )
 
 

@@ -7,7 +7,6 @@ means stands in quad_sysid/model.py; nothing is fitted or judged here.
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import math
 import os
@@ -37,7 +36,7 @@ _EFFECT_KEYS = frozenset(
         'error_reduction_pct', 'probability', 'rivals',
     }
 )  # fmt: skip
-_NOISE_KEYS = frozenset(one.name for one in dataclasses.fields(NoiseEstimate))
+_NOISE_NUMBERS = ('scale', 'degrees', 'gyro_rms', 'measured_rms')
 _PARAMETER_KEYS = frozenset({'name', 'value', 'std', 'unit'})
 
 
@@ -119,9 +118,11 @@ def _model_out(model: AxisModel, where: str) -> dict[str, Any]:
 def _noise_out(noise: NoiseEstimate | None, where: str) -> dict[str, Any] | None:
     if noise is None:
         return None
-    numbers = {n: v for n, v in dataclasses.asdict(noise).items() if n != 'lines'}
     return {
-        **{name: _finite(value, f'{where}.{name}') for name, value in numbers.items()},
+        'ratios': {
+            name: _finite(value, f'{where}.{name}') for name, value in noise.ratios.items()
+        },
+        **{name: _finite(getattr(noise, name), f'{where}.{name}') for name in _NOISE_NUMBERS},
         'lines': [[_finite(v, f'{where}.lines') for v in line] for line in noise.lines],
     }
 
@@ -215,15 +216,26 @@ def _model_in(axis: str, tree: object, where: str) -> AxisModel:
 def _noise_in(tree: object, where: str) -> NoiseEstimate | None:
     if tree is None:
         return None
-    numbers = dict(_object(tree, where, _NOISE_KEYS))
-    lines = [_numbers(one, f'{where}.lines') for one in _list(numbers.pop('lines'), where)]
+    found = _object(tree, where, frozenset({'ratios', 'lines', *_NOISE_NUMBERS}))
+    if not isinstance(found['ratios'], dict):
+        raise BadInputError(f'{where}.ratios', 'must be an object of numbers', found['ratios'])
+    lines = [_numbers(one, f'{where}.lines') for one in _list(found['lines'], where)]
     if any(len(one) != 3 for one in lines):
         raise BadInputError(f'{where}.lines', 'must hold size, frequency and width of each', lines)
-    noise = {name: _number(value, f'{where}.{name}') for name, value in numbers.items()}
-    for name, value in noise.items():
+    positive = {
+        name: _number(value, f'{where}.{name}')
+        for name, value in (
+            *found['ratios'].items(), *((name, found[name]) for name in _NOISE_NUMBERS)
+        )
+    }
+    for name, value in positive.items():
         if not value > 0.0:
             raise BadInputError(f'{where}.{name}', 'must be positive', value)
-    return NoiseEstimate(**noise, lines=tuple((a, f, w) for a, f, w in lines))
+    return NoiseEstimate(
+        ratios={name: positive[name] for name in found['ratios']},
+        **{name: positive[name] for name in _NOISE_NUMBERS},
+        lines=tuple((a, f, w) for a, f, w in lines),
+    )
 
 
 def _parameters_in(tree: object, where: str) -> tuple[Parameter, ...]:

@@ -25,19 +25,21 @@ def left_out(answer: AxisAnswer) -> Picture | None:
     found = answer.findings
     if found is None:
         return None
-    data = found.data
+    problem = found.problem
     runs = [(found.before.fit, BEFORE, 'base')]
     if found.added:
         runs.append((found.after.fit, AFTER, 'completed'))
-    at = missing_torque.variables(missing_torque.Along(found.problem, found.after.fit))
+    at = missing_torque.variables(missing_torque.Along(problem, found.after.fit))
     names = [name for name in SHOWN if name in at]
     figure, axes = panels(len(names), height_in=0.8 + 1.6 * len(names), share_x=False)
     figure.subplots_adjust(hspace=0.72)
     drawn = False
     for fit, colour, label in runs:
-        values = missing_torque.Along(found.problem, fit).left_out()
+        values = missing_torque.Along(problem, fit).left_out()
         for one, name in zip(axes, names, strict=True):
-            points = missing_torque.binned(at[name], values, data.train, data.dt)
+            points = missing_torque.binned(
+                at[name], values, problem.spans, problem.data.dt
+            )
             if points is None:
                 continue
             drawn = True
@@ -76,7 +78,7 @@ def effect_shapes(answer: AxisAnswer) -> Picture | None:
         if weights is not None:
             points = missing_torque.binned(
                 missing_torque.variable(along, part), along.added(index) + rest,
-                found.data.train, found.data.dt, 25, weights,
+                found.problem.spans, found.data.dt, 25, weights,
             )
             if points is not None:
                 one.errorbar(points.x, points.mean, Z99 * points.spread, color=INK, marker='o',
