@@ -135,7 +135,8 @@ def screen(problem: Problem, fitted: Fit, parts: Sequence[Part]) -> list[Score]:
             else:
                 logs = np.array([s.log for s in specs])
                 at = np.where(logs, np.exp(np.where(logs, p, 0.0)), p)
-                columns.extend(effect.columns(signals, at, linear, part.settings).T)
+                own = flight.hidden(part, signals, at)
+                columns.extend(effect.columns(own, at, linear, part.settings).T)
             blocks.append(block)
     if not columns:
         return []

@@ -90,10 +90,17 @@ class Curve(Effect):
         else:
             knots = np.linspace(low, high, self.count)
             place = np.linspace(-1.0, 1.0, self.count)
-        return {'knots': tuple(knots.tolist()), 'place': tuple(place.tolist())}
+        held = np.clip(used[np.isfinite(used)], knots[0], knots[-1])
+        mean = [float(np.mean(np.interp(held, knots, hat))) for hat in np.eye(self.count)]
+        if self.term == 'friction':  # the base has none
+            mean = [0.0] * self.count
+        return {
+            'knots': tuple(knots.tolist()), 'place': tuple(place.tolist()), 'mean': tuple(mean),
+        }
 
     def _along(self, x: FloatArray, p: FloatArray, settings: Settings) -> FloatArray:
-        return np.interp(x, settings['knots'], p)
+        # less its mean over the training, so that the base's parameters keep their meaning
+        return np.interp(x, settings['knots'], p) - float(np.dot(settings['mean'], p))
 
     def _signal(self, s: Signals, scale: float = 1.0) -> FloatArray:
         if self.signal.startswith('other rate'):
@@ -133,9 +140,9 @@ class Curve(Effect):
         factor = self._factor(s)
         out = np.zeros((x.size, knots.size))
         rows = np.arange(x.size)
-        out[rows, index] = factor * (1.0 - share)
-        out[rows, index + 1] = factor * share
-        return out
+        out[rows, index] = 1.0 - share
+        out[rows, index + 1] = share
+        return (out - np.array(settings['mean'])) * factor[:, None]
 
     def actuate(self, data: AxisData, drive: Drive, p: FloatArray, settings: Settings) -> Drive:
         if self.term != 'lag':
@@ -160,8 +167,8 @@ class Curve(Effect):
         return np.full(p.size, p[-1]) if self.signal == 'time' else p
 
     def readable(self, p: FloatArray, settings: Settings) -> dict[str, tuple[float, str]]:
-        unit = UNITS[self.term]
-        return {f'y{i}': (float(v), unit) for i, v in enumerate(p)}
+        mean = float(np.dot(settings['mean'], p))
+        return {f'y{i}': (float(v) - mean, UNITS[self.term]) for i, v in enumerate(p)}
 
 
 CELLS = {

@@ -52,6 +52,29 @@ class StepTorque(Effect):
         return np.array([LONG_AGO_S, p[1]])
 
 
+class Pulse(Effect):
+    name = 'event'
+    kind = 'event'
+    variant = 'torque for a while'
+    signals = ('time',)
+    parameters = (
+        Spec('time', 's', spread=30.0),
+        Spec('duration', 's', spread=1.0, centre=math.log(1.0), log=True),
+        Spec('torque', 'rad/s²'),
+    )
+    physics = 'a constant torque acts for a while (a touch, a cable that catches)'
+    excite = 'any; the event itself must fall into the training segments'
+
+    def starts(self, data: AxisData, settings: Settings) -> Sequence[FloatArray]:
+        return [np.array([t, d, 0.0]) for d in (0.3, 1.0, 3.0) for t in times(data)]
+
+    def size(self, s: Signals, j: int, settings: Settings) -> FloatArray:
+        return np.ones_like(s.time)
+
+    def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+        return p[2] * (after(s, p[0]) - after(s, p[0] + p[1]))
+
+
 class StepGain(Effect):
     name = 'step_event'
     variant = 'gain'
@@ -107,4 +130,4 @@ class PeriodicDisturbance(Effect):
         return np.array([values['frequency'], size * math.cos(phase), size * math.sin(phase)])
 
 
-EVENTS = (StepTorque(), StepGain(), PeriodicDisturbance())
+EVENTS = (StepTorque(), StepGain(), Pulse(), PeriodicDisturbance())

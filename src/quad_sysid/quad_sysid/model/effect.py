@@ -67,6 +67,8 @@ class Signals:
     """Normalised."""
     time: FloatArray
     """s from the first sample."""
+    hidden: FloatArray | None = None
+    """(states, …) of the effect itself, where it has any, at the begin of the cycle."""
 
 
 @dataclass(frozen=True)
@@ -171,6 +173,18 @@ class Effect:
         """The parameters on another flight: of an event those after it; phase in rad."""
         del settings, phase
         return p
+
+    def trace(
+        self, data: AxisData, rate: FloatArray, p: FloatArray, settings: Settings
+    ) -> FloatArray:
+        """(states, n) hidden states along a flight, at rest at the begin of each stretch."""
+        raise NotImplementedError
+
+    def advance(
+        self, x: FloatArray, rate: FloatArray, p: FloatArray, settings: Settings, dt: float
+    ) -> FloatArray:
+        """(states, w) hidden states a cycle later, for a rate (w,) held over it."""
+        raise NotImplementedError
 
     def precision(self, settings: Settings, sizes: FloatArray) -> FloatArray:
         """(p, p) precision of the prior of its parameters, in the coordinates of the fit.

@@ -237,6 +237,12 @@ class Flight:
             other_commands=self.other_commands, time=self.time,
         )
 
+    def hidden(self, part: Part, s: Signals, p: FloatArray) -> Signals:
+        """The signals with the effect's own states along the flight."""
+        if not part.effect.states:
+            return s
+        return replace(s, hidden=part.effect.trace(self.data, s.rate, p, part.settings))
+
     def pushed(self, structure: Structure, p: FloatArray, rate: FloatArray) -> Pushed:
         """Accelerations along the trajectory `rate`, and their slope over it."""
         halves, states = self.driven(structure, p)
@@ -244,7 +250,8 @@ class Flight:
         torque = p[4] - p[3] * rate
         slope = np.full(rate.size, -p[3])
         for part, where in zip(structure.parts, structure.slices(), strict=True):
-            own = part.effect.torque(s, p[where], part.settings)
+            with_states = self.hidden(part, s, p[where])
+            own = part.effect.torque(with_states, p[where], part.settings)
             if own is None:
                 continue
             torque = torque + own
@@ -296,8 +303,10 @@ class Flight:
                 up, down = self._stepped(structure, theta, j, steps[j])
                 span = 2.0 * steps[j]
                 out[:, place] = (
-                    part.effect.torque(s, up[where], part.settings)
-                    - part.effect.torque(s, down[where], part.settings)
+                    part.effect.torque(self.hidden(part, s, up[where]), up[where], part.settings)
+                    - part.effect.torque(
+                        self.hidden(part, s, down[where]), down[where], part.settings
+                    )
                 ) / span
             else:
                 up, down = self._stepped(structure, theta, j, steps[j])
@@ -433,17 +442,25 @@ class Flight:
             (part, p[where])
             for part, where in zip(structure.parts, structure.slices(), strict=True)
         ]
+        hidden = [
+            part.effect.trace(data, prediction.rate, values, part.settings)[:, windows.starts]
+            if part.effect.states else None for part, values in acting
+        ]
         for i in range(windows.length):
             k = np.minimum(windows.starts + i, last)
             out[:, i] = (g if self.filtered else r) + v.real.sum(axis=1) - data.rate[k]
             drive = p[0] * halves[:, k]
             mean = 0.5 * (drive[0] + drive[1])
             middle = r + 0.5 * dt * mean  # where physics is evaluated, then corrected by its slope
-            force, slope = self._force(acting, p, k, middle, angle, mean, states)
+            force, slope = self._force(acting, hidden, p, k, middle, angle, mean, states)
             a = 0.5 * dt * slope
             push = mean + force - slope * middle + hold * d
             new = ((1.0 + a) * r + dt * push) / (1.0 - a)
             half = 0.5 * (r + new)
+            hidden = [
+                None if x is None else part.effect.advance(x, half, values, part.settings, dt)
+                for x, (part, values) in zip(hidden, acting, strict=True)
+            ]
             bent = half + 0.25 * dt * (drive[0] - drive[1])
             g, q = (
                 gyro[0, 0] * g + gyro[0, 1] * q + gyro[0, 2] * r + gyro[0, 3] * bent
@@ -457,7 +474,7 @@ class Flight:
             v = v * turn
         return out
 
-    def _force(self, acting, p, k, rate, angle, drive, states):  # type: ignore[no-untyped-def]
+    def _force(self, acting, hidden, p, k, rate, angle, drive, states):  # type: ignore[no-untyped-def]
         """Torque and its slope over the rate at half cycle of samples k."""
         data = self.data
         force, slope = p[4] - p[3] * rate, np.full(rate.size, -p[3])
@@ -474,7 +491,8 @@ class Flight:
             other_commands=(self.other_commands[0][k], self.other_commands[1][k]),
             time=self.time[k],
         )
-        for part, values in acting:
+        for (part, values), x in zip(acting, hidden, strict=True):
+            s = replace(s, hidden=x)
             own = part.effect.torque(s, values, part.settings)
             if own is None:
                 continue

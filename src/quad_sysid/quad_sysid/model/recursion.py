@@ -292,3 +292,29 @@ def light_mode(command, omega, damping, in_phase, quadrature, dt, start, stop, o
         out[k] = u + in_phase * (x + u) + quadrature * v / omega
         x, v = a00 * x + a01 * v, a10 * x + a11 * v
         x += u
+
+
+@njit(**_OPTIONS)
+def linear_states(rate, a, b, start, stop, out):
+    """States x of x+ = a x + b rate from rest, before each cycle: (m, n) into `out`."""
+    m = b.size
+    x = np.zeros(m)
+    for k in range(start, stop):
+        out[:, k] = x
+        new = np.empty(m)
+        for i in range(m):
+            total = b[i] * rate[k]
+            for j in range(m):
+                total += a[i, j] * x[j]
+            new[i] = total
+        x = new
+
+
+@njit(**_OPTIONS)
+def built_up(rate, share, start, stop, out):
+    """A friction's share (-1..1) that builds up over an angle, before each cycle."""
+    x = 0.0
+    for k in range(start, stop):
+        out[k] = x
+        way = 1.0 if rate[k] > 0.0 else -1.0
+        x = way + (x - way) * math.exp(-abs(rate[k]) * share)

@@ -1,0 +1,132 @@
+"""What has a state of its own, driven by the rate: something that swings, relaxes or builds up."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy.linalg import expm
+
+from quad_sysid.contract import FloatArray
+from quad_sysid.model import recursion
+from quad_sysid.model.data import AxisData
+from quad_sysid.model.effect import Effect, Settings, Signals, Spec
+
+
+class Linear(Effect):
+    """Hidden states x' = A x + B rate; subclasses give A and B."""
+
+    kind = 'mode'
+    name = 'mode'
+
+    def system(self, p: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """A (m, m) and B (m,)."""
+        raise NotImplementedError
+
+    def _step(self, p: FloatArray, dt: float) -> tuple[FloatArray, FloatArray]:
+        a, b = self.system(p)
+        m = b.size
+        block = np.zeros((m + 1, m + 1))
+        block[:m, :m], block[:m, m] = a * dt, b * dt
+        e = expm(block)
+        return np.ascontiguousarray(e[:m, :m]), np.ascontiguousarray(e[:m, m])
+
+    def trace(
+        self, data: AxisData, rate: FloatArray, p: FloatArray, settings: Settings
+    ) -> FloatArray:
+        a, b = self._step(p, data.dt)
+        out = np.zeros((self.states, rate.size))
+        for start, stop in data.stretches:
+            recursion.linear_states(rate, a, b, start, stop, out)
+        return out
+
+    def advance(
+        self, x: FloatArray, rate: FloatArray, p: FloatArray, settings: Settings, dt: float
+    ) -> FloatArray:
+        a, b = self._step(p, dt)
+        return a @ x + b[:, None] * rate
+
+
+class SlowState(Linear):
+    variant = 'slow state'
+    signals = ('rate', 'history')
+    states = 1
+    parameters = (
+        Spec('time_constant', 's', spread=1.2, centre=math.log(0.5), log=True,
+             starts=(0.05, 0.2, 0.8, 3.0)),
+        Spec('stiffness', 'rad/s² per rad'),
+    )
+    physics = "-k x, x' = rate - x / tau: a spring on a damper, a load that relaxes"
+    excite = 'a PRBS and slow steps of the angle'
+
+    def system(self, p: FloatArray) -> tuple[FloatArray, FloatArray]:
+        return np.array([[-1.0 / p[0]]]), np.array([1.0])
+
+    def size(self, s: Signals, j: int, settings: Settings) -> FloatArray:
+        return 0.5 * s.rate
+
+    def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+        return -p[1] * s.hidden[0]
+
+
+class Swinging(Linear):
+    variant = 'swinging'
+    signals = ('rate', 'history')
+    states = 2
+    parameters = (
+        Spec('frequency', 'Hz', spread=1.0, centre=math.log(3.0), log=True,
+             starts=tuple(np.geomspace(0.5, 16.0, 14))),
+        Spec('damping_ratio', '1', spread=0.8, centre=math.log(0.08), log=True, starts=(0.05, 0.2)),
+        Spec('in_phase', '1/s'),
+        Spec('quadrature', '1/s'),
+    )
+    physics = "z'' + 2 d w z' + w² z = w² rate; torque in_phase z + quadrature z'/w"
+    excite = 'a chirp or PRBS through the mode'
+
+    def system(self, p: FloatArray) -> tuple[FloatArray, FloatArray]:
+        w = 2.0 * math.pi * p[0]
+        return np.array([[0.0, w], [-w, -2.0 * min(p[1], 1.0) * w]]), np.array([0.0, w])
+
+    def size(self, s: Signals, j: int, settings: Settings) -> FloatArray:
+        return s.rate
+
+    def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+        return p[2] * s.hidden[0] + p[3] * s.hidden[1]
+
+
+class Hysteresis(Effect):
+    name = 'mode'
+    kind = 'mode'
+    variant = 'hysteresis'
+    signals = ('rate', 'history')
+    states = 1
+    parameters = (
+        Spec('reach', 'rad', spread=1.0, centre=math.log(0.05), log=True,
+             starts=(0.01, 0.03, 0.1, 0.3)),
+        Spec('torque', 'rad/s²', positive=True),
+    )
+    physics = "-T x, x' = rate / reach (1 - x sign(rate)): friction that builds up (Dahl 1968)"
+    excite = 'small and large motion with many reversals'
+
+    def trace(
+        self, data: AxisData, rate: FloatArray, p: FloatArray, settings: Settings
+    ) -> FloatArray:
+        out = np.zeros((1, rate.size))
+        for start, stop in data.stretches:
+            recursion.built_up(rate, data.dt / max(float(p[0]), 1e-4), start, stop, out[0])
+        return out
+
+    def advance(
+        self, x: FloatArray, rate: FloatArray, p: FloatArray, settings: Settings, dt: float
+    ) -> FloatArray:
+        way = np.sign(rate)
+        return way + (x - way) * np.exp(-np.abs(rate) * dt / max(float(p[0]), 1e-4))
+
+    def size(self, s: Signals, j: int, settings: Settings) -> FloatArray:
+        return np.ones_like(s.rate)
+
+    def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+        return -p[1] * s.hidden[0]
+
+
+HIDDEN = (SlowState(), Swinging(), Hysteresis())
