@@ -102,6 +102,8 @@ class Effect:
     variant: str = ''
     """Tells effects of one name apart, such as the other axis that couples in."""
     parameters: tuple[Spec, ...] = ()
+    states: int = 0
+    """Hidden states of its own, driven by the rate."""
     phased: bool = False
     """Whether each flight has a phase of its own, which `elsewhere` takes."""
 
