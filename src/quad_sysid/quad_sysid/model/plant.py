@@ -257,10 +257,10 @@ class Flight:
             torque = torque + own
             if 'rate' in part.effect.signals or 'angle' in part.effect.signals:
                 ahead = part.effect.torque(
-                    replace(s, rate=rate + SLOPE_STEP), p[where], part.settings
+                    replace(with_states, rate=rate + SLOPE_STEP), p[where], part.settings
                 )
                 back = part.effect.torque(
-                    replace(s, rate=rate - SLOPE_STEP), p[where], part.settings
+                    replace(with_states, rate=rate - SLOPE_STEP), p[where], part.settings
                 )
                 slope = slope + (ahead - back) / (2.0 * SLOPE_STEP)
         rest = torque - slope * rate
