@@ -9,7 +9,7 @@ import pytest
 
 from quad_sysid.blackbox import arx, frequency_response, polynomial_model, simulate
 from quad_sysid.errors import NotInformativeError
-from quad_sysid.greybox.data import axis_data
+from quad_sysid.model.data import axis_data
 from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.loop.plant import LoopPlant
 from quad_sysid.loop.simulation import simulate_cascade

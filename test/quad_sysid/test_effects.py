@@ -19,8 +19,7 @@ import pytest
 from scipy.linalg import expm
 
 from quad_sysid.contract import MIXER, MIXER_INVERSE
-from quad_sysid.effects.shapes import SHAPES
-from quad_sysid.effects.table import EFFECTS
+from quad_sysid.effects import EFFECTS
 from quad_sysid.model import EffectEstimate, Parameter
 from quad_sysid.pipeline.evaluate import evaluate
 from quad_sysid.pipeline.identify import Options, identify
@@ -158,6 +157,7 @@ class Law:
     changes: Changes
     parameters: Mapping[str, float]
     settings: Mapping[str, object] = field(default_factory=dict)
+    variant: str = ''
     left: float = 0.002
     """rad/s that may be left over half a second: the noise, and what the steps differ by."""
 
@@ -179,7 +179,7 @@ LAWS = [
     Law('thrust_curve', of_motors(lambda m: 0.5 * m + 0.5 * m**2), {'curvature': 0.5},
         {'throttle': 0.5}),
     Law('saturation', of_motors(lambda m: np.clip(m, 0.0, 0.64)),
-        {'lower': 0.0, 'upper': 0.64}),
+        {'lower': 0.0, 'upper': 0.64}, variant='upper'),
     Law('motor_lag', slow_motors(0.25, 0.2), {'slow_time_constant': 0.2, 'share': 0.25}),
     Law('backlash', play(0.004), {'half_width': 0.004}),
     Law('resonance', ringing(6.0, 0.05, 0.1, -0.05),
@@ -187,10 +187,10 @@ LAWS = [
     Law('cross_axis_input',
         lambda: {'command': lambda t, u, _v: u + 0.1 * other_commands(t)[0],
                  'other_commands': other_commands},
-        {'fraction': 0.1}, {'column': 2.0, 'variant': 'other axis 1'}),
+        {'fraction': 0.1}, {'other': 'pitch'}, 'other axis 1'),
     Law('gyroscopic_coupling',
         lambda: {'torque': lambda t, _r, _a: -0.6 * others(t)[1], 'other_rates': others},
-        {'coefficient': -0.6}, {'column': 1.0, 'variant': 'other axis 2'}),
+        {'coefficient': -0.6}, {'other': 'yaw'}, 'other axis 2'),
     Law('inertia_coupling',
         lambda: {'torque': lambda t, _r, _a: 0.5 * others(t)[0] * others(t)[1],
                  'other_rates': others},
@@ -198,11 +198,13 @@ LAWS = [
     Law('periodic_disturbance',
         torque(lambda t, _r, _a: 0.8 * math.sin(2.0 * math.pi * 2.3 * t + 0.7)),
         {'amplitude': 0.8, 'frequency': 2.3, 'phase': 0.0}),
-    Law('step_event', command(lambda u: 0.7 * u), {'time': 20.0, 'change': -0.3}),
-    Law('step_event', torque(lambda *_: 0.8), {'time': 20.0, 'torque': 0.8}),
+    Law('step_event', command(lambda u: 0.7 * u), {'time': 20.0, 'change': -0.3},
+        variant='gain'),
+    Law('step_event', torque(lambda *_: 0.8), {'time': 20.0, 'torque': 0.8},
+        variant='torque'),
     Law('mode', strap(9.0, 0.6), {'stiffness': 9.0, 'time_constant': 0.6},
-        {'variant': 'slow state'}),
-    Law('mode', dahl(0.4, 0.05), {'torque': 0.4, 'build_up': 0.05}, {'variant': 'hysteresis'}),
+        variant='slow state'),
+    Law('mode', dahl(0.4, 0.05), {'torque': 0.4, 'reach': 0.05}, variant='hysteresis'),
 ]
 """On another flight the values after an event hold, and a disturbance has a phase of its own."""
 
@@ -229,7 +231,9 @@ def test_the_true_effect_leaves_the_noise_and_spoils_a_flight_without_it(
     law, true_model, calm_flights, empty_flight
 ):
     parameters = tuple(Parameter(n, v, None, '') for n, v in law.parameters.items())
-    effect = EffectEstimate(law.name, 'named', (), parameters, law.settings)
+    effect = EffectEstimate(
+        law.name, 'named', (), parameters, law.variant, law.settings
+    )
     model = replace(true_model, effects=(effect,), plain=true_model.base)
     there, absent = (evaluate(model, r) for r in (calm_flights(law.changes()), empty_flight))
     assert there.after < law.left
@@ -329,7 +333,7 @@ LONG = [
         kind='step of the gain', parameters={'time': (17.0, 0.01), 'change': (-0.3, 0.15)},
         later=command(lambda u: 0.7 * u)),
     one('mode', dahl(0.4, 0.05), kind='hysteresis',
-        parameters={'torque': (0.4, 0.15), 'build_up': (0.05, 0.35)}),
+        parameters={'torque': (0.4, 0.15), 'reach': (0.05, 0.35)}),
     Planted("Stribeck's friction", torque(
         lambda _t, r, _a: -(0.3 + 0.9 / (1.0 + (r / 0.3) ** 2)) * math.tanh(r / 0.01)),
         ({'coulomb_friction'}, {'coulomb_friction', 'shape:rate'}), lowers=3.0),
@@ -548,9 +552,9 @@ def test_the_page_tells_the_table_and_nothing_else():
         cells = [cell.strip() for cell in line.strip('|').split('|')]
         if len(cells) == 5 and cells[0].startswith('`'):
             rows[cells[0].strip('`')] = cells[2]
-    assert set(rows) == {e.name for e in EFFECTS + SHAPES}
+    assert set(rows) == {e.name for e in EFFECTS}
     for name, told in rows.items():
-        entries = [e for e in EFFECTS + SHAPES if e.name == name]
+        entries = [e for e in EFFECTS if e.name == name]
         if entries[0].kind == 'shape':
             some = ' or '.join(map(str, sorted({len(e.parameters) for e in entries})))
             assert told == f'{some} values ({entries[0].parameters[0].unit})'

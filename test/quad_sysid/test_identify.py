@@ -235,7 +235,7 @@ def resting(record):
         (flat_out, 'all motors stand at their limits'),
         (clipped(0.4), 'the gyro is at its limit; widen its range'),
         (silent, 'the measured rate is constant'),
-        (resting, 'do not show what half a second of motion owes them'),
+        (resting, 'do not foresee the held-out rates better'),
     ],
 )
 def test_a_flight_that_cannot_be_answered_says_why(plain_flight, change, words):

@@ -9,7 +9,7 @@ import pytest
 from quad_sysid.blackbox import bj, simulate
 from quad_sysid.blackbox.studies import reference_study
 from quad_sysid.errors import BadInputError
-from quad_sysid.model import AxisModel, EffectEstimate, Parameter
+from quad_sysid.model import AxisModel, EffectEstimate, NoiseEstimate, Parameter
 from quad_sysid.report.blackbox_file import POLYNOMIALS, load_blackbox, tree_of
 from quad_sysid.report.model_file import load_models, save_models
 
@@ -42,8 +42,10 @@ def some_model():
         covariance=covariance,
         active_gains={'roll.angle.kp': 3.0},
         mean_battery_v=11.1,
-        noise_rms=0.01,
-        torque_noise=None,
+        noise=NoiseEstimate(
+            {'white': 1.3, 'disturbance': 1.6, 'correlation': 0.3}, 0.003, 50.0, 0.007, 0.004,
+            ((0.1, 57.3, 4.0),),
+        ),
         trusted_band_rad_s=(0.3, 30.0),
     )  # fmt: skip
 
@@ -87,7 +89,7 @@ def test_a_value_that_is_not_finite_is_refused_and_keeps_the_old_file(tmp_path):
     ('damage', 'said'),
     [
         (lambda t: t.pop('schema'), 'lacks schema'),
-        (lambda t: t.update(schema='other/1'), 'must be quad_sysid/model/1'),
+        (lambda t: t.update(schema='other/1'), 'must be quad_sysid/model/2'),
         (lambda t: t['axes'].update(tail={}), 'must be of roll, pitch, yaw'),
         (lambda t: t['axes']['roll'].pop('dt'), 'lacks dt'),
         (lambda t: t['axes']['roll'].update(dt=0.0), 'roll.dt: must be a positive'),
@@ -145,7 +147,7 @@ def test_a_model_comes_back_the_same(model, tmp_path):
 
 def test_a_file_without_them_gives_none(tmp_path):
     path = tmp_path / 'model.json'
-    path.write_text('{"schema": "quad_sysid/model/1", "axes": {}}')
+    path.write_text('{"schema": "quad_sysid/model/2", "axes": {}}')
     assert load_blackbox(path) == {}
 
 

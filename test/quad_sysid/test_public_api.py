@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import quad_sysid
-from quad_sysid.blackbox.studies import reference_study
 
 NAMES = (
     'read_bag', 'Record', 'IOData', 'arx', 'armax', 'oe', 'bj', 'iv4', 'clriv', 'n4sid', 'greybox',
@@ -49,19 +48,16 @@ def test_the_models_need_neither_ros_nor_matplotlib():
     assert done.stdout.split() == ['ARX', '1', '1', '1', 'True']
 
 
-def test_the_grey_box_is_a_call_on_the_same_data():
-    """Plant 20/((s + 0.3)(0.05 s + 1)) behind two samples: each value within 4 standard errors.
-
-    The zero-order hold of u and its 2 samples are the delay; nothing else is in the data.
-    """
-    study = reference_study()
-    z = study.record(np.random.default_rng(5))
+def test_the_grey_box_is_a_call_on_the_same_data(plain_flight):
+    """The plant of conftest.py: each value within 4 standard errors."""
+    z = plain_flight.axis('roll', 'train')
     found = quad_sysid.greybox(z)
     assert found.converged
-    truth = {'gain': 20.0, 'lag': 0.05, 'delay': 0.008, 'damping': 0.3, 'bias': 0.0}
+    truth = {'gain': 450.0, 'lag': 0.042, 'delay': 0.008, 'damping': 0.4, 'bias': 0.2}
     for name, std in zip(found.parameter_names, found.std, strict=True):
         off = abs(found.value(name) - truth[name])
         assert off < 4.0 * std, (name, found.value(name), std)
+    assert found.noise.measured_rms == pytest.approx(0.005, rel=0.1)
     with pytest.raises(ValueError, match='gyro_filter_hz'):
         quad_sysid.greybox(z, gyro_filter_hz=1e4)
 
@@ -78,9 +74,3 @@ def test_a_rate_that_does_not_fit_is_told():
             call(model, other)
     with pytest.raises(ValueError, match='greybox'):
         quad_sysid.greybox(quad_sysid.IOData(u, y, 0.01))
-
-
-def test_the_room_keeps_its_modules():
-    from quad_sysid.greybox import fit
-
-    assert quad_sysid.greybox.fit is fit

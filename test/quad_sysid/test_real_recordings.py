@@ -20,7 +20,7 @@ from scipy.signal import butter, lfilter
 
 from quad_sysid import cli
 from quad_sysid.bags import read_bag, split_segments
-from quad_sysid.effects.table import by_name
+from quad_sysid.effects import EFFECTS
 from quad_sysid.pipeline import identify as pipeline
 from quad_sysid.pipeline.answer import AxisAnswer
 from quad_sysid.record import Record
@@ -84,8 +84,7 @@ def emps(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Path]:
     with pytest.MonkeyPatch.context() as patch:
         if not SLOW:
             named = ('coulomb_friction', 'quadratic_drag', 'pendulum_stiffness', 'dead_zone')
-            patch.setattr(pipeline, 'EFFECTS', tuple(by_name(name) for name in named))
-            patch.setattr(pipeline, 'SHAPES', ())
+            patch.setattr(pipeline, 'EFFECTS', tuple(e for e in EFFECTS if e.name in named))
         out = folder / 'out'
         status = cli.main(
             ['identify', str(folder / 'DATA_EMPS'), '--axis', 'roll', '--out', str(out), '--quiet']
@@ -274,7 +273,7 @@ def stiffness_found(answer: AxisAnswer) -> float:
     names = [e.name for e in answer.model.effects]
     assert 'pendulum_stiffness' in names, names
     assert 'coulomb_friction' in names, names  # what the rig has of its own
-    assert answer.judgement.after.free_run < 0.2 * answer.judgement.before.free_run
+    assert answer.findings.verdict.after < 0.2 * answer.findings.verdict.before
     return answer.model.value('pendulum_stiffness.stiffness')
 
 

@@ -74,6 +74,9 @@ class Pulse(Effect):
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         return p[2] * (after(s, p[0]) - after(s, p[0] + p[1]))
 
+    def elsewhere(self, p: FloatArray, settings: Settings, phase: float) -> FloatArray:
+        return np.array([LONG_AGO_S, p[1], p[2]])
+
 
 class StepGain(Effect):
     name = 'step_event'

@@ -126,6 +126,8 @@ def variables(along: Along) -> dict[str, FloatArray]:
 
 def weight(along: Along, part: Part) -> FloatArray | None:
     """(n,) rad/s² that one unit of what the effect changes adds; None where that is not known."""
+    if part.effect.states:
+        return None
     s = along.signals
     known = {
         'torque': np.ones_like(s.rate), 'gain': s.drive, 'damping': -s.rate, 'delay': -s.change,
@@ -201,6 +203,8 @@ def _picture(along: Along, part: Part) -> Sketch:
         return _map(along, part)
     if term == 'response':
         return _response(along, part)
+    if part.effect.states:
+        return _push(along, part)
     inside = settled(along.problem.spans, along.problem.data.dt)
     values = variable(along, part)[inside]
     x = np.linspace(*np.nanpercentile(values, [0.5, 99.5]), GRID)
@@ -308,6 +312,29 @@ def _response(along: Along, part: Part) -> Sketch:
     evaluate = _driven(along, part, data.index + 1, x, still=False)
     plain = _driven(along, None, data.index + 1, x, still=False)(np.zeros(0))
     return evaluate, time, 'time, s', 'command that acts, norm.', plain
+
+
+def _push(along: Along, part: Part) -> Sketch:
+    """What hidden states do to a rate that is held for half the time, then stands still."""
+    data = along.problem.data
+    n = round(2.0 * RESPONSE_S / data.dt)
+    time, nothing = np.arange(n) * data.dt, np.zeros(n)
+    used = np.concatenate([data.rate[a:b] for a, b in along.problem.spans])
+    held = float(np.nanstd(used))
+    rate = held * (time < RESPONSE_S)
+    record = _record(data, np.zeros((n, 4)), dt=data.dt)
+    signals = Signals(
+        rate=rate, angle=None, drive=nothing, command=nothing, change=nothing, lagged=nothing,
+        throttle=nothing, battery_v=None, other_rates=None, other_commands=(nothing, nothing),
+        time=time,
+    )
+
+    def evaluate(p: FloatArray) -> FloatArray:
+        hidden = part.effect.trace(record, rate, p, part.settings)
+        out = part.effect.torque(replace(signals, hidden=hidden), p, part.settings)
+        return nothing if out is None else out
+
+    return evaluate, time, f'time since the rate steps to {held:.2g} rad/s, s', LABELS['torque'], None
 
 
 def _driven(
