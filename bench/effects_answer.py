@@ -7,24 +7,26 @@ import math
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import effects_scenarios as scenarios
-import numpy as np
 from threadpoolctl import threadpool_limits
 
 from quad_bridge.virtual.flight_bag import write_bag
 from quad_bridge.virtual.profile import load_profile
-from quad_sysid.effects.discover import Discovery, discover
-from quad_sysid.effects.judge import judge
-from quad_sysid.effects.shapes import SHAPES
-from quad_sysid.effects.table import EFFECTS
-from quad_sysid.greybox.data import AxisData, axis_data
-from quad_sysid.greybox.fit import Fit, fit_with_effect, settle, simulator
-from quad_sysid.greybox.simulate import Simulator
+from quad_sysid.discover.accept import Unseen, judge, rms
+from quad_sysid.discover.search import Scored, search
+from quad_sysid.effects import EFFECTS
+from quad_sysid.estimate.fit import Fit, Problem
+from quad_sysid.estimate.stored import Stored
 from quad_sysid.model import AxisModel
+from quad_sysid.model.data import axis_data
+from quad_sysid.model.effect import Effect
+from quad_sysid.pipeline.answer import Findings
 from quad_sysid.pipeline.assemble import axis_model
 from quad_sysid.pipeline.evaluate import evaluate, of_this_flight
+from quad_sysid.pipeline.held_out import findings
 from quad_sysid.record import Record
 
 Row = dict[str, object]
@@ -35,17 +37,14 @@ def answered(scenario: scenarios.Scenario) -> Row:
     with threadpool_limits(limits=1):
         record = scenarios.flown(scenario, unseen=False)
         began = time.perf_counter()
-        data = axis_data([record], scenario.axis)
-        rng = np.random.default_rng(0)
-        found = discover(data, EFFECTS + SHAPES, rng)
-        answer = judge(found, rng)
-        model = axis_model(found, answer, {}, None)
+        found = searched(record, scenario.axis, EFFECTS)
+        model = axis_model(found, {}, None)
         seconds = time.perf_counter() - began
         unseen = scenarios.flown(scenario, unseen=True)
         error = evaluate(model, unseen)
         true = true_error(scenario, found, unseen)
     return {
-        'number': scenario.number, 'verdict': answer.verdict,
+        'number': scenario.number, 'verdict': found.verdict.verdict,
         'named': [e.name for e in model.effects],
         'probabilities': [e.probability for e in model.effects],
         'rivals': [
@@ -57,9 +56,16 @@ def answered(scenario: scenarios.Scenario) -> Row:
         'covered': covered(scenario, model),
         'before': error.before, 'after': error.after, 'true': true,
         'factor': error.before / true, 'lost': error.before / true,
-        'depends_on': found.dependence[0].name if found.dependence else '',
-        'p_value': answer.test.p_value, 'seconds': seconds,
+        'e_value': min(found.verdict.e_value, 1e99), 'seconds': seconds,
     }
+
+
+def searched(record: Record, axis: str, effects: Sequence[Effect]) -> Findings:
+    """Search and verdict on one axis of a record."""
+    data = axis_data([record], axis)
+    problem = Problem(data, data.train)
+    found = search(problem, effects)
+    return findings(data, problem, found, judge(data, problem, found))
 
 
 def answered_by_command(scenario: scenarios.Scenario, folder: Path) -> Row:
@@ -91,43 +97,33 @@ def _run(*arguments: str) -> str:
     return done.stdout
 
 
-def true_error(scenario: scenarios.Scenario, found: Discovery, unseen: Record) -> float:
+def true_error(scenario: scenarios.Scenario, found: Findings, unseen: Record) -> float:
     """Error on the unseen flight of the true structure, refitted; floor where it has no name."""
-    data = axis_data([unseen], scenario.axis)
     if scenario.kind in {'nothing', 'undeclared'}:
-        return _floor(scenario, found)
-    fit: Fit | None = found.base
-    sim = found.base_simulator
-    for name in scenario.planted:
-        fit = _with(sim, fit, name, found.data)
-    fit, noise, _ = settle(sim, fit)
-    judge_sim = simulator(data, data.validation, noise.correction)
-    theta = of_this_flight(judge_sim, fit.structure, fit.theta)
-    return judge_sim.run(fit.structure, theta).rms
+        return _floor(scenario)
+    fitted = _true_structure(found.problem, set(scenario.planted))
+    data = axis_data([unseen], scenario.axis)
+    held = Unseen(data, data.validation)
+    stored = Stored(fitted.structure, fitted.theta, fitted.tail)
+    return rms(held.errors(of_this_flight(held, stored)))
 
 
-def _with(sim: Simulator, fit: Fit, name: str, data: AxisData) -> Fit:
-    """The best variant of a named effect on top of a fit."""
-    best = None
-    for effect in (e for e in EFFECTS if e.name == name):
-        settings = effect.prepare(data) if effect.prepare else {}
-        if isinstance(settings, str):
-            continue
-        one = fit_with_effect(sim, fit, effect, settings)
-        if best is None or one.rms < best.rms:
-            best = one
-    return best or fit
+def _true_structure(problem: Problem, planted: set[str]) -> Fit:
+    """The most probable of the structures that hold most of what was planted, in any variant."""
+    tried = search(problem, [e for e in EFFECTS if e.name in planted]).all
+
+    def held(one: Scored) -> tuple[int, float]:
+        names = {part.effect.name for part in one.fit.structure.parts}
+        return len(names & planted), one.score
+
+    return max(tried, key=held).fit
 
 
-def _floor(scenario: scenarios.Scenario, found: Discovery) -> float:
+def _floor(scenario: scenarios.Scenario) -> float:
     """What the base reaches where nothing is missing: flown by the same aircraft without it."""
     plain = scenarios.without(scenario)
-    record = scenarios.flown(plain, unseen=False)
-    data = axis_data([record], scenario.axis)
-    rng = np.random.default_rng(0)
-    found = discover(data, (), rng)
-    model = axis_model(found, judge(found, rng), {}, None)
-    return evaluate(model, scenarios.flown(plain, unseen=True)).before
+    found = searched(scenarios.flown(plain, unseen=False), scenario.axis, ())
+    return evaluate(axis_model(found, {}, None), scenarios.flown(plain, unseen=True)).before
 
 
 def covered(scenario: scenarios.Scenario, model: AxisModel) -> dict[str, bool]:

@@ -283,8 +283,12 @@ def fit(
             trial = theta + step
             trial = np.where(positive, np.maximum(trial, 0.0), trial)
             flight.rate = kept
-            tried = flight.predict(structure, trial, sweeps=2)
-            new, new_tail = objective(tried, trial, tail)
+            try:
+                tried = flight.predict(structure, trial, sweeps=2)
+            except np.linalg.LinAlgError:  # noise of such sizes has no filter
+                new = -math.inf
+            else:
+                new, new_tail = objective(tried, trial, tail)
             if new > value - 1e-9:
                 improved = True
                 break
