@@ -19,14 +19,12 @@ from quad_bridge.virtual.profile import Profile, load_profile
 from quad_bridge.virtual.receiver import Event, Receiver
 from quad_bridge.virtual.simulation import Excited, Flight, fly
 from quad_sysid.contract import AXES, control_from_motors
-from quad_sysid.effects.discover import discover
-from quad_sysid.effects.judge import judge
-from quad_sysid.effects.shapes import SHAPES
-from quad_sysid.effects.table import EFFECTS
 from quad_sysid.errors import NotInformativeError
-from quad_sysid.greybox.data import axis_data
+from quad_sysid.estimate.stored import estimate_of
 from quad_sysid.model import AxisModel, EffectEstimate, Parameter
+from quad_sysid.model.data import axis_data
 from quad_sysid.pipeline import assemble
+from quad_sysid.pipeline.identify import Options, found_effects
 from quad_sysid.record import GainChange, Record, Segment
 from quad_sysid.signals.prbs import prbs
 
@@ -226,18 +224,15 @@ def record_of(flight: Flight) -> Record:
 
 def identified(record: Record, axis: str) -> AxisModel | str:
     """The completed model as the identification hands it to a designer, or why there is none."""
-    rng = np.random.default_rng(0)
     with threadpool_limits(limits=1):
         try:
-            data = axis_data([record], axis)
-            found = discover(data, EFFECTS + SHAPES, rng)
+            told = found_effects(axis_data([record], axis), Options())
         except NotInformativeError as error:
             return str(error)
-        judgement = judge(found, rng)
-        if judgement.verdict == 'cannot_tell':
-            return judgement.reason
-        band = assemble.band_of(found.data)
-        return assemble.axis_model(found, judgement, dict(record.gains[0].values), band)
+        if told.verdict.verdict == 'cannot_tell':
+            return told.verdict.reason
+        band = assemble.band_of(told.data)
+        return assemble.axis_model(told, dict(record.gains[0].values), band)
 
 
 # -------------------------------------------------------------------------------- the truth
@@ -272,7 +267,7 @@ def truth(airframe: Airframe, model: AxisModel) -> AxisModel:
     names = tuple(p.name for p in base)
     return replace(
         model, base=base, effects=_true_effects(airframe, inertia), parameter_names=names,
-        covariance=np.zeros((5, 5)), realisation='continuous', trusted_band_rad_s=None,
+        covariance=np.zeros((5, 5)), trusted_band_rad_s=None,
         active_gains=model.active_gains,
     )
 
@@ -283,35 +278,17 @@ def _throttle(curvature: float, thrust: float) -> float:
     return float((root - (1.0 - curvature)) / (2.0 * curvature))
 
 
-TRUE_NAMES = {
-    'coulomb_friction': ('rate', 'torque'),
-    'quadratic_drag': ('rate', 'coefficient'),
-    'pendulum_stiffness': ('angle', 'stiffness'),
-    'cubic_stiffness': ('angle', 'stiffness'),
-}
-
-
 def _true_effects(airframe: Airframe, inertia: float) -> tuple[EffectEstimate, ...]:
     name, values = airframe.effect, airframe.settings
-
-    def effect(signal: str, **parameters: float) -> tuple[EffectEstimate, ...]:
-        given = tuple(Parameter(key, value, 0.0, '') for key, value in parameters.items())
-        return (EffectEstimate(name, 'named', (signal,), given),)
-
-    if name in TRUE_NAMES:
-        signal, parameter = TRUE_NAMES[name]
-        return effect(signal, **{parameter: float(values[SIZES[name][0]]) / inertia})
-    if name == 'dead_zone':
-        return effect('command', half_width=float(values['half_width']))
-    if name == 'backlash':
-        return effect('command', half_width=float(values['half_width']))
-    if name == 'motor_lag':
-        slow = float(values['slow_time_constant_s'])
-        return effect('command', slow_time_constant=slow, share=0.25)
-    if name == 'resonance':
+    if name in TORQUES[:-1]:  # a periodic torque has no place in the loop
+        fitted = [float(values[SIZES[name][0]]) / inertia]
+    elif name in ('dead_zone', 'backlash'):
+        fitted = [float(values['half_width'])]
+    elif name == 'motor_lag':
+        fitted = [float(values['slow_time_constant_s']), 0.25]
+    elif name == 'resonance':
         damping, peak = float(values['damping_ratio']), float(values['peak'])
-        return effect(
-            'command', frequency=float(values['frequency_hz']), damping_ratio=damping,
-            in_phase=0.0, quadrature=2.0 * damping * peak,
-        )  # fmt: skip
-    return ()
+        fitted = [float(values['frequency_hz']), damping, 0.0, 2.0 * damping * peak]
+    else:
+        return ()
+    return (estimate_of(name, fitted, std=0.0),)

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from quad_sysid.cli import main
+from quad_sysid.estimate.stored import estimate_of
 from quad_sysid.exports.files import WRITERS
 from quad_sysid.exports.linear import linear_model, to_control
-from quad_sysid.model import AxisModel, EffectEstimate, Parameter
+from quad_sysid.model import AxisModel, Parameter
 from quad_sysid.report.model_file import save_models
 
 BASE = {'gain': 450.0, 'lag': 0.042, 'delay': 0.0094, 'damping': 0.4, 'bias': 0.1}
@@ -22,8 +23,7 @@ DT, FILTER_HZ = 0.004, 42.0
 def model():
     return AxisModel(
         'roll', DT, FILTER_HZ, tuple(Parameter(n, v, None, '1') for n, v in BASE.items()),
-        (EffectEstimate('coulomb_friction', 'named', ('rate',),
-                        (Parameter('torque', 0.16, 0.01, 'rad/s²'),)),),
+        (estimate_of('coulomb_friction', (0.16,), std=0.01),),
     )
 
 

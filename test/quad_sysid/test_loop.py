@@ -26,6 +26,7 @@ from quad_sysid.loop.cascade import (
 from quad_sysid.loop.from_model import gain_range, loop_plant, not_in_the_loop, throttle_factor
 from quad_sysid.loop.plant import Curve, LightMode, LoopPlant, Slopes, SlowMotors, exact_cycles
 from quad_sysid.loop.simulation import simulate_cascade, simulate_polynomial_cascade
+from quad_sysid.estimate.stored import estimate_of
 from quad_sysid.model import AxisModel, EffectEstimate, Parameter
 from quad_sysid.pipeline.approaches import approaches, controller, reproduced
 from quad_sysid.record import IOData
@@ -220,28 +221,38 @@ def model_of(*effects: EffectEstimate, volts: float = 11.0) -> AxisModel:
     return AxisModel('roll', DT, 42.0, base, effects, mean_battery_v=volts)
 
 
-def effect(name: str, settings: dict | None = None, **values: float) -> EffectEstimate:
-    parameters = tuple(Parameter(n, v, 0.01, '') for n, v in values.items())
-    return EffectEstimate(name, 'named', (), parameters, settings or {})
+def effect(
+    name: str, *fitted: float, variant: str = '', settings: dict | None = None
+) -> EffectEstimate:
+    return estimate_of(name, fitted, variant, settings=settings, std=0.01)
+
+
+def curve(name: str, knots: list, values: list) -> EffectEstimate:
+    at = np.linspace(knots[0], knots[-1], 6)
+    return effect(name, *np.interp(at, knots, values), variant='smooth',
+                  settings={'knots': tuple(at)})
+
+
+SPRING = np.interp(np.linspace(-0.5, 0.7, 6), [-0.5, 0.1, 0.7], [0.0, 0.0, -4.8])
 
 
 @pytest.mark.parametrize(
     ('found', 'law'),
     [
         ((), {}),
-        ((effect('quadratic_drag', coefficient=2.0),), {'torque': lambda r, _: -2 * r * abs(r)}),
-        ((effect('pendulum_stiffness', stiffness=12.0), effect('cubic_stiffness', stiffness=50.0)),
+        ((effect('quadratic_drag', 2.0),), {'torque': lambda r, _: -2 * r * abs(r)}),
+        ((effect('pendulum_stiffness', 12.0), effect('cubic_stiffness', 50.0)),
          {'torque': lambda _, a: -12.0 * math.sin(a) - 50.0 * a**3}),
-        ((effect('coulomb_friction', torque=3.0),),
+        ((effect('coulomb_friction', 3.0),),
          {'torque': lambda r, _: -3.0 * math.tanh(r / 0.01)}),
-        ((effect('shape:angle', {'knots': [-0.5, 0.0, 0.5], 'values': [0.0, 0.0, -4.0]}),),
-         {'torque': lambda _, a: -8.0 * max(a, 0.0)}),
-        ((effect('dead_zone', half_width=0.005),),
+        ((curve('shape:angle', [-0.5, 0.1, 0.7], [0.0, 0.0, -4.8]),),
+         {'torque': lambda _, a: float(np.interp(a, np.linspace(-0.5, 0.7, 6), SPRING))}),
+        ((effect('dead_zone', 0.005),),
          {'command': lambda u: math.copysign(max(abs(u) - 0.005, 0.0), u)}),
-        ((effect('battery_sag', {'reference_v': 12.0}, exponent=2.0),),
+        ((effect('battery_sag', 2.0, settings={'reference_v': 12.0}),),
          {'command': lambda u: u * (11.0 / 12.0) ** 2}),
-        ((effect('step_event', change=-0.2),), {'command': lambda u: 0.8 * u}),
-        ((effect('step_event', torque=0.3),), {'torque': lambda *_: 0.3}),
+        ((effect('step_event', 3.0, -0.2, variant='gain'),), {'command': lambda u: 0.8 * u}),
+        ((effect('step_event', 3.0, 0.3, variant='torque'),), {'torque': lambda *_: 0.3}),
     ],
     ids=lambda x: ' '.join(e.name for e in x) or 'base' if isinstance(x, tuple) else '',
 )
@@ -256,14 +267,16 @@ def test_a_model_flies_in_the_loop_as_its_effects_say(found, law):
 
 
 def test_what_has_no_place_in_the_loop_is_named_and_what_varies_has_its_range():
-    coupled = effect('gyroscopic_coupling', coefficient=1.0)
-    assert not_in_the_loop(model_of(coupled, effect('dead_zone', half_width=0.01))) == (
+    coupled = effect(
+        'gyroscopic_coupling', 1.0, variant='other axis 1', settings={'other': 'pitch'}
+    )
+    assert not_in_the_loop(model_of(coupled, effect('dead_zone', 0.01))) == (
         'gyroscopic_coupling',
     )
-    bent = model_of(effect('thrust_curve', {'throttle': 0.4}, curvature=0.5))
+    bent = model_of(effect('thrust_curve', 0.5, settings={'throttle': 0.4}))
     assert throttle_factor(bent, 1.0) == 1.0
     assert throttle_factor(bent, 1.2) == pytest.approx((0.5 + 0.48) / (0.5 + 0.4))
-    along = EffectEstimate('shape:gain:time', 'shape', ('time',), (), {'values': (0.1, 0.0, -0.2)})
+    along = curve('shape:gain:time', [0.0, 20.0, 60.0], [0.1, 0.0, -0.2])
     assert gain_range(model_of(along)) == pytest.approx((0.8, 0.8, 1.1))
     assert loop_plant(model_of(along)).gain == pytest.approx(0.8 * 450.0)
     assert not_in_the_loop(bent) == not_in_the_loop(model_of(along)) == ()

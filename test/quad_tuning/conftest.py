@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from quad_sysid.loop.cascade import CascadeGains
-from quad_sysid.model import AxisModel, Parameter
+from quad_sysid.model import AxisModel, NoiseEstimate, Parameter
 
 NAMES = ('gain', 'lag', 'delay', 'damping', 'bias')
 VALUES = {'gain': 450.0, 'lag': 0.043, 'delay': 0.008, 'damping': 0.4, 'bias': 0.1}
 STDS = {'gain': 5.0, 'lag': 0.0006, 'delay': 0.0004, 'damping': 0.05, 'bias': 0.02}
 UNITS = ('rad/s²', 's', 's', '1/s', 'rad/s²')
+NOISE = NoiseEstimate(1.0, 1.0, 0.3, 0.02, 1e4, 0.015, 0.01)
 
 
 def build_model(axis='roll', effects=(), stds=None, **values):
@@ -21,7 +22,7 @@ def build_model(axis='roll', effects=(), stds=None, **values):
     return AxisModel(
         axis=axis, dt=0.004, gyro_filter_hz=42.0, base=base, effects=tuple(effects),
         parameter_names=NAMES, covariance=np.diag([stds[n] ** 2 for n in NAMES]),
-        active_gains=CascadeGains.default(axis).to_mapping(axis, constants=True), noise_rms=0.01,
+        active_gains=CascadeGains.default(axis).to_mapping(axis, constants=True), noise=NOISE,
     )  # fmt: skip
 
 

@@ -5,24 +5,24 @@ import dataclasses
 import numpy as np
 import pytest
 
+from quad_sysid.estimate.stored import estimate_of
 from quad_sysid.loop.from_model import loop_plant
-from quad_sysid.model import EffectEstimate, Parameter
 from quad_tuning import ensemble as ensembles
 from quad_tuning.designer import design
 from quad_tuning.rivals import shares, variants
 from quad_tuning.use import schedule, uses
 
 
-def effect(name, signal, rivals=(), probability=1.0, settings=None, **parameters):
-    given = tuple(Parameter(k, v, 0.05 * abs(v), '') for k, v in parameters.items())
-    return EffectEstimate(
-        name, 'named', (signal,), given, settings or {}, probability=probability, rivals=rivals
+def effect(name, *fitted, rivals=(), probability=1.0, settings=None):
+    return estimate_of(
+        name, fitted, settings=settings, std=0.01, probability=probability, rivals=rivals
     )
 
 
 def test_a_rival_of_the_same_signal_does_the_same_over_the_flown_range(model):
     found = effect(
-        'coulomb_friction', 'rate', (('quadratic_drag', 0.3), ('backlash', 0.1)), 0.6, torque=0.8
+        'coulomb_friction', 0.8, rivals=(('quadratic_drag', 0.3), ('backlash', 0.1)),
+        probability=0.6,
     )
     weights, models = zip(*variants(model(effects=[found])), strict=True)
     assert weights == pytest.approx((0.6, 0.3, 0.1))
@@ -39,7 +39,9 @@ def test_a_rival_of_the_same_signal_does_the_same_over_the_flown_range(model):
 def test_draws_are_shared_out_by_probability(model):
     assert shares((0.6, 0.3, 0.1), 240) == (144, 72, 24)
     assert sum(shares((0.55, 0.335, 0.115), 241)) == 241
-    found = effect('coulomb_friction', 'rate', (('quadratic_drag', 0.5),), 0.5, torque=2.0)
+    found = effect(
+        'coulomb_friction', 2.0, rivals=(('quadratic_drag', 0.5),), probability=0.5
+    )
     loops = ensembles.build(model(effects=[found]), np.random.default_rng(1))
     # near rest dry friction damps far more than drag: two families of low-frequency gains
     rest = np.abs(loops.response[0, loops.response.shape[1] // 2 + 1 :, 40])
@@ -49,8 +51,7 @@ def test_draws_are_shared_out_by_probability(model):
 def test_the_margins_hold_for_the_rival_too(model):
     """A resonance that may as well be slow motors: the design is held against both."""
     mode = effect(
-        'resonance', 'command', (('motor_lag', 0.4),), 0.6,
-        frequency=6.0, damping_ratio=0.05, in_phase=0.0, quadrature=0.03,
+        'resonance', 6.0, 0.05, 0.0, 0.03, rivals=(('motor_lag', 0.4),), probability=0.6,
     )  # fmt: skip
     m = model(effects=[mode])
     proposal = design(m)
@@ -63,9 +64,7 @@ def test_the_margins_hold_for_the_rival_too(model):
 
 
 def test_sag_gives_a_schedule_that_keeps_the_loop_gain(model):
-    sag = effect(
-        'battery_sag', 'battery', settings={'reference_v': 11.5}, exponent=1.5
-    )  # fmt: skip
+    sag = effect('battery_sag', 1.5, settings={'reference_v': 11.5})
     m = dataclasses.replace(model(effects=[sag]), mean_battery_v=11.5)
     proposal = design(m)
     rows = proposal.schedule
@@ -79,9 +78,9 @@ def test_sag_gives_a_schedule_that_keeps_the_loop_gain(model):
 
 def test_every_effect_is_told_once_and_feed_forward_is_not_claimed(model):
     found = [
-        effect('coulomb_friction', 'rate', torque=0.5),
-        effect('backlash', 'command', half_width=0.001),
-        effect('thrust_curve', 'command', settings={'throttle': 0.4}, curvature=0.3),
+        effect('coulomb_friction', 0.5),
+        effect('backlash', 0.001),
+        effect('thrust_curve', 0.3, settings={'throttle': 0.4}),
     ]
     told = dict(uses(model(effects=found)))
     assert list(told) == ['bias_torque', 'coulomb_friction', 'backlash', 'thrust_curve']

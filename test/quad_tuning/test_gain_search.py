@@ -7,8 +7,8 @@ import pytest
 from scipy.optimize import differential_evolution
 
 from quad_sysid.loop.cascade import CascadeGains, closed_loop_radius
+from quad_sysid.estimate.stored import estimate_of
 from quad_sysid.loop.from_model import loop_plant
-from quad_sysid.model import EffectEstimate, Parameter
 from quad_tuning import ensemble as ensembles
 from quad_tuning import search as searches
 from quad_tuning.objective import Requirements, Weights, pose
@@ -62,11 +62,7 @@ def test_another_global_optimiser_finds_nothing_better(model, values):
 
 def test_a_resonance_folds_the_margins_and_the_better_optimum_is_taken(model):
     """Some searches may stop at lesser optima: two at least end at the best one, within 1 %."""
-    given = {'frequency': 5.4, 'damping_ratio': 0.06, 'in_phase': 0.0, 'quadrature': 0.045}
-    mode = EffectEstimate(
-        'resonance', 'named', ('command',),
-        tuple(Parameter(name, value, 0.01, '') for name, value in given.items()),
-    )  # fmt: skip
+    mode = estimate_of('resonance', (5.4, 0.06, 0.0, 0.045), std=0.01)
     problem = problem_of(model(gain=388.0, lag=0.069, delay=0.012, effects=[mode]))
     ends = searches.search(problem).points
     assert len(ends) >= 2

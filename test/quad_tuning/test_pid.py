@@ -7,19 +7,17 @@ import pytest
 
 from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.loop.figures import square_figures, square_wave
+from quad_sysid.estimate.stored import estimate_of
 from quad_sysid.loop.from_model import loop_plant
 from quad_sysid.loop.plant import Curve
 from quad_sysid.loop.simulation import simulate_cascade
-from quad_sysid.model import EffectEstimate, Parameter
 from quad_tuning import ensemble as ensembles
 from quad_tuning.assess import disturbance, tracking
 from quad_tuning.designer import design
 from quad_tuning.pid import Requirements, meets, retune
 
 ACTIVE = CascadeGains.default('roll')
-FRICTION = EffectEstimate(
-    'coulomb_friction', 'named', ('rate',), (Parameter('torque', 2.5, 0.1, 'rad/s²'),)
-)
+FRICTION = estimate_of('coulomb_friction', (2.5,), std=0.1)
 
 
 @pytest.mark.parametrize(
@@ -146,10 +144,7 @@ def test_draws_follow_the_covariance_and_keep_a_floor(model):
 
 
 def test_battery_sag_widens_the_gains_that_are_judged(model):
-    sag = EffectEstimate(
-        'battery_sag', 'named', ('battery',), (Parameter('exponent', 2.0, 0.1, '1'),),
-        {'reference_v': 11.5},
-    )  # fmt: skip
+    sag = estimate_of('battery_sag', (2.0,), settings={'reference_v': 11.5}, std=0.1)
     plain = dataclasses.replace(model(), mean_battery_v=11.5)
     sagging = dataclasses.replace(model(effects=[sag]), mean_battery_v=11.5)
 

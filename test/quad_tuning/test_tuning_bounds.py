@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from quad_sysid.loop.cascade import CascadeGains
-from quad_sysid.model import EffectEstimate, Parameter
+from quad_sysid.estimate.stored import estimate_of
+from quad_sysid.model import Parameter
 from quad_tuning.bounds import (
     check_bounds,
     check_finite,
@@ -93,9 +94,7 @@ def test_wrong_polarity_is_refused(model, values, stds, said):
 
 def test_an_axis_driven_by_another_ones_command_is_refused(model):
     def crossed(fraction):
-        return EffectEstimate(
-            'cross_axis_input', 'named', ('other',), (Parameter('fraction', fraction, 0.01, '1'),)
-        )
+        return estimate_of('cross_axis_input', (fraction,), 'other axis 1', std=0.01)
 
     check_polarity(model(effects=[crossed(0.1)]))
     with pytest.raises(DesignRefusedError, match="motors' order"):

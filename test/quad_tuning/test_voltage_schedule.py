@@ -9,8 +9,8 @@ from quad_bridge.gain_gate import DEFAULT_BOUNDS
 from quad_bridge.gain_gate import steps as gate_steps
 from quad_bridge.virtual.profile import load_profile
 from quad_bridge.virtual.simulation import Excited, fly, without_noise
+from quad_sysid.estimate.stored import estimate_of
 from quad_sysid.loop.from_model import loop_plant, schedule_factor
-from quad_sysid.model import EffectEstimate, Parameter
 from quad_tuning.assess import SQUARE_AMPLITUDE_RAD
 from quad_tuning.designer import design
 from quad_tuning.use import uses
@@ -20,10 +20,7 @@ EXPONENT, REFERENCE = 'roll.sag.exponent', 'roll.sag.reference_v'
 
 def sagging(model, changed, power=1.2, offered=True, **active):
     """An identified model with sag; `offered`: the firmware reports the schedule, switched off."""
-    effect = EffectEstimate(
-        'battery_sag', 'named', ('battery',), (Parameter('exponent', power, 0.05, '1'),),
-        settings={'reference_v': 11.1},
-    )  # fmt: skip
+    effect = estimate_of('battery_sag', (power,), settings={'reference_v': 11.1}, std=0.05)
     m = model(effects=[effect])
     known = {EXPONENT: 0.0, REFERENCE: 0.0, **active} if offered else {}
     return changed(m, mean_battery_v=11.4, active_gains={**m.active_gains, **known})

@@ -10,20 +10,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from quad_sysid.loop.from_model import CURVES
-from quad_sysid.model import AxisModel, EffectEstimate, Parameter
+from quad_sysid.effects import EFFECTS
+from quad_sysid.estimate.stored import estimate_of
+from quad_sysid.loop.from_model import Placed, placed
+from quad_sysid.model import AxisModel, EffectEstimate
+from quad_sysid.model.effect import Effect, Part
 
 LEAST_PROBABILITY = 0.02
 """A rival below this is ruled out."""
 FLOWN = {'rate': 1.5, 'angle': 0.25}
 """Amplitude of the signal over which two curves are matched, rad/s and rad."""
-ONE_PARAMETER = {
-    'coulomb_friction': 'torque',
-    'quadratic_drag': 'coefficient',
-    'pendulum_stiffness': 'stiffness',
-    'cubic_stiffness': 'stiffness',
-}
-"""Torques that are proportional to one parameter."""
+REST = {'throttle': 0.5, 'battery': 1.0}
 
 
 def variants(model: AxisModel) -> tuple[tuple[float, AxisModel], ...]:
@@ -55,25 +52,28 @@ def _own(effect: EffectEstimate) -> float:
 
 def _with_rival(model: AxisModel, effect: EffectEstimate, name: str) -> AxisModel:
     rest = tuple(e for e in model.effects if e is not effect)
-    known = CURVES.get(effect.name), CURVES.get(name)
-    if known[0] is not None and known[1] is not None and known[0][0] == known[1][0]:
-        matched = _matched(effect, name, model.dt)
-        if matched is not None:
-            return _reduced(model, (*rest, matched))
-    return _reduced(model, rest)
+    matched = _matched(placed(model, effect), name)
+    return _reduced(model, rest if matched is None else (*rest, matched))
 
 
-def _matched(effect: EffectEstimate, name: str, dt: float) -> EffectEstimate | None:
+def _matched(found: Placed, name: str) -> EffectEstimate | None:
     """The rival whose torque is nearest the effect's over a sine of the flown amplitude."""
-    signal, curve = CURVES[effect.name]
-    if name not in ONE_PARAMETER or signal not in FLOWN:
+    rival = next((e for e in EFFECTS if e.name == name), None)
+    signal = found.effect.signals[0]
+    if rival is None or signal not in FLOWN or not (_simple(found.effect) and _simple(rival)):
+        return None
+    if rival.signals != found.effect.signals:
         return None
     x = FLOWN[signal] * np.sin((np.arange(256) + 0.5) * (2.0 * np.pi / 256))
-    wanted = curve({p.name: p.value for p in effect.parameters}, dt)(x)
-    unit = CURVES[name][1]({ONE_PARAMETER[name]: 1.0}, dt)(x)
+    wanted = found.torque(REST, x.size, **{signal: x})
+    unit = Placed(Part(rival), np.ones(1), np.ones(1)).torque(REST, x.size, **{signal: x})
     size = float(np.dot(unit, wanted) / np.dot(unit, unit))
-    parameter = Parameter(ONE_PARAMETER[name], size, None, '')
-    return EffectEstimate(name, 'named', effect.signals, (parameter,))
+    return estimate_of(name, (size,), rival.variant)
+
+
+def _simple(effect: Effect) -> bool:
+    """Whether it is a torque in proportion to one parameter."""
+    return effect.term == 'torque' and len(effect.parameters) == 1
 
 
 def _reduced(model: AxisModel, effects: tuple[EffectEstimate, ...]) -> AxisModel:

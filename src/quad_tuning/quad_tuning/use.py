@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from quad_sysid.loop.cascade import CascadeGains
-from quad_sysid.loop.from_model import CURVES, GAIN_SHAPE, battery_factor, not_in_the_loop
+from quad_sysid.loop.from_model import Placed, battery_factor, placed
 from quad_sysid.model import AxisModel
 from quad_tuning.bounds import BOUNDS, told
 from quad_tuning.ensemble import VOLTAGE_RANGE
@@ -22,14 +22,16 @@ WORDS: Mapping[str, str] = {
     'rate': 'simulated with it; in the margins by its gain in wide motion and near rest',
     'angle': 'simulated with it; in the margins by its stiffness at large and small angles',
     'command': 'simulated with it; in the margins by its gain for large and small commands',
+    'torque': 'simulated with it as a constant torque',
+    'throttle': 'margins hold over the throttle of the next flight, 0.85 to 1.15 of the mean',
+    'time': 'the plant as it is after the event',
+    'battery': 'margins hold over the whole pack; the schedule gives gains by voltage',
+    'gain': 'margins hold over all gains that the curve takes',
+    'response': 'a second lag of the plant, in simulation and margins',
+    'mode': 'a mode of the plant, in simulation and margins; a notch is not used',
+    'usual': 'the plant with its usual value, in simulation and margins',
 }
-SPECIAL: Mapping[str, str] = {
-    'motor_lag': 'a second lag of the plant, in simulation and margins',
-    'resonance': 'a mode of the plant, in simulation and margins; a notch is not used',
-    'step_event': 'the plant as it is after the event',
-    'thrust_curve': 'margins hold over the throttle of the next flight, 0.85 to 1.15 of the mean',
-    'battery_sag': 'margins hold over the whole pack; the schedule gives gains by voltage',
-}
+"""What a design makes of an effect, by what it does to the loop."""
 OUTSIDE = 'left out of the loop: the margins stand for it'
 NO_FEED_FORWARD = '; fed forward it would better the tracking by less than 1 %'
 
@@ -37,19 +39,11 @@ NO_FEED_FORWARD = '; fed forward it would better the tracking by less than 1 %'
 def uses(model: AxisModel) -> tuple[tuple[str, str], ...]:
     """(name, what was made of it) for the bias, each effect and each rival that stays possible."""
     out = [('bias_torque', 'simulated with it; the integrator carries it' + NO_FEED_FORWARD)]
-    left_out = not_in_the_loop(model)
     for effect in model.effects:
         if effect.name == EFFECT and settings(model):
             words = 'the firmware schedules the command on the voltage (sag.exponent)'
-        elif effect.name in SPECIAL:
-            words = SPECIAL[effect.name]
-        elif effect.name.startswith(GAIN_SHAPE):
-            words = 'margins hold over all gains that the curve takes'
-        elif effect.name in left_out:
-            words = OUTSIDE
         else:
-            signal = CURVES[effect.name][0] if effect.name in CURVES else effect.name[6:]
-            words = WORDS[signal]
+            words = _words(placed(model, effect))
         if effect.name == 'coulomb_friction':
             words += NO_FEED_FORWARD
         out.append((effect.name, words))
@@ -59,6 +53,24 @@ def uses(model: AxisModel) -> tuple[tuple[str, str], ...]:
             if p >= LEAST_PROBABILITY
         ]
     return tuple(out)
+
+
+def _words(one: Placed) -> str:
+    """What the loop makes of one effect."""
+    term, signals = one.effect.term, one.effect.signals
+    if not one.inside:
+        return OUTSIDE
+    if term in ('torque', 'friction', 'damping'):
+        return WORDS[next((s for s in ('rate', 'angle', 'command') if s in signals), 'torque')]
+    if term == 'gain':
+        if one.curve:
+            return WORDS['command' if signals[0] == 'command' else 'gain']
+        return WORDS[next(s for s in ('battery', 'time') if s in signals)]
+    if term == 'command':
+        return WORDS['throttle' if 'throttle' in signals else 'command']
+    if term == 'response':
+        return WORDS['mode' if one.dynamics and one.dynamics.frequency_rad_s else 'response']
+    return WORDS['usual']
 
 
 def schedule(

@@ -11,7 +11,7 @@ import numpy as np
 from quad_sysid.contract import MIXER_INVERSE, FloatArray
 from quad_sysid.model import recursion
 from quad_sysid.model.data import AxisData
-from quad_sysid.model.effect import Drive, Effect, Settings, Signals, Spec
+from quad_sysid.model.effect import Drive, Dynamics, Effect, Settings, Signals, Spec
 from quad_sysid.effects.couplings import over_training
 
 MOVES = 0.02
@@ -83,6 +83,9 @@ class BatterySag(Effect):
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         return s.drive * ((s.battery_v / float(settings['reference_v'])) ** p[0] - 1.0)
 
+    def usual(self, p: FloatArray, settings: Settings) -> Mapping[str, float]:
+        return {'battery': float(settings['reference_v'])}
+
 
 class ThrustCurve(Effect):
     name = 'thrust_curve'
@@ -114,6 +117,9 @@ class ThrustCurve(Effect):
         row = MIXER_INVERSE[data.index + 1]
         bent = (row @ (k * (2.0 * u * m - m * m - u)) + drive.commands[0]) / slope
         return replace(drive, commands=np.vstack([bent, drive.commands[1:]]))
+
+    def usual(self, p: FloatArray, settings: Settings) -> Mapping[str, float]:
+        return {'throttle': float(settings['throttle'])}
 
 
 class Motors(Effect):
@@ -166,6 +172,10 @@ class Saturation(Motors):
 
     def fitted(self, values: Mapping[str, float], settings: Settings) -> FloatArray:
         return np.array([values[self.variant]])
+
+    def usual(self, p: FloatArray, settings: Settings) -> Mapping[str, float]:
+        # in the middle of the motors' limits: as far to either side
+        return {'throttle': 0.5 * float(p[0] + (0.0 if self.variant == 'upper' else 1.0))}
 
 
 class SlewLimit(Motors):
@@ -305,6 +315,9 @@ class SecondLag(Effect):
     ) -> FloatArray:
         return along(data, command, recursion.first_order, max(float(p[0]), 1e-5), data.dt)
 
+    def dynamics(self, p: FloatArray) -> Dynamics | None:
+        return Dynamics(lag_s=float(p[0]))
+
 
 class Resonance(Effect):
     name = 'resonance'
@@ -326,6 +339,11 @@ class Resonance(Effect):
         return along(
             data, command, recursion.light_mode, 2.0 * math.pi * min(float(p[0]), 0.4 / data.dt),
             min(float(p[1]), LIGHT), float(p[2]), float(p[3]), data.dt,
+        )
+
+    def dynamics(self, p: FloatArray) -> Dynamics | None:
+        return Dynamics(
+            0.0, 2.0 * math.pi * float(p[0]), min(float(p[1]), LIGHT), float(p[2]), float(p[3])
         )
 
 

@@ -6,7 +6,7 @@ Gaussian process seen at knots, linear between; two smoothnesses of each compete
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -165,6 +165,11 @@ class Curve(Effect):
 
     def elsewhere(self, p: FloatArray, settings: Settings, phase: float) -> FloatArray:
         return np.full(p.size, p[-1]) if self.signal == 'time' else p
+
+    def usual(self, p: FloatArray, settings: Settings) -> Mapping[str, float]:
+        if self.signal not in ('throttle', 'battery'):
+            return {}
+        return {self.signal: 0.5 * float(settings['knots'][0] + settings['knots'][-1])}
 
     def readable(self, p: FloatArray, settings: Settings) -> dict[str, tuple[float, str]]:
         mean = float(np.dot(settings['mean'], p))

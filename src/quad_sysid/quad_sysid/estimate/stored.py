@@ -169,6 +169,22 @@ def effects_of(
     )
 
 
+def estimate_of(
+    name: str, fitted: Sequence[float], variant: str = '', *,
+    settings: Settings | None = None, std: float | None = None,
+    probability: float = 1.0, rivals: tuple[tuple[str, float], ...] = (),
+) -> EffectEstimate:
+    """An effect with given parameters, as its physics takes them, that was fitted to nothing."""
+    effect, known = KNOWN[name, variant], settings or {}
+    told = effect.readable(np.array(fitted, dtype=float), known)
+    return EffectEstimate(
+        name=name, kind=effect.kind, signals=effect.signals,
+        parameters=tuple(Parameter(k, value, std, unit) for k, (value, unit) in told.items()),
+        variant=variant, fitted=tuple(float(v) for v in fitted), settings=dict(known),
+        probability=probability, rivals=rivals,
+    )
+
+
 def completed(model: AxisModel) -> Stored:
     """The model with its effects, to be run. Raises BadInputError for an unknown effect."""
     parts = tuple(part_of(model, effect) for effect in model.effects)

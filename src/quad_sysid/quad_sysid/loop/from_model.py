@@ -1,158 +1,242 @@
-"""From the identified AxisModel to the LoopPlant: each effect becomes a curve or a factor.
+"""From the identified AxisModel to the LoopPlant: the effects' own physics, put into tables.
 
-One table, `CURVES`; slow motors and a resonance become states, sag, throttle and events factors.
-An effect that has no place in one axis' loop (coupling, periodic torque, play) is named in
-`not_in_the_loop`. No fitting; the effects' physics stands in effects/table.py.
+`torque` on a table of rate, angle or command gives curves, factors, damping and bias; `command` a
+curve of the command; `actuate` on a small step shares of the drive with their lags; `dynamics` a
+second lag or a mode. What follows other axes, a phase or a past that is not linear has no place in
+one axis' loop and is named in `not_in_the_loop`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
-from quad_sysid.contract import FloatArray
-from quad_sysid.greybox.drive import STEPPED_ADVANCE_S
+from quad_sysid.contract import AXES, MIXER, MIXER_INVERSE, FloatArray
+from quad_sysid.estimate.stored import part_of
 from quad_sysid.loop.plant import Curve, LightMode, LoopPlant, SlowMotors
 from quad_sysid.model import AxisModel, EffectEstimate
+from quad_sysid.model.data import AxisData
+from quad_sysid.model.effect import Drive, Dynamics, Effect, Part, Signals
 
-STICTION_RATE = 0.01
-"""Rate over which dry friction changes its sign, rad/s (effects/table.py)."""
 RATE_RANGE = 12.0
 """Half width of the rate tables, rad/s."""
 ANGLE_RANGE = 1.6
 """Half width of the angle tables, rad."""
 COMMAND_RANGE = 1.0
+STEPS = {'rate': (0.02, 0.005), 'angle': (0.01,), 'command': (0.0005,)}
+"""Steps of the tables; the second where the first does not resolve a curve."""
+RESOLVED = 1e-3
+"""Interpolation may err by this share of a curve."""
+LINEAR = 1e-9
+HERE = {'rate', 'angle', 'command', 'throttle', 'battery', 'time', 'motors', 'history'}
+"""Signals that one axis' loop has, or that stand still in it."""
+SMALL_STEP = 0.02
+"""Of the command, to see how the motors share it."""
 
 Function = Callable[[FloatArray], FloatArray]
 
 
-def _coulomb(p: Mapping[str, float], dt: float) -> Function:
-    width = max(STICTION_RATE, abs(p['torque']) * dt)
-    return lambda rate: -p['torque'] * np.tanh(rate / width)
+@dataclass(frozen=True)
+class Placed:
+    """An effect of a model with its parameters as they are on the next flight."""
+
+    part: Part
+    fitted: FloatArray
+    p: FloatArray
+
+    @property
+    def effect(self) -> Effect:
+        """Its physics."""
+        return self.part.effect
+
+    @property
+    def dynamics(self) -> Dynamics | None:
+        """The linear dynamics of what has a memory."""
+        return self.effect.dynamics(self.p)
+
+    @property
+    def inside(self) -> bool:
+        """Whether one axis' loop holds it."""
+        signals = set(self.effect.signals)
+        remembered = 'history' not in signals or self.dynamics is not None
+        return signals <= HERE and remembered and not self.effect.phased
+
+    @property
+    def curve(self) -> bool:
+        """Whether it is a curve over knots."""
+        return 'knots' in self.part.settings
+
+    def torque(self, at: Mapping[str, float], n: int = 1, **moved: FloatArray) -> FloatArray:
+        """(n,) acceleration at the usual values `at`, where only `moved` is not at rest."""
+        rest = np.zeros(n)
+        signals = {
+            'rate': rest, 'angle': rest, 'drive': rest, 'command': rest, 'change': rest,
+            'lagged': rest, 'time': rest, 'throttle': np.full(n, at['throttle']),
+            'battery_v': np.full(n, at['battery']), 'other_rates': (rest, rest),
+            'other_commands': (rest, rest),
+        } | moved
+        own = self.effect.torque(Signals(**signals), self.p, self.part.settings)
+        return rest if own is None else np.broadcast_to(own, (n,))
+
+    def factor(self, at: Mapping[str, float], **moved: FloatArray) -> FloatArray:
+        """What it multiplies the drive with, in small motion."""
+        n = max((x.size for x in moved.values()), default=1)
+        with_drive = self.torque(at, n, drive=np.ones(n), **moved)
+        out: FloatArray = 1.0 + with_drive - self.torque(at, n, **moved)
+        return out
 
 
-def _drag(p: Mapping[str, float], _: float) -> Function:
-    return lambda rate: -p['coefficient'] * rate * np.abs(rate)
+def placed(model: AxisModel, effect: EffectEstimate) -> Placed:
+    """An effect of a model. Raises BadInputError for one that this version does not know."""
+    part = part_of(model, effect)
+    fitted = np.array(effect.fitted)
+    return Placed(part, fitted, part.effect.elsewhere(fitted, part.settings, 0.0))
 
 
-def _pendulum(p: Mapping[str, float], _: float) -> Function:
-    return lambda angle: -p['stiffness'] * np.sin(angle)
+def _inside(model: AxisModel) -> list[Placed]:
+    return [one for one in (placed(model, e) for e in model.effects) if one.inside]
 
 
-def _cubic(p: Mapping[str, float], _: float) -> Function:
-    return lambda angle: -p['stiffness'] * angle**3
-
-
-def _dead_zone(p: Mapping[str, float], _: float) -> Function:
-    return lambda u: np.sign(u) * np.maximum(np.abs(u) - p['half_width'], 0.0)
-
-
-def _saturation(p: Mapping[str, float], _: float) -> Function:
-    # the motors' own limits leave this much to either side of a throttle in their middle
-    reach = 0.5 * max(0.0, min(p.get('upper', 1.0), 1.0) - max(p.get('lower', 0.0), 0.0))
-    return lambda u: np.clip(u, -reach, reach)
-
-
-CURVES: Mapping[str, tuple[str, Callable[[Mapping[str, float], float], Function]]] = {
-    'coulomb_friction': ('rate', _coulomb),
-    'quadratic_drag': ('rate', _drag),
-    'pendulum_stiffness': ('angle', _pendulum),
-    'cubic_stiffness': ('angle', _cubic),
-    'dead_zone': ('command', _dead_zone),
-    'saturation': ('command', _saturation),
-}
-"""Effect to the signal it depends on and its curve; parameters as the contract names them."""
-
-FACTORS = ('battery_sag', 'thrust_curve', 'step_event')
-"""Effects that scale the gain: with the voltage, with the throttle (the thrust curve's quadratic
-part cancels between the motors of an axis), once and for good."""
-GAIN_SHAPE = 'shape:gain:'
-STATES = ('motor_lag', 'resonance')
-"""Effects that add states to the plant."""
+def _usual(model: AxisModel, effects: list[Placed]) -> dict[str, float]:
+    """Throttle and battery voltage around which the loop is judged."""
+    at = {'throttle': 0.5, 'battery': 1.0}
+    for one in reversed(effects):
+        at |= one.effect.usual(one.p, one.part.settings)
+    return at | ({'battery': model.mean_battery_v} if model.mean_battery_v else {})
 
 
 def loop_plant(model: AxisModel) -> LoopPlant:
     """The plant that the controller sees at the flight's mean battery voltage.
 
-    Shapes (`shape:rate`, `shape:angle` as torques, `shape:command` added to the command) are taken
-    from settings `knots` and `values` where both are there. Raises BadInputError for parameters
-    that are not finite.
+    Raises BadInputError for effects that are not known and parameters that are not finite.
     """
+    effects = _inside(model)
+    at = _usual(model, effects)
+    gain, bias, damping = model.value('gain'), model.value('bias'), model.value('damping')
+    delay = model.value('delay')
     tables: dict[str, list[Function]] = {'rate': [], 'angle': [], 'command': []}
-    finest = RATE_RANGE / 600.0
-    for effect in model.effects:
-        parameters = {p.name: p.value for p in effect.parameters}
-        entry = CURVES.get(effect.name)
-        if entry is not None:
-            tables[entry[0]].append(entry[1](parameters, model.dt))
-            if effect.name == 'coulomb_friction':
-                finest = min(finest, max(STICTION_RATE, abs(parameters['torque']) * model.dt) / 2)
-        else:
-            shape = _shape(effect)
-            if shape is not None:
-                tables[effect.name.split(':')[-1]].append(shape)
-    stepped = 1.0 + _parameter(model, 'step_event.change')
-    advance = STEPPED_ADVANCE_S if model.realisation == 'stepped' else 0.0
+    factor = schedule_factor(model)
+    base_gain = gain or 1.0
+    for one in effects:
+        rest = float(one.torque(at)[0])
+        bias += rest
+        delay -= float(one.torque(at, change=np.ones(1))[0]) - rest
+        if one.effect.term == 'damping':
+            damping -= float(one.torque(at, rate=np.ones(1))[0]) - rest
+        elif 'rate' in one.effect.signals and one.effect.term != 'gain':
+            tables['rate'].append(lambda x, o=one, r=rest: o.torque(at, x.size, rate=x) - r)
+        if 'angle' in one.effect.signals and one.effect.term == 'torque':
+            tables['angle'].append(lambda x, o=one, r=rest: o.torque(at, x.size, angle=x) - r)
+        if one.effect.term in ('torque', 'gain') and 'command' in one.effect.signals:
+            def added(u: FloatArray, o: Placed = one, r: float = rest) -> FloatArray:
+                drive = base_gain * u
+                pushed = o.torque(at, u.size, drive=drive, command=drive, lagged=u)
+                return np.asarray((pushed - r) / base_gain)
+
+            u = np.linspace(-COMMAND_RANGE, COMMAND_RANGE, 41)
+            slope = float(added(np.ones(1))[0])
+            if np.max(np.abs(added(u) - slope * u)) < LINEAR * (1.0 + abs(slope)):
+                factor *= 1.0 + slope
+            else:
+                tables['command'].append(lambda u, f=added: u + f(u))
+    mapped = _mapped(model, effects, at)
+    if mapped is not None:
+        tables['command'].insert(0, mapped)
+    share, lag, slow, mode = _drive(model, effects, at)
     return LoopPlant(
-        gain=model.value('gain') * battery_factor(model) * schedule_factor(model) * stepped
-        * gain_range(model)[1],
-        lag_s=model.value('lag'),
-        delay_s=max(0.0, model.value('delay') - advance),
-        damping=model.value('damping'),
-        bias=model.value('bias') + _parameter(model, 'step_event.torque'),
-        gyro_filter_hz=model.gyro_filter_hz,
-        dt=model.dt,
-        rate_curve=_sum(tables['rate'], RATE_RANGE, finest),
-        angle_curve=_sum(tables['angle'], ANGLE_RANGE, 0.01),
-        command_curve=_chain(tables['command']),
-        slow=_slow_motors(model),
-        mode=_mode(model),
+        gain=gain * factor * share, lag_s=lag, delay_s=max(0.0, delay), damping=damping, bias=bias,
+        gyro_filter_hz=model.gyro_filter_hz, dt=model.dt,
+        rate_curve=_sum(tables['rate'], RATE_RANGE, STEPS['rate']),
+        angle_curve=_sum(tables['angle'], ANGLE_RANGE, STEPS['angle']),
+        command_curve=_chain(tables['command']), slow=slow, mode=mode,
     )
 
 
-def _parameter(model: AxisModel, name: str) -> float:
-    """Value of `<effect>.<parameter>`, 0 where the model has no such effect."""
-    try:
-        return model.value(name)
-    except KeyError:
-        return 0.0
+def _flown(model: AxisModel, at: Mapping[str, float], command: FloatArray) -> AxisData:
+    """(n,) commands of the axis at the usual throttle, each a flight of its own."""
+    n, index = command.size, AXES.index(model.axis)
+    control = np.zeros((n, 4))
+    control[:, 0], control[:, index + 1] = at['throttle'], command
+    motors = np.clip(control @ MIXER.T, 0.0, 1.0)
+    nothing = np.zeros(n)
+    return AxisData(
+        axis=model.axis, dt=model.dt, rate=nothing, angle=nothing, control=control, motors=motors,
+        other_rates=np.zeros((n, 2)), battery_v=np.full(n, at['battery']),
+        gyro_filter_hz=model.gyro_filter_hz, stretches=tuple((i, i + 1) for i in range(n)),
+        train=((0, n),), validation=(),
+    )
 
 
-def _slow_motors(model: AxisModel) -> SlowMotors | None:
-    lag = _parameter(model, 'motor_lag.slow_time_constant')
-    single = any(e.name == 'motor_lag' and 'motor' in e.settings for e in model.effects)
-    share = 0.25 if single else min(max(_parameter(model, 'motor_lag.share'), 0.0), 1.0)
-    return SlowMotors(share, lag) if lag > 0.0 else None
-
-
-def _mode(model: AxisModel) -> LightMode | None:
-    frequency = _parameter(model, 'resonance.frequency')
-    if frequency <= 0.0:
+def _mapped(model: AxisModel, effects: list[Placed], at: Mapping[str, float]) -> Function | None:
+    """What becomes of a command on its way to the motors; None where it stays as it is."""
+    maps = [
+        one for one in effects
+        if type(one.effect).command is not Effect.command and one.dynamics is None
+    ]
+    if not maps:
         return None
-    names = ('damping_ratio', 'in_phase', 'quadrature')
-    damping, in_phase, quadrature = (_parameter(model, f'resonance.{n}') for n in names)
-    return LightMode(2.0 * np.pi * frequency, max(damping, 1e-3), in_phase, quadrature)
+
+    def through(u: FloatArray) -> FloatArray:
+        data = _flown(model, at, u)
+        if any('motors' in one.effect.signals for one in maps):  # which stop at 0 and 1
+            u = data.motors @ MIXER_INVERSE[data.index + 1]
+        for one in maps:
+            u = one.effect.command(data, u, one.p, one.part.settings)
+        return u
+
+    return through
+
+
+def _drive(
+    model: AxisModel, effects: list[Placed], at: Mapping[str, float]
+) -> tuple[float, float, SlowMotors | None, LightMode | None]:
+    """Share of the gain in small motion, lag, motors with another lag, and a mode."""
+    data = _flown(model, at, np.array([-SMALL_STEP, SMALL_STEP]))
+    lag = np.full((1, 2), model.value('lag'))
+    drive = Drive(data.command[None, :], np.ones(1), lag)
+    for one in effects:
+        drive = one.effect.actuate(data, drive, one.p, one.part.settings)
+    weights = drive.row * (drive.commands[:, 1] - drive.commands[:, 0]) / (2.0 * SMALL_STEP)
+    lags, whole = np.mean(drive.lag, axis=1), float(np.sum(weights))
+    usual = float(lags[int(np.argmax(np.abs(weights)))])
+    others = np.abs(lags - usual) > LINEAR
+    part = float(np.sum(weights[others]))
+    slow = None
+    if abs(part) > LINEAR:
+        slow = SlowMotors(part / whole, float(np.sum((weights * lags)[others])) / part)
+    mode = None
+    for found in (one.dynamics for one in effects):
+        if found is None:
+            continue
+        if found.frequency_rad_s > 0.0 and mode is None:
+            mode = LightMode(
+                found.frequency_rad_s, max(found.damping_ratio, 1e-3), found.in_phase,
+                found.quadrature,
+            )
+        elif found.lag_s > 0.0 and slow is None:
+            # partial fractions of two lags in series
+            second = found.lag_s if abs(found.lag_s / usual - 1.0) > 1e-3 else 1.001 * usual
+            slow = SlowMotors(second / (second - usual), second)
+        else:
+            usual += found.lag_s
+    return whole, usual, slow, mode
 
 
 def throttle_factor(model: AxisModel, share: float) -> float:
     """What the gain is multiplied by where the throttle is `share` of the flight's mean."""
-    for effect in model.effects:
-        mean = effect.settings.get('throttle')
-        if effect.name == 'thrust_curve' and isinstance(mean, int | float):
-            k = model.value('thrust_curve.curvature')
-            return float((1.0 - k + 2.0 * k * mean * share) / max(1.0 - k + 2.0 * k * mean, 1e-3))
-    return 1.0
+    effects = [one for one in _inside(model) if not one.curve]
+    at = _usual(model, effects)
+    moved = {**at, 'throttle': share * at['throttle']}
+    return _drive(model, effects, moved)[0] / _drive(model, effects, at)[0]
 
 
 def battery_factor(model: AxisModel, battery_v: float | None = None) -> float:
     """What the gain is multiplied by at `battery_v` (None: the flight's mean), 1 without sag."""
-    volts = model.mean_battery_v if battery_v is None else battery_v
-    for effect in model.effects:
-        reference = effect.settings.get('reference_v')
-        if effect.name == 'battery_sag' and isinstance(reference, int | float) and volts:
-            return float((volts / reference) ** model.value('battery_sag.exponent'))
-    return 1.0
+    effects = [one for one in _inside(model) if not one.curve and 'battery' in one.effect.signals]
+    at = _usual(model, effects) | ({'battery': battery_v} if battery_v else {})
+    return float(np.prod([one.factor(at)[0] for one in effects]))
 
 
 def schedule_factor(model: AxisModel, battery_v: float | None = None) -> float:
@@ -169,56 +253,45 @@ def schedule_factor(model: AxisModel, battery_v: float | None = None) -> float:
 
 
 def gain_range(model: AxisModel) -> tuple[float, float, float]:
-    """Least, usual and largest factor of the gain under curves of it (`shape:gain:<signal>`).
+    """Least, usual and largest factor of the gain under curves of it; 1, 1, 1 without any.
 
-    Usual is where a curve of time ends, for other signals its mean; 1, 1, 1 without any.
+    A curve of the command itself is none of these: the loop has it as a curve.
     """
     low = usual = high = 1.0
-    for effect in model.effects:
-        values = np.asarray(effect.settings.get('values', ()), dtype=float)
-        if effect.name.startswith(GAIN_SHAPE) and values.ndim == 1 and values.size:
-            factors = np.maximum(1.0 + values, 0.1)
+    effects = _inside(model)
+    at = _usual(model, effects)
+    for one in effects:
+        signal = one.effect.signals[0]
+        if one.curve and one.effect.term == 'gain' and signal != 'command':
+            field = {'battery': 'battery_v'}.get(signal, signal)
+            flown = Placed(one.part, one.fitted, one.fitted)
+            knots = np.array(one.part.settings['knots'], dtype=float)
+            factors = np.maximum(flown.factor(at, **{field: knots}), 0.1)
             low, high = low * float(factors.min()), high * float(factors.max())
-            usual *= float(factors[-1] if effect.name.endswith(':time') else factors.mean())
+            usual *= float(one.factor(at)[0])
     return low, usual, high
 
 
 def not_in_the_loop(model: AxisModel) -> tuple[str, ...]:
     """Names of the model's effects that the loop plant leaves out."""
-    return tuple(
-        effect.name
-        for effect in model.effects
-        if effect.name not in {*CURVES, *FACTORS, *STATES}
-        and not effect.name.startswith(GAIN_SHAPE)
-        and _shape(effect) is None
-    )
+    return tuple(e.name for e in model.effects if not placed(model, e).inside)
 
 
-def _shape(effect: EffectEstimate) -> Function | None:
-    """A curve of the rate, angle or command that has no name, from its knots."""
-    kind, _, signal = effect.name.partition(':')
-    knots, values = effect.settings.get('knots'), effect.settings.get('values')
-    if kind != 'shape' or signal not in ('rate', 'angle', 'command'):
-        return None
-    if effect.settings.get('variant') == 'friction':  # acts against the rate
-        return None
-    x = np.asarray(knots if knots is not None else (), dtype=float)
-    y = np.asarray(values if values is not None else (), dtype=float)
-    if x.ndim != 1 or x.size < 2 or x.shape != y.shape:
-        return None
-    if signal == 'command':  # the knots hold the whole map; outside them it goes on beside u
-        return lambda u: u + np.interp(u, x, y - x)
-    # a torque goes on for half a knot outside, then is held (greybox/kernels.py, curve)
-    first, last = 0.5 * (x[1] - x[0]), 0.5 * (x[-1] - x[-2])
-    x_wide = np.concatenate(([x[0] - first], x, [x[-1] + last]))
-    y_wide = np.concatenate(([1.5 * y[0] - 0.5 * y[1]], y, [1.5 * y[-1] - 0.5 * y[-2]]))
-    return lambda at: np.asarray(np.interp(at, x_wide, y_wide))
-
-
-def _sum(functions: list[Function], half_width: float, step: float) -> Curve | None:
+def _sum(functions: list[Function], half_width: float, steps: tuple[float, ...]) -> Curve | None:
     if not functions:
         return None
+    step = next(
+        (s for s in steps[:-1] if all(_resolves(f, half_width, s) for f in functions)), steps[-1]
+    )
     return Curve.sampled(lambda x: np.sum([f(x) for f in functions], axis=0), half_width, step)
+
+
+def _resolves(function: Function, half_width: float, step: float) -> bool:
+    """Whether a table of that step is near the function between its points."""
+    x = np.arange(-half_width, half_width, step)
+    y, between = function(x), function(x[:-1] + 0.5 * step)
+    away = np.max(np.abs(between - 0.5 * (y[1:] + y[:-1])), initial=0.0)
+    return bool(away <= RESOLVED * np.max(np.abs(y), initial=0.0))
 
 
 def _chain(functions: list[Function]) -> Curve | None:
@@ -231,4 +304,4 @@ def _chain(functions: list[Function]) -> Curve | None:
             u = function(u)
         return u
 
-    return Curve.sampled(through, COMMAND_RANGE, 0.0005)
+    return Curve.sampled(through, COMMAND_RANGE, STEPS['command'][0])

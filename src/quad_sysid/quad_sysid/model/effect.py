@@ -85,6 +85,20 @@ class Drive:
     """A motor that slows down has the lag times exp(asymmetry), one that speeds up the inverse."""
 
 
+@dataclass(frozen=True)
+class Dynamics:
+    """Linear dynamics before the motors: a lag, or a light mode that adds to the command.
+
+    z'' + 2 d w z' + w² z = w² u; the mode adds in_phase z + quadrature z'/w. No mode where w is 0.
+    """
+
+    lag_s: float = 0.0
+    frequency_rad_s: float = 0.0
+    damping_ratio: float = 0.0
+    in_phase: float = 0.0
+    quadrature: float = 0.0
+
+
 class Effect:
     """A physical effect that the base lacks. Subclasses say what it does; one of three at least."""
 
@@ -187,6 +201,16 @@ class Effect:
     ) -> FloatArray:
         """(states, w) hidden states a cycle later, for a rate (w,) held over it."""
         raise NotImplementedError
+
+    def usual(self, p: FloatArray, settings: Settings) -> Mapping[str, float]:
+        """Signal (`throttle`, `battery`) to the value around which a loop is judged."""
+        del p, settings
+        return {}
+
+    def dynamics(self, p: FloatArray) -> Dynamics | None:
+        """What a command effect with memory is to a linear loop; None where it is not linear."""
+        del p
+        return None
 
     def precision(self, settings: Settings, sizes: FloatArray) -> FloatArray:
         """(p, p) precision of the prior of its parameters, in the coordinates of the fit.

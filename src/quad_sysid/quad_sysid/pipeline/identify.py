@@ -77,7 +77,7 @@ def identify_axis(
     try:
         data = axis_data(records, axis)
         check_usable(data)
-        told = _found(data, options, progress)
+        told = found_effects(data, options, progress)
     except NotInformativeError as error:
         return AxisAnswer(
             axis, rate, segments, 'cannot_tell', str(error),
@@ -103,7 +103,9 @@ def identify_axis(
     return replace(answer, proposal=_proposal(answer, options, swapped))
 
 
-def _found(data: AxisData, options: Options, progress: Progress) -> Findings:
+def found_effects(
+    data: AxisData, options: Options, progress: Progress = lambda _: None
+) -> Findings:
     """Search on the training segments, then the held-out ones. Raises NotInformativeError."""
     progress(f'{data.axis}: what is missing')
     try:
