@@ -11,6 +11,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from quad_sysid.errors import BadInputError
+from quad_sysid.estimate.stored import estimate_of
 from quad_sysid.loop.angle_lead import angle_lead_s
 from quad_sysid.loop.cascade import (
     FIRMWARE_UNIT,
@@ -26,7 +27,6 @@ from quad_sysid.loop.cascade import (
 from quad_sysid.loop.from_model import gain_range, loop_plant, not_in_the_loop, throttle_factor
 from quad_sysid.loop.plant import Curve, LightMode, LoopPlant, Slopes, SlowMotors, exact_cycles
 from quad_sysid.loop.simulation import simulate_cascade, simulate_polynomial_cascade
-from quad_sysid.estimate.stored import estimate_of
 from quad_sysid.model import AxisModel, EffectEstimate, Parameter
 from quad_sysid.pipeline.approaches import approaches, controller, reproduced
 from quad_sysid.record import IOData

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.optimize import differential_evolution
 
-from quad_sysid.loop.cascade import CascadeGains, closed_loop_radius
 from quad_sysid.estimate.stored import estimate_of
+from quad_sysid.loop.cascade import CascadeGains, closed_loop_radius
 from quad_sysid.loop.from_model import loop_plant
 from quad_tuning import ensemble as ensembles
 from quad_tuning import search as searches

@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
+from quad_sysid.estimate.stored import estimate_of
 from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.loop.figures import square_figures, square_wave
-from quad_sysid.estimate.stored import estimate_of
 from quad_sysid.loop.from_model import loop_plant
 from quad_sysid.loop.plant import Curve
 from quad_sysid.loop.simulation import simulate_cascade

@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.estimate.stored import estimate_of
+from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.model import Parameter
 from quad_tuning.bounds import (
     check_bounds,

@@ -13,7 +13,6 @@ import numpy as np
 import numpy.typing as npt
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.estimate.stored import part_of
 from quad_sysid.loop.cascade import (
     CascadeGains,
     Margins,
@@ -39,7 +38,7 @@ from quad_sysid.loop.plant import (
     exact_cycles,
     slopes_at,
 )
-from quad_sysid.model import AxisModel, EffectEstimate, Parameter
+from quad_sysid.model import AxisModel, Parameter
 from quad_tuning.rivals import shares, variants
 
 DRAWS = 240
@@ -188,19 +187,11 @@ def _moved(model: AxisModel, offset: dict[str, float]) -> AxisModel:
     return replace(
         model,
         base=tuple(shifted(p, p.name) for p in model.base),
-        effects=tuple(_drawn(model, e, offset) for e in model.effects),
+        effects=tuple(
+            replace(e, parameters=tuple(shifted(p, f'{e.name}.{p.name}') for p in e.parameters))
+            for e in model.effects
+        ),
     )
-
-
-def _drawn(model: AxisModel, effect: EffectEstimate, offset: dict[str, float]) -> EffectEstimate:
-    """An effect with its parameters moved; what cannot be zero keeps its sign."""
-    specs = part_of(model, effect).effect.parameters
-    moved = [offset.get(f'{effect.name}.{spec.name}', 0.0) for spec in specs]
-    fitted = tuple(
-        max(value + by, 0.1 * value) if spec.log or spec.positive else value + by
-        for spec, value, by in zip(specs, effect.fitted, moved, strict=True)
-    )
-    return replace(effect, fitted=fitted)
 
 
 def _has_curves(plant: LoopPlant) -> bool:

@@ -55,7 +55,7 @@ def uses(model: AxisModel) -> tuple[tuple[str, str], ...]:
     return tuple(out)
 
 
-def _words(one: Placed) -> str:
+def _words(one: Placed) -> str:  # noqa: PLR0911
     """What the loop makes of one effect."""
     term, signals = one.effect.term, one.effect.signals
     if not one.inside:

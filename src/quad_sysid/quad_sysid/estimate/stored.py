@@ -180,8 +180,7 @@ def estimate_of(
     return EffectEstimate(
         name=name, kind=effect.kind, signals=effect.signals,
         parameters=tuple(Parameter(k, value, std, unit) for k, (value, unit) in told.items()),
-        variant=variant, fitted=tuple(float(v) for v in fitted), settings=dict(known),
-        probability=probability, rivals=rivals,
+        variant=variant, settings=dict(known), probability=probability, rivals=rivals,
     )
 
 

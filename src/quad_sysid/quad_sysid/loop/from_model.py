@@ -10,11 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from quad_sysid.contract import AXES, MIXER, MIXER_INVERSE, FloatArray
-from quad_sysid.estimate.stored import part_of
+from quad_sysid.estimate.stored import fitted_of, part_of
 from quad_sysid.loop.plant import Curve, LightMode, LoopPlant, SlowMotors
 from quad_sysid.model import AxisModel, EffectEstimate
 from quad_sysid.model.data import AxisData
@@ -71,7 +72,7 @@ class Placed:
     def torque(self, at: Mapping[str, float], n: int = 1, **moved: FloatArray) -> FloatArray:
         """(n,) acceleration at the usual values `at`, where only `moved` is not at rest."""
         rest = np.zeros(n)
-        signals = {
+        signals: dict[str, Any] = {
             'rate': rest, 'angle': rest, 'drive': rest, 'command': rest, 'change': rest,
             'lagged': rest, 'time': rest, 'throttle': np.full(n, at['throttle']),
             'battery_v': np.full(n, at['battery']), 'other_rates': (rest, rest),
@@ -91,7 +92,7 @@ class Placed:
 def placed(model: AxisModel, effect: EffectEstimate) -> Placed:
     """An effect of a model. Raises BadInputError for one that this version does not know."""
     part = part_of(model, effect)
-    fitted = np.array(effect.fitted)
+    fitted = fitted_of(part, effect)
     return Placed(part, fitted, part.effect.elsewhere(fitted, part.settings, 0.0))
 
 
@@ -118,7 +119,6 @@ def loop_plant(model: AxisModel) -> LoopPlant:
     delay = model.value('delay')
     tables: dict[str, list[Function]] = {'rate': [], 'angle': [], 'command': []}
     factor = schedule_factor(model)
-    base_gain = gain or 1.0
     for one in effects:
         rest = float(one.torque(at)[0])
         bias += rest
@@ -126,21 +126,17 @@ def loop_plant(model: AxisModel) -> LoopPlant:
         if one.effect.term == 'damping':
             damping -= float(one.torque(at, rate=np.ones(1))[0]) - rest
         elif 'rate' in one.effect.signals and one.effect.term != 'gain':
-            tables['rate'].append(lambda x, o=one, r=rest: o.torque(at, x.size, rate=x) - r)
+            tables['rate'].append(_over('rate', one, at))
         if 'angle' in one.effect.signals and one.effect.term == 'torque':
-            tables['angle'].append(lambda x, o=one, r=rest: o.torque(at, x.size, angle=x) - r)
+            tables['angle'].append(_over('angle', one, at))
         if one.effect.term in ('torque', 'gain') and 'command' in one.effect.signals:
-            def added(u: FloatArray, o: Placed = one, r: float = rest) -> FloatArray:
-                drive = base_gain * u
-                pushed = o.torque(at, u.size, drive=drive, command=drive, lagged=u)
-                return np.asarray((pushed - r) / base_gain)
-
+            passed = _passed(one, at, gain or 1.0)
+            slope = float(passed(np.ones(1))[0])
             u = np.linspace(-COMMAND_RANGE, COMMAND_RANGE, 41)
-            slope = float(added(np.ones(1))[0])
-            if np.max(np.abs(added(u) - slope * u)) < LINEAR * (1.0 + abs(slope)):
-                factor *= 1.0 + slope
+            if np.max(np.abs(passed(u) - slope * u)) < LINEAR * (1.0 + abs(slope)):
+                factor *= slope
             else:
-                tables['command'].append(lambda u, f=added: u + f(u))
+                tables['command'].append(passed)
     mapped = _mapped(model, effects, at)
     if mapped is not None:
         tables['command'].insert(0, mapped)
@@ -152,6 +148,21 @@ def loop_plant(model: AxisModel) -> LoopPlant:
         angle_curve=_sum(tables['angle'], ANGLE_RANGE, STEPS['angle']),
         command_curve=_chain(tables['command']), slow=slow, mode=mode,
     )
+
+
+def _over(signal: str, one: Placed, at: Mapping[str, float]) -> Function:
+    """Its torque over rate or angle, less that at rest."""
+    return lambda x: one.torque(at, x.size, **{signal: x}) - one.torque(at)
+
+
+def _passed(one: Placed, at: Mapping[str, float], gain: float) -> Function:
+    """A command with what a torque of it or of the drive adds, as a command."""
+
+    def through(u: FloatArray) -> FloatArray:
+        pushed = one.torque(at, u.size, drive=gain * u, command=gain * u, lagged=u)
+        return np.asarray(u + (pushed - one.torque(at)) / gain)
+
+    return through
 
 
 def _flown(model: AxisModel, at: Mapping[str, float], command: FloatArray) -> AxisData:
