@@ -12,7 +12,7 @@ NAMES = ('gain', 'lag', 'delay', 'damping', 'bias')
 VALUES = {'gain': 450.0, 'lag': 0.043, 'delay': 0.008, 'damping': 0.4, 'bias': 0.1}
 STDS = {'gain': 5.0, 'lag': 0.0006, 'delay': 0.0004, 'damping': 0.05, 'bias': 0.02}
 UNITS = ('rad/s²', 's', 's', '1/s', 'rad/s²')
-NOISE = NoiseEstimate(1.0, 1.0, 0.3, 0.02, 1e4, 0.015, 0.01)
+NOISE = NoiseEstimate({}, 0.02, 1e4, 0.015, 0.01)
 
 
 def build_model(axis='roll', effects=(), stds=None, **values):

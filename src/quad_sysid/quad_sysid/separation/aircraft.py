@@ -11,10 +11,11 @@ import numpy as np
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
-from quad_sysid.greybox.structure import Structure
+from quad_sysid.estimate.stored import fitted_of, part_of
 from quad_sysid.loop.cascade import CascadeGains
-from quad_sysid.model import AxisModel
-from quad_sysid.pipeline.evaluate import structure_of
+from quad_sysid.model import AxisModel, NoiseEstimate
+from quad_sysid.model.effect import Part
+from quad_sysid.model.plant import BASE
 
 PAPER = {
     'roll': (434.5, 0.045, 0.008, 0.4, 0.3),
@@ -22,10 +23,11 @@ PAPER = {
     'yaw': (24.6, 0.045, 0.008, 0.3, 0.04),
 }
 """gain, lag, delay, damping, bias: the paper's airframe (1.2 kg, 940 g a motor) on its rig."""
-PAPER_NOISE_RMS = 0.0048
-"""rad/s, MPU-6050 at 42 Hz."""
-PAPER_TORQUE_NOISE = 0.015
-"""(rad/s²)/√Hz."""
+PAPER_NOISE = NoiseEstimate(
+    {'white': 1.5, 'disturbance': 0.5, 'correlation': 0.3, 'after': 0.1}, scale=0.002,
+    degrees=1e4, gyro_rms=0.01, measured_rms=0.0048,
+)
+"""MPU-6050 behind 42 Hz; a torque noise of 0.015 (rad/s²)/√Hz, hardly any wind."""
 PAPER_GYRO_HZ = 42.0
 PAPER_DT = 0.004
 THROTTLE = 0.35
@@ -35,20 +37,27 @@ VOLTS = 12.1
 
 
 @dataclass(frozen=True)
+class Acting:
+    """An effect of a certain strength: its physics and its parameters (p,) in their units."""
+
+    part: Part
+    p: FloatArray
+
+
+@dataclass(frozen=True)
 class Aircraft:
     """One axis: its model without the rivals, the loop around it and its noise."""
 
     axis: str
     theta: FloatArray
-    """(p,) parameters of `structure`: base, then the effects that are no rivals."""
+    """(5,) gain, lag, delay, damping, bias."""
     gains: CascadeGains
-    structure: Structure = field(default_factory=Structure)
+    acting: tuple[Acting, ...] = ()
+    """The effects that are no rivals."""
     dt: float = PAPER_DT
     """Control cycle, s."""
     gyro_filter_hz: float | None = PAPER_GYRO_HZ
-    realisation: str = 'continuous'
-    noise_rms: float = PAPER_NOISE_RMS
-    torque_noise: float = PAPER_TORQUE_NOISE
+    noise: NoiseEstimate = field(default=PAPER_NOISE)
     battery_v: float = VOLTS
     throttle: float = THROTTLE
     told: str = "the paper's plant"
@@ -61,40 +70,31 @@ def paper_aircraft(axis: str) -> Aircraft:
 
 
 def aircraft_of(model: AxisModel, less: str, told: str) -> Aircraft:
-    """An identified model less one effect (`less`; the whole base where it has none of the name).
+    """An identified model less one effect (`less`; all of it where it has none of the name).
 
     Raises BadInputError where the model names an effect that this version does not know.
     """
-    structure, theta = structure_of(model)
-    keep = np.ones(theta.size, dtype=bool)
-    for effect, where in zip(structure.effects, structure.slices(), strict=True):
-        if effect.name == less:
-            keep[where] = False
     known = f'{model.axis}.rate.kp' in model.active_gains
-    gains = (
-        CascadeGains.from_mapping(model.active_gains, model.axis) if known
-        else CascadeGains.default(model.axis)
-    )
+    theta = np.array([model.value(spec.name) for spec in BASE])
     if not theta[0] > 0.0:
         raise BadInputError(
             told, f'{model.axis} cannot be flown in a loop, its gain is not positive',
             f'{theta[0]:.4g}', 'check mixer and gyro, identify again',
         )
     return Aircraft(
-        axis=model.axis, theta=theta[keep], gains=gains, structure=structure.without(less),
-        dt=model.dt, gyro_filter_hz=model.gyro_filter_hz, realisation=model.realisation,
-        noise_rms=model.noise_rms or PAPER_NOISE_RMS,
-        torque_noise=PAPER_TORQUE_NOISE if model.torque_noise is None else model.torque_noise,
+        axis=model.axis, theta=theta, acting=_acting(model, lambda name: name != less),
+        gains=CascadeGains.from_mapping(model.active_gains, model.axis) if known
+        else CascadeGains.default(model.axis),
+        dt=model.dt, gyro_filter_hz=model.gyro_filter_hz, noise=model.noise or PAPER_NOISE,
         battery_v=model.mean_battery_v or VOLTS, told=told,
     )
 
 
-def effect_of(model: AxisModel, name: str) -> tuple[Structure, FloatArray] | None:
-    """One effect of a model alone: structure of it and its parameters (q,); None without it."""
-    structure, theta = structure_of(model)
-    for effect, settings, where in zip(
-        structure.effects, structure.settings, structure.slices(), strict=True
-    ):
-        if effect.name == name:
-            return Structure((effect,), (settings,)), theta[where]
-    return None
+def effect_of(model: AxisModel, name: str) -> Acting | None:
+    """One effect of a model; None without it."""
+    return next(iter(_acting(model, lambda own: own == name)), None)
+
+
+def _acting(model: AxisModel, wanted) -> tuple[Acting, ...]:  # type: ignore[no-untyped-def]  # noqa: ANN001
+    parts = [(part_of(model, e), e) for e in model.effects if wanted(e.name)]
+    return tuple(Acting(part, fitted_of(part, e)) for part, e in parts)

@@ -6,34 +6,60 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
 from threadpoolctl import threadpool_limits
 
-from quad_sysid.effects.shapes import NAMED_CURVES, SHAPES
-from quad_sysid.effects.table import EFFECTS
+from quad_sysid.effects import EFFECTS
 from quad_sysid.errors import BadInputError, NotInformativeError
-from quad_sysid.greybox.data import AxisData
-from quad_sysid.greybox.structure import Effect, Prepared, Settings, Structure
 from quad_sysid.model import AxisModel
+from quad_sysid.model.data import AxisData
+from quad_sysid.model.effect import Effect, Part
 from quad_sysid.separation import family
-from quad_sysid.separation.aircraft import Aircraft, effect_of
+from quad_sysid.separation.aircraft import Acting, Aircraft, effect_of
 from quad_sysid.separation.flight import Excitation, Flown, fly
-from quad_sysid.separation.measure import Apart, Noise, apart, base_growth, informative, noise_of
-from quad_sysid.separation.strength import GROWTH, Rival, sized, theta_with
+from quad_sysid.separation.measure import Apart, Judged, judged
 from quad_sysid.signals.guard import Limits
 
 NOTHING = 'nothing'
-SIMULATED_S = 44.0
+SIMULATED_S = 30.0
 """Flights are simulated this long at most; longer ones show the same more often."""
 SHORTEST_S = 10.0
+JUST_FOUND_NATS = 16.0
+"""A rival that no model knows is as strong as is just found by a plain PRBS of the whole length:
+its prior probability costs some 7, its parameters some 4, and 5 have to be left."""
 ANGLE_SHARE = 0.9
 """A flight may use this share of the guard's angle."""
 CERTAIN = 0.95
 WORTH_IT = 0.95
 """What is this near to the best is preferred where it is simpler to fly."""
+FITTED = 8
+"""Of the candidates that linear scores rank first, so many are fitted."""
 
 Progress = Callable[[str], None]
 Names = tuple[str, str]
+
+
+@dataclass(frozen=True)
+class Rival:
+    """An effect of a certain strength, or nothing."""
+
+    name: str
+    acting: Acting | None = None
+
+    def words(self) -> str:
+        """Name and strength."""
+        if self.acting is None or self.acting.part.effect.kind == 'shape':
+            return self.name
+        read = self.acting.part.effect.readable(self.acting.p, self.acting.part.settings)
+        told = (
+            f'{name} {value:.3g} {unit if unit != "1" else ""}'.strip()
+            for name, (value, unit) in read.items()
+        )
+        return f'{self.name} ({", ".join(told)})'
+
+    def parts(self, data: AxisData) -> list[Part]:
+        """Its variants as identification would try them on this flight."""
+        prepared = ((effect, effect.prepare(data)) for effect in variants(self.name))
+        return [Part(effect, s) for effect, s in prepared if not isinstance(s, str)]
 
 
 @dataclass(frozen=True)
@@ -42,7 +68,7 @@ class Row:
 
     excitation: Excitation
     first: Apart | None
-    """The first rival true, the second fitted; None where the second contains the first."""
+    """The first rival true, the second fitted; None where the first is nothing."""
     second: Apart | None
     peak_angle: float
     """rad, the larger of both."""
@@ -52,7 +78,7 @@ class Row:
     def worst(self) -> Apart:
         """The harder of both ways."""
         known = [one for one in (self.first, self.second) if one is not None]
-        return min(known, key=lambda one: one.score)
+        return min(known, key=lambda one: one.nats)
 
 
 @dataclass(frozen=True)
@@ -68,6 +94,7 @@ class Separation:
     """Best first."""
     plain: Row
     """The PRBS that is flown where nobody asks for more."""
+    tried: int
     refused: int
     """Candidates that went beyond the guard's angle, or moved too little to tell the base."""
 
@@ -101,6 +128,11 @@ def nearest(models: Mapping[str, AxisModel]) -> AxisModel:
     return max(models.values(), key=nearness)
 
 
+def variants(name: str) -> tuple[Effect, ...]:
+    """Every effect of this name; none for `nothing`."""
+    return tuple(e for e in EFFECTS if e.name == name)
+
+
 def separate(
     aircraft: Aircraft, names: Names, seconds: float = 60.0, model: AxisModel | None = None,
     progress: Progress = lambda _: None,
@@ -122,57 +154,48 @@ def _separate(
     length = min(seconds, SIMULATED_S)
     signals = {s for name in names for e in variants(name) for s in e.signals}
     usual = family.plain(aircraft.axis, length)
-    rich = replace(
-        usual, throttle_steps=bool(signals & family.THROTTLE),
-        others_move=bool(signals & family.OTHERS),
-    )
-    seen = fly(aircraft, aircraft.structure, aircraft.theta, rich)
-    noise = noise_of(aircraft, seen.data)
-    first, second = _sized(aircraft, names, model, rich, seen, noise)
-
-    def judged(excitation: Excitation) -> Row | None:
-        return _row(aircraft, first, second, excitation, noise)
-
-    plain = judged(usual)
+    helped = list(family.with_pilot(usual, signals))
+    rich = helped[-1] if helped else usual
+    first, second = _sized(aircraft, names, model, rich, JUST_FOUND_NATS * length / seconds)
+    flights = _Flights(aircraft, first, second)
+    plain = flights.rows([usual])[0]
     if plain is None:
         raise NotInformativeError(
             f'{aircraft.axis}: even the plain PRBS goes beyond the angle limit or moves nothing; '
             'check the gains and the model'
         )
-    pilot = _pilot(plain, [judged(e) for e in family.with_pilot(usual, signals)])
+    pilot = _pilot(plain, flights.rows(helped))
+    progress(f'{aircraft.axis}: the candidate flights')
     candidates = list(family.family(aircraft.axis, length, pilot.excitation))
-    rows = [plain] if pilot is plain else [plain, pilot]
-    for number, excitation in enumerate(candidates, 1):
-        progress(f'{aircraft.axis}: flight {number} of {len(candidates)}')
-        row = judged(excitation)
-        if row is not None:
-            rows.append(row)
-    rows.sort(key=lambda row: -row.worst.score)
-    if rows[0].worst.score <= 0.0:
+    linear = [row for row in flights.rows(candidates, progress) if row is not None]
+    refused = len(candidates) - len(linear)
+    linear += [pilot] * (pilot is not plain)
+    linear.sort(key=lambda row: -row.worst.nats)
+    progress(f'{aircraft.axis}: the best of them')
+    plain = flights.fitted(plain)
+    rows = [plain, *(flights.fitted(row) for row in linear[:FITTED])]
+    rows.sort(key=lambda row: -row.worst.nats)
+    if rows[0].worst.nats <= 0.0:
         raise NotInformativeError(
             f'no flight within the limits shows {names[0]} or {names[1]} on {aircraft.axis}'
         )
     if plain.worst.score > WORTH_IT * rows[0].worst.score:
         rows.sort(key=lambda row: row is not plain)
-    refused = len(candidates) - len(rows) + (1 if pilot is plain else 2)
-    return Separation(aircraft, first, second, seconds, tuple(rows), plain, refused)
+    return Separation(
+        aircraft, first, second, seconds, tuple(rows), plain, len(candidates), refused
+    )
 
 
 def _pilot(plain: Row, helped: Sequence[Row | None]) -> Row:
     """The plain PRBS with what the pilot should do besides; itself where that hardly helps."""
     known = [row for row in helped if row is not None]
-    best = max(known, key=lambda row: row.worst.score, default=plain)
+    best = max(known, key=lambda row: row.worst.nats, default=plain)
     enough = [row for row in known if row.worst.score > WORTH_IT * best.worst.score]
     return plain if plain.worst.score > WORTH_IT * best.worst.score else enough[0]
 
 
-def variants(name: str) -> tuple[Effect, ...]:
-    """Every entry of the tables with this name; none for `nothing`."""
-    return tuple(e for e in EFFECTS + SHAPES if e.name == name)
-
-
 def _check(names: Names, seconds: float) -> None:
-    known = [NOTHING, *dict.fromkeys(e.name for e in EFFECTS + SHAPES)]
+    known = [NOTHING, *dict.fromkeys(e.name for e in EFFECTS)]
     for name in names:
         if name not in known:
             raise BadInputError(
@@ -185,121 +208,85 @@ def _check(names: Names, seconds: float) -> None:
 
 
 def _sized(
-    aircraft: Aircraft, names: Names, model: AxisModel | None, rich: Excitation, seen: Flown,
-    noise: Noise,
+    aircraft: Aircraft, names: Names, model: AxisModel | None, rich: Excitation, wanted: float
 ) -> tuple[Rival, Rival]:
-    """Both rivals with their strengths; where one is known, the other errs as much as it."""
-    given = [_given(model, name) for name in names]
-    settings = [
-        None if rival is not None or name == NOTHING else _settings(name, seen.data)
-        for rival, name in zip(given, names, strict=True)
-    ]
-
-    def growth(effect: Effect, of: Settings, parameters: tuple[float, ...]) -> float:
-        structure = aircraft.structure.with_effect(effect, of)
-        theta = np.concatenate([aircraft.theta, np.array(parameters)])
-        flown = fly(aircraft, structure, theta, rich)
-        if not np.isfinite(flown.peak_angle):
-            return math.inf
-        return base_growth(flown.data, noise, aircraft.structure, aircraft.theta)
-
-    wanted = GROWTH
-    for rival in given:
-        if rival is not None and rival.effect is not None and rival.settings is not None:
-            wanted = max(growth(rival.effect, rival.settings, rival.parameters), 1.01)
+    """Both rivals with their strengths; where one is known, the other is worth as much."""
+    seen = judged(aircraft, fly(aircraft, aircraft.acting, [rich])[0].data)
+    given = [None if model is None else effect_of(model, name) for name in names]
+    worth = max((seen.trace(one) for one in given if one is not None), default=wanted)
     out = []
-    for name, rival, put in zip(names, given, settings, strict=True):
-        if rival is not None:
-            out.append(rival)
-        elif put is None:
-            out.append(Rival(NOTHING))
-        else:
-            effect, own = put
-            parameters = sized(
-                effect, seen.data, lambda p, e=effect, s=own: growth(e, s, p),  # type: ignore[misc]
-                wanted,
-            )
-            out.append(Rival(name, effect, own, parameters))
+    for name, one in zip(names, given, strict=True):
+        if one is None and name != NOTHING:
+            one = seen.sized(_prepared(name, seen.problem.data), max(worth, wanted))
+        out.append(Rival(name, one))
     return out[0], out[1]
 
 
-def _given(model: AxisModel | None, name: str) -> Rival | None:
-    """The rival as a model has it, if it does."""
-    found = None if model is None else effect_of(model, name)
-    if found is None:
-        return None
-    structure, theta = found
-    return Rival(name, structure.effects[0], structure.settings[0], tuple(theta.tolist()))
-
-
-def _settings(name: str, data: AxisData) -> Prepared:
+def _prepared(name: str, data: AxisData) -> Part:
     """The first variant that a flight can show, with its settings."""
     reason = ''
     for effect in variants(name):
-        settings = effect.prepare(data) if effect.prepare else {}
+        settings = effect.prepare(data)
         if not isinstance(settings, str):
-            return effect, settings
+            return Part(effect, settings)
         reason = settings
     raise BadInputError('--separate', f'{name} cannot be shown on {data.axis}', reason)
 
 
-def _row(
-    aircraft: Aircraft, first: Rival, second: Rival, excitation: Excitation, noise: Noise
-) -> Row | None:
-    """One flight with either rival true; None where it is not safe or moves too little."""
-    flights = [_flown(aircraft, rival, excitation) for rival in (first, second)]
-    peak = max(flown.peak_angle for flown in flights)
-    safe = peak <= ANGLE_SHARE * Limits().angle_rad
-    if not safe or not all(informative(flown.data, noise) for flown in flights):
-        return None
-    found = [
-        _one_way(aircraft, true, other, flown, noise)
-        for true, other, flown in zip(
-            (first, second), (second, first), flights, strict=True
-        )
-    ]
-    return Row(excitation, found[0], found[1], peak, max(f.rate_rms for f in flights))
+class _Flights:
+    """Flights with either rival true, each flown once."""
+
+    def __init__(self, aircraft: Aircraft, first: Rival, second: Rival) -> None:
+        self.aircraft, self.rivals = aircraft, (first, second)
+        self.seen: dict[int, tuple[Judged, Judged]] = {}
+
+    def rows(
+        self, excitations: Sequence[Excitation], progress: Progress = lambda _: None
+    ) -> list[Row | None]:
+        """Each excitation by linear scores; None where it is not safe or moves too little."""
+        if not excitations:
+            return []
+        flown = [
+            fly(self.aircraft, (*self.aircraft.acting, *([r.acting] if r.acting else [])),
+                excitations)
+            for r in self.rivals
+        ]
+        out: list[Row | None] = []
+        for number, (excitation, *pair) in enumerate(zip(excitations, *flown, strict=True), 1):
+            progress(f'{self.aircraft.axis}: flight {number} of {len(excitations)}')
+            out.append(self._row(excitation, pair))
+        return out
+
+    def _row(self, excitation: Excitation, pair: Sequence[Flown]) -> Row | None:
+        peak = max(one.peak_angle for one in pair)
+        if not peak <= ANGLE_SHARE * Limits().angle_rad:
+            return None
+        seen = judged(self.aircraft, pair[0].data), judged(self.aircraft, pair[1].data)
+        if not (seen[0].told and seen[1].told):
+            return None
+        self.seen[id(excitation)] = seen
+        row = Row(excitation, None, None, peak, max(one.rate_rms for one in pair))
+        return self._weighed(row, Judged.linear)
+
+    def fitted(self, row: Row) -> Row:
+        """The same row by fits instead of linear scores."""
+        return self._weighed(row, Judged.fitted)
+
+    def _weighed(self, row: Row, worth: Callable[[Judged, Sequence[Part]], float]) -> Row:
+        ways: list[Apart | None] = []
+        for seen, true, other in zip(
+            self.seen[id(row.excitation)], self.rivals, self.rivals[::-1], strict=True
+        ):
+            data = seen.problem.data
+            if true.acting is None:
+                ways.append(None)
+                continue
+            own = worth(seen, [true.acting.part])
+            others = worth(seen, other.parts(data))
+            seconds = sum(b - a for a, b in seen.problem.spans) * data.dt
+            share = 1.0 if own <= 0.0 else min(max(others / own, 0.0), 1.0)
+            ways.append(Apart(own - others, share, seconds))
+        return replace(row, first=ways[0], second=ways[1])
 
 
-def _flown(aircraft: Aircraft, rival: Rival, excitation: Excitation) -> Flown:
-    return fly(
-        aircraft, structure_with(aircraft, rival), theta_with(aircraft.theta, rival), excitation
-    )
-
-
-def structure_with(aircraft: Aircraft, rival: Rival) -> Structure:
-    """The aircraft's structure with the rival on top."""
-    if rival.effect is None or rival.settings is None:
-        return aircraft.structure
-    return aircraft.structure.with_effect(rival.effect, rival.settings)
-
-
-def _one_way(
-    aircraft: Aircraft, true: Rival, other: Rival, flown: Flown, noise: Noise
-) -> Apart | None:
-    """How far `other` stays behind `true`; None where it contains it, as anything does nothing."""
-    if true.effect is None or _contains(other, true):
-        return None
-    return apart(
-        flown.data, noise,
-        (structure_with(aircraft, true), theta_with(aircraft.theta, true)),
-        (aircraft.structure, aircraft.theta), _prepared(other, flown.data),
-    )
-
-
-def _prepared(rival: Rival, data: AxisData) -> tuple[Prepared, ...]:
-    """The rival's variants as identification would try them on this flight."""
-    out: list[Prepared] = []
-    for effect in variants(rival.name):
-        settings = effect.prepare(data) if effect.prepare else {}
-        if not isinstance(settings, str):
-            out.append((effect, settings))
-    return tuple(out)
-
-
-def _contains(other: Rival, true: Rival) -> bool:
-    """Whether a curve holds a named effect of its own signal."""
-    if other.effect is None or true.effect is None or other.effect.kind != 'shape':
-        return False
-    same = set(other.effect.signals) == set(true.effect.signals)
-    return same and (true.name in NAMED_CURVES or true.name in ('dead_zone', 'battery_sag'))
+__all__ = ['CERTAIN', 'NOTHING', 'Rival', 'Row', 'Separation', 'nearest', 'rivals_of', 'separate']

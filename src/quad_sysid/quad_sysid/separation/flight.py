@@ -1,25 +1,26 @@
-"""One simulated flight: an aircraft with a given effect, an excitation, what happens around it.
+"""Simulated flights in closed loop: an aircraft with given effects, several excitations at once.
 
-Free of noise: what is compared is the mean of what real flights would show. The noise enters when
-the comparison is weighed (measure.py).
+The controller and the linear plant advance cycle by cycle, one number a flight; torques are the
+effects' own, evaluated there. What acts on the command is taken along the whole flight, by the
+same physics, and the flight repeated until its commands stay as they are.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 
 from quad_sysid.contract import AXES, FloatArray, motors_from_wrench
-from quad_sysid.greybox import drive
-from quad_sysid.greybox.data import AxisData
-from quad_sysid.greybox.structure import Structure, Term
 from quad_sysid.loop.cascade import CascadeGains, derivative_weight
-from quad_sysid.loop.kernels import Constants
-from quad_sysid.separation import kernels
-from quad_sysid.separation.aircraft import PAPER, Aircraft
-from quad_sysid.separation.stages import stages_of
+from quad_sysid.loop.plant import LoopPlant, Slopes, dynamics, exact_cycles, exact_step
+from quad_sysid.model.data import AxisData
+from quad_sysid.model.effect import Signals
+from quad_sysid.model.noise import gyro_step
+from quad_sysid.model.plant import NOISE, SLOPE_STEP, Flight, Structure
+from quad_sysid.separation.aircraft import PAPER, Acting, Aircraft
 from quad_sysid.signals.schedule import Part
 
 LEAD_S = 1.0
@@ -33,6 +34,11 @@ VOLTS_PER_THROTTLE = 1.4
 PILOT_DEG = 8.0
 """Size of the other axes' motion where the pilot stirs them."""
 PILOT_HZ = (0.2, 0.5, 0.9, 1.4)
+PASSES = 12
+SETTLED = 1e-5
+"""A flight is not repeated where no command moves by more, normalised."""
+SEED = 1
+"""Every flight has the same noise, so that what differs is what was flown."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +56,16 @@ class Excitation:
         """What trains, in order."""
         return (self.part,) if self.before is None else (self.before, self.part)
 
+    def added(self, dt: float) -> FloatArray:
+        """(3, n) what it adds to attitude (rad), rate (rad/s) and control, lead included."""
+        pieces = [np.zeros((3, round(LEAD_S / dt)))]
+        for part in self.parts:
+            piece = np.zeros((3, round(part.duration_s / dt)))
+            row = ('attitude', 'rate', 'control').index(part.injection)
+            piece[row] = [part.at(k * dt) for k in range(piece.shape[1])]
+            pieces.append(piece)
+        return np.concatenate(pieces, axis=1)
+
 
 @dataclass(frozen=True)
 class Flown:
@@ -57,7 +73,7 @@ class Flown:
 
     data: AxisData
     peak_angle: float
-    """rad."""
+    """rad; infinite where the loop runs away."""
 
     @property
     def rate_rms(self) -> float:
@@ -65,7 +81,166 @@ class Flown:
         return float(np.sqrt(np.mean(self.data.rate**2)))
 
 
-def surroundings(aircraft: Aircraft, excitation: Excitation, n: int) -> AxisData:
+def fly(
+    aircraft: Aircraft, acting: Sequence[Acting], excitations: Sequence[Excitation]
+) -> list[Flown]:
+    """Each excitation flown from rest with the effects `acting`, in the aircraft's noise."""
+    acting = tuple(acting)
+    added = [e.added(aircraft.dt) for e in excitations]
+    n = min(a.shape[1] for a in added)
+    inputs = np.stack([a[:, :n] for a in added])
+    around = [_surroundings(aircraft, e, n) for e in excitations]
+    extra, flown = np.zeros((n, len(around))), around
+    moving = tuple(one for one in acting if one.part.effect.moves_command)
+    command = np.zeros((n, len(around)))
+    for _ in range(PASSES if moving else 1):
+        rate, angle, new = _run(aircraft, acting, around, inputs, extra)
+        settled = np.max(np.abs(new - command)) < SETTLED
+        command = new
+        flown = [
+            _with(data, rate[:, i], angle[:, i], command[:, i]) for i, data in enumerate(around)
+        ]
+        if settled or not np.isfinite(command).all():
+            break
+        extra = np.stack([_pushed(aircraft, moving, data) for data in flown], axis=1)
+    peaks = np.nan_to_num(np.max(np.abs(angle), axis=0), nan=np.inf)
+    return [Flown(data, float(peak)) for data, peak in zip(flown, peaks, strict=True)]
+
+
+def _with(data: AxisData, rate: FloatArray, angle: FloatArray, command: FloatArray) -> AxisData:
+    control = data.control.copy()
+    control[:, data.index + 1] = command
+    return replace(
+        data, rate=np.ascontiguousarray(rate), angle=np.ascontiguousarray(angle), control=control,
+        motors=motors_from_wrench(control),
+    )
+
+
+def _pushed(aircraft: Aircraft, moving: tuple[Acting, ...], data: AxisData) -> FloatArray:
+    """(n,) what the effects on the command add to the drive, rad/s²."""
+    flight = Flight(data, data.stretches)
+    with_them = Structure(tuple(one.part for one in moving))
+    values = np.concatenate([aircraft.theta, *(one.p for one in moving), np.ones(len(NOISE))])
+    driven, _ = flight.driven(with_them, values)
+    plain, _ = flight.driven(Structure(), np.r_[aircraft.theta, np.ones(len(NOISE))])
+    out: FloatArray = aircraft.theta[0] * np.mean(driven - plain, axis=0)
+    return out
+
+
+def _run(
+    aircraft: Aircraft, acting: Sequence[Acting], around: Sequence[AxisData],
+    inputs: FloatArray, extra: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(n, f) measured rate and angle, and command, of f flights with `extra` acceleration."""
+    count, _, n = inputs.shape
+    dt, g = aircraft.dt, aircraft.gains
+    gain, lag, delay, damping, bias = (float(v) for v in aircraft.theta)
+    plant = LoopPlant(gain, lag, delay, damping, 0.0, aircraft.gyro_filter_hz, dt)
+    a, b, c = dynamics(plant, Slopes())
+    cycle = exact_cycles([plant], [Slopes()])
+    phi, now, before = cycle.phi[0].T, cycle.now[0], cycle.before[0]
+    push, whole = exact_step(a, b[:, 1:], np.array(dt))[1][:, 0], plant.whole_delay
+    rate_at, angle_at = int(np.argmax(c[0])), int(np.argmax(c[1]))
+    torque, gyro = _noise(aircraft, n)
+    torques = [one for one in acting if _has_torque(one)]
+    known = _Known(aircraft, around) if torques else None
+    weight = derivative_weight(g.d_filter_hz, dt)
+    x, integral, d_part = np.zeros((count, phi.shape[0])), np.zeros(count), np.zeros(count)
+    last = np.zeros(count)
+    u, rates, angles = np.zeros((n, count)), np.zeros((n, count)), np.zeros((n, count))
+    nothing = np.zeros(count)
+    for k in range(n):
+        rate, angle = x[:, rate_at] + gyro[k], x[:, angle_at]
+        wanted = (g.angle_kp * (inputs[:, 0, k] - angle)).clip(-g.rate_limit, g.rate_limit)
+        error = wanted + inputs[:, 1, k] - rate
+        integral = (integral + g.rate_ki * dt * error).clip(
+            -g.integrator_limit, g.integrator_limit
+        )
+        d_part = d_part + weight * ((rate - last) / dt - d_part)
+        last = rate
+        out = g.rate_kp * error + integral - g.rate_kd * d_part
+        u[k] = out.clip(-g.output_limit, g.output_limit) + inputs[:, 2, k]
+        rates[k], angles[k] = rate, angle
+        delayed = u[k - whole] if k >= whole else nothing
+        older = u[k - whole - 1] if k > whole else nothing
+        free = x @ phi + delayed[:, None] * now + older[:, None] * before
+        total = bias + torque[k] + extra[k]
+        if known is not None:
+            middle = 0.5 * (x + free)
+            s = known.at(k, middle, gain * delayed)
+            own, slope = _torque(torques, s)
+            # evaluated without its own push, which its slope then takes into account
+            total = (total + own) / (1.0 - 0.5 * push[1] * slope) 
+        x = free + total[:, None] * push
+    return rates, angles, u
+
+
+def _has_torque(one: Acting) -> bool:
+    rest = np.zeros(1)
+    s = Signals(rest, rest, rest, rest, rest, rest, rest, rest + 1.0, (rest, rest), (rest, rest),
+                rest)
+    return one.part.effect.torque(s, one.p, one.part.settings) is not None
+
+
+def _torque(acting: Sequence[Acting], s: Signals) -> tuple[FloatArray, FloatArray]:
+    """Acceleration and its slope over the rate."""
+    total, slope = np.zeros_like(s.rate), np.zeros_like(s.rate)
+    for one in acting:
+        effect, p, settings = one.part.effect, one.p, one.part.settings
+        total = total + effect.torque(s, p, settings)
+        if 'rate' in effect.signals:
+            ahead = effect.torque(replace(s, rate=s.rate + SLOPE_STEP), p, settings)
+            back = effect.torque(replace(s, rate=s.rate - SLOPE_STEP), p, settings)
+            slope = slope + (ahead - back) / (2.0 * SLOPE_STEP)
+    return total, slope
+
+
+class _Known:
+    """Signals of several flights, cycle by cycle."""
+
+    def __init__(self, aircraft: Aircraft, around: Sequence[AxisData]) -> None:
+        self.gain, self.lag, self.dt = aircraft.theta[0], aircraft.theta[1], aircraft.dt
+        others = [i + 1 for i in range(3) if i != around[0].index]
+        self.throttle = np.stack([d.control[:, 0] for d in around], axis=1)
+        self.volts = np.stack([np.asarray(d.battery_v) for d in around], axis=1)
+        self.commands = [np.stack([d.control[:, i] for d in around], axis=1) for i in others]
+        self.rates = [np.stack([d.other_rates[:, i] for d in around], axis=1) for i in range(2)]
+        self.rest = np.zeros(len(around))
+
+    def at(self, k: int, middle: FloatArray, command: FloatArray) -> Signals:
+        """At half of cycle k, where the plant's states (f, n) are `middle`."""
+        drive = middle[:, 0]
+        return Signals(
+            rate=middle[:, 1], angle=middle[:, 2], drive=drive, command=command,
+            change=(command - drive) / max(self.lag, 0.25 * self.dt), lagged=drive / self.gain,
+            throttle=self.throttle[k], battery_v=self.volts[k],
+            other_rates=(self.rates[0][k], self.rates[1][k]),
+            other_commands=(self.commands[0][k], self.commands[1][k]),
+            time=self.rest + (k + 0.5) * self.dt,
+        )
+
+
+def _noise(aircraft: Aircraft, n: int) -> tuple[FloatArray, FloatArray]:
+    """(n,) torque that disturbs, rad/s², and noise of the measured rate, rad/s."""
+    dt, noise, rng = aircraft.dt, aircraft.noise, np.random.default_rng(SEED)
+    torque = noise.ratios['white'] * noise.gyro_rms / np.sqrt(dt) * rng.standard_normal(n)
+    fade = np.exp(-dt / noise.correlation_s)
+    gust = noise.disturbance_rms * np.sqrt(1.0 - fade**2) * rng.standard_normal(n)
+    gyro = noise.gyro_rms * rng.standard_normal(n)
+    after = noise.ratios['after'] * noise.gyro_rms * rng.standard_normal(n)
+    step = gyro_step(aircraft.gyro_filter_hz, dt)
+    move, take = step[:, :2], step[:, 2:].sum(axis=1)
+    state, held = np.zeros(2), 0.0
+    for k in range(n):
+        held = fade * held + gust[k]
+        torque[k] += held
+        if aircraft.gyro_filter_hz is not None:
+            state = move @ state + take * gyro[k]
+            gyro[k] = state[0] + after[k]
+    return torque, gyro
+
+
+def _surroundings(aircraft: Aircraft, excitation: Excitation, n: int) -> AxisData:
     """Everything that is known before the flight: throttle, battery, the other axes. No motion."""
     dt = aircraft.dt
     t = np.arange(n) * dt
@@ -73,121 +248,30 @@ def surroundings(aircraft: Aircraft, excitation: Excitation, n: int) -> AxisData
     if excitation.throttle_steps:
         throttle += np.where(np.floor(t / THROTTLE_STEP_S) % 2 == 0, -1.0, 1.0) * THROTTLE_STEP
     fall = VOLTS_PER_S * np.cumsum(throttle / 0.5) * dt
-    control = np.zeros((n, 4))
+    control, rates = np.zeros((n, 4)), np.zeros((n, 2))
     control[:, 0] = throttle
-    rates = np.zeros((n, 2))
-    others = [axis for axis in AXES if axis != aircraft.axis]
     if excitation.others_move:
-        for column, axis in enumerate(others):
-            rate, command = _stirred(axis, dt, n, AXES.index(axis))
-            rates[:, column] = rate
-            control[:, AXES.index(axis) + 1] = command
+        for column, axis in enumerate(name for name in AXES if name != aircraft.axis):
+            rates[:, column], control[:, AXES.index(axis) + 1] = _stirred(axis, dt, n)
     volts = aircraft.battery_v - (fall - fall[-1] / 2.0)
     return AxisData(
         axis=aircraft.axis, dt=dt, rate=np.zeros(n), angle=np.zeros(n), control=control,
         motors=motors_from_wrench(control), other_rates=rates,
         battery_v=volts - VOLTS_PER_THROTTLE * (throttle - aircraft.throttle),
         gyro_filter_hz=aircraft.gyro_filter_hz, stretches=((0, n),),
-        train=((round(LEAD_S / dt), n),), validation=(), realisation=aircraft.realisation,
+        train=((round(LEAD_S / dt), n),), validation=(),
     )
 
 
 @lru_cache(maxsize=16)
-def _stirred(axis: str, dt: float, n: int, phase: int) -> tuple[FloatArray, FloatArray]:
+def _stirred(axis: str, dt: float, n: int) -> tuple[FloatArray, FloatArray]:
     """Rate and command (n,) of another axis that the pilot moves."""
-    t = np.arange(n) * dt
-    reference = sum(
-        np.sin(2.0 * np.pi * (1.0 + 0.17 * phase) * f * t + i + phase)
-        for i, f in enumerate(PILOT_HZ)
-    ) * np.deg2rad(PILOT_DEG) / 2.0
-    own = Aircraft(axis, np.array(PAPER[axis]), CascadeGains.default(axis), dt=dt)
-    out = _run(own, Structure(), own.theta, _still(own, n), np.stack([reference, 0 * t, 0 * t]))
-    return out[1], out[2]
-
-
-def _still(aircraft: Aircraft, n: int) -> AxisData:
-    """Surroundings in which nothing happens."""
-    zero = np.zeros(n)
-    return AxisData(
-        axis=aircraft.axis, dt=aircraft.dt, rate=zero, angle=zero, control=np.zeros((n, 4)),
-        motors=np.zeros((n, 4)), other_rates=np.zeros((n, 2)), battery_v=None,
-        gyro_filter_hz=aircraft.gyro_filter_hz, stretches=((0, n),), train=((0, n),),
-        validation=(), realisation=aircraft.realisation,
-    )
-
-
-def fly(
-    aircraft: Aircraft, structure: Structure, theta: FloatArray, excitation: Excitation
-) -> Flown:
-    """The aircraft with `structure` and its parameters (p,) in its loop, from rest."""
-    dt = aircraft.dt
-    lead = round(LEAD_S / dt)
-    pieces = [np.zeros((3, lead))]
-    for part in excitation.parts:
-        piece = np.zeros((3, round(part.duration_s / dt)))
-        row = ('attitude', 'rate', 'control').index(part.injection)
-        piece[row] = [part.at(k * dt) for k in range(piece.shape[1])]
-        pieces.append(piece)
-    added = np.concatenate(pieces, axis=1)
-    n = added.shape[1]
-    around = surroundings(aircraft, excitation, n)
-    angle, rate, command, _ = _run(aircraft, structure, theta, around, added)
-    control = around.control.copy()
-    control[:, around.index + 1] = command
-    data = AxisData(
-        axis=aircraft.axis, dt=dt, rate=rate, angle=angle, control=control,
-        motors=motors_from_wrench(control), other_rates=around.other_rates,
-        battery_v=around.battery_v, gyro_filter_hz=around.gyro_filter_hz,
-        stretches=around.stretches, train=around.train, validation=(),
-        realisation=aircraft.realisation, reference=added[0],
-    )
-    return Flown(data, float(np.max(np.abs(angle))))
-
-
-def _run(
-    aircraft: Aircraft, structure: Structure, theta: FloatArray, around: AxisData,
-    added: FloatArray,
-) -> FloatArray:
-    """(4, n) angle, rate, control, rate reference."""
-    g, dt = aircraft.gains, aircraft.dt
-    delay = float(theta[2])
-    if aircraft.realisation == 'stepped':
-        delay = max(0.0, delay - 0.5 * drive.SUBSTEP_S)
-    exact = drive.steps(float(theta[1]), delay, dt)
-    filtered = aircraft.gyro_filter_hz is not None
-    out = np.zeros((4, added.shape[1]))
-    kernels.fly(
-        Constants(
-            angle_kp=g.angle_kp, rate_kp=g.rate_kp, rate_ki=g.rate_ki, rate_kd=g.rate_kd,
-            d_weight=float(derivative_weight(g.d_filter_hz, dt)), output_limit=g.output_limit,
-            rate_limit=g.rate_limit, integrator_limit=g.integrator_limit, dt=dt,
-        ),
-        added, exact.whole, exact.matrices, exact.inputs, exact.pattern,
-        drive.gyro_step(aircraft.gyro_filter_hz, dt, aircraft.realisation), filtered,
-        (float(theta[0]), float(theta[3]), float(theta[4])),
-        torques_of(structure, theta, around), stages_of(structure, theta, around), out,
-    )
-    return out
-
-
-def torques_of(
-    structure: Structure, theta: FloatArray, data: AxisData
-) -> tuple[np.ndarray, FloatArray, FloatArray]:
-    """Codes (m,), values (m, q) and signals (m, n) of the effects' torques."""
-    terms: list[Term] = [
-        effect.torque(data, theta[where], settings)
-        for effect, settings, where in zip(
-            structure.effects, structure.settings, structure.slices(), strict=True
+    t, phase = np.arange(n) * dt, AXES.index(axis)
+    inputs = np.zeros((1, 3, n))
+    for i, f in enumerate(PILOT_HZ):
+        inputs[0, 0] += 0.5 * np.deg2rad(PILOT_DEG) * np.sin(
+            2.0 * np.pi * (1.0 + 0.17 * phase) * f * t + i + phase
         )
-        if effect.torque is not None
-    ]
-    values = np.zeros((len(terms), max((len(t.values) for t in terms), default=1)))
-    signals = np.zeros((len(terms), data.rate.size))
-    for i, term in enumerate(terms):
-        values[i, : len(term.values)] = term.values
-        if term.signal is not None:
-            signals[i] = term.signal
-    return np.array([t.code for t in terms], dtype=np.int64), values, signals
-
-
-__all__ = ['LEAD_S', 'Excitation', 'Flown', 'fly', 'surroundings', 'torques_of']
+    own = Aircraft(axis, np.array(PAPER[axis]), CascadeGains.default(axis), dt=dt)
+    rate, _, command = _run(own, (), (), inputs, np.zeros((n, 1)))
+    return rate[:, 0], command[:, 0]

@@ -1,148 +1,188 @@
-"""How far apart two rivals are on one flight: what the other, refitted, cannot mimic, over noise.
+"""How far apart two rivals are on a flight: the log evidence of the true one over the other's.
 
-The flight is free of noise and flown with the true rival; the other is fitted to it together with
-the base as identification does. What then is left of the free-run windows, e (windows, length),
-is what real flights would have to tell them apart by:
-
-    distance = sqrt(sum e' S^-1 e)                      (Mahalanobis; S the noise's covariance)
-    score    = sum |e|² / sqrt(4 sum e' S e)            (paired difference of squared errors,
-                                                         expected value over its spread)
-
-and Phi(score) is the probability that the true one has the smaller error.
+The flight is simulated with the true rival and in noise; both are fitted to it as identification
+does. The difference of their log evidences, in nats, is d²/2 for a deviation of d standard
+deviations that no parameter can take up; it spreads by d over such flights, so the true one has
+the larger evidence with a probability of Phi(d/2).
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
-from scipy import linalg, special
+from scipy import special
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.effects.judge import hold_error
-from quad_sysid.greybox.data import AxisData
-from quad_sysid.greybox.fit import fit_structure, fit_with_effect
-from quad_sysid.greybox.noise import (
-    NoiseModel,
-    scaled,
-    white_noise_model,
-    window_covariance,
-)
-from quad_sysid.greybox.simulate import Simulator
-from quad_sysid.greybox.structure import Prepared, Structure
-from quad_sysid.separation.aircraft import Aircraft
+from quad_sysid.discover.screen import Score, screen
+from quad_sysid.estimate.fit import Fit, Problem, fit
+from quad_sysid.model import recursion
+from quad_sysid.model.data import AxisData
+from quad_sysid.model.effect import Part
+from quad_sysid.model.plant import NOISE, Structure
+from quad_sysid.separation.aircraft import Acting, Aircraft
 
-FEW_STEPS = 20
-"""Iterations of a fit to a flight without noise."""
-MOTION = 3.0
-"""Holding the last rate must err by so many times the noise, or the base is not told."""
-
-
-@dataclass(frozen=True)
-class Noise:
-    """Noise of an aircraft, and what it does to a free-run window."""
-
-    model: NoiseModel
-    covariance: FloatArray
-    """(length, length) (rad/s)²."""
-    root: FloatArray
-    """Lower Cholesky factor of it."""
-
-    @property
-    def rms(self) -> float:
-        """Free-run error that the noise alone explains, rad/s."""
-        return float(np.sqrt(np.mean(np.diag(self.covariance))))
-
-
-def noise_of(aircraft: Aircraft, data: AxisData) -> Noise:
-    """The aircraft's noise, and the state correction that suits it."""
-    damping = float(aircraft.theta[3])
-    measurement = max(aircraft.noise_rms, 1e-6)
-    model = white_noise_model(
-        max(aircraft.torque_noise / measurement, 1e-3), damping, data,
-        before_filter=data.gyro_filter_hz is not None,
-    )
-    model = scaled(model, model.innovation_rms * measurement)
-    length = data.windows(data.train).length
-    covariance = window_covariance(model, damping, data, length)
-    # behind a filter neighbouring samples hardly differ; a little white noise keeps S regular
-    covariance += (0.1 * measurement) ** 2 * np.eye(length)
-    return Noise(model, covariance, linalg.cholesky(covariance, lower=True))
+TOLD = 0.1
+"""A flight tells the base where the gain's standard error is below this share."""
+GRID = 65
+REACH = 4.0
+"""A size is looked for so many prior standard deviations, or powers of e, about its start."""
 
 
 @dataclass(frozen=True)
 class Apart:
     """How far one fitted rival stays behind the true one, over a flight of `seconds`."""
 
-    distance: float
-    """In standard deviations of the noise."""
-    score: float
+    nats: float
+    """Log evidence of the true one over the other's."""
     mimicked: float
-    """Share of the true effect's trace (mean square) that the other takes over, 0..1."""
+    """Share of the true one's evidence over nothing that the other takes over, 0..1."""
     seconds: float
 
     def over(self, seconds: float) -> Apart:
         """The same for a longer or shorter flight of this kind."""
-        grown = math.sqrt(seconds / self.seconds)
-        return Apart(self.distance * grown, self.score * grown, self.mimicked, seconds)
+        return Apart(self.nats * seconds / self.seconds, self.mimicked, seconds)
+
+    @property
+    def distance(self) -> float:
+        """In standard deviations of the noise."""
+        return math.copysign(math.sqrt(2.0 * abs(self.nats)), self.nats)
+
+    @property
+    def score(self) -> float:
+        """Expected difference over its spread."""
+        return 0.5 * self.distance
 
     @property
     def probability(self) -> float:
-        """That the true one has the smaller error."""
+        """That the true one has the larger evidence."""
         return float(special.ndtr(self.score))
 
     def seconds_for(self, probability: float) -> float:
-        """Length of flight after which the true one has the smaller error so surely."""
-        wanted = float(special.ndtri(probability))
-        return math.inf if self.score <= 0.0 else self.seconds * (wanted / self.score) ** 2
+        """Length of flight after which the true one has the larger evidence so surely."""
+        wanted = 2.0 * float(special.ndtri(probability)) ** 2
+        return math.inf if self.nats <= 0.0 else self.seconds * wanted / self.nats
 
 
-def base_growth(
-    data: AxisData, noise: Noise, structure: Structure, theta: FloatArray
-) -> float:
-    """Error of `structure` refitted to a flight, over the noise; 1 where it lacks nothing."""
-    sim = _simulator(data, noise)
-    fit = fit_structure(sim, structure, theta, max_iterations=FEW_STEPS)
-    if not np.isfinite(fit.errors).all():
-        return math.inf
-    return math.sqrt(1.0 + (fit.rms / noise.rms) ** 2)
+@dataclass
+class Judged:
+    """A flight with its model without the rivals fitted, ready to weigh rivals on it."""
+
+    problem: Problem
+    base: Fit
+    scores: dict[str, Score] = field(default_factory=dict)
+    """Linear score of each rival by its label, where one was asked for."""
+
+    @property
+    def told(self) -> bool:
+        """Whether the flight tells the base itself."""
+        variance = np.linalg.inv(self.base.hessian)[0, 0]
+        return bool(math.sqrt(variance) < TOLD * abs(self.base.theta[0]))
+
+    def linear(self, parts: Sequence[Part]) -> float:
+        """Evidence over nothing of the best of some rivals, by one linear step; nothing is 0."""
+        fresh = [part for part in parts if part.effect.label not in self.scores]
+        for score in screen(self.problem, self.base, fresh) if fresh else []:
+            self.scores[score.part.effect.label] = score
+        known = [self.scores.get(part.effect.label) for part in parts]
+        return max((s.nats for s in known if s is not None), default=0.0)
+
+    def fitted(self, parts: Sequence[Part]) -> float:
+        """The same, of the best two by the linear step fitted."""
+        self.linear(parts)
+        known = [s for s in (self.scores.get(p.effect.label) for p in parts) if s is not None]
+        best = 0.0
+        count = self.base.theta.size - len(NOISE)
+        for score in sorted(known, key=lambda s: -s.nats)[:2]:
+            for start in score.starts:
+                theta = np.r_[self.base.theta[:count], start, self.base.theta[count:]]
+                structure = self.base.structure.plus(score.part)
+                try:
+                    found = fit(self.problem, structure, theta, rate=self.base.rate)
+                except (FloatingPointError, np.linalg.LinAlgError):
+                    continue
+                best = max(best, found.evidence - self.base.evidence)
+        return best
+
+    def trace(self, one: Acting) -> float:
+        """Nats that an effect is worth along this flight, beyond what the base can take up."""
+        flight, base = self.problem.flight, self.base
+        count = base.theta.size - len(NOISE)
+        values = base.values
+        plain = flight.pushed(base.structure, values, base.rate)
+        more = np.r_[values[:count], one.p, values[count:]]
+        added = flight.pushed(base.structure.plus(one.part), more, base.rate)
+        rows = self.problem.rows
+        difference = np.mean(added.known - plain.known, axis=0)
+        difference = difference + (added.slope - plain.slope) * base.rate
+        columns, out = np.ascontiguousarray(difference[:, None]), np.zeros((base.rate.size, 1))
+        found = base.prediction.filter
+        for start, stop in flight.passes:
+            recursion.respond(
+                columns, plain.slope, found.gain, found.move, flight.gyro, flight.filtered,
+                self.problem.data.dt, start, stop, out,
+            )
+        assert base.prediction.jacobian is not None
+        own = np.vstack([
+            base.prediction.jacobian[rows] / base.tail.scale,
+            np.linalg.cholesky(base.precision).T,
+        ])
+        q = np.linalg.qr(own)[0][: rows.size]
+        c = out[rows, 0] / base.tail.scale
+        return 0.5 * float(c @ c - np.sum((q.T @ c) ** 2))
+
+    def sized(self, part: Part, wanted: float) -> Acting:
+        """The effect as strong as is worth `wanted` nats along this flight, about.
+
+        What is zero without the effect is scaled, along a draw from its prior where there are
+        several; else the first parameter is looked for over its prior.
+        """
+        specs = part.effect.parameters
+        starts = list(part.effect.starts(self.problem.data, part.settings))
+        p = np.array(starts[len(starts) // 2], dtype=float)
+        p = np.array([
+            math.exp(s.centre) if s.log and not v > 0.0 else v
+            for s, v in zip(specs, p, strict=True)
+        ])
+        free = [j for j, s in enumerate(specs) if not s.log and p[j] == 0.0]
+        if free:
+            precision = part.effect.precision(part.settings, self.problem.sizes_of(part))
+            root = np.linalg.cholesky(np.linalg.inv(precision[np.ix_(free, free)]))
+            along = root @ np.random.default_rng(0).standard_normal(len(free))
+            if len(free) == 1:
+                along = np.abs(along)
+            scale = 0.1
+            for _ in range(8):
+                p[free] = scale * along
+                worth = self.trace(Acting(part, p))
+                scale *= float(np.clip(math.sqrt(wanted / max(worth, 1e-12)), 0.05, 20.0))
+            p[free] = scale * along
+            return Acting(part, p)
+        spread = specs[0].spread or 1.0
+        reach = np.linspace(-REACH, REACH, GRID)
+        grid = p[0] * np.exp(reach) if specs[0].log else p[0] + 0.5 * spread * reach
+        worths = [self.trace(Acting(part, np.r_[value, p[1:]])) for value in grid]
+        away = np.abs(np.log(np.maximum(worths, 1e-12) / wanted))
+        return Acting(part, np.r_[grid[int(np.argmin(away))], p[1:]])
 
 
-def apart(
-    data: AxisData, noise: Noise, true: tuple[Structure, FloatArray],
-    plain: tuple[Structure, FloatArray], other: tuple[Prepared, ...],
-) -> Apart:
-    """Fit `other` (the best of its variants; none: nothing) on top of `plain` to a flight.
-
-    true, plain: structure and parameters (p,) with the true rival, and with neither.
-    """
-    sim = _simulator(data, noise)
-    seconds = sim.windows.count * sim.windows.length * data.dt
-    exact = sim.run(*true).errors
-    base = fit_structure(sim, *plain, max_iterations=FEW_STEPS)
-    fits = [fit_with_effect(sim, base, *put, max_iterations=FEW_STEPS) for put in other]
-    best = min(fits, key=lambda fit: fit.rms, default=base)
-    if best.rms > base.rms:
-        best = base
-    errors, before = best.errors - exact, base.errors - exact
-    if not (np.isfinite(errors).all() and np.isfinite(before).all()):
-        return Apart(0.0, 0.0, 1.0, seconds)
-    square, all_of_it = float(np.sum(errors**2)), float(np.sum(before**2))
-    white = linalg.solve_triangular(noise.root, errors.T, lower=True)
-    spread = 2.0 * math.sqrt(float(np.sum((errors @ noise.root) ** 2)))
-    return Apart(
-        distance=float(np.linalg.norm(white)),
-        score=square / spread if spread > 0.0 else 0.0,
-        mimicked=max(0.0, 1.0 - square / all_of_it) if all_of_it > 0.0 else 1.0,
-        seconds=seconds,
-    )
-
-
-def informative(data: AxisData, noise: Noise) -> bool:
-    """Whether the flight moves enough for half a second of free run to tell the base itself."""
-    return hold_error(_simulator(data, noise)) > MOTION * noise.rms
-
-
-def _simulator(data: AxisData, noise: Noise) -> Simulator:
-    return Simulator(data, data.train, data.windows(data.train), noise.model.correction)
+def judged(aircraft: Aircraft, data: AxisData) -> Judged:
+    """Fit what is no rival to a flight, from the aircraft's own values."""
+    problem = Problem(data, data.train)
+    noise = aircraft.noise
+    base = np.r_[
+        aircraft.theta[0], np.log(np.maximum(aircraft.theta[1:3], 1e-4)), aircraft.theta[3:]
+    ]
+    known = np.log([max(noise.ratios.get(s.name, math.exp(s.centre)), 1e-3) for s in NOISE])
+    found = fit(problem, Structure(), np.r_[base, known])
+    problem.measure(found)
+    if aircraft.acting:
+        structure = Structure(tuple(one.part for one in aircraft.acting))
+        own: list[FloatArray] = []
+        for one in aircraft.acting:
+            logs = np.array([s.log for s in one.part.effect.parameters])
+            own.append(np.where(logs, np.log(np.maximum(one.p, 1e-12)), one.p))
+        found = fit(problem, structure, np.concatenate([base, *own, known]))
+    return Judged(problem, found)

@@ -39,9 +39,9 @@ def _lines(found: Separation) -> Iterator[str]:
         yield _row('', found.plain, found.seconds)
     yield ''
     yield from _wrapped(
-        'apart: what is left when the other one is fitted to a flight with this one, in standard '
-        'deviations of the noise. right one: probability that the true one has the smaller '
-        'error. 95 % after: seconds until that is so sure.'
+        'apart: log evidence of this one over the other in a flight with this one, both fitted, '
+        'nats. right one: probability that the true one has the larger evidence. 95 % after: '
+        'seconds until that is so sure.'
     )
     shown = [row.excitation for row in found.rows[:SHOWN]]
     if any(e.before is not None for e in shown):
@@ -52,8 +52,8 @@ def _lines(found: Separation) -> Iterator[str]:
         yield '+A: the pilot stirs the other two axes.'
     if found.refused:
         yield from _wrapped(
-            f'{found.refused} more would go near the angle at which the excitation node ends a '
-            'flight, or move too little to tell the model itself.'
+            f'Of {found.tried} candidates {found.refused} would go near the angle at which the excitation node ends a '
+            'flight, or move too little to tell the model itself; of the others the best are shown.'
         )
     yield ''
     yield from _wrapped(why(found))
@@ -62,17 +62,17 @@ def _lines(found: Separation) -> Iterator[str]:
 def why(found: Separation) -> str:
     """Why the first flight is the one to fly."""
     best, plain = found.best, found.plain
-    gain = best.worst.score / plain.worst.score if plain.worst.score > 0.0 else math.inf
+    gain = best.worst.nats / plain.worst.nats if plain.worst.nats > 0.0 else math.inf
     harder = found.first if best.worst is best.first else found.second
     other = found.second if best.worst is best.first else found.first
     matched = plain.first if best.worst is best.first else plain.second
     words = f'Fly {name_of(best.excitation)}: '
     if best is plain:
         return words + 'no candidate tells them apart better than the plain PRBS.'
-    if other.effect is None:
+    if other.acting is None:
         words += f'{harder.name} stands out of the noise '
     else:
-        words += f'{other.name} takes over {_pct(best.worst)} of the trace of {harder.name}'
+        words += f'{other.name} takes over {_pct(best.worst)} of the evidence for {harder.name}'
         if matched is not None and matched.mimicked > best.worst.mimicked + 0.01:
             words += f', with the plain PRBS {_pct(matched)}'
         words += '; they stand apart '
@@ -146,7 +146,7 @@ def _worst(row: Row, seconds: float) -> Apart:
 
 
 def _distance(one: Apart | None, seconds: float) -> str:
-    return '-' if one is None else f'{one.over(seconds).distance:.1f}'
+    return '-' if one is None else f'{one.over(seconds).nats:.1f}'
 
 
 def _seconds(value: float) -> str:
