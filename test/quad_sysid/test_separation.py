@@ -11,18 +11,57 @@ import yaml
 
 from quad_sysid.cli import main
 from quad_sysid.errors import BadInputError, NotInformativeError
-from quad_sysid.model import AxisModel, EffectEstimate, Parameter
+from quad_sysid.estimate.fit import Problem, fit
+from quad_sysid.estimate.stored import estimate_of
+from quad_sysid.model import AxisModel, Parameter
+from quad_sysid.model.effect import Part
+from quad_sysid.model.plant import Structure
 from quad_sysid.pipeline.advice import rivalry
 from quad_sysid.pipeline.identify import Options, identify
 from quad_sysid.report.model_file import save_models
 from quad_sysid.separation import words
-from quad_sysid.separation.aircraft import PAPER, paper_aircraft
-from quad_sysid.separation.design import Separation, rivals_of, separate
+from quad_sysid.separation import family
+from quad_sysid.separation.aircraft import PAPER, PAPER_NOISE, Acting, paper_aircraft
+from quad_sysid.separation.design import Separation, rivals_of, separate, variants
+from quad_sysid.separation.flight import fly
+from quad_sysid.separation.measure import judged
 from quad_sysid.session import separation
 from quad_sysid.signals.schedule import parse_schedule
 
 SECONDS = 40.0
 pytestmark = pytest.mark.xdist_group('separation')
+
+
+FLOWN = {
+    'coulomb_friction': (0.5,), 'quadratic_drag': (0.5,), 'cubic_stiffness': (20.0,),
+    'dead_zone': (0.004,), 'backlash': (0.003,), 'resonance': (5.0, 0.05, 0.0, 0.05),
+    'battery_sag': (3.0,), 'thrust_curve': (0.5,), 'saturation': (0.45,),
+    'motor_lag': (0.15, 0.4), 'gyroscopic_coupling': (0.8,), 'cross_axis_input': (0.2,),
+    'step_event': (6.0, 0.5),
+}
+
+
+@pytest.mark.parametrize('name', FLOWN)
+def test_what_flies_is_what_identification_fits(name):
+    """Fitted to its own flight, the effect returns with its strength and beats nothing."""
+    aircraft = paper_aircraft('roll')
+    flight = replace(family.plain('roll', 12.0), throttle_steps=True, others_move=True)
+    effect, values = variants(name)[0], np.array(FLOWN[name])
+    plain = fly(aircraft, (), [flight])[0].data
+    settings = effect.prepare(plain)
+    assert not isinstance(settings, str), settings
+    acting = Acting(Part(effect, settings), values)
+    found = judged(aircraft, fly(aircraft, [acting], [flight])[0].data)
+    assert found.fitted([acting.part]) > 8.0
+    problem: Problem = found.problem
+    logs = np.array([spec.log for spec in effect.parameters])
+    own = np.where(logs, np.log(np.where(logs, values, 1.0)), values)
+    count = found.base.theta.size - len(Structure().noise)
+    start = np.r_[found.base.theta[:count], own, found.base.theta[count:]]
+    fitted = fit(problem, Structure((acting.part,)), start, rate=found.base.rate)
+    where = fitted.structure.slices()[0]
+    spread = np.sqrt(np.diag(np.linalg.inv(fitted.hessian)))[where]
+    np.testing.assert_array_less(np.abs(fitted.theta[where] - own), 4.0 * spread + 1e-6)
 
 
 def schedule_of(found: Separation):
@@ -65,7 +104,7 @@ def test_nothing_flown_goes_near_the_angle_that_ends_a_flight(springs):
 
 
 def test_longer_flights_tell_more_and_the_time_asked_for_is_enough(springs):
-    one = springs.plain.worst
+    one = springs.best.worst
     assert one.over(4.0 * one.seconds).distance == pytest.approx(2.0 * one.distance)
     assert one.over(one.seconds_for(0.95)).probability == pytest.approx(0.95)
 
@@ -93,13 +132,13 @@ def model_with_rival(probability: float) -> AxisModel:
         Parameter(name, value, 0.01, '')
         for name, value in zip(names, PAPER['roll'], strict=True)
     )
-    friction = EffectEstimate(
-        'coulomb_friction', 'named', ('rate',), (Parameter('torque', 0.12, 0.01, 'rad/s²'),),
-        probability=1.0 - probability, rivals=(('quadratic_drag', probability),),
+    friction = estimate_of(
+        'coulomb_friction', (0.12,), std=0.01, probability=1.0 - probability,
+        rivals=(('quadratic_drag', probability),),
     )
     return AxisModel(
         'roll', 0.004, 42.0, base, (friction,), (*names, 'coulomb_friction.torque'),
-        noise_rms=0.005, torque_noise=0.015,
+        noise=PAPER_NOISE,
     )
 
 
