@@ -230,7 +230,7 @@ def effect(
 def curve(name: str, knots: list, values: list) -> EffectEstimate:
     at = np.linspace(knots[0], knots[-1], 6)
     return effect(name, *np.interp(at, knots, values), variant='smooth',
-                  settings={'knots': tuple(at)})
+                  settings={'knots': tuple(at), 'mean': (0.0,) * 6})
 
 
 SPRING = np.interp(np.linspace(-0.5, 0.7, 6), [-0.5, 0.1, 0.7], [0.0, 0.0, -4.8])

@@ -19,8 +19,7 @@ from quad_sysid.model.plant import Structure
 from quad_sysid.pipeline.advice import rivalry
 from quad_sysid.pipeline.identify import Options, identify
 from quad_sysid.report.model_file import save_models
-from quad_sysid.separation import words
-from quad_sysid.separation import family
+from quad_sysid.separation import family, words
 from quad_sysid.separation.aircraft import PAPER, PAPER_NOISE, Acting, paper_aircraft
 from quad_sysid.separation.design import Separation, rivals_of, separate, variants
 from quad_sysid.separation.flight import fly
@@ -33,7 +32,7 @@ pytestmark = pytest.mark.xdist_group('separation')
 
 
 FLOWN = {
-    'coulomb_friction': (0.5,), 'quadratic_drag': (0.5,), 'cubic_stiffness': (20.0,),
+    'coulomb_friction': (0.5,), 'quadratic_drag': (0.5,), 'cubic_stiffness': (60.0,),
     'dead_zone': (0.004,), 'backlash': (0.003,), 'resonance': (5.0, 0.05, 0.0, 0.05),
     'battery_sag': (3.0,), 'thrust_curve': (0.5,), 'saturation': (0.45,),
     'motor_lag': (0.15, 0.4), 'gyroscopic_coupling': (0.8,), 'cross_axis_input': (0.2,),

@@ -66,7 +66,7 @@ def _matched(found: Placed, name: str) -> EffectEstimate | None:
         return None
     x = FLOWN[signal] * np.sin((np.arange(256) + 0.5) * (2.0 * np.pi / 256))
     wanted = found.torque(REST, x.size, **{signal: x})
-    unit = Placed(Part(rival), np.ones(1), np.ones(1)).torque(REST, x.size, **{signal: x})
+    unit = Placed(Part(rival), np.ones(1)).torque(REST, x.size, **{signal: x})
     size = float(np.dot(unit, wanted) / np.dot(unit, unit))
     return estimate_of(name, (size,), rival.variant)
 

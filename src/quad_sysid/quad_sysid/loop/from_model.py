@@ -31,6 +31,8 @@ STEPS = {'rate': (0.02, 0.005), 'angle': (0.01,), 'command': (0.0005,)}
 RESOLVED = 1e-3
 """Interpolation may err by this share of a curve."""
 LINEAR = 1e-9
+LATE_S = 1e9
+"""After all events of the flight: what they left holds on the next one."""
 HERE = {'rate', 'angle', 'command', 'throttle', 'battery', 'time', 'motors', 'history'}
 """Signals that one axis' loop has, or that stand still in it."""
 SMALL_STEP = 0.02
@@ -41,10 +43,9 @@ Function = Callable[[FloatArray], FloatArray]
 
 @dataclass(frozen=True)
 class Placed:
-    """An effect of a model with its parameters as they are on the next flight."""
+    """An effect of a model with its parameters, as the loop has it on the next flight."""
 
     part: Part
-    fitted: FloatArray
     p: FloatArray
 
     @property
@@ -74,7 +75,7 @@ class Placed:
         rest = np.zeros(n)
         signals: dict[str, Any] = {
             'rate': rest, 'angle': rest, 'drive': rest, 'command': rest, 'change': rest,
-            'lagged': rest, 'time': rest, 'throttle': np.full(n, at['throttle']),
+            'lagged': rest, 'time': np.full(n, LATE_S), 'throttle': np.full(n, at['throttle']),
             'battery_v': np.full(n, at['battery']), 'other_rates': (rest, rest),
             'other_commands': (rest, rest),
         } | moved
@@ -92,8 +93,7 @@ class Placed:
 def placed(model: AxisModel, effect: EffectEstimate) -> Placed:
     """An effect of a model. Raises BadInputError for one that this version does not know."""
     part = part_of(model, effect)
-    fitted = fitted_of(part, effect)
-    return Placed(part, fitted, part.effect.elsewhere(fitted, part.settings, 0.0))
+    return Placed(part, fitted_of(part, effect))
 
 
 def _inside(model: AxisModel) -> list[Placed]:
@@ -275,9 +275,8 @@ def gain_range(model: AxisModel) -> tuple[float, float, float]:
         signal = one.effect.signals[0]
         if one.curve and one.effect.term == 'gain' and signal != 'command':
             field = {'battery': 'battery_v'}.get(signal, signal)
-            flown = Placed(one.part, one.fitted, one.fitted)
             knots = np.array(one.part.settings['knots'], dtype=float)
-            factors = np.maximum(flown.factor(at, **{field: knots}), 0.1)
+            factors = np.maximum(one.factor(at, **{field: knots}), 0.1)
             low, high = low * float(factors.min()), high * float(factors.max())
             usual *= float(one.factor(at)[0])
     return low, usual, high

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -189,9 +188,11 @@ def _separate(
 def _pilot(plain: Row, helped: Sequence[Row | None]) -> Row:
     """The plain PRBS with what the pilot should do besides; itself where that hardly helps."""
     known = [row for row in helped if row is not None]
-    best = max(known, key=lambda row: row.worst.nats, default=plain)
-    enough = [row for row in known if row.worst.score > WORTH_IT * best.worst.score]
-    return plain if plain.worst.score > WORTH_IT * best.worst.score else enough[0]
+    best = max([plain, *known], key=lambda row: row.worst.nats)
+    return next(
+        row for row in (plain, *known, best)
+        if row is best or row.worst.score > WORTH_IT * best.worst.score
+    )
 
 
 def _check(names: Names, seconds: float) -> None:

@@ -149,6 +149,7 @@ def _run(
     last = np.zeros(count)
     u, rates, angles = np.zeros((n, count)), np.zeros((n, count)), np.zeros((n, count))
     nothing = np.zeros(count)
+    hidden = [np.zeros((one.part.effect.states, count)) for one in torques]
     for k in range(n):
         rate, angle = x[:, rate_at] + gyro[k], x[:, angle_at]
         wanted = (g.angle_kp * (inputs[:, 0, k] - angle)).clip(-g.rate_limit, g.rate_limit)
@@ -168,25 +169,32 @@ def _run(
         if known is not None:
             middle = 0.5 * (x + free)
             s = known.at(k, middle, gain * delayed)
-            own, slope = _torque(torques, s)
+            own, slope = _torque(torques, hidden, s)
             # evaluated without its own push, which its slope then takes into account
-            total = (total + own) / (1.0 - 0.5 * push[1] * slope) 
-        x = free + total[:, None] * push
+            total = (total + own) / (1.0 - 0.5 * push[1] * slope)
+        begin, x = x[:, 1], free + total[:, None] * push
+        hidden = [
+            one.part.effect.advance(h, 0.5 * (begin + x[:, 1]), one.p, one.part.settings, dt)
+            if h.size else h for one, h in zip(torques, hidden, strict=True)
+        ]
     return rates, angles, u
 
 
 def _has_torque(one: Acting) -> bool:
     rest = np.zeros(1)
     s = Signals(rest, rest, rest, rest, rest, rest, rest, rest + 1.0, (rest, rest), (rest, rest),
-                rest)
+                rest, np.zeros((one.part.effect.states, 1)))
     return one.part.effect.torque(s, one.p, one.part.settings) is not None
 
 
-def _torque(acting: Sequence[Acting], s: Signals) -> tuple[FloatArray, FloatArray]:
+def _torque(
+    acting: Sequence[Acting], hidden: Sequence[FloatArray], known: Signals
+) -> tuple[FloatArray, FloatArray]:
     """Acceleration and its slope over the rate."""
-    total, slope = np.zeros_like(s.rate), np.zeros_like(s.rate)
-    for one in acting:
+    total, slope = np.zeros_like(known.rate), np.zeros_like(known.rate)
+    for one, own in zip(acting, hidden, strict=True):
         effect, p, settings = one.part.effect, one.p, one.part.settings
+        s = replace(known, hidden=own) if own.size else known
         total = total + effect.torque(s, p, settings)
         if 'rate' in effect.signals:
             ahead = effect.torque(replace(s, rate=s.rate + SLOPE_STEP), p, settings)
