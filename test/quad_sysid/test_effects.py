@@ -177,7 +177,7 @@ LAWS = [
         lambda: {'command': lambda _t, u, v: u * (v / 12.0) ** 2, 'volts': (12.9, 10.5)},
         {'exponent': 2.0}, {'reference_v': 12.0}),
     Law('thrust_curve', of_motors(lambda m: 0.5 * m + 0.5 * m**2), {'curvature': 0.5},
-        {'throttle': 0.5}),
+        {'throttle': 0.5}, left=0.003),
     Law('saturation', of_motors(lambda m: np.clip(m, 0.0, 0.64)),
         {'lower': 0.0, 'upper': 0.64}, variant='upper'),
     Law('motor_lag', slow_motors(0.25, 0.2), {'slow_time_constant': 0.2, 'share': 0.25}),

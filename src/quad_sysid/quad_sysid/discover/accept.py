@@ -21,7 +21,7 @@ from quad_sysid.model.data import AxisData, Windows
 from quad_sysid.model.noise import growth
 from quad_sysid.model.plant import Structure
 
-BLOCK_S = 1.0
+BLOCK_S = 0.5
 """Predictive log-likelihoods are compared over blocks of this length."""
 STAKES = (0.1, 0.3, 0.5, 0.9)
 """Shares of what is left that are bet on each block; the mean of the bets counts."""
@@ -29,6 +29,8 @@ LEVEL = 0.05
 HORIZONS_S = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 DISAGREES = 1.1
 """Error over what the noise predicts from which something is unexplained (contract)."""
+LEAST_SAID = 0.005
+"""Probability of a rival below which it is not told."""
 WORTH_A_LOOK = 1e-3
 """Posterior probability of a structure below which it is not tried on validation data."""
 
@@ -258,16 +260,13 @@ def _empty(
 ) -> tuple[str, str]:
     """Nothing was added: do the commands foresee anything, and is the error as expected?"""
     silent = fit(problem, base.structure, base.theta, rate=base.rate, still=(0, 1, 2))
-    windows = unseen.long if unseen.long.count >= 8 else unseen.windows
-    with_commands, without = unseen.errors(base, windows), unseen.errors(silent, windows)
-    dt = unseen.problem.data.dt
-    evidence = []
+    with_commands, without = unseen.errors(base), unseen.errors(silent)
+    evidence = [bet(unseen.log_likelihood(base) - unseen.log_likelihood(silent))]
     for horizon in HORIZONS_S:
-        k = round(horizon / dt)
-        if 1 <= k <= windows.length:
-            evidence.append(bet(without[:, k - 1] ** 2 - with_commands[:, k - 1] ** 2))
-    evidence.append(bet(unseen.log_likelihood(base) - unseen.log_likelihood(silent)))
-    if max(evidence, default=0.0) * LEVEL < len(evidence):
+        k = at_horizon(horizon, unseen.problem.data.dt)
+        if k < unseen.windows.length:
+            evidence.append(bet(without[:, k] ** 2 - with_commands[:, k] ** 2))
+    if float(np.mean(evidence)) * LEVEL < 1.0:  # a mean of e-values is one
         return 'cannot_tell', (
             'the commands do not foresee the held-out rates better than the rates themselves do'
         )
@@ -298,11 +297,12 @@ def _posterior(
             if all(_taken(left, one) for one in rest):
                 for one in set(left) or {'nothing'}:
                     share[one] = share.get(one, 0.0) + float(weight) / max(len(set(left)), 1)
+        worth = LEAST_SAID * sum(share.values())
+        share = {one: v for one, v in share.items() if one == name or v > worth}
         total = sum(share.values()) or 1.0
-        probabilities.append(share.get(name, 0.0) / total)
+        probabilities.append(share.pop(name, 0.0) / total)
         rivals.append(tuple(sorted(
-            ((one, v / total) for one, v in share.items() if one != name and v / total > 0.005),
-            key=lambda item: -item[1],
+            ((one, v / total) for one, v in share.items()), key=lambda item: -item[1]
         )))
     return tuple(probabilities), tuple(rivals)
 
