@@ -34,8 +34,10 @@ ORCHESTRATION = {'demo', 'report', 'history', 'cli.py'}
 
 def maths_files() -> list[Path]:
     """Every module of the rooms that must stay free of ROS, serial, plotting and I/O."""
-    files = [SYSID / name for name in ('record.py', 'contract.py', 'errors.py', 'model.py')]
-    for room in ('signals', 'blackbox', 'greybox', 'effects', 'loop', 'separation'):
+    files = [SYSID / name for name in ('record.py', 'contract.py', 'errors.py')]
+    for room in (
+        'signals', 'blackbox', 'model', 'effects', 'estimate', 'discover', 'loop', 'separation',
+    ):
         files += sorted((SYSID / room).rglob('*.py'))
     files += [
         path

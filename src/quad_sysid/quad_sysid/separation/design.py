@@ -22,9 +22,11 @@ NOTHING = 'nothing'
 SIMULATED_S = 30.0
 """Flights are simulated this long at most; longer ones show the same more often."""
 SHORTEST_S = 10.0
-JUST_FOUND_NATS = 16.0
+JUST_FOUND_NATS = 12.0
 """A rival that no model knows is as strong as is just found by a plain PRBS of the whole length:
-its prior probability costs some 7, its parameters some 4, and 5 have to be left."""
+its prior probability costs some 7, and 5 have to be left."""
+PER_PARAMETER = 4.0
+"""What each parameter costs besides, of four at most."""
 ANGLE_SHARE = 0.9
 """A flight may use this share of the guard's angle."""
 CERTAIN = 0.95
@@ -218,8 +220,11 @@ def _sized(
     out = []
     for name, one in zip(names, given, strict=True):
         if one is None and name != NOTHING:
-            one = seen.sized(_prepared(name, seen.problem.data), max(worth, wanted))
-        out.append(Rival(name, one))
+            part = _prepared(name, seen.problem.data)
+            price = PER_PARAMETER * min(len(part.effect.parameters), 4)
+            out.append(Rival(name, seen.sized(part, max(worth, wanted + price))))
+        else:
+            out.append(Rival(name, one))
     return out[0], out[1]
 
 

@@ -35,7 +35,7 @@ PILOT_DEG = 8.0
 """Size of the other axes' motion where the pilot stirs them."""
 PILOT_HZ = (0.2, 0.5, 0.9, 1.4)
 PASSES = 12
-SETTLED = 1e-5
+SETTLED = 1e-4
 """A flight is not repeated where no command moves by more, normalised."""
 SEED = 1
 """Every flight has the same noise, so that what differs is what was flown."""
@@ -195,10 +195,12 @@ def _torque(
     for one, own in zip(acting, hidden, strict=True):
         effect, p, settings = one.part.effect, one.p, one.part.settings
         s = replace(known, hidden=own) if own.size else known
-        total = total + effect.torque(s, p, settings)
+        total = total + np.asarray(effect.torque(s, p, settings))
         if 'rate' in effect.signals:
-            ahead = effect.torque(replace(s, rate=s.rate + SLOPE_STEP), p, settings)
-            back = effect.torque(replace(s, rate=s.rate - SLOPE_STEP), p, settings)
+            ahead, back = (
+                np.asarray(effect.torque(replace(s, rate=s.rate + step), p, settings))
+                for step in (SLOPE_STEP, -SLOPE_STEP)
+            )
             slope = slope + (ahead - back) / (2.0 * SLOPE_STEP)
     return total, slope
 

@@ -124,9 +124,8 @@ class Judged:
                 columns, plain.slope, found.gain, found.move, flight.gyro, flight.filtered,
                 self.problem.data.dt, start, stop, out,
             )
-        assert base.prediction.jacobian is not None
         own = np.vstack([
-            base.prediction.jacobian[rows] / base.tail.scale,
+            np.asarray(base.prediction.jacobian)[rows] / base.tail.scale,
             np.linalg.cholesky(base.precision).T,
         ])
         q = np.linalg.qr(own)[0][: rows.size]

@@ -52,8 +52,9 @@ def _lines(found: Separation) -> Iterator[str]:
         yield '+A: the pilot stirs the other two axes.'
     if found.refused:
         yield from _wrapped(
-            f'Of {found.tried} candidates {found.refused} would go near the angle at which the excitation node ends a '
-            'flight, or move too little to tell the model itself; of the others the best are shown.'
+            f'Of {found.tried} candidates {found.refused} would go near the angle at which the '
+            'excitation node ends a flight, or move too little to tell the model itself; of the '
+            'others the best are shown.'
         )
     yield ''
     yield from _wrapped(why(found))
