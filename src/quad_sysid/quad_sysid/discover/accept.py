@@ -31,8 +31,9 @@ DISAGREES = 1.1
 """Error over what the noise predicts from which something is unexplained (contract)."""
 LEAST_SAID = 0.005
 """Probability of a rival below which it is not told."""
-WORTH_A_LOOK = 1e-3
-"""Posterior probability of a structure below which it is not tried on validation data."""
+MOST_OPENED = 15
+"""Structures that are compared on the validation data; their e-values are divided among them,
+half by their posterior and half alike."""
 
 
 def bet(differences: FloatArray) -> float:
@@ -41,6 +42,12 @@ def bet(differences: FloatArray) -> float:
     share = np.divide(differences, largest, out=np.zeros_like(differences), where=largest > 0.0)
     with np.errstate(over='ignore'):
         return float(np.mean([np.prod(1.0 + stake * share) for stake in STAKES]))
+
+
+def bet_above(excess: FloatArray, least: float) -> float:
+    """E-value of 'not above zero on average' for values that are `least` (below 0) or more."""
+    with np.errstate(over='ignore'):
+        return float(np.mean([np.prod(1.0 - stake / least * excess) for stake in STAKES]))
 
 
 @dataclass(frozen=True)
@@ -163,24 +170,20 @@ def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
     base = found.base
     against = unseen.log_likelihood(base)
     base_error = rms(unseen.errors(base))
+    floor = next(s.score for s in found.all if s.fit is base)
+    candidates = [s for s in found.all if s.score > floor][:MOST_OPENED]
+    weights = np.exp(np.array([s.score for s in candidates]) - found.all[0].score)
     tried: list[tuple[float, Fit, float]] = []
-    for scored, probability in zip(found.all, found.probabilities(), strict=True):
-        fitted = scored.fit
-        if not fitted.structure.parts or probability < WORTH_A_LOOK:
-            continue
-        gain = unseen.log_likelihood(fitted) - against
-        tried.append((scored.score + float(np.sum(_blunt(gain))), fitted, bet(gain)))
-    smaller = _smaller(problem, found)
-    for fitted in smaller:
-        gain = unseen.log_likelihood(fitted) - against
-        score = next(s.score for s in found.all if s.fit is fitted) if any(
-            s.fit is fitted for s in found.all
-        ) else fitted.evidence - 8.0 * len(fitted.structure.parts)
-        tried.append((score + float(np.sum(_blunt(gain))), fitted, bet(gain)))
-    tried.sort(key=lambda one: -one[0])
+    best_of_all = unseen.log_likelihood(found.best)
+    for scored, weight in zip(candidates, weights, strict=True):
+        own = unseen.log_likelihood(scored.fit)
+        gain = own - against
+        share = 0.5 * float(weight / weights.sum()) + 0.5 / len(candidates)
+        total = scored.score + float(np.sum(_blunt(own - best_of_all)))
+        tried.append((total, scored.fit, bet(gain) * share))
     chosen, e_value = base, 1.0
     if tried:
-        _, best, e_value = tried[0]
+        _, best, e_value = max(tried, key=lambda one: one[0])
         better = e_value * LEVEL >= 1.0 and rms(unseen.errors(best)) < base_error
         chosen = best if better else base
     return _verdict(problem, found, unseen, base, chosen, e_value)
@@ -192,17 +195,6 @@ def _blunt(gain: FloatArray) -> FloatArray:
         return gain
     limit = 3.0 * float(np.median(np.abs(gain)))
     return np.clip(gain, -limit, limit)
-
-
-def _smaller(problem: Problem, found: Found) -> list[Fit]:
-    """The most probable structure less one effect, where it has several."""
-    best = found.best
-    out = []
-    for index in range(len(best.structure.parts) if len(best.structure.parts) > 1 else 0):
-        structure = best.structure.minus(index)
-        known = [s.fit for s in found.all if set(s.fit.structure.labels) == set(structure.labels)]
-        out.append(known[0] if known else refit(problem, best, index))
-    return out
 
 
 def refit(problem: Problem, fitted: Fit, index: int) -> Fit:
@@ -272,7 +264,7 @@ def _empty(
         )
     square = np.mean(errors**2, axis=1) / predicted**2
     ratio = float(np.sqrt(np.mean(square)))
-    if ratio > DISAGREES and bet(square - DISAGREES**2) * LEVEL >= 1.0:
+    if ratio > DISAGREES and bet_above(square - DISAGREES**2, -(DISAGREES**2)) * LEVEL >= 1.0:
         return 'unexplained_residual', (
             f"the held-out error is {ratio:.2f} times what the model's own noise predicts"
         )

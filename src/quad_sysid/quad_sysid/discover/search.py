@@ -16,11 +16,11 @@ from quad_sysid.model.plant import Structure
 
 EXPECTED = 0.05
 """Prior probability that an effect is missing, shared by all candidates (log odds each)."""
-BEAM = 3
+BEAM = 2
 """Structures that are built upon at each level."""
-REFITS = 6
+REFITS = 5
 """Candidates that are fitted beside each of them."""
-EXCHANGES = 4
+EXCHANGES = 3
 """Candidates that are fitted in the place of an effect of the best structure."""
 MOST_EFFECTS = 4
 HOPELESS = -12.0

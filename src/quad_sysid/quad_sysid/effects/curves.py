@@ -15,7 +15,7 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import Drive, Effect, Settings, Signals, Spec
 from quad_sysid.effects.couplings import over_training, turns
-from quad_sysid.effects.torques import STICTION_RATE
+from quad_sysid.effects.torques import TRANSITION
 
 SLOW_MOVES = 0.01
 """A slow signal must move by this share of its mean to carry a curve."""
@@ -68,7 +68,7 @@ class Curve(Effect):
         spread = {'lag': 0.5, 'delay': None}.get(term)
         self.parameters = tuple(
             Spec(f'y{i}', UNITS[term], spread=spread) for i in range(self.count)
-        )
+        ) + (TRANSITION,) * (term == 'friction')
         self.physics = f'{term} follows {signal} as a smooth curve'
         self.excite = f'let {signal} cover its range while the axis is excited'
 
@@ -100,7 +100,8 @@ class Curve(Effect):
 
     def _along(self, x: FloatArray, p: FloatArray, settings: Settings) -> FloatArray:
         # less its mean over the training, so that the base's parameters keep their meaning
-        return np.interp(x, settings['knots'], p) - float(np.dot(settings['mean'], p))
+        y = p[: self.count]
+        return np.interp(x, settings['knots'], y) - float(np.dot(settings['mean'], y))
 
     def _signal(self, s: Signals, scale: float = 1.0) -> FloatArray:
         if self.signal.startswith('other rate'):
@@ -112,7 +113,7 @@ class Curve(Effect):
             'time': s.time, 'command': s.lagged,
         }[self.signal]
 
-    def _factor(self, s: Signals) -> FloatArray:
+    def _factor(self, s: Signals, p: FloatArray) -> FloatArray:
         if self.term == 'gain':
             return s.drive
         if self.term == 'damping':
@@ -120,16 +121,16 @@ class Curve(Effect):
         if self.term == 'delay':
             return -s.change
         if self.term == 'friction':
-            return -np.tanh(s.rate / STICTION_RATE)
+            return -np.tanh(s.rate / max(p[-1], 1e-4))
         return np.ones_like(s.rate)
 
     def size(self, s: Signals, j: int, settings: Settings) -> FloatArray:
-        return self._factor(s)
+        return self._factor(s, np.array([np.exp(TRANSITION.centre)]))
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray | None:
         if self.term == 'lag':
             return None
-        return self._factor(s) * self._along(self._signal(s), p, settings)
+        return self._factor(s, p) * self._along(self._signal(s), p, settings)
 
     def columns(self, s: Signals, p: FloatArray, linear: Sequence[int], settings: Settings) -> FloatArray:
         """The hats of all knots at once."""
@@ -137,7 +138,7 @@ class Curve(Effect):
         x = np.clip(self._signal(s), knots[0], knots[-1])
         index = np.clip(np.searchsorted(knots, x, side='right') - 1, 0, knots.size - 2)
         share = (x - knots[index]) / (knots[index + 1] - knots[index])
-        factor = self._factor(s)
+        factor = self._factor(s, p)
         out = np.zeros((x.size, knots.size))
         rows = np.arange(x.size)
         out[rows, index] = 1.0 - share
@@ -158,10 +159,13 @@ class Curve(Effect):
         place = np.array(settings['place'])
         apart = (place[:, None] - place[None, :]) / (2.0 * self.length)
         kernel = np.exp(-0.5 * apart**2) + 1e-3 * np.eye(place.size)
-        return np.linalg.inv(kernel) / sizes[0] ** 2
+        out = np.diag(sizes**-2.0)
+        out[: place.size, : place.size] = np.linalg.inv(kernel) / sizes[0] ** 2
+        return out
 
     def starts(self, data: AxisData, settings: Settings) -> Sequence[FloatArray]:
-        return [np.zeros(self.count)]
+        more = TRANSITION.starts if self.term == 'friction' else ((),)
+        return [np.r_[np.zeros(self.count), one] for one in more]
 
     def elsewhere(self, p: FloatArray, settings: Settings, phase: float) -> FloatArray:
         return np.full(p.size, p[-1]) if self.signal == 'time' else p
@@ -172,8 +176,11 @@ class Curve(Effect):
         return {self.signal: 0.5 * float(settings['knots'][0] + settings['knots'][-1])}
 
     def readable(self, p: FloatArray, settings: Settings) -> dict[str, tuple[float, str]]:
-        mean = float(np.dot(settings['mean'], p))
-        return {f'y{i}': (float(v) - mean, UNITS[self.term]) for i, v in enumerate(p)}
+        mean = float(np.dot(settings['mean'], p[: self.count]))
+        return {
+            spec.name: (float(v) - (mean if i < self.count else 0.0), spec.unit)
+            for i, (spec, v) in enumerate(zip(self.parameters, p, strict=True))
+        }
 
 
 CELLS = {

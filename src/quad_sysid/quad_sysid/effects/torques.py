@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import Effect, Settings, Signals, Spec
 
-STICTION_RATE = 0.01
-"""Rate over which a friction changes its sign, rad/s: below any gyro's noise."""
+TRANSITION = Spec('transition', 'rad/s', spread=1.0, centre=math.log(0.005), log=True,
+                  starts=(0.003, 0.04))
+"""Rate over which a friction changes its sign."""
 
 
 def needs_angle(data: AxisData) -> Settings | str:
@@ -20,12 +23,12 @@ def needs_angle(data: AxisData) -> Settings | str:
 class CoulombFriction(Effect):
     name = 'coulomb_friction'
     signals = ('rate',)
-    parameters = (Spec('torque', 'rad/s²', positive=True),)
+    parameters = (Spec('torque', 'rad/s²', positive=True), TRANSITION)
     physics = '-T sign(rate): dry friction of a bearing (Coulomb 1785)'
     excite = 'slow and fast motion with many reversals: a PRBS or a slow square wave'
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        return -p[0] * np.tanh(s.rate / STICTION_RATE)
+        return -p[0] * np.tanh(s.rate / max(p[1], 1e-4))
 
 
 class QuadraticDrag(Effect):

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from quad_sysid.contract import AXES, FloatArray, motors_from_wrench
-from quad_sysid.effects.torques import STICTION_RATE
+from quad_sysid.effects.torques import TRANSITION
 from quad_sysid.estimate.fit import Fit, Problem, covariance
 from quad_sysid.model.data import AxisData, Span
 from quad_sysid.model.effect import Drive, Part, Signals
@@ -131,7 +131,7 @@ def weight(along: Along, part: Part) -> FloatArray | None:
     s = along.signals
     known = {
         'torque': np.ones_like(s.rate), 'gain': s.drive, 'damping': -s.rate, 'delay': -s.change,
-        'friction': -np.tanh(s.rate / STICTION_RATE),
+        'friction': -np.tanh(s.rate / np.exp(TRANSITION.centre)),
     }.get(part.effect.term)
     return None if known is None else along.seen(known)
 
