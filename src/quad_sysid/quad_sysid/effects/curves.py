@@ -94,6 +94,8 @@ class Curve(Effect):
         mean = [float(np.mean(np.interp(held, knots, hat))) for hat in np.eye(self.count)]
         if self.term == 'friction':  # the base has none
             mean = [0.0] * self.count
+        elif self.signal == 'time':  # the base is what the flight ends with
+            mean = [*[0.0] * (self.count - 1), 1.0]
         return {
             'knots': tuple(knots.tolist()), 'place': tuple(place.tolist()), 'mean': tuple(mean),
         }
