@@ -170,7 +170,9 @@ class Curve(Effect):
         return [np.r_[np.zeros(self.count), one] for one in more]
 
     def elsewhere(self, p: FloatArray, settings: Settings, phase: float) -> FloatArray:
-        return np.full(p.size, p[-1]) if self.signal == 'time' else p
+        if self.signal != 'time':
+            return p
+        return np.r_[np.full(self.count, p[self.count - 1]), p[self.count :]]
 
     def usual(self, p: FloatArray, settings: Settings) -> Mapping[str, float]:
         if self.signal not in ('throttle', 'battery'):
