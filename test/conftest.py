@@ -1,17 +1,25 @@
 """What tests of all packages share: a ROS domain of its own, so that no two runs hear each other;
-a system clock that can be set back.
+a probe in it and nodes as processes; a system clock that can be set back.
 
 Two checkouts may be tested on one machine at the same time, beside a demo and other nodes.
 """
 
 from __future__ import annotations
 
+import importlib.util
+import itertools
 import shutil
 import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))  # probe and node_process, for all tests
+
+from node_process import Started, node_command
+from probe import Probe
 
 from quad_tuning.demo.domain import own_domain
 
@@ -24,6 +32,40 @@ def ros_domain(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[int]
         monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
         monkeypatch.setenv('ROS_LOG_DIR', str(tmp_path / 'ros_log'))
         yield domain
+
+
+@pytest.fixture
+def probe(ros_domain: int, tmp_path: Path) -> Iterator[Probe]:
+    """A participant in the test's ROS domain; see probe.py."""
+    del ros_domain
+    if importlib.util.find_spec('rclpy') is None:
+        pytest.skip('needs ROS 2 or its wheels')
+    probe = Probe(tmp_path)
+    yield probe
+    assert probe.close() == 0
+
+
+@pytest.fixture
+def run(ros_domain: int, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable]:
+    """A function that starts a command; it is killed at the end where it still runs."""
+    del ros_domain
+    started, folder, number = [], tmp_path_factory.mktemp('processes'), itertools.count()
+
+    def begin(*command: object, **options: object) -> Started:
+        started.append(Started(command, folder / f'{next(number)}', **options))
+        return started[-1]
+
+    yield begin
+    for process in started:
+        process.kill()
+
+
+@pytest.fixture
+def start(run: Callable[..., Started]) -> Callable[..., Started]:
+    """A function that starts a node: its name, namespace='/left', parameters by name."""
+    if importlib.util.find_spec('rclpy') is None:
+        pytest.skip('needs ROS 2 or its wheels')
+    return lambda name, **settings: run(*node_command(name, **settings))
 
 
 SET_BACK = r"""

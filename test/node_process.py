@@ -1,0 +1,96 @@
+"""A node, or another program of the suite, as a process of a test: its words, signals, end."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from probe import PATIENCE_S
+
+MODULES = {
+    'serial_bridge': 'quad_bridge.serial_bridge_node',
+    'bag_logger': 'quad_bridge.bag_logger_node',
+    'monitor': 'quad_bridge.monitor_node',
+    'sensor_watch': 'quad_bridge.sensor_watch_node',
+    'excitation': 'quad_sysid.excitation_node',
+    'identification': 'quad_sysid.identification_node',
+    'virtual_stm32': 'quad_bridge.virtual.process',
+}
+"""Programs by name: what `ros2 run` would start."""
+
+
+def node_command(name: str, namespace: str = '', **parameters: object) -> list[str]:
+    """The command that starts a node with these parameters; False stands for false."""
+    words = []
+    for key, value in parameters.items():
+        text = str(value).lower() if isinstance(value, bool) else str(value)
+        words += ['-p', f'{key}:={text}']
+    words += ['-r', f'__ns:={namespace}'] if namespace else []
+    return [*program(name), '--ros-args', *words]
+
+
+def program(name: str) -> list[str]:
+    """The beginning of the command of a program of the suite."""
+    return [
+        sys.executable,
+        '-c',
+        f'import sys; from {MODULES[name]} import main; sys.exit(main())',
+    ]
+
+
+class Started:
+    """A running process; what it says goes into files, so that it never waits for who reads."""
+
+    def __init__(self, command: Sequence[object], files: Path, **options: Any) -> None:
+        self._out, self._err = files.with_suffix('.out'), files.with_suffix('.err')
+        with self._out.open('w') as out, self._err.open('w') as err:
+            self.process = subprocess.Popen(
+                [str(word) for word in command], **{'stdout': out, 'stderr': err, **options}
+            )
+        self.pid = self.process.pid
+
+    @property
+    def said(self) -> str:
+        """What stands on its stderr so far."""
+        return self._err.read_text(errors='replace')
+
+    @property
+    def printed(self) -> str:
+        """What stands on its stdout so far."""
+        return self._out.read_text(errors='replace')
+
+    def poll(self) -> int | None:
+        return self.process.poll()
+
+    def send(self, number: int) -> None:
+        self.process.send_signal(number)
+
+    def wait(self) -> int:
+        """Its exit status."""
+        return self.process.wait(PATIENCE_S)
+
+    def end(self, number: int = signal.SIGINT) -> int:
+        """Send a signal; the exit status."""
+        self.send(number)
+        return self.wait()
+
+    def kill(self) -> None:
+        self.process.kill()
+        self.process.wait()
+
+    def until(self, condition: Callable[[], object], what: object = '') -> None:
+        """Wait for a condition as long as the process lives."""
+        end_s = time.monotonic() + PATIENCE_S
+        while not condition():
+            assert self.poll() is None, f'ended with {self.poll()}: {self.said[-2000:]}'
+            assert time.monotonic() < end_s, f'never: {what}'
+            time.sleep(0.01)
+
+    def says(self, words: str) -> None:
+        """Wait until it has said this on stderr."""
+        self.until(lambda: words in self.said, words)

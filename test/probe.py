@@ -1,0 +1,435 @@
+"""The tests' one participant in ROS: a process of its own that hears, publishes and calls.
+
+`python probe.py` takes one JSON object per line and answers in lines; `Probe` is its client. No
+test imports rclpy: a fault in the middleware ends the probe and one test, never the run.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+PATIENCE_S = 240.0
+"""A bound on whatever is waited for, so long that no busy machine reaches it; measures nothing."""
+TRIGGER = 'std_srvs/srv/Trigger'
+EVENT = 'rcl_interfaces/msg/ParameterEvent'
+KINDS = {bool: (1, 'bool_value'), int: (2, 'integer_value'), float: (3, 'double_value'),
+         str: (4, 'string_value')}  # fmt: skip
+"""Of a parameter: its number and field in rcl_interfaces/msg/ParameterValue."""
+
+
+# ---- the client ------------------------------------------------------------------------------
+
+
+class Answer:
+    """What a service will answer; `until(answer.done)`, then `result()`."""
+
+    def __init__(self, words: str) -> None:
+        self.words = words
+        self._reply: Any = None
+
+    def done(self) -> bool:
+        return self._reply is not None
+
+    def take(self, reply: Any) -> None:
+        self._reply = reply
+
+    def result(self) -> Any:
+        assert not hasattr(self._reply, 'error'), f'{self.words}: {self._reply.error}'
+        return self._reply.result
+
+
+class Probe:
+    """A participant in the ROS domain of the environment. What it has heard are plain objects with
+    the fields of the messages; NaN is NaN, a byte is a number."""
+
+    def __init__(self, folder: Path) -> None:
+        self._said = (folder / 'probe.stderr').open('w+', encoding='utf-8')
+        self._process = subprocess.Popen(
+            [sys.executable, __file__], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+            stderr=self._said, text=True,
+        )  # fmt: skip
+        self.pid = self._process.pid
+        self._heard: dict[str, list[Any]] = {}
+        self._answers: dict[int, Answer] = {}
+        self._ended = False
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def listen(self, topic: str, kind: str = '', *, reliable: bool = True) -> list[Any]:
+        """A list that grows with what is heard on the topic; its type is the contract's."""
+        heard = self._heard.setdefault(f'topic {topic}', [])
+        self._do('listen', topic=topic, kind=kind or kind_of(topic), reliable=reliable)
+        return heard
+
+    def deafen(self, topic: str) -> None:
+        """Listen to the topic no longer."""
+        self._do('deafen', topic=topic)
+
+    def advertise(self, topic: str, kind: str = '') -> None:
+        """Have a publisher, which a first message needs so that somebody can know of it."""
+        self._do('advertise', topic=topic, kind=kind or kind_of(topic))
+
+    def publish(self, topic: str, *messages: Mapping[str, Any], every_s: float = 0.0) -> None:
+        """Say messages one after the other; `every_s`: the one message again and again.
+
+        A message is a mapping of the fields that are not zero or empty.
+        """
+        self._do('publish', topic=topic, messages=messages, every_s=every_s, kind=kind_of(topic))
+
+    def silence(self, topic: str) -> None:
+        """Say no more what was said again and again."""
+        self._do('silence', topic=topic)
+
+    def listeners(self, topic: str) -> int:
+        """How many subscriptions a topic has."""
+        return int(self._do('listeners', topic=topic))
+
+    def nodes(self) -> list[str]:
+        """Full names of the nodes that are there."""
+        return [str(name) for name in self._do('nodes')]
+
+    def meet(self, *topics: str) -> None:
+        """Wait until somebody listens to each of these topics of ours."""
+        for topic in topics:
+            self.advertise(topic)
+        self.until(lambda: all(self.listeners(topic) for topic in topics), f'ears for {topics}')
+
+    def ask(self, service: str, kind: str = TRIGGER, **request: Any) -> Answer:
+        """Call a service as soon as it is there; the answer comes when it comes."""
+        return self._send('ask', service=service, kind=kind, request=request)
+
+    def call(self, service: str, kind: str = TRIGGER, **request: Any) -> Any:
+        """Call a service and wait for its answer."""
+        return self.answer(self.ask(service, kind, **request))
+
+    def answer(self, answer: Answer) -> Any:
+        """Wait for what somebody was asked for."""
+        self.until(answer.done, answer.words)
+        return answer.result()
+
+    def serve(self, service: str, kind: str = TRIGGER, **response: Any) -> list[Any]:
+        """Offer a service that always answers the same; the list grows with each request."""
+        asked = self._heard.setdefault(f'service {service}', [])
+        self._do('serve', service=service, kind=kind, response=response)
+        return asked
+
+    def parameter(self, node: str, name: str) -> Any:
+        """The value of a node's parameter."""
+        kind = 'rcl_interfaces/srv/GetParameters'
+        (value,) = self.call(f'{node}/get_parameters', kind, names=[name]).values
+        return next(
+            (getattr(value, f) for number, f in KINDS.values() if number == value.type), None
+        )
+
+    def set_parameter(self, node: str, name: str, value: Any) -> Any:
+        """Ask a node to take a value; its answer has `successful` and `reason`."""
+        kind = 'rcl_interfaces/srv/SetParameters'
+        (result,) = self.call(
+            f'{node}/set_parameters', kind, parameters=event({name: value})['changed_parameters']
+        ).results
+        return result
+
+    def transition(self, node: str, number: int) -> bool:
+        """Ask a lifecycle node for a transition (1 configure … 4 deactivate); whether it went."""
+        kind = 'lifecycle_msgs/srv/ChangeState'
+        return bool(self.call(f'{node}/change_state', kind, transition={'id': number}).success)
+
+    def until(self, condition: Callable[[], object], what: object = '') -> None:
+        """Wait for a condition, however long a busy machine may take."""
+        end_s = time.monotonic() + PATIENCE_S
+        while not condition():
+            assert not self._ended, f'the probe has ended: {self.words()[-2000:]}'
+            assert time.monotonic() < end_s, f'never: {what}'
+            time.sleep(0.01)
+
+    def words(self) -> str:
+        """What the probe itself, or the middleware in it, has said on stderr."""
+        self._said.seek(0)
+        return self._said.read()
+
+    def close(self) -> int:
+        """End the process; its exit status."""
+        with self._process:
+            self._process.stdin.close()
+            try:
+                return self._process.wait(PATIENCE_S)
+            finally:
+                self._process.kill()
+                self._reader.join()
+                self._said.close()
+
+    def _do(self, name: str, **about: Any) -> Any:
+        return self.answer(self._send(name, **about))
+
+    def _send(self, name: str, **about: Any) -> Answer:
+        number = len(self._answers)
+        self._answers[number] = answer = Answer(f'{name} {about}')
+        try:
+            self._process.stdin.write(json.dumps({'do': name, 'number': number, **about}) + '\n')
+            self._process.stdin.flush()
+        except OSError as error:
+            raise AssertionError(f'the probe has ended: {self.words()[-2000:]}') from error
+        return answer
+
+    def _read(self) -> None:
+        for line in self._process.stdout:
+            told = json.loads(line, object_hook=lambda pairs: SimpleNamespace(**pairs))
+            if hasattr(told, 'number'):
+                self._answers[told.number].take(told)
+            else:
+                self._heard[told.heard].append(told.message)
+        self._ended = True
+
+
+def kind_of(topic: str) -> str:
+    """The type of a topic of the contract, whatever its namespace."""
+    from quad_bridge.topics import TOPIC_TYPES
+
+    known = {**TOPIC_TYPES, '/clock': 'rosgraph_msgs/msg/Clock'}
+    return next((kind for name, kind in known.items() if topic.endswith(name)), '')
+
+
+def event(values: Mapping[str, Any]) -> dict[str, Any]:
+    """A ParameterEvent with these values, as `publish` takes it."""
+    kinds = {name: KINDS[type(value)] for name, value in values.items()}
+    return {
+        'changed_parameters': [
+            {'name': name, 'value': {'type': kinds[name][0], kinds[name][1]: value}}
+            for name, value in values.items()
+        ]
+    }
+
+
+def content(message: Any) -> dict[str, Any]:
+    """Names and values of a ParameterEvent that was heard or read in a bag."""
+    fields = dict(KINDS.values())
+    return {p.name: getattr(p.value, fields[p.value.type]) for p in message.changed_parameters}
+
+
+def entries(arrays: Sequence[Any]) -> dict[str, SimpleNamespace]:
+    """The last diagnostics of each name: level, message, and its values by key."""
+    return {
+        status.name: SimpleNamespace(
+            level=status.level, message=status.message,
+            values={pair.key: pair.value for pair in status.values},
+        )
+        for array in list(arrays)
+        for status in array.status
+    }  # fmt: skip
+
+
+def stamp(nanoseconds: int) -> dict[str, Any]:
+    """A header of this time."""
+    sec, nanosec = divmod(nanoseconds, 10**9)
+    return {'stamp': {'sec': sec, 'nanosec': nanosec}, 'frame_id': 'base_link'}
+
+
+def stamp_ns(message: Any) -> int:
+    """The time in a message's header."""
+    return int(message.header.stamp.sec) * 10**9 + int(message.header.stamp.nanosec)
+
+
+# ---- the process -----------------------------------------------------------------------------
+
+
+class Server:
+    """Does in ROS's executor what the lines from stdin say."""
+
+    def __init__(self, rclpy: Any) -> None:
+        from rclpy.executors import SingleThreadedExecutor
+        from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+        from quad_bridge.topics import LATCHED
+
+        self._latched, self._profile = LATCHED, QoSProfile
+        self._reliability, self._durability = ReliabilityPolicy, DurabilityPolicy
+        self.node = rclpy.create_node('probe', start_parameter_services=False)
+        self.executor = SingleThreadedExecutor()
+        self.executor.add_node(self.node)
+        self._guard = self.node.create_guard_condition(self._work)
+        self._lines: list[str] = []
+        self._subscriptions: dict[str, Any] = {}
+        self._publishers: dict[str, tuple[Any, type]] = {}
+        self._timers: dict[str, Any] = {}
+        self._clients: dict[str, Any] = {}
+        self._waiting: list[tuple[Any, Any, int]] = []
+        self.node.create_timer(0.02, self._call)
+        self.done = False
+
+    def read(self) -> None:
+        """Hand every line to the executor; its end is the process'."""
+        for line in sys.stdin:
+            self._lines.append(line)
+            self._guard.trigger()
+        self.done = True
+        self._guard.trigger()
+
+    def _work(self) -> None:
+        while self._lines:
+            about = json.loads(self._lines.pop(0))
+            number, do = about.pop('number'), about.pop('do')
+            try:
+                if do == 'ask':
+                    self.ask(number, **about)
+                else:
+                    tell(number=number, result=getattr(self, do)(**about))
+            except Exception as error:  # noqa: BLE001  (it is told to the test)
+                tell(number=number, error=f'{type(error).__name__}: {error}')
+
+    def _qos(self, topic: str, *, reliable: bool = True) -> Any:
+        latched = any(topic.endswith(name) for name in self._latched)
+        policy, lasting = self._reliability, self._durability
+        return self._profile(
+            depth=1000 if reliable or not latched else 10,
+            reliability=policy.RELIABLE if reliable else policy.BEST_EFFORT,
+            durability=lasting.TRANSIENT_LOCAL if latched else lasting.VOLATILE,
+        )
+
+    def listen(self, topic: str, kind: str, reliable: bool) -> None:
+        def heard(message: Any) -> None:
+            tell(heard=f'topic {topic}', message=plain(message))
+
+        qos = self._qos(topic, reliable=reliable)
+        self._subscriptions[topic] = self.node.create_subscription(
+            interface(kind), topic, heard, qos
+        )
+
+    def deafen(self, topic: str) -> None:
+        self.node.destroy_subscription(self._subscriptions.pop(topic))
+
+    def advertise(self, topic: str, kind: str) -> None:
+        if topic not in self._publishers:
+            made = interface(kind)
+            publisher = self.node.create_publisher(made, topic, self._qos(topic))
+            self._publishers[topic] = publisher, made
+
+    def publish(self, topic: str, kind: str, messages: list[Any], every_s: float) -> None:
+        self.advertise(topic, kind)
+        publisher, made = self._publishers[topic]
+        for message in (filled(made(), values) for values in messages):
+            publisher.publish(message)
+            if every_s:
+                self.silence(topic)
+                again = partial_of(publisher.publish, message)
+                self._timers[topic] = self.node.create_timer(every_s, again)
+
+    def silence(self, topic: str) -> None:
+        if topic in self._timers:
+            self.node.destroy_timer(self._timers.pop(topic))
+
+    def listeners(self, topic: str) -> int:
+        if topic in self._publishers:
+            return int(self._publishers[topic][0].get_subscription_count())
+        return int(self.node.count_subscribers(topic))
+
+    def nodes(self) -> list[str]:
+        found = self.node.get_node_names_and_namespaces()
+        return [f'{space.rstrip("/")}/{name}' for name, space in found if name != 'probe']
+
+    def ask(self, number: int, service: str, kind: str, request: Any) -> None:
+        made = interface(kind)
+        if service not in self._clients:
+            self._clients[service] = self.node.create_client(made, service)
+        question = filled(made.Request(), request)
+        self._waiting.append((self._clients[service], question, number))
+        self._call()
+
+    def _call(self) -> None:
+        """Ask those that are there by now."""
+        for one in list(self._waiting):
+            client, question, number = one
+            if client.service_is_ready():
+                self._waiting.remove(one)
+                future = client.call_async(question)
+                future.add_done_callback(partial_of(answered, number))
+
+    def serve(self, service: str, kind: str, response: Any) -> None:
+        def asked(request: Any, answer: Any) -> Any:
+            tell(heard=f'service {service}', message=plain(request))
+            return filled(answer, response)
+
+        self.node.create_service(interface(kind), service, asked)
+
+
+def answered(number: int, future: Any) -> None:
+    tell(number=number, result=plain(future.result()))
+
+
+def partial_of(function: Callable[..., Any], *first: Any) -> Callable[..., Any]:
+    """functools.partial, but a function: rclpy looks for its name."""
+
+    def called(*others: Any) -> Any:
+        return function(*first, *others)
+
+    return called
+
+
+def interface(kind: str) -> Any:
+    """The class of a message or service, from `package/msg/Name`."""
+    package, group, name = kind.split('/')
+    return getattr(importlib.import_module(f'{package}.{group}'), name)
+
+
+def plain(value: Any) -> Any:
+    """A message as what JSON knows."""
+    if hasattr(value, 'get_fields_and_field_types'):
+        return {name: plain(getattr(value, name)) for name in value.get_fields_and_field_types()}
+    if isinstance(value, bytes):
+        return value[0]
+    if hasattr(value, 'tolist'):
+        return value.tolist()
+    return [plain(item) for item in value] if isinstance(value, list | tuple) else value
+
+
+def filled(message: Any, values: Mapping[str, Any]) -> Any:
+    """A message with these fields set."""
+    kinds = message.get_fields_and_field_types()
+    for name, value in values.items():
+        setattr(message, name, content_of(kinds[name], getattr(message, name), value))
+    return message
+
+
+def content_of(kind: str, old: Any, value: Any) -> Any:
+    """A field's new value as rclpy takes it."""
+    if isinstance(value, dict):
+        return filled(old, value)
+    if isinstance(value, list) and '/' in kind:
+        package, _, name = kind.removeprefix('sequence<').partition('>')[0].partition('/')
+        made = interface(f'{package}/msg/{name}')
+        return [filled(made(), item) for item in value]
+    if kind == 'octet':
+        return bytes([value])
+    return float(value) if isinstance(old, float) else value
+
+
+def tell(**words: Any) -> None:
+    sys.stdout.write(json.dumps(words) + '\n')
+    sys.stdout.flush()
+
+
+def main() -> None:
+    """Executor, node and context end in this order."""
+    import rclpy
+    from rclpy.signals import SignalHandlerOptions
+
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    server = Server(rclpy)
+    threading.Thread(target=server.read, daemon=True).start()
+    while not server.done:
+        server.executor.spin_once(timeout_sec=1.0)
+    server.executor.shutdown()
+    server.node.destroy_node()
+    rclpy.shutdown()
+
+
+if __name__ == '__main__':
+    main()
