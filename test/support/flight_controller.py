@@ -1,0 +1,490 @@
+"""One scripted flight controller and the faults of its line, for every test of the bridge.
+
+`FlightController` speaks the wire and has no physics: its cycles are numbered, and it answers
+TIMESYNC, parameters, the gains' transactions and arming as the script wants. Whatever has
+`cycle() -> bytes` and `receive(data, now_ns) -> bytes` can take its place: the virtual STM32's
+`Endpoint`, another autopilot. It is used in three ways:
+
+In memory, with a clock of its own, deterministic (`Line`):
+
+    line = Line()                              # a Link and a FlightController, connected
+    line.fly(2.0)                              # 500 cycles of 4 ms each
+    line.controller.restart()
+    line.up.fault = Fault(f.ParamSet, DROPPED, every=3)
+    line.fly(1.0); line.out                    # what the link has stamped
+
+On a pseudo-terminal or a socket, in a thread, for a bridge in a process of its own (`Port`):
+
+    with Port(FlightController(), Pty(tmp_path / 'tty')) as port:     # 250 cycles a second
+        ...                                    # start the bridge with port:=tmp_path/'tty'
+        port.controller.flags = 0              # script it while it runs
+        port.controller.heard                  # every frame that the bridge has sent
+    with Port(FlightController(), Socket()) as port: port.end.url     # socket://127.0.0.1:…
+
+Between two real ends, as a line with faults (`Relay`):
+
+    relay = Relay(Device(stm32), Pty(tmp_path / 'port'));  relay.start();  relay.up.cut = True
+
+A `Port` says nothing before it has heard the bridge, and afterwards waits for a bridge without
+CPU instead of losing cycles: every number from the first to the last arrives, or the bridge has
+lost it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import select
+import socket
+import threading
+import time
+import tty
+from collections import deque
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from quad_bridge.link import Link
+from quad_bridge.virtual.gain_store import GainStore
+from quad_bridge.wire import frames as f
+from quad_bridge.wire.codec import Decoder, Encoder
+from quad_bridge.wire.gain_names import WIRE_NAMES
+from quad_bridge.wire.params import float32
+
+CYCLE_US, CYCLE_NS, CYCLE_S = 4000, 4_000_000, 0.004
+NUMBERS = 10_000
+"""A cycle's gyro has its number modulo this on x, 1e-3 rad/s each."""
+HOST0_NS = 7_000_000_000
+"""Host time in a `Line` when the flight controller's first time is 0."""
+TICK = 12
+"""Cycles between two ticks of the bridge."""
+ZERO = (0.0, 0.0, 0.0)
+ARM_DISARM, ACCEPTED = 400, 0
+
+
+def sticks(controller):
+    """RC_CHANNELS 50 times a second, for `FlightController(also=sticks)`."""
+    if controller.number % 5 == 0:
+        yield f.RcChannels(controller.device_us // 1000 % (1 << 32), (1500,) * 9)
+
+
+class FlightController:
+    """The far end's script; all attributes may be changed while it runs."""
+
+    def __init__(
+        self,
+        *,
+        parameters=None,
+        gyro=(None, 0.25, 0.5),
+        refuses=(),
+        unanswered=(),
+        also: Callable[[FlightController], Iterable[f.Frame]] = lambda _: (),
+        sender=(1, 1),
+        signing=None,
+        number=0,
+        bits=64,
+    ) -> None:
+        """`parameters` maps wire names to values; all of the wire's at 0.5 where not given."""
+        parameters = parameters or dict.fromkeys(WIRE_NAMES.values(), 0.5)
+        self.refuses = refuses
+        """Parameters whose new values it does not take."""
+        self.unanswered = unanswered
+        """Kinds of frames that it does not answer."""
+        self.reports: dict[str, float] = {}
+        """Parameters about which it lies in PARAM_VALUE."""
+        self.gyro, self.accel, self.flags = gyro, (0.0, 0.0, -9.81), int(f.Flag.ARMED)
+        self.also = also
+        """Frames that it sends behind each cycle."""
+        self.number, self.boot = number, 0
+        """Cycles since the test began, and that of the last start."""
+        self.clock_us, self.late_us, self.bits = 0, 0, bits
+        """By how much its clock was set, and its cycles begin too late; the width of its time."""
+        self.heard: list[f.Frame] = []
+        values = {name: float32(value) for name, value in parameters.items()}
+        self.store = GainStore(values, lambda name, _: name not in self.refuses, 7)
+        self.encoder, self.decoder = Encoder(*sender, signing), Decoder(signing)
+
+    def restart(self):
+        """The next cycle is the first one."""
+        self.boot = self.number
+
+    def told(self, kind):
+        """What it has heard of one kind."""
+        return [frame for frame in self.heard if isinstance(frame, kind)]
+
+    @property
+    def device_us(self):
+        """Its time at the present cycle."""
+        now_us = (self.number - self.boot) * CYCLE_US + self.clock_us + self.late_us
+        return now_us % (1 << self.bits)
+
+    def frame(self):
+        """The present cycle."""
+        gyro = (1e-3 * (self.number % NUMBERS), *self.gyro[1:])
+        return f.Cycle(
+            self.device_us, self.number - self.boot, gyro if self.gyro[0] is None else self.gyro,
+            self.accel, ZERO, ZERO, ZERO, (0.5, 0.0, 0.0, 0.0), ZERO, (0.5,) * 4, self.flags,
+        )  # fmt: skip
+
+    def cycle(self):
+        """The bytes of the coming cycle."""
+        self.number += 1
+        return self.encode(self.frame(), *self.also(self))
+
+    def encode(self, *frames):
+        return b''.join(self.encoder.encode(frame) for frame in frames)
+
+    def receive(self, data, now_ns):
+        """The bytes with which it answers, `now_ns` after the test began."""
+        frames = self.decoder.feed(data)
+        return self.encode(*(reply for frame in frames for reply in self.answer(frame, now_ns)))
+
+    def answer(self, frame, now_ns=0):
+        """The frames with which it answers one."""
+        self.heard.append(frame)
+        self.store.heard(1e-9 * now_ns)
+        return [] if isinstance(frame, self.unanswered) else list(self._answer(frame, now_ns))
+
+    def _answer(self, frame, now_ns):
+        names = list(self.store.active)
+        if isinstance(frame, f.TimeSync):
+            since_us = now_ns // 1000 - CYCLE_US * self.boot + self.clock_us + self.late_us
+            yield f.TimeSync(1000 * (since_us % (1 << self.bits)), frame.ts1_ns)
+        elif isinstance(frame, f.GainsCommand):
+            yield self.store.take(frame, 1e-9 * now_ns)
+        elif isinstance(frame, f.ParamRequestList):
+            yield from map(self._parameter, names)
+        elif isinstance(frame, (f.ParamSet, f.ParamRequestRead)):
+            name = frame.name or names[frame.index]
+            if isinstance(frame, f.ParamSet):
+                self.store.write(name, float32(frame.value))
+            yield self._parameter(name)
+        elif isinstance(frame, f.Command) and frame.command == ARM_DISARM:
+            self.flags = self.flags & ~f.Flag.ARMED | int(frame.parameters[0])
+            yield f.CommandAck(ARM_DISARM, ACCEPTED)
+
+    def _parameter(self, name):
+        names = list(self.store.active)
+        value = self.reports.get(name, self.store.shown(name))
+        return f.ParamValue(name, value, len(names), names.index(name))
+
+
+# What a line does to frames.
+
+
+def DROPPED(_frame):  # noqa: N802
+    return []
+
+
+def DOUBLED(frame):  # noqa: N802
+    return [frame, frame]
+
+
+def changed(**fields):
+    """Every field replaced by a function of the frame: `changed(value=lambda x: -x.value)`."""
+    return lambda frame: [replace(frame, **{k: new(frame) for k, new in fields.items()})]
+
+
+class Fault:
+    """Does `what` to every so many-th frame that matches, so many times; frame → frames."""
+
+    def __init__(self, match, what, *, every=1, times=math.inf):
+        kind = isinstance(match, (type, tuple))
+        self.match = (lambda frame: isinstance(frame, match)) if kind else match
+        self.what, self.every, self.times = what, every, times
+        self.count = 0
+
+    def __call__(self, frame):
+        if self.times <= 0 or not self.match(frame):
+            return [frame]
+        self.count += 1
+        if self.count % self.every:
+            return [frame]
+        self.times -= 1
+        return self.what(frame)
+
+
+class Direction:
+    """One way of a line: `fault` acts on frames, `noise` flips a share of the bytes."""
+
+    def __init__(self, sender, seed=1):
+        self.fault: Callable[[f.Frame], list[f.Frame]] | None = None
+        self.cut = False
+        self.noise = 0.0
+        self._random = np.random.default_rng(seed)
+        self._decoder, self._encoder = Decoder(), Encoder(*sender)
+
+    def carry(self, data):
+        """What arrives of `data`."""
+        if self.fault is not None:  # which cannot keep a signature
+            frames = [out for frame in self._decoder.feed(data) for out in self.fault(frame)]
+            data = b''.join(self._encoder.encode(frame) for frame in frames)
+        if self.cut:
+            return b''
+        if self.noise:
+            flips = self._random.random(len(data)) < self.noise
+            data = bytes(np.frombuffer(data, np.uint8) ^ np.uint8(0x55) * flips)
+        return data
+
+
+class Line:
+    """The bridge's link and a flight controller, joined in memory; time goes by in cycles."""
+
+    def __init__(self, controller=None, link=None, *, host0_ns=HOST0_NS):
+        self.controller = FlightController() if controller is None else controller
+        self.up, self.down = Direction((1, 191)), Direction((1, 1))
+        self.out = []
+        """What the link has stamped."""
+        self.steps, self.host0_ns = 0, host0_ns
+        self.delay, self._way = 0, deque()
+        """Cycles that each cycle is on its way; answers are not."""
+        self.connect(Link() if link is None else link)
+
+    def connect(self, link):
+        """Another bridge takes the place of the first."""
+        self.link = link
+        self.link.opened()
+
+    @property
+    def since_ns(self):
+        """Time since the test began."""
+        return self.steps * CYCLE_NS
+
+    @property
+    def now_ns(self):
+        """The bridge's time."""
+        return self.host0_ns + self.since_ns
+
+    def fly(self, seconds):
+        self.run(round(seconds / CYCLE_S))
+
+    def run(self, cycles=1):
+        for _ in range(cycles):
+            self.steps += 1
+            self._way.append(self.controller.cycle())
+            if len(self._way) > self.delay:
+                self.hear(self._way.popleft())
+            self.attend()
+
+    def attend(self):
+        """What the bridge does between two cycles."""
+        if self.steps % TICK == 0:
+            self.tick()
+        self.exchange()
+
+    def tick(self):
+        self.link.tick(self.now_ns)
+
+    def say(self, *frames):
+        """The flight controller sends these, and the bridge answers."""
+        self.hear(self.controller.encode(*frames))
+        self.exchange()
+
+    def hear(self, data, late_ns=0):
+        """Bytes of the flight controller reach the bridge, where they are not lost."""
+        self.out += self.link.receive(self.down.carry(data), self.now_ns + late_ns)
+
+    def exchange(self):
+        """All that the bridge wants to say, and the answers, 0.2 ms later."""
+        for _ in range(20):
+            data = self.link.drain()
+            if not data:
+                return
+            arrived = self.up.carry(data)
+            self.hear(self.controller.receive(arrived, self.since_ns + 100_000), 200_000)
+
+    def skip(self, cycles=1):
+        """Cycles of which the flight controller sends nothing."""
+        self.steps += cycles
+        self.controller.number += cycles
+
+    def lose(self, seconds, *, restart_after=None):
+        """Nothing arrives on either side; the flight controller may restart meanwhile."""
+        self.up.cut = self.down.cut = True
+        if restart_after is not None:
+            self.fly(restart_after)
+            self.controller.restart()
+            seconds -= restart_after
+        self.fly(seconds)
+        self.up.cut = self.down.cut = False
+
+    def rising(self):
+        """Whether each cycle's stamp is later than the one before."""
+        stamps = [item.stamp_ns for item in self.out if isinstance(item.frame, f.Cycle)]
+        return len(stamps) > 1 and min(b - a for a, b in pairwise(stamps)) > 0
+
+    def errors_ms(self):
+        """Of the cycles that number themselves: stamp minus the time at which each began."""
+        return [
+            1e-6 * (item.stamp_ns - self.host0_ns) - 4.0 * round(1e3 * item.frame.gyro[0])
+            for item in self.out
+            if isinstance(item.frame, f.Cycle)
+        ]
+
+
+# Real ends: each has fileno(), read() and write(data), which says how many bytes it took.
+
+
+class Pty:
+    """A pseudo-terminal behind a link with a fixed name, as an adapter that can be unplugged."""
+
+    def __init__(self, link: Path):
+        self.link, self.plugged = link, False
+        self.plug()
+
+    def plug(self):
+        self.master, self.slave = os.openpty()
+        tty.setraw(self.slave)
+        os.set_blocking(self.master, False)
+        self.link.symlink_to(os.ttyname(self.slave))
+        self.plugged = True
+
+    def unplug(self):
+        if self.plugged:
+            self.plugged = False
+            self.link.unlink()
+            os.close(self.slave)
+            os.close(self.master)
+
+    close = unplug
+
+    def fileno(self):
+        return self.master
+
+    def read(self):
+        return os.read(self.master, 65536)
+
+    def write(self, data):
+        with contextlib.suppress(BlockingIOError):
+            return os.write(self.master, data)
+        return 0
+
+
+class Device(Pty):
+    """A terminal that somebody else has made."""
+
+    def __init__(self, path):
+        self.master = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+
+    def close(self):
+        os.close(self.master)
+
+
+class Socket:
+    """A TCP server for one peer after the other; `url` is the bridge's `port`."""
+
+    def __init__(self):
+        self.server, self.peer = socket.create_server(('127.0.0.1', 0)), None
+        self.url = f'socket://127.0.0.1:{self.server.getsockname()[1]}'
+
+    def fileno(self):
+        return (self.peer or self.server).fileno()
+
+    def read(self):
+        if self.peer is None:
+            self.peer, _ = self.server.accept()
+            self.peer.setblocking(False)
+            self.peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            return b''
+        with contextlib.suppress(ConnectionError):
+            if data := self.peer.recv(65536):
+                return data
+        self.peer.close()
+        self.peer = None
+        return b''
+
+    def write(self, data):
+        with contextlib.suppress(BlockingIOError, ConnectionError):
+            return len(data) if self.peer is None else self.peer.send(data)
+        return 0
+
+    def close(self):
+        for part in (self.peer, self.server):
+            if part is not None:
+                part.close()
+
+
+class _Runner(threading.Thread):
+    """A thread that ends with its `with` block."""
+
+    def __init__(self, *ends):
+        super().__init__(daemon=True)
+        self.ends, self.stopping = ends, threading.Event()
+
+    def __enter__(self):
+        self.start()
+        return self
+
+    def __exit__(self, *_exception):
+        self.close()
+
+    def halt(self):
+        """Fall silent; what is plugged stays so."""
+        self.stopping.set()
+        if self.is_alive():
+            self.join()
+
+    def close(self):
+        self.halt()
+        for end in self.ends:
+            end.close()
+
+
+class Port(_Runner):
+    """A flight controller behind a pseudo-terminal or socket, in a thread, 250 cycles a second."""
+
+    def __init__(self, controller, end, *, start_s=None):
+        super().__init__(end)
+        self.controller, self.end = controller, end
+        self.start_s = time.monotonic() if start_s is None else start_s
+        """When its time was 0: another one's, where it goes on with that one's flight."""
+        self.unsent = bytearray()
+        self.heard = False
+        """Whether the bridge has said anything."""
+
+    def run(self):
+        due_s = self.start_s + CYCLE_S * (getattr(self.controller, 'number', 0) + 1)
+        while not self.stopping.is_set():
+            pause = max(min(due_s - time.monotonic(), 0.1), 0.0)
+            full = [self.end] if self.unsent else []
+            readable, writable, _ = select.select([self.end], full, [], pause)
+            if readable:
+                now_ns = round(1e9 * (time.monotonic() - self.start_s))
+                data = self.end.read()
+                if data and not self.heard:  # a cycle first: who answers is known by it
+                    self.heard, due_s = True, due_s + CYCLE_S
+                    self.unsent += self.controller.cycle()
+                self.unsent += self.controller.receive(data, now_ns)
+            if time.monotonic() >= due_s:
+                due_s += CYCLE_S
+                sent = self.controller.cycle()
+                self.unsent += sent if self.heard else b''
+                writable = True
+            if writable and self.unsent:
+                del self.unsent[: self.end.write(self.unsent)]
+
+
+class Relay(_Runner):
+    """Joins two ends; `up` is what goes from the second, the bridge's, to the first."""
+
+    def __init__(self, far, near):
+        super().__init__(far, near)
+        self.up, self.down = Direction((1, 191)), Direction((1, 1))
+        self.heard = bytearray()
+        """All bytes of the bridge."""
+
+    def run(self):
+        far, near = self.ends
+        while not self.stopping.is_set():
+            for end in select.select([far, near], [], [], 0.05)[0]:
+                with contextlib.suppress(OSError):
+                    data = end.read()
+                    if end is near:
+                        self.heard += data
+                        far.write(self.up.carry(data))
+                    else:
+                        near.write(self.down.carry(data))
