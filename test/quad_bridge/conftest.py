@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 from quad_bridge.gain_keeper import GainKeeper
 from quad_bridge.gain_state import KeeperSettings
@@ -19,6 +20,12 @@ from quad_bridge.virtual.profile import load_profile
 from quad_bridge.virtual.receiver import Receiver
 from quad_bridge.wire.codec import Decoder, Encoder
 from quad_bridge.wire.frames import RcChannels
+
+# the same examples on every machine and in every run
+settings.register_profile(
+    'fixed', derandomize=True, deadline=None, database=None, max_examples=200
+)
+settings.load_profile('fixed')
 
 CYCLE_NS = 4_000_000
 TICK = 12
