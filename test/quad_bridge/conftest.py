@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from flight_controller import Line
 from hypothesis import settings
 
 from quad_bridge.gain_keeper import GainKeeper
@@ -18,7 +19,6 @@ from quad_bridge.virtual.aircraft import Aircraft
 from quad_bridge.virtual.endpoint import Endpoint
 from quad_bridge.virtual.profile import load_profile
 from quad_bridge.virtual.receiver import Receiver
-from quad_bridge.wire.codec import Decoder, Encoder
 from quad_bridge.wire.frames import RcChannels
 
 # the same examples on every machine and in every run
@@ -27,18 +27,9 @@ settings.register_profile(
 )
 settings.load_profile('fixed')
 
-CYCLE_NS = 4_000_000
-TICK = 12
-"""Cycles between two ticks of the bridge: 48 ms."""
 
-
-def same(frame):
-    """A wire without faults."""
-    return [frame]
-
-
-class Bench:
-    """`up` and `down` say what becomes of a frame on the wire; `cut` takes both away."""
+class Bench(Line):
+    """`cut` loses what goes either way; `cycle` is the last one that the keeper has seen."""
 
     def __init__(
         self, folder, *, profile='plain', mount='rig', events=(), effect=None, **settings
@@ -47,39 +38,49 @@ class Bench:
         self.aircraft = Aircraft(profile, seed=1, effect=effect)
         self.endpoint = Endpoint(self.aircraft, Receiver(events=tuple(events)))
         self.settings = KeeperSettings(folder=folder, **settings)
-        self.up = self.down = same
-        self.cut = False
         self.news, self.cycle = [], None
         self.peak_rad = 0.0
-        self._up, self._down = Decoder(), Decoder()
-        self._from_stm32, self._from_bridge = Encoder(1, 1), Encoder(1, 191)
-        self.new_bridge()
+        super().__init__(self.endpoint, host0_ns=1_000_000_000)
+
+    def connect(self, link):
+        super().connect(link)
+        self.keeper = GainKeeper(self.settings, self.link.gains)
+        self.link.on_cycle = self._cycle
 
     def new_bridge(self):
         """Kill the bridge, start another."""
-        self.link = Link()
-        self.keeper = GainKeeper(self.settings, self.link.gains)
-        self.link.on_cycle = self._cycle
-        self.link.opened()
+        self.connect(Link())
 
     @property
     def now_s(self):
-        return 1e-9 * self._now_ns
+        return 1e-9 * self.now_ns
 
     @property
-    def _now_ns(self):
-        return 1_000_000_000 + self.aircraft.cycle * CYCLE_NS
+    def cut(self):
+        return self.up.cut
 
-    def fly(self, seconds):
-        for _ in range(round(seconds * 250)):
-            self._receive(self.endpoint.cycle())
-            if self.aircraft.cycle % TICK == 0:
-                self.link.tick(self._now_ns)
-                self.keeper.tick(self.now_s)
-                self.link.poll_gains(self._now_ns)
-                self.news += [item.text for item in self.keeper.news]
-                self.keeper.news.clear()
-            self._exchange()
+    @cut.setter
+    def cut(self, cut):
+        self.up.cut = self.down.cut = cut
+
+    def spoil(self, fault):
+        """Frames that pass `fault` on their way, up and down."""
+        self.up.fault = self.down.fault = fault
+
+    def tick(self):
+        self.link.tick(self.now_ns)
+        self.keeper.tick(self.now_s)
+        self.link.poll_gains(self.now_ns)
+        self.news += [item.text for item in self.keeper.news]
+        self.keeper.news.clear()
+
+    def hear(self, data, late_ns=0):
+        super().hear(data, late_ns)
+        for item in self.out:
+            if isinstance(item.frame, RcChannels):
+                self.keeper.sticks((item.frame.channels[3] - 1500) / 500.0, self.now_s)
+        self.out.clear()
+        self.link.poll_gains(self.now_ns)
 
     def fly_until(self, said, seconds=40.0):
         """Fly until a line of news holds `said`; the line."""
@@ -107,33 +108,12 @@ class Bench:
         """What the bridge says is active."""
         return self.link.gains.active
 
-    def _receive(self, data):
-        if self.cut:
-            return
-        for frame in self._down.feed(data):
-            for arrived in self.down(frame):
-                self.link.receive(self._from_stm32.encode(arrived), self._now_ns)
-                if isinstance(arrived, RcChannels):
-                    self.keeper.sticks((arrived.channels[3] - 1500) / 500.0, self.now_s)
-        self.link.poll_gains(self._now_ns)
-
     def _cycle(self, frame, now_ns):
         self.cycle = frame
         self.peak_rad = max(self.peak_rad, *(abs(a) for a in frame.attitude[:2]))
         pulse = self.keeper.cycle(frame, 1e-9 * now_ns)
         if pulse is not None:
             self.link.send(pulse)
-
-    def _exchange(self):
-        for _ in range(20):
-            data = self.link.drain()
-            if not data:
-                return
-            for frame in self._up.feed(data):
-                for arrived in [] if self.cut else self.up(frame):
-                    sent = self._from_bridge.encode(arrived)
-                    answers = self.endpoint.receive(sent, self.aircraft.cycle * CYCLE_NS)
-                    self._receive(answers)
 
 
 @pytest.fixture

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import replace
 
 import numpy as np
 import pytest
+from flight_controller import Fault, changed
 
 from quad_bridge.aircraft_store import AircraftStore
 from quad_bridge.errors import RefusedError
@@ -27,44 +27,25 @@ def checked(made, *, motors=False):
     raise AssertionError('no answer')
 
 
-def turned(axis):
-    """A wire on which the gyro of one axis is reported with the other sign."""
-
-    def down(frame):
-        if not isinstance(frame, f.Cycle):
-            return [frame]
-        gyro = tuple(-v if i == axis else v for i, v in enumerate(frame.gyro))
-        return [replace(frame, gyro=gyro)]
-
-    return down
-
-
-def test_the_first_update_of_an_axis_waits_for_its_pulses(bench):
+def test_the_first_update_of_an_axis_waits_for_its_pulses_the_next_bridge_knows_them(bench):
     made = bench(polarity='auto')
     assert 'checking the polarity of roll' in made.ask(**ROLL)
     made.fly_until('in force')
     assert 'polarity: roll right' in made.news
     assert np.degrees(made.peak_rad) < 3.0
-
-
-def test_the_check_is_kept_for_the_aircraft(bench):
-    made = bench(polarity='auto')
-    made.ask(**ROLL)
-    made.fly_until('in force')
     again = bench(polarity='manual')
     assert 'writing' in again.ask(**ROLL)
 
 
 def test_a_wrong_sign_refuses_every_update_until_it_is_mended(bench):
     made = bench(polarity='auto')
-    made.down = turned(0)
+    made.down.fault = Fault(f.Cycle, changed(gyro=lambda x: (-x.gyro[0], *x.gyro[1:])))
     made.ask(**ROLL)
-    words = made.fly_until('refused')
-    assert 'roll answers with the wrong sign: mend' in words
+    assert 'roll answers with the wrong sign: mend' in made.fly_until('refused')
     for wanted in (ROLL, {'yaw_rate_kp': 0.2}):
         with pytest.raises(RefusedError, match='wrong sign'):
             made.ask(**wanted)
-    made.down = lambda frame: [frame]
+    made.down.fault = None
     assert 'roll right' in checked(made)
     made.ask(**ROLL)
     made.fly_until('in force')
@@ -155,16 +136,13 @@ def answers(order, spins=(1, 1, 1, 1)):
     return rows
 
 
-@pytest.mark.parametrize('order', list(itertools.permutations(range(4))))
-def test_every_order_is_told(order):
-    places, faults = where_motors_are(merge_motors({}, answers(order)))
+def test_every_order_is_recognised_and_a_wrong_way_of_turning():
     names = ('rear left', 'rear right', 'front right', 'front left')
-    assert list(places.values()) == [names[motor] for motor in order]
-    wrong = [k for k, motor in enumerate(order) if k != motor]
-    assert [fault.split()[0] for fault in faults] == [f'motor_{k + 1}' for k in wrong]
-
-
-def test_a_motor_that_turns_the_wrong_way_is_told():
+    for order in itertools.permutations(range(4)):
+        places, faults = where_motors_are(merge_motors({}, answers(order)))
+        assert list(places.values()) == [names[motor] for motor in order]
+        wrong = [k for k, motor in enumerate(order) if k != motor]
+        assert [fault.split()[0] for fault in faults] == [f'motor_{k + 1}' for k in wrong]
     _, faults = where_motors_are(merge_motors({}, answers(range(4), (1, -1, 1, 1))))
     assert faults == ['motor_2 turns the wrong way']
 
@@ -180,9 +158,7 @@ def test_a_motor_fault_refuses_updates_and_survives_the_disk():
 @pytest.mark.parametrize(
     'record',
     [
-        {},
-        {'axes': 3},
-        {'axes': {'roll': 1}, 'motors': {'a': 'b'}},
+        {}, {'axes': 3}, {'axes': {'roll': 1}, 'motors': {'a': 'b'}},
         {'motors': {'1': {'roll': [1]}}},
     ],
 )
