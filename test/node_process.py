@@ -12,16 +12,16 @@ from typing import Any
 
 from probe import PATIENCE_S
 
-MODULES = {
-    'serial_bridge': 'quad_bridge.serial_bridge_node',
-    'bag_logger': 'quad_bridge.bag_logger_node',
-    'monitor': 'quad_bridge.monitor_node',
-    'sensor_watch': 'quad_bridge.sensor_watch_node',
-    'excitation': 'quad_sysid.excitation_node',
-    'identification': 'quad_sysid.identification_node',
-    'virtual_stm32': 'quad_bridge.virtual.process',
+STARTS = {
+    'serial_bridge': 'quad_bridge.start',
+    'bag_logger': 'quad_bridge.start',
+    'monitor': 'quad_bridge.start',
+    'sensor_watch': 'quad_bridge.start',
+    'excitation': 'quad_sysid.start_node',
+    'identification': 'quad_sysid.start_node',
+    'virtual_stm32': 'quad_bridge.start',
 }
-"""Programs by name: what `ros2 run` would start."""
+"""Programs by name, and where `ros2 run` would begin."""
 
 
 def node_command(name: str, namespace: str = '', **parameters: object) -> list[str]:
@@ -36,11 +36,8 @@ def node_command(name: str, namespace: str = '', **parameters: object) -> list[s
 
 def program(name: str) -> list[str]:
     """The beginning of the command of a program of the suite."""
-    return [
-        sys.executable,
-        '-c',
-        f'import sys; from {MODULES[name]} import main; sys.exit(main())',
-    ]
+    code = f'import sys; from {STARTS[name]} import {name} as start; sys.exit(start())'
+    return [sys.executable, '-c', code]
 
 
 class Started:

@@ -15,6 +15,7 @@ from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 
 from quad_bridge import ros_node
 from quad_bridge.errors import QuadBridgeError
+from quad_bridge.fence import Fence
 
 RCLError = rclpy_implementation.RCLError
 
@@ -27,7 +28,7 @@ class ManagedNode(LifecycleNode):  # type: ignore[misc]
         service = self._service_change_state
         service.callback = _refusing(service.callback)
         self.active = False
-        self.fence = ros_node.Fence(self.get_logger().error)
+        self.fence = Fence(self.get_logger().error)
         """What notes callbacks that fail."""
         self._managed = ros_node.flag(
             self, 'managed', False, 'wait for a lifecycle manager to configure and activate'

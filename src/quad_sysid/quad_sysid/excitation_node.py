@@ -6,15 +6,12 @@ Wiring only: signals, limits and states are in signals/, parameters in excitatio
 from __future__ import annotations
 
 import math
-import signal
-import sys
 import time
 from collections import deque
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import rclpy
 from ament_index_python.packages import get_package_share_directory
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Vector3Stamped
@@ -27,13 +24,15 @@ from rcl_interfaces.msg import (
     ParameterValue,
 )
 from rclpy.clock import Clock, ClockType
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import BatteryState, Imu, Joy
 from std_srvs.srv import Trigger
 
 from quad_bridge import ros_node
+from quad_bridge.errors import QuadBridgeError
+from quad_bridge.fence import Fence
 from quad_bridge.qos import EVENT, STATE, STREAM
 from quad_sysid.bags.cdr import IMU, decode
 from quad_sysid.bags.orientation import euler_angles
@@ -48,8 +47,8 @@ ANGLE_TICKS = 5
 """The orientation is decoded every so many ticks: at 250 Hz every 20 ms."""
 BATTERY_SAMPLES = 5
 """The highest of so many voltages counts: a dip of one is no low battery."""
-LINGER_S = 0.1
-"""Time for the last messages to leave before the process ends."""
+LEAVE_S = 0.5
+"""The longest that the last messages are waited for at the end."""
 LEVELS = {State.ENDING: DiagnosticStatus.WARN, State.ABORTED: DiagnosticStatus.ERROR}
 
 
@@ -58,7 +57,11 @@ class ExcitationNode(Node):  # type: ignore[misc]
 
     def __init__(self) -> None:
         super().__init__('excitation')
-        self._settings = declare(self)
+        self.fence = Fence(self.get_logger().error, then=self._fail)
+        try:
+            self._settings = declare(self)
+        except QuadSysidError as error:
+            raise QuadBridgeError(str(error)) from error
         simulated = bool(self.get_parameter('use_sim_time').value)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._pace = self.get_clock() if simulated else steady  # it is not set back in flight
@@ -210,8 +213,19 @@ class ExcitationNode(Node):  # type: ignore[misc]
             self._setpoint.publish(message)
 
     def close(self) -> None:
-        """Take the excitation back at once where it still runs."""
-        self._publish(self._player.cut('the node ends'), self.get_clock().now().nanoseconds)
+        """Take the excitation back at once where it still runs, and see that it is delivered."""
+        self._cut('the node ends')
+        for publisher in (self._segment, self._setpoint, self._diagnostics):
+            publisher.wait_for_all_acked(Duration(seconds=LEAVE_S))
+
+    def _cut(self, reason: str) -> None:
+        self._publish(self._player.cut(reason), self.get_clock().now().nanoseconds)
+
+    def _fail(self, fault: str) -> None:
+        """End the excitation: who cannot do all of its work does not fly on."""
+        if self._player.active:
+            self._cut(fault)
+            self._on_state()
 
     def _on_state(self) -> None:
         """Say why the state changed, at once."""
@@ -314,28 +328,4 @@ def main() -> None:
 
     Exit status 2 with one line where a parameter or the schedule is wrong.
     """
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.default_int_handler)
-    node = None
-    status: int | None = None
-    try:
-        ros_node.begin_ros()
-        node = ExcitationNode()
-        ros_node.tell_unused(node)
-        executor = SingleThreadedExecutor()
-        executor.add_node(node)
-        while status is None:
-            executor.spin_once()
-            status = node.exit_status
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    except (QuadSysidError, *ros_node.WRONG, ros_node.RCLError, OSError) as error:
-        sys.stderr.write(f'excitation: {" ".join(str(error).split())}\n')
-        status = 2
-    finally:
-        if node is not None:
-            node.close()
-            time.sleep(LINGER_S)
-            node.destroy_node()
-        rclpy.try_shutdown()
-    sys.exit(status or 0)
+    ros_node.run(ExcitationNode, 'excitation')

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -10,7 +11,9 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import Parameter, ParameterEvent, ParameterType, ParameterValue
 from rclpy.exceptions import InvalidNamespaceException
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.signals import SignalHandlerOptions
 
 from quad_sysid.errors import BadInputError
 
@@ -35,12 +38,17 @@ def publish(
     they are active, else why they are not. Raises BadInputError where the namespace is no name, no
     bridge listens or none answers.
     """
-    rclpy.init()
-    try:
+    with contextlib.ExitStack() as ending:
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+        ending.callback(rclpy.try_shutdown)
         try:
             node: Any = rclpy.create_node('quad_tune', namespace=namespace)
         except InvalidNamespaceException as error:
             raise BadInputError('--namespace', 'is no name of a namespace', namespace) from error
+        ending.callback(node.destroy_node)
+        executor = SingleThreadedExecutor()
+        ending.callback(executor.shutdown)
+        executor.add_node(node)
         heard = _Heard(source, () if rollback else FAILED)
         node.create_subscription(ParameterEvent, 'gains/active', heard.active, STATE)
         node.create_subscription(DiagnosticArray, 'diagnostics', heard.diagnostics, 10)
@@ -49,7 +57,7 @@ def publish(
         def spin(until: Any, seconds: float) -> bool:
             end = time.monotonic() + seconds
             while not until() and time.monotonic() < end:
-                rclpy.spin_once(node, timeout_sec=0.1)
+                executor.spin_once(timeout_sec=0.1)
             return bool(until())
 
         def ready() -> bool:
@@ -63,8 +71,6 @@ def publish(
         if not spin(lambda: heard.refusal or heard.has(gains), ANSWER_S):
             raise BadInputError(answered, f'no answer of the bridge for {ANSWER_S:.0f} s')
         return heard.refusal
-    finally:
-        rclpy.try_shutdown()
 
 
 class _Heard:
