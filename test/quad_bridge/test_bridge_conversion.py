@@ -40,12 +40,9 @@ def rotation(q):
     )
 
 
-def test_at_rest_and_level_the_acceleration_is_up():
-    assert vector(filled().imu.linear_acceleration) == (0.0, 0.0, 9.81)
-
-
-def test_all_messages_of_a_cycle_carry_the_same_stamp_and_frame():
+def test_at_rest_the_acceleration_is_up_and_all_messages_carry_the_same_stamp_and_frame():
     m = filled()
+    assert vector(m.imu.linear_acceleration) == (0.0, 0.0, 9.81)
     kept = [m.imu, m.motors, m.wrench, m.attitude_setpoint, m.rate_setpoint, m.excitation]
     stamps = {(x.header.stamp.sec, x.header.stamp.nanosec, x.header.frame_id) for x in kept}
     assert stamps == {(1, 500_000_000, 'base_link')}
@@ -91,35 +88,32 @@ def test_the_maps_are_their_own_inverses():
         assert back == pytest.approx((0.1, 0.2, yaw))
 
 
-def test_receiver_pulses_become_axes_and_failsafe_a_button():
-    pulses = (1000, 1500, 1000, 2000, 1750, 1500, 1500, 1500, 0)
-    joy = conversion.rc_message(f.RcChannels(0, pulses), 0, failsafe=False)
-    assert list(joy.axes[:5]) == [-1.0, 0.0, 0.0, 1.0, 0.5]
+@pytest.mark.parametrize(
+    ('pulses', 'failsafe', 'axes', 'button'),
+    [
+        ((1000, 1500, 1000, 2000, 1750, 1500, 1500, 1500, 0), False, [-1, 0, 0, 1, 0.5], 0),
+        ((1000, 1500, 1000, 2000, 1750, 1500, 1500, 1500, 0), True, [-1, 0, 0, 1, 0.5], 1),
+        ((), False, [], 1),  # a stick without a pulse is a failsafe
+    ],
+)
+def test_receiver_pulses_become_axes_and_failsafe_a_button(pulses, failsafe, axes, button):
+    joy = conversion.rc_message(f.RcChannels(0, pulses), 0, failsafe=failsafe)
+    assert list(joy.axes[: len(axes)]) == axes
     assert math.isnan(joy.axes[8])
-    assert list(joy.buttons) == [0]
-    assert list(conversion.rc_message(f.RcChannels(0, pulses), 0, failsafe=True).buttons) == [1]
+    assert (len(joy.axes), list(joy.buttons)) == (9, [button])
 
 
-def test_a_stick_without_a_pulse_is_a_failsafe():
-    joy = conversion.rc_message(f.RcChannels(0, ()), 0, failsafe=False)
-    assert list(joy.buttons) == [1]
-    assert len(joy.axes) == 9
-
-
-def test_slow_sensors_in_si():
+def test_slow_sensors_and_battery_in_si_and_nan_or_none_where_not_measured():
     sensors = f.SlowSensors(0, (0.2, 0.1, 0.4), 1013.25)
     field = conversion.mag_message(sensors, 0).magnetic_field
     assert vector(field) == pytest.approx((2e-5, -1e-5, -4e-5))
     assert conversion.baro_message(sensors, 0).fluid_pressure == pytest.approx(101325.0)
     assert conversion.mag_message(f.SlowSensors(0), 0) is None
     assert conversion.baro_message(f.SlowSensors(0), 0) is None
-
-
-def test_a_battery_that_is_not_measured_is_nan():
+    assert conversion.battery_message(f.Battery(11.1), 0).voltage == pytest.approx(11.1)
     message = conversion.battery_message(f.Battery(math.nan), 0)
     assert math.isnan(message.voltage)
     assert not message.present
-    assert conversion.battery_message(f.Battery(11.1), 0).voltage == pytest.approx(11.1)
 
 
 def test_parameter_events_come_back_as_a_mapping():

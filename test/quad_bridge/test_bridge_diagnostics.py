@@ -36,25 +36,16 @@ def verdict(link, port=OPEN, since=NOTHING):
     return status.level, status.message
 
 
-@pytest.mark.parametrize(
-    'state', [PortState.NOT_THERE, PortState.BUSY, PortState.DENIED, PortState.HUNG_UP]
-)
-def test_a_port_fault_is_an_error_in_its_own_words(state):
-    assert verdict(Link(), PortStatus(state, 'why', 0, 0)) == (d.ERROR, f'port {state.value}')
-
-
-def test_a_silent_port_is_an_error():
-    assert verdict(Link()) == (d.ERROR, 'port open, but nothing arrives')
-
-
-def test_another_protocol_is_named_after_enough_bytes():
+def test_a_port_fault_a_silent_port_and_another_protocol_are_errors_in_their_own_words():
+    for state in (PortState.NOT_THERE, PortState.BUSY, PortState.DENIED, PortState.HUNG_UP):
+        assert verdict(Link(), PortStatus(state, 'why', 0, 0)) == (d.ERROR, f'port {state.value}')
     link = Link()
+    assert verdict(link) == (d.ERROR, 'port open, but nothing arrives')
     link.receive(b'$GPGGA,1,2,3\r\n' * 10, 0)
     assert verdict(link) == (d.WARN, 'bytes arrive, no valid frame yet')
     link.receive(b'$GPGGA,1,2,3\r\n' * 200, 0)
-    level, text = verdict(link)
-    assert level == d.ERROR
-    assert text == 'speaks another protocol or baud rate: no valid frame in 2940 bytes'
+    words = 'speaks another protocol or baud rate: no valid frame in 2940 bytes'
+    assert verdict(link) == (d.ERROR, words)
 
 
 def test_a_far_end_of_a_broken_clock_is_told_what_to_set():

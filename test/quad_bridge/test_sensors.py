@@ -7,7 +7,6 @@ import pytest
 import yaml
 from rosbags.typesys import Stores, get_typestore
 
-from quad_bridge.bag_messages import read_topics
 from quad_bridge.bag_writer import BagWriter
 from quad_bridge.compression import zstd_compress
 from quad_bridge.errors import BadInputError, RefusedError
@@ -45,35 +44,25 @@ def test_bias_drift_and_level_are_found_within_their_errors():
     assert found.acceleration_norm_error == pytest.approx(0.0, abs=0.005)
 
 
-def nudged(t, gyro, felt):
-    gyro[2000:2200, 1] += 0.1 * np.hanning(200)
-    return t, gyro, felt
+def at(array, place, axis, size):
+    array[place : place + 200, axis] += size * np.hanning(200)
+    return array
 
 
-def shaken(t, gyro, felt):
-    felt[2000:2200, 0] += np.hanning(200)
-    return t, gyro, felt
-
-
-def turning(t, gyro, felt):
-    return t, gyro + np.array([0.0, 0.0, 0.5]), felt
-
-
-def short(t, gyro, felt):
-    return t[:1000], gyro[:1000], felt[:1000]
-
-
-def on_its_side(t, gyro, felt):
-    return t, gyro, 1.2 * felt
+SIDE, TURN, HUGE = 1.2, np.array([0.0, 0.0, 0.5]), np.array([1.0, 1.0, 1e308])
 
 
 @pytest.mark.parametrize(
     ('what', 'text'),
     [
-        (nudged, 'it turns: .* at 8'), (shaken, 'is moved or shaken'), (turning, 'rate z is 0.5'),
-        (short, r'only 4\.0 s'), (on_its_side, 'gravity is measured as 11.7'),
+        (lambda t, g, a: (t, at(g, 2000, 1, 0.1), a), 'it turns: .* at 8'),
+        (lambda t, g, a: (t, g, at(a, 2000, 0, 1.0)), 'is moved or shaken'),
+        (lambda t, g, a: (t, g + TURN, a), 'rate z is 0.5'),
+        (lambda t, g, a: (t[:1000], g[:1000], a[:1000]), r'only 4\.0 s'),
+        (lambda t, g, a: (t, g, SIDE * a), 'gravity is measured as 11.7'),
+        (lambda t, g, a: (t, g, 0.0 * a + HUGE), r'only 0\.0 s'),  # no sensor reads that
     ],
-)  # fmt: skip
+)
 def test_what_is_not_at_rest_is_refused(what, text):
     with pytest.raises(RefusedError, match=text) as caught:
         estimate_at_rest(*what(*resting()))
@@ -98,16 +87,21 @@ def test_a_compass_offset_is_found():
     assert found.misfit < 0.02
 
 
-def test_a_compass_that_cannot_tell_is_refused():
-    with pytest.raises(RefusedError, match='turned about too little'):
-        hard_iron(turned_about(axes=2)[1])
-    with pytest.raises(RefusedError, match='only 20 readings'):
-        hard_iron(turned_about(20)[1])
-    with pytest.raises(RefusedError, match='check the unit'):
-        hard_iron(turned_about()[1] * 1e4)
-    noise = np.random.default_rng(2).uniform(-50e-6, 50e-6, (400, 3))
-    with pytest.raises(RefusedError, match='off a sphere'):
-        hard_iron(noise)
+NOISE = np.random.default_rng(2).uniform(-50e-6, 50e-6, (400, 3))
+
+
+@pytest.mark.parametrize(
+    ('readings', 'text'),
+    [
+        (turned_about(axes=2)[1], 'turned about too little'),
+        (turned_about(20)[1], 'only 20 readings'),
+        (turned_about()[1] * 1e4, 'check the unit'),
+        (NOISE, 'off a sphere'),
+    ],
+)
+def test_a_compass_that_cannot_tell_is_refused(readings, text):
+    with pytest.raises(RefusedError, match=text):
+        hard_iron(readings)
 
 
 @pytest.mark.parametrize(('frequency', 'covered'), [(33.3, False), (61.0, False), (104.2, True)])
@@ -124,18 +118,8 @@ def test_the_strongest_vibration_and_whether_the_filter_covers_it(frequency, cov
     assert found.covered is covered
     assert strongest(signal[:100], RATE_HZ) is None
     assert strongest(0.05 * rng.standard_normal((2000, 3)), RATE_HZ).share < 0.2
-
-
-def test_what_no_sensor_reads_is_no_estimate():
-    t, gyro, felt = resting(8.0)
-    felt[:, 2] = 1e308
-    with pytest.raises(RefusedError, match=r'only 0\.0 s'):
-        estimate_at_rest(t, gyro, felt)
     assert strongest(np.full((300, 3), 1e200) * np.sin(np.arange(300))[:, None], 250.0) is None
-
-
-def test_the_filter_leaves_half_the_power_at_its_cutoff():
-    assert butterworth_gain(42.0, 42.0) == pytest.approx(math.sqrt(0.5))
+    assert butterworth_gain(42.0, 42.0) == pytest.approx(math.sqrt(0.5))  # half the power
 
 
 def test_a_swing_on_two_strings_gives_the_inertia():
@@ -163,7 +147,7 @@ def test_a_thrust_curve_is_found_and_half_of_one_refused():
         thrust_curve(100 * u, thrust)
 
 
-def imu_bag(path, t, gyro, felt, storage='mcap'):
+def imu_bag(path, t, gyro, felt, storage='mcap', logged_s=None):
     types = STORE.types
     nine, vector = np.zeros(9), types['geometry_msgs/msg/Vector3']
     still = types['geometry_msgs/msg/Quaternion'](x=0.0, y=0.0, z=0.0, w=1.0)
@@ -179,102 +163,100 @@ def imu_bag(path, t, gyro, felt, storage='mcap'):
             linear_acceleration=vector(*map(float, felt[k])),
             linear_acceleration_covariance=nine,
         )
-        writer.write('/imu/data', ns, STORE.serialize_cdr(message, 'sensor_msgs/msg/Imu'))
+        raw = STORE.serialize_cdr(message, 'sensor_msgs/msg/Imu')
+        logged_ns = ns if logged_s is None else 17 * 10**17 + round(logged_s[k] * 1e9)
+        writer.write('/imu/data', logged_ns, raw)
     writer.close()
 
 
-def test_the_command_keeps_what_it_finds_per_aircraft(tmp_path, capsys):
-    imu_bag(tmp_path / 'bag', *resting(8.0))
+@pytest.fixture
+def bag(tmp_path, request):
+    """A bag of 8 s at rest, in the storage that a test may ask for, and its one file."""
+    path, storage = tmp_path / 'bag', getattr(request, 'param', 'mcap')
+    imu_bag(path, *resting(8.0), storage)
+    (file,) = (p for p in path.iterdir() if p.name.endswith(('.mcap', '.db3')))
+    return path, file
+
+
+def test_the_command_keeps_what_it_finds_per_aircraft(tmp_path, bag, capsys):
     file = tmp_path / 'aircraft' / 'one.yaml'
     file.parent.mkdir()
     file.write_text('sensors: {compass: {field: 4.5e-05}}\n')
-    main(['rest', str(tmp_path / 'bag'), '--out', str(file)])
+    main(['rest', str(bag[0]), '--out', str(file)])
     assert 'gyro bias +0.01197, -0.02005' in capsys.readouterr().out
     kept = yaml.safe_load(file.read_text())['sensors']
     assert kept['compass'] == {'field': 4.5e-05}
     assert kept['rest']['gyro_bias'] == pytest.approx(list(BIAS), abs=1e-3)
-    assert kept['rest']['source'] == str(tmp_path / 'bag')
-    main(['vibration', str(tmp_path / 'bag')])
+    assert kept['rest']['source'] == str(bag[0])
+    main(['vibration', str(bag[0])])
     assert capsys.readouterr().out.count('\n') == 2
 
 
-def rested(bag, capsys):
-    """The line on stdout of `sensors rest`, and what stderr warns of."""
-    main(['rest', str(bag)])
-    told = capsys.readouterr()
-    assert all(line.startswith('sensors: warning: ') for line in told.err.splitlines())
-    return told.out, told.err
+@pytest.fixture
+def rested(capsys):
+    """A function: the line on stdout of `sensors rest`, and what stderr warns of."""
+
+    def run(path):
+        main(['rest', str(path)])
+        told = capsys.readouterr()
+        assert all(line.startswith('sensors: warning: ') for line in told.err.splitlines())
+        return told.out, told.err
+
+    return run
 
 
-@pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
-def test_a_bag_that_was_not_recovered_is_read_with_a_warning(tmp_path, capsys, storage):
-    bag = tmp_path / 'bag'
-    imu_bag(bag, *resting(12.0), storage)
-    whole, warned = rested(bag, capsys)
+@pytest.mark.parametrize('bag', ['mcap', 'sqlite3'], indirect=True)
+def test_a_bag_that_was_not_recovered_is_read_with_a_warning(bag, rested):
+    path, file = bag
+    whole, warned = rested(path)
     assert warned == ''
-    (bag / 'metadata.yaml').unlink()
-    told, warned = rested(bag, capsys)
+    (path / 'metadata.yaml').unlink()
+    told, warned = rested(path)
     assert told == whole
     assert 'has no metadata.yaml' in warned
     assert 'quad_bridge recover' in warned
-    (file,) = (path for path in bag.iterdir() if path.name.endswith(('.mcap', '.db3')))
     file.write_bytes(file.read_bytes()[: file.stat().st_size * 3 // 4])
-    told, warned = rested(bag, capsys)
+    told, warned = rested(path)
     assert 'gyro bias +0.01' in told
     assert f'{file}: damaged or cut off' in warned
 
 
-def test_a_damaged_chunk_costs_its_messages_only(tmp_path, capsys):
-    bag = tmp_path / 'bag'
-    imu_bag(bag, *resting(20.0))
-    (file,) = bag.glob('*.mcap')
+def test_a_damaged_chunk_costs_its_messages_only(tmp_path, rested):
+    path = tmp_path / 'bag'
+    imu_bag(path, *resting(20.0))
+    (file,) = path.glob('*.mcap')
     data = bytearray(file.read_bytes())
     data[8] ^= 0x40  # the opcode of the header
     data[len(data) // 2] ^= 0x01
     file.write_bytes(data)
-    told, warned = rested(bag, capsys)
+    told, warned = rested(path)
     assert 'gyro bias +0.01' in told
     assert 'messages are missing: read what is whole' in warned
 
 
-def test_a_part_of_a_split_bag_that_is_missing_is_told(tmp_path, capsys):
-    bag = tmp_path / 'bag'
-    imu_bag(bag, *resting(8.0))
-    (file,) = bag.glob('*.mcap')
-    file.rename(bag / 'bag_2.mcap')
-    (bag / 'bag_0.mcap').write_bytes((bag / 'bag_2.mcap').read_bytes())
-    _, warned = rested(bag, capsys)
-    assert warned == f'sensors: warning: {bag}: part 1 of the bag is missing\n'
-
-
-def test_a_file_that_is_compressed_as_a_whole_is_read(tmp_path, capsys):
-    bag = tmp_path / 'bag'
-    imu_bag(bag, *resting(8.0))
-    whole, _ = rested(bag, capsys)
-    (file,) = bag.glob('*.mcap')
-    file.with_name(f'{file.name}.zstd').write_bytes(zstd_compress(file.read_bytes()))
+def test_a_missing_part_is_told_and_a_file_compressed_as_a_whole_is_read(bag, rested):
+    path, file = bag
+    whole, _ = rested(path)
+    data = file.read_bytes()
     file.unlink()
-    assert rested(bag, capsys) == (whole, '')
+    packed = path / f'{file.name}.zstd'
+    packed.write_bytes(zstd_compress(data))
+    assert rested(path) == (whole, '')
+    packed.unlink()
+    for number in (0, 2):
+        (path / f'bag_{number}.mcap').write_bytes(data)
+    assert rested(path)[1] == f'sensors: warning: {path}: part 1 of the bag is missing\n'
 
 
-def test_stamps_that_cannot_be_and_any_order_do_no_harm(tmp_path, capsys):
+def test_stamps_that_cannot_be_and_any_order_do_no_harm(tmp_path, bag, rested):
+    whole, _ = rested(bag[0])
     t, gyro, felt = resting(8.0)
-    bag = tmp_path / 'bag'
-    imu_bag(bag, t, gyro, felt)
-    whole, _ = rested(bag, capsys)
     mixed = np.random.default_rng(1).permutation(len(t))
     imu_bag(tmp_path / 'mixed', t[mixed], gyro[mixed], felt[mixed])
-    assert rested(tmp_path / 'mixed', capsys) == (whole, '')
-    found = read_topics(bag, {'/imu/data': 'sensor_msgs/msg/Imu'}).messages['/imu/data']
-    found[100].content.header.stamp.sec = 2_000_000_000
-    far = tmp_path / 'far'
-    writer = BagWriter(far)
-    writer.add_topic('/imu/data', 'sensor_msgs/msg/Imu')
-    for one in found:
-        raw = STORE.serialize_cdr(one.content, 'sensor_msgs/msg/Imu')
-        writer.write('/imu/data', one.time_ns, raw)
-    writer.close()
-    told, warned = rested(far, capsys)
+    assert rested(tmp_path / 'mixed') == (whole, '')
+    t[100] = 3e8
+    imu_bag(tmp_path / 'far', t, gyro, felt, logged_s=np.sort(mixed) / RATE_HZ)
+    told, warned = rested(tmp_path / 'far')
     assert told.split(' rad/s')[0][:20] == whole[:20]
     assert '1 /imu/data left out, their stamps cannot be' in warned
 
@@ -303,6 +285,13 @@ def test_a_thrust_table_that_is_none_is_one_line(tmp_path, capsys, rows, text):
     assert (error.count('\n'), text in error) == (1, True), error
 
 
+@pytest.fixture(scope='module')
+def standing(tmp_path_factory):
+    folder = tmp_path_factory.mktemp('standing')
+    imu_bag(folder / 'bag', *resting(6.0))
+    return folder
+
+
 @pytest.mark.parametrize(
     ('arguments', 'text'),
     [
@@ -326,21 +315,17 @@ def test_a_thrust_table_that_is_none_is_one_line(tmp_path, capsys, rows, text):
         (['rest', '{}/bag', '--out', '{}/list.yaml'], 'has no section sensors'),
     ],
 )  # fmt: skip
-def test_what_the_command_refuses_it_says_in_one_line(tmp_path, capsys, arguments, text):
-    imu_bag(tmp_path / 'bag', *resting(6.0))
-    (tmp_path / 'list.yaml').write_text('- 1\n')
+def test_what_the_command_refuses_it_says_in_one_line(standing, capsys, arguments, text):
+    (standing / 'list.yaml').write_text('- 1\n')
     with pytest.raises(SystemExit) as caught:
-        main([a.format(tmp_path) for a in arguments])
-    assert caught.value.code == 2
+        main([a.format(standing) for a in arguments])
     error = capsys.readouterr().err
-    assert error.count('\n') == 1
+    assert (caught.value.code, error.count('\n')) == (2, 1)
     assert text in error
 
 
-def test_a_file_that_is_no_yaml_is_named(tmp_path):
-    (tmp_path / 'a.yaml').write_text('sensors: [')
-    with pytest.raises(BadInputError, match=r'a\.yaml: cannot be read'):
-        aircraft_file.read(tmp_path / 'a.yaml')
-    (tmp_path / 'a.yaml').write_text('sensors: ' + '9' * 5000)
+@pytest.mark.parametrize('text', ['sensors: [', 'sensors: ' + '9' * 5000])
+def test_a_file_that_is_no_yaml_is_named(tmp_path, text):
+    (tmp_path / 'a.yaml').write_text(text)
     with pytest.raises(BadInputError, match=r'a\.yaml: cannot be read'):
         aircraft_file.read(tmp_path / 'a.yaml')
