@@ -7,37 +7,52 @@ controller and the effects written out where they act.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_limits
 
+from quad_sysid.bags import write_bag
+from quad_sysid.errors import BadInputError
+from quad_sysid.model import AxisModel, GainProposal
+from quad_sysid.pipeline.answer import AxisAnswer
+from quad_sysid.pipeline.identify import Options, identify
 from quad_sysid.record import GainChange, Record, Segment
 
 DT = 0.004
 SUBSTEPS = 4
 
 
-def no_torque(_rate: float, _angle: float) -> float:
-    return 0.0
-
-
 @dataclass(frozen=True)
 class Axis:
-    """The true plant; torques in rad/s², `command` maps (u, volts) to what the motors do."""
+    """The true plant of roll; what else moves is known over time.
+
+    torque(t, rate, angle) in rad/s²; command(t, u, volts) is what the motors make of u, where t
+    is the time at which u was sent. Both may keep a state: they are asked in the order of time,
+    the torque twice in each substep of 1 ms.
+    """
 
     gain: float = 450.0
     lag_s: float = 0.042
-    delay_cycles: int = 2
+    delay_ms: int = 8
     damping: float = 0.4
     bias: float = 0.2
-    torque: Callable[[float, float], float] = no_torque
-    command: Callable[[float, float], float] = lambda u, _: u
+    gyro_filter_hz: float | None = None
+    """Cut-off of a 2nd-order Butterworth filter between rate and measurement."""
+    torque: Callable[[float, float, float], float] = lambda _t, _rate, _angle: 0.0
+    command: Callable[[float, float, float], float] = lambda _t, u, _volts: u
     gyro_noise: float = 0.005
     torque_noise: float = 0.03
     """(rad/s²)/√Hz"""
     volts: tuple[float, float] = (12.4, 12.4)
+    throttle: Callable[[np.ndarray], np.ndarray] = lambda t: 0.5 + 0.0 * t
+    other_commands: Callable[[np.ndarray], tuple] = lambda t: (0.0 * t, 0.0 * t)
+    """Of pitch and yaw."""
+    other_rates: Callable[[np.ndarray], tuple] = lambda t: (0.0 * t, 0.0 * t)
+    """Of pitch and yaw, rad/s."""
 
 
 @dataclass(frozen=True)
@@ -51,13 +66,16 @@ class Plan:
         ('validation', 'prbs', 36.0, 54.0),
     )
     amplitude: float = 0.2
+    reference: np.ndarray | None = None
+    """(n,) rad, instead of that PRBS."""
 
 
-SECOND = Plan(30.0, (('idle', 'none', 0.0, 1.0), ('validation', 'prbs', 1.0, 30.0)))
+UNSEEN = Plan(30.0, (('idle', 'none', 0.0, 1.0), ('validation', 'prbs', 1.0, 30.0)))
+SHORT = Plan(30.0, (('train', 'prbs', 1.0, 18.0), ('validation', 'prbs', 19.0, 30.0)))
 
 
 def fly(axis: Axis, seed: int, plan: Plan | None = None) -> Record:
-    """One flight of the axis in an attitude loop; the gyro is unfiltered, its noise white."""
+    """One flight of the axis in an attitude loop; the noise of the gyro is white."""
     plan = plan or Plan()
     rng = np.random.default_rng(seed)
     n, h = round(plan.seconds / DT), DT / SUBSTEPS
@@ -68,30 +86,41 @@ def fly(axis: Axis, seed: int, plan: Plan | None = None) -> Record:
         held = int(rng.integers(25, 175))
         reference[k : k + held] = plan.amplitude * rng.choice([-1.0, -0.4, 0.4, 1.0])
         k += held
+    if plan.reference is not None:
+        reference[:] = plan.reference[:n]
     gyro = axis.gyro_noise * rng.standard_normal(n)
-    pushes = axis.torque_noise / math.sqrt(h) * rng.standard_normal(n * SUBSTEPS)
-    volts = np.linspace(*axis.volts, n)
+    pushes = (axis.torque_noise / math.sqrt(h) * rng.standard_normal(n * SUBSTEPS)).tolist()
+    times, volts = np.arange(n) * DT, np.linspace(*axis.volts, n)
     rates, angles, commands = np.zeros(n), np.zeros(n), np.zeros(n)
-    rate = angle = drive = 0.0
+    rate = angle = drive = given = seen = seen_slope = 0.0
+    taken, w = -1, 2.0 * math.pi * (axis.gyro_filter_hz or 0.0)
     keep_half, keep = math.exp(-0.5 * h / axis.lag_s), math.exp(-h / axis.lag_s)
     for k in range(n):
-        rates[k], angles[k] = rate + gyro[k], angle
+        rates[k], angles[k] = (seen if w else rate) + gyro[k], angle
         wanted = 3.0 * (reference[k] - angle)
         commands[k] = min(max(0.06 * (wanted - rates[k]), -0.3), 0.3)
-        late = max(k - axis.delay_cycles, 0)
-        aim = axis.gain * axis.command(float(commands[late]), float(volts[late]))
         for i in range(SUBSTEPS):
+            sent = (k * SUBSTEPS + i - axis.delay_ms) // SUBSTEPS
+            if sent > taken:
+                taken = sent
+                given = axis.command(float(times[sent]), float(commands[sent]), float(volts[sent]))
+            aim, t = axis.gain * given, k * DT + i * h
             push = axis.bias + pushes[k * SUBSTEPS + i]
-            slope = drive + push - axis.damping * rate + axis.torque(rate, angle)
+            slope = drive + push - axis.damping * rate + axis.torque(t, rate, angle)
             r, a = rate + 0.5 * h * slope, angle + 0.5 * h * rate
             middle = aim + (drive - aim) * keep_half
             angle += h * r
-            rate += h * (middle + push - axis.damping * r + axis.torque(r, a))
+            rate += h * (middle + push - axis.damping * r + axis.torque(t + 0.5 * h, r, a))
             drive = aim + (drive - aim) * keep
+            if w:
+                for _ in range(4):
+                    seen_slope += 0.25 * h * w * (w * (rate - seen) - math.sqrt(2.0) * seen_slope)
+                    seen += 0.25 * h * seen_slope
     zero = np.zeros(n)
     return Record(
-        source=f'flight {seed}', dt=DT, rates=np.stack([rates, zero, zero], axis=1),
-        control=np.stack([zero + 0.5, commands, zero, zero], axis=1),
+        source=f'flight {seed}', dt=DT,
+        rates=np.stack([rates, *axis.other_rates(times)], axis=1),
+        control=np.stack([axis.throttle(times), commands, *axis.other_commands(times)], axis=1),
         angles=np.stack([angles, zero, zero], axis=1), battery_v=volts,
         attitude_setpoint=np.stack([reference, zero, zero], axis=1),
         segments=tuple(
@@ -99,6 +128,13 @@ def fly(axis: Axis, seed: int, plan: Plan | None = None) -> Record:
         ),
         gains=(GainChange(0.0, {'roll.rate.kp': 0.06}),),
     )
+
+
+@pytest.fixture(scope='session', autouse=True)
+def one_thread() -> Iterator[None]:
+    """The matrices are narrow: more threads of BLAS only wait for each other."""
+    with threadpool_limits(limits=1):
+        yield
 
 
 @pytest.fixture(scope='session')
@@ -117,5 +153,63 @@ def flown() -> Callable[..., Record]:
 
 
 @pytest.fixture(scope='session')
-def second_plan() -> Plan:
-    return SECOND
+def unseen_plan() -> Plan:
+    return UNSEEN
+
+
+@pytest.fixture(scope='session')
+def short_plan() -> Plan:
+    return SHORT
+
+
+@pytest.fixture(scope='session')
+def plain_flight() -> Record:
+    """30 s of the plain axis, 17 s of training and 11 s of validation."""
+    return fly(Axis(), 11, SHORT)
+
+
+@pytest.fixture(scope='session')
+def plain_bag(plain_flight: Record, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same as a bag; nobody may change it."""
+    return write_bag(plain_flight, tmp_path_factory.mktemp('plain') / 'flight')
+
+
+@pytest.fixture(scope='session')
+def true_model(plain_flight: Record) -> AxisModel:
+    """A model of the plain axis with the true parameters and the noise that was found."""
+    answer = identify([plain_flight], Options(axes=('roll',), search_effects=False))['roll']
+    assert answer.model is not None
+    truth = {'gain': 450.0, 'lag': 0.042, 'delay': 0.008, 'damping': 0.4, 'bias': 0.2}
+    base = tuple(replace(p, value=truth[p.name]) for p in answer.model.base)
+    return replace(answer.model, base=base, plain=())
+
+
+@pytest.fixture(scope='session')
+def refusal() -> Callable[..., str]:
+    """The one line with which a call refuses bad input."""
+
+    def line_of(call: Callable[..., object], *arguments: object, **options: object) -> str:
+        with pytest.raises(BadInputError) as caught:
+            call(*arguments, **options)
+        line = str(caught.value)
+        assert '\n' not in line
+        return line
+
+    return line_of
+
+
+@pytest.fixture(scope='session')
+def rubbed_flight() -> Record:
+    """The same axis with dry friction of 0.8 rad/s² in calm air."""
+    rubbing = Axis(torque=lambda _t, rate, _a: -0.8 * math.tanh(rate / 0.004),
+                   gyro_noise=0.004, torque_noise=0.02)
+    return fly(rubbing, 1, SHORT)
+
+
+@pytest.fixture(scope='session')
+def rubbed_answer(rubbed_flight: Record) -> AxisAnswer:
+    """What `identify` says of it, with a designer that proposes always the same."""
+    gains = {'roll.angle.kp': 4.0, 'roll.rate.kp': 0.12, 'roll.rate.ki': 0.0, 'roll.rate.kd': 0.0}
+    figures = {'rise_time_s': 0.3, 'rise_time_s_before': 0.5}
+    options = Options(axes=('roll',), designer=lambda _: GainProposal(gains, figures=figures))
+    return identify([rubbed_flight], options)['roll']

@@ -1,0 +1,561 @@
+"""Every effect of the contract: its physics by another way, and whether it is found where it acts.
+
+The flights come from the simulator of conftest.py, with each law written out here by hand. A law
+is tested by evaluating a model with the true parameters: what is left is the noise. Discovery is
+tested through `identify`: one effect planted, or nothing, and what is said of it; a second flight
+that nobody has seen says what the answer is worth.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from quad_sysid.contract import MIXER, MIXER_INVERSE
+from quad_sysid.effects.shapes import SHAPES
+from quad_sysid.effects.table import EFFECTS
+from quad_sysid.model import EffectEstimate, Parameter
+from quad_sysid.pipeline.evaluate import evaluate
+from quad_sysid.pipeline.identify import Options, identify
+from quad_sysid.record import Record
+from quad_sysid.report import document
+
+GAIN, HALF_S = 450.0, 0.0005
+"""The simulator asks for the torque every half millisecond."""
+QUIET = {'gyro_noise': 0.004, 'torque_noise': 0.02}
+
+Changes = Callable[[], Mapping[str, object]]
+
+
+def torque(law: Callable[[float, float, float], float]) -> Changes:
+    return lambda: {'torque': law}
+
+
+def command(law: Callable[[float], float], **others: object) -> Changes:
+    return lambda: {'command': lambda _t, u, _v: law(u), **others}
+
+
+def others(t):
+    """Rates of pitch and yaw, rad/s."""
+    return 2.0 * np.sin(3.0 * t), 1.5 * np.cos(5.0 * t)
+
+
+def other_commands(t):
+    return 0.06 * np.sin(4.0 * t), 0.05 * np.cos(2.3 * t)
+
+
+def throttle(t):
+    return 0.5 + 0.1 * np.sin(0.9 * t)
+
+
+def of_motors(law: Callable[[np.ndarray], np.ndarray], scale: float = 1.0) -> Changes:
+    """A law of the single motors, through the mixer and back."""
+
+    def given(t: float, u: float, _volts: float) -> float:
+        motors = MIXER @ np.array([throttle(t), u, *other_commands(t)])
+        return scale * float(MIXER_INVERSE[1] @ law(motors))
+
+    return lambda: {'command': given, 'throttle': throttle, 'other_commands': other_commands}
+
+
+def play(half_width: float) -> Changes:
+    def changes():
+        state = [0.0]
+
+        def given(_t, u, _v):
+            state[0] = min(max(state[0], u - half_width), u + half_width)
+            return state[0]
+
+        return {'command': given}
+
+    return changes
+
+
+def slow_motors(share: float, slow_s: float) -> Changes:
+    """A share of the drive comes through a lag of its own."""
+
+    def changes():
+        state = [0.0, 0.0]
+
+        def given(_t, u, _v):
+            state[0] = u
+            return (1.0 - share) * u
+
+        def late(_t, _rate, _angle):
+            state[1] += (state[0] - state[1]) * -math.expm1(-HALF_S / slow_s)
+            return GAIN * share * state[1]
+
+        return {'command': given, 'torque': late}
+
+    return changes
+
+
+def ringing(frequency_hz: float, damping: float, in_phase: float, quadrature: float) -> Changes:
+    """z'' + 2 d w z' + w² z = w² u beside the command."""
+
+    def changes():
+        w, state = 2.0 * math.pi * frequency_hz, [np.zeros(3)]  # z, z', u
+        law = np.array([[0.0, 1.0, 0.0], [-w * w, -2.0 * damping * w, w * w], [0.0] * 3])
+        step, out = expm(law * 0.004 / 20), np.array([in_phase, quadrature / w, 0.0])
+
+        def given(_t, u, _v):
+            state[0][2], total = u, 0.0
+            for _ in range(20):
+                total += 0.5 * out @ state[0]
+                state[0] = step @ state[0]
+                total += 0.5 * out @ state[0]
+            return u + total / 20
+
+        return {'command': given}
+
+    return changes
+
+
+def strap(stiffness: float, time_constant_s: float) -> Changes:
+    """A viscous strap: a torque that follows the angle and forgets it."""
+
+    def changes():
+        state = [0.0]
+
+        def pull(_t, rate, _angle):
+            state[0] += HALF_S * (-stiffness * rate - state[0] / time_constant_s)
+            return state[0]
+
+        return {'torque': pull}
+
+    return changes
+
+
+def dahl(size: float, build_up: float) -> Changes:
+    """Friction that builds up over an angle, Dahl's law."""
+
+    def changes():
+        state = [0.0]
+
+        def rub(_t, rate, _angle):
+            step = rate * HALF_S / build_up
+            state[0] += step * (1.0 - state[0] * math.copysign(1.0, rate))
+            state[0] = min(1.0, max(-1.0, state[0]))
+            return -size * state[0]
+
+        return {'torque': rub}
+
+    return changes
+
+
+@dataclass(frozen=True)
+class Law:
+    """An effect, the plant that has it, and its parameters with the contract's units."""
+
+    name: str
+    changes: Changes
+    parameters: Mapping[str, float]
+    settings: Mapping[str, object] = field(default_factory=dict)
+    left: float = 0.002
+    """rad/s that may be left over half a second: the noise, and what the steps differ by."""
+
+    def __str__(self) -> str:
+        return ' '.join([self.name, *map(str, self.parameters)])
+
+
+LAWS = [
+    Law('coulomb_friction', torque(lambda _t, r, _a: -0.8 * math.tanh(r / 0.004)),
+        {'torque': 0.8}, left=0.003),
+    Law('quadratic_drag', torque(lambda _t, r, _a: -1.5 * r * abs(r)), {'coefficient': 1.5}),
+    Law('pendulum_stiffness', torque(lambda _t, _r, a: -4.0 * math.sin(a)), {'stiffness': 4.0}),
+    Law('cubic_stiffness', torque(lambda _t, _r, a: -75.0 * a**3), {'stiffness': 75.0}),
+    Law('dead_zone', command(lambda u: math.copysign(max(abs(u) - 0.004, 0.0), u)),
+        {'half_width': 0.004}),
+    Law('battery_sag',
+        lambda: {'command': lambda _t, u, v: u * (v / 12.0) ** 2, 'volts': (12.9, 10.5)},
+        {'exponent': 2.0}, {'reference_v': 12.0}),
+    Law('thrust_curve', of_motors(lambda m: 0.5 * m + 0.5 * m**2), {'curvature': 0.5},
+        {'throttle': 0.5}),
+    Law('saturation', of_motors(lambda m: np.clip(m, 0.0, 0.64)),
+        {'lower': 0.0, 'upper': 0.64}),
+    Law('motor_lag', slow_motors(0.25, 0.2), {'slow_time_constant': 0.2, 'share': 0.25}),
+    Law('backlash', play(0.004), {'half_width': 0.004}),
+    Law('resonance', ringing(6.0, 0.05, 0.1, -0.05),
+        {'frequency': 6.0, 'damping_ratio': 0.05, 'in_phase': 0.1, 'quadrature': -0.05}),
+    Law('cross_axis_input',
+        lambda: {'command': lambda t, u, _v: u + 0.1 * other_commands(t)[0],
+                 'other_commands': other_commands},
+        {'fraction': 0.1}, {'column': 2.0, 'variant': 'other axis 1'}),
+    Law('gyroscopic_coupling',
+        lambda: {'torque': lambda t, _r, _a: -0.6 * others(t)[1], 'other_rates': others},
+        {'coefficient': -0.6}, {'column': 1.0, 'variant': 'other axis 2'}),
+    Law('inertia_coupling',
+        lambda: {'torque': lambda t, _r, _a: 0.5 * others(t)[0] * others(t)[1],
+                 'other_rates': others},
+        {'coefficient': 0.5}),
+    Law('periodic_disturbance',
+        torque(lambda t, _r, _a: 0.8 * math.sin(2.0 * math.pi * 2.3 * t + 0.7)),
+        {'amplitude': 0.8, 'frequency': 2.3, 'phase': 0.0}),
+    Law('step_event', command(lambda u: 0.7 * u), {'time': 20.0, 'change': -0.3}),
+    Law('step_event', torque(lambda *_: 0.8), {'time': 20.0, 'torque': 0.8}),
+    Law('mode', strap(9.0, 0.6), {'stiffness': 9.0, 'time_constant': 0.6},
+        {'variant': 'slow state'}),
+    Law('mode', dahl(0.4, 0.05), {'torque': 0.4, 'build_up': 0.05}, {'variant': 'hysteresis'}),
+]
+"""Of an event the values after it hold on another flight, and of a disturbance the phase is new."""
+
+
+@pytest.fixture(scope='module')
+def calm_flights(axis_type, plan_type, flown):
+    """A function: 13 s of an axis with hardly any noise."""
+    plan = plan_type(14.0, (('validation', 'prbs', 1.0, 14.0),))
+    calm = {'gyro_noise': 0.0005, 'torque_noise': 0.0}
+    return lambda changes: flown(axis_type(**{**calm, **changes}), 3, plan)
+
+
+@pytest.fixture(scope='module')
+def empty_flight(calm_flights):
+    """Everything moves that an effect may need, and nothing acts."""
+    return calm_flights({
+        'throttle': throttle, 'other_rates': others, 'other_commands': other_commands,
+        'volts': (12.9, 10.5),
+    })
+
+
+@pytest.mark.parametrize('law', LAWS, ids=str)
+def test_the_true_effect_leaves_the_noise_and_spoils_a_flight_without_it(
+    law, true_model, calm_flights, empty_flight
+):
+    parameters = tuple(Parameter(n, v, None, '') for n, v in law.parameters.items())
+    effect = EffectEstimate(law.name, 'named', (), parameters, law.settings)
+    model = replace(true_model, effects=(effect,), plain=true_model.base)
+    there, absent = (evaluate(model, r) for r in (calm_flights(law.changes()), empty_flight))
+    assert there.after < law.left
+    assert there.before > 5.0 * there.after
+    assert absent.before < 0.002
+    assert absent.after > 5.0 * absent.before
+
+
+# found where it acts
+
+
+@dataclass(frozen=True)
+class Planted:
+    """What acts, what may be said of it, and what that must be worth on another flight."""
+
+    name: str
+    changes: Changes
+    names: tuple[set[str], ...]
+    """The sets of effects that are a right answer, the first one the best."""
+    parameters: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Truth and relative tolerance, which 4 standard errors may not exceed unnoticed."""
+    lowers: float = 1.5
+    """By this factor or more the error of an unseen flight falls; 0: it is not flown."""
+    later: Changes | None = None
+    """What acts on the unseen flight, where that is something else."""
+
+    def __str__(self) -> str:
+        return self.name
+
+
+def one(name: str, changes: Changes, *, kind: str = '', **fields: object) -> Planted:
+    return Planted(kind or name, changes, ({name},), **fields)
+
+
+def law_of(name: str, parameter: str) -> Changes:
+    return next(law.changes for law in LAWS if law.name == name and parameter in law.parameters)
+
+
+def gale(seed: int, size: float) -> Changes:
+    """A torque that jumps between +-size at random times, every 4 s on average."""
+    jumps = np.cumsum(np.random.default_rng(seed).exponential(4.0, 200))
+    return torque(lambda t, *_: size * (-1.0) ** np.searchsorted(jumps, t))
+
+
+def coloured(seed: int, bandwidth_hz: float, intensity: float) -> Changes:
+    """White torque noise, (rad/s²)/√Hz, behind a first-order lag."""
+
+    def changes():
+        rng, state = np.random.default_rng(seed), [0.0]
+        keep = math.exp(-2.0 * math.pi * bandwidth_hz * HALF_S)
+
+        def push(*_):
+            white = intensity / math.sqrt(HALF_S) * rng.standard_normal()
+            state[0] = white + (state[0] - white) * keep
+            return state[0]
+
+        return {'torque': push, 'torque_noise': 0.0}
+
+    return changes
+
+
+QUICK = [
+    one('dead_zone', law_of('dead_zone', 'half_width'), lowers=4.0,
+        parameters={'half_width': (0.004, 0.10)}),
+    one('gyroscopic_coupling', law_of('gyroscopic_coupling', 'coefficient'),
+        lowers=4.0, parameters={'coefficient': (-0.6, 0.10)}),
+    one('mode', strap(3.6, 0.8), kind='viscous strap',
+        parameters={'time_constant': (0.8, 0.6), 'stiffness': (3.6, 0.3)}),
+]
+LONG = [
+    one('quadratic_drag', law_of('quadratic_drag', 'coefficient'),
+        parameters={'coefficient': (1.5, 0.20)}),
+    one('pendulum_stiffness', law_of('pendulum_stiffness', 'stiffness'), lowers=3.0,
+        parameters={'stiffness': (4.0, 0.05)}),
+    one('cubic_stiffness', law_of('cubic_stiffness', 'stiffness'),
+        parameters={'stiffness': (75.0, 0.10)}),
+    one('battery_sag', law_of('battery_sag', 'exponent'), lowers=2.0,
+        parameters={'exponent': (2.0, 0.20)}),
+    one('thrust_curve', law_of('thrust_curve', 'curvature'), lowers=3.0,
+        parameters={'curvature': (0.5, 0.10)}),
+    one('saturation', law_of('saturation', 'upper'), parameters={'upper': (0.64, 0.01)}),
+    one('motor_lag', law_of('motor_lag', 'share'),
+        parameters={'slow_time_constant': (0.2, 0.4), 'share': (0.25, 0.3)}),
+    one('backlash', play(0.002), parameters={'half_width': (0.002, 0.10)}),
+    one('resonance', law_of('resonance', 'frequency'),
+        parameters={'frequency': (6.0, 0.02), 'damping_ratio': (0.05, 0.3)}),
+    one('cross_axis_input', law_of('cross_axis_input', 'fraction'), lowers=3.0,
+        parameters={'fraction': (0.1, 0.05)}),
+    one('inertia_coupling', law_of('inertia_coupling', 'coefficient'), lowers=3.0,
+        parameters={'coefficient': (0.5, 0.10)}),
+    one('periodic_disturbance', law_of('periodic_disturbance', 'amplitude'),
+        parameters={'amplitude': (0.8, 0.10), 'frequency': (2.3, 0.005)}),
+    one('step_event', torque(lambda t, *_: 0.4 * (t >= 17.0)), kind='step of the torque',
+        parameters={'time': (17.0, 0.01), 'torque': (0.4, 0.15)}, later=torque(lambda *_: 0.4)),
+    one('step_event', lambda: {'command': lambda t, u, _v: u * (0.7 if t >= 17.0 else 1.0)},
+        kind='step of the gain', parameters={'time': (17.0, 0.01), 'change': (-0.3, 0.15)},
+        later=command(lambda u: 0.7 * u)),
+    one('mode', dahl(0.4, 0.05), kind='hysteresis',
+        parameters={'torque': (0.4, 0.15), 'build_up': (0.05, 0.35)}),
+    one('coulomb_friction', kind="Stribeck's friction", lowers=3.0, changes=torque(
+        lambda _t, r, _a: -(0.3 + 0.9 / (1.0 + (r / 0.3) ** 2)) * math.tanh(r / 0.01))),
+    Planted('drag and a spring that mask each other',
+            torque(lambda _t, r, a: -1.2 * r * abs(r) - 1.6 * math.sin(a)),
+            ({'quadratic_drag', 'pendulum_stiffness'},),
+            {'coefficient': (1.2, 0.5), 'stiffness': (1.6, 0.3)}),
+    Planted('top-heavy on an elastic cable',
+            torque(lambda _t, _r, a: 4.0 * math.sin(a) - 60.0 * a**3),
+            ({'cubic_stiffness', 'pendulum_stiffness'},)),
+    Planted('one-sided spring', torque(lambda _t, _r, a: -4.4 * max(0.0, a - 0.07)),
+            ({'shape:angle'},)),
+    Planted('friction along the angle',
+            torque(lambda _t, r, a: -0.4 * min(3.0, abs(a) / 0.1) * math.tanh(r / 0.03)),
+            ({'shape:angle'}, {'shape:angle', 'coulomb_friction'}, {'shape:damping:angle'})),
+    Planted('drag one way', torque(lambda _t, r, _a: -1.0 * r * abs(r) if r > 0.0 else 0.0),
+            ({'shape:rate'}, {'shape:damping:rate'}), lowers=1.3),
+    Planted('grease that warms up',
+            torque(lambda t, r, _a: -2.0 * r * math.exp(-t / 15.0)),
+            ({'shape:time'}, {'shape:damping:time'}), lowers=0.0),
+    Planted('bearing that warms up',
+            torque(lambda t, r, _a: -0.8 * math.exp(-t / 20.0) * math.tanh(r / 0.03)),
+            ({'shape:time'}, {'shape:time', 'coulomb_friction'}, {'shape:damping:time'}),
+            lowers=0.0),
+]
+
+
+def answer_of(record: Record):
+    return identify([record], Options(axes=('roll',)))['roll']
+
+
+def check(case: Planted, answer, axis_type, flown, unseen_plan) -> None:
+    assert answer.verdict == 'effects_added', answer.reason
+    effects = answer.model.effects
+    named = {e.name for e in effects}
+    assert named in case.names, named
+    found = {p.name: p for e in effects for p in e.parameters}
+    for name, (truth, tolerance) in case.parameters.items():
+        assert found[name].value == pytest.approx(truth, rel=tolerance), name
+        assert abs(found[name].value - truth) < 4.0 * found[name].std, name
+    for effect in effects:
+        assert 0.0 <= effect.p_value < 0.05
+        assert effect.error_reduction_pct > 0.0
+        total = effect.probability + sum(p for _, p in effect.rivals)
+        assert total == pytest.approx(1.0, abs=1e-9)
+        assert effect.probability > 0.5
+    gain = answer.model.value('gain')
+    if named == {'battery_sag'}:  # its gain counts at its reference
+        gain *= (12.0 / effects[0].settings['reference_v']) ** 2
+    assert gain == pytest.approx(GAIN, rel=0.05)
+    if case.lowers:
+        changes = (case.later or case.changes)()
+        unseen = evaluate(answer.model, flown(axis_type(**{**QUIET, **changes}), 501, unseen_plan))
+        assert unseen.before > case.lowers * unseen.after
+
+
+@pytest.mark.parametrize('case', QUICK, ids=str)
+def test_what_acts_is_named_measured_and_pays(case, axis_type, flown, short_plan, unseen_plan):
+    answer = answer_of(flown(axis_type(**{**QUIET, **case.changes()}), 1, short_plan))
+    check(case, answer, axis_type, flown, unseen_plan)
+
+
+def test_dry_friction_is_named_measured_and_pays(rubbed_answer, axis_type, flown, unseen_plan):
+    case = one('coulomb_friction', law_of('coulomb_friction', 'torque'), lowers=4.0,
+               parameters={'torque': (0.8, 0.10)})
+    check(case, rubbed_answer, axis_type, flown, unseen_plan)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize('case', LONG, ids=str)
+def test_all_else_that_acts_is_named_too(case, axis_type, flown, unseen_plan):
+    answer = answer_of(flown(axis_type(**{**QUIET, **case.changes()}), 1))
+    check(case, answer, axis_type, flown, unseen_plan)
+
+
+@pytest.mark.long
+def test_soft_stops_are_no_named_spring(axis_type, flown):
+    """Nothing up to 0.1 rad and hard beyond: not a cubic spring, nor a pendulum against one."""
+    stops = torque(lambda _t, _r, a: -9.0 * math.copysign(max(0.0, abs(a) - 0.1), a))
+    answer = answer_of(flown(axis_type(**{**QUIET, **stops()}), 33))
+    assert answer.verdict == 'effects_added', answer.reason
+    assert {e.name for e in answer.model.effects} == {'shape:angle'}
+
+
+# nothing where nothing acts
+
+
+EMPTY = {
+    'at rest besides': (dict, 1, True),
+    'everything else moves': (lambda: {
+        'throttle': throttle, 'other_rates': others, 'other_commands': other_commands,
+        'volts': (12.6, 11.4)}, 2, True),
+    'gusts of 2 Hz': (coloured(3, 2.0, 0.05), 3, True),
+}
+MORE_EMPTY = {
+    **{f'seed {seed}': (dict, seed, False) for seed in range(1, 8)},
+    'gusts of 5 Hz': (coloured(4, 5.0, 0.05), 4, False),
+    'gusts of 0.5 Hz': (coloured(5, 0.5, 0.1), 5, False),
+    'vibration of the gyro': (lambda: {'gyro_noise': 0.02}, 6, False),
+}
+
+
+def check_empty(case, axis_type, flown, short_plan):
+    changes, seed, short = case
+    record = flown(axis_type(**{**QUIET, **changes()}), seed, short_plan if short else None)
+    answer = answer_of(record)
+    assert answer.verdict == 'no_missing_effect', answer.reason
+    assert answer.model.effects == ()
+    error = document.document({'roll': answer}, ['bag'])['axes']['roll']['error']
+    assert error['after'] == error['before']
+
+
+@pytest.mark.parametrize('name', EMPTY)
+def test_where_nothing_acts_nothing_is_found(name, axis_type, flown, short_plan):
+    check_empty(EMPTY[name], axis_type, flown, short_plan)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize('name', MORE_EMPTY)
+def test_in_longer_flights_nothing_is_found_either(name, axis_type, flown, short_plan):
+    check_empty(MORE_EMPTY[name], axis_type, flown, short_plan)
+
+
+def test_wind_is_given_no_name_of_the_aircraft(axis_type, flown, short_plan):
+    answer = answer_of(flown(axis_type(**{**QUIET, **gale(13, 0.6)()}), 13, short_plan))
+    passing = {'event', 'step_event', 'periodic_disturbance', 'shape:time'}
+    assert {e.name for e in answer.model.effects} <= passing
+
+
+@pytest.mark.long
+@pytest.mark.parametrize('changes', [
+    torque(lambda t, *_: 1.2 if 12.0 <= t < 14.0 or 44.0 <= t < 46.0 else 0.0),
+    lambda: {'command': lambda t, u, _v: 0.35 * u if 10 < t < 18 or 44 < t < 50 else u},
+], ids=['a gust of 2 s', 'a motor that misses'])
+def test_what_comes_twice_and_no_model_foresees_is_not_passed_over(changes, axis_type, flown):
+    """Once in training and once on held-out data."""
+    answer = answer_of(flown(axis_type(**{**QUIET, **changes()}), 6))
+    assert answer.verdict in {'unexplained_residual', 'effects_added'}, answer.reason
+    assert {e.name for e in answer.model.effects} <= {'event', 'step_event', 'shape:gain:time'}
+
+
+# which data decide
+
+
+def test_validation_does_not_touch_what_is_chosen(
+    axis_type, flown, short_plan, rubbed_flight, rubbed_answer
+):
+    """Another flight behind the training segment: the same model to the last bit."""
+    changes = {**QUIET, **law_of('coulomb_friction', 'torque')()}
+    other = flown(axis_type(**changes), 7, short_plan)
+    cut = round(18.5 / other.dt)
+
+    def joined(name: str) -> np.ndarray:
+        values = (getattr(rubbed_flight, name)[:cut], getattr(other, name)[cut:])
+        return np.concatenate(values)
+
+    columns = ('rates', 'angles', 'control', 'battery_v', 'attitude_setpoint')
+    mixed = replace(rubbed_flight, **{name: joined(name) for name in columns})
+    ours, another = rubbed_answer.model, answer_of(mixed).model
+    assert [e.name for e in ours.effects] == ['coulomb_friction']
+    assert ours.base == another.base
+    assert ours.effects[0].parameters == another.effects[0].parameters
+
+
+# what the data cannot show
+
+
+def test_effects_that_the_data_cannot_show_are_left_out_and_told(axis_type, flown, short_plan):
+    record = flown(axis_type(), 11, short_plan)
+    bare = replace(record, angles=None, attitude_setpoint=None)
+    tree = document.document({'roll': answer_of(bare)}, ['bag'])['axes']['roll']
+    told = {item['name']: item['because'] for item in tree['not_tested']}
+    for name, words in {
+        'pendulum_stiffness': 'the bag holds no orientation',
+        'cubic_stiffness': 'the bag holds no orientation',
+        'shape:angle': 'the bag holds no orientation',
+        'battery_sag': 'the voltage moves by 0.000 V only',
+        'thrust_curve': 'the throttle stays at 0.50',
+        'cross_axis_input': 'hardly moves during training; excite it as well',
+        'gyroscopic_coupling': 'hardly turns during training',
+        'inertia_coupling': 'hardly turns during training',
+    }.items():
+        assert words in told[name], name
+    assert not {item['name'] for item in tree['tried']} & set(told)
+    without = replace(bare, battery_v=None, rates=np.where([True, False, False], bare.rates, np.nan))
+    told = {item['name']: item['because'] for item in document.document(
+        {'roll': answer_of(without)}, ['bag'])['axes']['roll']['not_tested']}
+    assert told['battery_sag'] == 'the bag holds no battery voltage'
+    assert 'was not measured throughout' in told['gyroscopic_coupling']
+
+
+# the table and the page about it
+
+
+UNITS = {
+    'coulomb_friction.torque': 'rad/s²', 'periodic_disturbance.amplitude': 'rad/s²',
+    'quadratic_drag.coefficient': 'rad/s² per (rad/s)²',
+    'pendulum_stiffness.stiffness': 'rad/s² per rad',
+    'cubic_stiffness.stiffness': 'rad/s² per rad³', 'gyroscopic_coupling.coefficient': '1/s',
+    'inertia_coupling.coefficient': '1', 'cross_axis_input.fraction': '1',
+    'battery_sag.exponent': '1', 'thrust_curve.curvature': '1', 'step_event.change': '1',
+    'dead_zone.half_width': '1', 'backlash.half_width': '1', 'saturation.lower': '1',
+    'saturation.upper': '1', 'motor_lag.slow_time_constant': 's', 'step_event.time': 's',
+    'resonance.frequency': 'Hz', 'periodic_disturbance.frequency': 'Hz',
+}  # fmt: skip
+"""What the contract promises, by effect and parameter (a normalised command is a pure number)."""
+
+
+def test_the_contracts_names_stand_in_the_table_with_its_units():
+    found = {f'{e.name}.{p.name}': p.unit for e in EFFECTS for p in e.parameters}
+    assert {key: found.get(key) for key in UNITS} == UNITS
+    assert {e.name for e in EFFECTS} == {key.split('.')[0] for key in UNITS}
+
+
+def test_the_page_tells_the_table_and_nothing_else():
+    """Every name in docs/what_is_missing.md with its parameters and units; curves by number."""
+    page = Path(__file__).resolve().parents[2] / 'docs' / 'what_is_missing.md'
+    rows = {}
+    for line in page.read_text(encoding='utf-8').splitlines():
+        cells = [cell.strip() for cell in line.strip('|').split('|')]
+        if len(cells) == 5 and cells[0].startswith('`'):
+            rows[cells[0].strip('`')] = cells[2]
+    assert set(rows) == {e.name for e in EFFECTS + SHAPES}
+    for name, told in rows.items():
+        entries = [e for e in EFFECTS + SHAPES if e.name == name]
+        if entries[0].kind == 'shape':
+            some = ' or '.join(map(str, sorted({len(e.parameters) for e in entries})))
+            assert told == f'{some} values ({entries[0].parameters[0].unit})'
+        else:
+            found = set(re.findall(r'`(\w+)` \(((?:[^()]|\([^()]*\))+)\)', told))
+            assert found == {(p.name, p.unit) for e in entries for p in e.parameters}, name
