@@ -24,6 +24,7 @@ from quad_sysid.record import GainChange, Record, Segment
 
 DT = 0.004
 SUBSTEPS = 4
+GAINS = {'roll.angle.kp': 3.0, 'roll.rate.kp': 0.06, 'roll.rate.ki': 0.0, 'roll.rate.kd': 0.0}
 
 
 @dataclass(frozen=True)
@@ -126,7 +127,8 @@ def fly(axis: Axis, seed: int, plan: Plan | None = None) -> Record:
         segments=tuple(
             Segment(role, signal, 'roll', 'attitude', a, b) for role, signal, a, b in plan.segments
         ),
-        gains=(GainChange(0.0, {'roll.rate.kp': 0.06}),),
+        rate_setpoint=np.stack([3.0 * (reference - angles), zero, zero], axis=1),
+        gains=(GainChange(0.0, GAINS),),
     )
 
 

@@ -204,7 +204,7 @@ LAWS = [
         {'variant': 'slow state'}),
     Law('mode', dahl(0.4, 0.05), {'torque': 0.4, 'build_up': 0.05}, {'variant': 'hysteresis'}),
 ]
-"""Of an event the values after it hold on another flight, and of a disturbance the phase is new."""
+"""On another flight the values after an event hold, and a disturbance has a phase of its own."""
 
 
 @pytest.fixture(scope='module')
@@ -512,9 +512,10 @@ def test_effects_that_the_data_cannot_show_are_left_out_and_told(axis_type, flow
     }.items():
         assert words in told[name], name
     assert not {item['name'] for item in tree['tried']} & set(told)
-    without = replace(bare, battery_v=None, rates=np.where([True, False, False], bare.rates, np.nan))
-    told = {item['name']: item['because'] for item in document.document(
-        {'roll': answer_of(without)}, ['bag'])['axes']['roll']['not_tested']}
+    rates = np.where([True, False, False], bare.rates, np.nan)
+    answer = answer_of(replace(bare, battery_v=None, rates=rates))
+    tree = document.document({'roll': answer}, ['bag'])['axes']['roll']
+    told = {item['name']: item['because'] for item in tree['not_tested']}
     assert told['battery_sag'] == 'the bag holds no battery voltage'
     assert 'was not measured throughout' in told['gyroscopic_coupling']
 

@@ -54,7 +54,7 @@ def test_base_parameters_come_back_with_their_errors_and_units(plain):
         assert abs(p.value - TRUTH[p.name]) < 4.0 * p.std, p
         assert p.value == pytest.approx(TRUTH[p.name], rel=PERCENT[p.name] / 100.0), p
         assert p.unit.startswith(units.get(p.name, 'rad/s²')), p
-    assert plain.model.active_gains == {'roll.rate.kp': 0.06}
+    assert plain.model.active_gains['roll.rate.kp'] == 0.06
     low, high = plain.model.trusted_band_rad_s
     assert low < 10.0 < high
 
@@ -157,7 +157,7 @@ def test_windows_keep_off_starts_and_gaps_and_leave_no_part(plain_flight, true_m
 
 
 def test_nothing_measured_inside_a_window_is_used_there(plain_flight, true_model):
-    """Each of the other samples of the last window is missed by 50 more, whatever was predicted."""
+    """Each other sample of the last window is missed by 50 more, whatever was predicted."""
     span, length = ((2.0, 9.5),), 125
     whole = evaluate(true_model, plain_flight, span)
     last = 750 + (whole.windows - 1) * length
@@ -214,7 +214,8 @@ def relay(record):
     """Motors that are thrown from one limit to the other."""
     signs = np.array([1.0, -1.0, -1.0, 1.0])
     motors = np.where(record.control[:, 1:2] * signs > 0.0, 1.0, 0.0)
-    control = np.column_stack([motors.mean(axis=1), motors @ signs / 4.0, *np.zeros((2, record.n))])
+    zero = np.zeros(record.n)
+    control = np.column_stack([motors.mean(axis=1), motors @ signs / 4.0, zero, zero])
     return replace(record, motors=motors, control=control)
 
 

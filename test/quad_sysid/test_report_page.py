@@ -9,71 +9,22 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import jsonschema
-import numpy as np
 import pytest
 
-from quad_sysid.effects.table import EFFECTS
 from quad_sysid.model import GainProposal
 from quad_sysid.pipeline.answer import AxisAnswer
-from quad_sysid.pipeline.identify import Options, identify
-from quad_sysid.record import GainChange, Record, Segment
 from quad_sysid.report import document, plots, selection_tables, store, tables, text
 from quad_sysid.report.canvas import Picture, panels, svg
 from quad_sysid.report.html import page
 
-DT, GAIN, LAG, DELAY, FRICTION, NOISE = 0.004, 120.0, 0.04, 2, 0.8, 0.004
 SCHEMA = json.loads(
     (Path(document.__file__).parent / 'report.schema.json').read_text(encoding='utf-8')
 )
 
 
-def flight(seed: int = 3, friction: float = FRICTION, seconds: float = 32.0) -> Record:
-    """An axis with dry friction in an attitude loop, ten small steps a cycle."""
-    rng = np.random.default_rng(seed)
-    n = round(seconds / DT)
-    reference = 0.15 * np.repeat(rng.choice([-1.0, 1.0], n // 75 + 1), 75)[:n]
-    rate, angle, drive = 0.0, 0.0, 0.0
-    rates, angles, commands, wanted = (np.zeros(n) for _ in range(4))
-    for k in range(n):
-        rates[k], angles[k] = rate + NOISE * rng.standard_normal(), angle
-        wanted[k] = 3.0 * (reference[k] - angles[k])
-        commands[k] = 0.1 * (wanted[k] - rates[k])
-        acting = commands[max(k - DELAY, 0)]
-        for _ in range(10):
-            h = DT / 10
-            drive += h * (GAIN * acting - drive) / LAG
-            rate += h * (drive - 0.5 * rate - friction * np.tanh(rate / 0.02))
-            angle += h * rate
-    zero = np.zeros(n)
-    segments = tuple(
-        Segment(role, 'prbs', 'roll', 'attitude', start, stop)
-        for role, start, stop in (('train', 1.0, 20.0), ('validation', 21.0, seconds))
-    )
-    gains = {'roll.angle.kp': 3.0, 'roll.rate.kp': 0.1, 'roll.rate.ki': 0.0, 'roll.rate.kd': 0.0}
-    return Record(
-        source='synthetic', dt=DT, rates=np.stack([rates, zero, zero], axis=1),
-        control=np.stack([zero + 0.5, commands, zero, zero], axis=1),
-        angles=np.stack([angles, zero, zero], axis=1),
-        attitude_setpoint=np.stack([reference, zero, zero], axis=1),
-        rate_setpoint=np.stack([wanted, zero, zero], axis=1), segments=segments,
-        gains=(GainChange(0.0, gains),),
-    )
-
-
-def designer(_):
-    return GainProposal(
-        {'roll.angle.kp': 4.0, 'roll.rate.kp': 0.12, 'roll.rate.ki': 0.0, 'roll.rate.kd': 0.0},
-        figures={'rise_time_s': 0.3, 'rise_time_s_before': 0.5},
-    )
-
-
 @pytest.fixture(scope='module')
-def answers() -> dict[str, AxisAnswer]:
-    few = tuple(e for e in EFFECTS if e.name in ('coulomb_friction', 'quadratic_drag'))
-    with pytest.MonkeyPatch.context() as patch:  # the whole table is searched in other tests
-        patch.setattr('quad_sysid.pipeline.identify.EFFECTS', few, raising=False)
-        patch.setattr('quad_sysid.pipeline.identify.SHAPES', (), raising=False)
-        return identify([flight()], Options(axes=('roll',), designer=designer))
+def answers(rubbed_answer) -> dict[str, AxisAnswer]:
+    return {'roll': rubbed_answer}
 
 
 @pytest.fixture(scope='module')
