@@ -27,14 +27,12 @@ from quad_sysid.blackbox import (
     search_arx,
     simulate,
 )
-from quad_sysid.blackbox.descent import evaluate
 from quad_sysid.blackbox.filters import filter_signal
-from quad_sysid.blackbox.innovations import errors_and_gradient
 from quad_sysid.blackbox.studies import Study, reference_study, table3_study
 from quad_sysid.errors import BadInputError
 from quad_sysid.record import IOData
 
-SEEDS = range(20)
+QUICK_AND_FULL = [3, pytest.param(20, marks=pytest.mark.long)]
 
 
 @pytest.fixture(scope='module')
@@ -53,38 +51,15 @@ def distance(model: Model, truth: Model) -> float:
     return float(error @ np.linalg.solve(model.covariance, error))
 
 
-@pytest.mark.parametrize('structure', ['ARMAX', 'OE', 'BJ'])
-def test_gradient_is_exact(structure):
-    """Against central differences of the criterion, over two segments."""
-    rng = np.random.default_rng(0)
-    z = IOData(rng.standard_normal(400), rng.standard_normal(400).cumsum(), 0.1,
-               segments=[(0, 180), (200, 400)])
-    polys = {
-        'ARMAX': {'A': [1, -0.5, 0.1], 'C': [1, 0.3]},
-        'OE': {'F': [1, -1.2, 0.5]},
-        'BJ': {'F': [1, -1.2, 0.5], 'C': [1, 0.3, 0.1], 'D': [1, -0.6]},
-    }[structure]
-    model = polynomial_model([0, 0, 0.4, 0.2], dt=0.1, **polys)
-    slope = evaluate(model, z).slope
-    theta, step = model.parameters, 1e-6
-    for i in range(theta.size):
-        values = []
-        for sign in (1, -1):
-            moved = theta.copy()
-            moved[i] += sign * step
-            parts = errors_and_gradient(model.with_parameters(moved), z)
-            values.append(sum(float(e @ e) for e, _, _ in parts) / 2)
-        assert slope[i] == pytest.approx((values[0] - values[1]) / (2 * step), rel=2e-5, abs=1e-3)
-
-
-def test_fits_reach_the_ceiling_on_each_of_20_seeds(study):
+@pytest.mark.parametrize('flights', QUICK_AND_FULL)
+def test_fits_reach_the_ceiling_on_each_seed(study, flights):
     """Free-run fit on another seed, in points below the true model's: 0.03, 0.06.
 
     ARMAX cannot describe this noise: its optimum lies 0.25 below (0.27 with 300,000 samples) and
     scatters, 0.30 in the mean and 0.42 on each seed are asked.
     """
     below = []
-    for seed in SEEDS:
+    for seed in range(flights):
         z = study.record(np.random.default_rng(seed))
         validation = study.record(np.random.default_rng(1000 + seed))
         models = [bj(z, 2, 2, 2, 2, 3), oe(z, 2, 2, 3), armax(z, 3, 3, 3, 1)]
@@ -97,10 +72,11 @@ def test_fits_reach_the_ceiling_on_each_of_20_seeds(study):
     assert np.mean(below, axis=0)[2] < 0.30
 
 
-def test_bj_and_clriv_are_consistent_with_their_covariance(study):
-    """Eight parameters: mean squared distance near 8 (NEES) over 16 seeds, 4 sigma."""
+@pytest.mark.parametrize('flights', QUICK_AND_FULL)
+def test_bj_and_clriv_are_consistent_with_their_covariance(study, flights):
+    """Squared distances are chi² with 8 degrees of freedom: their mean within 4 sigma."""
     nees, refined = [], []
-    for seed in range(100, 116):
+    for seed in range(100, 100 + flights):
         z = study.record(np.random.default_rng(seed))
         model = bj(z, 2, 2, 2, 2, 3)
         nees.append(distance(model, study.truth))
@@ -108,8 +84,8 @@ def test_bj_and_clriv_are_consistent_with_their_covariance(study):
         assert other.converged
         refined.append(distance(other, study.truth))
         np.testing.assert_allclose(other.std, model.std, rtol=0.5)
-    assert np.mean(nees) == pytest.approx(8.0, abs=4 * math.sqrt(16 / 16))
-    assert np.mean(refined) == pytest.approx(8.0, abs=4 * math.sqrt(16 / 16))
+    assert np.mean(nees) == pytest.approx(8.0, abs=4 * math.sqrt(16 / flights))
+    assert np.mean(refined) == pytest.approx(8.0, abs=4 * math.sqrt(16 / flights))
 
 
 def test_bj_passes_the_residual_tests_and_a_smaller_one_does_not(study):
@@ -375,3 +351,25 @@ def test_bad_input_names_the_argument(call, named):
     with pytest.raises(BadInputError, match=named) as caught:
         call(z)
     assert '\n' not in str(caught.value)
+
+
+def drifting_flight(samples: int = 3600) -> IOData:
+    """An axis that nearly integrates, its command's sign turned, as a table of 9 digits has it."""
+    rng = np.random.default_rng(0)
+    n = 6000
+    u = 0.05 * np.sign(rng.standard_normal(n // 20)).repeat(20)
+    y = np.zeros(n)
+    for i in range(1, n):
+        y[i] = y[i - 1] + 0.004 * (-0.4 * y[i - 1] + 40.0 * u[i - 1])
+    y = y + 0.003 * rng.standard_normal(n)
+    u, y = (np.array([float(f'{v:.9g}') for v in x]) for x in (u, -y))
+    return IOData(
+        u - u[:samples].mean(), y - y[:samples].mean(), 0.004, segments=[(0, samples)]
+    )
+
+
+def test_a_secant_far_above_the_gauss_newton_part_does_not_end_the_fit():
+    model = bj(drifting_flight(), 2, 2, 2, 2, 1)
+    assert model.converged or model.warnings
+    assert math.isfinite(model.loss)
+    assert math.sqrt(model.loss) < 0.00305  # the noise of 0.003 rad/s, within 3 standard errors

@@ -20,9 +20,10 @@ from quad_sysid.report import document, text
 from quad_sysid.signals.prbs import prbs
 
 DT, TRIM = 0.004, 0.013
-SECONDS = 44.0
-SPANS = (('train', 'prbs', 0.0, 22.0), ('validation', 'prbs', 23.0, 33.0),
-         ('validation', 'square', 34.0, SECONDS))
+pytestmark = pytest.mark.xdist_group('black-box pipeline')
+SECONDS = 56.0
+SPANS = (('train', 'prbs', 0.0, 34.0), ('validation', 'prbs', 35.0, 45.0),
+         ('validation', 'square', 46.0, SECONDS))
 SLOW = CascadeGains.default('roll')
 FAST = dataclasses.replace(SLOW, angle_kp=4.5, rate_kp=1.6 * SLOW.rate_kp)
 
@@ -33,7 +34,7 @@ def references(n: int, seed: int) -> np.ndarray:
     one = np.resize(prbs(9, 24, 0.2, seed), n)
     other = np.resize(prbs(10, 24, 0.2, seed), n)
     square = 0.2 * np.sign(np.sin(2 * np.pi * 0.4 * time))
-    return np.where(time < 22.5, one, np.where(time < 33.5, other, square))
+    return np.where(time < 34.5, one, np.where(time < 45.5, other, square))
 
 
 def flight(
@@ -120,7 +121,7 @@ def test_step_b_runs_every_polynomial_structure_on_both_flights(roll):
 def test_a_change_of_gains_within_a_flight_is_a_run_of_its_own():
     record = flight()
     changed = FAST.to_mapping('roll', constants=True)
-    both = dataclasses.replace(record, gains=(*record.gains, GainChange(33.7, changed)))
+    both = dataclasses.replace(record, gains=(*record.gains, GainChange(45.7, changed)))
     first, second = step_b.flown([both], 'roll')
     assert first.signals == ('prbs',)
     assert second.signals == ('square',)

@@ -16,6 +16,7 @@ from quad_sysid.blackbox import (
     frequency_response,
     horizon_errors,
     initial_state,
+    innovation_test,
     polynomial_model,
     predict,
     residual_test,
@@ -27,6 +28,7 @@ from quad_sysid.blackbox import (
 from quad_sysid.blackbox.filters import filter_signal
 from quad_sysid.blackbox.studies import Study, prbs_bits, reference_study
 from quad_sysid.errors import BadInputError
+from quad_sysid.pipeline.residual import residual
 from quad_sysid.record import IOData
 
 
@@ -276,3 +278,61 @@ def test_bad_arguments(study, record):
         spa(IOData(record.u, record.y, record.dt, r=0.0 * record.u), joint=True)
     with pytest.raises(BadInputError, match='models'):
         step_a([], record, {})
+
+
+def white(seed: int, n: int = 6000) -> IOData:
+    """A first-order plant with white one-step errors in the output's place."""
+    rng = np.random.default_rng(seed)
+    u = rng.standard_normal(n)
+    return IOData(u=u, y=rng.standard_normal(n), dt=0.004)
+
+
+def test_innovations_are_tested_as_a_models_own_residual() -> None:
+    rng = np.random.default_rng(3)
+    u, e, y = rng.standard_normal(4000), 0.1 * rng.standard_normal(4000), np.zeros(4000)
+    for k in range(2, 4000):
+        y[k] = 0.9 * y[k - 1] + 0.4 * u[k - 2] + e[k]
+    z = IOData(u=u, y=y, dt=0.004)
+    model = arx(z, 1, 1, 2)
+    own, given = residual_test(model, z), innovation_test(y - predict(model, z, 1), z)
+    assert given.p_white == pytest.approx(own.p_white, rel=1e-9)
+    assert given.p_input == pytest.approx(own.p_input, rel=1e-9)
+    assert given.samples == own.samples
+    assert own.residual_white
+
+
+def test_white_errors_pass_and_coloured_or_driven_ones_do_not() -> None:
+    z = white(1)
+    good = innovation_test(z.y, z)
+    assert good.residual_white
+    assert good.residual_uncorrelated_with_input
+    coloured = innovation_test(z.y + 0.3 * np.roll(z.y, 1), z)
+    assert not coloured.residual_white
+    assert coloured.residual_uncorrelated_with_input
+    driven = innovation_test(z.y + 0.2 * np.roll(z.u, 3), z)
+    assert not driven.residual_uncorrelated_with_input
+
+
+def test_gaps_end_a_stretch_and_too_little_is_refused() -> None:
+    z = white(2)
+    errors = z.y.copy()
+    errors[1000:1003] = np.nan
+    assert innovation_test(errors, z).samples == z.y.size - 3
+    with pytest.raises(BadInputError, match='too few residuals'):
+        innovation_test(np.full(z.y.size, np.nan), z)
+    with pytest.raises(BadInputError, match=r'length of z\.y'):
+        innovation_test(z.y[:-1], z)
+
+
+def test_a_line_in_the_errors_is_a_peak_and_white_noise_has_none() -> None:
+    z = white(4, 10_000)
+    clean = residual(z.y, z)
+    assert clean is not None
+    assert clean.peaks == ()
+    t = np.arange(z.y.size) * 0.004
+    lined = residual(z.y + 0.4 * np.sin(2.0 * np.pi * 7.0 * t), z)
+    assert lined is not None
+    assert lined.peaks[0][0] == pytest.approx(7.0, abs=0.5)
+    # Parseval: the spectrum holds all of the errors' power
+    power = np.sum(lined.density) * (lined.frequency_hz[1] - lined.frequency_hz[0])
+    assert power == pytest.approx(lined.rms**2, rel=0.05)

@@ -9,17 +9,20 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import jsonschema
+import numpy as np
 import pytest
 
 from quad_sysid.model import GainProposal
 from quad_sysid.pipeline.answer import AxisAnswer
 from quad_sysid.report import document, plots, selection_tables, store, tables, text
-from quad_sysid.report.canvas import Picture, panels, svg
+from quad_sysid.report.canvas import MOST_POINTS, Picture, panels, svg, thinned
 from quad_sysid.report.html import page
 
 SCHEMA = json.loads(
     (Path(document.__file__).parent / 'report.schema.json').read_text(encoding='utf-8')
 )
+
+pytestmark = pytest.mark.xdist_group('rubbed')
 
 
 @pytest.fixture(scope='module')
@@ -140,11 +143,11 @@ def test_numbers_in_tick_labels_are_not_rounded():
 @pytest.mark.parametrize(
     'parts',
     [
-        {'closed_loop': None}, {'proposal': None}, {'rows': (), 'selected': None},
-        {'train': None}, {'selected': None}, {'attitude_reference': None, 'rate_reference': None},
+        {'closed_loop': None, 'proposal': None, 'attitude_reference': None,
+         'rate_reference': None},
+        {'rows': (), 'selected': None, 'proposal': GainProposal(None, 'too noisy')},
+        {'selected': None, 'train': None, 'segments': (), 'blackbox_error': None},
         {'judgement': None, 'closed_loop': None}, {'model': None, 'closed_loop': None},
-        {'discovery': None, 'judgement': None}, {'proposal': GainProposal(None, 'too noisy')},
-        {'segments': (), 'blackbox_error': None},
         {'discovery': None, 'judgement': None, 'model': None, 'rows': (), 'selected': None,
          'closed_loop': None, 'proposal': None, 'train': None, 'verdict': 'cannot_tell',
          'reason': 'too short'},
@@ -208,6 +211,77 @@ def test_matplotlib_is_loaded_only_when_something_is_drawn():
     subprocess.run([sys.executable, '-c', code], check=True)
 
 
-def test_page_is_the_same_for_the_same_answer(answers):
-    report = document.document(answers, ['bag'])
-    assert page(report, answers) == page(report, answers)
+def test_page_is_the_same_for_the_same_answer(answers, written):
+    report = document.document(answers, ['flights/<one>'])
+    assert page(report, answers) == (written / 'report.html').read_text()
+
+
+@pytest.fixture(scope='module')
+def tree(written) -> dict:
+    return json.loads((written / 'report.json').read_text())['axes']['roll']
+
+
+def test_friction_is_seen_in_what_the_base_leaves_and_gone_when_it_is_added(tree):
+    before, after = tree['residual']['before'], tree['residual']['after']
+    assert list(tree['residual']) == ['before', 'after', 'blackbox']
+    assert not before['uncorrelated_with_input']
+    left = [abs(one['largest_cross_correlation']['value']) for one in (after, before)]
+    assert left[0] < 0.5 * left[1]
+    assert after['rms'] < before['rms']
+    assert after['missing_torque']['rms'] < 0.7 * before['missing_torque']['rms']
+    assert before['missing_torque']['unit'] == 'rad/s²'
+    for one in tree['residual'].values():
+        assert one['samples'] > 1000
+        assert 0.0 <= one['p_white'] <= 1.0
+        assert abs(one['largest_cross_correlation']['value']) <= 1.0
+
+
+def test_the_picture_of_the_missing_torque_shows_the_friction_over_the_rate(answers):
+    """Points of the mean torque, 0.8 rad/s² against the rate: within a quarter away from zero."""
+    picture = plots.gallery(answers['roll']).pictures['effect_shape']
+    assert picture.labels == (('rate, rad/s', 'torque / inertia, rad/s²'),)
+    points = [box.lines[0].get_xydata() for box in picture.figure.axes[0].containers]
+    x, y = np.concatenate(points).T
+    away = np.abs(x) > 0.4
+    assert away.sum() >= 4
+    np.testing.assert_allclose(y[away], -0.8 * np.sign(x[away]), atol=0.2)
+
+
+def test_a_thinned_line_keeps_extremes_and_gaps():
+    n = 50_000
+    signal = np.sin(np.arange(n) * 0.01)
+    signal[12_345], signal[30_000:40_000] = 7.0, np.nan
+    time_s, values = thinned(np.arange(n) * 0.004, signal)
+    assert values.size <= MOST_POINTS + 2
+    assert np.nanmax(values) == 7.0
+    assert time_s[np.nanargmax(values)] == pytest.approx(12_345 * 0.004)
+    assert np.isnan(values).any()
+    assert np.all(np.diff(time_s) >= 0.0)
+
+
+SELECTION = {
+    'approaches': [
+        {'name': 'direct', 'possible': True, 'because': 'command and rate are recorded'},
+        {'name': 'indirect', 'possible': False, 'because': 'gains < unknown'},
+    ],
+    'feedback': True,
+    'table2': [
+        {'name': 'ARX 10 10 5', 'paper': {'prbs': 73.84, 'square': 80.15, 'train': 98.3,
+                                          'kept': True},
+         'fit_train_pct': 99.02, 'fit_validation_pct': {'prbs': 95.41, 'square': None},
+         'passed_first_step': True, 'because': ''},
+    ],
+    'roll_and_pitch': {'agree': True, 'because': 'bands overlap', 'model': None,
+                       'fit_validation_pct': {'roll': 91.26, 'pitch': None}},
+}
+
+
+def test_approaches_table_2_and_the_shared_model_are_told_where_they_are():
+    assert 'gains &lt; unknown' in selection_tables.approaches(SELECTION)
+    row = selection_tables.table2(SELECTION)
+    assert all(part in row for part in ('ARX 10 10 5 *', '99.0', '98.3', '95.4', '73.8', '80.2'))
+    told = selection_tables.shared(SELECTION)
+    assert 'roll 91.3 %' in told
+    assert 'pitch –' not in told
+    for part in ('approaches', 'table2', 'shared', 'residuals'):
+        assert getattr(selection_tables, part)({}) == ''

@@ -22,6 +22,7 @@ from quad_sysid.session import separation
 from quad_sysid.signals.schedule import parse_schedule
 
 SECONDS = 40.0
+pytestmark = pytest.mark.xdist_group('separation')
 
 
 def schedule_of(found: Separation):
