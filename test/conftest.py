@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parent))  # probe and node_process, for all tests
+sys.path.insert(0, str(Path(__file__).parent))  # probe, node_process, flight_controller
 
 from node_process import Started, node_command
 from probe import Probe
