@@ -33,6 +33,8 @@ from std_srvs.srv import Trigger
 from quad_bridge import ros_node
 from quad_bridge.errors import QuadBridgeError
 from quad_bridge.fence import Fence
+from quad_bridge.lockstep import IMU, SETPOINT, clock
+from quad_bridge.node_time import TimedNode, stamp_of
 from quad_bridge.qos import EVENT, STATE, STREAM
 from quad_sysid.bags.cdr import IMU, decode
 from quad_sysid.bags.orientation import euler_angles
@@ -52,19 +54,19 @@ LEAVE_S = 0.5
 LEVELS = {State.ENDING: DiagnosticStatus.WARN, State.ABORTED: DiagnosticStatus.ERROR}
 
 
-class ExcitationNode(Node):  # type: ignore[misc]
+class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
     """Topics, services and timers around one Player."""
 
     def __init__(self) -> None:
         super().__init__('excitation')
+        self.keep_time()
         self.fence = Fence(self.get_logger().error, then=self._fail)
         try:
             self._settings = declare(self)
         except QuadSysidError as error:
             raise QuadBridgeError(str(error)) from error
-        simulated = bool(self.get_parameter('use_sim_time').value)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._pace = self.get_clock() if simulated else steady  # it is not set back in flight
+        self._pace = self.get_clock() if self.simulated else steady  # it is not set back in flight
         settings = self._settings
         self._player = Player(settings.schedule, settings.limits, settings.ramp_out_s)
         self._setpoint = self.create_publisher(Vector3Stamped, 'excitation/setpoint', STREAM)
@@ -83,7 +85,7 @@ class ExcitationNode(Node):  # type: ignore[misc]
         self._refused = ''
         self._watch = CoverageWatch(settings.wanted) if settings.wanted is not None else None
         self._watched: int | None = None
-        sensor = qos_profile_sensor_data
+        sensor = STREAM if clock().simulated else qos_profile_sensor_data
         if self._watch is not None:  # each cycle counts
             self.create_subscription(Vector3Stamped, 'excitation/applied', self._watch.applied,
                                      STREAM, raw=True)
@@ -97,7 +99,7 @@ class ExcitationNode(Node):  # type: ignore[misc]
         period_s = 1.0 / settings.rate_hz
         self._timer = self.create_timer(period_s, self._tick, clock=self._pace)
         self._timer.cancel()
-        ros_node.steady_timer(self, 1.0, self._report)
+        self.create_timer(1.0, self._report, clock=steady)
         self.create_timer(0.1, self._try_autostart, clock=self._pace)
         self.get_logger().info(
             f'{settings.schedule.source}: {len(settings.schedule.parts)} segments, '
@@ -112,9 +114,10 @@ class ExcitationNode(Node):  # type: ignore[misc]
         return {State.DONE: 0, State.ABORTED: 1}.get(self._player.state)
 
     def _on_imu(self, raw: bytes) -> None:
-        self._imu, self._imu_time = raw, self._stall.awake_s(time.monotonic())
+        self._imu, self._imu_time = raw, self._stall.awake_s(clock().now_s())
         if self._watch is not None:
             self._watch.imu(raw)
+        clock().handled(IMU, stamp_of(raw))
 
     def _on_rc(self, message: Any) -> None:
         axes, switch = message.axes, self._settings.abort_axis
@@ -123,7 +126,7 @@ class ExcitationNode(Node):  # type: ignore[misc]
             abort_switch=axes[switch] if switch is not None and switch < len(axes) else None,
             failsafe=bool(len(message.buttons) and message.buttons[0]),
         )
-        self._rc_time = self._stall.awake_s(time.monotonic())
+        self._rc_time = self._stall.awake_s(clock().now_s())
 
     def _on_battery(self, message: Any) -> None:
         if math.isfinite(message.voltage):
@@ -131,7 +134,7 @@ class ExcitationNode(Node):  # type: ignore[misc]
 
     def _readings(self, *, decode_angles: bool) -> Readings:
         """Latest values, as the guard wants them."""
-        now = self._stall.awake_s(time.monotonic())
+        now = self._stall.awake_s(clock().now_s())
         if decode_angles and self._imu:
             angles = euler_angles(decode(IMU, [self._imu]).values[:, :5]).tolist()
             self._angles = tuple(angles[0]) if angles else None
@@ -150,7 +153,7 @@ class ExcitationNode(Node):  # type: ignore[misc]
     def _start(self) -> str:
         if not self._now_s():
             return 'time is simulated, and nothing comes on /clock'
-        began_s = time.monotonic()  # the first decoding takes its time, and so may the first tick
+        began_s = clock().now_s()  # the first decoding takes its time, and so may the first tick
         refused = self._player.start(self._now_s(), self._readings(decode_angles=True))
         if not refused:
             self._stall.begin(began_s)
@@ -183,7 +186,7 @@ class ExcitationNode(Node):  # type: ignore[misc]
     def _tick(self) -> None:
         stamp = self.get_clock().now().nanoseconds
         self._ticks += 1
-        self._stall.tick(time.monotonic())  # first: what waits to be received is not old
+        self._stall.tick(clock().now_s())  # first: what waits to be received is not old
         readings = self._readings(decode_angles=self._ticks % ANGLE_TICKS == 0)
         if self._stall.stood_still_s:
             self.get_logger().warning(
@@ -211,6 +214,7 @@ class ExcitationNode(Node):  # type: ignore[misc]
             message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 1_000_000_000)
             message.vector.x, message.vector.y, message.vector.z = tick.setpoint
             self._setpoint.publish(message)
+            clock().published(SETPOINT, stamp)
 
     def close(self) -> None:
         """Take the excitation back at once where it still runs, and see that it is delivered."""

@@ -15,6 +15,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
 
+from quad_bridge.lockstep import patience
 from quad_sysid.errors import BadInputError
 
 STATE = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -55,7 +56,7 @@ def publish(
         publisher = node.create_publisher(ParameterEvent, 'gains/update', 10)
 
         def spin(until: Any, seconds: float) -> bool:
-            end = time.monotonic() + seconds
+            end = time.monotonic() + patience(seconds)
             while not until() and time.monotonic() < end:
                 executor.spin_once(timeout_sec=0.1)
             return bool(until())
