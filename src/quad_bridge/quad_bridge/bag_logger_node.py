@@ -18,7 +18,7 @@ from std_srvs.srv import Trigger
 from quad_bridge import bag_writer, conversion, diagnostics, ros_node
 from quad_bridge.disk import MB, Budget, free_bytes
 from quad_bridge.errors import BadInputError, QuadBridgeError
-from quad_bridge.lockstep import IMU, clock
+from quad_bridge.lockstep import IMU_STREAM, clock
 from quad_bridge.managed_node import ManagedNode, relative
 from quad_bridge.node_time import stamp_of
 from quad_bridge.qos import EVENT, STATE, adapted, offered
@@ -182,7 +182,7 @@ class BagLogger(ManagedNode):
         for subscription, _ in self._subscribed.values():
             self.destroy_subscription(subscription)
         self._subscribed.clear()
-        clock().forget(IMU)
+        clock().forget(IMU_STREAM)
         self._gaps.clear()
         self._numbered.clear()
         status = recording.stop()
@@ -239,8 +239,8 @@ class BagLogger(ManagedNode):
                 qos = offered(self._offers(topic))
                 recording.declare(topic, TOPIC_TYPES[topic], qos)
             recording.put(topic, self._now_ns(), data)
-            if topic == IMU:
-                clock().handled(IMU, stamp_of(data))
+            if topic == IMU_STREAM:
+                clock().handled(IMU_STREAM, stamp_of(data))
 
         return receive
 

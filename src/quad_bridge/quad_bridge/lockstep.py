@@ -36,7 +36,7 @@ START_NS = 1_000_000_000_000
 """Simulated time at the STM32's boot: stamps are above 0, and no date is mistaken for today's."""
 WIRE = 'wire'
 """The stream of the virtual STM32 itself: bytes on the serial line."""
-IMU, SETPOINT = '/imu/data', '/excitation/setpoint'
+IMU_STREAM, SETPOINT_STREAM = '/imu/data', '/excitation/setpoint'
 RETRY_S = 0.05
 TOLD_S = 10.0
 """Whoever lets simulated time stand still for so long is named."""
@@ -321,20 +321,20 @@ class Line:
 
     def tell(self, now_ns: int) -> None:
         """Tell the time, before anything of that time is sent elsewhere."""
-        self._now_ns, self._since_s = now_ns, time.monotonic()
+        if now_ns > self._now_ns:
+            self._now_ns, self._since_s = now_ns, time.monotonic()
         published = {WIRE: now_ns}
         for member in self._members.values():
             published.update(member.published)
         text = json.dumps({'now': now_ns, 'published': published}) + '\n'
         for line in list(self._members):
-            try:
+            with contextlib.suppress(OSError):  # it has gone, which `attend` will notice
                 line.sendall(text.encode())
-            except OSError:
-                self._drop(line)
 
     def attend(self, wait_s: float, *others: int) -> None:
         """Take answers, and who comes and goes, for `wait_s` or until one of `others` has data."""
-        ready, _, _ = select.select([self._listener, *self._members, *others], [], [], wait_s)
+        lines: list[socket.socket | int] = [self._listener, *self._members, *others]
+        ready, _, _ = select.select(lines, [], [], wait_s)
         for one in ready:
             if one is self._listener:
                 self._members[self._listener.accept()[0]] = _Member(self._now_ns)
@@ -359,11 +359,11 @@ class Line:
     def _drop(self, line: socket.socket) -> None:
         del self._members[line]
         line.close()
+        self.tell(self._now_ns)  # what it published is waited for no more
 
     def close(self) -> None:
         """Hang up."""
-        for line in list(self._members):
-            self._drop(line)
-        self._listener.close()
+        for line in [*self._members, self._listener]:
+            line.close()
         with contextlib.suppress(OSError):
             self._path.unlink()

@@ -28,7 +28,7 @@ from quad_bridge.gain_services import GainServices
 from quad_bridge.gain_state import News, State
 from quad_bridge.host_time import NEVER_NS, HostTime
 from quad_bridge.link import Link
-from quad_bridge.lockstep import IMU, SETPOINT, START_NS, WIRE, clock
+from quad_bridge.lockstep import IMU_STREAM, SETPOINT_STREAM, START_NS, WIRE, clock
 from quad_bridge.managed_node import ManagedNode
 from quad_bridge.operator_enable import OperatorEnable
 from quad_bridge.operator_services import OperatorServices
@@ -219,7 +219,7 @@ class SerialBridge(ManagedNode):
             publish(message)
         if conversion.excited(frame):
             self._applied.publish(self._messages.excitation)
-        clock().published(IMU, stamp_ns)
+        clock().published(IMU_STREAM, stamp_ns)
         if self._told_time is not None:
             self._told_time.publish(ClockMessage(clock=self._messages.imu.header.stamp))
 
@@ -277,7 +277,7 @@ class SerialBridge(ManagedNode):
         if frame is not None:
             self._forward(frame)
         stamp = message.header.stamp
-        clock().handled(SETPOINT, stamp.sec * 1_000_000_000 + stamp.nanosec)
+        clock().handled(SETPOINT_STREAM, stamp.sec * 1_000_000_000 + stamp.nanosec)
 
     def _forward(self, frame: Any) -> None:
         with self._lock:

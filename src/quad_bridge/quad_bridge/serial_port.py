@@ -211,7 +211,7 @@ class SerialPort:
                 self._state = PortState.HUNG_UP
                 self._detail = 'its name leads to another device now, or to none'
                 return
-            elif clock().now_s() - heard_s > self._patience_s:
+            if clock().now_s() - heard_s > self._patience_s:
                 # half-open: a far end that went without a word, or the wrong one of several
                 self._patience_s = min(2.0 * self._patience_s, HALF_OPEN_S[1])
                 self._skip += 1

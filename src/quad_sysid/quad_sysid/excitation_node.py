@@ -33,7 +33,7 @@ from std_srvs.srv import Trigger
 from quad_bridge import ros_node
 from quad_bridge.errors import QuadBridgeError
 from quad_bridge.fence import Fence
-from quad_bridge.lockstep import IMU, SETPOINT, clock
+from quad_bridge.lockstep import IMU_STREAM, SETPOINT_STREAM, clock
 from quad_bridge.node_time import TimedNode, stamp_of
 from quad_bridge.qos import EVENT, STATE, STREAM
 from quad_sysid.bags.cdr import IMU, decode
@@ -117,7 +117,7 @@ class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
         self._imu, self._imu_time = raw, self._stall.awake_s(clock().now_s())
         if self._watch is not None:
             self._watch.imu(raw)
-        clock().handled(IMU, stamp_of(raw))
+        clock().handled(IMU_STREAM, stamp_of(raw))
 
     def _on_rc(self, message: Any) -> None:
         axes, switch = message.axes, self._settings.abort_axis
@@ -214,7 +214,7 @@ class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
             message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 1_000_000_000)
             message.vector.x, message.vector.y, message.vector.z = tick.setpoint
             self._setpoint.publish(message)
-            clock().published(SETPOINT, stamp)
+            clock().published(SETPOINT_STREAM, stamp)
 
     def close(self) -> None:
         """Take the excitation back at once where it still runs, and see that it is delivered."""

@@ -117,7 +117,8 @@ class Observer:
     ) -> None:
         """Spin until `condition()`; raises StageFailedError after `timeout_s`.
 
-        In lockstep nobody is hurried, and only `PATIENCE_S` ends it. `meanwhile` is called about ten times a second and may raise (a process that died).
+        In lockstep nobody is hurried, and only `PATIENCE_S` ends it. `meanwhile` is called about
+        ten times a second and may raise (a process that died).
         """
         timeout_s = max(timeout_s, PATIENCE_S) if self._clock.simulated else timeout_s
         deadline = time.monotonic() + timeout_s
