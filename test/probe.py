@@ -143,13 +143,15 @@ class Probe:
         kind = 'lifecycle_msgs/srv/ChangeState'
         return bool(self.call(f'{node}/change_state', kind, transition={'id': number}).success)
 
-    def until(self, condition: Callable[[], object], what: object = '') -> None:
+    def until(
+        self, condition: Callable[[], object], what: object = '', *, pause_s: float = 0.01
+    ) -> None:
         """Wait for a condition, however long a busy machine may take."""
         end_s = time.monotonic() + PATIENCE_S
         while not condition():
             assert not self._ended, f'the probe has ended: {self.words()[-2000:]}'
             assert time.monotonic() < end_s, f'never: {what}'
-            time.sleep(0.01)
+            time.sleep(pause_s)
 
     def words(self) -> str:
         """What the probe itself, or the middleware in it, has said on stderr."""

@@ -92,9 +92,13 @@ class Timer:
 
     period_ns: int
     callback: Callable[[], None]
+    now_ns: Callable[[], int]
     due_ns: int | None = None
     """None: cancelled, or created before time began."""
     cancelled: bool = False
+
+    def __post_init__(self) -> None:
+        self.reset()
 
     def cancel(self) -> None:
         """Stop until `reset`."""
@@ -102,7 +106,8 @@ class Timer:
 
     def reset(self) -> None:
         """Begin anew, one period from now."""
-        self.cancelled, self.due_ns = False, None
+        now_ns = self.now_ns()
+        self.cancelled, self.due_ns = False, now_ns + self.period_ns if now_ns else None
 
 
 class Participant(Clock):
@@ -123,7 +128,7 @@ class Participant(Clock):
         self._told: Mapping[str, int] = {}
         self._handled: dict[str, int] = {}
         self._published: dict[str, int] = {}
-        self._held = self._closed = False
+        self._held = self._closed = self._stepping = False
         self._answered = ''
         threading.Thread(target=self._run, name='lockstep', daemon=True).start()
 
@@ -133,7 +138,7 @@ class Participant(Clock):
 
     def timer(self, period_s: float, callback: Callable[[], None]) -> Timer:
         """Run `callback` every `period_s` of simulated time."""
-        timer = Timer(round(period_s * 1e9), callback)
+        timer = Timer(round(period_s * 1e9), callback, self.now_ns)
         with self._lock:
             self._timers.append(timer)
         return timer
@@ -152,6 +157,7 @@ class Participant(Clock):
                     timer.callback()
         finally:
             with self._lock:
+                self._stepping = False
                 rest = bool(self._coming)
                 self._answer()
             if rest:  # a callback failed
@@ -218,7 +224,8 @@ class Participant(Clock):
             self._told = published
             for stream in self._handled.keys() - published.keys():  # its publisher has gone
                 del self._handled[stream]
-            wake = bool(self._coming) or any(self._when(t, now_ns) <= now_ns for t in self._timers)
+            busy = self._stepping or bool(self._coming)
+            wake = busy or any(self._when(t, now_ns) <= now_ns for t in self._timers)
             if wake:
                 self._coming.append(now_ns)
             else:
@@ -237,6 +244,7 @@ class Participant(Clock):
 
     def _next(self) -> bool:
         with self._lock:
+            self._stepping = bool(self._coming)
             if not self._coming:
                 return False
             self._now_ns = self._coming.popleft()
@@ -301,6 +309,8 @@ class Line:
             raise BadInputError(f'--lockstep {path}', what) from error
         self._listener.listen()
         self._members: dict[socket.socket, _Member] = {}
+        self.published: dict[str, int] = {}
+        """How far the streams of this process itself are."""
         self._now_ns = START_NS
         self._since_s = time.monotonic()
 
@@ -323,9 +333,9 @@ class Line:
         """Tell the time, before anything of that time is sent elsewhere."""
         if now_ns > self._now_ns:
             self._now_ns, self._since_s = now_ns, time.monotonic()
-        published = {WIRE: now_ns}
+        published = {**self.published, WIRE: now_ns}
         for member in self._members.values():
-            published.update(member.published)
+            published |= member.published
         text = json.dumps({'now': now_ns, 'published': published}) + '\n'
         for line in list(self._members):
             with contextlib.suppress(OSError):  # it has gone, which `attend` will notice

@@ -6,7 +6,6 @@ Wiring only: signals, limits and states are in signals/, parameters in excitatio
 from __future__ import annotations
 
 import math
-import time
 from collections import deque
 from dataclasses import replace
 from pathlib import Path
@@ -33,7 +32,7 @@ from std_srvs.srv import Trigger
 from quad_bridge import ros_node
 from quad_bridge.errors import QuadBridgeError
 from quad_bridge.fence import Fence
-from quad_bridge.lockstep import IMU_STREAM, SETPOINT_STREAM, clock
+from quad_bridge.lockstep import IMU_STREAM, SETPOINT_STREAM, clock, patience
 from quad_bridge.node_time import TimedNode, stamp_of
 from quad_bridge.qos import EVENT, STATE, STREAM
 from quad_sysid.bags.cdr import IMU, decode
@@ -219,8 +218,9 @@ class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
     def close(self) -> None:
         """Take the excitation back at once where it still runs, and see that it is delivered."""
         self._cut('the node ends')
+        left = Duration(seconds=min(patience(LEAVE_S), 60.0))
         for publisher in (self._segment, self._setpoint, self._diagnostics):
-            publisher.wait_for_all_acked(Duration(seconds=LEAVE_S))
+            publisher.wait_for_all_acked(left)
 
     def _cut(self, reason: str) -> None:
         self._publish(self._player.cut(reason), self.get_clock().now().nanoseconds)
