@@ -119,7 +119,7 @@ def fly(axis: Axis, seed: int, plan: Plan | None = None) -> Record:
                     seen += 0.25 * h * seen_slope
     zero = np.zeros(n)
     return Record(
-        source=f'flight {seed}', dt=DT,
+        source=f'flight {seed}', dt=DT, t0_ns=10**18,
         rates=np.stack([rates, *axis.other_rates(times)], axis=1),
         control=np.stack([axis.throttle(times), commands, *axis.other_commands(times)], axis=1),
         angles=np.stack([angles, zero, zero], axis=1), battery_v=volts,

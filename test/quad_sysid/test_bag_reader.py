@@ -81,14 +81,6 @@ def regular(n: int = N) -> np.ndarray:
     return T0 + STEP * np.arange(n, dtype=np.int64)
 
 
-def refusal(path: Path) -> str:
-    with pytest.raises(BadInputError) as caught:
-        read_bag(path)
-    line = str(caught.value)
-    assert '\n' not in line
-    return line
-
-
 def record_or_line(path: Path) -> bool:
     """Whether the bag gave a record; where not, one line that names it."""
     try:
@@ -106,13 +98,20 @@ def record_or_line(path: Path) -> bool:
     ('storage', 'compression'),
     [
         ('mcap', 'none'), ('mcap', 'message'), ('mcap', 'file'), ('mcap', 'storage'),
-        ('sqlite3', 'none'), ('sqlite3', 'message'), ('sqlite3', 'file'),
+        ('sqlite3', 'none'), ('sqlite3', 'message'), ('sqlite3', 'file'), ('bare', 'message'),
     ],
 )
 def test_a_record_survives_every_storage(tmp_path, storage, compression):
     want = make_record()
-    path = write_bag(want, tmp_path / 'bag', BagOptions(storage, compression))
+    kind = storage.replace('bare', 'mcap')
+    path = write_bag(want, tmp_path / 'bag', BagOptions(kind, compression))
+    with pytest.raises(BadInputError, match='not overwritten'):
+        write_bag(want, path)
+    if storage == 'bare':
+        path = shutil.copy(path / 'bag.mcap', tmp_path / 'bare.mcap')
     got = read_bag(path)
+    with pytest.raises(ValueError, match='read-only'):
+        got.rates[0, 0] = 1.0
     assert got.dt == 0.004
     assert got.t0_ns == T0
     assert got.warnings == ()
@@ -127,18 +126,6 @@ def test_a_record_survives_every_storage(tmp_path, storage, compression):
     assert got.segments == want.segments
     assert got.gains == want.gains
     assert got.gains_at(2.5) == {'roll.angle.kp': 3.0, 'roll.rate.kp': 0.09}
-
-
-def test_arrays_of_a_record_are_read_only(tmp_path):
-    got = read_bag(write_bag(make_record(), tmp_path / 'bag'))
-    with pytest.raises(ValueError, match='read-only'):
-        got.rates[0, 0] = 1.0
-
-
-def test_a_bare_mcap_file_is_a_bag_also_with_compressed_messages(tmp_path):
-    bag = write_bag(make_record(), tmp_path / 'bag', BagOptions('mcap', 'message'))
-    bare = shutil.copy(bag / 'bag.mcap', tmp_path / 'bare.mcap')
-    np.testing.assert_array_equal(read_bag(bare).rates, make_record().rates)
 
 
 def test_without_motors_the_wrench_goes_through_the_mixer_and_its_limits(tmp_path):
@@ -184,24 +171,6 @@ def test_motors_are_taken_by_their_names():
     assert got.spoiled == 3
 
 
-def test_bulk_decoding_equals_rosbags_bit_for_bit(tmp_path):
-    from rosbags.rosbag2 import Reader
-
-    from quad_sysid.bags.cdr import WIDTH, _decode_one
-
-    bag = write_bag(make_record(200), tmp_path / 'bag')
-    seen = 0
-    with Reader(bag) as reader:
-        for connection, _, raw in reader.messages():
-            if connection.msgtype in WIDTH:
-                bulk = decode(connection.msgtype, [raw])
-                stamp, values = _decode_one(connection.msgtype, raw)
-                assert bulk.stamps[0] == stamp
-                np.testing.assert_array_equal(bulk.values[0], values)
-                seen += 1
-    assert seen > 1000
-
-
 @pytest.mark.parametrize('name', ['flight', 'second_flight'])
 def test_bags_of_somebody_else_are_read(name):
     bag = SHARED / 'independent' / name
@@ -227,83 +196,69 @@ def test_bags_of_somebody_else_are_read(name):
 # ---- stamps -----------------------------------------------------------------------------------
 
 
-def test_lost_cycles_are_gaps_and_never_invented(tmp_path):
-    keep = np.ones(N, dtype=bool)
-    keep[[100, 300, 301, 302]] = False
-    stamps = regular()[keep]
-    got = read_bag(write_imu(tmp_path / 'bag', stamps))
-    assert got.n == N
-    np.testing.assert_array_equal(np.isnan(got.rates[:, 0]), ~keep)
-    assert '4 of 1000 cycles lost' in '\n'.join(got.warnings)
-    assert len(got.axis('roll').segments) == 3
+def changed(function) -> np.ndarray:
+    """Regular stamps after `function` has worked on them."""
+    stamps = regular()
+    out = function(stamps)
+    return stamps if out is None else out
 
 
-def test_jitter_and_drift_of_the_stamps_do_not_lose_samples():
-    rng = np.random.default_rng(1)
-    n = 50_000
-    drift = 4_000_321.7 * np.arange(n) + 0.2 * STEP * rng.uniform(-1, 1, n)
-    grid = uniform_grid((T0 + drift).astype(np.int64), 'bag')
-    np.testing.assert_array_equal(grid.cells, np.arange(n))
-    assert grid.dt == 0.004
-    odd = uniform_grid((T0 + np.arange(5000) * 1e9 / 300).astype(np.int64), 'bag')
-    assert odd.dt == pytest.approx(1 / 300, rel=2e-4)
-
-
-def test_the_phase_may_change_in_a_long_gap():
-    stamps = np.concatenate((regular(500), regular(500) + 700 * STEP + STEP // 2))
-    grid = uniform_grid(stamps, 'bag')
-    assert np.diff(grid.cells).max() in (201, 202)
-    assert np.count_nonzero(np.diff(grid.cells) != 1) == 1
-
-
-def test_duplicate_stamps_keep_the_first(tmp_path):
-    stamps = np.repeat(regular(), np.where(np.arange(N) == 50, 3, 1))
-    got = read_bag(write_imu(tmp_path / 'bag', stamps))
-    want = imu_stream(stamps).values
-    assert got.n == N
-    np.testing.assert_array_equal(got.rates[50], want[50, 5:8])
-    np.testing.assert_array_equal(got.rates[51], want[53, 5:8])
-    assert '2 messages repeat a stamp' in '\n'.join(got.warnings)
-
-
-def test_swapped_messages_are_sorted_by_stamp():
-    stamps = regular(100)
-    stamps[[10, 11]] = stamps[[11, 10]]
-    grid = uniform_grid(stamps, 'bag')
-    assert grid.rows[10:12].tolist() == [11, 10]
-    assert '1 stamps run backward' in grid.warnings[0]
-
-
-def test_a_clock_set_back_keeps_the_longest_part():
-    stamps = np.concatenate((regular(700), regular(300) - 5_000_000_000))
-    grid = uniform_grid(stamps, 'bag')
-    assert grid.n == 700
-    assert 'set back' in grid.warnings[0]
-
-
-def test_a_lone_wild_stamp_does_not_cost_the_flight():
-    stamps = regular(500)
+def wild(stamps):
     stamps[200] += 86_400 * 10**9
     stamps[300] = 0
+
+
+def swapped(stamps):
+    stamps[[10, 11]] = stamps[[11, 10]]
+
+
+STAMPS = {
+    'lost cycles': (changed(lambda s: np.delete(s, [100, 300, 301, 302])), N, 4, ''),
+    'jitter and drift': (
+        (T0 + 4_000_321.7 * np.arange(20_000) + 0.2 * STEP * np.random.default_rng(1).uniform(
+            -1, 1, 20_000)).astype(np.int64), 20_000, 0, ''),
+    'another rate': ((T0 + np.arange(5000) * 1e9 / 300).astype(np.int64), 5000, 0, ''),
+    'a phase that changes in a long gap': (
+        np.concatenate((regular(500), regular(500) + 700 * STEP + STEP // 2)), 1201, 201, ''),
+    'repeated stamps': (
+        changed(lambda s: np.repeat(s, np.where(np.arange(N) == 50, 3, 1))), N, 0,
+        '2 messages repeat a stamp'),
+    'swapped messages': (changed(swapped), N, 0, '1 stamps run backward'),
+    'a clock set back': (
+        np.concatenate((regular(700), regular(300) - 5_000_000_000)), 700, 0, 'set back'),
+    'wild stamps': (changed(wild), N, 2, ''),
+}
+
+
+@pytest.mark.parametrize('case', STAMPS)
+def test_cycles_lie_where_their_stamps_say_and_lost_ones_are_gaps(case):
+    stamps, n, lost, words = STAMPS[case]
     grid = uniform_grid(stamps, 'bag')
-    assert grid.n == 500
-    assert len(grid.cells) == 498
+    assert grid.dt == pytest.approx(1 / 300 if case == 'another rate' else 0.004, rel=2e-4)
+    assert grid.n == pytest.approx(n, abs=n == 1201)
+    assert grid.n - len(grid.cells) == pytest.approx(lost, abs=n == 1201)
+    assert words in '\n'.join(grid.warnings)
+    assert np.all(np.diff(grid.cells) > 0)
+    assert np.all(np.diff(stamps[grid.rows]) > 0)
 
 
-def test_a_changed_rate_is_a_gap_with_a_warning():
+def test_lost_cycles_are_no_numbers_and_of_repeated_ones_the_first_counts(tmp_path):
+    stamps = np.repeat(np.delete(regular(), 100), np.where(np.arange(N - 1) == 50, 3, 1))
+    got, want = read_bag(write_imu(tmp_path / 'bag', stamps)), imu_stream(stamps).values[:, 5:8]
+    assert got.n == N
+    np.testing.assert_array_equal(np.flatnonzero(np.isnan(got.rates[:, 0])), [100])
+    np.testing.assert_array_equal(got.rates[50:52], want[[50, 53]])
+    assert '1 of 1000 cycles lost' in '\n'.join(got.warnings)
+    assert len(got.axis('roll').segments) == 2
+
+
+def test_a_changed_rate_is_a_gap_with_a_warning(tmp_path):
     fast = regular(2000)
-    slow = fast[-1] + 2 * STEP * np.arange(1, 401)
-    grid = uniform_grid(np.concatenate((fast, slow)), 'bag')
-    assert grid.dt == 0.004
-    assert abs(len(grid.cells) - 2000) <= 32
-    assert any('changes from 250 Hz to about 125 Hz at 7.9' in w for w in grid.warnings)
-
-
-def test_no_steady_rate_is_refused():
-    rng = np.random.default_rng(0)
-    slots = np.repeat(rng.uniform(1.0, 10.0, 60), 40)
-    with pytest.raises(BadInputError, match='no steady rate'):
-        uniform_grid(T0 + np.cumsum(slots * STEP).astype(np.int64), 'bag')
+    stamps = np.concatenate((fast, fast[-1] + 2 * STEP * np.arange(1, 401)))
+    got = read_bag(write_imu(tmp_path / 'bag', stamps))
+    assert got.dt == 0.004
+    assert abs(np.count_nonzero(np.isfinite(got.rates[:, 0])) - 2000) <= 32
+    assert any('changes from 250 Hz to about 125 Hz at 7.9' in w for w in got.warnings)
 
 
 def test_topics_at_other_stamps_go_to_the_nearest_cycle(tmp_path):
@@ -359,6 +314,79 @@ def test_an_orientation_that_was_not_measured_is_none(tmp_path, kind):
 # ---- damaged and foreign bags -----------------------------------------------------------------
 
 
+def test_any_cut_or_noise_gives_a_record_or_one_line(tmp_path):
+    whole = (write_bag(make_record(100), tmp_path / 'bag') / 'bag.mcap').read_bytes()
+    rng = np.random.default_rng(5)
+    spoiled, read = tmp_path / 'spoiled.mcap', 0
+    for length in sorted(rng.integers(0, len(whole), 60)):
+        spoiled.write_bytes(whole[:length])
+        read += record_or_line(spoiled)
+    assert read > 10
+    for _ in range(40):
+        data = bytearray(whole)
+        for place in rng.integers(8, len(data), 20):
+            data[place] = rng.integers(256)
+        spoiled.write_bytes(bytes(data))
+        record_or_line(spoiled)
+
+
+def test_metadata_that_is_missing_or_lists_too_much_is_told(tmp_path):
+    bag = write_bag(make_record(), tmp_path / 'bag')
+    file = bag / 'metadata.yaml'
+    file.write_text(file.read_text().replace('- bag.mcap', '- bag.mcap\n  - bag_1.mcap'))
+    assert 'bag_1.mcap' in '\n'.join(read_bag(bag).warnings)
+    file.unlink()
+    got = read_bag(bag)
+    assert got.n == N
+    assert 'metadata.yaml is missing' in got.warnings[0]
+
+
+NONE = {
+    'absent': (None, ('no such bag',)),
+    'empty.mcap': (b'', ('is empty',)),
+    'folder': ('', ('no storage file',)),
+    'table.csv': (b't,u\n0,1\n', ('quad-sysid import',)),
+    'notes.mcap': (b'hello, this is no bag', ('neither mcap nor sqlite3',)),
+    'broken.db3': (b'SQLite format 3\x00' + bytes(500), ('/imu/data', 'damaged sqlite3 file')),
+}
+
+
+@pytest.mark.parametrize('name', NONE)
+def test_what_is_no_bag_ends_in_one_line(tmp_path, refusal, name):
+    content, words = NONE[name]
+    path = tmp_path / name
+    if content == '':
+        path.mkdir()
+    elif content is not None:
+        path.write_bytes(content)
+    line = refusal(read_bag, path)
+    assert all(word in line for word in words), line
+
+
+UNEVEN = T0 + np.cumsum(
+    np.repeat(np.random.default_rng(0).uniform(1.0, 10.0, 60), 40) * STEP
+).astype(np.int64)
+
+
+@pytest.mark.parametrize(
+    ('topics', 'stamps', 'words'),
+    [
+        (('/imu/data',), regular(10), ('/motors/command', '/control/wrench')),
+        (('/control/wrench',), regular(10), ('/imu/data',)),
+        (('/imu/data', '/control/wrench'), regular(2), ('too few',)),
+        (('/imu/data', '/control/wrench'), UNEVEN, ('no steady rate',)),
+    ],
+)
+def test_a_bag_that_lacks_too_much_ends_in_one_line(tmp_path, refusal, topics, stamps, words):
+    streams = {
+        '/imu/data': imu_stream(stamps),
+        '/control/wrench': Stamped(stamps, np.zeros((len(stamps), 6))),
+    }
+    bag = write_streams(tmp_path / 'bag', {name: streams[name] for name in topics}, {})
+    line = refusal(read_bag, bag)
+    assert all(word in line for word in words), line
+
+
 @pytest.mark.parametrize('compression', ['none', 'storage', 'message'])
 def test_a_cut_off_mcap_gives_what_is_whole(tmp_path, compression):
     want = make_record(6000)
@@ -374,82 +402,6 @@ def test_a_cut_off_mcap_gives_what_is_whole(tmp_path, compression):
         np.testing.assert_array_equal(got.rates, want.rates[: got.n])
         assert 'cut off' in '\n'.join(got.warnings)
     assert previous > 0.6 * want.n
-
-
-def test_every_cut_gives_a_record_or_one_line(tmp_path):
-    whole = (write_bag(make_record(100), tmp_path / 'bag') / 'bag.mcap').read_bytes()
-    rng = np.random.default_rng(5)
-    cut = tmp_path / 'cut.mcap'
-    read = 0
-    for length in sorted(rng.integers(0, len(whole), 60)):
-        cut.write_bytes(whole[:length])
-        read += record_or_line(cut)
-    assert read > 10
-
-
-def test_noise_in_the_file_never_raises_anything_else(tmp_path):
-    whole = (write_bag(make_record(100), tmp_path / 'bag') / 'bag.mcap').read_bytes()
-    rng = np.random.default_rng(6)
-    spoiled = tmp_path / 'spoiled.mcap'
-    for _ in range(40):
-        data = bytearray(whole)
-        for place in rng.integers(8, len(data), 20):
-            data[place] = rng.integers(256)
-        spoiled.write_bytes(bytes(data))
-        record_or_line(spoiled)
-
-
-def test_a_directory_without_metadata_is_read_with_a_warning(tmp_path):
-    bag = write_bag(make_record(), tmp_path / 'bag', BagOptions('sqlite3'))
-    (bag / 'metadata.yaml').unlink()
-    got = read_bag(bag)
-    assert got.n == N
-    assert 'metadata.yaml is missing' in got.warnings[0]
-
-
-def test_a_listed_file_that_is_gone_is_told(tmp_path):
-    bag = write_bag(make_record(), tmp_path / 'bag')
-    text = (bag / 'metadata.yaml').read_text()
-    (bag / 'metadata.yaml').write_text(text.replace('- bag.mcap', '- bag.mcap\n  - bag_1.mcap'))
-    assert 'bag_1.mcap' in '\n'.join(read_bag(bag).warnings)
-
-
-def test_bags_that_are_none_end_in_one_line(tmp_path):
-    assert 'no such bag' in refusal(tmp_path / 'absent')
-    empty = tmp_path / 'empty.mcap'
-    empty.write_bytes(b'')
-    assert 'is empty' in refusal(empty)
-    (tmp_path / 'folder').mkdir()
-    assert 'no storage file' in refusal(tmp_path / 'folder')
-    foreign = tmp_path / 'table.csv'
-    foreign.write_text('t,u\n0,1\n')
-    assert 'quad-sysid import' in refusal(foreign)
-    text = tmp_path / 'notes.mcap'
-    text.write_text('hello, this is no bag')
-    assert 'neither mcap nor sqlite3' in refusal(text)
-    broken = tmp_path / 'broken.db3'
-    broken.write_bytes(b'SQLite format 3\x00' + bytes(500))
-    assert '/imu/data' in refusal(broken)
-    assert 'damaged sqlite3 file' in refusal(broken)  # why it is missing
-
-
-def test_missing_topics_end_in_one_line_with_the_topic(tmp_path):
-    stamps = regular(10)
-    only_imu = write_streams(tmp_path / 'a', {'/imu/data': imu_stream(stamps)}, {})
-    line = refusal(only_imu)
-    assert '/motors/command' in line
-    assert '/control/wrench' in line
-    wrench = Stamped(stamps, np.zeros((10, 6)))
-    no_imu = write_streams(tmp_path / 'b', {'/control/wrench': wrench}, {})
-    assert '/imu/data' in refusal(no_imu)
-    short = write_imu(tmp_path / 'c', stamps[:2])
-    assert 'too few' in refusal(short)
-
-
-def test_a_bag_is_never_overwritten(tmp_path):
-    bag = write_bag(make_record(10), tmp_path / 'bag')
-    with pytest.raises(BadInputError, match='not overwritten'):
-        write_bag(make_record(10), bag)
 
 
 def test_strange_segments_count_as_idle(tmp_path):
@@ -497,17 +449,12 @@ def test_spans_of_the_user_replace_the_bags_segments():
     ]
 
 
-def test_bad_spans_are_refused():
-    with pytest.raises(BadInputError, match='overlap'):
-        split_segments(make_record(), train=(1.0, 3.5))
-    with pytest.raises(BadInputError, match='after the end'):
-        split_segments(make_record(), train=(10.0, 12.0))
-    for text in ('5', '5:4', 'a:b', ':'):
-        if text == ':':
-            assert parse_span(text, '--train') == (0.0, float('inf'))
-        else:
-            with pytest.raises(BadInputError, match='--train'):
-                parse_span(text, '--train')
+def test_bad_spans_are_refused(refusal):
+    assert 'overlap' in refusal(split_segments, make_record(), train=(1.0, 3.5))
+    assert 'after the end' in refusal(split_segments, make_record(), train=(10.0, 12.0))
+    for text in ('5', '5:4', 'a:b'):
+        assert '--train' in refusal(parse_span, text, '--train')
+    assert parse_span(':', '--train') == (0.0, float('inf'))
     assert parse_span('5:45', '--train') == (5.0, 45.0)
 
 
@@ -527,7 +474,7 @@ def chunks_of(data: bytes) -> list[int]:
 @pytest.fixture(scope='module')
 def chunked(tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes, np.ndarray]:
     """An mcap file of many chunks, and the rates in it."""
-    bag = write_bag(make_record(60_000), tmp_path_factory.mktemp('b') / 'bag',
+    bag = write_bag(make_record(30_000), tmp_path_factory.mktemp('b') / 'bag',
                     BagOptions('mcap', 'storage'))  # fmt: skip
     return (bag / 'bag.mcap').read_bytes(), read_bag(bag).rates
 
@@ -621,7 +568,7 @@ def test_rows_that_are_no_messages_are_told(tmp_path):
     data = file.read_bytes()
     assert '3 rows are no messages' in '\n'.join(read_bag(bag).warnings)
     rng = np.random.default_rng(9)
-    for _ in range(30):
+    for _ in range(15):
         noisy = bytearray(data)
         for place in rng.integers(0, len(data), 30):
             noisy[place] = rng.integers(256)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from quad_sysid.bags import cdr
 from quad_sysid.bags.cdr import BATTERY, COLUMNS, IMU, JOINTS, MOTOR_NAMES, VECTOR, WRENCH
-from quad_sysid.bags.layout import LayoutError, layout_of, steps_of, typestore
+from quad_sysid.bags.layout import typestore
 
 TYPES = typestore().types
 TEXTS = st.sampled_from(['base_link', '', 'a', 'imu', 'böse', 'base_linkbase_link'])
@@ -128,7 +128,7 @@ def one_by_one(msgtype, raws):
 
 @pytest.mark.parametrize('msgtype', list(MESSAGES))
 def test_bulk_equals_one_by_one(msgtype):
-    @settings(max_examples=120, deadline=None, derandomize=True)
+    @settings(max_examples=60, deadline=None, derandomize=True)
     @given(serialised(msgtype))
     def check(raws):
         got = cdr.decode(msgtype, raws)
@@ -138,44 +138,6 @@ def test_bulk_equals_one_by_one(msgtype):
         np.testing.assert_array_equal(got.values.view(np.uint64), values.view(np.uint64))
 
     check()
-
-
-def test_the_numbers_of_a_message_lie_where_rosbags_puts_them():
-    names = [name for step in steps_of(IMU) for name in step.names]
-    assert names[:4] == ['header.stamp.sec', 'header.stamp.nanosec', 'header.frame_id',
-                         'orientation.x']  # fmt: skip
-    assert len(names) == 3 + 4 + 9 + 3 + 9 + 3 + 9
-    assert all(set(COLUMNS[kind]) <= {n for s in steps_of(kind) for n in s.names}
-               for kind in COLUMNS if kind != JOINTS)  # fmt: skip
-
-
-def test_a_type_with_messages_in_a_sequence_is_not_read_in_bulk():
-    with pytest.raises(LayoutError, match='sequence of messages'):
-        layout_of('diagnostic_msgs/msg/DiagnosticArray', b'\x00\x01\x00\x00' + bytes(40))
-
-
-def test_most_messages_of_many_layouts_are_read_without_the_slow_way(monkeypatch):
-    asked = []
-    slow = cdr._decode_one
-    monkeypatch.setattr(
-        cdr, '_decode_one', lambda kind, raw: (asked.append(raw), slow(kind, raw))[1]
-    )
-    raws = []
-    for i in range(300):
-        stamp = TYPES['builtin_interfaces/msg/Time'](sec=i, nanosec=0)
-        frame = ['base_link', 'imu', 'odometry!'][i % 3]
-        head = TYPES['std_msgs/msg/Header'](stamp=stamp, frame_id=frame)
-        names = list(MOTOR_NAMES) if i % 2 else list(MOTOR_NAMES[::-1])
-        message = TYPES[JOINTS](
-            header=head, name=names, position=np.zeros(0), velocity=np.zeros(i % 2),
-            effort=np.arange(4.0) + i,
-        )
-        raws.append(bytes(typestore().serialize_cdr(message, JOINTS)))
-    raws[10] = raws[10][:-1]
-    got = cdr.decode(JOINTS, raws)
-    assert (len(got.stamps), got.spoiled) == (299, 1)
-    assert got.values[:2].tolist() == [[3.0, 2.0, 1.0, 0.0], [1.0, 2.0, 3.0, 4.0]]
-    assert asked == [raws[10]]
 
 
 def test_signalling_not_a_numbers_keep_their_bits():

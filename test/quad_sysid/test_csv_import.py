@@ -245,7 +245,7 @@ def test_mixers(tmp_path):
     assert ordered.order == (2, 1, 0, 3)
     motors = np.array([0.1, 0.2, 0.3, 0.4])
     np.testing.assert_allclose(
-        ordered.matrix @ motors, control_from_motors(motors[[2, 1, 0, 3]][None])[0]
+        ordered.matrix @ motors, control_from_motors(motors[[2, 1, 0, 3]][None])[0], atol=1e-15
     )
     table = tmp_path / 'mixer.csv'
     table.write_text('motor_1,c\nmotor_2,b\nmotor_3,a\nmotor_4,d\n')
@@ -253,6 +253,7 @@ def test_mixers(tmp_path):
     for text, words in (
         ('[1, 2]', 'columns and matrix'), ('matrix: [[1, 2]]', '4 rows'),
         ('columns: {motor_1: c}', 'motor_2'), ('colums: {}', 'colums'), ('{', 'YAML'),
+        ('[' * 5000, 'is not YAML'), ('columns: ' + '9' * 5000, 'is not YAML'),
         ('columns: {motor_1: x, motor_2: b, motor_3: a, motor_4: d}', '--motors'),
     ):
         file.write_text(text)

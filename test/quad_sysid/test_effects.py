@@ -376,7 +376,8 @@ def check(case: Planted, answer, axis_type, flown, unseen_plan) -> None:
         assert effect.error_reduction_pct > 0.0
         total = effect.probability + sum(p for _, p in effect.rivals)
         assert total == pytest.approx(1.0, abs=1e-9)
-        assert effect.probability > 0.5
+        if effect.name in case.names[0]:  # a curve may refine it, and is less sure
+            assert effect.probability > 0.5
     gain = answer.model.value('gain')
     if named == {'battery_sag'}:  # its gain counts at its reference
         gain *= (12.0 / effects[0].settings['reference_v']) ** 2

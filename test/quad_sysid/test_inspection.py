@@ -43,7 +43,7 @@ def test_topics_gaps_limits_and_battery(bag, record):
     assert topics['/battery'].rate_hz == pytest.approx(10.0)
     assert topics['/excitation/segment'].rate_hz is None
     assert '/control/wrench' in held.topics.absent
-    assert held.lost_pct == pytest.approx(100.0 * 51 / record.n, abs=0.001)  # stamp 0 is none
+    assert held.lost_pct == pytest.approx(100.0 * 51 / record.n, abs=0.001)
     assert held.longest_gap_s == pytest.approx(51 * record.dt)
     assert held.motors_at_limit_pct == pytest.approx((10.0, 0.0, 0.0, 0.0), abs=0.02)
     assert held.battery.first == pytest.approx(12.4, abs=0.01)

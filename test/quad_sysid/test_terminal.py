@@ -9,7 +9,6 @@ import sys
 
 import pytest
 
-from quad_sysid.bags import write_bag
 from quad_sysid.cli import main
 from quad_sysid.report import text
 
@@ -56,17 +55,9 @@ def test_help_loads_no_numerics():
     subprocess.run([sys.executable, '-c', source], check=True, timeout=60)
 
 
-@pytest.fixture(scope='module')
-def bag(flown, axis_type, plan_type, tmp_path_factory):
-    record = flown(axis_type(), 5, plan_type(
-        24.0, (('train', 'prbs', 0.0, 14.0), ('validation', 'prbs', 14.0, 24.0)),
-    ))
-    return write_bag(record, tmp_path_factory.mktemp('terminal') / 'flight')
-
-
-def test_text_fits_80_columns_and_is_plain(bag, tmp_path, capsys):
+def test_text_fits_80_columns_and_is_plain(plain_bag, tmp_path, capsys):
     out = tmp_path / 'out'
-    assert main(['identify', str(bag), '--no-effects', '--table2', '--out', str(out)]) == 0
+    assert main(['identify', str(plain_bag), '--no-effects', '--table2', '--out', str(out)]) == 0
     told = capsys.readouterr()
     lines = told.out.splitlines()
     assert max(map(len, lines[:-1])) <= 80
@@ -84,8 +75,8 @@ def test_text_fits_80_columns_and_is_plain(bag, tmp_path, capsys):
     assert max(map(len, text.lines(report))) <= 80
 
 
-def test_several_bags_apart_and_one_bad_among_them(bag, tmp_path, capsys):
-    arguments = ['identify', str(bag), str(tmp_path / 'none'), '--apart', '--no-effects',
+def test_several_bags_apart_and_one_bad_among_them(plain_bag, tmp_path, capsys):
+    arguments = ['identify', str(plain_bag), str(tmp_path / 'none'), '--apart', '--no-effects',
                  '--out', str(tmp_path / 'out')]
     assert main(arguments) == 0
     told = capsys.readouterr()
