@@ -1,18 +1,14 @@
 """A far end made of pymavlink's `common` dialect: what the bridge makes of standard messages."""
 
-import contextlib
 import math
-import os
-import select
 import signal
 import subprocess
 import sys
-import threading
 import time
-import tty
 
 import numpy as np
 import pytest
+from flight_controller import Line, Port, Pty
 from pymavlink.dialects.v20 import common
 from rosbags.highlevel import AnyReader
 
@@ -34,15 +30,16 @@ class Autopilot:
         self.ears = common.MAVLink(None)
         self.ears.robust_parsing = True
         self.only, self.sync, self.asked = only, sync, {}
-        self.heard = []
+        self.heard, self.step = [], 0
 
     def pack(self, message):
         self.mav.seq = (self.mav.seq + 1) % 256
         return bytes(message.pack(self.mav))
 
-    def stream(self, step, now_us):
-        """Bytes of one step of 4 ms."""
-        out = b''
+    def cycle(self):
+        """Bytes of the coming step of 4 ms."""
+        step, self.step, out = self.step, self.step + 1, b''
+        now_us = 4000 * self.step
         if step % 250 == 0:
             out += self.pack(common.MAVLink_heartbeat_message(2, 3, 128, 0, 4, 3))
             health = (1, 1, 1, 100, 11_800, 250, 77, 0, 0, 0, 0, 0, 0)
@@ -75,12 +72,12 @@ class Autopilot:
             ),
         }  # fmt: skip
 
-    def answer(self, data, now_us):
+    def receive(self, data, now_ns):
         out = b''
         for message in self.ears.parse_buffer(data) or []:
             self.heard.append(message.get_type())
             if message.get_type() == 'TIMESYNC' and message.tc1 == 0 and self.sync:
-                out += self.pack(common.MAVLink_timesync_message(1000 * now_us, message.ts1))
+                out += self.pack(common.MAVLink_timesync_message(now_ns, message.ts1))
             elif message.get_type() == 'COMMAND_LONG':
                 assert message.command == SET_MESSAGE_INTERVAL
                 name = NAMES[int(message.param1)]
@@ -94,19 +91,10 @@ class Autopilot:
         return out
 
 
-def converse(peer, seconds, link=None):
-    link = link or Link()
-    link.opened()
-    out = []
-    for step in range(round(250 * seconds)):
-        now_us = 4000 * (step + 1)
-        now_ns = HOST0_NS + 1000 * now_us
-        out += link.receive(peer.stream(step, now_us), now_ns)
-        if step % 12 == 0:
-            link.tick(now_ns)
-        while data := link.drain():
-            out += link.receive(peer.answer(data, now_us + 100), now_ns + 200_000)
-    return link, out
+def converse(peer, seconds):
+    line = Line(peer, host0_ns=HOST0_NS)
+    line.fly(seconds)
+    return line.link, line.out
 
 
 def kinds(out):
@@ -215,32 +203,6 @@ REFUSED = 'refused: the far end has no QUAD_GAINS'
 MISSING = 'without QUAD_CYCLE there is no /control/wrench'
 
 
-class Port(threading.Thread):
-    """The peer behind a pseudo-terminal, in real time."""
-
-    def __init__(self, link, peer):
-        super().__init__(daemon=True)
-        self.peer, self.stopping = peer, threading.Event()
-        self.master, self.slave = os.openpty()
-        tty.setraw(self.slave)
-        os.set_blocking(self.master, False)
-        link.symlink_to(os.ttyname(self.slave))
-
-    def run(self):
-        begin_s, step = time.monotonic(), 0
-        while not self.stopping.is_set():
-            pause = begin_s + 0.004 * step - time.monotonic()
-            data = b''
-            if select.select([self.master], [], [], max(pause, 0.0))[0]:
-                now_us = int(1e6 * (time.monotonic() - begin_s))
-                data = self.peer.answer(os.read(self.master, 4096), now_us)
-            if pause <= 0.0:
-                data += self.peer.stream(step, 4000 * step)
-                step += 1
-            with contextlib.suppress(BlockingIOError):
-                os.write(self.master, data)
-
-
 @pytest.fixture
 def start(ros_domain):
     del ros_domain
@@ -288,7 +250,7 @@ def await_in_bag(folder):
 
 def test_the_node_publishes_what_it_can_and_says_what_is_missing(tmp_path, start):
     pytest.importorskip('rclpy', reason='needs ROS 2')
-    port = Port(tmp_path / 'tty', Autopilot())
+    port = Port(Autopilot(), Pty(tmp_path / 'tty'))
     port.start()
     logger = start('bag_logger', f'folder:={tmp_path}', 'autostart:=true')
     bridge = start('serial_bridge', f'port:={tmp_path / "tty"}')
@@ -296,8 +258,7 @@ def test_the_node_publishes_what_it_can_and_says_what_is_missing(tmp_path, start
     for process in (bridge, logger):
         process.send_signal(signal.SIGINT)
         assert process.wait(timeout=WAIT_S) == 0
-    port.stopping.set()
-    port.join()
+    port.close()
     found = read(next(tmp_path.glob('flight_*')))
     for topic in PUBLISHED:
         assert len(found.get(topic, [])) > 5, topic

@@ -5,10 +5,10 @@ import os
 import socket
 import threading
 import time
-import tty
 from types import SimpleNamespace
 
 import pytest
+from flight_controller import Pty
 
 from quad_bridge import serial_port
 from quad_bridge.serial_port import PortState, SerialPort
@@ -27,27 +27,9 @@ def until(condition):
     return True
 
 
-class Line:
-    """A pseudo-terminal behind a link with a fixed name, as an adapter that can be unplugged."""
-
-    def __init__(self, path):
-        self.path = path
-        self.plug()
-
-    def plug(self):
-        self.master, self.slave = os.openpty()
-        tty.setraw(self.slave)
-        self.path.symlink_to(os.ttyname(self.slave))
-
-    def unplug(self):
-        self.path.unlink()
-        os.close(self.slave)
-        os.close(self.master)
-
-
 @pytest.fixture
 def line(tmp_path):
-    return Line(tmp_path / 'tty')
+    return Pty(tmp_path / 'tty')
 
 
 class Ears:
@@ -79,7 +61,7 @@ def start():
 
 
 def test_bytes_arrive_and_leave(line, start):
-    port, ears = start(line.path)
+    port, ears = start(line.link)
     assert until(lambda: port.status.state is PortState.OPEN)
     os.write(line.master, b'hello')
     assert until(lambda: ears.data == b'hello')
@@ -92,22 +74,22 @@ def test_a_port_that_does_not_exist_is_waited_for(tmp_path, start):
     assert until(lambda: port.status.state is PortState.NOT_THERE)
     assert not port.write(b'lost')
     assert port.status.dropped_writes == 1
-    line = Line(tmp_path / 'tty')
+    line = Pty(tmp_path / 'tty')
     assert until(lambda: port.status.state is PortState.OPEN)
     os.write(line.master, b'x')
     assert until(lambda: ears.data == b'x')
 
 
 def test_a_busy_port_is_named_so_and_taken_when_free(line, start):
-    with os.fdopen(os.open(line.path, os.O_RDWR | os.O_NOCTTY), 'rb', buffering=0) as other:
+    with os.fdopen(os.open(line.link, os.O_RDWR | os.O_NOCTTY), 'rb', buffering=0) as other:
         fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        port, _ = start(line.path)
+        port, _ = start(line.link)
         assert until(lambda: port.status.state is PortState.BUSY)
     assert until(lambda: port.status.state is PortState.OPEN)
 
 
 def test_hang_up_and_replug_under_the_same_name(line, start):
-    port, ears = start(line.path)
+    port, ears = start(line.link)
     assert until(lambda: port.status.state is PortState.OPEN)
     line.unplug()
     assert until(lambda: port.status.state in {PortState.HUNG_UP, PortState.NOT_THERE})
@@ -122,11 +104,11 @@ def test_a_pattern_finds_the_adapter_under_another_name(tmp_path, start):
     port, ears = start(tmp_path / 'ttyACM*')
     assert until(lambda: port.status.state is PortState.NOT_THERE)
     assert 'nothing matches' in port.status.detail
-    first = Line(tmp_path / 'ttyACM0')
+    first = Pty(tmp_path / 'ttyACM0')
     assert until(lambda: port.status.state is PortState.OPEN)
     first.unplug()
     assert until(lambda: port.status.state is PortState.NOT_THERE)
-    second = Line(tmp_path / 'ttyACM1')
+    second = Pty(tmp_path / 'ttyACM1')
     assert until(lambda: port.status.state is PortState.OPEN)
     assert port.status.path == str(tmp_path / 'ttyACM1')
     os.write(second.master, b'here')
@@ -135,9 +117,9 @@ def test_a_pattern_finds_the_adapter_under_another_name(tmp_path, start):
 
 def test_a_link_that_leads_elsewhere_is_followed_though_nothing_has_hung_up(line, start):
     """As /dev/serial/by-id after a re-enumeration that left the old device half-open."""
-    port, ears = start(line.path)
+    port, ears = start(line.link)
     assert until(lambda: port.status.state is PortState.OPEN)
-    line.path.unlink()
+    line.link.unlink()
     line.plug()  # the old pty stays open, and silent
     assert until(lambda: ears.opened == 2)
     os.write(line.master, b'new')
@@ -146,8 +128,8 @@ def test_a_link_that_leads_elsewhere_is_followed_though_nothing_has_hung_up(line
 
 def test_a_silent_one_of_several_is_left_for_the_next(tmp_path, start, monkeypatch):
     monkeypatch.setattr(serial_port, 'HALF_OPEN_S', (0.3, 60.0))
-    Line(tmp_path / 'ttyACM0')
-    talking = Line(tmp_path / 'ttyACM1')
+    Pty(tmp_path / 'ttyACM0')
+    talking = Pty(tmp_path / 'ttyACM1')
     port, ears = start(tmp_path / 'ttyACM*')
     assert until(lambda: port.status.path.endswith('1'))
     os.write(talking.master, b'x')
@@ -156,7 +138,7 @@ def test_a_silent_one_of_several_is_left_for_the_next(tmp_path, start, monkeypat
 
 def test_a_silent_port_is_opened_anew_ever_less_often(line, start, monkeypatch):
     monkeypatch.setattr(serial_port, 'HALF_OPEN_S', (0.05, 1e9))
-    port, ears = start(line.path)
+    port, ears = start(line.link)
     assert until(lambda: ears.opened == 3)
     os.write(line.master, b'x')
     assert until(lambda: ears.data == b'x')
@@ -180,7 +162,7 @@ def test_a_file_that_is_no_terminal_is_said_to_be_unusable(tmp_path, start):
 
 
 def test_a_peer_that_does_not_read_costs_writes_and_not_the_node(line, start):
-    port, _ = start(line.path)
+    port, _ = start(line.link)
     assert until(lambda: port.status.state is PortState.OPEN)
     assert until(lambda: not port.write(bytes(4096)))
     assert port.status.dropped_writes >= 1
@@ -207,7 +189,7 @@ def written(port, writes):
 
 
 def test_no_write_waits_for_a_terminal_whose_output_is_full(line, start):
-    port, _ = start(line.path)
+    port, _ = start(line.link)
     assert until(lambda: port.status.state is PortState.OPEN)
     assert written(port, 2000)  # 120 KB, where 20 KB have room
     dropped = port.status.dropped_writes
@@ -257,7 +239,7 @@ def test_what_opens_after_the_stop_is_not_announced(monkeypatch):
 
 
 def test_stop_ends_the_thread_at_once(line):
-    port = SerialPort(str(line.path), 921600, lambda _: None)
+    port = SerialPort(str(line.link), 921600, lambda _: None)
     port.start()
     assert until(lambda: port.status.state is PortState.OPEN)
     port.stop()
