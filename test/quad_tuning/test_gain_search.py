@@ -22,18 +22,19 @@ def problem_of(m, axis='roll', **needs):
 
 @pytest.mark.parametrize('values', [{}, {'gain': 850.0, 'lag': 0.08, 'delay': 0.012}])
 def test_random_starts_end_at_the_optimum_or_above_it(model, values):
-    """8 starts drawn from where the nominal loop is stable: none ends lower by 0.1 %.
+    """8 starts drawn from where all loops are stable, many far outside the margins.
 
-    Some get stuck where the margins fold, and say so; those that do not end within 1 %.
+    None ends lower by 0.1 %, most within 1 %: SLSQP ends where a step wins less than 1e-4,
+    and one search in eight gets stuck where a margin moves from one frequency to another.
     """
     problem = problem_of(model(**values))
     best = searches.search(problem).points[0][0]
     drawn = np.random.default_rng(3).uniform(0.05, 0.95, (200, 5))
-    starts = [x for x in drawn if not problem.nominal.unstable(problem.gains(x)).any()][:8]
+    starts = [x for x in drawn if not problem.ensemble.unstable(problem.gains(x)).any()][:8]
     ends = [searches._polish(problem, x) for x in starts]
     reached = np.array([end[0] for end in ends if end is not None])
-    assert reached.size >= 2
-    assert np.all((reached > 0.999 * best) & (reached < 1.01 * best))
+    assert np.all(reached > 0.999 * best)
+    assert np.sum(reached < 1.01 * best) >= 5
 
 
 @pytest.mark.parametrize('values', [{}, {'gain': 260.0, 'lag': 0.075, 'delay': 0.012}])
