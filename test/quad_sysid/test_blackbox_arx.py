@@ -5,7 +5,20 @@ import math
 import numpy as np
 import pytest
 
-from quad_sysid.blackbox import Model, arx, delay_estimate, polynomial_model, search_arx, simulate
+from quad_sysid.blackbox import (
+    Model,
+    armax,
+    arx,
+    bj,
+    clriv,
+    delay_estimate,
+    iv4,
+    n4sid,
+    oe,
+    polynomial_model,
+    search_arx,
+    simulate,
+)
 from quad_sysid.blackbox.filters import filter_signal
 from quad_sysid.blackbox.studies import Study, reference_study, table3_study
 from quad_sysid.errors import BadInputError
@@ -137,6 +150,15 @@ def test_model_names_parameters_and_converts():
         (lambda z: search_arx(z, 2, 2, range(-1, 3)), 'nk'),
         (lambda z: search_arx(z, 2, 2, 1, 'best'), 'criterion'),
         (lambda z: arx(IOData(np.sin(0.1 * np.arange(2000)), z.y, z.dt), 0, 8, 1), 'excite'),
+        (lambda z: armax(z, 2, 2, -1, 1), 'nc'),
+        (lambda z: oe(z, 2, 2, -1), 'nk'),
+        (lambda z: bj(z, 2, 2, 2, 2.0, 1), 'nf'),
+        (lambda z: iv4(z, 2, 0, 1), 'nb'),
+        (lambda z: iv4(z, 2, 2, 1, instrument=np.ones(3)), 'instrument'),
+        (lambda z: clriv(z, 2, 2, 2, 2, 1), 'reference'),
+        (lambda z: n4sid(z, 0), 'order'),
+        (lambda z: bj(IOData(z.u[:12], z.y[:12], z.dt), 2, 2, 2, 2, 1), 'too few samples'),
+        (lambda z: oe(IOData(0 * z.u, z.y, z.dt), 2, 2, 1), 'u is constant'),
         (lambda _: polynomial_model([0, 0], dt=0.1), 'B'),
         (lambda _: polynomial_model([0, 1], A=[2.0], dt=0.1), 'A'),
         (lambda _: polynomial_model([0, 1], dt=-0.1), 'dt'),

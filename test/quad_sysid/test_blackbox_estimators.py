@@ -331,28 +331,6 @@ def test_a_fit_without_standard_errors_says_so():
     assert any('no standard errors' in told for told in model.warnings)
 
 
-@pytest.mark.parametrize(
-    ('call', 'named'),
-    [
-        (lambda z: armax(z, 2, 2, -1, 1), 'nc'),
-        (lambda z: oe(z, 2, 2, -1), 'nk'),
-        (lambda z: bj(z, 2, 2, 2, 2.0, 1), 'nf'),
-        (lambda z: iv4(z, 2, 0, 1), 'nb'),
-        (lambda z: iv4(z, 2, 2, 1, instrument=np.ones(3)), 'instrument'),
-        (lambda z: clriv(z, 2, 2, 2, 2, 1), 'reference'),
-        (lambda z: n4sid(z, 0), 'order'),
-        (lambda z: bj(IOData(z.u[:12], z.y[:12], z.dt), 2, 2, 2, 2, 1), 'too few samples'),
-        (lambda z: oe(IOData(0 * z.u, z.y, z.dt), 2, 2, 1), 'u is constant'),
-    ],
-)
-def test_bad_input_names_the_argument(call, named):
-    rng = np.random.default_rng(0)
-    z = IOData(rng.standard_normal(300), rng.standard_normal(300), 0.1)
-    with pytest.raises(BadInputError, match=named) as caught:
-        call(z)
-    assert '\n' not in str(caught.value)
-
-
 def drifting_flight(samples: int = 3600) -> IOData:
     """An axis that nearly integrates, its command's sign turned, as a table of 9 digits has it."""
     rng = np.random.default_rng(0)
