@@ -72,14 +72,17 @@ def quaternion_ned(angles: np.ndarray) -> np.ndarray:
 
 
 def ulog(path: Path, topics: dict, parameters: dict, drop=()) -> Path:
-    """Topics {name: {field: values}}, all floats but the first, timestamp."""
+    """Topics {name: {field: values}}, floats or arrays of them, all but the first, timestamp."""
     out = [b'ULog\x01\x12\x35\x01' + struct.pack('<Q', 1)]
 
     def add(kind: bytes, body: bytes) -> None:
         out.append(struct.pack('<Hc', len(body), kind) + body)
 
     for name, columns in topics.items():
-        fields = ''.join(f'float {f};' for f in columns if f != 'timestamp')
+        fields = ''.join(
+            f'float{f"[{v.shape[1]}]" if v.ndim > 1 else ""} {f};'
+            for f, v in columns.items() if f != 'timestamp'
+        )
         add(b'F', f'{name}:uint64_t timestamp;{fields}'.encode())
     for name, value in parameters.items():
         key = f'{"int32_t" if isinstance(value, int) else "float"} {name}'.encode()
@@ -98,20 +101,19 @@ def ulog(path: Path, topics: dict, parameters: dict, drop=()) -> Path:
     return path
 
 
+FRD = np.array([1.0, -1.0, -1.0])
+"""From our body axes to PX4's and ArduPilot's, and back."""
+
+
 def px4_topics(flight: Flight) -> dict:
     stamps = 2_000_000 + DT_US * np.arange(N)
     by_place = flight.thrusts()
-    q = quaternion_ned(flight.angles)
+    places = ('front right', 'rear left', 'front left', 'rear right')
     return {
-        'vehicle_angular_velocity': {
-            'timestamp': stamps, 'xyz0': flight.rates[:, 0], 'xyz1': -flight.rates[:, 1],
-            'xyz2': -flight.rates[:, 2],
-        },
-        'vehicle_attitude': {'timestamp': stamps, **{f'q{i}': q[:, i] for i in range(4)}},
+        'vehicle_angular_velocity': {'timestamp': stamps, 'xyz': flight.rates * FRD},
+        'vehicle_attitude': {'timestamp': stamps, 'q': quaternion_ned(flight.angles)},
         'actuator_motors': {
-            'timestamp': stamps, 'control0': by_place['front right'],
-            'control1': by_place['rear left'], 'control2': by_place['front left'],
-            'control3': by_place['rear right'],
+            'timestamp': stamps, 'control': np.column_stack([by_place[p] for p in places]),
         },
         'battery_status': {'timestamp': stamps, 'voltage_v': flight.volts},
     }
@@ -132,20 +134,7 @@ def write_px4(path: Path, flight: Flight, parameters: dict, change=None, drop=()
     topics = px4_topics(flight)
     if change:
         change(topics)
-    raw = ulog(path, topics, parameters, drop).read_bytes()
-    # the fields of arrays are declared as arrays: float xyz0;float xyz1;float xyz2; is float[3]
-    for name, count in (('xyz', 3), ('q', 4), ('control', 4)):
-        old = ''.join(f'float {name}{i};' for i in range(count)).encode()
-        new = f'float[{count}] {name};'.encode()
-        at = raw.find(old)
-        while at >= 0:
-            start = raw.rfind(b'F', 0, raw.rfind(b':', 0, at))
-            size = struct.unpack('<H', raw[start - 2:start])[0] - len(old) + len(new)
-            raw = (raw[:start - 2] + struct.pack('<H', size) + raw[start:at] + new
-                   + raw[at + len(old):])
-            at = raw.find(old)
-    path.write_bytes(raw)
-    return path
+    return ulog(path, topics, parameters, drop)
 
 
 def test_px4_motors_angles_and_battery(flight, tmp_path):
@@ -168,12 +157,10 @@ def test_px4_gains_in_our_unit_where_torque_was_logged_too(flight, tmp_path):
     def with_torque(topics):
         stamps = topics['vehicle_attitude']['timestamp']
         topics['vehicle_torque_setpoint'] = {
-            'timestamp': stamps, 'xyz0': flight.control[:, 1] / 0.25,
-            'xyz1': -flight.control[:, 2] / 0.25, 'xyz2': -flight.control[:, 3] / 0.125,
+            'timestamp': stamps, 'xyz': FRD * flight.control[:, 1:] / [0.25, 0.25, 0.125],
         }
         topics['vehicle_thrust_setpoint'] = {
-            'timestamp': stamps, 'xyz0': 0 * flight.t, 'xyz1': 0 * flight.t,
-            'xyz2': -flight.control[:, 0],
+            'timestamp': stamps, 'xyz': flight.control[:, :1] * [0.0, 0.0, -1.0],
         }
 
     parameters = {'MC_ROLL_P': 6.5, 'MC_ROLLRATE_P': 0.15, 'MC_ROLLRATE_K': 2.0,
@@ -194,8 +181,7 @@ def test_px4_torque_alone_is_the_input_in_its_own_unit(flight, tmp_path):
         del topics['actuator_motors']
         topics['actuator_controls_0'] = {
             'timestamp': topics['vehicle_attitude']['timestamp'],
-            'control0': flight.control[:, 1], 'control1': -flight.control[:, 2],
-            'control2': -flight.control[:, 3], 'control3': flight.control[:, 0],
+            'control': np.column_stack([flight.control[:, 1:] * FRD, flight.control[:, 0]]),
         }
 
     path = write_px4(tmp_path / 'log.ulg', flight, {'MC_PITCHRATE_P': 0.1}, without_motors)
@@ -244,7 +230,7 @@ def ardupilot_messages(flight: Flight) -> dict:
     pulse = {place: 1000.0 + 1000.0 * value for place, value in by_place.items()}
     roll, pitch, yaw = deg(flight.angles[:, 0]), -deg(flight.angles[:, 1]), \
         np.mod(90.0 - deg(flight.angles[:, 2]), 360.0)
-    p, q, r = deg(flight.rates * [1.0, -1.0, -1.0]).T
+    p, q, r = deg(flight.rates * FRD).T
     return {
         'RATE': (
             ('TimeUS', 'RDes', 'R', 'ROut', 'PDes', 'P', 'POut', 'YDes', 'Y', 'YOut', 'AOut'),
