@@ -153,7 +153,7 @@ def test_a_bag_cut_off_anywhere_gives_all_that_is_whole(tmp_path, compression, c
     assert counts == sorted(counts)
     assert counts[-1] == 300
     # more comes back where more is left: to the message, or to the chunk where it is compressed
-    assert len(set(counts)) > (count // 2 if compression == 'none' else 2)
+    assert len(set(counts)) > (count // 3 if compression == 'none' else 2)
 
 
 def test_the_summary_says_how_much_was_lost(tmp_path, capsys):

@@ -119,6 +119,9 @@ HARMLESS = {
        lambda d, k=k, at=at: flipped(d, positions(d, MESSAGE_INDEX)[k][0] + at, 0x21))
        for k in (0, 9) for at in (0, 3, 9, 20)},
     'an index with bytes missing': (('none', False), short_index),
+    # the length of that chunk, read a byte too late, looks like a footer
+    'an index with a byte missing before chunk 6': (('lz4', True, False),
+       lambda d: d[: chunk(d, 6)[0] - 100] + d[chunk(d, 6)[0] - 99 :]),
     'an end within the data': (('none', True), end_within),
     'statistics': (('none', True),
        lambda d: flipped(d, positions(d, STATISTICS)[0][0] + RECORD.size + 1, 0x40)),
@@ -208,6 +211,8 @@ def only_damaged_chunks_are_lost(tmp_path, bag, rng):
     data, ledger = bag
     noisy, places = harmed(data, rng)
     damaged, got = read(tmp_path, noisy)
+    if damaged.doubtful_names:  # they stand in a damaged chunk alone, and recover says so
+        ledger, got = ([('', *m[1:]) for m in messages] for messages in (ledger, got))
     missing = Counter(ledger) - Counter(got)
     may_go = {
         m for k, (begin, end) in enumerate(positions(data, CHUNK))

@@ -73,47 +73,38 @@ def test_a_free_spin_decays_exponentially_on_the_rig_and_only_about_the_free_axi
     assert not rates[:, [i for i in range(3) if i != index]].any()
 
 
-def test_a_torque_free_body_keeps_its_angular_momentum_and_energy_while_it_tumbles():
-    profile = quiet_profile(Effects(inertia_coupling=InertiaCoupling(enabled=True)), mount='hover')
-    aircraft = coasting(profile, (3.0, -2.0, 4.0))
-    inertia = np.array(profile.airframe.inertia_kg_m2)
+def spinning(momentum):
+    return GyroscopicCoupling(enabled=True, rotor_scale=0.0, extra_momentum_nm_s=momentum)
+
+
+@pytest.mark.parametrize(
+    ('rates', 'spin', 'cycles'), [((3.0, -2.0, 4.0), 0.0, 1250), ((1.0, 0.5, 0.2), 0.05, 750)]
+)
+def test_a_torque_free_body_keeps_its_angular_momentum_and_energy_while_it_tumbles(
+    rates, spin, cycles
+):
+    """With the spinning part's momentum, which does no work."""
+    effects = Effects(inertia_coupling=InertiaCoupling(enabled=True))
+    if spin:
+        effects = replace(effects, gyroscopic_coupling=spinning(spin))
+    profile = quiet_profile(effects, mount='hover')
+    aircraft = coasting(profile, rates)
+    inertia, extra = np.array(profile.airframe.inertia_kg_m2), np.array([0.0, 0.0, spin])
     state = aircraft.machine.state
-    momentum = inertia * state[RATES : RATES + 3]
-    energy = float(momentum @ state[RATES : RATES + 3])
-    log = aircraft.run(inputs(1250, aircraft, armed=False))
-    after = world_vector(state[QUAT : QUAT + 4], inertia * state[RATES : RATES + 3])
-    assert np.ptp(log[:, COLUMNS['true_rates']], axis=0).min() > 0.04
+    momentum = inertia * state[RATES : RATES + 3] + extra
+    energy = inertia @ state[RATES : RATES + 3] ** 2
+    log = aircraft.run(inputs(cycles, aircraft, armed=False))
+    after = world_vector(state[QUAT : QUAT + 4], inertia * state[RATES : RATES + 3] + extra)
+    turned = np.ptp(log[:, COLUMNS['true_rates']], axis=0)
+    assert turned[: 2 if spin else 3].min() > 0.04
     assert after == pytest.approx(momentum, abs=1e-8)
     assert inertia @ state[RATES : RATES + 3] ** 2 == pytest.approx(energy, rel=1e-8)
 
 
-def test_gyroscopic_coupling_conserves_momentum_with_the_spinning_part_and_does_no_work():
-    effects = Effects(
-        inertia_coupling=InertiaCoupling(enabled=True),
-        gyroscopic_coupling=GyroscopicCoupling(
-            enabled=True, rotor_scale=0.0, extra_momentum_nm_s=0.05
-        ),
-    )
-    profile = quiet_profile(effects, mount='hover')
-    aircraft = coasting(profile, (1.0, 0.5, 0.2))
-    inertia, spin = np.array(profile.airframe.inertia_kg_m2), np.array([0.0, 0.0, 0.05])
-    state = aircraft.machine.state
-    momentum = inertia * state[:3] + spin
-    energy = inertia @ state[:3] ** 2
-    aircraft.run(inputs(750, aircraft, armed=False))
-    after = world_vector(state[QUAT : QUAT + 4], inertia * state[:3] + spin)
-    assert after == pytest.approx(momentum, abs=1e-8)
-    assert inertia @ state[:3] ** 2 == pytest.approx(energy, rel=1e-8)
-
-
 def test_gyroscopic_terms_of_roll_and_pitch_have_opposite_signs():
-    effects = Effects(
-        gyroscopic_coupling=GyroscopicCoupling(
-            enabled=True, rotor_scale=0.0, extra_momentum_nm_s=0.01
-        )
-    )
-    pitching = coasting(quiet_profile(effects, mount='hover'), (0.0, 1.0, 0.0))
-    rolling = coasting(quiet_profile(effects, mount='hover'), (1.0, 0.0, 0.0))
+    effects = Effects(gyroscopic_coupling=spinning(0.01))
+    profile = quiet_profile(effects, mount='hover')
+    pitching, rolling = (coasting(profile, rates) for rates in ((0.0, 1.0, 0.0), (1.0, 0.0, 0.0)))
     for aircraft in (pitching, rolling):
         aircraft.run(inputs(1, aircraft, armed=False))
     # eqs. (4), (5): -(h/Ix) q about roll, +(h/Iy) p about pitch
