@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from probe import PATIENCE_S
+from rosbags.highlevel import AnyReader
 
 STARTS = {
     'serial_bridge': 'quad_bridge.start',
@@ -24,9 +25,11 @@ STARTS = {
 """Programs by name, and where `ros2 run` would begin."""
 
 
-def node_command(name: str, namespace: str = '', **parameters: object) -> list[str]:
-    """The command that starts a node with these parameters; False stands for false."""
-    words = []
+def node_command(
+    name: str, namespace: str = '', files: Sequence[object] = (), **parameters: object
+) -> list[str]:
+    """The command that starts a node with these parameter files and parameters."""
+    words = [str(word) for file in files for word in ('--params-file', file)]
     for key, value in parameters.items():
         text = str(value).lower() if isinstance(value, bool) else str(value)
         words += ['-p', f'{key}:={text}']
@@ -38,6 +41,17 @@ def program(name: str) -> list[str]:
     """The beginning of the command of a program of the suite."""
     code = f'import sys; from {STARTS[name]} import {name} as start; sys.exit(start())'
     return [sys.executable, '-c', code]
+
+
+def recorded(bag: Path, *topics: str) -> dict[str, list[Any]]:
+    """The messages of a bag by topic: of these, or of all."""
+    found: dict[str, list[Any]] = {topic: [] for topic in topics}
+    with AnyReader([bag]) as reader:
+        wanted = [c for c in reader.connections if not topics or c.topic in topics]
+        for connection, _, raw in reader.messages(wanted):
+            message = reader.deserialize(raw, connection.msgtype)
+            found.setdefault(connection.topic, []).append(message)
+    return found
 
 
 class Started:

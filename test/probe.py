@@ -70,6 +70,14 @@ class Probe:
         self._do('listen', topic=topic, kind=kind or kind_of(topic), reliable=reliable)
         return heard
 
+    def diagnostics(self, name: str, key: str = '') -> str:
+        """The last message under this name in /diagnostics, or a value of it; empty before."""
+        heard = self._heard.get('topic /diagnostics')
+        found = entries(self.listen('/diagnostics') if heard is None else heard).get(name)
+        if found is None:
+            return ''
+        return str(found.values.get(key, '') if key else found.message)
+
     def deafen(self, topic: str) -> None:
         """Listen to the topic no longer."""
         self._do('deafen', topic=topic)

@@ -1,243 +1,161 @@
 """The logger as a process: every storage, killed and restarted, its budget, what it refuses."""
 
-import os
 import shutil
 import signal
-import subprocess
-import sys
-import time
 
 import pytest
-
-pytest.importorskip('rclpy', reason='needs ROS 2')
-import rclpy
-from geometry_msgs.msg import Vector3Stamped
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.qos import QoSProfile
+from node_process import recorded
+from probe import entries, stamp
 from rosbags.highlevel import AnyReader
-from rosgraph_msgs.msg import Clock
-from std_msgs.msg import String
-from std_srvs.srv import Trigger
 
 from quad_bridge.recover import recover
 from quad_sysid.bags.storage import Storage
 
-START = 'from quad_bridge.bag_logger_node import main; main()'
 TOPICS = ('/setpoint/attitude', '/setpoint/rates', '/excitation/setpoint', '/excitation/applied')
-WAIT_S = 60.0
-BURST = 400
-LOST_S = 1.0
-"""What a kill may cost."""
+RECORDING = 'bag_logger: recording'
+LOST, WRITTEN = 'messages lost (middleware)', 'messages written'
 
 
 @pytest.fixture
-def environment(ros_domain):
-    del ros_domain
-    return dict(os.environ)
+def logger(start, tmp_path):
+    """A function that starts a logger that records at once."""
 
+    def begin(**settings):
+        known = {'folder': tmp_path, 'autostart': True, 'topics': list(TOPICS)}
+        return start('bag_logger', **{**known, **settings})
 
-@pytest.fixture
-def logger(environment):
-    started = []
-
-    def start(folder, **settings):
-        given = {'folder': folder, 'autostart': 'true', **settings}
-        arguments = [a for name, value in given.items() for a in ('-p', f'{name}:={value}')]
-        command = [sys.executable, '-c', START, '--ros-args', *arguments]
-        process = subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True)
-        started.append(process)
-        return process
-
-    yield start
-    for process in started:
-        process.kill()
-        process.wait()
-        process.stderr.close()
+    return begin
 
 
 class Load:
-    """Publishes numbered messages on four topics."""
+    """Numbered messages on four topics."""
 
-    def __init__(self):
-        self.context = rclpy.Context()
-        rclpy.init(context=self.context)
-        self.node = rclpy.create_node('load', context=self.context)
-        qos = QoSProfile(depth=1000)
-        self.publishers = [self.node.create_publisher(Vector3Stamped, t, qos) for t in TOPICS]
-        self.message = Vector3Stamped()
-        self.message.header.frame_id = 'base_link'
-        self.count = 0
-        self.moments = []
-        """When how many had been published."""
+    def __init__(self, probe):
+        self.probe, self.count = probe, 0
 
-    def wait(self):
-        end_s = time.monotonic() + WAIT_S
-        while any(p.get_subscription_count() < 1 for p in self.publishers):
-            assert time.monotonic() < end_s
-            time.sleep(0.05)
+    def publish(self, number):
+        """So many more, in turn on all topics."""
+        first, self.count = self.count, self.count + number
+        for k, topic in enumerate(TOPICS):
+            self.probe.publish(
+                topic,
+                *(
+                    {'header': stamp(0), 'vector': {'x': n}}
+                    for n in range(first + k, self.count, 4)
+                ),
+            )
 
-    def wait_for_logger(self):
-        end_s = time.monotonic() + WAIT_S
-        while 'bag_logger' not in self.node.get_node_names():
-            assert time.monotonic() < end_s
-            time.sleep(0.05)
+    def arrive(self, number):
+        """Publish so many, no more at once than the middleware holds, and await them."""
+        for part in range(0, number, 3600):
+            self.publish(min(3600, number - part))
+            self.probe.until(lambda: self.written + self.lost == self.count)
 
-    def run(self, seconds, rate):
-        begin_s, first = time.monotonic(), self.count
-        while (passed := time.monotonic() - begin_s) < seconds:
-            # what this process had no time for is left out, not sent in one burst
-            first = min(first, self.count + BURST - int(passed * rate))
-            while self.count - first < passed * rate:
-                self.message.vector.x = float(self.count)
-                self.publishers[self.count % len(TOPICS)].publish(self.message)
-                self.count += 1
-            self.moments.append((time.monotonic(), self.count))
-            time.sleep(0.002)
+    @property
+    def written(self):
+        """What the logger says it has written of the load."""
+        return int(self.probe.diagnostics(RECORDING, WRITTEN) or 0)
 
-    def close(self):
-        self.node.destroy_node()
-        rclpy.shutdown(context=self.context)
+    @property
+    def lost(self):
+        return int(self.probe.diagnostics(RECORDING, LOST) or 0)
 
 
 @pytest.fixture
-def load(environment):
-    del environment
-    load = Load()
-    yield load
-    load.close()
+def load(probe):
+    return Load(probe)
+
+
+def bags(folder):
+    return [bag for bag in folder.glob('flight_*') if '2001' not in bag.name]
 
 
 def numbers_in(bag):
-    with AnyReader([bag]) as reader:
-        chosen = [c for c in reader.connections if c.topic in TOPICS]
-        return [reader.deserialize(raw, c.msgtype).vector.x for c, _, raw in
-                reader.messages(chosen)]  # fmt: skip
+    return sorted(m.vector.x for messages in recorded(bag, *TOPICS).values() for m in messages)
 
 
 @pytest.mark.parametrize(
     'settings', [{'storage': 'sqlite3'}, {'compression': 'lz4', 'split_s': 1}]
 )
-def test_four_thousand_messages_a_second_come_into_the_bag(tmp_path, logger, load, settings):
-    process = logger(tmp_path, **settings)
-    load.wait()
-    time.sleep(0.5)
-    load.run(3.0, 4000)
-    time.sleep(0.5)
-    process.send_signal(signal.SIGINT)
-    assert process.wait(timeout=WAIT_S) == 0
-    (bag,) = tmp_path.glob('flight_*')
-    assert sorted(numbers_in(bag)) == [float(k) for k in range(load.count)]
+def test_what_is_published_comes_into_the_bag(tmp_path, probe, logger, load, settings):
+    process = logger(**settings)
+    probe.meet(*TOPICS)
+    load.arrive(4000)
+    (bag,) = bags(tmp_path)
+    while 'split_s' in settings and len(list(bag.iterdir())) < 3:
+        load.arrive(40)
+    assert process.end() == 0
+    assert numbers_in(bag) == list(range(load.count))
     parts = len(list(bag.iterdir())) - 1  # beside metadata.yaml
-    assert parts >= 3 if 'split_s' in settings else parts == 1
+    assert parts > 2 if 'split_s' in settings else parts == 1
     with AnyReader([bag]) as reader:
         qos = {c.topic: c.ext.offered_qos_profiles for c in reader.connections}
     assert [q.reliability.name for q in qos['/setpoint/rates']] == ['RELIABLE']
 
 
-def test_what_the_middleware_loses_is_counted_to_the_last_message(tmp_path, logger, load):
-    process = logger(tmp_path)
-    load.wait()
-    time.sleep(0.3)
-    load.run(0.5, 1000)
-    process.send_signal(signal.SIGSTOP)  # a machine that has no time for the logger
-    load.run(3.0, 4000)
-    process.send_signal(signal.SIGCONT)
-    time.sleep(1.0)
-    load.run(2.5, 1000)
-    time.sleep(1.5)
-    process.send_signal(signal.SIGINT)
-    assert process.wait(timeout=WAIT_S) == 0
-    (bag,) = tmp_path.glob('flight_*')
-    found = len(numbers_in(bag))
-    with AnyReader([bag]) as reader:
-        chosen = [c for c in reader.connections if c.topic == '/diagnostics']
-        *_, last = (reader.deserialize(raw, c.msgtype) for c, _, raw in reader.messages(chosen))
-    told = {v.key: v.value for v in last.status[0].values}
-    assert found < load.count - 1000
-    assert int(told['messages lost (middleware)']) == load.count - found
-    assert last.status[0].message == f'recording, {load.count - found} messages lost'
+def test_what_the_middleware_loses_is_counted_to_the_last_message(tmp_path, probe, logger, load):
+    process = logger()
+    probe.meet(*TOPICS)
+    load.arrive(400)
+    process.send(signal.SIGSTOP)  # a machine that has no time for the logger
+    load.publish(12_000)
+    process.send(signal.SIGCONT)
+    probe.until(lambda: load.written > 400)
+    while load.written + load.lost < load.count:  # what is lost shows by what comes after it
+        load.publish(4)
+        heard = len(probe.listen('/diagnostics'))
+        probe.until(lambda heard=heard: len(probe.listen('/diagnostics')) > heard + 2)
+    assert process.end() == 0
+    (bag,) = bags(tmp_path)
+    lost = load.count - len(numbers_in(bag))
+    assert lost > 1000
+    assert load.lost == lost
+    assert probe.diagnostics(RECORDING) == f'recording, {lost} messages lost'
 
 
-def test_a_killed_logger_leaves_a_bag_that_is_read_and_recovered(tmp_path, logger, load):
-    process = logger(tmp_path)
-    load.wait()
-    time.sleep(0.3)
-    load.run(3.0, 1500)
-    last_s = time.monotonic() - LOST_S
+def test_a_killed_logger_leaves_a_bag_that_is_read_and_recovered(tmp_path, probe, logger, load):
+    process = logger()
+    probe.meet(*TOPICS)
+    load.publish(3600)
+    probe.until(lambda: bags(tmp_path) and stored(bags(tmp_path)[0])[0] == 3600)
+    load.publish(400)
     process.kill()
-    process.wait()
-    published = max(count for moment_s, count in load.moments if moment_s < last_s)
-    assert published > 1000
-    (bag,) = tmp_path.glob('flight_*')
-    storage = Storage(bag, TOPICS)
-    read = sum(len(raws) for batch in storage.batches() for raws in batch.values())
-    assert 'metadata.yaml is missing' in storage.warnings[0]
-    result = recover(bag)
-    got = sorted(numbers_in(result.path))
+    (bag,) = bags(tmp_path)
+    read, warnings = stored(bag)
+    assert 'metadata.yaml is missing' in warnings[0]
+    got = numbers_in(recover(bag).path)
     assert len(got) == read
-    assert got[:published] == [float(k) for k in range(published)]
+    assert got[:3600] == list(range(3600))
 
 
-def test_after_a_recording_that_failed_the_logger_records_the_next(tmp_path, logger, load):
-    process = logger(tmp_path)
-    load.wait()
-    load.run(1.0, 1000)
-    (lost,) = tmp_path.glob('flight_*')
+def stored(bag):
+    """How many messages a reader finds, and what it warns of."""
+    storage = Storage(bag, TOPICS)
+    return sum(len(r) for batch in storage.batches() for r in batch.values()), storage.warnings
+
+
+def test_after_a_recording_that_failed_the_logger_records_the_next(tmp_path, probe, logger, load):
+    process = logger()
+    probe.meet(*TOPICS)
+    load.arrive(400)
+    (lost,) = bags(tmp_path)
     shutil.rmtree(lost)
-    client = load.node.create_client(Trigger, '/bag_logger/start')
-    executor = SingleThreadedExecutor(context=load.context)
-    executor.add_node(load.node)
-    started, end_s = False, time.monotonic() + WAIT_S
-    while not started and time.monotonic() < end_s:  # refused as long as the first one records
-        answer = client.call_async(Trigger.Request())
-        executor.spin_until_future_complete(answer, timeout_sec=5.0)
-        started = answer.result() is not None and answer.result().success
-        time.sleep(0.2)
-    executor.shutdown()
-    assert started
-    load.wait()
-    load.run(1.0, 1000)
-    time.sleep(0.5)
-    process.send_signal(signal.SIGINT)
-    assert process.wait(timeout=WAIT_S) == 0
-    said = process.stderr.read()
-    assert 'was removed or renamed; the bag is gone, unless it was moved' in said
-    assert 'Traceback' not in said
-    (bag,) = tmp_path.glob('flight_*')
-    assert len(numbers_in(bag)) > 500
+    process.says('was removed or renamed; the bag is gone, unless it was moved')
+    # refused as long as the first one records
+    probe.until(lambda: probe.call('/bag_logger/start').success)
+    (bag,) = bags(tmp_path)
+    probe.until(lambda: probe.diagnostics(RECORDING, 'path') == str(bag))
+    load.count = 0
+    load.arrive(400)
+    assert process.end() == 0
+    assert 'Traceback' not in process.said
+    assert numbers_in(bag) == list(range(400))
 
 
-@pytest.mark.parametrize(
-    ('settings', 'text'),
-    [
-        ({'reserve_mb': 1_000_000}, 'MB of free disk for a flight'),
-        ({'disk_budget_mb': 100}, 'exceed the disk budget'),
-        ({'storage': 'sqlite3', 'compression': 'lz4'}, 'lz4 exists in mcap only'),
-        ({'split_mb': -1}, 'split_mb'),
-        ({'folder': '/proc/nowhere', 'reserve_mb': 0}, 'cannot write a bag here'),
-        ({'prefix': 300 * 'a'}, 'File name too long'),
-    ],
-)
-def test_what_cannot_be_recorded_ends_the_node_with_one_line(tmp_path, logger, settings, text):
-    process = logger(**{'folder': tmp_path, **settings})
-    assert process.wait(timeout=WAIT_S) == 2
-    error = process.stderr.read()
-    assert error.count('\n') == 1
-    assert text in error
-    assert not list(tmp_path.glob('flight_*'))
-
-
-def test_a_start_that_fails_is_answered_with_its_reason(tmp_path, logger, load):
-    process = logger(tmp_path, prefix=300 * 'a', autostart='false')
-    client = load.node.create_client(Trigger, '/bag_logger/start')
-    assert client.wait_for_service(timeout_sec=WAIT_S)
-    executor = SingleThreadedExecutor(context=load.context)
-    executor.add_node(load.node)
-    answer = client.call_async(Trigger.Request())
-    executor.spin_until_future_complete(answer, timeout_sec=WAIT_S)
-    executor.shutdown()
-    assert not answer.result().success
-    assert 'File name too long' in answer.result().message
+def test_a_start_that_fails_is_answered_with_its_reason(probe, logger):
+    process = logger(prefix=300 * 'a', autostart=False)
+    answer = probe.call('/bag_logger/start')
+    assert (answer.success, 'File name too long' in answer.message) == (False, True)
     assert process.poll() is None
 
 
@@ -247,52 +165,36 @@ def test_the_oldest_bags_make_room_where_the_settings_say_so(tmp_path, logger):
         bag.mkdir()
         (bag / 'data.mcap').write_bytes(bytes(10_000_000))
         (bag / 'metadata.yaml').write_text('')
-    settings = {'disk_budget_mb': 40, 'reserve_mb': 15, 'delete_oldest': 'true'}
-    process = logger(tmp_path, **settings)
-    end_s, bags = time.monotonic() + WAIT_S, []
-    while not bags and time.monotonic() < end_s:
-        time.sleep(0.05)
-        bags = [b for b in tmp_path.glob('flight_*') if '2001' not in b.name]
-    process.send_signal(signal.SIGINT)
-    assert process.wait(timeout=WAIT_S) == 0
-    assert 'deleted the oldest bag' in process.stderr.read()
-    assert sorted(b.name[:15] for b in tmp_path.glob('flight_2001*')) == [
-        'flight_20010101', 'flight_20010102',
-    ]  # fmt: skip
-    assert len(bags) == 1
+    process = logger(disk_budget_mb=40, reserve_mb=15, delete_oldest=True)
+    process.says('deleted the oldest bag')
+    process.until(lambda: bags(tmp_path))
+    assert process.end() == 0
+    assert [(tmp_path / f'flight_2001010{i}_000000').exists() for i in range(3)] == [0, 1, 1]
+    assert len(bags(tmp_path)) == 1
 
 
-def test_a_publisher_of_another_type_is_told_by_name(tmp_path, logger, load):
-    other = load.node.create_publisher(String, '/rc/in', 10)
-    process = logger(tmp_path)
-    load.wait()
-    told = next(line for line in process.stderr if 'which is not recorded' in line)
-    assert '/rc/in: a publisher has type std_msgs/msg/String' in told
-    assert 'sensor_msgs/msg/Joy' in told
-    load.node.destroy_publisher(other)
+def test_a_publisher_of_another_type_is_told_by_name(probe, logger):
+    probe.advertise('/rc/in', 'std_msgs/msg/String')
+    process = logger(topics=['/rc/in'])
+    process.says('/rc/in: a publisher has type std_msgs/msg/String, which is not recorded; '
+                 'the contract has sensor_msgs/msg/Joy')  # fmt: skip
 
 
-def test_two_loggers_of_one_folder_record_both(tmp_path, logger, load):
-    processes = [logger(tmp_path) for _ in range(3)]  # at the same moment
-    load.wait()
+def test_loggers_of_one_folder_record_all(tmp_path, logger):
+    processes = [logger() for _ in range(3)]  # at the same moment
     for process in processes:
-        assert any('recording: ' in line for line in process.stderr)
-        process.send_signal(signal.SIGINT)
-        assert process.wait(WAIT_S) == 0
-    assert [(bag / 'metadata.yaml').is_file() for bag in tmp_path.glob('flight_*')] == 3 * [True]
+        process.says('recording: ')
+        assert process.end() == 0
+    assert [(bag / 'metadata.yaml').is_file() for bag in bags(tmp_path)] == 3 * [True]
 
 
-def test_simulated_time_that_nobody_tells_is_waited_for(tmp_path, logger, load):
-    process = logger(tmp_path, use_sim_time='true')
-    load.wait_for_logger()
-    load.run(2.0, 100)  # two reports
-    assert list(tmp_path.glob('flight_*')) == []
-    clock = load.node.create_publisher(Clock, '/clock', 10)
-    end_s, told = time.monotonic() + WAIT_S, Clock()
-    while not list(tmp_path.glob('flight_*')) and time.monotonic() < end_s:
-        told.clock.sec += 1
-        clock.publish(told)
-        time.sleep(0.05)
-    process.send_signal(signal.SIGINT)
-    assert process.wait(timeout=WAIT_S) == 0
-    assert len(list(tmp_path.glob('flight_*'))) == 1
+def test_simulated_time_that_nobody_tells_is_waited_for(tmp_path, probe, logger):
+    process = logger(use_sim_time=True)
+    told = probe.listen('/diagnostics')
+    probe.until(lambda: len(told) > 1)
+    assert 'nothing comes on /clock' in entries(told)['bag_logger: clock'].message
+    assert bags(tmp_path) == []
+    probe.publish('/clock', {'clock': {'sec': 5}}, every_s=0.05)
+    probe.until(lambda: bags(tmp_path))
+    assert process.end() == 0
+    assert len(bags(tmp_path)) == 1
