@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import re
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
+from probe import event, stamp
 
 from quad_bridge.monitor.coverage import BAND, Pairs, coverage, needed_s, reachable
 from quad_bridge.monitor.view import WIDTH, Entry, State, call, lines, wanted
@@ -22,7 +18,6 @@ from quad_bridge.topics import TOPIC_TYPES
 
 LAYOUTS = Path(__file__).resolve().parents[2] / 'src/quad_bridge/layouts'
 DT = 0.004
-WAIT_S = 30.0
 
 
 def answered(seconds: float, noise: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -195,88 +190,46 @@ def test_layouts_show_topics_of_the_contract():
     assert sorted(panels(tree['layout'])) == sorted(tree['configById'])
 
 
-def test_the_node_says_when_enough_is_in_and_stops_the_excitation(tmp_path, ros_domain):
-    rclpy = pytest.importorskip('rclpy', reason='needs ROS 2')
-    from geometry_msgs.msg import Vector3Stamped
-    from rcl_interfaces.msg import Parameter, ParameterEvent, ParameterValue
-    from rclpy.executors import SingleThreadedExecutor
-    from sensor_msgs.msg import Imu
-    from std_srvs.srv import Trigger
-
-    from quad_bridge.qos import STATE, STREAM
-
-    out = (tmp_path / 'out').open('w+')
-    process = subprocess.Popen(
-        [sys.executable, '-c', 'from quad_bridge.monitor_node import main; main()', '--ros-args',
-         '-p', 'stop_when_covered:=true', '-p', 'band_low_rad_s:=2.0', '-p', 'every_s:=1',
-         '-p', 'validation_s:=1.0', '-r', '__ns:=/left'], stdout=out,
-    )
-    context = rclpy.Context()
-    rclpy.init(context=context, domain_id=ros_domain)
-    node = rclpy.create_node('flight', context=context)
-    stopped = []
-
-    def stop(_, response):
-        stopped.append(True)
-        response.success = True
-        return response
-
-    node.create_service(Trigger, '/left/excitation/stop', stop)
-    imu = node.create_publisher(Imu, '/left/imu/data', STREAM)
-    applied = node.create_publisher(Vector3Stamped, '/left/excitation/applied', STREAM)
-    segment = node.create_publisher(ParameterEvent, '/left/excitation/segment', STATE)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(node)
-
-    def announce(role: str) -> None:
-        event = ParameterEvent()
-        for name, value in (('segment', role), ('axis', 'pitch'), ('signal', 'prbs')):
-            event.changed_parameters.append(
-                Parameter(name=name, value=ParameterValue(type=4, string_value=value)))
-        segment.publish(event)
-
+def test_the_node_says_when_enough_is_in_and_stops_the_excitation(probe, start):
+    monitor = start('monitor', namespace='/left', stop_when_covered=True, band_low_rad_s=2.0,
+                    every_s=1, validation_s=1.0)  # fmt: skip
+    stopped = probe.serve('/left/excitation/stop', success=True)
+    topics = ('/left/imu/data', '/left/excitation/applied', '/left/excitation/segment')
+    probe.meet(*topics)
     x, y = answered(60.0, 0.05, 5)
     y[8000:10_000] += 20.0 * np.random.default_rng(7).standard_normal(2000)  # covered by then
-    end_s, k, role = time.monotonic() + WAIT_S, 0, ''
-    while not stopped and time.monotonic() < end_s:
-        if imu.get_subscription_count() and applied.get_subscription_count() \
-                and segment.get_subscription_count():
-            wanted = 'train' if k < 10_000 else 'validation'
-            if wanted != role:
-                announce(wanted)
-                role = wanted
-            for _ in range(40):  # stamps, not the clock, say how long it took
-                message, vector = Imu(), Vector3Stamped()
-                for stamp in (message.header.stamp, vector.header.stamp):
-                    stamp.sec, stamp.nanosec = divmod(10**9 + k * 4_000_000, 10**9)
-                message.angular_velocity.y, message.orientation.w = float(y[k % y.size]), 1.0
-                vector.vector.y = float(x[k % x.size])
-                imu.publish(message)
-                applied.publish(vector)
-                k += 1
-        executor.spin_once(timeout_sec=0.02)
-    process.send_signal(signal.SIGINT)
-    status = process.wait(timeout=WAIT_S)
-    executor.shutdown()
-    node.destroy_node()
-    rclpy.shutdown(context=context)
-    out.seek(0)
-    told = out.read()
-    out.close()
-    assert status == 0
-    assert stopped, told[-1500:]
-    assert 'go on to validation' in told
-    assert 'stop now: 2 to 20 rad/s covered' in told
-    assert re.search(r'imu +ok +250 Hz', told)
-    assert '\x1b' not in told
 
+    def announce(role):
+        probe.publish(topics[2], event({'segment': role, 'axis': 'pitch', 'signal': 'prbs'}))
 
-def test_a_band_upside_down_ends_in_one_line(tmp_path):
-    pytest.importorskip('rclpy', reason='needs ROS 2')
-    done = subprocess.run(
-        [sys.executable, '-c', 'from quad_bridge.monitor_node import main; main()', '--ros-args',
-         '-p', 'band_low_rad_s:=30.0'], capture_output=True, text=True, timeout=WAIT_S,
-        env={**os.environ, 'ROS_LOG_DIR': str(tmp_path)}, check=False,
-    )
-    assert done.returncode == 2
-    assert 'monitor: parameter band_low_rad_s: is not below band_high_rad_s 20' in done.stderr
+    def fly(begin, number):
+        """Stamps, not the clock, say how long it takes."""
+        part = [k % y.size for k in range(begin, begin + number)]
+        headers = [stamp(10**9 + 4_000_000 * (begin + k)) for k in range(number)]
+        probe.publish(topics[0], *(
+            {'header': h, 'orientation': {'w': 1.0}, 'angular_velocity': {'y': y[k]}}
+            for h, k in zip(headers, part, strict=True)
+        ))  # fmt: skip
+        probe.publish(topics[1], *(
+            {'header': h, 'vector': {'y': x[k]}} for h, k in zip(headers, part, strict=True)
+        ))  # fmt: skip
+
+    def trained_s():
+        return int(re.findall(r'(\d+) s trained', monitor.printed)[-1])
+
+    announce('train')
+    probe.until(lambda: 'pitch' in monitor.printed)
+    for begin in range(0, 10_000, 900):  # never more than the middleware holds
+        fly(begin, 900)
+        probe.until(lambda begin=begin: trained_s() >= (begin + 700) // 250)
+    probe.until(lambda: 'go on to validation' in monitor.printed)
+    assert not stopped
+    announce('validation')
+    while not stopped:
+        begin, told = begin + 900, len(monitor.printed)
+        fly(begin, 500)
+        probe.until(lambda told=told: stopped or len(monitor.printed) > told)
+    assert monitor.end() == 0
+    assert 'stop now: 2 to 20 rad/s covered' in monitor.printed
+    assert re.search(r'imu +ok +250 Hz', monitor.printed)
+    assert '\x1b' not in monitor.printed

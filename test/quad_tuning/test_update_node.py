@@ -1,74 +1,45 @@
 """`quad-tune send` to the bridge of one namespace; another aircraft's must not hear it."""
 
-import threading
+import json
+import sys
 
 import pytest
+from probe import content, event
 
-pytest.importorskip('rclpy', reason='needs ROS 2')
-import rclpy
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rcl_interfaces.msg import Parameter, ParameterEvent
-from rclpy.executors import SingleThreadedExecutor
-
-from quad_sysid.errors import BadInputError
-from quad_tuning.history.update_node import STATE, publish
-
-GAINS = {'roll.rate.kp': 0.08}
-
-
-class Bridge:
-    """Stands in for a bridge: says what is active, takes every update."""
-
-    def __init__(self, namespace, context):
-        self.node = rclpy.create_node('serial_bridge', namespace=namespace, context=context)
-        self.asked = []
-        self.active = self.node.create_publisher(ParameterEvent, 'gains/active', STATE)
-        self.diagnostics = self.node.create_publisher(DiagnosticArray, 'diagnostics', 10)
-        self.node.create_subscription(ParameterEvent, 'gains/update', self.take, 10)
-        self.node.create_timer(0.05, self.report)
-        self.active.publish(ParameterEvent(changed_parameters=[Parameter(name='yaw.rate.kp')]))
-
-    def take(self, event):
-        self.asked.append({p.name: p.value.double_value for p in event.changed_parameters})
-        self.active.publish(event)
-
-    def report(self):
-        status = DiagnosticStatus(name='serial_bridge: gains', message='read back')
-        self.diagnostics.publish(DiagnosticArray(status=[status]))
+QUAD_TUNE = 'import sys; from quad_tuning.cli import main; sys.exit(main())'
 
 
 @pytest.fixture
-def bridges(ros_domain):
-    context = rclpy.Context()
-    context.init(domain_id=ros_domain)
-    executor = SingleThreadedExecutor(context=context)
-    both = [Bridge(name, context) for name in ('left', 'right')]
-    for bridge in both:
-        executor.add_node(bridge.node)
-    done = threading.Event()
-
-    def spin():
-        while not done.is_set():
-            executor.spin_once(timeout_sec=0.05)
-
-    thread = threading.Thread(target=spin)
-    thread.start()
-    yield both
-    done.set()
-    thread.join()
-    executor.shutdown()
-    context.try_shutdown()
+def send(run, tmp_path):
+    """A function that starts `quad-tune send` to a namespace."""
+    axes = {'roll': {'gains': {'roll.rate.kp': 0.08}}}
+    file = tmp_path / 'gains.json'
+    file.write_text(json.dumps({'schema': 'quad_tuning/design/1', 'axes': axes}))
+    words = ('send', file, '--namespace')
+    return lambda namespace: run(sys.executable, '-c', QUAD_TUNE, *words, namespace)
 
 
-def test_gains_reach_the_bridge_of_their_namespace_only(bridges):
-    left, right = bridges
-    assert publish(GAINS, 'test', namespace='/left') == ''
-    (asked,) = left.asked
-    assert asked['roll.rate.kp'] == GAINS['roll.rate.kp']
-    assert right.asked == []
+def test_gains_reach_the_bridge_of_their_namespace_only(probe, send):
+    asked = {name: probe.listen(f'/{name}/gains/update') for name in ('left', 'right')}
+    told = {'status': [{'name': 'serial_bridge: gains', 'message': 'read back'}]}
+    for name in asked:
+        probe.publish(f'/{name}/gains/active', event({'roll.rate.kp': 0.05}))
+        probe.publish(f'/{name}/diagnostics', told, every_s=0.05)
+    process = send('/left')
+    probe.until(lambda: asked['left'])
+    assert content(asked['left'][0])['roll.rate.kp'] == 0.08
+    assert process.poll() is None
+    probe.publish('/left/gains/active', event({'roll.rate.kp': 0.08}))
+    assert (process.wait(), process.said) == (0, '')
+    assert (len(asked['left']), asked['right']) == (1, [])
 
 
-def test_a_namespace_that_is_none_is_refused_in_one_line(bridges):
-    with pytest.raises(BadInputError, match='--namespace: is no name of a namespace: found my'):
-        publish(GAINS, 'test', namespace='my quad')
-    assert [bridge.asked for bridge in bridges] == [[], []]
+@pytest.mark.parametrize('interrupted', [True, False])
+def test_it_ends_in_one_line(probe, send, interrupted):
+    process = send('/left' if interrupted else 'my quad')
+    if interrupted:
+        probe.until(lambda: '/left/quad_tune' in probe.nodes())
+        process.send(2)
+    assert process.wait() == (130 if interrupted else 2)
+    words = 'interrupted' if interrupted else '--namespace: is no name of a namespace: found my'
+    assert (process.said.count('\n'), words in process.said) == (1, True), process.said

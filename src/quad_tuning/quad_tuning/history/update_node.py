@@ -14,6 +14,7 @@ from rclpy.exceptions import InvalidNamespaceException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
+from rclpy.validate_namespace import validate_namespace
 
 from quad_bridge.lockstep import patience
 from quad_sysid.errors import BadInputError
@@ -39,13 +40,14 @@ def publish(
     they are active, else why they are not. Raises BadInputError where the namespace is no name, no
     bridge listens or none answers.
     """
+    try:
+        validate_namespace(f'/{namespace.strip("/")}')
+    except InvalidNamespaceException as error:
+        raise BadInputError('--namespace', 'is no name of a namespace', namespace) from error
     with contextlib.ExitStack() as ending:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         ending.callback(rclpy.try_shutdown)
-        try:
-            node: Any = rclpy.create_node('quad_tune', namespace=namespace)
-        except InvalidNamespaceException as error:
-            raise BadInputError('--namespace', 'is no name of a namespace', namespace) from error
+        node: Any = rclpy.create_node('quad_tune', namespace=namespace)
         ending.callback(node.destroy_node)
         executor = SingleThreadedExecutor()
         ending.callback(executor.shutdown)
