@@ -1,7 +1,8 @@
 """Gains through the bridge, a pty and the virtual STM32: updates, faults, the way back.
 
 The same faults are told apart in test_bridge_gain_keeper.py, faster than time; here the processes,
-the topics, the parameters and the services are the real ones.
+the topics, the parameters and the services are the real ones. Time stands still while a test acts,
+and passes in small steps while it waits.
 """
 
 from __future__ import annotations
@@ -12,7 +13,6 @@ import math
 import os
 import select
 import signal
-import subprocess
 import sys
 import threading
 import tty
@@ -22,48 +22,28 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from node_process import Started
+from probe import Probe, content, event
 
 pytest.importorskip('rclpy', reason='needs ROS 2 or its wheels')
 
-import rclpy
-from rcl_interfaces.msg import Parameter, ParameterEvent, ParameterType, ParameterValue
-from rcl_interfaces.srv import SetParameters
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
-from rclpy.qos import qos_profile_sensor_data
-from sensor_msgs.msg import Imu
-from std_srvs.srv import Trigger
-
+from quad_bridge.lockstep import VARIABLE
 from quad_bridge.wire.codec import Decoder, Encoder
 from quad_bridge.wire.frames import GainsAction, GainsCommand, ParamSet
+from quad_sysid.bags import read_bag
 from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.model import AxisModel
 from quad_sysid.model import Parameter as IdentifiedParameter
-from quad_tuning.demo.domain import own_domain
-from quad_tuning.demo.errors import StageFailedError
-from quad_tuning.demo.observer import VOLATILE, Observer
-from quad_tuning.demo.processes import Crew, executable
+from quad_tuning.demo.processes import Crew
 from quad_tuning.demo.stages import Aircraft
 from quad_tuning.lqr_proposal import propose_lqr
 
-PATIENCE_S = 60.0
-OK, ERROR = 0, 2
+pytestmark = pytest.mark.timeout(1800)
+ERROR = 2
 KP, ANGLE = 'roll.rate.kp', 'roll.angle.kp'
 OLD = {KP: 0.0744845, ANGLE: 3.0}
-GAINS = 'serial_bridge: gains'
-
-
-def value(content):
-    if isinstance(content, str):
-        return ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=content)
-    if isinstance(content, bool):
-        return ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=content)
-    return ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=content)
-
-
-def parameters(values):
-    return [Parameter(name=name, value=value(content)) for name, content in values.items()]
+TURN_S = 0.2
+"""So much simulated time passes between two looks of a test that waits."""
 
 
 class Relay(threading.Thread):
@@ -106,28 +86,23 @@ class Relay(threading.Thread):
 
 
 class Bench:
-    """The aircraft's process, the bridge's, an observer, and somebody who wants gains."""
+    """The aircraft's process and the bridge's, and the probe that wants gains."""
 
-    def __init__(self, crew: Crew, observer: Observer):
-        self.crew, self.observer = crew, observer
-        self.context = Context()
-        rclpy.init(context=self.context, domain_id=crew.domain)
-        self.node = Node('somebody', context=self.context)
-        self.executor = SingleThreadedExecutor(context=self.context)
-        self.executor.add_node(self.node)
-        self.spinner = threading.Thread(target=self.executor.spin, daemon=True)
-        self.spinner.start()
-        self.updates = self.node.create_publisher(ParameterEvent, '/gains/update', VOLATILE)
-        self.peak_rad = 0.0
+    def __init__(self, crew: Crew, probe: Probe):
+        self.crew, self.probe, self.relay = crew, probe, None
+        crew.clock.hold()
+        self.told = probe.listen('/diagnostics')
+        self.heard = probe.listen('/gains/active')
+        probe.advertise('/gains/update')
         self.state = crew.folder / 'state'
         self.stm32, self.port = crew.folder / 'stm32', crew.folder / 'port'
 
     def start(self, *, relay=False, profile='plain', mount='rig', **settings):
         aircraft = Aircraft(profile, 'roll', 1, mount)
-        self.crew.start('virtual_stm32', aircraft.command(self.stm32))
-        self.until(self.stm32.exists, 'the pseudo-terminal')
-        self.relay = Relay(self.stm32, self.port) if relay else None
-        if self.relay is not None:
+        self.crew.start('virtual_stm32', aircraft.command(self.stm32, self.crew.socket))
+        self.probe.until(lambda: self.crew.check('start') or self.stm32.exists())
+        if relay:
+            self.relay = Relay(self.stm32, self.port)
             self.relay.start()
         self.start_bridge(**settings)
 
@@ -136,71 +111,94 @@ class Bench:
         own = {'port': port, 'state_folder': str(self.state), 'aircraft': 'test', **settings}
         self.crew.start_node('quad_bridge', 'serial_bridge', own)
         self.said('read back')
+        self.until(lambda: self.probe.listeners('/gains/update'), 'a bridge that listens')
         self.rest(2.5)
 
-    def until(self, condition, what):
-        self.observer.wait_for('bench', what, condition, PATIENCE_S, self.meanwhile)
+    def record(self):
+        """Log from now on."""
+        own = {'folder': str(self.crew.folder), 'prefix': 'flight', 'autostart': True}
+        self.crew.start_node('quad_bridge', 'bag_logger', own)
+        self.until(lambda: self.probe.listeners('/imu/data'), 'a logger that listens')
+        self.rest(1.0)
 
-    def meanwhile(self):
-        self.crew.check('bench')
+    def peak_deg(self):
+        """The largest roll or pitch in the log, which ends here."""
+        self.crew.stop('bag_logger')
+        (bag,) = self.crew.folder.glob('flight_*')
+        record = read_bag(bag)
+        assert not np.isnan(record.rates).any()
+        return math.degrees(np.abs(record.angles[:, :2]).max())
 
     def rest(self, seconds):
-        stamp = self.node.get_clock().now
-        end = stamp().nanoseconds + 1e9 * seconds
-        self.until(lambda: stamp().nanoseconds > end, 'time')
+        """Let simulated time pass."""
+        clock = self.crew.clock
+        end_s = clock.now_s() + seconds
+        clock.release()
+        self.probe.until(
+            lambda: self.crew.check('bench') or clock.now_s() >= end_s, 'time', pause_s=0.001
+        )
+        clock.hold()
+        self.probe.listeners('/gains/update')  # it has heard what there was to hear
 
-    def said(self, words, name=GAINS):
-        """Wait for a diagnostic with these words."""
-        seen = self.observer.diagnostics
-        self.until(lambda: name in seen and words in seen[name][1], words)
-        return seen[name]
+    def until(self, condition, what):
+        def met():
+            found = condition()
+            if not found:
+                self.rest(TURN_S)
+            return found
+
+        self.probe.until(met, what)
+
+    def said(self, words, level=None):
+        """Wait for words about gains in the diagnostics since the last request."""
+
+        def there():
+            return [
+                status.message
+                for array in list(self.told)
+                for status in array.status
+                if status.name == 'serial_bridge: gains' and words in status.message
+                and level in {None, status.level}
+            ]  # fmt: skip
+
+        self.until(there, words)
+        return there()[-1]
+
+    @property
+    def active_gains(self):
+        return {k: v for heard in list(self.heard) for k, v in content(heard).items()}
 
     def active(self, **wanted):
         """Wait until /gains/active says these (`roll_rate_kp` for `roll.rate.kp`)."""
         wanted = {name.replace('_', '.'): v for name, v in wanted.items()}
-        told = self.observer.active_gains
-        self.until(
-            lambda: all(abs(told.get(n, math.inf) - v) < 1e-5 for n, v in wanted.items()),
-            f'{wanted} in {told}',
-        )
 
-    def ask(self, values, source='test'):
-        self.until(lambda: self.updates.get_subscription_count() > 0, 'a bridge that listens')
-        message = ParameterEvent(changed_parameters=parameters({**values, 'source': source}))
-        self.updates.publish(message)
+        def so():
+            told = self.active_gains
+            return all(abs(told.get(n, math.inf) - v) < 1e-5 for n, v in wanted.items())
 
-    def call(self, kind, name, request):
-        client = self.node.create_client(kind, name)
-        self.until(client.service_is_ready, name)
-        future = client.call_async(request)
-        self.until(future.done, f'answer of {name}')
-        return future.result()
+        self.until(so, wanted)
+
+    def ask(self, *sets, source='test'):
+        self.told.clear()
+        self.probe.publish('/gains/update', *(event({**one, 'source': source}) for one in sets))
 
     def set(self, **values):
-        """`ros2 param set`; the result of the first."""
-        wanted = {name.replace('_', '.'): v for name, v in values.items()}
-        request = SetParameters.Request(parameters=parameters(wanted))
-        return self.call(SetParameters, '/serial_bridge/set_parameters', request).results[0]
+        """`ros2 param set` of one gain."""
+        ((name, value),) = values.items()
+        return self.probe.set_parameter('/serial_bridge', name.replace('_', '.'), value)
 
-    def watch_imu(self):
-        def look(imu):
-            q = imu.orientation
-            self.peak_rad = max(self.peak_rad, 2.0 * math.acos(min(1.0, abs(q.w))))
-
-        self.node.create_subscription(Imu, '/imu/data', look, qos_profile_sensor_data)
+    def quad_tune(self, *words: object) -> str:
+        """Run the command; what it prints."""
+        environment = {**os.environ, VARIABLE: str(self.crew.socket)}
+        command = [sys.executable, '-m', 'quad_tuning.cli', *words]
+        done = Started(command, self.crew.folder / 'quad_tune', env=environment)
+        self.until(lambda: done.poll() is not None, words)
+        assert (done.poll(), done.said) == (0, '')
+        return done.printed
 
     def history(self):
         lines = (self.state / 'test' / 'gains.jsonl').read_text().splitlines()
         return [json.loads(line) for line in lines]
-
-    def close(self):
-        if getattr(self, 'relay', None) is not None:
-            self.relay.ended = True
-            self.relay.join()
-        self.executor.shutdown()
-        self.spinner.join()
-        self.node.destroy_node()
-        rclpy.try_shutdown(context=self.context)
 
 
 def paper_model():
@@ -217,48 +215,41 @@ def paper_model():
 
 
 @pytest.fixture
-def bench(tmp_path: Path) -> Iterator[Bench]:
-    try:
-        executable('quad_bridge', 'serial_bridge')
-    except StageFailedError as missing:
-        pytest.skip(f'needs the built workspace: {missing}')
-    with own_domain() as domain, Crew(tmp_path, domain) as crew, Observer(domain) as observer:
-        bench = Bench(crew, observer)
-        try:
-            yield bench
-        finally:
-            bench.close()
+def bench(tmp_path: Path, ros_domain: int, probe: Probe) -> Iterator[Bench]:
+    with Crew(tmp_path, ros_domain, lockstep=True) as crew:
+        bench = Bench(crew, probe)
+        yield bench
+        if bench.relay is not None:
+            bench.relay.ended = True
+            bench.relay.join()
 
 
 def test_updates_parameters_services_and_a_killed_bridge(bench):
     bench.start(polarity='manual', sources=['test', 'a flood', 'ros2 *', 'quad-tune*'])
     bench.ask({KP: 0.1})
     bench.said('call ~/check_polarity')
-    answer = bench.call(Trigger, '/serial_bridge/check_polarity', Trigger.Request())
-    assert answer.message == 'roll right; pitch silent; yaw silent'
+    answer = bench.probe.ask('/serial_bridge/check_polarity')
+    bench.until(answer.done, 'the check')
+    assert answer.result().message == 'roll right; pitch silent; yaw silent'
+    bench.rest(1.0)
 
-    bench.ask({KP: 0.1}, 'a stranger')
+    bench.ask({KP: 0.1}, source='a stranger')
     bench.said('gains of a stranger refused: the source is not allowed')
     bench.ask({KP: 0.1, ANGLE: 4.0})
     bench.active(roll_rate_kp=0.1, roll_angle_kp=4.0)
-    for k in range(200):
-        bench.ask({ANGLE: 5.0 + 0.01 * k}, 'a flood')
-    bench.said('gains of a flood refused: an earlier update is in flight')
+    bench.ask(*({ANGLE: 5.0 + 0.01 * k} for k in range(200)), source='a flood')
     refused = bench.set(roll_angle_kp=5.0)
     assert not refused.successful
     assert 'in flight' in refused.reason
-    done = subprocess.run(
-        [sys.executable, '-m', 'quad_tuning.cli', 'rollback', '--folder', str(bench.state)],
-        env=bench.crew.environment(), capture_output=True, text=True, check=False, timeout=60,
-    )  # fmt: skip
-    assert (done.returncode, done.stderr) == (0, '')
-    assert 'back to set 1 of' in done.stdout
+    bench.said('gains of a flood refused: an earlier update is in flight')
+    bench.told.clear()
+    assert 'back to set 1 of' in bench.quad_tune('rollback', '--folder', bench.state)
     bench.said('rolled back, old gains: quad-tune rollback asked for it')
     bench.active(roll_rate_kp=OLD[KP], roll_angle_kp=3.0)
 
     for bad, words in (
         (math.nan, 'finite'), (math.inf, 'finite'), (-3.0, 'must lie in'), (99.0, 'must lie in'),
-    ):
+    ):  # fmt: skip
         assert words in bench.set(roll_angle_kp=bad).reason
     assert bench.set(roll_angle_kp=5.0).successful
     bench.active(roll_angle_kp=5.0)
@@ -267,8 +258,8 @@ def test_updates_parameters_services_and_a_killed_bridge(bench):
     bridge.process.send_signal(signal.SIGKILL)
     bridge.process.wait()
     bridge.may_end, bridge.ended = True, 0.0
-    bench.observer.active_gains.clear()
-    bench.observer.diagnostics.clear()
+    bench.heard.clear()
+    bench.told.clear()
     bench.rest(2.5)
     bench.start_bridge(polarity='manual')
     bench.active(roll_angle_kp=3.0)
@@ -305,7 +296,7 @@ def test_a_wire_with_faults_never_leaves_half_a_set(bench):
     relay.noisy = 0.0
 
     bench.ask({ANGLE: 5.0, 'roll.rate.kd': 0.1})  # the YAML lets it pass, the STM32 does not
-    assert 'ROLL_RATE_KD: the STM32 kept' in bench.said('not taken over')[1]
+    assert 'ROLL_RATE_KD: the STM32 kept' in bench.said('not taken over')
     bench.active(roll_rate_kp=OLD[KP], roll_angle_kp=3.0)
 
     def cut_at_commit(frame):
@@ -316,12 +307,11 @@ def test_a_wire_with_faults_never_leaves_half_a_set(bench):
     relay.spoil = cut_at_commit
     bench.ask({KP: 0.1, ANGLE: 5.0})
     bench.until(lambda: relay.cut, 'the cut')
-    bench.observer.active_gains.clear()
+    bench.heard.clear()
     bench.rest(3.0)
     relay.cut, relay.spoil = False, lambda frame: [frame]
     bench.active(roll_rate_kp=OLD[KP], roll_angle_kp=3.0)
-    level, text, _ = bench.said('not taken over')
-    assert (level, 'committing' in text) == (ERROR, True)
+    assert 'committing' in bench.said('not taken over', ERROR)
 
 
 def test_the_second_control_mode_comes_in_by_quarters_and_goes_back_at_once(bench, tmp_path):
@@ -330,12 +320,8 @@ def test_the_second_control_mode_comes_in_by_quarters_and_goes_back_at_once(benc
     axes = {'roll': {'gains': proposal.gains, 'figures': proposal.figures}}
     design.write_text(json.dumps({'schema': 'quad_tuning/design/1', 'axes': axes}))
     bench.start(sources=['test', 'quad-tune*'])
-    bench.watch_imu()
-    done = subprocess.run(
-        [sys.executable, '-m', 'quad_tuning.cli', 'send', str(design)],
-        env=bench.crew.environment(), capture_output=True, text=True, check=False, timeout=120,
-    )  # fmt: skip
-    assert (done.returncode, done.stderr) == (0, '')
+    bench.record()
+    bench.quad_tune('send', design)
     bench.active(roll_lqr_share=1.0)
     sets = [entry['gains'] for entry in bench.history() if 'gains' in entry]
     shares = [gains['roll.lqr.share'] for gains in sets]
@@ -346,16 +332,16 @@ def test_the_second_control_mode_comes_in_by_quarters_and_goes_back_at_once(benc
     bench.said('rolled back, old gains')
     bench.active(roll_lqr_share=0.0)
     bench.rest(0.5)
-    assert math.degrees(bench.peak_rad) < 4.0
+    assert bench.peak_deg() < 4.0
 
 
 def test_a_destabilising_set_is_taken_back_before_twenty_degrees(bench):
     wide = {f'bounds.{axis}.rate.kp': [0.001, 1.0] for axis in ('roll', 'pitch')}
     bench.start(profile='hover', mount='hover', **wide)
-    bench.watch_imu()
+    bench.record()
     bench.ask({KP: 0.6, 'pitch.rate.kp': 0.6})
     bench.said('rolled back, old gains')
     bench.active(roll_rate_kp=OLD[KP])
     bench.rest(1.0)
-    assert math.degrees(bench.peak_rad) < 20.0
+    assert bench.peak_deg() < 20.0
     assert 'rolled back' in [entry['state'] for entry in bench.history()]
