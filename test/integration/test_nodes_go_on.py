@@ -6,125 +6,89 @@ import fcntl
 import math
 import os
 import tty
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-
-pytest.importorskip('rclpy', reason='needs ROS 2 or its wheels')
-
-import rclpy
-from rcl_interfaces.msg import Parameter, ParameterEvent, ParameterType, ParameterValue
-from rclpy.context import Context
-from rclpy.node import Node
+from node_process import Started, program
+from probe import Probe, content, entries, event
 
 from quad_bridge.virtual.flight_bag import write_bag
 from quad_bridge.virtual.simulation import Excited, fly
-from quad_tuning.demo.domain import own_domain
-from quad_tuning.demo.errors import StageFailedError
-from quad_tuning.demo.observer import STATE, VOLATILE, Observer
-from quad_tuning.demo.processes import Crew, executable
-from quad_tuning.demo.stages import Aircraft
 
-PATIENCE_S = 60.0
-OK, WARN, ERROR = 0, 1, 2
+OK, ERROR = 0, 2
 
 
-class Bench:
-    """A crew, an observer, and somebody who publishes events."""
+class Ears:
+    """What the probe hears of diagnostics and gains."""
 
-    def __init__(self, crew: Crew, observer: Observer) -> None:
-        self.crew, self.observer = crew, observer
-        self.context = Context()
-        rclpy.init(context=self.context, domain_id=crew.domain)
-        self.node = Node('somebody', context=self.context)
-        self.gains = self.node.create_publisher(ParameterEvent, '/gains/update', VOLATILE)
-        self.bags = self.node.create_publisher(ParameterEvent, '/logger/bag', STATE)
+    def __init__(self, probe: Probe) -> None:
+        self.probe, self.told = probe, probe.listen('/diagnostics')
+        self.active, self.updates = probe.listen('/gains/active'), probe.listen('/gains/update')
 
     def until(
         self, name: str, level: int, words: str, meanwhile: Callable[[], object] = lambda: None
-    ) -> Mapping[str, str]:
-        """Wait for a diagnostic of this level with these words; all processes must live."""
+    ) -> dict[str, str]:
+        """Wait for a diagnostic of this level with these words; its values."""
 
         def said() -> bool:
-            found = self.observer.diagnostics.get(name)
-            return found is not None and found[0] == level and words in found[1]
+            meanwhile()
+            found = entries(self.told).get(name)
+            return found is not None and found.level == level and words in found.message
 
-        self.observer.wait_for(
-            name, f'"{words}" of level {level}', said, PATIENCE_S,
-            lambda: (self.crew.check(name), meanwhile()),
-        )  # fmt: skip
-        return self.observer.diagnostics[name][2]
+        self.probe.until(said, f'{name}: {words}')
+        return entries(self.told)[name].values
 
     def say_bag(self, path: Path) -> None:
-        self.bags.publish(event({'path': str(path), 'state': 'complete'}))
-
-    def close(self) -> None:
-        self.node.destroy_node()
-        rclpy.try_shutdown(context=self.context)
-
-
-def event(values: Mapping[str, float | str]) -> ParameterEvent:
-    message = ParameterEvent()
-    for name, value in values.items():
-        if isinstance(value, str):
-            content = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=value)
-        else:
-            content = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value)
-        message.changed_parameters.append(Parameter(name=name, value=content))
-    return message
+        self.probe.publish('/logger/bag', event({'path': str(path), 'state': 'complete'}))
 
 
 @pytest.fixture
-def bench(tmp_path: Path) -> Iterator[Bench]:
-    try:
-        executable('quad_bridge', 'serial_bridge')
-    except StageFailedError as missing:
-        pytest.skip(f'needs the built workspace: {missing}')
-    with own_domain() as domain, Crew(tmp_path, domain) as crew, Observer(domain) as observer:
-        bench = Bench(crew, observer)
-        try:
-            yield bench
-        finally:
-            bench.close()
+def ears(probe: Probe) -> Ears:
+    return Ears(probe)
 
 
-def test_the_bridge_outlives_every_bad_port_and_refuses_bad_gains(bench, tmp_path):
-    link = tmp_path / 'tty'
-    bench.crew.start_node('quad_bridge', 'serial_bridge', {'port': str(link)})
-    bench.until('serial_bridge: link', ERROR, 'not there')
-
+def pty(link: Path, *, lock: bool = False) -> tuple[int, int]:
     master, slave = os.openpty()
     tty.setraw(slave)
+    if lock:
+        fcntl.flock(slave, fcntl.LOCK_EX)
     link.symlink_to(os.ttyname(slave))
-    bench.until('serial_bridge: link', ERROR, 'nothing arrives')
+    return master, slave
+
+
+def unplug(link: Path, ends: tuple[int, int]) -> None:
+    link.unlink()
+    for end in ends:
+        os.close(end)
+
+
+def test_the_bridge_outlives_every_bad_port_and_refuses_bad_gains(ears, start, run, tmp_path):
+    link, name = tmp_path / 'tty', 'serial_bridge: link'
+    bridge = start('serial_bridge', port=link)
+    ears.until(name, ERROR, 'not there')
+    ends = pty(link)
+    ears.until(name, ERROR, 'nothing arrives')
     sentence = b'$GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,*47\r\n'
-    bench.until(
-        'serial_bridge: link', ERROR, 'another protocol', lambda: os.write(master, 9 * sentence)
-    )
-    link.unlink()
-    os.close(slave)
-    os.close(master)
-    bench.until('serial_bridge: link', ERROR, 'not there')
+    ears.until(name, ERROR, 'another protocol', lambda: os.write(ends[0], 9 * sentence))
+    unplug(link, ends)
+    ears.until(name, ERROR, 'not there')
+    ends = pty(link, lock=True)
+    ears.until(name, ERROR, 'busy')
+    unplug(link, ends)
 
-    master, slave = os.openpty()
-    tty.setraw(slave)
-    fcntl.flock(slave, fcntl.LOCK_EX)
-    link.symlink_to(os.ttyname(slave))
-    bench.until('serial_bridge: link', ERROR, 'busy')
-    link.unlink()
-    os.close(slave)
-    os.close(master)
-
-    bench.crew.start('virtual_stm32', Aircraft('plain', 'roll', 1).command(link))
-    bench.until('serial_bridge: link', OK, 'control cycles arrive')
-    bench.until('serial_bridge: gains', OK, 'read back')
-    flown = dict(bench.observer.active_gains)
+    run(*program('virtual_stm32'), '--mount', 'rig', '--axis', 'roll', '--link', link)
+    ears.until(name, OK, 'control cycles arrive')
+    ears.until('serial_bridge: gains', OK, 'read back')
+    flown = content(ears.active[-1])
     for value in (math.nan, math.inf, -1.0, 1e6):
-        bench.gains.publish(event({'roll.rate.kp': value, 'source': f'test {value}'}))
-        bench.until('serial_bridge: gains', ERROR, f'gains of test {value} refused: roll.rate.kp')
-    assert bench.observer.active_gains == flown
+        wanted = {'roll.rate.kp': value, 'source': f'test {value}'}
+        ears.probe.publish('/gains/update', event(wanted))
+        words = f'gains of test {value} refused: roll.rate.kp'
+        ears.until('serial_bridge: gains', ERROR, words)
+    assert content(ears.active[-1]) == flown
+    assert bridge.poll() is None
 
 
 @pytest.mark.parametrize(
@@ -132,16 +96,16 @@ def test_the_bridge_outlives_every_bad_port_and_refuses_bad_gains(bench, tmp_pat
     [
         ('train', '5:1', 'parameter train: needs two times START:END'),
         ('inertia', 'abc', 'inertia: needs three positive numbers'),
-        ('axes', ['sideways'], 'axis: must be of roll, pitch, yaw, all'),
+        ('axes', '[sideways]', 'axis: must be of roll, pitch, yaw, all'),
         ('autoupdate', True, 'parameter autoupdate: is unknown; is it auto_update'),
     ],
 )
-def test_a_wrong_parameter_ends_the_identification_before_any_flight(bench, name, value, words):
-    bench.crew.start_node('quad_sysid', 'identification', {name: value})
-    with pytest.raises(StageFailedError, match=f'status 2: identification: .*{words}'):
-        bench.observer.wait_for(
-            'start', 'end', lambda: False, PATIENCE_S, lambda: bench.crew.check('start')
-        )
+def test_a_wrong_parameter_ends_the_identification_before_any_flight(start, name, value, words):
+    process = start('identification', **{name: value})
+    assert process.wait() == 2
+    assert any(
+        line.startswith('identification: ') and words in line for line in process.said.splitlines()
+    ), process.said
 
 
 def flight(folder: Path) -> Path:
@@ -156,32 +120,32 @@ def flight(folder: Path) -> Path:
     return write_bag(fly('plain', parts, 37.0, 1), folder / 'flight')
 
 
-def test_the_identification_outlives_bad_bags_and_sends_gains_only_where_asked(bench, tmp_path):
-    flown = flight(tmp_path)
-    nothing = tmp_path / 'nothing'
+@pytest.mark.timeout(1800)
+def test_the_identification_outlives_bad_bags_and_sends_gains_only_where_asked(
+    ears: Ears, start: Callable[..., Started], tmp_path: Path
+) -> None:
+    flown, nothing, out = flight(tmp_path), tmp_path / 'nothing', tmp_path / 'report'
     nothing.mkdir()
-    out = tmp_path / 'report'
-    name = 'identification: identification'
-    quiet = {'axes': ['roll'], 'out': str(out)}
-    bench.crew.start_node('quad_sysid', 'identification', quiet, called='quiet')
-    bench.until(name, OK, 'waiting')
-    bench.say_bag(tmp_path / 'no_such_bag')
-    bench.until(name, ERROR, 'no_such_bag: no such bag')
+    name, quiet = 'identification: identification', {'axes': '[roll]', 'out': out}
+    node = start('identification', **quiet)
+    ears.until(name, OK, 'waiting')
+    ears.probe.meet('/logger/bag')
+    ears.say_bag(tmp_path / 'no_such_bag')
+    ears.until(name, ERROR, 'no_such_bag: no such bag')
     # Two at once: the second waits for the first.
-    bench.say_bag(nothing)
-    bench.say_bag(flown)
-    values = bench.until(name, OK, 'auto_update is off')
+    ears.say_bag(nothing)
+    ears.say_bag(flown)
+    values = ears.until(name, OK, 'auto_update is off')
     assert values['bag'] == str(flown)
     assert (out / 'report.json').exists()
-    assert bench.observer.updates == []
+    assert ears.updates == []
+    assert node.end() == 0
 
-    bench.crew.stop('quiet')
-    bench.observer.diagnostics.clear()
-    told = {**quiet, 'auto_update': True}
-    bench.crew.start_node('quad_sysid', 'identification', told, called='told')
-    values = bench.until(name, OK, 'gains: sent')
+    ears.told.clear()
+    start('identification', **quiet, auto_update=True)  # it hears of the last bag by itself
+    values = ears.until(name, OK, 'gains: sent')
     assert values['report'] == str(tmp_path / 'report.1' / 'report.json')
-    bench.observer.wait_for('update', 'gains', lambda: bool(bench.observer.updates), PATIENCE_S)
-    sent = bench.observer.updates[-1]
+    ears.probe.until(lambda: ears.updates, 'gains')
+    sent = content(ears.updates[-1])
     assert {'roll.angle.kp', 'roll.rate.kp', 'source'} <= set(sent)
     assert str(flown) in str(sent['source'])
