@@ -191,7 +191,11 @@ class Bench:
         """Run the command; what it prints."""
         environment = {**os.environ, VARIABLE: str(self.crew.socket)}
         command = [sys.executable, '-m', 'quad_tuning.cli', *words]
+        listeners = self.probe.listeners('/diagnostics')
         done = Started(command, self.crew.folder / 'quad_tune', env=environment)
+        self.probe.until(  # no time passes while it starts
+            lambda: done.poll() is not None or self.probe.listeners('/diagnostics') > listeners
+        )
         self.until(lambda: done.poll() is not None, words)
         assert (done.poll(), done.said) == (0, '')
         return done.printed
@@ -238,10 +242,10 @@ def test_updates_parameters_services_and_a_killed_bridge(bench):
     bench.ask({KP: 0.1, ANGLE: 4.0})
     bench.active(roll_rate_kp=0.1, roll_angle_kp=4.0)
     bench.ask(*({ANGLE: 5.0 + 0.01 * k} for k in range(200)), source='a flood')
+    bench.said('gains of a flood refused: an earlier update is in flight')
     refused = bench.set(roll_angle_kp=5.0)
     assert not refused.successful
     assert 'in flight' in refused.reason
-    bench.said('gains of a flood refused: an earlier update is in flight')
     bench.told.clear()
     assert 'back to set 1 of' in bench.quad_tune('rollback', '--folder', bench.state)
     bench.said('rolled back, old gains: quad-tune rollback asked for it')

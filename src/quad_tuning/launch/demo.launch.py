@@ -1,7 +1,7 @@
 """Starts the rig without an aircraft: a virtual STM32 in its place, the demo's schedule running.
 
-`make demo` tells the whole story, with figures; this shows the nodes at work. `lockstep:=true` lets
-simulated time wait for the slowest of them, and run faster than real time where it can.
+`make demo` tells the whole story, with figures; this shows the nodes at work. `lockstep:=true`
+lets simulated time wait for the slowest of them, and run faster than real time where it can.
 """
 
 from pathlib import Path
