@@ -42,6 +42,7 @@ def test_springs_are_told_apart_by_larger_angles_than_the_plain_prbs(springs):
     assert scores == sorted(scores, reverse=True)
 
 
+@pytest.mark.long
 def test_friction_and_drag_are_told_apart_both_ways():
     found = separate(paper_aircraft('roll'), ('coulomb_friction', 'quadratic_drag'), SECONDS)
     best, plain = found.best, found.plain
