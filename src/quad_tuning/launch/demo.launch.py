@@ -17,12 +17,13 @@ from launch.actions import (
 from launch.conditions import IfCondition, UnlessCondition
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration
+from launch_ros.substitutions import ExecutableInPackage
 
 
 def generate_launch_description() -> LaunchDescription:
     """Describe the virtual STM32 and rig.launch.py on its pseudo-terminal."""
     stm32 = [
-        'ros2', 'run', 'quad_bridge', 'virtual_stm32',
+        ExecutableInPackage(package='quad_bridge', executable='virtual_stm32'),
         '--profile', LaunchConfiguration('profile'),
         '--link', LaunchConfiguration('link'),
     ]  # fmt: skip
