@@ -47,6 +47,7 @@ def demo(ros_domain, tmp_path):
     yield launch
     if launch.poll() is None:
         launch.end()  # its processes with it
+    ros2('daemon', 'stop')  # some of the commands start one
 
 
 def test_the_launched_demo_answers_every_command_and_ends_at_once(demo):
