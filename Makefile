@@ -12,8 +12,9 @@ MAKEFLAGS += --no-print-directory
 RUN := . tools/workspace.bash;
 SOURCES := $(wildcard src test tools bench)
 ARGS ?=
+PYTEST := $(RUN) exec python -m pytest --timeout 600 -n $(shell nproc) --dist loadgroup
 
-.PHONY: help demo pictures test test-fast build lint format bench bench-effects bench-log bench-tuning bench-watch bench-link bench-effects-speed wheel docs lock shell clean
+.PHONY: help demo pictures test test-long build lint format bench bench-effects bench-log bench-tuning bench-watch bench-link bench-effects-speed wheel docs lock shell clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-19s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -27,11 +28,11 @@ pictures:  ## renew the pictures of README and docs from the last demo_out/
 	@cp demo_out/report/pictures/roll_effect_shape.png docs/images/missing_torque.png
 	@ls -l docs/images/*.png
 
-test: build  ## all tests, the real-time ones through nodes, pty and bag included
-	@$(RUN) exec python -m pytest --timeout 600 $(ARGS)
+test: build  ## all tests but the long ones, as many at once as there are cores
+	@$(PYTEST) $(ARGS)
 
-test-fast: build  ## the tests of the parts alone, without starting processes
-	@$(RUN) exec python -m pytest --timeout 600 --ignore=test/integration $(ARGS)
+test-long: build  ## soaks, studies and sweeps alone (an hour or more)
+	@$(PYTEST) -m long $(ARGS)
 
 build:  ## venv with the pinned packages and colcon build into install/
 	@tools/set_up.sh

@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
 # Makes the workspace ready: a venv in .venv with the pinned packages, then colcon build into
-# install/. Every step is skipped while the hash of what it depends on is unchanged, so a second
-# call takes a fraction of a second and no network. No test is run and no node started here.
+# install/ and, beside it, what numba compiles. Every step is skipped while the hash of what it
+# depends on is unchanged, so a second call takes a fraction of a second and no network. No test is
+# run and no node started here.
 #
 #   tools/set_up.sh            venv and build
 #   tools/set_up.sh venv       the venv alone
@@ -63,6 +64,19 @@ run_logged() {  # message, command...: one line on failure, the whole in the log
     fail "$message: ${reason:-see the log} (all of it: $LOG)"
 }
 
+commands() {  # quad-sysid and quad-tune in .venv/bin, which need nothing sourced
+    local site name module
+    site=$(.venv/bin/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')
+    printf '%s\n' "$PWD"/build/quad_{bridge,sysid,tuning} >"$site/quad_suite.pth"
+    for name in quad-sysid:quad_sysid quad-tune:quad_tuning; do
+        module=${name#*:}
+        name=.venv/bin/${name%:*}
+        printf '%s\n' "#!$PWD/.venv/bin/python" '# PYTHON_ARGCOMPLETE_OK' 'import sys' \
+            "from $module.cli import main" 'sys.exit(main())' >"$name"
+        chmod +x "$name"
+    done
+}
+
 make_venv() {
     local lock want flags=()
     if with_ros; then
@@ -86,6 +100,7 @@ make_venv() {
     if ! with_ros; then
         run_logged "rclpy cannot be imported" .venv/bin/python -c 'import rclpy'
     fi
+    commands
     echo "$want" >.venv/packages.stamp
 }
 
@@ -110,11 +125,29 @@ build() {
     rm -rf build install
     run_logged 'colcon build' .venv/bin/python -m colcon --log-base log build --base-paths src \
         --symlink-install --event-handlers console_direct- console_cohesion- console_stderr+
-    # The commands of the contract by their own names, without the nodes' names on PATH.
-    mkdir -p install/bin
-    ln -sf ../quad_sysid/lib/quad_sysid/quad-sysid ../quad_tuning/lib/quad_tuning/quad-tune install/bin/
     echo "$want" >install/build.stamp
 }
 
+compile() {  # fills numba's cache, which follows changes of a function's own file only
+    local want
+    want=$({
+        grep -m 1 'model name' /proc/cpuinfo
+        cat .venv/packages.stamp tools/warm_up.py
+        grep -lrE '^(from|import) numba|compiled import' src --include='*.py' | sort | xargs cat
+    } | digest)
+    [ "$(cat .venv/compiled.stamp 2>/dev/null)" = "$want" ] && return
+    say 'compiling what numba compiles (a minute)'
+    find src/quad_sysid -name '*.nb[ic]' -delete
+    if PYTHONPATH=$(printf '%s:' "$PWD"/src/quad_{bridge,sysid,tuning}) \
+        .venv/bin/python tools/warm_up.py >.venv/compile.log 2>&1; then
+        echo "$want" >.venv/compiled.stamp
+    else
+        say 'not all could be compiled, first uses will take longer (see .venv/compile.log)'
+    fi
+}
+
 make_venv
-[ "${1:-}" = venv ] || build
+[ "${1:-}" = venv ] && exit
+compile &
+build
+wait

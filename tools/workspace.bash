@@ -6,7 +6,6 @@ if [ "${ROS_DISTRO:-}" != jazzy ] || [ ! -d "${ROS_ROOT:-/opt/ros/jazzy}" ]; the
 fi
 set +u
 . install/local_setup.bash
-export PATH=$PWD/install/bin:$PATH
 export ROS_AUTOMATIC_DISCOVERY_RANGE=${ROS_AUTOMATIC_DISCOVERY_RANGE:-LOCALHOST}
 if ! type ros2 >/dev/null 2>&1; then  # the wheels bring rclpy but no ros2 command
     export QUAD_ROS2=$PWD/tools/ros2_stand_in.py

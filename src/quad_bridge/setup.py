@@ -37,13 +37,13 @@ setup(
     entry_points={
         'console_scripts': [
             'recover = quad_bridge.recover:main',
-            'monitor = quad_bridge.monitor_node:main',
+            'monitor = quad_bridge.start:monitor',
             'sensors = quad_bridge.sensors_command:main',
-            'sensor_watch = quad_bridge.sensor_watch_node:main',
+            'sensor_watch = quad_bridge.start:sensor_watch',
             'make_key = quad_bridge.key_file:main',
-            'bag_logger = quad_bridge.bag_logger_node:main',
-            'serial_bridge = quad_bridge.serial_bridge_node:main',
-            'virtual_stm32 = quad_bridge.virtual.process:main',
+            'bag_logger = quad_bridge.start:bag_logger',
+            'serial_bridge = quad_bridge.start:serial_bridge',
+            'virtual_stm32 = quad_bridge.start:virtual_stm32',
         ]
     },
 )

@@ -8,8 +8,8 @@ from setuptools import find_packages, setup
 PACKAGE = 'quad_sysid'
 
 NODES = [
-    'excitation = quad_sysid.excitation_node:main',
-    'identification = quad_sysid.identification_node:main',
+    'excitation = quad_sysid.start_node:excitation',
+    'identification = quad_sysid.start_node:identification',
     'identify = quad_sysid.commands:identify',
     'inspect = quad_sysid.commands:inspect',
     'evaluate = quad_sysid.commands:evaluate',

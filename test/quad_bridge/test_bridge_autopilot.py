@@ -1,22 +1,16 @@
 """A far end made of pymavlink's `common` dialect: what the bridge makes of standard messages."""
 
 import math
-import signal
-import subprocess
-import sys
-import time
 
 import numpy as np
 import pytest
 from flight_controller import Line, Port, Pty
 from pymavlink.dialects.v20 import common
-from rosbags.highlevel import AnyReader
 
 from quad_bridge.autopilot import INTERVALS_US, SET_MESSAGE_INTERVAL, Inertial
 from quad_bridge.link import Link
 from quad_bridge.wire import frames as f
 from quad_bridge.wire.codec import Decoder, Encoder
-from quad_sysid.bags.storage import Storage
 
 HOST0_NS = 5_000_000_000
 NAMES = {number: name for name, (number, _) in INTERVALS_US.items()}
@@ -197,74 +191,19 @@ def test_messages_in_ros_units_and_axes():
     assert not math.isnan(sum(motors.effort))
 
 
-WAIT_S = 60.0
 PUBLISHED = ('/imu/data', '/motors/command', '/rc/in', '/imu/mag', '/baro', '/battery')
 REFUSED = 'refused: the far end has no QUAD_GAINS'
 MISSING = 'without QUAD_CYCLE there is no /control/wrench'
 
 
-@pytest.fixture
-def start(ros_domain):
-    del ros_domain
-    started = []
-
-    def make(name, *settings):
-        code = f'from quad_bridge.{name}_node import main; main()'
-        arguments = [word for setting in settings for word in ('-p', setting)]
-        command = [sys.executable, '-c', code, '--ros-args', *arguments]
-        started.append(subprocess.Popen(command))
-        return started[-1]
-
-    yield make
-    for process in started:
-        process.kill()
-        process.wait()
-
-
-def read(bag):
-    found = {}
-    with AnyReader([bag]) as reader:
-        for connection, _, raw in reader.messages():
-            message = reader.deserialize(raw, connection.msgtype)
-            found.setdefault(connection.topic, []).append(message)
-    return found
-
-
-def await_in_bag(folder):
-    """Wait until the bag that is being written has six of each topic and the bridge's refusal."""
-    deadline, told = time.monotonic() + WAIT_S, {}
-    while time.monotonic() < deadline:
-        time.sleep(0.5)
-        for file in folder.glob('flight_*/*.mcap'):
-            held = file.read_bytes()
-            if any(words.encode() not in held for words in (REFUSED, MISSING)):
-                continue  # they come after the first second
-            told = dict.fromkeys(PUBLISHED, 0)
-            for batch in Storage(file.parent, PUBLISHED).batches():
-                for topic, raws in batch.items():
-                    told[topic] += len(raws)
-            if min(told.values()) > 5:
-                return
-    raise AssertionError(f'not all is in the bag: {told}')
-
-
-def test_the_node_publishes_what_it_can_and_says_what_is_missing(tmp_path, start):
-    pytest.importorskip('rclpy', reason='needs ROS 2')
-    port = Port(Autopilot(), Pty(tmp_path / 'tty'))
-    port.start()
-    logger = start('bag_logger', f'folder:={tmp_path}', 'autostart:=true')
-    bridge = start('serial_bridge', f'port:={tmp_path / "tty"}')
-    await_in_bag(tmp_path)
-    for process in (bridge, logger):
-        process.send_signal(signal.SIGINT)
-        assert process.wait(timeout=WAIT_S) == 0
-    port.close()
-    found = read(next(tmp_path.glob('flight_*')))
-    for topic in PUBLISHED:
-        assert len(found.get(topic, [])) > 5, topic
-    assert '/control/wrench' not in found
-    assert found['/imu/data'][-1].linear_acceleration.z == pytest.approx(9.81)
-    assert found['/motors/command'][-1].effort.tolist() == pytest.approx([0.2, 0.4, 0.1, 0.3])
-    said = {s.name: s.message for array in found['/diagnostics'] for s in array.status}
-    assert MISSING in said['serial_bridge: link']
-    assert said['serial_bridge: gains'] == REFUSED
+def test_the_node_publishes_what_it_can_and_says_what_is_missing(tmp_path, probe, start):
+    heard = {topic: probe.listen(topic) for topic in (*PUBLISHED, '/control/wrench')}
+    with Port(Autopilot(), Pty(tmp_path / 'tty')):
+        bridge = start('serial_bridge', port=tmp_path / 'tty', state_folder=tmp_path)
+        probe.until(lambda: min(len(heard[topic]) for topic in PUBLISHED) > 5)
+        probe.until(lambda: MISSING in probe.diagnostics('serial_bridge: link'))
+        probe.until(lambda: probe.diagnostics('serial_bridge: gains') == REFUSED)
+        assert bridge.end() == 0
+    assert heard['/control/wrench'] == []
+    assert heard['/imu/data'][-1].linear_acceleration.z == pytest.approx(9.81)
+    assert heard['/motors/command'][-1].effort == pytest.approx([0.2, 0.4, 0.1, 0.3])

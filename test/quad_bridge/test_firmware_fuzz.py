@@ -5,14 +5,21 @@ import subprocess
 
 import pytest
 
-BYTES = 10_000_000
+LONG = pytest.mark.long
 
 
-@pytest.mark.parametrize('seed', [1, 2])
-def test_no_bytes_break_it(firmware, seed):
+@pytest.mark.parametrize(
+    ('seed', 'number', 'least'),
+    [
+        (3, 500_000, 20),
+        pytest.param(1, 10_000_000, 1000, marks=LONG),
+        pytest.param(2, 10_000_000, 1000, marks=LONG),
+    ],
+)
+def test_no_bytes_break_it(firmware, seed, number, least):
     run = subprocess.run(
-        [firmware('fuzz'), str(seed), str(BYTES)],
-        capture_output=True, text=True, timeout=300, check=False,
+        [firmware('fuzz'), str(seed), str(number)],
+        capture_output=True, text=True, timeout=600, check=False,
     )  # fmt: skip
     assert run.returncode == 0, run.stderr[-2000:]
     # it has come to the depths: frames heeded, excitation flown, gain sets taken back
@@ -20,5 +27,5 @@ def test_no_bytes_break_it(firmware, seed):
         int(re.search(rf'(\d+) {word}', run.stdout)[1])
         for word in ('frames used', 'bad', 'cycles excited', 'reverts', 'unsigned', 'forged')
     )
-    assert min(used, bad, excited, unsigned, forged) > 1000
-    assert reverts > 20
+    assert min(used, bad, excited, unsigned, forged) > least
+    assert reverts > least // 50

@@ -71,30 +71,30 @@ def test_what_is_a_key_and_what_is_none(tmp_path, data, wrong):
 
 
 def test_the_c_host_takes_the_same_files(tmp_path, firmware):
-    host = firmware('quad_host_checked')
-    told = {}
+    host, told = firmware('quad_host_checked'), {}
     for number, (name, (data, wrong)) in enumerate(FILES.items()):
         folder = tmp_path / str(number)
         folder.mkdir()
         path = held(folder, data)
-        run = subprocess.run(
-            [host, '--key', path, '--duration', '0.01'],
-            capture_output=True, text=True, check=False,
-        )  # fmt: skip
+        status, error = ended(host, '--key', path, '--duration', '0.01')
         line = f'quad_host: {path}: {wrong}' if wrong else ''
-        if (run.returncode, run.stderr[: len(line)]) != (2 if wrong else 0, line):
-            told[name] = run.stderr
+        if (status, error[: len(line)]) != (2 if wrong else 0, line):
+            told[name] = error
     assert told == {}
+
+
+def ended(*command):
+    run = subprocess.run(command, capture_output=True, text=True, check=False)
+    return run.returncode, run.stderr
 
 
 def test_a_file_that_is_too_long_or_a_folder_is_no_key(tmp_path, firmware):
     path = held(tmp_path, HEX + b' ' * 4096)
-    host = firmware('quad_host_checked')
     for place, wrong in ((path, NO_KEY), (tmp_path, 'Is a directory')):
         with pytest.raises(BadInputError, match=wrong):
             read_key(place)
-        run = subprocess.run([host, '--key', place], capture_output=True, text=True, check=False)
-        assert (run.returncode, run.stderr.count('\n')) == (2, 1)
+        status, error = ended(firmware('quad_host_checked'), '--key', place)
+        assert (status, error.count('\n')) == (2, 1)
 
 
 @pytest.mark.parametrize('mode', [0o640, 0o604, 0o620, 0o660, 0o644])
@@ -125,10 +125,6 @@ def test_the_virtual_stm32_refuses_a_readable_key(tmp_path):
     path = tmp_path / 'key'
     write_key(path)
     path.chmod(0o644)
-    start = 'import sys; from quad_bridge.virtual.process import main; sys.exit(main())'
-    run = subprocess.run(
-        [sys.executable, '-c', start, '--key', str(path)],
-        capture_output=True, text=True, check=False,
-    )
-    assert (run.returncode, run.stderr.count('\n')) == (2, 1)
-    assert 'chmod 600' in run.stderr
+    status, error = ended(sys.executable, '-m', 'quad_bridge.virtual.process', '--key', path)
+    assert (status, error.count('\n')) == (2, 1)
+    assert 'chmod 600' in error

@@ -22,6 +22,7 @@ TOPIC = '/setpoint/rates'
 FILL = b'\x55' * 150
 
 
+@pytest.mark.long
 def test_thirty_recorders_lose_at_most_a_second(tmp_path):
     done = subprocess.run(
         [sys.executable, str(STUDY), '--points', '30', '--parallel', '10', '--seed', '7'],

@@ -37,7 +37,10 @@ def test_random_starts_end_at_the_optimum_or_above_it(model, values):
     assert np.sum(reached < 1.01 * best) >= 5
 
 
-@pytest.mark.parametrize('values', [{}, {'gain': 260.0, 'lag': 0.075, 'delay': 0.012}])
+SLOW = {'gain': 260.0, 'lag': 0.075, 'delay': 0.012}
+
+
+@pytest.mark.parametrize('values', [{}, pytest.param(SLOW, marks=pytest.mark.long)])
 def test_another_global_optimiser_finds_nothing_better(model, values):
     """Differential evolution with a penalty, on the loops that bind: within 1 % on either side."""
     problem = problem_of(model(**values))

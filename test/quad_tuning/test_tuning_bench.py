@@ -22,7 +22,7 @@ def bench():
     return {'run': tuning, 'airframes': tuning_airframes, 'peers': tuning_peers}
 
 
-@pytest.mark.parametrize('number', [2, 9])
+@pytest.mark.parametrize('number', [2, pytest.param(9, marks=pytest.mark.long)])
 def test_an_airframe_is_better_with_the_gains_from_its_own_flight(bench, number):
     """Hover; rig with a dead zone. Promise within 5 points, 0.85 of what the true plant allows."""
     run, airframe = bench['run'], bench['airframes'].draw(100, 1000)[number]

@@ -19,13 +19,17 @@ ROOT = Path(__file__).resolve().parents[2]
 FILES = sorted(ROOT.glob('src/*/launch/*.launch.py'))
 MODULES = {
     'launch': ['LaunchDescription'],
-    'launch.actions': ['DeclareLaunchArgument', 'ExecuteProcess', 'IncludeLaunchDescription'],
-    'launch.conditions': ['IfCondition'],
+    'launch.actions': [
+        'DeclareLaunchArgument', 'ExecuteProcess', 'IncludeLaunchDescription',
+        'SetEnvironmentVariable',
+    ],
+    'launch.conditions': ['IfCondition', 'UnlessCondition'],
     'launch.launch_description_sources': ['PythonLaunchDescriptionSource'],
     'launch.substitutions': ['LaunchConfiguration'],
     'launch_ros': [],
     'launch_ros.actions': ['Node'],
     'launch_ros.parameter_descriptions': ['ParameterValue'],
+    'launch_ros.substitutions': ['ExecutableInPackage'],
 }
 
 

@@ -1,11 +1,29 @@
 """The probe tells what goes over the wire as it was; its end is one failed assertion."""
 
+import ast
 import math
 import os
 import signal
+from pathlib import Path
 
 import pytest
 from probe import content, entries, event, stamp, stamp_ns
+
+TESTS = Path(__file__).resolve().parents[1]
+
+
+def imported(tree):
+    """The packages that a file imports, in functions too."""
+    for node in ast.walk(tree):
+        names = [node.module or ''] if isinstance(node, ast.ImportFrom) else []
+        names += [one.name for one in node.names] if isinstance(node, ast.Import) else []
+        yield from (name.partition('.')[0] for name in names)
+
+
+def test_no_test_imports_rclpy_itself():
+    files = {path: ast.parse(path.read_text()) for path in TESTS.rglob('*.py')}
+    found = {path.name for path, tree in files.items() if 'rclpy' in imported(tree)}
+    assert found == {'probe.py'}
 
 
 def test_what_is_said_is_heard_with_every_field(probe):

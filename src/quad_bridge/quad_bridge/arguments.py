@@ -7,7 +7,7 @@ import math
 import os
 import sys
 from collections.abc import Callable
-from typing import NoReturn, TypeVar
+from typing import NoReturn, TextIO, TypeVar
 
 from quad_bridge.errors import QuadBridgeError
 
@@ -48,13 +48,22 @@ def say(text: str) -> bool:
 
     What follows is dropped then: that nobody reads is no reason to leave a work half done.
     """
-    if sys.stdout is None:
+    return _write(sys.stdout, text)
+
+
+def complain(text: str) -> bool:
+    """Write to stderr as `say` does to stdout."""
+    return _write(sys.stderr, text)
+
+
+def _write(stream: TextIO | None, text: str) -> bool:
+    if stream is None:
         return False
     try:
-        sys.stdout.write(text)
-        sys.stdout.flush()
+        stream.write(text)
+        stream.flush()
     except OSError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
         return False
     return True
 
@@ -64,10 +73,10 @@ def ended_in_one_line(program: str, work: Callable[[], _T]) -> _T:
     try:
         return work()
     except (QuadBridgeError, OSError) as error:
-        sys.stderr.write(f'{program}: {one_line(error)}\n')
+        complain(f'{program}: {one_line(error)}\n')
         sys.exit(BAD_INPUT)
     except KeyboardInterrupt:
-        sys.stderr.write(f'{program}: interrupted\n')
+        complain(f'{program}: interrupted\n')
         sys.exit(INTERRUPTED)
 
 

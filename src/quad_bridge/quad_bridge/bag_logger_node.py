@@ -18,7 +18,9 @@ from std_srvs.srv import Trigger
 from quad_bridge import bag_writer, conversion, diagnostics, ros_node
 from quad_bridge.disk import MB, Budget, free_bytes
 from quad_bridge.errors import BadInputError, QuadBridgeError
+from quad_bridge.lockstep import IMU_STREAM, clock
 from quad_bridge.managed_node import ManagedNode, relative
+from quad_bridge.node_time import stamp_of
 from quad_bridge.qos import EVENT, STATE, adapted, offered
 from quad_bridge.recording import Recording, RecordingStatus
 from quad_bridge.sequence import Gaps
@@ -76,8 +78,7 @@ class BagLogger(ManagedNode):
         self._autostart = ros_node.flag(
             self, 'autostart', False, 'record from the start of the node'
         )
-        simulated = bool(self.get_parameter('use_sim_time').value)
-        self._now_ns: Callable[[], int] = self._ros_now_ns if simulated else time.time_ns
+        self._now_ns: Callable[[], int] = self._ros_now_ns if self.simulated else time.time_ns
         self._timer: Any = None
         self.create_service(Trigger, '~/start', self._on_start)
         self.create_service(Trigger, '~/stop', self._on_stop)
@@ -181,6 +182,7 @@ class BagLogger(ManagedNode):
         for subscription, _ in self._subscribed.values():
             self.destroy_subscription(subscription)
         self._subscribed.clear()
+        clock().forget(IMU_STREAM)
         self._gaps.clear()
         self._numbered.clear()
         status = recording.stop()
@@ -237,6 +239,8 @@ class BagLogger(ManagedNode):
                 qos = offered(self._offers(topic))
                 recording.declare(topic, TOPIC_TYPES[topic], qos)
             recording.put(topic, self._now_ns(), data)
+            if topic == IMU_STREAM:
+                clock().handled(IMU_STREAM, stamp_of(data))
 
         return receive
 

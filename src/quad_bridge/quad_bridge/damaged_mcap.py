@@ -148,10 +148,7 @@ class DamagedMcap:
         while position < stop and (not self.ended or self._only_names):
             end = end_of(data, position, stop)
             opcode = data[position]
-            if end is None or (
-                (opcode == MESSAGE or opcode >= PRIVATE)  # of these any length agrees
-                and not (self._bare(data, position, end) and self._goes_on(data, end, stop))
-            ):
+            if end is None or self._false(data, position, end, stop):
                 before, position = (
                     position,
                     (yield from self._nonsense(data, before, position, stop)),
@@ -174,6 +171,15 @@ class DamagedMcap:
             elif opcode in {DATA_END, FOOTER} and not has_chunks(data, stop, end):
                 self.ended = True
             before, position = (end - 1 if opcode == CHUNK else position), end
+
+    def _false(self, data: mmap.mmap, position: int, end: int, stop: int) -> bool:
+        """Whether something else looks like this record, whose length agrees."""
+        opcode = data[position]
+        if opcode == MESSAGE or opcode >= PRIVATE:  # of these any length agrees
+            return not (self._bare(data, position, end) and self._goes_on(data, end, stop))
+        # a chunk's length may look like the record of an end, where a byte before it is missing
+        within = opcode in {DATA_END, FOOTER} and has_chunks(data, stop, end)
+        return within and not self._goes_on(data, end, stop)
 
     def _bare(self, data: mmap.mmap, position: int, end: int) -> bool:
         """Whether the record is no chunk or index whose opcode is damaged."""

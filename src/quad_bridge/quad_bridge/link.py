@@ -64,7 +64,9 @@ WRAP_NS = 1000 << 32
 class Link:
     """State of the conversation with the STM32."""
 
-    def __init__(self, signing: Signing | None = None) -> None:
+    def __init__(self, signing: Signing | None = None, one_clock_ns: int | None = None) -> None:
+        """`one_clock_ns`: host minus device time where both are one clock, as in lockstep."""
+        self._one_clock_ns = one_clock_ns
         self.on_ack: Callable[[CommandAck], None] = lambda _frame: None
         """Called for the answer to a command."""
         self.on_cycle: Callable[[Cycle, int], None] = lambda _frame, _now_ns: None
@@ -277,7 +279,10 @@ class Link:
             self.send(TimeSync(now_ns, frame.ts1_ns))
         elif frame.ts1_ns <= now_ns:
             self.answered_ns = now_ns
-            self.stamping.trip(frame.ts1_ns, frame.tc1_ns, now_ns, out)
+            sent_ns, received_ns = frame.ts1_ns, now_ns
+            if self._one_clock_ns is not None:
+                sent_ns = received_ns = frame.tc1_ns + self._one_clock_ns
+            self.stamping.trip(sent_ns, frame.tc1_ns, received_ns, out)
 
     def _restarted_unseen(self) -> None:
         self._restarts = self.decoder.restarted()

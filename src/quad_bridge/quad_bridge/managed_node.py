@@ -15,19 +15,22 @@ from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 
 from quad_bridge import ros_node
 from quad_bridge.errors import QuadBridgeError
+from quad_bridge.fence import Fence
+from quad_bridge.node_time import TimedNode
 
 RCLError = rclpy_implementation.RCLError
 
 
-class ManagedNode(LifecycleNode):  # type: ignore[misc]
+class ManagedNode(TimedNode, LifecycleNode):  # type: ignore[misc]
     """`begin` makes it active at once, unless the parameter `managed` is true."""
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
+        self.keep_time()
         service = self._service_change_state
         service.callback = _refusing(service.callback)
         self.active = False
-        self.fence = ros_node.Fence(self.get_logger().error)
+        self.fence = Fence(self.get_logger().error)
         """What notes callbacks that fail."""
         self._managed = ros_node.flag(
             self, 'managed', False, 'wait for a lifecycle manager to configure and activate'

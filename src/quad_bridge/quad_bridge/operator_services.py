@@ -6,7 +6,6 @@ of the node goes on.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -19,6 +18,7 @@ from std_srvs.srv import SetBool
 from quad_bridge.arming import ACCEPTED, Arming
 from quad_bridge.diagnostics import WARN, Status
 from quad_bridge.errors import RefusedError
+from quad_bridge.lockstep import clock
 from quad_bridge.operator_enable import OperatorEnable
 from quad_bridge.wire.frames import Command, CommandAck
 
@@ -45,11 +45,11 @@ class OperatorServices:
 
     def acknowledged(self, ack: CommandAck) -> None:
         """The STM32 has answered a command."""
-        self._arming.acknowledged(ack, time.monotonic())
+        self._arming.acknowledged(ack, clock().now_s())
 
     def tick(self) -> None:
         """Send again, or give up waiting, where no answer has come."""
-        now_s, armed = time.monotonic(), self._armed()
+        now_s, armed = clock().now_s(), self._armed()
         command = self._arming.tick(now_s, armed=bool(armed))
         if command is not None:
             self._send(command)
@@ -67,10 +67,10 @@ class OperatorServices:
         self._arming.end('no answer before the node was deactivated')
 
     def _on_enable(self, message: Bool) -> None:
-        self._enable.take(bool(message.data), time.monotonic())
+        self._enable.take(bool(message.data), clock().now_s())
 
     def _command(self, arm: bool, told: Callable[[str], None]) -> Command:
-        now_s = time.monotonic()
+        now_s = clock().now_s()
         if not self._node.active:
             raise RefusedError('the node is not active')
         fault = (self._enable.fault(now_s) or self._not_disarmed()) if arm else ''

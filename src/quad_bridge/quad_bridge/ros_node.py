@@ -8,15 +8,14 @@ from __future__ import annotations
 import contextlib
 import difflib
 import itertools
+import os
 import re
 import signal
 import sys
 import threading
-import time
-import traceback
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import rclpy
 from rcl_interfaces.msg import IntegerRange, ParameterDescriptor
@@ -27,16 +26,12 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.logging import LoggingSeverity, get_logger_level, set_logger_level
 from rclpy.signals import SignalHandlerOptions
 
-from quad_bridge.arguments import one_line
+from quad_bridge.arguments import complain, one_line
 from quad_bridge.errors import BadInputError, QuadBridgeError
-from quad_bridge.sparing import Sparing
+from quad_bridge.fence import Fence
 
 WAKE_S = 0.1
 """How long a signal may wait: rclpy's wait does not return for one."""
-MOST_IN_A_ROW = 1000
-"""Failures without anything that works between them: it is ROS itself that fails."""
-LONGEST = 500
-"""Characters of a fault that are logged."""
 RCLError = rclpy_implementation.RCLError
 WRONG = (QuadBridgeError, ParameterException, NameValidationException)
 """What a wrong parameter or name makes a node's constructor raise."""
@@ -115,59 +110,6 @@ def steady_timer(node: Any, period_s: float, callback: Callable[[], None]) -> An
     return node.create_timer(period_s, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
 
-class Fence:
-    """Keeps a node alive when one of its callbacks fails: logs the fault and counts it.
-
-    `log` takes one line. What fails without end is not kept: `take` raises it again.
-    """
-
-    def __init__(self, log: Callable[[str], None]) -> None:
-        self.failed = 0
-        """Callbacks that have raised."""
-        self._told = 0
-        self._log = log
-        self._in_a_row: dict[int, int] = {}
-        """By thread: the port goes on while ROS fails."""
-        self._sparing = Sparing()
-
-    def take(self, error: Exception) -> None:
-        """Note what a callback has raised."""
-        self.failed += 1
-        thread = threading.get_ident()
-        self._in_a_row[thread] = self._in_a_row.get(thread, 0) + 1
-        if self._in_a_row[thread] > MOST_IN_A_ROW:
-            raise error
-        frame = traceback.extract_tb(error.__traceback__)[-1]
-        words = f'{type(error).__name__}: {" ".join(str(error).split())[:LONGEST]}'
-        where = f'{Path(frame.filename).name}:{frame.lineno}'
-        if self._sparing.allow(where + words, time.monotonic()):
-            self._log(f'a callback failed and was left out: {words} ({where})')
-
-    def passed(self) -> None:
-        """Note that one has not failed."""
-        self._in_a_row[threading.get_ident()] = 0
-
-    def lately(self) -> int:
-        """How many have raised since this was last asked."""
-        failed = self.failed
-        new, self._told = failed - self._told, failed
-        return new
-
-    def around(self, callback: Callable[..., None]) -> Callable[..., None]:
-        """`callback`, for a thread of its own, that never raises."""
-
-        def fenced(*args: Any) -> None:
-            try:
-                callback(*args)
-            except Exception as error:  # noqa: BLE001  (whatever it is, the thread goes on)
-                with contextlib.suppress(Exception):
-                    self.take(error)
-            else:
-                self.passed()
-
-        return fenced
-
-
 def begin_ros() -> None:
     """Take what stands behind --ros-args; signals are the caller's.
 
@@ -218,41 +160,64 @@ def tell_unused(node: Any) -> None:
         node.get_logger().warning(text)
 
 
-def run(factory: Callable[[], Any], name: str) -> None:
-    """Spin one node until SIGINT or SIGTERM, then call its `close` while ROS still works.
+def run(factory: Callable[[], Any], name: str) -> NoReturn:
+    """Spin one node until SIGINT, SIGTERM or its own `exit_status`; then end the process.
 
-    A callback that fails is logged and left out. Exit status 2, with one line on stderr, where
-    arguments or parameters are wrong or the node cannot begin.
+    The node's `close` runs while ROS still works; then executor, node and context end in this
+    order, whatever failed before. A callback that fails is logged and left out. Exit status 2,
+    with one line on stderr, where arguments or parameters are wrong or the node cannot begin.
     """
     stopping = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stopping.set())
-    node = executor = None
+    status = 0
     try:
-        try:
+        with contextlib.ExitStack() as ending:
+            ending.callback(rclpy.try_shutdown)
             begin_ros()
             node = factory()
+            ending.callback(node.destroy_node)
+            fence = getattr(node, 'fence', None) or Fence(node.get_logger().error)
+            executor = SingleThreadedExecutor()
+            ending.callback(executor.shutdown, timeout_sec=0)
+            executor.add_node(node)
+            ending.callback(fence.around(node.close))
             tell_unused(node)
-            begin = getattr(node, 'begin', None)
-            if begin is not None:
-                begin()
-        except (*WRONG, RCLError, OSError) as error:
-            sys.stderr.write(f'{name}: {_plain(error)}\n')
-            sys.exit(2)
-        executor = SingleThreadedExecutor()
-        executor.add_node(node)
-        fence = getattr(node, 'fence', None) or Fence(node.get_logger().error)
-        while not stopping.is_set():
-            _spin_once(executor, fence)
+            getattr(node, 'begin', _nothing)()
+            status = _spin(node, executor, fence, stopping)
     except ExternalShutdownException:
         pass
-    finally:
-        if node is not None:
-            node.close()
-            if executor is not None:
-                executor.shutdown(timeout_sec=0)  # else its own end comes after ROS's
-            node.destroy_node()
-        rclpy.try_shutdown()
+    except (*WRONG, RCLError, OSError) as error:
+        complain(f'{name}: {_plain(error)}\n')
+        status = 2
+    _leave(status)
+
+
+def _nothing() -> None:
+    """What a node does at its beginning that has nothing to begin."""
+
+
+def _spin(node: Any, executor: Any, fence: Fence, stopping: threading.Event) -> int:
+    """Exit status, once a signal or the node itself says so."""
+    while not stopping.is_set():
+        _spin_once(executor, fence)
+        status = getattr(node, 'exit_status', None)
+        if status is not None:
+            return int(status)
+    return 0
+
+
+def _leave(status: int) -> NoReturn:
+    """End the process; a thread that still computes or waits is not waited for.
+
+    The interpreter's own end would meet such a thread in the middle of compiled code and abort.
+    """
+    if threading.active_count() > 1:
+        for stream in (sys.stdout, sys.stderr):
+            with contextlib.suppress(OSError):
+                stream.flush()
+        os._exit(status)
+    sys.exit(status)
 
 
 def _spin_once(executor: Any, fence: Fence) -> None:

@@ -15,6 +15,7 @@ from sensor_msgs.msg import Imu
 
 from quad_bridge import ros_node
 from quad_bridge.diagnostics import callback_entries, diagnostic_array
+from quad_bridge.fence import Fence
 from quad_bridge.qos import EVENT, STREAM
 from quad_bridge.sensor_status import vibration_entries
 from quad_bridge.sensors.window import SHAKING
@@ -33,7 +34,7 @@ class SensorWatch(Node):  # type: ignore[misc]
         self._samples: deque[tuple[float, ...]] = deque(maxlen=SHAKING)
         self._diagnostics = self.create_publisher(DiagnosticArray, 'diagnostics', EVENT)
         self.create_subscription(Imu, 'imu/data', self._on_imu, STREAM)
-        self.fence = ros_node.Fence(self.get_logger().error)
+        self.fence = Fence(self.get_logger().error)
         ros_node.steady_timer(self, 1.0, self._on_report)
 
     def close(self) -> None:

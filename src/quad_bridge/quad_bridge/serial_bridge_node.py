@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import threading
-import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -16,6 +15,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Vector3Stamped, WrenchStamped
 from rcl_interfaces.msg import ParameterEvent
 from rclpy.qos import qos_profile_sensor_data
+from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import BatteryState, FluidPressure, Imu, JointState, Joy, MagneticField
 
 from quad_bridge import conversion, diagnostics
@@ -28,6 +28,7 @@ from quad_bridge.gain_services import GainServices
 from quad_bridge.gain_state import News, State
 from quad_bridge.host_time import NEVER_NS, HostTime
 from quad_bridge.link import Link
+from quad_bridge.lockstep import IMU_STREAM, SETPOINT_STREAM, START_NS, WIRE, clock
 from quad_bridge.managed_node import ManagedNode
 from quad_bridge.operator_enable import OperatorEnable
 from quad_bridge.operator_services import OperatorServices
@@ -57,7 +58,7 @@ class SerialBridge(ManagedNode):
         super().__init__('serial_bridge')
         self._settings: BridgeSettings = declare(self)
         self._lock = threading.Lock()
-        self._link = Link(self._settings.signing)
+        self._link = Link(self._settings.signing, START_NS if clock().simulated else None)
         self._enable = OperatorEnable(required=self._settings.require_enable)
         self._relay = ExcitationRelay(self._settings.excitation_valid_ms, self._enable)
         self._messages = conversion.CycleMessages()
@@ -71,10 +72,14 @@ class SerialBridge(ManagedNode):
         self._link.on_ack = self._operator.acknowledged
         self._link.on_cycle = self._watch_cycle
         self._reported_s = 0.0
-        self._simulated = bool(self.get_parameter('use_sim_time').value)
+        self._simulated = self.simulated
         self._time = HostTime(self._epoch())
+        self._told_time: Any = None
+        """In lockstep, for whoever is not on the line; outside any namespace."""
+        if clock().simulated:
+            self._told_time = self.create_publisher(ClockMessage, '/clock', 1)
         self._failed_lately = 0
-        self._since = self._before = diagnostics.Since(time.monotonic(), Counts(), 0)
+        self._since = self._before = diagnostics.Since(clock().now_s(), Counts(), 0)
         self._opened_counts = Counts()
         self._sparing = Sparing()
         self._changes = diagnostics.Changes(self._sparing)
@@ -82,7 +87,10 @@ class SerialBridge(ManagedNode):
 
     def _new_port(self) -> SerialPort:
         heard, opened = self.fence.around(self._on_bytes), self.fence.around(self._on_open)
-        return SerialPort(self._settings.port, self._settings.baud, heard, opened)
+        return SerialPort(
+            self._settings.port, self._settings.baud, heard, opened,
+            on_silence=lambda: clock().forget(WIRE),
+        )  # fmt: skip
 
     def activate(self) -> None:
         """Open the port; it need not be there yet."""
@@ -135,9 +143,8 @@ class SerialBridge(ManagedNode):
         subscribe = self.subscribe
         subscribe(ParameterEvent, '/excitation/segment', self._on_segment, STATE)
         subscribe(ParameterEvent, '/gains/update', self._on_gains, EVENT)
-        subscribe(
-            Vector3Stamped, '/excitation/setpoint', self._on_setpoint, qos_profile_sensor_data
-        )
+        loss = STREAM if clock().simulated else qos_profile_sensor_data
+        subscribe(Vector3Stamped, '/excitation/setpoint', self._on_setpoint, loss)
 
     # In the port's thread.
 
@@ -148,24 +155,28 @@ class SerialBridge(ManagedNode):
             self._time.opened(self._epoch())
             self._opened_counts = self._link.decoder.counts
         words = f'{self._port.status.path}: open at {self._settings.baud} baud'
-        if self._sparing.allow(words, time.monotonic()):
+        if self._sparing.allow(words, clock().now_s()):
             self.get_logger().info(words)
 
     def _on_bytes(self, data: bytes) -> None:
-        now_ns = time.monotonic_ns()
+        now_ns = clock().now_ns()
         with self._lock:
+            before = self._link.cycles
             for item in self._link.receive(data, now_ns):
                 self._publish(item)
             self._link.poll_gains(now_ns)
             reply = self._link.drain()
+            last = self._link.last_cycle if self._link.cycles > before else None
         if reply:
             self._port.write(reply)
+        if last is not None:
+            clock().handled(WIRE, START_NS + 1000 * last.time_us)
 
     def _publish(self, item: Stamped) -> None:
         frame = item.frame
         if item.stamp_ns is None:
             words = f'STM32: {getattr(frame, "text", "")}'
-            if self._sparing.allow(words, time.monotonic()):
+            if self._sparing.allow(words, clock().now_s()):
                 self.get_logger().info(words)
             return
         stamp_ns = item.stamp_ns + self._time.epoch_ns
@@ -186,7 +197,7 @@ class SerialBridge(ManagedNode):
         lost = last is not None and bool(last.flags & Flag.RC_FAILSAFE)
         message = conversion.rc_message(frame, stamp_ns, failsafe=lost)
         self._rc.publish(message)
-        self._keeper.sticks(message.axes[YAW_STICK], time.monotonic())
+        self._keeper.sticks(message.axes[YAW_STICK], clock().now_s())
 
     def _mag_message(self, frame: SlowSensors, stamp_ns: int) -> MagneticField | None:
         offset = self._sensor_keeper.stamped(stamp_ns).hard_iron
@@ -208,26 +219,29 @@ class SerialBridge(ManagedNode):
             publish(message)
         if conversion.excited(frame):
             self._applied.publish(self._messages.excitation)
+        clock().published(IMU_STREAM, stamp_ns)
+        if self._told_time is not None:
+            self._told_time.publish(ClockMessage(clock=self._messages.imu.header.stamp))
 
     # In the executor.
 
     def _on_tick(self) -> None:
         with self._lock:
-            self._link.tick(time.monotonic_ns())
-            self._keeper.tick(time.monotonic())
-            self._link.poll_gains(time.monotonic_ns())
+            self._link.tick(clock().now_ns())
+            self._keeper.tick(clock().now_s())
+            self._link.poll_gains(clock().now_ns())
             outgoing = self._link.drain()
             news, self._keeper.news = self._keeper.news, []
             aircraft = self._settings.keeper.name_of(self._link.gains.state)
         self._send(outgoing)
         self._operator.tick()
         self._sensors.tick(aircraft)
-        end = self._relay.tick(time.monotonic())
+        end = self._relay.tick(clock().now_s())
         if end is not None:
             self._forward(end)
         for item in news:
             self._tell(item)
-        if news and time.monotonic() - self._reported_s > REPORT_S:
+        if news and clock().now_s() - self._reported_s > REPORT_S:
             self._on_report()
 
     def _tell(self, item: News) -> None:
@@ -259,9 +273,11 @@ class SerialBridge(ManagedNode):
 
     def _on_setpoint(self, message: Vector3Stamped) -> None:
         v = message.vector
-        frame = self._relay.setpoint(v.x, v.y, v.z, time.monotonic())
+        frame = self._relay.setpoint(v.x, v.y, v.z, clock().now_s())
         if frame is not None:
             self._forward(frame)
+        stamp = message.header.stamp
+        clock().handled(SETPOINT_STREAM, stamp.sec * 1_000_000_000 + stamp.nanosec)
 
     def _forward(self, frame: Any) -> None:
         with self._lock:
@@ -278,39 +294,39 @@ class SerialBridge(ManagedNode):
         if not self.active:
             raise RefusedError('the node is not active')
         with self._lock:
-            words = self._keeper.ask(parameters, time.monotonic())
-            self._link.poll_gains(time.monotonic_ns())
+            words = self._keeper.ask(parameters, clock().now_s())
+            self._link.poll_gains(clock().now_ns())
             outgoing = self._link.drain()
         self._send(outgoing)
         self.get_logger().info(words)
 
     def _armed(self) -> bool | None:
         with self._lock:
-            return self._link.armed_lately(time.monotonic_ns())
+            return self._link.armed_lately(clock().now_ns())
 
     def _ask_check(self, told: Callable[[str], None], motors: bool) -> None:
         """Have the polarity or the motors checked; raises RefusedError."""
         if not self.active:
             raise RefusedError('the node is not active')
         with self._lock:
-            self._keeper.check(time.monotonic(), told, motors=motors)
+            self._keeper.check(clock().now_s(), told, motors=motors)
 
     def _on_report(self) -> None:
         self._keep_epoch()
-        self._reported_s = time.monotonic()
-        now_s = time.monotonic()
+        self._reported_s = clock().now_s()
+        now_s = clock().now_s()
         with self._lock:
             link, port = self._link, self._port.status
             # a report out of turn may follow the last one so closely that nothing came between
             unset = self._time.epoch_ns == NEVER_NS
             settled = now_s - self._since.time_s > SETTLED_S
             since = self._since if settled else self._before
-            standard = link.standard_only(time.monotonic_ns())
+            standard = link.standard_only(clock().now_ns())
             self._relay.refusal = NO_EXCITATION if standard else ''
             entries = [
                 diagnostics.link_status(port, link, since, now_s, self._opened_counts),
                 diagnostics.clock_status(
-                    link, self._time.behind_ns, unset=unset, now_ns=time.monotonic_ns()
+                    link, self._time.behind_ns, unset=unset, now_ns=clock().now_ns()
                 ),
                 diagnostics.gains_status(link, self._keeper),
                 diagnostics.excitation_status(self._relay, link, self._enable.fault(now_s)),
@@ -338,7 +354,7 @@ class SerialBridge(ManagedNode):
     def _epoch(self) -> int:
         """ROS time minus the steady clock, ns."""
         now_ns = int(self.get_clock().now().nanoseconds)
-        return NEVER_NS if self._simulated and not now_ns else now_ns - time.monotonic_ns()
+        return NEVER_NS if self._simulated and not now_ns else now_ns - clock().now_ns()
 
     def _keep_epoch(self) -> None:
         if self._simulated:

@@ -23,6 +23,8 @@ from typing import Any
 
 import serial
 
+from quad_bridge.lockstep import clock
+
 REOPEN_S = 0.25
 SILENT_S = 0.2
 """After so long without a byte it is looked whether the name still leads to the same device."""
@@ -87,18 +89,20 @@ class SerialPort:
         baud: int,
         on_bytes: Callable[[bytes], None],
         on_open: Callable[[], None] = lambda: None,
+        on_silence: Callable[[], None] = lambda: None,
         *,
         reopen_s: float = REOPEN_S,
     ) -> None:
         """`path` is a device, a pattern (`/dev/ttyACM*`) or a URL of pyserial.
 
         Of several devices that match, the first that opens is taken, and the next one where that
-        stays silent. Both callbacks run in the reader's thread.
+        stays silent. `on_silence` is called where nothing has come for `SILENT_S`, and when the
+        port is shut. The callbacks run in the reader's thread.
         """
         self._path = path
         self._baud = baud
         self._on_bytes = on_bytes
-        self._on_open = on_open
+        self._on_open, self._on_silence = on_open, on_silence
         self._reopen_s = reopen_s
         self._port: Any = None
         self._stop = threading.Event()
@@ -155,6 +159,7 @@ class SerialPort:
             if self._open():
                 self._read_until_fault()
                 self._close()
+                self._on_silence()
             self._stop.wait(self._reopen_s)
         self._state = PortState.CLOSED
 
@@ -187,7 +192,7 @@ class SerialPort:
         return False
 
     def _read_until_fault(self) -> None:
-        port, heard_s = self._port, time.monotonic()
+        port, heard_s = self._port, clock().now_s()
         opened = identity(self._device)
         while not self._stop.is_set():
             try:
@@ -197,14 +202,16 @@ class SerialPort:
                 self._detail = _one_line(error)
                 return
             if data:
-                heard_s = time.monotonic()
+                heard_s = clock().now_s()
                 self._patience_s = HALF_OPEN_S[0]
                 self._on_bytes(data)
-            elif identity(self._device) != opened:
+                continue
+            self._on_silence()
+            if identity(self._device) != opened:
                 self._state = PortState.HUNG_UP
                 self._detail = 'its name leads to another device now, or to none'
                 return
-            elif time.monotonic() - heard_s > self._patience_s:
+            if clock().now_s() - heard_s > self._patience_s:
                 # half-open: a far end that went without a word, or the wrong one of several
                 self._patience_s = min(2.0 * self._patience_s, HALF_OPEN_S[1])
                 self._skip += 1

@@ -6,15 +6,11 @@ Wiring only: signals, limits and states are in signals/, parameters in excitatio
 from __future__ import annotations
 
 import math
-import signal
-import sys
-import time
 from collections import deque
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import rclpy
 from ament_index_python.packages import get_package_share_directory
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Vector3Stamped
@@ -27,13 +23,17 @@ from rcl_interfaces.msg import (
     ParameterValue,
 )
 from rclpy.clock import Clock, ClockType
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import BatteryState, Imu, Joy
 from std_srvs.srv import Trigger
 
 from quad_bridge import ros_node
+from quad_bridge.errors import QuadBridgeError
+from quad_bridge.fence import Fence
+from quad_bridge.lockstep import IMU_STREAM, SETPOINT_STREAM, clock, patience
+from quad_bridge.node_time import TimedNode, stamp_of
 from quad_bridge.qos import EVENT, STATE, STREAM
 from quad_sysid.bags.cdr import IMU, decode
 from quad_sysid.bags.orientation import euler_angles
@@ -48,20 +48,24 @@ ANGLE_TICKS = 5
 """The orientation is decoded every so many ticks: at 250 Hz every 20 ms."""
 BATTERY_SAMPLES = 5
 """The highest of so many voltages counts: a dip of one is no low battery."""
-LINGER_S = 0.1
-"""Time for the last messages to leave before the process ends."""
+LEAVE_S = 0.5
+"""The longest that the last messages are waited for at the end."""
 LEVELS = {State.ENDING: DiagnosticStatus.WARN, State.ABORTED: DiagnosticStatus.ERROR}
 
 
-class ExcitationNode(Node):  # type: ignore[misc]
+class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
     """Topics, services and timers around one Player."""
 
     def __init__(self) -> None:
         super().__init__('excitation')
-        self._settings = declare(self)
-        simulated = bool(self.get_parameter('use_sim_time').value)
+        self.keep_time()
+        self.fence = Fence(self.get_logger().error, then=self._fail)
+        try:
+            self._settings = declare(self)
+        except QuadSysidError as error:
+            raise QuadBridgeError(str(error)) from error
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._pace = self.get_clock() if simulated else steady  # it is not set back in flight
+        self._pace = self.get_clock() if self.simulated else steady  # it is not set back in flight
         settings = self._settings
         self._player = Player(settings.schedule, settings.limits, settings.ramp_out_s)
         self._setpoint = self.create_publisher(Vector3Stamped, 'excitation/setpoint', STREAM)
@@ -80,7 +84,7 @@ class ExcitationNode(Node):  # type: ignore[misc]
         self._refused = ''
         self._watch = CoverageWatch(settings.wanted) if settings.wanted is not None else None
         self._watched: int | None = None
-        sensor = qos_profile_sensor_data
+        sensor = STREAM if clock().simulated else qos_profile_sensor_data
         if self._watch is not None:  # each cycle counts
             self.create_subscription(Vector3Stamped, 'excitation/applied', self._watch.applied,
                                      STREAM, raw=True)
@@ -94,7 +98,7 @@ class ExcitationNode(Node):  # type: ignore[misc]
         period_s = 1.0 / settings.rate_hz
         self._timer = self.create_timer(period_s, self._tick, clock=self._pace)
         self._timer.cancel()
-        ros_node.steady_timer(self, 1.0, self._report)
+        self.create_timer(1.0, self._report, clock=steady)
         self.create_timer(0.1, self._try_autostart, clock=self._pace)
         self.get_logger().info(
             f'{settings.schedule.source}: {len(settings.schedule.parts)} segments, '
@@ -109,9 +113,10 @@ class ExcitationNode(Node):  # type: ignore[misc]
         return {State.DONE: 0, State.ABORTED: 1}.get(self._player.state)
 
     def _on_imu(self, raw: bytes) -> None:
-        self._imu, self._imu_time = raw, self._stall.awake_s(time.monotonic())
+        self._imu, self._imu_time = raw, self._stall.awake_s(clock().now_s())
         if self._watch is not None:
             self._watch.imu(raw)
+        clock().handled(IMU_STREAM, stamp_of(raw))
 
     def _on_rc(self, message: Any) -> None:
         axes, switch = message.axes, self._settings.abort_axis
@@ -120,7 +125,7 @@ class ExcitationNode(Node):  # type: ignore[misc]
             abort_switch=axes[switch] if switch is not None and switch < len(axes) else None,
             failsafe=bool(len(message.buttons) and message.buttons[0]),
         )
-        self._rc_time = self._stall.awake_s(time.monotonic())
+        self._rc_time = self._stall.awake_s(clock().now_s())
 
     def _on_battery(self, message: Any) -> None:
         if math.isfinite(message.voltage):
@@ -128,7 +133,7 @@ class ExcitationNode(Node):  # type: ignore[misc]
 
     def _readings(self, *, decode_angles: bool) -> Readings:
         """Latest values, as the guard wants them."""
-        now = self._stall.awake_s(time.monotonic())
+        now = self._stall.awake_s(clock().now_s())
         if decode_angles and self._imu:
             angles = euler_angles(decode(IMU, [self._imu]).values[:, :5]).tolist()
             self._angles = tuple(angles[0]) if angles else None
@@ -147,7 +152,7 @@ class ExcitationNode(Node):  # type: ignore[misc]
     def _start(self) -> str:
         if not self._now_s():
             return 'time is simulated, and nothing comes on /clock'
-        began_s = time.monotonic()  # the first decoding takes its time, and so may the first tick
+        began_s = clock().now_s()  # the first decoding takes its time, and so may the first tick
         refused = self._player.start(self._now_s(), self._readings(decode_angles=True))
         if not refused:
             self._stall.begin(began_s)
@@ -180,7 +185,7 @@ class ExcitationNode(Node):  # type: ignore[misc]
     def _tick(self) -> None:
         stamp = self.get_clock().now().nanoseconds
         self._ticks += 1
-        self._stall.tick(time.monotonic())  # first: what waits to be received is not old
+        self._stall.tick(clock().now_s())  # first: what waits to be received is not old
         readings = self._readings(decode_angles=self._ticks % ANGLE_TICKS == 0)
         if self._stall.stood_still_s:
             self.get_logger().warning(
@@ -208,10 +213,23 @@ class ExcitationNode(Node):  # type: ignore[misc]
             message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 1_000_000_000)
             message.vector.x, message.vector.y, message.vector.z = tick.setpoint
             self._setpoint.publish(message)
+            clock().published(SETPOINT_STREAM, stamp)
 
     def close(self) -> None:
-        """Take the excitation back at once where it still runs."""
-        self._publish(self._player.cut('the node ends'), self.get_clock().now().nanoseconds)
+        """Take the excitation back at once where it still runs, and see that it is delivered."""
+        self._cut('the node ends')
+        left = Duration(seconds=min(patience(LEAVE_S), 60.0))
+        for publisher in (self._segment, self._setpoint, self._diagnostics):
+            publisher.wait_for_all_acked(left)
+
+    def _cut(self, reason: str) -> None:
+        self._publish(self._player.cut(reason), self.get_clock().now().nanoseconds)
+
+    def _fail(self, fault: str) -> None:
+        """End the excitation: who cannot do all of its work does not fly on."""
+        if self._player.active:
+            self._cut(fault)
+            self._on_state()
 
     def _on_state(self) -> None:
         """Say why the state changed, at once."""
@@ -314,28 +332,4 @@ def main() -> None:
 
     Exit status 2 with one line where a parameter or the schedule is wrong.
     """
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.default_int_handler)
-    node = None
-    status: int | None = None
-    try:
-        ros_node.begin_ros()
-        node = ExcitationNode()
-        ros_node.tell_unused(node)
-        executor = SingleThreadedExecutor()
-        executor.add_node(node)
-        while status is None:
-            executor.spin_once()
-            status = node.exit_status
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    except (QuadSysidError, *ros_node.WRONG, ros_node.RCLError, OSError) as error:
-        sys.stderr.write(f'excitation: {" ".join(str(error).split())}\n')
-        status = 2
-    finally:
-        if node is not None:
-            node.close()
-            time.sleep(LINGER_S)
-            node.destroy_node()
-        rclpy.try_shutdown()
-    sys.exit(status or 0)
+    ros_node.run(ExcitationNode, 'excitation')

@@ -24,6 +24,7 @@ from std_srvs.srv import Trigger
 
 from quad_bridge import ros_node
 from quad_bridge.errors import QuadBridgeError
+from quad_bridge.lockstep import clock
 from quad_bridge.qos import EVENT, STATE
 from quad_sysid import session
 from quad_sysid.bags import parse_span
@@ -86,6 +87,7 @@ class IdentificationNode(Node):  # type: ignore[misc]
             return
         self._bag = self._queue.popleft()
         self._say(DiagnosticStatus.OK, state='identifying', bag=self._bag)
+        clock().hold()
         self._worker = threading.Thread(target=self._work, args=(self._bag,), daemon=True)
         self._worker.start()
 
@@ -115,6 +117,7 @@ class IdentificationNode(Node):  # type: ignore[misc]
             self._say(DiagnosticStatus.ERROR, state='failed', reason=outcome, bag=bag)
         else:
             self._tell(outcome, bag)
+        clock().release()
         self._start_next()
 
     def _tell(self, outcome: session.Outcome, bag: str) -> None:

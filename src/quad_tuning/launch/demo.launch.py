@@ -1,19 +1,34 @@
 """Starts the rig without an aircraft: a virtual STM32 in its place, the demo's schedule running.
 
-`make demo` tells the whole story, with figures; this shows the nodes at work.
+`make demo` tells the whole story, with figures; this shows the nodes at work. `lockstep:=true`
+lets simulated time wait for the slowest of them, and run faster than real time where it can.
 """
 
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, ExecuteProcess, IncludeLaunchDescription
+from launch.actions import (
+    DeclareLaunchArgument,
+    ExecuteProcess,
+    IncludeLaunchDescription,
+    SetEnvironmentVariable,
+)
+from launch.conditions import IfCondition, UnlessCondition
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration
+from launch_ros.substitutions import ExecutableInPackage
 
 
 def generate_launch_description() -> LaunchDescription:
     """Describe the virtual STM32 and rig.launch.py on its pseudo-terminal."""
+    stm32 = [
+        ExecutableInPackage(package='quad_bridge', executable='virtual_stm32'),
+        '--profile', LaunchConfiguration('profile'),
+        '--link', LaunchConfiguration('link'),
+    ]  # fmt: skip
+    socket = [LaunchConfiguration('link'), '.lockstep']
+    lockstep = LaunchConfiguration('lockstep')
     rig = Path(get_package_share_directory('quad_tuning')) / 'launch' / 'rig.launch.py'
     return LaunchDescription(
         [
@@ -21,14 +36,14 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument('link', default_value='stm32'),
             DeclareLaunchArgument('folder', default_value='.'),
             DeclareLaunchArgument('auto_update', default_value='false'),
+            DeclareLaunchArgument('lockstep', default_value='false'),
+            ExecuteProcess(cmd=stm32, output='screen', condition=UnlessCondition(lockstep)),
             ExecuteProcess(
-                cmd=[
-                    'ros2', 'run', 'quad_bridge', 'virtual_stm32',
-                    '--profile', LaunchConfiguration('profile'),
-                    '--link', LaunchConfiguration('link'),
-                ],
+                cmd=[*stm32, '--lockstep', socket],
                 output='screen',
+                condition=IfCondition(lockstep),
             ),
+            SetEnvironmentVariable('QUAD_LOCKSTEP', socket, condition=IfCondition(lockstep)),
             IncludeLaunchDescription(
                 PythonLaunchDescriptionSource(str(rig)),
                 launch_arguments={
@@ -39,4 +54,4 @@ def generate_launch_description() -> LaunchDescription:
                 }.items(),
             ),
         ]
-    )  # fmt: skip
+    )

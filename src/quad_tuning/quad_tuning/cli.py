@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -27,7 +28,7 @@ from quad_tuning.history import cli as history
 from quad_tuning.state_feedback import LIMITS
 
 SCHEMA = 'quad_tuning/design/1'
-NO_ANSWER = 3
+NO_ANSWER, INTERRUPTED = 3, 130
 EXAMPLE = 'example: quad-tune design result/model.json --out gains.json'
 
 ROWS: tuple[tuple[str, str, str], ...] = (
@@ -77,15 +78,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (QuadSysidError, QuadTuningError) as error:
         print(f'quad-tune: {error}', file=sys.stderr)
         return getattr(error, 'exit_status', 2)
+    except KeyboardInterrupt:
+        print('quad-tune: interrupted', file=sys.stderr)
+        return INTERRUPTED
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
     return status
 
 
 def design_main(argv: Sequence[str] | None = None) -> int:
     """`ros2 run quad_tuning design`: the same as `quad-tune design`."""
-    parser = _Parser(prog='design', description='Gains from a model.json, with margins.',
-                     epilog=EXAMPLE)
-    _arguments(parser)
-    return _run(parser.parse_args(argv))
+    return main(['design', *(sys.argv[1:] if argv is None else argv)])
 
 
 def export_main(argv: Sequence[str] | None = None) -> int:
@@ -133,19 +137,15 @@ def _positive(text: str) -> float:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    try:
-        models = load_models(arguments.model)
-        axes = _wanted(models, arguments.axis, str(arguments.model))
-        answers = {axis: _answer(models[axis], arguments) for axis in axes}
-        tree = {'schema': SCHEMA, 'method': arguments.method, 'axes': answers}
-        text = json.dumps(tree, indent=1, allow_nan=False)
-        if arguments.out is not None:
-            _write(arguments.out, text)
-        if arguments.pictures is not None and arguments.method == 'pid':
-            _draw(models, answers, arguments.pictures)
-    except (QuadSysidError, QuadTuningError) as error:
-        print(f'quad-tune: {error}', file=sys.stderr)
-        return getattr(error, 'exit_status', 2)
+    models = load_models(arguments.model)
+    axes = _wanted(models, arguments.axis, str(arguments.model))
+    answers = {axis: _answer(models[axis], arguments) for axis in axes}
+    tree = {'schema': SCHEMA, 'method': arguments.method, 'axes': answers}
+    text = json.dumps(tree, indent=1, allow_nan=False)
+    if arguments.out is not None:
+        _write(arguments.out, text)
+    if arguments.pictures is not None and arguments.method == 'pid':
+        _draw(models, answers, arguments.pictures)
     if arguments.json:
         print(text)
     elif not arguments.quiet:

@@ -117,13 +117,16 @@ class Problem:
         return float(value), np.clip(kept, -1.0, 1.0)
 
     def room(self, loops: Ensemble, gains: CascadeGains) -> FloatArray:
-        """(3 p,) relative room of every loop to each requirement, kept where >= 0."""
+        """(3 p,) relative room of every loop to each requirement, kept where >= 0.
+
+        None levels off before the loop is unstable: a search finds a slope wherever it begins.
+        """
         m, needs = loops.margins(gains), self.needs
         return np.concatenate(
             [
                 np.clip(m.phase_margin_deg / needs.phase_margin_deg - 1.0, -1.0, 1.0),
                 np.clip(m.gain_margin_db / needs.gain_margin_db - 1.0, -1.0, 1.0),
-                np.clip(1.0 - m.peak_sensitivity / needs.peak_sensitivity, -1.0, 1.0),
+                np.clip(needs.peak_sensitivity / m.peak_sensitivity - 1.0, -1.0, 1.0),
             ]
         )
 

@@ -1,12 +1,14 @@
 """The process `virtual_stm32`: arguments, real time, pty, signals. Wiring only.
 
 Device time runs with the host's monotonic clock. After a stall the missed cycles are run at once,
-so that device time and cycle counter stay exact.
+so that device time and cycle counter stay exact. With `--lockstep` device time is the clock of all
+the processes that take part, and waits for them.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import signal
 import sys
 import time
@@ -27,6 +29,7 @@ from quad_bridge.arguments import (
 )
 from quad_bridge.errors import QuadBridgeError
 from quad_bridge.key_file import signing_from
+from quad_bridge.lockstep import START_NS, Line
 from quad_bridge.virtual.aircraft import Aircraft
 from quad_bridge.virtual.control import INPUTS
 from quad_bridge.virtual.effect_module import load_effect
@@ -35,6 +38,8 @@ from quad_bridge.virtual.profile import Profile, load_profile, profile_names
 from quad_bridge.virtual.pseudo_terminal import PseudoTerminal
 from quad_bridge.virtual.receiver import Receiver, read_events
 
+WAIT_S = 0.5
+"""How long a signal may have to wait in lockstep."""
 MAX_BURST = 50
 """Cycles that are run at once after a stall before the port is looked at again."""
 
@@ -71,6 +76,12 @@ def arguments() -> argparse.ArgumentParser:
         '--key', type=Path, metavar='FILE', help='sign, and ignore whoever does not (make_key)'
     )
     parser.add_argument('--link', type=Path, help='symbolic link to make to the port')
+    parser.add_argument(
+        '--lockstep',
+        type=Path,
+        metavar='SOCKET',
+        help='simulated time that waits for the nodes started with QUAD_LOCKSTEP=SOCKET',
+    )
     parser.add_argument('--duration', type=positive, metavar='S', help='end after so many seconds')
     return parser
 
@@ -97,20 +108,27 @@ def _warm_up(profile: Profile, *, python_effect: bool) -> None:
     Aircraft(profile, seed=0, effect=nothing if python_effect else None).run(np.zeros((1, INPUTS)))
 
 
+class Stop:
+    """Whether a signal, or the duration, has ended the run."""
+
+    def __init__(self, endpoint: Endpoint, duration_s: float | None) -> None:
+        self._aircraft, self._signalled = endpoint.aircraft, False
+        self.last = None if duration_s is None else round(duration_s / endpoint.aircraft.cycle_s)
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._take)
+
+    def _take(self, _number: int, _frame: object) -> None:
+        self._signalled = True
+
+    def __bool__(self) -> bool:
+        return self._signalled or (self.last is not None and self._aircraft.cycle >= self.last)
+
+
 def serve(endpoint: Endpoint, port: PseudoTerminal, duration_s: float | None) -> None:
     """Run control cycles on their absolute schedule until a signal or the duration ends it."""
-    stopped = False
-
-    def stop(_number: int, _frame: object) -> None:
-        nonlocal stopped
-        stopped = True
-
-    signal.signal(signal.SIGINT, stop)
-    signal.signal(signal.SIGTERM, stop)
-    cycle_s = endpoint.aircraft.cycle_s
+    stop, cycle_s = Stop(endpoint, duration_s), endpoint.aircraft.cycle_s
     start = time.monotonic_ns()
-    last = None if duration_s is None else round(duration_s / cycle_s)
-    while not stopped and (last is None or endpoint.aircraft.cycle < last):
+    while not stop:
         due_s = endpoint.aircraft.cycle * cycle_s
         now_ns = time.monotonic_ns() - start
         data = port.read(due_s - now_ns * 1e-9)
@@ -121,8 +139,25 @@ def serve(endpoint: Endpoint, port: PseudoTerminal, duration_s: float | None) ->
                 port.write(answer)
         for _ in range(MAX_BURST):
             cycle = endpoint.aircraft.cycle
-            if cycle * cycle_s > now_ns * 1e-9 or cycle == last:
+            if cycle * cycle_s > now_ns * 1e-9 or cycle == stop.last:
                 break
+            port.write(endpoint.cycle())
+
+
+def serve_in_lockstep(
+    endpoint: Endpoint, port: PseudoTerminal, line: Line, duration_s: float | None
+) -> None:
+    """Run each control cycle as soon as all who take part are ready for it."""
+    stop, now_ns = Stop(endpoint, duration_s), 0
+    while not stop:
+        line.attend(0.0 if line.ready else WAIT_S, port.number)
+        data = port.read(0.0)
+        answer = endpoint.receive(data, now_ns) if data else b''
+        if answer:
+            port.write(answer)
+        if line.ready:
+            now_ns = round(endpoint.aircraft.cycle * endpoint.aircraft.cycle_s * 1e9)
+            line.tell(START_NS + now_ns)
             port.write(endpoint.cycle())
 
 
@@ -137,7 +172,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         port = PseudoTerminal(given.link)
         try:
             say(f'virtual STM32 on {port.path}\n')
-            serve(endpoint, port, given.duration)
+            if given.lockstep is None:
+                serve(endpoint, port, given.duration)
+            else:
+                with contextlib.closing(Line(given.lockstep, say)) as line:
+                    serve_in_lockstep(endpoint, port, line, given.duration)
         finally:
             port.close()
         if port.dropped_bytes:

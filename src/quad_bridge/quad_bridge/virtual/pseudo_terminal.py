@@ -36,6 +36,11 @@ class PseudoTerminal:
         if link is not None:
             self._make_link(link)
 
+    @property
+    def number(self) -> int:
+        """The file descriptor that becomes readable when something has arrived."""
+        return self._master
+
     def _make_link(self, link: Path) -> None:
         if link.exists() and not link.is_symlink():
             raise ConfigurationError(f'--link {link}', 'exists and is not a symbolic link')

@@ -24,6 +24,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument('--out', type=Path, default=Path('demo_out'), help='result folder')
     parser.add_argument('--seed', type=int, default=1, help="seed of the virtual sensors' noise")
+    parser.add_argument(
+        '--lockstep', action='store_true',
+        help='in simulated time, which waits for the slowest process; faster where it can',
+    )  # fmt: skip
     options = parser.parse_args(arguments)
     signal.signal(signal.SIGTERM, _interrupt)
     out = options.out.absolute()
@@ -32,7 +36,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         teller = Teller()
         if aside is not None:
             teller.say(f'kept the results of an earlier run as {aside.name}')
-        for line in tell(out, options.seed, teller):
+        for line in tell(out, options.seed, teller, lockstep=options.lockstep):
             sys.stdout.write(line + '\n')
     except StageFailedError as error:
         sys.stderr.write(f'demo failed at {error} (logs: {out / "logs"})\n')

@@ -26,8 +26,11 @@ from rclpy.utilities import try_shutdown
 from sensor_msgs.msg import Imu
 from std_srvs.srv import Trigger
 
+from quad_bridge.lockstep import Clock
 from quad_tuning.demo.errors import StageFailedError
 
+PATIENCE_S = 1200.0
+"""Real time that anything may take in lockstep: what takes longer hangs."""
 Value = bool | int | float | str
 STATE = QoSProfile(
     depth=50,
@@ -55,11 +58,12 @@ def values_of(event: Any) -> dict[str, Value]:
 class Observer:
     """The latest word on every state topic, and waiting for one that satisfies a condition."""
 
-    def __init__(self, domain: int) -> None:
+    def __init__(self, domain: int, clock: Clock | None = None) -> None:
+        self._clock = clock or Clock()
         self.active_gains: dict[str, float] = {}
         self.updates: list[dict[str, Value]] = []
         self.update_time = self.gains_time = 0.0
-        """When the last word on /gains/update and on /gains/active came, s on the steady clock."""
+        """When the last word on /gains/update and on /gains/active came, s on the run's clock."""
         self.bag: dict[str, Value] = {}
         self.segment: dict[str, Value] = {}
         self.diagnostics: dict[str, tuple[int, str, dict[str, str]]] = {}
@@ -113,8 +117,10 @@ class Observer:
     ) -> None:
         """Spin until `condition()`; raises StageFailedError after `timeout_s`.
 
-        `meanwhile` is called about ten times a second and may raise (a process that died).
+        In lockstep nobody is hurried, and only `PATIENCE_S` ends it. `meanwhile` is called about
+        ten times a second and may raise (a process that died).
         """
+        timeout_s = max(timeout_s, PATIENCE_S) if self._clock.simulated else timeout_s
         deadline = time.monotonic() + timeout_s
         while not condition():
             if time.monotonic() > deadline:
@@ -147,13 +153,13 @@ class Observer:
         return f' ({"; ".join(bad)})' if bad else ''
 
     def _on_gains(self, event: ParameterEvent) -> None:
-        self.gains_time = time.monotonic()
+        self.gains_time = self._clock.now_s()
         self.active_gains.update(
             {name: float(v) for name, v in values_of(event).items() if not isinstance(v, str)}
         )
 
     def _on_update(self, event: ParameterEvent) -> None:
-        self.update_time = time.monotonic()
+        self.update_time = self._clock.now_s()
         self.updates.append(values_of(event))
 
     def _on_bag(self, event: ParameterEvent) -> None:

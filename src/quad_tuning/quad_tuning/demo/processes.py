@@ -9,6 +9,7 @@ import contextlib
 import os
 import signal
 import subprocess
+import tempfile
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -22,6 +23,7 @@ from ament_index_python.packages import (
     get_package_share_directory,
 )
 
+from quad_bridge.lockstep import VARIABLE, Clock, Participant
 from quad_tuning.demo.errors import StageFailedError
 
 STOP_PATIENCE_S = 8.0
@@ -80,10 +82,23 @@ class Crew:
     folder: Path
     domain: int
     children: dict[str, Child] = field(default_factory=dict)
+    lockstep: bool = False
+    """Whether they share simulated time, which waits for the slowest of them."""
+    clock: Clock = field(default_factory=Clock)
+    _room: tempfile.TemporaryDirectory[str] | None = None
+    """Of the socket, whose path must be short."""
+
+    @property
+    def socket(self) -> Path | None:
+        """Where the processes meet in lockstep."""
+        return None if self._room is None else Path(self._room.name) / 'lockstep'
 
     def __enter__(self) -> Crew:
-        """Make the log folder."""
+        """Make the log folder and, in lockstep, take part."""
         (self.folder / 'logs').mkdir(parents=True, exist_ok=True)
+        if self.lockstep:
+            self._room = tempfile.TemporaryDirectory(prefix='quad_')
+            self.clock = Participant(Path(self._room.name) / 'lockstep', 'observer')
         return self
 
     def __exit__(
@@ -94,11 +109,16 @@ class Crew:
     ) -> None:
         """Stop everything."""
         self.stop()
+        if self._room is not None:
+            self.clock.close()
+            self._room.cleanup()
 
     def environment(self) -> dict[str, str]:
         """The whole environment of this process, confined to the run's domain and folder."""
+        lockstep = {} if self.socket is None else {VARIABLE: str(self.socket)}
         return {
             **os.environ,
+            **lockstep,
             'ROS_DOMAIN_ID': str(self.domain),
             'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
             'ROS_LOG_DIR': str(self.folder / 'logs' / 'ros'),

@@ -6,7 +6,6 @@ The order of the stages and what is told of them is story.py's.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -36,7 +35,7 @@ class Aircraft:
     mount: str = 'rig'
     effect_module: Path | None = None
 
-    def command(self, link: Path) -> list[str | Path]:
+    def command(self, link: Path, lockstep: Path | None = None) -> list[str | Path]:
         """The command line that starts it."""
         parts: list[str | Path] = [executable('quad_bridge', 'virtual_stm32')]
         options: dict[str, object] = {
@@ -48,6 +47,8 @@ class Aircraft:
         }
         if self.effect_module is not None:
             options['--effect-module'] = self.effect_module
+        if lockstep is not None:
+            options['--lockstep'] = lockstep
         for name, value in options.items():
             parts += [name, str(value)]
         return parts
@@ -99,7 +100,7 @@ class Flight:
 def connect(campaign: Campaign, aircraft: Aircraft) -> None:
     """Power the aircraft, open the port, start the logger, wait until data and gains flow."""
     link = campaign.folder / 'stm32'
-    campaign.crew.start('virtual_stm32', aircraft.command(link))
+    campaign.crew.start('virtual_stm32', aircraft.command(link, campaign.crew.socket))
     campaign.wait('connect', 'pseudo-terminal of the virtual STM32', link.exists, CONNECT_S)
     settings = {'port': str(link), 'state_folder': str(campaign.folder / 'aircraft')}
     campaign.crew.start_node('quad_bridge', 'serial_bridge', settings)
@@ -118,7 +119,7 @@ def fly(campaign: Campaign, name: str, schedule: Path) -> Flight:
     observer = campaign.observer
     planned, gains = load_schedule(schedule).duration_s, dict(observer.active_gains)
     observer.call(name, '/bag_logger/start', START_S)
-    began = time.monotonic()
+    began_s = campaign.crew.clock.now_s()
     observer.segment = {}
     child = campaign.crew.start_node(
         'quad_sysid',
@@ -127,13 +128,13 @@ def fly(campaign: Campaign, name: str, schedule: Path) -> Flight:
             'schedule': str(schedule),
             'autostart': True,
             'exit_when_done': True,
-            'imu_stale_s': STALE_S,
+            **({} if campaign.crew.lockstep else {'imu_stale_s': STALE_S}),
         },
         called=f'{name}_excitation',
     )
     child.may_end = True
     campaign.wait(name, 'end of the schedule', lambda: child.ended is not None, planned + START_S)
-    seconds = time.monotonic() - began
+    seconds = campaign.crew.clock.now_s() - began_s
     bag = Path(observer.call(name, '/bag_logger/stop', CLOSE_S))
     return Flight(bag, seconds, gains)
 

@@ -52,12 +52,16 @@ class Teller:
         sys.stdout.flush()
 
 
-def tell(out: Path, seed: int, teller: Teller) -> list[str]:
+def tell(out: Path, seed: int, teller: Teller, *, lockstep: bool = False) -> list[str]:
     """Close the loop once, results in `out`; the lines of the summary.
 
     Raises StageFailedError; in any case all processes are stopped and cpu.json is written.
     """
-    with own_domain() as domain, Crew(out, domain) as crew, Observer(domain) as observer:
+    with (
+        own_domain() as domain,
+        Crew(out, domain, lockstep=lockstep) as crew,
+        Observer(domain, crew.clock) as observer,
+    ):
         try:
             return lines(_close_the_loop(Campaign(crew, observer, teller.say), seed, teller))
         finally:

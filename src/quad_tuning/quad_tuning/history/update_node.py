@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -10,8 +11,12 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import Parameter, ParameterEvent, ParameterType, ParameterValue
 from rclpy.exceptions import InvalidNamespaceException
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.signals import SignalHandlerOptions
+from rclpy.validate_namespace import validate_namespace
 
+from quad_bridge.lockstep import patience
 from quad_sysid.errors import BadInputError
 
 STATE = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -35,21 +40,27 @@ def publish(
     they are active, else why they are not. Raises BadInputError where the namespace is no name, no
     bridge listens or none answers.
     """
-    rclpy.init()
     try:
-        try:
-            node: Any = rclpy.create_node('quad_tune', namespace=namespace)
-        except InvalidNamespaceException as error:
-            raise BadInputError('--namespace', 'is no name of a namespace', namespace) from error
+        validate_namespace(f'/{namespace.strip("/")}')
+    except InvalidNamespaceException as error:
+        raise BadInputError('--namespace', 'is no name of a namespace', namespace) from error
+    with contextlib.ExitStack() as ending:
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+        ending.callback(rclpy.try_shutdown)
+        node: Any = rclpy.create_node('quad_tune', namespace=namespace)
+        ending.callback(node.destroy_node)
+        executor = SingleThreadedExecutor()
+        ending.callback(executor.shutdown)
+        executor.add_node(node)
         heard = _Heard(source, () if rollback else FAILED)
         node.create_subscription(ParameterEvent, 'gains/active', heard.active, STATE)
         node.create_subscription(DiagnosticArray, 'diagnostics', heard.diagnostics, 10)
         publisher = node.create_publisher(ParameterEvent, 'gains/update', 10)
 
         def spin(until: Any, seconds: float) -> bool:
-            end = time.monotonic() + seconds
+            end = time.monotonic() + patience(seconds)
             while not until() and time.monotonic() < end:
-                rclpy.spin_once(node, timeout_sec=0.1)
+                executor.spin_once(timeout_sec=0.1)
             return bool(until())
 
         def ready() -> bool:
@@ -63,8 +74,6 @@ def publish(
         if not spin(lambda: heard.refusal or heard.has(gains), ANSWER_S):
             raise BadInputError(answered, f'no answer of the bridge for {ANSWER_S:.0f} s')
         return heard.refusal
-    finally:
-        rclpy.try_shutdown()
 
 
 class _Heard:

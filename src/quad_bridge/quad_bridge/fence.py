@@ -1,0 +1,77 @@
+"""What keeps a node alive when one of its callbacks fails. No ROS here."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from quad_bridge.sparing import Sparing
+
+MOST_IN_A_ROW = 1000
+"""Failures without anything that works between them: it is ROS itself that fails."""
+LONGEST = 500
+"""Characters of a fault that are logged."""
+
+
+class Fence:
+    """Keeps a node alive when one of its callbacks fails: logs the fault and counts it.
+
+    `log` takes one line; `then` is told the fault each time. What fails without end is not kept:
+    `take` raises it again.
+    """
+
+    def __init__(
+        self, log: Callable[[str], None], then: Callable[[str], None] = lambda _fault: None
+    ) -> None:
+        self.failed = 0
+        """Callbacks that have raised."""
+        self._told = 0
+        self._log = log
+        self._then = then
+        self._in_a_row: dict[int, int] = {}
+        """By thread: the port goes on while ROS fails."""
+        self._sparing = Sparing()
+
+    def take(self, error: Exception) -> None:
+        """Note what a callback has raised."""
+        self.failed += 1
+        thread = threading.get_ident()
+        self._in_a_row[thread] = self._in_a_row.get(thread, 0) + 1
+        if self._in_a_row[thread] > MOST_IN_A_ROW:
+            raise error
+        frame = traceback.extract_tb(error.__traceback__)[-1]
+        words = f'{type(error).__name__}: {" ".join(str(error).split())[:LONGEST]}'
+        where = f'{Path(frame.filename).name}:{frame.lineno}'
+        if self._sparing.allow(where + words, time.monotonic()):
+            self._log(f'a callback failed and was left out: {words} ({where})')
+        with contextlib.suppress(Exception):  # it may fail with what failed
+            self._then(f'a callback failed: {words}')
+
+    def passed(self) -> None:
+        """Note that one has not failed."""
+        self._in_a_row[threading.get_ident()] = 0
+
+    def lately(self) -> int:
+        """How many have raised since this was last asked."""
+        failed = self.failed
+        new, self._told = failed - self._told, failed
+        return new
+
+    def around(self, callback: Callable[..., None]) -> Callable[..., None]:
+        """`callback`, for a thread of its own, that never raises."""
+
+        def fenced(*args: Any) -> None:
+            try:
+                callback(*args)
+            except Exception as error:  # noqa: BLE001  (whatever it is, the thread goes on)
+                with contextlib.suppress(Exception):
+                    self.take(error)
+            else:
+                self.passed()
+
+        return fenced

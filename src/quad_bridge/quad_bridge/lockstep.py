@@ -1,0 +1,379 @@
+"""Simulated time in lockstep: the virtual STM32 owns the clock and waits for the slowest process.
+
+A line is a Unix socket. The virtual STM32 tells the time, each process that takes part answers
+with the time up to which it has done everything; simulated time is never more than `WINDOW_NS`
+ahead of the slowest. Who publishes a stream says how far, who handles it waits for that much, so
+that no message can be late. No ROS here; nodes get timers and stamps by node_time.py.
+
+Messages are lines of JSON: `{"now": ns, "published": {stream: ns}}` to the processes,
+`{"name": ..., "reached": ns, "published": {stream: ns}}` from them.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import json
+import math
+import os
+import select
+import socket
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from quad_bridge.errors import BadInputError
+
+VARIABLE = 'QUAD_LOCKSTEP'
+"""The environment variable that names the socket; unset: real time."""
+WINDOW_NS = 20_000_000
+"""Five control cycles: enough for all processes to work at the same time."""
+START_NS = 1_000_000_000_000
+"""Simulated time at the STM32's boot: stamps are above 0, and no date is mistaken for today's."""
+WIRE = 'wire'
+"""The stream of the virtual STM32 itself: bytes on the serial line."""
+IMU_STREAM, SETPOINT_STREAM = '/imu/data', '/excitation/setpoint'
+RETRY_S = 0.05
+TOLD_S = 10.0
+"""Whoever lets simulated time stand still for so long is named."""
+
+
+class Clock:
+    """Real time: the host's steady clock, and nobody to wait for."""
+
+    simulated = False
+
+    def now_ns(self) -> int:
+        """The time by which everything in flight is measured, ns."""
+        return time.monotonic_ns()
+
+    def now_s(self) -> float:
+        """The same in s."""
+        return self.now_ns() * 1e-9
+
+    def published(self, stream: str, stamp_ns: int) -> None:
+        """Note what was published; it is told with the next answer."""
+
+    def handled(self, stream: str, stamp_ns: int) -> None:
+        """Note what was received and dealt with; from now on the stream is waited for."""
+
+    def forget(self, stream: str) -> None:
+        """Wait for the stream no more, until it is handled again."""
+
+    def hold(self) -> None:
+        """Let simulated time stand still until `release`."""
+
+    def release(self) -> None:
+        """Let it go on."""
+
+    def close(self) -> None:
+        """Take part no more."""
+
+
+def patience(seconds: float) -> float:
+    """How long to wait in real time; in lockstep for ever, since nobody there is hurried."""
+    return math.inf if VARIABLE in os.environ else seconds
+
+
+@functools.cache
+def clock() -> Clock:
+    """The clock of this process."""
+    path = os.environ.get(VARIABLE)
+    return Participant(Path(path), Path(sys.argv[0]).name) if path else Clock()
+
+
+@dataclass
+class Timer:
+    """A callback every `period_ns` of simulated time, run by `Participant.step`."""
+
+    period_ns: int
+    callback: Callable[[], None]
+    now_ns: Callable[[], int]
+    due_ns: int | None = None
+    """None: cancelled, or created before time began."""
+    cancelled: bool = False
+
+    def __post_init__(self) -> None:
+        self.reset()
+
+    def cancel(self) -> None:
+        """Stop until `reset`."""
+        self.cancelled, self.due_ns = True, None
+
+    def reset(self) -> None:
+        """Begin anew, one period from now."""
+        now_ns = self.now_ns()
+        self.cancelled, self.due_ns = False, now_ns + self.period_ns if now_ns else None
+
+
+class Participant(Clock):
+    """Simulated time as one process sees it, which is as far as it has come itself."""
+
+    simulated = True
+
+    def __init__(self, path: Path, name: str) -> None:
+        """Connect in a thread of its own, as soon as the virtual STM32 listens at `path`."""
+        self.on_due: Callable[[], None] = self.step
+        """Has `step` called where the timers are to run; called in the line's thread."""
+        self._path, self._name = str(path), name
+        self._lock = threading.Lock()
+        self._line: socket.socket | None = None
+        self._now_ns = self._reached_ns = 0
+        self._coming: deque[int] = deque()
+        self._timers: list[Timer] = []
+        self._told: Mapping[str, int] = {}
+        self._handled: dict[str, int] = {}
+        self._published: dict[str, int] = {}
+        self._held = self._closed = self._stepping = False
+        self._answered = ''
+        threading.Thread(target=self._run, name='lockstep', daemon=True).start()
+
+    def now_ns(self) -> int:
+        """Simulated time, ns; 0 before the line is there."""
+        return self._now_ns
+
+    def timer(self, period_s: float, callback: Callable[[], None]) -> Timer:
+        """Run `callback` every `period_s` of simulated time."""
+        timer = Timer(round(period_s * 1e9), callback, self.now_ns)
+        with self._lock:
+            self._timers.append(timer)
+        return timer
+
+    def remove(self, timer: Timer) -> None:
+        """Run it no more."""
+        timer.cancel()
+        with self._lock, contextlib.suppress(ValueError):
+            self._timers.remove(timer)
+
+    def step(self) -> None:
+        """Go through the times that were told, run what is due at each, answer."""
+        try:
+            while self._next():
+                for timer in self._due():
+                    timer.callback()
+        finally:
+            with self._lock:
+                self._stepping = False
+                rest = bool(self._coming)
+                self._answer()
+            if rest:  # a callback failed
+                self.on_due()
+
+    def published(self, stream: str, stamp_ns: int) -> None:
+        """See Clock."""
+        self._published[stream] = stamp_ns
+
+    def handled(self, stream: str, stamp_ns: int) -> None:
+        """See Clock."""
+        with self._lock:
+            self._handled[stream] = stamp_ns
+            self._answer()
+
+    def forget(self, stream: str) -> None:
+        """See Clock."""
+        with self._lock:
+            if self._handled.pop(stream, None) is not None:
+                self._answer()
+
+    def hold(self) -> None:
+        """See Clock."""
+        self._held = True
+
+    def release(self) -> None:
+        """See Clock."""
+        with self._lock:
+            self._held = False
+            self._answer()
+
+    def close(self) -> None:
+        """See Clock."""
+        self._closed = True
+        with self._lock, contextlib.suppress(OSError):
+            if self._line is not None:
+                self._line.shutdown(socket.SHUT_RDWR)
+
+    def _run(self) -> None:
+        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as line:
+            while not self._closed:
+                try:
+                    line.connect(self._path)
+                    break
+                except OSError:  # not there yet
+                    time.sleep(RETRY_S)
+            with self._lock:
+                self._line = line
+                self._answer()
+            rest = b''
+            while not self._closed:
+                try:
+                    data = line.recv(65536)
+                except OSError:
+                    data = b''
+                if not data:
+                    return
+                *whole, rest = (rest + data).split(b'\n')
+                for message in map(json.loads, whole):
+                    self._take(message['now'], message['published'])
+
+    def _take(self, now_ns: int, published: Mapping[str, int]) -> None:
+        with self._lock:
+            self._told = published
+            for stream in self._handled.keys() - published.keys():  # its publisher has gone
+                del self._handled[stream]
+            busy = self._stepping or bool(self._coming)
+            wake = busy or any(self._when(t, now_ns) <= now_ns for t in self._timers)
+            if wake:
+                self._coming.append(now_ns)
+            else:
+                self._now_ns = now_ns
+            self._answer()
+        if wake:
+            self.on_due()
+
+    @staticmethod
+    def _when(timer: Timer, now_ns: int) -> int:
+        if timer.cancelled:
+            return now_ns + 1
+        if timer.due_ns is None:
+            timer.due_ns = now_ns + timer.period_ns
+        return timer.due_ns
+
+    def _next(self) -> bool:
+        with self._lock:
+            self._stepping = bool(self._coming)
+            if not self._coming:
+                return False
+            self._now_ns = self._coming.popleft()
+            return True
+
+    def _due(self) -> list[Timer]:
+        now_ns = self._now_ns
+        with self._lock:
+            due = [timer for timer in self._timers if self._when(timer, now_ns) <= now_ns]
+            for timer in due:
+                timer.due_ns = (timer.due_ns or 0) + timer.period_ns
+                if timer.due_ns <= now_ns:
+                    timer.due_ns = now_ns + timer.period_ns
+        return due
+
+    def _answer(self) -> None:
+        """Say how far this process has come; the lock is held."""
+        behind = [ns for stream, ns in self._handled.items() if ns < self._told.get(stream, 0)]
+        reached = min([self._now_ns, *behind])
+        if not self._held:
+            self._reached_ns = max(self._reached_ns, reached)
+        answer = {
+            'name': self._name, 'reached': self._reached_ns, 'published': self._published,
+        }  # fmt: skip
+        text = json.dumps(answer) + '\n'
+        if self._line is not None and text != self._answered:
+            self._answered = text
+            with contextlib.suppress(OSError):
+                self._line.sendall(text.encode())
+
+
+@dataclass
+class _Member:
+    """One process on the line."""
+
+    reached_ns: int
+    name: str = 'a process'
+    published: Mapping[str, int] = field(default_factory=dict)
+    rest: bytes = b''
+
+    def take(self, data: bytes) -> None:
+        *whole, self.rest = (self.rest + data).split(b'\n')
+        if whole:
+            message = json.loads(whole[-1])
+            self.name, self.published = message['name'], message['published']
+            self.reached_ns = max(self.reached_ns, message['reached'])
+
+
+class Line:
+    """The end of whoever owns the clock. Not thread-safe."""
+
+    def __init__(self, path: Path, say: Callable[[str], object] = lambda _: None) -> None:
+        """Listen at `path`; `say` takes lines about who lets time stand still."""
+        self._path, self._say = path, say
+        self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        try:
+            path.unlink(missing_ok=True)
+            self._listener.bind(str(path))
+        except OSError as error:
+            self._listener.close()
+            what = f'cannot listen there ({error.strerror or error})'
+            raise BadInputError(f'--lockstep {path}', what) from error
+        self._listener.listen()
+        self._members: dict[socket.socket, _Member] = {}
+        self.published: dict[str, int] = {}
+        """How far the streams of this process itself are."""
+        self._now_ns = START_NS
+        self._since_s = time.monotonic()
+
+    @property
+    def names(self) -> list[str]:
+        """Who takes part."""
+        return [member.name for member in self._members.values()]
+
+    @property
+    def slowest_ns(self) -> int:
+        """The time that all have reached."""
+        return min((m.reached_ns for m in self._members.values()), default=0)
+
+    @property
+    def ready(self) -> bool:
+        """Whether time may go on: somebody takes part, and nobody is too far behind."""
+        return self.slowest_ns >= self._now_ns - WINDOW_NS
+
+    def tell(self, now_ns: int) -> None:
+        """Tell the time, before anything of that time is sent elsewhere."""
+        if now_ns > self._now_ns:
+            self._now_ns, self._since_s = now_ns, time.monotonic()
+        published = {**self.published, WIRE: now_ns}
+        for member in self._members.values():
+            published |= member.published
+        text = json.dumps({'now': now_ns, 'published': published}) + '\n'
+        for line in list(self._members):
+            with contextlib.suppress(OSError):  # it has gone, which `attend` will notice
+                line.sendall(text.encode())
+
+    def attend(self, wait_s: float, *others: int) -> None:
+        """Take answers, and who comes and goes, for `wait_s` or until one of `others` has data."""
+        lines: list[socket.socket | int] = [self._listener, *self._members, *others]
+        ready, _, _ = select.select(lines, [], [], wait_s)
+        for one in ready:
+            if one is self._listener:
+                self._members[self._listener.accept()[0]] = _Member(self._now_ns)
+            elif isinstance(one, socket.socket):
+                self._hear(one)
+        stands_s = time.monotonic() - self._since_s
+        if stands_s > TOLD_S and not self.ready:
+            self._since_s = time.monotonic()
+            slow = [m.name for m in self._members.values() if m.reached_ns == self.slowest_ns]
+            self._say(f'simulated time waits for {", ".join(slow) or "the first node"}\n')
+
+    def _hear(self, line: socket.socket) -> None:
+        try:
+            data = line.recv(65536)
+        except OSError:
+            data = b''
+        if data:
+            self._members[line].take(data)
+        else:
+            self._drop(line)
+
+    def _drop(self, line: socket.socket) -> None:
+        del self._members[line]
+        line.close()
+        self.tell(self._now_ns)  # what it published is waited for no more
+
+    def close(self) -> None:
+        """Hang up."""
+        for line in [*self._members, self._listener]:
+            line.close()
+        with contextlib.suppress(OSError):
+            self._path.unlink()

@@ -1,0 +1,73 @@
+"""The first lines of every node's process, before its imports; nothing of ROS and no numpy here.
+
+The imports of a node take a second or more. An interrupt meanwhile ends the process at once, with
+the status of one that was interrupted later: nothing is open yet.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import signal
+import sys
+
+INTERRUPTED = 130
+"""Of a command; a node is meant to run until then and ends with 0."""
+
+
+def begin(module: str) -> None:
+    """Import `module` and run its `main`, which takes the signals over."""
+    _guard(0)
+    importlib.import_module(module).main()
+
+
+def _guard(interrupted: int) -> None:
+    """See the module; `interrupted` is the exit status."""
+    _open_standard_streams()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: os._exit(interrupted))
+
+
+def _open_standard_streams() -> None:
+    """Give a process that was started without them (`2>&-`) streams that lead nowhere.
+
+    Else the serial port or the bag gets number 2, and what ROS logs is written into it.
+    """
+    while True:
+        number = os.open(os.devnull, os.O_RDWR)
+        if number > 2:
+            os.close(number)
+            break
+        os.set_inheritable(number, True)
+    for name in ('stdout', 'stderr'):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, 'w', encoding='utf-8'))  # noqa: PTH123, SIM115
+
+
+def serial_bridge() -> None:
+    """`ros2 run quad_bridge serial_bridge`."""
+    begin('quad_bridge.serial_bridge_node')
+
+
+def bag_logger() -> None:
+    """`ros2 run quad_bridge bag_logger`."""
+    begin('quad_bridge.bag_logger_node')
+
+
+def monitor() -> None:
+    """`ros2 run quad_bridge monitor`."""
+    begin('quad_bridge.monitor_node')
+
+
+def sensor_watch() -> None:
+    """`ros2 run quad_bridge sensor_watch`."""
+    begin('quad_bridge.sensor_watch_node')
+
+
+def virtual_stm32() -> int:
+    """`ros2 run quad_bridge virtual_stm32`: no node, but it ends as they do."""
+    _guard(INTERRUPTED)
+    process = importlib.import_module('quad_bridge.virtual.process')
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)
+    return int(process.main())
