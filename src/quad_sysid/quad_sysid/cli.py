@@ -183,7 +183,7 @@ def _identify_apart(request: Request, options: argparse.Namespace) -> int:
 def _evaluate(options: argparse.Namespace) -> int:
     from quad_sysid.bags import clip_span, parse_span, read_bag
     from quad_sysid.pipeline.evaluate import evaluate_or_say
-    from quad_sysid.report import document
+    from quad_sysid.report import document, text
     from quad_sysid.report.blackbox_file import load_blackbox
     from quad_sysid.report.model_file import load_models
 
@@ -212,6 +212,7 @@ def _evaluate(options: argparse.Namespace) -> int:
                 'metric': document.METRIC, 'unit': 'rad/s', 'before': e.before, 'after': e.after,
                 'one_step_before': e.one_step_before, 'one_step_after': e.one_step_after,
                 'blackbox': e.blackbox, 'hold_last_value': e.hold, 'windows': e.windows,
+                'horizons': document.horizons_tree(e.horizons, e.blackbox_horizons),
             }}
             for e in found
         }
@@ -226,6 +227,9 @@ def _evaluate(options: argparse.Namespace) -> int:
         if e.blackbox is not None:
             print(f'  black box           {e.blackbox:.4g}')
         print(f'  hold the last value {e.hold:.4g}')
+        grown = {'unit': 'rad/s',
+                 'horizons': document.horizons_tree(e.horizons, e.blackbox_horizons)}
+        print('\n'.join(text.horizons(grown, completed=bool(models[e.axis].effects))))
     return DONE
 
 
