@@ -167,7 +167,7 @@ class Law:
 
 LAWS = [
     Law('coulomb_friction', torque(lambda _t, r, _a: -0.8 * math.tanh(r / 0.004)),
-        {'torque': 0.8}, left=0.003),
+        {'torque': 0.8, 'transition': 0.004}, left=0.003),
     Law('quadratic_drag', torque(lambda _t, r, _a: -1.5 * r * abs(r)), {'coefficient': 1.5}),
     Law('pendulum_stiffness', torque(lambda _t, _r, a: -4.0 * math.sin(a)), {'stiffness': 4.0}),
     Law('cubic_stiffness', torque(lambda _t, _r, a: -75.0 * a**3), {'stiffness': 75.0}),

@@ -33,14 +33,16 @@ def test_what_is_read_of_an_effect_gives_its_parameters_back(label):
     """To rounding, for values that no report would show."""
     one = effect(label)
     p = np.random.default_rng(3).uniform(0.2, 0.9, len(one.parameters))
-    told = {name: value for name, (value, _) in one.readable(p, {}).items()}
-    np.testing.assert_allclose(one.fitted(told, {}), p, rtol=1e-14)
+    settings = {'mean': (0.0,) * p.size}
+    told = {name: value for name, (value, _) in one.readable(p, settings).items()}
+    np.testing.assert_allclose(one.fitted(told, settings), p, rtol=1e-14)
 
 
 def test_a_model_from_a_file_runs_as_the_fit_it_was(problem, tmp_path):
+    problem.measure(fit(problem, Structure(), start_of(problem)))
     start = start_of(problem)
     parts = (Part(effect('periodic_disturbance'), {}), Part(effect('coulomb_friction'), {}))
-    theta = np.r_[start[:5], np.log(1.7), 0.1, 0.05, 0.02, start[5:]]
+    theta = np.r_[start[:5], np.log(1.7), 0.1, 0.05, 0.02, np.log(0.005), start[5:]]
     found = fit(problem, Structure(parts), theta, most_steps=3)
     told = readings(problem, found)
     model = AxisModel(
@@ -60,6 +62,7 @@ def test_a_model_from_a_file_runs_as_the_fit_it_was(problem, tmp_path):
     assert told.names[5:] == (
         'periodic_disturbance.amplitude', 'periodic_disturbance.frequency',
         'periodic_disturbance.phase', 'coulomb_friction.torque',
+        'coulomb_friction.transition',
     )
 
 

@@ -84,7 +84,7 @@ def _effect(effect: EffectEstimate, inertia: float | None) -> dict[str, Any]:
         tree['variant'] = effect.variant
     knots = effect.settings.get('knots')
     if isinstance(knots, tuple | list):
-        tree['curve'] = {'x': list(knots), 'y': [p.value for p in effect.parameters]}
+        tree['curve'] = {'x': list(knots), 'y': [p.value for p in effect.parameters[: len(knots)]]}
     return tree
 
 
