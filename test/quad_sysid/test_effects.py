@@ -20,6 +20,7 @@ from scipy.linalg import expm
 
 from quad_sysid.contract import MIXER, MIXER_INVERSE
 from quad_sysid.effects import EFFECTS
+from quad_sysid.effects.curves import CELLS, Curve
 from quad_sysid.model import EffectEstimate, Parameter
 from quad_sysid.pipeline.evaluate import evaluate
 from quad_sysid.pipeline.identify import Options, identify
@@ -538,26 +539,33 @@ UNITS = {
 """What the contract promises, by effect and parameter (a normalised command is a pure number)."""
 
 
+def read(effect) -> dict[str, str]:
+    """What a report reads of an effect: name to unit."""
+    count = len(effect.parameters)
+    told = effect.readable(np.ones(count), {'mean': (0.0,) * getattr(effect, 'count', count)})
+    return {name: unit for name, (_, unit) in told.items()}
+
+
 def test_the_contracts_names_stand_in_the_table_with_its_units():
-    found = {f'{e.name}.{p.name}': p.unit for e in EFFECTS for p in e.parameters}
+    found = {f'{e.name}.{name}': unit for e in EFFECTS for name, unit in read(e).items()}
     assert {key: found.get(key) for key in UNITS} == UNITS
-    assert {e.name for e in EFFECTS} == {key.split('.')[0] for key in UNITS}
+    named = {e.name for e in EFFECTS if e.kind == 'named'}
+    assert named == {key.split('.')[0] for key in UNITS}
 
 
 def test_the_page_tells_the_table_and_nothing_else():
-    """Every name in docs/what_is_missing.md with its parameters and units; curves by number."""
+    """Every name in docs/what_is_missing.md with its parameters and units, and the matrix."""
     page = Path(__file__).resolve().parents[2] / 'docs' / 'what_is_missing.md'
-    rows = {}
+    rows, cells = {}, {}
     for line in page.read_text(encoding='utf-8').splitlines():
-        cells = [cell.strip() for cell in line.strip('|').split('|')]
-        if len(cells) == 5 and cells[0].startswith('`'):
-            rows[cells[0].strip('`')] = cells[2]
-    assert set(rows) == {e.name for e in EFFECTS}
+        parts = [cell.strip() for cell in line.strip('|').split('|')]
+        if len(parts) == 5 and parts[0].startswith('`'):
+            rows[parts[0].strip('`')] = parts[2]
+        elif len(parts) == 2 and parts[0] in CELLS:
+            cells[parts[0]] = tuple(parts[1].split(', '))
+    assert cells == CELLS
+    formed = [e for e in EFFECTS if not isinstance(e, Curve)]
+    assert set(rows) == {e.name for e in formed}
     for name, told in rows.items():
-        entries = [e for e in EFFECTS if e.name == name]
-        if entries[0].kind == 'shape':
-            some = ' or '.join(map(str, sorted({len(e.parameters) for e in entries})))
-            assert told == f'{some} values ({entries[0].parameters[0].unit})'
-        else:
-            found = set(re.findall(r'`(\w+)` \(((?:[^()]|\([^()]*\))+)\)', told))
-            assert found == {(p.name, p.unit) for e in entries for p in e.parameters}, name
+        found = set(re.findall(r'`(\w+)` \(((?:[^()]|\([^()]*\))+)\)', told))
+        assert found == {pair for e in formed if e.name == name for pair in read(e).items()}, name
