@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.discover.search import Found
+from quad_sysid.discover.search import Found, Scored
 from quad_sysid.estimate.fit import Fit, Problem, Tail, fit
 from quad_sysid.model.data import AxisData, Windows
 from quad_sysid.model.noise import growth
@@ -173,20 +173,19 @@ def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
     floor = next(s.score for s in found.all if s.fit is base)
     candidates = [s for s in found.all if s.score > floor][:MOST_OPENED]
     weights = np.exp(np.array([s.score for s in candidates]) - found.all[0].score)
-    tried: list[tuple[float, Fit, float]] = []
     best_of_all = unseen.log_likelihood(found.best)
+    totals = [Scored(base, floor + float(np.sum(_blunt(against - best_of_all))))]
+    e_values = {id(base): 1.0}
     for scored, weight in zip(candidates, weights, strict=True):
         own = unseen.log_likelihood(scored.fit)
-        gain = own - against
         share = 0.5 * float(weight / weights.sum()) + 0.5 / len(candidates)
-        total = scored.score + float(np.sum(_blunt(own - best_of_all)))
-        tried.append((total, scored.fit, bet(gain) * share))
-    chosen, e_value = base, 1.0
-    if tried:
-        _, best, e_value = max(tried, key=lambda one: one[0])
-        better = e_value * LEVEL >= 1.0 and rms(unseen.errors(best)) < base_error
-        chosen = best if better else base
-    return _verdict(problem, found, unseen, base, chosen, e_value)
+        totals.append(Scored(scored.fit, scored.score + float(np.sum(_blunt(own - best_of_all)))))
+        e_values[id(scored.fit)] = bet(own - against) * share
+    found = replace(found, all=tuple(sorted(totals, key=lambda s: -s.score)))
+    best = next((s.fit for s in found.all if s.fit is not base), base)
+    e_value = e_values[id(best)]
+    better = e_value * LEVEL >= 1.0 and rms(unseen.errors(best)) < base_error
+    return _verdict(problem, found, unseen, base, best if better else base, e_value)
 
 
 def _blunt(gain: FloatArray) -> FloatArray:
