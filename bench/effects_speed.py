@@ -25,6 +25,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from quad_sysid.effects.discover import discover
+from quad_sysid.effects.judge import judge
+from quad_sysid.effects.shapes import SHAPES
+from quad_sysid.effects.table import EFFECTS, by_name
+from quad_sysid.greybox.data import AxisData, Windows, axis_data
+from quad_sysid.greybox.levenberg import difference_jacobian
+from quad_sysid.greybox.simulate import Simulator
+from quad_sysid.greybox.structure import Structure
 from scipy.integrate import odeint, solve_ivp
 from threadpoolctl import threadpool_limits
 
@@ -32,15 +40,7 @@ from quad_bridge.virtual.flight_bag import write_bag
 from quad_bridge.virtual.profile import load_profile
 from quad_bridge.virtual.simulation import Excited, Flight, fly
 from quad_sysid.bags import read_bag
-from quad_sysid.effects.discover import discover
-from quad_sysid.effects.judge import judge
-from quad_sysid.effects.shapes import SHAPES
-from quad_sysid.effects.table import EFFECTS, by_name
 from quad_sysid.effects.torques import STICTION_RATE
-from quad_sysid.greybox.data import AxisData, Windows, axis_data
-from quad_sysid.greybox.levenberg import difference_jacobian
-from quad_sysid.greybox.simulate import Simulator
-from quad_sysid.greybox.structure import Structure
 from quad_sysid.signals.prbs import prbs
 
 DT, SECONDS, LAG_S, DELAY_CYCLES = 0.004, 85.0, 0.045, 2

@@ -9,10 +9,10 @@ import pytest
 
 from quad_sysid.blackbox import arx, frequency_response, polynomial_model, simulate
 from quad_sysid.errors import NotInformativeError
-from quad_sysid.model.data import axis_data
 from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.loop.plant import LoopPlant
 from quad_sysid.loop.simulation import simulate_cascade
+from quad_sysid.model.data import axis_data
 from quad_sysid.pipeline import blackbox_part, preparation, step_b
 from quad_sysid.pipeline.identify import Options, identify
 from quad_sysid.record import GainChange, Record, Segment

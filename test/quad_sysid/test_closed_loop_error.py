@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from quad_sysid.model.data import axis_data
 from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.loop.plant import LoopPlant
 from quad_sysid.loop.simulation import simulate_cascade
 from quad_sysid.model import AxisModel, Parameter
+from quad_sysid.model.data import axis_data
 from quad_sysid.pipeline.answer import AxisAnswer
 from quad_sysid.pipeline.closed_loop import closed_loop
 from quad_sysid.record import GainChange, Record, Segment

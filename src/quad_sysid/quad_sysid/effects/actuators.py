@@ -9,10 +9,10 @@ from dataclasses import replace
 import numpy as np
 
 from quad_sysid.contract import MIXER_INVERSE, FloatArray
+from quad_sysid.effects.couplings import over_training
 from quad_sysid.model import recursion
 from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import Drive, Dynamics, Effect, Settings, Signals, Spec
-from quad_sysid.effects.couplings import over_training
 
 MOVES = 0.02
 """A signal that must move for an effect to show must move by this share of its mean."""

@@ -12,10 +12,10 @@ from dataclasses import replace
 import numpy as np
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.model.data import AxisData
-from quad_sysid.model.effect import Drive, Effect, Settings, Signals, Spec
 from quad_sysid.effects.couplings import over_training, turns
 from quad_sysid.effects.torques import TRANSITION
+from quad_sysid.model.data import AxisData
+from quad_sysid.model.effect import Drive, Effect, Settings, Signals, Spec
 
 SLOW_MOVES = 0.01
 """A slow signal must move by this share of its mean to carry a curve."""

@@ -16,6 +16,7 @@ from scipy.linalg import expm
 from quad_sysid.contract import FloatArray
 from quad_sysid.model.recursion import riccati
 
+
 @dataclass(frozen=True)
 class Noise:
     """Ratios to the gyro's noise, whose size the innovations give.
