@@ -29,8 +29,8 @@ LEVEL = 0.05
 HORIZONS_S = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 DISAGREES = 1.1
 """Error over what the noise predicts from which something is unexplained (contract)."""
-LEAST_SAID = 0.005
-"""Probability of a rival below which it is not told."""
+LEAST_REPORTED = 0.005
+"""Share of the rivals' probability below which one is not reported."""
 MOST_OPENED = 15
 """Structures that are compared on the validation data; their e-values are divided among them,
 half by their posterior and half alike."""
@@ -122,7 +122,7 @@ class Unseen:
         e = found.innovation[self.problem.rows]
         with np.errstate(over='ignore', invalid='ignore'):
             values = fitted.tail.log_density(np.nan_to_num(e, nan=1e6, posinf=1e6))
-        return np.bincount(self.block, weights=values)
+        return np.bincount(self.block, weights=values).astype(np.float64)
 
     def errors(self, fitted: Fitted, windows: Windows | None = None) -> FloatArray:
         """(windows, length) of the free run."""
@@ -142,7 +142,8 @@ class Unseen:
         """(windows, length) error of holding the last rate."""
         rate = self.problem.data.rate
         index = windows.starts[:, None] + np.arange(windows.length)[None, :]
-        return rate[windows.starts - 1][:, None] - rate[index]
+        errors: FloatArray = rate[windows.starts - 1][:, None] - rate[index]
+        return errors
 
 
 def rms(errors: FloatArray) -> float:
@@ -155,7 +156,8 @@ def rms(errors: FloatArray) -> float:
 def expected(fitted: Fit, length: int) -> float:
     """RMS of the free run over `length` cycles that the model's own noise predicts, rad/s."""
     found = fitted.prediction.filter
-    return math.sqrt(fitted.tail.variance / found.innovation * float(np.mean(growth(found, length))))
+    mean_growth = float(np.mean(growth(found, length)))
+    return math.sqrt(fitted.tail.variance / found.innovation * mean_growth)
 
 
 def floor_of(fitted: Fit) -> float:
@@ -174,12 +176,13 @@ def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
     candidates = [s for s in found.all if s.score > floor][:MOST_OPENED]
     weights = np.exp(np.array([s.score for s in candidates]) - found.all[0].score)
     best_of_all = unseen.log_likelihood(found.best)
-    totals = [Scored(base, floor + float(np.sum(_blunt(against - best_of_all))))]
+    totals = [Scored(base, floor + float(np.sum(_limited(against - best_of_all))))]
     e_values = {id(base): 1.0}
     for scored, weight in zip(candidates, weights, strict=True):
         own = unseen.log_likelihood(scored.fit)
         share = 0.5 * float(weight / weights.sum()) + 0.5 / len(candidates)
-        totals.append(Scored(scored.fit, scored.score + float(np.sum(_blunt(own - best_of_all)))))
+        gain = float(np.sum(_limited(own - best_of_all)))
+        totals.append(Scored(scored.fit, scored.score + gain))
         e_values[id(scored.fit)] = bet(own - against) * share
     found = replace(found, all=tuple(sorted(totals, key=lambda s: -s.score)))
     best = next((s.fit for s in found.all if s.fit is not base), base)
@@ -188,8 +191,8 @@ def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
     return _verdict(problem, found, unseen, base, best if better else base, e_value)
 
 
-def _blunt(gain: FloatArray) -> FloatArray:
-    """Block differences of which no single one outweighs the others."""
+def _limited(gain: FloatArray) -> FloatArray:
+    """Block differences, limited so that no single one outweighs the others."""
     if gain.size < 3:
         return gain
     limit = 3.0 * float(np.median(np.abs(gain)))
@@ -206,7 +209,6 @@ def refit(problem: Problem, fitted: Fit, index: int) -> Fit:
 def _verdict(
     problem: Problem, found: Found, unseen: Unseen, base: Fit, chosen: Fit, e_value: float
 ) -> Verdict:
-    data = problem.data
     before_e, after_e = unseen.errors(base), unseen.errors(chosen)
     before, after = rms(before_e), rms(after_e)
     parts = chosen.structure.parts
@@ -233,7 +235,9 @@ def horizons(unseen: Unseen, base: Fitted, chosen: Fitted) -> tuple[Horizon, ...
     windows, dt = unseen.long, unseen.problem.data.dt
     if not windows.count:
         return ()
-    errors = [unseen.holding(windows), unseen.errors(base, windows), unseen.errors(chosen, windows)]
+    errors = [
+        unseen.holding(windows), unseen.errors(base, windows), unseen.errors(chosen, windows),
+    ]
     out = []
     for horizon in HORIZONS_S:
         k = at_horizon(horizon, dt)
@@ -249,10 +253,10 @@ def at_horizon(horizon_s: float, dt: float) -> int:
 def _empty(
     problem: Problem, unseen: Unseen, base: Fit, errors: FloatArray, predicted: float
 ) -> tuple[str, str]:
-    """Nothing was added: do the commands foresee anything, and is the error as expected?"""
-    silent = fit(problem, base.structure, base.theta, rate=base.rate, still=(0, 1, 2))
-    with_commands, without = unseen.errors(base), unseen.errors(silent)
-    evidence = [bet(unseen.log_likelihood(base) - unseen.log_likelihood(silent))]
+    """Without effects: whether the commands predict at all, and the error is as expected."""
+    uncommanded = fit(problem, base.structure, base.theta, rate=base.rate, still=(0, 1, 2))
+    with_commands, without = unseen.errors(base), unseen.errors(uncommanded)
+    evidence = [bet(unseen.log_likelihood(base) - unseen.log_likelihood(uncommanded))]
     for horizon in HORIZONS_S:
         k = at_horizon(horizon, unseen.problem.data.dt)
         if k < unseen.windows.length:
@@ -288,8 +292,8 @@ def _posterior(
             if all(_taken(left, one) for one in rest):
                 for one in set(left) or {'nothing'}:
                     share[one] = share.get(one, 0.0) + float(weight) / max(len(set(left)), 1)
-        worth = LEAST_SAID * sum(share.values())
-        share = {one: v for one, v in share.items() if one == name or v > worth}
+        least = LEAST_REPORTED * sum(share.values())
+        share = {one: v for one, v in share.items() if one == name or v > least}
         total = sum(share.values()) or 1.0
         probabilities.append(share.pop(name, 0.0) / total)
         rivals.append(tuple(sorted(

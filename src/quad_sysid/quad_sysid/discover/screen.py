@@ -1,7 +1,7 @@
 """Score candidates beside a fitted structure without fitting them: one linear step each.
 
-A candidate's columns pass through the same filter as the fit's derivatives; what of the innovations
-they explain beyond these, priced by their prior, is the score. It only chooses what is fitted.
+A candidate's columns pass through the same filter as the fit's derivatives; what they explain of
+the innovations beyond these, priced by their prior, is the score. It only chooses what is fitted.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from scipy.linalg import cho_factor, cho_solve
 from quad_sysid.contract import FloatArray
 from quad_sysid.estimate.fit import Fit, Problem
 from quad_sysid.model import recursion
-from quad_sysid.model.effect import Part
+from quad_sysid.model.effect import Effect, Part, required
 
 STEP = 1e-4
 PER_NONLINEAR = 2.0
@@ -37,6 +37,8 @@ class Score:
 
 @dataclass
 class _Block:
+    """One candidate from one start, and where its columns are."""
+
     part: Part
     p: FloatArray
     """Coordinates with the linear parameters at zero."""
@@ -54,7 +56,7 @@ def _spectrum(problem: Problem, fitted: Fit) -> tuple[FloatArray, FloatArray]:
     part = e[start:stop] - e[start:stop].mean()
     size = 4 * part.size
     power = np.abs(np.fft.rfft(part * np.hanning(part.size), size)) ** 2
-    return np.fft.rfftfreq(size, problem.data.dt), power
+    return np.fft.rfftfreq(size, problem.data.dt).astype(np.float64), power
 
 
 def lines(problem: Problem, fitted: Fit) -> FloatArray:
@@ -92,13 +94,43 @@ def screen(problem: Problem, fitted: Fit, parts: Sequence[Part]) -> list[Score]:
     """The best start and score of each candidate, best first."""
     flight = problem.flight
     flight.rate = fitted.rate
+    columns, blocks = _columns(problem, fitted, parts)
+    if not columns:
+        return []
+    inputs = np.ascontiguousarray(np.stack(columns, axis=1))
+    out = np.zeros_like(inputs)
+    found = fitted.prediction.filter
+    slope = flight.pushed(
+        fitted.structure, fitted.structure.natural(fitted.theta), fitted.rate
+    ).slope
+    for start, stop in flight.passes:
+        recursion.respond(
+            inputs, slope, found.gain, found.move, flight.gyro, flight.filtered,
+            problem.data.dt, start, stop, out,
+        )
+    rows = _Rows(problem, fitted, out)
+    best: dict[str, Score] = {}
+    for block in blocks:
+        score = rows.score(problem, block)
+        if score is None:
+            continue
+        label = block.part.effect.label
+        if label not in best or score.nats > best[label].nats:
+            best[label] = score
+    return sorted(best.values(), key=lambda s: -s.nats)
+
+
+def _columns(
+    problem: Problem, fitted: Fit, parts: Sequence[Part]
+) -> tuple[list[FloatArray], list[_Block]]:
+    """(n,) mean acceleration of each cycle per unit of each linear parameter, at each start."""
+    flight = problem.flight
     structure, theta = fitted.structure, fitted.theta
     base = theta.size - len(structure.noise)
     values = structure.natural(theta)
-    push = flight.pushed(structure, values, fitted.rate)
     halves, states = flight.driven(structure, values)
     signals = flight.signals(values, halves, states, fitted.rate)
-    n = problem.data.rate.size
+    plain = values[0] * 0.5 * (halves[0] + halves[1])
     columns: list[FloatArray] = []
     blocks: list[_Block] = []
 
@@ -106,9 +138,9 @@ def screen(problem: Problem, fitted: Fit, parts: Sequence[Part]) -> list[Score]:
         more = structure.plus(part)
         whole = more.natural(np.r_[theta[:base], p, theta[base:]])
         own = flight.driven(more, whole)[0]
-        return values[0] * 0.5 * (own[0] + own[1])
+        drive: FloatArray = values[0] * 0.5 * (own[0] + own[1])
+        return drive
 
-    plain = values[0] * 0.5 * (halves[0] + halves[1])
     for part in parts:
         effect = part.effect
         specs = effect.parameters
@@ -117,88 +149,83 @@ def screen(problem: Problem, fitted: Fit, parts: Sequence[Part]) -> list[Score]:
             if not spec.log and not spec.starts
             and (spec.spread is None or (spec.centre == 0.0 and spec.name != 'time'))
         ]
-        if getattr(effect, 'from_lines', False):
-            starts = [np.array([f, 0.0, 0.0]) for f in lines(problem, fitted)]
-        else:
-            starts = list(effect.starts(problem.data, part.settings))
-        for start in starts:
+        for start in _starts(problem, fitted, part):
             p = coordinates(part, start)
             block = _Block(part, p, linear, len(columns), len(linear))
-            if effect.moves_command:
-                for j in linear:
-                    up = p.copy()
-                    up[j] += STEP
-                    columns.append((driven(part, up) - plain) / STEP)
-                if not linear:
-                    block.shift = len(columns)
-                    columns.append(driven(part, p) - plain)
-            else:
+            if not effect.moves_command:
                 logs = np.array([s.log for s in specs])
                 at = np.where(logs, np.exp(np.where(logs, p, 0.0)), p)
                 own = flight.hidden(part, signals, at)
                 columns.extend(effect.columns(own, at, linear, part.settings).T)
+            elif linear:
+                for j in linear:
+                    up = p.copy()
+                    up[j] += STEP
+                    columns.append((driven(part, up) - plain) / STEP)
+            else:
+                block.shift = len(columns)
+                columns.append(driven(part, p) - plain)
             blocks.append(block)
-    if not columns:
-        return []
-    inputs = np.ascontiguousarray(np.stack(columns, axis=1))
-    out = np.zeros_like(inputs)
-    found = fitted.prediction.filter
-    for start, stop in flight.passes:
-        recursion.respond(
-            inputs, push.slope, found.gain, found.move, flight.gyro, flight.filtered,
-            problem.data.dt, start, stop, out,
-        )
-    e = fitted.prediction.innovation[problem.rows]
-    w = np.sqrt(fitted.tail.weights(e)) / fitted.tail.scale
-    assert fitted.prediction.jacobian is not None
-    own = fitted.prediction.jacobian[problem.rows] * w[:, None]
-    root = np.linalg.cholesky(fitted.precision).T
-    q = np.linalg.qr(np.vstack([own, root]))[0]
-    q = q[: problem.rows.size]
-    c = out[problem.rows] * w[:, None]
-    r = e * w
-    # beside what the fit's own parameters can take up; their priors lie in the rows that are cut
-    qc, qr = q.T @ c, q.T @ r
-    score: dict[str, Score] = {}
-    for block in blocks:
-        where = slice(block.first, block.first + block.count)
-        residual, before = r, float(r @ r - qr @ qr)
-        q_residual = qr
-        price = PER_NONLINEAR * (len(block.part.effect.parameters) - block.count)
+    return columns, blocks
+
+
+def _starts(problem: Problem, fitted: Fit, part: Part) -> Sequence[FloatArray]:
+    """Values of a candidate's parameters to search from, in their units."""
+    if getattr(part.effect, 'from_lines', False):
+        return [np.array([f, 0.0, 0.0]) for f in lines(problem, fitted)]
+    return part.effect.starts(problem.data, part.settings)
+
+
+class _Rows:
+    """Weighted innovations and columns, beside what the fit's own parameters can take up.
+
+    The priors of the fit's parameters lie in rows of the factorisation that are cut off.
+    """
+
+    def __init__(self, problem: Problem, fitted: Fit, out: FloatArray) -> None:
+        e = fitted.prediction.innovation[problem.rows]
+        w = np.sqrt(fitted.tail.weights(e)) / fitted.tail.scale
+        own = required(fitted.prediction.jacobian)[problem.rows] * w[:, None]
+        root = np.linalg.cholesky(fitted.precision).T
+        q = np.linalg.qr(np.vstack([own, root]))[0][: problem.rows.size]
+        self.c, self.r = out[problem.rows] * w[:, None], e * w
+        self.qc, self.qr = q.T @ self.c, q.T @ self.r
+
+    def score(self, problem: Problem, block: _Block) -> Score | None:
+        """What a candidate's linear step gains, nats; None where physics forbids its sign."""
+        part, parameters = block.part, block.part.effect.parameters
+        before = float(self.r @ self.r - self.qr @ self.qr)
+        residual, projected = self.r, self.qr
         if block.shift >= 0:
-            residual = r + c[:, block.shift]
-            q_residual = qr + qc[:, block.shift]
-        left = float(residual @ residual - q_residual @ q_residual)
-        nats = 0.5 * (before - left) - price
+            residual = residual + self.c[:, block.shift]
+            projected = projected + self.qc[:, block.shift]
+        left = float(residual @ residual - projected @ projected)
+        nats = 0.5 * (before - left) - PER_NONLINEAR * (len(parameters) - block.count)
         start = block.p.copy()
-        if block.count:
-            cc, qcc = c[:, where], qc[:, where]
-            gram = cc.T @ cc - qcc.T @ qcc
-            b = -(cc.T @ residual - qcc.T @ q_residual)
-            sizes = problem.sizes_of(block.part)
-            full = block.part.effect.precision(block.part.settings, sizes)
-            precision = full[np.ix_(block.linear, block.linear)]
-            factor = cho_factor(gram + precision)
-            x = cho_solve(factor, b)
-            logdet = 2.0 * float(np.sum(np.log(np.diag(factor[0]))))
-            nats += 0.5 * float(b @ x) - 0.5 * (logdet - np.linalg.slogdet(precision)[1])
-            if any(block.part.effect.parameters[j].positive and v < 0.0
-                   for j, v in zip(block.linear, x, strict=True)):
-                continue
-            start[block.linear] = x
-        label = block.part.effect.label
-        if label not in score or nats > score[label].nats:
-            starts = (start,)
-            if block.count and block.count < start.size:
-                # a linear step may overshoot what is not linear
-                gentle = start.copy()
-                gentle[block.linear] *= 0.3
-                starts = (start, gentle)
-            score[label] = Score(block.part, starts, nats)
-    return sorted(score.values(), key=lambda s: -s.nats)
+        if not block.count:
+            return Score(part, (start,), nats)
+        where = slice(block.first, block.first + block.count)
+        c, qc = self.c[:, where], self.qc[:, where]
+        b = -(c.T @ residual - qc.T @ projected)
+        precision = part.effect.precision(part.settings, problem.sizes_of(part))
+        precision = precision[np.ix_(block.linear, block.linear)]
+        factor = cho_factor(c.T @ c - qc.T @ qc + precision)
+        x = cho_solve(factor, b)
+        logdet = 2.0 * float(np.sum(np.log(np.diag(factor[0]))))
+        nats += 0.5 * float(b @ x) - 0.5 * (logdet - float(np.linalg.slogdet(precision)[1]))
+        if any(parameters[j].positive and v < 0.0 for j, v in zip(block.linear, x, strict=True)):
+            return None
+        start[block.linear] = x
+        if block.count == start.size:
+            return Score(part, (start,), nats)
+        gentle = start.copy()  # a linear step may overshoot what is not linear
+        gentle[block.linear] *= 0.3
+        return Score(part, (start, gentle), nats)
 
 
-def candidates(problem: Problem, effects) -> tuple[list[Part], dict[str, str]]:  # type: ignore[no-untyped-def]  # noqa: ANN001
+def candidates(
+    problem: Problem, effects: Sequence[Effect]
+) -> tuple[list[Part], dict[str, str]]:
     """What these data can show, and why not the rest."""
     parts, reasons = [], {}
     for effect in effects:

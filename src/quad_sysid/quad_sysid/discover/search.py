@@ -30,7 +30,6 @@ ABANDONED = 20.0
 MOST_LINES = 3
 """Narrow lines of vibration that the noise may hold."""
 
-
 Log = Callable[[str], None]
 
 
@@ -67,7 +66,9 @@ class Found:
 class _Search:
     """What was fitted so far, by the labels of its effects."""
 
-    def __init__(self, problem: Problem, parts: Sequence[Part], base: Fit, log: Log | None) -> None:
+    def __init__(
+        self, problem: Problem, parts: Sequence[Part], base: Fit, log: Log | None
+    ) -> None:
         self.problem, self.parts, self.log = problem, parts, log or (lambda _: None)
         self.price = math.log(EXPECTED / max(len(parts), 1))
         self.known: dict[frozenset[str], Scored] = {frozenset(): Scored(base, base.evidence)}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,18 +12,18 @@ from quad_sysid.contract import MIXER_INVERSE, FloatArray
 from quad_sysid.effects.couplings import over_training
 from quad_sysid.model import recursion
 from quad_sysid.model.data import AxisData
-from quad_sysid.model.effect import Drive, Dynamics, Effect, Settings, Signals, Spec
+from quad_sysid.model.effect import Drive, Dynamics, Effect, Settings, Signals, Spec, required
 
 MOVES = 0.02
 """A signal that must move for an effect to show must move by this share of its mean."""
-
-
 LIGHT = 0.3
 """Damping ratio up to which a mode is a light one."""
 
 
-def along(data: AxisData, signal: FloatArray, kernel, *numbers: float) -> FloatArray:  # type: ignore[no-untyped-def]  # noqa: ANN001
-    """A kernel with memory along each unbroken stretch of a signal (n,)."""
+def along(
+    data: AxisData, signal: FloatArray, kernel: Callable[..., None], *numbers: float
+) -> FloatArray:
+    """A compiled kernel with memory runs along each unbroken stretch of a signal (n,)."""
     out = np.array(signal, dtype=float)
     for start, stop in data.stretches:
         kernel(signal, *numbers, start, stop, out)
@@ -31,6 +31,8 @@ def along(data: AxisData, signal: FloatArray, kernel, *numbers: float) -> FloatA
 
 
 class DeadZone(Effect):
+    """Small commands have no effect."""
+
     name = 'dead_zone'
     signals = ('command',)
     term = 'command'
@@ -48,6 +50,8 @@ class DeadZone(Effect):
 
 
 class Backlash(Effect):
+    """Play between the command and the torque."""
+
     name = 'backlash'
     signals = ('command', 'history')
     term = 'command'
@@ -65,6 +69,8 @@ class Backlash(Effect):
 
 
 class BatterySag(Effect):
+    """The gain follows a power of the battery's voltage."""
+
     name = 'battery_sag'
     signals = ('battery', 'command')
     term = 'gain'
@@ -81,13 +87,15 @@ class BatterySag(Effect):
         return {'reference_v': float(np.mean(used))}
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        return s.drive * ((s.battery_v / float(settings['reference_v'])) ** p[0] - 1.0)
+        return s.drive * ((required(s.battery_v) / float(settings['reference_v'])) ** p[0] - 1.0)
 
     def usual(self, p: FloatArray, settings: Settings) -> Mapping[str, float]:
         return {'battery': float(settings['reference_v'])}
 
 
 class ThrustCurve(Effect):
+    """The thrust of each propeller is quadratic in its motor command."""
+
     name = 'thrust_curve'
     signals = ('command', 'throttle')
     term = 'command'
@@ -111,7 +119,8 @@ class ThrustCurve(Effect):
         k, tau = p[0], float(drive.lag[0, 0])
         u = data.motors.T
         m = np.stack([
-            along(data, np.ascontiguousarray(one), recursion.first_order, tau, data.dt) for one in u
+            along(data, np.ascontiguousarray(one), recursion.first_order, tau, data.dt)
+            for one in u
         ])
         slope = max(1.0 - k + 2.0 * k * float(settings['throttle']), 1e-3)
         row = MIXER_INVERSE[data.index + 1]
@@ -127,7 +136,9 @@ class Motors(Effect):
 
     term = 'command'
 
-    def map(self, data: AxisData, motors: FloatArray, p: FloatArray, settings: Settings) -> FloatArray:
+    def map(
+        self, data: AxisData, motors: FloatArray, p: FloatArray, settings: Settings
+    ) -> FloatArray:
         """(4, n) commands after the effect."""
         raise NotImplementedError
 
@@ -140,9 +151,11 @@ class Motors(Effect):
 
 
 class Saturation(Motors):
+    """Each motor command is limited on one side."""
+
     name = 'saturation'
     signals = ('command', 'motors')
-    physics = 'clip(m, lower, upper): the motors stop short of what they are told'
+    physics = 'clip(m, lower, upper): the motors stop short of what is commanded'
     excite = 'large commands: a square wave of large amplitude'
 
     def __init__(self, side: str) -> None:
@@ -160,7 +173,9 @@ class Saturation(Motors):
         shares = (99.0, 95.0, 85.0) if self.variant == 'upper' else (1.0, 5.0, 15.0)
         return [np.array([value]) for value in np.percentile(motors, shares)]
 
-    def map(self, data: AxisData, motors: FloatArray, p: FloatArray, settings: Settings) -> FloatArray:
+    def map(
+        self, data: AxisData, motors: FloatArray, p: FloatArray, settings: Settings
+    ) -> FloatArray:
         return np.minimum(motors, p[0]) if self.variant == 'upper' else np.maximum(motors, p[0])
 
     def readable(self, p: FloatArray, settings: Settings) -> dict[str, tuple[float, str]]:
@@ -179,22 +194,32 @@ class Saturation(Motors):
 
 
 class SlewLimit(Motors):
+    """The rate of change of each motor command is limited."""
+
     name = 'shape:lag:command'
     kind = 'shape'
     variant = 'slew limit'
     signals = ('command', 'motors', 'history')
     term = 'response'
     parameters = (
-        Spec('slew', '1/s', spread=1.5, centre=math.log(3.0), log=True, starts=(0.5, 1.5, 4.0, 10.0)),
+        Spec('slew', '1/s', spread=1.5, centre=math.log(3.0), log=True,
+             starts=(0.5, 1.5, 4.0, 10.0)),
     )
     physics = 'the command of a motor changes by at most so much a second'
     excite = 'large steps of the command'
 
-    def map(self, data: AxisData, motors: FloatArray, p: FloatArray, settings: Settings) -> FloatArray:
-        return np.stack([along(data, np.ascontiguousarray(m), recursion.slew, float(p[0]) * data.dt) for m in motors])
+    def map(
+        self, data: AxisData, motors: FloatArray, p: FloatArray, settings: Settings
+    ) -> FloatArray:
+        step = float(p[0]) * data.dt
+        return np.stack([
+            along(data, np.ascontiguousarray(m), recursion.slew, step) for m in motors
+        ])
 
 
 class Steps(Motors):
+    """Each motor command is quantised."""
+
     name = 'shape:gain:command'
     kind = 'shape'
     variant = 'steps'
@@ -206,11 +231,15 @@ class Steps(Motors):
     physics = 'motors take their command in whole steps'
     excite = 'slow small commands'
 
-    def map(self, data: AxisData, motors: FloatArray, p: FloatArray, settings: Settings) -> FloatArray:
+    def map(
+        self, data: AxisData, motors: FloatArray, p: FloatArray, settings: Settings
+    ) -> FloatArray:
         return np.round(motors / p[0]) * p[0]
 
 
 class SlowShare(Effect):
+    """A share of the axis' torque arrives behind a longer lag."""
+
     name = 'motor_lag'
     signals = ('command',)
     term = 'response'
@@ -233,7 +262,7 @@ class SlowShare(Effect):
 
 
 def by_motor(data: AxisData, drive: Drive) -> Drive:
-    """The drive with a channel for each motor; what maps have changed is the last one."""
+    """One channel for each motor, then one for what earlier effects added to the command."""
     row = MIXER_INVERSE[data.index + 1]
     rest = drive.commands[:1] - (row @ data.motors.T)[None, :]
     return replace(
@@ -244,6 +273,8 @@ def by_motor(data: AxisData, drive: Drive) -> Drive:
 
 
 class SlowMotor(Effect):
+    """One motor has a longer lag than the others."""
+
     name = 'motor_lag'
     signals = ('command', 'motors')
     term = 'response'
@@ -265,7 +296,7 @@ class SlowMotor(Effect):
             for i in range(3) if i != data.index
         ]
         if np.ptp(over_training(data, data.motors)) < 1e-6 or not any(moving):
-            return 'the other axes hardly move, so no single motor can be told from its like'
+            return 'the other axes hardly move, so no single motor can be told apart'
         return {}
 
     def actuate(self, data: AxisData, drive: Drive, p: FloatArray, settings: Settings) -> Drive:
@@ -276,6 +307,8 @@ class SlowMotor(Effect):
 
 
 class AsymmetricLag(Effect):
+    """The lag differs between acceleration and deceleration of a motor."""
+
     name = 'shape:lag:direction'
     kind = 'shape'
     signals = ('command', 'direction')
@@ -298,6 +331,8 @@ class AsymmetricLag(Effect):
 
 
 class SecondLag(Effect):
+    """A second first-order lag in series with the motors."""
+
     name = 'mode'
     kind = 'mode'
     variant = 'second lag'
@@ -320,6 +355,8 @@ class SecondLag(Effect):
 
 
 class Resonance(Effect):
+    """A lightly damped mode in parallel with the command."""
+
     name = 'resonance'
     signals = ('command', 'history')
     term = 'response'

@@ -6,7 +6,7 @@ import numpy as np
 
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.model.data import AxisData
-from quad_sysid.model.effect import Effect, Settings, Signals, Spec
+from quad_sysid.model.effect import Effect, Settings, Signals, Spec, required
 
 LEAST_SHARE = 0.05
 """Another axis' command must be this large beside this axis'."""
@@ -30,6 +30,8 @@ def turns(data: AxisData, which: int) -> str:
 
 
 class CrossAxisInput(Effect):
+    """A fraction of another axis' command that acts on this axis."""
+
     name = 'cross_axis_input'
     signals = ('other command',)
     term = 'command'
@@ -55,6 +57,8 @@ class CrossAxisInput(Effect):
 
 
 class GyroscopicCoupling(Effect):
+    """A torque proportional to another axis' rate."""
+
     name = 'gyroscopic_coupling'
     signals = ('other rate',)
     parameters = (Spec('coefficient', '1/s'),)
@@ -69,10 +73,12 @@ class GyroscopicCoupling(Effect):
         return turns(data, self.which) or {'other': data.other_axes[self.which]}
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        return p[0] * s.other_rates[self.which]
+        return p[0] * required(s.other_rates)[self.which]
 
 
 class InertiaCoupling(Effect):
+    """A torque proportional to the product of the other two rates."""
+
     name = 'inertia_coupling'
     signals = ('product of other rates',)
     parameters = (Spec('coefficient', '1'),)
@@ -83,7 +89,8 @@ class InertiaCoupling(Effect):
         return turns(data, 0) or turns(data, 1) or {}
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        return p[0] * s.other_rates[0] * s.other_rates[1]
+        first, second = required(s.other_rates)
+        return p[0] * first * second
 
 
 COUPLINGS = (

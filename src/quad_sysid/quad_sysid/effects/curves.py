@@ -15,15 +15,17 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.effects.couplings import over_training, turns
 from quad_sysid.effects.torques import TRANSITION
 from quad_sysid.model.data import AxisData
-from quad_sysid.model.effect import Drive, Effect, Settings, Signals, Spec
+from quad_sysid.model.effect import Drive, Effect, Settings, Signals, Spec, required
 
 SLOW_MOVES = 0.01
 """A slow signal must move by this share of its mean to carry a curve."""
 SMOOTH = {'smooth': (6, 0.6), 'rough': (11, 0.2)}
-"""Number of knots, and length over which the curve changes as a share of the signal's range; the knots of
-the first lie among those of the second."""
+"""Number of knots, and the length over which the curve changes as a share of the signal's range;
+the knots of the first lie among those of the second."""
 UNITS = {'torque': 'rad/s²', 'gain': '1', 'damping': '1/s', 'lag': '1', 'delay': 's',
          'friction': 'rad/s²'}
+MISSING = {'angle': 'orientation', 'battery': 'battery voltage'}
+"""What a bag lacks where a signal is not there."""
 
 
 def measured(data: AxisData, name: str) -> FloatArray | str:
@@ -37,13 +39,13 @@ def measured(data: AxisData, name: str) -> FloatArray | str:
         if np.std(over_training(data, signal)) < 0.05 * np.std(over_training(data, data.command)):
             return f'{name} hardly moves'
         return signal
-    if name == 'time':
-        return np.arange(data.rate.size) * data.dt
-    if name == 'angle':
-        return 'the bag holds no orientation' if data.angle is None else data.angle
-    if name == 'battery':
-        return 'the bag holds no battery voltage' if data.battery_v is None else data.battery_v
-    return {'rate': data.rate, 'command': data.command, 'throttle': data.control[:, 0]}[name]
+    known: dict[str, FloatArray | None] = {
+        'time': np.arange(data.rate.size, dtype=np.float64) * data.dt,
+        'angle': data.angle, 'battery': data.battery_v, 'rate': data.rate,
+        'command': data.command, 'throttle': data.control[:, 0],
+    }
+    found = known[name]
+    return f'the bag holds no {MISSING[name]}' if found is None else found
 
 
 class Curve(Effect):
@@ -53,9 +55,9 @@ class Curve(Effect):
 
     def __init__(self, term: str, signal: str, smoothness: str) -> None:
         self.term, self.signal, self.variant = term, signal, smoothness
-        told = signal.rstrip(' 12') if signal.startswith('other') else signal
-        told = told.replace(' ', '_')
-        self.name = f'shape:{told}' if term in ('torque', 'friction') else f'shape:{term}:{told}'
+        kind = signal.rstrip(' 12') if signal.startswith('other') else signal
+        kind = kind.replace(' ', '_')
+        self.name = f'shape:{kind}' if term in ('torque', 'friction') else f'shape:{term}:{kind}'
         if signal.startswith('other'):
             self.variant += f' {signal[-1]}'
         if term == 'friction':
@@ -107,13 +109,13 @@ class Curve(Effect):
 
     def _signal(self, s: Signals, scale: float = 1.0) -> FloatArray:
         if self.signal.startswith('other rate'):
-            return s.other_rates[int(self.signal[-1]) - 1]
+            return required(s.other_rates)[int(self.signal[-1]) - 1]
         if self.signal.startswith('other command'):
             return s.other_commands[int(self.signal[-1]) - 1]
-        return {
+        return required({
             'rate': s.rate, 'angle': s.angle, 'throttle': s.throttle, 'battery': s.battery_v,
             'time': s.time, 'command': s.lagged,
-        }[self.signal]
+        }[self.signal])
 
     def _factor(self, s: Signals, p: FloatArray) -> FloatArray:
         if self.term == 'gain':
@@ -134,7 +136,9 @@ class Curve(Effect):
             return None
         return self._factor(s, p) * self._along(self._signal(s), p, settings)
 
-    def columns(self, s: Signals, p: FloatArray, linear: Sequence[int], settings: Settings) -> FloatArray:
+    def columns(
+        self, s: Signals, p: FloatArray, linear: Sequence[int], settings: Settings
+    ) -> FloatArray:
         """The hats of all knots at once."""
         knots = np.array(settings['knots'])
         x = np.clip(self._signal(s), knots[0], knots[-1])
@@ -151,6 +155,8 @@ class Curve(Effect):
         if self.term != 'lag':
             return drive
         signal = measured(data, self.signal)
+        if isinstance(signal, str):
+            raise ValueError(signal)  # noqa: TRY004 - why this flight cannot be used
         return replace(drive, lag=drive.lag * np.exp(self._along(signal, p, settings))[None, :])
 
     @property

@@ -12,7 +12,7 @@ from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import Effect, Settings, Signals, Spec
 
 EDGE_S = 1.0
-"""Events nearer than this to an end of the training segments cannot be told from it."""
+"""Events nearer than this to an end of the training segments cannot be distinguished from it."""
 GRID_S = 0.5
 LONG_AGO_S = -1e6
 """When an event happened that another flight has shown."""
@@ -27,11 +27,13 @@ def times(data: AxisData) -> FloatArray:
 
 
 def after(s: Signals, time_s: float) -> FloatArray:
-    """Share of each cycle after a time, told smoothly over a few cycles."""
+    """Share of each cycle after a time, with a smooth transition over a few cycles."""
     return 0.5 * (1.0 + np.tanh((s.time - time_s) / 0.02))
 
 
 class StepTorque(Effect):
+    """A constant torque that begins at one time."""
+
     name = 'step_event'
     variant = 'torque'
     signals = ('time',)
@@ -53,6 +55,8 @@ class StepTorque(Effect):
 
 
 class Pulse(Effect):
+    """A constant torque that acts for a limited time."""
+
     name = 'event'
     kind = 'event'
     variant = 'torque for a while'
@@ -79,6 +83,8 @@ class Pulse(Effect):
 
 
 class StepGain(Effect):
+    """A gain that changes at one time."""
+
     name = 'step_event'
     variant = 'gain'
     signals = ('time', 'command')
@@ -98,6 +104,8 @@ class StepGain(Effect):
 
 
 class PeriodicDisturbance(Effect):
+    """A sinusoidal torque whose phase differs from flight to flight."""
+
     name = 'periodic_disturbance'
     signals = ('time',)
     parameters = (

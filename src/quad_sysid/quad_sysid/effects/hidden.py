@@ -10,7 +10,7 @@ from scipy.linalg import expm
 from quad_sysid.contract import FloatArray
 from quad_sysid.model import recursion
 from quad_sysid.model.data import AxisData
-from quad_sysid.model.effect import Effect, Settings, Signals, Spec
+from quad_sysid.model.effect import Effect, Settings, Signals, Spec, required
 
 
 class Linear(Effect):
@@ -48,6 +48,8 @@ class Linear(Effect):
 
 
 class SlowState(Linear):
+    """A spring in series with a damper (a Maxwell element)."""
+
     variant = 'slow state'
     signals = ('rate', 'history')
     states = 1
@@ -66,17 +68,20 @@ class SlowState(Linear):
         return 0.5 * s.rate
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        return -p[1] * s.hidden[0]
+        return -p[1] * required(s.hidden)[0]
 
 
 class Swinging(Linear):
+    """A second-order mode excited by the rate, such as a swinging load."""
+
     variant = 'swinging'
     signals = ('rate', 'history')
     states = 2
     parameters = (
         Spec('frequency', 'Hz', spread=1.0, centre=math.log(3.0), log=True,
              starts=tuple(np.geomspace(0.5, 16.0, 14))),
-        Spec('damping_ratio', '1', spread=0.8, centre=math.log(0.08), log=True, starts=(0.05, 0.2)),
+        Spec('damping_ratio', '1', spread=0.8, centre=math.log(0.08), log=True,
+             starts=(0.05, 0.2)),
         Spec('in_phase', '1/s'),
         Spec('quadrature', '1/s'),
     )
@@ -91,10 +96,12 @@ class Swinging(Linear):
         return s.rate
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        return p[2] * s.hidden[0] + p[3] * s.hidden[1]
+        return p[2] * required(s.hidden)[0] + p[3] * required(s.hidden)[1]
 
 
 class Hysteresis(Effect):
+    """Dahl's friction, which builds up over an angle after each reversal."""
+
     name = 'mode'
     kind = 'mode'
     variant = 'hysteresis'
@@ -126,7 +133,7 @@ class Hysteresis(Effect):
         return np.ones_like(s.rate)
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        return -p[1] * s.hidden[0]
+        return -p[1] * required(s.hidden)[0]
 
 
 HIDDEN = (SlowState(), Swinging(), Hysteresis())

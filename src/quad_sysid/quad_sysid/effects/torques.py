@@ -8,7 +8,7 @@ import numpy as np
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.model.data import AxisData
-from quad_sysid.model.effect import Effect, Settings, Signals, Spec
+from quad_sysid.model.effect import Effect, Settings, Signals, Spec, required
 
 TRANSITION = Spec('transition', 'rad/s', spread=1.0, centre=math.log(0.005), log=True,
                   starts=(0.003, 0.04))
@@ -16,11 +16,13 @@ TRANSITION = Spec('transition', 'rad/s', spread=1.0, centre=math.log(0.005), log
 
 
 def needs_angle(data: AxisData) -> Settings | str:
-    """Of effects on the angle."""
+    """No settings; effects of the angle cannot be tested where it was not measured."""
     return {} if data.angle is not None else 'the bag holds no orientation'
 
 
 class CoulombFriction(Effect):
+    """Dry friction, with a smooth transition through rest."""
+
     name = 'coulomb_friction'
     signals = ('rate',)
     parameters = (Spec('torque', 'rad/s²', positive=True), TRANSITION)
@@ -32,6 +34,8 @@ class CoulombFriction(Effect):
 
 
 class QuadraticDrag(Effect):
+    """Drag that grows with the square of the rate."""
+
     name = 'quadratic_drag'
     signals = ('rate',)
     parameters = (Spec('coefficient', 'rad/s² per (rad/s)²', positive=True),)
@@ -43,6 +47,8 @@ class QuadraticDrag(Effect):
 
 
 class PendulumStiffness(Effect):
+    """The restoring torque of a centre of mass off the axis."""
+
     name = 'pendulum_stiffness'
     signals = ('angle',)
     parameters = (Spec('stiffness', 'rad/s² per rad'),)
@@ -53,10 +59,12 @@ class PendulumStiffness(Effect):
         return needs_angle(data)
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        return -p[0] * np.sin(s.angle)
+        return -p[0] * np.sin(required(s.angle))
 
 
 class CubicStiffness(Effect):
+    """A spring that hardens or softens with the angle."""
+
     name = 'cubic_stiffness'
     signals = ('angle',)
     parameters = (Spec('stiffness', 'rad/s² per rad³'),)
@@ -67,7 +75,7 @@ class CubicStiffness(Effect):
         return needs_angle(data)
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        return -p[0] * s.angle**3
+        return -p[0] * required(s.angle)**3
 
 
 TORQUES = (CoulombFriction(), QuadraticDrag(), PendulumStiffness(), CubicStiffness())

@@ -14,7 +14,7 @@ from scipy.special import gammaln
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.model.data import AxisData, Span, part_of
-from quad_sysid.model.effect import Part
+from quad_sysid.model.effect import Part, required
 from quad_sysid.model.plant import BASE, NOISE, Flight, Prediction, Structure, passes_of
 
 SETTLE_S = 0.5
@@ -37,7 +37,7 @@ class Tail:
     degrees: float
 
     def log_density(self, e: FloatArray) -> FloatArray:
-        """Of innovations e, nats."""
+        """(n,) logarithm of the density of innovations e, nats."""
         v = self.degrees
         constant = gammaln(0.5 * (v + 1.0)) - gammaln(0.5 * v) - 0.5 * math.log(math.pi * v)
         out: FloatArray = (
@@ -47,13 +47,13 @@ class Tail:
         return out
 
     def weights(self, e: FloatArray) -> FloatArray:
-        """Of the rows of the equivalent least squares; 1 for a normal distribution."""
+        """Weights of the equivalent least squares' rows; 1 for a normal distribution."""
         out: FloatArray = (self.degrees + 1.0) / (self.degrees + (e / self.scale) ** 2)
         return out
 
     @property
     def variance(self) -> float:
-        """Of the innovations; of a tail so heavy that it has none, three times the scale's."""
+        """Variance of the innovations; three times the scale's where it is infinite."""
         v = self.degrees
         return self.scale**2 * (v / (v - 2.0) if v > 2.0 else 3.0)
 
@@ -127,7 +127,7 @@ class Problem:
         self.data = part_of(self.data, passes)
 
     def measure(self, fitted: Fit) -> None:
-        """Take the signals of a fit for the sizes of priors from now on: one for all structures."""
+        """Measure the sizes of all later priors by the signals of this fit."""
         p = fitted.values
         halves, states = self.flight.driven(fitted.structure, p)
         self._reference = self.flight.signals(p, halves, states, fitted.rate)
@@ -218,7 +218,13 @@ def start_of(problem: Problem) -> FloatArray:
     return theta
 
 
-def fit(
+def upper_triangle(a: FloatArray) -> FloatArray:
+    """R of the QR factorisation."""
+    r: FloatArray = np.asarray(np.linalg.qr(a, mode='r'))
+    return r
+
+
+def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
     problem: Problem, structure: Structure, start: FloatArray, *, most_steps: int = MOST_STEPS,
     rate: FloatArray | None = None, still: tuple[int, ...] = (),
 ) -> Fit:
@@ -254,10 +260,9 @@ def fit(
         raise FloatingPointError('the start runs away')
     damping, converged, count = 1e-3, False, 0
     r_factor = np.eye(theta.size)
-    for count in range(1, most_steps + 1):
+    for count in range(1, most_steps + 1):  # noqa: B007 - read after the loop
         e = found.innovation[problem.rows]
-        assert found.jacobian is not None
-        j = found.jacobian[problem.rows]
+        j = required(found.jacobian)[problem.rows]
         j[:, list(still)] = 0.0
         w = np.sqrt(tail.weights(e)) / tail.scale
         stacked = np.empty((e.size + theta.size, theta.size + 1))
@@ -265,7 +270,7 @@ def fit(
         stacked[: e.size, -1] = e * w
         stacked[e.size :, :-1] = root
         stacked[e.size :, -1] = root @ (theta - centres)
-        r_factor = np.linalg.qr(stacked, mode='r')[: theta.size]
+        r_factor = upper_triangle(stacked)[: theta.size]
         a, b = r_factor[:, :-1], r_factor[:, -1]
         free = np.delete(np.arange(theta.size), list(still))
         promise = 0.5 * float(b[free] @ b[free]) if not still else math.inf
@@ -304,9 +309,8 @@ def fit(
             converged = True
             break
     e = found.innovation[problem.rows]
-    assert found.jacobian is not None
-    j = found.jacobian[problem.rows] * (math.sqrt(tail.information) / tail.scale)
-    r = np.linalg.qr(np.vstack([j, root]), mode='r')
+    j = required(found.jacobian)[problem.rows] * (math.sqrt(tail.information) / tail.scale)
+    r = upper_triangle(np.vstack([j, root]))
     hessian = r.T @ r
     log_likelihood = float(np.sum(tail.log_density(e)))
     away = root @ (theta - centres)
@@ -328,8 +332,7 @@ def covariance(problem: Problem, fitted: Fit) -> FloatArray:
     by chance alone.
     """
     e = fitted.prediction.innovation[problem.rows]
-    assert fitted.prediction.jacobian is not None
-    j = fitted.prediction.jacobian[problem.rows]
+    j = required(fitted.prediction.jacobian)[problem.rows]
     tail = fitted.tail
     score = j * (tail.weights(e) * e / tail.scale**2)[:, None]
     length = max(2, round(BLOCK_S / problem.data.dt))

@@ -1,4 +1,4 @@
-"""The model of one axis: data, physics, noise and the compiled recursion; and what is handed on."""
+"""The model of one axis: data, physics, noise, the compiled recursion, and the stored result."""
 
 from quad_sysid.model.identified import (
     AxisModel,

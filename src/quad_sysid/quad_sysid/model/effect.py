@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -18,6 +18,16 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.model.data import AxisData
 
 Settings = Mapping[str, Any]
+Present = TypeVar('Present')
+
+
+def required(value: Present | None) -> Present:
+    """What an earlier step has made sure of, such as a signal that `prepare` asked for."""
+    if value is None:
+        raise ValueError('what this effect or derivative needs was not provided')
+    return value
+
+
 SMALL = 1e-4
 """Of a parameter, for what it does to first order."""
 
@@ -100,7 +110,7 @@ class Dynamics:
 
 
 class Effect:
-    """A physical effect that the base lacks. Subclasses say what it does; one of three at least."""
+    """A physical effect that the base lacks; a subclass changes command, motors or torque."""
 
     name: str = ''
     kind: str = 'named'
@@ -126,7 +136,9 @@ class Effect:
         del data
         return {}
 
-    def command(self, data: AxisData, command: FloatArray, p: FloatArray, settings: Settings) -> FloatArray:
+    def command(
+        self, data: AxisData, command: FloatArray, p: FloatArray, settings: Settings
+    ) -> FloatArray:
         """(n,) command of the axis after the effect."""
         del data, p, settings
         return command
@@ -142,7 +154,7 @@ class Effect:
         return None
 
     def size(self, s: Signals, j: int, settings: Settings) -> FloatArray:
-        """Acceleration for one unit of a parameter without a spread, the others at their centre."""
+        """Acceleration per unit of a parameter without a spread, the others at their centre."""
         p = np.array([
             0.0 if spec.spread is None else (np.exp(spec.centre) if spec.log else spec.centre)
             for spec in self.parameters
@@ -162,8 +174,7 @@ class Effect:
             at = p.copy()
             at[j] = SMALL
             own = self.torque(s, at, settings)
-            assert own is not None
-            out[:, place] = own / SMALL
+            out[:, place] = required(own) / SMALL
         return out
 
     def starts(self, data: AxisData, settings: Settings) -> Sequence[FloatArray]:

@@ -62,8 +62,8 @@ class Filter:
     """The steady Kalman filter of one noise and damping."""
 
     gain: FloatArray
-    """(4 + 2 v,) what an innovation adds to rate, disturbance, the gyro filter's two states and two
-    of each line of vibration."""
+    """(4 + 2 v,) what an innovation adds to the states: the rate, the disturbance, two of the gyro
+    filter and two of each line of vibration."""
     move: FloatArray
     """(2 + 2 v,) what is left of the disturbance after a cycle, its mean over the cycle, and how
     each line turns in it: see recursion.predict."""

@@ -1,11 +1,12 @@
 """The base and the effects on top, run along a flight: predicted with innovations, or free.
 
-    rate' = drive - damping rate + bias + effects + d         lag drive' = gain u(t - delay) - drive
+    rate' = drive - damping rate + bias + effects + d
+    lag drive' = gain u(t - delay) - drive
 
-Physics is evaluated on whole arrays along the rate that the filter itself estimated; the compiled
-recursion takes it as known accelerations and their slope, and the trajectory is followed until it
-agrees with itself. That is Newton's method on the nonlinear filter: each step is linear, and so
-are the derivatives.
+Physics is evaluated on whole arrays along the rate that the filter itself estimated; the
+compiled recursion takes it as known accelerations and their slope, and the trajectory is followed
+until it agrees with itself. That is Newton's method on the nonlinear filter: each step is
+linear, and so are the derivatives.
 """
 
 from __future__ import annotations
@@ -15,11 +16,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from quad_sysid.contract import MIXER_INVERSE, FloatArray
 from quad_sysid.model import recursion
 from quad_sysid.model.data import AxisData, Span, Windows
-from quad_sysid.model.effect import Drive, Effect, Part, Signals, Spec
+from quad_sysid.model.effect import Drive, Effect, Part, Signals, Spec, required
 from quad_sysid.model.noise import Filter, Noise, gyro_step, kalman
 
 LEAD_S = 1.0
@@ -80,7 +82,7 @@ class Structure:
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """Of the effects."""
+        """Labels of the effects."""
         return tuple(part.effect.label for part in self.parts)
 
     def slices(self) -> list[slice]:
@@ -93,17 +95,18 @@ class Structure:
         return out
 
     def plus(self, part: Part) -> Structure:
-        """With one more effect."""
+        """The structure with one more effect."""
         return replace(self, parts=(*self.parts, part))
 
     def minus(self, index: int) -> Structure:
-        """Without one."""
+        """The structure without one of its effects."""
         return replace(self, parts=self.parts[:index] + self.parts[index + 1 :])
 
     def natural(self, theta: FloatArray) -> FloatArray:
         """Parameters in their units from the coordinates of the fit."""
         logs = np.array([s.log for s in self.specs])
-        return np.where(logs, np.exp(np.clip(np.where(logs, theta, 0.0), -40.0, 40.0)), theta)
+        exponents = np.clip(np.where(logs, theta, 0.0), -40.0, 40.0)
+        return np.where(logs, np.exp(exponents), theta)
 
 
 @dataclass(frozen=True)
@@ -112,6 +115,15 @@ class Pushed:
 
     known: FloatArray
     slope: FloatArray
+
+
+def slope_over_rate(part: Part, s: Signals, p: FloatArray) -> FloatArray:
+    """Derivative of an effect's torque over the rate, 1/s."""
+    ahead, back = (
+        required(part.effect.torque(replace(s, rate=s.rate + step), p, part.settings))
+        for step in (SLOPE_STEP, -SLOPE_STEP)
+    )
+    return (ahead - back) / (2.0 * SLOPE_STEP)
 
 
 def passes_of(data: AxisData, spans: Sequence[Span]) -> tuple[Span, ...]:
@@ -152,20 +164,21 @@ class Flight:
         )
         n = data.rate.size
         self.row = np.ascontiguousarray(MIXER_INVERSE[data.index + 1])
-        time = np.arange(n) * data.dt if data.time_s is None else data.time_s
+        grid = np.arange(n, dtype=np.float64)
+        time = grid * data.dt if data.time_s is None else data.time_s
         self.time = time + 0.5 * data.dt
         self.angle = None if data.angle is None else np.nan_to_num(data.angle)
-        self.others = None
+        self.others: tuple[FloatArray, FloatArray] | None = None
         if np.isfinite(data.other_rates).mean() > 0.5:
-            ahead = 0.5 + self.late / data.dt
-            grid = np.arange(n) + ahead
-            self.others = tuple(
-                np.interp(grid, np.arange(n), np.nan_to_num(column))
-                for column in data.other_rates.T
+            ahead = grid + (0.5 + self.late / data.dt)
+            first, second = (
+                np.interp(ahead, grid, np.nan_to_num(column)) for column in data.other_rates.T
             )
-        names = [i for i in range(3) if i != data.index]
-        self.other_commands = tuple(
-            np.ascontiguousarray(data.control[:, i + 1]) for i in names
+            self.others = first, second
+        one, other = (i + 1 for i in range(3) if i != data.index)
+        self.other_commands = (
+            np.ascontiguousarray(data.control[:, one]),
+            np.ascontiguousarray(data.control[:, other]),
         )
         self.throttle = np.ascontiguousarray(data.control[:, 0])
         self._drives: dict[bytes, tuple[FloatArray, FloatArray]] = {}
@@ -173,11 +186,12 @@ class Flight:
             self.rate = self._first_guess()
 
     def _first_guess(self) -> FloatArray:
-        """The measured rate, smoothed over five cycles and put right by the filter's delay."""
+        """The measured rate, smoothed over five cycles and advanced by the filter's delay."""
         measured = np.nan_to_num(self.data.rate)
         smooth = np.convolve(measured, np.full(5, 0.2), mode='same')
         shift = 0.5 + self.late / self.data.dt
-        return np.interp(np.arange(measured.size) + shift, np.arange(measured.size), smooth)
+        grid = np.arange(measured.size, dtype=np.float64)
+        return np.interp(grid + shift, grid, smooth).astype(np.float64)
 
     # -------------------------------------------------------------------------- physics
 
@@ -233,7 +247,8 @@ class Flight:
         return Signals(
             rate=rate, angle=angle, drive=drive, command=command,
             change=(command - gain * states[0]) / max(float(p[1]), 0.25 * data.dt),
-            lagged=0.5 * (halves[0] + halves[1]), throttle=self.throttle, battery_v=data.battery_v, other_rates=self.others,
+            lagged=0.5 * (halves[0] + halves[1]), throttle=self.throttle,
+            battery_v=data.battery_v, other_rates=self.others,
             other_commands=self.other_commands, time=self.time,
         )
 
@@ -256,13 +271,7 @@ class Flight:
                 continue
             torque = torque + own
             if 'rate' in part.effect.signals or 'angle' in part.effect.signals:
-                ahead = part.effect.torque(
-                    replace(with_states, rate=rate + SLOPE_STEP), p[where], part.settings
-                )
-                back = part.effect.torque(
-                    replace(with_states, rate=rate - SLOPE_STEP), p[where], part.settings
-                )
-                slope = slope + (ahead - back) / (2.0 * SLOPE_STEP)
+                slope = slope + slope_over_rate(part, with_states, p[where])
         rest = torque - slope * rate
         return Pushed(p[0] * halves + rest, slope)
 
@@ -301,13 +310,11 @@ class Flight:
             elif j not in first:
                 part, where = owner[j]
                 up, down = self._stepped(structure, theta, j, steps[j])
-                span = 2.0 * steps[j]
-                out[:, place] = (
-                    part.effect.torque(self.hidden(part, s, up[where]), up[where], part.settings)
-                    - part.effect.torque(
-                        self.hidden(part, s, down[where]), down[where], part.settings
-                    )
-                ) / span
+                ahead, back = (
+                    required(part.effect.torque(self.hidden(part, s, p), p, part.settings))
+                    for p in (up[where], down[where])
+                )
+                out[:, place] = (ahead - back) / (2.0 * steps[j])
             else:
                 up, down = self._stepped(structure, theta, j, steps[j])
                 if follows_drive:
@@ -340,9 +347,11 @@ class Flight:
     def filter_of(self, structure: Structure, theta: FloatArray, damping: float) -> Filter:
         """The steady Kalman filter at these parameters."""
         p = structure.natural(theta)[-len(structure.noise) :]
+        white, disturbance, correlation, after = (float(v) for v in p[: len(NOISE)])
+        lines = p[len(NOISE) :].reshape(-1, len(VIBRATION))
         noise = Noise(
-            *(float(v) for v in p[: len(NOISE)]),
-            lines=tuple((float(a), float(f), float(w)) for a, f, w in p[len(NOISE) :].reshape(-1, 3)),
+            white, disturbance, correlation, after,
+            tuple((float(size), float(centre), float(width)) for size, centre, width in lines),
         )
         return kalman(noise, damping, self.gyro, self.filtered, self.data.dt)
 
@@ -361,11 +370,10 @@ class Flight:
             push = self.pushed(structure, p, rate)
             damping = -float(np.mean(push.slope))
             found = self.filter_of(structure, theta, damping)
-            with_columns = steps is not None and sweep == sweeps - 1
             columns, bends = nothing, nothing
             gains = np.zeros((0, 4 + 2 * structure.lines))
             moves = np.zeros((0, 2 + 2 * structure.lines))
-            if with_columns:
+            if steps is not None and sweep == sweeps - 1:
                 physics, bends = self.columns(structure, theta, rate, steps)
                 count = theta.size - physics.shape[1]
                 columns = np.ascontiguousarray(np.hstack([physics, np.zeros((n, count))]))
@@ -392,7 +400,7 @@ class Flight:
     def _noise_columns(
         self, structure: Structure, theta: FloatArray, damping: float, count: int
     ) -> tuple[FloatArray, FloatArray]:
-        """(p, 4 + 2 v), (p, 2 + 2 v) derivatives of the filter's gain and of how noise moves on."""
+        """Derivatives of the filter's gain (p, 4 + 2 v) and of the noise's steps (p, 2 + 2 v)."""
         more = 2 * structure.lines
         gains, moves = np.zeros((theta.size, 4 + more)), np.zeros((theta.size, 2 + more))
         step = 1e-4
@@ -474,7 +482,11 @@ class Flight:
             v = v * turn
         return out
 
-    def _force(self, acting, hidden, p, k, rate, angle, drive, states):  # type: ignore[no-untyped-def]
+    def _force(
+        self, acting: Sequence[tuple[Part, FloatArray]], hidden: Sequence[FloatArray | None],
+        p: FloatArray, k: NDArray[np.int64], rate: FloatArray, angle: FloatArray | None,
+        drive: FloatArray, states: FloatArray,
+    ) -> tuple[FloatArray, FloatArray]:
         """Torque and its slope over the rate at half cycle of samples k."""
         data = self.data
         force, slope = p[4] - p[3] * rate, np.full(rate.size, -p[3])
@@ -498,13 +510,7 @@ class Flight:
                 continue
             force = force + own
             if 'rate' in part.effect.signals:
-                ahead = part.effect.torque(
-                    replace(s, rate=rate + SLOPE_STEP), values, part.settings
-                )
-                back = part.effect.torque(
-                    replace(s, rate=rate - SLOPE_STEP), values, part.settings
-                )
-                slope = slope + (ahead - back) / (2.0 * SLOPE_STEP)
+                slope = slope + slope_over_rate(part, s, values)
         return force, slope
 
 

@@ -48,10 +48,7 @@ def motors(commands, row, lag, asymmetry, whole, fraction, dt, start, stop, halv
             before = commands[c, max(k - whole - 1, start)]
             for i in range(3):
                 h = lengths[i]
-                if early:
-                    u = before if i == 0 else new
-                else:
-                    u = new if i == 2 else before
+                u = before if i < (1 if early else 2) else new
                 if h > 0.0:
                     tau = lag[c, k]
                     if asymmetry != 0.0:
@@ -78,8 +75,8 @@ def motors(commands, row, lag, asymmetry, whole, fraction, dt, start, stop, halv
 
 
 @njit(**_OPTIONS)
-def predict(y, known, slope, columns, bends, gain, gain_columns, move, move_columns, gyro, filtered,
-            dt, start, stop, rate, states, innovation, jacobian):
+def predict(y, known, slope, columns, bends, gain, gain_columns, move, move_columns, gyro,
+            filtered, dt, start, stop, rate, states, innovation, jacobian):
     """Innovations of the predictor over [start, stop) and their derivatives.
 
     y (n,) measured rate. known (2, n) acceleration over the halves of each cycle, without what

@@ -71,5 +71,6 @@ def missing_torque(held: HeldOut, dt: float) -> MissingTorque:
     noise, found = stored.noise_of(held.fit), held.fit.prediction.filter
     seen = max(noise.ratios['disturbance'] ** 2 - float(found.covariance[1, 1]), 0.0)
     return MissingTorque(
-        known * dt, held.disturbance[known], noise.gyro_rms * float(np.sqrt(seen))
+        known.astype(np.float64) * dt, held.disturbance[known],
+        noise.gyro_rms * float(np.sqrt(seen)),
     )

@@ -51,16 +51,16 @@ def with_blackbox(
     model = None if selected is None else rows[selected].step_a.model
     band = band_of(data, box_jenkins(rows) or model)
     axis_model = answer.model and replace(answer.model, trusted_band_rad_s=band)
-    told = Evidence(
+    evidence = Evidence(
         z, fits, rows, selected, band, closed, axis_model, fits.refused + refused, why_not
     )
-    error, horizons = _errors(data, model)
+    free_run, horizons = _errors(data, model)
     return replace(
-        answer, model=axis_model, rows=rows, selected=selected, blackbox_error=error,
+        answer, model=axis_model, rows=rows, selected=selected, blackbox_error=free_run,
         blackbox_horizons=horizons,
         train=z, validation=_validation(data),
         selection=Selection(
-            approaches=possible, feedback=closed, checks=checks, advice=advice(told),
+            approaches=possible, feedback=closed, checks=checks, advice=advice(evidence),
             table2=_table2(z, data) if table2 else (),
         ),
     )

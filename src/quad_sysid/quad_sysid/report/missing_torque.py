@@ -207,7 +207,8 @@ def _picture(along: Along, part: Part) -> Sketch:
         return _push(along, part)
     inside = settled(along.problem.spans, along.problem.data.dt)
     values = variable(along, part)[inside]
-    x = np.linspace(*np.nanpercentile(values, [0.5, 99.5]), GRID)
+    low, high = np.nanpercentile(values, [0.5, 99.5])
+    x = np.linspace(low, high, GRID)
     signal = part.effect.signals[0]
     name = signal.rstrip(' 12') if signal.startswith('other') else signal
     over = f'{_named(along.problem.data, part, name)}, {UNITS.get(name, "1")}'
@@ -307,8 +308,9 @@ def _response(along: Along, part: Part) -> Sketch:
     """The drive after a step of the command up and, half way, down again."""
     data = along.problem.data
     n = round(2.0 * RESPONSE_S / data.dt)
-    time = np.arange(n) * data.dt
-    x = _largest(data, data.index + 1) * ((time > 0.05) & (time < RESPONSE_S))
+    time = np.arange(n, dtype=np.float64) * data.dt
+    inside = (time > 0.05) & (time < RESPONSE_S)
+    x = _largest(data, data.index + 1) * inside.astype(np.float64)
     evaluate = _driven(along, part, data.index + 1, x, still=False)
     plain = _driven(along, None, data.index + 1, x, still=False)(np.zeros(0))
     return evaluate, time, 'time, s', 'command that acts, norm.', plain
@@ -318,10 +320,10 @@ def _push(along: Along, part: Part) -> Sketch:
     """What hidden states do to a rate that is held for half the time, then stands still."""
     data = along.problem.data
     n = round(2.0 * RESPONSE_S / data.dt)
-    time, nothing = np.arange(n) * data.dt, np.zeros(n)
+    time, nothing = np.arange(n, dtype=np.float64) * data.dt, np.zeros(n)
     used = np.concatenate([data.rate[a:b] for a, b in along.problem.spans])
     held = float(np.nanstd(used))
-    rate = held * (time < RESPONSE_S)
+    rate = held * (time < RESPONSE_S).astype(np.float64)
     record = _record(data, np.zeros((n, 4)), dt=data.dt)
     signals = Signals(
         rate=rate, angle=None, drive=nothing, command=nothing, change=nothing, lagged=nothing,
@@ -334,7 +336,8 @@ def _push(along: Along, part: Part) -> Sketch:
         out = part.effect.torque(replace(signals, hidden=hidden), p, part.settings)
         return nothing if out is None else out
 
-    return evaluate, time, f'time since the rate steps to {held:.2g} rad/s, s', LABELS['torque'], None
+    over = f'time since the rate steps to {held:.2g} rad/s, s'
+    return evaluate, time, over, LABELS['torque'], None
 
 
 def _driven(
@@ -353,7 +356,7 @@ def _driven(
     def evaluate(p: FloatArray) -> FloatArray:
         halves, _ = flight.driven(structure, np.r_[base, p, np.ones(len(NOISE))])
         out: FloatArray = 0.5 * (halves[0] + halves[1])
-        return out.copy()
+        return out
 
     return evaluate
 
