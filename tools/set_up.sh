@@ -148,6 +148,11 @@ compile() {  # fills numba's cache, which follows changes of a function's own fi
 
 make_venv
 [ "${1:-}" = venv ] && exit
+set -m  # the warm-up is a process group of its own, so that all of it ends with a failed build
 compile &
+warm_up=$!
+set +m
+trap 'kill -- "-$warm_up" 2>/dev/null' EXIT
 build
 wait
+trap - EXIT

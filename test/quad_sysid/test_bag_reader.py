@@ -234,7 +234,8 @@ STAMPS = {
 def test_cycles_lie_where_their_stamps_say_and_lost_ones_are_gaps(case):
     stamps, n, lost, words = STAMPS[case]
     grid = uniform_grid(stamps, 'bag')
-    assert grid.dt == pytest.approx(1 / 300 if case == 'another rate' else 0.004, rel=2e-4)
+    # a whole number of µs; 4 ms exactly, though the stamps drift by 8e-5
+    assert grid.dt == (0.003333 if case == 'another rate' else 0.004)
     assert grid.n == pytest.approx(n, abs=n == 1201)
     assert grid.n - len(grid.cells) == pytest.approx(lost, abs=n == 1201)
     assert words in '\n'.join(grid.warnings)
