@@ -243,7 +243,7 @@ SPRING = np.interp(np.linspace(-0.5, 0.7, 6), [-0.5, 0.1, 0.7], [0.0, 0.0, -4.8]
         ((effect('quadratic_drag', 2.0),), {'torque': lambda r, _: -2 * r * abs(r)}),
         ((effect('pendulum_stiffness', 12.0), effect('cubic_stiffness', 50.0)),
          {'torque': lambda _, a: -12.0 * math.sin(a) - 50.0 * a**3}),
-        ((effect('coulomb_friction', 3.0),),
+        ((effect('coulomb_friction', 3.0, 0.01),),
          {'torque': lambda r, _: -3.0 * math.tanh(r / 0.01)}),
         ((curve('shape:angle', [-0.5, 0.1, 0.7], [0.0, 0.0, -4.8]),),
          {'torque': lambda _, a: float(np.interp(a, np.linspace(-0.5, 0.7, 6), SPRING))}),

@@ -304,6 +304,8 @@ def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
         theta, value, tail = trial, new, new_tail
         damping *= 0.15
         found = flight.predict(structure, theta, sweeps=1, steps=steps)
+        if found.jacobian is None:
+            raise FloatingPointError('the fit runs away')
         value, tail = objective(found, theta, tail)
         if gained < SMALL_NATS:
             converged = True
