@@ -364,13 +364,13 @@ def _plain(scenario: Scenario, seed: int, *, unseen: bool) -> Record:
     return plain.fly(axis, seed, plan)
 
 
-def _plain_effect(name: str, size: float) -> dict[str, Callable[[float, float], float]]:
+def _plain_effect(name: str, size: float) -> dict[str, Callable[[float, float, float], float]]:
     if name == 'dead_zone':
-        return {'command': lambda u, _: np.sign(u) * max(abs(u) - size, 0.0)}
-    torques: dict[str, Callable[[float, float], float]] = {
-        'coulomb_friction': lambda w, _: -size * np.tanh(w / 1e-3),
-        'quadratic_drag': lambda w, _: -size * w * abs(w),
-        'pendulum_stiffness': lambda _, a: -size * np.sin(a),
-        'cubic_stiffness': lambda _, a: -size * a**3,
+        return {'command': lambda _, u, __: np.sign(u) * max(abs(u) - size, 0.0)}
+    torques: dict[str, Callable[[float, float, float], float]] = {
+        'coulomb_friction': lambda _, w, __: -size * np.tanh(w / 1e-3),
+        'quadratic_drag': lambda _, w, __: -size * w * abs(w),
+        'pendulum_stiffness': lambda _, __, a: -size * np.sin(a),
+        'cubic_stiffness': lambda _, __, a: -size * a**3,
     }
     return {'torque': torques[name]}

@@ -41,16 +41,10 @@ class Undeclared:
         return effect
 
 
-def plain_torque(name: str, size: float) -> Callable[[float, float], float]:
-    """The same for the tests' simulator: time by counting its two calls a step; no drive."""
+def plain_torque(name: str, size: float) -> Callable[[float, float, float], float]:
+    """The same for the tests' simulator; no drive."""
     own = UNDECLARED[name].make()
-    calls = [0]
-
-    def torque(rate: float, angle: float) -> float:
-        calls[0] += 1
-        return size * own(calls[0] * 0.0005, rate, angle, 0.0)
-
-    return torque
+    return lambda t, rate, angle: size * own(t, rate, angle, 0.0)
 
 
 def _stribeck() -> Scalar:

@@ -169,8 +169,9 @@ def search(problem: Problem, effects: Sequence[Effect], *, log: Log | None = Non
 def best_base(problem: Problem) -> Fit:
     """The base from several starts: its surface has more than one optimum in closed loop."""
     fits = []
-    for lag, delay in ((0.04, 0.01), (0.005, 0.03), (0.15, 0.005)):
+    for way, lag, delay in ((1, 0.04, 0.01), (1, 0.005, 0.03), (1, 0.15, 0.005), (-1, 0.04, 0.01)):
         start = start_of(problem)
+        start[0] *= way
         start[1], start[2] = math.log(lag), math.log(delay)
         try:
             fits.append(fit(problem, Structure(), start))

@@ -6,6 +6,7 @@ and of what a report reads off several parameters, by the delta method.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -174,9 +175,16 @@ def estimate_of(
     settings: Settings | None = None, std: float | None = None,
     probability: float = 1.0, rivals: tuple[tuple[str, float], ...] = (),
 ) -> EffectEstimate:
-    """An effect with given parameters, as its physics takes them, that was fitted to nothing."""
+    """An effect with given parameters, as its physics takes them, that was fitted to nothing.
+
+    The last ones may be left out: they lie at the centre of their priors.
+    """
     effect, known = KNOWN[name, variant], settings or {}
-    told = effect.readable(np.array(fitted, dtype=float), known)
+    rest = [
+        math.exp(spec.centre) if spec.log else spec.centre
+        for spec in effect.parameters[len(fitted) :]
+    ]
+    told = effect.readable(np.array([*fitted, *rest], dtype=float), known)
     return EffectEstimate(
         name=name, kind=effect.kind, signals=effect.signals,
         parameters=tuple(Parameter(k, value, std, unit) for k, (value, unit) in told.items()),
