@@ -69,7 +69,7 @@ def flown(folder: Path, wanted: dict[str, Any]) -> dict[str, Any]:
             if wanted.get('auto_update'):
                 stages.await_new_gains(run, flight.gains)
             outcome['after'] = list(observer.active_gains.items())
-            outcome['updates'] = len(observer.updates)
+            outcome['updates'] = [str(told['source']) for told in observer.updates]
         except StageFailedError as failed:
             outcome['failed'] = str(failed)
     outcome['processes'] = sorted(crew.cpu())

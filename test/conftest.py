@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib.util
 import itertools
+import os
 import shutil
 import subprocess
 import sys
@@ -34,12 +35,26 @@ def ros_domain(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[int]
         yield domain
 
 
-@pytest.fixture
-def probe(ros_domain: int, tmp_path: Path) -> Iterator[Probe]:
-    """A participant in the test's ROS domain; see probe.py."""
-    del ros_domain
+@pytest.fixture(scope='session')
+def ros() -> None:
+    """Skips what needs rclpy where there is none; it is not imported here."""
     if importlib.util.find_spec('rclpy') is None:
         pytest.skip('needs ROS 2 or its wheels')
+
+
+@pytest.fixture(scope='session')
+def workspace(ros: None) -> None:
+    """Skips what needs the packages installed as colcon does, where it has not."""
+    del ros
+    prefixes = os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)
+    if not any(Path(prefix, 'share', 'quad_tuning').is_dir() for prefix in prefixes):
+        pytest.skip('needs the built workspace (make build)')
+
+
+@pytest.fixture
+def probe(ros: None, ros_domain: int, tmp_path: Path) -> Iterator[Probe]:
+    """A participant in the test's ROS domain; see probe.py."""
+    del ros, ros_domain
     probe = Probe(tmp_path)
     yield probe
     assert probe.close() == 0
@@ -61,10 +76,9 @@ def run(ros_domain: int, tmp_path_factory: pytest.TempPathFactory) -> Iterator[C
 
 
 @pytest.fixture
-def start(run: Callable[..., Started]) -> Callable[..., Started]:
+def start(ros: None, run: Callable[..., Started]) -> Callable[..., Started]:
     """A function that starts a node: its name, namespace='/left', parameters by name."""
-    if importlib.util.find_spec('rclpy') is None:
-        pytest.skip('needs ROS 2 or its wheels')
+    del ros
     return lambda name, **settings: run(*node_command(name, **settings))
 
 

@@ -26,20 +26,24 @@ STARTS = {
 
 
 def node_command(
-    name: str, namespace: str = '', files: Sequence[object] = (), **parameters: object
+    name: str, namespace: str = '', files: Sequence[object] = (), broken: str = '',
+    **parameters: object,
 ) -> list[str]:
-    """The command that starts a node with these parameter files and parameters."""
+    """The command that starts a node with these parameter files and parameters.
+
+    `broken` is Python that is run before, for what fails without a cause outside.
+    """
     words = [str(word) for file in files for word in ('--params-file', file)]
     for key, value in parameters.items():
         text = str(value).lower() if isinstance(value, bool) else str(value)
         words += ['-p', f'{key}:={text}']
     words += ['-r', f'__ns:={namespace}'] if namespace else []
-    return [*program(name), '--ros-args', *words]
+    return [*program(name, broken), '--ros-args', *words]
 
 
-def program(name: str) -> list[str]:
+def program(name: str, broken: str = '') -> list[str]:
     """The beginning of the command of a program of the suite."""
-    code = f'import sys; from {STARTS[name]} import {name} as start; sys.exit(start())'
+    code = f'{broken}\nimport sys; from {STARTS[name]} import {name} as start; sys.exit(start())'
     return [sys.executable, '-c', code]
 
 

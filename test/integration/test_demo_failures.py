@@ -23,6 +23,7 @@ def effect(t_s, rates, angles, thrusts, battery_v):
 """
 
 
+@pytest.mark.usefixtures('workspace')
 @pytest.mark.parametrize(
     ('wanted', 'words', 'started'),
     [
@@ -41,7 +42,6 @@ def effect(t_s, rates, angles, thrusts, battery_v):
 def test_it_ends_with_the_reason_and_leaves_nothing(
     tmp_path: Path, wanted: dict[str, str], words: str, started: set[str]
 ) -> None:
-    pytest.importorskip('rclpy', reason='needs ROS 2 or its wheels')
     found = campaign(tmp_path / 'run', schedule=SHORT, **wanted)
     assert re.match(words, found.failed), found.failed
     assert set(found.processes) == started

@@ -25,8 +25,6 @@ import pytest
 from node_process import Started
 from probe import Probe, content, event
 
-pytest.importorskip('rclpy', reason='needs ROS 2 or its wheels')
-
 from quad_bridge.lockstep import VARIABLE
 from quad_bridge.wire.codec import Decoder, Encoder
 from quad_bridge.wire.frames import GainsAction, GainsCommand, ParamSet
@@ -38,7 +36,7 @@ from quad_tuning.demo.processes import Crew
 from quad_tuning.demo.stages import Aircraft
 from quad_tuning.lqr_proposal import propose_lqr
 
-pytestmark = pytest.mark.timeout(1800)
+pytestmark = [pytest.mark.timeout(1800), pytest.mark.usefixtures('workspace')]
 ERROR = 2
 KP, ANGLE = 'roll.rate.kp', 'roll.angle.kp'
 OLD = {KP: 0.0744845, ANGLE: 3.0}

@@ -57,9 +57,11 @@ EACH = [pytest.param(name, marks=pytest.mark.xdist_group(f'flight {name}')) for 
 
 
 @pytest.fixture(scope='session')
-def flight(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], SimpleNamespace]:
+def flight(
+    workspace: None, tmp_path_factory: pytest.TempPathFactory
+) -> Callable[[str], SimpleNamespace]:
     """A campaign by its name, flown once; with its `record` and the `roll` of its report."""
-    pytest.importorskip('rclpy', reason='needs ROS 2 or its wheels')
+    del workspace
 
     @cache
     def flown(name: str) -> SimpleNamespace:
@@ -107,6 +109,7 @@ def test_the_gains_reach_the_aircraft(flight, name):
     flown = flight(name)
     wanted = flown.roll['gains']
     assert wanted
+    assert flown.updates == [f'identification of {flown.bag}']
     assert {k for k, value in wanted.items() if not close(flown.after[k], value)} == set()
     assert any(not close(flown.before[k], value) for k, value in wanted.items())
 
@@ -117,5 +120,5 @@ def test_nothing_is_found_where_nothing_was_planted_and_no_gains_are_sent(flight
     assert flown.roll['verdict'] == 'no_missing_effect'
     assert flown.roll['effects'] == []
     assert flown.roll['error']['after'] == flown.roll['error']['before']
-    assert flown.updates == 0  # auto_update is off
+    assert flown.updates == []  # auto_update is off
     assert flown.after == flown.before

@@ -9,17 +9,16 @@ from types import SimpleNamespace
 
 import pytest
 from flight_controller import Pty
+from probe import PATIENCE_S
 
 from quad_bridge import serial_port
 from quad_bridge.serial_port import PortState, SerialPort
 from quad_bridge.sparing import Sparing
 
-WAIT_S = 10.0
-
 
 def until(condition):
     """Poll a condition; the bound is a safety net, not a measurement."""
-    deadline = time.monotonic() + WAIT_S
+    deadline = time.monotonic() + PATIENCE_S
     while not condition():
         if time.monotonic() > deadline:
             return False
@@ -184,7 +183,7 @@ def written(port, writes):
     thread = threading.Thread(target=lambda: [port.write(bytes(60)) for _ in range(writes)])
     thread.daemon = True
     thread.start()
-    thread.join(WAIT_S)
+    thread.join(PATIENCE_S)
     return not thread.is_alive()
 
 
@@ -223,18 +222,18 @@ def test_what_opens_after_the_stop_is_not_announced(monkeypatch):
 
     def late(*_args, **_named):
         opening.set()
-        stopped.wait(WAIT_S)
+        stopped.wait(PATIENCE_S)
         return SimpleNamespace(close=lambda: None, fileno=lambda: -1)
 
     monkeypatch.setattr(serial_port.serial, 'serial_for_url', late)
     ears = Ears()
     port = SerialPort('socket://far', 921600, ears.bytes, ears.open)
     port.start()
-    assert opening.wait(WAIT_S)
+    assert opening.wait(PATIENCE_S)
     port.stop()  # does not wait for it
     assert port._thread.is_alive()
     stopped.set()
-    port._thread.join(WAIT_S)
+    port._thread.join(PATIENCE_S)
     assert (port.status.state, ears.opened) == (PortState.CLOSED, 0)
 
 

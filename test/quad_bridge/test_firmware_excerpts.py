@@ -4,6 +4,8 @@ import re
 import subprocess
 from pathlib import Path
 
+from probe import PATIENCE_S
+
 from quad_bridge.wire.gain_names import WIRE_NAMES
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -19,7 +21,7 @@ def test_the_excerpts_compile(firmware, tmp_path):
     done = subprocess.run(
         ['gcc', '-std=c99', '-Wall', '-Wextra', '-Werror', '-Wno-address-of-packed-member',
          '-fsyntax-only', '-I', ROOT / 'firmware', '-isystem', headers, source],
-        capture_output=True, text=True, timeout=120, check=False,
+        capture_output=True, text=True, timeout=PATIENCE_S, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
 

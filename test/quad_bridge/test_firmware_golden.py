@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from probe import PATIENCE_S
 
 from quad_bridge.wire import dialect
 from quad_bridge.wire.codec import Decoder, Encoder
@@ -71,8 +72,9 @@ def test_our_codec_reads_it_and_writes_it_again(golden):
 def in_c(firmware, lines):
     text = ''.join(f'{line}\n' for line in lines)
     run = subprocess.run(
-        [firmware('golden')], input=text, capture_output=True, text=True, timeout=60, check=True
-    )
+        [firmware('golden')], input=text, capture_output=True, text=True, timeout=PATIENCE_S,
+        check=True,
+    )  # fmt: skip
     return run.stdout.splitlines()
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from probe import PATIENCE_S
 
 from quad_bridge.bag_writer import BagWriter
 from quad_bridge.damaged_mcap import DamagedMcap
@@ -26,7 +27,7 @@ FILL = b'\x55' * 150
 def test_thirty_recorders_lose_at_most_a_second(tmp_path):
     done = subprocess.run(
         [sys.executable, str(STUDY), '--points', '30', '--parallel', '10', '--seed', '7'],
-        cwd=tmp_path, capture_output=True, text=True, check=False, timeout=200,
+        cwd=tmp_path, capture_output=True, text=True, check=False, timeout=PATIENCE_S,
         env={**os.environ, 'PYTHONPATH': os.pathsep.join(sys.path)},
     )  # fmt: skip
     assert done.returncode == 0, done.stderr

@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 
 import pytest
+from probe import PATIENCE_S
 from rosbags.highlevel import AnyReader
 
 from quad_bridge import diagnostics, mcap_file
@@ -22,7 +23,6 @@ from quad_bridge.recover import recover
 
 VECTOR = 'geometry_msgs/msg/Vector3Stamped'
 TOPIC = '/setpoint/rates'
-WAIT_S = 20.0
 
 
 def started(path, storage='mcap', compression='none', limits=None, **settings):
@@ -41,7 +41,7 @@ def put(recording, numbers):
 
 
 def until(condition):
-    end_s = time.monotonic() + WAIT_S
+    end_s = time.monotonic() + PATIENCE_S
     while not condition():
         assert time.monotonic() < end_s
         time.sleep(0.01)
@@ -136,6 +136,16 @@ def test_a_write_that_fails_half_way_is_cut_back_and_done_again(tmp_path, monkey
     assert numbers_in(tmp_path / 'bag') == list(range(200))
 
 
+RECORD = """
+recording.declare('/setpoint/rates', 'geometry_msgs/msg/Vector3Stamped', ())
+k = 0
+while not recording.status.failure and k < 40_000:
+    for _ in range(8):
+        recording.put('/setpoint/rates', 10**18 + k, struct.pack('<4xQ', k) + bytes(500))
+        k += 1
+    time.sleep(0.002)
+status = recording.stop()
+"""
 FULL = """
 import json, os, struct, sys, time
 from pathlib import Path
@@ -155,14 +165,7 @@ try:
 except OSError:
     pass
 recording = Recording(writer)
-recording.declare('/setpoint/rates', 'geometry_msgs/msg/Vector3Stamped', ())
-k = 0
-while not recording.status.failure and k < 40_000:
-    for _ in range(8):
-        recording.put('/setpoint/rates', 10**18 + k, struct.pack('<4xQ', k) + bytes(500))
-        k += 1
-    time.sleep(0.002)
-status = recording.stop()
+""" + RECORD + """
 with AnyReader([folder / 'bag']) as reader:
     found = [struct.unpack_from('<Q', raw, 4)[0] for _, _, raw in reader.messages()]
 print(json.dumps({
@@ -183,7 +186,7 @@ def on_a_small_disk(tmp_path, megabytes, script, *arguments):
         pytest.skip('no mount namespaces here: a disk of known size cannot be had')
     done = subprocess.run(
         [*command, sys.executable, '-c', script, str(tmp_path), *arguments],
-        capture_output=True, text=True, check=False, timeout=60,
+        capture_output=True, text=True, check=False, timeout=PATIENCE_S,
         env={**os.environ, 'PYTHONPATH': os.pathsep.join(sys.path), 'TMPDIR': str(tmp_path)},
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
@@ -220,14 +223,7 @@ def eat():
                 time.sleep(0.02)
 
 threading.Thread(target=eat, daemon=True).start()
-recording.declare('/setpoint/rates', 'geometry_msgs/msg/Vector3Stamped', ())
-k = 0
-while not recording.status.failure and k < 40_000:
-    for _ in range(8):
-        recording.put('/setpoint/rates', 10**18 + k, struct.pack('<4xQ', k) + bytes(500))
-        k += 1
-    time.sleep(0.002)
-status = recording.stop()
+""" + RECORD + """
 print(json.dumps({'failure': status.failure, 'written': status.written,
                   'bytes': sum(p.stat().st_size for p in (folder / 'bag').iterdir())}))
 """

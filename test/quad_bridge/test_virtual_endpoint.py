@@ -13,6 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from probe import PATIENCE_S
 
 from quad_bridge.virtual import process as virtual_process
 from quad_bridge.virtual.aircraft import Aircraft
@@ -153,7 +154,7 @@ def port(process):
 
 def ended(running, number):
     running.send_signal(number)
-    _, errors = running.communicate(timeout=60)
+    _, errors = running.communicate(timeout=PATIENCE_S)
     return running.returncode, errors
 
 

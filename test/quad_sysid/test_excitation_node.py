@@ -246,21 +246,24 @@ def test_training_ends_when_the_rate_answers_the_whole_band(aircraft, fly, answe
     assert ended - validated == pytest.approx(1.0, abs=0.005)
 
 
-@pytest.mark.parametrize(
-    ('parameters', 'words'),
-    [
-        ({'schedule': '/does/not/exist.yaml'}, 'exist.yaml: cannot be read'),
-        ({'shedule': 'x'}, 'parameter shedule: is unknown'),
-        ({'angle_limit_deg': '90.0'}, 'angle_limit_deg'),
-        ({'band_low_rad_s': '30.0'}, 'band_low_rad_s: is not below band_high_rad_s 20'),
-    ],
-)
-def test_wrong_parameters_end_in_one_line(start, parameters, words):
-    process = start('excitation', **parameters)
-    assert process.wait() == 2
-    lines = [line for line in process.said.splitlines() if line.startswith('excitation: ')]
-    assert len(lines) == 1
-    assert words in lines[0]
+BROKEN = """
+from quad_sysid.signals.player import Player
+def broken(*_): raise ArithmeticError('as the test wants')
+Player.stop = broken
+"""
+
+
+def test_a_callback_that_fails_ends_the_excitation_and_a_service_answers(aircraft, fly):
+    process = fly(LONG, broken=BROKEN)
+    assert aircraft.call('/excitation/start').success
+    aircraft.until(lambda: len(aircraft.heard) > 20)
+    answer = aircraft.call('/excitation/stop')
+    assert (answer.success, answer.message) == (False, 'the service failed: as the test wants')
+    aircraft.until_state('aborted')
+    assert aircraft.state['reason'] == 'a callback failed: ArithmeticError: as the test wants'
+    aircraft.probe.until(lambda: aircraft.segments[-1]['segment'] == 'idle')
+    aircraft.probe.until(lambda: aircraft.setpoints[-1] == (0.0, 0.0, 0.0))
+    assert process.poll() is None
 
 
 # Without the line: the node's own clocks.

@@ -98,6 +98,24 @@ def test_a_dead_worker_is_a_row_and_the_rest_go_on(folder, tmp_path):
     assert 'worker died' in rows[2]['reason']
 
 
+def test_where_no_worker_can_be_started_again_each_bag_is_a_row(folder, tmp_path, monkeypatch):
+    pytest.importorskip('distributed')
+    from distributed.nanny import WorkerProcess
+
+    begin, begun = WorkerProcess.start, []
+
+    async def only_once(process):
+        if begun:
+            raise OSError('no more processes')
+        begun.append(process)
+        return await begin(process)
+
+    monkeypatch.setattr(WorkerProcess, 'start', only_once)
+    rows = run(Request(folder, tmp_path / 'out', workers=1), work=lambda _job: os._exit(1))
+    assert [row['status'] for row in rows] == 3 * ['failed']
+    assert {row['reason'] for row in rows} == {'no worker is left, and none can be started'}
+
+
 def test_what_waits_is_what_is_new_changed_or_failed(folder, tmp_path):
     every = jobs(Request(folder, tmp_path))
     journal = Journal(tmp_path)

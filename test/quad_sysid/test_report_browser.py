@@ -7,6 +7,7 @@ import shutil
 import subprocess
 
 import pytest
+from probe import PATIENCE_S
 
 from quad_sysid.pipeline.answer import AxisAnswer
 from quad_sysid.report import canvas, document, plots
@@ -37,7 +38,7 @@ def look(text: str, folder, width: int, *, dark: bool) -> dict:
          '--disable-background-networking', f'--user-data-dir={folder / "profile"}',
          f'--blink-settings=preferredColorScheme={0 if dark else 1}', '--enable-logging=stderr',
          f'--window-size={width},2000', '--dump-dom', path.as_uri()],
-        capture_output=True, text=True, timeout=120, check=True,
+        capture_output=True, text=True, timeout=PATIENCE_S, check=True,
     )
     assert 'CONSOLE' not in done.stderr
     found = re.search(r'data-measured="([^"]*)"', done.stdout)

@@ -32,7 +32,7 @@ pytestmark = pytest.mark.xdist_group('separation')
 
 
 FLOWN = {
-    'coulomb_friction': (0.5,), 'quadratic_drag': (0.5,), 'cubic_stiffness': (60.0,),
+    'coulomb_friction': (0.5, 0.01), 'quadratic_drag': (0.5,), 'cubic_stiffness': (60.0,),
     'dead_zone': (0.004,), 'backlash': (0.003,), 'resonance': (5.0, 0.05, 0.0, 0.05),
     'battery_sag': (3.0,), 'thrust_curve': (0.5,), 'saturation': (0.45,),
     'motor_lag': (0.15, 0.4), 'gyroscopic_coupling': (0.8,), 'cross_axis_input': (0.2,),
@@ -148,7 +148,7 @@ def test_a_model_brings_its_effect_and_its_nearest_rival(tmp_path, capsys):
                  '--out', str(out)])
     printed = capsys.readouterr().out
     assert told == 0
-    assert 'coulomb_friction (torque 0.12 rad/s²)' in printed
+    assert 'coulomb_friction (torque 0.12 rad/s²' in printed
     assert 'quadratic_drag (coefficient' in printed
     assert parse_schedule(yaml.safe_load(out.read_text()), 'x').parts
 

@@ -8,6 +8,7 @@ import subprocess
 import sys
 
 import pytest
+from probe import PATIENCE_S
 
 from quad_sysid.cli import main
 from quad_sysid.report import text
@@ -44,7 +45,7 @@ def test_completion_is_printed_and_answers(capsys, tmp_path):
         [sys.executable, '-c', 'import sys; from quad_sysid.cli import main; main([])'],
         env={**os.environ, '_ARGCOMPLETE': '1', 'COMP_LINE': 'quad-sysid ins', 'COMP_POINT': '14',
              '_ARGCOMPLETE_IFS': '\n', '_ARGCOMPLETE_STDOUT_FILENAME': str(answer)},
-        check=False, capture_output=True, timeout=60,
+        check=False, capture_output=True, timeout=PATIENCE_S,
     )
     assert answer.read_text().strip() == 'inspect', done.stderr
 
@@ -52,7 +53,7 @@ def test_completion_is_printed_and_answers(capsys, tmp_path):
 def test_help_loads_no_numerics():
     source = ('import sys, quad_sysid.cli\n'
               'assert not {"numba", "scipy", "matplotlib"} & set(sys.modules)')
-    subprocess.run([sys.executable, '-c', source], check=True, timeout=60)
+    subprocess.run([sys.executable, '-c', source], check=True, timeout=PATIENCE_S)
 
 
 def test_text_fits_80_columns_and_is_plain(plain_bag, tmp_path, capsys):

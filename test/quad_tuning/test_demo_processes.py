@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 
 import pytest
+from probe import PATIENCE_S
 
 pytest.importorskip('ament_index_python', reason='the demo runs in a ROS 2 workspace')
 
@@ -17,7 +18,7 @@ from quad_tuning.demo.domain import PORT_BASE, PORT_GAIN, own_domain
 from quad_tuning.demo.errors import StageFailedError
 from quad_tuning.demo.processes import Crew, executable
 
-SLEEP = 'import time; time.sleep(60)'
+SLEEP = 'import time; time.sleep(600)'
 
 
 def python(source: str) -> list[str]:
@@ -25,7 +26,7 @@ def python(source: str) -> list[str]:
 
 
 def wait_for(path: Path) -> None:
-    deadline = time.monotonic() + 20.0
+    deadline = time.monotonic() + PATIENCE_S
     while not path.exists():
         assert time.monotonic() < deadline, path
         time.sleep(0.02)
@@ -66,7 +67,7 @@ def test_one_that_ignores_sigint_is_killed_with_its_children(
         time.sleep(0.1)
     assert crew.children['stubborn'].process.returncode == -9
     status = Path(f'/proc/{grandchild.read_text()}/stat')
-    deadline = time.monotonic() + 10.0
+    deadline = time.monotonic() + PATIENCE_S
     while status.exists() and status.read_text().rpartition(')')[2].split()[0] != 'Z':
         assert time.monotonic() < deadline
         time.sleep(0.02)

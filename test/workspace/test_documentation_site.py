@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from probe import PATIENCE_S
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -18,7 +19,7 @@ def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, '-m', 'mkdocs', 'build', '--strict', '--quiet', '--site-dir',
          str(tmp_path / 'site')],
-        cwd=ROOT, capture_output=True, text=True, check=False, timeout=120,
+        cwd=ROOT, capture_output=True, text=True, check=False, timeout=PATIENCE_S,
     )
     assert done.returncode == 0, done.stderr[-2000:]
     text = (tmp_path / 'site' / 'reference' / 'api.html').read_text()

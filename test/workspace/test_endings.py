@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import signal
 from collections.abc import Callable
@@ -51,18 +50,16 @@ module.{1}.{2} = fail
 
 
 @pytest.fixture
-def begin(run, tmp_path, monkeypatch) -> Callable[..., Started]:
+def begin(run, tmp_path, monkeypatch, request) -> Callable[..., Started]:
     """A function that starts any of them in a folder of its own, `before` in its process first."""
     monkeypatch.chdir(tmp_path)
 
     def begin(name: str, before: str = '', shell: str = '', **options: object) -> Started:
         if name in NODES:
-            if importlib.util.find_spec('rclpy') is None:
-                pytest.skip('needs ROS 2 or its wheels')
-            command = node_command(name, **PARAMETERS.get(name, {}))
+            request.getfixturevalue('ros')
+            command = node_command(name, broken=before, **PARAMETERS.get(name, {}))
         else:
-            command = [*program(name), '--link', 'ready']
-        command[2] = f'{before}\n{command[2]}'
+            command = [*program(name, before), '--link', 'ready']
         return run(*(['sh', '-c', shell, 'sh'] if shell else []), *command, **options)
 
     return begin

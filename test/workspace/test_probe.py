@@ -17,6 +17,8 @@ def imported(tree):
     for node in ast.walk(tree):
         names = [node.module or ''] if isinstance(node, ast.ImportFrom) else []
         names += [one.name for one in node.names] if isinstance(node, ast.Import) else []
+        if isinstance(node, ast.Call) and getattr(node.func, 'attr', '') == 'importorskip':
+            names.append(node.args[0].value)
         yield from (name.partition('.')[0] for name in names)
 
 

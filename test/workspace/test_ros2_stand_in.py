@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import subprocess
 import sys
@@ -53,9 +52,8 @@ def test_what_it_cannot_do_is_one_line(ros2, words, told):
     assert done.stderr.count('\n') == 1
 
 
+@pytest.mark.usefixtures('ros')
 def test_an_unknown_type_of_service_is_one_line(ros2):
-    if importlib.util.find_spec('rclpy') is None:
-        pytest.skip('needs ROS 2')
     done = ros2('service', 'call', '/x', 'std_srvs/srv/Nix')
     assert (done.returncode, done.stderr.count('\n')) == (2, 1)
     assert 'no service type' in done.stderr

@@ -21,7 +21,11 @@ import rclpy
 from rcl_interfaces.msg import IntegerRange, ParameterDescriptor
 from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import NameValidationException, ParameterException
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import (
+    ExternalShutdownException,
+    SingleThreadedExecutor,
+    await_or_execute,
+)
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.logging import LoggingSeverity, get_logger_level, set_logger_level
 from rclpy.signals import SignalHandlerOptions
@@ -180,6 +184,8 @@ def run(factory: Callable[[], Any], name: str) -> NoReturn:
             fence = getattr(node, 'fence', None) or Fence(node.get_logger().error)
             executor = SingleThreadedExecutor()
             ending.callback(executor.shutdown, timeout_sec=0)
+            for service in node.services:
+                service.callback = _answering(service.callback, fence)
             executor.add_node(node)
             ending.callback(fence.around(node.close))
             tell_unused(node)
@@ -191,6 +197,24 @@ def run(factory: Callable[[], Any], name: str) -> NoReturn:
         complain(f'{name}: {_plain(error)}\n')
         status = 2
     _leave(status)
+
+
+def _answering(callback: Callable[..., Any], fence: Fence) -> Callable[..., Any]:
+    """A service's callback that answers though it fails: whoever asked would wait for ever."""
+
+    async def answer(request: Any, response: Any) -> Any:
+        try:
+            return await await_or_execute(callback, request, response)
+        except Exception as error:
+            if not hasattr(response, 'success'):
+                raise
+            response.success = False
+            if hasattr(response, 'message'):
+                response.message = f'the service failed: {one_line(error)}'
+            fence.take(error)
+            return response
+
+    return answer
 
 
 def _nothing() -> None:

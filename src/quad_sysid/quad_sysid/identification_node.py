@@ -29,7 +29,6 @@ from quad_bridge.qos import EVENT, STATE
 from quad_sysid import session
 from quad_sysid.bags import parse_span
 from quad_sysid.errors import QuadSysidError
-from quad_sysid.report.store import free_folder
 
 PARAMETERS = ('out', 'axes', 'auto_update', 'train', 'validate', 'inertia')
 
@@ -93,6 +92,8 @@ class IdentificationNode(Node):  # type: ignore[misc]
 
     def _work(self, bag: str) -> None:
         """Runs outside the executor; leaves its result for `_collect`."""
+        from quad_sysid.report.store import free_folder
+
         default = Path(bag).with_name(f'{Path(bag).stem}_identified')
         folder = free_folder(Path(self._out) if self._out else default)
         request = session.Request(

@@ -1,4 +1,8 @@
-"""One identification from bags to the files a user keeps; what the command and the node share."""
+"""One identification from bags to the files a user keeps; what the command and the node share.
+
+The mathematics is imported where it is called: numba and scipy take seconds, and a node or a
+command that is asked wrongly needs neither.
+"""
 
 from __future__ import annotations
 
@@ -12,12 +16,9 @@ from quad_sysid.bags import parse_span, read_bag, split_segments
 from quad_sysid.contract import AXES
 from quad_sysid.designers import find_designer
 from quad_sysid.errors import BadInputError, QuadSysidError
-from quad_sysid.pipeline.answer import AxisAnswer
-from quad_sysid.pipeline.identify import Options, identify
-from quad_sysid.report import document, store
-from quad_sysid.report.model_file import load_models
 
 if TYPE_CHECKING:
+    from quad_sysid.pipeline.answer import AxisAnswer
     from quad_sysid.separation.design import Separation
 
 PROMISES = ('rate_rms_ratio', 'oscillation_ratio', 'peak')
@@ -88,6 +89,9 @@ class Outcome:
 
 def run(request: Request, progress: Callable[[str], None] = lambda _: None) -> Outcome:
     """Read, identify, design, write. Raises QuadSysidError for what a user can mend."""
+    from quad_sysid.pipeline.identify import Options, identify
+    from quad_sysid.report import document, store
+
     inertia = parse_inertia(request.inertia)
     train = parse_span(request.train, '--train') if request.train else None
     validate = parse_span(request.validate, '--validate') if request.validate else None
@@ -121,6 +125,8 @@ def run_apart(
 
     With `out`, folders are made in it by the bags' names.
     """
+    from quad_sysid.report import store
+
     for number, bag in enumerate(request.bags, 1):
         name = Path(bag).resolve().stem
         out = str(store.free_folder(Path(request.out) / name)) if request.out else ''
@@ -149,6 +155,7 @@ def separation(
     No names: an effect of the model and its nearest rival. Raises QuadSysidError for what a user
     can mend.
     """
+    from quad_sysid.report.model_file import load_models
     from quad_sysid.separation.aircraft import aircraft_of, effect_of, paper_aircraft
     from quad_sysid.separation.design import nearest, rivals_of, separate
 

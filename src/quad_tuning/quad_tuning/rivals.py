@@ -6,6 +6,7 @@ other rival is stood for by the model without the effect. Nothing is drawn or ju
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -66,14 +67,18 @@ def _matched(found: Placed, name: str) -> EffectEstimate | None:
         return None
     x = FLOWN[signal] * np.sin((np.arange(256) + 0.5) * (2.0 * np.pi / 256))
     wanted = found.torque(REST, x.size, **{signal: x})
-    unit = Placed(Part(rival), np.ones(1)).torque(REST, x.size, **{signal: x})
+    shape = np.array([
+        1.0 if spec.spread is None else math.exp(spec.centre) for spec in rival.parameters
+    ])
+    unit = Placed(Part(rival), shape).torque(REST, x.size, **{signal: x})
     size = float(np.dot(unit, wanted) / np.dot(unit, unit))
     return estimate_of(name, (size,), rival.variant)
 
 
 def _simple(effect: Effect) -> bool:
-    """Whether it is a torque in proportion to one parameter."""
-    return effect.term == 'torque' and len(effect.parameters) == 1
+    """Whether it is a torque in proportion to its first parameter, the others of its form."""
+    first, *form = (spec.spread is None for spec in effect.parameters)
+    return effect.term == 'torque' and first and not any(form)
 
 
 def _reduced(model: AxisModel, effects: tuple[EffectEstimate, ...]) -> AxisModel:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,15 @@ from quad_sysid.fleet.row import FAILED, Job, Row, look
 
 AHEAD = 4
 """Bags in the queue per worker: thousands need not all be described to the scheduler at once."""
+LOOK_S = 1.0
+"""How often it is looked whether any worker is left."""
+ENDED = ('closing', 'closed', 'failed')
+"""States of a process' keeper (Dask's nanny) that starts no worker any more."""
+SETTINGS = {
+    'distributed.deploy.lost-worker-timeout': '1 day',  # a busy machine is slow to start it again
+    'distributed.scheduler.allowed-failures': 0,  # a bag is tried again here, and by itself
+}
+"""Of Dask, for processes of this machine."""
 
 
 @dataclass(frozen=True)
@@ -95,8 +105,11 @@ def _client(request: Request, count: int) -> Iterator[Any]:
         return
     import os
 
+    import dask
+
     workers = min(request.workers or os.cpu_count() or 1, count)
     with (
+        dask.config.set(SETTINGS),
         LocalCluster(
             n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None,
             silence_logs='ERROR', memory_limit=0,
@@ -112,39 +125,46 @@ def _rows(client: Any, todo: Sequence[Job], work: Callable[[Job], Row]) -> Itera
     A dying worker takes along what else was handed to it: those bags are tried again, one at a
     time, at the end, so that only the one that kills is blamed.
     """
-    from distributed import as_completed
-
-    width = AHEAD * max(1, sum(client.nthreads().values()))
-    names: dict[str, Job] = {}
     suspects: list[Job] = []
-
-    def submit(job: Job) -> Any:
-        future = client.submit(work, job, pure=False)
-        names[future.key] = job
-        return future
-
-    queue = iter(todo)
-    first = [submit(job) for _, job in zip(range(width), queue, strict=False)]
-    running = as_completed(first, loop=client.loop)
-    for future in running:
-        job = names.pop(future.key)
-        if future.exception() is None:
-            yield future.result()
-        else:
-            suspects.append(job)
-        future.release()
-        following = next(queue, None)
-        if following is not None:
-            running.add(submit(following))
-    for job in suspects:
-        future = client.submit(work, job, pure=False)
-        error = future.exception()
-        yield future.result() if error is None else _dead(job, error)
-        future.release()
+    ahead = AHEAD * max(1, sum(client.nthreads().values()))
+    for bags_now, width in ((todo, ahead), (suspects, 1)):
+        queue = deque(bags_now)
+        running: dict[Any, Job] = {}
+        while queue or running:
+            while queue and len(running) < width:
+                job = queue.popleft()
+                running[client.submit(work, job, pure=False)] = job
+            done = _done(client, list(running))
+            if not done:
+                for job in (*running.values(), *queue, *(suspects if width > 1 else ())):
+                    yield _dead(job, 'no worker is left, and none can be started')
+                return
+            for future in done:
+                job, error = running.pop(future), future.exception()
+                if error is None:
+                    yield future.result()
+                elif width > 1:
+                    suspects.append(job)
+                else:
+                    yield _dead(job, f'its worker died ({type(error).__name__})')
+                future.release()
 
 
-def _dead(job: Job, error: BaseException) -> Row:
+def _done(client: Any, running: Sequence[Any]) -> Sequence[Any]:
+    """What is done, as soon as anything is; nothing where nobody will ever do it."""
+    from distributed import TimeoutError as Pending
+    from distributed import wait
+
+    while True:
+        with suppress(Pending), client.as_current():
+            return list(wait(running, timeout=LOOK_S, return_when='FIRST_COMPLETED').done)
+        nannies = getattr(client.cluster, 'workers', None)  # None: a scheduler elsewhere
+        if nannies is not None and all(n.status.name in ENDED for n in nannies.values()):
+            return []
+
+
+def _dead(job: Job, reason: str) -> Row:
     return {
         'bag': job.name, 'aircraft': job.aircraft, 'fingerprint': job.fingerprint,
-        'status': FAILED, 'reason': f'its worker died ({type(error).__name__})', 'seconds': 0.0,
+        'status': FAILED, 'reason': reason, 'seconds': 0.0,
     }
