@@ -25,6 +25,7 @@ from quad_tuning.ensemble import AMPLITUDES, Ensemble
 from quad_tuning.errors import DesignRefusedError
 from quad_tuning.objective import Requirements, meets
 from quad_tuning.state_feedback import (
+    LIMITS,
     Dynamics,
     StateFeedback,
     beside,
@@ -82,13 +83,16 @@ def design_lqr(
     noise: Noise | None = None,
     needs: Requirements | None = None,
 ) -> LqrDesign:
-    """The fastest LQR of this family that keeps the margins; else DesignRefusedError."""
+    """The fastest LQR of this family that keeps margins and bounds; else DesignRefusedError."""
     needs = needs or Requirements()
     factor = FASTEST
     for _ in range(ROUNDS):
         try:
             found = feedback(plant, output_limit, factor, weights or Weights(), noise or Noise())
         except (ValueError, np.linalg.LinAlgError):
+            factor *= RAISE
+            continue
+        if not passes(found):
             factor *= RAISE
             continue
         dynamics = found.dynamics()
@@ -103,6 +107,14 @@ def design_lqr(
             )
         factor *= RAISE
     raise DesignRefusedError('no LQR keeps the margins over all draws; identify more precisely')
+
+
+def passes(found: StateFeedback) -> bool:
+    """Whether the bridge's gate lets its gains through."""
+    return all(
+        low <= getattr(found, name) <= high
+        for name, (low, high, _) in LIMITS.items() if name.startswith('k_')
+    )
 
 
 def feedback(
