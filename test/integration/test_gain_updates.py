@@ -212,7 +212,6 @@ def paper_model():
         base=tuple(IdentifiedParameter(n, v, deviations[n], '') for n, v in values.items()),
         parameter_names=tuple(values), covariance=np.diag([deviations[n] ** 2 for n in values]),
         active_gains=CascadeGains.default('roll').to_mapping('roll', constants=True),
-        noise_rms=0.01,
     )  # fmt: skip
 
 

@@ -175,6 +175,8 @@ def fly_and_intrude(rig, probe, network, key):
     probe.publish('/operator/enable', HELD, every_s=0.02)
     probe.publish('/excitation/segment', TRAIN)
     probe.until(lambda: len(rig.applied) > 50, 'excitation')
+    # what is said now must be of the second silence and not of the first
+    probe.until(lambda: 'silent' not in probe.diagnostics(EXCITATION), 'heard again')
     probe.silence('/operator/enable')
     rig.says(EXCITATION, 'silent')
     probe.publish('/operator/enable', HELD, every_s=0.02)
