@@ -39,6 +39,10 @@ def test_calibrated_at_rest_armed_and_recorded(tmp_path, run, start, probe, caps
     logger = start('bag_logger', folder=tmp_path / 'bags', autostart=True)
     imu = probe.listen('/imu/data')
     bridge = start('serial_bridge', port=link, aircraft='one', state_folder=tmp_path / 'state')
+    written = ('bag_logger: recording', 'messages written')
+    probe.until(lambda: int(probe.diagnostics(*written) or 0) > 500, 'messages in the bag')
+    heard = len(imu)
+    probe.until(lambda: len(imu) > heard + 1250, 'five seconds at rest in the bag')
     calibrate = '/serial_bridge/calibrate_at_rest'
     probe.until(lambda: probe.call(calibrate).success)
     heard = len(imu)
