@@ -20,6 +20,8 @@ airframe:
 sensors: {gyro_calibration_error_rad_s: 0.02}
 firmware: {auto_arm: false}
 """
+
+
 def stamps_ns(found):
     return np.array([10**9 * m.header.stamp.sec + m.header.stamp.nanosec for m in found])
 
