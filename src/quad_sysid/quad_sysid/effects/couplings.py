@@ -29,7 +29,15 @@ def turns(data: AxisData, which: int) -> str:
     return ''
 
 
-class CrossAxisInput(Effect):
+class OtherAxis(Effect):
+    """What one of the other two axes does, the first or the second in the order of AXES."""
+
+    def __init__(self, which: int) -> None:
+        self.which = which
+        self.variant = f'other axis {which + 1}'
+
+
+class CrossAxisInput(OtherAxis):
     """A fraction of another axis' command that acts on this axis."""
 
     name = 'cross_axis_input'
@@ -38,10 +46,6 @@ class CrossAxisInput(Effect):
     parameters = (Spec('fraction', '1', spread=0.2),)
     physics = "a fraction of another axis' command acts here (motors out of line)"
     excite = 'both axes excited with different signals'
-
-    def __init__(self, which: int) -> None:
-        self.which = which
-        self.variant = f'other axis {which + 1}'
 
     def prepare(self, data: AxisData) -> Settings | str:
         name = data.other_axes[self.which]
@@ -56,7 +60,7 @@ class CrossAxisInput(Effect):
         return command + p[0] * data.control[:, AXES.index(str(settings['other'])) + 1]
 
 
-class GyroscopicCoupling(Effect):
+class GyroscopicCoupling(OtherAxis):
     """A torque proportional to another axis' rate."""
 
     name = 'gyroscopic_coupling'
@@ -64,10 +68,6 @@ class GyroscopicCoupling(Effect):
     parameters = (Spec('coefficient', '1/s'),)
     physics = "h times another axis' rate: spinning rotors (paper, eqs. 4 and 5)"
     excite = 'hover with all axes moving'
-
-    def __init__(self, which: int) -> None:
-        self.which = which
-        self.variant = f'other axis {which + 1}'
 
     def prepare(self, data: AxisData) -> Settings | str:
         return turns(data, self.which) or {'other': data.other_axes[self.which]}

@@ -15,11 +15,6 @@ TRANSITION = Spec('transition', 'rad/s', spread=1.0, centre=math.log(0.005), log
 """Rate over which a friction changes its sign."""
 
 
-def needs_angle(data: AxisData) -> Settings | str:
-    """No settings; effects of the angle cannot be tested where it was not measured."""
-    return {} if data.angle is not None else 'the bag holds no orientation'
-
-
 class CoulombFriction(Effect):
     """Dry friction, with a smooth transition through rest."""
 
@@ -46,33 +41,34 @@ class QuadraticDrag(Effect):
         return -p[0] * s.rate * np.abs(s.rate)
 
 
-class PendulumStiffness(Effect):
+class OnAngle(Effect):
+    """A torque of the measured angle."""
+
+    signals = ('angle',)
+
+    def prepare(self, data: AxisData) -> Settings | str:
+        return {} if data.angle is not None else 'the bag holds no orientation'
+
+
+class PendulumStiffness(OnAngle):
     """The restoring torque of a centre of mass off the axis."""
 
     name = 'pendulum_stiffness'
-    signals = ('angle',)
     parameters = (Spec('stiffness', 'rad/s² per rad'),)
     physics = '-k sin(angle): centre of mass below (k > 0) or above the axis'
     excite = 'large slow angles: a square wave of long period, a slow chirp'
-
-    def prepare(self, data: AxisData) -> Settings | str:
-        return needs_angle(data)
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         return -p[0] * np.sin(required(s.angle))
 
 
-class CubicStiffness(Effect):
+class CubicStiffness(OnAngle):
     """A spring that hardens or softens with the angle."""
 
     name = 'cubic_stiffness'
-    signals = ('angle',)
     parameters = (Spec('stiffness', 'rad/s² per rad³'),)
     physics = '-k angle³: a spring that hardens (k > 0), as cables do'
     excite = 'large angles'
-
-    def prepare(self, data: AxisData) -> Settings | str:
-        return needs_angle(data)
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         return -p[0] * required(s.angle)**3

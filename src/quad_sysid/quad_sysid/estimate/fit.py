@@ -243,7 +243,6 @@ def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
     root = np.linalg.cholesky(precision).T
     centres = problem.centres(structure)
     positive = np.array([s.positive and not s.log for s in structure.specs])
-    steps = np.minimum(1e-3 * sizes, 1e-3)
     steps = np.where(sizes > 1.0, 1e-4 * sizes, np.where(sizes < 1e-2, 1e-3 * sizes, 1e-4))
 
     def objective(found: Prediction, at: FloatArray, tail: Tail | None) -> tuple[float, Tail]:
@@ -259,7 +258,6 @@ def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
     if not math.isfinite(value):
         raise FloatingPointError('the start runs away')
     damping, converged, count = 1e-3, False, 0
-    r_factor = np.eye(theta.size)
     for count in range(1, most_steps + 1):  # noqa: B007 - read after the loop
         e = found.innovation[problem.rows]
         j = required(found.jacobian)[problem.rows]
@@ -272,15 +270,13 @@ def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
         stacked[e.size :, -1] = root @ (theta - centres)
         r_factor = upper_triangle(stacked)[: theta.size]
         a, b = r_factor[:, :-1], r_factor[:, -1]
-        free = np.delete(np.arange(theta.size), list(still))
-        promise = 0.5 * float(b[free] @ b[free]) if not still else math.inf
-        if promise < SMALL_NATS:
+        if not still and 0.5 * float(b @ b) < SMALL_NATS:
             converged = True
             break
         kept = flight.rate
         improved = False
+        scale = np.sqrt(np.sum(a**2, axis=0))
         for _ in range(12):
-            scale = np.sqrt(np.sum(a**2, axis=0))
             damped = np.vstack([a, math.sqrt(damping) * np.diag(scale)])
             step = -np.linalg.lstsq(damped, np.r_[b, np.zeros(theta.size)], rcond=None)[0]
             step[list(still)] = 0.0
