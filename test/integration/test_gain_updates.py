@@ -194,7 +194,14 @@ class Bench:
         self.probe.until(  # no time passes while it starts
             lambda: done.poll() is not None or self.probe.listeners('/diagnostics') > listeners
         )
-        self.until(lambda: done.poll() is not None, words)
+
+        def ended():
+            if done.poll() is None:
+                self.rest(TURN_S)
+            return done.poll() is not None
+
+        # it has to find the bridge within the time that new gains are watched: not a race
+        self.probe.until(ended, words, pause_s=5.0 * TURN_S)
         assert (done.poll(), done.said) == (0, '')
         return done.printed
 

@@ -255,6 +255,7 @@ Player.stop = broken
 
 def test_a_callback_that_fails_ends_the_excitation_and_a_service_answers(aircraft, fly):
     process = fly(LONG, broken=BROKEN)
+    aircraft.until_state('ready')
     assert aircraft.call('/excitation/start').success
     aircraft.until(lambda: len(aircraft.heard) > 20)
     answer = aircraft.call('/excitation/stop')
