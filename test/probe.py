@@ -433,9 +433,11 @@ def main() -> None:
 
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     server = Server(rclpy)
-    threading.Thread(target=server.read, daemon=True).start()
+    reader = threading.Thread(target=server.read)
+    reader.start()
     while not server.done:
         server.executor.spin_once(timeout_sec=1.0)
+    reader.join()  # its last word goes through the node
     server.executor.shutdown()
     server.node.destroy_node()
     rclpy.shutdown()

@@ -159,7 +159,16 @@ class Bench:
                 and level in {None, status.level}
             ]  # fmt: skip
 
-        self.until(there, words)
+        try:
+            self.until(there, words)
+        except AssertionError as never:
+            heard = {
+                status.message
+                for array in list(self.told)
+                for status in array.status
+                if status.name == 'serial_bridge: gains'
+            }
+            raise AssertionError(f'{never}; heard: {heard}; history: {self.history()}') from never
         return there()[-1]
 
     @property
@@ -250,6 +259,8 @@ def test_updates_parameters_services_and_a_killed_bridge(bench):
     refused = bench.set(roll_angle_kp=5.0)
     assert not refused.successful
     assert 'in flight' in refused.reason
+    bench.ask({KP: 0.1}, source='a stranger')  # the last of this publisher: the flood is over
+    bench.said('gains of a stranger refused')
     bench.told.clear()
     assert 'back to set 1 of' in bench.quad_tune('rollback', '--folder', bench.state)
     bench.said('rolled back, old gains: quad-tune rollback asked for it')

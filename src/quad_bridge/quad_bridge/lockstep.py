@@ -36,7 +36,7 @@ START_NS = 1_000_000_000_000
 """Simulated time at the STM32's boot: stamps are above 0, and no date is mistaken for today's."""
 WIRE = 'wire'
 """The stream of the virtual STM32 itself: bytes on the serial line."""
-IMU_STREAM, SETPOINT_STREAM = '/imu/data', '/excitation/setpoint'
+IMU_STREAM, RC_STREAM, SETPOINT_STREAM = '/imu/data', '/rc/in', '/excitation/setpoint'
 RETRY_S = 0.05
 TOLD_S = 10.0
 """Whoever lets simulated time stand still for so long is named."""

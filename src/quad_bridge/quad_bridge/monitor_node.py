@@ -26,6 +26,7 @@ from quad_bridge.arguments import say
 from quad_bridge.errors import BadInputError
 from quad_bridge.monitor import view
 from quad_bridge.monitor.coverage import BAND, Pairs, coverage
+from quad_bridge.node_time import nanoseconds
 from quad_bridge.qos import EVENT, STATE, STREAM
 
 AXES = ('roll', 'pitch', 'yaw')
@@ -94,7 +95,7 @@ class Monitor(Node):  # type: ignore[misc]
             )
 
     def _on_imu(self, message: Any) -> None:
-        stamp = _nanoseconds(message.header.stamp)
+        stamp = nanoseconds(message.header.stamp)
         self._stamps.append(stamp)
         self._state.imu_at_s = time.monotonic()
         q, rate = message.orientation, message.angular_velocity
@@ -105,7 +106,7 @@ class Monitor(Node):  # type: ignore[misc]
     def _on_applied(self, message: Any) -> None:
         if self._role == 'train':
             v = message.vector
-            self._pairs.excitation(_nanoseconds(message.header.stamp),
+            self._pairs.excitation(nanoseconds(message.header.stamp),
                                    (v.x, v.y, v.z)[AXES.index(self._axis)])
             self._state.trained_s += self._step_s
             self._new += 1
@@ -157,10 +158,6 @@ class Monitor(Node):  # type: ignore[misc]
     def _write(self, text: str) -> None:
         if not say(text) and not self._stop:
             raise ExternalShutdownException  # nobody looks, and nothing else is to be done
-
-
-def _nanoseconds(stamp: Any) -> int:
-    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
 
 
 def _degrees(w: float, x: float, y: float, z: float) -> tuple[float, float, float]:

@@ -65,3 +65,8 @@ def stamp_of(raw: bytes | memoryview) -> int:
     """`header.stamp` of a serialised message that begins with a header, ns."""
     sec, nanosec = _STAMP.unpack_from(raw, 4)
     return int(sec) * 1_000_000_000 + int(nanosec)
+
+
+def nanoseconds(stamp: Any) -> int:
+    """A `builtin_interfaces/Time` in ns."""
+    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)

@@ -28,8 +28,9 @@ from quad_bridge.gain_services import GainServices
 from quad_bridge.gain_state import News, State
 from quad_bridge.host_time import NEVER_NS, HostTime
 from quad_bridge.link import Link
-from quad_bridge.lockstep import IMU_STREAM, SETPOINT_STREAM, START_NS, WIRE, clock
+from quad_bridge.lockstep import IMU_STREAM, RC_STREAM, SETPOINT_STREAM, START_NS, WIRE, clock
 from quad_bridge.managed_node import ManagedNode
+from quad_bridge.node_time import nanoseconds
 from quad_bridge.operator_enable import OperatorEnable
 from quad_bridge.operator_services import OperatorServices
 from quad_bridge.qos import EVENT, STATE, STREAM
@@ -197,6 +198,7 @@ class SerialBridge(ManagedNode):
         lost = last is not None and bool(last.flags & Flag.RC_FAILSAFE)
         message = conversion.rc_message(frame, stamp_ns, failsafe=lost)
         self._rc.publish(message)
+        clock().published(RC_STREAM, stamp_ns)
         self._keeper.sticks(message.axes[YAW_STICK], clock().now_s())
 
     def _mag_message(self, frame: SlowSensors, stamp_ns: int) -> MagneticField | None:
@@ -276,8 +278,7 @@ class SerialBridge(ManagedNode):
         frame = self._relay.setpoint(v.x, v.y, v.z, clock().now_s())
         if frame is not None:
             self._forward(frame)
-        stamp = message.header.stamp
-        clock().handled(SETPOINT_STREAM, stamp.sec * 1_000_000_000 + stamp.nanosec)
+        clock().handled(SETPOINT_STREAM, nanoseconds(message.header.stamp))
 
     def _forward(self, frame: Any) -> None:
         with self._lock:

@@ -32,8 +32,8 @@ from std_srvs.srv import Trigger
 from quad_bridge import ros_node
 from quad_bridge.errors import QuadBridgeError
 from quad_bridge.fence import Fence
-from quad_bridge.lockstep import IMU_STREAM, SETPOINT_STREAM, clock, patience
-from quad_bridge.node_time import TimedNode, stamp_of
+from quad_bridge.lockstep import IMU_STREAM, RC_STREAM, SETPOINT_STREAM, clock, patience
+from quad_bridge.node_time import TimedNode, nanoseconds, stamp_of
 from quad_bridge.qos import EVENT, STATE, STREAM
 from quad_sysid.bags.cdr import IMU, decode
 from quad_sysid.bags.orientation import euler_angles
@@ -126,6 +126,7 @@ class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
             failsafe=bool(len(message.buttons) and message.buttons[0]),
         )
         self._rc_time = self._stall.awake_s(clock().now_s())
+        clock().handled(RC_STREAM, nanoseconds(message.header.stamp))
 
     def _on_battery(self, message: Any) -> None:
         if math.isfinite(message.voltage):
