@@ -140,7 +140,13 @@ def test_after_a_recording_that_failed_the_logger_records_the_next(tmp_path, pro
     load.arrive(400)
     (lost,) = bags(tmp_path)
     shutil.rmtree(lost)
+    told = probe.listen('/diagnostics')
     process.says('was removed or renamed; the bag is gone, unless it was moved')
+    heard = len(told)
+    probe.until(lambda: len(told) > heard + 3)
+    for array in told[heard + 1 :]:  # an error until the next recording, not for a second
+        (entry,) = (one for one in array.status if one.name == RECORDING)
+        assert (entry.level, 'was removed or renamed' in entry.message) == (2, True)
     # refused as long as the first one records
     probe.until(lambda: probe.call('/bag_logger/start').success)
     (bag,) = bags(tmp_path)

@@ -13,7 +13,6 @@ from quad_bridge.excitation_relay import ExcitationRelay
 from quad_bridge.gain_keeper import GainKeeper
 from quad_bridge.gain_state import KeeperSettings
 from quad_bridge.link import Link
-from quad_bridge.recording import RecordingStatus
 from quad_bridge.serial_port import PortState, PortStatus
 from quad_bridge.wire import frames as f
 from quad_bridge.wire.codec import Counts, Encoder
@@ -117,17 +116,6 @@ def test_the_excitation_state_follows_the_flags():
     assert 'stale' in d.excitation_status(relay, link).message
     relay.setpoint(0.1, 0.0, 0.0)
     assert 'no segment is running' in d.excitation_status(relay, link).message
-
-
-def test_the_recording_warns_of_losses_and_names_a_failure(tmp_path):
-    def status(**changes):
-        base = {'written': 5, 'waiting': 0, 'dropped': 0, 'lost': 0, 'failure': ''}
-        return d.recording_status(RecordingStatus(tmp_path, **{**base, **changes}), '')
-
-    assert status().level == d.OK
-    assert status(dropped=2, lost=1).message == 'recording, 3 messages lost'
-    assert status(failure='disk is full').level == d.ERROR
-    assert d.recording_status(None, '').message == 'idle'
 
 
 def test_callbacks_that_fail_are_a_warning_for_as_long_as_they_come():

@@ -3,6 +3,7 @@
 import errno
 import json
 import os
+import random
 import shutil
 import struct
 import subprocess
@@ -14,11 +15,12 @@ import pytest
 from probe import PATIENCE_S
 from rosbags.highlevel import AnyReader
 
-from quad_bridge import diagnostics, mcap_file
+from quad_bridge import mcap_file
+from quad_bridge import status as level
 from quad_bridge.bag_writer import BagWriter, Limits
 from quad_bridge.disk import MB, Budget, Reserve, free_bytes
 from quad_bridge.errors import BadInputError
-from quad_bridge.recording import Recording
+from quad_bridge.recording import Recording, recording_status
 from quad_bridge.recover import recover
 
 VECTOR = 'geometry_msgs/msg/Vector3Stamped'
@@ -65,8 +67,8 @@ def test_a_sync_that_stalls_for_two_seconds_loses_nothing_and_is_told(tmp_path, 
     status = recording.stop()
     assert (status.written, status.dropped, status.failure) == (10_000, 0, '')
     assert numbers_in(tmp_path / 'bag') == list(range(10_000))
-    told = diagnostics.recording_status(status, '', 10**10)
-    assert told.level == diagnostics.WARN
+    told = recording_status(status, '', 10**10)
+    assert told.level == level.WARN
     assert 'the disk is slow: 2.' in told.message
 
 
@@ -78,7 +80,7 @@ def test_a_full_queue_drops_its_oldest_and_counts_them(tmp_path, monkeypatch):
     status = recording.stop()
     assert (status.written, status.dropped) == (100, 150)
     assert numbers_in(tmp_path / 'bag') == list(range(150, 250))
-    assert '150 messages lost' in diagnostics.recording_status(status, '').message
+    assert '150 messages lost' in recording_status(status, '').message
 
 
 @pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
@@ -93,7 +95,7 @@ def test_a_bag_that_is_removed_ends_the_recording_with_one_line(tmp_path, storag
     assert 'was removed or renamed' in status.failure
     assert '\n' not in status.failure
     assert status.dropped >= 5
-    assert diagnostics.recording_status(status, '').level == diagnostics.ERROR
+    assert recording_status(status, '').level == level.ERROR
 
 
 def test_a_disk_that_turns_read_only_keeps_what_was_synced(tmp_path, monkeypatch):
@@ -397,9 +399,10 @@ def test_a_recording_that_is_ended_from_outside_is_closed(tmp_path):
 def test_a_bag_is_split_by_time_and_by_size(tmp_path, storage, compression, limits):
     writer = BagWriter(tmp_path / 'bag', storage, compression, limits)
     writer.add_topic(TOPIC, VECTOR)
+    rng = random.Random(9)
     for k in range(1000):
         # data that no compressor makes small
-        noise = os.urandom(100)
+        noise = rng.randbytes(100)
         writer.write(TOPIC, 10**18 + k * 1_000_000, struct.pack('<4xQ', k) + noise)
         if k % 100 == 99:
             writer.flush()

@@ -22,8 +22,9 @@ from quad_bridge.lockstep import IMU_STREAM, clock
 from quad_bridge.managed_node import ManagedNode, relative
 from quad_bridge.node_time import stamp_of
 from quad_bridge.qos import EVENT, STATE, adapted, offered
-from quad_bridge.recording import Recording, RecordingStatus
+from quad_bridge.recording import Recording, RecordingStatus, recording_status
 from quad_bridge.sequence import Gaps
+from quad_bridge.status import WARN, Status
 from quad_bridge.topics import TOPIC_TYPES
 
 NUMBERS = {
@@ -75,6 +76,8 @@ class BagLogger(ManagedNode):
         self._foreign: set[tuple[str, str]] = set()
         """Topics with a type of a publisher that is not the contract's; each is told once."""
         self._last = ''
+        self._failed: RecordingStatus | None = None
+        """How the last recording ended, where it failed."""
         self._autostart = ros_node.flag(
             self, 'autostart', False, 'record from the start of the node'
         )
@@ -162,7 +165,7 @@ class BagLogger(ManagedNode):
             where = str(error.filename or self._folder)
             raise BadInputError(where, f'cannot be used ({error.strerror})') from error
         path = writer.path
-        self._recording = Recording(writer, capacity=self._capacity)
+        self._recording, self._failed = Recording(writer, capacity=self._capacity), None
         for topic in self._topics:
             self._subscribe(topic)
         self._announce(path, 'recording')
@@ -186,6 +189,7 @@ class BagLogger(ManagedNode):
         self._gaps.clear()
         self._numbered.clear()
         status = recording.stop()
+        self._failed = status if status.failure else None
         self._announce(status.path, 'failed' if status.failure else 'complete', status.failure)
         return status
 
@@ -270,7 +274,7 @@ class BagLogger(ManagedNode):
             self._start_by_itself()
         except QuadBridgeError as error:
             self.get_logger().error(str(error))
-        status = None
+        status = self._failed
         if self._recording is not None:
             status = self._recording.status
             self._keep_budget(self._recording, status.path)
@@ -279,10 +283,10 @@ class BagLogger(ManagedNode):
             for topic in list(self._subscribed):
                 self._subscribe(topic)
                 self._tell_foreign(topic)
-        entries = [diagnostics.recording_status(status, self._last, self._free())]
+        entries = [recording_status(status, self._last, self._free())]
         if not self._clock_runs:
             silent = 'time is simulated, and nothing comes on /clock: nothing is recorded'
-            entries.append(diagnostics.Status('clock', diagnostics.WARN, silent))
+            entries.append(Status('clock', WARN, silent))
         entries += diagnostics.callback_entries(self.fence.failed, self.fence.lately())
         now = self.get_clock().now().to_msg()
         self._diagnostics.publish(

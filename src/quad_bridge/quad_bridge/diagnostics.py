@@ -5,8 +5,7 @@ Levels are diagnostic_msgs' (0 OK, 1 WARN, 2 ERROR); the node puts them into mes
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -15,15 +14,12 @@ from quad_bridge.excitation_relay import ExcitationRelay
 from quad_bridge.gain_keeper import GainKeeper
 from quad_bridge.gain_state import State
 from quad_bridge.link import Link
-from quad_bridge.recording import SLOW_S, RecordingStatus
 from quad_bridge.serial_port import PortState, PortStatus
 from quad_bridge.sparing import Sparing
+from quad_bridge.status import ERROR, OK, WARN, Status
 from quad_bridge.wire.codec import Counts
 from quad_bridge.wire.frames import Flag
 
-OK, WARN, ERROR = 0, 1, 2
-LOW_DISK_BYTES = 100_000_000
-"""A warning below it; what was reserved for the bag counts as taken."""
 COARSE_S = 0.002
 """Where half a round trip is longer, so may the error of the stamps be."""
 FTDI_MS = 2
@@ -31,16 +27,6 @@ SILENT_S = 3.0
 """Without an answer to TIMESYNC for so long the estimate ages."""
 FOREIGN_BYTES = 2000
 """Bytes without one valid frame after which the far end is said to speak another protocol."""
-
-
-@dataclass(frozen=True)
-class Status:
-    """One entry of /diagnostics."""
-
-    name: str
-    level: int
-    message: str
-    values: Mapping[str, object] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -236,37 +222,6 @@ def gains_status(link: Link, keeper: GainKeeper) -> Status:
     if keeper.state is State.IDLE and not link.gains.reader.complete:
         return Status('gains', WARN, 'the STM32 has not reported its parameters yet', values)
     return Status('gains', OK, keeper.words, values)
-
-
-def recording_status(
-    status: RecordingStatus | None, last: str, free_bytes: int | None = None
-) -> Status:
-    """The logger's state; `last` is what it announced last, `status` None while it is idle."""
-    disk = {} if free_bytes is None else {'free disk (MB)': free_bytes // 1_000_000}
-    if status is None:
-        return Status('recording', OK, last or 'idle', disk)
-    values = {
-        'path': status.path,
-        'messages written': status.written,
-        'messages waiting': status.waiting,
-        'messages dropped (disk)': status.dropped,
-        'messages lost (middleware)': status.lost,
-        'bag (MB)': f'{status.size / 1e6:.1f}',
-        'longest sync of the disk (s)': f'{status.longest_sync_s:.2f}',
-        **disk,
-    }
-    if status.failure:
-        return Status('recording', ERROR, status.failure, values)
-    if status.dropped or status.lost:
-        text = f'recording, {status.dropped + status.lost} messages lost'
-        return Status('recording', WARN, text, values)
-    if free_bytes is not None and free_bytes < LOW_DISK_BYTES:
-        text = f'recording, the disk is nearly full: {free_bytes // 1_000_000} MB are free'
-        return Status('recording', WARN, text, values)
-    if status.longest_sync_s > SLOW_S:
-        text = f'recording, the disk is slow: {status.longest_sync_s:.1f} s for one sync'
-        return Status('recording', WARN, text, values)
-    return Status('recording', OK, 'recording', values)
 
 
 def diagnostic_array(node: str, hardware: str, stamp: Any, entries: list[Status]) -> Any:

@@ -16,10 +16,10 @@ from std_msgs.msg import Bool
 from std_srvs.srv import SetBool
 
 from quad_bridge.arming import ACCEPTED, Arming
-from quad_bridge.diagnostics import WARN, Status
 from quad_bridge.errors import RefusedError
 from quad_bridge.lockstep import clock
 from quad_bridge.operator_enable import OperatorEnable
+from quad_bridge.status import WARN, Status
 from quad_bridge.wire.frames import Command, CommandAck
 
 

@@ -15,6 +15,7 @@ from pathlib import Path
 from rosbags.interfaces import Qos
 
 from quad_bridge.bag_writer import BagWriter
+from quad_bridge.status import ERROR, OK, WARN, Status
 
 FLUSH_S = 0.4
 """A chunk is closed and synced this long after it was begun: what a kill can cost."""
@@ -22,6 +23,8 @@ POLL_S = 0.05
 """How long messages may wait before the thread takes them, many at once."""
 SLOW_S = 1.0
 """A sync that takes longer is told."""
+LOW_DISK_BYTES = 100_000_000
+"""A warning below it; what was reserved for the bag counts as taken."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +43,41 @@ class RecordingStatus:
     size: int = 0
     """Bytes of the bag."""
     longest_sync_s: float = 0.0
+
+
+def recording_status(
+    status: RecordingStatus | None, last: str, free_bytes: int | None = None
+) -> Status:
+    """The logger's entry of /diagnostics.
+
+    `status` is that of the recording that runs, or of the last one where it failed; else None, and
+    `last` is what was announced last.
+    """
+    disk = {} if free_bytes is None else {'free disk (MB)': free_bytes // 1_000_000}
+    if status is None:
+        return Status('recording', OK, last or 'idle', disk)
+    values = {
+        'path': status.path,
+        'messages written': status.written,
+        'messages waiting': status.waiting,
+        'messages dropped (disk)': status.dropped,
+        'messages lost (middleware)': status.lost,
+        'bag (MB)': f'{status.size / 1e6:.1f}',
+        'longest sync of the disk (s)': f'{status.longest_sync_s:.2f}',
+        **disk,
+    }
+    level, text = WARN, 'recording'
+    if status.failure:
+        level, text = ERROR, status.failure
+    elif status.dropped or status.lost:
+        text += f', {status.dropped + status.lost} messages lost'
+    elif free_bytes is not None and free_bytes < LOW_DISK_BYTES:
+        text += f', the disk is nearly full: {free_bytes // 1_000_000} MB are free'
+    elif status.longest_sync_s > SLOW_S:
+        text += f', the disk is slow: {status.longest_sync_s:.1f} s for one sync'
+    else:
+        level = OK
+    return Status('recording', level, text, values)
 
 
 class Recording:

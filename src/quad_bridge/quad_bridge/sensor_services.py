@@ -11,12 +11,12 @@ from rcl_interfaces.msg import ParameterEvent
 from std_srvs.srv import Trigger
 
 from quad_bridge import conversion
-from quad_bridge.diagnostics import Status
 from quad_bridge.errors import RefusedError
 from quad_bridge.link import Link
 from quad_bridge.qos import STATE
 from quad_bridge.sensor_keeper import SensorKeeper, Wanted
 from quad_bridge.sensor_status import FILTER_HZ, sensors_status, vibration_entries
+from quad_bridge.status import Status
 from quad_bridge.wire.frames import Cycle
 
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from quad_bridge.diagnostics import OK, WARN, Status
 from quad_bridge.sensor_keeper import SensorKeeper
 from quad_bridge.sensors.correction import STATUS
 from quad_bridge.sensors.rest import FloatArray
 from quad_bridge.sensors.vibration import Vibration, strongest
+from quad_bridge.status import OK, WARN, Status
 
 STANDS_OUT = 0.3
 """Share of the power from which a line is more than noise."""

@@ -40,6 +40,7 @@ from quad_bridge.sensor_services import SensorServices
 from quad_bridge.serial_port import SerialPort
 from quad_bridge.sparing import Sparing
 from quad_bridge.stamping import Stamped
+from quad_bridge.status import OK
 from quad_bridge.wire.codec import Counts
 from quad_bridge.wire.frames import Battery, Cycle, Flag, Outputs, RcChannels, SlowSensors
 
@@ -347,7 +348,7 @@ class SerialBridge(ManagedNode):
         )
         for entry in self._changes.new(entries[:2], now_s):
             text = f'{self._settings.port}: {entry.name}: {entry.message}'
-            if entry.level == diagnostics.OK:
+            if entry.level == OK:
                 self.get_logger().info(text)
             else:
                 self.get_logger().warning(text)
