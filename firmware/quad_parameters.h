@@ -6,26 +6,10 @@
 #include <stdbool.h>
 #include <stddef.h>
 
-/* Of each axis, roll pitch yaw. C1: rate reference = kp (angle reference - angle), limited.
- * C2: u = kp e + ki int(e dt) - kd d(rate)/dt, the last behind a first-order filter. */
-enum {
-    QUAD_ANGLE_KP,         /* 1/s */
-    QUAD_ANGLE_RATE_LIMIT, /* rad/s, of the rate reference */
-    QUAD_RATE_KP,          /* normalised command per rad/s */
-    QUAD_RATE_KI,          /* per rad */
-    QUAD_RATE_KD,          /* per rad/s^2 */
-    QUAD_RATE_D_FILTER_HZ,
-    QUAD_RATE_I_LIMIT, /* normalised command */
-    QUAD_RATE_U_LIMIT, /* normalised command */
-    QUAD_PER_AXIS
-};
+#include "quad_parameter_table.h"
 
-enum {
-    QUAD_GYRO_FILTER_HZ = 3 * QUAD_PER_AXIS,
-    QUAD_ACCEL_FILTER_HZ,
-    QUAD_LOOP_RATE_HZ, /* read only */
-    QUAD_PARAMETERS
-};
+/* C1: rate reference = kp (angle reference - angle), limited. C2: u = kp e + ki int(e dt) -
+ * kd d(rate)/dt, the last behind a first-order filter. */
 
 #define QUAD_NAME_LENGTH 16 /* on the wire; no NUL behind a name that fills it */
 

@@ -48,11 +48,11 @@ from pathlib import Path
 
 import numpy as np
 
+from quad_bridge.gains.table import WIRE_NAMES
 from quad_bridge.link import Link
 from quad_bridge.virtual.gain_store import GainStore
 from quad_bridge.wire import frames as f
 from quad_bridge.wire.codec import Decoder, Encoder
-from quad_bridge.wire.gain_names import WIRE_NAMES
 from quad_bridge.wire.params import float32
 
 CYCLE_US, CYCLE_NS, CYCLE_S = 4000, 4_000_000, 0.004

@@ -66,14 +66,14 @@ static float second_loop(plant *p, const quad_cycle *r, size_t axis, float perio
     const float ki = quad_of_axis(set, axis, QUAD_RATE_KI);
     const float filter_hz = quad_of_axis(set, axis, QUAD_RATE_D_FILTER_HZ);
     p->integral[axis] = clip(p->integral[axis] + ki * error * period_s,
-                             quad_of_axis(set, axis, QUAD_RATE_I_LIMIT));
+                             quad_of_axis(set, axis, QUAD_RATE_INTEGRATOR_LIMIT));
     const float share = period_s / (period_s + 1.0f / (TWO_PI * filter_hz));
     const float slope = (r->gyro[axis] - p->last_rate[axis]) / period_s;
     p->slope[axis] += share * (slope - p->slope[axis]);
     p->last_rate[axis] = r->gyro[axis];
     return clip(quad_of_axis(set, axis, QUAD_RATE_KP) * error + p->integral[axis] -
                     quad_of_axis(set, axis, QUAD_RATE_KD) * p->slope[axis],
-                quad_of_axis(set, axis, QUAD_RATE_U_LIMIT));
+                quad_of_axis(set, axis, QUAD_RATE_OUTPUT_LIMIT));
 }
 
 static void control(plant *p, quad_cycle *r, float throttle, float period_s)

@@ -1,18 +1,15 @@
 """No gain passes that is unknown, not finite, out of bounds, from anybody, or too far away."""
 
 import math
-from pathlib import Path
 
 import pytest
-import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
 from quad_bridge.errors import BadInputError, RefusedError
-from quad_bridge.gain_gate import DEFAULT_BOUNDS, Bound, bound_from, check_source, numbers, steps
-from quad_bridge.wire.gain_names import AXES
+from quad_bridge.gain_gate import bound_from, check_source, numbers, steps
+from quad_bridge.gains.table import AXES, DEFAULT_BOUNDS, Bound
 
-CONFIG = Path(__file__).parents[2] / 'src/quad_bridge/config/serial_bridge.yaml'
 BOUNDS = {'roll.angle.kp': Bound(0.3, 15.0), 'roll.rate.ki': Bound(0.0, 2.0, small_step=0.004)}
 ACTIVE = {'roll.angle.kp': 3.0, 'roll.rate.ki': 0.0, 'yaw.rate.kp': 0.2}
 
@@ -98,16 +95,6 @@ def test_a_bound_from_yaml_never_allows_more_than_factor_two():
     assert bound_from('roll.rate.ki', [0.0, 1.0]) == Bound(0.0, 1.0, 2.0, 0.004)
     assert bound_from('roll.rate.kp', [0.01, 0.4, 1.5]) == Bound(0.01, 0.4, 1.5, 0.0)
     assert bound_from('roll.rate.kp', [0.01, 0.4, 4.0, 0.001]) == Bound(0.01, 0.4, 2.0, 0.001)
-
-
-def test_the_bounds_without_a_configuration_are_those_of_the_shipped_one():
-    (node,) = yaml.safe_load(CONFIG.read_text(encoding='utf-8')).values()
-    shipped = {
-        f'{axis}.{name}': bound_from(f'{axis}.{name}', values)
-        for axis, gains in node['ros__parameters']['bounds'].items()
-        for name, values in gains.items()
-    }
-    assert shipped == DEFAULT_BOUNDS
 
 
 @pytest.mark.parametrize(

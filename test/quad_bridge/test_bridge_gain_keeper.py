@@ -8,11 +8,10 @@ import pytest
 from flight_controller import DOUBLED, DROPPED, Fault, changed
 
 from quad_bridge.errors import RefusedError
-from quad_bridge.gain_gate import Bound
 from quad_bridge.gain_state import State
+from quad_bridge.gains.table import WIRE_NAMES, Bound
 from quad_bridge.virtual.receiver import Event
 from quad_bridge.wire import frames as f
-from quad_bridge.wire.gain_names import WIRE_NAMES
 from quad_bridge.wire.params import float32
 
 KP, ANGLE = 'roll.rate.kp', 'roll.angle.kp'

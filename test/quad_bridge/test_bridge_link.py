@@ -9,10 +9,10 @@ from flight_controller import CYCLE_NS, HOST0_NS, FlightController, Line
 from quad_bridge.errors import RefusedError
 from quad_bridge.excitation_relay import ExcitationRelay
 from quad_bridge.gain_line import What
+from quad_bridge.gains.table import WIRE_NAMES
 from quad_bridge.link import Link
 from quad_bridge.wire import frames as f
 from quad_bridge.wire.codec import Encoder
-from quad_bridge.wire.gain_names import WIRE_NAMES
 from quad_bridge.wire.params import float32
 
 KP = 'roll.rate.kp'

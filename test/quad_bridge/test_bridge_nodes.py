@@ -12,8 +12,8 @@ from flight_controller import CYCLE_S, NUMBERS, FlightController, Port, Pty
 from node_process import recorded
 from probe import content, entries, event, stamp_ns
 
+from quad_bridge.gains.table import WIRE_NAMES
 from quad_bridge.wire import frames as f
-from quad_bridge.wire.gain_names import WIRE_NAMES
 
 CONFIG = Path(__file__).resolve().parents[2] / 'src' / 'quad_bridge' / 'config'
 CONFIGURE, CLEANUP, ACTIVATE, DEACTIVATE = 1, 2, 3, 4

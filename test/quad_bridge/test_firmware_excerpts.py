@@ -6,7 +6,7 @@ from pathlib import Path
 
 from probe import PATIENCE_S
 
-from quad_bridge.wire.gain_names import WIRE_NAMES
+from quad_bridge.gains.table import WIRE_NAMES
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / 'docs/firmware.md').read_text(encoding='utf-8')

@@ -9,10 +9,10 @@ import pytest
 from flight_controller import Device, Relay, Socket
 from probe import PATIENCE_S, content, event, stamp_ns
 
+from quad_bridge.gains.table import WIRE_NAMES
 from quad_bridge.key_file import write_key
 from quad_bridge.wire import frames as f
 from quad_bridge.wire.codec import Decoder, Encoder
-from quad_bridge.wire.gain_names import WIRE_NAMES
 
 KP = 'roll.rate.kp'
 PAPER_KP = 1.3 * np.degrees(1.0) / 1000.0

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from probe import PATIENCE_S
 
+from quad_bridge.gains.table import CONTRACT_NAMES
 from quad_bridge.virtual import process as virtual_process
 from quad_bridge.virtual.aircraft import Aircraft
 from quad_bridge.virtual.effect_module import load_effect
@@ -25,7 +26,6 @@ from quad_bridge.virtual.profile import Profile
 from quad_bridge.virtual.receiver import Event, Receiver
 from quad_bridge.wire import Decoder, Encoder
 from quad_bridge.wire import frames as f
-from quad_bridge.wire.gain_names import CONTRACT_NAMES
 
 
 class Peer:

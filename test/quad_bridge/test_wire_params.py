@@ -3,7 +3,6 @@
 import zlib
 
 from quad_bridge.wire.frames import ParamRequestList, ParamRequestRead, ParamValue
-from quad_bridge.wire.gain_names import CONTRACT_NAMES, WIRE_NAMES
 from quad_bridge.wire.params import ParamReader, checksum
 
 OLD = {'A': 1.0, 'B': 2.0, 'C': 3.0}
@@ -23,14 +22,6 @@ def test_the_reader_asks_again_for_what_did_not_come():
     assert reader.poll(9.0) is None
     assert reader.values == OLD
     assert reader.ordered() == ['A', 'B', 'C']
-
-
-def test_wire_names_fit_and_are_unique():
-    assert len(CONTRACT_NAMES) == len(WIRE_NAMES)
-    assert all(len(wire) <= 16 and wire.isascii() for wire in WIRE_NAMES.values())
-    for axis in ('roll', 'pitch', 'yaw'):
-        for gain in ('angle.kp', 'rate.kp', 'rate.ki', 'rate.kd', 'rate.d_filter_hz'):
-            assert f'{axis}.{gain}' in WIRE_NAMES
 
 
 def test_the_checksum_is_the_crc_of_the_float32_bytes():

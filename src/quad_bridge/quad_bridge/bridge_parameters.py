@@ -12,11 +12,11 @@ from rcl_interfaces.msg import ParameterDescriptor
 from quad_bridge import ros_node
 from quad_bridge.aircraft_store import default_folder
 from quad_bridge.errors import BadInputError
-from quad_bridge.gain_gate import DEFAULT_BOUNDS, Bound, bound_from
+from quad_bridge.gain_gate import bound_from
 from quad_bridge.gain_state import KeeperSettings
+from quad_bridge.gains.table import DEFAULT_BOUNDS, SETTABLE, Bound
 from quad_bridge.key_file import signing_from
 from quad_bridge.polarity_check import MODES
-from quad_bridge.wire.gain_names import READ_ONLY, WIRE_NAMES
 from quad_bridge.wire.signing import Signing
 
 WIRED = ('loop', 'spy', 'hwgrep', 'alt', 'cp2110')
@@ -44,7 +44,7 @@ OWN = (
 
 def declare(node: Any) -> BridgeSettings:
     """Declare and read the parameters. Raises BadInputError naming the one that is wrong."""
-    bounds = {f'bounds.{name}': name for name in WIRE_NAMES if name not in READ_ONLY}
+    bounds = {f'bounds.{name}': name for name in SETTABLE}
     ros_node.refuse_unknown(node, [*OWN, *bounds])
     port = ros_node.text(
         node, 'port', '/dev/ttyACM0', 'device, pattern (/dev/ttyACM*) or URL of pyserial'

@@ -1,6 +1,6 @@
 """What stands between /gains/update and the aircraft: names, finite, bounds, steps, sources. Pure.
 
-The bounds are the installation's (YAML, over the defaults here); whether gains are good is the
+The bounds are the installation's (YAML, over the table's defaults); whether gains are good is the
 designer's business, whether they turned out good the watch's.
 """
 
@@ -9,63 +9,25 @@ from __future__ import annotations
 import math
 import reprlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from fnmatch import fnmatchcase
 
 from quad_bridge.errors import BadInputError, RefusedError
-from quad_bridge.wire.gain_names import AXES, READ_ONLY, WIRE_NAMES
+from quad_bridge.gains.table import (
+    AXES,
+    DEFAULT_BOUNDS,
+    LARGEST_FACTOR,
+    SETTABLE,
+    Bound,
+    switch_of,
+)
 from quad_bridge.wire.params import float32
 
-LARGEST_FACTOR = 2.0
-"""Of one gain in one step; YAML may ask for less, not for more."""
 ROUNDING = 1e-4
 """Share by which a step stays inside the factor: float32 on the wire must not leave it."""
 LONGEST_NAME = 60
 """Characters of a name in a message."""
 MOST_STEPS = 16
 """More than that from one update is taken as a mistake: 2 to the 16 is 65536."""
-
-
-@dataclass(frozen=True)
-class Bound:
-    """Hard limits of one gain in its SI unit, and how far one step may go."""
-
-    lower: float
-    upper: float
-    max_factor: float = LARGEST_FACTOR
-    """Largest ratio of new to active value and of active to new."""
-    small_step: float = 0.0
-    """Absolute change that is allowed in any case: a gain near zero has no useful ratio."""
-
-
-_PER_AXIS = {
-    'angle.kp': Bound(0.3, 15.0),
-    'rate.kp': Bound(0.005, 0.5),
-    # 0.004 per rad at kp 0.07 is an integral corner at 0.06 rad/s: far below any crossover
-    'rate.ki': Bound(0.0, 1.0, small_step=0.004),
-    'rate.kd': Bound(0.0, 0.05, small_step=0.0005),
-    'rate.d_filter_hz': Bound(5.0, 100.0),
-    # 0, a quarter, half, the whole: each with its watch
-    'lqr.share': Bound(0.0, 1.0, small_step=0.25),
-    'lqr.k_angle': Bound(0.005, 3.0),
-    'lqr.k_rate': Bound(0.005, 0.5),
-    'lqr.k_drive': Bound(0.0, 0.05, small_step=0.0005),
-    'lqr.k_integral': Bound(0.0, 5.0, small_step=0.01),
-    'lqr.gain': Bound(5.0, 5000.0),
-    'lqr.lag_s': Bound(0.001, 0.3),
-    'lqr.delay_s': Bound(0.0, 0.06, small_step=0.002),
-    'lqr.damping': Bound(-5.0, 20.0, small_step=2.0),
-    'lqr.observer': Bound(0.005, 1.0),
-    # a pack moves by some 15 %: a step of the power by a half is one of the command by 7 %
-    'sag.exponent': Bound(0.0, 2.5, small_step=0.5),
-    'sag.reference_v': Bound(3.0, 60.0),
-}
-DEFAULT_BOUNDS: Mapping[str, Bound] = {
-    **{f'{axis}.{name}': bound for axis in AXES for name, bound in _PER_AXIS.items()},
-    # yaw's torque is some ten times weaker
-    'yaw.rate.kp': Bound(0.005, 1.0),
-}
-"""Contract name to bound where the YAML says nothing; what is in neither cannot be changed."""
 
 
 def numbers(wanted: Mapping[str, object]) -> dict[str, float]:
@@ -121,10 +83,8 @@ def steps(
 
 def _idle(name: str, active: Mapping[str, float]) -> bool:
     """Whether a gain belongs to what is switched off: state feedback, schedule on the voltage."""
-    axis, _, rest = name.partition('.')
-    group, _, own = rest.partition('.')
-    switch = {'lqr': 'share', 'sag': 'exponent'}.get(group, own)
-    return own != switch and active.get(f'{axis}.{group}.{switch}', 1.0) == 0.0
+    switch = switch_of(name)
+    return bool(switch) and active.get(switch, 1.0) == 0.0
 
 
 def _check_switches(wanted: Mapping[str, float], active: Mapping[str, float]) -> None:
@@ -153,7 +113,7 @@ def _towards(now: float, wanted: float, bound: Bound) -> float:
 def _check_one(
     name: str, value: float, active: Mapping[str, float], bounds: Mapping[str, Bound]
 ) -> None:
-    if name not in WIRE_NAMES or name in READ_ONLY:
+    if name not in SETTABLE:
         raise RefusedError(f'{shorten(name)}: no gain of this name can be set')
     if not math.isfinite(value):
         raise RefusedError(f'{name}: must be finite: found {value}')

@@ -18,11 +18,11 @@ from quad_bridge.gain_log import GainLog
 from quad_bridge.gain_request import GainRequest, read_request
 from quad_bridge.gain_state import KeeperSettings, News, State
 from quad_bridge.gain_watch import AXES, GainWatch
+from quad_bridge.gains.table import WIRE_NAMES
 from quad_bridge.polarity_check import PolarityCheck
 from quad_bridge.stick_gesture import StickGesture
 from quad_bridge.wire.axes import flip_attitude, flip_body
 from quad_bridge.wire.frames import Cycle, Excitation, Flag, Injection
-from quad_bridge.wire.gain_names import WIRE_NAMES
 
 STEP_WATCH_S, WATCH_S = 3.0, 10.0
 """Between the steps of a larger change, and after the last."""

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from quad_bridge.errors import RefusedError
+from quad_bridge.gains.table import CONTRACT_NAMES
 from quad_bridge.wire.frames import (
     GainsAction,
     GainsCommand,
@@ -22,7 +23,6 @@ from quad_bridge.wire.frames import (
     ParamSet,
     ParamValue,
 )
-from quad_bridge.wire.gain_names import CONTRACT_NAMES
 from quad_bridge.wire.gain_transaction import Exchange, GainTransaction, Phase, command
 from quad_bridge.wire.params import ParamReader, checksum
 

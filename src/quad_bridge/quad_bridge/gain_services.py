@@ -17,7 +17,7 @@ from rclpy.task import Future
 from std_srvs.srv import Trigger
 
 from quad_bridge.errors import RefusedError
-from quad_bridge.wire.gain_names import READ_ONLY, WIRE_NAMES
+from quad_bridge.gains.table import ROWS, SETTABLE, WIRE_NAMES
 
 SOURCE = 'ros2 param set'
 
@@ -36,12 +36,10 @@ class GainServices:
     ) -> None:
         self._node, self._ask, self._check = node, ask, check
         self._showing = False
-        descriptor = ParameterDescriptor(
-            description='SI; NaN until the STM32 has reported it', dynamic_typing=True
-        )
-        for name in WIRE_NAMES:
-            if name not in READ_ONLY:
-                node.declare_parameter(name, math.nan, descriptor)
+        for name in SETTABLE:
+            words = f'{ROWS[name].meaning}, {ROWS[name].unit}; NaN until the STM32 has reported it'
+            descriptor = ParameterDescriptor(description=words, dynamic_typing=True)
+            node.declare_parameter(name, math.nan, descriptor)
         node.add_on_set_parameters_callback(self._on_set)
         group = ReentrantCallbackGroup()  # of their own: while they wait the node goes on
         for name, answer in (
@@ -55,7 +53,7 @@ class GainServices:
         self._showing = True
         try:
             self._node.set_parameters(
-                [Parameter(n, value=v) for n, v in active.items() if n not in READ_ONLY]
+                [Parameter(n, value=v) for n, v in active.items() if n in SETTABLE]
             )
         finally:
             self._showing = False

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
 
-from quad_bridge.gain_gate import DEFAULT_BOUNDS, Bound
+from quad_bridge.gains.table import DEFAULT_BOUNDS, Bound
 from quad_bridge.wire.frames import GainsState
 
 

@@ -11,9 +11,10 @@ import math
 
 import numpy as np
 
+from quad_bridge.gains.table import AXES, CONTRACT_NAMES, WIRE_NAMES
 from quad_bridge.virtual.aircraft import Aircraft
 from quad_bridge.virtual.cycle import COLUMNS
-from quad_bridge.virtual.firmware import AXES, TABLE, Firmware, Request, limit_flags
+from quad_bridge.virtual.firmware import TABLE, Firmware, Request, limit_flags
 from quad_bridge.virtual.gain_store import GainStore
 from quad_bridge.virtual.receiver import Channels, Receiver, channels_at
 from quad_bridge.wire import Decoder, Encoder
@@ -38,7 +39,6 @@ from quad_bridge.wire.frames import (
     StatusText,
     TimeSync,
 )
-from quad_bridge.wire.gain_names import CONTRACT_NAMES, WIRE_NAMES
 from quad_bridge.wire.signing import Signing
 
 ARM_DISARM, ACCEPTED, NOT_NOW, UNSUPPORTED = 400, 0, 1, 3

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from quad_bridge.gains.table import AXES, OPTIONAL, PER_AXIS, US_PER_DEG_S
 from quad_bridge.virtual.airframe import Vector, require
 from quad_bridge.virtual.control import (
     ADDED,
@@ -53,32 +54,29 @@ from quad_bridge.wire.frames import Flag
 
 FloatArray = npt.NDArray[np.float64]
 
-AXES = ('roll', 'pitch', 'yaw')
-SI_PER_US_DEG = math.degrees(1.0) / 1000.0
-"""Firmware units (us of pulse per deg/s, 1000 us = full range) to normalised per rad/s."""
-
-TABLE = {
-    'angle.kp': (ANGLE_KP, 0.0, 20.0),
-    'angle.rate_limit': (RATE_LIMIT, 0.1, 20.0),
-    'rate.kp': (KP, 0.0, 1.0),
-    'rate.ki': (KI, 0.0, 1.0),
-    'rate.kd': (KD, 0.0, 0.05),
-    'rate.d_filter_hz': (D_FILTER_HZ, 1.0, 120.0),
-    'rate.integrator_limit': (INTEGRATOR_LIMIT, 0.0, 1.0),
-    'rate.output_limit': (OUTPUT_LIMIT, 0.01, 1.0),
-    'lqr.share': (LQR_SHARE, 0.0, 1.0),
-    'lqr.k_angle': (LQR_ANGLE, 0.0, 5.0),
-    'lqr.k_rate': (LQR_RATE, 0.0, 1.0),
-    'lqr.k_drive': (LQR_DRIVE, 0.0, 0.1),
-    'lqr.k_integral': (LQR_INTEGRAL, 0.0, 10.0),
-    'lqr.gain': (LQR_GAIN, 0.0, 5000.0),
-    'lqr.lag_s': (LQR_LAG_S, 0.0, 0.5),
-    'lqr.delay_s': (LQR_DELAY_S, 0.0, 0.06),
-    'lqr.damping': (LQR_DAMPING, -20.0, 50.0),
-    'lqr.observer': (LQR_OBSERVER, 0.0, 1.0),
-    'sag.exponent': (SAG_EXPONENT, 0.0, 3.0),
-    'sag.reference_v': (SAG_VOLTS, 0.0, 100.0),
+_COLUMNS = {
+    'angle.kp': ANGLE_KP,
+    'angle.rate_limit': RATE_LIMIT,
+    'rate.kp': KP,
+    'rate.ki': KI,
+    'rate.kd': KD,
+    'rate.d_filter_hz': D_FILTER_HZ,
+    'rate.integrator_limit': INTEGRATOR_LIMIT,
+    'rate.output_limit': OUTPUT_LIMIT,
+    'lqr.share': LQR_SHARE,
+    'lqr.k_angle': LQR_ANGLE,
+    'lqr.k_rate': LQR_RATE,
+    'lqr.k_drive': LQR_DRIVE,
+    'lqr.k_integral': LQR_INTEGRAL,
+    'lqr.gain': LQR_GAIN,
+    'lqr.lag_s': LQR_LAG_S,
+    'lqr.delay_s': LQR_DELAY_S,
+    'lqr.damping': LQR_DAMPING,
+    'lqr.observer': LQR_OBSERVER,
+    'sag.exponent': SAG_EXPONENT,
+    'sag.reference_v': SAG_VOLTS,
 }
+TABLE = {row.name: (_COLUMNS[row.name], *(row.limits or ())) for row in (*PER_AXIS, *OPTIONAL)}
 """Parameter of an axis (contract's name behind the axis): gain column, lowest, highest."""
 
 DEAD_MAN_S = 0.5
@@ -109,9 +107,9 @@ class Gains:
         """(3, COLUMNS) SI gains as in gain_columns.py; state feedback and schedule off."""
         columns = np.zeros((3, COLUMNS))
         columns[:, ANGLE_KP] = self.angle_kp_per_s
-        columns[:, KP] = np.array(self.rate_kp_us_per_deg_s) * SI_PER_US_DEG
-        columns[:, KI] = np.array(self.rate_ki_us_per_deg) * SI_PER_US_DEG
-        columns[:, KD] = np.array(self.rate_kd_us_s_per_deg_s) * SI_PER_US_DEG
+        columns[:, KP] = np.array(self.rate_kp_us_per_deg_s) * US_PER_DEG_S
+        columns[:, KI] = np.array(self.rate_ki_us_per_deg) * US_PER_DEG_S
+        columns[:, KD] = np.array(self.rate_kd_us_s_per_deg_s) * US_PER_DEG_S
         columns[:, RATE_LIMIT] = self.rate_limit_rad_s
         columns[:, OUTPUT_LIMIT] = self.output_limit
         columns[:, INTEGRATOR_LIMIT] = self.integrator_limit

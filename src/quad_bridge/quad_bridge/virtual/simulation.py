@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from quad_bridge.gains.table import AXES
 from quad_bridge.virtual.aircraft import Aircraft, EffectFunction
 from quad_bridge.virtual.control import (
     ADDED,
@@ -25,7 +26,7 @@ from quad_bridge.virtual.control import (
 )
 from quad_bridge.virtual.cycle import COLUMNS
 from quad_bridge.virtual.errors import ConfigurationError
-from quad_bridge.virtual.firmware import AXES, TABLE
+from quad_bridge.virtual.firmware import TABLE
 from quad_bridge.virtual.profile import Profile, load_profile
 from quad_bridge.virtual.receiver import channels_at
 

@@ -1,0 +1,55 @@
+/* Generated from quad_bridge/gains/table.py by tools/gain_tables.py. SI units. */
+#ifndef QUAD_PARAMETER_TABLE_H
+#define QUAD_PARAMETER_TABLE_H
+
+/* Of each axis, roll pitch yaw. */
+enum {
+    QUAD_ANGLE_KP, /* rate reference per angle error, 1/s */
+    QUAD_ANGLE_RATE_LIMIT, /* largest rate reference, rad/s */
+    QUAD_RATE_KP, /* command per rate error, s/rad */
+    QUAD_RATE_KI, /* command per integral of the rate error, 1/rad */
+    QUAD_RATE_KD, /* command per change of the measured rate, s^2/rad */
+    QUAD_RATE_D_FILTER_HZ, /* first-order filter before rate.kd, Hz */
+    QUAD_RATE_INTEGRATOR_LIMIT, /* largest command of the integral */
+    QUAD_RATE_OUTPUT_LIMIT, /* largest command of the axis */
+    QUAD_PER_AXIS
+};
+
+enum {
+    QUAD_SENSOR_GYRO_FILTER_HZ = 3 * QUAD_PER_AXIS, /* cut-off of the gyro (2nd order), Hz */
+    QUAD_SENSOR_ACCEL_FILTER_HZ, /* cut-off of the accelerometer, Hz */
+    QUAD_LOOP_RATE_HZ, /* control cycles per second, Hz, read only */
+    QUAD_PARAMETERS
+};
+
+/* Name, lowest, highest, start; nothing fits where lowest > highest. */
+#define QUAD_PARAMETER_TABLE \
+    {"ROLL_ANG_KP", 0.0f, 20.0f, 3.0f}, \
+    {"ROLL_ANG_RLIM", 0.1f, 20.0f, 4.0f}, \
+    {"ROLL_RATE_KP", 0.0f, 1.0f, 0.07448451f}, \
+    {"ROLL_RATE_KI", 0.0f, 1.0f, 0.0005729578f}, \
+    {"ROLL_RATE_KD", 0.0f, 0.05f, 0.0013178029f}, \
+    {"ROLL_RATE_DFHZ", 1.0f, 120.0f, 30.0f}, \
+    {"ROLL_RATE_ILIM", 0.0f, 1.0f, 0.1f}, \
+    {"ROLL_RATE_ULIM", 0.01f, 1.0f, 0.3f}, \
+    {"PITCH_ANG_KP", 0.0f, 20.0f, 3.0f}, \
+    {"PITCH_ANG_RLIM", 0.1f, 20.0f, 4.0f}, \
+    {"PITCH_RATE_KP", 0.0f, 1.0f, 0.07448451f}, \
+    {"PITCH_RATE_KI", 0.0f, 1.0f, 0.0005729578f}, \
+    {"PITCH_RATE_KD", 0.0f, 0.05f, 0.0013178029f}, \
+    {"PITCH_RATE_DFHZ", 1.0f, 120.0f, 30.0f}, \
+    {"PITCH_RATE_ILIM", 0.0f, 1.0f, 0.1f}, \
+    {"PITCH_RATE_ULIM", 0.01f, 1.0f, 0.3f}, \
+    {"YAW_ANG_KP", 0.0f, 20.0f, 2.0f}, \
+    {"YAW_ANG_RLIM", 0.1f, 20.0f, 4.0f}, \
+    {"YAW_RATE_KP", 0.0f, 1.0f, 0.17188734f}, \
+    {"YAW_RATE_KI", 0.0f, 1.0f, 0.0011459156f}, \
+    {"YAW_RATE_KD", 0.0f, 0.05f, 0.0f}, \
+    {"YAW_RATE_DFHZ", 1.0f, 120.0f, 30.0f}, \
+    {"YAW_RATE_ILIM", 0.0f, 1.0f, 0.1f}, \
+    {"YAW_RATE_ULIM", 0.01f, 1.0f, 0.3f}, \
+    {"GYRO_FILT_HZ", 5.0f, 200.0f, 42.0f}, \
+    {"ACC_FILT_HZ", 5.0f, 200.0f, 42.0f}, \
+    {"LOOP_RATE_HZ", 1.0f, 0.0f, 250.0f}
+
+#endif

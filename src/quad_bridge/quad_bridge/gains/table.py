@@ -1,0 +1,147 @@
+"""Every gain and loop constant, one row each: what it is called, what it may be, what it means.
+
+Wire names, gate, node parameters and the virtual aircraft read these rows; generate.py writes the
+C table and docs/reference/gains.md from them, and a test holds those files against the rows.
+Values are SI on topics, in files and on the wire, so there is nothing to convert.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+AXES = ('roll', 'pitch', 'yaw')
+LARGEST_FACTOR = 2.0
+"""Of one gain in one step; a configuration may ask for less, not for more."""
+US_PER_DEG_S = math.degrees(1.0) / 1000.0
+"""The paper's unit, µs of motor pulse per deg/s (of 1000 µs), as command per rad/s."""
+
+
+@dataclass(frozen=True)
+class Bound:
+    """What the gate lets through: hard limits, and how far one step may go."""
+
+    lower: float
+    upper: float
+    max_factor: float = LARGEST_FACTOR
+    """Largest ratio of new to active value and of active to new."""
+    small_step: float = 0.0
+    """Absolute change that is allowed in any case: a gain near zero has no useful ratio."""
+
+
+@dataclass(frozen=True)
+class Gain:
+    """One row. Names of an axis' gain stand behind the axis: `roll.rate.kp`, `ROLL_RATE_KP`."""
+
+    name: str
+    wire: str
+    unit: str
+    meaning: str
+    limits: tuple[float, float] | None
+    """What the firmware takes, lowest and highest; None where nobody sets it."""
+    start: tuple[float, ...] = (0.0,)
+    """What the firmware starts with: of roll, pitch, yaw, or of all three."""
+    bound: Bound | None = None
+    """What the gate lets through; None: only where the configuration gives a bound."""
+    switch: str = ''
+    """The gain of the same axis that, at 0, leaves this one without effect."""
+
+
+PER_AXIS = (
+    Gain('angle.kp', 'ANG_KP', '1/s', 'rate reference per angle error', (0.0, 20.0),
+         (3.0, 3.0, 2.0), Bound(0.3, 15.0)),
+    Gain('angle.rate_limit', 'ANG_RLIM', 'rad/s', 'largest rate reference', (0.1, 20.0), (4.0,)),
+    Gain('rate.kp', 'RATE_KP', 's/rad', 'command per rate error', (0.0, 1.0),
+         (1.3 * US_PER_DEG_S, 1.3 * US_PER_DEG_S, 3.0 * US_PER_DEG_S), Bound(0.005, 0.5)),
+    # a step of 0.004 at kp 0.07 is an integral corner at 0.06 rad/s: far below any crossover
+    Gain('rate.ki', 'RATE_KI', '1/rad', 'command per integral of the rate error', (0.0, 1.0),
+         (0.01 * US_PER_DEG_S, 0.01 * US_PER_DEG_S, 0.02 * US_PER_DEG_S),
+         Bound(0.0, 1.0, small_step=0.004)),
+    Gain('rate.kd', 'RATE_KD', 's²/rad', 'command per change of the measured rate', (0.0, 0.05),
+         (0.023 * US_PER_DEG_S, 0.023 * US_PER_DEG_S, 0.0), Bound(0.0, 0.05, small_step=0.0005)),
+    Gain('rate.d_filter_hz', 'RATE_DFHZ', 'Hz', 'first-order filter before rate.kd', (1.0, 120.0),
+         (30.0,), Bound(5.0, 100.0)),
+    Gain('rate.integrator_limit', 'RATE_ILIM', '1', 'largest command of the integral', (0.0, 1.0),
+         (0.1,)),
+    Gain('rate.output_limit', 'RATE_ULIM', '1', 'largest command of the axis', (0.01, 1.0),
+         (0.3,)),
+)  # fmt: skip
+"""The cascade C1, C2 of each axis."""
+
+SHARED = (
+    Gain('sensor.gyro_filter_hz', 'GYRO_FILT_HZ', 'Hz', 'cut-off of the gyro (2nd order)',
+         (5.0, 200.0), (42.0,)),
+    Gain('sensor.accel_filter_hz', 'ACC_FILT_HZ', 'Hz', 'cut-off of the accelerometer',
+         (5.0, 200.0), (42.0,)),
+    Gain('loop.rate_hz', 'LOOP_RATE_HZ', 'Hz', 'control cycles per second', None, (250.0,)),
+)  # fmt: skip
+"""Of the aircraft as a whole."""
+
+OPTIONAL = (
+    # 0, a quarter, half, the whole: each with its watch
+    Gain('lqr.share', 'LQR_SHARE', '1', 'state feedback 1, cascade 0', (0.0, 1.0),
+         bound=Bound(0.0, 1.0, small_step=0.25)),
+    Gain('lqr.k_angle', 'LQR_KANG', '1/rad', 'command per angle error', (0.0, 5.0),
+         bound=Bound(0.005, 3.0), switch='lqr.share'),
+    Gain('lqr.k_rate', 'LQR_KRATE', 's/rad', 'command per rate', (0.0, 1.0),
+         bound=Bound(0.005, 0.5), switch='lqr.share'),
+    Gain('lqr.k_drive', 'LQR_KDRIVE', 's²/rad', 'command per angular acceleration', (0.0, 0.1),
+         bound=Bound(0.0, 0.05, small_step=0.0005), switch='lqr.share'),
+    Gain('lqr.k_integral', 'LQR_KINT', '1/(rad s)', 'command per integral of the angle error',
+         (0.0, 10.0), bound=Bound(0.0, 5.0, small_step=0.01), switch='lqr.share'),
+    Gain('lqr.gain', 'LQR_GAIN', 'rad/s²', "model's angular acceleration per command",
+         (0.0, 5000.0), bound=Bound(5.0, 5000.0), switch='lqr.share'),
+    Gain('lqr.lag_s', 'LQR_LAG', 's', "model's lag of the motors", (0.0, 0.5),
+         bound=Bound(0.001, 0.3), switch='lqr.share'),
+    Gain('lqr.delay_s', 'LQR_DELAY', 's', "model's delay", (0.0, 0.06),
+         bound=Bound(0.0, 0.06, small_step=0.002), switch='lqr.share'),
+    Gain('lqr.damping', 'LQR_DAMP', '1/s', "model's damping of the rate", (-20.0, 50.0),
+         bound=Bound(-5.0, 20.0, small_step=2.0), switch='lqr.share'),
+    Gain('lqr.observer', 'LQR_OBS', '1', "share of a rate's innovation that is believed",
+         (0.0, 1.0), bound=Bound(0.005, 1.0), switch='lqr.share'),
+    # a pack moves by some 15 %: a step of the power by a half is one of the command by 7 %
+    Gain('sag.exponent', 'SAG_EXP', '1', 'commands times (reference / voltage) to this power',
+         (0.0, 3.0), bound=Bound(0.0, 2.5, small_step=0.5)),
+    Gain('sag.reference_v', 'SAG_VREF', 'V', 'voltage at which commands stay as they are',
+         (0.0, 100.0), bound=Bound(3.0, 60.0), switch='sag.exponent'),
+)  # fmt: skip
+"""Of each axis, where a firmware has them: a state feedback, a schedule on the battery's voltage.
+Both are off at 0. The C endpoint has neither."""
+
+_OWN_BOUND = {'yaw.rate.kp': Bound(0.005, 1.0)}
+"""An axis' bound that is not the row's: yaw's torque is some ten times weaker."""
+
+
+def _all() -> dict[str, tuple[str, Gain]]:
+    """Contract name to wire name and row, in the order of the index on the wire."""
+    found = {}
+    for rows, axes in ((PER_AXIS, AXES), (SHARED, ('',)), (OPTIONAL, AXES)):
+        for axis in axes:
+            for row in rows:
+                name = f'{axis}.{row.name}' if axis else row.name
+                found[name] = (f'{axis.upper()}_{row.wire}' if axis else row.wire, row)
+    return found
+
+
+ROWS: dict[str, Gain] = {name: row for name, (_, row) in _all().items()}
+"""Contract name to its row."""
+WIRE_NAMES: dict[str, str] = {name: wire for name, (wire, _) in _all().items()}
+CONTRACT_NAMES: dict[str, str] = {wire: name for name, wire in WIRE_NAMES.items()}
+SETTABLE = tuple(name for name, row in ROWS.items() if row.limits is not None)
+"""Contract names of what can be set at all."""
+DEFAULT_BOUNDS: dict[str, Bound] = {
+    name: _OWN_BOUND.get(name, row.bound) for name, row in ROWS.items() if row.bound is not None
+}
+"""What the gate lets through where the configuration says nothing."""
+
+
+def split(name: str) -> tuple[str, str]:
+    """Axis, '' where the gain is of the whole aircraft, and the name behind it."""
+    axis, _, rest = name.partition('.')
+    return (axis, rest) if axis in AXES else ('', name)
+
+
+def switch_of(name: str) -> str:
+    """Contract name of the gain that switches this one off at 0; '' where there is none."""
+    axis, _ = split(name)
+    return f'{axis}.{ROWS[name].switch}' if ROWS[name].switch else ''

@@ -1,0 +1,48 @@
+"""One table says what a gain is; what is generated from it is what is committed."""
+
+import runpy
+from pathlib import Path
+
+import pytest
+
+from quad_bridge.gains.table import (
+    AXES,
+    CONTRACT_NAMES,
+    DEFAULT_BOUNDS,
+    ROWS,
+    WIRE_NAMES,
+    split,
+    switch_of,
+)
+
+MADE = runpy.run_path(str(Path(__file__).parents[2] / 'tools/gain_tables.py'))
+
+
+@pytest.mark.parametrize(('file', 'text'), [('HEADER', 'header'), ('PAGE', 'page')])
+def test_the_committed_file_is_the_generated_one(file, text):
+    assert MADE[file].read_text(encoding='utf-8') == MADE[text](), 'run tools/gain_tables.py'
+
+
+def test_wire_names_fit_and_are_unique():
+    assert len(CONTRACT_NAMES) == len(WIRE_NAMES)
+    assert all(len(wire) <= 16 and wire.isascii() for wire in WIRE_NAMES.values())
+    for axis in AXES:
+        for gain in ('angle.kp', 'rate.kp', 'rate.ki', 'rate.kd', 'rate.d_filter_hz'):
+            assert f'{axis}.{gain}' in WIRE_NAMES
+
+
+def test_a_bound_lies_inside_what_the_firmware_takes_and_a_start_inside_both():
+    for name, bound in DEFAULT_BOUNDS.items():
+        low, high = ROWS[name].limits
+        assert low <= bound.lower < bound.upper <= high, name
+        if not switch_of(name):  # what is switched off starts at 0
+            axis, _ = split(name)
+            starts = ROWS[name].start
+            assert bound.lower <= starts[AXES.index(axis) % len(starts)] <= bound.upper, name
+
+
+def test_what_is_off_without_its_switch_names_one_of_its_axis():
+    assert switch_of('roll.lqr.k_angle') == 'roll.lqr.share'
+    assert switch_of('yaw.sag.reference_v') == 'yaw.sag.exponent'
+    assert switch_of('roll.lqr.share') == switch_of('loop.rate_hz') == ''
+    assert all(switch_of(name) in {'', *ROWS} for name in ROWS)

@@ -1,0 +1,124 @@
+"""What is generated from the gains' table: the firmware's C and a page of the documentation.
+
+`python tools/gain_tables.py` writes both, after a change of quad_bridge/gains/table.py; a test
+(test/quad_bridge/test_gain_table.py) holds what is committed against the table.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from quad_bridge.gains.table import (
+    AXES,
+    DEFAULT_BOUNDS,
+    OPTIONAL,
+    PER_AXIS,
+    ROWS,
+    SHARED,
+    Gain,
+)
+
+ROOT = Path(__file__).resolve().parents[1]
+HEADER = ROOT / 'firmware/quad_parameter_table.h'
+PAGE = ROOT / 'docs/reference/gains.md'
+
+
+def header() -> str:
+    """Names, bounds and start values of the parameters in the order of their index, as C."""
+    own = [_enumerator(row) for row in PER_AXIS]
+    shared = [_enumerator(row) for row in SHARED]
+    first, *others = shared
+    lines = [
+        '/* Generated from quad_bridge/gains/table.py by tools/gain_tables.py. SI units. */',
+        '#ifndef QUAD_PARAMETER_TABLE_H',
+        '#define QUAD_PARAMETER_TABLE_H',
+        '',
+        '/* Of each axis, roll pitch yaw. */',
+        'enum {',
+        *(f'    {name}, /* {_told(row)} */' for name, row in zip(own, PER_AXIS, strict=True)),
+        '    QUAD_PER_AXIS',
+        '};',
+        '',
+        'enum {',
+        f'    {first} = 3 * QUAD_PER_AXIS, /* {_told(SHARED[0])} */',
+        *(f'    {name}, /* {_told(row)} */' for name, row in zip(others, SHARED[1:], strict=True)),
+        '    QUAD_PARAMETERS',
+        '};',
+        '',
+        '/* Name, lowest, highest, start; nothing fits where lowest > highest. */',
+        '#define QUAD_PARAMETER_TABLE \\',
+        *(f'    {_entry(row, axis)}, \\' for axis in range(3) for row in PER_AXIS),
+        *(f'    {_entry(row)}, \\' for row in SHARED[:-1]),
+        f'    {_entry(SHARED[-1])}',
+        '',
+        '#endif',
+    ]
+    return '\n'.join(lines) + '\n'
+
+
+def _enumerator(row: Gain) -> str:
+    return f'QUAD_{row.name.replace(".", "_").upper()}'
+
+
+def _told(row: Gain) -> str:
+    unit = '' if row.unit == '1' else f', {row.unit.replace("²", "^2")}'
+    return f'{row.meaning}{unit}' + (', read only' if row.limits is None else '')
+
+
+def _entry(row: Gain, axis: int | None = None) -> str:
+    name = row.wire if axis is None else f'{AXES[axis].upper()}_{row.wire}'
+    low, high = row.limits or (1.0, 0.0)
+    start = row.start[0 if len(row.start) == 1 else axis or 0]
+    return f'{{"{name}", {_float(low)}, {_float(high)}, {_float(start)}}}'
+
+
+def _float(value: float) -> str:
+    """The shortest text of the same float32."""
+    return f'{np.float32(value)!s}f'
+
+
+def page() -> str:
+    """The documentation's table of all gains."""
+    lines = [
+        '# Gains',
+        '',
+        'Generated from `quad_bridge/gains/table.py` by `tools/gain_tables.py`.',
+        'Names are those on `/gains/update` and `/gains/active`; those of an axis stand behind it',
+        '(`roll.rate.kp`, on the wire `ROLL_RATE_KP`). *Limits* are what the firmware takes.',
+        '*Bound* is what the [gate](../tune.md) of the bridge lets through unless its parameter',
+        '`bounds.<gain>` says otherwise: `[lower, upper, largest factor of one step, change that',
+        'is always allowed]`; a gain without one can be changed only where the configuration',
+        'bounds it.',
+    ]
+    for title, rows in (
+        ('Of each axis: the cascade', PER_AXIS),
+        ('Of the aircraft', SHARED),
+        ('Of each axis, where a firmware has them (off at 0)', OPTIONAL),
+    ):
+        lines += ['', f'## {title}', '', '| gain | wire | unit | meaning | limits | bound |',
+                  '|---|---|---|---|---|---|']  # fmt: skip
+        lines += [_row(row) for row in rows]
+    own = [
+        f'`{name}` {_bound(bound)}'
+        for name, bound in DEFAULT_BOUNDS.items()
+        if bound != ROWS[name].bound
+    ]
+    lines += ['', f'An axis of its own bound: {", ".join(own)}.']
+    return '\n'.join(lines) + '\n'
+
+
+def _row(row: Gain) -> str:
+    limits = 'read only' if row.limits is None else f'{row.limits[0]:g} to {row.limits[1]:g}'
+    bound = '' if row.bound is None else _bound(row.bound)
+    return f'| `{row.name}` | `{row.wire}` | {row.unit} | {row.meaning} | {limits} | {bound} |'
+
+
+def _bound(bound: object) -> str:
+    return f'[{", ".join(f"{value:g}" for value in vars(bound).values())}]'
+
+
+if __name__ == '__main__':
+    HEADER.write_text(header(), encoding='ascii')
+    PAGE.write_text(page(), encoding='utf-8')
