@@ -1,4 +1,4 @@
-"""Times of the black-box fits on the reference record, beside 1,000 plain lstsq calls.
+"""Times of the black-box fits on the reference record, beside a textbook's own and the peers'.
 
     OPENBLAS_NUM_THREADS=1 python bench/blackbox_speed.py [--peers PYTHON] [--bag BAG]
 
@@ -20,6 +20,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+import blackbox_plain as textbook
 import numpy as np
 from blackbox_flight import flight
 
@@ -57,6 +58,20 @@ def thousand_lstsq(z: IOData) -> tuple[float, np.ndarray]:
     return 1e3 * (time.perf_counter() - begin), values.ravel()
 
 
+def plain_fits(z: IOData) -> dict[str, float | str]:
+    """Milliseconds of the same fits by blackbox_plain.py."""
+
+    def descent(*orders: int) -> float:
+        return best(lambda: textbook.gauss_newton(z.y, z.u, *orders))
+
+    return {
+        'plain_arx_10_10_5': best(lambda: textbook.arx(z.y, z.u, 10, 10, 5)),
+        'plain_armax_3_3_3_1': descent(3, 3, 3, 0, 0, 1),
+        'plain_oe_2_2_3': descent(0, 2, 0, 0, 2, 3),
+        'plain_bj_2_2_2_2_3': descent(0, 2, 2, 2, 2, 3),
+    }
+
+
 def peers(z: IOData, python: str) -> dict[str, float | str]:
     """Milliseconds of the same fits by the libraries that `python` has."""
     with tempfile.TemporaryDirectory() as folder:
@@ -90,7 +105,7 @@ def ratios(result: dict[str, float | str]) -> dict[str, float]:
     found = {'lstsq_1000 / search_1000_arx': result['lstsq_1000'] / result['search_1000_arx']}
     for name, value in result.items():
         peer, _, ours = name.partition('_')
-        if peer in ('sippy', 'sysidentpy') and ours in result:
+        if peer in ('plain', 'sippy', 'sysidentpy') and ours in result:
             found[f'{name} / {ours}'] = value / result[ours]
     return found
 
@@ -122,6 +137,7 @@ def main() -> None:
         'n4sid_6': best(lambda: n4sid(z, 6)),
         'table2_with_validations': best(lambda: fit_table2(z, others), 3),
     }
+    result |= plain_fits(z)
     if options.peers:
         result |= peers(z, options.peers)
     for name, value in result.items():
@@ -134,7 +150,7 @@ def main() -> None:
     result |= whole
     found = ratios(result)
     for name, value in found.items():
-        print(f'{name:52s} {value:8.0f} x')
+        print(f'{name:52s} {value:8.2g} x')
     print(json.dumps(result | {'ratios': found}))
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from quad_sysid.blackbox.filters import filter_columns
-from quad_sysid.blackbox.innovations import DEPENDENT, errors_and_gradient
+from quad_sysid.blackbox.innovations import errors_and_gradient, span
 from quad_sysid.blackbox.polynomial import Model
 from quad_sysid.blackbox.regression import upper
 from quad_sysid.blackbox.residuals import AR_ORDER_MAX, whitener
@@ -58,9 +58,9 @@ def evaluate(model: Model, z: IOData) -> Point:
     hessian, slope = np.zeros((p, p)), np.zeros(p)
     errors, gradients = [], []
     with np.errstate(over='ignore', invalid='ignore'):
-        for e, gradient, states in errors_and_gradient(model, z):
+        for e, gradient, basis in errors_and_gradient(model, z):
             errors.append(e)
-            gradients.append(without(gradient, states))
+            gradients.append(gradient - basis @ (basis.T @ gradient))
             hessian += gradients[-1].T @ gradients[-1]
             slope += gradients[-1].T @ e
     return Point(errors, gradients, hessian, slope)
@@ -68,12 +68,7 @@ def evaluate(model: Model, z: IOData) -> Point:
 
 def without(gradient: FloatArray, states: FloatArray) -> FloatArray:
     """Columns `gradient` (m, p) without their part in the span of the initial states (m, nf)."""
-    scale = np.linalg.norm(states, axis=0)
-    kept = states[:, scale > 0.0] / scale[scale > 0.0]
-    if kept.shape[1] == 0 or not np.isfinite(kept).all():
-        return gradient
-    basis, values, _ = np.linalg.svd(kept, full_matrices=False)
-    basis = basis[:, values > DEPENDENT * values[0]]
+    basis, _ = span(states)
     return np.asarray(gradient - basis @ (basis.T @ gradient))
 
 

@@ -61,7 +61,8 @@ def one_step_errors(model: Model, z: IOData) -> list[SegmentErrors]:
             v = lagged(z.y, range(model.A.size), begin, stop) @ model.A - w[:, 0]
             stack = np.column_stack((v, w[:, 1:]))
             e = filter_columns(model.D, model.C, stack, lead - first)[lead - first :]
-            state = _nuisance(e[:, 1:], e[:, 0])
+            basis, turn = span(e[:, 1:])
+            state = turn @ (basis.T @ e[:, 0])
             found.append(
                 SegmentErrors(
                     start + lead, e[:, 0] - e[:, 1:] @ state,
@@ -74,9 +75,9 @@ def one_step_errors(model: Model, z: IOData) -> list[SegmentErrors]:
 def errors_and_gradient(
     model: Model, z: IOData
 ) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
-    """Per segment e (m,), its gradient by `parameters` (m, p), and by w's initial state (m, nf).
+    """Per segment e (m,), its gradient by `parameters` (m, p), and a basis (m, k) of the nuisance.
 
-    The initial state is taken at its best, so the gradient by the parameters is that at the best.
+    The nuisance is w's initial state; e has it at its best, the basis spans its gradient.
     """
     first, lead = lead_of(model)
     skip = lead - first
@@ -94,7 +95,8 @@ def errors_and_gradient(
         base = filter_columns(
             model.D, model.C, np.column_stack((y @ model.A - w[:, 0], w[:, 1 : nf + 1])), skip
         )[skip:]
-        state = _nuisance(base[:, 1:], base[:, 0])
+        basis, turn = span(base[:, 1:])
+        state = turn @ (basis.T @ base[:, 0])
         w0 = w[:, 0] + w[:, 1 : nf + 1] @ state
         e = base[:, 0] - base[:, 1:] @ state
         wf = filter_columns(np.ones(1), model.F, _shifts(w0, nf)) if nf else _shifts(w0, 0)
@@ -109,7 +111,7 @@ def errors_and_gradient(
         gradient = np.hstack(
             (slow[:, : na + nb], fast[:, :nc], fast[:, nc:], slow[:, na + nb :])
         )
-        found.append((e, gradient, -base[:, 1:]))
+        found.append((e, gradient, basis))
     return found
 
 
@@ -127,13 +129,18 @@ def _shifts(x: FloatArray, count: int) -> FloatArray:
     return out
 
 
-def _nuisance(columns: FloatArray, target: FloatArray) -> FloatArray:
-    """Least-squares coefficients of the few initial-state columns, of least norm where dependent.
+def span(columns: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Orthonormal basis (m, k) of the few `columns` (m, n), and (n, k) from it to coefficients.
 
-    By orthogonal factors: slow poles make the columns so much alike that their products lose it.
+    Coefficients are of least norm where columns depend on each other. By orthogonal factors: slow
+    poles make the columns so much alike that their products lose it.
     """
-    if columns.shape[1] == 0 or not (np.isfinite(columns).all() and np.isfinite(target).all()):
-        return np.zeros(columns.shape[1])
+    n = columns.shape[1]
     scale = np.sqrt(np.einsum('ij,ij->j', columns, columns))
+    if n == 0 or not np.isfinite(scale).all():
+        return np.zeros((columns.shape[0], 0)), np.zeros((n, 0))
     scale[scale == 0.0] = 1.0
-    return np.asarray(np.linalg.lstsq(columns / scale, target, rcond=DEPENDENT)[0] / scale)
+    q, r = np.linalg.qr(columns / scale)
+    u, values, vt = np.linalg.svd(r)
+    kept = values > DEPENDENT * values[0]
+    return q @ u[:, kept], vt[kept].T / values[kept] / scale[:, None]

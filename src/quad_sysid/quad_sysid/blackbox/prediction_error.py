@@ -9,10 +9,7 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
-import numpy as np
-
 from quad_sysid.blackbox.descent import decrement, descend, evaluate, sum_of_squares
-from quad_sysid.blackbox.innovations import one_step_errors
 from quad_sysid.blackbox.polynomial import Model
 from quad_sysid.blackbox.regression import check_exciting, check_informative, check_order
 from quad_sysid.blackbox.stability_edge import on_edge
@@ -103,30 +100,30 @@ def _best(
         ho = high_order(z, orders['nk'], sum(orders.values()) - orders['nk'])
         spare = max(ho.model.parameters.size - sum(orders.values()) + orders['nk'], 0)
         goal = ho.model.loss * math.exp((spare + math.sqrt(2.0 * spare)) / ho.model.samples)
-        candidates = sorted(starts(ho), key=lambda model: _squares(model, z))
-        best = descend(candidates[0], evaluate(candidates[0], z), z)
-        for model in candidates[1:] if thorough else ():
-            if best.converged and best.loss <= goal:
-                break
-            other = descend(model, evaluate(model, z), z, best.loss)
-            agreed = (
-                best.converged
-                and other.converged
-                and abs(math.log(other.loss / best.loss)) * best.samples < AGREED
-            )
-            best = _better(best, other)
-            if agreed:
-                break
+        found = starts(ho)
+        first = next(found)
+        best = descend(first, evaluate(first, z), z)
         if thorough:
-            best = _without_false_pair(best, z)
+            best = _without_false_pair(_best_of(best, found, z, goal), z)
     return replace(best, structure=structure, orders=orders, warnings=_warnings(best))
 
 
-def _squares(model: Model, z: IOData) -> float:
-    """Sum of squared one-step errors; inf where it overflows."""
-    with np.errstate(over='ignore', invalid='ignore'):
-        total = sum(float(part.errors @ part.errors) for part in one_step_errors(model, z))
-    return total if math.isfinite(total) else math.inf
+def _best_of(best: Model, others: Iterator[Model], z: IOData, goal: float) -> Model:
+    """Descend from other starts too, until the loss is as low as `goal` or two descents agree."""
+    while not (best.converged and best.loss <= goal):
+        model = next(others, None)
+        if model is None:
+            break
+        other = descend(model, evaluate(model, z), z, best.loss)
+        agreed = (
+            best.converged
+            and other.converged
+            and abs(math.log(other.loss / best.loss)) * best.samples < AGREED
+        )
+        best = _better(best, other)
+        if agreed:
+            break
+    return best
 
 
 def _without_false_pair(best: Model, z: IOData) -> Model:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
 
@@ -103,11 +104,14 @@ def armax_starts(ho: HighOrder, na: int, nb: int, nc: int) -> Iterator[Model]:
 
 def oe_starts(ho: HighOrder, nb: int, nf: int) -> Iterator[Model]:
     """Start values from the plants B/F alone, and from one in which a pole is left to a drift."""
-    for b, f in _plants(ho, nb, nf):
+    plants = _plants(ho, nb, nf)
+    for b, f in islice(plants, 2):
         yield _model(ho, B=b, F=f)
     if nb > 1 and nf > 1:
         b, f = _steiglitz_mcbride(_differenced(ho.data), nb - 1, nf - 1, ho.model.nk)
         yield _model(ho, B=np.convolve(b, SLOW_FACTOR), F=np.convolve(f, SLOW_FACTOR))
+    for b, f in plants:
+        yield _model(ho, B=b, F=f)
 
 
 def bj_starts(ho: HighOrder, nb: int, nc: int, nd: int, nf: int) -> Iterator[Model]:
