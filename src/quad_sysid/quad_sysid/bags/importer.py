@@ -24,7 +24,7 @@ from quad_sysid.bags.units import Role, Unit, unit_of
 from quad_sysid.bags.writer import BagOptions, write_bag
 from quad_sysid.contract import AXES, FloatArray, control_from_motors, motors_from_wrench
 from quad_sysid.errors import BadInputError
-from quad_sysid.record import Record, finite_runs
+from quad_sysid.record import GainChange, Record, finite_runs
 
 MIDDLE_COMMAND = 0.5
 """U1 that is written beside a control column: the middle of the motors' range."""
@@ -98,9 +98,11 @@ def import_csv(options: ImportOptions) -> Path:
     rate = columns.get(options.rate or '')
     angle = columns.get(options.angle or '')
     odd += _compared(options, units, columns, grid.dt)
+    gains: tuple[GainChange, ...] = ()
     if rate is None:
         rate, told = _derivative(columns[options.angle or ''], grid.dt)
         notes.append(f'rate of {options.angle} by {told}')
+        gains = (GainChange(0.0, {'sensor.rate_from_angle_s': DERIVATIVE_HALF_WIDTH_S}),)
     if _jitter(seconds, grid) > JITTER_KEPT:
         notes.append(f'interpolated to a uniform grid of {1.0 / grid.dt:.6g} Hz')
 
@@ -114,7 +116,7 @@ def import_csv(options: ImportOptions) -> Path:
         rates=_along(options.axis, rate, control), control=control, motors=motors, wrench=wrench,
         angles=along(angle), attitude_setpoint=reference if by_angle else None,
         rate_setpoint=None if by_angle else reference,
-        battery_v=columns.get(options.battery or ''),
+        battery_v=columns.get(options.battery or ''), gains=gains,
     )
     notes_of_bag = {'import': f'{options.file.name}: {"; ".join(notes)}'}
     if odd:

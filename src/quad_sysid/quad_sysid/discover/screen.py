@@ -105,7 +105,7 @@ def screen(problem: Problem, fitted: Fit, parts: Sequence[Part]) -> list[Score]:
     ).slope
     for start, stop in flight.passes:
         recursion.respond(
-            inputs, slope, found.gain, found.move, flight.gyro, flight.filtered,
+            inputs, slope, found.gain, found.move, flight.sensor.step, flight.sensor.behind,
             problem.data.dt, start, stop, out,
         )
     rows = _Rows(problem, fitted, out)
@@ -177,9 +177,9 @@ def _starts(problem: Problem, fitted: Fit, part: Part) -> Sequence[FloatArray]:
 
 
 class _Rows:
-    """Weighted innovations and columns, beside what the fit's own parameters can take up.
+    """Weighted innovations and columns, less what the fit's own parameters can take up.
 
-    The priors of the fit's parameters lie in rows of the factorisation that are cut off.
+    The priors of the fit's parameters are the last rows.
     """
 
     def __init__(self, problem: Problem, fitted: Fit, out: FloatArray) -> None:
@@ -187,29 +187,31 @@ class _Rows:
         w = np.sqrt(fitted.tail.weights(e)) / fitted.tail.scale
         own = required(fitted.prediction.jacobian)[problem.rows] * w[:, None]
         root = np.linalg.cholesky(fitted.precision).T
-        q = np.linalg.qr(np.vstack([own, root]))[0][: problem.rows.size]
-        self.c, self.r = out[problem.rows] * w[:, None], e * w
-        self.qc, self.qr = q.T @ self.c, q.T @ self.r
+        q = np.linalg.qr(np.vstack([own, root]))[0]
+        ahead = q[: e.size].T
+        columns, weighted = out[problem.rows] * w[:, None], e * w
+        self.c = -(q @ (ahead @ columns))
+        self.c[: e.size] += columns
+        self.r = -(q @ (ahead @ weighted))
+        self.r[: e.size] += weighted
 
     def score(self, problem: Problem, block: _Block) -> Score | None:
         """What a candidate's linear step gains, nats; None where physics forbids its sign."""
         part, parameters = block.part, block.part.effect.parameters
-        before = float(self.r @ self.r - self.qr @ self.qr)
-        residual, projected = self.r, self.qr
+        residual = self.r
         if block.shift >= 0:
             residual = residual + self.c[:, block.shift]
-            projected = projected + self.qc[:, block.shift]
-        left = float(residual @ residual - projected @ projected)
-        nats = 0.5 * (before - left) - PER_NONLINEAR * (len(parameters) - block.count)
+        nats = 0.5 * float(self.r @ self.r - residual @ residual)
+        nats -= PER_NONLINEAR * (len(parameters) - block.count)
         start = block.p.copy()
         if not block.count:
             return Score(part, (start,), nats)
         where = slice(block.first, block.first + block.count)
-        c, qc = self.c[:, where], self.qc[:, where]
-        b = -(c.T @ residual - qc.T @ projected)
+        c = self.c[:, where]
+        b = -(c.T @ residual)
         precision = part.effect.precision(part.settings, problem.sizes_of(part))
         precision = precision[np.ix_(block.linear, block.linear)]
-        factor = cho_factor(c.T @ c - qc.T @ qc + precision)
+        factor = cho_factor(c.T @ c + precision)
         x = cho_solve(factor, b)
         logdet = 2.0 * float(np.sum(np.log(np.diag(factor[0]))))
         nats += 0.5 * float(b @ x) - 0.5 * (logdet - float(np.linalg.slogdet(precision)[1]))

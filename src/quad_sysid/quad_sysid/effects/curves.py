@@ -67,7 +67,7 @@ class Curve(Effect):
             'friction': (signal, 'rate'), 'lag': (signal, 'command'), 'delay': (signal, 'command'),
         }[term]
         self.count, self.length = SMOOTH[smoothness]
-        spread = {'lag': 0.5, 'delay': None}.get(term)
+        spread = {'lag': 0.5, 'delay': 0.01}.get(term)
         self.parameters = tuple(
             Spec(f'y{i}', UNITS[term], spread=spread) for i in range(self.count)
         ) + (TRANSITION,) * (term == 'friction')

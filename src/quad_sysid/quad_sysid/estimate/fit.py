@@ -15,6 +15,7 @@ from scipy.special import gammaln
 from quad_sysid.contract import FloatArray
 from quad_sysid.model.data import AxisData, Span, part_of
 from quad_sysid.model.effect import Part, required
+from quad_sysid.model.noise import sensor_of
 from quad_sysid.model.plant import BASE, NOISE, Flight, Prediction, Structure, passes_of
 
 SETTLE_S = 0.5
@@ -342,4 +343,24 @@ def covariance(problem: Problem, fitted: Fit) -> FloatArray:
     meat = sums.T @ sums + fitted.precision
     half = np.linalg.inv(fitted.hessian)
     out: FloatArray = half @ meat @ half
+    return out
+
+
+def shift_by_form(problem: Problem, fitted: Fit) -> FloatArray:
+    """(p,) by how much the coordinates would differ behind another form of the same filter.
+
+    Of the gyro's filter the cut-off is known, not how it is computed. One Gauss-Newton step from
+    the fit to the filter as it is stepped (noise.sensor_of); zeros where no filter is known.
+    """
+    flight, data = problem.flight, problem.data
+    if not flight.sensor.noisy:
+        return np.zeros(fitted.theta.size)
+    kept, exact = flight.rate, flight.sensor
+    flight.sensor = sensor_of(data.gyro_filter_hz, None, data.dt, stepped=True)
+    stepped = flight.predict(fitted.structure, fitted.theta)
+    flight.rate, flight.sensor = kept, exact
+    e = fitted.prediction.innovation[problem.rows]
+    j = required(fitted.prediction.jacobian)[problem.rows]
+    change = (stepped.innovation[problem.rows] - e) * fitted.tail.weights(e) / fitted.tail.scale**2
+    out: FloatArray = -np.linalg.solve(fitted.hessian, j.T @ change)
     return out

@@ -1,7 +1,8 @@
 """A fit as the values that are handed on, and a handed-on model as what can be run again.
 
-Standard errors are those of the sandwich (fit.covariance); of what the fit holds as a logarithm,
-and of what a report reads off several parameters, by the delta method.
+Standard errors are those of the sandwich (fit.covariance) and of what is not known of the gyro's
+filter (fit.shift_by_form); of what the fit holds as a logarithm, and of what a report reads off
+several parameters, by the delta method.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 from quad_sysid.contract import FloatArray
 from quad_sysid.effects import EFFECTS
 from quad_sysid.errors import BadInputError
-from quad_sysid.estimate.fit import Fit, Problem, Tail, covariance
+from quad_sysid.estimate.fit import Fit, Problem, Tail, covariance, shift_by_form
 from quad_sysid.model import AxisModel, EffectEstimate, NoiseEstimate, Parameter
 from quad_sysid.model.effect import Effect, Part, Settings, Spec
 from quad_sysid.model.plant import BASE, N_BASE, NOISE, Structure
@@ -47,7 +48,8 @@ class Readings:
     names: tuple[str, ...]
     """`gain`, …, then `<effect>.<parameter>`."""
     covariance: FloatArray
-    """(p, p) of these; NaN rows where there is no ordinary standard error."""
+    """(p, p) of these, behind the filter as it is modelled: what is known of the loop as a whole;
+    NaN rows where there is no ordinary standard error."""
 
 
 def readings(problem: Problem, fitted: Fit) -> Readings:
@@ -64,6 +66,7 @@ def readings(problem: Problem, fitted: Fit) -> Readings:
         axis=1,
     )
     joint = jacobian @ raw @ jacobian.T
+    form = jacobian @ shift_by_form(problem, fitted)
     vague = {
         name for name, spec, value, deviation in zip(
             structure.names, structure.specs, fitted.values, deviations, strict=True
@@ -75,7 +78,7 @@ def readings(problem: Problem, fitted: Fit) -> Readings:
     values, units = _read(structure, theta), _units(structure)
     told = [
         Parameter(
-            name.rpartition('.')[2], float(value), _std(joint[i, i]), unit,
+            name.rpartition('.')[2], float(value), _std(joint[i, i] + form[i] ** 2), unit,
             _interval(structure, theta, deviations, name) if name in vague else None,
         )
         for i, (name, value, unit) in enumerate(zip(names, values, units, strict=True))

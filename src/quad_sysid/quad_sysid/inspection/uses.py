@@ -37,7 +37,7 @@ def uses_of_axis(record: Record, data: AxisData) -> tuple[Use, ...]:
     if refused:
         return (identify,)
     reference = _moves(data, data.reference)
-    gains = bool(record.gains)
+    gains = f'{axis}.rate.kp' in record.gains_at(np.inf)
     other = '/setpoint/attitude or /excitation/applied is missing or never moves'
     no_gains = '/gains/active is missing'
     return (

@@ -55,6 +55,7 @@ class AxisData:
     """(n, 2) the other two axes' rates in the order of AXES, rad/s; NaN where not measured."""
     battery_v: FloatArray | None
     gyro_filter_hz: float | None
+    """Of the filter that the rate is known to be behind."""
     stretches: tuple[Span, ...]
     train: tuple[Span, ...]
     validation: tuple[Span, ...]
@@ -64,6 +65,8 @@ class AxisData:
     """(n,) what drives the loop from outside, as Record.external; NaN where a record lacks it."""
     time_s: FloatArray | None = None
     """(n,) time of each sample where the samples are a part of a flight; None: from its first."""
+    derived_s: float | None = None
+    """The rate is the slope of the measured angle over so long to either side; None: measured."""
     trim: tuple[float, float] | None = None
     """Command and rate (rad/s) of the equilibrium, once a fit has told; None: not known."""
 
@@ -174,6 +177,7 @@ def axis_data(records: Sequence[Record], axis: str) -> AxisData:
         other_rates=joined['other_rates'],
         battery_v=_held(battery) if np.isfinite(battery).mean() > 0.5 else None,
         gyro_filter_hz=records[0].gains_at(np.inf).get('sensor.gyro_filter_hz') or None,
+        derived_s=records[0].gains_at(np.inf).get('sensor.rate_from_angle_s') or None,
         stretches=stretches,
         train=train,
         validation=validation,

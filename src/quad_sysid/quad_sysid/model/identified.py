@@ -92,7 +92,8 @@ class AxisModel:
     parameter_names: tuple[str, ...] = ()
     """Order of rows and columns of `covariance`: `gain`, …, then `<effect>.<parameter>`."""
     covariance: FloatArray | None = None
-    """(p, p); NaN rows for parameters that have no ordinary standard error."""
+    """(p, p) behind the gyro filter as it is modelled, where a parameter's `std` also holds what
+    is not known of its form; NaN rows for parameters that have no ordinary standard error."""
     active_gains: Mapping[str, float] = field(default_factory=dict)
     """What /gains/active said during the flight, all axes and loop constants."""
     mean_battery_v: float | None = None

@@ -1,6 +1,6 @@
-"""The noise of one axis and the Kalman gain that follows from it.
+"""What measures an axis, its noise, and the Kalman gain that follows from both.
 
-A torque disturbance d with its own correlation time and a white torque drive the rate; the gyro
+A torque disturbance d with its own correlation time and a white torque drive the rate; the sensor
 adds white noise, before its filter where the model contains one. Nothing is fitted here.
 """
 
@@ -12,9 +12,13 @@ from functools import lru_cache
 
 import numpy as np
 from scipy.linalg import expm
+from scipy.signal import savgol_coeffs
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.model.recursion import riccati
+
+FORM_STEP_S = 1e-3
+"""Interval at which gyros run their own filter."""
 
 
 @dataclass(frozen=True)
@@ -29,22 +33,55 @@ class Noise:
     disturbance: float
     correlation_s: float
     after: float = 0.1
-    """Noise behind the gyro filter (rounding, sampling) over that before it, in a model that
-    contains the filter."""
+    """Noise behind the gyro filter (rounding, sampling) over that before it, where the sensor is
+    one behind a filter."""
     lines: tuple[tuple[float, float, float], ...] = ()
     """Narrow lines of vibration in the measured rate that move no aircraft, each with its RMS
     over the gyro noise, its frequency and its width, Hz."""
 
 
-@lru_cache(maxsize=16)
-def gyro_step(gyro_filter_hz: float | None, dt: float) -> FloatArray:
-    """(2, 5) step of the gyro filter over one cycle: 2nd-order Butterworth, unit gain at rest.
+@dataclass(frozen=True, eq=False)
+class Sensor:
+    """What stands between the rate and what was measured: nothing, a filter, or an integral."""
 
-    Columns: state (output, its derivative), then the weights of the rate at the cycle's begin,
-    half and end, a parabola between.
+    step: FloatArray
+    """(2, 5) of its two states over one cycle. Columns: these, then the weights of the rate at
+    the cycle's begin, half and end, a parabola between."""
+    behind: bool = False
+    """Whether its first state is measured; else it is the rate."""
+    noisy: bool = False
+    """Whether the noise enters before it, with little more behind it."""
+    late_s: float = 0.0
+    """How much later than the rate the output is."""
+    derived: float = 0.0
+    """Where the angle was measured: variance of the rate that was derived from it, over that of
+    the angle's noise per cycle; else 0."""
+
+
+@lru_cache(maxsize=16)
+def sensor_of(
+    gyro_filter_hz: float | None, derived_s: float | None, dt: float, *, stepped: bool = False
+) -> Sensor:
+    """A gyro, one behind a 2nd-order Butterworth filter, or an angle, in cycles: angle / dt.
+
+    derived_s: span to either side of the cubic whose slope (Savitzky and Golay 1964) was recorded
+    as the rate; None: the rate was measured. stepped: the filter as two integrators in a row,
+    each stepped at FORM_STEP_S, and not its exact solution.
     """
+    if derived_s is not None:
+        half = max(2, round(derived_s / dt))
+        slope = savgol_coeffs(2 * half + 1, 3, deriv=1)
+        mean = np.array([[1.0, 0.0, 1.0 / 6.0, 4.0 / 6.0, 1.0 / 6.0], np.zeros(5)])
+        return Sensor(mean, behind=True, derived=float(slope @ slope))
     if gyro_filter_hz is None:
-        return np.array([[0.0, 0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 0.0, 0.0, 0.0]])
+        return Sensor(np.array([[0.0, 0.0, 0.0, 0.0, 1.0], np.zeros(5)]))
+    step = (_stepped if stepped else gyro_step)(gyro_filter_hz, dt)
+    late = math.sqrt(2.0) / (2.0 * math.pi * gyro_filter_hz)
+    return Sensor(step, behind=True, noisy=True, late_s=late)
+
+
+def gyro_step(gyro_filter_hz: float, dt: float) -> FloatArray:
+    """(2, 5) step of the exact 2nd-order Butterworth filter, unit gain at rest (Sensor.step)."""
     cutoff = 2.0 * math.pi * gyro_filter_hz
     a = np.zeros((5, 5))
     a[0, 1] = dt
@@ -55,6 +92,22 @@ def gyro_step(gyro_filter_hz: float | None, dt: float) -> FloatArray:
     # u(s) = u0 + s (-3 u0 + 4 um - u1) + s²/2 * 4 (u0 - 2 um + u1) on s = t / dt
     basis = np.array([[1.0, 0.0, 0.0], [-3.0, 4.0, -1.0], [4.0, -8.0, 4.0]])
     return np.ascontiguousarray(np.hstack([e[:2, :2], e[:2, 2:] @ basis]))
+
+
+def _stepped(gyro_filter_hz: float, dt: float) -> FloatArray:
+    """(2, 5) the same for g' += h (wc² (rate - g) - sqrt(2) wc g'), g += h g'."""
+    cutoff = 2.0 * math.pi * gyro_filter_hz
+    count = max(1, round(dt / FORM_STEP_S))
+    h = dt / count
+    total = np.hstack([np.eye(2), np.zeros((2, 3))])
+    for s in np.arange(1, count + 1) / count:
+        rate = np.array([0.0, 0.0, (1.0 - s) * (1.0 - 2.0 * s), 4.0 * s * (1.0 - s),
+                         s * (2.0 * s - 1.0)])
+        slope = total[1] + h * (
+            cutoff**2 * (rate - total[0]) - math.sqrt(2.0) * cutoff * total[1]
+        )
+        total = np.stack([total[0] + h * slope, slope])
+    return np.ascontiguousarray(total)
 
 
 @dataclass(frozen=True)
@@ -74,14 +127,14 @@ class Filter:
     covariance: FloatArray
     """Of the prediction, over the variance of the gyro noise."""
     output: FloatArray
-    """From the states to the measured rate."""
+    """From the states to the recorded rate."""
     after: float
-    """Variance of the noise that no state holds."""
+    """Variance of the noise in it that no state holds."""
     floor: float
-    """Variance of the gyro's noise in the measured rate, over that of the noise before it."""
+    """Variance of all noise in it, over that of the noise before a filter."""
 
 
-def kalman(noise: Noise, damping: float, gyro: FloatArray, filtered: bool, dt: float) -> Filter:
+def kalman(noise: Noise, damping: float, sensor: Sensor, dt: float) -> Filter:
     """Steady gain for a rate that falls by `damping` (1/s, mean slope of the torque)."""
     fade = math.exp(-dt / noise.correlation_s)
     hold = noise.correlation_s / dt * (1.0 - fade)
@@ -94,7 +147,7 @@ def kalman(noise: Noise, damping: float, gyro: FloatArray, filtered: bool, dt: f
     b[0] = 0.5 * push
     bend = 0.25 * dt * np.array([1.0, -1.0])
     for i in range(2):
-        g, q, begin, half, end = gyro[i]
+        g, q, begin, half, end = sensor.step[i]
         rows[2 + i, 0] = begin + half * 0.5 * (1.0 + ahead) + end * ahead
         rows[2 + i, 1] = (0.5 * half + end) * push * hold
         rows[2 + i, 2], rows[2 + i, 3] = g, q
@@ -102,7 +155,7 @@ def kalman(noise: Noise, damping: float, gyro: FloatArray, filtered: bool, dt: f
     process = noise.white**2 * 2.0 / dt * (b @ b.T)
     process[1, 1] += noise.disturbance**2 * (1.0 - fade**2)
     c = np.zeros(size)
-    c[2 if filtered else 0] = 1.0
+    c[2 if sensor.behind else 0] = 1.0
     move = [fade, hold]
     for i, (size_of, frequency, width) in enumerate(noise.lines):
         left = math.exp(-math.pi * width * dt)
@@ -114,13 +167,13 @@ def kalman(noise: Noise, damping: float, gyro: FloatArray, filtered: bool, dt: f
         c[at] = 1.0
         move += [turn, over]
     r = floor = 1.0
-    if filtered:
+    if sensor.noisy:
         r = noise.after**2
-        inside = gyro[:, 2:].sum(axis=1)
+        inside = sensor.step[:, 2:].sum(axis=1)
         process[2:4, 2:4] += np.outer(inside, inside)
-        floor = _floor(gyro) + r
+        floor = _floor(sensor.step) + r
     floor += sum(line[0] ** 2 for line in noise.lines)
-    used = np.array([0, 1, *([2, 3] if filtered else []), *range(4, size)])
+    used = np.array([0, 1, *([2, 3] if sensor.noisy else [2] * sensor.behind), *range(4, size)])
     block = np.ix_(used, used)
     covariance = riccati(
         np.ascontiguousarray(rows[block]), np.ascontiguousarray(process[block]), c[used], r
@@ -130,6 +183,11 @@ def kalman(noise: Noise, damping: float, gyro: FloatArray, filtered: bool, dt: f
     gain[used] = covariance @ c[used] / s
     full = np.zeros((size, size))
     full[block] = covariance
+    if sensor.derived:
+        return Filter(
+            gain, np.array(move), s, rows, process, full, np.eye(size)[0], sensor.derived,
+            sensor.derived,
+        )
     return Filter(gain, np.array(move), s, rows, process, full, c, r, floor)
 
 

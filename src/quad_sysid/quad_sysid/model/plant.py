@@ -22,7 +22,7 @@ from quad_sysid.contract import MIXER_INVERSE, FloatArray
 from quad_sysid.model import recursion
 from quad_sysid.model.data import AxisData, Span, Windows
 from quad_sysid.model.effect import Drive, Effect, Part, Signals, Spec, required
-from quad_sysid.model.noise import Filter, Noise, gyro_step, kalman
+from quad_sysid.model.noise import Filter, Noise, Sensor, kalman, sensor_of
 
 LEAD_S = 1.0
 """Each span is followed from so long before it, where the flight is unbroken there."""
@@ -153,14 +153,18 @@ class Flight:
     passes: tuple[Span, ...] = ()
     rate: FloatArray = field(default_factory=lambda: np.zeros(0))
     """(n,) rate at half of each cycle as the filter last estimated it."""
+    sensor: Sensor = field(init=False)
+    measured: FloatArray = field(init=False)
+    """(n,) what innovations are of: the rate, or the angle over the cycle where only that was
+    measured, rad/s."""
 
     def __post_init__(self) -> None:
         data = self.data
         self.passes = passes_of(data, self.spans)
-        self.gyro = gyro_step(data.gyro_filter_hz, data.dt)
-        self.filtered = data.gyro_filter_hz is not None
-        self.late = 0.0 if not self.filtered else math.sqrt(2.0) / (
-            2.0 * math.pi * float(data.gyro_filter_hz or 1.0)
+        self.sensor = sensor_of(data.gyro_filter_hz, data.derived_s, data.dt)
+        self.late = self.sensor.late_s
+        self.measured = (
+            required(data.angle) / data.dt if self.sensor.derived else data.rate
         )
         n = data.rate.size
         self.row = np.ascontiguousarray(MIXER_INVERSE[data.index + 1])
@@ -353,7 +357,7 @@ class Flight:
             white, disturbance, correlation, after,
             tuple((float(size), float(centre), float(width)) for size, centre, width in lines),
         )
-        return kalman(noise, damping, self.gyro, self.filtered, self.data.dt)
+        return kalman(noise, damping, self.sensor, self.data.dt)
 
     def predict(
         self, structure: Structure, theta: FloatArray, *, sweeps: int = 2,
@@ -382,9 +386,10 @@ class Flight:
             jacobian = np.zeros((n, columns.shape[1]))
             for start, stop in self.passes:
                 recursion.predict(
-                    data.rate, push.known, push.slope, columns, bends, found.gain, gains,
-                    found.move, moves, self.gyro, self.filtered, data.dt, start, stop,
-                    new_rate, states, innovation, jacobian,
+                    self.measured, float(data.rate[start]), push.known, push.slope, columns,
+                    bends, found.gain, gains, found.move, moves, self.sensor.step,
+                    self.sensor.behind, data.dt, start, stop, new_rate, states, innovation,
+                    jacobian,
                 )
             if not np.isfinite(new_rate).all() or np.abs(new_rate).max() > 1e6:
                 return Prediction(np.full(n, np.inf), None, states, found, rate)
@@ -445,7 +450,7 @@ class Flight:
         angle = None if self.angle is None else self.angle[windows.starts] + self.late * r
         out = np.full((windows.count, windows.length), np.nan)
         last = data.rate.size - 1
-        gyro = self.gyro
+        gyro = self.sensor.step
         acting = [
             (part, p[where])
             for part, where in zip(structure.parts, structure.slices(), strict=True)
@@ -456,7 +461,9 @@ class Flight:
         ]
         for i in range(windows.length):
             k = np.minimum(windows.starts + i, last)
-            out[:, i] = (g if self.filtered else r) + v.real.sum(axis=1) - data.rate[k]
+            out[:, i] = (g if self.sensor.noisy else r) - data.rate[k]
+            if not self.sensor.derived:
+                out[:, i] += v.real.sum(axis=1)
             drive = p[0] * halves[:, k]
             mean = 0.5 * (drive[0] + drive[1])
             middle = r + 0.5 * dt * mean  # where physics is evaluated, then corrected by its slope

@@ -1,7 +1,7 @@
 """Compiled inner loops: motors behind a lag, and the Kalman predictor with its sensitivities.
 
 Only arithmetic on arrays. The predictor's state is the rate, the torque disturbance and the two
-states of the gyro filter. Physics comes in as accelerations over the two halves of each cycle,
+states of the sensor. Physics comes in as accelerations over the two halves of each cycle,
 already evaluated along a trajectory, together with their slope over the rate; so the recursion is
 linear, and one loop serves every structure and all its derivatives (model/plant.py).
 """
@@ -75,27 +75,27 @@ def motors(commands, row, lag, asymmetry, whole, fraction, dt, start, stop, halv
 
 
 @njit(**_OPTIONS)
-def predict(y, known, slope, columns, bends, gain, gain_columns, move, move_columns, gyro,
-            filtered, dt, start, stop, rate, states, innovation, jacobian):
+def predict(y, begin, known, slope, columns, bends, gain, gain_columns, move, move_columns,
+            gyro, behind, dt, start, stop, rate, states, innovation, jacobian):
     """Innovations of the predictor over [start, stop) and their derivatives.
 
-    y (n,) measured rate. known (2, n) acceleration over the halves of each cycle, without what
-    `slope` (n,) times the rate at half cycle adds. columns (n, m) derivatives of the mean
-    acceleration of each cycle, bends (n, b) half the difference of its halves for the first b of
-    them. States: rate, disturbance, the gyro filter's two, and two of each of the v lines of
+    y (n,) measured, begin the rate at the start. known (2, n) acceleration over the halves of each
+    cycle, without what `slope` (n,) times the rate at half cycle adds. columns (n, m) derivatives
+    of the mean acceleration of each cycle, bends (n, b) half the difference of its halves for the
+    first b of them. States: rate, disturbance, the sensor's two, and two of each of the v lines of
     vibration. gain (4 + 2 v,) what the innovation adds to them; move (2 + 2 v,): what is left of
     the disturbance after a cycle, its mean over the cycle, and the turn of each line (cosine and
     sine times what is left of it); gain_columns (m, 4 + 2 v) and move_columns (m, 2 + 2 v) their
-    derivatives. gyro (2, 5) as in
-    noise.gyro_step. rate (n,) receives the rate at half cycle, states (n, 4 + 2 v) the prediction
-    before the innovation, innovation (n,) and jacobian (n, m) what the name says.
+    derivatives. gyro (2, 5) as in noise.Sensor.step, measured where `behind`. rate (n,) receives
+    the rate at half cycle, states (n, 4 + 2 v) the prediction before the innovation, innovation
+    (n,) and jacobian (n, m) what the name says.
     """
     m = columns.shape[1]
     g00, g01, g02, g03, g04 = gyro[0, 0], gyro[0, 1], gyro[0, 2], gyro[0, 3], gyro[0, 4]
     g10, g11, g12, g13, g14 = gyro[1, 0], gyro[1, 1], gyro[1, 2], gyro[1, 3], gyro[1, 4]
     c0, c1, c2, c3 = gain[0], gain[1], gain[2], gain[3]
     fade, hold = move[0], move[1]
-    r = y[start]
+    r = begin
     d = 0.0
     g = y[start]
     q = 0.0
@@ -109,7 +109,7 @@ def predict(y, known, slope, columns, bends, gain, gain_columns, move, move_colu
         states[k, 1] = d
         states[k, 2] = g
         states[k, 3] = q
-        e = y[k] - (g if filtered else r)
+        e = y[k] - (g if behind else r)
         for i in range(2 * lines):
             states[k, 4 + i] = v[i]
         for i in range(lines):
@@ -130,7 +130,7 @@ def predict(y, known, slope, columns, bends, gain, gain_columns, move, move_colu
         rate[k] = middle
         bent = middle + 0.25 * dt * (known[0, k] - known[1, k])
         for j in range(m):
-            jacobian[k, j] = -(s[2, j] if filtered else s[0, j])
+            jacobian[k, j] = -(s[2, j] if behind else s[0, j])
         for i in range(lines):
             for j in range(m):
                 jacobian[k, j] -= s[4 + 2 * i, j]
@@ -172,7 +172,7 @@ def predict(y, known, slope, columns, bends, gain, gain_columns, move, move_colu
 
 
 @njit(**_OPTIONS)
-def respond(columns, slope, gain, move, gyro, filtered, dt, start, stop, out):
+def respond(columns, slope, gain, move, gyro, behind, dt, start, stop, out):
     """What `columns` (n, m), accelerations, do to the innovations: (n, m) into `out`."""
     m = columns.shape[1]
     g00, g01, g02, g03, g04 = gyro[0, 0], gyro[0, 1], gyro[0, 2], gyro[0, 3], gyro[0, 4]
@@ -186,7 +186,7 @@ def respond(columns, slope, gain, move, gyro, filtered, dt, start, stop, out):
         ahead = (1.0 + a) / (1.0 - a)
         push = dt / (1.0 - a)
         for j in range(m):
-            out[k, j] = -(s[2, j] if filtered else s[0, j])
+            out[k, j] = -(s[2, j] if behind else s[0, j])
         for i in range(lines):
             for j in range(m):
                 out[k, j] -= s[4 + 2 * i, j]

@@ -33,7 +33,8 @@ class GreyBox:
     parameters: FloatArray
     """(5,)"""
     covariance: FloatArray
-    """(5, 5) robust to innovations that are not white; NaN rows for a lag or delay of nothing."""
+    """(5, 5) robust to innovations that are not white, behind the filter as it is modelled; NaN
+    rows for a lag or delay of nothing."""
     noise: NoiseEstimate
     """Torque disturbance and measurement noise."""
     converged: bool

@@ -63,7 +63,11 @@ def evaluate(
             record.source, "sample rate must be the model's",
             f'{1 / record.dt:.6g} Hz, model {1 / model.dt:.6g} Hz', 'identify at this rate',
         )
-    data = replace(axis_data([record], model.axis), gyro_filter_hz=model.gyro_filter_hz)
+    data = axis_data([record], model.axis)
+    data = replace(
+        data, gyro_filter_hz=model.gyro_filter_hz,
+        derived_s=None if data.angle is None else data.derived_s,
+    )
     spans = _spans(record, data, spans_s)
     if not data.windows(spans).count:
         raise NotInformativeError(

@@ -18,7 +18,7 @@ from quad_sysid.loop.cascade import CascadeGains, derivative_weight
 from quad_sysid.loop.plant import LoopPlant, Slopes, dynamics, exact_cycles, exact_step
 from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import Signals
-from quad_sysid.model.noise import gyro_step
+from quad_sysid.model.noise import sensor_of
 from quad_sysid.model.plant import NOISE, SLOPE_STEP, Flight, Structure
 from quad_sysid.separation.aircraft import PAPER, Acting, Aircraft
 from quad_sysid.signals.schedule import Part
@@ -238,7 +238,7 @@ def _noise(aircraft: Aircraft, n: int) -> tuple[FloatArray, FloatArray]:
     gust = noise.disturbance_rms * np.sqrt(1.0 - fade**2) * rng.standard_normal(n)
     gyro = noise.gyro_rms * rng.standard_normal(n)
     after = noise.ratios['after'] * noise.gyro_rms * rng.standard_normal(n)
-    step = gyro_step(aircraft.gyro_filter_hz, dt)
+    step = sensor_of(aircraft.gyro_filter_hz, None, dt).step
     move, take = step[:, :2], step[:, 2:].sum(axis=1)
     state, held = np.zeros(2), 0.0
     for k in range(n):
