@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parent))  # probe, node_process, flight_controller
+sys.path.insert(0, str(Path(__file__).parent))  # probe, node_process, flown_axis …
 
 from node_process import Started, node_command
 from probe import Probe

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
+import sqlite3
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
 from quad_sysid.bags import (
     BagOptions,
@@ -34,32 +37,22 @@ STEP = 4_000_000
 def make_record(n: int = N, dt: float = 0.004) -> Record:
     rng = np.random.default_rng(7)
     wrench = np.column_stack((np.full(n, 0.5), 0.3 * rng.standard_normal((n, 3))))
-    motors = motors_from_wrench(wrench)
+    motors, k = motors_from_wrench(wrench), np.arange(n)
+    noise = {name: rng.standard_normal((n, 3)) for name in (
+        'rates', 'acceleration', 'attitude_setpoint', 'rate_setpoint', 'excitation')}
     return Record(
-        source='made', dt=dt, t0_ns=T0,
-        rates=rng.standard_normal((n, 3)),
-        control=control_from_motors(motors),
-        angles=np.column_stack(
-            (
-                0.4 * np.sin(np.arange(n) / 50), 0.3 * np.cos(np.arange(n) / 70),
-                np.linspace(0.0, 9.0, n),
-            )
-        ),
-        acceleration=rng.standard_normal((n, 3)),
-        motors=motors, wrench=wrench,
-        attitude_setpoint=rng.standard_normal((n, 3)),
-        rate_setpoint=rng.standard_normal((n, 3)),
-        excitation=rng.standard_normal((n, 3)),
-        battery_v=np.linspace(12.0, 11.0, n),
+        source='made', dt=dt, t0_ns=T0, control=control_from_motors(motors),
+        angles=np.column_stack((0.4 * np.sin(k / 50), 0.3 * np.cos(k / 70),
+                                np.linspace(0.0, 9.0, n))),
+        motors=motors, wrench=wrench, battery_v=np.linspace(12.0, 11.0, n),
         segments=(
             Segment('idle', 'none', 'roll', 'attitude', 0.0, 1.0),
             Segment('train', 'prbs', 'roll', 'attitude', 1.0, 3.0, {'amplitude': 0.2, 'bits': 9}),
             Segment('validation', 'square', 'roll', 'attitude', 3.0, 4.0),
         ),
-        gains=(
-            GainChange(0.0, {'roll.angle.kp': 3.0, 'roll.rate.kp': 0.07}),
-            GainChange(2.0, {'roll.rate.kp': 0.09}),
-        ),
+        gains=(GainChange(0.0, {'roll.angle.kp': 3.0, 'roll.rate.kp': 0.07}),
+               GainChange(2.0, {'roll.rate.kp': 0.09})),
+        **noise,
     )
 
 
@@ -69,12 +62,12 @@ def imu_stream(stamps: np.ndarray, seed: int = 3) -> Stamped:
     return Stamped(stamps.astype(np.int64), values)
 
 
-def write_imu(path: Path, stamps: np.ndarray, **other: Stamped) -> Path:
-    stamps = np.asarray(stamps)
+def write_imu(path: Path, stamps: np.ndarray, imu: Stamped | None = None, **other: Stamped):
+    """A bag of /imu/data and /control/wrench at these stamps."""
     wrench = Stamped(stamps, np.tile([0.0, 0, 0.5, 0.1, 0, 0], (len(stamps), 1)))
-    return write_streams(
-        path, {'/imu/data': imu_stream(stamps), '/control/wrench': wrench, **other}, {}
-    )
+    streams = {'/imu/data': imu or imu_stream(stamps), '/control/wrench': wrench, **other}
+    events = streams.pop('/excitation/segment', None)
+    return write_streams(path, streams, {'/excitation/segment': events} if events else {})
 
 
 def regular(n: int = N) -> np.ndarray:
@@ -96,14 +89,11 @@ def record_or_line(path: Path) -> bool:
 
 @pytest.mark.parametrize(
     ('storage', 'compression'),
-    [
-        ('mcap', 'none'), ('mcap', 'message'), ('mcap', 'file'), ('mcap', 'storage'),
-        ('sqlite3', 'none'), ('sqlite3', 'message'), ('sqlite3', 'file'), ('bare', 'message'),
-    ],
+    [('mcap', 'none'), ('mcap', 'message'), ('mcap', 'file'), ('mcap', 'storage'),
+     ('sqlite3', 'none'), ('sqlite3', 'message'), ('sqlite3', 'file'), ('bare', 'message')],
 )
 def test_a_record_survives_every_storage(tmp_path, storage, compression):
-    want = make_record()
-    kind = storage.replace('bare', 'mcap')
+    want, kind = make_record(), storage.replace('bare', 'mcap')
     path = write_bag(want, tmp_path / 'bag', BagOptions(kind, compression))
     with pytest.raises(BadInputError, match='not overwritten'):
         write_bag(want, path)
@@ -112,10 +102,7 @@ def test_a_record_survives_every_storage(tmp_path, storage, compression):
     got = read_bag(path)
     with pytest.raises(ValueError, match='read-only'):
         got.rates[0, 0] = 1.0
-    assert got.dt == 0.004
-    assert got.t0_ns == T0
-    assert got.warnings == ()
-    assert got.missing == ()
+    assert (got.dt, got.t0_ns, got.warnings, got.missing) == (0.004, T0, (), ())
     for name in (
         'rates', 'acceleration', 'motors', 'wrench', 'control', 'attitude_setpoint',
         'rate_setpoint', 'excitation',
@@ -123,8 +110,7 @@ def test_a_record_survives_every_storage(tmp_path, storage, compression):
         np.testing.assert_array_equal(getattr(got, name), getattr(want, name), err_msg=name)
     np.testing.assert_allclose(got.angles, want.angles, atol=1e-12)
     np.testing.assert_allclose(got.battery_v[:975], want.battery_v[:975], atol=1e-5)
-    assert got.segments == want.segments
-    assert got.gains == want.gains
+    assert (got.segments, got.gains) == (want.segments, want.gains)
     assert got.gains_at(2.5) == {'roll.angle.kp': 3.0, 'roll.rate.kp': 0.09}
 
 
@@ -138,55 +124,40 @@ def test_without_motors_the_wrench_goes_through_the_mixer_and_its_limits(tmp_pat
 
 
 def test_motors_are_taken_by_their_names():
-    store = cdr.typestore()
-    types = store.types
+    store, types = cdr.typestore(), cdr.typestore().types
     header = types['std_msgs/msg/Header'](
         stamp=types['builtin_interfaces/msg/Time'](sec=1, nanosec=2), frame_id='abc'
     )
 
     def message(names: list[str], effort: list[float]) -> bytes:
-        return bytes(
-            store.serialize_cdr(
-                types[cdr.JOINTS](
-                    header=header, name=names, position=np.ones(len(effort)),
-                    velocity=np.zeros(0), effort=np.array(effort),
-                ),
-                cdr.JOINTS,
-            )
-        )
+        joints = types[cdr.JOINTS](header=header, name=names, position=np.ones(len(effort)),
+                                   velocity=np.zeros(0), effort=np.array(effort))
+        return bytes(store.serialize_cdr(joints, cdr.JOINTS))
 
     names = ['motor_4', 'motor_2', 'motor_3', 'motor_1']
-    got = decode(
-        cdr.JOINTS,
-        [
-            message(names, [0.4, 0.2, 0.3, 0.1]),
-            message(sorted(names), [0.1, 0.2, 0.3, 0.4]),
-            message(['a', 'b', 'c', 'd'], [0.1, 0.2, 0.3, 0.4]),
-            message(names[:3], [0.1, 0.2, 0.3]),
-            b'\x00\x01\x00\x00junk',
-        ],
-    )
+    got = decode(cdr.JOINTS, [
+        message(names, [0.4, 0.2, 0.3, 0.1]), message(sorted(names), [0.1, 0.2, 0.3, 0.4]),
+        message(['a', 'b', 'c', 'd'], [0.1, 0.2, 0.3, 0.4]), message(names[:3], [0.1, 0.2, 0.3]),
+        b'\x00\x01\x00\x00junk',
+    ])
     np.testing.assert_array_equal(got.values, [[0.1, 0.2, 0.3, 0.4]] * 2)
     assert got.stamps.tolist() == [1_000_000_002] * 2
     assert got.spoiled == 3
 
 
-@pytest.mark.parametrize('name', ['flight', 'second_flight'])
-def test_bags_of_somebody_else_are_read(name):
+@pytest.mark.parametrize(
+    ('name', 'n', 'starts'),
+    [('flight', 22_500, [0.0, 5.0, 45.0, 47.0, 67.0, 69.0, 89.0]),
+     ('second_flight', 17_500, [0.0, 5.0, 30.0, 32.0, 47.0, 49.0, 69.0])],
+)
+def test_bags_of_somebody_else_are_read(name, n, starts):
     bag = SHARED / 'independent' / name
     if not bag.exists():
         pytest.skip('the measured data are not beside this checkout')
     record = read_bag(bag)
-    assert record.dt == 0.004
-    assert record.n == {'flight': 22_500, 'second_flight': 17_500}[name]
-    assert np.isfinite(record.rates).all()
-    assert np.isfinite(record.control).all()
-    assert record.missing == ()
-    starts = [s.start_s for s in record.segments]
-    assert starts == {
-        'flight': [0.0, 5.0, 45.0, 47.0, 67.0, 69.0, 89.0],
-        'second_flight': [0.0, 5.0, 30.0, 32.0, 47.0, 49.0, 69.0],
-    }[name]
+    assert (record.dt, record.n, record.missing) == (0.004, n, ())
+    assert np.isfinite(np.column_stack((record.rates, record.control))).all()
+    assert [s.start_s for s in record.segments] == starts
     assert {s.signal for s in record.segments if s.role == 'train'} <= {'prbs'}
     assert record.gains_at(1.0)['sensor.gyro_filter_hz'] == 42.0
     assert 11.0 < np.min(record.battery_v) < np.max(record.battery_v) < 13.0
@@ -196,24 +167,14 @@ def test_bags_of_somebody_else_are_read(name):
 # ---- stamps -----------------------------------------------------------------------------------
 
 
-def changed(function) -> np.ndarray:
-    """Regular stamps after `function` has worked on them."""
-    stamps = regular()
-    out = function(stamps)
-    return stamps if out is None else out
-
-
 def wild(stamps):
     stamps[200] += 86_400 * 10**9
     stamps[300] = 0
-
-
-def swapped(stamps):
-    stamps[[10, 11]] = stamps[[11, 10]]
+    return stamps
 
 
 STAMPS = {
-    'lost cycles': (changed(lambda s: np.delete(s, [100, 300, 301, 302])), N, 4, ''),
+    'lost cycles': (np.delete(regular(), [100, 300, 301, 302]), N, 4, ''),
     'jitter and drift': (
         (T0 + 4_000_321.7 * np.arange(20_000) + 0.2 * STEP * np.random.default_rng(1).uniform(
             -1, 1, 20_000)).astype(np.int64), 20_000, 0, ''),
@@ -221,12 +182,13 @@ STAMPS = {
     'a phase that changes in a long gap': (
         np.concatenate((regular(500), regular(500) + 700 * STEP + STEP // 2)), 1201, 201, ''),
     'repeated stamps': (
-        changed(lambda s: np.repeat(s, np.where(np.arange(N) == 50, 3, 1))), N, 0,
+        np.repeat(regular(), np.where(np.arange(N) == 50, 3, 1)), N, 0,
         '2 messages repeat a stamp'),
-    'swapped messages': (changed(swapped), N, 0, '1 stamps run backward'),
+    'swapped messages': (
+        regular()[np.r_[:10, 11, 10, 12:N]], N, 0, '1 stamps run backward'),
     'a clock set back': (
         np.concatenate((regular(700), regular(300) - 5_000_000_000)), 700, 0, 'set back'),
-    'wild stamps': (changed(wild), N, 2, ''),
+    'wild stamps': (wild(regular()), N, 2, ''),
 }
 
 
@@ -274,15 +236,10 @@ def test_topics_at_other_stamps_go_to_the_nearest_cycle(tmp_path):
 
 
 def test_nan_samples_are_kept_as_gaps_with_a_warning(tmp_path):
-    stamps = regular(100)
-    imu = imu_stream(stamps)
-    imu.values[40, 5] = np.nan
-    imu.values[41, 6] = np.inf
-    wrench = Stamped(stamps, np.tile([0.0, 0, 0.5, 0.1, 0, 0], (100, 1)))
-    bag = write_streams(tmp_path / 'bag', {'/imu/data': imu, '/control/wrench': wrench}, {})
-    got = read_bag(bag)
-    assert np.isnan(got.rates[40, 0])
-    assert np.isnan(got.rates[41, 1])
+    imu = imu_stream(regular(100))
+    imu.values[40, 5], imu.values[41, 6] = np.nan, np.inf
+    got = read_bag(write_imu(tmp_path / 'bag', regular(100), imu))
+    assert np.isnan([got.rates[40, 0], got.rates[41, 1]]).all()
     assert '2 samples of angular_velocity' in '\n'.join(got.warnings)
     assert got.axis('roll').segments == ((0, 40), (41, 100))
 
@@ -301,15 +258,11 @@ def test_a_battery_that_was_not_measured_is_none(tmp_path, volts, measured):
 
 @pytest.mark.parametrize('kind', ['identity', 'zero', 'unknown'])
 def test_an_orientation_that_was_not_measured_is_none(tmp_path, kind):
-    stamps = regular(50)
-    imu = imu_stream(stamps)
+    imu = imu_stream(regular(50))
     imu.values[:, :5] = (0.0, 0.0, 0.0, 0.0 if kind == 'zero' else 1.0, 0.0)
     if kind == 'unknown':
-        imu.values[:, 0] = 0.5
-        imu.values[:, 4] = -1.0
-    wrench = Stamped(stamps, np.zeros((50, 6)))
-    bag = write_streams(tmp_path / 'bag', {'/imu/data': imu, '/control/wrench': wrench}, {})
-    assert read_bag(bag).angles is None
+        imu.values[:, [0, 4]] = 0.5, -1.0
+    assert read_bag(write_imu(tmp_path / 'bag', regular(50), imu)).angles is None
 
 
 # ---- damaged and foreign bags -----------------------------------------------------------------
@@ -343,12 +296,10 @@ def test_metadata_that_is_missing_or_lists_too_much_is_told(tmp_path):
 
 
 NONE = {
-    'absent': (None, ('no such bag',)),
-    'empty.mcap': (b'', ('is empty',)),
-    'folder': ('', ('no storage file',)),
-    'table.csv': (b't,u\n0,1\n', ('quad-sysid import',)),
-    'notes.mcap': (b'hello, this is no bag', ('neither mcap nor sqlite3',)),
-    'broken.db3': (b'SQLite format 3\x00' + bytes(500), ('/imu/data', 'damaged sqlite3 file')),
+    'absent': (None, 'no such bag'), 'empty.mcap': (b'', 'is empty'),
+    'folder': ('', 'no storage file'), 'table.csv': (b't,u\n0,1\n', 'quad-sysid import'),
+    'notes.mcap': (b'hello, this is no bag', 'neither mcap nor sqlite3'),
+    'broken.db3': (b'SQLite format 3\x00' + bytes(500), 'damaged sqlite3 file'),
 }
 
 
@@ -360,8 +311,7 @@ def test_what_is_no_bag_ends_in_one_line(tmp_path, refusal, name):
         path.mkdir()
     elif content is not None:
         path.write_bytes(content)
-    line = refusal(read_bag, path)
-    assert all(word in line for word in words), line
+    assert words in refusal(read_bag, path)
 
 
 UNEVEN = T0 + np.cumsum(
@@ -392,10 +342,8 @@ def test_a_bag_that_lacks_too_much_ends_in_one_line(tmp_path, refusal, topics, s
 def test_a_cut_off_mcap_gives_what_is_whole(tmp_path, compression):
     want = make_record(6000)
     bag = write_bag(want, tmp_path / 'bag', BagOptions('mcap', compression))
-    whole = (bag / 'bag.mcap').read_bytes()
-    previous = 0
+    whole, cut, previous = (bag / 'bag.mcap').read_bytes(), tmp_path / 'cut.mcap', 0
     for share in (0.5, 0.7, 0.9):
-        cut = tmp_path / f'cut{share}.mcap'
         cut.write_bytes(whole[: int(share * len(whole))])
         got = read_bag(cut)
         assert got.n > previous
@@ -406,19 +354,12 @@ def test_a_cut_off_mcap_gives_what_is_whole(tmp_path, compression):
 
 
 def test_strange_segments_count_as_idle(tmp_path):
-    stamps = regular()
     events = [
         Event(T0 - 10**9, {'segment': 'train', 'signal': 'prbs', 'axis': 'roll'}),
         Event(T0 + 10**9, {'segment': 'trian', 'axis': 'roll'}),
-        Event(T0 + 2 * 10**9, {'segment': 'validation', 'axis': 'nose'}),
-        Event(T0 + 2 * 10**9, {'segment': 'validation', 'axis': 'nose'}),
+        *2 * [Event(T0 + 2 * 10**9, {'segment': 'validation', 'axis': 'nose'})],
     ]
-    bag = write_streams(
-        tmp_path / 'bag',
-        {'/imu/data': imu_stream(stamps), '/control/wrench': Stamped(stamps, np.zeros((N, 6)))},
-        {'/excitation/segment': events},
-    )
-    got = read_bag(bag)
+    got = read_bag(write_imu(tmp_path / 'bag', regular(), **{'/excitation/segment': events}))
     assert [(s.role, s.start_s, s.end_s) for s in got.segments] == [
         ('train', 0.0, 1.0), ('idle', 1.0, 2.0), ('idle', 2.0, 4.0),
     ]
@@ -428,33 +369,31 @@ def test_strange_segments_count_as_idle(tmp_path):
 # ---- splitting --------------------------------------------------------------------------------
 
 
-def test_without_segments_the_first_sixty_percent_train():
-    record = replace(make_record(), segments=())
-    got = split_segments(record, axes=('pitch',))
-    assert [(s.role, s.axis, s.start_s, s.end_s) for s in got.segments] == [
-        ('train', 'pitch', 0.0, pytest.approx(2.4)),
-        ('validation', 'pitch', pytest.approx(2.4), 4.0),
-    ]
-    assert split_segments(make_record()).segments == make_record().segments
-
-
-def test_spans_of_the_user_replace_the_bags_segments():
-    got = split_segments(make_record(), train=(1.5, 2.5), validate=(3.2, 9.0))
-    told = [(s.role, s.signal, s.start_s, s.end_s) for s in got.segments if s.role != 'idle']
-    assert told == [('train', 'prbs', 1.5, 2.5), ('validation', 'square', 3.2, 4.0)]
-    alone = split_segments(make_record(), train=(1.5, 2.5))
-    assert [s.start_s for s in alone.segments if s.role == 'validation'] == [3.0]
-    plain = split_segments(replace(make_record(), segments=()), validate=(3.0, 4.0), axes=('yaw',))
-    assert [(s.role, s.start_s, s.end_s) for s in plain.segments] == [
-        ('train', 0.0, 3.0), ('validation', 3.0, 4.0),
-    ]
+@pytest.mark.parametrize(
+    ('bare', 'asked', 'spans'),
+    [
+        (True, {}, [('train', 0.0, 2.4), ('validation', 2.4, 4.0)]),
+        (True, {'validate': (3.0, 4.0)}, [('train', 0.0, 3.0), ('validation', 3.0, 4.0)]),
+        (False, {}, [('train', 1.0, 3.0), ('validation', 3.0, 4.0)]),
+        (False, {'train': (1.5, 2.5)}, [('train', 1.5, 2.5), ('validation', 3.0, 4.0)]),
+        (False, {'train': (1.5, 2.5), 'validate': (3.2, 9.0)},
+         [('train', 1.5, 2.5), ('validation', 3.2, 4.0)]),
+    ],
+)
+def test_what_trains_and_what_validates(bare, asked, spans):
+    """Without segments the first sixty per cent train; spans of the user replace the bag's."""
+    record = replace(make_record(), segments=()) if bare else make_record()
+    got = split_segments(record, **asked, **({'axes': ('pitch',)} if bare else {}))
+    told = [s for s in got.segments if s.role != 'idle']
+    assert [(s.role, pytest.approx(s.start_s), pytest.approx(s.end_s)) for s in told] == spans
+    assert {s.axis for s in told} == {'pitch' if bare else 'roll'}
+    assert bare or [s.signal for s in told] == ['prbs', 'square']
 
 
 def test_bad_spans_are_refused(refusal):
     assert 'overlap' in refusal(split_segments, make_record(), train=(1.0, 3.5))
     assert 'after the end' in refusal(split_segments, make_record(), train=(10.0, 12.0))
-    for text in ('5', '5:4', 'a:b'):
-        assert '--train' in refusal(parse_span, text, '--train')
+    assert all('--train' in refusal(parse_span, text, '--train') for text in ('5', '5:4', 'a:b'))
     assert parse_span(':', '--train') == (0.0, float('inf'))
     assert parse_span('5:45', '--train') == (5.0, 45.0)
 
@@ -480,19 +419,15 @@ def chunked(tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes, np.ndarray
     return (bag / 'bag.mcap').read_bytes(), read_bag(bag).rates
 
 
-@pytest.mark.parametrize('harm', ['length', 'opcode', 'private', 'checksum'])
-def test_a_damaged_chunk_costs_that_chunk_and_is_told(tmp_path, chunked, harm):
+@pytest.mark.parametrize(
+    ('harm', 'where', 'mask'),
+    [('length', 3, 0x02), ('opcode', 0, 0x01), ('private', 0, 0x80), ('checksum', 9 + 24, 0x01)],
+)
+def test_a_damaged_chunk_costs_that_chunk_and_is_told(tmp_path, chunked, harm, where, mask):
     data, rates = chunked
-    chunks = chunks_of(data)
+    chunks, noisy, spoiled = chunks_of(data), bytearray(data), tmp_path / 'spoiled.mcap'
     assert len(chunks) > 5
-    place = chunks[2]
-    noisy = bytearray(data)
-    where, mask = {
-        'length': (3, 0x02), 'opcode': (0, 0x01), 'private': (0, 0x80),
-        'checksum': (9 + 24, 0x01),
-    }[harm]  # fmt: skip
-    noisy[place + where] ^= mask
-    spoiled = tmp_path / 'spoiled.mcap'
+    noisy[chunks[2] + where] ^= mask
     spoiled.write_bytes(bytes(noisy))
     got = read_bag(spoiled)
     assert got.n == len(rates)
@@ -514,21 +449,16 @@ def test_zeros_behind_the_data_are_passed_over_at_once(tmp_path, chunked):
     assert 'cut off' in '\n'.join(got.warnings)
 
 
-@pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
+@pytest.mark.parametrize('plugin', list(StoragePlugin))
 @pytest.mark.parametrize('foreign_last', [True, False])
-def test_of_a_topic_with_two_types_the_contracts_one_is_read(tmp_path, storage, foreign_last):
-    from rosbags.rosbag2 import Reader, StoragePlugin, Writer
-
+def test_of_a_topic_with_two_types_the_contracts_one_is_read(tmp_path, plugin, foreign_last):
     bag = write_bag(make_record(200), tmp_path / 'bag')
-    store = cdr.typestore()
-    text = bytes(store.serialize_cdr(store.types['std_msgs/msg/String'](data='hello'),
-                                     'std_msgs/msg/String'))  # fmt: skip
-    plugin = StoragePlugin.MCAP if storage == 'mcap' else StoragePlugin.SQLITE3
+    store, foreign = cdr.typestore(), ('/imu/data', 'std_msgs/msg/String')
+    text = bytes(store.serialize_cdr(store.types[foreign[1]](data='hello'), foreign[1]))
     with Reader(bag) as reader, Writer(
         tmp_path / 'two', version=9, storage_plugin=plugin
     ) as writer:
-        kinds = {c.topic: c.msgtype for c in reader.connections}
-        pairs = [*kinds.items(), ('/imu/data', 'std_msgs/msg/String')]
+        pairs = [*((c.topic, c.msgtype) for c in reader.connections), foreign]
         out = {
             pair: writer.add_connection(*pair, typestore=store)
             for pair in (pairs if foreign_last else pairs[::-1])
@@ -536,7 +466,7 @@ def test_of_a_topic_with_two_types_the_contracts_one_is_read(tmp_path, storage, 
         for connection, time, raw in reader.messages():
             writer.write(out[connection.topic, connection.msgtype], time, raw)
             if connection.topic == '/battery':
-                writer.write(out['/imu/data', 'std_msgs/msg/String'], time, text)
+                writer.write(out[foreign], time, text)
     got = read_bag(tmp_path / 'two')
     np.testing.assert_array_equal(got.rates, make_record(200).rates)
     assert '/imu/data: 8 messages of type std_msgs/msg/String left out' in '\n'.join(got.warnings)
@@ -544,31 +474,22 @@ def test_of_a_topic_with_two_types_the_contracts_one_is_read(tmp_path, storage, 
 
 def test_parts_that_metadata_does_not_list_are_read_and_told(tmp_path):
     bag = write_bag(make_record(), tmp_path / 'bag')
-    other = replace(make_record(), t0_ns=T0 + N * STEP)
-    second = write_bag(other, tmp_path / 'second')
-    shutil.copy(second / 'second.mcap', bag / 'bag_1.mcap')
-    got = read_bag(bag)
-    assert got.n == 2 * N
-    assert 'does not list bag_1.mcap: read as parts of the flight' in '\n'.join(got.warnings)
-    shutil.copy(second / 'second.mcap', bag / 'copy.mcap')
-    got = read_bag(bag)
-    assert got.n == 2 * N
-    assert 'does not list copy.mcap: left out' in '\n'.join(got.warnings)
+    second = write_bag(replace(make_record(), t0_ns=T0 + N * STEP), tmp_path / 'second')
+    for name, told in (('bag_1', 'read as parts of the flight'), ('copy', 'left out')):
+        shutil.copy(second / 'second.mcap', bag / f'{name}.mcap')
+        got = read_bag(bag)
+        assert got.n == 2 * N
+        assert f'does not list {name}.mcap: {told}' in '\n'.join(got.warnings)
 
 
 def test_rows_that_are_no_messages_are_told(tmp_path):
-    import sqlite3
-
     bag = write_bag(make_record(), tmp_path / 'bag', BagOptions('sqlite3'))
     (file,) = bag.glob('*.db3')
-    base = sqlite3.connect(file)
-    for number, value in ((100, 1.5), (102, 'text'), (103, 5)):
-        base.execute('UPDATE messages SET data=? WHERE id=?', (value, number))
-    base.commit()
-    base.close()
-    data = file.read_bytes()
+    with contextlib.closing(sqlite3.connect(file)) as base, base:
+        for number, value in ((100, 1.5), (102, 'text'), (103, 5)):
+            base.execute('UPDATE messages SET data=? WHERE id=?', (value, number))
+    data, rng = file.read_bytes(), np.random.default_rng(9)
     assert '3 rows are no messages' in '\n'.join(read_bag(bag).warnings)
-    rng = np.random.default_rng(9)
     for _ in range(15):
         noisy = bytearray(data)
         for place in rng.integers(0, len(data), 30):

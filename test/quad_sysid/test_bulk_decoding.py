@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from rosbags.interfaces import Nodetype
 
 from quad_sysid.bags import cdr
 from quad_sysid.bags.cdr import BATTERY, COLUMNS, IMU, JOINTS, MOTOR_NAMES, VECTOR, WRENCH
@@ -16,73 +17,35 @@ from quad_sysid.bags.layout import typestore
 TYPES = typestore().types
 TEXTS = st.sampled_from(['base_link', '', 'a', 'imu', 'böse', 'base_linkbase_link'])
 NUMBERS = st.floats(width=64)
-SMALL = st.floats(width=32)
+MOTORS = st.one_of(st.permutations(MOTOR_NAMES), st.lists(TEXTS, max_size=5)).map(list)
+SCALARS = {
+    'float64': NUMBERS, 'float32': st.floats(width=32), 'uint8': st.integers(0, 255),
+    'bool': st.booleans(), 'int32': st.integers(-(2**31), 2**31 - 1),
+    'uint32': st.integers(0, 2**32 - 1), 'string': TEXTS,
+}
 
 
-def vector():
-    return st.builds(TYPES['geometry_msgs/msg/Vector3'], x=NUMBERS, y=NUMBERS, z=NUMBERS)
+def content(field):
+    """What may stand in a field: (node type, details) as rosbags describes it."""
+    kind, about = field
+    if kind == Nodetype.BASE:
+        return SCALARS[about[0]]
+    if kind == Nodetype.NAME:
+        return message(about)
+    (_, (base, _)), most = about
+    if base == 'string':
+        return MOTORS
+    low, high = (most, most) if kind == Nodetype.ARRAY else (0, 5)
+    values = st.lists(SCALARS[base], min_size=low, max_size=high)
+    return values.map(lambda v: np.array(v, base))
 
 
-def header():
-    stamp = st.builds(
-        TYPES['builtin_interfaces/msg/Time'],
-        sec=st.integers(-(2**31), 2**31 - 1), nanosec=st.integers(0, 2**32 - 1),
-    )
-    return st.builds(TYPES['std_msgs/msg/Header'], stamp=stamp, frame_id=TEXTS)
+def message(msgtype):
+    _, fields = typestore().fielddefs[msgtype]
+    return st.builds(TYPES[msgtype], **{name: content(field) for name, field in fields})
 
 
-def array(numbers, dtype, low, high):
-    return st.lists(numbers, min_size=low, max_size=high).map(lambda v: np.array(v, dtype))
-
-
-def imu():
-    quaternion = st.builds(
-        TYPES['geometry_msgs/msg/Quaternion'], x=NUMBERS, y=NUMBERS, z=NUMBERS, w=NUMBERS
-    )
-    nine = array(NUMBERS, np.float64, 9, 9)
-    return st.builds(
-        TYPES[IMU], header=header(), orientation=quaternion, orientation_covariance=nine,
-        angular_velocity=vector(), angular_velocity_covariance=nine,
-        linear_acceleration=vector(), linear_acceleration_covariance=nine,
-    )
-
-
-def joints():
-    names = st.one_of(
-        st.permutations(MOTOR_NAMES), st.just([]), st.lists(TEXTS, max_size=5),
-    ).map(list)
-    some = array(NUMBERS, np.float64, 0, 5)
-    effort = st.one_of(array(NUMBERS, np.float64, 4, 4), some)
-    return st.builds(
-        TYPES[JOINTS], header=header(), name=names, position=some, velocity=some, effort=effort
-    )
-
-
-def battery():
-    cells = array(SMALL, np.float32, 0, 4)
-    plain = dict.fromkeys(
-        ('voltage', 'temperature', 'current', 'charge', 'capacity', 'design_capacity',
-         'percentage'), SMALL,
-    )  # fmt: skip
-    states = dict.fromkeys(
-        ('power_supply_status', 'power_supply_health', 'power_supply_technology'),
-        st.integers(0, 255),
-    )
-    return st.builds(
-        TYPES[BATTERY], header=header(), present=st.booleans(), cell_voltage=cells,
-        cell_temperature=cells, location=TEXTS, serial_number=TEXTS, **plain, **states,
-    )
-
-
-def wrench():
-    inner = st.builds(TYPES['geometry_msgs/msg/Wrench'], force=vector(), torque=vector())
-    return st.builds(TYPES[WRENCH], header=header(), wrench=inner)
-
-
-MESSAGES = {
-    IMU: imu(), JOINTS: joints(), BATTERY: battery(), WRENCH: wrench(),
-    VECTOR: st.builds(TYPES[VECTOR], header=header(), vector=vector()),
-}  # fmt: skip
+MESSAGES = {msgtype: message(msgtype) for msgtype in (IMU, JOINTS, BATTERY, WRENCH, VECTOR)}
 
 
 @st.composite
@@ -141,11 +104,11 @@ def test_bulk_equals_one_by_one(msgtype):
 
 
 def test_signalling_not_a_numbers_keep_their_bits():
-    raw = bytearray(0)
     stamp = TYPES['builtin_interfaces/msg/Time'](sec=1, nanosec=2)
     head = TYPES['std_msgs/msg/Header'](stamp=stamp, frame_id='base_link')
-    vector3 = TYPES['geometry_msgs/msg/Vector3'](x=0.0, y=1.0, z=2.0)
-    raw += typestore().serialize_cdr(TYPES[VECTOR](header=head, vector=vector3), VECTOR)
+    vector = TYPES['geometry_msgs/msg/Vector3'](x=0.0, y=1.0, z=2.0)
+    made = TYPES[VECTOR](header=head, vector=vector)
+    raw = bytearray(typestore().serialize_cdr(made, VECTOR))
     raw[-24:-16] = struct.pack('<Q', 0x7FF0_0000_DEAD_BEEF)
     got = cdr.decode(VECTOR, [bytes(raw)])
     assert got.values.view(np.uint64)[0, 0] == 0x7FF0_0000_DEAD_BEEF

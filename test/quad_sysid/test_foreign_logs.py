@@ -14,7 +14,6 @@ import pytest
 
 from quad_sysid.bags import read_bag
 from quad_sysid.cli import main
-from quad_sysid.errors import BadInputError
 from quad_sysid.imports.kinds import kind_of, read_log
 from quad_sysid.imports.to_bag import import_log
 from quad_sysid.imports.words import table
@@ -25,25 +24,20 @@ N = 1500
 
 
 class Flight:
-    """What happened, in our frames: FLU body rates, ENU angles, U1..U4."""
+    """What happened, in our frames: FLU body rates, ENU angles, U1..U4; motors by their place."""
 
     def __init__(self) -> None:
         t = 1e-6 * DT_US * np.arange(N)
-        self.t = t
         self.rates = np.column_stack([np.sin(3 * t), 0.7 * np.cos(2 * t), 0.4 * np.sin(t)])
         self.angles = np.column_stack([0.3 * np.sin(t), 0.2 * np.cos(t), 0.5 + 0.1 * t])
-        self.control = np.column_stack([
+        u1, u2, u3, u4 = self.control = np.stack([
             0.5 + 0.05 * np.sin(t), 0.08 * np.sin(5 * t), 0.06 * np.cos(4 * t),
             0.03 * np.sin(2 * t),
         ])
-        self.volts = 12.0 - 0.01 * t
-
-    def thrusts(self) -> dict[str, np.ndarray]:
-        """Motor commands by place, where front right and rear left turn counter-clockwise."""
-        u1, u2, u3, u4 = self.control.T
-        # left up: positive roll; rear up: positive pitch (nose down);
-        # more of the clockwise motors: body counter-clockwise, positive yaw
-        return {
+        self.control, self.volts = self.control.T, 12.0 - 0.01 * t
+        # left up: positive roll; rear up: positive pitch (nose down); front right and rear left
+        # turn counter-clockwise, more of the others turns the body so: positive yaw
+        self.thrusts = {
             'front right': u1 - u2 - u3 - u4, 'rear left': u1 + u2 + u3 - u4,
             'front left': u1 + u2 - u3 + u4, 'rear right': u1 - u2 + u3 + u4,
         }
@@ -107,7 +101,7 @@ FRD = np.array([1.0, -1.0, -1.0])
 
 def px4_topics(flight: Flight) -> dict:
     stamps = 2_000_000 + DT_US * np.arange(N)
-    by_place = flight.thrusts()
+    by_place = flight.thrusts
     places = ('front right', 'rear left', 'front left', 'rear right')
     return {
         'vehicle_angular_velocity': {'timestamp': stamps, 'xyz': flight.rates * FRD},
@@ -120,40 +114,45 @@ def px4_topics(flight: Flight) -> dict:
 
 
 def imported(path: Path, out: Path):
+    """The bag's record, and what was warned of and found missing on the way."""
     done = import_log(read_log(path, kind_of(path)), out)
-    return done, read_bag(done.path)
-
-
-def check_motion(record, flight: Flight, tolerance: float = 1e-5, skip: int = 0) -> None:
-    n = min(record.n, N)
-    np.testing.assert_allclose(record.rates[skip:n], flight.rates[skip:n], atol=tolerance)
-    np.testing.assert_allclose(record.control[skip:n], flight.control[skip:n], atol=tolerance)
-
-
-def write_px4(path: Path, flight: Flight, parameters: dict, change=None, drop=()) -> Path:
-    topics = px4_topics(flight)
-    if change:
-        change(topics)
-    return ulog(path, topics, parameters, drop)
-
-
-def test_px4_motors_angles_and_battery(flight, tmp_path):
-    pytest.importorskip('pyulog')
-    path = write_px4(tmp_path / 'log.ulg', flight, {'MAV_TYPE': 2, 'IMU_GYRO_CUTOFF': 40.0})
-    done, record = imported(path, tmp_path / 'bag')
-    assert record.dt == pytest.approx(1e-6 * DT_US)
-    check_motion(record, flight)
-    turned = np.mod(record.angles - flight.angles + np.pi, 2 * np.pi) - np.pi
-    np.testing.assert_allclose(turned, 0.0, atol=1e-5)
-    assert record.battery_v[0] == pytest.approx(12.0, abs=1e-3)
-    assert 'vehicle_attitude_setpoint' in ' '.join(done.log.missing)
-    assert record.gains == ()
     assert max(map(len, table(done)[1:])) <= 80
+    return read_bag(done.path), ' '.join((*done.warnings, *done.log.missing))
 
 
-def test_px4_gains_in_our_unit_where_torque_was_logged_too(flight, tmp_path):
+def check_motion(record, flight: Flight, angles: float = 0.0) -> None:
+    """Rates and commands as flown; with a tolerance, rad, the orientation too."""
+    n = min(record.n, N)
+    np.testing.assert_allclose(record.rates[:n], flight.rates[:n], atol=1e-5)
+    np.testing.assert_allclose(record.control[:n], flight.control[:n], atol=1e-5)
+    if angles:
+        turned = np.mod(record.angles - flight.angles + np.pi, 2 * np.pi) - np.pi
+        np.testing.assert_allclose(turned, 0.0, atol=angles)
+
+
+@pytest.fixture
+def px4(flight, tmp_path):
+    """A function that imports a log of PX4: its topics changed, some rows dropped."""
     pytest.importorskip('pyulog')
 
+    def record(parameters: dict, change=lambda _: None, drop=()):
+        topics = px4_topics(flight)
+        change(topics)
+        return imported(ulog(tmp_path / 'log.ulg', topics, parameters, drop), tmp_path / 'bag')
+
+    return record
+
+
+def test_px4_motors_angles_and_battery(flight, px4):
+    record, told = px4({'MAV_TYPE': 2, 'IMU_GYRO_CUTOFF': 40.0})
+    assert record.dt == pytest.approx(1e-6 * DT_US)
+    check_motion(record, flight, angles=1e-5)
+    assert record.battery_v[0] == pytest.approx(12.0, abs=1e-3)
+    assert 'vehicle_attitude_setpoint' in told
+    assert record.gains == ()
+
+
+def test_px4_gains_in_our_unit_where_torque_was_logged_too(flight, px4):
     def with_torque(topics):
         stamps = topics['vehicle_attitude']['timestamp']
         topics['vehicle_torque_setpoint'] = {
@@ -163,20 +162,15 @@ def test_px4_gains_in_our_unit_where_torque_was_logged_too(flight, tmp_path):
             'timestamp': stamps, 'xyz': flight.control[:, :1] * [0.0, 0.0, -1.0],
         }
 
-    parameters = {'MC_ROLL_P': 6.5, 'MC_ROLLRATE_P': 0.15, 'MC_ROLLRATE_K': 2.0,
-                  'MC_YAWRATE_P': 0.2, 'MC_ROLLRATE_MAX': 180.0}
-    path = write_px4(tmp_path / 'log.ulg', flight, parameters, with_torque)
-    _, record = imported(path, tmp_path / 'bag')
+    record, _ = px4({'MC_ROLL_P': 6.5, 'MC_ROLLRATE_P': 0.15, 'MC_ROLLRATE_K': 2.0,
+                     'MC_YAWRATE_P': 0.2, 'MC_ROLLRATE_MAX': 180.0}, with_torque)
     gains = record.gains_at(0.0)
-    assert gains['roll.angle.kp'] == pytest.approx(6.5)
-    assert gains['roll.rate.kp'] == pytest.approx(0.15 * 2.0 * 0.25, rel=1e-4)
-    assert gains['yaw.rate.kp'] == pytest.approx(0.2 * 0.125, rel=1e-4)
-    assert gains['roll.angle.rate_limit'] == pytest.approx(np.pi)
+    for name, value in (('roll.angle.kp', 6.5), ('roll.rate.kp', 0.15 * 2.0 * 0.25),
+                        ('yaw.rate.kp', 0.2 * 0.125), ('roll.angle.rate_limit', np.pi)):
+        assert gains[name] == pytest.approx(value, rel=1e-4)
 
 
-def test_px4_torque_alone_is_the_input_in_its_own_unit(flight, tmp_path):
-    pytest.importorskip('pyulog')
-
+def test_px4_torque_alone_is_the_input_in_its_own_unit(flight, px4):
     def without_motors(topics):
         del topics['actuator_motors']
         topics['actuator_controls_0'] = {
@@ -184,20 +178,17 @@ def test_px4_torque_alone_is_the_input_in_its_own_unit(flight, tmp_path):
             'control': np.column_stack([flight.control[:, 1:] * FRD, flight.control[:, 0]]),
         }
 
-    path = write_px4(tmp_path / 'log.ulg', flight, {'MC_PITCHRATE_P': 0.1}, without_motors)
-    done, record = imported(path, tmp_path / 'bag')
+    record, told = px4({'MC_PITCHRATE_P': 0.1}, without_motors)
     check_motion(record, flight)
     assert record.gains_at(0.0)['pitch.rate.kp'] == pytest.approx(0.1)
-    assert 'asked for' in ' '.join(done.warnings)
+    assert 'asked for' in told
 
 
-def test_dropped_samples_are_drawn_on_a_coarser_grid(flight, tmp_path):
-    pytest.importorskip('pyulog')
-    # one sample in three is missing, as a logger that cannot follow leaves them
-    path = write_px4(tmp_path / 'log.ulg', flight, {}, drop=set(range(2, N, 3)))
-    done, record = imported(path, tmp_path / 'bag')
+def test_dropped_samples_are_drawn_on_a_coarser_grid(flight, px4):
+    """One sample in three is missing, as a logger that cannot follow leaves them."""
+    record, told = px4({}, drop=set(range(2, N, 3)))
     assert record.dt == pytest.approx(2e-6 * DT_US)
-    assert 'come unevenly' in ' '.join(done.warnings)
+    assert 'come unevenly' in told
     np.testing.assert_allclose(record.rates[:700], flight.rates[:1400:2], atol=1e-4)
     mean = flight.control.reshape(-1, 2, 4).mean(axis=1)
     np.testing.assert_allclose(record.control[:700], mean[:700], atol=5e-3)
@@ -225,30 +216,21 @@ def dataflash(path: Path, messages: dict, parameters: dict) -> Path:
 
 def ardupilot_messages(flight: Flight) -> dict:
     stamps = 3_000_000 + DT_US * np.arange(N)
-    by_place = flight.thrusts()
-    deg = np.degrees
-    pulse = {place: 1000.0 + 1000.0 * value for place, value in by_place.items()}
-    roll, pitch, yaw = deg(flight.angles[:, 0]), -deg(flight.angles[:, 1]), \
-        np.mod(90.0 - deg(flight.angles[:, 2]), 360.0)
-    p, q, r = deg(flight.rates * FRD).T
+    pulses = [1000.0 + 1000.0 * flight.thrusts[place]
+              for place in ('front right', 'rear left', 'front left', 'rear right')]
+    roll, pitch, yaw = np.degrees(flight.angles * [1.0, -1.0, -1.0]).T
+    p, q, r = np.degrees(flight.rates * FRD).T
+    u1, u2, u3, u4 = flight.control.T
+    heading = np.mod(90.0 + yaw, 360.0)
     return {
-        'RATE': (
-            ('TimeUS', 'RDes', 'R', 'ROut', 'PDes', 'P', 'POut', 'YDes', 'Y', 'YOut', 'AOut'),
-            np.column_stack([
-                stamps, p, p, flight.control[:, 1], q, q, -flight.control[:, 2], r, r,
-                -flight.control[:, 3], flight.control[:, 0],
-            ]),
-        ),
-        'ATT': (
-            ('TimeUS', 'DesRoll', 'Roll', 'DesPitch', 'Pitch', 'DesYaw', 'Yaw'),
-            np.column_stack([stamps, roll, roll, pitch, pitch, yaw, yaw]),
-        ),
-        'RCOU': (
-            ('TimeUS', 'C1', 'C2', 'C3', 'C4'),
-            np.column_stack([stamps, pulse['front right'], pulse['rear left'],
-                             pulse['front left'], pulse['rear right']]),
-        ),
-        'BAT': (('TimeUS', 'Volt'), np.column_stack([stamps, flight.volts])[::25]),
+        name: (('TimeUS', *labels.split()), np.column_stack([stamps, *columns])[::step])
+        for name, labels, columns, step in (
+            ('RATE', 'RDes R ROut PDes P POut YDes Y YOut AOut',
+             (p, p, u2, q, q, -u3, r, r, -u4, u1), 1),
+            ('ATT', 'DesRoll Roll DesPitch Pitch DesYaw Yaw',
+             (roll, roll, pitch, pitch, heading, heading), 1),
+            ('RCOU', 'C1 C2 C3 C4', pulses, 1), ('BAT', 'Volt', (flight.volts,), 25),
+        )
     }
 
 
@@ -256,59 +238,53 @@ def test_ardupilot_pulses(flight, tmp_path):
     pytest.importorskip('pymavlink')
     path = dataflash(tmp_path / 'log.bin', ardupilot_messages(flight),
                      {'FRAME_CLASS': 1, 'FRAME_TYPE': 1, 'ATC_RAT_RLL_P': 0.135})
-    done, record = imported(path, tmp_path / 'bag')
-    check_motion(record, flight)
-    turned = np.mod(record.angles - flight.angles + np.pi, 2 * np.pi) - np.pi
-    np.testing.assert_allclose(turned, 0.0, atol=1e-4)
+    record, told = imported(path, tmp_path / 'bag')
+    check_motion(record, flight, angles=1e-4)
     np.testing.assert_allclose(record.rate_setpoint, flight.rates, atol=1e-5)
     np.testing.assert_allclose(record.attitude_setpoint[:, :2], flight.angles[:, :2], atol=1e-5)
     assert record.gains == ()
-    assert 'thrust curve' in ' '.join(done.warnings)
+    assert 'thrust curve' in told
 
 
 def test_ardupilot_outputs_carry_the_gains(flight, tmp_path):
     pytest.importorskip('pymavlink')
     messages = ardupilot_messages(flight)
     del messages['RCOU']
-    path = dataflash(tmp_path / 'log.bin', messages, {
+    record, told = imported(dataflash(tmp_path / 'log.bin', messages, {
         'ATC_RAT_RLL_P': 0.135, 'ATC_ANG_RLL_P': 4.5, 'ATC_RATE_R_MAX': 90.0, 'FRAME_CLASS': 2,
-    })
-    done, record = imported(path, tmp_path / 'bag')
+    }), tmp_path / 'bag')
     check_motion(record, flight)
     gains = record.gains_at(0.0)
     assert gains['roll.rate.kp'] == pytest.approx(0.135)
     assert gains['roll.angle.rate_limit'] == pytest.approx(np.pi / 2)
-    assert 'no quadrotor in X' in ' '.join(done.warnings)
+    assert 'no quadrotor in X' in told
 
 
 def blackbox(path: Path, flight: Flight, header: tuple[str, ...] = ()) -> Path:
-    by_place = {k: 1000.0 + 1000.0 * v for k, v in flight.thrusts().items()}
-    names = ['loopIteration', 'time (us)', 'setpoint[0]', 'setpoint[1]', 'setpoint[2]',
-             'gyroADC[0]', 'gyroADC[1]', 'gyroADC[2]', 'motor[0]', 'motor[1]', 'motor[2]',
-             'motor[3]', 'vbatLatest (V)', 'flightModeFlags (flags)']
-    rates = np.degrees(flight.rates)
-    columns = [np.arange(N), 5_000_000 + DT_US * np.arange(N), *rates.T, *rates.T,
-               by_place['rear right'], by_place['front right'], by_place['rear left'],
-               by_place['front left'], flight.volts]
+    places = ('rear right', 'front right', 'rear left', 'front left')
+    names = ['loopIteration', 'time (us)', *(f'setpoint[{i}]' for i in range(3)),
+             *(f'gyroADC[{i}]' for i in range(3)), *(f'motor[{i}]' for i in range(4)),
+             'vbatLatest (V)', 'flightModeFlags (flags)']
+    rates = np.degrees(flight.rates).T
+    columns = [np.arange(N), 5_000_000 + DT_US * np.arange(N), *rates, *rates,
+               *(1000.0 + 1000.0 * flight.thrusts[place] for place in places), flight.volts]
     rows = [', '.join([f'{v:.9g}' for v in row] + ['ARM']) for row in zip(*columns, strict=True)]
     path.write_text('\n'.join([*header, ', '.join(names), *rows]) + '\n')
     return path
 
 
-def test_betaflight(flight, tmp_path):
-    done, record = imported(blackbox(tmp_path / 'LOG00001.01.csv', flight), tmp_path / 'bag')
-    check_motion(record, flight)
-    np.testing.assert_allclose(record.rate_setpoint, flight.rates, atol=1e-6)
+@pytest.mark.parametrize('reversed_yaw', [False, True])
+def test_betaflight(flight, tmp_path, reversed_yaw):
+    """With propellers out it yaws the other way."""
+    header = ('"yaw_motors_reversed","1"',) if reversed_yaw else ()
+    record, told = imported(blackbox(tmp_path / 'LOG.csv', flight, header), tmp_path / 'bag')
+    sign = [1.0, 1.0, 1.0, -1.0 if reversed_yaw else 1.0]
+    np.testing.assert_allclose(record.control, flight.control * sign, atol=1e-6)
+    for rates in (record.rates, record.rate_setpoint):
+        np.testing.assert_allclose(rates, flight.rates, atol=1e-5)
     assert record.battery_v[0] == pytest.approx(12.0, abs=1e-3)
     assert record.angles is None
-    assert 'feed-forward' in ' '.join(done.log.missing)
-
-
-def test_betaflight_with_propellers_out_yaws_the_other_way(flight, tmp_path):
-    path = blackbox(tmp_path / 'LOG.csv', flight, ('"yaw_motors_reversed","1"',))
-    _, record = imported(path, tmp_path / 'bag')
-    np.testing.assert_allclose(record.control[:, 3], -flight.control[:, 3], atol=1e-6)
-    np.testing.assert_allclose(record.control[:, :3], flight.control[:, :3], atol=1e-6)
+    assert 'feed-forward' in told
 
 
 @pytest.mark.skipif(not SAMPLE.exists(), reason='no folder shared/data beside the checkout')
@@ -324,28 +300,24 @@ def test_a_real_px4_log_through_the_command(tmp_path, capsys):
     assert abs(np.nanmedian(record.rates)) < 0.01
 
 
-def test_what_cannot_be_imported_is_one_line(flight, tmp_path, capsys):
-    raw = tmp_path / 'LOG00001.BFL'
-    raw.write_bytes(b'H Product:Blackbox flight data recorder\n')
-    assert main(['import', str(raw), '--out', str(tmp_path / 'bag')]) == 2
-    assert 'blackbox_decode' in capsys.readouterr().err
-    log = blackbox(tmp_path / 'log.csv', flight)
-    plain = tmp_path / 'plain.csv'
-    plain.write_text('t,u\n0,1\n')
-    assert main(['import', str(plain), '--out', str(tmp_path / 'bag')]) == 2
-    assert '--axis' in capsys.readouterr().err
-    broken = tmp_path / 'broken.csv'
-    broken.write_text(log.read_text().replace('12, ARM', 'much, ARM', 1))
-    with pytest.raises(BadInputError, match='needs numbers'):
-        read_log(broken, kind_of(broken))
-    assert not (tmp_path / 'bag').exists()
-
-
-@pytest.mark.parametrize('magic', [b'ULog\x01\x12\x35', b'\xa3\x95\x80'])
-def test_damaged_logs_are_one_line(tmp_path, magic, capsys):
+@pytest.mark.parametrize(
+    ('name', 'content', 'words'),
+    [
+        ('LOG00001.BFL', b'H Product:Blackbox flight data recorder\n', 'blackbox_decode'),
+        ('plain.csv', b't,u\n0,1\n', '--axis'), ('log.csv', b'', 'needs numbers'),
+        *(('log', magic + np.random.default_rng(1).bytes(400), '')
+          for magic in (b'ULog\x01\x12\x35', b'\xa3\x95\x80')),
+    ],
+)
+def test_what_cannot_be_imported_is_one_line(flight, tmp_path, capsys, name, content, words):
     pytest.importorskip('pyulog')
     pytest.importorskip('pymavlink')
-    path = tmp_path / 'log'
-    path.write_bytes(magic + np.random.default_rng(1).bytes(400))
+    path = tmp_path / name
+    if content:
+        path.write_bytes(content)
+    else:
+        path.write_text(blackbox(path, flight).read_text().replace('12, ARM', 'much, ARM', 1))
     assert main(['import', str(path), '--out', str(tmp_path / 'bag')]) == 2
-    assert len(capsys.readouterr().err.splitlines()) == 1
+    error = capsys.readouterr().err
+    assert (words in error, error.count('\n')) == (True, 1), error
+    assert not (tmp_path / 'bag').exists()

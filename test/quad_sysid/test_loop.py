@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from quad_sysid.errors import BadInputError
+from quad_sysid.errors import BadInputError, NotInformativeError
 from quad_sysid.estimate.stored import estimate_of
 from quad_sysid.loop.angle_lead import angle_lead_s
 from quad_sysid.loop.cascade import (
@@ -24,6 +24,7 @@ from quad_sysid.loop.cascade import (
     open_loop,
     reference_response,
 )
+from quad_sysid.loop.figures import compare_square, square_figures, square_wave, step_figures
 from quad_sysid.loop.from_model import gain_range, loop_plant, not_in_the_loop, throttle_factor
 from quad_sysid.loop.plant import Curve, LightMode, LoopPlant, Slopes, SlowMotors, exact_cycles
 from quad_sysid.loop.simulation import simulate_cascade, simulate_polynomial_cascade
@@ -59,8 +60,6 @@ def test_gains_have_the_contracts_names_and_the_papers_defaults():
     }
     yaw = CascadeGains.from_mapping({}, 'yaw')
     assert (yaw.angle_kp, yaw.rate_kp, yaw.rate_kd) == (2.0, 3.0 * FIRMWARE_UNIT, 0.0)
-    with pytest.raises(BadInputError, match=r'rate\.kp: must be finite'):
-        CascadeGains.from_mapping({'roll.rate.kp': float('nan')}, 'roll')
 
 
 # ---- frequency
@@ -283,18 +282,16 @@ def test_what_has_no_place_in_the_loop_is_named_and_what_varies_has_its_range():
 
 
 def test_excitations_and_the_initial_state_reach_the_plant():
-    still = np.zeros(800)
-    kick = simulate_cascade(PLANT, GAINS, still, DT, control_excitation=0.1)
+    def run(**given):
+        return simulate_cascade(PLANT, GAINS, np.zeros(800), DT, **given)
+
+    kick, turned = run(control_excitation=0.1), run(initial_angle=0.2)
     assert kick.control[0] == pytest.approx(0.1)
     assert kick.angle[-1] > 0.0
-    asked = simulate_cascade(PLANT, GAINS, still, DT, rate_excitation=0.5)
-    assert asked.rate_reference[0] == pytest.approx(0.5)
-    run = simulate_cascade(PLANT, GAINS, still, DT, initial_angle=0.2)
-    assert run.angle[0] == pytest.approx(0.2)
-    assert run.rate[0] == 0.0
-    assert abs(run.angle[-1]) < 0.01
-    moving = simulate_cascade(PLANT, GAINS, still, DT, initial_rate=1.0)
-    assert moving.rate[0] == pytest.approx(1.0)
+    assert run(rate_excitation=0.5).rate_reference[0] == pytest.approx(0.5)
+    assert (turned.angle[0], turned.rate[0]) == pytest.approx((0.2, 0.0))
+    assert abs(turned.angle[-1]) < 0.01
+    assert run(initial_rate=1.0).rate[0] == pytest.approx(1.0)
 
 
 def test_polynomial_cascade_equals_the_plant_it_was_made_of():
@@ -318,12 +315,6 @@ def test_the_papers_model_tracks_its_square_wave_once_the_sign_of_b_is_turned():
     assert np.max(np.abs(turned.angle)) > 0.5
 
 
-PLANT_VALUES = {
-    'gain': 450.0, 'lag_s': 0.04, 'delay_s': 0.008, 'damping': 0.4, 'bias': 0.0,
-    'gyro_filter_hz': 42.0, 'dt': DT,
-}
-
-
 @pytest.mark.parametrize(
     ('call', 'said'),
     [
@@ -334,13 +325,17 @@ PLANT_VALUES = {
         (lambda: simulate_polynomial_cascade([0.0], [0.0, 1.0], GAINS, [0.0], DT), r'A\[0\]'),
         (lambda: Curve(np.array([0.0, 1.0, 3.0]), np.zeros(3)), 'equal steps'),
         (lambda: Curve(np.array([0.0, 1.0]), np.array([0.0, np.nan])), 'finite'),
-        *((lambda name=name, value=value: LoopPlant(**PLANT_VALUES | {name: value}), 'LoopPlant')
-          for name, value in (('gain', np.nan), ('delay_s', -0.001), ('dt', 0.0),
-                              ('gyro_filter_hz', np.nan))),
+        *((lambda given=given: replace(PLANT, **given), 'LoopPlant') for given in (
+            {'gain': np.nan}, {'delay_s': -0.001}, {'dt': 0.0}, {'gyro_filter_hz': np.nan})),
+        (lambda: CascadeGains.from_mapping({'roll.rate.kp': np.nan}, 'roll'), 'kp: must be finit'),
+        (lambda: square_figures(np.zeros(5), np.zeros(6), DT), 'one length'),
+        (lambda: step_figures(np.ones(4), DT), '10 samples'),
+        (lambda: square_figures(*2 * [np.linspace(0, 1, 500)], DT), 'no edge'),
+        (lambda: square_figures(np.full(50, np.nan), np.zeros(50), DT), 'no finite'),
     ],
 )
 def test_bad_arguments_are_named(call, said):
-    with pytest.raises(BadInputError, match=said):
+    with pytest.raises((BadInputError, NotInformativeError), match=said):
         call()
 
 
@@ -353,23 +348,19 @@ SQUARE = 0.2 * np.sign(np.sin(2 * np.pi * 0.4 * SLOW_DT * np.arange(2000) + 1e-9
 A, B = np.array([1.0, -1.78, 0.784]), np.array([0.0, 0.0, 0.4, 0.35])
 
 
-def wandering_rates() -> np.ndarray:
-    return np.convolve(np.random.default_rng(0).standard_normal(3000), np.ones(9) / 9, 'same')
-
-
 @pytest.mark.parametrize('share', [0.5, 0.8, 1.0])
 def test_the_lead_is_that_of_the_integration(share):
-    rate = wandering_rates()
+    rng = np.random.default_rng(0)
+    rate = np.convolve(rng.standard_normal(3000), np.ones(9) / 9, 'same')
     steps = SLOW_DT * (share * rate[1:] + (1.0 - share) * rate[:-1])
-    drift = 1e-5 * np.random.default_rng(1).standard_normal(rate.size)
-    angle = np.concatenate(([0.3], 0.3 + np.cumsum(steps))) + drift
+    angle = 0.3 + np.concatenate(([0.0], np.cumsum(steps))) + 1e-5 * rng.standard_normal(3000)
     expected = pytest.approx((share - 0.5) * SLOW_DT, abs=0.02 * SLOW_DT)
     assert angle_lead_s(angle, rate, SLOW_DT) == expected
     angle[100:110] = np.nan
     assert angle_lead_s(angle, rate, SLOW_DT) == expected
-    other = 0.1 * np.random.default_rng(2).standard_normal(3000)
+    other, still = 0.1 * rng.standard_normal(3000), np.zeros(3000)
     assert angle_lead_s(None, rate, SLOW_DT) == angle_lead_s(other, rate, SLOW_DT) == 0.0
-    assert angle_lead_s(np.zeros(3000), np.zeros(3000), SLOW_DT) == 0.0
+    assert angle_lead_s(still, still, SLOW_DT) == 0.0
 
 
 def test_a_firmware_that_adds_the_newest_rate_flies_as_the_simulation_with_half_a_cycle():
@@ -394,8 +385,10 @@ def test_a_firmware_that_adds_the_newest_rate_flies_as_the_simulation_with_half_
 
 
 def test_the_plant_behind_the_loop_feels_the_lead_and_gives_it_back():
-    led = simulate_cascade(SLOW, GAINS, SQUARE, SLOW_DT, angle_lead_s=0.5 * SLOW_DT)
-    plain = simulate_cascade(SLOW, GAINS, SQUARE, SLOW_DT)
+    led, plain = (
+        simulate_cascade(SLOW, GAINS, SQUARE, SLOW_DT, angle_lead_s=lead * SLOW_DT)
+        for lead in (0.5, 0.0)
+    )
     assert np.std(led.rate - plain.rate) > 0.01 * np.std(plain.rate)
     assert angle_lead_s(led.angle, led.rate, SLOW_DT) == pytest.approx(0.5 * SLOW_DT, rel=0.1)
     assert abs(angle_lead_s(plain.angle, plain.rate, SLOW_DT)) < 0.05 * SLOW_DT
@@ -412,3 +405,53 @@ def test_the_indirect_approach_takes_the_integration_that_gives_the_recorded_com
     # limits aside it is the very command; the other integration is half a cycle out
     assert reproduced(z, known) > 99.9
     assert reproduced(z, controller(GAINS, SLOW_DT, trapezoid=lead > 0.0)) < 99.5
+
+
+# ---- figures of steps and square waves
+
+
+def first_order(reference, tau):
+    y = np.zeros(reference.size)
+    y[0] = reference[0]
+    for k in range(1, reference.size):
+        y[k] = y[k - 1] + (1 - np.exp(-DT / tau)) * (reference[k - 1] - y[k - 1])
+    return y
+
+
+def test_step_figures_are_the_closed_forms():
+    """First order: rise time ln 9 tau, settling to 5 % after 3 tau, no overshoot.
+
+    Second order: exp(-pi zeta / sqrt(1 - zeta^2)) at zeta 0.5, 16.3 %.
+    """
+    f = step_figures(1 - np.exp(-np.arange(1000) * DT / 0.2), DT)
+    assert f.rise_time_s == pytest.approx(np.log(9) * 0.2, abs=0.5 * DT)
+    assert f.settling_time_s == pytest.approx(3 * 0.2, abs=2 * DT)
+    assert (f.overshoot_pct, f.final_error_pct) == pytest.approx((0.0, 0.0), abs=0.1)
+    t, wd = np.arange(2000) * DT, 5 * np.sqrt(0.75)
+    y = 1 - np.exp(-2.5 * t) * (np.cos(wd * t) + 2.5 / wd * np.sin(wd * t))
+    assert step_figures(y, DT).overshoot_pct == pytest.approx(16.3, abs=0.2)
+
+
+def test_square_figures_bear_noise_gaps_and_a_standing_error():
+    r = square_wave(0.2, 2.0, 4, DT)
+    y = first_order(r, 0.2)
+    clean = square_figures(r, y, DT)
+    noisy = square_figures(r, y + np.random.default_rng(3).normal(0, 0.004, y.size), DT)
+    assert clean.edges == noisy.edges == 8
+    assert clean.step_rad == pytest.approx(0.4)
+    assert clean.rise_time_s == pytest.approx(np.log(9) * 0.2, abs=DT)
+    assert noisy.rise_time_s == pytest.approx(clean.rise_time_s, rel=0.05)
+    # error decays exp(-t/tau) from each edge; 8 of 9 half periods hold one
+    want = 0.4 * np.sqrt(0.2 / 2 / 2.0 * 8 / 9)
+    assert clean.rms_error_rad == pytest.approx(want, rel=0.02)
+    y[1700:1720] = np.nan
+    assert square_figures(r, y, DT).edges == 7
+    low = square_figures(r, first_order(0.9 * r, 0.2), DT)
+    assert low.rise_time_s == pytest.approx(np.log(9) * 0.2, abs=2 * DT)
+    assert low.final_error_pct == pytest.approx(5.0, abs=0.6)
+    assert low.overshoot_pct < 0.5
+    small = square_wave(0.1, 2.0, 4, DT)
+    c = compare_square((r, first_order(r, 0.2)), (small, first_order(small, 0.1)), DT)
+    assert c.rise_time_change_pct == pytest.approx(-50, abs=1.5)
+    assert c.rms_error_change_pct == pytest.approx(100 * (np.sqrt(0.5) - 1), abs=2)
+    assert c.overshoot_change_points == pytest.approx(0.0, abs=0.5)

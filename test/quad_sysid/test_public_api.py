@@ -16,36 +16,32 @@ NAMES = (
 
 
 def test_every_promised_name_is_there():
-    for name in NAMES:
-        assert callable(getattr(quad_sysid, name)), name
-    assert set(NAMES) <= set(quad_sysid.__all__)
-    assert set(quad_sysid.__all__) <= set(dir(quad_sysid))
+    assert all(callable(getattr(quad_sysid, name)) for name in NAMES)
+    assert set(NAMES) <= set(quad_sysid.__all__) <= set(dir(quad_sysid))
     assert all(getattr(quad_sysid, name) is not None for name in quad_sysid.__all__)
     with pytest.raises(AttributeError, match='no attribute'):
         quad_sysid.nothing  # noqa: B018
 
 
-def test_the_import_loads_nothing_heavy():
-    code = (
-        'import sys, quad_sysid; '
-        'heavy = {"numpy", "numba", "scipy", "matplotlib", "rclpy"} & set(sys.modules); '
-        'print(sorted(heavy))'
-    )
+def printed_by(code: str) -> str:
     done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == '[]'
+    return done.stdout.strip()
 
 
-def test_the_models_need_neither_ros_nor_matplotlib():
-    code = (
+def test_the_import_loads_nothing_heavy_and_the_models_need_neither_ros_nor_matplotlib():
+    assert printed_by(
+        'import sys, quad_sysid, quad_sysid.cli; '
+        'print(sorted({"numba", "scipy", "matplotlib", "rclpy"} & set(sys.modules)))'
+    ) == '[]'
+    assert printed_by(
         'import sys\n'
         'for name in ("rclpy", "matplotlib", "rosbags"): sys.modules[name] = None\n'
+        'import quad_sysid; assert "numpy" not in sys.modules\n'
         'from quad_sysid import IOData, arx, greybox\n'
         'import numpy as np\n'
         'u = np.random.default_rng(0).standard_normal(500)\n'
         'print(arx(IOData(u, np.roll(u, 1), 0.01), 1, 1, 1).name, callable(greybox))'
-    )
-    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ['ARX', '1', '1', '1', 'True']
+    ) == 'ARX 1 1 1 True'
 
 
 def test_the_grey_box_is_a_call_on_the_same_data(plain_flight):

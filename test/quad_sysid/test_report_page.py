@@ -66,10 +66,17 @@ class Page(HTMLParser):
         assert self.stack.pop() == tag
 
 
-def test_written_report_follows_the_schema(written):
+def test_written_report_follows_the_schema(written, answers, tmp_path):
+    """Its pictures and its page can be skipped."""
     report = json.loads((written / 'report.json').read_text())
     jsonschema.Draft202012Validator.check_schema(SCHEMA)
     jsonschema.validate(report, SCHEMA)
+    for more, options in (['report.html'], {}), ([], {'html': False}):
+        folder = tmp_path / f'{len(more)}'
+        tree = document.document(answers, ['bag'])
+        store.write(folder, tree, answers, pictures=False, **options)
+        there = sorted(path.name for path in folder.iterdir())
+        assert there == ['model.json', *more, 'report.json']
     report['axes']['roll']['verdict'] = 'perhaps'
     with pytest.raises(jsonschema.ValidationError):
         jsonschema.validate(report, SCHEMA)
@@ -81,56 +88,41 @@ def test_every_figure_is_in_the_page_and_beside_it(answers, written):
     if not any(effect.rivals for effect in answers['roll'].model.effects):
         expected.discard('rivals')
     shown = Page((written / 'report.html').read_text()).figures
-    assert {one.removeprefix('roll-') for one in shown} == expected
-    assert len(shown) == len(set(shown))
-    files = {path.stem.removeprefix('roll_') for path in (written / 'pictures').iterdir()}
-    assert files == expected
-    for path in (written / 'pictures').iterdir():
-        content = path.read_bytes()
-        assert content.startswith(b'\x89PNG')
-        assert len(content) > 4000
+    assert sorted(one.removeprefix('roll-') for one in shown) == sorted(expected)
+    files = {p.stem.removeprefix('roll_'): p.read_bytes() for p in written.glob('pictures/*')}
+    assert set(files) == expected
+    assert all(png.startswith(b'\x89PNG') and len(png) > 4000 for png in files.values())
 
 
-def test_every_panel_names_both_axes_with_a_unit(answers):
-    drawn = plots.gallery(answers['roll'])
-    assert not drawn.failed
-    for name, picture in drawn.pictures.items():
-        for x, y in picture.labels:
-            assert ', ' in x, name
-            assert ', ' in y or (name == 'rivals' and y == 'explanation'), name
-
-
-def test_page_is_self_contained_and_well_formed(written):
+def test_page_is_self_contained_well_formed_and_the_same_for_the_same_answer(answers, written):
     text = (written / 'report.html').read_text()
+    assert page(document.document(answers, ['flights/<one>']), answers) == text
     found = Page(text)
     assert not found.stack
     assert all(link.startswith('#') for link in found.links)
     assert {link[1:] for link in found.links} <= set(found.ids)
-    assert 'http' not in text
-    assert '<script' not in text
     assert not re.search(r'url\((?!#)', text)
-    assert '@import' not in text
-    assert 'flights/<one>' not in text  # what a user named is escaped
-    assert 'prefers-color-scheme:dark' in text
-    assert '@media print' in text
-    assert 'name="viewport"' in text
+    for absent in ('http', '<script', '@import', 'flights/<one>'):  # a user's name is escaped
+        assert absent not in text
+    for there in ('prefers-color-scheme:dark', '@media print', 'name="viewport"'):
+        assert there in text
+    clips = re.findall(r'<clipPath id="([^"]+)"', text)
+    assert len(clips) == len(set(clips)) > 0
 
 
-def test_clip_paths_of_different_pictures_do_not_collide(written):
-    clips = re.findall(r'<clipPath id="([^"]+)"', (written / 'report.html').read_text())
-    assert clips
-    assert len(clips) == len(set(clips))
-
-
-def test_words_come_before_pictures_and_say_what_was_found(written):
-    text = (written / 'report.html').read_text()
-    answer, rest = text.split('<figure', 1)
-    assert 'dry friction' in answer
-    error = json.loads((written / 'report.json').read_text())['axes']['roll']['error']
-    for key in ('before', 'after', 'noise_floor'):
-        assert f'{error[key]:.3g}' in answer
-    assert 'roll.rate.kp 0.12' in answer
+def test_words_come_before_pictures_and_say_what_was_found(written, tree):
+    answer, rest = (written / 'report.html').read_text().split('<figure', 1)
+    figures = [f'{tree["error"][key]:.3g}' for key in ('before', 'after', 'noise_floor')]
+    for words in ('dry friction', 'roll.rate.kp 0.12', *figures):
+        assert words in answer
     assert 'coulomb_friction' in rest
+    told = [tables.errors, tables.parameters, selection_tables.residuals]
+    bare = {**tree, 'effects': [], 'verdict': 'no_missing_effect'}  # nothing is completed
+    for one, completed in ((tree, True), (bare, False)):
+        assert all(('completed' in tell(one)) is completed for tell in told)
+        lines = text.lines({'axes': {'roll': one}})
+        assert any('completed' in line for line in lines) is completed
+    assert all('base' in tell(bare) for tell in told)
 
 
 def test_numbers_in_tick_labels_are_not_rounded():
@@ -146,44 +138,28 @@ def test_numbers_in_tick_labels_are_not_rounded():
     'parts',
     [
         {'closed_loop': None, 'proposal': None, 'attitude_reference': None,
-         'rate_reference': None},
-        {'rows': (), 'selected': None, 'proposal': GainProposal(None, 'too noisy')},
-        {'selected': None, 'train': None, 'segments': (), 'blackbox_error': None},
+         'rate_reference': None, 'rows': (), 'selected': None},
+        {'selected': None, 'train': None, 'segments': (), 'blackbox_error': None,
+         'proposal': GainProposal(None, 'too noisy')},
         {'findings': None, 'closed_loop': None}, {'model': None, 'closed_loop': None},
-        {'findings': None, 'model': None, 'rows': (), 'selected': None,
-         'closed_loop': None, 'proposal': None, 'train': None, 'verdict': 'cannot_tell',
-         'reason': 'too short'},
+        {'findings': None, 'model': None, 'rows': (), 'selected': None, 'closed_loop': None,
+         'proposal': GainProposal(None, 'the same'), 'train': None, 'verdict': 'cannot_tell',
+         'reason': 'roll: the command never moves; excite it'},
     ],
     ids='+'.join,
 )
 def test_missing_parts_do_not_break_it(answers, parts):
+    """Why nothing can be told is said once."""
     partial = {'roll': dataclasses.replace(answers['roll'], **parts)}
     report = document.document(partial, ['bag'])
     jsonschema.validate(report, SCHEMA)
     drawn = plots.gallery(partial['roll'])
     assert not drawn.failed
-    found = Page(page(report, partial, {'roll': drawn}))
+    text = page(report, partial, {'roll': drawn})
+    found = Page(text)
     assert not found.stack
     assert len(found.figures) == len(drawn.pictures)
-
-
-def test_cannot_tell_says_why_once():
-    answer = AxisAnswer('yaw', 250.0, (), 'cannot_tell', 'yaw: the command never moves; excite it',
-                        proposal=GainProposal(None, 'the same'))
-    text = page(document.document({'yaw': answer}, ['bag']), {'yaw': answer})
-    assert text.count('command never moves') == 1
-    assert '<figure' not in text
-
-
-def test_nothing_is_completed_where_nothing_was_added(answers):
-    tree = document.document(answers, ['bag'])['axes']['roll']
-    told = [tables.errors, tables.parameters, selection_tables.residuals]
-    assert all('completed' in tell(tree) for tell in told)
-    assert any('completed' in line for line in text.lines({'axes': {'roll': tree}}))
-    bare = {**tree, 'effects': [], 'verdict': 'no_missing_effect'}
-    assert not any('completed' in tell(bare) for tell in told)
-    assert all('base' in tell(bare) for tell in told)
-    assert not any('completed' in line for line in text.lines({'axes': {'roll': bare}}))
+    assert text.count('command never moves') == ('reason' in parts)
 
 
 def test_a_picture_that_fails_is_named_and_the_rest_stand(answers, monkeypatch):
@@ -198,24 +174,9 @@ def test_a_picture_that_fails_is_named_and_the_rest_stand(answers, monkeypatch):
     assert 'picture spectra could not be drawn: no such window' in text
 
 
-def test_pictures_can_be_skipped(answers, tmp_path):
-    report = document.document(answers, ['bag'])
-    store.write(tmp_path / 'a', report, answers, pictures=False)
-    assert sorted(p.name for p in (tmp_path / 'a').iterdir()) == [
-        'model.json', 'report.html', 'report.json',
-    ]
-    store.write(tmp_path / 'b', report, answers, html=False, pictures=False)
-    assert sorted(p.name for p in (tmp_path / 'b').iterdir()) == ['model.json', 'report.json']
-
-
 def test_matplotlib_is_loaded_only_when_something_is_drawn():
     code = 'import sys, quad_sysid.report.store; sys.exit("matplotlib" in sys.modules)'
     subprocess.run([sys.executable, '-c', code], check=True)
-
-
-def test_page_is_the_same_for_the_same_answer(answers, written):
-    report = document.document(answers, ['flights/<one>'])
-    assert page(report, answers) == (written / 'report.html').read_text()
 
 
 @pytest.fixture(scope='module')
@@ -235,9 +196,15 @@ def test_friction_is_seen_in_what_the_base_leaves_and_gone_when_it_is_added(tree
         assert abs(one['largest_cross_correlation']['value']) <= 1.0
 
 
-def test_the_picture_of_the_missing_torque_shows_the_friction_over_the_rate(answers):
-    """Points of the mean torque, 0.8 rad/s² against the rate: within a quarter away from zero."""
-    picture = plots.gallery(answers['roll']).pictures['effect_shape']
+def test_every_panel_names_both_axes_with_a_unit(answers):
+    """And the missing torque, 0.8 rad/s² against the rate, is drawn within a quarter."""
+    drawn = plots.gallery(answers['roll'])
+    assert not drawn.failed
+    for name, picture in drawn.pictures.items():
+        for x, y in picture.labels:
+            assert ', ' in x, name
+            assert ', ' in y or (name == 'rivals' and y == 'explanation'), name
+    picture = drawn.pictures['effect_shape']
     assert picture.labels == (('rate, rad/s', 'torque / inertia, rad/s²'),)
     points = [box.lines[0].get_xydata() for box in picture.figure.axes[0].containers]
     x, y = np.concatenate(points).T
@@ -264,12 +231,11 @@ SELECTION = {
         {'name': 'indirect', 'possible': False, 'because': 'gains < unknown'},
     ],
     'feedback': True,
-    'table2': [
-        {'name': 'ARX 10 10 5', 'paper': {'prbs': 73.84, 'square': 80.15, 'train': 98.3,
-                                          'kept': True},
-         'fit_train_pct': 99.02, 'fit_validation_pct': {'prbs': 95.41, 'square': None},
-         'passed_first_step': True, 'because': ''},
-    ],
+    'table2': [{
+        'name': 'ARX 10 10 5', 'fit_train_pct': 99.02, 'passed_first_step': True, 'because': '',
+        'paper': {'prbs': 73.84, 'square': 80.15, 'train': 98.3, 'kept': True},
+        'fit_validation_pct': {'prbs': 95.41, 'square': None},
+    }],
     'roll_and_pitch': {'agree': True, 'because': 'bands overlap', 'model': None,
                        'fit_validation_pct': {'roll': 91.26, 'pitch': None}},
 }

@@ -8,6 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
+from flown_axis import Axis, Plan
+from flown_axis import fly as flown
 
 from quad_sysid.cli import main
 from quad_sysid.errors import BadInputError, NotInformativeError
@@ -189,18 +191,16 @@ def test_the_report_advises_the_flight_where_a_rival_is_near():
 
 
 @pytest.mark.long
-def test_flown_for_real_the_right_one_is_surer_than_with_the_plain_prbs(
-    springs, axis_type, plan_type, flown
-):
+def test_flown_for_real_the_right_one_is_surer_than_with_the_plain_prbs(springs):
     """A pendulum of 0.18 rad/s² per rad, two flights each, as the tests' own simulator flies."""
-    axis = axis_type(torque=lambda _t, _r, a: -0.18 * math.sin(a), torque_noise=0.015)
+    axis = Axis(torque=lambda _t, _r, a: -0.18 * math.sin(a), torque_noise=0.015)
 
     def probability(parts, seed: int) -> float:
         samples = np.concatenate([
             [part.at(0.004 * k) for k in range(round(part.duration_s / 0.004))] for part in parts
         ])
         seconds = 0.004 * samples.size
-        plan = plan_type(2.0 * seconds + 3.0, (
+        plan = Plan(2.0 * seconds + 3.0, (
             ('train', 'prbs', 1.0, seconds + 1.0),
             ('validation', 'prbs', seconds + 2.0, 2.0 * seconds + 3.0),
         ), reference=np.concatenate([np.zeros(250), samples, np.zeros(250), samples,

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 import yaml
 
-from quad_sysid.errors import BadInputError
 from quad_sysid.schedule_file import load_schedule
 from quad_sysid.signals import (
     SIGNALS,
@@ -43,7 +42,7 @@ def test_a_prbs_is_a_maximal_sequence(bits):
     assert (correlation[1:] == -1).all()
 
 
-def test_seeds_shift_the_sequence_and_a_generator_draws_them():
+def test_seeds_shift_the_sequence_and_a_generator_draws_them(refusal):
     one, other = prbs_bits(7, 1), prbs_bits(7, 2)
     assert (one != other).any()
     assert any((np.roll(one, k) == other).all() for k in range(127))
@@ -51,10 +50,8 @@ def test_seeds_shift_the_sequence_and_a_generator_draws_them():
     np.testing.assert_array_equal(drawn, prbs(7, 3, 0.2, np.random.default_rng(4)))
     assert drawn.shape == (381,)
     assert set(np.unique(drawn)) == {-0.2, 0.2}
-    with pytest.raises(BadInputError, match='register_bits'):
-        prbs_bits(16)
-    with pytest.raises(BadInputError, match='clock_samples'):
-        prbs(5, 0, 1.0)
+    assert 'register_bits' in refusal(prbs_bits, 16)
+    assert 'clock_samples' in refusal(prbs, 5, 0, 1.0)
 
 
 @pytest.mark.parametrize('name', sorted(SIGNALS))
@@ -96,17 +93,13 @@ def test_3211_holds_its_levels():
 
 def test_the_papers_band_gives_what_its_equations_say():
     design = design_excitation(0.1, 20.0)
-    exact = 0.3 * 2 * math.pi / 20.0
-    assert design.clock_s == 0.092
-    assert 0.0 <= exact - design.clock_s < 0.004
-    assert design.length == 511
+    assert (design.clock_s, design.length) == (0.092, 511)
+    assert 0.0 <= 0.3 * 2 * math.pi / 20.0 - design.clock_s < 0.004
     assert 3.0 <= design.period_s / 10.0 <= 5.0
     assert design.covered_rad_s[1] >= 20.0
-    assert design.order(1e3) == 511
-    assert design.order(9.2) == 100
-    text = design.text()
+    assert (design.order(1e3), design.order(9.2)) == (511, 100)
     for figure in ('0.09425', '0.092', '511', '0.03 s', '424', 'eq. (9)', 'eq. (10)'):
-        assert figure in text
+        assert figure in design.text()
 
 
 @pytest.mark.parametrize(('low', 'high', 'rate'), [(0.1, 20, 250), (0.5, 40, 500), (1, 6, 100)])
@@ -123,9 +116,8 @@ def test_a_design_is_a_schedule_that_can_be_flown(low, high, rate):
 
 
 @pytest.mark.parametrize(('low', 'high'), [(0.0, 20.0), (5.0, 1.0), (0.1, 500.0), (0.1, math.nan)])
-def test_bands_that_cannot_be_excited_are_refused(low, high):
-    with pytest.raises(BadInputError, match='--band'):
-        design_excitation(low, high)
+def test_bands_that_cannot_be_excited_are_refused(low, high, refusal):
+    assert '--band' in refusal(design_excitation, low, high)
 
 
 # ---- schedules --------------------------------------------------------------------------------
@@ -150,15 +142,12 @@ def test_one_axis_at_a_time_with_ramps_and_rest():
     schedule = load_schedule(CONFIG / 'schedule_rig.yaml')
     assert schedule.sample(-1.0) == schedule.sample(1.0) == schedule.sample(1e4) == (0, 0, 0)
     part = schedule.parts[1]
-    assert abs(part.at(0.1)) == pytest.approx(0.2 * part.amplitude)
-    assert abs(part.at(20.0)) == pytest.approx(part.amplitude)
-    assert abs(part.at(part.duration_s - 0.25)) == pytest.approx(0.5 * part.amplitude)
+    for t, share in ((0.1, 0.2), (20.0, 1.0), (part.duration_s - 0.25, 0.5)):
+        assert abs(part.at(t)) == pytest.approx(share * part.amplitude)
     assert part.at(part.duration_s) == 0.0
-    assert schedule.index(3.0) == 1
-    assert schedule.index(83.0) is None
+    assert (schedule.index(3.0), schedule.index(83.0)) == (1, None)
     told = part.announcement()
-    assert told['segment'] == 'train'
-    assert told['register_bits'] == 9
+    assert (told['segment'], told['register_bits']) == ('train', 9)
     assert told['amplitude'] == pytest.approx(math.radians(12.0))
     assert schedule.parts[0].announcement()['signal'] == 'none'
 
@@ -169,32 +158,20 @@ GOOD = {'segment': 'train', 'signal': 'square', 'period_s': 2.0, 'duration_s': 1
 @pytest.mark.parametrize(
     ('change', 'named'),
     [
-        ({'amplitud_deg': 3}, 'amplitud_deg'),
-        ({'amplitude_deg': 25.0}, 'amplitude_deg'),
-        ({'amplitude_deg': math.nan}, 'amplitude_deg'),
-        ({'amplitude': 0.1}, 'amplitude_deg'),
-        ({'segment': 'trian'}, "'trian'"),
-        ({'signal': 'sine'}, "'sine'"),
-        ({'axis': 'x'}, "'x'"),
-        ({'injection': 'motor'}, "'motor'"),
-        ({'duration_s': -1.0}, 'duration_s'),
-        ({'duration_s': 'long'}, "'long'"),
-        ({'period_s': 0.0}, 'period_s'),
-        ({'period_s': '2'}, 'period_s'),
-        ({'ramp_s': 6.0}, 'ramp_s'),
-        ({'signal': 'prbs'}, 'period_s'),
-        ({'segment': 'idle'}, 'idle'),
+        ({'amplitud_deg': 3}, 'amplitud_deg'), ({'amplitude_deg': 25.0}, 'amplitude_deg'),
+        ({'amplitude_deg': math.nan}, 'amplitude_deg'), ({'amplitude': 0.1}, 'amplitude_deg'),
+        ({'segment': 'trian'}, "'trian'"), ({'signal': 'sine'}, "'sine'"), ({'axis': 'x'}, "'x'"),
+        ({'injection': 'motor'}, "'motor'"), ({'duration_s': -1.0}, 'duration_s'),
+        ({'duration_s': 'long'}, "'long'"), ({'period_s': 0.0}, 'period_s'),
+        ({'period_s': '2'}, 'period_s'), ({'ramp_s': 6.0}, 'ramp_s'),
+        ({'signal': 'prbs'}, 'period_s'), ({'segment': 'idle'}, 'idle'),
     ],
 )
-def test_a_wrong_segment_is_told_with_file_number_and_key(change, named):
+def test_a_wrong_segment_is_told_with_file_number_and_key(change, named, refusal):
     segments = [{'segment': 'idle', 'duration_s': 1}, {**GOOD, **change}]
-    content = {'schedule': {'segments': segments}}
-    with pytest.raises(BadInputError) as caught:
-        parse_schedule(content, 'flight.yaml')
-    line = str(caught.value)
+    line = refusal(parse_schedule, {'schedule': {'segments': segments}}, 'flight.yaml')
     assert line.startswith('flight.yaml, segment 2')
     assert named in line
-    assert '\n' not in line
 
 
 @pytest.mark.parametrize(
@@ -207,19 +184,17 @@ def test_a_wrong_segment_is_told_with_file_number_and_key(change, named):
         ({'schedule': {'segments': [GOOD], 'speed': 1}}, 'speed'),
     ],
 )
-def test_a_wrong_file_is_told_in_one_line(content, named):
-    with pytest.raises(BadInputError, match=named):
-        parse_schedule(content, 'flight.yaml')
+def test_a_wrong_file_is_told_in_one_line(content, named, refusal):
+    assert named in refusal(parse_schedule, content, 'flight.yaml')
 
 
-def test_files_that_are_no_schedule_are_told(tmp_path):
-    with pytest.raises(BadInputError, match='cannot be read'):
-        load_schedule(tmp_path / 'absent.yaml')
+def test_files_that_are_no_schedule_are_told(tmp_path, refusal):
+    assert 'cannot be read' in refusal(load_schedule, tmp_path / 'absent.yaml')
     broken = tmp_path / 'broken.yaml'
-    broken.write_text('schedule:\n  segments: [\n')
-    with pytest.raises(BadInputError, match=r'broken.yaml, line 3: is not YAML'):
-        load_schedule(broken)
-    for text in ('[' * 5000, 'schedule: ' + '9' * 5000):
+    for text, told in (
+        ('schedule:\n  segments: [\n', 'broken.yaml, line 3: is not YAML'),
+        ('[' * 5000, 'broken.yaml: is not YAML'),
+        ('schedule: ' + '9' * 5000, 'broken.yaml: is not YAML'),
+    ):
         broken.write_text(text)
-        with pytest.raises(BadInputError, match=r'broken.yaml: is not YAML'):
-            load_schedule(broken)
+        assert told in refusal(load_schedule, broken)

@@ -28,28 +28,26 @@ def after(*gaps: float) -> list[float]:
     return times
 
 
-def test_on_an_even_beat_a_silent_link_grows_old_by_the_clock() -> None:
-    times = [k * DT for k in range(1000)]
-    assert ages(times) == times
+EVEN = [k * DT for k in range(1000)]
 
 
-def test_a_standstill_is_left_out_until_what_waited_has_had_time_to_come() -> None:
-    assert ages(after(DT, 0.34, DT, DT)) == pytest.approx([0.0, DT, DT, 2 * DT, 3 * DT])
-
-
-def test_a_second_standstill_at_once_is_left_out_too_but_no_more_than_a_second() -> None:
-    found = ages(after(0.5, DT, 0.4, DT, 0.3))
-    assert found == pytest.approx([0.0, 0.0, DT, DT, 2 * DT, 0.3 + 2 * DT])
+@pytest.mark.parametrize(('times', 'expected'), [
+    (EVEN, EVEN),
+    # left out until what waited has had time to come
+    (after(DT, 0.34, DT, DT), [0.0, DT, DT, 2 * DT, 3 * DT]),
+    # a second standstill at once is left out too, but no more than a second of both
+    (after(0.5, DT, 0.4, DT, 0.3), [0.0, 0.0, DT, DT, 2 * DT, 0.3 + 2 * DT]),
+    # a long one by nothing
+    (after(1.01 * LONGEST_S), [0.0, 1.01 * LONGEST_S]),
+])
+def test_a_silent_link_grows_old_by_the_clock_but_for_standstills(times, expected) -> None:
+    assert ages(times) == pytest.approx(expected)
 
 
 def test_a_node_that_only_crawls_still_sees_the_link_die() -> None:
     times = after(*[2 * STALL_S] * 20)
     late = [t for t, age in zip(times, ages(times), strict=True) if age > STALE_S]
     assert late[0] <= LONGEST_S + STALE_S + 2 * STALL_S + 1e-9
-
-
-def test_a_long_standstill_is_left_out_by_nothing() -> None:
-    assert ages(after(1.01 * LONGEST_S))[-1] == pytest.approx(1.01 * LONGEST_S)
 
 
 @pytest.mark.parametrize(('awake', 'left_out'), [(50, False), (250, True)])
@@ -61,18 +59,13 @@ def test_only_time_awake_earns_the_next_standstill(awake: int, left_out: bool) -
     assert age == pytest.approx(0.0 if left_out else 0.9, abs=1e-9)
 
 
-def test_a_pause_on_purpose_is_no_standstill() -> None:
-    stall = Stall()
-    stall.tick(0.0)
-    stall.begin(0.5)
-    stall.tick(0.5 + DT)
-    assert stall.stood_still_s == 0.0
-    assert stall.awake_s(0.5) == 0.5
-
-
-def test_a_standstill_before_the_first_tick_is_left_out_too() -> None:
-    stall = Stall()
-    stall.begin(10.0)
-    stall.tick(10.6)
-    assert stall.stood_still_s == pytest.approx(0.6)
-    assert stall.awake_s(10.6) - 9.99 == pytest.approx(0.01)
+def test_a_pause_on_purpose_is_no_standstill_and_one_before_the_first_tick_is() -> None:
+    paused, late = Stall(), Stall()
+    paused.tick(0.0)
+    paused.begin(0.5)
+    paused.tick(0.5 + DT)
+    assert (paused.stood_still_s, paused.awake_s(0.5)) == (0.0, 0.5)
+    late.begin(10.0)
+    late.tick(10.6)
+    assert late.stood_still_s == pytest.approx(0.6)
+    assert late.awake_s(10.6) - 9.99 == pytest.approx(0.01)

@@ -13,10 +13,6 @@ from quad_tuning.errors import DesignRefusedError
 from quad_tuning.objective import Requirements
 
 
-def without_gains(m):
-    return dataclasses.replace(m, active_gains={})
-
-
 def with_gains(m, **values):
     gains = dict(m.active_gains) | {k.replace('__', '.'): v for k, v in values.items()}
     return dataclasses.replace(m, active_gains=gains)
@@ -28,6 +24,10 @@ def with_base(m, name, value):
     return dataclasses.replace(m, base=base)
 
 
+def with_stds(*variances):
+    return lambda m: dataclasses.replace(m, covariance=np.diag(variances))
+
+
 @pytest.mark.parametrize(
     ('change', 'said'),
     [
@@ -35,29 +35,15 @@ def with_base(m, name, value):
         (lambda m: with_base(m, 'lag', float('nan')), 'lag is nan'),
         (lambda m: dataclasses.replace(m, covariance=None), 'no covariance'),
         (lambda m: dataclasses.replace(m, covariance=np.eye(2)), 'covariance is (2, 2)'),
-        (
-            lambda m: dataclasses.replace(m, covariance=np.diag([1e4, 0, 0, 0, 0])),
-            'gain 450 +- 1e+02 is too uncertain',
-        ),
-        (
-            lambda m: dataclasses.replace(m, covariance=np.diag([25, 0, 0.01**2, 0, 0])),
-            'delay 0.008 +- 0.01 s is too uncertain',
-        ),
-        (
-            lambda m: dataclasses.replace(m, covariance=np.diag([np.nan, 0, 0, 0, 0])),
-            'lacks the plant gain',
-        ),
-        (without_gains, "flight's gains are not known"),
+        (with_stds(1e4, 0, 0, 0, 0), 'gain 450 +- 1e+02 is too uncertain'),
+        (with_stds(25, 0, 0.01**2, 0, 0), 'delay 0.008 +- 0.01 s is too uncertain'),
+        (with_stds(np.nan, 0, 0, 0, 0), 'lacks the plant gain'),
+        (with_stds(85.0**2, 0.016**2, 0.0055**2, 0, 0), 'within the hard bounds'),
+        (lambda m: dataclasses.replace(m, active_gains={}), "flight's gains are not known"),
         (lambda m: with_gains(m, roll__rate__kp=float('nan')), 'must be finite'),
         (lambda m: with_gains(m, roll__rate__kp=0.4), 'gains that flew are unstable'),
         (lambda m: dataclasses.replace(m, trusted_band_rad_s=(0.1, 5.0)), 'excite that band'),
         (lambda m: with_base(m, 'delay', 0.08), 'gains that flew are unstable'),
-        (
-            lambda m: dataclasses.replace(
-                m, covariance=np.diag([85.0**2, 0.016**2, 0.0055**2, 0, 0])
-            ),
-            'within the hard bounds',
-        ),
     ],
 )
 def test_a_model_that_allows_no_design_is_refused_with_the_reason(model, change, said):

@@ -18,44 +18,35 @@ from quad_tuning.bounds import (
 )
 from quad_tuning.errors import DesignRefusedError
 
-
-@pytest.mark.parametrize('value', [float('nan'), float('inf'), -float('inf'), True])
-def test_values_that_are_no_number_are_refused(value):
-    with pytest.raises(DesignRefusedError, match=r'roll\.rate\.kp: must be finite'):
-        check_finite({'roll.rate.kp': value})
+ACTIVE = {'roll.rate.kp': 0.07, 'roll.rate.kd': 0.0}
 
 
 @pytest.mark.parametrize(
-    'gains', [{'roll.angle.kp': 16.0}, {'roll.rate.kp': -0.01}, {'roll.rate.kd': 0.03}]
+    ('check', 'gains', 'said'),
+    [
+        *((check_finite, {'roll.rate.kp': value}, r'roll\.rate\.kp: must be finite')
+          for value in (float('nan'), float('inf'), -float('inf'), True)),
+        *((check_bounds, gains, 'must lie in') for gains in (
+            {'roll.angle.kp': 16.0}, {'roll.rate.kp': -0.01}, {'roll.rate.kd': 0.03})),
+        (check_bounds, {'roll.rate.output_limit': 0.3}, 'no gain that a designer may change'),
+        (lambda g: check_step(g, ACTIVE), {'roll.rate.kp': 0.142}, 'go there in steps'),
+        (lambda g: check_step(g, ACTIVE), {'roll.rate.kd': 0.0006}, 'go there in steps'),
+        (lambda g: check_step(g, {}), {'roll.rate.kp': 0.07}, 'active value is not known'),
+        (lambda _: reachable('angle_kp', 40.0), {}, 'further than'),
+    ],
 )
-def test_hard_bounds(gains):
-    with pytest.raises(DesignRefusedError, match='must lie in'):
-        check_bounds(gains)
-
-
-def test_a_name_no_designer_may_change_is_refused():
-    with pytest.raises(DesignRefusedError, match='no gain that a designer may change'):
-        check_bounds({'roll.rate.output_limit': 0.3})
-
-
-def test_one_update_changes_a_gain_by_two_at_most_or_by_the_small_step():
-    active = {'roll.rate.kp': 0.07, 'roll.rate.kd': 0.0}
-    check_step({'roll.rate.kp': 0.139, 'roll.rate.kd': 0.0005}, active)
-    with pytest.raises(DesignRefusedError, match='go there in steps'):
-        check_step({'roll.rate.kp': 0.142}, active)
-    with pytest.raises(DesignRefusedError, match='go there in steps'):
-        check_step({'roll.rate.kd': 0.0006}, active)
-    with pytest.raises(DesignRefusedError, match='active value is not known'):
-        check_step({'roll.rate.kp': 0.07}, {})
+def test_what_must_never_reach_an_aircraft_is_refused_by_name(check, gains, said):
+    with pytest.raises(DesignRefusedError, match=said):
+        check(gains)
 
 
 def test_reachable_stays_inside_the_bounds_and_the_factor_in_float32():
+    """One update changes a gain by two at most, or by the small step."""
+    check_step({'roll.rate.kp': 0.139, 'roll.rate.kd': 0.0005}, ACTIVE)
     low, high = reachable('rate_kp', 0.07)
     assert np.float32(high) / np.float32(0.07) < 2.0
     assert np.float32(0.07) / np.float32(low) < 2.0
     assert reachable('angle_kp', 14.0)[1] == 15.0
-    with pytest.raises(DesignRefusedError, match='further than'):
-        reachable('angle_kp', 40.0)
 
 
 def test_a_large_change_goes_in_steps_each_of_which_passes():

@@ -20,6 +20,8 @@ import pytest
 from quad_sysid import cli as sysid
 from quad_sysid.bags import write_bag
 from quad_sysid.loop.cascade import CascadeGains
+from quad_sysid.loop.plant import LoopPlant
+from quad_sysid.loop.simulation import simulate_cascade
 from quad_sysid.record import GainChange, Record, Segment
 from quad_tuning import cli as tuning
 
@@ -73,37 +75,22 @@ def quick(line: str) -> bool:
 
 
 def flight(seed: int) -> Record:
-    """Roll after a random binary command through a lag, in a loop that follows a square wave."""
-    rng = np.random.default_rng(seed)
-    n = round(20.0 / DT)
-    reference = np.zeros((n, 3))
-    reference[:, 0] = 0.2 * np.repeat(rng.choice([-1.0, 1.0], n // 50 + 1), 50)[:n]
-    control, rates, angles = np.zeros((n, 4)), rng.normal(0.0, 0.004, (n, 3)), np.zeros((n, 3))
-    control[:, 0] = 0.5
-    rate = lag = angle = 0.0
-    for k in range(n):
-        control[k, 1] = np.clip(
-            0.06 * (3.0 * (reference[k, 0] - angle) - rates[k, 0] - rate), -0.3, 0.3
-        )
-        lag += DT / 0.05 * (control[k, 1] - lag)
-        rate += DT * (400.0 * lag - rate) + 0.02 * rng.normal()
-        angle += DT * rate
-        rates[k, 0] += rate
-        angles[k, 0] = angle
-    segments = (
-        Segment('train', 'prbs', 'roll', 'attitude', 1.0, 13.0),
-        Segment('validation', 'prbs', 'roll', 'attitude', 13.5, 20.0),
+    """Roll in its cascade, which follows levels of 0.2 rad."""
+    rng, n, gains = np.random.default_rng(seed), round(20.0 / DT), CascadeGains.default('roll')
+    zero = np.zeros(n)
+    reference = 0.2 * np.repeat(rng.choice([-1.0, 1.0], n // 50 + 1), 50)[:n]
+    run = simulate_cascade(
+        LoopPlant(400.0, 0.05, 0.004, 1.0, 0.0, None, DT), gains, reference, DT,
+        noise=rng.normal(0.0, 0.004, n), disturbance=rng.normal(0.0, 5.0, n),
     )
     return Record(
-        source='flight',
-        dt=DT,
-        rates=rates,
-        control=control,
-        angles=angles,
-        attitude_setpoint=reference,
-        segments=segments,
-        gains=(GainChange(0.0, CascadeGains.default('roll').to_mapping('roll', constants=True)),),
-        t0_ns=10**18,
+        source='flight', dt=DT, rates=np.column_stack((run.rate, rng.normal(0.0, 0.004, (n, 2)))),
+        control=np.column_stack((zero + 0.5, run.control, zero, zero)),
+        angles=np.column_stack((run.angle, zero, zero)),
+        attitude_setpoint=np.column_stack((reference, zero, zero)),
+        segments=(Segment('train', 'prbs', 'roll', 'attitude', 1.0, 13.0),
+                  Segment('validation', 'prbs', 'roll', 'attitude', 13.5, 20.0)),
+        gains=(GainChange(0.0, gains.to_mapping('roll', constants=True)),), t0_ns=10**18,
     )
 
 
@@ -118,14 +105,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         write_bag(flight(seed), here / name)
     (here / 'another_flight').symlink_to('another_flight_bag')
     (here / 'emps_pulses').symlink_to('another_flight_bag')
-    columns = {
-        't': 1e-3,
-        'u': 1e-5,
-        'gx': 0.02,
-        'Time [ms]': 1.0,
-        'cmd roll': 0.01,
-        'Gyro (deg/s)': 0.02,
-    }
+    columns = {'t': 1e-3, 'u': 1e-5, 'gx': 0.02, 'Time [ms]': 1.0, 'cmd roll': 0.01,
+               'Gyro (deg/s)': 0.02}
     rows = [','.join(f'{scale * 4 * k:.6g}' for scale in columns.values()) for k in range(1000)]
     (here / 'log.csv').write_text('\n'.join([','.join(columns), *rows]) + '\n')
     without = {'NUMBA_DEBUG_CACHE': '1', 'HOME': str(here)}
@@ -153,12 +134,7 @@ def test_the_docs_have_commands_and_the_lists_no_others() -> None:
 
 @pytest.mark.parametrize(('page', 'line'), OURS, ids=[line for _, line in OURS])
 def test_a_command_works(
-    page: str,
-    line: str,
-    folder: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys,
-    tmp_path: Path,
+    page: str, line: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys, tmp_path: Path
 ) -> None:
     """Run in a folder where its files are (an `import` elsewhere: its bag must be new)."""
     program, *arguments = shlex.split(line)

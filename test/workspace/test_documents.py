@@ -1,44 +1,50 @@
-"""What README, CONTRIBUTING and docs tell a reader to type exists, and their links lead on."""
+"""What the pages tell a reader to use exists: targets, executables, launch files, links, site."""
 
 from __future__ import annotations
 
+import importlib.util
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
+from probe import PATIENCE_S
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [
-    ROOT / 'README.md', ROOT / 'CONTRIBUTING.md', ROOT / 'ARCHITECTURE.md',
+    *(ROOT / f'{name}.md' for name in ('README', 'CONTRIBUTING', 'ARCHITECTURE')),
     *sorted((ROOT / 'docs').rglob('*.md')),
-]  # fmt: skip
-page = pytest.mark.parametrize('path', PAGES, ids=lambda p: str(p.relative_to(ROOT)))
+]
 
 
-@page
-def test_make_targets_exist(path: Path) -> None:
+@pytest.mark.parametrize('path', PAGES, ids=lambda p: str(p.relative_to(ROOT)))
+def test_what_a_page_names_exists(path: Path) -> None:
+    text = path.read_text()
     targets = set(re.findall(r'^([a-z-]+):', (ROOT / 'Makefile').read_text(), re.MULTILINE))
-    named = re.findall(
-        r'`make ([a-z-]+)|^\s*(?:\$ )?make ([a-z-]+)', path.read_text(), re.MULTILINE
-    )
+    named = re.findall(r'`make ([a-z-]+)|^\s*(?:\$ )?make ([a-z-]+)', text, re.MULTILINE)
     assert {a or b for a, b in named} <= targets
-
-
-@page
-def test_executables_exist(path: Path) -> None:
-    for package, command in re.findall(r'ros2 run (quad_\w+) ([\w-]+)', path.read_text()):
+    for package, command in re.findall(r'ros2 run (quad_\w+) ([\w-]+)', text):
         setup = (ROOT / 'src' / package / 'setup.py').read_text()
         assert re.search(rf"['\"]{re.escape(command)}\s*=", setup), f'{package} {command}'
-
-
-@page
-def test_launch_files_exist(path: Path) -> None:
-    for package, name in re.findall(r'ros2 launch (quad_\w+) ([\w.]+)', path.read_text()):
+    for package, name in re.findall(r'ros2 launch (quad_\w+) ([\w.]+)', text):
         assert (ROOT / 'src' / package / 'launch' / name).exists()
-
-
-@page
-def test_links_lead_to_files(path: Path) -> None:
-    for target in re.findall(r'\]\(([^)#]+)(?:#[^)]*)?\)', path.read_text()):
+    for target in re.findall(r'\]\(([^)#]+)(?:#[^)]*)?\)', text):
         if not target.startswith(('http://', 'https://', 'mailto:')):
             assert (path.parent / target).exists(), target
+
+
+@pytest.mark.skipif(importlib.util.find_spec('mkdocs') is None, reason='mkdocs is not installed')
+def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, '-m', 'mkdocs', 'build', '--strict', '--quiet', '--site-dir',
+         str(tmp_path / 'site')],
+        cwd=ROOT, capture_output=True, text=True, check=False, timeout=PATIENCE_S,
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    text = (tmp_path / 'site' / 'reference' / 'api.html').read_text()
+    assert all(name in text for name in ('read_bag', 'AxisModel', 'CascadeGains', 'import_log'))
+    pictures = re.findall(r'<img[^>]*src="([^"]+)"', (tmp_path / 'site/tune.html').read_text())
+    assert all((tmp_path / 'site' / p).exists() for p in pictures if not p.startswith('http'))
+    listed = set(re.findall(r'[\w/]+\.md', (ROOT / 'mkdocs.yml').read_text()))
+    assert listed == {str(p.relative_to(ROOT / 'docs')) for p in PAGES[3:]}

@@ -71,43 +71,28 @@ def used(value: Any) -> set[str]:
             return {value.given[0]}
         return used(value.given) | used(value.named)
     if isinstance(value, dict):
-        return set().union(*(used(v) for v in value.values()))
-    if isinstance(value, (list, tuple)) or type(value).__name__ == 'dict_items':
-        return set().union(*(used(v) for v in value))
-    return set()
+        value = value.values()
+    inside = isinstance(value, (list, tuple)) or type(value).__name__.startswith('dict_')
+    return set().union(*map(used, value)) if inside else set()
 
 
 @pytest.mark.parametrize('path', FILES, ids=lambda p: p.name)
-def test_it_parses_and_uses_declared_arguments(path: Path) -> None:
+def test_what_it_uses_starts_and_includes_exists(path: Path) -> None:
     entries = described(path)
     assert used(entries) == set(arguments(entries))
-
-
-@pytest.mark.parametrize('path', FILES, ids=lambda p: p.name)
-def test_its_nodes_exist_with_the_parameters_of_their_yaml(path: Path) -> None:
-    for node in [e for e in described(path) if e.kind == 'Node']:
+    for node in [e for e in entries if e.kind == 'Node']:
         package, executable = node.named['package'], node.named['executable']
-        setup = (ROOT / 'src' / package / 'setup.py').read_text(encoding='utf-8')
-        assert f"'{executable} = {package}." in setup
+        folder = ROOT / 'src' / package
+        assert f"'{executable} = {package}." in (folder / 'setup.py').read_text(encoding='utf-8')
         for given in node.named.get('parameters', []):
-            if not isinstance(given, dict):
-                continue
-            config = ROOT / 'src' / package / 'config' / f'{executable}.yaml'
-            known = yaml.safe_load(config.read_text(encoding='utf-8'))[executable]
-            source = ''.join(
-                p.read_text(encoding='utf-8') for p in (ROOT / 'src' / package).rglob('*.py')
-            )
-            for name in given:
-                assert name in known['ros__parameters'] or f"'{name}'" in source
-
-
-@pytest.mark.parametrize('path', FILES, ids=lambda p: p.name)
-def test_what_it_includes_exists_and_takes_the_arguments(path: Path) -> None:
-    for include in [e for e in described(path) if e.kind == 'IncludeLaunchDescription']:
+            if isinstance(given, dict):
+                config = (folder / 'config' / f'{executable}.yaml').read_text(encoding='utf-8')
+                known = yaml.safe_load(config)[executable]['ros__parameters']
+                source = ''.join(p.read_text(encoding='utf-8') for p in folder.rglob('*.py'))
+                assert all(name in known or f"'{name}'" in source for name in given)
+    for include in [e for e in entries if e.kind == 'IncludeLaunchDescription']:
         included = Path(include.given[0].given[0])
-        assert included.exists()
-        handed = dict(include.named['launch_arguments'])
-        assert set(handed) <= set(arguments(described(included)))
+        assert set(dict(include.named['launch_arguments'])) <= set(arguments(described(included)))
 
 
 def test_there_is_one_for_flight_rig_and_demo() -> None:

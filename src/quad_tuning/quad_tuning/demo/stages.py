@@ -112,6 +112,11 @@ def connect(campaign: Campaign, aircraft: Aircraft) -> None:
     campaign.wait('connect', '/imu/data', lambda: observer.imu_count > 250 * SETTLED_S, CONNECT_S)
     observer.count_imu(on=False)
     campaign.wait('connect', '/gains/active', lambda: bool(observer.active_gains), CONNECT_S)
+    # its first report: in lockstep it knows the time from then on, before it refuses to record
+    heard = observer.diagnostics
+    campaign.wait(
+        'connect', 'logger', lambda: any(n.startswith('bag_logger: ') for n in heard), CONNECT_S
+    )
 
 
 def fly(campaign: Campaign, name: str, schedule: Path) -> Flight:
