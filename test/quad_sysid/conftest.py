@@ -41,7 +41,7 @@ def plain_bag(plain_flight: Record, tmp_path_factory: pytest.TempPathFactory) ->
 @pytest.fixture(scope='session')
 def true_model(plain_flight: Record) -> AxisModel:
     """A model of the plain axis with the true parameters and the noise that was found."""
-    answer = identify([plain_flight], Options(axes=('roll',), search_effects=False))['roll']
+    answer = identify([plain_flight], Options(axes=('roll',), effects=()))['roll']
     assert answer.model is not None
     truth = {'gain': 450.0, 'lag': 0.042, 'delay': 0.008, 'damping': 0.4, 'bias': 0.2}
     base = tuple(replace(p, value=truth[p.name]) for p in answer.model.base)

@@ -68,7 +68,7 @@ def flight(
 @pytest.fixture(scope='module')
 def answers():
     records = [flight(), flight(7, FAST, source='second')]
-    return identify(records, Options(search_effects=False, table2=True))
+    return identify(records, Options(effects=(), table2=True))
 
 
 @pytest.fixture(scope='module')
@@ -87,7 +87,7 @@ def test_every_structure_stands_in_the_table(roll):
 
 def test_one_loop_is_identified_by_all_three_approaches():
     """Each free run within 3 points of the direct one's on the square wave."""
-    found = identify([flight()], Options(axes=('roll',), search_effects=False))['roll']
+    found = identify([flight()], Options(axes=('roll',), effects=()))['roll']
     assert all(a.possible for a in found.selection.approaches)
     rows = {(r.step_a.model.approach, r.step_a.model.structure): r.step_a for r in found.rows}
     direct = rows['direct', 'BJ'].fit_validation_pct['square']
@@ -140,7 +140,7 @@ def test_step_b_says_what_is_missing(change, words):
 def test_roll_and_pitch_share_a_model_where_they_are_alike(answers, alike):
     """And keep two where pitch has a tenth more gain."""
     found = answers if alike else identify(
-        [flight(gain=(450.0, 495.0))], Options(search_effects=False))
+        [flight(gain=(450.0, 495.0))], Options(effects=()))
     shared = found['roll'].selection.shared
     assert shared == found['pitch'].selection.shared
     assert shared.agree is alike, shared.because
@@ -198,7 +198,7 @@ def test_open_loop_is_found_in_the_data_and_stands_by_the_first_step():
         record, control=control, rates=rates, gains=(), attitude_setpoint=None,
         segments=tuple(Segment(r, s, 'yaw', 'control', a, b) for r, s, a, b in SPANS),
     )
-    found = identify([yaw], Options(axes=('yaw',), search_effects=False))['yaw']
+    found = identify([yaw], Options(axes=('yaw',), effects=()))['yaw']
     assert found.selection.feedback is False
     assert [a.possible for a in found.selection.approaches] == [True, False, False]
     row = found.rows[found.selected]
@@ -216,7 +216,7 @@ def test_poor_excitation_is_told():
     rates[:, 0], control[:, 1] = quiet.rate, quiet.control
     wanted = np.column_stack((slow, np.zeros((record.n, 2))))
     poor = dataclasses.replace(record, rates=rates, control=control, attitude_setpoint=wanted)
-    found = identify([poor], Options(axes=('roll',), search_effects=False))['roll']
+    found = identify([poor], Options(axes=('roll',), effects=()))['roll']
     assert any('not to be trusted' in line or 'no frequency' in line
                for line in found.selection.advice)
 

@@ -26,7 +26,7 @@ PPM_250 = 1.0 + 250e-6
 
 
 def base_of(*records):
-    return identify(records, Options(axes=('roll',), search_effects=False))['roll']
+    return identify(records, Options(axes=('roll',), effects=()))['roll']
 
 
 @pytest.fixture(scope='module')

@@ -82,7 +82,7 @@ def turned(record: Record) -> Record:
 )
 def test_no_gains_come_of_motors_in_a_wrong_order(record, designer, words):
     ask = designer or (lambda _model: pytest.fail('a designer was asked'))
-    options = Options(('roll',), designer=ask, search_effects=False)
+    options = Options(('roll',), designer=ask, effects=())
     answer = identify([record], options)['roll']
     assert answer.proposal.gains is None
     assert words in answer.proposal.refused_because

@@ -11,12 +11,14 @@ import quad_sysid
 NAMES = (
     'read_bag', 'Record', 'IOData', 'arx', 'armax', 'oe', 'bj', 'iv4', 'clriv', 'n4sid', 'greybox',
     'search_arx', 'delay_estimate', 'Model', 'simulate', 'predict', 'fit_percent', 'compare',
-    'residual_test', 'frequency_response', 'spa', 'coherence', 'excitation_order',
+    'residual_test', 'frequency_response', 'spa', 'coherence', 'excitation_order', 'identify',
+    'evaluate', 'Result', 'Effect', 'prbs', 'design_excitation',
 )
 
 
 def test_every_promised_name_is_there():
     assert all(callable(getattr(quad_sysid, name)) for name in NAMES)
+    assert {effect.name for effect in quad_sysid.EFFECTS} >= {'coulomb_friction', 'resonance'}
     assert set(NAMES) <= set(quad_sysid.__all__) <= set(dir(quad_sysid))
     assert all(getattr(quad_sysid, name) is not None for name in quad_sysid.__all__)
     with pytest.raises(AttributeError, match='no attribute'):
@@ -70,3 +72,52 @@ def test_a_rate_that_does_not_fit_is_told():
             call(model, other)
     with pytest.raises(ValueError, match='greybox'):
         quad_sysid.greybox(quad_sysid.IOData(u, y, 0.01))
+
+
+def test_a_flight_to_a_result_in_one_call(plain_flight, tmp_path):
+    """What the command prints, the pictures, the files, a simulation and another flight."""
+    result = quad_sysid.identify(plain_flight, axes='roll', effects=())
+    assert (result.verdict, result.effects, result.rivals) == ('no_missing_effect', (), {})
+    assert list(result) == ['roll']
+    assert result['roll'].model.value('gain') == pytest.approx(450.0, rel=0.02)
+    assert 'no_missing_effect' in str(result)
+    assert f'{result.errors["before"]:.3g}'[:4] in str(result)
+    assert '<pre>' in result._repr_html_()
+    assert '<img' in result._repr_html_()
+    assert result.plot('free_run').axes
+    saved = result.save(tmp_path / 'out', pictures=False)
+    assert {'report.json', 'model.json', 'report.html'} <= {
+        path.name for path in saved.folder.iterdir()
+    }
+    found = quad_sysid.evaluate(result.model, plain_flight)
+    assert found.before == pytest.approx(result.errors['before'], rel=0.3)
+    for call, words in (
+        (lambda: result['yaw'], 'no such axis'), (lambda: result.plot('nothing'), 'no such'),
+        (lambda: quad_sysid.identify(plain_flight, 'bank'), 'axes must be of'),
+        (lambda: result.model.simulate([np.nan, 1.0]), 'finite'),
+    ):
+        with pytest.raises(quad_sysid.BadInputError, match=words):
+            call()
+
+
+def test_a_model_runs_freely_as_its_equations_say(true_model):
+    """A step in the command: the textbook's rate of an axis with lag, delay and damping."""
+    model = quad_sysid.Identified(**vars(true_model))
+    n, u = 500, 0.02
+    gain, lag, delay, damping, bias = (
+        model.value(name) for name in ('gain', 'lag', 'delay', 'damping', 'bias')
+    )
+    rate = model.simulate(np.full(n, u))
+    t = np.arange(n) * model.dt
+    t = np.maximum(t - delay, 0.0)
+    drive = gain * u * (
+        (1.0 - np.exp(-damping * t)) / damping
+        - (np.exp(-t / lag) - np.exp(-damping * t)) / (damping - 1.0 / lag)
+    )
+    wanted = drive + bias * (1.0 - np.exp(-damping * np.arange(n) * model.dt)) / damping
+    assert np.abs(rate - wanted)[50:].max() < 0.01 * np.abs(wanted).max()
+    turning = model.simulate(np.zeros(n), (1.0, 0.0))
+    assert turning[0] == pytest.approx(1.0)
+    assert turning[-1] - model.simulate(np.zeros(n))[-1] == pytest.approx(
+        np.exp(-damping * (n - 1) * model.dt), rel=1e-3
+    )

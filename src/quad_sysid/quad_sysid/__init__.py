@@ -1,8 +1,10 @@
-"""System identification of a quadrotor's axes from flights: records, models, validation.
+"""System identification of a quadrotor's axes from flights: what the model lacks, and models.
 
-    from quad_sysid import read_bag, bj, compare
-    z = read_bag('flight').axis('roll', 'train')
-    model = bj(z, 2, 2, 2, 2, 3)
+    import quad_sysid as qs
+    result = qs.identify('my_flight', axes='roll')      # verdict, effects, model, errors, rivals
+    print(result); result.plot('missing_torque'); result.save('out')
+    z = qs.read_bag('my_flight').axis('roll', 'train')
+    model = qs.bj(z, 2, 2, 2, 2, 3)
 
 Names and orders are MATLAB's; nk = 1 is one sample of delay. What stands here is loaded when it is
 first used, so that the import itself costs nothing and needs neither ROS nor matplotlib.
@@ -46,14 +48,22 @@ if TYPE_CHECKING:
         simulate,
         spa,
     )
+    from quad_sysid.effects import EFFECTS as EFFECTS
     from quad_sysid.errors import BadInputError, NotInformativeError, QuadSysidError
+    from quad_sysid.model.effect import Effect, Signals, Spec
     from quad_sysid.pipeline.direct import greybox
     from quad_sysid.record import IOData, Record, Segment
+    from quad_sysid.result import Identified, Result, evaluate, identify
+    from quad_sysid.signals import design_excitation, prbs
 
 _HOMES = {
     'quad_sysid.bags': ('read_bag',),
     'quad_sysid.errors': ('BadInputError', 'NotInformativeError', 'QuadSysidError'),
+    'quad_sysid.effects': ('EFFECTS',),
+    'quad_sysid.model.effect': ('Effect', 'Signals', 'Spec'),
     'quad_sysid.pipeline.direct': ('greybox',),
+    'quad_sysid.result': ('Identified', 'Result', 'evaluate', 'identify'),
+    'quad_sysid.signals': ('design_excitation', 'prbs'),
     'quad_sysid.record': ('IOData', 'Record', 'Segment'),
     'quad_sysid.blackbox': (
         'FrequencyResponse', 'LinearController', 'Model', 'OrderSearch', 'ResidualTest',
@@ -66,9 +76,12 @@ _HOMES = {
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 __all__ = [
+    'EFFECTS',
     'BadInputError',
+    'Effect',
     'FrequencyResponse',
     'IOData',
+    'Identified',
     'LinearController',
     'Model',
     'NotInformativeError',
@@ -76,7 +89,10 @@ __all__ = [
     'QuadSysidError',
     'Record',
     'ResidualTest',
+    'Result',
     'Segment',
+    'Signals',
+    'Spec',
     'SpectralEstimate',
     'armax',
     'arx',
@@ -86,17 +102,21 @@ __all__ = [
     'coherence',
     'compare',
     'delay_estimate',
+    'design_excitation',
     'detrend',
+    'evaluate',
     'excitation_order',
     'fit_percent',
     'frequency_response',
     'greybox',
+    'identify',
     'indirect',
     'iv4',
     'joint',
     'n4sid',
     'oe',
     'polynomial_model',
+    'prbs',
     'predict',
     'read_bag',
     'residual_test',

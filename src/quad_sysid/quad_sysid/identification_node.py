@@ -29,6 +29,7 @@ from quad_bridge.qos import EVENT, STATE
 from quad_sysid import session
 from quad_sysid.bags import parse_span
 from quad_sysid.errors import QuadSysidError
+from quad_sysid.result import Result
 
 PARAMETERS = ('out', 'axes', 'auto_update', 'train', 'validate', 'inertia')
 
@@ -52,7 +53,7 @@ class IdentificationNode(Node):  # type: ignore[misc]
         self._values: dict[str, str] = {'state': 'waiting'}
         self._level = DiagnosticStatus.OK
         self._worker: threading.Thread | None = None
-        self._outcome: session.Outcome | str | None = None
+        self._outcome: Result | str | None = None
         self._gains = self.create_publisher(ParameterEvent, 'gains/update', EVENT)
         self._diagnostics = self.create_publisher(DiagnosticArray, 'diagnostics', EVENT)
         self.create_subscription(ParameterEvent, 'logger/bag', self._on_bag, STATE)
@@ -121,7 +122,7 @@ class IdentificationNode(Node):  # type: ignore[misc]
         clock().release()
         self._start_next()
 
-    def _tell(self, outcome: session.Outcome, bag: str) -> None:
+    def _tell(self, outcome: Result, bag: str) -> None:
         """Say what came out, and what became of the gains."""
         verdicts = {axis: answer.verdict for axis, answer in outcome.answers.items()}
         self.get_logger().info(f'{bag}: {verdicts}, report in {outcome.folder}')
@@ -129,14 +130,14 @@ class IdentificationNode(Node):  # type: ignore[misc]
         self._say(
             DiagnosticStatus.OK if outcome.answered else DiagnosticStatus.WARN,
             state='done', reason=outcome.reasons or f'done; gains: {update}', bag=bag,
-            report=str(outcome.folder / 'report.json'), update=update, **verdicts,
+            report=f'{outcome.folder}/report.json', update=update, **verdicts,
         )
 
-    def _update(self, outcome: session.Outcome, bag: str) -> str:
+    def _update(self, outcome: Result, bag: str) -> str:
         """Publish the gains where that is asked for; what was done, or why not."""
         for axis, reason in outcome.refusals().items():
             self.get_logger().warning(f'{axis}: no gains: {reason}')
-        wanted = outcome.wanted_gains()
+        wanted = outcome.gains
         if not wanted:
             return 'none: ' + '; '.join(outcome.refusals().values())
         if not self._auto_update:
@@ -144,7 +145,7 @@ class IdentificationNode(Node):  # type: ignore[misc]
             return 'not sent: auto_update is off'
         told: dict[str, float | str] = {
             **wanted, 'source': f'identification of {bag}', 'bag': bag,
-            'model': str(outcome.folder / 'model.json'), 'predicted': outcome.predictions(),
+            'model': f'{outcome.folder}/model.json', 'predicted': outcome.predictions(),
         }  # fmt: skip
         self._gains.publish(gains_event(told, self._now()))
         self.get_logger().info(f'gains sent: {wanted}')

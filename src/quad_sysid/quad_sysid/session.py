@@ -6,24 +6,18 @@ command that is asked wrongly needs neither.
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from quad_sysid.bags import parse_span, read_bag, split_segments
+from quad_sysid.bags import parse_span
 from quad_sysid.contract import AXES
-from quad_sysid.designers import find_designer
 from quad_sysid.errors import BadInputError, QuadSysidError
+from quad_sysid.result import Result, identify
 
 if TYPE_CHECKING:
-    from quad_sysid.pipeline.answer import AxisAnswer
     from quad_sysid.separation.design import Separation
-
-PROMISES = ('rate_rms_ratio', 'oscillation_ratio', 'peak')
-"""Figures of a proposal that the bridge's watch compares the flight with."""
-
 
 @dataclass(frozen=True)
 class Request:
@@ -39,88 +33,28 @@ class Request:
     table2: bool = False
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """What came out, and where it lies."""
-
-    folder: Path
-    report: Mapping[str, Any]
-    answers: Mapping[str, AxisAnswer]
-
-    @property
-    def answered(self) -> bool:
-        """Whether any axis that was asked for could be answered."""
-        return any(answer.answered for answer in self.answers.values())
-
-    @property
-    def reasons(self) -> str:
-        """Why axes could not be answered, in one line."""
-        return '; '.join(
-            dict.fromkeys(a.reason for a in self.answers.values() if not a.answered)
-        )
-
-    def wanted_gains(self) -> dict[str, float]:
-        """The gains of all axes whose designer proposed some."""
-        wanted: dict[str, float] = {}
-        for answer in self.answers.values():
-            if answer.proposal is not None and answer.proposal.gains is not None:
-                wanted.update(answer.proposal.gains)
-        return wanted
-
-    def predictions(self) -> str:
-        """What the designs promise to the watch in flight, as /gains/update has it: JSON."""
-        said = {
-            f'{axis}.{name}': round(answer.proposal.figures[name], 6)
-            for axis, answer in self.answers.items()
-            if answer.proposal is not None and answer.proposal.gains is not None
-            for name in PROMISES
-            if name in answer.proposal.figures
-        }
-        return json.dumps(said)
-
-    def refusals(self) -> dict[str, str]:
-        """By axis, why there are no gains."""
-        return {
-            axis: answer.proposal.refused_because
-            for axis, answer in self.answers.items()
-            if answer.proposal is not None and answer.proposal.gains is None
-        }
-
-
-def run(request: Request, progress: Callable[[str], None] = lambda _: None) -> Outcome:
+def run(request: Request, progress: Callable[[str], None] = lambda _: None) -> Result:
     """Read, identify, design, write. Raises QuadSysidError for what a user can mend."""
-    from quad_sysid.pipeline.identify import Options, identify
-    from quad_sysid.report import document, store
+    from quad_sysid.report import store
 
     inertia = parse_inertia(request.inertia)
     train = parse_span(request.train, '--train') if request.train else None
     validate = parse_span(request.validate, '--validate') if request.validate else None
     if request.out:
         store.check_place(Path(request.out))
-    records = []
-    for bag in request.bags:
-        progress(f'reading {bag}')
-        records.append(split_segments(read_bag(bag), train, validate, request.axes or None))
-    designer, missing = find_designer()
-    answers = identify(
-        records,
-        Options(axes=request.axes, designer=designer, no_designer_because=missing,
-                search_effects=request.search_effects, table2=request.table2),
-        progress,
+    found = identify(
+        request.bags, request.axes, train=train, validate=validate, inertia=inertia,
+        effects=None if request.search_effects else (), table2=request.table2, progress=progress,
     )
-    report = document.document(answers, request.bags, inertia)
-    folder = Path(request.out) if request.out else store.free_folder(
-        Path(f'{Path(request.bags[0]).resolve().stem}_identified')
-    )
-    progress(f'writing {folder}')
-    store.write(folder, report, answers)
+    progress('writing the report')
+    saved = found.save(request.out or None)
     progress('')
-    return Outcome(folder, report, answers)
+    return saved
 
 
 def run_apart(
     request: Request, progress: Callable[[str], None] = lambda _: None
-) -> Iterator[tuple[str, Outcome | QuadSysidError]]:
+) -> Iterator[tuple[str, Result | QuadSysidError]]:
     """Each bag by itself, its report in a folder of its own; one bad bag stops no other.
 
     With `out`, folders are made in it by the bags' names.
@@ -132,7 +66,7 @@ def run_apart(
         out = str(store.free_folder(Path(request.out) / name)) if request.out else ''
         told = f'bag {number} of {len(request.bags)}, '
         try:
-            outcome: Outcome | QuadSysidError = run(
+            outcome: Result | QuadSysidError = run(
                 replace(request, bags=(bag,), out=out),
                 _behind(told, progress),
             )

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -57,26 +57,17 @@ def look(job: Job) -> Row:
 
 
 def _identified(job: Job) -> Row:
-    from quad_sysid.bags import read_bag, split_segments
-    from quad_sysid.designers import find_designer
-    from quad_sysid.pipeline.identify import Options, identify
-    from quad_sysid.report import document, store
+    from quad_sysid.bags import read_bag
+    from quad_sysid.result import identify
 
-    record = split_segments(read_bag(job.bag), axes=job.axes or None)
-    designer, missing = find_designer()
-    answers = identify([record], Options(
-        axes=job.axes, designer=designer, no_designer_because=missing,
-        search_effects=job.search_effects,
-    ))
-    report = document.document(answers, [job.name])
+    record = replace(read_bag(job.bag), source=job.name)
+    found = identify(record, job.axes, effects=None if job.search_effects else ())
     if job.keep:
-        store.write(Path(job.keep) / job.name, report, answers, html=False, pictures=False)
-    answered = any(answer.answered for answer in answers.values())
+        found.save(Path(job.keep) / job.name, html=False, pictures=False)
+    report = found.report
     row: Row = {
-        'status': ANSWERED if answered else CANNOT_TELL,
-        'reason': '' if answered else '; '.join(
-            dict.fromkeys(a.reason for a in answers.values())
-        ),
+        'status': ANSWERED if found.answered else CANNOT_TELL,
+        'reason': '' if found.answered else found.reasons,
         'start_ns': record.t0_ns, 'length_s': record.n * record.dt,
         'sample_rate_hz': 1.0 / record.dt, 'warnings': len(record.warnings),
     }

@@ -19,6 +19,7 @@ from quad_sysid.errors import NotInformativeError, QuadSysidError
 from quad_sysid.estimate.fit import Problem
 from quad_sysid.model import Designer, GainProposal
 from quad_sysid.model.data import AxisData, axis_data
+from quad_sysid.model.effect import Effect
 from quad_sysid.pipeline import assemble, blackbox_part
 from quad_sysid.pipeline.answer import AxisAnswer, Findings, Residual
 from quad_sysid.pipeline.closed_loop import closed_loop
@@ -42,7 +43,8 @@ class Options:
     """Empty: those that the segments excite, or all."""
     designer: Designer | None = None
     no_designer_because: str = 'no designer is installed (quad_tuning offers one)'
-    search_effects: bool = True
+    effects: tuple[Effect, ...] = EFFECTS
+    """The candidates for what is missing."""
     table2: bool = False
     """Fit the paper's 13 rows as well."""
 
@@ -110,7 +112,7 @@ def found_effects(
     progress(f'{data.axis}: what is missing')
     try:
         problem = Problem(data, data.train)
-        found = search(problem, EFFECTS if options.search_effects else ())
+        found = search(problem, options.effects)
         progress(f'{data.axis}: held-out segments')
         return findings(data, problem, found, judge(data, problem, found))
     except (FloatingPointError, np.linalg.LinAlgError) as error:

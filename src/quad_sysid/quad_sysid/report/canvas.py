@@ -6,10 +6,12 @@ pyplot with its global state is never touched. What is drawn stands in the plots
 
 from __future__ import annotations
 
+import base64
 import io
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -146,6 +148,13 @@ def svg(picture: Picture, prefix: str) -> str:
     text = text.replace('#000000', 'var(--ink)')
     label = re.sub(r'[<>&"]', ' ', f'{picture.title}. {picture.caption}')
     return text.replace('<svg', f'<svg role="img" aria-label="{label}"', 1)
+
+
+def embedded(picture: Picture, prefix: str) -> str:
+    """The figure as an `<img>` for a page of others, such as a notebook."""
+    coded = base64.b64encode(png(picture)).decode('ascii')
+    told = f'{escape(prefix)}: {escape(picture.title)}'
+    return f'<img alt="{told}" src="data:image/png;base64,{coded}">'
 
 
 _LONG = re.compile(r'-?\d+\.\d{3,}')

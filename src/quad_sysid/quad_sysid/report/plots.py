@@ -48,14 +48,23 @@ class Gallery:
     failed: tuple[tuple[str, str], ...] = ()
 
 
+def draw(answer: AxisAnswer, name: str) -> Picture | None:
+    """One picture; None where the answer lacks what it would show. BadInputError for no name."""
+    build = dict(PICTURES).get(name)
+    if build is None:
+        names = ', '.join(dict(PICTURES))
+        raise BadInputError('plot', 'no such picture', name, f'there are {names}')
+    with np.errstate(all='ignore'):
+        return build(answer)
+
+
 def gallery(answer: AxisAnswer) -> Gallery:
     """Draw all pictures of one axis; one that fails on odd data is named, the rest stand."""
     drawn: dict[str, Picture] = {}
     failed: list[tuple[str, str]] = []
-    for name, build in PICTURES:
+    for name, _ in PICTURES:
         try:
-            with np.errstate(all='ignore'):
-                picture = build(answer)
+            picture = draw(answer, name)
         except (QuadSysidError, ValueError, ArithmeticError, LookupError) as error:
             failed.append((name, str(error) or type(error).__name__))
             continue

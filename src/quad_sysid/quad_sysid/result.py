@@ -1,0 +1,283 @@
+"""An identification as one call, and its answer as one object: what `import quad_sysid` is for.
+
+    result = identify('my_flight', axes='roll')
+    print(result); result.plot('missing_torque'); result.save('out')
+
+The command and the node call this too. The work is pipeline's, the words are report's; numba,
+scipy and matplotlib are loaded when they are needed.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from quad_sysid.bags import read_bag, split_segments
+from quad_sysid.contract import AXES
+from quad_sysid.designers import find_designer
+from quad_sysid.errors import BadInputError
+from quad_sysid.model import AxisModel, Designer, EffectEstimate
+from quad_sysid.record import Record
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+    from matplotlib.figure import Figure
+
+    from quad_sysid.contract import FloatArray
+    from quad_sysid.model.effect import Effect
+    from quad_sysid.pipeline.answer import AxisAnswer
+    from quad_sysid.pipeline.evaluate import Evaluation
+    from quad_sysid.report.canvas import Picture
+
+PROMISES = ('rate_rms_ratio', 'oscillation_ratio', 'peak')
+"""Figures of a proposal that the bridge's watch compares the flight with."""
+SHOWN = ('effect_shape', 'missing_torque', 'free_run', 'signals_detail')
+"""What a notebook shows beside the words: the first of these that there is."""
+Span = tuple[float, float]
+
+
+class Identified(AxisModel):
+    """The completed model of one axis, which can be run."""
+
+    def simulate(
+        self, u: npt.ArrayLike, x0: Span = (0.0, 0.0), **signals: npt.ArrayLike
+    ) -> FloatArray:
+        """(n,) measured rate, rad/s, for commands u (n,); see pipeline.simulate.simulate."""
+        from quad_sysid.pipeline.simulate import simulate
+
+        return simulate(self, u, x0, **signals)
+
+
+@dataclass(frozen=True)
+class Result:
+    """What an identification found: all axes, or one of them as `result['roll']`.
+
+    What is said of one axis (`verdict`, `effects`, `model` and so on) raises BadInputError while
+    there are several.
+    """
+
+    answers: Mapping[str, AxisAnswer]
+    """By axis, all that stands behind the report."""
+    flights: tuple[str, ...]
+    """Where the flights came from."""
+    inertia: Mapping[str, float] | None = None
+    """kg m² by axis, where torques are to be told in N m."""
+    folder: Path | None = None
+    """Where the report lies, once it is saved."""
+
+    def __getitem__(self, axis: str) -> Result:
+        """The answer for one axis."""
+        if axis not in self.answers:
+            raise BadInputError('result', 'has no such axis', axis,
+                                f'it has {", ".join(self.answers)}')
+        return replace(self, answers={axis: self.answers[axis]})
+
+    def __iter__(self) -> Iterator[str]:
+        """The axes."""
+        return iter(self.answers)
+
+    def __len__(self) -> int:
+        """How many axes."""
+        return len(self.answers)
+
+    @cached_property
+    def report(self) -> dict[str, Any]:
+        """The tree of report.json (contract)."""
+        from quad_sysid.report.document import document
+
+        return document(self.answers, self.flights, self.inertia)
+
+    @property
+    def answer(self) -> AxisAnswer:
+        """Everything behind the answer for the axis."""
+        if len(self.answers) != 1:
+            raise BadInputError('result', 'has several axes', ', '.join(self.answers),
+                                f"take one, such as result['{next(iter(self.answers), 'roll')}']")
+        return next(iter(self.answers.values()))
+
+    @property
+    def verdict(self) -> str:
+        """`effects_added`, `no_missing_effect`, `unexplained_residual` or `cannot_tell`."""
+        return self.answer.verdict
+
+    @property
+    def reason(self) -> str:
+        """Why, in words."""
+        return self.answer.reason
+
+    @property
+    def model(self) -> Identified:
+        """The base with the effects that were added. Raises BadInputError where there is none."""
+        model = self.answer.model
+        if model is None:
+            raise BadInputError('result', 'has no model', self.verdict, self.reason)
+        return Identified(**vars(model))
+
+    @property
+    def effects(self) -> tuple[EffectEstimate, ...]:
+        """What was added to the base, with parameters, standard errors and probability."""
+        return () if self.answer.model is None else self.answer.model.effects
+
+    @property
+    def rivals(self) -> dict[str, dict[str, float]]:
+        """For each effect what could stand in its place, with probabilities."""
+        return {effect.name: dict(effect.rivals) for effect in self.effects}
+
+    @property
+    def errors(self) -> dict[str, Any]:
+        """Errors on the held-out segments before and after, rad/s (contract: `error`)."""
+        return dict(self.report['axes'][self.answer.axis]['error'])
+
+    def __str__(self) -> str:
+        """What the command prints."""
+        from quad_sysid.report import text
+
+        return '\n'.join(text.lines(self.report)).strip('\n')
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the words, and for each axis the picture that tells most."""
+        from html import escape
+
+        from quad_sysid.report.canvas import embedded
+
+        found = [f'<pre>{escape(str(self))}</pre>']
+        for axis, answer in self.answers.items():
+            picture = next(filter(None, (_drawn(answer, name) for name in SHOWN)), None)
+            if picture is not None:
+                found.append(embedded(picture, axis))
+        return ''.join(found)
+
+    def plot(self, name: str = 'missing_torque') -> Figure:
+        """One picture of the report as a matplotlib figure, such as `free_run` or `bode`.
+
+        Raises BadInputError for a name that is none, or where the data do not allow the picture.
+        """
+        picture = _drawn(self.answer, name)
+        if picture is None:
+            raise BadInputError('plot', 'the data do not allow this picture', name)
+        return picture.figure
+
+    def save(
+        self, folder: str | Path | None = None, *, html: bool = True, pictures: bool = True
+    ) -> Result:
+        """Write report.json, model.json, report.html, pictures/; the result with its folder.
+
+        Without a folder one is made beside the work, named after the flight, never over another.
+        """
+        from quad_sysid.report import store
+
+        place = Path(folder) if folder else store.free_folder(
+            Path(f'{Path(self.flights[0]).resolve().stem}_identified')
+        )
+        store.write(place, self.report, self.answers, html=html, pictures=pictures)
+        return replace(self, folder=place)
+
+    @property
+    def answered(self) -> bool:
+        """Whether any axis that was asked for could be answered."""
+        return any(answer.answered for answer in self.answers.values())
+
+    @property
+    def reasons(self) -> str:
+        """Why axes could not be answered, in one line."""
+        return '; '.join(
+            dict.fromkeys(a.reason for a in self.answers.values() if not a.answered)
+        )
+
+    @property
+    def gains(self) -> dict[str, float]:
+        """The gains of all axes whose designer proposed some, by their contract names."""
+        return {name: value for _, gains, _ in self._proposed() for name, value in gains.items()}
+
+    def predictions(self) -> str:
+        """What the designs promise to the watch in flight, as /gains/update has it: JSON."""
+        return json.dumps({
+            f'{axis}.{name}': round(figures[name], 6)
+            for axis, _, figures in self._proposed()
+            for name in PROMISES if name in figures
+        })
+
+    def refusals(self) -> dict[str, str]:
+        """By axis, why there are no gains."""
+        return {
+            axis: answer.proposal.refused_because
+            for axis, answer in self.answers.items()
+            if answer.proposal is not None and answer.proposal.gains is None
+        }
+
+    def _proposed(self) -> Iterator[tuple[str, Mapping[str, float], Mapping[str, float]]]:
+        for axis, answer in self.answers.items():
+            if answer.proposal is not None and answer.proposal.gains is not None:
+                yield axis, answer.proposal.gains, answer.proposal.figures
+
+
+def _drawn(answer: AxisAnswer, name: str) -> Picture | None:
+    from quad_sysid.report.plots import draw
+
+    return draw(answer, name)
+
+
+def identify(
+    flights: Record | str | Path | Sequence[Record | str | Path],
+    axes: str | Sequence[str] = (),
+    *,
+    train: Span | None = None,
+    validate: Span | None = None,
+    effects: Sequence[Effect] | None = None,
+    designer: Designer | None = None,
+    table2: bool = False,
+    inertia: Mapping[str, float] | None = None,
+    progress: Callable[[str], None] = lambda _: None,
+) -> Result:
+    """Identify axes from flights of one aircraft, and find what the model lacks.
+
+    `flights`: records or bags' paths. `axes`: `roll`, `pitch`, `yaw`; none: those that the flights
+    excite. `train`, `validate`: seconds from the first sample; none: as the bag's segments say,
+    else 60 and 40 %. `effects`: the candidates, `EFFECTS` where not given, `()` for none.
+    `designer`: makes gains of a model; none: the one that quad_tuning offers, where installed.
+    Raises QuadSysidError for what a user can mend.
+    """
+    from quad_sysid.effects import EFFECTS
+    from quad_sysid.pipeline.identify import Options
+    from quad_sysid.pipeline.identify import identify as answers_of
+
+    wanted = (axes,) if isinstance(axes, str) else tuple(axes)
+    for axis in wanted:
+        if axis not in AXES:
+            raise BadInputError('identify', f'axes must be of {", ".join(AXES)}', repr(axis))
+    given = [flights] if isinstance(flights, Record | str | Path) else list(flights)
+    records = []
+    for flight in given:
+        if not isinstance(flight, Record):
+            progress(f'reading {flight}')
+            flight = read_bag(flight)  # noqa: PLW2901
+        records.append(split_segments(flight, train, validate, wanted or None))
+    missing = ''
+    if designer is None:
+        designer, missing = find_designer()
+    candidates = EFFECTS if effects is None else tuple(effects)
+    answers = answers_of(
+        records,
+        Options(axes=wanted, designer=designer, no_designer_because=missing, effects=candidates,
+                table2=table2),
+        progress,
+    )
+    names = tuple(
+        flight.source if isinstance(flight, Record) else str(flight) for flight in given
+    )
+    return Result(answers, names, inertia)
+
+
+def evaluate(model: AxisModel, flight: Record | str | Path) -> Evaluation:
+    """Errors of an identified model on a flight that it has never seen, rad/s.
+
+    Raises BadInputError where the flight does not fit the model, NotInformativeError where it
+    says nothing of it.
+    """
+    from quad_sysid.pipeline.evaluate import evaluate as errors_of
+
+    return errors_of(model, flight if isinstance(flight, Record) else read_bag(flight))
