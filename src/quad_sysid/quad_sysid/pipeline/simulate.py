@@ -31,14 +31,14 @@ def simulate(
     if command.ndim != 1 or command.size < 2 or not np.isfinite(command).all():
         raise BadInputError('simulate', 'u must be (n,) finite commands, n at least 2',
                             f'shape {command.shape}')
-    n, rate, angle = command.size, float(x0[0]), float(x0[1])
+    n, rate, angle = command.size + 1, float(x0[0]), float(x0[1])  # one cycle before, at rest
     stored = completed(model)
     for part in stored.structure.parts:
         if 'battery' in part.effect.signals and battery_v is None:
             raise BadInputError('simulate', f'{part.effect.name} needs battery_v')
     control = np.zeros((n, 4))
     control[:, 0] = _like(throttle, n, 'throttle', 0.0)
-    control[:, 1 + AXES.index(model.axis)] = command
+    control[1:, 1 + AXES.index(model.axis)] = command
     data = AxisData(
         axis=model.axis, dt=model.dt, rate=np.zeros(n), angle=np.full(n, angle), control=control,
         motors=np.zeros((n, 4)), other_rates=np.zeros((n, 2)),
@@ -46,20 +46,22 @@ def simulate(
         gyro_filter_hz=model.gyro_filter_hz, stretches=((0, n),), train=((0, n),), validation=(),
     )
     flight = Flight(data, ((0, n),))
+    flight.angle = np.full(n, angle - flight.late * rate)  # the model takes angles for late
     found = flight.filter_of(stored.structure, stored.theta, 0.0)
     states = np.zeros((n, 4 + 2 * stored.structure.lines))
-    filtered = flight.gyro[1]
+    filtered = flight.sensor.step[1]
     settled = rate * (filtered[0] + filtered[2:].sum()) / (1.0 - filtered[1])
-    states[0, :4] = rate, 0.0, rate, settled
+    states[1, :4] = rate, 0.0, rate, settled
     start = Prediction(np.zeros(n), None, states, found, np.full(n, rate))
-    once = Windows(np.zeros(1, dtype=np.int64), n, np.zeros(1, dtype=np.int64))
+    once = Windows(np.ones(1, dtype=np.int64), n - 1, np.zeros(1, dtype=np.int64))
     rates = flight.free_run(stored.structure, stored.theta, once, prediction=start)
     return np.asarray(rates[0])
 
 
 def _like(value: npt.ArrayLike | None, n: int, name: str, default: float = np.nan) -> FloatArray:
-    """One value or (n,) as (n,)."""
+    """One value, or (n - 1,) behind a cycle like its first, as (n,)."""
     given = np.asarray(default if value is None else value, dtype=np.float64)
-    if given.shape not in ((), (n,)) or not np.isfinite(given).all():
-        raise BadInputError('simulate', f'{name} must be one finite value or (n,)', given.shape)
-    return np.asarray(np.broadcast_to(given, (n,)).copy())
+    if given.shape not in ((), (n - 1,)) or not np.isfinite(given).all():
+        raise BadInputError('simulate', f'{name} must be one finite value or as long as u',
+                            given.shape)
+    return np.full(n, given) if given.ndim == 0 else np.concatenate((given[:1], given))
