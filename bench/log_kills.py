@@ -23,20 +23,17 @@ from pathlib import Path
 
 import numpy as np
 
-from quad_bridge.bag_writer import BagWriter, Limits
 from quad_bridge.errors import BadInputError
-from quad_bridge.recording import Recording
-from quad_bridge.recover import recover
+from quad_bridge.log.recording import Recording
+from quad_bridge.log.recover import recover
+from quad_bridge.log.writer import BagWriter, Limits
 from quad_sysid.bags.storage import Storage
 from quad_sysid.errors import BadInputError as UnreadableError
 
 VECTOR = 'geometry_msgs/msg/Vector3Stamped'
 TOPICS = ('/setpoint/attitude', '/setpoint/rates', '/excitation/applied', '/excitation/setpoint')
-KINDS = [
-    ('mcap', 'none', 0.0), ('mcap', 'zstd', 0.0), ('mcap', 'lz4', 0.0), ('mcap', 'none', 0.7),
-    ('sqlite3', 'none', 0.0), ('sqlite3', 'zstd', 0.0), ('sqlite3', 'none', 0.7),
-]  # fmt: skip
-"""Storage, compression, seconds per file."""
+SPLITS_S = (0.0, 0.7)
+"""Seconds per file of the bag; 0 for one file."""
 DAMAGES = ('kill', 'power', 'cut')
 BURST, TICK_S = 6, 0.004
 LIFE_S = (0.7, 2.6)
@@ -52,8 +49,6 @@ PLACE = 28
 class Point:
     """One recorder's end and what was found afterwards."""
 
-    storage: str
-    compression: str
     split_s: float
     damage: str
     put: int
@@ -89,7 +84,7 @@ class Ledger:
 
 
 def storage_files(bag: Path) -> list[Path]:
-    return sorted(p for p in bag.iterdir() if p.suffix in {'.mcap', '.db3'})
+    return sorted(bag.glob('*.mcap'))
 
 
 class Watched(BagWriter):
@@ -103,9 +98,9 @@ class Watched(BagWriter):
         self.ledger.synced(begin_ns, self.path)
 
 
-def fly(bag: Path, ledger: Ledger, storage: str, compression: str, split_s: float) -> None:
+def fly(bag: Path, ledger: Ledger, split_s: float) -> None:
     """Record until somebody kills this process."""
-    writer = Watched(bag, storage, compression, Limits(split_s=split_s))
+    writer = Watched(bag, Limits(split_s=split_s))
     writer.ledger = ledger
     recording = Recording(writer)
     for topic in TOPICS:
@@ -122,14 +117,14 @@ def fly(bag: Path, ledger: Ledger, storage: str, compression: str, split_s: floa
     time.sleep(60.0)
 
 
-def start(folder: Path, kind: tuple[str, str, float], life_s: float) -> tuple[int, float]:
+def start(folder: Path, split_s: float, life_s: float) -> tuple[int, float]:
     """Fork a recorder; its process id and when it is to die, `life_s` after its bag is there."""
     folder.mkdir()
     ledger = Ledger(folder / 'ledger')
     pid = os.fork()
     if pid == 0:
         try:
-            fly(folder / 'bag', ledger, *kind)
+            fly(folder / 'bag', ledger, split_s)
         finally:
             os._exit(1)
     patience_s = time.monotonic() + 30.0
@@ -165,7 +160,7 @@ def messages_in(bag: Path) -> list[int]:
     return [int(SERIAL.unpack_from(raw, PLACE)[0]) for raw in raws]
 
 
-def judged(folder: Path, kind: tuple[str, str, float], damage: str, seed: int) -> Point:
+def judged(folder: Path, split_s: float, damage: str, seed: int) -> Point:
     """Damage what a dead recorder has left, recover it, compare with the ledger."""
     ledger, bag = Ledger(folder / 'ledger'), folder / 'bag'
     put = int(ledger.cells[0])
@@ -186,7 +181,7 @@ def judged(folder: Path, kind: tuple[str, str, float], damage: str, seed: int) -
     strange = len(found) - len(set(found) & set(range(put + 1)))
     missing = sorted(set(range(put)) - set(found))
     lost_s = (moment - int(ledger.times[missing[0]])) * 1e-9 if missing else 0.0
-    return Point(*kind, damage, put, len(found), max(lost_s, 0.0), strange, unrecovered)
+    return Point(split_s, damage, put, len(found), max(lost_s, 0.0), strange, unrecovered)
 
 
 def study(folder: Path, points: int, seed: int, parallel: int = 6) -> list[Point]:
@@ -196,30 +191,27 @@ def study(folder: Path, points: int, seed: int, parallel: int = 6) -> list[Point
     for first in range(0, points, parallel):
         batch = []
         for i in range(first, min(first + parallel, points)):
-            kind = KINDS[i % len(KINDS)]
+            split_s = SPLITS_S[i % len(SPLITS_S)]
             place = folder / f'point{i}'
-            batch.append((place, kind, i, *start(place, kind, rng.uniform(*LIFE_S))))
+            batch.append((place, split_s, i, *start(place, split_s, rng.uniform(*LIFE_S))))
         for *_, pid, end_s in sorted(batch, key=lambda item: item[-1]):
             time.sleep(max(end_s - time.monotonic(), 0.0))
             os.kill(pid, signal.SIGKILL)
             os.waitpid(pid, 0)
-        for place, kind, i, _, _ in batch:
-            done.append(judged(place, kind, DAMAGES[i // len(KINDS) % 3], seed + i))
+        for place, split_s, i, _, _ in batch:
+            done.append(judged(place, split_s, DAMAGES[i // len(SPLITS_S) % 3], seed + i))
             shutil.rmtree(place)
     return done
 
 
 def table(points: list[Point]) -> list[str]:
-    lines = ['storage                damage points  lost s: median   most beyond']
-    groups = sorted({(p.storage, p.compression, p.split_s, p.damage) for p in points})
-    for group in groups:
-        part = [p for p in points if (p.storage, p.compression, p.split_s, p.damage) == group]
-        lost = [p.lost_s for p in part]
-        name = f'{group[0]} {group[1]}{" split" if group[2] else ""}'
+    lines = ['files damage points  lost s: median   most beyond']
+    for split_s, damage in sorted({(p.split_s, p.damage) for p in points}):
+        lost = [p.lost_s for p in points if (p.split_s, p.damage) == (split_s, damage)]
         beyond = sum(value > BOUND_S for value in lost)
         lines.append(
-            f'{name:22} {group[3]:6} {len(part):6d} {np.median(lost):15.3f} {max(lost):6.3f} '
-            f'{beyond:6d}'
+            f'{"split" if split_s else "one":5} {damage:6} {len(lost):6d} '
+            f'{np.median(lost):15.3f} {max(lost):6.3f} {beyond:6d}'
         )
     return lines
 

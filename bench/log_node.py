@@ -74,31 +74,25 @@ def study(folder: Path, seconds: float) -> list[dict[str, float | str]]:
     except ImportError:
         print('no rclpy: the node is left out')
         return []
-    print('Logger node            messages/s  published  in the bag   lost  CPU %')
+    print('Logger node  messages/s  published  in the bag   lost  CPU %')
     out: list[dict[str, float | str]] = []
-    for storage, compression in (('mcap', 'none'), ('mcap', 'zstd'), ('sqlite3', 'none')):
-        for rate in RATES:
-            place = folder / f'{storage}_{compression}_{rate}'
-            settings = {'folder': place, 'autostart': 'true', 'storage': storage}
-            settings['compression'] = compression
-            arguments = [a for k, v in settings.items() for a in ('-p', f'{k}:={v}')]
-            node = subprocess.Popen(
-                [sys.executable, '-c', START, '--ros-args', *arguments], stderr=subprocess.DEVNULL
-            )
-            time.sleep(1.5)
-            before, began_s = cpu_s(node.pid), time.monotonic()
-            published = load.run(rate, seconds)
-            cpu = 100 * (cpu_s(node.pid) - before) / (time.monotonic() - began_s)
-            time.sleep(0.5)
-            node.send_signal(signal.SIGINT)
-            node.wait()
-            with AnyReader([next(place.glob('flight_*'))]) as reader:
-                found = sum(c.msgcount for c in reader.connections if c.topic in TYPES)
-            name = f'{storage} {compression}'
-            lost = published - found
-            print(f'{name:22} {rate:10d} {published:10d} {found:11d} {lost:6d} {cpu:6.1f}')
-            out.append({
-                'bag': name, 'rate': rate, 'published': published, 'lost': lost,
-                'cpu_percent': cpu,
-            })  # fmt: skip
+    for rate in RATES:
+        place = folder / f'{rate}'
+        settings = {'folder': place, 'autostart': 'true'}
+        arguments = [a for k, v in settings.items() for a in ('-p', f'{k}:={v}')]
+        node = subprocess.Popen(
+            [sys.executable, '-c', START, '--ros-args', *arguments], stderr=subprocess.DEVNULL
+        )
+        time.sleep(1.5)
+        before, began_s = cpu_s(node.pid), time.monotonic()
+        published = load.run(rate, seconds)
+        cpu = 100 * (cpu_s(node.pid) - before) / (time.monotonic() - began_s)
+        time.sleep(0.5)
+        node.send_signal(signal.SIGINT)
+        node.wait()
+        with AnyReader([next(place.glob('flight_*'))]) as reader:
+            found = sum(c.msgcount for c in reader.connections if c.topic in TYPES)
+        lost = published - found
+        print(f'{rate:23d} {published:10d} {found:11d} {lost:6d} {cpu:6.1f}')
+        out.append({'rate': rate, 'published': published, 'lost': lost, 'cpu_percent': cpu})
     return out

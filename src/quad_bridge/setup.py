@@ -36,7 +36,7 @@ setup(
     description='Serial bridge, bag logger and virtual STM32 for the quad suite.',
     entry_points={
         'console_scripts': [
-            'recover = quad_bridge.recover:main',
+            'recover = quad_bridge.log.recover:main',
             'monitor = quad_bridge.start:monitor',
             'sensors = quad_bridge.sensors_command:main',
             'sensor_watch = quad_bridge.start:sensor_watch',

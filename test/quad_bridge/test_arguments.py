@@ -7,7 +7,7 @@ import pytest
 
 from quad_bridge.arguments import ended_in_one_line
 from quad_bridge.errors import BadInputError
-from quad_bridge.recover import main as recover
+from quad_bridge.log.recover import main as recover
 from quad_bridge.virtual.process import main as virtual_stm32
 
 

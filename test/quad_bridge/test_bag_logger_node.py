@@ -1,4 +1,4 @@
-"""The logger as a process: every storage, killed and restarted, its budget, what it refuses."""
+"""The logger as a process: killed and restarted, its budget, what it refuses."""
 
 import shutil
 import signal
@@ -8,7 +8,7 @@ from node_process import recorded
 from probe import entries, stamp
 from rosbags.highlevel import AnyReader
 
-from quad_bridge.recover import recover
+from quad_bridge.log.recover import recover
 from quad_sysid.bags.storage import Storage
 
 TOPICS = ('/setpoint/attitude', '/setpoint/rates', '/excitation/setpoint', '/excitation/applied')
@@ -74,9 +74,7 @@ def numbers_in(bag):
     return sorted(m.vector.x for messages in recorded(bag, *TOPICS).values() for m in messages)
 
 
-@pytest.mark.parametrize(
-    'settings', [{'storage': 'sqlite3'}, {'compression': 'lz4', 'split_s': 1}]
-)
+@pytest.mark.parametrize('settings', [{}, {'split_s': 1}])
 def test_what_is_published_comes_into_the_bag(tmp_path, probe, logger, load, settings):
     process = logger(**settings)
     probe.meet(*TOPICS)

@@ -7,9 +7,9 @@ import pytest
 import yaml
 from rosbags.typesys import Stores, get_typestore
 
-from quad_bridge.bag_writer import BagWriter
-from quad_bridge.compression import zstd_compress
 from quad_bridge.errors import BadInputError, RefusedError
+from quad_bridge.log.stored.files import zstd
+from quad_bridge.log.writer import BagWriter
 from quad_bridge.sensors import aircraft_file
 from quad_bridge.sensors.by_hand import bifilar_inertia, thrust_curve
 from quad_bridge.sensors.compass import hard_iron
@@ -147,11 +147,11 @@ def test_a_thrust_curve_is_found_and_half_of_one_refused():
         thrust_curve(100 * u, thrust)
 
 
-def imu_bag(path, t, gyro, felt, storage='mcap', logged_s=None):
+def imu_bag(path, t, gyro, felt, logged_s=None):
     types = STORE.types
     nine, vector = np.zeros(9), types['geometry_msgs/msg/Vector3']
     still = types['geometry_msgs/msg/Quaternion'](x=0.0, y=0.0, z=0.0, w=1.0)
-    writer = BagWriter(path, storage)
+    writer = BagWriter(path)
     writer.add_topic('/imu/data', 'sensor_msgs/msg/Imu')
     for k in range(len(t)):
         ns = 1_700_000_000_000_000_000 + round(t[k] * 1e9)
@@ -170,11 +170,11 @@ def imu_bag(path, t, gyro, felt, storage='mcap', logged_s=None):
 
 
 @pytest.fixture
-def bag(tmp_path, request):
-    """A bag of 8 s at rest, in the storage that a test may ask for, and its one file."""
-    path, storage = tmp_path / 'bag', getattr(request, 'param', 'mcap')
-    imu_bag(path, *resting(8.0), storage)
-    (file,) = (p for p in path.iterdir() if p.name.endswith(('.mcap', '.db3')))
+def bag(tmp_path):
+    """A bag of 8 s at rest and its one file."""
+    path = tmp_path / 'bag'
+    imu_bag(path, *resting(8.0))
+    (file,) = path.glob('*.mcap')
     return path, file
 
 
@@ -205,7 +205,6 @@ def rested(capsys):
     return run
 
 
-@pytest.mark.parametrize('bag', ['mcap', 'sqlite3'], indirect=True)
 def test_a_bag_that_was_not_recovered_is_read_with_a_warning(bag, rested):
     path, file = bag
     whole, warned = rested(path)
@@ -240,7 +239,7 @@ def test_a_missing_part_is_told_and_a_file_compressed_as_a_whole_is_read(bag, re
     data = file.read_bytes()
     file.unlink()
     packed = path / f'{file.name}.zstd'
-    packed.write_bytes(zstd_compress(data))
+    packed.write_bytes(zstd.compress(data))
     assert rested(path) == (whole, '')
     packed.unlink()
     for number in (0, 2):

@@ -15,15 +15,15 @@ from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
 from std_srvs.srv import Trigger
 
-from quad_bridge import bag_writer, conversion, diagnostics, ros_node
-from quad_bridge.disk import MB, Budget, free_bytes
+from quad_bridge import conversion, diagnostics, ros_node
 from quad_bridge.errors import BadInputError, QuadBridgeError
 from quad_bridge.lockstep import IMU_STREAM, clock
+from quad_bridge.log.disk import MB, Budget, free_bytes
+from quad_bridge.log.recording import Gaps, Recording, RecordingStatus, recording_status
+from quad_bridge.log.writer import Limits, free_paths, new_bag
 from quad_bridge.managed_node import ManagedNode, relative
 from quad_bridge.node_time import stamp_of
 from quad_bridge.qos import EVENT, STATE, adapted, offered
-from quad_bridge.recording import Recording, RecordingStatus, recording_status
-from quad_bridge.sequence import Gaps
 from quad_bridge.status import WARN, Status
 from quad_bridge.topics import TOPIC_TYPES
 
@@ -35,10 +35,9 @@ NUMBERS = {
     'disk_budget_mb': (0, (0, 100_000_000), 'MB that all bags of the folder may take, 0: any'),
 }
 """Integer parameters: default, range, description."""
-NAMES = (
-    'folder', 'prefix', 'storage', 'compression', 'topics', 'autostart', 'delete_oldest',
-    'managed', *NUMBERS,
-)  # fmt: skip
+NAMES = ('folder', 'prefix', 'topics', 'autostart', 'delete_oldest', 'managed', *NUMBERS)
+RETIRED = ('storage', 'compression')
+"""Parameters of earlier versions."""
 
 
 class BagLogger(ManagedNode):
@@ -49,16 +48,16 @@ class BagLogger(ManagedNode):
 
     def __init__(self) -> None:
         super().__init__('bag_logger')
+        for name in RETIRED:
+            if name in ros_node.overrides(self):
+                what = 'is retired: bags are mcap without compression'
+                raise BadInputError(f'parameter {name}', what, remedy='leave it out')
         ros_node.refuse_unknown(self, NAMES)
         self._folder = Path(ros_node.text(self, 'folder', '.', 'where bags are written'))
         self._prefix = ros_node.text(self, 'prefix', 'flight', 'how names of bags begin')
-        self._storage = ros_node.choice(self, 'storage', ('mcap', 'sqlite3'), 'storage of the bag')
-        self._compression = ros_node.choice(
-            self, 'compression', bag_writer.COMPRESSIONS, 'of chunks (mcap) or messages (sqlite3)'
-        )
         numbers = {name: ros_node.integer(self, name, *rest) for name, rest in NUMBERS.items()}
         self._capacity = numbers['queue_messages']
-        self._limits = bag_writer.Limits(
+        self._limits = Limits(
             numbers['split_mb'] * MB, numbers['split_s'], numbers['reserve_mb'] * MB
         )
         self._budget = Budget(
@@ -159,8 +158,8 @@ class BagLogger(ManagedNode):
         now = datetime.now(tz=timezone.utc)
         try:
             self._make_room(self._limits.reserve_bytes)
-            paths = bag_writer.free_paths(self._folder.absolute(), self._prefix, now)
-            writer = bag_writer.new_bag(paths, self._storage, self._compression, self._limits)
+            paths = free_paths(self._folder.absolute(), self._prefix, now)
+            writer = new_bag(paths, self._limits)
         except OSError as error:
             where = str(error.filename or self._folder)
             raise BadInputError(where, f'cannot be used ({error.strerror})') from error

@@ -17,8 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 from quad_bridge.arguments import OneLineParser, ended_in_one_line, positive, say
-from quad_bridge.bag_messages import read_topics
 from quad_bridge.errors import BadInputError, RefusedError
+from quad_bridge.log.reader import read_topics
 from quad_bridge.sensors import aircraft_file, by_hand, compass, rest, vibration
 from quad_bridge.sensors.correction import STATUS, Correction, as_sent, from_values
 

@@ -1,38 +1,40 @@
 """From a path to raw messages: finds a bag's storage files, opens and decompresses them.
 
-Knows directories, mcap, sqlite3 and compression; knows nothing of what the messages mean.
+Knows directories and which file is of which storage; knows nothing of what the messages mean. What
+is whole in a file stands in stored/, which is quad_bridge's.
 """
 
 from __future__ import annotations
 
 import mmap
 import re
-import shutil
-import sys
 from collections import Counter
-from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 import yaml
+from rosbags.rosbag2 import Reader
 
-from quad_sysid.bags.mcap_scan import DAMAGED, MAGIC, Batch, McapScan
-from quad_sysid.bags.sqlite_scan import MAGIC as SQLITE_MAGIC
-from quad_sysid.bags.sqlite_scan import RECOVER, SqliteScan
+from quad_sysid.bags.stored.files import (
+    SQLITE_MAGIC,
+    ZSTD_MAGIC,
+    plain_file,
+    plain_message,
+    sqlite_fault,
+    sqlite_remedy,
+)
+from quad_sysid.bags.stored.records import MAGIC
+from quad_sysid.bags.stored.scan import BATCH, McapScan
 from quad_sysid.contract import TOPIC_TYPES
 from quad_sysid.errors import BadInputError
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
 
-if sys.version_info >= (3, 14):
-    from compression import zstd
-else:
-    from backports import zstd
-
-ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
+RECOVER = '`ros2 run quad_bridge recover` may find more'
+Batch = dict[str, list[bytes]]
+"""Topic → serialised messages in the file's order."""
 FOREIGN = {
     '.csv': 'a CSV file; turn it into a bag with `quad-sysid import`',
     '.gz': 'a compressed table; turn it into a bag with `quad-sysid import`',
@@ -61,7 +63,7 @@ class Storage:
         files = self._files()
         foreign: Counter[tuple[str, str]] = Counter()
         for file in files:
-            with _plain_file(file) as plain:
+            with plain_file(file) as plain:
                 try:
                     yield from self._read(plain, file, foreign)
                 except BadInputError as error:
@@ -146,11 +148,10 @@ class Storage:
             raise BadInputError(
                 str(shown), 'is empty', remedy='the recording never reached the disk; record again'
             )
-        wanted = {topic: TOPIC_TYPES.get(topic, '') for topic in self.topics}
         if head.startswith(MAGIC):
-            batches = self._read_mcap(plain, shown, wanted, foreign)
+            batches = self._read_mcap(plain, shown, foreign)
         elif head == SQLITE_MAGIC:
-            batches = self._read_sqlite(plain, shown, wanted, foreign)
+            batches = self._read_sqlite(plain, shown, foreign)
         else:
             raise BadInputError(
                 str(shown),
@@ -161,50 +162,71 @@ class Storage:
         for batch in batches:
             yield {topic: self._decompressed(raws, shown) for topic, raws in batch.items()}
 
+    def _wanted(self, topic: str, kind: str) -> bool:
+        """Whether messages of the topic are asked for, in a type that may be the contract's."""
+        wanted = TOPIC_TYPES.get(topic, '')
+        same = not kind or not wanted or kind.replace('/msg/', '/') == wanted.replace('/msg/', '/')
+        return topic in self.topics and same
+
     def _read_mcap(
-        self,
-        plain: Path,
-        shown: Path,
-        wanted: dict[str, str],
-        foreign: Counter[tuple[str, str]],
+        self, plain: Path, shown: Path, foreign: Counter[tuple[str, str]]
     ) -> Iterator[Batch]:
         with (
             plain.open('rb') as stream,
             mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data,
         ):
-            scan = McapScan(data, wanted, foreign)
-            yield from scan.batches()
-            stated = scan.stated
-        if scan.cut_off:
+            scan = McapScan(data)
+            yield from scan.batches(lambda topic: self._wanted(topic.name, topic.kind))
+        if not scan.ended:
             self.warnings.append(
                 f'{shown}: cut off (no end of data): read what is whole; '
                 '`ros2 run quad_bridge recover` rebuilds the bag'
             )
-        elif scan.damaged:
-            self.warnings.append(f'{shown}: {scan.damaged} damaged chunks: read the rest')
+        elif scan.bad_chunks:
+            self.warnings.append(f'{shown}: {scan.bad_chunks} damaged chunks: read the rest')
         if scan.unnamed:
             self.warnings.append(f'{shown}: {scan.unnamed} messages have lost their topic')
-        if stated is not None and stated > scan.seen:
+        if scan.stated is not None and scan.lost:
             self.warnings.append(
-                f'{shown}: {stated - scan.seen} of {stated} messages are missing; {RECOVER}'
+                f'{shown}: {scan.lost} of {scan.stated} messages are missing; {RECOVER}'
             )
+        foreign.update({key: n for key, n in scan.others.items() if key[0] in self.topics})
 
     def _read_sqlite(
-        self,
-        plain: Path,
-        shown: Path,
-        wanted: dict[str, str],
-        foreign: Counter[tuple[str, str]],
+        self, plain: Path, shown: Path, foreign: Counter[tuple[str, str]]
     ) -> Iterator[Batch]:
-        scan = SqliteScan(plain, wanted, foreign)
-        yield from scan.batches()
-        self.warnings += [f'{shown}: {note}' for note in scan.notes]
+        fault = sqlite_fault(plain)
+        batch: Batch = {}
+        strange = 0
+        try:
+            if not fault:
+                with Reader(plain) as reader:
+                    mine = [c for c in reader.connections if self._wanted(c.topic, c.msgtype)]
+                    for c in reader.connections:
+                        if c.topic in self.topics and c not in mine:
+                            foreign[c.topic, c.msgtype] += c.msgcount
+                    for i, (c, _, raw) in enumerate(reader.messages(mine) if mine else ()):
+                        if i % BATCH == BATCH - 1:
+                            yield batch
+                            batch = {}
+                        if isinstance(raw, bytes):
+                            batch.setdefault(c.topic, []).append(raw)
+                        else:
+                            strange += 1
+        except Exception as error:  # noqa: BLE001  (whatever nonsense makes rosbags raise)
+            fault = ' '.join(str(error).split())
+        if fault:
+            what = f'is a damaged sqlite3 file ({fault})'
+            raise BadInputError(str(shown), what, remedy=sqlite_remedy(shown))
+        if strange:
+            self.warnings.append(f'{shown}: {strange} rows are no messages; left out')
+        yield batch
 
     def _decompressed(self, raws: list[bytes], shown: Path) -> list[bytes]:
         """Messages as CDR: those that were compressed one by one (by their magic) are opened."""
         if not raws or ZSTD_MAGIC not in (raws[0][:4], raws[-1][:4]):
             return raws
-        opened = [_opened(raw) if raw[:4] == ZSTD_MAGIC else raw for raw in raws]
+        opened = [plain_message(raw) for raw in raws]
         damaged = opened.count(b'')
         if damaged:
             self.warnings.append(f'{shown}: {damaged} compressed messages are damaged; left out')
@@ -217,32 +239,3 @@ def _is_part(name: str, listed: Collection[str]) -> bool:
     known = {other.partition('.')[0] for other in listed}
     numbered = {re.sub(r'_\d+$', '', other) for other in known}
     return stem not in known and re.sub(r'_\d+$', '', stem) in numbered
-
-
-def _opened(raw: bytes) -> bytes:
-    """One decompressed message; nothing where it is damaged."""
-    frame = zstd.ZstdDecompressor()  # a third faster than zstd.decompress on so short a text
-    try:
-        content = frame.decompress(raw)
-    except DAMAGED:
-        return b''
-    return content if frame.eof else b''
-
-
-@contextmanager
-def _plain_file(file: Path) -> Iterator[Path]:
-    """Give the file itself, or where it is compressed as a whole an uncompressed copy."""
-    with file.open('rb') as stream:
-        compressed = stream.read(4) == ZSTD_MAGIC
-    if not compressed:
-        yield file
-        return
-    with TemporaryDirectory() as folder:
-        plain = Path(folder, file.stem)
-        with (
-            plain.open('wb') as target,
-            suppress(*DAMAGED),
-            zstd.open(file, 'rb') as content,
-        ):
-            shutil.copyfileobj(content, target)
-        yield plain

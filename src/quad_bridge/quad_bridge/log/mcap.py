@@ -1,8 +1,8 @@
 """One mcap file being written: chunks with checksum and index, each safe on the disk once synced.
 
-Not for reading (damaged_mcap.py), knows no bag around it (bag_writer.py). After a write that
-failed half-way the file is cut back to its last whole record, so that it can still be closed.
-Source: the MCAP specification, version 0 (little-endian; opcodes below).
+Not for reading (stored/), knows no bag around it (writer.py). After a write that failed half-way
+the file is cut back to its last whole record, so that it can still be closed.
+Source: the MCAP specification, version 0 (little-endian; opcodes in stored/records.py).
 """
 
 from __future__ import annotations
@@ -11,16 +11,31 @@ import os
 import struct
 import zlib
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+import yaml
+from rosbags.interfaces import Qos
+from rosbags.rosbag2.metadata import dump_qos_v9
 
-from quad_bridge.bag_metadata import FileEntry, RecordedTopic
-from quad_bridge.compression import COMPRESSORS
+from quad_bridge.log.stored.records import (
+    CHANNEL,
+    CHUNK,
+    CHUNK_INDEX,
+    DATA_END,
+    FOOTER,
+    HEADER,
+    MAGIC,
+    MESSAGE,
+    MESSAGE_INDEX,
+    METADATA,
+    METADATA_INDEX,
+    SCHEMA,
+    STATISTICS,
+    SUMMARY_OFFSET,
+)
 
-MAGIC = b'\x89MCAP0\r\n'
-HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = range(1, 9)
-STATISTICS, METADATA, METADATA_INDEX, SUMMARY_OFFSET, DATA_END = 0x0B, 0x0C, 0x0D, 0x0E, 0x0F
 CHUNK_BYTES = 1 << 20
 """A chunk is closed at this size at the latest."""
 REPEAT = 100
@@ -30,6 +45,49 @@ recording without names."""
 _MESSAGE = struct.Struct('<BQHIQQ')
 _PREFIX = 22
 """Bytes of a message record before its data."""
+
+
+@dataclass(frozen=True)
+class RecordedTopic:
+    """One topic of a bag, with what a reader needs to decode and replay it."""
+
+    name: str
+    kind: str
+    """Such as `sensor_msgs/msg/Imu`."""
+    definition: str
+    digest: str
+    """RIHS01 hash of the type."""
+    qos: tuple[Qos, ...] = ()
+    key: str = ''
+    """What it is counted under: its name unless another type has taken that."""
+
+    @property
+    def qos_text(self) -> str:
+        """The publishers' QoS as the file keeps it, YAML."""
+        return yaml.safe_dump(dump_qos_v9(list(self.qos)), sort_keys=False).strip()
+
+
+@dataclass
+class FileEntry:
+    """What one file holds on the disk: messages by topic, their span of receive times (ns)."""
+
+    name: str
+    counts: dict[str, int] = field(default_factory=dict)
+    first_ns: int = 0
+    last_ns: int = 0
+    size: int = 0
+    """Bytes, once the file is closed."""
+
+    @property
+    def messages(self) -> int:
+        """All topics together."""
+        return sum(self.counts.values())
+
+    def add(self, topic: str, number: int, first_ns: int, last_ns: int) -> None:
+        """Count messages of one topic that have been stored."""
+        self.first_ns = min(self.first_ns or first_ns, first_ns)
+        self.last_ns = max(self.last_ns, last_ns)
+        self.counts[topic] = self.counts.get(topic, 0) + number
 
 
 def record(opcode: int, body: bytes) -> bytes:
@@ -52,11 +110,9 @@ def text_map(values: Mapping[str, str]) -> bytes:
 class McapFile:
     """Open from construction to `close` or `abandon`. All methods may raise OSError."""
 
-    def __init__(self, path: Path, compression: str = 'none') -> None:
+    def __init__(self, path: Path) -> None:
         """Create the file; FileExistsError where there is one."""
         self.path = path
-        self._name = '' if compression == 'none' else compression
-        self._compress = COMPRESSORS[compression]
         self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
         self._end = 0
         """Where the last whole record ends: what is beyond it may be cut off."""
@@ -66,7 +122,7 @@ class McapFile:
         self.entry = FileEntry(path.name)
         """What closed chunks hold."""
         self._repeat_at = 0
-        self._begin_chunk()
+        self.forget()
         self._append(MAGIC + record(HEADER, text('ros2') + text('quad_bridge')))
 
     @property
@@ -90,14 +146,9 @@ class McapFile:
         channel = len(self._channels) + 1
         schema = list(self._schemas).index(topic.kind) + 1
         body = struct.pack('<HH', channel, schema) + text(topic.name) + text('cdr')
-        body += text_map(
-            {
-                'offered_qos_profiles': topic.qos_text,
-                'topic_type_hash': topic.digest,
-            }
-        )
-        self._channels[topic.label] = channel, record(CHANNEL, body)
-        self._chunk += self._channels[topic.label][1]
+        about = {'offered_qos_profiles': topic.qos_text, 'topic_type_hash': topic.digest}
+        self._channels[topic.key] = channel, record(CHANNEL, body + text_map(about))
+        self._chunk += self._channels[topic.key][1]
 
     def write(self, topic: str, time_ns: int, data: bytes | memoryview) -> None:
         """Append one message to the open chunk."""
@@ -121,8 +172,10 @@ class McapFile:
         os.lseek(self._fd, self._end, os.SEEK_SET)
 
     def forget(self) -> None:
-        """Drop the messages of the open chunk."""
-        self._begin_chunk()
+        """Begin a new chunk; messages of the open one are dropped."""
+        self._chunk = bytearray()
+        self._index: dict[int, list[tuple[int, int]]] = {}
+        """Channel to (time, offset) of its messages in the chunk."""
 
     def close(self, metadata: str) -> None:
         """Write the rest, rosbag2's metadata (YAML), the summary with all indexes; sync."""
@@ -161,22 +214,16 @@ class McapFile:
         if fd >= 0:
             os.close(fd)
 
-    def _begin_chunk(self) -> None:
-        self._chunk = bytearray()
-        self._index: dict[int, list[tuple[int, int]]] = {}
-        """Channel to (time, offset) of its messages in the chunk."""
-
     def _close_chunk(self) -> None:
         """Write the open chunk with its message index; without messages nothing."""
         if not self._index:
             return
         content = bytes(self._chunk)
-        packed = self._compress(content)
         tables = {channel: np.array(rows, '<u8') for channel, rows in self._index.items()}
         times = [int(t) for rows in tables.values() for t in (rows[:, 0].min(), rows[:, 0].max())]
         span = struct.pack('<QQ', min(times), max(times))
-        body = span + struct.pack('<QI', len(content), zlib.crc32(content))
-        chunk = record(CHUNK, body + text(self._name) + struct.pack('<Q', len(packed)) + packed)
+        body = span + struct.pack('<QI', len(content), zlib.crc32(content)) + text('')
+        chunk = record(CHUNK, body + struct.pack('<Q', len(content)) + content)
         start, indexes, places = self._end, b'', b''
         for channel, rows in tables.items():
             places += struct.pack('<HQ', channel, start + len(chunk) + len(indexes))
@@ -185,13 +232,13 @@ class McapFile:
             )
         self._append(chunk + indexes)
         entry = span + struct.pack('<QQI', start, len(chunk), len(places)) + places
-        entry += struct.pack('<Q', len(indexes)) + text(self._name)
-        entry += struct.pack('<QQ', len(packed), len(content))
+        entry += struct.pack('<Q', len(indexes)) + text('')
+        entry += struct.pack('<QQ', len(content), len(content))
         self._chunk_indexes.append(record(CHUNK_INDEX, entry))
         names = list(self._channels)
         for channel, rows in tables.items():
             self.entry.add(names[channel - 1], len(rows), min(times), max(times))
-        self._begin_chunk()
+        self.forget()
         if self._end >= self._repeat_at:
             self._chunk += b''.join(self._schemas.values())
             self._chunk += b''.join(channel for _, channel in self._channels.values())

@@ -10,7 +10,6 @@ import errno
 import os
 import re
 import shutil
-import sqlite3
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -176,11 +175,9 @@ def bag_bytes(bag: Path) -> int:
     return total
 
 
-def is_full(error: Exception) -> bool:
-    """Whether a write failed for want of room, by the operating system's or sqlite's words."""
-    if isinstance(error, OSError):
-        return error.errno in {errno.ENOSPC, errno.EDQUOT}
-    return isinstance(error, sqlite3.Error) and 'full' in str(error)
+def is_full(error: OSError) -> bool:
+    """Whether a write failed for want of room."""
+    return error.errno in {errno.ENOSPC, errno.EDQUOT}
 
 
 def sync_folder(folder: Path) -> None:

@@ -1,13 +1,13 @@
-"""`ros2 run quad_bridge recover BAG`: a damaged bag read as far as it is whole, written anew.
+"""`ros2 run quad_bridge recover BAG`: a damaged bag read as far as it is whole, written as mcap.
 
-The original is only read. What was lost is said on stdout; exit status as in the contract.
+The original is only read. A damaged sqlite3 file is left to the `sqlite3` command. What was lost
+is said on stdout; exit status as in the contract.
 """
 
 from __future__ import annotations
 
 import shutil
-import sqlite3
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -16,16 +16,15 @@ from rosbags.interfaces import Qos
 from rosbags.rosbag2.metadata import parse_qos
 
 from quad_bridge.arguments import OneLineParser, ended_in_one_line, say
-from quad_bridge.bag_files import PACKED, is_sqlite, missing_parts, storage_files
-from quad_bridge.bag_writer import BagWriter, Definition
-from quad_bridge.compression import plain_message, unpacked
-from quad_bridge.damaged_mcap import DamagedMcap, Message
-from quad_bridge.damaged_sqlite import DamagedSqlite
 from quad_bridge.errors import BadInputError
-from quad_bridge.mcap_records import Topic
+from quad_bridge.log.reader import messages_of, missing_parts, storage_files
+from quad_bridge.log.stored.files import PACKED
+from quad_bridge.log.stored.records import Topic
+from quad_bridge.log.stored.scan import McapScan, Message
+from quad_bridge.log.writer import BagWriter, Definition
 
 LATEST_NS = 1 << 63
-"""No recorder writes a later time: sqlite3 has no room for it."""
+"""No recorder writes a later time."""
 HOLE_S = 1.0
 """Silence of all topics that is told."""
 
@@ -97,12 +96,11 @@ def recover(bag: Path) -> Recovered:
     result = Recovered(target)
     result.notes += [f'  {note}' for note in missing_parts(files)]
     counted = _counted(bag)
-    storage = 'sqlite3' if is_sqlite(files[0]) else 'mcap'
     work = target.with_name(f'{target.name}.part')
     shutil.rmtree(work, ignore_errors=True)
     try:
         work.mkdir()
-        writer = BagWriter(work / target.name, storage)
+        writer = BagWriter(work / target.name)
         for file in files:
             _copy_file(file, writer, result, alone=len(files) == 1)
         writer.close()
@@ -114,10 +112,11 @@ def recover(bag: Path) -> Recovered:
             result.notes.append(f'  metadata.yaml counts {counted} messages')
             result.lost = max(result.lost, absent)
         (work / target.name).rename(target)
-    except (OSError, sqlite3.Error) as error:
-        what = f'cannot be written: {getattr(error, "strerror", None) or error}'
+    except OSError as error:
         remedy = 'make room, or copy the bag elsewhere'
-        raise BadInputError(str(target), what, remedy=remedy) from error
+        raise BadInputError(
+            str(target), f'cannot be written: {error.strerror}', remedy=remedy
+        ) from error
     finally:
         shutil.rmtree(work, ignore_errors=True)
     return result
@@ -134,26 +133,33 @@ def _counted(bag: Path) -> int:
 
 def _copy_file(file: Path, writer: BagWriter, result: Recovered, *, alone: bool) -> None:
     """Copy what is whole; raises BadInputError where the bag's only file is none."""
-    read = _sqlite_messages if is_sqlite(file) else _mcap_messages
-    with unpacked(file) as plain:
-        result.total_bytes += plain.stat().st_size
-        try:
-            for message in read(plain, result):
-                _copy(message, writer, result)
-        except BadInputError as error:
-            if alone:
-                raise
-            result.notes.append(f'  {error}')
+    undecodable = result.undecodable
+
+    def judge(scan: McapScan, file: Path) -> None:
+        result.total_bytes += len(scan.data)
+        result.unread_bytes += scan.unread
+        result.lost += scan.lost
+        notes = _notes(scan, all_decoded=result.undecodable == undecodable)
+        result.notes += [f'  {file.name}: {note}' for note in notes]
+
+    try:
+        for message in messages_of(file, judge):
+            _copy(message, writer, result)
+        if file.name.removesuffix(PACKED).endswith('.db3'):
+            result.notes.append(f'  {file.name}: all its rows are there (without checksums)')
+    except BadInputError as error:
+        if alone:
+            raise
+        result.notes.append(f'  {error}')
 
 
 def _copy(message: Message, writer: BagWriter, result: Recovered) -> None:
-    data, whole = plain_message(message.data)
-    sound = whole and message.time_ns < LATEST_NS
+    sound = message.data and message.time_ns < LATEST_NS
     key = _declared(message.topic, writer, result) if sound else ''
     if not key:
         result.undecodable += 1
         return
-    writer.write(key, message.time_ns, data)
+    writer.write(key, message.time_ns, message.data)
     result.counts[key] = writer.counts[key]
     _follow(message.time_ns, result)
 
@@ -195,43 +201,30 @@ def _qos(topic: Topic, result: Recovered) -> tuple[Qos, ...]:
         return ()
 
 
-def _mcap_messages(file: Path, result: Recovered) -> Iterator[Message]:
-    damaged, undecodable = DamagedMcap(file), result.undecodable
-    yield from damaged.messages()
-    result.unread_bytes += damaged.unread
-    result.lost += damaged.lost
+def _notes(scan: McapScan, *, all_decoded: bool) -> list[str]:
+    """What is to be said of one file."""
     found = []
-    if damaged.mended:
-        found.append(f'{damaged.mended} chunks are whole but for their opcode or length')
-    if damaged.bad_chunks:
-        found.append(f'{damaged.bad_chunks} chunks are not whole')
-    if damaged.unchecked:
-        found.append(f'{damaged.unchecked} messages of the last one have no checksum any more')
-    if damaged.doubtful_names:
-        found.append(f'a damaged chunk alone names {", ".join(sorted(damaged.doubtful_names))}')
-    if damaged.unnamed:
-        found.append(f'{damaged.unnamed} messages have lost their topic')
-    if damaged.stated is not None and damaged.lost:
-        found.append(f'its statistics count {damaged.stated} messages')
-    if not damaged.ended:
+    if scan.mended:
+        found.append(f'{scan.mended} chunks are whole but for their opcode or length')
+    if scan.bad_chunks:
+        found.append(f'{scan.bad_chunks} chunks are not whole')
+    if scan.unchecked:
+        found.append(f'{scan.unchecked} messages of the last one have no checksum any more')
+    if scan.doubtful_names:
+        found.append(f'a damaged chunk alone names {", ".join(sorted(scan.doubtful_names))}')
+    if scan.unnamed:
+        found.append(f'{scan.unnamed} messages have lost their topic')
+    if scan.stated is not None and scan.lost:
+        found.append(f'its statistics count {scan.stated} messages')
+    if not scan.ended:
         found.append('ends without its index')
-    elif damaged.complete and result.undecodable == undecodable:
+    elif scan.complete and all_decoded:
         found.append('its data are complete')
-    elif not (damaged.stated or damaged.lost or damaged.unread or damaged.bad_chunks):
+    elif not (scan.stated or scan.lost or scan.unread or scan.bad_chunks):
         found.append('read to its end, where its summary is damaged: what is missing is not known')
     else:
         found.append('its data are damaged, their end is there')
-    result.notes += [f'  {file.name}: {note}' for note in found]
-
-
-def _sqlite_messages(file: Path, result: Recovered) -> Iterator[Message]:
-    damaged, undecodable = DamagedSqlite(file), result.undecodable
-    yield from damaged.messages()
-    result.unread_bytes += damaged.unread
-    result.lost += damaged.lost
-    result.notes += [f'  {note}' for note in damaged.notes]
-    if damaged.complete and result.undecodable == undecodable:
-        result.notes.append(f'  {file.name}: all its rows are there (without checksums)')
+    return found
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

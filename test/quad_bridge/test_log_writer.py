@@ -1,11 +1,8 @@
 """Bags come back as written through rosbags' reader; what was flushed survives a kill."""
 
 import shutil
-import threading
-import time
 from datetime import datetime, timezone
 
-import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import (
@@ -18,10 +15,9 @@ from rosbags.interfaces import (
 )
 from rosbags.typesys import Stores, get_typestore
 
-from quad_bridge.bag_writer import BagWriter, free_paths, new_bag
 from quad_bridge.errors import BadInputError
-from quad_bridge.recording import Recording
-from quad_bridge.recover import main, recover
+from quad_bridge.log.recover import main, recover
+from quad_bridge.log.writer import BagWriter, free_paths, new_bag
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 VECTOR = 'geometry_msgs/msg/Vector3Stamped'
@@ -30,10 +26,6 @@ LATCHED = Qos(
     QosHistory.KEEP_LAST, 10, QosReliability.RELIABLE, QosDurability.TRANSIENT_LOCAL, ZERO, ZERO,
     QosLiveliness.AUTOMATIC, ZERO, False,
 )  # fmt: skip
-KINDS = [
-    ('mcap', 'none'), ('mcap', 'zstd'), ('mcap', 'lz4'), ('sqlite3', 'none'), ('sqlite3', 'zstd'),
-]  # fmt: skip
-
 
 def message(k):
     types = STORE.types
@@ -43,8 +35,8 @@ def message(k):
     return bytes(STORE.serialize_cdr(types[VECTOR](header=header, vector=vector), VECTOR))
 
 
-def write(path, n, storage='mcap', compression='none', *, close=True, every=100):
-    writer = BagWriter(path, storage, compression)
+def write(path, n, *, close=True, every=100):
+    writer = BagWriter(path)
     writer.add_topic('/setpoint/rates', VECTOR, (LATCHED,))
     writer.add_topic('/setpoint/attitude', VECTOR)
     for k in range(n):
@@ -77,10 +69,9 @@ def durabilities(path):
 DURABILITIES = {'/setpoint/rates': [QosDurability.TRANSIENT_LOCAL], '/setpoint/attitude': []}
 
 
-@pytest.mark.parametrize(('storage', 'compression'), KINDS)
-def test_a_bag_comes_back_as_written_and_is_never_written_over(tmp_path, storage, compression):
+def test_a_bag_comes_back_as_written_and_is_never_written_over(tmp_path):
     path = tmp_path / 'a' / 'b' / 'bag'  # folders are made
-    write(path, 350, storage, compression)
+    write(path, 350)
     with pytest.raises(BadInputError, match='exists already'):
         BagWriter(path)
     assert read(path) == written(350)
@@ -93,38 +84,26 @@ def test_a_free_path_is_numbered_where_the_second_is_taken(tmp_path, monkeypatch
     now = datetime(2024, 5, 6, 7, 8, 9, tzinfo=timezone.utc)
     for name in ('flight_20240506_070809', 'flight_20240506_070809_2'):
         # looked for before the other recorder's bag is there
-        writer = new_bag(free_paths(tmp_path, 'flight', now), 'mcap', 'none')
+        writer = new_bag(free_paths(tmp_path, 'flight', now))
         assert writer.path.name == name
         writer.close()
     with pytest.raises(BadInputError, match='exists already'):
-        new_bag([tmp_path / name], 'mcap', 'none')
+        new_bag([tmp_path / name])
     # a folder that appears at the last moment is another recorder's
     (tmp_path / 'a').mkdir()
-    for check in ('_check', '_check_space'):
-        monkeypatch.setattr(f'quad_bridge.bag_writer.{check}', lambda *_: None)
-    assert new_bag([tmp_path / 'a', tmp_path / 'b'], 'mcap', 'none').path == tmp_path / 'b'
+    monkeypatch.setattr('quad_bridge.log.writer._check_space', lambda *_: None)
+    assert new_bag([tmp_path / 'a', tmp_path / 'b']).path == tmp_path / 'b'
     assert list((tmp_path / 'a').iterdir()) == []
 
 
-@pytest.mark.parametrize(
-    ('arguments', 'text'),
-    [
-        (('lmdb', 'none'), 'storage must be'),
-        (('mcap', 'rar'), 'compression must be'),
-        (('mcap', 'none'), '/x: message type is not a standard one'),
-    ],
-)
-def test_wrong_settings_and_types_are_named(tmp_path, arguments, text):
-    with pytest.raises(BadInputError, match=text):
-        BagWriter(tmp_path / 'bag', *arguments).add_topic('/x', 'foo_msgs/msg/Bar')
+def test_a_type_that_is_no_standard_one_is_named(tmp_path):
+    with pytest.raises(BadInputError, match='/x: message type is not a standard one'):
+        BagWriter(tmp_path / 'bag').add_topic('/x', 'foo_msgs/msg/Bar')
 
 
-@pytest.mark.parametrize(('storage', 'compression'), KINDS)
-def test_what_was_flushed_is_recovered_after_a_kill_and_nothing_is_overwritten(
-    tmp_path, storage, compression
-):
+def test_what_was_flushed_is_recovered_after_a_kill_and_nothing_is_overwritten(tmp_path):
     path, killed = tmp_path / 'bag', tmp_path / 'killed'
-    writer = write(path, 350, storage, compression, close=False)
+    writer = write(path, 350, close=False)
     shutil.copytree(path, killed)  # what the disk holds at the moment of a SIGKILL
     writer.abort()
     before = {p.name: p.read_bytes() for p in killed.iterdir()}
@@ -135,25 +114,6 @@ def test_what_was_flushed_is_recovered_after_a_kill_and_nothing_is_overwritten(
     assert {p.name: p.read_bytes() for p in killed.iterdir()} == before
     with pytest.raises(BadInputError, match='exists already'):
         recover(killed)
-
-
-@pytest.mark.parametrize('count', [8, pytest.param(300, marks=pytest.mark.long)])
-@pytest.mark.parametrize('compression', ['none', 'zstd', 'lz4'])
-def test_a_bag_cut_off_anywhere_gives_all_that_is_whole(tmp_path, compression, count):
-    write(tmp_path / 'bag', 300, 'mcap', compression, every=50)
-    data = (tmp_path / 'bag' / 'bag_0.mcap').read_bytes()
-    counts = []
-    rng = np.random.default_rng(8)
-    for i, cut in enumerate(sorted([*rng.integers(3000, len(data), count), len(data) - 1])):
-        damaged = tmp_path / f'cut{i}.mcap'
-        damaged.write_bytes(data[:cut])
-        got = read(recover(damaged).path)
-        assert got == written(len(got))
-        counts.append(len(got))
-    assert counts == sorted(counts)
-    assert counts[-1] == 300
-    # more comes back where more is left: to the message, or to the chunk where it is compressed
-    assert len(set(counts)) > (count // 3 if compression == 'none' else 2)
 
 
 def test_the_summary_says_how_much_was_lost(tmp_path, capsys):
@@ -176,7 +136,7 @@ def test_the_summary_says_how_much_was_lost(tmp_path, capsys):
         ('text.mcap', b'time,rate\n', 'is no mcap file'),
         ('bare.mcap', b'\x89MCAP0\r\n', 'holds no whole message'),
         ('table.csv', b'1,2', 'holds no .mcap or .db3 file'),
-        ('junk.db3', b'no database' * 100, 'holds no whole message'),
+        ('junk.db3', b'no database' * 100, 'is a damaged sqlite3 file (file is not a database)'),
     ],
 )
 def test_what_cannot_be_recovered_ends_with_one_line_and_status_two(
@@ -192,58 +152,3 @@ def test_what_cannot_be_recovered_ends_with_one_line_and_status_two(
     assert name in error
     assert text in error
     assert [p.name for p in tmp_path.iterdir()] == ([name] if content is not None else [])
-
-
-# The recording's thread.
-
-
-class Gated(BagWriter):
-    """A disk that waits at message `waits_at` for `gate`, and is full after `good` messages."""
-
-    def __init__(self, path, *, waits_at=-1, good=10**9):
-        super().__init__(path)
-        self.waits_at, self.good = waits_at, good
-        self.reached, self.gate = threading.Event(), threading.Event()
-
-    def write(self, topic, time_ns, data):
-        if self.counts[topic] == self.waits_at:
-            self.reached.set()
-            self.gate.wait()
-        if self.counts[topic] >= self.good:
-            raise OSError(28, 'No space left on device')
-        super().write(topic, time_ns, data)
-
-
-def recording(writer, n, **options):
-    made = Recording(writer, **options)
-    made.declare('/setpoint/rates', VECTOR, ())
-    for k in range(n):
-        made.put('/setpoint/rates', 1000 + k, message(k))
-    return made
-
-
-def test_a_recording_writes_everything_that_was_put(tmp_path):
-    status = recording(BagWriter(tmp_path / 'bag'), 5000).stop()
-    assert (status.written, status.dropped, status.waiting, status.failure) == (5000, 0, 0, '')
-    assert len(read(tmp_path / 'bag')) == 5000
-
-
-def test_a_full_disk_ends_the_recording_with_its_reason_and_counts(tmp_path):
-    made = recording(Gated(tmp_path / 'bag', good=10), 11)
-    while not made.status.failure:
-        time.sleep(0.001)
-    made.put('/setpoint/rates', 5000, message(1))
-    status = made.stop()
-    assert 'No space left on device' in status.failure
-    assert '\n' not in status.failure
-    assert (status.written, status.dropped) == (10, 2)
-    assert len(read(tmp_path / 'bag')) == 10
-
-
-def test_a_full_queue_drops_and_counts(tmp_path):
-    made = recording(writer := Gated(tmp_path / 'bag', waits_at=0), 50, capacity=5)
-    writer.reached.wait()
-    writer.gate.set()
-    status = made.stop()
-    assert status.dropped > 0
-    assert status.written + status.dropped == 50

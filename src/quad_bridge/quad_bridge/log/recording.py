@@ -9,12 +9,13 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 from rosbags.interfaces import Qos
 
-from quad_bridge.bag_writer import BagWriter
+from quad_bridge.log.writer import BagWriter
 from quad_bridge.status import ERROR, OK, WARN, Status
 
 FLUSH_S = 0.4
@@ -199,3 +200,35 @@ class Recording:
         self._dropped += self._taken - self._written + len(self._queue)
         self._queue.clear()
         self._failure = f'{self._writer.path}: {reason}; the bag is {end}'
+
+
+class Gaps:
+    """Messages of one topic that were lost before they arrived, by their publishers' numbers.
+
+    A middleware with a bounded history overwrites what a late reader has not fetched, and reports
+    only a small part of that as lost. Several publishers may number theirs independently.
+    """
+
+    def __init__(self) -> None:
+        self._last: list[int] = []
+        """Last number of each publisher, the most recently heard one at the end."""
+
+    def lost_before(self, number: int, publishers: Callable[[], int]) -> int:
+        """How many messages are missing between this one and the one before it.
+
+        Whose message it is does not come with it: it continues the publisher whose turn it is.
+        `publishers` says how many there are; it is asked only where no turn fits.
+        """
+        if number - 1 in self._last:
+            self._last.remove(number - 1)
+            self._last.append(number)
+            return 0
+        known = max(publishers(), 1)
+        below = [last for last in self._last if last < number]
+        if number == 1 or len(self._last) < known or not below:  # a new publisher, or a restart
+            self._last = [*self._last, number][-known:]
+            return 0
+        before = max(below)
+        self._last.remove(before)
+        self._last.append(number)
+        return number - before - 1

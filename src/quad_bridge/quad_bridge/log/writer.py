@@ -1,30 +1,28 @@
-"""Serialised messages into a rosbag2 bag: one directory, one storage file after the other.
+"""Serialised messages into a rosbag2 bag: one directory, one mcap file after the other.
 
 No ROS, no threads. What was written is on the disk after `flush`, also when the power fails then;
-the formats of the files stand in mcap_file.py and sqlite_file.py.
+the format of the files stands in mcap.py. Source of metadata.yaml: rosbag2's version 9, as Jazzy
+writes it.
 """
 
 from __future__ import annotations
 
-import sqlite3
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
+import yaml
 from rosbags.interfaces import Qos
+from rosbags.rosbag2.metadata import dump_qos_v9
 from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 
-from quad_bridge.bag_metadata import BagFormat, FileEntry, RecordedTopic, information, yaml_text
-from quad_bridge.compression import COMPRESSORS
-from quad_bridge.disk import MB, Reserve, free_bytes, is_full, sync_folder
 from quad_bridge.errors import BadInputError
-from quad_bridge.mcap_file import McapFile
-from quad_bridge.sqlite_file import SqliteFile
+from quad_bridge.log.disk import MB, Reserve, free_bytes, is_full, sync_folder
+from quad_bridge.log.mcap import FileEntry, McapFile, RecordedTopic
 
-STORAGES: dict[str, type[McapFile | SqliteFile]] = {'mcap': McapFile, 'sqlite3': SqliteFile}
-COMPRESSIONS = tuple(COMPRESSORS)
 MOST_NAMESAKES = 1000
 """Bags of one second."""
 CLOSING_RESERVE = 4 * MB
@@ -67,19 +65,11 @@ class Limits:
 class BagWriter:
     """One bag, open from construction to `close`; never writes over an existing one."""
 
-    def __init__(
-        self,
-        path: Path,
-        storage: str = 'mcap',
-        compression: str = 'none',
-        limits: Limits | None = None,
-    ) -> None:
+    def __init__(self, path: Path, limits: Limits | None = None) -> None:
         """Create the bag's directory and first file. Raises BadInputError where it cannot be."""
-        _check(path, storage, compression)
         self.path = path
         self.counts: dict[str, int] = {}
         """Messages written, by topic."""
-        self._format = BagFormat(storage, compression)
         self._limits = limits or Limits()
         self._topics: dict[str, RecordedTopic] = {}
         self._store = get_typestore(Stores.ROS2_JAZZY)
@@ -97,11 +87,10 @@ class BagWriter:
             sync_folder(path.parent)
         except FileExistsError as error:  # another recorder's, of this moment
             raise TakenError(str(path), 'exists already, not overwritten') from error
-        except (OSError, sqlite3.Error) as error:
+        except OSError as error:
             if made:
                 _remove_empty(path)
-            reason = getattr(error, 'strerror', None) or str(error)
-            raise BadInputError(str(path), f'cannot write a bag here: {reason}') from error
+            raise BadInputError(str(path), f'cannot write a bag here: {error.strerror}') from error
 
     @property
     def pending(self) -> int:
@@ -158,13 +147,13 @@ class BagWriter:
         self._began_ns = self._began_ns or time_ns
         try:
             self._file.write(topic, time_ns, data)
-        except (OSError, sqlite3.Error) as error:  # it waits in the file's chunk all the same
+        except OSError as error:  # it waits in the file's chunk all the same
             self._take_more(error)
             self._sync()
         self.counts[topic] += 1
 
     def flush(self) -> None:
-        """Hand everything written so far to the disk. Raises OSError or sqlite3.Error."""
+        """Hand everything written so far to the disk. Raises OSError."""
         if not self._file.path.exists():
             raise FileNotFoundError(f'{self._file.path.name} was removed or renamed')
         self._reserve.give(self.size + AHEAD)
@@ -176,7 +165,7 @@ class BagWriter:
         self._release()
         if not self._file_closed:
             self._close_file()
-        whole = information(self._format, list(self._topics.values()), self._closed)
+        whole = information(list(self._topics.values()), self._closed)
         part = self.path / 'metadata.yaml.part'
         part.write_text(yaml_text({'rosbag2_bagfile_information': whole}), encoding='utf-8')
         part.replace(self.path / 'metadata.yaml')
@@ -185,7 +174,7 @@ class BagWriter:
     def close_after_fault(self) -> None:
         """Write what waits from the reserve and close; `counts` says what is there.
 
-        Raises OSError or sqlite3.Error where that fails too: then `abort`, and `recover` later.
+        Raises OSError where that fails too: then `abort`, and `recover` later.
         """
         self._release()
         if not self._file.path.exists():
@@ -194,7 +183,7 @@ class BagWriter:
             self._file.cut_back()
             try:
                 self._file.sync()
-            except (OSError, sqlite3.Error):
+            except OSError:
                 self._file.cut_back()
                 self._file.forget()
         self._recount()
@@ -210,10 +199,10 @@ class BagWriter:
         while True:
             try:
                 return self._file.sync()
-            except (OSError, sqlite3.Error) as error:  # noqa: PERF203  (once, mostly)
+            except OSError as error:  # noqa: PERF203  (once, mostly)
                 self._take_more(error)
 
-    def _take_more(self, error: Exception) -> None:
+    def _take_more(self, error: OSError) -> None:
         """Take more of the reserve for another try; raises `error` where that cannot help."""
         if not is_full(error) or not self._reserve.more(AHEAD):
             raise error
@@ -246,31 +235,18 @@ class BagWriter:
         for topic in self._topics.values():
             self._file.add_topic(topic)
 
-    def _open_file(self) -> McapFile | SqliteFile:
-        name = f'{self.path.name}_{len(self._closed)}{self._format.suffix}'
-        file = STORAGES[self._format.storage](self.path / name, self._format.compression)
+    def _open_file(self) -> McapFile:
+        file = McapFile(self.path / f'{self.path.name}_{len(self._closed)}.mcap')
         sync_folder(self.path)
         return file
 
     def _close_file(self) -> None:
         self._file.sync()
         entry = self._file.entry
-        alone = information(self._format, list(self._topics.values()), [entry])
+        alone = information(list(self._topics.values()), [entry])
         self._file.close(yaml_text(alone).strip())
         entry.size = self._file.size
         self._closed.append(entry)
-
-
-def _check(path: Path, storage: str, compression: str) -> None:
-    if storage not in STORAGES:
-        raise BadInputError(str(path), 'storage must be mcap or sqlite3', storage)
-    if compression not in COMPRESSIONS:
-        known = ', '.join(COMPRESSIONS)
-        raise BadInputError(str(path), f'compression must be one of {known}', compression)
-    if (storage, compression) == ('sqlite3', 'lz4'):
-        raise BadInputError(
-            str(path), 'compression lz4 exists in mcap only', remedy='take zstd or storage mcap'
-        )
 
 
 def _check_space(path: Path, reserve: int) -> None:
@@ -292,9 +268,7 @@ def _remove_empty(path: Path) -> None:
     path.rmdir()
 
 
-def new_bag(
-    paths: Iterable[Path], storage: str, compression: str, limits: Limits | None = None
-) -> BagWriter:
+def new_bag(paths: Iterable[Path], limits: Limits | None = None) -> BagWriter:
     """A bag at the first of `paths` that is free, also where others look for one now.
 
     Raises BadInputError where none can be.
@@ -302,5 +276,51 @@ def new_bag(
     *others, last = paths
     for path in others:
         with suppress(TakenError):
-            return BagWriter(path, storage, compression, limits)
-    return BagWriter(last, storage, compression, limits)
+            return BagWriter(path, limits)
+    return BagWriter(last, limits)
+
+
+def information(topics: Sequence[RecordedTopic], files: Sequence[FileEntry]) -> dict[str, Any]:
+    """Content of `rosbag2_bagfile_information` for these files of the bag."""
+    filled = [entry for entry in files if entry.messages]
+    first = min((entry.first_ns for entry in filled), default=0)
+    last = max((entry.last_ns for entry in filled), default=0)
+    return {
+        'version': 9,
+        'storage_identifier': 'mcap',
+        'duration': {'nanoseconds': last - first},
+        'starting_time': {'nanoseconds_since_epoch': first},
+        'message_count': sum(entry.messages for entry in files),
+        'topics_with_message_count': [
+            {
+                'topic_metadata': {
+                    'name': topic.name,
+                    'type': topic.kind,
+                    'serialization_format': 'cdr',
+                    'offered_qos_profiles': dump_qos_v9(list(topic.qos)),
+                    'type_description_hash': topic.digest,
+                },
+                'message_count': sum(entry.counts.get(topic.key, 0) for entry in files),
+            }
+            for topic in topics
+        ],
+        'compression_format': '',
+        'compression_mode': '',
+        'relative_file_paths': [entry.name for entry in files],
+        'files': [
+            {
+                'path': entry.name,
+                'starting_time': {'nanoseconds_since_epoch': entry.first_ns},
+                'duration': {'nanoseconds': entry.last_ns - entry.first_ns},
+                'message_count': entry.messages,
+            }
+            for entry in files
+        ],
+        'custom_data': None,
+        'ros_distro': 'jazzy',
+    }
+
+
+def yaml_text(content: Mapping[str, Any]) -> str:
+    """YAML in the order of the keys."""
+    return yaml.safe_dump(dict(content), sort_keys=False)

@@ -1,7 +1,7 @@
 """What the bytes of an mcap file say of its records: where they begin and end, what they name.
 
-Without trust: a record counts only where its content agrees with its length, so one damaged
-length hides nothing behind it. No messages here, no decompression (damaged_mcap.py).
+Without trust: a record counts only where its content agrees with its length. Messages and
+compression are not looked at here (scan.py).
 Source: the MCAP specification, version 0 (opcode u8, length u64, little-endian).
 """
 
@@ -13,6 +13,7 @@ import struct
 import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 MAGIC = b'\x89MCAP0\r\n'
 HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = range(1, 9)
@@ -22,13 +23,12 @@ PRIVATE = 0x80
 """From here on opcodes are left to others."""
 RECORD = struct.Struct('<BQ')
 MESSAGE_HEAD = struct.Struct('<HIQQ')
+"""Channel, number, receive and publish time (ns) of a message, before its data."""
 CHUNK_HEAD = struct.Struct('<QQQII')
-"""Start, end, uncompressed size, checksum, length of the compression's name."""
-LONGEST_NAME = 16
-"""Of a compression."""
+"""First and last time, size of the content, its checksum, length of the compression's name."""
 _FOOTER = struct.Struct('<QQI')
-_INDEX = 6
-"""Bytes of a message index without entries; of a longer one two lengths must agree."""
+_LONGEST_NAME = 16
+"""Of a compression."""
 _CHUNK_START = rb'\x06(?=.{36}(?:\0{4}|\x04\0{3}zstd|\x03\0{3}lz4))'
 _IN_CHUNKS = re.compile(_CHUNK_START + rb'|\x07(?=.{4}\0{4})|\x0f(?=\x04\0{7})', re.DOTALL)
 _PLAIN = re.compile(rb'[\3\4\5](?=.{4}\0{4})|' + _IN_CHUNKS.pattern, re.DOTALL)
@@ -36,14 +36,14 @@ _PLAIN = re.compile(rb'[\3\4\5](?=.{4}\0{4})|' + _IN_CHUNKS.pattern, re.DOTALL)
 Data = bytes | mmap.mmap
 
 
-@dataclass(frozen=True)
-class Topic:
+class Topic(NamedTuple):
     """A channel with its schema."""
 
     name: str
     kind: str
+    """Such as `sensor_msgs/msg/Imu`; empty where unknown."""
     definition: str
-    qos: str
+    qos: str = ''
     """`offered_qos_profiles`, YAML as rosbag2 writes it; empty where unknown."""
     digest: str = ''
     """RIHS01 hash of the type; empty where unknown."""
@@ -77,19 +77,11 @@ class Names:
         return True
 
 
-@dataclass(frozen=True)
-class Summary:
-    """What stands behind the data of a file that was closed."""
+def summary_of(data: Data) -> tuple[int, Names, int | None] | None:
+    """Where the summary of a closed file begins, its names, how many messages it counts.
 
-    start: int
-    """Where it begins; the data end before."""
-    names: Names
-    messages: int | None
-    """How many the file holds by its statistics; None where these are missing."""
-
-
-def summary_of(data: Data) -> Summary | None:
-    """Summary of a file that was closed; None where it is missing or damaged."""
+    None where the summary is missing or damaged.
+    """
     foot = len(data) - len(MAGIC) - RECORD.size - _FOOTER.size
     if foot < len(MAGIC) or data[-len(MAGIC) :] != MAGIC:
         return None
@@ -99,10 +91,6 @@ def summary_of(data: Data) -> Summary | None:
     start = start or foot  # some write none
     if checksum and zlib.crc32(data[start : len(data) - len(MAGIC) - 4]) != checksum:
         return None
-    return _summary_between(data, start, foot)
-
-
-def _summary_between(data: Data, start: int, foot: int) -> Summary | None:
     names, messages, position = Names(), None, start
     while len(MAGIC) <= position < foot:
         end = end_of(data, position, foot)
@@ -113,7 +101,7 @@ def _summary_between(data: Data, start: int, foot: int) -> Summary | None:
             (messages,) = struct.unpack_from('<Q', body)
         names.take(opcode, body)
         position = end
-    return Summary(start, names, messages) if position == foot else None
+    return (start, names, messages) if position == foot else None
 
 
 def end_of(data: Data, position: int, stop: int) -> int | None:
@@ -141,13 +129,13 @@ def next_record(data: Data, position: int, stop: int, *, plain: bool) -> int | N
         end = end_of(data, start, stop)
         if end is None:
             continue
-        telling = data[start] in {CHUNK, MESSAGE_INDEX} and end - start > RECORD.size + _INDEX
+        telling = data[start] == CHUNK or _is_index(data, start + RECORD.size, end)
         if telling or end == stop or end_of(data, end, stop):
             return start
     return None
 
 
-def has_chunks(data: Data, stop: int, position: int = len(MAGIC)) -> bool:
+def chunk_follows(data: Data, position: int, stop: int) -> bool:
     """Whether a chunk, or an index of one, follows, before anything else that can be told."""
     found = next_record(data, position, stop, plain=False)
     return found is not None and data[found] in {CHUNK, MESSAGE_INDEX}
@@ -155,23 +143,35 @@ def has_chunks(data: Data, stop: int, position: int = len(MAGIC)) -> bool:
 
 def looks_chunked(data: Data, position: int, end: int) -> bool:
     """Whether the record has the shape of a chunk or its index, whatever its opcode says."""
-    start, length = position + RECORD.size, end - position - RECORD.size
-    return _is_chunk(data, start, length) or (length > _INDEX and _is_index(data, start, length))
+    return chunk_ends(data, position, end) == [end] or _is_index(
+        data, position + RECORD.size, end
+    )
+
+
+def _is_index(data: Data, start: int, end: int) -> bool:
+    """Whether an index of at least one message fills these bytes: two lengths agree."""
+    length = end - start
+    return length > 6 and length % 16 == 6 and (
+        struct.unpack_from('<I', data, start + 2)[0] == length - 6
+    )  # fmt: skip
 
 
 def chunk_ends(data: Data, position: int, stop: int) -> list[int]:
-    """Where the chunk at `position` may end: by its content's length, by its own."""
+    """Where the chunk at `position` may end, by its content's length and by its own, first first.
+
+    (A decompressor does not mind what follows its content.)
+    """
     start = position + RECORD.size
     if start + CHUNK_HEAD.size + 8 > stop:
         return []
     *_, name_length = CHUNK_HEAD.unpack_from(data, start)
     inner = start + CHUNK_HEAD.size + name_length
-    if name_length > LONGEST_NAME or inner + 8 > stop:
+    if name_length > _LONGEST_NAME or inner + 8 > stop:
         return []
     content = inner + 8
     inner = content + struct.unpack_from('<Q', data, inner)[0]
     outer = start + RECORD.unpack_from(data, position)[1]
-    return [inner] if outer == inner or outer < content else [inner, outer]
+    return [inner] if outer < content else sorted({inner, outer})
 
 
 def _string(body: bytes, offset: int) -> tuple[str, int]:
@@ -210,23 +210,16 @@ def _made_of(parts: str) -> Callable[[Data, int, int], bool]:
     return check
 
 
-def _is_index(data: Data, start: int, length: int) -> bool:
-    return length % 16 == 6 and struct.unpack_from('<I', data, start + 2)[0] == length - 6
-
-
-def _is_chunk(data: Data, start: int, length: int) -> bool:
-    end = start + length
-    return chunk_ends(data, start - RECORD.size, end) == [end]
-
-
 _LENGTHS: dict[int, Callable[[Data, int, int], bool]] = {
     HEADER: _made_of('s s'),
     FOOTER: _made_of('20'),
     SCHEMA: _made_of('2 s s s'),
     CHANNEL: _made_of('4 s s s'),
     MESSAGE: lambda _data, _start, length: length >= MESSAGE_HEAD.size,
-    CHUNK: _is_chunk,
-    MESSAGE_INDEX: _is_index,
+    CHUNK: lambda data, start, length: (
+        chunk_ends(data, start - RECORD.size, start + length) == [start + length]
+    ),
+    MESSAGE_INDEX: _made_of('2 s'),
     CHUNK_INDEX: _made_of('32 s 8 s 16'),
     ATTACHMENT: _made_of('16 s s l 4'),
     ATTACHMENT_INDEX: _made_of('40 s s'),
@@ -236,3 +229,4 @@ _LENGTHS: dict[int, Callable[[Data, int, int], bool]] = {
     SUMMARY_OFFSET: _made_of('17'),
     DATA_END: _made_of('4'),
 }
+"""Whether a record's content agrees with its length, by opcode."""

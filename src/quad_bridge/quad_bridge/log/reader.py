@@ -1,0 +1,179 @@
+"""Messages of a bag, whether it was closed, cut off or damaged; whole sqlite3 bags by rosbags.
+
+Reads what `recover` reads, so what can be recovered can be read. No arrays here.
+"""
+
+from __future__ import annotations
+
+import mmap
+import re
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+from rosbags.rosbag2 import Reader
+from rosbags.rosbag2.metadata import dump_qos_v9
+from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.store import Typestore
+
+from quad_bridge.errors import BadInputError
+from quad_bridge.log.stored.files import (
+    PACKED,
+    plain_file,
+    plain_message,
+    sqlite_fault,
+    sqlite_remedy,
+)
+from quad_bridge.log.stored.records import MAGIC, Topic
+from quad_bridge.log.stored.scan import McapScan, Message
+
+REMEDY = '`ros2 run quad_bridge recover` says more'
+
+
+@dataclass(frozen=True)
+class Received:
+    """One decoded message."""
+
+    time_ns: int
+    """When it was recorded, ns since 1970."""
+    content: Any
+
+
+@dataclass
+class Contents:
+    """What a bag holds of the wanted topics."""
+
+    messages: dict[str, list[Received]] = field(default_factory=lambda: defaultdict(list))
+    """By topic, in the order of recording."""
+    warnings: list[str] = field(default_factory=list)
+    """A line for each thing that is missing or damaged."""
+
+
+def read_topics(bag: Path, kinds: Mapping[str, str]) -> Contents:
+    """Messages of the topics in `kinds` (topic to type) of a bag directory or storage file.
+
+    Messages of another type are no messages of the topic. Raises BadInputError where there is no
+    bag, or nothing of it can be read.
+    """
+    found, store = Contents(), get_typestore(Stores.ROS2_JAZZY)
+    files = storage_files(bag)
+    found.warnings += [f'{bag}: {note}' for note in missing_parts(files)]
+    if bag.is_dir() and not (bag / 'metadata.yaml').is_file():
+        found.warnings.append(f'{bag}: has no metadata.yaml (the recorder was killed?); {REMEDY}')
+    damaged = 0
+
+    def judge(scan: McapScan, file: Path) -> None:
+        if not scan.complete:
+            lost = f', at least {scan.lost} messages are missing' if scan.lost else ''
+            found.warnings.append(
+                f'{file}: damaged or cut off{lost}: read what is whole; {REMEDY}'
+            )
+
+    for file in files:
+        try:
+            for message in messages_of(file, judge):
+                if kinds.get(message.topic.name) == message.topic.kind:
+                    damaged += not _kept(message, found, store)
+        except BadInputError as error:  # noqa: PERF203  (files are few)
+            if len(files) == 1:
+                raise
+            found.warnings.append(f'{error}: that part is missing')
+    if damaged:
+        found.warnings.append(f'{bag}: {damaged} messages are damaged and left out; {REMEDY}')
+    return found
+
+
+def _kept(message: Message, found: Contents, store: Typestore) -> bool:
+    """Decode and keep a message; False where it is damaged."""
+    try:
+        content = store.deserialize_cdr(message.data, message.topic.kind)
+    except Exception:  # noqa: BLE001  (whatever nonsense makes the decoder raise)
+        return False
+    found.messages[message.topic.name].append(Received(message.time_ns, content))
+    return True
+
+
+def storage_files(bag: Path) -> list[Path]:
+    """Storage files of a bag directory in the order of recording, or the one file given.
+
+    A packed file counts where it does not lie beside its content. Raises BadInputError where
+    there is none.
+    """
+    if not bag.exists():
+        raise BadInputError(str(bag), 'does not exist', remedy='check the path')
+    found = {p.name: p for p in (bag.iterdir() if bag.is_dir() else [bag])}
+    files = [
+        file
+        for name, file in found.items()
+        if name.removesuffix(PACKED).endswith(('.mcap', '.db3'))
+        and (not name.endswith(PACKED) or name.removesuffix(PACKED) not in found)
+    ]
+    files.sort(key=lambda p: (len(p.name), p.name))
+    if not files:
+        raise BadInputError(str(bag), 'holds no .mcap or .db3 file', remedy='check the path')
+    return files
+
+
+def missing_parts(files: list[Path]) -> list[str]:
+    """A line for each part of a split bag, numbered by the recorder, that is not there."""
+    stems = [file.name.partition('.')[0] for file in files]
+    numbers = [int(m[1]) for m in (re.search(r'_(\d+)$', stem) for stem in stems) if m]
+    if len(numbers) != len(files) or min(numbers) > 0 or max(numbers) > 10_000:
+        return []
+    absent = sorted(set(range(max(numbers))) - set(numbers))
+    return [f'part {number} of the bag is missing' for number in absent]
+
+
+def messages_of(
+    file: Path, judge: Callable[[McapScan, Path], None] = lambda _scan, _file: None
+) -> Iterator[Message]:
+    """All whole messages of one file in its order, decompressed; empty where that fails.
+
+    `judge` is told the figures of an mcap file at its end. Raises BadInputError for a file that
+    cannot be read, is empty or of neither storage, and for a sqlite3 file that is not whole.
+    """
+    try:
+        file.open('rb').close()
+    except OSError as error:
+        raise BadInputError(str(file), f'cannot be read: {error.strerror}') from error
+    with plain_file(file) as plain:
+        is_sqlite = plain.name.endswith('.db3')
+        found = _sqlite_messages(plain, file) if is_sqlite else _mcap_messages(plain, file, judge)
+        for message in found:
+            yield message._replace(data=plain_message(message.data))
+
+
+def _mcap_messages(
+    plain: Path, file: Path, judge: Callable[[McapScan, Path], None]
+) -> Iterator[Message]:
+    with plain.open('rb') as stream:
+        head = stream.read(len(MAGIC))
+        if not head:
+            raise BadInputError(str(file), 'is empty', remedy='nothing can be recovered')
+        if head != MAGIC:
+            raise BadInputError(str(file), 'is no mcap file', f'first bytes {head.hex()}')
+        with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
+            scan = McapScan(data)
+            yield from scan.messages()
+            judge(scan, file)
+
+
+def _sqlite_messages(plain: Path, file: Path) -> Iterator[Message]:
+    fault = sqlite_fault(plain)
+    try:
+        if not fault:
+            with Reader(plain) as reader:
+                topics = {}
+                for c in reader.connections:
+                    qos = yaml.safe_dump(dump_qos_v9(list(c.ext.offered_qos_profiles)))  # type: ignore[union-attr]
+                    topics[c.id] = Topic(c.topic, c.msgtype, c.msgdef.data, qos, c.digest)
+                for c, time_ns, data in reader.messages():
+                    yield Message(topics[c.id], time_ns, data if isinstance(data, bytes) else b'')
+    except Exception as error:  # noqa: BLE001  (whatever nonsense makes rosbags raise)
+        fault = ' '.join(str(error).split())
+    if fault:
+        what = f'is a damaged sqlite3 file ({fault})'
+        raise BadInputError(str(file), what, remedy=sqlite_remedy(file))
