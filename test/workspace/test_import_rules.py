@@ -80,6 +80,12 @@ def test_wire_reads_no_port() -> None:
         assert not imports(path) & PORTS, path
 
 
+def test_what_both_packages_share_is_one_folder_and_knows_neither() -> None:
+    shared = BRIDGE / 'log' / 'stored'
+    assert (SYSID / 'bags' / 'stored').resolve() == shared.resolve()
+    assert below(shared, 'quad_') == {}
+
+
 def test_import_linter_agrees() -> None:
     if importlib.util.find_spec('importlinter') is None:
         pytest.skip('import-linter is not installed')

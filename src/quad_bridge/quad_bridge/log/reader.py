@@ -163,17 +163,17 @@ def _mcap_messages(
 
 def _sqlite_messages(plain: Path, file: Path) -> Iterator[Message]:
     fault = sqlite_fault(plain)
-    try:
-        if not fault:
-            with Reader(plain) as reader:
-                topics = {}
-                for c in reader.connections:
-                    qos = yaml.safe_dump(dump_qos_v9(list(c.ext.offered_qos_profiles)))  # type: ignore[union-attr]
-                    topics[c.id] = Topic(c.topic, c.msgtype, c.msgdef.data, qos, c.digest)
-                for c, time_ns, data in reader.messages():
-                    yield Message(topics[c.id], time_ns, data if isinstance(data, bytes) else b'')
-    except Exception as error:  # noqa: BLE001  (whatever nonsense makes rosbags raise)
-        fault = ' '.join(str(error).split())
     if fault:
         what = f'is a damaged sqlite3 file ({fault})'
         raise BadInputError(str(file), what, remedy=sqlite_remedy(file))
+    topics = {}
+    try:
+        with Reader(plain) as reader:
+            for c in reader.connections:
+                qos = yaml.safe_dump(dump_qos_v9(list(c.ext.offered_qos_profiles)))  # type: ignore[union-attr]
+                topics[c.id] = Topic(c.topic, c.msgtype, c.msgdef.data, qos, c.digest)
+            for c, time_ns, data in reader.messages():
+                yield Message(topics[c.id], time_ns, data if isinstance(data, bytes) else b'')
+    except Exception as error:
+        what = f'cannot be read as a sqlite3 bag ({" ".join(str(error).split())})'
+        raise BadInputError(str(file), what, remedy='is it a bag of rosbag2?') from error

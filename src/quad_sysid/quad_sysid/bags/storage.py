@@ -10,6 +10,7 @@ import mmap
 import re
 from collections import Counter
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -196,31 +197,28 @@ class Storage:
         self, plain: Path, shown: Path, foreign: Counter[tuple[str, str]]
     ) -> Iterator[Batch]:
         fault = sqlite_fault(plain)
-        batch: Batch = {}
-        strange = 0
-        try:
-            if not fault:
-                with Reader(plain) as reader:
-                    mine = [c for c in reader.connections if self._wanted(c.topic, c.msgtype)]
-                    for c in reader.connections:
-                        if c.topic in self.topics and c not in mine:
-                            foreign[c.topic, c.msgtype] += c.msgcount
-                    for i, (c, _, raw) in enumerate(reader.messages(mine) if mine else ()):
-                        if i % BATCH == BATCH - 1:
-                            yield batch
-                            batch = {}
-                        if isinstance(raw, bytes):
-                            batch.setdefault(c.topic, []).append(raw)
-                        else:
-                            strange += 1
-        except Exception as error:  # noqa: BLE001  (whatever nonsense makes rosbags raise)
-            fault = ' '.join(str(error).split())
         if fault:
             what = f'is a damaged sqlite3 file ({fault})'
             raise BadInputError(str(shown), what, remedy=sqlite_remedy(shown))
+        strange = 0
+        try:
+            with Reader(plain) as reader:
+                asked = [c for c in reader.connections if c.topic in self.topics]
+                mine = [c for c in asked if self._wanted(c.topic, c.msgtype)]
+                foreign.update({(c.topic, c.msgtype): c.msgcount for c in asked if c not in mine})
+                messages = reader.messages(mine) if mine else iter(())
+                while some := list(islice(messages, BATCH)):
+                    batch: Batch = {c.topic: [] for c in mine}
+                    for connection, _, raw in some:
+                        batch[connection.topic].append(raw)
+                    sound = {t: [r for r in raws if type(r) is bytes] for t, raws in batch.items()}
+                    strange += len(some) - sum(map(len, sound.values()))
+                    yield sound
+        except Exception as error:
+            what = f'cannot be read as a sqlite3 bag ({" ".join(str(error).split())})'
+            raise BadInputError(str(shown), what, remedy='is it a bag of rosbag2?') from error
         if strange:
             self.warnings.append(f'{shown}: {strange} rows are no messages; left out')
-        yield batch
 
     def _decompressed(self, raws: list[bytes], shown: Path) -> list[bytes]:
         """Messages as CDR: those that were compressed one by one (by their magic) are opened."""

@@ -31,10 +31,11 @@ def plain_message(data: bytes) -> bytes:
     if data[: len(ZSTD_MAGIC)] != ZSTD_MAGIC:
         return data
     frame = zstd.ZstdDecompressor()  # a third faster than zstd.decompress on so short a text
-    with suppress(*UNPACK_ERRORS):
+    try:
         content = frame.decompress(data)
-        return content if frame.eof else b''
-    return b''
+    except UNPACK_ERRORS:
+        return b''
+    return content if frame.eof else b''
 
 
 @contextmanager
