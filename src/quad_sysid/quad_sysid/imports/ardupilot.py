@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from quad_sysid.errors import BadInputError
-from quad_sysid.imports.frames import MIRROR, angles_from_ned, control_at_places
-from quad_sysid.imports.log import ForeignLog, Mapped, Stream
+from quad_sysid.imports.frames import MIRROR, angles_from_ned, mixer_at_places
+from quad_sysid.imports.log import ForeignLog, Given, Mapped, Stream
 
 FIELDS: Mapping[str, tuple[str, ...]] = {
     'RATE': ('RDes', 'R', 'ROut', 'PDes', 'P', 'POut', 'YDes', 'Y', 'YOut', 'AOut'),
@@ -30,13 +30,18 @@ INSTANCE = ('I', 'Instance', 'Inst')
 MOTOR_ORDER = (1, 3, 0, 2)
 """Motor at rear left, rear right, front right, front left in Quad X (1 front right, 2 rear left,
 3 front left, 4 rear right); the rear left one turns counter-clockwise."""
-FIRST_MOTOR = 33
-"""SERVOn_FUNCTION of motor 1."""
+MOTOR_FUNCTIONS = (33, 34, 35, 36, 37, 38, 39, 40)
+"""SERVOn_FUNCTION of motors 1..8."""
+MOTORS_OF_FRAME = {1: 4, 2: 6, 3: 8, 4: 8, 5: 6}
+"""By FRAME_CLASS: quad, hexa, octa, octaquad, Y6."""
 QUAD, X_FRAME = 1, 1
 """FRAME_CLASS, FRAME_TYPE."""
 FAST_ENOUGH = 0.5
+FASTER = (
+    "set bit 0 (fast attitude) of LOG_BITMASK: RATE is then logged at the l"
+    "oop's rate, not at 10 Hz; LOG_FILE_RATEMAX 0"
+)
 DEGREE = np.pi / 180.0
-LINEAR = 0.98
 
 
 @dataclass
@@ -68,7 +73,7 @@ def read(path: Path) -> ForeignLog:
     content = _load(path)
     mapped: list[Mapped] = []
     rates = _rates(content, mapped)
-    control, gains, warnings = _control(content, rates, mapped)
+    given, gains, warnings = _input(content, rates, mapped)
     angles = content.stream('ATT', 'Roll', 'Pitch', 'Yaw')
     attitude = content.stream('ATT', 'DesRoll', 'DesPitch', 'DesYaw')
     wanted = content.stream('RATE', 'RDes', 'PDes', 'YDes')
@@ -88,12 +93,12 @@ def read(path: Path) -> ForeignLog:
         if found is not None:
             mapped.append(Mapped(source, unit, topic, how, found.rate_hz))
     return ForeignLog(
-        source=str(path), kind='ArduPilot', rates=rates, control=control,
+        source=str(path), kind='an ArduPilot log', rates=rates, **given,
         angles=_degrees(angles, turned=True), attitude_setpoint=_degrees(attitude, turned=True),
         rate_setpoint=_degrees(wanted),
         acceleration=None if acceleration is None else
         Stream(acceleration.time_s, acceleration.values * MIRROR),
-        battery=battery, gains=gains, from_motors='RCOU' in mapped[1].source,
+        battery=battery, gains=gains, faster=FASTER,
         mapped=tuple(mapped), missing=_missing(angles, wanted, battery, gains),
         warnings=(*_frame(content), *warnings),
     )
@@ -162,9 +167,10 @@ def _rates(content: _Content, mapped: list[Mapped]) -> Stream:
     )
 
 
-def _control(
+def _input(
     content: _Content, rates: Stream, mapped: list[Mapped]
-) -> tuple[Stream, dict[str, float], list[str]]:
+) -> tuple[Given, dict[str, float], list[str]]:
+    """What a ForeignLog takes of commands, the gains in their unit, warnings."""
     outputs = content.stream('RATE', 'AOut', 'ROut', 'POut', 'YOut')
     asked = None if outputs is None else Stream(
         outputs.time_s, outputs.values * np.concatenate(([1.0], MIRROR))
@@ -175,16 +181,16 @@ def _control(
         low = content.parameters.get('MOT_PWM_MIN', 0.0) or 1000.0
         high = content.parameters.get('MOT_PWM_MAX', 0.0) or 2000.0
         motors = np.clip((pulses.values - low) / (high - low), 0.0, 1.0)
-        control = Stream(pulses.time_s, control_at_places(
-            motors[:, list(MOTOR_ORDER)], clockwise_rear_left=False
-        ))
-        mapped.append(Mapped(
-            f'RCOU.{", ".join(_channels(content))}', 'µs', '/control/wrench',
-            f'(pulse - {low:g}) / {high - low:g}; motors 2, 4, 1, 3 stand rear left, rear right, '
-            "front right, front left; U by the mixer's inverse, yaw by their sense of rotation",
-            pulses.rate_hz,
-        ))
-        return control, {}, [
+        given: Given = {'motors': Stream(pulses.time_s, motors), 'mixer': None}
+        how = 'U by what the motion shows'
+        if motors.shape[1] == len(MOTOR_ORDER) and not _frame(content):
+            given['mixer'] = mixer_at_places("ArduPilot's Quad X", MOTOR_ORDER,
+                                             clockwise_rear_left=False)
+            how = ('motors 2, 4, 1, 3 stand rear left, rear right, front right, front left; U by '
+                   "the mixer's inverse, yaw by their sense of rotation")
+        mapped.append(Mapped(f'RCOU.{", ".join(_channels(content))}', 'µs', '/control/wrench',
+                             f'(pulse - {low:g}) / {high - low:g}; {how}', pulses.rate_hz))
+        return given, {}, [
             ("ArduPilot's gains are not carried over: between its outputs and the pulses stands a "
             'thrust curve (MOT_THST_EXPO)')
         ]
@@ -194,7 +200,7 @@ def _control(
             'as they are, pitch and yaw turned; U is in the unit of these outputs',
             asked.rate_hz,
         ))
-        return asked, _gains(content.parameters), [
+        return {'control': asked}, _gains(content.parameters), [
             'the input is what the controller asked for: limits of the motors are not in it'
         ]
     raise BadInputError(
@@ -204,15 +210,16 @@ def _control(
 
 
 def _channels(content: _Content) -> tuple[str, ...]:
-    """RCOU columns of motors 1..4, by SERVOn_FUNCTION where the log says it."""
+    """RCOU columns of the motors, by SERVOn_FUNCTION where the log says it."""
+    count = MOTORS_OF_FRAME.get(int(content.parameters.get('FRAME_CLASS', QUAD)), 4)
     found = {
         int(value): name.removeprefix('SERVO').removesuffix('_FUNCTION')
         for name, value in content.parameters.items()
         if name.startswith('SERVO') and name.endswith('_FUNCTION')
     }
-    motors = [found.get(FIRST_MOTOR + i) for i in range(4)]
+    motors = [found.get(function) for function in MOTOR_FUNCTIONS[:count]]
     if any(channel is None or int(channel) > 14 for channel in motors):
-        return ('C1', 'C2', 'C3', 'C4')
+        return tuple(f'C{i + 1}' for i in range(count))
     return tuple(f'C{channel}' for channel in motors)
 
 

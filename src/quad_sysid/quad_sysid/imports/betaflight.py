@@ -1,7 +1,8 @@
-"""A Betaflight blackbox table (CSV of blackbox_decode or the Blackbox Explorer) → ForeignLog.
+"""A blackbox log → ForeignLog: Betaflight, INAV, Rotorflight, INDIflight, encoded or as a table.
 
-Betaflight's body frame is ours: x forward, y left, z up; nose down is positive pitch. Its rate
-loop has feed-forward and gains that change with the throttle, so no gains are carried over.
+A table is what blackbox_decode or the Blackbox Explorer writes; an encoded file (.bbl, .bfl, .txt)
+is read by orangebox (GPL-3, an optional extra, loaded here alone). Betaflight's body frame is
+ours: x forward, y left, z up; nose down is positive pitch. INDIflight's is forward, right, down.
 """
 
 from __future__ import annotations
@@ -11,13 +12,21 @@ import gzip
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
-from quad_sysid.imports.frames import control_at_places
+from quad_sysid.imports.clock import unroll
+from quad_sysid.imports.frames import (
+    MIRROR,
+    angles_from_ned,
+    euler_from_quaternion,
+    mixer_at_places,
+)
 from quad_sysid.imports.log import ForeignLog, Mapped, Stream
+from quad_sysid.imports.mixers import Mixer
 
 MOTOR_ORDER = (2, 0, 1, 3)
 """Motor at rear left, rear right, front right, front left in Quad X (1 rear right, 2 front right,
@@ -29,6 +38,20 @@ PULSE_US = (1000.0, 2000.0)
 MOST_VOLTS = 100.0
 """A larger battery value is in hundredths of a volt."""
 ONE_G = 9.80665
+UNIT_AS_INTEGER = 8127.0
+"""INDIflight's 1.0 of a command or a quaternion, (127 << 6) - 1."""
+WANTED = frozenset({
+    'time', 'gyroADC', 'motor', 'setpoint', 'axisRate', 'accSmooth', 'vbatLatest', 'vbat',
+    'attitude', 'roll', 'pitch', 'heading', 'u', 'quat', 'gyroSp',
+})
+FILTERS = (
+    'gyro_lpf1_static_hz', 'gyro_lpf2_static_hz', 'gyro_lowpass_hz', 'gyro_lowpass2_hz',
+    'gyro_lpf_hz', 'dterm_lpf1_static_hz', 'dterm_lowpass_hz', 'dterm_lpf_hz',
+    'rpm_filter_harmonics', 'rollPID', 'pitchPID', 'yawPID', 'feedforward_weight', 'ff_weight',
+    'tpa_rate',
+)
+"""Of the header: what is told of gains and filters."""
+FASTER = 'set blackbox_sample_rate (before 4.3 blackbox_p_ratio) to log 500 Hz or more'
 
 
 @dataclass(frozen=True)
@@ -40,52 +63,153 @@ class _Table:
     units: dict[str, str]
     header: dict[str, str]
 
-    def triple(self, name: str) -> FloatArray | None:
-        """(n, 3) of `name[0]`, `name[1]`, `name[2]`; None where one is missing."""
-        names = [f'{name}[{i}]' for i in range(3)]
-        if any(one not in self.columns for one in names):
+    def several(self, name: str, count: int) -> FloatArray | None:
+        """(n, count) of `name[0]`, `name[1]`, …; None where one is missing."""
+        names = [f'{name}[{i}]' for i in range(count)]
+        if not names or any(one not in self.columns for one in names):
             return None
         return np.column_stack([self.columns[one] for one in names])
 
 
-def read(path: Path) -> ForeignLog:
-    """Read the table; raises BadInputError naming file, line and column."""
-    table = _read(path)
-    time_s, keep = _time(table)
+def read(path: Path, log: int = 1) -> ForeignLog:
+    """Read a table, or one log (counted from 1) of an encoded file.
+
+    Raises BadInputError naming file, line and column.
+    """
+    table = _decoded(path, log) if _is_encoded(path) else _read(path)
+    indi = 'indiflight' in ' '.join(table.header.values()).lower() or 'u[0]' in table.columns
+    if 'time' not in table.columns:
+        raise BadInputError(table.source, 'lacks the column time')
+    factor = 1.0 if table.units.get('time') == 's' else 1e-6
+    unrolled = unroll(
+        table.columns['time'] * factor, np.column_stack(list(table.columns.values())),
+        f'{table.source}, column time',
+    )
+    time_s, keep = unrolled.time_s - unrolled.time_s[0] + 1.0, unrolled.rows
     mapped: list[Mapped] = []
     rate = 1.0 / float(np.median(np.diff(time_s)))
+    frame = MIRROR if indi else np.ones(3)
+    how = 'pitch and yaw turned' if indi else 'the frame is ours'
 
-    def stream(values: FloatArray) -> Stream:
-        return Stream(time_s, values[keep])
+    def stream(values: FloatArray | None) -> Stream | None:
+        if values is None:
+            return None
+        rows = values[keep]
+        known = np.isfinite(rows).all(axis=1)
+        return Stream(time_s[known], rows[known]) if known.sum() > 1 else None
 
-    gyro = table.triple('gyroADC')
+    gyro = table.several('gyroADC', 3)
     if gyro is None:
         raise BadInputError(str(path), 'lacks the columns gyroADC[0..2]',
                             remedy='log the gyro (blackbox_disable_gyro = OFF)')
     unit = table.units.get('gyroADC[0]', '')
-    factor = 1.0 if unit == 'rad/s' else DEGREE
+    factor = _rate_unit(table, unit)
     mapped.append(Mapped('gyroADC[0..2]', unit or 'deg/s', '/imu/data angular_velocity',
-                         f'times {factor:.6g}; the frame is ours', rate))
-    control, how = _control(table)
-    mapped.append(Mapped('motor[0..3]', 'raw', '/control/wrench', how, rate))
-    setpoint = table.triple('setpoint')
+                         f'times {factor:.6g}; {how}', rate))
+    motors, mixer, told = _motors(table, indi=indi)
+    mapped.append(Mapped(*told, rate))
+    setpoint = next((found for name in ('setpoint', 'axisRate', 'gyroSp')
+                     if (found := table.several(name, 3)) is not None), None)
     if setpoint is not None:
         mapped.append(Mapped('setpoint[0..2]', 'deg/s', '/setpoint/rates',
-                             f'times {DEGREE:.6g}', rate))
+                             f'times {factor:.6g}; {how}', rate))
+        setpoint = setpoint * factor * frame
     acceleration, by = _acceleration(table)
     if acceleration is not None:
+        acceleration = acceleration * frame
         mapped.append(Mapped('accSmooth[0..2]', 'raw', '/imu/data linear_acceleration', by, rate))
     angles = _angles(table, mapped, rate)
     volts = _volts(table, mapped, rate)
+    header = ', '.join(f'{name} {table.header[name]}' for name in FILTERS if name in table.header)
+    if header:
+        mapped.append(Mapped('header', '-', 'note', header))
     return ForeignLog(
-        source=str(path), kind='Betaflight', rates=stream(gyro * factor),
-        control=stream(control), mapped=tuple(mapped),
-        rate_setpoint=None if setpoint is None else stream(setpoint * DEGREE),
-        acceleration=None if acceleration is None else stream(acceleration),
-        angles=None if angles is None else stream(angles),
-        battery=None if volts is None else stream(volts[:, None]),
+        source=str(path), kind='a blackbox log', rates=stream(gyro * factor * frame),
+        motors=stream(motors), mixer=mixer, mapped=tuple(mapped), clock=unrolled.told,
+        rate_setpoint=stream(setpoint), acceleration=stream(acceleration), angles=stream(angles),
+        battery=stream(None if volts is None else volts[:, None]), faster=FASTER,
         missing=_missing(angles, volts),
     )
+
+
+def _is_encoded(path: Path) -> bool:
+    with path.open('rb') as stream:
+        return stream.read(2) == b'H '
+
+
+def _decoded(path: Path, log: int) -> _Table:
+    """One log of an encoded file, by orangebox."""
+    try:
+        from orangebox import Parser
+    except ImportError as error:
+        raise BadInputError(
+            str(path), 'is encoded, which needs the package orangebox (GPL-3)',
+            remedy='pip install "orangebox<0.5", or give the CSV of blackbox_decode',
+        ) from error
+    try:
+        count = int(Parser.load(str(path), 1, allow_invalid_header=True).reader.log_count)
+    except Exception as error:  # orangebox raises whatever a damaged file makes it meet
+        raise BadInputError(
+            str(path), f'cannot be decoded ({type(error).__name__}: {error})',
+            remedy='decode it with blackbox_decode and import its CSV',
+        ) from error
+    if not 1 <= log <= count:
+        raise BadInputError(f'{path}: --log', f'must be 1 to {count}', log)
+    try:
+        parser: Any = Parser.load(str(path), log, allow_invalid_header=True)
+        names = list(parser.field_names)
+        places = [i for i, name in enumerate(names) if name.partition('[')[0] in WANTED]
+        rows = _frames(parser, places, len(names))
+    except Exception as error:  # as above
+        raise BadInputError(
+            str(path), f'log {log} of {count} cannot be decoded ({type(error).__name__}: {error})',
+            remedy='decode it with blackbox_decode and import its CSV',
+        ) from error
+    if len(rows) < 2:
+        raise BadInputError(str(path), f'log {log} of {count} holds no frames',
+                            remedy=f'choose another of {count} with --log')
+    array = np.array(rows, dtype=float)
+    header = {str(k): _plain(v) for k, v in parser.headers.items()}
+    return _Table(f'{path}, log {log} of {count}',
+                  {names[i]: array[:, k] for k, i in enumerate(places)}, {}, header)
+
+
+def _frames(parser: Any, places: Sequence[int], width: int) -> list[list[float]]:
+    """Rows of the wanted fields; what comes after a torn end is left out."""
+    rows: list[list[float]] = []
+    try:
+        for frame in parser.frames():
+            data = frame.data
+            if len(data) >= width - 1:
+                rows.append([_number(data[i]) if i < len(data) else np.nan for i in places])
+    except (StopIteration, RuntimeError, IndexError, TypeError):
+        if not rows:
+            raise
+    return rows
+
+
+def _number(value: object) -> float:
+    return float(value) if isinstance(value, int | float) else np.nan
+
+
+def _plain(value: object) -> str:
+    return ','.join(map(str, value)) if isinstance(value, list | tuple) else str(value)
+
+
+def _rate_unit(table: _Table, unit: str) -> float:
+    """rad/s per unit of gyroADC: degrees, tenths of them, or counts times the header's scale."""
+    if unit == 'rad/s':
+        return 1.0
+    if table.header.get('blackbox_high_resolution', '0').strip() == '1' and not unit:
+        return 0.1 * DEGREE
+    scale = table.header.get('gyro_scale', '').strip()
+    try:
+        value = float(scale) if not scale.startswith('0x') else float(
+            np.array(int(scale, 16), dtype=np.uint32).view(np.float32)
+        )
+    except ValueError:
+        value = 1.0
+    return DEGREE * (value if 1e-3 < value < 1.0 else 1.0)
 
 
 def _read(path: Path) -> _Table:
@@ -110,10 +234,7 @@ def _parse(rows: Sequence[Sequence[str]], source: str) -> _Table:
         units[name] = unit.rstrip(')')
     wanted = {
         i: name for i, name in enumerate(names)
-        if name.partition('[')[0] in {
-            'time', 'gyroADC', 'motor', 'setpoint', 'accSmooth', 'vbatLatest', 'attitude', 'roll',
-            'pitch', 'heading',
-        }
+        if name.partition('[')[0] in WANTED
     }
     body = [row for row in rows[start + 1:] if len(row) == len(names)]
     if not body:
@@ -129,32 +250,31 @@ def _numbers(rows: Sequence[Sequence[str]], column: int, where: str) -> FloatArr
         raise BadInputError(where, 'needs numbers', str(error)) from error
 
 
-def _time(table: _Table) -> tuple[FloatArray, np.ndarray]:
-    """Time in s of the rows that go on in time, and which those are."""
-    if 'time' not in table.columns:
-        raise BadInputError(table.source, 'lacks the column time')
-    factor = 1.0 if table.units.get('time') == 's' else 1e-6
-    time_s = table.columns['time'] * factor
-    keep = np.concatenate(([True], np.diff(np.maximum.accumulate(time_s)) > 0))
-    if keep.sum() < 3:
-        raise BadInputError(f'{table.source}, column time', 'does not increase')
-    return time_s[keep] - time_s[0] + 1.0, keep
-
-
-def _control(table: _Table) -> tuple[FloatArray, str]:
-    names = [f'motor[{i}]' for i in range(4)]
-    if any(name not in table.columns for name in names) or 'motor[4]' in table.columns:
-        raise BadInputError(table.source, 'needs the columns motor[0..3] of a quadrotor')
-    raw = np.column_stack([table.columns[name] for name in names])
-    low, high, why = _motor_range(table, raw)
-    motors = np.clip((raw - low) / (high - low), 0.0, 1.0)
+def _motors(
+    table: _Table, *, indi: bool
+) -> tuple[FloatArray, Mixer | None, tuple[str, str, str, str]]:
+    """Motor commands (n, k) 0..1, what they do, and what is told of them."""
+    name = 'u' if 'u[0]' in table.columns else 'motor'
+    count = sum(1 for i in range(8) if f'{name}[{i}]' in table.columns)
+    raw = table.several(name, count)
+    if raw is None or count < 2:
+        raise BadInputError(table.source, 'needs the columns motor[0], motor[1], …')
+    if name == 'u':
+        motors, how = np.clip(raw / UNIT_AS_INTEGER, 0.0, 1.0), f'over {UNIT_AS_INTEGER:g}'
+    else:
+        low, high, why = _motor_range(table, raw)
+        motors = np.clip((raw - low) / (high - low), 0.0, 1.0)
+        how = f'(motor - {low:g}) / {high - low:g} ({why})'
+    if indi or count != len(MOTOR_ORDER):
+        return motors, None, (f'{name}[0..{count - 1}]', 'raw', '/control/wrench',
+                              f'{how}; U by what the motion shows')
     reversed_yaw = table.header.get('yaw_motors_reversed', '0').strip() == '1'
-    control = control_at_places(motors[:, list(MOTOR_ORDER)], clockwise_rear_left=reversed_yaw)
+    mixer = mixer_at_places("Betaflight's Quad X", MOTOR_ORDER, clockwise_rear_left=reversed_yaw)
     turn = 'propellers out' if reversed_yaw else 'propellers in'
-    return control, (
-        f'(motor - {low:g}) / {high - low:g} ({why}); motors 3, 1, 2, 4 stand rear left, rear '
-        f"right, front right, front left; U by the mixer's inverse, yaw for {turn}"
-    )
+    return motors, mixer, (f'{name}[0..3]', 'raw', '/control/wrench', (
+        f'{how}; motors 3, 1, 2, 4 stand rear left, rear right, front right, front left; U by the '
+        f"mixer's inverse, yaw for {turn}"
+    ))
 
 
 def _motor_range(table: _Table, raw: FloatArray) -> tuple[float, float, str]:
@@ -167,7 +287,7 @@ def _motor_range(table: _Table, raw: FloatArray) -> tuple[float, float, str]:
 
 
 def _acceleration(table: _Table) -> tuple[FloatArray | None, str]:
-    raw = table.triple('accSmooth')
+    raw = table.several('accSmooth', 3)
     if raw is None:
         return None, ''
     unit = table.units.get('accSmooth[0]', '')
@@ -182,12 +302,17 @@ def _acceleration(table: _Table) -> tuple[FloatArray | None, str]:
 def _angles(table: _Table, mapped: list[Mapped], rate: float) -> FloatArray | None:
     """Roll, pitch, yaw, rad: as blackbox_decode simulates or Betaflight logs them."""
     columns = table.columns
+    quaternion = table.several('quat', 4)
+    if quaternion is not None:
+        mapped.append(Mapped('quat[0..3]', 'raw', '/imu/data orientation',
+                             'FRD in NED to FLU in ENU', rate))
+        return angles_from_ned(euler_from_quaternion(quaternion / UNIT_AS_INTEGER))
     if all(name in columns for name in ('roll', 'pitch', 'heading')):
         factor = DEGREE if _in_degrees(table) else 1.0
         raw = np.column_stack([columns['roll'], columns['pitch'], -columns['heading']]) * factor
         source, unit = 'roll, pitch, heading', 'deg' if factor != 1.0 else 'rad'
     else:
-        logged = table.triple('attitude')
+        logged = table.several('attitude', 3)
         if logged is None:
             return None
         raw = logged * (0.1 * DEGREE) * np.array([1.0, 1.0, -1.0])
@@ -204,7 +329,7 @@ def _in_degrees(table: _Table) -> bool:
 
 
 def _volts(table: _Table, mapped: list[Mapped], rate: float) -> FloatArray | None:
-    raw = table.columns.get('vbatLatest')
+    raw = table.columns.get('vbatLatest', table.columns.get('vbat'))
     if raw is None or not np.isfinite(raw).any():
         return None
     factor = 1.0

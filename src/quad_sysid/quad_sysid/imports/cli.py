@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from quad_sysid.arguments import Commands, command
+from quad_sysid.arguments import Commands, command, positive
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError
 
+if TYPE_CHECKING:
+    from quad_sysid.imports.kinds import Kind
+    from quad_sysid.imports.log import ForeignLog
+
 TABLE_ONLY: Mapping[str, str] = {
-    'axis': '--axis', 'time': '--time', 'control': '--control', 'motors': '--motors',
-    'rate': '--rate', 'angle': '--angle', 'reference': '--reference', 'battery': '--battery',
-    'unit': '--unit',
+    'axis': '--axis', 'time': '--time', 'control': '--control', 'thrust': '--thrust',
+    'motors': '--motors', 'rate': '--rate', 'angle': '--angle', 'reference': '--reference',
+    'battery': '--battery', 'unit': '--unit',
 }
 """Options that name columns, which a log of a known kind does not need."""
 
@@ -22,30 +28,42 @@ def add(commands: Commands) -> None:
     """Register the command."""
     parser = command(
         commands, 'import', _run,
-        'Turn a log of PX4, ArduPilot or Betaflight, or any CSV, into a bag of the contract. The '
-        'kind is told by the file; only a plain CSV needs the options that name columns.',
-        'quad-sysid import flight.ulg --out bag/, or quad-sysid import log.csv --axis roll '
-        '--time t --control u --rate gx --unit gx=deg/s --out bag/',
+        'Turn a log of PX4, ArduPilot, Betaflight, INAV or INDIflight, or any table, into a bag '
+        'of the contract. The kind is told by the file. A table needs the options that name '
+        'columns: FILE alone lists them, guesses what they are and prints the command line.',
+        'quad-sysid import flight.ulg --out bag/, or quad-sysid import log.csv --axis all '
+        '--time t --motors m1,m2,m3,m4 --mixer auto --rate gx,gy,gz --unit gx=deg/s --out bag/',
     )
     parser.add_argument('file', metavar='FILE', type=Path,
-                        help='.ulg, .bin, blackbox CSV, plain CSV; tables also gzipped')
-    parser.add_argument('--out', metavar='BAG', type=Path, required=True)
+                        help='.ulg, .bin, .bbl, .bfl, blackbox CSV, CSV, .parquet, ROS 1 .bag, '
+                        "a Crazyflie's SD card log; tables also gzipped")
+    parser.add_argument('--out', metavar='BAG', type=Path,
+                        help='without it, what the file holds is told and nothing is written')
+    parser.add_argument('--grid', metavar='HZ', type=float,
+                        help='rate of the bag (default: what the times say)')
+    parser.add_argument('--log', metavar='N', type=int, default=1,
+                        help='of several logs in one blackbox file (default 1)')
+    parser.add_argument('--mixer', metavar='auto|x|plus|crazyflie|FILE',
+                        help='what the motors do (default x; auto: what the motion shows)')
     parser.add_argument('--quiet', action='store_true', help='print nothing but errors')
-    table = parser.add_argument_group('for a plain CSV')
-    table.add_argument('--axis', choices=AXES)
+    table = parser.add_argument_group(
+        'for a table', 'COLS are columns separated by commas, one for each axis of --axis'
+    )
+    table.add_argument('--axis', metavar='roll|pitch|yaw|all',
+                       help='one, several by commas, or all (default where there are three COLS)')
     table.add_argument('--time', metavar='COL')
     source = table.add_mutually_exclusive_group()
-    source.add_argument('--control', metavar='COL', help='command of the axis')
-    source.add_argument('--motors', metavar='COL,COL,COL,COL', help='the four motors')
-    table.add_argument('--mixer', metavar='x|plus|crazyflie|FILE',
-                       help='what the motors mean (default x)')
-    table.add_argument('--rate', metavar='COL', help='measured rate; else from --angle')
-    table.add_argument('--angle', metavar='COL', help='measured angle or position')
-    table.add_argument('--reference', metavar='COL')
+    source.add_argument('--control', metavar='COLS', help='commands of the axes')
+    source.add_argument('--motors', metavar='COL,COL,…', help='the motors, all of them')
+    table.add_argument('--thrust', metavar='COL', help='U1 beside --control (default 0.5)')
+    table.add_argument('--rate', metavar='COLS', help='measured rates; else from --angle')
+    table.add_argument('--angle', metavar='COLS', help='measured angles or positions')
+    table.add_argument('--reference', metavar='COLS')
     table.add_argument('--reference-is', choices=['angle', 'rate'], default='angle')
     table.add_argument('--battery', metavar='COL')
     table.add_argument('--unit', metavar='COL=UNIT', action='append', default=[],
-                       help='such as gx=deg/s, u=V, t=ms, or a factor: u=0.05; repeat')
+                       help='such as gx=deg/s, u=V, t=ms, or a factor: u=0.05; repeat. A unit in '
+                       'brackets in the header is read')
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -53,55 +71,83 @@ def _run(options: argparse.Namespace) -> int:
 
     columns = [flag for name, flag in TABLE_ONLY.items() if getattr(options, name)]
     kind = kind_of(options.file)
-    if kind is Kind.CSV or (kind is Kind.BETAFLIGHT and columns):
-        return _table(options)
+    if options.grid is not None:
+        positive('--grid', options.grid)
+    if kind is Kind.TABLE or (kind is Kind.BLACKBOX and columns):
+        return _table(options, columns)
     if columns:
         raise BadInputError(
             f'{options.file}', f'is {kind.value}, which needs no column names',
             ', '.join(columns), 'leave them out',
         )
-    return _log(options)
+    return _log(options, kind)
 
 
-def _log(options: argparse.Namespace) -> int:
-    from quad_sysid.imports.kinds import kind_of, read_log
-    from quad_sysid.imports.to_bag import import_log
-    from quad_sysid.imports.words import table
+def _log(options: argparse.Namespace, kind: Kind) -> int:
+    from quad_sysid.imports.kinds import read_log
+    from quad_sysid.imports.mixers import mixer_of
+    from quad_sysid.imports.words import mapped
 
-    done = import_log(read_log(options.file, kind_of(options.file)), options.out)
-    if not options.quiet:
-        print('\n'.join(table(done)))
-        print(f'\nnext: quad-sysid inspect {done.path}')
-    return 0
+    log = read_log(options.file, kind, options.log)
+    if options.out is None:
+        print('\n'.join([f'{options.file}: {log.kind}', '', *mapped(log), '', 'to import it:',
+                         f'quad-sysid import {options.file} --out {options.file.stem}_bag']))
+        return 0
+    if options.mixer is not None and log.motors is not None:
+        motors = tuple(f'motor_{i + 1}' for i in range(log.motors.values.shape[1]))
+        log = replace(
+            log, mixer=None if options.mixer == 'auto' else mixer_of(options.mixer, motors)
+        )
+    return _write(log, options)
 
 
-def _table(options: argparse.Namespace) -> int:
-    from quad_sysid.bags import read_bag
-    from quad_sysid.bags.importer import ImportOptions, import_csv, parse_units
+def _table(options: argparse.Namespace, columns: list[str]) -> int:
+    from quad_sysid.imports.columns import ColumnOptions, parse_units, read_columns
+    from quad_sysid.imports.guess import guess, lines
+    from quad_sysid.imports.table import open_table
 
-    for name in ('axis', 'time'):
-        if getattr(options, name) is None:
-            raise BadInputError(
-                f'{options.file}', f'is a plain CSV, which needs --{name}',
-                remedy='see quad-sysid import --help',
-            )
+    if not columns:
+        found = guess(open_table(options.file))
+        print('\n'.join(lines(found, options.file)))
+        if options.out is None:
+            return 0
+        raise BadInputError(f'{options.file}', 'is a table, whose columns need names',
+                            remedy='check the command line above and type it')
+    if options.out is None:
+        raise BadInputError('--out', 'is missing', remedy='name the bag to be written')
     if options.mixer is not None and not options.motors:
         raise BadInputError(
             '--mixer', 'belongs to --motors, a --control column is behind no mixer',
             options.mixer, 'leave it out or give --motors',
         )
-    motors = tuple(options.motors.split(',')) if options.motors else ()
-    path = import_csv(ImportOptions(
-        file=options.file, axis=options.axis, time=options.time, out=options.out,
-        control=options.control, motors=motors, mixer=options.mixer or 'x', rate=options.rate,
-        angle=options.angle, reference=options.reference, reference_is=options.reference_is,
-        battery=options.battery, units=parse_units(options.unit),
-    ))
-    record = read_bag(path)
+    names = {
+        option: tuple(given.split(',')) if (given := getattr(options, option)) else ()
+        for option in ('control', 'motors', 'rate', 'angle', 'reference')
+    }
+    return _write(read_columns(ColumnOptions(
+        file=options.file, axes=_axes(options, names['rate'] or names['angle']),
+        time=options.time, thrust=options.thrust, mixer=options.mixer or 'x',
+        reference_is=options.reference_is, battery=options.battery,
+        units=parse_units(options.unit), **names,
+    )), options)
+
+
+def _axes(options: argparse.Namespace, measured: tuple[str, ...]) -> tuple[str, ...]:
+    """The axes that are meant."""
+    if options.axis == 'all' or (options.axis is None and len(measured) == len(AXES)):
+        return AXES
+    if options.axis is None:
+        raise BadInputError(f'{options.file}', 'is a table, which needs --axis',
+                            remedy='see quad-sysid import --help')
+    return tuple(options.axis.split(','))
+
+
+def _write(log: ForeignLog, options: argparse.Namespace) -> int:
+    from quad_sysid.imports.to_bag import import_log
+    from quad_sysid.imports.words import table
+
+    done = import_log(log, options.out, options.grid)
     if not options.quiet:
-        print(f'{path}: {record.n} samples at {1.0 / record.dt:g} Hz, '
-              f'{record.n * record.dt:.1f} s')
-        for warning in record.warnings:
-            print(f'  {warning}')
-        print(f'\nnext: quad-sysid inspect {path}')
+        print('\n'.join(table(done)))
+        print(f'\nnext: quad-sysid inspect {done.path}')
     return 0

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from quad_sysid.contract import FloatArray
+from quad_sysid.imports.mixers import Mixer
 
 MIRROR: FloatArray = np.array([1.0, -1.0, -1.0])
 """Body vectors, rates and torques from FRD to FLU (and back)."""
@@ -28,13 +29,17 @@ YAW: FloatArray = np.array([0.25, -0.25, 0.25, -0.25])
 YAW.setflags(write=False)
 
 
-def control_at_places(motors: FloatArray, *, clockwise_rear_left: bool) -> FloatArray:
-    """U1..U4 (n, 4) from motor commands (n, 4) at PLACES, whichever way the motors turn.
+def mixer_at_places(
+    name: str, order: tuple[int, ...], *, clockwise_rear_left: bool
+) -> Mixer:
+    """U1..U4 from motors of which `order` says which stands at each of PLACES.
 
     A propeller that turns clockwise pushes the body counter-clockwise: positive yaw in FLU.
     """
+    matrix = np.zeros((4, 4))
     yaw = YAW if clockwise_rear_left else -YAW
-    return np.column_stack([motors @ ROLL_PITCH.T, motors @ yaw])
+    matrix[:, list(order)] = np.vstack([ROLL_PITCH, yaw])
+    return Mixer(name, matrix)
 
 
 def angles_from_ned(angles: FloatArray) -> FloatArray:

@@ -23,21 +23,23 @@ HEAD = 65536
 class Kind(Enum):
     """What a file to be imported is."""
 
-    CSV = 'a table'
+    TABLE = 'a table'
+    """CSV, Parquet, a Crazyflie's SD card, a bag of other topics."""
     PX4 = 'a PX4 log'
     ARDUPILOT = 'an ArduPilot log'
-    BETAFLIGHT = 'a Betaflight blackbox table'
+    BLACKBOX = 'a blackbox log'
 
 
 READERS: Mapping[Kind, Callable[[Path], ForeignLog]] = {
     Kind.PX4: px4.read,
     Kind.ARDUPILOT: ardupilot.read,
-    Kind.BETAFLIGHT: betaflight.read,
 }
 
 
 def kind_of(path: Path) -> Kind:
-    """The kind of a file; raises BadInputError where it cannot be read or is still encoded."""
+    """The kind of a file; raises BadInputError where it cannot be read."""
+    if path.is_dir():
+        return Kind.TABLE
     try:
         with path.open('rb') as stream:
             head = stream.read(HEAD)
@@ -52,15 +54,19 @@ def kind_of(path: Path) -> Kind:
     if head.startswith((DATAFLASH, b'FMT, 128,')):
         return Kind.ARDUPILOT
     if head.startswith(RAW_BLACKBOX):
-        raise BadInputError(
-            str(path), 'is a blackbox log still encoded', remedy='decode it with blackbox_decode '
-            '(or export CSV from the Blackbox Explorer) and import that',
-        )
+        return Kind.BLACKBOX
     if b'loopIteration' in head and b'gyroADC[0]' in head:
-        return Kind.BETAFLIGHT
-    return Kind.CSV
+        return Kind.BLACKBOX
+    return Kind.TABLE
 
 
-def read_log(path: Path, kind: Kind) -> ForeignLog:
-    """Read a log of a kind that is no plain table; raises BadInputError."""
+def read_log(path: Path, kind: Kind, log: int = 1) -> ForeignLog:
+    """Read a log of a kind that is no plain table; `log` counts those in one blackbox file.
+
+    Raises BadInputError.
+    """
+    if kind is Kind.BLACKBOX:
+        return betaflight.read(path, log)
+    if log != 1:
+        raise BadInputError(f'{path}: --log', f'{kind.value} holds one log', log, 'leave it out')
     return READERS[kind](path)

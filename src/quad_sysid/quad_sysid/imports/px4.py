@@ -18,11 +18,12 @@ from quad_sysid.errors import BadInputError
 from quad_sysid.imports.frames import (
     MIRROR,
     angles_from_ned,
-    control_at_places,
     euler_from_quaternion,
+    mixer_at_places,
     order_by_places,
 )
-from quad_sysid.imports.log import ForeignLog, Mapped, Stream
+from quad_sysid.imports.log import ForeignLog, Given, Mapped, Stream
+from quad_sysid.imports.mixers import Mixer
 
 TOPICS = (
     'vehicle_angular_velocity', 'sensor_combined', 'vehicle_attitude', 'vehicle_acceleration',
@@ -39,6 +40,7 @@ QUADROTOR = 2
 """MAV_TYPE."""
 LINEAR = 0.98
 """R² of motors over torque set-point from which PX4's gains can be stated in our unit."""
+FASTER = 'set SDLOG_PROFILE to high rate (bit 2) or system identification (bit 3)'
 SINCE_BOOT = 1e-6
 """Timestamps are µs."""
 
@@ -71,7 +73,7 @@ def read(path: Path) -> ForeignLog:
     content = _load(path)
     mapped: list[Mapped] = []
     rates = _rates(content, mapped)
-    control, gains, warnings = _control(content, rates, mapped)
+    given, gains, warnings = _input(content, rates, mapped)
     angles = content.stream('vehicle_attitude', *(f'q[{i}]' for i in range(4)))
     if angles is not None:
         mapped.append(Mapped('vehicle_attitude.q', '1', '/imu/data orientation',
@@ -97,10 +99,9 @@ def read(path: Path) -> ForeignLog:
                              'pitch and yaw turned', rate_setpoint.rate_hz))
         rate_setpoint = Stream(rate_setpoint.time_s, rate_setpoint.values * MIRROR)
     return ForeignLog(
-        source=str(path), kind='PX4', rates=rates, control=control, angles=angles,
+        source=str(path), kind='a PX4 log', rates=rates, **given, angles=angles,
         acceleration=acceleration, attitude_setpoint=attitude, rate_setpoint=rate_setpoint,
-        battery=battery, gains=gains, mapped=tuple(mapped),
-        from_motors='motors' in mapped[1].source,
+        battery=battery, gains=gains, faster=FASTER, mapped=tuple(mapped),
         missing=_missing(angles, attitude, rate_setpoint, battery, gains),
         warnings=(*_frame(content), *warnings),
     )
@@ -147,23 +148,27 @@ def _rates(content: _Content, mapped: list[Mapped]) -> Stream:
     )
 
 
-def _control(
+def _input(
     content: _Content, rates: Stream, mapped: list[Mapped]
-) -> tuple[Stream, dict[str, float], list[str]]:
-    """U1..U4, the gains in their unit, warnings."""
+) -> tuple[Given, dict[str, float], list[str]]:
+    """What a ForeignLog takes of commands, the gains in their unit, warnings."""
     torque = _torque(content)
-    motors = content.stream('actuator_motors', *(f'control[{i}]' for i in range(4)))
+    count = int(content.parameters.get('CA_ROTOR_COUNT', 0)) or len(MOTOR_ORDER)
+    motors = content.stream('actuator_motors', *(f'control[{i}]' for i in range(count)))
     fast = motors is not None and motors.rate_hz >= FAST_ENOUGH * rates.rate_hz
     if motors is not None and (fast or torque is None):
-        control, how = _of_motors(content, motors)
+        mixer, how = _mixer(content, count)
         mapped.append(Mapped('actuator_motors.control', '0..1', '/control/wrench', how,
                              motors.rate_hz))
-        scale = _scale(control, torque) if torque is not None else None
+        scale = None if torque is None or mixer is None else _scale(
+            Stream(motors.time_s, motors.values @ mixer.matrix.T), torque
+        )
         warnings = [] if scale else [
             ("PX4's gains are not carried over: its torque set-point was not logged beside the "
             'motors, or does not follow from them')
         ]
-        return control, _gains(content, scale) if scale else {}, warnings
+        given: Given = {'motors': motors, 'mixer': mixer}
+        return given, _gains(content, scale) if scale else {}, warnings
     if torque is not None:
         name = 'actuator_controls_0' if 'actuator_controls_0' in content.topics else \
             'vehicle_torque_setpoint and vehicle_thrust_setpoint'
@@ -172,7 +177,7 @@ def _control(
             "as it is, pitch and yaw turned; U is in the unit of PX4's torque set-point",
             torque.rate_hz,
         ))
-        return torque, _gains(content, (1.0, 1.0, 1.0)), [
+        return {'control': torque}, _gains(content, (1.0, 1.0, 1.0)), [
             'the input is what the controller asked for: limits of the motors are not in it'
         ]
     raise BadInputError(
@@ -195,26 +200,21 @@ def _torque(content: _Content) -> Stream | None:
     return Stream(torque.time_s, np.column_stack([up, torque.values * MIRROR]))
 
 
-def _of_motors(content: _Content, motors: Stream) -> tuple[Stream, str]:
+def _mixer(content: _Content, count: int) -> tuple[Mixer | None, str]:
+    """What the motors do by the log's parameters; None where only the motion can say it."""
     known = content.parameters
-    rotors = range(4)
     places = None
-    if known.get('CA_ROTOR_COUNT') == 4 and 'CA_ROTOR0_PX' in known:
+    if 'CA_ROTOR0_PX' in known and count == len(MOTOR_ORDER):
         places = order_by_places(
-            np.array([known[f'CA_ROTOR{i}_PX'] for i in rotors]),
-            np.array([known[f'CA_ROTOR{i}_PY'] for i in rotors]),
+            np.array([known[f'CA_ROTOR{i}_PX'] for i in range(count)]),
+            np.array([known[f'CA_ROTOR{i}_PY'] for i in range(count)]),
         )
-        if places is None:
-            raise BadInputError(content.source, 'CA_ROTOR positions are no X frame',
-                                remedy='only quadrotors in X can be analysed')
+    if count != len(MOTOR_ORDER) or ('CA_ROTOR0_PX' in known and places is None):
+        return None, f'{count} motors that are no X frame: U by what the motion shows'
     order = places or MOTOR_ORDER
-    turns = known.get(f'CA_ROTOR{order[0]}_KM', 0.05)
-    clockwise = turns < 0.0
-    control = control_at_places(
-        motors.values[:, list(order)], clockwise_rear_left=clockwise
-    )
+    clockwise = known.get(f'CA_ROTOR{order[0]}_KM', 0.05) < 0.0
     where = 'CA_ROTOR parameters' if places else "PX4's Quad X"
-    return Stream(motors.time_s, control), (
+    return mixer_at_places(where, order, clockwise_rear_left=clockwise), (
         f'motors {", ".join(str(i + 1) for i in order)} of {where} stand rear left, rear right, '
         f"front right, front left; U by the mixer's inverse, yaw by their sense of rotation"
     )

@@ -1,7 +1,7 @@
 """A ForeignLog → a bag of the contract: every stream on the cycles of the rates, then write_bag.
 
-What was logged more slowly than the rates is held (commands, references) or drawn straight
-(angles, battery) between its samples, and said; a pause in a stream stays a gap.
+How times become cycles is clock.py's, what the motors do is motor_layout.py's; here both are
+asked, and what came of it is told.
 """
 
 from __future__ import annotations
@@ -11,27 +11,28 @@ from pathlib import Path
 
 import numpy as np
 
-from quad_sysid.bags.importer import MIDDLE_COMMAND
-from quad_sysid.bags.stamps import Grid, uniform_grid
 from quad_sysid.bags.writer import BagOptions, write_bag
 from quad_sysid.contract import FloatArray, control_from_motors, motors_from_wrench
 from quad_sysid.errors import BadInputError
+from quad_sysid.imports.clock import LONGEST_PAUSE, Cycles, cycles, draw, hold, mean_ahead
 from quad_sysid.imports.log import ForeignLog, Stream
-from quad_sysid.record import GainChange, Record
+from quad_sysid.imports.mixers import Mixer, mixer_of_patterns
+from quad_sysid.motor_layout import Pattern, doubts, patterns_of
+from quad_sysid.record import GainChange, Record, finite_runs
 
-LONGEST_PAUSE = 3.0
-"""Usual intervals of a stream after which its last value counts no more."""
+MIDDLE_COMMAND = 0.5
+"""U1 that is written beside the command of an axis: the middle of the motors' range."""
 SLOW = 0.5
 """A command logged at less than this share of the rates' rate is told."""
 BEYOND_LIMIT = 0.1
 """Share of samples that no X frame's motors can give, up to which they are left out as gaps."""
 LEAST_SAMPLES = 100
-MOST_DROPPED = 0.03
-"""Share of uneven intervals up to which the rates keep their own cycles."""
-UNEVEN = 0.3
-"""An interval this far from the median, as a share of it, is uneven."""
-PARTS = 8
-"""Of a coarser cycle, over which the command in force is averaged."""
+SLOWEST_HZ = 50.0
+"""A log of a flight controller below it shows neither the motors' lag nor the delay."""
+DERIVATIVE_HALF_WIDTH_S = 0.01
+DERIVATIVE_ORDER = 3
+EPOCH_S = 1e8
+"""Times beyond this count as seconds since 1970; others start at one second."""
 
 
 @dataclass(frozen=True)
@@ -42,125 +43,129 @@ class Imported:
     log: ForeignLog
     record: Record
     """As it was written."""
+    told: tuple[str, ...]
+    """What was done to times and motors."""
     warnings: tuple[str, ...]
 
 
-def import_log(log: ForeignLog, out: Path) -> Imported:
-    """Write the bag; raises BadInputError where `out` exists or the log has no steady rate."""
+def import_log(log: ForeignLog, out: Path, grid_hz: float | None = None) -> Imported:
+    """Write the bag, on a grid of `grid_hz` where that is given.
+
+    Raises BadInputError where `out` exists or the log holds too little.
+    """
     if out.exists():
         raise BadInputError(str(out), 'exists and is not overwritten',
                             remedy='choose another --out')
-    if len(log.rates.time_s) < LEAST_SAMPLES:
+    base = log.rates or log.angles
+    if base is None or len(base.time_s) < LEAST_SAMPLES:
         raise BadInputError(log.source, 'has too few samples of the body rates',
-                            len(log.rates.time_s), 'log longer')
-    cycles = _cycles(log)
-    times, dt = cycles.times, cycles.dt
-    warnings = [*log.warnings, *cycles.warnings]
-    held = _held(log.control, times, dt) if cycles.own else _mean_ahead(log.control, times, dt)
-    control, told = _possible(held, log)
-    warnings += told
-    if log.control.rate_hz < SLOW / dt:
+                            0 if base is None else len(base.time_s),
+                            f'at least {LEAST_SAMPLES} are needed; log longer')
+    laid = cycles(base, grid_hz)
+    told, warnings = [*log.clock, *laid.told], list(log.warnings)
+    gains = dict(log.gains)
+    angles = _drawn(log.angles, laid)
+    rates = laid.values
+    if log.rates is None:
+        rates, how = _derivative(laid.values, laid.dt)
+        gains['sensor.rate_from_angle_s'] = DERIVATIVE_HALF_WIDTH_S
+        told.append(f'rates by {how}')
+    control, motors = _commands(log, laid, rates, angles, told, warnings)
+    control = _possible(control, log, warnings)
+    if laid.dt > 1.0 / SLOWEST_HZ and log.faster:
+        warnings.append(f'{1.0 / laid.dt:.3g} Hz is too slow to tell motors and delay: '
+                        f'{log.faster}')
+    commands = log.control or log.motors
+    if commands is not None and commands.rate_hz < SLOW / laid.dt:
         warnings.append(
-            f'the commands were logged at {log.control.rate_hz:.3g} Hz and the rates at '
-            f'{1.0 / dt:.4g} Hz; between them the last one is held, so fast motion has the '
+            f'the commands were logged at {commands.rate_hz:.3g} Hz and the rates at '
+            f'{1.0 / laid.dt:.4g} Hz; between them the last one is held, so fast motion has the '
             'wrong input: log the commands at the full rate'
         )
+    if log.kind == 'a table':  # a row is whole or a gap
+        lost = np.asarray(np.isnan(control).any(axis=1))
+        rates = np.where(lost[:, None], np.nan, rates)
+    start = laid.times[0] if laid.times[0] > EPOCH_S else 1.0
     record = Record(
-        source=log.source, dt=dt, t0_ns=round(times[0] * 1e9),
-        rates=cycles.rates, control=control, wrench=control,
-        angles=_drawn(log.angles, times), acceleration=_drawn(log.acceleration, times),
-        attitude_setpoint=_maybe_held(log.attitude_setpoint, times, dt),
-        rate_setpoint=_maybe_held(log.rate_setpoint, times, dt),
-        battery_v=_volts(log.battery, times),
-        gains=(GainChange(0.0, log.gains),) if log.gains else (),
+        source=log.source, dt=laid.dt, t0_ns=round(start * 1e9),
+        rates=rates, control=control, wrench=None if motors is not None else control,
+        motors=motors, angles=angles, acceleration=_drawn(log.acceleration, laid),
+        attitude_setpoint=_maybe_held(log.attitude_setpoint, laid),
+        rate_setpoint=_maybe_held(log.rate_setpoint, laid),
+        battery_v=_volts(log.battery, laid.times),
+        gains=(GainChange(0.0, gains),) if gains else (),
     )
     if not np.isfinite(record.rates[:, 0] + record.control[:, 0]).any():
         raise BadInputError(log.source, 'rates and commands were never logged together')
-    notes = {'import': f'{Path(log.source).name}, a {log.kind} log: ' + '; '.join(
-        f'{m.source} [{m.unit}] as {m.topic}' for m in log.mapped
-    )}
-    return Imported(
-        write_bag(record, out, BagOptions(notes=notes)), log, record, tuple(warnings)
-    )
+    notes = {
+        'import': f'{Path(log.source).name}, {log.kind}: ' + '; '.join(
+            f'{m.source} [{m.unit}] as {m.topic}' + (f' ({m.how})' if m.how else '')
+            for m in log.mapped
+        ),
+        'import clock': '; '.join(told),
+    }
+    if log.checks or warnings:
+        notes['import check'] = '; '.join([*log.checks, *warnings])
+    return Imported(write_bag(record, out, BagOptions(notes=notes)), log, record, tuple(told),
+                    (*log.checks, *warnings))
 
 
-@dataclass(frozen=True)
-class _Cycles:
-    """The bag's control cycles."""
-
-    times: FloatArray
-    """(n,) s."""
-    dt: float
-    rates: FloatArray
-    """(n, 3) rad/s."""
-    own: bool
-    """Whether the cycles are those of the rates' own samples."""
-    warnings: tuple[str, ...]
-
-
-def _cycles(log: ForeignLog) -> _Cycles:
-    """The samples' own cycles or, where the logger dropped many of them, coarser ones.
-
-    On those the rates are drawn straight between their neighbours.
-    """
-    time_s, values = log.rates.time_s, log.rates.values
-    steps = np.diff(time_s)
-    uneven = np.abs(steps / np.median(steps) - 1.0) > UNEVEN
-    if uneven.mean() <= MOST_DROPPED:
-        grid = uniform_grid(np.rint(time_s * 1e9).astype(np.int64), log.source, 'body rates')
-        times = np.interp(np.arange(grid.n), grid.cells, grid.stamps * 1e-9)
-        return _Cycles(times, grid.dt, _placed(grid, values), own=True, warnings=grid.warnings)
-    dt = max(round(float(np.quantile(steps, 1.0 - MOST_DROPPED)), 6), 1e-6)
-    times = time_s[0] + dt * np.arange(int((time_s[-1] - time_s[0]) / dt) + 1)
-    rates = np.column_stack([np.interp(times, time_s, column) for column in values.T])
-    after = np.clip(np.searchsorted(time_s, times), 1, len(time_s) - 1)
-    rates[steps[after - 1] > (1.0 + UNEVEN) * dt] = np.nan
-    return _Cycles(times, dt, rates, own=False, warnings=(
-        (f'the samples of the rates come unevenly (the logger drops some): they are drawn '
-         f'straight on a grid of {1.0 / dt:.4g} Hz'),
-    ))
+def _commands(
+    log: ForeignLog, laid: Cycles, rates: FloatArray, angles: FloatArray | None,
+    told: list[str], warnings: list[str],
+) -> tuple[FloatArray, FloatArray | None]:
+    """U1..U4 (n, 4), and the motors (n, 4) where those are the contract's in another order."""
+    if log.motors is None:
+        if log.control is None:
+            raise BadInputError(log.source, 'holds no commands')
+        return _held(log.control, laid), None
+    motors = _held(log.motors, laid)
+    patterns = patterns_of(rates, motors, laid.dt, angles)
+    told += [pattern.sentence for pattern in patterns]
+    mixer = log.mixer
+    if mixer is None:
+        mixer = _by_motion(log, patterns, motors.shape[1], warnings)
+    else:
+        warnings += doubts(
+            mixer.name, mixer.matrix, patterns, rates, motors, laid.dt, angles
+        )
+    order = mixer.order
+    if order is not None:
+        ordered = motors[:, list(order)]
+        return control_from_motors(ordered), ordered
+    return motors @ mixer.matrix.T, None
 
 
-def _placed(grid: Grid, values: FloatArray) -> FloatArray:
-    out = np.full((grid.n, values.shape[1]), np.nan)
-    out[grid.cells] = values[grid.rows]
-    return out
+def _by_motion(
+    log: ForeignLog, patterns: tuple[Pattern, ...], motors: int, warnings: list[str]
+) -> Mixer:
+    certain = [p for p in patterns if p.certain and p.axis in log.axes]
+    if not certain:
+        best = '; '.join(pattern.sentence for pattern in patterns) or 'nothing moves'
+        raise BadInputError(log.source, 'does not show what the motors do', best,
+                            'name the mixer, or fly an excitation')
+    lost = [axis for axis in log.axes if axis not in {p.axis for p in certain}]
+    if lost:
+        warnings.append(f'what the motors do to {", ".join(lost)} cannot be told: its commands '
+                        'stand as 0')
+    return mixer_of_patterns(certain, motors)
 
 
-def _mean_ahead(stream: Stream, times: FloatArray, dt: float) -> FloatArray:
-    """Mean of what is in force from each time to the next."""
-    parts = dt / PARTS
-    fine = (times[:, None] + parts * np.arange(PARTS)).ravel()
-    held = _held(stream, fine, parts)
-    return np.asarray(held.reshape(len(times), PARTS, -1).mean(axis=1), dtype=np.float64)
+def _held(stream: Stream, laid: Cycles) -> FloatArray:
+    if laid.own:
+        return hold(stream, laid.times, laid.dt)
+    return mean_ahead(stream, laid.times, laid.dt)
 
 
-def _held(stream: Stream, times: FloatArray, dt: float) -> FloatArray:
-    """The value in force at each time: the last one up to half a cycle later."""
-    usual = 1.0 / stream.rate_hz if stream.rate_hz else np.inf
-    at = np.searchsorted(stream.time_s, times + 0.5 * dt, side='right') - 1
-    known = at >= 0
-    at = np.maximum(at, 0)
-    known &= times - stream.time_s[at] <= LONGEST_PAUSE * max(usual, dt)
-    out = stream.values[at].copy()
-    out[~known] = np.nan
-    return np.asarray(out, dtype=np.float64)
+def _maybe_held(stream: Stream | None, laid: Cycles) -> FloatArray | None:
+    return None if stream is None else hold(stream, laid.times, laid.dt)
 
 
-def _maybe_held(stream: Stream | None, times: FloatArray, dt: float) -> FloatArray | None:
-    return None if stream is None else _held(stream, times, dt)
-
-
-def _drawn(stream: Stream | None, times: FloatArray) -> FloatArray | None:
-    """A straight line between samples; NaN in pauses and beyond the ends."""
+def _drawn(stream: Stream | None, laid: Cycles) -> FloatArray | None:
+    """A smooth curve between samples; NaN in pauses and beyond the ends."""
     if stream is None or len(stream.time_s) < 2:
         return None
-    values = np.column_stack([np.interp(times, stream.time_s, v) for v in stream.values.T])
-    after = np.clip(np.searchsorted(stream.time_s, times), 1, len(stream.time_s) - 1)
-    wide = np.diff(stream.time_s)[after - 1] > LONGEST_PAUSE / stream.rate_hz
-    outside = (times < stream.time_s[0]) | (times > stream.time_s[-1] + 1.0 / stream.rate_hz)
-    values[wide | outside] = np.nan
-    return values
+    return draw(stream, laid.times, LONGEST_PAUSE / stream.rate_hz)
 
 
 def _volts(stream: Stream | None, times: FloatArray) -> FloatArray | None:
@@ -169,23 +174,44 @@ def _volts(stream: Stream | None, times: FloatArray) -> FloatArray | None:
     return np.asarray(np.interp(times, stream.time_s, stream.values[:, 0]))
 
 
-def _possible(control: FloatArray, log: ForeignLog) -> tuple[FloatArray, list[str]]:
+def _derivative(angles: FloatArray, dt: float) -> tuple[FloatArray, str]:
+    """Rates (n, 3) of angles (n, 3) without phase shift, and what they were made by.
+
+    Savitzky-Golay (Anal. Chem. 36, 1964): slope of a cubic fitted over 10 ms to either side, at
+    least 2 samples; its -3 dB frequency is some (order + 1) / (3.2 m - 4.6) of half the sample
+    rate for m samples to either side. Runs too short for it stay NaN.
+    """
+    from scipy.signal import savgol_filter  # slow to import, and only an angle alone needs it
+
+    half = max(2, round(DERIVATIVE_HALF_WIDTH_S / dt))
+    width = 2 * half + 1
+    out = np.full(angles.shape, np.nan)
+    whole = np.asarray(np.isfinite(angles).all(axis=1))
+    for start, stop in finite_runs(whole, (0, len(angles))):
+        if stop - start >= width:
+            out[start:stop] = savgol_filter(
+                angles[start:stop], width, DERIVATIVE_ORDER, deriv=1, delta=dt, mode='interp',
+                axis=0,
+            )
+    return out, f'a zero-phase Savitzky-Golay derivative (cubic over {width} samples)'
+
+
+def _possible(control: FloatArray, log: ForeignLog, warnings: list[str]) -> FloatArray:
     """Keep what the contract's mixer and limits let through, as the bag's reader will ask.
 
     Motors that turn the other way can give more yaw than the contract's; a controller may ask
     for torque at a throttle that allows none.
     """
-    told: list[str] = []
     share = float(np.mean(_beyond(control)))
-    if share > BEYOND_LIMIT and log.from_motors:
+    if share > BEYOND_LIMIT and log.motors is not None:
         control = _with(control, 3, 0.0)
-        told.append(
+        warnings.append(
             f'yaw commands are left out: with them {100.0 * share:.0f} % of the samples are '
             "beyond the limits of the contract's mixer"
         )
     elif share > BEYOND_LIMIT:
         control = _with(control, 0, MIDDLE_COMMAND)
-        told.append(
+        warnings.append(
             f'U1 stands as {MIDDLE_COMMAND:g}: in {100.0 * share:.0f} % of the samples the '
             'throttle is too low for the torque that was asked for (on the ground, or no '
             'multirotor flight?); what the motors did is not known, a thrust curve cannot be told'
@@ -194,13 +220,15 @@ def _possible(control: FloatArray, log: ForeignLog) -> tuple[FloatArray, list[st
     if beyond.mean() > BEYOND_LIMIT:
         raise BadInputError(
             log.source, 'commands are beyond what the motors of an X frame can give',
-            f'{100.0 * beyond.mean():.0f} % of the samples', 'is it a quadrotor in X?',
+            f'{100.0 * beyond.mean():.0f} % of the samples', 'scale them down with --unit',
         )
     if beyond.any():
-        told.append(f'{int(beyond.sum())} samples left out that no motors of an X frame can give')
+        warnings.append(
+            f'{int(beyond.sum())} samples left out that no motors of an X frame can give'
+        )
         control = control.copy()
         control[beyond] = np.nan
-    return control, told
+    return control
 
 
 def _with(control: FloatArray, column: int, value: float) -> FloatArray:

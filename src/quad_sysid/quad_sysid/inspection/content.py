@@ -14,10 +14,12 @@ from threadpoolctl import threadpool_limits
 
 from quad_sysid.bags import read_bag, split_segments
 from quad_sysid.blackbox import excitation_order
+from quad_sysid.contract import MIXER, MIXER_INVERSE
 from quad_sysid.errors import BadInputError, NotInformativeError, QuadSysidError
 from quad_sysid.inspection.topics import Topics, topics
 from quad_sysid.inspection.uses import MOVES, Use, uses_of_axis, uses_of_flight
 from quad_sysid.model.data import AxisData, axis_data
+from quad_sysid.motor_layout import Pattern, doubts, patterns_of
 from quad_sysid.pipeline.assemble import band_of
 from quad_sysid.pipeline.blackbox_part import io_data
 from quad_sysid.pipeline.identify import asked_axes
@@ -84,6 +86,8 @@ class Content:
     motors_at_limit_pct: tuple[float, ...] = ()
     """Per motor, share of the time at 0 or 1; empty where /motors/command is missing."""
     battery: Battery | None = None
+    layout: tuple[Pattern, ...] = ()
+    """What the motors do to each axis that moves, by the motion; in the order of the contract."""
     axes: tuple[AxisContent, ...] = ()
     uses: tuple[Use, ...] = ()
     """Of the flight as a whole."""
@@ -110,6 +114,10 @@ def of_record(record: Record, held: Topics, *, split: bool) -> Content:
     lost = np.asarray(np.isnan(record.rates).any(axis=1))
     warning = refusal(record)
     axes = tuple(_axis(record, axis) for axis in asked_axes([record]))
+    motors = record.control @ MIXER.T if record.motors is None else record.motors
+    layout = patterns_of(record.rates, motors, record.dt, record.angles)
+    odd = doubts("the contract's mixer", MIXER_INVERSE, layout, record.rates, motors, record.dt,
+                 record.angles)
     return Content(
         record.source, held,
         sample_rate_hz=1.0 / record.dt,
@@ -121,12 +129,13 @@ def of_record(record: Record, held: Topics, *, split: bool) -> Content:
         gains=tuple(sorted(record.gains_at(np.inf))),
         motors_at_limit_pct=_at_limit(record),
         battery=_battery(record),
+        layout=layout,
         axes=axes,
         uses=uses_of_flight(
             tuple(one.axis for one in axes if one.identifiable),
             moving=any(one.windows and one.rate_rms and one.command_rms for one in axes),
         ),
-        warnings=(*record.warnings, *((warning,) if warning else ())),
+        warnings=(*record.warnings, *((warning,) if warning else ()), *odd),
     )
 
 

@@ -61,6 +61,8 @@ def _flight(held: Content) -> Iterator[str]:
         yield f'motors    at 0 or 1 for {shares} % of the time'
     else:
         yield 'motors    not recorded: limits are known from the wrench only'
+    for pattern in held.layout:
+        yield from _wrapped(pattern.sentence, '          ')
     if held.battery:
         b = held.battery
         yield f'battery   {b.first:.2f} V to {b.last:.2f} V, lowest {b.lowest:.2f} V'

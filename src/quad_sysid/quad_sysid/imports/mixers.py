@@ -1,4 +1,4 @@
-"""Motors of other frames and orders → the contract's: `x`, `plus`, `crazyflie` or a small file.
+"""Motors of other frames and orders → the contract's: by name, by a small file, by the motion.
 
 Source of the contract's order and signs: eq. (7) of the paper, contract.MIXER.
 """
@@ -7,14 +7,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import permutations
 from pathlib import Path
 
 import numpy as np
 import yaml
 
 from quad_sysid.bags.cdr import MOTOR_NAMES
-from quad_sysid.contract import MIXER_INVERSE, FloatArray
+from quad_sysid.contract import AXES, MIXER_INVERSE, FloatArray
 from quad_sysid.errors import BadInputError
+from quad_sysid.motor_layout import Pattern
 
 PLUS: FloatArray = np.array(
     [
@@ -27,17 +29,30 @@ PLUS: FloatArray = np.array(
 """U1..U4 from the motors front, right, rear, left of a plus frame (FLU: positive roll lifts the
 left, positive pitch lowers the nose; front and rear turn clockwise seen from above)."""
 PLUS.setflags(write=False)
-SHIPPED = Path(__file__).with_name('frames')
+SHIPPED = Path(__file__).with_name('mixer_files')
 """Mixer files that are known by their name alone."""
 
 
 @dataclass(frozen=True)
 class Mixer:
-    """`order`: which given column is motor 1..4; without it U = matrix @ motors."""
+    """U = matrix @ motors."""
 
+    name: str
+    """For messages: `--mixer x`, or where the log says it."""
     matrix: FloatArray
-    """(4, 4): U1..U4 from the motors in the order in which the columns are given."""
-    order: tuple[int, ...] | None = None
+    """(4, k): U1..U4 from k motors in the order in which they are given."""
+
+    @property
+    def order(self) -> tuple[int, ...] | None:
+        """Which given motor is motor 1..4 of the contract; None where it is no mere reordering."""
+        if self.matrix.shape != MIXER_INVERSE.shape:
+            return None
+        for order in permutations(range(4)):
+            matrix = np.zeros((4, 4))
+            matrix[:, list(order)] = MIXER_INVERSE
+            if np.allclose(matrix, self.matrix):
+                return order
+        return None
 
 
 def shipped() -> list[str]:
@@ -45,24 +60,44 @@ def shipped() -> list[str]:
     return sorted(file.stem for file in SHIPPED.glob('*.yaml'))
 
 
+def mixer_of_patterns(patterns: Sequence[Pattern], motors: int) -> Mixer:
+    """The mean of the motors as U1, signed means as U2..U4; 0 where no pattern is given."""
+    matrix = np.zeros((4, motors))
+    matrix[0] = 1.0 / motors
+    for pattern in patterns:
+        signs = np.array(pattern.signs, dtype=float)
+        matrix[1 + AXES.index(pattern.axis)] = signs / np.abs(signs).sum()
+    return Mixer('--mixer auto', matrix)
+
+
 def mixer_of(name: str, columns: Sequence[str]) -> Mixer:
     """Mixer by name or file; raises BadInputError naming file and field.
 
     A file is YAML with `columns: {motor_1: COL, …}` (the contract's motors by column) or
-    `matrix:` of 4 rows U1..U4 by 4 columns as in --motors; or CSV with lines `motor_1,COL`.
+    `matrix:` of 4 rows U1..U4 by as many columns as --motors has; or CSV with lines `motor_1,COL`.
     """
+    if name in ('x', 'plus') and len(columns) != 4:
+        raise BadInputError(
+            f'--mixer {name}', 'is one of four motors', f'{len(columns)} columns in --motors',
+            'use --mixer auto, or a file with a matrix of 4 rows',
+        )
     if name == 'x':
-        return Mixer(MIXER_INVERSE, (0, 1, 2, 3))
+        return Mixer('--mixer x', MIXER_INVERSE)
     if name == 'plus':
-        return Mixer(PLUS)
+        return Mixer('--mixer plus', PLUS)
     file = SHIPPED / f'{name}.yaml' if name in shipped() else Path(name)
     try:
         text = file.read_text(encoding='utf-8')
     except (OSError, UnicodeDecodeError) as error:
         raise BadInputError(
             f'--mixer {name}', 'is no mixer and cannot be read as a file',
-            remedy=f'use x, plus, {", ".join(shipped())} or a YAML file with columns: or matrix:',
+            remedy=f'use auto, x, plus, {", ".join(shipped())} or a YAML file with columns: or '
+            'matrix:',
         ) from error
+    return _of_text(text, file, columns, name)
+
+
+def _of_text(text: str, file: Path, columns: Sequence[str], name: str) -> Mixer:
     if file.suffix == '.csv':
         pairs = [line.split(',', 1) for line in text.splitlines() if ',' in line]
         return _by_columns({key.strip(): value.strip() for key, value in pairs}, columns, name)
@@ -82,9 +117,11 @@ def mixer_of(name: str, columns: Sequence[str]) -> Mixer:
         matrix = np.array(content['matrix'], dtype=float)
     except (TypeError, ValueError):
         matrix = np.zeros(0)
-    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
-        raise BadInputError(name, 'matrix needs 4 rows of 4 finite numbers', remedy='mend it')
-    return Mixer(matrix)
+    if matrix.shape != (4, len(columns)) or not np.isfinite(matrix).all():
+        raise BadInputError(
+            name, f'matrix needs 4 rows of {len(columns)} finite numbers', remedy='mend it'
+        )
+    return Mixer(f'--mixer {name}', matrix)
 
 
 def _by_columns(mapping: object, columns: Sequence[str], source: str) -> Mixer:
@@ -96,7 +133,6 @@ def _by_columns(mapping: object, columns: Sequence[str], source: str) -> Mixer:
             source, 'columns names others than --motors', ', '.join(given),
             f'--motors has {", ".join(columns)}',
         )
-    order = tuple(list(columns).index(column) for column in given)
     matrix = np.zeros((4, 4))
-    matrix[:, list(order)] = MIXER_INVERSE
-    return Mixer(matrix, order)
+    matrix[:, [list(columns).index(column) for column in given]] = MIXER_INVERSE
+    return Mixer(f'--mixer {source}', matrix)

@@ -6,13 +6,14 @@ One table per role; a plain number is a factor, `FACTOR:OFFSET` adds an offset. 
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 from typing import Literal
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 
-Role = Literal['time', 'control', 'motor', 'rate', 'angle', 'battery']
+Role = Literal['time', 'control', 'motor', 'thrust', 'rate', 'angle', 'battery']
 
 
 @dataclass(frozen=True)
@@ -40,8 +41,9 @@ UNITS: dict[Role, dict[str, tuple[float, float]]] = {
     },
     'motor': {
         '1': (1.0, 0.0), 'percent': (0.01, 0.0), 'pwm16': (1.0 / 65535.0, 0.0),
-        'pulse_us': (1e-3, -1.0),
+        'pulse_us': (1e-3, -1.0), 'dshot': (1.0 / 1999.0, -48.0 / 1999.0),
     },
+    'thrust': {'1': (1.0, 0.0), 'percent': (0.01, 0.0), 'pwm16': (1.0 / 65535.0, 0.0)},
     'rate': {
         'rad/s': (1.0, 0.0), 'deg/s': (DEGREE, 0.0), 'm/s': (1.0, 0.0), 'mm/s': (1e-3, 0.0),
     },
@@ -52,10 +54,34 @@ UNITS: dict[Role, dict[str, tuple[float, float]]] = {
 pulse of 1000..2000 µs (a control column is centred at 1500), `pwm16` a duty of 0..65535."""
 
 
+ALIASES = {
+    'sec': 's', 'seconds': 's', 'msec': 'ms', 'µs': 'us', 'usec': 'us', 'μs': 'us',
+    '°/s': 'deg/s', 'dps': 'deg/s', 'deg/sec': 'deg/s', 'degree/s': 'deg/s', 'rad/sec': 'rad/s',
+    '°': 'deg', 'degree': 'deg', 'degrees': 'deg', 'radians': 'rad', '%': 'percent', 'v': 'V',
+    'volt': 'V', 'volts': 'V', 'mv': 'mV',
+}
+"""How headers write the units above."""
+IN_HEADER = re.compile(r'\s*[\[(]\s*([^\[\]()]*?)\s*[\])]\s*$')
+"""`[deg/s]` or `(ms)` at the end of a column's name; an index such as `[0]` is no unit."""
+
+
+def header_unit(column: str) -> str | None:
+    """The unit in brackets at the end of a column's name; None where there is none."""
+    found = IN_HEADER.search(column)
+    if found is None or not found[1] or found[1].isdigit():
+        return None
+    return ALIASES.get(found[1].lower(), found[1])
+
+
 def unit_of(role: Role, text: str | None, column: str) -> Unit:
-    """Look up the unit of a column; raises BadInputError naming what the role allows."""
+    """Look up the unit of a column: as told, else as its header says, else SI.
+
+    Raises BadInputError naming what the role allows.
+    """
     known = UNITS[role]
-    name = text or next(iter(known))
+    written = header_unit(column)
+    name = text or (written if written in known else next(iter(known)))
+    name = ALIASES.get(name.lower(), name)
     if name in known:
         return Unit(name, *known[name])
     factor, colon, offset = name.partition(':')

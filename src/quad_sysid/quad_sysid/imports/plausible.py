@@ -12,13 +12,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from quad_sysid.bags.units import DEGREE, UNITS, Role, Unit
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
+from quad_sysid.imports.units import DEGREE, UNITS, Role, Unit
 
 LOWEST_RATE_HZ, HIGHEST_RATE_HZ = 20.0, 20e3
 """Sample rates of flight controllers and rigs; beyond, a unit of time was forgotten."""
 USUAL_RATE_HZ = 250.0
+MOST_TURN_RAD = 0.5
+"""Between two samples: beyond, they would not show the motion."""
 FASTEST_RAD_S = 70.0
 """4000 deg/s, the widest full scale of gyros that fly."""
 WINDOW_S = 0.2
@@ -55,10 +57,12 @@ class Column:
         return f'--unit {shlex.quote(f"{self.name}={text}")}'
 
 
-def check_times(time: Column) -> list[str]:
-    """Hold the sample rate of times in s (n,) against what flies.
+def check_times(time: Column, speed: float | None = None) -> list[str]:
+    """Hold the sample rate of times in s (n,) against what flies, and against `speed` in rad/s.
 
-    Raises BadInputError with a guess where no unit was named; where one was, only tells.
+    An unusual rate is told. Where no unit was named and the axis would turn by more than half a
+    radian between two samples, or there is no rate to tell that by, the unit was forgotten: raises
+    BadInputError with a guess.
     """
     if time.values.size < 3:
         return []
@@ -67,7 +71,8 @@ def check_times(time: Column) -> list[str]:
     if LOWEST_RATE_HZ <= rate <= HIGHEST_RATE_HZ:
         return []
     found = f'{rate:.4g} Hz in {time.unit.name}'
-    if time.named:
+    slow = rate < LOWEST_RATE_HZ and speed is not None and speed * step < MOST_TURN_RAD
+    if time.named or slow:
         return [f'{time.name} gives an unusual sample rate of {found}']
     guesses = {
         name: time.unit.factor / (factor * step) for name, (factor, _) in UNITS['time'].items()

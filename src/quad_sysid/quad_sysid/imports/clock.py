@@ -1,0 +1,275 @@
+"""Times as a recording has them → one grid of control cycles, and streams laid on it.
+
+Rates are drawn as a smooth curve between their samples, commands are held as an actuator holds
+them, a pause stays a gap. What was done is told with numbers. Array maths only.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from quad_sysid.contract import FloatArray
+from quad_sysid.errors import BadInputError
+from quad_sysid.imports.log import Stream
+
+BACK = 5.0
+"""Usual intervals by which rows may run back in time and are sorted; further back the clock was
+set anew and another experiment begins."""
+JUMP_S, JUMP_INTERVALS = 10.0, 20.0
+"""Forward jump from which on another experiment begins."""
+FEWEST = 20
+"""Rows; a shorter stretch between two jumps is a stamp gone astray."""
+PAUSE_S, PAUSE_INTERVALS = 2.0, 5.0
+"""What is put between two experiments."""
+TICKS = 0.05
+"""Share of rows with the time of the row before from which on the clock ticks more slowly than
+the rows come; fewer are rows written twice."""
+UNEVEN = 0.3
+"""An interval this far from the median, as a share of it, is odd."""
+MOST_ODD = 0.03
+"""Share of odd intervals up to which samples keep cycles of their own."""
+JITTER_KEPT = 0.1
+"""Cycles (99 % quantile): a sample this close to its cycle is taken as it is."""
+LEAK = 0.02
+"""Share of the remaining phase by which the cycles follow a drifting clock, per sample."""
+BLOCK = 16
+"""Intervals whose mean is a rate."""
+STEADY = 0.2
+"""Spread of these means up to which a clock jitters about one rate."""
+LONGEST_DRAWN = 2.5
+"""Cycles between two samples from which on nothing is drawn between them: a gap."""
+LONGEST_PAUSE = 3.0
+"""Usual intervals of a command after which its last value counts no more."""
+PARTS = 8
+"""Of a cycle, over which the command in force is averaged."""
+
+
+@dataclass(frozen=True)
+class Unrolled:
+    """Rows whose time goes on, restarts and jumps taken out."""
+
+    rows: np.ndarray
+    """(m,) of the rows given, in the order of time."""
+    time_s: FloatArray
+    """(m,) strictly increasing."""
+    told: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Cycles:
+    """The bag's control cycles and the samples of the rates on them."""
+
+    times: FloatArray
+    """(n,) s, in the recording's own time."""
+    dt: float
+    values: FloatArray
+    """(n, w) NaN in gaps."""
+    own: bool
+    """Whether the cycles are those of the samples."""
+    told: tuple[str, ...]
+
+
+def unroll(time_s: FloatArray, values: FloatArray, where: str) -> Unrolled:
+    """Rows (n,) in an order in which time goes on; experiments after a jump follow each other.
+
+    `values` (n, w) tell a row that was written twice from one whose clock did not tick. Raises
+    BadInputError, naming `where`, if no time goes on.
+    """
+    rows = np.flatnonzero(np.isfinite(time_s))
+    told = _left_out(len(time_s) - len(rows), 'rows without a time')
+    if len(rows) < 2:
+        raise BadInputError(where, 'holds no times', remedy='name another column as the time')
+    again = np.concatenate(([False], _alike(time_s[rows], values[rows])))
+    told += _left_out(int(again.sum()), 'rows written twice')
+    rows = rows[~again]
+    steps = np.diff(time_s[rows])
+    if not (steps > 0.0).any():
+        raise BadInputError(where, 'does not increase', remedy='name another column as the time')
+    usual = float(np.median(steps[steps > 0.0]))
+    jump = max(JUMP_S, JUMP_INTERVALS * usual)
+    parts = np.split(rows, np.flatnonzero((steps < -BACK * usual) | (steps > jump)) + 1)
+    long = [part for part in parts if len(part) >= min(FEWEST, len(rows))]
+    told += _left_out(len(rows) - sum(map(len, long)), 'rows whose time lies astray')
+    if not long:
+        raise BadInputError(where, 'jumps from row to row', f'{len(parts) - 1} jumps',
+                            'name another column as the time')
+    back = sum(int(np.count_nonzero(np.diff(time_s[part]) < 0.0)) for part in long)
+    if back:
+        told.append(f'{back} rows ran back in time and were sorted')
+    long = [part[np.argsort(time_s[part], kind='stable')] for part in long]
+    pause = max(PAUSE_S, PAUSE_INTERVALS * usual)
+    moments = [time_s[long[0]]]
+    for part in long[1:]:
+        step = time_s[part[0]] - moments[-1][-1]
+        moments.append(time_s[part] + (0.0 if 0.0 < step <= jump else pause - step))
+    jumps = sum(float(m[0]) != float(time_s[p[0]]) for m, p in zip(moments, long, strict=True))
+    if jumps:
+        told.append(f'{jumps} jumps of the clock: {jumps + 1} experiments, laid {pause:.3g} s '
+                    'apart')
+    kept, moment = _spread(np.concatenate(long), np.concatenate(moments), told)
+    return Unrolled(kept, moment, tuple(told))
+
+
+def _left_out(count: int, what: str) -> list[str]:
+    return [f'{count} {what} left out'] if count else []
+
+
+def _alike(time_s: FloatArray, values: FloatArray) -> np.ndarray:
+    """(n - 1,) whether a row repeats time and values of the one before."""
+    a, b = values[1:], values[:-1]
+    equal = ((a == b) | (np.isnan(a) & np.isnan(b))).all(axis=1)
+    return np.asarray((np.diff(time_s) == 0.0) & equal)
+
+
+def _spread(
+    rows: np.ndarray, time_s: FloatArray, told: list[str]
+) -> tuple[np.ndarray, FloatArray]:
+    """Rows of one time: many are spread between the ticks of the clock, few are left out."""
+    repeated = np.concatenate(([False], np.diff(time_s) <= 0.0))
+    if repeated.mean() <= TICKS:
+        told += _left_out(int(repeated.sum()), 'rows that repeat a time')
+        return rows[~repeated], time_s[~repeated]
+    told.append(f'the clock ticks more slowly than the rows come ({100 * repeated.mean():.0f} '
+                '% repeat a time): rows are spread between the ticks')
+    ticks = np.flatnonzero(~repeated)
+    end = time_s[-1] + (len(rows) - ticks[-1]) * (time_s[-1] - time_s[0]) / max(1, ticks[-1])
+    places = np.append(ticks, len(rows)).astype(float)
+    return rows, np.interp(np.arange(float(len(rows))), places, np.append(time_s[ticks], end))
+
+
+def cycles(samples: Stream, grid_hz: float | None = None) -> Cycles:
+    """Lay samples of the rates on a grid: their own cycles where they are even, else drawn.
+
+    `grid_hz` overrides what the times say.
+    """
+    time_s, values = samples.time_s, samples.values
+    steps = np.diff(time_s)
+    usual = float(np.median(steps))
+    near = np.abs(steps / usual - 1.0) <= UNEVEN
+    odd = int(np.count_nonzero(~near))
+    head = f'{len(time_s)} samples, a median of {1.0 / usual:.4g} Hz, {odd} odd intervals'
+    even = near.mean() >= 1.0 - MOST_ODD
+    if grid_hz is None and even:
+        dt = _rounded(float(steps[near].mean()))
+        cells, phase = _count(steps / dt)
+        jitter = float(np.quantile(np.abs(phase), 0.99))
+        if jitter <= JITTER_KEPT:
+            return _own(time_s, values, dt, cells, head)
+    elif grid_hz is None:
+        dt = _uneven(steps)
+        jitter = float(np.quantile(np.abs(_count(steps / dt)[1]), 0.99))
+    else:
+        dt, jitter = 1.0 / grid_hz, 0.0
+    times = time_s[0] + dt * np.arange(int((time_s[-1] - time_s[0]) / dt + 1e-6) + 1)
+    drawn = draw(samples, times, LONGEST_DRAWN * max(dt, usual))
+    why = 'as --grid says' if grid_hz is not None else \
+        f'jitter of {100.0 * jitter:.0f} % of a cycle' if even else 'the rate is uneven'
+    return Cycles(times, dt, drawn, own=False, told=(
+        f'{head}; rates drawn on a grid of {1.0 / dt:.4g} Hz ({why}){_gaps(drawn, dt)}',
+    ))
+
+
+def _own(
+    time_s: FloatArray, values: FloatArray, dt: float, cells: np.ndarray, head: str
+) -> Cycles:
+    kept = np.concatenate(([True], np.diff(cells) > 0))
+    crowded = int(np.count_nonzero(~kept))
+    cells, time_s = cells[kept], time_s[kept]
+    out = np.full((int(cells[-1]) + 1, values.shape[1]), np.nan)
+    out[cells] = values[kept]
+    more = f', {crowded} that fell into a cycle taken already left out' if crowded else ''
+    times = np.interp(np.arange(len(out)), cells, time_s)
+    return Cycles(times, dt, out, own=True, told=(
+        f'{head}; kept on their own cycles of {1.0 / dt:.4g} Hz{more}{_gaps(out, dt)}',
+    ))
+
+
+def _gaps(values: FloatArray, dt: float) -> str:
+    lost = np.isnan(values).all(axis=1)
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], lost, [False]))))
+    if not len(edges):
+        return ''
+    return (f'; {len(edges) // 2} gaps of {lost.sum() * dt:.3g} s in all stay, the longest '
+            f'{np.max(edges[1::2] - edges[::2]) * dt:.3g} s')
+
+
+def _rounded(dt: float) -> float:
+    """A whole number of µs where that is the same within 0.02 %."""
+    whole = round(dt * 1e6) * 1e-6
+    return whole if whole and abs(whole / dt - 1.0) < 2e-4 else dt
+
+
+def _uneven(steps: FloatArray) -> float:
+    """Interval of the grid under an uneven clock.
+
+    The mean, where 16 intervals take as long anywhere: the clock jitters. Else rows are dropped or
+    the rate changes, and the slowest intervals that are no gaps say what the rows can bear.
+    """
+    blocks = len(steps) // BLOCK
+    if blocks:
+        means = steps[: blocks * BLOCK].reshape(blocks, BLOCK).mean(axis=1)
+        low, high = np.quantile(means, (0.05, 0.95))
+        if high - low < STEADY * high:
+            usual = (means >= low) & (means <= high)
+            return _rounded(float(means[usual].mean()))
+    return _rounded(float(np.quantile(steps, 1.0 - MOST_ODD)))
+
+
+def _count(steps: FloatArray) -> tuple[np.ndarray, FloatArray]:
+    """Cell (n,) of every sample and its phase in cycles, which follows slow drift.
+
+    After a gap of more than two cycles the phase starts anew; cells repeat where two samples lie
+    within half a cycle.
+    """
+    cells = np.zeros(len(steps) + 1, dtype=np.int64)
+    phases = np.zeros(len(steps) + 1)
+    cell, phase = 0, 0.0
+    for i, step in enumerate(steps.tolist()):
+        place = phase + step
+        count = round(place)
+        phase = 0.0 if count > 2 else (place - count) * (1.0 - LEAK)
+        cell += count
+        cells[i + 1] = cell
+        phases[i + 1] = phase
+    return cells, phases
+
+
+def draw(stream: Stream, times: FloatArray, longest: float) -> FloatArray:
+    """A smooth curve without overshoot (PCHIP) through the samples.
+
+    NaN where samples are more than `longest` s apart, and beyond the ends.
+    """
+    from scipy.interpolate import pchip_interpolate  # slow to import
+
+    time_s = stream.time_s
+    if len(time_s) < 2:
+        return np.full((len(times), stream.values.shape[1]), np.nan)
+    values = np.asarray(pchip_interpolate(time_s, stream.values, times), dtype=np.float64)
+    after = np.clip(np.searchsorted(time_s, times), 1, len(time_s) - 1)
+    wide = np.diff(time_s)[after - 1] > longest
+    at_sample = np.minimum(np.abs(times - time_s[after]), np.abs(times - time_s[after - 1]))
+    outside = (times < time_s[0]) | (times > time_s[-1] + longest / LONGEST_DRAWN)
+    values[(wide & (at_sample > 1e-9)) | outside] = np.nan
+    return values
+
+
+def hold(stream: Stream, times: FloatArray, dt: float) -> FloatArray:
+    """The value in force at each time: the last one up to half a cycle later."""
+    usual = 1.0 / stream.rate_hz if stream.rate_hz else np.inf
+    at = np.searchsorted(stream.time_s, times + 0.5 * dt, side='right') - 1
+    known = at >= 0
+    at = np.maximum(at, 0)
+    known &= times - stream.time_s[at] <= LONGEST_PAUSE * max(usual, dt)
+    out = stream.values[at].copy()
+    out[~known] = np.nan
+    return np.asarray(out, dtype=np.float64)
+
+
+def mean_ahead(stream: Stream, times: FloatArray, dt: float) -> FloatArray:
+    """Mean of what is in force from each time to the next."""
+    parts = dt / PARTS
+    fine = (times[:, None] + parts * np.arange(PARTS)).ravel()
+    held = hold(stream, fine, parts)
+    return np.asarray(held.reshape(len(times), PARTS, -1).mean(axis=1), dtype=np.float64)

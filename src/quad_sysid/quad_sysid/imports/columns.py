@@ -1,0 +1,323 @@
+"""Named columns of a foreign table → ForeignLog: roles and units; what contradicts is refused.
+
+Reading is table.py's, the grid and the bag are to_bag.py's. No identification.
+"""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from quad_sysid.contract import AXES, FloatArray
+from quad_sysid.errors import BadInputError
+from quad_sysid.imports.clock import cycles, draw, unroll
+from quad_sysid.imports.log import ForeignLog, Mapped, Stream
+from quad_sysid.imports.mixers import mixer_of
+from quad_sysid.imports.plausible import Column, check_rate, check_reference, check_times
+from quad_sysid.imports.table import Table, open_table
+from quad_sysid.imports.to_bag import EPOCH_S, MIDDLE_COMMAND
+from quad_sysid.imports.units import Role, Unit, header_unit, unit_of
+
+ANGLE_LIMIT = {'roll': np.pi, 'pitch': 0.5 * np.pi, 'yaw': np.inf}
+
+
+@dataclass(frozen=True)
+class ColumnOptions:
+    """What `quad-sysid import` is told of a table: names of columns and their units.
+
+    A tuple of columns has one for each axis of `axes`, in their order.
+    """
+
+    file: Path
+    axes: tuple[str, ...]
+    time: str | None = None
+    """None where every column has a time of its own (messages of a bag or an SD card)."""
+    control: tuple[str, ...] = ()
+    thrust: str | None = None
+    motors: tuple[str, ...] = ()
+    mixer: str = 'x'
+    """`auto`, `x`, `plus` or a file, see mixers.py."""
+    rate: tuple[str, ...] = ()
+    angle: tuple[str, ...] = ()
+    reference: tuple[str, ...] = ()
+    reference_is: str = 'angle'
+    """`angle` or `rate`."""
+    battery: str | None = None
+    units: Mapping[str, str] = field(default_factory=dict)
+
+
+def parse_units(items: list[str]) -> dict[str, str]:
+    """Read the `COL=UNIT` of the command's --unit options."""
+    units = {}
+    for item in items:
+        column, equals, unit = item.rpartition('=')
+        if not (equals and column and unit):
+            raise BadInputError('--unit', 'needs COLUMN=UNIT', repr(item), 'such as gx=deg/s')
+        units[column] = unit
+    return units
+
+
+@dataclass(frozen=True)
+class _Source:
+    """The table's columns as streams in SI."""
+
+    options: ColumnOptions
+    table: Table
+    units: Mapping[str, Unit]
+    time_s: FloatArray | None
+    """(m,) of the rows in use; None where columns have times of their own."""
+    rows: np.ndarray
+
+    def stream(self, names: tuple[str, ...]) -> Stream | None:
+        """(n, k) where all of the columns have a number; None for no names.
+
+        Columns with times of their own are drawn on the first one's.
+        """
+        if not names:
+            return None
+        if self.time_s is None:
+            streams = [self._alone(name) for name in names]
+            base = streams[0].time_s
+            values = np.column_stack([
+                s.values if np.array_equal(s.time_s, base)
+                else draw(s, base, 3.0 / s.rate_hz) for s in streams
+            ])
+            times = base
+        else:
+            times = self.time_s
+            values = np.column_stack([
+                self.units[n](self.table.columns[n])[self.rows] for n in names
+            ])
+        known = np.isfinite(values).all(axis=1)
+        if known.sum() < 2:
+            raise BadInputError(self.table.source, 'has no two rows with a number in each of',
+                                ', '.join(names), 'name other columns')
+        return Stream(times[known], values[known])
+
+    def _alone(self, name: str) -> Stream:
+        times, values = self.table.times[name], self.units[name](self.table.columns[name])
+        order = np.argsort(times, kind='stable')
+        order = order[np.concatenate(([True], np.diff(times[order]) > 0.0))]
+        return Stream(times[order], values[order][:, None])
+
+
+def read_columns(options: ColumnOptions) -> ForeignLog:
+    """Read the named columns; raises BadInputError naming file, line and column."""
+    roles = _roles(options)
+    units = {name: unit_of(role, options.units.get(name), name) for name, role in roles.items()}
+    table = open_table(options.file, list(roles))
+    odd: list[str] = []
+    clock: tuple[str, ...] = ()
+    time_s, rows = None, np.arange(0)
+    if options.time is not None:
+        where = f'{options.file}, column {options.time}'
+        data = np.column_stack([table.columns[n] for n in roles if n != options.time])
+        seconds = units[options.time](table.columns[options.time])
+        unrolled = unroll(seconds, data, where)
+        time_s, rows, clock = unrolled.time_s, unrolled.rows, unrolled.told
+        if time_s[0] < EPOCH_S:
+            time_s = time_s - time_s[0] + 1.0
+        speed = options.rate and _speed(units, table, options.rate)
+        odd += check_times(_column(options, units, options.time, time_s), speed or None)
+    elif any(name not in table.times for name in roles):
+        raise BadInputError(f'{options.file}', 'is a table, which needs --time',
+                            remedy='quad-sysid import FILE alone proposes one')
+    source = _Source(options, table, units, time_s, rows)
+    rate, angle, reference = (
+        source.stream(names) for names in (options.rate, options.angle, options.reference)
+    )
+    _check_ranges(options, table, units)
+    odd += _compared(options, units, rate, angle, reference)
+    return ForeignLog(
+        source=str(options.file), kind='a table', axes=options.axes,
+        rates=_placed(options, rate), angles=_placed(options, angle),
+        control=_wrench(source), motors=source.stream(options.motors),
+        mixer=None if not options.motors or options.mixer == 'auto'
+        else mixer_of(options.mixer, options.motors),
+        attitude_setpoint=_placed(options, reference if options.reference_is == 'angle' else None),
+        rate_setpoint=_placed(options, reference if options.reference_is == 'rate' else None),
+        battery=source.stream((options.battery,) if options.battery else ()),
+        mapped=_mapped(options, roles, units), checks=tuple(odd), clock=clock,
+    )
+
+
+def _placed(options: ColumnOptions, stream: Stream | None) -> Stream | None:
+    """(n, 3) with the columns on their axes, 0 on the others."""
+    if stream is None:
+        return None
+    out = np.zeros((len(stream.values), 3))
+    out[:, [AXES.index(axis) for axis in options.axes]] = stream.values
+    return Stream(stream.time_s, out)
+
+
+def _wrench(source: _Source) -> Stream | None:
+    """U1..U4 (n, 4) of control columns: U1 from the thrust, else in the middle."""
+    options = source.options
+    if not options.control:
+        return None
+    thrust = (options.thrust,) if options.thrust else ()
+    given = source.stream((*options.control, *thrust))
+    if given is None:
+        return None
+    out = np.zeros((len(given.values), 4))
+    out[:, 0] = given.values[:, -1] if thrust else MIDDLE_COMMAND
+    for i, axis in enumerate(options.axes):
+        out[:, 1 + AXES.index(axis)] = given.values[:, i]
+    return Stream(given.time_s, out)
+
+
+def _mapped(
+    options: ColumnOptions, roles: Mapping[str, Role], units: Mapping[str, Unit]
+) -> tuple[Mapped, ...]:
+    """What each column became."""
+    out = []
+    for name, role in roles.items():
+        unit = units[name]
+        written = header_unit(name)
+        how = '' if unit.factor == 1.0 and not unit.offset else f'{unit.factor:.6g} * column'
+        how += f' + {unit.offset:g}' if unit.offset else ''
+        if name not in options.units and written and written != unit.name:
+            how += f'; [{written}] of its header is no unit of a {role}'
+        out.append(Mapped(name, unit.name, str(role), how))
+    if options.control and not options.thrust:
+        out.append(Mapped('no thrust', '1', f'U1 = {MIDDLE_COMMAND:g}', ''))
+    rest = [axis for axis in AXES if axis not in options.axes]
+    if rest:
+        out.append(Mapped(', '.join(rest), '-', '0', 'not measured'))
+    return tuple(out)
+
+
+def _roles(options: ColumnOptions) -> dict[str, Role]:
+    """Give each named column its role, the time first; raises BadInputError on a contradiction."""
+    strange = [axis for axis in options.axes if axis not in AXES]
+    if strange or not options.axes or len(set(options.axes)) < len(options.axes):
+        raise BadInputError('--axis', 'is no axis', ','.join(options.axes) or None,
+                            f'use {", ".join(AXES)}, several by commas, or all')
+    if bool(options.control) == bool(options.motors):
+        raise BadInputError(
+            'import', 'needs exactly one of --control and --motors',
+            remedy='the input of the model comes from one of them',
+        )
+    if options.motors and not 2 <= len(options.motors) <= 8:
+        raise BadInputError('--motors', 'needs the columns of all motors, 4, 6 or 8',
+                            ','.join(options.motors), 'separate them by commas')
+    if not options.rate and not options.angle:
+        raise BadInputError('import', 'needs --rate or --angle', remedy='name what was measured')
+    _check_counts(options)
+    roles: dict[str, Role] = {}
+    named: list[tuple[str | None, Role]] = [
+        (options.time, 'time'), *((name, 'control') for name in options.control),
+        (options.thrust, 'thrust'), *((name, 'motor') for name in options.motors),
+        *((name, 'rate') for name in options.rate), *((name, 'angle') for name in options.angle),
+        *((name, 'angle' if options.reference_is == 'angle' else 'rate')
+          for name in options.reference),
+        (options.battery, 'battery'),
+    ]
+    for name, role in named:
+        if name in roles:
+            raise BadInputError('import', 'one column is named twice', name, 'name each once')
+        if name is not None:
+            roles[name] = role
+    strange = [name for name in options.units if name not in roles]
+    if strange:
+        raise BadInputError(
+            '--unit', 'names a column that is not imported', ', '.join(strange),
+            f'imported are {", ".join(roles)}',
+        )
+    return roles
+
+
+def _check_counts(options: ColumnOptions) -> None:
+    """Raise BadInputError where an option has not one column for each axis."""
+    for option, names in (('--rate', options.rate), ('--angle', options.angle),
+                          ('--control', options.control), ('--reference', options.reference)):
+        if names and len(names) != len(options.axes):
+            raise BadInputError(
+                option, f'needs a column for each of {", ".join(options.axes)}', ','.join(names),
+                'separate them by commas, or name the axes with --axis',
+            )
+    if options.reference_is not in ('angle', 'rate'):
+        raise BadInputError(
+            '--reference-is', 'must be angle or rate', repr(options.reference_is), 'choose one'
+        )
+
+
+def _check_ranges(
+    options: ColumnOptions, table: Table, units: Mapping[str, Unit]
+) -> None:
+    """Raise BadInputError at the first row that is outside the normalised range."""
+    ranged = [*((name, -0.5, 0.5) for name in options.control),
+              *((name, 0.0, 1.0) for name in options.motors)]
+    if options.thrust:
+        ranged.append((options.thrust, 0.0, 1.0))
+    for name, low, high in ranged:
+        raw, unit = table.columns[name], units[name]
+        values = unit(raw)
+        outside = np.flatnonzero((values < low - 1e-6) | (values > high + 1e-6))
+        if len(outside):
+            scale = np.nanmax(np.abs(raw)) / max(abs(low), abs(high))
+            raise table.complain(
+                int(outside[0]), name,
+                f'in unit {unit.name} is outside {low:g}..{high:g} of a normalised command '
+                f'({len(outside)} rows)',
+                'name its unit, or a factor such as '
+                f'--unit {shlex.quote(f"{name}={1.0 / scale:.2g}")}',
+            )
+
+
+def _column(
+    options: ColumnOptions, units: Mapping[str, Unit], name: str, values: FloatArray
+) -> Column:
+    unit = units[name]
+    named = name in options.units or header_unit(name) == unit.name
+    return Column(str(options.file), name, unit, named, values)
+
+
+def _speed(units: Mapping[str, Unit], table: Table, names: tuple[str, ...]) -> float:
+    """RMS of the fastest rate about its mean, rad/s."""
+    return max(float(np.nanstd(units[name](table.columns[name]))) for name in names)
+
+
+def _compared(
+    options: ColumnOptions, units: Mapping[str, Unit],
+    rate: Stream | None, angle: Stream | None, reference: Stream | None,
+) -> list[str]:
+    """Hold rates, angles and references against each other; what is odd, in words."""
+    base = rate or angle
+    if base is None:
+        return []
+    laid = cycles(base)
+    on_grid = {
+        names: None if stream is None else
+        laid.values if stream is base else draw(stream, laid.times, 3.0 / stream.rate_hz)
+        for names, stream in (('rate', rate), ('angle', angle), ('reference', reference))
+    }
+    odd = []
+    for i, axis in enumerate(options.axes):
+        columns = {
+            role: None if values is None else
+            _column(options, units, getattr(options, role)[i], values[:, i])
+            for role, values in on_grid.items()
+        }
+        if columns['angle'] is not None:
+            _check_angle(columns['angle'], axis)
+        if columns['rate'] is not None:
+            odd += check_rate(columns['rate'], columns['angle'], laid.dt)
+        if columns['reference'] is not None and columns['angle'] is not None and \
+                options.reference_is == 'angle':
+            check_reference(columns['reference'], columns['angle'])
+    return odd
+
+
+def _check_angle(angle: Column, axis: str) -> None:
+    limit = ANGLE_LIMIT[axis]
+    largest = float(np.nanmax(np.abs(angle.values)))
+    if largest >= limit:
+        raise BadInputError(
+            angle.where, f'is beyond a {axis} angle', f'{largest:.4g} of {limit:.4g}',
+            f'name its unit, such as {angle.advise("deg")}',
+        )

@@ -1,0 +1,367 @@
+"""What the columns of an unknown table are likely to be, and the command line that imports them.
+
+Names say the role, values say the unit: an angle's change is held against the rate's integral.
+A guess is printed for a reader to check, never acted on.
+"""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from quad_sysid.contract import AXES, FloatArray
+from quad_sysid.imports.plausible import HIGHEST_RATE_HZ, LOWEST_RATE_HZ, USUAL_RATE_HZ
+from quad_sysid.imports.table import Table
+from quad_sysid.imports.units import DEGREE, UNITS, header_unit
+
+
+def _named(*parts: str) -> re.Pattern[str]:
+    """Any of the parts; one of up to two letters only as a word of its own."""
+    return re.compile('|'.join(
+        part if len(part) > 2 else f'(?<![a-z]){part}(?![a-z])' for part in parts
+    ), re.IGNORECASE)
+
+
+TIME = _named('t', r'time', 'stamp', r'(?<![a-z])secs?(?![a-z])', 'ticks?')
+WANTED = _named('set.?p', 'sp', r'(?<![a-z])des', 'ref', 'target', 'goal', 'cmd', '(?<![A-Z])_d$')
+RATE = _named('gyro', 'rate', 'omega', 'ang(ular)?.?vel', 'p', 'q', 'r', '(?<![a-z])[gw][xyz]')
+ANGLE = _named('roll', 'pitch', 'yaw', 'phi', 'theta', 'psi', 'angle', 'attitude', 'euler')
+TORQUE = _named('torque', 'tau', 'moment', 'control', 'cmd', 'output', 'u', r'(?<![a-z])u[234]')
+THRUST = _named('thrust', 'throttle', 'collective')
+BATTERY = _named('v?bat', 'volt')
+MOTOR = re.compile(
+    r'^(?P<stem>.*?(?:motor|mot|esc|pwm|rotor|out|(?:^|[^a-z])m|servo)[^0-9]*)'
+    r'(?P<number>\d+)(?P<rest>\D*)$', re.IGNORECASE)
+AXIS_NAMES = (
+    _named('roll', 'phi', 'p', '(?<![a-z])[gw]?x(?![a-z])', r'\[0\]'),
+    _named('pitch', 'theta', 'q', '(?<![a-z])[gw]?y(?![a-z])', r'\[1\]'),
+    _named('yaw', 'psi', 'heading', 'r', '(?<![a-z])[gw]?z(?![a-z])', r'\[2\]'),
+)
+GYRO = _named('gyro', 'p', 'q', 'r', '(?<![a-z])g[xyz]')
+WINDOW_S = 0.2
+ALIKE = 0.5
+"""Correlation from which on an angle belongs to a rate."""
+SMOOTH_TURN = 20.0
+"""rad/s; a 99 % quantile beyond it is in deg/s."""
+
+
+@dataclass(frozen=True)
+class Guess:
+    """Columns by role, and the units that are proposed for them."""
+
+    table: Table
+    time: str | None
+    seconds: Mapping[str, FloatArray]
+    """Of each column, s."""
+    axes: tuple[str, ...] = ()
+    roles: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """`rate`, `angle`, `reference`, `control`, `motors`, `thrust`, `battery`."""
+    reference_is: str = 'angle'
+    units: Mapping[str, str] = field(default_factory=dict)
+
+    def role_of(self, column: str) -> str:
+        """The guess for one column, in words."""
+        if column == self.time:
+            return 'time'
+        for role, names in self.roles.items():
+            if column in names:
+                axis = names.index(column)
+                if role == 'motors':
+                    return f'motor {axis + 1}'
+                return role if role in ('thrust', 'battery') else f'{role}, {self.axes[axis]}'
+        return '-'
+
+    def command(self, file: Path) -> str | None:
+        """The line that imports the table; None where rates or commands were not found."""
+        roles = self.roles
+        if not (roles.get('rate') or roles.get('angle')) or \
+                not (roles.get('control') or roles.get('motors')):
+            return None
+        words = ['quad-sysid', 'import', str(file), '--axis', ','.join(self.axes)]
+        if self.time is not None:
+            words += ['--time', self.time]
+        for role in ('motors', 'control', 'thrust', 'rate', 'angle', 'reference', 'battery'):
+            if roles.get(role):
+                words += [f'--{role}', ','.join(roles[role])]
+                words += ['--mixer', 'auto'] if role == 'motors' else []
+        if roles.get('reference') and self.reference_is == 'rate':
+            words += ['--reference-is', 'rate']
+        for column, unit in self.units.items():
+            words += ['--unit', f'{column}={unit}']
+        return shlex.join([*words, '--out', f'{file.name.partition(".")[0]}_bag'])
+
+
+def guess(table: Table) -> Guess:
+    """Look at names and values of all columns."""
+    time, unit = (None, '') if table.times else _time(table)
+    units = {} if time is None or unit in ('', 's') else {time: unit}
+    factor = UNITS['time'][unit or 's'][0]
+    seconds: dict[str, FloatArray] = dict(table.times) or {
+        name: factor * (table.columns[time] if time else np.arange(float(len(values))))
+        for name, values in table.columns.items()
+    }
+    names = [n for n in table.columns if n != time and np.nanstd(table.columns[n]) > 0.0]
+    roles: dict[str, tuple[str, ...]] = {}
+    if motors := _motors(table, names):
+        roles['motors'] = motors
+        units |= {name: u for name in motors if (u := _motor_unit(table, motors)) != '1'}
+    rest = [n for n in names if n not in motors]
+    measured = [n for n in rest if not WANTED.search(n)]
+    rates = _triples(measured, RATE)
+    rates.sort(key=lambda t: not all(GYRO.search(n) for n in t))
+    rate = rates[0] if rates else ()
+    angle, found = _angle(table, seconds, _triples(
+        [n for n in measured if not RATE.search(n) or 'angle' in n.lower()], ANGLE), rate)
+    axes = tuple(a for a, name in zip(AXES, rate or angle, strict=True) if name) \
+        if rate or angle else ()
+    for role, triple in (('rate', rate), ('angle', angle)):
+        if triple:
+            roles[role] = tuple(n for n in triple if n)
+    units |= found
+    if not motors:
+        _add_commands(table, rest, rate or angle, roles, units)
+    reference_is = _add_references(table, rest, rate or angle, roles, units)
+    taken = {n for group in roles.values() for n in group}
+    if battery := [n for n in rest if BATTERY.search(n) and n not in taken]:
+        roles['battery'] = (battery[0],)
+        if np.nanmedian(table.columns[battery[0]]) > 1000.0:
+            units[battery[0]] = 'mV'
+    used = {n for group in roles.values() for n in group} | {time}
+    return Guess(table, time, seconds, axes, roles, reference_is, {
+        n: u for n, u in units.items() if n in used and header_unit(n) != u
+    })
+
+
+def _add_commands(
+    table: Table, names: Sequence[str], measured: Sequence[str],
+    roles: dict[str, tuple[str, ...]], units: dict[str, str],
+) -> None:
+    """Commands of the axes that were measured, and the thrust beside them."""
+    taken = {n for group in roles.values() for n in group}
+    commands = [t for t in _triples([n for n in names if n not in taken], TORQUE)
+                if _same_axes(t, measured)]
+    if not commands:
+        return
+    roles['control'] = tuple(n for n in commands[0] if n)
+    scale = _scale(table, commands[0])
+    units |= dict.fromkeys(roles['control'], scale) if scale != '1' else {}
+    thrust = next((n for n in names if THRUST.search(n) and n not in commands[0]), None)
+    if thrust is not None and (high := float(np.nanmax(np.abs(table.columns[thrust])))) > 0.0:
+        roles['thrust'] = (thrust,)
+        if high > 1.0:
+            units[thrust] = 'pwm16' if high > 2000.0 else f'{0.5 / high:.3g}'
+
+
+def _add_references(
+    table: Table, names: Sequence[str], measured: Sequence[str],
+    roles: dict[str, tuple[str, ...]], units: dict[str, str],
+) -> str:
+    """References of the axes, and whether they are angles or rates."""
+    taken = {n for group in roles.values() for n in group}
+    wanted = [n for n in names if WANTED.search(n) and n not in taken]
+    for kind, pattern in (('angle', ANGLE), ('rate', RATE)):
+        for triple in _triples(wanted, pattern):
+            if _same_axes(triple, measured):
+                roles['reference'] = tuple(n for n in triple if n)
+                units |= {n: u for n in roles['reference'] if (u := _size_unit(table, n, kind))}
+                return kind
+    return 'angle'
+
+
+def lines(guessed: Guess, file: Path) -> Iterator[str]:
+    """The table of columns, and what to type."""
+    table = guessed.table
+    width = min(34, max(len(n) for n in table.columns))
+    yield f'{file}: {len(table.columns)} columns with numbers'
+    yield ''
+    yield f'{"column":<{width}} {"Hz":>7} {"lowest":>10} {"highest":>10}  guess'
+    for name, values in table.columns.items():
+        known = np.isfinite(values)
+        steps = np.diff(np.asarray(guessed.seconds[name])[known])
+        steps = steps[steps > 0.0]
+        rate = f'{1.0 / np.median(steps):.4g}' if len(steps) else '-'
+        unit = guessed.units.get(name) or header_unit(name)
+        role = guessed.role_of(name) + (f' [{unit}]' if unit and guessed.role_of(name) != '-'
+                                        else '')
+        yield (f'{name:<{width}} {rate:>7} {np.nanmin(values):>10.4g} '
+               f'{np.nanmax(values):>10.4g}  {role}')
+    command = guessed.command(file)
+    yield ''
+    if command is None:
+        yield 'rates and commands were not recognised: name them, see quad-sysid import --help'
+    else:
+        yield 'check the guesses, then:'
+        yield command
+
+
+def _time(table: Table) -> tuple[str | None, str]:
+    """The column that goes on with the rows, and its unit."""
+    best: tuple[float, str] | None = None
+    for name, values in table.columns.items():
+        steps = np.diff(values[np.isfinite(values)])
+        ahead = float(np.mean(steps > 0.0)) if len(steps) else 0.0
+        worth = ahead + (1.0 if TIME.search(name) else 0.0)
+        if ahead > 0.5 and (best is None or worth > best[0]):
+            best = worth, name
+    if best is None:
+        return None, ''
+    name = best[1]
+    steps = np.diff(table.columns[name])
+    step = float(np.median(steps[steps > 0.0]))
+    written = header_unit(name)
+    if written in UNITS['time']:
+        return name, str(written)
+    near = {
+        unit: abs(np.log(1.0 / (factor * step) / USUAL_RATE_HZ))
+        for unit, (factor, _) in UNITS['time'].items()
+        if LOWEST_RATE_HZ <= 1.0 / (factor * step) <= HIGHEST_RATE_HZ
+    }
+    return name, min(near, key=near.__getitem__) if near else 's'
+
+
+def _motors(table: Table, names: Sequence[str]) -> tuple[str, ...]:
+    """The largest family of numbered columns that never go below zero."""
+    families: dict[tuple[str, str], list[tuple[int, str]]] = {}
+    for name in names:
+        found = MOTOR.match(name)
+        if found and np.nanmin(table.columns[name]) >= 0.0:
+            families.setdefault((found['stem'], found['rest']), []).append(
+                (int(found['number']), name))
+    whole = [sorted(f) for f in families.values() if len(f) in (4, 6, 8)]
+    return tuple(name for _, name in max(whole, key=len)) if whole else ()
+
+
+def _motor_unit(table: Table, motors: Sequence[str]) -> str:
+    high = max(float(np.nanmax(table.columns[n])) for n in motors)
+    flying = np.median([np.nanmedian(table.columns[n]) for n in motors])
+    if high <= 1.0:
+        return '1'
+    if high <= 100.0:
+        return 'percent'
+    if high <= 2200.0:
+        return 'pulse_us' if flying >= 900.0 else 'dshot'
+    return 'pwm16'
+
+
+def _triples(names: Sequence[str], pattern: re.Pattern[str]) -> list[tuple[str, str, str]]:
+    """Columns of the three axes that differ by the axis' name alone; '' for an axis without."""
+    groups: dict[str, list[str]] = {}
+    for name in names:
+        if not pattern.search(name):
+            continue
+        bare = name.rpartition('.')[2] if pattern.search(name.rpartition('.')[2]) or \
+            any(a.search(name.rpartition('.')[2]) for a in AXIS_NAMES) else name
+        for i, axis in enumerate(AXIS_NAMES):
+            found = list(axis.finditer(bare))
+            if found:
+                last = found[-1]
+                at = len(name) - len(bare)
+                stem = name[:at] + bare[:last.start()] + '*' + bare[last.end():]
+                groups.setdefault(stem, ['', '', ''])[i] = name
+                break
+    whole = [(a, b, c) for a, b, c in groups.values()]
+    return sorted(whole, key=lambda g: -sum(map(bool, g)))
+
+
+def _same_axes(triple: Sequence[str], other: Sequence[str]) -> bool:
+    return [bool(n) for n in triple] == [bool(n) for n in other]
+
+
+def _angle(
+    table: Table, seconds: Mapping[str, FloatArray], angles: Sequence[tuple[str, str, str]],
+    rate: Sequence[str],
+) -> tuple[tuple[str, ...], dict[str, str]]:
+    """The angles that belong to the rates, with units for both."""
+    alone = {n: u for n in rate if n and (u := _size_unit(table, n, 'rate'))}
+    if not rate:
+        chosen = angles[0] if angles else ()
+        return chosen, {n: u for n in chosen if n and (u := _size_unit(table, n, 'angle'))}
+    best: tuple[float, tuple[str, ...], dict[str, str]] = (ALIKE, (), alone)
+    for triple in angles:
+        if not _same_axes(triple, rate):
+            continue
+        units: dict[str, str] = {}
+        alike = []
+        for r, a in zip(rate, triple, strict=True):
+            if not r:
+                continue
+            together, factor = _factor(table, seconds, r, a)
+            alike.append(abs(together))
+            if abs(together) < ALIKE:
+                continue
+            units |= _units_of(table, r, a, factor)
+        worth = float(np.median(alike))
+        if worth > best[0]:
+            best = worth, triple, {**alone, **units}
+    return best[1], {n: u for n, u in best[2].items() if u}
+
+
+def _units_of(table: Table, rate: str, angle: str, factor: float) -> dict[str, str]:
+    """Units of a rate and its angle by how much the angle changes per integral of the rate."""
+    size = abs(np.log(abs(factor)))
+    both_degrees = bool(_size_unit(table, rate, 'rate')) or bool(
+        _size_unit(table, angle, 'angle'))
+    if size < 1.0:  # alike: both in radians, or both in degrees
+        degrees = (True, True) if both_degrees else (False, False)
+    else:
+        degrees = (factor**2 < 1.0, factor**2 > 1.0)
+    sign = -1.0 if factor < 0.0 else 1.0
+    return {
+        rate: 'deg/s' if degrees[0] else '',
+        angle: ('deg' if degrees[1] else '') if sign > 0.0
+        else f'{-DEGREE if degrees[1] else -1.0:.6g}',
+    }
+
+
+def _factor(
+    table: Table, seconds: Mapping[str, FloatArray], rate: str, angle: str
+) -> tuple[float, float]:
+    """Correlation and size of an angle's change over the rate's integral, over short windows."""
+    t, w = _known(seconds[rate], table.columns[rate])
+    s, a = _known(seconds[angle], table.columns[angle])
+    if len(t) < 50 or len(s) < 50:
+        return 0.0, 1.0
+    turned = np.concatenate(([0.0], np.cumsum(0.5 * (w[1:] + w[:-1]) * np.diff(t))))
+    edges = np.arange(max(t[0], s[0]), min(t[-1], s[-1]), WINDOW_S)
+    if len(edges) < 20:
+        return 0.0, 1.0
+    x, y = np.diff(np.interp(edges, t, turned)), np.diff(np.interp(edges, s, a))
+    usual = np.abs(y) < 10.0 * (np.median(np.abs(y)) + 1e-12)  # an angle that wraps jumps
+    x, y = x[usual], y[usual]
+    if not (len(x) > 10 and np.ptp(x) and np.ptp(y)):
+        return 0.0, 1.0
+    together = float(np.corrcoef(x, y)[0, 1])
+    return together, float(np.copysign(np.std(y) / np.std(x), together))
+
+
+def _known(times: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    good = np.isfinite(times) & np.isfinite(values)
+    fresh = np.concatenate(([True], np.diff(times[good]) > 0.0))
+    return times[good][fresh], values[good][fresh]
+
+
+def _size_unit(table: Table, name: str, kind: str) -> str:
+    """`deg` or `deg/s` where the name or the size says so; else nothing."""
+    unit = 'deg' if kind == 'angle' else 'deg/s'
+    if header_unit(name) is not None:
+        return ''
+    lower = name.lower()
+    if re.search(r'_(deg|dps|degs)([^a-z]|$)', lower):
+        return unit
+    if re.search(r'_rad(s|ps)?([^a-z]|$)', lower):
+        return ''
+    size = float(np.nanquantile(np.abs(table.columns[name]), 0.99))
+    return unit if size > (2.0 * np.pi if kind == 'angle' else SMOOTH_TURN) else ''
+
+
+def _scale(table: Table, names: Sequence[str]) -> str:
+    """Unit of commands that brings them within half of the whole range, a power of ten if any."""
+    high = max(float(np.nanmax(np.abs(table.columns[n]))) for n in names if n)
+    if high > 2000.0:
+        return 'pwm16'
+    return f'{10.0 ** np.floor(np.log10(0.5 / high)):g}' if not 0.02 < high <= 0.5 else '1'

@@ -1,0 +1,315 @@
+"""Tables of numbers as others record them → columns: CSV, Parquet, Crazyflie SD card, ROS 1 bag.
+
+What a column means is not known here; the line number stands in every complaint about a text.
+"""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import math
+import struct
+import zlib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from quad_sysid.contract import FloatArray
+from quad_sysid.errors import BadInputError
+from quad_sysid.imports.frames import euler_from_quaternion
+
+DELIMITERS = (',', ';', '\t')
+MOST_NUMBERS = 64
+"""Of an array in a message; a longer one is an image or a cloud."""
+SD_MAGIC = 0xBC
+SD_REGULAR = 'fixedFrequency'
+"""The event of a Crazyflie's log that samples variables at a fixed rate."""
+SD_TYPES = frozenset('BbHhIiQqefd?')
+
+
+@dataclass(frozen=True)
+class Table:
+    """Columns by name, as they stand in the file; NaN where a row has no number."""
+
+    source: str
+    columns: Mapping[str, FloatArray]
+    times: Mapping[str, FloatArray] = field(default_factory=dict)
+    """s, of the columns that have a time of their own (messages); a CSV's are found by name."""
+    lines: tuple[int, ...] = ()
+    """Line number of each row of a text, counted from 1."""
+
+    def complain(self, row: int, column: str, what: str, remedy: str) -> BadInputError:
+        """Build the error that names file, line and column."""
+        line = f', line {self.lines[row]}' if self.lines else ''
+        return BadInputError(
+            f'{self.source}{line}, column {column}', what,
+            f'{self.columns[column][row]:.10g}', remedy,
+        )
+
+
+def open_table(path: Path, wanted: Sequence[str] | None = None) -> Table:
+    """Read a file as columns; `wanted` None: every column that holds a number.
+
+    Raises BadInputError for a file that cannot be read, a missing column, and a text where a
+    number should be.
+    """
+    head = _head(path)
+    if head.startswith(b'PAR1'):
+        table = _parquet(path)
+    elif head[:1] == bytes([SD_MAGIC]):
+        table = sd_card(path.read_bytes(), str(path))
+    elif head.startswith(b'#ROSBAG') or path.is_dir():
+        table = _messages(path, wanted)
+    else:
+        with _lines(path) as lines:
+            return read_csv(lines, str(path), wanted)
+    if wanted is None:
+        return table
+    absent = [name for name in wanted if name not in table.columns]
+    if absent:
+        raise _absent(str(path), absent, list(table.columns))
+    return table
+
+
+def _absent(source: str, absent: Sequence[str], known: Sequence[str]) -> BadInputError:
+    return BadInputError(source, f'no column {", ".join(absent)}', ', '.join(known),
+                         'name a column of the file')
+
+
+def _head(path: Path) -> bytes:
+    if path.is_dir():
+        return b''
+    try:
+        with path.open('rb') as stream:
+            return stream.read(16)
+    except OSError as error:
+        raise BadInputError(str(path), f'cannot be read ({error.strerror})',
+                            remedy='check it') from error
+
+
+@contextmanager
+def _lines(file: Path) -> Iterator[Iterator[str]]:
+    """Lines of a text file, compressed or not."""
+    try:
+        with file.open('rb') as probe:
+            packed = probe.read(2) == b'\x1f\x8b'
+        opened = gzip.open if packed else open
+        with opened(file, 'rt', encoding='utf-8-sig') as stream:
+            yield iter(stream)
+    except (OSError, EOFError, zlib.error) as error:
+        reason = getattr(error, 'strerror', None) or str(error)
+        raise BadInputError(str(file), f'cannot be read ({reason})', remedy='check it') from error
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise BadInputError(
+            str(file), 'is no text file', remedy='give a CSV file, plain or gzipped'
+        ) from error
+
+
+def read_csv(lines: Iterable[str], source: str, wanted: Sequence[str] | None = None) -> Table:
+    """Columns of a text with a header line; `#` starts a comment line, an empty cell is missing.
+
+    Raises BadInputError for a missing column, text where a number should be, and a column without
+    any number.
+    """
+    numbered = (
+        (number, line) for number, line in enumerate(lines, 1)
+        if line.strip() and not line.startswith('#')
+    )
+    head = next(islice(numbered, 1), None)
+    if head is None:
+        raise BadInputError(source, 'is empty', remedy='give a CSV file with a header line')
+    delimiter = max(DELIMITERS, key=head[1].count)
+    header = [name.strip() for name in next(csv.reader([head[1]], delimiter=delimiter))]
+    names = header if wanted is None else wanted
+    absent = [name for name in names if name not in header]
+    if absent:
+        raise _absent(f'{source}, line {head[0]}', absent, header)
+    places = [header.index(name) for name in names]
+    rows: list[list[float]] = []
+    kept: list[int] = []
+    for number, line in numbered:
+        cells = next(csv.reader([line], delimiter=delimiter))
+        if wanted is None:
+            rows.append([_maybe_number(cells, place) for place in places])
+        else:
+            rows.append(_numbers(cells, places, names, source, number))
+        kept.append(number)
+    if not rows:
+        raise BadInputError(source, 'has a header but no rows', remedy='give recorded data')
+    array = np.array(rows)
+    columns = {name: array[:, i].copy() for i, name in enumerate(names)}
+    for name in wanted or ():
+        if not np.isfinite(columns[name]).any():
+            raise BadInputError(f'{source}, line {kept[0]}, column {name}', 'holds no number')
+    return Table(source, {n: c for n, c in columns.items() if np.isfinite(c).any()},
+                 lines=tuple(kept))
+
+
+def _maybe_number(cells: Sequence[str], place: int) -> float:
+    try:
+        return float(cells[place])
+    except (ValueError, IndexError):
+        return math.nan
+
+
+def _numbers(
+    cells: Sequence[str], places: Sequence[int], wanted: Sequence[str], source: str, number: int
+) -> list[float]:
+    """Numbers at `places` of one row; NaN for an empty cell."""
+    out = []
+    for place, name in zip(places, wanted, strict=True):
+        text = cells[place].strip() if place < len(cells) else ''
+        try:
+            value = float(text or 'nan')
+        except ValueError as error:
+            raise BadInputError(
+                f'{source}, line {number}, column {name}', 'needs a number or nothing',
+                repr(text), 'mend the row, or leave it out (a gap is allowed)',
+            ) from error
+        out.append(value if math.isfinite(value) else math.nan)
+    return out
+
+
+def _parquet(path: Path) -> Table:
+    try:
+        from pyarrow import parquet
+    except ImportError as error:
+        raise BadInputError(str(path), 'needs the package pyarrow to be read',
+                            remedy='pip install pyarrow') from error
+    try:
+        content = parquet.read_table(path)
+    except Exception as error:  # pyarrow raises whatever a damaged file makes it meet
+        raise BadInputError(str(path), f'is no whole Parquet file ({error})',
+                            remedy='write it anew') from error
+    columns = {}
+    for name in content.column_names:
+        values = content[name].to_numpy()
+        if values.dtype.kind == 'M':
+            values = values.astype('datetime64[ns]').astype(np.int64) * 1e-9
+        if values.dtype.kind in 'iufb':
+            columns[str(name)] = values.astype(float)
+    return Table(str(path), columns)
+
+
+def sd_card(data: bytes, source: str) -> Table:
+    """A log of the Crazyflie's SD-card deck, versions 1 and 2 (crazyflie-firmware, usddeck).
+
+    Raises BadInputError where it ends in the middle or is another version; a wrong checksum of a
+    log that was cut off is no reason to refuse what came before.
+    """
+    version = int.from_bytes(data[1:3], 'little')
+    if version not in (1, 2):
+        raise BadInputError(source, 'is an SD-card log of an unknown version', version)
+    try:
+        events, at = _sd_events(data, source)
+    except (struct.error, IndexError, ValueError, UnicodeDecodeError) as error:
+        raise BadInputError(source, 'is no whole log of a Crazyflie SD card',
+                            remedy='copy it anew from the card') from error
+    stamp = struct.Struct('<HI' if version == 1 else '<HQ')
+    tick = 1e-3 if version == 1 else 1e-6
+    rows: dict[int, list[tuple[Any, ...]]] = {number: [] for number in events}
+    while at + stamp.size <= len(data) - 4:
+        number, ticks = stamp.unpack_from(data, at)
+        at += stamp.size
+        if number not in events or at + events[number][1].size > len(data):
+            break
+        rows[number].append((ticks * tick, *events[number][1].unpack_from(data, at)))
+        at += events[number][1].size
+    columns: dict[str, FloatArray] = {}
+    times: dict[str, FloatArray] = {}
+    for number, (names, _) in events.items():
+        if len(rows[number]) > 1:
+            values = np.array(rows[number], dtype=float)
+            columns |= {name: values[:, i].copy() for i, name in enumerate(names, 1)}
+            times |= dict.fromkeys(names, values[:, 0].copy())
+    if not columns:
+        raise BadInputError(source, 'holds no samples')
+    return Table(source, columns, times)
+
+
+def _sd_events(
+    data: bytes, source: str
+) -> tuple[dict[int, tuple[list[str], struct.Struct]], int]:
+    """Names and binary form of each event by its number, and where the samples begin."""
+    (kinds,) = struct.unpack_from('<H', data, 3)
+    at = 5
+    events: dict[int, tuple[list[str], struct.Struct]] = {}
+    for _ in range(kinds):
+        (number,) = struct.unpack_from('<H', data, at)
+        event, at = _text(data, at + 2)
+        (count,) = struct.unpack_from('<H', data, at)
+        at += 2
+        names, form = [], '<'
+        for _ in range(count):
+            name, at = _text(data, at)
+            names.append(name[:-3] if event == SD_REGULAR else f'{event}.{name[:-3]}')
+            form += name[-2]
+        if not set(form[1:]) <= SD_TYPES:
+            raise BadInputError(source, 'names a type that is unknown', form)
+        events[number] = (names, struct.Struct(form))
+    return events, at
+
+
+def _text(data: bytes, at: int) -> tuple[str, int]:
+    end = data.index(b'\0', at)
+    return data[at:end].decode(), end + 1
+
+
+def _messages(path: Path, wanted: Sequence[str] | None) -> Table:
+    """Every number of every message: `/topic.field.x`, quaternions as roll, pitch, yaw as well."""
+    from rosbags.highlevel import AnyReader
+    from rosbags.typesys import Stores, get_typestore
+
+    rows: dict[str, list[dict[str, float]]] = {}
+    stamps: dict[str, list[float]] = {}
+    try:
+        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
+            asked = [
+                c for c in reader.connections
+                if wanted is None or any(name.startswith(f'{c.topic}.') for name in wanted)
+            ]
+            for connection, received, raw in reader.messages(connections=asked):
+                message: Any = reader.deserialize(raw, connection.msgtype)
+                header = getattr(message, 'header', None)
+                stamp = 0.0 if header is None else header.stamp.sec + 1e-9 * header.stamp.nanosec
+                stamps.setdefault(connection.topic, []).append(stamp or 1e-9 * received)
+                rows.setdefault(connection.topic, []).append(
+                    dict(_leaves(message, connection.topic))
+                )
+    except Exception as error:  # rosbags raises whatever a damaged file makes it meet
+        raise BadInputError(str(path), f'is no whole bag ({type(error).__name__}: {error})',
+                            remedy='mend it, such as with rosbag reindex') from error
+    columns: dict[str, FloatArray] = {}
+    times: dict[str, FloatArray] = {}
+    for topic, items in rows.items():
+        names = list(items[0])
+        found = {n: np.array([item.get(n, math.nan) for item in items]) for n in names}
+        for name in names:
+            stem = name.removesuffix('.w')
+            parts = [f'{stem}.{p}' for p in 'wxyz']
+            if name.endswith('.w') and all(p in found for p in parts):
+                euler = euler_from_quaternion(np.column_stack([found[p] for p in parts]))
+                found |= {f'{stem}.{a}': euler[:, i]
+                          for i, a in enumerate(('roll', 'pitch', 'yaw'))}
+        columns |= found
+        times |= dict.fromkeys(found, np.array(stamps[topic]))
+    return Table(str(path), columns, times)
+
+
+def _leaves(message: Any, name: str) -> Iterator[tuple[str, float]]:
+    """Numbers of a message with their names."""
+    if isinstance(message, bool | int | float | np.number):
+        yield name, float(message)
+    elif isinstance(message, np.ndarray | list | tuple):
+        if len(message) <= MOST_NUMBERS:
+            for i, value in enumerate(message):
+                yield from _leaves(value, f'{name}[{i}]')
+    elif hasattr(message, '__dataclass_fields__'):
+        for key in message.__dataclass_fields__:
+            if key not in ('header', '__msgtype__'):
+                yield from _leaves(getattr(message, key), f'{name}.{key}')

@@ -1,0 +1,237 @@
+"""What each motor does to an axis, by the motion alone: every pattern of signs is tried.
+
+Pure array maths; it knows no frame, no order and no file. A pattern gives each motor +, - or 0;
+the share of the axis' angular acceleration (or, of a rig that hangs, of its angle) which the
+signed sum of the commands explains is compared over all patterns, delays and lags.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cache
+from itertools import product
+
+import numpy as np
+
+from quad_sysid.contract import AXES, FloatArray
+
+LAGS_S = (0.0, 0.01, 0.02, 0.04, 0.08, 0.15)
+DELAYS_S = (0.0, 0.005, 0.01, 0.02, 0.03, 0.04)
+"""What motors, airframes and telemetry have; the best pair is taken."""
+STEP_S = 0.02
+"""Over which the rate's change is taken: longer than the gyro's noise, shorter than a motor."""
+FINEST_S = 0.002
+"""A faster recording is thinned to this before."""
+BLOCKS = 8
+"""Parts of the recording in each of which the pattern is held against its nearest rival."""
+MOST_BLOCKS = 0.75
+LEAST_SHARE = {'angular acceleration': 0.02, 'angle': 0.8}
+"""Less says nothing. In flight an angle follows the motors by chance, on a rig they hold it."""
+CLEARLY = 1.4
+"""A pattern is certain where it explains so many times its rival's share, and more in three
+quarters of the parts."""
+ALIKE, NEAR = 0.85, 0.6
+"""Patterns whose signals correlate by NEAR are no rivals; those that besides explain ALIKE of the
+best one's share are the same to the data: the one the motors were driven along most is told."""
+CLEARLY_LESS = 0.5
+"""A mixer that explains less than this share of what the best pattern explains is doubted."""
+MOST_MOTORS = 8
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """The signs with which the motors turn one axis."""
+
+    axis: str
+    signs: tuple[int, ...]
+    """Of each motor in the order given: 1, -1 or 0."""
+    share: float
+    """Of the response's variance that the signed sum explains, 0..1."""
+    rival_share: float
+    """Of the best other pattern."""
+    certain: bool
+    """Whether it is told apart from every other pattern."""
+    response: str
+    """`angular acceleration` or `angle`."""
+
+    @property
+    def text(self) -> str:
+        """The signs as they are written: `- - + +`."""
+        return ' '.join('+' if s > 0 else '-' if s < 0 else '0' for s in self.signs)
+
+
+    @property
+    def sentence(self) -> str:
+        """One line on what the motors do to the axis."""
+        sure = '' if self.certain else ', not told apart'
+        return (f'motors on {self.axis}: {self.text} explain {100.0 * self.share:.3g} % of the '
+                f'{self.response} (next best {100.0 * self.rival_share:.2g} %{sure})')
+
+
+@dataclass(frozen=True)
+class _Response:
+    """Sums over the rows of each block, enough for the share of any signed sum of motors."""
+
+    name: str
+    gram: FloatArray
+    """(d, b, n, n) products of the motors, for d pairs of delay and lag, in b blocks."""
+    cross: FloatArray
+    """(d, b, n) products of motors and response."""
+    power: FloatArray
+    """(d, b) of the response."""
+
+    def shares(self, signs: FloatArray) -> FloatArray:
+        """(d, p) share that p patterns (p, n) explain over all blocks; 0 for a negative gain."""
+        return _share(signs, self.gram.sum(axis=1), self.cross.sum(axis=1), self.power.sum(axis=1))
+
+
+def _share(
+    signs: FloatArray, gram: FloatArray, cross: FloatArray, power: FloatArray
+) -> FloatArray:
+    """(…, p): share of the response's power that each signed sum explains."""
+    along = np.maximum(np.einsum('pn,...n->...p', signs, cross), 0.0)
+    spread = np.einsum('pn,...nm,pm->...p', signs, gram, signs)
+    total = spread * power[..., None]
+    share = np.divide(along**2, total, out=np.zeros_like(along), where=total > 1e-12)
+    return np.asarray(share, dtype=np.float64)
+
+
+def patterns_of(
+    rates: FloatArray, motors: FloatArray, dt: float, angles: FloatArray | None = None
+) -> tuple[Pattern, ...]:
+    """The best pattern of each axis that moves; empty where nothing can be compared.
+
+    rates (n, 3) rad/s, motors (n, k) normalised with k of 2 to 8, angles (n, 3) rad, dt in s; NaN
+    where a sample is missing. An axis of constant zeros counts as not measured.
+    """
+    if not 2 <= motors.shape[1] <= MOST_MOTORS:
+        return ()
+    thin = max(1, round(FINEST_S / dt))
+    if thin > 1:
+        n = len(rates) // thin * thin
+        motors = motors[:n].reshape(-1, thin, motors.shape[1]).mean(axis=1)
+        rates = rates[:n:thin]
+        angles = None if angles is None else angles[:n:thin]
+        dt *= thin
+    found = []
+    for i, axis in enumerate(AXES):
+        tried = [
+            _best(axis, response)
+            for response in _responses(rates[:, i], motors, dt,
+                                       None if angles is None else angles[:, i])
+        ]
+        if tried:
+            found.append(max(tried, key=lambda p: (p.certain, p.response != 'angle', p.share)))
+    return tuple(found)
+
+
+def share_of(
+    weights: FloatArray, rate: FloatArray, motors: FloatArray, dt: float,
+    response: str = 'angular acceleration', angle: FloatArray | None = None,
+) -> float:
+    """Share of one axis' response that motors (n, k) weighted by (k,) explain; rate (n,) rad/s."""
+    return max((float(r.shares(weights[None]).max())
+                for r in _responses(rate, motors, dt, angle) if r.name == response), default=0.0)
+
+
+def doubts(
+    name: str, matrix: FloatArray, patterns: Sequence[Pattern], rates: FloatArray,
+    motors: FloatArray, dt: float, angles: FloatArray | None = None,
+) -> list[str]:
+    """A line for each axis on which a mixer (4, k) explains clearly less than its pattern."""
+    out = []
+    for pattern in patterns:
+        axis = AXES.index(pattern.axis)
+        share = share_of(matrix[1 + axis], rates[:, axis], motors, dt, pattern.response,
+                         None if angles is None else angles[:, axis])
+        if pattern.certain and share < CLEARLY_LESS * pattern.share:
+            out.append(
+                f'{name} explains {100.0 * share:.2g} % of the {pattern.response} on '
+                f'{pattern.axis}, the motors as {pattern.text} explain '
+                f'{100.0 * pattern.share:.3g} %: import with --mixer auto, or check the order'
+            )
+    return out
+
+
+@cache
+def _patterns(n: int) -> FloatArray:
+    """(p, n) patterns with as many + as -; of four or six motors two may be idle."""
+    idle = {0, 2} if n in (4, 6) else {n % 2}
+    return np.array([
+        s for s in product((-1, 0, 1), repeat=n) if not sum(s) and s.count(0) in idle
+    ], dtype=float)
+
+
+def _best(axis: str, response: _Response) -> Pattern:
+    signs = _patterns(response.cross.shape[-1])
+    shares = response.shares(signs)
+    setting = int(np.unravel_index(int(np.argmax(shares)), shares.shape)[0])
+    spread = signs @ response.gram[setting].sum(axis=0) @ signs.T
+    driven = np.diag(spread) / (signs**2).sum(axis=1)
+    size = np.sqrt(np.maximum(np.diag(spread), 1e-300))
+    best = int(np.argmax(shares[setting]))
+    alike = (shares[setting] >= ALIKE * shares[setting, best]) & (
+        spread[best] > NEAR * size[best] * size)
+    first = int(np.argmax(np.where(alike, driven, -1.0)))
+    near = spread[first] > NEAR * size[first] * size
+    rivals = np.where(near, 0.0, shares.max(axis=0))
+    rival = int(np.argmax(rivals))
+    by_block = _share(signs[[first, rival]], response.gram[setting], response.cross[setting],
+                      response.power[setting])
+    won = float(np.mean(by_block[:, 0] > by_block[:, 1]))
+    share, other = float(shares[setting, first]), float(rivals[rival])
+    return Pattern(
+        axis, tuple(int(s) for s in signs[first]), share, other,
+        certain=share >= LEAST_SHARE[response.name] and share >= CLEARLY * other
+        and won >= MOST_BLOCKS,
+        response=response.name,
+    )
+
+
+def _responses(
+    rate: FloatArray, motors: FloatArray, dt: float, angle: FloatArray | None
+) -> Iterator[_Response]:
+    """Sums for the angular acceleration and, where there is one that moves, for the angle."""
+    step = max(1, round(STEP_S / dt))
+    if len(rate) <= BLOCKS * (step + 1) or not np.nanstd(rate) > 0.0:
+        return
+    change = np.full(len(rate), np.nan)
+    change[:-step] = (rate[step:] - rate[:-step]) / (step * dt)
+    yield _sums('angular acceleration', change, motors, dt, step)
+    if angle is not None and np.nanstd(angle) > 0.0:
+        yield _sums('angle', angle, motors, dt, 1)
+
+
+def _sums(
+    name: str, response: FloatArray, motors: FloatArray, dt: float, step: int
+) -> _Response:
+    """Products per delay, lag and block; the motors are averaged over the response's interval."""
+    from scipy.signal import lfilter  # slow to import
+
+    known = np.asarray(np.isfinite(motors).all(axis=1))
+    centred = np.where(known[:, None], motors - motors[known].mean(axis=0), 0.0)
+    n, k = centred.shape
+    found: list[tuple[FloatArray, ...]] = []
+    for lag in LAGS_S:
+        keep = float(np.exp(-dt / lag)) if lag else 0.0
+        lagged = lfilter([1.0 - keep], [1.0, -keep], centred, axis=0)
+        total = np.concatenate([np.zeros((1, k)), np.cumsum(lagged, axis=0)])
+        mean = (total[step:] - total[:-step]) / step
+        for delay in sorted({round(d / dt) for d in DELAYS_S} | {1}):
+            shifted = np.zeros((n, k))
+            shifted[delay : delay + len(mean)] = mean[: n - delay]
+            good = known & np.isfinite(response)
+            good[:delay] = False
+            sums = [_block(shifted[rows], response[rows])
+                    for rows in np.array_split(np.flatnonzero(good), BLOCKS)]
+            found.append(tuple(map(np.array, zip(*sums, strict=True))))
+    return _Response(name, *(np.array(part) for part in zip(*found, strict=True)))
+
+
+def _block(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+    """Products about the block's own means."""
+    if not len(y):
+        return np.zeros((x.shape[1], x.shape[1])), np.zeros(x.shape[1]), 0.0
+    x, y = x - x.mean(axis=0), y - y.mean()
+    return x.T @ x, x.T @ y, float(y @ y)

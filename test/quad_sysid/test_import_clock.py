@@ -1,0 +1,117 @@
+"""Any clock: what the times of a recording can be, and what becomes of rates and commands."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from quad_sysid.errors import BadInputError
+from quad_sysid.imports.clock import cycles, hold, mean_ahead, unroll
+from quad_sysid.imports.log import Stream
+
+DT, N = 0.004, 2000
+T = DT * np.arange(N)
+
+
+def motion(t: np.ndarray) -> np.ndarray:
+    """A rate within 5 Hz, rad/s."""
+    return np.sin(9.0 * t) + 0.3 * np.cos(31.0 * t)
+
+
+def stream(t: np.ndarray) -> Stream:
+    return Stream(t, motion(t)[:, None])
+
+
+def jittered(share: float) -> np.ndarray:
+    return T + DT * share * np.random.default_rng(2).uniform(-0.5, 0.5, N)
+
+
+@pytest.mark.parametrize(
+    ('times', 'hz', 'own', 'error', 'words'),
+    [
+        (T, 250.0, True, 1e-12, '0 odd intervals; kept on their own cycles of 250 Hz'),
+        (jittered(0.05), 250.0, True, 0.01, 'kept on their own'),
+        (jittered(0.3), 250.0, False, 0.002, 'jitter of'),
+        (jittered(0.95), 250.0, False, 0.01, 'the rate is uneven'),
+        (np.delete(T, [100, 101, 900]), 250.0, True, 1e-12, '2 gaps of 0.012 s in all'),
+        (np.sort(np.concatenate([T, T[5::400] + 0.4 * DT])), 250.0, True, 0.01, '10 odd'),
+        (np.delete(T, np.random.default_rng(1).choice(N, N // 3, replace=False)), None, False,
+         0.03, 'the rate is uneven'),
+        (np.concatenate([T[:1000], T[1000::5]]), 50.0, False, 0.01, 'the rate is uneven'),
+        (T * (1.0 + 1e-4 * np.sin(0.5 * T)), 250.0, True, 0.03, 'kept'),
+    ],
+    ids=['even', 'little jitter', 'jitter', 'much jitter', 'gaps', 'odd intervals', 'dropped',
+         'two rates', 'drift'],
+)  # fmt: skip
+def test_rates_come_onto_one_grid(times, hz, own, error, words):
+    laid = cycles(stream(times))
+    assert hz is None or 1.0 / laid.dt == pytest.approx(hz, rel=0.01)
+    assert laid.own is own
+    known = np.isfinite(laid.values[:, 0])
+    assert known.mean() > 0.9
+    assert np.abs(laid.values[known, 0] - motion(laid.times[known])).max() < error
+    assert words in laid.told[0]
+    assert len(laid.told) == 1
+
+
+def test_a_grid_that_is_asked_for_overrides_and_averages_commands():
+    laid = cycles(stream(T), 100.0)
+    assert (laid.dt, laid.own) == (0.01, False)
+    np.testing.assert_allclose(laid.values[:, 0], motion(laid.times), atol=1e-3)
+    steps = Stream(T, np.floor(T / 0.02 + 1e-6)[:, None])
+    held = mean_ahead(steps, laid.times[:-1], laid.dt)[:, 0]
+    np.testing.assert_allclose(held, np.floor(laid.times[:-1] / 0.02 + 1e-6), atol=1e-9)
+
+
+def test_a_gap_is_not_drawn_over_and_a_pause_ends_what_is_held():
+    t = np.delete(jittered(0.4), np.arange(500, 600))
+    laid = cycles(stream(t))
+    inside = (laid.times > T[500]) & (laid.times < T[598])
+    assert np.isnan(laid.values[inside]).all()
+    held = hold(Stream(T[:100], np.ones((100, 1))), T, DT)
+    assert np.isfinite(held[:102]).all()
+    assert np.isnan(held[104:]).all()
+
+
+def rows(t: np.ndarray) -> np.ndarray:
+    return np.column_stack([np.arange(len(t)), np.zeros(len(t))])
+
+
+def test_restarts_and_jumps_are_experiments_one_after_the_other():
+    times = np.concatenate([T, T[:700] + 0.5, T[:700] + 3600.0])
+    found = unroll(times, rows(times), 'file')
+    assert (np.diff(found.time_s) > 0.0).all()
+    assert np.flatnonzero(np.diff(found.time_s) > 1.0).tolist() == [N - 1, N + 699]
+    assert found.time_s[-1] < 20.0
+    assert '2 jumps of the clock: 3 experiments, laid 2 s apart' in found.told
+
+
+@pytest.mark.parametrize(
+    ('times', 'left', 'words'),
+    [
+        (np.insert(T, 700, 1e6), N, '1 rows whose time lies astray'),
+        (np.insert(T, 700, np.nan), N, '1 rows without a time'),
+        (np.concatenate([T[:50], T[52:54], T[50:52], T[54:]]), N, '1 rows ran back'),
+        (np.repeat(T, 2)[:3000], 3000, 'ticks more slowly than the rows come (50 % repeat'),
+    ],
+)
+def test_stray_shuffled_and_ticking_times(times, left, words):
+    found = unroll(times, rows(times), 'file')
+    assert len(found.rows) == left
+    assert (np.diff(found.time_s) > 0.0).all()
+    assert words in '; '.join(found.told)
+
+
+def test_rows_written_twice_are_told_from_a_clock_that_ticks():
+    times = np.repeat(T, 2)
+    twice = unroll(times, np.repeat(rows(T), 2, axis=0), 'file')
+    assert len(twice.rows) == N
+    assert f'{N} rows written twice' in twice.told[0]
+    ticking = unroll(times, rows(times), 'file')
+    assert np.diff(ticking.time_s) == pytest.approx(0.5 * DT, rel=0.01)
+
+
+@pytest.mark.parametrize('times', [np.zeros(50), -T, np.full(50, np.nan)])
+def test_what_cannot_be_mended_is_refused(times):
+    with pytest.raises(BadInputError, match='file'):
+        unroll(times, rows(times), 'file')

@@ -1,0 +1,506 @@
+"""Foreign tables become bags of the contract; what is wrong is one line with what helps."""
+
+from __future__ import annotations
+
+import gzip
+import struct
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from quad_sysid.bags import read_bag
+from quad_sysid.cli import main
+from quad_sysid.contract import control_from_motors, motors_from_wrench
+from quad_sysid.errors import BadInputError
+from quad_sysid.imports.columns import ColumnOptions, parse_units, read_columns
+from quad_sysid.imports.mixers import mixer_of
+from quad_sysid.imports.table import open_table, read_csv
+from quad_sysid.imports.to_bag import import_log
+from quad_sysid.imports.units import header_unit, unit_of
+
+SHARED = Path(__file__).resolve().parents[2] / '../shared/data'
+N, DT = 1600, 0.004
+DEG = np.pi / 180.0
+MOTORS = ('m1', 'm2', 'm3', 'm4')
+
+
+def columns() -> dict[str, np.ndarray]:
+    """Noisy rates (biased) and angles of an excited flight, SI; motors by the contract's mixer."""
+    rng = np.random.default_rng(1)
+    t = DT * np.arange(N)
+    wrench = np.column_stack(
+        (np.full(N, 0.5), 0.1 * np.sin(9 * t), 0.1 * np.cos(7 * t), 0.05 * np.sin(5 * t))
+    )
+    motors = motors_from_wrench(wrench)
+    rate = 0.75 * np.cos(5.0 * t) + 0.85 * np.cos(17.0 * t)
+    return {
+        't': t, 'u': 0.1 * np.sin(5.0 * t),
+        'angle': 0.15 * np.sin(5 * t) + 0.05 * np.sin(17 * t) + 0.003 * rng.standard_normal(N),
+        'rate': rate + 0.1 + 0.1 * rng.standard_normal(N),
+        'ref': 0.15 * np.sin(5.0 * t + 0.3), 'bat': 11.5 - 0.1 * t,
+        **{name: motors[:, i] for i, name in enumerate(MOTORS)},
+    }
+
+
+def write(path: Path, table: Mapping[str, np.ndarray], delimiter: str = ',') -> Path:
+    rows = [delimiter.join('' if np.isnan(v) else f'{v:.12g}' for v in row)
+            for row in np.column_stack(list(table.values()))]
+    text = '\n'.join([delimiter.join(table), *rows]) + '\n'
+    path.write_bytes(gzip.compress(text.encode()) if path.suffix == '.gz' else text.encode())
+    return path
+
+
+def imported(options: ColumnOptions, out: Path, grid_hz: float | None = None):
+    return import_log(read_columns(options), out, grid_hz)
+
+
+@pytest.fixture
+def options(tmp_path: Path) -> ColumnOptions:
+    return ColumnOptions(
+        file=write(tmp_path / 'flight.csv', columns()), axes=('pitch',), time='t', control=('u',),
+        rate=('rate',), angle=('angle',), reference=('ref',), battery='bat',
+    )
+
+
+def test_a_table_comes_back_from_its_bag(options, tmp_path):
+    out = tmp_path / 'bag'
+    assert imported(options, out).path == out
+    record, want = read_bag(out), columns()
+    assert (record.dt, record.n) == (DT, N)
+    np.testing.assert_allclose(record.control[:, 2], want['u'], atol=1e-9)
+    np.testing.assert_allclose(record.control[:, 0], 0.5, atol=1e-15)
+    np.testing.assert_allclose(record.rates[:, 1], want['rate'], atol=1e-9)
+    np.testing.assert_array_equal(record.rates[:, 0], 0.0)
+    np.testing.assert_allclose(record.angles[:, 1], want['angle'], atol=1e-9)
+    np.testing.assert_allclose(record.attitude_setpoint[:, 1], want['ref'], atol=1e-9)
+    np.testing.assert_allclose(record.battery_v[:1500], want['bat'][:1500], atol=1e-2)
+    assert record.motors is None
+    assert any('import: flight.csv' in line for line in record.warnings)
+    assert not [line for line in record.warnings if line.startswith('import check')]
+    with pytest.raises(BadInputError, match='not overwritten'):
+        imported(options, out)
+
+
+@pytest.mark.parametrize('kind', ['semicolon', 'tab', 'gzip', 'comments', 'parquet'])
+def test_other_forms_of_the_table(options, tmp_path, kind):
+    file = tmp_path / ('table.csv.gz' if kind == 'gzip' else 'table.txt')
+    if kind == 'parquet':
+        pyarrow = pytest.importorskip('pyarrow')
+        parquet = pytest.importorskip('pyarrow.parquet')
+        parquet.write_table(pyarrow.table(columns()), file)
+    else:
+        write(file, columns(), {'semicolon': ';', 'tab': '\t'}.get(kind, ','))
+    if kind == 'comments':
+        file.write_text('\ufeff# made by hand\n\n' + file.read_text())
+    imported(replace(options, file=file), tmp_path / 'bag')
+    np.testing.assert_allclose(read_bag(tmp_path / 'bag').rates[:, 1], columns()['rate'],
+                               atol=1e-9)
+
+
+def test_all_axes_at_once_in_the_units_of_the_header(tmp_path, capsys):
+    table = columns()
+    t = table['t']
+    rates = [np.cos(9 * t), np.cos(7 * t), np.cos(5 * t)]
+    file = write(tmp_path / 'all.csv', {
+        'Time (ms)': 1e3 * t, **{f'gyro {a} [deg/s]': rates[i] / DEG for i, a in enumerate('xyz')},
+        **{f'm{i} (%)': 100.0 * table[f'm{i}'] for i in range(1, 5)},
+        'bat [mV]': 1e3 * table['bat'],
+    })
+    assert main([
+        'import', str(file), '--time', 'Time (ms)', '--motors',
+        ','.join(f'm{i} (%)' for i in range(1, 5)), '--rate',
+        ','.join(f'gyro {a} [deg/s]' for a in 'xyz'), '--battery', 'bat [mV]',
+        '--out', str(tmp_path / 'bag'),
+    ]) == 0
+    record = read_bag(tmp_path / 'bag')
+    motors = np.column_stack([table[m] for m in MOTORS])
+    np.testing.assert_allclose(record.rates, np.column_stack(rates), atol=1e-9)
+    np.testing.assert_allclose(record.motors, motors, atol=1e-9)
+    np.testing.assert_allclose(record.control, control_from_motors(motors), atol=1e-9)
+    assert record.battery_v[0] == pytest.approx(11.5, abs=1e-3)
+    capsys.readouterr()
+
+
+def test_an_unknown_table_is_listed_with_a_command_line_that_works(tmp_path, capsys, monkeypatch):
+    """Names and values alone: degrees, milliseconds, pulses and a mirrored angle are guessed."""
+    monkeypatch.chdir(tmp_path)
+    table = columns()
+    t = table['t']
+    angles = [0.1 * np.sin(9 * t), 0.1 * np.sin(7 * t), 0.1 * np.sin(5 * t)]
+    rates = [0.9 * np.cos(9 * t), 0.7 * np.cos(7 * t), 0.5 * np.cos(5 * t)]
+    write(tmp_path / 'flight.csv', {
+        'timestamp': 5e4 + 1e3 * t, **{f'gyro.{a}': rates[i] / DEG for i, a in enumerate('xyz')},
+        'roll': angles[0] / DEG, 'pitch': -angles[1] / DEG, 'yaw': angles[2] / DEG,
+        **{f'motor[{i}]': 1000.0 + 1000.0 * table[m] for i, m in enumerate(MOTORS)},
+        'vbat': table['bat'], 'altitude': 0.1 * t,
+    })
+    assert main(['import', 'flight.csv']) == 0
+    import shlex
+    (line,) = [x for x in capsys.readouterr().out.splitlines() if x.startswith('quad-sysid')]
+    words = shlex.split(line)
+    words[words.index('--mixer') + 1] = 'x'  # the motions were made up: no motor turned anything
+    assert main(words[1:]) == 0
+    record = read_bag(tmp_path / 'flight_bag')
+    assert record.dt == DT
+    np.testing.assert_allclose(record.rates, np.column_stack(rates), atol=1e-4)
+    np.testing.assert_allclose(record.angles, np.column_stack(angles), atol=1e-4)
+    np.testing.assert_allclose(record.motors, np.column_stack([table[m] for m in MOTORS]),
+                               atol=1e-9)
+    assert main(['import', 'flight.csv', '--out', 'other']) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+def test_commands_of_all_axes_and_thrust(options, tmp_path):
+    table = columns()
+    wrench = control_from_motors(np.column_stack([table[m] for m in MOTORS]))
+    file = write(tmp_path / 'wrench.csv', {
+        **table, **{f'u{i + 1}': wrench[:, i] for i in range(4)}, 'p': table['rate'],
+        'r': table['rate'],
+    })
+    imported(replace(
+        options, file=file, axes=('roll', 'yaw'), control=('u2', 'u4'), thrust='u1',
+        rate=('p', 'r'), angle=(), reference=(),
+    ), tmp_path / 'bag')
+    record = read_bag(tmp_path / 'bag')
+    np.testing.assert_allclose(record.control[:, [0, 1, 3]], wrench[:, [0, 1, 3]], atol=1e-9)
+    assert np.abs(record.control[:, 2]).max() < 1e-12
+    assert not record.rates[:, 1].any()
+
+
+def test_a_rate_is_made_of_an_angle_without_phase_shift(options, tmp_path):
+    table = columns()
+    table['angle'] = 0.3 * np.sin(6 * table['t'])
+    file = write(tmp_path / 'smooth.csv', table)
+    imported(replace(options, file=file, rate=()), tmp_path / 'bag')
+    record = read_bag(tmp_path / 'bag')
+    np.testing.assert_allclose(record.rates[:, 1], 1.8 * np.cos(6 * table['t']), atol=2e-3)
+    assert any('Savitzky-Golay' in line for line in record.warnings)
+
+
+def test_columns_of_two_rates_stand_side_by_side(options, tmp_path):
+    """An empty cell is no sample: a slower command is held, a slower angle is drawn."""
+    table = columns()
+    slow = np.arange(N) % 5 != 0
+    for name in ('u', 'angle', 'ref', 'bat'):
+        table[name] = np.where(slow, np.nan, table[name])
+    imported(replace(options, file=write(tmp_path / 'two.csv', table)), tmp_path / 'bag')
+    record, want = read_bag(tmp_path / 'bag'), columns()
+    np.testing.assert_allclose(record.rates[:, 1], want['rate'], atol=1e-9)
+    np.testing.assert_allclose(record.control[:, 2], np.repeat(want['u'][::5], 5), atol=1e-9)
+    assert any('were logged at 50 Hz' in line for line in record.warnings)
+
+
+def sd_card(version: int, cut: int = 0) -> bytes:
+    """A log of a Crazyflie's SD card: rates and motors at 250 Hz, the battery as an event."""
+    table = columns()
+    out = b'\xbc' + struct.pack('<HH', version, 2)
+    out += struct.pack('<H', 0) + b'fixedFrequency\0' + struct.pack('<H', 2)
+    out += b'gyro.x(f)\0motor.m1(H)\0'
+    out += struct.pack('<H', 7) + b'power\0' + struct.pack('<H', 1) + b'vbat(f)\0'
+    for k, t in enumerate(table['t']):
+        stamp = struct.pack('<HI', 0, 100 + round(1e3 * t)) if version == 1 else \
+            struct.pack('<HQ', 0, 100_000 + round(1e6 * t))
+        out += stamp + struct.pack('<fH', table['rate'][k] / DEG, round(65535 * table['m1'][k]))
+        if k % 100 == 0:
+            out += struct.pack('<H', 7) + stamp[2:] + struct.pack('<f', table['bat'][k])
+    return out[: len(out) - cut] + b'\0\0\0\0'
+
+
+@pytest.mark.parametrize(('version', 'cut'), [(1, 0), (2, 0), (2, 5)])
+def test_a_crazyflies_sd_card(tmp_path, version, cut):
+    file = tmp_path / 'log00'
+    file.write_bytes(sd_card(version, cut))
+    table = open_table(file)
+    assert set(table.columns) == {'gyro.x', 'motor.m1', 'power.vbat'}
+    assert len(table.columns['gyro.x']) == N - bool(cut)
+    imported(ColumnOptions(
+        file=file, axes=('roll',), control=('motor.m1',), rate=('gyro.x',), battery='power.vbat',
+        units={'motor.m1': f'{1 / 65535}:-0.5', 'gyro.x': 'deg/s'},
+    ), tmp_path / 'bag')
+    record = read_bag(tmp_path / 'bag')
+    assert record.dt == DT
+    n = min(record.n, N - 1)
+    np.testing.assert_allclose(record.rates[:n, 0], columns()['rate'][:n], atol=1e-6)
+
+
+def test_a_bag_of_ros_1(tmp_path):
+    from rosbags.rosbag1 import Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS1_NOETIC)
+    kinds = store.types
+    table = columns()
+    with Writer(tmp_path / 'flight.bag') as writer:
+        imu = writer.add_connection('/imu', 'sensor_msgs/msg/Imu', typestore=store)
+        command = writer.add_connection('/cmd', 'geometry_msgs/msg/Vector3', typestore=store)
+        vector = kinds['geometry_msgs/msg/Vector3']
+        for k, t in enumerate(table['t']):
+            ns = 10**18 + round(1e9 * t)
+            message = kinds['sensor_msgs/msg/Imu'](
+                header=kinds['std_msgs/msg/Header'](
+                    seq=k, frame_id='', stamp=kinds['builtin_interfaces/msg/Time'](
+                        ns // 10**9, ns % 10**9)),
+                orientation=kinds['geometry_msgs/msg/Quaternion'](0.0, 0.0, 0.0, 1.0),
+                angular_velocity=vector(table['rate'][k], 0.0, 0.0),
+                linear_acceleration=vector(0.0, 0.0, 9.81), orientation_covariance=np.zeros(9),
+                angular_velocity_covariance=np.zeros(9),
+                linear_acceleration_covariance=np.zeros(9),
+            )
+            writer.write(imu, ns + 3_000_000,
+                         store.serialize_ros1(message, 'sensor_msgs/msg/Imu'))
+            writer.write(command, ns, store.serialize_ros1(
+                vector(table['u'][k], 0.0, 0.0), 'geometry_msgs/msg/Vector3'))
+    assert '/imu.orientation.pitch' in open_table(tmp_path / 'flight.bag').columns
+    imported(ColumnOptions(
+        file=tmp_path / 'flight.bag', axes=('roll',), control=('/cmd.x',),
+        rate=('/imu.angular_velocity.x',),
+    ), tmp_path / 'bag')
+    record = read_bag(tmp_path / 'bag')
+    np.testing.assert_allclose(record.rates[:, 0], table['rate'], atol=1e-9)
+    np.testing.assert_allclose(record.control[:, 1], table['u'], atol=1e-9)
+
+
+@pytest.fixture
+def refused(refusal, tmp_path) -> Callable[[ColumnOptions], str]:
+    """The one line with which an import is refused, which leaves no bag behind."""
+
+    def line_of(options: ColumnOptions) -> str:
+        line = refusal(imported, options, tmp_path / 'refused')
+        assert not (tmp_path / 'refused').exists()
+        return line
+
+    return line_of
+
+
+FOUR = {'control': (), 'motors': MOTORS}
+STILL = {**FOUR, 'rate': ('bat',), 'angle': (), 'battery': None}
+
+
+@pytest.mark.parametrize(
+    ('change', 'words'),
+    [
+        ({'time': 'time'}, 'no column time'),
+        ({'time': None}, 'needs --time'),
+        ({'control': ()}, '--control and --motors'),
+        ({**FOUR, 'motors': ('m1',)}, '4, 6 or 8'),
+        ({**FOUR, 'motors': ('m1', 'm2')}, '--mixer x: is one of four motors'),
+        ({'rate': (), 'angle': ()}, '--rate or --angle'),
+        ({'rate': ('rate', 'm1')}, 'a column for each of pitch'),
+        ({'axes': ('nose',)}, '--axis'),
+        ({'reference_is': 'speed'}, '--reference-is'),
+        ({'rate': ('u',)}, 'named twice'),
+        ({'units': {'rate': 'furlong'}}, "'furlong'"),
+        ({'units': {'speed': 'm/s'}}, 'speed'),
+        ({'units': {'u': '9'}}, 'column u'),
+        ({'units': {'angle': '20'}}, 'column angle'),
+        ({**FOUR, 'mixer': 'round'}, '--mixer round'),
+        ({**STILL, 'mixer': 'auto'}, 'does not show what the motors do'),
+        ({**FOUR, 'units': {'m1': '4'}}, 'column m1'),
+        ({'file': Path('absent.csv')}, 'absent.csv: cannot be read'),
+    ],
+)
+def test_wrong_options_end_in_one_line(options, refused, change, words):
+    assert words in refused(replace(options, **change))
+
+
+BROKEN = gzip.compress(b't,u,rate\n' + b'0.125,0.5,1.75\n' * 2000, mtime=0)[:60]
+
+
+@pytest.mark.parametrize(
+    ('text', 'words'),
+    [
+        ('', 'is empty'),
+        ('t,u,rate\n', 'no rows'),
+        ('t,u\n0,1\n', 'line 1: no column rate'),
+        ('t,u,rate\n0,0,1\n0.1,much,1\n', "line 3, column u: needs a number or nothing: found 'm"),
+        ('t,u,rate\n0,0,nan\n', 'line 2, column rate: holds no number'),
+        ('t,u,rate\n0,0,1\n0,0,2\n', 'column t: does not increase'),
+        ('t,u,rate\n2,0,1\n1,0,2\n', 'column t: does not increase'),
+        ('t,u,rate\n0,0,1\n0.2,0,1\n', 'too few'),
+        (b'PAR1 and noise', 'is no whole Parquet file'),
+        (b'\xbc\x07\x00\x01\x00', 'unknown version'),
+        (b'\xbc\x01\x00\x01\x00\x00', 'is no whole log of a Crazyflie SD card'),
+        (b'#ROSBAG V2.0\n and noise', 'is no whole bag'),
+        pytest.param(np.random.default_rng(0).bytes(1000), '', id='noise'),
+        pytest.param(BROKEN, '', id='broken gzip'),
+    ],
+)
+def test_wrong_tables_end_in_one_line(tmp_path, refused, text, words):
+    file = tmp_path / ('bad.csv.gz' if text == BROKEN else 'bad.csv')
+    file.write_bytes(text if isinstance(text, bytes) else text.encode())
+    line = refused(ColumnOptions(file, ('roll',), 't', control=('u',), rate=('rate',)))
+    assert 'bad.csv' in line
+    assert words in line
+
+
+def scaled(
+    folder: Path, scale: Mapping[str, float], units: Sequence[str] = (), **names: tuple[str, ...]
+):
+    """The import of a flight whose columns stand times `scale`."""
+    table = {name: values * scale.get(name, 1.0) for name, values in columns().items()}
+    chosen = {'control': ('u',), 'rate': ('rate',), 'angle': ('angle',), 'reference': ('ref',),
+              **names}
+    return imported(ColumnOptions(
+        file=write(folder / 'log.csv', table), axes=('roll',), time='t',
+        units=parse_units(list(units)), **chosen,
+    ), folder / 'bag')
+
+
+ALONE = {'angle': (), 'reference': ()}
+
+
+@pytest.mark.parametrize(
+    ('scale', 'units', 'names', 'advice'),
+    [
+        ({'rate': 1 / DEG}, [], {}, '--unit rate=deg/s'),
+        ({}, ['rate=deg/s'], {}, '--unit rate=rad/s'),
+        ({'angle': 1 / DEG}, ['angle=rad'], {}, '--unit angle=deg'),
+        ({}, ['angle=deg', 'rate=rad/s', 'ref=deg'], {}, '--unit angle=rad'),
+        ({'ref': 1 / DEG}, [], {}, '--unit ref=deg'),
+        ({}, ['ref=deg'], {}, '--unit ref=rad'),
+        ({'angle': 0.05 / DEG, 'rate': 0.05, 'ref': 0.05}, [], {}, '--unit angle=deg'),
+        ({'rate': -1.0}, [], {}, '--unit rate=-1, or --unit angle=-1'),
+        ({'angle': -1.0, 'ref': -1.0}, [], {}, '--unit rate=-1, or --unit angle=-1'),
+        ({'rate': -1 / DEG}, ['rate=deg/s'], {}, '--unit rate=-0.0174533, or'),
+        ({'rate': -1 / DEG}, [], {}, '--unit rate=-0.0174533'),
+        ({'t': 1e3}, [], {}, '--unit t=ms (250 Hz), or --unit t=s'),
+        ({'t': 1e6}, [], {}, '--unit t=us (250 Hz)'),
+        ({'t': 1e9}, [], {}, '--unit t=ns (250 Hz)'),
+        ({'t': 1e-3}, [], {}, '--unit t=FACTOR'),
+        ({'rate': 100.0 / DEG}, [], ALONE, '--unit rate=deg/s'),
+    ],
+)
+def test_a_unit_that_is_contradicted_is_refused(tmp_path, refusal, scale, units, names, advice):
+    line = refusal(scaled, tmp_path, scale, units, **names)
+    assert advice in line
+    assert 'log.csv, column ' in line
+    assert not (tmp_path / 'bag').exists()
+
+
+@pytest.mark.parametrize(
+    ('scale', 'units'),
+    [
+        ({'rate': 1 / DEG}, ['rate=deg/s']),
+        ({'rate': -1 / DEG}, ['rate=-0.0174533']),
+        ({'angle': 1 / DEG}, ['angle=deg']),
+        ({'rate': -1.0, 'angle': -1.0, 'ref': -1.0}, []),
+        ({'t': 1e3}, ['t=ms']),
+        ({'t': 1e6}, ['t=us']),
+        ({'rate': 1.1}, []),
+    ],
+)
+def test_what_was_advised_mends_it(tmp_path, scale, units):
+    done = scaled(tmp_path, scale, units)
+    assert done.log.checks == ()
+    sign = -1.0 if scale.get('rate') == -1.0 else 1.1 if scale.get('rate') == 1.1 else 1.0
+    np.testing.assert_allclose(read_bag(done.path).rates[:, 0], sign * columns()['rate'],
+                               atol=2e-5)
+
+
+@pytest.mark.parametrize(
+    ('scale', 'units', 'names', 'words'),
+    [
+        ({'rate': 1.0 / 0.7}, [], {}, '--unit rate=0.69'),
+        ({'rate': 1.0 / 3.0}, [], {}, '--unit rate=2.9'),
+        ({}, [], ALONE, 'rad/s, '),
+        ({'t': 50.0}, ['t=s'], ALONE, '5 Hz in s'),
+        ({'t': 1e3, 'rate': 1e-3}, [], ALONE, '0.25 Hz in s'),
+    ],
+)
+def test_what_is_odd_is_told(tmp_path, scale, units, names, words):
+    """The last case is a slow rig sampled every 4 s: it turns little between two samples."""
+    done = scaled(tmp_path, scale, units, **names)
+    assert words in '; '.join(done.log.checks)
+    assert any(words in line for line in read_bag(done.path).warnings)
+
+
+def test_an_angle_that_wraps_is_not_held_against_its_jumps(tmp_path):
+    t = DT * np.arange(N)
+    file = write(tmp_path / 'log.csv', {
+        't': t, 'u': 0.1 * np.sin(t), 'r': 2.0 + np.sin(3.0 * t),
+        'a': np.angle(np.exp(1j * (2.0 * t - np.cos(3.0 * t) / 3.0))),
+    })
+    done = imported(ColumnOptions(file, ('yaw',), 't', control=('u',), rate=('r',), angle=('a',)),
+                    tmp_path / 'bag')
+    assert done.log.checks == ()
+
+
+def test_units_and_quoted_headers():
+    table = read_csv(['"time (s)", x\n', '1,2\n', '2,"3"\n'], 'f', ['time (s)', 'x'])
+    assert table.columns['x'].tolist() == [2.0, 3.0]
+    assert table.lines == (2, 3)
+    assert parse_units(['a=deg', 'b=c=2:1']) == {'a': 'deg', 'b=c': '2:1'}
+    with pytest.raises(BadInputError, match='--unit'):
+        parse_units(['deg'])
+    assert unit_of('control', 'V', 'u')(np.array([-10.0, 10.0])).tolist() == [-0.5, 0.5]
+    assert unit_of('motor', 'pwm16', 'm')(np.array([65535.0])).tolist() == [1.0]
+    assert unit_of('motor', 'pulse_us', 'm')(np.array([1000.0, 2000.0])).tolist() == [0.0, 1.0]
+    for header, unit in (('gx [deg/s]', 'deg/s'), ('t (ms)', 'ms'), ('w (°/s)', 'deg/s'),
+                         ('gyroADC[0]', None), ('t', None), ('bat (V)', 'V')):
+        assert header_unit(header) == unit
+    assert unit_of('rate', None, 'gx [deg/s]').name == 'deg/s'
+    assert unit_of('rate', 'rad/s', 'gx [deg/s]').name == 'rad/s'
+    assert unit_of('rate', None, 'gx [counts]').name == 'rad/s'
+
+
+def test_mixers(tmp_path):
+    names = ('a', 'b', 'c', 'd')
+    plus = mixer_of('plus', names)
+    np.testing.assert_allclose(plus.matrix @ np.full(4, 0.5), [0.5, 0, 0, 0])
+    assert (plus.matrix @ np.array([0.5, 0.4, 0.5, 0.6]))[1] > 0.0
+    assert plus.order is None
+    file = tmp_path / 'mixer.yaml'
+    file.write_text('columns: {motor_1: c, motor_2: b, motor_3: a, motor_4: d}\n')
+    ordered = mixer_of(str(file), names)
+    assert ordered.order == (2, 1, 0, 3)
+    motors = np.array([0.1, 0.2, 0.3, 0.4])
+    np.testing.assert_allclose(
+        ordered.matrix @ motors, control_from_motors(motors[[2, 1, 0, 3]][None])[0], atol=1e-15
+    )
+    table = tmp_path / 'mixer.csv'
+    table.write_text('motor_1,c\nmotor_2,b\nmotor_3,a\nmotor_4,d\n')
+    assert mixer_of(str(table), names).order == ordered.order
+    for text, words in (
+        ('[1, 2]', 'columns and matrix'), ('matrix: [[1, 2]]', '4 rows'),
+        ('columns: {motor_1: c}', 'motor_2'), ('colums: {}', 'colums'), ('{', 'YAML'),
+        ('[' * 5000, 'is not YAML'), ('columns: ' + '9' * 5000, 'is not YAML'),
+        ('columns: {motor_1: x, motor_2: b, motor_3: a, motor_4: d}', '--motors'),
+    ):
+        file.write_text(text)
+        with pytest.raises(BadInputError, match=words):
+            mixer_of(str(file), names)
+
+
+def test_an_advised_unit_can_be_typed_as_it_stands(tmp_path, refused):
+    """Headers have blanks and brackets, which a shell would take apart."""
+    table = columns()
+    file = write(tmp_path / 'a.csv', {'Time [s]': table['t'], 'cmd roll': 1000.0 * table['u'],
+                                      'Angle (roll)': 20.0 * table['angle']})
+    base = ColumnOptions(file=file, axes=('roll',), time='Time [s]', control=('cmd roll',),
+                         angle=('Angle (roll)',))
+    assert "--unit 'cmd roll=0.005'" in refused(base)
+    mended = replace(base, units=parse_units(['cmd roll=0.001']))
+    assert "--unit 'Angle (roll)=deg'" in refused(mended)
+
+
+@pytest.mark.parametrize('name', ['DATA_EMPS', 'DATA_EMPS_PULSES'])
+def test_emps_becomes_a_bag(tmp_path, name):
+    file = SHARED / f'emps/{name}.csv'
+    if not file.exists():
+        pytest.skip('the measured data are not beside this checkout')
+    raw = np.loadtxt(file, delimiter=',', skiprows=1)
+    imported(ColumnOptions(
+        file, ('roll',), 't', control=('vir',), angle=('qm',), reference=('qg',),
+        units={'vir': 'V', 'qm': 'm', 'qg': 'm'},
+    ), tmp_path / 'bag')
+    record = read_bag(tmp_path / 'bag')
+    assert (record.dt, record.n) == (0.001, 24_841)
+    np.testing.assert_allclose(record.control[:, 1], 0.05 * raw[:, 1], atol=1e-9)
+    np.testing.assert_allclose(record.angles[:, 0], raw[:, 2], atol=1e-12)
+    np.testing.assert_allclose(record.attitude_setpoint[:, 0], raw[:, 3], atol=1e-12)
+    moved = np.cumsum(record.rates[:, 0]) * record.dt
+    assert np.abs(moved - raw[:, 2]).max() < 2e-4
+    assert np.isfinite(record.rates).all()
