@@ -15,7 +15,7 @@ from pathlib import Path
 from types import ModuleType
 
 import numpy as np
-from effects_undeclared import NEEDS_DRIVE, UNDECLARED, plain_torque
+from effects_undeclared import NEEDS_DRIVE, UNDECLARED, EffectFunction, plain_torque
 
 from quad_bridge.virtual.profile import Profile, load_profile
 from quad_bridge.virtual.receiver import Event, Receiver
@@ -234,19 +234,20 @@ def without(scenario: Scenario) -> Scenario:
     return replace(scenario, effects=traps, module='')
 
 
-def flight_of(scenario: Scenario, seed: int, *, unseen: bool) -> Flight:
-    """The flight on the virtual STM32's physics."""
+def flight_of(
+    scenario: Scenario, seed: int, *, unseen: bool, effect: EffectFunction | None = None
+) -> Flight:
+    """The flight on the virtual STM32's physics; `effect` as in effects_undeclared."""
     profile = _profile(scenario, unseen=unseen)
     plan = UNSEEN if unseen else PLAN
     schedule, end = _schedule(scenario.axis, plan, seed)
     if scenario.stirred:
         profile = replace(profile, receiver=_sticks(scenario, seed, end))
-    module = None
     if scenario.module:
         index = AXES.index(scenario.axis)
         size = scenario.size * profile.airframe.inertia_kg_m2[index]
-        module = UNDECLARED[scenario.module].torque(index, size)
-    return fly(profile, schedule, end, seed, effect=module)
+        effect = UNDECLARED[scenario.module].torque(index, size)
+    return fly(profile, schedule, end, seed, effect=effect)
 
 
 def _profile(scenario: Scenario, *, unseen: bool) -> Profile:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
+from scipy.linalg import toeplitz
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.discover.search import Found, Scored
@@ -31,6 +32,8 @@ DISAGREES = 1.1
 """Error over what the noise predicts from which something is unexplained (contract)."""
 LEAST_REPORTED = 0.005
 """Share of the rivals' probability below which one is not reported."""
+SHUFFLES = 200
+"""Orders of the innovations of which none may come in worse spells: a level of 0.5 %."""
 MOST_OPENED = 15
 """Structures that are compared on the validation data; their e-values are divided among them,
 half by their posterior and half alike."""
@@ -220,7 +223,7 @@ def _verdict(
     predicted = expected(chosen, unseen.windows.length)
     verdict, reason = 'effects_added', ''
     if not parts:
-        verdict, reason = _empty(problem, unseen, base, before_e, predicted)
+        verdict, reason = _empty(problem, found, unseen, base, before_e, predicted)
     return Verdict(
         verdict=verdict, reason=reason, chosen=chosen, e_value=e_value, before=before, after=after,
         one_step_before=unseen.one_step(base), one_step_after=unseen.one_step(chosen),
@@ -251,7 +254,8 @@ def at_horizon(horizon_s: float, dt: float) -> int:
 
 
 def _empty(
-    problem: Problem, unseen: Unseen, base: Fit, errors: FloatArray, predicted: float
+    problem: Problem, found: Found, unseen: Unseen, base: Fit, errors: FloatArray,
+    predicted: float,
 ) -> tuple[str, str]:
     """Without effects: whether the commands predict at all, and the error is as expected."""
     uncommanded = fit(problem, base.structure, base.theta, rate=base.rate, still=(0, 1, 2))
@@ -271,7 +275,48 @@ def _empty(
         return 'unexplained_residual', (
             f"the held-out error is {ratio:.2f} times what the model's own noise predicts"
         )
+    left = unseen.problem.flight.predict(base.structure, base.theta, sweeps=3)
+    uneven = spells(base, left.innovation[unseen.problem.rows], unseen.windows.length)
+    if uneven > DISAGREES:
+        return 'unexplained_residual', (
+            f'the held-out errors come in spells, {uneven:.2f} times as uneven as noise would be'
+        )
+    if float(sum(p for p, s in zip(found.probabilities(), found.all, strict=True)
+                 if s.fit is base)) < LEVEL:
+        return 'unexplained_residual', (
+            'the data speak against the base alone, yet for no structure that was tried clearly '
+            'enough to claim it'
+        )
     return 'no_missing_effect', ''
+
+
+def spells(fitted: Fit, innovation: FloatArray, length: int) -> float:
+    """By how much the free run's errors come in spells, over what their noise predicts.
+
+    The noise model says that innovations (n,) follow on each other in no order, so the free run
+    of any order of them is as good a prediction. The statistic is the RMS of windows (of `length`)
+    over their geometric mean; it is compared with shuffled innovations. 1 where one of SHUFFLES
+    comes in worse spells by chance.
+    """
+    found = fitted.prediction.filter
+    ahead = np.ones(length)
+    state = found.transition @ found.gain
+    for k in range(1, length):
+        ahead[k] = found.output @ state
+        state = found.transition @ state
+    response = toeplitz(ahead, np.zeros(length)).T
+    count = innovation.size // length
+
+    def uneven(e: FloatArray) -> float:
+        square = np.mean((e[: count * length].reshape(count, length) @ response) ** 2, axis=1)
+        return math.sqrt(float(np.mean(square) / np.exp(np.mean(np.log(square + 1e-300)))))
+
+    if count < 2:
+        return 1.0
+    rng = np.random.default_rng(0)
+    shuffled = [uneven(rng.permutation(innovation)) for _ in range(SHUFFLES)]
+    own = uneven(innovation)
+    return own / float(np.median(shuffled)) if own > max(shuffled) else 1.0
 
 
 def _posterior(

@@ -7,7 +7,7 @@ the innovations beyond these, priced by their prior, is the score. It only choos
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +21,8 @@ from quad_sysid.model.effect import Effect, Part, required
 STEP = 1e-4
 PER_NONLINEAR = 2.0
 """Nats that a parameter chosen from a grid costs, about."""
+BATCH = 64
+"""Columns that are filtered at a time."""
 LINES = 4
 LINE_BAND_HZ = (0.1, 16.0)
 
@@ -35,18 +37,17 @@ class Score:
     nats: float
 
 
-@dataclass
+@dataclass(frozen=True)
 class _Block:
-    """One candidate from one start, and where its columns are."""
+    """One candidate from one start."""
 
     part: Part
     p: FloatArray
     """Coordinates with the linear parameters at zero."""
     linear: list[int]
-    first: int
-    count: int
-    shift: int = -1
-    """Column of what it does at `p` already; -1: nothing."""
+    columns: Sequence[FloatArray]
+    """Each (n,): mean acceleration of each cycle per unit of a linear parameter; where there is
+    none, what it does at `p`."""
 
 
 def _spectrum(problem: Problem, fitted: Fit) -> tuple[FloatArray, FloatArray]:
@@ -92,81 +93,14 @@ def coordinates(part: Part, values: FloatArray) -> FloatArray:
 
 def screen(problem: Problem, fitted: Fit, parts: Sequence[Part]) -> list[Score]:
     """The best start and score of each candidate, best first."""
-    flight = problem.flight
-    flight.rate = fitted.rate
-    columns, blocks = _columns(problem, fitted, parts)
-    if not columns:
-        return []
-    inputs = np.ascontiguousarray(np.stack(columns, axis=1))
-    out = np.zeros_like(inputs)
-    found = fitted.prediction.filter
-    slope = flight.pushed(
-        fitted.structure, fitted.structure.natural(fitted.theta), fitted.rate
-    ).slope
-    for start, stop in flight.passes:
-        recursion.respond(
-            inputs, slope, found.gain, found.move, flight.sensor.step, flight.sensor.behind,
-            problem.data.dt, start, stop, out,
-        )
-    rows = _Rows(problem, fitted, out)
+    beside = _Beside(problem, fitted)
     best: dict[str, Score] = {}
-    for block in blocks:
-        score = rows.score(problem, block)
-        if score is None:
-            continue
-        label = block.part.effect.label
-        if label not in best or score.nats > best[label].nats:
-            best[label] = score
+    for batch in beside.batches(parts):
+        for score in beside.scores(batch):
+            label = score.part.effect.label
+            if label not in best or score.nats > best[label].nats:
+                best[label] = score
     return sorted(best.values(), key=lambda s: -s.nats)
-
-
-def _columns(
-    problem: Problem, fitted: Fit, parts: Sequence[Part]
-) -> tuple[list[FloatArray], list[_Block]]:
-    """(n,) mean acceleration of each cycle per unit of each linear parameter, at each start."""
-    flight = problem.flight
-    structure, theta = fitted.structure, fitted.theta
-    base = theta.size - len(structure.noise)
-    values = structure.natural(theta)
-    halves, states = flight.driven(structure, values)
-    signals = flight.signals(values, halves, states, fitted.rate)
-    plain = values[0] * 0.5 * (halves[0] + halves[1])
-    columns: list[FloatArray] = []
-    blocks: list[_Block] = []
-
-    def driven(part: Part, p: FloatArray) -> FloatArray:
-        more = structure.plus(part)
-        whole = more.natural(np.r_[theta[:base], p, theta[base:]])
-        own = flight.driven(more, whole)[0]
-        drive: FloatArray = values[0] * 0.5 * (own[0] + own[1])
-        return drive
-
-    for part in parts:
-        effect = part.effect
-        specs = effect.parameters
-        linear = [
-            j for j, spec in enumerate(specs)
-            if not spec.log and not spec.starts
-            and (spec.spread is None or (spec.centre == 0.0 and spec.name != 'time'))
-        ]
-        for start in _starts(problem, fitted, part):
-            p = coordinates(part, start)
-            block = _Block(part, p, linear, len(columns), len(linear))
-            if not effect.moves_command:
-                logs = np.array([s.log for s in specs])
-                at = np.where(logs, np.exp(np.where(logs, p, 0.0)), p)
-                own = flight.hidden(part, signals, at)
-                columns.extend(effect.columns(own, at, linear, part.settings).T)
-            elif linear:
-                for j in linear:
-                    up = p.copy()
-                    up[j] += STEP
-                    columns.append((driven(part, up) - plain) / STEP)
-            else:
-                block.shift = len(columns)
-                columns.append(driven(part, p) - plain)
-            blocks.append(block)
-    return columns, blocks
 
 
 def _starts(problem: Problem, fitted: Fit, part: Part) -> Sequence[FloatArray]:
@@ -176,40 +110,107 @@ def _starts(problem: Problem, fitted: Fit, part: Part) -> Sequence[FloatArray]:
     return part.effect.starts(problem.data, part.settings)
 
 
-class _Rows:
-    """Weighted innovations and columns, less what the fit's own parameters can take up.
+class _Beside:
+    """What candidates are scored beside: a fit, whose own parameters take up what they can.
 
     The priors of the fit's parameters are the last rows.
     """
 
-    def __init__(self, problem: Problem, fitted: Fit, out: FloatArray) -> None:
+    def __init__(self, problem: Problem, fitted: Fit) -> None:
+        self.problem, self.fitted = problem, fitted
+        flight, structure = problem.flight, fitted.structure
+        flight.rate = fitted.rate
+        self.values = structure.natural(fitted.theta)
+        halves, states = flight.driven(structure, self.values)
+        self.signals = flight.signals(self.values, halves, states, fitted.rate)
+        self.plain = self.values[0] * 0.5 * (halves[0] + halves[1])
+        self.slope = flight.pushed(structure, self.values, fitted.rate).slope
         e = fitted.prediction.innovation[problem.rows]
-        w = np.sqrt(fitted.tail.weights(e)) / fitted.tail.scale
-        own = required(fitted.prediction.jacobian)[problem.rows] * w[:, None]
+        self.w = np.sqrt(fitted.tail.weights(e)) / fitted.tail.scale
+        own = required(fitted.prediction.jacobian)[problem.rows] * self.w[:, None]
         root = np.linalg.cholesky(fitted.precision).T
-        q = np.linalg.qr(np.vstack([own, root]))[0]
-        ahead = q[: e.size].T
-        columns, weighted = out[problem.rows] * w[:, None], e * w
-        self.c = -(q @ (ahead @ columns))
-        self.c[: e.size] += columns
-        self.r = -(q @ (ahead @ weighted))
-        self.r[: e.size] += weighted
+        self.q = np.linalg.qr(np.vstack([own, root]))[0]
+        self.r = self._left((e * self.w)[:, None])[:, 0]
 
-    def score(self, problem: Problem, block: _Block) -> Score | None:
-        """What a candidate's linear step gains, nats; None where physics forbids its sign."""
+    def _left(self, columns: FloatArray) -> FloatArray:
+        """(rows and priors, m) weighted columns less what the fit's own parameters take up."""
+        rows = columns.shape[0]
+        left = -(self.q @ (self.q[:rows].T @ columns))
+        left[:rows] += columns
+        return left
+
+    def batches(self, parts: Sequence[Part]) -> Iterator[list[_Block]]:
+        """All candidates from all starts, some at a time, so that their columns stay in cache."""
+        batch: list[_Block] = []
+        for part in parts:
+            for start in _starts(self.problem, self.fitted, part):
+                batch.append(self._block(part, start))
+                if sum(len(block.columns) for block in batch) >= BATCH:
+                    yield batch
+                    batch = []
+        if batch:
+            yield batch
+
+    def _block(self, part: Part, start: FloatArray) -> _Block:
+        effect, p = part.effect, coordinates(part, start)
+        linear = [
+            j for j, spec in enumerate(effect.parameters)
+            if not spec.log and not spec.starts
+            and (spec.spread is None or (spec.centre == 0.0 and spec.name != 'time'))
+        ]
+        if not effect.moves_command:
+            logs = np.array([s.log for s in effect.parameters])
+            at = np.where(logs, np.exp(np.where(logs, p, 0.0)), p)
+            own = self.problem.flight.hidden(part, self.signals, at)
+            return _Block(part, p, linear, effect.columns(own, at, linear, part.settings).T)
+        if not linear:
+            return _Block(part, p, linear, [self._driven(part, p) - self.plain])
+        columns = []
+        for j in linear:
+            up = p.copy()
+            up[j] += STEP
+            columns.append((self._driven(part, up) - self.plain) / STEP)
+        return _Block(part, p, linear, columns)
+
+    def _driven(self, part: Part, p: FloatArray) -> FloatArray:
+        """(n,) mean drive of each cycle with a candidate before it."""
+        theta, structure = self.fitted.theta, self.fitted.structure
+        base = theta.size - len(structure.noise)
+        more = structure.plus(part)
+        whole = more.natural(np.r_[theta[:base], p, theta[base:]])
+        own = self.problem.flight.driven(more, whole)[0]
+        drive: FloatArray = self.values[0] * 0.5 * (own[0] + own[1])
+        return drive
+
+    def scores(self, batch: Sequence[_Block]) -> Iterator[Score]:
+        """What the linear step of each gains, where physics does not forbid its sign."""
+        problem, flight = self.problem, self.problem.flight
+        found = self.fitted.prediction.filter
+        inputs = np.column_stack([column for block in batch for column in block.columns])
+        out = np.empty_like(inputs)
+        for start, stop in flight.passes:
+            recursion.respond(
+                inputs, self.slope, found.gain, found.move, flight.sensor.step, flight.sensor.behind,
+                problem.data.dt, start, stop, out,
+            )
+        c = self._left(out[problem.rows] * self.w[:, None])
+        first = 0
+        for block in batch:
+            where = slice(first, first + len(block.columns))
+            first = where.stop
+            score = self._score(block, c[:, where])
+            if score is not None:
+                yield score
+
+    def _score(self, block: _Block, c: FloatArray) -> Score | None:
         part, parameters = block.part, block.part.effect.parameters
-        residual = self.r
-        if block.shift >= 0:
-            residual = residual + self.c[:, block.shift]
-        nats = 0.5 * float(self.r @ self.r - residual @ residual)
-        nats -= PER_NONLINEAR * (len(parameters) - block.count)
-        start = block.p.copy()
-        if not block.count:
-            return Score(part, (start,), nats)
-        where = slice(block.first, block.first + block.count)
-        c = self.c[:, where]
-        b = -(c.T @ residual)
-        precision = part.effect.precision(part.settings, problem.sizes_of(part))
+        nats = -PER_NONLINEAR * (len(parameters) - len(block.linear))
+        if not block.linear:  # what it does from this start, as it is
+            residual = self.r + c[:, 0]
+            nats += 0.5 * float(self.r @ self.r - residual @ residual)
+            return Score(part, (block.p,), nats)
+        b = -(c.T @ self.r)
+        precision = part.effect.precision(part.settings, self.problem.sizes_of(part))
         precision = precision[np.ix_(block.linear, block.linear)]
         factor = cho_factor(c.T @ c + precision)
         x = cho_solve(factor, b)
@@ -217,8 +218,9 @@ class _Rows:
         nats += 0.5 * float(b @ x) - 0.5 * (logdet - float(np.linalg.slogdet(precision)[1]))
         if any(parameters[j].positive and v < 0.0 for j, v in zip(block.linear, x, strict=True)):
             return None
+        start = block.p.copy()
         start[block.linear] = x
-        if block.count == start.size:
+        if len(block.linear) == start.size:
             return Score(part, (start,), nats)
         gentle = start.copy()  # a linear step may overshoot what is not linear
         gentle[block.linear] *= 0.3

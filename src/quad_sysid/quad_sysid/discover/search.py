@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -15,7 +16,8 @@ from quad_sysid.model.effect import Effect, Part
 from quad_sysid.model.plant import Structure
 
 EXPECTED = 0.05
-"""Prior probability that an effect is missing, shared by all candidates (log odds each)."""
+"""Prior probability that an effect is missing: shared alike by all names that can be tried, and of
+each name by its variants (smoothnesses, motors, other axes)."""
 BEAM = 2
 """Structures that are built upon at each level."""
 REFITS = 5
@@ -23,8 +25,9 @@ REFITS = 5
 EXCHANGES = 3
 """Candidates that are fitted in the place of an effect of the best structure."""
 MOST_EFFECTS = 4
-HOPELESS = -12.0
-"""Linear score plus log prior below which a candidate is not fitted, nats."""
+HOPELESS = -8.0
+"""Linear score plus log prior below which a candidate is not fitted, nats: about where it gains
+nothing before its prior is counted."""
 ABANDONED = 20.0
 """A structure so many nats behind the best of its size is not built upon."""
 MOST_LINES = 3
@@ -70,27 +73,35 @@ class _Search:
         self, problem: Problem, parts: Sequence[Part], base: Fit, log: Log | None
     ) -> None:
         self.problem, self.parts, self.log = problem, parts, log or (lambda _: None)
-        self.price = math.log(EXPECTED / max(len(parts), 1))
+        names = Counter(part.effect.name for part in parts)
+        self.prices = {
+            part.effect.label: math.log(EXPECTED / len(names) / names[part.effect.name])
+            for part in parts
+        }
         self.known: dict[frozenset[str], Scored] = {frozenset(): Scored(base, base.evidence)}
-        self.screened = 0
+        self.screens: dict[frozenset[str], list[Score]] = {}
 
     def build_on(self, parent: Fit, refits: int) -> list[Scored]:
         """Structures with one more effect that linear scores speak for, fitted."""
-        have = set(parent.structure.labels)
-        rest = [p for p in self.parts if p.effect.label not in have]
-        scores = screen(self.problem, parent, rest)
-        self.screened += len(scores)
-        self.log(f'{parent.structure.labels}: ' + ', '.join(
-            f'{s.part.effect.label} {s.nats:.1f}' for s in scores[:8]
-        ))
         out = []
-        for one in scores[:refits]:
-            if one.nats + self.price < HOPELESS:
-                break
+        for one in self.scores(parent)[:refits]:
+            if one.nats + self.prices[one.part.effect.label] < HOPELESS:
+                continue
             fitted = self.add(parent, one)
             if fitted is not None:
                 out.append(fitted)
         return out
+
+    def scores(self, parent: Fit) -> list[Score]:
+        """Linear scores of what may be added to a structure, best first."""
+        labels = frozenset(parent.structure.labels)
+        if labels not in self.screens:
+            rest = [p for p in self.parts if p.effect.label not in labels]
+            self.screens[labels] = screen(self.problem, parent, rest)
+            self.log(f'{parent.structure.labels}: ' + ', '.join(
+                f'{s.part.effect.label} {s.nats:.1f}' for s in self.screens[labels][:8]
+            ))
+        return self.screens[labels]
 
     def add(self, parent: Fit, one: Score) -> Scored | None:
         """A structure with one more effect; None where it was fitted before or runs away."""
@@ -99,23 +110,27 @@ class _Search:
             return None
         structure = parent.structure.plus(one.part)
         base = parent.theta.size - len(parent.structure.noise)
-        best: Fit | None = None
+        tried: list[Fit] = []
         for start in one.starts:
             theta = np.r_[parent.theta[:base], start, parent.theta[base:]]
             try:
-                fitted = fit(self.problem, structure, theta, rate=parent.rate)
+                tried.append(fit(self.problem, structure, theta, rate=parent.rate, most_steps=0))
             except (FloatingPointError, np.linalg.LinAlgError):
                 continue
-            if best is None or fitted.log_posterior > best.log_posterior:
-                best = fitted
-        return None if best is None else self.keep(best)
+        if not tried:
+            return None
+        best = max(tried, key=lambda f: f.log_posterior)
+        try:
+            return self.keep(fit(self.problem, structure, best.theta, rate=best.rate))
+        except (FloatingPointError, np.linalg.LinAlgError):
+            return None
 
     def keep(self, fitted: Fit) -> Scored:
         """Note a fit with its score: log evidence plus log prior."""
         labels = frozenset(fitted.structure.labels)
-        count = len(labels)
+        price = sum(self.prices[label] for label in labels)
         # effects come in any order: the list of a set counts once
-        scored = Scored(fitted, fitted.evidence + count * self.price - math.lgamma(count + 1))
+        scored = Scored(fitted, fitted.evidence + price - math.lgamma(len(labels) + 1))
         self.known[labels] = scored
         self.log(f'    {fitted.structure.labels} {scored.score:.1f}, {fitted.steps} steps'
                  + ('' if fitted.converged else ', not converged'))
@@ -158,12 +173,20 @@ def search(problem: Problem, effects: Sequence[Effect], *, log: Log | None = Non
         fresh.sort(key=lambda s: -s.score)
         if not fresh or fresh[0].score <= top:
             break
-        beam = [s for s in fresh[:BEAM] if s.score > fresh[0].score - ABANDONED]
+        beam = [s for s in _unlike(fresh)[:BEAM] if s.score > fresh[0].score - ABANDONED]
     for _ in range(MOST_EFFECTS):
         if not found.exchange():
             break
     ordered = tuple(sorted(found.known.values(), key=lambda s: -s.score))
-    return Found(base, ordered, reasons, found.screened)
+    return Found(base, ordered, reasons, sum(map(len, found.screens.values())))
+
+
+def _unlike(ordered: Sequence[Scored]) -> list[Scored]:
+    """The first of each set of names: two smoothnesses of a curve are one explanation."""
+    out: dict[tuple[str, ...], Scored] = {}
+    for one in ordered:
+        out.setdefault(tuple(sorted(p.effect.name for p in one.fit.structure.parts)), one)
+    return list(out.values())
 
 
 def best_base(problem: Problem) -> Fit:

@@ -364,8 +364,9 @@ class Resonance(Effect):
         Spec('frequency', 'Hz', spread=0.8, centre=math.log(5.0), log=True,
              starts=tuple(np.geomspace(1.5, 16.0, 12))),
         Spec('damping_ratio', '1', spread=0.7, centre=math.log(0.06), log=True, starts=(0.06,)),
-        Spec('in_phase', '1', spread=0.3),
-        Spec('quadrature', '1', spread=0.3),
+        # at its peak a mode adds half of what is commanded: share / (2 damping ratio)
+        Spec('in_phase', '1', spread=0.06),
+        Spec('quadrature', '1', spread=0.06),
     )
     physics = "z'' + 2 d w z' + w² z = w² u; adds in_phase z + quadrature z'/w to the command"
     excite = 'a chirp or PRBS through the mode'

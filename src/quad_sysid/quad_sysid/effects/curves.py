@@ -22,6 +22,8 @@ SLOW_MOVES = 0.01
 SMOOTH = {'smooth': (6, 0.6), 'rough': (11, 0.2)}
 """Number of knots, and the length over which the curve changes as a share of the signal's range;
 the knots of the first lie among those of the second."""
+DRIFT = {'drift': (2, 1.0)}
+"""Of what follows the time, besides: a straight line, which goes on beyond the training's end."""
 UNITS = {'torque': 'rad/s²', 'gain': '1', 'damping': '1/s', 'lag': '1', 'delay': 's',
          'friction': 'rad/s²'}
 MISSING = {'angle': 'orientation', 'battery': 'battery voltage'}
@@ -66,7 +68,7 @@ class Curve(Effect):
             'torque': (signal,), 'gain': (signal, 'command'), 'damping': (signal, 'rate'),
             'friction': (signal, 'rate'), 'lag': (signal, 'command'), 'delay': (signal, 'command'),
         }[term]
-        self.count, self.length = SMOOTH[smoothness]
+        self.count, self.length = {**SMOOTH, **DRIFT}[smoothness]
         spread = {'lag': 0.5, 'delay': 0.01}.get(term)
         self.parameters = tuple(
             Spec(f'y{i}', UNITS[term], spread=spread) for i in range(self.count)
@@ -105,6 +107,9 @@ class Curve(Effect):
     def _along(self, x: FloatArray, p: FloatArray, settings: Settings) -> FloatArray:
         # less its mean over the training, so that the base's parameters keep their meaning
         y = p[: self.count]
+        if self.variant in DRIFT:
+            x0, x1 = settings['knots']
+            return y[0] + (x - x0) / (x1 - x0) * (y[1] - y[0]) - y[1]
         return np.interp(x, settings['knots'], y) - float(np.dot(settings['mean'], y))
 
     def _signal(self, s: Signals, scale: float = 1.0) -> FloatArray:
@@ -141,7 +146,9 @@ class Curve(Effect):
     ) -> FloatArray:
         """The hats of all knots at once."""
         knots = np.array(settings['knots'])
-        x = np.clip(self._signal(s), knots[0], knots[-1])
+        x = self._signal(s)
+        if self.variant not in DRIFT:
+            x = np.clip(x, knots[0], knots[-1])
         index = np.clip(np.searchsorted(knots, x, side='right') - 1, 0, knots.size - 2)
         share = (x - knots[index]) / (knots[index + 1] - knots[index])
         factor = self._factor(s, p)
@@ -206,5 +213,6 @@ CELLS = {
 
 CURVES = tuple(
     Curve(term, signal, smoothness)
-    for term, signals in CELLS.items() for signal in signals for smoothness in SMOOTH
+    for term, signals in CELLS.items() for signal in signals
+    for smoothness in ((*SMOOTH, *DRIFT) if signal == 'time' and term != 'friction' else SMOOTH)
 )

@@ -71,6 +71,20 @@ class SlowState(Linear):
         return -p[1] * required(s.hidden)[0]
 
 
+class SlowAngle(SlowState):
+    """A torque of the angle behind a first-order lag."""
+
+    variant = 'slow angle'
+    signals = ('angle', 'rate', 'history')
+    physics = '-k a, tau a\' = angle - a: the aircraft gathers speed where it tilts'
+
+    def prepare(self, data: AxisData) -> Settings | str:
+        return {} if data.angle is not None else 'the bag holds no orientation'
+
+    def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+        return -p[1] * (required(s.angle) - required(s.hidden)[0])
+
+
 class Swinging(Linear):
     """A second-order mode excited by the rate, such as a swinging load."""
 
@@ -136,4 +150,4 @@ class Hysteresis(Effect):
         return -p[1] * required(s.hidden)[0]
 
 
-HIDDEN = (SlowState(), Swinging(), Hysteresis())
+HIDDEN = (SlowState(), SlowAngle(), Swinging(), Hysteresis())
