@@ -42,7 +42,8 @@ def answered(scenario: scenarios.Scenario) -> Row:
         seconds = time.perf_counter() - began
         unseen = scenarios.flown(scenario, unseen=True)
         error = evaluate(model, unseen)
-        true = true_error(scenario, found, unseen)
+        # where nothing is missing the base is the true structure
+        true = error.before if scenario.kind == 'nothing' else true_error(scenario, found, unseen)
     return {
         'number': scenario.number, 'verdict': found.verdict.verdict,
         'named': [e.name for e in model.effects],
@@ -99,7 +100,7 @@ def _run(*arguments: str) -> str:
 
 def true_error(scenario: scenarios.Scenario, found: Findings, unseen: Record) -> float:
     """Error on the unseen flight of the true structure, refitted; floor where it has no name."""
-    if scenario.kind in {'nothing', 'undeclared'}:
+    if scenario.kind == 'undeclared':
         return _floor(scenario)
     fitted = _true_structure(found.problem, set(scenario.planted))
     data = axis_data([unseen], scenario.axis)

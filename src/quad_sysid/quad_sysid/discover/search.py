@@ -11,7 +11,7 @@ import numpy as np
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.discover.screen import Score, candidates, screen, vibration_line
-from quad_sysid.estimate.fit import Fit, Problem, fit, start_of
+from quad_sysid.estimate.fit import MOST_STEPS, Fit, Problem, fit, start_of
 from quad_sysid.model.effect import Effect, Part
 from quad_sysid.model.plant import Structure
 
@@ -26,10 +26,10 @@ EXCHANGES = 3
 """Candidates that are fitted in the place of an effect of the best structure."""
 MOST_EFFECTS = 4
 HOPELESS = -8.0
-"""Linear score plus log prior below which a candidate is not fitted, nats: about where it gains
-nothing before its prior is counted."""
-ABANDONED = 20.0
-"""A structure so many nats behind the best of its size is not built upon."""
+"""What would stay so far behind the best, by its linear score, is not fitted, nats: about where it
+gains nothing before its prior is counted."""
+BEGUN_STEPS = 6
+"""Steps of the base from each of its starts before the leading ones go on."""
 MOST_LINES = 3
 """Narrow lines of vibration that the noise may hold."""
 
@@ -81,13 +81,14 @@ class _Search:
         self.known: dict[frozenset[str], Scored] = {frozenset(): Scored(base, base.evidence)}
         self.screens: dict[frozenset[str], list[Score]] = {}
 
-    def build_on(self, parent: Fit, refits: int) -> list[Scored]:
-        """Structures with one more effect that linear scores speak for, fitted."""
+    def build_on(self, parent: Scored, refits: int, bar: float) -> list[Scored]:
+        """Structures with one more effect that may reach `bar` by their linear scores, fitted."""
         out = []
-        for one in self.scores(parent)[:refits]:
-            if one.nats + self.prices[one.part.effect.label] < HOPELESS:
+        for one in self.scores(parent.fit)[:refits]:
+            reaches = parent.score + one.nats + self.prices[one.part.effect.label]
+            if reaches < bar + HOPELESS:
                 continue
-            fitted = self.add(parent, one)
+            fitted = self.add(parent.fit, one)
             if fitted is not None:
                 out.append(fitted)
         return out
@@ -110,20 +111,17 @@ class _Search:
             return None
         structure = parent.structure.plus(one.part)
         base = parent.theta.size - len(parent.structure.noise)
-        tried: list[Fit] = []
-        for start in one.starts:
-            theta = np.r_[parent.theta[:base], start, parent.theta[base:]]
-            try:
-                tried.append(fit(self.problem, structure, theta, rate=parent.rate, most_steps=0))
-            except (FloatingPointError, np.linalg.LinAlgError):
-                continue
-        if not tried:
-            return None
-        best = max(tried, key=lambda f: f.log_posterior)
-        try:
-            return self.keep(fit(self.problem, structure, best.theta, rate=best.rate))
-        except (FloatingPointError, np.linalg.LinAlgError):
-            return None
+        starts = [np.r_[parent.theta[:base], start, parent.theta[base:]] for start in one.starts]
+        if len(starts) > 1:
+            tried = [
+                _fitted(self.problem, structure, start, rate=parent.rate, most_steps=0)
+                for start in starts
+            ]
+            starts = [
+                max((f for f in tried if f), key=lambda f: f.log_posterior).theta
+            ] if any(tried) else []
+        fitted = _fitted(self.problem, structure, starts[0], rate=parent.rate) if starts else None
+        return None if fitted is None else self.keep(fitted)
 
     def keep(self, fitted: Fit) -> Scored:
         """Note a fit with its score: log evidence plus log prior."""
@@ -152,7 +150,8 @@ class _Search:
                 where = best.fit.structure.slices()[index]
                 keep = np.r_[0 : where.start, where.stop : best.fit.theta.size]
                 self.keep(fit(self.problem, structure, best.fit.theta[keep], rate=best.fit.rate))
-            self.build_on(self.known[labels].fit, EXCHANGES)
+            parent = self.known[labels]
+            self.build_on(parent, EXCHANGES, parent.score)
         return self.best() is not best
 
 
@@ -169,11 +168,11 @@ def search(problem: Problem, effects: Sequence[Effect], *, log: Log | None = Non
     beam = [found.best()]
     for _ in range(MOST_EFFECTS):
         top = max(s.score for s in beam)
-        fresh = [s for parent in beam for s in found.build_on(parent.fit, REFITS)]
+        fresh = [s for parent in beam for s in found.build_on(parent, REFITS, top)]
         fresh.sort(key=lambda s: -s.score)
         if not fresh or fresh[0].score <= top:
             break
-        beam = [s for s in _unlike(fresh)[:BEAM] if s.score > fresh[0].score - ABANDONED]
+        beam = _unlike(fresh)[:BEAM]
     for _ in range(MOST_EFFECTS):
         if not found.exchange():
             break
@@ -190,19 +189,21 @@ def _unlike(ordered: Sequence[Scored]) -> list[Scored]:
 
 
 def best_base(problem: Problem) -> Fit:
-    """The base from several starts: its surface has more than one optimum in closed loop."""
-    fits = []
+    """The base from several starts: its surface has more than one optimum in closed loop.
+
+    Each start goes a few steps; those that lead then go on to the end.
+    """
+    begun = []
     for way, lag, delay in ((1, 0.04, 0.01), (1, 0.005, 0.03), (1, 0.15, 0.005), (-1, 0.04, 0.01)):
         start = start_of(problem)
         start[0] *= way
         start[1], start[2] = math.log(lag), math.log(delay)
-        try:
-            fits.append(fit(problem, Structure(), start))
-        except (FloatingPointError, np.linalg.LinAlgError):
-            continue
-    if not fits:
+        begun.append(_fitted(problem, Structure(), start, most_steps=BEGUN_STEPS))
+    leading = sorted((f for f in begun if f), key=lambda f: -f.log_posterior)[:BEAM]
+    ended = [_fitted(problem, Structure(), f.theta, rate=f.rate) for f in leading]
+    base = max((f for f in ended if f), key=lambda f: f.log_posterior, default=None)
+    if base is None:
         raise FloatingPointError('no start of the base holds')
-    base = max(fits, key=lambda f: f.log_posterior)
     for _ in range(MOST_LINES):
         shaken = with_vibration(problem, base)
         if shaken is None or shaken.evidence + math.log(EXPECTED) <= base.evidence:
@@ -211,18 +212,26 @@ def best_base(problem: Problem) -> Fit:
     return base
 
 
+def _fitted(
+    problem: Problem, structure: Structure, start: FloatArray, *, rate: FloatArray | None = None,
+    most_steps: int = MOST_STEPS,
+) -> Fit | None:
+    """A fit from `start`; None where it runs away."""
+    try:
+        return fit(problem, structure, start, rate=rate, most_steps=most_steps)
+    except (FloatingPointError, np.linalg.LinAlgError):
+        return None
+
+
 def with_vibration(problem: Problem, base: Fit) -> Fit | None:
     """The base with one more narrow line in the gyro's noise, the strongest that is left."""
     frequency = vibration_line(problem, base)
     if frequency is None:
         return None
-    try:
-        return fit(
-            problem, replace(base.structure, lines=base.structure.lines + 1),
-            np.r_[base.theta, 0.0, math.log(frequency), math.log(0.1)], rate=base.rate,
-        )
-    except (FloatingPointError, np.linalg.LinAlgError):
-        return None
+    return _fitted(
+        problem, replace(base.structure, lines=base.structure.lines + 1),
+        np.r_[base.theta, 0.0, math.log(frequency), math.log(0.1)], rate=base.rate,
+    )
 
 
 __all__ = ['Found', 'Part', 'Scored', 'best_base', 'search']

@@ -298,9 +298,13 @@ def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
             flight.rate = kept
             break
         gained = new - value
+        try:
+            found = flight.predict(structure, trial, sweeps=1, steps=steps)
+        except np.linalg.LinAlgError:  # the noise is at the edge of what has a filter
+            flight.rate = kept
+            break
         theta, value, tail = trial, new, new_tail
         damping *= 0.15
-        found = flight.predict(structure, theta, sweeps=1, steps=steps)
         if found.jacobian is None:
             raise FloatingPointError('the fit runs away')
         value, tail = objective(found, theta, tail)
