@@ -1,8 +1,8 @@
 """Nothing is missing and flying is hard: how often is an effect named, or something unexplained?
 
 Gusts up to five times what the excitation does at low frequency, some with lulls, bursts of torque
-noise, a battery anywhere between full and flat, sticks and throttle that move, doublets of the other
-axes, coloured and quantised gyro noise, stamps that jitter: each flight draws its own hardships.
+noise, a battery anywhere between full and flat, sticks and throttle that move, doublets of the
+other axes, coloured and quantised gyro noise, stamps that jitter: each flight draws its own.
 
     python bench/effects_hard.py --flights 300 --out bench/out
 """

@@ -132,6 +132,21 @@ def strap(stiffness: float, time_constant_s: float) -> Changes:
     return changes
 
 
+def tilted(stiffness: float, time_constant_s: float) -> Changes:
+    """What gathers speed where the aircraft tilts, and pushes it back."""
+
+    def changes():
+        speed, lag = [0.0], HALF_S / time_constant_s
+
+        def torque(_t, _rate, angle):
+            speed[0] += lag * (angle - speed[0])
+            return -stiffness * speed[0]
+
+        return {'torque': torque}
+
+    return changes
+
+
 def dahl(size: float, build_up: float) -> Changes:
     """Friction that builds up over an angle, Dahl's law."""
 
@@ -198,6 +213,8 @@ LAWS = [
         variant='torque'),
     Law('mode', strap(9.0, 0.6), {'stiffness': 9.0, 'time_constant': 0.6},
         variant='slow state'),
+    Law('mode', tilted(9.0, 0.6), {'stiffness': 9.0, 'time_constant': 0.6},
+        variant='slow angle'),
     Law('mode', dahl(0.4, 0.05), {'torque': 0.4, 'reach': 0.05}, variant='hysteresis'),
 ]
 """On another flight the values after an event hold, and a disturbance has a phase of its own."""

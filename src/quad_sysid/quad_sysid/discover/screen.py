@@ -135,7 +135,7 @@ class _Beside:
     def _left(self, columns: FloatArray) -> FloatArray:
         """(rows and priors, m) weighted columns less what the fit's own parameters take up."""
         rows = columns.shape[0]
-        left = -(self.q @ (self.q[:rows].T @ columns))
+        left: FloatArray = -(self.q @ (self.q[:rows].T @ columns))
         left[:rows] += columns
         return left
 
@@ -190,8 +190,8 @@ class _Beside:
         out = np.empty_like(inputs)
         for start, stop in flight.passes:
             recursion.respond(
-                inputs, self.slope, found.gain, found.move, flight.sensor.step, flight.sensor.behind,
-                problem.data.dt, start, stop, out,
+                inputs, self.slope, found.gain, found.move, flight.sensor.step,
+                flight.sensor.behind, problem.data.dt, start, stop, out,
             )
         c = self._left(out[problem.rows] * self.w[:, None])
         first = 0

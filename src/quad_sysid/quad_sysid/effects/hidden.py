@@ -47,18 +47,15 @@ class Linear(Effect):
         return a @ x + b[:, None] * rate
 
 
-class SlowState(Linear):
-    """A spring in series with a damper (a Maxwell element)."""
+class Relaxing(Linear):
+    """A first-order state x' = rate - x / tau: an angle that is forgotten."""
 
-    variant = 'slow state'
-    signals = ('rate', 'history')
     states = 1
     parameters = (
         Spec('time_constant', 's', spread=1.2, centre=math.log(0.5), log=True,
              starts=(0.05, 0.2, 0.8, 3.0)),
         Spec('stiffness', 'rad/s² per rad'),
     )
-    physics = "-k x, x' = rate - x / tau: a spring on a damper, a load that relaxes"
     excite = 'a PRBS and slow steps of the angle'
 
     def system(self, p: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -67,16 +64,24 @@ class SlowState(Linear):
     def size(self, s: Signals, j: int, settings: Settings) -> FloatArray:
         return 0.5 * s.rate
 
+
+class SlowState(Relaxing):
+    """A spring in series with a damper (a Maxwell element)."""
+
+    variant = 'slow state'
+    signals = ('rate', 'history')
+    physics = "-k x, x' = rate - x / tau: a spring on a damper, a load that relaxes"
+
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         return -p[1] * required(s.hidden)[0]
 
 
-class SlowAngle(SlowState):
+class SlowAngle(Relaxing):
     """A torque of the angle behind a first-order lag."""
 
     variant = 'slow angle'
     signals = ('angle', 'rate', 'history')
-    physics = '-k a, tau a\' = angle - a: the aircraft gathers speed where it tilts'
+    physics = "-k a, tau a' = angle - a: the aircraft gathers speed where it tilts"
 
     def prepare(self, data: AxisData) -> Settings | str:
         return {} if data.angle is not None else 'the bag holds no orientation'

@@ -225,7 +225,7 @@ def upper_triangle(a: FloatArray) -> FloatArray:
     return r
 
 
-def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
+def fit(  # noqa: C901, PLR0912, PLR0915 - one loop, whose steps share all they have
     problem: Problem, structure: Structure, start: FloatArray, *, most_steps: int = MOST_STEPS,
     rate: FloatArray | None = None, still: tuple[int, ...] = (),
 ) -> Fit:
