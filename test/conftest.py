@@ -10,6 +10,7 @@ import importlib.util
 import itertools
 import os
 import shutil
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -57,12 +58,12 @@ def probe(ros: None, ros_domain: int, tmp_path: Path) -> Iterator[Probe]:
     del ros, ros_domain
     probe = Probe(tmp_path)
     yield probe
-    assert probe.close() == 0
+    assert probe.close() == 0, (tmp_path / 'probe.stderr').read_text()
 
 
 @pytest.fixture
 def run(ros_domain: int, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable]:
-    """A function that starts a command; it is killed at the end where it still runs."""
+    """A function that starts a command, which is ended where it still runs in the end."""
     del ros_domain
     started, folder, number = [], tmp_path_factory.mktemp('processes'), itertools.count()
 
@@ -72,7 +73,9 @@ def run(ros_domain: int, tmp_path_factory: pytest.TempPathFactory) -> Iterator[C
 
     yield begin
     for process in started:
-        process.kill()
+        process.send(signal.SIGTERM)
+    for process in started:
+        process.leave()
 
 
 @pytest.fixture

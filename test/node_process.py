@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import signal
 import subprocess
 import sys
@@ -23,6 +24,8 @@ STARTS = {
     'virtual_stm32': 'quad_bridge.start',
 }
 """Programs by name, and where `ros2 run` would begin."""
+GRACE_S = 30.0
+"""So long may a process take to end before it is killed; measures nothing."""
 
 
 def node_command(
@@ -93,6 +96,16 @@ class Started:
         """Send a signal; the exit status."""
         self.send(number)
         return self.wait()
+
+    def leave(self) -> None:
+        """Wait for the end that was asked for.
+
+        A node that is killed may hold a lock in the memory that the middleware shares, and whoever
+        still talks to it dies of that.
+        """
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self.process.wait(GRACE_S)
+        self.kill()
 
     def kill(self) -> None:
         self.process.kill()

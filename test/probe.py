@@ -54,8 +54,8 @@ class Probe:
     def __init__(self, folder: Path) -> None:
         self._said = (folder / 'probe.stderr').open('w+', encoding='utf-8')
         self._process = subprocess.Popen(
-            [sys.executable, __file__], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-            stderr=self._said, text=True,
+            [sys.executable, '-X', 'faulthandler', __file__], stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE, stderr=self._said, text=True,
         )  # fmt: skip
         self.pid = self._process.pid
         self._heard: dict[str, list[Any]] = {}

@@ -27,16 +27,10 @@ def effect(t_s, rates, angles, thrusts, battery_v):
 @pytest.mark.parametrize(
     ('wanted', 'words', 'started'),
     [
-        (
-            {'profile': 'no_such_profile'},
-            r'connect: virtual_stm32 ended with status 2: .*no_such',
-            {'virtual_stm32'},
-        ),
-        (
-            {'module': BREAKS},
-            r'flight: .*ended with status .*the bearing broke',
-            {'virtual_stm32', 'serial_bridge', 'bag_logger', 'flight_excitation'},
-        ),
+        ({'profile': 'no_such_profile'}, r'connect: virtual_stm32 ended with status 2: .*no_such',
+         {'virtual_stm32'}),
+        ({'module': BREAKS}, r'flight: .*ended with status .*the bearing broke',
+         {'virtual_stm32', 'serial_bridge', 'bag_logger', 'flight_excitation'}),
     ],
 )
 def test_it_ends_with_the_reason_and_leaves_nothing(
@@ -44,5 +38,4 @@ def test_it_ends_with_the_reason_and_leaves_nothing(
 ) -> None:
     found = campaign(tmp_path / 'run', schedule=SHORT, **wanted)
     assert re.match(words, found.failed), found.failed
-    assert set(found.processes) == started
-    assert found.left == []
+    assert (set(found.processes), found.left) == (started, [])

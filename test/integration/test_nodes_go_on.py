@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import json
 import math
 import os
 import tty
@@ -18,6 +19,8 @@ from quad_bridge.virtual.flight_bag import write_bag
 from quad_bridge.virtual.simulation import Excited, fly
 
 OK, ERROR = 0, 2
+GAIN = 4 * 9.218 * 0.225 / math.sqrt(2) / 0.0135
+"""Of the plain profile: four motors of 9.218 N on arms of 0.225 m in X, rad/s² per command."""
 
 
 class Ears:
@@ -107,7 +110,7 @@ def flight(folder: Path) -> Path:
 def test_the_identification_outlives_bad_bags_and_writes_beside_what_is_there(
     ears: Ears, start: Callable[..., Started], tmp_path: Path
 ) -> None:
-    """What becomes of its gains is in test_loop.py."""
+    """Nothing is found where nothing was planted, and nothing sent: the twin of test_loop.py."""
     flown, nothing, out = flight(tmp_path), tmp_path / 'nothing', tmp_path / 'report'
     nothing.mkdir()
     out.mkdir()
@@ -121,6 +124,11 @@ def test_the_identification_outlives_bad_bags_and_writes_beside_what_is_there(
     values = ears.until(name, OK, 'auto_update is off')
     assert values['bag'] == str(flown)
     assert values['report'] == str(tmp_path / 'report.1' / 'report.json')
-    assert Path(values['report']).exists()
+    roll = json.loads(Path(values['report']).read_text())['axes']['roll']
+    assert (roll['verdict'], roll['effects']) == ('no_missing_effect', [])
+    assert roll['error']['after'] == roll['error']['before']
+    found = {p['name']: p['value'] for p in roll['base']['parameters']}
+    assert found['gain'] == pytest.approx(GAIN, rel=0.03)
+    assert found['lag'] + found['delay'] == pytest.approx(0.045 + 0.008, rel=0.06)
     assert ears.updates == []
     assert node.end() == 0

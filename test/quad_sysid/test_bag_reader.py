@@ -119,8 +119,7 @@ def test_without_motors_the_wrench_goes_through_the_mixer_and_its_limits(tmp_pat
     got = read_bag(write_bag(want, tmp_path / 'bag'))
     assert (motors_from_wrench(want.wrench) != want.wrench @ MIXER.T).any()
     np.testing.assert_allclose(got.control, want.control, atol=1e-15)
-    assert got.motors is None
-    assert any('/motors/command' in line for line in got.warnings)
+    assert (got.motors, '/motors/command' in ' '.join(got.warnings)) == (None, True)
 
 
 def test_motors_are_taken_by_their_names():
@@ -211,7 +210,7 @@ def test_lost_cycles_are_no_numbers_and_of_repeated_ones_the_first_counts(tmp_pa
     assert got.n == N
     np.testing.assert_array_equal(np.flatnonzero(np.isnan(got.rates[:, 0])), [100])
     np.testing.assert_array_equal(got.rates[50:52], want[[50, 53]])
-    assert '1 of 1000 cycles lost' in '\n'.join(got.warnings)
+    assert '1 of 1000 cycles lost' in ' '.join(got.warnings)
     assert len(got.axis('roll').segments) == 2
 
 
@@ -240,20 +239,16 @@ def test_nan_samples_are_kept_as_gaps_with_a_warning(tmp_path):
     imu.values[40, 5], imu.values[41, 6] = np.nan, np.inf
     got = read_bag(write_imu(tmp_path / 'bag', regular(100), imu))
     assert np.isnan([got.rates[40, 0], got.rates[41, 1]]).all()
-    assert '2 samples of angular_velocity' in '\n'.join(got.warnings)
+    assert '2 samples of angular_velocity' in ' '.join(got.warnings)
     assert got.axis('roll').segments == ((0, 40), (41, 100))
 
 
-@pytest.mark.parametrize(
-    ('volts', 'measured'),
-    [(np.nan, False), (0.004, False), (11.1, True)],
-)
-def test_a_battery_that_was_not_measured_is_none(tmp_path, volts, measured):
+@pytest.mark.parametrize(('volts', 'there'), [(np.nan, False), (0.004, False), (11.1, True)])
+def test_a_battery_that_was_not_measured_is_none(tmp_path, volts, there):
     battery = Stamped(regular(100)[::25], np.full((4, 1), volts))
     got = read_bag(write_imu(tmp_path / 'bag', regular(100), **{'/battery': battery}))
-    assert (got.battery_v is not None) is measured
-    assert ('/battery' in got.missing) is not measured
-    assert any('/battery' in line for line in got.warnings) is not measured
+    assert (got.battery_v is not None) is there
+    assert ('/battery' in got.missing) is ('/battery' in ' '.join(got.warnings)) is not there
 
 
 @pytest.mark.parametrize('kind', ['identity', 'zero', 'unknown'])
@@ -284,17 +279,6 @@ def test_any_cut_or_noise_gives_a_record_or_one_line(tmp_path):
         record_or_line(spoiled)
 
 
-def test_metadata_that_is_missing_or_lists_too_much_is_told(tmp_path):
-    bag = write_bag(make_record(), tmp_path / 'bag')
-    file = bag / 'metadata.yaml'
-    file.write_text(file.read_text().replace('- bag.mcap', '- bag.mcap\n  - bag_1.mcap'))
-    assert 'bag_1.mcap' in '\n'.join(read_bag(bag).warnings)
-    file.unlink()
-    got = read_bag(bag)
-    assert got.n == N
-    assert 'metadata.yaml is missing' in got.warnings[0]
-
-
 NONE = {
     'absent': (None, 'no such bag'), 'empty.mcap': (b'', 'is empty'),
     'folder': ('', 'no storage file'), 'table.csv': (b't,u\n0,1\n', 'quad-sysid import'),
@@ -322,20 +306,17 @@ UNEVEN = T0 + np.cumsum(
 @pytest.mark.parametrize(
     ('topics', 'stamps', 'words'),
     [
-        (('/imu/data',), regular(10), ('/motors/command', '/control/wrench')),
-        (('/control/wrench',), regular(10), ('/imu/data',)),
-        (('/imu/data', '/control/wrench'), regular(2), ('too few',)),
-        (('/imu/data', '/control/wrench'), UNEVEN, ('no steady rate',)),
+        (('/imu/data',), regular(10), '/control/wrench'),
+        (('/control/wrench',), regular(10), '/imu/data'),
+        (('/imu/data', '/control/wrench'), regular(2), 'too few'),
+        (('/imu/data', '/control/wrench'), UNEVEN, 'no steady rate'),
     ],
 )
 def test_a_bag_that_lacks_too_much_ends_in_one_line(tmp_path, refusal, topics, stamps, words):
-    streams = {
-        '/imu/data': imu_stream(stamps),
-        '/control/wrench': Stamped(stamps, np.zeros((len(stamps), 6))),
-    }
+    wrench = Stamped(stamps, np.zeros((len(stamps), 6)))
+    streams = {'/imu/data': imu_stream(stamps), '/control/wrench': wrench}
     bag = write_streams(tmp_path / 'bag', {name: streams[name] for name in topics}, {})
-    line = refusal(read_bag, bag)
-    assert all(word in line for word in words), line
+    assert words in refusal(read_bag, bag)
 
 
 @pytest.mark.parametrize('compression', ['none', 'storage', 'message'])
@@ -349,7 +330,7 @@ def test_a_cut_off_mcap_gives_what_is_whole(tmp_path, compression):
         assert got.n > previous
         previous = got.n
         np.testing.assert_array_equal(got.rates, want.rates[: got.n])
-        assert 'cut off' in '\n'.join(got.warnings)
+        assert 'cut off' in ' '.join(got.warnings)
     assert previous > 0.6 * want.n
 
 
@@ -363,7 +344,7 @@ def test_strange_segments_count_as_idle(tmp_path):
     assert [(s.role, s.start_s, s.end_s) for s in got.segments] == [
         ('train', 0.0, 1.0), ('idle', 1.0, 2.0), ('idle', 2.0, 4.0),
     ]
-    assert "'trian'" in '\n'.join(got.warnings)
+    assert "'trian'" in ' '.join(got.warnings)
 
 
 # ---- splitting --------------------------------------------------------------------------------
@@ -405,8 +386,7 @@ def chunks_of(data: bytes) -> list[int]:
     """Where the chunks of an mcap file begin."""
     found, place = [], 8
     while place + 9 <= len(data) - 8:
-        if data[place] == 6:
-            found.append(place)
+        found += [place] if data[place] == 6 else []
         place += 9 + int.from_bytes(data[place + 1 : place + 9], 'little')
     return found
 
@@ -437,7 +417,7 @@ def test_a_damaged_chunk_costs_that_chunk_and_is_told(tmp_path, chunked, harm, w
         assert known.all()
     else:
         assert 0.0 < 1.0 - known.mean() < 2.0 / len(chunks)
-        assert 'damaged chunks' in '\n'.join(got.warnings)
+        assert 'damaged chunks' in ' '.join(got.warnings)
 
 
 def test_zeros_behind_the_data_are_passed_over_at_once(tmp_path, chunked):
@@ -446,7 +426,7 @@ def test_zeros_behind_the_data_are_passed_over_at_once(tmp_path, chunked):
     spoiled.write_bytes(data[: chunks_of(data)[3]] + bytes(20_000_000))
     got = read_bag(spoiled)
     assert 0 < got.n < len(rates)
-    assert 'cut off' in '\n'.join(got.warnings)
+    assert 'cut off' in ' '.join(got.warnings)
 
 
 @pytest.mark.parametrize('plugin', list(StoragePlugin))
@@ -469,17 +449,23 @@ def test_of_a_topic_with_two_types_the_contracts_one_is_read(tmp_path, plugin, f
                 writer.write(out[foreign], time, text)
     got = read_bag(tmp_path / 'two')
     np.testing.assert_array_equal(got.rates, make_record(200).rates)
-    assert '/imu/data: 8 messages of type std_msgs/msg/String left out' in '\n'.join(got.warnings)
+    assert '/imu/data: 8 messages of type std_msgs/msg/String left out' in ' '.join(got.warnings)
 
 
-def test_parts_that_metadata_does_not_list_are_read_and_told(tmp_path):
+def test_metadata_that_is_missing_or_lists_too_much_or_too_little_is_told(tmp_path):
     bag = write_bag(make_record(), tmp_path / 'bag')
     second = write_bag(replace(make_record(), t0_ns=T0 + N * STEP), tmp_path / 'second')
     for name, told in (('bag_1', 'read as parts of the flight'), ('copy', 'left out')):
         shutil.copy(second / 'second.mcap', bag / f'{name}.mcap')
         got = read_bag(bag)
         assert got.n == 2 * N
-        assert f'does not list {name}.mcap: {told}' in '\n'.join(got.warnings)
+        assert f'does not list {name}.mcap: {told}' in ' '.join(got.warnings)
+    file = second / 'metadata.yaml'
+    file.write_text(file.read_text().replace('- second.mcap', '- second.mcap\n  - more.mcap'))
+    assert 'more.mcap' in ' '.join(read_bag(second).warnings)
+    file.unlink()
+    assert (got := read_bag(second)).n == N
+    assert 'metadata.yaml is missing' in got.warnings[0]
 
 
 def test_rows_that_are_no_messages_are_told(tmp_path):
@@ -489,7 +475,7 @@ def test_rows_that_are_no_messages_are_told(tmp_path):
         for number, value in ((100, 1.5), (102, 'text'), (103, 5)):
             base.execute('UPDATE messages SET data=? WHERE id=?', (value, number))
     data, rng = file.read_bytes(), np.random.default_rng(9)
-    assert '3 rows are no messages' in '\n'.join(read_bag(bag).warnings)
+    assert '3 rows are no messages' in ' '.join(read_bag(bag).warnings)
     for _ in range(15):
         noisy = bytearray(data)
         for place in rng.integers(0, len(data), 30):

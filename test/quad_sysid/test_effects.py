@@ -537,15 +537,12 @@ def read(effect) -> dict[str, str]:
     return {name: unit for name, (_, unit) in told.items()}
 
 
-def test_the_contracts_names_stand_in_the_table_with_its_units():
+def test_the_contracts_names_stand_in_the_table_and_its_page_with_their_units():
+    """Every name in docs/what_is_missing.md with its parameters and units, and the matrix."""
     found = {f'{e.name}.{name}': unit for e in EFFECTS for name, unit in read(e).items()}
     assert {key: found.get(key) for key in UNITS} == UNITS
     named = {e.name for e in EFFECTS if e.kind == 'named'}
     assert named == {key.split('.')[0] for key in UNITS}
-
-
-def test_the_page_tells_the_table_and_nothing_else():
-    """Every name in docs/what_is_missing.md with its parameters and units, and the matrix."""
     page = Path(__file__).resolve().parents[2] / 'docs' / 'what_is_missing.md'
     rows, cells = {}, {}
     for line in page.read_text(encoding='utf-8').splitlines():
@@ -554,9 +551,8 @@ def test_the_page_tells_the_table_and_nothing_else():
             rows[parts[0].strip('`')] = parts[2]
         elif len(parts) == 2 and parts[0] in CELLS:
             cells[parts[0]] = tuple(parts[1].split(', '))
-    assert cells == CELLS
     formed = [e for e in EFFECTS if not isinstance(e, Curve)]
-    assert set(rows) == {e.name for e in formed}
+    assert (cells, set(rows)) == (CELLS, {e.name for e in formed})
     for name, told in rows.items():
-        found = set(re.findall(r'`(\w+)` \(((?:[^()]|\([^()]*\))+)\)', told))
-        assert found == {pair for e in formed if e.name == name for pair in read(e).items()}, name
+        pairs = set(re.findall(r'`(\w+)` \(((?:[^()]|\([^()]*\))+)\)', told))
+        assert pairs == {pair for e in formed if e.name == name for pair in read(e).items()}, name

@@ -10,15 +10,15 @@ from quad_sysid.excitation_coverage import MARGIN, CoverageWatch, Wanted
 from quad_sysid.signals.schedule import parse_schedule
 
 DT = 0.004
+def train(axis: str, seconds: float) -> dict:
+    return {'segment': 'train', 'signal': 'prbs', 'axis': axis, 'duration_s': seconds,
+            'clock_s': 0.1, 'register_bits': 9}
+
+
 SCHEDULE = {'schedule': {'segments': [
-    {'segment': 'train', 'signal': 'prbs', 'axis': 'roll', 'duration_s': 40.0,
-     'clock_s': 0.1, 'register_bits': 9},
-    {'segment': 'validation', 'signal': 'square', 'axis': 'roll', 'duration_s': 8.0,
-     'period_s': 4.0},
-    {'segment': 'train', 'signal': 'prbs', 'axis': 'pitch', 'duration_s': 30.0,
-     'clock_s': 0.1, 'register_bits': 9},
-    {'segment': 'train', 'signal': 'prbs', 'axis': 'pitch', 'duration_s': 60.0,
-     'clock_s': 0.1, 'register_bits': 9},
+    train('roll', 40.0), {'segment': 'validation', 'signal': 'square', 'axis': 'roll',
+                          'duration_s': 8.0, 'period_s': 4.0},
+    train('pitch', 30.0), train('pitch', 60.0),
 ]}}
 
 
@@ -42,13 +42,19 @@ def told():
 
 
 def test_a_segment_too_short_for_the_low_end_ends_at_its_own_lowest_frequency(told):
-    """40 s cannot tell 0.1 rad/s; their lowest is 2 pi / 25.2 s, watched with its margin."""
+    """40 s cannot tell 0.1 rad/s; their lowest is 2 pi / 25.2 s, watched with its margin.
+
+    Nothing is said outside training.
+    """
     watch, said = told
     first = next(k for k, text in enumerate(said, 1) if text)
     lowest_s = 0.63 * 40.0
     assert MARGIN * lowest_s <= first < 40.0
     assert said[first - 1].startswith('0.25 to 20 rad/s covered after ')
     assert watch.found.wanted == pytest.approx((2.0 * np.pi / lowest_s / MARGIN, 20.0))
+    for part in (parse_schedule(SCHEDULE, 'here').parts[1], None):
+        watch.begin(part)
+        assert watch.look() == ''
 
 
 def test_a_schedule_tells_how_long_it_trains():
@@ -58,11 +64,3 @@ def test_a_schedule_tells_how_long_it_trains():
     idle = parse_schedule({'schedule': {'segments': [
         {'segment': 'idle', 'duration_s': 3.0}]}}, 'here')
     assert idle.training_s == 0.0
-
-
-def test_nothing_is_said_outside_training(told):
-    watch, _ = told
-    watch.begin(parse_schedule(SCHEDULE, 'here').parts[1])
-    assert watch.look() == ''
-    watch.begin(None)
-    assert watch.look() == ''

@@ -104,6 +104,10 @@ class Aircraft:
     def until_state(self, state: str) -> None:
         self.until(lambda: self.state.get('state') == state, state)
 
+    def until_taken_back(self) -> None:
+        self.probe.until(lambda: self.segments[-1]['segment'] == 'idle')
+        self.probe.until(lambda: self.setpoints[-1] == (0.0, 0.0, 0.0))
+
     def call(self, service: str) -> Any:
         answer = self.probe.ask(service)
         self.until(answer.done, service)
@@ -202,8 +206,7 @@ def test_an_interrupt_takes_the_excitation_back(aircraft, fly, number):
     process.send(number)
     aircraft.until(lambda: process.poll() is not None, 'its end')
     assert process.poll() == 0
-    aircraft.probe.until(lambda: aircraft.segments[-1]['segment'] == 'idle')
-    aircraft.probe.until(lambda: aircraft.setpoints[-1] == (0.0, 0.0, 0.0))
+    aircraft.until_taken_back()
 
 
 @pytest.mark.parametrize('answers', [True, False])
@@ -262,8 +265,7 @@ def test_a_callback_that_fails_ends_the_excitation_and_a_service_answers(aircraf
     assert (answer.success, answer.message) == (False, 'the service failed: as the test wants')
     aircraft.until_state('aborted')
     assert aircraft.state['reason'] == 'a callback failed: ArithmeticError: as the test wants'
-    aircraft.probe.until(lambda: aircraft.segments[-1]['segment'] == 'idle')
-    aircraft.probe.until(lambda: aircraft.setpoints[-1] == (0.0, 0.0, 0.0))
+    aircraft.until_taken_back()
     assert process.poll() is None
 
 
@@ -275,8 +277,7 @@ def test_simulated_time_that_nobody_tells_flies_nothing_and_says_so(probe, start
     start('excitation', use_sim_time=True)
     probe.until(lambda: 'excitation: schedule' in entries(told))
     refused = probe.call('/excitation/start')
-    assert (refused.success, '/clock' in refused.message) == (False, True), refused.message
-    assert not setpoints
+    assert (refused.success, '/clock' in refused.message, setpoints) == (False, True, [])
 
 
 def test_a_system_clock_that_is_set_back_does_not_stop_a_schedule(
