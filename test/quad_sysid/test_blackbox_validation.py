@@ -48,10 +48,7 @@ def test_ceiling_of_the_reference_record(study, record):
 
 
 def test_true_model_gives_back_the_innovations(study):
-    rng = np.random.default_rng(4)
-    n = 3000
-    u = rng.standard_normal(n)
-    e = 0.5 * rng.standard_normal(n)
+    u, e = np.random.default_rng(4).standard_normal((2, 3000)) * [[1.0], [0.5]]
     truth = study.truth
     y = simulate(truth, u) + filter_signal(truth.C, truth.D, e)
     error = y - predict(truth, IOData(u, y, truth.dt))
@@ -74,9 +71,8 @@ def test_horizon_errors_equal_predictions_one_by_one(study, record):
 
 
 def test_initial_state_is_recovered(study):
-    u = np.random.default_rng(0).standard_normal(800)
+    u, late = np.random.default_rng(0).standard_normal(800), slice(200, None)
     y = simulate(study.truth, u)
-    late = slice(200, None)
     state = initial_state(study.truth, u[late], y[late])
     np.testing.assert_allclose(simulate(study.truth, u[late], state), y[late], atol=1e-9)
 
@@ -125,56 +121,42 @@ def test_residual_test_sees_feedback_only_where_there_is_some(study, record):
 
 
 def test_residual_test_rejects_what_is_wrong(study, record):
-    poor = residual_test(arx(record, 2, 1, 1), record)
-    assert not poor.residual_white
-    assert not poor.residual_uncorrelated_with_input
-    late = polynomial_model(
-        np.concatenate((np.zeros(4), study.truth.B)), C=study.truth.C, D=study.truth.D,
-        F=study.truth.F, dt=study.truth.dt,
-    )
+    """Too small a model, a delay too long, an output that comes before its cause."""
+    poor, truth = residual_test(arx(record, 2, 1, 1), record), study.truth
+    assert (poor.residual_white, poor.residual_uncorrelated_with_input) == (False, False)
+    late = polynomial_model(np.concatenate((np.zeros(4), truth.B)), C=truth.C, D=truth.D,
+                            F=truth.F, dt=truth.dt)
     assert not residual_test(late, record).residual_uncorrelated_with_input
-
-
-def test_residual_test_catches_an_output_that_comes_before_its_cause(record):
-    shift = 9
-    early = IOData(record.u[:-shift], record.y[shift:], record.dt, r=record.r[:-shift])
-    model = arx(early, 10, 10, 1)
-    assert not residual_test(model, early).causal
+    early = IOData(record.u[:-9], record.y[9:], record.dt, r=record.r[:-9])
+    assert not residual_test(arx(early, 10, 10, 1), early).causal
     assert residual_test(arx(record, 10, 10, 3), record).causal
 
 
 def test_cross_bound_covers_a_coloured_pair():
     """99 % bound per lag with both signals AR(1): 1 % outside over 100 seeds x 51 lags."""
-    outside, total = 0, 0
+    outside, color = [], np.array([1.0, -0.9])
+    model = polynomial_model([0.0, 1e-12], dt=1.0, structure='OE')
     for seed in range(100):
-        rng = np.random.default_rng(seed)
-        color = np.array([1.0, -0.9])
-        u = filter_signal(np.ones(1), color, rng.standard_normal(1500))
-        y = filter_signal(np.ones(1), color, rng.standard_normal(1500))
-        model = polynomial_model([0.0, 1e-12], dt=1.0, structure='OE')
+        u, y = (filter_signal(np.ones(1), color, e)
+                for e in np.random.default_rng(seed).standard_normal((2, 1500)))
         test = residual_test(model, IOData(u, y, 1.0))
-        outside += int(np.sum(np.abs(test.cross_correlation) > test.cross_bound))
-        total += test.cross_lags.size
-    assert 0.004 < outside / total < 0.022
+        outside.append(np.abs(test.cross_correlation) > test.cross_bound)
+    assert 0.004 < np.mean(outside) < 0.022
 
 
 def test_frequency_response_band_covers_the_truth():
-    truth = polynomial_model([0, 0.5, 0.2], A=[1, -0.8], dt=0.1)
-    w = np.array([0.3, 3.0, 12.0])
-    expected = frequency_response(truth, w).response
-    z = np.exp(1j * w * 0.1)
+    truth, w = polynomial_model([0, 0.5, 0.2], A=[1, -0.8], dt=0.1), np.array([0.3, 3.0, 12.0])
+    expected, z = frequency_response(truth, w).response, np.exp(1j * w * 0.1)
     np.testing.assert_allclose(expected, (0.5 / z + 0.2 / z**2) / (1 - 0.8 / z))
     inside = 0
     for seed in range(200):
-        rng = np.random.default_rng(seed)
-        u = rng.standard_normal(400)
-        y = simulate(truth, u) + filter_signal(np.ones(1), truth.A, rng.standard_normal(400))
+        u, e = np.random.default_rng(seed).standard_normal((2, 400))
+        y = simulate(truth, u) + filter_signal(np.ones(1), truth.A, e)
         found = frequency_response(arx(IOData(u, y, 0.1), 1, 2, 1), w)
         error = np.abs(found.magnitude - np.abs(expected))
         inside += np.sum(error < 1.96 * found.magnitude_std)
         low, high = found.magnitude_band(0.95)
-        assert (low <= found.magnitude).all()
-        assert (high >= found.magnitude).all()
+        assert ((low <= found.magnitude) & (found.magnitude <= high)).all()
     assert 0.92 < inside / 600 < 0.98
 
 
@@ -255,15 +237,13 @@ def white(seed: int, n: int = 6000) -> IOData:
 
 
 def test_innovations_are_tested_as_a_models_own_residual() -> None:
-    rng = np.random.default_rng(3)
-    u, e, y = rng.standard_normal(4000), 0.1 * rng.standard_normal(4000), np.zeros(4000)
+    u, e, y = *np.random.default_rng(3).standard_normal((2, 4000)), np.zeros(4000)
     for k in range(2, 4000):
-        y[k] = 0.9 * y[k - 1] + 0.4 * u[k - 2] + e[k]
+        y[k] = 0.9 * y[k - 1] + 0.4 * u[k - 2] + 0.1 * e[k]
     z = IOData(u=u, y=y, dt=0.004)
     model = arx(z, 1, 1, 2)
     own, given = residual_test(model, z), innovation_test(y - predict(model, z, 1), z)
-    assert given.p_white == pytest.approx(own.p_white, rel=1e-9)
-    assert given.p_input == pytest.approx(own.p_input, rel=1e-9)
+    assert (given.p_white, given.p_input) == pytest.approx((own.p_white, own.p_input), rel=1e-9)
     assert given.samples == own.samples
     assert own.residual_white
 

@@ -45,14 +45,13 @@ def respond(a, b, c, points):
 
 
 def test_both_forms_have_the_response_of_the_formula(model):
-    found = linear_model(model)
-    omega = np.array([0.5, 3.0, 10.0, 30.0])
+    found, omega = linear_model(model), np.array([0.5, 3.0, 10.0, 30.0])
     continuous = respond(found.a, found.b, found.c, 1j * omega)
     continuous *= np.exp(-1j * omega * found.delay_s)
     np.testing.assert_allclose(continuous, expected(omega), rtol=1e-9)
-    discrete = respond(found.a_discrete, found.b_discrete, found.c_discrete,
-                       np.exp(1j * omega * DT))
-    hold = (1 - np.exp(-1j * omega * DT)) / (1j * omega * DT)
+    z = np.exp(1j * omega * DT)
+    discrete = respond(found.a_discrete, found.b_discrete, found.c_discrete, z)
+    hold = (1 - 1 / z) / (1j * omega * DT)
     # a held command adds its hold, and aliases little this far below 785 rad/s
     np.testing.assert_allclose(discrete, expected(omega) * hold, rtol=2e-3)
 
