@@ -16,7 +16,7 @@ import math
 
 import numpy as np
 
-from quad_bridge.stamping import Stamped, Stamping
+from quad_bridge.link.stamping import Stamped, Stamping
 from quad_bridge.wire.frames import Cycle
 
 OFFSET_NS = 1_700_000_000_000_000_000

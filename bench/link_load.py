@@ -26,7 +26,7 @@ from rosbags.highlevel import AnyReader
 
 os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
 ROLES = str(Path(__file__).with_name('link_load_roles.py'))
-NODE = 'from quad_bridge.{0}_node import main; main()'
+NODE = 'from quad_bridge.start import {0}; {0}()'
 CYCLE_TOPICS = (
     '/imu/data', '/motors/command', '/control/wrench', '/setpoint/attitude', '/setpoint/rates',
 )  # fmt: skip

@@ -89,30 +89,26 @@ def bare(_: Path, rate: float) -> None:
     from rclpy.signals import SignalHandlerOptions
     from sensor_msgs.msg import Imu, JointState
 
-    from quad_bridge.conversion import CycleMessages
     from quad_bridge.qos import STREAM
-    from quad_bridge.wire.frames import Cycle
 
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     stopped, node = Stopped(), rclpy.create_node('bare')
-    messages = CycleMessages()
     pairs = [
-        (node.create_publisher(Imu, '/imu/data', STREAM), messages.imu),
-        (node.create_publisher(JointState, '/motors/command', STREAM), messages.motors),
-        (node.create_publisher(WrenchStamped, '/control/wrench', STREAM), messages.wrench),
-        (
-            node.create_publisher(Vector3Stamped, '/setpoint/attitude', STREAM),
-            messages.attitude_setpoint,
-        ),
-        (node.create_publisher(Vector3Stamped, '/setpoint/rates', STREAM), messages.rate_setpoint),
-    ]
-    still = (0.0, 0.0, 0.0)
-    cycle = Cycle(0, 0, still, still, still, still, still, (0.0,) * 4, still, (0.0,) * 4, 0)
+        (node.create_publisher(Imu, '/imu/data', STREAM), Imu()),
+        (node.create_publisher(JointState, '/motors/command', STREAM),
+         JointState(name=[f'motor_{k}' for k in range(1, 5)], effort=[0.0] * 4)),
+        (node.create_publisher(WrenchStamped, '/control/wrench', STREAM), WrenchStamped()),
+        (node.create_publisher(Vector3Stamped, '/setpoint/attitude', STREAM), Vector3Stamped()),
+        (node.create_publisher(Vector3Stamped, '/setpoint/rates', STREAM), Vector3Stamped()),
+    ]  # fmt: skip
+    for _, message in pairs:
+        message.header.frame_id = 'base_link'
     begin_s, count = time.monotonic(), 0
     while not stopped.yes:
         time.sleep(max(0.0, begin_s + count / rate - time.monotonic()))
-        messages.fill(cycle, time.time_ns())
+        sec, nanosec = divmod(time.time_ns(), 1_000_000_000)
         for publisher, message in pairs:
+            message.header.stamp.sec, message.header.stamp.nanosec = sec, nanosec
             publisher.publish(message)
         count += 1
 
@@ -125,7 +121,7 @@ def exciter(_: Path) -> None:
     from rclpy.qos import qos_profile_sensor_data
     from rclpy.signals import SignalHandlerOptions
 
-    from quad_bridge.conversion import event_message
+    from quad_bridge.nodes.conversion import event_message
     from quad_bridge.qos import STATE
 
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)

@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 from tuning_airframes import Airframe, draw, first_flight, identified, profile_of
 
-from quad_bridge.gain_watch import Alarm, GainWatch
+from quad_bridge.gains.watch import Alarm, GainWatch
 from quad_bridge.virtual.aircraft import Aircraft
 from quad_bridge.virtual.cycle import COLUMNS
 from quad_bridge.virtual.profile import Profile

@@ -40,17 +40,9 @@ void quad_gains_heard(quad_gains *gains, uint64_t now_us)
 
 void quad_gains_write(quad_gains *gains, size_t index, float value)
 {
-    if (index >= QUAD_PARAMETERS || !quad_parameter_fits(index, value)) {
-        return;
-    }
-    if (gains->staging) {
+    /* without a copy it may be one that came late: gains change as a whole or not at all */
+    if (gains->staging && index < QUAD_PARAMETERS && quad_parameter_fits(index, value)) {
         gains->copy[index] = value;
-        return;
-    }
-    gains->active[index] = value;
-    if (!gains->watching) {
-        gains->good[index] = value;
-        gains->confirmations++;
     }
 }
 

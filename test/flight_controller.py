@@ -48,12 +48,13 @@ from pathlib import Path
 
 import numpy as np
 
+from quad_bridge.gains.protocol import GainProtocol, float32
 from quad_bridge.gains.table import WIRE_NAMES
-from quad_bridge.link import Link
+from quad_bridge.link.machine import Link
+from quad_bridge.link.stamping import Restarted, Stamped
 from quad_bridge.virtual.gain_store import GainStore
 from quad_bridge.wire import frames as f
 from quad_bridge.wire.codec import Decoder, Encoder
-from quad_bridge.wire.params import float32
 
 CYCLE_US, CYCLE_NS, CYCLE_S = 4000, 4_000_000, 0.004
 NUMBERS = 10_000
@@ -88,8 +89,9 @@ class FlightController:
         number=0,
         bits=64,
     ) -> None:
-        """`parameters` maps wire names to values; all of the wire's at 0.5 where not given."""
-        parameters = parameters or dict.fromkeys(WIRE_NAMES.values(), 0.5)
+        """`parameters` maps wire names to values; all at 0.5 and 250 Hz where not given."""
+        everything = {**dict.fromkeys(WIRE_NAMES.values(), 0.5), 'LOOP_RATE_HZ': 250.0}
+        parameters = parameters or everything
         self.refuses = refuses
         """Parameters whose new values it does not take."""
         self.unanswered = unanswered
@@ -232,7 +234,10 @@ class Direction:
 
 
 class Line:
-    """The bridge's link and a flight controller, joined in memory; time goes by in cycles."""
+    """The bridge's link and a flight controller, joined in memory; time goes by in cycles.
+
+    What the node does with events is done by `handle`: here the gains' protocol takes its part.
+    """
 
     def __init__(self, controller=None, link=None, *, host0_ns=HOST0_NS):
         self.controller = FlightController() if controller is None else controller
@@ -247,7 +252,13 @@ class Line:
     def connect(self, link):
         """Another bridge takes the place of the first."""
         self.link = link
+        self.gains = GainProtocol()
+        self.opened()
+
+    def opened(self):
+        """The bridge's port is opened anew."""
         self.link.opened()
+        self.gains.restart()
 
     @property
     def since_ns(self):
@@ -278,6 +289,22 @@ class Line:
 
     def tick(self):
         self.link.tick(self.now_ns)
+        self.poll()
+
+    def poll(self):
+        if not self.link.standard_only(self.now_ns):
+            request = self.gains.poll(1e-9 * self.now_ns)
+            if request is not None:
+                self.link.send(request)
+
+    def handle(self, event):
+        """What the node does with one event."""
+        if isinstance(event, Stamped):
+            self.out.append(event)
+        elif isinstance(event, Restarted):
+            self.gains.restart()
+        elif isinstance(event.frame, (f.ParamValue, f.GainsState)):
+            self.gains.take(event.frame, 1e-9 * self.now_ns)
 
     def say(self, *frames):
         """The flight controller sends these, and the bridge answers."""
@@ -286,12 +313,14 @@ class Line:
 
     def hear(self, data, late_ns=0):
         """Bytes of the flight controller reach the bridge, where they are not lost."""
-        self.out += self.link.receive(self.down.carry(data), self.now_ns + late_ns)
+        for event in self.link.receive(self.down.carry(data), self.now_ns + late_ns):
+            self.handle(event)
+        self.poll()
 
     def exchange(self):
         """All that the bridge wants to say, and the answers, 0.2 ms later."""
         for _ in range(20):
-            data = self.link.drain()
+            data = self.link.to_send()
             if not data:
                 return
             arrived = self.up.carry(data)

@@ -18,7 +18,6 @@ STARTS = {
     'serial_bridge': 'quad_bridge.start',
     'bag_logger': 'quad_bridge.start',
     'monitor': 'quad_bridge.start',
-    'sensor_watch': 'quad_bridge.start',
     'excitation': 'quad_sysid.start_node',
     'identification': 'quad_sysid.start_node',
     'virtual_stm32': 'quad_bridge.start',

@@ -39,7 +39,6 @@ setup(
             'recover = quad_bridge.log.recover:main',
             'monitor = quad_bridge.start:monitor',
             'sensors = quad_bridge.sensors_command:main',
-            'sensor_watch = quad_bridge.start:sensor_watch',
             'make_key = quad_bridge.key_file:main',
             'bag_logger = quad_bridge.start:bag_logger',
             'serial_bridge = quad_bridge.start:serial_bridge',

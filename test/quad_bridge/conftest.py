@@ -1,4 +1,4 @@
-"""The bridge's gain keeper and the virtual STM32 on one line in memory; the C firmware, built."""
+"""The bridge's gains and the virtual STM32 on one line in memory; the C firmware, built."""
 
 from __future__ import annotations
 
@@ -12,14 +12,15 @@ import pytest
 from flight_controller import Line
 from hypothesis import settings
 
-from quad_bridge.gain_keeper import GainKeeper
-from quad_bridge.gain_state import KeeperSettings
-from quad_bridge.link import Link
+from quad_bridge.gains.history import History
+from quad_bridge.gains.update import GainSettings, GainUpdates
+from quad_bridge.link.machine import Link
+from quad_bridge.link.stamping import Restarted, Stamped
 from quad_bridge.virtual.aircraft import Aircraft
 from quad_bridge.virtual.endpoint import Endpoint
 from quad_bridge.virtual.profile import load_profile
 from quad_bridge.virtual.receiver import Receiver
-from quad_bridge.wire.frames import RcChannels
+from quad_bridge.wire.frames import Cycle, GainsState, ParamValue, RcChannels
 
 # the same examples on every machine and in every run
 settings.register_profile(
@@ -29,7 +30,7 @@ settings.load_profile('fixed')
 
 
 class Bench(Line):
-    """`cut` loses what goes either way; `cycle` is the last one that the keeper has seen."""
+    """`cut` loses what goes either way; `cycle` is the last one that has come."""
 
     def __init__(
         self, folder, *, profile='plain', mount='rig', events=(), effect=None, **settings
@@ -37,15 +38,20 @@ class Bench(Line):
         profile = replace(load_profile(profile), mount=mount)
         self.aircraft = Aircraft(profile, seed=1, effect=effect)
         self.endpoint = Endpoint(self.aircraft, Receiver(events=tuple(events)))
-        self.settings = KeeperSettings(folder=folder, **settings)
+        self.settings = GainSettings(folder=folder, **settings)
         self.news, self.cycle = [], None
         self.peak_rad = 0.0
         super().__init__(self.endpoint, host0_ns=1_000_000_000)
 
     def connect(self, link):
+        self.history = History(self.settings.folder, lambda job: job())
+        self.keeper = GainUpdates(self.settings, self.history)
         super().connect(link)
-        self.keeper = GainKeeper(self.settings, self.link.gains)
-        self.link.on_cycle = self._cycle
+        self.gains = self.keeper
+
+    def opened(self):
+        self.link.opened()
+        self.keeper.restarted(self.now_s)
 
     def new_bridge(self):
         """Kill the bridge, start another."""
@@ -68,19 +74,25 @@ class Bench(Line):
         self.up.fault = self.down.fault = fault
 
     def tick(self):
-        self.link.tick(self.now_ns)
+        record = self.history.open(self.keeper.aircraft)
+        if record is not None:
+            self.keeper.know(record)
         self.keeper.tick(self.now_s)
-        self.link.poll_gains(self.now_ns)
+        super().tick()
         self.news += [item.text for item in self.keeper.news]
         self.keeper.news.clear()
 
-    def hear(self, data, late_ns=0):
-        super().hear(data, late_ns)
-        for item in self.out:
-            if isinstance(item.frame, RcChannels):
-                self.keeper.sticks((item.frame.channels[3] - 1500) / 500.0, self.now_s)
-        self.out.clear()
-        self.link.poll_gains(self.now_ns)
+    def handle(self, event):
+        frame = getattr(event, 'frame', None)
+        if isinstance(event, Restarted):
+            self.keeper.restarted(self.now_s)
+        elif isinstance(event, Stamped):
+            if isinstance(frame, RcChannels):
+                self.keeper.sticks((frame.channels[3] - 1500) / 500.0, self.now_s)
+        elif isinstance(frame, (ParamValue, GainsState)):
+            self.keeper.take(frame, self.now_s)
+        elif isinstance(frame, Cycle):
+            self._cycle(frame, self.now_ns)
 
     def fly_until(self, said, seconds=40.0):
         """Fly until a line of news holds `said`; the line."""
@@ -106,7 +118,7 @@ class Bench(Line):
     @property
     def told(self):
         """What the bridge says is active."""
-        return self.link.gains.active
+        return self.keeper.active
 
     def _cycle(self, frame, now_ns):
         self.cycle = frame
@@ -124,7 +136,7 @@ def bench(tmp_path):
         options.setdefault('polarity', 'off')
         made = Bench(tmp_path / 'state', **options)
         made.fly(3.0)
-        assert made.link.gains.reader.complete
+        assert made.keeper.active
         return made
 
     return make

@@ -7,8 +7,8 @@ import pytest
 from flight_controller import Line, Port, Pty
 from pymavlink.dialects.v20 import common
 
-from quad_bridge.autopilot import INTERVALS_US, SET_MESSAGE_INTERVAL, Inertial
-from quad_bridge.link import Link
+from quad_bridge.link.autopilot import INTERVALS_US, SET_MESSAGE_INTERVAL, Inertial
+from quad_bridge.link.machine import Link
 from quad_bridge.wire import frames as f
 from quad_bridge.wire.codec import Decoder, Encoder
 
@@ -167,13 +167,13 @@ def test_our_own_controller_is_asked_for_nothing():
     encoder = Encoder(1, 1)
     link.receive(encoder.encode(f.Heartbeat()) + encoder.encode(cycle), HOST0_NS)
     link.tick(HOST0_NS + 9_000_000_000)
-    sent = Decoder().feed(link.drain())
+    sent = Decoder().feed(link.to_send())
     assert not [frame for frame in sent if isinstance(frame, f.Command)]
 
 
 def test_messages_in_ros_units_and_axes():
     pytest.importorskip('sensor_msgs.msg', reason='needs the ROS 2 message packages')
-    from quad_bridge import conversion
+    from quad_bridge.nodes import conversion
 
     imu = conversion.inertial_message(
         Inertial(0, (0.5, -0.25, 0.125), (0.0, 0.0, -9.81), None), 7_000_000_001

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +11,11 @@ from quad_bridge.wire import frames as f
 from quad_bridge.wire.axes import flip_attitude, flip_body, flip_control, quaternion
 
 pytest.importorskip('sensor_msgs.msg', reason='needs the ROS 2 message packages')
-from quad_bridge import conversion
+from geometry_msgs.msg import Vector3Stamped, WrenchStamped
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import Imu, JointState
+
+from quad_bridge.nodes import conversion
 
 STILL = f.Cycle(
     0, 0, (0.0,) * 3, (0.0, 0.0, -9.81), (0.0,) * 3, (0.0,) * 3, (0.0,) * 3,
@@ -19,9 +24,15 @@ STILL = f.Cycle(
 
 
 def filled(**changes):
-    messages = conversion.CycleMessages()
-    messages.fill(replace(STILL, **changes), 1_500_000_000)
-    return messages
+    cycle, messages = replace(STILL, **changes), conversion.CycleMessages()
+    # of another cycle first: nothing of it may remain
+    messages.packed(replace(STILL, gyro=(9.0,) * 3, motors=(0.9,) * 4), 7)
+    made = messages.packed(cycle, 1_500_000_000)
+    kinds = (Imu, JointState, WrenchStamped, Vector3Stamped, Vector3Stamped, Vector3Stamped)
+    raws = (*made, messages.applied(cycle, 1_500_000_000))
+    names = ('imu', 'motors', 'wrench', 'attitude_setpoint', 'rate_setpoint', 'excitation')
+    found = [deserialize_message(raw, kind) for raw, kind in zip(raws, kinds, strict=True)]
+    return SimpleNamespace(**dict(zip(names, found, strict=True)))
 
 
 def vector(v):

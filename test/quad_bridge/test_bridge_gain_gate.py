@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from quad_bridge.errors import BadInputError, RefusedError
-from quad_bridge.gain_gate import bound_from, check_source, numbers, steps
+from quad_bridge.gains.gate import bound_from, check_source, numbers, steps
 from quad_bridge.gains.table import AXES, DEFAULT_BOUNDS, Bound
 
 BOUNDS = {'roll.angle.kp': Bound(0.3, 15.0), 'roll.rate.ki': Bound(0.0, 2.0, small_step=0.004)}

@@ -8,11 +8,11 @@ import pytest
 from flight_controller import DOUBLED, DROPPED, Fault, changed
 
 from quad_bridge.errors import RefusedError
-from quad_bridge.gain_state import State
+from quad_bridge.gains.protocol import float32
 from quad_bridge.gains.table import WIRE_NAMES, Bound
+from quad_bridge.gains.update import State
 from quad_bridge.virtual.receiver import Event
 from quad_bridge.wire import frames as f
-from quad_bridge.wire.params import float32
 
 KP, ANGLE = 'roll.rate.kp', 'roll.angle.kp'
 OLD_KP = 0.07448451
@@ -78,6 +78,12 @@ BAD_UPDATES = [
     ({'source': 'a stranger'}, 'source is not allowed'),
     ({'predicted': '{"roll.peak": NaN}'}, 'roll.peak must be finite'),
     ({'predicted': '{"roll.colour": 1}'}, 'roll.colour is not known'),
+    ({'rollback': 'false'}, "rollback: must be true or false: found 'false'"),
+    ({'rollback': 1}, 'rollback: must be true or false: found 1'),
+    ({'model': 3.0}, r'model: must be a text: found 3\.0'),
+    ({'source': True}, 'source: must be a text: found True'),
+    ({'roll_angle_kp': (5.0,)}, 'must be a number'),
+    ({'roll_angle_kp': None}, 'must be a number'),
     ({'predicted': 'good'}, 'predicted: must be a JSON object'),
     ({'predicted': '[1]'}, 'predicted: must be a JSON object'),
     ({'predicted': '[' * 4000}, 'predicted: must be a JSON object'),
@@ -290,7 +296,7 @@ def test_a_full_disk_does_not_keep_gains_from_being_flown_or_taken_back(bench, t
     made = bench()
     made.ask(roll_rate_kp=0.1)
     made.fly_until('in force')
-    assert 'cannot be written' in made.keeper.disk_fault
+    assert 'cannot be written' in made.history.fault
     made.ask(rollback=True)
     made.fly_until('rolled back')
     assert made.gain(KP) == pytest.approx(OLD_KP)

@@ -1,4 +1,4 @@
-"""The bridge's side of the conversation: clock, parameters, gains, restarts; no I/O."""
+"""The bridge's side of the conversation: clock, stamps, restarts, who is heard; no I/O."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -6,16 +6,9 @@ from itertools import pairwise
 import pytest
 from flight_controller import CYCLE_NS, HOST0_NS, FlightController, Line
 
-from quad_bridge.errors import RefusedError
 from quad_bridge.excitation_relay import ExcitationRelay
-from quad_bridge.gain_line import What
-from quad_bridge.gains.table import WIRE_NAMES
-from quad_bridge.link import Link
 from quad_bridge.wire import frames as f
 from quad_bridge.wire.codec import Encoder
-from quad_bridge.wire.params import float32
-
-KP = 'roll.rate.kp'
 
 
 @pytest.fixture
@@ -23,20 +16,6 @@ def line():
     line = Line()
     line.run(150)
     return line
-
-
-def gain_events(line, cycles=0):
-    """What became of the gains since this was asked last."""
-    line.run(cycles)
-    events = list(line.link.gains.events)
-    line.link.gains.events.clear()
-    return events
-
-
-def write(line, **writes):
-    gain_events(line)
-    line.link.gains.write(writes, 10_000)
-    return gain_events(line, 50)
 
 
 def test_nothing_is_published_before_the_clock_has_converged(line):
@@ -58,43 +37,6 @@ def test_messages_of_one_cycle_share_its_stamp(line):
     line.run()
     assert len(line.out) == 4
     assert len({item.stamp_ns for item in line.out}) == 1
-
-
-def test_gains_are_announced_after_connecting_after_read_back_and_after_they_were_taken_back(line):
-    (event,) = gain_events(line)
-    assert (event.what, event.active) == (What.READ, dict.fromkeys(WIRE_NAMES, 0.5))
-    (event,) = write(line, ROLL_RATE_KP=0.1)
-    assert (event.what, event.active[KP]) == (What.COMMITTED, float32(0.1))
-    assert line.controller.store.active['ROLL_RATE_KP'] == float32(0.1)
-    line.link.gains.write({'ROLL_RATE_KP': 0.2}, 1)
-    with pytest.raises(RefusedError, match='busy'):
-        line.link.gains.write({'ROLL_RATE_KP': 0.1}, 1)
-    line.run(50)
-    gain_events(line)
-    line.link.gains.revert('why')
-    back, again = gain_events(line, 50)
-    assert (back.what, back.reason, back.by_stm32) == (What.REVERTED, 'why', False)
-    assert again.active[KP] == 0.5
-
-
-def test_what_somebody_else_has_changed_is_read_again(line):
-    gain_events(line)
-    line.controller.store.write('YAW_RATE_KP', 0.25)
-    line.say(line.controller.store.state())
-    (event,) = gain_events(line, 50)
-    assert event.active['yaw.rate.kp'] == 0.25
-
-
-def test_an_unconfirmed_set_of_an_earlier_bridge_is_taken_back(line):
-    write(line, ROLL_RATE_KP=0.1)
-    line.link.opened()
-    assert What.REVERTED in [event.what for event in gain_events(line, 100)]
-    assert line.controller.store.active['ROLL_RATE_KP'] == 0.5
-
-
-def test_gains_cannot_be_written_before_the_stm32_has_reported():
-    with pytest.raises(RefusedError):
-        Link().gains.write({'ROLL_RATE_KP': 0.1}, 0)
 
 
 def test_a_restart_of_the_stm32_holds_the_stamps_back_until_its_new_clock_is_known(line):
@@ -208,7 +150,7 @@ def test_only_the_far_end_answers_and_no_other_time_moves_the_clock():
     for _ in range(20):
         line.skip(12)
         line.link.tick(line.now_ns)
-        for frame in line.controller.decoder.feed(line.link.drain()):
+        for frame in line.controller.decoder.feed(line.link.to_send()):
             if isinstance(frame, f.TimeSync):
                 line.hear(station.encode(f.TimeSync(1_700_000_000_000_000_000, frame.ts1_ns)))
     assert line.link.decoder.counts.foreign == 20

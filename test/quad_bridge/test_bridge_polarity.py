@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from flight_controller import Fault, changed
 
-from quad_bridge.aircraft_store import AircraftStore
 from quad_bridge.errors import RefusedError
-from quad_bridge.polarity import MIXER, merge_motors, where_motors_are
-from quad_bridge.polarity_check import PolarityCheck
+from quad_bridge.gains.history import History
+from quad_bridge.gains.polarity import MIXER, PolarityCheck, merge_motors, where_motors_are
 from quad_bridge.wire import frames as f
 
 ROLL = {'roll_rate_kp': 0.1}
@@ -148,7 +147,7 @@ def test_every_order_is_recognised_and_a_wrong_way_of_turning():
 
 
 def test_a_motor_fault_refuses_updates_and_survives_the_disk():
-    check = PolarityCheck('auto')
+    check = PolarityCheck('auto', 250.0)
     motors = merge_motors({}, answers((1, 0, 2, 3)))
     check.load({'axes': {'roll': 'right'}, 'motors': motors})
     with pytest.raises(RefusedError, match='motor_1 drives the rear right'):
@@ -163,7 +162,7 @@ def test_a_motor_fault_refuses_updates_and_survives_the_disk():
     ],
 )
 def test_a_damaged_record_counts_as_no_check(record):
-    check = PolarityCheck('auto')
+    check = PolarityCheck('auto', 250.0)
     check.load(record)
     assert check.missing(['roll.rate.kp', 'sensor.gyro_filter_hz']) == ['roll']
 
@@ -172,4 +171,4 @@ def test_a_damaged_record_counts_as_no_check(record):
 def test_a_file_that_holds_no_record_counts_as_no_check(tmp_path, text):
     (tmp_path / 'one').mkdir()
     (tmp_path / 'one' / 'polarity.json').write_text(text, encoding='latin-1')
-    assert AircraftStore(tmp_path, 'one').polarity() == {}
+    assert History(tmp_path, lambda job: job()).open('one') == {}

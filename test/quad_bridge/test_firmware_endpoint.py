@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from quad_bridge.gains.protocol import checksum
 from quad_bridge.gains.table import CONTRACT_NAMES, WIRE_NAMES
 from quad_bridge.virtual import endpoint as virtual
 from quad_bridge.virtual.aircraft import Aircraft
@@ -19,7 +20,6 @@ from quad_bridge.virtual.profile import load_profile
 from quad_bridge.virtual.receiver import Event, Receiver
 from quad_bridge.wire import frames as f
 from quad_bridge.wire.codec import Decoder, Encoder
-from quad_bridge.wire.params import checksum
 from quad_bridge.wire.signing import Signing
 
 CYCLE_US = 4000

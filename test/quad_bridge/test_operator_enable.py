@@ -4,9 +4,9 @@ import pytest
 
 pytest.importorskip('rcl_interfaces.msg', reason='needs the ROS 2 message packages')
 
-from quad_bridge.bridge_parameters import over_network
+from quad_bridge.arming import OperatorEnable
 from quad_bridge.excitation_relay import ExcitationRelay
-from quad_bridge.operator_enable import OperatorEnable
+from quad_bridge.nodes.bridge_parameters import over_network
 from quad_bridge.virtual.firmware import Request
 from quad_bridge.wire.frames import Injection
 

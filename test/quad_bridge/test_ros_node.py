@@ -67,20 +67,20 @@ def test_a_wrong_argument_of_ros(start, run, tmp_path, arguments, words):
     del start
     (tmp_path / 'broken.yaml').write_text('bridge: [\n')
     (tmp_path / 'rootless.yaml').write_text('bridge:\n  port: x\n')
-    process = run(*node_command('sensor_watch'), *arguments, cwd=tmp_path)
+    process = run(*node_command('monitor'), *arguments, cwd=tmp_path)
     assert process.wait() == 2
     assert (process.said.count('\n'), words in process.said) == (1, True), process.said
 
 
 def test_a_parameter_file_of_another_node_is_told(start, run, tmp_path):
     del start
-    text = 'sensor_watch:\n  ros__parameters:\n    gyro_filter_hz: 90\n'
+    text = 'monitor:\n  ros__parameters:\n    every_s: 90\n'
     (tmp_path / 'mine.yaml').write_text(text)
     arguments = ['--params-file', tmp_path / 'mine.yaml']
     here, elsewhere = (
-        run(*node_command('sensor_watch', namespace=name), *arguments) for name in ('', '/left')
+        run(*node_command('monitor', namespace=name), *arguments) for name in ('', '/left')
     )
-    elsewhere.says('root it at "/left/sensor_watch:"')
+    elsewhere.says('root it at "/left/monitor:"')
     assert (elsewhere.end(), here.end()) == (0, 0)
     assert 'root it' not in here.said
 

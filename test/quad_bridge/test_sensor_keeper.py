@@ -4,12 +4,10 @@ import numpy as np
 import pytest
 import yaml
 
-from quad_bridge import conversion
-from quad_bridge.diagnostics import OK, WARN
 from quad_bridge.errors import RefusedError
-from quad_bridge.sensor_keeper import SensorKeeper, Wanted
-from quad_bridge.sensor_status import sensors_status, vibration_entries
 from quad_bridge.sensors.correction import Correction, as_sent, from_values
+from quad_bridge.sensors.live import LiveSensors, Wanted
+from quad_bridge.status import OK, WARN
 from quad_bridge.wire.axes import flip_body
 from quad_bridge.wire.frames import Cycle, Flag
 
@@ -25,7 +23,7 @@ class Aircraft:
     """An STM32 that stands still with a biased gyro, its bridge's keeper, and its bag."""
 
     def __init__(self, folder, name='one', start_s=START_S, seed=7, **settings):
-        self.keeper = SensorKeeper(folder, **{'correct': True, **settings})
+        self.keeper = LiveSensors(folder, **{'correct': True, **settings})
         self.name, self.start_s, self.cycle = name, start_s, 0
         self.rng = np.random.default_rng(seed)
         self.stamps, self.sent, self.published, self.told = [], [], [], []
@@ -53,21 +51,19 @@ class Aircraft:
         wanted = self.keeper.wanted()
         if wanted is not None:
             self.ask(wanted)
-        self.told.append(from_values(sensors_status(self.keeper).values))
+        self.told.append(from_values(self.keeper.status().values))
 
     def ask(self, wanted):
         try:
-            self.said.append(self.keeper.take(wanted, self.keeper.estimate(wanted)))
+            self.said.append(self.keeper.estimate(wanted))
         except RefusedError as error:
-            self.said.append(self.keeper.refused(wanted, str(error)))
+            self.said.append(str(error))
 
     def _publish(self, frame, stamp_ns):
-        messages = conversion.CycleMessages()
-        messages.fill(frame, stamp_ns, self.keeper.stamped(stamp_ns).gyro_bias)
-        rate = messages.imu.angular_velocity
+        sent, bias = flip_body(frame.gyro), self.keeper.stamped(stamp_ns).gyro_bias
         self.stamps.append(stamp_ns)
-        self.sent.append(flip_body(frame.gyro))
-        self.published.append((rate.x, rate.y, rate.z))
+        self.sent.append(sent)
+        self.published.append(tuple(a - b for a, b in zip(sent, bias, strict=True)))
 
     def stand(self, seconds=7.0, then_armed=0.1):
         """Stand still, then arm."""
@@ -81,7 +77,7 @@ class Aircraft:
 
     @property
     def status(self):
-        return sensors_status(self.keeper)
+        return self.keeper.status()
 
 
 def test_before_it_arms_the_bias_is_estimated_kept_and_subtracted(tmp_path):
@@ -140,7 +136,7 @@ def test_a_recording_wants_an_estimate_only_where_it_stands(tmp_path):
     one.keeper.want('recording')
     one.run(0.1, armed=True)
     assert len(one.said) == 2  # the second is of the arming
-    one.ask(Wanted('asked for', one.keeper.window.standing()))
+    one.ask(Wanted('asked for', one.keeper.standing()))
     assert 'it is armed' in one.said[-1]
 
 
@@ -213,15 +209,3 @@ def test_where_it_may_not_correct_it_only_keeps(tmp_path):
     one = Aircraft(tmp_path, correct=False).stand()
     assert one.published == one.sent
     assert one.keeper.path.exists()
-
-
-def test_the_spectrum_is_of_the_latest_cycles_in_flight_too(tmp_path):
-    one = Aircraft(tmp_path)
-    one.shake = lambda t: 0.3 * np.sin(2 * np.pi * 40.0 * t)
-    one.run(5.0, armed=True)
-    rates, accelerations = vibration_entries(*one.keeper.window.spectrum(), 42.0)
-    assert rates.level == WARN
-    assert rates.message.startswith(('40.', '39.'))
-    assert 'Hz on y' in rates.message
-    assert accelerations.message == 'no line stands out'
-    assert vibration_entries(*one.keeper.window.spectrum(), 10.0)[0].level == OK

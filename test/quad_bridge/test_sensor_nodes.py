@@ -52,7 +52,7 @@ def test_calibrated_at_rest_armed_and_recorded(tmp_path, run, start, probe, caps
     armed = probe.call('/serial_bridge/arm', 'std_srvs/srv/SetBool', data=True)
     assert armed.success, armed.message
     refused = probe.call(calibrate)
-    assert (refused.success, 'it is armed' in refused.message) == (False, True)
+    assert (refused.success, 'it is armed' in refused.message) == (False, True), refused.message
     heard = len(imu)
     probe.until(lambda: len(imu) > heard + 375)
     assert [process.end() for process in (bridge, logger, stm32)] == [0, 0, 0]
@@ -88,8 +88,6 @@ def test_calibrated_at_rest_armed_and_recorded(tmp_path, run, start, probe, caps
     field = xyz([m.magnetic_field for m in mag])
     late = stamps_ns(mag) > begins[0] + 10**8
     assert field[late].mean(axis=0)[1] == pytest.approx(24e-6 - 5e-6, abs=1e-6)
-    vibration = entries['serial_bridge: vibration of the rates'][-1]
-    assert any(v.key == 'peak (Hz)' for v in vibration.values)
 
     stood = str(1e-9 * (begins[2] - stamps[0]) - 0.3)
     sensors(['rest', str(bag), '--out', str(tmp_path / 'again.yaml'), '--seconds', stood])

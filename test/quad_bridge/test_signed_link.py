@@ -7,8 +7,8 @@ from flight_controller import Line
 
 pytest.importorskip('diagnostic_msgs.msg', reason='needs the ROS 2 message packages')
 
-from quad_bridge.diagnostics import clock_status
-from quad_bridge.link import Link
+from quad_bridge.link.machine import Link
+from quad_bridge.link.report import clock_status
 from quad_bridge.virtual.aircraft import Aircraft
 from quad_bridge.virtual.endpoint import Endpoint
 from quad_bridge.virtual.profile import load_profile
@@ -37,7 +37,7 @@ def test_with_one_key_all_is_as_without():
     pair = Signed()
     pair.run(500)
     assert len(pair.out) > 400
-    assert pair.link.gains.reader.complete
+    assert pair.gains.active
     counts = pair.link.decoder.counts
     assert counts.unsigned == counts.forged == counts.replayed == counts.lost_cycles == 0
 
@@ -47,15 +47,15 @@ def test_with_another_key_nothing_is_heard_on_either_side():
     pair.run(250)
     assert pair.out == []
     assert pair.link.decoder.counts.forged > 250
-    assert not pair.link.gains.reader.complete
+    assert not pair.gains.active
 
 
 def test_a_bridge_without_the_key_is_told_so():
     pair = Signed(signed=False)
     pair.run(250)
     assert pair.link.decoder.counts.unverified > 250
-    assert not pair.link.gains.reader.complete
-    assert 'see key_file' in clock_status(pair.link).message
+    assert not pair.gains.active
+    assert 'see key_file' in clock_status(pair.link, 0, unset=False, now_s=1.0).message
 
 
 def test_a_recording_and_the_unsigned_are_not_obeyed():
@@ -68,5 +68,5 @@ def test_a_recording_and_the_unsigned_are_not_obeyed():
     assert stm32.receive(Encoder(1, 191).encode(ask), pair.since_ns) == b''
     assert stm32.receive(b''.join(recorded), pair.since_ns) == b''
     pair.link.send(ask)
-    (value,) = Decoder().feed(stm32.receive(pair.link.drain(), pair.since_ns))
+    (value,) = Decoder().feed(stm32.receive(pair.link.to_send(), pair.since_ns))
     assert isinstance(value, f.ParamValue)

@@ -3,8 +3,8 @@
 import pytest
 from flight_controller import CYCLE_NS, HOST0_NS, FlightController, Line, sticks
 
+from quad_bridge.link.guards import PAST_NS, PATIENCE_NS, LateGuard
 from quad_bridge.wire import frames as f
-from quad_bridge.wire.late_guard import PAST_NS, PATIENCE_NS, LateGuard
 
 MS = 1_000_000
 LATE = PAST_NS + 1

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from probe import PATIENCE_S
 
+from quad_bridge.gains.protocol import checksum
 from quad_bridge.gains.table import CONTRACT_NAMES
 from quad_bridge.virtual import process as virtual_process
 from quad_bridge.virtual.aircraft import Aircraft
@@ -53,10 +54,17 @@ def only(frames, kind):
 def test_gains_and_filters_are_float32_and_act_at_once():
     assert set(NAMES) == set(CONTRACT_NAMES)  # the firmware has every parameter of the wire
     peer = Peer()
-    (answer,) = peer.ask(f.ParamSet('ROLL_RATE_KP', 0.06))
-    assert answer.value == peer.endpoint.aircraft.gains[0, 1] == float(np.float32(0.06))
+    (late,) = peer.ask(f.ParamSet('ROLL_RATE_KP', 0.06))
+    assert late.value != float(np.float32(0.06))  # no copy is open: it came late, or from nobody
     before = peer.endpoint.aircraft.machine.chips.gyro_lp.copy()
-    assert peer.ask(f.ParamSet('GYRO_FILT_HZ', 20.0))[0].value == 20.0
+    peer.ask(f.GainsCommand(f.GainsAction.OPEN, 1))
+    written = {'ROLL_RATE_KP': 0.06, 'GYRO_FILT_HZ': 20.0}
+    for name, value in written.items():
+        assert peer.ask(f.ParamSet(name, value))[0].value == float(np.float32(value))
+    values = {x.name: x.value for x in peer.ask(f.ParamRequestList())}
+    copied = [values[name] for name in NAMES]
+    peer.ask(f.GainsCommand(f.GainsAction.COMMIT, 1, checksum(copied), 9000))
+    assert peer.endpoint.aircraft.gains[0, 1] == float(np.float32(0.06))
     assert not np.array_equal(before, peer.endpoint.aircraft.machine.chips.gyro_lp)
 
 
@@ -161,6 +169,7 @@ def ended(running, number):
 def test_the_process_serves_a_real_pty_and_ends_cleanly(port):
     encoder = Encoder(1, 191)
     os.write(port.number, encoder.encode(f.TimeSync(0, 77)))
+    os.write(port.number, encoder.encode(f.GainsCommand(f.GainsAction.OPEN, 1)))
     os.write(port.number, encoder.encode(f.ParamSet('ROLL_ANG_KP', 3.5)))
     wanted = (f.Heartbeat, f.TimeSync, f.ParamValue)
     frames = port(lambda x: len(only(x, f.Cycle)) >= 300 and all(only(x, k) for k in wanted))

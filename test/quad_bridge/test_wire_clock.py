@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from quad_bridge.wire.clock import ClockEstimator, DeviceTime
+from quad_bridge.link.clock import ClockEstimator, DeviceTime
 
 OFFSET_NS = 1_700_000_000_000_000_000
 

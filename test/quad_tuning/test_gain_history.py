@@ -5,8 +5,8 @@ import sys
 
 import pytest
 
-from quad_bridge.gain_log import GainLog
-from quad_bridge.gain_request import GainRequest
+from quad_bridge.gains.gate import GainRequest
+from quad_bridge.gains.history import History
 from quad_sysid.errors import BadInputError
 from quad_tuning.cli import main
 from quad_tuning.history.sets import SCHEMA, read_history, way_back
@@ -21,7 +21,7 @@ def gains(kp, angle):
 @pytest.fixture
 def folder(tmp_path):
     """Found, one good update in two steps, one that was taken back."""
-    log = GainLog(tmp_path)
+    log = History(tmp_path, lambda job: job())
     log.open('quad_7')
     log.found(gains(0.07, 3.0))
     asked = GainRequest({}, source='identification of flight_1', bag='flight_1')
@@ -79,7 +79,7 @@ def test_a_torn_line_is_left_out_and_the_next_one_begins_anew(folder):
     path = folder / 'quad_7' / 'gains.jsonl'
     with path.open('a') as file:
         file.write('{"schema": "quad_bri')
-    log = GainLog(folder)
+    log = History(folder, lambda job: job())
     log.open('quad_7')
     log.found(gains(0.05, 2.0))
     assert [one.gains[ANGLE] for one in read_history(path)] == [3.0, 6.0, 7.0, 7.0, 7.0, 2.0]

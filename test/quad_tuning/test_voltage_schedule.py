@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from quad_bridge.gain_gate import steps as gate_steps
+from quad_bridge.gains.gate import steps as gate_steps
 from quad_bridge.gains.table import DEFAULT_BOUNDS
 from quad_bridge.virtual.profile import load_profile
 from quad_bridge.virtual.simulation import Excited, fly, without_noise

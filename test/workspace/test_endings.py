@@ -13,10 +13,9 @@ from probe import content, entries, event
 
 INT, TERM = signal.SIGINT, signal.SIGTERM
 NODES = {
-    'serial_bridge': ('quad_bridge.serial_bridge_node', 'SerialBridge', '_on_report'),
+    'serial_bridge': ('quad_bridge.nodes.serial_bridge', 'SerialBridge', '_on_report'),
     'bag_logger': ('quad_bridge.bag_logger_node', 'BagLogger', '_on_report'),
     'monitor': ('quad_bridge.monitor_node', 'Monitor', '_look'),
-    'sensor_watch': ('quad_bridge.sensor_watch_node', 'SensorWatch', '_on_report'),
     'excitation': ('quad_sysid.excitation_node', 'ExcitationNode', '_report'),
     'identification': ('quad_sysid.identification_node', 'IdentificationNode', '_collect'),
 }

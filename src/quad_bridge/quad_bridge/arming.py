@@ -1,4 +1,4 @@
-"""A request to arm or to disarm, from its sending to the STM32's answer. Pure, safe in threads.
+"""The operator's part: the dead-man switch, and a request to arm or to disarm. Pure.
 
 COMMAND_ACK does not say which request it answers: arming is sent once, and nothing is armed while
 an answer to an earlier request may still come; disarming passes at any time, and is sent again
@@ -24,7 +24,35 @@ LATE_S = 60.0
 """So long a request may have lain on the way."""
 AGAIN_S = 0.2
 """Between two disarms that nothing has answered."""
+HELD_S = 0.5
+"""After so long without a word the switch counts as let go."""
 _RESULTS = (ACCEPTED, 'not now', 'denied', 'not supported', 'failed')
+
+
+class OperatorEnable:
+    """The dead-man switch, /operator/enable: alive or not. Times in s on a steady clock.
+
+    Whoever holds it says `true` at 5 Hz or faster; half a second of silence counts as letting go.
+    `required` False: needed only once somebody has held it: who takes a switch relies on it.
+    """
+
+    def __init__(self, *, required: bool) -> None:
+        self.required = required
+        self._heard_s = -math.inf
+        self._on = False
+
+    def take(self, on: bool, now_s: float) -> None:
+        """A message has come."""
+        self._on, self._heard_s = on, now_s
+        self.required = True
+
+    def fault(self, now_s: float) -> str:
+        """Why nobody may excite or arm now, empty where somebody may."""
+        if not self.required:
+            return ''
+        if now_s - self._heard_s > HELD_S:
+            return f'/operator/enable is silent: publish true to it every {HELD_S / 2.5:g} s'
+        return '' if self._on else "the operator's enable is off"
 
 
 class _Asked:
@@ -48,7 +76,10 @@ class _Asked:
 
 
 class Arming:
-    """See the module. Each `told` is called once, with what became of its request."""
+    """A request from its sending to the STM32's answer; safe in threads.
+
+    Each `told` is called once, with what became of its request.
+    """
 
     def __init__(self) -> None:
         self._lock = threading.Lock()

@@ -10,9 +10,10 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from quad_bridge.operator_enable import OperatorEnable
+from quad_bridge.arming import OperatorEnable
+from quad_bridge.status import OK, WARN, Status
 from quad_bridge.wire.axes import flip_body
-from quad_bridge.wire.frames import Excitation, Injection, Vector3
+from quad_bridge.wire.frames import Cycle, Excitation, Flag, Injection, Vector3
 from quad_bridge.wire.plausible import LARGEST
 
 INJECTIONS = {
@@ -42,6 +43,27 @@ class ExcitationRelay:
     def injection(self) -> Injection:
         """Where the running segment injects."""
         return self._injection
+
+    def status(self, last: Cycle | None, now_s: float) -> Status:
+        """What is forwarded, and by the last cycle what the STM32 does with it."""
+        flags = Flag(last.flags) if last is not None else Flag.NONE
+        values = {
+            'injection': self.injection.name.lower(),
+            'set-points forwarded': self.forwarded,
+            'set-points dropped': self.dropped,
+            'flags of the STM32': ' '.join(str(f.name).lower() for f in Flag if f and f in flags),
+        }
+        disabled = self._enable.fault(now_s)
+        level, text = OK, 'running' if Flag.EXCITATION in flags else 'idle'
+        if self.reason:
+            level, text = WARN, f'set-point dropped: {self.reason}'
+        elif Flag.STALE_SETPOINT in flags:
+            level, text = WARN, 'the STM32 dropped a stale set-point'
+        elif Flag.EXCITATION_REFUSED in flags:
+            level, text = WARN, 'the STM32 refuses the excitation'
+        elif disabled:
+            text = f'disabled: {disabled}'
+        return Status('excitation', level, text, values)
 
     def segment(self, parameters: Mapping[str, Any]) -> Excitation | None:
         """Take a segment's parameters; the frame that ends the excitation where it is idle."""

@@ -46,7 +46,7 @@ def _open_standard_streams() -> None:
 
 def serial_bridge() -> None:
     """`ros2 run quad_bridge serial_bridge`."""
-    begin('quad_bridge.serial_bridge_node')
+    begin('quad_bridge.nodes.serial_bridge')
 
 
 def bag_logger() -> None:
@@ -57,11 +57,6 @@ def bag_logger() -> None:
 def monitor() -> None:
     """`ros2 run quad_bridge monitor`."""
     begin('quad_bridge.monitor_node')
-
-
-def sensor_watch() -> None:
-    """`ros2 run quad_bridge sensor_watch`."""
-    begin('quad_bridge.sensor_watch_node')
 
 
 def virtual_stm32() -> int:

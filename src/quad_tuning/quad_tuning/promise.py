@@ -1,6 +1,6 @@
 """What a design promises to the watch in flight: how the rates change under the same disturbances.
 
-Figures for the bridge (its gain_watch.py): ratios of after to before, from the loops of the
+Figures for the bridge (its gains/watch.py): ratios of after to before, from the loops of the
 nominal plant. No verdict here.
 """
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 
+from quad_bridge.gains.protocol import checksum
 from quad_bridge.wire.frames import (
     GainsAction,
     GainsCommand,
@@ -16,7 +17,6 @@ from quad_bridge.wire.frames import (
     GainsResult,
     GainsState,
 )
-from quad_bridge.wire.params import checksum
 
 LINK_DEAD_S = 2.0
 """Silence after which the bridge is taken as gone."""
@@ -50,16 +50,9 @@ class GainStore:
         return (self.active if self._copy is None else self._copy)[name]
 
     def write(self, name: str, value: float) -> None:
-        """PARAM_SET: into the copy, or straight into force where none is open; if it fits."""
-        if not self._fits(name, value):
-            return
-        if self._copy is not None:
+        """PARAM_SET: into the copy, if it fits. Without a copy it may be a late one: nothing."""
+        if self._copy is not None and self._fits(name, value):
             self._copy[name] = value
-            return
-        self.active[name] = value
-        if not self._watching:
-            self._good[name] = value
-        self.version += 1
 
     def heard(self, now_s: float) -> None:
         """A frame of the bridge has come."""

@@ -1,6 +1,6 @@
 """An aircraft's gains over time, from the lines the bridge keeps: which set, whose, how it went.
 
-Reads `<folder>/<aircraft>/gains.jsonl` (quad_bridge's aircraft_store.py writes it); no printing.
+Reads `<folder>/<aircraft>/gains.jsonl` (quad_bridge's gains/history.py writes it); no printing.
 """
 
 from __future__ import annotations

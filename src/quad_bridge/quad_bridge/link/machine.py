@@ -1,17 +1,15 @@
-"""What the bridge knows of the far end: decoder, clock and parameters put together. No I/O.
+"""The link as a machine without I/O: `receive` returns what has come, `to_send` what is to go out.
 
-Bytes and ticks go in, frames with stamps come out, and what is to be sent waits in `drain`. All
-times are ns of one steady host clock. Not thread-safe: the node holds a lock around it.
+Events come in order: what arrived, what was stamped, that the far end has restarted. All times are
+ns of one steady host clock. Not thread-safe: the node holds a lock around it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
-from quad_bridge.autopilot import Autopilot
-from quad_bridge.gain_line import GainLine
-from quad_bridge.stamping import Stamped, Stamping
+from quad_bridge.link.autopilot import Autopilot
+from quad_bridge.link.stamping import Arrived, Event, Restarted, Stamped, Stamping
 from quad_bridge.wire.codec import Decoder, Encoder
 from quad_bridge.wire.frames import (
     Attitude,
@@ -62,20 +60,15 @@ WRAP_NS = 1000 << 32
 
 
 class Link:
-    """State of the conversation with the STM32."""
+    """State of the conversation with the far end."""
 
     def __init__(self, signing: Signing | None = None, one_clock_ns: int | None = None) -> None:
         """`one_clock_ns`: host minus device time where both are one clock, as in lockstep."""
         self._one_clock_ns = one_clock_ns
-        self.on_ack: Callable[[CommandAck], None] = lambda _frame: None
-        """Called for the answer to a command."""
-        self.on_cycle: Callable[[Cycle, int], None] = lambda _frame, _now_ns: None
-        """Called for every cycle, also those that are held back for want of a clock."""
         self.decoder = Decoder(signing, own=(BRIDGE_SYSTEM, BRIDGE_COMPONENT))
         self.stamping = Stamping()
         self.stamping.on_restart = self._restarted_unseen
         self.clock = self.stamping.clock
-        self.gains = GainLine()
         self.peer: Heartbeat | None = None
         self.autopilot = Autopilot()
         """Where the far end sends standard messages only."""
@@ -84,6 +77,7 @@ class Link:
         """Host time at which the last cycle arrived."""
         self.cycles = 0
         self._encoder = Encoder(BRIDGE_SYSTEM, BRIDGE_COMPONENT, signing)
+        self._events: list[Event] = []
         self._outbox = bytearray()
         self._restarts = 0
         self._started_ns: int | None = None
@@ -116,31 +110,32 @@ class Link:
         return self.armed if heard else None
 
     def opened(self) -> None:
-        """Start afresh: the port was opened, the far end may be another one."""
+        """Begin anew: the port was opened, the far end may be another one."""
         if self.last_cycle is not None:
             self._started_ns = self.last_cycle_ns - 1000 * self.last_cycle.time_us
         self.decoder.resync()
-        self._far_end_restarted()
+        self.stamping.restart()
         self.peer = None
         self.autopilot.clear()
         self.last_cycle = None
         self._outbox.clear()
 
-    def receive(self, data: bytes, now_ns: int) -> list[Stamped]:
-        """Frames for topics out of `data`, which arrived at `now_ns`."""
-        out: list[Stamped] = []
+    def receive(self, data: bytes, now_ns: int) -> list[Event]:
+        """What is in `data`, which arrived at `now_ns`, and what may be stamped by now."""
+        events: list[Event] = []
+        self._events = events
         frames = self.decoder.feed(data)
         if frames:
             self._heard_ns = now_ns
         for frame in frames:
             if isinstance(frame, Cycle):
-                self._cycle(frame, now_ns, out)
+                self._cycle(frame, now_ns)
             else:
-                self._other(frame, now_ns, out)
-        return out
+                self._other(frame, now_ns)
+        return events
 
     def tick(self, now_ns: int) -> None:
-        """Put into the outbox what is due: heartbeat, TIMESYNC, parameter requests, repeats."""
+        """Put into the outbox what is due: heartbeat, TIMESYNC, requests to an autopilot."""
         if self.decoder.peer is not None and now_ns - self._heard_ns > RELEASE_NS:
             self.decoder.release()
         if now_ns >= self._next_heartbeat_ns:
@@ -153,7 +148,6 @@ class Link:
         if self.standard_only(now_ns):
             for command in self.autopilot.due(now_ns):
                 self.send(command)
-        self.poll_gains(now_ns)
 
     def standard_only(self, now_ns: int) -> bool:
         """Whether an autopilot is there that has sent no control cycle."""
@@ -163,13 +157,6 @@ class Link:
             and now_ns - self._peer_since_ns > NO_CYCLE_NS
         )
 
-    def poll_gains(self, now_ns: int) -> None:
-        """Put into the outbox what the parameters' state machine wants to send."""
-        if self.standard_only(now_ns):
-            return  # its parameters are its own, and a thousand
-        for request in self.gains.poll(1e-9 * now_ns):
-            self.send(request)
-
     def send(self, frame: Frame) -> None:
         """Queue a frame, addressed to the peer where the message has an address."""
         peer = self.peer
@@ -177,13 +164,13 @@ class Link:
             frame = replace(frame, target_system=peer.system, target_component=peer.component)
         self._outbox += self._encoder.encode(frame)
 
-    def drain(self) -> bytes:
-        """Bytes to send now; the outbox is empty afterwards."""
+    def to_send(self) -> bytes:
+        """Bytes to send now, each asked for once."""
         data = bytes(self._outbox)
         self._outbox.clear()
         return data
 
-    def _cycle(self, frame: Cycle, now_ns: int, out: list[Stamped]) -> None:
+    def _cycle(self, frame: Cycle, now_ns: int) -> None:
         restarts = self.decoder.restarts
         if self.peer is not None and self.decoder.peer != (self.peer.system, self.peer.component):
             self._far_end_restarted()  # what was known was of one that had sent no cycle
@@ -198,8 +185,8 @@ class Link:
         self.cycles += 1
         self.last_cycle = frame
         self.last_cycle_ns = now_ns
-        self.on_cycle(frame, now_ns)
-        self.stamping.cycle(frame, now_ns, out)
+        self._events.append(Arrived(frame))
+        self.stamping.cycle(frame, now_ns, self._events)
         self._ask_urgently(now_ns)
 
     @staticmethod
@@ -213,18 +200,31 @@ class Link:
             self._next_urgent_ns = now_ns + URGENT_NS
             self.send(TimeSync(0, now_ns))
 
-    def _other(self, frame: Frame, now_ns: int, out: list[Stamped]) -> None:
-        if isinstance(frame, (RcChannels, SlowSensors, Battery, StatusText)):
-            self._for_topic(frame, now_ns, out)
-        elif isinstance(frame, (Attitude, Outputs)):
-            self._standard(frame, now_ns, out)
-        elif isinstance(frame, TimeSync):
-            self._time_sync(frame, now_ns, out)
-        elif isinstance(frame, (ParamValue, GainsState)):
-            self.gains.take(frame, 1e-9 * now_ns)
-            self.poll_gains(now_ns)
-        elif isinstance(frame, CommandAck):
-            self.on_ack(frame)
+    def _other(self, frame: Frame, now_ns: int) -> None:
+        events = self._events
+        if isinstance(frame, (ParamValue, GainsState, CommandAck, StatusText)):
+            events.append(Arrived(frame))
+        elif isinstance(frame, RcChannels):
+            self.autopilot.note('RC_CHANNELS', now_ns)
+            self.stamping.other(frame, frame.time_ms * 1000, 1000, now_ns, events)
+        elif isinstance(frame, SlowSensors):
+            self._inertial(frame, now_ns)
+            self.stamping.other(frame, frame.time_us, 1, now_ns, events)
+        elif isinstance(frame, Battery):
+            if self.autopilot.battery(frame, now_ns) and self.clock.converged:
+                last_ns = self.stamping.last_ns
+                events += [Stamped(frame, last_ns)] if last_ns else []
+        elif isinstance(frame, Attitude):
+            self._inertial(frame, now_ns)
+        elif isinstance(frame, Outputs):
+            if self.autopilot.outputs(frame, now_ns) and self.last_cycle is None:
+                self.stamping.outputs(frame, events)
+        else:
+            self._for_the_link(frame, now_ns)
+
+    def _for_the_link(self, frame: Frame, now_ns: int) -> None:
+        if isinstance(frame, TimeSync):
+            self._time_sync(frame, now_ns)
         elif isinstance(frame, Heartbeat):
             self._heartbeat(frame, now_ns)
         elif isinstance(frame, Standard):
@@ -236,45 +236,17 @@ class Link:
                 self._peer_since_ns = now_ns
             self.peer, self._peer_ns = frame, now_ns
 
-    def _for_topic(
-        self,
-        frame: RcChannels | SlowSensors | Battery | StatusText,
-        now_ns: int,
-        out: list[Stamped],
-    ) -> None:
-        if isinstance(frame, StatusText):
-            out.append(Stamped(frame, None))
-        elif isinstance(frame, RcChannels):
-            self.autopilot.note('RC_CHANNELS', now_ns)
-            self.stamping.other(frame, frame.time_ms * 1000, 1000, now_ns, out)
-        elif isinstance(frame, SlowSensors):
-            self._standard(frame, now_ns, out)
-            self.stamping.other(frame, frame.time_us, 1, now_ns, out)
-        elif self.autopilot.battery(frame, now_ns) and self.clock.converged:
-            last_ns = self.stamping.last_ns
-            out += [Stamped(frame, last_ns)] if last_ns else []
-
-    def _standard(
-        self, frame: Attitude | Outputs | SlowSensors, now_ns: int, out: list[Stamped]
-    ) -> None:
+    def _inertial(self, frame: Attitude | SlowSensors, now_ns: int) -> None:
         """What another autopilot says in place of a cycle; nothing once a cycle has come."""
-        if isinstance(frame, Outputs):
-            wanted = self.autopilot.outputs(frame, now_ns)
-            if wanted and self.last_cycle is None:
-                self.stamping.outputs(frame, out)
-            return
         inertial = self.autopilot.inertial(frame, now_ns)
         if inertial is None or self.last_cycle is not None:
             return
-        arrivals = now_ns - self._opened_ns(now_ns) > NO_SYNC_NS
-        self.stamping.inertial(inertial, now_ns, out, arrivals=arrivals)
+        since_ns = self._peer_since_ns if self.peer is not None else now_ns
+        arrivals = now_ns - since_ns > NO_SYNC_NS
+        self.stamping.inertial(inertial, now_ns, self._events, arrivals=arrivals)
         self._ask_urgently(now_ns)
 
-    def _opened_ns(self, now_ns: int) -> int:
-        """When the far end was first heard; now, where it has not been."""
-        return self._peer_since_ns if self.peer is not None else now_ns
-
-    def _time_sync(self, frame: TimeSync, now_ns: int, out: list[Stamped]) -> None:
+    def _time_sync(self, frame: TimeSync, now_ns: int) -> None:
         if frame.tc1_ns == 0:
             self.send(TimeSync(now_ns, frame.ts1_ns))
         elif frame.ts1_ns <= now_ns:
@@ -282,12 +254,12 @@ class Link:
             sent_ns, received_ns = frame.ts1_ns, now_ns
             if self._one_clock_ns is not None:
                 sent_ns = received_ns = frame.tc1_ns + self._one_clock_ns
-            self.stamping.trip(sent_ns, frame.tc1_ns, received_ns, out)
+            self.stamping.trip(sent_ns, frame.tc1_ns, received_ns, self._events)
 
     def _restarted_unseen(self) -> None:
         self._restarts = self.decoder.restarted()
-        self.gains.restart()
+        self._events.append(Restarted())
 
     def _far_end_restarted(self) -> None:
         self.stamping.restart()
-        self.gains.restart()
+        self._events.append(Restarted())

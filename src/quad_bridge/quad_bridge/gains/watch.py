@@ -2,22 +2,23 @@
 
 Pure arithmetic on arrays of three axes, no clock and no ROS. What an axis may do is what it did
 before (times a margin and what the design predicts), plus what its references explain, plus a
-floor; whoever is beyond that for a while is unwell. Acting on it is gain_keeper.py's.
+floor; whoever is beyond that for a while is unwell. Acting on it is update.py's.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
+from quad_bridge.gains.table import AXES
+
 FloatArray = npt.NDArray[np.float64]
 
-AXES = ('roll', 'pitch', 'yaw')
 CENTRES_RAD_S = (4.0, 8.0, 16.0, 32.0, 64.0)
 """Bands one octave wide, from slow angle loops to fast rate loops; the last channel is the RMS."""
 RMS_CUT_RAD_S = 120.0
@@ -36,6 +37,8 @@ LEAD_S = 0.06
 """By which the place is foreseen from the rate: turning back takes that long."""
 FOLLOW_S, FOLLOW_FACTOR, TURN_S = 0.5, 2.0, 0.25
 BEFORE_S, BLOCK_S = 10.0, 0.5
+MOST_HZ = 250.0
+"""A faster loop is watched by the means of so many of its cycles that no more remain."""
 SETTLE_S = 1.0
 """Of data before the first figures count."""
 
@@ -68,8 +71,11 @@ class Alarm:
 class GainWatch:
     """Fed every cycle, armed by `begin`, asked for an alarm after each `step`."""
 
-    def __init__(self, rate_hz: float = 250.0) -> None:
-        self._dt = 1.0 / rate_hz
+    def __init__(self, rate_hz: float) -> None:
+        """`rate_hz` control cycles per second, 50 or more."""
+        self._every = max(1, round(rate_hz / MOST_HZ))
+        self._held: list[FloatArray] = []
+        self._dt = self._every / rate_hz
         centres = np.array(CENTRES_RAD_S)
         self._b, self._a = _bank(centres, self._dt)
         periods = 2.0 * math.pi / np.append(centres, RMS_CUT_RAD_S)
@@ -105,15 +111,27 @@ class GainWatch:
 
     def step(
         self,
-        rates: FloatArray,
-        attitude: FloatArray,
-        reference: FloatArray,
-        injected: FloatArray,
+        rates: Sequence[float],
+        attitude: Sequence[float],
+        reference: Sequence[float],
+        injected: Sequence[float],
     ) -> None:
         """Take one cycle: `rates` (3,) rad/s, `attitude` and its `reference` (3,) rad.
 
         `injected` (3,) is the excitation inside the loop as a rate reference, rad/s.
         """
+        row = np.array((rates, injected, attitude, reference))
+        if self._every > 1:
+            self._held.append(row)
+            if len(self._held) < self._every:
+                return
+            row[:2] = np.mean(self._held, axis=0)[:2]
+            self._held.clear()
+        self._step(*row)
+
+    def _step(
+        self, rates: FloatArray, injected: FloatArray, attitude: FloatArray, reference: FloatArray
+    ) -> None:
         if self._last is None:
             self._last = self._slow = reference
         turn = reference - self._last

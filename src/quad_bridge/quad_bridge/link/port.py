@@ -73,7 +73,7 @@ class PortStatus:
     opened: int
     """Times the port has been opened."""
     dropped_writes: int
-    """Writes that found the output full or the port shut."""
+    """Writes that found the output of the open port full."""
     path: str = ''
     """The device that is open, or was last: what a link or pattern has led to."""
     latency_ms: int | None = None
@@ -107,6 +107,8 @@ class SerialPort:
         self._port: Any = None
         self._stop = threading.Event()
         self._write_lock = threading.Lock()
+        self._tail = b''
+        """What the output has not taken yet of the last write: no frame is torn."""
         self._state = PortState.CLOSED
         self._detail = ''
         self._opened = 0
@@ -143,14 +145,22 @@ class SerialPort:
             self._thread.join(timeout=STOP_S if self._port is not None else OPENING_S)
 
     def write(self, data: bytes) -> bool:
-        """Send `data` without waiting; False (and counted) where the port is shut or full."""
+        """Send whole frames without waiting; False where the port is shut, or full (counted).
+
+        What the output takes only in part is completed before anything else goes out.
+        """
         with self._write_lock:
-            port = self._port
+            if self._port is None:
+                return False
             try:
-                if port is not None and _write(port, data) == len(data):
-                    return True
+                if self._tail:
+                    self._tail = self._tail[_write(self._port, self._tail) :]
+                taken = 0 if self._tail else _write(self._port, data)
             except FAULTS as error:
-                self._detail = _one_line(error)
+                taken, self._tail, self._detail = 0, b'', _one_line(error)
+            if taken:
+                self._tail = data[taken:]
+                return True
             self._dropped += 1
             return False
 
@@ -219,7 +229,7 @@ class SerialPort:
 
     def _close(self) -> None:
         with self._write_lock:  # nobody writes behind it; closing a socket takes its time
-            port, self._port = self._port, None
+            port, self._port, self._tail = self._port, None, b''
         try:
             port.close()
         except FAULTS as error:

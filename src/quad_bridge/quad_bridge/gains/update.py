@@ -1,28 +1,39 @@
-"""Keeps an aircraft's gains: gate, polarity, steps, watch and the way back, as one state machine.
+"""An update of the gains: gate, polarity, steps, watch and rollback, as one state machine. Pure.
 
-Pure but for the store of the aircraft's files: cycles, events and ticks come in with their time (s
-on a steady clock), what is to be published or logged waits in `news`. The wire is gain_line.py's.
+What to do with a set; how it gets to the STM32 and what is proven of it is protocol.py's. Cycles,
+frames and ticks come in with their time (s on a steady clock); what is to be published or logged
+waits in `news`. The state diagram stands in docs/reference/gain_machines.md.
 """
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from enum import Enum
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from quad_bridge import gain_gate
 from quad_bridge.errors import QuadBridgeError, RefusedError
-from quad_bridge.gain_line import GainEvent, GainLine, What
-from quad_bridge.gain_log import GainLog
-from quad_bridge.gain_request import GainRequest, read_request
-from quad_bridge.gain_state import KeeperSettings, News, State
-from quad_bridge.gain_watch import AXES, GainWatch
-from quad_bridge.gains.table import WIRE_NAMES
-from quad_bridge.polarity_check import PolarityCheck
-from quad_bridge.stick_gesture import StickGesture
+from quad_bridge.gains import gate
+from quad_bridge.gains.history import History
+from quad_bridge.gains.polarity import PolarityCheck
+from quad_bridge.gains.protocol import GainEvent, GainProtocol, Request, What
+from quad_bridge.gains.protocol import State as Protocol
+from quad_bridge.gains.table import AXES, DEFAULT_BOUNDS, WIRE_NAMES, Bound
+from quad_bridge.gains.watch import GainWatch
+from quad_bridge.status import ERROR, OK, WARN, Status
 from quad_bridge.wire.axes import flip_attitude, flip_body
-from quad_bridge.wire.frames import Cycle, Excitation, Flag, Injection
+from quad_bridge.wire.frames import (
+    Cycle,
+    Excitation,
+    Flag,
+    GainsState,
+    Injection,
+    ParamValue,
+)
 
 STEP_WATCH_S, WATCH_S = 3.0, 10.0
 """Between the steps of a larger change, and after the last."""
@@ -32,34 +43,72 @@ QUIET_S = 0.5
 """Without excitation before gains may change; without a cycle after which a check ends."""
 LINK_S = 1.0
 """Without a control cycle after which gains on trial are asked back."""
+LEAST_HZ, MOST_HZ, USUAL_HZ = 50.0, 1000.0, 250.0
+"""Control cycles per second with which watch and pulses work; where the STM32 has not said it."""
+GESTURE_END, GESTURE_ENDS, GESTURE_S = 0.8, 3, 2.0
+"""The pilot's no: the yaw stick (-1..1) at one end, the other and the first again in this time."""
+
+
+class State(Enum):
+    """What is going on with the gains."""
+
+    IDLE = 'read back'
+    CHECKING = 'checking polarity'
+    WRITING = 'writing'
+    WATCHING = 'watching'
+    CONFIRMING = 'confirming'
+    REVERTING = 'taking back'
+
+
+@dataclass(frozen=True)
+class GainSettings:
+    """What the configuration says."""
+
+    bounds: Mapping[str, Bound] = field(default_factory=lambda: DEFAULT_BOUNDS)
+    sources: Sequence[str] = ('*',)
+    polarity: str = 'auto'
+    aircraft: str = ''
+    """Name of the folder of its files; empty: the STM32's unique number."""
+    folder: Path = Path()
+
+
+@dataclass(frozen=True)
+class News:
+    """One thing to tell: a line, and the gains where they are now known to be in force."""
+
+    text: str
+    fault: bool = False
+    active: Mapping[str, float] | None = None
 
 
 @dataclass
 class _Update:
     """The update in flight."""
 
-    asked: GainRequest
+    asked: gate.GainRequest
     steps: list[dict[str, float]]
     identity: str
     written: int = 0
 
 
-class GainKeeper:
+class GainUpdates:
     """See the module. `ask` and `check` raise RefusedError, the rest never."""
 
-    def __init__(self, settings: KeeperSettings, line: GainLine) -> None:
+    def __init__(self, settings: GainSettings, history: History) -> None:
         self.news: list[News] = []
         self.refused = ''
         """Why the last update was refused, failed or taken back; empty after a good one."""
         self.refusals = self.commits = self.rollbacks = 0
         self.state = State.IDLE
-        self.watch = GainWatch()
-        self.polarity = PolarityCheck(settings.polarity)
-        self._settings, self._line = settings, line
-        self._files = GainLog(settings.folder)
-        self._gesture = StickGesture()
+        self.protocol = GainProtocol()
+        self.rate_hz = USUAL_HZ
+        self.watch = GainWatch(USUAL_HZ)
+        self.polarity = PolarityCheck(settings.polarity, USUAL_HZ)
+        self._settings, self._history = settings, history
+        self._stick_ends: deque[tuple[float, int]] = deque(maxlen=GESTURE_ENDS)
         self._update: _Update | None = None
-        self._pending: tuple[GainRequest, list[str]] | None = None
+        self._pending: tuple[gate.GainRequest, list[str]] | None = None
+        """What waits for the check of these axes."""
         self._checked: Callable[[str], None] | None = None
         self._until_s = 0.0
         self._cycle_s = self._excited_s = float('-inf')
@@ -67,18 +116,43 @@ class GainKeeper:
         self._rate_kp = np.ones(3)
 
     @property
+    def active(self) -> Mapping[str, float]:
+        """Gains and loop constants in force, contract names, SI; empty while not proven."""
+        return self.protocol.active
+
+    @property
+    def aircraft(self) -> str:
+        """Name of the folder of the aircraft's files; '' while it is not known."""
+        told = self.protocol.told
+        return self._settings.aircraft or (f'{told.aircraft:016x}' if told is not None else '')
+
+    @property
     def words(self) -> str:
         """The state in a few words."""
         if self.state is State.IDLE or self._update is None:
-            return self._line.busy or self.state.value
+            return self.protocol.busy or self.state.value
         source, left = self._update.asked.source, self._until_s - self._cycle_s
         text = f'{self.state.value} gains of {source}'
         return f'{text}, {max(left, 0.0):.0f} s left' if self.state is State.WATCHING else text
 
-    @property
-    def disk_fault(self) -> str:
-        """What keeps the history from being written."""
-        return self._files.fault
+    def status(self, *, standard: bool) -> Status:
+        """For /diagnostics; `standard`: the far end has no QUAD_GAINS."""
+        values: dict[str, object] = {n: f'{v:.9g}' for n, v in self.active.items()}
+        values['writes acknowledged'] = self.commits
+        values['refused'] = self.refusals
+        values['rolled back'] = self.rollbacks
+        values['polarity'] = self.polarity.words()
+        values |= {f'watch {n} (rad/s)': f'{v:.3f}' for n, v in self.watch.figures().items()}
+        if standard:
+            return Status('gains', WARN, 'refused: the far end has no QUAD_GAINS', values)
+        if self.refused:
+            return Status('gains', ERROR, self.refused, values)
+        if self._history.fault:
+            return Status('gains', WARN, self._history.fault, values)
+        if self.state is State.IDLE and self.protocol.state is Protocol.READING:
+            words = 'the STM32 has not reported its parameters yet'
+            return Status('gains', WARN, words, values)
+        return Status('gains', OK, self.words, values)
 
     # What is asked for.
 
@@ -87,15 +161,15 @@ class GainKeeper:
 
         Raises RefusedError; the refusal is in `news` too.
         """
-        source = gain_gate.shorten(str(parameters.get('source', 'unknown source')))
+        source = gate.shorten(str(parameters.get('source', 'unknown source')))
         try:
-            return self._request(read_request(parameters), now_s)
+            return self._request(gate.read_request(parameters), now_s)
         except RefusedError as error:
             self._refuse(source, error)
             raise
 
-    def _request(self, asked: GainRequest, now_s: float) -> str:
-        gain_gate.check_source(asked.source, self._settings.sources)
+    def _request(self, asked: gate.GainRequest, now_s: float) -> str:
+        gate.check_source(asked.source, self._settings.sources)
         if asked.rollback and self.state in {State.WRITING, State.WATCHING}:
             self._take_back(f'{asked.source} asked for it')
             return 'taking back the gains in flight'
@@ -125,48 +199,72 @@ class GainKeeper:
             self.polarity.abort(f'stopped: {why}')
             self._end_check()
 
-    def _admit(self, asked: GainRequest, now_s: float) -> list[dict[str, float]]:
-        path = gain_gate.steps(asked.gains, self._line.active, self._settings.bounds)
+    def _admit(self, asked: gate.GainRequest, now_s: float) -> list[dict[str, float]]:
+        path = gate.steps(asked.gains, self.active, self._settings.bounds)
         if now_s - self._cycle_s > QUIET_S:
             raise RefusedError('the link is down: no control cycle in the last 0.5 s')
         if self.state is not State.IDLE:
             raise RefusedError(f'an earlier update is in flight: {self.words}')
-        if self._line.busy:
-            raise RefusedError(f'the parameters are busy: {self._line.busy}')
+        if self.protocol.busy:
+            raise RefusedError(f'the parameters are busy: {self.protocol.busy}')
         if now_s - self._excited_s < QUIET_S:
             raise RefusedError('not while the excitation runs: send them when it is idle')
         if self._flags & (Flag.RC_KILL | Flag.RC_FAILSAFE):
             raise RefusedError("the pilot's kill switch or the receiver's failsafe is on")
+        self._known_rate()
         return path
 
-    def _begin(self, asked: GainRequest, path: list[dict[str, float]]) -> None:
-        update = _Update(asked, path, self._files.identity())
+    def _known_rate(self) -> None:
+        if not LEAST_HZ <= self.rate_hz <= MOST_HZ:
+            raise RefusedError(
+                f'loop.rate_hz: the watch works at {LEAST_HZ:g} to {MOST_HZ:g} Hz: '
+                f'found {self.rate_hz:g}'
+            )
+
+    def _begin(self, asked: gate.GainRequest, path: list[dict[str, float]]) -> None:
+        update = _Update(asked, path, self._history.identity())
         self._write_step(update)
         self._update, self.refused = update, ''
 
     def _write_step(self, update: _Update) -> None:
         step = update.steps[update.written]
-        self._line.write({WIRE_NAMES[n]: v for n, v in step.items()}, STM32_WATCH_MS)
+        self.protocol.write({WIRE_NAMES[n]: v for n, v in step.items()}, STM32_WATCH_MS)
         self.state = State.WRITING
 
     # What comes from the STM32.
 
+    def know(self, record: Mapping[str, Any]) -> None:
+        """What was kept of the polarity of the aircraft that is now connected."""
+        self.polarity.load(record)
+        self._history.found(self.active)
+
+    def take(self, frame: ParamValue | GainsState, now_s: float) -> None:
+        """Take an answer about parameters or sets."""
+        self.protocol.take(frame, now_s)
+        self._take_events(now_s)
+
+    def poll(self, now_s: float) -> Request | None:
+        """What to send now."""
+        wanted = self.protocol.poll(now_s)
+        self._take_events(now_s)
+        return wanted
+
+    def restarted(self, now_s: float) -> None:
+        """The far end has started anew, or is another one."""
+        self.protocol.restart()
+        self._take_events(now_s)
+
     def cycle(self, frame: Cycle, now_s: float) -> Excitation | None:
         """Take one control cycle; a pulse to send while the polarity is checked."""
         self._cycle_s, self._flags = now_s, frame.flags
-        rates = flip_body(frame.gyro)
-        added = np.array(flip_body(frame.excitation))
-        inside = np.zeros(3)
+        injected: Any = (0.0, 0.0, 0.0)
         if frame.injection == Injection.RATE:
-            inside = added
+            injected = flip_body(frame.excitation)
         elif frame.injection == Injection.CONTROL:
-            inside = added / self._rate_kp
-        attitude, reference = (
-            np.array(flip_attitude(rpy)) for rpy in (frame.attitude, frame.attitude_setpoint)
-        )
-        self.watch.step(np.array(rates), attitude, reference, inside)
-        if self._line.events:
-            self._take_events(now_s)
+            injected = flip_body(frame.excitation) / self._rate_kp
+        attitude = flip_attitude(frame.attitude)
+        reference = flip_attitude(frame.attitude_setpoint)
+        self.watch.step(flip_body(frame.gyro), attitude, reference, injected)
         if self.state is State.CHECKING:
             pulse = self.polarity.step(frame)
             if not self.polarity.running:
@@ -184,20 +282,23 @@ class GainKeeper:
 
     def sticks(self, yaw: float, now_s: float) -> None:
         """Take the yaw stick's place, -1..1."""
-        gesture = self._gesture.step(yaw, now_s)
-        if gesture and self.state in {State.WATCHING, State.WRITING}:
-            self._take_back("the pilot's stick gesture")
+        ends, end = self._stick_ends, int(yaw > GESTURE_END) - int(yaw < -GESTURE_END)
+        if not end or (ends and ends[-1][1] == end):
+            return
+        ends.append((now_s, end))
+        if len(ends) == GESTURE_ENDS and now_s - ends[0][0] <= GESTURE_S:
+            ends.clear()
+            if self.state in {State.WATCHING, State.WRITING}:
+                self._take_back("the pilot's stick gesture")
 
     def tick(self, now_s: float) -> None:
-        """Go on where it is time, and take over what the line has done."""
-        self._take_events(now_s)
-        self._open_files()
+        """Go on where it is time."""
         watching = self.state is State.WATCHING
         if self.state is State.CHECKING and now_s - self._cycle_s > QUIET_S:
             self.disturb(f'no control cycle for {QUIET_S:g} s')
         if watching and now_s - self._cycle_s > LINK_S:
             self._take_back(f'no control cycle for {LINK_S:g} s')
-        elif watching and now_s >= self._until_s and not self._line.busy:
+        elif watching and now_s >= self._until_s and not self.protocol.busy:
             self._go_on(now_s)
 
     def _go_on(self, now_s: float) -> None:
@@ -211,16 +312,20 @@ class GainKeeper:
                 self._take_back(str(error))
             return
         self.state = State.CONFIRMING
-        self._line.confirm()
+        self.protocol.confirm()
 
     def _take_events(self, now_s: float) -> None:
-        events, self._line.events = self._line.events, []
-        for event in events:
-            self._event(event, now_s)
+        if self.protocol.events:
+            events, self.protocol.events = self.protocol.events, []
+            for event in events:
+                self._event(event, now_s)
 
     def _event(self, event: GainEvent, now_s: float) -> None:
         if event.what is What.READ:
-            self._read(event)
+            self._know(event)
+            self._history.found(self.active)
+            text = f'{len(self.active)} gains and constants read back'
+            self.news.append(News(text, active=self.active))
         elif event.what is What.COMMITTED:
             self._committed(event, now_s)
         elif event.what is What.CONFIRMED:
@@ -238,15 +343,17 @@ class GainKeeper:
             if busy:
                 self._fault(f'gains not taken over: {event.reason}')
 
-    def _read(self, event: GainEvent) -> None:
+    def _know(self, event: GainEvent) -> None:
         active = event.active or {}
-        self._know(active)
-        self._files.found(active)
-        self.news.append(News(f'{len(active)} gains and constants read back', active=active))
+        self._rate_kp = np.maximum([active.get(f'{a}.rate.kp', 1.0) for a in AXES], 1e-3)
+        rate_hz = active.get('loop.rate_hz', USUAL_HZ)
+        if rate_hz != self.rate_hz:
+            self.rate_hz = self.polarity.rate_hz = rate_hz
+            self.watch = GainWatch(min(max(rate_hz, LEAST_HZ), MOST_HZ))
 
     def _committed(self, event: GainEvent, now_s: float) -> None:
-        update, active = self._update, event.active or {}
-        self._know(active)
+        update = self._update
+        self._know(event)
         if update is None:
             return
         if update.written == 0:
@@ -257,24 +364,17 @@ class GainKeeper:
         self.commits += 1
         last = update.written == len(update.steps)
         self._until_s = now_s + (WATCH_S if last else STEP_WATCH_S)
-        if self.state is State.WRITING:
-            self.state = State.WATCHING
-        self._log('active', active, step=update.written, steps=len(update.steps))
+        self.state = State.WATCHING
+        self._log('active', self.active, step=update.written, steps=len(update.steps))
         text = f'step {update.written} of {len(update.steps)} of {update.asked.source} is in force'
-        self.news.append(News(text, active=active))
-
-    def _know(self, active: Mapping[str, float]) -> None:
-        kp = [active.get(f'{axis}.rate.kp', 1.0) for axis in AXES]
-        self._rate_kp = np.maximum(kp, 1e-3)
+        self.news.append(News(text, active=self.active))
 
     # The way back.
 
     def _take_back(self, reason: str) -> None:
-        if self.state is State.REVERTING:
-            return
         self.state = State.REVERTING
         self.refused = f'rolling back: {reason}'
-        self._line.revert(reason)
+        self.protocol.revert(reason)
 
     def _ended(self, outcome: str, reason: str = '') -> None:
         if self._update is not None:
@@ -291,6 +391,11 @@ class GainKeeper:
         if not self.news or self.news[-1].text != text:  # a flood is told once
             self.news.append(News(text, fault=True))
 
+    def _log(self, state: str, active: Mapping[str, float] | None = None, **more: object) -> None:
+        update = self._update
+        if update is not None:
+            self._history.write(state, active, update.asked, update=update.identity, **more)
+
     # Polarity.
 
     def _start_check(self, axes: Sequence[str], now_s: float) -> None:
@@ -301,13 +406,14 @@ class GainKeeper:
             )
         if now_s - self._excited_s < QUIET_S:
             raise RefusedError('not while the excitation runs')
+        self._known_rate()
         self.polarity.start(axes)
         self.state = State.CHECKING
 
     def _end_check(self) -> None:
         self.state, trouble = State.IDLE, self.polarity.trouble
         if not trouble:
-            self._files.keep_polarity(self.polarity.record)
+            self._history.keep_polarity(self.polarity.record)
         words = trouble or self.polarity.words()
         told, self._checked = self._checked, None
         if told is not None:
@@ -317,7 +423,7 @@ class GainKeeper:
         if pending is not None:
             self._after_check(pending, trouble)
 
-    def _after_check(self, pending: tuple[GainRequest, list[str]], trouble: str) -> None:
+    def _after_check(self, pending: tuple[gate.GainRequest, list[str]], trouble: str) -> None:
         asked, axes = pending
         silent = self.polarity.silent(axes)
         if trouble:
@@ -332,18 +438,3 @@ class GainKeeper:
             self._begin(asked, self._admit(asked, self._cycle_s))
         except RefusedError as error:
             self._refuse(asked.source, error)
-
-    # The aircraft's files.
-
-    def _open_files(self) -> None:
-        name = self._settings.name_of(self._line.state)
-        record = self._files.open(name) if name else None
-        if record is not None:
-            self.polarity.load(record)
-            if self._line.reader.complete:
-                self._files.found(self._line.active)
-
-    def _log(self, state: str, active: Mapping[str, float] | None = None, **more: object) -> None:
-        update = self._update
-        if update is not None:
-            self._files.write(state, active, update.asked, update=update.identity, **more)

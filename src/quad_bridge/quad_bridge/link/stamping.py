@@ -1,4 +1,4 @@
-"""Which stamp a frame gets, and which frames wait for one: clock, wraps and guards together. Pure.
+"""Which stamp a frame gets, and which frames wait for one: clock, wraps and guards. Pure.
 
 All times are ns of one steady host clock, device times µs. What TIMESYNC asks is the link's.
 """
@@ -6,14 +6,23 @@ All times are ns of one steady host clock, device times µs. What TIMESYNC asks 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
-from quad_bridge.autopilot import Inertial
-from quad_bridge.wire.clock import ClockEstimator, DeviceTime
-from quad_bridge.wire.frames import Battery, Cycle, Outputs, RcChannels, SlowSensors, StatusText
-from quad_bridge.wire.late_guard import PATIENCE_NS, LateGuard
-from quad_bridge.wire.step_guard import StepGuard
+from quad_bridge.link.autopilot import Inertial
+from quad_bridge.link.clock import ClockEstimator, DeviceTime
+from quad_bridge.link.guards import PATIENCE_NS, LateGuard, StepGuard
+from quad_bridge.wire.frames import (
+    Battery,
+    CommandAck,
+    Cycle,
+    GainsState,
+    Outputs,
+    ParamValue,
+    RcChannels,
+    SlowSensors,
+    StatusText,
+)
 
 FUTURE_NS = 100_000_000
 """A stamp later than its arrival by more is false."""
@@ -21,12 +30,24 @@ NEAR_US = 60_000_000
 """A device time is believed to have wrapped at 32 bits within this of the wrap."""
 
 
-@dataclass(frozen=True)
-class Stamped:
-    """A frame for a topic with its host time; `stamp_ns` is None where it has no time."""
+class Stamped(NamedTuple):
+    """A frame for a topic with its host time, ns: here every stamp is made."""
 
-    frame: Cycle | RcChannels | Battery | SlowSensors | StatusText | Inertial | Outputs
-    stamp_ns: int | None
+    frame: Cycle | RcChannels | Battery | SlowSensors | Inertial | Outputs
+    stamp_ns: int
+
+
+class Arrived(NamedTuple):
+    """A frame that has just come; a cycle is stamped afterwards, or never."""
+
+    frame: Cycle | CommandAck | ParamValue | GainsState | StatusText
+
+
+class Restarted(NamedTuple):
+    """The far end has started anew, or is another one."""
+
+
+Event = Stamped | Arrived | Restarted
 
 
 class Stamping:
@@ -45,7 +66,7 @@ class Stamping:
         """The latest stamp."""
         self._stamped: Cycle | Inertial | None = None
         """What has this stamp."""
-        self._waiting: list[Callable[[int, list[Stamped]], None]] = []
+        self._waiting: list[Callable[[int, list[Event]], None]] = []
         """What is stamped once it is known whether the far end's clock is still the same."""
         self._arrived_ns = self._waits_since_ns = 0
 
@@ -64,14 +85,14 @@ class Stamping:
         """Whether frames wait for a round trip."""
         return bool(self._waiting)
 
-    def cycle(self, frame: Cycle, now_ns: int, out: list[Stamped]) -> None:
+    def cycle(self, frame: Cycle, now_ns: int, out: list[Event]) -> None:
         """Stamp a cycle that has arrived, or let it wait."""
         device_us = self.device_time.extend(frame.time_us, NEAR_US)
         uneven = self.guard.step(frame.cycle, device_us, now_ns)
         self._timed(frame, 1000 * device_us, now_ns, out, uneven=uneven)
 
     def inertial(
-        self, frame: Inertial, now_ns: int, out: list[Stamped], *, arrivals: bool
+        self, frame: Inertial, now_ns: int, out: list[Event], *, arrivals: bool
     ) -> None:
         """Stamp what an autopilot sends in place of a cycle; its arrival tells the clock too."""
         device_ns = 1000 * self.device_time.extend(frame.time_us, NEAR_US)
@@ -79,7 +100,7 @@ class Stamping:
             self.clock.add_arrival(device_ns, now_ns)
         self._timed(frame, device_ns, now_ns, out, uneven=False)
 
-    def outputs(self, frame: Outputs, out: list[Stamped]) -> None:
+    def outputs(self, frame: Outputs, out: list[Event]) -> None:
         """Stamp an autopilot's motor pulses, whose time has 32 bits."""
         if self.clock.converged:
             device_ns = 1000 * self.device_time.nearest(frame.time_us)
@@ -91,7 +112,7 @@ class Stamping:
         time_us: int,
         grain_us: int,
         now_ns: int,
-        out: list[Stamped],
+        out: list[Event],
     ) -> None:
         """Stamp a frame whose time has this grain: with its cycle's stamp where it was of one."""
         device_ns = 1000 * self.device_time.peek(time_us, NEAR_US)
@@ -104,7 +125,7 @@ class Stamping:
         else:
             stamp(now_ns, out)
 
-    def trip(self, sent_ns: int, told_ns: int, now_ns: int, out: list[Stamped]) -> None:
+    def trip(self, sent_ns: int, told_ns: int, now_ns: int, out: list[Event]) -> None:
         """Take a round trip of TIMESYNC: sent and received by us, told by the far end."""
         # a far end that counts µs in 32 bits wraps here too
         whole_us, rest_ns = divmod(told_ns, 1000)
@@ -134,7 +155,7 @@ class Stamping:
         frame: Cycle | Inertial,
         device_ns: int,
         now_ns: int,
-        out: list[Stamped],
+        out: list[Event],
         *,
         uneven: bool,
     ) -> None:
@@ -150,7 +171,7 @@ class Stamping:
         self._release(now_ns, out)
         self._stamp_timed(frame, device_ns, now_ns, out)
 
-    def _no_cycle_tells(self, late_ns: int, now_ns: int, out: list[Stamped]) -> None:
+    def _no_cycle_tells(self, late_ns: int, now_ns: int, out: list[Event]) -> None:
         """Cycles would have lost their patience by now: they have stopped, others go on."""
         if self.late.waiting and self.late.anew:
             self._begin_anew()
@@ -158,7 +179,7 @@ class Stamping:
             self.late.believe(late_ns)
             self._release(now_ns, out)
 
-    def _wait(self, stamp: Callable[[int, list[Stamped]], None], now_ns: int) -> None:
+    def _wait(self, stamp: Callable[[int, list[Event]], None], now_ns: int) -> None:
         if not self._waiting:
             self._waits_since_ns = now_ns
         self._waiting.append(stamp)
@@ -170,14 +191,14 @@ class Stamping:
         if restarted:
             self.on_restart()
 
-    def _release(self, now_ns: int, out: list[Stamped]) -> None:
+    def _release(self, now_ns: int, out: list[Event]) -> None:
         """Stamp what has waited."""
         waiting, self._waiting = self._waiting, []
         for stamp in waiting:
             stamp(now_ns, out)
 
     def _stamp_timed(
-        self, frame: Cycle | Inertial, device_ns: int, now_ns: int, out: list[Stamped]
+        self, frame: Cycle | Inertial, device_ns: int, now_ns: int, out: list[Event]
     ) -> None:
         """Stamp it where it may go out: no stamp runs backwards or lies in the future."""
         stamp_ns = self.clock.host_ns(device_ns) if self.clock.converged else 0
@@ -194,7 +215,7 @@ class Stamping:
         grain_us: int,
         device_ns: int,
         _now_ns: int,
-        out: list[Stamped],
+        out: list[Event],
     ) -> None:
         if not self.clock.converged:
             return

@@ -10,13 +10,13 @@ from typing import Any
 from rcl_interfaces.msg import ParameterDescriptor
 
 from quad_bridge import ros_node
-from quad_bridge.aircraft_store import default_folder
 from quad_bridge.errors import BadInputError
-from quad_bridge.gain_gate import bound_from
-from quad_bridge.gain_state import KeeperSettings
+from quad_bridge.gains.gate import bound_from
+from quad_bridge.gains.history import default_folder
+from quad_bridge.gains.polarity import MODES
 from quad_bridge.gains.table import DEFAULT_BOUNDS, SETTABLE, Bound
+from quad_bridge.gains.update import GainSettings
 from quad_bridge.key_file import signing_from
-from quad_bridge.polarity_check import MODES
 from quad_bridge.wire.signing import Signing
 
 WIRED = ('loop', 'spy', 'hwgrep', 'alt', 'cp2110')
@@ -33,7 +33,7 @@ class BridgeSettings:
     signing: Signing | None
     require_enable: bool
     correct_sensors: bool
-    keeper: KeeperSettings
+    gains: GainSettings
 
 
 OWN = (
@@ -73,7 +73,7 @@ def declare(node: Any) -> BridgeSettings:
             True,
             "subtract the gyro's bias at rest and the compass's offset from what is published",
         ),
-        keeper=_keeper(node, bounds),
+        gains=_gains(node, bounds),
     )
     if not settings.port:
         raise BadInputError('parameter port', 'must name a device', "''")
@@ -99,7 +99,7 @@ def _signing(node: Any, port: str) -> Signing | None:
     return signing_from(Path(given).expanduser() if given else None)
 
 
-def _keeper(node: Any, bounds: Mapping[str, str]) -> KeeperSettings:
+def _gains(node: Any, bounds: Mapping[str, str]) -> GainSettings:
     folder = ros_node.text(
         node, 'state_folder', '', 'history of gains and checks; empty: quad_suite in ROS_HOME'
     )
@@ -108,7 +108,7 @@ def _keeper(node: Any, bounds: Mapping[str, str]) -> KeeperSettings:
     )
     if '/' in aircraft or aircraft.startswith('.'):
         raise BadInputError('parameter aircraft', 'must be a plain name', aircraft)
-    return KeeperSettings(
+    return GainSettings(
         bounds={**DEFAULT_BOUNDS, **_bounds(node, bounds)},
         sources=_sources(node),
         polarity=ros_node.choice(

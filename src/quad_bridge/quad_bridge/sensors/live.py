@@ -1,30 +1,39 @@
 """Estimates one aircraft's sensors before each flight, keeps them, says what to subtract.
 
-Pure but for the aircraft's YAML. Cycles and the wish for an estimate come in; the node subtracts
-`current` from what it publishes and tells it in `/diagnostics`. Not thread-safe: the node holds a
-lock.
+Cycles and the wish for an estimate come in; the node subtracts `current` from what it publishes
+and tells it in `/diagnostics`. Cycles come in the port's thread, all else in the executor's, where
+the aircraft's YAML is read and written; a lock of its own guards what both touch.
 """
 
 from __future__ import annotations
 
+import threading
+from collections import deque
 from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from quad_bridge.errors import BadInputError, RefusedError
 from quad_bridge.sensors import aircraft_file
-from quad_bridge.sensors.correction import NOTHING, Correction, Triple
-from quad_bridge.sensors.rest import LEAST_S, RestEstimate
-from quad_bridge.sensors.window import Sample, SensorWindow, at_rest
+from quad_bridge.sensors.correction import NOTHING, STATUS, Correction, Triple
+from quad_bridge.sensors.rest import LEAST_S, RestEstimate, estimate_at_rest
+from quad_bridge.status import OK, WARN, Status
 from quad_bridge.wire.axes import flip_body
 from quad_bridge.wire.frames import Cycle, Flag
 
+STANDING_S = LEAST_S + 1.0
+"""Of the last cycles without armed motors that are kept for an estimate."""
 SAME_START_S = 2.0
 """The STM32 has not restarted where the time of its start agrees to this."""
-
 MOST_TESLA, MOST_RAD_S = 1e-3, 1.0
 """No compass is off by more, nor a gyro at rest: a figure beyond is in another unit."""
+NOT_YET = 'not estimated since the STM32 started'
+
+Sample = tuple[float, float, float, float, float, float, float]
+"""Device time in s, rates in rad/s, accelerations in m/s², FLU."""
 
 
 @dataclass(frozen=True)
@@ -35,17 +44,18 @@ class Wanted:
     samples: tuple[Sample, ...]
 
 
-class SensorKeeper:
+class LiveSensors:
     """See the module. Nothing but `estimate` raises."""
 
     def __init__(self, folder: Path, *, correct: bool) -> None:
         self.current = Correction()
         self.rest: RestEstimate | None = None
         """The last estimate since the STM32 has started."""
-        self.words, self.warned = 'not estimated since the STM32 started', False
+        self.words, self.warned = NOT_YET, False
         self.fault = ''
         """What is wrong with the aircraft's file."""
-        self.window = SensorWindow()
+        self._lock = threading.RLock()
+        self._standing: deque[Sample] = deque()
         self._folder, self._correct = folder, correct
         self._aircraft = ''
         self._armed = False
@@ -63,37 +73,72 @@ class SensorKeeper:
         """Whether the last change has reached a published stamp."""
         return self._fresh is None
 
-    # Every cycle.
+    def status(self) -> Status:
+        """Which offsets are subtracted, from which stamp on, and what they were estimated from."""
+        values: dict[str, object] = dict(self.current.told())
+        found = self.rest
+        if found is not None:
+            values |= {
+                'gyro drift (rad/s per s)': _three(found.gyro_drift),
+                'gyro noise (rad/s RMS)': _three(found.gyro_noise),
+                'gravity measured off by (m/s²)': f'{found.acceleration_norm_error:+.4f}',
+                'level offset roll, pitch (rad)': f'{found.level[0]:+.5f} {found.level[1]:+.5f}',
+                'stood (s)': f'{found.duration_s:.1f}',
+            }
+        values['kept in'] = self.path or 'nowhere: the aircraft is not known'
+        if self.fault:
+            return Status(STATUS, WARN, self.fault, values)
+        return Status(STATUS, WARN if self.warned else OK, self.words, values)
+
+    # In the port's thread.
 
     def cycle(self, frame: Cycle, clock_s: float) -> None:
         """Take one cycle at this system time; the one that arms wants an estimate."""
         armed = bool(frame.flags & Flag.ARMED)
-        if armed and not self._armed:
-            self.want('arming')
-        self._armed = armed
-        self._started_s = clock_s - 1e-6 * frame.time_us
-        sample = (1e-6 * frame.time_us, *flip_body(frame.gyro), *flip_body(frame.accel))
-        self.window.add(sample, standing=not armed)
+        time_s = 1e-6 * frame.time_us
+        self._started_s = clock_s - time_s
+        if armed:
+            if not self._armed:
+                self.want('arming')
+                with self._lock:
+                    self._standing.clear()
+            self._armed = True
+            return
+        self._armed = False
+        with self._lock:
+            standing = self._standing
+            if standing and time_s < standing[-1][0]:
+                standing.clear()  # its clock has wrapped or jumped
+            standing.append((time_s, *flip_body(frame.gyro), *flip_body(frame.accel)))
+            while time_s - standing[0][0] > STANDING_S:
+                standing.popleft()
 
     def stamped(self, stamp_ns: int) -> Correction:
         """What to subtract from the message that gets this stamp."""
         if self._fresh is not None:
-            self.current, self._fresh = replace(self._fresh, since_ns=stamp_ns), None
+            with self._lock:
+                self.current, self._fresh = replace(self._fresh, since_ns=stamp_ns), None
         return self.current
 
     def restarted(self) -> None:
         """The STM32 has started anew: it has removed another bias of its own."""
-        self.window.clear()
-        self.rest = None
-        self.words, self.warned = 'not estimated since the STM32 started', False
-        self._armed = False
-        self._adopt(gyro_bias=NOTHING)
+        with self._lock:
+            self._standing.clear()
+            self.rest = None
+            self.words, self.warned = NOT_YET, False
+            self._armed = False
+            self._adopt(gyro_bias=NOTHING)
 
-    # When asked.
+    # In the executor's.
+
+    def standing(self) -> tuple[Sample, ...]:
+        """A copy of what stood last."""
+        with self._lock:
+            return tuple(self._standing)
 
     def want(self, why: str) -> None:
         """Have an estimate made of what stands, where anything does."""
-        samples = self.window.standing()
+        samples = self.standing()
         if samples:
             self._wanted = Wanted(why, samples)
 
@@ -102,22 +147,19 @@ class SensorKeeper:
         taken, self._wanted = self._wanted, None
         return taken
 
-    def estimate(self, wanted: Wanted) -> RestEstimate:
-        """The estimate, which takes milliseconds; raises RefusedError."""
-        if self._armed and not wanted.samples:
-            raise RefusedError('it is armed: biases are estimated with the motors off')
-        return at_rest(wanted.samples)
-
-    def refused(self, wanted: Wanted, why: str) -> str:
-        """Note that there is no estimate; what to say. An earlier one stays in force."""
-        held = wanted.samples[-1][0] - wanted.samples[0][0] if wanted.samples else 0.0
-        self.warned = held >= LEAST_S
-        earlier = '; the earlier one stays' if self.rest is not None else ''
-        self.words = f'gyro bias not estimated ({wanted.why}): {why}{earlier}'
-        return self.words
-
-    def take(self, wanted: Wanted, found: RestEstimate) -> str:
-        """Keep and apply an estimate; what to say."""
+    def estimate(self, wanted: Wanted) -> str:
+        """Estimate, keep and apply; what to say. Raises RefusedError; an earlier one stays."""
+        rows = np.array(wanted.samples, dtype=float).reshape(-1, 7)
+        try:
+            if self._armed and not wanted.samples:
+                _refuse('it is armed: biases are estimated with the motors off')
+            found = estimate_at_rest(rows[:, 0], rows[:, 1:4], rows[:, 4:])
+        except RefusedError as why:
+            held_s = wanted.samples[-1][0] - wanted.samples[0][0] if wanted.samples else 0.0
+            self.warned = held_s >= LEAST_S
+            earlier = '; the earlier one stays' if self.rest is not None else ''
+            self.words = f'gyro bias not estimated ({wanted.why}): {why}{earlier}'
+            raise RefusedError(self.words) from why
         now = datetime.now(timezone.utc)
         bias = ', '.join(f'{v:+.5f}' for v in found.gyro_bias)
         self.words = f'gyro bias {bias} rad/s at rest, {wanted.why} {now:%H:%M:%S} UTC'
@@ -183,11 +225,20 @@ class SensorKeeper:
             self.fault = str(error)
 
     def _adopt(self, *, gyro_bias: Triple | None = None, hard_iron: Triple | None = None) -> None:
-        now = self._fresh or self.current
-        new = Correction(
-            now.gyro_bias if gyro_bias is None else gyro_bias,
-            now.hard_iron if hard_iron is None else hard_iron,
-            now.since_ns,
-        )
-        if self._correct and new != now:
-            self._fresh = new
+        with self._lock:
+            now = self._fresh or self.current
+            new = Correction(
+                now.gyro_bias if gyro_bias is None else gyro_bias,
+                now.hard_iron if hard_iron is None else hard_iron,
+                now.since_ns,
+            )
+            if self._correct and new != now:
+                self._fresh = new
+
+
+def _refuse(why: str) -> None:
+    raise RefusedError(why)
+
+
+def _three(values: tuple[float, float, float]) -> str:
+    return ' '.join(f'{v:+.3g}' for v in values)

@@ -1,17 +1,20 @@
-"""What stands between /gains/update and the aircraft: names, finite, bounds, steps, sources. Pure.
+"""What stands between /gains/update and the aircraft: types, names, bounds, steps, sources. Pure.
 
-The bounds are the installation's (YAML, over the table's defaults); whether gains are good is the
-designer's business, whether they turned out good the watch's.
+Here a NaN is refused. The bounds are the installation's (YAML, over the table's defaults); whether
+gains are good is the designer's business, whether they turned out good the watch's.
 """
 
 from __future__ import annotations
 
+import json
 import math
 import reprlib
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from fnmatch import fnmatchcase
 
 from quad_bridge.errors import BadInputError, RefusedError
+from quad_bridge.gains.protocol import float32
 from quad_bridge.gains.table import (
     AXES,
     DEFAULT_BOUNDS,
@@ -20,7 +23,7 @@ from quad_bridge.gains.table import (
     Bound,
     switch_of,
 )
-from quad_bridge.wire.params import float32
+from quad_bridge.gains.watch import Predicted
 
 ROUNDING = 1e-4
 """Share by which a step stays inside the factor: float32 on the wire must not leave it."""
@@ -28,6 +31,74 @@ LONGEST_NAME = 60
 """Characters of a name in a message."""
 MOST_STEPS = 16
 """More than that from one update is taken as a mistake: 2 to the 16 is 65536."""
+_LIMITS = {'rate_rms_ratio': (0.5, 3.0), 'oscillation_ratio': (0.5, 3.0), 'peak': (1.0, 2.5)}
+"""How far a prediction may move the watch's bounds; beyond, the limit counts."""
+LONGEST_TEXT = 4096
+"""Characters of a text."""
+
+
+@dataclass(frozen=True)
+class GainRequest:
+    """One update as it was asked for."""
+
+    gains: Mapping[str, float]
+    """Contract names, SI."""
+    source: str = 'unknown source'
+    model: str = ''
+    bag: str = ''
+    rollback: bool = False
+    """Take back what is in flight; with nothing in flight `gains` are an update."""
+    predicted: Mapping[str, Predicted] = field(default_factory=dict)
+    """Axis to what the design says of it."""
+
+
+def read_request(parameters: Mapping[str, object]) -> GainRequest:
+    """The request of a message's parameters. Raises RefusedError where one has no meaning."""
+    rest = dict(parameters)
+    texts = {n: _text(n, rest.pop(n)) for n in ('source', 'model', 'bag') if n in rest}
+    rollback = rest.pop('rollback', False)
+    if not isinstance(rollback, bool):
+        raise RefusedError(f'rollback: must be true or false: found {reprlib.repr(rollback)}')
+    predicted = _predictions(_short('predicted', rest.pop('predicted', '{}')))
+    return GainRequest(gains=numbers(rest), rollback=rollback, predicted=predicted, **texts)
+
+
+def _text(name: str, value: object) -> str:
+    """A text that may stand in a log and in the aircraft's history."""
+    text = _short(name, value)
+    if not text.isprintable():
+        raise RefusedError(f'{name}: must be printable and one line: found {shorten(text)!r}')
+    return text
+
+
+def _short(name: str, text: object) -> str:
+    if not isinstance(text, str):
+        raise RefusedError(f'{name}: must be a text: found {reprlib.repr(text)}')
+    if len(text) > LONGEST_TEXT:
+        most = f'must have {LONGEST_TEXT} characters at most'
+        raise RefusedError(f'{name}: {most}: found {len(text)}')
+    return text
+
+
+def _predictions(text: str) -> dict[str, Predicted]:
+    """Of JSON such as `{"roll.peak": 1.2, "roll.rate_rms_ratio": 0.9}`."""
+    try:
+        said = json.loads(text)
+        pairs = numbers(dict(said))
+    except (ValueError, TypeError, RecursionError) as error:
+        raise RefusedError(f'predicted: must be a JSON object of numbers: {error}') from error
+    values: dict[str, dict[str, float]] = {}
+    known = {f.name for f in fields(Predicted)}
+    for name, value in pairs.items():
+        axis, _, figure = name.partition('.')
+        if axis not in AXES or figure not in known:
+            words = f'{shorten(name)} is not known; known are {", ".join(sorted(known))}'
+            raise RefusedError(f'predicted: {words}')
+        if not math.isfinite(value):
+            raise RefusedError(f'predicted: {name} must be finite: found {value}')
+        low, high = _LIMITS[figure]
+        values.setdefault(axis, {})[figure] = min(max(value, low), high)
+    return {axis: Predicted(**figures) for axis, figures in values.items()}
 
 
 def numbers(wanted: Mapping[str, object]) -> dict[str, float]:

@@ -1,0 +1,163 @@
+"""What is kept on disk of each aircraft: every set of gains that was active, and its check. Files.
+
+`<folder>/<aircraft>/gains.jsonl` is only ever appended to, one line per event, each in one write
+and on the disk before the next; `polarity.json` is replaced whole. A thread of its own writes: a
+disk that takes seconds delays no control cycle and no confirmation. `quad-tune history` reads the
+first file by itself.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import queue
+import threading
+import time
+from collections.abc import Callable, Mapping
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from quad_bridge.gains.gate import GainRequest
+
+SCHEMA = 'quad_bridge/gains/1'
+HISTORY, POLARITY = 'gains.jsonl', 'polarity.json'
+CLOSE_S = 2.0
+"""How long the last lines are waited for when the node ends."""
+
+
+def default_folder() -> Path:
+    """Where ROS keeps what outlives a process: `$ROS_HOME/quad_suite`, or in `~/.ros`."""
+    home = os.environ.get('ROS_HOME')
+    return (Path(home) if home else Path.home() / '.ros') / 'quad_suite'
+
+
+class Worker:
+    """Runs what it is given, one after the other, in a thread that begins with the first."""
+
+    def __init__(self) -> None:
+        self._jobs: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
+        self._thread: threading.Thread | None = None
+
+    def __call__(self, job: Callable[[], None]) -> None:
+        """Run `job` soon; it must not raise."""
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._run, name='gain history', daemon=True)
+            self._thread.start()
+        self._jobs.put(job)
+
+    def close(self) -> None:
+        """Wait a little for what is still to be done."""
+        if self._thread is not None:
+            self._jobs.put(None)
+            self._thread.join(timeout=CLOSE_S)
+            self._thread = None
+
+    def _run(self) -> None:
+        while (job := self._jobs.get()) is not None:
+            job()
+
+
+class History:
+    """The files of the aircraft that is connected; nothing is written before it is known.
+
+    Nothing raises: a full disk must not keep gains from being rolled back. `run` takes the work
+    of writing, a `Worker` or something that does it at once.
+    """
+
+    def __init__(self, folder: Path, run: Callable[[Callable[[], None]], None]) -> None:
+        self.fault = ''
+        """What keeps the files from being written."""
+        self._folder, self._run = folder, run
+        self._aircraft = ''
+        self._last: Mapping[str, float] = {}
+        self._count = 0
+
+    def open(self, aircraft: str) -> dict[str, Any] | None:
+        """Take this aircraft's files; its polarity record where it is another one than before.
+
+        Reads a small file. {} where no check was kept, or its file is damaged.
+        """
+        if aircraft in {'', self._aircraft}:
+            return None
+        self._aircraft, self._last = aircraft, {}
+        try:
+            found = json.loads((self._folder / aircraft / POLARITY).read_text(encoding='utf-8'))
+        except (OSError, ValueError, RecursionError):
+            return {}
+        return found if isinstance(found, dict) else {}
+
+    def identity(self) -> str:
+        """A name for a new update."""
+        self._count += 1
+        return f'{datetime.now(timezone.utc):%Y%m%dT%H%M%S}-{self._count}'
+
+    def found(self, active: Mapping[str, float]) -> None:
+        """Gains read from the STM32: written where they are not those written last."""
+        if active and active != self._last:
+            self.write('active', active, reason='read from the STM32')
+
+    def write(
+        self,
+        state: str,
+        active: Mapping[str, float] | None = None,
+        asked: GainRequest | None = None,
+        **more: object,
+    ) -> None:
+        """One line: a set that is active now, or what became of an update."""
+        if not self._aircraft:
+            return
+        entry: dict[str, object] = {'time': now_text(), 'clock_s': time.time(), 'state': state}
+        if asked is not None:
+            entry |= {'source': asked.source, 'model': asked.model, 'bag': asked.bag}
+        if active is not None:
+            self._last = active
+            entry['gains'] = dict(active)
+        entry |= more
+        kept = {'schema': SCHEMA, **{k: v for k, v in entry.items() if v not in ('', {}, None)}}
+        path, line = self._folder / self._aircraft / HISTORY, json.dumps(kept, allow_nan=False)
+        self._run(lambda: self._append(path, line))
+
+    def keep_polarity(self, record: Mapping[str, Any]) -> None:
+        """Replace the aircraft's polarity record."""
+        if self._aircraft:
+            path = self._folder / self._aircraft / POLARITY
+            text = json.dumps({**record, 'time': now_text()}, indent=1) + '\n'
+            self._run(lambda: self._replace(path, text))
+
+    def _append(self, path: Path, line: str) -> None:
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            file = os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT, 0o644)
+            try:
+                os.write(file, f'{_torn(file)}{line}\n'.encode())
+                os.fsync(file)
+            finally:
+                os.close(file)
+            self.fault = ''
+        except OSError as error:
+            self.fault = f'{path}: cannot be written ({error.strerror}); gains are not kept'
+
+    def _replace(self, path: Path, text: str) -> None:
+        fresh = path.with_suffix(f'.{os.getpid()}')
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            fresh.write_text(text, encoding='utf-8')
+            fresh.replace(path)
+        except OSError as error:
+            self.fault = f'{path}: cannot be written ({error.strerror})'
+            with contextlib.suppress(OSError):
+                fresh.unlink()
+
+
+def now_text() -> str:
+    """UTC, to the millisecond."""
+    return datetime.now(timezone.utc).isoformat(timespec='milliseconds')
+
+
+def _torn(file: int) -> str:
+    """A line end where a crash left half a line behind."""
+    size = os.fstat(file).st_size
+    return '\n' if size and os.pread(file, 1, size - 1) != b'\n' else ''

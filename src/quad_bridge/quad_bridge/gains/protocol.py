@@ -1,0 +1,353 @@
+"""The bridge's side of the aircraft's sets of gains: read, stage, commit, confirm, revert. No I/O.
+
+`poll` says what to send, `take` what came back, `events` what happened. The rule: what is in force
+is known only while the checksum of what was read is the one that the STM32 states, and whatever
+cannot be proven is taken back. The state diagram and the invariants stand in
+docs/reference/gain_machines.md; test_gain_protocol.py walks through every state and every event.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+from quad_bridge.errors import RefusedError
+from quad_bridge.gains.table import CONTRACT_NAMES
+from quad_bridge.wire.frames import (
+    GainsAction,
+    GainsCommand,
+    GainsPhase,
+    GainsResult,
+    GainsState,
+    ParamRequestList,
+    ParamRequestRead,
+    ParamSet,
+    ParamValue,
+)
+
+Request = GainsCommand | ParamSet | ParamRequestList | ParamRequestRead
+TRIES, STUBBORN_TRIES = 4, 41
+"""Of one request; of CONFIRM and REVERT, so long that the STM32 decides by itself before."""
+REPEAT_S, READ_S, QUIET_S = 0.25, 0.5, 0.1
+"""Between two tries; between two while reading; silence that ends a list of parameters."""
+_FLOAT32_MAX = 3.4028234663852886e38
+
+
+class State(Enum):
+    """Where the conversation stands."""
+
+    READING = 'reading'
+    READY = 'read back'
+    OPENING = 'opening'
+    STAGING = 'writing'
+    COMMITTING = 'committing'
+    VERIFYING = 'reading back'
+    ON_TRIAL = 'on trial'
+    CONFIRMING = 'confirming'
+    REVERTING = 'taking back'
+
+
+WRITING = (State.OPENING, State.STAGING, State.COMMITTING, State.VERIFYING)
+AT_REST = (State.READY, State.ON_TRIAL)
+_ACTIONS = {
+    State.OPENING: GainsAction.OPEN,
+    State.COMMITTING: GainsAction.COMMIT,
+    State.CONFIRMING: GainsAction.CONFIRM,
+    State.REVERTING: GainsAction.REVERT,
+}
+
+
+class What(Enum):
+    """What happened to the gains."""
+
+    READ = 'all read'
+    COMMITTED = 'committed and read back'
+    FAILED = 'not taken over'
+    CONFIRMED = 'confirmed'
+    REVERTED = 'taken back'
+    LOST = 'link lost'
+
+
+@dataclass(frozen=True)
+class GainEvent:
+    """One event; `active` (contract names, SI) where the gains in force were proven."""
+
+    what: What
+    active: Mapping[str, float] | None = None
+    reason: str = ''
+    by_stm32: bool = False
+    """The STM32 has taken its gains back by itself."""
+
+
+class GainProtocol:
+    """One conversation with one STM32; `restart` begins another. Times in s on a steady clock."""
+
+    def __init__(self) -> None:
+        self.state = State.READING
+        self.events: list[GainEvent] = []
+        self.active: Mapping[str, float] = {}
+        """What is in force, contract names, SI; empty while it is not proven."""
+        self.told: GainsState | None = None
+        """The STM32's last word on its sets."""
+        self._forget()
+        self._number = 0
+        self._checksum = 0
+        """Of what is in force, or is to be."""
+        self._writes: dict[str, float] = {}
+        self._queue: list[str] = []
+        """Names that are still to be written, or to be read back."""
+        self._watch_ms = 0
+        self._shown: float | None = None
+        """What the STM32 has said instead of the value that was written."""
+        self._outcome, self._reason = What.REVERTED, ''
+        """What is to be told when the way back has ended."""
+        self._left, self._due_s = 0, -math.inf
+
+    @property
+    def busy(self) -> str:
+        """What is being done, empty where a set may be written."""
+        return '' if self.state in AT_REST else self.state.value
+
+    # What is asked for.
+
+    def write(self, writes: Mapping[str, float], watch_ms: int) -> None:
+        """Begin to write a set (wire names). Raises RefusedError before anything is sent."""
+        if self.busy or self.told is None:
+            raise RefusedError(f'the parameters are busy: {self.busy}')
+        for name, value in writes.items():
+            _check_writable(name, value)
+            if name not in self._values:
+                raise RefusedError(f'{name}: the STM32 has not reported it; nothing to go back to')
+        self._writes = {name: float32(value) for name, value in writes.items()}
+        merged = {**self._values, **self._writes}
+        self._checksum = checksum([merged[name] for name in self._ordered()])
+        self._number, self._watch_ms = self.told.transaction % 255 + 1, watch_ms
+        self._go(State.OPENING)
+
+    def confirm(self) -> None:
+        """Keep the set on trial."""
+        if self.state is State.ON_TRIAL:
+            self._go(State.CONFIRMING)
+
+    def revert(self, reason: str) -> None:
+        """Take back what is being written or on trial; a set being confirmed is decided."""
+        if self.state is State.ON_TRIAL:
+            self._take_back(What.REVERTED, reason)
+        elif self.state in WRITING:
+            self._take_back(What.FAILED, reason)
+
+    def restart(self) -> None:
+        """The far end is a new one, or the same again: read all anew."""
+        if self.state not in {State.READING, State.READY}:
+            self.events.append(GainEvent(What.LOST, reason='the link broke'))
+        self.told, self._number = None, 0
+        self._read_again()
+
+    # The wire.
+
+    def poll(self, now_s: float) -> Request | None:
+        """What to send now; also notices that the tries are used up."""
+        if self.state in AT_REST or now_s < self._due_s:
+            return None
+        if self.state is State.READING:
+            self._due_s = now_s + READ_S
+            return self._next_to_read()
+        if self._left == 0:
+            self._unanswered()
+            return self.poll(now_s)
+        self._left -= 1
+        self._due_s = now_s + REPEAT_S
+        action = _ACTIONS.get(self.state)
+        if action is GainsAction.COMMIT:
+            return GainsCommand(int(action), self._number, self._checksum, self._watch_ms)
+        if action is not None:
+            return GainsCommand(int(action), self._number)
+        name = self._queue[0]
+        staging = self.state is State.STAGING
+        return ParamSet(name, self._writes[name]) if staging else ParamRequestRead(name)
+
+    def take(self, frame: ParamValue | GainsState, now_s: float) -> None:
+        """Use an answer; those to other questions are ignored."""
+        if isinstance(frame, ParamValue):
+            if self.state is State.READING:
+                self._read(frame, now_s)
+            elif self._queue and frame.name == self._queue[0]:
+                self._answered(frame)
+            return
+        self.told = frame
+        if frame.result in {GainsResult.LINK_LOST, GainsResult.NOT_CONFIRMED}:
+            self._gave_up_by_itself(GainsResult(frame.result))
+        elif self.state in _ACTIONS and frame.action == _ACTIONS[self.state]:
+            if frame.transaction == self._number or frame.result == GainsResult.WRONG_ID:
+                self._acted(frame)
+        else:
+            self._compare(frame, now_s)
+
+    # Reading.
+
+    def _next_to_read(self) -> Request:
+        if self._count:
+            missing = [i for i in range(self._count) if i not in self._names]
+            if missing:
+                return ParamRequestRead('', missing[0])
+        elif self.told is not None:
+            return ParamRequestList()
+        return GainsCommand(int(GainsAction.QUERY), 0)
+
+    def _read(self, frame: ParamValue, now_s: float) -> None:
+        if frame.index >= frame.count:
+            return  # an echo that nobody has asked for
+        self._count = frame.count
+        self._names[frame.index], self._values[frame.name] = frame.name, frame.value
+        complete = len(self._names) >= self._count
+        self._due_s = -math.inf if complete else now_s + QUIET_S
+
+    def _compare(self, state: GainsState, now_s: float) -> None:
+        """Hold what the STM32 says is in force against what is believed."""
+        if self.state is State.READING:
+            if state.phase != GainsPhase.IDLE:
+                self._found_open(state)
+            elif not self._count:
+                self._due_s = -math.inf
+            elif len(self._names) >= self._count:
+                self._checksum = checksum([self._values[name] for name in self._ordered()])
+                if self._checksum == state.checksum:
+                    self._proven(State.READY, What.READ)
+                else:  # changed while it was read
+                    self._forget()
+                    self._due_s = now_s + READ_S
+        elif self.state is State.READY:
+            if state.phase != GainsPhase.IDLE:
+                self._found_open(state)
+            elif state.checksum != self._checksum:
+                self._read_again()
+        elif (
+            self.state in {State.VERIFYING, State.ON_TRIAL, State.CONFIRMING}
+            and state.checksum != self._checksum
+        ):
+            outcome = What.FAILED if self.state is State.VERIFYING else What.REVERTED
+            self._take_back(outcome, 'the STM32 has other gains in force')
+
+    def _found_open(self, state: GainsState) -> None:
+        """Somebody before us has left a set unconfirmed, or a copy open."""
+        self._number = state.transaction
+        self._take_back(What.REVERTED, 'found unconfirmed gains of an earlier bridge')
+
+    def _proven(self, state: State, what: What) -> None:
+        names = [name for name in sorted(self._values) if name in CONTRACT_NAMES]
+        self.active = {CONTRACT_NAMES[name]: self._values[name] for name in names}
+        self._go(state)
+        self.events.append(GainEvent(what, self.active))
+
+    # Writing.
+
+    def _answered(self, frame: ParamValue) -> None:
+        """Take the value of the parameter that is being written, or read back."""
+        if frame.value != self._writes[frame.name]:
+            self._shown, self._due_s = frame.value, -math.inf  # try again at once
+            return
+        self._queue.pop(0)
+        if self._queue:
+            self._go(self.state)
+        elif self.state is State.STAGING:
+            self._go(State.COMMITTING)
+        else:
+            self._values.update(self._writes)
+            self._proven(State.ON_TRIAL, What.COMMITTED)
+
+    def _acted(self, state: GainsState) -> None:
+        """Take the answer to an action."""
+        good = state.result == GainsResult.OK
+        if self.state is State.REVERTING:
+            self._back_again()
+        elif not good and self.state is not State.CONFIRMING:
+            words = GainsResult(state.result).name.lower().replace('_', ' ')
+            self._take_back(What.FAILED, f'the STM32 refused the set: {words}')
+        elif self.state is State.OPENING:
+            self._queue = list(self._writes)
+            self._go(State.STAGING)
+        elif not good or state.checksum != self._checksum:
+            outcome = What.REVERTED if self.state is State.CONFIRMING else What.FAILED
+            self._take_back(outcome, 'the STM32 has other gains in force')
+        elif self.state is State.COMMITTING:
+            self._queue = list(self._writes)
+            self._go(State.VERIFYING)
+        else:
+            self._go(State.READY)
+            self.events.append(GainEvent(What.CONFIRMED, self.active))
+
+    def _unanswered(self) -> None:
+        words = f'no answer to {TRIES} tries while {self.state.value}'
+        if self.state in {State.CONFIRMING, State.REVERTING}:
+            self.events.append(GainEvent(What.LOST, reason='the STM32 does not answer'))
+            self._read_again()
+        elif self._queue and self._shown is not None:
+            name = self._queue[0]
+            kept = f'{name}: the STM32 kept {self._shown:g} not {self._writes[name]:g}'
+            self._take_back(What.FAILED, kept)
+        else:
+            name = f'{self._queue[0]}: ' if self._queue else ''
+            self._take_back(What.FAILED, name + words)
+
+    # The way back.
+
+    def _take_back(self, outcome: What, reason: str) -> None:
+        self._outcome, self._reason, self._queue = outcome, reason, []
+        self._go(State.REVERTING)
+
+    def _gave_up_by_itself(self, result: GainsResult) -> None:
+        """The STM32 has heard nothing of us, or no confirmation."""
+        if self.state is State.READY:
+            return  # what it has taken back was nothing of ours; its checksum will tell
+        words = result.name.lower().replace('_', ' ')
+        self.events.append(GainEvent(What.REVERTED, reason=words, by_stm32=True))
+        self._read_again()
+
+    def _back_again(self) -> None:
+        self.events.append(GainEvent(self._outcome, reason=self._reason))
+        self._read_again()
+
+    def _go(self, state: State) -> None:
+        self.state, self._shown, self._due_s = state, None, -math.inf
+        stubborn = state in {State.CONFIRMING, State.REVERTING}
+        self._left = STUBBORN_TRIES if stubborn else TRIES
+
+    def _read_again(self) -> None:
+        self._forget()
+        self._go(State.READING)
+
+    def _forget(self) -> None:
+        self.active = {}
+        self._queue = []
+        self._count = 0
+        """Of the STM32's parameters; 0 before it has told."""
+        self._names: dict[int, str] = {}
+        self._values: dict[str, float] = {}
+        """What is in force as far as it was read, wire names."""
+
+    def _ordered(self) -> list[str]:
+        return [self._names[i] for i in sorted(self._names)]
+
+
+def float32(value: float) -> float:
+    """The value as the wire carries it. `value` must be finite and inside float32's range."""
+    return float(struct.unpack('<f', struct.pack('<f', value))[0])
+
+
+def checksum(values: Sequence[float]) -> int:
+    """CRC-32 over all parameters in the order of their index, as QUAD_GAINS has it."""
+    return zlib.crc32(struct.pack(f'<{len(values)}f', *values))
+
+
+def _check_writable(name: str, value: float) -> None:
+    """Raise RefusedError where the wire cannot carry the value or the name."""
+    if not math.isfinite(value):
+        raise RefusedError(f'{name}: must be finite: found {value}')
+    if abs(value) > _FLOAT32_MAX:
+        raise RefusedError(f'{name}: does not fit a float32: found {value}')
+    if not (0 < len(name) <= 16 and name.isascii()):
+        raise RefusedError(f'{name}: a wire name has 1 to 16 ASCII characters')

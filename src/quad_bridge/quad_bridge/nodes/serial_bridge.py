@@ -1,0 +1,387 @@
+"""The `serial_bridge` node: the flight controller's port on one side, topics on the other.
+
+One thread reads the port and hands each of the link's events to its handler; the executor's thread
+does the rest. Whatever is sent is encoded, signed and written in `_flush`, in one order, under the
+lock that also guards link, gains and relay.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import Vector3Stamped, WrenchStamped
+from rcl_interfaces.msg import ParameterEvent
+from rclpy.qos import qos_profile_sensor_data
+from rosgraph_msgs.msg import Clock as ClockMessage
+from sensor_msgs.msg import BatteryState, FluidPressure, Imu, JointState, Joy, MagneticField
+
+from quad_bridge import diagnostics
+from quad_bridge.arming import OperatorEnable
+from quad_bridge.errors import RefusedError
+from quad_bridge.excitation_relay import ExcitationRelay
+from quad_bridge.gains.history import History, Worker
+from quad_bridge.gains.update import GainUpdates, News, State
+from quad_bridge.host_time import NEVER_NS, HostTime
+from quad_bridge.link.autopilot import Inertial
+from quad_bridge.link.machine import Link
+from quad_bridge.link.port import SerialPort
+from quad_bridge.link.report import SETTLED_S, LinkReport
+from quad_bridge.link.stamping import Arrived, Restarted, Stamped
+from quad_bridge.lockstep import IMU_STREAM, RC_STREAM, SETPOINT_STREAM, START_NS, WIRE, clock
+from quad_bridge.managed_node import ManagedNode
+from quad_bridge.node_time import nanoseconds
+from quad_bridge.nodes import conversion
+from quad_bridge.nodes.bridge_parameters import BridgeSettings, declare
+from quad_bridge.nodes.services import GainServices, OperatorServices, SensorServices
+from quad_bridge.qos import EVENT, STATE, STREAM
+from quad_bridge.ros_node import run
+from quad_bridge.sensors.live import LiveSensors
+from quad_bridge.sparing import Sparing
+from quad_bridge.status import OK
+from quad_bridge.wire.frames import (
+    Battery,
+    CommandAck,
+    Cycle,
+    Flag,
+    GainsState,
+    Outputs,
+    ParamValue,
+    RcChannels,
+    SlowSensors,
+    StatusText,
+)
+
+TICK_S = 0.05
+REPORT_S = 0.1
+"""Least time between two reports, however many updates are refused."""
+YAW_STICK = 3
+NO_EXCITATION = 'the far end sends standard messages only: it has no QUAD_EXCITATION'
+
+
+class SerialBridge(ManagedNode):
+    """See the module. Configured it has its topics, active the port."""
+
+    def __init__(self) -> None:
+        super().__init__('serial_bridge')
+        settings: BridgeSettings = declare(self)
+        self._settings = settings
+        self._lock = threading.Lock()
+        self._link = Link(settings.signing, START_NS if clock().simulated else None)
+        self._report = LinkReport(self._link, clock().now_s())
+        self._enable = OperatorEnable(required=settings.require_enable)
+        self._relay = ExcitationRelay(settings.excitation_valid_ms, self._enable)
+        self._worker = Worker()
+        self._history = History(settings.gains.folder, self._worker)
+        self._gains = GainUpdates(settings.gains, self._history)
+        self._sensors = LiveSensors(settings.gains.folder, correct=settings.correct_sensors)
+        self._gain_services = GainServices(self, self._ask_gains, self._ask_check)
+        self._operator = OperatorServices(self, self._enable, self._forward, self._armed)
+        self._sensor_services = SensorServices(self, self._sensors, self._on_report)
+        self._messages = conversion.CycleMessages()
+        self._arrived: dict[type, Callable[[Any, int], None]] = {
+            Cycle: self._on_cycle,
+            ParamValue: self._on_gains_frame,
+            GainsState: self._on_gains_frame,
+            CommandAck: lambda frame, _: self._operator.acknowledged(frame),
+            StatusText: lambda frame, _: self._tell_once(f'STM32: {frame.text}'),
+        }
+        self._reported_s = 0.0
+        self._simulated = self.simulated
+        self._time = HostTime(self._epoch())
+        self._told_time: Any = None
+        """In lockstep, for whoever is not on the line; outside any namespace."""
+        if clock().simulated:
+            self._told_time = self.create_publisher(ClockMessage, '/clock', 1)
+        self._sparing = Sparing()
+        self._changes = diagnostics.Changes(self._sparing)
+        self._failed_lately, self._failed_told_s = 0, 0.0
+        self._port = self._new_port()
+
+    def _new_port(self) -> SerialPort:
+        heard, opened = self.fence.around(self._on_bytes), self.fence.around(self._on_open)
+        return SerialPort(
+            self._settings.port, self._settings.baud, heard, opened,
+            on_silence=lambda: clock().forget(WIRE),
+        )  # fmt: skip
+
+    def configure(self) -> None:
+        """Create the topics."""
+
+        def publisher(kind: Any, topic: str, qos: Any = STREAM) -> Any:
+            return self.publisher(kind, topic, qos)
+
+        imu, motors = publisher(Imu, '/imu/data'), publisher(JointState, '/motors/command')
+        self._per_cycle = (
+            imu.publish,
+            motors.publish,
+            publisher(WrenchStamped, '/control/wrench').publish,
+            publisher(Vector3Stamped, '/setpoint/attitude').publish,
+            publisher(Vector3Stamped, '/setpoint/rates').publish,
+        )
+        self._applied = publisher(Vector3Stamped, '/excitation/applied')
+        self._rc = publisher(Joy, '/rc/in')
+        self._others: dict[type, tuple[tuple[Any, Callable[[Any, int], Any]], ...]] = {
+            Battery: ((publisher(BatteryState, '/battery'), conversion.battery_message),),
+            SlowSensors: (
+                (publisher(MagneticField, '/imu/mag'), self._mag_message),
+                (publisher(FluidPressure, '/baro'), conversion.baro_message),
+            ),
+            Inertial: ((imu, conversion.inertial_message),),
+            Outputs: ((motors, conversion.outputs_message),),
+        }
+        self._active = publisher(ParameterEvent, '/gains/active', STATE)
+        self._diagnostics = publisher(DiagnosticArray, '/diagnostics', EVENT)
+        self.subscribe(ParameterEvent, '/excitation/segment', self._on_segment, STATE)
+        self.subscribe(ParameterEvent, '/gains/update', self._on_gains, EVENT)
+        loss = STREAM if clock().simulated else qos_profile_sensor_data
+        self.subscribe(Vector3Stamped, '/excitation/setpoint', self._on_setpoint, loss)
+
+    def activate(self) -> None:
+        """Open the port; it need not be there yet."""
+        self._port = self._new_port()
+        self._timers_of_work = (
+            self.create_timer(TICK_S, self._on_tick),
+            self.create_timer(1.0, self._on_report),
+        )
+        self._port.start()
+
+    def deactivate(self) -> None:
+        """End a running excitation, stop the port's thread, finish the history."""
+        if self._relay.injection:
+            self._forward(self._relay.segment({'segment': 'idle'}))
+        for timer in self._timers_of_work:
+            self.destroy_timer(timer)
+        self._operator.end()
+        with self._lock:
+            self._gains.disturb('the node was deactivated')
+        self._port.stop()
+        self._worker.close()
+
+    # In the port's thread.
+
+    def _on_open(self) -> None:
+        with self._lock:
+            self._link.opened()
+            self._report.opened()
+            self._gains.restarted(clock().now_s())
+            self._gains.disturb('the port was opened anew')
+            self._time.opened(self._epoch())
+        self._tell_once(f'{self._port.status.path}: open at {self._settings.baud} baud')
+
+    def _on_bytes(self, data: bytes) -> None:
+        now_ns = clock().now_ns()
+        with self._lock:
+            before = self._link.cycles
+            for event in self._link.receive(data, now_ns):
+                if isinstance(event, Stamped):
+                    self._publish(event)
+                elif isinstance(event, Arrived):
+                    self._arrived[type(event.frame)](event.frame, now_ns)
+                elif isinstance(event, Restarted):
+                    self._gains.restarted(1e-9 * now_ns)
+                    self._sensors.restarted()
+            self._poll_gains(now_ns)
+            self._flush()
+            last = self._link.last_cycle if self._link.cycles > before else None
+        if last is not None:
+            clock().handled(WIRE, START_NS + 1000 * last.time_us)
+
+    def _on_cycle(self, frame: Cycle, now_ns: int) -> None:
+        self._sensors.cycle(frame, time.time())
+        if self._gains.state is State.CHECKING:
+            fault = self._enable.fault(1e-9 * now_ns)
+            if fault:
+                self._gains.disturb(fault)
+        pulse = self._gains.cycle(frame, 1e-9 * now_ns)
+        if pulse is not None:
+            self._link.send(pulse)
+
+    def _on_gains_frame(self, frame: ParamValue | GainsState, now_ns: int) -> None:
+        self._gains.take(frame, 1e-9 * now_ns)
+
+    def _publish(self, event: Stamped) -> None:
+        frame, stamp_ns = event.frame, event.stamp_ns + self._time.epoch_ns
+        if stamp_ns <= 0:  # simulated time has not come yet
+            return
+        if isinstance(frame, Cycle):
+            self._publish_cycle(frame, stamp_ns)
+        elif isinstance(frame, RcChannels):
+            last = self._link.last_cycle
+            lost = last is not None and bool(last.flags & Flag.RC_FAILSAFE)
+            message = conversion.rc_message(frame, stamp_ns, failsafe=lost)
+            self._rc.publish(message)
+            clock().published(RC_STREAM, stamp_ns)
+            self._gains.sticks(message.axes[YAW_STICK], clock().now_s())
+        else:
+            for publisher, convert in self._others[type(frame)]:
+                message = convert(frame, stamp_ns)
+                if message is not None:
+                    publisher.publish(message)
+
+    def _publish_cycle(self, frame: Cycle, stamp_ns: int) -> None:
+        bias = self._sensors.stamped(stamp_ns).gyro_bias
+        for publish, message in zip(
+            self._per_cycle, self._messages.packed(frame, stamp_ns, bias), strict=True
+        ):
+            publish(message)
+        if frame.flags & Flag.EXCITATION:
+            self._applied.publish(self._messages.applied(frame, stamp_ns))
+        clock().published(IMU_STREAM, stamp_ns)
+        if self._told_time is not None:
+            self._told_time.publish(ClockMessage(clock=conversion.time_message(stamp_ns)))
+
+    def _mag_message(self, frame: SlowSensors, stamp_ns: int) -> MagneticField | None:
+        offset = self._sensors.stamped(stamp_ns).hard_iron
+        return conversion.mag_message(frame, stamp_ns, offset)
+
+    # In both threads, the lock being held.
+
+    def _poll_gains(self, now_ns: int) -> None:
+        if not self._link.standard_only(now_ns):  # whose parameters are its own, and a thousand
+            request = self._gains.poll(1e-9 * now_ns)
+            if request is not None:
+                self._link.send(request)
+
+    def _flush(self) -> None:
+        """Write what the link has to send: the only place that does."""
+        outgoing = self._link.to_send()
+        if outgoing:
+            self._port.write(outgoing)
+
+    # In the executor.
+
+    def _on_tick(self) -> None:
+        with self._lock:
+            aircraft = self._gains.aircraft
+        record = self._history.open(aircraft)
+        with self._lock:
+            now_ns = clock().now_ns()
+            if record is not None:
+                self._gains.know(record)
+            self._link.tick(now_ns)
+            self._gains.tick(clock().now_s())
+            self._poll_gains(now_ns)
+            self._flush()
+            news, self._gains.news = self._gains.news, []
+        self._operator.tick()
+        self._sensor_services.tick(aircraft)
+        end = self._relay.tick(clock().now_s())
+        if end is not None:
+            self._forward(end)
+        for item in news:
+            self._tell(item)
+        if news and clock().now_s() - self._reported_s > REPORT_S:
+            self._on_report()
+
+    def _tell(self, item: News) -> None:
+        if item.fault:
+            self.get_logger().error(item.text)
+        else:
+            self.get_logger().info(item.text)
+        if item.active is not None:
+            name, now_ns = self.get_fully_qualified_name(), self.get_clock().now().nanoseconds
+            self._active.publish(conversion.event_message(item.active, name, now_ns))
+        self._gain_services.show(self._gains.active)
+
+    def _tell_once(self, words: str) -> None:
+        if self._sparing.allow(words, clock().now_s()):
+            self.get_logger().info(words)
+
+    def _on_segment(self, event: ParameterEvent) -> None:
+        end = self._relay.segment(conversion.parameters(event))
+        with self._lock:
+            if end is None:
+                self._gains.disturb()
+            elif self._gains.state is State.CHECKING:
+                end = None
+        if end is not None:
+            self._forward(end)
+
+    def _on_setpoint(self, message: Vector3Stamped) -> None:
+        v = message.vector
+        frame = self._relay.setpoint(v.x, v.y, v.z, clock().now_s())
+        if frame is not None:
+            self._forward(frame)
+        clock().handled(SETPOINT_STREAM, nanoseconds(message.header.stamp))
+
+    def _forward(self, frame: Any) -> None:
+        with self._lock:
+            self._link.send(frame)
+            self._flush()
+
+    def _on_gains(self, event: ParameterEvent) -> None:
+        with contextlib.suppress(RefusedError):  # it is in the news
+            self._ask_gains(conversion.parameters(event))
+
+    def _ask_gains(self, parameters: Mapping[str, object]) -> None:
+        """Hand on an update; raises RefusedError."""
+        if not self.active:
+            raise RefusedError('the node is not active')
+        with self._lock:
+            words = self._gains.ask(parameters, clock().now_s())
+            self._poll_gains(clock().now_ns())
+            self._flush()
+        self.get_logger().info(words)
+
+    def _armed(self) -> bool | None:
+        with self._lock:
+            return self._link.armed_lately(clock().now_ns())
+
+    def _ask_check(self, told: Callable[[str], None], motors: bool) -> None:
+        """Have the polarity or the motors checked; raises RefusedError."""
+        if not self.active:
+            raise RefusedError('the node is not active')
+        with self._lock:
+            self._gains.check(clock().now_s(), told, motors=motors)
+
+    def _on_report(self) -> None:
+        self._keep_epoch()
+        self._reported_s = now_s = clock().now_s()
+        with self._lock:
+            link, standard = self._link, self._link.standard_only(clock().now_ns())
+            self._relay.refusal = NO_EXCITATION if standard else ''
+            unset = self._time.epoch_ns == NEVER_NS
+            entries = self._report.entries(
+                self._port.status, now_s, behind_ns=self._time.behind_ns, unset=unset
+            )
+            entries += [
+                self._gains.status(standard=link.last_cycle is None and link.autopilot.asked > 0),
+                self._relay.status(link.last_cycle, now_s),
+            ]
+        for entry in self._changes.new(entries[:2], now_s):
+            text = f'{self._settings.port}: {entry.name}: {entry.message}'
+            if entry.level == OK:
+                self.get_logger().info(text)
+            else:
+                self.get_logger().warning(text)
+        if now_s - self._failed_told_s > SETTLED_S:
+            self._failed_lately, self._failed_told_s = self.fence.lately(), now_s
+        entries += [self._sensors.status(), *self._operator.entries()]
+        entries += diagnostics.callback_entries(self.fence.failed, self._failed_lately)
+        now = self.get_clock().now().to_msg()
+        self._diagnostics.publish(
+            diagnostics.diagnostic_array(self.get_name(), self._settings.port, now, entries)
+        )
+
+    def _epoch(self) -> int:
+        """ROS time minus the steady clock, ns."""
+        now_ns = int(self.get_clock().now().nanoseconds)
+        return NEVER_NS if self._simulated and not now_ns else now_ns - clock().now_ns()
+
+    def _keep_epoch(self) -> None:
+        if self._simulated:
+            self._time.follow(self._epoch())
+            return
+        words = self._time.measured(self._epoch(), armed=self._link.armed)
+        if words:
+            self.get_logger().warning(words)
+
+
+def main() -> None:
+    """Run the node until it is interrupted; exit status 2 where its parameters are wrong."""
+    run(SerialBridge, 'serial_bridge')

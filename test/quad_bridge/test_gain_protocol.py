@@ -1,0 +1,557 @@
+"""A set of gains is in force whole or not at all, and what is said of it is true: every state.
+
+The first half walks through all that protocol and STM32 can do to each other: every state of the
+protocol × every event (answer, loss, duplicate, delay, time-out, restart of either end, what is
+asked for), breadth first over the real code of both ends. The invariants, checked in each state:
+
+1. What the STM32 flies is the set of before or a set that was written whole: no mixture.
+2. After two seconds without the bridge it flies the last confirmed set.
+3. What was confirmed was asked to be confirmed, and is told so only when it is.
+4. What is told to be active was in force; a copy that is being written never is.
+5. Left alone, the two agree within some seconds: the protocol rests, and says what is flown.
+"""
+
+import copy
+import math
+import zlib
+from collections import deque
+
+import pytest
+from flight_controller import DROPPED, Fault, FlightController
+
+from quad_bridge.errors import RefusedError
+from quad_bridge.gains import protocol
+from quad_bridge.gains.protocol import GainProtocol, State, What, checksum, float32
+from quad_bridge.gains.table import CONTRACT_NAMES
+from quad_bridge.virtual.gain_store import GainStore
+from quad_bridge.wire.frames import (
+    GainsAction,
+    GainsCommand,
+    GainsPhase,
+    GainsState,
+    ParamRequestList,
+    ParamRequestRead,
+    ParamSet,
+    ParamValue,
+)
+
+A, B = 'ROLL_RATE_KP', 'ROLL_RATE_KI'
+OLD = {A: 1.0, B: 2.0}
+WRITES = ({A: 1.5, B: 2.5}, {A: 3.0})
+LEGAL = {(1.0, 2.0), (1.5, 2.5), (3.0, 2.0), (3.0, 2.5)}
+TICK_S, WATCH_MS = 0.5, 1000
+
+
+def clone(part):
+    """A copy whose containers are its own."""
+    new = copy.copy(part)
+    for name, value in vars(part).items():
+        if isinstance(value, (dict, list)):
+            setattr(new, name, value.copy())
+    return new
+
+
+class World:
+    """Both ends and what is on the way; time stands at 0 and deadlines move towards it."""
+
+    def __init__(self):
+        self.bridge = GainProtocol()
+        self.stm32 = GainStore(OLD, lambda *_: True, 7)
+        self.up, self.down = (), ()
+        self.faults, self.restarts, self.writes = 1, 1, 2
+        """How many there may still be."""
+        self.flown, self.asked = frozenset({(1.0, 2.0)}), frozenset({(1.0, 2.0)})
+        """Sets that have been in force, and that were to be confirmed."""
+        self.unnoticed = False
+        """The STM32 has restarted, and its cycle counter has not told yet."""
+
+    def key(self):
+        """What the future depends on; times count only while somebody waits for them."""
+        b, s = self.bridge, self.stm32
+        rests = b.state in protocol.AT_REST
+        idle = s._copy is None and not s._watching
+        return (
+            b.state, b._number, b._checksum, tuple(sorted(b._values.items())), tuple(b._queue),
+            rests or (b._left, b._due_s, tuple(b._writes.items()), b._outcome),
+            b.told and b.told.transaction, tuple(s.active.values()), tuple(s._good.values()),
+            s._copy and tuple(s._copy.values()), s._number, s._watching,
+            idle or (s._heard_s, s._watching and s._deadline_s), self.up, self.down, self.faults,
+            self.restarts, self.writes, self.flown, self.asked, self.unnoticed,
+        )  # fmt: skip
+
+    def then(self, move, *arguments):
+        """Another world, one move on; None where it is not possible."""
+        new = copy.copy(self)
+        new.bridge, new.stm32 = clone(self.bridge), clone(self.stm32)
+        if getattr(new, move)(*arguments) is False:
+            return None
+        new.note()
+        return new
+
+    def note(self):
+        self.flown |= {tuple(self.stm32.active.values())}
+        if self.bridge.state is State.CONFIRMING:
+            self.asked |= {tuple(self.bridge._values[name] for name in OLD)}
+
+    def send(self):
+        """What the bridge has to say goes out, as far as the line takes it."""
+        if len(self.up) < 2:
+            frame = self.bridge.poll(0.0)
+            self.up += () if frame is None else (frame,)
+
+    def tick(self):
+        """Half a second passes."""
+        for part, name in (
+            (self.bridge, '_due_s'), (self.stm32, '_deadline_s'), (self.stm32, '_heard_s'),
+        ):  # fmt: skip
+            setattr(part, name, max(getattr(part, name) - TICK_S, -2.5))
+        told = self.stm32.tick(0.0)
+        self.down += () if told is None else (told,)
+        self.send()
+
+    def report(self):
+        """The STM32 says unasked where it stands."""
+        if self.down:
+            return False
+        self.down += (self.stm32.state(),)
+        return True
+
+    def arrives_up(self, *, doubled=False):
+        if not self.up or len(self.down) > 1 or doubled > self.faults:
+            return False
+        frame, *rest = self.up
+        self.up = self.up if doubled else tuple(rest)
+        self.faults -= doubled
+        self.stm32.heard(0.0)
+        self.down += tuple(answers(self.stm32, frame))
+        return True
+
+    def arrives_down(self, *, doubled=False):
+        if not self.down or doubled > self.faults:
+            return False
+        frame, *rest = self.down
+        self.down = self.down if doubled else tuple(rest)
+        self.faults -= doubled
+        before = tuple(self.stm32._good.values())
+        self.bridge.take(frame, 0.0)
+        for event in self.bridge.events:
+            if event.active is not None:
+                active = tuple(event.active[CONTRACT_NAMES[name]] for name in OLD)
+                assert active in self.flown, 'told of gains that were never in force'
+                if event.what is What.CONFIRMED:
+                    assert active == before, 'told of a confirmation that is none'
+        self.bridge.events.clear()
+        self.send()
+        return True
+
+    def lost(self, way):
+        if not getattr(self, way) or not self.faults:
+            return False
+        self.faults -= 1
+        setattr(self, way, getattr(self, way)[1:])
+        return True
+
+    def write(self):
+        if not self.writes or self.bridge.busy:
+            return False
+        self.bridge.write(WRITES[2 - self.writes], WATCH_MS)
+        self.writes -= 1
+        self.send()
+        return True
+
+    def ask(self, what):
+        before = self.bridge.state
+        getattr(self.bridge, what)(*(('why',) if what == 'revert' else ()))
+        changed = self.bridge.state is not before
+        self.send()
+        return changed
+
+    def bridge_restarts(self):
+        if not self.restarts:
+            return False
+        self.restarts -= 1
+        self.bridge = GainProtocol()
+        self.send()
+        return True
+
+    def stm32_restarts(self):
+        if not self.restarts:
+            return False
+        self.restarts -= 1
+        self.stm32 = GainStore(self.stm32._good, lambda *_: True, 7)
+        self.unnoticed = True
+        return True
+
+    def noticed(self):
+        if not self.unnoticed:
+            return False
+        self.unnoticed = False
+        self.bridge.restart()
+        self.bridge.events.clear()
+        self.send()
+        return True
+
+    def check(self):
+        active, good = tuple(self.stm32.active.values()), tuple(self.stm32._good.values())
+        assert active in LEGAL, 'a mixture of sets is in force'
+        assert good in self.asked, 'confirmed without having been asked'
+        alone = clone(self.stm32)
+        alone.tick(alone._heard_s + 2.1)
+        assert alone.active == alone._good, 'unconfirmed gains survive the bridge'
+
+    def agree(self):
+        """Left alone, with a report now and then."""
+        world = self
+        for k in range(100):
+            for move in ('noticed', 'arrives_up', 'arrives_down', *['report'] * (k % 4 == 0)):
+                world = world.then(move) or world
+            world = world.then('tick')
+            rests = world.bridge.state in protocol.AT_REST
+            if rests and not world.up and not world.down and k > 12:
+                break
+        told = {name: world.bridge.active[CONTRACT_NAMES[name]] for name in OLD}
+        assert rests
+        assert told == world.stm32.active
+
+
+def answers(store, frame):
+    names = list(OLD)
+    if isinstance(frame, GainsCommand):
+        return [store.take(frame, 0.0)]
+    if isinstance(frame, ParamSet):
+        store.write(frame.name, float32(frame.value))
+    wanted = names
+    if not isinstance(frame, ParamRequestList):
+        wanted = [frame.name or names[frame.index]]
+    return [ParamValue(n, store.shown(n), len(names), names.index(n)) for n in wanted]
+
+
+MOVES = [
+    ('tick',), ('report',), ('arrives_up',), ('arrives_down',), ('lost', 'up'), ('lost', 'down'),
+    ('write',), ('ask', 'confirm'), ('ask', 'revert'), ('bridge_restarts',), ('stm32_restarts',),
+    ('noticed',),
+]  # fmt: skip
+DOUBLED = ('arrives_up', 'arrives_down')
+
+
+def explore(world, most):
+    """Every world within reach, breadth first; the states and moves that were met."""
+    seen, left, met = {world.key()}, deque([world]), set()
+    while left and len(seen) < most:
+        world = left.popleft()
+        world.check()
+        if len(seen) % 50 == 0:
+            world.agree()
+        for move in [*MOVES, *((m, 'doubled') for m in DOUBLED)]:
+            new = _moved(world, move)
+            if new is None:
+                continue
+            met.add((world.bridge.state, *move))
+            key = new.key()
+            if key not in seen:
+                seen.add(key)
+                left.append(new)
+    return met, len(seen), len(left)
+
+
+def _moved(world, move):
+    if move[-1] != 'doubled':
+        return world.then(*move)
+    doubled = copy.copy(world)
+    doubled.bridge, doubled.stm32 = clone(world.bridge), clone(world.stm32)
+    if not getattr(doubled, move[0])(doubled=True):
+        return None
+    doubled.note()
+    return doubled
+
+
+@pytest.fixture
+def connected(monkeypatch):
+    """A world in which all was read; fewer tries, for fewer states."""
+    monkeypatch.setattr(protocol, 'TRIES', 2)
+    monkeypatch.setattr(protocol, 'STUBBORN_TRIES', 3)
+    world = World()
+    for _ in range(10):
+        for move in ('arrives_up', 'arrives_down', 'tick'):
+            world = world.then(move) or world
+    assert world.bridge.state is State.READY
+    return world
+
+
+@pytest.mark.parametrize(
+    ('faults', 'restarts', 'writes', 'most'),
+    [
+        (1, 0, 1, math.inf),
+        (0, 1, 1, 20_000),
+        (0, 0, 2, 10_000),
+        pytest.param(0, 1, 1, math.inf, marks=pytest.mark.long),
+        pytest.param(0, 0, 2, math.inf, marks=pytest.mark.long),
+        pytest.param(2, 1, 2, 2_000_000, marks=pytest.mark.long),
+    ],
+)
+def test_no_state_and_no_event_breaks_an_invariant(connected, faults, restarts, writes, most):
+    connected.faults, connected.restarts, connected.writes = faults, restarts, writes
+    met, seen, left = explore(connected, most)
+    assert seen > 5000
+    assert most < math.inf or left == 0
+    if faults:  # whatever can happen in a state has happened in it
+        events = {'tick', 'report', 'arrives_up', 'arrives_down', 'lost'}
+        assert {(s, e) for s in State for e in events} <= {(s, m[0]) for s, *m in met}
+        undone = {s for s, *m in met if m == ['ask', 'revert']}
+        assert undone == {*protocol.WRITING, State.ON_TRIAL}
+        assert {s for s, *m in met if m == ['ask', 'confirm']} == {State.ON_TRIAL}
+        assert {s for s, *m in met if m[0] == 'write'} == {State.READY}
+
+
+def test_the_walk_finds_a_late_write_that_goes_straight_into_force(connected, monkeypatch):
+    def straight(store, name, value):
+        (store.active if store._copy is None else store._copy)[name] = value
+
+    monkeypatch.setattr(GainStore, 'write', straight)
+    connected.restarts = 0
+    with pytest.raises(AssertionError, match='a mixture of sets is in force'):
+        explore(connected, math.inf)
+
+
+# One conversation after the other, told by name.
+
+SET = {A: 1.5, B: 0.1}
+WRITTEN = {name: float32(value) for name, value in SET.items()}
+
+
+def label(frame):
+    """`OPEN`, `COMMIT`, or the name of a parameter."""
+    if isinstance(frame, GainsCommand):
+        return GainsAction(frame.action).name
+    return getattr(frame, 'name', '')
+
+
+def lost(what, times=99):
+    return Fault(lambda frame: label(frame) == what, DROPPED, times=times)
+
+
+class Talk:
+    """A protocol and a flight controller, 10 ms after 10 ms; `up` and `deaf` lose frames."""
+
+    def __init__(self, **options):
+        self.far, self.now_s = FlightController(parameters=OLD, **options), 0.0
+        self.bridge, self.events = GainProtocol(), []
+        self.up = self.deaf = lambda frame: [frame]
+
+    def until(self, *whats, seconds=30.0):
+        """Talk until one of these has happened; the event."""
+        for _ in range(round(100 * seconds)):
+            self.now_s += 0.01
+            frame = self.bridge.poll(self.now_s)
+            for arrived in self.up(frame) if frame is not None else []:
+                for reply in self.far.answer(arrived, round(1e9 * self.now_s)):
+                    if self.deaf(arrived):
+                        self.bridge.take(reply, self.now_s)
+            events, self.bridge.events = self.bridge.events, []
+            self.events += events
+            for event in events:
+                if event.what in whats:
+                    return event
+        raise AssertionError(f'never {whats}: {self.events}')
+
+    def state(self):
+        self.bridge.take(self.far.store.state(), self.now_s)
+
+
+@pytest.fixture
+def talk():
+    made = Talk()
+    event = made.until(What.READ)
+    assert event.active == {'roll.rate.kp': 1.0, 'roll.rate.ki': 2.0}
+    made.far.heard.clear()
+    return made
+
+
+def test_all_are_written_and_take_effect_together_and_stay_when_confirmed(talk):
+    versions, write = [], talk.far.store.write
+    talk.far.store.write = lambda *a: (write(*a), versions.append(dict(talk.far.store.active)))
+    talk.bridge.write(SET, 9000)
+    with pytest.raises(RefusedError, match='busy: opening'):
+        talk.bridge.write(SET, 9000)
+    event = talk.until(What.COMMITTED)
+    assert event.active['roll.rate.ki'] == float32(0.1)
+    assert versions == [OLD, OLD]  # nothing is in force while it is written
+    assert talk.far.store.active == WRITTEN
+    assert talk.far.store.phase is GainsPhase.WATCH
+    assert [label(x) for x in talk.far.heard] == ['OPEN', A, B, 'COMMIT', A, B]
+    talk.bridge.confirm()
+    assert talk.until(What.CONFIRMED).active == event.active
+    talk.far.store.tick(99.0)
+    assert talk.far.store.active == WRITTEN
+
+
+@pytest.mark.parametrize('what', ['OPEN', B, 'COMMIT'])
+@pytest.mark.parametrize('way', ['up', 'deaf'])
+def test_three_losses_of_any_frame_do_no_harm(talk, what, way):
+    fault = lost(what, times=3)
+    setattr(talk, way, fault)
+    talk.bridge.write(SET, 9000)
+    talk.until(What.COMMITTED)
+    assert talk.far.store.active == WRITTEN
+    assert fault.times == 0
+
+
+def reading_back(frame):
+    return isinstance(frame, ParamRequestRead) and frame.name == B
+
+
+@pytest.mark.parametrize(
+    ('way', 'fault', 'reason'),
+    [
+        ('up', lambda: lost('OPEN', 4), 'no answer to 4 tries while opening'),
+        ('up', lambda: lost(B, 4), f'{B}: no answer to 4 tries while writing'),
+        ('up', lambda: lost('COMMIT', 4), 'no answer to 4 tries while committing'),
+        ('deaf', lambda: lost('COMMIT', 4), 'no answer to 4 tries while committing'),
+        ('up', lambda: Fault(reading_back, DROPPED, times=4),
+         f'{B}: no answer to 4 tries while reading back'),
+    ],
+)  # fmt: skip
+def test_what_stays_unanswered_changes_nothing(talk, way, fault, reason):
+    setattr(talk, way, fault())
+    talk.bridge.write(SET, 9000)
+    assert talk.until(What.FAILED).reason == reason
+    assert (talk.far.store.active, talk.far.store.phase) == (OLD, GainsPhase.IDLE)
+    assert talk.until(What.READ).active == {'roll.rate.kp': 1.0, 'roll.rate.ki': 2.0}
+
+
+def test_one_refusal_changes_nothing(talk):
+    talk.far.refuses = [B]
+    talk.bridge.write(SET, 9000)
+    assert talk.until(What.FAILED).reason == f'{B}: the STM32 kept 2 not 0.1'
+    assert talk.far.store.active == OLD
+    assert 'COMMIT' not in [label(x) for x in talk.far.heard]
+
+
+def test_a_copy_that_differs_from_what_was_meant_is_not_committed(talk):
+    def spoil(frame):
+        if label(frame) == 'COMMIT':
+            talk.far.store.write(B, 7.0)  # a stray write that nobody read back
+        return [frame]
+
+    talk.up = spoil
+    talk.bridge.write(SET, 9000)
+    assert talk.until(What.FAILED).reason == 'the STM32 refused the set: checksum'
+    assert talk.far.store.active == OLD
+
+
+def test_a_false_report_after_the_commit_takes_the_set_back(talk):
+    def lie(frame):
+        if label(frame) == 'COMMIT':
+            talk.far.reports[B] = 7.0
+        return [frame]
+
+    talk.up = lie
+    talk.bridge.write(SET, 9000)
+    talk.until(What.FAILED)
+    assert talk.far.store.active == OLD
+
+
+def test_the_undoing_goes_on_until_the_stm32_has_gone_back_by_itself(talk):
+    talk.up = Fault(lambda x: label(x) in {B, 'REVERT'}, DROPPED)
+    talk.bridge.write(SET, 9000)
+    assert talk.until(What.LOST).reason == 'the STM32 does not answer'
+    talk.far.store.tick(talk.now_s + 3.0)
+    assert talk.far.store.active == OLD
+
+
+@pytest.mark.parametrize('told', [True, False])
+def test_a_confirmation_after_the_stm32_has_gone_back_is_none(talk, told):
+    talk.bridge.write(SET, 1000)
+    talk.until(What.COMMITTED)
+    state = talk.far.store.tick(talk.now_s + 1.5)  # not confirmed in time
+    if told:
+        talk.bridge.take(state, talk.now_s)
+    talk.bridge.confirm()
+    event = talk.until(What.REVERTED)
+    assert event.by_stm32 is told
+    assert talk.far.store.active == OLD
+    assert talk.until(What.READ).active['roll.rate.kp'] == 1.0
+
+
+def test_a_second_step_reverts_to_before_the_first_and_says_why(talk):
+    for one in (SET, {A: 2.5}):
+        talk.bridge.write(one, 9000)
+        talk.until(What.COMMITTED)
+    assert talk.far.store.active[A] == 2.5
+    talk.bridge.revert('why')
+    assert talk.until(What.REVERTED).reason == 'why'
+    assert talk.far.store.active == OLD
+
+
+@pytest.mark.parametrize('change', ['set', 'copy'])
+def test_what_somebody_else_has_changed_is_read_again_and_an_open_copy_is_not_taken_for_it(
+    talk, change
+):
+    if change == 'set':
+        talk.far.store.active[B] = 7.0
+        talk.state()
+        assert talk.bridge.active == {}
+    else:
+        talk.far.store.take(GainsCommand(int(GainsAction.OPEN), 9), talk.now_s)
+        talk.far.store.write(B, 7.0)
+        talk.bridge = GainProtocol()  # another bridge
+        talk.until(What.REVERTED)
+    wanted = 7.0 if change == 'set' else 2.0
+    assert talk.until(What.READ).active['roll.rate.ki'] == wanted
+
+
+def test_the_reader_asks_again_for_what_did_not_come():
+    made = Talk()
+    made.deaf = Fault(ParamRequestList, DROPPED, times=2)
+    made.until(What.READ)
+    made = Talk()
+    only = []
+    made.far._answer, answer = lambda x, t: (
+        y for y in answer(x, t) if not (isinstance(x, ParamRequestList) and y.name == B)
+    ), made.far._answer
+    made.up = lambda x: only.append(x) or [x]
+    made.until(What.READ)
+    assert ParamRequestRead('', 1) in only
+
+
+@pytest.mark.parametrize(
+    ('wanted', 'name'),
+    [({B: 1.0, A: value}, A) for value in (math.nan, math.inf, -math.inf, 1e39)]
+    + [({'X': 1.0}, 'X')],
+)
+def test_what_no_float32_can_be_and_unknown_names_are_refused_before_anything_is_sent(
+    talk, wanted, name
+):
+    with pytest.raises(RefusedError, match=name):
+        talk.bridge.write(wanted, 1)
+    with pytest.raises(RefusedError, match='busy: reading'):
+        GainProtocol().write({A: 1.0}, 0)
+    talk.now_s += 1.0
+    assert talk.bridge.poll(talk.now_s) is None
+
+
+def test_the_checksum_is_the_crc_of_the_float32_bytes():
+    assert checksum([1.0, -0.5]) == zlib.crc32(bytes.fromhex('0000803f 000000bf'))
+    assert checksum([0.1]) == checksum([0.1 + 1e-10])
+
+
+# The firmware's side.
+
+
+@pytest.mark.parametrize(
+    ('heard_s', 'alive_s', 'late_s', 'result'), [(0.0, 1.9, 2.1, 3), (9.5, 9.0, 9.6, 4)]
+)
+def test_the_firmware_reverts_without_a_link_or_a_confirmation(
+    heard_s, alive_s, late_s, result
+):
+    store = GainStore(OLD, lambda *_: True, 7)
+    for command in (GainsCommand(1, 1), GainsCommand(2, 1, checksum(list(OLD.values())), 9000)):
+        store.take(command, 0.0)
+    assert store.phase is GainsPhase.WATCH
+    assert store.take(GainsCommand(int(GainsAction.REVERT), 9), 1.0).result == 1
+    store.heard(heard_s)
+    assert store.tick(alive_s) is None
+    state = store.tick(late_s)
+    assert isinstance(state, GainsState)
+    assert (state.result, state.phase) == (result, GainsPhase.IDLE)
+    assert store.tick(99.0) is None
