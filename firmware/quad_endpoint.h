@@ -6,7 +6,7 @@
  *     quad_endpoint_receive(&e, bytes, count, now_us);         what the UART has brought
  *     quad_endpoint_begin_cycle(&e, now_us, &pilot, &record);  what to add, and with which gains
  *     ... filters, control law and mixer fill the record ...
- *     quad_endpoint_end_cycle(&e, &record, &slow);
+ *     quad_endpoint_end_cycle(&e, &record, &pilot, &slow);
  *     count = quad_endpoint_send(&e, buffer, room);            to the UART's DMA
  *
  * Times are us since boot on a counter that never goes back. Body axes are FRD (x forward, y

@@ -33,6 +33,7 @@ lost it.
 from __future__ import annotations
 
 import contextlib
+import copy
 import math
 import os
 import select
@@ -173,6 +174,30 @@ class FlightController:
         names = list(self.store.active)
         value = self.reports.get(name, self.store.shown(name))
         return f.ParamValue(name, value, len(names), names.index(name))
+
+
+# For walks through all states of both ends.
+
+
+def clone(part):
+    """A copy whose containers are its own."""
+    new = copy.copy(part)
+    for name, value in vars(part).items():
+        if isinstance(value, (dict, list)):
+            setattr(new, name, value.copy())
+    return new
+
+
+def answers_of(store, frame, names):
+    """What the STM32 answers to one frame about its parameters."""
+    if isinstance(frame, f.GainsCommand):
+        return [store.take(frame, 0.0)]
+    if isinstance(frame, f.ParamSet):
+        store.write(frame.name, float32(frame.value))
+    wanted = names
+    if not isinstance(frame, f.ParamRequestList):
+        wanted = [frame.name or names[frame.index]]
+    return [f.ParamValue(n, store.shown(n), len(names), names.index(n)) for n in wanted]
 
 
 # What a line does to frames.

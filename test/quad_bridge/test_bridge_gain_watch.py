@@ -41,25 +41,28 @@ def test_good_gains_are_confirmed_in_gusts_and_with_sticks(bench, seed, begin_s,
     made.fly_until('confirmed', seconds=12.0)
 
 
-def fed(watch, seconds, size, omega, axis=0, start=0):
+def fed(watch, seconds, size, omega, axis=0, start=0, rate_hz=250.0):
     """Feed an oscillation of the rate, rad/s; the time of the alarm, None without one."""
-    for k in range(start, start + round(seconds / DT)):
+    for k in range(start, start + round(seconds * rate_hz)):
         rates = np.zeros(3)
-        rates[axis] = size * np.sin(omega * k * DT)
+        rates[axis] = size * np.sin(omega * k / rate_hz)
         watch.step(rates, STILL, STILL, STILL)
         if watch.alarm() is not None:
-            return (k - start) * DT
+            return (k - start) / rate_hz
     return None
 
 
+@pytest.mark.parametrize('rate_hz', [50.0, 100.0, 250.0, 500.0, 1000.0])
 @pytest.mark.parametrize('omega', [6.0, 12.0, 25.0, 50.0])
-def test_a_new_oscillation_is_heard_and_named(omega):
-    watch = GainWatch(250.0)
-    assert fed(watch, 5.0, 0.05, omega) is None
+def test_a_new_oscillation_is_heard_and_named_at_every_rate_of_the_loop(omega, rate_hz):
+    watch = GainWatch(rate_hz)
+    assert fed(watch, 5.0, 0.05, omega, rate_hz=rate_hz) is None
     watch.begin()
-    assert fed(watch, 3.0, 0.05, omega) is None
-    assert fed(watch, 2.0, 1.2, omega) is not None
-    assert 'roll' in str(watch.alarm())
+    assert fed(watch, 3.0, 0.05, omega, rate_hz=rate_hz) is None
+    # in seconds, whatever a cycle lasts
+    assert 0.1 < fed(watch, 2.0, 1.2, omega, rate_hz=rate_hz) < 1.5
+    alarm = str(watch.alarm())
+    assert 'roll' in alarm
 
 
 @pytest.mark.parametrize(('rms', 'heard'), [(0.2, False), (0.6, True)])

@@ -10,7 +10,15 @@ from flight_controller import Fault, changed
 
 from quad_bridge.errors import RefusedError
 from quad_bridge.gains.history import History
-from quad_bridge.gains.polarity import MIXER, PolarityCheck, merge_motors, where_motors_are
+from quad_bridge.gains.polarity import (
+    MIXER,
+    PolarityCheck,
+    PulseRun,
+    axis_pulses,
+    judge_axes,
+    merge_motors,
+    where_motors_are,
+)
 from quad_bridge.wire import frames as f
 
 ROLL = {'roll_rate_kp': 0.1}
@@ -99,6 +107,17 @@ def test_a_check_whose_link_is_cut_ends_and_is_not_gone_on_with_later(bench):
     assert not any(excited)
     assert made.gain('roll.rate.kp') == before
     assert 'roll right' in checked(made)
+
+
+@pytest.mark.parametrize('rate_hz', [50.0, 250.0, 1000.0])
+@pytest.mark.parametrize(('sign', 'verdict'), [(1.0, 'right'), (-1.0, 'wrong')])
+def test_pulses_last_as_long_at_every_rate_of_the_loop(rate_hz, sign, verdict):
+    run, rate, added, cycles = PulseRun(axis_pulses(['roll']), rate_hz), 0.0, (0.0, 0.0, 0.0), 0
+    while not run.finished:
+        rate += sign * 40.0 * added[0] / rate_hz
+        added, cycles = run.step((rate, 0.0, 0.0)), cycles + 1
+    assert judge_axes(run.answers) == {'roll': verdict}
+    assert cycles / rate_hz == pytest.approx(1.52, abs=0.05)
 
 
 def test_the_motors_are_found_mount_by_mount(bench):

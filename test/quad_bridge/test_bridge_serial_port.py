@@ -168,6 +168,32 @@ def test_a_peer_that_does_not_read_costs_writes_and_not_the_node(line, start):
     assert port.status.state is PortState.OPEN
 
 
+def test_an_output_that_takes_frames_in_parts_tears_none(line, start, monkeypatch):
+    port, _ = start(line.link)
+    assert until(lambda: port.status.state is PortState.OPEN)
+    write, room = serial_port._write, [True]
+    monkeypatch.setattr(serial_port, '_write', lambda p, data: room[0] and write(p, data[:7]))
+    frames = [bytes([k]) * 20 for k in range(1, 100)]
+    taken = [frame for frame in frames if port.write(frame)]
+    assert len(taken) > 20  # a frame goes in three parts, and two find the one before in the way
+    room[0] = False
+    assert not port.write(b'no room, not even for a part')
+    room[0] = True
+    while not port.write(bytes(7)):
+        pass
+    assert os.read(line.master, 65536) == b''.join(taken) + bytes(7)
+    assert port.status.dropped_writes >= len(frames) - len(taken)
+
+
+def test_what_is_said_to_a_port_that_was_pulled_out_is_not_counted(line, start):
+    port, _ = start(line.link)
+    assert until(lambda: port.status.state is PortState.OPEN)
+    line.unplug()
+    assert until(lambda: port.status.state is PortState.NOT_THERE)
+    assert not port.write(b'lost')
+    assert (port.status.opened, port.status.dropped_writes) == (1, 0)
+
+
 @pytest.fixture
 def deaf():
     """A network peer that accepts and never reads."""

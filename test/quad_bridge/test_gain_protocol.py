@@ -17,7 +17,7 @@ import zlib
 from collections import deque
 
 import pytest
-from flight_controller import DROPPED, Fault, FlightController
+from flight_controller import DROPPED, Fault, FlightController, answers_of, clone
 
 from quad_bridge.errors import RefusedError
 from quad_bridge.gains import protocol
@@ -31,8 +31,6 @@ from quad_bridge.wire.frames import (
     GainsState,
     ParamRequestList,
     ParamRequestRead,
-    ParamSet,
-    ParamValue,
 )
 
 A, B = 'ROLL_RATE_KP', 'ROLL_RATE_KI'
@@ -40,15 +38,6 @@ OLD = {A: 1.0, B: 2.0}
 WRITES = ({A: 1.5, B: 2.5}, {A: 3.0})
 LEGAL = {(1.0, 2.0), (1.5, 2.5), (3.0, 2.0), (3.0, 2.5)}
 TICK_S, WATCH_MS = 0.5, 1000
-
-
-def clone(part):
-    """A copy whose containers are its own."""
-    new = copy.copy(part)
-    for name, value in vars(part).items():
-        if isinstance(value, (dict, list)):
-            setattr(new, name, value.copy())
-    return new
 
 
 class World:
@@ -123,7 +112,7 @@ class World:
         self.up = self.up if doubled else tuple(rest)
         self.faults -= doubled
         self.stm32.heard(0.0)
-        self.down += tuple(answers(self.stm32, frame))
+        self.down += tuple(answers_of(self.stm32, frame, list(OLD)))
         return True
 
     def arrives_down(self, *, doubled=False):
@@ -212,18 +201,6 @@ class World:
         told = {name: world.bridge.active[CONTRACT_NAMES[name]] for name in OLD}
         assert rests
         assert told == world.stm32.active
-
-
-def answers(store, frame):
-    names = list(OLD)
-    if isinstance(frame, GainsCommand):
-        return [store.take(frame, 0.0)]
-    if isinstance(frame, ParamSet):
-        store.write(frame.name, float32(frame.value))
-    wanted = names
-    if not isinstance(frame, ParamRequestList):
-        wanted = [frame.name or names[frame.index]]
-    return [ParamValue(n, store.shown(n), len(names), names.index(n)) for n in wanted]
 
 
 MOVES = [

@@ -1,0 +1,328 @@
+"""An update of the gains, every state × every event: what is not gated whole never flies.
+
+`Walk` drives the real update machine and protocol against the STM32's own store; watch and pulses
+are stand-ins that speak when the walk says so. In every state that can be reached:
+
+1. What the STM32 flies is a set that the gate has let through whole, inside its bounds, by no more
+   than the largest step from the set before, with the polarity of its axis known.
+2. An update is refused in every state but IDLE, and a NaN in all.
+3. Killed, alarmed, gestured at or asked back, a set in flight goes back; it is not confirmed.
+4. What is published as active is what the STM32 flies, as long as nothing else has happened.
+5. Left alone, the machine comes to IDLE within the time of an update.
+"""
+
+import copy
+import math
+import threading
+from collections import deque
+
+import pytest
+from flight_controller import answers_of, clone
+
+from quad_bridge.errors import RefusedError
+from quad_bridge.gains import history, protocol, update
+from quad_bridge.gains.history import History, Worker
+from quad_bridge.gains.protocol import State as Protocol
+from quad_bridge.gains.table import DEFAULT_BOUNDS
+from quad_bridge.gains.update import GainSettings, GainUpdates, State
+from quad_bridge.virtual.gain_store import GainStore
+from quad_bridge.wire import frames as f
+
+KP, RATE = 'ROLL_RATE_KP', 'LOOP_RATE_HZ'
+OLD = {KP: 0.1, RATE: 250.0}
+BOUND = DEFAULT_BOUNDS['roll.rate.kp']
+ZERO = (0.0, 0.0, 0.0)
+STEP_S = 1.0
+HELD = object()
+
+
+class Watch:
+    """A watch that alarms when it is told to."""
+
+    def __init__(self):
+        self.bad = self.begun = False
+
+    def step(self, *_):
+        pass
+
+    def begin(self, *_):
+        self.begun = True
+
+    def end(self):
+        self.begun = self.bad = False
+
+    def alarm(self):
+        return 'roll: shakes' if self.begun and self.bad else None
+
+    def figures(self):
+        return {}
+
+
+class Pulses:
+    """Pulses that answer in the second cycle."""
+
+    def __init__(self):
+        self.left, self.known, self.trouble, self.record = 0, False, '', {}
+        self.rate_hz = 250.0
+
+    running = property(lambda self: self.left > 0)
+
+    def missing(self, _):
+        return [] if self.known else ['roll']
+
+    def silent(self, _):
+        return []
+
+    def faults(self):
+        return []
+
+    def words(self):
+        return 'roll right'
+
+    def load(self, _):
+        pass
+
+    def start(self, _):
+        self.left, self.trouble = 2, ''
+
+    def abort(self, trouble):
+        self.left, self.trouble = 0, trouble
+
+    def step(self, frame):
+        self.left -= 1
+        if not frame.flags & f.Flag.ARMED:
+            self.abort('stopped: disarmed')
+        elif not self.left:
+            self.known = True
+        return f.Excitation(ZERO, 0, 0)
+
+
+def cycle(flags):
+    return f.Cycle(
+        0, 0, ZERO, ZERO, ZERO, ZERO, ZERO, (0.0,) * 4, ZERO, (0.0,) * 4, int(flags)
+    )  # fmt: skip
+
+
+class Walk:
+    """Time stands at 0; what waits for a time moves towards it."""
+
+    def __init__(self, tmp_path):
+        self.gains = GainUpdates(GainSettings(), History(tmp_path, lambda _: None))
+        self.gains.watch, self.gains.polarity = Watch(), Pulses()
+        self.stm32 = GainStore(OLD, lambda *_: True, 7)
+        self.gated = frozenset({0.1})
+        self.asks, self.faults = 2, 1
+        self.told = None
+        """What was published last as active."""
+        for _ in range(20):
+            self.exchange()
+        self.cycle(f.Flag.ARMED)
+        self.gains.news.clear()
+
+    def copy(self):
+        new = copy.copy(self)
+        new.stm32, new.gains = clone(self.stm32), clone(self.gains)
+        g = new.gains
+        g.protocol, g.watch, g.polarity = clone(g.protocol), copy.copy(g.watch), clone(g.polarity)
+        g._update, g._stick_ends = copy.copy(g._update), g._stick_ends.copy()
+        return new
+
+    def key(self):
+        g, s, p = self.gains, self.stm32, self.gains.protocol
+        flight = g._update and (g._update.written, str(g._update.steps))
+        return (
+            g.state, flight, bool(g._pending), g._flags, g._cycle_s, g._excited_s > -0.5,
+            g.state is State.WATCHING and g._until_s,
+            g.watch.bad, g.watch.begun, g.polarity.left, g.polarity.known, p.state, p._left,
+            p._due_s, p._number % 4, tuple(p._queue), str(p._values), str(s.active), str(s._good),
+            str(s._copy), s._watching and (s._deadline_s, s._heard_s), self.asks, self.faults,
+        )  # fmt: skip
+
+    # Events.
+
+    def exchange(self, *, lost=False):
+        frame = self.gains.poll(0.0)
+        if frame is not None and not lost:
+            self.stm32.heard(0.0)
+            for answer in answers_of(self.stm32, frame, list(OLD)):
+                self.gains.take(answer, 0.0)
+
+    def lose(self):
+        self.faults -= 1
+        self.exchange(lost=True)
+
+    def cycle(self, flags):
+        before = self.gains.state
+        self.gains.cycle(cycle(flags), 0.0)
+        if flags & f.Flag.RC_KILL:
+            self.goes_back(before)
+
+    def alarm(self):
+        before = self.gains.state
+        self.gains.watch.bad = True
+        begun = self.gains.watch.begun
+        self.gains.cycle(cycle(f.Flag.ARMED), 0.0)
+        if begun:
+            self.goes_back(before)
+
+    def gesture(self):
+        before = self.gains.state
+        for end in (1.0, -1.0, 1.0):
+            self.gains.sticks(end, 0.0)
+        self.goes_back(before)
+
+    def goes_back(self, before):
+        if before in {State.WRITING, State.WATCHING}:
+            assert self.gains.state is State.REVERTING
+
+    def tick(self):
+        g, s = self.gains, self.stm32
+        for part, name in (
+            (g, '_cycle_s'), (g, '_excited_s'), (g, '_until_s'), (g.protocol, '_due_s'),
+            (s, '_heard_s'), (s, '_deadline_s'),
+        ):  # fmt: skip
+            setattr(part, name, max(getattr(part, name) - STEP_S, -2.5))
+        g._stick_ends.clear()
+        told = s.tick(0.0)
+        if told is not None:
+            g.take(told, 0.0)
+        g.tick(0.0)
+
+    def ask(self, value, **more):
+        before, refusals = self.gains.state, self.gains.refusals
+        gains = {'roll.rate.kp': value} if value is not HELD else {}
+        try:
+            self.gains.ask({**gains, 'source': 'test', **more}, 0.0)
+        except RefusedError:
+            assert self.gains.state is before
+            assert self.gains.refusals == refusals + 1
+        else:
+            if more.get('rollback'):
+                assert self.gains.state is State.REVERTING
+            else:
+                assert before is State.IDLE
+                assert math.isfinite(value)
+                self.asks -= 1
+
+    def restarts(self):
+        self.faults -= 1
+        self.stm32 = GainStore(self.stm32._good, lambda *_: True, 7)
+        self.gains.restarted(0.0)
+
+    def moves(self):
+        armed, g = f.Flag.ARMED, self.gains
+        found = {
+            'answer': self.exchange_of, 'cycle': lambda w: w.cycle(armed),
+            'killed': lambda w: w.cycle(armed | f.Flag.RC_KILL),
+            'excited': lambda w: w.cycle(armed | f.Flag.EXCITATION),
+            'disarmed': lambda w: w.cycle(f.Flag.NONE),
+            'alarm': Walk.alarm, 'gesture': Walk.gesture, 'tick': Walk.tick,
+            'nan': lambda w: w.ask(math.nan), 'back': lambda w: w.ask(HELD, rollback=True),
+            'disturb': lambda w: w.gains.disturb(),
+        }  # fmt: skip
+        if self.asks or g.state is not State.IDLE:
+            found |= {'ask': lambda w: w.ask(0.15), 'ask far': lambda w: w.ask(0.3)}
+        if self.faults:
+            found |= {'lost': Walk.lose, 'restart': Walk.restarts}
+        return found
+
+    @staticmethod
+    def exchange_of(walk):
+        walk.exchange()
+
+    def check(self):
+        g, flown = self.gains, self.stm32.active[KP]
+        for item in g.news:
+            if item.active is not None:
+                assert item.active['roll.rate.kp'] == flown
+        g.news.clear()
+        assert any(abs(flown - gated) < 1e-6 for gated in self.gated), 'never gated'
+        assert flown == self.stm32._good[KP] or g.polarity.known
+        if g.state is State.IDLE:
+            assert g._update is None
+            assert g.protocol.state not in {*PROTOCOL_BUSY, Protocol.ON_TRIAL}
+        if g.state is State.WATCHING:
+            assert g.protocol.state in {Protocol.ON_TRIAL, Protocol.REVERTING}
+
+    def comes_to_rest(self):
+        walk = self.copy()
+        for _ in range(60):
+            for _ in range(8):
+                walk.exchange()
+            walk.cycle(f.Flag.ARMED)
+            walk.tick()
+        assert walk.gains.state is State.IDLE
+        assert walk.gains.active['roll.rate.kp'] == walk.stm32.active[KP] == walk.stm32._good[KP]
+
+
+PROTOCOL_BUSY = (Protocol.OPENING, Protocol.STAGING, Protocol.COMMITTING, Protocol.VERIFYING)
+
+
+def test_no_state_and_no_event_lets_an_ungated_set_fly(tmp_path):
+    walk = Walk(tmp_path)
+    write = type(walk.gains.protocol).write
+
+    def gated(machine, writes, watch_ms):
+        (value,) = writes.values()
+        now = machine._values[KP]
+        assert BOUND.lower <= value <= BOUND.upper
+        assert max(value / now, now / value) <= BOUND.max_factor
+        current.gated |= {value}
+        write(machine, writes, watch_ms)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(type(walk.gains.protocol), 'write', gated)
+        for module, short in (
+            (protocol, {'TRIES': 2, 'STUBBORN_TRIES': 3}),
+            (update, {'STEP_WATCH_S': 1.0, 'WATCH_S': 2.0, 'STM32_WATCH_MS': 4000}),
+        ):  # fewer states
+            for name, value in short.items():
+                patch.setattr(module, name, value)
+        seen, left, met = {walk.key()}, deque([walk]), set()
+        while left and len(seen) < 12_000:
+            walk = left.popleft()
+            if len(seen) % 40 == 0:
+                current = walk.copy()
+                current.comes_to_rest()
+            for name, move in walk.moves().items():
+                current = new = walk.copy()
+                move(new)
+                new.check()
+                met.add((walk.gains.state, name))
+                key = new.key()
+                if key not in seen:
+                    seen.add(key)
+                    left.append(new)
+    assert met >= {(state, name) for state in State for name in Walk(tmp_path).moves()}
+
+
+# The history.
+
+
+def test_a_disk_that_takes_seconds_holds_up_nothing(tmp_path, monkeypatch):
+    slow, begun = threading.Event(), threading.Event()
+    monkeypatch.setattr(history.os, 'fsync', lambda _: begun.set() or slow.wait(60.0))
+    worker = Worker()
+    kept = History(tmp_path, worker)
+    assert kept.open('one') == {}
+    for k in range(3):  # the first one hangs in the disk
+        kept.write('active', {'roll.rate.kp': 0.1 + k})
+    assert begun.wait(60.0)
+    slow.set()
+    worker.close()
+    assert len((tmp_path / 'one' / 'gains.jsonl').read_text().splitlines()) == 3
+
+
+@pytest.mark.parametrize('rate_hz', [10.0, 2000.0])
+def test_a_loop_whose_rate_the_watch_does_not_know_is_refused(tmp_path, rate_hz):
+    walk = Walk(tmp_path)
+    walk.stm32.active[RATE] = walk.stm32._good[RATE] = rate_hz
+    walk.gains.take(walk.stm32.state(), 0.0)
+    walk.gains.polarity.known = True
+    for _ in range(20):
+        walk.tick()
+        walk.exchange()
+    walk.cycle(f.Flag.ARMED)
+    assert walk.gains.active['loop.rate_hz'] == rate_hz
+    with pytest.raises(RefusedError, match=f'at 50 to 1000 Hz: found {rate_hz:g}'):
+        walk.gains.ask({'roll.rate.kp': 0.12, 'source': 'test'}, 0.0)
