@@ -104,7 +104,10 @@ def _kind(value: Value) -> int:
 def segments_from(
     events: Sequence[Event], seconds: Callable[[int], float], end_s: float
 ) -> tuple[tuple[Segment, ...], list[str]]:
-    """Each segment from its event to the next one; `seconds` turns a stamp into record time."""
+    """Each segment from its event to the next one; `seconds` turns a stamp into record time.
+
+    A segment of several axes at once (a flight without an experiment) names them in `axes`.
+    """
     segments: list[Segment] = []
     warnings: list[str] = []
     starts = [min(max(seconds(event.stamp), 0.0), end_s) for event in events]
@@ -123,7 +126,10 @@ def segments_from(
             role = 'idle'
         if stop > start:
             axis = axis if axis in AXES else AXES[0]
-            segments.append(Segment(role, signal, axis, injection, start, stop, values))
+            axes = [a for a in str(values.pop('axes', axis)).split(',') if a in AXES] or [axis]
+            segments += [
+                Segment(role, signal, one, injection, start, stop, values) for one in axes
+            ]
     return tuple(segments), warnings
 
 

@@ -28,7 +28,7 @@ from quad_sysid.bags.orientation import quaternions
 from quad_sysid.bags.templates import template
 from quad_sysid.contract import MIXER, TOPIC_TYPES, FloatArray
 from quad_sysid.errors import BadInputError
-from quad_sysid.record import Record
+from quad_sysid.record import Record, Segment
 
 Storage = Literal['mcap', 'sqlite3']
 Compression = Literal['none', 'message', 'file', 'storage']
@@ -156,11 +156,15 @@ def _events(record: Record) -> dict[str, list[Event]]:
         return record.t0_ns + round(seconds * 1e9)
 
     segments: list[Event] = []
-    ordered = sorted(record.segments, key=lambda s: s.start_s)
+    together: dict[tuple[float, float, str], list[Segment]] = {}
+    for one in sorted(record.segments, key=lambda s: s.start_s):
+        together.setdefault((one.start_s, one.end_s, one.role), []).append(one)
+    ordered = [same[0] for same in together.values()]
+    axes = [','.join(s.axis for s in same) for same in together.values()]
     for i, segment in enumerate(ordered):
         names = {
             'segment': segment.role, 'signal': segment.signal, 'axis': segment.axis,
-            'injection': segment.injection,
+            'injection': segment.injection, **({'axes': axes[i]} if ',' in axes[i] else {}),
         }
         segments.append(Event(stamp(segment.start_s), {**names, **segment.parameters}))
         following = ordered[i + 1].start_s if i + 1 < len(ordered) else record.n * record.dt

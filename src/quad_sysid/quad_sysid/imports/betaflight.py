@@ -351,6 +351,4 @@ def _missing(angles: FloatArray | None, volts: FloatArray | None) -> tuple[str, 
         *(text for found, text in lacks if found is None),
         ("attitude set-point and gains of our form: Betaflight's loop has feed-forward and gains "
         'that follow the throttle; no closed loop, no gain design'),
-        ('segments: the log names none; the first 60 % trains, the rest validates, or --train A:B '
-        '--validate C:D'),
     )

@@ -285,11 +285,7 @@ def _missing(
         (battery, 'battery_status: battery sag cannot be told'),
         (gains or None, "the controller's gains: no closed loop, no gain design"),
     )
-    return (
-        *(text for found, text in lacks if found is None),
-        ('segments: PX4 names none; the first 60 % trains, the rest validates, or --train A:B '
-        '--validate C:D'),
-    )
+    return tuple(text for found, text in lacks if found is None)
 
 
 def _frame(content: _Content) -> tuple[str, ...]:

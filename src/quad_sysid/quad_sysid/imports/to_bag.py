@@ -17,6 +17,8 @@ from quad_sysid.errors import BadInputError
 from quad_sysid.imports.clock import LONGEST_PAUSE, Cycles, cycles, draw, hold, mean_ahead
 from quad_sysid.imports.log import ForeignLog, Stream
 from quad_sysid.imports.mixers import Mixer, mixer_of_patterns
+from quad_sysid.imports.stretches import told as stretches_told
+from quad_sysid.imports.stretches import with_stretches
 from quad_sysid.motor_layout import Pattern, doubts, patterns_of
 from quad_sysid.record import GainChange, Record, finite_runs
 
@@ -97,6 +99,8 @@ def import_log(log: ForeignLog, out: Path, grid_hz: float | None = None) -> Impo
     )
     if not np.isfinite(record.rates[:, 0] + record.control[:, 0]).any():
         raise BadInputError(log.source, 'rates and commands were never logged together')
+    record = with_stretches(record, log.axes)
+    told += [line] if (line := stretches_told(record)) else []
     notes = {
         'import': f'{Path(log.source).name}, {log.kind}: ' + '; '.join(
             f'{m.source} [{m.unit}] as {m.topic}' + (f' ({m.how})' if m.how else '')

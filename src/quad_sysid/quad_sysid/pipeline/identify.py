@@ -156,7 +156,8 @@ def _reason(told: Findings) -> str:
 
 def _segments(records: Sequence[Record], axis: str) -> tuple[Segment, ...]:
     return tuple(
-        s for r in records for s in r.segments if s.axis == axis or s.role == 'idle'
+        s for r in records for s in r.segments
+        if s.axis == axis or (s.role == 'idle' and 'because' not in s.parameters)
     )
 
 

@@ -37,7 +37,8 @@ def _axis(answer: AxisAnswer, inertia: float | None) -> dict[str, Any]:
     tree: dict[str, Any] = {
         'sample_rate_hz': answer.sample_rate_hz,
         'segments': [
-            {'role': s.role, 'signal': s.signal, 'start_s': s.start_s, 'end_s': s.end_s}
+            {'role': s.role, 'signal': s.signal, 'start_s': s.start_s, 'end_s': s.end_s,
+             **({'because': s.parameters['because']} if 'because' in s.parameters else {})}
             for s in answer.segments
         ],
         'models': [row_tree(row) for row in answer.rows],

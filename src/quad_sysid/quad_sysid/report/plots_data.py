@@ -46,7 +46,7 @@ def signals(answer: AxisAnswer) -> Picture | None:
     return Picture(
         'signals', 'Signals and segments',
         'The whole record. Blue stretches train the model, orange ones are held out and were '
-        'opened once, at the end.',
+        'opened once, at the end; what lies in grey was left out.',
         _traces(answer, data, (0, data.rate.size), segments=True),
     )
 
@@ -85,6 +85,13 @@ def _traces(answer: AxisAnswer, data: AxisData, span: Span, *, segments: bool) -
             ):
                 for at, (a, b) in enumerate(_joined(spans, data.dt)):
                     shade(one, a * data.dt, b * data.dt, colour, name if at == 0 else '')
+            seen: set[str] = set()
+            for left in answer.segments:
+                because = str(left.parameters.get('because', ''))
+                if because and left.axis == answer.axis:
+                    shade(one, left.start_s, left.end_s, MUTED,
+                          '' if because in seen else f'left out: {because}')
+                    seen.add(because)
         if reference is not None:
             one.plot(*thinned(time_s, reference[inside]), color=GREEN, lw=0.9, label='reference')
         if measured is not None:

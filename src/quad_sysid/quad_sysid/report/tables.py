@@ -189,7 +189,8 @@ def gains(tree: Tree, axis: str, active: Mapping[str, float]) -> str:
 def segments(tree: Tree) -> str:
     """When what was flown, and for what it was used."""
     rows = [
-        [s['role'], s['signal'], f'{s["start_s"]:.2f}', f'{s["end_s"]:.2f}']
+        [f'left out: {s["because"]}' if 'because' in s else s['role'], s['signal'],
+         f'{s["start_s"]:.2f}', f'{s["end_s"]:.2f}']
         for s in tree['segments']
     ]
     return table(['role', 'signal', 'start, s', 'end, s'], rows, (2, 3))

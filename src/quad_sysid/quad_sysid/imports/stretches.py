@@ -1,0 +1,143 @@
+"""Flights without an experiment: which stretches say something, and which of them are held out.
+
+A flight is looked at in pieces of a second; what is left out gets its reason. What is used is cut
+into blocks that train and blocks that are held out, so that both hold some of every part of the
+flight. Array maths on a Record.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from quad_sysid.contract import AXES
+from quad_sysid.record import Record, Segment, finite_runs
+
+PIECE_S = 1.0
+MOST_LOST = 0.2
+"""Share of a piece that gaps may take."""
+AIRBORNE = 0.4
+"""Share of the usual throttle below which the aircraft stands on the ground."""
+STILL = 0.1
+"""Share of the usual motion and command below which nothing is excited."""
+USUAL = 0.75
+"""Quantile over the pieces that is usual."""
+AT_LIMIT, MOST_AT_LIMIT = 1e-3, 0.2
+"""A motor this close to 0 or 1 stands at its limit; for this share of a piece it may."""
+SHORTEST_S = 3.0
+"""A stretch below it cannot be judged: windows begin a second after its start."""
+BLOCK_S = 5.0
+ROLES = ('train', 'train', 'validation', 'train', 'validation')
+"""Of blocks one after the other: 60 % train, as where a record is cut in two."""
+
+
+def with_stretches(record: Record, axes: tuple[str, ...] = AXES) -> Record:
+    """The record with its segments, for all of `axes` alike.
+
+    Below five blocks the first 60 % of what is used train, as the contract cuts a bag without
+    segments; a record of which nothing is left out and that is so short keeps no segments at all.
+    """
+    size = max(1, round(PIECE_S / record.dt))
+    edges = np.arange(0, max(size, record.n - size // 2), size)
+    why = _short(_reasons(record, edges, size), max(1, round(SHORTEST_S / PIECE_S)))
+    used = np.array([not reason for reason in why])
+    seconds = float(used.sum()) * size * record.dt
+    if not used.any() or (used.all() and seconds < len(ROLES) * BLOCK_S):
+        return record
+    segments = []
+    for start, stop in finite_runs(used, (0, len(used))):
+        segments += _blocks(start, stop, size, record.dt, used, seconds)
+    for reason in sorted({r for r in why if r}):
+        hit = np.array([r == reason for r in why])
+        segments += [('idle', a, b, reason) for a, b in finite_runs(hit, (0, len(hit)))]
+    length = record.n * record.dt
+    return replace(record, segments=tuple(sorted((
+        Segment(role, 'none', axis, 'none', a * size * record.dt,
+                length if b == len(edges) else b * size * record.dt,
+                {'because': reason} if reason else {})
+        for role, a, b, reason in segments for axis in axes
+    ), key=lambda s: (s.start_s, s.axis))))
+
+
+def told(record: Record) -> str:
+    """One line on what is used and what is left out, in seconds."""
+    if not record.segments:
+        return ''
+    axis = record.segments[0].axis
+    sums: dict[str, float] = {}
+    for s in record.segments:
+        if s.axis == axis:
+            name = str(s.parameters.get('because', s.role))
+            sums[name] = sums.get(name, 0.0) + s.end_s - s.start_s
+    left = ', '.join(f'{name} {sums[name]:.0f} s' for name in sums
+                     if name not in ('train', 'validation'))
+    return (f'no experiment in it: {sums.get("train", 0.0):.0f} s train, '
+            f'{sums.get("validation", 0.0):.0f} s are held out' +
+            (f'; left out: {left}' if left else ''))
+
+
+def _reasons(record: Record, edges: np.ndarray, size: int) -> list[str]:
+    """Why each piece is left out; an empty text where it is used."""
+    pieces = [slice(a, a + size) for a in edges[:-1]] + [slice(edges[-1], record.n)]
+    known = np.asarray(np.isfinite(record.rates + record.control[:, :1]).all(axis=1))
+
+    def spread(values: np.ndarray) -> np.ndarray:
+        out = np.zeros((len(pieces), values.shape[1]))
+        for i, piece in enumerate(pieces):
+            good = values[piece][known[piece]]
+            if len(good) > 1:
+                out[i] = good.std(axis=0)
+        return out
+
+    moved, driven = spread(record.rates), spread(record.control[:, 1:])
+    throttle = np.array([
+        float(record.control[p, 0][known[p]].mean()) if known[p].any() else 0.0 for p in pieces
+    ])
+    flying = AIRBORNE * float(np.quantile(throttle, USUAL))
+    still = [
+        (values <= STILL * np.quantile(values, USUAL, axis=0)).all(axis=1)
+        for values in (moved, driven)
+    ]
+    motors = record.motors
+    out = []
+    for i, piece in enumerate(pieces):
+        lost = 1.0 - float(known[piece].mean())
+        stuck = 0.0 if motors is None else float(np.mean(
+            ((motors[piece] <= AT_LIMIT) | (motors[piece] >= 1.0 - AT_LIMIT)).any(axis=1)))
+        out.append(
+            'gap' if lost > MOST_LOST else
+            'ground' if throttle[i] < flying else
+            'saturated' if stuck > MOST_AT_LIMIT else
+            'still' if still[0][i] or still[1][i] else ''
+        )
+    return out
+
+
+def _short(why: list[str], least: int) -> list[str]:
+    used = np.array([not reason for reason in why])
+    out = list(why)
+    for start, stop in finite_runs(used, (0, len(used))):
+        if stop - start < least:
+            out[start:stop] = ['short'] * (stop - start)
+    return out
+
+
+def _blocks(
+    start: int, stop: int, size: int, dt: float, used: np.ndarray, seconds: float
+) -> list[tuple[str, int, int, str]]:
+    """Blocks of one stretch; neighbours of one role are one segment."""
+    before = int(used[:start].sum())
+    block = max(1, round(BLOCK_S / (size * dt)))
+    whole = seconds >= len(ROLES) * BLOCK_S
+    border = 0.6 * float(used.sum())
+    out: list[tuple[str, int, int, str]] = []
+    for k in range(start, stop):
+        place = before + k - start
+        role = ROLES[place // block % len(ROLES)] if whole else \
+            'train' if place < border else 'validation'
+        if out and out[-1][0] == role:
+            out[-1] = (role, out[-1][1], k + 1, '')
+        else:
+            out.append((role, k, k + 1, ''))
+    return out

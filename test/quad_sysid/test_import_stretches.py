@@ -1,0 +1,74 @@
+"""A flight without an experiment: what says something is used, and both roles hold some of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from quad_sysid.bags import read_bag, write_bag
+from quad_sysid.contract import motors_from_wrench
+from quad_sysid.imports.stretches import told, with_stretches
+from quad_sysid.record import Record
+
+DT = 0.004
+
+
+def flight(seconds: float) -> Record:
+    """On the ground for 5 s at either end, hovering without a motion from 20 s to 26 s."""
+    rng = np.random.default_rng(1)
+    n = round(seconds / DT)
+    t = DT * np.arange(n)
+    ground = (t < 5.0) | (t >= seconds - 5.0)
+    still = (t >= 20.0) & (t < 26.0)
+    moves = np.where(ground | still, 0.01, 1.0)[:, None]
+    control = np.column_stack([np.where(ground, 0.1, 0.5), 0.05 * moves * rng.normal(size=(n, 3))])
+    return Record('flight', DT, moves * rng.normal(size=(n, 3)), np.clip(control, -0.2, 0.5),
+                  t0_ns=10**9)
+
+
+def spans(record: Record, role: str, axis: str = 'roll') -> list[tuple[float, float]]:
+    return [(round(s.start_s, 6), round(s.end_s, 6)) for s in record.segments
+            if s.role == role and s.axis == axis]
+
+
+def test_blocks_train_and_validate_and_the_rest_has_its_reason(tmp_path):
+    found = with_stretches(flight(60.0))
+    assert spans(found, 'idle') == [(0.0, 5.0), (20.0, 26.0), (55.0, 60.0)]
+    assert [s.parameters['because'] for s in found.segments if s.axis == 'yaw' and s.role == 'idle'
+            ] == ['ground', 'still', 'ground']
+    assert spans(found, 'train') == [(5.0, 15.0), (26.0, 31.0), (36.0, 46.0), (51.0, 55.0)]
+    assert spans(found, 'validation') == [(15.0, 20.0), (31.0, 36.0), (46.0, 51.0)]
+    assert spans(found, 'train', 'pitch') == spans(found, 'train')
+    assert told(found) == ('no experiment in it: 29 s train, 15 s are held out; left out: '
+                           'ground 10 s, still 6 s')
+    read = read_bag(write_bag(replace(found, wrench=found.control), tmp_path / 'bag'))
+    for axis in ('roll', 'pitch', 'yaw'):
+        for role in ('train', 'validation', 'idle'):
+            assert spans(read, role, axis) == spans(found, role, axis)
+
+
+def test_a_short_flight_is_cut_in_two_and_a_whole_short_one_is_left_to_the_reader():
+    found = with_stretches(flight(27.0), ('roll',))
+    assert spans(found, 'train') == [(5.0, 14.0)]
+    assert spans(found, 'validation') == [(14.0, 20.0)]
+    record = flight(60.0)
+    whole = replace(record, rates=record.rates[2000:4500], control=record.control[2000:4500])
+    assert with_stretches(whole).segments == ()
+    assert told(whole) == ''
+
+
+@pytest.mark.parametrize(('reason', 'change'), [('gap', 'rates'), ('saturated', 'motors')])
+def test_gaps_and_limits_are_left_out(reason, change):
+    record = flight(60.0)
+    motors = motors_from_wrench(np.clip(record.control, -0.1, 0.6))
+    record = replace(record, motors=motors)
+    rates = record.rates.copy()
+    if change == 'rates':
+        rates[2000:2500] = np.nan
+    else:
+        motors[2000:2500, 2] = 1.0
+    found = with_stretches(replace(record, rates=rates, motors=motors))
+    assert (8.0, 10.0) in [(s.start_s, s.end_s) for s in found.segments
+                           if s.parameters.get('because') == reason]
