@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib
 import json
+import signal
 import subprocess
 import sys
 import threading
@@ -158,8 +159,14 @@ class Probe:
         end_s = time.monotonic() + PATIENCE_S
         while not condition():
             assert not self._ended, f'the probe has ended: {self.words()[-2000:]}'
-            assert time.monotonic() < end_s, f'never: {what}'
+            assert time.monotonic() < end_s, f'never: {what}; {self._where()}'
             time.sleep(pause_s)
+
+    def _where(self) -> str:
+        """What the process was at, which ends with that."""
+        self._process.send_signal(signal.SIGABRT)
+        self._process.wait(PATIENCE_S)
+        return self.words()[-2000:]
 
     def words(self) -> str:
         """What the probe itself, or the middleware in it, has said on stderr."""
@@ -272,7 +279,7 @@ class Server:
         self._timers: dict[str, Any] = {}
         self._clients: dict[str, Any] = {}
         self._waiting: list[tuple[Any, Any, int]] = []
-        self.node.create_timer(0.02, self._call)
+        self.node.create_timer(0.02, self._turn)
         self.done = False
 
     def read(self) -> None:
@@ -282,6 +289,11 @@ class Server:
             self._guard.trigger()
         self.done = True
         self._guard.trigger()
+
+    def _turn(self) -> None:
+        """What a guard condition failed to wake up for, and services that have come meanwhile."""
+        self._work()
+        self._call()
 
     def _work(self) -> None:
         while self._lines:

@@ -6,12 +6,15 @@ import sys
 import pytest
 from probe import content, event
 
+from quad_bridge.lockstep import VARIABLE
+
 QUAD_TUNE = 'import sys; from quad_tuning.cli import main; sys.exit(main())'
 
 
 @pytest.fixture
-def send(run, tmp_path):
-    """A function that starts `quad-tune send` to a namespace."""
+def send(run, tmp_path, monkeypatch):
+    """A function that starts `quad-tune send` to a namespace; as in lockstep it is not hurried."""
+    monkeypatch.setenv(VARIABLE, str(tmp_path / 'nobody'))
     axes = {'roll': {'gains': {'roll.rate.kp': 0.08}}}
     file = tmp_path / 'gains.json'
     file.write_text(json.dumps({'schema': 'quad_tuning/design/1', 'axes': axes}))
