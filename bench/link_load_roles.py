@@ -89,7 +89,7 @@ def bare(_: Path, rate: float) -> None:
     from rclpy.signals import SignalHandlerOptions
     from sensor_msgs.msg import Imu, JointState
 
-    from quad_bridge.qos import STREAM
+    from quad_bridge.nodes.qos import STREAM
 
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     stopped, node = Stopped(), rclpy.create_node('bare')
@@ -122,7 +122,7 @@ def exciter(_: Path) -> None:
     from rclpy.signals import SignalHandlerOptions
 
     from quad_bridge.nodes.conversion import event_message
-    from quad_bridge.qos import STATE
+    from quad_bridge.nodes.qos import STATE
 
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     stopped, node = Stopped(), rclpy.create_node('exciter')

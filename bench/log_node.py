@@ -12,7 +12,7 @@ from pathlib import Path
 
 from rosbags.highlevel import AnyReader
 
-START = 'from quad_bridge.bag_logger_node import main; main()'
+START = 'from quad_bridge.nodes.bag_logger import main; main()'
 TYPES = {
     '/imu/data': 'sensor_msgs.msg.Imu',
     '/motors/command': 'sensor_msgs.msg.JointState',

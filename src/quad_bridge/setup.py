@@ -38,7 +38,7 @@ setup(
         'console_scripts': [
             'recover = quad_bridge.log.recover:main',
             'monitor = quad_bridge.start:monitor',
-            'sensors = quad_bridge.sensors_command:main',
+            'sensors = quad_bridge.sensors.command:main',
             'make_key = quad_bridge.key_file:main',
             'bag_logger = quad_bridge.start:bag_logger',
             'serial_bridge = quad_bridge.start:serial_bridge',

@@ -7,7 +7,6 @@ import pytest
 pytest.importorskip('diagnostic_msgs.msg', reason='needs the ROS 2 message packages')
 from pymavlink.dialects.v20 import common
 
-from quad_bridge import diagnostics as d
 from quad_bridge.errors import RefusedError
 from quad_bridge.excitation_relay import ExcitationRelay
 from quad_bridge.gains.history import History
@@ -15,6 +14,7 @@ from quad_bridge.gains.update import GainSettings, GainUpdates
 from quad_bridge.link.machine import Link
 from quad_bridge.link.port import PortState, PortStatus
 from quad_bridge.link.report import LinkReport, clock_status
+from quad_bridge.nodes import diagnostics as d
 from quad_bridge.status import ERROR, OK, WARN
 from quad_bridge.wire import frames as f
 from quad_bridge.wire.codec import Decoder, Encoder

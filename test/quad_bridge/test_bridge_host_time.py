@@ -1,6 +1,6 @@
 """Stamps where somebody sets the system clock: followed on the ground, not in flight, not back."""
 
-from quad_bridge.host_time import HostTime
+from quad_bridge.nodes.host_time import HostTime
 
 MS = 1_000_000
 

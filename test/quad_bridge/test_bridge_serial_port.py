@@ -13,7 +13,7 @@ from probe import PATIENCE_S
 
 from quad_bridge.link import port as serial_port
 from quad_bridge.link.port import PortState, SerialPort
-from quad_bridge.sparing import Sparing
+from quad_bridge.nodes.fence import Sparing
 
 
 def until(condition):

@@ -4,8 +4,8 @@ import threading
 
 import pytest
 
-from quad_bridge import fence as module
-from quad_bridge.fence import Fence
+from quad_bridge.nodes import fence as module
+from quad_bridge.nodes.fence import Fence
 
 
 @pytest.fixture(autouse=True)

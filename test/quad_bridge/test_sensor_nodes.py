@@ -8,8 +8,8 @@ import pytest
 import yaml
 from node_process import program, recorded
 
+from quad_bridge.sensors.command import main as sensors
 from quad_bridge.sensors.correction import from_values
-from quad_bridge.sensors_command import main as sensors
 
 IRON = [0.0, 5e-6, 0.0]
 STANDING = """

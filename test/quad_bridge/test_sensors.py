@@ -12,10 +12,10 @@ from quad_bridge.log.stored.files import zstd
 from quad_bridge.log.writer import BagWriter
 from quad_bridge.sensors import aircraft_file
 from quad_bridge.sensors.by_hand import bifilar_inertia, thrust_curve
+from quad_bridge.sensors.command import main
 from quad_bridge.sensors.compass import hard_iron
 from quad_bridge.sensors.rest import GRAVITY, estimate_at_rest
 from quad_bridge.sensors.vibration import butterworth_gain, strongest
-from quad_bridge.sensors_command import main
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 RATE_HZ = 250.0

@@ -14,8 +14,8 @@ from probe import content, entries, event
 INT, TERM = signal.SIGINT, signal.SIGTERM
 NODES = {
     'serial_bridge': ('quad_bridge.nodes.serial_bridge', 'SerialBridge', '_on_report'),
-    'bag_logger': ('quad_bridge.bag_logger_node', 'BagLogger', '_on_report'),
-    'monitor': ('quad_bridge.monitor_node', 'Monitor', '_look'),
+    'bag_logger': ('quad_bridge.nodes.bag_logger', 'BagLogger', '_on_report'),
+    'monitor': ('quad_bridge.nodes.monitor', 'Monitor', '_look'),
     'excitation': ('quad_sysid.excitation_node', 'ExcitationNode', '_report'),
     'identification': ('quad_sysid.identification_node', 'IdentificationNode', '_collect'),
 }

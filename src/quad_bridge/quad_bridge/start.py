@@ -51,12 +51,12 @@ def serial_bridge() -> None:
 
 def bag_logger() -> None:
     """`ros2 run quad_bridge bag_logger`."""
-    begin('quad_bridge.bag_logger_node')
+    begin('quad_bridge.nodes.bag_logger')
 
 
 def monitor() -> None:
     """`ros2 run quad_bridge monitor`."""
-    begin('quad_bridge.monitor_node')
+    begin('quad_bridge.nodes.monitor')
 
 
 def virtual_stm32() -> int:

@@ -29,12 +29,12 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import BatteryState, Imu, Joy
 from std_srvs.srv import Trigger
 
-from quad_bridge import ros_node
 from quad_bridge.errors import QuadBridgeError
-from quad_bridge.fence import Fence
 from quad_bridge.lockstep import IMU_STREAM, RC_STREAM, SETPOINT_STREAM, clock, patience
-from quad_bridge.node_time import TimedNode, nanoseconds, stamp_of
-from quad_bridge.qos import EVENT, STATE, STREAM
+from quad_bridge.nodes import ros_node
+from quad_bridge.nodes.fence import Fence
+from quad_bridge.nodes.node_time import TimedNode, nanoseconds, stamp_of
+from quad_bridge.nodes.qos import EVENT, STATE, STREAM
 from quad_sysid.bags.cdr import IMU, decode
 from quad_sysid.bags.orientation import euler_angles
 from quad_sysid.errors import QuadSysidError

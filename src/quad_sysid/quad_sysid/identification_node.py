@@ -22,10 +22,10 @@ from rcl_interfaces.msg import (
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
-from quad_bridge import ros_node
 from quad_bridge.errors import QuadBridgeError
 from quad_bridge.lockstep import clock
-from quad_bridge.qos import EVENT, STATE
+from quad_bridge.nodes import ros_node
+from quad_bridge.nodes.qos import EVENT, STATE
 from quad_sysid import session
 from quad_sysid.bags import parse_span
 from quad_sysid.errors import QuadSysidError

@@ -9,7 +9,6 @@ from typing import Any
 
 from rcl_interfaces.msg import ParameterDescriptor
 
-from quad_bridge import ros_node
 from quad_bridge.errors import BadInputError
 from quad_bridge.gains.gate import bound_from
 from quad_bridge.gains.history import default_folder
@@ -17,6 +16,7 @@ from quad_bridge.gains.polarity import MODES
 from quad_bridge.gains.table import DEFAULT_BOUNDS, SETTABLE, Bound
 from quad_bridge.gains.update import GainSettings
 from quad_bridge.key_file import signing_from
+from quad_bridge.nodes import ros_node
 from quad_bridge.wire.signing import Signing
 
 WIRED = ('loop', 'spy', 'hwgrep', 'alt', 'cp2110')

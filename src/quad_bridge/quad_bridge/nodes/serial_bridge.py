@@ -20,28 +20,27 @@ from rclpy.qos import qos_profile_sensor_data
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import BatteryState, FluidPressure, Imu, JointState, Joy, MagneticField
 
-from quad_bridge import diagnostics
 from quad_bridge.arming import OperatorEnable
 from quad_bridge.errors import RefusedError
 from quad_bridge.excitation_relay import ExcitationRelay
 from quad_bridge.gains.history import History, Worker
 from quad_bridge.gains.update import GainUpdates, News, State
-from quad_bridge.host_time import NEVER_NS, HostTime
 from quad_bridge.link.autopilot import Inertial
 from quad_bridge.link.machine import Link
 from quad_bridge.link.port import SerialPort
 from quad_bridge.link.report import SETTLED_S, LinkReport
 from quad_bridge.link.stamping import Arrived, Restarted, Stamped
 from quad_bridge.lockstep import IMU_STREAM, RC_STREAM, SETPOINT_STREAM, START_NS, WIRE, clock
-from quad_bridge.managed_node import ManagedNode
-from quad_bridge.node_time import nanoseconds
-from quad_bridge.nodes import conversion
+from quad_bridge.nodes import conversion, diagnostics
 from quad_bridge.nodes.bridge_parameters import BridgeSettings, declare
+from quad_bridge.nodes.fence import Sparing
+from quad_bridge.nodes.host_time import NEVER_NS, HostTime
+from quad_bridge.nodes.managed_node import ManagedNode
+from quad_bridge.nodes.node_time import nanoseconds
+from quad_bridge.nodes.qos import EVENT, STATE, STREAM
+from quad_bridge.nodes.ros_node import run
 from quad_bridge.nodes.services import GainServices, OperatorServices, SensorServices
-from quad_bridge.qos import EVENT, STATE, STREAM
-from quad_bridge.ros_node import run
 from quad_bridge.sensors.live import LiveSensors
-from quad_bridge.sparing import Sparing
 from quad_bridge.status import OK
 from quad_bridge.wire.frames import (
     Battery,

@@ -23,7 +23,7 @@ from quad_bridge.errors import RefusedError
 from quad_bridge.gains.table import ROWS, SETTABLE, WIRE_NAMES
 from quad_bridge.lockstep import clock
 from quad_bridge.nodes import conversion
-from quad_bridge.qos import STATE
+from quad_bridge.nodes.qos import STATE
 from quad_bridge.sensors.live import LiveSensors, Wanted
 from quad_bridge.status import WARN, Status
 from quad_bridge.wire.frames import Command, CommandAck

@@ -26,7 +26,6 @@ from quad_bridge.wire.framing import Framer, Packet
 from quad_bridge.wire.messages import FROM_AUTOPILOT, FROM_MESSAGE, TO_MESSAGE, cycle, unpacked
 from quad_bridge.wire.other_messages import OTHER_MESSAGES
 from quad_bridge.wire.plausible import plausible
-from quad_bridge.wire.sequence import CycleWatch
 from quad_bridge.wire.signing import SIGNED_FLAG, Signing, Verdict
 
 _OURS = {number: kind for number, kind in dialect.mavlink_map.items() if number >= 0}
@@ -40,6 +39,9 @@ _BUILD = {**FROM_MESSAGE, **FROM_AUTOPILOT}
 _CYCLE = dialect.MAVLINK_MSG_ID_QUAD_CYCLE
 _ANSWERS = (TimeSync, ParamValue, GainsState, CommandAck)
 """They mean something only from who was asked: the far end, once it is known."""
+_WRAP = 1 << 32
+_LARGEST_GAP = 1_000_000
+"""Cycles (over an hour at 250 Hz): a larger step is a restart, not a loss."""
 NO_AUTOPILOT = 8
 """MAV_AUTOPILOT_INVALID: the heartbeat of something that flies nothing."""
 
@@ -79,6 +81,28 @@ class Counts:
     """MAVLink 1 messages; they are ignored, and part of the garbage."""
     unverified: int = 0
     """Signed frames that were taken as they are, because no key is set."""
+
+
+class CycleWatch:
+    """Watches the 32-bit cycle counter: what is missing, whether the far end has restarted."""
+
+    def __init__(self) -> None:
+        self.lost = 0
+        self.restarts = 0
+        self._last: int | None = None
+
+    def step(self, cycle: int) -> int:
+        """Cycles lost just before this one; 0 after a restart, which is counted apart."""
+        last, self._last = self._last, cycle
+        if last is None:
+            return 0
+        gap = (cycle - last) % _WRAP - 1
+        if gap > _LARGEST_GAP:
+            self.restarts += 1
+            return 0
+        missing = max(gap, 0)
+        self.lost += missing
+        return missing
 
 
 class Decoder:

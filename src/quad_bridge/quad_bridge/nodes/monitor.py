@@ -21,13 +21,13 @@ from rclpy.node import Node
 from sensor_msgs.msg import BatteryState, Imu
 from std_srvs.srv import Trigger
 
-from quad_bridge import ros_node
 from quad_bridge.arguments import say
 from quad_bridge.errors import BadInputError
 from quad_bridge.monitor import view
 from quad_bridge.monitor.coverage import BAND, Pairs, coverage
-from quad_bridge.node_time import nanoseconds
-from quad_bridge.qos import EVENT, STATE, STREAM
+from quad_bridge.nodes import ros_node
+from quad_bridge.nodes.node_time import nanoseconds
+from quad_bridge.nodes.qos import EVENT, STATE, STREAM
 
 AXES = ('roll', 'pitch', 'yaw')
 LEAST_NEW = 250

@@ -15,16 +15,15 @@ from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
 from std_srvs.srv import Trigger
 
-from quad_bridge import diagnostics, ros_node
 from quad_bridge.errors import BadInputError, QuadBridgeError
 from quad_bridge.lockstep import IMU_STREAM, clock
 from quad_bridge.log.disk import MB, Budget, free_bytes
 from quad_bridge.log.recording import Gaps, Recording, RecordingStatus, recording_status
 from quad_bridge.log.writer import Limits, free_paths, new_bag
-from quad_bridge.managed_node import ManagedNode, relative
-from quad_bridge.node_time import stamp_of
-from quad_bridge.nodes import conversion
-from quad_bridge.qos import EVENT, STATE, adapted, offered
+from quad_bridge.nodes import conversion, diagnostics, ros_node
+from quad_bridge.nodes.managed_node import ManagedNode, relative
+from quad_bridge.nodes.node_time import stamp_of
+from quad_bridge.nodes.qos import EVENT, STATE, adapted, offered
 from quad_bridge.status import WARN, Status
 from quad_bridge.topics import TOPIC_TYPES
 

@@ -32,7 +32,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from quad_bridge.arguments import complain, one_line
 from quad_bridge.errors import BadInputError, QuadBridgeError
-from quad_bridge.fence import Fence
+from quad_bridge.nodes.fence import Fence
 
 WAKE_S = 0.1
 """How long a signal may wait: rclpy's wait does not return for one."""

@@ -6,7 +6,7 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
-from quad_bridge.sparing import Sparing
+from quad_bridge.nodes.fence import Sparing
 from quad_bridge.status import OK, WARN, Status
 
 

@@ -13,10 +13,10 @@ from rclpy.clock import Clock, ClockType
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 
-from quad_bridge import ros_node
 from quad_bridge.errors import QuadBridgeError
-from quad_bridge.fence import Fence
-from quad_bridge.node_time import TimedNode
+from quad_bridge.nodes import ros_node
+from quad_bridge.nodes.fence import Fence
+from quad_bridge.nodes.node_time import TimedNode
 
 RCLError = rclpy_implementation.RCLError
 
