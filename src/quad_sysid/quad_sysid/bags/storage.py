@@ -10,7 +10,6 @@ import mmap
 import re
 from collections import Counter
 from dataclasses import dataclass, field
-from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -206,14 +205,18 @@ class Storage:
                 asked = [c for c in reader.connections if c.topic in self.topics]
                 mine = [c for c in asked if self._wanted(c.topic, c.msgtype)]
                 foreign.update({(c.topic, c.msgtype): c.msgcount for c in asked if c not in mine})
-                messages = reader.messages(mine) if mine else iter(())
-                while some := list(islice(messages, BATCH)):
-                    batch: Batch = {c.topic: [] for c in mine}
-                    for connection, _, raw in some:
-                        batch[connection.topic].append(raw)
-                    sound = {t: [r for r in raws if type(r) is bytes] for t, raws in batch.items()}
-                    strange += len(some) - sum(map(len, sound.values()))
-                    yield sound
+                batch: Batch = {c.topic: [] for c in mine}
+                sinks = {c.id: batch[c.topic] for c in mine}
+                for n, (c, _, raw) in enumerate(reader.messages(mine) if mine else (), 1):
+                    if type(raw) is bytes:
+                        sinks[c.id].append(raw)
+                    else:
+                        strange += 1
+                    if n % BATCH == 0:
+                        yield {topic: raws.copy() for topic, raws in batch.items()}
+                        for raws in batch.values():
+                            raws.clear()
+                yield batch
         except Exception as error:
             what = f'cannot be read as a sqlite3 bag ({" ".join(str(error).split())})'
             raise BadInputError(str(shown), what, remedy='is it a bag of rosbag2?') from error

@@ -100,7 +100,7 @@ class McapScan:
         self.closed = False
         """The summary behind the data is whole."""
         self._names, self._doubtful = Names(), Names()
-        self._told: set[int] = set()
+        self._missed: set[int] = set()
         """Times in the indexes of chunks that were not read."""
         self._others: Counter[int] = Counter()
         """Messages that `batches` was not asked for, by channel."""
@@ -126,9 +126,9 @@ class McapScan:
     def messages(self) -> Iterator[Message]:
         """All whole messages in the file's order."""
         for content in self.contents():
-            used = 0
+            self.unread += len(content)
             for opcode, body in _split(content):
-                used += RECORD.size + len(body)
+                self.unread -= RECORD.size + len(body)
                 if opcode == MESSAGE:
                     channel, _, time_ns, _ = MESSAGE_HEAD.unpack_from(body)
                     topic = self._named(channel)
@@ -138,7 +138,6 @@ class McapScan:
                         yield Message(topic, time_ns, body[MESSAGE_HEAD.size :])
                 elif not self._names.take(opcode, body):
                     self.unread += len(body)
-            self.unread += len(content) - used
         self.lost = self._count_lost()
 
     def batches(self, wanted: Callable[[Topic], bool]) -> Iterator[dict[str, list[bytes]]]:
@@ -192,13 +191,12 @@ class McapScan:
         while position < stop and (behind_end or not self.ended):
             chunk = self._chunk(position, stop)
             if chunk is not None:
-                content, end = chunk
                 self._behind_chunk = True
-                yield content
-                before, position = end - 1, end
+                yield chunk[0]
+                before, position = chunk[1] - 1, chunk[1]
                 continue
-            end_ = self._trusted(position, stop)
-            if end_ is None:
+            end = self._trusted(position, stop)
+            if end is None:
                 if self._is_cut_off(position, stop):
                     yield self._cut_off(position)
                     break
@@ -206,15 +204,15 @@ class McapScan:
                 continue
             opcode = data[position]
             if opcode == MESSAGE_INDEX and not self._behind_chunk:
-                entries = data[position + RECORD.size + 6 : end_]
-                self._told.update(np.frombuffer(entries, '<u8')[::2].tolist())
+                entries = data[position + RECORD.size + 6 : end]
+                self._missed.update(np.frombuffer(entries, '<u8')[::2].tolist())
             elif opcode in {SCHEMA, CHANNEL} and self.ended:  # of a summary that is damaged
-                self._doubtful.take(opcode, data[position + RECORD.size : end_])
+                self._doubtful.take(opcode, data[position + RECORD.size : end])
             elif opcode in {SCHEMA, CHANNEL, MESSAGE}:
-                yield data[position:end_]
-            elif opcode in {DATA_END, FOOTER} and not chunk_follows(data, end_, stop):
+                yield data[position:end]
+            elif opcode in {DATA_END, FOOTER} and not chunk_follows(data, end, stop):
                 self.ended = True
-            before, position = position, end_
+            before, position = position, end
         self.closed = summary is not None
         self.ended = self.ended or self.closed
 
@@ -271,8 +269,7 @@ class McapScan:
 
     def _keep_names(self, position: int, stop: int) -> None:
         """Keep the channels of a damaged chunk: better than none."""
-        ends = [end for end in chunk_ends(self.data, position, stop) if end <= stop]
-        for end in ends[:1]:
+        for end in [end for end in chunk_ends(self.data, position, stop) if end <= stop][:1]:
             self._doubtful.schemas = {**self._doubtful.schemas, **self._names.schemas}
             for opcode, body in _split(_unpacked(*_packed(self.data, position, end))[0]):
                 self._doubtful.take(opcode, body)
@@ -293,11 +290,8 @@ class McapScan:
         written = packed.rstrip(b'\0')
         written = packed if len(packed) - len(written) <= _ZEROS else written
         content, _ = _unpacked(name, written)
-        channels, used = set(self._names.channels), 0
-        for opcode, body in _split(content):
-            used += RECORD.size + len(body)
-            if opcode == CHANNEL:
-                channels.add(int.from_bytes(body[:2], 'little'))
+        used, channels = _whole(content), set(self._names.channels)
+        channels |= {int.from_bytes(b[:2], 'little') for o, b in _split(content) if o == CHANNEL}
         if not _begins_a_record(content[used:], channels):
             used = 0
         self.unread += len(content) - used if used else len(packed)
@@ -323,17 +317,19 @@ class McapScan:
     def _count_lost(self) -> int:
         if self.stated is not None:
             return max(self.stated - self.found, 0)
-        if not self._told:
+        if not self._missed:
             return self.unnamed
-        times = [
+        times = np.array([
             MESSAGE_HEAD.unpack_from(body)[2]
             for content in McapScan(self.data).contents()
             for opcode, body in _split(content)
             if opcode == MESSAGE
-        ]
+        ], '<u8')  # fmt: skip
+        if not len(times):
+            return self.unnamed
+        missed = np.setdiff1d(np.array(list(self._missed), '<u8'), times)
         # an index may be damaged too
-        between = {t for t in self._told if times and min(times) < t < max(times)}
-        return len(between.difference(times)) + self.unnamed
+        return int(np.sum((times.min() < missed) & (missed < times.max()))) + self.unnamed
 
 
 def _packed(data: Data, position: int, end: int) -> tuple[bytes, bytes]:
