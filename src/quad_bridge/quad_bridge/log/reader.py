@@ -22,6 +22,7 @@ from rosbags.typesys.store import Typestore
 from quad_bridge.errors import BadInputError
 from quad_bridge.log.stored.files import (
     PACKED,
+    ZSTD_MAGIC,
     plain_file,
     plain_message,
     sqlite_fault,
@@ -143,7 +144,8 @@ def messages_of(
         is_sqlite = plain.name.endswith('.db3')
         found = _sqlite_messages(plain, file) if is_sqlite else _mcap_messages(plain, file, judge)
         for message in found:
-            yield message._replace(data=plain_message(message.data))
+            packed = message.data[:4] == ZSTD_MAGIC
+            yield message._replace(data=plain_message(message.data)) if packed else message
 
 
 def _mcap_messages(
