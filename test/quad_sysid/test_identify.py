@@ -14,9 +14,14 @@ import pytest
 from flown_axis import SHORT, Axis, Plan, fly
 
 import quad_sysid
+from quad_sysid.discover.search import best_base
 from quad_sysid.errors import NotInformativeError
+from quad_sysid.estimate.fit import Problem
+from quad_sysid.estimate.stored import readings
+from quad_sysid.model.data import axis_data
 from quad_sysid.pipeline.evaluate import evaluate
 from quad_sysid.pipeline.identify import Options, identify
+from quad_sysid.pipeline.usable import check_moving
 from quad_sysid.report import document
 from quad_sysid.report.model_file import load_models, save_models
 
@@ -236,8 +241,8 @@ def resting(record):
     [
         (relay, 'all motors stand at their limits (0 or 1) during 100 % of the training'),
         (flat_out, 'all motors stand at their limits'),
-        (clipped(0.05), 'the gyro is at its limit; widen its range'),
-        (clipped(0.03), ''),
+        (clipped(0.15), 'the gyro is at its limit; widen its range'),
+        (clipped(0.08), ''),
         (silent, 'the measured rate is constant'),
         (resting, 'do not foresee the held-out rates better'),
     ],
@@ -250,6 +255,33 @@ def test_a_flight_that_cannot_be_answered_says_why(plain_flight, change, words):
         assert words in answer.reason
     else:
         assert answer.model.value('gain') == pytest.approx(450.0, rel=0.02)
+
+
+def lost(share, *columns):
+    """A link that loses single cycles, whole or without their command."""
+
+    def change(record):
+        bad = np.random.default_rng(3).random(record.n) < share
+        rows = {name: np.where(bad[:, None], np.nan, getattr(record, name)) for name in columns}
+        return replace(record, motors=None, **rows)
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ('change', 'wider'),
+    [
+        (clipped(0.25), 3.0), (lost(0.2, 'rates'), 1.6), (lost(0.05, 'rates', 'control'), 1.6),
+    ],
+)
+def test_samples_at_the_limit_or_lost_are_missing_measurements(plain, plain_flight, change, wider):
+    """Errors stay standard errors, and these grow little."""
+    data = axis_data([change(plain_flight)], 'roll')
+    check_moving(data)
+    problem = Problem(data, data.train)
+    for p, known in zip(readings(problem, best_base(problem)).base, plain.model.base, strict=True):
+        assert abs(p.value - TRUTH[p.name]) < 4.0 * p.std, p
+        assert p.std < wider * known.std, p
 
 
 @pytest.mark.parametrize(

@@ -190,7 +190,7 @@ class _Beside:
         out = np.empty_like(inputs)
         for start, stop in flight.passes:
             recursion.respond(
-                inputs, self.slope, found.gain, found.move, flight.sensor.step,
+                flight.measured, inputs, self.slope, found.gain, found.move, flight.sensor.step,
                 flight.sensor.behind, problem.data.dt, start, stop, out,
             )
         c = self._left(out[problem.rows] * self.w[:, None])

@@ -24,6 +24,9 @@ DEGREES = (3.0, 4.0, 6.0, 10.0, 20.0, 50.0, 1e4)
 """Degrees of freedom of the innovations that are tried; the last is a normal distribution."""
 BLOCK_S = 1.0
 """Innovations further apart are taken for independent, for standard errors."""
+WIDE = 30.0
+"""Prior of the base's gain, damping and bias over the typical acceleration: all structures have
+them, so it hardly weighs in a comparison and must not draw an estimate."""
 SMALL_NATS = 0.02
 MOST_STEPS = 40
 SLOW_S = 0.04
@@ -108,6 +111,7 @@ class Problem:
         count = np.zeros(self.data.rate.size, dtype=bool)
         for start, stop in self.spans:
             count[start:stop] = True
+        count &= np.isfinite(self.flight.measured)
         settle = round(SETTLE_S / self.data.dt)
         for start, _ in self.flight.passes:
             count[start : start + settle] = False
@@ -155,10 +159,10 @@ class Problem:
 
     def sizes(self, structure: Structure) -> FloatArray:
         """Prior standard deviation of each parameter in the coordinates of the fit."""
-        rows, acceleration = self.rows, self.acceleration
+        rows, wide = self.rows, WIDE * self.acceleration
         base = [
-            30.0 * acceleration / _high(self.data.command[rows]), BASE[1].spread, BASE[2].spread,
-            0.5 * acceleration / _high(self.data.rate[rows]), acceleration,
+            wide / _high(self.data.command[rows]), BASE[1].spread, BASE[2].spread,
+            wide / _high(self.data.rate[rows]), wide,
         ]
         own = [self.sizes_of(part) for part in structure.parts]
         noise = [s.spread for s in structure.noise]

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.errors import NotInformativeError
@@ -17,6 +18,11 @@ WINDOW_S = 0.5
 """Length of a free-run window (contract, error.before)."""
 SETTLE_S = 1.0
 """First window starts at least this long after the start of its segment or a gap."""
+BRIDGED_S = 0.1
+"""Over shorter gaps the filter runs on: the rate is missing, and a lost command lies on a straight
+line between its neighbours."""
+RESTING = 0.05
+"""rad/s. Below it a gyro that rests shows the few steps of its resolution, no limit."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +63,7 @@ class AxisData:
     gyro_filter_hz: float | None
     """Of the filter that the rate is known to be behind."""
     stretches: tuple[Span, ...]
+    """Without a break but for gaps that are bridged."""
     train: tuple[Span, ...]
     validation: tuple[Span, ...]
     idle: tuple[Span, ...] = ()
@@ -72,19 +79,19 @@ class AxisData:
 
     @property
     def index(self) -> int:
-        """0 roll, 1 pitch, 2 yaw."""
-        return AXES.index(self.axis)
+        """0 roll, 1 pitch, 2 yaw; -1 for what turns nothing, such as the climb over U1."""
+        return AXES.index(self.axis) if self.axis in AXES else -1
 
     @property
     def command(self) -> FloatArray:
-        """(n,) this axis' input U2, U3 or U4, normalised."""
+        """(n,) this axis' input U2, U3 or U4, normalised; U1 of no axis."""
         column: FloatArray = np.ascontiguousarray(self.control[:, self.index + 1])
         return column
 
     @property
     def other_axes(self) -> tuple[str, str]:
-        """Names of the other two axes, in the order of `other_rates`."""
-        first, second = (name for name in AXES if name != self.axis)
+        """Names of the other two axes, in the order of `other_rates`; the first two of none."""
+        first, second = [name for name in AXES if name != self.axis][:2]
         return first, second
 
     def windows(self, spans: Sequence[Span], length_s: float = WINDOW_S) -> Windows:
@@ -99,6 +106,15 @@ class AxisData:
             starts.extend(found)
             owners.extend([number] * len(found))
         return Windows(np.array(starts, dtype=np.int64), length, np.array(owners, dtype=np.int64))
+
+
+def at_limit(rate: FloatArray) -> NDArray[np.bool_]:
+    """(n,) whether a rate is the very same largest one again and again: a gyro at its limit."""
+    size = np.abs(np.nan_to_num(rate))
+    largest = float(size.max(initial=0.0))
+    clipped = size >= largest * (1.0 - 1e-9)
+    moves = largest > RESTING and np.ptp(size) > 0.0 and np.count_nonzero(clipped) > 2
+    return clipped if moves else np.zeros(rate.size, dtype=bool)
 
 
 def part_of(data: AxisData, passes: Sequence[Span]) -> AxisData:
@@ -158,7 +174,7 @@ def axis_data(records: Sequence[Record], axis: str) -> AxisData:
     stretches = tuple(
         (a + int(offset), b + int(offset))
         for record, (good, _), offset in zip(records, parts, offsets, strict=False)
-        for a, b in finite_runs(good, (0, record.n))
+        for a, b in bridged(finite_runs(good, (0, record.n)), dt)
     )
     joined = {
         key: np.concatenate([values[key] for _, values in parts]) for key in parts[0][1]
@@ -209,12 +225,30 @@ def _prepare(record: Record, axis: str) -> tuple[np.ndarray, dict[str, FloatArra
     return good, {
         'rate': np.where(good, rate, np.nan),
         'angle': nothing if record.angles is None else record.angles[:, index],
-        'control': np.where(good[:, None], control, 0.0),
-        'motors': np.where(good[:, None], motors, 0.0),
+        'control': _filled(control),
+        'motors': _filled(motors),
         'other_rates': record.rates[:, others],
         'battery_v': nothing if record.battery_v is None else record.battery_v,
         'reference': nothing if external is None else external,
     }
+
+
+def bridged(runs: Sequence[Span], dt: float) -> list[Span]:
+    """Runs joined over gaps of at most BRIDGED_S."""
+    joined: list[Span] = []
+    for start, stop in runs:
+        if joined and (start - joined[-1][1]) * dt <= BRIDGED_S:
+            joined[-1] = joined[-1][0], stop
+        else:
+            joined.append((start, stop))
+    return joined
+
+
+def _filled(values: FloatArray) -> FloatArray:
+    """(n, k) with rows that are not known on straight lines between their neighbours."""
+    at = np.flatnonzero(np.isfinite(values).all(axis=1))
+    grid = np.arange(values.shape[0])
+    return np.column_stack([np.interp(grid, at, column[at]) for column in values.T])
 
 
 def _held(signal: FloatArray) -> FloatArray:

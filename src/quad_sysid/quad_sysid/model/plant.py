@@ -18,9 +18,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from quad_sysid.contract import MIXER_INVERSE, FloatArray
+from quad_sysid.contract import AXES, MIXER_INVERSE, FloatArray
 from quad_sysid.model import recursion
-from quad_sysid.model.data import AxisData, Span, Windows
+from quad_sysid.model.data import AxisData, Span, Windows, at_limit
 from quad_sysid.model.effect import Drive, Effect, Part, Signals, Spec, required
 from quad_sysid.model.noise import Filter, Noise, Sensor, kalman, sensor_of
 
@@ -129,10 +129,12 @@ def slope_over_rate(part: Part, s: Signals, p: FloatArray) -> FloatArray:
 def passes_of(data: AxisData, spans: Sequence[Span]) -> tuple[Span, ...]:
     """What the filter follows: the spans with LEAD_S before each, where that is unbroken."""
     lead = round(LEAD_S / data.dt)
+    seen = np.isfinite(data.rate) & ~at_limit(data.rate)
     merged: list[list[int]] = []
     for start, stop in sorted(spans):
         home = next(s for s in data.stretches if s[0] <= start < s[1])
         begin = max(home[0], start - lead)
+        begin += int(np.argmax(seen[begin : home[1]]))
         if merged and begin <= merged[-1][1] and merged[-1][0] >= home[0]:
             merged[-1][1] = max(merged[-1][1], stop)
         else:
@@ -156,16 +158,16 @@ class Flight:
     sensor: Sensor = field(init=False)
     measured: FloatArray = field(init=False)
     """(n,) what innovations are of: the rate, or the angle over the cycle where only that was
-    measured, rad/s."""
+    measured, rad/s; NaN where it was lost or at its limit."""
 
     def __post_init__(self) -> None:
         data = self.data
         self.passes = passes_of(data, self.spans)
         self.sensor = sensor_of(data.gyro_filter_hz, data.derived_s, data.dt)
         self.late = self.sensor.late_s
-        self.measured = (
-            required(data.angle) / data.dt if self.sensor.derived else data.rate
-        )
+        output = required(data.angle) / data.dt if self.sensor.derived else data.rate
+        lost = ~np.isfinite(data.rate) | at_limit(data.rate)
+        self.measured = np.where(lost, np.nan, output)
         n = data.rate.size
         self.row = np.ascontiguousarray(MIXER_INVERSE[data.index + 1])
         grid = np.arange(n, dtype=np.float64)
@@ -179,11 +181,11 @@ class Flight:
                 np.interp(ahead, grid, np.nan_to_num(column)) for column in data.other_rates.T
             )
             self.others = first, second
-        one, other = (i + 1 for i in range(3) if i != data.index)
-        self.other_commands = (
-            np.ascontiguousarray(data.control[:, one]),
-            np.ascontiguousarray(data.control[:, other]),
+        one, other = (
+            np.ascontiguousarray(data.control[:, AXES.index(name) + 1])
+            for name in data.other_axes
         )
+        self.other_commands = one, other
         self.throttle = np.ascontiguousarray(data.control[:, 0])
         self._drives: dict[bytes, tuple[FloatArray, FloatArray]] = {}
         if self.rate.size != n:
@@ -191,7 +193,8 @@ class Flight:
 
     def _first_guess(self) -> FloatArray:
         """The measured rate, smoothed over five cycles and advanced by the filter's delay."""
-        measured = np.nan_to_num(self.data.rate)
+        known = np.flatnonzero(np.isfinite(self.data.rate))
+        measured = np.interp(np.arange(self.data.rate.size), known, self.data.rate[known])
         smooth = np.convolve(measured, np.full(5, 0.2), mode='same')
         shift = 0.5 + self.late / self.data.dt
         grid = np.arange(measured.size, dtype=np.float64)

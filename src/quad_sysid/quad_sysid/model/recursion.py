@@ -86,9 +86,9 @@ def predict(y, begin, known, slope, columns, bends, gain, gain_columns, move, mo
     vibration. gain (4 + 2 v,) what the innovation adds to them; move (2 + 2 v,): what is left of
     the disturbance after a cycle, its mean over the cycle, and the turn of each line (cosine and
     sine times what is left of it); gain_columns (m, 4 + 2 v) and move_columns (m, 2 + 2 v) their
-    derivatives. gyro (2, 5) as in noise.Sensor.step, measured where `behind`. rate (n,) receives
-    the rate at half cycle, states (n, 4 + 2 v) the prediction before the innovation, innovation
-    (n,) and jacobian (n, m) what the name says.
+    derivatives; nothing is added where y is NaN. gyro (2, 5) as in noise.Sensor.step, measured
+    where `behind`. rate (n,) receives the rate at half cycle, states (n, 4 + 2 v) the prediction
+    before the innovation, innovation (n,) and jacobian (n, m) what the name says.
     """
     m = columns.shape[1]
     g00, g01, g02, g03, g04 = gyro[0, 0], gyro[0, 1], gyro[0, 2], gyro[0, 3], gyro[0, 4]
@@ -115,6 +115,9 @@ def predict(y, begin, known, slope, columns, bends, gain, gain_columns, move, mo
         for i in range(lines):
             e -= v[2 * i]
         innovation[k] = e
+        missing = not np.isfinite(y[k])
+        if missing:
+            e = 0.0
         r += c0 * e
         d += c1 * e
         g += c2 * e
@@ -134,6 +137,8 @@ def predict(y, begin, known, slope, columns, bends, gain, gain_columns, move, mo
         for i in range(lines):
             for j in range(m):
                 jacobian[k, j] -= s[4 + 2 * i, j]
+        if missing:
+            jacobian[k] = 0.0
         for i in range(lines):
             turn, over = move[2 + 2 * i], move[3 + 2 * i]
             p, o = 4 + 2 * i, 5 + 2 * i
@@ -172,8 +177,8 @@ def predict(y, begin, known, slope, columns, bends, gain, gain_columns, move, mo
 
 
 @njit(**_OPTIONS)
-def respond(columns, slope, gain, move, gyro, behind, dt, start, stop, out):
-    """What `columns` (n, m), accelerations, do to the innovations: (n, m) into `out`."""
+def respond(y, columns, slope, gain, move, gyro, behind, dt, start, stop, out):
+    """What `columns` (n, m), accelerations, do to the innovations of y (n,): (n, m) into `out`."""
     m = columns.shape[1]
     g00, g01, g02, g03, g04 = gyro[0, 0], gyro[0, 1], gyro[0, 2], gyro[0, 3], gyro[0, 4]
     g10, g11, g12, g13, g14 = gyro[1, 0], gyro[1, 1], gyro[1, 2], gyro[1, 3], gyro[1, 4]
@@ -190,6 +195,8 @@ def respond(columns, slope, gain, move, gyro, behind, dt, start, stop, out):
         for i in range(lines):
             for j in range(m):
                 out[k, j] -= s[4 + 2 * i, j]
+        if not np.isfinite(y[k]):
+            out[k] = 0.0
         for i in range(lines):
             turn, over = move[2 + 2 * i], move[3 + 2 * i]
             p, o = 4 + 2 * i, 5 + 2 * i

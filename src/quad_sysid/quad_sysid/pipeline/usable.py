@@ -8,7 +8,7 @@ import numpy as np
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import NotInformativeError
-from quad_sysid.model.data import AxisData, Span
+from quad_sysid.model.data import AxisData, Span, at_limit, bridged
 
 LEAST_WINDOWS = 8
 """Of 0.5 s, in which the training must be long enough for any fit."""
@@ -16,11 +16,9 @@ AT_LIMIT = 1e-3
 """A motor this near to 0 or 1 is at its limit."""
 THROUGHOUT = 0.9
 """Share of the training in which all motors at their limits leave nothing to learn from."""
-CLIPPED = 0.04
-"""Share of the training that a gyro may spend on one and the same largest rate: the innovations'
-heavy tails carry some 3 %, and at 5 % no parameter is right."""
-RESTING = 0.05
-"""rad/s. Below it a gyro that rests shows the few steps of its resolution, no limit."""
+CLIPPED = 0.1
+"""Share that a gyro may spend at its limit: the fit leaves these samples out and would hold to
+0.3, but errors are told of them too."""
 
 
 def check_usable(data: AxisData) -> None:
@@ -47,7 +45,7 @@ def _length(data: AxisData) -> None:
 
 def check_moving(data: AxisData) -> None:
     """Raise NotInformativeError for training too short for a fit, or in which nothing moves."""
-    count = data.windows(data.train).count
+    count = data.windows(bridged(data.train, data.dt)).count
     if count < LEAST_WINDOWS:
         raise NotInformativeError(
             f'{data.axis}: training holds {count} windows of 0.5 s, at least {LEAST_WINDOWS} are '
@@ -84,8 +82,8 @@ def _gyro(data: AxisData, spans: Sequence[Span], where: str) -> None:
     """The very same largest rate again and again, which no noisy gyro gives."""
     rate = _inside(data.rate, spans)
     largest = float(np.abs(rate).max())
-    clipped = np.abs(rate) >= largest * (1.0 - 1e-9)
-    if largest > RESTING and np.ptp(rate) > 0.0 and clipped.mean() > CLIPPED:
+    clipped = at_limit(rate)
+    if clipped.mean() > CLIPPED:
         raise NotInformativeError(
             f'{data.axis}: the measured rate stands at {largest:.3g} rad/s during '
             f'{100.0 * clipped.mean():.0f} % of {where}: the gyro is at its limit; widen its '

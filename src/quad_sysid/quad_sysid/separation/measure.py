@@ -121,9 +121,8 @@ class Judged:
         found = base.prediction.filter
         for start, stop in flight.passes:
             recursion.respond(
-                columns, plain.slope, found.gain, found.move, flight.sensor.step,
-                flight.sensor.behind,
-                self.problem.data.dt, start, stop, out,
+                flight.measured, columns, plain.slope, found.gain, found.move,
+                flight.sensor.step, flight.sensor.behind, self.problem.data.dt, start, stop, out,
             )
         own = np.vstack([
             np.asarray(base.prediction.jacobian)[rows] / base.tail.scale,

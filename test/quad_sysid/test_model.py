@@ -1,0 +1,164 @@
+"""The model is no list of cases: another sensor, another motion, physics of another package."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.signal import savgol_filter
+
+from quad_sysid.bags import write_bag
+from quad_sysid.discover.accept import judge
+from quad_sysid.discover.search import search
+from quad_sysid.effects import EFFECTS
+from quad_sysid.estimate.fit import Problem
+from quad_sysid.estimate.stored import readings
+from quad_sysid.model.data import AxisData
+
+DT = 0.01
+FINE = 10
+"""Steps of the simulation in one cycle."""
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def moved(gain, lag, damping, drag, bias, command, disturbance=0.0, seed=0):
+    """(n,) position and speed under a held command (n,), 20 ms late: steps of 1 ms."""
+    rng = np.random.default_rng(seed)
+    h, n = DT / FINE, command.size
+    position, speed = np.zeros(n), np.zeros(n)
+    x = v = drive = wind = 0.0
+    for k in range(n):
+        position[k], speed[k] = x, v
+        asked = gain * command[max(k - 2, 0)]
+        for _ in range(FINE):
+            wind += -2.0 * h * wind + disturbance * np.sqrt(4.0 * h) * rng.standard_normal()
+            before, drive = drive, asked + (drive - asked) * np.exp(-h / lag)
+            middle = v + 0.5 * h * (before - damping * v - drag * v * abs(v) + bias + wind)
+            push = 0.5 * (before + drive) + bias + wind
+            v += h * (push - damping * middle - drag * middle * abs(middle))
+            x += h * middle
+    return position, speed
+
+
+def axis(name, column, rate, command, **more):
+    """Two thirds to train, the rest to validate."""
+    n = rate.size
+    control = np.zeros((n, 4))
+    control[:, column] = command
+    return AxisData(
+        axis=name, dt=DT, rate=rate, control=control, motors=np.zeros((n, 4)),
+        other_rates=np.full((n, 2), np.nan), battery_v=None, gyro_filter_hz=None,
+        stretches=((0, n),), train=((0, 2 * n // 3),), validation=((2 * n // 3, n),),
+        **{'angle': None, **more},
+    )
+
+
+def answer(data):
+    problem = Problem(data, data.train)
+    torques = [e for e in EFFECTS if e.name in ('quadratic_drag', 'coulomb_friction', 'dead_zone')]
+    found = search(problem, torques)
+    verdict = judge(data, problem, found)
+    return verdict, {p.name: p for p in readings(problem, verdict.chosen).base}
+
+
+def test_the_climb_over_the_throttle_is_another_instance_of_the_model():
+    """Thrust 25 m/s² per unit of U1 against 9.81; drag 0.15 1/m is found and named."""
+    rng = np.random.default_rng(4)
+    throttle = 9.81 / 25.0 + np.repeat(rng.choice([-0.12, 0.12], 120), 80)
+    speed = moved(25.0, 0.06, 0.1, 0.15, -9.81, throttle, 0.15)[1]
+    measured = speed + 0.02 * rng.standard_normal(speed.size)
+    verdict, base = answer(axis('climb', 0, measured, throttle))
+    assert [part.effect.name for part in verdict.chosen.structure.parts] == ['quadratic_drag']
+    assert verdict.chosen.value('quadratic_drag.coefficient') == pytest.approx(0.15, rel=0.2)
+    for name, truth in (('gain', 25.0), ('lag', 0.06), ('bias', -9.81)):
+        assert base[name].value == pytest.approx(truth, rel=0.1)
+        assert abs(base[name].value - truth) < 4.0 * base[name].std
+
+
+def test_a_measured_position_is_what_is_fitted_where_the_speed_was_derived():
+    """A position to 20 µm, its slope over 50 ms to either side: no effect is made up of that."""
+    rng = np.random.default_rng(5)
+    command = np.repeat(rng.choice([-0.1, 0.1], 240), 25)
+    position, speed = moved(7.4, 0.03, 2.0, 0.0, 0.0, command, 0.02)
+    seen = position + 2e-5 * rng.standard_normal(position.size)
+    derived = savgol_filter(seen, 11, 3, deriv=1, delta=DT)
+    data = axis('roll', 1, derived, command, angle=seen, derived_s=0.05)
+    verdict, base = answer(data)
+    assert verdict.verdict == 'no_missing_effect'
+    for name, truth in (('gain', 7.4), ('lag', 0.03), ('delay', 0.02), ('damping', 2.0)):
+        assert abs(base[name].value - truth) < 4.0 * base[name].std, name
+        assert base[name].std < 0.15 * truth
+    noise = float(np.std(derived - speed))
+    assert verdict.noise_floor == pytest.approx(noise, rel=0.25)
+
+
+OUTSIDE = '''
+"""Cogging, of a package that quad_sysid has never heard of."""
+
+import numpy as np
+
+from quad_sysid.model.effect import Effect, Spec
+
+
+class Cogging(Effect):
+    """A torque that repeats with the angle, eight times a turn."""
+
+    name = 'acme_cogging'
+    signals = ('angle',)
+    parameters = (Spec('torque', 'rad/s²'),)
+    physics = '-T sin(24 angle): poles of a motor'
+    excite = 'slow angles'
+
+    def prepare(self, data):
+        return {} if data.angle is not None else 'the bag holds no orientation'
+
+    def torque(self, s, p, settings):
+        return -p[0] * np.sin(24.0 * s.angle)
+
+
+EFFECTS = (Cogging(),)
+'''
+
+
+def test_an_effect_of_another_package_goes_all_the_way(
+    axis_type, short_plan, flown, tmp_path
+):
+    """Found on a flight that has it, stored, evaluated, drawn, designed for, told from a rival."""
+    package = tmp_path / 'site'
+    info = package / 'acme_effects-1.dist-info'
+    info.mkdir(parents=True)
+    (package / 'acme_effects.py').write_text(OUTSIDE, encoding='utf-8')
+    (info / 'METADATA').write_text('Metadata-Version: 2.1\nName: acme_effects\nVersion: 1\n')
+    (info / 'entry_points.txt').write_text(
+        '[quad_sysid.effects]\nacme = acme_effects:EFFECTS\n', encoding='utf-8'
+    )
+    cogging = axis_type(torque=lambda _t, _rate, angle: -3.0 * np.sin(24.0 * angle))
+    bag = write_bag(flown(cogging, 7, short_plan), tmp_path / 'bag')
+    environment = {**os.environ, 'PYTHONPATH': f'{package}:{os.environ.get("PYTHONPATH", "")}'}
+
+    def run(module, *words):
+        done = subprocess.run(
+            [sys.executable, '-m', module, *map(str, words)], env=environment, cwd=tmp_path,
+            capture_output=True, text=True, check=False,
+        )
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    run('quad_sysid.cli', 'identify', bag, '--axis', 'roll', '--out', 'out')
+    tree = json.loads((tmp_path / 'out/report.json').read_text(encoding='utf-8'))['axes']['roll']
+    (effect,) = tree['effects']
+    assert effect['name'] == 'acme_cogging'
+    assert effect['parameters'][0]['value'] == pytest.approx(3.0, rel=0.1)
+    assert 'acme_cogging' in (tmp_path / 'out/report.html').read_text(encoding='utf-8')
+    told = json.loads(run('quad_sysid.cli', 'evaluate', 'out/model.json', bag, '--json'))
+    error = told['axes']['roll']['error']
+    assert error['after'] < 0.5 * error['before']
+    assert 'acme_cogging' in run('quad_tuning.cli', 'design', 'out/model.json')
+    asked = ('design-excitation', '--separate', 'acme_cogging', 'pendulum_stiffness', '--model',
+             'out/model.json', '--axis', 'roll', '--seconds', '20')
+    assert 'acme_cogging' in run('quad_sysid.cli', *asked)
