@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from flown_axis import SHORT, Axis, fly
 from scipy.signal import savgol_filter
 
 from quad_sysid.bags import write_bag
@@ -125,9 +126,7 @@ EFFECTS = (Cogging(),)
 '''
 
 
-def test_an_effect_of_another_package_goes_all_the_way(
-    axis_type, short_plan, flown, tmp_path
-):
+def test_an_effect_of_another_package_goes_all_the_way(tmp_path):
     """Found on a flight that has it, stored, evaluated, drawn, designed for, told from a rival."""
     package = tmp_path / 'site'
     info = package / 'acme_effects-1.dist-info'
@@ -137,8 +136,8 @@ def test_an_effect_of_another_package_goes_all_the_way(
     (info / 'entry_points.txt').write_text(
         '[quad_sysid.effects]\nacme = acme_effects:EFFECTS\n', encoding='utf-8'
     )
-    cogging = axis_type(torque=lambda _t, _rate, angle: -3.0 * np.sin(24.0 * angle))
-    bag = write_bag(flown(cogging, 7, short_plan), tmp_path / 'bag')
+    cogging = Axis(torque=lambda _t, _rate, angle: -3.0 * np.sin(24.0 * angle))
+    bag = write_bag(fly(cogging, 7, SHORT), tmp_path / 'bag')
     environment = {**os.environ, 'PYTHONPATH': f'{package}:{os.environ.get("PYTHONPATH", "")}'}
 
     def run(module, *words):
