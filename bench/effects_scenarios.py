@@ -7,7 +7,7 @@ large a strength makes the error on unseen flights two times the true structure'
 
 from __future__ import annotations
 
-import importlib.util
+import importlib
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
@@ -338,13 +338,10 @@ PLAIN = {'coulomb_friction': 0.2, 'quadratic_drag': 2.1, 'pendulum_stiffness': 0
 
 def _simulator() -> ModuleType:
     """The simulator of the tests: plain Python, no line shared with the virtual STM32."""
-    path = Path(__file__).parents[1] / 'test' / 'quad_sysid' / 'conftest.py'
-    if 'plain_simulator' not in sys.modules:
-        spec = importlib.util.spec_from_file_location('plain_simulator', path)
-        module = importlib.util.module_from_spec(spec)
-        sys.modules['plain_simulator'] = module
-        spec.loader.exec_module(module)
-    return sys.modules['plain_simulator']
+    folder = str(Path(__file__).parents[1] / 'test')
+    if folder not in sys.path:
+        sys.path.append(folder)
+    return importlib.import_module('flown_axis')
 
 
 def _plain(scenario: Scenario, seed: int, *, unseen: bool) -> Record:

@@ -19,6 +19,13 @@ def over_training(data: AxisData, signal: FloatArray) -> FloatArray:
     return np.concatenate([signal[a:b] for a, b in data.train])
 
 
+def clock(data: AxisData) -> FloatArray:
+    """(n,) time of each sample from the flight's first, s."""
+    if data.time_s is not None:
+        return data.time_s
+    return np.arange(data.rate.size, dtype=np.float64) * data.dt
+
+
 def turns(data: AxisData, which: int) -> str:
     """Why another axis' rate cannot be used; empty where it can."""
     rate = over_training(data, data.other_rates[:, which])

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.effects.couplings import over_training, turns
+from quad_sysid.effects.couplings import clock, over_training, turns
 from quad_sysid.effects.torques import TRANSITION
 from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import Drive, Effect, Settings, Signals, Spec, required
@@ -23,7 +23,8 @@ SMOOTH = {'smooth': (6, 0.6), 'rough': (11, 0.2)}
 """Number of knots, and the length over which the curve changes as a share of the signal's range;
 the knots of the first lie among those of the second."""
 DRIFT = {'drift': (2, 1.0)}
-"""Of what follows the time, besides: a straight line, which goes on beyond the training's end."""
+"""Of what follows the time, besides: a straight line, which goes on beyond the training's end, as
+far again as that is long."""
 UNITS = {'torque': 'rad/s²', 'gain': '1', 'damping': '1/s', 'lag': '1', 'delay': 's',
          'friction': 'rad/s²'}
 MISSING = {'angle': 'orientation', 'battery': 'battery voltage'}
@@ -42,7 +43,7 @@ def measured(data: AxisData, name: str) -> FloatArray | str:
             return f'{name} hardly moves'
         return signal
     known: dict[str, FloatArray | None] = {
-        'time': np.arange(data.rate.size, dtype=np.float64) * data.dt,
+        'time': clock(data),
         'angle': data.angle, 'battery': data.battery_v, 'rate': data.rate,
         'command': data.command, 'throttle': data.control[:, 0],
     }
@@ -109,7 +110,8 @@ class Curve(Effect):
         y = p[: self.count]
         if self.variant in DRIFT:
             x0, x1 = settings['knots']
-            return y[0] + (x - x0) / (x1 - x0) * (y[1] - y[0]) - y[1]
+            along = np.clip(x, x0, 2.0 * x1 - x0)  # as far again as the training is long
+            return y[0] + (along - x0) / (x1 - x0) * (y[1] - y[0]) - y[1]
         return np.interp(x, settings['knots'], y) - float(np.dot(settings['mean'], y))
 
     def _signal(self, s: Signals, scale: float = 1.0) -> FloatArray:
@@ -146,9 +148,8 @@ class Curve(Effect):
     ) -> FloatArray:
         """The hats of all knots at once."""
         knots = np.array(settings['knots'])
-        x = self._signal(s)
-        if self.variant not in DRIFT:
-            x = np.clip(x, knots[0], knots[-1])
+        last = 2.0 * knots[-1] - knots[0] if self.variant in DRIFT else knots[-1]
+        x = np.clip(self._signal(s), knots[0], last)
         index = np.clip(np.searchsorted(knots, x, side='right') - 1, 0, knots.size - 2)
         share = (x - knots[index]) / (knots[index + 1] - knots[index])
         factor = self._factor(s, p)
@@ -181,11 +182,6 @@ class Curve(Effect):
     def starts(self, data: AxisData, settings: Settings) -> Sequence[FloatArray]:
         more = TRANSITION.starts if self.term == 'friction' else ((),)
         return [np.r_[np.zeros(self.count), one] for one in more]
-
-    def elsewhere(self, p: FloatArray, settings: Settings, phase: float) -> FloatArray:
-        if self.signal != 'time':
-            return p
-        return np.r_[np.full(self.count, p[self.count - 1]), p[self.count :]]
 
     def usual(self, p: FloatArray, settings: Settings) -> Mapping[str, float]:
         if self.signal not in ('throttle', 'battery'):

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from quad_sysid.contract import FloatArray
+from quad_sysid.effects.couplings import clock
 from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import Effect, Settings, Signals, Spec
 
@@ -20,9 +21,8 @@ LONG_AGO_S = -1e6
 
 def times(data: AxisData) -> FloatArray:
     """A grid of times inside the training segments, s."""
-    parts = [
-        np.arange(a * data.dt + EDGE_S, b * data.dt - EDGE_S, GRID_S) for a, b in data.train
-    ]
+    now = clock(data)
+    parts = [np.arange(now[a] + EDGE_S, now[b - 1] - EDGE_S, GRID_S) for a, b in data.train]
     return np.concatenate([np.zeros(0), *parts])
 
 
