@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.effects.couplings import clock, over_training, turns
@@ -23,8 +24,11 @@ SMOOTH = {'smooth': (6, 0.6), 'rough': (11, 0.2)}
 """Number of knots, and the length over which the curve changes as a share of the signal's range;
 the knots of the first lie among those of the second."""
 DRIFT = {'drift': (2, 1.0)}
-"""Of what follows the time, besides: a straight line, which goes on beyond the training's end, as
-far again as that is long."""
+"""Of what follows the time, besides: a straight line, which goes on beyond the training's end."""
+HELD = ('time', 'battery')
+"""Signals that go one way: beyond what the training saw of them the last value holds."""
+BEYOND = 0.5
+"""Beyond what it saw of the others a curve goes on straight, as far as this share of the range."""
 UNITS = {'torque': 'rad/s²', 'gain': '1', 'damping': '1/s', 'lag': '1', 'delay': 's',
          'friction': 'rad/s²'}
 MISSING = {'angle': 'orientation', 'battery': 'battery voltage'}
@@ -105,14 +109,25 @@ class Curve(Effect):
             'knots': tuple(knots.tolist()), 'place': tuple(place.tolist()), 'mean': tuple(mean),
         }
 
+    def _between(
+        self, x: FloatArray, settings: Settings
+    ) -> tuple[NDArray[np.int64], FloatArray]:
+        """The knot before each value, and how far it lies on the way to the next one."""
+        knots = np.array(settings['knots'])
+        span = knots[-1] - knots[0]
+        below, above = (0.0, 0.0) if self.signal in HELD else (BEYOND, BEYOND)
+        if self.variant in DRIFT:
+            above = 1.0
+        x = np.clip(x, knots[0] - below * span, knots[-1] + above * span)
+        index = np.clip(np.searchsorted(knots, x, side='right') - 1, 0, knots.size - 2)
+        return index, (x - knots[index]) / (knots[index + 1] - knots[index])
+
     def _along(self, x: FloatArray, p: FloatArray, settings: Settings) -> FloatArray:
         # less its mean over the training, so that the base's parameters keep their meaning
-        y = p[: self.count]
-        if self.variant in DRIFT:
-            x0, x1 = settings['knots']
-            along = np.clip(x, x0, 2.0 * x1 - x0)  # as far again as the training is long
-            return y[0] + (along - x0) / (x1 - x0) * (y[1] - y[0]) - y[1]
-        return np.interp(x, settings['knots'], y) - float(np.dot(settings['mean'], y))
+        y = p[: self.count] - float(np.dot(settings['mean'], p[: self.count]))
+        index, share = self._between(x, settings)
+        along: FloatArray = y[index] + share * (y[index + 1] - y[index])
+        return along
 
     def _signal(self, s: Signals, scale: float = 1.0) -> FloatArray:
         if self.signal.startswith('other rate'):
@@ -147,13 +162,10 @@ class Curve(Effect):
         self, s: Signals, p: FloatArray, linear: Sequence[int], settings: Settings
     ) -> FloatArray:
         """The hats of all knots at once."""
-        knots = np.array(settings['knots'])
-        last = 2.0 * knots[-1] - knots[0] if self.variant in DRIFT else knots[-1]
-        x = np.clip(self._signal(s), knots[0], last)
-        index = np.clip(np.searchsorted(knots, x, side='right') - 1, 0, knots.size - 2)
-        share = (x - knots[index]) / (knots[index + 1] - knots[index])
+        x = self._signal(s)
+        index, share = self._between(x, settings)
         factor = self._factor(s, p)
-        out = np.zeros((x.size, knots.size))
+        out = np.zeros((x.size, self.count))
         rows = np.arange(x.size)
         out[rows, index] = 1.0 - share
         out[rows, index + 1] = share
