@@ -12,7 +12,8 @@ from effects_undeclared import UNDECLARED
 
 WORTH = 1.5
 """Targets hold where the true structure lowers the error by this factor or more."""
-NOTHING_WORTH = 1.05
+SPOILED = 1.05
+"""An answer that makes the error on the unseen flight larger by this factor is listed."""
 UNNAMED = ('shape:', 'mode', 'event')
 
 Row = Mapping[str, object]
@@ -43,6 +44,7 @@ def summary(rows: Sequence[Row]) -> dict[str, object]:
         'undeclared_wrong_name': len(lies) / len(odd) if odd else None,
         'coverage_95': _coverage(known),
         'brier': _brier(rows),
+        'made_worse': [r['number'] for r in rows if r['after'] > SPOILED * r['before']],
         'seconds_median': _median([r['seconds'] for r in rows]),
         'seconds_nothing_median': _median([r['seconds'] for r in none]),
         'seconds_worst': max(r['seconds'] for r in rows),
@@ -65,11 +67,17 @@ def extra(row: Row) -> bool:
 
 def wrong_names(row: Row) -> list[str]:
     """Names of the table with a probability over 0.5 that are a lie for this invention."""
-    may = UNDECLARED[row['planted'][0]].may_be
     return [
         name for name, p in zip(row['named'], row['probabilities'], strict=True)
-        if p > 0.5 and name not in may and not name.startswith(UNNAMED)
+        if p > 0.5 and name not in true_names(row) and not name.startswith(UNNAMED)
     ]
+
+
+def true_names(row: Row) -> Sequence[str]:
+    """Names of the table that are no lie: what was planted, or comes near an invention."""
+    if row['kind'] == 'undeclared':
+        return UNDECLARED[row['planted'][0]].may_be
+    return row['planted']
 
 
 def _gap(row: Row) -> float:
@@ -91,11 +99,11 @@ def _coverage(rows: Sequence[Row]) -> dict[str, object]:
 
 
 def claims(rows: Sequence[Row]) -> np.ndarray:
-    """(m, 2) probability that was given to a name, and whether it was planted."""
+    """(m, 2) probability that was given to a name, and whether it is true of the flight."""
     out = [
-        (p, float(name in r['planted']))
-        for r in rows if r['kind'] in {'named', 'pair'}
-        for rivals in r['rivals'] for name, p in rivals if not name.startswith(UNNAMED)
+        (p, float(name in true_names(r)))
+        for r in rows for rivals in r['rivals'] for name, p in rivals
+        if not name.startswith(UNNAMED) and name != 'nothing'
     ]
     return np.array(out).reshape(-1, 2)
 

@@ -213,7 +213,7 @@ CELLS = {
                'other rate 2', 'other command 1', 'other command 2'),
     'gain': ('rate', 'angle', 'command', 'throttle', 'battery', 'time'),
     'damping': ('angle', 'command', 'throttle', 'battery', 'time'),
-    'friction': ('angle', 'command', 'throttle', 'time'),
+    'friction': ('rate', 'angle', 'command', 'throttle', 'time'),
     'lag': ('command', 'throttle', 'battery', 'time'),
     'delay': ('throttle', 'battery', 'time'),
 }
