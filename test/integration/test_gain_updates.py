@@ -1,6 +1,6 @@
 """Gains through the bridge, a pty and the virtual STM32: updates, faults, the way back.
 
-The same faults are told apart in test_bridge_gain_keeper.py, faster than time; here the processes,
+The same faults are told apart in test_gain_flights.py, faster than time; here the processes,
 the topics, the parameters and the services are the real ones. Time stands still while a test acts,
 and passes in small steps while it waits.
 """

@@ -45,13 +45,13 @@ class Bench(Line):
 
     def connect(self, link):
         self.history = History(self.settings.folder, lambda job: job())
-        self.keeper = GainUpdates(self.settings, self.history)
+        self.updates = GainUpdates(self.settings, self.history)
         super().connect(link)
-        self.gains = self.keeper
+        self.gains = self.updates
 
     def opened(self):
         self.link.opened()
-        self.keeper.restarted(self.now_s)
+        self.updates.restarted(self.now_s)
 
     def new_bridge(self):
         """Kill the bridge, start another."""
@@ -74,23 +74,23 @@ class Bench(Line):
         self.up.fault = self.down.fault = fault
 
     def tick(self):
-        record = self.history.open(self.keeper.aircraft)
+        record = self.history.open(self.updates.aircraft)
         if record is not None:
-            self.keeper.know(record)
-        self.keeper.tick(self.now_s)
+            self.updates.know(record)
+        self.updates.tick(self.now_s)
         super().tick()
-        self.news += [item.text for item in self.keeper.news]
-        self.keeper.news.clear()
+        self.news += [item.text for item in self.updates.news]
+        self.updates.news.clear()
 
     def handle(self, event):
         frame = getattr(event, 'frame', None)
         if isinstance(event, Restarted):
-            self.keeper.restarted(self.now_s)
+            self.updates.restarted(self.now_s)
         elif isinstance(event, Stamped):
             if isinstance(frame, RcChannels):
-                self.keeper.sticks((frame.channels[3] - 1500) / 500.0, self.now_s)
+                self.updates.sticks((frame.channels[3] - 1500) / 500.0, self.now_s)
         elif isinstance(frame, (ParamValue, GainsState)):
-            self.keeper.take(frame, self.now_s)
+            self.updates.take(frame, self.now_s)
         elif isinstance(frame, Cycle):
             self._cycle(frame, self.now_ns)
 
@@ -107,7 +107,7 @@ class Bench(Line):
     def ask(self, **parameters):
         """An update; `roll_rate_kp` stands for `roll.rate.kp`."""
         parameters.setdefault('source', 'test')
-        return self.keeper.ask(
+        return self.updates.ask(
             {name.replace('_', '.'): value for name, value in parameters.items()}, self.now_s
         )
 
@@ -118,12 +118,12 @@ class Bench(Line):
     @property
     def told(self):
         """What the bridge says is active."""
-        return self.keeper.active
+        return self.updates.active
 
     def _cycle(self, frame, now_ns):
         self.cycle = frame
         self.peak_rad = max(self.peak_rad, *(abs(a) for a in frame.attitude[:2]))
-        pulse = self.keeper.cycle(frame, 1e-9 * now_ns)
+        pulse = self.updates.cycle(frame, 1e-9 * now_ns)
         if pulse is not None:
             self.link.send(pulse)
 
@@ -136,7 +136,7 @@ def bench(tmp_path):
         options.setdefault('polarity', 'off')
         made = Bench(tmp_path / 'state', **options)
         made.fly(3.0)
-        assert made.keeper.active
+        assert made.updates.active
         return made
 
     return make

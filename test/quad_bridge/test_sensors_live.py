@@ -20,10 +20,10 @@ ZERO = (0.0, 0.0, 0.0)
 
 
 class Aircraft:
-    """An STM32 that stands still with a biased gyro, its bridge's keeper, and its bag."""
+    """An STM32 that stands still with a biased gyro, its bridge's sensors, and its bag."""
 
     def __init__(self, folder, name='one', start_s=START_S, seed=7, **settings):
-        self.keeper = LiveSensors(folder, **{'correct': True, **settings})
+        self.sensors = LiveSensors(folder, **{'correct': True, **settings})
         self.name, self.start_s, self.cycle = name, start_s, 0
         self.rng = np.random.default_rng(seed)
         self.stamps, self.sent, self.published, self.told = [], [], [], []
@@ -40,27 +40,27 @@ class Aircraft:
                 time_us, self.cycle, flip_body(gyro), flip_body(felt), ZERO, ZERO, ZERO,
                 (0.0,) * 4, ZERO, (0.0,) * 4, int(Flag.ARMED if armed else Flag.NONE),
             )  # fmt: skip
-            self.keeper.cycle(frame, self.start_s + 1e-6 * time_us)
+            self.sensors.cycle(frame, self.start_s + 1e-6 * time_us)
             self._publish(frame, round(1e9 * self.start_s) + 1000 * time_us)
             if self.cycle % 12 == 0:
                 self.tick()
             self.cycle += 1
 
     def tick(self):
-        self.keeper.aircraft(self.name)
-        wanted = self.keeper.wanted()
+        self.sensors.aircraft(self.name)
+        wanted = self.sensors.wanted()
         if wanted is not None:
             self.ask(wanted)
-        self.told.append(from_values(self.keeper.status().values))
+        self.told.append(from_values(self.sensors.status().values))
 
     def ask(self, wanted):
         try:
-            self.said.append(self.keeper.estimate(wanted))
+            self.said.append(self.sensors.estimate(wanted))
         except RefusedError as error:
             self.said.append(str(error))
 
     def _publish(self, frame, stamp_ns):
-        sent, bias = flip_body(frame.gyro), self.keeper.stamped(stamp_ns).gyro_bias
+        sent, bias = flip_body(frame.gyro), self.sensors.stamped(stamp_ns).gyro_bias
         self.stamps.append(stamp_ns)
         self.sent.append(sent)
         self.published.append(tuple(a - b for a, b in zip(sent, bias, strict=True)))
@@ -73,11 +73,11 @@ class Aircraft:
 
     def kept(self):
         """What the aircraft's file has of the rest."""
-        return yaml.safe_load(self.keeper.path.read_text())['sensors']['rest']
+        return yaml.safe_load(self.sensors.path.read_text())['sensors']['rest']
 
     @property
     def status(self):
-        return self.keeper.status()
+        return self.sensors.status()
 
 
 def test_before_it_arms_the_bias_is_estimated_kept_and_subtracted(tmp_path):
@@ -110,12 +110,12 @@ def test_nothing_told_means_nothing_subtracted():
 
 def test_an_aircraft_that_moves_is_refused_and_the_earlier_estimate_stays(tmp_path):
     one = Aircraft(tmp_path).stand(7.0, 0.5)
-    before = one.keeper.current
+    before = one.sensors.current
     one.shake = lambda t: 0.1 * np.sin(4.0 * t)
     one.stand(7.0, 0.5)
     assert 'not estimated (arming): it turns: ' in one.said[-1]
     assert one.said[-1].endswith('the earlier one stays')
-    assert one.keeper.current == before
+    assert one.sensors.current == before
     assert (one.status.level, len(one.said)) == (WARN, 2)
 
 
@@ -123,20 +123,20 @@ def test_too_short_a_stand_is_told_without_a_warning(tmp_path):
     one = Aircraft(tmp_path).stand(1.0, 1.0)
     assert 'only 1.0 s of data' in one.status.message
     assert one.status.level == OK
-    assert one.keeper.current == Correction()
+    assert one.sensors.current == Correction()
 
 
 def test_a_recording_wants_an_estimate_only_where_it_stands(tmp_path):
     one = Aircraft(tmp_path)
     one.run(7.0)
-    one.keeper.want('recording')
+    one.sensors.want('recording')
     one.run(0.1)
     assert 'at rest, recording' in one.said[0]
     one.run(7.0, armed=True)
-    one.keeper.want('recording')
+    one.sensors.want('recording')
     one.run(0.1, armed=True)
     assert len(one.said) == 2  # the second is of the arming
-    one.ask(Wanted('asked for', one.keeper.standing()))
+    one.ask(Wanted('asked for', one.sensors.standing()))
     assert 'it is armed' in one.said[-1]
 
 
@@ -150,10 +150,10 @@ def aircraft_file(tmp_path, text):
 def test_a_restart_of_the_stm32_forgets_its_bias_and_keeps_the_compass(tmp_path):
     file = aircraft_file(tmp_path, f'sensors: {{compass: {{offset: {list(IRON)}}}}}\n')
     one = Aircraft(tmp_path).stand()
-    assert one.keeper.current.gyro_bias != ZERO
-    one.keeper.restarted()
+    assert one.sensors.current.gyro_bias != ZERO
+    one.sensors.restarted()
     one.run(0.1, armed=True)
-    assert (one.keeper.current.gyro_bias, one.keeper.current.hard_iron) == (ZERO, IRON)
+    assert (one.sensors.current.gyro_bias, one.sensors.current.hard_iron) == (ZERO, IRON)
     assert 'not estimated since' in one.status.message
     compass = yaml.safe_load(file.read_text())['sensors']['compass']
     assert [float(v) for v in compass['offset']] == list(IRON)
@@ -165,17 +165,17 @@ def test_another_bridge_takes_the_bias_of_this_power_up_only(tmp_path, later_s, 
     second = Aircraft(tmp_path, start_s=START_S + later_s)
     second.cycle = first.cycle
     second.run(1.0, armed=True)
-    bias = first.keeper.current.gyro_bias if resumed else ZERO
-    assert second.keeper.current.gyro_bias == bias
+    bias = first.sensors.current.gyro_bias if resumed else ZERO
+    assert second.sensors.current.gyro_bias == bias
 
 
 def test_an_estimate_before_the_aircraft_is_known_is_kept_once_it_is(tmp_path):
     one = Aircraft(tmp_path, name='').stand()
-    assert one.keeper.path is None
+    assert one.sensors.path is None
     assert one.status.values['kept in'] == 'nowhere: the aircraft is not known'
     one.name = 'late'
     one.run(0.1, armed=True)
-    assert one.keeper.path == tmp_path / 'late' / 'sensors.yaml'
+    assert one.sensors.path == tmp_path / 'late' / 'sensors.yaml'
     assert one.kept()['gyro_bias'] == pytest.approx(BIAS, abs=6e-4)
 
 
@@ -199,8 +199,8 @@ def test_a_spoilt_file_is_told_and_left_alone(tmp_path, text, fault):
     assert one.status.level == WARN
     assert str(file) in one.status.message
     assert fault in one.status.message
-    assert one.keeper.current.hard_iron == ZERO
-    assert one.keeper.current.gyro_bias == pytest.approx(BIAS, abs=6e-4)
+    assert one.sensors.current.hard_iron == ZERO
+    assert one.sensors.current.gyro_bias == pytest.approx(BIAS, abs=6e-4)
     if 'offset' not in text:
         assert file.read_text() == text
 
@@ -208,4 +208,4 @@ def test_a_spoilt_file_is_told_and_left_alone(tmp_path, text, fault):
 def test_where_it_may_not_correct_it_only_keeps(tmp_path):
     one = Aircraft(tmp_path, correct=False).stand()
     assert one.published == one.sent
-    assert one.keeper.path.exists()
+    assert one.sensors.path.exists()

@@ -26,7 +26,7 @@ ROLL = {'roll_rate_kp': 0.1}
 
 def checked(made, *, motors=False):
     words = []
-    made.keeper.check(made.now_s, words.append, motors=motors)
+    made.updates.check(made.now_s, words.append, motors=motors)
     for _ in range(200):
         made.fly(0.1)
         if words:
@@ -83,7 +83,7 @@ def test_pulses_stop_when_an_excitation_starts_and_an_unarmed_aircraft_gets_none
     made = bench(polarity='auto')
     made.ask(**ROLL)
     made.fly(0.3)
-    made.keeper.disturb()
+    made.updates.disturb()
     assert 'stopped: the excitation has started' in made.fly_until('refused')
     made.endpoint.firmware.armed = False
     made.fly(1.0)

@@ -1,6 +1,6 @@
 """The watch stays silent over good gains in gusts, and speaks in time over bad ones.
 
-bench/watch.py has the study on 100 airframes; here a few flights through the whole keeper.
+bench/watch.py has the study on 100 airframes; here a few flights through the whole machine.
 """
 
 import numpy as np
