@@ -6,9 +6,11 @@ services are rclpy's. No topics here.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from typing import Any
 
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
@@ -18,7 +20,29 @@ from quad_bridge.nodes import ros_node
 from quad_bridge.nodes.fence import Fence
 from quad_bridge.nodes.node_time import TimedNode
 
+SELDOM_S, LOOK_S = 1.0, 0.02
+"""How often, and for how long."""
 RCLError = rclpy_implementation.RCLError
+
+
+class Seldom(ReentrantCallbackGroup):  # type: ignore[misc]
+    """Entities that the executor looks at for a moment every second.
+
+    rclpy waits for two events of QoS at each publisher and subscription, and pays for each of them
+    with every message that the node receives.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._next_s = self._until_s = 0.0
+
+    def can_execute(self, entity: Any) -> bool:
+        """Whether it is looked at now."""
+        del entity
+        now_s = time.monotonic()
+        if now_s >= self._next_s:
+            self._next_s, self._until_s = now_s + SELDOM_S, now_s + LOOK_S
+        return now_s < self._until_s
 
 
 class ManagedNode(TimedNode, LifecycleNode):  # type: ignore[misc]
@@ -85,7 +109,13 @@ class ManagedNode(TimedNode, LifecycleNode):  # type: ignore[misc]
     def on_configure(self, state: Any) -> Any:
         """Answer rclpy's transition."""
         del state
-        return self._try(self.configure)
+        answer = self._try(self.configure)
+        seldom, own = Seldom(), [made for _, made in self._entities]
+        for one in {*self.publishers, *own}:
+            for handler in one.event_handlers:
+                handler.callback_group = seldom
+                seldom.add_entity(handler)
+        return answer
 
     def on_activate(self, state: Any) -> Any:
         """Answer rclpy's transition."""
