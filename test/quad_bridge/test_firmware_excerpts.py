@@ -6,30 +6,44 @@ from pathlib import Path
 
 from probe import PATIENCE_S
 
-from quad_bridge.gains.table import WIRE_NAMES
-
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / 'docs/firmware.md').read_text(encoding='utf-8')
 
 
-def test_the_excerpts_compile(firmware, tmp_path):
+def compiled(firmware, source, text):
+    """Compile against the endpoint; what the compiler has to say."""
     headers = firmware('generated/quad_suite/mavlink.h').parents[1]
-    blocks = re.findall(r'```c\n(.*?)```', PAGE, re.DOTALL)
-    assert len(blocks) >= 2
-    source = tmp_path / 'excerpts.c'
-    source.write_text('\n'.join(blocks), encoding='utf-8')
+    source.write_text(text, encoding='utf-8')
     done = subprocess.run(
         ['gcc', '-std=c99', '-Wall', '-Wextra', '-Werror', '-Wno-address-of-packed-member',
          '-fsyntax-only', '-I', ROOT / 'firmware', '-isystem', headers, source],
         capture_output=True, text=True, timeout=PATIENCE_S, check=False,
     )  # fmt: skip
-    assert done.returncode == 0, done.stderr
+    return done.stderr
 
 
-def test_the_parameters_that_it_names_exist():
-    named = re.findall(r'`((?:ROLL|GYRO|ACC|LOOP)_[A-Z_]+)`', PAGE)
-    assert len(named) == 23
-    assert set(named) <= set(WIRE_NAMES.values())
+def test_the_excerpts_compile(firmware, tmp_path):
+    blocks = re.findall(r'```c\n(.*?)```', PAGE, re.DOTALL)
+    assert len(blocks) >= 2
+    assert compiled(firmware, tmp_path / 'excerpts.c', '\n'.join(blocks)) == ''
+
+
+EXAMPLE = """#include "quad_endpoint.h"
+void example(quad_endpoint e, const uint8_t *bytes, uint8_t *buffer, size_t count, size_t room,
+             uint64_t now_us, quad_pilot pilot, quad_cycle record, quad_slow slow)
+{{
+    {calls}
+    (void)count;
+}}
+"""
+
+
+def test_the_example_that_opens_the_header_compiles(firmware, tmp_path):
+    text = (ROOT / 'firmware/quad_endpoint.h').read_text(encoding='utf-8')
+    calls = re.findall(r'^ \*     ((?:count = )?quad_\w+\(.*?\);)', text, re.MULTILINE)
+    assert len(calls) == 4
+    text = EXAMPLE.format(calls='\n    '.join(calls))
+    assert compiled(firmware, tmp_path / 'example.c', text) == ''
 
 
 def test_every_message_that_it_names_exists():
