@@ -12,7 +12,8 @@ MAKEFLAGS += --no-print-directory
 RUN := . tools/workspace.bash;
 SOURCES := $(wildcard src test tools bench)
 ARGS ?=
-PYTEST := $(RUN) exec python -m pytest --timeout 600 -n $(shell nproc) --dist loadgroup
+# one worker more than there are cores: tests of nodes wait more than they compute
+PYTEST := $(RUN) exec python -m pytest --timeout 600 -n $$(($(shell nproc) + 1)) --dist loadgroup
 
 .PHONY: help demo pictures test test-long build lint format bench bench-effects bench-log bench-tuning bench-watch bench-link bench-effects-speed wheel docs lock shell clean
 

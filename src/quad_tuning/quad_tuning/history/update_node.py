@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import signal
+import threading
 import time
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -38,13 +40,17 @@ def publish(
 
     `predicted` is the JSON that /gains/update takes, `namespace` the bridge's. Returns empty where
     they are active, else why they are not. Raises BadInputError where the namespace is no name, no
-    bridge listens or none answers.
+    bridge listens or none answers, KeyboardInterrupt on SIGINT. Call it in the main thread.
     """
     try:
         validate_namespace(f'/{namespace.strip("/")}')
     except InvalidNamespaceException as error:
         raise BadInputError('--namespace', 'is no name of a namespace', namespace) from error
+    interrupted = threading.Event()
     with contextlib.ExitStack() as ending:
+        # an exception that a signal raises within rclpy may be swallowed there
+        before = signal.signal(signal.SIGINT, lambda *_: interrupted.set())
+        ending.callback(signal.signal, signal.SIGINT, before)
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         ending.callback(rclpy.try_shutdown)
         node: Any = rclpy.create_node('quad_tune', namespace=namespace)
@@ -61,6 +67,8 @@ def publish(
             end = time.monotonic() + patience(seconds)
             while not until() and time.monotonic() < end:
                 executor.spin_once(timeout_sec=0.1)
+                if interrupted.is_set():
+                    raise KeyboardInterrupt
             return bool(until())
 
         def ready() -> bool:
