@@ -33,7 +33,7 @@ def test_a_fault_is_one_line_with_its_place_and_every_one_is_counted_and_told_on
         taken(fence, failing)
         taken(fence, lambda: None)
     (line,) = lines
-    assert 'OverflowError: int too large to convert (test_fence.py:' in line
+    assert 'OverflowError: int too large to convert (test_nodes_fence.py:' in line
     assert told == 10 * ['a callback failed: OverflowError: int too large to convert']
     assert (fence.failed, fence.lately(), fence.lately()) == (10, 10, 0)
 
