@@ -29,7 +29,7 @@ pictures:  ## renew the pictures of README and docs from the last demo_out/
 	@cp demo_out/report/pictures/roll_effect_shape.png docs/images/missing_torque.png
 	@ls -l docs/images/*.png
 
-test: build  ## all tests but the long ones, as many at once as there are cores
+test: build  ## all tests but the long ones, one more at once than there are cores
 	@$(PYTEST) $(ARGS)
 
 test-long: build  ## soaks, studies and sweeps alone (an hour or more)
