@@ -15,7 +15,7 @@ ARGS ?=
 # one worker more than there are cores: tests of nodes wait more than they compute
 PYTEST := $(RUN) exec python -m pytest --timeout 600 -n $$(($(shell nproc) + 1)) --dist loadgroup
 
-.PHONY: help demo pictures test test-long build lint format bench bench-effects bench-log bench-tuning bench-watch bench-link bench-effects-speed wheel docs lock shell clean
+.PHONY: help demo pictures test test-long build lint format bench bench-effects bench-log bench-tuning bench-watch bench-link bench-effects-speed bench-likelihood wheel docs lock shell clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-19s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -56,6 +56,9 @@ bench-effects: build  ## planted effects against named ones (half an hour; ARGS=
 
 bench-effects-speed: build  ## a candidate's cost beside scipy's solvers, a whole axis' time (two minutes)
 	@$(RUN) exec python bench/effects_speed.py $(ARGS)
+
+bench-likelihood: build  ## the fit against the Cramer-Rao bound, the evidence against the truth (15 minutes)
+	@$(RUN) OPENBLAS_NUM_THREADS=1 python bench/accuracy.py; exec python bench/evidence.py
 
 bench-tuning: build  ## gains on 100 virtual airframes, and peers (20 minutes; ARGS='--count 12')
 	@$(RUN) OPENBLAS_NUM_THREADS=1 exec python bench/tuning.py $(ARGS)
