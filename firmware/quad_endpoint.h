@@ -18,6 +18,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "quad_attitude.h"
 #include "quad_excitation.h"
 #include "quad_gains.h"
 #include "quad_mavlink.h"
@@ -64,14 +65,6 @@ typedef struct {
     float motors[4];                   /* 0..1, after the limits */
 } quad_cycle;
 
-/* What changes slowly; NaN where it is not measured. */
-typedef struct {
-    float battery_v;
-    float mag_gauss[3];
-    float pressure_hpa;
-    float temperature_c;
-} quad_slow;
-
 typedef struct {
     uint32_t frames;   /* used */
     uint32_t bad;      /* wrong checksum, or of an unknown message */
@@ -111,6 +104,9 @@ void quad_endpoint_begin_cycle(quad_endpoint *e, uint64_t now_us, const quad_pil
 /* End it: queues the cycle's frame and what is due beside it. */
 void quad_endpoint_end_cycle(quad_endpoint *e, const quad_cycle *record, const quad_pilot *pilot,
                              const quad_slow *slow);
+
+/* Whether the last cycle knew of nothing that forbids arming. */
+bool quad_endpoint_may_arm_now(const quad_endpoint *e);
 
 /* Up to `room` bytes to send now; their number. */
 size_t quad_endpoint_send(quad_endpoint *e, uint8_t *out, size_t room);

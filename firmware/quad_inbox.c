@@ -84,9 +84,14 @@ static void take_list(quad_endpoint *e)
     }
 }
 
+bool quad_endpoint_may_arm_now(const quad_endpoint *e)
+{
+    const uint16_t unsafe = QUAD_FLAG_RC_KILL | QUAD_FLAG_RC_FAILSAFE | QUAD_FLAG_ANGLE_LIMIT;
+    return !e->low_battery && (e->last_flags & unsafe) == 0;
+}
+
 static uint8_t arm(quad_endpoint *e, float wanted)
 {
-    const uint16_t safe = QUAD_FLAG_RC_KILL | QUAD_FLAG_RC_FAILSAFE | QUAD_FLAG_ANGLE_LIMIT;
     if (wanted == 0.0f) {
         e->armed = false;
         return ACCEPTED;
@@ -97,7 +102,7 @@ static uint8_t arm(quad_endpoint *e, float wanted)
     if (!e->settings.may_arm) {
         return DENIED;
     }
-    if (e->low_battery || (e->last_flags & safe) != 0) {
+    if (!quad_endpoint_may_arm_now(e)) {
         return NOT_NOW;
     }
     e->armed = true;

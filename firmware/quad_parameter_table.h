@@ -12,14 +12,29 @@ enum {
     QUAD_RATE_D_FILTER_HZ, /* first-order filter before rate.kd, Hz */
     QUAD_RATE_INTEGRATOR_LIMIT, /* largest command of the integral */
     QUAD_RATE_OUTPUT_LIMIT, /* largest command of the axis */
-    QUAD_PER_AXIS
+    QUAD_PER_AXIS,
+    QUAD_LQR_SHARE = QUAD_PER_AXIS, /* state feedback 1, cascade 0 */
+    QUAD_LQR_K_ANGLE, /* command per angle error, 1/rad */
+    QUAD_LQR_K_RATE, /* command per rate, s/rad */
+    QUAD_LQR_K_DRIVE, /* command per angular acceleration, s^2/rad */
+    QUAD_LQR_K_INTEGRAL, /* command per integral of the angle error, 1/(rad s) */
+    QUAD_LQR_GAIN, /* model's angular acceleration per command, rad/s^2 */
+    QUAD_LQR_LAG_S, /* model's lag of the motors, s */
+    QUAD_LQR_DELAY_S, /* model's delay, s */
+    QUAD_LQR_DAMPING, /* model's damping of the rate, 1/s */
+    QUAD_LQR_OBSERVER, /* share of a rate's innovation that is believed */
+    QUAD_SAG_EXPONENT, /* commands times (reference / voltage) to this power */
+    QUAD_SAG_REFERENCE_V, /* voltage at which commands stay as they are, V */
+    QUAD_OF_AXIS
 };
 
+/* In a set: the first group of each axis, what they share, then the rest of each axis. */
 enum {
     QUAD_SENSOR_GYRO_FILTER_HZ = 3 * QUAD_PER_AXIS, /* cut-off of the gyro (2nd order), Hz */
     QUAD_SENSOR_ACCEL_FILTER_HZ, /* cut-off of the accelerometer, Hz */
     QUAD_LOOP_RATE_HZ, /* control cycles per second, Hz, read only */
-    QUAD_PARAMETERS
+    QUAD_OPTIONAL,
+    QUAD_PARAMETERS = QUAD_OPTIONAL + 3 * (QUAD_OF_AXIS - QUAD_PER_AXIS)
 };
 
 /* Name, lowest, highest, start; nothing fits where lowest > highest. */
@@ -50,6 +65,42 @@ enum {
     {"YAW_RATE_ULIM", 0.01f, 1.0f, 0.3f}, \
     {"GYRO_FILT_HZ", 5.0f, 200.0f, 42.0f}, \
     {"ACC_FILT_HZ", 5.0f, 200.0f, 42.0f}, \
-    {"LOOP_RATE_HZ", 1.0f, 0.0f, 250.0f}
+    {"LOOP_RATE_HZ", 1.0f, 0.0f, 250.0f}, \
+    {"ROLL_LQR_SHARE", 0.0f, 1.0f, 0.0f}, \
+    {"ROLL_LQR_KANG", 0.0f, 5.0f, 0.0f}, \
+    {"ROLL_LQR_KRATE", 0.0f, 1.0f, 0.0f}, \
+    {"ROLL_LQR_KDRIVE", 0.0f, 0.1f, 0.0f}, \
+    {"ROLL_LQR_KINT", 0.0f, 10.0f, 0.0f}, \
+    {"ROLL_LQR_GAIN", 0.0f, 5000.0f, 0.0f}, \
+    {"ROLL_LQR_LAG", 0.0f, 0.5f, 0.0f}, \
+    {"ROLL_LQR_DELAY", 0.0f, 0.06f, 0.0f}, \
+    {"ROLL_LQR_DAMP", -20.0f, 50.0f, 0.0f}, \
+    {"ROLL_LQR_OBS", 0.0f, 1.0f, 0.0f}, \
+    {"ROLL_SAG_EXP", 0.0f, 3.0f, 0.0f}, \
+    {"ROLL_SAG_VREF", 0.0f, 100.0f, 0.0f}, \
+    {"PITCH_LQR_SHARE", 0.0f, 1.0f, 0.0f}, \
+    {"PITCH_LQR_KANG", 0.0f, 5.0f, 0.0f}, \
+    {"PITCH_LQR_KRATE", 0.0f, 1.0f, 0.0f}, \
+    {"PITCH_LQR_KDRIVE", 0.0f, 0.1f, 0.0f}, \
+    {"PITCH_LQR_KINT", 0.0f, 10.0f, 0.0f}, \
+    {"PITCH_LQR_GAIN", 0.0f, 5000.0f, 0.0f}, \
+    {"PITCH_LQR_LAG", 0.0f, 0.5f, 0.0f}, \
+    {"PITCH_LQR_DELAY", 0.0f, 0.06f, 0.0f}, \
+    {"PITCH_LQR_DAMP", -20.0f, 50.0f, 0.0f}, \
+    {"PITCH_LQR_OBS", 0.0f, 1.0f, 0.0f}, \
+    {"PITCH_SAG_EXP", 0.0f, 3.0f, 0.0f}, \
+    {"PITCH_SAG_VREF", 0.0f, 100.0f, 0.0f}, \
+    {"YAW_LQR_SHARE", 0.0f, 1.0f, 0.0f}, \
+    {"YAW_LQR_KANG", 0.0f, 5.0f, 0.0f}, \
+    {"YAW_LQR_KRATE", 0.0f, 1.0f, 0.0f}, \
+    {"YAW_LQR_KDRIVE", 0.0f, 0.1f, 0.0f}, \
+    {"YAW_LQR_KINT", 0.0f, 10.0f, 0.0f}, \
+    {"YAW_LQR_GAIN", 0.0f, 5000.0f, 0.0f}, \
+    {"YAW_LQR_LAG", 0.0f, 0.5f, 0.0f}, \
+    {"YAW_LQR_DELAY", 0.0f, 0.06f, 0.0f}, \
+    {"YAW_LQR_DAMP", -20.0f, 50.0f, 0.0f}, \
+    {"YAW_LQR_OBS", 0.0f, 1.0f, 0.0f}, \
+    {"YAW_SAG_EXP", 0.0f, 3.0f, 0.0f}, \
+    {"YAW_SAG_VREF", 0.0f, 100.0f, 0.0f}
 
 #endif

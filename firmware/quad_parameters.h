@@ -8,9 +8,6 @@
 
 #include "quad_parameter_table.h"
 
-/* C1: rate reference = kp (angle reference - angle), limited. C2: u = kp e + ki int(e dt) -
- * kd d(rate)/dt, the last behind a first-order filter. */
-
 #define QUAD_NAME_LENGTH 16 /* on the wire; no NUL behind a name that fills it */
 
 typedef struct {
@@ -30,7 +27,9 @@ bool quad_parameter_fits(size_t index, float value);
 /* The value of an axis (0 roll, 1 pitch, 2 yaw) in a set of QUAD_PARAMETERS values. */
 static inline float quad_of_axis(const float *set, size_t axis, size_t which)
 {
-    return set[axis * QUAD_PER_AXIS + which];
+    return which < QUAD_PER_AXIS
+               ? set[axis * QUAD_PER_AXIS + which]
+               : set[QUAD_OPTIONAL + axis * (QUAD_OF_AXIS - QUAD_PER_AXIS) + which - QUAD_PER_AXIS];
 }
 
 #endif

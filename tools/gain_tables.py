@@ -27,7 +27,6 @@ PAGE = ROOT / 'docs/reference/gains.md'
 
 def header() -> str:
     """Names, bounds and start values of the parameters in the order of their index, as C."""
-    own = [_enumerator(row) for row in PER_AXIS]
     shared = [_enumerator(row) for row in SHARED]
     first, *others = shared
     lines = [
@@ -37,24 +36,31 @@ def header() -> str:
         '',
         '/* Of each axis, roll pitch yaw. */',
         'enum {',
-        *(f'    {name}, /* {_told(row)} */' for name, row in zip(own, PER_AXIS, strict=True)),
-        '    QUAD_PER_AXIS',
+        *(f'    {_enumerator(row)}, /* {_told(row)} */' for row in PER_AXIS),
+        '    QUAD_PER_AXIS,',
+        f'    {_enumerator(OPTIONAL[0])} = QUAD_PER_AXIS, /* {_told(OPTIONAL[0])} */',
+        *(f'    {_enumerator(row)}, /* {_told(row)} */' for row in OPTIONAL[1:]),
+        '    QUAD_OF_AXIS',
         '};',
         '',
+        '/* In a set: the first group of each axis, what they share, then the rest of each axis. */',
         'enum {',
         f'    {first} = 3 * QUAD_PER_AXIS, /* {_told(SHARED[0])} */',
         *(f'    {name}, /* {_told(row)} */' for name, row in zip(others, SHARED[1:], strict=True)),
-        '    QUAD_PARAMETERS',
+        '    QUAD_OPTIONAL,',
+        '    QUAD_PARAMETERS = QUAD_OPTIONAL + 3 * (QUAD_OF_AXIS - QUAD_PER_AXIS)',
         '};',
         '',
         '/* Name, lowest, highest, start; nothing fits where lowest > highest. */',
         '#define QUAD_PARAMETER_TABLE \\',
         *(f'    {_entry(row, axis)}, \\' for axis in range(3) for row in PER_AXIS),
-        *(f'    {_entry(row)}, \\' for row in SHARED[:-1]),
-        f'    {_entry(SHARED[-1])}',
+        *(f'    {_entry(row)}, \\' for row in SHARED),
+        *(f'    {_entry(row, axis)}, \\' for axis in range(3) for row in OPTIONAL),
         '',
         '#endif',
     ]
+    last = max(i for i, line in enumerate(lines) if line.endswith('\\'))
+    lines[last] = lines[last].removesuffix(', \\')
     return '\n'.join(lines) + '\n'
 
 

@@ -106,7 +106,7 @@ OPTIONAL = (
          (0.0, 100.0), bound=Bound(3.0, 60.0), switch='sag.exponent'),
 )  # fmt: skip
 """Of each axis, where a firmware has them: a state feedback, a schedule on the battery's voltage.
-Both are off at 0. The C endpoint has neither."""
+Both are off at 0."""
 
 _OWN_BOUND = {'yaw.rate.kp': Bound(0.005, 1.0)}
 """An axis' bound that is not the row's: yaw's torque is some ten times weaker."""

@@ -1,32 +1,42 @@
 """One virtual aircraft in memory: its profile's numbers and its state, run cycle by cycle.
 
-Same seed, same inputs, same flight, whether in one call or cycle by cycle. No clock, no I/O.
+Same seed, same inputs, same flight, whether in one call or cycle by cycle. No clock, no I/O. It is
+flown by the firmware in its memory (`run`), or by one elsewhere (`measure`, `move`).
 """
 
 from __future__ import annotations
 
+import hashlib
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 import numpy.typing as npt
 
-from quad_bridge.virtual.control import Controller, initial_memory
+from quad_bridge.gains.table import AXES, ROWS, split
+from quad_bridge.virtual import hil
 from quad_bridge.virtual.cycle import (
+    LARGEST_DELAY,
     NORMALS_PER_CYCLE,
     NORMALS_PER_STEP,
     OBSERVED,
     WIDTH,
     Machine,
+    advance_cycle,
     advance_step,
     begin_cycle,
+    command_motors,
+    measure_cycle,
     observe,
     run_cycles,
 )
+from quad_bridge.virtual.errors import ConfigurationError
+from quad_bridge.virtual.native import NativeFirmware
 from quad_bridge.virtual.physics import initial_state
 from quad_bridge.virtual.plant import build_plant, hover_throttle
 from quad_bridge.virtual.profile import Profile
-from quad_bridge.virtual.sensors import build_chips, butterworth, initial_sensors
+from quad_bridge.virtual.receiver import Channels
+from quad_bridge.virtual.sensors import MAG, PRESSURE, TAKEN, build_chips, initial_sensors
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -70,15 +80,25 @@ class Aircraft:
         running = self.hover_throttle if firmware.auto_arm else 0.0
         bias = profile.sensors.gyro_calibration_error_rad_s * self._rng.standard_normal(3)
         start = profile.airframe.battery.start_charge
+        sensed, samples = initial_sensors(chips, bias, self._steps)
+        self.firmware = NativeFirmware(boot(profile).frame())
+        """Its copy in memory; `run` and Endpoint fly with it."""
+        free = 1.0 if profile.mount == 'hover' else 0.0
         self.machine = Machine(
             plant=plant,
             chips=chips,
-            controller=_controller(profile),
+            delay_cycles=firmware.delay_cycles,
+            climb_kp=free * profile.pilot.climb_kp_per_m,
+            climb_kd=free * profile.pilot.climb_kd_s_per_m,
             state=initial_state(start, plant.capacity_as, running),
-            sensed=initial_sensors(chips, bias),
-            memory=initial_memory(running),
+            sensed=sensed,
+            samples=samples,
+            queue=np.full((LARGEST_DELAY + 1, 4), running),
             acting=np.full(4, running),
+            firmware=self.firmware.memory,
+            gains=self.firmware.gains(),
         )
+        self._normals = np.empty(0)
 
     @property
     def cycle(self) -> int:
@@ -86,20 +106,49 @@ class Aircraft:
         return self._cycle
 
     @property
-    def gains(self) -> FloatArray:
-        """(3, n) SI gains in use, written in place (columns: gain_columns.py)."""
-        return self.machine.controller.gains
+    def gains(self) -> dict[str, float]:
+        """The parameters that `run` flies with, by the contract's names, SI."""
+        return dict(zip(ROWS, map(float, self.machine.gains), strict=True))
+
+    def set_gains(self, gains: Mapping[str, float]) -> None:
+        """Change them without the firmware's bounds; an unknown name is a ConfigurationError."""
+        for name, value in gains.items():
+            if name not in ROWS:
+                raise ConfigurationError('gains', 'unknown name', name)
+            self.machine.gains[list(ROWS).index(name)] = value
+
+    def measure(self, channels: Channels) -> bytes:
+        """What the firmware measures at the start of the coming cycle, as a frame of hil.py."""
+        machine = self.machine
+        width = NORMALS_PER_CYCLE + self._steps * NORMALS_PER_STEP
+        self._normals = self._rng.standard_normal(width)
+        trim = self.hover_throttle if channels.throttle is None else channels.throttle
+        throttle, volts = measure_cycle(
+            machine, self._cycle, trim, self._normals[:NORMALS_PER_CYCLE]
+        )
+        pulses = [
+            1000.0 + 1000.0 * value if i == 2 else 1500.0 + 500.0 * value
+            for i, value in enumerate(channels.axes(throttle))
+        ]
+        sensed = machine.sensed
+        slow = (volts, *(1e4 * sensed[MAG : MAG + 3]), sensed[PRESSURE] / 100.0, math.nan)
+        samples = machine.samples[: int(sensed[TAKEN])]
+        return hil.sensors(self.time_us, pulses, channels.failsafe, slow, samples)
+
+    def move(self, motors: hil.Motors) -> None:
+        """Put these commands under way, and run the physics to the next cycle."""
+        command_motors(self.machine, self._cycle, np.array(motors.commands))
+        steps = self._normals[NORMALS_PER_CYCLE:]
+        if self._effect is None:
+            advance_cycle(self.machine, steps)
+        else:
+            self._effect_steps(steps)
+        self._cycle += 1
 
     @property
-    def gyro_filter_hz(self) -> float:
-        """Cut-off of the gyro's filter at boot."""
-        return self.profile.sensors.gyro_filter_hz
-
-    def set_filters(self, gyro_hz: float, accel_hz: float) -> None:
-        """Change the chip's filters in flight."""
-        step_s = self.machine.plant.step_s
-        self.machine.chips.gyro_lp[:] = butterworth(gyro_hz, step_s)
-        self.machine.chips.accel_lp[:] = butterworth(accel_hz, step_s)
+    def time_us(self) -> int:
+        """Device time of the coming cycle."""
+        return round(self._cycle * self.cycle_s * 1e6)
 
     def run(self, given: FloatArray) -> FloatArray:
         """Fly the cycles whose inputs are `given` (n, INPUTS); returns the log (n, WIDTH)."""
@@ -119,8 +168,10 @@ class Aircraft:
     def _stepwise(self, row: int, given: FloatArray, normals: FloatArray, log: FloatArray) -> None:
         """One cycle with the Python effect called before every physics step."""
         begin_cycle(self.machine, self._cycle + row, given, normals[:NORMALS_PER_CYCLE], log)
-        for step in range(self._steps):
-            start = NORMALS_PER_CYCLE + step * NORMALS_PER_STEP
+        self._effect_steps(normals[NORMALS_PER_CYCLE:])
+
+    def _effect_steps(self, normals: FloatArray) -> None:
+        for start in range(0, normals.size, NORMALS_PER_STEP):
             extra = self._extra_torque()
             advance_step(self.machine, normals[start : start + NORMALS_PER_STEP], extra)
 
@@ -133,17 +184,41 @@ class Aircraft:
         return self._effect(float(seen[0]), seen[1:4], seen[4:7], seen[7:11], float(seen[11]))
 
 
-def _controller(profile: Profile) -> Controller:
-    """The control cycle's constants."""
-    firmware, pilot = profile.firmware, profile.pilot
-    free = 1.0 if profile.mount == 'hover' else 0.0
-    return Controller(
-        gains=firmware.gains.table(),
-        cycle_s=1.0 / firmware.rate_hz,
-        delay_cycles=firmware.delay_cycles,
+def boot(profile: Profile, *, lockstep: bool = True) -> hil.Boot:
+    """The settings with which the firmware flies this profile."""
+    firmware, sensors = profile.firmware, profile.sensors
+    wanted = {
+        **firmware.gains.values(),
+        'sensor.gyro_filter_hz': sensors.gyro_filter_hz,
+        'sensor.accel_filter_hz': sensors.accel_filter_hz,
+    }
+    gains = []
+    for name, row in ROWS.items():
+        start = row.start[AXES.index(split(name)[0]) if len(row.start) > 1 else 0]
+        value = float(np.float32(wanted.get(name, start)))
+        lowest, highest = row.limits or (value, value)
+        if not np.float32(lowest) <= value <= np.float32(highest):
+            what = f'the firmware takes {lowest:g} to {highest:g}'
+            raise ConfigurationError(f'profile: {name}', what, f'{value:g}')
+        gains.append(value)
+    return hil.Boot(
+        aircraft=aircraft_number(profile),
+        rate_hz=int(firmware.rate_hz),
+        armed=firmware.auto_arm,
+        may_arm=True,
+        samples=firmware.physics_steps_per_cycle,
+        lockstep=lockstep,
         stick_angle=math.radians(firmware.stick_angle_deg),
         stick_yaw_rate=math.radians(firmware.stick_yaw_rate_deg_s),
         angle_limit=math.radians(firmware.angle_limit_deg),
-        climb_kp=free * pilot.climb_kp_per_m,
-        climb_kd=free * pilot.climb_kd_s_per_m,
+        low_battery_v=firmware.low_battery_v,
+        complementary_s=sensors.complementary_time_s,
+        declination=math.atan2(sensors.mag_field_t[0], sensors.mag_field_t[1]),
+        gains=gains,
     )
+
+
+def aircraft_number(profile: Profile) -> int:
+    """As the STM32's unique id: the same for the same airframe on any mount, 64 bits."""
+    digest = hashlib.blake2b(repr(profile.airframe).encode(), digest_size=8).digest()
+    return int.from_bytes(digest, 'little')

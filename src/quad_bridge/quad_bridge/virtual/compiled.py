@@ -19,14 +19,11 @@ _F = TypeVar('_F', bound=Callable[..., object])
 KERNEL_FILES = (
     'airframe.py',
     'compiled.py',
-    'control.py',
     'cycle.py',
-    'gain_columns.py',
     'physics.py',
     'plant.py',
     'rotation.py',
     'sensors.py',
-    'state_feedback.py',
 )
 
 

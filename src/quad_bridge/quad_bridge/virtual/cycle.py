@@ -1,7 +1,9 @@
-"""Compiled entry points: whole control cycles, or one in pieces for an effect written in Python.
+"""Compiled entry points: whole control cycles, or one in pieces.
 
-A cycle is: read the sensors, compute, put the commands into the delay queue, then run the physics
-to the next cycle. Both ways run the same kernels in the same order, so they agree exactly.
+A cycle is: read the sensors, let the firmware compute, put the commands into the delay queue, then
+run the physics to the next cycle. The firmware is the C of firmware/, called from compiled code
+(`run_cycles`, `begin_cycle`) or by whoever asks for the sensors and brings the commands
+(`measure_cycle`, `command_motors`). All ways run the same kernels in the same order.
 """
 
 from __future__ import annotations
@@ -11,9 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from numba import types
 
 from quad_bridge.virtual.compiled import entry, kernel, source_digest
-from quad_bridge.virtual.control import THROTTLE, Controller, Output, control_cycle, delayed
+from quad_bridge.virtual.native import library
 from quad_bridge.virtual.physics import (
     POSITION,
     QUAT,
@@ -27,17 +30,23 @@ from quad_bridge.virtual.physics import (
 from quad_bridge.virtual.plant import Plant
 from quad_bridge.virtual.rotation import euler_from_quaternion
 from quad_bridge.virtual.sensors import (
-    ATTITUDE,
     MAG,
     PRESSURE,
+    TAKEN,
     Chips,
-    complementary_filter,
-    sample,
+    sense_cycle,
     sense_step,
 )
 
 FloatArray = npt.NDArray[np.float64]
 
+ARMED, INJECTION, ADDED, STICK_ROLL, STICK_PITCH, THROTTLE, STICK_YAW = 0, 1, 2, 5, 6, 7, 8
+INPUTS = 9
+"""Columns of what reaches a cycle from outside: armed 0/1, injection 0..3 (none, attitude, rate,
+control), excitation (3), sticks -1..1, throttle 0..1."""
+LARGEST_DELAY = 4
+HOLD = 0.08
+"""The most that the pilot adds to the throttle to hold the height, either way."""
 NORMALS_PER_STEP = 9
 NORMALS_PER_CYCLE = 7
 
@@ -64,17 +73,56 @@ WIDTH = 38
 OBSERVED = 12
 
 
+_address = types.intp
+library()
+_fly = types.ExternalFunction(
+    'quad_library_fly',
+    types.float64(
+        _address, _address, _address, types.float64, _address, _address, types.int64, _address
+    ),
+)
+"""The firmware's control cycle (boards/linux/library.c)."""
+
+
 class Machine(NamedTuple):
     """The whole aircraft as the kernels see it: constants and (written in place) states."""
 
     plant: Plant
     chips: Chips
-    controller: Controller
+    delay_cycles: int
+    climb_kp: float
+    """Pilot's altitude hold in hover: throttle per m; 0 on the rig."""
+    climb_kd: float
     state: FloatArray
     sensed: FloatArray
-    memory: FloatArray
+    samples: FloatArray
+    """(n, 6) gyro and accelerometer, chip axes."""
+    queue: FloatArray
+    """(LARGEST_DELAY + 1, 4) motor commands on their way."""
     acting: FloatArray
     """(4,) motor commands that act during the present cycle."""
+    firmware: npt.NDArray[np.uint8]
+    """The C firmware's memory."""
+    gains: npt.NDArray[np.float32]
+    """(n,) its parameters where it flies in compiled code, in the order of their index."""
+
+
+@kernel
+def held_throttle(machine: Machine, throttle: float) -> float:
+    """What the pilot makes of a trim to hold the height."""
+    state = machine.state
+    hold = -machine.climb_kp * state[POSITION + 2] - machine.climb_kd * state[VELOCITY + 2]
+    return min(1.0, max(0.0, throttle + min(HOLD, max(-HOLD, hold))))
+
+
+@kernel
+def delayed(machine: Machine, cycle: int, commands: FloatArray) -> None:
+    """Put this cycle's commands in the queue; those that are due act."""
+    rows = LARGEST_DELAY + 1
+    for i in range(4):
+        machine.queue[cycle % rows, i] = commands[i]
+    for i in range(4):
+        machine.acting[i] = machine.queue[(cycle - machine.delay_cycles) % rows, i]
 
 
 @kernel
@@ -82,21 +130,20 @@ def begin(
     machine: Machine, cycle: int, given: FloatArray, normals: FloatArray, log: FloatArray
 ) -> None:
     """The firmware's part of a cycle; fills the log row and `acting`."""
-    plant, chips, controller, state, sensed, memory, acting = machine
-    gyro, accel, angles = log[1:4], log[4:7], log[7:10]
-    sample(sensed, state, chips, normals, cycle, gyro, accel)
-    complementary_filter(sensed, chips, gyro, accel, controller.cycle_s)
-    angles[:] = sensed[ATTITUDE : ATTITUDE + 3]
+    state, sensed = machine.state, machine.sensed
+    sense_cycle(sensed, state, machine.chips, normals, cycle)
     used = given.copy()
-    hold = -controller.climb_kp * state[POSITION + 2] - controller.climb_kd * state[VELOCITY + 2]
-    used[THROTTLE] = min(1.0, max(0.0, given[THROTTLE] + min(0.08, max(-0.08, hold))))
-    out = Output(log[10:13], log[13:16], log[16:20], log[20:24])
-    volts = battery_voltage(state, plant)
-    log[29] = control_cycle(memory, controller, used, gyro, angles, volts, out)
-    acting[:] = log[20:24]
-    delayed(memory, controller, cycle, acting)
+    used[THROTTLE] = held_throttle(machine, given[THROTTLE])
+    volts = battery_voltage(state, machine.plant)
+    log[29] = _fly(
+        machine.firmware.ctypes.data, machine.gains.ctypes.data, used.ctypes.data, volts,
+        sensed[MAG : MAG + 3].ctypes.data, machine.samples.ctypes.data, int(sensed[TAKEN]),
+        log[1:24].ctypes.data,
+    )  # fmt: skip
+    sensed[TAKEN] = 0.0
+    delayed(machine, cycle, log[20:24])
     log[0] = state[TIME]
-    log[24] = battery_voltage(state, plant)
+    log[24] = volts
     log[25:28] = sensed[MAG : MAG + 3]
     log[28] = sensed[PRESSURE]
     log[30] = used[THROTTLE]
@@ -109,7 +156,9 @@ def begin(
 def advance(machine: Machine, normals: FloatArray, extra: FloatArray) -> None:
     """One physics step and the chips' filters; `normals` (9,), `extra` (3,) N m."""
     physics_step(machine.state, machine.plant, machine.acting, normals[:3], extra)
-    sense_step(machine.sensed, machine.state, machine.plant, machine.chips, normals[3:])
+    sense_step(
+        machine.sensed, machine.samples, machine.state, machine.plant, machine.chips, normals[3:]
+    )
 
 
 @kernel
@@ -148,6 +197,28 @@ def _entries(digest: str) -> tuple[Callable[..., None], ...]:
         begin(machine, cycle, given, normals, log)
 
     @entry
+    def measure_cycle(
+        machine: Machine, cycle: int, throttle: float, normals: FloatArray
+    ) -> tuple[float, float]:
+        """The throttle that the pilot gives and the battery's voltage; the rest is in place."""
+        _ = digest
+        sense_cycle(machine.sensed, machine.state, machine.chips, normals, cycle)
+        return held_throttle(machine, throttle), battery_voltage(machine.state, machine.plant)
+
+    @entry
+    def command_motors(machine: Machine, cycle: int, commands: FloatArray) -> None:
+        _ = digest
+        machine.sensed[TAKEN] = 0.0
+        delayed(machine, cycle, commands)
+
+    @entry
+    def advance_cycle(machine: Machine, normals: FloatArray) -> None:
+        _ = digest
+        extra = np.zeros(3)
+        for start in range(0, normals.size, NORMALS_PER_STEP):
+            advance(machine, normals[start : start + NORMALS_PER_STEP], extra)
+
+    @entry
     def advance_step(machine: Machine, normals: FloatArray, extra: FloatArray) -> None:
         _ = digest
         advance(machine, normals, extra)
@@ -157,7 +228,12 @@ def _entries(digest: str) -> tuple[Callable[..., None], ...]:
         _ = digest
         look(machine, seen)
 
-    return run_cycles, begin_cycle, advance_step, observe
+    return (
+        run_cycles, begin_cycle, measure_cycle, command_motors, advance_cycle, advance_step,
+        observe,
+    )  # fmt: skip
 
 
-run_cycles, begin_cycle, advance_step, observe = _entries(source_digest())
+(
+    run_cycles, begin_cycle, measure_cycle, command_motors, advance_cycle, advance_step, observe
+) = _entries(source_digest())  # fmt: skip

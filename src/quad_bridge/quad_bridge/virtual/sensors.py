@@ -1,8 +1,8 @@
-"""Compiled sensor models: what the chips report of the true state, and the attitude estimate.
+"""Compiled sensor models: what the chips report of the true state.
 
-MPU-6050: noise and bias enter before the 2nd-order Butterworth low-pass, which runs at the physics
-step (the chip samples at 1 kHz); quantisation comes after it, at the sampling instant. The bias
-that calibration at rest could not see drifts on. Complementary filter as in the paper.
+MPU-6050: it samples at 1 kHz, here at every physics step, with noise, bias and quantisation; the
+low-pass filters and the attitude estimate are the firmware's. The bias that calibration at rest
+could not see drifts on. Chip axes are the body's, FLU.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ from quad_bridge.virtual.physics import (
     motor_thrusts,
 )
 from quad_bridge.virtual.plant import Plant
-from quad_bridge.virtual.rotation import body_from_world, wrapped
+from quad_bridge.virtual.rotation import body_from_world
 
 FloatArray = npt.NDArray[np.float64]
 
-GYRO_LP, ACCEL_LP, BIAS, ATTITUDE = 0, 6, 12, 15
-MAG, PRESSURE, ACCEL_NOW, GYRO_NOW = 18, 21, 22, 25
-SENSOR_STATES = 28
+BIAS, MAG, PRESSURE, TAKEN = 0, 3, 6, 7
+"""`TAKEN`: samples of gyro and accelerometer since the last cycle."""
+SENSOR_STATES = 8
 
 GYRO_DEG_S_PER_LSB = 1.0 / 65.5
 ACCEL_G_PER_LSB = 1.0 / 4096.0
@@ -73,18 +73,14 @@ class Sensors:
 
 
 class Chips(NamedTuple):
-    """Constants for the kernels; low-pass rows are b0 b1 b2 a1 a2 at the physics step."""
+    """Constants for the kernels."""
 
-    gyro_lp: FloatArray
-    accel_lp: FloatArray
     gyro_sigma: float
     """Per physics step, rad/s."""
     accel_sigma: float
     drift_sigma: float
     """Per cycle, rad/s."""
     accel_bias: Vector
-    blend: float
-    """Share of the accelerometer's (compass') angle per cycle."""
     mag_field: Vector
     mag_sigma: float
     pressure: float
@@ -97,19 +93,6 @@ class Chips(NamedTuple):
     line_phase: FloatArray
 
 
-def butterworth(cutoff_hz: float, step_s: float) -> FloatArray:
-    """(5,) b0 b1 b2 a1 a2 of the 2nd-order Butterworth low-pass, bilinear.
-
-    Not prewarped: its delay at low frequency is then exactly the continuous filter's.
-    """
-    k = math.pi * cutoff_hz * step_s
-    norm = 1.0 / (1.0 + math.sqrt(2.0) * k + k * k)
-    b0 = k * k * norm
-    return np.array(
-        [b0, 2 * b0, b0, 2 * (k * k - 1) * norm, (1 - math.sqrt(2.0) * k + k * k) * norm]
-    )
-
-
 def build_chips(
     sensors: Sensors, vibration: Vibration, *, step_s: float, cycle_s: float, phases: FloatArray
 ) -> Chips:
@@ -118,13 +101,10 @@ def build_chips(
     density = math.sqrt(0.5 / step_s)
     lsb = 1.0 if sensors.quantisation else 0.0
     return Chips(
-        gyro_lp=butterworth(sensors.gyro_filter_hz, step_s),
-        accel_lp=butterworth(sensors.accel_filter_hz, step_s),
         gyro_sigma=sensors.gyro_noise_rad_s_rthz * density,
         accel_sigma=sensors.accel_noise_m_s2_rthz * density,
         drift_sigma=sensors.gyro_drift_rad_s_rts * math.sqrt(cycle_s),
         accel_bias=sensors.accel_bias_m_s2,
-        blend=cycle_s / sensors.complementary_time_s,
         mag_field=sensors.mag_field_t,
         mag_sigma=sensors.mag_noise_t,
         pressure=sensors.pressure_pa,
@@ -138,28 +118,21 @@ def build_chips(
     )
 
 
-def initial_sensors(chips: Chips, bias: FloatArray) -> FloatArray:
-    """Filters settled at rest and level, north at yaw 0; `bias` (3,) rad/s of the gyro."""
-    state = np.zeros(SENSOR_STATES)
-    resting = np.array([0.0, 0.0, GRAVITY_M_S2]) + np.array(chips.accel_bias)
-    for base, row, value in ((GYRO_LP, chips.gyro_lp, bias), (ACCEL_LP, chips.accel_lp, resting)):
-        state[base : base + 3] = value * (1.0 - row[0])
-        state[base + 3 : base + 6] = value * (row[2] - row[4])
+def initial_sensors(
+    chips: Chips, bias: FloatArray, samples_per_cycle: int
+) -> tuple[FloatArray, FloatArray]:
+    """State and samples (n, 6) of sensors at rest and level, with one sample taken.
+
+    `bias` (3,) rad/s of the gyro.
+    """
+    state, samples = np.zeros(SENSOR_STATES), np.zeros((samples_per_cycle, 6))
     state[BIAS : BIAS + 3] = bias
-    state[GYRO_NOW : GYRO_NOW + 3] = bias
-    state[ACCEL_NOW : ACCEL_NOW + 3] = resting
     state[MAG : MAG + 3] = chips.mag_field
     state[PRESSURE] = chips.pressure
-    return state
-
-
-@kernel
-def low_pass(state: FloatArray, base: int, i: int, row: FloatArray, value: float) -> float:
-    """One step of channel `i` of the filter at `base` (transposed direct form II)."""
-    out = float(row[0] * value + state[base + i])
-    state[base + i] = row[1] * value - row[3] * out + state[base + 3 + i]
-    state[base + 3 + i] = row[2] * value - row[4] * out
-    return out
+    state[TAKEN] = 1.0
+    samples[0, :3] = bias
+    samples[0, 3:] = np.array([0.0, 0.0, GRAVITY_M_S2]) + np.array(chips.accel_bias)
+    return state, samples
 
 
 @kernel
@@ -180,24 +153,6 @@ def specific_force(state: FloatArray, plant: Plant, out: FloatArray) -> None:
 
 
 @kernel
-def sense_step(
-    sensed: FloatArray, state: FloatArray, plant: Plant, chips: Chips, normals: FloatArray
-) -> None:
-    """The chip's own 1 kHz: filter rates and acceleration behind noise; `normals` (6,)."""
-    force = np.empty(3)
-    specific_force(state, plant, force)
-    shake = 0.0
-    for line in range(chips.line_rad_s.size):
-        turn = chips.line_rad_s[line] * state[TIME] + chips.line_phase[line]
-        shake += chips.line_size[line] * math.sin(turn)
-    for i in range(3):
-        rate = state[RATES + i] + sensed[BIAS + i] + chips.gyro_sigma * normals[i] + shake
-        sensed[GYRO_NOW + i] = low_pass(sensed, GYRO_LP, i, chips.gyro_lp, rate)
-        accel = force[i] + chips.accel_bias[i] + chips.accel_sigma * normals[3 + i]
-        sensed[ACCEL_NOW + i] = low_pass(sensed, ACCEL_LP, i, chips.accel_lp, accel)
-
-
-@kernel
 def quantised(value: float, lsb: float) -> float:
     """`value` on the grid of a signed 16-bit reading with that step, clipped at its range."""
     if lsb == 0.0:
@@ -206,20 +161,33 @@ def quantised(value: float, lsb: float) -> float:
 
 
 @kernel
-def sample(
-    sensed: FloatArray,
-    state: FloatArray,
-    chips: Chips,
+def sense_step(
+    sensed: FloatArray, samples: FloatArray, state: FloatArray, plant: Plant, chips: Chips,
     normals: FloatArray,
-    cycle: int,
-    gyro: FloatArray,
-    accel: FloatArray,
+) -> None:  # fmt: skip
+    """The chip's own 1 kHz: one more sample of rates and specific force; `normals` (6,)."""
+    force = np.empty(3)
+    specific_force(state, plant, force)
+    shake = 0.0
+    for line in range(chips.line_rad_s.size):
+        turn = chips.line_rad_s[line] * state[TIME] + chips.line_phase[line]
+        shake += chips.line_size[line] * math.sin(turn)
+    row = int(sensed[TAKEN])
+    for i in range(3):
+        rate = state[RATES + i] + sensed[BIAS + i] + chips.gyro_sigma * normals[i] + shake
+        samples[row, i] = quantised(rate, chips.gyro_lsb)
+        accel = force[i] + chips.accel_bias[i] + chips.accel_sigma * normals[3 + i]
+        samples[row, 3 + i] = quantised(accel, chips.accel_lsb)
+    sensed[TAKEN] = row + 1.0
+
+
+@kernel
+def sense_cycle(
+    sensed: FloatArray, state: FloatArray, chips: Chips, normals: FloatArray, cycle: int
 ) -> None:
-    """Read the chips at the start of a cycle; `normals` (7,): drift 3, compass 3, pressure."""
+    """What changes once a cycle or more slowly; `normals` (7,): drift 3, compass 3, pressure."""
     for i in range(3):
         sensed[BIAS + i] += chips.drift_sigma * normals[i]
-        gyro[i] = quantised(sensed[GYRO_NOW + i], chips.gyro_lsb)
-        accel[i] = quantised(sensed[ACCEL_NOW + i], chips.accel_lsb)
     if cycle % chips.slow_divider == 0:
         north, field = np.empty(3), np.empty(3)
         for i in range(3):
@@ -229,28 +197,3 @@ def sample(
             sensed[MAG + i] = field[i] + chips.mag_sigma * normals[3 + i]
         above = chips.pressure * (1.0 - 2.25577e-5 * state[POSITION + 2]) ** 5.25588
         sensed[PRESSURE] = above + chips.pressure_sigma * normals[6]
-
-
-@kernel
-def complementary_filter(
-    sensed: FloatArray, chips: Chips, gyro: FloatArray, accel: FloatArray, cycle_s: float
-) -> None:
-    """Advance the attitude estimate: gyro integrated, held by gravity and north."""
-    roll, pitch, yaw = sensed[ATTITUDE], sensed[ATTITUDE + 1], sensed[ATTITUDE + 2]
-    sr, cr, cp = math.sin(roll), math.cos(roll), max(0.1, math.cos(pitch))
-    turn = (gyro[1] * sr + gyro[2] * cr) / cp
-    roll += cycle_s * (gyro[0] + math.sin(pitch) * turn)
-    pitch += cycle_s * (gyro[1] * cr - gyro[2] * sr)
-    yaw += cycle_s * turn
-    seen_roll = math.atan2(accel[1], accel[2])
-    seen_pitch = math.atan2(-accel[0], math.sqrt(accel[1] ** 2 + accel[2] ** 2))
-    roll += chips.blend * wrapped(seen_roll - roll)
-    pitch += chips.blend * (seen_pitch - pitch)
-    sr, cr, sp, cp = math.sin(roll), math.cos(roll), math.sin(pitch), math.cos(pitch)
-    level_x = sensed[MAG] * cp + (sensed[MAG + 1] * sr + sensed[MAG + 2] * cr) * sp
-    level_y = sensed[MAG + 1] * cr - sensed[MAG + 2] * sr
-    seen_yaw = math.atan2(chips.mag_field[1], chips.mag_field[0]) - math.atan2(level_y, level_x)
-    yaw += chips.blend * wrapped(seen_yaw - yaw)
-    sensed[ATTITUDE] = roll
-    sensed[ATTITUDE + 1] = pitch
-    sensed[ATTITUDE + 2] = wrapped(yaw)

@@ -14,9 +14,10 @@ import numpy.typing as npt
 
 from quad_bridge.gains.table import AXES
 from quad_bridge.virtual.aircraft import Aircraft, EffectFunction
-from quad_bridge.virtual.control import (
+from quad_bridge.virtual.cycle import (
     ADDED,
     ARMED,
+    COLUMNS,
     INJECTION,
     INPUTS,
     STICK_PITCH,
@@ -24,9 +25,6 @@ from quad_bridge.virtual.control import (
     STICK_YAW,
     THROTTLE,
 )
-from quad_bridge.virtual.cycle import COLUMNS
-from quad_bridge.virtual.errors import ConfigurationError
-from quad_bridge.virtual.firmware import TABLE
 from quad_bridge.virtual.profile import Profile, load_profile
 from quad_bridge.virtual.receiver import channels_at
 
@@ -100,9 +98,11 @@ def fly(
     """
     profile = load_profile(config) if isinstance(config, str) else config
     aircraft = Aircraft(profile, seed=seed, effect=effect)
-    set_gains(aircraft, gains or {})
+    aircraft.set_gains(
+        {k: v for k, v in (gains or {}).items() if not k.startswith(('sensor.', 'loop.'))}
+    )
     count = round(duration_s * profile.firmware.rate_hz)
-    active = active_gains(aircraft)
+    active = aircraft.gains
     given = inputs(aircraft, schedule, count)
     log = aircraft.run(given)
     arrays = {
@@ -141,29 +141,6 @@ def inputs(aircraft: Aircraft, schedule: Sequence[Excited], count: int) -> Float
         given[start:stop, INJECTION] = INJECTIONS.index(part.injection)
         given[start:stop, ADDED + AXES.index(part.axis)] = part.samples[: stop - start]
     return given
-
-
-def active_gains(aircraft: Aircraft) -> dict[str, float]:
-    """All gains and loop constants in use, by the contract's names, SI."""
-    values = {
-        f'{axis}.{name}': float(aircraft.gains[i, column])
-        for i, axis in enumerate(AXES)
-        for name, (column, _, _) in TABLE.items()
-    }
-    values['sensor.gyro_filter_hz'] = aircraft.profile.sensors.gyro_filter_hz
-    values['sensor.accel_filter_hz'] = aircraft.profile.sensors.accel_filter_hz
-    values['loop.rate_hz'] = aircraft.profile.firmware.rate_hz
-    return values
-
-
-def set_gains(aircraft: Aircraft, gains: Mapping[str, float]) -> None:
-    """Write gains (contract's names, SI) without the firmware's bounds; unknown: an error."""
-    for name, value in gains.items():
-        axis, _, rest = name.partition('.')
-        if axis in AXES and rest in TABLE:
-            aircraft.gains[AXES.index(axis), TABLE[rest][0]] = value
-        elif not name.startswith(('sensor.', 'loop.')):
-            raise ConfigurationError('gains', 'unknown name', name)
 
 
 def without_noise(profile: Profile) -> Profile:

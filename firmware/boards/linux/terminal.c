@@ -7,14 +7,15 @@
 #include <errno.h>
 #include <fcntl.h>
 #include <limits.h>
-#include <poll.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
 #include <termios.h>
+#include <time.h>
 #include <unistd.h>
 
+#define GIVE_UP_S 1 /* a reader that took nothing for so long is taken as absent */
 #define LARGEST_KEY 4096 /* bytes of the file, white space included */
 
 static const char *make_link(terminal *t, const char *link)
@@ -43,7 +44,7 @@ static const char *make_link(terminal *t, const char *link)
 const char *terminal_open(terminal *t, const char *link)
 {
     struct termios mode;
-    t->link = NULL;
+    memset(t, 0, sizeof *t);
     t->master = posix_openpt(O_RDWR | O_NOCTTY);
     if (t->master < 0 || grantpt(t->master) != 0 || unlockpt(t->master) != 0) {
         return strerror(errno);
@@ -66,22 +67,47 @@ const char *terminal_open(terminal *t, const char *link)
     return link != NULL ? make_link(t, link) : NULL;
 }
 
-size_t terminal_read(terminal *t, uint8_t *bytes, size_t room, int64_t wait_us)
+size_t terminal_read(terminal *t, uint8_t *bytes, size_t room)
 {
-    struct pollfd port = {t->master, POLLIN, 0};
-    const int wait_ms = wait_us > 0 ? (int)((wait_us + 999) / 1000) : 0;
-    if (poll(&port, 1, wait_ms) <= 0) {
-        return 0;
-    }
     const ssize_t count = read(t->master, bytes, room);
     return count > 0 ? (size_t)count : 0;
 }
 
+static uint64_t clock_s(void)
+{
+    struct timespec now;
+    clock_gettime(CLOCK_MONOTONIC, &now);
+    return (uint64_t)now.tv_sec;
+}
+
+/* Send what fits of `rest`; where nothing has been taken for long, throw away what is stuck. */
+static void push(terminal *t)
+{
+    const ssize_t count = write(t->master, t->rest, t->waiting);
+    if (count > 0) {
+        t->waiting -= (size_t)count;
+        memmove(t->rest, &t->rest[count], t->waiting);
+        t->taken_s = 0;
+    } else if (t->taken_s == 0) {
+        t->taken_s = clock_s();
+    } else if (clock_s() - t->taken_s > GIVE_UP_S) {
+        tcflush(t->slave, TCIFLUSH);
+        t->taken_s = 0;
+    }
+}
+
 void terminal_write(terminal *t, const uint8_t *bytes, size_t count)
 {
-    if (write(t->master, bytes, count) < 0 && errno == EAGAIN) {
-        tcflush(t->slave, TCIFLUSH); /* nobody reads: what is old goes */
+    if (t->waiting > 0) {
+        push(t);
     }
+    if (t->waiting > 0 || count > sizeof t->rest) {
+        t->dropped += count;
+        return;
+    }
+    memcpy(t->rest, bytes, count);
+    t->waiting = count;
+    push(t);
 }
 
 void terminal_close(terminal *t)

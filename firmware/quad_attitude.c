@@ -1,0 +1,155 @@
+/* See quad_attitude.h. */
+#include "quad_attitude.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "quad_parameters.h"
+
+#define PI_F 3.14159265f
+#define TURN_F 6.28318531f
+
+float quad_wrapped(float angle)
+{
+    return angle - TURN_F * floorf(angle / TURN_F + 0.5f);
+}
+
+void quad_attitude_init(quad_attitude *attitude)
+{
+    memset(attitude, 0, sizeof *attitude);
+}
+
+/* Butterworth, bilinear and not prewarped: its delay at low frequency is the continuous filter's.
+ * The numerator follows from the denominator, so that a constant passes exactly. */
+static void tune(quad_low_pass *filter, float hz, float sample_s)
+{
+    const float k = PI_F * hz * sample_s, root = 1.41421356f * k;
+    const float norm = 1.0f / (1.0f + root + k * k);
+    filter->hz = hz;
+    filter->a1 = 2.0f * (k * k - 1.0f) * norm;
+    filter->a2 = (1.0f - root + k * k) * norm;
+    filter->b = 0.25f * (1.0f + filter->a1 + filter->a2);
+}
+
+static void settle(quad_low_pass *filter, const float value[3])
+{
+    for (size_t i = 0; i < 3; i++) {
+        filter->first[i] = value[i] * (1.0f - filter->b);
+        filter->second[i] = value[i] * (filter->b - filter->a2);
+        filter->out[i] = value[i];
+    }
+}
+
+static void pass(quad_low_pass *filter, const float value[3])
+{
+    for (size_t i = 0; i < 3; i++) {
+        const float out = filter->b * value[i] + filter->first[i];
+        filter->first[i] = 2.0f * filter->b * value[i] - filter->a1 * out + filter->second[i];
+        filter->second[i] = filter->b * value[i] - filter->a2 * out;
+        filter->out[i] = out;
+    }
+}
+
+void quad_to_body(const int8_t axes[3], const float chip[3], float body[3])
+{
+    for (size_t i = 0; i < 3; i++) {
+        const int axis = axes[i];
+        body[i] = axis > 0 ? chip[(axis - 1) % 3] : -chip[(-axis - 1) % 3];
+    }
+}
+
+static bool finite3(const float v[3])
+{
+    return isfinite(v[0]) && isfinite(v[1]) && isfinite(v[2]);
+}
+
+/* Roll, pitch as gravity shows them in the specific force. */
+static void level(const float force[3], float *roll, float *pitch)
+{
+    *roll = atan2f(-force[1], -force[2]);
+    *pitch = atan2f(force[0], sqrtf(force[1] * force[1] + force[2] * force[2]));
+}
+
+/* Yaw as the compass shows it on an aircraft with this roll and pitch. */
+static float heading(const float mag[3], float roll, float pitch, float declination)
+{
+    const float sr = sinf(roll), cr = cosf(roll);
+    const float x = mag[0] * cosf(pitch) + (mag[1] * sr + mag[2] * cr) * sinf(pitch);
+    const float y = mag[1] * cr - mag[2] * sr;
+    return declination - atan2f(y, x);
+}
+
+static void turn(float angle[3], const float rate[3], float period_s)
+{
+    const float sr = sinf(angle[0]), cr = cosf(angle[0]);
+    const float cp = fmaxf(0.1f, cosf(angle[1]));
+    const float yaw_rate = (rate[1] * sr + rate[2] * cr) / cp;
+    angle[0] += period_s * (rate[0] + sinf(angle[1]) * yaw_rate);
+    angle[1] += period_s * (rate[1] * cr - rate[2] * sr);
+    angle[2] += period_s * yaw_rate;
+}
+
+/* The complementary filter: the gyro integrated, held by gravity and north. */
+static void hold(quad_attitude *a, const quad_mounting *m, const float mag[3], float share)
+{
+    float roll, pitch;
+    level(a->accel.out, &roll, &pitch);
+    a->angle[0] += share * quad_wrapped(roll - a->angle[0]);
+    a->angle[1] += share * (pitch - a->angle[1]);
+    if (finite3(mag)) {
+        const float yaw = heading(mag, a->angle[0], a->angle[1], m->declination);
+        a->angle[2] += share * quad_wrapped(yaw - a->angle[2]);
+    }
+    a->angle[0] = quad_wrapped(a->angle[0]);
+    a->angle[2] = quad_wrapped(a->angle[2]);
+}
+
+static void take(quad_attitude *a, const quad_mounting *m, const float chip_gyro[3],
+                 const float chip_accel[3])
+{
+    float gyro[3], accel[3];
+    if (!finite3(chip_gyro) || !finite3(chip_accel)) {
+        return;
+    }
+    quad_to_body(m->axes, chip_gyro, gyro);
+    quad_to_body(m->axes, chip_accel, accel);
+    for (size_t i = 0; i < 3; i++) {
+        gyro[i] -= m->gyro_bias[i];
+    }
+    if (a->started) {
+        pass(&a->gyro, gyro);
+        pass(&a->accel, accel);
+    } else {
+        settle(&a->gyro, gyro);
+        settle(&a->accel, accel);
+    }
+}
+
+void quad_attitude_cycle(quad_attitude *a, const quad_mounting *m, const quad_sensors *s,
+                         const float *gains, float period_s, float gyro[3], float accel[3],
+                         float angle[3])
+{
+    float mag[3];
+    if (a->gyro.hz != gains[QUAD_SENSOR_GYRO_FILTER_HZ]) {
+        tune(&a->gyro, gains[QUAD_SENSOR_GYRO_FILTER_HZ], m->sample_s);
+    }
+    if (a->accel.hz != gains[QUAD_SENSOR_ACCEL_FILTER_HZ]) {
+        tune(&a->accel, gains[QUAD_SENSOR_ACCEL_FILTER_HZ], m->sample_s);
+    }
+    for (size_t i = 0; i < s->samples && i < QUAD_MOST_SAMPLES; i++) {
+        take(a, m, s->gyro[i], s->accel[i]);
+    }
+    quad_to_body(m->axes, s->slow.mag_gauss, mag);
+    if (!a->started && s->samples > 0) {
+        level(a->accel.out, &a->angle[0], &a->angle[1]);
+        a->angle[2] = finite3(mag) ? heading(mag, a->angle[0], a->angle[1], m->declination) : 0.0f;
+        a->angle[2] = quad_wrapped(a->angle[2]);
+        a->started = true;
+    } else if (a->started) {
+        turn(a->angle, a->gyro.out, period_s);
+        hold(a, m, mag, period_s / m->complementary_s);
+    }
+    memcpy(gyro, a->gyro.out, sizeof a->gyro.out);
+    memcpy(accel, a->accel.out, sizeof a->accel.out);
+    memcpy(angle, a->angle, sizeof a->angle);
+}

@@ -1,0 +1,63 @@
+/* From sensor samples to rates, specific force and attitude: axes, low-pass filters, complementary
+ * filter. Body FRD, earth NED, SI. No frames and no control here. */
+#ifndef QUAD_ATTITUDE_H
+#define QUAD_ATTITUDE_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#define QUAD_MOST_SAMPLES 20 /* of gyro and accelerometer in one control cycle */
+
+/* What changes slowly; NaN where it is not measured. */
+typedef struct {
+    float battery_v;
+    float mag_gauss[3]; /* chip axes */
+    float pressure_hpa;
+    float temperature_c;
+} quad_slow;
+
+/* What the chips have measured since the last cycle, oldest first, in the axes of the chips. A
+ * sample that is not finite is left out. */
+typedef struct {
+    size_t samples;
+    float gyro[QUAD_MOST_SAMPLES][3];  /* rad/s */
+    float accel[QUAD_MOST_SAMPLES][3]; /* m/s^2, specific force */
+    quad_slow slow;
+} quad_sensors;
+
+typedef struct {
+    int8_t axes[3];         /* body x, y, z as +-1, +-2, +-3: that axis of the chip, with its sign */
+    float gyro_bias[3];     /* rad/s, body axes, as measured at rest */
+    float sample_s;         /* between two samples */
+    float complementary_s;  /* time after which gravity and north outweigh the gyro */
+    float declination;      /* rad, magnetic north east of true north */
+} quad_mounting;
+
+/* Second-order low-pass, transposed direct form II. */
+typedef struct {
+    float hz, b, a1, a2; /* b: of the newest sample; the numerator is b, 2b, b */
+    float first[3], second[3], out[3];
+} quad_low_pass;
+
+typedef struct {
+    quad_low_pass gyro, accel;
+    float angle[3]; /* roll, pitch, yaw */
+    bool started;
+} quad_attitude;
+
+void quad_attitude_init(quad_attitude *attitude);
+
+/* Take a cycle's samples; `gains` as in quad_parameters.h, for the cut-offs. Writes rates, specific
+ * force and attitude, (3) each. The first sample of all is taken as one at rest. */
+void quad_attitude_cycle(quad_attitude *attitude, const quad_mounting *mounting,
+                         const quad_sensors *sensors, const float *gains, float period_s,
+                         float gyro[3], float accel[3], float angle[3]);
+
+/* A vector (3) of the chips' axes in body axes. */
+void quad_to_body(const int8_t axes[3], const float chip[3], float body[3]);
+
+/* `angle` in rad, brought into -pi..pi; it must not lie beyond some thousand turns. */
+float quad_wrapped(float angle);
+
+#endif

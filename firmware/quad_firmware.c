@@ -1,0 +1,144 @@
+/* See quad_firmware.h. */
+#include "quad_firmware.h"
+
+#include <math.h>
+#include <string.h>
+
+#define SHORTEST_US 800.0f
+#define LONGEST_US 2200.0f
+#define SWITCHED_US 1750.0f
+#define LOW_THROTTLE_US 1100.0f
+
+enum { ROLL, PITCH, THROTTLE, YAW, KILL };
+
+quad_firmware_settings quad_firmware_defaults(void)
+{
+    const quad_firmware_settings settings = {
+        .endpoint = {.system = 1, .component = 1, .rate_hz = 250, .low_battery_v = 9.9f},
+        .mounting = {.axes = {1, -2, -3}, .sample_s = 0.001f, .complementary_s = 5.0f},
+        .ranges = {.angle = 0.52359878f, .yaw_rate = 1.5707963f, .angle_limit = 0.52359878f},
+        .arm_channel = 6,
+        .failsafe_off_us = 3000000,
+    };
+    return settings;
+}
+
+void quad_firmware_init(quad_firmware *f, const quad_firmware_settings *settings)
+{
+    memset(f, 0, sizeof *f);
+    f->settings = *settings;
+    f->settings.endpoint.stored = NULL;
+    f->settings.endpoint.key = NULL;
+    quad_endpoint_init(&f->endpoint, &settings->endpoint);
+    quad_attitude_init(&f->attitude);
+    quad_control_init(&f->control);
+    f->period_s = 1.0f / (float)f->endpoint.settings.rate_hz;
+    for (size_t i = 0; i < QUAD_CHANNELS; i++) {
+        f->receiver.pulse_us[i] = i == ROLL || i == PITCH || i == YAW ? 1500.0f : 1000.0f;
+    }
+}
+
+void quad_firmware_receive(quad_firmware *f, const uint8_t *bytes, size_t count, uint64_t now_us)
+{
+    quad_endpoint_receive(&f->endpoint, bytes, count, now_us);
+}
+
+size_t quad_firmware_send(quad_firmware *f, uint8_t *out, size_t room)
+{
+    return quad_endpoint_send(&f->endpoint, out, room);
+}
+
+static void hear_receiver(quad_firmware *f, const quad_receiver *now, uint64_t now_us)
+{
+    f->receiver.failsafe = now->failsafe;
+    for (size_t i = 0; i < QUAD_CHANNELS; i++) {
+        const float pulse = now->pulse_us[i];
+        if (pulse >= SHORTEST_US && pulse <= LONGEST_US && !(now->failsafe && i == THROTTLE)) {
+            f->receiver.pulse_us[i] = pulse;
+        }
+    }
+    if (now->failsafe && !f->in_failsafe) {
+        f->failsafe_since_us = now_us;
+    }
+    f->in_failsafe = now->failsafe;
+    const uint32_t patience_us = f->settings.failsafe_off_us;
+    if (f->in_failsafe && patience_us > 0 && now_us > f->failsafe_since_us &&
+        now_us - f->failsafe_since_us > patience_us) {
+        f->endpoint.armed = false;
+    }
+}
+
+/* The pilot's switch: on arms where the throttle is low, off always disarms. */
+static void heed_switch(quad_firmware *f)
+{
+    const uint8_t channel = f->settings.arm_channel;
+    if (channel == 0 || channel > QUAD_CHANNELS || f->in_failsafe) {
+        return;
+    }
+    const bool on = f->receiver.pulse_us[channel - 1] > SWITCHED_US;
+    if (on && !f->arm_switch && f->receiver.pulse_us[THROTTLE] < LOW_THROTTLE_US) {
+        f->endpoint.armed = quad_endpoint_may_arm_now(&f->endpoint);
+    } else if (!on && f->arm_switch) {
+        f->endpoint.armed = false;
+    }
+    f->arm_switch = on;
+}
+
+static float stick(float pulse_us)
+{
+    return fmaxf(-1.0f, fminf(1.0f, (pulse_us - 1500.0f) / 500.0f));
+}
+
+static quad_sticks sticks_of(const quad_receiver *r)
+{
+    const float throttle = (r->pulse_us[THROTTLE] - 1000.0f) / 1000.0f;
+    quad_sticks s = {0.0f, 0.0f, 0.0f, fmaxf(0.0f, fminf(1.0f, throttle))};
+    if (!r->failsafe) {
+        s.roll = stick(r->pulse_us[ROLL]);
+        s.pitch = -stick(r->pulse_us[PITCH]);
+        s.yaw = -stick(r->pulse_us[YAW]);
+    }
+    return s;
+}
+
+static quad_pilot pilot_of(const quad_receiver *r)
+{
+    quad_pilot pilot = {.count = QUAD_CHANNELS, .failsafe = r->failsafe};
+    for (size_t i = 0; i < QUAD_CHANNELS; i++) {
+        pilot.pulse_us[i] = (uint16_t)(r->pulse_us[i] + 0.5f);
+    }
+    pilot.kill = r->pulse_us[KILL] > SWITCHED_US;
+    return pilot;
+}
+
+void quad_firmware_cycle(quad_firmware *f, uint64_t start_us, const quad_inputs *inputs,
+                         float motors[4])
+{
+    quad_cycle *r = &f->record;
+    quad_slow slow = inputs->sensors.slow;
+    quad_to_body(f->settings.mounting.axes, inputs->sensors.slow.mag_gauss, slow.mag_gauss);
+    hear_receiver(f, &inputs->receiver, start_us);
+    heed_switch(f);
+    const quad_pilot pilot = pilot_of(&f->receiver);
+    const quad_sticks sticks = sticks_of(&f->receiver);
+    quad_endpoint_begin_cycle(&f->endpoint, start_us, &pilot, r);
+    quad_attitude_cycle(&f->attitude, &f->settings.mounting, &inputs->sensors, r->gains,
+                        f->period_s, r->gyro, r->accel, r->attitude);
+    quad_control_cycle(&f->control, &f->settings.ranges, &sticks, slow.battery_v, f->period_s,
+                       r);
+    quad_endpoint_end_cycle(&f->endpoint, r, &pilot, &slow);
+    memcpy(motors, r->motors, sizeof r->motors);
+}
+
+void quad_firmware_timed(quad_firmware *f, uint64_t due_us, uint64_t began_us, uint64_t ended_us)
+{
+    quad_timing *t = &f->timing;
+    const uint32_t late = began_us > due_us ? (uint32_t)(began_us - due_us) : 0;
+    const uint32_t long_ = ended_us > began_us ? (uint32_t)(ended_us - began_us) : 0;
+    const uint64_t period_us = 1000000u / f->endpoint.settings.rate_hz;
+    t->cycles++;
+    t->overruns += ended_us > due_us + period_us ? 1u : 0u;
+    t->latest_us = late > t->latest_us ? late : t->latest_us;
+    t->longest_us = long_ > t->longest_us ? long_ : t->longest_us;
+    t->busy_us += long_;
+}
