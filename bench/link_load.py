@@ -161,10 +161,8 @@ def link(rate: float, seconds: float, folder: Path, *, excite: bool) -> dict[str
         figures = run.measure(seconds)
     finally:
         run.end('exciter', 'bag_logger', 'ears', 'serial_bridge', 'stm32')
-    unread = int((folder / 'dropped').read_text())
     return {
         'processes': figures, **lost(folder, rate), 'latency': latency(folder, rate),
-        'bytes_nobody_read': unread,
     }  # fmt: skip
 
 

@@ -28,28 +28,19 @@ def stm32(folder: Path, rate: float) -> None:
     """The virtual STM32, which notes when the last byte of each cycle was written."""
     from quad_bridge.virtual import process
     from quad_bridge.virtual.aircraft import Aircraft
-    from quad_bridge.virtual.endpoint import Endpoint
     from quad_bridge.virtual.profile import load_profile
-    from quad_bridge.virtual.pseudo_terminal import PseudoTerminal
     from quad_bridge.virtual.receiver import Receiver
 
     profile = load_profile('plain')
     profile = replace(profile, mount='rig', firmware=replace(profile.firmware, rate_hz=rate))
-    process._warm_up(profile, python_effect=False)  # noqa: SLF001
-    endpoint = Endpoint(Aircraft(profile, seed=1), Receiver())
-    written: list[int] = []
-
-    class Port(PseudoTerminal):
-        def write(self, data: bytes) -> None:
-            super().write(data)
-            if endpoint.aircraft.cycle > len(written):
-                written.append(time.monotonic_ns())
-
-    port = Port(folder / 'tty')
-    process.serve(endpoint, port, None)
+    aircraft, board = Aircraft(profile, seed=1), process.Board('--link', folder / 'tty')
+    stop, written = process.Stop(aircraft, None), list[int]()
+    flight = process.Flight(aircraft, Receiver(), board, lockstep=False)
+    while not stop:
+        flight.cycle()
+        written.append(time.monotonic_ns())  # its frame has just gone to the port
     np.save(folder / 'wire.npy', np.array(written, np.int64))
-    (folder / 'dropped').write_text(str(port.dropped_bytes))
-    port.close()
+    board.close()
 
 
 def spin(node, stopped: Stopped) -> None:

@@ -21,12 +21,13 @@ from pathlib import Path
 import numpy as np
 from tuning_airframes import Airframe, draw, first_flight, identified, profile_of
 
+from quad_bridge.gains.table import AXES
 from quad_bridge.gains.watch import Alarm, GainWatch
 from quad_bridge.virtual.aircraft import Aircraft
 from quad_bridge.virtual.cycle import COLUMNS
 from quad_bridge.virtual.profile import Profile
 from quad_bridge.virtual.receiver import Event, Receiver
-from quad_bridge.virtual.simulation import Excited, inputs, set_gains
+from quad_bridge.virtual.simulation import Excited, inputs
 from quad_sysid.report.model_file import load_models
 from quad_tuning.designer import design
 
@@ -79,22 +80,23 @@ def fly(
 ) -> Watched:  # fmt: skip
     """Update in flight, watched as the bridge does."""
     aircraft, watch = Aircraft(profile, seed=seed, effect=gusts), GainWatch(RATE_HZ)
-    set_gains(aircraft, before)
+    aircraft.set_gains(before)
     marks = {round((UPDATE_S + STEP_S * k) * RATE_HZ): dict(s) for k, s in enumerate(steps)}
     count = max(marks) + round(WATCH_S * RATE_HZ)
     given = inputs(aircraft, schedule, count)
     alarm, back, peak, rest, after = None, None, 0.0, [], float('nan')
     for k in range(count):
         if k in marks and alarm is None:
-            set_gains(aircraft, marks[k])
+            aircraft.set_gains(marks[k])
             if k == min(marks):
                 watch.begin(axes={name.partition('.')[0] for name in marks[k]})
         if k == back:
-            set_gains(aircraft, before)
+            aircraft.set_gains(before)
         row = aircraft.run(given[k : k + 1])[0]
         reference, angles = row[COLUMNS['attitude_setpoint']], row[COLUMNS['angles']]
         added, injection = given[k, 2:5], given[k, 1]
-        inside = {2: added, 3: added / aircraft.gains[:, 1]}.get(int(injection), np.zeros(3))
+        kp = np.array([aircraft.gains[f'{axis}.rate.kp'] for axis in AXES])
+        inside = {2: added, 3: added / kp}.get(int(injection), np.zeros(3))
         watch.step(row[COLUMNS['rates']], angles, reference, inside)
         if k < min(marks):
             continue

@@ -8,6 +8,10 @@
 
 #define PI_F 3.14159265f
 #define TURN_F 6.28318531f
+/* What no chip of the kind reports: such a sample is noise on its line. */
+#define LARGEST_GYRO 70.0f   /* rad/s */
+#define LARGEST_ACCEL 400.0f /* m/s^2 */
+#define LARGEST_MAG 20.0f    /* gauss */
 
 float quad_wrapped(float angle)
 {
@@ -19,34 +23,33 @@ void quad_attitude_init(quad_attitude *attitude)
     memset(attitude, 0, sizeof *attitude);
 }
 
-/* Butterworth, bilinear and not prewarped: its delay at low frequency is the continuous filter's.
- * The numerator follows from the denominator, so that a constant passes exactly. */
+/* Butterworth, bilinear and not prewarped: its delay at low frequency is the continuous filter's. */
 static void tune(quad_low_pass *filter, float hz, float sample_s)
 {
     const float k = PI_F * hz * sample_s, root = 1.41421356f * k;
     const float norm = 1.0f / (1.0f + root + k * k);
     filter->hz = hz;
-    filter->a1 = 2.0f * (k * k - 1.0f) * norm;
-    filter->a2 = (1.0f - root + k * k) * norm;
-    filter->b = 0.25f * (1.0f + filter->a1 + filter->a2);
+    filter->b = k * k * norm;
+    filter->c = (1.0f - root + k * k) * norm;
 }
 
 static void settle(quad_low_pass *filter, const float value[3])
 {
     for (size_t i = 0; i < 3; i++) {
-        filter->first[i] = value[i] * (1.0f - filter->b);
-        filter->second[i] = value[i] * (filter->b - filter->a2);
-        filter->out[i] = value[i];
+        filter->last[i] = filter->before[i] = filter->out[i] = value[i];
+        filter->change[i] = 0.0f;
     }
 }
 
 static void pass(quad_low_pass *filter, const float value[3])
 {
     for (size_t i = 0; i < 3; i++) {
-        const float out = filter->b * value[i] + filter->first[i];
-        filter->first[i] = 2.0f * filter->b * value[i] - filter->a1 * out + filter->second[i];
-        filter->second[i] = filter->b * value[i] - filter->a2 * out;
-        filter->out[i] = out;
+        const float input = (value[i] - filter->out[i]) + 2.0f * (filter->last[i] - filter->out[i]) +
+                            (filter->before[i] - filter->out[i]);
+        filter->change[i] = filter->b * input + filter->c * filter->change[i];
+        filter->out[i] += filter->change[i];
+        filter->before[i] = filter->last[i];
+        filter->last[i] = value[i];
     }
 }
 
@@ -58,9 +61,10 @@ void quad_to_body(const int8_t axes[3], const float chip[3], float body[3])
     }
 }
 
-static bool finite3(const float v[3])
+/* Whether each lies within +-limit; false for NaN as well. */
+static bool within(const float v[3], float limit)
 {
-    return isfinite(v[0]) && isfinite(v[1]) && isfinite(v[2]);
+    return fabsf(v[0]) <= limit && fabsf(v[1]) <= limit && fabsf(v[2]) <= limit;
 }
 
 /* Roll, pitch as gravity shows them in the specific force. */
@@ -96,7 +100,7 @@ static void hold(quad_attitude *a, const quad_mounting *m, const float mag[3], f
     level(a->accel.out, &roll, &pitch);
     a->angle[0] += share * quad_wrapped(roll - a->angle[0]);
     a->angle[1] += share * (pitch - a->angle[1]);
-    if (finite3(mag)) {
+    if (within(mag, LARGEST_MAG)) {
         const float yaw = heading(mag, a->angle[0], a->angle[1], m->declination);
         a->angle[2] += share * quad_wrapped(yaw - a->angle[2]);
     }
@@ -108,7 +112,7 @@ static void take(quad_attitude *a, const quad_mounting *m, const float chip_gyro
                  const float chip_accel[3])
 {
     float gyro[3], accel[3];
-    if (!finite3(chip_gyro) || !finite3(chip_accel)) {
+    if (!within(chip_gyro, LARGEST_GYRO) || !within(chip_accel, LARGEST_ACCEL)) {
         return;
     }
     quad_to_body(m->axes, chip_gyro, gyro);
@@ -116,12 +120,13 @@ static void take(quad_attitude *a, const quad_mounting *m, const float chip_gyro
     for (size_t i = 0; i < 3; i++) {
         gyro[i] -= m->gyro_bias[i];
     }
-    if (a->started) {
+    if (a->settled) {
         pass(&a->gyro, gyro);
         pass(&a->accel, accel);
     } else {
         settle(&a->gyro, gyro);
         settle(&a->accel, accel);
+        a->settled = true;
     }
 }
 
@@ -140,9 +145,9 @@ void quad_attitude_cycle(quad_attitude *a, const quad_mounting *m, const quad_se
         take(a, m, s->gyro[i], s->accel[i]);
     }
     quad_to_body(m->axes, s->slow.mag_gauss, mag);
-    if (!a->started && s->samples > 0) {
+    if (a->settled && !a->started) {
         level(a->accel.out, &a->angle[0], &a->angle[1]);
-        a->angle[2] = finite3(mag) ? heading(mag, a->angle[0], a->angle[1], m->declination) : 0.0f;
+        a->angle[2] = within(mag, LARGEST_MAG) ? heading(mag, a->angle[0], a->angle[1], m->declination) : 0.0f;
         a->angle[2] = quad_wrapped(a->angle[2]);
         a->started = true;
     } else if (a->started) {

@@ -18,7 +18,7 @@ typedef struct {
 } quad_slow;
 
 /* What the chips have measured since the last cycle, oldest first, in the axes of the chips. A
- * sample that is not finite is left out. */
+ * sample that is not finite, or larger than any chip's range, is left out. */
 typedef struct {
     size_t samples;
     float gyro[QUAD_MOST_SAMPLES][3];  /* rad/s */
@@ -34,16 +34,17 @@ typedef struct {
     float declination;      /* rad, magnetic north east of true north */
 } quad_mounting;
 
-/* Second-order low-pass, transposed direct form II. */
+/* Second-order low-pass in terms of its change, so that a constant passes exactly in floats:
+ * change = b (x + 2 x' + x'' - 4 out) + c change', out = out' + change. */
 typedef struct {
-    float hz, b, a1, a2; /* b: of the newest sample; the numerator is b, 2b, b */
-    float first[3], second[3], out[3];
+    float hz, b, c;
+    float last[3], before[3], change[3], out[3];
 } quad_low_pass;
 
 typedef struct {
     quad_low_pass gyro, accel;
     float angle[3]; /* roll, pitch, yaw */
-    bool started;
+    bool settled, started; /* a first sample has come; the attitude has begun */
 } quad_attitude;
 
 void quad_attitude_init(quad_attitude *attitude);

@@ -28,7 +28,7 @@ enum {
     QUAD_OF_AXIS
 };
 
-/* In a set: the first group of each axis, what they share, then the rest of each axis. */
+/* In a set: the first group of each axis, what is shared, the rest of each axis. */
 enum {
     QUAD_SENSOR_GYRO_FILTER_HZ = 3 * QUAD_PER_AXIS, /* cut-off of the gyro (2nd order), Hz */
     QUAD_SENSOR_ACCEL_FILTER_HZ, /* cut-off of the accelerometer, Hz */

@@ -48,12 +48,12 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from gain_store import GainStore
 
 from quad_bridge.gains.protocol import GainProtocol, float32
 from quad_bridge.gains.table import WIRE_NAMES
 from quad_bridge.link.machine import Link
 from quad_bridge.link.stamping import Restarted, Stamped
-from quad_bridge.virtual.gain_store import GainStore
 from quad_bridge.wire import frames as f
 from quad_bridge.wire.codec import Decoder, Encoder
 

@@ -27,8 +27,7 @@ PAGE = ROOT / 'docs/reference/gains.md'
 
 def header() -> str:
     """Names, bounds and start values of the parameters in the order of their index, as C."""
-    shared = [_enumerator(row) for row in SHARED]
-    first, *others = shared
+    first, *others = SHARED
     lines = [
         '/* Generated from quad_bridge/gains/table.py by tools/gain_tables.py. SI units. */',
         '#ifndef QUAD_PARAMETER_TABLE_H',
@@ -43,10 +42,10 @@ def header() -> str:
         '    QUAD_OF_AXIS',
         '};',
         '',
-        '/* In a set: the first group of each axis, what they share, then the rest of each axis. */',
+        '/* In a set: the first group of each axis, what is shared, the rest of each axis. */',
         'enum {',
-        f'    {first} = 3 * QUAD_PER_AXIS, /* {_told(SHARED[0])} */',
-        *(f'    {name}, /* {_told(row)} */' for name, row in zip(others, SHARED[1:], strict=True)),
+        f'    {_enumerator(first)} = 3 * QUAD_PER_AXIS, /* {_told(first)} */',
+        *(f'    {_enumerator(row)}, /* {_told(row)} */' for row in others),
         '    QUAD_OPTIONAL,',
         '    QUAD_PARAMETERS = QUAD_OPTIONAL + 3 * (QUAD_OF_AXIS - QUAD_PER_AXIS)',
         '};',

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Makes the workspace ready: a venv in .venv with the pinned packages, then colcon build into
-# install/ and, beside it, what numba compiles. Every step is skipped while the hash of what it
+# install/, firmware/ for Linux and, beside it, what numba compiles. Every step is skipped while the hash of what it
 # depends on is unchanged, so a second call takes a fraction of a second and no network. No test is
 # run and no node started here.
 #
@@ -128,6 +128,20 @@ build() {
     echo "$want" >install/build.stamp
 }
 
+firmware() {  # the Linux build of firmware/, which the virtual STM32 flies
+    local want
+    want=$({
+        cat .venv/packages.stamp src/quad_bridge/quad_bridge/wire/quad_suite.xml
+        find firmware -path firmware/build -prune -o -type f -print | sort | xargs cat
+    } | digest)
+    [ "$(cat firmware/build/build.stamp 2>/dev/null)" = "$want" ] && return
+    command -v "${CC:-gcc}" >/dev/null ||
+        fail "no C compiler (${CC:-gcc}) found, which the firmware needs: on Debian and Ubuntu apt install gcc libc6-dev, or set CC"
+    say 'compiling the firmware for Linux'
+    run_logged 'make -C firmware' make -s -C firmware PYTHON="$PWD/.venv/bin/python" all
+    echo "$want" >firmware/build/build.stamp
+}
+
 compile() {  # fills numba's cache, which follows changes of a function's own file only
     local want
     want=$({
@@ -148,6 +162,7 @@ compile() {  # fills numba's cache, which follows changes of a function's own fi
 
 make_venv
 [ "${1:-}" = venv ] && exit
+firmware
 set -m  # the warm-up is a process group of its own, so that all of it ends with a failed build
 compile &
 warm_up=$!

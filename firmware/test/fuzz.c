@@ -1,15 +1,18 @@
-/* Beats the endpoint with bytes: random ones, frames of every kind with any content, damaged ones.
+/* Beats the firmware with bytes: random ones, frames of every kind with any content, damaged ones,
+ * and with inputs that no sensor would give.
  *     fuzz SEED BYTES
  * Ends with 1 where a bound is broken; the sanitizers end it where memory or arithmetic is. */
 #include <inttypes.h>
+#include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
-#include "quad_endpoint.h"
+#include "quad_hil.h"
 
 static uint64_t seed;
-static quad_endpoint open_one, locked; /* without and with a key that nobody knows */
+static quad_firmware open_one, locked; /* without and with a key that nobody knows */
+static quad_hil line;
 
 static uint32_t draw(uint32_t below)
 {
@@ -42,7 +45,8 @@ static void fill(mavlink_message_t *m, uint32_t kind)
         g.action = (uint8_t)draw(6);
         g.transaction = (uint8_t)draw(3);
         g.watch_ms = (uint16_t)draw(5000);
-        g.checksum = quad_gains_checksum(draw(2) ? open_one.gains.copy : open_one.gains.active);
+        g.checksum = quad_gains_checksum(draw(2) ? open_one.endpoint.gains.copy
+                                                 : open_one.endpoint.gains.active);
         memcpy(_MAV_PAYLOAD_NON_CONST(m), &g, MAVLINK_MSG_ID_QUAD_GAINS_LEN);
     } else if (kind == MAVLINK_MSG_ID_QUAD_EXCITATION && draw(4) != 0) {
         mavlink_quad_excitation_t x = {.valid_ms = (uint16_t)draw(2000)};
@@ -84,8 +88,9 @@ static size_t make_frame(uint8_t *bytes)
     return draw(10) == 0 ? draw((uint32_t)count) : count;
 }
 
-static const char *broken(const quad_endpoint *e)
+static const char *broken(const quad_firmware *f)
 {
+    const quad_endpoint *e = &f->endpoint;
     for (size_t i = 0; i < QUAD_PARAMETERS; i++) {
         if (i != QUAD_LOOP_RATE_HZ && (!quad_parameter_fits(i, e->gains.active[i]) ||
                                        !quad_parameter_fits(i, e->gains.good[i]))) {
@@ -97,38 +102,94 @@ static const char *broken(const quad_endpoint *e)
               e->excitation.value[i] <= QUAD_LIMIT_RATE)) {
             return "an excitation is beyond its limits";
         }
+        if (!isfinite(f->record.gyro[i] + f->record.attitude[i] + f->record.control[i + 1])) {
+            return "a number is not finite";
+        }
+    }
+    for (int i = 0; i < 4; i++) {
+        const bool stopped = (f->record.flags & QUAD_FLAG_ARMED) == 0;
+        if (!(f->record.motors[i] >= 0.0f && f->record.motors[i] <= (stopped ? 0.0f : 1.0f))) {
+            return "a motor is beyond its limits";
+        }
     }
     return e->waiting > QUAD_OUTBOX || e->first >= QUAD_OUTBOX ? "the outbox overflows" : NULL;
 }
 
-static void cycle(quad_endpoint *e, uint64_t now_us, uint16_t *flags)
+/* Mostly a number as it might be; any float at times. */
+static float number(float middle, float spread)
 {
-    const quad_pilot pilot = {{1500}, (uint8_t)draw(30), draw(50) == 0, draw(50) == 0};
-    const quad_slow slow = {draw(50) == 0 ? 9.0f : 12.0f, {0, 0, 0}, 1000.0f, 20.0f};
+    if (draw(200) != 0) {
+        return middle + spread * ((float)draw(2001) / 1000.0f - 1.0f);
+    }
+    const uint32_t bits = (draw(1u << 16) << 16) | draw(1u << 16);
+    float any;
+    memcpy(&any, &bits, sizeof any);
+    return any;
+}
+
+static void measure(quad_inputs *inputs)
+{
+    quad_sensors *s = &inputs->sensors;
+    s->samples = draw(QUAD_MOST_SAMPLES + 2);
+    for (size_t i = 0; i < QUAD_MOST_SAMPLES; i++) {
+        for (size_t k = 0; k < 3; k++) {
+            s->gyro[i][k] = number(0.0f, 0.5f);
+            s->accel[i][k] = number(k == 2 ? 9.81f : 0.0f, 0.5f);
+        }
+    }
+    s->slow.battery_v = draw(50) == 0 ? 9.0f : number(12.0f, 0.5f);
+    for (size_t k = 0; k < 3; k++) {
+        s->slow.mag_gauss[k] = number(0.2f, 0.2f);
+    }
+    s->slow.pressure_hpa = number(1000.0f, 10.0f);
+    s->slow.temperature_c = number(20.0f, 10.0f);
+    inputs->receiver.failsafe = draw(50) == 0;
+    for (size_t i = 0; i < QUAD_CHANNELS; i++) {
+        inputs->receiver.pulse_us[i] = number(i == 4 ? 1100.0f : 1500.0f, i == 4 ? 50.0f : 600.0f);
+    }
+    inputs->receiver.pulse_us[4] += draw(50) == 0 ? 900.0f : 0.0f;
+    inputs->receiver.pulse_us[5] = draw(10) == 0 ? 1100.0f : 1900.0f; /* the arm switch */
+}
+
+/* The second line too: whole frames and noise. */
+static void beat_line(void)
+{
+    static quad_hil_boot boot;
+    static quad_inputs inputs;
+    uint64_t time_us;
+    uint8_t bytes[QUAD_HIL_LARGEST + 40];
+    const size_t size = draw(sizeof bytes);
+    for (size_t i = 0; i < size; i++) {
+        bytes[i] = (uint8_t)(draw(20) == 0 ? 0xA5 : draw(256));
+    }
+    for (size_t i = 0; i < size; i++) {
+        quad_hil_take(&line, bytes[i], &boot, &time_us, &inputs);
+    }
+}
+
+static void cycle(quad_firmware *f, uint64_t now_us, const quad_inputs *inputs)
+{
     uint8_t out[600];
-    quad_cycle record;
-    quad_endpoint_begin_cycle(e, now_us, &pilot, &record);
-    *flags = record.flags;
-    record.flags |= draw(50) == 0 ? QUAD_FLAG_ANGLE_LIMIT : 0u;
-    quad_endpoint_end_cycle(e, &record, &pilot, &slow);
-    quad_endpoint_send(e, out, draw(sizeof out));
+    float motors[4];
+    quad_firmware_cycle(f, now_us, inputs, motors);
+    quad_firmware_send(f, out, draw(sizeof out));
 }
 
 int main(int count, char **given)
 {
     const uint8_t key[32] = {1, 2, 3};
-    quad_settings settings = {.system = 1, .component = 1, .aircraft = 1, .rate_hz = 250,
-                              .low_battery_v = 9.9f, .armed = true, .may_arm = true};
+    quad_firmware_settings settings = quad_firmware_defaults();
+    settings.endpoint.armed = settings.endpoint.may_arm = true;
     if (count != 3) {
         fprintf(stderr, "fuzz SEED BYTES\n");
         return 2;
     }
     seed = 0x9E3779B97F4A7C15u ^ strtoull(given[1], NULL, 10);
     const uint64_t wanted = strtoull(given[2], NULL, 10);
-    quad_endpoint_init(&open_one, &settings);
-    settings.key = key;
-    settings.signing_time = 1000;
-    quad_endpoint_init(&locked, &settings);
+    quad_firmware_init(&open_one, &settings);
+    settings.endpoint.key = key;
+    settings.endpoint.signing_time = 1000;
+    quad_firmware_init(&locked, &settings);
     uint64_t fed = 0, now_us = 0, excited = 0, reverted = 0;
     while (fed < wanted) {
         uint8_t bytes[300];
@@ -139,16 +200,21 @@ int main(int count, char **given)
         size = size == 0 ? make_frame(bytes) : size;
         fed += size;
         now_us += draw(200) == 0 ? draw(3000000) : draw(4000);
-        quad_endpoint_receive(&open_one, bytes, size, now_us);
-        quad_endpoint_receive(&locked, bytes, size, now_us);
+        quad_firmware_receive(&open_one, bytes, size, now_us);
+        quad_firmware_receive(&locked, bytes, size, now_us);
         if (draw(3) == 0) {
-            uint16_t flags;
-            const uint8_t before = quad_gains_phase(&open_one.gains);
-            cycle(&open_one, now_us, &flags);
-            reverted += before != 0 && quad_gains_phase(&open_one.gains) == 0;
-            excited += (flags & QUAD_FLAG_EXCITATION) != 0;
-            cycle(&locked, now_us, &flags);
-            if ((flags & QUAD_FLAG_EXCITATION) != 0 || locked.counts.frames != 0) {
+            quad_inputs inputs;
+            const uint8_t before = quad_gains_phase(&open_one.endpoint.gains);
+            measure(&inputs);
+            cycle(&open_one, now_us, &inputs);
+            reverted += before != 0 && quad_gains_phase(&open_one.endpoint.gains) == 0;
+            excited += (open_one.record.flags & QUAD_FLAG_EXCITATION) != 0;
+            cycle(&locked, now_us, &inputs);
+            if (draw(20) == 0) {
+                beat_line();
+            }
+            if ((locked.record.flags & QUAD_FLAG_EXCITATION) != 0 ||
+                locked.endpoint.counts.frames != 0) {
                 return fprintf(stderr, "the locked one obeyed\n"), 1;
             }
         }
@@ -159,7 +225,7 @@ int main(int count, char **given)
     }
     printf("%" PRIu64 " bytes, %u frames used, %u bad, %" PRIu64 " cycles excited, %" PRIu64
            " reverts; locked: %u unsigned, %u forged, %u replayed\n",
-           fed, open_one.counts.frames, open_one.counts.bad, excited, reverted,
-           locked.counts.unsigned_frames, locked.counts.forged, locked.counts.replayed);
+           fed, open_one.endpoint.counts.frames, open_one.endpoint.counts.bad, excited, reverted,
+           locked.endpoint.counts.unsigned_frames, locked.endpoint.counts.forged, locked.endpoint.counts.replayed);
     return 0;
 }

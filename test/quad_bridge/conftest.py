@@ -113,7 +113,7 @@ class Bench(Line):
 
     def gain(self, name):
         """What the STM32 flies."""
-        return self.endpoint.firmware.parameter(name)
+        return self.endpoint.gain(name)
 
     @property
     def told(self):

@@ -7,7 +7,6 @@ pytest.importorskip('rcl_interfaces.msg', reason='needs the ROS 2 message packag
 from quad_bridge.arming import OperatorEnable
 from quad_bridge.excitation_relay import ExcitationRelay
 from quad_bridge.nodes.bridge_parameters import over_network
-from quad_bridge.virtual.firmware import Request
 from quad_bridge.wire.frames import Injection
 
 TRAIN = {'segment': 'train', 'signal': 'prbs', 'axis': 'roll', 'injection': 'rate'}
@@ -56,12 +55,3 @@ def test_what_leads_over_a_network():
     assert over_network('unknown://rig')
     for wire in ('/dev/ttyACM0', 'COM3', 'loop://', 'spy:///dev/ttyUSB0', 'hwgrep://FTDI'):
         assert not over_network(wire)
-
-
-def test_the_stm32_lets_no_excitation_outlive_half_a_second(bench):
-    firmware = bench().endpoint.firmware
-    firmware.excite(Request(2, (0.1, 0.0, 0.0), 60.0, 1), 10.0)
-    firmware._expire(10.5)
-    assert firmware.sequence == 1
-    firmware._expire(10.501)
-    assert firmware.sequence == 0

@@ -1,4 +1,4 @@
-"""Random bytes, frames and damage into the C endpoint, under the sanitizers."""
+"""Random bytes, frames and damage into the firmware, under the sanitizers."""
 
 import re
 import subprocess
@@ -12,14 +12,13 @@ LONG = pytest.mark.long
     ('seed', 'number', 'least'),
     [
         (3, 500_000, 20),
-        pytest.param(1, 10_000_000, 1000, marks=LONG),
-        pytest.param(2, 10_000_000, 1000, marks=LONG),
+        pytest.param(1, 100_000_000, 1000, marks=LONG),
     ],
 )
 def test_no_bytes_break_it(firmware, seed, number, least):
     run = subprocess.run(
         [firmware('fuzz'), str(seed), str(number)],
-        capture_output=True, text=True, timeout=600, check=False,
+        capture_output=True, text=True, timeout=1800, check=False,
     )  # fmt: skip
     assert run.returncode == 0, run.stderr[-2000:]
     # it has come to the depths: frames heeded, excitation flown, gain sets taken back

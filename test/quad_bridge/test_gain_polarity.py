@@ -85,7 +85,7 @@ def test_pulses_stop_when_an_excitation_starts_and_an_unarmed_aircraft_gets_none
     made.fly(0.3)
     made.updates.disturb()
     assert 'stopped: the excitation has started' in made.fly_until('refused')
-    made.endpoint.firmware.armed = False
+    made.endpoint.firmware.arm(False)
     made.fly(1.0)
     with pytest.raises(RefusedError, match='not armed'):
         made.ask(**ROLL)

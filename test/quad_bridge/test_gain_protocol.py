@@ -17,13 +17,13 @@ import zlib
 from collections import deque
 
 import pytest
+from gain_store import GainStore
 from flight_controller import DROPPED, Fault, FlightController, answers_of, clone
 
 from quad_bridge.errors import RefusedError
 from quad_bridge.gains import protocol
 from quad_bridge.gains.protocol import GainProtocol, State, What, checksum, float32
 from quad_bridge.gains.table import CONTRACT_NAMES
-from quad_bridge.virtual.gain_store import GainStore
 from quad_bridge.wire.frames import (
     GainsAction,
     GainsCommand,

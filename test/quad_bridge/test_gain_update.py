@@ -17,6 +17,7 @@ import threading
 from collections import deque
 
 import pytest
+from gain_store import GainStore
 from flight_controller import answers_of, clone
 
 from quad_bridge.errors import RefusedError
@@ -25,7 +26,6 @@ from quad_bridge.gains.history import History, Worker
 from quad_bridge.gains.protocol import State as Protocol
 from quad_bridge.gains.table import DEFAULT_BOUNDS
 from quad_bridge.gains.update import GainSettings, GainUpdates, State
-from quad_bridge.virtual.gain_store import GainStore
 from quad_bridge.wire import frames as f
 
 KP, RATE = 'ROLL_RATE_KP', 'LOOP_RATE_HZ'

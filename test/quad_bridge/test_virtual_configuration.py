@@ -62,7 +62,7 @@ def test_every_profile_loads(name):
         ('airframe: {mass_kg: 1.0e+308}', 'mass_kg: needs a finite number, is 1e+308'),
         (f'airframe: {{mass_kg: {10**400}}}', 'mass_kg: needs a finite number, is 1000'),
         (f'sensors: {{slow_divider: {10**18}}}', 'slow_divider: needs a whole number'),
-        ('firmware: {physics_steps_per_cycle: 1000}', 'must be at most 100: 1000'),
+        ('firmware: {physics_steps_per_cycle: 1000}', 'must be at most 20: 1000'),
         ('firmware: {gains: {d_filter_hz: 0}}', 'd_filter_hz must be positive'),
         ('effects: {battery_sag: {reference_v: 0}}', 'reference_v must be positive: 0'),
         ('- 1', 'must be a mapping of keys'),

@@ -10,14 +10,18 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from quad_bridge.virtual.profile import load_profile
+from quad_bridge.virtual.simulation import Excited, fly
 from quad_sysid.errors import BadInputError, NotInformativeError
 from quad_sysid.estimate.stored import estimate_of
+from quad_sysid.loop import kernels
 from quad_sysid.loop.angle_lead import angle_lead_s
 from quad_sysid.loop.cascade import (
     FIRMWARE_UNIT,
     CascadeGains,
     bandwidth,
     closed_loop_radius,
+    derivative_weight,
     frequency_grid,
     margins,
     noise_response,
@@ -450,3 +454,41 @@ def test_square_figures_bear_noise_gaps_and_a_standing_error():
     assert c.rise_time_change_pct == pytest.approx(-50, abs=1.5)
     assert c.rms_error_change_pct == pytest.approx(100 * (np.sqrt(0.5) - 1), abs=2)
     assert c.overshoot_change_points == pytest.approx(0.0, abs=0.5)
+
+
+# ---- the firmware
+
+
+def by_the_loops_kernel(flight, axis, excitation, injection):
+    """(n, 2) rate reference and control that C1, C2 make of the recorded measurements."""
+    g = GAINS
+    constants = kernels.Constants(
+        g.angle_kp, g.rate_kp, g.rate_ki, g.rate_kd, derivative_weight(g.d_filter_hz, DT),
+        g.output_limit, g.rate_limit, g.integrator_limit, DT,
+    )  # fmt: skip
+    memory = np.array([0.0, flight.rates[0, axis], 0.0])
+    added = {name: excitation * (name == injection) for name in ('attitude', 'rate', 'control')}
+    rows = [
+        kernels.control(
+            constants, memory, added['attitude'][k], flight.angles[k, axis],
+            flight.rates[k, axis], added['rate'][k],
+        )
+        for k in range(excitation.size)
+    ]  # fmt: skip
+    return np.array(rows) + np.stack((0 * excitation, added['control']), axis=1)
+
+
+@pytest.mark.parametrize(
+    ('injection', 'size'), [('attitude', 0.3), ('attitude', 1.4), ('rate', 1.0), ('control', 0.05)]
+)
+@pytest.mark.parametrize('axis', ['roll', 'pitch'])
+def test_the_firmware_in_c_flies_this_cascade(injection, size, axis):
+    """To 1e-6 of the command and rad/s over a flight, limits and integral included."""
+    excitation = size * np.repeat([1.0, -1.0] * 4, 500)
+    part = Excited(0.0, excitation, axis, injection)
+    flight = fly(replace(load_profile('plain'), axis=axis), [part], 16.0, 2)
+    index = ('roll', 'pitch').index(axis)
+    expected = by_the_loops_kernel(flight, index, excitation, injection)
+    np.testing.assert_allclose(flight.rate_setpoint[:, index], expected[:, 0], atol=1e-6)
+    np.testing.assert_allclose(flight.wrench[:, 1 + index], expected[:, 1], atol=1e-6)
+    np.testing.assert_allclose(flight.excitation[:, index], excitation)

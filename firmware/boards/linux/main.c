@@ -73,7 +73,7 @@ static void hear_simulation(board *b)
     for (ssize_t i = 0; i < count; i++) {
         switch (quad_hil_take(&b->hil, bytes[i], &b->boot, &b->due_us, &b->inputs)) {
         case QUAD_HIL_BOOT:
-            b->boot.settings.endpoint.key = b->firmware.settings.endpoint.key;
+            b->ended = b->booted; /* another flight needs another process */
             b->booted = true;
             break;
         case QUAD_HIL_SENSORS:
@@ -122,7 +122,7 @@ static void wait_for_bytes(board *b)
 
 static int fail(const char *what, const char *why)
 {
-    fprintf(stderr, "quad_firmware: %s: %s\n", what, why);
+    fprintf(stderr, "virtual_stm32: %s: %s\n", what, why);
     return 2;
 }
 
@@ -186,5 +186,8 @@ int main(int count, char **given)
     if (b.port.dropped > 0) {
         printf("%llu bytes dropped: nobody read them\n", (unsigned long long)b.port.dropped);
     }
+    const quad_counts *c = &b.firmware.endpoint.counts;
+    printf("frames %u bad %u unsigned %u forged %u replayed %u dropped %u\n", c->frames, c->bad,
+           c->unsigned_frames, c->forged, c->replayed, c->dropped);
     return 0;
 }

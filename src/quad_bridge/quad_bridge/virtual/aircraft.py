@@ -22,11 +22,10 @@ from quad_bridge.virtual.cycle import (
     OBSERVED,
     WIDTH,
     Machine,
-    advance_cycle,
     advance_step,
     begin_cycle,
-    command_motors,
     measure_cycle,
+    move_cycle,
     observe,
     run_cycles,
 )
@@ -123,9 +122,9 @@ class Aircraft:
         width = NORMALS_PER_CYCLE + self._steps * NORMALS_PER_STEP
         self._normals = self._rng.standard_normal(width)
         trim = self.hover_throttle if channels.throttle is None else channels.throttle
-        throttle, volts = measure_cycle(
-            machine, self._cycle, trim, self._normals[:NORMALS_PER_CYCLE]
-        )
+        seen = np.empty(2)
+        measure_cycle(machine, self._cycle, trim, self._normals[:NORMALS_PER_CYCLE], seen)
+        throttle, volts = map(float, seen)
         pulses = [
             1000.0 + 1000.0 * value if i == 2 else 1500.0 + 500.0 * value
             for i, value in enumerate(channels.axes(throttle))
@@ -137,11 +136,10 @@ class Aircraft:
 
     def move(self, motors: hil.Motors) -> None:
         """Put these commands under way, and run the physics to the next cycle."""
-        command_motors(self.machine, self._cycle, np.array(motors.commands))
         steps = self._normals[NORMALS_PER_CYCLE:]
-        if self._effect is None:
-            advance_cycle(self.machine, steps)
-        else:
+        compiled = steps if self._effect is None else steps[:0]
+        move_cycle(self.machine, self._cycle, np.array(motors.commands), compiled)
+        if self._effect is not None:
             self._effect_steps(steps)
         self._cycle += 1
 

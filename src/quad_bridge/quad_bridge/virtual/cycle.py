@@ -3,13 +3,13 @@
 A cycle is: read the sensors, let the firmware compute, put the commands into the delay queue, then
 run the physics to the next cycle. The firmware is the C of firmware/, called from compiled code
 (`run_cycles`, `begin_cycle`) or by whoever asks for the sensors and brings the commands
-(`measure_cycle`, `command_motors`). All ways run the same kernels in the same order.
+(`measure_cycle`, `move_cycle`). All ways run the same kernels in the same order.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -73,15 +73,13 @@ WIDTH = 38
 OBSERVED = 12
 
 
-_address = types.intp
-library()
-_fly = types.ExternalFunction(
+library()  # its symbols are there for what numba compiles
+_number: Any = types.float64
+_fly: Any = types.ExternalFunction(
     'quad_library_fly',
-    types.float64(
-        _address, _address, _address, types.float64, _address, _address, types.int64, _address
-    ),
+    _number(*[types.intp] * 3, _number, *[types.intp] * 2, types.int64, types.intp),
 )
-"""The firmware's control cycle (boards/linux/library.c)."""
+"""The firmware's control cycle (boards/linux/library.c); arrays go as their addresses."""
 
 
 class Machine(NamedTuple):
@@ -112,7 +110,7 @@ def held_throttle(machine: Machine, throttle: float) -> float:
     """What the pilot makes of a trim to hold the height."""
     state = machine.state
     hold = -machine.climb_kp * state[POSITION + 2] - machine.climb_kd * state[VELOCITY + 2]
-    return min(1.0, max(0.0, throttle + min(HOLD, max(-HOLD, hold))))
+    return float(min(1.0, max(0.0, throttle + min(HOLD, max(-HOLD, hold)))))
 
 
 @kernel
@@ -198,23 +196,23 @@ def _entries(digest: str) -> tuple[Callable[..., None], ...]:
 
     @entry
     def measure_cycle(
-        machine: Machine, cycle: int, throttle: float, normals: FloatArray
-    ) -> tuple[float, float]:
-        """The throttle that the pilot gives and the battery's voltage; the rest is in place."""
+        machine: Machine, cycle: int, throttle: float, normals: FloatArray, seen: FloatArray
+    ) -> None:
+        """Write (2,) the throttle that the pilot gives, the battery's voltage."""
         _ = digest
         sense_cycle(machine.sensed, machine.state, machine.chips, normals, cycle)
-        return held_throttle(machine, throttle), battery_voltage(machine.state, machine.plant)
+        seen[0] = held_throttle(machine, throttle)
+        seen[1] = battery_voltage(machine.state, machine.plant)
 
     @entry
-    def command_motors(machine: Machine, cycle: int, commands: FloatArray) -> None:
-        _ = digest
-        machine.sensed[TAKEN] = 0.0
-        delayed(machine, cycle, commands)
-
-    @entry
-    def advance_cycle(machine: Machine, normals: FloatArray) -> None:
+    def move_cycle(
+        machine: Machine, cycle: int, commands: FloatArray, normals: FloatArray
+    ) -> None:
+        """Put the commands under way and run the physics as far as `normals` go."""
         _ = digest
         extra = np.zeros(3)
+        machine.sensed[TAKEN] = 0.0
+        delayed(machine, cycle, commands)
         for start in range(0, normals.size, NORMALS_PER_STEP):
             advance(machine, normals[start : start + NORMALS_PER_STEP], extra)
 
@@ -228,12 +226,9 @@ def _entries(digest: str) -> tuple[Callable[..., None], ...]:
         _ = digest
         look(machine, seen)
 
-    return (
-        run_cycles, begin_cycle, measure_cycle, command_motors, advance_cycle, advance_step,
-        observe,
-    )  # fmt: skip
+    return run_cycles, begin_cycle, measure_cycle, move_cycle, advance_step, observe
 
 
-(
-    run_cycles, begin_cycle, measure_cycle, command_motors, advance_cycle, advance_step, observe
-) = _entries(source_digest())  # fmt: skip
+(run_cycles, begin_cycle, measure_cycle, move_cycle, advance_step, observe) = _entries(
+    source_digest()
+)

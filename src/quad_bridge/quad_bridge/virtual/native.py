@@ -18,7 +18,7 @@ from quad_bridge.gains.table import ROWS
 from quad_bridge.virtual.errors import ConfigurationError
 
 VARIABLE = 'QUAD_FIRMWARE'
-"""The environment variable that names the folder of a build of one's own."""
+"""The environment variable that names the folder of a build of one's own, which comes first."""
 PROGRAM, LIBRARY = 'quad_firmware', 'libquad_firmware.so'
 MOTORS_BYTES, LARGEST_ANSWER = 42, 2048
 """Of a motor frame; of what waits to be sent."""
@@ -27,7 +27,6 @@ MOTORS_BYTES, LARGEST_ANSWER = 42, 2048
 def _folders() -> Iterator[Path]:
     if VARIABLE in os.environ:
         yield Path(os.environ[VARIABLE])
-        return
     for prefix in filter(None, os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)):
         yield Path(prefix) / 'lib' / PROGRAM
     yield Path(__file__).resolve().parents[4] / 'firmware' / 'build'

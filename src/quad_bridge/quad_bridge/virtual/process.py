@@ -1,8 +1,10 @@
-"""The process `virtual_stm32`: arguments, real time, pty, signals. Wiring only.
+"""The process `virtual_stm32`: arguments, the firmware's process, physics, signals. Wiring only.
 
-Device time runs with the host's monotonic clock. After a stall the missed cycles are run at once,
-so that device time and cycle counter stay exact. With `--lockstep` device time is the clock of all
-the processes that take part, and waits for them.
+The firmware is the Linux build of firmware/, a process of its own that has the pseudo-terminal.
+Its second line, a pair of sockets, carries sensors and motors (hil.py). Device time runs with the
+host's monotonic clock; after a stall the missed cycles are run at once, so that device time and
+cycle counter stay exact. With `--lockstep` device time is the clock of all the processes that take
+part, and waits for them.
 """
 
 from __future__ import annotations
@@ -10,8 +12,9 @@ from __future__ import annotations
 import argparse
 import contextlib
 import signal
+import socket
+import subprocess
 import sys
-import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -30,18 +33,17 @@ from quad_bridge.arguments import (
 from quad_bridge.errors import QuadBridgeError
 from quad_bridge.key_file import signing_from
 from quad_bridge.lockstep import START_NS, Line
-from quad_bridge.virtual.aircraft import Aircraft
-from quad_bridge.virtual.control import INPUTS
+from quad_bridge.virtual import hil
+from quad_bridge.virtual.aircraft import Aircraft, boot
 from quad_bridge.virtual.effect_module import load_effect
-from quad_bridge.virtual.endpoint import Endpoint
+from quad_bridge.virtual.native import PROGRAM, find
 from quad_bridge.virtual.profile import Profile, load_profile, profile_names
-from quad_bridge.virtual.pseudo_terminal import PseudoTerminal
-from quad_bridge.virtual.receiver import Receiver, read_events
+from quad_bridge.virtual.receiver import Receiver, channels_at, read_events
 
 WAIT_S = 0.5
 """How long a signal may have to wait in lockstep."""
-MAX_BURST = 50
-"""Cycles that are run at once after a stall before the port is looked at again."""
+END_S = 10.0
+"""After which a firmware that does not end is killed."""
 
 
 def arguments() -> argparse.ArgumentParser:
@@ -86,17 +88,114 @@ def arguments() -> argparse.ArgumentParser:
     return parser
 
 
-def build_endpoint(given: argparse.Namespace) -> Endpoint:
-    """The endpoint that the arguments ask for; kernels are compiled on return."""
+class Board:
+    """The firmware's process: sensors to it, motors from it."""
+
+    def __init__(self, *options: str | Path) -> None:
+        self._line, far = socket.socketpair()
+        with far:
+            command = ['virtual_stm32', *map(str, options)]
+            self._process: subprocess.Popen[bytes] = subprocess.Popen(  # noqa: S603
+                command, executable=find(PROGRAM), stdin=far.fileno()
+            )
+
+    def send(self, frame: bytes) -> None:
+        """Give it a frame; EndedError where it has ended."""
+        try:
+            self._line.sendall(frame)
+        except OSError as error:
+            raise EndedError from error
+
+    def motors(self) -> hil.Motors:
+        """What it answers; EndedError where it has ended."""
+        try:
+            frame = self._line.recv(hil.MOTORS_BYTES, socket.MSG_WAITALL)
+        except OSError as error:
+            raise EndedError from error
+        if len(frame) < hil.MOTORS_BYTES:
+            raise EndedError
+        return hil.motors(frame)
+
+    @property
+    def running(self) -> bool:
+        """Whether it has not ended by itself."""
+        return self._process.poll() is None
+
+    def close(self) -> int:
+        """Hang up, which ends it; its status."""
+        self._line.close()
+        try:
+            return self._process.wait(END_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            return self._process.wait()
+
+
+class EndedError(Exception):
+    """The firmware's process has ended, and has said why."""
+
+
+class Flight:
+    """The aircraft on its board, cycle by cycle; `frame` are the sensors of the coming one."""
+
+    def __init__(
+        self, aircraft: Aircraft, script: Receiver, board: Board, *, lockstep: bool
+    ) -> None:
+        self.aircraft, self._script, self._board = aircraft, script, board
+        board.send(boot(aircraft.profile, lockstep=lockstep).frame())
+        self._frame = self._measured()
+
+    def cycle(self) -> None:
+        """Run one, which the firmware begins when it is due."""
+        self._board.send(self._frame)
+        self.aircraft.move(self._board.motors())
+        self._frame = self._measured()
+
+    def _measured(self) -> bytes:
+        now_s = self.aircraft.cycle * self.aircraft.cycle_s
+        return self.aircraft.measure(channels_at(self._script, now_s))
+
+
+class Stop:
+    """Whether a signal, or the duration, has ended the run."""
+
+    def __init__(self, aircraft: Aircraft, duration_s: float | None) -> None:
+        self._aircraft, self._signalled = aircraft, False
+        self._last = None if duration_s is None else round(duration_s / aircraft.cycle_s)
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._take)
+
+    def _take(self, _number: int, _frame: object) -> None:
+        self._signalled = True
+
+    def __bool__(self) -> bool:
+        return self._signalled or (
+            self._last is not None and self._aircraft.cycle >= self._last
+        )
+
+
+def fly_in_lockstep(flight: Flight, board: Board, line: Line, stop: Stop) -> None:
+    """Run each control cycle as soon as all who take part are ready for it."""
+    while not stop:
+        line.attend(0.0 if line.ready else WAIT_S)
+        if line.ready:
+            now_s = flight.aircraft.cycle * flight.aircraft.cycle_s
+            line.tell(START_NS + round(now_s * 1e9))
+            flight.cycle()
+        elif not board.running:
+            raise EndedError
+
+
+def build_aircraft(given: argparse.Namespace) -> tuple[Aircraft, Receiver]:
+    """The aircraft that the arguments ask for, with its kernels compiled, and its receiver."""
     profile = load_profile(given.profile)
     profile = replace(profile, mount=given.mount or profile.mount, axis=given.axis or profile.axis)
     effect = None if given.effect_module is None else load_effect(given.effect_module)
     events = Receiver() if given.rc_events is None else read_events(given.rc_events)
-    signing = signing_from(given.key)
     script = Receiver(events=profile.receiver.events + events.events)
     say('virtual STM32 prepares (some 15 s the first time, to compile)\n')
     _warm_up(profile, python_effect=effect is not None)
-    return Endpoint(Aircraft(profile, seed=given.seed, effect=effect), script, signing)
+    return Aircraft(profile, seed=given.seed, effect=effect), script
 
 
 def _warm_up(profile: Profile, *, python_effect: bool) -> None:
@@ -105,60 +204,9 @@ def _warm_up(profile: Profile, *, python_effect: bool) -> None:
     def nothing(*_: object) -> np.ndarray:
         return np.zeros(3)
 
-    Aircraft(profile, seed=0, effect=nothing if python_effect else None).run(np.zeros((1, INPUTS)))
-
-
-class Stop:
-    """Whether a signal, or the duration, has ended the run."""
-
-    def __init__(self, endpoint: Endpoint, duration_s: float | None) -> None:
-        self._aircraft, self._signalled = endpoint.aircraft, False
-        self.last = None if duration_s is None else round(duration_s / endpoint.aircraft.cycle_s)
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._take)
-
-    def _take(self, _number: int, _frame: object) -> None:
-        self._signalled = True
-
-    def __bool__(self) -> bool:
-        return self._signalled or (self.last is not None and self._aircraft.cycle >= self.last)
-
-
-def serve(endpoint: Endpoint, port: PseudoTerminal, duration_s: float | None) -> None:
-    """Run control cycles on their absolute schedule until a signal or the duration ends it."""
-    stop, cycle_s = Stop(endpoint, duration_s), endpoint.aircraft.cycle_s
-    start = time.monotonic_ns()
-    while not stop:
-        due_s = endpoint.aircraft.cycle * cycle_s
-        now_ns = time.monotonic_ns() - start
-        data = port.read(due_s - now_ns * 1e-9)
-        now_ns = time.monotonic_ns() - start
-        if data:
-            answer = endpoint.receive(data, now_ns)
-            if answer:
-                port.write(answer)
-        for _ in range(MAX_BURST):
-            cycle = endpoint.aircraft.cycle
-            if cycle * cycle_s > now_ns * 1e-9 or cycle == stop.last:
-                break
-            port.write(endpoint.cycle())
-
-
-def serve_in_lockstep(
-    endpoint: Endpoint, port: PseudoTerminal, line: Line, duration_s: float | None
-) -> None:
-    """Run each control cycle as soon as all who take part are ready for it."""
-    stop, now_ns = Stop(endpoint, duration_s), 0
-    while not stop:
-        line.attend(0.0 if line.ready else WAIT_S, port.number)
-        data = port.read(0.0)
-        answer = endpoint.receive(data, now_ns) if data else b''
-        if answer:
-            port.write(answer)
-        if line.ready:
-            now_ns = round(endpoint.aircraft.cycle * endpoint.aircraft.cycle_s * 1e9)
-            line.tell(START_NS + now_ns)
-            port.write(endpoint.cycle())
+    aircraft = Aircraft(profile, seed=0, effect=nothing if python_effect else None)
+    aircraft.measure(channels_at(Receiver(), 0.0))
+    aircraft.move(hil.Motors(0, (0.0, 0.0, 0.0, 0.0), 0, 0, 0))
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -167,27 +215,39 @@ def main(argv: Sequence[str] | None = None) -> int:
     130 where it was interrupted before it ran.
     """
     given = arguments().parse_args(argv)
+    options: list[str | Path] = ['--key', given.key] if given.key is not None else []
+    options += ['--link', given.link] if given.link is not None else []
     try:
-        endpoint = build_endpoint(given)
-        port = PseudoTerminal(given.link)
+        signing_from(given.key)
+        aircraft, script = build_aircraft(given)
+        sys.stdout.flush()
+        board = Board(*options)
         try:
-            say(f'virtual STM32 on {port.path}\n')
-            if given.lockstep is None:
-                serve(endpoint, port, given.duration)
-            else:
-                with contextlib.closing(Line(given.lockstep, say)) as line:
-                    serve_in_lockstep(endpoint, port, line, given.duration)
+            fly(aircraft, script, board, given)
         finally:
-            port.close()
-        if port.dropped_bytes:
-            say(f'{port.dropped_bytes} bytes dropped: nobody read them\n')
+            status = board.close()
     except (QuadBridgeError, OSError) as error:
         sys.stderr.write(f'virtual_stm32: {one_line(error)}\n')
         return BAD_INPUT
-    except KeyboardInterrupt:  # before `serve` takes the signal, as while compiling
+    except KeyboardInterrupt:  # before `fly` takes the signal, as while compiling
         sys.stderr.write('virtual_stm32: interrupted\n')
         return INTERRUPTED
-    return 0
+    if status not in {0, BAD_INPUT}:  # or it has said why
+        sys.stderr.write(f'virtual_stm32: the firmware ended with status {status}\n')
+        return 1
+    return status
+
+
+def fly(aircraft: Aircraft, script: Receiver, board: Board, given: argparse.Namespace) -> None:
+    """Fly until a signal, the duration or the firmware's own end."""
+    stop = Stop(aircraft, given.duration)
+    with contextlib.suppress(EndedError):
+        flight = Flight(aircraft, script, board, lockstep=given.lockstep is not None)
+        if given.lockstep is not None:
+            with contextlib.closing(Line(given.lockstep, say)) as line:
+                fly_in_lockstep(flight, board, line, stop)
+        while not stop:
+            flight.cycle()
 
 
 if __name__ == '__main__':

@@ -185,10 +185,13 @@ def sense_step(
 def sense_cycle(
     sensed: FloatArray, state: FloatArray, chips: Chips, normals: FloatArray, cycle: int
 ) -> None:
-    """What changes once a cycle or more slowly; `normals` (7,): drift 3, compass 3, pressure."""
+    """What changes once a cycle or more slowly; `normals` (7,): drift 3, compass 3, pressure.
+
+    The first readings of all are those of a calibration at rest, without noise.
+    """
     for i in range(3):
         sensed[BIAS + i] += chips.drift_sigma * normals[i]
-    if cycle % chips.slow_divider == 0:
+    if cycle > 0 and cycle % chips.slow_divider == 0:
         north, field = np.empty(3), np.empty(3)
         for i in range(3):
             north[i] = chips.mag_field[i]

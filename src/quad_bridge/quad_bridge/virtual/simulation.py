@@ -99,7 +99,7 @@ def fly(
     profile = load_profile(config) if isinstance(config, str) else config
     aircraft = Aircraft(profile, seed=seed, effect=effect)
     aircraft.set_gains(
-        {k: v for k, v in (gains or {}).items() if not k.startswith(('sensor.', 'loop.'))}
+        {k: v for k, v in (gains or {}).items() if not k.startswith('loop.')}
     )
     count = round(duration_s * profile.firmware.rate_hz)
     active = aircraft.gains
