@@ -99,6 +99,34 @@ void quad_put_text(quad_endpoint *e, uint8_t severity, const char *text)
     put(e, &m);
 }
 
+/* Write words and a number behind `text`, whose length is returned. */
+static size_t append(char *text, size_t length, size_t room, const char *words, uint32_t number)
+{
+    char digits[10];
+    size_t count = 0;
+    while (*words != '\0' && length + 1 < room) {
+        text[length++] = *words++;
+    }
+    do {
+        digits[count++] = (char)('0' + number % 10u);
+        number /= 10u;
+    } while (number > 0);
+    while (count > 0 && length + 1 < room) {
+        text[length++] = digits[--count];
+    }
+    text[length] = '\0';
+    return length;
+}
+
+void quad_put_timing(quad_endpoint *e, uint32_t latest_us, uint32_t longest_us, uint32_t stack)
+{
+    char text[51];
+    size_t length = append(text, 0, sizeof text, "timing: latest ", latest_us);
+    length = append(text, length, sizeof text, ", longest ", longest_us);
+    append(text, length, sizeof text, ", stack ", stack);
+    quad_put_text(e, 6, text);
+}
+
 void quad_put_battery(quad_endpoint *e, const quad_slow *slow)
 {
     mavlink_message_t m;
