@@ -59,7 +59,8 @@ def test_gains_and_filters_are_float32_and_act_at_once():
     written = {'ROLL_RATE_KP': 0.06, 'GYRO_FILT_HZ': 20.0}
     for name, value in written.items():
         assert peer.ask(f.ParamSet(name, value))[0].value == float(np.float32(value))
-    values = {x.name: x.value for x in peer.ask(f.ParamRequestList())}
+    listed = [*peer.ask(f.ParamRequestList()), *peer.fly(40)]
+    values = {x.name: x.value for x in only(listed, f.ParamValue)}
     copied = [values[name] for name in WIRE_NAMES.values()]
     peer.ask(f.GainsCommand(f.GainsAction.COMMIT, 1, checksum(copied), 9000))
     assert peer.endpoint.gain('roll.rate.kp') == float(np.float32(0.06))

@@ -1,0 +1,137 @@
+/* The firmware on an STM32F405, its sensors and motors on the second line (quad_hil.h): the simulation
+ * sends settings, then the inputs of each cycle. In lockstep time is that of the inputs; otherwise TIM2
+ * paces the cycles and a cycle whose inputs are late waits for them. */
+#include <string.h>
+
+#include "board.h"
+#include "quad_hil.h"
+#include "quad_outbox.h"
+
+#define SLICE 64u /* bytes looked at in one turn of the loop */
+#define TOLD_CYCLES 1250u /* between two texts on timing */
+
+static struct {
+    quad_firmware firmware;
+    quad_hil hil;
+    quad_hil_boot boot;
+    quad_inputs inputs;
+    uint64_t due_us, last_us, start_us;
+    bool booted, waiting, started;
+} board;
+
+static uint64_t now_us(void)
+{
+    const uint64_t now = board_now_us();
+    return board.boot.lockstep || !board.started ? board.last_us : now - board.start_us;
+}
+
+static void send_all(void)
+{
+    uint8_t bytes[256];
+    size_t room = uart_room(UART_BRIDGE), count = 1;
+    while (room > 0 && count > 0) {
+        count = quad_firmware_send(&board.firmware, bytes, room < sizeof bytes ? room : sizeof bytes);
+        uart_write(UART_BRIDGE, bytes, count);
+        room -= count;
+    }
+}
+
+static void hear_bridge(void)
+{
+    uint8_t bytes[SLICE];
+    const size_t count = uart_read(UART_BRIDGE, bytes, sizeof bytes);
+    if (count > 0 && board.booted) {
+        quad_firmware_receive(&board.firmware, bytes, count, now_us());
+        send_all();
+    }
+}
+
+static void begin(void)
+{
+    board.boot.settings.endpoint.key = NULL;
+    quad_firmware_init(&board.firmware, &board.boot.settings);
+    board.booted = true;
+    board.started = board.waiting = false;
+    board.last_us = 0;
+}
+
+static void hear_simulation(void)
+{
+    uint8_t bytes[SLICE];
+    const size_t count = uart_read(UART_SIMULATION, bytes, sizeof bytes);
+    for (size_t i = 0; i < count; i++) {
+        const quad_hil_kind kind =
+            quad_hil_take(&board.hil, bytes[i], &board.boot, &board.due_us, &board.inputs);
+        if (kind == QUAD_HIL_BOOT) {
+            begin();
+        } else if (kind == QUAD_HIL_SENSORS) {
+            board.waiting = board.booted;
+        }
+    }
+}
+
+/* What the table in docs/firmware.md is made of. */
+static void tell_timing(void)
+{
+    const quad_timing *t = &board.firmware.timing;
+    if (t->cycles % TOLD_CYCLES == 0) {
+        quad_put_timing(&board.firmware.endpoint, t->latest_us, t->longest_us, board_stack_used());
+    }
+}
+
+static void run_cycle(void)
+{
+    float motors[4];
+    uint8_t frame[QUAD_HIL_MOTORS];
+    const uint64_t began_us = board_now_us();
+    if (!board.started) {
+        board.started = true;
+        board.start_us = began_us - board.due_us;
+    }
+    const uint64_t due_us = board.boot.lockstep ? began_us : board.start_us + board.due_us;
+    board.last_us = board.due_us;
+    board.waiting = false;
+    quad_firmware_cycle(&board.firmware, board.due_us, &board.inputs, motors);
+    quad_firmware_timed(&board.firmware, due_us, began_us, board_now_us());
+    quad_hil_motors(motors, board.due_us, &board.firmware.timing, frame);
+    uart_write(UART_SIMULATION, frame, sizeof frame);
+    tell_timing();
+    send_all();
+}
+
+/* Sleep until an interrupt, where nothing is there to be done (ARMv7-M B1.5.18: it also ends a WFI while
+ * masked). SysTick comes once a ms. */
+static void rest(void)
+{
+    __asm volatile("cpsid i");
+    if (uart_quiet() && !(board.waiting && board.boot.lockstep)) {
+        __asm volatile("wfi");
+    }
+    __asm volatile("cpsie i");
+}
+
+int main(void)
+{
+    const bool bitten = board_start();
+    uart_start();
+    for (;;) {
+        board_alive();
+        rest();
+        hear_bridge();
+        hear_simulation();
+        if (board.waiting &&
+            (board.boot.lockstep || !board.started || board.due_us <= now_us())) {
+            const bool first = !board.started;
+            run_cycle();
+            if (first && bitten) {
+                quad_put_text(&board.firmware.endpoint, 2, "restarted by the watchdog");
+            }
+#ifdef QUAD_HANG_AFTER /* for the test of the watchdog */
+            if (!bitten && board.firmware.timing.cycles == QUAD_HANG_AFTER) {
+                for (;;) {
+                }
+            }
+#endif
+        }
+    }
+}
