@@ -17,8 +17,8 @@ import zlib
 from collections import deque
 
 import pytest
-from gain_store import GainStore
 from flight_controller import DROPPED, Fault, FlightController, answers_of, clone
+from gain_store import GainStore
 
 from quad_bridge.errors import RefusedError
 from quad_bridge.gains import protocol
