@@ -16,6 +16,7 @@ NODES = [
     'import = quad_sysid.commands:import_',
     'design-excitation = quad_sysid.commands:design_excitation',
     'export = quad_sysid.commands:export',
+    'compare = quad_sysid.commands:compare',
     'fleet = quad_sysid.commands:fleet',
 ]
 """Names for `ros2 run` alone: colcon calls setup.py develop or install, pip builds a wheel."""

@@ -24,6 +24,7 @@ from quad_sysid.arguments import (
     offer_completion,
     quiet_and_json,
 )
+from quad_sysid.comparison import cli as comparison
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError, QuadSysidError
 from quad_sysid.exports import cli as exports
@@ -69,6 +70,7 @@ def _parser() -> argparse.ArgumentParser:
     imports.add(commands)
     _design_parser(commands)
     exports.add(commands)
+    comparison.add(commands)
     fleet.add(commands)
     completion_command(commands, ('quad-sysid', 'quad-tune'))
     return parser

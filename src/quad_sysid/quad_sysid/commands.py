@@ -37,6 +37,11 @@ def export() -> int:
     return main(['export', *sys.argv[1:]])
 
 
+def compare() -> int:
+    """`ros2 run quad_sysid compare …`."""
+    return main(['compare', *sys.argv[1:]])
+
+
 def fleet() -> int:
     """`ros2 run quad_sysid fleet …`."""
     return main(['fleet', *sys.argv[1:]])

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from quad_sysid.bags.writer import BagOptions, write_bag
-from quad_sysid.contract import FloatArray, control_from_motors, motors_from_wrench
+from quad_sysid.contract import MIXER, FloatArray, control_from_motors, motors_from_wrench
 from quad_sysid.errors import BadInputError
 from quad_sysid.imports.clock import LONGEST_PAUSE, Cycles, cycles, draw, hold, mean_ahead
 from quad_sysid.imports.log import ForeignLog, Stream
@@ -28,6 +28,8 @@ SLOW = 0.5
 """A command logged at less than this share of the rates' rate is told."""
 BEYOND_LIMIT = 0.1
 """Share of samples that no X frame's motors can give, up to which they are left out as gaps."""
+TINY = 1e-6
+"""Of a normalised command: rounding."""
 LEAST_SAMPLES = 100
 SLOWEST_HZ = 50.0
 """A log of a flight controller below it shows neither the motors' lag nor the delay."""
@@ -203,24 +205,26 @@ def _derivative(angles: FloatArray, dt: float) -> tuple[FloatArray, str]:
 def _possible(control: FloatArray, log: ForeignLog, warnings: list[str]) -> FloatArray:
     """Keep what the contract's mixer and limits let through, as the bag's reader will ask.
 
-    Motors that turn the other way can give more yaw than the contract's; a controller may ask
-    for torque at a throttle that allows none.
+    Motors that turn the other way can give more yaw than the contract's: there its command is
+    limited. A controller may ask for torque at a throttle that allows none.
     """
-    share = float(np.mean(_beyond(control)))
-    if share > BEYOND_LIMIT and log.motors is not None:
-        control = _with(control, 3, 0.0)
+    if float(np.mean(_beyond(control))) > BEYOND_LIMIT and log.motors is None:
         warnings.append(
-            f'yaw commands are left out: with them {100.0 * share:.0f} % of the samples are '
-            "beyond the limits of the contract's mixer"
+            f'U1 stands as {MIDDLE_COMMAND:g}: in {100.0 * np.mean(_beyond(control)):.0f} % of '
+            'the samples the throttle is too low for the torque that was asked for (on the '
+            'ground, or no multirotor flight?); what the motors did is not known, a thrust curve '
+            'cannot be told'
         )
-    elif share > BEYOND_LIMIT:
-        control = _with(control, 0, MIDDLE_COMMAND)
+        control = control.copy()
+        control[~np.isnan(control[:, 0]), 0] = MIDDLE_COMMAND
+    limited = _yaw_limited(control)
+    changed = int(np.count_nonzero(np.abs(limited[:, 3] - control[:, 3]) > TINY))
+    if changed:
         warnings.append(
-            f'U1 stands as {MIDDLE_COMMAND:g}: in {100.0 * share:.0f} % of the samples the '
-            'throttle is too low for the torque that was asked for (on the ground, or no '
-            'multirotor flight?); what the motors did is not known, a thrust curve cannot be told'
+            f"the yaw command of {changed} samples is limited to what the contract's mixer can "
+            'give beside the others'
         )
-    beyond = _beyond(control)
+    beyond = _beyond(limited)
     if beyond.mean() > BEYOND_LIMIT:
         raise BadInputError(
             log.source, 'commands are beyond what the motors of an X frame can give',
@@ -230,19 +234,23 @@ def _possible(control: FloatArray, log: ForeignLog, warnings: list[str]) -> Floa
         warnings.append(
             f'{int(beyond.sum())} samples left out that no motors of an X frame can give'
         )
-        control = control.copy()
-        control[beyond] = np.nan
-    return control
+        limited[beyond] = np.nan
+    return limited
 
 
-def _with(control: FloatArray, column: int, value: float) -> FloatArray:
-    """The control with one column at a constant, gaps kept."""
+def _yaw_limited(control: FloatArray) -> FloatArray:
+    """The control with U4 within what U1..U3 leave to each motor, where they leave any."""
     out: FloatArray = control.copy()
-    out[~np.isnan(out[:, column]), column] = value
+    out[:, 3] = 0.0
+    up, down = MIXER[:, 3] > 0.0, MIXER[:, 3] < 0.0
+    motors = out @ MIXER.T
+    least = np.maximum(-motors[:, up].min(axis=1), motors[:, down].max(axis=1) - 1.0)
+    most = np.minimum(1.0 - motors[:, up].max(axis=1), motors[:, down].min(axis=1))
+    out[:, 3] = np.where(least <= most, np.clip(control[:, 3], least, most), control[:, 3])
     return out
 
 
 def _beyond(control: FloatArray) -> np.ndarray:
     limited = control_from_motors(motors_from_wrench(control))
     with np.errstate(invalid='ignore'):
-        return np.asarray((np.abs(limited - control) > 1e-6).any(axis=1))
+        return np.asarray((np.abs(limited - control) > TINY).any(axis=1))

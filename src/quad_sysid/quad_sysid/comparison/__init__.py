@@ -1,0 +1,1 @@
+"""What changed between flights or aircraft, parameter by parameter."""

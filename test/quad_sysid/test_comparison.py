@@ -1,0 +1,89 @@
+"""What changed between two flights is told with its chance; of equal flights nothing is told."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from flown_axis import SHORT, Axis, fly
+
+from quad_sysid.bags import write_bag
+from quad_sysid.cli import main
+from quad_sysid.comparison.change import Estimate, Flight, changes, trims
+from quad_sysid.record import Record, Segment
+
+
+def flight(name: str, **parameters: float | None) -> Flight:
+    """One axis; each value has an error of 0.1, but for a lag at its bound."""
+    return Flight(name, {'roll': {
+        key: Estimate(value, None if key == 'lag' else 0.1, '1')
+        for key, value in parameters.items() if value is not None
+    }}, {})
+
+
+def test_a_difference_counts_by_its_error_and_by_how_many_are_looked_at():
+    before = flight('a', gain=1.0, lag=0.0, damping=2.0, drag=None)
+    found = {c.name: c for c in changes(before, flight('b', gain=1.6, lag=1.0, damping=2.2,
+                                                       drag=1.0))}
+    assert found['gain'].p_value == pytest.approx(2.2e-5, rel=0.02)  # 4.24 of sqrt(2) * 0.1
+    assert found['gain'].changed
+    assert (found['damping'].changed, found['lag'].p_value) == (False, None)
+    assert found['lag'].difference == 1.0
+    assert (found['drag'].reference, found['drag'].p_value) == (None, None)
+
+
+def test_by_chance_alone_a_change_is_told_once_in_a_hundred_comparisons():
+    rng = np.random.default_rng(0)
+    told = 0
+    for _ in range(1000):
+        values = 0.1 * rng.standard_normal((2, 6))
+        pair = [flight('x', **{f'p{i}': v for i, v in enumerate(row)}) for row in values]
+        told += any(c.changed for c in changes(*pair))
+    assert told <= 20  # 10 are expected
+
+
+@pytest.mark.parametrize(('shift', 'changed'), [(0.0, False), (0.1, True)])
+def test_a_trim_wanders_between_flights_as_it_does_within_one(shift, changed):
+    def record(seed: int, offset: float) -> Record:
+        rng = np.random.default_rng(seed)
+        n = 5000
+        slow = 0.005 * np.interp(np.arange(n), np.arange(0, n + 999, 1000),
+                                 rng.standard_normal(6))
+        control = np.column_stack([np.full(n, 0.5), slow + offset, slow, slow])
+        control[:, 1:] += 0.02 * rng.standard_normal((n, 3))
+        parts = (Segment('idle', 'none', 'roll', 'none', 0.0, 2.0),
+                 Segment('train', 'none', 'roll', 'none', 2.0, 20.0))
+        control[:500, 1] = 5.0  # on the ground
+        return Record('flight', 0.004, np.zeros((n, 3)), control, segments=parts)
+
+    pair = [Flight('x', {a: {'trim': e} for a, e in trims(record(seed, offset)).items()}, {})
+            for seed, offset in ((1, 0.0), (2, shift))]
+    found = {c.axis: c for c in changes(*pair)}
+    assert found['roll'].changed is changed
+    assert not found['pitch'].changed
+    assert found['roll'].difference == pytest.approx(shift, abs=0.02)
+
+
+def test_a_weaker_motor_through_the_command(true_model, tmp_path, capsys):
+    """450 and 380 rad/s² per command; a stored model of 450 takes the place of a bag."""
+    from quad_sysid.report.model_file import save_models
+
+    weaker = replace(fly(Axis(gain=380.0), 12, SHORT), t0_ns=10**18)
+    bag = write_bag(weaker, tmp_path / 'weaker')
+    model = tmp_path / 'model.json'
+    save_models({'roll': true_model}, model)
+    assert main(['compare', str(model), str(bag), '--axis', 'roll', '--no-effects', '--json']) == 0
+    tree = json.loads(capsys.readouterr().out)
+    assert tree['schema'] == 'quad_sysid/comparison/1'
+    found = {c['name']: c for c in tree['flights'][0]['parameters']}
+    assert found['gain']['difference'] == pytest.approx(-70.0, abs=15.0)
+    assert found['gain']['changed']
+    assert not found['damping']['changed']
+    assert main(['compare', str(model), str(model), '--axis', 'roll']) == 0
+    out = capsys.readouterr().out
+    assert 'nothing changed' in out
+    assert max(map(len, out.splitlines())) <= 160
+    assert main(['compare', str(model)]) == 2
+    assert main(['compare', str(model), str(model), '--axis', 'yaw']) == 3
