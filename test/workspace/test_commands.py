@@ -44,7 +44,7 @@ ONLY_PARSED = {
     'quad-tune design result/model.json --pictures': 'test_tune_cli.py draws them',
     'quad-tune design result/model.json --json': 'test_tune_cli.py',
     'quad-tune design result/model.json --out': 'the fixture runs it',
-    'quad-sysid import': 'its logs are not at hand; test_foreign_logs.py and test_import_tables.py',
+    'quad-sysid import': 'its files are not at hand; test_foreign_logs.py, test_import_tables.py',
     'quad-sysid fleet': 'starts processes; test_fleet.py',
     'quad-sysid compare': 'identifies bags; test_comparison.py',
     'quad-sysid identify': 'half a minute each; the fixture runs one as README has it',

@@ -28,6 +28,9 @@ BLOCKS = 8
 MOST_BLOCKS = 0.75
 LEAST_SHARE = {'angular acceleration': 0.02, 'angle': 0.8}
 """Less says nothing. In flight an angle follows the motors by chance, on a rig they hold it."""
+FULL_PREFERRED = 1.3
+"""Motors are idle for an axis only where that explains so many times more: thrust that is not
+linear, and limits, let some motors seem to do less."""
 CLEARLY = 1.4
 """A pattern is certain where it explains so many times its rival's share, and more in three
 quarters of the parts."""
@@ -170,8 +173,12 @@ def _best(axis: str, response: _Response) -> Pattern:
     spread = signs @ response.gram[setting].sum(axis=0) @ signs.T
     driven = np.diag(spread) / (signs**2).sum(axis=1)
     size = np.sqrt(np.maximum(np.diag(spread), 1e-300))
-    best = int(np.argmax(shares[setting]))
-    alike = (shares[setting] >= ALIKE * shares[setting, best]) & (
+    whole = (signs != 0.0).all(axis=1)
+    explained = shares[setting]
+    if FULL_PREFERRED * explained[whole].max(initial=0.0) < explained.max():
+        whole = ~whole
+    best = int(np.argmax(np.where(whole, explained, -1.0)))
+    alike = whole & (explained >= ALIKE * explained[best]) & (
         spread[best] > NEAR * size[best] * size)
     first = int(np.argmax(np.where(alike, driven, -1.0)))
     near = spread[first] > NEAR * size[first] * size

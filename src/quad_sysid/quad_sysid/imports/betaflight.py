@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import csv
 import gzip
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -38,6 +39,8 @@ PULSE_US = (1000.0, 2000.0)
 MOST_VOLTS = 100.0
 """A larger battery value is in hundredths of a volt."""
 ONE_G = 9.80665
+FEWEST = 200
+"""Frames of a log; fewer are of arming alone."""
 UNIT_AS_INTEGER = 8127.0
 """INDIflight's 1.0 of a command or a quaternion, (127 << 6) - 1."""
 WANTED = frozenset({
@@ -153,6 +156,7 @@ def _decoded(path: Path, log: int) -> _Table:
             str(path), f'cannot be decoded ({type(error).__name__}: {error})',
             remedy='decode it with blackbox_decode and import its CSV',
         ) from error
+    logging.getLogger('orangebox').setLevel(logging.CRITICAL)
     if not 1 <= log <= count:
         raise BadInputError(f'{path}: --log', f'must be 1 to {count}', log)
     try:
@@ -165,9 +169,9 @@ def _decoded(path: Path, log: int) -> _Table:
             str(path), f'log {log} of {count} cannot be decoded ({type(error).__name__}: {error})',
             remedy='decode it with blackbox_decode and import its CSV',
         ) from error
-    if len(rows) < 2:
-        raise BadInputError(str(path), f'log {log} of {count} holds no frames',
-                            remedy=f'choose another of {count} with --log')
+    if len(rows) < FEWEST:
+        raise BadInputError(str(path), f'log {log} of {count} holds too few frames', len(rows),
+                            f'choose another of {count} with --log')
     array = np.array(rows, dtype=float)
     header = {str(k): _plain(v) for k, v in parser.headers.items()}
     return _Table(f'{path}, log {log} of {count}',
