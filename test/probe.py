@@ -18,7 +18,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-PATIENCE_S = 240.0
+PATIENCE_S = 500.0
 """A bound on whatever is waited for, so long that no busy machine reaches it; measures nothing."""
 TRIGGER = 'std_srvs/srv/Trigger'
 EVENT = 'rcl_interfaces/msg/ParameterEvent'
