@@ -4,7 +4,7 @@
  *     0xA5, kind, length (2), payload (length), CRC-16/CCITT-FALSE of kind to payload (2)
  *
  * All little endian. 'B': the settings of a flight, once, first. 'S': the inputs of a cycle.
- * 'M', back: its motors. The layouts stand in quad_hil.c and in quad_bridge/virtual/hil.py. */
+ * 'M', back: its motors, and once before all others: the board listens. The layouts stand in quad_hil.c and in quad_bridge/virtual/hil.py. */
 #ifndef QUAD_HIL_H
 #define QUAD_HIL_H
 

@@ -100,6 +100,15 @@ static void run_cycle(board *b)
     b->ended = b->ended || write(LINE, frame, sizeof frame) != (ssize_t)sizeof frame;
 }
 
+/* A motor frame before the first: the simulation may speak. */
+static void say_ready(board *b)
+{
+    const float stopped[4] = {0.0f, 0.0f, 0.0f, 0.0f};
+    uint8_t frame[QUAD_HIL_MOTORS];
+    quad_hil_motors(stopped, 0, &b->firmware.timing, frame);
+    b->ended = write(LINE, frame, sizeof frame) != (ssize_t)sizeof frame;
+}
+
 static void wait_for_bytes(board *b)
 {
     struct pollfd lines[2] = {{LINE, POLLIN, 0}, {b->port.master, POLLIN, 0}};
@@ -181,6 +190,7 @@ int main(int count, char **given)
     }
     printf("virtual STM32 on %s\n", b.port.path);
     fflush(stdout);
+    say_ready(&b);
     fly(&b, key_file != NULL ? key : NULL);
     terminal_close(&b.port);
     if (b.port.dropped > 0) {

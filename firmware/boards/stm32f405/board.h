@@ -6,6 +6,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "quad_store.h"
 #include "registers.h"
 
 /* Core clock, timers' clock to 1 MHz, watchdog. True where it comes from one of its own bites. */
@@ -17,6 +18,8 @@ uint64_t board_now_us(void);
 /* The control loop is alive: at least every BOARD_HUNG_MS. */
 void board_alive(void);
 #define BOARD_HUNG_MS 50u
+
+extern const quad_flash board_flash; /* to be written while the motors stand */
 
 void board_tick(void); /* SysTick, 1 kHz */
 

@@ -1,6 +1,7 @@
 /* The firmware on an STM32F405, its sensors and motors on the second line (quad_hil.h): the simulation
  * sends settings, then the inputs of each cycle. In lockstep time is that of the inputs; otherwise TIM2
- * paces the cycles and a cycle whose inputs are late waits for them. */
+ * paces the cycles and a cycle whose inputs are late waits for them. Gains that were confirmed are kept in
+ * flash; here the simulation's settings count, a board with sensors of its own hands over what it kept. */
 #include <string.h>
 
 #include "board.h"
@@ -16,6 +17,7 @@ static struct {
     quad_hil_boot boot;
     quad_inputs inputs;
     uint64_t due_us, last_us, start_us;
+    uint32_t kept;     /* confirmations whose gains are in flash */
     bool booted, waiting, started;
 } board;
 
@@ -51,6 +53,7 @@ static void begin(void)
     board.boot.settings.endpoint.key = NULL;
     quad_firmware_init(&board.firmware, &board.boot.settings);
     board.booted = true;
+    board.kept = 0;
     board.started = board.waiting = false;
     board.last_us = 0;
 }
@@ -93,10 +96,20 @@ static void run_cycle(void)
     board.waiting = false;
     quad_firmware_cycle(&board.firmware, board.due_us, &board.inputs, motors);
     quad_firmware_timed(&board.firmware, due_us, began_us, board_now_us());
-    quad_hil_motors(motors, board.due_us, &board.firmware.timing, frame);
-    uart_write(UART_SIMULATION, frame, sizeof frame);
     tell_timing();
     send_all();
+    quad_hil_motors(motors, board.due_us, &board.firmware.timing, frame);
+    uart_write(UART_SIMULATION, frame, sizeof frame);
+}
+
+/* Keep what was confirmed, while the motors stand: the core stops for a ms. */
+static void keep_gains(void)
+{
+    const quad_gains *gains = &board.firmware.endpoint.gains;
+    if (board.kept != gains->confirmations && !board.firmware.endpoint.armed) {
+        board.kept = gains->confirmations;
+        quad_store_save(&board_flash, gains->good);
+    }
 }
 
 /* Sleep until an interrupt, where nothing is there to be done (ARMv7-M B1.5.18: it also ends a WFI while
@@ -104,16 +117,27 @@ static void run_cycle(void)
 static void rest(void)
 {
     __asm volatile("cpsid i");
-    if (uart_quiet() && !(board.waiting && board.boot.lockstep)) {
+    if (uart_quiet() && !board.waiting) {
         __asm volatile("wfi");
     }
     __asm volatile("cpsie i");
 }
 
+/* A motor frame before the first: the simulation may speak. */
+static void say_ready(void)
+{
+    const float stopped[4] = {0.0f, 0.0f, 0.0f, 0.0f};
+    uint8_t frame[QUAD_HIL_MOTORS];
+    quad_hil_motors(stopped, 0, &board.firmware.timing, frame);
+    uart_write(UART_SIMULATION, frame, sizeof frame);
+}
+
 int main(void)
 {
+    quad_store_prepare(&board_flash); /* before the watchdog: an erasure takes seconds */
     const bool bitten = board_start();
     uart_start();
+    say_ready();
     for (;;) {
         board_alive();
         rest();
@@ -123,6 +147,7 @@ int main(void)
             (board.boot.lockstep || !board.started || board.due_us <= now_us())) {
             const bool first = !board.started;
             run_cycle();
+            keep_gains();
             if (first && bitten) {
                 quad_put_text(&board.firmware.endpoint, 2, "restarted by the watchdog");
             }

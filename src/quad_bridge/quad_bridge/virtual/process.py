@@ -1,9 +1,9 @@
 """The process `virtual_stm32`: arguments, the firmware's process, physics, signals. Wiring only.
 
-The firmware is the Linux build of firmware/, a process of its own that has the pseudo-terminal.
-Its second line, a pair of sockets, carries sensors and motors (hil.py). Device time runs with the
-host's monotonic clock; after a stall the missed cycles are run at once, so that device time and
-cycle counter stay exact. With `--lockstep` device time is the clock of all the processes that take
+The firmware is a process of its own that has the pseudo-terminal (board.py): the Linux build of
+firmware/, or the STM32's ELF in QEMU. Its second line carries sensors and motors (hil.py).
+Device time runs with the host's monotonic clock; after a stall the missed cycles are run at once,
+so that device time and cycle counter stay exact. With `--lockstep` device time is the clock of all the processes that take
 part, and waits for them.
 """
 
@@ -12,8 +12,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import signal
-import socket
-import subprocess
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
@@ -35,15 +33,15 @@ from quad_bridge.key_file import signing_from
 from quad_bridge.lockstep import START_NS, Line
 from quad_bridge.virtual import hil
 from quad_bridge.virtual.aircraft import Aircraft, boot
+from quad_bridge.virtual.board import ELF, Board, EmulatedBoard, EndedError
 from quad_bridge.virtual.effect_module import load_effect
-from quad_bridge.virtual.native import PROGRAM, find
+from quad_bridge.virtual.errors import ConfigurationError
+from quad_bridge.virtual.native import find
 from quad_bridge.virtual.profile import Profile, load_profile, profile_names
 from quad_bridge.virtual.receiver import Receiver, channels_at, read_events
 
 WAIT_S = 0.5
 """How long a signal may have to wait in lockstep."""
-END_S = 10.0
-"""After which a firmware that does not end is killed."""
 
 
 def arguments() -> argparse.ArgumentParser:
@@ -84,55 +82,11 @@ def arguments() -> argparse.ArgumentParser:
         metavar='SOCKET',
         help='simulated time that waits for the nodes started with QUAD_LOCKSTEP=SOCKET',
     )
+    parser.add_argument(
+        '--qemu', action='store_true', help="fly the STM32's own ELF in QEMU (make qemu)"
+    )
     parser.add_argument('--duration', type=positive, metavar='S', help='end after so many seconds')
     return parser
-
-
-class Board:
-    """The firmware's process: sensors to it, motors from it."""
-
-    def __init__(self, *options: str | Path) -> None:
-        self._line, far = socket.socketpair()
-        with far:
-            command = ['virtual_stm32', *map(str, options)]
-            self._process: subprocess.Popen[bytes] = subprocess.Popen(  # noqa: S603
-                command, executable=find(PROGRAM), stdin=far.fileno()
-            )
-
-    def send(self, frame: bytes) -> None:
-        """Give it a frame; EndedError where it has ended."""
-        try:
-            self._line.sendall(frame)
-        except OSError as error:
-            raise EndedError from error
-
-    def motors(self) -> hil.Motors:
-        """What it answers; EndedError where it has ended."""
-        try:
-            frame = self._line.recv(hil.MOTORS_BYTES, socket.MSG_WAITALL)
-        except OSError as error:
-            raise EndedError from error
-        if len(frame) < hil.MOTORS_BYTES:
-            raise EndedError
-        return hil.motors(frame)
-
-    @property
-    def running(self) -> bool:
-        """Whether it has not ended by itself."""
-        return self._process.poll() is None
-
-    def close(self) -> int:
-        """Hang up, which ends it; its status."""
-        self._line.close()
-        try:
-            return self._process.wait(END_S)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            return self._process.wait()
-
-
-class EndedError(Exception):
-    """The firmware's process has ended, and has said why."""
 
 
 class Flight:
@@ -142,6 +96,7 @@ class Flight:
         self, aircraft: Aircraft, script: Receiver, board: Board, *, lockstep: bool
     ) -> None:
         self.aircraft, self._script, self._board = aircraft, script, board
+        board.motors()  # it listens
         board.send(boot(aircraft.profile, lockstep=lockstep).frame())
         self._frame = self._measured()
 
@@ -215,13 +170,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     130 where it was interrupted before it ran.
     """
     given = arguments().parse_args(argv)
-    options: list[str | Path] = ['--key', given.key] if given.key is not None else []
-    options += ['--link', given.link] if given.link is not None else []
     try:
         signing_from(given.key)
         aircraft, script = build_aircraft(given)
         sys.stdout.flush()
-        board = Board(*options)
+        board = board_of(given)
         try:
             fly(aircraft, script, board, given)
         finally:
@@ -236,6 +189,18 @@ def main(argv: Sequence[str] | None = None) -> int:
         sys.stderr.write(f'virtual_stm32: the firmware ended with status {status}\n')
         return 1
     return status
+
+
+def board_of(given: argparse.Namespace) -> Board:
+    """The firmware's process that the arguments ask for; it says where its port is."""
+    if given.qemu:
+        if given.key is not None:
+            raise ConfigurationError('--key', 'the emulated STM32 keeps no key')
+        emulated = EmulatedBoard(find(ELF), given.link)
+        say(f'virtual STM32 on {emulated.path}\n')
+        return emulated
+    options: list[str | Path] = ['--key', given.key] if given.key is not None else []
+    return Board.linux(*options, *(['--link', given.link] if given.link is not None else []))
 
 
 def fly(aircraft: Aircraft, script: Receiver, board: Board, given: argparse.Namespace) -> None:

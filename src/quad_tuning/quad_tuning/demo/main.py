@@ -28,6 +28,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         '--lockstep', action='store_true',
         help='in simulated time, which waits for the slowest process; faster where it can',
     )  # fmt: skip
+    parser.add_argument(
+        '--qemu', action='store_true',
+        help="fly the STM32's own ELF in QEMU, in lockstep (make qemu says what that needs)",
+    )  # fmt: skip
     options = parser.parse_args(arguments)
     signal.signal(signal.SIGTERM, _interrupt)
     out = options.out.absolute()
@@ -36,7 +40,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         teller = Teller()
         if aside is not None:
             teller.say(f'kept the results of an earlier run as {aside.name}')
-        for line in tell(out, options.seed, teller, lockstep=options.lockstep):
+        lockstep = options.lockstep or options.qemu
+        for line in tell(out, options.seed, teller, lockstep=lockstep, qemu=options.qemu):
             sys.stdout.write(line + '\n')
     except StageFailedError as error:
         sys.stderr.write(f'demo failed at {error} (logs: {out / "logs"})\n')

@@ -34,6 +34,8 @@ class Aircraft:
     seed: int
     mount: str = 'rig'
     effect_module: Path | None = None
+    qemu: bool = False
+    """The STM32's own ELF in QEMU flies it, not the Linux build."""
 
     def command(self, link: Path, lockstep: Path | None = None) -> list[str | Path]:
         """The command line that starts it."""
@@ -51,7 +53,7 @@ class Aircraft:
             options['--lockstep'] = lockstep
         for name, value in options.items():
             parts += [name, str(value)]
-        return parts
+        return [*parts, '--qemu'] if self.qemu else parts
 
 
 @dataclass

@@ -52,7 +52,9 @@ class Teller:
         sys.stdout.flush()
 
 
-def tell(out: Path, seed: int, teller: Teller, *, lockstep: bool = False) -> list[str]:
+def tell(
+    out: Path, seed: int, teller: Teller, *, lockstep: bool = False, qemu: bool = False
+) -> list[str]:
     """Close the loop once, results in `out`; the lines of the summary.
 
     Raises StageFailedError; in any case all processes are stopped and cpu.json is written.
@@ -63,16 +65,18 @@ def tell(out: Path, seed: int, teller: Teller, *, lockstep: bool = False) -> lis
         Observer(domain, crew.clock) as observer,
     ):
         try:
-            return lines(_close_the_loop(Campaign(crew, observer, teller.say), seed, teller))
+            campaign = Campaign(crew, observer, teller.say)
+            return lines(_close_the_loop(campaign, seed, teller, qemu=qemu))
         finally:
             crew.stop()
             (out / 'cpu.json').write_text(json.dumps(crew.cpu(), indent=1) + '\n')
 
 
-def _close_the_loop(campaign: Campaign, seed: int, teller: Teller) -> Outcome:
+def _close_the_loop(campaign: Campaign, seed: int, teller: Teller, *, qemu: bool) -> Outcome:
     out = campaign.folder
     teller.say('virtual STM32 on the rig, serial bridge')
-    connect(campaign, Aircraft('plain', AXIS, seed, effect_module=HERE / 'friction_bearing.py'))
+    bearing = HERE / 'friction_bearing.py'
+    connect(campaign, Aircraft('plain', AXIS, seed, effect_module=bearing, qemu=qemu))
     teller.say('first flight, with the gains of the paper')
     start_identification(campaign, auto_update=True, axes=[AXIS])
     first = fly(campaign, 'flight_1', first_schedule())

@@ -1,0 +1,30 @@
+/* Confirmed gains in flash: a log of records in two pages, so that a cut at any moment leaves the old
+ * set or the new one. The flash itself is the board's. */
+#ifndef QUAD_STORE_H
+#define QUAD_STORE_H
+
+#include "quad_parameters.h"
+
+#include <stdint.h>
+
+#define QUAD_STORE_WORDS (QUAD_PARAMETERS + 2) /* of a record: number, values, CRC-32 */
+
+/* A page is words that are all ones when erased; a word is programmed once. Both calls say whether it
+ * worked. */
+typedef struct {
+    const volatile uint32_t *page[2];
+    size_t records; /* of a page */
+    bool (*erase)(int page);
+    bool (*program)(const volatile uint32_t *word, uint32_t value);
+} quad_flash;
+
+/* The newest whole record's values; false where there is none. */
+bool quad_store_load(const quad_flash *flash, float values[QUAD_PARAMETERS]);
+
+/* Append a record; false where there is no room before quad_store_prepare, or it cannot be read back. */
+bool quad_store_save(const quad_flash *flash, const float values[QUAD_PARAMETERS]);
+
+/* Before the first cycle: make room where little is left. Erasing takes seconds on some chips. */
+bool quad_store_prepare(const quad_flash *flash);
+
+#endif

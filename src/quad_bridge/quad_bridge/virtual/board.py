@@ -1,0 +1,127 @@
+"""The firmware's process: its Linux build, or the STM32's own ELF in QEMU. No physics here."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import shutil
+import socket
+import subprocess
+import tempfile
+from pathlib import Path
+
+from quad_bridge.virtual import hil
+from quad_bridge.virtual.errors import ConfigurationError
+from quad_bridge.virtual.native import PROGRAM, find
+
+ELF, EMULATOR, MACHINE = 'stm32f405.elf', 'qemu-system-arm', 'netduinoplus2'
+END_S = 10.0
+"""After which a firmware that does not end is killed."""
+START_S = 60.0
+
+
+class EndedError(Exception):
+    """The firmware's process has ended, and has said why."""
+
+
+class Board:
+    """Sensors to the firmware, motors from it: the second line, at the first is the bridge."""
+
+    def __init__(self, line: socket.socket, process: subprocess.Popen[bytes]) -> None:
+        self._line, self._process = line, process
+
+    @classmethod
+    def linux(cls, *options: str | Path) -> Board:
+        """The Linux build, with options of its own (boards/linux/main.c)."""
+        line, far = socket.socketpair()
+        with far:
+            command = ['virtual_stm32', *map(str, options)]
+            return cls(line, subprocess.Popen(  # noqa: S603
+                command, executable=find(PROGRAM), stdin=far.fileno()
+            ))  # fmt: skip
+
+    def send(self, frame: bytes) -> None:
+        """Give it a frame; EndedError where it has ended."""
+        try:
+            self._line.sendall(frame)
+        except OSError as error:
+            raise EndedError from error
+
+    def motors(self) -> hil.Motors:
+        """What it answers; EndedError where it has ended."""
+        try:
+            frame = self._line.recv(hil.MOTORS_BYTES, socket.MSG_WAITALL)
+        except OSError as error:
+            raise EndedError from error
+        if len(frame) < hil.MOTORS_BYTES:
+            raise EndedError
+        return hil.motors(frame)
+
+    @property
+    def running(self) -> bool:
+        """Whether it has not ended by itself."""
+        return self._process.poll() is None
+
+    def close(self) -> int:
+        """Hang up, which ends it; its status."""
+        self._line.close()
+        try:
+            return self._process.wait(END_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            return self._process.wait()
+
+
+class EmulatedBoard(Board):
+    """USART1 is a pseudo-terminal of QEMU's, USART2 a socket to the simulation."""
+
+    def __init__(self, elf: Path, link: Path | None = None) -> None:
+        emulator = shutil.which(EMULATOR)
+        if emulator is None:
+            remedy = 'on Debian and Ubuntu apt install qemu-system-arm'
+            raise ConfigurationError('--qemu', f'{EMULATOR} is not installed', remedy=remedy)
+        with tempfile.TemporaryDirectory() as room, socket.socket(socket.AF_UNIX) as listener:
+            path = str(Path(room) / 'line')
+            listener.bind(path)
+            listener.listen()
+            listener.settimeout(START_S)
+            process = subprocess.Popen(  # noqa: S603
+                [emulator, '-M', MACHINE, '-display', 'none', '-monitor', 'none',
+                 '-kernel', str(elf), '-chardev', 'pty,id=bridge', '-serial', 'chardev:bridge',
+                 '-chardev', f'socket,id=simulation,path={path}',
+                 '-serial', 'chardev:simulation'],
+                stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+            )  # fmt: skip
+            try:
+                line, _ = listener.accept()
+            except OSError as error:
+                process.kill()
+                said = process.communicate()[0].decode(errors='replace')
+                raise ConfigurationError('--qemu', f'{EMULATOR} did not start: {said}') from error
+        line.settimeout(None)
+        super().__init__(line, process)
+        self.path, self._link = self._pseudo_terminal(), link
+        if link is not None:
+            fresh = link.with_name(f'.{link.name}.{os.getpid()}')
+            fresh.symlink_to(self.path)
+            fresh.replace(link)
+
+    def _pseudo_terminal(self) -> str:
+        said = self._process.stdout.readline().decode() if self._process.stdout else ''
+        found = re.search(r'/dev/pts/\d+', said)
+        if found is None:
+            self._process.kill()
+            raise ConfigurationError('--qemu', f'{EMULATOR} names no port: {said}')
+        return found[0]
+
+    def close(self) -> int:
+        """End it; 0 where it ran until now."""
+        ended = self._process.poll()
+        self._process.kill()
+        super().close()
+        if self._link is not None:
+            with contextlib.suppress(OSError):
+                if str(self._link.readlink()) == self.path:
+                    self._link.unlink()
+        return 0 if ended is None else 1
