@@ -1,10 +1,10 @@
 """The process `virtual_stm32`: arguments, the firmware's process, physics, signals. Wiring only.
 
 The firmware is a process of its own that has the pseudo-terminal (board.py): the Linux build of
-firmware/, or the STM32's ELF in QEMU. Its second line carries sensors and motors (hil.py).
-Device time runs with the host's monotonic clock; after a stall the missed cycles are run at once,
-so that device time and cycle counter stay exact. With `--lockstep` device time is the clock of all the processes that take
-part, and waits for them.
+firmware/, or the STM32's ELF in QEMU. Its second line carries sensors and motors (hil.py). Device
+time runs with the host's monotonic clock; after a stall the missed cycles are run at once, so that
+device time and cycle counter stay exact. With `--lockstep` device time is the clock of all the
+processes that take part, and waits for them.
 """
 
 from __future__ import annotations
