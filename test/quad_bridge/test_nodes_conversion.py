@@ -6,17 +6,15 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from rosbags.typesys import Stores, get_typestore
 
 from quad_bridge.wire import frames as f
 from quad_bridge.wire.axes import flip_attitude, flip_body, flip_control, quaternion
 
 pytest.importorskip('sensor_msgs.msg', reason='needs the ROS 2 message packages')
-from geometry_msgs.msg import Vector3Stamped, WrenchStamped
-from rclpy.serialization import deserialize_message
-from sensor_msgs.msg import Imu, JointState
-
 from quad_bridge.nodes import conversion
 
+STORE = get_typestore(Stores.ROS2_JAZZY)
 STILL = f.Cycle(
     0, 0, (0.0,) * 3, (0.0, 0.0, -9.81), (0.0,) * 3, (0.0,) * 3, (0.0,) * 3,
     (0.5, 0.0, 0.0, 0.0), (0.0,) * 3, (0.5,) * 4, 1,
@@ -28,10 +26,12 @@ def filled(**changes):
     # of another cycle first: nothing of it may remain
     messages.packed(replace(STILL, gyro=(9.0,) * 3, motors=(0.9,) * 4), 7)
     made = messages.packed(cycle, 1_500_000_000)
-    kinds = (Imu, JointState, WrenchStamped, Vector3Stamped, Vector3Stamped, Vector3Stamped)
+    vectors = 3 * ('geometry_msgs/msg/Vector3Stamped',)
+    kinds = ('sensor_msgs/msg/Imu', 'sensor_msgs/msg/JointState',
+             'geometry_msgs/msg/WrenchStamped', *vectors)
     raws = (*made, messages.applied(cycle, 1_500_000_000))
     names = ('imu', 'motors', 'wrench', 'attitude_setpoint', 'rate_setpoint', 'excitation')
-    found = [deserialize_message(raw, kind) for raw, kind in zip(raws, kinds, strict=True)]
+    found = [STORE.deserialize_cdr(raw, kind) for raw, kind in zip(raws, kinds, strict=True)]
     return SimpleNamespace(**dict(zip(names, found, strict=True)))
 
 
