@@ -29,7 +29,7 @@ def _folders() -> Iterator[Path]:
         yield Path(os.environ[VARIABLE])
     for prefix in filter(None, os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)):
         yield Path(prefix) / 'lib' / PROGRAM
-        yield Path(prefix).parent / PROGRAM / 'lib' / PROGRAM  # beside quad_bridge, as colcon lays it
+        yield Path(prefix).parent / PROGRAM / 'lib' / PROGRAM  # as colcon lays it
     yield Path(__file__).resolve().parents[4] / 'firmware' / 'build'
 
 
