@@ -335,8 +335,8 @@ def fit(  # noqa: C901, PLR0912, PLR0915 - one loop, whose steps share all they 
 def covariance(problem: Problem, fitted: Fit) -> FloatArray:
     """(p, p) of the coordinates of the fit, robust to innovations that are not white.
 
-    The sandwich with scores summed over blocks (White 1982), never below the model's own errors
-    by chance alone.
+    The sandwich with scores summed over blocks (White 1982); with few blocks it may fall below the
+    model's own errors by chance, which it never does here.
     """
     e = fitted.prediction.innovation[problem.rows]
     j = required(fitted.prediction.jacobian)[problem.rows]
@@ -350,7 +350,9 @@ def covariance(problem: Problem, fitted: Fit) -> FloatArray:
     np.add.at(sums, index, score)
     meat = sums.T @ sums + fitted.precision
     half = np.linalg.inv(fitted.hessian)
-    out: FloatArray = half @ meat @ half
+    sandwich = half @ meat @ half
+    wider = np.sqrt(np.maximum(np.diag(half) / np.diag(sandwich), 1.0))
+    out: FloatArray = sandwich * np.outer(wider, wider)
     return out
 
 
