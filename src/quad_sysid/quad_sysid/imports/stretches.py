@@ -25,6 +25,8 @@ USUAL = 0.75
 """Quantile over the pieces that is usual."""
 AT_LIMIT, MOST_AT_LIMIT = 1e-3, 0.2
 """A motor this close to 0 or 1 stands at its limit; for this share of a piece it may."""
+NEARLY_ALL = 0.9
+"""Share of a short record that says something, from which on the reader cuts it in two."""
 SHORTEST_S = 3.0
 """A stretch below it cannot be judged: windows begin a second after its start."""
 BLOCK_S = 5.0
@@ -36,14 +38,14 @@ def with_stretches(record: Record, axes: tuple[str, ...] = AXES) -> Record:
     """The record with its segments, for all of `axes` alike.
 
     Below five blocks the first 60 % of what is used train, as the contract cuts a bag without
-    segments; a record of which nothing is left out and that is so short keeps no segments at all.
+    segments; a record so short of which hardly anything is left out keeps no segments at all.
     """
     size = max(1, round(PIECE_S / record.dt))
     edges = np.arange(0, max(size, record.n - size // 2), size)
     why = _short(_reasons(record, edges, size), max(1, round(SHORTEST_S / PIECE_S)))
     used = np.array([not reason for reason in why])
     seconds = float(used.sum()) * size * record.dt
-    if not used.any() or (used.all() and seconds < len(ROLES) * BLOCK_S):
+    if not used.any() or (used.mean() >= NEARLY_ALL and seconds < len(ROLES) * BLOCK_S):
         return record
     segments = []
     for start, stop in finite_runs(used, (0, len(used))):
