@@ -300,6 +300,7 @@ def test_a_wire_with_faults_never_leaves_half_a_set(bench):
     bench.active(OLD)
     relay.noisy = 0.0
 
+    bench.heard.clear()
     bench.ask({ANGLE: 5.0, 'roll.rate.kd': 0.1})  # the YAML lets it pass, the STM32 does not
     assert 'ROLL_RATE_KD: the STM32 kept' in bench.said('not taken over')
     bench.active(OLD)

@@ -66,7 +66,7 @@ def test_a_place_that_cannot_be_written_is_said_before_the_work(
     for bag in ('file.mcap', 'none.mcap'):
         status, error = run('identify', tmp_path / bag, '--out', tmp_path / 'out')
         assert (status, bag in error, (tmp_path / 'out').exists()) == (2, True, False), error
-    monkeypatch.setattr('quad_sysid.session.read_bag', lambda _: pytest.fail('bag was read'))
+    monkeypatch.setattr('quad_sysid.result.read_bag', lambda _: pytest.fail('bag was read'))
     for place in ('file.mcap', 'file.mcap/report'):
         status, error = run('identify', plain_bag, '--out', tmp_path / place)
         assert (status, '--out' in error, 'is no folder' in error) == (2, True, True), error
@@ -180,7 +180,7 @@ TABLE = '\n'.join(['t,u,r', *ROWS, ''])
 @pytest.mark.parametrize(
     ('content', 'arguments', 'out', 'words'),
     [
-        (TABLE.replace('0.400,', 'soon,'), '', 'bag', 'line 102, column t: needs a finite number'),
+        (TABLE.replace('0.400,', 'soon,'), '', 'bag', 'line 102, column t: needs a number'),
         (TABLE, '--unit r=parsec', 'bag', '--unit r: is no unit of a rate'),
         (TABLE, '--unit r', 'bag', '--unit'),
         (TABLE, '--mixer plus', 'bag', '--mixer: belongs to --motors'),

@@ -28,6 +28,22 @@ class CoulombFriction(Effect):
         return -p[0] * np.tanh(s.rate / max(p[1], 1e-4))
 
 
+class StribeckFriction(CoulombFriction):
+    """Dry friction that is larger near rest than in motion (Armstrong-Hélouvry et al. 1994)."""
+
+    variant = 'stribeck'
+    parameters = (
+        *CoulombFriction.parameters, Spec('static', 'rad/s²', positive=True),
+        Spec('stribeck_rate', 'rad/s', spread=1.5, centre=math.log(0.1), log=True,
+             starts=(0.05, 0.4)),
+    )
+    physics = '-(T + S exp(-(rate/v)²)) sign(rate): dry friction that drops with the rate'
+
+    def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+        near = np.exp(-((s.rate / max(p[3], 1e-4)) ** 2))
+        return -(p[0] + p[2] * near) * np.tanh(s.rate / max(p[1], 1e-4))
+
+
 class QuadraticDrag(Effect):
     """Drag that grows with the square of the rate."""
 
@@ -74,4 +90,6 @@ class CubicStiffness(OnAngle):
         return -p[0] * required(s.angle)**3
 
 
-TORQUES = (CoulombFriction(), QuadraticDrag(), PendulumStiffness(), CubicStiffness())
+TORQUES = (
+    CoulombFriction(), StribeckFriction(), QuadraticDrag(), PendulumStiffness(), CubicStiffness(),
+)
