@@ -20,7 +20,7 @@ class CoulombFriction(Effect):
 
     name = 'coulomb_friction'
     signals = ('rate',)
-    parameters = (Spec('torque', 'rad/s²', positive=True), TRANSITION)
+    parameters: tuple[Spec, ...] = (Spec('torque', 'rad/s²', positive=True), TRANSITION)
     physics = '-T sign(rate): dry friction of a bearing (Coulomb 1785)'
     excite = 'slow and fast motion with many reversals: a PRBS or a slow square wave'
 
