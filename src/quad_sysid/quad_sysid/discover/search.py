@@ -20,7 +20,7 @@ EXPECTED = 0.05
 each name by its variants (smoothnesses, motors, other axes)."""
 BEAM = 2
 """Structures that are built upon at each level."""
-REFITS = 5
+REFITS = 8
 """Candidates that are fitted beside each of them."""
 EXCHANGES = 3
 """Candidates that are fitted in the place of an effect of the best structure."""
