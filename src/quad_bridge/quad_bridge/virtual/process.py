@@ -174,9 +174,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         signing_from(given.key)
         aircraft, script = build_aircraft(given)
         sys.stdout.flush()
+        stop = Stop(aircraft, given.duration)  # its port appears, and whoever waits may signal
         board = board_of(given)
         try:
-            fly(aircraft, script, board, given)
+            fly(aircraft, script, board, given, stop)
         finally:
             status = board.close()
     except (QuadBridgeError, OSError) as error:
@@ -203,9 +204,10 @@ def board_of(given: argparse.Namespace) -> Board:
     return Board.linux(*options, *(['--link', given.link] if given.link is not None else []))
 
 
-def fly(aircraft: Aircraft, script: Receiver, board: Board, given: argparse.Namespace) -> None:
+def fly(
+    aircraft: Aircraft, script: Receiver, board: Board, given: argparse.Namespace, stop: Stop
+) -> None:
     """Fly until a signal, the duration or the firmware's own end."""
-    stop = Stop(aircraft, given.duration)
     with contextlib.suppress(EndedError):
         flight = Flight(aircraft, script, board, lockstep=given.lockstep is not None)
         if given.lockstep is not None:
