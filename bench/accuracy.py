@@ -27,7 +27,7 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.discover.search import best_base
 from quad_sysid.estimate.fit import Problem, fit
 from quad_sysid.estimate.stored import readings
-from quad_sysid.model.data import AxisData
+from quad_sysid.model.data import AxisData, axis_alone
 from quad_sysid.model.plant import NOISE, Structure
 
 DT = 0.004
@@ -135,14 +135,7 @@ def flight(case: Case, rng: np.random.Generator) -> AxisData:
     slow = math.exp(-2.0 * math.pi * DT)
     effect = TRUTH['gain'] * lfilter([1.0 - slow], [1.0, -slow], quiet - quiet.mean())
     command, rate = flown(case.strength * float(np.std(effect)) * wind, gyro)
-    control = np.zeros((n, 4))
-    control[:, 1] = command
-    whole = ((0, n),)
-    return AxisData(
-        axis='roll', dt=DT, rate=rate, angle=None, control=control, motors=np.zeros((n, 4)),
-        other_rates=np.full((n, 2), np.nan), battery_v=None, gyro_filter_hz=None,
-        stretches=whole, train=whole, validation=(),
-    )
+    return axis_alone(command, rate, DT, ((0, n),))
 
 
 def study(case: Case, flights: int, seed: int) -> dict[str, object]:

@@ -19,12 +19,13 @@ import math
 
 import numpy as np
 from numba import njit
+from scipy.signal import lfilter
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.discover.screen import coordinates
 from quad_sysid.effects import EFFECTS
 from quad_sysid.estimate.fit import Fit, Problem, fit, start_of
-from quad_sysid.model.data import AxisData
+from quad_sysid.model.data import AxisData, axis_alone
 from quad_sysid.model.effect import Part
 from quad_sysid.model.plant import Structure
 
@@ -61,19 +62,12 @@ def flight(rng: np.random.Generator, friction: float, drag: float, dead: float) 
     """A command of random levels under gusts."""
     n = round(SECONDS / DT)
     command = np.repeat(rng.uniform(-0.01, 0.01, n // 10), 10)
-    torque, pole = np.zeros(n * SUBSTEPS), math.exp(-DT / SUBSTEPS / 0.3)
-    push = 0.3 * math.sqrt(1.0 - pole**2) * rng.standard_normal(torque.size)
-    for i in range(1, torque.size):
-        torque[i] = pole * torque[i - 1] + push[i]
+    pole = math.exp(-DT / SUBSTEPS / 0.3)
+    push = 0.3 * math.sqrt(1.0 - pole**2) * rng.standard_normal(n * SUBSTEPS)
+    push[0] = 0.0
+    torque = lfilter([1.0], [1.0, -pole], push)
     rate = _fly(command, torque, 0.005 * rng.standard_normal(n), friction, drag, dead)
-    control = np.zeros((n, 4))
-    control[:, 1] = command
-    whole = ((0, n),)
-    return AxisData(
-        axis='roll', dt=DT, rate=rate, angle=None, control=control, motors=np.zeros((n, 4)),
-        other_rates=np.full((n, 2), np.nan), battery_v=None, gyro_filter_hz=None,
-        stretches=whole, train=whole, validation=(),
-    )
+    return axis_alone(command, rate, DT, ((0, n),))
 
 
 def fits(data: AxisData) -> list[Fit]:

@@ -12,7 +12,7 @@ from typing import Any, NoReturn
 
 from quad_sysid.errors import BadInputError
 
-BAD_ARGUMENTS = 2
+BAD_ARGUMENTS, NOT_ANSWERED = 2, 3
 """Exit status (contract, Commands)."""
 
 Commands = Any

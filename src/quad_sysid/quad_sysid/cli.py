@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 
 from quad_sysid.arguments import (
     BAD_ARGUMENTS,
+    NOT_ANSWERED,
     Commands,
     Parser,
     command,
@@ -36,7 +37,7 @@ from quad_sysid.progress import progress
 if TYPE_CHECKING:
     from quad_sysid.session import Request
 
-DONE, NOT_ANSWERED, INTERRUPTED = 0, 3, 130
+DONE, INTERRUPTED = 0, 130
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -87,7 +87,7 @@ def uniform_grid(stamps: IntArray, source: str, topic: str = '/imu/data') -> Gri
     nominal = float(np.median(np.diff(stamps[rows])))
     rows = _one_rate(stamps, rows, nominal, source, topic, warnings)
     times = stamps[rows]
-    cells, phase = _count_cycles(np.diff(times), nominal)
+    cells, phase = count_cycles(np.diff(times) / nominal)
     kept = np.concatenate(([True], np.diff(cells) > 0))
     if not kept.all():
         warnings.append(
@@ -189,16 +189,16 @@ def _one_rate(
     return rows[~drop]
 
 
-def _count_cycles(steps: IntArray, nominal: float) -> tuple[IntArray, FloatArray]:
-    """Cell of every sample and its phase in cycles, by a loop that follows slow drift.
+def count_cycles(steps: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Cell (n,) of every sample and its phase in cycles, which follows slow drift.
 
-    After a gap of more than two cycles the phase starts anew. Cells may repeat where two stamps
-    lie within half a cycle.
+    `steps` (n - 1,) are the times between samples in cycles. After a gap of more than two cycles
+    the phase starts anew; cells repeat where two samples lie within half a cycle.
     """
     cells = np.zeros(len(steps) + 1, dtype=np.int64)
     phases = np.zeros(len(steps) + 1)
     cell, phase = 0, 0.0
-    for i, step in enumerate((steps / nominal).tolist()):
+    for i, step in enumerate(steps.tolist()):
         place = phase + step
         count = round(place)
         phase = 0.0 if count > 2 else (place - count) * (1.0 - LEAK)

@@ -9,15 +9,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from quad_sysid.arguments import Commands, command, quiet_and_json
+from quad_sysid.arguments import NOT_ANSWERED, Commands, command, quiet_and_json
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError
 from quad_sysid.progress import progress
 
 if TYPE_CHECKING:
     from quad_sysid.comparison.change import Flight
-
-NOT_ANSWERED = 3
 
 
 def add(commands: Commands) -> None:

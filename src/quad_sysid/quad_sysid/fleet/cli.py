@@ -7,12 +7,10 @@ import json
 import sys
 from pathlib import Path
 
-from quad_sysid.arguments import Commands, command, quiet_and_json
+from quad_sysid.arguments import NOT_ANSWERED, Commands, command, quiet_and_json
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError
 from quad_sysid.progress import progress
-
-NOT_ANSWERED = 3
 
 
 def add(commands: Commands) -> None:

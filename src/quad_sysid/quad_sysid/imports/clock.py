@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from quad_sysid.bags.stamps import count_cycles
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.imports.log import Stream
@@ -32,8 +33,6 @@ MOST_ODD = 0.03
 """Share of odd intervals up to which samples keep cycles of their own."""
 JITTER_KEPT = 0.1
 """Cycles (99 % quantile): a sample this close to its cycle is taken as it is."""
-LEAK = 0.02
-"""Share of the remaining phase by which the cycles follow a drifting clock, per sample."""
 BLOCK = 16
 """Intervals whose mean is a rate."""
 STEADY = 0.2
@@ -151,21 +150,19 @@ def cycles(samples: Stream, grid_hz: float | None = None) -> Cycles:
     odd = int(np.count_nonzero(~near))
     head = f'{len(time_s)} samples, a median of {1.0 / usual:.4g} Hz, {odd} odd intervals'
     even = near.mean() >= 1.0 - MOST_ODD
-    if grid_hz is None and even:
+    if grid_hz is not None:
+        dt, why = 1.0 / grid_hz, 'as --grid says'
+    elif even:
         dt = _rounded(float(steps[near].mean()))
-        cells, phase = _count(steps / dt)
+        cells, phase = count_cycles(steps / dt)
         jitter = float(np.quantile(np.abs(phase), 0.99))
         if jitter <= JITTER_KEPT:
             return _own(time_s, values, dt, cells, head)
-    elif grid_hz is None:
-        dt = _uneven(steps)
-        jitter = float(np.quantile(np.abs(_count(steps / dt)[1]), 0.99))
+        why = f'jitter of {100.0 * jitter:.0f} % of a cycle'
     else:
-        dt, jitter = 1.0 / grid_hz, 0.0
+        dt, why = _uneven(steps), 'the rate is uneven'
     times = time_s[0] + dt * np.arange(int((time_s[-1] - time_s[0]) / dt + 1e-6) + 1)
     drawn = draw(samples, times, LONGEST_DRAWN * max(dt, usual))
-    why = 'as --grid says' if grid_hz is not None else \
-        f'jitter of {100.0 * jitter:.0f} % of a cycle' if even else 'the rate is uneven'
     return Cycles(times, dt, drawn, own=False, told=(
         f'{head}; rates drawn on a grid of {1.0 / dt:.4g} Hz ({why}){_gaps(drawn, dt)}',
     ))
@@ -215,25 +212,6 @@ def _uneven(steps: FloatArray) -> float:
             usual = (means >= low) & (means <= high)
             return _rounded(float(means[usual].mean()))
     return _rounded(float(np.quantile(steps, 1.0 - MOST_ODD)))
-
-
-def _count(steps: FloatArray) -> tuple[np.ndarray, FloatArray]:
-    """Cell (n,) of every sample and its phase in cycles, which follows slow drift.
-
-    After a gap of more than two cycles the phase starts anew; cells repeat where two samples lie
-    within half a cycle.
-    """
-    cells = np.zeros(len(steps) + 1, dtype=np.int64)
-    phases = np.zeros(len(steps) + 1)
-    cell, phase = 0, 0.0
-    for i, step in enumerate(steps.tolist()):
-        place = phase + step
-        count = round(place)
-        phase = 0.0 if count > 2 else (place - count) * (1.0 - LEAK)
-        cell += count
-        cells[i + 1] = cell
-        phases[i + 1] = phase
-    return cells, phases
 
 
 def draw(stream: Stream, times: FloatArray, longest: float) -> FloatArray:

@@ -6,9 +6,7 @@ import argparse
 import json
 import sys
 
-from quad_sysid.arguments import Commands, command, quiet_and_json
-
-NOT_ANSWERED = 3
+from quad_sysid.arguments import NOT_ANSWERED, Commands, command, quiet_and_json
 
 
 def add(commands: Commands) -> None:

@@ -117,6 +117,24 @@ def at_limit(rate: FloatArray) -> NDArray[np.bool_]:
     return clipped if moves else np.zeros(rate.size, dtype=bool)
 
 
+def axis_alone(
+    command: FloatArray, rate: FloatArray, dt: float, spans: Sequence[Span],
+    gyro_filter_hz: float | None = None,
+) -> AxisData:
+    """Command (n,) and rate (n,), rad/s, of an axis of which nothing else was measured.
+
+    It is called roll; `spans` are unbroken and all of them train.
+    """
+    n = rate.size
+    control = np.zeros((n, 4))
+    control[:, 1] = command
+    return AxisData(
+        axis='roll', dt=dt, rate=rate, angle=None, control=control, motors=np.zeros((n, 4)),
+        other_rates=np.full((n, 2), np.nan), battery_v=None, gyro_filter_hz=gyro_filter_hz,
+        stretches=tuple(spans), train=tuple(spans), validation=(),
+    )
+
+
 def part_of(data: AxisData, passes: Sequence[Span]) -> AxisData:
     """The samples of some unbroken stretches alone, one behind the other."""
     index = np.concatenate([np.arange(a, b) for a, b in passes])

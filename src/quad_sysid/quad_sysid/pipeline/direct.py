@@ -17,7 +17,7 @@ from quad_sysid.errors import BadInputError, NotInformativeError
 from quad_sysid.estimate.fit import Problem
 from quad_sysid.estimate.stored import noise_of, readings
 from quad_sysid.model import NoiseEstimate
-from quad_sysid.model.data import AxisData
+from quad_sysid.model.data import axis_alone
 from quad_sysid.pipeline.usable import check_moving
 from quad_sysid.record import IOData
 
@@ -67,15 +67,8 @@ def greybox(z: IOData, *, gyro_filter_hz: float | None = None) -> GreyBox:
         raise BadInputError(
             'greybox', f'gyro_filter_hz must be between 0 and {0.5 / z.dt:g} Hz', gyro_filter_hz
         )
-    n = z.y.size
-    control = np.zeros((n, 4))
-    control[:, 1] = np.nan_to_num(z.u)
     spans = tuple((int(a), int(b)) for a, b in z.segments)
-    data = AxisData(
-        axis='roll', dt=z.dt, rate=z.y, angle=None, control=control, motors=np.zeros((n, 4)),
-        other_rates=np.full((n, 2), np.nan), battery_v=None, gyro_filter_hz=gyro_filter_hz,
-        stretches=spans, train=spans, validation=(),
-    )
+    data = axis_alone(np.nan_to_num(z.u), z.y, z.dt, spans, gyro_filter_hz)
     try:
         check_moving(data)
         problem = Problem(data, spans)
