@@ -187,6 +187,21 @@ def test_window_error_uses_nothing_from_inside_the_window():
     assert added == pytest.approx(2500.0 * (windows.length - 1), rel=0.01)
 
 
+def test_samples_that_were_lost_before_a_window_leave_its_error_alone():
+    """Two short gaps between the segments: the grey box bridges them, a black box cannot."""
+    data = axis_data([flight()], 'roll')
+    model = arx(blackbox_part.io_data(data, data.train), 6, 6, 3)
+    rate = data.rate.copy()
+    lost = round(34.5 / DT)
+    rate[[lost, lost + 1, lost + 20]] = np.nan
+    assert any(a < lost < b for a, b in data.stretches)
+    whole, found = (
+        blackbox_part.window_error(one, model, data.validation)
+        for one in (data, dataclasses.replace(data, rate=rate))
+    )
+    assert found == pytest.approx(whole, rel=1e-3)
+
+
 def test_open_loop_is_found_in_the_data_and_stands_by_the_first_step():
     record, rng = flight(), np.random.default_rng(1)
     u = np.resize(prbs(9, 24, 0.02, 1), record.n)

@@ -75,23 +75,21 @@ def about_base(data: AxisData, gain: float, bias: float) -> AxisData:
 def io_data(data: AxisData, spans: tuple[Span, ...], *, external: bool = True) -> IOData:
     """Command and rate about their trim over spans, with the external reference where known.
 
-    Spans are cut where the reference was lost; it is left out where most of it is missing or
-    where it stands still.
+    Spans are cut where the rate or the reference was lost; the reference is left out where most of
+    it is missing or where it stands still.
     """
     trim = offsets(data)
+    known = np.isfinite(data.rate)
     r = data.reference if external else None
     if r is not None:
-        known = np.isfinite(r)
-        inside = np.concatenate([known[a:b] for a, b in spans])
-        cut = tuple(run for span in spans for run in finite_runs(known, span))
-        moves = any(np.ptp(r[a:b]) > 0.0 for a, b in cut)
-        if inside.mean() > 0.9 and moves:
-            spans = cut
-        else:
-            r = None
+        both = known & np.isfinite(r)
+        inside = np.concatenate([both[a:b] for a, b in spans])
+        moves = any(np.ptp(r[a:b][both[a:b]]) > 0.0 for a, b in spans if both[a:b].any())
+        known, r = (both, r) if inside.mean() > 0.9 and moves else (known, None)
     return IOData(
         u=data.command - trim.command, y=data.rate - trim.rate, dt=data.dt,
-        r=None if r is None else r - trim.reference, segments=spans,
+        r=None if r is None else r - trim.reference,
+        segments=tuple(run for span in spans for run in finite_runs(known, span)),
     )
 
 
