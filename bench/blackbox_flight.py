@@ -15,7 +15,7 @@ from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.loop.plant import LoopPlant
 from quad_sysid.loop.simulation import simulate_cascade
 from quad_sysid.record import GainChange, Record, Segment
-from quad_sysid.signals.prbs import prbs
+from quad_sysid.signals.waveforms import prbs
 
 DT, SECONDS = 0.004, 85.0
 SPANS = (('idle', 'none', 0.0, 4.5), ('train', 'prbs', 5.0, 45.0),

@@ -22,7 +22,7 @@ from quad_bridge.virtual.receiver import Event, Receiver
 from quad_bridge.virtual.simulation import Excited, Flight, fly
 from quad_sysid.contract import control_from_motors
 from quad_sysid.record import GainChange, Record, Segment
-from quad_sysid.signals.prbs import prbs
+from quad_sysid.signals.waveforms import prbs
 
 RATE_HZ = 250.0
 AMPLITUDE = np.deg2rad(12.0)

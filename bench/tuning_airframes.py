@@ -26,7 +26,7 @@ from quad_sysid.model.data import axis_data
 from quad_sysid.pipeline import assemble
 from quad_sysid.pipeline.identify import Options, found_effects
 from quad_sysid.record import GainChange, Record, Segment
-from quad_sysid.signals.prbs import prbs
+from quad_sysid.signals.waveforms import prbs
 
 RATE_HZ = 250.0
 AMPLITUDE = float(np.deg2rad(12.0))

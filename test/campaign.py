@@ -37,10 +37,8 @@ def campaign(folder: Path, **wanted: Any) -> Any:
 
 def flown(folder: Path, wanted: dict[str, Any]) -> dict[str, Any]:
     from quad_tuning.demo import stages
-    from quad_tuning.demo.domain import own_domain
-    from quad_tuning.demo.errors import StageFailedError
     from quad_tuning.demo.observer import Observer
-    from quad_tuning.demo.processes import Crew
+    from quad_tuning.demo.processes import Crew, StageFailedError, own_domain
 
     schedule, module = folder / 'schedule.yaml', folder / 'effect.py'
     schedule.write_text(wanted['schedule'])

@@ -23,7 +23,7 @@ sys.path.insert(0, str(Path(__file__).parent))  # probe, node_process, flown_axi
 from node_process import Started, node_command
 from probe import Probe
 
-from quad_tuning.demo.domain import own_domain
+from quad_tuning.demo.processes import own_domain
 
 
 @pytest.fixture

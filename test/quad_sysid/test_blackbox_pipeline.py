@@ -17,7 +17,7 @@ from quad_sysid.pipeline import blackbox_part, preparation, step_b
 from quad_sysid.pipeline.identify import Options, identify
 from quad_sysid.record import GainChange, Record, Segment
 from quad_sysid.report import document, text
-from quad_sysid.signals.prbs import prbs
+from quad_sysid.signals.waveforms import prbs
 
 DT, TRIM = 0.004, 0.013
 pytestmark = pytest.mark.xdist_group('black-box pipeline')

@@ -27,7 +27,7 @@ from quad_sysid.blackbox import (
 )
 from quad_sysid.blackbox.filters import filter_signal
 from quad_sysid.blackbox.studies import Study, prbs_bits, reference_study
-from quad_sysid.pipeline.residual import residual
+from quad_sysid.pipeline.held_out import residual
 from quad_sysid.record import IOData
 
 

@@ -11,8 +11,16 @@ from hypothesis import strategies as st
 from rosbags.interfaces import Nodetype
 
 from quad_sysid.bags import cdr
-from quad_sysid.bags.cdr import BATTERY, COLUMNS, IMU, JOINTS, MOTOR_NAMES, VECTOR, WRENCH
-from quad_sysid.bags.layout import typestore
+from quad_sysid.bags.cdr import (
+    BATTERY,
+    COLUMNS,
+    IMU,
+    JOINTS,
+    MOTOR_NAMES,
+    VECTOR,
+    WRENCH,
+    typestore,
+)
 
 TYPES = typestore().types
 TEXTS = st.sampled_from(['base_link', '', 'a', 'imu', 'böse', 'base_linkbase_link'])

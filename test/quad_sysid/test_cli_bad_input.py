@@ -168,7 +168,7 @@ def test_wrong_options_of_design_excitation(run, tmp_path, monkeypatch, argument
 
 def test_a_validation_beyond_the_end_is_bad_input_to_evaluate_too(plain_bag, run, monkeypatch):
     monkeypatch.setattr('quad_sysid.report.model_file.load_models', lambda _: {'roll': None})
-    monkeypatch.setattr('quad_sysid.report.blackbox_file.load_blackbox', lambda _: {})
+    monkeypatch.setattr('quad_sysid.report.model_file.load_blackbox', lambda _: {})
     status, error = run('evaluate', 'model.json', plain_bag, '--validate', '1e5:2e5')
     assert (status, '--validate starts after the end' in error) == (2, True), error
 

@@ -13,9 +13,9 @@ from quad_sysid.loop.simulation import simulate_cascade
 from quad_sysid.model import AxisModel, Parameter
 from quad_sysid.model.data import axis_data
 from quad_sysid.pipeline.answer import AxisAnswer
-from quad_sysid.pipeline.closed_loop import closed_loop
+from quad_sysid.pipeline.step_b import closed_loop
 from quad_sysid.record import GainChange, Record, Segment
-from quad_sysid.signals.prbs import prbs
+from quad_sysid.signals.waveforms import prbs
 
 DT, N, NOISE = 0.004, 5000, 0.01
 TRUE = {'gain': 450.0, 'lag': 0.04, 'delay': 0.008, 'damping': 0.4, 'bias': 0.2}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from quad_bridge.monitor.coverage import needed_s
-from quad_sysid.excitation_coverage import MARGIN, CoverageWatch, Wanted
+from quad_sysid.excitation_settings import MARGIN, CoverageWatch, Wanted
 from quad_sysid.signals.schedule import parse_schedule
 
 DT = 0.004

@@ -12,9 +12,9 @@ from quad_sysid.blackbox import bj, residual_test
 from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.loop.plant import LoopPlant
 from quad_sysid.loop.simulation import simulate_cascade
-from quad_sysid.pipeline.feedback import feedback, largest_loop_gain, through_controller
+from quad_sysid.pipeline.selection import feedback, largest_loop_gain, through_controller
 from quad_sysid.record import IOData, Record, Segment
-from quad_sysid.signals.prbs import prbs
+from quad_sysid.signals.waveforms import prbs
 
 DT, N = 0.004, 10_000
 GAINS = CascadeGains.default('yaw')

@@ -15,10 +15,8 @@ from flown_axis import Axis, Plan, fly
 from quad_sysid.bags import write_bag
 from quad_sysid.cli import main
 from quad_sysid.fleet import page
-from quad_sysid.fleet.find import bags
-from quad_sysid.fleet.journal import Journal, write_table
 from quad_sysid.fleet.row import Job, look
-from quad_sysid.fleet.run import Request, jobs, run, waiting
+from quad_sysid.fleet.run import Journal, Request, bags, jobs, run, waiting, write_table
 from quad_sysid.fleet.summary import summarise
 
 DAY = 86_400 * 10**9

@@ -15,7 +15,6 @@ from quad_bridge.virtual.simulation import Excited, fly
 from quad_sysid.errors import BadInputError, NotInformativeError
 from quad_sysid.estimate.stored import estimate_of
 from quad_sysid.loop import kernels
-from quad_sysid.loop.angle_lead import angle_lead_s
 from quad_sysid.loop.cascade import (
     FIRMWARE_UNIT,
     CascadeGains,
@@ -31,11 +30,11 @@ from quad_sysid.loop.cascade import (
 from quad_sysid.loop.figures import compare_square, square_figures, square_wave, step_figures
 from quad_sysid.loop.from_model import gain_range, loop_plant, not_in_the_loop, throttle_factor
 from quad_sysid.loop.plant import Curve, LightMode, LoopPlant, Slopes, SlowMotors, exact_cycles
-from quad_sysid.loop.simulation import simulate_cascade, simulate_polynomial_cascade
+from quad_sysid.loop.simulation import angle_lead_s, simulate_cascade, simulate_polynomial_cascade
 from quad_sysid.model import AxisModel, EffectEstimate, Parameter
-from quad_sysid.pipeline.approaches import approaches, controller, reproduced
+from quad_sysid.pipeline.selection import approaches, controller, reproduced
 from quad_sysid.record import IOData
-from quad_sysid.signals.prbs import prbs
+from quad_sysid.signals.waveforms import prbs
 
 DT = 0.004
 PLANT = LoopPlant(450.0, 0.043, 0.008, 0.4, 0.0, 42.0, DT)

@@ -10,8 +10,13 @@ import pytest
 from quad_sysid.blackbox import bj, simulate
 from quad_sysid.blackbox.studies import reference_study
 from quad_sysid.model import AxisModel, EffectEstimate, NoiseEstimate, Parameter
-from quad_sysid.report.blackbox_file import POLYNOMIALS, load_blackbox, tree_of
-from quad_sysid.report.model_file import load_models, save_models
+from quad_sysid.report.model_file import (
+    POLYNOMIALS,
+    load_blackbox,
+    load_models,
+    save_models,
+    tree_of,
+)
 
 
 def some_model():

@@ -10,7 +10,7 @@ import pytest
 
 from quad_sysid.contract import control_from_motors, motors_from_wrench
 from quad_sysid.pipeline.identify import Options, identify
-from quad_sysid.pipeline.motor_order import refusal, swapped_motors
+from quad_sysid.pipeline.usable import refusal, swapped_motors
 from quad_sysid.record import Record, Segment
 from quad_tuning.designer import design
 

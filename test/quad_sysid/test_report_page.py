@@ -14,7 +14,7 @@ import pytest
 
 from quad_sysid.model import GainProposal
 from quad_sysid.pipeline.answer import AxisAnswer
-from quad_sysid.report import document, plots, selection_tables, store, tables, text
+from quad_sysid.report import document, plots, store, tables, text
 from quad_sysid.report.canvas import MOST_POINTS, Picture, panels, svg, thinned
 from quad_sysid.report.html import page
 
@@ -116,7 +116,7 @@ def test_words_come_before_pictures_and_say_what_was_found(written, tree):
     for words in ('dry friction', 'roll.rate.kp 0.12', *figures):
         assert words in answer
     assert 'coulomb_friction' in rest
-    told = [tables.errors, tables.parameters, selection_tables.residuals]
+    told = [tables.errors, tables.parameters, tables.residuals]
     bare = {**tree, 'effects': [], 'verdict': 'no_missing_effect'}  # nothing is completed
     for one, completed in ((tree, True), (bare, False)):
         assert all(('completed' in tell(one)) is completed for tell in told)
@@ -242,11 +242,11 @@ SELECTION = {
 
 
 def test_approaches_table_2_and_the_shared_model_are_told_where_they_are():
-    assert 'gains &lt; unknown' in selection_tables.approaches(SELECTION)
-    row = selection_tables.table2(SELECTION)
+    assert 'gains &lt; unknown' in tables.approaches(SELECTION)
+    row = tables.table2(SELECTION)
     assert all(part in row for part in ('ARX 10 10 5 *', '99.0', '98.3', '95.4', '73.8', '80.2'))
-    told = selection_tables.shared(SELECTION)
+    told = tables.shared(SELECTION)
     assert 'roll 91.3 %' in told
     assert 'pitch –' not in told
     for part in ('approaches', 'table2', 'shared', 'residuals'):
-        assert getattr(selection_tables, part)({}) == ''
+        assert getattr(tables, part)({}) == ''

@@ -21,10 +21,9 @@ from quad_sysid.model.plant import Structure
 from quad_sysid.pipeline.advice import rivalry
 from quad_sysid.pipeline.identify import Options, identify
 from quad_sysid.report.model_file import save_models
-from quad_sysid.separation import family, words
-from quad_sysid.separation.aircraft import PAPER, PAPER_NOISE, Acting, paper_aircraft
+from quad_sysid.separation import design, words
 from quad_sysid.separation.design import Separation, rivals_of, separate, variants
-from quad_sysid.separation.flight import fly
+from quad_sysid.separation.flight import PAPER, PAPER_NOISE, Acting, fly, paper_aircraft
 from quad_sysid.separation.measure import judged
 from quad_sysid.session import separation
 from quad_sysid.signals.schedule import parse_schedule
@@ -46,7 +45,7 @@ FLOWN = {
 def test_what_flies_is_what_identification_fits(name):
     """Fitted to its own flight, the effect returns with its strength and beats nothing."""
     aircraft = paper_aircraft('roll')
-    flight = replace(family.plain('roll', 12.0), throttle_steps=True, others_move=True)
+    flight = replace(design.plain_prbs('roll', 12.0), throttle_steps=True, others_move=True)
     effect, values = variants(name)[0], np.array(FLOWN[name])
     plain = fly(aircraft, (), [flight])[0].data
     settings = effect.prepare(plain)

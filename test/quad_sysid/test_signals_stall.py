@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from quad_sysid.signals.stall import LONGEST_S, STALL_S, Stall
+from quad_sysid.signals.guard import LONGEST_S, STALL_S, Stall
 
 DT = 0.004
 STALE_S = 0.2

@@ -22,12 +22,23 @@ pytest.importorskip('ament_index_python', reason='the demo runs in a ROS 2 works
 from quad_sysid.loop.figures import SquareFigures, square_figures, square_wave
 from quad_sysid.record import Record, Segment
 from quad_tuning.demo import processes
-from quad_tuning.demo.comparison import square_of, tracking_error
-from quad_tuning.demo.domain import PORT_BASE, PORT_GAIN, own_domain
-from quad_tuning.demo.errors import StageFailedError
-from quad_tuning.demo.folders import fresh_folder
-from quad_tuning.demo.processes import Crew, executable
-from quad_tuning.demo.summary import FlightSummary, Outcome, lines, number
+from quad_tuning.demo.main import fresh_folder
+from quad_tuning.demo.processes import (
+    PORT_BASE,
+    PORT_GAIN,
+    Crew,
+    StageFailedError,
+    executable,
+    own_domain,
+)
+from quad_tuning.demo.summary import (
+    FlightSummary,
+    Outcome,
+    lines,
+    number,
+    square_of,
+    tracking_error,
+)
 
 DT = 0.004
 SLEEP = 'import time; time.sleep(600)'
@@ -130,7 +141,7 @@ def test_two_runs_never_share_a_domain(tmp_path: Path) -> None:
 
 WATCH = """
 import json, os
-from quad_tuning.demo.errors import StageFailedError
+from quad_tuning.demo.processes import StageFailedError
 from quad_tuning.demo.observer import Observer
 
 with Observer(int(os.environ['ROS_DOMAIN_ID'])) as observer:

@@ -9,7 +9,7 @@ from quad_sysid.estimate.stored import estimate_of
 from quad_sysid.loop.from_model import loop_plant
 from quad_tuning import ensemble as ensembles
 from quad_tuning.designer import design
-from quad_tuning.rivals import shares, variants
+from quad_tuning.ensemble import shares, variants
 from quad_tuning.use import schedule, uses
 
 

@@ -10,7 +10,7 @@ from quad_sysid.estimate.stored import estimate_of
 from quad_sysid.loop.cascade import CascadeGains, closed_loop_radius
 from quad_sysid.loop.from_model import loop_plant
 from quad_tuning import ensemble as ensembles
-from quad_tuning import search as searches
+from quad_tuning import pid as searches
 from quad_tuning.objective import Requirements, Weights, pose
 
 

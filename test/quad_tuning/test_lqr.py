@@ -8,11 +8,11 @@ import pytest
 from quad_sysid.loop.from_model import loop_plant
 from quad_sysid.loop.plant import state_space
 from quad_tuning import ensemble as ensembles
-from quad_tuning.admission import flown_gains
+from quad_tuning.bounds import flown_gains
 from quad_tuning.errors import DesignRefusedError
 from quad_tuning.lqr import Noise, Weights, design_lqr, way_is_safe
 from quad_tuning.lqr_proposal import propose_lqr
-from quad_tuning.pid import Requirements
+from quad_tuning.objective import Requirements
 from quad_tuning.state_feedback import beside, controller_response, simulate, stable
 
 

@@ -14,7 +14,8 @@ from quad_sysid.loop.simulation import simulate_cascade
 from quad_tuning import ensemble as ensembles
 from quad_tuning.assess import disturbance, tracking
 from quad_tuning.designer import design
-from quad_tuning.pid import Requirements, meets, retune
+from quad_tuning.objective import Requirements, meets
+from quad_tuning.pid import retune
 
 ACTIVE = CascadeGains.default('roll')
 FRICTION = estimate_of('coulomb_friction', (2.5,), std=0.1)

@@ -187,8 +187,7 @@ def _evaluate(options: argparse.Namespace) -> int:
     from quad_sysid.bags import clip_span, parse_span, read_bag
     from quad_sysid.pipeline.evaluate import evaluate_or_say
     from quad_sysid.report import document, text
-    from quad_sysid.report.blackbox_file import load_blackbox
-    from quad_sysid.report.model_file import load_models
+    from quad_sysid.report.model_file import load_blackbox, load_models
 
     models, polynomials = load_models(options.model), load_blackbox(options.model)
     if options.axis is not None and options.axis not in models:

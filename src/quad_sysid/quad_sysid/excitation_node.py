@@ -38,11 +38,15 @@ from quad_bridge.nodes.qos import EVENT, STATE, STREAM
 from quad_sysid.bags.cdr import IMU, decode
 from quad_sysid.bags.orientation import euler_angles
 from quad_sysid.errors import QuadSysidError
-from quad_sysid.excitation_coverage import CoverageWatch
-from quad_sysid.excitation_settings import NUMBERS, Settings, find_schedule, settings_from
-from quad_sysid.signals.guard import Readings
+from quad_sysid.excitation_settings import (
+    NUMBERS,
+    CoverageWatch,
+    Settings,
+    find_schedule,
+    settings_from,
+)
+from quad_sysid.signals.guard import Readings, Stall
 from quad_sysid.signals.player import Announcement, Player, State, Tick
-from quad_sysid.signals.stall import Stall
 
 ANGLE_TICKS = 5
 """The orientation is decoded every so many ticks: at 250 Hz every 20 ms."""

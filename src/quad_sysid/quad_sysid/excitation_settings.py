@@ -1,6 +1,8 @@
-"""Parameters of the `excitation` node: names, ranges, units, and what they become.
+"""What the `excitation` node is started with, and when a training segment has told enough.
 
-Needs no ROS; declaring them is the node's business.
+Parameters with their ranges and units; the watch over the band that a segment covers: raw messages
+in, one sentence out. Coherence is quad_bridge.monitor's, the same as the operator's `monitor`
+shows. Needs no ROS; declaring parameters is the node's business.
 """
 
 from __future__ import annotations
@@ -10,12 +12,79 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from quad_bridge.monitor.coverage import BAND
+from quad_bridge.monitor.coverage import BAND, Coverage, Pairs, coverage, reachable
+from quad_sysid.bags.cdr import IMU, VECTOR, decode
+from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError
-from quad_sysid.excitation_coverage import Wanted
 from quad_sysid.schedule_file import load_schedule
 from quad_sysid.signals.guard import Limits
-from quad_sysid.signals.schedule import Schedule
+from quad_sysid.signals.schedule import Part, Schedule
+
+MARGIN = 1.1
+"""The band is watched so much further down: others who watch, losing other cycles, agree."""
+RATES = 5
+"""Column of the first rate of a decoded Imu."""
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What a training segment must cover before it may end early."""
+
+    band_rad_s: tuple[float, float]
+    least_s: float
+    """It is flown so long at least."""
+
+
+class CoverageWatch:
+    """Coverage of the running training segment; every segment counts by itself."""
+
+    def __init__(self, wanted: Wanted) -> None:
+        self.wanted = wanted
+        self.found: Coverage | None = None
+        self._axis: int | None = None
+        self._segment_s = 0.0
+        self._pairs = Pairs()
+        self._rates: list[bytes] = []
+        self._inputs: list[bytes] = []
+
+    def begin(self, part: Part | None) -> None:
+        """Another segment, or none, begins."""
+        training = part is not None and part.role == 'train'
+        self._axis = AXES.index(part.axis) if part is not None and training else None
+        self._segment_s = part.duration_s if part is not None else 0.0
+        self._pairs.clear()
+        self._rates, self._inputs, self.found = [], [], None
+
+    def imu(self, raw: bytes) -> None:
+        """Take one /imu/data as CDR."""
+        if self._axis is not None:
+            self._rates.append(raw)
+
+    def applied(self, raw: bytes) -> None:
+        """Take one /excitation/applied as CDR."""
+        if self._axis is not None:
+            self._inputs.append(raw)
+
+    def look(self) -> str:
+        """Why the segment may end now; empty where it may not."""
+        if self._axis is None:
+            return ''
+        rates, inputs = decode(IMU, self._rates), decode(VECTOR, self._inputs)
+        self._rates, self._inputs = [], []
+        for stamp, row in zip(rates.stamps.tolist(), rates.values.tolist(), strict=True):
+            self._pairs.rate(stamp, row[RATES + self._axis])
+        for stamp, row in zip(inputs.stamps.tolist(), inputs.values.tolist(), strict=True):
+            self._pairs.excitation(stamp, row[self._axis])
+        parts, dt = self._pairs.parts()
+        flown_s = self._pairs.cycles * dt
+        if not parts:
+            return ''
+        low, high = reachable(self.wanted.band_rad_s, self._segment_s)
+        self.found = coverage(parts, dt, (low / MARGIN, high))
+        if flown_s < self.wanted.least_s or not self.found.enough:
+            return ''
+        return f'{low:.2g} to {high:g} rad/s covered after {flown_s:.0f} s'
+
 
 FIRST_AUX = 4
 

@@ -47,7 +47,7 @@ class Identified(AxisModel):
         self, u: npt.ArrayLike, x0: Span = (0.0, 0.0), **signals: npt.ArrayLike
     ) -> FloatArray:
         """(n,) measured rate, rad/s, for commands u (n,); see pipeline.simulate.simulate."""
-        from quad_sysid.pipeline.simulate import simulate
+        from quad_sysid.pipeline.evaluate import simulate
 
         return simulate(self, u, x0, **signals)
 

@@ -90,8 +90,8 @@ def separation(
     can mend.
     """
     from quad_sysid.report.model_file import load_models
-    from quad_sysid.separation.aircraft import aircraft_of, effect_of, paper_aircraft
     from quad_sysid.separation.design import nearest, rivals_of, separate
+    from quad_sysid.separation.flight import aircraft_of, effect_of, paper_aircraft
 
     if len(names) not in (0, 2):
         raise BadInputError('--separate', 'needs two effects or none', ' '.join(names) or None,

@@ -15,14 +15,21 @@ from quad_sysid.errors import QuadSysidError
 from quad_sysid.loop.from_model import loop_plant, not_in_the_loop
 from quad_sysid.model import AxisModel, GainProposal
 from quad_tuning import ensemble as ensembles
-from quad_tuning.admission import BAND_REACH, check_band, check_model, flown_gains
 from quad_tuning.assess import LoopFigures, assess
-from quad_tuning.bounds import DESIGNED, check_bounds, told
+from quad_tuning.bounds import (
+    BAND_REACH,
+    DESIGNED,
+    check_band,
+    check_bounds,
+    check_model,
+    flown_gains,
+    told,
+)
 from quad_tuning.errors import DesignRefusedError, QuadTuningError
-from quad_tuning.pid import PidDesign, Requirements, retune
+from quad_tuning.objective import Requirements
+from quad_tuning.pid import PidDesign, retune
 from quad_tuning.promise import promise
-from quad_tuning.use import schedule, uses
-from quad_tuning.voltage import along, scheduled, settings
+from quad_tuning.use import along, schedule, scheduled, settings, uses
 from quad_tuning.way import way_to
 
 SEED = 20_250_101

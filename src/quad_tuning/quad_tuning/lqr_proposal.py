@@ -14,8 +14,8 @@ from quad_sysid.loop.from_model import loop_plant
 from quad_sysid.model import AxisModel
 from quad_tuning import ensemble as ensembles
 from quad_tuning import lqr_figures
-from quad_tuning.admission import check_band, check_model, flown_gains
 from quad_tuning.assess import assess
+from quad_tuning.bounds import check_band, check_model, flown_gains
 from quad_tuning.designer import LARGEST_LOSS_PCT, SEED, loop_figures
 from quad_tuning.errors import DesignRefusedError
 from quad_tuning.lqr import LqrDesign, Noise, Weights, design_lqr, way_is_safe

@@ -1,7 +1,7 @@
 """What a retune is judged by: tracking, disturbance, noise, and the room to each requirement.
 
 Figures of one set of gains relative to the flown ones, and the box that gains are sought in. The
-search stands in search.py; the figures themselves in assess.py.
+search stands in pid.py; the figures themselves in assess.py.
 """
 
 from __future__ import annotations

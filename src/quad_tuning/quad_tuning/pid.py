@@ -1,24 +1,272 @@
 """The cascade retuned without changing its structure: C1 P and C2 PID of one axis.
 
-Minimised: tracking error of a square wave, with a small share of the deviation under a torque
-step and of the noise at the motors, each relative to the gains that flew. Subject to margins of
-every loop of the ensemble. What is judged stands in objective.py, the search in search.py.
+Minimised: tracking error of a square wave, with a small share of the deviation under a torque step
+and of the noise at the motors, each relative to the gains that flew. Subject to margins of every
+loop of the ensemble. A grid over all gains is judged all at once on the loops that bind (linear
+tracking by Parseval, margins), its best points by the whole objective (objective.py). From those
+that lie apart SLSQP goes on; loops that fall short are taken up one after the other until all hold
+(cutting planes). Deterministic: nothing is drawn.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 
-from quad_sysid.loop.cascade import TUNED, CascadeGains
-from quad_sysid.loop.plant import LoopPlant
-from quad_tuning.assess import LoopFigures, assess
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import minimize
+
+from quad_sysid.contract import FloatArray
+from quad_sysid.loop.cascade import (
+    TUNED,
+    CascadeGains,
+    controller_response,
+    margins,
+)
+from quad_sysid.loop.plant import ComplexArray, LoopPlant
+from quad_tuning.assess import SQUARE_HALF_PERIOD_S, LoopFigures, assess
+from quad_tuning.bounds import DESIGNED
 from quad_tuning.ensemble import Ensemble
 from quad_tuning.errors import DesignRefusedError
-from quad_tuning.objective import Requirements, Weights, meets, pose
-from quad_tuning.search import Found, search
+from quad_tuning.objective import Problem, Requirements, Weights, pose
 
-__all__ = ['PidDesign', 'Requirements', 'Weights', 'meets', 'retune']
+GRID = (9, 14, 3, 7, 3)
+"""Points along angle kp, rate kp, ki, kd and the filter of D."""
+KI_SHARES, KD_SHARES = (0.15, 0.6), (0.08, 0.8)
+"""Of the cube's edge; not from 0, where their powers are flat and no search gets away."""
+FILTER_HZ = (30.0, 55.0, 100.0)
+JUDGED = 120
+"""Points of the grid that the whole objective judges."""
+STARTS = 5
+"""Searches, begun at the best points of the grid that lie at least APART in SHAPE: angle kp, rate
+kp and kd. A resonance folds the margins, and lesser optima lie between."""
+APART = 0.11
+SHAPE = [0, 1, 3]
+DIFFERENCE = 5e-4
+WORST = 6
+"""Loops taken up per requirement and round."""
+ROUNDS = 6
+INFEASIBLE = 0.005
+"""Relative shortfall after a search beyond which no further round is tried."""
+CHUNK = 256
+
+
+@dataclass(frozen=True)
+class Found:
+    """Where the searches ended, best first, and what the grid knows of better ones."""
+
+    points: tuple[tuple[float, FloatArray], ...]
+    """(objective, point) of each search that ended inside all requirements."""
+    grid_points: int
+    grid_best: float
+    """Objective of the best grid point that holds for all loops; inf: none does."""
+
+
+def search(problem: Problem) -> Found:
+    """Grid, then polish; no points where nothing in the box meets the requirements."""
+    grid = _grid(problem)
+    loops = problem.ensemble.subset(_binding(problem))
+    order = _ranked(problem, loops, grid)
+    judged = [(_merit(problem, loops, grid[i]), grid[i]) for i in order[:JUDGED]]
+    judged.sort(key=lambda item: item[0])
+    best = min(
+        (merit for merit, x in judged[:STARTS] if _whole(problem, x)), default=float('inf')
+    )
+    ends: list[tuple[float, FloatArray]] = []
+    for attempt, start in enumerate(_apart([x for _, x in judged])):
+        end = _polish(problem, start)
+        if end is not None:
+            ends.append(end)
+        elif attempt and not ends:
+            break  # two searches from afar found none
+    ends.sort(key=lambda item: item[0])
+    return Found(tuple(ends), grid.shape[0], best)
+
+
+def _grid(problem: Problem) -> FloatArray:
+    """(g, 5) points of the unit cube; one value of the filter where it is fixed."""
+    axes = [(np.arange(n) + 0.5) / n for n in GRID]
+    axes[2] = np.linspace(*KI_SHARES, GRID[2])
+    axes[3] = np.linspace(*KD_SHARES, GRID[3])
+    cutoffs = [problem.point(replace(problem.active, d_filter_hz=hz))[-1] for hz in FILTER_HZ]
+    axes[4] = np.unique(cutoffs)
+    return np.stack(np.meshgrid(*axes, indexing='ij'), axis=-1).reshape(-1, len(DESIGNED))
+
+
+def _binding(problem: Problem) -> npt.NDArray[np.int64]:
+    """Loops that fall shortest at the flown gains, at half and at twice their rate gains."""
+    found = [np.flatnonzero(problem.ensemble.nominal)[:1]]
+    for factor in (0.5, 1.0, 2.0):
+        gains = replace(
+            problem.active, rate_kp=factor * problem.active.rate_kp,
+            rate_kd=factor * problem.active.rate_kd,
+        )  # fmt: skip
+        found.append(_worst(problem, gains, 1))
+    return np.unique(np.concatenate(found)).astype(np.int64)
+
+
+def _ranked(problem: Problem, loops: Ensemble, grid: FloatArray) -> npt.NDArray[np.int64]:
+    """Indices of the grid, best first: linear tracking with a penalty on missing margins."""
+    thin = replace(loops, omega=loops.omega[::2], response=loops.response[..., ::2])
+    dt = problem.plant.dt
+    harmonics: FloatArray = np.pi / SQUARE_HALF_PERIOD_S * np.arange(1.0, 240.0, 2.0)
+    harmonics = harmonics[harmonics < 0.9 * np.pi / dt]
+    nominal = problem.nominal.cycle.response(harmonics)
+    rows = [problem.gains(x) for x in grid]
+    merits = []
+    for start in range(0, len(rows), CHUNK):
+        part = rows[start : start + CHUNK]
+        short = _margin_room(problem, part, thin)
+        merits.append(_linear_tracking(part, nominal, harmonics, dt) - 3.0 * short)
+    return np.argsort(np.concatenate(merits), kind='stable')
+
+
+def _loops_of(
+    rows: list[CascadeGains], response: ComplexArray, omega: FloatArray, dt: float
+) -> tuple[ComplexArray, ComplexArray]:
+    """Loop gain (g, p, f) and forward path of the angle reference (g, p, f)."""
+    parts = [controller_response(gains, omega, dt) for gains in rows]
+    p = np.stack([part[0] for part in parts])[:, None]
+    d = np.stack([part[1] for part in parts])[:, None]
+    forward = np.array([g.angle_kp for g in rows])[:, None, None] * p * response[1]
+    return np.asarray(response[0] * (p + d) + forward), np.asarray(forward)
+
+
+def _margin_room(problem: Problem, rows: list[CascadeGains], loops: Ensemble) -> FloatArray:
+    """(g,) smallest relative room over the loops, 0 where all hold."""
+    loop, _ = _loops_of(rows, loops.response, loops.omega, loops.cycle.dt)
+    g, p, f = loop.shape
+    m, needs = margins(loop.reshape(g * p, f), loops.omega), problem.needs
+    room = np.minimum(
+        np.minimum(m.phase_margin_deg / needs.phase_margin_deg,
+                   m.gain_margin_db / needs.gain_margin_db) - 1.0,
+        1.0 - m.peak_sensitivity / needs.peak_sensitivity,
+    )  # fmt: skip
+    room = np.where(_turns(loop.reshape(g * p, f)) == 0, np.clip(room, -2.0, 0.0), -2.0)
+    return np.asarray(np.min(room.reshape(g, p), axis=1))
+
+
+def _turns(loop: ComplexArray) -> npt.NDArray[np.int64]:
+    """(p,) turns of the loop gain (p, f) around -1: not 0 where the closed loop is unstable.
+
+    Margins of an unstable loop may look good. Nyquist's criterion for a plant without unstable
+    poles, whose phase at the lowest frequency lies in -270..90 degrees.
+    """
+    phase = np.unwrap(np.angle(1.0 + loop), axis=-1)
+    start = np.mod(phase[:, 0] + 1.5 * np.pi, 2.0 * np.pi) - 1.5 * np.pi
+    return np.rint((start + phase[:, -1] - phase[:, 0]) / (2.0 * np.pi)).astype(np.int64)
+
+
+def _linear_tracking(
+    rows: list[CascadeGains], nominal: ComplexArray, harmonics: FloatArray, dt: float
+) -> FloatArray:
+    """(g,) RMS error of a square wave of amplitude 1 without limits, by Parseval."""
+    loop, forward = _loops_of(rows, nominal, harmonics, dt)
+    error = np.abs(1.0 - (forward / (1.0 + loop))[:, 0]) ** 2
+    k = harmonics * SQUARE_HALF_PERIOD_S / np.pi
+    total = np.sum(error * 0.5 * (4.0 / (np.pi * k)) ** 2, axis=1)
+    return np.asarray(np.sqrt(total))
+
+
+def _merit(problem: Problem, loops: Ensemble, point: FloatArray) -> float:
+    gains = problem.gains(point)
+    value, kept = problem.value(gains)
+    short = min(float(np.min(kept)), float(np.min(problem.room(loops, gains))))
+    if loops.unstable(gains).any():
+        short = min(short, -1.0)
+    return value - 20.0 * min(0.0, short)
+
+
+def _whole(problem: Problem, point: FloatArray) -> bool:
+    gains = problem.gains(point)
+    return problem.holds(gains) and float(np.min(problem.value(gains)[1])) >= 0.0
+
+
+def _apart(points: list[FloatArray]) -> list[FloatArray]:
+    chosen: list[FloatArray] = []
+    for point in points:
+        if all(np.linalg.norm((point - other)[SHAPE]) >= APART for other in chosen):
+            chosen.append(point)
+        if len(chosen) == STARTS:
+            break
+    return chosen
+
+
+def _polish(problem: Problem, start: FloatArray) -> tuple[float, FloatArray] | None:
+    """Objective and point of the best gains from this start; None where none hold."""
+    chosen = np.zeros(0, dtype=np.int64)
+    x = start
+    for _ in range(ROUNDS):
+        wider = np.union1d(chosen, _worst(problem, problem.gains(x), WORST))
+        if wider.size == chosen.size:
+            return None  # the loops that fall short were all taken up already
+        chosen = wider
+        loops = problem.ensemble.subset(chosen)
+
+        def judged(point: FloatArray, loops: Ensemble = loops) -> FloatArray:
+            gains = problem.gains(point)
+            value, kept = problem.value(gains)
+            # a little is kept back, so that the optimiser's tolerance does not break a margin
+            return np.concatenate(([value], kept - 1e-3, problem.room(loops, gains) - 2e-3))
+
+        x = _slsqp(judged, x)
+        gains = problem.gains(x)
+        value, kept = problem.value(gains)
+        short = min(np.min(kept), np.min(problem.room(loops, gains)))
+        if short < -INFEASIBLE:
+            return None  # what a part of the loops forbids, all of them forbid
+        if np.min(kept) < -1e-3:
+            continue
+        if problem.holds(gains):
+            return value, x
+    return None
+
+
+def _slsqp(judged: Callable[[FloatArray], FloatArray], start: FloatArray) -> FloatArray:
+    """Minimise judged(x)[0] subject to judged(x)[1:] >= 0 in the unit cube."""
+    known: dict[bytes, FloatArray] = {}
+    slopes: dict[bytes, FloatArray] = {}
+
+    def at(x: FloatArray) -> FloatArray:
+        key = x.tobytes()
+        if key not in known:
+            known[key] = judged(x)
+        return known[key]
+
+    def slope(x: FloatArray) -> FloatArray:
+        key = x.tobytes()
+        if key not in slopes:
+            columns = []
+            for i in range(x.size):
+                h = DIFFERENCE if x[i] < 0.5 else -DIFFERENCE
+                other = x.copy()
+                other[i] += h
+                columns.append((at(other) - at(x)) / h)
+            slopes[key] = np.stack(columns, axis=1)
+        return slopes[key]
+
+    result = minimize(
+        lambda x: at(x)[0],
+        start,
+        jac=lambda x: slope(x)[0],
+        bounds=[(0.0, 1.0)] * start.size,
+        constraints={
+            'type': 'ineq',
+            'fun': lambda x: at(x)[1:],
+            'jac': lambda x: slope(x)[1:],
+        },
+        method='SLSQP',
+        options={'maxiter': 40, 'ftol': 1e-4},
+    )
+    return np.asarray(np.clip(result.x, 0.0, 1.0))
+
+
+def _worst(problem: Problem, gains: CascadeGains, count: int) -> npt.NDArray[np.int64]:
+    """Loops that fall shortest of each requirement with these gains."""
+    room = problem.room(problem.ensemble, gains).reshape(3, -1)
+    return np.unique(np.argsort(room, axis=1, kind='stable')[:, :count]).astype(np.int64)
+
 
 AGREED = 0.01
 RELAXED_DISTURBANCE = 1.5

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from quad_sysid.bags.layout import typestore
+from quad_sysid.bags.cdr import typestore
 from quad_sysid.contract import AXES
 from quad_sysid.record import GainChange, Segment
 

@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from quad_sysid.bags.cdr import BATTERY, IMU, JOINTS, MOTOR_NAMES, VECTOR, WRENCH
-from quad_sysid.bags.layout import typestore
+from quad_sysid.bags.cdr import BATTERY, IMU, JOINTS, MOTOR_NAMES, VECTOR, WRENCH, typestore
 
 FRAME_ID = 'base_link'
 

@@ -21,9 +21,8 @@ from rosbags.interfaces import (
 )
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
-from quad_sysid.bags.cdr import IMU, Stamped, encode
+from quad_sysid.bags.cdr import IMU, Stamped, encode, typestore
 from quad_sysid.bags.events import EVENT, Event, encode_event
-from quad_sysid.bags.layout import typestore
 from quad_sysid.bags.orientation import quaternions
 from quad_sysid.bags.templates import template
 from quad_sysid.contract import MIXER, TOPIC_TYPES, FloatArray

@@ -1,10 +1,15 @@
 """Black-box identification of one axis: polynomial models, order search, validation, tests."""
 
-from quad_sysid.blackbox.approaches import joint
+from quad_sysid.blackbox.approaches import LinearController, cascade_controller, indirect, joint
 from quad_sysid.blackbox.arx import OrderSearch, arx, search_arx
 from quad_sysid.blackbox.excitation import delay_estimate, detrend, excitation_order
-from quad_sysid.blackbox.frequency import FrequencyResponse, frequency_response
-from quad_sysid.blackbox.indirect import LinearController, cascade_controller, indirect
+from quad_sysid.blackbox.frequency import (
+    FrequencyResponse,
+    SpectralEstimate,
+    coherence,
+    frequency_response,
+    spa,
+)
 from quad_sysid.blackbox.instruments import clriv, iv4
 from quad_sysid.blackbox.polynomial import Model, polynomial_model
 from quad_sysid.blackbox.prediction_error import armax, bj, oe
@@ -18,10 +23,16 @@ from quad_sysid.blackbox.simulate import (
     simulate,
     state_size,
 )
-from quad_sysid.blackbox.spectra import SpectralEstimate, coherence, spa
-from quad_sysid.blackbox.step_a import StepARow, select, step_a
+from quad_sysid.blackbox.step_a import (
+    TABLE2,
+    PaperRow,
+    StepARow,
+    Table2Entry,
+    fit_table2,
+    select,
+    step_a,
+)
 from quad_sysid.blackbox.subspace import n4sid
-from quad_sysid.blackbox.table2 import TABLE2, PaperRow, Table2Entry, fit_table2
 
 __all__ = [
     'TABLE2',

@@ -1,10 +1,11 @@
-"""Frequency response of a polynomial model, with the confidence that its covariance gives.
+"""Frequency responses: of a model with the confidence of its covariance, and without any model.
 
-Estimates without a model stand in spectra.py.
+Spectral analysis and coherence rest on the covariances of the data alone.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,133 @@ from scipy import special
 from quad_sysid.blackbox.polynomial import ComplexArray, Model
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
+from quad_sysid.record import IOData
+
+
+@dataclass(frozen=True)
+class SpectralEstimate:
+    """A frequency response estimated without a model."""
+
+    w: FloatArray
+    """(m,) rad/s."""
+    response: ComplexArray
+    """(m,) output per input."""
+    std: FloatArray
+    """(m,) root of E|error of response|²."""
+    coherence: FloatArray
+    """(m,) magnitude-squared, 0..1."""
+    noise_spectrum: FloatArray
+    """(m,) of what the input does not explain, output unit² per (rad/sample), as Σ R(k) e^-jwk."""
+
+
+def autocovariance(parts: Sequence[FloatArray], lags: int) -> FloatArray:
+    """(lags + 1,) biased autocovariance over all parts, products never crossing their ends."""
+    return cross_covariance(parts, parts, lags)[lags:]
+
+
+def cross_covariance(
+    x: Sequence[FloatArray], y: Sequence[FloatArray], lags: int
+) -> FloatArray:
+    """(2 lags + 1,) biased covariance E x(t + k) y(t), k = -lags..lags, by FFT per part."""
+    total, n = np.zeros(2 * lags + 1), 0
+    for a, b in zip(x, y, strict=True):
+        size = 1 << int(a.size + min(lags, a.size)).bit_length()
+        product = np.fft.irfft(np.fft.rfft(a, size) * np.conj(np.fft.rfft(b, size)), size)
+        k = min(lags, a.size - 1)
+        total[lags : lags + k + 1] += product[: k + 1]
+        if k:
+            total[lags - k : lags] += product[-k:]
+        n += a.size
+    return total / max(n, 1)
+
+
+def spa(
+    z: IOData, w: FloatArray | None = None, window: int | None = None, *, joint: bool = False
+) -> SpectralEstimate:
+    """Blackman-Tukey estimate of the response from u to y (Ljung 1999, eq. 6.48 and 6.57).
+
+    w in rad/s (default 100 from one resolution to 0.9 Nyquist), `window` the Hann lag window's
+    half-width in samples (default a tenth of the longest segment). `joint` takes the ratio of the
+    responses to the reference z.r, which feedback does not bias. Raises BadInputError where u (or,
+    `joint`, r) is constant.
+    """
+    longest = max(stop - start for start, stop in z.segments)
+    half = max(2, longest // 10) if window is None else int(window)
+    if not 1 < half < longest:
+        raise BadInputError('spa', f'window must be 2..{longest - 1} samples', half)
+    if joint and z.r is None:
+        raise BadInputError('spa', 'joint needs the reference r', None, 'give IOData(…, r=…)')
+    grid = frequency_grid(z, half) if w is None else np.asarray(w, dtype=float)
+    inside = np.isfinite(grid) & (grid >= 0.0) & (grid * z.dt <= np.pi + 1e-9)
+    if grid.ndim != 1 or not inside.all():
+        raise BadInputError('spa', f'w must be 1-D and within 0..{np.pi / z.dt:.6g} rad/s')
+    for name, x in (('u', z.u), ('r', z.r if joint else None)):
+        if x is not None and np.ptp(np.concatenate([x[a:b] for a, b in z.segments])) == 0.0:
+            raise BadInputError(
+                'spa', f'{name} is constant, it has no spectrum', float(x[z.segments[0][0]]),
+                'use a stretch with excitation',
+            )
+    u, y = _centred(z, z.u), _centred(z, z.y)
+    spectrum = _Spectrum(grid * z.dt, half)
+    uu, yy, yu = spectrum.auto(u), spectrum.auto(y), spectrum.cross(y, u)
+    tiny = np.finfo(float).tiny
+    if joint and z.r is not None:
+        r = _centred(z, z.r)
+        ur, yr, rr = spectrum.cross(u, r), spectrum.cross(y, r), spectrum.auto(r)
+        response = yr / ur
+        noise = np.abs(yy - 2.0 * (np.conj(response) * yu).real + np.abs(response) ** 2 * uu)
+        informative = np.abs(ur) ** 2 / np.maximum(rr, tiny)
+        coherence = np.abs(yr) ** 2 / np.maximum(rr * yy, tiny)
+    else:
+        response = yu / np.maximum(uu, tiny)
+        noise = np.maximum(yy - np.abs(yu) ** 2 / np.maximum(uu, tiny), 0.0)
+        informative = uu
+        coherence = np.abs(yu) ** 2 / np.maximum(uu * yy, tiny)
+    variance = spectrum.energy / z.n * noise / np.maximum(informative, tiny)
+    return SpectralEstimate(
+        w=grid, response=response, std=np.sqrt(variance),
+        coherence=np.clip(coherence, 0.0, 1.0), noise_spectrum=noise,
+    )
+
+
+def coherence(
+    z: IOData, w: FloatArray | None = None, window: int | None = None, *, joint: bool = False
+) -> tuple[FloatArray, FloatArray]:
+    """Frequencies (m,) rad/s and squared coherence (m,) of u (or, `joint`, r) and y."""
+    estimate = spa(z, w, window, joint=joint)
+    return estimate.w, estimate.coherence
+
+
+def frequency_grid(z: IOData, half: int) -> FloatArray:
+    """100 frequencies, log-spaced from the window's resolution to 0.9 Nyquist, rad/s."""
+    return np.geomspace(np.pi / (half * z.dt), 0.9 * np.pi / z.dt, 100)
+
+
+def _centred(z: IOData, x: FloatArray) -> list[FloatArray]:
+    """The segments of x without their common mean."""
+    parts = [x[start:stop] for start, stop in z.segments]
+    mean = float(np.concatenate(parts).mean())
+    return [part - mean for part in parts]
+
+
+class _Spectrum:
+    """Hann-windowed Fourier sums of covariances at fixed frequencies (rad/sample)."""
+
+    def __init__(self, omega: FloatArray, half: int) -> None:
+        k = np.arange(-half, half + 1)
+        self._half = half
+        self._weights = 0.5 * (1.0 + np.cos(np.pi * k / half))
+        self._kernel = np.exp(-1j * np.outer(omega, k))
+        self.energy = float(np.sum(self._weights**2))
+
+    def auto(self, x: list[FloatArray]) -> FloatArray:
+        """Spectrum of x, kept positive."""
+        spectrum = self.cross(x, x).real
+        return np.maximum(spectrum, 1e-15 * max(float(spectrum.max()), 0.0))
+
+    def cross(self, x: list[FloatArray], y: list[FloatArray]) -> ComplexArray:
+        """Cross spectrum of x by y."""
+        return np.asarray(self._kernel @ (self._weights * cross_covariance(x, y, self._half)))
 
 
 @dataclass(frozen=True)

@@ -14,12 +14,12 @@ from quad_sysid.blackbox.approaches import noise_free, stabilised_plant
 from quad_sysid.blackbox.arx import arx
 from quad_sysid.blackbox.descent import without
 from quad_sysid.blackbox.filters import filter_columns, pulses
+from quad_sysid.blackbox.frequency import autocovariance
 from quad_sysid.blackbox.innovations import errors_and_gradient, one_step_errors
 from quad_sysid.blackbox.polynomial import Model, delayed, monic
 from quad_sysid.blackbox.regression import check_informative, check_order, lagged
 from quad_sysid.blackbox.residuals import whitener
 from quad_sysid.blackbox.simulate import initial_state, simulate
-from quad_sysid.blackbox.spectra import autocovariance
 from quad_sysid.blackbox.start_values import bj_starts, high_order, inside, stabilised
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError

@@ -9,10 +9,9 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
-from quad_sysid.blackbox.descent import decrement, descend, evaluate, sum_of_squares
+from quad_sysid.blackbox.descent import decrement, descend, evaluate, on_edge, sum_of_squares
 from quad_sysid.blackbox.polynomial import Model
 from quad_sysid.blackbox.regression import check_exciting, check_informative, check_order
-from quad_sysid.blackbox.stability_edge import on_edge
 from quad_sysid.blackbox.start_values import (
     HighOrder,
     armax_starts,

@@ -40,9 +40,8 @@ def add(commands: Commands) -> None:
 
 def _run(options: argparse.Namespace) -> int:
     from quad_sysid.fleet import page
-    from quad_sysid.fleet.journal import TABLE, write_table
     from quad_sysid.fleet.row import ANSWERED
-    from quad_sysid.fleet.run import Request, run
+    from quad_sysid.fleet.run import TABLE, Request, run, write_table
     from quad_sysid.fleet.summary import summarise
 
     out = options.out or Path(f'{options.folder.resolve().name}_fleet')

@@ -12,7 +12,7 @@ from quad_sysid.contract import AXES
 from quad_sysid.fleet.row import ANSWERED, Row
 from quad_sysid.fleet.summary import Summary
 from quad_sysid.report.canvas import AFTER, MUTED, Picture, panels, svg
-from quad_sysid.report.style import SHEET
+from quad_sysid.report.html import SHEET
 from quad_sysid.report.tables import table
 from quad_sysid.report.words import named, number
 

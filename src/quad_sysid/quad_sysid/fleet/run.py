@@ -1,7 +1,13 @@
-"""The run over a fleet: finds bags, skips what is done, hands the rest to Dask, keeps each row."""
+"""The run over a fleet: finds bags, skips what is done, hands the rest to Dask, keeps each row.
+
+Rows lie in a journal that grows line by line: a line is written when its bag is done, so a run
+that is killed goes on where it stood.
+"""
 
 from __future__ import annotations
 
+import json
+import os
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -10,9 +16,121 @@ from pathlib import Path
 from typing import Any
 
 from quad_sysid.errors import BadInputError
-from quad_sysid.fleet.find import bags, fingerprint
-from quad_sysid.fleet.journal import Journal
-from quad_sysid.fleet.row import FAILED, Job, Row, look
+from quad_sysid.fleet.row import FAILED, REAL, TEXT, WHOLE, Job, Row, look
+
+STORAGE = ('.mcap', '.db3', '.mcap.zstd', '.db3.zstd')
+
+
+def bags(folder: Path) -> list[Path]:
+    """Sorted; a folder with storage files in it and metadata.yaml, or a torn bag, is one bag.
+
+    Raises BadInputError where there is no such folder or no bag in it.
+    """
+    if not folder.is_dir():
+        raise BadInputError(str(folder), 'is no folder', remedy='give the one that holds the bags')
+    found = sorted(_below(folder))
+    if not found:
+        raise BadInputError(str(folder), 'holds no bag (a rosbag2 folder or an .mcap file)',
+                            remedy='check the path')
+    return found
+
+
+def _below(folder: Path) -> Iterator[Path]:
+    for root, folders, files in os.walk(folder):
+        here = Path(root)
+        folders.sort()
+        stored = [name for name in files if name.endswith(STORAGE)]
+        if 'metadata.yaml' in files or any(_named_after(name, here) for name in stored):
+            folders.clear()
+            yield here
+        else:
+            yield from (here / name for name in stored if name.endswith('.mcap'))
+
+
+def _named_after(name: str, folder: Path) -> bool:
+    """Whether a storage file is that of a bag in `folder`, as recorders name them: folder_0."""
+    return name.startswith(f'{folder.name}_')
+
+
+def fingerprint(bag: Path) -> str:
+    """Size and latest change of a bag's files."""
+    files = [bag] if bag.is_file() else [p for p in bag.iterdir() if p.is_file()]
+    stats = [p.stat() for p in files]
+    return f'{sum(s.st_size for s in stats)}-{max((s.st_mtime_ns for s in stats), default=0)}'
+
+
+JOURNAL = 'rows.jsonl'
+TABLE = 'fleet.parquet'
+
+
+class Journal:
+    """The journal in a folder; the last line of a bag counts."""
+
+    def __init__(self, folder: Path) -> None:
+        self._path = folder / JOURNAL
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise BadInputError('--out', f'{folder} cannot be made', error.strerror) from error
+
+    def rows(self) -> dict[str, Row]:
+        """Rows by bag; a line that a kill cut off is left out."""
+        found: dict[str, Row] = {}
+        try:
+            text = self._path.read_text(encoding='utf-8')
+        except FileNotFoundError:
+            return found
+        for row in map(_row, text.splitlines()):
+            if row is not None:
+                found[row['bag']] = row
+        return found
+
+    def add(self, row: Row) -> None:
+        """Append one row and have the disk keep it."""
+        line = json.dumps(row) + '\n'
+        with self._path.open('a+b') as stream:
+            if stream.tell() and not _ends_whole(self._path):
+                stream.write(b'\n')
+            stream.write(line.encode())
+            stream.flush()
+            os.fsync(stream.fileno())
+
+
+def _row(line: str) -> Row | None:
+    try:
+        row = json.loads(line)
+    except (ValueError, RecursionError):
+        return None
+    return row if isinstance(row, dict) and 'bag' in row else None
+
+
+def _ends_whole(path: Path) -> bool:
+    with path.open('rb') as stream:
+        stream.seek(-1, os.SEEK_END)
+        return stream.read(1) == b'\n'
+
+
+def write_table(rows: Sequence[Row], path: Path) -> Path:
+    """Write rows as Parquet with fixed columns and types; needs pyarrow."""
+    try:
+        import pyarrow as pa
+        from pyarrow import parquet
+    except ImportError as error:
+        raise BadInputError(str(path), 'needs the package pyarrow',
+                            remedy='pip install pyarrow') from error
+    schema = pa.schema([
+        *((name, pa.string()) for name in TEXT), *((name, pa.int64()) for name in WHOLE),
+        *((name, pa.float64()) for name in REAL),
+    ])
+    content = {name: [row.get(name) for row in rows] for name in schema.names}
+    part = path.with_name(f'.{path.name}.part')
+    try:
+        parquet.write_table(pa.table(content, schema=schema), part)
+        part.replace(path)
+    except OSError as error:
+        raise BadInputError(str(path), 'cannot be written', error.strerror) from error
+    return path
+
 
 AHEAD = 4
 """Bags in the queue per worker: thousands need not all be described to the scheduler at once."""

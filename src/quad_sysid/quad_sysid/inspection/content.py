@@ -1,31 +1,178 @@
-"""A record → what it holds, per axis and as a whole: excitation, coherence, limits, battery.
+"""A bag → what it holds and what it suffices for: topics, excitation, coherence, limits, battery.
 
-Nothing is fitted: this is what can be said at once. Words for a reader stand in page.py, what the
-data suffice for in uses.py.
+Nothing is fitted: this is what can be said at once; the conditions are those of the pipeline
+itself. Words for a reader stand in page.py.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
 from quad_sysid.bags import read_bag, split_segments
+from quad_sysid.bags.storage import Storage
 from quad_sysid.blackbox import excitation_order
-from quad_sysid.contract import MIXER, MIXER_INVERSE
+from quad_sysid.contract import MIXER, MIXER_INVERSE, TOPIC_TYPES
+from quad_sysid.effects import EFFECTS
 from quad_sysid.errors import BadInputError, NotInformativeError, QuadSysidError
-from quad_sysid.inspection.topics import Topics, topics
-from quad_sysid.inspection.uses import MOVES, Use, uses_of_axis, uses_of_flight
 from quad_sysid.model.data import AxisData, axis_data
 from quad_sysid.motor_layout import Pattern, doubts, patterns_of
 from quad_sysid.pipeline.assemble import band_of
 from quad_sysid.pipeline.blackbox_part import io_data
 from quad_sysid.pipeline.identify import asked_axes
-from quad_sysid.pipeline.motor_order import refusal
-from quad_sysid.pipeline.usable import AT_LIMIT
+from quad_sysid.pipeline.usable import AT_LIMIT, check_usable, refusal
 from quad_sysid.record import Record, Segment
+
+GAP_CYCLES = 1.5
+"""A pause between stamps longer than this many intervals is a gap."""
+ON_CHANGE = 'rcl_interfaces/msg/ParameterEvent'
+STAMP_END = 12
+
+
+@dataclass(frozen=True)
+class TopicContent:
+    """One topic as it lies in the bag."""
+
+    name: str
+    messages: int
+    rate_hz: float | None
+    """Median rate of the stamps; None for a topic on change, or with fewer than 3 stamps."""
+    span_s: float
+    """From the first stamp to the last."""
+    gaps: int
+    longest_gap_s: float
+
+
+@dataclass(frozen=True)
+class Topics:
+    """All topics that hold anything, in the order of the contract, and what reading told."""
+
+    found: tuple[TopicContent, ...]
+    absent: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+def topics(path: Path) -> Topics:
+    """Count every topic of the contract in a bag; raises BadInputError where it is none."""
+    storage = Storage(path, tuple(TOPIC_TYPES))
+    stamps: dict[str, list[npt.NDArray[np.int64]]] = {}
+    for batch in storage.batches():
+        for topic, raws in batch.items():
+            stamps.setdefault(topic, []).append(_stamps(raws))
+    found = tuple(
+        _content(topic, np.concatenate(stamps[topic])) for topic in TOPIC_TYPES if topic in stamps
+    )
+    absent = tuple(topic for topic in TOPIC_TYPES if topic not in stamps)
+    return Topics(found, absent, tuple(storage.warnings))
+
+
+def _stamps(raws: Iterable[bytes]) -> npt.NDArray[np.int64]:
+    """(n,) ns, from the first two words behind each message's 4 bytes of encapsulation."""
+    whole = [raw for raw in raws if len(raw) >= STAMP_END]
+    words = b''.join(bytes(raw[4:STAMP_END]) for raw in whole)
+    little = np.array([raw[1] & 1 for raw in whole], dtype=bool)
+    as_little = np.frombuffer(words, '<u4').reshape(-1, 2).astype(np.int64)
+    as_big = np.frombuffer(words, '>u4').reshape(-1, 2).astype(np.int64)
+    parts = np.where(little[:, None], as_little, as_big)
+    found: npt.NDArray[np.int64] = parts[:, 0] * 1_000_000_000 + parts[:, 1]
+    return found
+
+
+def _content(topic: str, stamps: npt.NDArray[np.int64]) -> TopicContent:
+    times = np.unique(stamps[stamps > 0])
+    steps = np.diff(times) * 1e-9
+    span = float(steps.sum()) if steps.size else 0.0
+    if TOPIC_TYPES[topic] == ON_CHANGE or times.size < 3:
+        return TopicContent(topic, int(stamps.size), None, span, 0, 0.0)
+    usual = float(np.median(steps))
+    wide = steps > GAP_CYCLES * usual
+    return TopicContent(
+        topic, int(stamps.size), 1.0 / usual, span, int(np.count_nonzero(wide)),
+        float(steps.max()) if wide.any() else 0.0,
+    )
+
+
+MOVES = 1e-9
+"""A signal with less spread than this never moves."""
+
+
+@dataclass(frozen=True)
+class Use:
+    """One thing a user may want of a bag."""
+
+    name: str
+    possible: bool
+    because: str = ''
+    """What stands against it; empty where nothing does."""
+
+
+def uses_of_axis(record: Record, data: AxisData) -> tuple[Use, ...]:
+    """What one axis' data allow: identification first, then what hangs on more signals."""
+    refused = _refusal(data)
+    axis = data.axis
+    identify = Use(f'identify {axis}', possible=not refused, because=refused)
+    if refused:
+        return (identify,)
+    reference = _moves(data, data.reference)
+    gains = f'{axis}.rate.kp' in record.gains_at(np.inf)
+    other = '/setpoint/attitude or /excitation/applied is missing or never moves'
+    no_gains = '/gains/active is missing'
+    return (
+        identify,
+        Use('indirect and joint approach', reference, '' if reference else other),
+        Use('closed-loop check, gain design', reference and gains,
+            '' if reference and gains else other if not reference else no_gains),
+        *(_effect(told, name, data) for told, name in _EFFECTS),
+    )
+
+
+def uses_of_flight(identifiable: tuple[str, ...], *, moving: bool) -> tuple[Use, ...]:
+    """What the flight as a whole allows: by the axes to identify, and whether one moves."""
+    both = {'roll', 'pitch'} <= set(identifiable)
+    return (
+        Use('evaluate a stored model', moving,
+            '' if moving else 'no axis holds rate and command that move'),
+        Use('one model for roll and pitch', both,
+            '' if both else 'it needs both, and this bag does not hold them'),
+    )
+
+
+def _refusal(data: AxisData) -> str:
+    try:
+        check_usable(data)
+    except NotInformativeError as error:
+        return str(error).removeprefix(f'{data.axis}: ')
+    return ''
+
+
+def _moves(data: AxisData, signal: np.ndarray | None) -> bool:
+    if signal is None:
+        return False
+    used = np.concatenate([signal[a:b] for a, b in data.train])
+    return bool(np.isfinite(used).all() and np.ptp(used) > MOVES)
+
+
+def _effect(told: str, name: str, data: AxisData) -> Use:
+    """Whether any effect of this name can be tested on the data."""
+    answers = [effect.prepare(data) for effect in EFFECTS if effect.name == name]
+    refused = [one for one in answers if isinstance(one, str)]
+    because = refused[0] if len(refused) == len(answers) else ''
+    return Use(f'find {told}', possible=not because, because=because)
+
+
+_EFFECTS = (
+    ('effects of the angle', 'pendulum_stiffness'),
+    ('battery sag', 'battery_sag'),
+    ('thrust curve', 'thrust_curve'),
+    ("another axis' command", 'cross_axis_input'),
+)
+"""Effects that need more of a flight than the axis' own motion."""
+
 
 RICHEST = 50
 """Order up to which excitation is counted; the paper's PRBS is of this order or more."""
@@ -204,5 +351,3 @@ def _battery(record: Record) -> Battery | None:
     if not volts.size:
         return None
     return Battery(float(volts[0]), float(volts[-1]), float(volts.min()))
-
-

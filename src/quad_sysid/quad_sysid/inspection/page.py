@@ -7,8 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from typing import Any
 
-from quad_sysid.inspection.content import AxisContent, Content
-from quad_sysid.inspection.uses import Use
+from quad_sysid.inspection.content import AxisContent, Content, Use
 
 WIDTH = 79
 MOST_SEGMENTS = 12

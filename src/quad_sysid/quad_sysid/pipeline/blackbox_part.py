@@ -1,6 +1,6 @@
 """The black-box side of one axis: the models that are tried, step A, the error in the metric.
 
-Step B stands in step_b.py, the approaches of Table 1 in approaches.py, advice in advice.py.
+Step B stands in step_b.py, the approaches of Table 1 in selection.py, advice in advice.py.
 """
 
 from __future__ import annotations

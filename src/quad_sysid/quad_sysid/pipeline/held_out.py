@@ -1,18 +1,28 @@
-"""What fitted models make of the held-out segments: errors, innovations, disturbance.
+"""What base, completed model and black-box winner leave on the held-out segments, and under test.
 
-The verdict on them is discover/accept.py's; here is what reports draw and test.
+Errors and innovations of the free run and the filter, whiteness, correlation with the command,
+spectrum with peaks, and the torque that a model seems to lack over time. The verdict on them is
+discover/accept.py's; told in report/document.py, drawn in report/plots_*.py.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
+from quad_sysid.blackbox import Model, ResidualTest, innovation_test, predict, residual_test
 from quad_sysid.contract import FloatArray
 from quad_sysid.discover.accept import Unseen, Verdict
 from quad_sysid.discover.search import Found
+from quad_sysid.errors import QuadSysidError
+from quad_sysid.estimate import stored
 from quad_sysid.estimate.fit import Fit, Problem
 from quad_sysid.model.data import AxisData
-from quad_sysid.pipeline.answer import Findings, HeldOut
+from quad_sysid.pipeline.answer import Findings, HeldOut, MissingTorque, Residual
+from quad_sysid.pipeline.blackbox_part import io_data
+from quad_sysid.pipeline.preparation import resonance_peaks, spectrum
+from quad_sysid.record import IOData
 
 
 def findings(data: AxisData, problem: Problem, found: Found, verdict: Verdict) -> Findings:
@@ -49,3 +59,58 @@ def interval(errors: FloatArray) -> tuple[float, float]:
     spread = 1.96 * float(np.std(square, ddof=1)) / np.sqrt(square.size) / mean
     low, high = np.sqrt(mean) * np.exp(0.5 * np.array([-spread, spread]))
     return float(low), float(high)
+
+
+LOWEST_PEAK_HZ = 1.0
+"""Two lines of the spectrum below this there is no peak to tell from a slope."""
+
+
+def of_grey_box(data: AxisData, told: Findings) -> dict[str, Residual]:
+    """`before`, the base, and `after`, with the effects that were accepted (else the base)."""
+    z = io_data(data, data.validation, external=False)
+    out = {}
+    for name, held in (('before', told.before), ('after', told.after)):
+        one = residual(held.innovations, z)
+        if one is not None:
+            out[name] = replace(one, missing=missing_torque(held, data.dt))
+    return out
+
+
+def of_black_box(data: AxisData, model: Model) -> Residual | None:
+    """The winner's one-step errors; None where the segments are too short to test them."""
+    z = io_data(data, data.validation, external=False)
+    try:
+        test = residual_test(model, z)
+    except QuadSysidError:
+        return None
+    return _with_spectrum(test, z.y - predict(model, z, 1), z)
+
+
+def residual(errors: FloatArray, z: IOData) -> Residual | None:
+    """Tests and spectrum of one-step errors (n,), NaN where there are none; None if too few."""
+    try:
+        test = innovation_test(errors, z)
+    except QuadSysidError:
+        return None
+    return _with_spectrum(test, errors, z)
+
+
+def _with_spectrum(test: ResidualTest, errors: FloatArray, z: IOData) -> Residual:
+    found = spectrum(errors, z.dt)
+    f, density, _ = (np.zeros(0), np.zeros(0), 0) if found is None else found
+    known = errors[np.isfinite(errors)]
+    return Residual(
+        test=test, rms=float(np.sqrt(np.mean(known**2))), frequency_hz=f, density=density,
+        peaks=resonance_peaks(errors, z.dt, LOWEST_PEAK_HZ) or (),
+    )
+
+
+def missing_torque(held: HeldOut, dt: float) -> MissingTorque:
+    """The torque disturbance that the filter sees, beside what its own noise lets one expect."""
+    known = np.flatnonzero(np.isfinite(held.disturbance))
+    noise, found = stored.noise_of(held.fit), held.fit.prediction.filter
+    seen = max(noise.ratios['disturbance'] ** 2 - float(found.covariance[1, 1]), 0.0)
+    return MissingTorque(
+        known.astype(np.float64) * dt, held.disturbance[known],
+        noise.gyro_rms * float(np.sqrt(seen)),
+    )

@@ -22,14 +22,11 @@ from quad_sysid.model.data import AxisData, axis_data
 from quad_sysid.model.effect import Effect
 from quad_sysid.pipeline import assemble, blackbox_part
 from quad_sysid.pipeline.answer import AxisAnswer, Findings, Residual
-from quad_sysid.pipeline.closed_loop import closed_loop
-from quad_sysid.pipeline.held_out import findings
-from quad_sysid.pipeline.motor_order import refusal
-from quad_sysid.pipeline.residual import of_black_box, of_grey_box
+from quad_sysid.pipeline.held_out import findings, of_black_box, of_grey_box
 from quad_sysid.pipeline.selection import with_blackbox
 from quad_sysid.pipeline.shared import share
-from quad_sysid.pipeline.together import together
-from quad_sysid.pipeline.usable import check_usable
+from quad_sysid.pipeline.step_b import closed_loop
+from quad_sysid.pipeline.usable import check_usable, refusal, together
 from quad_sysid.record import Record, Segment
 
 Progress = Callable[[str], None]

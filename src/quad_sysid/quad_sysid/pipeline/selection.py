@@ -1,6 +1,8 @@
 """The black-box part of one axis from its data to the selected model: the paper's two steps.
 
-Only the order of the steps stands here; each is a module of its own.
+Which approaches the signals allow (Table 1), whether the command answers to the rate, and the
+order of the steps. That no test sees feedback does not exclude it: where the controller is fast or
+the command swings far, the rate's noise drowns in the command. So "none" needs a proof of its own.
 """
 
 from __future__ import annotations
@@ -8,17 +10,222 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from quad_sysid.blackbox import Model, Table2Entry, fit_table2
+import numpy as np
+
+from quad_sysid.blackbox import (
+    LinearController,
+    Model,
+    Table2Entry,
+    bj,
+    cascade_controller,
+    fit_table2,
+    indirect,
+    joint,
+    residual_test,
+)
+from quad_sysid.blackbox.innovations import one_step_errors
+from quad_sysid.blackbox.regression import lagged
+from quad_sysid.contract import FloatArray
 from quad_sysid.errors import QuadSysidError
-from quad_sysid.loop.cascade import CascadeGains
+from quad_sysid.loop.cascade import CascadeGains, derivative_weight
 from quad_sysid.model.data import AxisData
-from quad_sysid.pipeline import approaches, blackbox_part, preparation, step_b
+from quad_sysid.pipeline import blackbox_part, preparation, step_b
 from quad_sysid.pipeline.advice import Evidence, advice, rivalry
-from quad_sysid.pipeline.answer import AxisAnswer, ModelRow, Selection
+from quad_sysid.pipeline.answer import Approach, AxisAnswer, ModelRow, Selection
 from quad_sysid.pipeline.assemble import band_of
-from quad_sysid.pipeline.feedback import feedback, through_controller
+from quad_sysid.pipeline.blackbox_part import NOISE_ORDER, ORDERS, Fits, tried
 from quad_sysid.pipeline.shared import box_jenkins
 from quad_sysid.record import IOData, Record
+
+KNOWN_CONTROLLER_PCT = 70.0
+"""Fit of the known controller's own command to the recorded one below which it is not known."""
+
+
+def approaches(
+    z: IOData, gains: CascadeGains | None, *, behind_attitude: bool, one_loop: bool,
+    closed: bool | None,
+) -> tuple[tuple[Approach, ...], LinearController | None]:
+    """Judge each approach by the signals it needs; the controller where `indirect` is possible.
+
+    `behind_attitude`: the external reference is the attitude set-point and not an excitation
+    that was added behind C1 or C2. `one_loop`: all training was flown with the same gains.
+    """
+    no = ''
+    if closed is False:
+        no = 'no feedback in the data: the direct approach has nothing to avoid'
+    elif z.r is None:
+        no = 'no external reference that moves: record /setpoint/attitude or /excitation/applied'
+    elif not one_loop:
+        no = 'the training was flown with several sets of gains, which are several loops'
+    known, told = None, no
+    if not no and gains is None:
+        told = '/gains/active does not say the controller'
+    elif not no and not behind_attitude:
+        told = 'the excitation acts behind C1 or C2, not on the attitude reference'
+    elif not no and gains is not None:
+        known, told = _known(z, gains)
+    return (
+        Approach('direct', possible=True, because='command and rate are recorded'),
+        Approach('indirect', possible=known is not None, because=told),
+        Approach('joint', possible=not no,
+                 because=no or 'command, rate and reference are recorded'),
+    ), known
+
+
+def _known(z: IOData, gains: CascadeGains) -> tuple[LinearController | None, str]:
+    """The controller, if its own command is the recorded one, and what was found."""
+    ways = [controller(gains, z.dt, trapezoid=trapezoid) for trapezoid in (True, False)]
+    known = max(ways, key=lambda way: reproduced(z, way))
+    fit = reproduced(z, known)
+    if fit < KNOWN_CONTROLLER_PCT:
+        return None, (
+            f'the controller of /gains/active gives only {max(fit, 0.0):.0f} % of the recorded '
+            'command; limits or another loop act as well'
+        )
+    return known, f'reference and rate are recorded, {fit:.0f} % of the command is the controller'
+
+
+def controller(gains: CascadeGains, dt: float, *, trapezoid: bool = True) -> LinearController:
+    """C1 and C2 without their limits; the far end's angle by trapezoids or by rectangles."""
+    return cascade_controller(
+        angle_kp=gains.angle_kp, rate_kp=gains.rate_kp, rate_ki=gains.rate_ki,
+        rate_kd=gains.rate_kd, d_weight=derivative_weight(gains.d_filter_hz, dt), dt=dt,
+        trapezoid=trapezoid,
+    )
+
+
+def reproduced(z: IOData, known: LinearController) -> float:
+    """Fit in percent of the known controller's command to the recorded one, drift aside.
+
+    The angle's start and the gyro's bias are not known to the running sum, so the recorded and
+    the computed command are compared in their changes over a tenth of a second.
+    """
+    if z.r is None:
+        return 0.0
+    lag = max(1, round(0.1 / z.dt))
+    recorded: list[FloatArray] = []
+    computed: list[FloatArray] = []
+    for a, b in z.segments:
+        if b - a > 2 * lag:
+            u = known.command(z.r[a:b], z.y[a:b])
+            recorded.append(z.u[a + lag : b] - z.u[a : b - lag])
+            computed.append(u[lag:] - u[:-lag])
+    if not recorded:
+        return 0.0
+    one, other = np.concatenate(recorded), np.concatenate(computed)
+    spread = float(np.linalg.norm(one - one.mean()))
+    return 100.0 * (1.0 - float(np.linalg.norm(one - other)) / spread) if spread > 0.0 else 0.0
+
+
+def fit_others(
+    z: IOData, fits: Fits, possible: tuple[Approach, ...], known: LinearController | None
+) -> tuple[tuple[Model, ...], tuple[str, ...]]:
+    """Fit the plant by every approach but the direct one that is possible; models and refusals."""
+    refused: list[str] = []
+    nk, n = fits.nk, fits.order
+    models: tuple[Model, ...] = ()
+    start = next((m for m in fits.models if m.structure == 'BJ'), None)
+    names = {one.name for one in possible if one.possible}
+    if 'joint' in names:
+        models += tried(
+            refused, lambda: joint(z, lambda data: bj(data, n, NOISE_ORDER, NOISE_ORDER, n, nk))
+        )
+    if known is not None and 'indirect' in names:
+        found = tried(refused, lambda: indirect(z, n, n, nk, known, start=start))
+        if n > ORDERS[0] and not any(model.converged for model in found):
+            found = tried(refused, lambda: indirect(z, ORDERS[0], ORDERS[0], nk, known)) or found
+        models += found
+    return models, tuple(refused)
+
+
+FEEDBACK_LEVEL = 0.01
+FEW_LEVELS = 8
+"""A command of no more values than these answers to no noisy rate (PRBS, square, 3-2-1-1)."""
+SAME = 1e-4
+"""Part of the command's spread within which two values are one."""
+PAST = 30
+"""Samples of the command's own past that its next value is predicted from."""
+CYCLES = 3
+"""Cycles within which a controller answers to the rate."""
+NEGLIGIBLE = 0.2
+"""Loop gain below which feedback neither biases the direct approach nor shapes the flight."""
+SURE = 3.0
+"""Standard errors up to which feedback that was not seen may be there."""
+
+
+def feedback(
+    z: IOData, model: Model, gains: CascadeGains | None, *, behind_attitude: bool, through: bool
+) -> bool | None:
+    """Whether the command answers to the rate; None where neither can be shown.
+
+    True where the residual of `model` foresees the command, with nothing but the past of the
+    command taken out (or the plant is not causal), or where the command is that of the known
+    controller on the reference z.r (`behind_attitude`: the attitude's) and the rate. False where
+    the command takes a few values only, or the loop gain that could have been missed is below
+    NEGLIGIBLE; never where the excitation came `through` C1 or C2, which are feedback.
+    """
+    try:
+        test = residual_test(model, replace(z, r=None))
+        if test.p_causal < FEEDBACK_LEVEL:
+            return True
+        if (gains is not None and behind_attitude
+                and reproduced(z, controller(gains, z.dt)) >= KNOWN_CONTROLLER_PCT):
+            return True
+        if through:
+            return None
+        excluded = _few_levels(z) or largest_loop_gain(z, model) < NEGLIGIBLE
+    except QuadSysidError:
+        return None
+    return False if excluded else None
+
+
+def through_controller(records: Sequence[Record], axis: str) -> bool:
+    """Whether training was excited in front of C1 or C2, so that a controller passed it on."""
+    return any(
+        s.injection in ('attitude', 'rate') and s.signal not in ('none', 'unknown')
+        for r in records for s in r.segments if s.role == 'train' and s.axis == axis
+    )
+
+
+def _few_levels(z: IOData) -> bool:
+    u = np.concatenate([z.u[a:b] for a, b in z.segments])
+    spread = float(u.std())
+    return spread > 0.0 and np.unique(np.round(u / (SAME * spread))).size <= FEW_LEVELS
+
+
+def largest_loop_gain(z: IOData, model: Model) -> float:
+    """Loop gain that the data do not exclude: feedback gain times rate over command.
+
+    The feedback gain is that from the one-step errors (of the last CYCLES) to the command beyond
+    what the command's past foretells, SURE standard errors added; inf where it has no estimate.
+    """
+    blocks: list[FloatArray] = []
+    for part in one_step_errors(model, z):
+        e = np.zeros(z.u.size)
+        e[part.start : part.start + part.errors.size] = part.errors
+        start, stop = part.start + max(PAST, CYCLES), part.start + part.errors.size
+        if start < stop:
+            blocks.append(np.column_stack((
+                lagged(e, range(CYCLES), start, stop),
+                lagged(z.u, range(1, PAST + 1), start, stop),
+                np.ones(stop - start), z.u[start:stop],
+            )))
+    rows = np.vstack(blocks) if blocks else np.zeros((0, CYCLES + PAST + 2))
+    if rows.shape[0] <= 2 * rows.shape[1]:
+        return float('inf')
+    past, targets = rows[:, CYCLES:-1], np.column_stack((rows[:, :CYCLES], rows[:, -1]))
+    left = targets - past @ np.linalg.lstsq(past, targets, rcond=1e-12)[0]
+    gram = left[:, :CYCLES].T @ left[:, :CYCLES]
+    if np.linalg.cond(gram) > 1e12:
+        return float('inf')
+    found = np.linalg.solve(gram, left[:, :CYCLES].T @ left[:, -1])
+    rest = left[:, -1] - left[:, :CYCLES] @ found
+    power = float(rest @ rest) / (rows.shape[0] - rows.shape[1] + 1)
+    spread = np.sqrt(power * np.diag(np.linalg.inv(gram)))
+    gain = float(np.max(np.abs(found) + SURE * spread))
+    u = np.concatenate([z.u[a:b] for a, b in z.segments])
+    y = np.concatenate([z.y[a:b] for a, b in z.segments])
+    return gain * float(y.std() / u.std()) if u.std() > 0.0 else float('inf')
 
 
 def with_blackbox(
@@ -35,11 +242,11 @@ def with_blackbox(
             z, fits.search.model, cascade, behind_attitude=behind,
             through=through_controller(records, data.axis),
         )
-        possible, known = approaches.approaches(
+        possible, known = approaches(
             z, cascade, behind_attitude=behind, one_loop=_one_loop(records, data.axis),
             closed=closed,
         )
-        others, refused = approaches.fit_others(z, fits, possible, known)
+        others, refused = fit_others(z, fits, possible, known)
         rows = blackbox_part.rows_of(data, fits.models + others)
     except QuadSysidError as error:
         return replace(

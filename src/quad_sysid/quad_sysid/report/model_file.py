@@ -1,8 +1,8 @@
-"""model.json: identified axis models on disk and back, strictly checked.
+"""model.json: identified models on disk and back, strictly checked: grey boxes and black boxes.
 
 Schema quad_sysid/model/2. NaN is not JSON: a covariance row held at a bound and a standard error
-that does not exist are stored as null. What a model
-means stands in quad_sysid/model.py; nothing is fitted or judged here.
+that does not exist are stored as null. What a model means stands in quad_sysid/model; nothing is
+fitted or judged here.
 """
 
 from __future__ import annotations
@@ -17,10 +17,69 @@ from typing import Any
 
 import numpy as np
 
+from quad_sysid.blackbox import Model
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.json_file import read_json
 from quad_sysid.model import AxisModel, EffectEstimate, NoiseEstimate, Parameter
+
+POLYNOMIALS = ('A', 'B', 'C', 'D', 'F')
+
+
+def tree_of(model: Model) -> dict[str, Any]:
+    """A polynomial model as plain values; B with its leading zeros, covariance null if unknown."""
+    covariance = model.covariance
+    known = covariance is not None and bool(np.isfinite(covariance).all())
+    return {
+        'structure': model.structure,
+        'orders': {name: int(value) for name, value in model.orders.items()},
+        'approach': model.approach,
+        **{name: [float(x) for x in getattr(model, name)] for name in POLYNOMIALS},
+        'nk': int(model.nk),
+        'dt': float(model.dt),
+        'noise_variance': float(model.noise_variance),
+        'parameter_names': list(model.parameter_names),
+        'covariance': covariance.tolist() if known and covariance is not None else None,
+    }
+
+
+def load_blackbox(path: str | os.PathLike[str]) -> dict[str, Model]:
+    """The black-box models of a model.json by axis; empty where it holds none.
+
+    Raises BadInputError naming file and field where they cannot be read.
+    """
+    tree = read_json(path)
+    axes = tree.get('blackbox', {}) if isinstance(tree, dict) else {}
+    if not isinstance(axes, dict):
+        raise BadInputError(f'{path}: blackbox', 'must be an object', type(axes).__name__)
+    return {axis: _model_of(one, f'{path}: blackbox.{axis}') for axis, one in axes.items()}
+
+
+def _model_of(tree: Mapping[str, Any], where: str) -> Model:
+    try:
+        a, b, c, d, f = (np.asarray(tree[name], dtype=float) for name in POLYNOMIALS)
+        model = Model(
+            structure=str(tree['structure']),
+            orders={str(name): int(value) for name, value in tree['orders'].items()},
+            approach=str(tree['approach']), nk=int(tree['nk']), dt=float(tree['dt']),
+            noise_variance=float(tree['noise_variance']), covariance=tree['covariance'],
+            A=a, B=b, C=c, D=d, F=f,
+        )
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise BadInputError(where, 'is not a polynomial model', repr(error)) from error
+    p = model.parameters.size
+    for name in POLYNOMIALS:
+        poly = getattr(model, name)
+        if poly.ndim != 1 or not poly.size or not np.isfinite(poly).all():
+            raise BadInputError(f'{where}.{name}', 'must be a list of finite numbers')
+        if name != 'B' and poly[0] != 1.0:
+            raise BadInputError(f'{where}.{name}', 'must start with 1', float(poly[0]))
+    if not (math.isfinite(model.dt) and model.dt > 0.0):
+        raise BadInputError(f'{where}.dt', 'must be a positive number of seconds', model.dt)
+    if model.covariance is not None and model.covariance.shape != (p, p):
+        raise BadInputError(f'{where}.covariance', f'must be {p} by {p}', model.covariance.shape)
+    return model
+
 
 SCHEMA = 'quad_sysid/model/2'
 BASE_NAMES = ('gain', 'lag', 'delay', 'damping', 'bias')
@@ -46,7 +105,7 @@ def save_models(
 ) -> None:
     """Write the models of a flight, by axis, to `path`; the file is replaced whole or not at all.
 
-    `blackbox`: trees of the selected black-box models by axis (blackbox_file.py). Raises
+    `blackbox`: trees of the selected black-box models by axis. Raises
     BadInputError where a number that must be finite is not, or the file can't be written.
     """
     target = Path(path)

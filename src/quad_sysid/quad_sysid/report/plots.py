@@ -14,7 +14,7 @@ import numpy as np
 
 from quad_sysid.errors import BadInputError, QuadSysidError
 from quad_sysid.pipeline.answer import AxisAnswer
-from quad_sysid.report import plots_data, plots_effects, plots_loop, plots_models, plots_residual
+from quad_sysid.report import plots_data, plots_effects, plots_loop, plots_models
 from quad_sysid.report.canvas import Picture, png
 
 PICTURES: tuple[tuple[str, Callable[[AxisAnswer], Picture | None]], ...] = (
@@ -24,15 +24,15 @@ PICTURES: tuple[tuple[str, Callable[[AxisAnswer], Picture | None]], ...] = (
     ('coherence', plots_data.coherences),
     ('free_run', plots_models.free_run),
     ('horizon', plots_models.horizon),
-    ('one_step', plots_residual.one_step),
+    ('one_step', plots_models.one_step),
     ('residual_test', plots_models.residuals),
     ('bode', plots_models.bode),
     ('left_out', plots_effects.left_out),
     ('effect_shape', plots_effects.effect_shapes),
     ('rivals', plots_effects.rivals),
-    ('correlations', plots_residual.correlations),
-    ('residual_spectrum', plots_residual.spectrum),
-    ('missing_torque', plots_residual.torque),
+    ('correlations', plots_models.correlations),
+    ('residual_spectrum', plots_models.spectrum),
+    ('missing_torque', plots_models.torque),
     ('closed_loop', plots_loop.overlay),
     ('step', plots_loop.step_response),
     ('margins', plots_loop.open_loop_margins),

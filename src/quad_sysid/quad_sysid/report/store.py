@@ -12,9 +12,8 @@ from typing import Any
 from quad_sysid.errors import BadInputError
 from quad_sysid.pipeline.answer import AxisAnswer
 from quad_sysid.report import plots
-from quad_sysid.report.blackbox_file import tree_of
 from quad_sysid.report.html import page
-from quad_sysid.report.model_file import save_models
+from quad_sysid.report.model_file import save_models, tree_of
 
 
 def free_folder(wanted: Path) -> Path:

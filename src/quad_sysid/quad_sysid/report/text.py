@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from quad_sysid.report import selection, words
+from quad_sysid.report import document, words
 
 ROW = '{:<22} {:>7} {:>9} {:>9} {:>7}  {}'
 
@@ -16,7 +16,7 @@ def lines(report: Mapping[str, Any]) -> list[str]:
     for axis, tree in report['axes'].items():
         out += ['', f'{axis} at {tree["sample_rate_hz"]:g} Hz', '']
         out += _models(tree)
-        out += selection.lines(tree)
+        out += document.lines(tree)
         out += _verdict(tree)
         out += _errors(tree)
         out += _gains(tree)

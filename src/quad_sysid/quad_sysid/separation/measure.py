@@ -22,7 +22,7 @@ from quad_sysid.model import recursion
 from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import Part
 from quad_sysid.model.plant import NOISE, Structure
-from quad_sysid.separation.aircraft import Acting, Aircraft
+from quad_sysid.separation.flight import Acting, Aircraft
 
 TOLD = 0.1
 """A flight tells the base where the gain's standard error is below this share."""

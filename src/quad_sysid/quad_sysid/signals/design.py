@@ -9,8 +9,8 @@ import math
 from dataclasses import dataclass
 
 from quad_sysid.errors import BadInputError
-from quad_sysid.signals.prbs import TAPS
 from quad_sysid.signals.schedule import AMPLITUDES
+from quad_sysid.signals.waveforms import TAPS
 
 PERIODS = (3.0, 5.0)
 """Eq. (9): N * clock = 3 to 5 of the longest time constant."""

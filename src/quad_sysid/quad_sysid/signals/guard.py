@@ -1,6 +1,7 @@
 """When an excitation must end: limits of angle, link, battery, and the pilot's will.
 
-Pure: readings in, a reason out. What happens then is player.py's business.
+Pure: readings in, a reason out. What happens then is player.py's business. Below stands a clock
+that leaves out when the node itself stood still.
 """
 
 from __future__ import annotations
@@ -120,3 +121,40 @@ def _battery(limits: Limits, readings: Readings) -> Abort | None:
     if volts < limits.battery_min_v:
         return Abort(f'battery at {volts:.2f} V, below {limits.battery_min_v:.2f} V')
     return None
+
+
+STALL_S = 0.05
+"""Between two ticks: more than this and the node stood still."""
+LONGEST_S = 1.0
+"""So much standstill is left out, in one piece or several; what is awake earns it back, second by
+second. A longer one is left out by nothing: nobody watched the aircraft."""
+
+
+class Stall:
+    """Watches the times of a node's own ticks; a clock that leaves its standstills out."""
+
+    def __init__(self) -> None:
+        self._last: float | None = None
+        self._left_out_s = 0.0
+        self._allowed_s = LONGEST_S
+        self.stood_still_s = 0.0
+        """Length of the standstill before the last tick, 0 where there was none."""
+
+    def begin(self, now_s: float) -> None:
+        """Watch from `now_s` on, which is before the first tick; forget the ticks so far."""
+        self._last, self.stood_still_s, self._allowed_s = now_s, 0.0, LONGEST_S
+
+    def tick(self, now_s: float) -> None:
+        """Take note of a tick, before ages are judged in it."""
+        gap = 0.0 if self._last is None else now_s - self._last
+        self._last = now_s
+        self.stood_still_s = gap if gap > STALL_S else 0.0
+        if not self.stood_still_s:
+            self._allowed_s = min(self._allowed_s + gap, LONGEST_S)
+        elif gap <= self._allowed_s:
+            self._allowed_s -= gap
+            self._left_out_s += gap
+
+    def awake_s(self, now_s: float) -> float:
+        """`now_s` (s) without the standstills so far: stamp by it what arrives, age it by it."""
+        return now_s - self._left_out_s

@@ -9,9 +9,25 @@ from collections.abc import Sequence
 from pathlib import Path
 from types import FrameType
 
-from quad_tuning.demo.errors import StageFailedError
-from quad_tuning.demo.folders import fresh_folder
+from quad_tuning.demo.processes import StageFailedError
 from quad_tuning.demo.story import Teller, tell
+
+
+def fresh_folder(folder: Path) -> Path | None:
+    """Make `folder`; where it holds something, rename that first and return its new path.
+
+    Raises FileExistsError where `folder` is a file.
+    """
+    aside = None
+    if folder.is_dir() and any(folder.iterdir()):
+        number = 1
+        aside = folder.with_name(f'{folder.name}.{number}')
+        while aside.exists():
+            number += 1
+            aside = folder.with_name(f'{folder.name}.{number}')
+        folder.rename(aside)
+    folder.mkdir(parents=True, exist_ok=True)
+    return aside
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -27,7 +27,7 @@ from sensor_msgs.msg import Imu
 from std_srvs.srv import Trigger
 
 from quad_bridge.lockstep import Clock
-from quad_tuning.demo.errors import StageFailedError
+from quad_tuning.demo.processes import StageFailedError
 
 PATIENCE_S = 1200.0
 """Real time that anything may take in lockstep: what takes longer hangs."""

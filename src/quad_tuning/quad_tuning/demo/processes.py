@@ -1,4 +1,4 @@
-"""Child processes of one run: started with a log each, watched, measured, and all stopped.
+"""Child processes of one run in a ROS domain of its own: started, watched, measured, stopped.
 
 Knows nothing of topics or stages; the demo and the end-to-end tests both use it.
 """
@@ -8,10 +8,11 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
+import socket
 import subprocess
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
@@ -24,7 +25,65 @@ from ament_index_python.packages import (
 )
 
 from quad_bridge.lockstep import VARIABLE, Clock, Participant
-from quad_tuning.demo.errors import StageFailedError
+
+
+class StageFailedError(Exception):
+    """A stage of the demo ended without its result; `str()` is the one line for the user."""
+
+    def __init__(self, stage: str, reason: str) -> None:
+        super().__init__(f'{stage}: {" ".join(reason.split())}')
+        self.stage = stage
+        self.reason = reason
+
+
+PORT_BASE, PORT_GAIN, PORT_GUARD = 7400, 250, 249
+"""Ports of a domain start at 7400 + 250 * domain (DDSI-RTPS 9.6.2.3); the last is our guard."""
+DISCOVERY_OFFSETS = (0, 10, 12, 14)
+"""Multicast, and unicast of the first three participants."""
+LOWEST, HIGHEST = 1, 100
+"""Above 101 the ports of Linux' own ephemeral range begin."""
+
+
+@contextlib.contextmanager
+def own_domain() -> Iterator[int]:
+    """A domain id that nobody on this machine uses, held until the block ends.
+
+    Raises OSError where all of them are taken.
+    """
+    span = HIGHEST - LOWEST + 1
+    first = os.getpid() % span
+    for step in range(span):
+        domain = LOWEST + (first + step) % span
+        guard = _guard(domain)
+        if guard is None:
+            continue
+        with guard:
+            if not _in_use(domain):
+                yield domain
+                return
+    raise OSError('no free ROS domain id between 1 and 100 on this machine')
+
+
+def _guard(domain: int) -> socket.socket | None:
+    guard = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    try:
+        guard.bind(('127.0.0.1', PORT_BASE + PORT_GAIN * domain + PORT_GUARD))
+    except OSError:
+        guard.close()
+        return None
+    return guard
+
+
+def _in_use(domain: int) -> bool:
+    """Whether somebody listens on one of the ports by which participants find each other."""
+    for offset in DISCOVERY_OFFSETS:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.bind(('', PORT_BASE + PORT_GAIN * domain + offset))
+            except OSError:
+                return True
+    return False
+
 
 STOP_PATIENCE_S = 8.0
 """How long a process may take to end after SIGINT before it is killed."""

@@ -11,9 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from quad_sysid.schedule_file import load_schedule
-from quad_tuning.demo.errors import StageFailedError
 from quad_tuning.demo.observer import Observer
-from quad_tuning.demo.processes import Crew, executable
+from quad_tuning.demo.processes import Crew, StageFailedError, executable
 
 CONNECT_S, START_S, CLOSE_S, ACKNOWLEDGE_S, IDENTIFY_S = 40.0, 20.0, 20.0, 60.0, 600.0
 """Patience of the stages, s."""

@@ -13,12 +13,8 @@ from typing import Any
 
 from ament_index_python.packages import get_package_share_directory
 
-from quad_tuning.demo.comparison import flown_square
-from quad_tuning.demo.domain import own_domain
-from quad_tuning.demo.errors import StageFailedError
 from quad_tuning.demo.observer import Observer
-from quad_tuning.demo.picture import draw_square
-from quad_tuning.demo.processes import Crew
+from quad_tuning.demo.processes import Crew, StageFailedError, own_domain
 from quad_tuning.demo.stages import (
     Aircraft,
     Campaign,
@@ -28,7 +24,7 @@ from quad_tuning.demo.stages import (
     fly,
     start_identification,
 )
-from quad_tuning.demo.summary import FlightSummary, Outcome, lines
+from quad_tuning.demo.summary import FlightSummary, Outcome, draw_square, flown_square, lines
 
 AXIS = 'roll'
 HERE = Path(__file__).parent
