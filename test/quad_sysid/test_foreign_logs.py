@@ -245,6 +245,30 @@ def test_ardupilot_pulses(flight, tmp_path):
     assert 'thrust curve' in told
 
 
+@pytest.mark.parametrize(('topic', 'field', 'values'), [
+    ('actuator_armed', 'armed', (0.0, 1.0)), ('vehicle_status', 'arming_state', (1.0, 2.0)),
+    ('EV', 'Id', (11.0, 10.0)),
+])
+def test_while_disarmed_the_motors_stand_whatever_was_asked_for(
+    flight, tmp_path, topic, field, values
+):
+    stamps = 3_000_000 + DT_US * np.array([0, N // 2])
+    if topic == 'EV':
+        pytest.importorskip('pymavlink')
+        messages = ardupilot_messages(flight)
+        messages['EV'] = (('TimeUS', field), np.column_stack([stamps, values]))
+        path = dataflash(tmp_path / 'log', messages, {'FRAME_CLASS': 1, 'FRAME_TYPE': 1})
+    else:
+        pytest.importorskip('pyulog')
+        topics = px4_topics(flight) | {topic: {'timestamp': stamps, field: np.array(values)}}
+        path = ulog(tmp_path / 'log', {name: {**columns, 'timestamp': columns['timestamp'] + (
+            0 if name == topic else 1_000_000)} for name, columns in topics.items()}, {})
+    record, told = imported(path, tmp_path / 'bag')
+    assert 'disarmed for 3 s of 6 s' in told
+    assert not record.control[: N // 2].any()
+    np.testing.assert_allclose(record.control[N // 2 :], flight.control[N // 2 :], atol=1e-5)
+
+
 def test_ardupilot_outputs_carry_the_gains(flight, tmp_path):
     pytest.importorskip('pymavlink')
     messages = ardupilot_messages(flight)

@@ -24,6 +24,7 @@ FIELDS: Mapping[str, tuple[str, ...]] = {
     'ATT': ('DesRoll', 'Roll', 'DesPitch', 'Pitch', 'DesYaw', 'Yaw'),
     'RCOU': tuple(f'C{i}' for i in range(1, 15)),
     'BAT': ('Volt',),
+    'EV': ('Id',),
 }
 FIRST_INSTANCE = ('IMU', 'BAT')
 INSTANCE = ('I', 'Instance', 'Inst')
@@ -36,6 +37,8 @@ MOTORS_OF_FRAME = {1: 4, 2: 6, 3: 8, 4: 8, 5: 6}
 """By FRAME_CLASS: quad, hexa, octa, octaquad, Y6."""
 QUAD, X_FRAME = 1, 1
 """FRAME_CLASS, FRAME_TYPE."""
+ARMED, DISARMED = 10, 11
+"""Id of EV."""
 FAST_ENOUGH = 0.5
 FASTER = (
     "set bit 0 (fast attitude) of LOG_BITMASK: RATE is then logged at the l"
@@ -98,7 +101,7 @@ def read(path: Path) -> ForeignLog:
         rate_setpoint=_degrees(wanted),
         acceleration=None if acceleration is None else
         Stream(acceleration.time_s, acceleration.values * MIRROR),
-        battery=battery, gains=gains, faster=FASTER,
+        armed=_armed(content), battery=battery, gains=gains, faster=FASTER,
         mapped=tuple(mapped), missing=_missing(angles, wanted, battery, gains),
         warnings=(*_frame(content), *warnings),
     )
@@ -112,6 +115,16 @@ def _degrees(stream: Stream | None, *, turned: bool = False) -> Stream | None:
     if not turned:
         return Stream(stream.time_s, values * MIRROR)
     return Stream(stream.time_s, angles_from_ned(values))
+
+
+def _armed(content: _Content) -> Stream | None:
+    """From each event on; before the first, what it ends."""
+    events = np.array(content.rows.get('EV', ()), dtype=float).reshape(-1, 2)
+    events = events[np.isin(events[:, 1], (ARMED, DISARMED))]
+    if not len(events):
+        return None
+    state = events[:, 1:] == ARMED
+    return Stream(np.r_[0.0, events[:, 0] * 1e-6], 1.0 * np.vstack([~state[:1], state]))
 
 
 def _load(path: Path) -> _Content:

@@ -69,6 +69,8 @@ class ForeignLog:
     """(n, k) commands 0..1 in the log's own order."""
     mixer: Mixer | None = None
     """What the motors do; None: what the motion shows."""
+    armed: Stream | None = None
+    """(n, 1) 1 from where the motors follow the commands, 0 from where they stand; None: always."""
     axes: tuple[str, ...] = AXES
     """Those that were measured; the others' columns are 0."""
     angles: Stream | None = None

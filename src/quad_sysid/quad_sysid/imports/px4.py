@@ -29,13 +29,15 @@ TOPICS = (
     'vehicle_angular_velocity', 'sensor_combined', 'vehicle_attitude', 'vehicle_acceleration',
     'actuator_motors', 'vehicle_torque_setpoint', 'vehicle_thrust_setpoint',
     'actuator_controls_0', 'vehicle_attitude_setpoint', 'vehicle_rates_setpoint',
-    'battery_status',
+    'battery_status', 'actuator_armed', 'vehicle_status',
 )
 MOTOR_ORDER = (1, 3, 0, 2)
 """Motor at rear left, rear right, front right, front left in PX4's Quad X (1 front right, 2 rear
 left, 3 front left, 4 rear right)."""
 FAST_ENOUGH = 0.5
 """Share of the gyro's rate at which motors must be logged to be taken as the input."""
+ARMED = 2
+"""arming_state of vehicle_status."""
 QUADROTOR = 2
 """MAV_TYPE."""
 LINEAR = 0.98
@@ -101,7 +103,7 @@ def read(path: Path) -> ForeignLog:
     return ForeignLog(
         source=str(path), kind='a PX4 log', rates=rates, **given, angles=angles,
         acceleration=acceleration, attitude_setpoint=attitude, rate_setpoint=rate_setpoint,
-        battery=battery, gains=gains, faster=FASTER, mapped=tuple(mapped),
+        armed=_armed(content), battery=battery, gains=gains, faster=FASTER, mapped=tuple(mapped),
         missing=_missing(angles, attitude, rate_setpoint, battery, gains),
         warnings=(*_frame(content), *warnings),
     )
@@ -127,6 +129,14 @@ def _load(path: Path) -> _Content:
         if isinstance(value, int | float)
     }
     return _Content(str(path), topics, parameters)
+
+
+def _armed(content: _Content) -> Stream | None:
+    said = content.stream('actuator_armed', 'armed')
+    if said is not None:
+        return said
+    state = content.stream('vehicle_status', 'arming_state')
+    return None if state is None else Stream(state.time_s, 1.0 * (state.values == ARMED))
 
 
 def _rates(content: _Content, mapped: list[Mapped]) -> Stream:

@@ -75,6 +75,7 @@ def import_log(log: ForeignLog, out: Path, grid_hz: float | None = None) -> Impo
         gains['sensor.rate_from_angle_s'] = DERIVATIVE_HALF_WIDTH_S
         told.append(f'rates by {how}')
     control, motors = _commands(log, laid, rates, angles, told, warnings)
+    control, motors = _armed(log, laid, control, motors, warnings)
     control = _possible(control, log, warnings)
     if laid.dt > 1.0 / SLOWEST_HZ and log.faster:
         warnings.append(f'{1.0 / laid.dt:.3g} Hz is too slow to tell motors and delay: '
@@ -140,6 +141,23 @@ def _commands(
         ordered = motors[:, list(order)]
         return control_from_motors(ordered), ordered
     return motors @ mixer.matrix.T, None
+
+
+def _armed(
+    log: ForeignLog, laid: Cycles, control: FloatArray, motors: FloatArray | None,
+    warnings: list[str],
+) -> tuple[FloatArray, FloatArray | None]:
+    """Commands as they reach the motors: none where these stand, whatever was asked for."""
+    if log.armed is None:
+        return control, motors
+    at = np.searchsorted(log.armed.time_s, laid.times, side='right') - 1
+    off = log.armed.values[np.maximum(at, 0), 0] == 0.0
+    if off.any():
+        warnings.append(f'disarmed for {off.sum() * laid.dt:.3g} s of {off.size * laid.dt:.3g} s: '
+                        'there the motors stand and the commands are 0, whatever was asked for')
+    stands = off[:, None]
+    return np.where(stands, 0.0, control), None if motors is None else np.where(
+        stands, 0.0, motors)
 
 
 def _by_motion(
