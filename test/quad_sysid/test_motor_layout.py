@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from quad_sysid.imports.log import ForeignLog, Stream
+from quad_sysid.imports.to_bag import import_log
 from quad_sysid.motor_layout import patterns_of, share_of
 
 SHARED = Path(__file__).resolve().parents[2] / '../shared/data'
@@ -54,6 +56,26 @@ def test_every_layout_is_found(layout):
     assert all(p.share > 1.4 * p.rival_share for p in found)
     opposite = -np.array(found[0].signs, dtype=float)
     assert share_of(opposite, rates[:, 0], motors, DT) < 0.1 * found[0].share
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_a_crash_and_a_time_in_the_hand_do_not_hide_the_layout(tmp_path, seed):
+    """As long in the hand as in flight, and a second in which it hits things and its motors jump."""
+    rng = np.random.default_rng(seed)
+    rates, motors = flown(LAYOUTS['another order'], seed + 1)
+    crash = slice(N - 250, N)
+    rates[crash] = np.cumsum(2.0 * rng.standard_normal((250, 3)), axis=0)
+    motors[crash] = rng.choice([0.0, 1.0], (250, 4))
+    hand = 3.0 * np.sin(np.arange(N)[:, None] * DT * np.array([5.0, 7.0, 4.0]))
+    idle = 0.06 + 0.02 * rng.random((N, 4))
+    times = DT * np.arange(2 * N)
+    log = ForeignLog('crash', 'a log', rates=Stream(times, np.vstack([hand, rates])),
+                     motors=Stream(times, np.vstack([idle, motors])))
+    told = import_log(log, tmp_path / 'bag').told
+    for axis, text in zip(('roll', 'pitch', 'yaw'), LAYOUTS['another order'], strict=True):
+        (line,) = (line for line in told if line.startswith(f'motors on {axis}'))
+        assert f': {text} explain' in line
+        assert 'not told apart' not in line
 
 
 @pytest.mark.parametrize('motors', [4, 8])

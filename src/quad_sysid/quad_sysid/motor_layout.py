@@ -7,7 +7,7 @@ signed sum of the commands explains is compared over all patterns, delays and la
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import product
@@ -23,6 +23,9 @@ STEP_S = 0.02
 """Over which the rate's change is taken: longer than the gyro's noise, shorter than a motor."""
 FINEST_S = 0.002
 """A faster recording is thinned to this before."""
+CRASH = 5.0
+"""Robust standard deviations beyond which an angular acceleration is a crash, a hand or a landing
+rather than what the motors do: it counts as so large, or it would outweigh the whole flight."""
 BLOCKS = 8
 """Parts of the recording in each of which the pattern is held against its nearest rival."""
 MOST_BLOCKS = 0.75
@@ -40,6 +43,9 @@ best one's share are the same to the data: the one the motors were driven along 
 CLEARLY_LESS = 0.5
 """A mixer that explains less than this share of what the best pattern explains is doubted."""
 MOST_MOTORS = 8
+PLUS = range(4)
+"""Of a plus frame two motors are idle for roll and the other two for pitch; every propeller turns
+the yaw. An idle motor that fits neither is one that the recording hardly moved."""
 
 
 @dataclass(frozen=True)
@@ -117,16 +123,26 @@ def patterns_of(
         rates = rates[:n:thin]
         angles = None if angles is None else angles[:n:thin]
         dt *= thin
-    found = []
-    for i, axis in enumerate(AXES):
-        tried = [
-            _best(axis, response)
-            for response in _responses(rates[:, i], motors, dt,
-                                       None if angles is None else angles[:, i])
-        ]
-        if tried:
-            found.append(max(tried, key=lambda p: (p.certain, p.response != 'angle', p.share)))
-    return tuple(found)
+    responses = {
+        axis: tuple(_responses(rates[:, i], motors, dt, None if angles is None else angles[:, i]))
+        for i, axis in enumerate(AXES)
+    }
+    found = _best_of(responses, idle=('roll', 'pitch'))
+    idle = [{i for i, s in enumerate(p.signs) if not s} for p in found if p.axis != 'yaw']
+    if motors.shape[1] == len(PLUS) and any(idle) and sorted(set().union(*idle)) != list(PLUS):
+        found = _best_of(responses, idle=())
+    return found
+
+
+def _best_of(
+    responses: Mapping[str, tuple[_Response, ...]], idle: tuple[str, ...]
+) -> tuple[Pattern, ...]:
+    """The best pattern of each axis that moves; motors may be idle for the axes of `idle`."""
+    tried = [[_best(axis, one, idle=axis in idle) for one in of] for axis, of in responses.items()]
+    return tuple(
+        max(patterns, key=lambda p: (p.certain, p.response != 'angle', p.share))
+        for patterns in tried if patterns
+    )
 
 
 def share_of(
@@ -158,16 +174,16 @@ def doubts(
 
 
 @cache
-def _patterns(n: int) -> FloatArray:
-    """(p, n) patterns with as many + as -; of four or six motors two may be idle."""
-    idle = {0, 2} if n in (4, 6) else {n % 2}
+def _patterns(n: int, *, idle: bool) -> FloatArray:
+    """(p, n) patterns with as many + as -; with `idle` two of four or six motors may be 0."""
+    count = {0, 2} if idle and n in (4, 6) else {n % 2}
     return np.array([
-        s for s in product((-1, 0, 1), repeat=n) if not sum(s) and s.count(0) in idle
+        s for s in product((-1, 0, 1), repeat=n) if not sum(s) and s.count(0) in count
     ], dtype=float)
 
 
-def _best(axis: str, response: _Response) -> Pattern:
-    signs = _patterns(response.cross.shape[-1])
+def _best(axis: str, response: _Response, *, idle: bool) -> Pattern:
+    signs = _patterns(response.cross.shape[-1], idle=idle)
     shares = response.shares(signs)
     setting = int(np.unravel_index(int(np.argmax(shares)), shares.shape)[0])
     spread = signs @ response.gram[setting].sum(axis=0) @ signs.T
@@ -175,7 +191,7 @@ def _best(axis: str, response: _Response) -> Pattern:
     size = np.sqrt(np.maximum(np.diag(spread), 1e-300))
     whole = (signs != 0.0).all(axis=1)
     explained = shares[setting]
-    if FULL_PREFERRED * explained[whole].max(initial=0.0) < explained.max():
+    if FULL_PREFERRED * explained[whole].max(initial=0.0) < explained.max() and not whole.all():
         whole = ~whole
     best = int(np.argmax(np.where(whole, explained, -1.0)))
     alike = whole & (explained >= ALIKE * explained[best]) & (
@@ -205,6 +221,9 @@ def _responses(
         return
     change = np.full(len(rate), np.nan)
     change[:-step] = (rate[step:] - rate[:-step]) / (step * dt)
+    usual = 1.4826 * float(np.nanmedian(np.abs(change - np.nanmedian(change))))
+    if usual > 0.0:
+        change = np.clip(change, -CRASH * usual, CRASH * usual)
     yield _sums('angular acceleration', change, motors, dt, step)
     if angle is not None and np.nanstd(angle) > 0.0:
         yield _sums('angle', angle, motors, dt, 1)

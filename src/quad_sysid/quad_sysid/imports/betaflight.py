@@ -149,6 +149,7 @@ def _decoded(path: Path, log: int) -> _Table:
             str(path), 'is encoded, which needs the package orangebox (GPL-3)',
             remedy='pip install "orangebox<0.5", or give the CSV of blackbox_decode',
         ) from error
+    logging.getLogger('orangebox').setLevel(logging.CRITICAL)
     try:
         count = int(Parser.load(str(path), 1, allow_invalid_header=True).reader.log_count)
     except Exception as error:  # orangebox raises whatever a damaged file makes it meet
@@ -156,7 +157,6 @@ def _decoded(path: Path, log: int) -> _Table:
             str(path), f'cannot be decoded ({type(error).__name__}: {error})',
             remedy='decode it with blackbox_decode and import its CSV',
         ) from error
-    logging.getLogger('orangebox').setLevel(logging.CRITICAL)
     if not 1 <= log <= count:
         raise BadInputError(f'{path}: --log', f'must be 1 to {count}', log)
     try:
@@ -283,8 +283,10 @@ def _motors(
 
 def _motor_range(table: _Table, raw: FloatArray) -> tuple[float, float, str]:
     parts = table.header.get('motorOutput', '').split(',')
-    if len(parts) == 2:
+    if len(parts) == 2 and float(parts[1]) > float(parts[0]):
         return float(parts[0]), float(parts[1]), 'motorOutput of the header'
+    if 'maxthrottle' in table.header:
+        return *PULSE_US, 'pulses of 1000 to 2000 µs, as maxthrottle of the header'
     if np.nanmin(raw) < PULSE_US[0] - 1.0 or np.nanmax(raw) > PULSE_US[1] + 1.0:
         return *DSHOT, 'DShot, told by the values'
     return *PULSE_US, 'pulses of 1000 to 2000 µs, told by the values'
@@ -299,7 +301,9 @@ def _acceleration(table: _Table) -> tuple[FloatArray | None, str]:
         return raw, 'as it is'
     if unit == 'g':
         return raw * ONE_G, f'times {ONE_G}'
-    counts = float(table.header.get('acc_1G', '2048') or 2048)
+    counts = float(table.header.get('acc_1G') or 2048)
+    if counts <= 0.0:  # a board without an accelerometer
+        return None, ''
     return raw * (ONE_G / counts), f'{counts:g} counts are {ONE_G} m/s²'
 
 

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from quad_sysid.contract import AXES
+from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.record import Record, Segment, finite_runs
 
 PIECE_S = 1.0
@@ -79,6 +79,11 @@ def told(record: Record) -> str:
             (f'; left out: {left}' if left else ''))
 
 
+def airborne(throttle: FloatArray) -> np.ndarray:
+    """(n,) whether the throttle (n,) is one at which the aircraft flies; True where it is NaN."""
+    return ~(throttle < AIRBORNE * float(np.nanquantile(throttle, USUAL)))
+
+
 def _reasons(record: Record, edges: np.ndarray, size: int) -> list[str]:
     """Why each piece is left out; an empty text where it is used."""
     pieces = [slice(a, a + size) for a in edges[:-1]] + [slice(edges[-1], record.n)]
@@ -96,7 +101,7 @@ def _reasons(record: Record, edges: np.ndarray, size: int) -> list[str]:
     throttle = np.array([
         float(record.control[p, 0][known[p]].mean()) if known[p].any() else 0.0 for p in pieces
     ])
-    flying = AIRBORNE * float(np.quantile(throttle, USUAL))
+    flying = airborne(throttle)
     still = [
         (values <= STILL * np.quantile(values, USUAL, axis=0)).all(axis=1)
         for values in (moved, driven)
@@ -109,7 +114,7 @@ def _reasons(record: Record, edges: np.ndarray, size: int) -> list[str]:
             ((motors[piece] <= AT_LIMIT) | (motors[piece] >= 1.0 - AT_LIMIT)).any(axis=1)))
         out.append(
             'gap' if lost > MOST_LOST else
-            'ground' if throttle[i] < flying else
+            'ground' if not flying[i] else
             'saturated' if stuck > MOST_AT_LIMIT else
             'still' if still[0][i] or still[1][i] else ''
         )

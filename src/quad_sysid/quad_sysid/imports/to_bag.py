@@ -17,8 +17,8 @@ from quad_sysid.errors import BadInputError
 from quad_sysid.imports.clock import LONGEST_PAUSE, Cycles, cycles, draw, hold, mean_ahead
 from quad_sysid.imports.log import ForeignLog, Stream
 from quad_sysid.imports.mixers import Mixer, mixer_of_patterns
+from quad_sysid.imports.stretches import airborne, with_stretches
 from quad_sysid.imports.stretches import told as stretches_told
-from quad_sysid.imports.stretches import with_stretches
 from quad_sysid.motor_layout import Pattern, doubts, patterns_of
 from quad_sysid.record import GainChange, Record, finite_runs
 
@@ -127,6 +127,7 @@ def _commands(
             raise BadInputError(log.source, 'holds no commands')
         return _held(log.control, laid), None
     motors = _held(log.motors, laid)
+    rates = np.where(airborne(motors.mean(axis=1))[:, None], rates, np.nan)
     patterns = patterns_of(rates, motors, laid.dt, angles)
     told += [pattern.sentence for pattern in patterns]
     mixer = log.mixer
