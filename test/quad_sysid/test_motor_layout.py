@@ -60,7 +60,7 @@ def test_every_layout_is_found(layout):
 
 @pytest.mark.parametrize('seed', range(3))
 def test_a_crash_and_a_time_in_the_hand_do_not_hide_the_layout(tmp_path, seed):
-    """As long in the hand as in flight, and a second in which it hits things and its motors jump."""
+    """As long in the hand as in flight, then a second in which it hits things, its motors jump."""
     rng = np.random.default_rng(seed)
     rates, motors = flown(LAYOUTS['another order'], seed + 1)
     crash = slice(N - 250, N)

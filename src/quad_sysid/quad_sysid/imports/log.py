@@ -70,7 +70,7 @@ class ForeignLog:
     mixer: Mixer | None = None
     """What the motors do; None: what the motion shows."""
     armed: Stream | None = None
-    """(n, 1) 1 from where the motors follow the commands, 0 from where they stand; None: always."""
+    """(n, 1) 1 where the motors follow the commands, 0 where they stand; None: they always do."""
     axes: tuple[str, ...] = AXES
     """Those that were measured; the others' columns are 0."""
     angles: Stream | None = None
