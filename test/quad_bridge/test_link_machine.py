@@ -55,7 +55,7 @@ def test_no_stamp_runs_backwards_over_restart_and_wrap():
     line.run(600)
     assert len(line.out) > 1500
     assert line.rising()
-    assert line.link.decoder.restarts == 1
+    assert line.link.decoder.counts.restarts == 1
 
 
 def test_a_stamp_in_the_future_is_held_back_and_does_not_stop_the_others(line):

@@ -43,7 +43,7 @@ def test_a_restart_that_nobody_heard_is_found_though_the_counter_is_higher(uptim
     assert_true(line)
     # told by the first round trip, 20 ms; then eight for the new clock, a tick apart each
     assert 0 < line.link.held - held < 250
-    assert line.link.decoder.restarts == 1
+    assert line.link.decoder.counts.restarts == 1
 
 
 def sticks_of(line):
@@ -60,7 +60,7 @@ def test_sticks_that_come_before_the_cycle_do_not_end_the_wait_for_an_answer():
         line.skip()
         line.hear(line.controller.encode(*sticks_of(line), line.controller.frame()))
         line.attend()
-    assert line.link.decoder.restarts == 1
+    assert line.link.decoder.counts.restarts == 1
     assert len(line.errors_ms()) > 100
     assert_true(line)
 
@@ -79,7 +79,7 @@ def test_what_a_host_that_stood_still_finds_waiting_keeps_its_stamps():
     assert line.link.held == held
     assert_true(line)
     assert line.rising()
-    assert (line.link.decoder.restarts, line.link.clock.state.restarts) == (0, 0)
+    assert (line.link.decoder.counts.restarts, line.link.clock.state.restarts) == (0, 0)
 
 
 @pytest.mark.parametrize('answers', [True, False])
@@ -126,7 +126,7 @@ def test_another_start_is_seen_when_the_port_is_opened_anew(away_s, restart_afte
     line.lose(away_s, restart_after=restart_after)
     line.link.opened()
     line.fly(2.0)
-    assert line.link.decoder.restarts == restarts
+    assert line.link.decoder.counts.restarts == restarts
     assert max(map(abs, line.errors_ms())) < 1.0
 
 
@@ -138,7 +138,7 @@ def test_a_time_of_32_bits_that_wraps_while_the_cable_is_out_is_no_other_start()
     line.link.opened()
     line.fly(1.0)
     assert line.link.last_cycle.time_us < 4_000_000
-    assert line.link.decoder.restarts == 0
+    assert line.link.decoder.counts.restarts == 0
 
 
 def waiting(late_ns=LATE, *, anew):

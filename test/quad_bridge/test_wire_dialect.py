@@ -6,8 +6,8 @@ import pytest
 from pymavlink.dialects.v20 import common
 
 from quad_bridge.wire import dialect
+from quad_bridge.wire.dialect import OTHER_MESSAGES
 from quad_bridge.wire.generate import DIALECT, dialect_source
-from quad_bridge.wire.other_messages import OTHER_MESSAGES
 
 OWN = {
     dialect.MAVLINK_MSG_ID_QUAD_CYCLE,

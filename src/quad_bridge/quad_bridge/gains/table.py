@@ -43,6 +43,8 @@ class Gain:
     """What the firmware starts with: of roll, pitch, yaw, or of all three."""
     bound: Bound | None = None
     """What the gate lets through; None: only where the configuration gives a bound."""
+    yaw_bound: Bound | None = None
+    """The same for yaw where it differs: its torque is some ten times weaker."""
     switch: str = ''
     """The gain of the same axis that, at 0, leaves this one without effect."""
 
@@ -52,7 +54,8 @@ PER_AXIS = (
          (3.0, 3.0, 2.0), Bound(0.3, 15.0)),
     Gain('angle.rate_limit', 'ANG_RLIM', 'rad/s', 'largest rate reference', (0.1, 20.0), (4.0,)),
     Gain('rate.kp', 'RATE_KP', 's/rad', 'command per rate error', (0.0, 1.0),
-         (1.3 * US_PER_DEG_S, 1.3 * US_PER_DEG_S, 3.0 * US_PER_DEG_S), Bound(0.005, 0.5)),
+         (1.3 * US_PER_DEG_S, 1.3 * US_PER_DEG_S, 3.0 * US_PER_DEG_S), Bound(0.005, 0.5),
+         yaw_bound=Bound(0.005, 1.0)),
     # a step of 0.004 at kp 0.07 is an integral corner at 0.06 rad/s: far below any crossover
     Gain('rate.ki', 'RATE_KI', '1/rad', 'command per integral of the rate error', (0.0, 1.0),
          (0.01 * US_PER_DEG_S, 0.01 * US_PER_DEG_S, 0.02 * US_PER_DEG_S),
@@ -108,8 +111,6 @@ OPTIONAL = (
 """Of each axis, where a firmware has them: a state feedback, a schedule on the battery's voltage.
 Both are off at 0."""
 
-_OWN_BOUND = {'yaw.rate.kp': Bound(0.005, 1.0)}
-"""An axis' bound that is not the row's: yaw's torque is some ten times weaker."""
 
 
 def _all() -> dict[str, tuple[str, Gain]]:
@@ -130,7 +131,9 @@ CONTRACT_NAMES: dict[str, str] = {wire: name for name, wire in WIRE_NAMES.items(
 SETTABLE = tuple(name for name, row in ROWS.items() if row.limits is not None)
 """Contract names of what can be set at all."""
 DEFAULT_BOUNDS: dict[str, Bound] = {
-    name: _OWN_BOUND.get(name, row.bound) for name, row in ROWS.items() if row.bound is not None
+    name: row.yaw_bound if row.yaw_bound is not None and name.startswith('yaw.') else row.bound
+    for name, row in ROWS.items()
+    if row.bound is not None
 }
 """What the gate lets through where the configuration says nothing."""
 

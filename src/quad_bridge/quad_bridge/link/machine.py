@@ -171,7 +171,7 @@ class Link:
         return data
 
     def _cycle(self, frame: Cycle, now_ns: int) -> None:
-        restarts = self.decoder.restarts
+        restarts = self.decoder.counts.restarts
         if self.peer is not None and self.decoder.peer != (self.peer.system, self.peer.component):
             self._far_end_restarted()  # what was known was of one that had sent no cycle
             self.peer = None
@@ -257,7 +257,8 @@ class Link:
             self.stamping.trip(sent_ns, frame.tc1_ns, received_ns, self._events)
 
     def _restarted_unseen(self) -> None:
-        self._restarts = self.decoder.restarted()
+        self.decoder.counts.restarts += 1  # which the cycle counter has not shown
+        self._restarts = self.decoder.counts.restarts
         self._events.append(Restarted())
 
     def _far_end_restarted(self) -> None:

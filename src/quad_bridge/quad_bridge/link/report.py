@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from quad_bridge.link.machine import Link
 from quad_bridge.link.port import PortState, PortStatus
 from quad_bridge.status import ERROR, OK, WARN, Status
-from quad_bridge.wire.codec import Counts
+from quad_bridge.wire.framing import Counts
 
 COARSE_S = 0.002
 """Where half a round trip is longer, so may the error of the stamps be."""
@@ -41,7 +41,7 @@ class LinkReport:
 
     def opened(self) -> None:
         """The port was opened anew."""
-        self._opened = self._link.decoder.counts
+        self._opened = replace(self._link.decoder.counts)
 
     def entries(
         self, port: PortStatus, now_s: float, *, behind_ns: int = 0, unset: bool = False
@@ -57,7 +57,7 @@ class LinkReport:
             clock_status(self._link, behind_ns, unset=unset, now_s=now_s),
         ]
         if settled:
-            counts, cycles = self._link.decoder.counts, self._link.cycles
+            counts, cycles = replace(self._link.decoder.counts), self._link.cycles
             self._before = since
             self._since = _Since(now_s, counts, cycles, port.dropped_writes)
         return entries

@@ -1,5 +1,6 @@
 """The wire, without I/O: MAVLink dialect, bytes to frames and back, clock, parameter writes."""
 
-from quad_bridge.wire.codec import Counts, Decoder, Encoder
+from quad_bridge.wire.codec import Decoder, Encoder
+from quad_bridge.wire.framing import Counts
 
 __all__ = ['Counts', 'Decoder', 'Encoder']

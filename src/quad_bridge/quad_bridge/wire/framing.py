@@ -7,9 +7,12 @@ checksum cannot be verified or is wrong loses its marker only; good ones may lie
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from fastcrc.crc16 import mcrf4xx
+
+from quad_bridge.wire.signing import Verdict
 
 MARKER = 0xFD
 OLD_MARKER = 0xFE
@@ -33,19 +36,53 @@ class Packet(NamedTuple):
     """Marker to checksum or signature."""
 
 
+@dataclass
+class Counts:
+    """What a decoder has seen since its start; `replace` makes a copy that stays."""
+
+    bytes: int = 0
+    frames: int = 0
+    """Frames handed out, `standard` included."""
+    bad_crc: int = 0
+    """False starts: wrong checksum or incompatible flags, those inside another left out."""
+    garbage_bytes: int = 0
+    """Bytes that belong to no usable message."""
+    unknown: int = 0
+    """Packets of unknown ids: no checksum can be verified."""
+    standard: int = 0
+    """Known standard messages that the suite does not use."""
+    lost_cycles: int = 0
+    """Gaps in the 32-bit cycle counter."""
+    restarts: int = 0
+    """The cycle counter went back: the far end has restarted."""
+    unsigned: int = 0
+    """Ignored: a key is set, and these frames bear no signature."""
+    forged: int = 0
+    """Ignored: signed with another key, or changed on the way."""
+    replayed: int = 0
+    """Ignored: signed well, but not newer than what came before."""
+    ahead: int = 0
+    """Ignored: signed well, but of a time that cannot be yet: a clock is broken, or not set."""
+    foreign: int = 0
+    """Ignored: from another sender than the far end (own echo, ground station, other aircraft)."""
+    implausible: int = 0
+    """Ignored: a good checksum, but values that cannot be (plausible.py)."""
+    old_version: int = 0
+    """MAVLink 1 packets with a good checksum; they are part of the garbage."""
+    unverified: int = 0
+    """Signed frames that were taken as they are, because no key is set."""
+
+    def refused(self, verdict: Verdict) -> None:
+        """Count a frame that the signature does not let pass."""
+        name = verdict.name.lower()
+        setattr(self, name, getattr(self, name) + 1)
+
+
 class Framer:
     """Finds packets; keeps what is incomplete. `extras` has the CRC_EXTRA of all known ids."""
 
-    def __init__(self, extras: Mapping[int, int]) -> None:
-        self.bad_crc = 0
-        """False starts: wrong checksum or incompatible flags, those inside another left out."""
-        self.garbage = 0
-        """Bytes of no packet."""
-        self.unknown = 0
-        """Packets of unknown ids: no checksum can be verified."""
-        self.old_version = 0
-        """MAVLink 1 packets with a good checksum among the garbage."""
-        self._extras = extras
+    def __init__(self, extras: Mapping[int, int], counts: Counts) -> None:
+        self._extras, self._counts = extras, counts
         self._pending = bytearray()
         self._suspect = 0
         """Up to here in `_pending` a false start has been counted already."""
@@ -92,7 +129,7 @@ class Framer:
         if extra is None:
             if self._expected.get(sender) != whole[4]:
                 return self._false_start(at, size, known=False)
-            self.unknown += 1  # in sequence: a true message of which only the sender knows
+            self._counts.unknown += 1  # in sequence: a true message of which only the sender knows
         else:
             last = size - (CHECKSUM + SIGNATURE if flags else CHECKSUM)
             crc = mcrf4xx(whole[1:last] + bytes((extra,)))
@@ -105,15 +142,15 @@ class Framer:
 
     def _false_start(self, at: int, size: int, *, known: bool) -> int:
         if at >= self._suspect:
-            self.bad_crc += known
-            self.unknown += not known
+            self._counts.bad_crc += known
+            self._counts.unknown += not known
         self._suspect = max(self._suspect, at + size)
-        self.garbage += 1
+        self._counts.garbage_bytes += 1
         return at + 1
 
     def _waste(self, begin: int, end: int) -> None:
         """Count garbage; say how much of it is the protocol's first version."""
-        self.garbage += end - begin
+        self._counts.garbage_bytes += end - begin
         pending, extras = self._pending, self._extras
         at = pending.find(OLD_MARKER, begin, end)
         while at >= 0 and at + _OLD_HEADER + CHECKSUM <= end:
@@ -125,6 +162,6 @@ class Framer:
                 and mcrf4xx(bytes(pending[at + 1 : last]) + bytes((extra,)))
                 == pending[last] | pending[last + 1] << 8
             ):
-                self.old_version += 1
+                self._counts.old_version += 1
                 at = last + CHECKSUM - 1
             at = pending.find(OLD_MARKER, at + 1, end)

@@ -1,4 +1,4 @@
-"""Writes dialect.py from quad_suite.xml with pymavlink's mavgen, and other_messages.py.
+"""Writes dialect.py from quad_suite.xml with pymavlink's mavgen.
 
 `python src/quad_bridge/quad_bridge/wire/generate.py`, run by developers after a change of the XML
 (as a file: the package imports what it writes); a test holds the committed file against the XML.
@@ -19,18 +19,15 @@ from pymavlink.generator import mavgen
 
 XML = Path(__file__).with_name('quad_suite.xml')
 DIALECT = Path(__file__).with_name('dialect.py')
-OTHERS = Path(__file__).with_name('other_messages.py')
-_HEAD = '''"""Standard messages without a use here: id, name, CRC_EXTRA. Written by generate.py.
-
-With these their checksums can be verified, so that nothing inside them is taken for a frame.
+_HEAD = """
+OTHER_MESSAGES: Dict[int, Tuple[str, int]] = {
+    # standard messages without a use here: id, name, CRC_EXTRA; with these their checksums can be
+    # verified, so that nothing inside them is taken for a frame
 """
-
-OTHER_MESSAGES: dict[int, tuple[str, int]] = {
-'''
 
 
 def dialect_source(xml: Path = XML) -> str:
-    """Source text of the Python codec that mavgen makes of `xml` (MAVLink 2)."""
+    """What mavgen makes of `xml` (MAVLink 2), and the table of all other messages."""
     with tempfile.TemporaryDirectory() as folder:
         output = Path(folder) / xml.with_suffix('.py').name
         options = SimpleNamespace(
@@ -44,7 +41,7 @@ def dialect_source(xml: Path = XML) -> str:
         with contextlib.redirect_stdout(io.StringIO()):
             mavgen.mavgen(options, [str(xml)])
         text = output.read_text(encoding='utf-8')
-    return '\n'.join(line.rstrip() for line in text.splitlines()) + '\n'
+    return '\n'.join(line.rstrip() for line in text.splitlines()) + '\n' + others_source()
 
 
 def others_source() -> str:
@@ -62,4 +59,3 @@ def others_source() -> str:
 
 if __name__ == '__main__':
     DIALECT.write_text(dialect_source(), encoding='utf-8')
-    OTHERS.write_text(others_source(), encoding='utf-8')
