@@ -17,7 +17,7 @@ import pytest
 from node_process import Started
 from probe import Probe, content, entries, stamp
 
-from quad_bridge.lockstep import IMU_STREAM, START_NS, VARIABLE, Line
+from quad_bridge.lockstep import START_NS, VARIABLE, Line
 
 SCHEDULE = """
 schedule:
@@ -90,7 +90,7 @@ class Aircraft:
         if not self.silent:
             header = stamp(self.now_ns)
             self.probe.publish('/imu/data', {'header': header, 'orientation': UPRIGHT})
-            self.line.published[IMU_STREAM] = self.now_ns
+            self.line.published['/imu/data'] = self.now_ns
 
     def until(self, condition: Callable[[], object], what: object = '') -> None:
         def met() -> object:

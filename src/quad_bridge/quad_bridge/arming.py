@@ -10,7 +10,9 @@ from __future__ import annotations
 
 import math
 import threading
+from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass, field
 
 from quad_bridge.errors import RefusedError
 from quad_bridge.wire.frames import Command, CommandAck
@@ -55,54 +57,43 @@ class OperatorEnable:
         return '' if self._on else "the operator's enable is off"
 
 
+@dataclass(eq=False)
 class _Asked:
-    """One request on the wire, and who waits for its answer until when."""
+    """One request, and who waits for its answer until when."""
 
-    def __init__(self, arm: bool) -> None:
-        self.arm = arm
-        self.sent = 0
-        self.last_s = -math.inf
-        self.told: list[tuple[float, Callable[[str], None]]] = []
-
-    def send(self, now_s: float) -> Command:
-        self.sent, self.last_s = self.sent + 1, now_s
-        return Command(ARM_DISARM, (1.0 if self.arm else 0.0,))
-
-    def late(self, now_s: float) -> list[Callable[[str], None]]:
-        """Those whose time is up; they wait no longer."""
-        late = [told for until_s, told in self.told if now_s > until_s]
-        self.told = [one for one in self.told if now_s <= one[0]]
-        return late
+    arm: bool
+    last_s: float = -math.inf
+    told: list[tuple[float, Callable[[str], None]]] = field(default_factory=list)
 
 
 class Arming:
     """A request from its sending to the STM32's answer; safe in threads.
 
-    Each `told` is called once, with what became of its request.
+    Answers come in the order of what was sent. Each `told` is called once, with what became of
+    its request.
     """
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._asked: _Asked | None = None
-        self._owed = {True: 0, False: 0}
-        """So many answers to arming and to disarming may still come that nobody waits for."""
+        self._sent: deque[_Asked] = deque()
+        """What is not answered yet, one entry per command on the way, also of earlier requests."""
         self._owed_until_s = self._given_up_s = -math.inf
 
     def ask(self, arm: bool, told: Callable[[str], None], now_s: float) -> Command:
         """Take on a request; what to send. Raises RefusedError."""
-        given_up: list[Callable[[str], None]] = []
+        given_up: list[tuple[float, Callable[[str], None]]] = []
         with self._lock:
+            self._expire(now_s)
             asked = self._asked
-            if arm and (asked is not None or self._waits_for_owed(now_s)):
+            if arm and (asked is not None or self._sent):
                 raise RefusedError('an earlier request waits for its answer')
-            if asked is not None and asked.arm:
-                given_up = [one for _, one in asked.told]
-                self._owe(asked, asked.sent, now_s)
-                asked = None
-            self._asked = asked = asked or _Asked(arm)
+            if asked is None or asked.arm:
+                given_up = self._end(now_s)
+                asked = self._asked = _Asked(arm)
             asked.told.append((now_s + ANSWER_S, told))
-            command = asked.send(now_s)
-        for one in given_up:
+            command = self._send(asked, now_s)
+        for _, one in given_up:
             one('given up for a request to disarm')
         return command
 
@@ -116,16 +107,16 @@ class Arming:
             asked = self._asked
             if asked is None:
                 return None
-            late = asked.late(now_s)
+            late = [told for until_s, told in asked.told if now_s > until_s]
+            asked.told = [one for one in asked.told if now_s <= one[0]]
             if not asked.told:
-                self._asked = None
-                self._owe(asked, asked.sent, now_s)
+                self._end(now_s)
                 if asked.arm and armed:
                     text = ACCEPTED
                 elif asked.arm:
                     self._given_up_s = now_s
             elif not asked.arm and now_s - asked.last_s >= AGAIN_S:
-                command = asked.send(now_s)
+                command = self._send(asked, now_s)
         for told in late:
             told(text)
         return command
@@ -134,22 +125,18 @@ class Arming:
         """The STM32 has answered a command."""
         if ack.command != ARM_DISARM:
             return
+        told: list[tuple[float, Callable[[str], None]]] = []
         with self._lock:
-            asked = self._asked
-            if self._waits_for_owed(now_s):
-                arm = self._owed[True] > 0  # arming came before the disarming that ended it
-                self._owed[arm] -= 1
-                if arm or asked is None or asked.arm:
-                    return
-                # an answer to the disarm of before is as good for the one that waits
-                asked.sent += 1
-            if asked is None:
+            self._expire(now_s)
+            answered, asked = self._sent.popleft() if self._sent else None, self._asked
+            if answered is None or asked is None:
                 return
-            self._asked = None
-            self._owe(asked, asked.sent - 1, now_s)
+            # an answer to the disarm of before is as good for the one that waits
+            if answered is asked or not (answered.arm or asked.arm):
+                told = self._end(now_s)
         known = ack.result < len(_RESULTS)
-        for _, told in asked.told:
-            told(_RESULTS[ack.result] if known else f'result {ack.result}')
+        for _, one in told:
+            one(_RESULTS[ack.result] if known else f'result {ack.result}')
 
     def late(self, now_s: float, *, armed: bool) -> str:
         """What is to be said of an aircraft that armed after it had been given up; once."""
@@ -166,15 +153,24 @@ class Arming:
     def end(self, why: str) -> None:
         """Nobody is there to answer any more; who waits is told why."""
         with self._lock:
-            asked, self._asked = self._asked, None
-        for _, told in asked.told if asked is not None else ():
-            told(why)
+            told = self._end(-math.inf)
+        for _, one in told:
+            one(why)
 
-    def _waits_for_owed(self, now_s: float) -> bool:
-        if now_s >= self._owed_until_s:
-            self._owed = {True: 0, False: 0}
-        return any(self._owed.values())
+    def _send(self, asked: _Asked, now_s: float) -> Command:
+        asked.last_s = now_s
+        self._sent.append(asked)
+        return Command(ARM_DISARM, (1.0 if asked.arm else 0.0,))
 
-    def _owe(self, asked: _Asked, answers: int, now_s: float) -> None:
-        self._owed[asked.arm] += answers
+    def _end(self, now_s: float) -> list[tuple[float, Callable[[str], None]]]:
+        """End the request that waits; who is to be told."""
+        asked, self._asked = self._asked, None
+        if asked is None:
+            return []
         self._owed_until_s = now_s + ANSWER_S
+        return asked.told
+
+    def _expire(self, now_s: float) -> None:
+        """Wait no more for answers to requests that ended long ago."""
+        if now_s >= self._owed_until_s:
+            self._sent = deque(one for one in self._sent if one is self._asked)

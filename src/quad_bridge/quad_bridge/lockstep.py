@@ -36,7 +36,8 @@ START_NS = 1_000_000_000_000
 """Simulated time at the STM32's boot: stamps are above 0, and no date is mistaken for today's."""
 WIRE = 'wire'
 """The stream of the virtual STM32 itself: bytes on the serial line."""
-IMU_STREAM, RC_STREAM, SETPOINT_STREAM = '/imu/data', '/rc/in', '/excitation/setpoint'
+STREAMS = ('/imu/data', '/rc/in', '/excitation/setpoint')
+"""Topics that whoever subscribes is waited for; node_time.py reports them."""
 RETRY_S = 0.05
 TOLD_S = 10.0
 """Whoever lets simulated time stand still for so long is named."""

@@ -30,10 +30,10 @@ from sensor_msgs.msg import BatteryState, Imu, Joy
 from std_srvs.srv import Trigger
 
 from quad_bridge.errors import QuadBridgeError
-from quad_bridge.lockstep import IMU_STREAM, RC_STREAM, SETPOINT_STREAM, clock, patience
+from quad_bridge.lockstep import clock, patience
 from quad_bridge.nodes import ros_node
 from quad_bridge.nodes.fence import Fence
-from quad_bridge.nodes.node_time import TimedNode, nanoseconds, stamp_of
+from quad_bridge.nodes.node_time import TimedNode
 from quad_bridge.nodes.qos import EVENT, STATE, STREAM
 from quad_sysid.bags.cdr import IMU, decode
 from quad_sysid.bags.orientation import euler_angles
@@ -88,7 +88,7 @@ class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
         self._refused = ''
         self._watch = CoverageWatch(settings.wanted) if settings.wanted is not None else None
         self._watched: int | None = None
-        sensor = STREAM if clock().simulated else qos_profile_sensor_data
+        sensor = qos_profile_sensor_data
         if self._watch is not None:  # each cycle counts
             self.create_subscription(Vector3Stamped, 'excitation/applied', self._watch.applied,
                                      STREAM, raw=True)
@@ -120,7 +120,6 @@ class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
         self._imu, self._imu_time = raw, self._stall.awake_s(clock().now_s())
         if self._watch is not None:
             self._watch.imu(raw)
-        clock().handled(IMU_STREAM, stamp_of(raw))
 
     def _on_rc(self, message: Any) -> None:
         axes, switch = message.axes, self._settings.abort_axis
@@ -130,7 +129,6 @@ class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
             failsafe=bool(len(message.buttons) and message.buttons[0]),
         )
         self._rc_time = self._stall.awake_s(clock().now_s())
-        clock().handled(RC_STREAM, nanoseconds(message.header.stamp))
 
     def _on_battery(self, message: Any) -> None:
         if math.isfinite(message.voltage):
@@ -218,7 +216,6 @@ class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
             message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 1_000_000_000)
             message.vector.x, message.vector.y, message.vector.z = tick.setpoint
             self._setpoint.publish(message)
-            clock().published(SETPOINT_STREAM, stamp)
 
     def close(self) -> None:
         """Take the excitation back at once where it still runs, and see that it is delivered."""

@@ -16,13 +16,11 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from std_srvs.srv import Trigger
 
 from quad_bridge.errors import BadInputError, QuadBridgeError
-from quad_bridge.lockstep import IMU_STREAM, clock
 from quad_bridge.log.disk import MB, Budget, free_bytes
 from quad_bridge.log.recording import Gaps, Recording, RecordingStatus, recording_status
 from quad_bridge.log.writer import Limits, free_paths, new_bag
 from quad_bridge.nodes import conversion, diagnostics, ros_node
 from quad_bridge.nodes.managed_node import ManagedNode, relative
-from quad_bridge.nodes.node_time import stamp_of
 from quad_bridge.nodes.qos import EVENT, STATE, adapted, offered
 from quad_bridge.status import WARN, Status
 from quad_bridge.topics import TOPIC_TYPES
@@ -184,7 +182,6 @@ class BagLogger(ManagedNode):
         for subscription, _ in self._subscribed.values():
             self.destroy_subscription(subscription)
         self._subscribed.clear()
-        clock().forget(IMU_STREAM)
         self._gaps.clear()
         self._numbered.clear()
         status = recording.stop()
@@ -242,8 +239,6 @@ class BagLogger(ManagedNode):
                 qos = offered(self._offers(topic))
                 recording.declare(topic, TOPIC_TYPES[topic], qos)
             recording.put(topic, self._now_ns(), data)
-            if topic == IMU_STREAM:
-                clock().handled(IMU_STREAM, stamp_of(data))
 
         return receive
 

@@ -1,17 +1,21 @@
-"""A node's timers and stamps: on real clocks, or in lockstep with the virtual STM32.
+"""A node's timers, streams and stamps: on real clocks, or in lockstep with the virtual STM32.
 
-What time it is in a process, and who waits for whom, is in lockstep.py.
+In lockstep publishers and subscriptions of a stream report by themselves how far they are. What
+time it is in a process, and who waits for whom, is in lockstep.py.
 """
 
 from __future__ import annotations
 
+import functools
 import struct
+from collections.abc import Callable
 from typing import Any
 
 from rclpy.clock import ClockType
 from rclpy.time import Time
 
-from quad_bridge.lockstep import Participant, Timer, clock
+from quad_bridge.lockstep import STREAMS, Participant, Timer, clock
+from quad_bridge.nodes.qos import STREAM
 
 _STAMP = struct.Struct('<iI')
 
@@ -36,6 +40,29 @@ class TimedNode:
         """As rclpy's; only `now` in lockstep."""
         return _Now() if clock().simulated else super().get_clock()  # type: ignore[misc]
 
+    def create_publisher(self, kind: Any, topic: str, *others: Any, **more: Any) -> Any:
+        """As rclpy's."""
+        made: Any = super().create_publisher(kind, topic, *others, **more)  # type: ignore[misc]
+        stream = _contract(topic)
+        if clock().simulated and stream in STREAMS:
+            made.publish = _then(made.publish, functools.partial(clock().published, stream))
+        return made
+
+    def create_subscription(
+        self, kind: Any, topic: str, callback: Any, qos: Any, **more: Any
+    ) -> Any:
+        """As rclpy's; in lockstep a stream loses nothing."""
+        stream = _contract(topic)
+        if clock().simulated and stream in STREAMS:
+            callback = _then(callback, functools.partial(clock().handled, stream))
+            qos = STREAM if qos.reliability != STREAM.reliability else qos
+        return super().create_subscription(kind, topic, callback, qos, **more)  # type: ignore[misc]
+
+    def destroy_subscription(self, subscription: Any) -> bool:
+        """As rclpy's."""
+        clock().forget(_contract(subscription.topic_name))
+        return bool(super().destroy_subscription(subscription))  # type: ignore[misc]
+
     def create_timer(
         self, timer_period_sec: float, callback: Any, *others: Any, **more: Any
     ) -> Any:
@@ -59,6 +86,23 @@ class _Now:
 
     def now(self) -> Any:
         return Time(nanoseconds=clock().now_ns(), clock_type=ClockType.ROS_TIME)
+
+
+def _contract(topic: str) -> str:
+    """The contract's name of a topic, whatever the namespace it is in."""
+    return next((stream for stream in STREAMS if f'/{topic}'.endswith(stream)), topic)
+
+
+def _then(act: Callable[..., None], tell: Callable[[int], None]) -> Callable[..., None]:
+    """`act` on a message of a stream, then `tell` its stamp."""
+
+    @functools.wraps(act)  # rclpy looks at its arguments
+    def done(message: Any, *about: Any) -> None:
+        act(message, *about)
+        header = getattr(message, 'header', None)
+        tell(stamp_of(message) if header is None else nanoseconds(header.stamp))
+
+    return done
 
 
 def stamp_of(raw: bytes | memoryview) -> int:

@@ -30,13 +30,12 @@ from quad_bridge.link.machine import Link
 from quad_bridge.link.port import SerialPort
 from quad_bridge.link.report import SETTLED_S, LinkReport
 from quad_bridge.link.stamping import Arrived, Restarted, Stamped
-from quad_bridge.lockstep import IMU_STREAM, RC_STREAM, SETPOINT_STREAM, START_NS, WIRE, clock
+from quad_bridge.lockstep import START_NS, WIRE, clock
 from quad_bridge.nodes import conversion, diagnostics
 from quad_bridge.nodes.bridge_parameters import BridgeSettings, declare
 from quad_bridge.nodes.fence import Sparing
 from quad_bridge.nodes.host_time import NEVER_NS, HostTime
 from quad_bridge.nodes.managed_node import ManagedNode
-from quad_bridge.nodes.node_time import nanoseconds
 from quad_bridge.nodes.qos import EVENT, STATE, STREAM
 from quad_bridge.nodes.ros_node import run
 from quad_bridge.nodes.services import GainServices, OperatorServices, SensorServices
@@ -137,8 +136,9 @@ class SerialBridge(ManagedNode):
         self._diagnostics = publisher(DiagnosticArray, '/diagnostics', EVENT)
         self.subscribe(ParameterEvent, '/excitation/segment', self._on_segment, STATE)
         self.subscribe(ParameterEvent, '/gains/update', self._on_gains, EVENT)
-        loss = STREAM if clock().simulated else qos_profile_sensor_data
-        self.subscribe(Vector3Stamped, '/excitation/setpoint', self._on_setpoint, loss)
+        self.subscribe(
+            Vector3Stamped, '/excitation/setpoint', self._on_setpoint, qos_profile_sensor_data
+        )
 
     def activate(self) -> None:
         """Open the port; it need not be there yet."""
@@ -175,7 +175,6 @@ class SerialBridge(ManagedNode):
     def _on_bytes(self, data: bytes) -> None:
         now_ns = clock().now_ns()
         with self._lock:
-            before = self._link.cycles
             for event in self._link.receive(data, now_ns):
                 if isinstance(event, Stamped):
                     self._publish(event)
@@ -186,7 +185,7 @@ class SerialBridge(ManagedNode):
                     self._sensors.restarted()
             self._poll_gains(now_ns)
             self._flush()
-            last = self._link.last_cycle if self._link.cycles > before else None
+            last = self._link.last_cycle
         if last is not None:
             clock().handled(WIRE, START_NS + 1000 * last.time_us)
 
@@ -214,7 +213,6 @@ class SerialBridge(ManagedNode):
             lost = last is not None and bool(last.flags & Flag.RC_FAILSAFE)
             message = conversion.rc_message(frame, stamp_ns, failsafe=lost)
             self._rc.publish(message)
-            clock().published(RC_STREAM, stamp_ns)
             self._gains.sticks(message.axes[YAW_STICK], clock().now_s())
         else:
             for publisher, convert in self._others[type(frame)]:
@@ -230,7 +228,6 @@ class SerialBridge(ManagedNode):
             publish(message)
         if frame.flags & Flag.EXCITATION:
             self._applied.publish(self._messages.applied(frame, stamp_ns))
-        clock().published(IMU_STREAM, stamp_ns)
         if self._told_time is not None:
             self._told_time.publish(ClockMessage(clock=conversion.time_message(stamp_ns)))
 
@@ -306,7 +303,6 @@ class SerialBridge(ManagedNode):
         frame = self._relay.setpoint(v.x, v.y, v.z, clock().now_s())
         if frame is not None:
             self._forward(frame)
-        clock().handled(SETPOINT_STREAM, nanoseconds(message.header.stamp))
 
     def _forward(self, frame: Any) -> None:
         with self._lock:
