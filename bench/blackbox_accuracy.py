@@ -65,7 +65,7 @@ def per_seed(seeds: int) -> dict[str, object]:
         z = study.record(np.random.default_rng(seed))
         v = study.record(np.random.default_rng(1000 + seed))
         models = [study.truth, bj(z, 2, 2, 2, 2, 3), oe(z, 2, 2, 3), armax(z, 3, 3, 3, 1)]
-        fits = compare(models, v)
+        fits = compare(v, *models)
         below.append([fits[0] - fit for fit in fits[1:]])
     names = ('BJ', 'OE', 'ARMAX')
     result = {

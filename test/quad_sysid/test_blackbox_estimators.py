@@ -65,7 +65,7 @@ def test_fits_reach_the_ceiling_on_each_seed(study, flights):
         z, validation = flight(study, seed), flight(study, 1000 + seed)
         models = [bj(z, 2, 2, 2, 2, 3), oe(z, 2, 2, 3), armax(z, 3, 3, 3, 1)]
         assert all(model.converged for model in models)
-        below.append(compare(study.truth, validation)[0] - np.array(compare(models, validation)))
+        below.append(compare(validation, study.truth)[0] - np.array(compare(validation, *models)))
     np.testing.assert_array_less(np.max(below, axis=0), [0.03, 0.06, 0.42])
     assert np.mean(below, axis=0)[2] < 0.30
 
@@ -145,7 +145,7 @@ def test_joint_finds_the_plant(study, refusal):
     z, validation = flight(study, 12), flight(study, 1000)
     one = joint(z, lambda data: bj(data, 2, 2, 2, 2, 3))
     assert one.approach == 'joint'
-    assert compare(one, validation)[0] > compare(study.truth, validation)[0] - 0.3
+    assert compare(validation, one)[0] > compare(validation, study.truth)[0] - 0.3
     assert 'reference r' in refusal(joint, IOData(z.u, z.y, z.dt), lambda d: bj(d, 2, 2, 2, 2, 3))
 
 
@@ -167,7 +167,7 @@ def test_indirect_finds_the_plant_without_the_recorded_command(study, refusal, s
     noise = np.random.default_rng(0).standard_normal(z.y.size)
     model = indirect(IOData(noise, z.y, z.dt, r=z.r, segments=segments), 2, 2, 3, controller)
     assert (model.approach, model.converged) == ('indirect', True)
-    assert compare(model, validation)[0] > compare(study.truth, validation)[0] - 0.1
+    assert compare(validation, model)[0] > compare(validation, study.truth)[0] - 0.1
     assert np.all(np.abs(model.parameters - plant_of(study)) < 4 * model.std)
     assert 'reference r' in refusal(indirect, IOData(z.u, z.y, z.dt), 2, 2, 3, controller)
 
@@ -223,8 +223,8 @@ def test_data_without_noise_give_the_plant_exactly():
 
 def test_n4sid_in_closed_loop(study):
     model, validation = n4sid(flight(study, 0), 6), flight(study, 1000)
-    assert compare(model, validation)[0] > 92.0
-    assert compare(model, validation, 1)[0] > 98.5
+    assert compare(validation, model)[0] > 92.0
+    assert compare(validation, model, horizon=1)[0] > 98.5
     assert model.stable
 
 
@@ -312,5 +312,5 @@ def test_a_secant_far_above_the_gauss_newton_part_does_not_end_the_fit():
 def test_noise_alone_yields_no_plant():
     z = IOData(*np.random.default_rng(6).standard_normal((2, 5000)), 0.004)
     for model in (oe(z, 1, 1, 1), bj(z, 1, 0, 1, 1, 1), armax(z, 1, 1, 1, 1)):
-        assert compare(model, z)[0] < 1.0
+        assert compare(z, model)[0] < 1.0
         assert np.all(np.abs([*np.roots(model.C), *np.roots(model.F)]) < 1.0)

@@ -53,7 +53,14 @@ if TYPE_CHECKING:
     from quad_sysid.model.effect import Effect, Signals, Spec
     from quad_sysid.pipeline.direct import greybox
     from quad_sysid.record import IOData, Record, Segment
-    from quad_sysid.result import Identified, Result, evaluate, identify
+    from quad_sysid.result import (
+        Identified,
+        Result,
+        evaluate,
+        identify,
+        read_model,
+        separate,
+    )
     from quad_sysid.signals import design_excitation, prbs
 
 _HOMES = {
@@ -62,7 +69,9 @@ _HOMES = {
     'quad_sysid.effects': ('EFFECTS',),
     'quad_sysid.model.effect': ('Effect', 'Signals', 'Spec'),
     'quad_sysid.pipeline.direct': ('greybox',),
-    'quad_sysid.result': ('Identified', 'Result', 'evaluate', 'identify'),
+    'quad_sysid.result': (
+        'Identified', 'Result', 'evaluate', 'identify', 'read_model', 'separate',
+    ),
     'quad_sysid.signals': ('design_excitation', 'prbs'),
     'quad_sysid.record': ('IOData', 'Record', 'Segment'),
     'quad_sysid.blackbox': (
@@ -119,8 +128,10 @@ __all__ = [
     'prbs',
     'predict',
     'read_bag',
+    'read_model',
     'residual_test',
     'search_arx',
+    'separate',
     'simulate',
     'spa',
 ]

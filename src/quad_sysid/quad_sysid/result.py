@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from quad_sysid.pipeline.answer import AxisAnswer
     from quad_sysid.pipeline.evaluate import Evaluation
     from quad_sysid.report.canvas import Picture
+    from quad_sysid.separation.design import Separation
 
 PROMISES = ('rate_rms_ratio', 'oscillation_ratio', 'peak')
 """Figures of a proposal that the bridge's watch compares the flight with."""
@@ -281,3 +282,53 @@ def evaluate(model: AxisModel, flight: Record | str | Path) -> Evaluation:
     from quad_sysid.pipeline.evaluate import evaluate as errors_of
 
     return errors_of(model, flight if isinstance(flight, Record) else read_bag(flight))
+
+
+def read_model(path: str | Path, axis: str = '', effects: Sequence[Effect] = ()) -> Identified:
+    """A model that `Result.save` wrote: model.json, or the folder that holds it.
+
+    `axis` may be left out where the file has one. `effects`: those of your own that the model may
+    name, or `EFFECTS` with them. Raises BadInputError for what is no such file, or lacks the axis.
+    """
+    from quad_sysid.report.model_file import load_models
+
+    place = Path(path)
+    place = place / 'model.json' if place.is_dir() else place
+    models = load_models(place, effects)
+    if not axis and len(models) == 1:
+        axis = next(iter(models))
+    if axis not in models:
+        raise BadInputError(f'{place}: axes', 'lacks this axis' if axis else 'has several axes',
+                            axis or None, f'take one of {", ".join(models)}')
+    return Identified(**vars(models[axis]))
+
+
+def separate(
+    model: AxisModel | str, names: Sequence[str] = (), seconds: float = 60.0, *,
+    effects: Sequence[Effect] = (), told: str = 'the model',
+    progress: Callable[[str], None] = lambda _: None,
+) -> Separation:
+    """Which flight of `seconds` tells two effects apart, and how surely.
+
+    `model`: an identified axis, or the name of an axis for the paper's aircraft. `names`: two
+    effects, or an effect and `nothing`; none: an effect of the model and its most probable rival.
+    `effects`: those of your own that may be named. Raises QuadSysidError for what a user can mend.
+    """
+    from quad_sysid.separation import design
+    from quad_sysid.separation.flight import aircraft_of, effect_of, paper_aircraft
+
+    if isinstance(model, str):
+        return design.separate(
+            paper_aircraft(model), _pair(names), seconds, progress=progress, own=effects
+        )
+    pair = _pair(names) if names else design.rivals_of(model)
+    inside = next((name for name in pair if effect_of(model, name) is not None), '')
+    aircraft = aircraft_of(model, inside, told)
+    return design.separate(aircraft, pair, seconds, model, progress, effects)
+
+
+def _pair(names: Sequence[str]) -> tuple[str, str]:
+    if len(names) != 2:
+        raise BadInputError('separate', 'needs the names of two effects', ' '.join(names) or None,
+                            "such as ('coulomb_friction', 'nothing')")
+    return names[0], names[1]

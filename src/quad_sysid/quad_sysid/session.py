@@ -90,8 +90,8 @@ def separation(
     can mend.
     """
     from quad_sysid.report.model_file import load_models
-    from quad_sysid.separation.design import nearest, rivals_of, separate
-    from quad_sysid.separation.flight import aircraft_of, effect_of, paper_aircraft
+    from quad_sysid.result import separate
+    from quad_sysid.separation.design import nearest
 
     if len(names) not in (0, 2):
         raise BadInputError('--separate', 'needs two effects or none', ' '.join(names) or None,
@@ -99,18 +99,13 @@ def separation(
     if model_file is None:
         if not names:
             raise BadInputError('--separate', 'without effects needs --model')
-        return separate(
-            paper_aircraft(axis or AXES[0]), (names[0], names[1]), seconds, progress=progress
-        )
+        return separate(axis or AXES[0], names, seconds, progress=progress)
     models = load_models(model_file)
     if axis is not None and axis not in models:
         raise BadInputError(f'{model_file}: axes', 'lacks this axis', axis,
                             f'it holds {", ".join(models)}')
     model = models[axis] if axis else nearest(models)
-    pair = (names[0], names[1]) if names else rivals_of(model)
-    inside = next((name for name in pair if effect_of(model, name) is not None), '')
-    aircraft = aircraft_of(model, inside, model_file)
-    return separate(aircraft, pair, seconds, model, progress)
+    return separate(model, names, seconds, told=model_file, progress=progress)
 
 
 def axes_of(name: str | None) -> tuple[str, ...]:

@@ -10,14 +10,14 @@ rest.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.effects import EFFECTS
-from quad_sysid.estimate.stored import estimate_of
+from quad_sysid.estimate.stored import estimate_of, library
 from quad_sysid.loop.cascade import (
     CascadeGains,
     Margins,
@@ -84,13 +84,13 @@ def _own(effect: EffectEstimate) -> float:
 
 def _with_rival(model: AxisModel, effect: EffectEstimate, name: str) -> AxisModel:
     rest = tuple(e for e in model.effects if e is not effect)
-    matched = _matched(placed(model, effect), name)
+    matched = _matched(placed(model, effect), name, model.own_effects)
     return _reduced(model, rest if matched is None else (*rest, matched))
 
 
-def _matched(found: Placed, name: str) -> EffectEstimate | None:
+def _matched(found: Placed, name: str, own: Sequence[Effect]) -> EffectEstimate | None:
     """The rival whose torque is nearest the effect's over a sine of the flown amplitude."""
-    rival = next((e for e in EFFECTS if e.name == name), None)
+    rival = next((e for e in library(own) if e.name == name), None)
     signal = found.effect.signals[0]
     if rival is None or signal not in FLOWN or not (_simple(found.effect) and _simple(rival)):
         return None
@@ -103,7 +103,7 @@ def _matched(found: Placed, name: str) -> EffectEstimate | None:
     ])
     unit = Placed(Part(rival), shape).torque(REST, x.size, **{signal: x})
     size = float(np.dot(unit, wanted) / np.dot(unit, unit))
-    return estimate_of(name, (size,), rival.variant)
+    return estimate_of(name, (size,), rival.variant, own=own)
 
 
 def _simple(effect: Effect) -> bool:

@@ -134,8 +134,7 @@ def fit_percent(y: FloatArray, yhat: FloatArray) -> float:
 
 
 def compare(
-    models: Sequence[Model] | Model, z: IOData, horizon: float = math.inf
+    z: IOData, *models: Model, horizon: float = math.inf
 ) -> tuple[float, ...]:
-    """Fit in percent of each model on z, by default in the free run."""
-    several = [models] if isinstance(models, Model) else list(models)
-    return tuple(fit_percent(z.y, predict(model, z, horizon)) for model in several)
+    """Fit in percent of each model on z, by default in the free run (MATLAB: compare)."""
+    return tuple(fit_percent(z.y, predict(model, z, horizon)) for model in models)

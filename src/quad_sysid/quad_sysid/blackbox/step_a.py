@@ -90,14 +90,14 @@ def step_a(
     rows = []
     for model, loss in zip(models, losses, strict=True):
         test = residual_test(model, train, lags, confidence)
-        fits = {name: _finite(compare(model, z)[0]) for name, z in validations.items()}
+        fits = {name: _finite(compare(z, model)[0]) for name, z in validations.items()}
         k = model.parameters.size
         fit = n * math.log(loss) if loss > 0.0 else None
         rows.append(
             StepARow(
                 model=model,
-                fit_train_pct=_finite(compare(model, train, 1)[0]),
-                fit_train_free_run_pct=_finite(compare(model, train)[0]),
+                fit_train_pct=_finite(compare(train, model, horizon=1)[0]),
+                fit_train_free_run_pct=_finite(compare(train, model)[0]),
                 fit_validation_pct=fits,
                 aic=None if fit is None else fit + 2.0 * k,
                 bic=None if fit is None else fit + k * math.log(n),

@@ -18,7 +18,7 @@ from quad_sysid.effects import EFFECTS
 from quad_sysid.errors import BadInputError
 from quad_sysid.estimate.fit import Fit, Problem, Tail, covariance, shift_by_form
 from quad_sysid.model import AxisModel, EffectEstimate, NoiseEstimate, Parameter
-from quad_sysid.model.effect import Effect, Part, Settings, Spec
+from quad_sysid.model.effect import Effect, Part, Settings, Spec, required
 from quad_sysid.model.plant import BASE, N_BASE, NOISE, Structure
 
 SHORTEST = 0.25
@@ -26,7 +26,14 @@ SHORTEST = 0.25
 VAGUE = 1.0
 """A logarithm with a larger standard error is not determined."""
 
-KNOWN: Mapping[tuple[str, str], Effect] = {(e.name, e.variant): e for e in EFFECTS}
+
+def library(own: Sequence[Effect] = ()) -> tuple[Effect, ...]:
+    """All effects that a model may name: those that were handed in, then the package's."""
+    return (*(effect for effect in own if effect not in EFFECTS), *EFFECTS)
+
+
+def _named(name: str, variant: str, own: Sequence[Effect]) -> Effect | None:
+    return next((e for e in library(own) if (e.name, e.variant) == (name, variant)), None)
 
 
 @dataclass(frozen=True)
@@ -177,21 +184,22 @@ def estimate_of(
     name: str, fitted: Sequence[float], variant: str = '', *,
     settings: Settings | None = None, std: float | None = None,
     probability: float = 1.0, rivals: tuple[tuple[str, float], ...] = (),
+    own: Sequence[Effect] = (),
 ) -> EffectEstimate:
     """An effect with given parameters, as its physics takes them, that was fitted to nothing.
 
     The last ones may be left out: they lie at the centre of their priors.
     """
-    effect, known = KNOWN[name, variant], settings or {}
+    effect, fixed = required(_named(name, variant, own)), settings or {}
     rest = [
         math.exp(spec.centre) if spec.log else spec.centre
         for spec in effect.parameters[len(fitted) :]
     ]
-    told = effect.readable(np.array([*fitted, *rest], dtype=float), known)
+    told = effect.readable(np.array([*fitted, *rest], dtype=float), fixed)
     return EffectEstimate(
         name=name, kind=effect.kind, signals=effect.signals,
         parameters=tuple(Parameter(k, value, std, unit) for k, (value, unit) in told.items()),
-        variant=variant, settings=dict(known), probability=probability, rivals=rivals,
+        variant=variant, settings=dict(fixed), probability=probability, rivals=rivals,
     )
 
 
@@ -228,19 +236,20 @@ def _stored(
 
 def part_of(model: AxisModel, effect: EffectEstimate) -> Part:
     """The physics of a stored effect. Raises BadInputError for one that is not known."""
-    known = KNOWN.get((effect.name, effect.variant))
+    physics = _named(effect.name, effect.variant, model.own_effects)
     names = {p.name for p in effect.parameters}
     settings = _settings(effect.settings)
-    wanted = set() if known is None else {
-        *known.readable(np.ones(len(known.parameters)), settings)
+    wanted = set() if physics is None else {
+        *physics.readable(np.ones(len(physics.parameters)), settings)
     }
-    if known is None or names != wanted:
+    if physics is None or names != wanted:
         raise BadInputError(
-            f'model: {model.axis}.effects', 'an effect this version does not know',
+            f'model: {model.axis}.effects', 'holds an effect that this version does not know',
             f'{effect.name} {effect.variant} ({", ".join(sorted(names))})',
-            'identify again with this version',
+            'identify again with this version, or, where the effect is your own, read the model '
+            'with effects=',
         )
-    return Part(known, settings)
+    return Part(physics, settings)
 
 
 def fitted_of(part: Part, effect: EffectEstimate) -> FloatArray:

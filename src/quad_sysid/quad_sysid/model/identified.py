@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from quad_sysid.contract import FloatArray
+from quad_sysid.model.effect import Effect
 
 
 @dataclass(frozen=True)
@@ -104,6 +105,8 @@ class AxisModel:
     plain: tuple[Parameter, ...] = ()
     """The base fitted alone, what `before` is measured with; empty: the base above."""
     plain_noise: NoiseEstimate | None = None
+    own_effects: tuple[Effect, ...] = field(default=(), repr=False)
+    """Effects beside those of quad_sysid.effects that `effects` and their rivals may name."""
 
     @property
     def noise_rms(self) -> float | None:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from quad_sysid.blackbox import Model, coherence, frequency_response
+from quad_sysid.effects import EFFECTS
 from quad_sysid.errors import QuadSysidError
 from quad_sysid.estimate import stored
 from quad_sysid.model import AxisModel
 from quad_sysid.model.data import AxisData
+from quad_sysid.model.effect import Effect
 from quad_sysid.pipeline.answer import Findings
 from quad_sysid.pipeline.blackbox_part import io_data
 from quad_sysid.record import IOData
@@ -22,7 +24,8 @@ HALF_POWER = 0.41
 
 
 def axis_model(
-    findings: Findings, gains: Mapping[str, float], band: tuple[float, float] | None
+    findings: Findings, gains: Mapping[str, float], band: tuple[float, float] | None,
+    candidates: Sequence[Effect],
 ) -> AxisModel:
     """The completed model where the effects were accepted, the base where not."""
     data, verdict, chosen = findings.data, findings.verdict, findings.after.fit
@@ -54,6 +57,7 @@ def axis_model(
         trusted_band_rad_s=band,
         plain=base.base,
         plain_noise=stored.noise_of(findings.before.fit),
+        own_effects=tuple(effect for effect in candidates if effect not in EFFECTS),
     )
 
 

@@ -89,7 +89,9 @@ def identify_axis(
     answer = AxisAnswer(
         axis, rate, segments, verdict, reason, findings=told,
         train=blackbox_part.io_data(data, data.train),
-        model=assemble.axis_model(told, _gains_of(records), assemble.band_of(data)),
+        model=assemble.axis_model(
+            told, _gains_of(records), assemble.band_of(data), options.effects
+        ),
         warnings=tuple(w for r in records for w in (*r.warnings, refusal(r)) if w),
         attitude_reference=_joined([r.attitude_setpoint for r in records], data.index),
         rate_reference=_joined([r.rate_setpoint for r in records], data.index),

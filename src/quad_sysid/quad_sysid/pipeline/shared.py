@@ -57,7 +57,7 @@ def compare_axes(roll: AxisAnswer, pitch: AxisAnswer) -> SharedModel | None:
     except QuadSysidError as error:
         return SharedModel(agree=False, because=str(error))
     fits = {
-        a.axis: compare(model, z)[0]
+        a.axis: compare(z, model)[0]
         for a, z in ((roll, roll.validation), (pitch, pitch.validation)) if z is not None
     }
     return SharedModel(agree=True, because=words, model=model, fit_validation_pct=fits)

@@ -12,6 +12,7 @@ import math
 import os
 import tempfile
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.json_file import read_json
 from quad_sysid.model import AxisModel, EffectEstimate, NoiseEstimate, Parameter
+from quad_sysid.model.effect import Effect
 
 POLYNOMIALS = ('A', 'B', 'C', 'D', 'F')
 
@@ -129,8 +131,13 @@ def save_models(
         raise BadInputError(str(target), 'cannot be written', error.strerror) from error
 
 
-def load_models(path: str | os.PathLike[str]) -> dict[str, AxisModel]:
-    """Models by axis from a model.json; raises BadInputError naming file, field and remedy."""
+def load_models(
+    path: str | os.PathLike[str], own_effects: Sequence[Effect] = ()
+) -> dict[str, AxisModel]:
+    """Models by axis from a model.json; raises BadInputError naming file, field and remedy.
+
+    `own_effects`: those that the models may name beside the package's.
+    """
     name = str(path)
     tree = read_json(path, 'give the model.json of quad-sysid identify')
     root = _object(tree, name, frozenset({'schema', 'axes'}), open_ended=True)
@@ -145,7 +152,12 @@ def load_models(path: str | os.PathLike[str]) -> dict[str, AxisModel]:
     for axis in axes:
         if axis not in AXES:
             raise BadInputError(f'{name}: axes', f'must be of {", ".join(AXES)}', axis)
-    return {axis: _model_in(axis, tree, f'{name}: axes.{axis}') for axis, tree in axes.items()}
+    return {
+        axis: replace(
+            _model_in(axis, tree, f'{name}: axes.{axis}'), own_effects=tuple(own_effects)
+        )
+        for axis, tree in axes.items()
+    }
 
 
 def _model_out(model: AxisModel, where: str) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from quad_sysid.effects import EFFECTS
 from quad_sysid.errors import BadInputError, NotInformativeError
+from quad_sysid.estimate.stored import library
 from quad_sysid.model import AxisModel
 from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import Effect, Part
@@ -126,6 +127,8 @@ class Rival:
 
     name: str
     acting: Acting | None = None
+    variants: tuple[Effect, ...] = ()
+    """Every effect of this name."""
 
     def words(self) -> str:
         """Name and strength."""
@@ -140,7 +143,7 @@ class Rival:
 
     def parts(self, data: AxisData) -> list[Part]:
         """Its variants as identification would try them on this flight."""
-        prepared = ((effect, effect.prepare(data)) for effect in variants(self.name))
+        prepared = ((effect, effect.prepare(data)) for effect in self.variants)
         return [Part(effect, s) for effect, s in prepared if not isinstance(s, str)]
 
 
@@ -210,35 +213,40 @@ def nearest(models: Mapping[str, AxisModel]) -> AxisModel:
     return max(models.values(), key=nearness)
 
 
-def variants(name: str) -> tuple[Effect, ...]:
+def variants(name: str, effects: Sequence[Effect] = EFFECTS) -> tuple[Effect, ...]:
     """Every effect of this name; none for `nothing`."""
-    return tuple(e for e in EFFECTS if e.name == name)
+    return tuple(e for e in effects if e.name == name)
 
 
 def separate(
     aircraft: Aircraft, names: Names, seconds: float = 60.0, model: AxisModel | None = None,
-    progress: Progress = lambda _: None,
+    progress: Progress = lambda _: None, own: Sequence[Effect] = (),
 ) -> Separation:
     """Rank the flights of `seconds` that tell the two effects apart (either may be `nothing`).
 
     Strengths come from `model` where it has the effect, else as strong as is just found today.
+    `own`: effects of the caller's that may be named, beside the package's and the model's.
     Raises BadInputError for unknown names or a length that is too short, NotInformativeError
     where no safe flight shows either effect.
     """
-    _check(names, seconds)
+    effects = library((*own, *(model.own_effects if model else ())))
+    _check(names, seconds, effects)
     with threadpool_limits(limits=1):
-        return _separate(aircraft, names, seconds, model, progress)
+        return _separate(aircraft, names, seconds, model, progress, effects)
 
 
 def _separate(
-    aircraft: Aircraft, names: Names, seconds: float, model: AxisModel | None, progress: Progress
+    aircraft: Aircraft, names: Names, seconds: float, model: AxisModel | None, progress: Progress,
+    effects: Sequence[Effect],
 ) -> Separation:
     length = min(seconds, SIMULATED_S)
-    signals = {s for name in names for e in variants(name) for s in e.signals}
+    signals = {s for name in names for e in variants(name, effects) for s in e.signals}
     usual = plain_prbs(aircraft.axis, length)
     helped = list(with_pilot(usual, signals))
     rich = helped[-1] if helped else usual
-    first, second = _sized(aircraft, names, model, rich, JUST_FOUND_NATS * length / seconds)
+    first, second = _sized(
+        aircraft, names, model, rich, JUST_FOUND_NATS * length / seconds, effects
+    )
     flights = _Flights(aircraft, first, second)
     plain = flights.rows([usual])[0]
     if plain is None:
@@ -278,12 +286,12 @@ def _pilot(plain: Row, helped: Sequence[Row | None]) -> Row:
     )
 
 
-def _check(names: Names, seconds: float) -> None:
-    known = [NOTHING, *dict.fromkeys(e.name for e in EFFECTS)]
+def _check(names: Names, seconds: float, effects: Sequence[Effect]) -> None:
+    all_names = [NOTHING, *dict.fromkeys(e.name for e in effects)]
     for name in names:
-        if name not in known:
+        if name not in all_names:
             raise BadInputError(
-                '--separate', 'unknown effect', repr(name), f'use {", ".join(known)}'
+                '--separate', 'unknown effect', repr(name), f'use {", ".join(all_names)}'
             )
     if names[0] == names[1]:
         raise BadInputError('--separate', 'needs two different effects', ' '.join(names))
@@ -292,27 +300,28 @@ def _check(names: Names, seconds: float) -> None:
 
 
 def _sized(
-    aircraft: Aircraft, names: Names, model: AxisModel | None, rich: Excitation, wanted: float
+    aircraft: Aircraft, names: Names, model: AxisModel | None, rich: Excitation, wanted: float,
+    effects: Sequence[Effect],
 ) -> tuple[Rival, Rival]:
     """Both rivals with their strengths; where one is known, the other is worth as much."""
     seen = judged(aircraft, fly(aircraft, aircraft.acting, [rich])[0].data)
     given = [None if model is None else effect_of(model, name) for name in names]
     worth = max((seen.trace(one) for one in given if one is not None), default=wanted)
     out = []
-    for name, one in zip(names, given, strict=True):
-        if one is None and name != NOTHING:
-            part = _prepared(name, seen.problem.data)
+    for name, found in zip(names, given, strict=True):
+        acting = found
+        if acting is None and name != NOTHING:
+            part = _prepared(name, seen.problem.data, effects)
             price = PER_PARAMETER * min(len(part.effect.parameters), 4)
-            out.append(Rival(name, seen.sized(part, max(worth, wanted + price))))
-        else:
-            out.append(Rival(name, one))
+            acting = seen.sized(part, max(worth, wanted + price))
+        out.append(Rival(name, acting, variants(name, effects)))
     return out[0], out[1]
 
 
-def _prepared(name: str, data: AxisData) -> Part:
+def _prepared(name: str, data: AxisData, effects: Sequence[Effect]) -> Part:
     """The first variant that a flight can show, with its settings."""
     reason = ''
-    for effect in variants(name):
+    for effect in variants(name, effects):
         settings = effect.prepare(data)
         if not isinstance(settings, str):
             return Part(effect, settings)
