@@ -90,7 +90,7 @@ lock:  ## pin anew what requirements/*.in ask for (needs uv and a network)
 	@cd requirements && \
 	uv pip compile -q -U --universal --python-version 3.10 --no-annotate --no-header \
 	    --no-emit-index-url --no-emit-find-links ros-wheels.in | \
-	    sed "/sys_platform == 'win32'$$/d" >ros-wheels.txt && \
+	    sed -E "/(win32|darwin|pypy)'$$/d" >ros-wheels.txt && \
 	uv pip compile -q -U --python-version 3.12 --no-annotate --no-header \
 	    --no-emit-index-url --no-emit-find-links jazzy.in >jazzy.txt
 

@@ -8,7 +8,7 @@ PACKAGE = 'quad_bridge'
 
 setup(
     name=PACKAGE,
-    version='0.1.0',
+    version='0.2.0',
     packages=find_packages(),
     package_data={PACKAGE: ['py.typed', '**/*.yaml', '**/*.xml']},
     data_files=[

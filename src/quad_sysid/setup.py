@@ -24,7 +24,7 @@ IN_WORKSPACE = bool({'develop', 'install'} & set(sys.argv))
 
 setup(
     name=PACKAGE,
-    version='0.1.0',
+    version='0.2.0',
     packages=find_packages(),
     package_data={PACKAGE: ['py.typed', '**/*.yaml', '**/*.json']},
     data_files=[

@@ -14,7 +14,7 @@ import pytest
 
 from quad_sysid.bags import read_bag
 from quad_sysid.cli import main
-from quad_sysid.imports.kinds import kind_of, read_log
+from quad_sysid.imports.formats import format_of, read_log
 from quad_sysid.imports.to_bag import import_log
 from quad_sysid.imports.words import table
 
@@ -115,7 +115,7 @@ def px4_topics(flight: Flight) -> dict:
 
 def imported(path: Path, out: Path):
     """The bag's record, and what was warned of and found missing on the way."""
-    done = import_log(read_log(path, kind_of(path)), out)
+    done = import_log(read_log(path, format_of(path)), out)
     assert max(map(len, table(done)[1:])) <= 80
     return read_bag(done.path), ' '.join((*done.told, *done.warnings, *done.log.missing))
 
@@ -372,7 +372,7 @@ def test_indiflight_turns_its_axes_and_names_no_layout(flight, tmp_path):
     path = tmp_path / 'LOG.csv'
     path.write_text('\n'.join([','.join(['loopIteration', 'time', *columns]), *(
         ','.join(f'{v:.9g}' for v in row) for row in rows)]) + '\n')
-    log = read_log(path, kind_of(path))
+    log = read_log(path, format_of(path))
     np.testing.assert_allclose(log.rates.values, flight.rates, atol=1e-6)
     np.testing.assert_allclose(log.motors.values, np.column_stack([*flight.thrusts.values()]),
                                atol=1e-6)

@@ -22,7 +22,8 @@ class Cogging(qs.Effect):
     physics = '-T sin(12 angle): cogging of a motor on the axis'
     excite = 'slow square waves over several teeth'
 
-    def torque(self, s: qs.Signals, p: np.ndarray, settings: object) -> np.ndarray:
+    def torque(self, s, p, settings):
+        del settings
         return -p[0] * np.sin(12.0 * s.angle)
 
 

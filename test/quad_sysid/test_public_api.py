@@ -66,10 +66,12 @@ def test_a_rate_that_does_not_fit_is_told():
     y = np.roll(u, 1) + 0.1 * rng.standard_normal(300)
     model = quad_sysid.arx(quad_sysid.IOData(u, y, 0.01), 1, 1, 1)
     other = quad_sysid.IOData(u, y, 0.02)
-    for call in (quad_sysid.compare, quad_sysid.residual_test,
+    for call in (lambda m, z: quad_sysid.compare(z, m), quad_sysid.residual_test,
                  lambda m, z: quad_sysid.predict(m, z, 1)):
         with pytest.raises(ValueError, match='100 Hz: found 50 Hz'):
             call(model, other)
+    with pytest.raises(ValueError, match='the data come first'):
+        quad_sysid.compare(model, other)
     with pytest.raises(ValueError, match='greybox'):
         quad_sysid.greybox(quad_sysid.IOData(u, y, 0.01))
 

@@ -44,7 +44,13 @@ def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr[-2000:]
     text = (tmp_path / 'site' / 'reference' / 'api.html').read_text()
     assert all(name in text for name in ('read_bag', 'AxisModel', 'CascadeGains', 'import_log'))
+    errors = (tmp_path / 'site' / 'reference' / 'errors.html').read_text()
+    assert all(told in errors for told in ('must be a finite number', 'chmod 600', 'no such axis'))
+    notebook = (tmp_path / 'site' / 'notebook.html').read_text()
+    assert 'Was missing: dry friction' in notebook
+    assert notebook.count('<img') >= 4
     pictures = re.findall(r'<img[^>]*src="([^"]+)"', (tmp_path / 'site/tune.html').read_text())
     assert all((tmp_path / 'site' / p).exists() for p in pictures if not p.startswith('http'))
     listed = set(re.findall(r'[\w/]+\.md', (ROOT / 'mkdocs.yml').read_text()))
-    assert listed == {str(p.relative_to(ROOT / 'docs')) for p in PAGES[3:]}
+    pages = {str(p.relative_to(ROOT / 'docs')) for p in PAGES[3:]}
+    assert listed == pages | {'notebook.md'}  # made from notebook.ipynb

@@ -50,6 +50,7 @@ if TYPE_CHECKING:
     )
     from quad_sysid.effects import EFFECTS as EFFECTS
     from quad_sysid.errors import BadInputError, NotInformativeError, QuadSysidError
+    from quad_sysid.model import GainProposal as GainProposal
     from quad_sysid.model.effect import Effect, Signals, Spec
     from quad_sysid.pipeline.direct import greybox
     from quad_sysid.record import IOData, Record, Segment
@@ -67,6 +68,7 @@ _HOMES = {
     'quad_sysid.bags': ('read_bag',),
     'quad_sysid.errors': ('BadInputError', 'NotInformativeError', 'QuadSysidError'),
     'quad_sysid.effects': ('EFFECTS',),
+    'quad_sysid.model': ('GainProposal',),
     'quad_sysid.model.effect': ('Effect', 'Signals', 'Spec'),
     'quad_sysid.pipeline.direct': ('greybox',),
     'quad_sysid.result': (
@@ -89,6 +91,7 @@ __all__ = [
     'BadInputError',
     'Effect',
     'FrequencyResponse',
+    'GainProposal',
     'IOData',
     'Identified',
     'LinearController',

@@ -31,13 +31,10 @@ if TYPE_CHECKING:
     from quad_sysid.model.effect import Effect
     from quad_sysid.pipeline.answer import AxisAnswer
     from quad_sysid.pipeline.evaluate import Evaluation
-    from quad_sysid.report.canvas import Picture
     from quad_sysid.separation.design import Separation
 
 PROMISES = ('rate_rms_ratio', 'oscillation_ratio', 'peak')
 """Figures of a proposal that the bridge's watch compares the flight with."""
-SHOWN = ('effect_shape', 'missing_torque', 'free_run', 'signals_detail')
-"""What a notebook shows beside the words: the first of these that there is."""
 Span = tuple[float, float]
 
 
@@ -140,24 +137,19 @@ class Result:
         return '\n'.join(text.lines(self.report)).strip('\n')
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: the words, and for each axis the picture that tells most."""
-        from html import escape
+        """What a notebook shows: answer, tables, and for each axis the picture that tells most."""
+        from quad_sysid.report.html import excerpt
 
-        from quad_sysid.report.canvas import embedded
-
-        found = [f'<pre>{escape(str(self))}</pre>']
-        for axis, answer in self.answers.items():
-            picture = next(filter(None, (_drawn(answer, name) for name in SHOWN)), None)
-            if picture is not None:
-                found.append(embedded(picture, axis))
-        return ''.join(found)
+        return excerpt(self.report, self.answers, str(self))
 
     def plot(self, name: str = 'missing_torque') -> Figure:
         """One picture of the report as a matplotlib figure, such as `free_run` or `bode`.
 
         Raises BadInputError for a name that is none, or where the data do not allow the picture.
         """
-        picture = _drawn(self.answer, name)
+        from quad_sysid.report.plots import draw
+
+        picture = draw(self.answer, name)
         if picture is None:
             raise BadInputError('plot', 'the data do not allow this picture', name)
         return picture.figure
@@ -214,12 +206,6 @@ class Result:
         for axis, answer in self.answers.items():
             if answer.proposal is not None and answer.proposal.gains is not None:
                 yield axis, answer.proposal.gains, answer.proposal.figures
-
-
-def _drawn(answer: AxisAnswer, name: str) -> Picture | None:
-    from quad_sysid.report.plots import draw
-
-    return draw(answer, name)
 
 
 def identify(

@@ -6,7 +6,7 @@ The whole of a model's use on data but the statistics of its residual (residuals
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -137,4 +137,6 @@ def compare(
     z: IOData, *models: Model, horizon: float = math.inf
 ) -> tuple[float, ...]:
     """Fit in percent of each model on z, by default in the free run (MATLAB: compare)."""
+    if isinstance(z, Model):
+        raise BadInputError('compare', 'the data come first', 'a model', 'compare(z, model, …)')
     return tuple(fit_percent(z.y, predict(model, z, horizon)) for model in models)

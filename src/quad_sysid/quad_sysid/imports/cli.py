@@ -13,7 +13,7 @@ from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError
 
 if TYPE_CHECKING:
-    from quad_sysid.imports.kinds import Kind
+    from quad_sysid.imports.formats import Format
     from quad_sysid.imports.log import ForeignLog
 
 TABLE_ONLY: Mapping[str, str] = {
@@ -67,28 +67,28 @@ def add(commands: Commands) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from quad_sysid.imports.kinds import Kind, kind_of
+    from quad_sysid.imports.formats import format_of
 
     columns = [flag for name, flag in TABLE_ONLY.items() if getattr(options, name)]
-    kind = kind_of(options.file)
+    known = format_of(options.file)
     if options.grid is not None:
         positive('--grid', options.grid)
-    if kind is Kind.TABLE or (kind is Kind.BLACKBOX and columns):
+    if known is None or (known.also_table and columns):
         return _table(options, columns)
     if columns:
         raise BadInputError(
-            f'{options.file}', f'is {kind.value}, which needs no column names',
+            f'{options.file}', f'is {known.name}, which needs no column names',
             ', '.join(columns), 'leave them out',
         )
-    return _log(options, kind)
+    return _log(options, known)
 
 
-def _log(options: argparse.Namespace, kind: Kind) -> int:
-    from quad_sysid.imports.kinds import read_log
+def _log(options: argparse.Namespace, known: Format) -> int:
+    from quad_sysid.imports.formats import read_log
     from quad_sysid.imports.mixers import mixer_of
     from quad_sysid.imports.words import mapped
 
-    log = read_log(options.file, kind, options.log)
+    log = read_log(options.file, known, options.log)
     if options.out is None:
         print('\n'.join([f'{options.file}: {log.kind}', '', *mapped(log), '', 'to import it:',
                          f'quad-sysid import {options.file} --out {options.file.stem}_bag']))

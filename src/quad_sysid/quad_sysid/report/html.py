@@ -9,8 +9,8 @@ from typing import Any
 
 from quad_sysid.pipeline.answer import AxisAnswer
 from quad_sysid.report import tables, words
-from quad_sysid.report.canvas import Picture, svg
-from quad_sysid.report.plots import Gallery, gallery
+from quad_sysid.report.canvas import Picture, embedded, svg
+from quad_sysid.report.plots import Gallery, draw, gallery
 
 LIGHT = """--paper:#ffffff;--card:#f6f8fa;--line:#d5dae0;--ink:#1b1f24;
 --muted:#5f6b78;--grid:#d5dae0;--blue:#0072b2;--orange:#d55e00;--green:#009e73;--sky:#56b4e9;--pink:#cc79a7;"""
@@ -67,6 +67,13 @@ PREDICTION = ('free_run', 'horizon', 'one_step')
 EFFECTS = ('effect_shape', 'left_out', 'rivals')
 LEFT = ('correlations', 'residual_spectrum', 'missing_torque')
 LOOP = ('closed_loop', 'step', 'margins')
+SHOWN = ('effect_shape', 'missing_torque', 'free_run', 'signals_detail')
+"""What a notebook shows beside the words: the first of these that there is."""
+CELL = """.quad .tiles{display:flex;flex-wrap:wrap;gap:8px}
+.quad .tile{border:1px solid #8886;border-radius:6px;padding:4px 10px}
+.quad .tile span{display:block;opacity:.75;font-size:.85em}.quad .scroll{overflow-x:auto}
+.quad .small{opacity:.75;font-size:.9em}.quad img{max-width:100%}.quad summary{cursor:pointer}"""
+"""Style of a notebook's cell: no colours of its own, so that it suits light and dark."""
 
 
 def page(
@@ -95,6 +102,20 @@ def page(
     ]
     parts.append(_footer(report['bags']))
     return '\n'.join([*parts, '</body></html>\n'])
+
+
+def excerpt(report: Mapping[str, Any], answers: Mapping[str, AxisAnswer], text: str) -> str:
+    """What a notebook shows of a result: answer, tables and one picture an axis; `text` folded."""
+    parts = [f'<style>{CELL}</style><div class="quad">']
+    for axis, tree in report['axes'].items():
+        drawn = (draw(answers[axis], name) for name in SHOWN)
+        picture = next((one for one in drawn if one is not None), None)
+        parts += [
+            _answer(axis, tree), tables.effects(tree), tables.parameters(tree),
+            tables.errors(tree), '' if picture is None else embedded(picture, axis),
+        ]
+    parts.append(f'{_fold("All in words", f"<pre>{escape(text)}</pre>")}</div>')
+    return ''.join(parts)
 
 
 def _answer(axis: str, tree: Mapping[str, Any]) -> str:
