@@ -2,8 +2,8 @@
 
     make bench-link ARGS='--seconds 250=300,500=120,1000=60,excite=60'
 
-Per rate: cycles lost from wire to bag, CPU of each process, latency from the last byte of a
-cycle's frame to the subscriber's callback, memory. Beside it, in the same run, bare rclpy that
+Per rate: cycles lost from wire to bag, CPU of each process and how long it waited for it, latency
+from the last byte of a cycle's frame to the subscriber's callback, memory. Beside it, in the same run, bare rclpy that
 publishes the same five messages at the same rate. The last line is one JSON object.
 The processes' own part is link_load_roles.py.
 """
@@ -39,6 +39,12 @@ def cpu_s(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / TICK_HZ
 
 
+def waited_s(pid: int) -> float:
+    """How long its threads were ready and others had the processor."""
+    tasks = Path(f'/proc/{pid}/task').glob('*/schedstat')
+    return sum(int(task.read_text().split()[1]) for task in tasks) * 1e-9
+
+
 def memory_mb(pid: int) -> float:
     lines = Path(f'/proc/{pid}/status').read_text().splitlines()
     return next(int(line.split()[1]) / 1024 for line in lines if line.startswith('VmRSS'))
@@ -71,9 +77,10 @@ class Processes:
             process.wait()
 
     def measure(self, seconds: float) -> dict[str, dict[str, float]]:
-        """CPU in % of a core, memory after a fifth of the time and at its end."""
+        """CPU in % of a core, waiting for one, memory after a fifth of the time and at its end."""
         pids = {name: process.pid for name, process in self.running.items()}
         before, began_s = {n: cpu_s(p) for n, p in pids.items()}, time.monotonic()
+        waited = {n: waited_s(p) for n, p in pids.items()}
         time.sleep(0.2 * seconds)
         early = {n: memory_mb(p) for n, p in pids.items()}
         time.sleep(0.8 * seconds)
@@ -81,6 +88,7 @@ class Processes:
         return {
             name: {
                 'cpu_percent': round(100.0 * (cpu_s(pid) - before[name]) / passed_s, 1),
+                'waited_percent': round(100.0 * (waited_s(pid) - waited[name]) / passed_s, 1),
                 'memory_mb': round(memory_mb(pid), 1),
                 'grown_mb': round(memory_mb(pid) - early[name], 1),
             }

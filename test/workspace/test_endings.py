@@ -24,7 +24,6 @@ assert {*NODES, 'virtual_stm32'} == set(STARTS)
 PARAMETERS = {
     'serial_bridge': {'port': 'tty', 'state_folder': 'state'},
     'bag_logger': {'autostart': True},
-    'monitor': {'stop_when_covered': True},  # so that it goes on where nobody looks
 }
 INTERRUPT_AT_IMPORT = """
 import importlib.abc, os, sys

@@ -15,9 +15,7 @@ from ament_index_python.packages import get_package_share_directory
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Vector3Stamped
 from rcl_interfaces.msg import (
-    FloatingPointRange,
     Parameter,
-    ParameterDescriptor,
     ParameterEvent,
     ParameterType,
     ParameterValue,
@@ -284,28 +282,25 @@ def declare(node: Any) -> Settings:
     """Declare and read the parameters; raises BadInputError naming the file or parameter."""
     flags = ['autostart', 'exit_when_done', 'end_when_covered']
     ros_node.refuse_unknown(node, [*NUMBERS, *flags, 'schedule', 'rate_hz', 'abort_aux'])
-    name = ros_node.text(
+    name = ros_node.declared(
         node, 'schedule', 'schedule_rig', 'YAML file, or the name of a shipped schedule'
     )
-    autostart = ros_node.flag(node, 'autostart', False, 'start as soon as the guard lets it')
-    exit_when_done = ros_node.flag(
+    autostart = ros_node.declared(node, 'autostart', False, 'start as soon as the guard lets it')
+    exit_when_done = ros_node.declared(
         node, 'exit_when_done', False, 'end the process with the schedule (status 0 done, 1 not)'
     )
-    covered = ros_node.flag(
+    covered = ros_node.declared(
         node, 'end_when_covered', False,
         'end a training segment when the rate answers the whole band; validation is flown whole',
     )
-    rate_hz = ros_node.integer(node, 'rate_hz', 250, (10, 1000), 'set-points per second')
-    aux = ros_node.integer(
-        node, 'abort_aux', 2, (0, 5), "channel aux 1..5 of the pilot's abort switch; 0: none"
+    rate_hz = ros_node.declared(node, 'rate_hz', 250, 'set-points per second', (10, 1000))
+    aux = ros_node.declared(
+        node, 'abort_aux', 2, "channel aux 1..5 of the pilot's abort switch; 0: none", (0, 5)
     )
-    numbers = {}
-    for key, (default, low, high, description) in NUMBERS.items():
-        span = FloatingPointRange(from_value=low, to_value=high, step=0.0)
-        descriptor = ParameterDescriptor(
-            description=description, read_only=True, floating_point_range=[span]
-        )
-        numbers[key] = float(node.declare_parameter(key, default, descriptor).value)
+    numbers = {
+        key: ros_node.declared(node, key, default, description, (low, high))
+        for key, (default, low, high, description) in NUMBERS.items()
+    }
     share = lambda: Path(get_package_share_directory('quad_sysid'))  # noqa: E731
     return settings_from(
         find_schedule(name, share), numbers, aux, rate_hz,

@@ -40,10 +40,10 @@ class IdentificationNode(Node):  # type: ignore[misc]
     def __init__(self) -> None:
         super().__init__('identification')
         ros_node.refuse_unknown(self, PARAMETERS)
-        self._out = ros_node.text(
+        self._out = ros_node.declared(
             self, 'out', '', 'folder of the report; empty: <bag>_identified beside the bag'
         )
-        self._auto_update = ros_node.flag(
+        self._auto_update = ros_node.declared(
             self, 'auto_update', False, 'publish gains that are better and safe'
         )
         self._request = _request(self)
@@ -191,9 +191,9 @@ def _request(node: Any) -> session.Request:
     )
     given = node.declare_parameter('axes', [''], descriptor).value
     texts = {
-        'train': ros_node.text(node, 'train', '', 'A:B, s; empty: as the bag says'),
-        'validate': ros_node.text(node, 'validate', '', 'A:B, s; empty: as the bag says'),
-        'inertia': ros_node.text(node, 'inertia', '', 'IX,IY,IZ, kg m²; adds torques in N m'),
+        'train': ros_node.declared(node, 'train', '', 'A:B, s; empty: as the bag says'),
+        'validate': ros_node.declared(node, 'validate', '', 'A:B, s; empty: as the bag says'),
+        'inertia': ros_node.declared(node, 'inertia', '', 'IX,IY,IZ, kg m²; adds torques in N m'),
     }
     try:
         for name in ('train', 'validate'):

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
-from rcl_interfaces.msg import ParameterDescriptor, ParameterEvent
+from rcl_interfaces.msg import ParameterEvent
 from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
 from std_srvs.srv import Trigger
@@ -26,13 +26,13 @@ from quad_bridge.status import WARN, Status
 from quad_bridge.topics import TOPIC_TYPES
 
 NUMBERS = {
-    'queue_messages': (50_000, (100, 10_000_000), 'messages that may wait for the disk'),
-    'split_mb': (0, (0, 1_000_000), 'a new file in the bag after so many MB, 0 for never'),
-    'split_s': (0, (0, 86_400), 'a new file in the bag after so many seconds, 0 for never'),
-    'reserve_mb': (200, (0, 1_000_000), 'MB reserved on the disk before a recording starts'),
-    'disk_budget_mb': (0, (0, 100_000_000), 'MB that all bags of the folder may take, 0: any'),
+    'queue_messages': (50_000, 'messages that may wait for the disk', (100, 10_000_000)),
+    'split_mb': (0, 'a new file in the bag after so many MB, 0 for never', (0, 1_000_000)),
+    'split_s': (0, 'a new file in the bag after so many seconds, 0 for never', (0, 86_400)),
+    'reserve_mb': (200, 'MB reserved on the disk before a recording starts', (0, 1_000_000)),
+    'disk_budget_mb': (0, 'MB that all bags of the folder may take, 0: any', (0, 100_000_000)),
 }
-"""Integer parameters: default, range, description."""
+"""Integer parameters: default, description, range."""
 NAMES = ('folder', 'prefix', 'topics', 'autostart', 'delete_oldest', 'managed', *NUMBERS)
 RETIRED = ('storage', 'compression')
 """Parameters of earlier versions."""
@@ -51,9 +51,9 @@ class BagLogger(ManagedNode):
                 what = 'is retired: bags are mcap without compression'
                 raise BadInputError(f'parameter {name}', what, remedy='leave it out')
         ros_node.refuse_unknown(self, NAMES)
-        self._folder = Path(ros_node.text(self, 'folder', '.', 'where bags are written'))
-        self._prefix = ros_node.text(self, 'prefix', 'flight', 'how names of bags begin')
-        numbers = {name: ros_node.integer(self, name, *rest) for name, rest in NUMBERS.items()}
+        self._folder = Path(ros_node.declared(self, 'folder', '.', 'where bags are written'))
+        self._prefix = ros_node.declared(self, 'prefix', 'flight', 'how names of bags begin')
+        numbers = {name: ros_node.declared(self, name, *rest) for name, rest in NUMBERS.items()}
         self._capacity = numbers['queue_messages']
         self._limits = Limits(
             numbers['split_mb'] * MB, numbers['split_s'], numbers['reserve_mb'] * MB
@@ -62,9 +62,14 @@ class BagLogger(ManagedNode):
             self._folder,
             self._prefix,
             numbers['disk_budget_mb'] * MB,
-            ros_node.flag(self, 'delete_oldest', False, 'delete closed bags to keep the budget'),
+            ros_node.declared(
+                self, 'delete_oldest', False, 'delete closed bags to keep the budget'
+            ),
         )
-        self._topics = self._declare_topics()
+        self._topics = ros_node.declared(self, 'topics', list(TOPIC_TYPES), 'topics to record')
+        for topic in self._topics:
+            if topic not in TOPIC_TYPES:
+                raise BadInputError('parameter topics', 'is no topic of the contract', topic)
         self._recording: Recording | None = None
         self._subscribed: dict[str, tuple[Any, Any]] = {}
         self._gaps: dict[str, Gaps] = {}
@@ -75,7 +80,7 @@ class BagLogger(ManagedNode):
         self._last = ''
         self._failed: RecordingStatus | None = None
         """How the last recording ended, where it failed."""
-        self._autostart = ros_node.flag(
+        self._autostart = ros_node.declared(
             self, 'autostart', False, 'record from the start of the node'
         )
         self._now_ns: Callable[[], int] = self._ros_now_ns if self.simulated else time.time_ns
@@ -114,16 +119,6 @@ class BagLogger(ManagedNode):
 
     def _ros_now_ns(self) -> int:
         return int(self.get_clock().now().nanoseconds)
-
-    def _declare_topics(self) -> list[str]:
-        descriptor = ParameterDescriptor(description='topics to record', read_only=True)
-        topics = [
-            str(t) for t in self.declare_parameter('topics', list(TOPIC_TYPES), descriptor).value
-        ]
-        for topic in topics:
-            if topic not in TOPIC_TYPES:
-                raise BadInputError('parameter topics', 'is no topic of the contract', topic)
-        return topics
 
     def _on_start(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if not self.active:

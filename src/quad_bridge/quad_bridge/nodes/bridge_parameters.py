@@ -46,35 +46,29 @@ def declare(node: Any) -> BridgeSettings:
     """Declare and read the parameters. Raises BadInputError naming the one that is wrong."""
     bounds = {f'bounds.{name}': name for name in SETTABLE}
     ros_node.refuse_unknown(node, [*OWN, *bounds])
-    port = ros_node.text(
+    port = ros_node.declared(
         node, 'port', '/dev/ttyACM0', 'device, pattern (/dev/ttyACM*) or URL of pyserial'
     )
     settings = BridgeSettings(
         port=port,
-        baud=ros_node.integer(node, 'baud', 921600, (9600, 12_000_000), 'baud rate, bit/s'),
-        excitation_valid_ms=ros_node.integer(
-            node,
-            'excitation_valid_ms',
-            100,
-            (8, 500),
+        baud=ros_node.declared(node, 'baud', 921600, 'baud rate, bit/s', (9600, 12_000_000)),
+        excitation_valid_ms=ros_node.declared(
+            node, 'excitation_valid_ms', 100,
             'how long the STM32 keeps an excitation set-point that nothing replaces, ms',
+            (8, 500),
         ),
         signing=_signing(node, port),
-        require_enable=ros_node.flag(
-            node,
-            'require_enable',
-            over_network(port),
+        require_enable=ros_node.declared(
+            node, 'require_enable', over_network(port),
             'excite and arm only while /operator/enable is alive; default: where port is a URL; '
             'elsewhere once somebody has held it',
         ),
-        correct_sensors=ros_node.flag(
-            node,
-            'correct_sensors',
-            True,
+        correct_sensors=ros_node.declared(
+            node, 'correct_sensors', True,
             "subtract the gyro's bias at rest and the compass's offset from what is published",
         ),
         gains=_gains(node, bounds),
-    )
+    )  # fmt: skip
     if not settings.port:
         raise BadInputError('parameter port', 'must name a device', "''")
     return settings
@@ -87,7 +81,7 @@ def over_network(port: str) -> bool:
 
 
 def _signing(node: Any, port: str) -> Signing | None:
-    given = ros_node.text(
+    given = ros_node.declared(
         node, 'key_file', '', 'key for MAVLink 2 signing; required where port is a network URL'
     )
     if not given and over_network(port):
@@ -100,32 +94,26 @@ def _signing(node: Any, port: str) -> Signing | None:
 
 
 def _gains(node: Any, bounds: Mapping[str, str]) -> GainSettings:
-    folder = ros_node.text(
+    folder = ros_node.declared(
         node, 'state_folder', '', 'history of gains and checks; empty: quad_suite in ROS_HOME'
     )
-    aircraft = ros_node.text(
+    aircraft = ros_node.declared(
         node, 'aircraft', '', "name of its folder there; empty: the STM32's unique number"
     )
     if '/' in aircraft or aircraft.startswith('.'):
         raise BadInputError('parameter aircraft', 'must be a plain name', aircraft)
+    sources = ros_node.declared(
+        node, 'sources', ['*'], 'sources of /gains/update that are allowed, * for any'
+    )
     return GainSettings(
         bounds={**DEFAULT_BOUNDS, **_bounds(node, bounds)},
-        sources=_sources(node),
+        sources=tuple(pattern for pattern in sources if pattern),
         polarity=ros_node.choice(
             node, 'polarity', MODES, 'pulses before the first update', no='off'
         ),
         folder=Path(folder).expanduser() if folder else default_folder(),
         aircraft=aircraft,
     )
-
-
-def _sources(node: Any) -> tuple[str, ...]:
-    """Patterns (`*`, `identification*`) of the sources that may change gains."""
-    descriptor = ParameterDescriptor(
-        description='sources of /gains/update that are allowed, * for any', read_only=True
-    )
-    given = node.declare_parameter('sources', ['*'], descriptor).value
-    return tuple(str(pattern) for pattern in given if pattern)
 
 
 def _bounds(node: Any, known: Mapping[str, str]) -> dict[str, Bound]:

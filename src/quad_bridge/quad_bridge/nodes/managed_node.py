@@ -11,7 +11,6 @@ from collections.abc import Callable
 from typing import Any
 
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.clock import Clock, ClockType
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 
@@ -56,7 +55,7 @@ class ManagedNode(TimedNode, LifecycleNode):  # type: ignore[misc]
         self.active = False
         self.fence = Fence(self.get_logger().error)
         """What notes callbacks that fail."""
-        self._managed = ros_node.flag(
+        self._managed = ros_node.declared(
             self, 'managed', False, 'wait for a lifecycle manager to configure and activate'
         )
         self._fault: Exception | None = None
@@ -72,13 +71,6 @@ class ManagedNode(TimedNode, LifecycleNode):  # type: ignore[misc]
             self.trigger_activate()
         if self._fault is not None:
             raise self._fault
-
-    def create_timer(
-        self, timer_period_sec: float, callback: Any, *others: Any, clock: Any = None, **more: Any
-    ) -> Any:
-        """As rclpy's, but on the steady clock: see `ros_node.steady_timer`."""
-        clock = clock or Clock(clock_type=ClockType.STEADY_TIME)
-        return super().create_timer(timer_period_sec, callback, *others, clock=clock, **more)
 
     def publisher(self, kind: Any, topic: str, qos: Any) -> Any:
         """Create a publisher that lives until `cleanup`; `topic` relative to the namespace."""

@@ -15,11 +15,10 @@ from typing import Any
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Vector3Stamped
-from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, ParameterEvent
+from rcl_interfaces.msg import ParameterEvent
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from sensor_msgs.msg import BatteryState, Imu
-from std_srvs.srv import Trigger
 
 from quad_bridge.arguments import say
 from quad_bridge.errors import BadInputError
@@ -34,11 +33,13 @@ LEAST_NEW = 250
 """Cycles between two looks at the coverage."""
 CLEAR, HOME, BELL = '\x1b[2J', '\x1b[H\x1b[J', '\a'
 NUMBERS = {
-    'band_low_rad_s': (BAND[0], 0.01, 100.0, 'low end of the band that is to be covered, rad/s'),
-    'band_high_rad_s': (BAND[1], 0.1, 1000.0, 'its high end, rad/s'),
-    'validation_s': (10.0, 0.0, 600.0, 'validation that is to be flown before "stop now", s'),
-}
-"""Name: default, least, largest, description."""
+    'band_low_rad_s': (BAND[0], 'low end of the band that is to be covered, rad/s', (0.01, 100.0)),
+    'band_high_rad_s': (BAND[1], 'its high end, rad/s', (0.1, 1000.0)),
+    'validation_s': (
+        10.0, 'validation that is to be flown before "stop now", s', (0.0, 600.0)
+    ),
+}  # fmt: skip
+"""Name: default, description, range."""
 
 
 class Monitor(Node):  # type: ignore[misc]
@@ -46,8 +47,8 @@ class Monitor(Node):  # type: ignore[misc]
 
     def __init__(self) -> None:
         super().__init__('monitor')
-        ros_node.refuse_unknown(self, [*NUMBERS, 'stop_when_covered', 'every_s'])
-        known = {name: self._number(name) for name in NUMBERS}
+        ros_node.refuse_unknown(self, [*NUMBERS, 'every_s'])
+        known = {name: ros_node.declared(self, name, *rest) for name, rest in NUMBERS.items()}
         self._band = known['band_low_rad_s'], known['band_high_rad_s']
         if not self._band[0] < self._band[1]:
             raise BadInputError(
@@ -55,15 +56,12 @@ class Monitor(Node):  # type: ignore[misc]
                 f'{self._band[0]:g}', 'lower it',
             )
         self._validation_s = known['validation_s']
-        self._stop = ros_node.flag(self, 'stop_when_covered', False,
-                                   'call excitation/stop when "stop now" is said')
-        every = ros_node.integer(self, 'every_s', 5, (1, 3600), 'between two blocks when piped, s')
+        every = ros_node.declared(self, 'every_s', 5, 'between blocks when piped, s', (1, 3600))
         self._terminal = sys.stdout is not None and sys.stdout.isatty()
         self._state = view.State(asked=self._band)
         self._pairs, self._stamps = Pairs(), deque[int](maxlen=250)
         self._step_s = 0.004
         self._role, self._axis, self._new, self._said = '', '', 0, ''
-        self._stopper = self.create_client(Trigger, 'excitation/stop')
         self.create_subscription(DiagnosticArray, 'diagnostics', self._on_diagnostics, EVENT)
         self.create_subscription(Imu, 'imu/data', self._on_imu, STREAM)
         self.create_subscription(BatteryState, 'battery', self._on_battery, STREAM)
@@ -77,14 +75,6 @@ class Monitor(Node):  # type: ignore[misc]
 
     def close(self) -> None:
         """Leave the last screen where it stands."""
-
-    def _number(self, name: str) -> float:
-        default, low, high, description = NUMBERS[name]
-        span = FloatingPointRange(from_value=low, to_value=high, step=0.0)
-        descriptor = ParameterDescriptor(
-            description=description, read_only=True, floating_point_range=[span]
-        )
-        return float(self.declare_parameter(name, default, descriptor).value)
 
     def _on_diagnostics(self, message: Any) -> None:
         now = time.monotonic()
@@ -148,16 +138,14 @@ class Monitor(Node):  # type: ignore[misc]
         if said and said != self._said:
             self._said = said
             self._write(BELL if self._terminal else f'{said}\n')
-            if self._stop and said.startswith('stop now') and self._stopper.service_is_ready():
-                self._stopper.call_async(Trigger.Request())
 
     def _show(self) -> None:
         text = '\n'.join(view.lines(self._state, time.monotonic()))
         self._write(f'{HOME}{text}\n\n{self._said}\n' if self._terminal else f'{text}\n\n')
 
     def _write(self, text: str) -> None:
-        if not say(text) and not self._stop:
-            raise ExternalShutdownException  # nobody looks, and nothing else is to be done
+        if not say(text):
+            raise ExternalShutdownException  # nobody looks
 
 
 def _degrees(w: float, x: float, y: float, z: float) -> tuple[float, float, float]:

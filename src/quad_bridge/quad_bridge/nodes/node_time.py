@@ -11,10 +11,11 @@ import struct
 from collections.abc import Callable
 from typing import Any
 
-from rclpy.clock import ClockType
+from rclpy.clock import Clock, ClockType
 from rclpy.time import Time
 
-from quad_bridge.lockstep import STREAMS, Participant, Timer, clock
+from quad_bridge.lockstep import STREAMS, Participant, Timer
+from quad_bridge.lockstep import clock as here
 from quad_bridge.nodes.qos import STREAM
 
 _STAMP = struct.Struct('<iI')
@@ -27,25 +28,25 @@ class TimedNode:
     def simulated(self) -> bool:
         """Whether time is simulated, be it by `use_sim_time` or in lockstep."""
         node: Any = self
-        return clock().simulated or bool(node.get_parameter('use_sim_time').value)
+        return here().simulated or bool(node.get_parameter('use_sim_time').value)
 
     def keep_time(self) -> None:
         """Let the executor run what is due in simulated time. Call it once, after rclpy's part."""
         node: Any = self
-        time = clock()
+        time = here()
         if isinstance(time, Participant):
             time.on_due = node.create_guard_condition(time.step).trigger
 
     def get_clock(self) -> Any:
         """As rclpy's; only `now` in lockstep."""
-        return _Now() if clock().simulated else super().get_clock()  # type: ignore[misc]
+        return _Now() if here().simulated else super().get_clock()  # type: ignore[misc]
 
     def create_publisher(self, kind: Any, topic: str, *others: Any, **more: Any) -> Any:
         """As rclpy's."""
         made: Any = super().create_publisher(kind, topic, *others, **more)  # type: ignore[misc]
         stream = _contract(topic)
-        if clock().simulated and stream in STREAMS:
-            made.publish = _then(made.publish, functools.partial(clock().published, stream))
+        if here().simulated and stream in STREAMS:
+            made.publish = _then(made.publish, functools.partial(here().published, stream))
         return made
 
     def create_subscription(
@@ -53,28 +54,30 @@ class TimedNode:
     ) -> Any:
         """As rclpy's; in lockstep a stream loses nothing."""
         stream = _contract(topic)
-        if clock().simulated and stream in STREAMS:
-            callback = _then(callback, functools.partial(clock().handled, stream))
+        if here().simulated and stream in STREAMS:
+            callback = _then(callback, functools.partial(here().handled, stream))
             qos = STREAM if qos.reliability != STREAM.reliability else qos
         return super().create_subscription(kind, topic, callback, qos, **more)  # type: ignore[misc]
 
     def destroy_subscription(self, subscription: Any) -> bool:
         """As rclpy's."""
-        clock().forget(_contract(subscription.topic_name))
+        here().forget(_contract(subscription.topic_name))
         return bool(super().destroy_subscription(subscription))  # type: ignore[misc]
 
-    def create_timer(
-        self, timer_period_sec: float, callback: Any, *others: Any, **more: Any
-    ) -> Any:
-        """As rclpy's; in lockstep whatever its clock."""
-        time = clock()
+    def create_timer(self, period_s: float, callback: Any, *, clock: Any = None) -> Any:
+        """As rclpy's, on the steady clock where none is given; in lockstep whatever its clock.
+
+        A node's own clock stands still for as long as the system clock was set back.
+        """
+        time = here()
         if isinstance(time, Participant):
-            return time.timer(timer_period_sec, callback)
-        return super().create_timer(timer_period_sec, callback, *others, **more)  # type: ignore[misc]
+            return time.timer(period_s, callback)
+        steady = clock or Clock(clock_type=ClockType.STEADY_TIME)
+        return super().create_timer(period_s, callback, clock=steady)  # type: ignore[misc]
 
     def destroy_timer(self, timer: Any) -> bool:
         """As rclpy's."""
-        time = clock()
+        time = here()
         if isinstance(time, Participant) and isinstance(timer, Timer):
             time.remove(timer)
             return True
@@ -85,7 +88,7 @@ class _Now:
     """Simulated time as a clock of ROS."""
 
     def now(self) -> Any:
-        return Time(nanoseconds=clock().now_ns(), clock_type=ClockType.ROS_TIME)
+        return Time(nanoseconds=here().now_ns(), clock_type=ClockType.ROS_TIME)
 
 
 def _contract(topic: str) -> str:

@@ -15,10 +15,10 @@ import sys
 import threading
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeVar
 
 import rclpy
-from rcl_interfaces.msg import IntegerRange, ParameterDescriptor
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import NameValidationException, ParameterException
 from rclpy.executors import (
@@ -34,6 +34,7 @@ from quad_bridge.arguments import complain, one_line
 from quad_bridge.errors import BadInputError, QuadBridgeError
 from quad_bridge.nodes.fence import Fence
 
+T = TypeVar('T', str, bool, int, float, list[str])
 WAKE_S = 0.1
 """How long a signal may wait: rclpy's wait does not return for one."""
 RCLError = rclpy_implementation.RCLError
@@ -64,15 +65,22 @@ def refuse_unknown(node: Any, known: Iterable[str]) -> None:
             raise BadInputError(f'parameter {name}', 'is unknown', remedy=remedy)
 
 
-def text(node: Any, name: str, default: str, description: str) -> str:
-    """Declare a read-only string parameter and return its value."""
+def declared(
+    node: Any, name: str, default: T, description: str, limits: tuple[float, float] | None = None
+) -> T:
+    """Declare a read-only parameter of the default's type, with its range; its value."""
     descriptor = ParameterDescriptor(description=description, read_only=True)
-    return str(node.declare_parameter(name, default, descriptor).value)
+    if limits is not None and isinstance(default, float):
+        span = FloatingPointRange(from_value=limits[0], to_value=limits[1], step=0.0)
+        descriptor.floating_point_range = [span]
+    elif limits is not None:
+        low, high = (int(limit) for limit in limits)
+        descriptor.integer_range = [IntegerRange(from_value=low, to_value=high, step=1)]
+    value: Any = node.declare_parameter(name, default, descriptor).value
+    return type(default)(value)
 
 
-def choice(
-    node: Any, name: str, options: tuple[str, ...], description: str, *, no: str = ''
-) -> str:
+def choice(node: Any, name: str, options: tuple[str, ...], description: str, no: str = '') -> str:
     """Declare a string parameter of a few values, the first being the default.
 
     Where `no` is given, false stands for it: YAML takes a plain `off` for that. Raises
@@ -86,31 +94,11 @@ def choice(
     if value not in options:
         where = f'parameter {name}'
         raise BadInputError(where, f'must be one of {", ".join(options)}', repr(value))
-    return value
-
-
-def flag(node: Any, name: str, default: bool, description: str) -> bool:
-    """Declare a read-only bool parameter and return its value."""
-    descriptor = ParameterDescriptor(description=description, read_only=True)
-    return bool(node.declare_parameter(name, default, descriptor).value)
-
-
-def integer(node: Any, name: str, default: int, limits: tuple[int, int], description: str) -> int:
-    """Declare a read-only integer parameter with its range and return its value."""
-    descriptor = ParameterDescriptor(
-        description=description,
-        read_only=True,
-        integer_range=[IntegerRange(from_value=limits[0], to_value=limits[1], step=1)],
-    )
-    return int(node.declare_parameter(name, default, descriptor).value)
+    return str(value)
 
 
 def steady_timer(node: Any, period_s: float, callback: Callable[[], None]) -> Any:
-    """Create a timer that runs whatever becomes of the system's clock, or of simulated time.
-
-    A node's own clock stands still for as long as the system clock was set back. (The timers of
-    a ManagedNode are of this kind without it.)
-    """
+    """Create a timer that runs whatever becomes of the system's clock, or of simulated time."""
     return node.create_timer(period_s, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
 
