@@ -3,9 +3,9 @@
     make bench-link ARGS='--seconds 250=300,500=120,1000=60,excite=60'
 
 Per rate: cycles lost from wire to bag, CPU of each process and how long it waited for it, latency
-from the last byte of a cycle's frame to the subscriber's callback, memory. Beside it, in the same run, bare rclpy that
-publishes the same five messages at the same rate. The last line is one JSON object.
-The processes' own part is link_load_roles.py.
+from the last byte of a cycle's frame to the subscriber's callback, memory. Beside it, in the same
+run, bare rclpy that publishes the same five messages at the same rate. The last line is one JSON
+object. The processes' own part is link_load_roles.py.
 """
 
 from __future__ import annotations
