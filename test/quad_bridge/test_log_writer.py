@@ -133,7 +133,7 @@ def test_the_summary_says_how_much_was_lost(tmp_path, capsys):
     [
         ('absent', None, 'does not exist'),
         ('empty.mcap', b'', 'is empty'),
-        ('text.mcap', b'time,rate\n', 'is no mcap file'),
+        ('text.mcap', b'time,rate\n', 'is not an mcap file'),
         ('bare.mcap', b'\x89MCAP0\r\n', 'holds no whole message'),
         ('table.csv', b'1,2', 'holds no .mcap or .db3 file'),
         ('junk.db3', b'no database' * 100, 'is a damaged sqlite3 file (file is not a database)'),

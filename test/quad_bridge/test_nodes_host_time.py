@@ -7,7 +7,7 @@ MS = 1_000_000
 
 def test_a_step_forward_is_followed_on_the_ground_only():
     time = HostTime(0)
-    assert time.measured(3 * MS, armed=True) == ''  # reading two clocks is no step
+    assert time.measured(3 * MS, armed=True) == ''  # reading two clocks is not a step
     assert time.epoch_ns == 0
     words = time.measured(200 * MS, armed=True)
     assert 'set by 200 ms: stamps keep the time of before until disarmed' in words

@@ -139,7 +139,7 @@ def test_replugged_under_another_name_the_flight_goes_on(tmp_path, probe, bridge
     said_lost = count(probe, RECORDING, 'messages lost (middleware)')
     assert missing(imu[: gap + 1]) + missing(imu[gap + 1 :]) <= said_lost  # no other gap
     lines = Counter(line.partition(']: ')[2] for line in node.said.splitlines())
-    assert max(lines.values()) <= 2  # a cable that is pulled is no flood of words
+    assert max(lines.values()) <= 2  # a cable that is pulled is not a flood of words
 
 
 def test_two_aircraft_on_one_machine_keep_apart(tmp_path, probe, bridge, logger):

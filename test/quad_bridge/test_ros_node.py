@@ -20,7 +20,7 @@ PARAMETERS = [
     ('serial_bridge', {'port': 'socket://127.0.0.1:1'}, 'make_key'),
     ('serial_bridge', {'key_file': '/nowhere/key'}, '/nowhere/key: cannot be read'),
     ('bag_logger', {'storage': 'sqlite3'}, 'storage: is retired: bags are mcap without compress'),
-    ('bag_logger', {'topics': ['/nothing']}, 'is no topic of the contract: found /nothing'),
+    ('bag_logger', {'topics': ['/nothing']}, 'is not a topic of the contract: found /nothing'),
     ('bag_logger', {'reserve_mb': 1_000_000}, 'MB of free disk for a flight'),
     ('bag_logger', {'disk_budget_mb': 100}, 'exceed the disk budget'),
     ('bag_logger', {'compression': 'zstd'}, 'compression: is retired'),

@@ -61,7 +61,7 @@ def test_wrong_options_of_identify(plain_bag, run, tmp_path, arguments, words):
 def test_a_place_that_cannot_be_written_is_said_before_the_work(
     plain_bag, run, tmp_path, monkeypatch
 ):
-    """What is no bag leaves nothing there."""
+    """What is not a bag leaves nothing there."""
     (tmp_path / 'file.mcap').write_text('')
     for bag in ('file.mcap', 'none.mcap'):
         status, error = run('identify', tmp_path / bag, '--out', tmp_path / 'out')
@@ -69,7 +69,7 @@ def test_a_place_that_cannot_be_written_is_said_before_the_work(
     monkeypatch.setattr('quad_sysid.result.read_bag', lambda _: pytest.fail('bag was read'))
     for place in ('file.mcap', 'file.mcap/report'):
         status, error = run('identify', plain_bag, '--out', tmp_path / place)
-        assert (status, '--out' in error, 'is no folder' in error) == (2, True, True), error
+        assert (status, '--out' in error, 'is not a folder' in error) == (2, True, True), error
 
 
 def first(n: int) -> Callable[[Record], dict[str, object]]:
@@ -181,7 +181,7 @@ TABLE = '\n'.join(['t,u,r', *ROWS, ''])
     ('content', 'arguments', 'out', 'words'),
     [
         (TABLE.replace('0.400,', 'soon,'), '', 'bag', 'line 102, column t: needs a number'),
-        (TABLE, '--unit r=parsec', 'bag', '--unit r: is no unit of a rate'),
+        (TABLE, '--unit r=parsec', 'bag', '--unit r: is not a unit of a rate'),
         (TABLE, '--unit r', 'bag', '--unit'),
         (TABLE, '--mixer plus', 'bag', '--mixer: belongs to --motors'),
         (None, '', 'bag', 'cannot be read'), (TABLE, '', 'file', '/file'),

@@ -456,7 +456,7 @@ def test_wind_is_given_no_name_of_the_aircraft():
     torque(lambda t, *_: 1.2 if 12.0 <= t < 14.0 or 44.0 <= t < 46.0 else 0.0),
     lambda: {'command': lambda t, u, _v: 0.35 * u if 10 < t < 18 or 44 < t < 50 else u},
 ], ids=['a gust of 2 s', 'a motor that misses'])
-def test_what_comes_twice_and_no_model_foresees_is_not_passed_over(changes):
+def test_what_comes_twice_and_no_model_predicts_is_not_passed_over(changes):
     """Once in training and once on held-out data."""
     answer = answer_to(changes, 6, short=False)
     assert answer.verdict in {'unexplained_residual', 'effects_added'}, answer.reason

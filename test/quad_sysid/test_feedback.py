@@ -35,7 +35,7 @@ def shown(z, gains=None, *, through=False, nk=2):
     return feedback(z, bj(z, 2, 2, 2, 2, nk), gains, behind_attitude=True, through=through)
 
 
-def test_the_recorded_controller_is_feedback_though_no_residual_foresees_the_command(yaw):
+def test_the_recorded_controller_is_feedback_though_no_residual_predicts_the_command(yaw):
     test = residual_test(bj(yaw, 2, 2, 2, 2, 4), replace(yaw, r=None))
     assert test.p_causal > 0.01  # the test that was taken as proof of an open loop
     assert shown(yaw, GAINS, through=True, nk=4) is True

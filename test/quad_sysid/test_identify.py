@@ -244,7 +244,7 @@ def resting(record):
         (clipped(0.15), 'the gyro is at its limit; widen its range'),
         (clipped(0.08), ''),
         (silent, 'the measured rate is constant'),
-        (resting, 'do not foresee the held-out rates better'),
+        (resting, 'do not predict the held-out rates better'),
     ],
 )
 def test_a_flight_that_cannot_be_answered_says_why(plain_flight, change, words):

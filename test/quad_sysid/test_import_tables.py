@@ -181,7 +181,7 @@ def test_a_rate_is_made_of_an_angle_without_phase_shift(options, tmp_path):
 
 
 def test_columns_of_two_rates_stand_side_by_side(options, tmp_path):
-    """An empty cell is no sample: a slower command is held, a slower angle is drawn."""
+    """An empty cell is not a sample: a slower command is held, a slower angle is drawn."""
     table = columns()
     slow = np.arange(N) % 5 != 0
     for name in ('u', 'angle', 'ref', 'bat'):
@@ -320,10 +320,10 @@ BROKEN = gzip.compress(b't,u,rate\n' + b'0.125,0.5,1.75\n' * 2000, mtime=0)[:60]
         ('t,u,rate\n0,0,1\n0,0,2\n', 'column t: does not increase'),
         ('t,u,rate\n2,0,1\n1,0,2\n', 'column t: does not increase'),
         ('t,u,rate\n0,0,1\n0.2,0,1\n', 'too few'),
-        (b'PAR1 and noise', 'is no whole Parquet file'),
+        (b'PAR1 and noise', 'is not a whole Parquet file'),
         (b'\xbc\x07\x00\x01\x00', 'unknown version'),
-        (b'\xbc\x01\x00\x01\x00\x00', 'is no whole log of a Crazyflie SD card'),
-        (b'#ROSBAG V2.0\n and noise', 'is no whole bag'),
+        (b'\xbc\x01\x00\x01\x00\x00', 'is not a whole log of a Crazyflie SD card'),
+        (b'#ROSBAG V2.0\n and noise', 'is not a whole bag'),
         pytest.param(np.random.default_rng(0).bytes(1000), '', id='noise'),
         pytest.param(BROKEN, '', id='broken gzip'),
     ],

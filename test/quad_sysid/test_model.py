@@ -1,4 +1,4 @@
-"""The model is no list of cases: another sensor, another motion, physics of another package."""
+"""The model is not a list of cases: another sensor, another motion, physics of another package."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ def answer(stored, capsys):
 
 
 def test_table_pictures_json_and_file_tell_the_same(stored, answer, tmp_path, capsys):
-    """One refused axis is no failure; pictures are drawn for the one that has gains."""
+    """One refused axis is not a failure; pictures are drawn for the one that has gains."""
     folder, file = tmp_path / 'pictures', tmp_path / 'gains.json'
     roll = answer('--out', str(file))
     assert json.loads(file.read_text())['axes']['roll'] == roll

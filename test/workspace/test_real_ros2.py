@@ -1,6 +1,6 @@
 """The `ros2` command on our nodes and launch files; skips where ROS 2 is not installed.
 
-The wheels of rclpy bring no `ros2`; what `make shell` has in its place is no command on PATH.
+The wheels of rclpy bring no `ros2`; what `make shell` has in its place is not a command on PATH.
 """
 
 from __future__ import annotations

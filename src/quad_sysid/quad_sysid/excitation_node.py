@@ -49,7 +49,7 @@ from quad_sysid.signals.player import Announcement, Player, State, Tick
 ANGLE_TICKS = 5
 """The orientation is decoded every so many ticks: at 250 Hz every 20 ms."""
 BATTERY_SAMPLES = 5
-"""The highest of so many voltages counts: a dip of one is no low battery."""
+"""The highest of so many voltages counts: a dip of one is not a low battery."""
 LEAVE_S = 0.5
 """The longest that the last messages are waited for at the end."""
 LEVELS = {State.ENDING: DiagnosticStatus.WARN, State.ABORTED: DiagnosticStatus.ERROR}

@@ -2,7 +2,7 @@
 
 How far a piece of work has come is told by its caller in words; where the words carry `n of m`,
 or name a stage of an identification, the remaining time is estimated. Nothing is shown where
-stderr is no terminal.
+stderr is not a terminal.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def duration(seconds: float) -> str:
 
 
 def progress(*, quiet: bool = False, axes: Sequence[str] = ()) -> Callable[[str], None]:
-    """What shows progress on this process' stderr: nothing where that is no terminal."""
+    """What shows progress on this process' stderr: nothing where that is not a terminal."""
     if quiet or not sys.stderr.isatty():
         return lambda _: None
     return Progress(sys.stderr, axes)

@@ -274,7 +274,8 @@ def read_model(path: str | Path, axis: str = '', effects: Sequence[Effect] = ())
     """A model that `Result.save` wrote: model.json, or the folder that holds it.
 
     `axis` may be left out where the file has one. `effects`: those of your own that the model may
-    name, or `EFFECTS` with them. Raises BadInputError for what is no such file, or lacks the axis.
+    name, or `EFFECTS` with them. Raises BadInputError where no such file is there, or
+    it lacks the axis.
     """
     from quad_sysid.report.model_file import load_models
 

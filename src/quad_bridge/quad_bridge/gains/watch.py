@@ -34,7 +34,7 @@ FLOOR_RMS_RAD_S = 0.3
 FAR_DEG, FAR_PATIENCE_S = 8.0, 0.04
 """Roll or pitch away from the reference, beyond what the reference's own motion explains."""
 LEAD_S = 0.06
-"""By which the place is foreseen from the rate: turning back takes that long."""
+"""By which the place is predicted from the rate: turning back takes that long."""
 FOLLOW_S, FOLLOW_FACTOR, TURN_S = 0.5, 2.0, 0.25
 BEFORE_S, BLOCK_S = 10.0, 0.5
 MOST_HZ = 250.0

@@ -156,7 +156,7 @@ def _mcap_messages(
         if not head:
             raise BadInputError(str(file), 'is empty', remedy='nothing can be recovered')
         if head != MAGIC:
-            raise BadInputError(str(file), 'is no mcap file', f'first bytes {head.hex()}')
+            raise BadInputError(str(file), 'is not an mcap file', f'first bytes {head.hex()}')
         with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
             scan = McapScan(data)
             yield from scan.messages()

@@ -69,7 +69,7 @@ class BagLogger(ManagedNode):
         self._topics = ros_node.declared(self, 'topics', list(TOPIC_TYPES), 'topics to record')
         for topic in self._topics:
             if topic not in TOPIC_TYPES:
-                raise BadInputError('parameter topics', 'is no topic of the contract', topic)
+                raise BadInputError('parameter topics', 'is not a topic of the contract', topic)
         self._recording: Recording | None = None
         self._subscribed: dict[str, tuple[Any, Any]] = {}
         self._gaps: dict[str, Gaps] = {}

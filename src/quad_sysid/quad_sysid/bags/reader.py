@@ -54,7 +54,7 @@ class _Content:
 def read_bag(path: str | Path) -> Record:
     """Record of a rosbag2 directory or a bare .mcap file, by header stamps alone.
 
-    Raises BadInputError (one line: file, field, remedy) where the bag is no bag or lacks
+    Raises BadInputError (one line: file, field, remedy) where the bag is not a bag or lacks
     /imu/data or both /motors/command and /control/wrench. What was mended is in `warnings`.
     """
     source = str(path)
@@ -194,7 +194,7 @@ def _battery(content: _Content, grid: Grid, warnings: list[str]) -> FloatArray |
     strange = volts[finite & ~good]
     if 2 * np.count_nonzero(good) < np.count_nonzero(finite):
         warnings.append(
-            f'/battery: voltage around {np.median(strange):.3g} V is no pack ({low:g} to '
+            f'/battery: voltage around {np.median(strange):.3g} V is not a pack ({low:g} to '
             f'{high:g} V); counted as not measured'
         )
         return None

@@ -81,7 +81,7 @@ def step_a(
     """Judge every model: one row each, in the order given.
 
     `validations` by signal, such as {'prbs': …, 'square': …}; residual tests run on `train`.
-    Without an external reference in `train` a residual that foresees u speaks against no model,
+    Without an external reference in `train` a residual that predicts u speaks against no model,
     since feedback alone does that.
     """
     if not models:
@@ -154,7 +154,7 @@ def _objections(
     if not test.residual_uncorrelated_with_input:
         found.append(f'residual depends on past inputs (p = {test.p_input:.2g})')
     if not test.causal and test.causality_signal == 'r':
-        found.append(f'residual foresees the reference (p = {test.p_causal:.2g})')
+        found.append(f'residual predicts the reference (p = {test.p_causal:.2g})')
     return found
 
 

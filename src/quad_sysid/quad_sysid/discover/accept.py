@@ -1,7 +1,7 @@
 """What the validation segments say: opened once, when everything has been chosen.
 
 One paired comparison of predictive log-likelihoods over blocks, as a bet against the claim that
-the added effects foresee nothing (an e-value: Shafer 2021, Waudby-Smith & Ramdas 2024): its
+the added effects predict nothing (an e-value: Shafer 2021, Waudby-Smith & Ramdas 2024): its
 expectation is at most 1 where they do not, whatever the noise is.
 """
 
@@ -267,7 +267,7 @@ def _empty(
             evidence.append(bet(without[:, k] ** 2 - with_commands[:, k] ** 2))
     if float(np.mean(evidence)) * LEVEL < 1.0:  # a mean of e-values is one
         return 'cannot_tell', (
-            'the commands do not foresee the held-out rates better than the rates themselves do'
+            'the commands do not predict the held-out rates better than the rates themselves do'
         )
     square = np.mean(errors**2, axis=1) / predicted**2
     ratio = float(np.sqrt(np.mean(square)))

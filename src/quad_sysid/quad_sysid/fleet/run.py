@@ -27,7 +27,8 @@ def bags(folder: Path) -> list[Path]:
     Raises BadInputError where there is no such folder or no bag in it.
     """
     if not folder.is_dir():
-        raise BadInputError(str(folder), 'is no folder', remedy='give the one that holds the bags')
+        raise BadInputError(str(folder), 'is not a folder',
+                            remedy='give the one that holds the bags')
     found = sorted(_below(folder))
     if not found:
         raise BadInputError(str(folder), 'holds no bag (a rosbag2 folder or an .mcap file)',

@@ -142,7 +142,7 @@ def _load(path: Path) -> _Content:
             _take(content, message)
     except Exception as error:  # DFReader raises whatever a damaged file makes it meet
         raise BadInputError(
-            str(path), f'is no whole dataflash log ({type(error).__name__}: {error})',
+            str(path), f'is not a whole dataflash log ({type(error).__name__}: {error})',
             remedy='download it anew from the aircraft',
         ) from error
     return content
@@ -273,5 +273,5 @@ def _frame(content: _Content) -> tuple[str, ...]:
     kind = content.parameters.get('FRAME_CLASS'), content.parameters.get('FRAME_TYPE')
     if kind[0] is None or (kind[0], kind[1]) == (QUAD, X_FRAME):
         return ()
-    return ((f'FRAME_CLASS {kind[0]:g}, FRAME_TYPE {kind[1] or 0:g} is no quadrotor in X '
+    return ((f'FRAME_CLASS {kind[0]:g}, FRAME_TYPE {kind[1] or 0:g} is not a quadrotor in X '
             f'({QUAD}, {X_FRAME}): its motors stand elsewhere; be careful'),)

@@ -223,7 +223,7 @@ def _read(path: Path) -> _Table:
         with (gzip.open if packed else open)(path, 'rt', encoding='utf-8-sig') as stream:
             return _parse(list(csv.reader(stream)), str(path))
     except UnicodeDecodeError as error:
-        raise BadInputError(str(path), 'is no text file') from error
+        raise BadInputError(str(path), 'is not a text file') from error
     except (OSError, EOFError) as error:
         raise BadInputError(str(path), f'cannot be read ({error})') from error
 

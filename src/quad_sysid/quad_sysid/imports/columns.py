@@ -181,7 +181,7 @@ def _mapped(
         how = '' if unit.factor == 1.0 and not unit.offset else f'{unit.factor:.6g} * column'
         how += f' + {unit.offset:g}' if unit.offset else ''
         if name not in options.units and written and written != unit.name:
-            how += f'; [{written}] of its header is no unit of a {role}'
+            how += f'; [{written}] of its header is not a unit of a {role}'
         out.append(Mapped(name, unit.name, str(role), how))
     if options.control and not options.thrust:
         out.append(Mapped('no thrust', '1', f'U1 = {MIDDLE_COMMAND:g}', ''))
@@ -195,7 +195,7 @@ def _roles(options: ColumnOptions) -> dict[str, Role]:
     """Give each named column its role, the time first; raises BadInputError on a contradiction."""
     strange = [axis for axis in options.axes if axis not in AXES]
     if strange or not options.axes or len(set(options.axes)) < len(options.axes):
-        raise BadInputError('--axis', 'is no axis', ','.join(options.axes) or None,
+        raise BadInputError('--axis', 'is not an axis', ','.join(options.axes) or None,
                             f'use {", ".join(AXES)}, several by commas, or all')
     if bool(options.control) == bool(options.motors):
         raise BadInputError(

@@ -60,7 +60,7 @@ def euler_from_quaternion(wxyz: FloatArray) -> FloatArray:
 
 
 def order_by_places(x: FloatArray, y_right: FloatArray) -> tuple[int, ...] | None:
-    """Which of four rotors stands at each of PLACES, from positions; None where it is no X."""
+    """Which of four rotors stands at each of PLACES, from positions; None where it is not an X."""
     wanted = ((-1, -1), (-1, 1), (1, 1), (1, -1))
     signs = [(int(np.sign(a)), int(np.sign(b))) for a, b in zip(x, y_right, strict=True)]
     if sorted(signs) != sorted(wanted):

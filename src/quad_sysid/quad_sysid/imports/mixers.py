@@ -44,7 +44,7 @@ class Mixer:
 
     @property
     def order(self) -> tuple[int, ...] | None:
-        """Which given motor is motor 1..4 of the contract; None where it is no mere reordering."""
+        """Which given motor is motor 1..4 of the contract; None where it is more than an order."""
         if self.matrix.shape != MIXER_INVERSE.shape:
             return None
         for order in permutations(range(4)):
@@ -90,7 +90,7 @@ def mixer_of(name: str, columns: Sequence[str]) -> Mixer:
         text = file.read_text(encoding='utf-8')
     except (OSError, UnicodeDecodeError) as error:
         raise BadInputError(
-            f'--mixer {name}', 'is no mixer and cannot be read as a file',
+            f'--mixer {name}', 'is not a mixer and cannot be read as a file',
             remedy=f'use auto, x, plus, {", ".join(shipped())} or a YAML file with columns: or '
             'matrix:',
         ) from error

@@ -118,7 +118,7 @@ def _load(path: Path) -> _Content:
     try:
         log: Any = ULog(str(path), list(TOPICS), disable_str_exceptions=True)
     except Exception as error:  # pyulog raises whatever a damaged file makes it meet
-        raise BadInputError(str(path), f'is no whole ULog ({type(error).__name__}: {error})',
+        raise BadInputError(str(path), f'is not a whole ULog ({type(error).__name__}: {error})',
                             remedy='copy it anew from the aircraft') from error
     topics: dict[str, Mapping[str, FloatArray]] = {}
     for data in log.data_list:

@@ -106,7 +106,7 @@ def _lines(file: Path) -> Iterator[Iterator[str]]:
         raise BadInputError(str(file), f'cannot be read ({reason})', remedy='check it') from error
     except (UnicodeDecodeError, csv.Error) as error:
         raise BadInputError(
-            str(file), 'is no text file', remedy='give a CSV file, plain or gzipped'
+            str(file), 'is not a text file', remedy='give a CSV file, plain or gzipped'
         ) from error
 
 
@@ -184,7 +184,7 @@ def _parquet(path: Path) -> Table:
     try:
         content = parquet.read_table(path)
     except Exception as error:  # pyarrow raises whatever a damaged file makes it meet
-        raise BadInputError(str(path), f'is no whole Parquet file ({error})',
+        raise BadInputError(str(path), f'is not a whole Parquet file ({error})',
                             remedy='write it anew') from error
     columns = {}
     for name in content.column_names:
@@ -208,7 +208,7 @@ def sd_card(data: bytes, source: str) -> Table:
     try:
         events, at = _sd_events(data, source)
     except (struct.error, IndexError, ValueError, UnicodeDecodeError) as error:
-        raise BadInputError(source, 'is no whole log of a Crazyflie SD card',
+        raise BadInputError(source, 'is not a whole log of a Crazyflie SD card',
                             remedy='copy it anew from the card') from error
     stamp = struct.Struct('<HI' if version == 1 else '<HQ')
     tick = 1e-3 if version == 1 else 1e-6
@@ -282,7 +282,7 @@ def _messages(path: Path, wanted: Sequence[str] | None) -> Table:
                     dict(_leaves(message, connection.topic))
                 )
     except Exception as error:  # rosbags raises whatever a damaged file makes it meet
-        raise BadInputError(str(path), f'is no whole bag ({type(error).__name__}: {error})',
+        raise BadInputError(str(path), f'is not a whole bag ({type(error).__name__}: {error})',
                             remedy='mend it, such as with rosbag reindex') from error
     columns: dict[str, FloatArray] = {}
     times: dict[str, FloatArray] = {}

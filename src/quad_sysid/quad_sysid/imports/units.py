@@ -62,7 +62,7 @@ ALIASES = {
 }
 """How headers write the units above."""
 IN_HEADER = re.compile(r'\s*[\[(]\s*([^\[\]()]*?)\s*[\])]\s*$')
-"""`[deg/s]` or `(ms)` at the end of a column's name; an index such as `[0]` is no unit."""
+"""`[deg/s]` or `(ms)` at the end of a column's name; an index such as `[0]` is not a unit."""
 
 
 def header_unit(column: str) -> str | None:
@@ -91,7 +91,7 @@ def unit_of(role: Role, text: str | None, column: str) -> Unit:
         unit = Unit(name, math.nan)
     if not (math.isfinite(unit.factor) and math.isfinite(unit.offset) and unit.factor):
         raise BadInputError(
-            f'--unit {column}', f'is no unit of a {role}', repr(name),
+            f'--unit {column}', f'is not a unit of a {role}', repr(name),
             f'use {", ".join(known)}, a factor or FACTOR:OFFSET',
         )
     return unit

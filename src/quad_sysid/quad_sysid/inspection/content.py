@@ -239,7 +239,7 @@ class Content:
     uses: tuple[Use, ...] = ()
     """Of the flight as a whole."""
     unusable: str = ''
-    """Why it is no record at all; then only the topics are told."""
+    """Why it is not a record at all; then only the topics are told."""
     warnings: tuple[str, ...] = ()
 
 

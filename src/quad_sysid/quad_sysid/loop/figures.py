@@ -167,7 +167,7 @@ def _edge_responses(
             continue
         begin = float(np.mean(y[start - lead : start]))
         offset = (begin - float(r[start - 1])) / step
-        # the step is scaled by where the response stood, so that a standing error is no step
+        # the step is scaled by where the response stood, so that a standing error is not a step
         responses.append((y[start:stop] - begin) / (step * (1.0 - offset)) if abs(offset) < 0.5
                          else (y[start:stop] - begin) / step)  # fmt: skip
         steps.append(step)

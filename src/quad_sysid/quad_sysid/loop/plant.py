@@ -324,7 +324,7 @@ def state_space(plant: LoopPlant, slopes: Slopes | None = None) -> StateSpace:
     """The linearised plant with its delay as states (n + d + 1): core, u[k-1], ..., u[k-d-1].
 
     `slopes` stand for the curves (None: no curves). Source: Franklin, Powell, Workman, Digital
-    Control of Dynamic Systems, 3rd ed., section 4.3 (delay that is no whole number of cycles).
+    Control of Dynamic Systems, 3rd ed., section 4.3 (delay that is not a whole number of cycles).
     """
     cycle = exact_cycles([plant], [slopes or Slopes()])
     n = cycle.phi.shape[-1]

@@ -133,16 +133,16 @@ def _reason(told: Findings) -> str:
     elif verdict.verdict == 'effects_added':
         names = ' and '.join(part.effect.name for part in verdict.chosen.structure.parts)
         reason = (
-            f'{names} foresees the held-out segments better than the base does '
+            f'with {names} the model predicts the held-out segments better than the base alone '
             f'(e-value {min(verdict.e_value, 1e99):.3g})'
         )
     else:
-        reason = reason or 'nothing foresees the held-out segments better than the base does'
+        reason = reason or 'no effect predicts the held-out segments better than the base alone'
         if best.structure.parts:
             names = ' and '.join(part.effect.name for part in best.structure.parts)
             reason += (
-                f'; the training segments alone would speak for {names}, which the held-out ones '
-                'do not bear out'
+                f'; the training segments alone suggest {names}, which the held-out segments do '
+                'not confirm'
             )
     gain = verdict.chosen.value('gain')
     if verdict.verdict != 'cannot_tell' and gain < 0.0:

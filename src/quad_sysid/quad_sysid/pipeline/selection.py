@@ -158,7 +158,7 @@ def feedback(
 ) -> bool | None:
     """Whether the command answers to the rate; None where neither can be shown.
 
-    True where the residual of `model` foresees the command, with nothing but the past of the
+    True where the residual of `model` predicts the command, with nothing but the past of the
     command taken out (or the plant is not causal), or where the command is that of the known
     controller on the reference z.r (`behind_attitude`: the attitude's) and the rate. False where
     the command takes a few values only, or the loop gain that could have been missed is below

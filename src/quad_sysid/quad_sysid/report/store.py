@@ -30,7 +30,7 @@ def check_place(folder: Path) -> None:
     """Raise BadInputError where `folder` cannot be made or written; makes nothing itself."""
     there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
     if not there.is_dir():
-        raise BadInputError('--out', f'{there} is no folder', remedy='choose another place')
+        raise BadInputError('--out', f'{there} is not a folder', remedy='choose another place')
     if not os.access(there, os.W_OK | os.X_OK):
         raise BadInputError('--out', f'{there} cannot be written', remedy='choose another place')
 

@@ -168,7 +168,7 @@ class Judged:
 
 
 def judged(aircraft: Aircraft, data: AxisData) -> Judged:
-    """Fit what is no rival to a flight, from the aircraft's own values."""
+    """Fit what is not a rival to a flight, from the aircraft's own values."""
     problem = Problem(data, data.train)
     noise = aircraft.noise
     base = np.r_[

@@ -166,5 +166,6 @@ def _lines(d: Design) -> list[str]:
         (f'3-2-1-1 unit {d.unit_s:g} s; chirp or multisine {d.low_rad_s / (2 * math.pi):.3g} to '
         f'{d.high_rad_s / (2 * math.pi):.3g} Hz'),
         ('the paper prints a clock of 0.03 s and N = 424: its own eq. (10) gives 0.094 s for '
-        '20 rad/s, and 424 is no 2^n - 1 (511 is, n = 9); this design follows the equations'),
+        '20 rad/s, and 424 is not of the form 2^n - 1 (511 is, n = 9); this design follows the '
+        'equations'),
     ]

@@ -39,13 +39,13 @@ def publish(
     """Have the bridge fly `gains` (contract names, SI); `rollback`: or take back those in flight.
 
     `predicted` is the JSON that /gains/update takes, `namespace` the bridge's. Returns empty where
-    they are active, else why they are not. Raises BadInputError where the namespace is no name, no
+    they are active, else why they are not. Raises BadInputError where the namespace is invalid, no
     bridge listens or none answers, KeyboardInterrupt on SIGINT. Call it in the main thread.
     """
     try:
         validate_namespace(f'/{namespace.strip("/")}')
     except InvalidNamespaceException as error:
-        raise BadInputError('--namespace', 'is no name of a namespace', namespace) from error
+        raise BadInputError('--namespace', 'is not a name of a namespace', namespace) from error
     interrupted = threading.Event()
     with contextlib.ExitStack() as ending:
         # an exception that a signal raises within rclpy may be swallowed there
