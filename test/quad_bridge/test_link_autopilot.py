@@ -192,7 +192,7 @@ def test_messages_in_ros_units_and_axes():
 
 
 PUBLISHED = ('/imu/data', '/motors/command', '/rc/in', '/imu/mag', '/baro', '/battery')
-REFUSED = 'refused: the far end has no QUAD_GAINS'
+REFUSED = 'refused: the aircraft has no QUAD_GAINS'
 MISSING = 'without QUAD_CYCLE there is no /control/wrench'
 
 

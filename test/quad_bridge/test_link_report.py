@@ -96,7 +96,7 @@ def test_the_clock_says_why_nothing_is_published():
         link.clock.add(1000 * k, 1000 * k + 100, 1000 * k + 200)
     assert told().level == OK
     late = told(4.0)
-    assert (late.level, 'for 4 s: does the far end hear us?' in late.message) == (WARN, True)
+    assert (late.level, 'for 4 s: does the aircraft hear us?' in late.message) == (WARN, True)
 
 
 def test_a_refusal_stands_in_the_gain_state(tmp_path):
@@ -108,7 +108,7 @@ def test_a_refusal_stands_in_the_gain_state(tmp_path):
     words = 'gains of me refused: roll.rate.kp: must be finite: found nan'
     assert (status.level, status.message) == (ERROR, words)
     assert (status.values['refused'], status.values['writes acknowledged']) == (1, 0)
-    assert gains.status(standard=True).message == 'refused: the far end has no QUAD_GAINS'
+    assert gains.status(standard=True).message == 'refused: the aircraft has no QUAD_GAINS'
 
 
 def test_the_excitation_state_follows_the_flags():

@@ -10,7 +10,7 @@ def test_a_step_forward_is_followed_on_the_ground_only():
     assert time.measured(3 * MS, armed=True) == ''  # reading two clocks is not a step
     assert time.epoch_ns == 0
     words = time.measured(200 * MS, armed=True)
-    assert 'set by 200 ms: stamps keep the time of before until disarmed' in words
+    assert 'set by 200 ms: stamps still use the old time until disarmed' in words
     assert time.measured(201 * MS, armed=True) == ''  # said once
     assert (time.epoch_ns, time.behind_ns) == (0, 201 * MS)
     assert 'stamps move by 201 ms' in time.measured(201 * MS, armed=False)

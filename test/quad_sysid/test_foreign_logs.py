@@ -280,7 +280,7 @@ def test_ardupilot_outputs_carry_the_gains(flight, tmp_path):
     gains = record.gains_at(0.0)
     assert gains['roll.rate.kp'] == pytest.approx(0.135)
     assert gains['roll.angle.rate_limit'] == pytest.approx(np.pi / 2)
-    assert 'no quadrotor in X' in told
+    assert 'not a quadrotor in X' in told
 
 
 def blackbox(path: Path, flight: Flight, header: tuple[str, ...] = ()) -> Path:

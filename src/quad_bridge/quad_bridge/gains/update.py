@@ -136,7 +136,7 @@ class GainUpdates:
         return f'{text}, {max(left, 0.0):.0f} s left' if self.state is State.WATCHING else text
 
     def status(self, *, standard: bool) -> Status:
-        """For /diagnostics; `standard`: the far end has no QUAD_GAINS."""
+        """For /diagnostics; `standard`: the aircraft has no QUAD_GAINS."""
         values: dict[str, object] = {n: f'{v:.9g}' for n, v in self.active.items()}
         values['writes acknowledged'] = self.commits
         values['refused'] = self.refusals
@@ -144,7 +144,7 @@ class GainUpdates:
         values['polarity'] = self.polarity.words()
         values |= {f'watch {n} (rad/s)': f'{v:.3f}' for n, v in self.watch.figures().items()}
         if standard:
-            return Status('gains', WARN, 'refused: the far end has no QUAD_GAINS', values)
+            return Status('gains', WARN, 'refused: the aircraft has no QUAD_GAINS', values)
         if self.refused:
             return Status('gains', ERROR, self.refused, values)
         if self._history.fault:

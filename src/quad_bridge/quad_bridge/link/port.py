@@ -48,7 +48,7 @@ class PortState(Enum):
     BUSY = 'busy: another program has it open'
     DENIED = 'not permitted: add the user to the group dialout and log in again'
     UNUSABLE = 'cannot be used as a serial port'
-    UNREACHABLE = 'not reachable: does the far end listen there?'
+    UNREACHABLE = 'not reachable: does the aircraft listen there?'
     HUNG_UP = 'hung up: waiting for it to come back'
 
 

@@ -15,7 +15,7 @@ FTDI_MS = 2
 SILENT_S = 3.0
 """Without an answer to TIMESYNC for so long the estimate ages."""
 FOREIGN_BYTES = 2000
-"""Bytes without one valid frame after which the far end is said to speak another protocol."""
+"""Bytes without one valid frame after which the aircraft is said to speak another protocol."""
 SETTLED_S = 0.5
 """Least time over which rates and losses are told."""
 
@@ -108,7 +108,7 @@ class LinkReport:
             (counts.bytes == since.counts.bytes, ERROR, 'port open, but nothing arrives'),
             (lost > 0, WARN, f'{lost} cycles lost since the last report'),
             (port.dropped_writes > since.dropped_writes, WARN,
-             f'{arrive}, but the far end does not read what it is sent'),
+             f'{arrive}, but the aircraft does not read what it is sent'),
             (slow_ms > FTDI_MS, WARN, f'{arrive}, but {held} to 1'),
             (True, OK, arrive),
         )  # fmt: skip
@@ -117,13 +117,13 @@ class LinkReport:
         opened, garbage = self._opened, counts.bytes - self._opened.bytes
         return _first(
             (counts.unsigned > opened.unsigned, ERROR,
-             'the far end does not sign: give it the key of key_file'),
+             'the aircraft does not sign: give it the key of key_file'),
             (counts.forged > opened.forged, ERROR,
-             'the far end signs with another key than key_file'),
+             'the aircraft signs with another key than key_file'),
             (counts.ahead > opened.ahead, ERROR,
-             "the far end signs with a time far ahead: set its clock, or this computer's"),
+             "the aircraft signs with a time far ahead: set its clock, or this computer's"),
             (counts.replayed > opened.replayed, ERROR,
-             'only old frames arrive: a recording, or a far end that does not take our time'),
+             'only old frames arrive: a recording, or an aircraft that does not take our time'),
             (counts.old_version > opened.old_version, ERROR,
              'speaks MAVLink 1: set it to MAVLink 2 (SERIALn_PROTOCOL, MAV_PROTO_VER)'),
             (garbage < FOREIGN_BYTES, WARN, 'bytes arrive, no valid frame yet'),
@@ -164,20 +164,20 @@ def clock_status(link: Link, behind_ns: int, *, unset: bool, now_s: float) -> St
 def _clock_verdict(link: Link, behind_ns: int, *, unset: bool, now_s: float) -> tuple[int, str]:
     state, deaf = link.clock.state, 'no answer to TIMESYNC'
     if link.decoder.counts.unverified:
-        deaf += ' (the far end signs: it heeds who has its key, see key_file)'
+        deaf += ' (the aircraft signs: it heeds who has its key, see key_file)'
     silent_s = now_s - 1e-9 * link.answered_ns
     heard = state.accepted or state.rejected
     set_by = f'the system clock was set by {1e-9 * behind_ns:.3f} s'
     return _first(
         (unset, WARN, 'use_sim_time is set and nothing comes on /clock: nothing is published'),
-        (behind_ns != 0, WARN, f'stamps keep the time of before {set_by}'),
+        (behind_ns != 0, WARN, f'stamps still use the old time {set_by}'),
         (not state.converged, WARN,
          f'{"not converged" if heard else deaf}: nothing is published'),
         (state.one_way, WARN, f'{deaf}: stamps are arrivals, late by the transport'),
         (state.round_trip_s > 2.0 * COARSE_S, WARN,
          f'converged, but stamps may be off by up to {500.0 * state.round_trip_s:.1f} ms'),
         (silent_s > SILENT_S, WARN,
-         f'converged, but {deaf} for {silent_s:.0f} s: does the far end hear us?'),
+         f'converged, but {deaf} for {silent_s:.0f} s: does the aircraft hear us?'),
         (True, OK, 'converged'),
     )  # fmt: skip
 

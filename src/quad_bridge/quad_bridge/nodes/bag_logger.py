@@ -253,7 +253,7 @@ class BagLogger(ManagedNode):
             conversion.event_message(values, self.get_fully_qualified_name(), now_ns)
         )
         self._last = reason or f'{state}: {path}'
-        if reason:  # to rclpy a line of code has one severity for good
+        if reason:  # rclpy wants one severity for each line of code
             self.get_logger().error(self._last)
         else:
             self.get_logger().info(self._last)

@@ -1,6 +1,6 @@
 """From the steady clock to ROS time, where the system clock may be set while bytes arrive. Pure.
 
-A record with a step in its stamps is spoilt, so in flight the stamps keep the time of before; on
+A record with a step in its stamps is spoilt, so in flight the stamps still use the old time; on
 the ground they follow a clock that is set forward. A step back would let stamps run backwards: it
 waits for the next opening of the port.
 """
@@ -46,6 +46,6 @@ class HostTime:
         if known:
             return ''
         return (
-            f'the system clock was set by {step * 1e-6:.0f} ms: stamps keep the time of before'
+            f'the system clock was set by {step * 1e-6:.0f} ms: stamps still use the old time'
             f' {"until disarmed" if step > 0 else "until the port is opened anew"}'
         )

@@ -58,7 +58,7 @@ TICK_S = 0.05
 REPORT_S = 0.1
 """Least time between two reports, however many updates are refused."""
 YAW_STICK = 3
-NO_EXCITATION = 'the far end sends standard messages only: it has no QUAD_EXCITATION'
+NO_EXCITATION = 'the aircraft sends standard messages only: it has no QUAD_EXCITATION'
 
 
 class SerialBridge(ManagedNode):

@@ -15,7 +15,7 @@ from quad_bridge.sensors.rest import GRAVITY, FloatArray
 
 LEAST_POINTS = 4
 MOST_THRUST_N = 1e4
-"""Of one motor: more is no reading."""
+"""Largest plausible value of one motor."""
 
 
 @dataclass(frozen=True)
