@@ -12,8 +12,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from flown_axis import SHORT, Axis, Plan, fly
+from scipy.signal import butter, lfilter
 
 import quad_sysid
+from quad_sysid.bags import split_segments
 from quad_sysid.discover.search import best_base
 from quad_sysid.errors import NotInformativeError
 from quad_sysid.estimate.fit import Problem
@@ -22,6 +24,7 @@ from quad_sysid.model.data import axis_data
 from quad_sysid.pipeline.evaluate import evaluate
 from quad_sysid.pipeline.identify import Options, identify
 from quad_sysid.pipeline.usable import check_moving
+from quad_sysid.record import Record
 from quad_sysid.report import document
 from quad_sysid.report.model_file import load_models, save_models
 
@@ -255,6 +258,18 @@ def test_a_flight_that_cannot_be_answered_says_why(plain_flight, change, words):
         assert words in answer.reason
     else:
         assert answer.model.value('gain') == pytest.approx(450.0, rel=0.02)
+
+
+@pytest.mark.parametrize(('seed', 'axis'), [(0, 'pitch'), (6, 'roll'), (8, 'pitch'), (9, 'roll')])
+def test_an_aircraft_that_is_carried_about_has_no_answer(seed, axis):
+    """Its controller asks for torque, from rate and angle, and no motor turns."""
+    rng, dt, n = np.random.default_rng(seed), 0.004, 15000
+    hand = 8.0 * lfilter(*butter(2, 1.2 * 2.0 * dt), rng.standard_normal((n, 3)), axis=0)
+    asked = -(0.08 * hand + 0.15 * dt * np.cumsum(hand, axis=0))
+    control = np.c_[np.full(n, 0.5), np.clip(np.repeat(asked[::5], 5, axis=0), -0.24, 0.24)]
+    record = Record('carried', dt, hand + 0.001 * rng.standard_normal((n, 3)), control)
+    answer = identify([split_segments(record)], Options(axes=(axis,), effects=()))[axis]
+    assert (answer.verdict, answer.proposal.gains) == ('cannot_tell', None)
 
 
 def lost(share, *columns):
