@@ -14,7 +14,6 @@ from quad_bridge.gains.update import GainSettings, GainUpdates
 from quad_bridge.link.machine import Link
 from quad_bridge.link.port import PortState, PortStatus
 from quad_bridge.link.report import LinkReport, clock_status
-from quad_bridge.nodes import diagnostics as d
 from quad_bridge.status import ERROR, OK, WARN
 from quad_bridge.wire import frames as f
 from quad_bridge.wire.codec import Decoder, Encoder
@@ -124,15 +123,6 @@ def test_the_excitation_state_follows_the_flags():
     assert 'stale' in told(f.Flag.STALE_SETPOINT).message
     relay.setpoint(0.1, 0.0, 0.0)
     assert 'no segment is running' in told(f.Flag.STALE_SETPOINT).message
-
-
-def test_callbacks_that_fail_are_a_warning_for_as_long_as_they_come():
-    assert d.callback_entries(0, 0) == []
-    (now,) = d.callback_entries(3, 2)
-    assert (now.level, now.values) == (WARN, {'failed callbacks': 3})
-    assert now.message.startswith('2 callbacks failed')
-    (later,) = d.callback_entries(3, 0)
-    assert later.level == OK
 
 
 def test_a_far_end_that_does_not_read_is_told():

@@ -6,6 +6,7 @@ import pytest
 
 from quad_bridge.nodes import fence as module
 from quad_bridge.nodes.fence import Fence
+from quad_bridge.status import OK, WARN
 
 
 @pytest.fixture(autouse=True)
@@ -35,7 +36,7 @@ def test_a_fault_is_one_line_with_its_place_and_every_one_is_counted_and_told_on
     (line,) = lines
     assert 'OverflowError: int too large to convert (test_nodes_fence.py:' in line
     assert told == 10 * ['a callback failed: OverflowError: int too large to convert']
-    assert (fence.failed, fence.lately(), fence.lately()) == (10, 10, 0)
+    assert fence.failed == 10
 
 
 def test_what_follows_a_fault_may_fail_too():
@@ -69,3 +70,17 @@ def test_a_thread_of_its_own_outlives_whatever_its_callback_raises():
     for data in (b'bad',) * 5 + (b'good', b'bad'):
         fenced(data)
     assert (len(heard), fence.failed) == (7, 6)
+
+
+def test_callbacks_that_fail_are_a_warning_for_as_long_as_they_come(monkeypatch):
+    now = [100.0]
+    monkeypatch.setattr(module.time, 'monotonic', lambda: now[0])
+    fence = Fence(lambda _line: None)
+    assert fence.entries() == []
+    for later_s, failing_now, level in ((1.0, 2, WARN), (0.1, 0, WARN), (1.0, 0, OK)):
+        now[0] += later_s
+        for _ in range(failing_now):
+            taken(fence, failing)
+        (told,) = fence.entries()
+        assert (told.level, told.values) == (level, {'failed callbacks': 2})
+        assert told.message.startswith('2 callbacks failed') is (level == WARN)

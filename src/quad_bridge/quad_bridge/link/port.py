@@ -16,7 +16,7 @@ import termios
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
 from typing import Any
@@ -67,12 +67,12 @@ _BY_ERRNO = {
 class PortStatus:
     """A snapshot for diagnostics."""
 
-    state: PortState
-    detail: str
+    state: PortState = PortState.CLOSED
+    detail: str = ''
     """The system's own words for the last fault; empty while all is well."""
-    opened: int
+    opened: int = 0
     """Times the port has been opened."""
-    dropped_writes: int
+    dropped_writes: int = 0
     """Writes that found the output of the open port full."""
     path: str = ''
     """The device that is open, or was last: what a link or pattern has led to."""
@@ -106,30 +106,13 @@ class SerialPort:
         self._reopen_s = reopen_s
         self._port: Any = None
         self._stop = threading.Event()
-        self._write_lock = threading.Lock()
+        self._write_lock, self._status_lock = threading.Lock(), threading.Lock()
         self._tail = b''
         """What the output has not taken yet of the last write: no frame is torn."""
-        self._state = PortState.CLOSED
-        self._detail = ''
-        self._opened = 0
-        self._dropped = 0
-        self._device = ''
-        self._latency_ms: int | None = None
+        self.status = PortStatus()
         self._patience_s = HALF_OPEN_S[0]
         self._skip = 0
         self._thread = threading.Thread(target=self._run, name='serial reader', daemon=True)
-
-    @property
-    def status(self) -> PortStatus:
-        """State, last fault and counts."""
-        return PortStatus(
-            self._state,
-            self._detail,
-            self._opened,
-            self._dropped,
-            self._device,
-            self._latency_ms,
-        )
 
     def start(self) -> None:
         """Start the reader's thread; the port need not be there yet."""
@@ -157,12 +140,17 @@ class SerialPort:
                     self._tail = self._tail[_write(self._port, self._tail) :]
                 taken = 0 if self._tail else _write(self._port, data)
             except FAULTS as error:
-                taken, self._tail, self._detail = 0, b'', _one_line(error)
+                taken, self._tail = 0, b''
+                self._note(detail=_one_line(error))
             if taken:
                 self._tail = data[taken:]
                 return True
-            self._dropped += 1
+            self._note(dropped_writes=self.status.dropped_writes + 1)
             return False
+
+    def _note(self, **changed: Any) -> None:
+        with self._status_lock:
+            self.status = replace(self.status, **changed)
 
     def _run(self) -> None:
         while not self._stop.is_set():
@@ -171,7 +159,7 @@ class SerialPort:
                 self._close()
                 self._on_silence()
             self._stop.wait(self._reopen_s)
-        self._state = PortState.CLOSED
+        self._note(state=PortState.CLOSED)
 
     def _open(self) -> bool:
         found = candidates(self._path)
@@ -186,30 +174,25 @@ class SerialPort:
                 known = _BY_ERRNO.get(number) if isinstance(number, int) else None
                 network = device.lower().startswith(NETWORK)
                 otherwise = PortState.UNREACHABLE if network else PortState.UNUSABLE
-                self._state = known or otherwise
-                self._detail = _one_line(error)
+                self._note(state=known or otherwise, detail=_one_line(error))
                 continue
-            self._device = device
-            self._latency_ms = latency_timer(device)
-            self._opened += 1
-            self._detail = ''
-            self._state = PortState.OPEN
+            self._note(state=PortState.OPEN, detail='', opened=self.status.opened + 1, path=device,
+                       latency_ms=latency_timer(device))  # fmt: skip
             if not self._stop.is_set():  # while a network's peer was waited for
                 self._on_open()
             return True
         if not found:
-            self._state, self._detail = PortState.NOT_THERE, f'nothing matches {self._path}'
+            self._note(state=PortState.NOT_THERE, detail=f'nothing matches {self._path}')
         return False
 
     def _read_until_fault(self) -> None:
         port, heard_s = self._port, clock().now_s()
-        opened = identity(self._device)
+        opened = identity(self.status.path)
         while not self._stop.is_set():
             try:
                 data = _read(port)
             except FAULTS as error:
-                self._state = PortState.HUNG_UP
-                self._detail = _one_line(error)
+                self._note(state=PortState.HUNG_UP, detail=_one_line(error))
                 return
             if data:
                 heard_s = clock().now_s()
@@ -217,9 +200,9 @@ class SerialPort:
                 self._on_bytes(data)
                 continue
             self._on_silence()
-            if identity(self._device) != opened:
-                self._state = PortState.HUNG_UP
-                self._detail = 'its name leads to another device now, or to none'
+            if identity(self.status.path) != opened:
+                elsewhere = 'its name leads to another device now, or to none'
+                self._note(state=PortState.HUNG_UP, detail=elsewhere)
                 return
             if clock().now_s() - heard_s > self._patience_s:
                 # half-open: a far end that went without a word, or the wrong one of several
@@ -233,7 +216,7 @@ class SerialPort:
         try:
             port.close()
         except FAULTS as error:
-            self._detail = _one_line(error)
+            self._note(detail=_one_line(error))
 
 
 def candidates(path: str) -> list[str]:

@@ -276,7 +276,7 @@ class BagLogger(ManagedNode):
         if not self._clock_runs:
             silent = 'time is simulated, and nothing comes on /clock: nothing is recorded'
             entries.append(Status('clock', WARN, silent))
-        entries += diagnostics.callback_entries(self.fence.failed, self.fence.lately())
+        entries += self.fence.entries()
         now = self.get_clock().now().to_msg()
         self._diagnostics.publish(
             diagnostics.diagnostic_array(self.get_name(), str(self._folder), now, entries)

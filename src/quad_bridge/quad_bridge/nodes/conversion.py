@@ -38,13 +38,9 @@ PASCAL_PER_HPA = 100.0
 RC_CHANNELS, THROTTLE, STICKS = 9, 2, 4
 
 
-def _stamp(message: Any, stamp_ns: int) -> None:
-    stamp = message.header.stamp
-    stamp.sec, stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
-
-
-def _framed(message: Any) -> Any:
+def _stamped(message: Any, stamp_ns: int) -> Any:
     message.header.frame_id = FRAME_ID
+    message.header.stamp = time_message(stamp_ns)
     return message
 
 
@@ -61,7 +57,7 @@ class _Template:
 
     def __init__(self, message: Any, groups: tuple[tuple[float, ...], ...]) -> None:
         """`message` holds these numbers, each of them only there."""
-        self._raw = bytearray(serialize_message(_framed(message)))
+        self._raw = bytearray(serialize_message(_stamped(message, 0)))
         self._places, end = [], 0
         for group in groups:
             packer = struct.Struct(f'<{len(group)}d')
@@ -134,8 +130,7 @@ def time_message(stamp_ns: int) -> Time:
 
 def inertial_message(inertial: Inertial, stamp_ns: int) -> Imu:
     """What another autopilot tells; -1 in a covariance marks what it does not (sensor_msgs)."""
-    message = _framed(Imu())
-    _stamp(message, stamp_ns)
+    message = _stamped(Imu(), stamp_ns)
     _set(message.angular_velocity, flip_body(inertial.gyro))
     if inertial.accel is None:
         message.linear_acceleration_covariance[0] = -1.0
@@ -151,8 +146,7 @@ def inertial_message(inertial: Inertial, stamp_ns: int) -> Imu:
 
 def outputs_message(outputs: Outputs, stamp_ns: int) -> JointState:
     """Pulses of PX4's and ArduPilot's X frame in the contract's order of motors, 0..1."""
-    message = _framed(JointState(name=list(MOTORS)))
-    _stamp(message, stamp_ns)
+    message = _stamped(JointState(name=list(MOTORS)), stamp_ns)
     pulses = [outputs.pulses[i] for i in AUTOPILOT_ORDER]
     message.effort = [min(max((pulse - 1000) / 1000.0, 0.0), 1.0) for pulse in pulses]
     return message
@@ -163,8 +157,7 @@ def rc_message(rc: RcChannels, stamp_ns: int, *, failsafe: bool) -> Joy:
 
     A stick without a pulse counts as failsafe too.
     """
-    message = _framed(Joy())
-    _stamp(message, stamp_ns)
+    message = _stamped(Joy(), stamp_ns)
     pulses = [*rc.channels[:RC_CHANNELS], *([0] * (RC_CHANNELS - len(rc.channels)))]
     message.axes = [_axis(i, pulse) for i, pulse in enumerate(pulses)]
     lost = failsafe or any(math.isnan(v) for v in message.axes[:STICKS])
@@ -182,8 +175,7 @@ def _axis(index: int, pulse_us: int) -> float:
 
 def battery_message(battery: Battery, stamp_ns: int) -> BatteryState:
     """Pack voltage in V, discharge current negative as BatteryState has it; NaN: not measured."""
-    message = _framed(BatteryState())
-    _stamp(message, stamp_ns)
+    message = _stamped(BatteryState(), stamp_ns)
     message.voltage = battery.voltage_v
     message.current = -battery.current_a
     message.percentage = battery.remaining
@@ -199,8 +191,7 @@ def mag_message(
     """Tesla, FLU, without `hard_iron`; None where the magnetometer was not updated."""
     if sensors.mag_gauss is None:
         return None
-    message = _framed(MagneticField())
-    _stamp(message, stamp_ns)
+    message = _stamped(MagneticField(), stamp_ns)
     x, y, z = flip_body(sensors.mag_gauss)
     scale = TESLA_PER_GAUSS
     _set(message.magnetic_field, _less((x * scale, y * scale, z * scale), hard_iron))
@@ -211,26 +202,23 @@ def baro_message(sensors: SlowSensors, stamp_ns: int) -> FluidPressure | None:
     """Pascal; None where the barometer was not updated."""
     if sensors.pressure_hpa is None:
         return None
-    message = _framed(FluidPressure())
-    _stamp(message, stamp_ns)
+    message = _stamped(FluidPressure(), stamp_ns)
     message.fluid_pressure = PASCAL_PER_HPA * sensors.pressure_hpa
     return message
 
 
 def event_message(values: Mapping[str, float | str], node: str, stamp_ns: int) -> ParameterEvent:
     """Values as `changed_parameters`, doubles and strings: /gains/active, /logger/bag."""
-    message = ParameterEvent(node=node)
-    message.stamp.sec, message.stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
-    message.changed_parameters = [
-        Parameter(name=name, value=_parameter_value(value)) for name, value in values.items()
+    changed = [
+        Parameter(
+            name=name,
+            value=ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=value)
+            if isinstance(value, str)
+            else ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value),
+        )
+        for name, value in values.items()
     ]
-    return message
-
-
-def _parameter_value(value: float | str) -> ParameterValue:
-    if isinstance(value, str):
-        return ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=value)
-    return ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value)
+    return ParameterEvent(node=node, stamp=time_message(stamp_ns), changed_parameters=changed)
 
 
 def parameters(event: ParameterEvent) -> dict[str, object]:

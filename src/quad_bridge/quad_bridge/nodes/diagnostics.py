@@ -7,7 +7,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from quad_bridge.nodes.fence import Sparing
-from quad_bridge.status import OK, WARN, Status
+from quad_bridge.status import Status
 
 
 class Changes:
@@ -22,16 +22,6 @@ class Changes:
         begun = [e for e in entries if self._told.get(e.name) != e.message]
         self._told.update({e.name: e.message for e in begun})
         return [e for e in begun if self._sparing.allow(e.name + e.message, now_s)]
-
-
-def callback_entries(failed: int, lately: int) -> list[Status]:
-    """Of callbacks that failed and were left out, all and since the last report; maybe none."""
-    if not failed:
-        return []
-    level, text = OK, 'no callback has failed since the last report'
-    if lately:
-        level, text = WARN, f'{lately} callbacks failed since the last report: see the log'
-    return [Status('callbacks', level, text, {'failed callbacks': failed})]
 
 
 def diagnostic_array(node: str, hardware: str, stamp: Any, entries: list[Status]) -> Any:

@@ -11,8 +11,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from quad_bridge.status import OK, WARN, Status
+
 MOST_IN_A_ROW = 1000
 """Failures without anything that works between them: it is ROS itself that fails."""
+SETTLED_S = 0.5
+"""Least time between two reports; one out of turn tells of the time before."""
 LONGEST = 500
 """Characters of a fault that are logged."""
 
@@ -54,7 +58,8 @@ class Fence:
     ) -> None:
         self.failed = 0
         """Callbacks that have raised."""
-        self._told = 0
+        self._told, self._before = (-SETTLED_S, 0), 0
+        """When was reported last, how many had failed then, and in the report before."""
         self._log = log
         self._then = then
         self._in_a_row: dict[int, int] = {}
@@ -80,11 +85,18 @@ class Fence:
         """Note that one has not failed."""
         self._in_a_row[threading.get_ident()] = 0
 
-    def lately(self) -> int:
-        """How many have raised since this was last asked."""
-        failed = self.failed
-        new, self._told = failed - self._told, failed
-        return new
+    def entries(self) -> list[Status]:
+        """What failed, all and in the last second, for /diagnostics; nothing where nothing did."""
+        failed, now_s = self.failed, time.monotonic()
+        if now_s - self._told[0] > SETTLED_S:
+            self._told, self._before = (now_s, failed), self._told[1]
+        if not failed:
+            return []
+        level, text = OK, 'no callback has failed since the last report'
+        if failed > self._before:
+            level = WARN
+            text = f'{failed - self._before} callbacks failed since the last report: see the log'
+        return [Status('callbacks', level, text, {'failed callbacks': failed})]
 
     def around(self, callback: Callable[..., None]) -> Callable[..., None]:
         """`callback`, for a thread of its own, that never raises."""

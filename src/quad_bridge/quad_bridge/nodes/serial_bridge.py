@@ -28,7 +28,7 @@ from quad_bridge.gains.update import GainUpdates, News, State
 from quad_bridge.link.autopilot import Inertial
 from quad_bridge.link.machine import Link
 from quad_bridge.link.port import SerialPort
-from quad_bridge.link.report import SETTLED_S, LinkReport
+from quad_bridge.link.report import LinkReport
 from quad_bridge.link.stamping import Arrived, Restarted, Stamped
 from quad_bridge.lockstep import START_NS, WIRE, clock
 from quad_bridge.nodes import conversion, diagnostics
@@ -97,7 +97,6 @@ class SerialBridge(ManagedNode):
             self._told_time = self.create_publisher(ClockMessage, '/clock', 1)
         self._sparing = Sparing()
         self._changes = diagnostics.Changes(self._sparing)
-        self._failed_lately, self._failed_told_s = 0, 0.0
         self._port = self._new_port()
 
     def _new_port(self) -> SerialPort:
@@ -354,10 +353,7 @@ class SerialBridge(ManagedNode):
                 self.get_logger().info(text)
             else:
                 self.get_logger().warning(text)
-        if now_s - self._failed_told_s > SETTLED_S:
-            self._failed_lately, self._failed_told_s = self.fence.lately(), now_s
-        entries += [self._sensors.status(), *self._operator.entries()]
-        entries += diagnostics.callback_entries(self.fence.failed, self._failed_lately)
+        entries += [self._sensors.status(), *self._operator.entries(), *self.fence.entries()]
         now = self.get_clock().now().to_msg()
         self._diagnostics.publish(
             diagnostics.diagnostic_array(self.get_name(), self._settings.port, now, entries)
