@@ -17,19 +17,9 @@ from enum import Enum
 
 from quad_bridge.errors import RefusedError
 from quad_bridge.gains.table import CONTRACT_NAMES
-from quad_bridge.wire.frames import (
-    GainsAction,
-    GainsCommand,
-    GainsPhase,
-    GainsResult,
-    GainsState,
-    ParamRequestList,
-    ParamRequestRead,
-    ParamSet,
-    ParamValue,
-)
+from quad_bridge.wire import frames as f
 
-Request = GainsCommand | ParamSet | ParamRequestList | ParamRequestRead
+Request = f.GainsCommand | f.ParamSet | f.ParamRequestList | f.ParamRequestRead
 TRIES, STUBBORN_TRIES = 4, 41
 """Of one request; of CONFIRM and REVERT, so long that the STM32 decides by itself before."""
 REPEAT_S, READ_S, QUIET_S = 0.25, 0.5, 0.1
@@ -54,10 +44,10 @@ class State(Enum):
 WRITING = (State.OPENING, State.STAGING, State.COMMITTING, State.VERIFYING)
 AT_REST = (State.READY, State.ON_TRIAL)
 _ACTIONS = {
-    State.OPENING: GainsAction.OPEN,
-    State.COMMITTING: GainsAction.COMMIT,
-    State.CONFIRMING: GainsAction.CONFIRM,
-    State.REVERTING: GainsAction.REVERT,
+    State.OPENING: f.GainsAction.OPEN,
+    State.COMMITTING: f.GainsAction.COMMIT,
+    State.CONFIRMING: f.GainsAction.CONFIRM,
+    State.REVERTING: f.GainsAction.REVERT,
 }
 
 
@@ -91,7 +81,7 @@ class GainProtocol:
         self.events: list[GainEvent] = []
         self.active: Mapping[str, float] = {}
         """What is in force, contract names, SI; empty while it is not proven."""
-        self.told: GainsState | None = None
+        self.told: f.GainsState | None = None
         """The STM32's last word on its sets."""
         self._forget()
         self._number = 0
@@ -162,27 +152,27 @@ class GainProtocol:
         self._left -= 1
         self._due_s = now_s + REPEAT_S
         action = _ACTIONS.get(self.state)
-        if action is GainsAction.COMMIT:
-            return GainsCommand(int(action), self._number, self._checksum, self._watch_ms)
+        if action is f.GainsAction.COMMIT:
+            return f.GainsCommand(int(action), self._number, self._checksum, self._watch_ms)
         if action is not None:
-            return GainsCommand(int(action), self._number)
+            return f.GainsCommand(int(action), self._number)
         name = self._queue[0]
         staging = self.state is State.STAGING
-        return ParamSet(name, self._writes[name]) if staging else ParamRequestRead(name)
+        return f.ParamSet(name, self._writes[name]) if staging else f.ParamRequestRead(name)
 
-    def take(self, frame: ParamValue | GainsState, now_s: float) -> None:
+    def take(self, frame: f.ParamValue | f.GainsState, now_s: float) -> None:
         """Use an answer; those to other questions are ignored."""
-        if isinstance(frame, ParamValue):
+        if isinstance(frame, f.ParamValue):
             if self.state is State.READING:
                 self._read(frame, now_s)
             elif self._queue and frame.name == self._queue[0]:
                 self._answered(frame)
             return
         self.told = frame
-        if frame.result in {GainsResult.LINK_LOST, GainsResult.NOT_CONFIRMED}:
-            self._gave_up_by_itself(GainsResult(frame.result))
+        if frame.result in {f.GainsResult.LINK_LOST, f.GainsResult.NOT_CONFIRMED}:
+            self._gave_up_by_itself(f.GainsResult(frame.result))
         elif self.state in _ACTIONS and frame.action == _ACTIONS[self.state]:
-            if frame.transaction == self._number or frame.result == GainsResult.WRONG_ID:
+            if frame.transaction == self._number or frame.result == f.GainsResult.WRONG_ID:
                 self._acted(frame)
         else:
             self._compare(frame, now_s)
@@ -193,12 +183,12 @@ class GainProtocol:
         if self._count:
             missing = [i for i in range(self._count) if i not in self._names]
             if missing:
-                return ParamRequestRead('', missing[0])
+                return f.ParamRequestRead('', missing[0])
         elif self.told is not None:
-            return ParamRequestList()
-        return GainsCommand(int(GainsAction.QUERY), 0)
+            return f.ParamRequestList()
+        return f.GainsCommand(int(f.GainsAction.QUERY), 0)
 
-    def _read(self, frame: ParamValue, now_s: float) -> None:
+    def _read(self, frame: f.ParamValue, now_s: float) -> None:
         if frame.index >= frame.count:
             return  # an echo that nobody has asked for
         self._count = frame.count
@@ -206,10 +196,10 @@ class GainProtocol:
         complete = len(self._names) >= self._count
         self._due_s = -math.inf if complete else now_s + QUIET_S
 
-    def _compare(self, state: GainsState, now_s: float) -> None:
+    def _compare(self, state: f.GainsState, now_s: float) -> None:
         """Hold what the STM32 says is in force against what is believed."""
         if self.state is State.READING:
-            if state.phase != GainsPhase.IDLE:
+            if state.phase != f.GainsPhase.IDLE:
                 self._found_open(state)
             elif not self._count:
                 self._due_s = -math.inf
@@ -221,7 +211,7 @@ class GainProtocol:
                     self._forget()
                     self._due_s = now_s + READ_S
         elif self.state is State.READY:
-            if state.phase != GainsPhase.IDLE:
+            if state.phase != f.GainsPhase.IDLE:
                 self._found_open(state)
             elif state.checksum != self._checksum:
                 self._read_again()
@@ -232,7 +222,7 @@ class GainProtocol:
             outcome = What.FAILED if self.state is State.VERIFYING else What.REVERTED
             self._take_back(outcome, 'the STM32 has other gains in force')
 
-    def _found_open(self, state: GainsState) -> None:
+    def _found_open(self, state: f.GainsState) -> None:
         """Somebody before us has left a set unconfirmed, or a copy open."""
         self._number = state.transaction
         self._take_back(What.REVERTED, 'found unconfirmed gains of an earlier bridge')
@@ -245,7 +235,7 @@ class GainProtocol:
 
     # Writing.
 
-    def _answered(self, frame: ParamValue) -> None:
+    def _answered(self, frame: f.ParamValue) -> None:
         """Take the value of the parameter that is being written, or read back."""
         if frame.value != self._writes[frame.name]:
             self._shown, self._due_s = frame.value, -math.inf  # try again at once
@@ -259,13 +249,13 @@ class GainProtocol:
             self._values.update(self._writes)
             self._proven(State.ON_TRIAL, What.COMMITTED)
 
-    def _acted(self, state: GainsState) -> None:
+    def _acted(self, state: f.GainsState) -> None:
         """Take the answer to an action."""
-        good = state.result == GainsResult.OK
+        good = state.result == f.GainsResult.OK
         if self.state is State.REVERTING:
             self._back_again()
         elif not good and self.state is not State.CONFIRMING:
-            words = GainsResult(state.result).name.lower().replace('_', ' ')
+            words = f.GainsResult(state.result).name.lower().replace('_', ' ')
             self._take_back(What.FAILED, f'the STM32 refused the set: {words}')
         elif self.state is State.OPENING:
             self._queue = list(self._writes)
@@ -299,7 +289,7 @@ class GainProtocol:
         self._outcome, self._reason, self._queue = outcome, reason, []
         self._go(State.REVERTING)
 
-    def _gave_up_by_itself(self, result: GainsResult) -> None:
+    def _gave_up_by_itself(self, result: f.GainsResult) -> None:
         """The STM32 has heard nothing of us, or no confirmation."""
         if self.state is State.READY:
             return  # what it has taken back was nothing of ours; its checksum will tell

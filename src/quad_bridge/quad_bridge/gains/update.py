@@ -25,15 +25,8 @@ from quad_bridge.gains.protocol import State as Protocol
 from quad_bridge.gains.table import AXES, DEFAULT_BOUNDS, WIRE_NAMES, Bound
 from quad_bridge.gains.watch import GainWatch
 from quad_bridge.status import ERROR, OK, WARN, Status
+from quad_bridge.wire import frames as f
 from quad_bridge.wire.axes import flip_attitude, flip_body
-from quad_bridge.wire.frames import (
-    Cycle,
-    Excitation,
-    Flag,
-    GainsState,
-    Injection,
-    ParamValue,
-)
 
 STEP_WATCH_S, WATCH_S = 3.0, 10.0
 """Between the steps of a larger change, and after the last."""
@@ -209,7 +202,7 @@ class GainUpdates:
             raise RefusedError(f'the parameters are busy: {self.protocol.busy}')
         if now_s - self._excited_s < QUIET_S:
             raise RefusedError('not while the excitation runs: send them when it is idle')
-        if self._flags & (Flag.RC_KILL | Flag.RC_FAILSAFE):
+        if self._flags & (f.Flag.RC_KILL | f.Flag.RC_FAILSAFE):
             raise RefusedError("the pilot's kill switch or the receiver's failsafe is on")
         self._known_rate()
         return path
@@ -238,7 +231,7 @@ class GainUpdates:
         self.polarity.load(record)
         self._history.found(self.active)
 
-    def take(self, frame: ParamValue | GainsState, now_s: float) -> None:
+    def take(self, frame: f.ParamValue | f.GainsState, now_s: float) -> None:
         """Take an answer about parameters or sets."""
         self.protocol.take(frame, now_s)
         self._take_events(now_s)
@@ -254,13 +247,13 @@ class GainUpdates:
         self.protocol.restart()
         self._take_events(now_s)
 
-    def cycle(self, frame: Cycle, now_s: float) -> Excitation | None:
+    def cycle(self, frame: f.Cycle, now_s: float) -> f.Excitation | None:
         """Take one control cycle; a pulse to send while the polarity is checked."""
         self._cycle_s, self._flags = now_s, frame.flags
         injected: Any = (0.0, 0.0, 0.0)
-        if frame.injection == Injection.RATE:
+        if frame.injection == f.Injection.RATE:
             injected = flip_body(frame.excitation)
-        elif frame.injection == Injection.CONTROL:
+        elif frame.injection == f.Injection.CONTROL:
             injected = flip_body(frame.excitation) / self._rate_kp
         attitude = flip_attitude(frame.attitude)
         reference = flip_attitude(frame.attitude_setpoint)
@@ -270,13 +263,13 @@ class GainUpdates:
             if not self.polarity.running:
                 self._end_check()
             return pulse
-        if frame.flags & Flag.EXCITATION:
+        if frame.flags & f.Flag.EXCITATION:
             self._excited_s = now_s
         if self.state in {State.WATCHING, State.WRITING}:
             alarm = self.watch.alarm()
             if alarm is not None:
                 self._take_back(str(alarm))
-            elif frame.flags & Flag.RC_KILL:
+            elif frame.flags & f.Flag.RC_KILL:
                 self._take_back("the pilot's kill switch")
         return None
 
@@ -399,7 +392,7 @@ class GainUpdates:
     # Polarity.
 
     def _start_check(self, axes: Sequence[str], now_s: float) -> None:
-        if now_s - self._cycle_s > QUIET_S or not self._flags & Flag.ARMED:
+        if now_s - self._cycle_s > QUIET_S or not self._flags & f.Flag.ARMED:
             raise RefusedError(
                 f'the polarity of {", ".join(axes) or "the motors"} has not been checked on this '
                 'aircraft and it is not armed: mount it free on the rig, arm it and try again'

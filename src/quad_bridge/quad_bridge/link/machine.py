@@ -10,35 +10,15 @@ from dataclasses import replace
 
 from quad_bridge.link.autopilot import Autopilot
 from quad_bridge.link.stamping import Arrived, Event, Restarted, Stamped, Stamping
+from quad_bridge.wire import frames as f
 from quad_bridge.wire.codec import Decoder, Encoder
-from quad_bridge.wire.frames import (
-    Attitude,
-    Battery,
-    Command,
-    CommandAck,
-    Cycle,
-    Excitation,
-    Flag,
-    Frame,
-    GainsCommand,
-    GainsState,
-    Heartbeat,
-    Outputs,
-    ParamRequestList,
-    ParamRequestRead,
-    ParamSet,
-    ParamValue,
-    RcChannels,
-    SlowSensors,
-    Standard,
-    StatusText,
-    TimeSync,
-)
 from quad_bridge.wire.signing import Signing
 
 BRIDGE_SYSTEM, BRIDGE_COMPONENT = 1, 191
 ONBOARD_CONTROLLER, NO_AUTOPILOT = 18, 8
-ADDRESSED = (Command, Excitation, GainsCommand, ParamRequestList, ParamRequestRead, ParamSet)
+ADDRESSED = (
+    f.Command, f.Excitation, f.GainsCommand, f.ParamRequestList, f.ParamRequestRead, f.ParamSet,
+)  # fmt: skip
 HEARTBEAT_NS = 1_000_000_000
 SYNC_NS = 200_000_000
 """Between TIMESYNC questions once the clock has converged; before, every tick asks."""
@@ -69,10 +49,10 @@ class Link:
         self.stamping = Stamping()
         self.stamping.on_restart = self._restarted_unseen
         self.clock = self.stamping.clock
-        self.peer: Heartbeat | None = None
+        self.peer: f.Heartbeat | None = None
         self.autopilot = Autopilot()
         """Where the far end sends standard messages only."""
-        self.last_cycle: Cycle | None = None
+        self.last_cycle: f.Cycle | None = None
         self.last_cycle_ns = 0
         """Host time at which the last cycle arrived."""
         self.cycles = 0
@@ -98,7 +78,7 @@ class Link:
     def armed(self) -> bool:
         """Whether the far end was armed when it was last heard."""
         if self.last_cycle is not None:
-            return bool(self.last_cycle.flags & Flag.ARMED)
+            return bool(self.last_cycle.flags & f.Flag.ARMED)
         return self.peer is not None and self.peer.armed
 
     def armed_lately(self, now_ns: int) -> bool | None:
@@ -128,7 +108,7 @@ class Link:
         if frames:
             self._heard_ns = now_ns
         for frame in frames:
-            if isinstance(frame, Cycle):
+            if isinstance(frame, f.Cycle):
                 self._cycle(frame, now_ns)
             else:
                 self._other(frame, now_ns)
@@ -140,11 +120,11 @@ class Link:
             self.decoder.release()
         if now_ns >= self._next_heartbeat_ns:
             self._next_heartbeat_ns = now_ns + HEARTBEAT_NS
-            self.send(Heartbeat(ONBOARD_CONTROLLER, NO_AUTOPILOT))
+            self.send(f.Heartbeat(ONBOARD_CONTROLLER, NO_AUTOPILOT))
         if now_ns >= self._next_sync_ns:
             calm = self.clock.converged and not self.clock.doubtful
             self._next_sync_ns = now_ns + SYNC_NS if calm else now_ns
-            self.send(TimeSync(0, now_ns))
+            self.send(f.TimeSync(0, now_ns))
         if self.standard_only(now_ns):
             for command in self.autopilot.due(now_ns):
                 self.send(command)
@@ -157,7 +137,7 @@ class Link:
             and now_ns - self._peer_since_ns > NO_CYCLE_NS
         )
 
-    def send(self, frame: Frame) -> None:
+    def send(self, frame: f.Frame) -> None:
         """Queue a frame, addressed to the peer where the message has an address."""
         peer = self.peer
         if peer is not None and isinstance(frame, ADDRESSED):
@@ -170,7 +150,7 @@ class Link:
         self._outbox.clear()
         return data
 
-    def _cycle(self, frame: Cycle, now_ns: int) -> None:
+    def _cycle(self, frame: f.Cycle, now_ns: int) -> None:
         restarts = self.decoder.counts.restarts
         if self.peer is not None and self.decoder.peer != (self.peer.system, self.peer.component):
             self._far_end_restarted()  # what was known was of one that had sent no cycle
@@ -190,7 +170,7 @@ class Link:
         self._ask_urgently(now_ns)
 
     @staticmethod
-    def _moved(frame: Cycle, now_ns: int, started_ns: int) -> bool:
+    def _moved(frame: f.Cycle, now_ns: int, started_ns: int) -> bool:
         """Whether the far end has started at another time; its µs may wrap at 32 bits."""
         moved = now_ns - 1000 * frame.time_us - started_ns
         return abs((moved + WRAP_NS // 2) % WRAP_NS - WRAP_NS // 2) > SAME_START_NS
@@ -198,45 +178,45 @@ class Link:
     def _ask_urgently(self, now_ns: int) -> None:
         if self.stamping.asks and now_ns >= self._next_urgent_ns:
             self._next_urgent_ns = now_ns + URGENT_NS
-            self.send(TimeSync(0, now_ns))
+            self.send(f.TimeSync(0, now_ns))
 
-    def _other(self, frame: Frame, now_ns: int) -> None:
+    def _other(self, frame: f.Frame, now_ns: int) -> None:
         events = self._events
-        if isinstance(frame, (ParamValue, GainsState, CommandAck, StatusText)):
+        if isinstance(frame, (f.ParamValue, f.GainsState, f.CommandAck, f.StatusText)):
             events.append(Arrived(frame))
-        elif isinstance(frame, RcChannels):
+        elif isinstance(frame, f.RcChannels):
             self.autopilot.note('RC_CHANNELS', now_ns)
             self.stamping.other(frame, frame.time_ms * 1000, 1000, now_ns, events)
-        elif isinstance(frame, SlowSensors):
+        elif isinstance(frame, f.SlowSensors):
             self._inertial(frame, now_ns)
             self.stamping.other(frame, frame.time_us, 1, now_ns, events)
-        elif isinstance(frame, Battery):
+        elif isinstance(frame, f.Battery):
             if self.autopilot.battery(frame, now_ns) and self.clock.converged:
                 last_ns = self.stamping.last_ns
                 events += [Stamped(frame, last_ns)] if last_ns else []
-        elif isinstance(frame, Attitude):
+        elif isinstance(frame, f.Attitude):
             self._inertial(frame, now_ns)
-        elif isinstance(frame, Outputs):
+        elif isinstance(frame, f.Outputs):
             if self.autopilot.outputs(frame, now_ns) and self.last_cycle is None:
                 self.stamping.outputs(frame, events)
         else:
             self._for_the_link(frame, now_ns)
 
-    def _for_the_link(self, frame: Frame, now_ns: int) -> None:
-        if isinstance(frame, TimeSync):
+    def _for_the_link(self, frame: f.Frame, now_ns: int) -> None:
+        if isinstance(frame, f.TimeSync):
             self._time_sync(frame, now_ns)
-        elif isinstance(frame, Heartbeat):
+        elif isinstance(frame, f.Heartbeat):
             self._heartbeat(frame, now_ns)
-        elif isinstance(frame, Standard):
+        elif isinstance(frame, f.Standard):
             self.autopilot.note(frame.name, now_ns)
 
-    def _heartbeat(self, frame: Heartbeat, now_ns: int) -> None:
+    def _heartbeat(self, frame: f.Heartbeat, now_ns: int) -> None:
         if frame.autopilot != NO_AUTOPILOT:
             if self.peer is None:
                 self._peer_since_ns = now_ns
             self.peer, self._peer_ns = frame, now_ns
 
-    def _inertial(self, frame: Attitude | SlowSensors, now_ns: int) -> None:
+    def _inertial(self, frame: f.Attitude | f.SlowSensors, now_ns: int) -> None:
         """What another autopilot says in place of a cycle; nothing once a cycle has come."""
         inertial = self.autopilot.inertial(frame, now_ns)
         if inertial is None or self.last_cycle is not None:
@@ -246,9 +226,9 @@ class Link:
         self.stamping.inertial(inertial, now_ns, self._events, arrivals=arrivals)
         self._ask_urgently(now_ns)
 
-    def _time_sync(self, frame: TimeSync, now_ns: int) -> None:
+    def _time_sync(self, frame: f.TimeSync, now_ns: int) -> None:
         if frame.tc1_ns == 0:
-            self.send(TimeSync(now_ns, frame.ts1_ns))
+            self.send(f.TimeSync(now_ns, frame.ts1_ns))
         elif frame.ts1_ns <= now_ns:
             self.answered_ns = now_ns
             sent_ns, received_ns = frame.ts1_ns, now_ns

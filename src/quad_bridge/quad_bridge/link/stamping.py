@@ -12,17 +12,7 @@ from typing import NamedTuple
 from quad_bridge.link.autopilot import Inertial
 from quad_bridge.link.clock import ClockEstimator, DeviceTime
 from quad_bridge.link.guards import PATIENCE_NS, LateGuard, StepGuard
-from quad_bridge.wire.frames import (
-    Battery,
-    CommandAck,
-    Cycle,
-    GainsState,
-    Outputs,
-    ParamValue,
-    RcChannels,
-    SlowSensors,
-    StatusText,
-)
+from quad_bridge.wire import frames as f
 
 FUTURE_NS = 100_000_000
 """A stamp later than its arrival by more is false."""
@@ -33,14 +23,14 @@ NEAR_US = 60_000_000
 class Stamped(NamedTuple):
     """A frame for a topic with its host time, ns: here every stamp is made."""
 
-    frame: Cycle | RcChannels | Battery | SlowSensors | Inertial | Outputs
+    frame: f.Cycle | f.RcChannels | f.Battery | f.SlowSensors | Inertial | f.Outputs
     stamp_ns: int
 
 
 class Arrived(NamedTuple):
     """A frame that has just come; a cycle is stamped afterwards, or never."""
 
-    frame: Cycle | CommandAck | ParamValue | GainsState | StatusText
+    frame: f.Cycle | f.CommandAck | f.ParamValue | f.GainsState | f.StatusText
 
 
 class Restarted(NamedTuple):
@@ -64,7 +54,7 @@ class Stamping:
         """Not published: no clock yet, or a stamp that runs backwards or lies in the future."""
         self.last_ns = 0
         """The latest stamp."""
-        self._stamped: Cycle | Inertial | None = None
+        self._stamped: f.Cycle | Inertial | None = None
         """What has this stamp."""
         self._waiting: list[Callable[[int, list[Event]], None]] = []
         """What is stamped once it is known whether the far end's clock is still the same."""
@@ -85,7 +75,7 @@ class Stamping:
         """Whether frames wait for a round trip."""
         return bool(self._waiting)
 
-    def cycle(self, frame: Cycle, now_ns: int, out: list[Event]) -> None:
+    def cycle(self, frame: f.Cycle, now_ns: int, out: list[Event]) -> None:
         """Stamp a cycle that has arrived, or let it wait."""
         device_us = self.device_time.extend(frame.time_us, NEAR_US)
         uneven = self.guard.step(frame.cycle, device_us, now_ns)
@@ -100,7 +90,7 @@ class Stamping:
             self.clock.add_arrival(device_ns, now_ns)
         self._timed(frame, device_ns, now_ns, out, uneven=False)
 
-    def outputs(self, frame: Outputs, out: list[Event]) -> None:
+    def outputs(self, frame: f.Outputs, out: list[Event]) -> None:
         """Stamp an autopilot's motor pulses, whose time has 32 bits."""
         if self.clock.converged:
             device_ns = 1000 * self.device_time.nearest(frame.time_us)
@@ -108,7 +98,7 @@ class Stamping:
 
     def other(
         self,
-        frame: RcChannels | SlowSensors,
+        frame: f.RcChannels | f.SlowSensors,
         time_us: int,
         grain_us: int,
         now_ns: int,
@@ -152,7 +142,7 @@ class Stamping:
 
     def _timed(
         self,
-        frame: Cycle | Inertial,
+        frame: f.Cycle | Inertial,
         device_ns: int,
         now_ns: int,
         out: list[Event],
@@ -198,7 +188,7 @@ class Stamping:
             stamp(now_ns, out)
 
     def _stamp_timed(
-        self, frame: Cycle | Inertial, device_ns: int, now_ns: int, out: list[Event]
+        self, frame: f.Cycle | Inertial, device_ns: int, now_ns: int, out: list[Event]
     ) -> None:
         """Stamp it where it may go out: no stamp runs backwards or lies in the future."""
         stamp_ns = self.clock.host_ns(device_ns) if self.clock.converged else 0
@@ -210,7 +200,7 @@ class Stamping:
 
     def _stamp_other(
         self,
-        frame: RcChannels | SlowSensors,
+        frame: f.RcChannels | f.SlowSensors,
         grains: int,
         grain_us: int,
         device_ns: int,

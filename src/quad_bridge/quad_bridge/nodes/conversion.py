@@ -18,15 +18,8 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import BatteryState, FluidPressure, Imu, JointState, Joy, MagneticField
 
 from quad_bridge.link.autopilot import Inertial
+from quad_bridge.wire import frames as f
 from quad_bridge.wire.axes import flip_attitude, flip_body, flip_control, quaternion
-from quad_bridge.wire.frames import (
-    Battery,
-    Cycle,
-    Outputs,
-    RcChannels,
-    SlowSensors,
-    Vector3,
-)
 
 FRAME_ID = 'base_link'
 MOTORS = ('motor_1', 'motor_2', 'motor_3', 'motor_4')
@@ -48,7 +41,7 @@ def _set(vector: Any, values: tuple[float, float, float]) -> None:
     vector.x, vector.y, vector.z = values
 
 
-def _less(values: Vector3, offset: Vector3) -> Vector3:
+def _less(values: f.Vector3, offset: f.Vector3) -> f.Vector3:
     return values[0] - offset[0], values[1] - offset[1], values[2] - offset[2]
 
 
@@ -100,7 +93,7 @@ class CycleMessages:
         self._vector = _Template(vector, (_THREE,))
 
     def packed(
-        self, cycle: Cycle, stamp_ns: int, gyro_bias: Vector3 = (0.0, 0.0, 0.0)
+        self, cycle: f.Cycle, stamp_ns: int, gyro_bias: f.Vector3 = (0.0, 0.0, 0.0)
     ) -> tuple[bytes, bytes, bytes, bytes, bytes]:
         """Imu, motors, wrench, set-points of attitude and rates of one cycle.
 
@@ -117,7 +110,7 @@ class CycleMessages:
             self._vector.pack(stamp_ns, flip_body(cycle.rate_setpoint)),
         )
 
-    def applied(self, cycle: Cycle, stamp_ns: int) -> bytes:
+    def applied(self, cycle: f.Cycle, stamp_ns: int) -> bytes:
         """The excitation that the STM32 says it added."""
         return self._vector.pack(stamp_ns, flip_body(cycle.excitation))
 
@@ -144,7 +137,7 @@ def inertial_message(inertial: Inertial, stamp_ns: int) -> Imu:
     return message
 
 
-def outputs_message(outputs: Outputs, stamp_ns: int) -> JointState:
+def outputs_message(outputs: f.Outputs, stamp_ns: int) -> JointState:
     """Pulses of PX4's and ArduPilot's X frame in the contract's order of motors, 0..1."""
     message = _stamped(JointState(name=list(MOTORS)), stamp_ns)
     pulses = [outputs.pulses[i] for i in AUTOPILOT_ORDER]
@@ -152,7 +145,7 @@ def outputs_message(outputs: Outputs, stamp_ns: int) -> JointState:
     return message
 
 
-def rc_message(rc: RcChannels, stamp_ns: int, *, failsafe: bool) -> Joy:
+def rc_message(rc: f.RcChannels, stamp_ns: int, *, failsafe: bool) -> Joy:
     """Nine axes, NaN where a channel has no pulse; `buttons[0]` 1 in failsafe.
 
     A stick without a pulse counts as failsafe too.
@@ -173,7 +166,7 @@ def _axis(index: int, pulse_us: int) -> float:
     return (pulse_us - 1500) / 500.0
 
 
-def battery_message(battery: Battery, stamp_ns: int) -> BatteryState:
+def battery_message(battery: f.Battery, stamp_ns: int) -> BatteryState:
     """Pack voltage in V, discharge current negative as BatteryState has it; NaN: not measured."""
     message = _stamped(BatteryState(), stamp_ns)
     message.voltage = battery.voltage_v
@@ -186,7 +179,7 @@ def battery_message(battery: Battery, stamp_ns: int) -> BatteryState:
 
 
 def mag_message(
-    sensors: SlowSensors, stamp_ns: int, hard_iron: Vector3 = (0.0, 0.0, 0.0)
+    sensors: f.SlowSensors, stamp_ns: int, hard_iron: f.Vector3 = (0.0, 0.0, 0.0)
 ) -> MagneticField | None:
     """Tesla, FLU, without `hard_iron`; None where the magnetometer was not updated."""
     if sensors.mag_gauss is None:
@@ -198,7 +191,7 @@ def mag_message(
     return message
 
 
-def baro_message(sensors: SlowSensors, stamp_ns: int) -> FluidPressure | None:
+def baro_message(sensors: f.SlowSensors, stamp_ns: int) -> FluidPressure | None:
     """Pascal; None where the barometer was not updated."""
     if sensors.pressure_hpa is None:
         return None

@@ -41,18 +41,7 @@ from quad_bridge.nodes.ros_node import run
 from quad_bridge.nodes.services import GainServices, OperatorServices, SensorServices
 from quad_bridge.sensors.live import LiveSensors
 from quad_bridge.status import OK
-from quad_bridge.wire.frames import (
-    Battery,
-    CommandAck,
-    Cycle,
-    Flag,
-    GainsState,
-    Outputs,
-    ParamValue,
-    RcChannels,
-    SlowSensors,
-    StatusText,
-)
+from quad_bridge.wire import frames as f
 
 TICK_S = 0.05
 REPORT_S = 0.1
@@ -82,11 +71,11 @@ class SerialBridge(ManagedNode):
         self._sensor_services = SensorServices(self, self._sensors, self._on_report)
         self._messages = conversion.CycleMessages()
         self._arrived: dict[type, Callable[[Any, int], None]] = {
-            Cycle: self._on_cycle,
-            ParamValue: self._on_gains_frame,
-            GainsState: self._on_gains_frame,
-            CommandAck: lambda frame, _: self._operator.acknowledged(frame),
-            StatusText: lambda frame, _: self._tell_once(f'STM32: {frame.text}'),
+            f.Cycle: self._on_cycle,
+            f.ParamValue: self._on_gains_frame,
+            f.GainsState: self._on_gains_frame,
+            f.CommandAck: lambda frame, _: self._operator.acknowledged(frame),
+            f.StatusText: lambda frame, _: self._tell_once(f'STM32: {frame.text}'),
         }
         self._reported_s = 0.0
         self._simulated = self.simulated
@@ -123,13 +112,13 @@ class SerialBridge(ManagedNode):
         self._applied = publisher(Vector3Stamped, '/excitation/applied')
         self._rc = publisher(Joy, '/rc/in')
         self._others: dict[type, tuple[tuple[Any, Callable[[Any, int], Any]], ...]] = {
-            Battery: ((publisher(BatteryState, '/battery'), conversion.battery_message),),
-            SlowSensors: (
+            f.Battery: ((publisher(BatteryState, '/battery'), conversion.battery_message),),
+            f.SlowSensors: (
                 (publisher(MagneticField, '/imu/mag'), self._mag_message),
                 (publisher(FluidPressure, '/baro'), conversion.baro_message),
             ),
             Inertial: ((imu, conversion.inertial_message),),
-            Outputs: ((motors, conversion.outputs_message),),
+            f.Outputs: ((motors, conversion.outputs_message),),
         }
         self._active = publisher(ParameterEvent, '/gains/active', STATE)
         self._diagnostics = publisher(DiagnosticArray, '/diagnostics', EVENT)
@@ -188,7 +177,7 @@ class SerialBridge(ManagedNode):
         if last is not None:
             clock().handled(WIRE, START_NS + 1000 * last.time_us)
 
-    def _on_cycle(self, frame: Cycle, now_ns: int) -> None:
+    def _on_cycle(self, frame: f.Cycle, now_ns: int) -> None:
         self._sensors.cycle(frame, time.time())
         if self._gains.state is State.CHECKING:
             fault = self._enable.fault(1e-9 * now_ns)
@@ -198,18 +187,18 @@ class SerialBridge(ManagedNode):
         if pulse is not None:
             self._link.send(pulse)
 
-    def _on_gains_frame(self, frame: ParamValue | GainsState, now_ns: int) -> None:
+    def _on_gains_frame(self, frame: f.ParamValue | f.GainsState, now_ns: int) -> None:
         self._gains.take(frame, 1e-9 * now_ns)
 
     def _publish(self, event: Stamped) -> None:
         frame, stamp_ns = event.frame, event.stamp_ns + self._time.epoch_ns
         if stamp_ns <= 0:  # simulated time has not come yet
             return
-        if isinstance(frame, Cycle):
+        if isinstance(frame, f.Cycle):
             self._publish_cycle(frame, stamp_ns)
-        elif isinstance(frame, RcChannels):
+        elif isinstance(frame, f.RcChannels):
             last = self._link.last_cycle
-            lost = last is not None and bool(last.flags & Flag.RC_FAILSAFE)
+            lost = last is not None and bool(last.flags & f.Flag.RC_FAILSAFE)
             message = conversion.rc_message(frame, stamp_ns, failsafe=lost)
             self._rc.publish(message)
             self._gains.sticks(message.axes[YAW_STICK], clock().now_s())
@@ -219,18 +208,18 @@ class SerialBridge(ManagedNode):
                 if message is not None:
                     publisher.publish(message)
 
-    def _publish_cycle(self, frame: Cycle, stamp_ns: int) -> None:
+    def _publish_cycle(self, frame: f.Cycle, stamp_ns: int) -> None:
         bias = self._sensors.stamped(stamp_ns).gyro_bias
         for publish, message in zip(
             self._per_cycle, self._messages.packed(frame, stamp_ns, bias), strict=True
         ):
             publish(message)
-        if frame.flags & Flag.EXCITATION:
+        if frame.flags & f.Flag.EXCITATION:
             self._applied.publish(self._messages.applied(frame, stamp_ns))
         if self._told_time is not None:
             self._told_time.publish(ClockMessage(clock=conversion.time_message(stamp_ns)))
 
-    def _mag_message(self, frame: SlowSensors, stamp_ns: int) -> MagneticField | None:
+    def _mag_message(self, frame: f.SlowSensors, stamp_ns: int) -> MagneticField | None:
         offset = self._sensors.stamped(stamp_ns).hard_iron
         return conversion.mag_message(frame, stamp_ns, offset)
 

@@ -11,16 +11,7 @@ import struct
 
 from quad_bridge.errors import EncodeError
 from quad_bridge.wire import dialect
-from quad_bridge.wire.frames import (
-    CommandAck,
-    Cycle,
-    Frame,
-    GainsState,
-    Heartbeat,
-    ParamValue,
-    Standard,
-    TimeSync,
-)
+from quad_bridge.wire import frames as f
 from quad_bridge.wire.framing import Counts, Framer, Packet
 from quad_bridge.wire.messages import FROM_AUTOPILOT, FROM_MESSAGE, cycle, message_of, unpacked
 from quad_bridge.wire.plausible import plausible
@@ -35,7 +26,7 @@ _EXTRAS = {number: kind.crc_extra for number, kind in _OURS.items()} | {
 }
 _BUILD = {**FROM_MESSAGE, **FROM_AUTOPILOT}
 _CYCLE = dialect.MAVLINK_MSG_ID_QUAD_CYCLE
-_ANSWERS = (TimeSync, ParamValue, GainsState, CommandAck)
+_ANSWERS = (f.TimeSync, f.ParamValue, f.GainsState, f.CommandAck)
 """They mean something only from who was asked: the far end, once it is known."""
 _WRAP = 1 << 32
 _LARGEST_GAP = 1_000_000
@@ -80,10 +71,10 @@ class Decoder:
         """Let another sender be the far end: the one before has fallen silent."""
         self._peer, self._cycles = None, False
 
-    def feed(self, data: bytes) -> list[Frame]:
+    def feed(self, data: bytes) -> list[f.Frame]:
         """Frames completed by `data`, in order of arrival. Never raises."""
         self.counts.bytes += len(data)
-        frames: list[Frame] = []
+        frames: list[f.Frame] = []
         for packet in self._framer.feed(data):
             if self._may_speak(packet):
                 self._use(packet, frames)
@@ -108,19 +99,19 @@ class Decoder:
             return False
         return True
 
-    def _use(self, packet: Packet, frames: list[Frame]) -> None:
-        frame: Frame
+    def _use(self, packet: Packet, frames: list[f.Frame]) -> None:
+        frame: f.Frame
         if packet.message == _CYCLE:
             frame = cycle(packet.payload)
         elif (build := _BUILD.get(packet.message)) is not None:
             frame = build(unpacked(packet))
         else:
             self.counts.standard += 1
-            frame = Standard(_NAMES[packet.message], packet.system, packet.component)
+            frame = f.Standard(_NAMES[packet.message], packet.system, packet.component)
         if self._own is not None and not plausible(frame):
             self.counts.implausible += 1
             return
-        if isinstance(frame, Cycle):
+        if isinstance(frame, f.Cycle):
             self._count(frame.cycle)
         if self._own is not None and not self._known(frame, packet):
             self.counts.foreign += 1
@@ -136,9 +127,9 @@ class Decoder:
         else:
             self.counts.lost_cycles += max(gap, 0)
 
-    def _known(self, frame: Frame, packet: Packet) -> bool:
+    def _known(self, frame: f.Frame, packet: Packet) -> bool:
         """Take who flies for the far end; False for an answer of somebody else."""
-        if isinstance(frame, Cycle):
+        if isinstance(frame, f.Cycle):
             self._peer, self._cycles = (packet.system, packet.component), True
         elif self._peer is None:
             if not _flies(frame):
@@ -147,8 +138,8 @@ class Decoder:
         return True
 
 
-def _flies(frame: Frame) -> bool:
-    return isinstance(frame, Heartbeat) and frame.autopilot != NO_AUTOPILOT
+def _flies(frame: f.Frame) -> bool:
+    return isinstance(frame, f.Heartbeat) and frame.autopilot != NO_AUTOPILOT
 
 
 class Encoder:
@@ -165,7 +156,7 @@ class Encoder:
             state.secret_key, state.link_id = signing.key, signing.link_id
             state.sign_outgoing = True
 
-    def encode(self, frame: Frame) -> bytes:
+    def encode(self, frame: f.Frame) -> bytes:
         """The bytes of one frame. Raises EncodeError where a value does not fit its field."""
         if self._signing is not None:
             self._mav.signing.timestamp = self._signing.stamp()

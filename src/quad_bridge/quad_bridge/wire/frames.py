@@ -303,23 +303,7 @@ class Standard:
 
 
 Frame = (
-    Cycle
-    | Excitation
-    | Heartbeat
-    | TimeSync
-    | ParamRequestList
-    | ParamRequestRead
-    | ParamSet
-    | ParamValue
-    | GainsCommand
-    | GainsState
-    | RcChannels
-    | Battery
-    | SlowSensors
-    | Command
-    | CommandAck
-    | StatusText
-    | Attitude
-    | Outputs
-    | Standard
-)
+    Cycle | Excitation | Heartbeat | TimeSync | ParamRequestList | ParamRequestRead | ParamSet
+    | ParamValue | GainsCommand | GainsState | RcChannels | Battery | SlowSensors | Command
+    | CommandAck | StatusText | Attitude | Outputs | Standard
+)  # fmt: skip

@@ -9,20 +9,7 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-from quad_bridge.wire.frames import (
-    Attitude,
-    Cycle,
-    Excitation,
-    Frame,
-    GainsAction,
-    GainsCommand,
-    GainsPhase,
-    GainsResult,
-    GainsState,
-    Injection,
-    ParamValue,
-    SlowSensors,
-)
+from quad_bridge.wire import frames as f
 
 LARGEST = 1000.0
 """No value of a cycle is larger, in rad, rad/s, m/s² or normalised command."""
@@ -31,13 +18,13 @@ LARGEST_FLAGS = 0x0FFF
 _ABOVE_ONE = 1.001
 
 
-def plausible(frame: Frame) -> bool:
+def plausible(frame: f.Frame) -> bool:
     """False for values that are no numbers, out of all bounds, or of no known meaning."""
     check = _CHECKS.get(type(frame))
     return check is None or check(frame)
 
 
-def _cycle(frame: Cycle) -> bool:
+def _cycle(frame: f.Cycle) -> bool:
     angles = frame.attitude + frame.attitude_setpoint
     return (
         _bounded(frame.gyro + frame.accel + frame.rate_setpoint + frame.control + frame.excitation)
@@ -47,7 +34,7 @@ def _cycle(frame: Cycle) -> bool:
         and min(frame.motors) >= 0.0
         and max(frame.motors) < _ABOVE_ONE
         and frame.flags <= LARGEST_FLAGS
-        and frame.injection <= Injection.CONTROL
+        and frame.injection <= f.Injection.CONTROL
     )
 
 
@@ -56,20 +43,20 @@ def _bounded(values: tuple[float, ...]) -> bool:
     return math.isfinite(sum(values)) and max(values) < LARGEST and min(values) > -LARGEST
 
 
-def _sensors(frame: SlowSensors) -> bool:
+def _sensors(frame: f.SlowSensors) -> bool:
     return all(_bounded(v) for v in (frame.gyro, frame.accel, frame.mag_gauss) if v is not None)
 
 
 _CHECKS: dict[type, Callable[[Any], bool]] = {
-    Cycle: _cycle,
-    GainsState: lambda f: (
-        f.action <= max(GainsAction)
-        and f.result <= max(GainsResult)
-        and f.phase <= max(GainsPhase)
+    f.Cycle: _cycle,
+    f.GainsState: lambda x: (
+        x.action <= max(f.GainsAction)
+        and x.result <= max(f.GainsResult)
+        and x.phase <= max(f.GainsPhase)
     ),
-    GainsCommand: lambda f: f.action <= max(GainsAction),
-    ParamValue: lambda f: math.isfinite(f.value),
-    Excitation: lambda f: _bounded(f.value) and f.injection <= max(Injection),
-    Attitude: lambda f: _bounded(f.angles + f.rates),
-    SlowSensors: _sensors,
+    f.GainsCommand: lambda x: x.action <= max(f.GainsAction),
+    f.ParamValue: lambda x: math.isfinite(x.value),
+    f.Excitation: lambda x: _bounded(x.value) and x.injection <= max(f.Injection),
+    f.Attitude: lambda x: _bounded(x.angles + x.rates),
+    f.SlowSensors: _sensors,
 }
