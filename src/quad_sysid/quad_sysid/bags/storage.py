@@ -8,17 +8,19 @@ from __future__ import annotations
 
 import mmap
 import re
+import sqlite3
 from collections import Counter
+from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import yaml
-from rosbags.rosbag2 import Reader
 
 from quad_sysid.bags.stored.files import (
     SQLITE_MAGIC,
     ZSTD_MAGIC,
+    address,
     plain_file,
     plain_message,
     sqlite_fault,
@@ -201,23 +203,29 @@ class Storage:
             raise BadInputError(str(shown), what, remedy=sqlite_remedy(shown))
         strange = 0
         try:
-            with Reader(plain) as reader:
-                asked = [c for c in reader.connections if c.topic in self.topics]
-                mine = [c for c in asked if self._wanted(c.topic, c.msgtype)]
-                foreign.update({(c.topic, c.msgtype): c.msgcount for c in asked if c not in mine})
-                batch: Batch = {c.topic: [] for c in mine}
-                sinks = {c.id: batch[c.topic] for c in mine}
-                for n, (c, _, raw) in enumerate(reader.messages(mine) if mine else (), 1):
-                    if type(raw) is bytes:
-                        sinks[c.id].append(raw)
-                    else:
-                        strange += 1
-                    if n % BATCH == 0:
-                        yield {topic: raws.copy() for topic, raws in batch.items()}
-                        for raws in batch.values():
-                            raws.clear()
-                yield batch
-        except Exception as error:
+            with closing(sqlite3.connect(address(plain), uri=True)) as base:
+                topics = base.execute('SELECT id, name, type FROM topics').fetchall()
+                mine = {i: name for i, name, kind in topics if self._wanted(name, kind)}
+                count = 'SELECT count(*) FROM messages WHERE topic_id = ?'
+                foreign.update({
+                    (name, kind): base.execute(count, (i,)).fetchone()[0]
+                    for i, name, kind in topics if name in self.topics and i not in mine
+                })  # fmt: skip
+                marks = ', '.join('?' * len(mine))
+                rows = base.execute(  # it was 45 % slower through rosbags
+                    f'SELECT topic_id, data FROM messages WHERE topic_id IN ({marks}) '  # noqa: S608
+                    'ORDER BY timestamp',
+                    tuple(mine),
+                )
+                while part := rows.fetchmany(BATCH):
+                    batch: Batch = {name: [] for name in mine.values()}
+                    for i, raw in part:
+                        batch[mine[i]].append(raw)
+                    for name, raws in batch.items():
+                        batch[name] = [raw for raw in raws if type(raw) is bytes]
+                        strange += len(raws) - len(batch[name])
+                    yield batch
+        except (sqlite3.Error, UnicodeDecodeError) as error:
             what = f'cannot be read as a sqlite3 bag ({" ".join(str(error).split())})'
             raise BadInputError(str(shown), what, remedy='is it a bag of rosbag2?') from error
         if strange:

@@ -53,6 +53,11 @@ def plain_file(file: Path) -> Iterator[Path]:
         yield plain
 
 
+def address(file: Path) -> str:
+    """What sqlite3 opens for reading only, whatever journal lies beside it."""
+    return f'{file.resolve().as_uri()}?mode=ro&immutable=1'
+
+
 def sqlite_fault(file: Path) -> str:
     """Why a sqlite3 file does not give all that was written into it; empty where it does.
 
@@ -67,9 +72,8 @@ def sqlite_fault(file: Path) -> str:
     size = int.from_bytes(head[16:], 'big')
     if head[:16] == SQLITE_MAGIC and size and file.stat().st_size % (65536 if size == 1 else size):
         return 'its last page is torn'
-    address = f'{file.resolve().as_uri()}?mode=ro&immutable=1'
     try:
-        with closing(sqlite3.connect(address, uri=True)) as base:
+        with closing(sqlite3.connect(address(file), uri=True)) as base:
             (told,) = base.execute('PRAGMA quick_check(1)').fetchone()
     except (sqlite3.Error, UnicodeDecodeError) as error:
         told = str(error)
