@@ -25,7 +25,7 @@ HALF_POWER = 0.41
 
 def axis_model(
     findings: Findings, gains: Mapping[str, float], band: tuple[float, float] | None,
-    candidates: Sequence[Effect],
+    candidates: Sequence[Effect] = EFFECTS,
 ) -> AxisModel:
     """The completed model where the effects were accepted, the base where not."""
     data, verdict, chosen = findings.data, findings.verdict, findings.after.fit
