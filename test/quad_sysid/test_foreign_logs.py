@@ -411,7 +411,8 @@ def test_a_real_px4_log_through_the_command(tmp_path, capsys):
     ('name', 'content', 'words'),
     [
         ('LOG00001.BFL', b'H Product:Blackbox flight data recorder\n', 'blackbox_decode'),
-        ('plain.csv', b't,u\n0,1\n', 'columns need names'), ('log.csv', b'', 'needs numbers'),
+        ('plain.csv', b't,u\n0,1\n', 'columns need names'),
+        ('log.csv', b'', 'log.csv, line 2, column vbatLatest (V): needs a number'),
         *(('log', magic + np.random.default_rng(1).bytes(400), '')
           for magic in (b'ULog\x01\x12\x35', b'\xa3\x95\x80')),
     ],

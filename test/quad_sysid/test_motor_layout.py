@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import gzip
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from quad_sysid.imports.frames import mixer_at_places
 from quad_sysid.imports.log import ForeignLog, Stream
 from quad_sysid.imports.to_bag import import_log
 from quad_sysid.motor_layout import patterns_of, share_of
@@ -76,6 +78,17 @@ def test_a_crash_and_a_time_in_the_hand_do_not_hide_the_layout(tmp_path, seed):
         (line,) = (line for line in told if line.startswith(f'motors on {axis}'))
         assert f': {text} explain' in line
         assert 'not told apart' not in line
+
+
+@pytest.mark.parametrize('unsaid', [('yaw',), ()])
+def test_the_motion_says_what_a_log_does_not(unsaid):
+    """A Betaflight Quad X with its propellers out, and a header that is silent on them."""
+    layout = ('- - + +', '+ - + -', '- + + -')
+    mixer = mixer_at_places('Quad X', (2, 0, 1, 3), clockwise_rear_left=False)
+    found = replace(mixer, unsaid=unsaid).told_by(patterns_of(*flown(layout), DT))
+    yaw = signs(layout[2]) * (1.0 if unsaid else -1.0)
+    np.testing.assert_allclose(
+        4.0 * found.matrix, [np.ones(4), signs(layout[0]), signs(layout[1]), yaw])
 
 
 @pytest.mark.parametrize('motors', [4, 8])

@@ -8,10 +8,10 @@ ours: x forward, y left, z up; nose down is positive pitch. INDIflight's is forw
 from __future__ import annotations
 
 import csv
-import gzip
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,7 @@ from quad_sysid.imports.frames import (
 )
 from quad_sysid.imports.log import ForeignLog, Mapped, Stream
 from quad_sysid.imports.mixers import Mixer
+from quad_sysid.imports.table import read_csv, text_lines
 
 MOTOR_ORDER = (2, 0, 1, 3)
 """Motor at rear left, rear right, front right, front left in Quad X (1 rear right, 2 front right,
@@ -217,41 +218,26 @@ def _rate_unit(table: _Table, unit: str) -> float:
 
 
 def _read(path: Path) -> _Table:
-    try:
-        with path.open('rb') as probe:
-            packed = probe.read(2) == b'\x1f\x8b'
-        with (gzip.open if packed else open)(path, 'rt', encoding='utf-8-sig') as stream:
-            return _parse(list(csv.reader(stream)), str(path))
-    except UnicodeDecodeError as error:
-        raise BadInputError(str(path), 'is not a text file') from error
-    except (OSError, EOFError) as error:
-        raise BadInputError(str(path), f'cannot be read ({error})') from error
+    header: dict[str, str] = {}
+    with text_lines(path) as lines:
+        rows = ((n, line, next(csv.reader([line]))) for n, line in enumerate(lines, 1))
+        for number, line, row in rows:
+            cells = [cell.strip() for cell in row]
+            if cells[:1] == ['loopIteration']:
+                wanted = {cell: cell.partition(' (') for cell in cells if _bare(cell) in WANTED}
+                read = read_csv(chain([line], lines), str(path), list(wanted), number)
+                break
+            if len(cells) == 2:
+                header[cells[0]] = cells[1]
+    return _Table(
+        str(path), {wanted[cell][0]: values for cell, values in read.columns.items()},
+        {name: unit.rstrip(')') for name, _, unit in wanted.values()}, header,
+    )
 
 
-def _parse(rows: Sequence[Sequence[str]], source: str) -> _Table:
-    start = next(i for i, row in enumerate(rows) if row and row[0].strip() == 'loopIteration')
-    header = {row[0]: row[1] for row in rows[:start] if len(row) == 2}
-    names, units = [], {}
-    for cell in rows[start]:
-        name, _, unit = cell.strip().partition(' (')
-        names.append(name)
-        units[name] = unit.rstrip(')')
-    wanted = {
-        i: name for i, name in enumerate(names)
-        if name.partition('[')[0] in WANTED
-    }
-    body = [row for row in rows[start + 1:] if len(row) == len(names)]
-    if not body:
-        raise BadInputError(source, 'has a header but no rows')
-    columns = {name: _numbers(body, i, f'{source}, column {name}') for i, name in wanted.items()}
-    return _Table(source, columns, units, header)
-
-
-def _numbers(rows: Sequence[Sequence[str]], column: int, where: str) -> FloatArray:
-    try:
-        return np.array([float(row[column] or 'nan') for row in rows])
-    except ValueError as error:
-        raise BadInputError(where, 'needs numbers', str(error)) from error
+def _bare(cell: str) -> str:
+    """`gyroADC` of `gyroADC[0] (deg/s)`."""
+    return cell.partition(' (')[0].partition('[')[0]
 
 
 def _motors(
@@ -272,9 +258,11 @@ def _motors(
     if indi or count != len(MOTOR_ORDER):
         return motors, None, (f'{name}[0..{count - 1}]', 'raw', '/control/wrench',
                               f'{how}; U by what the motion shows')
-    reversed_yaw = table.header.get('yaw_motors_reversed', '0').strip() == '1'
-    mixer = mixer_at_places("Betaflight's Quad X", MOTOR_ORDER, clockwise_rear_left=reversed_yaw)
-    turn = 'propellers out' if reversed_yaw else 'propellers in'
+    said = table.header.get('yaw_motors_reversed', '').strip()
+    mixer = mixer_at_places("Betaflight's Quad X", MOTOR_ORDER, clockwise_rear_left=said == '1')
+    mixer = replace(mixer, unsaid=() if said else ('yaw',))
+    turn = 'propellers out' if said == '1' else 'propellers in'
+    turn += '' if said else ', or as the motion shows (the header does not say)'
     return motors, mixer, (f'{name}[0..3]', 'raw', '/control/wrench', (
         f'{how}; motors 3, 1, 2, 4 stand rear left, rear right, front right, front left; U by the '
         f"mixer's inverse, yaw for {turn}"

@@ -41,6 +41,16 @@ class Mixer:
     """For messages: `--mixer x`, or where the log says it."""
     matrix: FloatArray
     """(4, k): U1..U4 from k motors in the order in which they are given."""
+    unsaid: tuple[str, ...] = ()
+    """Axes of which the log does not say what the motors do: the motion does, where certain."""
+
+    def told_by(self, patterns: Sequence[Pattern]) -> Mixer:
+        """The mixer with what the motion shows of the axes that the log does not say."""
+        matrix = self.matrix.copy()
+        for pattern in patterns:
+            if pattern.axis in self.unsaid and pattern.certain:
+                matrix[1 + AXES.index(pattern.axis)] = _signed_mean(pattern)
+        return Mixer(self.name, matrix)
 
     @property
     def order(self) -> tuple[int, ...] | None:
@@ -65,9 +75,13 @@ def mixer_of_patterns(patterns: Sequence[Pattern], motors: int) -> Mixer:
     matrix = np.zeros((4, motors))
     matrix[0] = 1.0 / motors
     for pattern in patterns:
-        signs = np.array(pattern.signs, dtype=float)
-        matrix[1 + AXES.index(pattern.axis)] = signs / np.abs(signs).sum()
+        matrix[1 + AXES.index(pattern.axis)] = _signed_mean(pattern)
     return Mixer('--mixer auto', matrix)
+
+
+def _signed_mean(pattern: Pattern) -> FloatArray:
+    signs = np.array(pattern.signs, dtype=float)
+    return np.asarray(signs / np.abs(signs).sum())
 
 
 def mixer_of(name: str, columns: Sequence[str]) -> Mixer:

@@ -66,7 +66,7 @@ def open_table(path: Path, wanted: Sequence[str] | None = None) -> Table:
     elif head.startswith(b'#ROSBAG') or path.is_dir():
         table = _messages(path, wanted)
     else:
-        with _lines(path) as lines:
+        with text_lines(path) as lines:
             return read_csv(lines, str(path), wanted)
     if wanted is None:
         return table
@@ -93,8 +93,8 @@ def _head(path: Path) -> bytes:
 
 
 @contextmanager
-def _lines(file: Path) -> Iterator[Iterator[str]]:
-    """Lines of a text file, compressed or not."""
+def text_lines(file: Path) -> Iterator[Iterator[str]]:
+    """Lines of a text file, compressed or not. Raises BadInputError where it is none."""
     try:
         with file.open('rb') as probe:
             packed = probe.read(2) == b'\x1f\x8b'
@@ -110,14 +110,18 @@ def _lines(file: Path) -> Iterator[Iterator[str]]:
         ) from error
 
 
-def read_csv(lines: Iterable[str], source: str, wanted: Sequence[str] | None = None) -> Table:
+def read_csv(
+    lines: Iterable[str], source: str, wanted: Sequence[str] | None = None, first: int = 1
+) -> Table:
     """Columns of a text with a header line; `#` starts a comment line, an empty cell is missing.
+
+    `first` is the number of its first line.
 
     Raises BadInputError for a missing column, text where a number should be, and a column without
     any number.
     """
     numbered = (
-        (number, line) for number, line in enumerate(lines, 1)
+        (number, line) for number, line in enumerate(lines, first)
         if line.strip() and not line.startswith('#')
     )
     head = next(islice(numbered, 1), None)

@@ -134,6 +134,7 @@ def _commands(
     if mixer is None:
         mixer = _by_motion(log, patterns, motors.shape[1], warnings)
     else:
+        mixer = mixer.told_by(patterns)
         warnings += doubts(
             mixer.name, mixer.matrix, patterns, rates, motors, laid.dt, angles
         )
