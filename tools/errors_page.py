@@ -93,7 +93,8 @@ def said_in(path: Path) -> Iterator[Said]:
             what = f"{words(given['where'])}: {words(given['what'])}"
             yield Said(kind, what, words(given.get('remedy')))
         elif kind in TEXTS and node.args:
-            what, _, remedy = words(node.args[0]).partition('; ')
+            told = node.args[-1 if kind == 'StageFailedError' else 0]
+            what, _, remedy = words(told).partition('; ')
             if re.search(r'[a-z]', re.sub('⟨.*?⟩', '', what)):
                 yield Said(kind, what, remedy)
 

@@ -17,4 +17,5 @@ def read_json(path: str | os.PathLike[str], remedy: str = '') -> Any:
     except OSError as error:
         raise BadInputError(str(path), 'cannot be read', error.strerror, remedy) from error
     except (ValueError, RecursionError) as error:  # no text, no JSON, endless digits or brackets
-        raise BadInputError(str(path), 'is not JSON', str(error)) from error
+        raise BadInputError(str(path), 'is not JSON', str(error),
+                            'give a file that quad-sysid or quad-tune wrote') from error

@@ -151,7 +151,8 @@ class Result:
 
         picture = draw(self.answer, name)
         if picture is None:
-            raise BadInputError('plot', 'the data do not allow this picture', name)
+            raise BadInputError('plot', 'the data do not allow this picture', name,
+                                f'the verdict is {self.verdict}: {self.reason}')
         return picture.figure
 
     def save(

@@ -98,7 +98,8 @@ def separation(
                             'for example --separate coulomb_friction quadratic_drag')
     if model_file is None:
         if not names:
-            raise BadInputError('--separate', 'without effects needs --model')
+            raise BadInputError('--separate', 'without effects needs --model',
+                                remedy='name two effects, or give --model result/model.json')
         return separate(axis or AXES[0], names, seconds, progress=progress)
     models = load_models(model_file)
     if axis is not None and axis not in models:

@@ -185,7 +185,8 @@ def check_model(model: AxisModel) -> None:
             raise DesignRefusedError(f'{model.axis}: {name} is {value}; identify again')
     if model.covariance is None or not model.parameter_names:
         raise DesignRefusedError(
-            f'{model.axis}: the model has no covariance, so no margin can be assured'
+            f'{model.axis}: the model has no covariance, so no margin can be assured; '
+            'identify again'
         )
     size = len(model.parameter_names)
     if np.shape(model.covariance) != (size, size):
@@ -202,7 +203,9 @@ def _check_uncertainty(model: AxisModel) -> None:
     for name, largest in LARGEST_RELATIVE_STD.items():
         value, std = model.value(name), float(known.get(name, np.nan))
         if name == 'gain' and not math.isfinite(std):
-            raise DesignRefusedError(f'{model.axis}: the covariance lacks the plant gain')
+            raise DesignRefusedError(
+                f'{model.axis}: the covariance lacks the plant gain; identify again'
+            )
         if std > max(largest * abs(value), model.dt if name == 'lag' else 0.0):
             raise DesignRefusedError(
                 f'{model.axis}: {name} {value:.4g} +- {std:.2g} is too uncertain (at most '

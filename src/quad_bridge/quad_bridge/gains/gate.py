@@ -138,7 +138,7 @@ def steps(
     nothing is let through in part.
     """
     if not wanted:
-        raise RefusedError('no gain in changed_parameters')
+        raise RefusedError('no gain in changed_parameters; send one such as roll.rate.kp')
     for name, value in wanted.items():
         _check_one(name, value, active, bounds)
     _check_switches(wanted, active)
@@ -185,7 +185,8 @@ def _check_one(
     name: str, value: float, active: Mapping[str, float], bounds: Mapping[str, Bound]
 ) -> None:
     if name not in SETTABLE:
-        raise RefusedError(f'{shorten(name)}: no gain of this name can be set')
+        raise RefusedError(f'{shorten(name)}: no gain of this name can be set; '
+                           'docs/reference/gains.md lists them')
     if not math.isfinite(value):
         raise RefusedError(f'{name}: must be finite: found {value}')
     bound = bounds.get(name)
@@ -200,7 +201,7 @@ def _check_one(
         )
     now = active.get(name)
     if now is None:
-        raise RefusedError(f'{name}: the STM32 has not reported it yet')
+        raise RefusedError(f'{name}: the STM32 has not reported it yet; wait for /gains/active')
     slack = 1e-6 * max(abs(bound.lower), abs(bound.upper))
     if not _idle(name, active) and not bound.lower - slack <= now <= bound.upper + slack:
         raise RefusedError(

@@ -195,7 +195,8 @@ class GainUpdates:
     def _admit(self, asked: gate.GainRequest, now_s: float) -> list[dict[str, float]]:
         path = gate.steps(asked.gains, self.active, self._settings.bounds)
         if now_s - self._cycle_s > QUIET_S:
-            raise RefusedError('the link is down: no control cycle in the last 0.5 s')
+            raise RefusedError('the link is down: no control cycle in the last 0.5 s; '
+                               '/diagnostics says why')
         if self.state is not State.IDLE:
             raise RefusedError(f'an earlier update is in flight: {self.words}')
         if self.protocol.busy:

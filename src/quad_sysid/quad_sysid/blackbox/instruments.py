@@ -179,7 +179,8 @@ def _split(stack: FloatArray) -> Block:
 def _solve(where: str, blocks: list[Block]) -> tuple[FloatArray, FloatArray]:
     """Return theta = (ZᵀX)⁻¹ Zᵀy, and (ZᵀX)⁻¹ ZᵀZ (ZᵀX)⁻ᵀ."""
     if not blocks:
-        raise BadInputError(where, 'every segment is too short for the orders')
+        raise BadInputError(where, 'every segment is too short for the orders',
+                            remedy='take lower orders or longer segments')
     scale = np.sqrt(sum(np.einsum('ij,ij->j', x, x) for x, _, _ in blocks))
     unit = np.sqrt(sum(np.einsum('ij,ij->j', w, w) for _, w, _ in blocks))
     if not ((scale > 0.0).all() and (unit > 0.0).all() and np.isfinite(unit).all()):

@@ -96,7 +96,8 @@ def _tested(
     n = sum(part.errors.size for part in parts)
     if n < 10 * lags:
         raise BadInputError(
-            'residual_test', f'too few residuals for {lags} lags, needs {10 * lags}', n
+            'residual_test', f'too few residuals for {lags} lags, needs {10 * lags}', n,
+            'take fewer lags or a longer record',
         )
     errors = [part.errors - _mean(parts) for part in parts]
     cov = autocovariance(errors, max(lags, min(BOUND_LAGS, n // 5)))

@@ -131,7 +131,8 @@ def shared_losses(models: Sequence[Model], z: IOData) -> tuple[list[float], int]
         known &= ~np.isnan(e)
     n = int(known.sum())
     if n == 0:
-        raise BadInputError('step_a', 'no row of train is predicted by all models', 0)
+        raise BadInputError('step_a', 'no row of train is predicted by all models', 0,
+                            'take lower orders or longer segments')
     return [float(np.mean(e[known] ** 2)) for e in errors], n
 
 
@@ -252,7 +253,8 @@ def fit_table2(
         else:
             refused[paper.name] = found
     if not models:
-        raise BadInputError('fit_table2', 'no row can be fitted', next(iter(refused.values())))
+        raise BadInputError('fit_table2', 'no row can be fitted', next(iter(refused.values())),
+                            'take longer segments')
     judged = step_a(list(models.values()), train, validations, lags, confidence)
     rows = dict(zip(models, judged, strict=True))
     return tuple(

@@ -65,7 +65,8 @@ def _projection(
         future.append(ahead)
         now.append((last - first, np.column_stack((z.u[first:last], z.y[first:last]))))
     if not past:
-        raise BadInputError('n4sid', f'no segment is longer than {2 * rows + 2} samples')
+        raise BadInputError('n4sid', f'no segment is longer than {2 * rows + 2} samples',
+                            remedy='take a lower order or longer segments')
     return np.vstack(past), np.vstack(future), now
 
 

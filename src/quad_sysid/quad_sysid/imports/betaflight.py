@@ -83,7 +83,8 @@ def read(path: Path, log: int = 1) -> ForeignLog:
     table = _decoded(path, log) if _is_encoded(path) else _read(path)
     indi = 'indiflight' in ' '.join(table.header.values()).lower() or 'u[0]' in table.columns
     if 'time' not in table.columns:
-        raise BadInputError(table.source, 'lacks the column time')
+        raise BadInputError(table.source, 'lacks the column time',
+                            remedy='decode the log again with blackbox_decode')
     factor = 1.0 if table.units.get('time') == 's' else 1e-6
     unrolled = unroll(
         table.columns['time'] * factor, np.column_stack(list(table.columns.values())),

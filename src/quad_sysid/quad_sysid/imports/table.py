@@ -208,7 +208,8 @@ def sd_card(data: bytes, source: str) -> Table:
     """
     version = int.from_bytes(data[1:3], 'little')
     if version not in (1, 2):
-        raise BadInputError(source, 'is an SD-card log of an unknown version', version)
+        raise BadInputError(source, 'is an SD-card log of an unknown version', version,
+                            "convert it to CSV with the Crazyflie's own tool and import that")
     try:
         events, at = _sd_events(data, source)
     except (struct.error, IndexError, ValueError, UnicodeDecodeError) as error:
@@ -232,7 +233,8 @@ def sd_card(data: bytes, source: str) -> Table:
             columns |= {name: values[:, i].copy() for i, name in enumerate(names, 1)}
             times |= dict.fromkeys(names, values[:, 0].copy())
     if not columns:
-        raise BadInputError(source, 'holds no samples')
+        raise BadInputError(source, 'holds no samples',
+                            remedy='check that it was copied whole, else record again')
     return Table(source, columns, times)
 
 

@@ -101,7 +101,8 @@ def import_log(log: ForeignLog, out: Path, grid_hz: float | None = None) -> Impo
         gains=(GainChange(0.0, gains),) if gains else (),
     )
     if not np.isfinite(record.rates[:, 0] + record.control[:, 0]).any():
-        raise BadInputError(log.source, 'rates and commands were never logged together')
+        raise BadInputError(log.source, 'rates and commands were never logged together',
+                            remedy='log both during the same flight')
     record = with_stretches(record, log.axes)
     told += [line] if (line := stretches_told(record)) else []
     notes = {
@@ -124,7 +125,8 @@ def _commands(
     """U1..U4 (n, 4), and the motors (n, 4) where those are the contract's in another order."""
     if log.motors is None:
         if log.control is None:
-            raise BadInputError(log.source, 'holds no commands')
+            raise BadInputError(log.source, 'holds no commands',
+                                remedy='log the motors or the output of the controller')
         return _held(log.control, laid), None
     motors = _held(log.motors, laid)
     rates = np.where(airborne(motors.mean(axis=1))[:, None], rates, np.nan)

@@ -366,10 +366,12 @@ def _object(
         raise BadInputError(where, 'must be an object', type(tree).__name__)
     missing = sorted(keys - tree.keys())
     if missing:
-        raise BadInputError(where, f'lacks {", ".join(missing)}')
+        raise BadInputError(where, f'lacks {", ".join(missing)}',
+                            remedy='identify again with this version')
     unknown = sorted(tree.keys() - keys)
     if unknown and not open_ended:
-        raise BadInputError(where, 'holds an unknown field', unknown[0])
+        raise BadInputError(where, 'holds an unknown field', unknown[0],
+                            'identify again with this version')
     return tree
 
 

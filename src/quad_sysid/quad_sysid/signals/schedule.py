@@ -122,7 +122,8 @@ def parse_schedule(content: object, source: str) -> Schedule:
     mount = _choice(body, 'mount', 'rig', MOUNTS, source)
     listed = body.get('segments')
     if not isinstance(listed, Sequence) or isinstance(listed, str) or not listed:
-        raise BadInputError(source, 'schedule needs a list of segments', repr(listed))
+        raise BadInputError(source, 'schedule needs a list of segments', repr(listed),
+                            'quad-sysid design-excitation --out FILE writes one')
     ramp_s = _number(body, 'ramp_s', RAMP_S, source, 0.0)
     parts = [
         _part(entry, f'{source}, segment {number}', ramp_s)

@@ -104,7 +104,8 @@ def way_back(
     BadInputError where there is none.
     """
     if not sets:
-        raise BadInputError('history', 'holds no set of gains')
+        raise BadInputError('history', 'holds no set of gains',
+                            remedy='the bridge adds the first when the aircraft is connected')
     now = sets[-1].gains
     if number is not None:
         if not 1 <= number <= len(sets):

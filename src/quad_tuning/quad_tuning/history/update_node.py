@@ -76,7 +76,8 @@ def publish(
 
         asked, answered = (node.resolve_topic_name(t) for t in ('gains/update', 'gains/active'))
         if not spin(ready, LISTEN_S):
-            raise BadInputError(asked, f'no bridge has been heard for {LISTEN_S:.0f} s')
+            raise BadInputError(asked, f'no bridge has been heard for {LISTEN_S:.0f} s',
+                                remedy='start serial_bridge, or give its --namespace')
         heard.before = heard.message
         publisher.publish(_message(gains, source, rollback=rollback, predicted=predicted))
         if not spin(lambda: heard.refusal or heard.has(gains), ANSWER_S):
