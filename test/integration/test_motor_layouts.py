@@ -1,0 +1,54 @@
+"""The polarity check in flight and the layout from a flight's record say the same of the motors.
+
+The check pushes one motor after the other and takes the signs of the answers; the layout compares
+all patterns of signs over a record in which all of them move. Here the record is the check's own.
+"""
+
+from __future__ import annotations
+
+from itertools import permutations
+
+import numpy as np
+import pytest
+
+from quad_bridge.gains.polarity import (
+    MIXER,
+    PulseRun,
+    merge_motors,
+    motor_pulses,
+    where_motors_are,
+)
+from quad_sysid import contract
+from quad_sysid.motor_layout import patterns_of
+
+DT = 0.004
+WHERE = np.array(MIXER, dtype=float)
+"""(4, 3): what a motor at each place of the contract does to roll, pitch and yaw."""
+
+
+def test_both_have_the_contracts_mixer():
+    np.testing.assert_array_equal(np.sign(contract.MIXER[:, 1:]), WHERE)
+
+
+@pytest.mark.parametrize('order', list(permutations(range(4)))[::5])
+@pytest.mark.parametrize('out', [1.0, -1.0], ids=['propellers in', 'propellers out'])
+def test_they_agree_on_every_order(order, out):
+    """Channel k drives the motor at place order[k], behind 8 ms of delay and 40 ms of lag."""
+    rng = np.random.default_rng(3)
+    does = WHERE[list(order)] * [1.0, 1.0, out]
+    check = PulseRun(motor_pulses(), 1.0 / DT)
+    rate, drive = np.zeros(3), np.zeros(3)
+    rates, motors = [], []
+    while not check.finished:
+        added = np.array(check.step(tuple(rate + 0.002 * rng.standard_normal(3))))
+        motors.append(0.5 + WHERE @ added)
+        rates.append(rate)
+        torque = 100.0 * does.T @ (motors[max(0, len(motors) - 3)] - 0.5)
+        drive = drive + DT / 0.04 * (torque - drive)
+        rate = rate + DT * (drive - 2.0 * rate + 0.5 * rng.standard_normal(3))
+    known = merge_motors({}, check.answers)
+    wanted = [[known[f'motor_{k + 1}'][axis] for k in range(4)] for axis in contract.AXES]
+    assert wanted == does.T.astype(int).tolist()
+    assert (where_motors_are(known)[1] == []) == (order == (0, 1, 2, 3) and out > 0.0)
+    found = patterns_of(np.array(rates), np.array(motors), DT)
+    assert [list(p.signs) for p in found] == wanted
