@@ -101,7 +101,7 @@ def test_a_bound_from_yaml_never_allows_more_than_factor_two():
     'values',
     [
         [], [1.0], [2.0, 1.0], [0.0, 1.0, 0.5], [0.0, 1.0, 1.0],
-        [0.0, math.inf], [0.0, 1.0, math.nan],
+        [0.0, math.inf], [0.0, 1.0, math.nan], [0.0, 1e39], [math.nan, 1.0],
         [0.0, 1.0, 2.0, -1.0], [0.0, 1.0, 2.0, 0.1, 5.0],
     ],
 )  # fmt: skip

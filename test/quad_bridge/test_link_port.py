@@ -160,14 +160,6 @@ def test_a_file_that_is_no_terminal_is_said_to_be_unusable(tmp_path, start):
     assert '\n' not in port.status.detail
 
 
-def test_a_peer_that_does_not_read_costs_writes_and_not_the_node(line, start):
-    port, _ = start(line.link)
-    assert until(lambda: port.status.state is PortState.OPEN)
-    assert until(lambda: not port.write(bytes(4096)))
-    assert port.status.dropped_writes >= 1
-    assert port.status.state is PortState.OPEN
-
-
 def test_an_output_that_takes_frames_in_parts_tears_none(line, start, monkeypatch):
     port, _ = start(line.link)
     assert until(lambda: port.status.state is PortState.OPEN)

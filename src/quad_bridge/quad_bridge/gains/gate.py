@@ -27,6 +27,8 @@ from quad_bridge.gains.watch import Predicted
 
 ROUNDING = 1e-4
 """Share by which a step stays inside the factor: float32 on the wire must not leave it."""
+FLOAT32_MAX = 3.4028234663852886e38
+"""Nothing larger goes over the wire, and no bound is."""
 LONGEST_NAME = 60
 """Characters of a name in a message."""
 MOST_STEPS = 16
@@ -224,8 +226,8 @@ def bound_from(name: str, values: Sequence[float]) -> Bound:
     lower, upper, factor, small = (
         *values, *(LARGEST_FACTOR, standard.small_step)[len(values) - 2 :]
     )  # fmt: skip
-    if not all(math.isfinite(v) for v in (lower, upper, small)):
-        raise BadInputError(where, 'limits must be finite', list(values))
+    if not all(abs(v) <= FLOAT32_MAX for v in (lower, upper, small)):  # nor is NaN
+        raise BadInputError(where, 'limits must be finite, and fit a float32', list(values))
     if lower > upper or not factor > 1.0 or small < 0.0:
         raise BadInputError(
             where, 'needs lower <= upper, max_factor > 1 and small_step >= 0', list(values)

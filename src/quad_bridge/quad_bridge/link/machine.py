@@ -20,8 +20,8 @@ ADDRESSED = (
     f.Command, f.Excitation, f.GainsCommand, f.ParamRequestList, f.ParamRequestRead, f.ParamSet,
 )  # fmt: skip
 HEARTBEAT_NS = 1_000_000_000
-SYNC_NS = 200_000_000
-"""Between TIMESYNC questions once the clock has converged; before, every tick asks."""
+SYNC_NS, SOON_NS = 200_000_000, 40_000_000
+"""Between TIMESYNC questions once the clock has converged, and before."""
 URGENT_NS = 20_000_000
 """Between questions while cycles wait for an answer."""
 NO_SYNC_NS = 3_000_000_000
@@ -112,10 +112,14 @@ class Link:
                 self._cycle(frame, now_ns)
             else:
                 self._other(frame, now_ns)
+        self.tick(now_ns)
         return events
 
     def tick(self, now_ns: int) -> None:
-        """Put into the outbox what is due: heartbeat, TIMESYNC, requests to an autopilot."""
+        """Put into the outbox what is due: heartbeat, TIMESYNC, requests to an autopilot.
+
+        `receive` does it too; where nothing arrives it is to be called some times a second.
+        """
         if self.decoder.peer is not None and now_ns - self._heard_ns > RELEASE_NS:
             self.decoder.release()
         if now_ns >= self._next_heartbeat_ns:
@@ -123,7 +127,7 @@ class Link:
             self.send(f.Heartbeat(ONBOARD_CONTROLLER, NO_AUTOPILOT))
         if now_ns >= self._next_sync_ns:
             calm = self.clock.converged and not self.clock.doubtful
-            self._next_sync_ns = now_ns + SYNC_NS if calm else now_ns
+            self._next_sync_ns = now_ns + (SYNC_NS if calm else SOON_NS)
             self.send(f.TimeSync(0, now_ns))
         if self.standard_only(now_ns):
             for command in self.autopilot.due(now_ns):

@@ -43,7 +43,8 @@ from quad_bridge.sensors.live import LiveSensors
 from quad_bridge.status import OK
 from quad_bridge.wire import frames as f
 
-TICK_S = 0.05
+TICK_S = 0.1
+"""An executor's turn costs half a millisecond; what is urgent the port's thread does."""
 REPORT_S = 0.1
 """Least time between two reports, however many updates are refused."""
 YAW_STICK = 3
