@@ -85,7 +85,8 @@ def import_log(log: ForeignLog, out: Path, grid_hz: float | None = None) -> Impo
         warnings.append(
             f'the commands were logged at {commands.rate_hz:.3g} Hz and the rates at '
             f'{1.0 / laid.dt:.4g} Hz; between them the last one is held, so fast motion has the '
-            'wrong input: log the commands at the full rate'
+            'wrong input: log the commands at the full rate' + (
+                f' ({log.faster})' if log.faster else '')
         )
     if log.kind == 'a table':  # a row is whole or a gap
         lost = np.asarray(np.isnan(control).any(axis=1))
