@@ -12,6 +12,7 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass, field
 from functools import lru_cache
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,7 +21,7 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
 
     from rosbags.typesys.store import Typestore
 
@@ -336,31 +337,37 @@ def motor_order(names: Sequence[str]) -> tuple[int, ...]:
     return tuple(list(names).index(name) for name in MOTOR_NAMES)
 
 
+def blank(msgtype: str, **given: Any) -> Any:
+    """A message of the type with `given` fields; numbers are 0, texts and lists empty."""
+    fields = {name: _nothing(kind) for name, kind in typestore().fielddefs[msgtype][1]}
+    return typestore().types[msgtype](**{**fields, **given})
+
+
+def _nothing(description: Any) -> Any:
+    kind, content = description
+    if kind == Nodetype.NAME:
+        return blank(content)
+    if kind == Nodetype.BASE:
+        return {'string': '', 'bool': False}.get(content[0], 0)
+    inner, count = content[0], content[1] if kind == Nodetype.ARRAY else 0
+    if inner[0] != Nodetype.BASE or inner[1][0] == 'string':
+        return [_nothing(inner) for _ in range(count)]
+    return np.zeros(count, dtype=_DTYPES[inner[1][0]])
+
+
 def _decode_one(msgtype: str, raw: bytes) -> tuple[int, FloatArray]:
     """Stamp and values by rosbags' deserialiser."""
     message: Any = typestore().deserialize_cdr(raw, msgtype)
     stamp = message.header.stamp
-    return stamp.sec * 1_000_000_000 + stamp.nanosec, _VALUES[msgtype](message)
+    if msgtype == JOINTS:
+        values = np.asarray(message.effort, dtype=float)[list(motor_order(message.name))]
+    else:
+        values = np.array([_get(message, name) for name in COLUMNS[msgtype]], dtype=float)
+    return stamp.sec * 1_000_000_000 + stamp.nanosec, values
 
 
-def _xyz(vector: Any) -> list[float]:
-    return [vector.x, vector.y, vector.z]
-
-
-def _imu_values(message: Any) -> FloatArray:
-    quaternion = message.orientation
-    return np.array(
-        [
-            *_xyz(quaternion), quaternion.w, message.orientation_covariance[0],
-            *_xyz(message.angular_velocity), *_xyz(message.linear_acceleration),
-        ]
-    )
-
-
-_VALUES: dict[str, Callable[[Any], FloatArray]] = {
-    IMU: _imu_values,
-    JOINTS: lambda m: np.asarray(m.effort, dtype=float)[list(motor_order(m.name))],
-    WRENCH: lambda m: np.array([*_xyz(m.wrench.force), *_xyz(m.wrench.torque)]),
-    VECTOR: lambda m: np.array(_xyz(m.vector)),
-    BATTERY: lambda m: np.array([m.voltage]),
-}
+def _get(message: Any, column: str) -> float:
+    """A column's field, such as `orientation.x` or `orientation_covariance[0]`."""
+    path, _, index = column.rstrip(']').partition('[')
+    found = attrgetter(path)(message)
+    return float(found[int(index)] if index else found)

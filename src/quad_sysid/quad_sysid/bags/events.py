@@ -8,9 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from quad_sysid.bags.cdr import typestore
+from quad_sysid.bags.cdr import blank, typestore
 from quad_sysid.contract import AXES
 from quad_sysid.record import GainChange, Segment
 
@@ -20,6 +18,11 @@ if TYPE_CHECKING:
 EVENT = 'rcl_interfaces/msg/ParameterEvent'
 ROLES = ('train', 'validation', 'idle')
 SECOND = 1_000_000_000
+KINDS: dict[int, tuple[str, type]] = {
+    1: ('bool_value', bool), 2: ('integer_value', int), 3: ('double_value', float),
+    4: ('string_value', str),
+}
+"""ParameterType to the field that holds the value, and its type; True counts as a bool."""
 
 Value = float | int | str | bool
 
@@ -45,12 +48,8 @@ def decode_events(messages: Iterable[bytes]) -> tuple[list[Event], int]:
         values: dict[str, Value] = {}
         for parameter in message.changed_parameters:
             value = parameter.value
-            fields = {
-                1: value.bool_value, 2: value.integer_value, 3: value.double_value,
-                4: value.string_value,
-            }
-            if value.type in fields:
-                values[parameter.name] = fields[value.type]
+            if value.type in KINDS:
+                values[parameter.name] = getattr(value, KINDS[value.type][0])
         event = Event(message.stamp.sec * SECOND + message.stamp.nanosec, values)
         if event not in events:
             events.append(event)
@@ -59,46 +58,21 @@ def decode_events(messages: Iterable[bytes]) -> tuple[list[Event], int]:
 
 def encode_event(event: Event, node: str) -> bytes:
     """Serialise a ParameterEvent (CDR)."""
-    store = typestore()
-    types = store.types
-    empty: dict[str, Any] = {
-        'byte_array_value': np.array([], dtype=np.int8),
-        'bool_array_value': np.array([], dtype=np.bool_),
-        'integer_array_value': np.array([], dtype=np.int64),
-        'double_array_value': np.array([], dtype=np.float64),
-        'string_array_value': [],
-    }
-    changed = []
-    for name, value in event.values.items():
-        kind = _kind(value)
-        changed.append(
-            types['rcl_interfaces/msg/Parameter'](
-                name=name,
-                value=types['rcl_interfaces/msg/ParameterValue'](
-                    type=kind,
-                    bool_value=bool(value) if kind == 1 else False,
-                    integer_value=int(value) if kind == 2 else 0,
-                    double_value=float(value) if kind == 3 else 0.0,
-                    string_value=str(value) if kind == 4 else '',
-                    **empty,
-                ),
-            )
-        )
-    seconds, rest = divmod(event.stamp, SECOND)
-    message = types[EVENT](
-        stamp=types['builtin_interfaces/msg/Time'](sec=seconds, nanosec=rest),
-        node=node, new_parameters=[], changed_parameters=changed, deleted_parameters=[],
+    message = blank(EVENT, node=node)
+    message.stamp.sec, message.stamp.nanosec = divmod(event.stamp, SECOND)
+    message.changed_parameters = [
+        blank('rcl_interfaces/msg/Parameter', name=name, value=_value(value))
+        for name, value in event.values.items()
+    ]
+    return bytes(typestore().serialize_cdr(message, EVENT))
+
+
+def _value(value: Value) -> Any:
+    """A ParameterValue of the value's own type."""
+    kind = next(k for k, own in KINDS.items() if isinstance(value, own[1]))
+    return blank(
+        'rcl_interfaces/msg/ParameterValue', type=kind, **{KINDS[kind][0]: KINDS[kind][1](value)}
     )
-    return bytes(store.serialize_cdr(message, EVENT))
-
-
-def _kind(value: Value) -> int:
-    """ParameterType of a value."""
-    if isinstance(value, bool):
-        return 1
-    if isinstance(value, int):
-        return 2
-    return 3 if isinstance(value, float) else 4
 
 
 def segments_from(
