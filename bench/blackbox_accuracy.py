@@ -9,12 +9,15 @@ from __future__ import annotations
 
 import json
 import sys
+from pathlib import Path
 
 import numpy as np
 
 from quad_sysid.blackbox import armax, arx, bj, clriv, compare, oe
 from quad_sysid.blackbox.descent import evaluate
-from quad_sysid.blackbox.studies import reference_study, table3_study
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / 'test'))
+from known_plants import reference_study, table3_study
 
 CHI2_20_99 = 37.566
 

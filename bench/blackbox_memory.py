@@ -9,13 +9,17 @@ from __future__ import annotations
 
 import json
 import resource
+import sys
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
 from quad_sysid.blackbox import arx, bj, search_arx, step_a
-from quad_sysid.blackbox.studies import reference_study
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / 'test'))
+from known_plants import reference_study
 
 
 def peak_mb() -> float:

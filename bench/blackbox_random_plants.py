@@ -10,11 +10,14 @@ from __future__ import annotations
 import json
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 
 from quad_sysid.blackbox import Model, armax, bj, oe, polynomial_model
-from quad_sysid.blackbox.studies import Cascade, Study
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / 'test'))
+from known_plants import Cascade, Study
 
 
 def random_roots(rng: np.random.Generator, count: int, low: float, high: float) -> np.ndarray:

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from known_plants import Study, reference_study, table3_study
 
 from quad_sysid.blackbox import (
     Model,
@@ -20,7 +21,6 @@ from quad_sysid.blackbox import (
     simulate,
 )
 from quad_sysid.blackbox.filters import filter_signal
-from quad_sysid.blackbox.studies import Study, reference_study, table3_study
 from quad_sysid.record import IOData
 
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from known_plants import Study, reference_study, table3_study
 
 from quad_sysid.blackbox import (
     TABLE2,
@@ -27,7 +28,6 @@ from quad_sysid.blackbox import (
     simulate,
 )
 from quad_sysid.blackbox.filters import filter_signal
-from quad_sysid.blackbox.studies import Study, reference_study, table3_study
 from quad_sysid.record import IOData
 
 QUICK_AND_FULL = [3, pytest.param(20, marks=pytest.mark.long)]

@@ -154,7 +154,7 @@ def test_table2_stands_beside_the_papers_figures_and_every_elimination_has_its_r
     tree = document.document(answers, ['flight'])
     roll, lines = tree['axes']['roll'], text.lines(tree)
     assert (len(roll['table2']), roll['roll_and_pitch']['agree']) == (13, True)
-    line = next(one for one in lines if one.startswith('ARX 10 10 5 *'))
+    line = next(one for one in lines if one.startswith(' ARX 10 10 5 *'))
     assert line.split()[6:12:2] == ['98.30', '73.84', '80.15']
     assert max(map(len, lines)) <= 80
     for model in roll['models']:

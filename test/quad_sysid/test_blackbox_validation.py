@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from known_plants import Study, prbs_bits, reference_study
 
 from quad_sysid.blackbox import (
     arx,
@@ -26,7 +27,6 @@ from quad_sysid.blackbox import (
     step_a,
 )
 from quad_sysid.blackbox.filters import filter_signal
-from quad_sysid.blackbox.studies import Study, prbs_bits, reference_study
 from quad_sysid.pipeline.held_out import residual
 from quad_sysid.record import IOData
 

@@ -16,6 +16,7 @@ from quad_sysid.blackbox.regression import (
     arx_blocks,
     check_informative,
     check_order,
+    check_orders,
     solve_triangular_factor,
     triangular,
     upper,
@@ -37,9 +38,7 @@ def arx(z: IOData, na: int, nb: int, nk: int) -> Model:
     Rows start max(na, nk + nb - 1) samples into each segment. Covariance is
     noise_variance (XᵀX)⁻¹. Raises BadInputError for orders or data that cannot carry the fit.
     """
-    na = check_order('arx', 'na', na, 0)
-    nb = check_order('arx', 'nb', nb, 1)
-    nk = check_order('arx', 'nk', nk, 0)
+    orders = check_orders('arx', na=na, nb=nb, nk=nk)
     lead = max(na, nk + nb - 1)
     check_informative('arx', z, na + nb, lead)
     blocks = arx_blocks(z, range(1, na + 1), range(nk, nk + nb), lead)
@@ -47,7 +46,7 @@ def arx(z: IOData, na: int, nb: int, nk: int) -> Model:
     theta, sse, gram_inverse = solve_triangular_factor('arx', triangular(blocks))
     variance = sse / (rows - na - nb)
     return Model(
-        structure='ARX', orders={'na': na, 'nb': nb, 'nk': nk},
+        structure='ARX', orders=orders,
         A=monic(theta[:na]), B=delayed(theta[na:], nk),
         C=np.ones(1), D=np.ones(1), F=np.ones(1), nk=nk, dt=z.dt, noise_variance=variance,
         covariance=variance * gram_inverse, samples=rows, loss=sse / rows,

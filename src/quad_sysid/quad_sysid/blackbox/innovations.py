@@ -72,6 +72,12 @@ def one_step_errors(model: Model, z: IOData) -> list[SegmentErrors]:
     return found
 
 
+def squares(model: Model, z: IOData) -> tuple[int, float]:
+    """How many one-step errors there are, and the sum of their squares."""
+    parts = one_step_errors(model, z)
+    return sum(p.errors.size for p in parts), sum(float(p.errors @ p.errors) for p in parts)
+
+
 def errors_and_gradient(
     model: Model, z: IOData
 ) -> list[tuple[FloatArray, FloatArray, FloatArray]]:

@@ -15,9 +15,9 @@ from quad_sysid.blackbox.arx import arx
 from quad_sysid.blackbox.descent import without
 from quad_sysid.blackbox.filters import filter_columns, pulses
 from quad_sysid.blackbox.frequency import autocovariance
-from quad_sysid.blackbox.innovations import errors_and_gradient, one_step_errors
+from quad_sysid.blackbox.innovations import errors_and_gradient, one_step_errors, squares
 from quad_sysid.blackbox.polynomial import Model, delayed, monic
-from quad_sysid.blackbox.regression import check_informative, check_order, lagged
+from quad_sysid.blackbox.regression import check_informative, check_orders, lagged
 from quad_sysid.blackbox.residuals import whitener
 from quad_sysid.blackbox.simulate import initial_state, simulate
 from quad_sysid.blackbox.start_values import bj_starts, high_order, inside, stabilised
@@ -41,15 +41,13 @@ def iv4(
     `instrument` (n,) is the signal behind the instruments; None takes the reference z.r where
     the data hold one, else u, which is right in open loop only. Raises BadInputError as `arx`.
     """
-    na, nb = check_order('iv4', 'na', na, 0), check_order('iv4', 'nb', nb, 1)
-    nk = check_order('iv4', 'nk', nk, 0)
+    orders = check_orders('iv4', na=na, nb=nb, nk=nk)
     lead = max(na, nk + nb - 1)
     check_informative('iv4', z, 2 * (na + nb), lead)
     external = z.r if instrument is None else instrument
     named = 'the reference r' if instrument is None else 'the instrument'
     source = z.u if external is None else noise_free('iv4', z, z.u, external, name=named)
     first = arx(z, na, nb, nk)
-    orders = {'na': na, 'nb': nb, 'nk': nk}
     theta, _ = _solve('iv4', _iv_blocks(z, source, first, lead, np.ones(1)))
     second = replace(first, A=monic(theta[:na]), B=delayed(theta[na:], nk), covariance=None)
     errors = [part.errors - part.errors.mean() for part in one_step_errors(second, z)]
@@ -62,7 +60,7 @@ def iv4(
         second, A=monic(theta[:na]), B=delayed(theta[na:], nk), structure='IV4', orders=orders,
         covariance=spread * float(whitened @ whitened) / (whitened.size - na - nb),
     )
-    sse = sum(float(part.errors @ part.errors) for part in one_step_errors(model, z))
+    n, sse = squares(model, z)
     return replace(
         model, samples=n, loss=sse / n, noise_variance=sse / (n - na - nb),
         warnings=() if model.stable else (UNSTABLE,),
@@ -78,15 +76,11 @@ def clriv(
     the instruments; data and instruments are filtered by D/(C F), renewed each round (Gilson,
     Garnier, Young, Van den Hof 2008). Raises BadInputError where there is no reference.
     """
-    nb, nc = check_order('clriv', 'nb', nb, 1), check_order('clriv', 'nc', nc, 0)
-    nd, nf = check_order('clriv', 'nd', nd, 0), check_order('clriv', 'nf', nf, 0)
-    nk = check_order('clriv', 'nk', nk, 0)
+    orders = check_orders('clriv', nb=nb, nc=nc, nd=nd, nf=nf, nk=nk)
     check_informative('clriv', z, 2 * (nb + nc + nd + nf), nk + nb - 1 + nd + nf)
     clean = noise_free('clriv', z, z.u, z.r if reference is None else reference)
     model = next(bj_starts(high_order(z, nk, nb + nc + nd + nf), nb, nc, nd, nf))
-    model = replace(
-        model, structure='CLRIV', orders={'nb': nb, 'nc': nc, 'nd': nd, 'nf': nf, 'nk': nk}
-    )
+    model = replace(model, structure='CLRIV', orders=orders)
     converged, iteration, was_unstable = False, 0, False
     while iteration < ROUNDS:
         iteration += 1
@@ -106,8 +100,7 @@ def clriv(
         if float(np.max(np.abs(moved))) < SETTLED:
             converged = True
             break
-    parts = one_step_errors(model, z)
-    n, sse = sum(p.errors.size for p in parts), sum(float(p.errors @ p.errors) for p in parts)
+    n, sse = squares(model, z)
     return replace(
         model, converged=converged and not was_unstable, iterations=iteration, samples=n,
         loss=sse / n, noise_variance=sse / (n - model.parameters.size),

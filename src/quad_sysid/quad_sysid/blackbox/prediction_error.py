@@ -11,7 +11,7 @@ from dataclasses import replace
 
 from quad_sysid.blackbox.descent import decrement, descend, evaluate, on_edge, sum_of_squares
 from quad_sysid.blackbox.polynomial import Model
-from quad_sysid.blackbox.regression import check_exciting, check_informative, check_order
+from quad_sysid.blackbox.regression import check_exciting, check_informative, check_orders
 from quad_sysid.blackbox.start_values import (
     HighOrder,
     armax_starts,
@@ -46,11 +46,9 @@ def armax(z: IOData, na: int, nb: int, nc: int, nk: int, *, start: Model | None 
     Orders as in MATLAB; `start` replaces the own start values. C is kept stable. Raises
     BadInputError for orders or data that cannot carry the fit; `converged` says how it ended.
     """
-    na, nb = check_order('armax', 'na', na, 0), check_order('armax', 'nb', nb, 1)
-    nc, nk = check_order('armax', 'nc', nc, 0), check_order('armax', 'nk', nk, 0)
+    orders = check_orders('armax', na=na, nb=nb, nc=nc, nk=nk)
     check_informative('armax', z, na + nb + nc, max(na, nk + nb - 1))
     check_exciting('armax', z, nb)
-    orders = {'na': na, 'nb': nb, 'nc': nc, 'nk': nk}
     return _best('ARMAX', orders, z, start, lambda ho: armax_starts(ho, na, nb, nc))
 
 
@@ -59,11 +57,9 @@ def oe(z: IOData, nb: int, nf: int, nk: int, *, start: Model | None = None) -> M
 
     The covariance allows for a coloured residual. Otherwise as `armax`.
     """
-    nb, nf = check_order('oe', 'nb', nb, 1), check_order('oe', 'nf', nf, 0)
-    nk = check_order('oe', 'nk', nk, 0)
+    orders = check_orders('oe', nb=nb, nf=nf, nk=nk)
     check_informative('oe', z, nb + nf, nk + nb - 1 + nf)
     check_exciting('oe', z, nb + nf)
-    orders = {'nb': nb, 'nf': nf, 'nk': nk}
     return _best('OE', orders, z, start, lambda ho: oe_starts(ho, nb, nf))
 
 
@@ -75,12 +71,9 @@ def bj(
 
     Not `thorough`, the minimum that the best start value leads to will do.
     """
-    nb, nc = check_order('bj', 'nb', nb, 1), check_order('bj', 'nc', nc, 0)
-    nd, nf = check_order('bj', 'nd', nd, 0), check_order('bj', 'nf', nf, 0)
-    nk = check_order('bj', 'nk', nk, 0)
+    orders = check_orders('bj', nb=nb, nc=nc, nd=nd, nf=nf, nk=nk)
     check_informative('bj', z, nb + nc + nd + nf, nk + nb - 1 + nd + nf)
     check_exciting('bj', z, nb + nf)
-    orders = {'nb': nb, 'nc': nc, 'nd': nd, 'nf': nf, 'nk': nk}
     return _best(
         'BJ', orders, z, start, lambda ho: bj_starts(ho, nb, nc, nd, nf), thorough=thorough
     )

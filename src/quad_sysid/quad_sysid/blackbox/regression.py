@@ -29,6 +29,12 @@ def check_order(where: str, name: str, value: int, least: int) -> int:
     return int(value)
 
 
+def check_orders(where: str, **orders: int) -> dict[str, int]:
+    """The orders of a structure as ints: nb of at least 1, the others of at least 0."""
+    return {name: check_order(where, name, value, int(name == 'nb'))
+            for name, value in orders.items()}
+
+
 def check_informative(where: str, z: IOData, parameters: int, lead: int) -> None:
     """Raise BadInputError where z cannot carry a fit of so many parameters after `lead` rows."""
     if not isinstance(z, IOData):

@@ -5,10 +5,12 @@ No iteration: its result may start one elsewhere.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from quad_sysid.blackbox.filters import filter_signal
-from quad_sysid.blackbox.innovations import one_step_errors
+from quad_sysid.blackbox.innovations import squares
 from quad_sysid.blackbox.polynomial import Model
 from quad_sysid.blackbox.regression import check_informative, check_order, lagged, upper
 from quad_sysid.blackbox.start_values import high_order, inside
@@ -108,10 +110,7 @@ def _as_model(
         B=filter_signal(den, np.ones(1), impulse), C=noise, D=np.ones(1), F=np.ones(1), nk=1,
         dt=z.dt, noise_variance=1.0,
     )
-    parts = one_step_errors(model, z)
-    n, sse = sum(p.errors.size for p in parts), sum(float(p.errors @ p.errors) for p in parts)
-    return Model(
-        structure='N4SID', orders={'order': order}, A=model.A, B=model.B, C=model.C, D=model.D,
-        F=model.F, nk=1, dt=z.dt, noise_variance=sse / max(n - 3 * order, 1), samples=n,
-        loss=sse / n,
+    n, sse = squares(model, z)
+    return replace(
+        model, noise_variance=sse / max(n - 3 * order, 1), samples=n, loss=sse / n
     )

@@ -100,7 +100,7 @@ def run_loop(
     'float64,boolean,float64[::1],float64[::1],float64[::1],float64[::1])',
     cache=True,
 )
-def _run_loop(a, b, c, d, f, gains, dt, closed, r, e, u, y):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+def _run_loop(a, b, c, d, f, gains, dt, closed, r, e, u, y):  # type: ignore[no-untyped-def]
     """Sample the plant, then the controller of the same cycle; b[0] must be 0 when closed."""
     n = r.size
     w, v = np.zeros(n), np.zeros(n)
