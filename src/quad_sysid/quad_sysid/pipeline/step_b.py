@@ -6,7 +6,7 @@ of gains tests the model as in the paper. The cascade itself stands in the room 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -42,7 +42,13 @@ class Flown:
     rows: FloatArray
     """(m,) indices that are compared."""
     injected: bool
-    """Whether an excitation acted behind the attitude reference, which the simulation lacks."""
+    """Whether an excitation acted behind the attitude reference in the compared segments."""
+    added: tuple[FloatArray, FloatArray] | None
+    """(n,) each: excitation behind C1, rad/s, and behind C2; None where the bag lacks it."""
+    held_out: bool
+    """Whether the rows are validation segments."""
+    offset: int
+    """Of the flight's first sample in the joined data."""
     angle_lead_s: float = 0.0
     """Of the far end's angle over the integral of its rate, as recorded."""
 
@@ -55,6 +61,7 @@ def flown(records: Sequence[Record], axis: str) -> tuple[Flown, ...] | str:
     found: list[Flown] = []
     reasons: list[str] = []
     trained: Mapping[str, float] | None = None
+    offset = 0
     for record in records:
         own = [s for s in record.segments if s.axis == axis and s.role != 'idle']
         for segment in own:
@@ -66,11 +73,13 @@ def flown(records: Sequence[Record], axis: str) -> tuple[Flown, ...] | str:
             known = gains_of_axis(record, axis, segment.start_s)
             groups.setdefault(tuple(sorted(known.items())), []).append(segment)
         for key, segments in groups.items():
-            one = _flown(record, axis, dict(key), segments, dict(key) != (trained or dict(key)))
+            changed = dict(key) != (trained or dict(key))
+            one = _flown(record, axis, dict(key), segments, changed, offset)
             if isinstance(one, str):
                 reasons.append(one)
             else:
                 found.append(one)
+        offset += record.n
     return tuple(found) or '; '.join(dict.fromkeys(reasons)) or 'no segment to compare'
 
 
@@ -82,7 +91,7 @@ def gains_of_axis(record: Record, axis: str, time_s: float) -> dict[str, float]:
 
 def _flown(
     record: Record, axis: str, values: Mapping[str, float], segments: Sequence[Segment],
-    changed: bool,
+    changed: bool, offset: int,
 ) -> Flown | str:
     """One run, or why it cannot be simulated."""
     index = AXES.index(axis)
@@ -107,6 +116,9 @@ def _flown(
         rate=record.rates[:, index],
         rows=np.concatenate([np.arange(a, b) for a, b in runs]),
         injected=any(s.injection in ('rate', 'control') for s in segments),
+        added=excitations(record, axis),
+        held_out=all(s.role == 'validation' for s in segments),
+        offset=offset,
         angle_lead_s=angle_lead_s(angle, record.rates[:, index], record.dt),
     )
 
@@ -169,19 +181,6 @@ def open_loop_step(row: ModelRow) -> ModelRow:
     return replace(row, passed_second_step=row.step_a.passed_first_step)
 
 
-@dataclass(frozen=True)
-class Run:
-    """One flight under one set of gains."""
-
-    flown: Flown
-    at_rate: FloatArray
-    """(n,) excitation behind C1, rad/s."""
-    at_control: FloatArray
-    """(n,) excitation behind C2, normalised."""
-    offset: int
-    """Of the flight's first sample in the joined data."""
-
-
 def closed_loop(
     answer: AxisAnswer, records: Sequence[Record], data: AxisData
 ) -> ClosedLoop | None:
@@ -194,7 +193,10 @@ def closed_loop(
     model = answer.model
     if model is None:
         return None
-    runs = tuple(_runs(records, model.axis))
+    flights = flown(records, model.axis)
+    if isinstance(flights, str):
+        return None
+    runs = [one for one in flights if one.held_out and one.added is not None]
     if not runs:
         return None
     plain = replace(model, base=model.plain or model.base, effects=(), noise=model.plain_noise)
@@ -207,8 +209,8 @@ def closed_loop(
         return None
     if not (np.isfinite(before).all() and np.isfinite(after).all()):
         return None
-    measured = np.concatenate([run.flown.rate[run.flown.rows] for run in runs])
-    rows = np.concatenate([run.flown.rows + run.offset for run in runs])
+    measured = np.concatenate([run.rate[run.rows] for run in runs])
+    rows = np.concatenate([run.rows + run.offset for run in runs])
     order = np.argsort(rows, kind='stable')
     return ClosedLoop(
         time_s=rows[order] * data.dt,
@@ -218,19 +220,6 @@ def closed_loop(
         rms_before=float(np.sqrt(np.mean((before - measured) ** 2))),
         rms_after=float(np.sqrt(np.mean((after - measured) ** 2))),
     )
-
-
-def _runs(records: Sequence[Record], axis: str) -> Iterator[Run]:
-    """What can be simulated of the flights that hold validation segments of the axis."""
-    offset = 0
-    for record in records:
-        added = excitations(record, axis)
-        held_out = any(s.axis == axis and s.role == 'validation' for s in record.segments)
-        flights = flown([record], axis) if held_out and added is not None else ()
-        if added is not None and not isinstance(flights, str):
-            for one in flights:
-                yield Run(one, *added, offset)
-        offset += record.n
 
 
 def excitations(record: Record, axis: str) -> tuple[FloatArray, FloatArray] | None:
@@ -250,13 +239,12 @@ def excitations(record: Record, axis: str) -> tuple[FloatArray, FloatArray] | No
     return added['rate'], added['control']
 
 
-def _simulated(model: AxisModel, run: Run, dt: float) -> FloatArray:
+def _simulated(model: AxisModel, flight: Flown, dt: float) -> FloatArray:
     """(m,) the rate on the compared rows, rad/s."""
-    flight = run.flown
+    at_rate, at_control = flight.added or (None, None)
     response = simulate_cascade(
-        loop_plant(model), flight.gains, flight.reference, dt,
-        rate_excitation=run.at_rate, control_excitation=run.at_control,
-        angle_lead_s=flight.angle_lead_s,
+        loop_plant(model), flight.gains, flight.reference, dt, rate_excitation=at_rate,
+        control_excitation=at_control, angle_lead_s=flight.angle_lead_s,
     )
     rate: FloatArray = response.rate[flight.rows]
     return rate
