@@ -10,14 +10,14 @@ PACKAGE = 'quad_sysid'
 NODES = [
     'excitation = quad_sysid.start_node:excitation',
     'identification = quad_sysid.start_node:identification',
-    'identify = quad_sysid.commands:identify',
-    'inspect = quad_sysid.commands:inspect',
-    'evaluate = quad_sysid.commands:evaluate',
-    'import = quad_sysid.commands:import_',
-    'design-excitation = quad_sysid.commands:design_excitation',
-    'export = quad_sysid.commands:export',
-    'compare = quad_sysid.commands:compare',
-    'fleet = quad_sysid.commands:fleet',
+    'identify = quad_sysid.cli:ros2',
+    'inspect = quad_sysid.cli:ros2',
+    'evaluate = quad_sysid.cli:ros2',
+    'import = quad_sysid.cli:ros2',
+    'design-excitation = quad_sysid.cli:ros2',
+    'export = quad_sysid.cli:ros2',
+    'compare = quad_sysid.cli:ros2',
+    'fleet = quad_sysid.cli:ros2',
 ]
 """Names for `ros2 run` alone: colcon calls setup.py develop or install, pip builds a wheel."""
 IN_WORKSPACE = bool({'develop', 'install'} & set(sys.argv))

@@ -9,11 +9,11 @@ PACKAGE = 'quad_tuning'
 
 NODES = [
     'demo = quad_tuning.demo.main:main',
-    'design = quad_tuning.cli:design_main',
-    'export = quad_tuning.cli:export_main',
-    'history = quad_tuning.cli:history_main',
-    'rollback = quad_tuning.cli:rollback_main',
-    'send = quad_tuning.cli:send_main',
+    'design = quad_tuning.cli:ros2',
+    'export = quad_tuning.cli:ros2',
+    'history = quad_tuning.cli:ros2',
+    'rollback = quad_tuning.cli:ros2',
+    'send = quad_tuning.cli:ros2',
 ]
 """Names for `ros2 run` alone: colcon calls setup.py develop or install, pip builds a wheel."""
 IN_WORKSPACE = bool({'develop', 'install'} & set(sys.argv))

@@ -40,7 +40,7 @@ def test_bags_are_found_with_their_aircraft(folder, tmp_path, refusal):
     names = ['one/flight', 'two/flight', 'two/torn']
     assert [str(b.relative_to(folder)) for b in bags(folder)] == names
     assert [job.aircraft for job in jobs(Request(folder, folder / 'out'))] == ['one', 'two', 'two']
-    assert 'no folder' in refusal(bags, folder / 'nowhere')
+    assert 'is not a folder' in refusal(bags, folder / 'nowhere')
     assert 'holds no bag' in refusal(bags, tmp_path)
 
 

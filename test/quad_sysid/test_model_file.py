@@ -6,9 +6,9 @@ import re
 
 import numpy as np
 import pytest
+from known_plants import reference_study
 
 from quad_sysid.blackbox import bj, simulate
-from quad_sysid.blackbox.studies import reference_study
 from quad_sysid.model import AxisModel, EffectEstimate, NoiseEstimate, Parameter
 from quad_sysid.report.model_file import (
     POLYNOMIALS,
@@ -90,7 +90,7 @@ def test_a_value_that_is_not_finite_is_refused_and_keeps_the_old_file(tmp_path, 
         (lambda _, roll: roll['base'].pop(), 'must list gain, lag'),
         (lambda _, roll: roll['covariance'].pop(), 'must be 6 by 6'),
         (lambda _, roll: roll.update(active_gains=[1]), 'active_gains: must be an object'),
-        (lambda _, roll: roll.update(trusted_band_rad_s=[1]), 'must be a pair'),
+        (lambda _, roll: roll.update(trusted_band_rad_s=[1]), 'must be a list of 2'),
         (lambda t, _: t.update(axes={}), 'at least one axis'),
     ],
 )
@@ -136,7 +136,7 @@ def test_a_polynomial_model_comes_back_the_same(polynomial, tmp_path):
 
 @pytest.mark.parametrize(
     ('change', 'named'),
-    [({'A': [2.0]}, 'A'), ({'B': ['x']}, 'polynomial'), ({'dt': -1.0}, 'dt'),
+    [({'A': [2.0]}, 'A'), ({'B': ['x']}, 'B'), ({'dt': -1.0}, 'dt'),
      ({'covariance': [[1.0]]}, 'covariance'), ({'F': [1.0, float('nan')]}, 'F')],
 )
 def test_a_broken_polynomial_is_named(polynomial, tmp_path, refusal, change, named):

@@ -68,6 +68,7 @@ def test_text_fits_80_columns_and_is_plain(plain_bag, tmp_path, capsys):
     tree['not_tested'] = [{'name': 'thrust_curve', 'because': 'the throttle stays ' * 6}]
     tree['effects'] = [{
         'name': 'shape:gain:battery', 'variant': 'a rather long name of a variant',
+        'kind': 'shape',
         'p_value': 1.23e-30, 'probability': 0.5, 'error_reduction_pct': 1234.0, 'parameters': [],
         'rivals': [],
     }]

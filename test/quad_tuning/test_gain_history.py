@@ -45,7 +45,7 @@ def test_every_set_stands_there_with_its_source_and_outcome(folder, capsys):
     assert (sets[2]['bag'], sets[3]['reason']) == ('flight_1', 'roll: oscillation')
     assert main(['history', '--folder', str(folder)]) == 0
     table = capsys.readouterr().out
-    assert 'rolled back   operator' in table
+    assert 'rolled back  operator' in table
     assert 'roll.rate.kp 0.2' in table
     assert 'loop.rate_hz' not in table
 

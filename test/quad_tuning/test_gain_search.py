@@ -83,7 +83,8 @@ def test_turns_tell_unstable_loops_from_stable_ones(model):
     ]
     loop, _ = searches._loops_of(rows, problem.nominal.response, problem.nominal.omega, 0.004)
     stable = searches._turns(loop[:, 0]) == 0
-    true = np.array([closed_loop_radius(g, problem.nominal.cycle)[0] < 1.0 for g in rows])
+    cycle = problem.nominal.cycle
+    true = np.array([closed_loop_radius(g.dynamics(0.004), cycle)[0] < 1.0 for g in rows])
     np.testing.assert_array_equal(stable, true)
     assert 5 < true.sum() < len(rows) - 5
 

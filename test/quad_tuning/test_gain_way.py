@@ -10,9 +10,9 @@ from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.loop.from_model import loop_plant
 from quad_sysid.loop.simulation import simulate_cascade
 from quad_tuning import ensemble as ensembles
+from quad_tuning.assess import GUST_RAD_S, promise
 from quad_tuning.bounds import check_step
 from quad_tuning.errors import DesignRefusedError
-from quad_tuning.promise import GUST_RAD_S, promise
 from quad_tuning.way import _even, way_to
 
 ACTIVE = CascadeGains.default('roll')

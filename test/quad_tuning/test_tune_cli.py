@@ -5,7 +5,7 @@ import json
 import pytest
 
 from quad_sysid.report.model_file import save_models
-from quad_tuning.cli import design_main, main
+from quad_tuning.cli import main, ros2
 
 
 @pytest.fixture
@@ -16,12 +16,13 @@ def stored(tmp_path, model):
 
 
 @pytest.fixture
-def answer(stored, capsys):
+def answer(stored, capsys, monkeypatch):
     """What `quad-tune design --axis roll --json` with more words says of the axis."""
 
     def told(*words, command=main):
-        name = ['design'] if command is main else []
-        assert command([*name, stored, '--axis', 'roll', '--json', *words]) == 0
+        line = ['design', stored, '--axis', 'roll', '--json', *words]
+        monkeypatch.setattr('sys.argv', [f'lib/{line[0]}', *line[1:]])
+        assert (ros2() if command is ros2 else main(line)) == 0
         tree = json.loads(capsys.readouterr().out)
         assert (tree['schema'], set(tree['axes'])) == ('quad_tuning/design/1', {'roll'})
         return tree['axes']['roll']
@@ -46,7 +47,7 @@ def test_table_pictures_json_and_file_tell_the_same(stored, answer, tmp_path, ca
         'pitch (pid): no gains: pitch: a positive command lowers the rate',
     ):
         assert words in out
-    row = next(line for line in out.splitlines() if 'RMS error' in line).split()
+    row = next(line for line in out.splitlines() if 'tracking error' in line).split()
     assert float(row[-3]) > float(row[-2])
     drawn = sorted(folder.iterdir())
     assert [p.name for p in drawn] == ['roll_bode.png', 'roll_nyquist.png', 'roll_step.png']
@@ -54,7 +55,7 @@ def test_table_pictures_json_and_file_tell_the_same(stored, answer, tmp_path, ca
 
 
 def test_lqr_by_the_ros_name_of_the_command_with_brysons_weights(stored, answer, capsys):
-    plain = answer('--method', 'lqr', command=design_main)
+    plain = answer('--method', 'lqr', command=ros2)
     assert (plain['gains']['roll.lqr.share'], len(plain['gains'])) == (1.0, 10)
     slow = answer('--method', 'lqr', '--max-rate', '0.3')
     assert slow['figures']['rise_time_s'] > 1.2 * plain['figures']['rise_time_s']
@@ -67,7 +68,7 @@ def test_lqr_by_the_ros_name_of_the_command_with_brysons_weights(stored, answer,
     [
         ('{model} --axis pitch', 3, 'lowers the rate'),
         ('{model} --axis pitch --method lqr', 3, 'lowers the rate'),
-        ('{model} --axis yaw', 2, 'holds no model of yaw'),
+        ('{model} --axis yaw', 2, 'lacks this axis: found yaw'),
         ('{model} --out no/such/folder/x.json', 2, 'cannot be written'),
         ('{model} --pictures {model}', 2, 'model.json'), ('none.json', 2, 'none.json'),
         ('', 2, 'MODEL.json'),

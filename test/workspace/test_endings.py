@@ -124,7 +124,7 @@ def test_a_recording_ends_with_its_node(begin, probe):
 def test_an_identification_that_still_computes_is_not_waited_for(begin, probe):
     compute = """
 import quad_sysid.session as session
-def run(request):
+def run(*_):
     while True:
         sum(range(100_000))
 session.run = run

@@ -6,13 +6,14 @@ No command stands here; they are in cli.py and in the cli.py of their rooms.
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
 
-from quad_sysid.errors import BadInputError
+from quad_sysid.errors import BadInputError, QuadSysidError
 
-BAD_ARGUMENTS, NOT_ANSWERED = 2, 3
+BAD_ARGUMENTS, NOT_ANSWERED, INTERRUPTED = 2, 3, 130
 """Exit status (contract, Commands)."""
 
 Commands = Any
@@ -50,6 +51,24 @@ def positive(option: str, value: float) -> float:
     if not 0.0 < value < float('inf'):
         raise BadInputError(option, 'must be a positive number', value)
     return value
+
+
+def run_command(parser: Parser, arguments: Sequence[str] | None) -> int:
+    """Run the command that was asked for; the exit status of the contract."""
+    offer_completion(parser)
+    options = parser.parse_args(arguments)
+    try:
+        status: int = options.run(options)
+    except QuadSysidError as error:
+        sys.stderr.write(f'{parser.prog}: {error}\n')
+        return error.exit_status
+    except KeyboardInterrupt:
+        sys.stderr.write(f'{parser.prog}: interrupted\n')
+        return INTERRUPTED
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    return status
 
 
 def offer_completion(parser: argparse.ArgumentParser) -> None:

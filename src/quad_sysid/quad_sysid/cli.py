@@ -9,11 +9,10 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 from quad_sysid.arguments import (
     BAD_ARGUMENTS,
@@ -22,44 +21,33 @@ from quad_sysid.arguments import (
     Parser,
     command,
     completion_command,
-    offer_completion,
     quiet_and_json,
+    run_command,
 )
 from quad_sysid.comparison import cli as comparison
 from quad_sysid.contract import AXES
-from quad_sysid.errors import BadInputError, QuadSysidError
+from quad_sysid.errors import QuadSysidError
 from quad_sysid.exports import cli as exports
+from quad_sysid.files import check_new, write_whole
 from quad_sysid.fleet import cli as fleet
 from quad_sysid.imports import cli as imports
 from quad_sysid.inspection import cli as inspection
 from quad_sysid.progress import progress
 
-if TYPE_CHECKING:
-    from quad_sysid.session import Request
-
-DONE, INTERRUPTED = 0, 130
+DONE = 0
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; the exit status of the contract."""
-    parser = _parser()
-    offer_completion(parser)
-    options = parser.parse_args(arguments)
-    try:
-        status: int = options.run(options)
-    except QuadSysidError as error:
-        print(f'quad-sysid: {error}', file=sys.stderr)
-        return error.exit_status
-    except KeyboardInterrupt:
-        print('quad-sysid: interrupted', file=sys.stderr)
-        return INTERRUPTED
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return DONE
-    return status
+    return run_command(_parser(), arguments)
 
 
-def _parser() -> argparse.ArgumentParser:
+def ros2() -> int:
+    """`ros2 run quad_sysid identify …`: the command that the executable is named after."""
+    return main([Path(sys.argv[0]).name, *sys.argv[1:]])
+
+
+def _parser() -> Parser:
     parser = Parser(
         prog='quad-sysid',
         description='Identify a quadrotor from bags and find what the model lacks.',
@@ -88,7 +76,7 @@ def _identify_parser(commands: Commands) -> None:
                         help='default: the axes that the bag says were excited')
     parser.add_argument('--train', metavar='A:B', help='seconds from the first /imu/data stamp')
     parser.add_argument('--validate', metavar='A:B', help='seconds from the first stamp')
-    parser.add_argument('--out', metavar='DIR', help='folder of the report '
+    parser.add_argument('--out', metavar='DIR', type=Path, help='folder of the report '
                         '(default: <bag>_identified here, numbered where that exists)')
     parser.add_argument('--inertia', metavar='IX,IY,IZ',
                         help='kg m²; the report then gives torques in N m as well')
@@ -142,15 +130,14 @@ def _identify(options: argparse.Namespace) -> int:
     from quad_sysid import session
     from quad_sysid.report import text
 
-    request = session.Request(
-        bags=tuple(options.bags), axes=session.axes_of(options.axis),
-        train=options.train or '', validate=options.validate or '', out=options.out or '',
-        inertia=options.inertia or '', search_effects=not options.no_effects,
-        table2=options.table2,
-    )
+    wanted = session.asked(
+        [options.axis] if options.axis else (), options.train or '', options.validate or '',
+        options.inertia or '',
+    ) | {'effects': () if options.no_effects else None, 'table2': options.table2}
     if options.apart and len(options.bags) > 1:
-        return _identify_apart(request, options)
-    outcome = session.run(request, progress(quiet=options.quiet, axes=request.axes))
+        return _identify_apart(wanted, options)
+    show = progress(quiet=options.quiet, axes=wanted['axes'])
+    outcome = session.run(options.bags, options.out, wanted, show)
     if options.json:
         print(json.dumps(outcome.report, indent=1))
     elif not options.quiet:
@@ -162,15 +149,23 @@ def _identify(options: argparse.Namespace) -> int:
     return DONE
 
 
-def _identify_apart(request: Request, options: argparse.Namespace) -> int:
+def _identify_apart(wanted: Mapping[str, Any], options: argparse.Namespace) -> int:
+    """Each bag by itself, its report in a folder of its own; one bad bag stops no other."""
     from quad_sysid import session
-    from quad_sysid.report import text
+    from quad_sysid.report import store, text
 
     show = progress(quiet=options.quiet)
     reports, answered = {}, False
-    for bag, outcome in session.run_apart(request, show):
-        if isinstance(outcome, QuadSysidError):
-            print(f'quad-sysid: {outcome}', file=sys.stderr)
+    for number, bag in enumerate(options.bags, 1):
+
+        def behind(line: str, told: str = f'bag {number} of {len(options.bags)}, ') -> None:
+            show(told + line if line else line)
+
+        out = options.out and store.free_folder(options.out / Path(bag).resolve().stem)
+        try:
+            outcome = session.run([bag], out, wanted, behind)
+        except QuadSysidError as error:
+            print(f'quad-sysid: {error}', file=sys.stderr)
             continue
         answered = answered or outcome.answered
         reports[bag] = outcome.report
@@ -186,19 +181,18 @@ def _identify_apart(request: Request, options: argparse.Namespace) -> int:
 def _evaluate(options: argparse.Namespace) -> int:
     from quad_sysid.bags import clip_span, parse_span, read_bag
     from quad_sysid.pipeline.evaluate import evaluate_or_say
-    from quad_sysid.report import document, text
-    from quad_sysid.report.model_file import load_blackbox, load_models
+    from quad_sysid.report import document, tables, text
+    from quad_sysid.report.model_file import load_blackbox, load_models, pick
 
     models, polynomials = load_models(options.model), load_blackbox(options.model)
-    if options.axis is not None and options.axis not in models:
-        raise BadInputError(f'{options.model}: axes', 'lacks this axis', options.axis,
-                            f'it holds {", ".join(models)}')
+    if options.axis:
+        models = pick(models, options.axis, options.model)
     wanted = parse_span(options.validate, '--validate') if options.validate else None
     record = read_bag(options.bag)
     span = clip_span(wanted, record, '--validate')
     spans = () if span is None else (span,)
     found, refused = [], {}
-    for axis in [options.axis] if options.axis else models:
+    for axis in models:
         one = evaluate_or_say(models[axis], record, spans, polynomials.get(axis))
         if isinstance(one, str):
             refused[axis] = one
@@ -208,30 +202,23 @@ def _evaluate(options: argparse.Namespace) -> int:
         print('quad-sysid:', '; '.join(refused.values()), file=sys.stderr)
     if not found:
         return NOT_ANSWERED
+    axes = {
+        e.axis: {'error': {
+            'metric': document.METRIC, 'unit': 'rad/s', 'data': 'unseen', 'before': e.before,
+            'after': e.after, 'one_step_before': e.one_step_before,
+            'one_step_after': e.one_step_after, 'blackbox': e.blackbox,
+            'hold_last_value': e.hold, 'windows': e.windows,
+            'horizons': document.horizons_tree(e.horizons, e.blackbox_horizons),
+        }}
+        for e in found
+    }
     if options.json:
-        axes = {
-            e.axis: {'error': {
-                'metric': document.METRIC, 'unit': 'rad/s', 'before': e.before, 'after': e.after,
-                'one_step_before': e.one_step_before, 'one_step_after': e.one_step_after,
-                'blackbox': e.blackbox, 'hold_last_value': e.hold, 'windows': e.windows,
-                'horizons': document.horizons_tree(e.horizons, e.blackbox_horizons),
-            }}
-            for e in found
-        }
         told = {'not_answered': refused} if refused else {}
         print(json.dumps({'schema': 'quad_sysid/evaluation/1', 'axes': axes, **told}))
         return DONE
     for e in () if options.quiet else found:
-        print(f'{e.axis}: {document.METRIC}, rad/s, {e.windows} windows')
-        print(f'  base (before)       {e.before:.4g}')
-        if models[e.axis].effects:
-            print(f'  completed (after)   {e.after:.4g}')
-        if e.blackbox is not None:
-            print(f'  black box           {e.blackbox:.4g}')
-        print(f'  hold the last value {e.hold:.4g}')
-        grown = {'unit': 'rad/s',
-                 'horizons': document.horizons_tree(e.horizons, e.blackbox_horizons)}
-        print('\n'.join(text.horizons(grown, completed=bool(models[e.axis].effects))))
+        tree = {'error': axes[e.axis]['error'], 'effects': models[e.axis].effects}
+        print('\n'.join([e.axis, *tables.errors(tree).text((0, 1, 3)), *text.growth(tree)]))
     return DONE
 
 
@@ -240,8 +227,8 @@ def _design(options: argparse.Namespace) -> int:
     from quad_sysid.separation import words
     from quad_sysid.signals.design import design_excitation, parse_band
 
-    if options.out and options.out.exists():
-        raise BadInputError('--out', 'exists already', options.out, 'choose another name')
+    if options.out:
+        check_new(options.out)
     if options.separate is not None:
         show = progress(quiet=options.quiet)
         found = session.separation(
@@ -255,20 +242,11 @@ def _design(options: argparse.Namespace) -> int:
         told = design.text()
         content = design.to_schedule_yaml(options.axis or 'roll', options.amplitude_deg)
     if options.out:
-        _write(options.out, content)
+        write_whole(options.out, content)
         told += f'\nschedule in {options.out}'
     if not options.quiet:
         print(told)
     return DONE
-
-
-def _write(path: Path, content: str) -> None:
-    try:
-        path.write_text(content, encoding='utf-8')
-    except OSError as error:
-        raise BadInputError(
-            '--out', f'{path} cannot be written', error.strerror, 'choose another place'
-        ) from error
 
 
 if __name__ == '__main__':

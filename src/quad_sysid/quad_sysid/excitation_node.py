@@ -12,14 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from ament_index_python.packages import get_package_share_directory
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Vector3Stamped
-from rcl_interfaces.msg import (
-    Parameter,
-    ParameterEvent,
-    ParameterType,
-    ParameterValue,
-)
+from rcl_interfaces.msg import ParameterEvent
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.node import Node
@@ -30,9 +25,12 @@ from std_srvs.srv import Trigger
 from quad_bridge.errors import QuadBridgeError
 from quad_bridge.lockstep import clock, patience
 from quad_bridge.nodes import ros_node
+from quad_bridge.nodes.conversion import event_message
+from quad_bridge.nodes.diagnostics import diagnostic_array
 from quad_bridge.nodes.fence import Fence
 from quad_bridge.nodes.node_time import TimedNode
 from quad_bridge.nodes.qos import EVENT, STATE, STREAM
+from quad_bridge.status import ERROR, OK, WARN, Status
 from quad_sysid.bags.cdr import IMU, decode
 from quad_sysid.bags.orientation import euler_angles
 from quad_sysid.errors import QuadSysidError
@@ -44,7 +42,7 @@ from quad_sysid.excitation_settings import (
     settings_from,
 )
 from quad_sysid.signals.guard import Readings, Stall
-from quad_sysid.signals.player import Announcement, Player, State, Tick
+from quad_sysid.signals.player import Player, State, Tick
 
 ANGLE_TICKS = 5
 """The orientation is decoded every so many ticks: at 250 Hz every 20 ms."""
@@ -52,7 +50,7 @@ BATTERY_SAMPLES = 5
 """The highest of so many voltages counts: a dip of one is not a low battery."""
 LEAVE_S = 0.5
 """The longest that the last messages are waited for at the end."""
-LEVELS = {State.ENDING: DiagnosticStatus.WARN, State.ABORTED: DiagnosticStatus.ERROR}
+LEVELS = {State.ENDING: WARN, State.ABORTED: ERROR}
 
 
 class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
@@ -208,7 +206,7 @@ class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
 
     def _publish(self, tick: Tick, stamp: int) -> None:
         if tick.announcement is not None:
-            self._segment.publish(segment_event(tick.announcement, stamp))
+            self._segment.publish(event_message(tick.announcement, '/excitation', stamp))
         if tick.setpoint is not None:
             message = self._message
             message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 1_000_000_000)
@@ -246,7 +244,7 @@ class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
         player, schedule = self._player, self._settings.schedule
         part = schedule.parts[player.part] if player.part is not None else None
         waiting = f'waits: {self._refused}' if self._waiting and self._refused else ''
-        level = DiagnosticStatus.WARN if waiting else LEVELS.get(player.state, DiagnosticStatus.OK)
+        level = WARN if waiting else LEVELS.get(player.state, OK)
         values = {
             'state': player.state.value, 'reason': player.reason or waiting,
             'schedule': schedule.source,
@@ -256,14 +254,9 @@ class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
             'progress_pct': f'{100.0 * player.elapsed_s / schedule.duration_s:.0f}',
             **told(self._settings),
         }
-        text = player.reason or waiting or player.state.value
-        status = DiagnosticStatus(
-            level=level, name=f'{self.get_name()}: schedule', message=text,
-            values=[KeyValue(key=key, value=value) for key, value in values.items()],
-        )
-        array = DiagnosticArray(status=[status])
-        array.header.stamp = self.get_clock().now().to_msg()
-        self._diagnostics.publish(array)
+        status = Status('schedule', level, player.reason or waiting or player.state.value, values)
+        now = self.get_clock().now().to_msg()
+        self._diagnostics.publish(diagnostic_array(self.get_name(), '', now, [status]))
 
 
 def told(settings: Settings) -> dict[str, str]:
@@ -306,22 +299,6 @@ def declare(node: Any) -> Settings:
         find_schedule(name, share), numbers, aux, rate_hz,
         autostart=autostart, exit_when_done=exit_when_done, end_when_covered=covered,
     )
-
-
-def segment_event(announcement: Announcement, stamp_ns: int) -> Any:
-    """Build the message of /excitation/segment."""
-    event = ParameterEvent(node='/excitation')
-    event.stamp.sec, event.stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
-    for name, value in announcement.items():
-        content = ParameterValue()
-        if isinstance(value, str):
-            content.type, content.string_value = ParameterType.PARAMETER_STRING, value
-        elif isinstance(value, int):
-            content.type, content.integer_value = ParameterType.PARAMETER_INTEGER, value
-        else:
-            content.type, content.double_value = ParameterType.PARAMETER_DOUBLE, value
-        event.changed_parameters.append(Parameter(name=name, value=content))
-    return event
 
 
 def main() -> None:

@@ -7,27 +7,22 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rcl_interfaces.msg import (
-    Parameter,
-    ParameterDescriptor,
-    ParameterEvent,
-    ParameterType,
-    ParameterValue,
-)
+from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.msg import ParameterDescriptor, ParameterEvent
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from quad_bridge.errors import QuadBridgeError
 from quad_bridge.lockstep import clock
 from quad_bridge.nodes import ros_node
+from quad_bridge.nodes.conversion import event_message, parameters
+from quad_bridge.nodes.diagnostics import diagnostic_array
 from quad_bridge.nodes.qos import EVENT, STATE
+from quad_bridge.status import ERROR, OK, WARN, Status
 from quad_sysid import session
-from quad_sysid.bags import parse_span
 from quad_sysid.errors import QuadSysidError
 from quad_sysid.result import Result
 
@@ -46,12 +41,12 @@ class IdentificationNode(Node):  # type: ignore[misc]
         self._auto_update = ros_node.declared(
             self, 'auto_update', False, 'publish gains that are better and safe'
         )
-        self._request = _request(self)
+        self._wanted = _wanted(self)
         self._bag = ''
         self._seen: set[str] = set()
         self._queue: deque[str] = deque()
         self._values: dict[str, str] = {'state': 'waiting'}
-        self._level = DiagnosticStatus.OK
+        self._level = OK
         self._worker: threading.Thread | None = None
         self._outcome: Result | str | None = None
         self._gains = self.create_publisher(ParameterEvent, 'gains/update', EVENT)
@@ -63,8 +58,8 @@ class IdentificationNode(Node):  # type: ignore[misc]
         self.get_logger().info('waits for /logger/bag to say complete')
 
     def _on_bag(self, event: Any) -> None:
-        pairs = [(p.name, p.value.string_value) for p in event.changed_parameters]
-        bag = session.bag_is_complete(pairs)
+        said = parameters(event)
+        bag = str(said.get('path', '')) if said.get('state') == 'complete' else ''
         if bag and bag not in self._seen:
             self._seen.add(bag)
             self._queue.append(bag)
@@ -86,7 +81,7 @@ class IdentificationNode(Node):  # type: ignore[misc]
         if self._worker is not None or not self._queue:
             return
         self._bag = self._queue.popleft()
-        self._say(DiagnosticStatus.OK, state='identifying', bag=self._bag)
+        self._say(OK, state='identifying', bag=self._bag)
         clock().hold()
         self._worker = threading.Thread(target=self._work, args=(self._bag,), daemon=True)
         self._worker.start()
@@ -97,12 +92,8 @@ class IdentificationNode(Node):  # type: ignore[misc]
 
         default = Path(bag).with_name(f'{Path(bag).stem}_identified')
         folder = free_folder(Path(self._out) if self._out else default)
-        request = session.Request(
-            (bag,), self._request.axes, self._request.train, self._request.validate,
-            str(folder), self._request.inertia,
-        )
         try:
-            self._outcome = session.run(request)
+            self._outcome = session.run([bag], folder, self._wanted)
         except QuadSysidError as error:
             self._outcome = str(error)
         except Exception as error:  # noqa: BLE001 - a fault here must not take the node down
@@ -116,7 +107,7 @@ class IdentificationNode(Node):  # type: ignore[misc]
         self._outcome, self._worker = None, None
         if isinstance(outcome, str):
             self.get_logger().error(outcome)
-            self._say(DiagnosticStatus.ERROR, state='failed', reason=outcome, bag=bag)
+            self._say(ERROR, state='failed', reason=outcome, bag=bag)
         else:
             self._tell(outcome, bag)
         clock().release()
@@ -128,7 +119,7 @@ class IdentificationNode(Node):  # type: ignore[misc]
         self.get_logger().info(f'{bag}: {verdicts}, report in {outcome.folder}')
         update = self._update(outcome, bag)
         self._say(
-            DiagnosticStatus.OK if outcome.answered else DiagnosticStatus.WARN,
+            OK if outcome.answered else WARN,
             state='done', reason=outcome.reasons or f'done; gains: {update}', bag=bag,
             report=f'{outcome.folder}/report.json', update=update, **verdicts,
         )
@@ -147,44 +138,26 @@ class IdentificationNode(Node):  # type: ignore[misc]
             **wanted, 'source': f'identification of {bag}', 'bag': bag,
             'model': f'{outcome.folder}/model.json', 'predicted': outcome.predictions(),
         }  # fmt: skip
-        self._gains.publish(gains_event(told, self._now()))
+        stamp_ns = self.get_clock().now().nanoseconds
+        self._gains.publish(event_message(told, '/identification', stamp_ns))
         self.get_logger().info(f'gains sent: {wanted}')
         return 'sent'
 
-    def _now(self) -> Any:
-        return self.get_clock().now().to_msg()
-
-    def _say(self, level: bytes, **values: str) -> None:
+    def _say(self, level: int, **values: str) -> None:
         self._level, self._values = level, values
         self._report()
 
     def _report(self) -> None:
-        status = DiagnosticStatus(
-            level=self._level, name=f'{self.get_name()}: identification',
-            message=self._values.get('reason', self._values['state']),
-            values=[KeyValue(key=key, value=value) for key, value in self._values.items()],
-        )
-        array = DiagnosticArray(status=[status])
-        array.header.stamp = self._now()
-        self._diagnostics.publish(array)
+        text = self._values.get('reason', self._values['state'])
+        status = Status('identification', self._level, text, self._values)
+        now = self.get_clock().now().to_msg()
+        self._diagnostics.publish(diagnostic_array(self.get_name(), '', now, [status]))
 
     def close(self) -> None:
         """Nothing to close: an identification that still runs ends with the process."""
 
 
-def gains_event(told: Mapping[str, float | str], stamp: Any) -> Any:
-    """Build the message of /gains/update: gains as doubles, the rest as text."""
-    event = ParameterEvent(node='/identification', stamp=stamp)
-    for name, value in told.items():
-        if isinstance(value, str):
-            content = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=value)
-        else:
-            content = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value)
-        event.changed_parameters.append(Parameter(name=name, value=content))
-    return event
-
-
-def _request(node: Any) -> session.Request:
+def _wanted(node: Any) -> dict[str, Any]:
     """What the parameters ask of every bag; a wrong one ends the node before any flight."""
     descriptor = ParameterDescriptor(
         description='axes to identify; empty: those that the bag excites', read_only=True
@@ -196,17 +169,9 @@ def _request(node: Any) -> session.Request:
         'inertia': ros_node.declared(node, 'inertia', '', 'IX,IY,IZ, kg m²; adds torques in N m'),
     }
     try:
-        for name in ('train', 'validate'):
-            if texts[name]:
-                parse_span(texts[name], name)
-        session.parse_inertia(texts['inertia'])
-        axes = tuple(axis for name in given if name for axis in session.axes_of(name))
+        return session.asked([name for name in given if name], **texts)
     except QuadSysidError as error:
         raise QuadBridgeError(f'parameter {error}') from error
-    return session.Request(
-        bags=(), axes=axes, train=texts['train'], validate=texts['validate'],
-        inertia=texts['inertia'],
-    )
 
 
 def main() -> None:

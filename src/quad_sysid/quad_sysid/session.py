@@ -6,78 +6,55 @@ command that is asked wrongly needs neither.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from quad_sysid.bags import parse_span
 from quad_sysid.contract import AXES
-from quad_sysid.errors import BadInputError, QuadSysidError
+from quad_sysid.errors import BadInputError
 from quad_sysid.result import Result, identify
 
 if TYPE_CHECKING:
     from quad_sysid.separation.design import Separation
 
-@dataclass(frozen=True)
-class Request:
-    """What is asked; empty strings and tuples mean what the command's help says is the default."""
 
-    bags: tuple[str, ...]
-    axes: tuple[str, ...] = ()
-    train: str = ''
-    validate: str = ''
-    out: str = ''
-    inertia: str = ''
-    search_effects: bool = True
-    table2: bool = False
+def asked(
+    axes: Sequence[str] = (), train: str = '', validate: str = '', inertia: str = ''
+) -> dict[str, Any]:
+    """Keywords of `identify` from words as they are typed; empty ones mean its defaults.
 
-
-def run(request: Request, progress: Callable[[str], None] = lambda _: None) -> Result:
-    """Read, identify, design, write. Raises QuadSysidError for what a user can mend."""
-    from quad_sysid.report import store
-
-    inertia = parse_inertia(request.inertia)
-    train = parse_span(request.train, '--train') if request.train else None
-    validate = parse_span(request.validate, '--validate') if request.validate else None
-    if request.out:
-        store.check_place(Path(request.out))
-    found = identify(
-        request.bags, request.axes, train=train, validate=validate, inertia=inertia,
-        effects=None if request.search_effects else (), table2=request.table2, progress=progress,
-    )
-    progress('writing the report')
-    saved = found.save(request.out or None)
-    progress('')
-    return saved
+    `axes`: names, or `all`; `train`, `validate`: `A:B`, s; `inertia`: `IX,IY,IZ`, kg m². Raises
+    BadInputError naming the option.
+    """
+    for name in axes:
+        if name not in (*AXES, 'all'):
+            raise BadInputError('axis', f'must be of {", ".join(AXES)}, all', repr(name))
+    return {
+        'axes': AXES if 'all' in axes else tuple(axes),
+        'train': parse_span(train, '--train') if train else None,
+        'validate': parse_span(validate, '--validate') if validate else None,
+        'inertia': _inertia(inertia) if inertia else None,
+    }
 
 
-def run_apart(
-    request: Request, progress: Callable[[str], None] = lambda _: None
-) -> Iterator[tuple[str, Result | QuadSysidError]]:
-    """Each bag by itself, its report in a folder of its own; one bad bag stops no other.
+def run(
+    bags: Sequence[str], out: Path | None, wanted: Mapping[str, Any],
+    progress: Callable[[str], None] = lambda _: None,
+) -> Result:
+    """Read, identify, design, write; `wanted` are keywords of `identify`.
 
-    With `out`, folders are made in it by the bags' names.
+    Without `out` a folder is made beside the work. Raises QuadSysidError for what a user can mend.
     """
     from quad_sysid.report import store
 
-    for number, bag in enumerate(request.bags, 1):
-        name = Path(bag).resolve().stem
-        out = str(store.free_folder(Path(request.out) / name)) if request.out else ''
-        told = f'bag {number} of {len(request.bags)}, '
-        try:
-            outcome: Result | QuadSysidError = run(
-                replace(request, bags=(bag,), out=out),
-                _behind(told, progress),
-            )
-        except QuadSysidError as error:
-            outcome = error
-        yield bag, outcome
-
-
-def _behind(told: str, progress: Callable[[str], None]) -> Callable[[str], None]:
-    """Progress whose lines stand behind `told`."""
-    return lambda line: progress(told + line if line else line)
+    if out is not None:
+        store.check_place(out)
+    found = identify(bags, progress=progress, **wanted)
+    progress('writing the report')
+    saved = found.save(out)
+    progress('')
+    return saved
 
 
 def separation(
@@ -89,7 +66,7 @@ def separation(
     No names: an effect of the model and its nearest rival. Raises QuadSysidError for what a user
     can mend.
     """
-    from quad_sysid.report.model_file import load_models
+    from quad_sysid.report.model_file import load_models, pick
     from quad_sysid.result import separate
     from quad_sysid.separation.design import nearest
 
@@ -102,28 +79,12 @@ def separation(
                                 remedy='name two effects, or give --model result/model.json')
         return separate(axis or AXES[0], names, seconds, progress=progress)
     models = load_models(model_file)
-    if axis is not None and axis not in models:
-        raise BadInputError(f'{model_file}: axes', 'lacks this axis', axis,
-                            f'it holds {", ".join(models)}')
-    model = models[axis] if axis else nearest(models)
+    model = pick(models, axis, model_file)[axis] if axis else nearest(models)
     return separate(model, names, seconds, told=model_file, progress=progress)
 
 
-def axes_of(name: str | None) -> tuple[str, ...]:
-    """The axes an option names: one, `all`, or nothing for what the bag excites."""
-    if not name:
-        return ()
-    if name == 'all':
-        return AXES
-    if name not in AXES:
-        raise BadInputError('axis', f'must be of {", ".join(AXES)}, all', repr(name))
-    return (name,)
-
-
-def parse_inertia(given: str) -> dict[str, float] | None:
-    """`IX,IY,IZ` in kg m² by axis; None for an empty string."""
-    if not given:
-        return None
+def _inertia(given: str) -> dict[str, float]:
+    """`IX,IY,IZ` in kg m² by axis."""
     try:
         values = [float(part) for part in given.split(',')]
     except ValueError:
@@ -132,9 +93,3 @@ def parse_inertia(given: str) -> dict[str, float] | None:
         raise BadInputError('--inertia', 'needs three positive numbers IX,IY,IZ', repr(given),
                             'for example --inertia 0.0135,0.014,0.024')
     return dict(zip(AXES, values, strict=True))
-
-
-def bag_is_complete(event: Sequence[tuple[str, str]]) -> str:
-    """The path in a /logger/bag event that says complete, else an empty string."""
-    values = dict(event)
-    return values.get('path', '') if values.get('state') == 'complete' else ''

@@ -1,11 +1,12 @@
-"""What one set of gains gives: step, disturbance, noise, margins, nominal and over the ensemble.
+"""What a controller gives: step, disturbance, noise, margins, and what it promises to the watch.
 
-The same figures for the gains that flew and for a proposal. Nothing is optimised here.
+The same figures for the gains that flew and for a proposal, nominal and over the ensemble; the
+cascade and the state feedback share margins, noise and promise. Nothing is optimised here.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 from scipy.integrate import trapezoid
@@ -13,13 +14,14 @@ from scipy.integrate import trapezoid
 from quad_sysid.contract import FloatArray
 from quad_sysid.loop.cascade import (
     CascadeGains,
+    Margins,
     bandwidth,
     noise_response,
     open_loop,
     reference_response,
 )
-from quad_sysid.loop.figures import StepFigures, square_figures, square_wave
-from quad_sysid.loop.plant import LoopPlant
+from quad_sysid.loop.figures import square_figures, square_wave
+from quad_sysid.loop.plant import ComplexArray, LoopPlant
 from quad_sysid.loop.simulation import simulate_cascade
 from quad_tuning.ensemble import Ensemble
 from quad_tuning.errors import DesignRefusedError
@@ -29,65 +31,86 @@ SQUARE_HALF_PERIOD_S = 2.0
 TORQUE_STEP = 2.0
 """rad/s² of the disturbance step."""
 TORQUE_STEP_S = 3.0
+GUST_RAD_S = 3.0
+"""Corner of the disturbing torque: below it gusts are as strong as they get."""
+BANDS_RAD_S = (4.0, 8.0, 16.0, 32.0, 64.0)
+"""Centres of the octaves that the watch listens to."""
 
 
 @dataclass(frozen=True)
 class LoopFigures:
     """What one set of gains gives on the nominal plant, and the worst over the ensemble."""
 
-    step: StepFigures
-    rms_tracking_rad: float
-    disturbance_rms_rad: float
-    noise_gain: float
-    """RMS of the control per RMS of white noise on the measured rate, 1/(rad/s)."""
-    bandwidth_rad_s: float
-    crossover_rad_s: float
     phase_margin_deg: float
     gain_margin_db: float
     peak_sensitivity: float
+    crossover_rad_s: float
     worst_phase_margin_deg: float
     worst_gain_margin_db: float
     worst_peak_sensitivity: float
-    unstable: int
+    rise_time_s: float
+    overshoot_pct: float
+    settling_time_s: float
+    rms_tracking_rad: float
+    """Over the square wave, the rate's RMS (rad/s) alike."""
     rate_rms_rad_s: float
-    """Of the rate over the square wave."""
+    disturbance_rms_rad: float
+    bandwidth_rad_s: float
+    noise_gain: float
+    """RMS of the control per RMS of white noise on the measured rate, 1/(rad/s)."""
+    unstable_draws: int
     worst_peak_complementary: float
     """Largest |L / (1 + L)| over the ensemble."""
+
+    def named(self, noise_rms: float | None = None) -> dict[str, float]:
+        """By name; `motor_noise_rms` (normalised command) where the measurement noise is known."""
+        values = {name: float(value) for name, value in asdict(self).items()}
+        gain = values.pop('noise_gain')
+        return values if noise_rms is None else {**values, 'motor_noise_rms': gain * noise_rms}
 
 
 def assess(plant: LoopPlant, gains: CascadeGains, ensemble: Ensemble) -> LoopFigures:
     """Figures of `gains` on the nominal plant and over the ensemble."""
-    every = ensemble.margins(gains)
     nominal = ensemble.subset(np.flatnonzero(ensemble.nominal)[:1])
     response = reference_response(gains, nominal.response, nominal.omega, plant.dt)
     reference = reference_square(plant.dt)
     run = simulate_cascade(plant, gains, reference, plant.dt, initial_angle=float(reference[0]))
     if not np.isfinite(run.angle).all():
         raise DesignRefusedError('the simulated loop diverges')
-    square = square_figures(reference, run.angle, plant.dt)
-    first = int(np.flatnonzero(ensemble.nominal)[0])
+    loop = open_loop(gains, ensemble.response, ensemble.omega, ensemble.cycle.dt)
     return LoopFigures(
-        step=square,
-        rms_tracking_rad=square.rms_error_rad,
-        disturbance_rms_rad=disturbance(plant, gains),
-        noise_gain=noise_gain(gains, nominal),
-        bandwidth_rad_s=float(bandwidth(response, nominal.omega)[0]),
-        crossover_rad_s=float(every.crossover_rad_s[first]),
-        phase_margin_deg=float(every.phase_margin_deg[first]),
-        gain_margin_db=float(every.gain_margin_db[first]),
-        peak_sensitivity=float(every.peak_sensitivity[first]),
-        worst_phase_margin_deg=float(np.min(every.phase_margin_deg)),
-        worst_gain_margin_db=float(np.min(every.gain_margin_db)),
-        worst_peak_sensitivity=float(np.max(every.peak_sensitivity)),
-        unstable=int(np.sum(ensemble.unstable(gains))),
+        **margin_figures(ensemble.margins(gains), ensemble),
+        **square(reference, run.angle, plant.dt),
         rate_rms_rad_s=float(np.sqrt(np.mean(run.rate**2))),
-        worst_peak_complementary=_peak_complementary(gains, ensemble),
+        disturbance_rms_rad=disturbance(plant, gains),
+        bandwidth_rad_s=float(bandwidth(response, nominal.omega)[0]),
+        noise_gain=noise_gain(gains, nominal),
+        unstable_draws=int(np.sum(ensemble.unstable(gains))),
+        worst_peak_complementary=float(np.max(np.abs(loop / (1.0 + loop)))),
     )
 
 
-def _peak_complementary(gains: CascadeGains, ensemble: Ensemble) -> float:
-    loop = open_loop(gains, ensemble.response, ensemble.omega, ensemble.cycle.dt)
-    return float(np.max(np.abs(loop / (1.0 + loop))))
+def margin_figures(every: Margins, ensemble: Ensemble) -> dict[str, float]:
+    """Margins of the nominal loop, and the worst over the ensemble."""
+    first = int(np.flatnonzero(ensemble.nominal)[0])
+    return {
+        'phase_margin_deg': float(every.phase_margin_deg[first]),
+        'gain_margin_db': float(every.gain_margin_db[first]),
+        'peak_sensitivity': float(every.peak_sensitivity[first]),
+        'crossover_rad_s': float(every.crossover_rad_s[first]),
+        'worst_phase_margin_deg': float(np.min(every.phase_margin_deg)),
+        'worst_gain_margin_db': float(np.min(every.gain_margin_db)),
+        'worst_peak_sensitivity': float(np.max(every.peak_sensitivity)),
+    }
+
+
+def square(reference: FloatArray, angle: FloatArray, dt: float) -> dict[str, float]:
+    """Figures of a square wave's response (n,), rad, by name."""
+    found = square_figures(reference, angle, dt)
+    return {
+        'rise_time_s': found.rise_time_s, 'overshoot_pct': found.overshoot_pct,
+        'settling_time_s': found.settling_time_s, 'rms_tracking_rad': found.rms_error_rad,
+    }
 
 
 def reference_square(dt: float) -> FloatArray:
@@ -112,6 +135,52 @@ def disturbance(plant: LoopPlant, gains: CascadeGains) -> float:
 
 def noise_gain(gains: CascadeGains, nominal: Ensemble) -> float:
     """RMS of the control per RMS of white noise on the measured rate, 1/(rad/s)."""
-    gain = np.abs(noise_response(gains, nominal.response, nominal.omega, nominal.cycle.dt)[0])
-    total = trapezoid(gain**2, nominal.omega)
-    return float(np.sqrt(total / (nominal.omega[-1] - nominal.omega[0])))
+    return mean_gain(
+        noise_response(gains, nominal.response, nominal.omega, nominal.cycle.dt)[0], nominal.omega
+    )
+
+
+def mean_gain(response: ComplexArray, omega: FloatArray) -> float:
+    """RMS of a response (f,) to white noise over the frequencies omega (f,)."""
+    total = trapezoid(np.abs(response) ** 2, omega)
+    return float(np.sqrt(total / (omega[-1] - omega[0])))
+
+
+def promise(
+    loops: Ensemble, before: CascadeGains, after: CascadeGains, lag_s: float
+) -> dict[str, float]:
+    """How the rates change under the same disturbances, for the watch in flight.
+
+    `rate_rms_ratio`, `oscillation_ratio` (the worst octave) and `peak`, the largest gain from the
+    angle's reference to the angle over all drawn plants. `lag_s` is the motors' lag, which the
+    torque of a gust does not pass. The bridge reads them in its gains/watch.py.
+    """
+    old, new = (
+        open_loop(gains, loops.response, loops.omega, loops.cycle.dt) for gains in (before, after)
+    )
+    peak = np.abs(reference_response(after, loops.response, loops.omega, loops.cycle.dt)).max()
+    return {**ratios(loops, old, new, lag_s), 'peak': float(peak)}
+
+
+def ratios(
+    loops: Ensemble, before: ComplexArray, after: ComplexArray, lag_s: float
+) -> dict[str, float]:
+    """`rate_rms_ratio` and `oscillation_ratio` from two sets of loop gains (p, f)."""
+    old, new = _power(loops, before, lag_s), _power(loops, after, lag_s)
+    octaves = [
+        (loops.omega > centre / np.sqrt(2.0)) & (loops.omega < centre * np.sqrt(2.0))
+        for centre in BANDS_RAD_S
+    ]
+    every = [np.sqrt(new[band].sum() / old[band].sum()) for band in octaves if band.any()]
+    return {
+        'rate_rms_ratio': float(np.sqrt(new.sum() / old.sum())),
+        'oscillation_ratio': float(max(every)),
+    }
+
+
+def _power(loops: Ensemble, loop: ComplexArray, lag_s: float) -> FloatArray:
+    """(f,) power of the rate per point of the logarithmic grid, under gusts; mean of nominals."""
+    gust = loops.omega / (1.0 + (loops.omega / GUST_RAD_S) ** 2)
+    gust *= 1.0 + (loops.omega * lag_s) ** 2
+    power = gust * np.abs(loops.response[0] / (1.0 + loop)) ** 2
+    return np.asarray(power[loops.nominal].mean(axis=0))

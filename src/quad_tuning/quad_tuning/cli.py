@@ -8,117 +8,53 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
-from quad_sysid.arguments import offer_completion
+from quad_sysid.arguments import NOT_ANSWERED, Parser, command, quiet_and_json, run_command
 from quad_sysid.contract import AXES
-from quad_sysid.errors import BadInputError, QuadSysidError
+from quad_sysid.files import write_whole
 from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.model import AxisModel
-from quad_sysid.report.model_file import load_models
+from quad_sysid.report.model_file import load_models, pick
+from quad_sysid.report.tables import Table, figure_rows
+from quad_sysid.report.words import number
 from quad_tuning.bounds import BOUNDS
 from quad_tuning.designer import design
-from quad_tuning.errors import DesignRefusedError, QuadTuningError
+from quad_tuning.errors import DesignRefusedError
 from quad_tuning.exports import cli as exports
 from quad_tuning.history import cli as history
 from quad_tuning.state_feedback import LIMITS
 
 SCHEMA = 'quad_tuning/design/1'
-NO_ANSWER, INTERRUPTED = 3, 130
-EXAMPLE = 'example: quad-tune design result/model.json --out gains.json'
-
-ROWS: tuple[tuple[str, str, str], ...] = (
-    ('phase_margin_deg', 'phase margin', 'deg'),
-    ('worst_phase_margin_deg', '  worst of the draws', 'deg'),
-    ('gain_margin_db', 'gain margin', 'dB'),
-    ('worst_gain_margin_db', '  worst of the draws', 'dB'),
-    ('peak_sensitivity', 'peak sensitivity', ''),
-    ('worst_peak_sensitivity', '  worst of the draws', ''),
-    ('worst_peak_complementary', 'worst complementary', ''),
-    ('crossover_rad_s', 'crossover', 'rad/s'),
-    ('bandwidth_rad_s', 'bandwidth', 'rad/s'),
-    ('rise_time_s', 'rise time', 's'),
-    ('overshoot_pct', 'overshoot', '%'),
-    ('settling_time_s', 'settling time', 's'),
-    ('rms_tracking_rad', 'RMS error, square wave', 'rad'),
-    ('disturbance_rms_rad', 'RMS angle, torque step', 'rad'),
-    ('motor_noise_rms', 'noise at the motors', ''),
-)
-"""Figure, its name in the table, unit."""
-
 
 BRYSON = {'angle': 'RAD', 'rate': 'RAD/S', 'integral': 'RAD*S', 'control': 'SHARE'}
 """Options `--max-<name>` of the LQR's weights, and their units."""
 
 
-class _Parser(argparse.ArgumentParser):
-    """Says what is wrong in one line."""
-
-    def error(self, message: str) -> NoReturn:
-        self.exit(2, f'{self.prog}: {message}; see --help\n')
-
-
 def main(argv: Sequence[str] | None = None) -> int:
     """`quad-tune`: the exit status of the command that was asked for."""
-    parser = _Parser(prog='quad-tune', description='Gains from identified models.')
+    parser = Parser(prog='quad-tune', description='Gains from identified models.')
     commands = parser.add_subparsers(dest='command', required=True)
-    _arguments(commands.add_parser(
-        'design', help='gains from a model.json, with margins', epilog=EXAMPLE,
-    ))
+    _arguments(command(commands, 'design', _run, 'Gains from a model.json, with margins.',
+                       'quad-tune design result/model.json --out gains.json'))
     exports.add(commands)
     history.add(commands)
-    offer_completion(parser)
-    arguments = parser.parse_args(argv)
-    try:
-        status: int = arguments.run(arguments)
-    except (QuadSysidError, QuadTuningError) as error:
-        print(f'quad-tune: {error}', file=sys.stderr)
-        return getattr(error, 'exit_status', 2)
-    except KeyboardInterrupt:
-        print('quad-tune: interrupted', file=sys.stderr)
-        return INTERRUPTED
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
-    return status
+    return run_command(parser, argv)
 
 
-def design_main(argv: Sequence[str] | None = None) -> int:
-    """`ros2 run quad_tuning design`: the same as `quad-tune design`."""
-    return main(['design', *(sys.argv[1:] if argv is None else argv)])
-
-
-def export_main(argv: Sequence[str] | None = None) -> int:
-    """`ros2 run quad_tuning export`: the same as `quad-tune export`."""
-    return main(['export', *(sys.argv[1:] if argv is None else argv)])
-
-
-def history_main(argv: Sequence[str] | None = None) -> int:
-    """`ros2 run quad_tuning history`: the same as `quad-tune history`."""
-    return main(['history', *(sys.argv[1:] if argv is None else argv)])
-
-
-def rollback_main(argv: Sequence[str] | None = None) -> int:
-    """`ros2 run quad_tuning rollback`: the same as `quad-tune rollback`."""
-    return main(['rollback', *(sys.argv[1:] if argv is None else argv)])
-
-
-def send_main(argv: Sequence[str] | None = None) -> int:
-    """`ros2 run quad_tuning send`: the same as `quad-tune send`."""
-    return main(['send', *(sys.argv[1:] if argv is None else argv)])
+def ros2() -> int:
+    """`ros2 run quad_tuning design …`: the command that the executable is named after."""
+    return main([Path(sys.argv[0]).name, *sys.argv[1:]])
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
-    parser.set_defaults(run=_run)
     parser.add_argument('model', type=Path, metavar='MODEL.json')
     parser.add_argument('--method', choices=('pid', 'lqr'), default='pid')
     parser.add_argument('--axis', choices=(*AXES, 'all'), default='all')
-    parser.add_argument('--json', action='store_true', help='print JSON instead of the table')
-    parser.add_argument('--quiet', action='store_true', help='print nothing but errors')
+    quiet_and_json(parser, 'JSON')
     parser.add_argument('--out', type=Path, metavar='FILE', help='write the JSON there too')
     parser.add_argument('--pictures', type=Path, metavar='DIR',
                         help='Bode, Nyquist and step with bands (pid)')
@@ -138,12 +74,13 @@ def _positive(text: str) -> float:
 
 def _run(arguments: argparse.Namespace) -> int:
     models = load_models(arguments.model)
-    axes = _wanted(models, arguments.axis, str(arguments.model))
-    answers = {axis: _answer(models[axis], arguments) for axis in axes}
+    if arguments.axis != 'all':
+        models = pick(models, arguments.axis, arguments.model)
+    answers = {axis: _answer(model, arguments) for axis, model in models.items()}
     tree = {'schema': SCHEMA, 'method': arguments.method, 'axes': answers}
     text = json.dumps(tree, indent=1, allow_nan=False)
     if arguments.out is not None:
-        _write(arguments.out, text)
+        write_whole(arguments.out, text + '\n')
     if arguments.pictures is not None and arguments.method == 'pid':
         _draw(models, answers, arguments.pictures)
     if arguments.json:
@@ -154,19 +91,8 @@ def _run(arguments: argparse.Namespace) -> int:
     refusals = [a['refused_because'] for a in answers.values() if a['refused_because']]
     if len(refusals) == len(answers):
         print(f'quad-tune: no gains: {" | ".join(refusals)}', file=sys.stderr)
-        return NO_ANSWER
+        return NOT_ANSWERED
     return 0
-
-
-def _wanted(models: Mapping[str, AxisModel], axis: str, file: str) -> list[str]:
-    if axis == 'all':
-        return list(models)
-    if axis not in models:
-        raise BadInputError(
-            f'{file}: axes', f'holds no model of {axis}', ', '.join(models),
-            'ask for another --axis or identify it',
-        )  # fmt: skip
-    return [axis]
 
 
 def _answer(model: AxisModel, arguments: argparse.Namespace) -> dict[str, Any]:
@@ -198,14 +124,13 @@ def _table(axis: str, method: str, answer: Mapping[str, Any]) -> str:
     if answer['refused_because']:
         return f'{axis} ({method}): no gains: {answer["refused_because"]}\n'
     figures = answer['figures']
-    lines = [f'{axis} ({method}), over {figures["draws"]:.0f} draws of the model']
-    lines.append(f'  {"":24}{"flown":>12}{"new":>12}  unit')
-    for name, value in (answer.get('target') or answer['gains']).items():
-        unit = _unit(name.partition('.')[2])
-        lines.append(_row(name, figures.get(f'{name}_before'), value, unit))
-    for key, name, unit in ROWS:
-        if key in figures or f'{key}_before' in figures:
-            lines.append(_row(name, figures.get(f'{key}_before'), figures.get(key), unit))
+    rows = [
+        [name, number(figures.get(f'{name}_before'), 4), number(value, 4),
+         _unit(name.partition('.')[2])]
+        for name, value in (answer.get('target') or answer['gains']).items()
+    ]
+    lines = [f'{axis} ({method}), over {figures["draws"]:.0f} draws of the model',
+             *Table(['', 'flown', 'new', 'unit'], [*rows, *figure_rows(figures)], (1, 2)).text()]
     if answer.get('steps'):
         lines.append(_updates(answer))
     lines += [f'  {item["name"]}: {item["use"]}' for item in answer.get('effects_used', ())]
@@ -242,18 +167,6 @@ def _draw(models: Mapping[str, AxisModel], answers: Mapping[str, Any], folder: P
         if answer['target'] is not None:
             known = {**models[axis].active_gains, **answer['target']}
             write_pictures(models[axis], CascadeGains.from_mapping(known, axis), folder)
-
-
-def _row(name: str, before: float | None, after: float | None, unit: str) -> str:
-    cells = ''.join(f'{"-" if value is None else f"{value:.4g}":>12}' for value in (before, after))
-    return f'  {name:24}{cells}  {unit}'.rstrip()
-
-
-def _write(path: Path, text: str) -> None:
-    try:
-        path.write_text(text + '\n', encoding='utf-8')
-    except OSError as error:
-        raise BadInputError(str(path), 'cannot be written', error.strerror) from error
 
 
 if __name__ == '__main__':

@@ -15,7 +15,7 @@ from quad_sysid.errors import QuadSysidError
 from quad_sysid.loop.from_model import loop_plant, not_in_the_loop
 from quad_sysid.model import AxisModel, GainProposal
 from quad_tuning import ensemble as ensembles
-from quad_tuning.assess import LoopFigures, assess
+from quad_tuning.assess import assess, promise
 from quad_tuning.bounds import (
     BAND_REACH,
     DESIGNED,
@@ -28,7 +28,6 @@ from quad_tuning.bounds import (
 from quad_tuning.errors import DesignRefusedError, QuadTuningError
 from quad_tuning.objective import Requirements
 from quad_tuning.pid import PidDesign, retune
-from quad_tuning.promise import promise
 from quad_tuning.use import along, schedule, scheduled, settings, uses
 from quad_tuning.way import way_to
 
@@ -118,37 +117,11 @@ def _check_worth(model: AxisModel, found: PidDesign, needs: Requirements) -> Non
         )
 
 
-def loop_figures(figures: LoopFigures, noise_rms: float | None = None) -> dict[str, float]:
-    """The figures by name; `motor_noise_rms` (normalised command) where the noise is known."""
-    values = {
-        'phase_margin_deg': figures.phase_margin_deg,
-        'gain_margin_db': figures.gain_margin_db,
-        'peak_sensitivity': figures.peak_sensitivity,
-        'crossover_rad_s': figures.crossover_rad_s,
-        'bandwidth_rad_s': figures.bandwidth_rad_s,
-        'worst_phase_margin_deg': figures.worst_phase_margin_deg,
-        'worst_gain_margin_db': figures.worst_gain_margin_db,
-        'worst_peak_sensitivity': figures.worst_peak_sensitivity,
-        'worst_peak_complementary': figures.worst_peak_complementary,
-        'unstable_draws': float(figures.unstable),
-        'rate_rms_rad_s': figures.rate_rms_rad_s,
-        'rise_time_s': figures.step.rise_time_s,
-        'overshoot_pct': figures.step.overshoot_pct,
-        'settling_time_s': figures.step.settling_time_s,
-        'rms_tracking_rad': figures.rms_tracking_rad,
-        'disturbance_rms_rad': figures.disturbance_rms_rad,
-    }
-    if noise_rms is not None:
-        values['motor_noise_rms'] = figures.noise_gain * noise_rms
-    return values
-
-
 def _figures(
     model: AxisModel, found: PidDesign, known: Mapping[str, float], draws: int
 ) -> dict[str, float]:
-    after = loop_figures(found.figures, model.noise_rms)
-    before = loop_figures(found.before, model.noise_rms)
-    values = dict(after)
+    values = found.figures.named(model.noise_rms)
+    before = found.before.named(model.noise_rms)
     values.update({f'{name}_before': value for name, value in before.items()})
     values.update({f'{name}_before': value for name, value in known.items()})
     values['draws'] = float(draws)

@@ -165,7 +165,7 @@ class Ensemble:
 
     def unstable(self, gains: CascadeGains) -> npt.NDArray[np.bool_]:
         """(p,) True where the closed loop is not stable."""
-        return np.asarray(closed_loop_radius(gains, self.cycle) >= 1.0)
+        return np.asarray(closed_loop_radius(gains.dynamics(self.cycle.dt), self.cycle) >= 1.0)
 
     def subset(self, index: npt.NDArray[np.int64]) -> Ensemble:
         """The loops of `index` alone."""

@@ -11,27 +11,24 @@ Source: Anderson, Moore, Optimal Control (1990), 2.3 and 7.2; Bryson, Ho, Applie
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import control
 import numpy as np
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.loop.cascade import CascadeGains, Margins, margins
-from quad_sysid.loop.figures import SquareFigures, square_figures
+from quad_sysid.loop.cascade import CascadeGains, Dynamics, closed_loop_radius, margins
 from quad_sysid.loop.plant import ComplexArray, LoopPlant, slopes_at, state_space
-from quad_tuning.assess import SQUARE_AMPLITUDE_RAD, reference_square
+from quad_tuning.assess import SQUARE_AMPLITUDE_RAD, margin_figures, reference_square, square
 from quad_tuning.ensemble import AMPLITUDES, Ensemble
 from quad_tuning.errors import DesignRefusedError
 from quad_tuning.objective import Requirements, meets
 from quad_tuning.state_feedback import (
     LIMITS,
-    Dynamics,
     StateFeedback,
     beside,
     controller_response,
     simulate,
-    stable,
 )
 from quad_tuning.way import least_on_the_way
 
@@ -64,13 +61,11 @@ class Noise:
 
 @dataclass(frozen=True)
 class LqrDesign:
-    """A controller, its nominal margins, the worst over the ensemble, its square wave."""
+    """A controller and what it gives."""
 
     controller: StateFeedback
-    nominal: Margins
-    worst: Margins
-    """(1,) each, the crossover's highest."""
-    square: SquareFigures
+    figures: dict[str, float]
+    """Margins, nominal and the worst over the ensemble, and its square wave."""
     control_weight: float
     """What the control's Bryson weight was multiplied by until the margins held."""
 
@@ -97,12 +92,10 @@ def design_lqr(
             continue
         dynamics = found.dynamics()
         every = margins(loop_gain(dynamics, ensemble), ensemble.omega)
-        if meets(every, needs).all() and stable(dynamics, ensemble.cycle):
+        if meets(every, needs).all() and closed_loop_radius(dynamics, ensemble.cycle).max() < 1.0:
             return LqrDesign(
                 controller=found,
-                nominal=_pick(every, int(np.flatnonzero(ensemble.nominal)[0])),
-                worst=_worst(every),
-                square=_square(plant, found),
+                figures={**margin_figures(every, ensemble), **_square(plant, found)},
                 control_weight=factor,
             )
         factor *= RAISE
@@ -134,7 +127,7 @@ def feedback(
         lag_s=max(lag, 0.001), delay_s=dt * round(late / dt), damping=plant.damping - slopes.rate,
         observer=_observer(plant.damping - slopes.rate, dt, noise), dt=dt,
         output_limit=output_limit,
-    )  # fmt: skip
+    )
     a, b = _states(bare)
     # a loop slower by s = factor^(-1/4) keeps its shape when rates count s^-2 and integrals s^2
     q = np.diag([
@@ -143,27 +136,17 @@ def feedback(
     ])  # fmt: skip
     gain, _, _ = control.dlqr(a, b, q, [[factor / weights.control**2]])
     k_drive, k_rate, k_angle, pull = (float(value) for value in np.asarray(gain)[0])
-    return StateFeedback(
-        k_angle=k_angle, k_rate=k_rate, k_drive=k_drive, k_integral=-pull, gain=bare.gain,
-        lag_s=bare.lag_s, delay_s=bare.delay_s, damping=bare.damping, observer=bare.observer,
-        dt=dt, output_limit=output_limit,
-    )  # fmt: skip
+    return replace(bare, k_angle=k_angle, k_rate=k_rate, k_drive=k_drive, k_integral=-pull)
 
 
 def way_is_safe(found: StateFeedback, active: CascadeGains, ensemble: Ensemble) -> bool:
     """Whether shares of the feedback beside the cascade that flies keep the margins of a step."""
-    phase, gain, sensitivity = least_on_the_way(active, ensemble)
-    for share in SHARES:
-        both = beside(found, active, share)
-        m = margins(loop_gain(both, ensemble), ensemble.omega)
-        kept = (
-            np.min(m.phase_margin_deg) >= phase
-            and np.min(m.gain_margin_db) >= gain
-            and np.max(m.peak_sensitivity) <= sensitivity
-        )
-        if not (kept and stable(both, ensemble.cycle)):
-            return False
-    return True
+    least = least_on_the_way(active, ensemble)
+    mixed = [beside(found, active, share) for share in SHARES]
+    return all(
+        meets(margins(loop_gain(both, ensemble), ensemble.omega), least).all()
+        and closed_loop_radius(both, ensemble.cycle).max() < 1.0 for both in mixed
+    )
 
 
 def loop_gain(dynamics: Dynamics, ensemble: Ensemble) -> ComplexArray:
@@ -193,27 +176,8 @@ def _observer(damping: float, dt: float, noise: Noise) -> float:
     return float(spread / (spread + measured))
 
 
-def _square(plant: LoopPlant, controller: StateFeedback) -> SquareFigures:
+def _square(plant: LoopPlant, controller: StateFeedback) -> dict[str, float]:
     model = state_space(plant, slopes_at(plant, *AMPLITUDES[0]))
     reference = reference_square(plant.dt)
     angle, _ = simulate(model, controller, reference, -float(SQUARE_AMPLITUDE_RAD))
-    return square_figures(reference, angle, plant.dt)
-
-
-def _pick(every: Margins, index: int) -> Margins:
-    part = slice(index, index + 1)
-    return Margins(
-        every.phase_margin_deg[part],
-        every.gain_margin_db[part],
-        every.peak_sensitivity[part],
-        every.crossover_rad_s[part],
-    )
-
-
-def _worst(every: Margins) -> Margins:
-    return Margins(
-        np.min(every.phase_margin_deg, keepdims=True),
-        np.min(every.gain_margin_db, keepdims=True),
-        np.max(every.peak_sensitivity, keepdims=True),
-        np.nanmax(every.crossover_rad_s, keepdims=True),
-    )
+    return square(reference, angle, plant.dt)

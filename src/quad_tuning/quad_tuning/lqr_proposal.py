@@ -10,16 +10,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from quad_sysid.loop.cascade import CascadeGains, open_loop
 from quad_sysid.loop.from_model import loop_plant
+from quad_sysid.loop.plant import LoopPlant, dynamics, exact_step, slopes_at, state_space
 from quad_sysid.model import AxisModel
 from quad_tuning import ensemble as ensembles
-from quad_tuning import lqr_figures
-from quad_tuning.assess import assess
+from quad_tuning.assess import TORQUE_STEP, TORQUE_STEP_S, assess, mean_gain, ratios
 from quad_tuning.bounds import check_band, check_model, flown_gains
-from quad_tuning.designer import LARGEST_LOSS_PCT, SEED, loop_figures
+from quad_tuning.designer import LARGEST_LOSS_PCT, SEED
+from quad_tuning.ensemble import AMPLITUDES, Ensemble
 from quad_tuning.errors import DesignRefusedError
-from quad_tuning.lqr import LqrDesign, Noise, Weights, design_lqr, way_is_safe
-from quad_tuning.state_feedback import StateFeedback
+from quad_tuning.lqr import Noise, Weights, design_lqr, loop_gain, way_is_safe
+from quad_tuning.state_feedback import StateFeedback, controller_response, simulate
 
 
 @dataclass(frozen=True)
@@ -59,16 +61,16 @@ def propose_lqr(model: AxisModel, largest: Mapping[str, float] | None = None) ->
             f'{model.axis}: a quarter or half of the LQR beside the gains that fly leaves poor '
             'margins; take quad-tune design without --method lqr first'
         )
-    figures = _figures(found)
-    figures['disturbance_rms_rad'] = lqr_figures.disturbance(plant, found.controller)
+    figures = dict(found.figures)
+    figures['disturbance_rms_rad'] = disturbance(plant, found.controller)
     if model.noise_rms:
         nominal = loops.subset(np.flatnonzero(loops.nominal)[:1])
-        noise = lqr_figures.noise_gain(found.controller, nominal)
+        noise = noise_gain(found.controller, nominal)
         figures['motor_noise_rms'] = noise * model.noise_rms
-    old = loop_figures(before, model.noise_rms)
+    old = before.named(model.noise_rms)
     figures.update({f'{name}_before': old[name] for name in figures})
     _check_worth(model.axis, figures)
-    figures.update(lqr_figures.promise(loops, active, found.controller, plant.lag_s))
+    figures.update(promise(loops, active, found.controller, plant.lag_s))
     figures['draws'] = float(loops.draws)
     figures['control_weight'] = found.control_weight
     return LqrProposal(
@@ -92,17 +94,33 @@ def _noise(model: AxisModel) -> Noise:
     return Noise(rate=model.noise_rms) if model.noise_rms else Noise()
 
 
-def _figures(found: LqrDesign) -> dict[str, float]:
-    return {
-        'phase_margin_deg': float(found.nominal.phase_margin_deg[0]),
-        'gain_margin_db': float(found.nominal.gain_margin_db[0]),
-        'peak_sensitivity': float(found.nominal.peak_sensitivity[0]),
-        'crossover_rad_s': float(found.nominal.crossover_rad_s[0]),
-        'worst_phase_margin_deg': float(found.worst.phase_margin_deg[0]),
-        'worst_gain_margin_db': float(found.worst.gain_margin_db[0]),
-        'worst_peak_sensitivity': float(found.worst.peak_sensitivity[0]),
-        'rise_time_s': found.square.rise_time_s,
-        'overshoot_pct': found.square.overshoot_pct,
-        'settling_time_s': found.square.settling_time_s,
-        'rms_tracking_rad': found.square.rms_error_rad,
-    }
+def disturbance(plant: LoopPlant, controller: StateFeedback) -> float:
+    """RMS angle under a torque step of TORQUE_STEP, rad."""
+    slopes = slopes_at(plant, *AMPLITUDES[0])
+    a, b, _ = dynamics(plant, slopes)
+    _, push = exact_step(a, b, np.array(plant.dt))
+    model = state_space(plant, slopes)
+    torque = np.zeros(model.a.shape[0])
+    torque[: a.shape[0]] = TORQUE_STEP * push[:, 1]
+    n = round(TORQUE_STEP_S / plant.dt)
+    angle, _ = simulate(model, controller, np.zeros(n), push=torque)
+    return float(np.sqrt(np.mean(angle**2)))
+
+
+def noise_gain(controller: StateFeedback, nominal: Ensemble) -> float:
+    """RMS of the control per RMS of white noise on the measured rate, 1/(rad/s)."""
+    omega = nominal.omega
+    response = controller_response(controller.dynamics(), omega, controller.dt)
+    loop = -np.einsum('of,of->f', response, nominal.response[:, 0])
+    return mean_gain(response[0] / (1.0 + loop), omega)
+
+
+def promise(
+    loops: Ensemble, before: CascadeGains, after: StateFeedback, lag_s: float
+) -> dict[str, float]:
+    """As for the cascade, from the gains that flew to the feedback."""
+    old = open_loop(before, loops.response, loops.omega, loops.cycle.dt)
+    new = loop_gain(after.dynamics(), loops)
+    forward = controller_response(after.dynamics(), loops.omega, loops.cycle.dt)[1]
+    peak = np.abs(loops.response[1] * forward / (1.0 + new)).max()
+    return {**ratios(loops, old, new, lag_s), 'peak': float(peak)}

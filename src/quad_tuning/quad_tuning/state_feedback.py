@@ -16,12 +16,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.loop.cascade import CascadeGains, derivative_weight
-from quad_sysid.loop.plant import ComplexArray, StateSpace, Step
+from quad_sysid.loop.cascade import CascadeGains, Dynamics
+from quad_sysid.loop.plant import ComplexArray, StateSpace
 from quad_tuning.errors import DesignRefusedError
 
-Dynamics = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
-"""Discrete (a, b, c, d) of a controller from (measured rate, angle) to u, reference 0."""
 DRIVE, RATE, TOTAL, COMMANDS = range(4)
 
 LIMITS: Mapping[str, tuple[float, float, str]] = {
@@ -121,27 +119,12 @@ class StateFeedback:
         return a[:, :n], a[:, n:], c[:, :n], c[:, n:]
 
 
-def cascade_dynamics(gains: CascadeGains, dt: float) -> Dynamics:
-    """The cascade as the firmware forms it (quad_sysid.loop.cascade), as a linear controller.
-
-    States: integral, last rate, D part.
-    """
-    w = derivative_weight(gains.d_filter_hz, dt)
-    error = np.array([-1.0, -gains.angle_kp])  # of the rate, by (rate, angle)
-    keep = float(abs(gains.rate_ki) > 1e-9)  # without ki it stays at 0: no mode
-    a = np.array([[keep, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, -w / dt, 1.0 - w]])
-    b = np.array([gains.rate_ki * dt * error, [1.0, 0.0], [w / dt, 0.0]])
-    c = a[:1] - gains.rate_kd * a[2:]
-    d = gains.rate_kp * error + b[:1] - gains.rate_kd * b[2:]
-    return a, b, c, d
-
-
 def beside(found: StateFeedback, gains: CascadeGains, share: float) -> Dynamics:
     """`share` of the feedback and the rest of the cascade, as the firmware mixes them.
 
     One integral runs, the feedback's; the cascade's follows.
     """
-    one, other = found.dynamics(), cascade_dynamics(replace(gains, rate_ki=0.0), found.dt)
+    one, other = found.dynamics(), replace(gains, rate_ki=0.0).dynamics(found.dt)
     n, m = one[0].shape[0], other[0].shape[0]
     a, b = np.zeros((n + m, n + m)), np.vstack([one[1], other[1]])
     a[n:, n:] = other[0]
@@ -163,33 +146,6 @@ def controller_response(dynamics: Dynamics, omega: FloatArray, dt: float) -> Com
     z = np.exp(1j * omega * dt)
     states = np.linalg.solve(z[:, None, None] * np.eye(a.shape[0]) - a, b[None])
     return np.asarray((c @ states + d)[:, 0, :].T)
-
-
-def stable(dynamics: Dynamics, cycle: Step) -> bool:
-    """Whether the controller stabilises every plant (eigenvalues)."""
-    ca, cb, cc, cd = dynamics
-    n = cycle.phi.shape[-1]
-    depth = int(cycle.whole.max()) + 1
-    m = ca.shape[0]
-    p = cycle.phi.shape[0]
-    matrix = np.zeros((p, n + depth + m, n + depth + m))
-    for i in range(p):
-        y, late = cycle.c[i], int(cycle.whole[i])
-        u = np.zeros((1, n + depth + m))
-        u[:, :n] = cd @ y
-        u[:, n + depth :] = cc
-        matrix[i, :n, :n] = cycle.phi[i]
-        matrix[i, :n, n + late] += cycle.before[i]
-        if late == 0:
-            matrix[i, :n] += cycle.now[i][:, None] @ u
-        else:
-            matrix[i, :n, n + late - 1] += cycle.now[i]
-        matrix[i, n] = u[0]
-        matrix[i, n + depth :, :n] = cb @ y
-        matrix[i, n + depth :, n + depth :] = ca
-    for j in range(1, depth):
-        matrix[:, n + j, n + j - 1] = 1.0
-    return bool(np.max(np.abs(np.linalg.eigvals(matrix))) < 1.0)
 
 
 def simulate(

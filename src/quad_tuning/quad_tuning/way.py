@@ -15,7 +15,7 @@ from quad_sysid.loop.cascade import CascadeGains
 from quad_tuning.bounds import DESIGNED, reachable, steps_to
 from quad_tuning.ensemble import Ensemble
 from quad_tuning.errors import DesignRefusedError
-from quad_tuning.objective import Requirements
+from quad_tuning.objective import Requirements, meets
 
 SLACK = 0.85
 """A set on the way, which is flown for seconds, keeps this share of what the flown gains keep, or
@@ -93,21 +93,17 @@ def _within(following: CascadeGains, now: CascadeGains) -> bool:
     return True
 
 
-def least_on_the_way(active: CascadeGains, loops: Ensemble) -> tuple[float, float, float]:
-    """Phase margin, deg, gain margin, dB, and peak sensitivity that a set for seconds keeps."""
+def least_on_the_way(active: CascadeGains, loops: Ensemble) -> Requirements:
+    """The margins that a set which is flown for seconds keeps."""
     m = loops.margins(active)
-    return (
-        min(FOR_SECONDS.phase_margin_deg, SLACK * float(np.min(m.phase_margin_deg))),
-        min(FOR_SECONDS.gain_margin_db, SLACK * float(np.min(m.gain_margin_db))),
-        max(FOR_SECONDS.peak_sensitivity, float(np.max(m.peak_sensitivity)) / SLACK),
+    return Requirements(
+        phase_margin_deg=min(FOR_SECONDS.phase_margin_deg,
+                             SLACK * float(np.min(m.phase_margin_deg))),
+        gain_margin_db=min(FOR_SECONDS.gain_margin_db, SLACK * float(np.min(m.gain_margin_db))),
+        peak_sensitivity=max(FOR_SECONDS.peak_sensitivity,
+                             float(np.max(m.peak_sensitivity)) / SLACK),
     )
 
 
-def _safe(gains: CascadeGains, loops: Ensemble, least: tuple[float, float, float]) -> bool:
-    m = loops.margins(gains)
-    kept = (
-        np.min(m.phase_margin_deg) >= least[0]
-        and np.min(m.gain_margin_db) >= least[1]
-        and np.max(m.peak_sensitivity) <= least[2]
-    )
-    return bool(kept and not loops.unstable(gains).any())
+def _safe(gains: CascadeGains, loops: Ensemble, least: Requirements) -> bool:
+    return bool(meets(loops.margins(gains), least).all() and not loops.unstable(gains).any())

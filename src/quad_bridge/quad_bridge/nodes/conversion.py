@@ -200,18 +200,22 @@ def baro_message(sensors: f.SlowSensors, stamp_ns: int) -> FluidPressure | None:
     return message
 
 
-def event_message(values: Mapping[str, float | str], node: str, stamp_ns: int) -> ParameterEvent:
-    """Values as `changed_parameters`, doubles and strings: /gains/active, /logger/bag."""
-    changed = [
-        Parameter(
-            name=name,
-            value=ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=value)
-            if isinstance(value, str)
-            else ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value),
-        )
-        for name, value in values.items()
-    ]
+def event_message(
+    values: Mapping[str, bool | float | str], node: str, stamp_ns: int
+) -> ParameterEvent:
+    """Values as `changed_parameters`, each of its own type: /gains/active, /logger/bag."""
+    changed = [Parameter(name=name, value=_parameter_value(v)) for name, v in values.items()]
     return ParameterEvent(node=node, stamp=time_message(stamp_ns), changed_parameters=changed)
+
+
+def _parameter_value(value: bool | float | str) -> ParameterValue:
+    if isinstance(value, str):
+        return ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=value)
+    if isinstance(value, bool):
+        return ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=value)
+    if isinstance(value, int):
+        return ParameterValue(type=ParameterType.PARAMETER_INTEGER, integer_value=value)
+    return ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value)
 
 
 def parameters(event: ParameterEvent) -> dict[str, object]:

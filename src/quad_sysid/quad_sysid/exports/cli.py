@@ -7,7 +7,7 @@ from pathlib import Path
 
 from quad_sysid.arguments import Commands, command
 from quad_sysid.contract import AXES
-from quad_sysid.errors import BadInputError
+from quad_sysid.files import check_new, write_whole
 
 
 def add(commands: Commands) -> None:
@@ -27,22 +27,15 @@ def add(commands: Commands) -> None:
 
 def _run(options: argparse.Namespace) -> int:
     from quad_sysid.exports.files import WRITERS
-    from quad_sysid.report.model_file import load_models
+    from quad_sysid.report.model_file import load_models, pick
 
     models = load_models(options.model)
     if options.axis is not None:
-        if options.axis not in models:
-            raise BadInputError(f'{options.model}: axes', 'lacks this axis', options.axis,
-                                f'it holds {", ".join(models)}')
-        models = {options.axis: models[options.axis]}
+        models = pick(models, options.axis, options.model)
     write, suffix = WRITERS[options.to]
     out = options.out or options.model.with_name(f'{options.model.stem}_export{suffix}')
-    if out.exists():
-        raise BadInputError('--out', 'exists already', out, 'choose another name')
-    try:
-        out.write_bytes(write(models))
-    except OSError as error:
-        raise BadInputError('--out', f'{out} cannot be written', error.strerror) from error
+    check_new(out)
+    write_whole(out, write(models))
     if not options.quiet:
         print(f'{out}: {", ".join(models)}')
     return 0

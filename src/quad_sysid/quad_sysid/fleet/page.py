@@ -13,7 +13,7 @@ from quad_sysid.fleet.row import ANSWERED, Row
 from quad_sysid.fleet.summary import Summary
 from quad_sysid.report.canvas import AFTER, MUTED, Picture, panels, svg
 from quad_sysid.report.html import SHEET
-from quad_sysid.report.tables import table
+from quad_sysid.report.tables import Table
 from quad_sysid.report.words import named, number
 
 UNITS = {'gain': 'rad/s² per command', 'lag': 's', 'delay': 's', 'damping': '1/s',
@@ -25,59 +25,48 @@ NO_NAME = 'all in one folder'
 
 def page(summary: Summary, rows: Sequence[Row], title: str) -> str:
     """The page as text."""
+    lacks, spreads, drifts, failures = _tables(summary)
     parts = [
         '<!doctype html><html lang="en"><head><meta charset="utf-8">',
         '<meta name="viewport" content="width=device-width,initial-scale=1">',
         f'<title>Fleet {escape(title)}</title><style>{SHEET}</style></head><body>',
         f'<h1>Fleet {escape(title)}</h1>', f'<p>{escape(_counts(summary))}</p>',
-        _section('Who lacks what', table(
-            ['aircraft', 'axis', 'effect', 'in words', 'found in', 'of flights'],
-            [[lack.aircraft or NO_NAME, lack.axis, lack.effect, named(lack.effect),
-              str(lack.found), str(lack.flights)] for lack in summary.lacks], (4, 5),
-        ) or '<p>No flight lacks anything that could be found.</p>'),
-        _section('Spread of parameters', table(
-            ['axis', 'parameter', 'unit', 'flights', 'median', '5 %', '95 %', 'spread, %',
-             'far outside'],
-            [[s.axis, s.parameter, UNITS[s.parameter], str(s.count), number(s.median, 4),
-              number(s.low), number(s.high), _pct(s.relative_pct), ', '.join(s.outliers)]
-             for s in summary.spreads], (3, 4, 5, 6, 7),
-            caption='Spread: robust standard deviation over the median.',
-        ) + _figures(rows)),
-        _section('Drift over time', table(
-            ['aircraft', 'axis', 'parameter', 'flights', 'per day', '±', 'p', 'in all, %'],
-            [[d.aircraft or NO_NAME, d.axis, d.parameter, str(d.flights), number(d.per_day),
-              number(d.std), f'{d.p_value:.2g}', f'{d.relative_pct:+.1f}']
-             for d in summary.drifts], (3, 4, 5, 6, 7),
-        ) or '<p>No drift beyond chance (four flights of an aircraft are needed).</p>'),
-        _section('Without an answer', table(
-            ['bag', 'because'], [list(f) for f in summary.failures[:MOST_FAILURES]],
-        )) if summary.failures else '',
+        _section('Who lacks what', lacks.html()
+                 or '<p>No flight lacks anything that could be found.</p>'),
+        _section('Spread of parameters', spreads.html() + _figures(rows)),
+        _section('Drift over time', drifts.html()
+                 or '<p>No drift beyond chance (four flights of an aircraft are needed).</p>'),
+        _section('Without an answer', failures.html()) if failures.rows else '',
     ]
     return '\n'.join([*parts, '</body></html>\n'])
 
 
 def lines(summary: Summary) -> list[str]:
     """For a terminal of 80 columns."""
-    out = [_counts(summary)]
-    if summary.lacks:
-        out += ['', f'{"aircraft":<20} {"axis":<6} {"lacks":<26} {"in flights":>12}']
-        out += [
-            f'{lack.aircraft[:20] or "-":<20} {lack.axis:<6} {lack.effect[:26]:<26} '
-            f'{f"{lack.found} of {lack.flights}":>12}' for lack in summary.lacks
-        ]
-    if summary.spreads:
-        out += ['', (f'{"axis":<6} {"parameter":<10} {"flights":>8} {"median":>10} {"5 %":>10} '
-                f'{"95 %":>10} {"spread, %":>10}')]
-        out += [
-            f'{s.axis:<6} {s.parameter:<10} {s.count:>8} {number(s.median, 4):>10} '
-            f'{number(s.low):>10} {number(s.high):>10} {_pct(s.relative_pct):>10}'
-            for s in summary.spreads
-        ]
-    out += [
-        f'drift: {d.aircraft or "-"} {d.axis} {d.parameter} {d.relative_pct:+.1f} % over '
-        f'{d.flights} flights (p = {d.p_value:.2g})' for d in summary.drifts
-    ]
-    return out
+    lacks, spreads, drifts, _ = _tables(summary)
+    shown = (lacks.text((0, 1, 2, 4, 5)), spreads.text((0, 1, 3, 4, 5, 6, 7)),
+             drifts.text((0, 1, 2, 3, 6, 7)))
+    return [_counts(summary), *(line for part in shown if part for line in ('', *part))]
+
+
+def _tables(summary: Summary) -> tuple[Table, Table, Table, Table]:
+    """Who lacks what, the spread of parameters, their drift, and the bags without an answer."""
+    return (
+        Table(['aircraft', 'axis', 'effect', 'in words', 'found in', 'of flights'],
+              [[lack.aircraft or NO_NAME, lack.axis, lack.effect, named(lack.effect),
+                str(lack.found), str(lack.flights)] for lack in summary.lacks], (4, 5)),
+        Table(['axis', 'parameter', 'unit', 'flights', 'median', '5 %', '95 %', 'spread, %',
+               'far outside'],
+              [[s.axis, s.parameter, UNITS[s.parameter], str(s.count), number(s.median, 4),
+                number(s.low), number(s.high), _pct(s.relative_pct), ', '.join(s.outliers)]
+               for s in summary.spreads], (3, 4, 5, 6, 7),
+              caption='Spread: robust standard deviation over the median.'),
+        Table(['aircraft', 'axis', 'parameter', 'flights', 'per day', '±', 'p', 'in all, %'],
+              [[d.aircraft or NO_NAME, d.axis, d.parameter, str(d.flights), number(d.per_day),
+                number(d.std), f'{d.p_value:.2g}', f'{d.relative_pct:+.1f}']
+               for d in summary.drifts], (3, 4, 5, 6, 7)),
+        Table(['bag', 'because'], [list(f) for f in summary.failures[:MOST_FAILURES]]),
+    )
 
 
 def _counts(summary: Summary) -> str:

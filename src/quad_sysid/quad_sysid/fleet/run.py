@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from quad_sysid.errors import BadInputError
+from quad_sysid.files import make_folder
 from quad_sysid.fleet.row import FAILED, REAL, TEXT, WHOLE, Job, Row, look
 
 STORAGE = ('.mcap', '.db3', '.mcap.zstd', '.db3.zstd')
@@ -69,10 +70,7 @@ class Journal:
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / JOURNAL
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise BadInputError('--out', f'{folder} cannot be made', error.strerror) from error
+        make_folder(folder)
 
     def rows(self) -> dict[str, Row]:
         """Rows by bag; a line that a kill cut off is left out."""

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from typing import Any
 
 from quad_sysid.inspection.content import AxisContent, Content, Use
+from quad_sysid.report.tables import Table, wrapped
 
-WIDTH = 79
 MOST_SEGMENTS = 12
 MOST_WARNINGS = 8
 SCHEMA = 'quad_sysid/inspection/1'
@@ -24,7 +23,7 @@ def lines(held: Content) -> list[str]:
     """One page."""
     out = [held.source, *_topics(held)]
     if held.unusable:
-        return [*out, '', *_wrapped(f'usable for nothing: {held.unusable}', '')]
+        return [*out, '', *wrapped(f'usable for nothing: {held.unusable}', '')]
     out += ['', *_flight(held), '', *_segments(held), '']
     for axis in held.axes:
         out += [*_axis(axis), '']
@@ -32,21 +31,21 @@ def lines(held: Content) -> list[str]:
     if held.warnings:
         shown = held.warnings[:MOST_WARNINGS]
         more = len(held.warnings) - len(shown)
-        out += ['', 'warnings', *(line for text in shown for line in _wrapped(text, '  '))]
+        out += ['', 'warnings', *(line for text in shown for line in wrapped(text, '  '))]
         out += [f'  and {more} more (--json)'] if more else []
     return out
 
 
 def _topics(held: Content) -> Iterator[str]:
-    yield (f'{"topic":<22} {"messages":>9} {"rate, Hz":>9} {"seconds":>8} {"gaps":>5} '
-           f'{"longest, s":>11}')
-    for one in held.topics.found:
-        rate = '-' if one.rate_hz is None else f'{one.rate_hz:.4g}'
-        longest = f'{one.longest_gap_s:.3f}' if one.gaps else '-'
-        yield (f'{one.name:<22} {one.messages:>9} {rate:>9} {one.span_s:>8.1f} {one.gaps:>5} '
-               f'{longest:>11}')
+    rows = [
+        [one.name, str(one.messages), '-' if one.rate_hz is None else f'{one.rate_hz:.4g}',
+         f'{one.span_s:.1f}', str(one.gaps), f'{one.longest_gap_s:.3f}' if one.gaps else '-']
+        for one in held.topics.found
+    ]
+    yield from Table(['topic', 'messages', 'rate, Hz', 'seconds', 'gaps', 'longest, s'], rows,
+                     range(1, 6)).text()
     if held.topics.absent:
-        yield from _wrapped(f'not there: {", ".join(held.topics.absent)}', '')
+        yield from wrapped(f'not there: {", ".join(held.topics.absent)}', '')
 
 
 def _flight(held: Content) -> Iterator[str]:
@@ -61,7 +60,7 @@ def _flight(held: Content) -> Iterator[str]:
     else:
         yield 'motors    not recorded: limits are known from the wrench only'
     for pattern in held.layout:
-        yield from _wrapped(pattern.sentence, '          ')
+        yield from wrapped(pattern.sentence, '          ')
     if held.battery:
         b = held.battery
         yield f'battery   {b.first:.2f} V to {b.last:.2f} V, lowest {b.lowest:.2f} V'
@@ -105,11 +104,4 @@ def _axis(one: AxisContent) -> Iterator[str]:
 def _use(use: Use) -> Iterator[str]:
     mark = 'yes' if use.possible else 'no '
     because = f': {use.because}' if use.because else ''
-    yield from _wrapped(f'{use.name}{because}', '      ', first=f'  {mark} ')
-
-
-def _wrapped(text: str, indent: str, first: str | None = None) -> list[str]:
-    return textwrap.wrap(
-        text, WIDTH, initial_indent=indent if first is None else first,
-        subsequent_indent=indent or '  ', break_long_words=False, break_on_hyphens=False,
-    )
+    yield from wrapped(f'{use.name}{because}', '      ', first=f'  {mark} ')

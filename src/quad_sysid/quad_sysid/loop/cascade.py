@@ -34,6 +34,9 @@ CONTRACT_NAMES = {
 }
 """Field of CascadeGains to the contract's name behind the axis."""
 
+Dynamics = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+"""Discrete (a, b, c, d) of a controller from (measured rate, angle) to u, reference 0."""
+
 TUNED = ('angle_kp', 'rate_kp', 'rate_ki', 'rate_kd')
 """What a designer may change; the rest are constants of the firmware."""
 
@@ -96,6 +99,21 @@ class CascadeGains:
             for field, name in CONTRACT_NAMES.items()
             if constants or field in TUNED
         }
+
+
+    def dynamics(self, dt: float) -> Dynamics:
+        """The cascade as the firmware forms it, as a linear controller.
+
+        States: integral, last rate, D part.
+        """
+        w = derivative_weight(self.d_filter_hz, dt)
+        error = np.array([-1.0, -self.angle_kp])  # of the rate, by (rate, angle)
+        keep = float(abs(self.rate_ki) > 1e-9)  # without ki it stays at 0: no mode
+        a = np.array([[keep, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, -w / dt, 1.0 - w]])
+        b = np.array([self.rate_ki * dt * error, [1.0, 0.0], [w / dt, 0.0]])
+        c = a[:1] - self.rate_kd * a[2:]
+        d = self.rate_kp * error + b[:1] - self.rate_kd * b[2:]
+        return a, b, c, d
 
 
 def derivative_weight(d_filter_hz: float, dt: float) -> float:
@@ -199,41 +217,30 @@ def bandwidth(response: ComplexArray, omega: FloatArray) -> FloatArray:
     return np.where(below.any(axis=1), omega[index], np.nan)
 
 
-def closed_loop_radius(gains: CascadeGains, cycle: Step) -> FloatArray:
+def closed_loop_radius(controller: Dynamics, cycle: Step) -> FloatArray:
     """(p,) largest absolute eigenvalue of the linear closed loop; stable below 1.
 
-    State: plant, integral, last rate, D part, and the commands that are under way.
+    State: plant, the commands that are under way, the controller's own.
     """
+    ca, cb, cc, cd = controller
     p, n = cycle.phi.shape[:2]
-    dt = cycle.dt
     depth = int(cycle.whole.max()) + 1
-    size = n + 3 + depth
-    weight = derivative_weight(gains.d_filter_hz, dt)
-    rate, angle = cycle.c[:, 0], cycle.c[:, 1]
-    error = -(gains.angle_kp * angle + rate)
-    integral = np.zeros((p, size))
-    integral[:, :n] = gains.rate_ki * dt * error
-    integral[:, n] = float(abs(gains.rate_ki) > 1e-9)  # without ki it stays at 0: no mode
-    derivative = np.zeros((p, size))
-    derivative[:, :n] = weight / dt * rate
-    derivative[:, n + 1] = -weight / dt
-    derivative[:, n + 2] = 1.0 - weight
-    control = integral - gains.rate_kd * derivative
-    control[:, :n] += gains.rate_kp * error
+    size = n + depth + ca.shape[0]
+    own = slice(n + depth, size)
+    control = np.zeros((p, size))
+    control[:, :n] = cd[0] @ cycle.c
+    control[:, own] = cc[0]
     matrix = np.zeros((p, size, size))
     matrix[:, :n, :n] = cycle.phi
-    rows = np.arange(p)
-    for i in range(p):
-        d = int(cycle.whole[i])
-        matrix[i, :n, n + 3 + d] += cycle.before[i]
-        if d == 0:
+    for i, late in enumerate(cycle.whole.tolist()):
+        matrix[i, :n, n + late] += cycle.before[i]
+        if late == 0:
             matrix[i, :n] += np.outer(cycle.now[i], control[i])
         else:
-            matrix[i, :n, n + 2 + d] += cycle.now[i]
-    matrix[rows, n] = integral
-    matrix[rows, n + 1, :n] = rate
-    matrix[rows, n + 2] = derivative
-    matrix[rows, n + 3] = control
+            matrix[i, :n, n + late - 1] += cycle.now[i]
+    matrix[:, n] = control
     for j in range(1, depth):
-        matrix[:, n + 3 + j, n + 2 + j] = 1.0
+        matrix[:, n + j, n + j - 1] = 1.0
+    matrix[:, own, :n] = cb @ cycle.c
+    matrix[:, own, own] = ca
     return np.asarray(np.max(np.abs(np.linalg.eigvals(matrix)), axis=1))

@@ -45,19 +45,6 @@ class SquareFigures(StepFigures):
     """Mean absolute step."""
 
 
-@dataclass(frozen=True)
-class SquareComparison:
-    """Two flights of a square wave; changes in % of the first's, negative is less."""
-
-    before: SquareFigures
-    after: SquareFigures
-    rise_time_change_pct: float
-    rms_error_change_pct: float
-    """Of the RMS error per rad of step, so that unlike amplitudes compare."""
-    overshoot_change_points: float
-    """Percentage points."""
-
-
 def step_figures(response: npt.ArrayLike, dt: float) -> StepFigures:
     """Figures of a response (n,) that starts at 0 with the step and is scaled by it (1 reached).
 
@@ -111,25 +98,6 @@ def square_figures(reference: npt.ArrayLike, angle: npt.ArrayLike, dt: float) ->
         rms_error_rad=float(np.sqrt(np.mean((r - y)[good] ** 2))),
         edges=len(responses),
         step_rad=float(np.mean(np.abs(steps))),
-    )
-
-
-def compare_square(
-    before: tuple[npt.ArrayLike, npt.ArrayLike],
-    after: tuple[npt.ArrayLike, npt.ArrayLike],
-    dt: float,
-) -> SquareComparison:
-    """Two flights' square waves, each (reference, angle) as arrays (n,), rad."""
-    first = square_figures(before[0], before[1], dt)
-    second = square_figures(after[0], after[1], dt)
-    return SquareComparison(
-        before=first,
-        after=second,
-        rise_time_change_pct=_change(first.rise_time_s, second.rise_time_s),
-        rms_error_change_pct=_change(
-            first.rms_error_rad / first.step_rad, second.rms_error_rad / second.step_rad
-        ),
-        overshoot_change_points=second.overshoot_pct - first.overshoot_pct,
     )
 
 
@@ -190,7 +158,3 @@ def _finite(values: npt.ArrayLike, name: str) -> FloatArray:
     if array.ndim != 1 or not np.isfinite(array).all():
         raise BadInputError('figures', f'{name} must be (n,) and finite', array.shape)
     return array
-
-
-def _change(before: float, after: float) -> float:
-    return 100.0 * (after / before - 1.0)

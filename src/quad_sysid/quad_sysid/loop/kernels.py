@@ -18,7 +18,7 @@ from quad_sysid.contract import FloatArray
 _F = TypeVar('_F', bound=Callable[..., object])
 IntArray = npt.NDArray[np.int64]
 INTEGRAL, LAST_RATE, D_PART = 0, 1, 2
-EMPTY = 4
+EMPTY = 3
 """Size of a table that stands for no curve."""
 
 
@@ -59,21 +59,19 @@ class Cycle(NamedTuple):
     rate_table: FloatArray
     angle_table: FloatArray
     command_table: FloatArray
-    """Tables (x0, step, hold, y0, y1, ...); of size 4: none."""
+    """Tables (x0, step, y0, y1, ...); of size EMPTY: none."""
 
 
 @kernel
 def look_up(table: FloatArray, x: float) -> float:
-    """Value of a table at x: clamped where `hold` is 1, else the end slopes go on; 0 if empty."""
+    """Value of a table at x, beyond its ends along the end slopes; 0 if empty."""
     if table.size == EMPTY:
         return 0.0
-    last = table.size - 4
+    last = table.size - 3
     position = (x - table[0]) / table[1]
-    if table[2] > 0.0:
-        position = min(max(position, 0.0), float(last))
     index = min(max(math.floor(position), 0), last - 1)
-    low = table[3 + index]
-    return float(low + (position - index) * (table[4 + index] - low))
+    low = table[2 + index]
+    return float(low + (position - index) * (table[3 + index] - low))
 
 
 @kernel

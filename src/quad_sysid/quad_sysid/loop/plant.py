@@ -29,20 +29,16 @@ ComplexArray = npt.NDArray[np.complex128]
 SHORTEST_LAG_S = 1e-5
 """A lag below this is none."""
 
-OUTSIDE = ('hold', 'extend')
-
 
 @dataclass(frozen=True, eq=False)
 class Curve:
     """A lookup table on a uniform grid, linear between its points.
 
-    x, y are (m,), m >= 2, x ascending with one step. Outside the grid the end value is held
-    (`hold`) or the end slope goes on (`extend`).
+    x, y are (m,), m >= 2, x ascending with one step. Outside the grid the end slope goes on.
     """
 
     x: FloatArray
     y: FloatArray
-    outside: str = 'extend'
 
     def __post_init__(self) -> None:
         """Check shapes, the grid and finiteness; raises BadInputError."""
@@ -55,8 +51,6 @@ class Curve:
         steps = np.diff(x)
         if steps[0] <= 0 or not np.allclose(steps, steps[0], rtol=1e-6, atol=0.0):
             raise BadInputError('Curve', 'x must ascend in equal steps')
-        if self.outside not in OUTSIDE:
-            raise BadInputError('Curve', f'outside must be of {OUTSIDE}', self.outside)
         x.setflags(write=False)
         y.setflags(write=False)
         object.__setattr__(self, 'x', x)
@@ -75,8 +69,6 @@ class Curve:
         """Values at `x`, any shape."""
         step = self.x[1] - self.x[0]
         position = (np.asarray(x, dtype=float) - self.x[0]) / step
-        if self.outside == 'hold':
-            position = np.clip(position, 0.0, self.x.size - 1.0)
         index = np.clip(np.floor(position).astype(int), 0, self.x.size - 2)
         values: FloatArray = self.y[index] + (position - index) * (
             self.y[index + 1] - self.y[index]

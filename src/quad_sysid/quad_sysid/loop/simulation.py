@@ -38,9 +38,8 @@ class LoopResponse(NamedTuple):
 
 def _table(curve: Curve | None) -> FloatArray:
     if curve is None:
-        return np.zeros(4)
-    hold = 1.0 if curve.outside == 'hold' else 0.0
-    return np.concatenate(([curve.x[0], curve.x[1] - curve.x[0], hold], curve.y))
+        return np.zeros(kernels.EMPTY)
+    return np.concatenate(([curve.x[0], curve.x[1] - curve.x[0]], curve.y))
 
 
 def _constants(gains: CascadeGains, dt: float) -> kernels.Constants:

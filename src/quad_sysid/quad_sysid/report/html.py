@@ -94,7 +94,7 @@ def page(
         links = ''.join(
             f'<a href="#{a}"><span class="axis">{escape(a)}</span> in detail</a>' for a in axes
         )
-        parts += [tables.overview(report), f'<nav>{links}</nav>']
+        parts += [tables.overview(report).html(), f'<nav>{links}</nav>']
     parts += [_answer(axis, tree) for axis, tree in axes.items()]
     parts += [
         _axis(axis, tree, answers.get(axis), drawn.get(axis, Gallery({})))
@@ -111,8 +111,8 @@ def excerpt(report: Mapping[str, Any], answers: Mapping[str, AxisAnswer], text: 
         drawn = (draw(answers[axis], name) for name in SHOWN)
         picture = next((one for one in drawn if one is not None), None)
         parts += [
-            _answer(axis, tree), tables.effects(tree), tables.parameters(tree),
-            tables.errors(tree), '' if picture is None else embedded(picture, axis),
+            _answer(axis, tree), tables.effects(tree).html(), tables.parameters(tree).html(),
+            tables.errors(tree).html(), '' if picture is None else embedded(picture, axis),
         ]
     parts.append(f'{_fold("All in words", f"<pre>{escape(text)}</pre>")}</div>')
     return ''.join(parts)
@@ -165,21 +165,18 @@ def _axis(
         return f'<div class="figures">{found}</div>' if found else ''
 
     sections = [
-        ('Data', _fold('Segments', tables.segments(tree)) + figures(DATA)),
-        ('Prediction on held-out data', tables.errors(tree) + tables.horizons(tree)
+        ('Data', _fold('Segments', tables.segments(tree).html()) + figures(DATA)),
+        ('Prediction on held-out data', tables.errors(tree).html() + tables.horizons(tree).html()
          + figures(PREDICTION)),
-        ('What the base lacks', tables.effects(tree) + tables.parameters(tree)
-         + figures(EFFECTS) + _fold('All that was tried', tables.tried(tree))),
-        ('What is left', tables.residuals(tree) + figures(LEFT)),
-        ('Black-box models', tables.models(tree) + tables.shared(tree)
-         + figures(MODELS) + tables.approaches(tree)
-         + _fold("Beside the paper's Table 2", tables.table2(tree))),
-        ('Advice', _notes([
-            *tree.get('advice', []),
-            *(f'{c["name"]}: {c["words"]}' for c in tree.get('preparation', [])
-              if c['kept'] is False),
-        ])),
-        ('Loop and gains', tables.gains(tree, axis, active) + figures(LOOP)),
+        ('What the base lacks', tables.effects(tree).html() + tables.parameters(tree).html()
+         + figures(EFFECTS) + _fold('All that was tried',
+                              tables.tried(tree).html() + tables.untested(tree).html())),
+        ('What is left', tables.residuals(tree).html() + figures(LEFT)),
+        ('Black-box models', tables.models(tree).html() + _paragraph(tables.shared(tree))
+         + figures(MODELS) + tables.approaches(tree).html()
+         + _fold("Beside the paper's Table 2", tables.table2(tree).html())),
+        ('Advice', _notes(tables.notes(tree))),
+        ('Loop and gains', tables.gains(tree, axis, active).html() + figures(LOOP)),
         ('Warnings', _notes([
             *tree.get('warnings', []),
             *(f'picture {name} could not be drawn: {why}' for name, why in drawn.failed),
@@ -200,6 +197,10 @@ def _figure(axis: str, picture: Picture) -> str:
 
 def _fold(title: str, content: str) -> str:
     return f'<details><summary>{title}</summary>{content}</details>' if content else ''
+
+
+def _paragraph(text: str) -> str:
+    return f'<p>{escape(text)}</p>' if text else ''
 
 
 def _notes(lines: Sequence[str]) -> str:

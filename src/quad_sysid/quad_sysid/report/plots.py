@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from quad_sysid.errors import BadInputError, QuadSysidError
+from quad_sysid.files import make_folder, write_whole
 from quad_sysid.pipeline.answer import AxisAnswer
 from quad_sysid.report import plots_data, plots_effects, plots_loop, plots_models
 from quad_sysid.report.canvas import Picture, png
@@ -75,10 +76,7 @@ def gallery(answer: AxisAnswer) -> Gallery:
 
 def save(galleries: Mapping[str, Gallery], folder: Path) -> None:
     """Write every picture as `<axis>_<name>.png` into `folder`, which is made where missing."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for axis, one in galleries.items():
-            for name, picture in one.pictures.items():
-                (folder / f'{axis}_{name}.png').write_bytes(png(picture))
-    except OSError as error:
-        raise BadInputError(str(folder), 'cannot be written', error.strerror) from error
+    make_folder(folder, 'pictures')
+    for axis, one in galleries.items():
+        for name, picture in one.pictures.items():
+            write_whole(folder / f'{axis}_{name}.png', png(picture))

@@ -14,9 +14,9 @@ from quad_sysid.report.canvas import (
     legend,
     panels,
 )
+from quad_sysid.report.plots_models import Z99, runs
 
 MOST_RIVALS = 5
-Z99 = 2.576
 SHOWN = ('rate', 'angle', 'command')
 
 
@@ -26,20 +26,15 @@ def left_out(answer: AxisAnswer) -> Picture | None:
     if found is None:
         return None
     problem = found.problem
-    runs = [(found.before.fit, BEFORE, 'base')]
-    if found.added:
-        runs.append((found.after.fit, AFTER, 'completed'))
     at = missing_torque.variables(missing_torque.Along(problem, found.after.fit))
     names = [name for name in SHOWN if name in at]
     figure, axes = panels(len(names), height_in=0.8 + 1.6 * len(names), share_x=False)
     figure.subplots_adjust(hspace=0.72)
     drawn = False
-    for fit, colour, label in runs:
-        values = missing_torque.Along(problem, fit).left_out()
+    for held, colour, _, label in runs(found):
+        values = missing_torque.Along(problem, held.fit).left_out()
         for one, name in zip(axes, names, strict=True):
-            points = missing_torque.binned(
-                at[name], values, problem.spans, problem.data.dt
-            )
+            points = missing_torque.binned(at[name], values, problem.spans, problem.data.dt)
             if points is None:
                 continue
             drawn = True

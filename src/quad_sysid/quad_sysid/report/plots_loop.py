@@ -65,27 +65,35 @@ def overlay(answer: AxisAnswer) -> Picture | None:
     )
 
 
-def step_response(answer: AxisAnswer) -> Picture | None:
-    """A step of the attitude reference with the gains that flew and with those proposed."""
+def _sets(answer: AxisAnswer) -> list[tuple[str, CascadeGains, str, str]]:
+    """The gains that flew and those proposed, with colour and style; none where unknown."""
     model, proposal = answer.model, answer.proposal
     if model is None or f'{model.axis}.rate.kp' not in model.active_gains:
+        return []
+    new = proposal.gains if proposal is not None else None
+    return [
+        (name, CascadeGains.from_mapping({**model.active_gains, **gains}, model.axis), *look)
+        for name, gains, look in (('gains that flew', {}, (BEFORE, '--')),
+                                  ('proposed gains', new, (AFTER, '-')))
+        if gains is not None
+    ]
+
+
+def step_response(answer: AxisAnswer) -> Picture | None:
+    """A step of the attitude reference with the gains that flew and with those proposed."""
+    model, sets = answer.model, _sets(answer)
+    if model is None or not sets:
         return None
     n = round(STEP_S / model.dt)
     lead = n // 10
     reference = np.where(np.arange(n + lead) < lead, 0.0, STEP_RAD)
     time_s = np.asarray((np.arange(n + lead) - lead) * model.dt, dtype=np.float64)
-    sets = [('gains that flew', dict(model.active_gains), BEFORE, '--')]
-    if proposal is not None and proposal.gains is not None:
-        new = {**model.active_gains, **proposal.gains}
-        sets.append(('proposed gains', new, AFTER, '-'))
     figure, axes = panels(2, height_in=3.7, ratios=(1.7, 1.0))
     axes[0].plot(time_s, np.degrees(reference), color=GREEN, lw=1.0, label='reference')
     plant = loop_plant(model)
     for name, gains, colour, style in sets:
         try:
-            flown = simulate_cascade(
-                plant, CascadeGains.from_mapping(gains, model.axis), reference, model.dt
-            )
+            flown = simulate_cascade(plant, gains, reference, model.dt)
         except QuadSysidError:
             return None
         if not np.isfinite(flown.angle).all():
@@ -106,20 +114,16 @@ def step_response(answer: AxisAnswer) -> Picture | None:
 
 def open_loop_margins(answer: AxisAnswer) -> Picture | None:
     """Loop gain and phase, broken at the command, before and after, with their margins."""
-    model, proposal = answer.model, answer.proposal
-    if model is None or f'{model.axis}.rate.kp' not in model.active_gains:
+    model, sets = answer.model, _sets(answer)
+    if model is None or not sets:
         return None
-    sets = [('gains that flew', dict(model.active_gains), BEFORE, '--')]
-    if proposal is not None and proposal.gains is not None:
-        new = {**model.active_gains, **proposal.gains}
-        sets.append(('proposed gains', new, AFTER, '-'))
     plant = loop_plant(model)
     omega = frequency_grid(model.dt, 400, 0.3)
     response = exact_cycles([plant], [slopes_at(plant, *WIDE)]).response(omega)
     figure, axes = panels(2, height_in=4.1)
     told = []
     for name, gains, colour, style in sets:
-        loop = open_loop(CascadeGains.from_mapping(gains, model.axis), response, omega, model.dt)
+        loop = open_loop(gains, response, omega, model.dt)
         found = margins(loop, omega)
         phase = np.degrees(np.unwrap(np.angle(loop[0])))
         phase -= 360.0 * np.ceil((phase[0] - 90.0) / 360.0)

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quad_sysid.blackbox import Model, frequency_response, spa
+from quad_sysid.blackbox import Model, ResidualTest, frequency_response, spa
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import QuadSysidError
 from quad_sysid.loop.plant import ComplexArray
 from quad_sysid.model import AxisModel
 from quad_sysid.model.data import Windows
-from quad_sysid.pipeline.answer import AxisAnswer, ModelRow, Residual
+from quad_sysid.pipeline.answer import AxisAnswer, Findings, HeldOut, ModelRow, Residual
 from quad_sysid.report.canvas import (
     AFTER,
     BEFORE,
@@ -34,8 +34,15 @@ from quad_sysid.report.words import equals
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 SHOWN_WINDOWS = 10
+
+
+def runs(found: Findings) -> list[tuple[HeldOut, str, str, str]]:
+    """What is drawn of an axis: the base and, where effects were added, the completed model."""
+    both = [(found.before, BEFORE, '--', 'base'), (found.after, AFTER, '-', 'completed')]
+    return both if found.added else both[:1]
 
 
 def free_run(answer: AxisAnswer) -> Picture | None:
@@ -53,16 +60,13 @@ def free_run(answer: AxisAnswer) -> Picture | None:
     time_s = np.arange(a, b) * data.dt
     figure, axes = panels(2, height_in=3.9, ratios=(2.0, 1.0))
     axes[0].plot(time_s, data.rate[a:b], color=INK, lw=1.0, label='measured')
-    runs = [(found.before, BEFORE, 'base')]
-    if found.added:
-        runs.append((found.after, AFTER, 'completed'))
-    for number, (one, colour, name) in enumerate(runs):
+    for one, colour, style, name in runs(found):
         for w in range(first, last + 1):
             at = np.arange(windows.starts[w], windows.starts[w] + windows.length)
             wrong = one.errors[w]
             label = name if w == first else None
             axes[0].plot(at * data.dt, data.rate[at] + wrong, color=colour, label=label,
-                         lw=1.3, ls='--' if number == 0 else '-')
+                         lw=1.3, ls=style)
             axes[1].plot(at * data.dt, wrong, color=colour, lw=1.0)
     for w in range(first, last + 1):
         for panel in axes:
@@ -83,18 +87,12 @@ def free_run(answer: AxisAnswer) -> Picture | None:
 def _lively(windows: Windows, rate: FloatArray) -> tuple[int, int]:
     """First and last of up to SHOWN_WINDOWS windows in a row with the largest motion."""
     power = np.array([np.var(rate[s : s + windows.length]) for s in windows.starts])
-    best = (-1.0, 0, 0)
-    for first in range(windows.count):
-        last = first
-        while (
-            last + 1 < windows.count and last + 1 - first < SHOWN_WINDOWS
-            and windows.starts[last + 1] == windows.starts[last] + windows.length
-        ):
-            last += 1
-        total = float(np.sum(power[first : last + 1]))
-        if total > best[0]:
-            best = (total, first, last)
-    return best[1], best[2]
+    breaks = np.flatnonzero(np.diff(windows.starts) != windows.length) + 1
+    rows = [
+        (a, min(a + SHOWN_WINDOWS, int(piece[-1]) + 1) - 1)
+        for piece in np.split(np.arange(windows.count), breaks) for a in piece.tolist()
+    ]
+    return max(rows, key=lambda row: float(np.sum(power[row[0] : row[1] + 1])))
 
 
 def horizon(answer: AxisAnswer) -> Picture | None:
@@ -103,11 +101,10 @@ def horizon(answer: AxisAnswer) -> Picture | None:
     if found is None or not found.before.errors.size:
         return None
     figure, (one,) = panels(height_in=2.6)
-    errors = found.before.errors
-    ahead = np.arange(errors.shape[1]) * found.data.dt
-    one.plot(ahead, _rms(errors), color=BEFORE, ls='--', lw=1.6, label='base')
-    if found.added:
-        one.plot(ahead, _rms(found.after.errors), color=AFTER, lw=1.6, label='completed')
+    ahead = np.arange(found.before.errors.shape[1]) * found.data.dt
+    for held, colour, style, name in runs(found):
+        growth = np.sqrt(np.mean(held.errors**2, axis=0))
+        one.plot(ahead, growth, color=colour, ls=style, lw=1.6, label=name)
     one.axhline(found.verdict.noise_floor, color=GREEN, lw=1.0, ls=':', label='measurement noise')
     one.set_ylim(bottom=0.0)
     one.set_xlabel('time since the start of the window, s')
@@ -118,10 +115,6 @@ def horizon(answer: AxisAnswer) -> Picture | None:
         'How fast a prediction loses its worth: RMS over all held-out windows. Its mean square '
         'over the window is the error of the table.', figure,
     )
-
-
-def _rms(errors: FloatArray) -> FloatArray:
-    return np.asarray(np.sqrt(np.mean(errors**2, axis=0)))
 
 
 def chosen_row(answer: AxisAnswer) -> ModelRow | None:
@@ -137,34 +130,13 @@ def residuals(answer: AxisAnswer) -> Picture | None:
     if row is None:
         return None
     test = row.step_a.test
-    figure, axes = panels(2, height_in=3.7, share_x=False)
-    figure.subplots_adjust(hspace=0.62)
-    dt = row.step_a.model.dt
-    for one, lags, values, bound, label in (
-        (axes[0], test.lags[1:], test.autocorrelation[1:], test.autocorrelation_bound,
-         'autocorrelation, 1'),
-        (axes[1], test.cross_lags, test.cross_correlation, test.cross_bound,
-         'with command, 1'),
-    ):
-        at = lags * dt
-        one.axhspan(-bound, bound, color=GREEN, alpha=0.16, lw=0, label='99 % of one lag')
-        outside = np.abs(values) > bound
-        one.vlines(at, 0.0, values, color=AFTER, lw=1.0)
-        one.plot(at[~outside], values[~outside], 'o', ms=2.6, color=AFTER, label='inside')
-        one.plot(at[outside], values[outside], 'D', ms=3.0, color=BEFORE, label='outside')
-        one.axhline(0.0, color=MUTED, lw=0.7)
-        reach = 1.2 * max(float(np.max(np.abs(values))), 1.5 * bound)
-        one.set_ylim(-reach, reach)
-        one.set_ylabel(label)
-        one.set_xlabel('lag, s')
-    legend(axes[0])
+    shown = [(test, row.step_a.model.structure, OTHER, '-')]
+    figure = _correlogram(shown, row.step_a.model.dt)
     model = row.step_a.model
     return Picture(
         'residual_test', f'Residual tests of {_name(model)}',
-        f'{test.samples} one-step residuals on training data. White: '
-        f'{_yes(test.residual_white)} (p {equals(test.p_white)}); free of past commands: '
-        f'{_yes(test.residual_uncorrelated_with_input)} (p {equals(test.p_input)}). At negative '
-        'lags a closed loop alone gives correlation.', figure,
+        f'{test.samples} one-step residuals on training data: {_told(test)}. Lines bound 99 % of '
+        'a single lag; at negative lags a closed loop alone gives correlation.', figure,
     )
 
 
@@ -310,11 +282,8 @@ def one_step(answer: AxisAnswer) -> Picture | None:
     axes[0].plot(time_s, data.rate[inside], color=INK, lw=2.2, alpha=0.35, label='measured')
     axes[0].plot(time_s, (data.rate - errors)[inside], color=AFTER, lw=0.9,
                  label='one step ahead')
-    if found.added:
-        axes[1].plot(time_s, found.before.innovations[inside], color=BEFORE, lw=0.9,
-                     ls='--', label='base')
-    axes[1].plot(time_s, errors[inside], color=AFTER, lw=0.9,
-                 label='completed' if found.added else 'base')
+    for held, colour, style, name in runs(found):
+        axes[1].plot(time_s, held.innovations[inside], color=colour, lw=0.9, ls=style, label=name)
     bound = Z99 * found.verdict.noise_floor
     axes[1].axhspan(-bound, bound, color=GREEN, alpha=0.14, lw=0, label='99 % of the noise')
     axes[0].set_ylabel('rate, rad/s')
@@ -344,12 +313,21 @@ def correlations(answer: AxisAnswer) -> Picture | None:
     found = answer.findings
     if not shown or found is None:
         return None
-    dt = found.data.dt
+    figure = _correlogram([(r.test, name, c, s) for r, name, c, s in shown], found.data.dt)
+    told = '; '.join(f'{name}: {_told(r.test)}' for r, name, _, _ in shown)
+    return Picture(
+        'correlations', 'What is left, cycle by cycle',
+        'One-step errors on held-out data; lines bound 99 % of a single lag. A positive lag is '
+        f'the command before the error. {told[:1].upper()}{told[1:]}.', figure,
+    )
+
+
+def _correlogram(shown: list[tuple[ResidualTest, str, str, str]], dt: float) -> Figure:
+    """Auto- and cross-correlation of residuals (test, name, colour, style), with their bounds."""
     figure, axes = panels(2, height_in=4.0, share_x=False)
     figure.subplots_adjust(hspace=0.72)
     reach = [0.0, 0.0]
-    for number, (residual, name, colour, style) in enumerate(shown):
-        test = residual.test
+    for number, (test, name, colour, style) in enumerate(shown):
         for panel, lags, values, bound in (
             (0, test.lags[1:], test.autocorrelation[1:], test.autocorrelation_bound),
             (1, test.cross_lags, test.cross_correlation, test.cross_bound),
@@ -369,16 +347,13 @@ def correlations(answer: AxisAnswer) -> Picture | None:
         one.set_ylabel(label)
         one.set_xlabel('lag, s')
     legend(axes[0])
-    told = '; '.join(
-        f'{name}: white {_yes(r.test.residual_white)} (p {equals(r.test.p_white)}), free of past '
-        f'commands {_yes(r.test.residual_uncorrelated_with_input)} (p {equals(r.test.p_input)})'
-        for r, name, _, _ in shown
-    )
-    return Picture(
-        'correlations', 'What is left, cycle by cycle',
-        'One-step errors on held-out data; lines bound 99 % of a single lag. A positive lag is '
-        f'the command before the error. {told[:1].upper()}{told[1:]}.', figure,
-    )
+    return figure
+
+
+def _told(test: ResidualTest) -> str:
+    """What the tests say, in words."""
+    return (f'white {_yes(test.residual_white)} (p {equals(test.p_white)}), free of past commands '
+            f'{_yes(test.residual_uncorrelated_with_input)} (p {equals(test.p_input)})')
 
 
 def spectrum(answer: AxisAnswer) -> Picture | None:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import os
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from quad_sysid.errors import BadInputError
+from quad_sysid.files import make_folder, write_whole
 from quad_sysid.pipeline.answer import AxisAnswer
 from quad_sysid.report import plots
 from quad_sysid.report.html import page
@@ -44,10 +44,7 @@ def write(
     `html` False writes no report.html; `pictures` False no folder `pictures` of PNG files (the
     page has its own inside). With neither, nothing is drawn.
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise BadInputError('--out', f'{folder} cannot be made', error.strerror) from error
+    make_folder(folder)
     models = {axis: a.model for axis, a in answers.items() if a.model is not None}
     if models:
         blackbox = {
@@ -60,24 +57,5 @@ def write(
         if pictures:
             plots.save(drawn, folder / 'pictures')
         if html:
-            _replace(folder / 'report.html', page(report, answers, drawn))
-    _replace(folder / 'report.json', json.dumps(report, indent=1, allow_nan=False) + '\n')
-
-
-def _replace(path: Path, text: str) -> None:
-    """Write the file whole or not at all."""
-    try:
-        with tempfile.NamedTemporaryFile(
-            'w', dir=path.parent, prefix=f'.{path.name}.', delete=False, encoding='utf-8'
-        ) as stream:
-            stream.write(text)
-        Path(stream.name).chmod(0o666 & ~_umask())
-        Path(stream.name).replace(path)
-    except OSError as error:
-        raise BadInputError(str(path), 'cannot be written', error.strerror) from error
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
+            write_whole(folder / 'report.html', page(report, answers, drawn))
+    write_whole(folder / 'report.json', json.dumps(report, indent=1, allow_nan=False) + '\n')

@@ -46,6 +46,7 @@ FIGURES = {
     'worst_phase_margin_deg': ('phase margin, worst draw', 'deg', 1.0),
     'worst_gain_margin_db': ('gain margin, worst draw', 'dB', 1.0),
     'worst_peak_sensitivity': ('peak sensitivity, worst draw', '1', 1.0),
+    'worst_peak_complementary': ('peak complementary, worst draw', '1', 1.0),
     'crossover_rad_s': ('crossover', 'rad/s', 1.0), 'bandwidth_rad_s': ('bandwidth', 'rad/s', 1.0),
     'motor_noise_rms': ('noise in the command, RMS', 'norm.', 1.0),
     'unstable_draws': ('unstable draws', '1', 1.0),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Iterator, Mapping
 
 from quad_sysid.separation.design import CERTAIN, Row, Separation
@@ -24,10 +25,11 @@ def text(found: Separation) -> str:
 def _lines(found: Separation) -> Iterator[str]:
     a = found.aircraft
     yield f'{found.first.name} or {found.second.name} on {a.axis}: which flight tells'
-    yield from _wrapped(
+    yield from textwrap.wrap(
         f'plant: {a.told}, gain {a.theta[0]:.3g}, lag {1e3 * a.theta[1]:.0f} ms, '
         f'delay {1e3 * a.theta[2]:.0f} ms; assumed: {found.first.words()}; '
-        f'{found.second.words()}'
+        f'{found.second.words()}',
+        WIDTH,
     )
     yield ''
     yield ROW.format('', '', 'angle', 'apart', 'apart', 'right', '95 %')
@@ -38,10 +40,11 @@ def _lines(found: Separation) -> Iterator[str]:
     if found.plain not in found.rows[:SHOWN]:
         yield _row('', found.plain, found.seconds)
     yield ''
-    yield from _wrapped(
+    yield from textwrap.wrap(
         'apart: log evidence of this one over the other in a flight with this one, both fitted, '
         'nats. right one: probability that the true one has the larger evidence. 95 % after: '
-        'seconds until that is so sure.'
+        'seconds until that is so sure.',
+        WIDTH,
     )
     shown = [row.excitation for row in found.rows[:SHOWN]]
     if any(e.before is not None for e in shown):
@@ -51,13 +54,14 @@ def _lines(found: Separation) -> Iterator[str]:
     if any(e.others_move for e in shown):
         yield '+A: the pilot stirs the other two axes.'
     if found.refused:
-        yield from _wrapped(
+        yield from textwrap.wrap(
             f'Of {found.tried} candidates {found.refused} would go near the angle at which the '
             'excitation node ends a flight, or move too little to tell the model itself; of the '
-            'others the best are shown.'
+            'others the best are shown.',
+            WIDTH,
         )
     yield ''
-    yield from _wrapped(why(found))
+    yield from textwrap.wrap(why(found), WIDTH)
 
 
 def why(found: Separation) -> str:
@@ -165,7 +169,7 @@ def schedule(found: Separation) -> str:
         checks.insert(0, _entry('validation', best.before, _like(best.before), 15.0))
     rows = [*(row for entry in (*trains, *checks) for row in (IDLE, entry)), IDLE]
     head = [f'Tells {found.first.name} and {found.second.name} on {part.axis} apart:',
-            *_wrapped(why(found), WIDTH - 2)]
+            *textwrap.wrap(why(found), WIDTH - 2)]
     lines = [*(f'# {line}' for line in head), 'schedule:', '  mount: rig', '  segments:']
     return '\n'.join([*lines, *(f'    - {row}' for row in rows)]) + '\n'
 
@@ -193,15 +197,3 @@ def _entry(
         **{name: f'{value:g}' for name, value in parameters.items()},
     }
     return '{' + ', '.join(f'{name}: {value}' for name, value in fields.items()) + '}'
-
-
-def _wrapped(words: str, width: int = WIDTH) -> Iterator[str]:
-    line = ''
-    for word in words.split():
-        if line and len(line) + 1 + len(word) > width:
-            yield line
-            line = word
-        else:
-            line = f'{line} {word}'.strip()
-    if line:
-        yield line

@@ -12,48 +12,22 @@ from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from rcl_interfaces.msg import ParameterEvent, ParameterType
+from rcl_interfaces.msg import ParameterEvent
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.qos import (
-    DurabilityPolicy,
-    QoSProfile,
-    ReliabilityPolicy,
-    qos_profile_sensor_data,
-)
+from rclpy.qos import qos_profile_sensor_data
 from rclpy.utilities import try_shutdown
 from sensor_msgs.msg import Imu
 from std_srvs.srv import Trigger
 
 from quad_bridge.lockstep import Clock
+from quad_bridge.nodes.conversion import parameters
+from quad_bridge.nodes.qos import EVENT, STATE
 from quad_tuning.demo.processes import StageFailedError
 
 PATIENCE_S = 1200.0
 """Real time that anything may take in lockstep: what takes longer hangs."""
-Value = bool | int | float | str
-STATE = QoSProfile(
-    depth=50,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
-)
-VOLATILE = QoSProfile(depth=50, reliability=ReliabilityPolicy.RELIABLE)
-_FIELDS = {
-    ParameterType.PARAMETER_BOOL: 'bool_value',
-    ParameterType.PARAMETER_INTEGER: 'integer_value',
-    ParameterType.PARAMETER_DOUBLE: 'double_value',
-    ParameterType.PARAMETER_STRING: 'string_value',
-}
-
-
-def values_of(event: Any) -> dict[str, Value]:
-    """Names and scalar values of a ParameterEvent's `changed_parameters`."""
-    return {
-        parameter.name: getattr(parameter.value, _FIELDS[parameter.value.type])
-        for parameter in event.changed_parameters
-        if parameter.value.type in _FIELDS
-    }
-
 
 class Observer:
     """The latest word on every state topic, and waiting for one that satisfies a condition."""
@@ -61,11 +35,11 @@ class Observer:
     def __init__(self, domain: int, clock: Clock | None = None) -> None:
         self._clock = clock or Clock()
         self.active_gains: dict[str, float] = {}
-        self.updates: list[dict[str, Value]] = []
+        self.updates: list[dict[str, Any]] = []
         self.update_time = self.gains_time = 0.0
         """When the last word on /gains/update and on /gains/active came, s on the run's clock."""
-        self.bag: dict[str, Value] = {}
-        self.segment: dict[str, Value] = {}
+        self.bag: dict[str, Any] = {}
+        self.segment: dict[str, Any] = {}
         self.diagnostics: dict[str, tuple[int, str, dict[str, str]]] = {}
         self.imu_count = 0
         self._context = Context()
@@ -75,10 +49,10 @@ class Observer:
         self._executor.add_node(self._node)
         subscribe = self._node.create_subscription
         subscribe(ParameterEvent, '/gains/active', self._on_gains, STATE)
-        subscribe(ParameterEvent, '/gains/update', self._on_update, VOLATILE)
+        subscribe(ParameterEvent, '/gains/update', self._on_update, EVENT)
         subscribe(ParameterEvent, '/logger/bag', self._on_bag, STATE)
         subscribe(ParameterEvent, '/excitation/segment', self._on_segment, STATE)
-        subscribe(DiagnosticArray, '/diagnostics', self._on_diagnostics, VOLATILE)
+        subscribe(DiagnosticArray, '/diagnostics', self._on_diagnostics, EVENT)
         self._imu: Any = None
 
     def __enter__(self) -> Observer:
@@ -155,18 +129,18 @@ class Observer:
     def _on_gains(self, event: ParameterEvent) -> None:
         self.gains_time = self._clock.now_s()
         self.active_gains.update(
-            {name: float(v) for name, v in values_of(event).items() if not isinstance(v, str)}
+            {name: v for name, v in parameters(event).items() if isinstance(v, float)}
         )
 
     def _on_update(self, event: ParameterEvent) -> None:
         self.update_time = self._clock.now_s()
-        self.updates.append(values_of(event))
+        self.updates.append(parameters(event))
 
     def _on_bag(self, event: ParameterEvent) -> None:
-        self.bag = values_of(event)
+        self.bag = parameters(event)
 
     def _on_segment(self, event: ParameterEvent) -> None:
-        self.segment = values_of(event)
+        self.segment = parameters(event)
 
     def _on_diagnostics(self, array: DiagnosticArray) -> None:
         for status in array.status:

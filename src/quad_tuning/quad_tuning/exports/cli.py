@@ -9,7 +9,7 @@ from typing import Any
 
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError
-from quad_sysid.json_file import read_json
+from quad_sysid.files import check_new, read_json, write_whole
 from quad_tuning.exports.parameters import FIRMWARES, lines, text
 
 
@@ -41,12 +41,8 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.out is None:
         print(content, end='')
         return 0
-    if arguments.out.exists():
-        raise BadInputError('--out', 'exists already', arguments.out, 'choose another name')
-    try:
-        arguments.out.write_text(content, encoding='utf-8')
-    except OSError as error:
-        raise BadInputError(str(arguments.out), 'cannot be written', error.strerror) from error
+    check_new(arguments.out)
+    write_whole(arguments.out, content)
     print(f'{len(found)} parameters in {arguments.out}')
     return 0
 

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from quad_sysid.errors import BadInputError
+from quad_sysid.report.tables import Table
 from quad_tuning.exports.cli import read_gains
 from quad_tuning.history.sets import (
     GainSet,
@@ -117,21 +118,19 @@ def _sets(arguments: argparse.Namespace) -> list[GainSet]:
 
 
 def table(sets: Sequence[GainSet]) -> str:
-    """One line per set: what it changed, whose it was, how it went."""
-    lines = [f'{"":>4}  {"time (UTC)":19}  {"outcome":12}  {"source":28}  changed']
+    """One line per set, when, whose and how it went, and below it what it changed, and why."""
+    rows = []
     before: Mapping[str, float] = {}
     for one in sets:
         words = _words(changed(before, one.gains)) if before else f'{len(one.gains)} values'
-        source = one.source or 'read from the STM32'
-        lines.append(
-            f'{one.number:4}  {one.time[:19]:19}  {one.outcome:12}  {source:28.28}  {words}'
-        )
-        if one.reason and one.outcome not in {'found', 'confirmed', 'passed'}:
-            lines.append(f'{"":39}  {one.reason}')
-        if one.bag or one.model:
-            lines.append(f'{"":39}  of {" and ".join(x for x in (one.bag, one.model) if x)}')
+        why = one.reason if one.outcome not in {'found', 'confirmed', 'passed'} else ''
+        origin = ' and '.join(filter(None, (one.bag, one.model)))
+        below = '; '.join(filter(None, (words, why, origin and f'of {origin}')))
+        rows.append([str(one.number), one.time[:19], one.outcome,
+                     one.source or 'read from the STM32', below])
         before = one.gains
-    return '\n'.join(lines)
+    head = ['', 'time (UTC)', 'outcome', 'source', 'changed']
+    return '\n'.join(Table(head, rows, (0,)).text(below=4))
 
 
 def by_hand(gains: Mapping[str, float], namespace: str = '') -> str:

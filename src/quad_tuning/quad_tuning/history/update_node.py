@@ -11,17 +11,17 @@ from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from rcl_interfaces.msg import Parameter, ParameterEvent, ParameterType, ParameterValue
+from rcl_interfaces.msg import ParameterEvent
 from rclpy.exceptions import InvalidNamespaceException
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from rclpy.validate_namespace import validate_namespace
 
 from quad_bridge.lockstep import patience
+from quad_bridge.nodes.conversion import event_message
+from quad_bridge.nodes.qos import EVENT, STATE
 from quad_sysid.errors import BadInputError
 
-STATE = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 LISTEN_S, ANSWER_S = 10.0, 60.0
 FAILED = ('rolled back', 'not taken over')
 """What the bridge says of an update that was begun and did not come into force."""
@@ -60,8 +60,8 @@ def publish(
         executor.add_node(node)
         heard = _Heard(source, () if rollback else FAILED)
         node.create_subscription(ParameterEvent, 'gains/active', heard.active, STATE)
-        node.create_subscription(DiagnosticArray, 'diagnostics', heard.diagnostics, 10)
-        publisher = node.create_publisher(ParameterEvent, 'gains/update', 10)
+        node.create_subscription(DiagnosticArray, 'diagnostics', heard.diagnostics, EVENT)
+        publisher = node.create_publisher(ParameterEvent, 'gains/update', EVENT)
 
         def spin(until: Any, seconds: float) -> bool:
             end = time.monotonic() + patience(seconds)
@@ -79,7 +79,11 @@ def publish(
             raise BadInputError(asked, f'no bridge has been heard for {LISTEN_S:.0f} s',
                                 remedy='start serial_bridge, or give its --namespace')
         heard.before = heard.message
-        publisher.publish(_message(gains, source, rollback=rollback, predicted=predicted))
+        told: dict[str, bool | float | str] = {
+            **gains, 'source': source, **({'predicted': predicted} if predicted else {}),
+            **({'rollback': True} if rollback else {}),
+        }
+        publisher.publish(event_message(told, '/quad_tune', 0))
         if not spin(lambda: heard.refusal or heard.has(gains), ANSWER_S):
             raise BadInputError(answered, f'no answer of the bridge for {ANSWER_S:.0f} s')
         return heard.refusal
@@ -112,28 +116,3 @@ class _Heard:
             abs(self.gains.get(name, float('inf')) - value) <= 1e-6 * max(abs(value), 1e-9)
             for name, value in gains.items()
         )
-
-
-def _message(
-    gains: Mapping[str, float], source: str, *, rollback: bool, predicted: str
-) -> Any:
-    number, text, flag = (
-        ParameterType.PARAMETER_DOUBLE,
-        ParameterType.PARAMETER_STRING,
-        ParameterType.PARAMETER_BOOL,
-    )
-    message = ParameterEvent(node='/quad_tune')
-    message.changed_parameters = [
-        Parameter(name=name, value=ParameterValue(type=number, double_value=value))
-        for name, value in gains.items()
-    ]
-    texts = {'source': source, **({'predicted': predicted} if predicted else {})}
-    message.changed_parameters += [
-        Parameter(name=name, value=ParameterValue(type=text, string_value=words))
-        for name, words in texts.items()
-    ]
-    if rollback:
-        message.changed_parameters.append(
-            Parameter(name='rollback', value=ParameterValue(type=flag, bool_value=True))
-        )
-    return message

@@ -1,0 +1,61 @@
+"""Files read and written whole, or one line why not. What their content means others know."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from quad_sysid.errors import BadInputError
+
+
+def read_json(path: str | os.PathLike[str], remedy: str = '') -> Any:
+    """The content of a file; `remedy` for one that cannot be opened. Raises BadInputError."""
+    try:
+        return json.loads(Path(path).read_text(encoding='utf-8'))
+    except OSError as error:
+        raise BadInputError(str(path), 'cannot be read', error.strerror, remedy) from error
+    except (ValueError, RecursionError) as error:  # no text, no JSON, endless digits or brackets
+        raise BadInputError(str(path), 'is not JSON', str(error),
+                            'give a file that quad-sysid or quad-tune wrote') from error
+
+
+def write_whole(path: str | os.PathLike[str], content: str | bytes) -> None:
+    """Put the file in place when all of it is on the disk; raises BadInputError."""
+    target = Path(path)
+    data = content.encode() if isinstance(content, str) else content
+    part: Path | None = None
+    try:
+        with tempfile.NamedTemporaryFile(
+            dir=target.parent, prefix=f'.{target.name}.', suffix='.part', delete=False
+        ) as stream:
+            part = Path(stream.name)
+            stream.write(data)
+            stream.flush()
+            os.fsync(stream.fileno())
+        mask = os.umask(0)
+        os.umask(mask)
+        part.chmod(0o666 & ~mask)
+        part.replace(target)
+    except OSError as error:
+        if part is not None:
+            part.unlink(missing_ok=True)
+        raise BadInputError(str(target), 'cannot be written', error.strerror,
+                            'choose another place') from error
+
+
+def check_new(path: Path, option: str = '--out') -> None:
+    """Raise BadInputError where a file of this name stands already."""
+    if path.exists():
+        raise BadInputError(option, 'exists already', path, 'choose another name')
+
+
+def make_folder(folder: Path, option: str = '--out') -> Path:
+    """The folder, made where it is missing; raises BadInputError naming the option."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadInputError(option, f'{folder} cannot be made', error.strerror) from error
+    return folder
