@@ -31,7 +31,7 @@ MEANS = {
     'TakenError': 'The recording cannot have this place (exit status 2).',
     'NotInformativeError': 'The data are in order and cannot answer the question (exit status 3).',
     'DesignRefusedError': 'The model does not allow a design of gains (exit status 3).',
-    'RefusedError': 'The gate does not let these gains reach the aircraft.',
+    'RefusedError': 'The bridge refuses a request: new gains, arming, a check.',
     'QuadBridgeError': 'The bridge cannot do what was asked (exit status 2).',
     'EncodeError': 'A frame of ours cannot be sent.',
     'EffectModuleError': "The virtual STM32's effect module is wrong (exit status 2).",

@@ -93,7 +93,7 @@ def completion_command(commands: Commands, programs: Sequence[str]) -> None:
         return 0
 
     parser = command(
-        commands, 'completion', run, 'Print what completes these commands in your shell.',
+        commands, 'completion', run, 'Print the completion script for your shell.',
         'eval "$(quad-sysid completion)"',
     )
     parser.add_argument('shell', nargs='?', default='bash', choices=['bash', 'zsh', 'fish'])

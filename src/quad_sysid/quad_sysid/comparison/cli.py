@@ -22,7 +22,7 @@ def add(commands: Commands) -> None:
     """Register the command."""
     parser = command(
         commands, 'compare', _run,
-        'Tell what changed between flights or aircraft: the difference of every parameter of '
+        'Show what changed between flights or aircraft: the difference of every parameter of '
         'base, trim and effects, its error, and the chance that nothing changed.',
         'quad-sysid compare monday/ friday/ --axis roll',
     )

@@ -18,7 +18,7 @@ def add(commands: Commands) -> None:
     parser = command(
         commands, 'fleet', _run,
         'Identify every bag below a folder on all cores or a Dask cluster: one row per bag in a '
-        'Parquet table, and a page about the fleet. Called again it goes on where it stood.',
+        'Parquet table, and a page about the fleet. Called again, it continues.',
         'quad-sysid fleet flights/ --out fleet/',
     )
     parser.add_argument('folder', metavar='FOLDER', type=Path,
@@ -34,7 +34,7 @@ def add(commands: Commands) -> None:
     parser.add_argument('--no-effects', action='store_true', help='fit the models only')
     parser.add_argument('--reports', action='store_true',
                         help='keep report.json and model.json of every bag')
-    parser.add_argument('--again', action='store_true', help='try failed bags anew')
+    parser.add_argument('--again', action='store_true', help='try failed bags again')
     quiet_and_json(parser, 'the rows')
 
 

@@ -29,7 +29,7 @@ def add(commands: Commands) -> None:
     parser = command(
         commands, 'import', _run,
         'Turn a log of PX4, ArduPilot, Betaflight, INAV or INDIflight, or any table, into a bag '
-        'of the contract. The kind is told by the file. A table needs the options that name '
+        'of the contract. The file shows its format. A table needs the options that name '
         'columns: FILE alone lists them, guesses what they are and prints the command line.',
         'quad-sysid import flight.ulg --out bag/, or quad-sysid import log.csv --axis all '
         '--time t --motors m1,m2,m3,m4 --mixer auto --rate gx,gy,gz --unit gx=deg/s --out bag/',
@@ -38,7 +38,7 @@ def add(commands: Commands) -> None:
                         help='.ulg, .bin, .bbl, .bfl, blackbox CSV, CSV, .parquet, ROS 1 .bag, '
                         "a Crazyflie's SD card log; tables also gzipped")
     parser.add_argument('--out', metavar='BAG', type=Path,
-                        help='without it, what the file holds is told and nothing is written')
+                        help='without it, the contents are listed and nothing is written')
     parser.add_argument('--grid', metavar='HZ', type=float,
                         help='rate of the bag (default: what the times say)')
     parser.add_argument('--log', metavar='N', type=int, default=1,

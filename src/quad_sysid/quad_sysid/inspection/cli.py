@@ -13,7 +13,7 @@ def add(commands: Commands) -> None:
     """Register the command."""
     parser = command(
         commands, 'inspect', _run,
-        'Tell in a page what a bag holds and what it can be used for; nothing is fitted.',
+        'Show on one page what a bag holds and what it can be used for, without a fit.',
         'quad-sysid inspect flight/',
     )
     parser.add_argument('bag', metavar='BAG', help='rosbag2 directory or .mcap file')

@@ -55,7 +55,7 @@ def rivalry(model: AxisModel | None) -> Iterator[str]:
         if near > NEAR_RIVAL and model is not None:
             yield (
                 f'{effect.name} (probability {effect.probability:.2g}) or {name} ({near:.2g}): '
-                'this flight hardly tells them apart; the flight that does: quad-sysid '
+                'this flight hardly separates them; design one that does: quad-sysid '
                 f'design-excitation --separate {effect.name} {name} --axis {model.axis} '
                 '--model model.json --out schedule.yaml'
             )
@@ -67,7 +67,7 @@ def _excitation(e: Evidence) -> Iterator[str]:
     if found < asked:
         yield (
             f'the command is persistently exciting of order {found} only, the largest model asks '
-            f'for {asked}: its coefficients are not all told by the data; fly a PRBS of more bits '
+            f'for {asked}: the data do not fix all its coefficients; fly a PRBS of more bits '
             'or fit lower orders'
         )
 
@@ -106,7 +106,7 @@ def _delay(e: Evidence) -> Iterator[str]:
 def _band(e: Evidence) -> Iterator[str]:
     if e.band is None:
         yield (
-            'at no frequency do command and rate hang together well enough to trust a model: '
+            'at no frequency are command and rate coherent enough to trust a model: '
             'excite with more amplitude'
         )
         return

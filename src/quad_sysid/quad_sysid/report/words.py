@@ -15,9 +15,9 @@ PLAIN = {
     'pendulum_stiffness': 'a centre of mass off the axis (pendulum)',
     'cubic_stiffness': 'a spring that hardens with the angle',
     'battery_sag': 'thrust that falls with the battery voltage',
-    'thrust_curve': 'a bent curve from command to thrust',
+    'thrust_curve': 'a curved relation of command and thrust',
     'dead_zone': 'a dead zone of the command',
-    'saturation': 'motor limits below the nominal ones', 'motor_lag': 'motors of unlike lag',
+    'saturation': 'motor limits below the nominal ones', 'motor_lag': 'motors with different lags',
     'gyroscopic_coupling': "gyroscopic coupling to another axis' rate",
     'inertia_coupling': 'coupling to the product of the other rates',
     'cross_axis_input': "another axis' command", 'resonance': 'a lightly damped mode',
@@ -96,7 +96,7 @@ def story(axis: str, tree: Tree) -> list[tuple[str, str]]:
         reason = _bare(axis, tree.get('reason', ''))
         return [('Why?', f'{reason[:1].upper()}{reason[1:]}.')]
     return [
-        ('What is the model worth?', _worth(tree)),
+        ('How well does the model predict?', _worth(tree)),
         ('What was missing, and how sure is that?', ' '.join(_missing(tree))),
         ('Which gains, and why?', _gains(axis, tree)),
     ]
@@ -107,7 +107,7 @@ def _worth(tree: Tree) -> str:
     after, hold = float(error['after']), error.get('hold_last_value')
     unit = error['unit']
     text = (
-        f'Run free over half a second, on data that it had never seen, its rate is off by '
+        f'Over half a second of held-out data its free run is off by '
         f'{number(after)} '
         f'{unit} RMS{_interval(error.get("after_interval_95"))}.'
     )
@@ -151,7 +151,7 @@ def horizon_words(error: Tree) -> str:
         )
     at = next(h for h in listed if h['horizon_s'] == far)
     last = listed[-1]['horizon_s']
-    beyond = '' if far == last else f'; further ahead, up to {last:g} s, it is worth less'
+    beyond = '' if far == last else f'; further ahead, up to {last:g} s, it predicts less well'
     return (
         f' It halves the error of holding the last value up to {far:g} s ahead (off by '
         f'{number(at["after"])} instead of {number(at["hold"])} {error["unit"]}){beyond}.'
@@ -168,7 +168,8 @@ def _missing(tree: Tree) -> list[str]:
         values = '; '.join(parameter(p) for p in effect['parameters'])
         shown = f': {values}' if effect['kind'] != 'shape' else ' (its curve is drawn below)'
         text = f'{named(effect["name"]).capitalize()} ({effect["name"]}){shown}.'
-        text += f' That nothing is missing has p {equals(effect["p_value"])} on held-out data'
+        text += (f' Against the claim that nothing is missing, the held-out data give p '
+                 f'{equals(effect["p_value"])}')
         rivals = effect.get('rivals') or []
         if rivals:
             best = max(rivals, key=lambda r: r['probability'])
@@ -216,7 +217,7 @@ def parameter(p: Tree) -> str:
 def bound(p: Tree) -> str:
     """What is said in place of a standard error."""
     limits = p.get('interval_95')
-    return f' (none told; below {limits[1]:.2g})' if limits else ' (no error known)'
+    return f' (no standard error; below {limits[1]:.2g})' if limits else ' (no standard error)'
 
 
 def joined(parts: Sequence[str]) -> str:
