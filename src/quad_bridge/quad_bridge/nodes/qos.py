@@ -17,29 +17,22 @@ from rosbags.interfaces import (
 
 from quad_bridge.topics import LATCHED
 
-STREAM = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=1000,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.VOLATILE,
-)
+
+def _profile(depth: int, *, latched: bool = False, reliable: bool = True) -> QoSProfile:
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=depth,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )
+
+
+STREAM = _profile(1000)
 """Streams of up to 250 Hz: reliable, readable by best-effort subscribers too; 4 s deep, so that a
 logger that gets no CPU for a while misses nothing."""
-
-STATE = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=10,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
-)
+STATE = _profile(10, latched=True)
 """States that a late subscriber must see: segment, active gains, bag."""
-
-EVENT = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=10,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.VOLATILE,
-)
+EVENT = _profile(10)
 """Requests that count when they happen and not later: wanted gains, diagnostics."""
 
 
@@ -53,12 +46,7 @@ def adapted(topic: str, publishers: Sequence[Any]) -> QoSProfile:
         offer = publisher.qos_profile
         reliable &= offer.reliability == ReliabilityPolicy.RELIABLE
         latched &= offer.durability == DurabilityPolicy.TRANSIENT_LOCAL
-    return QoSProfile(
-        history=HistoryPolicy.KEEP_LAST,
-        depth=1000,
-        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
-    )
+    return _profile(1000, latched=latched, reliable=reliable)
 
 
 def offered(publishers: Sequence[Any]) -> tuple[Qos, ...]:

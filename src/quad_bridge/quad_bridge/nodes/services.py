@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 from rcl_interfaces.msg import ParameterDescriptor, ParameterEvent, SetParametersResult
@@ -51,11 +52,10 @@ class GainServices:
             node.declare_parameter(name, math.nan, descriptor)
         node.add_on_set_parameters_callback(self._on_set)
         group = ReentrantCallbackGroup()
-        for name, answer in (
-            ('~/check_polarity', self._on_polarity),
-            ('~/find_motors', self._on_motors),
-        ):
-            node.create_service(Trigger, name, answer, callback_group=group)
+        for name, motors in (('~/check_polarity', False), ('~/find_motors', True)):
+            node.create_service(
+                Trigger, name, partial(self._on_check, motors), callback_group=group
+            )
 
     def show(self, active: Mapping[str, float]) -> None:
         """Let the parameters say what is in force."""
@@ -77,13 +77,7 @@ class GainServices:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
-    async def _on_polarity(self, _: Any, response: Any) -> Any:
-        return await self._answer(response, False)
-
-    async def _on_motors(self, _: Any, response: Any) -> Any:
-        return await self._answer(response, True)
-
-    async def _answer(self, response: Any, motors: bool) -> Any:
+    async def _on_check(self, motors: bool, _: Any, response: Any) -> Any:
         done = Future()
         try:
             self._check(done.set_result, motors)

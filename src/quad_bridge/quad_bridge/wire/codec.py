@@ -132,14 +132,10 @@ class Decoder:
         if isinstance(frame, f.Cycle):
             self._peer, self._cycles = (packet.system, packet.component), True
         elif self._peer is None:
-            if not _flies(frame):
+            if not isinstance(frame, f.Heartbeat) or frame.autopilot == NO_AUTOPILOT:
                 return not isinstance(frame, _ANSWERS)
             self._peer = (packet.system, packet.component)
         return True
-
-
-def _flies(frame: f.Frame) -> bool:
-    return isinstance(frame, f.Heartbeat) and frame.autopilot != NO_AUTOPILOT
 
 
 class Encoder:
