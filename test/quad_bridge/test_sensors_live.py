@@ -190,8 +190,9 @@ def test_an_estimate_before_the_aircraft_is_known_is_kept_once_it_is(tmp_path):
         ('sensors: {compass: {offset: [true, 0, 0]}}', 'must be three numbers: found'),
         (f'sensors: {{compass: {{offset: [{10**400}, 0, 0]}}}}', 'must be three numbers: found'),
         ('[' * 700, 'cannot be read'),
+        ('sensors: {rest: [1], compass: {offset: [1, 2]}}', 'must be three numbers'),
     ],
-    ids=range(8),
+    ids=range(9),
 )
 def test_a_spoilt_file_is_told_and_left_alone(tmp_path, text, fault):
     file = aircraft_file(tmp_path, text)

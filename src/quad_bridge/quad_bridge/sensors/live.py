@@ -152,7 +152,7 @@ class LiveSensors:
         rows = np.array(wanted.samples, dtype=float).reshape(-1, 7)
         try:
             if self._armed and not wanted.samples:
-                _refuse('it is armed: biases are estimated with the motors off')
+                raise RefusedError('it is armed: biases are estimated with the motors off')  # noqa: TRY301
             found = estimate_at_rest(rows[:, 0], rows[:, 1:4], rows[:, 4:])
         except RefusedError as why:
             held_s = wanted.samples[-1][0] - wanted.samples[0][0] if wanted.samples else 0.0
@@ -184,7 +184,7 @@ class LiveSensors:
 
     def _read(self, *, resume: bool = False) -> None:
         """Take the compass's offset from the file; with `resume` the bias of this power-up too."""
-        sections = self._sections()
+        sections, iron, bias = self._sections(), NOTHING, None
         try:
             iron = aircraft_file.three(sections, 'compass', 'offset', MOST_TESLA) or NOTHING
             bias = aircraft_file.three(sections, 'rest', 'gyro_bias', MOST_RAD_S)
@@ -192,35 +192,31 @@ class LiveSensors:
             self.fault = f'{self.path}: {error}'
             return
         self._adopt(hard_iron=iron)
-        if resume and bias is not None and self._same_start(sections['rest']):
+        if not resume or bias is None or self._started_s <= 0.0:
+            return
+        started_s = sections['rest'].get('stm32_started_s')
+        if isinstance(started_s, float) and abs(started_s - self._started_s) < SAME_START_S:
             self._adopt(gyro_bias=bias)
             self.words = 'gyro bias as estimated before, the STM32 has not restarted since'
 
-    def _same_start(self, rest: dict[str, Any]) -> bool:
-        started = rest.get('stm32_started_s')
-        known = isinstance(started, float) and self._started_s > 0.0
-        return known and abs(float(started or 0.0) - self._started_s) < SAME_START_S
-
     def _sections(self) -> dict[str, Any]:
-        if self.path is None:
-            return {}
         try:
-            self.fault, found = '', aircraft_file.read(self.path)
+            self.fault = ''
+            return aircraft_file.read(self.path) if self.path is not None else {}
         except BadInputError as error:
-            self.fault, found = str(error), {}
-        return found
+            self.fault = str(error)
+            return {}
 
     def _keep(self, found: RestEstimate, now: datetime, why: str) -> None:
-        if self.path is None:
-            return
         before = self._sections().get('rest')
+        if self.path is None or self.fault:
+            return
         entry = aircraft_file.entry(found, now, f'the bridge, {why}')
         entry['stm32_started_s'] = round(self._started_s, 3)
         if isinstance(before, dict) and 'gyro_bias' in before:
             entry['before'] = {k: before[k] for k in ('measured', 'gyro_bias') if k in before}
         try:
-            if not self.fault:
-                aircraft_file.write(self.path, {'rest': entry})
+            aircraft_file.write(self.path, {'rest': entry})
         except BadInputError as error:
             self.fault = str(error)
 
@@ -234,10 +230,6 @@ class LiveSensors:
             )
             if self._correct and new != now:
                 self._fresh = new
-
-
-def _refuse(why: str) -> None:
-    raise RefusedError(why)
 
 
 def _three(values: tuple[float, float, float]) -> str:
