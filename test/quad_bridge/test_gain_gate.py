@@ -65,6 +65,8 @@ def test_a_state_feedback_comes_in_by_quarters_and_its_gains_move_freely_only_be
         ({'roll.angle.kp': 15.1}, ACTIVE, 'must lie in'),
         ({'roll.rate.ki': -1e-9}, ACTIVE, 'must lie in'),
         ({'roll.angle.kq': 1.0}, ACTIVE, 'no gain of this name'),
+        ({60 * 'k': 1.0}, ACTIVE, '^k{60}: no gain of this name'),
+        ({61 * 'k': 1.0}, ACTIVE, '^k{60}…: no gain of this name'),
         ({'loop.rate_hz': 500.0}, ACTIVE, 'no gain of this name'),
         ({'yaw.rate.kp': 0.2}, ACTIVE, 'the configuration allows no change'),
         ({}, ACTIVE, 'no gain in changed_parameters'),

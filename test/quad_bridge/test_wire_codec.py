@@ -62,6 +62,7 @@ FRAMES = [
     f.Command(511, (30.0, 4000.0, 0.0, 0.0, 0.0, 0.0, 0.0), 0, 1, 1),
     f.CommandAck(511, 3),
     f.StatusText(4, 'kill switch is on'),
+    f.Battery(0.0, 0.0, 0.0),
 ]
 
 
@@ -84,6 +85,18 @@ def test_a_battery_that_is_not_measured_is_nan():
     (battery,) = Decoder().feed(Encoder().encode(f.Battery(math.nan)))
     assert math.isnan(battery.voltage_v)
     assert math.isnan(battery.current_a)
+
+
+@pytest.mark.parametrize(
+    ('bits', 'name', 'value'),
+    [
+        (0x007, 'accel', (1.0, 2.0, 3.0)), (0x038, 'gyro', (4.0, 5.0, 6.0)),
+        (0x1C0, 'mag_gauss', (7.0, 8.0, 9.0)), (0x200, 'pressure_hpa', 10.0),
+    ],
+)  # fmt: skip
+def test_only_what_was_updated_is_told(bits, name, value):
+    sent = peer().highres_imu_encode(1, *range(1, 14), bits).pack(peer())
+    assert Decoder().feed(sent) == [f.SlowSensors(1, temperature_c=13.0, **{name: value})]
 
 
 @pytest.mark.parametrize(
@@ -178,7 +191,8 @@ def test_values_that_cannot_be_are_not_handed_out():
     bad = [
         replace(CYCLE, gyro=(nan, 0.0, 0.0)), replace(CYCLE, motors=(0.0, 0.0, 0.0, inf)),
         replace(CYCLE, attitude=(0.0, 50.0, 0.0)), replace(CYCLE, injection=9),
-        replace(FRAMES[9], phase=77), f.ParamValue('ROLL_RATE_KP', nan, 1, 0),
+        *(replace(FRAMES[9], **{name: 5}) for name in ('phase', 'result', 'action')),
+        replace(FRAMES[8], action=5), f.ParamValue('ROLL_RATE_KP', nan, 1, 0),
     ]  # fmt: skip
     decoder = Decoder(own=(1, 191))
     assert decoder.feed(b''.join(Encoder().encode(frame) for frame in bad)) == []
