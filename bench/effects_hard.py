@@ -25,6 +25,7 @@ import effects_scenarios as scenarios
 import numpy as np
 from effects_answer import searched
 from threadpoolctl import threadpool_limits
+from virtual_flights import record_of
 
 from quad_bridge.virtual.profile import load_profile
 from quad_sysid.effects import EFFECTS
@@ -123,7 +124,7 @@ def flown(scenario: scenarios.Scenario, hard: Hardship) -> Record:
     inertia = np.array(load_profile('plain').airframe.inertia_kg_m2)
     index = scenarios.AXES.index(scenario.axis)
     torque = gusts(rng, index, round(90.0 / STEP_S), hard) * inertia
-    record = scenarios.record_of(scenarios.flight_of(
+    record = record_of(scenarios.flight_of(
         scenario, scenario.seed, unseen=False,
         effect=lambda t, *_: torque[min(int(t / STEP_S), len(torque) - 1)],
     ))

@@ -16,17 +16,13 @@ from types import ModuleType
 
 import numpy as np
 from effects_undeclared import NEEDS_DRIVE, UNDECLARED, EffectFunction, plain_torque
+from virtual_flights import PLAN, record_of, schedule_of
 
 from quad_bridge.virtual.profile import Profile, load_profile
 from quad_bridge.virtual.receiver import Event, Receiver
-from quad_bridge.virtual.simulation import Excited, Flight, fly
-from quad_sysid.contract import control_from_motors
-from quad_sysid.record import GainChange, Record, Segment
-from quad_sysid.signals.waveforms import prbs
+from quad_bridge.virtual.simulation import Flight, fly
+from quad_sysid.record import Record
 
-RATE_HZ = 250.0
-AMPLITUDE = np.deg2rad(12.0)
-PLAN = (('train', 'prbs', 40.0), ('validation', 'prbs', 18.0), ('validation', 'square', 16.0))
 UNSEEN = (('validation', 'prbs', 20.0), ('validation', 'square', 15.0))
 AXES = ('roll', 'pitch', 'yaw')
 PLACES = tuple((axis, mount) for mount in ('rig', 'hover') for axis in ('roll', 'pitch'))
@@ -240,7 +236,7 @@ def flight_of(
     """The flight on the virtual STM32's physics; `effect` as in effects_undeclared."""
     profile = _profile(scenario, unseen=unseen)
     plan = UNSEEN if unseen else PLAN
-    schedule, end = _schedule(scenario.axis, plan, seed)
+    schedule, end = schedule_of(scenario.axis, plan, seed)
     if scenario.stirred:
         profile = replace(profile, receiver=_sticks(scenario, seed, end))
     if scenario.module:
@@ -291,42 +287,6 @@ def _sticks(scenario: Scenario, seed: int, end: float) -> Receiver:
             events.append(Event(time, 'throttle', float(rng.uniform(0.28, 0.6))))
         time += float(rng.uniform(0.2, 1.5 if scenario.mount == 'hover' else 5.0))
     return Receiver(tuple(events))
-
-
-def _schedule(
-    axis: str, plan: tuple[tuple[str, str, float], ...], seed: int
-) -> tuple[list[Excited], float]:
-    out: list[Excited] = []
-    time = 3.0
-    for number, (role, signal, seconds) in enumerate(plan):
-        n = round(seconds * RATE_HZ)
-        if signal == 'square':
-            samples = AMPLITUDE * np.where((np.arange(n) // 375) % 2 == 0, 1.0, -1.0)
-        else:
-            wave = prbs(9, 23, float(AMPLITUDE), 1 + (13 * seed + 101 * number) % 510)
-            samples = np.resize(wave, n)
-        out.append(Excited(time, samples, axis, 'attitude', role, signal))
-        time += seconds + 2.0
-    return out, time
-
-
-def record_of(flight: Flight) -> Record:
-    """The flight as the analysis gets it from a bag."""
-    segments: list[Segment] = []
-    time = 0.0
-    for part in flight.schedule:
-        segments.append(Segment('idle', 'none', part.axis, part.injection, time, part.start_s))
-        time = part.start_s + part.samples.size * flight.dt
-        segments.append(
-            Segment(part.role, part.signal, part.axis, part.injection, part.start_s, time)
-        )
-    return Record(
-        source='simulated', dt=flight.dt, rates=flight.rates,
-        control=control_from_motors(flight.motors), angles=flight.angles, motors=flight.motors,
-        wrench=flight.wrench, attitude_setpoint=flight.attitude_setpoint,
-        rate_setpoint=flight.rate_setpoint, battery_v=flight.battery_v,
-        segments=tuple(segments), gains=(GainChange(0.0, dict(flight.gains)),),
-    )
 
 
 # ----------------------------------------------------------------- the second simulator

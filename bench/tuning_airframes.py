@@ -12,28 +12,24 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from threadpoolctl import threadpool_limits
+from virtual_flights import AMPLITUDE, PLAN, RATE_HZ, START_S, record_of, schedule_of
 
 from quad_bridge.virtual.firmware import FirmwareSettings
 from quad_bridge.virtual.plant import axis_gains
 from quad_bridge.virtual.profile import Profile, load_profile
 from quad_bridge.virtual.receiver import Event, Receiver
 from quad_bridge.virtual.simulation import Excited, Flight, fly
-from quad_sysid.contract import AXES, control_from_motors
+from quad_sysid.contract import AXES
 from quad_sysid.errors import NotInformativeError
 from quad_sysid.estimate.stored import estimate_of
 from quad_sysid.model import AxisModel, EffectEstimate, Parameter
 from quad_sysid.model.data import axis_data
 from quad_sysid.pipeline import assemble
 from quad_sysid.pipeline.identify import Options, found_effects
-from quad_sysid.record import GainChange, Record, Segment
-from quad_sysid.signals.waveforms import prbs
+from quad_sysid.record import Record
 
-RATE_HZ = 250.0
-AMPLITUDE = float(np.deg2rad(12.0))
 HALF_PERIOD_S = 2.0
 PERIODS = 5
-START_S = 3.0
-PLAN = (('train', 'prbs', 40.0), ('validation', 'prbs', 18.0), ('validation', 'square', 16.0))
 PLACES = tuple((axis, mount) for axis in ('roll', 'pitch') for mount in ('rig', 'hover'))
 Settings = Mapping[str, object]
 
@@ -168,17 +164,7 @@ def profile_of(airframe: Airframe, *, later: bool) -> Profile:
 
 def first_flight(airframe: Airframe) -> Record:
     """The flight that is identified, with the paper's gains."""
-    schedule: list[Excited] = []
-    time = START_S
-    for number, (role, signal, seconds) in enumerate(PLAN):
-        n = round(seconds * RATE_HZ)
-        if signal == 'square':
-            samples = AMPLITUDE * np.where((np.arange(n) // 375) % 2 == 0, 1.0, -1.0)
-        else:
-            wave = prbs(9, 23, AMPLITUDE, 1 + (13 * airframe.seed + 101 * number) % 510)
-            samples = np.resize(wave, n)
-        schedule.append(Excited(time, samples, airframe.axis, 'attitude', role, signal))
-        time += seconds + 2.0
+    schedule, time = schedule_of(airframe.axis, PLAN, airframe.seed)
     profile = profile_of(airframe, later=False)
     if airframe.stirred and airframe.mount == 'rig':
         rng = np.random.default_rng([airframe.seed, 7])
@@ -198,25 +184,6 @@ def second_flight(airframe: Airframe, gains: Mapping[str, float], number: int = 
     end = START_S + samples.size / RATE_HZ
     seed = airframe.seed + 700_000 + number
     return fly(profile_of(airframe, later=True), [part], end, seed, gains=gains)
-
-
-def record_of(flight: Flight) -> Record:
-    """The flight as the analysis gets it from a bag."""
-    segments: list[Segment] = []
-    time = 0.0
-    for part in flight.schedule:
-        segments.append(Segment('idle', 'none', part.axis, part.injection, time, part.start_s))
-        time = part.start_s + part.samples.size * flight.dt
-        segments.append(
-            Segment(part.role, part.signal, part.axis, part.injection, part.start_s, time)
-        )
-    return Record(
-        source='simulated', dt=flight.dt, rates=flight.rates,
-        control=control_from_motors(flight.motors), angles=flight.angles, motors=flight.motors,
-        wrench=flight.wrench, attitude_setpoint=flight.attitude_setpoint,
-        rate_setpoint=flight.rate_setpoint, battery_v=flight.battery_v,
-        segments=tuple(segments), gains=(GainChange(0.0, dict(flight.gains)),),
-    )
 
 
 # ------------------------------------------------------------------------- identifying them
