@@ -115,6 +115,7 @@ static void take(quad_attitude *a, const quad_mounting *m, const float chip_gyro
     if (!within(chip_gyro, LARGEST_GYRO) || !within(chip_accel, LARGEST_ACCEL)) {
         return;
     }
+    a->silent = 0;
     quad_to_body(m->axes, chip_gyro, gyro);
     quad_to_body(m->axes, chip_accel, accel);
     for (size_t i = 0; i < 3; i++) {
@@ -141,6 +142,7 @@ void quad_attitude_cycle(quad_attitude *a, const quad_mounting *m, const quad_se
     if (a->accel.hz != gains[QUAD_SENSOR_ACCEL_FILTER_HZ]) {
         tune(&a->accel, gains[QUAD_SENSOR_ACCEL_FILTER_HZ], m->sample_s);
     }
+    a->silent++;
     for (size_t i = 0; i < s->samples && i < QUAD_MOST_SAMPLES; i++) {
         take(a, m, s->gyro[i], s->accel[i]);
     }

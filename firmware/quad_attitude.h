@@ -45,6 +45,7 @@ typedef struct {
     quad_low_pass gyro, accel;
     float angle[3]; /* roll, pitch, yaw */
     bool settled, started; /* a first sample has come; the attitude has begun */
+    uint32_t silent;       /* cycles since a good sample */
 } quad_attitude;
 
 void quad_attitude_init(quad_attitude *attitude);

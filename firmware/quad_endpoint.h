@@ -79,6 +79,7 @@ typedef struct {
     quad_excitation excitation;
     float in_force[QUAD_PARAMETERS];
     bool armed, low_battery, tilted;
+    bool blind; /* no gyro: the control loop says so; nothing arms */
     uint16_t last_flags;
     uint32_t cycle;
     uint64_t began_us;

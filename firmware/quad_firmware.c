@@ -4,10 +4,13 @@
 #include <math.h>
 #include <string.h>
 
+#include "quad_outbox.h"
+
 #define SHORTEST_US 800.0f
 #define LONGEST_US 2200.0f
 #define SWITCHED_US 1750.0f
 #define LOW_THROTTLE_US 1100.0f
+#define BLIND_S 0.1f /* without a sample of the gyro: the motors stop */
 
 enum { ROLL, PITCH, THROTTLE, YAW, KILL };
 
@@ -33,6 +36,7 @@ void quad_firmware_init(quad_firmware *f, const quad_firmware_settings *settings
     quad_attitude_init(&f->attitude);
     quad_control_init(&f->control);
     f->period_s = 1.0f / (float)f->endpoint.settings.rate_hz;
+    f->arm_switch = true; /* it must be seen off before it arms */
     for (size_t i = 0; i < QUAD_CHANNELS; i++) {
         f->receiver.pulse_us[i] = i == ROLL || i == PITCH || i == YAW ? 1500.0f : 1000.0f;
     }
@@ -84,6 +88,17 @@ static void heed_switch(quad_firmware *f)
     f->arm_switch = on;
 }
 
+/* Without a gyro nothing arms, and what flies is let fall before it turns over with a rate of long ago. */
+static void heed_gyro(quad_firmware *f)
+{
+    const bool lost = (float)f->attitude.silent * f->period_s > BLIND_S;
+    if (lost && f->endpoint.armed) {
+        f->endpoint.armed = false;
+        quad_put_text(&f->endpoint, 2, "gyro silent: motors stopped");
+    }
+    f->endpoint.blind = lost || !f->attitude.settled;
+}
+
 static float stick(float pulse_us)
 {
     return fmaxf(-1.0f, fminf(1.0f, (pulse_us - 1500.0f) / 500.0f));
@@ -124,6 +139,7 @@ void quad_firmware_cycle(quad_firmware *f, uint64_t start_us, const quad_inputs 
     quad_endpoint_begin_cycle(&f->endpoint, start_us, &pilot, r);
     quad_attitude_cycle(&f->attitude, &f->settings.mounting, &inputs->sensors, r->gains,
                         f->period_s, r->gyro, r->accel, r->attitude);
+    heed_gyro(f);
     quad_control_cycle(&f->control, &f->settings.ranges, &sticks, slow.battery_v, f->period_s,
                        r);
     quad_endpoint_end_cycle(&f->endpoint, r, &pilot, &slow);

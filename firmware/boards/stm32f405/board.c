@@ -11,6 +11,12 @@ static volatile uint32_t unheard_ms;
 static uint32_t last_count;
 static uint64_t base_us;
 
+/* An emulator without this block reads 0. */
+static bool emulated(void)
+{
+    return (RCC->CR & RCC_CR_HSION) == 0;
+}
+
 static bool waited(const reg *from, uint32_t bit)
 {
     for (uint32_t i = 0; i < SPIN; i++) {
@@ -22,10 +28,10 @@ static bool waited(const reg *from, uint32_t bit)
 }
 
 /* RM0090 7.2.3, 3.5.1: 168 MHz from the crystal, or from the internal oscillator where there is none;
- * APB1 at 42 MHz, APB2 at 84 MHz. An emulator without this block reads 0 and stays as it is. */
+ * APB1 at 42 MHz, APB2 at 84 MHz. */
 static void start_clock(void)
 {
-    if ((RCC->CR & RCC_CR_HSION) == 0) {
+    if (emulated()) {
         return;
     }
     RCC->CR |= RCC_CR_HSEON;
@@ -84,6 +90,15 @@ void board_tick(void)
         bitten = BITTEN;
         AIRCR = AIRCR_RESET;
     }
+}
+
+uint64_t board_id(void)
+{
+    if (emulated()) { /* nothing is at that address */
+        return 0;
+    }
+    const uint64_t low = UNIQUE_ID[0], high = UNIQUE_ID[1];
+    return (high << 32 | low) ^ UNIQUE_ID[2];
 }
 
 bool board_start(void)

@@ -1,4 +1,5 @@
-/* The parts of this board. */
+/* What a board brings: the mains (main.c with its sensors on the second line, flight.c with its own) know no
+ * more of it than this. */
 #ifndef BOARD_H
 #define BOARD_H
 
@@ -6,7 +7,10 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "quad_bus.h"
+#include "quad_firmware.h"
 #include "quad_store.h"
+#include "radio.h"
 #include "registers.h"
 
 /* Core clock, timers' clock to 1 MHz, watchdog. True where it comes from one of its own bites. */
@@ -22,6 +26,7 @@ void board_alive(void);
 extern const quad_flash board_flash; /* to be written while the motors stand */
 
 void board_tick(void); /* SysTick, 1 kHz */
+uint64_t board_id(void); /* of this chip and no other */
 
 uint32_t board_stack_used(void);
 
@@ -36,5 +41,23 @@ void uart_write(uart which, const uint8_t *bytes, size_t count);
 bool uart_quiet(void);
 void uart_1_interrupt(void);
 void uart_2_interrupt(void);
+
+/* I2C2 (PB10, PB11) at 400 kHz, to gyro, compass and barometer. */
+extern const quad_bus board_bus;
+void i2c_start(void);
+
+/* Receiver, motors, battery. Edges wait in a ring, false where there is none. */
+void pulses_start(void);
+bool pulses_edge(radio_edge *edge);
+void pulses_motors(const float motors[4]);
+float battery_v(void);
+void receiver_4_interrupt(void);
+void receiver_5_interrupt(void);
+
+/* What both mains do between two cycles: send what waits, hear the bridge at now_us, and keep confirmed gains
+ * in flash while the motors stand; `kept` counts the confirmations that are. */
+void serve_send(quad_firmware *f);
+void serve_bridge(quad_firmware *f, uint64_t now_us);
+void serve_flash(const quad_firmware *f, uint32_t *kept);
 
 #endif

@@ -27,27 +27,6 @@ static uint64_t now_us(void)
     return board.boot.lockstep || !board.started ? board.last_us : now - board.start_us;
 }
 
-static void send_all(void)
-{
-    uint8_t bytes[256];
-    size_t room = uart_room(UART_BRIDGE), count = 1;
-    while (room > 0 && count > 0) {
-        count = quad_firmware_send(&board.firmware, bytes, room < sizeof bytes ? room : sizeof bytes);
-        uart_write(UART_BRIDGE, bytes, count);
-        room -= count;
-    }
-}
-
-static void hear_bridge(void)
-{
-    uint8_t bytes[SLICE];
-    const size_t count = uart_read(UART_BRIDGE, bytes, sizeof bytes);
-    if (count > 0 && board.booted) {
-        quad_firmware_receive(&board.firmware, bytes, count, now_us());
-        send_all();
-    }
-}
-
 static void begin(void)
 {
     board.boot.settings.endpoint.key = NULL;
@@ -97,19 +76,9 @@ static void run_cycle(void)
     quad_firmware_cycle(&board.firmware, board.due_us, &board.inputs, motors);
     quad_firmware_timed(&board.firmware, due_us, began_us, board_now_us());
     tell_timing();
-    send_all();
+    serve_send(&board.firmware);
     quad_hil_motors(motors, board.due_us, &board.firmware.timing, frame);
     uart_write(UART_SIMULATION, frame, sizeof frame);
-}
-
-/* Keep what was confirmed, while the motors stand: the core stops for a ms. */
-static void keep_gains(void)
-{
-    const quad_gains *gains = &board.firmware.endpoint.gains;
-    if (board.kept != gains->confirmations && !board.firmware.endpoint.armed) {
-        board.kept = gains->confirmations;
-        quad_store_save(&board_flash, gains->good);
-    }
 }
 
 /* Sleep until an interrupt, where nothing is there to be done (ARMv7-M B1.5.18: it also ends a WFI while
@@ -141,13 +110,15 @@ int main(void)
     for (;;) {
         board_alive();
         rest();
-        hear_bridge();
+        if (board.booted) {
+            serve_bridge(&board.firmware, now_us());
+        }
         hear_simulation();
         if (board.waiting &&
             (board.boot.lockstep || !board.started || board.due_us <= now_us())) {
             const bool first = !board.started;
             run_cycle();
-            keep_gains();
+            serve_flash(&board.firmware, &board.kept);
             if (first && bitten) {
                 quad_put_text(&board.firmware.endpoint, 2, "restarted by the watchdog");
             }

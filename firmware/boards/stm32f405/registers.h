@@ -62,6 +62,7 @@ typedef struct {
 #define TIM2 ((timer_registers *)0x40000000u)
 #define TIM3 ((timer_registers *)0x40000400u)
 #define TIM4 ((timer_registers *)0x40000800u)
+#define TIM5 ((timer_registers *)0x40000C00u)
 
 /* RM0090 21.4: independent watchdog */
 typedef struct {
@@ -73,7 +74,26 @@ typedef struct {
 typedef struct {
     reg CR1, CR2, OAR1, OAR2, DR, SR1, SR2, CCR, TRISE, FLTR;
 } i2c_registers;
-#define I2C1 ((i2c_registers *)0x40005400u)
+#define I2C2 ((i2c_registers *)0x40005800u)
+#define I2C_CR1_PE (1u << 0)
+#define I2C_CR1_START (1u << 8)
+#define I2C_CR1_STOP (1u << 9)
+#define I2C_CR1_ACK (1u << 10)
+#define I2C_CR1_POS (1u << 11)
+#define I2C_CR1_SWRST (1u << 15)
+#define I2C_SR1_SB (1u << 0)
+#define I2C_SR1_ADDR (1u << 1)
+#define I2C_SR1_BTF (1u << 2)
+#define I2C_SR1_RXNE (1u << 6)
+#define I2C_SR1_TXE (1u << 7)
+#define I2C_SR1_AF (1u << 10)
+
+/* RM0090 13.13: ADC */
+typedef struct {
+    reg SR, CR1, CR2, SMPR1, SMPR2, JOFR[4], HTR, LTR, SQR1, SQR2, SQR3, JSQR, JDR[4], DR;
+} adc_registers;
+#define ADC1 ((adc_registers *)0x40012000u)
+#define ADC_CCR (*(reg *)0x40012304u)
 
 /* RM0090 39.1: unique device id, 96 bits */
 #define UNIQUE_ID ((const volatile uint32_t *)0x1FFF7A10u)
@@ -89,6 +109,7 @@ typedef struct {
 #define NVIC_ISER ((reg *)0xE000E100u)
 #define USART1_IRQ 37u
 #define USART2_IRQ 38u
-#define TIM3_IRQ 29u
+#define TIM4_IRQ 30u
+#define TIM5_IRQ 50u
 
 #endif

@@ -58,7 +58,10 @@ __attribute__((section(".vectors"), used)) static const handler vectors[16 + 82]
     (handler)(uintptr_t)stack_high, reset, stuck, stuck, STUCK4, stuck, stuck, stuck, stuck, stuck,
     stuck, stuck, board_tick,
     /* 0 to 28 */ STUCK4, STUCK4, STUCK4, STUCK4, STUCK4, STUCK4, STUCK4, stuck,
-    /* 29 TIM3 */ stuck,
-    /* 30 to 36 */ stuck, stuck, STUCK4, stuck,
+    /* 29 */ stuck,
+    /* 30 TIM4 */ receiver_4_interrupt,
+    /* 31 to 36 */ stuck, STUCK4, stuck,
     /* 37, 38 */ uart_1_interrupt, uart_2_interrupt,
+    /* 39 to 49 */ STUCK4, STUCK4, stuck, stuck, stuck,
+    /* 50 TIM5 */ receiver_5_interrupt,
 };

@@ -1,0 +1,164 @@
+/* The firmware on an STM32F405 with the paper's chips: MPU-6050, HMC5883L and MS5611 on one I2C bus, a
+ * receiver, four speed controllers. TIM2 paces the cycles. NOT YET RUN ON A BOARD: its loop ran in QEMU
+ * without chips, its drivers on a PC against a model of the registers (test/registers.c). */
+#include <math.h>
+#include <string.h>
+
+#include "board.h"
+#include "hmc5883.h"
+#include "mpu6050.h"
+#include "ms5611.h"
+#include "quad_outbox.h"
+
+#define PPM true         /* false: a wire for each of six channels */
+#define RETRY 25u        /* cycles between two attempts at a chip that does not answer */
+#define SLOW 5u          /* cycles between two readings of the compass */
+#define REST_SAMPLES 1000u
+#define REST_RAD_S 0.1f  /* between the largest and the smallest rate of a gyro at rest */
+#define TOLD_CYCLES 1250u
+
+static struct {
+    quad_firmware firmware;
+    quad_inputs inputs;
+    radio radio;
+    ms5611 barometer;
+    float gauss[3];
+    bool gyro_is, compass_is, barometer_is, rested;
+    uint32_t silent; /* cycles without the gyro */
+    struct {
+        uint32_t count;
+        float sum[3], least[3], most[3];
+    } rest;
+    uint32_t kept;
+} flight;
+
+static void begin(void)
+{
+    float kept[QUAD_PARAMETERS];
+    quad_firmware_settings settings = quad_firmware_defaults();
+    settings.endpoint.aircraft = board_id();
+    settings.endpoint.stored = quad_store_load(&board_flash, kept) ? kept : NULL;
+    quad_firmware_init(&flight.firmware, &settings);
+    radio_start(&flight.radio, PPM);
+}
+
+static void start_chips(void)
+{
+    flight.gyro_is = flight.gyro_is || mpu6050_start(&board_bus);
+    if (flight.gyro_is) { /* the compass is behind it */
+        flight.compass_is = flight.compass_is || hmc5883_start(&board_bus);
+        flight.barometer_is = flight.barometer_is || ms5611_start(&flight.barometer, &board_bus);
+    }
+}
+
+static void measure(uint64_t now_us)
+{
+    quad_sensors *s = &flight.inputs.sensors;
+    const uint32_t cycle = flight.firmware.timing.cycles;
+    if (cycle % RETRY == 0 && !flight.firmware.endpoint.armed) {
+        start_chips();
+    }
+    s->samples = 0;
+    flight.silent = flight.gyro_is && mpu6050_read(&board_bus, s) ? 0 : flight.silent + 1;
+    if (flight.silent > RETRY) {
+        flight.gyro_is = false; /* it may have lost its settings: set up anew */
+        flight.silent = 0;
+    }
+    if (cycle % SLOW == 0) {
+        flight.gauss[0] = flight.gauss[1] = flight.gauss[2] = NAN;
+        if (flight.compass_is) {
+            hmc5883_read(&board_bus, flight.gauss);
+        }
+    }
+    memcpy(s->slow.mag_gauss, flight.gauss, sizeof flight.gauss);
+    s->slow.pressure_hpa = s->slow.temperature_c = NAN;
+    if (flight.barometer_is) {
+        ms5611_cycle(&flight.barometer, &board_bus, now_us, &s->slow.pressure_hpa,
+                     &s->slow.temperature_c);
+    }
+    s->slow.battery_v = battery_v();
+}
+
+static void hear_pilot(uint64_t now_us)
+{
+    radio_edge edge;
+    for (uint32_t i = 0; i < 64 && pulses_edge(&edge); i++) {
+        radio_take(&flight.radio, edge, now_us);
+    }
+    flight.inputs.receiver = radio_now(&flight.radio, now_us);
+}
+
+/* The gyro's bias is its mean over a second in which it hardly moves; before, the firmware gets no sample
+ * and so does not arm. */
+static void take_rest(void)
+{
+    quad_sensors *s = &flight.inputs.sensors;
+    for (size_t k = 0; k < s->samples && flight.rest.count < REST_SAMPLES; k++) {
+        float span = 0.0f;
+        for (size_t i = 0; i < 3; i++) {
+            const float rate = s->gyro[k][i];
+            const bool first = flight.rest.count == 0;
+            flight.rest.sum[i] = first ? rate : flight.rest.sum[i] + rate;
+            flight.rest.least[i] = first ? rate : fminf(flight.rest.least[i], rate);
+            flight.rest.most[i] = first ? rate : fmaxf(flight.rest.most[i], rate);
+            span = fmaxf(span, flight.rest.most[i] - flight.rest.least[i]);
+        }
+        flight.rest.count = span > REST_RAD_S ? 0 : flight.rest.count + 1;
+    }
+    s->samples = 0;
+    if (flight.rest.count >= REST_SAMPLES) {
+        float mean[3];
+        for (size_t i = 0; i < 3; i++) {
+            mean[i] = flight.rest.sum[i] / (float)REST_SAMPLES;
+        }
+        quad_mounting *mounting = &flight.firmware.settings.mounting;
+        quad_to_body(mounting->axes, mean, mounting->gyro_bias);
+        flight.rested = true;
+        quad_put_text(&flight.firmware.endpoint, 6, "gyro at rest: its bias is measured");
+    }
+}
+
+static void run_cycle(uint64_t due_us)
+{
+    float motors[4];
+    const uint64_t began_us = board_now_us();
+    measure(began_us);
+    hear_pilot(began_us);
+    if (!flight.rested) {
+        take_rest();
+    }
+    quad_firmware_cycle(&flight.firmware, due_us, &flight.inputs, motors);
+    pulses_motors(motors);
+    quad_firmware_timed(&flight.firmware, due_us, began_us, board_now_us());
+    const quad_timing *t = &flight.firmware.timing;
+    if (t->cycles % TOLD_CYCLES == 0) {
+        quad_put_timing(&flight.firmware.endpoint, t->latest_us, t->longest_us, board_stack_used());
+    }
+    serve_send(&flight.firmware);
+}
+
+int main(void)
+{
+    quad_store_prepare(&board_flash); /* before the watchdog: an erasure takes seconds */
+    const bool bitten = board_start();
+    uart_start();
+    i2c_start();
+    pulses_start();
+    begin();
+    if (bitten) {
+        quad_put_text(&flight.firmware.endpoint, 2, "restarted by the watchdog");
+    }
+    const uint64_t period_us = 1000000u / flight.firmware.endpoint.settings.rate_hz;
+    uint64_t due_us = board_now_us();
+    board_alive();
+    for (;;) {
+        const uint64_t now_us = board_now_us();
+        serve_bridge(&flight.firmware, now_us);
+        if (now_us >= due_us) {
+            run_cycle(due_us);
+            board_alive();
+            serve_flash(&flight.firmware, &flight.kept);
+            due_us = now_us < due_us + period_us ? due_us + period_us : now_us + period_us;
+        }
+    }
+}
