@@ -29,17 +29,28 @@ static struct {
         uint32_t count;
         float sum[3], least[3], most[3];
     } rest;
-    uint32_t kept;
+    uint32_t kept; /* confirmations whose gains are in flash */
+    uint64_t due_us;
 } flight;
 
 static void begin(void)
 {
     float kept[QUAD_PARAMETERS];
+    quad_store_prepare(&board_flash); /* before the watchdog: an erasure takes seconds */
+    const bool bitten = board_start();
+    uart_start();
+    i2c_start();
+    pulses_start();
     quad_firmware_settings settings = quad_firmware_defaults();
     settings.endpoint.aircraft = board_id();
     settings.endpoint.stored = quad_store_load(&board_flash, kept) ? kept : NULL;
     quad_firmware_init(&flight.firmware, &settings);
     radio_start(&flight.radio, PPM);
+    if (bitten) {
+        quad_put_text(&flight.firmware.endpoint, 2, "restarted by the watchdog");
+    }
+    flight.due_us = board_now_us();
+    board_alive();
 }
 
 static void start_chips(void)
@@ -137,28 +148,24 @@ static void run_cycle(uint64_t due_us)
     serve_send(&flight.firmware);
 }
 
+static void turn(void)
+{
+    const uint64_t now_us = board_now_us();
+    serve_bridge(&flight.firmware, now_us);
+    if (now_us >= flight.due_us) {
+        const uint64_t period_us = 1000000u / flight.firmware.endpoint.settings.rate_hz;
+        run_cycle(flight.due_us);
+        board_alive();
+        serve_flash(&flight.firmware, &flight.kept);
+        const bool behind = now_us >= flight.due_us + period_us;
+        flight.due_us = (behind ? now_us : flight.due_us) + period_us;
+    }
+}
+
 int main(void)
 {
-    quad_store_prepare(&board_flash); /* before the watchdog: an erasure takes seconds */
-    const bool bitten = board_start();
-    uart_start();
-    i2c_start();
-    pulses_start();
     begin();
-    if (bitten) {
-        quad_put_text(&flight.firmware.endpoint, 2, "restarted by the watchdog");
-    }
-    const uint64_t period_us = 1000000u / flight.firmware.endpoint.settings.rate_hz;
-    uint64_t due_us = board_now_us();
-    board_alive();
     for (;;) {
-        const uint64_t now_us = board_now_us();
-        serve_bridge(&flight.firmware, now_us);
-        if (now_us >= due_us) {
-            run_cycle(due_us);
-            board_alive();
-            serve_flash(&flight.firmware, &flight.kept);
-            due_us = now_us < due_us + period_us ? due_us + period_us : now_us + period_us;
-        }
+        turn();
     }
 }
