@@ -21,7 +21,7 @@ TIMEOUT_S = 1500.0
 def campaign(folder: Path, **wanted: Any) -> Any:
     """Connect an aircraft and fly; `schedule` (YAML), `module` (Python), `profile`, `seed`,
 
-    `identify` and `auto_update` say how. The outcome's fields are those of `flown` below.
+    `identify`, `auto_update`, `again` (a second flight's schedule) and `qemu` (the STM32's ELF, emulated) say how. The outcome's fields are those of `flown` below.
     """
     folder.mkdir(exist_ok=True)
     (folder / 'wanted.json').write_text(json.dumps(wanted))
@@ -46,7 +46,7 @@ def flown(folder: Path, wanted: dict[str, Any]) -> dict[str, Any]:
         module.write_text(wanted['module'])
     aircraft = stages.Aircraft(
         wanted.get('profile', 'plain'), 'roll', wanted.get('seed', 1),
-        effect_module=module if 'module' in wanted else None,
+        effect_module=module if 'module' in wanted else None, qemu=bool(wanted.get('qemu')),
     )  # fmt: skip
     outcome: dict[str, Any] = {'failed': ''}
     with (
@@ -66,6 +66,9 @@ def flown(folder: Path, wanted: dict[str, Any]) -> dict[str, Any]:
                 outcome['report'] = str(stages.await_report(run))
             if wanted.get('auto_update'):
                 stages.await_new_gains(run, flight.gains)
+            if 'again' in wanted:
+                schedule.write_text(wanted['again'])
+                outcome['again'] = str(stages.fly(run, 'again', schedule).bag)
             outcome['after'] = list(observer.active_gains.items())
             outcome['updates'] = [str(told['source']) for told in observer.updates]
         except StageFailedError as failed:

@@ -1,54 +1,98 @@
-"""The STM32F405's ELF in QEMU: it flies what the Linux build flies; its watchdog bites."""
+"""The STM32F405's ELFs in QEMU: they fly what the Linux build flies, and keep the old gains or the new ones."""
 
 import os
+import re
 import shutil
+import socket
 import subprocess
 from itertools import pairwise
 
 import pytest
+from flight_controller import DOUBLED, DROPPED, Fault
 
 from quad_bridge.virtual import hil
 from quad_bridge.virtual.aircraft import Aircraft, boot
-from quad_bridge.virtual.board import EMULATOR, EmulatedBoard
+from quad_bridge.virtual.board import EMULATOR, MACHINE, EmulatedBoard
 from quad_bridge.virtual.profile import Profile
-from quad_bridge.virtual.receiver import Channels
+from quad_bridge.virtual.receiver import Channels, Receiver, channels_at
 from quad_bridge.wire import Decoder
 from quad_bridge.wire import frames as f
+from quad_bridge.wire.codec import Encoder
 
 MISSING = [name for name in (EMULATOR, 'arm-none-eabi-gcc') if shutil.which(name) is None]
 pytestmark = pytest.mark.skipif(bool(MISSING), reason=f'not installed: {", ".join(MISSING)}')
 FLASH_BYTES, RAM_BYTES = 768 * 1024, 128 * 1024
+KP, OLD, NEW = 'roll.rate.kp', pytest.approx(0.07448451), pytest.approx(0.1)
+EXACT = ('-icount', 'shift=3,sleep=off')
+"""An instruction takes 8 ns, as on the chip, whatever the host is busy with."""
 
 
 class Emulated:
-    """An aircraft on the emulated board, in lockstep, and what its port says."""
+    """An aircraft on the emulated board, in lockstep: quad_bridge.virtual.endpoint's calls."""
 
-    def __init__(self, elf):
-        self.board, self.decoder = EmulatedBoard(elf), Decoder()
+    def __init__(self, elf, room, aircraft, script=None):
+        self.aircraft, self._script = aircraft, script or Receiver()
+        self._monitor = str(room / 'monitor')
+        options = ('-monitor', f'unix:{self._monitor},server=on,wait=off')
+        self.board, self.decoder, self.frames = EmulatedBoard(elf, options=options), Decoder(), []
         self.port = os.open(self.board.path, os.O_RDWR | os.O_NOCTTY)
         os.set_blocking(self.port, False)
-        self.frames = []
-        self.board.motors()  # it listens
+        self.boot()
 
-    def boot(self, profile):
-        self.aircraft = Aircraft(profile, seed=1)
-        self.board.send(boot(profile).frame())
+    def boot(self):
+        """Once it listens it gets its settings."""
+        while self.board.motors().time_us > 0:  # the last ones of before a reset
+            pass
+        self.board.send(boot(self.aircraft.profile).frame())
 
-    def fly(self, cycles):
-        """The motors of each cycle."""
-        flown = []
-        for _ in range(cycles):
-            self.board.send(self.aircraft.measure(Channels()))
-            flown.append(self.board.motors())
-            self.aircraft.move(flown[-1])
-            self.hear()
-        return flown
+    def reset(self):
+        """The chip's reset, in flight."""
+        with socket.socket(socket.AF_UNIX) as monitor:
+            monitor.connect(self._monitor)
+            monitor.sendall(b'system_reset\n')
+            self.boot()
+
+    def receive(self, data, _now_ns=0):
+        """Answers come with the cycles."""
+        os.write(self.port, data)
+        return b''
+
+    def cycle(self):
+        self.step()
+        return self.hear()
+
+    def step(self):
+        """The motors of one cycle."""
+        now_s = self.aircraft.cycle * self.aircraft.cycle_s
+        self.board.send(self.aircraft.measure(channels_at(self._script, now_s)))
+        motors = self.board.motors()
+        self.aircraft.move(motors)
+        return motors
 
     def hear(self):
         try:
-            self.frames += self.decoder.feed(os.read(self.port, 65536))
+            data = os.read(self.port, 65536)
         except BlockingIOError:
-            return
+            return b''
+        self.frames += self.decoder.feed(data)
+        return data
+
+    def told(self, kind):
+        return [frame for frame in self.frames if isinstance(frame, kind)]
+
+    def until_it_is_heard(self):
+        """QEMU's port opens up to a second late."""
+        while not self.told(f.Cycle):
+            self.cycle()
+        return self
+
+    def gain(self, _name):
+        """Roll's rate.kp, asked for beside the bridge."""
+        self.frames.clear()
+        self.receive(Encoder(1, 191).encode(f.ParamRequestRead('ROLL_RATE_KP')))
+        while not (found := [x for x in self.told(f.ParamValue) if x.name == 'ROLL_RATE_KP']):
+            self.cycle()
+        return found[-1].value
 
     def close(self):
         os.close(self.port)
@@ -56,13 +100,14 @@ class Emulated:
 
 
 @pytest.fixture
-def emulated(firmware):
+def emulated(firmware, tmp_path):
     """A function that starts a target of firmware/Makefile."""
     started = []
 
-    def start(target):
-        started.append(Emulated(firmware(target)))
-        return started[-1]
+    def start(target, aircraft=None, script=None):
+        made = Emulated(firmware(target), tmp_path, aircraft or Aircraft(Profile(), seed=1), script)
+        started.append(made)
+        return made
 
     yield start
     for board in started:
@@ -70,34 +115,89 @@ def emulated(firmware):
 
 
 def test_it_fits_and_flies_what_the_linux_build_flies(emulated, firmware):
-    listed = subprocess.run(
-        ['arm-none-eabi-size', firmware('stm32f405.elf')], capture_output=True, text=True,
-        check=True,
-    )  # fmt: skip
-    text, data, bss = map(int, listed.stdout.splitlines()[1].split()[:3])
-    assert text + data < FLASH_BYTES
-    assert data + bss < RAM_BYTES // 4
-    made, profile = emulated('stm32f405.elf'), Profile()
-    made.boot(profile)
-    flown = made.fly(150)
-    twin = Aircraft(profile, seed=1)
-    for motors in flown:
+    for elf in ('stm32f405.elf', 'flight.elf'):
+        listed = subprocess.run(
+            ['arm-none-eabi-size', firmware(elf)], capture_output=True, text=True, check=True
+        )
+        text, data, bss = map(int, listed.stdout.splitlines()[1].split()[:3])
+        assert text + data < FLASH_BYTES
+        assert data + bss < RAM_BYTES // 4
+    made, twin = emulated('stm32f405.elf').until_it_is_heard(), Aircraft(Profile(), seed=1)
+    for _ in range(made.aircraft.cycle):
+        twin.move(hil.motors(twin.firmware.cycle(twin.measure(Channels()))))
+    for _ in range(150):
+        motors = made.step()
         there = hil.motors(twin.firmware.cycle(twin.measure(Channels())))
         assert there.commands == pytest.approx(motors.commands, abs=1e-5)
         twin.move(motors)
-    cycles = [x for x in made.frames if isinstance(x, f.Cycle)]
-    assert len(cycles) > 20  # QEMU's port opens up to a second late
+        made.hear()
+    cycles = made.told(f.Cycle)
+    assert len(cycles) > 20
     assert {(b.cycle - a.cycle, b.time_us - a.time_us) for a, b in pairwise(cycles)} == {(1, 4000)}
     assert made.decoder.counts.bad_crc == 0
 
 
 def test_a_loop_that_hangs_is_restarted_by_the_watchdog(emulated):
     made = emulated('hangs.elf')
-    made.boot(Profile())
-    made.fly(50)  # it hangs now
-    assert made.board.motors().commands == (0.0, 0.0, 0.0, 0.0)  # and listens again
-    made.boot(Profile())
-    made.fly(30)
-    assert 'restarted by the watchdog' in [
-        x.text for x in made.frames if isinstance(x, f.StatusText)
-    ]
+    for _ in range(50):
+        made.cycle()
+    made.boot()  # it hangs, is restarted, and listens again
+    made.until_it_is_heard()
+    while not made.told(f.StatusText):
+        made.cycle()
+    assert made.told(f.StatusText)[0].text == 'restarted by the watchdog'
+
+
+def test_the_timer_keeps_250_hz_to_the_microsecond(firmware):
+    """The paper's board without its chips: nothing answers, nothing arms, and no cycle is late."""
+    command = (EMULATOR, '-M', MACHINE, '-display', 'none', '-monitor', 'none', '-serial', 'stdio')
+    decoder, frames = Decoder(), []
+    with subprocess.Popen(
+        [*command, '-kernel', firmware('flight.elf'), *EXACT], stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+    ) as run:  # fmt: skip
+        while not any('timing' in getattr(frame, 'text', '') for frame in frames):
+            frames += decoder.feed(os.read(run.stdout.fileno(), 65536))
+        run.kill()
+    cycles = [frame for frame in frames if isinstance(frame, f.Cycle)]
+    assert len(cycles) >= 1250
+    assert {b.time_us - a.time_us for a, b in pairwise(cycles)} == {4000}
+    assert not any(frame.flags & f.Flag.ARMED for frame in cycles)
+    (timing,) = (x.text for x in frames if isinstance(x, f.StatusText) and 'timing' in x.text)
+    assert int(re.search(r'latest (\d+)', timing)[1]) < 10  # us of its own timer
+
+
+def commit(frame):
+    return isinstance(frame, f.GainsCommand) and frame.action == f.GainsAction.COMMIT
+
+
+@pytest.mark.parametrize(
+    ('fault', 'said', 'gain'),
+    [
+        (Fault(commit, DROPPED), 'not taken over', OLD),
+        (Fault(lambda _: True, DOUBLED), 'confirmed', NEW),
+        ('noise', 'confirmed', NEW),
+        ('cut', 'in force', OLD),
+        ('reset', 'in force', OLD),
+    ],
+    ids=['cut between write and commit', 'doubled', 'corrupted', 'cut in the watch', 'reset'],
+)
+def test_the_emulated_stm32_flies_the_old_gains_or_the_new_ones(bench, emulated, fault, said, gain):
+    def far_end(aircraft, script):
+        return emulated('stm32f405.elf', aircraft, script).until_it_is_heard()
+
+    made = bench(far_end=far_end)
+    if fault == 'noise':
+        made.up.noise = made.down.noise = 2e-4  # a frame in thirty
+    elif isinstance(fault, Fault):
+        made.spoil(fault)
+    made.ask(roll_rate_kp=0.1)
+    made.fly_until(said)
+    if fault == 'cut':
+        made.cut = True
+        made.fly(3.0)
+    elif fault == 'reset':
+        made.endpoint.reset()
+        made.fly(2.0)
+        assert made.told[KP] == OLD  # and the bridge knows
+    assert made.gain(KP) == gain

@@ -9,6 +9,7 @@ import shutil
 import socket
 import subprocess
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 from quad_bridge.virtual import hil
@@ -74,9 +75,9 @@ class Board:
 
 
 class EmulatedBoard(Board):
-    """USART1 is a pseudo-terminal of QEMU's, USART2 a socket to the simulation."""
+    """USART1 is a pseudo-terminal of QEMU's, USART2 a socket to the simulation; `options` are QEMU's."""
 
-    def __init__(self, elf: Path, link: Path | None = None) -> None:
+    def __init__(self, elf: Path, link: Path | None = None, options: Sequence[str] = ()) -> None:
         emulator = shutil.which(EMULATOR)
         if emulator is None:
             remedy = 'on Debian and Ubuntu apt install qemu-system-arm'
@@ -90,7 +91,7 @@ class EmulatedBoard(Board):
                 [emulator, '-M', MACHINE, '-display', 'none', '-monitor', 'none',
                  '-kernel', str(elf), '-chardev', 'pty,id=bridge', '-serial', 'chardev:bridge',
                  '-chardev', f'socket,id=simulation,path={path}',
-                 '-serial', 'chardev:simulation'],
+                 '-serial', 'chardev:simulation', *options],
                 stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
             )  # fmt: skip
             try:
