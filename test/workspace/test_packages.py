@@ -6,7 +6,9 @@ import ast
 import configparser
 import contextlib
 import importlib.util
+import os
 import runpy
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -48,6 +50,26 @@ def test_colcon_takes_all_three_for_ament_python() -> None:
     ).stdout  # fmt: skip
     kinds = {line.split()[0]: line.split()[-1] for line in listed.splitlines() if line.strip()}
     assert kinds == dict.fromkeys(PACKAGES, '(ros.ament_python)')
+
+
+@pytest.mark.long
+def test_colcon_builds_the_firmware_in_any_workspace(tmp_path: Path) -> None:
+    """The checkout under src/ of a fresh workspace: its virtual STM32 flies the firmware built there."""
+    clone = tmp_path / 'src/quad_suite'
+    subprocess.run(['git', 'clone', '--quiet', ROOT, clone], check=True)
+    build = [sys.executable, '-m', 'colcon', 'build', '--packages-select', 'quad_firmware', 'quad_bridge']
+    environment = {k: v for k, v in os.environ.items() if k != 'COLCON_PREFIX_PATH'}
+    environment['AMENT_PREFIX_PATH'] = sys.prefix
+    subprocess.run(build, cwd=tmp_path, env=environment, capture_output=True, check=True)
+    built = tmp_path / 'install/quad_firmware/lib/quad_firmware'
+    command = f'. install/local_setup.bash; exec {shlex.quote(str(ROOT / "tools/ros2_stand_in.py"))}'
+    flown = subprocess.run(
+        ['bash', '-c', f'{command} run quad_bridge virtual_stm32 --duration 1'],
+        cwd=tmp_path, env=environment, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert (built / 'quad_firmware').is_file()
+    assert (flown.returncode, flown.stderr) == (0, '')
+    assert 'virtual STM32 on /dev/pts/' in flown.stdout
 
 
 @pytest.mark.parametrize('package', PACKAGES)
