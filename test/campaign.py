@@ -21,7 +21,8 @@ TIMEOUT_S = 1500.0
 def campaign(folder: Path, **wanted: Any) -> Any:
     """Connect an aircraft and fly; `schedule` (YAML), `module` (Python), `profile`, `seed`,
 
-    `identify`, `auto_update`, `again` (a second flight's schedule) and `qemu` (the STM32's ELF, emulated) say how. The outcome's fields are those of `flown` below.
+    `identify`, `auto_update`, `again` (a second flight's schedule) and `qemu` (the STM32's ELF,
+    emulated) say how. The outcome's fields are those of `flown` below.
     """
     folder.mkdir(exist_ok=True)
     (folder / 'wanted.json').write_text(json.dumps(wanted))

@@ -1,6 +1,6 @@
-"""Measures the STM32's ELFs in QEMU and writes the table of docs/firmware.md (`make firmware-table`).
+"""Measures the STM32's ELFs in QEMU; the table of docs/firmware.md (`make firmware-table`).
 
-Instructions are counted by the timer: with `-icount shift=N` each one takes 2^N ns of the emulated clock.
+Instructions are counted by the timer: with `-icount shift=N` each takes 2^N ns of its clock.
 """
 
 from __future__ import annotations
@@ -44,15 +44,15 @@ def timing(frames: list[f.Frame]) -> tuple[int, int, int]:
 
 
 def flown(elf: Path) -> tuple[int, int]:
-    """Worst cycle in instructions and the stack's high-water mark of a flight with all that the bridge asks."""
+    """Worst cycle in instructions and most stack in bytes, with all that the bridge asks."""
     aircraft = Aircraft(Profile(), seed=1)
     board = EmulatedBoard(elf, options=('-icount', f'shift={SHIFT}'))
     port = os.open(board.path, os.O_RDWR | os.O_NOCTTY)
     os.set_blocking(port, False)
     encoder, decoder, frames = Encoder(1, 191), Decoder(), []
     asks = [
-        f.ParamRequestList(), f.GainsCommand(f.GainsAction.OPEN, 1), f.ParamSet('ROLL_RATE_KP', 0.1),
-        f.GainsCommand(f.GainsAction.REVERT, 1), f.TimeSync(0, 1),
+        f.ParamRequestList(), f.GainsCommand(f.GainsAction.OPEN, 1), f.TimeSync(0, 1),
+        f.ParamSet('ROLL_RATE_KP', 0.1), f.GainsCommand(f.GainsAction.REVERT, 1),
     ]  # fmt: skip
     board.motors()
     board.send(boot(aircraft.profile).frame())
@@ -73,7 +73,7 @@ def flown(elf: Path) -> tuple[int, int]:
 
 
 def paced(elf: Path) -> tuple[int, set[int], int, int, int]:
-    """Cycles, us between two of them, latest start in us, longest cycle in us, stack of a board without chips."""
+    """Of a board without chips: cycles, µs between two; latest start and longest, µs; stack."""
     frames: list[f.Frame] = []
     decoder = Decoder()
     command = [EMULATOR, '-M', MACHINE, '-display', 'none', '-monitor', 'none', '-serial', 'stdio',
@@ -108,9 +108,9 @@ def table(build: Path) -> str:
 
 
 if __name__ == '__main__':
-    begin, end = '<!-- make firmware-table -->\n', '\n<!-- end -->'
+    begin, end = '<!-- make firmware-table -->\n', '<!-- end -->'
     page = PAGE.read_text(encoding='utf-8')
     head, rest = page.split(begin)
     measured = table(Path(sys.argv[1]))
-    PAGE.write_text(head + begin + measured + end + rest.split(end)[1], encoding='utf-8')
+    PAGE.write_text(f'{head}{begin}{measured}\n{end}{rest.split(end)[1]}', encoding='utf-8')
     sys.stdout.write(measured + '\n')

@@ -1,8 +1,8 @@
 """The loop through real processes, a pseudo-terminal and a real bag, with one effect planted.
 
 The effect comes from a file that the test writes; the twin, in which nothing may be found, is in
-test_nodes_go_on.py. It flies in lockstep: every cycle is in the bag, however busy the machine is. Where QEMU
-and the cross compiler are installed the STM32's own ELF flies, elsewhere the Linux build.
+test_nodes_go_on.py. It flies in lockstep: every cycle is in the bag, however busy the machine is.
+Where QEMU and the cross compiler are installed, the ELF of the STM32 flies, else the Linux build.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ import pytest
 from campaign import campaign
 
 from quad_sysid.bags import read_bag
-from quad_tuning.demo.summary import flown_square
 from quad_tuning.demo.stages import close
+from quad_tuning.demo.summary import flown_square
 
 INERTIA = 0.0135
 """Of the plain profile about roll, kg m²."""

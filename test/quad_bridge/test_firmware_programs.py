@@ -1,4 +1,4 @@
-"""The firmware's own test programs (firmware/test): what is pure, and the STM32's board on a model of its registers."""
+"""The firmware's own test programs (firmware/test), one of them on a model of registers."""
 
 import platform
 import re
@@ -15,11 +15,11 @@ PC = pytest.mark.skipif(platform.machine() != 'x86_64', reason='its registers li
     [
         ('store', r'(\d+) cuts', 5000),
         ('chips', r'(\d+) checks, 0 failed', 400),
-        pytest.param('registers', r'(\d+) cuts between accesses to the flash', 500, marks=PC),
+        pytest.param('registers', r'(\d+) cuts between accesses', 500, marks=PC),
     ],
 )
 def test_it_ends_well(firmware, target, says, least):
-    """Power cuts at every byte of a flash write; drivers against the datasheets; DMA, I2C, flash."""
+    """Power cuts at every byte of a flash write; drivers by their datasheets; DMA, I2C, flash."""
     run = subprocess.run(
         [firmware(target)], capture_output=True, text=True, timeout=PATIENCE_S, check=False
     )

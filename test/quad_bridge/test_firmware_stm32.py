@@ -1,4 +1,4 @@
-"""The STM32F405's ELFs in QEMU: they fly what the Linux build flies, and keep the old gains or the new ones."""
+"""The STM32F405's ELFs in QEMU: they fly what the Linux build flies, with whole sets of gains."""
 
 import os
 import re
@@ -105,9 +105,9 @@ def emulated(firmware, tmp_path):
     started = []
 
     def start(target, aircraft=None, script=None):
-        made = Emulated(firmware(target), tmp_path, aircraft or Aircraft(Profile(), seed=1), script)
-        started.append(made)
-        return made
+        aircraft = aircraft or Aircraft(Profile(), seed=1)
+        started.append(Emulated(firmware(target), tmp_path, aircraft, script))
+        return started[-1]
 
     yield start
     for board in started:
@@ -175,14 +175,14 @@ def commit(frame):
     ('fault', 'said', 'gain'),
     [
         (Fault(commit, DROPPED), 'not taken over', OLD),
-        (Fault(lambda _: True, DOUBLED), 'confirmed', NEW),
-        ('noise', 'confirmed', NEW),
+        (Fault(lambda _: True, DOUBLED), 'in force', NEW),
+        ('noise', 'in force', NEW),
         ('cut', 'in force', OLD),
         ('reset', 'in force', OLD),
     ],
     ids=['cut between write and commit', 'doubled', 'corrupted', 'cut in the watch', 'reset'],
 )
-def test_the_emulated_stm32_flies_the_old_gains_or_the_new_ones(bench, emulated, fault, said, gain):
+def test_it_flies_the_old_gains_or_the_new_ones(bench, emulated, fault, said, gain):
     def far_end(aircraft, script):
         return emulated('stm32f405.elf', aircraft, script).until_it_is_heard()
 

@@ -20,6 +20,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ('quad_bridge', 'quad_sysid', 'quad_tuning')
+NEEDED, RUN = ('quad_firmware', 'quad_bridge'), 'run quad_bridge virtual_stm32 --duration 1'
 SYSTEM_KEYS = {
     'numpy': 'python3-numpy', 'scipy': 'python3-scipy', 'yaml': 'python3-yaml',
     'serial': 'python3-serial', 'matplotlib': 'python3-matplotlib', 'numba': 'python3-numba',
@@ -54,17 +55,18 @@ def test_colcon_takes_all_three_for_ament_python() -> None:
 
 @pytest.mark.long
 def test_colcon_builds_the_firmware_in_any_workspace(tmp_path: Path) -> None:
-    """The checkout under src/ of a fresh workspace: its virtual STM32 flies the firmware built there."""
+    """A checkout in a fresh workspace: its virtual STM32 flies the firmware built there."""
     clone = tmp_path / 'src/quad_suite'
     subprocess.run(['git', 'clone', '--quiet', ROOT, clone], check=True)
-    build = [sys.executable, '-m', 'colcon', 'build', '--packages-select', 'quad_firmware', 'quad_bridge']
-    environment = {k: v for k, v in os.environ.items() if k != 'COLCON_PREFIX_PATH'}
-    environment['AMENT_PREFIX_PATH'] = sys.prefix
+    build = [sys.executable, '-m', 'colcon', 'build', '--packages-select', *NEEDED]
+    environment = {**os.environ, 'AMENT_PREFIX_PATH': sys.prefix}
+    for name in ('COLCON_PREFIX_PATH', 'PYTHONPATH'):
+        environment.pop(name, None)
     subprocess.run(build, cwd=tmp_path, env=environment, capture_output=True, check=True)
     built = tmp_path / 'install/quad_firmware/lib/quad_firmware'
-    command = f'. install/local_setup.bash; exec {shlex.quote(str(ROOT / "tools/ros2_stand_in.py"))}'
+    ros2 = shlex.join([sys.executable, str(ROOT / 'tools/ros2_stand_in.py')])
     flown = subprocess.run(
-        ['bash', '-c', f'{command} run quad_bridge virtual_stm32 --duration 1'],
+        ['bash', '-c', f'. install/local_setup.bash; {ros2} {RUN}'],
         cwd=tmp_path, env=environment, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert (built / 'quad_firmware').is_file()

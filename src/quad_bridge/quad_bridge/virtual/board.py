@@ -75,7 +75,10 @@ class Board:
 
 
 class EmulatedBoard(Board):
-    """USART1 is a pseudo-terminal of QEMU's, USART2 a socket to the simulation; `options` are QEMU's."""
+    """USART1 is a pseudo-terminal of QEMU's, USART2 a socket to the simulation.
+
+    `options` are QEMU's own.
+    """
 
     def __init__(self, elf: Path, link: Path | None = None, options: Sequence[str] = ()) -> None:
         emulator = shutil.which(EMULATOR)
