@@ -171,7 +171,8 @@ def _wanted(node: Any) -> dict[str, Any]:
     try:
         return session.asked([name for name in given if name], **texts)
     except QuadSysidError as error:
-        raise QuadBridgeError(f'parameter {error}') from error
+        words = str(error).replace('--', '')  # options of the command are parameters here
+        raise QuadBridgeError(f'parameter {words}') from error
 
 
 def main() -> None:
