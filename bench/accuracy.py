@@ -24,7 +24,7 @@ from scipy.signal import lfilter
 from scipy.stats import norm
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.discover.search import best_base
+from quad_sysid.discover.base import best_base
 from quad_sysid.estimate.fit import Problem, fit
 from quad_sysid.estimate.stored import readings
 from quad_sysid.model.data import AxisData, axis_alone

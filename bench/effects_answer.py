@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from quad_bridge.virtual.flight_bag import write_bag
 from quad_bridge.virtual.profile import load_profile
-from quad_sysid.discover.accept import Unseen, judge, rms
+from quad_sysid.discover.accept import Unseen, rms
 from quad_sysid.discover.search import Scored, search
 from quad_sysid.effects import EFFECTS
 from quad_sysid.estimate.fit import Fit, Problem
@@ -26,7 +26,7 @@ from quad_sysid.model.effect import Effect
 from quad_sysid.pipeline.answer import Findings
 from quad_sysid.pipeline.assemble import axis_model
 from quad_sysid.pipeline.evaluate import evaluate, of_this_flight
-from quad_sysid.pipeline.held_out import findings
+from quad_sysid.pipeline.identify import Options, found_effects
 from quad_sysid.record import Record
 
 Row = dict[str, object]
@@ -63,10 +63,7 @@ def answered(scenario: scenarios.Scenario) -> Row:
 
 def searched(record: Record, axis: str, effects: Sequence[Effect]) -> Findings:
     """Search and verdict on one axis of a record."""
-    data = axis_data([record], axis)
-    problem = Problem(data, data.train)
-    found = search(problem, effects)
-    return findings(data, problem, found, judge(data, problem, found))
+    return found_effects(axis_data([record], axis), Options(effects=tuple(effects)))
 
 
 def answered_by_command(scenario: scenarios.Scenario, folder: Path) -> Row:

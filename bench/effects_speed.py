@@ -14,7 +14,8 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from quad_sysid.discover.accept import judge
-from quad_sysid.discover.search import best_base, search
+from quad_sysid.discover.base import best_base
+from quad_sysid.discover.search import search
 from quad_sysid.effects import EFFECTS
 from quad_sysid.estimate.fit import Problem
 from quad_sysid.model.data import axis_data

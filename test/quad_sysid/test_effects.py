@@ -16,8 +16,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from flown_axis import SHORT, UNSEEN, Axis, Plan, fly
+from flown_axis import DT, SHORT, UNSEEN, Axis, Plan, fly
 from scipy.linalg import expm
+from scipy.signal import lfilter
 
 from quad_sysid.contract import MIXER, MIXER_INVERSE
 from quad_sysid.effects import EFFECTS
@@ -444,6 +445,38 @@ def test_where_nothing_acts_nothing_is_found(changes, seed, short):
     assert (answer.verdict, answer.model.effects) == ('no_missing_effect', ()), answer.reason
     error = document.document({'roll': answer}, ['bag'])['axes']['roll']['error']
     assert error['after'] == pytest.approx(error['before'], rel=1e-12)
+
+
+def in_wind(seed: int, share: float, fraction: float, pitching: bool) -> Record:
+    """Roll and pitch in gusts of 3 Hz: `share` of what pitches it rolls it as well.
+
+    A `fraction` of pitch's command acts on roll; pitch flies steps of its own or holds still.
+    """
+    n = round(1000 * SHORT.seconds)
+    white = math.sqrt(1.0 - math.exp(-6e-3 * math.pi) ** 2) * (
+        3.0 * np.random.default_rng(seed).standard_normal(n + 1)
+    )
+    gust = lfilter([1.0], [1.0, -math.exp(-6e-3 * math.pi)], white)
+    still = None if pitching else np.zeros(n)
+    pitch = fly(
+        Axis(torque=lambda t, *_: gust[int(1000.0 * t)]), seed + 100,
+        replace(SHORT, reference=still),
+    )
+    also = pitch.control[:, 1].tolist()
+    roll = fly(Axis(
+        torque=lambda t, *_: share * gust[int(1000.0 * t)],
+        command=lambda t, u, _v: u + fraction * also[round(t / DT)],
+    ), seed, SHORT)
+    rates, control = roll.rates.copy(), roll.control.copy()
+    rates[:, 1], control[:, 2] = pitch.rates[:, 0], pitch.control[:, 1]
+    return replace(roll, rates=rates, control=control)
+
+
+def test_a_gust_that_turns_two_axes_is_no_coupling_and_a_coupling_in_a_gust_is_one():
+    assert not answer_of(in_wind(2, -1.0, 0.0, pitching=False)).model.effects
+    (coupling,) = answer_of(in_wind(6, 0.0, 0.15, pitching=True)).model.effects
+    assert coupling.name == 'cross_axis_input'
+    assert coupling.parameters[0].value == pytest.approx(0.15, abs=0.02)
 
 
 def test_wind_is_given_no_name_of_the_aircraft():

@@ -16,7 +16,7 @@ from scipy.signal import butter, lfilter
 
 import quad_sysid
 from quad_sysid.bags import split_segments
-from quad_sysid.discover.search import best_base
+from quad_sysid.discover.base import best_base
 from quad_sysid.errors import NotInformativeError
 from quad_sysid.estimate.fit import Problem
 from quad_sysid.estimate.stored import readings

@@ -29,12 +29,12 @@ STAKES = (0.1, 0.3, 0.5, 0.9)
 LEVEL = 0.05
 HORIZONS_S = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 DISAGREES = 1.1
-"""Factor between two errors from which on it counts: what the noise predicts (contract), and what
-is foreseen without the commands."""
+"""Factor between two errors from which on it counts: what noise makes of it (contract), and what is
+foreseen without the commands."""
 LEAST_REPORTED = 0.005
 """Share of the rivals' probability below which one is not reported."""
-SHUFFLES = 200
-"""Orders of the innovations of which none may come in worse spells: a level of 0.5 %."""
+FLIPS = 200
+"""Signs of the innovations of which none may make worse errors: a level of 0.5 %."""
 MOST_OPENED = 15
 """Structures that are compared on the validation data; their e-values are divided among them,
 half by their posterior and half alike."""
@@ -46,12 +46,6 @@ def bet(differences: FloatArray) -> float:
     share = np.divide(differences, largest, out=np.zeros_like(differences), where=largest > 0.0)
     with np.errstate(over='ignore'):
         return float(np.mean([np.prod(1.0 + stake * share) for stake in STAKES]))
-
-
-def bet_above(excess: FloatArray, least: float) -> float:
-    """E-value of 'not above zero on average' for values that are `least` (below 0) or more."""
-    with np.errstate(over='ignore'):
-        return float(np.mean([np.prod(1.0 - stake / least * excess) for stake in STAKES]))
 
 
 @dataclass(frozen=True)
@@ -70,6 +64,7 @@ class Verdict:
 
     verdict: str
     reason: str
+    """Why no effect was added; where one was, what is unexplained all the same."""
     chosen: Fit
     """What is reported: the base where nothing was accepted."""
     e_value: float
@@ -213,8 +208,7 @@ def refit(problem: Problem, fitted: Fit, index: int) -> Fit:
 def _verdict(
     problem: Problem, found: Found, unseen: Unseen, base: Fit, chosen: Fit, e_value: float
 ) -> Verdict:
-    before_e, after_e = unseen.errors(base), unseen.errors(chosen)
-    before, after = rms(before_e), rms(after_e)
+    before, after = rms(unseen.errors(base)), rms(unseen.errors(chosen))
     parts = chosen.structure.parts
     without = tuple(
         rms(unseen.errors(base if len(parts) == 1 else refit(problem, chosen, i)))
@@ -224,7 +218,9 @@ def _verdict(
     predicted = expected(chosen, unseen.windows.length)
     verdict, reason = 'effects_added', ''
     if not parts:
-        verdict, reason = _empty(problem, found, unseen, base, before_e, predicted)
+        verdict, reason = _empty(problem, found, unseen, base)
+    else:
+        reason = unexplained(unseen, chosen)
     return Verdict(
         verdict=verdict, reason=reason, chosen=chosen, e_value=e_value, before=before, after=after,
         one_step_before=unseen.one_step(base), one_step_after=unseen.one_step(chosen),
@@ -255,8 +251,7 @@ def at_horizon(horizon_s: float, dt: float) -> int:
 
 
 def _empty(
-    problem: Problem, found: Found, unseen: Unseen, base: Fit, errors: FloatArray,
-    predicted: float,
+    problem: Problem, found: Found, unseen: Unseen, base: Fit
 ) -> tuple[str, str]:
     """Without effects: whether the commands predict at all, and the error is as expected.
 
@@ -279,18 +274,9 @@ def _empty(
         return 'cannot_tell', (
             'the commands do not predict the held-out rates better than the rates themselves do'
         )
-    square = np.mean(errors**2, axis=1) / predicted**2
-    ratio = float(np.sqrt(np.mean(square)))
-    if ratio > DISAGREES and bet_above(square - DISAGREES**2, -(DISAGREES**2)) * LEVEL >= 1.0:
-        return 'unexplained_residual', (
-            f"the held-out error is {ratio:.2f} times what the model's own noise predicts"
-        )
-    left = unseen.problem.flight.predict(base.structure, base.theta, sweeps=3)
-    uneven = spells(base, left.innovation[unseen.problem.rows], unseen.windows.length)
-    if uneven > DISAGREES:
-        return 'unexplained_residual', (
-            f'the held-out errors come in spells, {uneven:.2f} times as uneven as noise would be'
-        )
+    left = unexplained(unseen, base)
+    if left:
+        return 'unexplained_residual', left
     if float(sum(p for p, s in zip(found.probabilities(), found.all, strict=True)
                  if s.fit is base)) < LEVEL:
         return 'unexplained_residual', (
@@ -300,33 +286,49 @@ def _empty(
     return 'no_missing_effect', ''
 
 
-def spells(fitted: Fit, innovation: FloatArray, length: int) -> float:
-    """By how much the free run's errors come in spells, over what their noise predicts.
+def unexplained(unseen: Unseen, fitted: Fit) -> str:
+    """In what the free run's errors are larger or more uneven than noise makes them; '' if not.
 
-    The noise model says that innovations (n,) follow on each other in no order, so the free run
-    of any order of them is as good a prediction. The statistic is the RMS of windows (of `length`)
-    over their geometric mean; it is compared with shuffled innovations. 1 where one of SHUFFLES
-    comes in worse spells by chance.
+    The noise model says that the sign of one innovation tells nothing of the next, whatever their
+    sizes are: gusts may have lulls and bursts. So the errors of the free run are compared with
+    what the same innovations make of them with signs at random, through the filter's gain. Told is
+    what exceeds all of FLIPS such draws and, by DISAGREES, their median.
     """
+    windows = unseen.windows
+    if windows.count < 2:
+        return ''
     found = fitted.prediction.filter
-    ahead = np.ones(length)
+    response = np.ones(windows.length)
     state = found.transition @ found.gain
-    for k in range(1, length):
-        ahead[k] = found.output @ state
+    for k in range(1, windows.length):
+        response[k] = found.output @ state
         state = found.transition @ state
-    response = toeplitz(ahead, np.zeros(length)).T
-    count = innovation.size // length
-
-    def uneven(e: FloatArray) -> float:
-        square = np.mean((e[: count * length].reshape(count, length) @ response) ** 2, axis=1)
-        return math.sqrt(float(np.mean(square) / np.exp(np.mean(np.log(square + 1e-300)))))
-
-    if count < 2:
-        return 1.0
+    through = toeplitz(response, np.zeros(windows.length)).T
+    predicted = unseen.problem.flight.predict(fitted.structure, fitted.theta, sweeps=3)
+    at = windows.starts[:, None] + np.arange(windows.length)
+    innovations = np.nan_to_num(predicted.innovation[at])
     rng = np.random.default_rng(0)
-    shuffled = [uneven(rng.permutation(innovation)) for _ in range(SHUFFLES)]
-    own = uneven(innovation)
-    return own / float(np.median(shuffled)) if own > max(shuffled) else 1.0
+    drawn = np.array([
+        _size_and_spread((innovations * rng.choice((-1.0, 1.0), innovations.shape)) @ through)
+        for _ in range(FLIPS)
+    ])
+    derived = unseen.problem.flight.sensor.derived  # innovations are of the angle there
+    own = _size_and_spread(innovations @ through if derived else unseen.errors(fitted))
+    ratio = own / np.median(drawn, axis=0)
+    size, spread = np.where(own > drawn.max(axis=0), ratio, 1.0)
+    if size > DISAGREES:
+        return f'the held-out error is {size:.2f} times what noise of that size would make'
+    if spread > DISAGREES:
+        return f'the held-out errors come in spells, {spread:.2f} times as uneven as from noise'
+    return ''
+
+
+def _size_and_spread(errors: FloatArray) -> FloatArray:
+    """(2,) RMS of errors (windows, length), and that over the windows' geometric mean."""
+    with np.errstate(over='ignore', invalid='ignore'):
+        square = np.mean(errors**2, axis=1)
+        size = np.sqrt(np.mean(square))
+        return np.array([size, size / np.exp(0.5 * np.mean(np.log(square + 1e-300)))])
 
 
 def _posterior(

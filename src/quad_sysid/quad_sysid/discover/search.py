@@ -5,19 +5,16 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.discover.screen import Score, candidates, screen, vibration_line
-from quad_sysid.estimate.fit import MOST_STEPS, Fit, Problem, fit, start_of
+from quad_sysid.discover.base import EXPECTED, best_base, fitted_from, shares
+from quad_sysid.discover.screen import Score, candidates, screen
+from quad_sysid.estimate.fit import Fit, Problem, fit
 from quad_sysid.model.effect import Effect, Part
-from quad_sysid.model.plant import Structure
 
-EXPECTED = 0.05
-"""Prior probability that an effect is missing: shared alike by all names that can be tried, and of
-each name by its variants (smoothnesses, motors, other axes)."""
 BEAM = 2
 """Structures that are built upon at each level."""
 REFITS = 8
@@ -28,10 +25,11 @@ MOST_EFFECTS = 4
 HOPELESS = -8.0
 """What would stay so far behind the best, by its linear score, is not fitted, nats: about where it
 gains nothing before its prior is counted."""
-BEGUN_STEPS = 6
-"""Steps of the base from each of its starts before the leading ones go on."""
-MOST_LINES = 3
-"""Narrow lines of vibration that the noise may hold."""
+
+SHARED = (
+    'what disturbs this axis disturbs the other one as well, so that its command and rate answer '
+    'to the same gusts; fly in calm air, or excite that axis by itself'
+)
 
 Log = Callable[[str], None]
 
@@ -114,13 +112,15 @@ class _Search:
         starts = [np.r_[parent.theta[:base], start, parent.theta[base:]] for start in one.starts]
         if len(starts) > 1:
             tried = [
-                _fitted(self.problem, structure, start, rate=parent.rate, most_steps=0)
+                fitted_from(self.problem, structure, start, rate=parent.rate, most_steps=0)
                 for start in starts
             ]
             starts = [
                 max((f for f in tried if f), key=lambda f: f.log_posterior).theta
             ] if any(tried) else []
-        fitted = _fitted(self.problem, structure, starts[0], rate=parent.rate) if starts else None
+        if not starts:
+            return None
+        fitted = fitted_from(self.problem, structure, starts[0], rate=parent.rate)
         return None if fitted is None else self.keep(fitted)
 
     def keep(self, fitted: Fit) -> Scored:
@@ -160,10 +160,34 @@ def search(problem: Problem, effects: Sequence[Effect], *, log: Log | None = Non
 
     A beam over structures, one effect at a time, until the evidence falls; then each effect of
     the best is exchanged for what else could stand there, until nothing is better.
+
+    What another axis does counts only while nothing disturbs both axes. A gust at an angle moves
+    the two, each feedback answers, and one axis' answer would pass for a coupling with the other:
+    where the evidence is for such a gust beside the coupling, the search is made without it
+    (a test of exogeneity: Hausman 1978).
     """
     parts, reasons = candidates(problem, effects)
-    base = best_base(problem)
+    base, scored = best_base(problem), 0
     problem.measure(base)
+    while True:
+        found = _structures(problem, parts, base, log)
+        scored += sum(map(len, found.screens.values()))
+        best = found.best().fit
+        used = {which for part in best.structure.parts for which in part.effect.others}
+        shared = {which for which in used if shares(problem, best, base, which)}
+        if not shared:
+            break
+        for part in parts:
+            if shared & set(part.effect.others):
+                reasons[part.effect.label] = SHARED
+        parts = [part for part in parts if not shared & set(part.effect.others)]
+    ordered = tuple(sorted(found.known.values(), key=lambda s: -s.score))
+    return Found(base, ordered, reasons, scored)
+
+
+def _structures(
+    problem: Problem, parts: Sequence[Part], base: Fit, log: Log | None
+) -> _Search:
     found = _Search(problem, parts, base, log)
     beam = [found.best()]
     for _ in range(MOST_EFFECTS):
@@ -176,8 +200,7 @@ def search(problem: Problem, effects: Sequence[Effect], *, log: Log | None = Non
     for _ in range(MOST_EFFECTS):
         if not found.exchange():
             break
-    ordered = tuple(sorted(found.known.values(), key=lambda s: -s.score))
-    return Found(base, ordered, reasons, sum(map(len, found.screens.values())))
+    return found
 
 
 def _unlike(ordered: Sequence[Scored]) -> list[Scored]:
@@ -188,50 +211,4 @@ def _unlike(ordered: Sequence[Scored]) -> list[Scored]:
     return list(out.values())
 
 
-def best_base(problem: Problem) -> Fit:
-    """The base from several starts: its surface has more than one optimum in closed loop.
-
-    Each start goes a few steps; those that lead then go on to the end.
-    """
-    begun = []
-    for way, lag, delay in ((1, 0.04, 0.01), (1, 0.005, 0.03), (1, 0.15, 0.005), (-1, 0.04, 0.01)):
-        start = start_of(problem)
-        start[0] *= way
-        start[1], start[2] = math.log(lag), math.log(delay)
-        begun.append(_fitted(problem, Structure(), start, most_steps=BEGUN_STEPS))
-    leading = sorted((f for f in begun if f), key=lambda f: -f.log_posterior)[:BEAM]
-    ended = [_fitted(problem, Structure(), f.theta, rate=f.rate) for f in leading]
-    base = max((f for f in ended if f), key=lambda f: f.log_posterior, default=None)
-    if base is None:
-        raise FloatingPointError('no start of the base holds')
-    for _ in range(MOST_LINES):
-        shaken = with_vibration(problem, base)
-        if shaken is None or shaken.evidence + math.log(EXPECTED) <= base.evidence:
-            break
-        base = shaken
-    return base
-
-
-def _fitted(
-    problem: Problem, structure: Structure, start: FloatArray, *, rate: FloatArray | None = None,
-    most_steps: int = MOST_STEPS,
-) -> Fit | None:
-    """A fit from `start`; None where it runs away."""
-    try:
-        return fit(problem, structure, start, rate=rate, most_steps=most_steps)
-    except (FloatingPointError, np.linalg.LinAlgError):
-        return None
-
-
-def with_vibration(problem: Problem, base: Fit) -> Fit | None:
-    """The base with one more narrow line in the gyro's noise, the strongest that is left."""
-    frequency = vibration_line(problem, base)
-    if frequency is None:
-        return None
-    return _fitted(
-        problem, replace(base.structure, lines=base.structure.lines + 1),
-        np.r_[base.theta, 0.0, math.log(frequency), math.log(0.1)], rate=base.rate,
-    )
-
-
-__all__ = ['Found', 'Part', 'Scored', 'best_base', 'search']
+__all__ = ['Found', 'Part', 'Scored', 'search']

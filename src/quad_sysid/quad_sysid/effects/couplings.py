@@ -40,7 +40,7 @@ class OtherAxis(Effect):
     """What one of the other two axes does, the first or the second in the order of AXES."""
 
     def __init__(self, which: int) -> None:
-        self.which = which
+        self.which, self.others = which, (which,)
         self.variant = f'other axis {which + 1}'
 
 
@@ -88,6 +88,7 @@ class InertiaCoupling(Effect):
 
     name = 'inertia_coupling'
     signals = ('product of other rates',)
+    others = (0, 1)
     parameters = (Spec('coefficient', '1'),)
     physics = 'c times the product of the other two rates (Euler; paper, eqs. 4 to 6)'
     excite = 'hover with all axes moving fast'

@@ -67,6 +67,7 @@ class Curve(Effect):
         self.name = f'shape:{kind}' if term in ('torque', 'friction') else f'shape:{term}:{kind}'
         if signal.startswith('other'):
             self.variant += f' {signal[-1]}'
+            self.others = (int(signal[-1]) - 1,)
         if term == 'friction':
             self.variant += ' friction'
         self.signals = {

@@ -150,7 +150,7 @@ def _units(structure: Structure) -> tuple[str, ...]:
 
 def noise_of(fitted: Fit) -> NoiseEstimate:
     """The noise that a fit ended with."""
-    values = fitted.values[-len(fitted.structure.noise) :]
+    values = fitted.values[-fitted.structure.filtered :]
     found, tail = fitted.prediction.filter, fitted.tail
     variance = tail.variance / found.innovation
     return NoiseEstimate(

@@ -135,6 +135,15 @@ def axis_alone(
     )
 
 
+def other_axis(data: AxisData, which: int) -> AxisData:
+    """The first or second of the other two axes, of which command and rate are known."""
+    return replace(
+        data, axis=data.other_axes[which], rate=np.ascontiguousarray(data.other_rates[:, which]),
+        angle=None, other_rates=np.full_like(data.other_rates, np.nan), derived_s=None,
+        reference=None,
+    )
+
+
 def part_of(data: AxisData, passes: Sequence[Span]) -> AxisData:
     """The samples of some unbroken stretches alone, one behind the other."""
     index = np.concatenate([np.arange(a, b) for a, b in passes])

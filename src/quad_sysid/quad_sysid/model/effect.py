@@ -116,6 +116,8 @@ class Effect:
     kind: str = 'named'
     signals: tuple[str, ...] = ()
     """What it depends on; the first is what it is drawn over."""
+    others: tuple[int, ...] = ()
+    """Which of the other two axes (0, 1) it depends on."""
     term: str = 'torque'
     """What of the base it changes: torque, gain, damping, friction, lag or delay as a function of
     a signal, the command as a map of it, or the response of the motors."""

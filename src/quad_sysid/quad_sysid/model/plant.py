@@ -28,6 +28,8 @@ LEAD_S = 1.0
 """Each span is followed from so long before it, where the flight is unbroken there."""
 SLOPE_STEP = 1e-4
 """Step of the rate for the slope of a torque, rad/s."""
+SLOPE_S = 0.02
+"""An acceleration is the slope of the rate over so long to either side."""
 SHORTEST_S = 1e-5
 """A lag or delay below this is none."""
 
@@ -44,6 +46,8 @@ NOISE = (
     Spec('correlation', 's', spread=1.0, centre=math.log(0.3), log=True),
     Spec('after', '1', spread=1.0, centre=math.log(0.1), log=True),
 )
+SHARED = Spec('shared', '1', spread=1.0)
+"""Of what disturbs another axis, the share that disturbs this one too: gusts come at an angle."""
 VIBRATION = (
     Spec('vibration', '1', spread=2.0, centre=0.0, log=True),
     Spec('vibration_frequency', 'Hz', spread=1.0, centre=math.log(50.0), log=True),
@@ -60,11 +64,18 @@ class Structure:
     parts: tuple[Part, ...] = ()
     lines: int = 0
     """How many narrow lines of vibration the gyro's noise holds."""
+    shared: tuple[int, ...] = ()
+    """Which of the other two axes are disturbed by what disturbs this one."""
 
     @property
     def noise(self) -> tuple[Spec, ...]:
         """The noise's parameters: the last of the vector."""
-        return NOISE + VIBRATION * self.lines
+        return (SHARED,) * len(self.shared) + NOISE + VIBRATION * self.lines
+
+    @property
+    def filtered(self) -> int:
+        """How many of the noise's parameters make the filter: the last of them."""
+        return len(NOISE) + len(VIBRATION) * self.lines
 
     @property
     def specs(self) -> tuple[Spec, ...]:
@@ -156,6 +167,9 @@ class Flight:
     rate: FloatArray = field(default_factory=lambda: np.zeros(0))
     """(n,) rate at half of each cycle as the filter last estimated it."""
     sensor: Sensor = field(init=False)
+    disturbances: FloatArray = field(init=False)
+    """(n, 2) acceleration of the other two axes that their bases do not explain, rad/s²; zero
+    where nobody has said (discover.base.shares)."""
     measured: FloatArray = field(init=False)
     """(n,) what innovations are of: the rate, or the angle over the cycle where only that was
     measured, rad/s; NaN where it was lost or at its limit."""
@@ -187,6 +201,7 @@ class Flight:
         )
         self.other_commands = one, other
         self.throttle = np.ascontiguousarray(data.control[:, 0])
+        self.disturbances = np.zeros((n, 2))
         self._drives: dict[bytes, tuple[FloatArray, FloatArray]] = {}
         if self.rate.size != n:
             self.rate = self._first_guess()
@@ -279,6 +294,8 @@ class Flight:
             torque = torque + own
             if 'rate' in part.effect.signals or 'angle' in part.effect.signals:
                 slope = slope + slope_over_rate(part, with_states, p[where])
+        for which, share in zip(structure.shared, p[-len(structure.noise) :], strict=False):
+            torque = torque + share * self.disturbances[:, which]
         rest = torque - slope * rate
         return Pushed(p[0] * halves + rest, slope)
 
@@ -290,7 +307,8 @@ class Flight:
         In the coordinates of the fit, by central differences of `steps` (p,) along a fixed
         trajectory: exact to rounding for what is linear.
         """
-        n, m = rate.size, theta.size - len(structure.noise)
+        n, m = rate.size, theta.size - structure.filtered
+        effects_end = theta.size - len(structure.noise)
         first = [0, 1, 2]
         for part, where in zip(structure.parts, structure.slices(), strict=True):
             if part.effect.moves_command:
@@ -314,6 +332,8 @@ class Flight:
                 out[:, place] = -rate
             elif j == 4:
                 out[:, place] = 1.0
+            elif j >= effects_end:
+                out[:, place] = self.disturbances[:, structure.shared[j - effects_end]]
             elif j not in first:
                 part, where = owner[j]
                 up, down = self._stepped(structure, theta, j, steps[j])
@@ -349,11 +369,29 @@ class Flight:
         down[j] -= step
         return structure.natural(up), structure.natural(down)
 
+    def unexplained(self, p: FloatArray) -> FloatArray:
+        """(n,) acceleration that the base does not explain, rad/s², from the slope of the rate.
+
+        p: parameters in their units, the base's first.
+        """
+        rate, dt = self.data.rate, self.data.dt
+        known = np.isfinite(rate)
+        reach = max(1.0, SLOPE_S / dt)
+        grid = np.arange(rate.size, dtype=np.float64)
+        back, here, ahead = (
+            np.interp(grid + 0.5 + self.late / dt + shift, grid[known], rate[known])
+            for shift in (-reach, 0.0, reach)
+        )
+        halves = self.driven(Structure(), p)[0]
+        explained = p[0] * 0.5 * (halves[0] + halves[1]) - p[3] * here + p[4]
+        left: FloatArray = (ahead - back) / (2.0 * reach * dt) - explained
+        return left
+
     # ------------------------------------------------------------------------ the filter
 
     def filter_of(self, structure: Structure, theta: FloatArray, damping: float) -> Filter:
         """The steady Kalman filter at these parameters."""
-        p = structure.natural(theta)[-len(structure.noise) :]
+        p = structure.natural(theta)[-structure.filtered :]
         white, disturbance, correlation, after = (float(v) for v in p[: len(NOISE)])
         lines = p[len(NOISE) :].reshape(-1, len(VIBRATION))
         noise = Noise(

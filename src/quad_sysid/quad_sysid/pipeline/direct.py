@@ -12,7 +12,7 @@ import numpy as np
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.discover.accept import Unseen, rms
-from quad_sysid.discover.search import best_base
+from quad_sysid.discover.base import best_base
 from quad_sysid.errors import BadInputError, NotInformativeError
 from quad_sysid.estimate.fit import Problem
 from quad_sysid.estimate.stored import noise_of, readings

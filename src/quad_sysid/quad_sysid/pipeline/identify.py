@@ -135,7 +135,7 @@ def _reason(told: Findings) -> str:
         reason = (
             f'with {names} the model predicts the held-out segments better than the base alone '
             f'(e-value {min(verdict.e_value, 1e99):.3g})'
-        )
+        ) + (verdict.reason and f'; yet that is not all: {verdict.reason}')
     else:
         reason = reason or 'no effect predicts the held-out segments better than the base alone'
         if best.structure.parts:

@@ -1,0 +1,95 @@
+"""The base alone: its starts, and the noise that a flight turns out to have."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from quad_sysid.contract import FloatArray
+from quad_sysid.discover.screen import vibration_line
+from quad_sysid.effects.couplings import over_training
+from quad_sysid.estimate.fit import MOST_STEPS, Fit, Problem, fit, start_of
+from quad_sysid.model.data import other_axis
+from quad_sysid.model.plant import Flight, Structure
+
+EXPECTED = 0.05
+"""Prior probability that an effect is missing: shared alike by all names that can be tried, and of
+each name by its variants (smoothnesses, motors, other axes)."""
+LEADING = 2
+"""Starts of the base that are followed to their end."""
+BEGUN_STEPS = 6
+"""Steps of the base from each of its starts before the leading ones go on."""
+MOST_LINES = 3
+"""Narrow lines of vibration that the noise may hold."""
+MEASURED = 0.95
+"""Share of the training in which another axis' rate must be known."""
+
+
+def best_base(problem: Problem) -> Fit:
+    """The base from several starts: its surface has more than one optimum in closed loop.
+
+    Each start goes a few steps; those that lead then go on to the end.
+    """
+    begun = []
+    for way, lag, delay in ((1, 0.04, 0.01), (1, 0.005, 0.03), (1, 0.15, 0.005), (-1, 0.04, 0.01)):
+        start = start_of(problem)
+        start[0] *= way
+        start[1], start[2] = math.log(lag), math.log(delay)
+        begun.append(fitted_from(problem, Structure(), start, most_steps=BEGUN_STEPS))
+    leading = sorted((f for f in begun if f), key=lambda f: -f.log_posterior)[:LEADING]
+    ended = [fitted_from(problem, Structure(), f.theta, rate=f.rate) for f in leading]
+    base = max((f for f in ended if f), key=lambda f: f.log_posterior, default=None)
+    if base is None:
+        raise FloatingPointError('no start of the base holds')
+    for _ in range(MOST_LINES):
+        shaken = with_vibration(problem, base)
+        if shaken is None or shaken.evidence + math.log(EXPECTED) <= base.evidence:
+            break
+        base = shaken
+    return base
+
+
+def fitted_from(
+    problem: Problem, structure: Structure, start: FloatArray, *, rate: FloatArray | None = None,
+    most_steps: int = MOST_STEPS,
+) -> Fit | None:
+    """A fit from `start`; None where it runs away."""
+    try:
+        return fit(problem, structure, start, rate=rate, most_steps=most_steps)
+    except (FloatingPointError, np.linalg.LinAlgError):
+        return None
+
+
+def with_vibration(problem: Problem, base: Fit) -> Fit | None:
+    """The base with one more narrow line in the gyro's noise, the strongest that is left."""
+    frequency = vibration_line(problem, base)
+    if frequency is None:
+        return None
+    return fitted_from(
+        problem, replace(base.structure, lines=base.structure.lines + 1),
+        np.r_[base.theta, 0.0, math.log(frequency), math.log(0.1)], rate=base.rate,
+    )
+
+
+def shares(problem: Problem, fitted: Fit, base: Fit, which: int) -> bool:
+    """Whether what disturbs another axis disturbs this one too, by its evidence beside a fit.
+
+    What disturbs the other is what its own base leaves of its acceleration; that base is fitted
+    from this axis' `base`, with which it shares motors and gyro.
+    """
+    data = other_axis(problem.data, which)
+    if np.isfinite(over_training(data, data.rate)).mean() < MEASURED:
+        return False
+    other = fitted_from(Problem(data, data.train), base.structure, base.theta)
+    if other is None:
+        return False
+    flight = problem.flight
+    flight.disturbances[:, which] = Flight(data, data.stretches).unexplained(other.values)
+    at = fitted.theta.size - fitted.structure.filtered
+    beside = fitted_from(
+        problem, replace(fitted.structure, shared=(which,)),
+        np.r_[fitted.theta[:at], 0.0, fitted.theta[at:]], rate=fitted.rate,
+    )
+    return beside is not None and beside.evidence + math.log(EXPECTED) > fitted.evidence
