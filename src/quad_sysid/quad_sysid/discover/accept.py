@@ -29,15 +29,15 @@ STAKES = (0.1, 0.3, 0.5, 0.9)
 LEVEL = 0.05
 HORIZONS_S = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 DISAGREES = 1.1
-"""Factor between two errors from which on it counts: what noise makes of it (contract), and what is
-foreseen without the commands."""
+"""Factor between two errors from which on it counts: what noise makes of it (contract), and what
+is foreseen without the commands."""
 LEAST_REPORTED = 0.005
 """Share of the rivals' probability below which one is not reported."""
 FLIPS = 200
 """Signs of the innovations of which none may make worse errors: a level of 0.5 %."""
 MOST_OPENED = 15
-"""Structures that are compared on the validation data; their e-values are divided among them,
-half by their posterior and half alike."""
+"""Structures that are compared on the validation data; the stake is divided among their bets, half
+by their posterior and half alike."""
 
 
 def bet(differences: FloatArray) -> float:
@@ -68,7 +68,7 @@ class Verdict:
     chosen: Fit
     """What is reported: the base where nothing was accepted."""
     e_value: float
-    """Of the chosen effects against the base, on the validation segments."""
+    """Against the claim that nothing beats the base, on the validation segments."""
     before: float
     after: float
     one_step_before: float
@@ -176,16 +176,15 @@ def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
     weights = np.exp(np.array([s.score for s in candidates]) - found.all[0].score)
     best_of_all = unseen.log_likelihood(found.best)
     totals = [Scored(base, floor + float(np.sum(_limited(against - best_of_all))))]
-    e_values = {id(base): 1.0}
+    e_value = 0.0 if candidates else 1.0  # a mean of e-values is one
     for scored, weight in zip(candidates, weights, strict=True):
         own = unseen.log_likelihood(scored.fit)
         share = 0.5 * float(weight / weights.sum()) + 0.5 / len(candidates)
         gain = float(np.sum(_limited(own - best_of_all)))
         totals.append(Scored(scored.fit, scored.score + gain))
-        e_values[id(scored.fit)] = bet(own - against) * share
+        e_value += bet(own - against) * share
     found = replace(found, all=tuple(sorted(totals, key=lambda s: -s.score)))
     best = next((s.fit for s in found.all if s.fit is not base), base)
-    e_value = e_values[id(best)]
     better = e_value * LEVEL >= 1.0 and rms(unseen.errors(best)) < base_error
     return _verdict(problem, found, unseen, base, best if better else base, e_value)
 
