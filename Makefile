@@ -20,7 +20,7 @@ PYTEST := $(RUN) exec python -m pytest --timeout 600 -n $$(($(shell nproc) + 1))
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-19s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
-demo: build  ## the whole loop on a virtual quadrotor, results in demo_out/ (4 minutes)
+demo: build $(if $(findstring --qemu,$(ARGS)),qemu)  ## the whole loop on a virtual quadrotor, results in demo_out/ (4 minutes)
 	@$(RUN) exec python -m quad_tuning.demo $(ARGS)
 
 qemu: build  ## the STM32's ELF for demo ARGS=--qemu (needs gcc-arm-none-eabi, qemu-system-arm)

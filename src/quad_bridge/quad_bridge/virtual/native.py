@@ -35,12 +35,13 @@ def _folders() -> Iterator[Path]:
 
 def find(name: str) -> Path:
     """The built file of this name; raises ConfigurationError where there is none."""
-    looked = list(_folders())
+    looked = list(dict.fromkeys(_folders()))
     for folder in looked:
         if (folder / name).is_file():
             return folder / name
     raise ConfigurationError(
-        name, f'not in {", ".join(map(str, looked))}', remedy='make build (needs a C compiler)'
+        name, f'not in {", ".join(map(str, looked))}',
+        remedy='make qemu' if name.endswith('.elf') else 'make build (needs a C compiler)',
     )
 
 
