@@ -16,6 +16,7 @@ import numpy as np
 from scipy.linalg import toeplitz
 
 from quad_sysid.contract import FloatArray
+from quad_sysid.discover.base import fitted_from
 from quad_sysid.discover.search import Found, Scored
 from quad_sysid.estimate.fit import Fit, Problem, Tail, fit
 from quad_sysid.model.data import AxisData, Windows
@@ -197,11 +198,13 @@ def _limited(gain: FloatArray) -> FloatArray:
     return np.clip(gain, -limit, limit)
 
 
-def refit(problem: Problem, fitted: Fit, index: int) -> Fit:
-    """A fit without one of its effects, the rest refitted."""
+def refit(problem: Problem, fitted: Fit, index: int) -> Fit | None:
+    """A fit without one of its effects, the rest refitted; None where that runs away."""
     where = fitted.structure.slices()[index]
     keep = np.r_[0 : where.start, where.stop : fitted.theta.size]
-    return fit(problem, fitted.structure.minus(index), fitted.theta[keep], rate=fitted.rate)
+    return fitted_from(
+        problem, fitted.structure.minus(index), fitted.theta[keep], rate=fitted.rate
+    )
 
 
 def _verdict(
@@ -210,8 +213,9 @@ def _verdict(
     before, after = rms(unseen.errors(base)), rms(unseen.errors(chosen))
     parts = chosen.structure.parts
     without = tuple(
-        rms(unseen.errors(base if len(parts) == 1 else refit(problem, chosen, i)))
-        for i in range(len(parts))
+        rms(unseen.errors(one)) if one is not None else math.inf
+        for one in (base if len(parts) == 1 else refit(problem, chosen, i)
+                    for i in range(len(parts)))
     )
     probabilities, rivals = _posterior(found, chosen)
     predicted = expected(chosen, unseen.windows.length)

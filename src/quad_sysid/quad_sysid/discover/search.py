@@ -12,7 +12,7 @@ import numpy as np
 from quad_sysid.contract import FloatArray
 from quad_sysid.discover.base import EXPECTED, best_base, fitted_from, shares
 from quad_sysid.discover.screen import Score, candidates, screen
-from quad_sysid.estimate.fit import Fit, Problem, fit
+from quad_sysid.estimate.fit import Fit, Problem
 from quad_sysid.model.effect import Effect, Part
 
 BEAM = 2
@@ -149,7 +149,12 @@ class _Search:
             if labels not in self.known:
                 where = best.fit.structure.slices()[index]
                 keep = np.r_[0 : where.start, where.stop : best.fit.theta.size]
-                self.keep(fit(self.problem, structure, best.fit.theta[keep], rate=best.fit.rate))
+                fitted = fitted_from(
+                    self.problem, structure, best.fit.theta[keep], rate=best.fit.rate
+                )
+                if fitted is None:
+                    continue
+                self.keep(fitted)
             parent = self.known[labels]
             self.build_on(parent, EXCHANGES, parent.score)
         return self.best() is not best
