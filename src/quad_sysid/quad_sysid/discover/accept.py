@@ -16,12 +16,12 @@ import numpy as np
 from scipy.linalg import toeplitz
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.discover.base import fitted_from
+from quad_sysid.discover.base import fit_without
 from quad_sysid.discover.search import Found, Scored
 from quad_sysid.estimate.fit import Fit, Problem, Tail, fit
 from quad_sysid.model.data import AxisData, Windows
 from quad_sysid.model.noise import growth
-from quad_sysid.model.plant import Structure
+from quad_sysid.model.plant import Prediction, Structure
 
 BLOCK_S = 0.5
 """Predictive log-likelihoods are compared over blocks of this length."""
@@ -116,9 +116,13 @@ class Unseen:
         label = stretch * 10**6 + np.arange(rows.size) // length
         self.block = np.unique(label, return_inverse=True)[1]
 
+    def predict(self, fitted: Fitted) -> Prediction:
+        """What the filter gives along the segments."""
+        return self.problem.flight.predict(fitted.structure, fitted.theta, sweeps=3)
+
     def log_likelihood(self, fitted: Fitted) -> FloatArray:
         """(blocks,) predictive log-likelihood, nats."""
-        found = self.problem.flight.predict(fitted.structure, fitted.theta, sweeps=3)
+        found = self.predict(fitted)
         e = found.innovation[self.problem.rows]
         with np.errstate(over='ignore', invalid='ignore'):
             values = fitted.tail.log_density(np.nan_to_num(e, nan=1e6, posinf=1e6))
@@ -127,7 +131,7 @@ class Unseen:
     def errors(self, fitted: Fitted, windows: Windows | None = None) -> FloatArray:
         """(windows, length) of the free run."""
         windows = windows or self.windows
-        prediction = self.problem.flight.predict(fitted.structure, fitted.theta, sweeps=3)
+        prediction = self.predict(fitted)
         with np.errstate(over='ignore', invalid='ignore'):
             return self.problem.flight.free_run(
                 fitted.structure, fitted.theta, windows, prediction=prediction
@@ -135,7 +139,7 @@ class Unseen:
 
     def one_step(self, fitted: Fitted) -> float:
         """RMS of the innovations."""
-        found = self.problem.flight.predict(fitted.structure, fitted.theta, sweeps=3)
+        found = self.predict(fitted)
         return rms(found.innovation[self.problem.rows])
 
     def holding(self, windows: Windows) -> FloatArray:
@@ -198,25 +202,15 @@ def _limited(gain: FloatArray) -> FloatArray:
     return np.clip(gain, -limit, limit)
 
 
-def refit(problem: Problem, fitted: Fit, index: int) -> Fit | None:
-    """A fit without one of its effects, the rest refitted; None where that runs away."""
-    where = fitted.structure.slices()[index]
-    keep = np.r_[0 : where.start, where.stop : fitted.theta.size]
-    return fitted_from(
-        problem, fitted.structure.minus(index), fitted.theta[keep], rate=fitted.rate
-    )
-
-
 def _verdict(
     problem: Problem, found: Found, unseen: Unseen, base: Fit, chosen: Fit, e_value: float
 ) -> Verdict:
     before, after = rms(unseen.errors(base)), rms(unseen.errors(chosen))
     parts = chosen.structure.parts
-    without = tuple(
-        rms(unseen.errors(one)) if one is not None else math.inf
-        for one in (base if len(parts) == 1 else refit(problem, chosen, i)
-                    for i in range(len(parts)))
-    )
+    rest: list[Fit | None] = [base]
+    if len(parts) != 1:
+        rest = [fit_without(problem, chosen, i) for i in range(len(parts))]
+    without = tuple(math.inf if one is None else rms(unseen.errors(one)) for one in rest)
     probabilities, rivals = _posterior(found, chosen)
     predicted = expected(chosen, unseen.windows.length)
     verdict, reason = 'effects_added', ''
@@ -307,7 +301,7 @@ def unexplained(unseen: Unseen, fitted: Fit) -> str:
         response[k] = found.output @ state
         state = found.transition @ state
     through = toeplitz(response, np.zeros(windows.length)).T
-    predicted = unseen.problem.flight.predict(fitted.structure, fitted.theta, sweeps=3)
+    predicted = unseen.predict(fitted)
     at = windows.starts[:, None] + np.arange(windows.length)
     innovations = np.nan_to_num(predicted.innovation[at])
     rng = np.random.default_rng(0)

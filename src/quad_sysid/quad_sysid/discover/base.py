@@ -9,7 +9,7 @@ import numpy as np
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.discover.screen import vibration_line
-from quad_sysid.effects.couplings import over_training
+from quad_sysid.effects.couplings import is_measured
 from quad_sysid.estimate.fit import MOST_STEPS, Fit, Problem, fit, start_of
 from quad_sysid.model.data import other_axis
 from quad_sysid.model.plant import Flight, Structure
@@ -23,8 +23,6 @@ BEGUN_STEPS = 6
 """Steps of the base from each of its starts before the leading ones go on."""
 MOST_LINES = 3
 """Narrow lines of vibration that the noise may hold."""
-MEASURED = 0.95
-"""Share of the training in which another axis' rate must be known."""
 
 
 def best_base(problem: Problem) -> Fit:
@@ -62,6 +60,15 @@ def fitted_from(
         return None
 
 
+def fit_without(problem: Problem, fitted: Fit, index: int) -> Fit | None:
+    """A fit without one of its effects, the rest refitted; None where that runs away."""
+    where = fitted.structure.slices()[index]
+    keep = np.r_[0 : where.start, where.stop : fitted.theta.size]
+    return fitted_from(
+        problem, fitted.structure.minus(index), fitted.theta[keep], rate=fitted.rate
+    )
+
+
 def with_vibration(problem: Problem, base: Fit) -> Fit | None:
     """The base with one more narrow line in the gyro's noise, the strongest that is left."""
     frequency = vibration_line(problem, base)
@@ -79,9 +86,9 @@ def shares(problem: Problem, fitted: Fit, base: Fit, which: int) -> bool:
     What disturbs the other is what its own base leaves of its acceleration; that base is fitted
     from this axis' `base`, with which it shares motors and gyro.
     """
-    data = other_axis(problem.data, which)
-    if np.isfinite(over_training(data, data.rate)).mean() < MEASURED:
+    if not is_measured(problem.data, which):
         return False
+    data = other_axis(problem.data, which)
     other = fitted_from(Problem(data, data.train), base.structure, base.theta)
     if other is None:
         return False

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.discover.base import EXPECTED, best_base, fitted_from, shares
+from quad_sysid.discover.base import EXPECTED, best_base, fit_without, fitted_from, shares
 from quad_sysid.discover.screen import Score, candidates, screen
 from quad_sysid.estimate.fit import Fit, Problem
 from quad_sysid.model.effect import Effect, Part
@@ -147,11 +147,7 @@ class _Search:
             structure = best.fit.structure.minus(index)
             labels = frozenset(structure.labels)
             if labels not in self.known:
-                where = best.fit.structure.slices()[index]
-                keep = np.r_[0 : where.start, where.stop : best.fit.theta.size]
-                fitted = fitted_from(
-                    self.problem, structure, best.fit.theta[keep], rate=best.fit.rate
-                )
+                fitted = fit_without(self.problem, best.fit, index)
                 if fitted is None:
                     continue
                 self.keep(fitted)

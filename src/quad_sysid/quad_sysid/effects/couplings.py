@@ -10,6 +10,8 @@ from quad_sysid.model.effect import Effect, Settings, Signals, Spec, required
 
 LEAST_SHARE = 0.05
 """Another axis' command must be this large beside this axis'."""
+MEASURED = 0.95
+"""Share of the training in which another axis' rate must be known."""
 LEAST_RATE = 0.05
 """Another axis must turn with this RMS, rad/s, beyond the noise of its gyro."""
 
@@ -26,12 +28,17 @@ def clock(data: AxisData) -> FloatArray:
     return np.arange(data.rate.size, dtype=np.float64) * data.dt
 
 
+def is_measured(data: AxisData, which: int) -> bool:
+    """Whether another axis' rate is known throughout training."""
+    rate = over_training(data, data.other_rates[:, which])
+    return bool(np.isfinite(rate).mean() >= MEASURED)
+
+
 def turns(data: AxisData, which: int) -> str:
     """Why another axis' rate cannot be used; empty where it can."""
-    rate = over_training(data, data.other_rates[:, which])
-    if np.isfinite(rate).mean() < 0.95:
+    if not is_measured(data, which):
         return f'the rate of {data.other_axes[which]} was not measured throughout'
-    if np.nanstd(rate) < LEAST_RATE:
+    if np.nanstd(over_training(data, data.other_rates[:, which])) < LEAST_RATE:
         return f'{data.other_axes[which]} hardly turns during training'
     return ''
 

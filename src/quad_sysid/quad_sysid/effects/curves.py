@@ -132,9 +132,9 @@ class Curve(Effect):
 
     def _signal(self, s: Signals, scale: float = 1.0) -> FloatArray:
         if self.signal.startswith('other rate'):
-            return required(s.other_rates)[int(self.signal[-1]) - 1]
+            return required(s.other_rates)[self.others[0]]
         if self.signal.startswith('other command'):
-            return s.other_commands[int(self.signal[-1]) - 1]
+            return s.other_commands[self.others[0]]
         return required({
             'rate': s.rate, 'angle': s.angle, 'throttle': s.throttle, 'battery': s.battery_v,
             'time': s.time, 'command': s.lagged,

@@ -35,7 +35,7 @@ def findings(data: AxisData, problem: Problem, found: Found, verdict: Verdict) -
 
 def _held_out(unseen: Unseen, fitted: Fit) -> HeldOut:
     flight = unseen.problem.flight
-    predicted = flight.predict(fitted.structure, fitted.theta, sweeps=3)
+    predicted = unseen.predict(fitted)
     inside = np.zeros(unseen.problem.data.rate.size, dtype=bool)
     for start, stop in unseen.problem.spans:
         inside[start:stop] = True
