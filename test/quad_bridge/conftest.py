@@ -91,8 +91,9 @@ class Bench(Line):
         if isinstance(event, Restarted):
             self.updates.restarted(self.now_s)
         elif isinstance(event, Stamped):
-            if isinstance(frame, RcChannels):
-                self.updates.sticks((frame.channels[3] - 1500) / 500.0, self.now_s)
+            pass
+        elif isinstance(frame, RcChannels):
+            self.updates.sticks((frame.channels[3] - 1500) / 500.0, self.now_s)
         elif isinstance(frame, (ParamValue, GainsState)):
             self.updates.take(frame, self.now_s)
         elif isinstance(frame, Cycle):

@@ -8,7 +8,7 @@ import math
 import re
 
 import pytest
-from flight_controller import Fault, changed
+from flight_controller import DROPPED, Fault, changed
 
 from quad_bridge.errors import RefusedError
 from quad_bridge.gains.protocol import float32
@@ -213,6 +213,9 @@ GESTURE = [Event(6.0 + 0.3 * k, 'yaw', v) for k, v in enumerate([0.9, -0.9, 0.9,
 @pytest.mark.parametrize(('events', 'words'), [(KILL, 'kill switch'), (GESTURE, 'stick gesture')])
 def test_the_kill_switch_and_the_stick_gesture_take_the_gains_back(bench, events, words):
     made = bench(events=events)
+    made.up.fault = Fault(f.TimeSync, DROPPED)  # without a clock nothing is stamped
+    made.opened()
+    made.fly(1.0)
     made.ask(roll_rate_kp=0.1)
     assert words in made.fly_until('rolled back')
     assert made.gain(KP) == pytest.approx(OLD_KP)

@@ -6,7 +6,8 @@ are stand-ins that speak when the walk says so. In every state that can be reach
 1. What the STM32 flies is a set that the gate has let through whole, inside its bounds, by no more
    than the largest step from the set before, with the polarity of its axis known.
 2. An update is refused in every state but IDLE, and a NaN in all.
-3. Killed, alarmed, gestured at or asked back, a set in flight goes back; it is not confirmed.
+3. Killed, alarmed, gestured at or asked back, a set in flight goes back; it is not confirmed. The
+   pilot's gesture ends a check of the polarity too.
 4. What is published as active is what the STM32 flies, as long as nothing else has happened.
 5. Left alone, the machine comes to IDLE within the time of an update.
 """
@@ -170,6 +171,7 @@ class Walk:
         for end in (1.0, -1.0, 1.0):
             self.gains.sticks(end, 0.0)
         self.goes_back(before)
+        assert self.gains.state is not State.CHECKING
 
     def goes_back(self, before):
         if before in {State.WRITING, State.WATCHING}:

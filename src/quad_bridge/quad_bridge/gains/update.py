@@ -284,6 +284,7 @@ class GainUpdates:
             ends.clear()
             if self.state in {State.WATCHING, State.WRITING}:
                 self._take_back("the pilot's stick gesture")
+            self.disturb("the pilot's stick gesture")
 
     def tick(self, now_s: float) -> None:
         """Go on where it is time."""

@@ -189,6 +189,7 @@ class Link:
         if isinstance(frame, (f.ParamValue, f.GainsState, f.CommandAck, f.StatusText)):
             events.append(Arrived(frame))
         elif isinstance(frame, f.RcChannels):
+            events.append(Arrived(frame))
             self.autopilot.note('RC_CHANNELS', now_ns)
             self.stamping.other(frame, frame.time_ms * 1000, 1000, now_ns, events)
         elif isinstance(frame, f.SlowSensors):

@@ -28,9 +28,9 @@ class Stamped(NamedTuple):
 
 
 class Arrived(NamedTuple):
-    """A frame that has just come; a cycle is stamped afterwards, or never."""
+    """A frame that has just come; cycles and channels are stamped afterwards, or never."""
 
-    frame: f.Cycle | f.CommandAck | f.ParamValue | f.GainsState | f.StatusText
+    frame: f.Cycle | f.CommandAck | f.ParamValue | f.GainsState | f.RcChannels | f.StatusText
 
 
 class Restarted(NamedTuple):

@@ -151,11 +151,16 @@ def rc_message(rc: f.RcChannels, stamp_ns: int, *, failsafe: bool) -> Joy:
     A stick without a pulse counts as failsafe too.
     """
     message = _stamped(Joy(), stamp_ns)
-    pulses = [*rc.channels[:RC_CHANNELS], *([0] * (RC_CHANNELS - len(rc.channels)))]
-    message.axes = [_axis(i, pulse) for i, pulse in enumerate(pulses)]
+    message.axes = rc_axes(rc)
     lost = failsafe or any(math.isnan(v) for v in message.axes[:STICKS])
     message.buttons = [int(lost)]
     return message
+
+
+def rc_axes(rc: f.RcChannels) -> list[float]:
+    """The nine channels as `/rc/in` has them: -1..1, throttle 0..1, NaN without a pulse."""
+    pulses = [*rc.channels[:RC_CHANNELS], *([0] * (RC_CHANNELS - len(rc.channels)))]
+    return [_axis(i, pulse) for i, pulse in enumerate(pulses)]
 
 
 def _axis(index: int, pulse_us: int) -> float:

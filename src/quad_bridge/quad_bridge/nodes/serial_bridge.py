@@ -75,6 +75,7 @@ class SerialBridge(ManagedNode):
             f.Cycle: self._on_cycle,
             f.ParamValue: self._on_gains_frame,
             f.GainsState: self._on_gains_frame,
+            f.RcChannels: self._on_sticks,
             f.CommandAck: lambda frame, _: self._operator.acknowledged(frame),
             f.StatusText: lambda frame, _: self._tell_once(f'STM32: {frame.text}'),
         }
@@ -191,6 +192,9 @@ class SerialBridge(ManagedNode):
     def _on_gains_frame(self, frame: f.ParamValue | f.GainsState, now_ns: int) -> None:
         self._gains.take(frame, 1e-9 * now_ns)
 
+    def _on_sticks(self, frame: f.RcChannels, now_ns: int) -> None:
+        self._gains.sticks(conversion.rc_axes(frame)[YAW_STICK], 1e-9 * now_ns)
+
     def _publish(self, event: Stamped) -> None:
         frame, stamp_ns = event.frame, event.stamp_ns + self._time.epoch_ns
         if stamp_ns <= 0:  # simulated time has not come yet
@@ -200,9 +204,7 @@ class SerialBridge(ManagedNode):
         elif isinstance(frame, f.RcChannels):
             last = self._link.last_cycle
             lost = last is not None and bool(last.flags & f.Flag.RC_FAILSAFE)
-            message = conversion.rc_message(frame, stamp_ns, failsafe=lost)
-            self._rc.publish(message)
-            self._gains.sticks(message.axes[YAW_STICK], clock().now_s())
+            self._rc.publish(conversion.rc_message(frame, stamp_ns, failsafe=lost))
         else:
             for publisher, convert in self._others[type(frame)]:
                 message = convert(frame, stamp_ns)
