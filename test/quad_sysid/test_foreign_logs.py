@@ -15,6 +15,7 @@ import pytest
 from quad_sysid.bags import read_bag
 from quad_sysid.cli import main
 from quad_sysid.imports.formats import format_of, read_log
+from quad_sysid.imports.log import ForeignLog, Stream
 from quad_sysid.imports.to_bag import import_log
 from quad_sysid.imports.words import table
 
@@ -359,14 +360,36 @@ def test_encoded_blackbox_files_hold_several_logs(flight, tmp_path, capsys):
     assert 'must be 1 to 2' in capsys.readouterr().err
     assert main(['import', str(path)]) == 0
     assert f'quad-sysid import {path} --out' in capsys.readouterr().out
+    assert main(['import', str(path), '--out', str(tmp_path / 'b')]) == 2
+    assert 'holds commands that never change' in capsys.readouterr().err
+    path.write_bytes(encoded(columns, told).replace(b'\xffEnd of log\0', b'\xff\1End of log\0'))
+    assert main(['import', str(path), '--out', str(tmp_path / 'inav')]) == 0  # as INAV ends a log
 
 
-def test_indiflight_turns_its_axes_and_names_no_layout(flight, tmp_path):
-    """Forward, right, down; commands and quaternions over 8127."""
+@pytest.mark.parametrize('factor', [-1.0, 57.3])
+def test_angles_that_contradict_their_rates_are_left_out(flight, tmp_path, factor):
+    """Whatever format they come from: a sign or a unit is another than the reader knows."""
+    t = 1.0 + 1e-6 * DT_US * np.arange(N)
+    angles = np.cumsum(flight.rates, axis=0) * 1e-6 * DT_US * [1.0, factor, 1.0]
+    done = import_log(ForeignLog(
+        'log', 'a log', rates=Stream(t, flight.rates), control=Stream(t, flight.control),
+        angles=Stream(t, angles),
+    ), tmp_path / 'bag')
+    words = f'the pitch angle changes by {factor:g} times what the rate gives: the angles are left'
+    assert done.warnings == (f'{words} out',)
+    assert done.record.angles is None
+
+
+@pytest.mark.parametrize('down', [True, False])
+def test_indiflight_says_its_frame_by_gravity_and_names_no_layout(flight, tmp_path, down):
+    """Its sensors' z axis points down, in its first versions up; half of its slots are empty."""
+    turned = FRD if down else np.ones(3)
     columns = {
-        **{f'gyroADC[{i}]': np.degrees(flight.rates * FRD)[:, i] for i in range(3)},
+        **{f'gyroADC[{i}]': np.degrees(flight.rates * turned)[:, i] for i in range(3)},
+        **{f'accSmooth[{i}]': np.full(N, 2048.0 * turned[2] * (i == 2)) for i in range(3)},
         **{f'quat[{i}]': 8127.0 * quaternion_ned(flight.angles)[:, i] for i in range(4)},
         **{f'u[{i}]': 8127.0 * thrust for i, thrust in enumerate(flight.thrusts.values())},
+        **{f'u[{i}]': np.zeros(N) for i in range(4, 8)},
     }
     rows = np.column_stack([np.arange(N), DT_US * np.arange(N), *columns.values()])
     path = tmp_path / 'LOG.csv'
@@ -374,10 +397,11 @@ def test_indiflight_turns_its_axes_and_names_no_layout(flight, tmp_path):
         ','.join(f'{v:.9g}' for v in row) for row in rows)]) + '\n')
     log = read_log(path, format_of(path))
     np.testing.assert_allclose(log.rates.values, flight.rates, atol=1e-6)
+    np.testing.assert_allclose(log.acceleration.values, [[0.0, 0.0, 9.80665]] * N, atol=1e-4)
     np.testing.assert_allclose(log.motors.values, np.column_stack([*flight.thrusts.values()]),
                                atol=1e-6)
-    turned = np.mod(log.angles.values - flight.angles + np.pi, 2 * np.pi) - np.pi
-    np.testing.assert_allclose(turned, 0.0, atol=1e-6)
+    angles = np.mod(log.angles.values - flight.angles + np.pi, 2 * np.pi) - np.pi
+    np.testing.assert_allclose(angles, 0.0, atol=1e-6)
     assert log.mixer is None
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from quad_sysid.bags import read_bag, write_bag
 from quad_sysid.contract import motors_from_wrench
-from quad_sysid.imports.stretches import told, with_stretches
+from quad_sysid.imports.stretches import airborne, told, with_stretches
 from quad_sysid.record import Record
 
 DT = 0.004
@@ -35,14 +35,14 @@ def spans(record: Record, role: str, axis: str = 'roll') -> list[tuple[float, fl
 
 def test_blocks_train_and_validate_and_the_rest_has_its_reason(tmp_path):
     found = with_stretches(flight(60.0))
-    assert spans(found, 'idle') == [(0.0, 5.0), (20.0, 26.0), (55.0, 60.0)]
+    assert spans(found, 'idle') == [(0.0, 6.0), (20.0, 26.0), (54.0, 60.0)]
     assert [s.parameters['because'] for s in found.segments if s.axis == 'yaw' and s.role == 'idle'
             ] == ['ground', 'still', 'ground']
-    assert spans(found, 'train') == [(5.0, 15.0), (26.0, 31.0), (36.0, 46.0), (51.0, 55.0)]
-    assert spans(found, 'validation') == [(15.0, 20.0), (31.0, 36.0), (46.0, 51.0)]
+    assert spans(found, 'train') == [(6.0, 16.0), (27.0, 32.0), (37.0, 47.0), (52.0, 54.0)]
+    assert spans(found, 'validation') == [(16.0, 20.0), (26.0, 27.0), (32.0, 37.0), (47.0, 52.0)]
     assert spans(found, 'train', 'pitch') == spans(found, 'train')
-    assert told(found) == ('no experiment in it: 29 s train, 15 s are held out; left out: '
-                           'ground 10 s, still 6 s')
+    assert told(found) == ('no experiment in it: 27 s train, 15 s are held out; left out: '
+                           'ground 12 s, still 6 s')
     read = read_bag(write_bag(replace(found, wrench=found.control), tmp_path / 'bag'))
     for axis in ('roll', 'pitch', 'yaw'):
         for role in ('train', 'validation', 'idle'):
@@ -51,8 +51,8 @@ def test_blocks_train_and_validate_and_the_rest_has_its_reason(tmp_path):
 
 def test_a_short_flight_is_cut_in_two_and_a_whole_short_one_is_left_to_the_reader():
     found = with_stretches(flight(27.0), ('roll',))
-    assert spans(found, 'train') == [(5.0, 14.0)]
-    assert spans(found, 'validation') == [(14.0, 20.0)]
+    assert spans(found, 'train') == [(6.0, 15.0)]
+    assert spans(found, 'validation') == [(15.0, 20.0)]
     record = flight(60.0)
     whole = replace(record, rates=record.rates[2000:4500], control=record.control[2000:4500])
     assert with_stretches(whole).segments == ()
@@ -72,3 +72,11 @@ def test_gaps_and_limits_are_left_out(reason, change):
     found = with_stretches(replace(record, rates=rates, motors=motors))
     assert (8.0, 10.0) in [(s.start_s, s.end_s) for s in found.segments
                            if s.parameters.get('because') == reason]
+
+
+@pytest.mark.parametrize(('low', 'left_out'), [((30.0, 30.9), 0.0), ((30.4, 31.6), 3.2)])
+def test_the_ground_is_where_the_throttle_stays_low_with_take_off_and_landing(low, left_out):
+    """A dive of less than a second is flight."""
+    throttle = np.full(10000, 0.5)
+    throttle[round(low[0] / DT) : round(low[1] / DT)] = 0.05
+    assert DT * np.sum(~airborne(throttle, DT)) == pytest.approx(left_out, abs=2 * DT)

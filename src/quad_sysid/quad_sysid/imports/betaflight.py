@@ -2,7 +2,8 @@
 
 A table is what blackbox_decode or the Blackbox Explorer writes; an encoded file (.bbl, .bfl, .txt)
 is read by orangebox (GPL-3, an optional extra, loaded here alone). Betaflight's body frame is
-ours: x forward, y left, z up; nose down is positive pitch. INDIflight's is forward, right, down.
+ours: x forward, y left, z up; nose down is positive pitch. INDIflight's sensors had that frame at
+first, later forward, right, down; its quaternions always have the latter.
 """
 
 from __future__ import annotations
@@ -93,8 +94,9 @@ def read(path: Path, log: int = 1) -> ForeignLog:
     time_s, keep = unrolled.time_s - unrolled.time_s[0] + 1.0, unrolled.rows
     mapped: list[Mapped] = []
     rate = 1.0 / float(np.median(np.diff(time_s)))
-    frame = MIRROR if indi else np.ones(3)
-    how = 'pitch and yaw turned' if indi else 'the frame is ours'
+    turned = indi and _points_down(table)
+    frame = MIRROR if turned else np.ones(3)
+    how = 'pitch and yaw turned' if turned else 'the frame is ours'
 
     def stream(values: FloatArray | None) -> Stream | None:
         if values is None:
@@ -135,6 +137,12 @@ def read(path: Path, log: int = 1) -> ForeignLog:
         battery=stream(None if volts is None else volts[:, None]), faster=FASTER,
         missing=_missing(angles, volts),
     )
+
+
+def _points_down(table: _Table) -> bool:
+    """Whether the sensors' z axis does: what lifts an aircraft in flight acts upwards."""
+    lift = table.columns.get('accSmooth[2]', np.zeros(1))
+    return bool(np.nanmean(lift) <= 0.0)
 
 
 def _is_encoded(path: Path) -> bool:
@@ -188,7 +196,7 @@ def _frames(parser: Any, places: Sequence[int], width: int) -> list[list[float]]
             data = frame.data
             if len(data) >= width - 1:
                 rows.append([_number(data[i]) if i < len(data) else np.nan for i in places])
-    except (StopIteration, RuntimeError, IndexError, TypeError):
+    except (StopIteration, RuntimeError, IndexError, TypeError, ValueError):
         if not rows:
             raise
     return rows
@@ -246,7 +254,9 @@ def _motors(
 ) -> tuple[FloatArray, Mixer | None, tuple[str, str, str, str]]:
     """Motor commands (n, k) 0..1, what they do, and what is told of them."""
     name = 'u' if 'u[0]' in table.columns else 'motor'
-    count = sum(1 for i in range(8) if f'{name}[{i}]' in table.columns)
+    slots = [f'{name}[{i}]' for i in range(8) if f'{name}[{i}]' in table.columns]
+    used = [slot for slot in slots if np.nanmax(table.columns[slot]) > 0.0]
+    count = len(used if name == 'u' else slots)
     raw = table.several(name, count)
     if raw is None or count < 2:
         raise BadInputError(table.source, 'needs the columns motor[0], motor[1], …')

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from quad_sysid.contract import FloatArray
+from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.imports.units import DEGREE, UNITS, Role, Unit
 
@@ -113,20 +113,41 @@ def check_rate(rate: Column, angle: Column | None, dt: float) -> list[str]:
     if angle is None:
         check_size(rate)
         return [] if rate.named else [f'{alone}; add --angle']
-    turned, changed = _over_windows(rate.values, angle.values, dt)
-    if len(turned) < FEWEST_WINDOWS or not (np.ptp(turned) and np.ptp(changed)):
+    compared = turn_factor(rate.values, angle.values, dt)
+    if compared is None:
         check_size(rate)
         return [] if rate.named else [alone]
-    together = float(np.corrcoef(turned, changed)[0, 1])
+    together, factor = compared
     if abs(together) < TOGETHER:
         loose = f'(correlation {together:.2f})'
         return [f'{rate.name} and the change of {angle.name} move apart {loose}: {alone}']
-    factor = math.copysign(float(np.std(changed) / np.std(turned)), together)
     _refuse(rate, angle, factor)
     if abs(factor - 1.0) > TOLERATED:
         advice = f'if the rate is at fault, {rate.advise(rate.unit.factor * factor)}'
         return [f'{angle.name} changes by {factor:.3g} times what {rate.name} gives: {advice}']
     return []
+
+
+def turn_factor(rate: FloatArray, angle: FloatArray, dt: float) -> tuple[float, float] | None:
+    """Correlation of an angle's changes with the rate's integral, and their ratio with its sign.
+
+    None where too little moves to be compared.
+    """
+    turned, changed = _over_windows(rate, angle, dt)
+    if len(turned) < FEWEST_WINDOWS or not (np.ptp(turned) and np.ptp(changed)):
+        return None
+    together = float(np.corrcoef(turned, changed)[0, 1])
+    return together, math.copysign(float(np.std(changed) / np.std(turned)), together)
+
+
+def contradicted(rates: FloatArray, angles: FloatArray, dt: float) -> list[str]:
+    """A line for each axis on which angles (n, 3) rad turn otherwise than the rates (n, 3) say."""
+    found = [turn_factor(rates[:, i], angles[:, i], dt) for i in range(len(AXES))]
+    return [
+        f'the {axis} angle changes by {both[1]:.3g} times what the rate gives'
+        for axis, both in zip(AXES, found, strict=True)
+        if both and abs(both[0]) >= TOGETHER and (both[1] < 0.0 or not _near(both[1], 1.0))
+    ]
 
 
 def check_reference(reference: Column, angle: Column) -> None:

@@ -16,9 +16,12 @@ from quad_sysid.record import Record, Segment, finite_runs
 
 PIECE_S = 1.0
 MOST_LOST = 0.2
-"""Share of a piece that gaps may take."""
+"""Share of a piece that gaps, or the ground, may take."""
 AIRBORNE = 0.4
-"""Share of the usual throttle below which the aircraft stands on the ground."""
+"""Share of the usual throttle below which the aircraft does not fly."""
+GROUND_S = 1.0
+"""For so long at least it stands on the ground; a shorter time is a dive. As long before and after
+it may touch the ground: it takes off, or it lands."""
 STILL = 0.1
 """Share of the usual motion and command below which nothing is excited."""
 USUAL = 0.75
@@ -79,9 +82,15 @@ def told(record: Record) -> str:
             (f'; left out: {left}' if left else ''))
 
 
-def airborne(throttle: FloatArray) -> np.ndarray:
-    """(n,) whether the throttle (n,) is one at which the aircraft flies; True where it is NaN."""
-    return ~(throttle < AIRBORNE * float(np.nanquantile(throttle, USUAL)))
+def airborne(throttle: FloatArray, dt: float) -> np.ndarray:
+    """(n,) whether the aircraft flies free of the ground, by its throttle (n,), dt s apart."""
+    low = np.asarray(throttle < AIRBORNE * float(np.nanquantile(throttle, USUAL)))
+    out = np.ones(len(low), dtype=bool)
+    margin = round(GROUND_S / dt)
+    for start, stop in finite_runs(low, (0, len(low))):
+        if stop - start >= margin:
+            out[max(0, start - margin) : stop + margin] = False
+    return out
 
 
 def _reasons(record: Record, edges: np.ndarray, size: int) -> list[str]:
@@ -98,10 +107,7 @@ def _reasons(record: Record, edges: np.ndarray, size: int) -> list[str]:
         return out
 
     moved, driven = spread(record.rates), spread(record.control[:, 1:])
-    throttle = np.array([
-        float(record.control[p, 0][known[p]].mean()) if known[p].any() else 0.0 for p in pieces
-    ])
-    flying = airborne(throttle)
+    flying = airborne(record.control[:, 0], record.dt)
     still = [
         (values <= STILL * np.quantile(values, USUAL, axis=0)).all(axis=1)
         for values in (moved, driven)
@@ -114,7 +120,7 @@ def _reasons(record: Record, edges: np.ndarray, size: int) -> list[str]:
             ((motors[piece] <= AT_LIMIT) | (motors[piece] >= 1.0 - AT_LIMIT)).any(axis=1)))
         out.append(
             'gap' if lost > MOST_LOST else
-            'ground' if not flying[i] else
+            'ground' if not flying[piece].mean() >= 1.0 - MOST_LOST else
             'saturated' if stuck > MOST_AT_LIMIT else
             'still' if still[0][i] or still[1][i] else ''
         )

@@ -17,6 +17,7 @@ from quad_sysid.errors import BadInputError
 from quad_sysid.imports.clock import LONGEST_PAUSE, Cycles, cycles, draw, hold, mean_ahead
 from quad_sysid.imports.log import ForeignLog, Stream
 from quad_sysid.imports.mixers import Mixer, mixer_of_patterns
+from quad_sysid.imports.plausible import contradicted
 from quad_sysid.imports.stretches import airborne, with_stretches
 from quad_sysid.imports.stretches import told as stretches_told
 from quad_sysid.motor_layout import Pattern, doubts, patterns_of
@@ -68,15 +69,13 @@ def import_log(log: ForeignLog, out: Path, grid_hz: float | None = None) -> Impo
     laid = cycles(base, grid_hz)
     told, warnings = [*log.clock, *laid.told], list(log.warnings)
     gains = dict(log.gains)
-    angles = _drawn(log.angles, laid)
-    rates = laid.values
-    if log.rates is None:
-        rates, how = _derivative(laid.values, laid.dt)
-        gains['sensor.rate_from_angle_s'] = DERIVATIVE_HALF_WIDTH_S
-        told.append(f'rates by {how}')
+    rates, angles = _motion(log, laid, gains, told, warnings)
     control, motors = _commands(log, laid, rates, angles, told, warnings)
     control, motors = _armed(log, laid, control, motors, warnings)
     control = _possible(control, log, warnings)
+    if not (np.nanstd(control, axis=0) > 0.0).any():
+        raise BadInputError(log.source, 'holds commands that never change',
+                            remedy='import a log of a flight')
     if laid.dt > 1.0 / SLOWEST_HZ and log.faster:
         warnings.append(f'{1.0 / laid.dt:.3g} Hz is too slow to tell motors and delay: '
                         f'{log.faster}')
@@ -119,6 +118,23 @@ def import_log(log: ForeignLog, out: Path, grid_hz: float | None = None) -> Impo
                     (*log.checks, *warnings))
 
 
+def _motion(
+    log: ForeignLog, laid: Cycles, gains: dict[str, float], told: list[str], warnings: list[str]
+) -> tuple[FloatArray, FloatArray | None]:
+    """Rates (n, 3) and angles (n, 3); those that contradict the rates are left out."""
+    angles = _drawn(log.angles, laid)
+    if log.rates is None:
+        rates, how = _derivative(laid.values, laid.dt)
+        gains['sensor.rate_from_angle_s'] = DERIVATIVE_HALF_WIDTH_S
+        told.append(f'rates by {how}')
+        return rates, angles
+    if angles is not None and log.kind != 'a table':  # there they are refused
+        odd = contradicted(laid.values, angles, laid.dt)
+        warnings += [f'{line}: the angles are left out' for line in odd]
+        angles = None if odd else angles
+    return laid.values, angles
+
+
 def _commands(
     log: ForeignLog, laid: Cycles, rates: FloatArray, angles: FloatArray | None,
     told: list[str], warnings: list[str],
@@ -130,7 +146,7 @@ def _commands(
                                 remedy='log the motors or the output of the controller')
         return _held(log.control, laid), None
     motors = _held(log.motors, laid)
-    rates = np.where(airborne(motors.mean(axis=1))[:, None], rates, np.nan)
+    rates = np.where(airborne(motors.mean(axis=1), laid.dt)[:, None], rates, np.nan)
     patterns = patterns_of(rates, motors, laid.dt, angles)
     told += [pattern.sentence for pattern in patterns]
     mixer = log.mixer
