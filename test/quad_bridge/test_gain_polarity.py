@@ -85,6 +85,13 @@ def test_pulses_stop_when_an_excitation_starts_and_an_unarmed_aircraft_gets_none
     made.fly(0.3)
     made.updates.disturb()
     assert 'stopped: the excitation has started' in made.fly_until('refused')
+    made.fly(1.0)
+    made.ask(**ROLL)
+    made.fly(0.3)
+    made.updates.know({})
+    assert 'stopped: the record of this aircraft' in made.fly_until('refused')
+    made.fly(1.0)
+    assert made.updates.commits == 0
     made.endpoint.firmware.arm(False)
     made.fly(1.0)
     with pytest.raises(RefusedError, match='not armed'):
@@ -169,8 +176,14 @@ def test_a_motor_fault_refuses_updates_and_survives_the_disk():
     check = PolarityCheck('auto', 250.0)
     motors = merge_motors({}, answers((1, 0, 2, 3)))
     check.load({'axes': {'roll': 'right'}, 'motors': motors})
-    with pytest.raises(RefusedError, match='motor_1 drives the rear right'):
-        check.missing(['roll.rate.kp'])
+    with pytest.raises(RefusedError, match=r'motor_1 drives the rear right.* call ~/find_motors$'):
+        check.refuse_faults()
+    check.load({'axes': {'roll': 'wrong'}, 'motors': motors})
+    with pytest.raises(RefusedError, match=r'call ~/check_polarity and ~/find_motors$'):
+        check.refuse_faults()
+    check.load({'axes': {'roll': 'crossed'}, 'motors': {}})
+    with pytest.raises(RefusedError, match=r'call ~/check_polarity$'):
+        check.refuse_faults()
 
 
 @pytest.mark.parametrize(
@@ -183,7 +196,7 @@ def test_a_motor_fault_refuses_updates_and_survives_the_disk():
 def test_a_damaged_record_counts_as_no_check(record):
     check = PolarityCheck('auto', 250.0)
     check.load(record)
-    assert check.missing(['roll.rate.kp', 'sensor.gyro_filter_hz']) == ['roll']
+    assert check.unchecked(['roll.rate.kp', 'sensor.gyro_filter_hz']) == ['roll']
 
 
 @pytest.mark.parametrize('text', ['[' * 100_000, '[1]', '{', '\xff'])

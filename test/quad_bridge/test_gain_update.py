@@ -68,11 +68,11 @@ class Pulses:
 
     running = property(lambda self: self.left > 0)
 
-    def missing(self, _):
+    def unchecked(self, _):
         return [] if self.known else ['roll']
 
-    def silent(self, _):
-        return []
+    def refuse_faults(self):
+        pass
 
     def faults(self):
         return []

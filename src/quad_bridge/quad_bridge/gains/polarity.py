@@ -38,7 +38,7 @@ GRACE_S = 0.24
 """In which the STM32 may still report a refusal of something older."""
 MODES = ('auto', 'manual', 'off')
 """Pulses before the first update of an axis by itself; only when asked for; never."""
-MEND = "mend the motors' order and spin or the gyro's axes, then call ~/check_polarity"
+MEND = "mend the motors' order and spin or the gyro's axes, then call"
 
 
 @dataclass(frozen=True)
@@ -211,7 +211,8 @@ class PolarityCheck:
 
     def load(self, record: Mapping[str, Any]) -> None:
         """Take over what was kept of this aircraft; what does not fit counts as not there."""
-        self._run = None
+        if self.running:
+            self.abort('stopped: the record of this aircraft was read only now')
         axes, motors = record.get('axes'), record.get('motors')
         self._axes = {}
         if isinstance(axes, dict):
@@ -230,21 +231,18 @@ class PolarityCheck:
         found += [f'a pulse on {a} moves another axis more' for a in self._crossed()]
         return found + where_motors_are(self._motors)[1]
 
-    def missing(self, names: Iterable[str]) -> list[str]:
-        """Axes whose pulses must be flown before these gains; raises RefusedError."""
-        if self._mode == 'off':
-            return []
-        faults = self.faults()
-        if faults:
-            raise RefusedError(f'{"; ".join(faults)}: {MEND}')
-        touched = {name.partition('.')[0] for name in names}
-        open_axes = [a for a in AXES if a in touched and self._axes.get(a) != 'right']
-        if open_axes and self._mode == 'manual':
-            raise RefusedError(
-                f'the polarity of {", ".join(open_axes)} has not been checked on this aircraft: '
-                'mount it free about that axis, arm it and call ~/check_polarity'
-            )
-        return open_axes
+    def refuse_faults(self) -> None:
+        """Raise RefusedError where something is wrong, with the check that clears it."""
+        faults, motors = self.faults(), where_motors_are(self._motors)[1]
+        if faults and self._mode != 'off':
+            due = {'~/check_polarity': len(faults) > len(motors), '~/find_motors': bool(motors)}
+            calls = ' and '.join(call for call in due if due[call])
+            raise RefusedError(f'{"; ".join(faults)}: {MEND} {calls}')
+
+    def unchecked(self, names: Iterable[str]) -> list[str]:
+        """Axes whose pulses must be flown before these gains."""
+        touched = {name.partition('.')[0] for name in names} if self._mode != 'off' else set()
+        return [a for a in AXES if a in touched and self._axes.get(a) != 'right']
 
     def start(self, axes: Sequence[str]) -> None:
         """Begin with pulses about these axes; with none, of one motor channel after the other."""
@@ -285,10 +283,6 @@ class PolarityCheck:
             parts += [f'{motor} {place}' for motor, place in places.items()]
         faults = self.faults()
         return '; '.join([*parts, *faults]) or 'nothing has been checked'
-
-    def silent(self, axes: Iterable[str]) -> list[str]:
-        """Those of the axes that did not answer."""
-        return [axis for axis in axes if self._axes.get(axis) == 'silent']
 
     def _crossed(self) -> list[str]:
         return [axis for axis, verdict in self._axes.items() if verdict == 'crossed']

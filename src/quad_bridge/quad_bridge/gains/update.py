@@ -100,8 +100,8 @@ class GainUpdates:
         self._settings, self._history = settings, history
         self._stick_ends: deque[tuple[float, int]] = deque(maxlen=GESTURE_ENDS)
         self._update: _Update | None = None
-        self._pending: tuple[gate.GainRequest, list[str]] | None = None
-        """What waits for the check of these axes."""
+        self._pending: gate.GainRequest | None = None
+        """What waits for the check of its axes."""
         self._checked: Callable[[str], None] | None = None
         self._until_s = 0.0
         self._cycle_s = self._excited_s = float('-inf')
@@ -167,11 +167,18 @@ class GainUpdates:
             self._take_back(f'{asked.source} asked for it')
             return 'taking back the gains in flight'
         path = self._admit(asked, now_s)
-        axes = self.polarity.missing(asked.gains)
+        self.polarity.refuse_faults()
+        axes = self.polarity.unchecked(asked.gains)
+        words = ', '.join(axes)
+        if axes and self._settings.polarity == 'manual':
+            raise RefusedError(
+                f'the polarity of {words} has not been checked on this aircraft: '
+                'mount it free about that axis, arm it and call ~/check_polarity'
+            )
         if axes:
             self._start_check(axes, now_s)
-            self._pending = asked, axes
-            return f'checking the polarity of {", ".join(axes)} before the first update'
+            self._pending = asked
+            return f'checking the polarity of {words} before the first update'
         self._begin(asked, path)
         return f'writing {len(asked.gains)} gains of {asked.source} in {len(path)} steps'
 
@@ -418,18 +425,17 @@ class GainUpdates:
         if pending is not None:
             self._after_check(pending, trouble)
 
-    def _after_check(self, pending: tuple[gate.GainRequest, list[str]], trouble: str) -> None:
-        asked, axes = pending
-        silent = self.polarity.silent(axes)
-        if trouble:
-            self._refuse(asked.source, RefusedError(f'the check of the polarity was {trouble}'))
-            return
-        if silent:
-            words = f'{", ".join(silent)} did not answer to the pulses: mount it free about it'
-            self._refuse(asked.source, RefusedError(words))
-            return
+    def _after_check(self, asked: gate.GainRequest, trouble: str) -> None:
         try:
-            self.polarity.missing(asked.gains)
+            self._refuse_unanswered(asked, trouble)
             self._begin(asked, self._admit(asked, self._cycle_s))
         except RefusedError as error:
             self._refuse(asked.source, error)
+
+    def _refuse_unanswered(self, asked: gate.GainRequest, trouble: str) -> None:
+        if trouble:
+            raise RefusedError(f'the check of the polarity was {trouble}')
+        self.polarity.refuse_faults()
+        silent = ', '.join(self.polarity.unchecked(asked.gains))
+        if silent:
+            raise RefusedError(f'{silent} did not answer to the pulses: mount it free about it')
