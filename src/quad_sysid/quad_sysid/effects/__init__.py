@@ -1,7 +1,7 @@
-"""The effects that a base may lack: one class a physics, one list of them all.
+"""The effects that a base may lack: one class for each, one list of all.
 
-Effects of other packages join it by the entry point group `quad_sysid.effects`: each entry is a
-sequence of model.effect.Effect.
+Other packages add theirs by the entry point group `quad_sysid.effects`: each entry is a sequence
+of model.effect.Effect.
 """
 
 from importlib.metadata import entry_points
@@ -19,6 +19,6 @@ EFFECTS: tuple[Effect, ...] = (
     *TORQUES, *ACTUATORS, *COUPLINGS, *EVENTS, *HIDDEN, *CURVES,
     *(effect for entry in entry_points(group=GROUP) for effect in entry.load()),
 )
-"""What `discover` compares: each pays the same price."""
+"""The effects that `discover` compares, all under one prior."""
 
 __all__ = ['EFFECTS']

@@ -1,4 +1,4 @@
-"""What happens between the command and the torque: maps of the command, motors, voltage."""
+"""Effects between command and torque: maps of the command, motors, voltage."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import Drive, Dynamics, Effect, Settings, Signals, Spec, required
 
 MOVES = 0.02
-"""A signal that must move for an effect to show must move by this share of its mean."""
+"""Share of its mean by which a signal must move for its effect to show."""
 LIGHT = 0.3
-"""Damping ratio up to which a mode is a light one."""
+"""Damping ratio up to which a mode counts as lightly damped."""
 
 
 def along(
     data: AxisData, signal: FloatArray, kernel: Callable[..., None], *numbers: float
 ) -> FloatArray:
-    """A compiled kernel with memory runs along each unbroken stretch of a signal (n,)."""
+    """(n,) a compiled kernel with memory, run along each unbroken stretch of a signal (n,)."""
     out = np.array(signal, dtype=float)
     for start, stop in data.stretches:
         kernel(signal, *numbers, start, stop, out)
@@ -132,7 +132,7 @@ class ThrustCurve(Effect):
 
 
 class Motors(Effect):
-    """A map of each motor's command: subclasses give what becomes of (4, n) commands."""
+    """A map of the motors' commands (4, n), which subclasses give."""
 
     term = 'command'
 
@@ -238,7 +238,7 @@ class Steps(Motors):
 
 
 class SlowShare(Effect):
-    """A share of the axis' torque arrives behind a longer lag."""
+    """A share of the axis' torque has a longer lag."""
 
     name = 'motor_lag'
     signals = ('command',)
@@ -262,7 +262,7 @@ class SlowShare(Effect):
 
 
 def by_motor(data: AxisData, drive: Drive) -> Drive:
-    """One channel for each motor, then one for what earlier effects added to the command."""
+    """One channel for each motor, and one for what earlier effects added to the command."""
     row = MIXER_INVERSE[data.index + 1]
     rest = drive.commands[:1] - (row @ data.motors.T)[None, :]
     return replace(

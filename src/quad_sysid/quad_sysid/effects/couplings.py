@@ -1,4 +1,4 @@
-"""What the other two axes do to this one."""
+"""Couplings from the other two axes to this one."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import Effect, Settings, Signals, Spec, required
 
 LEAST_SHARE = 0.05
-"""Another axis' command must be this large beside this axis'."""
+"""Least size of another axis' command, relative to this axis'."""
 MEASURED = 0.95
-"""Share of the training in which another axis' rate must be known."""
+"""Least share of the training in which another axis' rate is known."""
 LEAST_RATE = 0.05
-"""Another axis must turn with this RMS, rad/s, beyond the noise of its gyro."""
+"""Least RMS of another axis' rate beyond its gyro's noise, rad/s."""
 
 
 def over_training(data: AxisData, signal: FloatArray) -> FloatArray:
@@ -22,7 +22,7 @@ def over_training(data: AxisData, signal: FloatArray) -> FloatArray:
 
 
 def clock(data: AxisData) -> FloatArray:
-    """(n,) time of each sample from the flight's first, s."""
+    """(n,) time of each sample since the flight's first, s."""
     if data.time_s is not None:
         return data.time_s
     return np.arange(data.rate.size, dtype=np.float64) * data.dt
@@ -44,7 +44,7 @@ def turns(data: AxisData, which: int) -> str:
 
 
 class OtherAxis(Effect):
-    """What one of the other two axes does, the first or the second in the order of AXES."""
+    """An effect of one of the other two axes: the first or second in the order of AXES."""
 
     def __init__(self, which: int) -> None:
         self.which, self.others = which, (which,)

@@ -1,7 +1,7 @@
-"""The matrix: each term of the base varies with a signal, as a smooth curve.
+"""The matrix: each term of the base as a smooth curve of a signal.
 
-Terms are torque, gain, damping, lag and delay; a cell is one entry of CURVES. A curve is a
-Gaussian process seen at knots, linear between; two smoothnesses of each compete.
+Terms are torque, gain, damping, friction, lag and delay; a cell is one entry of CURVES. A curve is
+a Gaussian process at knots, linear between them; two smoothnesses of each compete.
 """
 
 from __future__ import annotations
@@ -19,24 +19,24 @@ from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import Drive, Effect, Settings, Signals, Spec, required
 
 SLOW_MOVES = 0.01
-"""A slow signal must move by this share of its mean to carry a curve."""
+"""Share of its mean by which a slow signal must move to support a curve."""
 SMOOTH = {'smooth': (6, 0.6), 'rough': (11, 0.2)}
-"""Number of knots, and the length over which the curve changes as a share of the signal's range;
-the knots of the first lie among those of the second."""
+"""Number of knots, and correlation length as a share of the signal's range. The knots of the first
+are among those of the second."""
 DRIFT = {'drift': (2, 1.0)}
-"""Of what follows the time, besides: a straight line, which goes on beyond the training's end."""
+"""For curves over time also a straight line, which continues after the training."""
 HELD = ('time', 'battery')
-"""Signals that go one way: beyond what the training saw of them the last value holds."""
+"""Signals that change one way: outside the training's range the curve stays constant."""
 BEYOND = 0.5
-"""Beyond what it saw of the others a curve goes on straight, as far as this share of the range."""
+"""Share of the range by which other curves continue straight outside it."""
 UNITS = {'torque': 'rad/s²', 'gain': '1', 'damping': '1/s', 'lag': '1', 'delay': 's',
          'friction': 'rad/s²'}
 MISSING = {'angle': 'orientation', 'battery': 'battery voltage'}
-"""What a bag lacks where a signal is not there."""
+"""What the bag lacks if a signal is absent."""
 
 
 def measured(data: AxisData, name: str) -> FloatArray | str:
-    """(n,) a signal before the fit, for the range of its knots; or why it cannot be used."""
+    """(n,) a signal before the fit, for the range of its knots; or a text: why it is unusable."""
     column = {'other rate 1': 0, 'other rate 2': 1}.get(name)
     if column is not None:
         return turns(data, column) or np.nan_to_num(data.other_rates[:, column])
@@ -56,7 +56,7 @@ def measured(data: AxisData, name: str) -> FloatArray | str:
 
 
 class Curve(Effect):
-    """A term of the base that follows a signal."""
+    """One term of the base as a curve of one signal."""
 
     kind = 'shape'
 
@@ -113,7 +113,7 @@ class Curve(Effect):
     def _between(
         self, x: FloatArray, settings: Settings
     ) -> tuple[NDArray[np.int64], FloatArray]:
-        """The knot before each value, and how far it lies on the way to the next one."""
+        """Index of the knot before each value, and the value's share (0..1) of the interval."""
         knots = np.array(settings['knots'])
         span = knots[-1] - knots[0]
         below, above = (0.0, 0.0) if self.signal in HELD else (BEYOND, BEYOND)
@@ -162,7 +162,7 @@ class Curve(Effect):
     def columns(
         self, s: Signals, p: FloatArray, linear: Sequence[int], settings: Settings
     ) -> FloatArray:
-        """The hats of all knots at once."""
+        """Derivatives by the values at all knots at once."""
         x = self._signal(s)
         index, share = self._between(x, settings)
         factor = self._factor(s, p)
@@ -218,7 +218,7 @@ CELLS = {
     'lag': ('command', 'throttle', 'battery', 'time'),
     'delay': ('throttle', 'battery', 'time'),
 }
-"""Term to the signals it may follow."""
+"""Term → the signals that it may follow."""
 
 CURVES = tuple(
     Curve(term, signal, smoothness)

@@ -1,4 +1,4 @@
-"""What happens at a time, and what repeats in time."""
+"""Events at a time, and periodic disturbances."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import Effect, Settings, Signals, Spec
 
 EDGE_S = 1.0
-"""Events nearer than this to an end of the training segments cannot be distinguished from it."""
+"""Least distance of an event from the ends of the training segments."""
 GRID_S = 0.5
 LONG_AGO_S = -1e6
-"""When an event happened that another flight has shown."""
+"""Time of an event that happened before this flight."""
 
 
 def times(data: AxisData) -> FloatArray:
@@ -27,7 +27,7 @@ def times(data: AxisData) -> FloatArray:
 
 
 def after(s: Signals, time_s: float) -> FloatArray:
-    """Share of each cycle after a time, with a smooth transition over a few cycles."""
+    """0 before a time, 1 after it, with a smooth transition over a few cycles."""
     return 0.5 * (1.0 + np.tanh((s.time - time_s) / 0.02))
 
 
@@ -117,7 +117,7 @@ class PeriodicDisturbance(Effect):
     excite = 'any flight of many periods'
     phased = True
     from_lines = True
-    """Starts come from lines in the innovations."""
+    """Start frequencies come from lines in the innovations."""
 
     def size(self, s: Signals, j: int, settings: Settings) -> FloatArray:
         return np.ones_like(s.time)

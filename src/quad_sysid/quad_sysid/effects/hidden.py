@@ -1,4 +1,4 @@
-"""What has a state of its own, driven by the rate: something that swings, relaxes or builds up."""
+"""Effects with a hidden state driven by the rate: it swings, relaxes or builds up."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Linear(Effect):
 
 
 class Relaxing(Linear):
-    """A first-order state x' = rate - x / tau: an angle that is forgotten."""
+    """A first-order state x' = rate - x / tau, an angle that decays."""
 
     states = 1
     parameters = (
@@ -77,7 +77,7 @@ class SlowState(Relaxing):
 
 
 class SlowAngle(Relaxing):
-    """A torque of the angle behind a first-order lag."""
+    """A torque of the angle after a first-order lag."""
 
     variant = 'slow angle'
     signals = ('angle', 'rate', 'history')

@@ -1,4 +1,4 @@
-"""Torques of rate and angle that have a name. Divided by the axis' inertia: rad/s²."""
+"""Named torques of rate and angle, divided by the axis' inertia: rad/s²."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from quad_sysid.model.effect import Effect, Settings, Signals, Spec, required
 
 TRANSITION = Spec('transition', 'rad/s', spread=1.0, centre=math.log(0.005), log=True,
                   starts=(0.003, 0.04))
-"""Rate over which a friction changes its sign."""
+"""Rate over which friction changes its sign."""
 
 
 class CoulombFriction(Effect):

@@ -17,12 +17,11 @@ Span = tuple[int, int]
 WINDOW_S = 0.5
 """Length of a free-run window (contract, error.before)."""
 SETTLE_S = 1.0
-"""First window starts at least this long after the start of its segment or a gap."""
+"""Time between the start of a segment, or a gap, and its first window."""
 BRIDGED_S = 0.1
-"""Over shorter gaps the filter runs on: the rate is missing, and a lost command lies on a straight
-line between its neighbours."""
+"""The filter runs on over shorter gaps, without the rate and with commands interpolated."""
 RESTING = 0.05
-"""rad/s. Below it a gyro that rests shows the few steps of its resolution, no limit."""
+"""rad/s. Equal largest values below this are the resolution of a gyro at rest, not its limit."""
 
 
 @dataclass(frozen=True)
@@ -43,8 +42,7 @@ class Windows:
 class AxisData:
     """One axis of one or several records on one grid; arrays (n,) or (n, k), read-only.
 
-    Where several flights are fitted together they lie one behind the other, with no stretch
-    across their ends.
+    Several flights that are fitted together follow one another; no stretch crosses their ends.
     """
 
     axis: str
@@ -61,36 +59,36 @@ class AxisData:
     """(n, 2) the other two axes' rates in the order of AXES, rad/s; NaN where not measured."""
     battery_v: FloatArray | None
     gyro_filter_hz: float | None
-    """Of the filter that the rate is known to be behind."""
+    """Cut-off of the filter of the measured rate, Hz; None: not known."""
     stretches: tuple[Span, ...]
-    """Without a break but for gaps that are bridged."""
+    """Unbroken, except for gaps of at most BRIDGED_S."""
     train: tuple[Span, ...]
     validation: tuple[Span, ...]
     idle: tuple[Span, ...] = ()
     validation_names: tuple[str, ...] = ()
     reference: FloatArray | None = None
-    """(n,) what drives the loop from outside, as Record.external; NaN where a record lacks it."""
+    """(n,) external reference of the loop (Record.external); NaN where a record lacks it."""
     time_s: FloatArray | None = None
-    """(n,) time of each sample where the samples are a part of a flight; None: from its first."""
+    """(n,) time of each sample, s; None: k dt from the first sample on."""
     derived_s: float | None = None
-    """The rate is the slope of the measured angle over so long to either side; None: measured."""
+    """The rate is the angle's slope over this time to either side, s; None: it was measured."""
     trim: tuple[float, float] | None = None
-    """Command and rate (rad/s) of the equilibrium, once a fit has told; None: not known."""
+    """Command and rate (rad/s) of the equilibrium that a fit has found; None: not known."""
 
     @property
     def index(self) -> int:
-        """0 roll, 1 pitch, 2 yaw; -1 for what turns nothing, such as the climb over U1."""
+        """0 roll, 1 pitch, 2 yaw; -1 for no axis of rotation, such as the climb over U1."""
         return AXES.index(self.axis) if self.axis in AXES else -1
 
     @property
     def command(self) -> FloatArray:
-        """(n,) this axis' input U2, U3 or U4, normalised; U1 of no axis."""
+        """(n,) this axis' input U2, U3 or U4, normalised; U1 where `index` is -1."""
         column: FloatArray = np.ascontiguousarray(self.control[:, self.index + 1])
         return column
 
     @property
     def other_axes(self) -> tuple[str, str]:
-        """Names of the other two axes, in the order of `other_rates`; the first two of none."""
+        """Names of the other two axes, in the order of `other_rates`."""
         first, second = [name for name in AXES if name != self.axis][:2]
         return first, second
 
@@ -109,7 +107,7 @@ class AxisData:
 
 
 def at_limit(rate: FloatArray) -> NDArray[np.bool_]:
-    """(n,) whether a rate is the very same largest one again and again: a gyro at its limit."""
+    """(n,) whether the rate stays at one largest value, the limit of the gyro."""
     size = np.abs(np.nan_to_num(rate))
     largest = float(size.max(initial=0.0))
     clipped = size >= largest * (1.0 - 1e-9)
@@ -121,9 +119,9 @@ def axis_alone(
     command: FloatArray, rate: FloatArray, dt: float, spans: Sequence[Span],
     gyro_filter_hz: float | None = None,
 ) -> AxisData:
-    """Command (n,) and rate (n,), rad/s, of an axis of which nothing else was measured.
+    """AxisData of command (n,) and rate (n,), rad/s, where nothing else was measured.
 
-    It is called roll; `spans` are unbroken and all of them train.
+    The axis is called roll; `spans` are unbroken and all used for training.
     """
     n = rate.size
     control = np.zeros((n, 4))
@@ -136,7 +134,7 @@ def axis_alone(
 
 
 def other_axis(data: AxisData, which: int) -> AxisData:
-    """The first or second of the other two axes, of which command and rate are known."""
+    """AxisData of the first (0) or second (1) of the other two axes: command and rate."""
     return replace(
         data, axis=data.other_axes[which], rate=np.ascontiguousarray(data.other_rates[:, which]),
         angle=None, other_rates=np.full_like(data.other_rates, np.nan), derived_s=None,
@@ -145,7 +143,7 @@ def other_axis(data: AxisData, which: int) -> AxisData:
 
 
 def part_of(data: AxisData, passes: Sequence[Span]) -> AxisData:
-    """The samples of some unbroken stretches alone, one behind the other."""
+    """The samples of these unbroken stretches only, joined."""
     index = np.concatenate([np.arange(a, b) for a, b in passes])
     ends = np.cumsum([b - a for a, b in passes])
     begins = np.r_[0, ends[:-1]]
@@ -272,13 +270,13 @@ def bridged(runs: Sequence[Span], dt: float) -> list[Span]:
 
 
 def _filled(values: FloatArray) -> FloatArray:
-    """(n, k) with rows that are not known on straight lines between their neighbours."""
+    """(n, k) with unknown rows interpolated linearly."""
     at = np.flatnonzero(np.isfinite(values).all(axis=1))
     grid = np.arange(values.shape[0])
     return np.column_stack([np.interp(grid, at, column[at]) for column in values.T])
 
 
 def _held(signal: FloatArray) -> FloatArray:
-    """A slow signal with its missing samples filled from their neighbours by a straight line."""
+    """(n,) a slow signal with missing samples interpolated linearly."""
     good = np.flatnonzero(np.isfinite(signal))
     return np.interp(np.arange(signal.size), good, signal[good])

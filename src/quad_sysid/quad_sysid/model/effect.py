@@ -1,8 +1,8 @@
-"""What an effect is: its physics, written once, and the numbers that physics has.
+"""What an effect is: its physics, written once, and its parameters.
 
 The same `torque`, `command` or `actuate` serves the fit, the free run, the simulated loop, the
-linearisation and the report. Arrays in, arrays out: along a flight they are (n,), in a free run
-one value a window. Effects stand in quad_sysid.effects; nothing is fitted here.
+linearisation and the report. Arrays are (n,) along a flight, (windows,) in a free run. The
+effects themselves are in quad_sysid.effects; nothing is fitted here.
 """
 
 from __future__ import annotations
@@ -22,23 +22,23 @@ Present = TypeVar('Present')
 
 
 def required(value: Present | None) -> Present:
-    """What an earlier step has made sure of, such as a signal that `prepare` asked for."""
+    """`value`, which an earlier step guarantees, such as a signal that `prepare` has checked."""
     if value is None:
         raise ValueError('what this effect or derivative needs was not provided')
     return value
 
 
 SMALL = 1e-4
-"""Of a parameter, for what it does to first order."""
+"""Step of a parameter for numerical derivatives."""
 
 
 @dataclass(frozen=True)
 class Spec:
     """One parameter: its unit, its prior, and where a search starts.
 
-    The prior is normal about `centre` with standard deviation `spread`; of the logarithm where
-    `log`. Without a spread it is what makes the effect's acceleration, at the 97th percentile of
-    the flight, as large as half of what the axis is accelerated by: `torque` is linear in it then.
+    The prior is normal about `centre` with standard deviation `spread`, in the logarithm where
+    `log`. Without a `spread`, `torque` must be linear in the parameter; the standard deviation is
+    then the value whose acceleration, at the flight's 97th percentile, is half of the axis' own.
     """
 
     name: str
@@ -47,23 +47,23 @@ class Spec:
     centre: float = 0.0
     log: bool = False
     positive: bool = False
-    """Physics allows no negative value."""
+    """No negative value is physical."""
     starts: tuple[float, ...] = ()
-    """Values to search from; a parameter without a spread starts at none of its effect."""
+    """Values to start a search from; a parameter without a spread starts at zero."""
 
 
 @dataclass(frozen=True)
 class Signals:
-    """What physics may depend on, each an array of one shape; None where it was not measured."""
+    """What an effect may depend on, arrays of one shape; None where it was not measured."""
 
     rate: FloatArray
     """rad/s"""
     angle: FloatArray | None
     """rad"""
     drive: FloatArray
-    """Acceleration by the motors, mean over the cycle, rad/s²."""
+    """Acceleration from the motors, mean over the cycle, rad/s²."""
     command: FloatArray
-    """The acceleration that the delayed command asks for, rad/s²."""
+    """Gain times the delayed command, before the lag, rad/s²."""
     change: FloatArray
     """How fast the drive changes, rad/s³."""
     lagged: FloatArray
@@ -78,28 +78,28 @@ class Signals:
     time: FloatArray
     """s from the first sample."""
     hidden: FloatArray | None = None
-    """(states, …) of the effect itself, where it has any, at the begin of the cycle."""
+    """(states, …) hidden states of the effect, if any, at the start of the cycle."""
 
 
 @dataclass(frozen=True)
 class Drive:
-    """Commands on their way to the motors: each channel has its lag and its share of the axis."""
+    """Commands between mixer and motors: each channel has a lag and a share of the axis."""
 
     commands: FloatArray
     """(c, n) normalised, held over a cycle."""
     row: FloatArray
-    """(c,)"""
+    """(c,) share of each channel in the axis' command."""
     lag: FloatArray
-    """(c, n) s"""
+    """(c, n) s."""
     asymmetry: float = 0.0
-    """A motor that slows down has the lag times exp(asymmetry), one that speeds up the inverse."""
+    """Lag times exp(asymmetry) while a motor slows down, over it while it speeds up."""
 
 
 @dataclass(frozen=True)
 class Dynamics:
-    """Linear dynamics before the motors: a lag, or a light mode that adds to the command.
+    """Linear dynamics before the motors: a lag, or a lightly damped mode added to the command.
 
-    z'' + 2 d w z' + w² z = w² u; the mode adds in_phase z + quadrature z'/w. No mode where w is 0.
+    z'' + 2 d w z' + w² z = w² u; the mode adds in_phase z + quadrature z'/w; w = 0: no mode.
     """
 
     lag_s: float = 0.0
@@ -115,26 +115,26 @@ class Effect:
     name: str = ''
     kind: str = 'named'
     signals: tuple[str, ...] = ()
-    """What it depends on; the first is what it is drawn over."""
+    """What it depends on; reports draw it over the first."""
     others: tuple[int, ...] = ()
     """Which of the other two axes (0, 1) it depends on."""
     term: str = 'torque'
-    """What of the base it changes: torque, gain, damping, friction, lag or delay as a function of
-    a signal, the command as a map of it, or the response of the motors."""
+    """The part of the base that it changes: torque, gain, damping, friction, lag, delay, command,
+    or response (of the motors)."""
     physics: str = ''
     """The equation, with units, and its source."""
     excite: str = ''
-    """Which test flight would show it."""
+    """The test flight that would show it."""
     variant: str = ''
-    """Tells effects of one name apart, such as the other axis that couples in."""
+    """Distinguishes effects of one name, such as the other axis of a coupling."""
     parameters: tuple[Spec, ...] = ()
     states: int = 0
-    """Hidden states of its own, driven by the rate."""
+    """Number of hidden states, driven by the rate."""
     phased: bool = False
-    """Whether each flight has a phase of its own, which `elsewhere` takes."""
+    """Whether each flight has its own phase, which `elsewhere` takes."""
 
     def prepare(self, data: AxisData) -> Settings | str:
-        """Settings from the training data, or in words why it cannot be tested on them."""
+        """Settings from the training data, or a text: why it cannot be tested on them."""
         del data
         return {}
 
@@ -151,7 +151,7 @@ class Effect:
         return drive
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray | None:
-        """Acceleration that it adds, rad/s²; None where it adds none."""
+        """Acceleration that it adds, rad/s²; None: it adds none."""
         del s, p, settings
         return None
 
@@ -180,13 +180,13 @@ class Effect:
         return out
 
     def starts(self, data: AxisData, settings: Settings) -> Sequence[FloatArray]:
-        """Parameters to search from, in their units; those without a spread count for nothing."""
+        """Start values in their units; those of parameters without a spread are ignored."""
         del data, settings
         grid = [spec.starts or (0.0,) for spec in self.parameters]
         return [np.array(values) for values in itertools.product(*grid)]
 
     def readable(self, p: FloatArray, settings: Settings) -> Mapping[str, tuple[float, str]]:
-        """What a report says of the parameters: name to value and unit."""
+        """Name → (value, unit) as a report shows the parameters."""
         del settings
         return {
             spec.name: (float(value), spec.unit)
@@ -194,34 +194,34 @@ class Effect:
         }
 
     def fitted(self, values: Mapping[str, float], settings: Settings) -> FloatArray:
-        """The parameters that `readable` says so of, in their units."""
+        """The inverse of `readable`: (p,) parameters in their units."""
         del settings
         return np.array([values[spec.name] for spec in self.parameters])
 
     def elsewhere(self, p: FloatArray, settings: Settings, phase: float) -> FloatArray:
-        """The parameters on another flight: of an event those after it; phase in rad."""
+        """Parameters for another flight: for an event the values after it; phase in rad."""
         del settings, phase
         return p
 
     def trace(
         self, data: AxisData, rate: FloatArray, p: FloatArray, settings: Settings
     ) -> FloatArray:
-        """(states, n) hidden states along a flight, at rest at the begin of each stretch."""
+        """(states, n) hidden states along a flight, zero at the start of each stretch."""
         raise NotImplementedError
 
     def advance(
         self, x: FloatArray, rate: FloatArray, p: FloatArray, settings: Settings, dt: float
     ) -> FloatArray:
-        """(states, w) hidden states a cycle later, for a rate (w,) held over it."""
+        """(states, w) hidden states a cycle of `dt` s later, for a rate (w,) held over it."""
         raise NotImplementedError
 
     def usual(self, p: FloatArray, settings: Settings) -> Mapping[str, float]:
-        """Signal (`throttle`, `battery`) to the value around which a loop is judged."""
+        """Signal (`throttle`, `battery`) → the value at which a loop is judged."""
         del p, settings
         return {}
 
     def dynamics(self, p: FloatArray) -> Dynamics | None:
-        """What a command effect with memory is to a linear loop; None where it is not linear."""
+        """Linear dynamics of a command effect with memory; None where it is not linear."""
         del p
         return None
 
@@ -247,7 +247,7 @@ class Effect:
 
 @dataclass(frozen=True)
 class Part:
-    """An effect in a structure, with what the training data made of it."""
+    """An effect in a structure, with the settings that the training data gave it."""
 
     effect: Effect
     settings: Settings = field(default_factory=dict)

@@ -1,7 +1,7 @@
-"""The identified model of one axis, as it is handed on: to the report, to a designer, to a file.
+"""The identified model of one axis, for the report, a designer, a file.
 
-Frozen values only: how a fit becomes one, and how it is run again, stands in estimate/stored.py,
-its file in report/model_file.py.
+Frozen values only. estimate/stored.py makes it from a fit and runs it again; report/model_file.py
+reads and writes its file.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ class Parameter:
     std: float | None
     unit: str
     interval: tuple[float, float] | None = None
-    """95 %, where `std` does not give it: at a bound one-sided. Told in reports, not stored."""
+    """95 % where there is no `std` (one-sided at a bound); in reports, not stored."""
 
 
 @dataclass(frozen=True)
@@ -35,25 +35,24 @@ class EffectEstimate:
     signals: tuple[str, ...]
     parameters: tuple[Parameter, ...]
     variant: str = ''
-    """Tells effects of one name apart, as in quad_sysid.effects."""
+    """Distinguishes effects of one name, as in quad_sysid.effects."""
     settings: Mapping[str, object] = field(default_factory=dict)
-    """What is not estimated but needed to run it again (knots, reference voltage)."""
+    """Constants that its physics needs (knots, reference voltage)."""
     p_value: float = 1.0
     error_reduction_pct: float = 0.0
     probability: float = 1.0
     rivals: tuple[tuple[str, float], ...] = ()
-    """Names of what explains the data nearly as well, with probabilities."""
+    """Names of alternatives in its place, with their probabilities."""
 
 
 @dataclass(frozen=True)
 class NoiseEstimate:
-    """The noise of a fit: what its Kalman filter follows from, and how large it is."""
+    """The noise of a fit, from which its Kalman filter follows."""
 
     ratios: Mapping[str, float]
-    """White torque noise, torque disturbance and so on over the gyro's noise, as named and with
-    the units of plant.NOISE."""
+    """Noise parameters relative to the gyro's noise; names and units as in plant.NOISE."""
     scale: float
-    """Of the innovations' distribution, Student's t, rad/s."""
+    """Scale of the innovations' Student's t distribution, rad/s."""
     degrees: float
     """Its degrees of freedom."""
     gyro_rms: float
@@ -78,8 +77,8 @@ class NoiseEstimate:
 class AxisModel:
     """The completed continuous-time model of one axis.
 
-    d(rate)/dt = drive - damping * rate + bias + effects, where drive is gain * command behind the
-    delay and a first-order lag; the measured rate is behind the gyro filter where that is known.
+    d(rate)/dt = drive - damping * rate + bias + effects; drive is gain * command after the delay
+    and a first-order lag; the measured rate is that after the gyro filter where it is known.
     """
 
     axis: str
@@ -93,8 +92,8 @@ class AxisModel:
     parameter_names: tuple[str, ...] = ()
     """Order of rows and columns of `covariance`: `gain`, …, then `<effect>.<parameter>`."""
     covariance: FloatArray | None = None
-    """(p, p) behind the gyro filter as it is modelled, where a parameter's `std` also holds what
-    is not known of its form; NaN rows for parameters that have no ordinary standard error."""
+    """(p, p) for the gyro filter as modelled (a parameter's `std` also contains the uncertainty
+    of the filter's form); NaN rows for parameters without a standard error."""
     active_gains: Mapping[str, float] = field(default_factory=dict)
     """What /gains/active said during the flight, all axes and loop constants."""
     mean_battery_v: float | None = None
@@ -103,10 +102,10 @@ class AxisModel:
     trusted_band_rad_s: tuple[float, float] | None = None
     """Where the data support the model, rad/s."""
     plain: tuple[Parameter, ...] = ()
-    """The base fitted alone, what `before` is measured with; empty: the base above."""
+    """The base fitted without effects, for the error `before`; empty: the base above."""
     plain_noise: NoiseEstimate | None = None
     own_effects: tuple[Effect, ...] = field(default=(), repr=False)
-    """Effects beside those of quad_sysid.effects that `effects` and their rivals may name."""
+    """Effects from outside quad_sysid.effects that `effects` and rivals may name."""
 
     @property
     def noise_rms(self) -> float | None:
@@ -129,21 +128,21 @@ class AxisModel:
 
 @dataclass(frozen=True)
 class GainProposal:
-    """A designer's answer: gains of one axis on the contract's terms, or why there are none."""
+    """A designer's answer: gains of one axis by the contract's names, or why there are none."""
 
     gains: Mapping[str, float] | None
     """Such as `roll.angle.kp`, `roll.rate.kp`; None where the design is refused."""
     refused_because: str = ''
     figures: Mapping[str, float] = field(default_factory=dict)
-    """What the design promises and what the old gains gave: phase_margin_deg, rise_time_s, …,
-    each also as `<name>_before`."""
+    """Predicted figures: phase_margin_deg, rise_time_s, …; those of the old gains end in
+    `_before`."""
     steps: tuple[Mapping[str, float], ...] = ()
-    """The updates that lead to the target, each within the step limit; the last is the target."""
+    """Updates that lead to the target, each within the step limit; the last is the target."""
     used: tuple[tuple[str, str], ...] = ()
-    """Effect (or rival) and, in words, what the design made of it."""
+    """Effect (or rival) and how the design uses it, in words."""
     schedule: tuple[tuple[float, Mapping[str, float]], ...] = ()
     """Battery voltage, V, and the gains for it, where the plant's gain follows the voltage."""
 
 
 Designer = Callable[[AxisModel], GainProposal]
-"""What the entry point group `quad_sysid.designers` offers."""
+"""An entry of the entry point group `quad_sysid.designers`."""

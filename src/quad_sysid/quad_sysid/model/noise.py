@@ -1,4 +1,4 @@
-"""What measures an axis, its noise, and the Kalman gain that follows from both.
+"""The sensor of an axis, the noise, and the Kalman gain that follows from both.
 
 A torque disturbance d with its own correlation time and a white torque drive the rate; the sensor
 adds white noise, before its filter where the model contains one. Nothing is fitted here.
@@ -33,36 +33,36 @@ class Noise:
     disturbance: float
     correlation_s: float
     after: float = 0.1
-    """Noise behind the gyro filter (rounding, sampling) over that before it, where the sensor is
-    one behind a filter."""
+    """Noise after the gyro filter (rounding, sampling) over that before it; without a filter it
+    does not count."""
     lines: tuple[tuple[float, float, float], ...] = ()
-    """Narrow lines of vibration in the measured rate that move no aircraft, each with its RMS
-    over the gyro noise, its frequency and its width, Hz."""
+    """Narrow lines of vibration of the gyro alone: RMS over the gyro noise, frequency and width,
+    Hz."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sensor:
-    """What stands between the rate and what was measured: nothing, a filter, or an integral."""
+    """What lies between the rate and the measurement: nothing, a filter, or an integral."""
 
     step: FloatArray
-    """(2, 5) of its two states over one cycle. Columns: these, then the weights of the rate at
-    the cycle's begin, half and end, a parabola between."""
+    """(2, 5) step of its two states over one cycle. Columns: the states, then the weights of the
+    rate at the start, middle and end of the cycle (a parabola)."""
     behind: bool = False
-    """Whether its first state is measured; else it is the rate."""
+    """Whether its first state is measured, instead of the rate."""
     noisy: bool = False
-    """Whether the noise enters before it, with little more behind it."""
+    """Whether noise enters before the filter (and little of it after)."""
     late_s: float = 0.0
-    """How much later than the rate the output is."""
+    """Delay of the output behind the rate, s."""
     derived: float = 0.0
-    """Where the angle was measured: variance of the rate that was derived from it, over that of
-    the angle's noise per cycle; else 0."""
+    """Where only the angle was measured: variance of the derived rate over that of the angle's
+    noise per cycle; else 0."""
 
 
 @lru_cache(maxsize=16)
 def sensor_of(
     gyro_filter_hz: float | None, derived_s: float | None, dt: float, *, stepped: bool = False
 ) -> Sensor:
-    """A gyro, one behind a 2nd-order Butterworth filter, or an angle, in cycles: angle / dt.
+    """A gyro, a gyro with a 2nd-order Butterworth filter, or an angle sensor (angle / dt).
 
     derived_s: span to either side of the cubic whose slope (Savitzky and Golay 1964) was recorded
     as the rate; None: the rate was measured. stepped: the filter as two integrators in a row,
@@ -115,11 +115,11 @@ class Filter:
     """The steady Kalman filter of one noise and damping."""
 
     gain: FloatArray
-    """(4 + 2 v,) what an innovation adds to the states: the rate, the disturbance, two of the gyro
-    filter and two of each line of vibration."""
+    """(4 + 2 v,) Kalman gain: rate, disturbance, two states of the gyro filter and two of each of
+    the v lines of vibration."""
     move: FloatArray
-    """(2 + 2 v,) what is left of the disturbance after a cycle, its mean over the cycle, and how
-    each line turns in it: see recursion.predict."""
+    """(2 + 2 v,) decay of the disturbance over a cycle, its mean over the cycle, and the rotation
+    of each line (recursion.predict)."""
     innovation: float
     """Variance of the innovations over that of the gyro noise."""
     transition: FloatArray
@@ -129,13 +129,13 @@ class Filter:
     output: FloatArray
     """From the states to the recorded rate."""
     after: float
-    """Variance of the noise in it that no state holds."""
+    """Variance of the noise in `output` that is white."""
     floor: float
-    """Variance of all noise in it, over that of the noise before a filter."""
+    """Variance of all noise in `output` over that before the gyro filter."""
 
 
 def kalman(noise: Noise, damping: float, sensor: Sensor, dt: float) -> Filter:
-    """Steady gain for a rate that falls by `damping` (1/s, mean slope of the torque)."""
+    """Steady Kalman filter for a rate with this damping, 1/s (mean slope of the torque)."""
     fade = math.exp(-dt / noise.correlation_s)
     hold = noise.correlation_s / dt * (1.0 - fade)
     a = -0.5 * damping * dt
@@ -211,9 +211,9 @@ def _floor(gyro: FloatArray) -> float:
 
 
 def growth(found: Filter, steps: int) -> FloatArray:
-    """(steps,) variance of the free run's error k cycles after a prediction, over the gyro's.
+    """(steps,) variance of the free run's error after k cycles, over the gyro noise's.
 
-    Of the measured rate: the noise of the measurement is in it.
+    The error is that of the measured rate, with the measurement's noise.
     """
     f, q, c, p = found.transition, found.process, found.output, found.covariance
     out = np.empty(steps)

@@ -1,12 +1,11 @@
-"""The base and the effects on top, run along a flight: predicted with innovations, or free.
+"""The base and its effects along a flight: predicted with innovations, or as a free run.
 
     rate' = drive - damping rate + bias + effects + d
     lag drive' = gain u(t - delay) - drive
 
-Physics is evaluated on whole arrays along the rate that the filter itself estimated; the
-compiled recursion takes it as known accelerations and their slope, and the trajectory is followed
-until it agrees with itself. That is Newton's method on the nonlinear filter: each step is
-linear, and so are the derivatives.
+Physics is evaluated on whole arrays along the rate that the filter last estimated. The compiled
+recursion takes it as known accelerations and their slope over the rate; a few passes converge.
+This is Newton's method on the nonlinear filter: each step, and its derivatives, is linear.
 """
 
 from __future__ import annotations
@@ -25,13 +24,13 @@ from quad_sysid.model.effect import Drive, Effect, Part, Signals, Spec, required
 from quad_sysid.model.noise import Filter, Noise, Sensor, kalman, sensor_of
 
 LEAD_S = 1.0
-"""Each span is followed from so long before it, where the flight is unbroken there."""
+"""The filter starts this long before each span, where the flight is unbroken."""
 SLOPE_STEP = 1e-4
 """Step of the rate for the slope of a torque, rad/s."""
 SLOPE_S = 0.02
-"""An acceleration is the slope of the rate over so long to either side."""
+"""An acceleration is the slope of the rate over this time to either side."""
 SHORTEST_S = 1e-5
-"""A lag or delay below this is none."""
+"""A lag or delay below this counts as none."""
 
 BASE = (
     Spec('gain', 'rad/s² per unit command'),
@@ -47,44 +46,44 @@ NOISE = (
     Spec('after', '1', spread=1.0, centre=math.log(0.1), log=True),
 )
 SHARED = Spec('shared', '1', spread=1.0)
-"""Of what disturbs another axis, the share that disturbs this one too: gusts come at an angle."""
+"""Share of another axis' disturbance that disturbs this one too, as gusts at an angle do."""
 VIBRATION = (
     Spec('vibration', '1', spread=2.0, centre=0.0, log=True),
     Spec('vibration_frequency', 'Hz', spread=1.0, centre=math.log(50.0), log=True),
     Spec('vibration_width', 'Hz', spread=1.5, centre=math.log(1.0), log=True),
 )
-"""A narrow line in the gyro's noise, where a flight has one."""
+"""A narrow line of vibration in the gyro's noise."""
 N_BASE = len(BASE)
 
 
 @dataclass(frozen=True)
 class Structure:
-    """The effects on top of the base, each with its settings."""
+    """The base and its effects, each with its settings, and the parts of the noise."""
 
     parts: tuple[Part, ...] = ()
     lines: int = 0
-    """How many narrow lines of vibration the gyro's noise holds."""
+    """Number of vibration lines in the gyro's noise."""
     shared: tuple[int, ...] = ()
-    """Which of the other two axes are disturbed by what disturbs this one."""
+    """Which of the other two axes (0, 1) share their disturbance with this one."""
 
     @property
     def noise(self) -> tuple[Spec, ...]:
-        """The noise's parameters: the last of the vector."""
+        """The noise's parameters: the last ones of the vector."""
         return (SHARED,) * len(self.shared) + NOISE + VIBRATION * self.lines
 
     @property
     def filtered(self) -> int:
-        """How many of the noise's parameters make the filter: the last of them."""
+        """Number of noise parameters that shape the filter: the last ones of the vector."""
         return len(NOISE) + len(VIBRATION) * self.lines
 
     @property
     def specs(self) -> tuple[Spec, ...]:
-        """In the order of the vector: base, effect by effect, noise."""
+        """Specs in the order of the vector: base, effect by effect, noise."""
         return BASE + tuple(s for part in self.parts for s in part.effect.parameters) + self.noise
 
     @property
     def names(self) -> tuple[str, ...]:
-        """`gain`, …, then `<effect>.<parameter>`, then the noise."""
+        """Names in that order: `gain`, …, `<effect>.<parameter>`, the noise."""
         return (
             tuple(s.name for s in BASE)
             + tuple(f'{p.effect.name}.{s.name}' for p in self.parts for s in p.effect.parameters)
@@ -97,7 +96,7 @@ class Structure:
         return tuple(part.effect.label for part in self.parts)
 
     def slices(self) -> list[slice]:
-        """Where each effect's parameters stand."""
+        """Each effect's slice of the vector."""
         out, position = [], N_BASE
         for part in self.parts:
             count = len(part.effect.parameters)
@@ -114,7 +113,7 @@ class Structure:
         return replace(self, parts=self.parts[:index] + self.parts[index + 1 :])
 
     def natural(self, theta: FloatArray) -> FloatArray:
-        """Parameters in their units from the coordinates of the fit."""
+        """(p,) parameters in their units from the coordinates of the fit, theta (p,)."""
         logs = np.array([s.log for s in self.specs])
         exponents = np.clip(np.where(logs, theta, 0.0), -40.0, 40.0)
         return np.where(logs, np.exp(exponents), theta)
@@ -122,7 +121,7 @@ class Structure:
 
 @dataclass(frozen=True)
 class Pushed:
-    """What drives the rate along a trajectory: see recursion.predict."""
+    """Accelerations along a trajectory, as recursion.predict takes them."""
 
     known: FloatArray
     slope: FloatArray
@@ -138,7 +137,7 @@ def slope_over_rate(part: Part, s: Signals, p: FloatArray) -> FloatArray:
 
 
 def passes_of(data: AxisData, spans: Sequence[Span]) -> tuple[Span, ...]:
-    """What the filter follows: the spans with LEAD_S before each, where that is unbroken."""
+    """What the filter runs over: each span with LEAD_S before it, where that is unbroken."""
     lead = round(LEAD_S / data.dt)
     seen = np.isfinite(data.rate) & ~at_limit(data.rate)
     merged: list[list[int]] = []
@@ -157,22 +156,22 @@ def passes_of(data: AxisData, spans: Sequence[Span]) -> tuple[Span, ...]:
 class Flight:
     """One axis of a flight as the filter follows it.
 
-    `spans` are what counts; each is followed from LEAD_S before it. The trajectory on which
-    physics is evaluated is kept from call to call.
+    Only `spans` count; the filter starts LEAD_S before each. The trajectory on which physics is
+    evaluated is kept between calls.
     """
 
     data: AxisData
     spans: tuple[Span, ...]
     passes: tuple[Span, ...] = ()
     rate: FloatArray = field(default_factory=lambda: np.zeros(0))
-    """(n,) rate at half of each cycle as the filter last estimated it."""
+    """(n,) rate at the middle of each cycle by the last estimate of the filter, rad/s."""
     sensor: Sensor = field(init=False)
     disturbances: FloatArray = field(init=False)
     """(n, 2) acceleration of the other two axes that their bases do not explain, rad/s²; zero
-    where nobody has said (discover.base.shares)."""
+    until discover.base.shares sets it."""
     measured: FloatArray = field(init=False)
-    """(n,) what innovations are of: the rate, or the angle over the cycle where only that was
-    measured, rad/s; NaN where it was lost or at its limit."""
+    """(n,) the measurement that is predicted, rad/s: the rate, or angle / dt where only the angle
+    was measured; NaN where it was lost or at its limit."""
 
     def __post_init__(self) -> None:
         data = self.data
@@ -218,7 +217,7 @@ class Flight:
     # -------------------------------------------------------------------------- physics
 
     def driven(self, structure: Structure, p: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Drive for unit gain: (2, n) over the halves, (2, n) drive and command at mid-cycle.
+        """Drive at unit gain: (2, n) means over half cycles; (2, n) drive and command mid-cycle.
 
         p: parameters in their units.
         """
@@ -259,7 +258,7 @@ class Flight:
     def signals(
         self, p: FloatArray, halves: FloatArray, states: FloatArray, rate: FloatArray
     ) -> Signals:
-        """All signals along the flight for a rate at half cycle."""
+        """All signals along the flight for a rate (n,) at mid-cycle."""
         data, gain = self.data, p[0]
         angle = None
         if self.angle is not None:
@@ -275,13 +274,13 @@ class Flight:
         )
 
     def hidden(self, part: Part, s: Signals, p: FloatArray) -> Signals:
-        """The signals with the effect's own states along the flight."""
+        """The signals with the effect's hidden states along the flight."""
         if not part.effect.states:
             return s
         return replace(s, hidden=part.effect.trace(self.data, s.rate, p, part.settings))
 
     def pushed(self, structure: Structure, p: FloatArray, rate: FloatArray) -> Pushed:
-        """Accelerations along the trajectory `rate`, and their slope over it."""
+        """Accelerations along the trajectory `rate` (n,), and their slope over it."""
         halves, states = self.driven(structure, p)
         s = self.signals(p, halves, states, rate)
         torque = p[4] - p[3] * rate
@@ -302,10 +301,10 @@ class Flight:
     def columns(
         self, structure: Structure, theta: FloatArray, rate: FloatArray, steps: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """(n, m) derivatives of the acceleration over base and effects, (n, b) of its bend.
+        """(n, m) derivatives of the acceleration, (n, b) of half its difference over the cycle.
 
         In the coordinates of the fit, by central differences of `steps` (p,) along a fixed
-        trajectory: exact to rounding for what is linear.
+        trajectory.
         """
         n, m = rate.size, theta.size - structure.filtered
         effects_end = theta.size - len(structure.noise)
@@ -404,7 +403,7 @@ class Flight:
         self, structure: Structure, theta: FloatArray, *, sweeps: int = 2,
         steps: FloatArray | None = None,
     ) -> Prediction:
-        """Innovations along the flight; with `steps` their derivatives as well."""
+        """Innovations after `sweeps` passes along the flight; with `steps` their derivatives."""
         data, n = self.data, self.data.rate.size
         p = structure.natural(theta)
         rate = self.rate
@@ -446,7 +445,7 @@ class Flight:
     def _noise_columns(
         self, structure: Structure, theta: FloatArray, damping: float, count: int
     ) -> tuple[FloatArray, FloatArray]:
-        """Derivatives of the filter's gain (p, 4 + 2 v) and of the noise's steps (p, 2 + 2 v)."""
+        """Derivatives of Filter.gain (p, 4 + 2 v) and Filter.move (p, 2 + 2 v)."""
         more = 2 * structure.lines
         gains, moves = np.zeros((theta.size, 4 + more)), np.zeros((theta.size, 2 + more))
         step = 1e-4
@@ -477,7 +476,7 @@ class Flight:
         self, structure: Structure, theta: FloatArray, windows: Windows, *,
         prediction: Prediction | None = None,
     ) -> FloatArray:
-        """(windows, length) error of the rate, run from the state predicted at each start."""
+        """(windows, length) error of the rate, rad/s, run freely from each predicted start."""
         data, dt = self.data, self.data.dt
         p = structure.natural(theta)
         prediction = prediction or self.predict(structure, theta)
@@ -535,7 +534,7 @@ class Flight:
         p: FloatArray, k: NDArray[np.int64], rate: FloatArray, angle: FloatArray | None,
         drive: FloatArray, states: FloatArray,
     ) -> tuple[FloatArray, FloatArray]:
-        """Torque and its slope over the rate at half cycle of samples k."""
+        """Torque and its slope over the rate at mid-cycle of the samples k."""
         data = self.data
         force, slope = p[4] - p[3] * rate, np.full(rate.size, -p[3])
         if not acting:
@@ -564,14 +563,14 @@ class Flight:
 
 @dataclass(frozen=True)
 class Prediction:
-    """What the filter gives along a flight."""
+    """The filter's result along a flight."""
 
     innovation: FloatArray
     """(n,) rad/s; NaN outside the passes."""
     jacobian: FloatArray | None
-    """(n, p) derivatives over the coordinates of the fit."""
+    """(n, p) derivatives by the coordinates of the fit."""
     states: FloatArray
-    """(n, 4 + 2 v) prediction of the filter's states, before the sample was seen."""
+    """(n, 4 + 2 v) predicted states of the filter, before each measurement."""
     filter: Filter
     rate: FloatArray
 

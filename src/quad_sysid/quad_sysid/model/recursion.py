@@ -1,9 +1,9 @@
 """Compiled inner loops: motors behind a lag, and the Kalman predictor with its sensitivities.
 
-Only arithmetic on arrays. The predictor's state is the rate, the torque disturbance and the two
-states of the sensor. Physics comes in as accelerations over the two halves of each cycle,
-already evaluated along a trajectory, together with their slope over the rate; so the recursion is
-linear, and one loop serves every structure and all its derivatives (model/plant.py).
+Only arithmetic on arrays. The predictor's states are the rate, the torque disturbance and the two
+states of the sensor. Physics enters as accelerations over the two halves of each cycle, already
+evaluated along a trajectory, with their slope over the rate. So the recursion is linear, and one
+loop serves every structure and all its derivatives (model/plant.py).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _OPTIONS = {'cache': True, 'nogil': True, 'error_model': 'numpy'}
 
 @njit(**_OPTIONS)
 def motors(commands, row, lag, asymmetry, whole, fraction, dt, start, stop, halves, states):
-    """Drive of one axis: each command behind its delay and its lag, mixed by `row`.
+    """Drive of one axis: each command after its delay and lag, mixed by `row`.
 
     commands (c, n) held over a cycle; row (c,); lag (c, n) s; a motor that speeds up has the lag
     times exp(-asymmetry), one that slows down times exp(asymmetry). The delay is `whole` cycles
@@ -178,7 +178,7 @@ def predict(y, begin, known, slope, columns, bends, gain, gain_columns, move, mo
 
 @njit(**_OPTIONS)
 def respond(y, columns, slope, gain, move, gyro, behind, dt, start, stop, out):
-    """What `columns` (n, m), accelerations, do to the innovations of y (n,): (n, m) into `out`."""
+    """Response of the innovations of y (n,) to the accelerations `columns`: (n, m) into `out`."""
     m = columns.shape[1]
     g00, g01, g02, g03, g04 = gyro[0, 0], gyro[0, 1], gyro[0, 2], gyro[0, 3], gyro[0, 4]
     g10, g11, g12, g13, g14 = gyro[1, 0], gyro[1, 1], gyro[1, 2], gyro[1, 3], gyro[1, 4]
@@ -245,7 +245,7 @@ def riccati(f, q, c, r):
 
 @njit(**_OPTIONS)
 def play(command, width, start, stop, out):
-    """Backlash of +-width between command and what follows it."""
+    """The command after a backlash of +-width."""
     held = command[start]
     for k in range(start, stop):
         held = min(max(held, command[k] - width), command[k] + width)
@@ -254,7 +254,7 @@ def play(command, width, start, stop, out):
 
 @njit(**_OPTIONS)
 def slew(command, step, start, stop, out):
-    """A command that changes by at most `step` a cycle."""
+    """The command, which changes by at most `step` per cycle."""
     held = command[start]
     for k in range(start, stop):
         held += min(max(command[k] - held, -step), step)
@@ -263,7 +263,7 @@ def slew(command, step, start, stop, out):
 
 @njit(**_OPTIONS)
 def first_order(command, tau, dt, start, stop, out):
-    """Mean over each cycle of a first-order lag of a held command."""
+    """A held command after a first-order lag of `tau` s, mean over each cycle."""
     decay = math.exp(-dt / tau)
     mean = tau / dt * (1.0 - decay)
     state = command[start]
@@ -275,7 +275,7 @@ def first_order(command, tau, dt, start, stop, out):
 
 @njit(**_OPTIONS)
 def light_mode(command, omega, damping, in_phase, quadrature, dt, start, stop, out):
-    """Command plus a light mode's answer at half of each cycle.
+    """Command plus the response of a lightly damped mode at mid-cycle.
 
     z'' + 2 damping omega z' + omega² z = omega² u, exact for a held u (damping below 1).
     """
@@ -300,7 +300,7 @@ def light_mode(command, omega, damping, in_phase, quadrature, dt, start, stop, o
 
 @njit(**_OPTIONS)
 def linear_states(rate, a, b, start, stop, out):
-    """States x of x+ = a x + b rate from rest, before each cycle: (m, n) into `out`."""
+    """States x of x+ = a x + b rate from rest, at the start of each cycle: (m, n) into `out`."""
     m = b.size
     x = np.zeros(m)
     for k in range(start, stop):
@@ -316,7 +316,7 @@ def linear_states(rate, a, b, start, stop, out):
 
 @njit(**_OPTIONS)
 def built_up(rate, share, start, stop, out):
-    """A friction's share (-1..1) that builds up over an angle, before each cycle."""
+    """State (-1..1) of a friction that builds up over an angle, at the start of each cycle."""
     x = 0.0
     for k in range(start, stop):
         out[k] = x
