@@ -1,1 +1,1 @@
-"""Which structure the training segments speak for, and whether other data agree."""
+"""Which structure the training segments support, and whether other data confirm it."""

@@ -1,8 +1,8 @@
-"""What the validation segments say: opened once, when everything has been chosen.
+"""The verdict on the validation segments, which are opened once, after all choices.
 
-One paired comparison of predictive log-likelihoods over blocks, as a bet against the claim that
-the added effects predict nothing (an e-value: Shafer 2021, Waudby-Smith & Ramdas 2024): its
-expectation is at most 1 where they do not, whatever the noise is.
+Predictive log-likelihoods are compared in blocks, as a bet against the claim that the added
+effects predict nothing (an e-value: Shafer 2021, Waudby-Smith & Ramdas 2024). If the claim is
+true, the bet's expectation is at most 1, whatever the noise is.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ from quad_sysid.model.noise import growth
 from quad_sysid.model.plant import Prediction, Structure
 
 BLOCK_S = 0.5
-"""Predictive log-likelihoods are compared over blocks of this length."""
+"""Length of the blocks in which predictive log-likelihoods are compared."""
 STAKES = (0.1, 0.3, 0.5, 0.9)
-"""Shares of what is left that are bet on each block; the mean of the bets counts."""
+"""Shares of the capital that are bet on each block; the mean of the bets counts."""
 LEVEL = 0.05
 HORIZONS_S = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 DISAGREES = 1.1
-"""Factor between two errors from which on it counts: what noise makes of it (contract), and what
-is foreseen without the commands."""
+"""Factor by which two errors must differ to count: from what noise causes (contract), and from
+the prediction without commands."""
 LEAST_REPORTED = 0.005
 """Share of the rivals' probability below which one is not reported."""
 FLIPS = 200
-"""Signs of the innovations of which none may make worse errors: a level of 0.5 %."""
+"""Random draws of the innovations' signs, all of which an error must exceed: a level of 0.5 %."""
 MOST_OPENED = 15
-"""Structures that are compared on the validation data; the stake is divided among their bets, half
-by their posterior and half alike."""
+"""Structures that are compared on the validation data. Half of the stake is divided among their
+bets by their posteriors, half equally."""
 
 
 def bet(differences: FloatArray) -> float:
@@ -51,7 +51,7 @@ def bet(differences: FloatArray) -> float:
 
 @dataclass(frozen=True)
 class Horizon:
-    """RMS error of the rate so long after the start of a free run, rad/s."""
+    """RMS error of the rate at a time after the start of a free run, rad/s."""
 
     horizon_s: float
     hold: float
@@ -65,18 +65,18 @@ class Verdict:
 
     verdict: str
     reason: str
-    """Why no effect was added; where one was, what is unexplained all the same."""
+    """Why no effect was added; if one was, what remains unexplained."""
     chosen: Fit
-    """What is reported: the base where nothing was accepted."""
+    """The reported fit: the base where no effect was accepted."""
     e_value: float
-    """Against the claim that nothing beats the base, on the validation segments."""
+    """Evidence of the validation segments against the claim that nothing beats the base."""
     before: float
     after: float
     one_step_before: float
     one_step_after: float
     hold: float
     predicted: float
-    """What the chosen model's own noise lets one expect for `after`, rad/s."""
+    """Error that the chosen model's own noise predicts for `after`, rad/s."""
     noise_floor: float
     horizons: tuple[Horizon, ...]
     without: tuple[float, ...]
@@ -84,11 +84,11 @@ class Verdict:
     probabilities: tuple[float, ...]
     """Posterior of each chosen effect."""
     rivals: tuple[tuple[tuple[str, float], ...], ...]
-    """For each chosen effect, what else could stand in its place, with probabilities."""
+    """For each chosen effect its alternatives with their probabilities."""
 
 
 class Fitted(Protocol):
-    """What predicts: a fit, or a stored model."""
+    """A model that predicts: a fit or a stored model."""
 
     @property
     def structure(self) -> Structure:
@@ -104,7 +104,7 @@ class Fitted(Protocol):
 
 
 class Unseen:
-    """The validation segments and what fitted models make of them."""
+    """The validation segments, and the errors of fitted models on them."""
 
     def __init__(self, data: AxisData, spans: Sequence[tuple[int, int]]) -> None:
         self.problem = Problem(data, tuple(spans), whole=True)
@@ -117,7 +117,7 @@ class Unseen:
         self.block = np.unique(label, return_inverse=True)[1]
 
     def predict(self, fitted: Fitted) -> Prediction:
-        """What the filter gives along the segments."""
+        """The filter's result along the segments."""
         return self.problem.flight.predict(fitted.structure, fitted.theta, sweeps=3)
 
     def log_likelihood(self, fitted: Fitted) -> FloatArray:
@@ -129,7 +129,7 @@ class Unseen:
         return np.bincount(self.block, weights=values).astype(np.float64)
 
     def errors(self, fitted: Fitted, windows: Windows | None = None) -> FloatArray:
-        """(windows, length) of the free run."""
+        """(windows, length) errors of the free run, rad/s."""
         windows = windows or self.windows
         prediction = self.predict(fitted)
         with np.errstate(over='ignore', invalid='ignore'):
@@ -138,12 +138,12 @@ class Unseen:
             )
 
     def one_step(self, fitted: Fitted) -> float:
-        """RMS of the innovations."""
+        """RMS of the innovations, rad/s."""
         found = self.predict(fitted)
         return rms(found.innovation[self.problem.rows])
 
     def holding(self, windows: Windows) -> FloatArray:
-        """(windows, length) error of holding the last rate."""
+        """(windows, length) errors of holding the last rate, rad/s."""
         rate = self.problem.data.rate
         index = windows.starts[:, None] + np.arange(windows.length)[None, :]
         errors: FloatArray = rate[windows.starts - 1][:, None] - rate[index]
@@ -151,7 +151,7 @@ class Unseen:
 
 
 def rms(errors: FloatArray) -> float:
-    """Root mean square; infinite where a model runs away."""
+    """Root mean square; infinite where a model diverges."""
     with np.errstate(over='ignore', invalid='ignore'):
         value = float(np.sqrt(np.mean(errors**2))) if errors.size else math.nan
     return value if not math.isnan(value) else math.inf
@@ -228,7 +228,7 @@ def _verdict(
 
 
 def horizons(unseen: Unseen, base: Fitted, chosen: Fitted) -> tuple[Horizon, ...]:
-    """How the error of holding the rate, the base and the chosen model grows."""
+    """Errors of holding the rate, of the base and of the chosen model, by horizon."""
     windows, dt = unseen.long, unseen.problem.data.dt
     if not windows.count:
         return ()
@@ -243,18 +243,18 @@ def horizons(unseen: Unseen, base: Fitted, chosen: Fitted) -> tuple[Horizon, ...
 
 
 def at_horizon(horizon_s: float, dt: float) -> int:
-    """Column of a free run's errors that lies so long after its start."""
+    """Column of a free run's errors at a time after its start."""
     return max(round(horizon_s / dt), 1) - 1
 
 
 def _empty(
     problem: Problem, found: Found, unseen: Unseen, base: Fit
 ) -> tuple[str, str]:
-    """Without effects: whether the commands predict at all, and the error is as expected.
+    """Verdict and reason without effects: whether commands predict, and the error is as expected.
 
-    They do where they help beyond chance and the error at some horizon is clearly below that of
-    the model without them and of the last rate: any feedback's commands carry past rates and
-    angles, which foresee a little even of an aircraft whose motors stand.
+    The commands predict if they help beyond chance, and if at some horizon the error is clearly
+    below that without commands and that of holding the rate. A feedback's commands contain past
+    rates and angles, which predict a little even while the motors stand.
     """
     uncommanded = fit(problem, base.structure, base.theta, rate=base.rate, still=(0, 1, 2))
     with_commands, without = unseen.errors(base), unseen.errors(uncommanded)
@@ -277,19 +277,19 @@ def _empty(
     if float(sum(p for p, s in zip(found.probabilities(), found.all, strict=True)
                  if s.fit is base)) < LEVEL:
         return 'unexplained_residual', (
-            'the data speak against the base alone, yet for no structure that was tried clearly '
+            'the data contradict the base alone, but support no structure that was tried clearly '
             'enough to claim it'
         )
     return 'no_missing_effect', ''
 
 
 def unexplained(unseen: Unseen, fitted: Fit) -> str:
-    """In what the free run's errors are larger or more uneven than noise makes them; '' if not.
+    """How the free run's errors are larger or more uneven than noise causes; '' if they are not.
 
-    The noise model says that the sign of one innovation tells nothing of the next, whatever their
-    sizes are: gusts may have lulls and bursts. So the errors of the free run are compared with
-    what the same innovations make of them with signs at random, through the filter's gain. Told is
-    what exceeds all of FLIPS such draws and, by DISAGREES, their median.
+    Under the noise model the sign of an innovation says nothing about the next, whatever their
+    sizes: gusts may have lulls and bursts. The errors are therefore compared with those that the
+    same innovations cause, through the filter's gain, with random signs. An error counts if it
+    exceeds all of FLIPS such draws and, by the factor DISAGREES, their median.
     """
     windows = unseen.windows
     if windows.count < 2:
@@ -314,14 +314,14 @@ def unexplained(unseen: Unseen, fitted: Fit) -> str:
     ratio = own / np.median(drawn, axis=0)
     size, spread = np.where(own > drawn.max(axis=0), ratio, 1.0)
     if size > DISAGREES:
-        return f'the held-out error is {size:.2f} times what noise of that size would make'
+        return f'the held-out error is {size:.2f} times what noise of that size would cause'
     if spread > DISAGREES:
-        return f'the held-out errors come in spells, {spread:.2f} times as uneven as from noise'
+        return f'the held-out errors come in bursts, {spread:.2f} times as uneven as from noise'
     return ''
 
 
 def _size_and_spread(errors: FloatArray) -> FloatArray:
-    """(2,) RMS of errors (windows, length), and that over the windows' geometric mean."""
+    """(2,) RMS of errors (windows, length), and its ratio to the windows' geometric mean."""
     with np.errstate(over='ignore', invalid='ignore'):
         square = np.mean(errors**2, axis=1)
         size = np.sqrt(np.mean(square))
@@ -331,7 +331,7 @@ def _size_and_spread(errors: FloatArray) -> FloatArray:
 def _posterior(
     found: Found, chosen: Fit
 ) -> tuple[tuple[float, ...], tuple[tuple[tuple[str, float], ...], ...]]:
-    """Probability of each chosen effect, and of those that could stand in its place."""
+    """Probability of each chosen effect, and of its alternatives."""
     p = found.probabilities()
     names = [
         tuple(part.effect.name for part in scored.fit.structure.parts) for scored in found.all

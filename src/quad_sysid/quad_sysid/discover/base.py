@@ -1,4 +1,4 @@
-"""The base alone: its starts, and the noise that a flight turns out to have."""
+"""The base alone: its start values, and the noise of the flight."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from quad_sysid.model.data import other_axis
 from quad_sysid.model.plant import Flight, Structure
 
 EXPECTED = 0.05
-"""Prior probability that an effect is missing: shared alike by all names that can be tried, and of
-each name by its variants (smoothnesses, motors, other axes)."""
+"""Prior probability that an effect is missing, divided equally among the names that can be tried,
+and within each name among its variants (smoothnesses, motors, other axes)."""
 LEADING = 2
-"""Starts of the base that are followed to their end."""
+"""Number of starts of the base that are fitted to convergence."""
 BEGUN_STEPS = 6
-"""Steps of the base from each of its starts before the leading ones go on."""
+"""Steps from each start of the base before the best ones are chosen."""
 MOST_LINES = 3
-"""Narrow lines of vibration that the noise may hold."""
+"""Most vibration lines in the noise."""
 
 
 def best_base(problem: Problem) -> Fit:
-    """The base from several starts: its surface has more than one optimum in closed loop.
+    """The base from several starts, since its likelihood may have several maxima in closed loop.
 
-    Each start goes a few steps; those that lead then go on to the end.
+    A few steps from each start; then the best are fitted to convergence.
     """
     begun = []
     for way, lag, delay in ((1, 0.04, 0.01), (1, 0.005, 0.03), (1, 0.15, 0.005), (-1, 0.04, 0.01)):
@@ -53,7 +53,7 @@ def fitted_from(
     problem: Problem, structure: Structure, start: FloatArray, *, rate: FloatArray | None = None,
     most_steps: int = MOST_STEPS,
 ) -> Fit | None:
-    """A fit from `start`; None where it runs away."""
+    """A fit from `start`; None where it diverges."""
     try:
         return fit(problem, structure, start, rate=rate, most_steps=most_steps)
     except (FloatingPointError, np.linalg.LinAlgError):
@@ -61,7 +61,7 @@ def fitted_from(
 
 
 def fit_without(problem: Problem, fitted: Fit, index: int) -> Fit | None:
-    """A fit without one of its effects, the rest refitted; None where that runs away."""
+    """A fit without one of its effects, the rest refitted; None where that diverges."""
     where = fitted.structure.slices()[index]
     keep = np.r_[0 : where.start, where.stop : fitted.theta.size]
     return fitted_from(
@@ -70,7 +70,7 @@ def fit_without(problem: Problem, fitted: Fit, index: int) -> Fit | None:
 
 
 def with_vibration(problem: Problem, base: Fit) -> Fit | None:
-    """The base with one more narrow line in the gyro's noise, the strongest that is left."""
+    """The base with one more vibration line in the gyro's noise, the strongest that is left."""
     frequency = vibration_line(problem, base)
     if frequency is None:
         return None
@@ -81,10 +81,10 @@ def with_vibration(problem: Problem, base: Fit) -> Fit | None:
 
 
 def shares(problem: Problem, fitted: Fit, base: Fit, which: int) -> bool:
-    """Whether what disturbs another axis disturbs this one too, by its evidence beside a fit.
+    """Whether another axis' disturbance acts on this one too, by the evidence beside a fit.
 
-    What disturbs the other is what its own base leaves of its acceleration; that base is fitted
-    from this axis' `base`, with which it shares motors and gyro.
+    The other axis' disturbance is the acceleration that its own base does not explain. Its fit
+    starts from this axis' `base`, since motors and gyro are the same.
     """
     if not is_measured(problem.data, which):
         return False

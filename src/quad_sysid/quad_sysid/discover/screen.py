@@ -1,7 +1,7 @@
-"""Score candidates beside a fitted structure without fitting them: one linear step each.
+"""Scores of candidates beside a fitted structure, by one linear step instead of a fit.
 
-A candidate's columns pass through the same filter as the fit's derivatives; what they explain of
-the innovations beyond these, priced by their prior, is the score. It only chooses what is fitted.
+A candidate's columns pass through the same filter as the fit's derivatives. The score is what they
+explain of the innovations beyond these, under their prior. It only chooses what is fitted.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from quad_sysid.model.effect import Effect, Part, required
 
 STEP = 1e-4
 PER_NONLINEAR = 2.0
-"""Nats that a parameter chosen from a grid costs, about."""
+"""Approximate cost of a parameter chosen from a grid, nats."""
 BATCH = 64
-"""Columns that are filtered at a time."""
+"""Columns that are filtered at once."""
 LINES = 4
 LINE_BAND_HZ = (0.1, 16.0)
 
 
 @dataclass(frozen=True)
 class Score:
-    """What one linear step says of a candidate."""
+    """Result of one linear step for a candidate."""
 
     part: Part
     starts: tuple[FloatArray, ...]
-    """Each (q,): coordinates of the fit to start its parameters from."""
+    """Start values of its parameters, each (q,) in the coordinates of the fit."""
     nats: float
 
 
@@ -43,11 +43,11 @@ class _Block:
 
     part: Part
     p: FloatArray
-    """Coordinates with the linear parameters at zero."""
+    """(q,) coordinates, the linear parameters at zero."""
     linear: list[int]
     columns: Sequence[FloatArray]
-    """Each (n,): mean acceleration of each cycle per unit of a linear parameter; where there is
-    none, what it does at `p`."""
+    """Each (n,): mean acceleration of each cycle per unit of a linear parameter, rad/s²; without
+    a linear parameter the acceleration at `p`."""
 
 
 def _spectrum(problem: Problem, fitted: Fit) -> tuple[FloatArray, FloatArray]:
@@ -61,7 +61,7 @@ def _spectrum(problem: Problem, fitted: Fit) -> tuple[FloatArray, FloatArray]:
 
 
 def lines(problem: Problem, fitted: Fit) -> FloatArray:
-    """Frequencies (Hz) of the strongest lines in the innovations that may be motion."""
+    """Frequencies (Hz) of the strongest lines in the innovations, in the band of motion."""
     frequency, power = _spectrum(problem, fitted)
     power[(frequency < LINE_BAND_HZ[0]) | (frequency > LINE_BAND_HZ[1])] = 0.0
     found = []
@@ -111,7 +111,7 @@ def _starts(problem: Problem, fitted: Fit, part: Part) -> Sequence[FloatArray]:
 
 
 class _Beside:
-    """What candidates are scored beside: a fit, whose own parameters take up what they can.
+    """The fit beside which candidates are scored; its parameters are projected out.
 
     The priors of the fit's parameters are the last rows.
     """
@@ -133,14 +133,14 @@ class _Beside:
         self.r = self._left((e * self.w)[:, None])[:, 0]
 
     def _left(self, columns: FloatArray) -> FloatArray:
-        """(rows and priors, m) weighted columns less what the fit's own parameters take up."""
+        """(rows and priors, m) weighted columns, the fit's own parameters projected out."""
         rows = columns.shape[0]
         left: FloatArray = -(self.q @ (self.q[:rows].T @ columns))
         left[:rows] += columns
         return left
 
     def batches(self, parts: Sequence[Part]) -> Iterator[list[_Block]]:
-        """All candidates from all starts, some at a time, so that their columns stay in cache."""
+        """All candidates from all starts in batches that fit the cache."""
         batch: list[_Block] = []
         for part in parts:
             for start in _starts(self.problem, self.fitted, part):
@@ -173,7 +173,7 @@ class _Beside:
         return _Block(part, p, linear, columns)
 
     def _driven(self, part: Part, p: FloatArray) -> FloatArray:
-        """(n,) mean drive of each cycle with a candidate before it."""
+        """(n,) mean drive of each cycle with a candidate that acts before it."""
         theta, structure = self.fitted.theta, self.fitted.structure
         base = theta.size - len(structure.noise)
         more = structure.plus(part)
@@ -183,7 +183,7 @@ class _Beside:
         return drive
 
     def scores(self, batch: Sequence[_Block]) -> Iterator[Score]:
-        """What the linear step of each gains, where physics does not forbid its sign."""
+        """Gain of each linear step, where physics allows its sign."""
         problem, flight = self.problem, self.problem.flight
         found = self.fitted.prediction.filter
         inputs = np.column_stack([column for block in batch for column in block.columns])
@@ -230,7 +230,7 @@ class _Beside:
 def candidates(
     problem: Problem, effects: Sequence[Effect]
 ) -> tuple[list[Part], dict[str, str]]:
-    """What these data can show, and why not the rest."""
+    """Candidates that these data can show, and the reasons against the others."""
     parts, reasons = [], {}
     for effect in effects:
         settings = effect.prepare(problem.data)

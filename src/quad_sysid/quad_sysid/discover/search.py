@@ -1,4 +1,4 @@
-"""Search over structures by their evidence: every explanation pays the same price."""
+"""Search over structures by their evidence, under one prior for all."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from quad_sysid.estimate.fit import Fit, Problem
 from quad_sysid.model.effect import Effect, Part
 
 BEAM = 2
-"""Structures that are built upon at each level."""
+"""Structures that are extended at each level."""
 REFITS = 8
 """Candidates that are fitted beside each of them."""
 EXCHANGES = 3
 """Candidates that are fitted in the place of an effect of the best structure."""
 MOST_EFFECTS = 4
 HOPELESS = -8.0
-"""What would stay so far behind the best, by its linear score, is not fitted, nats: about where it
-gains nothing before its prior is counted."""
+"""Linear score relative to the best, nats, below which a candidate is not fitted: about where it
+would improve nothing even without its prior."""
 
 SHARED = (
     'what disturbs this axis disturbs the other one as well, so that its command and rate answer '
@@ -57,7 +57,7 @@ class Found:
         return self.all[0].fit
 
     def probabilities(self) -> FloatArray:
-        """Of each structure that was fitted, given the training segments."""
+        """Posterior of each fitted structure, given the training segments."""
         scores = np.array([s.score for s in self.all])
         p = np.exp(scores - scores.max())
         out: FloatArray = p / p.sum()
@@ -65,7 +65,7 @@ class Found:
 
 
 class _Search:
-    """What was fitted so far, by the labels of its effects."""
+    """The structures fitted so far, by the labels of their effects."""
 
     def __init__(
         self, problem: Problem, parts: Sequence[Part], base: Fit, log: Log | None
@@ -80,7 +80,7 @@ class _Search:
         self.screens: dict[frozenset[str], list[Score]] = {}
 
     def build_on(self, parent: Scored, refits: int, bar: float) -> list[Scored]:
-        """Structures with one more effect that may reach `bar` by their linear scores, fitted."""
+        """Fitted structures with one more effect, where the linear score may reach `bar`."""
         out = []
         for one in self.scores(parent.fit)[:refits]:
             reaches = parent.score + one.nats + self.prices[one.part.effect.label]
@@ -92,7 +92,7 @@ class _Search:
         return out
 
     def scores(self, parent: Fit) -> list[Score]:
-        """Linear scores of what may be added to a structure, best first."""
+        """Linear scores of the candidates beside a structure, best first."""
         labels = frozenset(parent.structure.labels)
         if labels not in self.screens:
             rest = [p for p in self.parts if p.effect.label not in labels]
@@ -103,7 +103,7 @@ class _Search:
         return self.screens[labels]
 
     def add(self, parent: Fit, one: Score) -> Scored | None:
-        """A structure with one more effect; None where it was fitted before or runs away."""
+        """A structure with one more effect; None where it was fitted before or diverges."""
         labels = frozenset((*parent.structure.labels, one.part.effect.label))
         if labels in self.known:
             return None
@@ -124,7 +124,7 @@ class _Search:
         return None if fitted is None else self.keep(fitted)
 
     def keep(self, fitted: Fit) -> Scored:
-        """Note a fit with its score: log evidence plus log prior."""
+        """Store a fit with its score, log evidence plus log prior."""
         labels = frozenset(fitted.structure.labels)
         price = sum(self.prices[label] for label in labels)
         # effects come in any order: the list of a set counts once
@@ -139,7 +139,7 @@ class _Search:
         return max(self.known.values(), key=lambda s: s.score)
 
     def exchange(self) -> bool:
-        """Try to put another effect in the place of each of the best; whether one was better."""
+        """Exchange each effect of the best structure for others; whether one was better."""
         best = self.best()
         if len(best.fit.structure.parts) < 2:
             return False
@@ -157,15 +157,15 @@ class _Search:
 
 
 def search(problem: Problem, effects: Sequence[Effect], *, log: Log | None = None) -> Found:
-    """The structures that the training segments speak for.
+    """The structures that the training segments support.
 
-    A beam over structures, one effect at a time, until the evidence falls; then each effect of
-    the best is exchanged for what else could stand there, until nothing is better.
+    A beam search adds one effect at a time until the evidence falls; then each effect of the best
+    structure is exchanged for alternatives until none is better.
 
-    What another axis does counts only while nothing disturbs both axes. A gust at an angle moves
-    the two, each feedback answers, and one axis' answer would pass for a coupling with the other:
-    where the evidence is for such a gust beside the coupling, the search is made without it
-    (a test of exogeneity: Hausman 1978).
+    A coupling counts only if no gust disturbs both axes: a gust at an angle moves both, each
+    feedback answers it, and one axis' command would seem to turn the other. If the evidence asks
+    for such a gust beside the coupling, the search is repeated without that axis (a test of
+    exogeneity: Hausman 1978).
     """
     parts, reasons = candidates(problem, effects)
     base, scored = best_base(problem), 0
@@ -205,7 +205,7 @@ def _structures(
 
 
 def _unlike(ordered: Sequence[Scored]) -> list[Scored]:
-    """The first of each set of names: two smoothnesses of a curve are one explanation."""
+    """The best of each set of names, since two smoothnesses of a curve are one explanation."""
     out: dict[tuple[str, ...], Scored] = {}
     for one in ordered:
         out.setdefault(tuple(sorted(p.effect.name for p in one.fit.structure.parts)), one)

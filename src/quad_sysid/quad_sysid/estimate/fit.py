@@ -1,7 +1,7 @@
-"""Maximum a posteriori by Gauss-Newton on the innovations, the evidence, and honest errors.
+"""Maximum a posteriori by Gauss-Newton on the innovations, its evidence and standard errors.
 
-The innovations are Student's t, whose scale and degrees of freedom follow from the flight, so that
-bursts of noise do not rule. Least squares by QR. Evidence by Laplace's approximation.
+The innovations follow Student's t distribution, whose scale and degrees of freedom are fitted too,
+so that bursts of noise do not dominate. Least squares by QR, evidence by Laplace's approximation.
 """
 
 from __future__ import annotations
@@ -19,23 +19,23 @@ from quad_sysid.model.noise import sensor_of
 from quad_sysid.model.plant import BASE, NOISE, Flight, Prediction, Structure, passes_of
 
 SETTLE_S = 0.5
-"""Innovations count from so long after the begin of an unbroken stretch."""
+"""Innovations count from this long after the start of an unbroken stretch."""
 DEGREES = (3.0, 4.0, 6.0, 10.0, 20.0, 50.0, 1e4)
 """Degrees of freedom of the innovations that are tried; the last is a normal distribution."""
 BLOCK_S = 1.0
-"""Innovations further apart are taken for independent, for standard errors."""
+"""Standard errors take innovations that are further apart for independent."""
 WIDE = 30.0
-"""Prior of the base's gain, damping and bias over the typical acceleration: all structures have
-them, so it hardly weighs in a comparison and must not draw an estimate."""
+"""Prior of the base's gain, damping and bias, relative to the typical acceleration. It is so wide
+that it does not draw an estimate; as all structures have it, comparisons hardly depend on it."""
 SMALL_NATS = 0.02
 MOST_STEPS = 40
 SLOW_S = 0.04
-"""Span over which the rate's change is taken for the flight's typical acceleration."""
+"""Span over which the rate's change gives the flight's typical acceleration."""
 
 
 @dataclass(frozen=True)
 class Tail:
-    """The distribution of the innovations: Student's t."""
+    """The distribution of the innovations, Student's t: scale in rad/s, degrees of freedom."""
 
     scale: float
     degrees: float
@@ -51,13 +51,13 @@ class Tail:
         return out
 
     def weights(self, e: FloatArray) -> FloatArray:
-        """Weights of the equivalent least squares' rows; 1 for a normal distribution."""
+        """(n,) weights of the equivalent least squares; 1 for a normal distribution."""
         out: FloatArray = (self.degrees + 1.0) / (self.degrees + (e / self.scale) ** 2)
         return out
 
     @property
     def variance(self) -> float:
-        """Variance of the innovations; three times the scale's where it is infinite."""
+        """Variance of the innovations, (rad/s)²; three times scale² where it is infinite."""
         v = self.degrees
         return self.scale**2 * (v / (v - 2.0) if v > 2.0 else 3.0)
 
@@ -68,7 +68,7 @@ class Tail:
 
 
 def tail_of(e: FloatArray, degrees: tuple[float, ...] = DEGREES) -> Tail:
-    """The likeliest scale and degrees of freedom."""
+    """The most likely scale and degrees of freedom."""
     best, value = Tail(1.0, degrees[-1]), -math.inf
     square = e**2
     scale = math.sqrt(float(np.mean(square))) or 1e-12
@@ -90,9 +90,9 @@ def tail_of(e: FloatArray, degrees: tuple[float, ...] = DEGREES) -> Tail:
 
 @dataclass
 class Problem:
-    """What is fitted: spans of an axis' flight, each with its lead; the rest is left out.
+    """The data of a fit: spans of an axis' flight, each with its lead; the rest is left out.
 
-    `data` and `spans` are those of the part that is kept; of the whole flight where `whole`.
+    `data` and `spans` describe the part that is kept, or, if `whole`, the whole flight.
     """
 
     data: AxisData
@@ -101,7 +101,7 @@ class Problem:
     flight: Flight = field(init=False)
     rows: np.ndarray = field(init=False)
     acceleration: float = field(init=False)
-    """Typical acceleration of the axis, rad/s²: what priors are measured by."""
+    """Typical acceleration of the axis, rad/s², to which priors are relative."""
 
     def __post_init__(self) -> None:
         if not self.whole:
@@ -132,14 +132,14 @@ class Problem:
         self.data = part_of(self.data, passes)
 
     def measure(self, fitted: Fit) -> None:
-        """Measure the sizes of all later priors by the signals of this fit."""
+        """Take the sizes of all later priors from the signals of this fit."""
         p = fitted.values
         halves, states = self.flight.driven(fitted.structure, p)
         self._reference = self.flight.signals(p, halves, states, fitted.rate)
         self._sizes = {}
 
     def sizes_of(self, part: Part) -> FloatArray:
-        """Prior standard deviation of an effect's parameters in the coordinates of the fit."""
+        """(q,) prior standard deviation of an effect's parameters, in coordinates of the fit."""
         label = part.effect.label
         if label not in self._sizes:
             out = np.empty(len(part.effect.parameters))
@@ -158,7 +158,7 @@ class Problem:
         return self._sizes[label]
 
     def sizes(self, structure: Structure) -> FloatArray:
-        """Prior standard deviation of each parameter in the coordinates of the fit."""
+        """(p,) prior standard deviation of each parameter, in the coordinates of the fit."""
         rows, wide = self.rows, WIDE * self.acceleration
         base = [
             wide / _high(self.data.command[rows]), BASE[1].spread, BASE[2].spread,
@@ -169,11 +169,11 @@ class Problem:
         return np.concatenate([np.array(base, dtype=float), *own, np.array(noise, dtype=float)])
 
     def centres(self, structure: Structure) -> FloatArray:
-        """Prior means in the coordinates of the fit."""
+        """(p,) prior means in the coordinates of the fit."""
         return np.array([s.centre for s in structure.specs])
 
     def precision(self, structure: Structure, sizes: FloatArray) -> FloatArray:
-        """Prior precision of all parameters."""
+        """(p, p) prior precision."""
         out = np.diag(sizes**-2.0)
         for part, where in zip(structure.parts, structure.slices(), strict=True):
             out[where, where] = part.effect.precision(part.settings, sizes[where])
@@ -181,7 +181,7 @@ class Problem:
 
 
 def _high(x: FloatArray) -> float:
-    """97th percentile of the size, of what is not zero throughout."""
+    """97th percentile of |x|, at least 1e-9."""
     return max(float(np.nanpercentile(np.abs(x), 97.0)), 1e-9)
 
 
@@ -196,14 +196,14 @@ class Fit:
     log_likelihood: float
     log_posterior: float
     evidence: float
-    """log p(data | structure), by Laplace."""
+    """log p(data | structure) by Laplace's approximation, nats."""
     hessian: FloatArray
     precision: FloatArray
     converged: bool
     steps: int
     prediction: Prediction
     rate: FloatArray
-    """The trajectory that the fit ended with."""
+    """(n,) the trajectory with which the fit ended, rad/s."""
 
     @property
     def values(self) -> FloatArray:
@@ -216,7 +216,7 @@ class Fit:
 
 
 def start_of(problem: Problem) -> FloatArray:
-    """A start of the base from nothing but priors."""
+    """(p,) start values of the base from the priors alone."""
     theta = np.array([s.centre for s in (*BASE, *NOISE)])
     command = problem.data.command[problem.rows]
     theta[0] = problem.acceleration / max(float(np.std(command)), 1e-9)
@@ -224,7 +224,7 @@ def start_of(problem: Problem) -> FloatArray:
 
 
 def upper_triangle(a: FloatArray) -> FloatArray:
-    """R of the QR factorisation."""
+    """R of the QR factorisation of `a`."""
     r: FloatArray = np.asarray(np.linalg.qr(a, mode='r'))
     return r
 
@@ -335,8 +335,8 @@ def fit(  # noqa: C901, PLR0912, PLR0915 - one loop, whose steps share all they 
 def covariance(problem: Problem, fitted: Fit) -> FloatArray:
     """(p, p) of the coordinates of the fit, robust to innovations that are not white.
 
-    The sandwich with scores summed over blocks (White 1982); with few blocks it may fall below the
-    model's own errors by chance, which it never does here.
+    The sandwich with scores summed over blocks (White 1982). No variance is below the model's own,
+    as it might be by chance where blocks are few.
     """
     e = fitted.prediction.innovation[problem.rows]
     j = required(fitted.prediction.jacobian)[problem.rows]
@@ -357,10 +357,10 @@ def covariance(problem: Problem, fitted: Fit) -> FloatArray:
 
 
 def shift_by_form(problem: Problem, fitted: Fit) -> FloatArray:
-    """(p,) by how much the coordinates would differ behind another form of the same filter.
+    """(p,) change of the coordinates under another form of the same gyro filter.
 
-    Of the gyro's filter the cut-off is known, not how it is computed. One Gauss-Newton step from
-    the fit to the filter as it is stepped (noise.sensor_of); zeros where no filter is known.
+    The cut-off of the gyro's filter is known, but not how it is computed. One Gauss-Newton step
+    from the fit to the stepped filter (noise.sensor_of); zeros where no filter is known.
     """
     flight, data = problem.flight, problem.data
     if not flight.sensor.noisy:

@@ -1,8 +1,8 @@
-"""A fit as the values that are handed on, and a handed-on model as what can be run again.
+"""From a fit to a stored model, and from a stored model to one that can be run.
 
-Standard errors are those of the sandwich (fit.covariance) and of what is not known of the gyro's
-filter (fit.shift_by_form); of what the fit holds as a logarithm, and of what a report reads off
-several parameters, by the delta method.
+Standard errors contain the sandwich (fit.covariance) and the uncertainty of the gyro filter's form
+(fit.shift_by_form). The delta method converts logarithms and figures that follow from several
+parameters.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from quad_sysid.model.effect import Effect, Part, Settings, Spec, required
 from quad_sysid.model.plant import BASE, N_BASE, NOISE, Structure
 
 SHORTEST = 0.25
-"""A time below this share of a cycle is none: the data hold nothing of it."""
+"""Share of a cycle below which the data do not show a lag or delay."""
 VAGUE = 1.0
-"""A logarithm with a larger standard error is not determined."""
+"""Standard error above which a logarithm counts as undetermined."""
 
 
 def library(own: Sequence[Effect] = ()) -> tuple[Effect, ...]:
-    """All effects that a model may name: those that were handed in, then the package's."""
+    """All effects that a model may name: the caller's own, then the package's."""
     return (*(effect for effect in own if effect not in EFFECTS), *EFFECTS)
 
 
@@ -38,7 +38,7 @@ def _named(name: str, variant: str, own: Sequence[Effect]) -> Effect | None:
 
 @dataclass(frozen=True)
 class Stored:
-    """What runs a model again: its structure, parameters and the innovations' distribution."""
+    """A model that can be run: structure, parameters, distribution of the innovations."""
 
     structure: Structure
     theta: FloatArray
@@ -48,15 +48,15 @@ class Stored:
 
 @dataclass(frozen=True)
 class Readings:
-    """The parameters of a fit as a report gives them."""
+    """The parameters of a fit as a report shows them."""
 
     base: tuple[Parameter, ...]
     effects: tuple[tuple[Parameter, ...], ...]
     names: tuple[str, ...]
     """`gain`, …, then `<effect>.<parameter>`."""
     covariance: FloatArray
-    """(p, p) of these, behind the filter as it is modelled: what is known of the loop as a whole;
-    NaN rows where there is no ordinary standard error."""
+    """(p, p) of these for the filter as modelled; NaN rows for parameters without a standard
+    error."""
 
 
 def readings(problem: Problem, fitted: Fit) -> Readings:
@@ -99,7 +99,7 @@ def readings(problem: Problem, fitted: Fit) -> Readings:
 
 
 def _vague(spec: Spec, value: float, deviation: float, dt: float) -> bool:
-    """Whether a parameter is at the end of what it may be, or not determined."""
+    """Whether a parameter is at its bound or not determined."""
     if spec.log:
         return deviation > VAGUE or (spec.unit == 's' and value < SHORTEST * dt)
     return spec.positive and value <= 0.0
@@ -167,7 +167,7 @@ def effects_of(
     fitted: Fit, told: Readings, p_value: float, reductions: Sequence[float],
     probabilities: Sequence[float], rivals: Sequence[tuple[tuple[str, float], ...]],
 ) -> tuple[EffectEstimate, ...]:
-    """The effects of a fit, as they are handed on."""
+    """The effects of a fit for the stored model."""
     return tuple(
         EffectEstimate(
             name=part.effect.name, kind=part.effect.kind, signals=part.effect.signals,
@@ -186,9 +186,9 @@ def estimate_of(
     probability: float = 1.0, rivals: tuple[tuple[str, float], ...] = (),
     own: Sequence[Effect] = (),
 ) -> EffectEstimate:
-    """An effect with given parameters, as its physics takes them, that was fitted to nothing.
+    """An effect with given parameters, as its physics takes them, without a fit.
 
-    The last ones may be left out: they lie at the centre of their priors.
+    Parameters left out at the end take the centres of their priors.
     """
     effect, fixed = required(_named(name, variant, own)), settings or {}
     rest = [
@@ -204,14 +204,14 @@ def estimate_of(
 
 
 def completed(model: AxisModel) -> Stored:
-    """The model with its effects, to be run. Raises BadInputError for an unknown effect."""
+    """The model with its effects, ready to run. Raises BadInputError for an unknown effect."""
     parts = tuple(part_of(model, effect) for effect in model.effects)
     fitted = [fitted_of(part, one) for part, one in zip(parts, model.effects, strict=True)]
     return _stored(model.base, parts, fitted, model.noise)
 
 
 def plain(model: AxisModel) -> Stored:
-    """The base as it was fitted alone, to be run."""
+    """The base as fitted alone, ready to run."""
     return _stored(model.plain or model.base, (), [], model.plain_noise or model.noise)
 
 
@@ -235,7 +235,7 @@ def _stored(
 
 
 def part_of(model: AxisModel, effect: EffectEstimate) -> Part:
-    """The physics of a stored effect. Raises BadInputError for one that is not known."""
+    """The physics of a stored effect. Raises BadInputError for an unknown one."""
     physics = _named(effect.name, effect.variant, model.own_effects)
     names = {p.name for p in effect.parameters}
     settings = _settings(effect.settings)
@@ -258,7 +258,7 @@ def fitted_of(part: Part, effect: EffectEstimate) -> FloatArray:
 
 
 def _settings(stored: Mapping[str, object]) -> Settings:
-    """Settings as the effect prepared them, from what JSON made of them."""
+    """Settings as the effect prepared them, from JSON values."""
     return {
         key: tuple(value) if isinstance(value, list) else value for key, value in stored.items()
     }
