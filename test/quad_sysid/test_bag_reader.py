@@ -475,7 +475,7 @@ def test_rows_that_are_no_messages_are_told(tmp_path):
         for number, value in ((100, 1.5), (102, 'text'), (103, 5)):
             base.execute('UPDATE messages SET data=? WHERE id=?', (value, number))
     data, rng = file.read_bytes(), np.random.default_rng(9)
-    assert '3 rows are no messages' in ' '.join(read_bag(bag).warnings)
+    assert '3 rows are not messages' in ' '.join(read_bag(bag).warnings)
     for _ in range(15):
         noisy = bytearray(data)
         for place in rng.integers(0, len(data), 30):

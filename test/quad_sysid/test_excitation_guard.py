@@ -89,7 +89,7 @@ def test_yaw_counts_from_its_start_and_only_while_excited():
 def test_a_schedule_is_played_to_its_end():
     player = Player(schedule(), RIG)
     assert player.start(100.0, GOOD) == ''
-    assert player.start(100.0, GOOD) == 'it is running already'
+    assert player.start(100.0, GOOD) == 'the schedule is already running'
     ticks = play(player, lambda _: GOOD, 10.0)
     assert player.state is State.DONE
     assert ticks[-1][0] == pytest.approx(4.5, abs=0.005)

@@ -1,10 +1,9 @@
 """Stamped messages of fixed layout in bulk: many CDR byte strings ↔ stamps and one array.
 
-No files, no topics, no grids. A walk over a type's fields says where the numbers of one message
-lie; messages of one layout are read together, and what fits none goes through rosbags' own
-deserialiser, so the answer never depends on which way it was read. The types' fields come from
-rosbags. Source of the rules: OMG CDR (XCDR1), 4 bytes of encapsulation header, alignment counted
-after it.
+No files, no topics, no grids. A type's fields, known from rosbags, give the positions of the
+numbers in one message. Messages of one layout are read together; those that fit none go through
+rosbags' deserialiser, with the same result. Source: OMG CDR (XCDR1), 4 bytes of encapsulation
+header, alignment counted after it.
 """
 
 from __future__ import annotations
@@ -50,14 +49,14 @@ def typestore() -> Typestore:
 
 @dataclass(frozen=True)
 class Step:
-    """What follows next in a message: numbers one after the other, a string, or many of them."""
+    """The next part of a message: consecutive numbers, a string, or a sequence of them."""
 
     names: tuple[str, ...]
-    """Of the numbers, such as `orientation.x`; one name for a string or a sequence."""
+    """Names of the numbers, such as `orientation.x`; one for a string or a sequence."""
     dtype: str = ''
-    """Of numbers; empty for strings."""
+    """numpy type of numbers; empty for strings."""
     many: bool = False
-    """A sequence, its length before it."""
+    """A sequence, preceded by its length."""
 
     @property
     def size(self) -> int:
@@ -67,22 +66,22 @@ class Step:
 
 @dataclass
 class Layout:
-    """Messages of this layout agree in the `fixed` bytes and have a terminated text in `texts`."""
+    """Positions in a message. Messages of one layout agree in their `fixed` bytes."""
 
     places: list[tuple[int, int]] = field(default_factory=list)
     """(offset, count) of each step's numbers."""
     fixed: list[tuple[int, int]] = field(default_factory=list)
-    """Byte ranges [start, stop) of lengths."""
+    """Byte ranges [start, stop) that are the same in all messages, such as lengths."""
     texts: list[tuple[int, int]] = field(default_factory=list)
-    """Byte ranges of strings, the zero at their end included."""
+    """Byte ranges of strings with their terminating zero."""
     lists: dict[str, list[str]] = field(default_factory=dict)
-    """Content of sequences of strings; their bytes stand in `fixed` too."""
+    """Content of sequences of strings; their bytes are in `fixed` too."""
     end: int = 4
 
 
 @lru_cache(maxsize=64)
 def steps_of(msgtype: str) -> tuple[Step, ...]:
-    """Steps of a type, neighbours of one number type joined. Raises LayoutError."""
+    """Steps of a type; neighbouring numbers of one type are joined. Raises LayoutError."""
     joined: list[Step] = []
     for step in _steps(msgtype, ''):
         last = joined[-1] if joined else None
@@ -122,8 +121,7 @@ def _base(kind: str, name: str, *, many: bool) -> Step:
 def layout_of(msgtype: str, raw: bytes) -> Layout:
     """Layout of one little-endian message.
 
-    Raises LayoutError for what rosbags' deserialiser would refuse too, and for what cannot be read
-    in bulk.
+    Raises LayoutError for messages that are invalid or cannot be read in bulk.
     """
     if raw[:2] != LITTLE_ENDIAN:
         raise LayoutError(raw[:2].hex())
@@ -203,12 +201,12 @@ COLUMNS = {
 WIDTH = {msgtype: len(columns) for msgtype, columns in COLUMNS.items()}
 
 MOST_LAYOUTS = 8
-"""How many layouts are tried among messages of one length before they are read one by one."""
+"""Layouts that are tried for messages of one length before they are read one by one."""
 
 
 @dataclass(frozen=True)
 class Stamped:
-    """Messages of one topic: stamps (n,) in ns, values (n, WIDTH[type]), `spoiled` unreadable."""
+    """Messages of one topic: stamps (n,) ns, values (n, WIDTH[type]), `spoiled`: unreadable."""
 
     stamps: npt.NDArray[np.int64]
     values: FloatArray
@@ -216,7 +214,7 @@ class Stamped:
 
 
 def decode(msgtype: str, messages: Sequence[bytes]) -> Stamped:
-    """Stamps and values of `messages` in their order; those that cannot be read are left out."""
+    """Stamps and values of `messages` in order; unreadable ones are left out and counted."""
     stamps = np.zeros(len(messages), dtype=np.int64)
     values = np.full((len(messages), WIDTH[msgtype]), np.nan)
     good = np.zeros(len(messages), dtype=bool)
@@ -246,7 +244,7 @@ def _decode_group(
     stamps: npt.NDArray[np.int64],
     values: FloatArray,
 ) -> npt.NDArray[np.bool_]:
-    """Fill in the rows, all of one length, that share the first one's layout; which they are."""
+    """Read the rows (of one length) that share the first one's layout; returns them."""
     try:
         layout = layout_of(msgtype, messages[rows[0]])
         columns, order = _columns(msgtype, layout)
@@ -277,7 +275,7 @@ def _numbers(table: npt.NDArray[np.uint8], offset: int, dtype: str, count: int) 
 def _columns(
     msgtype: str, layout: Layout
 ) -> tuple[list[tuple[int, str, int]], tuple[int, ...] | None]:
-    """(offset, dtype, count) of each run of numbers, and which number goes to which column."""
+    """(offset, dtype, count) of each run of numbers, and the column of each number."""
     steps = steps_of(msgtype)
     if msgtype == JOINTS:
         index = next(i for i, step in enumerate(steps) if step.names == ('effort',))
@@ -309,7 +307,7 @@ def _runs(msgtype: str) -> tuple[tuple[int, int, int], ...]:
 def encode(
     msgtype: str, template: bytes, stamps: npt.NDArray[np.int64], values: FloatArray
 ) -> list[bytes]:
-    """Copy one serialised message, `template`, with other stamps (n,) and values (n, w)."""
+    """Serialised copies of `template` with stamps (n,) ns and values (n, w)."""
     columns, order = _columns(msgtype, layout_of(msgtype, template))
     places = order or range(WIDTH[msgtype])
     table = np.tile(np.frombuffer(template, dtype=np.uint8), (len(stamps), 1))
@@ -356,7 +354,7 @@ def _nothing(description: Any) -> Any:
 
 
 def _decode_one(msgtype: str, raw: bytes) -> tuple[int, FloatArray]:
-    """Stamp and values by rosbags' deserialiser."""
+    """Stamp and values of one message by rosbags' deserialiser."""
     message: Any = typestore().deserialize_cdr(raw, msgtype)
     stamp = message.header.stamp
     if msgtype == JOINTS:

@@ -1,6 +1,6 @@
 """Parameter events of a bag → segments of the flight and changes of the gains, and back.
 
-No files, no grid beyond a function that turns a stamp into seconds.
+No files; a function converts stamps to seconds.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Event:
 
 
 def decode_events(messages: Iterable[bytes]) -> tuple[list[Event], int]:
-    """Events in the order of their stamps, each once, and how many could not be read."""
+    """Events in the order of their stamps, each once, and the number of unreadable ones."""
     events: list[Event] = []
     spoiled = 0
     for raw in messages:
@@ -68,7 +68,7 @@ def encode_event(event: Event, node: str) -> bytes:
 
 
 def _value(value: Value) -> Any:
-    """A ParameterValue of the value's own type."""
+    """A ParameterValue of the value's type."""
     kind = next(k for k, own in KINDS.items() if isinstance(value, own[1]))
     return blank(
         'rcl_interfaces/msg/ParameterValue', type=kind, **{KINDS[kind][0]: KINDS[kind][1](value)}
@@ -78,9 +78,9 @@ def _value(value: Value) -> Any:
 def segments_from(
     events: Sequence[Event], seconds: Callable[[int], float], end_s: float
 ) -> tuple[tuple[Segment, ...], list[str]]:
-    """Each segment from its event to the next one; `seconds` turns a stamp into record time.
+    """Segments, each from its event to the next, and warnings; `seconds` converts stamps.
 
-    A segment of several axes at once (a flight without an experiment) names them in `axes`.
+    An event for several axes at once (a flight without an experiment) names them in `axes`.
     """
     segments: list[Segment] = []
     warnings: list[str] = []
@@ -110,7 +110,7 @@ def segments_from(
 def gains_from(
     events: Sequence[Event], seconds: Callable[[int], float]
 ) -> tuple[GainChange, ...]:
-    """Acknowledged gains with the time from which they hold."""
+    """Acknowledged gains with the time from which they apply."""
     changes = []
     for event in events:
         numbers = {

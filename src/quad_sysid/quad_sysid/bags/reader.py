@@ -1,7 +1,7 @@
 """A recorded bag → one Record: `read_bag`.
 
-Which topic becomes which array stands here; bytes are decoded in cdr.py, stamps put on the grid in
-stamps.py, files found in storage.py. No fitting, no filtering.
+Assigns topics to arrays. storage.py finds the files, cdr.py decodes the bytes, stamps.py puts them
+on the grid. No fitting, no filtering.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ LOST_WARNING = 0.01
 
 @dataclass(frozen=True)
 class _Content:
-    """What the storage held, topic by topic."""
+    """Content of the storage by topic."""
 
     streams: dict[str, Stamped]
     events: dict[str, list[bytes]]
@@ -52,10 +52,10 @@ class _Content:
 
 
 def read_bag(path: str | Path) -> Record:
-    """Record of a rosbag2 directory or a bare .mcap file, by header stamps alone.
+    """Record of a rosbag2 directory or an .mcap file, timed by header stamps alone.
 
-    Raises BadInputError (one line: file, field, remedy) where the bag is not a bag or lacks
-    /imu/data or both /motors/command and /control/wrench. What was mended is in `warnings`.
+    Raises BadInputError if it is no bag, or lacks /imu/data or both /motors/command and
+    /control/wrench. The record's `warnings` say what was repaired.
     """
     source = str(path)
     content = _read(Path(path))
@@ -108,7 +108,7 @@ def read_bag(path: str | Path) -> Record:
 
 
 def _read(path: Path) -> _Content:
-    """Decode all wanted topics, batch by batch so that memory stays near the arrays' size."""
+    """Decode all wanted topics, batch by batch to bound the memory."""
     storage = Storage(path, TOPICS)
     parts: dict[str, list[Stamped]] = {}
     events: dict[str, list[bytes]] = {}
@@ -139,7 +139,7 @@ def _read(path: Path) -> _Content:
 def _array(
     name: str, content: _Content, grid: Grid, warnings: list[str]
 ) -> FloatArray | None:
-    """One optional topic on the grid; None where it holds nothing usable."""
+    """(n, k) one optional topic on the grid; None without usable values."""
     topic = OPTIONAL[name]
     stream = content.streams.get(topic)
     if stream is None or len(stream.stamps) == 0:
@@ -162,7 +162,7 @@ def _array(
 def _finite(
     values: FloatArray, topic: str, field: str, grid: Grid, warnings: list[str]
 ) -> FloatArray:
-    """Turn infinities into NaN; warn of samples that came but are no numbers."""
+    """Values with infinities as NaN; warns of received samples that are not finite."""
     came = np.isfinite(values[grid.cells]).all(axis=1)
     count = int(np.count_nonzero(~came))
     if count:
@@ -171,7 +171,7 @@ def _finite(
 
 
 def _angles(orientation: FloatArray) -> FloatArray | None:
-    """Roll, pitch, yaw (n, 3); None where unknown, or the same identity throughout."""
+    """Roll, pitch, yaw (n, 3), rad; None where unknown or constantly the identity."""
     angles = euler_angles(orientation)
     known = np.isfinite(angles[:, 0])
     if not known.any() or np.allclose(orientation[known, :3], 0.0, atol=1e-12):
@@ -180,7 +180,7 @@ def _angles(orientation: FloatArray) -> FloatArray | None:
 
 
 def _battery(content: _Content, grid: Grid, warnings: list[str]) -> FloatArray | None:
-    """Pack voltage (n,) between its measurements; None where it was not measured."""
+    """Battery voltage (n,), V, interpolated; None where it was not measured."""
     stream = content.streams.get('/battery')
     if stream is None or len(stream.stamps) == 0:
         return None
@@ -194,7 +194,7 @@ def _battery(content: _Content, grid: Grid, warnings: list[str]) -> FloatArray |
     strange = volts[finite & ~good]
     if 2 * np.count_nonzero(good) < np.count_nonzero(finite):
         warnings.append(
-            f'/battery: voltage around {np.median(strange):.3g} V is not a pack ({low:g} to '
+            f'/battery: voltage around {np.median(strange):.3g} V is no battery ({low:g} to '
             f'{high:g} V); counted as not measured'
         )
         return None
@@ -219,7 +219,7 @@ def _battery(content: _Content, grid: Grid, warnings: list[str]) -> FloatArray |
 def _missing(
     content: _Content, arrays: dict[str, FloatArray | None], battery: FloatArray | None
 ) -> tuple[str, ...]:
-    """Topics that a Record could hold and that gave nothing."""
+    """Topics that a Record could use but the bag lacks."""
     absent = [OPTIONAL[name] for name, array in arrays.items() if array is None]
     if battery is None:
         absent.append('/battery')

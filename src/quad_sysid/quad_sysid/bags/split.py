@@ -1,4 +1,4 @@
-"""Which part of a record trains and which validates, where the bag does not say or the user does.
+"""Training and validation segments where the bag states none, or the user chooses.
 
 Pure: Record in, Record out. Source: contract, Topics (60 % / 40 %, `--train A:B --validate C:D`).
 """
@@ -16,11 +16,11 @@ from quad_sysid.record import Record, Segment
 TRAIN_SHARE = 0.6
 
 Span = tuple[float, float]
-"""Start and end in s from the record's first sample."""
+"""Start and end, s from the record's first sample."""
 
 
 def parse_span(text: str, option: str) -> Span:
-    """Read `A:B` (s; A or B may be left out for the record's ends) of a command's option."""
+    """Read `A:B` (s; without A or B: the record's start or end) of a command's option."""
     start, colon, end = text.partition(':')
     try:
         span = (float(start or 0.0), float(end or 'inf'))
@@ -40,13 +40,13 @@ def split_segments(
     validate: Span | None = None,
     axes: tuple[str, ...] | None = None,
 ) -> Record:
-    """Give a record the segments it is to be analysed by.
+    """The record with the segments for its analysis.
 
-    With `train` or `validate` (s) these replace what the bag says, for every axis in `axes`
-    (None: those the bag excites, else all); one alone leaves the other role as the bag says or,
-    where the bag says nothing, to the rest of the record. Without both, and where the bag has no
-    segments that train or validate, the first 60 % train and the rest validates.
-    Raises BadInputError for spans outside the record or overlapping.
+    `train` and `validate` (s) replace the bag's segments for each of `axes` (None: those that the
+    bag excites, else all). With only one of them, the other role keeps the bag's segments or, if
+    there are none, gets the rest of the record. Without both, and without segments in the bag, the
+    first 60 % train and the rest validates. Raises BadInputError for spans that overlap or lie
+    outside the record.
     """
     known = [s for s in record.segments if s.role in ('train', 'validation')]
     if train is None and validate is None:
@@ -71,7 +71,7 @@ def split_segments(
 
 
 def clip_span(span: Span | None, record: Record, option: str) -> Span | None:
-    """The span within the record; BadInputError, naming the option, where it starts beyond."""
+    """The span, cut at the record's end; BadInputError (naming the option) if it starts after."""
     if span is None:
         return None
     length = record.n * record.dt
@@ -84,7 +84,7 @@ def clip_span(span: Span | None, record: Record, option: str) -> Span | None:
 
 
 def _check_apart(segments: list[Segment], record: Record) -> None:
-    """Raise BadInputError where one axis is to be validated on what it was trained on."""
+    """Raise BadInputError where training and validation of an axis overlap."""
     for a in segments:
         for b in segments:
             shared = min(a.end_s, b.end_s) - max(a.start_s, b.start_s)
@@ -97,7 +97,7 @@ def _check_apart(segments: list[Segment], record: Record) -> None:
 
 
 def _rest(other: Span | None, length: float, role: str) -> Span:
-    """Give what `other` leaves of the record: after it to validate, before it to train."""
+    """The rest of the record: after `other` for validation, before it for training."""
     start, end = other or (0.0, length)
     before, after = (0.0, start), (end, length)
     first, second = (before, after) if role == 'train' else (after, before)
@@ -112,7 +112,7 @@ def _rest(other: Span | None, length: float, role: str) -> Span:
 
 
 def _segment(record: Record, role: str, axis: str, span: Span) -> Segment:
-    """One segment; signal and injection are taken from the bag's segment it lies in, if any."""
+    """One segment, with signal and injection of the bag's segment in which it lies, if any."""
     middle = 0.5 * (span[0] + span[1])
     for known in record.segments:
         if known.start_s <= middle < known.end_s and known.axis == axis and known.role != 'idle':

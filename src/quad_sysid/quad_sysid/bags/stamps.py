@@ -1,6 +1,6 @@
-"""Time stamps → the uniform grid of the control cycle: which sample stands in which cell.
+"""Time stamps → the uniform grid of the control cycle: which sample belongs to which cell.
 
-Pure array maths on nanoseconds. What is distrusted or mended is told in words, never invented.
+Pure array maths on nanoseconds. Repairs are reported as warnings; no sample is invented.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ RATE_TOLERANCE = 0.15
 BLOCK = 32
 """Differences per block in which the rate is checked."""
 JITTER_WARNING = 0.25
-"""Cycles."""
+"""Cycles, 99th percentile."""
 
 
 @dataclass(frozen=True)
@@ -34,12 +34,12 @@ class Grid:
     """The cells of one stream of stamps."""
 
     dt: float
-    """s."""
+    """Length of a cell, s."""
     t0_ns: int
     n: int
     """Number of cells."""
     rows: IntArray
-    """(m,) which of the given samples are kept, in the order of time."""
+    """(m,) indices of the samples that are kept, in order of time."""
     cells: IntArray
     """(m,) their cells, strictly increasing from 0."""
     stamps: IntArray
@@ -47,7 +47,7 @@ class Grid:
     warnings: tuple[str, ...]
 
     def position(self, stamps: IntArray) -> FloatArray:
-        """Where other stamps lie, in cells; beyond the ends by the sample interval."""
+        """Position of other stamps in cells, extrapolated beyond the ends."""
         since = (stamps - self.t0_ns).astype(float)
         mine = (self.stamps - self.t0_ns).astype(float)
         place = np.interp(since, mine, self.cells.astype(float))
@@ -69,9 +69,9 @@ class Grid:
 
 
 def uniform_grid(stamps: IntArray, source: str, topic: str = '/imu/data') -> Grid:
-    """Lay `stamps` (ns, in order of arrival) on a grid and tell what had to be mended.
+    """Grid of `stamps` (ns, in order of arrival), with warnings of what was repaired.
 
-    Raises BadInputError where no single rate can be found.
+    Raises BadInputError where there is no single sample rate.
     """
     warnings: list[str] = []
     rows = np.flatnonzero(stamps > 0)
@@ -107,7 +107,7 @@ def uniform_grid(stamps: IntArray, source: str, topic: str = '/imu/data') -> Gri
 
 
 def _in_order(stamps: IntArray, rows: IntArray, topic: str, warnings: list[str]) -> IntArray:
-    """Rows sorted by stamp, without doubles; where the clock was set back, the longer part."""
+    """Rows sorted by stamp without duplicates; if the clock was set back, the longest part."""
     times = stamps[rows]
     steps = np.diff(times)
     if len(steps) == 0 or (steps > 0).all():
@@ -159,7 +159,7 @@ def _longest_stretch(
 def _one_rate(
     stamps: IntArray, rows: IntArray, nominal: float, source: str, topic: str, warnings: list[str]
 ) -> IntArray:
-    """Rows without the stretches whose rate is another one; their time becomes a gap."""
+    """Rows without stretches of another sample rate, whose time becomes a gap."""
     steps = np.diff(stamps[rows]) / nominal
     blocks = len(steps) // BLOCK
     if blocks == 0:
@@ -174,7 +174,7 @@ def _one_rate(
             source, f'{topic} has no steady rate',
             f'{100 * share:.0f} % of the time more than {100 * RATE_TOLERANCE:.0f} % off '
             f'{1e9 / nominal:.4g} Hz',
-            'record at one fixed rate, or check who fills header.stamp',
+            'record at one fixed rate, or check which program fills header.stamp',
         )
     first = int(np.flatnonzero(other)[0]) * BLOCK
     rate = 1e9 / (nominal * float(np.median(medians[other])))
@@ -190,10 +190,10 @@ def _one_rate(
 
 
 def count_cycles(steps: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Cell (n,) of every sample and its phase in cycles, which follows slow drift.
+    """Cell (n,) and phase (n,), in cycles, of every sample; the phase follows slow drift.
 
-    `steps` (n - 1,) are the times between samples in cycles. After a gap of more than two cycles
-    the phase starts anew; cells repeat where two samples lie within half a cycle.
+    `steps` (n - 1,) are the times between samples in cycles. A gap of more than two cycles resets
+    the phase; cells repeat where two samples lie within half a cycle.
     """
     cells = np.zeros(len(steps) + 1, dtype=np.int64)
     phases = np.zeros(len(steps) + 1)
@@ -209,7 +209,7 @@ def count_cycles(steps: FloatArray) -> tuple[IntArray, FloatArray]:
 
 
 def _interval(times: IntArray, cells: IntArray) -> float:
-    """Sample interval in s: the mean outside gaps, a whole number of µs if that fits."""
+    """Sample interval, s: the mean outside gaps, in whole µs if that fits."""
     counts = np.diff(cells)
     near = counts <= 2
     mean_ns = float(np.diff(times)[near].sum() / counts[near].sum())

@@ -1,7 +1,7 @@
 """From a path to raw messages: finds a bag's storage files, opens and decompresses them.
 
-Knows directories and which file is of which storage; knows nothing of what the messages mean. What
-is whole in a file stands in stored/, which is quad_bridge's.
+Knows directories and storage formats, not the messages' meaning. stored/, a link into quad_bridge,
+finds the intact parts of a file.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ FOREIGN = {
 class Storage:
     """A bag's raw messages. `warnings` are complete once `batches` has run.
 
-    Of a topic that has messages of several types, those of the contract's type count.
+    If a topic has messages of several types, only the contract's type is read.
     """
 
     path: Path
@@ -61,7 +61,7 @@ class Storage:
     """`custom_data` of metadata.yaml."""
 
     def batches(self) -> Iterator[Batch]:
-        """Messages of the wanted topics, decompressed; raises BadInputError."""
+        """Messages of `topics`, decompressed. BadInputError for a damaged or foreign file."""
         files = self._files()
         foreign: Counter[tuple[str, str]] = Counter()
         for file in files:
@@ -79,7 +79,7 @@ class Storage:
         ]
 
     def _files(self) -> list[Path]:
-        """List the storage files, in order."""
+        """The storage files in order. Raises BadInputError where there is no bag."""
         path = self.path
         if not path.exists():
             raise BadInputError(str(path), 'no such bag', remedy='check the path')
@@ -125,7 +125,7 @@ class Storage:
         return sorted([*present, *parts], key=lambda p: (len(p.name), p.name))
 
     def _metadata(self) -> list[str] | None:
-        """File names that metadata.yaml lists; None where there is none to be had."""
+        """File names that metadata.yaml lists; None where it is missing or unreadable."""
         file = self.path / 'metadata.yaml'
         try:
             content = yaml.safe_load(file.read_text(encoding='utf-8'))
@@ -143,7 +143,7 @@ class Storage:
     def _read(
         self, plain: Path, shown: Path, foreign: Counter[tuple[str, str]]
     ) -> Iterator[Batch]:
-        """Batches of one decompressed file; counts messages of another type in `foreign`."""
+        """Batches of one decompressed file; counts messages of other types in `foreign`."""
         with plain.open('rb') as stream:
             head = stream.read(16)
         if not head:
@@ -165,7 +165,7 @@ class Storage:
             yield {topic: self._decompressed(raws, shown) for topic, raws in batch.items()}
 
     def _wanted(self, topic: str, kind: str) -> bool:
-        """Whether messages of the topic are asked for, in a type that may be the contract's."""
+        """Whether the topic is wanted and its type is, or may be, the contract's."""
         wanted = TOPIC_TYPES.get(topic, '')
         same = not kind or not wanted or kind.replace('/msg/', '/') == wanted.replace('/msg/', '/')
         return topic in self.topics and same
@@ -181,7 +181,7 @@ class Storage:
             yield from scan.batches(lambda topic: self._wanted(topic.name, topic.kind))
         if not scan.ended:
             self.warnings.append(
-                f'{shown}: cut off (no end of data): read what is whole; '
+                f'{shown}: cut off (no end of data): read the intact part; '
                 '`ros2 run quad_bridge recover` rebuilds the bag'
             )
         elif scan.bad_chunks:
@@ -229,10 +229,10 @@ class Storage:
             what = f'cannot be read as a sqlite3 bag ({" ".join(str(error).split())})'
             raise BadInputError(str(shown), what, remedy='is it a bag of rosbag2?') from error
         if strange:
-            self.warnings.append(f'{shown}: {strange} rows are no messages; left out')
+            self.warnings.append(f'{shown}: {strange} rows are not messages; left out')
 
     def _decompressed(self, raws: list[bytes], shown: Path) -> list[bytes]:
-        """Messages as CDR: those that were compressed one by one (by their magic) are opened."""
+        """Messages as CDR; those compressed one by one (known by their magic) are decompressed."""
         if not raws or ZSTD_MAGIC not in (raws[0][:4], raws[-1][:4]):
             return raws
         opened = [plain_message(raw) for raw in raws]
@@ -243,7 +243,7 @@ class Storage:
 
 
 def _is_part(name: str, listed: Collection[str]) -> bool:
-    """Whether a file is a part of the split bag whose listed ones are `listed`, and no copy."""
+    """Whether a file is a part of the split bag with the files `listed`, not a copy."""
     stem = name.partition('.')[0]
     known = {other.partition('.')[0] for other in listed}
     numbered = {re.sub(r'_\d+$', '', other) for other in known}

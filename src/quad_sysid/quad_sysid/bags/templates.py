@@ -1,4 +1,4 @@
-"""One serialised message of each type: the pattern from which cdr.encode writes many.
+"""One serialised message of each type, which cdr.encode copies.
 
 Frame and covariances as the contract has them; numbers are placeholders.
 """

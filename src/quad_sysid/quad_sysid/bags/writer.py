@@ -1,6 +1,6 @@
 """A Record → a bag of the contract: `write_bag`; any streams of stamped messages: `write_streams`.
 
-The inverse of reader.py. Live recording is the bag logger's business, not this file's.
+The inverse of reader.py. The bag logger of quad_bridge records live.
 """
 
 from __future__ import annotations
@@ -46,10 +46,10 @@ class BagOptions:
 
 
 def write_bag(record: Record, path: str | Path, options: BagOptions | None = None) -> Path:
-    """Write a record as a rosbag2 directory; a row of NaN in an array is a message not written.
+    """Write a record as a rosbag2 directory; rows of NaN are not written.
 
-    Without motors and wrench the control is written as /motors/command through the mixer. Raises
-    BadInputError where `path` exists or a control cannot be motor commands in 0..1.
+    Without motors and wrench, the control is written as /motors/command through the mixer. Raises
+    BadInputError where `path` exists or the motor commands would lie outside 0..1.
     """
     stamps = record.t0_ns + np.rint(np.arange(record.n) * record.dt * 1e9).astype(np.int64)
     streams = {'/imu/data': _imu(record, stamps)}
@@ -89,7 +89,7 @@ def write_streams(
     events: Mapping[str, Sequence[Event]],
     options: BagOptions | None = None,
 ) -> Path:
-    """Write topics of the contract as they are given, in the order of their stamps."""
+    """Write the given topics in the order of their stamps. BadInputError where `path` exists."""
     path = Path(path)
     options = options or BagOptions()
     if path.exists():
@@ -132,7 +132,7 @@ def write_streams(
 
 
 def _stream(stamps: np.ndarray, values: FloatArray) -> Stamped:
-    """Rows with any number in them."""
+    """Rows that contain a number."""
     seen = np.isfinite(values).any(axis=1)
     return Stamped(stamps[seen], values[seen])
 

@@ -1,6 +1,6 @@
-"""From the band of interest to the test signals: eqs. (9) and (10) of the paper, in figures.
+"""From a band of interest to test signals, by eqs. (9) and (10) of the paper.
 
-Pure: a frozen Design out, with the words that say what it gives and why, and as a schedule.
+Pure: gives a frozen Design, which explains itself in text and writes itself as a schedule.
 """
 
 from __future__ import annotations
@@ -52,15 +52,15 @@ class Design:
         return 2.0 * math.pi / self.period_s, 2.0 * math.pi * 0.3 / self.clock_s
 
     def order(self, duration_s: float) -> int:
-        """Persistence of excitation that a stretch of the PRBS gives: it has so many bits."""
+        """Order of persistent excitation of a stretch of the PRBS: its number of bits."""
         return min(self.length, math.floor(duration_s / self.clock_s))
 
     def text(self) -> str:
-        """Say what the design gives and why, line by line."""
+        """Explain the design, line by line."""
         return '\n'.join(_lines(self))
 
     def to_schedule_yaml(self, axis: str = 'roll', amplitude_deg: float = 12.0) -> str:
-        """Write a schedule of the excitation node: train, validate on PRBS and on a square."""
+        """YAML of a schedule: a training PRBS, then a PRBS and a square wave for validation."""
         highest = AMPLITUDES['attitude'][3]
         if not 0.0 < amplitude_deg <= highest:
             raise BadInputError(
@@ -89,7 +89,7 @@ class Design:
 
 
 def parse_band(text: str) -> tuple[float, float]:
-    """Read `LOW:HIGH` (rad/s) of --band; BadInputError where they are not two numbers in order."""
+    """Read `LOW:HIGH` (rad/s) of --band; BadInputError unless 0 < LOW < HIGH."""
     low, _, high = text.partition(':')
     try:
         band = (float(low), float(high))
@@ -105,11 +105,11 @@ def parse_band(text: str) -> tuple[float, float]:
 def design_excitation(
     low_rad_s: float, high_rad_s: float, sample_rate_hz: float = 250.0
 ) -> Design:
-    """Design for a band in rad/s; raises BadInputError where rate and band do not go together.
+    """Design for a band in rad/s. BadInputError where the sample rate is too low for it.
 
-    Eq. (10): 0.3 / clock = 1 / (2 pi tau_min), tau_min = 1 / high, rounded down to whole samples
-    so that the band is covered; eq. (9): N * clock = 3 to 5 tau_max, tau_max = 1 / low, by the
-    register of whole bits that comes nearest to 4.
+    Eq. (10): 0.3 / clock = 1 / (2 pi tau_min) with tau_min = 1 / high, rounded down to whole
+    samples so that the band is covered. Eq. (9): N * clock = 3 to 5 tau_max, tau_max = 1 / low, by
+    the register length that comes nearest to 4.
     """
     if not 0.0 < low_rad_s < high_rad_s < math.inf:
         raise BadInputError(
@@ -139,7 +139,7 @@ def design_excitation(
 
 
 def _lines(d: Design) -> list[str]:
-    """Words of a design."""
+    """Lines of the explanation."""
     tau_min, tau_max = 1.0 / d.high_rad_s, 1.0 / d.low_rad_s
     exact = 0.3 * 2.0 * math.pi * tau_min
     first, top = d.covered_rad_s

@@ -1,7 +1,7 @@
-"""When an excitation must end: limits of angle, link, battery, and the pilot's will.
+"""When an excitation must end: limits of angle, link, battery and sticks.
 
-Pure: readings in, a reason out. What happens then is player.py's business. Below stands a clock
-that leaves out when the node itself stood still.
+Pure: readings in, a reason out; player.py acts on it. Below is a clock that leaves out the times
+in which the node itself did not run.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ class Limits:
     """What ends an excitation. Angles in rad, times in s, sticks and switches in -1..1."""
 
     mount: str = 'rig'
-    """`rig`: any stick ends it (the throttle not); `hover`: the sticks are the pilot's to use, and
-    only a deflection beyond `hover_deflection` ends it."""
+    """`rig`: any stick but the throttle ends it; `hover`: only a deflection beyond
+    `hover_deflection`."""
     angle_rad: float = math.radians(25.0)
     imu_stale_s: float = 0.2
     rc_stale_s: float = 1.0
-    """Counts once a receiver has been heard."""
+    """Applies once a receiver has been heard."""
     battery_min_v: float = 0.0
     """0: not checked."""
     stick_dead_band: float = 0.1
@@ -35,14 +35,14 @@ class Limits:
 
 @dataclass(frozen=True)
 class Readings:
-    """What the guard sees at one moment; None where nothing has been received."""
+    """The guard's inputs at one moment; None where nothing was received."""
 
     imu_age_s: float | None = None
     angles: Vector | None = None
     """Roll, pitch, yaw, rad; NaN where not measured."""
     rc_age_s: float | None = None
     sticks: Vector | None = None
-    """Roll, pitch, yaw."""
+    """Roll, pitch, yaw, -1..1."""
     abort_switch: float | None = None
     failsafe: bool = False
     battery_v: float | None = None
@@ -51,14 +51,14 @@ class Readings:
 
 @dataclass(frozen=True)
 class Abort:
-    """Why an excitation ends, and whether without a ramp."""
+    """Why an excitation ends; `immediate`: without a ramp."""
 
     reason: str
     immediate: bool = False
 
 
 def check(limits: Limits, readings: Readings, axis: str, yaw_start: float = 0.0) -> Abort | None:
-    """The first reason to end the excitation of `axis`, the gravest first; None: go on.
+    """The gravest reason to end the excitation of `axis`; None: continue.
 
     Yaw counts against `yaw_start` (rad) and only while it is the excited axis.
     """
@@ -124,28 +124,28 @@ def _battery(limits: Limits, readings: Readings) -> Abort | None:
 
 
 STALL_S = 0.05
-"""Between two ticks: more than this and the node stood still."""
+"""Time between two ticks above which the node counts as stalled."""
 LONGEST_S = 1.0
-"""So much standstill is left out, in one piece or several; what is awake earns it back, second by
-second. A longer one is left out by nothing: nobody watched the aircraft."""
+"""Most stalled time that is left out, in one piece or several; running time restores it second by
+second. A longer stall counts as age, because nothing watched the aircraft."""
 
 
 class Stall:
-    """Watches the times of a node's own ticks; a clock that leaves its standstills out."""
+    """A clock that leaves out the stalls of the node, seen from the times of its ticks."""
 
     def __init__(self) -> None:
         self._last: float | None = None
         self._left_out_s = 0.0
         self._allowed_s = LONGEST_S
         self.stood_still_s = 0.0
-        """Length of the standstill before the last tick, 0 where there was none."""
+        """Length of the stall before the last tick, s; 0: none."""
 
     def begin(self, now_s: float) -> None:
-        """Watch from `now_s` on, which is before the first tick; forget the ticks so far."""
+        """Start at `now_s`, before the first tick, and forget earlier ticks."""
         self._last, self.stood_still_s, self._allowed_s = now_s, 0.0, LONGEST_S
 
     def tick(self, now_s: float) -> None:
-        """Take note of a tick, before ages are judged in it."""
+        """Register a tick, before ages are judged in it."""
         gap = 0.0 if self._last is None else now_s - self._last
         self._last = now_s
         self.stood_still_s = gap if gap > STALL_S else 0.0
@@ -156,5 +156,5 @@ class Stall:
             self._left_out_s += gap
 
     def awake_s(self, now_s: float) -> float:
-        """`now_s` (s) without the standstills so far: stamp by it what arrives, age it by it."""
+        """`now_s` (s) less the stalls so far; use it for arrival times and for ages."""
         return now_s - self._left_out_s

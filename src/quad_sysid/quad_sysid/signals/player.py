@@ -1,6 +1,6 @@
-"""Plays a schedule under the guard's eyes: states, ramps, announcements, progress.
+"""Plays a schedule under the guard: states, ramps, announcements, progress.
 
-Pure: times and readings in, set-points and announcements out; publishing is the node's business.
+Pure: times and readings in, set-points and announcements out; the node publishes them.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ from quad_sysid.signals.guard import Limits, Readings, Vector, check
 from quad_sysid.signals.schedule import Schedule
 
 TINY_S = 1e-9
-"""So that rounding does not leave a part unfinished."""
+"""Tolerance for rounding at the end of a part."""
 ZERO: Vector = (0.0, 0.0, 0.0)
 Announcement = Mapping[str, float | int | str]
 
 
 class State(Enum):
-    """What the player does."""
+    """State of the player."""
 
     READY = 'ready'
     RUNNING = 'running'
@@ -31,14 +31,14 @@ class State(Enum):
 
 @dataclass(frozen=True)
 class Tick:
-    """What is to be published now; None: nothing."""
+    """What to publish now; None: nothing."""
 
     setpoint: Vector | None = None
     announcement: Announcement | None = None
 
 
 class Player:
-    """One schedule, played from `start` to its end or its abort, any number of times."""
+    """Plays one schedule from `start` to its end or abort, any number of times."""
 
     def __init__(self, schedule: Schedule, limits: Limits, ramp_out_s: float = 0.5) -> None:
         self.schedule = schedule
@@ -52,13 +52,13 @@ class Player:
         self._last: Vector = ZERO
         self._yaw_start = 0.0
         self._skipped = 0.0
-        """Time of the schedule that was left out, s."""
+        """Part of the schedule's time that was skipped, s."""
         self._enough: tuple[int, float] | None = None
-        """Part that ends early, and since when."""
+        """Part that ends early, and since which time."""
 
     @property
     def active(self) -> bool:
-        """Whether ticks are to come."""
+        """Whether it needs further ticks."""
         return self.state in (State.RUNNING, State.ENDING)
 
     @property
@@ -72,9 +72,9 @@ class Player:
         return self._index if self.active else None
 
     def start(self, now_s: float, readings: Readings) -> str:
-        """Begin at `now_s`; the reason where that is refused, else empty."""
+        """Begin at `now_s`; returns the reason of a refusal, or an empty text."""
         if self.active:
-            return 'it is running already'
+            return 'the schedule is already running'
         yaw = readings.angles[2] if readings.angles is not None else 0.0
         abort = check(self.limits, readings, self.schedule.parts[0].axis, yaw)
         if abort is not None:
@@ -91,9 +91,9 @@ class Player:
             self.state, self.reason, self._ended = State.ENDING, reason, now_s
 
     def enough(self, now_s: float) -> bool:
-        """End the running training segment early, with its own ramp; whether there is one to end.
+        """End the running training segment early, with its ramp; False where there is none.
 
-        The next segment begins, and is announced, when the ramp is over: that is its true end.
+        The next segment begins, and is announced, when the ramp is over.
         """
         if self.state is not State.RUNNING or self._index is None or self._enough is not None:
             return False
@@ -105,14 +105,14 @@ class Player:
         return True
 
     def _schedule_s(self, now_s: float) -> float:
-        """Time into the schedule, what was left out included."""
+        """Time into the schedule, skipped time included."""
         return now_s - self._began + self._skipped
 
     def _end_s(self, index: int) -> float:
         return self.schedule.starts_s[index] + self.schedule.parts[index].duration_s
 
     def _early(self, now_s: float) -> float:
-        """What is left of the amplitude of a part that ends early; goes on where nothing is."""
+        """Share of the amplitude left in a part that ends early; at 0 the next part begins."""
         if self._enough is None:
             return 1.0
         index, since = self._enough
@@ -166,7 +166,7 @@ class Player:
         return Tick((share * roll, share * pitch, share * yaw))
 
     def _finish(self, state: State, reason: str) -> Tick:
-        """Zero, and say that nothing is excited any more."""
+        """Set-point zero, and the announcement that the excitation has ended."""
         part = self.schedule.parts[self._index or 0]
         self.state, self.reason = state, reason
         running = self._last != ZERO

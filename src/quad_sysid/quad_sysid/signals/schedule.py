@@ -1,7 +1,7 @@
 """The schedule of a flight: timed parts, one axis each, and the excitation at any time.
 
-Pure: a mapping (from YAML) in, a frozen Schedule out. Unknown keys are errors. Reading the file is
-schedule_file.py's business; what ends a flight early is guard.py's.
+Pure: a mapping (from YAML) in, a frozen Schedule out. Unknown keys are errors. schedule_file.py
+reads the file; guard.py ends a flight early.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ AMPLITUDES: dict[str, tuple[str, float, float, float]] = {
     'rate': ('amplitude_deg_s', DEGREE, 30.0, 200.0),
     'control': ('amplitude', 1.0, 0.03, 0.2),
 }
-"""Injection → key of the amplitude, its unit, default and limit (paper: |angle| at most 20°)."""
+"""Injection → key of the amplitude, its unit in SI, default and limit (paper: 20° at most)."""
 
 PART_KEYS = ('segment', 'duration_s', 'signal', 'axis', 'injection', 'ramp_s')
 
@@ -69,7 +69,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Schedule:
-    """Parts in their order."""
+    """Parts in order of time."""
 
     parts: tuple[Part, ...]
     mount: str = 'rig'
@@ -77,17 +77,17 @@ class Schedule:
 
     @property
     def starts_s(self) -> tuple[float, ...]:
-        """Start of each part."""
+        """Start of each part, s."""
         return (0.0, *accumulate(part.duration_s for part in self.parts[:-1]))
 
     @property
     def duration_s(self) -> float:
-        """Length of the whole."""
+        """Length of the schedule, s."""
         return sum(part.duration_s for part in self.parts)
 
     @property
     def training_s(self) -> float:
-        """Longest training segment of an axis, of all axes the shortest such; 0 without one."""
+        """Longest training segment of each axis, and of these the shortest, s; 0 without any."""
         longest: dict[str, float] = {}
         for part in self.parts:
             if part.role == 'train':
@@ -95,13 +95,13 @@ class Schedule:
         return min(longest.values(), default=0.0)
 
     def index(self, time_s: float) -> int | None:
-        """Which part runs at `time_s`; None before the start and after the end."""
+        """Index of the part at `time_s`; None before the start and after the end."""
         if not 0.0 <= time_s < self.duration_s:
             return None
         return sum(1 for start in self.starts_s if start <= time_s) - 1
 
     def scaled(self, factor: float) -> Schedule:
-        """Make the same schedule with all amplitudes times `factor`."""
+        """The same schedule with all amplitudes times `factor`."""
         parts = tuple(replace(part, amplitude=factor * part.amplitude) for part in self.parts)
         return replace(self, parts=parts)
 
@@ -170,7 +170,7 @@ def _part(entry: object, where: str, ramp_s: float) -> Part:
 def _choice(
     entry: Mapping[str, object], key: str, default: str, allowed: Sequence[str], where: str
 ) -> str:
-    """One of a few words."""
+    """A value that must be one of `allowed`."""
     value = entry.get(key, default)
     if value not in allowed:
         raise BadInputError(where, f'{key} is unknown', repr(value), f'use {", ".join(allowed)}')

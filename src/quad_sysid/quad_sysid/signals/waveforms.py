@@ -26,10 +26,10 @@ TAPS: dict[int, tuple[int, ...]] = {
 
 
 def prbs_bits(register_bits: int, seed: int = 1) -> FloatArray:
-    """One period (2^n - 1,) of ±1; `seed` picks the register's first state, the rest follows.
+    """One period (2^n - 1,) of ±1; `seed` selects the register's first state.
 
-    Sequences of one register with other seeds are shifts of each other; take another number of
-    bits where two records must not repeat. Raises BadInputError outside 2..15 bits.
+    Other seeds only shift the sequence of a register; use another number of bits where two records
+    must differ. Raises BadInputError outside 2..15 bits.
     """
     if register_bits not in TAPS:
         raise BadInputError(
@@ -99,7 +99,7 @@ class Square:
 
 @dataclass(frozen=True)
 class Chirp:
-    """Sine whose frequency grows exponentially from f0 to f1 over sweep_s, then anew."""
+    """Sine whose frequency grows exponentially from f0 to f1 over sweep_s, repeated."""
 
     f0_hz: float
     f1_hz: float
@@ -150,7 +150,7 @@ class Multisine:
 
 @dataclass(frozen=True)
 class Step3211:
-    """3-2-1-1: levels held for 3, 2, 1, 1 units, then 3 units of rest, then with turned sign.
+    """3-2-1-1: levels held for 3, 2, 1, 1 units, 3 units of rest, then with the opposite sign.
 
     Source: Jategaonkar, Flight Vehicle System Identification, section 2.3.
     """
@@ -187,7 +187,7 @@ WHOLE = {'register_bits', 'seed'}
 
 
 def waveform(name: str, parameters: Mapping[str, object], where: str) -> Waveform:
-    """Build a signal by name; raises BadInputError at `where` for what it does not take."""
+    """Build a signal by name; raises BadInputError, naming `where`, for wrong parameters."""
     if name not in SIGNALS:
         raise BadInputError(where, 'signal is unknown', repr(name), f'use {", ".join(SIGNALS)}')
     kind = SIGNALS[name]
@@ -211,7 +211,7 @@ def waveform(name: str, parameters: Mapping[str, object], where: str) -> Wavefor
 
 
 def _number(value: object, key: str, where: str) -> float | int:
-    """Check a positive number, whole where the parameter counts something."""
+    """`value` as a positive number, an integer for keys in WHOLE."""
     whole = key in WHOLE
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
         raise BadInputError(where, f'{key} must be a number', repr(value))
@@ -221,5 +221,5 @@ def _number(value: object, key: str, where: str) -> float | int:
 
 
 def parameter_names(name: str) -> tuple[str, ...]:
-    """Parameters of a signal."""
+    """Names of a signal's parameters."""
     return tuple(f.name for f in fields(SIGNALS[name]))  # type: ignore[arg-type]
