@@ -15,7 +15,7 @@ ARGS ?=
 # one worker more than there are cores: tests of nodes wait more than they compute
 PYTEST := $(RUN) exec python -m pytest --timeout 600 -n $$(($(shell nproc) + 1)) --dist loadgroup
 
-.PHONY: help demo qemu pictures test test-long build lint format firmware-table bench bench-effects bench-log bench-tuning bench-watch bench-link bench-effects-speed bench-likelihood wheel docs lock shell clean
+.PHONY: help demo qemu pictures test test-qemu test-long build lint format firmware-table bench bench-effects bench-log bench-tuning bench-watch bench-link bench-effects-speed bench-likelihood wheel docs lock shell clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-19s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -38,8 +38,11 @@ pictures:  ## renew the pictures of README and docs from the last demo_out/
 	@cp demo_out/report/pictures/roll_effect_shape.png docs/images/missing_torque.png
 	@ls -l docs/images/*.png
 
-test: build  ## all tests but the long ones, one more at once than there are cores
+test: build  ## all tests but those below, one more at once than there are cores
 	@$(PYTEST) $(ARGS)
+
+test-qemu: build  ## the STM32's ELF in QEMU: gains under faults, and the whole loop (two minutes)
+	@$(PYTEST) -m qemu $(ARGS)
 
 test-long: build  ## soaks, studies and sweeps alone (an hour or more)
 	@$(PYTEST) -m long $(ARGS)

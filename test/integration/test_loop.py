@@ -2,7 +2,7 @@
 
 The effect comes from a file that the test writes; the twin, in which nothing may be found, is in
 test_nodes_go_on.py. It flies in lockstep: every cycle is in the bag, however busy the machine is.
-Where QEMU and the cross compiler are installed, the ELF of the STM32 flies, else the Linux build.
+The firmware built for Linux flies, and with `make test-qemu` the ELF of the STM32.
 """
 
 from __future__ import annotations
@@ -60,11 +60,14 @@ schedule:
 """
 
 
-@pytest.fixture
-def emulated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> bool:
+@pytest.fixture(params=[False, pytest.param(True, marks=pytest.mark.qemu)], ids=['linux', 'stm32'])
+def emulated(request, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> bool:
     """Whether the STM32's ELF flies in QEMU; then it is built."""
-    if any(shutil.which(tool) is None for tool in ('qemu-system-arm', 'arm-none-eabi-gcc')):
+    if not request.param:
         return False
+    for tool in ('qemu-system-arm', 'arm-none-eabi-gcc'):
+        if shutil.which(tool) is None:
+            pytest.skip(f'not installed: {tool}')
     built, source = tmp_path / 'elf', Path(__file__).resolve().parents[2] / 'firmware'
     command = ['make', '-s', '-C', source, f'BUILD={built}', f'PYTHON={sys.executable}']
     subprocess.run([*command, built / 'stm32f405.elf'], check=True)

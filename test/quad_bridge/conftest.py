@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import fcntl
+import os
 import shutil
 import subprocess
 import sys
@@ -153,15 +155,19 @@ def firmware(tmp_path_factory):
     missing = [tool for tool in ('gcc', 'make') if shutil.which(tool) is None]
     if missing:
         pytest.skip(f'no {missing[0]} here')
-    folder = tmp_path_factory.mktemp('firmware')
+    base = tmp_path_factory.getbasetemp()
+    folder = (base.parent if 'PYTEST_XDIST_WORKER' in os.environ else base) / 'firmware'
+    folder.mkdir(exist_ok=True)
 
     def build(target):
         source = Path(__file__).resolve().parents[2] / 'firmware'
-        made = subprocess.run(
-            ['make', '-s', '-C', source, f'BUILD={folder}', f'PYTHON={sys.executable}',
-             str(folder / target)],
-            capture_output=True, text=True, timeout=300, check=False,
-        )  # fmt: skip
+        with (folder / 'lock').open('w') as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)  # one of pytest's workers builds for all
+            made = subprocess.run(
+                ['make', '-s', '-C', source, f'BUILD={folder}', f'PYTHON={sys.executable}',
+                 str(folder / target)],
+                capture_output=True, text=True, timeout=600, check=False,
+            )  # fmt: skip
         assert made.returncode == 0, made.stdout + made.stderr
         assert made.stderr == ''
         return folder / target

@@ -20,7 +20,10 @@ from quad_bridge.wire import frames as f
 from quad_bridge.wire.codec import Encoder
 
 MISSING = [name for name in (EMULATOR, 'arm-none-eabi-gcc') if shutil.which(name) is None]
-pytestmark = pytest.mark.skipif(bool(MISSING), reason=f'not installed: {", ".join(MISSING)}')
+pytestmark = [
+    pytest.mark.qemu,
+    pytest.mark.skipif(bool(MISSING), reason=f'not installed: {", ".join(MISSING)}'),
+]
 FLASH_BYTES, RAM_BYTES = 768 * 1024, 128 * 1024
 KP, OLD, NEW = 'roll.rate.kp', pytest.approx(0.07448451), pytest.approx(0.1)
 EXACT = ('-icount', 'shift=3,sleep=off')
