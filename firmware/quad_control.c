@@ -72,11 +72,12 @@ static float state_feedback(quad_feedback *own, const float *set, size_t axis, f
     const float share = drive_share(set, axis, period_s);
     const float gain = quad_of_axis(set, axis, QUAD_LQR_GAIN);
     const float damping = quad_of_axis(set, axis, QUAD_LQR_DAMPING);
+    const float k_integral = quad_of_axis(set, axis, QUAD_LQR_K_INTEGRAL);
     float drive = own->drive, speed = own->rate, total = own->integral;
     for (size_t late = cycles_late(set, axis, period_s); late > 0; late--) {
         const float then = drive + share * (gain * own->commands[late - 1] - drive);
         const float after = speed + period_s * (0.5f * (drive + then) - damping * speed);
-        total += period_s * error;
+        total += k_integral * period_s * error;
         error -= 0.5f * period_s * (speed + after);
         drive = then;
         speed = after;
@@ -85,18 +86,17 @@ static float state_feedback(quad_feedback *own, const float *set, size_t axis, f
     /* the same limit of the rate that is asked for as the cascade's */
     const float pull = clip(quad_of_axis(set, axis, QUAD_LQR_K_ANGLE) * error,
                             quad_of_axis(set, axis, QUAD_ANGLE_RATE_LIMIT) * k_rate);
-    return pull - k_rate * speed - quad_of_axis(set, axis, QUAD_LQR_K_DRIVE) * drive +
-           quad_of_axis(set, axis, QUAD_LQR_K_INTEGRAL) * total;
+    return pull - k_rate * speed - quad_of_axis(set, axis, QUAD_LQR_K_DRIVE) * drive + total;
 }
 
 /* Take over what was commanded; `held`: the integral stays, the output was at its limit. */
 static void feedback_moved(quad_feedback *own, const float *set, size_t axis, float period_s,
                            float error, float command, bool held)
 {
-    const float k_integral = quad_of_axis(set, axis, QUAD_LQR_K_INTEGRAL);
-    if (!held && k_integral > 0.0f) {
-        own->integral = clip(own->integral + period_s * error,
-                             quad_of_axis(set, axis, QUAD_RATE_INTEGRATOR_LIMIT) / k_integral);
+    if (!held) {
+        own->integral =
+            clip(own->integral + quad_of_axis(set, axis, QUAD_LQR_K_INTEGRAL) * period_s * error,
+                 quad_of_axis(set, axis, QUAD_RATE_INTEGRATOR_LIMIT));
     }
     memmove(&own->commands[1], &own->commands[0], QUAD_LONGEST_DELAY * sizeof(float));
     own->commands[0] = command;
@@ -116,9 +116,11 @@ static float blended(quad_control *c, const quad_cycle *r, size_t axis, float pe
     quad_feedback *own = &c->feedback[axis];
     const float *set = r->gains;
     const float share = quad_of_axis(set, axis, QUAD_LQR_SHARE);
-    const float k_integral = quad_of_axis(set, axis, QUAD_LQR_K_INTEGRAL);
-    if (share <= 0.0f && k_integral > 0.0f) {
-        own->integral = c->integral[axis] / k_integral;
+    if (share <= 0.0f) {
+        own->integral = c->integral[axis];
+    }
+    if (!(quad_of_axis(set, axis, QUAD_LQR_K_INTEGRAL) > 0.0f)) {
+        own->integral = 0.0f; /* nothing would ever change it */
     }
     const float raw = state_feedback(own, set, axis, period_s, error, r->gyro[axis]) +
                       quad_of_axis(set, axis, QUAD_LQR_K_RATE) * extra;
@@ -126,8 +128,7 @@ static float blended(quad_control *c, const quad_cycle *r, size_t axis, float pe
         return u;
     }
     /* two integrals of the same error would drift apart */
-    c->integral[axis] =
-        clip(k_integral * own->integral, quad_of_axis(set, axis, QUAD_RATE_INTEGRATOR_LIMIT));
+    c->integral[axis] = own->integral;
     return clip(share * raw + (1.0f - share) * u, quad_of_axis(set, axis, QUAD_RATE_OUTPUT_LIMIT));
 }
 
@@ -167,6 +168,8 @@ static void fly_axis(quad_control *c, quad_cycle *r, size_t i, float period_s)
     const bool followed = quad_of_axis(set, i, QUAD_LQR_GAIN) > 0.0f;
     if (followed) {
         u = blended(c, r, i, period_s, u, error, extra);
+    } else {
+        c->feedback[i].integral = c->integral[i]; /* it begins where the cascade is */
     }
     const bool held = fabsf(u) >= quad_of_axis(set, i, QUAD_RATE_OUTPUT_LIMIT);
     const float on_top = added(r, QUAD_INJECTION_CONTROL, i);

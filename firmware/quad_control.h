@@ -24,7 +24,7 @@
 #define QUAD_LONGEST_DELAY 15 /* cycles, of the state feedback's model */
 
 typedef struct {
-    float drive, rate, integral; /* rad/s^2, rad/s, rad s */
+    float drive, rate, integral; /* rad/s^2, rad/s; of the command, so no gain divides it */
     float commands[QUAD_LONGEST_DELAY + 1]; /* newest first */
 } quad_feedback;
 

@@ -74,13 +74,17 @@ def test_the_firmware_forms_the_command_that_the_design_has_analysed(profile, pr
 
 
 def test_it_comes_in_by_quarters_and_goes_out_without_a_jump(profile, proposal):
-    """At rest under a standing torque no change of the share moves the angle by half a degree."""
+    """At rest under a standing torque no change of the share moves the angle by half a degree.
+
+    Nor does an integral's gain that is hardly one, with which the feedback has run along.
+    """
     quiet = without_noise(profile)
     aircraft = Aircraft(quiet, seed=1)
     given = inputs(aircraft, [], 750)
     aircraft.run(inputs(aircraft, [], 5000))
-    for share in (0.25, 0.5, 1.0, 0.5, 0.25, 0.0):
-        aircraft.set_gains({**proposal.gains, 'roll.lqr.share': share})
+    hardly = {'roll.lqr.share': 0.0, 'roll.lqr.k_integral': 1e-44}
+    for change in (hardly, *({'roll.lqr.share': s} for s in (0.25, 0.5, 1.0, 0.5, 0.25, 0.0))):
+        aircraft.set_gains({**proposal.gains, **change})
         angle = aircraft.run(given)[:, COLUMNS['true_angles']][:, 0]
         assert np.degrees(np.abs(angle)).max() < 0.5
 
