@@ -86,9 +86,11 @@ def _predictions(text: str) -> dict[str, Predicted]:
     """Of JSON such as `{"roll.peak": 1.2, "roll.rate_rms_ratio": 0.9}`."""
     try:
         said = json.loads(text)
-        pairs = numbers(dict(said))
-    except (ValueError, TypeError, RecursionError) as error:
+        pairs = numbers(said) if isinstance(said, dict) else None
+    except (ValueError, RecursionError) as error:
         raise RefusedError(f'predicted: must be a JSON object of numbers: {error}') from error
+    if pairs is None:
+        raise RefusedError(f'predicted: must be a JSON object: found {shorten(text)}')
     values: dict[str, dict[str, float]] = {}
     known = {f.name for f in fields(Predicted)}
     for name, value in pairs.items():
