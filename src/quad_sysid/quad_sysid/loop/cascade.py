@@ -3,9 +3,9 @@
     rate reference = kp_angle (angle reference - angle), limited
     u = kp e + ki sum(e) dt - kd D(rate), e = rate reference - rate, limited
 
-D is the measured rate's difference behind a first-order filter, both sums as the firmware forms
-them once a cycle. The loop is broken at u, the control input. Linear only: limits, curves and
-time stand in simulation.py.
+D is the difference of the measured rate after a first-order filter; sum and difference are formed
+once per cycle, as in the firmware. The loop is broken at u, the control input. Linear only:
+simulation.py has limits, curves and time.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from quad_sysid.errors import BadInputError
 from quad_sysid.loop.plant import ComplexArray, Step
 
 FIRMWARE_UNIT = np.degrees(1.0) / 1000.0
-"""Normalised command per rad/s, in one firmware unit (µs of motor pulse per deg/s)."""
+"""One firmware unit of gain (µs of motor pulse per deg/s) in normalised command per rad/s."""
 
 CONTRACT_NAMES = {
     'angle_kp': 'angle.kp',
@@ -32,13 +32,13 @@ CONTRACT_NAMES = {
     'integrator_limit': 'rate.integrator_limit',
     'rate_limit': 'angle.rate_limit',
 }
-"""Field of CascadeGains to the contract's name behind the axis."""
+"""Field of CascadeGains → the contract's name after `<axis>.`."""
 
 Dynamics = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
-"""Discrete (a, b, c, d) of a controller from (measured rate, angle) to u, reference 0."""
+"""Discrete (a, b, c, d) of a controller from (measured rate, angle) to u at reference 0."""
 
 TUNED = ('angle_kp', 'rate_kp', 'rate_ki', 'rate_kd')
-"""What a designer may change; the rest are constants of the firmware."""
+"""Gains that a designer may change; the others are constants of the firmware."""
 
 
 @dataclass(frozen=True)
@@ -48,18 +48,18 @@ class CascadeGains:
     angle_kp: float
     """1/s."""
     rate_kp: float
-    """Normalised command per rad/s."""
+    """Normalised command per rad/s of rate error."""
     rate_ki: float
-    """Per s more."""
+    """Normalised command per rad."""
     rate_kd: float
-    """Times s."""
+    """Normalised command per rad/s²."""
     d_filter_hz: float = 30.0
     output_limit: float = 0.3
-    """Of u, normalised command."""
+    """Limit of u, normalised command."""
     rate_limit: float = 4.0
-    """Of the rate reference, rad/s."""
+    """Limit of the rate reference, rad/s."""
     integrator_limit: float = 0.1
-    """Of the integral part of u, normalised command."""
+    """Limit of the integral part of u, normalised command."""
 
     def __post_init__(self) -> None:
         """Check that all are finite and the constants positive; raises BadInputError."""
@@ -74,7 +74,7 @@ class CascadeGains:
 
     @classmethod
     def default(cls, axis: str) -> CascadeGains:
-        """The paper's start values, for yaw those of the contract."""
+        """The paper's start values; for yaw the contract's."""
         if axis not in AXES:
             raise BadInputError('gains', f'axis must be of {", ".join(AXES)}', axis)
         if axis == 'yaw':
@@ -83,7 +83,7 @@ class CascadeGains:
 
     @classmethod
     def from_mapping(cls, values: Mapping[str, float], axis: str) -> CascadeGains:
-        """From the contract's names (`roll.angle.kp`, ...); what is missing has its default."""
+        """Gains by the contract's names (`roll.angle.kp`, …); missing ones have their defaults."""
         start = cls.default(axis)
         return cls(
             **{
@@ -93,7 +93,7 @@ class CascadeGains:
         )
 
     def to_mapping(self, axis: str, *, constants: bool = False) -> dict[str, float]:
-        """The contract's names and values; with `constants` the filter and limits as well."""
+        """The contract's names and values; with `constants` filter and limits too."""
         return {
             f'{axis}.{name}': float(getattr(self, field))
             for field, name in CONTRACT_NAMES.items()
@@ -102,7 +102,7 @@ class CascadeGains:
 
 
     def dynamics(self, dt: float) -> Dynamics:
-        """The cascade as the firmware forms it, as a linear controller.
+        """The linear controller that the firmware computes with these gains.
 
         States: integral, last rate, D part.
         """
@@ -144,7 +144,7 @@ def open_loop(
 def reference_response(
     gains: CascadeGains, plant: ComplexArray, omega: FloatArray, dt: float
 ) -> ComplexArray:
-    """(p, f) from the angle reference to the measured angle."""
+    """(p, f) response of the measured angle to the angle reference."""
     proportional, _ = controller_response(gains, omega, dt)
     loop = open_loop(gains, plant, omega, dt)
     return np.asarray(plant[1] * gains.angle_kp * proportional / (1.0 + loop))
@@ -153,7 +153,7 @@ def reference_response(
 def noise_response(
     gains: CascadeGains, plant: ComplexArray, omega: FloatArray, dt: float
 ) -> ComplexArray:
-    """(p, f) from noise on the measured rate to the control."""
+    """(p, f) response of the control to noise on the measured rate."""
     proportional, derivative = controller_response(gains, omega, dt)
     loop = open_loop(gains, plant, omega, dt)
     return np.asarray(-(proportional + derivative) / (1.0 + loop))
@@ -168,8 +168,8 @@ def frequency_grid(dt: float, points: int = 240, lowest_rad_s: float = 0.1) -> F
 class Margins:
     """Margins of p loops, (p,) each; only meaningful where the closed loop is stable.
 
-    Where |L| or its phase crosses several times the smallest margin counts, gain margins that
-    forbid a lower gain as well. No crossing: infinite margin, crossover NaN.
+    The smallest margin counts if |L| or its phase crosses several times, gain reduction margins
+    included. Without a crossing the margin is infinite, the crossover NaN.
     """
 
     phase_margin_deg: FloatArray
@@ -220,7 +220,7 @@ def bandwidth(response: ComplexArray, omega: FloatArray) -> FloatArray:
 def closed_loop_radius(controller: Dynamics, cycle: Step) -> FloatArray:
     """(p,) largest absolute eigenvalue of the linear closed loop; stable below 1.
 
-    State: plant, the commands that are under way, the controller's own.
+    The states are those of the plant, the commands in the delay, and the controller's.
     """
     ca, cb, cc, cd = controller
     p, n = cycle.phi.shape[:2]

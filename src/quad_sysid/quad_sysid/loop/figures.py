@@ -15,28 +15,28 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError, NotInformativeError
 
 SETTLED_BAND = 0.05
-"""Settled: inside this share of the step around the final value for good."""
+"""Settled: remaining within this share of the step around the final value."""
 EDGE_SHARE = 0.25
-"""A change of the reference within one sample by this share of its range is an edge."""
+"""Share of its range by which the reference changes within one sample at an edge."""
 
 
 @dataclass(frozen=True)
 class StepFigures:
-    """What a step response shows; times in s, NaN where it never gets there."""
+    """Figures of a step response; NaN where a level is never reached."""
 
     rise_time_s: float
-    """From 10 to 90 % of the way to the settled value."""
+    """From 10 to 90 % of the settled value."""
     overshoot_pct: float
-    """Beyond the settled value, of the way there; 0 where none."""
+    """Overshoot beyond the settled value, % of it; 0 without any."""
     settling_time_s: float
-    """After which it stays within 5 % of the step around the settled value."""
+    """Time after which it stays within 5 % of the step around the settled value."""
     final_error_pct: float
-    """Settled value short of the reference, of the step."""
+    """Reference minus settled value, % of the step."""
 
 
 @dataclass(frozen=True)
 class SquareFigures(StepFigures):
-    """A square wave: the figures of its mean step, and the error over all of it."""
+    """Figures of a square wave: its mean step, and the error over the whole."""
 
     rms_error_rad: float
     """RMS of reference minus angle."""
@@ -46,10 +46,10 @@ class SquareFigures(StepFigures):
 
 
 def step_figures(response: npt.ArrayLike, dt: float) -> StepFigures:
-    """Figures of a response (n,) that starts at 0 with the step and is scaled by it (1 reached).
+    """Figures of a response (n,) to a unit step at its first sample, from 0.
 
-    The settled value is the mean of the last fifth. Raises BadInputError where it is not (n,)
-    with n >= 10 finite values.
+    The settled value is the mean of the last fifth. Raises BadInputError unless the response has
+    n >= 10 finite values.
     """
     y = _finite(response, 'response')
     if y.size < 10:
@@ -73,8 +73,8 @@ def step_figures(response: npt.ArrayLike, dt: float) -> StepFigures:
 def square_figures(reference: npt.ArrayLike, angle: npt.ArrayLike, dt: float) -> SquareFigures:
     """Figures of a square wave from its reference and response, (n,) each, rad.
 
-    Samples where either is NaN are left out of the error; an edge whose stretch holds one is not
-    averaged. Raises NotInformativeError where no edge with a whole stretch behind it is found.
+    Samples where either is NaN do not count in the error, nor edges followed by one in the mean
+    step. Raises NotInformativeError without any edge that is followed by a whole stretch.
     """
     r = np.asarray(reference, dtype=float)
     y = np.asarray(angle, dtype=float)
@@ -111,7 +111,7 @@ def square_wave(amplitude: float, half_period_s: float, periods: int, dt: float)
 def _edge_responses(
     r: FloatArray, y: FloatArray, good: npt.NDArray[np.bool_]
 ) -> tuple[list[FloatArray], list[float]]:
-    """Responses behind each edge, scaled by its step and cut to the common length."""
+    """Responses after each edge, divided by its step and cut to a common length."""
     jump = np.abs(np.diff(r, prepend=r[0]))
     jump[~np.isfinite(jump)] = 0.0
     spread = float(np.ptp(r[good]))

@@ -1,9 +1,9 @@
-"""From the identified AxisModel to the LoopPlant: the effects' own physics, put into tables.
+"""From the identified AxisModel to the LoopPlant: the effects' physics as tables.
 
-`torque` on a table of rate, angle or command gives curves, factors, damping and bias; `command` a
-curve of the command; `actuate` on a small step shares of the drive with their lags; `dynamics` a
-second lag or a mode. What follows other axes, a phase or a past that is not linear has no place in
-one axis' loop and is named in `not_in_the_loop`.
+An effect's `torque` over rate, angle or command gives curves, factors, damping and bias; its
+`command` a curve of the command; its `actuate`, for a small step, shares of the drive with their
+lags; its `dynamics` a second lag or a mode. `not_in_the_loop` names the effects that one axis'
+loop cannot hold: those of other axes, of a phase, or of a nonlinear past.
 """
 
 from __future__ import annotations
@@ -27,23 +27,23 @@ ANGLE_RANGE = 1.6
 """Half width of the angle tables, rad."""
 COMMAND_RANGE = 1.0
 STEPS = {'rate': (0.02, 0.005), 'angle': (0.01,), 'command': (0.0005,)}
-"""Steps of the tables; the second where the first does not resolve a curve."""
+"""Steps of the tables; the later one where the first does not resolve a curve."""
 RESOLVED = 1e-3
-"""Interpolation may err by this share of a curve."""
+"""Largest error of interpolation, as a share of the curve."""
 LINEAR = 1e-9
 LATE_S = 1e9
-"""After all events of the flight: what they left holds on the next one."""
+"""A time after all events of the flight: the next flight begins there."""
 HERE = {'rate', 'angle', 'command', 'throttle', 'battery', 'time', 'motors', 'history'}
-"""Signals that one axis' loop has, or that stand still in it."""
+"""Signals that one axis' loop contains or holds constant."""
 SMALL_STEP = 0.02
-"""Of the command, to see how the motors share it."""
+"""Step of the command for the motors' shares."""
 
 Function = Callable[[FloatArray], FloatArray]
 
 
 @dataclass(frozen=True)
 class Placed:
-    """An effect of a model with its parameters, as the loop has it on the next flight."""
+    """An effect of a model with its parameters (p,), as on the next flight."""
 
     part: Part
     p: FloatArray
@@ -55,12 +55,12 @@ class Placed:
 
     @property
     def dynamics(self) -> Dynamics | None:
-        """The linear dynamics of what has a memory."""
+        """Linear dynamics of an effect with memory, else None."""
         return self.effect.dynamics(self.p)
 
     @property
     def inside(self) -> bool:
-        """Whether one axis' loop holds it."""
+        """Whether one axis' loop can hold it."""
         signals = set(self.effect.signals)
         remembered = 'history' not in signals or self.dynamics is not None
         return signals <= HERE and remembered and not self.effect.phased
@@ -71,7 +71,7 @@ class Placed:
         return 'knots' in self.part.settings
 
     def torque(self, at: Mapping[str, float], n: int = 1, **moved: FloatArray) -> FloatArray:
-        """(n,) acceleration at the usual values `at`, where only `moved` is not at rest."""
+        """(n,) acceleration, rad/s², at the usual values `at`, all signals but `moved` at rest."""
         rest = np.zeros(n)
         signals: dict[str, Any] = {
             'rate': rest, 'angle': rest, 'drive': rest, 'command': rest, 'change': rest,
@@ -83,7 +83,7 @@ class Placed:
         return rest if own is None else np.broadcast_to(own, (n,))
 
     def factor(self, at: Mapping[str, float], **moved: FloatArray) -> FloatArray:
-        """What it multiplies the drive with, in small motion."""
+        """Factor on the drive in small motion."""
         n = max((x.size for x in moved.values()), default=1)
         with_drive = self.torque(at, n, drive=np.ones(n), **moved)
         out: FloatArray = 1.0 + with_drive - self.torque(at, n, **moved)
@@ -101,7 +101,7 @@ def _inside(model: AxisModel) -> list[Placed]:
 
 
 def _usual(model: AxisModel, effects: list[Placed]) -> dict[str, float]:
-    """Throttle and battery voltage around which the loop is judged."""
+    """Throttle and battery voltage (V) at which the loop is judged."""
     at = {'throttle': 0.5, 'battery': 1.0}
     for one in reversed(effects):
         at |= one.effect.usual(one.p, one.part.settings)
@@ -151,12 +151,12 @@ def loop_plant(model: AxisModel) -> LoopPlant:
 
 
 def _over(signal: str, one: Placed, at: Mapping[str, float]) -> Function:
-    """Its torque over rate or angle, less that at rest."""
+    """Its torque over rate or angle, relative to rest."""
     return lambda x: one.torque(at, x.size, **{signal: x}) - one.torque(at)
 
 
 def _passed(one: Placed, at: Mapping[str, float], gain: float) -> Function:
-    """A command with what a torque of it or of the drive adds, as a command."""
+    """Command plus an effect's torque of command or drive, expressed as a command."""
 
     def through(u: FloatArray) -> FloatArray:
         pushed = one.torque(at, u.size, drive=gain * u, command=gain * u, lagged=u)
@@ -166,7 +166,7 @@ def _passed(one: Placed, at: Mapping[str, float], gain: float) -> Function:
 
 
 def _flown(model: AxisModel, at: Mapping[str, float], command: FloatArray) -> AxisData:
-    """(n,) commands of the axis at the usual throttle, each a flight of its own."""
+    """AxisData of n commands at the usual throttle, each a stretch by itself."""
     n, index = command.size, AXES.index(model.axis)
     control = np.zeros((n, 4))
     control[:, 0], control[:, index + 1] = at['throttle'], command
@@ -181,7 +181,7 @@ def _flown(model: AxisModel, at: Mapping[str, float], command: FloatArray) -> Ax
 
 
 def _mapped(model: AxisModel, effects: list[Placed], at: Mapping[str, float]) -> Function | None:
-    """What becomes of a command on its way to the motors; None where it stays as it is."""
+    """Map of the command on its way to the motors; None where it does not change."""
     maps = [
         one for one in effects
         if type(one.effect).command is not Effect.command and one.dynamics is None
@@ -203,7 +203,7 @@ def _mapped(model: AxisModel, effects: list[Placed], at: Mapping[str, float]) ->
 def _drive(
     model: AxisModel, effects: list[Placed], at: Mapping[str, float]
 ) -> tuple[float, float, SlowMotors | None, LightMode | None]:
-    """Share of the gain in small motion, lag, motors with another lag, and a mode."""
+    """Factor on the gain in small motion, lag (s), motors with another lag, and a mode."""
     data = _flown(model, at, np.array([-SMALL_STEP, SMALL_STEP]))
     lag = np.full((1, 2), model.value('lag'))
     drive = Drive(data.command[None, :], np.ones(1), lag)
@@ -236,7 +236,7 @@ def _drive(
 
 
 def throttle_factor(model: AxisModel, share: float) -> float:
-    """What the gain is multiplied by where the throttle is `share` of the flight's mean."""
+    """Factor on the gain where the throttle is `share` times the flight's mean."""
     effects = [one for one in _inside(model) if not one.curve]
     at = _usual(model, effects)
     moved = {**at, 'throttle': share * at['throttle']}
@@ -244,16 +244,16 @@ def throttle_factor(model: AxisModel, share: float) -> float:
 
 
 def battery_factor(model: AxisModel, battery_v: float | None = None) -> float:
-    """What the gain is multiplied by at `battery_v` (None: the flight's mean), 1 without sag."""
+    """Factor on the gain at `battery_v` (V; None: the flight's mean); 1 without sag."""
     effects = [one for one in _inside(model) if not one.curve and 'battery' in one.effect.signals]
     at = _usual(model, effects) | ({'battery': battery_v} if battery_v else {})
     return float(np.prod([one.factor(at)[0] for one in effects]))
 
 
 def schedule_factor(model: AxisModel, battery_v: float | None = None) -> float:
-    """What the firmware multiplies commands by at `battery_v` (None: the flight's mean).
+    """The firmware's factor on commands at `battery_v` (V; None: the flight's mean).
 
-    Its schedule on the voltage (`<axis>.sag.*`); 1 without one.
+    From its schedule on the voltage (`<axis>.sag.*`); 1 without one.
     """
     volts = model.mean_battery_v if battery_v is None else battery_v
     exponent, reference = (
@@ -264,9 +264,9 @@ def schedule_factor(model: AxisModel, battery_v: float | None = None) -> float:
 
 
 def gain_range(model: AxisModel) -> tuple[float, float, float]:
-    """Least, usual and largest factor of the gain under curves of it; 1, 1, 1 without any.
+    """Least, usual and largest factor on the gain by its curves; 1, 1, 1 without any.
 
-    A curve of the command itself is none of these: the loop has it as a curve.
+    Curves over the command are left out: the loop simulates them.
     """
     low = usual = high = 1.0
     effects = _inside(model)
@@ -283,7 +283,7 @@ def gain_range(model: AxisModel) -> tuple[float, float, float]:
 
 
 def not_in_the_loop(model: AxisModel) -> tuple[str, ...]:
-    """Names of the model's effects that the loop plant leaves out."""
+    """Names of the effects that the loop plant leaves out."""
     return tuple(e.name for e in model.effects if not placed(model, e).inside)
 
 
@@ -297,7 +297,7 @@ def _sum(functions: list[Function], half_width: float, steps: tuple[float, ...])
 
 
 def _resolves(function: Function, half_width: float, step: float) -> bool:
-    """Whether a table of that step is near the function between its points."""
+    """Whether a table of that step interpolates the function well enough."""
     x = np.arange(-half_width, half_width, step)
     y, between = function(x), function(x[:-1] + 0.5 * step)
     away = np.max(np.abs(between - 0.5 * (y[1:] + y[:-1])), initial=0.0)

@@ -1,6 +1,6 @@
 """Compiled inner loops of the closed loop: one control cycle, the plant between two cycles.
 
-Only arithmetic on arrays; what the numbers mean stands in simulation.py.
+Only arithmetic on arrays; simulation.py says what the numbers mean.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _F = TypeVar('_F', bound=Callable[..., object])
 IntArray = npt.NDArray[np.int64]
 INTEGRAL, LAST_RATE, D_PART = 0, 1, 2
 EMPTY = 3
-"""Size of a table that stands for no curve."""
+"""Size of an empty table."""
 
 
 def kernel(function: _F) -> _F:
@@ -59,12 +59,12 @@ class Cycle(NamedTuple):
     rate_table: FloatArray
     angle_table: FloatArray
     command_table: FloatArray
-    """Tables (x0, step, y0, y1, ...); of size EMPTY: none."""
+    """Tables are (x0, step, y0, y1, …), or of size EMPTY."""
 
 
 @kernel
 def look_up(table: FloatArray, x: float) -> float:
-    """Value of a table at x, beyond its ends along the end slopes; 0 if empty."""
+    """Value of a table at x, outside it along the end slopes; 0 if empty."""
     if table.size == EMPTY:
         return 0.0
     last = table.size - 3
@@ -116,7 +116,7 @@ def run_plant(
     gains: Constants, cycle: Cycle, signals: FloatArray, state: FloatArray, out: FloatArray,
     lead: float,
 ) -> None:
-    """The cascade around the plant; `lead` in s of the measured angle over the rate's integral.
+    """The cascade around the plant; `lead`: of the measured angle over the rate's integral, s.
 
     signals (5, n): angle reference, noise of the rate, torque, rate and control excitation;
     out (4, n): angle, rate, control, rate reference. `state` ends where the run ends.

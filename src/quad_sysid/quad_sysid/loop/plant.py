@@ -4,13 +4,13 @@
     rate' = w - damping * rate + bias + f_rate(rate) + f_angle(angle)
     angle' = rate
 
-Where some motors are slower than the others their share of the drive has a lag of its own; a
-light mode in the drive adds `in_phase` z + `quadrature` z'/v, z'' + 2 d v z' + v² z = v² w.
+Motors that are slower than the others have their own lag for their share of the drive. A lightly
+damped mode adds `in_phase` z + `quadrature` z'/v to the drive, z'' + 2 d v z' + v² z = v² w.
 
 u(t) is held over each control cycle and changes right after the measurement at its start. The
-measured rate and angle are both behind the gyro's 2nd-order Butterworth filter (the attitude
-filter integrates the filtered rate). No controller and no time simulation here (cascade.py,
-simulation.py); how identified effects become curves stands in from_model.py.
+measured rate and angle are both filtered by the gyro's 2nd-order Butterworth filter (the attitude
+filter integrates the filtered rate). cascade.py has the controller, simulation.py the simulation;
+from_model.py turns identified effects into curves.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from quad_sysid.errors import BadInputError
 ComplexArray = npt.NDArray[np.complex128]
 
 SHORTEST_LAG_S = 1e-5
-"""A lag below this is none."""
+"""A lag below this counts as none."""
 
 
 @dataclass(frozen=True, eq=False)
 class Curve:
     """A lookup table on a uniform grid, linear between its points.
 
-    x, y are (m,), m >= 2, x ascending with one step. Outside the grid the end slope goes on.
+    x, y are (m,), m >= 2, x ascending in equal steps. Outside it continues with the end slopes.
     """
 
     x: FloatArray
@@ -89,7 +89,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class SlowMotors:
-    """A share of the drive, 0..1, that comes from motors with a longer lag, s."""
+    """The share of the drive, 0..1, from motors with a longer lag."""
 
     share: float
     lag_s: float
@@ -125,7 +125,7 @@ class LoopPlant:
     angle_curve: Curve | None = None
     """Extra angular acceleration, rad/s², of the angle, rad (pendulum)."""
     command_curve: Curve | None = None
-    """What the command does, in units of command (dead zone, thrust curve)."""
+    """Effective command over command (dead zone, thrust curve)."""
     slow: SlowMotors | None = None
     mode: LightMode | None = None
 
@@ -150,13 +150,13 @@ class LoopPlant:
 
     @property
     def rest_delay_s(self) -> float:
-        """What is left of the delay, 0 <= s < dt."""
+        """Remainder of the delay, 0 <= s < dt."""
         return max(0.0, self.delay_s - self.whole_delay * self.dt)
 
 
 @dataclass(frozen=True)
 class Slopes:
-    """Gains that stand for the three curves in a linear model (0, 0, 1: no curves)."""
+    """Gains in place of the three curves in a linear model (0, 0, 1: no curves)."""
 
     rate: float = 0.0
     angle: float = 0.0
@@ -204,7 +204,7 @@ def dynamics(plant: LoopPlant, slopes: Slopes) -> tuple[FloatArray, FloatArray, 
 
 
 def _add_states(plant: LoopPlant, a: FloatArray, b: FloatArray, core: int) -> None:
-    """Write the slow motors' and the mode's states behind the first `core` ones."""
+    """Write the states of slow motors and mode after the first `core` ones."""
     drives = [0]
     if plant.slow is not None:
         lag = max(plant.slow.lag_s, SHORTEST_LAG_S)
@@ -235,8 +235,8 @@ def exact_step(a: FloatArray, b: FloatArray, step_s: FloatArray) -> tuple[FloatA
 def _exponential(matrix: FloatArray) -> FloatArray:
     """Matrix exponential of a stack (..., n, n): Taylor to order 14, scaled and squared.
 
-    scipy's expm goes through the stack one by one and wakes BLAS threads for each, 100 times
-    slower on a busy machine. Source: Moler and Van Loan, SIAM Review 45 (2003), method 3.
+    scipy's expm handles one matrix at a time, which is 100 times slower on a busy machine.
+    Source: Moler and Van Loan, SIAM Review 45 (2003), method 3.
     """
     norm = np.max(np.sum(np.abs(matrix), axis=-1), axis=-1, initial=0.0)
     squarings = max(0, int(np.ceil(np.log2(max(float(np.max(norm)), 1e-300)))) + 1)
@@ -280,7 +280,7 @@ class Step:
 
 
 def exact_cycles(plants: Sequence[LoopPlant], slopes: Sequence[Slopes]) -> Step:
-    """The plants' exact control cycle, all of one dt and with the same kinds of states."""
+    """Exact control cycle of plants with one dt and the same kinds of states."""
     dt = plants[0].dt
     kinds = {(p.dt, p.gyro_filter_hz is None, p.slow is None, p.mode is None) for p in plants}
     if len(kinds) > 1:

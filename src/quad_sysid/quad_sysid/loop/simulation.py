@@ -1,8 +1,7 @@
 """The closed loop over time, compiled: the cascade around a LoopPlant or a polynomial model.
 
-Exact within a cycle for the linear plant; curves (friction, pendulum) take Heun steps, as many a
-cycle as their steepest slope needs. The controller is that of cascade.py with its limits. No
-fitting, no figures.
+Exact within a cycle for the linear plant; curves (friction, pendulum) take as many Heun steps per
+cycle as their steepest slope needs. The controller is that of cascade.py with its limits.
 """
 
 from __future__ import annotations
@@ -25,9 +24,10 @@ STEP_TIMES_SLOPE = 0.2
 
 
 class LoopResponse(NamedTuple):
-    """(n,) each; angle and rate as measured at the cycle's start, control as it leaves C2.
+    """(n,) each: measured angle (rad) and rate (rad/s) at the start of a cycle, outputs in it.
 
-    rad, rad/s, normalised command (the plant's input), rad/s.
+    control is the output of C2 (normalised command, the plant's input), rate_reference of C1
+    (rad/s).
     """
 
     angle: FloatArray
@@ -58,7 +58,7 @@ def _constants(gains: CascadeGains, dt: float) -> kernels.Constants:
 
 @lru_cache(maxsize=32)
 def _cycle(plant: LoopPlant) -> kernels.Cycle:
-    """The plant's matrices and tables; a search asks for the same plant hundreds of times."""
+    """The plant's matrices and tables, cached: a search uses one plant hundreds of times."""
     a, b, c = dynamics(plant, Slopes())
     parts = np.array([plant.rest_delay_s, plant.dt - plant.rest_delay_s])
     steps = np.ceil(_steps_a_cycle(plant) * parts / plant.dt - 1e-9)
@@ -100,7 +100,7 @@ def _checked_reference(reference: npt.ArrayLike, dt: float, plant_dt: float) -> 
 
 
 def _steps_a_cycle(plant: LoopPlant) -> int:
-    """Heun steps for a whole cycle."""
+    """Number of Heun steps in a cycle."""
     curves = [c for c in (plant.rate_curve, plant.angle_curve) if c is not None]
     if not curves:
         return 1
@@ -122,14 +122,14 @@ def simulate_cascade(
     initial_rate: float = 0.0,
     angle_lead_s: float = 0.0,
 ) -> LoopResponse:
-    """The cascade around `plant` for an angle reference (n,), rad.
+    """Simulate the cascade around `plant` for an angle reference (n,), rad.
 
-    noise (n,) rad/s on the measured rate; disturbance (n,) or a number, rad/s² on the axis, held
-    over the cycle; rate_excitation and control_excitation (n,) are added behind the limits of C1
-    and C2, as the firmware does (excitation of the attitude is part of the reference). The drive
-    starts at zero. angle_lead_s is how far the measured angle leads the rate's integral
-    (`angle_lead_s`). Raises BadInputError for shapes, values that are not finite and a dt that is
-    not the plant's.
+    noise (n,) rad/s is on the measured rate; disturbance (n,) or a number, rad/s², acts on the
+    axis and is held over the cycle. rate_excitation and control_excitation (n,) are added after
+    the limits of C1 and C2, as in the firmware; the reference contains an excitation of the
+    attitude. The drive starts at zero. angle_lead_s is the lead of the measured angle over the
+    rate's integral (`angle_lead_s`). Raises BadInputError for wrong shapes, values that are not
+    finite, and a dt that is not the plant's.
     """
     reference = _checked_reference(reference_angle, dt, plant.dt)
     n = reference.size
@@ -166,11 +166,11 @@ def simulate_polynomial_cascade(
     noise: npt.ArrayLike | None = None,
     angle_lead_s: float = 0.0,
 ) -> LoopResponse:
-    """The cascade around a discrete model A(q) rate = B(q) q^-nk u (the paper's step B).
+    """Simulate the cascade around A(q) rate = B(q) q^-nk u (the paper's step B).
 
-    A (na + 1,) with A[0] != 0, B (m,) in powers of q^-1 from q^0 (leading zeros are delay, `nk`
-    more may be given apart). The angle is the trapezoid sum of the rate, angle_lead_s ahead.
-    A model without any delay would need u before it is known: BadInputError.
+    A (na + 1,) with A[0] != 0; B (m,) in powers of q^-1 from q^0, its leading zeros and `nk` are
+    the delay. The angle is the trapezoidal sum of the rate, ahead by angle_lead_s. A model without
+    delay would need u before it is known: BadInputError.
     """
     array = _checked_reference(reference, dt, dt)
     a = np.asarray(A, dtype=float)
@@ -190,15 +190,15 @@ def simulate_polynomial_cascade(
 
 
 BELIEVED = 0.9
-"""Share of the angle's steps, beside those of the last rate, that a lead must explain."""
+"""Least share of the angle's steps that a lead must explain."""
 
 
 def angle_lead_s(angle: FloatArray | None, rate: FloatArray, dt: float) -> float:
     """Lead in s, -dt/2..dt/2, of angle (n,) rad over the integral of rate (n,) rad/s.
 
     Least squares of w in a(k) - a(k-1) = dt (w rate(k) + (1 - w) rate(k-1)); the lead is
-    (w - 1/2) dt: 0 for trapezoids, dt/2 for rectangles with the newest rate. 0 where the angle is
-    not known or does not come from this rate.
+    (w - 1/2) dt: 0 for trapezoids, dt/2 for rectangles with the newest rate. It is 0 where the
+    angle is unknown or not the integral of this rate.
     """
     if angle is None:
         return 0.0

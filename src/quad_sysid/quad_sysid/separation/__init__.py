@@ -1,1 +1,1 @@
-"""Which flight tells two rival effects apart: simulated closed-loop flights, ranked by that."""
+"""Which flight separates two rival effects: simulated closed-loop flights, ranked."""

@@ -1,6 +1,7 @@
-"""The excitations that are compared: what the node can fly, within its limits.
+"""The excitations that are compared, and their ranking for a pair of rivals.
 
-Signals, bands and amplitudes stand here as one table; to try another is to add a row.
+Signals, bands and amplitudes are one table, within the excitation node's limits; to try another,
+add a row.
 """
 
 from __future__ import annotations
@@ -42,20 +43,20 @@ ATTITUDE: tuple[Candidate, ...] = (
     ('chirp', {'f0_hz': 0.2, 'f1_hz': 8.0, 'sweep_s': 20.0}, (12.0, 20.0)),
     ('3211', {'unit_s': 0.3}, (12.0,)),
 )
-"""Degrees on the attitude set-point."""
+"""Signals on the attitude set-point, amplitudes in degrees."""
 SLOW: tuple[Candidate, ...] = (
     ('multisine', {'f0_hz': 0.1, 'f1_hz': 0.1, 'period_s': 10.0}, (4.0, 20.0)),
     ('multisine', {'f0_hz': 0.05, 'f1_hz': 0.05, 'period_s': 20.0}, (20.0,)),
 )
-"""The same; a multisine of one line is a slow sine. One line tells no model, so a plain PRBS goes
-before, over BEFORE of the time."""
+"""The same; a multisine of one line is a slow sine. One line does not identify the base, so a
+plain PRBS precedes it, for the share BEFORE of the time."""
 BEFORE = 1.0 / 3.0
 CONTROL: tuple[Candidate, ...] = (
     ('prbs', {'clock_s': 0.02, 'register_bits': 9, 'seed': 1}, (0.02, 0.05)),
     ('prbs', {'clock_s': 0.06, 'register_bits': 9, 'seed': 1}, (0.02, 0.05)),
     ('chirp', {'f0_hz': 0.5, 'f1_hz': 15.0, 'sweep_s': 20.0}, (0.02, 0.05)),
 )
-"""Normalised command behind C2, where the loop does not hold fast signals back."""
+"""Signals after C2, where the loop does not attenuate fast ones; normalised command."""
 
 THROTTLE = {'throttle', 'battery', 'motors'}
 OTHERS = {'other command', 'other rate', 'product of other rates', 'motors'}
@@ -67,7 +68,7 @@ def plain_prbs(axis: str, seconds: float) -> Excitation:
 
 
 def with_pilot(usual: Excitation, signals: set[str]) -> Iterator[Excitation]:
-    """What the pilot may add where the rivals' signals ask for it, the simplest first."""
+    """Motion that the pilot may add where the rivals depend on it, the simplest first."""
     steps, stirs = bool(signals & THROTTLE), bool(signals & OTHERS)
     for throttle, others in ((True, False), (False, True), (True, True)):
         if throttle <= steps and others <= stirs:
@@ -75,7 +76,7 @@ def with_pilot(usual: Excitation, signals: set[str]) -> Iterator[Excitation]:
 
 
 def family(axis: str, seconds: float, pilot: Excitation) -> Iterator[Excitation]:
-    """Every candidate but the plain PRBS with the same `pilot`, who does as in that flight."""
+    """Every candidate but the plain PRBS, with the same additions by the `pilot`."""
     for kind, rows in (('attitude', ATTITUDE), ('control', CONTROL), ('slow', SLOW)):
         slow = kind == 'slow'
         before = plain_prbs(axis, BEFORE * seconds).part if slow else None
@@ -102,20 +103,20 @@ def _part(
 
 NOTHING = 'nothing'
 SIMULATED_S = 30.0
-"""Flights are simulated this long at most; longer ones show the same more often."""
+"""Longest simulated flight, s; longer ones only repeat it."""
 SHORTEST_S = 10.0
 JUST_FOUND_NATS = 12.0
-"""A rival that no model knows is as strong as is just found by a plain PRBS of the whole length:
-its prior probability costs some 7, and 5 have to be left."""
+"""Evidence, nats, at which a plain PRBS of the whole length just finds an effect: its prior costs
+some 7, and 5 remain. A rival that the model does not contain is made that strong."""
 PER_PARAMETER = 4.0
-"""What each parameter costs besides, of four at most."""
+"""Additional cost of each parameter, for four at most."""
 ANGLE_SHARE = 0.9
-"""A flight may use this share of the guard's angle."""
+"""Share of the guard's angle that a flight may use."""
 CERTAIN = 0.95
 WORTH_IT = 0.95
-"""What is this near to the best is preferred where it is simpler to fly."""
+"""Share of the best figure from which a simpler flight is preferred."""
 FITTED = 8
-"""Of the candidates that linear scores rank first, so many are fitted."""
+"""Number of candidates, best by linear scores, that are fitted."""
 
 Progress = Callable[[str], None]
 Names = tuple[str, str]
@@ -123,7 +124,7 @@ Names = tuple[str, str]
 
 @dataclass(frozen=True)
 class Rival:
-    """An effect of a certain strength, or nothing."""
+    """An effect of a given strength, or nothing."""
 
     name: str
     acting: Acting | None = None
@@ -142,18 +143,18 @@ class Rival:
         return f'{self.name} ({", ".join(told)})'
 
     def parts(self, data: AxisData) -> list[Part]:
-        """Its variants as identification would try them on this flight."""
+        """Its variants, as an identification would try them on this flight."""
         prepared = ((effect, effect.prepare(data)) for effect in self.variants)
         return [Part(effect, s) for effect, s in prepared if not isinstance(s, str)]
 
 
 @dataclass(frozen=True)
 class Row:
-    """One candidate flight, judged."""
+    """One judged candidate flight."""
 
     excitation: Excitation
     first: Apart | None
-    """The first rival true, the second fitted; None where the first is nothing."""
+    """The first rival is true, the second fitted; None where the first is nothing."""
     second: Apart | None
     peak_angle: float
     """rad, the larger of both."""
@@ -161,7 +162,7 @@ class Row:
 
     @property
     def worst(self) -> Apart:
-        """The harder of both ways."""
+        """The harder of the two cases."""
         known = [one for one in (self.first, self.second) if one is not None]
         return min(known, key=lambda one: one.nats)
 
@@ -174,18 +175,18 @@ class Separation:
     first: Rival
     second: Rival
     seconds: float
-    """Length of training that the figures are for."""
+    """Length of training for the figures, s."""
     rows: tuple[Row, ...]
     """Best first."""
     plain: Row
     """The PRBS that is flown where nobody asks for more."""
     tried: int
     refused: int
-    """Candidates that went beyond the guard's angle, or moved too little to tell the base."""
+    """Candidates beyond the guard's angle, or with too little motion to identify the base."""
 
     @property
     def best(self) -> Row:
-        """What should be flown."""
+        """The flight to fly."""
         return self.rows[0]
 
 
@@ -205,7 +206,7 @@ def rivals_of(model: AxisModel) -> Names:
 
 
 def nearest(models: Mapping[str, AxisModel]) -> AxisModel:
-    """The axis whose effects have the most probable rival; the first where none has any."""
+    """The axis with the most probable rival; the first axis where there is none."""
 
     def nearness(model: AxisModel) -> float:
         return max((p for e in model.effects for _, p in e.rivals), default=-1.0)
@@ -222,12 +223,11 @@ def separate(
     aircraft: Aircraft, names: Names, seconds: float = 60.0, model: AxisModel | None = None,
     progress: Progress = lambda _: None, own: Sequence[Effect] = (),
 ) -> Separation:
-    """Rank the flights of `seconds` that tell the two effects apart (either may be `nothing`).
+    """Rank flights of `seconds` by how well they separate two effects (one may be `nothing`).
 
-    Strengths come from `model` where it has the effect, else as strong as is just found today.
-    `own`: effects of the caller's that may be named, beside the package's and the model's.
-    Raises BadInputError for unknown names or a length that is too short, NotInformativeError
-    where no safe flight shows either effect.
+    Strengths come from `model` where it has the effect; another effect is made just strong enough
+    to be found. `own` are effects of the caller that may be named too. Raises BadInputError for
+    unknown names or a length out of range, NotInformativeError where no safe flight shows either.
     """
     effects = library((*own, *(model.own_effects if model else ())))
     _check(names, seconds, effects)
@@ -277,7 +277,7 @@ def _separate(
 
 
 def _pilot(plain: Row, helped: Sequence[Row | None]) -> Row:
-    """The plain PRBS with what the pilot should do besides; itself where that hardly helps."""
+    """The plain PRBS, with the pilot's additions where they help."""
     known = [row for row in helped if row is not None]
     best = max([plain, *known], key=lambda row: row.worst.nats)
     return next(
@@ -303,7 +303,7 @@ def _sized(
     aircraft: Aircraft, names: Names, model: AxisModel | None, rich: Excitation, wanted: float,
     effects: Sequence[Effect],
 ) -> tuple[Rival, Rival]:
-    """Both rivals with their strengths; where one is known, the other is worth as much."""
+    """Both rivals with their strengths; an unknown one gets as much evidence as the known."""
     seen = judged(aircraft, fly(aircraft, aircraft.acting, [rich])[0].data)
     given = [None if model is None else effect_of(model, name) for name in names]
     worth = max((seen.trace(one) for one in given if one is not None), default=wanted)
@@ -330,7 +330,7 @@ def _prepared(name: str, data: AxisData, effects: Sequence[Effect]) -> Part:
 
 
 class _Flights:
-    """Flights with either rival true, each flown once."""
+    """Flights with either rival true, each simulated once."""
 
     def __init__(self, aircraft: Aircraft, first: Rival, second: Rival) -> None:
         self.aircraft, self.rivals = aircraft, (first, second)
@@ -339,7 +339,7 @@ class _Flights:
     def rows(
         self, excitations: Sequence[Excitation], progress: Progress = lambda _: None
     ) -> list[Row | None]:
-        """Each excitation by linear scores; None where it is not safe or moves too little."""
+        """Each excitation by linear scores; None where it is unsafe or moves too little."""
         if not excitations:
             return []
         flown = [
@@ -365,7 +365,7 @@ class _Flights:
         return self._weighed(row, Judged.linear)
 
     def fitted(self, row: Row) -> Row:
-        """The same row by fits instead of linear scores."""
+        """The same row, judged by fits."""
         return self._weighed(row, Judged.fitted)
 
     def _weighed(self, row: Row, worth: Callable[[Judged, Sequence[Part]], float]) -> Row:

@@ -1,9 +1,8 @@
 """Simulated flights in closed loop: an aircraft with given effects, several excitations at once.
 
-The aircraft is an identified model or the paper's. The controller and the linear plant advance
-cycle by cycle, one number a flight; torques are the effects' own, evaluated there. What acts on
-the command is taken along the whole flight, by the same physics, and the flight repeated until its
-commands stay as they are.
+The aircraft is an identified model or the paper's. Controller and linear plant advance cycle by
+cycle, vectorised over the flights, with the effects' own torques. Effects on the command are
+evaluated along the whole flight; the flight is repeated until its commands converge.
 """
 
 from __future__ import annotations
@@ -31,12 +30,12 @@ PAPER = {
     'pitch': (419.0, 0.045, 0.008, 0.4, -0.2),
     'yaw': (24.6, 0.045, 0.008, 0.3, 0.04),
 }
-"""gain, lag, delay, damping, bias: the paper's airframe (1.2 kg, 940 g a motor) on its rig."""
+"""gain, lag, delay, damping, bias: the paper's airframe (1.2 kg, 940 g per motor) on its rig."""
 PAPER_NOISE = NoiseEstimate(
     {'white': 1.5, 'disturbance': 0.5, 'correlation': 0.3, 'after': 0.1}, scale=0.002,
     degrees=1e4, gyro_rms=0.01, measured_rms=0.0048,
 )
-"""MPU-6050 behind 42 Hz; a torque noise of 0.015 (rad/s²)/√Hz, hardly any wind."""
+"""MPU-6050 with its 42 Hz filter; torque noise of 0.015 (rad/s²)/√Hz, hardly any wind."""
 PAPER_GYRO_HZ = 42.0
 PAPER_DT = 0.004
 THROTTLE = 0.35
@@ -47,7 +46,7 @@ VOLTS = 12.1
 
 @dataclass(frozen=True)
 class Acting:
-    """An effect of a certain strength: its physics and its parameters (p,) in their units."""
+    """An effect of a given strength: its physics and parameters (p,) in their units."""
 
     part: Part
     p: FloatArray
@@ -62,7 +61,7 @@ class Aircraft:
     """(5,) gain, lag, delay, damping, bias."""
     gains: CascadeGains
     acting: tuple[Acting, ...] = ()
-    """The effects that are no rivals."""
+    """The effects that are not rivals."""
     dt: float = PAPER_DT
     """Control cycle, s."""
     gyro_filter_hz: float | None = PAPER_GYRO_HZ
@@ -79,9 +78,9 @@ def paper_aircraft(axis: str) -> Aircraft:
 
 
 def aircraft_of(model: AxisModel, less: str, told: str) -> Aircraft:
-    """An identified model less one effect (`less`; all of it where it has none of the name).
+    """The aircraft of an identified model, without the effect `less` if it has it.
 
-    Raises BadInputError where the model names an effect that this version does not know.
+    Raises BadInputError for an unknown effect or a gain that is not positive.
     """
     known = f'{model.axis}.rate.kp' in model.active_gains
     theta = np.array([model.value(spec.name) for spec in BASE])
@@ -110,40 +109,40 @@ def _acting(model: AxisModel, wanted) -> tuple[Acting, ...]:  # type: ignore[no-
 
 
 LEAD_S = 1.0
-"""At rest before the excitation."""
+"""Time at rest before the excitation, s."""
 THROTTLE_STEP = 0.1
 THROTTLE_STEP_S = 4.0
 VOLTS_PER_S = 0.003
-"""Fall of a 4.5 Ah pack at half throttle."""
+"""Discharge of a 4.5 Ah battery at half throttle."""
 VOLTS_PER_THROTTLE = 1.4
-"""Drop over the pack's resistance at full throttle."""
+"""Voltage drop over the battery's resistance at full throttle."""
 PILOT_DEG = 8.0
-"""Size of the other axes' motion where the pilot stirs them."""
+"""Size of the other axes' motion where the pilot moves them."""
 PILOT_HZ = (0.2, 0.5, 0.9, 1.4)
 PASSES = 12
 SETTLED = 1e-4
-"""A flight is not repeated where no command moves by more, normalised."""
+"""Change of the normalised command below which a flight has converged."""
 SEED = 1
-"""Every flight has the same noise, so that what differs is what was flown."""
+"""All flights have the same noise, so that only the excitations differ."""
 
 
 @dataclass(frozen=True)
 class Excitation:
-    """A part of a schedule, what is flown before it, and what the pilot does besides."""
+    """A part of a schedule, what precedes it, and what the pilot does meanwhile."""
 
     part: schedule.Part
     throttle_steps: bool = False
     others_move: bool = False
     before: schedule.Part | None = None
-    """A plain PRBS where the part alone would not tell the base."""
+    """A plain PRBS, where the part alone does not identify the base."""
 
     @property
     def parts(self) -> tuple[schedule.Part, ...]:
-        """What trains, in order."""
+        """The training parts, in order."""
         return (self.part,) if self.before is None else (self.before, self.part)
 
     def added(self, dt: float) -> FloatArray:
-        """(3, n) what it adds to attitude (rad), rate (rad/s) and control, lead included."""
+        """(3, n) excitation of attitude (rad), rate (rad/s) and control, with the lead."""
         pieces = [np.zeros((3, round(LEAD_S / dt)))]
         for part in self.parts:
             piece = np.zeros((3, round(part.duration_s / dt)))
@@ -155,11 +154,11 @@ class Excitation:
 
 @dataclass(frozen=True)
 class Flown:
-    """A simulated flight; training is all of it behind the lead."""
+    """A simulated flight; everything after the lead is training."""
 
     data: AxisData
     peak_angle: float
-    """rad; infinite where the loop runs away."""
+    """rad; infinite where the loop diverges."""
 
     @property
     def rate_rms(self) -> float:
@@ -170,7 +169,7 @@ class Flown:
 def fly(
     aircraft: Aircraft, acting: Sequence[Acting], excitations: Sequence[Excitation]
 ) -> list[Flown]:
-    """Each excitation flown from rest with the effects `acting`, in the aircraft's noise."""
+    """Each excitation simulated from rest with the effects `acting` and the aircraft's noise."""
     acting = tuple(acting)
     added = [e.added(aircraft.dt) for e in excitations]
     n = min(a.shape[1] for a in added)
@@ -203,7 +202,7 @@ def _with(data: AxisData, rate: FloatArray, angle: FloatArray, command: FloatArr
 
 
 def _pushed(aircraft: Aircraft, moving: tuple[Acting, ...], data: AxisData) -> FloatArray:
-    """(n,) what the effects on the command add to the drive, rad/s²."""
+    """(n,) change of the drive by the effects on the command, rad/s²."""
     flight = Flight(data, data.stretches)
     with_them = Structure(tuple(one.part for one in moving))
     values = np.concatenate([aircraft.theta, *(one.p for one in moving), np.ones(len(NOISE))])
@@ -304,7 +303,7 @@ class _Known:
         self.rest = np.zeros(len(around))
 
     def at(self, k: int, middle: FloatArray, command: FloatArray) -> Signals:
-        """At half of cycle k, where the plant's states (f, n) are `middle`."""
+        """Signals at mid-cycle k, where the plant's states (f, n) are `middle`."""
         drive = middle[:, 0]
         return Signals(
             rate=middle[:, 1], angle=middle[:, 2], drive=drive, command=command,
@@ -317,7 +316,7 @@ class _Known:
 
 
 def _noise(aircraft: Aircraft, n: int) -> tuple[FloatArray, FloatArray]:
-    """(n,) torque that disturbs, rad/s², and noise of the measured rate, rad/s."""
+    """(n,) disturbing torque, rad/s², and (n,) noise of the measured rate, rad/s."""
     dt, noise, rng = aircraft.dt, aircraft.noise, np.random.default_rng(SEED)
     torque = noise.ratios['white'] * noise.gyro_rms / np.sqrt(dt) * rng.standard_normal(n)
     fade = np.exp(-dt / noise.correlation_s)
@@ -337,7 +336,7 @@ def _noise(aircraft: Aircraft, n: int) -> tuple[FloatArray, FloatArray]:
 
 
 def _surroundings(aircraft: Aircraft, excitation: Excitation, n: int) -> AxisData:
-    """Everything that is known before the flight: throttle, battery, the other axes. No motion."""
+    """The signals known before the flight: throttle, battery, other axes; no motion."""
     dt = aircraft.dt
     t = np.arange(n) * dt
     throttle = np.full(n, aircraft.throttle)
@@ -361,7 +360,7 @@ def _surroundings(aircraft: Aircraft, excitation: Excitation, n: int) -> AxisDat
 
 @lru_cache(maxsize=16)
 def _stirred(axis: str, dt: float, n: int) -> tuple[FloatArray, FloatArray]:
-    """Rate and command (n,) of another axis that the pilot moves."""
+    """Rate (rad/s) and command (n,) of another axis that the pilot moves."""
     t, phase = np.arange(n) * dt, AXES.index(axis)
     inputs = np.zeros((1, 3, n))
     for i, f in enumerate(PILOT_HZ):

@@ -1,9 +1,9 @@
-"""How far apart two rivals are on a flight: the log evidence of the true one over the other's.
+"""How well a flight separates two rivals: the log evidence of the true one over the other.
 
-The flight is simulated with the true rival and in noise; both are fitted to it as identification
-does. The difference of their log evidences, in nats, is d²/2 for a deviation of d standard
-deviations that no parameter can take up; it spreads by d over such flights, so the true one has
-the larger evidence with a probability of Phi(d/2).
+The flight is simulated with the true rival and noise; both are fitted as in an identification. A
+deviation of d standard deviations that no parameter can absorb gives a difference of log evidences
+of d²/2 nats with a standard deviation of d; so the true one has the larger evidence with
+probability Phi(d/2).
 """
 
 from __future__ import annotations
@@ -25,20 +25,20 @@ from quad_sysid.model.plant import NOISE, Structure
 from quad_sysid.separation.flight import Acting, Aircraft
 
 TOLD = 0.1
-"""A flight tells the base where the gain's standard error is below this share."""
+"""Relative standard error of the gain below which a flight identifies the base."""
 GRID = 65
 REACH = 4.0
-"""A size is looked for so many prior standard deviations, or powers of e, about its start."""
+"""Range of the search for a strength: prior standard deviations, or powers of e."""
 
 
 @dataclass(frozen=True)
 class Apart:
-    """How far one fitted rival stays behind the true one, over a flight of `seconds`."""
+    """Evidence of the true rival over the fitted one, in a flight of `seconds`."""
 
     nats: float
-    """Log evidence of the true one over the other's."""
+    """Log evidence of the true one less that of the other."""
     mimicked: float
-    """Share of the true one's evidence over nothing that the other takes over, 0..1."""
+    """Share (0..1) of the true one's evidence over nothing that the other reaches."""
     seconds: float
 
     def over(self, seconds: float) -> Apart:
@@ -47,42 +47,42 @@ class Apart:
 
     @property
     def distance(self) -> float:
-        """In standard deviations of the noise."""
+        """Separation d in standard deviations."""
         return math.copysign(math.sqrt(2.0 * abs(self.nats)), self.nats)
 
     @property
     def score(self) -> float:
-        """Expected difference over its spread."""
+        """Expected difference over its standard deviation."""
         return 0.5 * self.distance
 
     @property
     def probability(self) -> float:
-        """That the true one has the larger evidence."""
+        """Probability that the true one has the larger evidence."""
         return float(special.ndtr(self.score))
 
     def seconds_for(self, probability: float) -> float:
-        """Length of flight after which the true one has the larger evidence so surely."""
+        """Length of flight, s, for this probability."""
         wanted = 2.0 * float(special.ndtri(probability)) ** 2
         return math.inf if self.nats <= 0.0 else self.seconds * wanted / self.nats
 
 
 @dataclass
 class Judged:
-    """A flight with its model without the rivals fitted, ready to weigh rivals on it."""
+    """A flight with its model fitted without the rivals, for their comparison."""
 
     problem: Problem
     base: Fit
     scores: dict[str, Score] = field(default_factory=dict)
-    """Linear score of each rival by its label, where one was asked for."""
+    """Linear scores of the rivals so far, by label."""
 
     @property
     def told(self) -> bool:
-        """Whether the flight tells the base itself."""
+        """Whether the flight identifies the base."""
         variance = np.linalg.inv(self.base.hessian)[0, 0]
         return bool(math.sqrt(variance) < TOLD * abs(self.base.theta[0]))
 
     def linear(self, parts: Sequence[Part]) -> float:
-        """Evidence over nothing of the best of some rivals, by one linear step; nothing is 0."""
+        """Evidence of the best of some rivals over nothing, by one linear step; at least 0."""
         fresh = [part for part in parts if part.effect.label not in self.scores]
         for score in screen(self.problem, self.base, fresh) if fresh else []:
             self.scores[score.part.effect.label] = score
@@ -90,7 +90,7 @@ class Judged:
         return max((s.nats for s in known if s is not None), default=0.0)
 
     def fitted(self, parts: Sequence[Part]) -> float:
-        """The same, of the best two by the linear step fitted."""
+        """The same by fits of the two that the linear step ranks first."""
         self.linear(parts)
         known = [s for s in (self.scores.get(p.effect.label) for p in parts) if s is not None]
         best = 0.0
@@ -107,7 +107,7 @@ class Judged:
         return best
 
     def trace(self, one: Acting) -> float:
-        """Nats that an effect is worth along this flight, beyond what the base can take up."""
+        """Evidence of an effect along this flight, nats, beyond what the base can absorb."""
         flight, base = self.problem.flight, self.base
         count = base.theta.size - len(NOISE)
         values = base.values
@@ -133,10 +133,10 @@ class Judged:
         return 0.5 * float(c @ c - np.sum((q.T @ c) ** 2))
 
     def sized(self, part: Part, wanted: float) -> Acting:
-        """The effect as strong as is worth `wanted` nats along this flight, about.
+        """The effect at the strength that gives about `wanted` nats along this flight.
 
-        What is zero without the effect is scaled, along a draw from its prior where there are
-        several; else the first parameter is looked for over its prior.
+        Parameters that are zero without the effect are scaled (several along a draw from their
+        prior); otherwise the first parameter is searched over its prior.
         """
         specs = part.effect.parameters
         starts = list(part.effect.starts(self.problem.data, part.settings))
@@ -168,7 +168,7 @@ class Judged:
 
 
 def judged(aircraft: Aircraft, data: AxisData) -> Judged:
-    """Fit what is not a rival to a flight, from the aircraft's own values."""
+    """Fit the model without the rivals to a flight, from the aircraft's own values."""
     problem = Problem(data, data.train)
     noise = aircraft.noise
     base = np.r_[

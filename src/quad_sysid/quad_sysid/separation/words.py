@@ -1,4 +1,4 @@
-"""A separation in words: the table, why the first is first, and the schedule to fly."""
+"""A separation as text: the table, the reason for the first flight, and its schedule."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ IDLE = '{segment: idle, duration_s: 3.0}'
 
 
 def text(found: Separation) -> str:
-    """The table of flights and why, lines of 80 columns."""
+    """The table of flights and the reason, in lines of 80 columns."""
     return '\n'.join(_lines(found))
 
 
 def _lines(found: Separation) -> Iterator[str]:
     a = found.aircraft
-    yield f'{found.first.name} or {found.second.name} on {a.axis}: which flight tells'
+    yield f'{found.first.name} or {found.second.name} on {a.axis}: which flight separates them'
     yield from textwrap.wrap(
         f'plant: {a.told}, gain {a.theta[0]:.3g}, lag {1e3 * a.theta[1]:.0f} ms, '
         f'delay {1e3 * a.theta[2]:.0f} ms; assumed: {found.first.words()}; '
@@ -41,23 +41,23 @@ def _lines(found: Separation) -> Iterator[str]:
         yield _row('', found.plain, found.seconds)
     yield ''
     yield from textwrap.wrap(
-        'apart: log evidence of this one over the other in a flight with this one, both fitted, '
-        'nats. right one: probability that the true one has the larger evidence. 95 % after: '
-        'seconds until that is so sure.',
+        'apart: log evidence, in nats, of this effect over the other in a flight in which it is '
+        'the true one. right one: probability that the true one has the larger evidence. '
+        '95 % after: seconds until that probability is 95 %.',
         WIDTH,
     )
     shown = [row.excitation for row in found.rows[:SHOWN]]
     if any(e.before is not None for e in shown):
-        yield '+P: behind a plain PRBS for a third of the time, which tells the base.'
+        yield '+P: after a plain PRBS for a third of the time, which identifies the base.'
     if any(e.throttle_steps for e in shown):
         yield '+T: the pilot steps the throttle.'
     if any(e.others_move for e in shown):
-        yield '+A: the pilot stirs the other two axes.'
+        yield '+A: the pilot moves the other two axes.'
     if found.refused:
         yield from textwrap.wrap(
             f'Of {found.tried} candidates {found.refused} would go near the angle at which the '
-            'excitation node ends a flight, or move too little to tell the model itself; of the '
-            'others the best are shown.',
+            'excitation node ends a flight, or move too little to identify the base; the best of '
+            'the others are shown.',
             WIDTH,
         )
     yield ''
@@ -73,18 +73,18 @@ def why(found: Separation) -> str:
     matched = plain.first if best.worst is best.first else plain.second
     words = f'Fly {name_of(best.excitation)}: '
     if best is plain:
-        return words + 'no candidate tells them apart better than the plain PRBS.'
+        return words + 'no candidate separates them better than the plain PRBS.'
     if other.acting is None:
-        words += f'{harder.name} stands out of the noise '
+        words += f'the evidence for {harder.name} is '
     else:
-        words += f'{other.name} takes over {_pct(best.worst)} of the evidence for {harder.name}'
+        words += f'{other.name} explains {_pct(best.worst)} of the evidence for {harder.name}'
         if matched is not None and matched.mimicked > best.worst.mimicked + 0.01:
             words += f', with the plain PRBS {_pct(matched)}'
-        words += '; they stand apart '
-    more = f'{gain:.1f} times as far as' if gain < 1e3 else 'far more than'
+        words += '; the evidence between them is '
+    more = f'{gain:.1f} times that' if gain < 1e3 else 'far more than that'
     words += (
-        f'{more} with the plain PRBS (rate {best.rate_rms:.2f} rad/s RMS, angle up to '
-        f'{math.degrees(best.peak_angle):.0f}°; there {plain.rate_rms:.2f} rad/s and '
+        f'{more} of the plain PRBS (rate {best.rate_rms:.2f} rad/s RMS, angle up to '
+        f'{math.degrees(best.peak_angle):.0f}°; PRBS {plain.rate_rms:.2f} rad/s and '
         f'{math.degrees(plain.peak_angle):.0f}°).'
     )
     if _worst(best, found.seconds).probability < CERTAIN:
@@ -100,7 +100,7 @@ def _pct(one: Apart) -> str:
 
 
 def pilot_of(excitation: Excitation) -> str:
-    """What the pilot does during training, for it is in no schedule."""
+    """What the pilot does during training, which no schedule contains."""
     words = ''
     if excitation.throttle_steps:
         words += (
@@ -108,7 +108,7 @@ def pilot_of(excitation: Excitation) -> str:
             f'{THROTTLE_STEP_S:g} s.'
         )
     if excitation.others_move:
-        words += ' Meanwhile the pilot stirs the other two axes, some 8° each.'
+        words += ' Meanwhile the pilot moves the other two axes, by some 8° each.'
     return words
 
 
