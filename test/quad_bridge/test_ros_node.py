@@ -34,7 +34,7 @@ PARAMETERS = [
     ('excitation', {'band_low_rad_s': 30.0, 'end_when_covered': True}, 'is not below band_high'),
     ('identification', {'train': '5:1'}, 'parameter train: needs two times START:END'),
     ('identification', {'inertia': 'abc'}, 'inertia: needs three positive numbers'),
-    ('identification', {'axes': '[sideways]'}, 'axis: must be of roll, pitch, yaw, all'),
+    ('identification', {'axes': '[sideways]'}, "roll, pitch, yaw, all: found 'sideways'"),
     ('identification', {'autoupdate': True}, 'parameter autoupdate: is unknown; is it auto_upd'),
 ]  # fmt: skip
 

@@ -81,7 +81,7 @@ def test_a_value_that_is_not_finite_is_refused_and_keeps_the_old_file(tmp_path, 
     [
         (lambda t, _: t.pop('schema'), 'lacks schema'),
         (lambda t, _: t.update(schema='other/1'), 'must be quad_sysid/model/2'),
-        (lambda t, _: t['axes'].update(tail={}), 'must be of roll, pitch, yaw'),
+        (lambda t, _: t['axes'].update(tail={}), 'roll, pitch, yaw: found tail'),
         (lambda _, roll: roll.pop('dt'), 'lacks dt'),
         (lambda _, roll: roll.update(dt=0.0), 'roll.dt: must be a positive'),
         (lambda _, roll: roll.update(surprise=1), 'unknown field: found surprise'),

@@ -95,7 +95,7 @@ def test_a_flight_to_a_result_in_one_call(plain_flight, tmp_path):
     assert found.before == pytest.approx(result.errors['before'], rel=0.3)
     for call, words in (
         (lambda: result['yaw'], 'no such axis'), (lambda: result.plot('nothing'), 'no such'),
-        (lambda: quad_sysid.identify(plain_flight, 'bank'), 'axes must be of'),
+        (lambda: quad_sysid.identify(plain_flight, 'bank'), "found 'bank'"),
         (lambda: result.model.simulate([np.nan, 1.0]), 'finite'),
     ):
         with pytest.raises(quad_sysid.BadInputError, match=words):

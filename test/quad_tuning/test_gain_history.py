@@ -89,7 +89,7 @@ def test_a_torn_line_is_left_out_and_the_next_one_begins_anew(folder):
     ('options', 'words'),
     [
         (['--folder', 'nowhere'], 'holds no history of gains'),
-        (['--aircraft', 'quad_9'], 'must be of quad_7, quad_8: found quad_9'),
+        (['--aircraft', 'quad_9'], 'quad_7, quad_8: found quad_9'),
         ([], 'holds several aircraft: found quad_7, quad_8; choose one by --aircraft'),
         (['--aircraft', 'quad_8'], f'schema must be {SCHEMA}: found other'),
     ],

@@ -28,7 +28,7 @@ ACTIVE = {'roll.rate.kp': 0.07, 'roll.rate.kd': 0.0}
           for value in (float('nan'), float('inf'), -float('inf'), True)),
         *((check_bounds, gains, 'must lie in') for gains in (
             {'roll.angle.kp': 16.0}, {'roll.rate.kp': -0.01}, {'roll.rate.kd': 0.03})),
-        (check_bounds, {'roll.rate.output_limit': 0.3}, 'no gain that a designer may change'),
+        (check_bounds, {'roll.rate.output_limit': 0.3}, 'roll.rate.output_limit'),
         (lambda g: check_step(g, ACTIVE), {'roll.rate.kp': 0.142}, 'go there in steps'),
         (lambda g: check_step(g, ACTIVE), {'roll.rate.kd': 0.0006}, 'go there in steps'),
         (lambda g: check_step(g, {}), {'roll.rate.kp': 0.07}, 'active value is not known'),

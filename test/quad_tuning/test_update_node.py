@@ -44,5 +44,5 @@ def test_it_ends_in_one_line(probe, send, interrupted):
         probe.until(lambda: '/left/quad_tune' in probe.nodes())
         process.send(2)
     assert process.wait() == (130 if interrupted else 2)
-    words = 'interrupted' if interrupted else '--namespace: is not a name of a namespace: found my'
+    words = 'interrupted' if interrupted else '--namespace: is not a valid ROS namespace: found my'
     assert (process.said.count('\n'), words in process.said) == (1, True), process.said

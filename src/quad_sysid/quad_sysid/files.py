@@ -57,5 +57,6 @@ def make_folder(folder: Path, option: str = '--out') -> Path:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise BadInputError(option, f'{folder} cannot be made', error.strerror) from error
+        raise BadInputError(option, f'{folder} cannot be created', error.strerror,
+                            'choose another place') from error
     return folder

@@ -236,7 +236,7 @@ def identify(
     wanted = (axes,) if isinstance(axes, str) else tuple(axes)
     for axis in wanted:
         if axis not in AXES:
-            raise BadInputError('identify', f'axes must be of {", ".join(AXES)}', repr(axis))
+            raise BadInputError('identify', f'axes must be among {", ".join(AXES)}', repr(axis))
     given = [flights] if isinstance(flights, Record | str | Path) else list(flights)
     records = []
     for flight in given:

@@ -29,7 +29,7 @@ def asked(
     """
     for name in axes:
         if name not in (*AXES, 'all'):
-            raise BadInputError('axis', f'must be of {", ".join(AXES)}, all', repr(name))
+            raise BadInputError('axis', f'must be one of {", ".join(AXES)}, all', repr(name))
     return {
         'axes': AXES if 'all' in axes else tuple(axes),
         'train': parse_span(train, '--train') if train else None,

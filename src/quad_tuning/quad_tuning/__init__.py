@@ -1,1 +1,1 @@
-"""quad_tuning of the quad suite."""
+"""Gains from identified models: PID and LQR design, history, exports, the demo."""

@@ -1,7 +1,7 @@
-"""What a controller gives: step, disturbance, noise, margins, and what it promises to the watch.
+"""Figures of a controller: step, disturbance, noise, margins, and its prediction for the watch.
 
-The same figures for the gains that flew and for a proposal, nominal and over the ensemble; the
-cascade and the state feedback share margins, noise and promise. Nothing is optimised here.
+The figures are the same for flown and new gains, nominal and over the ensemble. Cascade and state
+feedback share margins, noise and prediction. Nothing is optimised here.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ from quad_tuning.errors import DesignRefusedError
 SQUARE_AMPLITUDE_RAD = np.radians(12.0)
 SQUARE_HALF_PERIOD_S = 2.0
 TORQUE_STEP = 2.0
-"""rad/s² of the disturbance step."""
+"""Size of the disturbance step, rad/s²."""
 TORQUE_STEP_S = 3.0
 GUST_RAD_S = 3.0
-"""Corner of the disturbing torque: below it gusts are as strong as they get."""
+"""Corner frequency of the disturbing torque of gusts."""
 BANDS_RAD_S = (4.0, 8.0, 16.0, 32.0, 64.0)
-"""Centres of the octaves that the watch listens to."""
+"""Centres of the octaves that the watch compares."""
 
 
 @dataclass(frozen=True)
 class LoopFigures:
-    """What one set of gains gives on the nominal plant, and the worst over the ensemble."""
+    """Figures of one set of gains on the nominal plant; `worst_…` over the ensemble."""
 
     phase_margin_deg: float
     gain_margin_db: float
@@ -52,7 +52,7 @@ class LoopFigures:
     overshoot_pct: float
     settling_time_s: float
     rms_tracking_rad: float
-    """Over the square wave, the rate's RMS (rad/s) alike."""
+    """RMS error over the square wave; rate_rms_rad_s is the RMS of the rate over it."""
     rate_rms_rad_s: float
     disturbance_rms_rad: float
     bandwidth_rad_s: float
@@ -63,7 +63,7 @@ class LoopFigures:
     """Largest |L / (1 + L)| over the ensemble."""
 
     def named(self, noise_rms: float | None = None) -> dict[str, float]:
-        """By name; `motor_noise_rms` (normalised command) where the measurement noise is known."""
+        """The figures by name; `motor_noise_rms` (normalised command) where the noise is known."""
         values = {name: float(value) for name, value in asdict(self).items()}
         gain = values.pop('noise_gain')
         return values if noise_rms is None else {**values, 'motor_noise_rms': gain * noise_rms}
@@ -76,7 +76,7 @@ def assess(plant: LoopPlant, gains: CascadeGains, ensemble: Ensemble) -> LoopFig
     reference = reference_square(plant.dt)
     run = simulate_cascade(plant, gains, reference, plant.dt, initial_angle=float(reference[0]))
     if not np.isfinite(run.angle).all():
-        raise DesignRefusedError('the simulated loop diverges')
+        raise DesignRefusedError('the simulated loop diverges; identify again')
     loop = open_loop(gains, ensemble.response, ensemble.omega, ensemble.cycle.dt)
     return LoopFigures(
         **margin_figures(ensemble.margins(gains), ensemble),
@@ -114,7 +114,7 @@ def square(reference: FloatArray, angle: FloatArray, dt: float) -> dict[str, flo
 
 
 def reference_square(dt: float) -> FloatArray:
-    """The square wave (n,) that a design is judged by, rad."""
+    """The square wave (n,), rad, by which designs are judged."""
     return square_wave(float(SQUARE_AMPLITUDE_RAD), SQUARE_HALF_PERIOD_S, 1, dt)
 
 
@@ -149,11 +149,11 @@ def mean_gain(response: ComplexArray, omega: FloatArray) -> float:
 def promise(
     loops: Ensemble, before: CascadeGains, after: CascadeGains, lag_s: float
 ) -> dict[str, float]:
-    """How the rates change under the same disturbances, for the watch in flight.
+    """Predicted change of the rates under the same disturbances, for the watch in flight.
 
-    `rate_rms_ratio`, `oscillation_ratio` (the worst octave) and `peak`, the largest gain from the
-    angle's reference to the angle over all drawn plants. `lag_s` is the motors' lag, which the
-    torque of a gust does not pass. The bridge reads them in its gains/watch.py.
+    `rate_rms_ratio`, `oscillation_ratio` (the worst octave) and `peak`, the largest complementary
+    sensitivity over all draws. `lag_s` is the motors' lag, which does not delay a gust. The
+    bridge's gains/watch.py reads them.
     """
     old, new = (
         open_loop(gains, loops.response, loops.omega, loops.cycle.dt) for gains in (before, after)
@@ -165,7 +165,7 @@ def promise(
 def ratios(
     loops: Ensemble, before: ComplexArray, after: ComplexArray, lag_s: float
 ) -> dict[str, float]:
-    """`rate_rms_ratio` and `oscillation_ratio` from two sets of loop gains (p, f)."""
+    """`rate_rms_ratio` and `oscillation_ratio` of two sets of loop gains (p, f)."""
     old, new = _power(loops, before, lag_s), _power(loops, after, lag_s)
     octaves = [
         (loops.omega > centre / np.sqrt(2.0)) & (loops.omega < centre * np.sqrt(2.0))
@@ -179,7 +179,7 @@ def ratios(
 
 
 def _power(loops: Ensemble, loop: ComplexArray, lag_s: float) -> FloatArray:
-    """(f,) power of the rate per point of the logarithmic grid, under gusts; mean of nominals."""
+    """(f,) power of the rate under gusts per grid point, mean of the nominal loops."""
     gust = loops.omega / (1.0 + (loops.omega / GUST_RAD_S) ** 2)
     gust *= 1.0 + (loops.omega * lag_s) ** 2
     power = gust * np.abs(loops.response[0] / (1.0 + loop)) ** 2

@@ -1,7 +1,7 @@
-"""What no design may leave: hard bounds of each gain, the step of one update, a model worth it.
+"""Conditions of every design: bounds of each gain, the step of one update, a usable model.
 
-Pure checks on names, numbers and an AxisModel; each refuses with its reason. The bridge has its
-own gate with bounds from its YAML; a proposal that passes here passes there.
+Pure checks; each raises DesignRefusedError with its reason. Gains that pass here pass the bridge's
+gate with its default bounds.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ from quad_sysid.model import AxisModel
 from quad_tuning.errors import DesignRefusedError
 
 DESIGNED = (*TUNED, 'd_filter_hz')
-"""Fields of CascadeGains that a designer changes; the D filter only where the flight told it."""
+"""Fields of CascadeGains that a designer changes; the D filter only if the flight recorded it."""
 STEP_FACTOR = 2.0
 """Largest change of one gain in one update."""
 ROUNDING = 1e-4
-"""Share by which a proposal stays inside the factor: float32 on the wire must not leave it."""
+"""Share by which a step stays inside the factor, since float32 on the wire rounds."""
 SIGN_CONFIDENCE = 3.0
-"""Standard errors that the plant's gain must be away from zero."""
+"""Least distance of the plant's gain from zero, in standard errors."""
 FOREIGN_DRIVE = 0.5
-"""Share of another axis' command in this axis' torque at which the motor order is doubted."""
+"""Share of another axis' command in this axis' torque from which the motor order is in doubt."""
 
 
 @dataclass(frozen=True)
 class Bound:
-    """Hard limits of a gain (SI), and the absolute step that is allowed where it is near zero."""
+    """Limits of a gain (SI), and the absolute step allowed near zero."""
 
     lower: float
     upper: float
@@ -47,7 +47,7 @@ BOUNDS: Mapping[str, Bound] = {
     'sag.exponent': Bound(0.0, 2.5, 0.5, ''),
     'sag.reference_v': Bound(3.0, 60.0, 0.0, 'V'),
 }
-"""Contract's name behind the axis to its bound."""
+"""The contract's name after `<axis>.` → its bound."""
 
 
 def check_finite(gains: Mapping[str, float]) -> None:
@@ -63,7 +63,7 @@ def check_bounds(gains: Mapping[str, float]) -> None:
     for name, value in gains.items():
         bound = BOUNDS.get(name.partition('.')[2])
         if bound is None:
-            raise DesignRefusedError(f'{name}: no gain that a designer may change')
+            raise DesignRefusedError(f'{name}: is not a gain that a designer may change')
         if not bound.lower <= value <= bound.upper:
             raise DesignRefusedError(
                 f'{name}: must lie in {bound.lower:g} .. {bound.upper:g} {bound.unit}: '
@@ -87,7 +87,7 @@ def reachable(field: str, active: float) -> tuple[float, float]:
 
 
 def told(gains: CascadeGains, axis: str, active: Mapping[str, float]) -> dict[str, float]:
-    """The designed gains by the contract's names, without those that `active` does not know."""
+    """The designed gains by the contract's names; without those that `active` lacks."""
     names = {f'{axis}.{CONTRACT_NAMES[field]}': field for field in DESIGNED}
     return {
         name: float(getattr(gains, field)) for name, field in names.items() if name in active
@@ -95,7 +95,7 @@ def told(gains: CascadeGains, axis: str, active: Mapping[str, float]) -> dict[st
 
 
 def check_step(gains: Mapping[str, float], active: Mapping[str, float]) -> None:
-    """Raise DesignRefusedError where a gain changes by more than one update may."""
+    """Raise DesignRefusedError where a gain changes by more than one step."""
     check_bounds(gains)
     for name, value in gains.items():
         field = next(f for f in DESIGNED if CONTRACT_NAMES[f] == name.partition('.')[2])
@@ -111,7 +111,7 @@ def check_step(gains: Mapping[str, float], active: Mapping[str, float]) -> None:
 
 
 def steps_to(wanted: CascadeGains, active: CascadeGains) -> tuple[CascadeGains, ...]:
-    """The updates that lead from `active` to `wanted`, each within the step limit."""
+    """The steps from `active` to `wanted`, each within the limit."""
     path: list[CascadeGains] = []
     now = active
     for _ in range(64):
@@ -135,10 +135,10 @@ def steps_to(wanted: CascadeGains, active: CascadeGains) -> tuple[CascadeGains, 
 
 
 def check_polarity(model: AxisModel) -> None:
-    """Refuse a plant that answers with the wrong sign, not for certain, or to another axis.
+    """Refuse a gain of the wrong or an uncertain sign, and a plant driven by another axis.
 
-    With motors in another order than the contract's mixer the axis' own command drives it
-    backwards, not at all, or less than another axis' does.
+    If the motors' order is not the mixer's, an axis' command drives it backwards, not at all, or
+    less than another axis' command does.
     """
     gain = next(p for p in model.base if p.name == 'gain')
     order = "check the motors' order and spin, and the gyro's axes"
@@ -169,10 +169,10 @@ def check_polarity(model: AxisModel) -> None:
 
 
 LARGEST_RELATIVE_STD = {'gain': 0.2, 'lag': 0.4}
-"""Standard error over value beyond which no margin over draws is worth anything."""
+"""Largest relative standard error with which margins over draws are meaningful."""
 LARGEST_DELAY_STD_CYCLES = 1.5
 BAND_REACH = 2.0
-"""How far beyond its trusted band a grey-box model is believed: one octave."""
+"""Factor (one octave) by which the crossover may leave the model's trusted band."""
 
 
 def check_model(model: AxisModel) -> None:
@@ -221,7 +221,7 @@ def _check_uncertainty(model: AxisModel) -> None:
 
 
 def flown_gains(model: AxisModel) -> CascadeGains:
-    """The gains of the flight; refused where the bag does not say, or they are out of bounds."""
+    """The gains of the flight; refused where they are unknown, out of bounds, or of the LQR."""
     names = [f'{model.axis}.{CONTRACT_NAMES[field]}' for field in TUNED]
     missing = [name for name in names if name not in model.active_gains]
     if model.active_gains.get(f'{model.axis}.lqr.share', 0.0) > 0.0:
@@ -239,7 +239,7 @@ def flown_gains(model: AxisModel) -> CascadeGains:
 
 
 def check_band(model: AxisModel, crossover_rad_s: float) -> None:
-    """Refuse a model whose trusted band does not reach the crossover of the loop that flew."""
+    """Refuse a model whose trusted band does not contain the flown loop's crossover."""
     band = model.trusted_band_rad_s
     if band is None or not math.isfinite(crossover_rad_s):
         return

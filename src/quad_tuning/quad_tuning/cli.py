@@ -35,7 +35,7 @@ BRYSON = {'angle': 'RAD', 'rate': 'RAD/S', 'integral': 'RAD*S', 'control': 'SHAR
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """`quad-tune`: the exit status of the command that was asked for."""
+    """Run `quad-tune`; returns its exit status."""
     parser = Parser(prog='quad-tune', description='Gains from identified models.')
     commands = parser.add_subparsers(dest='command', required=True)
     _arguments(command(commands, 'design', _run, 'Gains from a model.json, with margins.',

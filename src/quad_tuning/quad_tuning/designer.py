@@ -1,7 +1,7 @@
-"""The designer that the identification finds: an axis model in, a gain proposal or a refusal out.
+"""The designer that the identification finds: an axis model in, gains or a refusal out.
 
-Wiring of admission, ensemble, PID design, path and effects' use; offered as `pid` in the entry
-point group `quad_sysid.designers`. The arithmetic stands in those modules.
+Wiring only: checks, ensemble, PID design, steps, use of effects. It is the entry point `pid` of
+the group `quad_sysid.designers`.
 """
 
 from __future__ import annotations
@@ -32,15 +32,15 @@ from quad_tuning.use import along, schedule, scheduled, settings, uses
 from quad_tuning.way import way_to
 
 SEED = 20_250_101
-"""Of the draws, so that one model gives one proposal."""
+"""Seed of the draws, so that a model always gives the same gains."""
 LEAST_GAIN_PCT = 2.0
-"""Promised drop of the tracking error below which the flown gains stay, if they keep margins."""
+"""Predicted improvement below which flown gains that keep the margins stay."""
 LARGEST_LOSS_PCT = 3.0
-"""Promised rise of the tracking error above which margins are not bought by a design."""
+"""Largest predicted loss of tracking that is accepted for the margins."""
 
 
 def design(model: AxisModel) -> GainProposal:
-    """Gains for one axis, or the reason why there are none; never raises for a model's faults."""
+    """Gains for one axis, or the reason against; a model's faults never raise."""
     try:
         proposal = propose(model)
     except (QuadTuningError, QuadSysidError) as refusal:

@@ -1,10 +1,9 @@
 """The plants that a design must hold for: drawn from the model's covariance, with their effects.
 
-A share of the draws that is the rivals' probability has a rival in an effect's place. A rival of
-the same signal gets the strength with which it does the same over the flown range; any other is
-stood for by the model without the effect. Each draw is linearised at one or several amplitudes
-(curves by their describing gains), so that a loop is judged both while it moves widely and near
-rest.
+Each rival replaces its effect in a share of the draws equal to its probability. A rival of the
+same signal gets the strength that matches the effect over the flown range; for any other rival the
+effect is left out. Each draw is linearised at one or two amplitudes (curves by their describing
+functions), so that a loop is judged both in wide motion and near rest.
 """
 
 from __future__ import annotations
@@ -49,7 +48,7 @@ from quad_sysid.model import AxisModel, EffectEstimate, Parameter
 from quad_sysid.model.effect import Effect, Part
 
 LEAST_PROBABILITY = 0.02
-"""A rival below this is ruled out."""
+"""Probability below which a rival is ignored."""
 FLOWN = {'rate': 1.5, 'angle': 0.25}
 """Amplitude of the signal over which two curves are matched, rad/s and rad."""
 REST = {'throttle': 0.5, 'battery': 1.0}
@@ -70,7 +69,7 @@ def variants(model: AxisModel) -> tuple[tuple[float, AxisModel], ...]:
 
 
 def shares(weights: tuple[float, ...], count: int) -> tuple[int, ...]:
-    """How many of `count` draws each weight gets: the largest remainders get the rest."""
+    """The number of `count` draws for each weight, by the largest remainders."""
     exact = np.array(weights) / np.sum(weights) * count
     whole = np.floor(exact).astype(int)
     for index in np.argsort(whole - exact, kind='stable')[: count - int(whole.sum())]:
@@ -89,7 +88,7 @@ def _with_rival(model: AxisModel, effect: EffectEstimate, name: str) -> AxisMode
 
 
 def _matched(found: Placed, name: str, own: Sequence[Effect]) -> EffectEstimate | None:
-    """The rival whose torque is nearest the effect's over a sine of the flown amplitude."""
+    """The rival at the strength that matches the effect over a sine of the flown amplitude."""
     rival = next((e for e in library(own) if e.name == name), None)
     signal = found.effect.signals[0]
     if rival is None or signal not in FLOWN or not (_simple(found.effect) and _simple(rival)):
@@ -107,13 +106,13 @@ def _matched(found: Placed, name: str, own: Sequence[Effect]) -> EffectEstimate 
 
 
 def _simple(effect: Effect) -> bool:
-    """Whether it is a torque in proportion to its first parameter, the others of its form."""
+    """Whether it is a torque proportional to its first parameter, the others shaping it."""
     first, *form = (spec.spread is None for spec in effect.parameters)
     return effect.term == 'torque' and first and not any(form)
 
 
 def _reduced(model: AxisModel, effects: tuple[EffectEstimate, ...]) -> AxisModel:
-    """The model with other effects; rows of the covariance that lost their parameter go."""
+    """The model with other effects and the rows of the covariance that remain."""
     kept = {f'{e.name}.{p.name}' for e in effects for p in e.parameters}
     keep = [
         i for i, name in enumerate(model.parameter_names) if '.' not in name or name in kept
@@ -128,21 +127,21 @@ def _reduced(model: AxisModel, effects: tuple[EffectEstimate, ...]) -> AxisModel
 
 
 DRAWS = 240
-"""Drawn models, the nominal one not counted."""
+"""Number of drawn models, without the nominal one."""
 
 FLOOR = {'gain': 0.015, 'lag': 0.01, 'damping': 0.1}
-"""Smallest relative standard error that is believed: a covariance knows only the noise. Of 100
+"""Least relative standard error of a draw, since a covariance contains only the noise. Of 100
 identified airframes (bench/tuning.py) 95 were off by less than 0.9 % in lag, 0.03 cycles in delay
 and, where another charge of the battery changed it, 3 % in gain (0.1 % in the median)."""
 DELAY_FLOOR_CYCLES = 0.05
 
 AMPLITUDES = ((4.0, 0.35, 0.3), (0.3, 0.05, 0.03))
-"""Rate rad/s, angle rad, command at which curves are replaced by gains: wide, near rest."""
+"""Amplitudes of rate (rad/s), angle (rad) and command for linearisation: wide, near rest."""
 
 VOLTAGE_RANGE = (0.9, 1.08)
-"""Battery voltage over the next flight, of this one's mean."""
+"""Battery voltage of the next flight relative to this one's mean."""
 THROTTLE_RANGE = (0.85, 1.15)
-"""Throttle over the next flight, of this one's mean."""
+"""Throttle of the next flight relative to this one's mean."""
 
 
 @dataclass(frozen=True)
@@ -184,8 +183,8 @@ class Ensemble:
 def draw_models(model: AxisModel, rng: np.random.Generator, count: int) -> list[AxisModel]:
     """`count` models whose parameters are drawn from N(estimate, covariance).
 
-    Where the covariance is smaller than FLOOR the floor counts; a parameter whose row is NaN (at
-    a bound) stays. Gain, lag, delay keep their sign.
+    Standard errors are at least FLOOR; a parameter whose row is NaN (at a bound) keeps its value.
+    Gain, lag and delay keep their signs.
     """
     names = model.parameter_names
     matrix = _believed_covariance(model)
@@ -235,7 +234,7 @@ def _next_flight(drawn: AxisModel, rng: np.random.Generator) -> LoopPlant:
 
 
 def _alike(plants: list[LoopPlant]) -> list[LoopPlant]:
-    """The plants with the same kinds of states: who lacks one has it without any weight."""
+    """The plants with the same kinds of states; a missing one is added with weight 0."""
     slow = next((p.slow for p in plants if p.slow is not None), None)
     mode = next((p.mode for p in plants if p.mode is not None), None)
     if slow is not None:

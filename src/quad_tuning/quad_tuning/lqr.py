@@ -1,10 +1,10 @@
 """LQR for the angle: discrete, the delay by prediction, integral action, observer.
 
-Feedback on drive, rate, angle and the integral of the angle's error of the model that the firmware
-has (state_feedback.py); weights by Bryson's rule. The optimal feedback of a plant whose input is
-late is the one without delay on the predicted states. Slow motors enter the model by the mean of
-the lags, the gyro's filter by its delay, curves by their gain in wide motion; the loop is slowed
-until every loop of the ensemble, which knows all of that, keeps its margins.
+Feedback of drive, rate, angle and the integral of the angle's error in the firmware's model
+(state_feedback.py); weights by Bryson's rule. For a delayed input the optimal feedback is the
+undelayed one on predicted states. Slow motors enter the model by the mean of the lags, the gyro's
+filter by its delay, curves by their gain in wide motion. The loop is slowed until every loop of
+the ensemble, which contains all of these, keeps its margins.
 Source: Anderson, Moore, Optimal Control (1990), 2.3 and 7.2; Bryson, Ho, Applied Optimal Control
 (1975), 5.2.
 """
@@ -36,7 +36,7 @@ FASTEST = 0.02
 RAISE = 1.2
 ROUNDS = 72
 SHARES = (0.25, 0.5)
-"""Of the state feedback on its way in, as the bridge's gate makes them."""
+"""Shares of the state feedback in the bridge's steps."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Weights:
 
 @dataclass(frozen=True)
 class Noise:
-    """What the observer expects."""
+    """Noise that the observer assumes."""
 
     torque: float = 50.0
     """RMS of the torque noise over one cycle, rad/s²."""
@@ -61,13 +61,13 @@ class Noise:
 
 @dataclass(frozen=True)
 class LqrDesign:
-    """A controller and what it gives."""
+    """A controller and its figures."""
 
     controller: StateFeedback
     figures: dict[str, float]
     """Margins, nominal and the worst over the ensemble, and its square wave."""
     control_weight: float
-    """What the control's Bryson weight was multiplied by until the margins held."""
+    """Factor on the control's Bryson weight with which the margins hold."""
 
 
 def design_lqr(
@@ -103,7 +103,7 @@ def design_lqr(
 
 
 def passes(found: StateFeedback) -> bool:
-    """Whether the bridge's gate lets its gains through."""
+    """Whether its gains are within the bridge's bounds."""
     return all(
         low <= getattr(found, name) <= high
         for name, (low, high, _) in LIMITS.items() if name.startswith('k_')
@@ -140,7 +140,7 @@ def feedback(
 
 
 def way_is_safe(found: StateFeedback, active: CascadeGains, ensemble: Ensemble) -> bool:
-    """Whether shares of the feedback beside the cascade that flies keep the margins of a step."""
+    """Whether each mix of feedback and flown cascade keeps the margins of a step."""
     least = least_on_the_way(active, ensemble)
     mixed = [beside(found, active, share) for share in SHARES]
     return all(

@@ -1,6 +1,6 @@
 """From an axis model to an LQR with figures, or a refusal; the same admission as the cascade's.
 
-Apart from designer.py because python-control is slow to import and the node has no need of it.
+Separate from designer.py because python-control is slow to import and the node does not need it.
 """
 
 from __future__ import annotations
@@ -26,24 +26,24 @@ from quad_tuning.state_feedback import StateFeedback, controller_response, simul
 
 @dataclass(frozen=True)
 class LqrProposal:
-    """A controller for one axis with its figures; `<name>_before` is the cascade that flew."""
+    """A controller for one axis with its figures; `<name>_before`: of the flown cascade."""
 
     controller: StateFeedback
     gains: dict[str, float]
-    """What /gains/update takes: the controller by the contract's names, with the whole share."""
+    """The controller by the contract's names, with share 1, for /gains/update."""
     figures: dict[str, float]
 
 
 WEIGHTS = {'angle': 'angle_rad', 'rate': 'rate_rad_s', 'integral': 'integral_rad_s',
            'control': 'control'}  # fmt: skip
-"""Short name to the field of Weights."""
+"""Short name → field of Weights."""
 
 
 def propose_lqr(model: AxisModel, largest: Mapping[str, float] | None = None) -> LqrProposal:
     """An LQR for the angle of one axis; raises DesignRefusedError with the reason.
 
-    `largest` are Bryson's largest acceptable values by the names of WEIGHTS: rad, rad/s, rad s,
-    normalised command; those not given have their defaults.
+    `largest`: Bryson's largest acceptable values by the names of WEIGHTS, in rad, rad/s, rad s and
+    normalised command; missing ones have their defaults.
     """
     check_model(model)
     active = flown_gains(model)
@@ -58,7 +58,7 @@ def propose_lqr(model: AxisModel, largest: Mapping[str, float] | None = None) ->
         raise DesignRefusedError(f'{model.axis}: {refusal}') from refusal
     if not way_is_safe(found.controller, active, loops):
         raise DesignRefusedError(
-            f'{model.axis}: a quarter or half of the LQR beside the gains that fly leaves poor '
+            f'{model.axis}: a quarter or half of the LQR mixed with the flown gains leaves poor '
             'margins; take quad-tune design without --method lqr first'
         )
     figures = dict(found.figures)
@@ -90,7 +90,7 @@ def _check_worth(axis: str, figures: Mapping[str, float]) -> None:
 
 
 def _noise(model: AxisModel) -> Noise:
-    """What the observer expects: the flight's measurement noise where the model knows it."""
+    """Noise for the observer, with the flight's measurement noise where it is known."""
     return Noise(rate=model.noise_rms) if model.noise_rms else Noise()
 
 
@@ -118,7 +118,7 @@ def noise_gain(controller: StateFeedback, nominal: Ensemble) -> float:
 def promise(
     loops: Ensemble, before: CascadeGains, after: StateFeedback, lag_s: float
 ) -> dict[str, float]:
-    """As for the cascade, from the gains that flew to the feedback."""
+    """As assess.promise, from the flown cascade to the feedback."""
     old = open_loop(before, loops.response, loops.omega, loops.cycle.dt)
     new = loop_gain(after.dynamics(), loops)
     forward = controller_response(after.dynamics(), loops.omega, loops.cycle.dt)[1]

@@ -1,7 +1,7 @@
-"""What a retune is judged by: tracking, disturbance, noise, and the room to each requirement.
+"""The objective of a PID design and its constraints: tracking, disturbance, noise, margins.
 
-Figures of one set of gains relative to the flown ones, and the box that gains are sought in. The
-search stands in pid.py; the figures themselves in assess.py.
+Figures of gains relative to the flown ones, and the box of the search. pid.py has the search,
+assess.py the figures.
 """
 
 from __future__ import annotations
@@ -21,28 +21,28 @@ from quad_tuning.ensemble import Ensemble
 from quad_tuning.errors import DesignRefusedError
 
 REACH = 16.0
-"""Widest factor between the flown gain and the one that is sought; hard bounds hold besides."""
+"""Largest factor between flown and new gain; the bounds apply too."""
 POWERS = {'rate_ki': 3.0, 'rate_kd': 2.0}
-"""Gains that may be 0 are sought on this power of the cube's coordinate, the others' logarithm."""
+"""Power of the cube's coordinate for gains that may be 0; the others are logarithmic."""
 NOMINAL = 4
-"""Requirements of the nominal loop: overshoot, noise, crossover, disturbance."""
+"""Number of nominal requirements: overshoot, noise, crossover, disturbance."""
 
 
 @dataclass(frozen=True)
 class Requirements:
-    """What every loop of the ensemble, or the nominal one, must keep."""
+    """Requirements on every loop of the ensemble, or on the nominal one."""
 
     phase_margin_deg: float = 45.0
     gain_margin_db: float = 8.0
     peak_sensitivity: float = 1.8
     overshoot_pct: float = 15.0
-    """Nominal square wave."""
+    """Nominal, of the square wave."""
     noise_factor: float = 3.0
-    """Noise at the motors, of what the flown gains gave; more is allowed up to `motor_noise`."""
+    """Noise at the motors relative to the flown gains; always allowed up to `motor_noise`."""
     motor_noise: float = 0.01
-    """RMS of the noise at the motors, normalised command, that no airframe minds."""
+    """Harmless RMS noise at the motors, normalised command."""
     disturbance_factor: float = 1.0
-    """RMS angle under a torque step, of what the flown gains gave."""
+    """RMS angle under a torque step, relative to the flown gains."""
     highest_crossover_rad_s: float = float('inf')
     """Nominal."""
 
@@ -58,7 +58,7 @@ class Weights:
 
 @dataclass(frozen=True)
 class Problem:
-    """Everything that does not change while one design is sought."""
+    """Everything that is constant during a search."""
 
     plant: LoopPlant
     active: CascadeGains
@@ -83,7 +83,7 @@ class Problem:
         return replace(self.active, **values)
 
     def point(self, gains: CascadeGains) -> FloatArray:
-        """The point (5,) of the unit cube at which `gains` stand, clipped to it."""
+        """The point (5,) of the unit cube for `gains`, clipped to it."""
         values = np.array([getattr(gains, field) for field in DESIGNED])
         shares = []
         for field, value, low, high in zip(DESIGNED, values, self.low, self.high, strict=True):
@@ -96,7 +96,7 @@ class Problem:
         return np.asarray(np.clip(np.array(shares), 0.0, 1.0))
 
     def value(self, gains: CascadeGains) -> tuple[float, FloatArray]:
-        """The objective, and the nominal requirements (4,), kept where >= 0."""
+        """The objective, and the nominal constraints (4,), satisfied where >= 0."""
         rms, beyond = tracking(self.plant, gains, self.reference)
         push = disturbance(self.plant, gains) / self.scale[1]
         noise = noise_gain(gains, self.nominal) / self.scale[2]
@@ -117,9 +117,9 @@ class Problem:
         return float(value), np.clip(kept, -1.0, 1.0)
 
     def room(self, loops: Ensemble, gains: CascadeGains) -> FloatArray:
-        """(3 p,) relative room of every loop to each requirement, kept where >= 0.
+        """(3 p,) relative margin of every loop to each requirement, satisfied where >= 0.
 
-        None levels off before the loop is unstable: a search finds a slope wherever it begins.
+        It has a slope everywhere up to instability, so that a search can start anywhere.
         """
         m, needs = loops.margins(gains), self.needs
         return np.concatenate(
@@ -155,7 +155,7 @@ def pose(
 ) -> Problem:
     """The problem of one axis; raises DesignRefusedError where the flown loop diverges.
 
-    `fixed` are fields of CascadeGains that stay as they are.
+    `fixed` are fields of CascadeGains that do not change.
     """
     check_bounds({f'flown.{CONTRACT_NAMES[f]}': getattr(active, f) for f in DESIGNED})
     low, high = [], []
@@ -176,7 +176,7 @@ def pose(
         noise_gain(active, nominal),
     )
     if not np.isfinite(scale).all():
-        raise DesignRefusedError('the simulated loop with the flown gains diverges')
+        raise DesignRefusedError('the simulated loop diverges with these gains; identify again')
     return Problem(
         plant, active, ensemble, nominal, needs, weights, reference, scale,
         np.array(low), np.array(high),

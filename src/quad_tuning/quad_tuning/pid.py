@@ -1,11 +1,11 @@
-"""The cascade retuned without changing its structure: C1 P and C2 PID of one axis.
+"""New gains for the cascade of one axis: C1 P and C2 PID.
 
-Minimised: tracking error of a square wave, with a small share of the deviation under a torque step
-and of the noise at the motors, each relative to the gains that flew. Subject to margins of every
-loop of the ensemble. A grid over all gains is judged all at once on the loops that bind (linear
-tracking by Parseval, margins), its best points by the whole objective (objective.py). From those
-that lie apart SLSQP goes on; loops that fall short are taken up one after the other until all hold
-(cutting planes). Deterministic: nothing is drawn.
+The objective is the tracking error of a square wave, with small shares of the deviation under a
+torque step and of the noise at the motors, each relative to the flown gains; the margins of all
+loops of the ensemble are constraints. A grid over all gains is judged at once on the binding loops
+(linear tracking by Parseval's theorem, margins), its best points by the whole objective
+(objective.py). SLSQP continues from those that lie apart; violated loops are added as constraints
+until all hold (cutting planes). Deterministic.
 """
 
 from __future__ import annotations
@@ -34,37 +34,37 @@ from quad_tuning.objective import Problem, Requirements, Weights, pose
 GRID = (9, 14, 3, 7, 3)
 """Points along angle kp, rate kp, ki, kd and the filter of D."""
 KI_SHARES, KD_SHARES = (0.15, 0.6), (0.08, 0.8)
-"""Of the cube's edge; not from 0, where their powers are flat and no search gets away."""
+"""Range in the cube; not from 0, where the powers are flat and a search would stay."""
 FILTER_HZ = (30.0, 55.0, 100.0)
 JUDGED = 120
-"""Points of the grid that the whole objective judges."""
+"""Number of grid points that are judged by the whole objective."""
 STARTS = 5
-"""Searches, begun at the best points of the grid that lie at least APART in SHAPE: angle kp, rate
-kp and kd. A resonance folds the margins, and lesser optima lie between."""
+"""Searches from the best grid points that are at least APART in SHAPE (angle kp, rate kp, kd): a
+resonance can cause local optima."""
 APART = 0.11
 SHAPE = [0, 1, 3]
 DIFFERENCE = 5e-4
 WORST = 6
-"""Loops taken up per requirement and round."""
+"""Loops added per requirement and round."""
 ROUNDS = 6
 INFEASIBLE = 0.005
-"""Relative shortfall after a search beyond which no further round is tried."""
+"""Relative violation after a search from which no further round is tried."""
 CHUNK = 256
 
 
 @dataclass(frozen=True)
 class Found:
-    """Where the searches ended, best first, and what the grid knows of better ones."""
+    """Results of the searches, best first, and the best of the grid."""
 
     points: tuple[tuple[float, FloatArray], ...]
-    """(objective, point) of each search that ended inside all requirements."""
+    """(objective, point) of each search that satisfied all requirements."""
     grid_points: int
     grid_best: float
-    """Objective of the best grid point that holds for all loops; inf: none does."""
+    """Objective of the best grid point that satisfies all loops; inf: none."""
 
 
 def search(problem: Problem) -> Found:
-    """Grid, then polish; no points where nothing in the box meets the requirements."""
+    """Grid, then local searches; no points where nothing in the box is feasible."""
     grid = _grid(problem)
     loops = problem.ensemble.subset(_binding(problem))
     order = _ranked(problem, loops, grid)
@@ -95,7 +95,7 @@ def _grid(problem: Problem) -> FloatArray:
 
 
 def _binding(problem: Problem) -> npt.NDArray[np.int64]:
-    """Loops that fall shortest at the flown gains, at half and at twice their rate gains."""
+    """Worst loops at the flown gains, and at half and twice their rate gains."""
     found = [np.flatnonzero(problem.ensemble.nominal)[:1]]
     for factor in (0.5, 1.0, 2.0):
         gains = replace(
@@ -107,7 +107,7 @@ def _binding(problem: Problem) -> npt.NDArray[np.int64]:
 
 
 def _ranked(problem: Problem, loops: Ensemble, grid: FloatArray) -> npt.NDArray[np.int64]:
-    """Indices of the grid, best first: linear tracking with a penalty on missing margins."""
+    """Indices of the grid, best first, by linear tracking with a penalty on margins."""
     thin = replace(loops, omega=loops.omega[::2], response=loops.response[..., ::2])
     dt = problem.plant.dt
     harmonics: FloatArray = np.pi / SQUARE_HALF_PERIOD_S * np.arange(1.0, 240.0, 2.0)
@@ -134,7 +134,7 @@ def _loops_of(
 
 
 def _margin_room(problem: Problem, rows: list[CascadeGains], loops: Ensemble) -> FloatArray:
-    """(g,) smallest relative room over the loops, 0 where all hold."""
+    """(g,) smallest relative margin over the loops, 0 where all are satisfied."""
     loop, _ = _loops_of(rows, loops.response, loops.omega, loops.cycle.dt)
     g, p, f = loop.shape
     m, needs = margins(loop.reshape(g * p, f), loops.omega), problem.needs
@@ -148,10 +148,10 @@ def _margin_room(problem: Problem, rows: list[CascadeGains], loops: Ensemble) ->
 
 
 def _turns(loop: ComplexArray) -> npt.NDArray[np.int64]:
-    """(p,) turns of the loop gain (p, f) around -1: not 0 where the closed loop is unstable.
+    """(p,) encirclements of -1 by the loop gain (p, f): not 0 where the closed loop is unstable.
 
-    Margins of an unstable loop may look good. Nyquist's criterion for a plant without unstable
-    poles, whose phase at the lowest frequency lies in -270..90 degrees.
+    Nyquist's criterion for a plant without unstable poles whose phase at the lowest frequency lies
+    in -270..90 degrees.
     """
     phase = np.unwrap(np.angle(1.0 + loop), axis=-1)
     start = np.mod(phase[:, 0] + 1.5 * np.pi, 2.0 * np.pi) - 1.5 * np.pi
@@ -194,7 +194,7 @@ def _apart(points: list[FloatArray]) -> list[FloatArray]:
 
 
 def _polish(problem: Problem, start: FloatArray) -> tuple[float, FloatArray] | None:
-    """Objective and point of the best gains from this start; None where none hold."""
+    """Objective and point of the best gains from this start; None if infeasible."""
     chosen = np.zeros(0, dtype=np.int64)
     x = start
     for _ in range(ROUNDS):
@@ -263,36 +263,36 @@ def _slsqp(judged: Callable[[FloatArray], FloatArray], start: FloatArray) -> Flo
 
 
 def _worst(problem: Problem, gains: CascadeGains, count: int) -> npt.NDArray[np.int64]:
-    """Loops that fall shortest of each requirement with these gains."""
+    """The worst loops for each requirement with these gains."""
     room = problem.room(problem.ensemble, gains).reshape(3, -1)
     return np.unique(np.argsort(room, axis=1, kind='stable')[:, :count]).astype(np.int64)
 
 
 AGREED = 0.01
 RELAXED_DISTURBANCE = 1.5
-"""Where the flown gains reject a torque only without margins, this much of it may be lost."""
+"""Factor of lost torque rejection that is allowed if there is no design without it."""
 
 
 @dataclass(frozen=True)
 class PidDesign:
-    """Gains found, what they give, what the flown ones gave, and how sure the optimum is."""
+    """New gains, their figures and the flown ones', and how certain the optimum is."""
 
     gains: CascadeGains
     figures: LoopFigures
     before: LoopFigures
     objective: float
     spread_pct: float
-    """Largest difference of a gain that matters (angle kp, rate kp) between those that agree."""
+    """Largest difference of angle kp or rate kp between searches that agree, %."""
     objective_spread_pct: float
     starts: int
     """Searches that ended within AGREED of the best objective."""
     searches: int
-    """Searches that ended inside all requirements; the others stopped at lesser optima."""
+    """Searches that satisfied all requirements."""
     grid_points: int
     grid_excess_pct: float
-    """By how much the best grid point that holds is worse than the optimum; negative: better."""
+    """Excess of the best feasible grid point over the optimum, %; negative: better."""
     disturbance_kept: bool
-    """Whether a torque is rejected no worse than with the flown gains."""
+    """Whether torque is rejected no worse than with the flown gains."""
 
 
 def retune(
@@ -303,10 +303,10 @@ def retune(
     weights: Weights | None = None,
     fixed: Collection[str] = (),
 ) -> PidDesign:
-    """The best gains within the hard bounds that hold for every loop of the ensemble.
+    """The best gains within the bounds that satisfy every loop of the ensemble.
 
-    `fixed` are fields of CascadeGains that stay as they are. Deterministic. Raises
-    DesignRefusedError where no gains in the box meet the requirements.
+    `fixed` are fields of CascadeGains that do not change. Deterministic. Raises DesignRefusedError
+    where no gains in the box meet the requirements.
     """
     needs = needs or Requirements()
     problem = pose(plant, active, ensemble, needs, weights or Weights(), fixed)

@@ -1,11 +1,10 @@
-"""The state feedback that the firmware flies as its second control mode: its numbers, its loop.
+"""The firmware's second control mode, state feedback: its parameters and its loop.
 
     drive' = (gain u(t - delay) - drive) / lag,  rate' = drive - damping rate,  angle' = rate
     u = k_angle e - k_rate rate - k_drive drive + k_integral xi,  e = reference - angle, xi' = e
 
 An observer corrects the model's rate by the measured one; the states are predicted over the delay
-with the commands under way. Written from the same equations as the firmware, one step as it forms
-it. How the numbers are found stands in lqr.py.
+with the commands in it. The steps are those of the firmware. lqr.py finds the parameters.
 """
 
 from __future__ import annotations
@@ -33,12 +32,12 @@ LIMITS: Mapping[str, tuple[float, float, str]] = {
     'damping': (-5.0, 20.0, '1/s'),
     'observer': (0.005, 1.0, ''),
 }
-"""What the bridge's gate lets through, SI, and the unit."""
+"""The bridge's bounds in SI, and the unit."""
 
 
 @dataclass(frozen=True)
 class StateFeedback:
-    """One axis; names and units as on the wire (`<axis>.lqr.<name>`)."""
+    """Parameters of one axis, names and units as on the wire (`<axis>.lqr.<name>`)."""
 
     k_angle: float
     """Command per rad."""
@@ -56,7 +55,7 @@ class StateFeedback:
     damping: float
     """1/s."""
     observer: float
-    """Share of the difference between measured and predicted rate that is taken over."""
+    """Share of the difference between measured and predicted rate that corrects the rate."""
     dt: float
     output_limit: float
 
@@ -67,11 +66,11 @@ class StateFeedback:
 
     @property
     def size(self) -> int:
-        """States: drive, rate, integral, the commands under way."""
+        """Number of states: drive, rate, integral, the commands in the delay."""
         return COMMANDS + self.late
 
     def to_mapping(self, axis: str, share: float = 1.0) -> dict[str, float]:
-        """The contract's names; raises DesignRefusedError where one is out of bounds."""
+        """Parameters by the contract's names; DesignRefusedError where one is out of bounds."""
         for name, (low, high, _) in LIMITS.items():
             if not low <= getattr(self, name) <= high:
                 raise DesignRefusedError(
@@ -82,7 +81,7 @@ class StateFeedback:
         return {**values, f'{axis}.lqr.share': share}
 
     def command(self, x: FloatArray, rate: float, error: float) -> tuple[float, FloatArray]:
-        """The command without limits, and the states (size,) corrected by the measured rate."""
+        """The command before limits, and the states (size,) corrected by the measured rate."""
         x = x.copy()
         x[RATE] += self.observer * (rate - x[RATE])
         drive, speed, total = x[DRIVE], x[RATE], x[TOTAL]
@@ -95,7 +94,7 @@ class StateFeedback:
         return float(u + self.k_integral * total), x
 
     def moved(self, x: FloatArray, error: float, u: float, *, held: bool = False) -> FloatArray:
-        """States (size,) of the next cycle; `held`: the integral stays."""
+        """States (size,) of the next cycle; `held`: the integral does not change."""
         commands = np.concatenate(([u], x[COMMANDS:]))
         following, after = self._moved(x[DRIVE], x[RATE], commands[self.late])
         total = x[TOTAL] + (0.0 if held else self.dt * error)
@@ -107,7 +106,7 @@ class StateFeedback:
         return following, speed + self.dt * slope
 
     def dynamics(self) -> Dynamics:
-        """The linear controller: its step on each state and each measurement."""
+        """The linear controller from the responses to each state and measurement."""
         n = self.size
         columns, outputs = [], []
         for unit in np.eye(n + 2):
@@ -122,7 +121,7 @@ class StateFeedback:
 def beside(found: StateFeedback, gains: CascadeGains, share: float) -> Dynamics:
     """`share` of the feedback and the rest of the cascade, as the firmware mixes them.
 
-    One integral runs, the feedback's; the cascade's follows.
+    Only the feedback's integral runs; the cascade's follows it.
     """
     one, other = found.dynamics(), replace(gains, rate_ki=0.0).dynamics(found.dt)
     n, m = one[0].shape[0], other[0].shape[0]
@@ -156,10 +155,10 @@ def simulate(
     push: FloatArray | None = None,
     noise: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """(n,) measured angle, rad, and command of the linear plant, its limit included.
+    """(n,) measured angle, rad, and limited command, with the linear plant.
 
-    `push` is what a torque adds to the plant's states in every cycle, `noise` (n,) rad/s is on the
-    measured rate; the observer knows nothing of them.
+    `push` is added to the plant's states in every cycle (a torque), `noise` (n,) rad/s to the
+    measured rate.
     """
     x = np.zeros(model.a.shape[0])
     x[sorted({2, int(np.argmax(model.c[1]))})] = start_angle  # the true angle and the filtered

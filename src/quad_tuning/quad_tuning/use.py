@@ -1,9 +1,9 @@
-"""What a design makes of each effect that was found, in words, and what it does about the voltage.
+"""How a design uses each effect, in words, and how it handles the battery's voltage.
 
-Commands are multiplied by (reference / voltage) ** exponent in flight (`<axis>.sag.*`) where the
-firmware offers it, so the gains are designed for one voltage and hold at all; for another firmware
-there is a table of gains by voltage. How the effects enter the plant stands in quad_sysid.loop and
-ensemble.py.
+A firmware that offers it multiplies commands by (reference / voltage) ** exponent
+(`<axis>.sag.*`), so one set of gains suits all voltages; for another firmware there is a table of
+gains by voltage.
+quad_sysid.loop and ensemble.py put the effects into the plant.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ EFFECT = 'battery_sag'
 
 
 def settings(model: AxisModel) -> dict[str, float]:
-    """Both parameters by the contract's names; empty without sag or without the firmware's offer.
+    """Exponent and reference by the contract's names; empty without sag or such a firmware.
 
-    Commands stay as they are at the flight's mean voltage, or at the reference that is set.
+    Commands are not scaled at the reference: the active one, else the flight's mean voltage.
     """
     exponent, reference = (f'{model.axis}.sag.{name}' for name in ('exponent', 'reference_v'))
     mean = model.mean_battery_v
@@ -39,14 +39,14 @@ def settings(model: AxisModel) -> dict[str, float]:
 
 
 def scheduled(model: AxisModel, chosen: Mapping[str, float]) -> AxisModel:
-    """The model as the loop will be with the schedule."""
+    """The model with the schedule active."""
     return replace(model, active_gains={**model.active_gains, **chosen}) if chosen else model
 
 
 def along(
     steps: Sequence[Mapping[str, float]], chosen: Mapping[str, float], active: Mapping[str, float]
 ) -> tuple[dict[str, float], ...]:
-    """The updates with the schedule in them, its exponent as far in each as the gate lets it."""
+    """The steps with the schedule, its exponent in each as far as the gate allows."""
     path = [{**step, **chosen} for step in steps]
     name = next((key for key in chosen if key.endswith('sag.exponent')), None)
     if name is None or not path:
@@ -72,20 +72,20 @@ WORDS: Mapping[str, str] = {
     'torque': 'simulated with it as a constant torque',
     'throttle': 'margins hold over the throttle of the next flight, 0.85 to 1.15 of the mean',
     'time': 'the plant as it is after the event',
-    'battery': 'margins hold over the whole pack; the schedule gives gains by voltage',
-    'gain': 'margins hold over all gains that the curve takes',
+    'battery': 'margins hold over the whole voltage range; the schedule gives gains by voltage',
+    'gain': 'margins hold over the whole curve of the gain',
     'response': 'a second lag of the plant, in simulation and margins',
     'mode': 'a mode of the plant, in simulation and margins; a notch is not used',
     'usual': 'the plant with its usual value, in simulation and margins',
 }
-"""What a design makes of an effect, by what it does to the loop."""
-OUTSIDE = 'left out of the loop: the margins stand for it'
-NO_FEED_FORWARD = '; fed forward it would better the tracking by less than 1 %'
+"""How a design uses an effect, by its place in the loop."""
+OUTSIDE = 'left out of the loop; the margins allow for it'
+NO_FEED_FORWARD = '; feed-forward would improve the tracking by less than 1 %'
 
 
 def uses(model: AxisModel) -> tuple[tuple[str, str], ...]:
-    """(name, what was made of it) for the bias, each effect and each rival that stays possible."""
-    out = [('bias_torque', 'simulated with it; the integrator carries it' + NO_FEED_FORWARD)]
+    """(name, use) of the bias, each effect and each rival that remains possible."""
+    out = [('bias_torque', 'simulated with it; the integrator compensates it' + NO_FEED_FORWARD)]
     for effect in model.effects:
         if effect.name == EFFECT and settings(model):
             words = 'the firmware schedules the command on the voltage (sag.exponent)'
@@ -103,7 +103,7 @@ def uses(model: AxisModel) -> tuple[tuple[str, str], ...]:
 
 
 def _words(one: Placed) -> str:  # noqa: PLR0911
-    """What the loop makes of one effect."""
+    """Use of one effect."""
     term, signals = one.effect.term, one.effect.signals
     if not one.inside:
         return OUTSIDE
@@ -123,9 +123,9 @@ def _words(one: Placed) -> str:  # noqa: PLR0911
 def schedule(
     model: AxisModel, gains: CascadeGains
 ) -> tuple[tuple[float, Mapping[str, float]], ...]:
-    """(battery voltage V, gains): rate gains that keep the loop gain where the voltage moves it.
+    """(battery voltage V, gains): rate gains that keep the loop gain over the voltage.
 
-    Empty without battery sag. For a firmware that has no schedule of its own.
+    For a firmware without a schedule of its own. Empty without battery sag.
     """
     mean = model.mean_battery_v
     if mean is None or all(effect.name != 'battery_sag' for effect in model.effects):

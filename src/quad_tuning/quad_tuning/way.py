@@ -1,7 +1,7 @@
-"""The way from the flown gains to the target: updates within the step limit, all of them safe.
+"""The steps from the flown gains to the target, all within the step limit and safe.
 
-Whoever goes there flies each set for some seconds, so each is held against the ensemble as the
-target is. How far one update may go stands in bounds.py.
+Each step is flown for some seconds, so each is checked against the ensemble, as the target is.
+bounds.py has the step limit.
 """
 
 from __future__ import annotations
@@ -18,18 +18,17 @@ from quad_tuning.errors import DesignRefusedError
 from quad_tuning.objective import Requirements, meets
 
 SLACK = 0.85
-"""A set on the way, which is flown for seconds, keeps this share of what the flown gains keep, or
-FOR_SECONDS, whichever is less."""
+"""A step must keep this share of the flown gains' margins, or FOR_SECONDS, whichever is less."""
 FOR_SECONDS = Requirements(phase_margin_deg=30.0, gain_margin_db=6.0, peak_sensitivity=2.2)
 HALTS = (0.85, 0.7, 0.55, 0.4, 0.25)
-"""Shares of the way, by ratio, at which an update may halt."""
+"""Shares of the way (by ratio) at which a design may stop."""
 
 
 @dataclass(frozen=True)
 class Way:
-    """Sets of gains from the first update to the last, and how far the first message may ask.
+    """The steps to the target, and `told`, the gains of the first message.
 
-    Who is told `told` goes there with every gain as far as it may in each step.
+    The bridge goes to `told` with each gain changing as far as it may in each step.
     """
 
     steps: tuple[CascadeGains, ...]
@@ -37,17 +36,17 @@ class Way:
 
 
 def way_to(wanted: CascadeGains, active: CascadeGains, loops: Ensemble) -> Way:
-    """A safe way to `wanted`; raises DesignRefusedError where each that was tried is not.
+    """A safe way to `wanted`; raises DesignRefusedError where none was found.
 
-    Tried are: every gain as far as it may go in each step; the same with a halt between; all by
-    equal ratios.
+    Three kinds are tried: each gain changes as far as it may in each step; the same up to a halt;
+    all gains change by equal ratios.
     """
     least = least_on_the_way(active, loops)
     for way in _tried(wanted, active):
         if all(_safe(gains, loops, least) for gains in way.steps[:-1]):
             return way
     raise DesignRefusedError(
-        'every way from the flown gains to the best ones leads through gains with poor margins; '
+        'all steps from the flown gains to the best ones lead through gains with poor margins; '
         'lower rate.kp by hand first'
     )
 
@@ -64,7 +63,7 @@ def _tried(wanted: CascadeGains, active: CascadeGains) -> Iterator[Way]:
 
 
 def _even(wanted: CascadeGains, active: CascadeGains, least: int) -> tuple[CascadeGains, ...]:
-    """Equal ratios (equal differences for gains near zero) in as many updates as it takes."""
+    """Steps of equal ratios (equal differences for gains near zero), as many as needed."""
     for count in range(max(least, 1), 65):
         path, now, fits = [], active, True
         for k in range(1, count + 1):
@@ -94,7 +93,7 @@ def _within(following: CascadeGains, now: CascadeGains) -> bool:
 
 
 def least_on_the_way(active: CascadeGains, loops: Ensemble) -> Requirements:
-    """The margins that a set which is flown for seconds keeps."""
+    """The margins that a step must keep."""
     m = loops.margins(active)
     return Requirements(
         phase_margin_deg=min(FOR_SECONDS.phase_margin_deg,

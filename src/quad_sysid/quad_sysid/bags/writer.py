@@ -60,7 +60,7 @@ def write_bag(record: Record, path: str | Path, options: BagOptions | None = Non
         if low < -1e-9 or high > 1.0 + 1e-9:
             raise BadInputError(
                 record.source, 'control gives motor commands outside 0..1',
-                f'{low:.3g} to {high:.3g}', 'give the wrench, or a control within the mixer',
+                f'{low:.3g} to {high:.3g}', 'scale the control down, or give the wrench',
             )
         motors = np.clip(motors, 0.0, 1.0)
     wrench = record.wrench
@@ -112,7 +112,7 @@ def write_streams(
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise BadInputError(
-            str(path), 'cannot be made', error.strerror, 'choose another --out'
+            str(path), 'cannot be created', error.strerror, 'choose another --out'
         ) from error
     writer = Writer(path, version=9, storage_plugin=plugin)
     writer.set_compression(CompressionMode[options.compression.upper()], CompressionFormat.ZSTD)

@@ -65,7 +65,8 @@ def noise_free(
         raise BadInputError(where, f'{name} must have {z.u.size} samples', r.shape)
     inside = np.concatenate([r[start:stop] for start, stop in z.segments])
     if not np.isfinite(inside).all():
-        raise BadInputError(where, f'{name} must be finite in all segments')
+        raise BadInputError(where, f'{name} must be finite in all segments',
+                            remedy='split the segments where it is not')
     if np.ptp(inside) == 0.0:
         raise BadInputError(where, f'{name} is constant, it drives nothing', float(inside[0]),
                             'use a stretch with excitation')

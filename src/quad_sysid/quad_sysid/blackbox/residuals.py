@@ -102,7 +102,8 @@ def _tested(
     errors = [part.errors - _mean(parts) for part in parts]
     cov = autocovariance(errors, max(lags, min(BOUND_LAGS, n // 5)))
     if cov[0] <= 0.0:
-        raise BadInputError('residual_test', 'the residual is zero throughout', 0.0)
+        raise BadInputError('residual_test', 'the residual is zero throughout', 0.0,
+                            'give measured data; without noise there is nothing to test')
     rho = cov / cov[0]
     box = n * (n + 2.0) * np.sum(rho[1 : lags + 1] ** 2 / (n - np.arange(1, lags + 1)))
     p_white = float(special.chdtrc(lags, box))

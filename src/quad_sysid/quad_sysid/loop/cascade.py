@@ -76,7 +76,7 @@ class CascadeGains:
     def default(cls, axis: str) -> CascadeGains:
         """The paper's start values; for yaw the contract's."""
         if axis not in AXES:
-            raise BadInputError('gains', f'axis must be of {", ".join(AXES)}', axis)
+            raise BadInputError('gains', f'axis must be one of {", ".join(AXES)}', axis)
         if axis == 'yaw':
             return cls(2.0, 3.0 * FIRMWARE_UNIT, 0.02 * FIRMWARE_UNIT, 0.0)
         return cls(3.0, 1.3 * FIRMWARE_UNIT, 0.01 * FIRMWARE_UNIT, 0.023 * FIRMWARE_UNIT)

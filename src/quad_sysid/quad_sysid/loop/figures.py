@@ -88,7 +88,8 @@ def square_figures(reference: npt.ArrayLike, angle: npt.ArrayLike, dt: float) ->
         raise NotInformativeError('square wave: no finite samples of reference and angle')
     responses, steps = _edge_responses(r, y, good)
     if not responses:
-        raise NotInformativeError('square wave: the reference has no edge with a stretch behind')
+        raise NotInformativeError('square wave: no edge of the reference is followed by a whole '
+                                  'stretch; record at least two edges')
     figures = step_figures(np.mean(responses, axis=0), dt)
     return SquareFigures(
         rise_time_s=figures.rise_time_s,

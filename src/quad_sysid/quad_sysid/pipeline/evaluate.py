@@ -211,7 +211,7 @@ def simulate(
     for part in stored.structure.parts:
         if 'battery' in part.effect.signals and battery_v is None:
             raise BadInputError('simulate', f'{part.effect.name} needs battery_v',
-                                remedy='hand in battery_v, volts, one for each command')
+                                remedy='give battery_v in V, one value for each command')
     control = np.zeros((n, 4))
     control[:, 0] = _like(throttle, n, 'throttle', 0.0)
     control[1:, 1 + AXES.index(model.axis)] = command

@@ -64,7 +64,7 @@ def load_models(
         raise BadInputError(f'{path}: axes', 'must be an object with at least one axis', axes)
     for axis in axes:
         if axis not in AXES:
-            raise BadInputError(f'{path}: axes', f'must be of {", ".join(AXES)}', axis)
+            raise BadInputError(f'{path}: axes', f'must be one of {", ".join(AXES)}', axis)
     return {
         axis: replace(_model(axis, tree, f'{path}: axes.{axis}'), own_effects=tuple(own_effects))
         for axis, tree in axes.items()

@@ -198,7 +198,7 @@ def rivals_of(model: AxisModel) -> Names:
     found = [(p, e.name, name) for e in model.effects for name, p in e.rivals if p > 0.0]
     if not found:
         raise NotInformativeError(
-            f'{model.axis}: no effect of this model has a rival that came near; '
+            f'{model.axis}: no effect of this model has a rival of any probability; '
             'name the two: --separate A B'
         )
     _, effect, rival = max(found)

@@ -143,7 +143,7 @@ def _part(entry: object, where: str, ramp_s: float) -> Part:
     if (role == 'idle') != (signal == 'none'):
         raise BadInputError(
             where, f'segment {role} with signal {signal}',
-            remedy='idle goes with none, train and validation with a signal',
+            remedy='an idle segment has signal none; train and validation need a signal',
         )
     duration = _number(entry, 'duration_s', math.nan, where, 0.0)
     if duration <= 0.0:
@@ -154,7 +154,8 @@ def _part(entry: object, where: str, ramp_s: float) -> Part:
     key, unit, default, limit = AMPLITUDES[injection]
     own = {k: v for k, v in entry.items() if k not in PART_KEYS and k != key}
     if any(str(k).startswith('amplitude') for k in own):
-        raise BadInputError(where, f'injection {injection} takes {key}', ', '.join(map(str, own)))
+        raise BadInputError(where, f'the amplitude of injection {injection} is {key}',
+                            ', '.join(map(str, own)))
     if signal == 'chirp':
         own.setdefault('sweep_s', duration)
     shape = waveform(signal, own, where)
@@ -197,7 +198,7 @@ def _number(
     value = entry.get(key, default)
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
         found = None if key not in entry else repr(value)
-        raise BadInputError(where, f'{key} must be a number', found, 'give it')
+        raise BadInputError(where, f'{key} must be a number', found, f'add {key}: NUMBER')
     if not low <= value <= high:
-        raise BadInputError(where, f'{key} must lie in {low:g}..{high:g}', value, 'lower it')
+        raise BadInputError(where, f'{key} must lie in {low:g}..{high:g}', value)
     return float(value)

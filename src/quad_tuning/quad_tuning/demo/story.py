@@ -127,7 +127,7 @@ def first_schedule() -> Path:
 def _axis_report(path: Path) -> Mapping[str, Any]:
     report: Mapping[str, Any] = json.loads(path.read_text())
     if AXIS not in report['axes']:
-        raise StageFailedError('identify', f'{path} says nothing of {AXIS}')
+        raise StageFailedError('identify', f'{path} holds no answer for {AXIS}')
     axis: Mapping[str, Any] = report['axes'][AXIS]
     return axis
 

@@ -1,9 +1,9 @@
 """Gains of the contract → parameters of PX4 and ArduPilot, with each conversion written out.
 
 Ours: u = kp e + ki ∫e dt - kd d(rate)/dt in normalised command per rad/s, C1 in 1/s (contract).
-Theirs: the same in the unit of their own torque, -1..1. `scale` is our U per unit of their torque:
-1 where the model was identified on their torque set-points (quad-sysid import says so), else what
-their mixer makes of it. No files.
+Theirs: the same in their own unit of torque, -1..1. `scale` is our U per unit of their torque: 1
+where the model was identified from their torque set-points (quad-sysid import says so), else the
+factor of their mixer. No files.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ NOTES: Mapping[str, tuple[str, ...]] = {
     PX4: (
         ('PX4 differentiates the measured rate, as ours; its D filter (IMU_DGYRO_CUTOFF) is of '
         'second order and one for all axes.'),
-        'MC_*RATE_K is set to 1, so that P, I and D stand by themselves.',
+        'MC_*RATE_K is set to 1, so that P, I and D are not multiplied by it.',
     ),
     ARDUPILOT: (
         ('ArduPilot differentiates the error, ours the measured rate: the answer to a reference '
@@ -34,12 +34,12 @@ NOTES: Mapping[str, tuple[str, ...]] = {
          'not part of our loop.'),
     ),
 }
-"""What does not correspond."""
+"""What has no counterpart."""
 
 
 @dataclass(frozen=True)
 class Line:
-    """One parameter with where it comes from."""
+    """One parameter with its origin."""
 
     name: str
     value: float
@@ -66,7 +66,8 @@ def lines(firmware: str, gains: Mapping[str, float], scale: Mapping[str, float])
             raise BadInputError('--scale', f'{axis} must be a positive number', unit)
         out += (_px4 if firmware == PX4 else _ardupilot)(axis, own, unit)
     if not out:
-        raise BadInputError('gains', 'hold none of roll, pitch, yaw')
+        raise BadInputError('gains', 'hold none of roll, pitch, yaw',
+                            remedy='give the file of quad-tune design --out')
     return out
 
 
@@ -74,7 +75,7 @@ def _px4(axis: str, own: Mapping[str, float], unit: float) -> list[Line]:
     name = PX4_AXIS[axis]
     out = [
         Line(f'MC_{name}_P', own['angle.kp'], f'{axis}.angle.kp {own["angle.kp"]:.6g} 1/s'),
-        Line(f'MC_{name}RATE_K', 1.0, 'P, I, D stand by themselves'),
+        Line(f'MC_{name}RATE_K', 1.0, 'not a factor of P, I, D'),
         *_rate(axis, own, unit, {'rate.kp': f'MC_{name}RATE_P', 'rate.ki': f'MC_{name}RATE_I',
                                  'rate.kd': f'MC_{name}RATE_D'}),
     ]
@@ -112,9 +113,9 @@ def _rate(
 
 
 def text(firmware: str, found: list[Line], source: str) -> str:
-    """The parameter file, which the ground stations of either firmware load.
+    """The parameter file for the firmware's ground stations.
 
-    The cut-off of PX4's D filter is one for all axes: the lowest counts.
+    PX4 has one cut-off of the D filter for all axes: the lowest is written.
     """
     kept: dict[str, Line] = {}
     for line in found:

@@ -1,1 +1,1 @@
-"""The gains that flew: their history, as the bridge keeps it, and the way back to a set."""
+"""History of the gains, as the bridge stores it, and the return to an earlier set."""

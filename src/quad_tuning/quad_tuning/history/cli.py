@@ -1,4 +1,4 @@
-"""`quad-tune history`, `rollback` and `send`: what flew, back to it, and what flies next. Wiring.
+"""`quad-tune history`, `rollback` and `send`: wiring only.
 
 Exit status: 0 done, 2 bad input, 3 refused by the bridge; both with one line on stderr.
 """
@@ -29,7 +29,7 @@ SCHEMA = 'quad_tuning/history/1'
 SOURCE, SENDER = 'quad-tune rollback', 'quad-tune send'
 REFUSED = 3
 PROMISES = ('rate_rms_ratio', 'oscillation_ratio', 'peak')
-"""Figures of a design that the bridge's watch compares the flight with."""
+"""Predictions of a design with which the bridge's watch compares the flight."""
 
 
 def add(commands: Any) -> None:
@@ -100,7 +100,7 @@ def send(arguments: argparse.Namespace) -> int:
 
 
 def read_design(path: Path) -> tuple[dict[str, float], dict[str, float]]:
-    """Gains of all axes in the file of a design, and what it promises. Raises BadInputError."""
+    """Gains and predictions of all axes in a design's file. Raises BadInputError."""
     gains = read_gains(path)
     axes = json.loads(path.read_text(encoding='utf-8'))['axes']
     figures = {axis: one.get('figures') or {} for axis, one in axes.items() if one.get('gains')}
@@ -118,7 +118,7 @@ def _sets(arguments: argparse.Namespace) -> list[GainSet]:
 
 
 def table(sets: Sequence[GainSet]) -> str:
-    """One line per set, when, whose and how it went, and below it what it changed, and why."""
+    """One line per set with time, source and outcome, and below it its changes and the reason."""
     rows = []
     before: Mapping[str, float] = {}
     for one in sets:

@@ -1,4 +1,4 @@
-"""An aircraft's gains over time, from the lines the bridge keeps: which set, whose, how it went.
+"""An aircraft's gains over time: each set with its source and outcome, as the bridge stores it.
 
 Reads `<folder>/<aircraft>/gains.jsonl` (quad_bridge's gains/history.py writes it); no printing.
 """
@@ -17,7 +17,7 @@ from quad_sysid.errors import BadInputError
 SCHEMA = 'quad_bridge/gains/1'
 FILE = 'gains.jsonl'
 GOOD = ('confirmed', 'found')
-"""Outcomes after which a set may be gone back to."""
+"""Outcomes of sets to which a rollback may return."""
 
 
 @dataclass(frozen=True)
@@ -34,14 +34,14 @@ class GainSet:
     model: str = ''
     bag: str = ''
     update: str = ''
-    """Name of the update it belongs to; sets of one update are steps on its way."""
+    """Name of its update; sets of one update are its steps."""
     outcome: str = 'in flight'
     """`found` on the STM32, `in flight`, `confirmed`, `passed` on the way, `rolled back`, ..."""
     reason: str = ''
 
 
 def default_folder() -> Path:
-    """Where the bridge keeps it: `$ROS_HOME/quad_suite`, or in `~/.ros`."""
+    """Where the bridge stores it: `$ROS_HOME/quad_suite`, or in `~/.ros`."""
     home = os.environ.get('ROS_HOME')
     return (Path(home) if home else Path.home() / '.ros') / 'quad_suite'
 
@@ -55,7 +55,7 @@ def history_file(folder: Path, aircraft: str) -> Path:
             "give the bridge's parameter state_folder as --folder",
         )  # fmt: skip
     if aircraft and aircraft not in found:
-        raise BadInputError('--aircraft', f'must be of {", ".join(found)}', aircraft)
+        raise BadInputError('--aircraft', f'must be one of {", ".join(found)}', aircraft)
     if not aircraft and len(found) > 1:
         raise BadInputError(
             str(folder), 'holds several aircraft', ', '.join(found), 'choose one by --aircraft'
@@ -64,7 +64,7 @@ def history_file(folder: Path, aircraft: str) -> Path:
 
 
 def read_history(path: Path) -> list[GainSet]:
-    """All sets in the order of time. A line that a crash has torn is left out.
+    """All sets in order of time, without lines that a crash cut short.
 
     Raises BadInputError where the file cannot be read or is of another kind.
     """
@@ -87,7 +87,7 @@ def read_history(path: Path) -> list[GainSet]:
 
 
 def changed(one: Mapping[str, float], other: Mapping[str, float]) -> dict[str, float]:
-    """The gains of `other` that `one` has otherwise."""
+    """The gains of `other` that differ in `one`."""
     return {
         name: value
         for name, value in other.items()
@@ -98,10 +98,9 @@ def changed(one: Mapping[str, float], other: Mapping[str, float]) -> dict[str, f
 def way_back(
     sets: Sequence[GainSet], number: int | None = None
 ) -> tuple[GainSet, dict[str, float]]:
-    """The set to go back to, and the gains that must change for it.
+    """The set `number`, or the last good set that differs, and the gains that must change.
 
-    Without a `number` it is the last good set that differs from the present one. Raises
-    BadInputError where there is none.
+    Raises BadInputError where there is no such set.
     """
     if not sets:
         raise BadInputError('history', 'holds no set of gains',
@@ -148,7 +147,7 @@ def _ended(one: GainSet, entry: Mapping[str, Any]) -> GainSet:
 
 
 def _passed(sets: Sequence[GainSet]) -> list[GainSet]:
-    """Confirmed is the last set of an update; those before it were only passed."""
+    """`sets` with only the last set of an update confirmed; those before it were passed."""
     last = {one.update: one.number for one in sets}
     return [
         replace(one, outcome='passed')

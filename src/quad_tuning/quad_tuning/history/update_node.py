@@ -24,7 +24,7 @@ from quad_sysid.errors import BadInputError
 
 LISTEN_S, ANSWER_S = 10.0, 60.0
 FAILED = ('rolled back', 'not taken over')
-"""What the bridge says of an update that was begun and did not come into force."""
+"""Outcomes of updates that began but did not become active."""
 GAINS = 'serial_bridge: gains'
 
 
@@ -36,16 +36,16 @@ def publish(
     predicted: str = '',
     namespace: str = '',
 ) -> str:
-    """Have the bridge fly `gains` (contract names, SI); `rollback`: or take back those in flight.
+    """Send `gains` (contract names, SI) to the bridge; `rollback`: or revert those in flight.
 
-    `predicted` is the JSON that /gains/update takes, `namespace` the bridge's. Returns empty where
-    they are active, else why they are not. Raises BadInputError where the namespace is invalid, no
-    bridge listens or none answers, KeyboardInterrupt on SIGINT. Call it in the main thread.
+    `predicted` is JSON for /gains/update, `namespace` the bridge's. Returns '' once they are
+    active, else the reason. Raises BadInputError for an invalid namespace or a bridge that does
+    not listen or answer, KeyboardInterrupt on SIGINT. Call it in the main thread.
     """
     try:
         validate_namespace(f'/{namespace.strip("/")}')
     except InvalidNamespaceException as error:
-        raise BadInputError('--namespace', 'is not a name of a namespace', namespace) from error
+        raise BadInputError('--namespace', 'is not a valid ROS namespace', namespace) from error
     interrupted = threading.Event()
     with contextlib.ExitStack() as ending:
         # an exception that a signal raises within rclpy may be swallowed there
@@ -85,12 +85,12 @@ def publish(
         }
         publisher.publish(event_message(told, '/quad_tune', 0))
         if not spin(lambda: heard.refusal or heard.has(gains), ANSWER_S):
-            raise BadInputError(answered, f'no answer of the bridge for {ANSWER_S:.0f} s')
+            raise BadInputError(answered, f'the bridge did not answer within {ANSWER_S:.0f} s')
         return heard.refusal
 
 
 class _Heard:
-    """The bridge's last words, and those from `before` the update."""
+    """The bridge's last messages, and those from `before` the update."""
 
     def __init__(self, source: str, failed: Sequence[str]) -> None:
         self._words = (f'gains of {source} refused', *failed)
@@ -99,7 +99,7 @@ class _Heard:
 
     @property
     def refusal(self) -> str:
-        """Why the update is not flown; empty as long as nothing says so."""
+        """Why the update failed; empty until a message says so."""
         new = self.before and self.message != self.before
         return self.message if new and any(w in self.message for w in self._words) else ''
 

@@ -1,1 +1,1 @@
-"""Pictures of a gain design. The only place of the design that draws and writes files."""
+"""Pictures of a gain design; nothing else in the design draws."""

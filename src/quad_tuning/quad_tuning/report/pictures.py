@@ -1,7 +1,7 @@
 """Bode, Nyquist and step of a gain design, before and after, with the band over the ensemble.
 
-Each picture shows the nominal loop as a line and all loops that the design was held against as a
-band. Nothing is designed here; the figures in numbers come from assess.py.
+Each picture shows the nominal loop as a line and all loops of the ensemble as a band. assess.py
+has the figures as numbers.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def write_pictures(
     """`<axis>_bode.png`, `_nyquist.png` and `_step.png` in `folder`; BadInputError if it fails."""
     loops = ensembles.build(model, np.random.default_rng(SEED))
     active = CascadeGains.from_mapping(model.active_gains, model.axis)
-    sets: Sets = (('gains that flew', active, BEFORE), ('new gains', wanted, AFTER))
+    sets: Sets = (('flown gains', active, BEFORE), ('new gains', wanted, AFTER))
     figures = {
         'bode': _bode(sets, loops), 'nyquist': _nyquist(sets, loops), 'step': _step(sets, model),
     }  # fmt: skip
