@@ -6,8 +6,8 @@
     z = qs.read_bag('my_flight').axis('roll', 'train')
     model = qs.bj(z, 2, 2, 2, 2, 3)
 
-Names and orders are MATLAB's; nk = 1 is one sample of delay. What stands here is loaded when it is
-first used, so that the import itself costs nothing and needs neither ROS nor matplotlib.
+Names and orders are MATLAB's; nk = 1 is one sample of delay. Each name is loaded at its first use,
+so that the import is fast and needs neither ROS nor matplotlib.
 """
 
 from __future__ import annotations

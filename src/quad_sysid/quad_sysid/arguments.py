@@ -1,6 +1,6 @@
-"""How every command of quad-sysid takes its arguments: one-line errors, an example in each --help.
+"""Arguments of every quad-sysid command: one-line errors, an example in each --help.
 
-No command stands here; they are in cli.py and in the cli.py of their rooms.
+The commands are in cli.py and in the cli.py of their rooms.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ BAD_ARGUMENTS, NOT_ANSWERED, INTERRUPTED = 2, 3, 130
 """Exit status (contract, Commands)."""
 
 Commands = Any
-"""What `add_subparsers` gives; argparse keeps its type to itself."""
+"""Result of `add_subparsers`, whose type is private to argparse."""
 
 
 class Parser(argparse.ArgumentParser):
-    """Says what is wrong in one line; its subparsers are of its kind."""
+    """A parser whose errors are one line; its subparsers too."""
 
     def error(self, message: str) -> NoReturn:
-        """End with the contract's status and one line on stderr."""
+        """Exit with status 2 and one line on stderr."""
         self.exit(BAD_ARGUMENTS, f'{self.prog}: {message}; see {self.prog} --help\n')
 
 
@@ -32,7 +32,7 @@ def command(
     commands: Commands, name: str, run: Callable[[argparse.Namespace], int], summary: str,
     example: str,
 ) -> argparse.ArgumentParser:
-    """Add one command; `example` stands below its --help as it can be typed."""
+    """Add one command; its --help ends with `example`, a line to type."""
     parser: argparse.ArgumentParser = commands.add_parser(
         name, help=summary, description=summary, epilog=f'example: {example}'
     )
@@ -47,14 +47,14 @@ def quiet_and_json(parser: argparse.ArgumentParser, what: str) -> None:
 
 
 def positive(option: str, value: float) -> float:
-    """The value, where it is a finite number above 0; BadInputError naming the option else."""
+    """The value if it is finite and above 0, else BadInputError naming the option."""
     if not 0.0 < value < float('inf'):
         raise BadInputError(option, 'must be a positive number', value)
     return value
 
 
 def run_command(parser: Parser, arguments: Sequence[str] | None) -> int:
-    """Run the command that was asked for; the exit status of the contract."""
+    """Run the command; returns its exit status."""
     offer_completion(parser)
     options = parser.parse_args(arguments)
     try:
@@ -72,7 +72,7 @@ def run_command(parser: Parser, arguments: Sequence[str] | None) -> int:
 
 
 def offer_completion(parser: argparse.ArgumentParser) -> None:
-    """Answer the shell's request for completions, where it asks and argcomplete is installed."""
+    """Answer the shell's request for completions, if argcomplete is installed."""
     try:
         import argcomplete
     except ImportError:
@@ -81,7 +81,7 @@ def offer_completion(parser: argparse.ArgumentParser) -> None:
 
 
 def completion_command(commands: Commands, programs: Sequence[str]) -> None:
-    """Add `completion`, which prints what a shell must source to complete `programs`."""
+    """Add `completion`, which prints the shell's completion script for `programs`."""
 
     def run(options: argparse.Namespace) -> int:
         try:

@@ -1,8 +1,8 @@
 # PYTHON_ARGCOMPLETE_OK
-"""`quad-sysid`: the commands' arguments and wiring; those of a room stand in its cli.py.
+"""`quad-sysid`: arguments and wiring; some commands are in the cli.py of their rooms.
 
-What takes long to import (numba, scipy) is imported where a command needs it, so that --help and
-the shell's completion come at once.
+Slow imports (numba, scipy) are made where a command needs them, so that --help and completion are
+fast.
 """
 
 from __future__ import annotations
@@ -38,12 +38,12 @@ DONE = 0
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; the exit status of the contract."""
+    """Run one command; returns its exit status."""
     return run_command(_parser(), arguments)
 
 
 def ros2() -> int:
-    """`ros2 run quad_sysid identify …`: the command that the executable is named after."""
+    """`ros2 run quad_sysid identify …`: the command named like the executable."""
     return main([Path(sys.argv[0]).name, *sys.argv[1:]])
 
 
@@ -150,7 +150,7 @@ def _identify(options: argparse.Namespace) -> int:
 
 
 def _identify_apart(wanted: Mapping[str, Any], options: argparse.Namespace) -> int:
-    """Each bag by itself, its report in a folder of its own; one bad bag stops no other."""
+    """Identify each bag by itself, with its own report; a bad bag does not stop the others."""
     from quad_sysid import session
     from quad_sysid.report import store, text
 

@@ -1,4 +1,4 @@
-"""Finds gain designers by entry point, so that quad_sysid never imports who offers them."""
+"""Finds gain designers by entry point, so that quad_sysid does not import quad_tuning."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ GROUP = 'quad_sysid.designers'
 
 
 def find_designer(name: str = 'pid') -> tuple[Designer | None, str]:
-    """The designer of this name, or None and why there is none."""
+    """The designer of this name, or None and the reason."""
     found = {entry.name: entry for entry in entry_points(group=GROUP)}
     if name not in found:
         offered = ', '.join(sorted(found)) or 'none'

@@ -1,13 +1,13 @@
-"""The error root of quad_sysid: each message is one line that names what is wrong and what helps.
+"""The errors of quad_sysid: each message is one line that says what is wrong and what to do.
 
-Commands turn these into their exit status (contract.md, Commands); nothing else maps errors.
+Commands exit with the error's `exit_status`.
 """
 
 from __future__ import annotations
 
 
 class QuadSysidError(Exception):
-    """Root of all errors that a user can cause or mend; `exit_status` is the command's."""
+    """Root of all errors that a user can cause or correct; `exit_status` is the command's."""
 
     exit_status = 2
 
@@ -15,7 +15,7 @@ class QuadSysidError(Exception):
 class BadInputError(QuadSysidError, ValueError):
     """A file, field or argument is wrong.
 
-    `str()` is the one line for stderr: ``<where>: <what>: found <value>; <remedy>``.
+    `str()` is one line: ``<where>: <what>: found <value>; <remedy>``.
     """
 
     def __init__(self, where: str, what: str, found: object = None, remedy: str = '') -> None:

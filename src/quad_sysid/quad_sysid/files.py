@@ -1,4 +1,4 @@
-"""Files read and written whole, or one line why not. What their content means others know."""
+"""Files, read and written whole, or refused in one line."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from quad_sysid.errors import BadInputError
 
 
 def read_json(path: str | os.PathLike[str], remedy: str = '') -> Any:
-    """The content of a file; `remedy` for one that cannot be opened. Raises BadInputError."""
+    """Content of a JSON file; BadInputError, with `remedy` if it cannot be opened."""
     try:
         return json.loads(Path(path).read_text(encoding='utf-8'))
     except OSError as error:
@@ -23,7 +23,7 @@ def read_json(path: str | os.PathLike[str], remedy: str = '') -> Any:
 
 
 def write_whole(path: str | os.PathLike[str], content: str | bytes) -> None:
-    """Put the file in place when all of it is on the disk; raises BadInputError."""
+    """Write a file so that it appears only when it is complete; raises BadInputError."""
     target = Path(path)
     data = content.encode() if isinstance(content, str) else content
     part: Path | None = None
@@ -47,13 +47,13 @@ def write_whole(path: str | os.PathLike[str], content: str | bytes) -> None:
 
 
 def check_new(path: Path, option: str = '--out') -> None:
-    """Raise BadInputError where a file of this name stands already."""
+    """Raise BadInputError where a file of this name exists."""
     if path.exists():
         raise BadInputError(option, 'exists already', path, 'choose another name')
 
 
 def make_folder(folder: Path, option: str = '--out') -> Path:
-    """The folder, made where it is missing; raises BadInputError naming the option."""
+    """The folder, created if missing; raises BadInputError naming the option."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

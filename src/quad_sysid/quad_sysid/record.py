@@ -18,7 +18,7 @@ from quad_sysid.errors import BadInputError, NotInformativeError
 
 @dataclass(frozen=True)
 class Segment:
-    """A stretch of a flight with one role. Times in s from the record's first sample."""
+    """A stretch of a flight with one role; times in s from the record's first sample."""
 
     role: str
     """`train`, `validation` or `idle`."""
@@ -68,15 +68,15 @@ class Record:
     rate_setpoint: FloatArray | None = None
     """(n, 3) rad/s."""
     excitation: FloatArray | None = None
-    """(n, 3) what the STM32 says it added, in the unit of the segment's injection."""
+    """(n, 3) excitation as applied by the STM32, in the unit of the segment's injection."""
     battery_v: FloatArray | None = None
-    """(n,) pack voltage, V."""
+    """(n,) battery voltage, V."""
     segments: tuple[Segment, ...] = ()
     gains: tuple[GainChange, ...] = ()
     missing: tuple[str, ...] = ()
     """Topics of the contract that the bag lacks or that hold nothing usable."""
     warnings: tuple[str, ...] = ()
-    """What the reader mended or distrusts, one line each, for the report."""
+    """Repairs and doubts of the reader, one line each."""
     t0_ns: int = 0
     """Stamp of the first sample, ns."""
 
@@ -116,10 +116,10 @@ class Record:
         return IOData(u=u, y=y, dt=self.dt, r=r, segments=tuple(runs))
 
     def external(self, name: str) -> FloatArray | None:
-        """(n,) what drives the loop of an axis from outside; None where the bag does not hold it.
+        """(n,) external reference of an axis' loop; None where the bag does not hold it.
 
         The attitude set-point (rad), which contains an excitation of the attitude; where the axis
-        is excited behind C1 or C2 instead, that excitation as applied (rad/s or normalised).
+        is excited after C1 or C2 instead, that excitation as applied (rad/s or normalised).
         """
         index = axis_index('Record.external', name)
         inside = {s.injection for s in self.segments if s.axis == name} & {'rate', 'control'}
@@ -133,7 +133,7 @@ class Record:
         return start, min(self.n, round(segment.end_s / self.dt))
 
     def at_interval(self, dt: float) -> Record:
-        """The same samples as if taken every dt s; times of segments and gains go with them."""
+        """The same samples at an interval of dt s; times of segments and gains are scaled."""
         if dt == self.dt:
             return self
         ratio = dt / self.dt
@@ -146,10 +146,10 @@ class Record:
         )
 
     def gains_at(self, time_s: float) -> Mapping[str, float]:
-        """The gains in force at `time_s`; empty where the bag does not say.
+        """The gains active at `time_s`; empty where the bag does not say.
 
-        Without the cascade's of an axis that another controller flew (`<axis>.lqr.share`): to the
-        analysis, which knows the cascade alone, that axis' loop is unknown.
+        Those of an axis flown by the LQR (`<axis>.lqr.share`) are left out, since the analysis
+        knows the cascade only.
         """
         known: dict[str, float] = {}
         for change in self.gains:
@@ -213,7 +213,7 @@ class IOData:
 
 
 def axis_index(where: str, name: str) -> int:
-    """0, 1, 2 for roll, pitch, yaw; BadInputError, naming who asked, for anything else."""
+    """0, 1, 2 for roll, pitch, yaw; else BadInputError, naming `where`."""
     if name not in AXES:
         raise BadInputError(where, f'axis must be one of {", ".join(AXES)}', repr(name))
     return AXES.index(name)
@@ -237,7 +237,7 @@ def _is_interval(dt: object) -> bool:
 
 
 def _spans(given: object, n: int) -> tuple[tuple[int, int], ...]:
-    """Index ranges inside 0..n that do not overlap, in the order given; all where none is."""
+    """Index ranges inside 0..n that do not overlap, in the given order; none given: all."""
     try:
         spans = tuple((operator.index(a), operator.index(b)) for a, b in given)  # type: ignore[attr-defined]
     except (TypeError, ValueError) as error:
