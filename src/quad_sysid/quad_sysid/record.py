@@ -237,7 +237,7 @@ def _is_interval(dt: object) -> bool:
 
 
 def _spans(given: object, n: int) -> tuple[tuple[int, int], ...]:
-    """Index ranges inside 0..n that do not overlap, in the given order; none given: all."""
+    """Index ranges inside 0..n that do not overlap, in the given order; empty: the whole."""
     try:
         spans = tuple((operator.index(a), operator.index(b)) for a, b in given)  # type: ignore[attr-defined]
     except (TypeError, ValueError) as error:

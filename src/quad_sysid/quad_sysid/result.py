@@ -1,10 +1,10 @@
-"""An identification as one call, and its answer as one object: what `import quad_sysid` is for.
+"""An identification as one call, its answer as one object.
 
     result = identify('my_flight', axes='roll')
     print(result); result.plot('missing_torque'); result.save('out')
 
-The command and the node call this too. The work is pipeline's, the words are report's; numba,
-scipy and matplotlib are loaded when they are needed.
+The command and the node call this too. pipeline does the work, report the texts; numba, scipy and
+matplotlib are loaded when they are needed.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from quad_sysid.separation.design import Separation
 
 PROMISES = ('rate_rms_ratio', 'oscillation_ratio', 'peak')
-"""Figures of a proposal that the bridge's watch compares the flight with."""
+"""Predictions of a design with which the bridge's watch compares the flight."""
 Span = tuple[float, float]
 
 
@@ -44,7 +44,7 @@ class Identified(AxisModel):
     def simulate(
         self, u: npt.ArrayLike, x0: Span = (0.0, 0.0), **signals: npt.ArrayLike
     ) -> FloatArray:
-        """(n,) measured rate, rad/s, for commands u (n,); see pipeline.simulate.simulate."""
+        """(n,) measured rate, rad/s, for commands u (n,); see pipeline.evaluate.simulate."""
         from quad_sysid.pipeline.evaluate import simulate
 
         return simulate(self, u, x0, **signals)
@@ -52,20 +52,20 @@ class Identified(AxisModel):
 
 @dataclass(frozen=True)
 class Result:
-    """What an identification found: all axes, or one of them as `result['roll']`.
+    """The answer of an identification: all axes, or one of them as `result['roll']`.
 
-    What is said of one axis (`verdict`, `effects`, `model` and so on) raises BadInputError while
+    Attributes of one axis (`verdict`, `effects`, `model` and so on) raise BadInputError where
     there are several.
     """
 
     answers: Mapping[str, AxisAnswer]
-    """By axis, all that stands behind the report."""
+    """Axis → everything behind the report."""
     flights: tuple[str, ...]
-    """Where the flights came from."""
+    """Sources of the flights."""
     inertia: Mapping[str, float] | None = None
-    """kg m² by axis, where torques are to be told in N m."""
+    """Axis → kg m², to report torques in N m too."""
     folder: Path | None = None
-    """Where the report lies, once it is saved."""
+    """Folder of the report, once it is saved."""
 
     def __getitem__(self, axis: str) -> Result:
         """The answer for one axis."""
@@ -79,7 +79,7 @@ class Result:
         return iter(self.answers)
 
     def __len__(self) -> int:
-        """How many axes."""
+        """Number of axes."""
         return len(self.answers)
 
     @cached_property
@@ -104,7 +104,7 @@ class Result:
 
     @property
     def reason(self) -> str:
-        """Why, in words."""
+        """The reason for the verdict, in words."""
         return self.answer.reason
 
     @property
@@ -117,12 +117,12 @@ class Result:
 
     @property
     def effects(self) -> tuple[EffectEstimate, ...]:
-        """What was added to the base, with parameters, standard errors and probability."""
+        """The effects added to the base, with parameters, standard errors and probability."""
         return () if self.answer.model is None else self.answer.model.effects
 
     @property
     def rivals(self) -> dict[str, dict[str, float]]:
-        """For each effect what could stand in its place, with probabilities."""
+        """For each effect its alternatives with their probabilities."""
         return {effect.name: dict(effect.rivals) for effect in self.effects}
 
     @property
@@ -131,13 +131,13 @@ class Result:
         return dict(self.report['axes'][self.answer.axis]['error'])
 
     def __str__(self) -> str:
-        """What the command prints."""
+        """The text that the command prints."""
         from quad_sysid.report import text
 
         return '\n'.join(text.lines(self.report)).strip('\n')
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: answer, tables, and for each axis the picture that tells most."""
+        """HTML for a notebook: answer, tables, and the main picture of each axis."""
         from quad_sysid.report.html import excerpt
 
         return excerpt(self.report, self.answers, str(self))
@@ -145,7 +145,7 @@ class Result:
     def plot(self, name: str = 'missing_torque') -> Figure:
         """One picture of the report as a matplotlib figure, such as `free_run` or `bode`.
 
-        Raises BadInputError for a name that is none, or where the data do not allow the picture.
+        Raises BadInputError for an unknown name, or where the data do not allow the picture.
         """
         from quad_sysid.report.plots import draw
 
@@ -158,9 +158,9 @@ class Result:
     def save(
         self, folder: str | Path | None = None, *, html: bool = True, pictures: bool = True
     ) -> Result:
-        """Write report.json, model.json, report.html, pictures/; the result with its folder.
+        """Write report.json, model.json, report.html, pictures/; returns the stored result.
 
-        Without a folder one is made beside the work, named after the flight, never over another.
+        Without `folder` a new one, named after the flight, is created in the current directory.
         """
         from quad_sysid.report import store
 
@@ -172,23 +172,23 @@ class Result:
 
     @property
     def answered(self) -> bool:
-        """Whether any axis that was asked for could be answered."""
+        """Whether any of the axes could be answered."""
         return any(answer.answered for answer in self.answers.values())
 
     @property
     def reasons(self) -> str:
-        """Why axes could not be answered, in one line."""
+        """The reasons why axes could not be answered, in one line."""
         return '; '.join(
             dict.fromkeys(a.reason for a in self.answers.values() if not a.answered)
         )
 
     @property
     def gains(self) -> dict[str, float]:
-        """The gains of all axes whose designer proposed some, by their contract names."""
+        """The designed gains of all axes by the contract's names; none of refused axes."""
         return {name: value for _, gains, _ in self._proposed() for name, value in gains.items()}
 
     def predictions(self) -> str:
-        """What the designs promise to the watch in flight, as /gains/update has it: JSON."""
+        """The designs' predictions for the watch in flight, as JSON for /gains/update."""
         return json.dumps({
             f'{axis}.{name}': round(figures[name], 6)
             for axis, _, figures in self._proposed()
@@ -196,7 +196,7 @@ class Result:
         })
 
     def refusals(self) -> dict[str, str]:
-        """By axis, why there are no gains."""
+        """Axis → why there are no gains."""
         return {
             axis: answer.proposal.refused_because
             for axis, answer in self.answers.items()
@@ -223,11 +223,11 @@ def identify(
 ) -> Result:
     """Identify axes from flights of one aircraft, and find what the model lacks.
 
-    `flights`: records or bags' paths. `axes`: `roll`, `pitch`, `yaw`; none: those that the flights
-    excite. `train`, `validate`: seconds from the first sample; none: as the bag's segments say,
-    else 60 and 40 %. `effects`: the candidates, `EFFECTS` where not given, `()` for none.
-    `designer`: makes gains of a model; none: the one that quad_tuning offers, where installed.
-    Raises QuadSysidError for what a user can mend.
+    `flights`: records or paths of bags. `axes`: `roll`, `pitch`, `yaw`; default: those that the
+    flights excite. `train`, `validate`: (start, end), s from the first sample; default: the bag's
+    segments, else 60 and 40 %. `effects`: the candidates; default `EFFECTS`, `()` for none.
+    `designer`: designs gains for a model; default: that of quad_tuning, where installed. Raises
+    BadInputError for wrong input.
     """
     from quad_sysid.effects import EFFECTS
     from quad_sysid.pipeline.identify import Options
@@ -261,10 +261,10 @@ def identify(
 
 
 def evaluate(model: AxisModel, flight: Record | str | Path) -> Evaluation:
-    """Errors of an identified model on a flight that it has never seen, rad/s.
+    """Errors of an identified model on another flight, rad/s.
 
-    Raises BadInputError where the flight does not fit the model, NotInformativeError where it
-    says nothing of it.
+    Raises BadInputError where the flight does not suit the model, NotInformativeError where it
+    cannot test it.
     """
     from quad_sysid.pipeline.evaluate import evaluate as errors_of
 
@@ -272,11 +272,10 @@ def evaluate(model: AxisModel, flight: Record | str | Path) -> Evaluation:
 
 
 def read_model(path: str | Path, axis: str = '', effects: Sequence[Effect] = ()) -> Identified:
-    """A model that `Result.save` wrote: model.json, or the folder that holds it.
+    """Read a model that `Result.save` wrote: model.json, or its folder.
 
-    `axis` may be left out where the file has one. `effects`: those of your own that the model may
-    name, or `EFFECTS` with them. Raises BadInputError where no such file is there, or
-    it lacks the axis.
+    `axis` may be left out where the file has only one. `effects`: your own effects that the model
+    may name, or `EFFECTS` with them. Raises BadInputError where the file or the axis is missing.
     """
     from quad_sysid.report.model_file import load_models
 
@@ -296,11 +295,12 @@ def separate(
     effects: Sequence[Effect] = (), told: str = 'the model',
     progress: Callable[[str], None] = lambda _: None,
 ) -> Separation:
-    """Which flight of `seconds` tells two effects apart, and how surely.
+    """Which flight of `seconds` separates two effects, and how reliably.
 
     `model`: an identified axis, or the name of an axis for the paper's aircraft. `names`: two
-    effects, or an effect and `nothing`; none: an effect of the model and its most probable rival.
-    `effects`: those of your own that may be named. Raises QuadSysidError for what a user can mend.
+    effects, or an effect and `nothing`; default: an effect of the model and its most probable
+    rival. `effects`: your own effects that may be named. Raises BadInputError for unknown names,
+    NotInformativeError where no flight shows either.
     """
     from quad_sysid.separation import design
     from quad_sysid.separation.flight import aircraft_of, effect_of, paper_aircraft

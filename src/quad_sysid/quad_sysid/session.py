@@ -1,7 +1,7 @@
-"""One identification from bags to the files a user keeps; what the command and the node share.
+"""One identification from bags to its files, as command and node run it.
 
-The mathematics is imported where it is called: numba and scipy take seconds, and a node or a
-command that is asked wrongly needs neither.
+The mathematics is imported where it is called: numba and scipy take seconds, and a wrong argument
+needs neither.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 def asked(
     axes: Sequence[str] = (), train: str = '', validate: str = '', inertia: str = ''
 ) -> dict[str, Any]:
-    """Keywords of `identify` from words as they are typed; empty ones mean its defaults.
+    """Keywords of `identify` from typed arguments; empty ones mean its defaults.
 
     `axes`: names, or `all`; `train`, `validate`: `A:B`, s; `inertia`: `IX,IY,IZ`, kg m². Raises
     BadInputError naming the option.
@@ -44,7 +44,7 @@ def run(
 ) -> Result:
     """Read, identify, design, write; `wanted` are keywords of `identify`.
 
-    Without `out` a folder is made beside the work. Raises QuadSysidError for what a user can mend.
+    Without `out` a folder is created in the current directory. Raises QuadSysidError.
     """
     from quad_sysid.report import store
 
@@ -61,10 +61,9 @@ def separation(
     names: Sequence[str], model_file: str | None, axis: str | None, seconds: float,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Separation:
-    """The flights that tell two effects apart, on a stored model or the paper's aircraft.
+    """The flights that separate two effects, for a stored model or the paper's aircraft.
 
-    No names: an effect of the model and its nearest rival. Raises QuadSysidError for what a user
-    can mend.
+    No names: an effect of the model and its nearest rival. Raises QuadSysidError.
     """
     from quad_sysid.report.model_file import load_models, pick
     from quad_sysid.result import separate

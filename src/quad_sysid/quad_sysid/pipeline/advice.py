@@ -1,4 +1,4 @@
-"""Advice in words where the data are poor: what the figures of the selection mean to a user."""
+"""Advice to the user where data or models are doubtful."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from quad_sysid.record import IOData
 PAPERS_BAND = (0.1, 20.0)
 """rad/s."""
 NEAR_RIVAL = 0.1
-"""A rival of a higher probability deserves a flight of its own."""
+"""Probability of a rival from which a separating flight is advised."""
 RICHEST = 50
 """Order up to which the paper's PRBS is persistently exciting."""
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """What advice is drawn from."""
+    """The basis of the advice."""
 
     z: IOData
     """Training data of the axis."""
@@ -32,16 +32,16 @@ class Evidence:
     rows: tuple[ModelRow, ...]
     selected: int | None
     band: tuple[float, float] | None
-    """In which the model can be trusted, rad/s."""
+    """Band in which the model can be trusted, rad/s."""
     feedback: bool | None
     model: AxisModel | None
     refused: tuple[str, ...] = ()
     no_second_step: str = ''
-    """Why there was nothing to run step B on."""
+    """Why step B was not possible."""
 
 
 def advice(e: Evidence) -> tuple[str, ...]:
-    """One line each, most weighty first; empty where nothing speaks against the data."""
+    """One line each, the most important first; empty without doubts."""
     return (
         *rivalry(e.model), *_excitation(e), *_delay(e), *_band(e), *_edge(e),
         *_unstable(e.rows), *_selection(e), *e.refused,
@@ -49,7 +49,7 @@ def advice(e: Evidence) -> tuple[str, ...]:
 
 
 def rivalry(model: AxisModel | None) -> Iterator[str]:
-    """Which command designs the flight that settles an effect's nearest rival, if it is near."""
+    """The command that designs the flight against an effect's nearest rival, if it is near."""
     for effect in () if model is None else model.effects:
         name, near = max(effect.rivals, key=lambda pair: pair[1], default=('', 0.0))
         if near > NEAR_RIVAL and model is not None:
@@ -73,7 +73,7 @@ def _excitation(e: Evidence) -> Iterator[str]:
 
 
 def _inputs(row: ModelRow) -> int:
-    """Order of excitation that a model needs: its plant's coefficients."""
+    """Order of excitation that a model needs: the number of its plant's coefficients."""
     model = row.step_a.model
     return int(model.B.size - model.nk + model.denominator.size - 1)
 

@@ -1,4 +1,4 @@
-"""What identification answers for one axis. Values only; made in identify.py, told in report."""
+"""The answer of an identification for one axis: values only."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class ModelRow:
 
 @dataclass(frozen=True)
 class Approach:
-    """One of the paper's Table 1: whether the signals allow it, and why not."""
+    """An approach of the paper's Table 1: whether the signals allow it, and why not."""
 
     name: str
     """`direct`, `indirect` or `joint`."""
@@ -61,7 +61,7 @@ class Approach:
 
 @dataclass(frozen=True)
 class Check:
-    """One rule of section 2.6 on the data's preparation, held against the record."""
+    """One rule of the paper's section 2.6 on preparing data, checked on the record."""
 
     name: str
     kept: bool | None
@@ -83,7 +83,7 @@ class SharedModel:
 
 @dataclass(frozen=True)
 class Selection:
-    """How the black-box models of one axis were found and chosen between, in words and values."""
+    """How the black-box models of one axis were found and selected."""
 
     approaches: tuple[Approach, ...] = ()
     feedback: bool | None = None
@@ -97,7 +97,7 @@ class Selection:
 
 @dataclass(frozen=True)
 class HeldOut:
-    """What a fitted structure makes of the held-out segments."""
+    """Errors of a fitted structure on the held-out segments."""
 
     fit: Fit
     errors: FloatArray
@@ -112,7 +112,7 @@ class HeldOut:
 
 @dataclass(frozen=True)
 class Findings:
-    """What the search and the held-out segments said of one axis."""
+    """Results of the search and of the held-out segments for one axis."""
 
     data: AxisData
     """The whole flight."""
@@ -132,14 +132,14 @@ class Findings:
 
 @dataclass(frozen=True)
 class MissingTorque:
-    """The torque (over inertia) that the filter's disturbance state takes the place of."""
+    """The torque (over inertia) that the filter's disturbance state replaces."""
 
     time_s: FloatArray
     """(m,) of the held-out samples, from the first sample of the record."""
     acceleration: FloatArray
     """(m,) rad/s²."""
     expected_rms: float
-    """rad/s², RMS that the model's own noise lets one expect."""
+    """RMS that the model's own noise predicts, rad/s²."""
 
     @property
     def rms(self) -> float:
@@ -211,7 +211,7 @@ class AxisAnswer:
     """(n,) rad/s, alike."""
     selection: Selection = field(default_factory=Selection)
     residuals: Mapping[str, Residual] = field(default_factory=dict)
-    """What is left on the held-out segments by `before`, `after`, `blackbox`."""
+    """One-step errors on the held-out segments of `before`, `after`, `blackbox`."""
 
     @property
     def answered(self) -> bool:

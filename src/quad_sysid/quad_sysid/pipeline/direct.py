@@ -1,7 +1,6 @@
-"""The contract's base fitted to an IOData: the grey box as one call, beside the black-box ones.
+"""The base fitted to an IOData: the grey box as one call.
 
-Nothing is fitted here that fit.py does not fit; what the axis lacks (motors, battery, the other
-axes) is left out.
+The fit is that of estimate/fit.py, without motors, battery and the other axes.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A stored model used again: its errors on a flight that it has never seen, and its free run.
+"""A stored model on another flight: its errors, and its free run.
 
 Evaluation is the contract's (Commands, `evaluate`); a free run has no noise and no feedback.
 """
@@ -28,10 +28,10 @@ MOTION = 1.5
 """Error of holding the last rate over the measurement noise, below which nothing moved."""
 
 PHASES = 12
-"""Starts of the search for the phase of what repeats."""
+"""Starts of the search for the phase of a periodic effect."""
 NEEDS = {'angle': 'an orientation in /imu/data', 'battery': '/battery',
          'other rate': "the other axes' rates"}
-"""Signals that a bag may lack, and what brings them."""
+"""Signals that a bag may lack, and their topics."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Evaluation:
     hold: float
     windows: int
     blackbox: float | None = None
-    """None where none was given, or where its predictions run away."""
+    """None where none was given, or where its predictions diverge."""
     horizons: tuple[Horizon, ...] = ()
     blackbox_horizons: dict[float, float] = field(default_factory=dict)
 
@@ -57,11 +57,11 @@ def evaluate(
 ) -> Evaluation:
     """Errors of the base and of the completed model, all parameters as stored.
 
-    spans_s: parts of the record in s; empty: all of it but its idle segments. blackbox: the
-    polynomial model of this axis, run about the stored base's equilibrium. The model runs at
-    the record's own interval, which may differ by what two clocks differ (SAME_RATE).
-    Raises BadInputError where the record does not fit the model, NotInformativeError where no
-    window of 0.5 s is left, motors or gyro stand at their limits, or the rate does not move.
+    spans_s: parts of the record, s; default: all but its idle segments. blackbox: the polynomial
+    model of this axis, about the stored base's equilibrium. The record's sample interval may
+    differ by as much as two clocks do (SAME_RATE). Raises BadInputError where the record does not
+    suit the model, NotInformativeError where there is no window of 0.5 s, motors or gyro are at
+    their limits, or the rate does not move.
     """
     if not same_rate(record.dt, model.dt):
         raise BadInputError(
@@ -106,7 +106,7 @@ def evaluate_or_say(
     model: AxisModel, record: Record, spans_s: tuple[tuple[float, float], ...] = (),
     blackbox: Model | None = None,
 ) -> Evaluation | str:
-    """As `evaluate`, but why the flight says nothing of the model in words."""
+    """As `evaluate`, but returns the reason where the flight cannot test the model."""
     try:
         return evaluate(model, record, spans_s, blackbox)
     except NotInformativeError as reason:
@@ -116,7 +116,7 @@ def evaluate_or_say(
 def _check_motion(
     model: AxisModel, record: Record, data: AxisData, spans: tuple[Span, ...], hold: float
 ) -> None:
-    """Raise NotInformativeError where no figure would say anything of the model."""
+    """Raise NotInformativeError where the rate hardly moves."""
     check_limits(data, spans, f'{record.source}')
     if hold <= MOTION * (model.noise_rms or 0.0):
         noise = f', the noise is {model.noise_rms:.2g}' if model.noise_rms else ''
@@ -144,10 +144,10 @@ def _check_signals(record: Record, unseen: Unseen, model: Stored) -> None:
 
 
 def of_this_flight(unseen: Unseen, model: Stored) -> Stored:
-    """The parameters with what belongs to the flight and not to the aircraft put right.
+    """The parameters for this flight.
 
-    A phase is estimated again from the flight, by its likelihood; after an event the values
-    after it hold (contract, evaluate).
+    A phase is estimated again by its likelihood; after an event its new values apply (contract,
+    evaluate).
     """
     structure = model.structure
 
@@ -196,7 +196,7 @@ def simulate(
     throttle: npt.ArrayLike | None = None,
     battery_v: npt.ArrayLike | None = None,
 ) -> FloatArray:
-    """(n,) rate as the gyro would give it, rad/s, for commands `u` (n,), one a control cycle.
+    """(n,) rate as the gyro would measure it, rad/s, for commands `u` (n,), one per cycle.
 
     `x0` is the rate (rad/s) and the angle (rad) at the first command; motors and filter are at
     rest there. `throttle` (U1) and `battery_v` (V) are needed by effects that depend on them; one

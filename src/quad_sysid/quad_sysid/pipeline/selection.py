@@ -1,8 +1,9 @@
 """The black-box part of one axis from its data to the selected model: the paper's two steps.
 
-Which approaches the signals allow (Table 1), whether the command answers to the rate, and the
-order of the steps. That no test sees feedback does not exclude it: where the controller is fast or
-the command swings far, the rate's noise drowns in the command. So "none" needs a proof of its own.
+Which approaches the signals allow (Table 1), whether the command depends on the rate, and the
+order of the steps. A test that sees no feedback does not exclude it: with a fast controller or a
+large command, the rate's noise is lost in the command. So the absence of feedback needs its own
+evidence.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ from quad_sysid.pipeline.shared import box_jenkins
 from quad_sysid.record import IOData, Record
 
 KNOWN_CONTROLLER_PCT = 70.0
-"""Fit of the known controller's own command to the recorded one below which it is not known."""
+"""Least fit of the controller's computed command to the recorded one, %."""
 
 
 def approaches(
@@ -73,7 +74,7 @@ def approaches(
 
 
 def _known(z: IOData, gains: CascadeGains) -> tuple[LinearController | None, str]:
-    """The controller, if its own command is the recorded one, and what was found."""
+    """The controller, if it reproduces the recorded command, and the finding in words."""
     ways = [controller(gains, z.dt, trapezoid=trapezoid) for trapezoid in (True, False)]
     known = max(ways, key=lambda way: reproduced(z, way))
     fit = reproduced(z, known)
@@ -86,7 +87,7 @@ def _known(z: IOData, gains: CascadeGains) -> tuple[LinearController | None, str
 
 
 def controller(gains: CascadeGains, dt: float, *, trapezoid: bool = True) -> LinearController:
-    """C1 and C2 without their limits; the far end's angle by trapezoids or by rectangles."""
+    """C1 and C2 without limits; the firmware's angle by trapezoids or by rectangles."""
     return cascade_controller(
         angle_kp=gains.angle_kp, rate_kp=gains.rate_kp, rate_ki=gains.rate_ki,
         rate_kd=gains.rate_kd, d_weight=derivative_weight(gains.d_filter_hz, dt), dt=dt,
@@ -95,7 +96,7 @@ def controller(gains: CascadeGains, dt: float, *, trapezoid: bool = True) -> Lin
 
 
 def reproduced(z: IOData, known: LinearController) -> float:
-    """Fit in percent of the known controller's command to the recorded one, drift aside.
+    """Fit of the controller's computed command to the recorded one, %, without drift.
 
     The angle's start and the gyro's bias are not known to the running sum, so the recorded and
     the computed command are compared in their changes over a tenth of a second.
@@ -140,23 +141,23 @@ def fit_others(
 
 FEEDBACK_LEVEL = 0.01
 FEW_LEVELS = 8
-"""A command of no more values than these answers to no noisy rate (PRBS, square, 3-2-1-1)."""
+"""A command with at most this many values (PRBS, square, 3-2-1-1) has no feedback."""
 SAME = 1e-4
 """Part of the command's spread within which two values are one."""
 PAST = 30
-"""Samples of the command's own past that its next value is predicted from."""
+"""Past samples of the command from which its next value is predicted."""
 CYCLES = 3
-"""Cycles within which a controller answers to the rate."""
+"""Cycles within which a controller responds to the rate."""
 NEGLIGIBLE = 0.2
 """Loop gain below which feedback neither biases the direct approach nor shapes the flight."""
 SURE = 3.0
-"""Standard errors up to which feedback that was not seen may be there."""
+"""Standard errors added to the estimated feedback gain for its upper bound."""
 
 
 def feedback(
     z: IOData, model: Model, gains: CascadeGains | None, *, behind_attitude: bool, through: bool
 ) -> bool | None:
-    """Whether the command answers to the rate; None where neither can be shown.
+    """Whether the command depends on the rate; None where neither can be shown.
 
     True where the residual of `model` predicts the command, with nothing but the past of the
     command taken out (or the plant is not causal), or where the command is that of the known
@@ -197,7 +198,7 @@ def largest_loop_gain(z: IOData, model: Model) -> float:
     """Loop gain that the data do not exclude: feedback gain times rate over command.
 
     The feedback gain is that from the one-step errors (of the last CYCLES) to the command beyond
-    what the command's past foretells, SURE standard errors added; inf where it has no estimate.
+    what the command's past predicts, plus SURE standard errors; inf where it has no estimate.
     """
     blocks: list[FloatArray] = []
     for part in one_step_errors(model, z):

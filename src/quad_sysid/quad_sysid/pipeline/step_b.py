@@ -1,4 +1,4 @@
-"""Models in the simulated cascade, against what was recorded: step B of the paper, and the answer.
+"""Models in the simulated cascade against the recording: step B of the paper.
 
 Every flight and every set of gains that it was flown with is a run of its own, so that a change
 of gains tests the model as in the paper. The cascade itself stands in the room `loop`.
@@ -23,7 +23,7 @@ from quad_sysid.pipeline.answer import AxisAnswer, ClosedLoop, LoopRun, ModelRow
 from quad_sysid.record import Record, Segment, finite_runs
 
 LEAST_FIT_PCT = 0.0
-"""A model whose simulated closed loop fits the recording no better than its mean is out."""
+"""Least fit of the simulated closed loop to the recording, %."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Flown:
     offset: int
     """Of the flight's first sample in the joined data."""
     angle_lead_s: float = 0.0
-    """Of the far end's angle over the integral of its rate, as recorded."""
+    """Lead of the recorded angle over the integral of the recorded rate, s."""
 
 
 def flown(records: Sequence[Record], axis: str) -> tuple[Flown, ...] | str:
