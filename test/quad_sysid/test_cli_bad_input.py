@@ -183,7 +183,7 @@ TABLE = '\n'.join(['t,u,r', *ROWS, ''])
         (TABLE.replace('0.400,', 'soon,'), '', 'bag', 'line 102, column t: needs a number'),
         (TABLE, '--unit r=parsec', 'bag', '--unit r: is not a unit of a rate'),
         (TABLE, '--unit r', 'bag', '--unit'),
-        (TABLE, '--mixer plus', 'bag', '--mixer: belongs to --motors'),
+        (TABLE, '--mixer plus', 'bag', '--mixer: applies to --motors'),
         (None, '', 'bag', 'cannot be read'), (TABLE, '', 'file', '/file'),
         (TABLE, '', 'file/bag', '/file/bag'),
     ],

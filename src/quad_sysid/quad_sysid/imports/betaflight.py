@@ -42,7 +42,7 @@ MOST_VOLTS = 100.0
 """A larger battery value is in hundredths of a volt."""
 ONE_G = 9.80665
 FEWEST = 200
-"""Frames of a log; fewer are of arming alone."""
+"""Least number of frames of a flight."""
 UNIT_AS_INTEGER = 8127.0
 """INDIflight's 1.0 of a command or a quaternion, (127 << 6) - 1."""
 WANTED = frozenset({
@@ -55,13 +55,13 @@ FILTERS = (
     'rpm_filter_harmonics', 'rollPID', 'pitchPID', 'yawPID', 'feedforward_weight', 'ff_weight',
     'tpa_rate',
 )
-"""Of the header: what is told of gains and filters."""
+"""Header fields of gains and filters that the bag's notes keep."""
 FASTER = 'set blackbox_sample_rate (before 4.3 blackbox_p_ratio) to log 500 Hz or more'
 
 
 @dataclass(frozen=True)
 class _Table:
-    """Columns by bare name, the unit that stands behind it, and the explorer's header."""
+    """Columns by name without unit, their units, and the header."""
 
     source: str
     columns: dict[str, FloatArray]
@@ -140,7 +140,7 @@ def read(path: Path, log: int = 1) -> ForeignLog:
 
 
 def _points_down(table: _Table) -> bool:
-    """Whether the sensors' z axis does: what lifts an aircraft in flight acts upwards."""
+    """Whether the sensors' z axis points down, by the specific force in flight."""
     lift = table.columns.get('accSmooth[2]', np.zeros(1))
     return bool(np.nanmean(lift) <= 0.0)
 
@@ -189,7 +189,7 @@ def _decoded(path: Path, log: int) -> _Table:
 
 
 def _frames(parser: Any, places: Sequence[int], width: int) -> list[list[float]]:
-    """Rows of the wanted fields; what comes after a torn end is left out."""
+    """Rows of the wanted fields up to a damaged frame."""
     rows: list[list[float]] = []
     try:
         for frame in parser.frames():
@@ -252,7 +252,7 @@ def _bare(cell: str) -> str:
 def _motors(
     table: _Table, *, indi: bool
 ) -> tuple[FloatArray, Mixer | None, tuple[str, str, str, str]]:
-    """Motor commands (n, k) 0..1, what they do, and what is told of them."""
+    """Motor commands (n, k) 0..1, their mixer, and its description."""
     name = 'u' if 'u[0]' in table.columns else 'motor'
     slots = [f'{name}[{i}]' for i in range(8) if f'{name}[{i}]' in table.columns]
     used = [slot for slot in slots if np.nanmax(table.columns[slot]) > 0.0]

@@ -117,7 +117,7 @@ def _table(options: argparse.Namespace, columns: list[str]) -> int:
         raise BadInputError('--out', 'is missing', remedy='name the bag to be written')
     if options.mixer is not None and not options.motors:
         raise BadInputError(
-            '--mixer', 'belongs to --motors, a --control column is behind no mixer',
+            '--mixer', 'applies to --motors only; --control columns need no mixer',
             options.mixer, 'leave it out or give --motors',
         )
     names = {
@@ -133,7 +133,7 @@ def _table(options: argparse.Namespace, columns: list[str]) -> int:
 
 
 def _axes(options: argparse.Namespace, measured: tuple[str, ...]) -> tuple[str, ...]:
-    """The axes that are meant."""
+    """The axes of --axis."""
     if options.axis == 'all' or (options.axis is None and len(measured) == len(AXES)):
         return AXES
     if options.axis is None:

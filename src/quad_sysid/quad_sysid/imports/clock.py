@@ -1,7 +1,7 @@
-"""Times as a recording has them → one grid of control cycles, and streams laid on it.
+"""Times of a recording → one grid of control cycles, and streams on it.
 
-Rates are drawn as a smooth curve between their samples, commands are held as an actuator holds
-them, a pause stays a gap. What was done is told with numbers. Array maths only.
+Rates are interpolated smoothly, commands are held, a pause stays a gap; the texts say what was
+done. Array maths only.
 """
 
 from __future__ import annotations
@@ -16,41 +16,41 @@ from quad_sysid.errors import BadInputError
 from quad_sysid.imports.log import Stream
 
 BACK = 5.0
-"""Usual intervals by which rows may run back in time and are sorted; further back the clock was
-set anew and another experiment begins."""
+"""Usual intervals by which rows may go back in time and are sorted; further back, the clock was
+set and another experiment begins."""
 JUMP_S, JUMP_INTERVALS = 10.0, 20.0
-"""Forward jump from which on another experiment begins."""
+"""Forward jump (s, and usual intervals) from which another experiment begins."""
 FEWEST = 20
-"""Rows; a shorter stretch between two jumps is a stamp gone astray."""
+"""Least rows of a stretch between two jumps; fewer are wrong stamps."""
 PAUSE_S, PAUSE_INTERVALS = 2.0, 5.0
-"""What is put between two experiments."""
+"""Pause inserted between two experiments."""
 TICKS = 0.05
-"""Share of rows with the time of the row before from which on the clock ticks more slowly than
-the rows come; fewer are rows written twice."""
+"""Share of rows with an unchanged time from which the clock is taken to tick more slowly than the
+rows come; fewer are duplicates."""
 UNEVEN = 0.3
 """An interval this far from the median, as a share of it, is odd."""
 MOST_ODD = 0.03
-"""Share of odd intervals up to which samples keep cycles of their own."""
+"""Share of odd intervals up to which each sample keeps its own cycle."""
 JITTER_KEPT = 0.1
-"""Cycles (99 % quantile): a sample this close to its cycle is taken as it is."""
+"""Largest jitter, cycles (99 % quantile), with which samples are not interpolated."""
 BLOCK = 16
-"""Intervals whose mean is a rate."""
+"""Number of intervals whose mean gives a rate."""
 STEADY = 0.2
-"""Spread of these means up to which a clock jitters about one rate."""
+"""Spread of these means up to which there is one rate with jitter."""
 LONGEST_DRAWN = 2.5
-"""Cycles between two samples from which on nothing is drawn between them: a gap."""
+"""Longest interval, cycles, that is interpolated; a longer one is a gap."""
 LONGEST_PAUSE = 3.0
-"""Usual intervals of a command after which its last value counts no more."""
+"""Usual intervals for which a command is held."""
 PARTS = 8
-"""Of a cycle, over which the command in force is averaged."""
+"""Parts of a cycle over which the active command is averaged."""
 
 
 @dataclass(frozen=True)
 class Unrolled:
-    """Rows whose time goes on, restarts and jumps taken out."""
+    """Rows of increasing time, restarts and jumps removed."""
 
     rows: np.ndarray
-    """(m,) of the rows given, in the order of time."""
+    """(m,) indices of the given rows, in order of time."""
     time_s: FloatArray
     """(m,) strictly increasing."""
     told: tuple[str, ...]
@@ -61,7 +61,7 @@ class Cycles:
     """The bag's control cycles and the samples of the rates on them."""
 
     times: FloatArray
-    """(n,) s, in the recording's own time."""
+    """(n,) s, in the recording's time."""
     dt: float
     values: FloatArray
     """(n, w) NaN in gaps."""
@@ -71,10 +71,10 @@ class Cycles:
 
 
 def unroll(time_s: FloatArray, values: FloatArray, where: str) -> Unrolled:
-    """Rows (n,) in an order in which time goes on; experiments after a jump follow each other.
+    """Rows (n,) in an order of increasing time; experiments after a jump follow each other.
 
-    `values` (n, w) tell a row that was written twice from one whose clock did not tick. Raises
-    BadInputError, naming `where`, if no time goes on.
+    `values` (n, w) distinguish duplicate rows from rows within one tick of the clock. Raises
+    BadInputError, naming `where`, where the time never advances.
     """
     rows = np.flatnonzero(np.isfinite(time_s))
     told = _left_out(len(time_s) - len(rows), 'rows without a time')
@@ -116,7 +116,7 @@ def _left_out(count: int, what: str) -> list[str]:
 
 
 def _alike(time_s: FloatArray, values: FloatArray) -> np.ndarray:
-    """(n - 1,) whether a row repeats time and values of the one before."""
+    """(n - 1,) whether a row repeats the time and values of the one before."""
     a, b = values[1:], values[:-1]
     equal = ((a == b) | (np.isnan(a) & np.isnan(b))).all(axis=1)
     return np.asarray((np.diff(time_s) == 0.0) & equal)
@@ -125,7 +125,7 @@ def _alike(time_s: FloatArray, values: FloatArray) -> np.ndarray:
 def _spread(
     rows: np.ndarray, time_s: FloatArray, told: list[str]
 ) -> tuple[np.ndarray, FloatArray]:
-    """Rows of one time: many are spread between the ticks of the clock, few are left out."""
+    """Rows of equal time: spread between the ticks if there are many, left out if few."""
     repeated = np.concatenate(([False], np.diff(time_s) <= 0.0))
     if repeated.mean() <= TICKS:
         told += _left_out(int(repeated.sum()), 'rows that repeat a time')
@@ -139,9 +139,9 @@ def _spread(
 
 
 def cycles(samples: Stream, grid_hz: float | None = None) -> Cycles:
-    """Lay samples of the rates on a grid: their own cycles where they are even, else drawn.
+    """The grid of the rates' samples: their own cycles where they are even, else interpolated.
 
-    `grid_hz` overrides what the times say.
+    `grid_hz` overrides the rate of the grid.
     """
     time_s, values = samples.time_s, samples.values
     steps = np.diff(time_s)
@@ -164,7 +164,7 @@ def cycles(samples: Stream, grid_hz: float | None = None) -> Cycles:
     times = time_s[0] + dt * np.arange(int((time_s[-1] - time_s[0]) / dt + 1e-6) + 1)
     drawn = draw(samples, times, LONGEST_DRAWN * max(dt, usual))
     return Cycles(times, dt, drawn, own=False, told=(
-        f'{head}; rates drawn on a grid of {1.0 / dt:.4g} Hz ({why}){_gaps(drawn, dt)}',
+        f'{head}; rates interpolated on a grid of {1.0 / dt:.4g} Hz ({why}){_gaps(drawn, dt)}',
     ))
 
 
@@ -176,7 +176,7 @@ def _own(
     cells, time_s = cells[kept], time_s[kept]
     out = np.full((int(cells[-1]) + 1, values.shape[1]), np.nan)
     out[cells] = values[kept]
-    more = f', {crowded} that fell into a cycle taken already left out' if crowded else ''
+    more = f', {crowded} in an occupied cycle left out' if crowded else ''
     times = np.interp(np.arange(len(out)), cells, time_s)
     return Cycles(times, dt, out, own=True, told=(
         f'{head}; kept on their own cycles of {1.0 / dt:.4g} Hz{more}{_gaps(out, dt)}',
@@ -193,16 +193,16 @@ def _gaps(values: FloatArray, dt: float) -> str:
 
 
 def _rounded(dt: float) -> float:
-    """A whole number of µs where that is the same within 0.02 %."""
+    """`dt` in whole µs where that differs by less than 0.02 %."""
     whole = round(dt * 1e6) * 1e-6
     return whole if whole and abs(whole / dt - 1.0) < 2e-4 else dt
 
 
 def _uneven(steps: FloatArray) -> float:
-    """Interval of the grid under an uneven clock.
+    """Interval of the grid for uneven times.
 
-    The mean, where 16 intervals take as long anywhere: the clock jitters. Else rows are dropped or
-    the rate changes, and the slowest intervals that are no gaps say what the rows can bear.
+    The mean where the means of 16 intervals agree (jitter). Otherwise rows were dropped or the
+    rate changes, and the longest intervals that are not gaps count.
     """
     blocks = len(steps) // BLOCK
     if blocks:
@@ -215,7 +215,7 @@ def _uneven(steps: FloatArray) -> float:
 
 
 def draw(stream: Stream, times: FloatArray, longest: float) -> FloatArray:
-    """A smooth curve without overshoot (PCHIP) through the samples.
+    """Samples interpolated smoothly without overshoot (PCHIP).
 
     NaN where samples are more than `longest` s apart, and beyond the ends.
     """
@@ -234,7 +234,7 @@ def draw(stream: Stream, times: FloatArray, longest: float) -> FloatArray:
 
 
 def hold(stream: Stream, times: FloatArray, dt: float) -> FloatArray:
-    """The value in force at each time: the last one up to half a cycle later."""
+    """The active value at each time: the last one, at most half a cycle later."""
     usual = 1.0 / stream.rate_hz if stream.rate_hz else np.inf
     at = np.searchsorted(stream.time_s, times + 0.5 * dt, side='right') - 1
     known = at >= 0
@@ -246,7 +246,7 @@ def hold(stream: Stream, times: FloatArray, dt: float) -> FloatArray:
 
 
 def mean_ahead(stream: Stream, times: FloatArray, dt: float) -> FloatArray:
-    """Mean of what is in force from each time to the next."""
+    """Mean of the active value from each time to the next."""
     parts = dt / PARTS
     fine = (times[:, None] + parts * np.arange(PARTS)).ravel()
     held = hold(stream, fine, parts)

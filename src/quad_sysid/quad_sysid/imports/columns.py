@@ -1,6 +1,6 @@
-"""Named columns of a foreign table → ForeignLog: roles and units; what contradicts is refused.
+"""Named columns of a table → ForeignLog: roles and units; contradictions are refused.
 
-Reading is table.py's, the grid and the bag are to_bag.py's. No identification.
+table.py reads, to_bag.py makes the grid and the bag.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ ANGLE_LIMIT = {'roll': np.pi, 'pitch': 0.5 * np.pi, 'yaw': np.inf}
 
 @dataclass(frozen=True)
 class ColumnOptions:
-    """What `quad-sysid import` is told of a table: names of columns and their units.
+    """Options of `quad-sysid import` for a table: names of columns and their units.
 
     A tuple of columns has one for each axis of `axes`, in their order.
     """
@@ -35,7 +35,7 @@ class ColumnOptions:
     file: Path
     axes: tuple[str, ...]
     time: str | None = None
-    """None where every column has a time of its own (messages of a bag or an SD card)."""
+    """None where each column has its own time (messages of a bag or an SD card)."""
     control: tuple[str, ...] = ()
     thrust: str | None = None
     motors: tuple[str, ...] = ()
@@ -69,13 +69,13 @@ class _Source:
     table: Table
     units: Mapping[str, Unit]
     time_s: FloatArray | None
-    """(m,) of the rows in use; None where columns have times of their own."""
+    """(m,) time of the rows in use, s; None where columns have their own times."""
     rows: np.ndarray
 
     def stream(self, names: tuple[str, ...]) -> Stream | None:
         """(n, k) where all of the columns have a number; None for no names.
 
-        Columns with times of their own are drawn on the first one's.
+        Columns with their own times are interpolated at those of the first.
         """
         if not names:
             return None
@@ -173,7 +173,7 @@ def _wrench(source: _Source) -> Stream | None:
 def _mapped(
     options: ColumnOptions, roles: Mapping[str, Role], units: Mapping[str, Unit]
 ) -> tuple[Mapped, ...]:
-    """What each column became."""
+    """The use of each column."""
     out = []
     for name, role in roles.items():
         unit = units[name]
@@ -192,7 +192,7 @@ def _mapped(
 
 
 def _roles(options: ColumnOptions) -> dict[str, Role]:
-    """Give each named column its role, the time first; raises BadInputError on a contradiction."""
+    """Column → role, the time first; raises BadInputError on a contradiction."""
     strange = [axis for axis in options.axes if axis not in AXES]
     if strange or not options.axes or len(set(options.axes)) < len(options.axes):
         raise BadInputError('--axis', 'is not an axis', ','.join(options.axes) or None,
@@ -286,7 +286,7 @@ def _compared(
     options: ColumnOptions, units: Mapping[str, Unit],
     rate: Stream | None, angle: Stream | None, reference: Stream | None,
 ) -> list[str]:
-    """Hold rates, angles and references against each other; what is odd, in words."""
+    """Compare rates, angles and references; disagreements in words."""
     base = rate or angle
     if base is None:
         return []
@@ -318,6 +318,6 @@ def _check_angle(angle: Column, axis: str) -> None:
     largest = float(np.nanmax(np.abs(angle.values)))
     if largest >= limit:
         raise BadInputError(
-            angle.where, f'is beyond a {axis} angle', f'{largest:.4g} of {limit:.4g}',
+            angle.where, f'is beyond the range of a {axis} angle', f'{largest:.4g} of {limit:.4g}',
             f'name its unit, such as {angle.advise("deg")}',
         )

@@ -1,6 +1,6 @@
-"""Which format a log has, by its first bytes, and the reader for it.
+"""The format of a log, by its first bytes, and its reader.
 
-To add a format is to add its reader beside this file and one entry to FORMATS.
+To add a format, add its reader beside this file and one entry to FORMATS.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ from quad_sysid.imports import ardupilot, betaflight, px4
 from quad_sysid.imports.log import ForeignLog
 
 HEAD = 65536
-"""Bytes that a format is recognised by."""
+"""Number of bytes by which a format is recognised."""
 
 
 @dataclass(frozen=True)
 class Format:
-    """A format of logs; what none recognises is a table: CSV, Parquet, a ROS 1 bag."""
+    """A format of logs. A file that none recognises is a table: CSV, Parquet, a ROS 1 bag."""
 
     name: str
     """With its article, such as `a PX4 log`."""
     recognises: Callable[[bytes], bool]
     """Whether a file that begins with these bytes, unpacked, has this format."""
     read: Callable[..., ForeignLog]
-    """Called with the path, and with the number of the log where a file may hold several."""
+    """Takes the path, and the number of the log where a file may hold several."""
     several: bool = False
     """Whether one file may hold several logs."""
     also_table: bool = False

@@ -1,7 +1,7 @@
 """What the columns of an unknown table are likely to be, and the command line that imports them.
 
-Names say the role, values say the unit: an angle's change is held against the rate's integral.
-A guess is printed for a reader to check, never acted on.
+Names give the role, values the unit: an angle's change is compared with the rate's integral. A
+guess is printed for the user to check and never used unchecked.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from quad_sysid.imports.units import DEGREE, UNITS, header_unit
 
 
 def _named(*parts: str) -> re.Pattern[str]:
-    """Any of the parts; one of up to two letters only as a word of its own."""
+    """Pattern for any of the parts; those of up to two letters only as whole words."""
     return re.compile('|'.join(
         part if len(part) > 2 else f'(?<![a-z]){part}(?![a-z])' for part in parts
     ), re.IGNORECASE)
@@ -45,9 +45,9 @@ AXIS_NAMES = (
 GYRO = _named('gyro', 'p', 'q', 'r', '(?<![a-z])g[xyz]')
 WINDOW_S = 0.2
 ALIKE = 0.5
-"""Correlation from which on an angle belongs to a rate."""
+"""Least correlation between an angle and its rate."""
 SMOOTH_TURN = 20.0
-"""rad/s; a 99 % quantile beyond it is in deg/s."""
+"""99 % quantile of a rate, rad/s, above which it is taken for deg/s."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Guess:
     table: Table
     time: str | None
     seconds: Mapping[str, FloatArray]
-    """Of each column, s."""
+    """Times of each column, s."""
     axes: tuple[str, ...] = ()
     roles: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """`rate`, `angle`, `reference`, `control`, `motors`, `thrust`, `battery`."""
@@ -77,7 +77,7 @@ class Guess:
         return '-'
 
     def command(self, file: Path) -> str | None:
-        """The line that imports the table; None where rates or commands were not found."""
+        """The command line that imports the table; None without rates or commands."""
         roles = self.roles
         if not (roles.get('rate') or roles.get('angle')) or \
                 not (roles.get('control') or roles.get('motors')):
@@ -97,7 +97,7 @@ class Guess:
 
 
 def guess(table: Table) -> Guess:
-    """Look at names and values of all columns."""
+    """Guess from names and values of all columns."""
     time, unit = (None, '') if table.times else _time(table)
     units = {} if time is None or unit in ('', 's') else {time: unit}
     factor = UNITS['time'][unit or 's'][0]
@@ -141,7 +141,7 @@ def _add_commands(
     table: Table, names: Sequence[str], measured: Sequence[str],
     roles: dict[str, tuple[str, ...]], units: dict[str, str],
 ) -> None:
-    """Commands of the axes that were measured, and the thrust beside them."""
+    """Commands of the measured axes, and the thrust."""
     taken = {n for group in roles.values() for n in group}
     commands = [t for t in _triples([n for n in names if n not in taken], TORQUE)
                 if _same_axes(t, measured)]
@@ -200,7 +200,7 @@ def lines(guessed: Guess, file: Path) -> Iterator[str]:
 
 
 def _time(table: Table) -> tuple[str | None, str]:
-    """The column that goes on with the rows, and its unit."""
+    """The column that increases with the rows, and its unit."""
     best: tuple[float, str] | None = None
     for name, values in table.columns.items():
         steps = np.diff(values[np.isfinite(values)])
@@ -249,7 +249,7 @@ def _motor_unit(table: Table, motors: Sequence[str]) -> str:
 
 
 def _triples(names: Sequence[str], pattern: re.Pattern[str]) -> list[tuple[str, str, str]]:
-    """Columns of the three axes that differ by the axis' name alone; '' for an axis without."""
+    """Columns of the three axes that differ in the axis' name only; '' where one is missing."""
     groups: dict[str, list[str]] = {}
     for name in names:
         if not pattern.search(name):

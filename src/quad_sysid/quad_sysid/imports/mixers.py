@@ -1,4 +1,4 @@
-"""Motors of other frames and orders → the contract's: by name, by a small file, by the motion.
+"""Motors of other frames and orders → the contract's: by name, by a file, by the motion.
 
 Source of the contract's order and signs: eq. (7) of the paper, contract.MIXER.
 """
@@ -38,14 +38,14 @@ class Mixer:
     """U = matrix @ motors."""
 
     name: str
-    """For messages: `--mixer x`, or where the log says it."""
+    """Name for messages: `--mixer x`, or its place in the log."""
     matrix: FloatArray
     """(4, k): U1..U4 from k motors in the order in which they are given."""
     unsaid: tuple[str, ...] = ()
-    """Axes of which the log does not say what the motors do: the motion does, where certain."""
+    """Axes whose signs the log does not state; the motion gives them, where certain."""
 
     def told_by(self, patterns: Sequence[Pattern]) -> Mixer:
-        """The mixer with what the motion shows of the axes that the log does not say."""
+        """The mixer with the motion's patterns for the axes in `unsaid`."""
         matrix = self.matrix.copy()
         for pattern in patterns:
             if pattern.axis in self.unsaid and pattern.certain:
@@ -54,7 +54,7 @@ class Mixer:
 
     @property
     def order(self) -> tuple[int, ...] | None:
-        """Which given motor is motor 1..4 of the contract; None where it is more than an order."""
+        """Indices of the contract's motors 1..4; None where the matrix is not a permutation."""
         if self.matrix.shape != MIXER_INVERSE.shape:
             return None
         for order in permutations(range(4)):
@@ -71,7 +71,7 @@ def shipped() -> list[str]:
 
 
 def mixer_of_patterns(patterns: Sequence[Pattern], motors: int) -> Mixer:
-    """The mean of the motors as U1, signed means as U2..U4; 0 where no pattern is given."""
+    """U1 as the mean of the motors, U2..U4 as signed means; 0 without a pattern."""
     matrix = np.zeros((4, motors))
     matrix[0] = 1.0 / motors
     for pattern in patterns:

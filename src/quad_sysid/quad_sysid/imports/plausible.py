@@ -1,7 +1,6 @@
-"""What columns of a foreign table tell of each other: a unit or a sign that cannot be right.
+"""Checks of a table's columns against each other, for units and signs that cannot be right.
 
-Pure arithmetic on converted columns: what is wrong raises, what is odd comes back in words.
-Reading, conversion and writing are the importer's.
+Pure arithmetic on converted columns: errors raise, doubts are returned in words.
 """
 
 from __future__ import annotations
@@ -17,26 +16,26 @@ from quad_sysid.errors import BadInputError
 from quad_sysid.imports.units import DEGREE, UNITS, Role, Unit
 
 LOWEST_RATE_HZ, HIGHEST_RATE_HZ = 20.0, 20e3
-"""Sample rates of flight controllers and rigs; beyond, a unit of time was forgotten."""
+"""Range of sample rates of flight controllers and rigs."""
 USUAL_RATE_HZ = 250.0
 MOST_TURN_RAD = 0.5
-"""Between two samples: beyond, they would not show the motion."""
+"""Largest turn between two samples with which they show the motion."""
 FASTEST_RAD_S = 70.0
 """4000 deg/s, the widest full scale of gyros that fly."""
 WINDOW_S = 0.2
-"""Over which an angle's change is held against the rate's integral: long enough for noise and a
-filter's lag not to count, short enough for slow drifts."""
+"""Window in which an angle's change is compared with the rate's integral: long against noise and
+filter lag, short against drift."""
 FEWEST_WINDOWS = 20
 TOGETHER = 0.6
-"""Correlation from which on a factor between two columns means something."""
+"""Least correlation for which a factor between two columns is meaningful."""
 NEAR = 0.4
-"""Of a factor's logarithm: 1.5 either way is near."""
+"""Largest difference of a factor's logarithm that counts as near (a factor of 1.5)."""
 TOLERATED = 0.2
 
 
 @dataclass(frozen=True)
 class Column:
-    """A column as it was understood."""
+    """A column with its unit."""
 
     source: str
     name: str
@@ -48,21 +47,20 @@ class Column:
 
     @property
     def where(self) -> str:
-        """For a message."""
+        """Place for a message."""
         return f'{self.source}, column {self.name}'
 
     def advise(self, unit: str | float) -> str:
-        """Option that gives this column another unit, as it can be typed."""
+        """The option, to be typed, that gives this column another unit."""
         text = unit if isinstance(unit, str) else f'{unit:.6g}'
         return f'--unit {shlex.quote(f"{self.name}={text}")}'
 
 
 def check_times(time: Column, speed: float | None = None) -> list[str]:
-    """Hold the sample rate of times in s (n,) against what flies, and against `speed` in rad/s.
+    """Check the sample rate of times (n,) s against usual ones, and against `speed`, rad/s.
 
-    An unusual rate is told. Where no unit was named and the axis would turn by more than half a
-    radian between two samples, or there is no rate to tell that by, the unit was forgotten: raises
-    BadInputError with a guess.
+    Returns a line on an unusual rate. Raises BadInputError, with a guess, where no unit was given
+    and the axis would turn by more than half a radian between two samples, or `speed` is unknown.
     """
     if time.values.size < 3:
         return []
@@ -84,13 +82,13 @@ def check_times(time: Column, speed: float | None = None) -> list[str]:
     guess = likely[0][1] if likely else 'FACTOR'
     told = f' ({guesses[guess]:.4g} Hz)' if likely else ' (seconds per unit)'
     raise BadInputError(
-        time.where, 'gives a sample rate at which nothing flies', found,
+        time.where, 'gives an impossible sample rate', found,
         f'name its unit, such as {time.advise(guess)}{told}, or {time.advise("s")} if it is true',
     )
 
 
 def check_size(rate: Column) -> None:
-    """Refuse a rate of no named unit (n,) that no gyro could have measured in rad/s."""
+    """Refuse a rate (n,) without a given unit that exceeds a gyro's full scale in rad/s."""
     size = float(np.nanquantile(np.abs(rate.values), 0.99))
     if not rate.named and size > FASTEST_RAD_S:
         raise BadInputError(
@@ -102,10 +100,10 @@ def check_size(rate: Column) -> None:
 
 
 def check_rate(rate: Column, angle: Column | None, dt: float) -> list[str]:
-    """Hold a rate in rad/s (n,) against the angle in rad (n,), `dt` apart in s.
+    """Compare a rate (n,) rad/s with the angle (n,) rad at intervals of `dt` s.
 
-    Raises BadInputError for a factor near 180/pi or its inverse, and for a factor near -1; tells
-    of any other that is more than 20 % off, and where there was nothing to hold against.
+    Raises BadInputError for a factor near 180/pi, its inverse, or -1. Returns a line on any other
+    factor that is more than 20 % off, and where a comparison is not possible.
     """
     size = float(np.nanstd(rate.values))
     alone = (f'the unit of {rate.name} could not be checked: its RMS is {size:.3g} rad/s, '
@@ -120,7 +118,7 @@ def check_rate(rate: Column, angle: Column | None, dt: float) -> list[str]:
     together, factor = compared
     if abs(together) < TOGETHER:
         loose = f'(correlation {together:.2f})'
-        return [f'{rate.name} and the change of {angle.name} move apart {loose}: {alone}']
+        return [f'{rate.name} and the change of {angle.name} disagree {loose}: {alone}']
     _refuse(rate, angle, factor)
     if abs(factor - 1.0) > TOLERATED:
         advice = f'if the rate is at fault, {rate.advise(rate.unit.factor * factor)}'
@@ -131,7 +129,7 @@ def check_rate(rate: Column, angle: Column | None, dt: float) -> list[str]:
 def turn_factor(rate: FloatArray, angle: FloatArray, dt: float) -> tuple[float, float] | None:
     """Correlation of an angle's changes with the rate's integral, and their ratio with its sign.
 
-    None where too little moves to be compared.
+    None where there is too little motion.
     """
     turned, changed = _over_windows(rate, angle, dt)
     if len(turned) < FEWEST_WINDOWS or not (np.ptp(turned) and np.ptp(changed)):
@@ -141,7 +139,7 @@ def turn_factor(rate: FloatArray, angle: FloatArray, dt: float) -> tuple[float, 
 
 
 def contradicted(rates: FloatArray, angles: FloatArray, dt: float) -> list[str]:
-    """A line for each axis on which angles (n, 3) rad turn otherwise than the rates (n, 3) say."""
+    """A line for each axis whose angles (n, 3) rad contradict the rates (n, 3) rad/s."""
     found = [turn_factor(rates[:, i], angles[:, i], dt) for i in range(len(AXES))]
     return [
         f'the {axis} angle changes by {both[1]:.3g} times what the rate gives'
@@ -151,7 +149,7 @@ def contradicted(rates: FloatArray, angles: FloatArray, dt: float) -> list[str]:
 
 
 def check_reference(reference: Column, angle: Column) -> None:
-    """Refuse a reference (n,) whose size is that of the angle (n,) times 180/pi or its inverse."""
+    """Refuse a reference (n,) that differs from the angle (n,) by a factor near 180/pi."""
     known = np.isfinite(reference.values) & np.isfinite(angle.values)
     a, b = reference.values[known], angle.values[known]
     if len(a) < FEWEST_WINDOWS or not (np.ptp(a) and np.ptp(b)):
@@ -192,7 +190,7 @@ def _over_windows(
 
 
 def _refuse(rate: Column, angle: Column, factor: float) -> None:
-    """Raise BadInputError where the factor, angle over rate, can only be a wrong unit or sign."""
+    """Raise BadInputError where the factor, angle over rate, is a wrong unit or sign."""
     if _near(factor, DEGREE, 1.0 / DEGREE):
         ways = _other_units(
             (rate, 'rate', 'deg/s', 'rad/s'), (angle, 'angle', 'deg', 'rad'), factor
@@ -218,7 +216,7 @@ def _refuse(rate: Column, angle: Column, factor: float) -> None:
 def _other_units(
     below: tuple[Column, Role, str, str], above: tuple[Column, Role, str, str], factor: float
 ) -> list[tuple[Column, Unit]]:
-    """Units that would mend a factor near pi/180 or 180/pi between two columns.
+    """Units that would correct a factor near pi/180 or 180/pi between two columns.
 
     Each column comes with its role, its unit of degrees and that of radians; `factor` is the size
     of the second over the first.

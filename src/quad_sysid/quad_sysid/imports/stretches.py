@@ -1,8 +1,8 @@
-"""Flights without an experiment: which stretches say something, and which of them are held out.
+"""Segments for flights without an experiment: the usable stretches, and those that are held out.
 
-A flight is looked at in pieces of a second; what is left out gets its reason. What is used is cut
-into blocks that train and blocks that are held out, so that both hold some of every part of the
-flight. Array maths on a Record.
+A flight is judged in pieces of a second; each piece that is left out gets a reason. The rest is
+cut into blocks for training and validation, so that both contain some of every part of the flight.
+Array maths on a Record.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from quad_sysid.record import Record, Segment, finite_runs
 
 PIECE_S = 1.0
 MOST_LOST = 0.2
-"""Share of a piece that gaps, or the ground, may take."""
+"""Largest share of gaps or ground in a piece."""
 AIRBORNE = 0.4
 """Share of the usual throttle below which the aircraft does not fly."""
 GROUND_S = 1.0
@@ -25,23 +25,23 @@ it may touch the ground: it takes off, or it lands."""
 STILL = 0.1
 """Share of the usual motion and command below which nothing is excited."""
 USUAL = 0.75
-"""Quantile over the pieces that is usual."""
+"""Quantile over the pieces that counts as usual."""
 AT_LIMIT, MOST_AT_LIMIT = 1e-3, 0.2
 """A motor this close to 0 or 1 stands at its limit; for this share of a piece it may."""
 NEARLY_ALL = 0.9
-"""Share of a short record that says something, from which on the reader cuts it in two."""
+"""Usable share of a short record from which it keeps no segments."""
 SHORTEST_S = 3.0
-"""A stretch below it cannot be judged: windows begin a second after its start."""
+"""Shortest stretch, since windows begin a second after its start."""
 BLOCK_S = 5.0
 ROLES = ('train', 'train', 'validation', 'train', 'validation')
-"""Of blocks one after the other: 60 % train, as where a record is cut in two."""
+"""Roles of consecutive blocks: 60 % train."""
 
 
 def with_stretches(record: Record, axes: tuple[str, ...] = AXES) -> Record:
     """The record with its segments, for all of `axes` alike.
 
-    Below five blocks the first 60 % of what is used train, as the contract cuts a bag without
-    segments; a record so short of which hardly anything is left out keeps no segments at all.
+    With fewer than five blocks the first 60 % train, as in a bag without segments; a short record
+    of which nearly all is usable keeps no segments.
     """
     size = max(1, round(PIECE_S / record.dt))
     edges = np.arange(0, max(size, record.n - size // 2), size)
@@ -66,7 +66,7 @@ def with_stretches(record: Record, axes: tuple[str, ...] = AXES) -> Record:
 
 
 def told(record: Record) -> str:
-    """One line on what is used and what is left out, in seconds."""
+    """One line on the used and the left out time, s."""
     if not record.segments:
         return ''
     axis = record.segments[0].axis

@@ -1,6 +1,6 @@
-"""Tables of numbers as others record them → columns: CSV, Parquet, Crazyflie SD card, ROS 1 bag.
+"""Tables → columns: CSV, Parquet, Crazyflie SD card, messages of ROS 1 and other bags.
 
-What a column means is not known here; the line number stands in every complaint about a text.
+The meaning of a column is not known here. Errors in a text name the line.
 """
 
 from __future__ import annotations
@@ -25,26 +25,26 @@ from quad_sysid.imports.frames import euler_from_quaternion
 
 DELIMITERS = (',', ';', '\t')
 MOST_NUMBERS = 64
-"""Of an array in a message; a longer one is an image or a cloud."""
+"""Longest array in a message that becomes columns; a longer one is an image or a cloud."""
 SD_MAGIC = 0xBC
 SD_REGULAR = 'fixedFrequency'
-"""The event of a Crazyflie's log that samples variables at a fixed rate."""
+"""Event of a Crazyflie's log with variables sampled at a fixed rate."""
 SD_TYPES = frozenset('BbHhIiQqefd?')
 
 
 @dataclass(frozen=True)
 class Table:
-    """Columns by name, as they stand in the file; NaN where a row has no number."""
+    """Columns by name, as in the file; NaN where a row has no number."""
 
     source: str
     columns: Mapping[str, FloatArray]
     times: Mapping[str, FloatArray] = field(default_factory=dict)
-    """s, of the columns that have a time of their own (messages); a CSV's are found by name."""
+    """Times, s, of columns with their own (messages); a CSV has a column for it."""
     lines: tuple[int, ...] = ()
     """Line number of each row of a text, counted from 1."""
 
     def complain(self, row: int, column: str, what: str, remedy: str) -> BadInputError:
-        """Build the error that names file, line and column."""
+        """An error that names file, line and column."""
         line = f', line {self.lines[row]}' if self.lines else ''
         return BadInputError(
             f'{self.source}{line}, column {column}', what,
@@ -53,7 +53,7 @@ class Table:
 
 
 def open_table(path: Path, wanted: Sequence[str] | None = None) -> Table:
-    """Read a file as columns; `wanted` None: every column that holds a number.
+    """Read a file as columns: `wanted`, or (None) all that contain a number.
 
     Raises BadInputError for a file that cannot be read, a missing column, and a text where a
     number should be.
@@ -94,7 +94,7 @@ def _head(path: Path) -> bytes:
 
 @contextmanager
 def text_lines(file: Path) -> Iterator[Iterator[str]]:
-    """Lines of a text file, compressed or not. Raises BadInputError where it is none."""
+    """Lines of a text file, gzipped or not. Raises BadInputError for another file."""
     try:
         with file.open('rb') as probe:
             packed = probe.read(2) == b'\x1f\x8b'
@@ -203,8 +203,8 @@ def _parquet(path: Path) -> Table:
 def sd_card(data: bytes, source: str) -> Table:
     """A log of the Crazyflie's SD-card deck, versions 1 and 2 (crazyflie-firmware, usddeck).
 
-    Raises BadInputError where it ends in the middle or is another version; a wrong checksum of a
-    log that was cut off is no reason to refuse what came before.
+    Raises BadInputError for a damaged file or another version. A wrong checksum is accepted, since
+    a log that was cut off has one.
     """
     version = int.from_bytes(data[1:3], 'little')
     if version not in (1, 2):
@@ -241,7 +241,7 @@ def sd_card(data: bytes, source: str) -> Table:
 def _sd_events(
     data: bytes, source: str
 ) -> tuple[dict[int, tuple[list[str], struct.Struct]], int]:
-    """Names and binary form of each event by its number, and where the samples begin."""
+    """Names and binary layout of each event by its number, and the offset of the samples."""
     (kinds,) = struct.unpack_from('<H', data, 3)
     at = 5
     events: dict[int, tuple[list[str], struct.Struct]] = {}
@@ -256,7 +256,7 @@ def _sd_events(
             names.append(name[:-3] if event == SD_REGULAR else f'{event}.{name[:-3]}')
             form += name[-2]
         if not set(form[1:]) <= SD_TYPES:
-            raise BadInputError(source, 'names a type that is unknown', form)
+            raise BadInputError(source, 'contains an unknown data type', form)
         events[number] = (names, struct.Struct(form))
     return events, at
 
