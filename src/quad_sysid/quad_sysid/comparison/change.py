@@ -1,4 +1,4 @@
-"""Flights or models → each parameter's difference, its error, and the chance of it by noise alone.
+"""Flights or models → each parameter's difference, its error and p-value.
 
 Base, trim and effects of every axis, the first flight against each other one. Two-sided tests,
 held to one level together (Holm 1979). Values only: fits are pipeline's, words are page.py's.
@@ -16,9 +16,9 @@ from quad_sysid.model import AxisModel
 from quad_sysid.record import Record
 
 LEVEL = 0.01
-"""Chance that any of the differences that are told as changes is none."""
+"""Probability of any false change among all comparisons."""
 QUARTERS = 4
-"""Parts of a flight between which a trim wanders; so it may between two equal flights."""
+"""Parts of a flight whose trims give the trim's scatter between equal flights."""
 MANY = 1e9
 """Degrees of freedom with which Student's t is normal."""
 LEAST_IN_PART = 50
@@ -39,11 +39,11 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Flight:
-    """What is known of one flight or model: parameters by axis and name."""
+    """Parameters of one flight or model by axis and name."""
 
     source: str
     parameters: Mapping[str, Mapping[str, Estimate]]
-    """`gain`, `lag`, …, `trim`, and `<effect>.<parameter>`; of axes that were answered."""
+    """`gain`, `lag`, …, `trim`, and `<effect>.<parameter>`; of answered axes."""
     reasons: Mapping[str, str]
     """By axis, why there is no model."""
 
@@ -62,9 +62,9 @@ class Change:
     std: float | None = None
     """Of the difference."""
     p_value: float | None = None
-    """Chance of a difference as large if nothing had changed; None where no error is known."""
+    """Probability of a difference as large without a change; None without an error."""
     changed: bool = False
-    """Whether it is one beyond doubt, all that was compared considered."""
+    """Whether it is significant among all comparisons."""
 
 
 def of_model(model: AxisModel) -> dict[str, Estimate]:
@@ -77,10 +77,10 @@ def of_model(model: AxisModel) -> dict[str, Estimate]:
 
 
 def trims(record: Record) -> dict[str, Estimate]:
-    """Mean command of each axis over what trains or validates, normalised.
+    """Mean command of each axis over training and validation, normalised.
 
-    Its error is how far the means of the flight's quarters lie apart, not that of their mean: a
-    trim wanders with wind and battery, between flights no less than within one.
+    Its error is the scatter between the flight's quarters, not that of their mean: a trim drifts
+    with wind and battery, between flights as within one.
     """
     used = np.zeros(record.n, dtype=bool)
     for segment in record.segments:
@@ -100,7 +100,7 @@ def trims(record: Record) -> dict[str, Estimate]:
 
 
 def changes(reference: Flight, other: Flight) -> tuple[Change, ...]:
-    """Every parameter that both or one of two flights has, in the order of axes and names."""
+    """All parameters of either flight, in the order of axes and names."""
     found = [
         _change(axis, name, reference.parameters.get(axis, {}).get(name),
                 other.parameters.get(axis, {}).get(name))
@@ -132,7 +132,7 @@ def _change(axis: str, name: str, a: Estimate | None, b: Estimate | None) -> Cha
 
 
 def _held(found: Sequence[Change]) -> tuple[Change, ...]:
-    """Mark what is a change with LEVEL for all of them together."""
+    """Mark the changes at LEVEL for all of them together."""
     tested = sorted((c.p_value, i) for i, c in enumerate(found) if c.p_value is not None)
     marked = set()
     for rank, (p, i) in enumerate(tested):

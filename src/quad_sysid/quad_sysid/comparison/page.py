@@ -44,7 +44,7 @@ def lines(reference: Flight, pairs: Sequence[Pair]) -> Iterator[str]:
                 yield f'  {known.source}, {axis}: no model ({reason})'
         yield from _verdict(found)
         yield ''
-    yield 'chance: of a difference as large if nothing had changed'
+    yield 'chance: probability of a difference as large if nothing had changed'
 
 
 def _verdict(found: Sequence[Change]) -> Iterator[str]:
@@ -52,9 +52,9 @@ def _verdict(found: Sequence[Change]) -> Iterator[str]:
     alone = [f'{c.axis} {c.name}' for c in found
              if (c.reference is None) != (c.value is None) and '.' in c.name]
     yield (f'  changed: {", ".join(told)}' if told else
-           f'  nothing changed that {LEVEL:.0%} of error for all of it lets be told')
+           f'  nothing changed, at a level of {LEVEL:.0%} for all comparisons together')
     if alone:
-        yield f'  in one of the two only, so not compared: {", ".join(alone)}'
+        yield f'  in one of the two only, not compared: {", ".join(alone)}'
 
 
 def _name(change: Change) -> str:

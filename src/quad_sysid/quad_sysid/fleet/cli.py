@@ -66,7 +66,7 @@ def _run(options: argparse.Namespace) -> int:
         print('\n'.join(page.lines(summary)))
         print(f'\ntable in {out / TABLE}, page in {out / "fleet.html"}')
     if not any(row['status'] == ANSWERED for row in rows):
-        print(f'quad-sysid: {options.folder}: no bag could be answered; the reasons stand in '
+        print(f'quad-sysid: {options.folder}: no bag could be answered; the reasons are in '
               f'{out / "fleet.html"}', file=sys.stderr)
         return NOT_ANSWERED
     return 0

@@ -1,7 +1,4 @@
-"""One bag → one flat row of plain values, whatever happens to it.
-
-What a worker process runs. Nothing is drawn; the report.json of each bag is kept where asked.
-"""
+"""One bag → one flat row of plain values, even where it fails: the work of a worker process."""
 
 from __future__ import annotations
 
@@ -24,7 +21,7 @@ BASE = ('gain', 'lag', 'delay', 'damping', 'bias')
 
 @dataclass(frozen=True)
 class Job:
-    """One bag to be looked at; small, as it is sent to workers."""
+    """One bag to identify; small, as it is sent to workers."""
 
     bag: str
     """Path as it is given to the reader."""
@@ -33,7 +30,7 @@ class Job:
     aircraft: str
     """First folder below the fleet's, empty where the bag lies in it directly."""
     fingerprint: str
-    """Size and time of the bag's files: where it changes the bag is looked at again."""
+    """Size and time of the bag's files; if it changes the bag is identified again."""
     axes: tuple[str, ...] = ()
     search_effects: bool = True
     keep: str = ''
@@ -77,7 +74,7 @@ def _identified(job: Job) -> Row:
 
 
 def columns(axis: str, tree: Mapping[str, Any]) -> Row:
-    """What a row holds of one axis, from its tree in report.json."""
+    """The row's values of one axis, from its tree in report.json."""
     error = tree['error']
     row: Row = {
         f'{axis}_verdict': tree['verdict'],

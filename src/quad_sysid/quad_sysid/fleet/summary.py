@@ -1,4 +1,4 @@
-"""Rows → what they say of the fleet: spread, who lacks what, drift over time. Arithmetic only."""
+"""Rows → summary of the fleet: spread, missing effects, drift. Arithmetic only."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from quad_sysid.contract import AXES
 from quad_sysid.fleet.row import ANSWERED, BASE, Row
 
 LEAST_FLIGHTS = 4
-"""Of one aircraft, below which no drift is told."""
+"""Least flights of one aircraft for a drift."""
 DRIFT_LEVEL = 0.01
-"""A drift is told where chance alone would show it less often than this."""
+"""Significance level of drifts."""
 DAY_NS = 86_400e9
 OUTLYING = 3.5
-"""Robust standard deviations (Iglewicz, Hoaglin 1993)."""
+"""Distance of an outlier in robust standard deviations (Iglewicz, Hoaglin 1993)."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Spread:
     high: float
     """95 % quantile."""
     relative_pct: float
-    """Robust standard deviation of the median, per cent; NaN where the median is 0."""
+    """Robust standard deviation, % of the median; NaN where that is 0."""
     outliers: tuple[str, ...]
     """Bags that lie far outside."""
 
@@ -52,7 +52,7 @@ class Drift:
     """Of `per_day`."""
     p_value: float
     relative_pct: float
-    """Over the whole time, of the mean, per cent."""
+    """Drift over the whole time, % of the mean."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class Lack:
 
 @dataclass(frozen=True)
 class Summary:
-    """What a fleet's rows say."""
+    """Summary of a fleet's rows."""
 
     counts: Mapping[str, int]
     aircraft: tuple[str, ...]

@@ -1,7 +1,7 @@
-"""How every picture of a report looks: colours, size, axes; a figure as inline SVG or as PNG.
+"""The look of every picture of a report: colours, size, axes; inline SVG and PNG.
 
-matplotlib is imported inside functions only, so that who writes no pictures never loads it, and
-pyplot with its global state is never touched. What is drawn stands in the plots_*.py files.
+matplotlib is imported inside functions only, so that it loads only for pictures; pyplot with its
+global state is not used. The plots_*.py files draw the content.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ if TYPE_CHECKING:
 
 INK, MUTED, GRID = '#1b1f24', '#5f6b78', '#d5dae0'
 BLUE, ORANGE, GREEN, SKY, PINK = '#0072b2', '#d55e00', '#009e73', '#56b4e9', '#cc79a7'
-"""Okabe and Ito (2008): told apart by colour-blind people."""
+"""Okabe and Ito (2008): distinct for colour-blind readers."""
 
 THEMED = {
     INK: 'ink', MUTED: 'muted', GRID: 'grid',
     BLUE: 'blue', ORANGE: 'orange', GREEN: 'green', SKY: 'sky', PINK: 'pink',
 }
-"""Colour to the page's CSS variable, which differs between light and dark."""
+"""Colour → the page's CSS variable, which differs between light and dark."""
 
 MEASURED, BEFORE, AFTER, OTHER = INK, ORANGE, BLUE, GREEN
 WIDTH_IN = 4.4
-"""One width for all: 317 pt, so that the text keeps its size on a phone."""
+"""Width of all pictures: 317 pt, so that the text keeps its size on a phone."""
 MOST_POINTS = 900
-"""Of one line; more cannot be seen at this width."""
+"""Most points of a line; more cannot be seen at this width."""
 PNG_DPI = 150
 _RC: Any = {
     'svg.fonttype': 'none', 'font.family': 'sans-serif', 'font.size': 8.5,
@@ -52,10 +52,10 @@ _RC: Any = {
 
 @dataclass(frozen=True)
 class Picture:
-    """One figure with what it shows in words."""
+    """One figure with its title and caption."""
 
     name: str
-    """Of its PNG file and its anchor, such as `bode`."""
+    """Name of its PNG file and its anchor, such as `bode`."""
     title: str
     caption: str
     figure: Figure
@@ -107,7 +107,7 @@ def legend(axes: Axes, columns: int = 4) -> None:
 
 
 def shade(axes: Axes, low: float, high: float, colour: str, label: str = '') -> None:
-    """A stretch of x in a light tint."""
+    """Shade a range of x."""
     axes.axvspan(low, high, color=colour, alpha=0.13, linewidth=0, label=label or None, zorder=0)
 
 
@@ -151,7 +151,7 @@ def svg(picture: Picture, prefix: str) -> str:
 
 
 def embedded(picture: Picture, prefix: str) -> str:
-    """The figure as an `<img>` for a page of others, such as a notebook."""
+    """The figure as an `<img>` for another page, such as a notebook."""
     coded = base64.b64encode(png(picture)).decode('ascii')
     told = f'{escape(prefix)}: {escape(picture.title)}'
     return f'<img alt="{told}" src="data:image/png;base64,{coded}">'

@@ -43,7 +43,7 @@ def document(
 
 
 def plain(value: Any) -> Any:
-    """The same with lists for tuples and null for what is not finite: JSON has nothing else."""
+    """The value for JSON: lists for tuples, None for numbers that are not finite."""
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if isinstance(value, Mapping):
@@ -228,7 +228,7 @@ def _model(row: ModelRow) -> dict[str, Any]:
 
 
 def _selection(selection: Selection) -> dict[str, Any]:
-    """How an axis' black-box models were found and chosen."""
+    """How an axis' black-box models were found and selected."""
     tree: dict[str, Any] = {
         'approaches': [asdict(approach) for approach in selection.approaches],
         'feedback': selection.feedback,
@@ -267,7 +267,7 @@ def _shared(shared: SharedModel) -> dict[str, Any]:
 
 
 def _residual(residual: Residual) -> dict[str, Any]:
-    """What is left of one model: values only, the largest of a few picked out."""
+    """Tests of one model's residual: values only."""
     test, missing = residual.test, residual.missing
     tree: dict[str, Any] = {
         'data': 'held-out', 'samples': test.samples, 'rms': residual.rms, 'unit': 'rad/s',

@@ -68,7 +68,7 @@ EFFECTS = ('effect_shape', 'left_out', 'rivals')
 LEFT = ('correlations', 'residual_spectrum', 'missing_torque')
 LOOP = ('closed_loop', 'step', 'margins')
 SHOWN = ('effect_shape', 'missing_torque', 'free_run', 'signals_detail')
-"""What a notebook shows beside the words: the first of these that there is."""
+"""Picture of a notebook's cell: the first of these that exists."""
 CELL = """.quad .tiles{display:flex;flex-wrap:wrap;gap:8px}
 .quad .tile{border:1px solid #8886;border-radius:6px;padding:4px 10px}
 .quad .tile span{display:block;opacity:.75;font-size:.85em}.quad .scroll{overflow-x:auto}
@@ -119,7 +119,7 @@ def excerpt(report: Mapping[str, Any], answers: Mapping[str, AxisAnswer], text: 
 
 
 def _answer(axis: str, tree: Mapping[str, Any]) -> str:
-    """What a reader wants first."""
+    """The answer, which the page begins with."""
     style, line = words.headline(tree)
     told = ''.join(
         f'<h3>{escape(question)}</h3><p>{escape(answer)}</p>'
@@ -155,7 +155,7 @@ def _tiles(tree: Mapping[str, Any]) -> str:
 def _axis(
     axis: str, tree: Mapping[str, Any], answer: AxisAnswer | None, drawn: Gallery
 ) -> str:
-    """All of one axis behind its answer."""
+    """All details of one axis."""
     model = answer.model if answer is not None else None
     active = model.active_gains if model is not None else {}
     shown = drawn.pictures
@@ -169,7 +169,7 @@ def _axis(
         ('Prediction on held-out data', tables.errors(tree).html() + tables.horizons(tree).html()
          + figures(PREDICTION)),
         ('What the base lacks', tables.effects(tree).html() + tables.parameters(tree).html()
-         + figures(EFFECTS) + _fold('All that was tried',
+         + figures(EFFECTS) + _fold('Everything that was tried',
                               tables.tried(tree).html() + tables.untested(tree).html())),
         ('What is left', tables.residuals(tree).html() + figures(LEFT)),
         ('Black-box models', tables.models(tree).html() + _paragraph(tables.shared(tree))

@@ -1,8 +1,8 @@
-"""What a model leaves out and what its effects add, over what it may depend on. No drawing.
+"""The acceleration that a model leaves out, and what its effects add, over signals. No drawing.
 
-Over a short span h the identity (rate(t + h) - rate(t - h)) / 2h = mean of the acceleration holds
-without any filter; the model's own acceleration, run along the rate that its Kalman filter
-follows, is averaged alike and taken off. Every curve is the effect's own physics.
+Over a short span h, (rate(t + h) - rate(t - h)) / 2h is the mean of the acceleration. The model's
+acceleration along its Kalman filter's rate, averaged over the same span, is subtracted. Every
+curve is the effect's own physics.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ BINS = 17
 LEAST_IN_A_BIN = 40
 GRID = 301
 RAMP_S = 12.0
-"""Of the slow triangle on which a map of the command is drawn."""
+"""Length of the slow triangle of the command over which a map is drawn, s."""
 RESPONSE_S = 0.6
 Z95 = 1.96
 
@@ -35,7 +35,7 @@ UNITS = {
     'time': 's', 'other rate': 'rad/s', 'other command': 'norm.',
     'product of other rates': '(rad/s)²',
 }
-"""Signals that an effect is drawn over."""
+"""Signals over which effects are drawn, with units."""
 
 
 @dataclass(frozen=True)
@@ -54,13 +54,13 @@ class Drawn:
     over: str
     """Label of x with its unit."""
     label: str
-    """Of y."""
+    """Label of y with its unit."""
     x: FloatArray
     y: FloatArray
     band: FloatArray
     """Half width."""
     plain: FloatArray | None = None
-    """What the base alone gives, where that is not zero."""
+    """The curve of the base alone, where it is not zero."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class Along:
 
     @property
     def signals(self) -> Signals:
-        """What its effects depend on."""
+        """The signals on which effects depend."""
         flight, values = self.problem.flight, self.fit.values
         halves, states = flight.driven(self.fit.structure, values)
         return flight.signals(values, halves, states, self.fit.rate)
@@ -106,12 +106,12 @@ class Along:
         return np.interp(index - cycles - flight.late / self.problem.data.dt, index, signal)
 
     def left_out(self) -> FloatArray:
-        """(n,) rad/s², what the model does not explain; NaN near gaps."""
+        """(n,) acceleration that the model does not explain, rad/s²; NaN near gaps."""
         data = self.problem.data
         return _slope(data.rate, data.dt) - self.seen(self.acceleration())
 
     def added(self, index: int) -> FloatArray:
-        """(n,) rad/s² that one effect adds, mean over the short span."""
+        """(n,) acceleration of one effect, mean over the short span, rad/s²."""
         return self.seen(self.acceleration() - self.acceleration(index))
 
 

@@ -27,7 +27,7 @@ SCHEMA = 'quad_sysid/model/2'
 BASE_NAMES = ('gain', 'lag', 'delay', 'damping', 'bias')
 POLYNOMIALS = ('A', 'B', 'C', 'D', 'F')
 NOT_STORED = {'axis', 'interval', 'own_effects'}
-"""Fields that the file tells by its form, or that are for reports or given by the caller."""
+"""Fields that follow from the file's form, are for reports, or come from the caller."""
 BLACKBOX = ('structure', 'orders', 'approach', *POLYNOMIALS, 'nk', 'dt', 'noise_variance',
             'covariance')
 """Fields of a polynomial model that are stored."""
@@ -39,10 +39,10 @@ def save_models(
     models: Mapping[str, AxisModel], path: str | os.PathLike[str],
     blackbox: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> None:
-    """Write the models of a flight, by axis, to `path`; the file is replaced whole or not at all.
+    """Write the models of a flight, by axis, to `path`, atomically.
 
     `blackbox`: trees of the selected black-box models by axis. Raises BadInputError where a
-    number that must be finite is not, or the file can't be written.
+    number that must be finite is not, or the file cannot be written.
     """
     axes = {a: _stored(AxisModel, model, f'{path}: {a}') for a, model in models.items()}
     tree = {'schema': SCHEMA, 'axes': axes, **({'blackbox': blackbox} if blackbox else {})}
@@ -54,7 +54,7 @@ def load_models(
 ) -> dict[str, AxisModel]:
     """Models by axis from a model.json; raises BadInputError naming file, field and remedy.
 
-    `own_effects`: those that the models may name beside the package's.
+    `own_effects`: the caller's effects that the models may name too.
     """
     root = _keys(read_json(path, REMEDY), str(path), {'schema', 'axes'}, more=True)
     if root['schema'] != SCHEMA:

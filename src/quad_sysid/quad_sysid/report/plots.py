@@ -1,7 +1,6 @@
-"""The table of pictures: for an answer, every figure that its data allow, in the order of reading.
+"""The table of pictures, in the order of reading.
 
-To add a picture is to add one entry here. How they are drawn stands in plots_*.py, how they look
-in canvas.py.
+To add a picture, add one entry here. The plots_*.py files draw, canvas.py has the look.
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ PICTURES: tuple[tuple[str, Callable[[AxisAnswer], Picture | None]], ...] = (
     ('step', plots_loop.step_response),
     ('margins', plots_loop.open_loop_margins),
 )
-"""Name and builder; a builder gives None where the answer lacks what it would show."""
+"""Name and builder; a builder returns None where the answer lacks the data."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +49,7 @@ class Gallery:
 
 
 def draw(answer: AxisAnswer, name: str) -> Picture | None:
-    """One picture; None where the answer lacks what it would show. BadInputError for no name."""
+    """One picture; None where the answer lacks the data. BadInputError for an unknown name."""
     build = dict(PICTURES).get(name)
     if build is None:
         names = ', '.join(dict(PICTURES))
@@ -60,7 +59,7 @@ def draw(answer: AxisAnswer, name: str) -> Picture | None:
 
 
 def gallery(answer: AxisAnswer) -> Gallery:
-    """Draw all pictures of one axis; one that fails on odd data is named, the rest stand."""
+    """Draw all pictures of one axis; those that fail are listed in `failed`."""
     drawn: dict[str, Picture] = {}
     failed: list[tuple[str, str]] = []
     for name, _ in PICTURES:
@@ -75,7 +74,7 @@ def gallery(answer: AxisAnswer) -> Gallery:
 
 
 def save(galleries: Mapping[str, Gallery], folder: Path) -> None:
-    """Write every picture as `<axis>_<name>.png` into `folder`, which is made where missing."""
+    """Write every picture as `<axis>_<name>.png` into `folder`, which is created if missing."""
     make_folder(folder, 'pictures')
     for axis, one in galleries.items():
         for name, picture in one.pictures.items():

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 DETAIL_S = 8.0
 COHERENT = 0.6
-"""Squared coherence above which command and rate are trusted to belong together."""
+"""Squared coherence above which the model is trusted."""
 
 
 def signals(answer: AxisAnswer) -> Picture | None:
@@ -52,7 +52,7 @@ def signals(answer: AxisAnswer) -> Picture | None:
 
 
 def detail(answer: AxisAnswer) -> Picture | None:
-    """A few seconds of training, in which single swings can be followed."""
+    """A few seconds of training in detail."""
     found = answer.findings
     if found is None or not found.data.train:
         return None
@@ -105,7 +105,7 @@ def _traces(answer: AxisAnswer, data: AxisData, span: Span, *, segments: bool) -
 
 
 def _joined(spans: tuple[Span, ...], dt: float) -> list[Span]:
-    """Spans with gaps below 0.2 s closed: lost samples are no segments to a reader."""
+    """Spans with gaps below 0.2 s closed, since lost samples do not end a segment."""
     out: list[Span] = []
     for a, b in sorted(spans):
         if out and (a - out[-1][1]) * dt < 0.2:

@@ -26,7 +26,7 @@ SHOWN_S = 10.0
 STEP_RAD = float(np.radians(12.0))
 STEP_S = 2.0
 WIDE = (4.0, 0.35, 0.3)
-"""Rate, rad/s, angle, rad, and command at which curves count by their gain, as in the design."""
+"""Amplitudes of rate (rad/s), angle (rad) and command for linearisation, as in the design."""
 
 
 def overlay(answer: AxisAnswer) -> Picture | None:
@@ -66,21 +66,21 @@ def overlay(answer: AxisAnswer) -> Picture | None:
 
 
 def _sets(answer: AxisAnswer) -> list[tuple[str, CascadeGains, str, str]]:
-    """The gains that flew and those proposed, with colour and style; none where unknown."""
+    """Flown and new gains, with colour and style; none where unknown."""
     model, proposal = answer.model, answer.proposal
     if model is None or f'{model.axis}.rate.kp' not in model.active_gains:
         return []
     new = proposal.gains if proposal is not None else None
     return [
         (name, CascadeGains.from_mapping({**model.active_gains, **gains}, model.axis), *look)
-        for name, gains, look in (('gains that flew', {}, (BEFORE, '--')),
+        for name, gains, look in (('flown gains', {}, (BEFORE, '--')),
                                   ('proposed gains', new, (AFTER, '-')))
         if gains is not None
     ]
 
 
 def step_response(answer: AxisAnswer) -> Picture | None:
-    """A step of the attitude reference with the gains that flew and with those proposed."""
+    """A step of the attitude reference with flown and new gains."""
     model, sets = answer.model, _sets(answer)
     if model is None or not sets:
         return None

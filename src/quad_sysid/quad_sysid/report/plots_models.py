@@ -1,4 +1,4 @@
-"""Pictures of how well models do, and of what they leave on the held-out data.
+"""Pictures of the models' predictions, and of their errors on the held-out data.
 
 Free run, error over the horizon, one step ahead, residual tests, spectrum, torque, Bode.
 """
@@ -40,7 +40,7 @@ SHOWN_WINDOWS = 10
 
 
 def runs(found: Findings) -> list[tuple[HeldOut, str, str, str]]:
-    """What is drawn of an axis: the base and, where effects were added, the completed model."""
+    """The base and, where effects were added, the completed model."""
     both = [(found.before, BEFORE, '--', 'base'), (found.after, AFTER, '-', 'completed')]
     return both if found.added else both[:1]
 
@@ -112,7 +112,7 @@ def horizon(answer: AxisAnswer) -> Picture | None:
     legend(one)
     return Picture(
         'horizon', 'Error over the horizon',
-        'How fast a prediction loses its worth: RMS over all held-out windows. Its mean square '
+        'How the prediction becomes worse: RMS over all held-out windows. Its mean square '
         'over the window is the error of the table.', figure,
     )
 
@@ -254,11 +254,11 @@ def _grey_spread(
 
 
 SHOWN_S = 2.0
-"""Of one-step predictions, so that single cycles can be told apart."""
+"""Shown length, s, so that single cycles can be seen."""
 Z99 = 2.576
 NAMES = (('before', 'base', BEFORE, '--'), ('after', 'completed', AFTER, '-'))
 OFFSET = 0.3
-"""Lags by which the second model's lines stand beside the first's."""
+"""Offset of the second model's lines from the first's, lags."""
 
 
 def one_step(answer: AxisAnswer) -> Picture | None:
@@ -351,7 +351,7 @@ def _correlogram(shown: list[tuple[ResidualTest, str, str, str]], dt: float) -> 
 
 
 def _told(test: ResidualTest) -> str:
-    """What the tests say, in words."""
+    """Results of the tests in words."""
     return (f'white {_yes(test.residual_white)} (p {equals(test.p_white)}), free of past commands '
             f'{_yes(test.residual_uncorrelated_with_input)} (p {equals(test.p_input)})')
 
@@ -402,7 +402,7 @@ def torque(answer: AxisAnswer) -> Picture | None:
     one.set_ylabel('torque / inertia, rad/s²')
     legend(one)
     return Picture(
-        'missing_torque', 'The torque that seems to lack, over time',
+        'missing_torque', 'The torque that seems to be missing, over time',
         "The torque disturbance that the model's Kalman filter sees on held-out data. The green "
-        "band is what the last model's own noise lets one expect.", figure,
+        "band is what the last model's own noise predicts.", figure,
     )

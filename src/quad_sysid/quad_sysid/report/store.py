@@ -1,4 +1,4 @@
-"""Writes what an identification leaves: report.json, model.json, report.html, pictures/."""
+"""Writes report.json, model.json, report.html, pictures/."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from quad_sysid.report.model_file import save_models, tree_of
 
 
 def free_folder(wanted: Path) -> Path:
-    """`wanted`, or with .1, .2, … where that exists: nothing is overwritten unasked."""
+    """`wanted`, or with .1, .2, … where that exists, so that nothing is overwritten."""
     folder = wanted
     number = 0
     while folder.exists():
@@ -27,7 +27,7 @@ def free_folder(wanted: Path) -> Path:
 
 
 def check_place(folder: Path) -> None:
-    """Raise BadInputError where `folder` cannot be made or written; makes nothing itself."""
+    """Raise BadInputError where `folder` cannot be created or written; creates nothing."""
     there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
     if not there.is_dir():
         raise BadInputError('--out', f'{there} is not a folder', remedy='choose another place')
@@ -39,7 +39,7 @@ def write(
     folder: Path, report: Mapping[str, Any], answers: Mapping[str, AxisAnswer],
     *, html: bool = True, pictures: bool = True,
 ) -> None:
-    """All files of a report; report.json comes last, so that who waits for it finds the rest.
+    """Write all files of a report, report.json last, so that the others exist once it does.
 
     `html` False writes no report.html; `pictures` False no folder `pictures` of PNG files (the
     page has its own inside). With neither, nothing is drawn.

@@ -1,4 +1,4 @@
-"""The report's tables, from its tree alone: each once, for the page and for a terminal."""
+"""The report's tables, from its tree alone, for the page and for a terminal."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ Tree = Mapping[str, Any]
 WIDTH = 78
 MODELS = (('before', 'base'), ('after', 'completed'), ('blackbox', 'black box'))
 WIDE = ('outcome', 'because', 'parameters')
-"""Columns of sentences."""
+"""Columns with sentences."""
 
 
 @dataclass(frozen=True)
 class Table:
-    """Cells of text under their heads; a table without rows shows nothing."""
+    """A table of text; without rows it shows nothing."""
 
     head: Sequence[str]
     rows: Sequence[Sequence[str]]
     numeric: Collection[int] = ()
-    """Columns that stand to the right."""
+    """Columns aligned to the right."""
     marked: int | None = None
-    """The row that stands out."""
+    """The highlighted row."""
     caption: str = ''
 
     def html(self) -> str:
@@ -148,12 +148,12 @@ def models(tree: Tree) -> Table:
 
 def _outcome(model: Tree) -> str:
     if model.get('eliminated_because'):
-        return f'Out at the first step: {model["eliminated_because"]}'
+        return f'Rejected at the first step: {model["eliminated_because"]}'
     if model.get('passed_second_step'):
         return 'Passed both steps'
     if model.get('closed_loop_fit_pct') is None:
-        return 'Passed the first step; no loop to fly it in'
-    return 'Out at the second step: loop fit too low'
+        return 'Passed the first step; no second step'
+    return 'Rejected at the second step: loop fit too low'
 
 
 def parameters(tree: Tree) -> Table:
@@ -174,7 +174,7 @@ def parameters(tree: Tree) -> Table:
 
 
 def effects(tree: Tree) -> Table:
-    """What was added."""
+    """The added effects."""
     rows = [
         [e['name'], named(e['name']),
          'a curve, drawn below' if e['kind'] == 'shape'
@@ -198,7 +198,7 @@ def tried(tree: Tree) -> Table:
 
 
 def untested(tree: Tree) -> Table:
-    """What could not be tested, the names of one reason together."""
+    """Effects that could not be tested, grouped by reason."""
     reasons: dict[str, list[str]] = {}
     for item in tree.get('not_tested', []):
         reasons.setdefault(item['because'], []).append(item['name'])
@@ -231,7 +231,7 @@ def figure_rows(figures: Mapping[str, float]) -> list[list[str]]:
 
 
 def segments(tree: Tree) -> Table:
-    """When what was flown, and for what it was used."""
+    """The segments: when they were flown and how they were used."""
     rows = [
         [f'left out: {s["because"]}' if 'because' in s else s['role'], s['signal'],
          f'{s["start_s"]:.2f}', f'{s["end_s"]:.2f}']

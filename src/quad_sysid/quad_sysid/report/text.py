@@ -10,7 +10,7 @@ from quad_sysid.report.tables import wrapped
 
 
 def lines(report: Mapping[str, Any]) -> list[str]:
-    """What `quad-sysid identify` prints of a report's tree."""
+    """The text that `quad-sysid identify` prints of a report's tree."""
     out: list[str] = []
     for axis, tree in report['axes'].items():
         models, parts = tables.models(tree), []
@@ -30,7 +30,7 @@ def lines(report: Mapping[str, Any]) -> list[str]:
 
 
 def brief(report: Mapping[str, Any]) -> list[str]:
-    """Two lines per axis, for several flights one below the other."""
+    """Two lines per axis, for several flights."""
     out = []
     for axis, tree in report['axes'].items():
         error = tree['error']
@@ -61,7 +61,7 @@ def _verdict(tree: Mapping[str, Any]) -> list[str]:
 
 
 def growth(tree: Mapping[str, Any]) -> list[str]:
-    """How the error grows, and up to where the model is worth something."""
+    """Growth of the error, and the horizon up to which the model is useful."""
     return [*tables.horizons(tree).text(), *wrapped(words.horizon_words(tree['error']).strip())]
 
 

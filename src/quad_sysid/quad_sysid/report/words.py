@@ -1,4 +1,4 @@
-"""The answer in plain words, from the report's tree alone: no numbers are made here but shares."""
+"""The answer in plain words, from the report's tree alone."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 Tree = Mapping[str, Any]
 
 CLEARLY = 2.0
-"""By this factor a model must beat holding the last value to be called worth something."""
+"""Factor by which a model must beat holding the last value to count as useful."""
 
 PLAIN = {
     'coulomb_friction': 'dry friction', 'quadratic_drag': 'drag that grows with rate squared',
@@ -34,7 +34,7 @@ VERDICTS = {
     'unexplained_residual': ('open', 'Something is missing, but it has no name yet'),
     'cannot_tell': ('none', 'The data cannot tell'),
 }
-"""Verdict to its style and headline."""
+"""Verdict → its style and headline."""
 
 FIGURES = {
     'rise_time_s': ('rise time', 's', 1.0), 'overshoot_pct': ('overshoot', '%', 1.0),
@@ -51,7 +51,7 @@ FIGURES = {
     'motor_noise_rms': ('noise in the command, RMS', 'norm.', 1.0),
     'unstable_draws': ('unstable draws', '1', 1.0),
 }
-"""A designer's figure to its label, unit and factor into that unit, in the order of reading."""
+"""A designer's figure → its label, unit and factor into that unit, in order of reading."""
 
 
 def named(effect: str) -> str:
@@ -65,7 +65,7 @@ def named(effect: str) -> str:
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """A number for a reader, a dash where there is none."""
+    """A number as text, a dash for none."""
     return '–' if value is None else f'{value:.{digits}g}'
 
 
@@ -77,13 +77,13 @@ def chance(p: float | None) -> str:
 
 
 def equals(p: float | None) -> str:
-    """`= 0.03` or `< 0.0001`, to stand behind `p`."""
+    """`= 0.03` or `< 0.0001`, to follow `p`."""
     text = chance(p)
     return text if text.startswith('<') else f'= {text}'
 
 
 def headline(tree: Tree) -> tuple[str, str]:
-    """Style of the verdict, and what it says in a line."""
+    """Style and headline of the verdict."""
     style, text = VERDICTS.get(tree['verdict'], ('none', tree['verdict']))
     if tree['verdict'] == 'effects_added' and tree['effects']:
         return style, 'Was missing: ' + joined([named(e['name']) for e in tree['effects']])
@@ -127,7 +127,7 @@ def _worth(tree: Tree) -> str:
 
 
 def reach(error: Tree) -> float | None:
-    """Furthest horizon, s, at which the model errs by half of what holding does, or less."""
+    """Longest horizon, s, at which the model at most halves the error of holding the rate."""
     worth = [
         h['horizon_s'] for h in error.get('horizons', ())
         if h['after'] is not None and h['hold'] is not None
@@ -137,7 +137,7 @@ def reach(error: Tree) -> float | None:
 
 
 def horizon_words(error: Tree) -> str:
-    """Up to where the model is worth something."""
+    """The horizon up to which the model is useful, in words."""
     listed = [h for h in error.get('horizons', ()) if h['after'] is not None]
     if not listed:
         return ''
@@ -215,7 +215,7 @@ def parameter(p: Tree) -> str:
 
 
 def bound(p: Tree) -> str:
-    """What is said in place of a standard error."""
+    """The text in place of a standard error."""
     limits = p.get('interval_95')
     return f' (no standard error; below {limits[1]:.2g})' if limits else ' (no standard error)'
 
@@ -226,7 +226,7 @@ def joined(parts: Sequence[str]) -> str:
 
 
 def _bare(axis: str, reason: str) -> str:
-    """A reason without the axis that the headline has named already, and without a full stop."""
+    """A reason without the axis, which the headline names, and without a full stop."""
     return reason.removeprefix(f'{axis}: ').rstrip('.')
 
 
