@@ -2,6 +2,7 @@
 
 The check pushes one motor after the other and takes the signs of the answers; the layout compares
 all patterns of signs over a record in which all of them move. Here the record is the check's own.
+What the signs mean, both ask the same function.
 """
 
 from __future__ import annotations
@@ -11,15 +12,10 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from quad_bridge.gains.polarity import (
-    MIXER,
-    PulseRun,
-    merge_motors,
-    motor_pulses,
-    where_motors_are,
-)
+from quad_bridge.gains.motor_places import MIXER, where_motors_are
+from quad_bridge.gains.polarity import PulseRun, merge_motors, motor_pulses
 from quad_sysid import contract
-from quad_sysid.motor_layout import patterns_of
+from quad_sysid.motor_layout import patterns_of, places
 
 DT = 0.004
 WHERE = np.array(MIXER, dtype=float)
@@ -52,3 +48,4 @@ def test_they_agree_on_every_order(order, out):
     assert (where_motors_are(known)[1] == []) == (order == (0, 1, 2, 3) and out > 0.0)
     found = patterns_of(np.array(rates), np.array(motors), DT)
     assert [list(p.signs) for p in found] == wanted
+    assert places(found) == where_motors_are(known)

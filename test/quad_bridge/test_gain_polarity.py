@@ -10,14 +10,13 @@ from flight_controller import Fault, changed
 
 from quad_bridge.errors import RefusedError
 from quad_bridge.gains.history import History
+from quad_bridge.gains.motor_places import MIXER, where_motors_are
 from quad_bridge.gains.polarity import (
-    MIXER,
     PolarityCheck,
     PulseRun,
     axis_pulses,
     judge_axes,
     merge_motors,
-    where_motors_are,
 )
 from quad_bridge.wire import frames as f
 

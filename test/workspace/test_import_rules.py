@@ -80,10 +80,13 @@ def test_wire_reads_no_port() -> None:
         assert not imports(path) & PORTS, path
 
 
-def test_what_both_packages_share_is_one_folder_and_knows_neither() -> None:
-    shared = ROOT / 'src/quad_bridge/quad_bridge/log/stored'
-    assert (ROOT / 'src/quad_sysid/quad_sysid/bags/stored').resolve() == shared
-    for path in shared.glob('*.py'):
+@pytest.mark.parametrize(('shared', 'link'), [
+    ('log/stored', 'bags/stored'), ('gains/motor_places.py', 'motor_places.py'),
+])
+def test_what_both_packages_share_is_linked_and_knows_neither(shared: str, link: str) -> None:
+    source = ROOT / 'src/quad_bridge/quad_bridge' / shared
+    assert (ROOT / 'src/quad_sysid/quad_sysid' / link).resolve() == source
+    for path in source.glob('*.py') if source.is_dir() else [source]:
         assert not imports(path) & {'quad_bridge', 'quad_sysid'}, path
 
 

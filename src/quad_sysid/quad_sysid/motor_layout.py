@@ -15,6 +15,7 @@ from itertools import product
 import numpy as np
 
 from quad_sysid.contract import AXES, FloatArray
+from quad_sysid.motor_places import MOTORS, where_motors_are
 
 LAGS_S = (0.0, 0.01, 0.02, 0.04, 0.08, 0.15)
 DELAYS_S = (0.0, 0.005, 0.01, 0.02, 0.03, 0.04)
@@ -152,6 +153,18 @@ def share_of(
     """Share of one axis' response that motors (n, k) weighted by (k,) explain; rate (n,) rad/s."""
     return max((float(r.shares(weights[None]).max())
                 for r in _responses(rate, motors, dt, angle) if r.name == response), default=0.0)
+
+
+def places(patterns: Sequence[Pattern]) -> tuple[dict[str, str], list[str]]:
+    """Where each of four motors stands, and what differs from the contract's layout, in words.
+
+    By certain patterns alone, with the function of the polarity check in flight.
+    """
+    certain = [p for p in patterns if p.certain and len(p.signs) == len(MOTORS)]
+    return where_motors_are({
+        f'motor_{k + 1}': {p.axis: p.signs[k] for p in certain if p.signs[k]}
+        for k in range(len(MOTORS))
+    })
 
 
 def doubts(

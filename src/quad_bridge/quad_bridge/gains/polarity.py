@@ -1,4 +1,4 @@
-"""Whether each axis answers with the right sign, and which motor is which: small pulses. Pure.
+"""Whether each axis answers with the right sign, and each motor's signs: small pulses. Pure.
 
 A pulse is a doublet added to U2..U4, once each way round; the rates' answers are compared with
 what the contract's mixer and axes promise. A wrong sign refuses every update; an axis that never
@@ -16,15 +16,13 @@ import numpy as np
 import numpy.typing as npt
 
 from quad_bridge.errors import RefusedError
+from quad_bridge.gains.motor_places import MIXER, where_motors_are
 from quad_bridge.gains.table import AXES
 from quad_bridge.wire.axes import flip_body
 from quad_bridge.wire.frames import Cycle, Excitation, Flag, Injection, Vector3
 
 FloatArray = npt.NDArray[np.float64]
 
-MOTORS = ('rear left', 'rear right', 'front right', 'front left')
-MIXER = ((1, 1, 1), (-1, 1, -1), (-1, -1, 1), (1, -1, -1))
-"""Signs of U2, U3, U4 in the command of motors 1..4 (contract): a push of that motor alone."""
 LEVELS = {'roll': (0.012, 0.04), 'pitch': (0.012, 0.04), 'yaw': (0.03, 0.08)}
 """Half-amplitudes that are tried on an axis until it answers, normalised command."""
 MOTOR_LEVELS = (0.012, 0.03)
@@ -161,29 +159,6 @@ def merge_motors(
             if row[i] != 0.0:
                 merged.setdefault(name, {})[AXES[i]] = int(np.sign(row[i]))
     return merged
-
-
-def where_motors_are(signs: Mapping[str, Mapping[str, int]]) -> tuple[dict[str, str], list[str]]:
-    """Channel to what is known of it, in words, and the faults found; from `merge_motors`."""
-    words, faults = {}, []
-    for k in range(4):
-        name = f'motor_{k + 1}'
-        found = signs.get(name, {})
-        wanted = dict(zip(AXES, MIXER[k], strict=True))
-        fits = [
-            MOTORS[j]
-            for j in range(4)
-            if all(
-                sign == MIXER[j][AXES.index(axis)] for axis, sign in found.items() if axis != 'yaw'
-            )
-        ]
-        words[name] = ' or '.join(fits) if found else 'unknown'
-        bad = [axis for axis, sign in found.items() if sign != wanted[axis]]
-        if 'roll' in bad or 'pitch' in bad:
-            faults.append(f'{name} drives the {words[name]}, must be the {MOTORS[k]}')
-        elif bad:
-            faults.append(f'{name} turns the wrong way')
-    return words, faults
 
 
 class PolarityCheck:

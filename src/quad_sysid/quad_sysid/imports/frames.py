@@ -8,37 +8,25 @@ from __future__ import annotations
 
 import numpy as np
 
-from quad_sysid.contract import FloatArray
+from quad_sysid.contract import MIXER_INVERSE, FloatArray
 from quad_sysid.imports.mixers import Mixer
 
 MIRROR: FloatArray = np.array([1.0, -1.0, -1.0])
 """Body vectors, rates and torques from FRD to FLU (and back)."""
 MIRROR.setflags(write=False)
 
-PLACES = ('rear left', 'rear right', 'front right', 'front left')
-"""Of the contract's motors 1..4."""
-
-ROLL_PITCH: FloatArray = np.array(
-    [[0.25, 0.25, 0.25, 0.25], [0.25, -0.25, -0.25, 0.25], [0.25, 0.25, -0.25, -0.25]]
-)
-"""(3, 4): U1..U3 from the motors at PLACES: they depend on the places alone."""
-ROLL_PITCH.setflags(write=False)
-
-YAW: FloatArray = np.array([0.25, -0.25, 0.25, -0.25])
-"""(4,): U4 where rear left and front right turn clockwise seen from above (the contract)."""
-YAW.setflags(write=False)
-
 
 def mixer_at_places(
     name: str, order: tuple[int, ...], *, clockwise_rear_left: bool
 ) -> Mixer:
-    """U1..U4 from motors of which `order` says which stands at each of PLACES.
+    """U1..U4 from motors of which `order` says which stands at each place of the contract's.
 
-    A propeller that turns clockwise pushes the body counter-clockwise: positive yaw in FLU.
+    A propeller that turns clockwise pushes the body counter-clockwise: positive yaw in FLU; the
+    contract's rear left one does.
     """
     matrix = np.zeros((4, 4))
-    yaw = YAW if clockwise_rear_left else -YAW
-    matrix[:, list(order)] = np.vstack([ROLL_PITCH, yaw])
+    matrix[:, list(order)] = MIXER_INVERSE
+    matrix[3] *= 1.0 if clockwise_rear_left else -1.0
     return Mixer(name, matrix)
 
 
@@ -60,7 +48,7 @@ def euler_from_quaternion(wxyz: FloatArray) -> FloatArray:
 
 
 def order_by_places(x: FloatArray, y_right: FloatArray) -> tuple[int, ...] | None:
-    """Which of four rotors stands at each of PLACES, from positions; None where it is not an X."""
+    """Which of four rotors stands at each place, from positions; None where it is not an X."""
     wanted = ((-1, -1), (-1, 1), (1, 1), (1, -1))
     signs = [(int(np.sign(a)), int(np.sign(b))) for a, b in zip(x, y_right, strict=True)]
     if sorted(signs) != sorted(wanted):

@@ -12,7 +12,13 @@ from pathlib import Path
 import numpy as np
 
 from quad_sysid.bags.writer import BagOptions, write_bag
-from quad_sysid.contract import MIXER, FloatArray, control_from_motors, motors_from_wrench
+from quad_sysid.contract import (
+    AXES,
+    MIXER,
+    FloatArray,
+    control_from_motors,
+    motors_from_wrench,
+)
 from quad_sysid.errors import BadInputError
 from quad_sysid.imports.clock import LONGEST_PAUSE, Cycles, cycles, draw, hold, mean_ahead
 from quad_sysid.imports.log import ForeignLog, Stream
@@ -20,7 +26,8 @@ from quad_sysid.imports.mixers import Mixer, mixer_of_patterns
 from quad_sysid.imports.plausible import contradicted
 from quad_sysid.imports.stretches import airborne, with_stretches
 from quad_sysid.imports.stretches import told as stretches_told
-from quad_sysid.motor_layout import Pattern, doubts, patterns_of
+from quad_sysid.motor_layout import Pattern, doubts, patterns_of, places
+from quad_sysid.motor_places import MOTORS
 from quad_sysid.record import GainChange, Record, finite_runs
 
 MIDDLE_COMMAND = 0.5
@@ -149,6 +156,8 @@ def _commands(
     rates = np.where(airborne(motors.mean(axis=1), laid.dt)[:, None], rates, np.nan)
     patterns = patterns_of(rates, motors, laid.dt, angles)
     told += [pattern.sentence for pattern in patterns]
+    if motors.shape[1] == len(MOTORS) and {p.axis for p in patterns if p.certain} >= {*AXES[:2]}:
+        told.append(', '.join(f'{name} {place}' for name, place in places(patterns)[0].items()))
     mixer = log.mixer
     if mixer is None:
         mixer = _by_motion(log, patterns, motors.shape[1], warnings)

@@ -21,7 +21,7 @@ from quad_sysid.contract import MIXER, MIXER_INVERSE, TOPIC_TYPES
 from quad_sysid.effects import EFFECTS
 from quad_sysid.errors import BadInputError, NotInformativeError, QuadSysidError
 from quad_sysid.model.data import AxisData, axis_data
-from quad_sysid.motor_layout import Pattern, doubts, patterns_of
+from quad_sysid.motor_layout import Pattern, doubts, patterns_of, places
 from quad_sysid.pipeline.assemble import band_of
 from quad_sysid.pipeline.blackbox_part import io_data
 from quad_sysid.pipeline.identify import asked_axes
@@ -264,7 +264,7 @@ def of_record(record: Record, held: Topics, *, split: bool) -> Content:
     motors = record.control @ MIXER.T if record.motors is None else record.motors
     layout = patterns_of(record.rates, motors, record.dt, record.angles)
     odd = doubts("the contract's mixer", MIXER_INVERSE, layout, record.rates, motors, record.dt,
-                 record.angles)
+                 record.angles) + places(layout)[1]
     return Content(
         record.source, held,
         sample_rate_hz=1.0 / record.dt,
