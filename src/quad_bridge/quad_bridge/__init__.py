@@ -1,1 +1,1 @@
-"""quad_bridge of the quad suite."""
+"""The link to the flight controller: wire, gains, log, sensors, the virtual STM32."""

@@ -1,4 +1,4 @@
-"""The command line of this package's programs: wrong arguments, what they say, how they end."""
+"""Arguments, output and exit of this package's programs."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ MOST_DIGITS = 30
 
 
 class OneLineParser(argparse.ArgumentParser):
-    """An ArgumentParser that leaves the usage to --help (contract, exit status 2)."""
+    """An ArgumentParser whose errors are one line without the usage (exit status 2)."""
 
     def error(self, message: str) -> NoReturn:
-        """End the program."""
+        """End the program with status 2 and one line."""
         self.exit(BAD_INPUT, f'{self.prog}: {message}; see {self.prog} --help\n')
 
 
 def positive(text: str) -> float:
-    """Type of an argument: a number above 0 that is finite."""
+    """Type of an argument: a finite number above 0."""
     try:
         value = float(text)
     except ValueError:
@@ -37,16 +37,16 @@ def positive(text: str) -> float:
 
 
 def seed(text: str) -> int:
-    """Type of an argument: what a random generator begins with."""
+    """Type of an argument: seed of a random generator."""
     if not (text.isascii() and text.isdigit() and len(text) <= MOST_DIGITS):
         raise argparse.ArgumentTypeError(f'must be a whole number of 0 or more, found {text!r}')
     return int(text)
 
 
 def say(text: str) -> bool:
-    """Write to stdout at once; False where nobody takes it: closed, `| head`, a full disk.
+    """Write to stdout at once; False where that fails (closed, `| head`, a full disk).
 
-    What follows is dropped then: that nobody reads is no reason to leave a work half done.
+    Later output is dropped then, so that the work still gets done.
     """
     return _write(sys.stdout, text)
 
@@ -69,7 +69,7 @@ def _write(stream: TextIO | None, text: str) -> bool:
 
 
 def ended_in_one_line(program: str, work: Callable[[], _T]) -> _T:
-    """What `work` returns; ends the program with one line where it raises what a user can mend."""
+    """Return `work()`; an error that a user can correct ends the program with one line."""
     try:
         return work()
     except (QuadBridgeError, OSError) as error:
@@ -81,7 +81,7 @@ def ended_in_one_line(program: str, work: Callable[[], _T]) -> _T:
 
 
 def one_line(error: Exception) -> str:
-    """The words of an error, file before reason."""
+    """An error as one line, file before reason."""
     if isinstance(error, OSError) and error.filename:
         return f'{error.filename}: {error.strerror}'
     return ' '.join(str(error).split())

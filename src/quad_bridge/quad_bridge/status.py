@@ -1,4 +1,4 @@
-"""What a part says of itself: one entry of /diagnostics. No ROS, and no part, is imported here.
+"""One entry of /diagnostics, as a part of a node makes it. No ROS.
 
 Levels are those of diagnostic_msgs/DiagnosticStatus.
 """

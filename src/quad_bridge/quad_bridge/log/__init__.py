@@ -1,1 +1,1 @@
-"""The log: bags written so that a kill at any instant costs half a second, and read again."""
+"""The log: bags in which a kill at any time costs half a second, and their reading."""

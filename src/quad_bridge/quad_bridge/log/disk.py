@@ -1,6 +1,6 @@
-"""The disk under the bags: free space, a reserve for the flight, room by deleting old bags.
+"""Disk space for bags: free space, a reserve for the flight, deletion of old bags.
 
-Knows paths and bytes, no formats; a bag is a directory, closed once it holds metadata.yaml.
+Knows paths and bytes, no formats. A bag is a directory, closed once it holds metadata.yaml.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from quad_bridge.errors import BadInputError
 
 MB = 1_000_000
 METADATA = 'metadata.yaml'
-"""What makes a folder a closed bag."""
+"""The file that marks a folder as a closed bag."""
 DOOMED = '.deleting'
-"""Ends the name of a bag that is about to go."""
+"""Suffix of a bag that is being deleted."""
 CLOCK_SET_S = 1_577_836_800
-"""2020: a time before is of a computer without a clock, and says nothing of the age."""
+"""2020; an earlier time comes from a computer without a clock and gives no age."""
 
 
 def free_bytes(folder: Path) -> int:
-    """What may still be written into the nearest existing folder. Raises OSError."""
+    """Free bytes at the nearest existing folder. Raises OSError."""
     while not folder.exists():
         folder = folder.parent
     told = os.statvfs(folder)
@@ -35,14 +35,14 @@ def free_bytes(folder: Path) -> int:
 
 
 class Reserve:
-    """Blocks of the disk that nobody else can take: an unnamed file, gone when the process ends.
+    """Reserved disk space: an unnamed file, which ends with the process.
 
-    `give` returns as much as the bag has grown by, so that bag and reserve together stay as large
-    as the reserve was; `release` returns the rest.
+    `give` frees as much as the bag has grown, so that bag and reserve together stay constant;
+    `release` frees the rest.
     """
 
     def __init__(self, folder: Path, size: int) -> None:
-        """Reserve `size` bytes (0 for none). Raises OSError where there are not as many."""
+        """Reserve `size` bytes (0: none). Raises OSError where the disk has fewer."""
         self._size = self._left = size
         self._file = None
         if size <= 0:
@@ -56,11 +56,11 @@ class Reserve:
         self._file = file
 
     def give(self, used: int) -> None:
-        """Shrink the reserve to what `used` bytes of the bag, written or about to be, leave."""
+        """Shrink the reserve by `used`, the bytes of the bag and of the next write."""
         self._shrink(min(self._left, self._size - used))
 
     def more(self, size: int) -> bool:
-        """Shrink by `size`, for good: others took what was given. False where none is left."""
+        """Shrink by `size` more, where others took the freed space; False if nothing is left."""
         if self._file is None or self._left <= 0:
             return False
         self._size -= size
@@ -73,7 +73,7 @@ class Reserve:
             self._file.truncate(self._left)
 
     def release(self) -> None:
-        """Return all of it; a second time does nothing."""
+        """Free the whole reserve; a second call does nothing."""
         file, self._file = self._file, None
         if file is not None:
             file.close()
@@ -81,17 +81,17 @@ class Reserve:
 
 @dataclass(frozen=True)
 class Budget:
-    """How much the bags of one folder may take together."""
+    """Largest total size of the bags in one folder."""
 
     folder: Path
     prefix: str
     limit: int = 0
-    """Bytes; 0 for no limit."""
+    """Bytes; 0: no limit."""
     delete_oldest: bool = False
-    """Closed bags may be deleted, the oldest first, to stay within the limit."""
+    """Whether closed bags may be deleted, the oldest first, to stay within the limit."""
 
     def bags(self) -> list[Path]:
-        """Bags that a recorder with this prefix made in the folder, the first closed first."""
+        """Bags with this prefix in the folder, the first closed first."""
         if not self.folder.is_dir():
             return []
         name = re.compile(re.escape(self.prefix) + r'_\d{8}_\d{6}(_\d+)?' + f'({DOOMED})?')
@@ -99,7 +99,7 @@ class Budget:
         return sorted(found, key=lambda bag: (_closed_s(bag), bag.name))
 
     def excess(self, more: int = 0) -> int:
-        """Bytes by which all bags and `more` exceed the limit; not above 0 while they do not."""
+        """Bytes by which all bags and `more` exceed the limit; 0 or less: they do not."""
         if not self.limit:
             return -1
         return sum(map(bag_bytes, self.bags())) + more - self.limit
@@ -108,11 +108,11 @@ class Budget:
         self, more: int, current: Path | None = None,
         refused: Callable[[Path], None] = lambda _bag: None,
     ) -> list[Path]:  # fmt: skip
-        """Delete closed bags as far as is allowed and needed; returns them.
+        """Delete closed bags as needed and allowed; returns them.
 
-        `refused` hears of bags that cannot be deleted; they stay whole.
-        `current` is never deleted, nor is a bag without metadata.yaml: it may be another
-        recorder's, or wait for `recover`. Raises BadInputError where the limit stays exceeded.
+        `refused` is called with bags that cannot be deleted; they stay complete. Never deleted are
+        `current` and bags without metadata.yaml, which may be another recorder's or await
+        `recover`. Raises BadInputError where the limit remains exceeded.
         """
         if self.delete_oldest:
             for left in [b for b in self.bags() if b.name.endswith(DOOMED)]:
@@ -135,7 +135,7 @@ class Budget:
 
 
 def _closed_s(bag: Path) -> float:
-    """When a bag was closed, s; infinity where never, or by a clock that was not set."""
+    """Time at which a bag was closed, s; infinity if it was not, or by an unset clock."""
     try:
         closed_s = (bag / METADATA).stat().st_mtime
     except OSError:
@@ -144,9 +144,9 @@ def _closed_s(bag: Path) -> float:
 
 
 def _delete(bag: Path) -> bool:
-    """Delete a closed bag; False where that is not allowed, then it stays as it is.
+    """Delete a closed bag; False, with the bag unchanged, where that is not permitted.
 
-    What may not be deleted may not be moved either: the files are moved out first, or back.
+    The files are first moved out, and back if one cannot be moved.
     """
     doomed = bag.with_name(bag.name + DOOMED)
     moved: list[Path] = []
@@ -167,7 +167,7 @@ def _delete(bag: Path) -> bool:
 
 
 def bag_bytes(bag: Path) -> int:
-    """Size of the files of a bag; 0 where there is none."""
+    """Size of a bag's files, bytes; 0 without a bag."""
     total = 0
     for file in list(bag.iterdir()) if bag.is_dir() else []:
         with contextlib.suppress(OSError):  # gone since it was listed
@@ -176,12 +176,12 @@ def bag_bytes(bag: Path) -> int:
 
 
 def is_full(error: OSError) -> bool:
-    """Whether a write failed for want of room."""
+    """Whether a write failed because the disk is full."""
     return error.errno in {errno.ENOSPC, errno.EDQUOT}
 
 
 def sync_folder(folder: Path) -> None:
-    """Make new names in a folder survive a power cut. Raises OSError."""
+    """Sync a folder, so that new names survive a power cut. Raises OSError."""
     fd = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(fd)

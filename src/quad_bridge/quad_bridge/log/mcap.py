@@ -1,7 +1,7 @@
 """One mcap file being written: chunks with checksum and index, each safe on the disk once synced.
 
-Not for reading (stored/), knows no bag around it (writer.py). After a write that failed half-way
-the file is cut back to its last whole record, so that it can still be closed.
+stored/ reads, writer.py makes the bag around it. After a write that failed half-way the file is
+truncated to its last complete record, so that it can still be closed.
 Source: the MCAP specification, version 0 (little-endian; opcodes in stored/records.py).
 """
 
@@ -39,9 +39,8 @@ from quad_bridge.log.stored.records import (
 CHUNK_BYTES = 1 << 20
 """A chunk is closed at this size at the latest."""
 REPEAT = 100
-"""Topics are declared again when the file has doubled, and at the latest when it has grown by so
-many times what that takes: else one damaged chunk, the first, would leave all others of a killed
-recording without names."""
+"""Topics are declared again when the file has doubled, or grown by this many times the size of the
+declarations. Otherwise one damaged chunk, the first, would leave a killed recording nameless."""
 _MESSAGE = struct.Struct('<BQHIQQ')
 _PREFIX = 22
 """Bytes of a message record before its data."""
@@ -59,17 +58,17 @@ class RecordedTopic:
     """RIHS01 hash of the type."""
     qos: tuple[Qos, ...] = ()
     key: str = ''
-    """What it is counted under: its name unless another type has taken that."""
+    """Key of its counts: the name, unless another type has that."""
 
     @property
     def qos_text(self) -> str:
-        """The publishers' QoS as the file keeps it, YAML."""
+        """The publishers' QoS as YAML, as in the file."""
         return yaml.safe_dump(dump_qos_v9(list(self.qos)), sort_keys=False).strip()
 
 
 @dataclass
 class FileEntry:
-    """What one file holds on the disk: messages by topic, their span of receive times (ns)."""
+    """Content of one file: messages by topic, first and last receive time (ns)."""
 
     name: str
     counts: dict[str, int] = field(default_factory=dict)
@@ -108,31 +107,31 @@ def text_map(values: Mapping[str, str]) -> bytes:
 
 
 class McapFile:
-    """Open from construction to `close` or `abandon`. All methods may raise OSError."""
+    """A file open from construction to `close` or `abandon`. All methods may raise OSError."""
 
     def __init__(self, path: Path) -> None:
-        """Create the file; FileExistsError where there is one."""
+        """Create the file; FileExistsError where it exists."""
         self.path = path
         self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
         self._end = 0
-        """Where the last whole record ends: what is beyond it may be cut off."""
+        """End of the last complete record; what follows may be truncated."""
         self._schemas: dict[str, bytes] = {}
         self._channels: dict[str, tuple[int, bytes]] = {}
         self._chunk_indexes: list[bytes] = []
         self.entry = FileEntry(path.name)
-        """What closed chunks hold."""
+        """Content of the closed chunks."""
         self._repeat_at = 0
         self.forget()
         self._append(MAGIC + record(HEADER, text('ros2') + text('quad_bridge')))
 
     @property
     def size(self) -> int:
-        """Bytes on their way to the disk, the open chunk included."""
+        """Bytes written, with the open chunk."""
         return self._end + len(self._chunk)
 
     @property
     def pending(self) -> int:
-        """Messages of the open chunk: those that a kill would lose."""
+        """Messages of the open chunk, which a kill would lose."""
         return sum(map(len, self._index.values()))
 
     def add_topic(self, topic: RecordedTopic) -> None:
@@ -162,23 +161,23 @@ class McapFile:
             self._close_chunk()
 
     def sync(self) -> None:
-        """Close the chunk and wait until it is on the disk: from here it survives a power cut."""
+        """Close the chunk and sync; it then survives a power cut."""
         self._close_chunk()
         os.fdatasync(self._fd)
 
     def cut_back(self) -> None:
-        """Remove what a failed write has left behind the last whole record."""
+        """Truncate after the last complete record."""
         os.ftruncate(self._fd, self._end)
         os.lseek(self._fd, self._end, os.SEEK_SET)
 
     def forget(self) -> None:
-        """Begin a new chunk; messages of the open one are dropped."""
+        """Drop the open chunk and begin a new one."""
         self._chunk = bytearray()
         self._index: dict[int, list[tuple[int, int]]] = {}
-        """Channel to (time, offset) of its messages in the chunk."""
+        """Channel → (time, offset) of its messages in the chunk."""
 
     def close(self, metadata: str) -> None:
-        """Write the rest, rosbag2's metadata (YAML), the summary with all indexes; sync."""
+        """Write the open chunk, rosbag2's metadata (YAML) and the summary with indexes; sync."""
         self._close_chunk()
         content = text('rosbag2') + text_map({'serialized_metadata': metadata})
         start = self._end
@@ -209,13 +208,13 @@ class McapFile:
         self.abandon()
 
     def abandon(self) -> None:
-        """Close without index; what was synced stays. A second time does nothing."""
+        """Close without index; synced chunks stay. A second call does nothing."""
         fd, self._fd = self._fd, -1
         if fd >= 0:
             os.close(fd)
 
     def _close_chunk(self) -> None:
-        """Write the open chunk with its message index; without messages nothing."""
+        """Write the open chunk with its message index, if it has messages."""
         if not self._index:
             return
         content = bytes(self._chunk)

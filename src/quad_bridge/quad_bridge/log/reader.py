@@ -1,6 +1,6 @@
-"""Messages of a bag, whether it was closed, cut off or damaged; whole sqlite3 bags by rosbags.
+"""Messages of a bag, closed, cut off or damaged; intact sqlite3 bags by rosbags.
 
-Reads what `recover` reads, so what can be recovered can be read. No arrays here.
+It reads everything that `recover` can recover. No arrays here.
 """
 
 from __future__ import annotations
@@ -39,25 +39,25 @@ class Received:
     """One decoded message."""
 
     time_ns: int
-    """When it was recorded, ns since 1970."""
+    """Time of recording, ns since 1970."""
     content: Any
 
 
 @dataclass
 class Contents:
-    """What a bag holds of the wanted topics."""
+    """Messages of the wanted topics in a bag."""
 
     messages: dict[str, list[Received]] = field(default_factory=lambda: defaultdict(list))
     """By topic, in the order of recording."""
     warnings: list[str] = field(default_factory=list)
-    """A line for each thing that is missing or damaged."""
+    """A line for each missing or damaged part."""
 
 
 def read_topics(bag: Path, kinds: Mapping[str, str]) -> Contents:
     """Messages of the topics in `kinds` (topic to type) of a bag directory or storage file.
 
-    Messages of another type are no messages of the topic. Raises BadInputError where there is no
-    bag, or nothing of it can be read.
+    Messages of other types are ignored. Raises BadInputError where there is no bag, or nothing of
+    it can be read.
     """
     found, store = Contents(), get_typestore(Stores.ROS2_JAZZY)
     files = storage_files(bag)
@@ -88,7 +88,7 @@ def read_topics(bag: Path, kinds: Mapping[str, str]) -> Contents:
 
 
 def _kept(message: Message, found: Contents, store: Typestore) -> bool:
-    """Decode and keep a message; False where it is damaged."""
+    """Decode and store a message; False where it is damaged."""
     try:
         content = store.deserialize_cdr(message.data, message.topic.kind)
     except Exception:  # noqa: BLE001  (whatever nonsense makes the decoder raise)
@@ -98,10 +98,9 @@ def _kept(message: Message, found: Contents, store: Typestore) -> bool:
 
 
 def storage_files(bag: Path) -> list[Path]:
-    """Storage files of a bag directory in the order of recording, or the one file given.
+    """Storage files of a bag directory in the order of recording, or the given file.
 
-    A packed file counts where it does not lie beside its content. Raises BadInputError where
-    there is none.
+    Compressed files count unless their content lies beside them. Raises BadInputError without any.
     """
     if not bag.exists():
         raise BadInputError(str(bag), 'does not exist', remedy='check the path')
@@ -119,7 +118,7 @@ def storage_files(bag: Path) -> list[Path]:
 
 
 def missing_parts(files: list[Path]) -> list[str]:
-    """A line for each part of a split bag, numbered by the recorder, that is not there."""
+    """A line for each missing part of a split bag, by the recorder's numbers."""
     stems = [file.name.partition('.')[0] for file in files]
     numbers = [int(m[1]) for m in (re.search(r'_(\d+)$', stem) for stem in stems) if m]
     if len(numbers) != len(files) or min(numbers) > 0 or max(numbers) > 10_000:
@@ -131,10 +130,10 @@ def missing_parts(files: list[Path]) -> list[str]:
 def messages_of(
     file: Path, judge: Callable[[McapScan, Path], None] = lambda _scan, _file: None
 ) -> Iterator[Message]:
-    """All whole messages of one file in its order, decompressed; empty where that fails.
+    """All intact messages of one file in order, decompressed; empty data where that fails.
 
-    `judge` is told the figures of an mcap file at its end. Raises BadInputError for a file that
-    cannot be read, is empty or of neither storage, and for a sqlite3 file that is not whole.
+    `judge` is called with the scan of an mcap file at its end. Raises BadInputError for a file
+    that cannot be read, is empty or of neither storage, and for a damaged sqlite3 file.
     """
     try:
         file.open('rb').close()

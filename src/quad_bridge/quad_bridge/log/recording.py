@@ -1,7 +1,7 @@
 """A recording in progress: a queue between the subscriptions and the thread that writes the bag.
 
 No ROS. A slow disk fills the queue; a full queue drops its oldest messages and counts them. A
-disk that is full, read-only or gone ends the recording: the bag is closed as far as it came.
+disk that is full, read-only or gone ends the recording, and the bag is closed with what it has.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from quad_bridge.log.writer import BagWriter
 from quad_bridge.status import ERROR, OK, WARN, Status
 
 FLUSH_S = 0.4
-"""A chunk is closed and synced this long after it was begun: what a kill can cost."""
+"""Age at which a chunk is closed and synced: the most that a kill can lose."""
 POLL_S = 0.05
-"""How long messages may wait before the thread takes them, many at once."""
+"""Interval at which the thread takes the waiting messages."""
 SLOW_S = 1.0
-"""A sync that takes longer is told."""
+"""Duration of a sync from which a warning is given."""
 LOW_DISK_BYTES = 100_000_000
-"""A warning below it; what was reserved for the bag counts as taken."""
+"""Free space below which a warning is given, without the reserve."""
 
 
 @dataclass(frozen=True)
@@ -36,11 +36,11 @@ class RecordingStatus:
     written: int
     waiting: int
     dropped: int
-    """Messages lost here: the oldest of a full queue, or those after the disk's fault."""
+    """Messages dropped here: the oldest of a full queue, or those after a fault of the disk."""
     lost: int
     """Messages that the middleware reports as lost before they arrived."""
     failure: str
-    """Why the recording has ended by itself; empty while all is well."""
+    """Why the recording ended by itself; empty while it has not."""
     size: int = 0
     """Bytes of the bag."""
     longest_sync_s: float = 0.0
@@ -51,8 +51,8 @@ def recording_status(
 ) -> Status:
     """The logger's entry of /diagnostics.
 
-    `status` is that of the recording that runs, or of the last one where it failed; else None, and
-    `last` is what was announced last.
+    `status` is that of the running recording, or of the last one if it failed, else None; `last`
+    is the last announcement.
     """
     disk = {} if free_bytes is None else {'free disk (MB)': free_bytes // 1_000_000}
     if status is None:
@@ -93,7 +93,7 @@ class Recording:
         self._dropped = 0
         self._lost = 0
         self._taken = 0
-        """Messages that have left the queue for the writer."""
+        """Messages that the writer has taken from the queue."""
         self._written = 0
         self._longest_sync_s = 0.0
         self._failure = ''
@@ -116,7 +116,7 @@ class Recording:
         )
 
     def known(self, topic: str) -> bool:
-        """True once the topic has been declared."""
+        """Whether the topic has been declared."""
         return topic in self._declared
 
     def declare(self, topic: str, kind: str, qos: tuple[Qos, ...]) -> None:
@@ -137,11 +137,11 @@ class Recording:
         self._lost += number
 
     def end(self, reason: str) -> None:
-        """End the recording from outside as a fault of the disk would; `stop` is still to come."""
+        """End the recording as a fault of the disk would; call `stop` afterwards."""
         self._failure = self._failure or f'{self._writer.path}: {reason}'
 
     def stop(self) -> RecordingStatus:
-        """Write what waits, close the bag; the status afterwards tells whether it is whole."""
+        """Write the waiting messages and close the bag; `status.failure` says if that failed."""
         self._stopping.set()
         self._thread.join()
         return self.status
@@ -172,7 +172,7 @@ class Recording:
                 self._longest_sync_s = max(self._longest_sync_s, time.monotonic() - began_s)
 
     def _drain(self) -> None:
-        """Write what waits now; what arrives meanwhile is left for the next time."""
+        """Write the messages that wait now, not those that arrive meanwhile."""
         for _ in range(len(self._queue)):
             try:
                 topic, time_ns, data = self._queue.popleft()
@@ -185,7 +185,7 @@ class Recording:
             self._written += 1
 
     def _fail(self, error: Exception) -> None:
-        """Close the bag as far as it came; what was taken and is not in it counts as dropped."""
+        """Close the bag with what it has; taken messages that are not in it count as dropped."""
         reason = f'writing failed: {" ".join(str(error).split())}'
         self._failure = f'{self._writer.path}: {reason}'  # from here on `put` drops
         try:
@@ -203,21 +203,21 @@ class Recording:
 
 
 class Gaps:
-    """Messages of one topic that were lost before they arrived, by their publishers' numbers.
+    """Counts messages of one topic that were lost before arrival, by the publishers' numbers.
 
-    A middleware with a bounded history overwrites what a late reader has not fetched, and reports
-    only a small part of that as lost. Several publishers may number theirs independently.
+    A middleware with a bounded history overwrites messages that a late reader has not fetched, and
+    reports few of them as lost. Several publishers may number independently.
     """
 
     def __init__(self) -> None:
         self._last: list[int] = []
-        """Last number of each publisher, the most recently heard one at the end."""
+        """Last number of each publisher, the most recent publisher last."""
 
     def lost_before(self, number: int, publishers: Callable[[], int]) -> int:
-        """How many messages are missing between this one and the one before it.
+        """Number of messages missing before this one.
 
-        Whose message it is does not come with it: it continues the publisher whose turn it is.
-        `publishers` says how many there are; it is asked only where no turn fits.
+        The publisher is not known; it is the one whose numbering it continues. `publishers`
+        returns their number and is called only where none fits.
         """
         if number - 1 in self._last:
             self._last.remove(number - 1)

@@ -1,7 +1,7 @@
 """`ros2 run quad_bridge recover BAG`: a damaged bag read as far as it is whole, written as mcap.
 
-The original is only read. A damaged sqlite3 file is left to the `sqlite3` command. What was lost
-is said on stdout; exit status as in the contract.
+The original is only read. A damaged sqlite3 file is left to the `sqlite3` command. The losses are
+printed; exit status as in the contract.
 """
 
 from __future__ import annotations
@@ -24,34 +24,33 @@ from quad_bridge.log.stored.scan import McapScan, Message
 from quad_bridge.log.writer import BagWriter, Definition
 
 LATEST_NS = 1 << 63
-"""No recorder writes a later time."""
+"""Latest plausible receive time."""
 HOLE_S = 1.0
-"""Silence of all topics that is told."""
+"""Silence of all topics from which it is reported."""
 
 
 @dataclass
 class Recovered:
-    """What was found in a bag, and what not."""
+    """The result of a recovery."""
 
     path: Path
     counts: dict[str, int] = field(default_factory=dict)
     lost: int = 0
-    """Messages that were in the files and are known not to be here; where the end of a file is
-    missing, there were more."""
+    """Messages known to be lost; where the end of a file is missing, there were more."""
     unread_bytes: int = 0
     total_bytes: int = 0
     span_ns: int = 0
-    """Receive time from the first message to the last, a clock that was set back left out."""
+    """Receive time from the first message to the last, without a clock set back."""
     first_ns: int = 0
     last_ns: int = 0
-    """Of the stretch since the clock was last set back."""
+    """First and last time since the clock was last set back."""
     undecodable: int = 0
-    """Messages that are damaged in themselves: compression, time, topic."""
+    """Messages with damaged compression, time or topic."""
     notes: list[str] = field(default_factory=list)
     holes: list[tuple[int, int]] = field(default_factory=list)
-    """Stretches without any message: when since the first one, how long (ns)."""
+    """Stretches without any message: start after the first message, and length (ns)."""
     kinds: dict[str, str] = field(default_factory=dict)
-    """Types of the topics, the first one of each."""
+    """First type of each topic."""
     refused: set[str] = field(default_factory=set)
     """Topics whose type is damaged."""
 
@@ -61,7 +60,7 @@ class Recovered:
         return sum(self.counts.values())
 
     def lines(self) -> list[str]:
-        """The summary for people."""
+        """The summary as text lines."""
         seconds = (self.span_ns + self.last_ns - self.first_ns) * 1e-9
         share = 100.0 * self.unread_bytes / max(self.total_bytes, 1)
         lost = f'{self.unread_bytes} of {self.total_bytes} bytes ({share:.2f} %) are not whole'
@@ -123,7 +122,7 @@ def recover(bag: Path) -> Recovered:
 
 
 def _counted(bag: Path) -> int:
-    """Messages by metadata.yaml; 0 where that does not say."""
+    """Number of messages by metadata.yaml; 0 where it does not say."""
     try:
         content = yaml.safe_load((bag / 'metadata.yaml').read_text(encoding='utf-8'))
         return int(content['rosbag2_bagfile_information']['message_count'])
@@ -132,7 +131,7 @@ def _counted(bag: Path) -> int:
 
 
 def _copy_file(file: Path, writer: BagWriter, result: Recovered, *, alone: bool) -> None:
-    """Copy what is whole; raises BadInputError where the bag's only file is none."""
+    """Copy the intact messages; BadInputError where the bag's only file is unreadable."""
     undecodable = result.undecodable
 
     def judge(scan: McapScan, file: Path) -> None:
@@ -165,7 +164,7 @@ def _copy(message: Message, writer: BagWriter, result: Recovered) -> None:
 
 
 def _follow(time_ns: int, result: Recovered) -> None:
-    """Keep span and holes of the receive times."""
+    """Update span and holes by a receive time."""
     if not result.first_ns or result.last_ns - time_ns > HOLE_S * 1e9:
         result.span_ns += result.last_ns - result.first_ns
         result.first_ns = result.last_ns = time_ns
@@ -177,7 +176,7 @@ def _follow(time_ns: int, result: Recovered) -> None:
 
 
 def _declared(topic: Topic, writer: BagWriter, result: Recovered) -> str:
-    """Declare the topic; what to write it under, empty where its type is damaged."""
+    """Declare the topic; returns its key, empty where its type is damaged."""
     key = topic.name
     if result.kinds.setdefault(key, topic.kind) != topic.kind:
         key = f'{topic.name} as {topic.kind}'
@@ -202,14 +201,14 @@ def _qos(topic: Topic, result: Recovered) -> tuple[Qos, ...]:
 
 
 def _notes(scan: McapScan, *, all_decoded: bool) -> list[str]:
-    """What is to be said of one file."""
+    """Notes on one file."""
     found = []
     if scan.mended:
-        found.append(f'{scan.mended} chunks are whole but for their opcode or length')
+        found.append(f'{scan.mended} chunks are intact except for their opcode or length')
     if scan.bad_chunks:
         found.append(f'{scan.bad_chunks} chunks are not whole')
     if scan.unchecked:
-        found.append(f'{scan.unchecked} messages of the last one have no checksum any more')
+        found.append(f'{scan.unchecked} messages of the last one lack their checksum')
     if scan.doubtful_names:
         found.append(f'a damaged chunk alone names {", ".join(sorted(scan.doubtful_names))}')
     if scan.unnamed:

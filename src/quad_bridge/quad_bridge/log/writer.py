@@ -1,8 +1,7 @@
-"""Serialised messages into a rosbag2 bag: one directory, one mcap file after the other.
+"""Serialised messages into a rosbag2 bag: a directory of mcap files.
 
-No ROS, no threads. What was written is on the disk after `flush`, also when the power fails then;
-the format of the files stands in mcap.py. Source of metadata.yaml: rosbag2's version 9, as Jazzy
-writes it.
+No ROS, no threads. `flush` brings everything to the disk, so that it survives a power cut. mcap.py
+writes the files. Source of metadata.yaml: rosbag2's version 9, as in Jazzy.
 """
 
 from __future__ import annotations
@@ -24,19 +23,19 @@ from quad_bridge.log.disk import MB, Reserve, free_bytes, is_full, sync_folder
 from quad_bridge.log.mcap import FileEntry, McapFile, RecordedTopic
 
 MOST_NAMESAKES = 1000
-"""Bags of one second."""
+"""Most bags of one second."""
 CLOSING_RESERVE = 4 * MB
-"""Kept for index and metadata when the disk is full: that of some hours."""
+"""Space for index and metadata of some hours when the disk is full."""
 AHEAD = 2 * MB
-"""What may be written from one `flush` to the next: the reserve gives it back beforehand."""
+"""Most bytes between two calls of `flush`, which the reserve frees beforehand."""
 
 
 class TakenError(BadInputError):
-    """There is something at the path where a bag was to begin."""
+    """The path of a new bag exists already."""
 
 
 def free_paths(folder: Path, prefix: str, now: datetime) -> Iterator[Path]:
-    """Paths for a bag: prefix, date, time, a number where that is taken."""
+    """Possible paths of a bag: prefix, date, time, and a number if that exists."""
     stem = f'{prefix}_{now:%Y%m%d_%H%M%S}'
     yield folder / stem
     for number in range(2, MOST_NAMESAKES + 1):
@@ -45,7 +44,7 @@ def free_paths(folder: Path, prefix: str, now: datetime) -> Iterator[Path]:
 
 @dataclass(frozen=True)
 class Definition:
-    """A message's definition where the bag that is copied brings it along."""
+    """Definition of a message type from a bag that is copied."""
 
     text: str
     digest: str
@@ -54,19 +53,19 @@ class Definition:
 
 @dataclass(frozen=True)
 class Limits:
-    """When the next file of a bag begins (0: never), and what is reserved for the bag."""
+    """Size and time at which a bag is split (0: never), and its reserve."""
 
     split_bytes: int = 0
     split_s: float = 0.0
-    """Seconds of receive time."""
+    """Receive time, s."""
     reserve_bytes: int = 0
 
 
 class BagWriter:
-    """One bag, open from construction to `close`; never writes over an existing one."""
+    """One bag, open from construction to `close`; never overwrites an existing one."""
 
     def __init__(self, path: Path, limits: Limits | None = None) -> None:
-        """Create the bag's directory and first file. Raises BadInputError where it cannot be."""
+        """Create the bag's directory and first file. Raises BadInputError where that fails."""
         self.path = path
         self.counts: dict[str, int] = {}
         """Messages written, by topic."""
@@ -94,12 +93,12 @@ class BagWriter:
 
     @property
     def pending(self) -> int:
-        """Messages that a kill at this moment would lose."""
+        """Messages that a kill would lose now."""
         return self._file.pending
 
     @property
     def size(self) -> int:
-        """Bytes of all files so far, what waits for the disk included."""
+        """Bytes of all files so far, with the open chunk."""
         return sum(entry.size for entry in self._closed) + self._file.size
 
     def add_topic(
@@ -111,12 +110,11 @@ class BagWriter:
         *,
         name: str = '',
     ) -> None:
-        """Declare a topic before its first message; a second time does nothing.
+        """Declare a topic before its first message; a second call does nothing.
 
-        Where a bag that is copied has a topic with a second type, that is declared under another
-        `topic` with the `name` of the first.
-        `kind` such as `sensor_msgs/msg/Imu`. Raises BadInputError for a type that neither Jazzy's
-        standard types nor `definition` give.
+        `kind` such as `sensor_msgs/msg/Imu`. A topic's second type, in a bag that is copied, is
+        declared under another `topic` with the `name` of the first. Raises BadInputError for a
+        type that is neither standard in Jazzy nor in `definition`.
         """
         if topic in self._topics:
             return
@@ -133,7 +131,7 @@ class BagWriter:
         self.counts[topic] = 0
 
     def _hash(self, kind: str, definition: Definition) -> str:
-        """RIHS01 of a type that is no standard one; as the definition says where it is unknown."""
+        """RIHS01 hash of a type that is not standard; the definition's where it is unknown."""
         try:
             self._store.register(get_types_from_msg(definition.text, kind))
             return self._store.hash_rihs01(kind)
@@ -141,7 +139,7 @@ class BagWriter:
             return definition.digest or 'RIHS01_' + '0' * 64
 
     def write(self, topic: str, time_ns: int, data: bytes | memoryview) -> None:
-        """Append one serialised message; `time_ns` is when it was received."""
+        """Append one serialised message with its receive time, ns."""
         if self._split_due or self._over_time(time_ns):
             self._split()
         self._began_ns = self._began_ns or time_ns
@@ -153,7 +151,7 @@ class BagWriter:
         self.counts[topic] += 1
 
     def flush(self) -> None:
-        """Hand everything written so far to the disk. Raises OSError."""
+        """Bring everything written so far to the disk. Raises OSError."""
         if not self._file.path.exists():
             raise FileNotFoundError(f'{self._file.path.name} was removed or renamed')
         self._reserve.give(self.size + AHEAD)
@@ -172,9 +170,9 @@ class BagWriter:
         sync_folder(self.path)
 
     def close_after_fault(self) -> None:
-        """Write what waits from the reserve and close; `counts` says what is there.
+        """Write the open chunk into the freed reserve and close; `counts` says what is stored.
 
-        Raises OSError where that fails too: then `abort`, and `recover` later.
+        Raises OSError where that fails too: call `abort`, and `recover` later.
         """
         self._release()
         if not self._file.path.exists():
@@ -190,7 +188,7 @@ class BagWriter:
         self.close()
 
     def abort(self) -> None:
-        """Give up without index: what was flushed stays, `recover` reads it."""
+        """Close without index; flushed messages stay for `recover`."""
         self._release()
         self._recount()
         self._file.abandon()
@@ -203,13 +201,13 @@ class BagWriter:
                 self._take_more(error)
 
     def _take_more(self, error: OSError) -> None:
-        """Take more of the reserve for another try; raises `error` where that cannot help."""
+        """Free more of the reserve for another attempt; raises `error` where that cannot help."""
         if not is_full(error) or not self._reserve.more(AHEAD):
             raise error
         self._file.cut_back()
 
     def _recount(self) -> None:
-        """Count what is stored, without what waits."""
+        """Count the stored messages, without the open chunk."""
         entries = {id(entry): entry for entry in (*self._closed, self._file.entry)}.values()
         for topic in self.counts:
             self.counts[topic] = sum(entry.counts.get(topic, 0) for entry in entries)
@@ -269,9 +267,9 @@ def _remove_empty(path: Path) -> None:
 
 
 def new_bag(paths: Iterable[Path], limits: Limits | None = None) -> BagWriter:
-    """A bag at the first of `paths` that is free, also where others look for one now.
+    """A bag at the first free one of `paths`, even while other recorders choose theirs.
 
-    Raises BadInputError where none can be.
+    Raises BadInputError where none can be created.
     """
     *others, last = paths
     for path in others:
@@ -281,7 +279,7 @@ def new_bag(paths: Iterable[Path], limits: Limits | None = None) -> BagWriter:
 
 
 def information(topics: Sequence[RecordedTopic], files: Sequence[FileEntry]) -> dict[str, Any]:
-    """Content of `rosbag2_bagfile_information` for these files of the bag."""
+    """Content of `rosbag2_bagfile_information` for these files."""
     filled = [entry for entry in files if entry.messages]
     first = min((entry.first_ns for entry in filled), default=0)
     last = max((entry.last_ns for entry in filled), default=0)

@@ -1,1 +1,1 @@
-"""What an operator sees during a flight: state, coverage of the band, lines. No ROS, no I/O."""
+"""The operator's view of a flight: state, coverage of the band, lines. No ROS, no I/O."""

@@ -1,4 +1,4 @@
-"""What the parts of a node say of themselves, as messages of /diagnostics: no part is known."""
+"""Status entries of a node's parts as /diagnostics messages; no part is known here."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from quad_bridge.status import Status
 
 
 class Changes:
-    """Says a state when it begins, not every second."""
+    """Selects entries for the log: a state when it begins, not every second."""
 
     def __init__(self, sparing: Sparing) -> None:
         self._sparing = sparing
         self._told: dict[str, str] = {}
 
     def new(self, entries: list[Status], now_s: float) -> list[Status]:
-        """Those whose message is another one than before, and may be logged."""
+        """Entries whose message changed and may be logged."""
         begun = [e for e in entries if self._told.get(e.name) != e.message]
         self._told.update({e.name: e.message for e in begun})
         return [e for e in begun if self._sparing.allow(e.name + e.message, now_s)]

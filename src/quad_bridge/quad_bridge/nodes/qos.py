@@ -28,16 +28,16 @@ def _profile(depth: int, *, latched: bool = False, reliable: bool = True) -> QoS
 
 
 STREAM = _profile(1000)
-"""Streams of up to 250 Hz: reliable, readable by best-effort subscribers too; 4 s deep, so that a
-logger that gets no CPU for a while misses nothing."""
+"""Streams of up to 250 Hz: reliable, also for best-effort subscribers; 4 s deep, so that a logger
+without CPU time for a while misses nothing."""
 STATE = _profile(10, latched=True)
 """States that a late subscriber must see: segment, active gains, bag."""
 EVENT = _profile(10)
-"""Requests that count when they happen and not later: wanted gains, diagnostics."""
+"""Requests that count only when they are sent: wanted gains, diagnostics."""
 
 
 def adapted(topic: str, publishers: Sequence[Any]) -> QoSProfile:
-    """What to subscribe with so that every publisher of the topic matches.
+    """QoS for a subscription that matches every publisher of the topic.
 
     `publishers` are rclpy's TopicEndpointInfo; without any the contract's own QoS is taken.
     """

@@ -1,1 +1,1 @@
-"""What the sensors of one aircraft are worth: biases at rest, compass offsets, vibration."""
+"""The sensors of one aircraft: biases at rest, compass offsets, vibration."""

@@ -1,4 +1,4 @@
-"""What is known of one aircraft's sensors, kept in one YAML file: read, add, write. No maths."""
+"""The YAML file of one aircraft's sensors: read, add, write. No maths."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from quad_bridge.sensors.rest import RestEstimate
 
 ROOT = 'sensors'
 NAME = 'sensors.yaml'
-"""In the aircraft's folder, beside the history of its gains: there the bridge looks for it."""
+"""File in the aircraft's folder, beside the history of its gains, where the bridge reads it."""
 
 
 def entry(found: RestEstimate | HardIron, when: datetime, source: str) -> dict[str, Any]:
-    """The section of one estimate: its figures, when and from which bag."""
+    """The section of one estimate: its figures, time and bag."""
     numbers = {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(found).items()}
     return {'measured': when.isoformat(timespec='seconds'), 'source': source, **numbers}
 
@@ -56,7 +56,7 @@ def _number(value: Any) -> float:
 
 
 def read(path: Path) -> dict[str, Any]:
-    """Sections of the file; none where it does not exist. Raises BadInputError."""
+    """Sections of the file; empty where it does not exist. Raises BadInputError."""
     if not path.exists():
         return {}
     try:
@@ -69,7 +69,7 @@ def read(path: Path) -> dict[str, Any]:
 
 
 def write(path: Path, sections: Mapping[str, Any]) -> None:
-    """Replace these sections of the file, keep the others; whole or not at all."""
+    """Replace these sections of the file atomically; keep the others."""
     merged = {**read(path), **sections}
     part = path.with_name(f'{path.name}.part')
     try:

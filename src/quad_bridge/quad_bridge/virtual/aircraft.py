@@ -1,7 +1,7 @@
 """One virtual aircraft in memory: its profile's numbers and its state, run cycle by cycle.
 
-Same seed, same inputs, same flight, whether in one call or cycle by cycle. No clock, no I/O. It is
-flown by the firmware in its memory (`run`), or by one elsewhere (`measure`, `move`).
+The same seed and inputs give the same flight, in one call or cycle by cycle. No clock, no I/O. The
+firmware in its memory flies it (`run`), or one elsewhere (`measure`, `move`).
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ BLOCK_CYCLES = 2000
 
 
 class Aircraft:
-    """The machine of compiled states with its random numbers and, if any, a Python effect."""
+    """The compiled states with their random numbers and, if any, a Python effect."""
 
     def __init__(
         self, profile: Profile, *, seed: int, effect: EffectFunction | None = None
@@ -81,7 +81,7 @@ class Aircraft:
         start = profile.airframe.battery.start_charge
         sensed, samples = initial_sensors(chips, bias, self._steps)
         self.firmware = NativeFirmware(boot(profile).frame())
-        """Its copy in memory; `run` and Endpoint fly with it."""
+        """The firmware in memory, for `run` and Endpoint."""
         free = 1.0 if profile.mount == 'hover' else 0.0
         self.machine = Machine(
             plant=plant,
@@ -110,14 +110,14 @@ class Aircraft:
         return dict(zip(ROWS, map(float, self.machine.gains), strict=True))
 
     def set_gains(self, gains: Mapping[str, float]) -> None:
-        """Change them without the firmware's bounds; an unknown name is a ConfigurationError."""
+        """Change gains without the firmware's bounds; ConfigurationError for an unknown name."""
         for name, value in gains.items():
             if name not in ROWS:
                 raise ConfigurationError('gains', 'unknown name', name)
             self.machine.gains[list(ROWS).index(name)] = value
 
     def measure(self, channels: Channels) -> bytes:
-        """What the firmware measures at the start of the coming cycle, as a frame of hil.py."""
+        """The firmware's measurements at the start of the next cycle, as a frame of hil.py."""
         machine = self.machine
         width = NORMALS_PER_CYCLE + self._steps * NORMALS_PER_STEP
         self._normals = self._rng.standard_normal(width)
@@ -135,7 +135,7 @@ class Aircraft:
         return hil.sensors(self.time_us, pulses, channels.failsafe, slow, samples)
 
     def move(self, motors: hil.Motors) -> None:
-        """Put these commands under way, and run the physics to the next cycle."""
+        """Apply these motor commands and run the physics to the next cycle."""
         steps = self._normals[NORMALS_PER_CYCLE:]
         compiled = steps if self._effect is None else steps[:0]
         move_cycle(self.machine, self._cycle, np.array(motors.commands), compiled)
@@ -174,7 +174,7 @@ class Aircraft:
             advance_step(self.machine, normals[start : start + NORMALS_PER_STEP], extra)
 
     def _extra_torque(self) -> FloatArray:
-        """What the Python effect returns for the present state."""
+        """Torque (3,), N m, of the Python effect at the present state."""
         if self._effect is None:
             return np.zeros(3)
         seen = np.empty(OBSERVED)

@@ -1,8 +1,7 @@
-"""The one table of physical effects that the virtual aircraft can have beyond the contract's base.
+"""The table of physical effects that the virtual aircraft can have beyond the base.
 
-Each has a switch and its strength; all are off by default, and off is exactly absent. Values only:
-the equations stand in physics.py (vibration: sensors.py). A value per axis may be given as one
-number for all three.
+Each has a switch and a strength; all are off by default. Values only: physics.py has the equations
+(vibration: sensors.py). One number stands for all three axes.
 """
 
 from __future__ import annotations
@@ -121,7 +120,7 @@ class GyroscopicCoupling:
     enabled: bool = False
     rotor_scale: float = 1.0
     extra_momentum_nm_s: float = 0.0
-    """Of something that spins steadily about body z, positive counter-clockwise from above."""
+    """Of a steady spin about body z, positive counter-clockwise from above."""
 
 
 @dataclass(frozen=True)
@@ -148,7 +147,7 @@ class CrossAxisInput:
 
 @dataclass(frozen=True)
 class Resonance:
-    """A light mode in the drive: adds peak * drive at its frequency, nothing far from it."""
+    """A lightly damped mode in the drive: adds peak * drive at its frequency."""
 
     enabled: bool = False
     frequency_hz: float = 6.0

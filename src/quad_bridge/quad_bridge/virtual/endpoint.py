@@ -27,16 +27,16 @@ class Endpoint:
             self.firmware.boot(boot(aircraft.profile).frame(), signing.key, signing.stamp())
 
     def receive(self, data: bytes, now_ns: int) -> bytes:
-        """Take bytes that arrived at device time `now_ns`; the bytes of what answers them."""
+        """Take bytes that arrived at device time `now_ns`; returns the bytes of the answers."""
         return self.firmware.receive(data, now_ns // 1000)
 
     def cycle(self) -> bytes:
-        """Run the coming control cycle; the bytes of what the STM32 sends in it."""
+        """Run the next control cycle; returns the bytes that the STM32 sends in it."""
         aircraft = self.aircraft
         channels = channels_at(self.script, aircraft.cycle * aircraft.cycle_s)
         aircraft.move(hil.motors(self.firmware.cycle(aircraft.measure(channels))))
         return self.firmware.send()
 
     def gain(self, name: str) -> float:
-        """The value in force of a parameter of the contract's name."""
+        """The active value of a parameter by the contract's name."""
         return float(self.firmware.gains()[_INDEX[name]])

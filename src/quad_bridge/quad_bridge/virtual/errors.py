@@ -1,4 +1,4 @@
-"""What a user of the virtual STM32 can get wrong beyond quad_bridge's own error classes."""
+"""Errors of the virtual STM32's user, beside quad_bridge's own."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""What lies in a bag's storage files, damaged or not.
+"""Intact content of a bag's storage files, damaged or not.
 
-quad_bridge and quad_sysid share this one folder by a link, because the analysis is installed
-without quad_bridge: nothing of either is imported here.
+quad_bridge and quad_sysid share this folder by a link, because the analysis is installed without
+quad_bridge; it imports nothing of either.
 """

@@ -1,6 +1,6 @@
-"""What lies around the records of a bag's file: compression as a whole or by message; SQLite.
+"""Compression of files and messages, and the state of sqlite3 files.
 
-sqlite3 files are read by rosbags; here stands only whether SQLite still gives all of one.
+rosbags reads sqlite3 files; here is only the check whether SQLite can still read all of one.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ else:
 
 ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
 PACKED = '.zstd'
-"""Ending of a storage file that is compressed as a whole."""
+"""Suffix of a storage file that is compressed as a whole."""
 SQLITE_MAGIC = b'SQLite format 3\x00'
 
 
 def plain_message(data: bytes) -> bytes:
-    """A message, decompressed where it was compressed by itself; empty where it is damaged."""
+    """A message, decompressed where it was compressed; empty where it is damaged."""
     if data[: len(ZSTD_MAGIC)] != ZSTD_MAGIC:
         return data
     frame = zstd.ZstdDecompressor()  # a third faster than zstd.decompress on so short a text
@@ -40,7 +40,7 @@ def plain_message(data: bytes) -> bytes:
 
 @contextmanager
 def plain_file(file: Path) -> Iterator[Path]:
-    """The file itself, or of one that is compressed as a whole a copy of its content."""
+    """The file, or a decompressed copy of one that is compressed as a whole."""
     with file.open('rb') as stream:
         packed = stream.read(len(ZSTD_MAGIC)) == ZSTD_MAGIC
     if not packed:
@@ -54,14 +54,14 @@ def plain_file(file: Path) -> Iterator[Path]:
 
 
 def address(file: Path) -> str:
-    """What sqlite3 opens for reading only, whatever journal lies beside it."""
+    """Address with which sqlite3 opens a file read-only, whatever journal lies beside it."""
     return f'{file.resolve().as_uri()}?mode=ro&immutable=1'
 
 
 def sqlite_fault(file: Path) -> str:
-    """Why a sqlite3 file does not give all that was written into it; empty where it does.
+    """What is damaged in a sqlite3 file; empty where nothing is.
 
-    The file is not written to. What is damaged within a row SQLite cannot see.
+    The file is only read. SQLite cannot see damage within a row.
     """
     for suffix, first in (('-journal', b'\xd9'), ('-wal', b'\x37')):
         journal = file.with_name(file.name + suffix)
@@ -81,5 +81,5 @@ def sqlite_fault(file: Path) -> str:
 
 
 def sqlite_remedy(file: Path) -> str:
-    """The command that saves what can be saved of a damaged sqlite3 file."""
+    """The command that saves the intact part of a damaged sqlite3 file."""
     return f'`sqlite3 {file} .recover | sqlite3 {file.stem}_recovered.db3` saves what is whole'

@@ -1,7 +1,7 @@
-"""What the bytes of an mcap file say of its records: where they begin and end, what they name.
+"""Records of an mcap file: where they begin and end, and the topics that they name.
 
-Without trust: a record counts only where its content agrees with its length. Messages and
-compression are not looked at here (scan.py).
+A record counts only where its content agrees with its length. scan.py handles messages and
+compression.
 Source: the MCAP specification, version 0 (opcode u8, length u64, little-endian).
 """
 
@@ -20,7 +20,7 @@ HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = ra
 ATTACHMENT, ATTACHMENT_INDEX, STATISTICS, METADATA, METADATA_INDEX = range(0x09, 0x0E)
 SUMMARY_OFFSET, DATA_END = 0x0E, 0x0F
 PRIVATE = 0x80
-"""From here on opcodes are left to others."""
+"""First opcode that the specification leaves to others."""
 RECORD = struct.Struct('<BQ')
 MESSAGE_HEAD = struct.Struct('<HIQQ')
 """Channel, number, receive and publish time (ns) of a message, before its data."""
@@ -28,7 +28,7 @@ CHUNK_HEAD = struct.Struct('<QQQII')
 """First and last time, size of the content, its checksum, length of the compression's name."""
 _FOOTER = struct.Struct('<QQI')
 _LONGEST_NAME = 16
-"""Of a compression."""
+"""Longest name of a compression."""
 _CHUNK_START = rb'\x06(?=.{36}(?:\0{4}|\x04\0{3}zstd|\x03\0{3}lz4))'
 _IN_CHUNKS = re.compile(_CHUNK_START + rb'|\x07(?=.{4}\0{4})|\x0f(?=\x04\0{7})', re.DOTALL)
 _PLAIN = re.compile(rb'[\3\4\5](?=.{4}\0{4})|' + _IN_CHUNKS.pattern, re.DOTALL)
@@ -54,11 +54,11 @@ class Names:
     """Schemas and channels by their numbers."""
 
     schemas: dict[int, tuple[str, str]] = field(default_factory=dict)
-    """Number to (type, definition)."""
+    """Number → (type, definition)."""
     channels: dict[int, Topic] = field(default_factory=dict)
 
     def take(self, opcode: int, body: bytes) -> bool:
-        """Take in a schema or channel record; False where its content is nonsense."""
+        """Add a schema or channel record; False where its content is invalid."""
         try:
             if opcode == SCHEMA:
                 name, after = _string(body, 2)
@@ -78,7 +78,7 @@ class Names:
 
 
 def summary_of(data: Data) -> tuple[int, Names, int | None] | None:
-    """Where the summary of a closed file begins, its names, how many messages it counts.
+    """Start of a closed file's summary, its names, and its number of messages.
 
     None where the summary is missing or damaged.
     """
@@ -105,7 +105,7 @@ def summary_of(data: Data) -> tuple[int, Names, int | None] | None:
 
 
 def end_of(data: Data, position: int, stop: int) -> int | None:
-    """Where the record at `position` ends; None where its content disagrees with its length."""
+    """End of the record at `position`; None where its content disagrees with its length."""
     if position + RECORD.size > stop:
         return None
     opcode, length = RECORD.unpack_from(data, position)
@@ -120,9 +120,9 @@ def end_of(data: Data, position: int, stop: int) -> int | None:
 
 
 def next_record(data: Data, position: int, stop: int, *, plain: bool) -> int | None:
-    """Where the next record begins that can be told from nonsense; None where there is none.
+    """Start of the next recognisable record; None where there is none.
 
-    `plain`: the file holds messages outside of chunks, which are looked for too.
+    `plain`: the file has messages outside of chunks, which are sought too.
     """
     for found in (_PLAIN if plain else _IN_CHUNKS).finditer(data, position, stop):
         start = found.start()
@@ -136,13 +136,13 @@ def next_record(data: Data, position: int, stop: int, *, plain: bool) -> int | N
 
 
 def chunk_follows(data: Data, position: int, stop: int) -> bool:
-    """Whether a chunk, or an index of one, follows, before anything else that can be told."""
+    """Whether the next recognisable record is a chunk or its index."""
     found = next_record(data, position, stop, plain=False)
     return found is not None and data[found] in {CHUNK, MESSAGE_INDEX}
 
 
 def looks_chunked(data: Data, position: int, end: int) -> bool:
-    """Whether the record has the shape of a chunk or its index, whatever its opcode says."""
+    """Whether the record has the shape of a chunk or its index, whatever its opcode."""
     return chunk_ends(data, position, end) == [end] or _is_index(
         data, position + RECORD.size, end
     )
@@ -157,9 +157,9 @@ def _is_index(data: Data, start: int, end: int) -> bool:
 
 
 def chunk_ends(data: Data, position: int, stop: int) -> list[int]:
-    """Where the chunk at `position` may end, by its content's length and by its own, first first.
+    """Possible ends of the chunk at `position`, by its content's length and its own, ascending.
 
-    (A decompressor does not mind what follows its content.)
+    (A decompressor ignores what follows its content.)
     """
     start = position + RECORD.size
     if start + CHUNK_HEAD.size + 8 > stop:

@@ -1,9 +1,9 @@
-"""What is whole in an mcap file, damaged or not, by one pass over its records.
+"""The intact messages of an mcap file, damaged or not, in one pass over its records.
 
-A chunk is known by its shape, whatever its opcode says, and counts where its checksum holds; any
-other record counts where its content agrees with its length. Behind nonsense the next record is
-searched, so that no damaged length hides what follows. Neither summary nor index is needed.
-Messages are not decoded here.
+A chunk is recognised by its shape, whatever its opcode, and counts if its checksum is right; any
+other record counts if its content agrees with its length. After damage the next record is sought,
+so that a wrong length hides nothing. Neither summary nor index is needed. Messages are not decoded
+here.
 """
 
 from __future__ import annotations
@@ -49,13 +49,13 @@ else:
     from backports import zstd
 
 BATCH = 20_000
-"""Messages that the reader takes at a time."""
+"""Messages per batch."""
 UNPACK_ERRORS = (zstd.ZstdError, RuntimeError, EOFError, MemoryError)
-"""What damaged content raises."""
+"""Errors that damaged content raises."""
 _LONGEST_MESSAGE = 1 << 30
 """Bytes."""
 _ZEROS = 64
-"""So many at the end of a file are blocks that were never written."""
+"""Zeros at the end of a file that indicate blocks that were never written."""
 _CODECS = {
     b'zstd': (zstd.decompress, zstd.ZstdDecompressor),
     b'lz4': (lz4.frame.decompress, lz4.frame.LZ4FrameDecompressor),
@@ -67,34 +67,34 @@ class Message(NamedTuple):
 
     topic: Topic
     time_ns: int
-    """When it was received."""
+    """Receive time, ns."""
     data: bytes
 
 
 class McapScan:
-    """One pass over one file, by `messages` or by `batches`; the figures hold afterwards."""
+    """One pass over a file, by `messages` or `batches`; the figures are valid afterwards."""
 
     def __init__(self, data: Data) -> None:
         """Take a file's bytes, which begin with `MAGIC`; they must stay open for the pass."""
         self.data = data
         self.found = 0
-        """Messages that came out, of all topics."""
+        """Messages returned, of all topics."""
         self.stated: int | None = None
         """Messages by the statistics of a file that was closed; None without them."""
         self.lost = 0
-        """Messages that were in the file and did not come out: all of a closed one, else least."""
+        """Messages in the file that were not returned; a lower bound unless it was closed."""
         self.unread = 0
-        """Bytes that belong to no whole record."""
+        """Bytes outside of intact records."""
         self.bad_chunks = 0
-        """Chunks that fail their checksum or cannot be decompressed to their end."""
+        """Chunks with a wrong checksum or incomplete content."""
         self.mended = 0
-        """Chunks whose opcode or length is damaged and whose content is not."""
+        """Chunks with a damaged opcode or length but intact content."""
         self.unchecked = 0
-        """Messages of a chunk that is cut off: its checksum says nothing of them."""
+        """Messages of a chunk that is cut off, which its checksum cannot verify."""
         self.unnamed = 0
-        """Messages whose channel stands nowhere."""
+        """Messages of an unknown channel."""
         self.doubtful_names: set[str] = set()
-        """Topics whose channel stands in a damaged chunk alone."""
+        """Topics whose channel is in a damaged chunk only."""
         self.ended = False
         """The end of the data was found."""
         self.closed = False
@@ -110,7 +110,7 @@ class McapScan:
 
     @property
     def complete(self) -> bool:
-        """All data were read, nothing was left out, and the summary agrees."""
+        """Whether all data were read, nothing was left out, and the summary agrees."""
         return self.closed and not (self.lost or self.unread or self.bad_chunks)
 
     @property
@@ -124,7 +124,7 @@ class McapScan:
         return found
 
     def messages(self) -> Iterator[Message]:
-        """All whole messages in the file's order."""
+        """All intact messages in the file's order."""
         for content in self.contents():
             self.unread += len(content)
             for opcode, body in _split(content):
@@ -141,7 +141,7 @@ class McapScan:
         self.lost = self._count_lost()
 
     def batches(self, wanted: Callable[[Topic], bool]) -> Iterator[dict[str, list[bytes]]]:
-        """Messages of the wanted topics without their times, by topic, some thousand at a time."""
+        """Data of the wanted topics' messages, by topic, in batches."""
         unpack, begin_of = struct.Struct('<BQH').unpack_from, RECORD.size + MESSAGE_HEAD.size
         batch: dict[str, list[bytes]] = {}
         sinks: dict[int, list[bytes]] = {}
@@ -178,9 +178,9 @@ class McapScan:
         self.lost = self._count_lost()
 
     def contents(self, *, behind_end: bool = False) -> Iterator[bytes]:
-        """Whole records, many at a time: the content of a chunk, or a record outside of one.
+        """Intact records in groups: the content of a chunk, or a record outside of one.
 
-        `behind_end`: what is behind the end of the data is looked at as well, for its names.
+        `behind_end`: the part after the end of the data is read too, for its names.
         """
         data, stop = self.data, len(self.data)
         summary = summary_of(data)
@@ -217,7 +217,7 @@ class McapScan:
         self.ended = self.ended or self.closed
 
     def _chunk(self, position: int, stop: int) -> tuple[bytes, int] | None:
-        """Content and end of the chunk here, also where its opcode or a length is damaged."""
+        """Content and end of the chunk here, even if its opcode or a length is damaged."""
         for end in chunk_ends(self.data, position, stop):
             if end > stop:
                 continue
@@ -230,7 +230,7 @@ class McapScan:
         return None
 
     def _trusted(self, position: int, stop: int) -> int | None:
-        """Where the record here ends, which is no chunk; None where it may be something else."""
+        """End of the record here, if it is certainly not a chunk; else None."""
         data, opcode = self.data, self.data[position]
         end = end_of(data, position, stop)
         if end is None or opcode == CHUNK:
@@ -250,9 +250,9 @@ class McapScan:
         return last and self.data[position] == MESSAGE and stop == len(self.data)
 
     def _skip(self, before: int, position: int, stop: int) -> int:
-        """Leave out what is here; returns where the next record begins.
+        """Skip to the next record and return its start.
 
-        `before`: where the last record began. If that was none, the next one may begin in it.
+        `before`: start of the last record; if that was invalid, the next one may begin in it.
         """
         data, opcode = self.data, self.data[position]
         if opcode == CHUNK:
@@ -268,14 +268,14 @@ class McapScan:
         return following
 
     def _keep_names(self, position: int, stop: int) -> None:
-        """Keep the channels of a damaged chunk: better than none."""
+        """Store the channels of a damaged chunk, in case there are no others."""
         for end in [end for end in chunk_ends(self.data, position, stop) if end <= stop][:1]:
             self._doubtful.schemas = {**self._doubtful.schemas, **self._names.schemas}
             for opcode, body in _split(_unpacked(*_packed(self.data, position, end))[0]):
                 self._doubtful.take(opcode, body)
 
     def _is_cut_off(self, position: int, stop: int) -> bool:
-        """Whether this is the file's last chunk, whose end is missing."""
+        """Whether this is the file's last chunk and its end is missing."""
         data = self.data
         if data[position] != CHUNK or stop != len(data):
             return False
@@ -284,7 +284,7 @@ class McapScan:
         return beyond and next_record(data, position + 1, stop, plain=False) is None
 
     def _cut_off(self, position: int) -> bytes:
-        """Records of the chunk that is cut off, unless more than its end is damaged."""
+        """Records of a chunk that is cut off, unless more than its end is damaged."""
         self.bad_chunks += 1
         name, packed = _packed(self.data, position, len(self.data))
         written = packed.rstrip(b'\0')
@@ -299,7 +299,7 @@ class McapScan:
         return content[:used]
 
     def _named(self, channel: int) -> Topic | None:
-        """The channel; where its record is not among those before: from the rest of the file."""
+        """The channel, sought in the rest of the file where no record so far names it."""
         topic = self._names.channels.get(channel)
         if topic is None and not self._looked_ahead:
             self._looked_ahead = True
@@ -348,7 +348,7 @@ def _content(data: Data, position: int, end: int) -> tuple[bytes | None, int]:
 
 
 def _unpacked(name: bytes, packed: bytes) -> tuple[bytes, bool]:
-    """Content as far as it can be had, and whether that is all; `name` as MCAP writes it."""
+    """Content as far as it can be decompressed, and whether that is all; `name` as in MCAP."""
     if not name:
         return packed, True
     if name not in _CODECS:
@@ -362,7 +362,7 @@ def _unpacked(name: bytes, packed: bytes) -> tuple[bytes, bool]:
 
 
 def _split(content: bytes) -> Iterator[tuple[int, bytes]]:
-    """Opcode and content of the whole records of a chunk."""
+    """Opcode and content of a chunk's complete records."""
     position = 0
     while position + RECORD.size <= len(content):
         opcode, length = RECORD.unpack_from(content, position)
@@ -375,12 +375,12 @@ def _split(content: bytes) -> Iterator[tuple[int, bytes]]:
 
 
 def _whole(content: bytes) -> int:
-    """Bytes of the whole records of a chunk."""
+    """Bytes of a chunk's complete records."""
     return sum(RECORD.size + len(body) for _, body in _split(content))
 
 
 def _begins_a_record(rest: bytes, channels: set[int]) -> bool:
-    """Whether a record of a chunk begins here whose end is missing, as far as that can be told."""
+    """Whether an incomplete record of a chunk probably begins here."""
     if len(rest) < RECORD.size + 2:
         return True
     opcode, length = RECORD.unpack_from(rest)
