@@ -45,11 +45,11 @@ from quad_sysid.signals.guard import Readings, Stall
 from quad_sysid.signals.player import Player, State, Tick
 
 ANGLE_TICKS = 5
-"""The orientation is decoded every so many ticks: at 250 Hz every 20 ms."""
+"""Ticks between two decodings of the orientation: 20 ms at 250 Hz."""
 BATTERY_SAMPLES = 5
-"""The highest of so many voltages counts: a dip of one is not a low battery."""
+"""Number of voltages whose highest counts, since a short dip is not a low battery."""
 LEAVE_S = 0.5
-"""The longest that the last messages are waited for at the end."""
+"""Longest wait for the last messages at the end, s."""
 LEVELS = {State.ENDING: WARN, State.ABORTED: ERROR}
 
 
@@ -107,7 +107,7 @@ class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
 
     @property
     def exit_status(self) -> int | None:
-        """Status to end the process with; None: go on."""
+        """Exit status of the process; None: continue."""
         if not self._settings.exit_when_done or self._player.active:
             return None
         return {State.DONE: 0, State.ABORTED: 1}.get(self._player.state)
@@ -131,7 +131,7 @@ class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
             self._volts.append(message.voltage)
 
     def _readings(self, *, decode_angles: bool) -> Readings:
-        """Latest values, as the guard wants them."""
+        """Latest values for the guard."""
         now = self._stall.awake_s(clock().now_s())
         if decode_angles and self._imu:
             angles = euler_angles(decode(IMU, [self._imu]).values[:, :5]).tolist()
@@ -199,7 +199,7 @@ class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
             self._on_state()
 
     def _look(self) -> None:
-        """End a training segment that has told enough."""
+        """End a training segment that covers its band."""
         found = self._watch.look() if self._watch is not None else ''
         if found and self._player.enough(self._now_s()):
             self.get_logger().info(f'the training segment ends early: {found}')
@@ -214,7 +214,7 @@ class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
             self._setpoint.publish(message)
 
     def close(self) -> None:
-        """Take the excitation back at once where it still runs, and see that it is delivered."""
+        """End a running excitation at once, and wait until that is delivered."""
         self._cut('the node ends')
         left = Duration(seconds=min(patience(LEAVE_S), 60.0))
         for publisher in (self._segment, self._setpoint, self._diagnostics):
@@ -224,13 +224,13 @@ class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
         self._publish(self._player.cut(reason), self.get_clock().now().nanoseconds)
 
     def _fail(self, fault: str) -> None:
-        """End the excitation: who cannot do all of its work does not fly on."""
+        """End the excitation after a fault of the node."""
         if self._player.active:
             self._cut(fault)
             self._on_state()
 
     def _on_state(self) -> None:
-        """Say why the state changed, at once."""
+        """Publish the reason for a change of state at once."""
         player = self._player
         if player.state is State.DONE:
             self.get_logger().info(player.reason)
@@ -260,7 +260,7 @@ class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
 
 
 def told(settings: Settings) -> dict[str, str]:
-    """What is flown and what ends it, for who watches."""
+    """Diagnostics: what is flown and what ends it."""
     return {
         'axes': ' '.join(dict.fromkeys(
             part.axis for part in settings.schedule.parts if part.role == 'train'

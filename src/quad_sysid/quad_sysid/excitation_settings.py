@@ -1,8 +1,8 @@
-"""What the `excitation` node is started with, and when a training segment has told enough.
+"""Settings of the `excitation` node, and the coverage that ends a training segment early.
 
-Parameters with their ranges and units; the watch over the band that a segment covers: raw messages
-in, one sentence out. Coherence is quad_bridge.monitor's, the same as the operator's `monitor`
-shows. Needs no ROS; declaring parameters is the node's business.
+Parameters with ranges and units; the band that a segment covers, from raw messages, with
+quad_bridge.monitor's coherence, as the operator's `monitor` shows it. No ROS: the node declares
+the parameters.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from quad_sysid.signals.guard import Limits
 from quad_sysid.signals.schedule import Part, Schedule
 
 MARGIN = 1.1
-"""The band is watched so much further down: others who watch, losing other cycles, agree."""
+"""Factor by which the watched band reaches lower, so that other watchers agree."""
 RATES = 5
 """Column of the first rate of a decoded Imu."""
 
@@ -32,7 +32,7 @@ class Wanted:
 
     band_rad_s: tuple[float, float]
     least_s: float
-    """It is flown so long at least."""
+    """Least duration of the segment, s."""
 
 
 class CoverageWatch:
@@ -48,7 +48,7 @@ class CoverageWatch:
         self._inputs: list[bytes] = []
 
     def begin(self, part: Part | None) -> None:
-        """Another segment, or none, begins."""
+        """Begin another segment, or none."""
         training = part is not None and part.role == 'train'
         self._axis = AXES.index(part.axis) if part is not None and training else None
         self._segment_s = part.duration_s if part is not None else 0.0
@@ -66,7 +66,7 @@ class CoverageWatch:
             self._inputs.append(raw)
 
     def look(self) -> str:
-        """Why the segment may end now; empty where it may not."""
+        """Why the segment may end now; empty if it may not."""
         if self._axis is None:
             return ''
         rates, inputs = decode(IMU, self._rates), decode(VECTOR, self._inputs)
@@ -107,7 +107,7 @@ NUMBERS = {
 
 @dataclass(frozen=True)
 class Settings:
-    """What the node was started with."""
+    """Settings of the node."""
 
     schedule: Schedule
     limits: Limits
@@ -118,14 +118,14 @@ class Settings:
     autostart: bool
     exit_when_done: bool
     wanted: Wanted | None = None
-    """What ends a training segment early; None: nothing does."""
+    """Coverage that ends a training segment early; None: none."""
 
 
 def settings_from(
     schedule: Path, numbers: Mapping[str, float], aux: int, rate_hz: int,
     *, autostart: bool, exit_when_done: bool, end_when_covered: bool = False,
 ) -> Settings:
-    """Put the parameters' values together; raises BadInputError where the schedule is wrong."""
+    """Settings from the parameters; raises BadInputError for a wrong schedule."""
     loaded = load_schedule(schedule).scaled(numbers['amplitude_scale'])
     limits = Limits(
         mount=loaded.mount, angle_rad=math.radians(numbers['angle_limit_deg']),

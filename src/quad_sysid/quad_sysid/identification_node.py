@@ -1,6 +1,6 @@
-"""The `identification` node: when a bag is complete it identifies, reports, and proposes gains.
+"""The `identification` node: identifies each complete bag, reports, and designs gains.
 
-Wiring only: the work is session.run, in a thread of its own so that the node goes on answering.
+Wiring only: session.run does the work, in its own thread so that the node keeps responding.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ class IdentificationNode(Node):  # type: ignore[misc]
         self._start_next()
 
     def _tell(self, outcome: Result, bag: str) -> None:
-        """Say what came out, and what became of the gains."""
+        """Publish the result, and what was done with the gains."""
         verdicts = {axis: answer.verdict for axis, answer in outcome.answers.items()}
         self.get_logger().info(f'{bag}: {verdicts}, report in {outcome.folder}')
         update = self._update(outcome, bag)
@@ -125,7 +125,7 @@ class IdentificationNode(Node):  # type: ignore[misc]
         )
 
     def _update(self, outcome: Result, bag: str) -> str:
-        """Publish the gains where that is asked for; what was done, or why not."""
+        """Publish the gains if auto_update is on; returns what was done, or why not."""
         for axis, reason in outcome.refusals().items():
             self.get_logger().warning(f'{axis}: no gains: {reason}')
         wanted = outcome.gains
@@ -158,7 +158,7 @@ class IdentificationNode(Node):  # type: ignore[misc]
 
 
 def _wanted(node: Any) -> dict[str, Any]:
-    """What the parameters ask of every bag; a wrong one ends the node before any flight."""
+    """Options from the parameters; a wrong one ends the node before any flight."""
     descriptor = ParameterDescriptor(
         description='axes to identify; empty: those that the bag excites', read_only=True
     )

@@ -29,9 +29,9 @@ from quad_sysid.errors import BadInputError
 from quad_sysid.record import IOData
 
 LOOP_ORDER = 20
-"""Of the ARX model behind instruments, which need not be exact."""
+"""Order of the ARX model for instruments, which need not be exact."""
 STAGE_ORDER = 6
-"""Of the output error model of the loop: what it misses biases the plant."""
+"""Order of the output error model of the loop, whose errors bias the plant."""
 
 Fit = Callable[[IOData], Model]
 
@@ -51,7 +51,7 @@ def noise_free(
     where: str, z: IOData, x: FloatArray, external: FloatArray | None, order: int | None = None,
     *, name: str = 'the reference r',
 ) -> FloatArray:
-    """(n,) what the external signal alone explains of x: free run of a model from r to x.
+    """(n,) the part of x that the external signal explains: free run of a model from r to x.
 
     A high-order ARX model, or, with `order`, an output error model of that order. Raises
     BadInputError, naming `where` and the signal's `name`, where it is missing or cannot serve.

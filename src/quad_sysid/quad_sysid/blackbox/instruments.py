@@ -27,9 +27,9 @@ from quad_sysid.record import IOData
 
 ROUNDS = 15
 SETTLED = 0.02
-"""Converged where no parameter moves by more than this part of its standard error."""
+"""Largest change of a parameter at convergence, in standard errors."""
 SWINGING = 6
-"""Rounds after which the average of the rounds is gone on from."""
+"""Rounds after which the rounds are averaged."""
 UNSTABLE = 'the estimate is unstable; its instruments were made with reflected poles'
 
 
@@ -164,7 +164,7 @@ def _refined_blocks(z: IOData, clean: FloatArray, model: Model) -> list[Block]:
 
 
 def _split(stack: FloatArray) -> Block:
-    """Part the columns [regressors | instruments | output]."""
+    """Split the columns [regressors | instruments | output]."""
     p = (stack.shape[1] - 1) // 2
     return stack[:, :p], stack[:, p : 2 * p], stack[:, -1]
 
@@ -191,7 +191,7 @@ def _solve(where: str, blocks: list[Block]) -> tuple[FloatArray, FloatArray]:
 
 @dataclass(frozen=True)
 class _Noise:
-    """A model with its noise part renewed, and what that part's fit says."""
+    """A model with a new noise part, its variance and covariance."""
 
     model: Model
     variance: float

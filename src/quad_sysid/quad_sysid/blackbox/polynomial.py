@@ -1,4 +1,4 @@
-"""The polynomial model A y = (B/F) u + (C/D) e of one axis, whatever fitted it.
+"""The polynomial model A y = (B/F) u + (C/D) e of one axis.
 
 Values and what follows from them algebraically; no fitting, no simulation, no data.
 """

@@ -25,7 +25,7 @@ from quad_sysid.errors import BadInputError
 from quad_sysid.record import IOData
 
 AGREED = 0.1
-"""Two descents that end within this N ln V of each other have found the minimum."""
+"""Difference of N ln V below which two descents have found the same minimum."""
 
 REINSERTED = 3
 """Places of a nearly cancelling pair from which the descent is tried again."""
@@ -35,7 +35,7 @@ EDGE_TOLD = {
     'the command does not explain',
     'C': 'a zero of the noise model is held at the unit circle: the residual lacks that frequency',
 }
-"""By polynomial, what a root at the edge of stability means."""
+"""Polynomial → meaning of a root at the edge of stability."""
 
 Starts = Callable[[HighOrder], Iterator[Model]]
 
@@ -83,7 +83,7 @@ def _best(
     structure: str, orders: dict[str, int], z: IOData, start: Model | None, starts: Starts,
     *, thorough: bool = True,
 ) -> Model:
-    """Fit from the given start, or from own ones until the loss is as good as it can be."""
+    """Fit from the given start, or from several until the loss is as low as expected."""
     if start is not None:
         _check_start(structure, orders, start)
         first = stabilised(start)
@@ -128,7 +128,7 @@ def _without_false_pair(best: Model, z: IOData) -> Model:
 
 
 def _better(one: Model, other: Model) -> Model:
-    """Return the converged one of two fits, of equals that with the lower loss."""
+    """The converged one of two fits; if both or none converged, that with the lower loss."""
     return min(one, other, key=lambda model: (not model.converged, model.loss))
 
 
@@ -146,10 +146,10 @@ def _check_start(structure: str, orders: dict[str, int], start: Model) -> None:
 
 
 def _warnings(model: Model) -> tuple[str, ...]:
-    """What a reader of the fit should know."""
+    """Warnings for the user of the fit."""
     told = [EDGE_TOLD[name] for name in on_edge(model)]
     if not model.converged:
         told.insert(0, f'did not converge in {model.iterations} iterations')
     if model.covariance is None:
-        told.append('the data do not tell all parameters apart: no standard errors')
+        told.append('the data do not determine all parameters: no standard errors')
     return tuple(told)

@@ -36,7 +36,7 @@ def check_orders(where: str, **orders: int) -> dict[str, int]:
 
 
 def check_informative(where: str, z: IOData, parameters: int, lead: int) -> None:
-    """Raise BadInputError where z cannot carry a fit of so many parameters after `lead` rows."""
+    """Raise BadInputError where z is too short or constant for this number of parameters."""
     if not isinstance(z, IOData):
         raise BadInputError(where, 'z must be an IOData', type(z).__name__)
     rows = usable_rows(z, lead)

@@ -27,14 +27,14 @@ BOUND_LAGS = 1000
 
 @dataclass(frozen=True)
 class ResidualTest:
-    """What the residual says, as booleans, with the figures behind them."""
+    """Results of the residual tests, with their figures."""
 
     residual_white: bool
     """Ljung-Box over the lags 1..M, at the given confidence for all lags together."""
     residual_uncorrelated_with_input: bool
     """No past input (lags 1..M; from 0 where nk is 0) explains the residual."""
     causal: bool
-    """No future of the causality signal explains the residual beyond what its past does."""
+    """Future values of the causality signal do not explain the residual beyond past ones."""
     causality_signal: str
     """`r`, the external reference, where the data hold it; else `u`, in which feedback of the
     noise through a controller looks the same as a non-causal plant."""

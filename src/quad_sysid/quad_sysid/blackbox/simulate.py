@@ -19,7 +19,7 @@ from quad_sysid.errors import BadInputError
 from quad_sysid.record import IOData
 
 SETTLE_ROWS = 4000
-"""At most so many rows of a segment decide its initial state."""
+"""Most rows of a segment that determine its initial state."""
 
 
 def simulate(model: Model, u: FloatArray, x0: FloatArray | None = None) -> FloatArray:

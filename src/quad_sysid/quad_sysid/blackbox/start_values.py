@@ -1,4 +1,4 @@
-"""Start values for the prediction error method, out of one high-order ARX model.
+"""Start values for the prediction error method from one high-order ARX model.
 
 That model is consistent in closed loop; each structure is then reached by linear least squares:
 Steiglitz-McBride on its noise-free response (MORSM, Everitt, Galrinho, Hjalmarsson 2018) for B
@@ -29,7 +29,7 @@ NEAR = 0.4
 PLACES = (-0.7, -0.2, 0.3, 0.6, 0.8, 0.95)
 EDGE = 1.0 - 1e-7
 SLOW_FACTOR = np.array([1.0, -0.9999])
-"""Of a pole and the zero that cancels it, from where a drift can draw them apart."""
+"""Factor of a cancelling pole and zero, which a drift can separate."""
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ WITH_NOISE_MODEL = ('ARX', 'ARMAX', 'BJ', 'N4SID')
 """Structures that claim a white residual; OE, IV4 and CLRIV leave the noise to itself."""
 
 DIVERGED_PCT = -1e4
-"""A fit below this says only that the run diverged."""
+"""Fit below which the run counts as diverged, %."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class StepARow:
 
     @property
     def passed_first_step(self) -> bool:
-        """Whether nothing spoke against the model."""
+        """Whether the model was not rejected."""
         return not self.eliminated_because
 
     def as_report(self) -> dict[str, object]:
@@ -139,7 +139,7 @@ def shared_losses(models: Sequence[Model], z: IOData) -> tuple[list[float], int]
 def _objections(
     model: Model, test: ResidualTest, fits: Mapping[str, float | None]
 ) -> list[str]:
-    """What speaks against the model, in words."""
+    """Reasons against the model."""
     found = []
     if not model.converged:
         found.append('the fit did not converge')
@@ -229,7 +229,7 @@ TABLE2 = (
 
 
 def _attempt(paper: PaperRow, train: IOData) -> Model | str:
-    """Fit one row, or say why the data cannot carry it."""
+    """Fit one row, or return the reason why the data do not allow it."""
     try:
         return paper.fit(train)
     except BadInputError as error:

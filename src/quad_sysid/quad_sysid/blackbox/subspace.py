@@ -1,4 +1,4 @@
-"""State-space models by a subspace method that stays right under feedback (n4sid).
+"""State-space models by a subspace method that is consistent under feedback (n4sid).
 
 No iteration: its result may start one elsewhere.
 """
@@ -40,7 +40,9 @@ def n4sid(z: IOData, order: int, *, horizon: int | None = None) -> Model:
     weight = np.linalg.cholesky(_definite(r[:, m:].T @ r[:, m:]))
     left, values, _ = np.linalg.svd(r[:m, :m] @ gains @ np.linalg.inv(weight).T)
     if values[order - 1] < 1e-12 * values[0]:
-        raise BadInputError('n4sid', f'the data do not show {order} states', order, 'lower order')
+        raise BadInputError(
+            'n4sid', f'the data do not show {order} states', order, 'lower the order'
+        )
     basis = np.linalg.lstsq(r[:m, :m], left[:, :order], rcond=1e-12)[0]
     a, b, c, k = _state_space((past / scale) @ basis, now)
     return _as_model(z, order, a, b, c, k)
@@ -73,7 +75,7 @@ def _projection(
 
 
 def _definite(gram: FloatArray) -> FloatArray:
-    """Gram matrix with a diagonal so small that it only mends rounding."""
+    """Gram matrix with a small diagonal against rounding."""
     return np.asarray(gram + 1e-13 * np.trace(gram) * np.eye(gram.shape[0]))
 
 

@@ -1,7 +1,7 @@
 """Identified models as files for other tools: JSON, MATLAB .mat, a Python file for python-control.
 
-The linear plant as matrices, with held command, delay and gyro filter. Effects that are not linear
-cannot be matrices; their names, parameters and units go along as they are.
+The linear plant as matrices, with held command, delay and gyro filter. Nonlinear effects are
+listed by name, with parameters and units.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from quad_sysid.loop.plant import Slopes, dynamics, state_space
 from quad_sysid.model import AxisModel, Parameter
 
 OUTPUTS = ('rate', 'angle')
-"""rad/s behind the gyro filter, rad."""
+"""Outputs: rate after the gyro filter, rad/s; angle, rad."""
 OUTPUT_UNITS = ('rad/s', 'rad')
 
 
@@ -37,11 +37,11 @@ class LinearModel:
     c: FloatArray
     """(2, n)"""
     delay_s: float
-    """Of the command, before a, b, c."""
+    """Delay of the command, s, not contained in a, b, c."""
     dt: float
     """Control cycle, s."""
     a_discrete: FloatArray
-    """(m, m) of one cycle, the delay as states; exact for a held command."""
+    """(m, m) over one cycle with the delay as states; exact for a held command."""
     b_discrete: FloatArray
     """(m, 1)"""
     c_discrete: FloatArray
@@ -165,7 +165,7 @@ def as_control(models: Mapping[str, AxisModel]) -> bytes:
 WRITERS: Mapping[str, tuple[Callable[[Mapping[str, AxisModel]], bytes], str]] = {
     'json': (as_json, '.json'), 'mat': (as_mat, '.mat'), 'control': (as_control, '.py'),
 }
-"""Format to what writes it and the file's suffix."""
+"""Format → its writer and the file's suffix."""
 
 
 def _matrix(values: FloatArray) -> str:

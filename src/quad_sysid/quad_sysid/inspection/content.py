@@ -1,7 +1,6 @@
 """A bag → what it holds and what it suffices for: topics, excitation, coherence, limits, battery.
 
-Nothing is fitted: this is what can be said at once; the conditions are those of the pipeline
-itself. Words for a reader stand in page.py.
+Nothing is fitted; the conditions are those of the pipeline. page.py prints it.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ STAMP_END = 12
 
 @dataclass(frozen=True)
 class TopicContent:
-    """One topic as it lies in the bag."""
+    """One topic of the bag."""
 
     name: str
     messages: int
@@ -50,7 +49,7 @@ class TopicContent:
 
 @dataclass(frozen=True)
 class Topics:
-    """All topics that hold anything, in the order of the contract, and what reading told."""
+    """All topics with messages, in the order of the contract, and warnings of the reader."""
 
     found: tuple[TopicContent, ...]
     absent: tuple[str, ...]
@@ -98,21 +97,21 @@ def _content(topic: str, stamps: npt.NDArray[np.int64]) -> TopicContent:
 
 
 MOVES = 1e-9
-"""A signal with less spread than this never moves."""
+"""Spread below which a signal counts as constant."""
 
 
 @dataclass(frozen=True)
 class Use:
-    """One thing a user may want of a bag."""
+    """One use of a bag."""
 
     name: str
     possible: bool
     because: str = ''
-    """What stands against it; empty where nothing does."""
+    """Why it is not possible; empty if it is."""
 
 
 def uses_of_axis(record: Record, data: AxisData) -> tuple[Use, ...]:
-    """What one axis' data allow: identification first, then what hangs on more signals."""
+    """Uses of one axis' data: identification first, then those that need more signals."""
     refused = _refusal(data)
     axis = data.axis
     identify = Use(f'identify {axis}', possible=not refused, because=refused)
@@ -132,7 +131,7 @@ def uses_of_axis(record: Record, data: AxisData) -> tuple[Use, ...]:
 
 
 def uses_of_flight(identifiable: tuple[str, ...], *, moving: bool) -> tuple[Use, ...]:
-    """What the flight as a whole allows: by the axes to identify, and whether one moves."""
+    """Uses of the whole flight, by the axes that can be identified."""
     both = {'roll', 'pitch'} <= set(identifiable)
     return (
         Use('evaluate a stored model', moving,
@@ -171,11 +170,11 @@ _EFFECTS = (
     ('thrust curve', 'thrust_curve'),
     ("another axis' command", 'cross_axis_input'),
 )
-"""Effects that need more of a flight than the axis' own motion."""
+"""Effects that need more than the axis' own motion."""
 
 
 RICHEST = 50
-"""Order up to which excitation is counted; the paper's PRBS is of this order or more."""
+"""Largest order of excitation that is computed."""
 
 
 @dataclass(frozen=True)
@@ -223,28 +222,28 @@ class Content:
     sample_rate_hz: float | None = None
     length_s: float = 0.0
     lost_pct: float = 0.0
-    """Of the control cycles, no /imu/data."""
+    """Share of the control cycles without /imu/data, %."""
     longest_gap_s: float = 0.0
     split: bool = False
-    """Whether the bag names no segments and was cut in time."""
+    """Whether the bag has no segments and was split in time."""
     segments: tuple[Segment, ...] = ()
     gains: tuple[str, ...] = ()
-    """Names in /gains/active, in the order of the alphabet."""
+    """Names in /gains/active, in alphabetical order."""
     motors_at_limit_pct: tuple[float, ...] = ()
     """Per motor, share of the time at 0 or 1; empty where /motors/command is missing."""
     battery: Battery | None = None
     layout: tuple[Pattern, ...] = ()
-    """What the motors do to each axis that moves, by the motion; in the order of the contract."""
+    """Motor patterns of each moving axis by the motion, in the order of the contract."""
     axes: tuple[AxisContent, ...] = ()
     uses: tuple[Use, ...] = ()
-    """Of the flight as a whole."""
+    """Uses of the whole flight."""
     unusable: str = ''
-    """Why it is not a record at all; then only the topics are told."""
+    """Why it cannot be read as a record; then there are only the topics."""
     warnings: tuple[str, ...] = ()
 
 
 def content(path: str | Path) -> Content:
-    """Look at a bag; raises BadInputError where there is none to be read."""
+    """Content of a bag; raises BadInputError where it cannot be read."""
     source = str(path)
     held = topics(Path(path))
     try:
@@ -257,7 +256,7 @@ def content(path: str | Path) -> Content:
 
 
 def of_record(record: Record, held: Topics, *, split: bool) -> Content:
-    """Look at a record that has its segments."""
+    """Content of a record with its segments."""
     lost = np.asarray(np.isnan(record.rates).any(axis=1))
     warning = refusal(record)
     axes = tuple(_axis(record, axis) for axis in asked_axes([record]))
