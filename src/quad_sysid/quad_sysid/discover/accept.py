@@ -9,16 +9,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from scipy.linalg import toeplitz
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.discover.base import fit_without
-from quad_sysid.discover.search import Found, Scored
-from quad_sysid.estimate.fit import Fit, Problem, Tail, fit
+from quad_sysid.discover.base import fit_without, fitted_from
+from quad_sysid.discover.search import Found
+from quad_sysid.estimate.fit import Fit, Problem, Tail
 from quad_sysid.model.data import AxisData, Windows
 from quad_sysid.model.noise import growth
 from quad_sysid.model.plant import Prediction, Structure
@@ -36,9 +36,6 @@ LEAST_REPORTED = 0.005
 """Share of the rivals' probability below which one is not reported."""
 FLIPS = 200
 """Random draws of the innovations' signs, all of which an error must exceed: a level of 0.5 %."""
-MOST_OPENED = 15
-"""Structures that are compared on the validation data. Half of the stake is divided among their
-bets by their posteriors, half equally."""
 
 
 def bet(differences: FloatArray) -> float:
@@ -173,33 +170,12 @@ def floor_of(fitted: Fit) -> float:
 def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
     """Open the validation segments and decide."""
     unseen = Unseen(data, data.validation)
-    base = found.base
-    against = unseen.log_likelihood(base)
-    base_error = rms(unseen.errors(base))
-    floor = next(s.score for s in found.all if s.fit is base)
-    candidates = [s for s in found.all if s.score > floor][:MOST_OPENED]
-    weights = np.exp(np.array([s.score for s in candidates]) - found.all[0].score)
-    best_of_all = unseen.log_likelihood(found.best)
-    totals = [Scored(base, floor + float(np.sum(_limited(against - best_of_all))))]
-    e_value = 0.0 if candidates else 1.0  # a mean of e-values is one
-    for scored, weight in zip(candidates, weights, strict=True):
-        own = unseen.log_likelihood(scored.fit)
-        share = 0.5 * float(weight / weights.sum()) + 0.5 / len(candidates)
-        gain = float(np.sum(_limited(own - best_of_all)))
-        totals.append(Scored(scored.fit, scored.score + gain))
-        e_value += bet(own - against) * share
-    found = replace(found, all=tuple(sorted(totals, key=lambda s: -s.score)))
-    best = next((s.fit for s in found.all if s.fit is not base), base)
-    better = e_value * LEVEL >= 1.0 and rms(unseen.errors(best)) < base_error
+    base, best = found.base, found.best
+    e_value = 1.0
+    if best is not base:
+        e_value = bet(unseen.log_likelihood(best) - unseen.log_likelihood(base))
+    better = e_value * LEVEL >= 1.0 and rms(unseen.errors(best)) < rms(unseen.errors(base))
     return _verdict(problem, found, unseen, base, best if better else base, e_value)
-
-
-def _limited(gain: FloatArray) -> FloatArray:
-    """Block differences, limited so that no single one outweighs the others."""
-    if gain.size < 3:
-        return gain
-    limit = 3.0 * float(np.median(np.abs(gain)))
-    return np.clip(gain, -limit, limit)
 
 
 def _verdict(
@@ -256,11 +232,14 @@ def _empty(
     below that without commands and that of holding the rate. A feedback's commands contain past
     rates and angles, which predict a little even while the motors stand.
     """
-    uncommanded = fit(problem, base.structure, base.theta, rate=base.rate, still=(0, 1, 2))
-    with_commands, without = unseen.errors(base), unseen.errors(uncommanded)
-    held = unseen.holding(unseen.windows)
-    evidence = [bet(unseen.log_likelihood(base) - unseen.log_likelihood(uncommanded))]
-    clearly = False
+    uncommanded = fitted_from(
+        problem, base.structure, base.theta, rate=base.rate, still=(0, 1, 2)
+    )
+    with_commands, held = unseen.errors(base), unseen.holding(unseen.windows)
+    without, evidence, clearly = held, [], False
+    if uncommanded is not None:
+        without = unseen.errors(uncommanded)
+        evidence = [bet(unseen.log_likelihood(base) - unseen.log_likelihood(uncommanded))]
     for horizon in HORIZONS_S:
         k = at_horizon(horizon, unseen.problem.data.dt)
         if k < unseen.windows.length:

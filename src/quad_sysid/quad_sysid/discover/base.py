@@ -51,11 +51,11 @@ def best_base(problem: Problem) -> Fit:
 
 def fitted_from(
     problem: Problem, structure: Structure, start: FloatArray, *, rate: FloatArray | None = None,
-    most_steps: int = MOST_STEPS,
+    most_steps: int = MOST_STEPS, still: tuple[int, ...] = (),
 ) -> Fit | None:
-    """A fit from `start`; None where it diverges."""
+    """A fit from `start`, as `estimate.fit.fit`; None where it diverges."""
     try:
-        return fit(problem, structure, start, rate=rate, most_steps=most_steps)
+        return fit(problem, structure, start, rate=rate, most_steps=most_steps, still=still)
     except (FloatingPointError, np.linalg.LinAlgError):
         return None
 

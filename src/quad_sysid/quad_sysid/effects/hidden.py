@@ -76,6 +76,27 @@ class SlowState(Relaxing):
         return -p[1] * required(s.hidden)[0]
 
 
+class Pendulum(SlowState):
+    """The pendulum's torque on the angle that the rate adds up to.
+
+    In free flight the accelerometer does not see the tilt, and an orientation that trusts it errs;
+    what turns the aircraft is the true angle, known by the rate for as long as the memory lasts.
+    """
+
+    name = 'pendulum_stiffness'
+    kind = 'named'
+    variant = 'from the rate'
+    parameters = (
+        Spec('memory', 's', spread=0.7, centre=math.log(30.0), log=True, starts=(15.0, 60.0)),
+        Spec('stiffness', 'rad/s² per rad'),
+    )
+    physics = "-k sin(x), x' = rate - x / memory: centre of mass off the axis"
+    excite = 'large slow angles: a square wave of long period, a slow chirp'
+
+    def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+        return -p[1] * np.sin(required(s.hidden)[0])
+
+
 class SlowAngle(Relaxing):
     """A torque of the angle after a first-order lag."""
 
@@ -155,4 +176,4 @@ class Hysteresis(Effect):
         return -p[1] * required(s.hidden)[0]
 
 
-HIDDEN = (SlowState(), SlowAngle(), Swinging(), Hysteresis())
+HIDDEN = (SlowState(), Pendulum(), SlowAngle(), Swinging(), Hysteresis())
