@@ -77,10 +77,10 @@ class SlowState(Relaxing):
 
 
 class Pendulum(SlowState):
-    """The pendulum's torque on the angle that the rate adds up to.
+    """The pendulum's torque of the integrated rate.
 
-    In free flight the accelerometer does not see the tilt, and an orientation that trusts it errs;
-    what turns the aircraft is the true angle, known by the rate for as long as the memory lasts.
+    In free flight an accelerometer does not see the tilt, so the measured orientation is wrong. The
+    true angle turns the aircraft; the rate's integral gives it over the memory.
     """
 
     name = 'pendulum_stiffness'
