@@ -10,6 +10,7 @@ from quad_bridge.gains.table import (
     CONTRACT_NAMES,
     DEFAULT_BOUNDS,
     ROWS,
+    SETTABLE,
     WIRE_NAMES,
     split,
     switch_of,
@@ -32,6 +33,9 @@ def test_wire_names_fit_and_are_unique():
 
 
 def test_a_bound_lies_inside_what_the_firmware_takes_and_a_start_inside_both():
+    for name in SETTABLE:
+        low, high = ROWS[name].limits
+        assert all(low <= start <= high for start in ROWS[name].start), name
     for name, bound in DEFAULT_BOUNDS.items():
         low, high = ROWS[name].limits
         assert low <= bound.lower < bound.upper <= high, name

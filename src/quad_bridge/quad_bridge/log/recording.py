@@ -19,7 +19,7 @@ from quad_bridge.log.writer import BagWriter
 from quad_bridge.status import ERROR, OK, WARN, Status
 
 FLUSH_S = 0.4
-"""Age at which a chunk is closed and synced: the most that a kill can lose."""
+"""Age at which a chunk is closed and synced; later where one sync takes longer (docs/log.md)."""
 POLL_S = 0.05
 """Interval at which the thread takes the waiting messages."""
 SLOW_S = 1.0
