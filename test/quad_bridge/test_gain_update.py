@@ -303,16 +303,33 @@ def test_no_state_and_no_event_lets_an_ungated_set_fly(tmp_path):
 
 def test_a_disk_that_takes_seconds_holds_up_nothing(tmp_path, monkeypatch):
     slow, begun = threading.Event(), threading.Event()
-    monkeypatch.setattr(history.os, 'fsync', lambda _: begun.set() or slow.wait(60.0))
+    monkeypatch.setattr(history.os, 'fsync', lambda _: begun.is_set() or hang())
+    monkeypatch.setattr(history, 'CLOSE_S', 0.0)
+
+    def hang():
+        begun.set()
+        slow.wait(60.0)
+
+    def lines():
+        return (tmp_path / 'one' / 'gains.jsonl').read_text().splitlines()
+
     worker = Worker()
     kept = History(tmp_path, worker)
     assert kept.open('one') == {}
     for k in range(3):  # the first one hangs in the disk
         kept.write('active', {'roll.rate.kp': 0.1 + k})
     assert begun.wait(60.0)
-    slow.set()
     worker.close()
-    assert len((tmp_path / 'one' / 'gains.jsonl').read_text().splitlines()) == 3
+    monkeypatch.setattr(history, 'CLOSE_S', 60.0)
+    for k in range(2):  # activated again, the disk still hangs in the first
+        kept.write('active', {'roll.rate.kp': 0.2 + k})
+    worker.close()
+    assert '"roll.rate.kp": 1.2' in lines()[-1]
+    slow.set()
+    for thread in threading.enumerate():
+        if thread.name == 'gain history':
+            thread.join(60.0)
+    assert len(lines()) == 5
 
 
 @pytest.mark.parametrize('rate_hz', [10.0, 2000.0])

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from quad_bridge.gains.gate import GainRequest
 
+Jobs = queue.SimpleQueue[Callable[[], None] | None]
 SCHEMA = 'quad_bridge/gains/1'
 HISTORY, POLARITY = 'gains.jsonl', 'polarity.json'
 CLOSE_S = 2.0
@@ -38,13 +39,16 @@ class Worker:
     """Runs what it is given, one after the other, in a thread that begins with the first."""
 
     def __init__(self) -> None:
-        self._jobs: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
+        self._jobs = Jobs()
         self._thread: threading.Thread | None = None
 
     def __call__(self, job: Callable[[], None]) -> None:
         """Run `job` soon; it must not raise."""
         if self._thread is None:
-            self._thread = threading.Thread(target=self._run, name='gain history', daemon=True)
+            self._jobs = Jobs()  # the thread before may still hang in the disk, with its own
+            self._thread = threading.Thread(
+                target=_work, args=(self._jobs,), name='gain history', daemon=True
+            )
             self._thread.start()
         self._jobs.put(job)
 
@@ -55,9 +59,10 @@ class Worker:
             self._thread.join(timeout=CLOSE_S)
             self._thread = None
 
-    def _run(self) -> None:
-        while (job := self._jobs.get()) is not None:
-            job()
+
+def _work(jobs: Jobs) -> None:
+    while (job := jobs.get()) is not None:
+        job()
 
 
 class History:

@@ -1,7 +1,7 @@
 """Every gain and loop constant, one row each: what it is called, what it may be, what it means.
 
 Wire names, gate, node parameters and the virtual aircraft read these rows; tools/gain_tables.py
-writes the C table and docs/reference/gains.md from them; a test holds those files against the rows.
+writes the C table and docs/reference/gains.md from them; a test holds both files against the rows.
 Values are SI on topics, in files and on the wire, so there is nothing to convert.
 """
 

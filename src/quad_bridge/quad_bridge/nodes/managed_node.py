@@ -112,7 +112,6 @@ class ManagedNode(TimedNode, LifecycleNode):  # type: ignore[misc]
     def on_activate(self, state: Any) -> Any:
         """Answer rclpy's transition."""
         del state
-        self.active = True
         answer = self._try(self.activate)
         self.active = self._fault is None
         return answer

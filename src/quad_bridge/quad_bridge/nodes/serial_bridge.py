@@ -180,7 +180,7 @@ class SerialBridge(ManagedNode):
             clock().handled(WIRE, START_NS + 1000 * last.time_us)
 
     def _on_cycle(self, frame: f.Cycle, now_ns: int) -> None:
-        self._sensors.cycle(frame, time.time())
+        self._sensors.cycle(frame, time.time())  # the start it keeps on disk outlives `clock()`
         if self._gains.state is State.CHECKING:
             fault = self._enable.fault(1e-9 * now_ns)
             if fault:
