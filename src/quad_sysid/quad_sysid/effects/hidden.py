@@ -79,8 +79,8 @@ class SlowState(Relaxing):
 class Pendulum(SlowState):
     """The pendulum's torque of the integrated rate.
 
-    In free flight an accelerometer does not see the tilt, so the measured orientation is wrong. The
-    true angle turns the aircraft; the rate's integral gives it over the memory.
+    In free flight an accelerometer does not see the tilt, so the measured orientation is wrong.
+    The true angle turns the aircraft; the rate's integral gives it over the memory.
     """
 
     name = 'pendulum_stiffness'
