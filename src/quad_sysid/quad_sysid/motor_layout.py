@@ -19,30 +19,30 @@ from quad_sysid.motor_places import MOTORS, where_motors_are
 
 LAGS_S = (0.0, 0.01, 0.02, 0.04, 0.08, 0.15)
 DELAYS_S = (0.0, 0.005, 0.01, 0.02, 0.03, 0.04)
-"""What motors, airframes and telemetry have; the best pair is taken."""
+"""Lags and delays of motors, airframes and telemetry that are tried; the best pair counts."""
 STEP_S = 0.02
-"""Over which the rate's change is taken: longer than the gyro's noise, shorter than a motor."""
+"""Span of the rate's change: long against gyro noise, short against a motor's lag."""
 FINEST_S = 0.002
-"""A faster recording is thinned to this before."""
+"""Shortest sample interval; a faster recording is thinned."""
 CRASH = 5.0
-"""Robust standard deviations beyond which an angular acceleration is a crash, a hand or a landing
-rather than what the motors do: it counts as so large, or it would outweigh the whole flight."""
+"""Robust standard deviations to which angular accelerations are limited, so that a crash, a hand
+or a landing does not outweigh the whole flight."""
 BLOCKS = 8
-"""Parts of the recording in each of which the pattern is held against its nearest rival."""
+"""Parts of the recording in which the pattern is compared with its nearest rival."""
 MOST_BLOCKS = 0.75
 LEAST_SHARE = {'angular acceleration': 0.02, 'angle': 0.8}
-"""Less says nothing. In flight an angle follows the motors by chance, on a rig they hold it."""
+"""Least explained share; larger for an angle, which in flight follows the motors by chance."""
 FULL_PREFERRED = 1.3
-"""Motors are idle for an axis only where that explains so many times more: thrust that is not
-linear, and limits, let some motors seem to do less."""
+"""Factor by which idle motors must explain more to be accepted, since nonlinear thrust and limits
+let some motors seem weaker."""
 CLEARLY = 1.4
-"""A pattern is certain where it explains so many times its rival's share, and more in three
+"""Factor over its rival's share with which a pattern is certain, if it also explains more in three
 quarters of the parts."""
 ALIKE, NEAR = 0.85, 0.6
-"""Patterns whose signals correlate by NEAR are no rivals; those that besides explain ALIKE of the
-best one's share are the same to the data: the one the motors were driven along most is told."""
+"""Patterns whose signals correlate by NEAR are not rivals. If they also explain the share ALIKE of
+the best, the data cannot separate them, and the one along which the motors moved most counts."""
 CLEARLY_LESS = 0.5
-"""A mixer that explains less than this share of what the best pattern explains is doubted."""
+"""Share of the best pattern's explanation below which a mixer is in doubt."""
 MOST_MOTORS = 8
 PLUS = range(4)
 """Of a plus frame two motors are idle for roll and the other two for pitch; every propeller turns
@@ -55,13 +55,13 @@ class Pattern:
 
     axis: str
     signs: tuple[int, ...]
-    """Of each motor in the order given: 1, -1 or 0."""
+    """Sign of each motor in the given order: 1, -1 or 0."""
     share: float
-    """Of the response's variance that the signed sum explains, 0..1."""
+    """Share of the response's variance that the signed sum explains, 0..1."""
     rival_share: float
-    """Of the best other pattern."""
+    """Share of the best other pattern."""
     certain: bool
-    """Whether it is told apart from every other pattern."""
+    """Whether it is clearly better than every other pattern."""
     response: str
     """`angular acceleration` or `angle`."""
 
@@ -156,9 +156,9 @@ def share_of(
 
 
 def places(patterns: Sequence[Pattern]) -> tuple[dict[str, str], list[str]]:
-    """Where each of four motors stands, and what differs from the contract's layout, in words.
+    """Position of each of four motors, and differences from the contract's layout, in words.
 
-    By certain patterns alone, with the function of the polarity check in flight.
+    From certain patterns only, with the function of the polarity check in flight.
     """
     certain = [p for p in patterns if p.certain and len(p.signs) == len(MOTORS)]
     return where_motors_are({

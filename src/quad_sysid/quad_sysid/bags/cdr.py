@@ -327,7 +327,7 @@ def encode(
 
 
 def motor_order(names: Sequence[str]) -> tuple[int, ...]:
-    """Where motor_1..motor_4 stand among `names`; without names in this order."""
+    """Indices of motor_1..motor_4 in `names`; without names 0..3."""
     if not names:
         return 0, 1, 2, 3
     if sorted(names) != sorted(MOTOR_NAMES):

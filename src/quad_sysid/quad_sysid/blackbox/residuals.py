@@ -51,7 +51,7 @@ class ResidualTest:
     cross_lags: npt.NDArray[np.int64]
     """(2 M + 1,) -M..M; a positive lag is the input before the residual."""
     cross_correlation: FloatArray
-    """Of e(t) and u(t - lag), normalised."""
+    """Correlation of e(t) and u(t - lag), normalised."""
     cross_bound: float
     """Two-sided bound of one lag, z √(Σ ρ_e(k) ρ_u(k) / N) (Ljung 1999, eq. 16.67)."""
 

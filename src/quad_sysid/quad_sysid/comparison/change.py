@@ -34,7 +34,7 @@ class Estimate:
     """None where there is no ordinary standard error."""
     unit: str
     degrees: float = np.inf
-    """Of freedom of `std`."""
+    """Degrees of freedom of `std`."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class Change:
     value: float | None
     difference: float | None = None
     std: float | None = None
-    """Of the difference."""
+    """Standard error of the difference."""
     p_value: float | None = None
     """Probability of a difference as large without a change; None without an error."""
     changed: bool = False

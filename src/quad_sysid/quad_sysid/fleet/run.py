@@ -134,19 +134,19 @@ def write_table(rows: Sequence[Row], path: Path) -> Path:
 AHEAD = 4
 """Bags in the queue per worker: thousands need not all be described to the scheduler at once."""
 LOOK_S = 1.0
-"""How often it is looked whether any worker is left."""
+"""Interval at which the workers are counted, s."""
 ENDED = ('closing', 'closed', 'failed')
 """States of a process' keeper (Dask's nanny) that starts no worker any more."""
 SETTINGS = {
     'distributed.deploy.lost-worker-timeout': '1 day',  # a busy machine is slow to start it again
     'distributed.scheduler.allowed-failures': 0,  # a bag is tried again here, and by itself
 }
-"""Of Dask, for processes of this machine."""
+"""Settings of Dask for processes of this machine."""
 
 
 @dataclass(frozen=True)
 class Request:
-    """What is asked of a fleet."""
+    """Options of a fleet run."""
 
     folder: Path
     out: Path
@@ -268,7 +268,7 @@ def _rows(client: Any, todo: Sequence[Job], work: Callable[[Job], Row]) -> Itera
 
 
 def _done(client: Any, running: Sequence[Any]) -> Sequence[Any]:
-    """What is done, as soon as anything is; nothing where nobody will ever do it."""
+    """Finished tasks, as soon as there are any; none where no worker is left."""
     from distributed import TimeoutError as Pending
     from distributed import wait
 

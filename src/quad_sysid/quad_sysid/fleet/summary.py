@@ -49,7 +49,7 @@ class Drift:
     flights: int
     per_day: float
     std: float
-    """Of `per_day`."""
+    """Standard error of `per_day`."""
     p_value: float
     relative_pct: float
     """Drift over the whole time, % of the mean."""

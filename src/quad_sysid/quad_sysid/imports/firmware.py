@@ -1,4 +1,4 @@
-"""What logs of PX4 and ArduPilot share: messages of named fields, and a table of what is wanted.
+"""Common parts of PX4 and ArduPilot logs: messages of named fields, a table of streams.
 
 Both have body axes forward-right-down, world axes north-east-down and times in µs. No files.
 """
@@ -19,12 +19,12 @@ TOPICS = {
     'acceleration': '/imu/data linear_acceleration', 'attitude_setpoint': '/setpoint/attitude',
     'rate_setpoint': '/setpoint/rates', 'battery': '/battery',
 }
-"""Where a stream of ForeignLog stands in the bag."""
+"""Topic of each stream of ForeignLog."""
 LACKING = {
     'angles': 'no effects of the angle, no closed loop',
     'attitude_setpoint': 'no indirect approach, no closed loop',
     'rate_setpoint': 'the pictures lack the rate reference',
-    'battery': 'battery sag cannot be told',
+    'battery': 'no battery sag',
 }
 """What cannot be done without a stream."""
 NO_GAINS = "the controller's gains: no closed loop, no gain design"
@@ -34,7 +34,7 @@ FAST_ENOUGH = 0.5
 
 
 class Streams(TypedDict, total=False):
-    """What a ForeignLog takes of measurements and set-points."""
+    """Measurements and set-points of a ForeignLog."""
 
     rates: Stream
     angles: Stream
@@ -46,17 +46,17 @@ class Streams(TypedDict, total=False):
 
 @dataclass(frozen=True)
 class Wanted:
-    """A stream of the contract as one message holds it."""
+    """A stream of the contract in one message of the log."""
 
     name: str
-    """Of ForeignLog, a key of TOPICS."""
+    """Field of ForeignLog, a key of TOPICS."""
     message: str
     fields: tuple[str, ...]
     unit: str
     how: str
     """The conversion in words."""
     convert: Callable[[FloatArray], FloatArray] = np.asarray
-    """(n, k) of the fields to what ForeignLog takes."""
+    """(n, k) fields → values of the ForeignLog."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ class Content:
 def missing(
     wanted: Sequence[Wanted], found: Streams, gains: Mapping[str, float]
 ) -> tuple[str, ...]:
-    """What was not logged, with what cannot be done without it."""
+    """Streams that were not logged, with the consequences."""
     first = {one.name: one.message for one in reversed(wanted)}
     return (*(f'{first[name]}: {text}' for name, text in LACKING.items() if name not in found),
             *(() if gains else (NO_GAINS,)))

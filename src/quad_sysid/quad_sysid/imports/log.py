@@ -1,4 +1,4 @@
-"""A foreign log behind its reader: streams in SI units and our frames, and what became of what.
+"""A foreign log as read: streams in SI units and our frames, and the table of fields.
 
 Readers (px4.py, ardupilot.py, betaflight.py, columns.py) make it, to_bag.py lays it on one grid.
 No files.
@@ -32,7 +32,7 @@ class Stream:
 
 
 class Given(TypedDict, total=False):
-    """The commands of a log as ForeignLog takes them: one of the two."""
+    """The commands of a log: `control`, or `motors` with their mixer."""
 
     control: Stream
     motors: Stream
@@ -45,17 +45,17 @@ class Mapped:
 
     source: str
     unit: str
-    """In the log."""
+    """Unit in the log."""
     topic: str
-    """Of the contract, with the field."""
+    """Topic of the contract, with the field."""
     how: str
-    """Conversion written out."""
+    """The conversion in words."""
     rate_hz: float = 0.0
 
 
 @dataclass(frozen=True)
 class ForeignLog:
-    """What a log holds of the contract. Optional streams are None where it lacks them."""
+    """A log's content by the contract; streams that it lacks are None."""
 
     source: str
     kind: str
@@ -68,11 +68,11 @@ class ForeignLog:
     motors: Stream | None = None
     """(n, k) commands 0..1 in the log's own order."""
     mixer: Mixer | None = None
-    """What the motors do; None: what the motion shows."""
+    """Mixer of the motors; None: from the motion."""
     armed: Stream | None = None
-    """(n, 1) 1 where the motors follow the commands, 0 where they stand; None: they always do."""
+    """(n, 1) 1 where the motors follow the commands, 0 where they stand; None: always 1."""
     axes: tuple[str, ...] = AXES
-    """Those that were measured; the others' columns are 0."""
+    """Measured axes; the columns of the others are 0."""
     angles: Stream | None = None
     """(n, 3) roll, pitch, yaw, rad, FLU in ENU."""
     acceleration: Stream | None = None
@@ -84,14 +84,14 @@ class ForeignLog:
     battery: Stream | None = None
     """(n, 1) V."""
     gains: Mapping[str, float] = field(default_factory=dict)
-    """As /gains/active has them."""
+    """Gains by the names of /gains/active."""
     mapped: tuple[Mapped, ...] = ()
     missing: tuple[str, ...] = ()
-    """What the contract knows and this log lacks, with what cannot be done without it."""
+    """Missing streams with the consequences."""
     warnings: tuple[str, ...] = ()
     checks: tuple[str, ...] = ()
-    """What is odd about columns, for the report."""
+    """Doubts about columns, for the report."""
     faster: str = ''
-    """What to set in the firmware so that the next flight is logged fast enough."""
+    """Settings of the firmware with which the next flight is logged fast enough."""
     clock: tuple[str, ...] = ()
-    """What was done to the times before."""
+    """Repairs of the times so far."""

@@ -31,13 +31,13 @@ from quad_sysid.motor_places import MOTORS
 from quad_sysid.record import GainChange, Record, finite_runs
 
 MIDDLE_COMMAND = 0.5
-"""U1 that is written beside the command of an axis: the middle of the motors' range."""
+"""U1 beside the command of a single axis: the middle of the motors' range."""
 SLOW = 0.5
-"""A command logged at less than this share of the rates' rate is told."""
+"""Share of the rates' sample rate below which slow commands cause a warning."""
 BEYOND_LIMIT = 0.1
-"""Share of samples that no X frame's motors can give, up to which they are left out as gaps."""
+"""Largest share of samples beyond an X frame's motors that are left out as gaps."""
 TINY = 1e-6
-"""Of a normalised command: rounding."""
+"""Rounding of a normalised command."""
 LEAST_SAMPLES = 100
 SLOWEST_HZ = 50.0
 """A log of a flight controller below it shows neither the motors' lag nor the delay."""
@@ -49,14 +49,14 @@ EPOCH_S = 1e8
 
 @dataclass(frozen=True)
 class Imported:
-    """What became of a log."""
+    """An imported log."""
 
     path: Path
     log: ForeignLog
     record: Record
-    """As it was written."""
+    """The record as written."""
     told: tuple[str, ...]
-    """What was done to times and motors."""
+    """Repairs of times, and findings on motors."""
     warnings: tuple[str, ...]
 
 

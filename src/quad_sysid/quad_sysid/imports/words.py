@@ -26,7 +26,7 @@ def table(done: Imported) -> list[str]:
 
 
 def mapped(log: ForeignLog) -> list[str]:
-    """What of the log becomes what."""
+    """The table of fields: from the log, to the bag."""
     out = [f'{"from the log":<36} {"Hz":>6}  to the bag']
     for m in log.mapped:
         rate = f'{m.rate_hz:.4g}' if m.rate_hz else '-'

@@ -215,7 +215,7 @@ class Battery:
 
 @dataclass(frozen=True)
 class Content:
-    """What a bag holds."""
+    """Content and uses of a bag."""
 
     source: str
     topics: Topics

@@ -1,4 +1,4 @@
-"""What the grey box of one axis needs of a record, cut into unbroken stretches and windows."""
+"""Data of the grey box of one axis, in unbroken stretches and windows."""
 
 from __future__ import annotations
 

@@ -65,14 +65,14 @@ class Signals:
     command: FloatArray
     """Gain times the delayed command, before the lag, rad/s²."""
     change: FloatArray
-    """How fast the drive changes, rad/s³."""
+    """Rate of change of the drive, rad/s³."""
     lagged: FloatArray
     """The command behind delay and lag, normalised."""
     throttle: FloatArray
     """U1, normalised."""
     battery_v: FloatArray | None
     other_rates: tuple[FloatArray, FloatArray] | None
-    """Of the other two axes, in the order of AXES, rad/s."""
+    """Rates of the other two axes, in the order of AXES, rad/s."""
     other_commands: tuple[FloatArray, FloatArray]
     """Normalised."""
     time: FloatArray

@@ -95,10 +95,10 @@ class AxisModel:
     """(p, p) for the gyro filter as modelled (a parameter's `std` also contains the uncertainty
     of the filter's form); NaN rows for parameters without a standard error."""
     active_gains: Mapping[str, float] = field(default_factory=dict)
-    """What /gains/active said during the flight, all axes and loop constants."""
+    """Gains and loop constants of all axes from /gains/active during the flight."""
     mean_battery_v: float | None = None
     noise: NoiseEstimate | None = None
-    """Of the completed model."""
+    """Noise of the completed model."""
     trusted_band_rad_s: tuple[float, float] | None = None
     """Where the data support the model, rad/s."""
     plain: tuple[Parameter, ...] = ()

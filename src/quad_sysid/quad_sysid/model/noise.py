@@ -125,7 +125,7 @@ class Filter:
     transition: FloatArray
     process: FloatArray
     covariance: FloatArray
-    """Of the prediction, over the variance of the gyro noise."""
+    """Covariance of the prediction over the variance of the gyro noise."""
     output: FloatArray
     """From the states to the recorded rate."""
     after: float

@@ -32,7 +32,7 @@ from quad_sysid.pipeline.answer import ModelRow
 from quad_sysid.record import IOData, finite_runs
 
 ORDERS = (2, 3, 4)
-"""Of the plant B/F in the structures with a model of the noise apart."""
+"""Orders of the plant B/F in structures with a separate noise model."""
 NOISE_ORDER = 2
 RUNS_AWAY = 1e6
 """rad/s"""
@@ -103,7 +103,7 @@ class Fits:
     delay: int
     """Delay in samples by the lowest BIC."""
     order: int
-    """Of the plant B/F, by BJ's lowest BIC."""
+    """Order of the plant B/F, by BJ's lowest BIC."""
     nk: int
     """Delay of the other structures, alike: noise hides a small first coefficient from ARX."""
     refused: tuple[str, ...] = ()

@@ -1,4 +1,4 @@
-"""What base, completed model and black-box winner leave on the held-out segments, and under test.
+"""Residuals of base, completed model and selected black box on the held-out segments, with tests.
 
 Errors and innovations of the free run and the filter, whiteness, correlation with the command,
 spectrum with peaks, and the torque that a model seems to lack over time. The verdict on them is

@@ -34,7 +34,7 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Options:
-    """What a user may ask of an identification."""
+    """Options of an identification."""
 
     axes: tuple[str, ...] = ()
     """Empty: those that the segments excite, or all."""
@@ -167,7 +167,7 @@ def _joined(setpoints: Sequence[FloatArray | None], column: int) -> FloatArray |
 
 
 def _residuals(answer: AxisAnswer, data: AxisData, told: Findings) -> dict[str, Residual]:
-    """What the base, the completed model and the black-box winner leave on the held-out data."""
+    """Residuals of base, completed model and selected black box on the held-out data."""
     left = of_grey_box(data, told)
     if answer.selected is not None:
         winner = of_black_box(data, answer.rows[answer.selected].step_a.model)

@@ -1,6 +1,6 @@
-"""The paper's section 2.6 held against a record: filters, rates, bias, resonance, lost samples.
+"""The rules of the paper's section 2.6 on a record: filters, rates, bias, resonance, lost samples.
 
-Nothing is changed here; what is wrong is said.
+Nothing is changed here.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ BAND_HZ = 20.0 / (2.0 * np.pi)
 RULE = 5.0
 """Cut-off over the band, and sample rate over cut-off, at least."""
 WINDOW_S = 2.0
-"""Of the spectra, so that peaks of half a hertz stand apart."""
+"""Window of the spectra, which resolves peaks half a hertz apart."""
 PEAK = 6.0
 """Power of a peak over its surroundings that is worth a word, whatever its significance."""
 LOWEST_PEAK_HZ = 8.0

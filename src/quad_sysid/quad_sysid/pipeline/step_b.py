@@ -28,7 +28,7 @@ LEAST_FIT_PCT = 0.0
 
 @dataclass(frozen=True)
 class Flown:
-    """What one flight recorded under one set of gains, behind the loop that flew it."""
+    """One flight under one set of gains."""
 
     bag: str
     gains: CascadeGains
@@ -48,7 +48,7 @@ class Flown:
     held_out: bool
     """Whether the rows are validation segments."""
     offset: int
-    """Of the flight's first sample in the joined data."""
+    """Index of the flight's first sample in the joined data."""
     angle_lead_s: float = 0.0
     """Lead of the recorded angle over the integral of the recorded rate, s."""
 
@@ -84,7 +84,7 @@ def flown(records: Sequence[Record], axis: str) -> tuple[Flown, ...] | str:
 
 
 def gains_of_axis(record: Record, axis: str, time_s: float) -> dict[str, float]:
-    """What is known at a time of the gains and constants of one axis."""
+    """The known gains and constants of one axis at a time."""
     known = record.gains_at(time_s)
     return {name: value for name, value in known.items() if name.startswith(f'{axis}.')}
 

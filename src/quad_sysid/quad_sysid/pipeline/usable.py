@@ -125,7 +125,7 @@ def refusal(record: Record) -> str:
 
 
 LEAST_WINDOWS = 8
-"""Of 0.5 s, in which the training must be long enough for any fit."""
+"""Least number of training windows of 0.5 s for a fit."""
 AT_LIMIT = 1e-3
 """A motor this near to 0 or 1 is at its limit."""
 THROUGHOUT = 0.9

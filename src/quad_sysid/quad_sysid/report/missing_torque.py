@@ -254,7 +254,7 @@ def _signals(along: Along, part: Part, name: str, x: FloatArray) -> Signals:
 
 
 def _lag(along: Along, part: Part, x: FloatArray) -> Evaluate:
-    """Of the lag, over the signal it follows, on a record in which that signal is `x`."""
+    """The lag's factor over its signal, on a record in which that signal is `x`."""
     data, n = along.problem.data, x.size
     control = np.zeros((n, 4))
     control[:, 0] = x
