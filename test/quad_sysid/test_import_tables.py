@@ -13,7 +13,7 @@ import pytest
 
 from quad_sysid.bags import read_bag
 from quad_sysid.cli import main
-from quad_sysid.contract import control_from_motors, motors_from_wrench
+from quad_sysid.contract import MIXER_INVERSE, control_from_motors, motors_from_wrench
 from quad_sysid.errors import BadInputError
 from quad_sysid.imports.columns import ColumnOptions, parse_units, read_columns
 from quad_sysid.imports.mixers import mixer_of
@@ -286,7 +286,7 @@ STILL = {**FOUR, 'rate': ('bat',), 'angle': (), 'battery': None}
         ({'time': None}, 'needs --time'),
         ({'control': ()}, '--control and --motors'),
         ({**FOUR, 'motors': ('m1',)}, '4, 6 or 8'),
-        ({**FOUR, 'motors': ('m1', 'm2')}, '--mixer x: is one of four motors'),
+        ({**FOUR, 'motors': ('m1', 'm2')}, '--mixer x: is one of 4 motors'),
         ({'rate': (), 'angle': ()}, '--rate or --angle'),
         ({'rate': ('rate', 'm1')}, 'a column for each of pitch'),
         ({'axes': ('nose',)}, '--axis'),
@@ -453,21 +453,12 @@ def test_mixers(tmp_path):
     assert (plus.matrix @ np.array([0.5, 0.4, 0.5, 0.6]))[1] > 0.0
     assert plus.order is None
     file = tmp_path / 'mixer.yaml'
-    file.write_text('columns: {motor_1: c, motor_2: b, motor_3: a, motor_4: d}\n')
-    ordered = mixer_of(str(file), names)
-    assert ordered.order == (2, 1, 0, 3)
-    motors = np.array([0.1, 0.2, 0.3, 0.4])
-    np.testing.assert_allclose(
-        ordered.matrix @ motors, control_from_motors(motors[[2, 1, 0, 3]][None])[0], atol=1e-15
-    )
-    table = tmp_path / 'mixer.csv'
-    table.write_text('motor_1,c\nmotor_2,b\nmotor_3,a\nmotor_4,d\n')
-    assert mixer_of(str(table), names).order == ordered.order
+    file.write_text(f'matrix: {MIXER_INVERSE[:, [2, 1, 0, 3]].tolist()}')
+    assert mixer_of(str(file), names).order == (2, 1, 0, 3)
     for text, words in (
-        ('[1, 2]', 'columns and matrix'), ('matrix: [[1, 2]]', '4 rows'),
-        ('columns: {motor_1: c}', 'motor_2'), ('colums: {}', 'colums'), ('{', 'YAML'),
-        ('[' * 5000, 'is not YAML'), ('columns: ' + '9' * 5000, 'is not YAML'),
-        ('columns: {motor_1: x, motor_2: b, motor_3: a, motor_4: d}', '--motors'),
+        ('[1, 2]', 'matrix of numbers'), ('matrix: [[1, 2]]', '4 rows'), ('{', 'is not YAML'),
+        ('matrix: [[1], [2], [3], [4]]', 'one of 1 motors'), ('colums: {}', 'is not YAML with'),
+        ('[' * 5000, 'is not YAML'), ('matrix: [[.nan], [1], [1], [1]]', 'finite'),
     ):
         file.write_text(text)
         with pytest.raises(BadInputError, match=words):

@@ -270,11 +270,12 @@ def _check_ranges(
 
 
 def _column(
-    options: ColumnOptions, units: Mapping[str, Unit], name: str, values: FloatArray
+    options: ColumnOptions, units: Mapping[str, Unit], name: str, values: FloatArray,
+    degrees: str = 'deg',
 ) -> Column:
     unit = units[name]
     named = name in options.units or header_unit(name) == unit.name
-    return Column(str(options.file), name, unit, named, values)
+    return Column(str(options.file), name, unit, named, values, degrees)
 
 
 def _speed(units: Mapping[str, Unit], table: Table, names: tuple[str, ...]) -> float:
@@ -300,7 +301,8 @@ def _compared(
     for i, axis in enumerate(options.axes):
         columns = {
             role: None if values is None else
-            _column(options, units, getattr(options, role)[i], values[:, i])
+            _column(options, units, getattr(options, role)[i], values[:, i],
+                    'deg/s' if role == 'rate' else 'deg')
             for role, values in on_grid.items()
         }
         if columns['angle'] is not None:

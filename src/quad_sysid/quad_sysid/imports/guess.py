@@ -15,7 +15,12 @@ from pathlib import Path
 import numpy as np
 
 from quad_sysid.contract import AXES, FloatArray
-from quad_sysid.imports.plausible import HIGHEST_RATE_HZ, LOWEST_RATE_HZ, USUAL_RATE_HZ
+from quad_sysid.imports.plausible import (
+    HIGHEST_RATE_HZ,
+    LOWEST_RATE_HZ,
+    USUAL_RATE_HZ,
+    turn_factor,
+)
 from quad_sysid.imports.table import Table
 from quad_sysid.imports.units import DEGREE, UNITS, header_unit
 
@@ -43,7 +48,10 @@ AXIS_NAMES = (
     _named('yaw', 'psi', 'heading', 'r', '(?<![a-z])[gw]?z(?![a-z])', r'\[2\]'),
 )
 GYRO = _named('gyro', 'p', 'q', 'r', '(?<![a-z])g[xyz]')
-WINDOW_S = 0.2
+FEWEST = 50
+"""Samples of a rate or an angle that can be compared."""
+WHOLE_TURN = 6.3
+"""rad; an angle that goes further is in degrees, or counts its turns and may be scaled as well."""
 ALIKE = 0.5
 """Least correlation between an angle and its rate."""
 SMOOTH_TURN = 20.0
@@ -324,19 +332,13 @@ def _factor(
     """Correlation and size of an angle's change over the rate's integral, over short windows."""
     t, w = _known(seconds[rate], table.columns[rate])
     s, a = _known(seconds[angle], table.columns[angle])
-    if len(t) < 50 or len(s) < 50:
+    if min(len(t), len(s)) < FEWEST:
         return 0.0, 1.0
-    turned = np.concatenate(([0.0], np.cumsum(0.5 * (w[1:] + w[:-1]) * np.diff(t))))
-    edges = np.arange(max(t[0], s[0]), min(t[-1], s[-1]), WINDOW_S)
-    if len(edges) < 20:
-        return 0.0, 1.0
-    x, y = np.diff(np.interp(edges, t, turned)), np.diff(np.interp(edges, s, a))
-    usual = np.abs(y) < 10.0 * (np.median(np.abs(y)) + 1e-12)  # an angle that wraps jumps
-    x, y = x[usual], y[usual]
-    if not (len(x) > 10 and np.ptp(x) and np.ptp(y)):
-        return 0.0, 1.0
-    together = float(np.corrcoef(x, y)[0, 1])
-    return together, float(np.copysign(np.std(y) / np.std(x), together))
+    step = float(np.median(np.diff(t)))
+    grid = np.arange(max(t[0], s[0]), min(t[-1], s[-1]), step)
+    scale = DEGREE if np.ptp(a) > WHOLE_TURN else 1.0
+    found = turn_factor(np.interp(grid, t, w), scale * np.interp(grid, s, a), step)
+    return (found[0], found[1] / scale) if found else (0.0, 1.0)
 
 
 def _known(times: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:

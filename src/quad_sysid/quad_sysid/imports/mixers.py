@@ -9,26 +9,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import permutations
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import yaml
 
-from quad_sysid.bags.cdr import MOTOR_NAMES
 from quad_sysid.contract import AXES, MIXER_INVERSE, FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.motor_layout import Pattern
 
-PLUS: FloatArray = np.array(
-    [
-        [0.25, 0.25, 0.25, 0.25],
-        [0.0, -0.5, 0.0, 0.5],
-        [-0.5, 0.0, 0.5, 0.0],
-        [0.25, -0.25, 0.25, -0.25],
-    ]
-)
-"""U1..U4 from the motors front, right, rear, left of a plus frame (FLU: positive roll lifts the
-left, positive pitch lowers the nose; front and rear turn clockwise seen from above)."""
-PLUS.setflags(write=False)
 SHIPPED = Path(__file__).with_name('mixer_files')
 """Mixer files that are known by their name alone."""
 
@@ -87,66 +76,26 @@ def _signed_mean(pattern: Pattern) -> FloatArray:
 def mixer_of(name: str, columns: Sequence[str]) -> Mixer:
     """Mixer by name or file; raises BadInputError naming file and field.
 
-    A file is YAML with `columns: {motor_1: COL, …}` (the contract's motors by column) or
-    `matrix:` of 4 rows U1..U4 by as many columns as --motors has; or CSV with lines `motor_1,COL`.
+    A file is YAML with `matrix:` of 4 rows U1..U4 by as many columns as --motors has.
     """
-    if name in ('x', 'plus') and len(columns) != 4:
-        raise BadInputError(
-            f'--mixer {name}', 'is one of four motors', f'{len(columns)} columns in --motors',
-            'use --mixer auto, or a file with a matrix of 4 rows',
-        )
-    if name == 'x':
-        return Mixer('--mixer x', MIXER_INVERSE)
-    if name == 'plus':
-        return Mixer('--mixer plus', PLUS)
+    where = f'--mixer {name}'
     file = SHIPPED / f'{name}.yaml' if name in shipped() else Path(name)
     try:
-        text = file.read_text(encoding='utf-8')
+        content: Any = {'matrix': MIXER_INVERSE} if name == 'x' else yaml.safe_load(
+            file.read_text(encoding='utf-8'))
+        matrix = np.array(content['matrix'], dtype=float)
     except (OSError, UnicodeDecodeError) as error:
         raise BadInputError(
-            f'--mixer {name}', 'is not a mixer and cannot be read as a file',
-            remedy=f'use auto, x, plus, {", ".join(shipped())} or a YAML file with columns: or '
-            'matrix:',
+            where, 'is not a mixer and cannot be read as a file',
+            remedy=f'use auto, x, {", ".join(shipped())} or a YAML file with matrix:',
         ) from error
-    return _of_text(text, file, columns, name)
-
-
-def _of_text(text: str, file: Path, columns: Sequence[str], name: str) -> Mixer:
-    if file.suffix == '.csv':
-        pairs = [line.split(',', 1) for line in text.splitlines() if ',' in line]
-        return _by_columns({key.strip(): value.strip() for key, value in pairs}, columns, name)
-    try:
-        content = yaml.safe_load(text)
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise BadInputError(name, 'is not YAML', remedy='mend it') from error
-    if not isinstance(content, dict) or {*content} not in ({'columns'}, {'matrix'}):
-        raise BadInputError(
-            name, 'needs exactly one of the keys columns and matrix',
-            ', '.join(map(str, content)) if isinstance(content, dict) else type(content).__name__,
-            f'{SHIPPED / "crazyflie.yaml"} is an example',
-        )
-    if 'columns' in content:
-        return _by_columns(content['columns'], columns, name)
-    try:
-        matrix = np.array(content['matrix'], dtype=float)
-    except (TypeError, ValueError):
-        matrix = np.zeros(0)
-    if matrix.shape != (4, len(columns)) or not np.isfinite(matrix).all():
-        raise BadInputError(
-            name, f'matrix needs 4 rows of {len(columns)} finite numbers', remedy='mend it'
-        )
-    return Mixer(f'--mixer {name}', matrix)
-
-
-def _by_columns(mapping: object, columns: Sequence[str], source: str) -> Mixer:
-    if not isinstance(mapping, dict) or sorted(map(str, mapping)) != sorted(MOTOR_NAMES):
-        raise BadInputError(source, f'columns needs the keys {", ".join(MOTOR_NAMES)}', mapping)
-    given = [str(mapping[motor]) for motor in MOTOR_NAMES]
-    if sorted(given) != sorted(columns):
-        raise BadInputError(
-            source, 'columns names others than --motors', ', '.join(given),
-            f'--motors has {", ".join(columns)}',
-        )
-    matrix = np.zeros((4, 4))
-    matrix[:, [list(columns).index(column) for column in given]] = MIXER_INVERSE
-    return Mixer(f'--mixer {source}', matrix)
+    except (yaml.YAMLError, ValueError, TypeError, LookupError, RecursionError) as error:
+        raise BadInputError(where, 'is not YAML with a matrix of numbers',
+                            remedy=f'{SHIPPED / "crazyflie.yaml"} is an example') from error
+    if matrix.ndim != 2 or len(matrix) != 4 or not np.isfinite(matrix).all():
+        raise BadInputError(where, 'needs 4 rows of finite numbers, U1 to U4',
+                            remedy=f'{SHIPPED / "crazyflie.yaml"} is an example')
+    if matrix.shape[1] != len(columns):
+        raise BadInputError(where, f'is one of {matrix.shape[1]} motors',
+                            f'{len(columns)} columns in --motors', 'use --mixer auto')
+    return Mixer(where, matrix)

@@ -13,7 +13,7 @@ import numpy as np
 
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.errors import BadInputError
-from quad_sysid.imports.units import DEGREE, UNITS, Role, Unit
+from quad_sysid.imports.units import DEGREE, UNITS, Unit
 
 LOWEST_RATE_HZ, HIGHEST_RATE_HZ = 20.0, 20e3
 """Range of sample rates of flight controllers and rigs."""
@@ -44,6 +44,13 @@ class Column:
     """Whether the user named the unit."""
     values: FloatArray
     """(n,) in SI; NaN where a row is missing."""
+    degrees: str = 'deg'
+    """The unit of degrees of its kind."""
+
+    @property
+    def radians(self) -> str:
+        """The unit of radians of its kind."""
+        return self.degrees.replace('deg', 'rad')
 
     @property
     def where(self) -> str:
@@ -149,21 +156,14 @@ def contradicted(rates: FloatArray, angles: FloatArray, dt: float) -> list[str]:
 
 
 def check_reference(reference: Column, angle: Column) -> None:
-    """Refuse a reference (n,) that differs from the angle (n,) by a factor near 180/pi."""
+    """Refuse a reference (n,) whose size is that of the angle (n,) times 180/pi or its inverse."""
     known = np.isfinite(reference.values) & np.isfinite(angle.values)
     a, b = reference.values[known], angle.values[known]
     if len(a) < FEWEST_WINDOWS or not (np.ptp(a) and np.ptp(b)):
         return
     factor = float(np.std(b) / np.std(a))
-    if np.corrcoef(a, b)[0, 1] < TOGETHER or not _near(factor, DEGREE, 1.0 / DEGREE):
-        return
-    ways = _other_units((reference, 'angle', 'deg', 'rad'), (angle, 'angle', 'deg', 'rad'), factor)
-    blamed = next((column for column, _ in ways if not column.named), ways[0][0])
-    raise BadInputError(
-        blamed.where, f'{angle.name} moves {factor:.3g} times as far as {reference.name}',
-        f'{reference.name} in {reference.unit.name}, {angle.name} in {angle.unit.name}',
-        f'name its unit: {", or ".join(column.advise(unit.name) for column, unit in ways)}',
-    )
+    if np.corrcoef(a, b)[0, 1] >= TOGETHER:
+        _refuse(reference, angle, factor)
 
 
 def _near(factor: float, *wanted: float) -> bool:
@@ -189,44 +189,23 @@ def _over_windows(
     return turned[whole], changed[whole]
 
 
-def _refuse(rate: Column, angle: Column, factor: float) -> None:
-    """Raise BadInputError where the factor, angle over rate, is a wrong unit or sign."""
-    if _near(factor, DEGREE, 1.0 / DEGREE):
-        ways = _other_units(
-            (rate, 'rate', 'deg/s', 'rad/s'), (angle, 'angle', 'deg', 'rad'), factor
-        )
-    elif factor < 0.0 and _near(factor, 1.0):
-        ways = [(rate, rate.unit), (angle, angle.unit)]
+def _refuse(first: Column, angle: Column, factor: float) -> None:
+    """Raise BadInputError where the factor, angle over first, can only be a wrong unit or sign."""
+    if factor < 0.0 and _near(factor, 1.0):
+        ways: list[tuple[Column, str | float]] = [(c, -c.unit.factor) for c in (first, angle)]
+        remedy = 'one of them turns against forward-left-up'
+    elif _near(factor, DEGREE, 1.0 / DEGREE):
+        large, small = (angle, first) if abs(factor) > 1.0 else (first, angle)
+        degrees, radians = (large.degrees, small.radians) if factor > 0.0 else (-DEGREE, -1.0)
+        ways = [(large, degrees)] if large.unit.name != large.degrees else []
+        ways += [(small, radians)] if small.unit.name == small.degrees else []
+        ways = ways or [(first, first.unit.factor * factor)]
+        remedy = 'name its unit'
     else:
         return
     blamed = next((column for column, _ in ways if not column.named), ways[0][0])
-    advice = ', or '.join(
-        column.advise(unit.name if factor > 0.0 else -unit.factor) for column, unit in ways
-    )
     raise BadInputError(
-        blamed.where,
-        f'contradicts {(angle if blamed is rate else rate).name}: {angle.name} changes by '
-        f'{factor:.3g} times what {rate.name} gives',
-        f'{rate.name} in {rate.unit.name}, {angle.name} in {angle.unit.name}',
-        f'name its unit: {advice}' if factor > 0.0 else
-        f'one of them turns against forward-left-up: {advice}',
+        blamed.where, f'{angle.name} moves {factor:.3g} times as far as {first.name} says',
+        f'{first.name} in {first.unit.name}, {angle.name} in {angle.unit.name}',
+        f'{remedy}: {", or ".join(column.advise(unit) for column, unit in ways)}',
     )
-
-
-def _other_units(
-    below: tuple[Column, Role, str, str], above: tuple[Column, Role, str, str], factor: float
-) -> list[tuple[Column, Unit]]:
-    """Units that would correct a factor near pi/180 or 180/pi between two columns.
-
-    Each column comes with its role, its unit of degrees and that of radians; `factor` is the size
-    of the second over the first.
-    """
-    small = _near(factor, DEGREE)
-    ways = []
-    for (column, role, degrees, radians), to_degrees in ((below, small), (above, not small)):
-        name = degrees if to_degrees else radians
-        if to_degrees or column.unit.name == degrees:
-            ways.append((column, Unit(name, *UNITS[role][name])))
-    return [way for way in ways if way[0].unit.name != way[1].name] or [
-        (below[0], Unit(f'{below[0].unit.factor * factor:.6g}', below[0].unit.factor * factor))
-    ]
