@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,11 +16,13 @@ from scipy.signal import savgol_filter
 
 from quad_sysid.bags import write_bag
 from quad_sysid.discover.accept import judge
-from quad_sysid.discover.search import search
+from quad_sysid.discover.search import Found, Scored, search
 from quad_sysid.effects import EFFECTS
 from quad_sysid.estimate.fit import Problem
 from quad_sysid.estimate.stored import readings
 from quad_sysid.model.data import AxisData
+from quad_sysid.model.effect import Part
+from quad_sysid.model.plant import Structure
 
 DT = 0.01
 FINE = 10
@@ -161,3 +164,16 @@ def test_an_effect_of_another_package_goes_all_the_way(tmp_path):
     asked = ('design-excitation', '--separate', 'acme_cogging', 'pendulum_stiffness', '--model',
              'out/model.json', '--axis', 'roll', '--seconds', '20')
     assert 'acme_cogging' in run('quad_sysid.cli', *asked)
+
+
+def test_variants_of_one_name_are_one_explanation():
+    def scored(score, *effects):
+        return Scored(SimpleNamespace(structure=Structure(tuple(map(Part, effects)))), score)
+
+    springs = [e for e in EFFECTS if e.name == 'pendulum_stiffness']
+    cubic = next(e for e in EFFECTS if e.name == 'cubic_stiffness')
+    first, *others = springs
+    alike = scored(-0.3, first), *(scored(-0.4, other) for other in others)
+    found = Found(None, (scored(0.0, cubic), *alike), {}, 0)
+    assert len(springs) > 1
+    assert found.best is alike[0].fit

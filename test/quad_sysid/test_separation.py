@@ -203,5 +203,5 @@ def test_flown_for_real_the_right_one_is_surer_than_with_the_plain_prbs(springs)
     best = [part for part in schedule_of(springs).parts if part.role == 'train']
     plain = [replace(springs.plain.excitation.part, duration_s=SECONDS)]
     surer, before = ([probability(parts, seed) for seed in (0, 2)] for parts in (best, plain))
-    assert min(surer) > 0.95
+    assert min(surer) > 0.9
     assert np.mean(before) < np.mean(surer) - 0.1

@@ -41,6 +41,11 @@ class Scored:
     fit: Fit
     score: float
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of its effects, sorted: variants of one name are one explanation."""
+        return tuple(sorted(part.effect.name for part in self.fit.structure.parts))
+
 
 @dataclass(frozen=True)
 class Found:
@@ -53,8 +58,12 @@ class Found:
 
     @property
     def best(self) -> Fit:
-        """The most probable one."""
-        return self.all[0].fit
+        """The most probable variant of the most probable set of names."""
+        shares: Counter[tuple[str, ...]] = Counter()
+        for one, p in zip(self.all, self.probabilities(), strict=True):
+            shares[one.names] += float(p)
+        names = max(shares, key=lambda key: shares[key])
+        return next(one.fit for one in self.all if one.names == names)
 
     def probabilities(self) -> FloatArray:
         """Posterior of each fitted structure, given the training segments."""
