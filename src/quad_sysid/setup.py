@@ -26,7 +26,7 @@ setup(
     name=PACKAGE,
     version='0.2.0',
     packages=find_packages(),
-    package_data={PACKAGE: ['py.typed', '**/*.yaml', '**/*.json']},
+    package_data={PACKAGE: ['py.typed', '*.pyi', '**/*.yaml', '**/*.json']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
         (f'share/{PACKAGE}', ['package.xml']),

@@ -10,7 +10,7 @@ import pytest
 
 from quad_sysid.cli import main
 from quad_sysid.estimate.stored import estimate_of
-from quad_sysid.exports.files import linear_model, to_control
+from quad_sysid.exports.files import matrices, to_control
 from quad_sysid.model import AxisModel, Parameter
 from quad_sysid.report.model_file import save_models
 
@@ -45,12 +45,12 @@ def respond(a, b, c, points):
 
 
 def test_both_forms_have_the_response_of_the_formula(model):
-    found, omega = linear_model(model), np.array([0.5, 3.0, 10.0, 30.0])
-    continuous = respond(found.a, found.b, found.c, 1j * omega)
-    continuous *= np.exp(-1j * omega * found.delay_s)
+    found, omega = matrices(model), np.array([0.5, 3.0, 10.0, 30.0])
+    continuous = respond(found['A'], found['B'], found['C'], 1j * omega)
+    continuous *= np.exp(-1j * omega * found['delay_s'])
     np.testing.assert_allclose(continuous, expected(omega), rtol=1e-9)
     z = np.exp(1j * omega * DT)
-    discrete = respond(found.a_discrete, found.b_discrete, found.c_discrete, z)
+    discrete = respond(found['Ad'], found['Bd'], found['Cd'], z)
     hold = (1 - 1 / z) / (1j * omega * DT)
     # a held command adds its hold, and aliases little this far below 785 rad/s
     np.testing.assert_allclose(discrete, expected(omega) * hold, rtol=2e-3)
@@ -59,14 +59,14 @@ def test_both_forms_have_the_response_of_the_formula(model):
 def test_python_control_has_the_same_system(model, stored, tmp_path):
     pytest.importorskip('control')
     system = to_control(model)
-    found = linear_model(model)
+    found = matrices(model)
     assert system.dt == DT
-    np.testing.assert_array_equal(system.A, found.a_discrete)
+    np.testing.assert_array_equal(system.A, found['Ad'])
     out = tmp_path / 'aircraft.py'
     assert main(['export', str(stored), '--to', 'control', '--out', str(out), '--quiet']) == 0
     again = runpy.run_path(str(out))['axes']['roll']
-    np.testing.assert_allclose(again.A, found.a_discrete, rtol=1e-15)
-    np.testing.assert_allclose(again.C, found.c_discrete, rtol=1e-15)
+    np.testing.assert_allclose(again.A, found['Ad'], rtol=1e-15)
+    np.testing.assert_allclose(again.C, found['Cd'], rtol=1e-15)
     assert again.input_labels == ['command']
     assert 'coulomb_friction.torque = 0.16 rad/s²' in out.read_text()
 
@@ -77,9 +77,9 @@ def test_matlab(model, stored, tmp_path, capsys):
     assert main(['export', str(stored), '--to', 'mat']) == 0
     assert 'model_export.mat' in capsys.readouterr().out
     content = loadmat(tmp_path / 'model_export.mat', squeeze_me=True, simplify_cells=True)
-    roll, found = content['roll'], linear_model(model)
-    np.testing.assert_allclose(roll['A'], found.a)
-    np.testing.assert_allclose(np.reshape(roll['Bd'], (-1, 1)), found.b_discrete)
+    roll, found = content['roll'], matrices(model)
+    np.testing.assert_allclose(roll['A'], found['A'])
+    np.testing.assert_allclose(np.reshape(roll['Bd'], (-1, 1)), found['Bd'])
     assert roll['delay_s'] == BASE['delay']
     assert roll['base']['gain'] == BASE['gain']
     assert roll['effects']['coulomb_friction']['torque'] == 0.16

@@ -19,29 +19,13 @@ def generate_launch_description() -> LaunchDescription:
     """One node with the shipped parameters and the arguments on top."""
     config = Path(get_package_share_directory('quad_sysid')) / 'config' / 'excitation.yaml'
     shipped = yaml.safe_load(config.read_text(encoding='utf-8'))['excitation']['ros__parameters']
-    schedule = ParameterValue(LaunchConfiguration('schedule'), value_type=str)
-    return LaunchDescription(
-        [
-            DeclareLaunchArgument('schedule', default_value='schedule_rig'),
-            DeclareLaunchArgument('autostart', default_value='false'),
-            DeclareLaunchArgument('namespace', default_value=''),
-            DeclareLaunchArgument('config', default_value=str(config)),
-            Node(
-                package='quad_sysid',
-                executable='excitation',
-                name='excitation',
-                namespace=LaunchConfiguration('namespace'),
-                output='screen',
-                parameters=[
-                    shipped,
-                    LaunchConfiguration('config'),
-                    {
-                        'schedule': schedule,
-                        'autostart': ParameterValue(
-                            LaunchConfiguration('autostart'), value_type=bool
-                        ),
-                    },
-                ],
-            ),
-        ]
-    )
+    defaults = {'schedule': 'schedule_rig', 'autostart': 'false', 'namespace': '',
+                'config': str(config)}
+    given = {name: LaunchConfiguration(name) for name in defaults}
+    own = {'schedule': ParameterValue(given['schedule'], value_type=str),
+           'autostart': ParameterValue(given['autostart'], value_type=bool)}
+    return LaunchDescription([
+        *(DeclareLaunchArgument(name, default_value=value) for name, value in defaults.items()),
+        Node(package='quad_sysid', executable='excitation', name='excitation', output='screen',
+             namespace=given['namespace'], parameters=[shipped, given['config'], own]),
+    ])

@@ -22,36 +22,24 @@ from launch_ros.substitutions import ExecutableInPackage
 
 def generate_launch_description() -> LaunchDescription:
     """Describe the virtual STM32 and rig.launch.py on its pseudo-terminal."""
-    stm32 = [
-        ExecutableInPackage(package='quad_bridge', executable='virtual_stm32'),
-        '--profile', LaunchConfiguration('profile'),
-        '--link', LaunchConfiguration('link'),
-    ]  # fmt: skip
-    socket = [LaunchConfiguration('link'), '.lockstep']
-    lockstep = LaunchConfiguration('lockstep')
+    defaults = {'profile': 'demo_rig', 'link': 'stm32', 'folder': '.', 'auto_update': 'false',
+                'lockstep': 'false'}
+    given = {name: LaunchConfiguration(name) for name in defaults}
+    executable = ExecutableInPackage(package='quad_bridge', executable='virtual_stm32')
+    stm32 = [executable, '--profile', given['profile'], '--link', given['link']]
+    socket, lockstep = [given['link'], '.lockstep'], given['lockstep']
     rig = Path(get_package_share_directory('quad_tuning')) / 'launch' / 'rig.launch.py'
-    return LaunchDescription(
-        [
-            DeclareLaunchArgument('profile', default_value='demo_rig'),
-            DeclareLaunchArgument('link', default_value='stm32'),
-            DeclareLaunchArgument('folder', default_value='.'),
-            DeclareLaunchArgument('auto_update', default_value='false'),
-            DeclareLaunchArgument('lockstep', default_value='false'),
-            ExecuteProcess(cmd=stm32, output='screen', condition=UnlessCondition(lockstep)),
-            ExecuteProcess(
-                cmd=[*stm32, '--lockstep', socket],
-                output='screen',
-                condition=IfCondition(lockstep),
-            ),
-            SetEnvironmentVariable('QUAD_LOCKSTEP', socket, condition=IfCondition(lockstep)),
-            IncludeLaunchDescription(
-                PythonLaunchDescriptionSource(str(rig)),
-                launch_arguments={
-                    'port': LaunchConfiguration('link'),
-                    'folder': LaunchConfiguration('folder'),
-                    'auto_update': LaunchConfiguration('auto_update'),
-                    'schedule': 'schedule_demo',
-                }.items(),
-            ),
-        ]
-    )
+    return LaunchDescription([
+        *(DeclareLaunchArgument(name, default_value=value) for name, value in defaults.items()),
+        ExecuteProcess(cmd=stm32, output='screen', condition=UnlessCondition(lockstep)),
+        ExecuteProcess(cmd=[*stm32, '--lockstep', socket], output='screen',
+                       condition=IfCondition(lockstep)),
+        SetEnvironmentVariable('QUAD_LOCKSTEP', socket, condition=IfCondition(lockstep)),
+        IncludeLaunchDescription(
+            PythonLaunchDescriptionSource(str(rig)),
+            launch_arguments={
+                'port': given['link'], 'folder': given['folder'],
+                'auto_update': given['auto_update'], 'schedule': 'schedule_demo',
+            }.items(),
+        ),
+    ])

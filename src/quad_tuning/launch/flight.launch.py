@@ -15,45 +15,25 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
+BRIDGE = {'port': '/dev/ttyACM0', 'key_file': '', 'folder': '.', 'namespace': ''}
+"""Arguments that are handed on, and their defaults."""
+
 
 def generate_launch_description() -> LaunchDescription:
     """Describe the nodes with the YAML files of their packages."""
     bridge = Path(get_package_share_directory('quad_bridge')) / 'launch' / 'bridge.launch.py'
     config = Path(get_package_share_directory('quad_sysid')) / 'config' / 'identification.yaml'
     shipped = yaml.safe_load(config.read_text(encoding='utf-8'))
-    namespace = LaunchConfiguration('namespace')
-    return LaunchDescription(
-        [
-            DeclareLaunchArgument('port', default_value='/dev/ttyACM0'),
-            DeclareLaunchArgument('key_file', default_value=''),
-            DeclareLaunchArgument('folder', default_value='.'),
-            DeclareLaunchArgument('namespace', default_value=''),
-            DeclareLaunchArgument('auto_update', default_value='false'),
-            IncludeLaunchDescription(
-                PythonLaunchDescriptionSource(str(bridge)),
-                launch_arguments={
-                    'port': LaunchConfiguration('port'),
-                    'key_file': LaunchConfiguration('key_file'),
-                    'folder': LaunchConfiguration('folder'),
-                    'namespace': namespace,
-                    'log': 'true',
-                    'record': 'false',
-                }.items(),
-            ),
-            Node(
-                package='quad_sysid',
-                executable='identification',
-                name='identification',
-                namespace=namespace,
-                output='screen',
-                parameters=[
-                    shipped['identification']['ros__parameters'],
-                    {
-                        'auto_update': ParameterValue(
-                            LaunchConfiguration('auto_update'), value_type=bool
-                        )
-                    },
-                ],
-            ),
-        ]
-    )
+    defaults = {**BRIDGE, 'auto_update': 'false'}
+    handed_on = {name: LaunchConfiguration(name) for name in BRIDGE}
+    update = ParameterValue(LaunchConfiguration('auto_update'), value_type=bool)
+    return LaunchDescription([
+        *(DeclareLaunchArgument(name, default_value=value) for name, value in defaults.items()),
+        IncludeLaunchDescription(
+            PythonLaunchDescriptionSource(str(bridge)),
+            launch_arguments={**handed_on, 'log': 'true', 'record': 'false'}.items(),
+        ),
+        Node(package='quad_sysid', executable='identification', name='identification',
+             namespace=handed_on['namespace'], output='screen',
+             parameters=[shipped['identification']['ros__parameters'], {'auto_update': update}]),
+    ])

@@ -5,52 +5,32 @@
 
 from pathlib import Path
 
-import yaml
 from ament_index_python.packages import get_package_share_directory
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration
-from launch_ros.actions import Node
-from launch_ros.parameter_descriptions import ParameterValue
 
-HANDED_ON = ('port', 'key_file', 'folder', 'namespace', 'auto_update')
+FLIGHT = {'port': '/dev/ttyACM0', 'key_file': '', 'folder': '.', 'namespace': '',
+          'auto_update': 'false'}
+EXCITATION = {'schedule': 'schedule_rig', 'autostart': 'false', 'namespace': ''}
+"""Arguments of what is included, and their defaults."""
+
+
+def included(package: str, name: str, arguments: dict[str, str]) -> IncludeLaunchDescription:
+    """Hand the arguments on to a launch file."""
+    path = Path(get_package_share_directory(package)) / 'launch' / f'{name}.launch.py'
+    given = {argument: LaunchConfiguration(argument) for argument in arguments}
+    return IncludeLaunchDescription(
+        PythonLaunchDescriptionSource(str(path)), launch_arguments=given.items()
+    )
 
 
 def generate_launch_description() -> LaunchDescription:
     """Describe flight.launch.py and the excitation node."""
-    flight = Path(get_package_share_directory('quad_tuning')) / 'launch' / 'flight.launch.py'
-    config = Path(get_package_share_directory('quad_sysid')) / 'config' / 'excitation.yaml'
-    shipped = yaml.safe_load(config.read_text(encoding='utf-8'))
-    schedule = ParameterValue(LaunchConfiguration('schedule'), value_type=str)
-    return LaunchDescription(
-        [
-            DeclareLaunchArgument('port', default_value='/dev/ttyACM0'),
-            DeclareLaunchArgument('key_file', default_value=''),
-            DeclareLaunchArgument('folder', default_value='.'),
-            DeclareLaunchArgument('namespace', default_value=''),
-            DeclareLaunchArgument('auto_update', default_value='false'),
-            DeclareLaunchArgument('schedule', default_value='schedule_rig'),
-            DeclareLaunchArgument('autostart', default_value='false'),
-            IncludeLaunchDescription(
-                PythonLaunchDescriptionSource(str(flight)),
-                launch_arguments={name: LaunchConfiguration(name) for name in HANDED_ON}.items(),
-            ),
-            Node(
-                package='quad_sysid',
-                executable='excitation',
-                name='excitation',
-                namespace=LaunchConfiguration('namespace'),
-                output='screen',
-                parameters=[
-                    shipped['excitation']['ros__parameters'],
-                    {
-                        'schedule': schedule,
-                        'autostart': ParameterValue(
-                            LaunchConfiguration('autostart'), value_type=bool
-                        ),
-                    },
-                ],
-            ),
-        ]
-    )
+    defaults = FLIGHT | EXCITATION
+    return LaunchDescription([
+        *(DeclareLaunchArgument(name, default_value=value) for name, value in defaults.items()),
+        included('quad_tuning', 'flight', FLIGHT),
+        included('quad_sysid', 'excitation', EXCITATION),
+    ])

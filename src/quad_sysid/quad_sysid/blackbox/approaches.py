@@ -11,8 +11,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from quad_sysid.blackbox.arx import arx
 from quad_sysid.blackbox.descent import without
@@ -99,6 +101,9 @@ WHITENED = 3
 """Rounds of fitting, each behind a filter that whitens what the one before left."""
 MAX_ITERATIONS = 40
 TOLERANCE = 1e-3
+"""Of N ln V, by which the last step of a descent may still have lowered it."""
+BEYOND = 1e6
+"""Error, rad/s, that stands for an unstable loop."""
 
 
 @dataclass(frozen=True)
@@ -162,13 +167,14 @@ def indirect(
         errors = [e for e, _ in _errors(model, z, controller, np.ones(1)) or ()]
         n = sum(e.size for e in errors)
         ar = whitener(autocovariance(errors, min(AR_ORDER_MAX, n // 10)), n)
-    parts = _errors(model, z, controller, ar) or []
-    hessian, _, sse, rows = _sums(parts, nb + nf)
-    scale = np.sqrt(np.diag(hessian))
-    spread = np.linalg.pinv(hessian / np.outer(scale, scale), hermitian=True, rcond=1e-14)
+    parts = _errors(model, z, controller, ar) or ()
+    e, gradient = (np.concatenate(part) for part in zip(*parts, strict=True))
+    scale = np.linalg.norm(gradient, axis=0)
+    spread = np.linalg.pinv(gradient.T @ gradient / np.outer(scale, scale), hermitian=True,
+                            rcond=1e-14)
     return replace(
         model, converged=converged, iterations=iterations, samples=n,
-        covariance=sse / (rows - nb - nf) * spread / np.outer(scale, scale),
+        covariance=float(e @ e) / (e.size - nb - nf) * spread / np.outer(scale, scale),
         loss=sum(float(e @ e) for e in errors) / n,
         noise_variance=sum(float(e @ e) for e in errors) / (n - nb - nf),
     )
@@ -243,37 +249,27 @@ def _errors(
 def _descend(
     model: Model, z: IOData, controller: LinearController, ar: FloatArray
 ) -> tuple[Model, bool, int]:
-    """Gauss-Newton with halved steps; the model, whether it converged, iterations."""
-    p = model.parameters.size
-    parts = _errors(model, z, controller, ar)
-    for iteration in range(1, MAX_ITERATIONS + 1):
-        if parts is None:
-            return model, False, iteration
-        hessian, slope, sse, rows = _sums(parts, p)
-        scale = np.sqrt(np.maximum(np.diag(hessian), np.finfo(float).tiny))
-        step = np.linalg.lstsq(hessian / np.outer(scale, scale), slope / scale, rcond=1e-13)[0]
-        if rows * float(step @ (slope / scale)) <= TOLERANCE * sse:
-            return model, True, iteration
-        length, ahead, then = 1.0, model, None
-        while length > 1e-4:
-            theta = model.parameters - length * step / scale
-            b, f = theta[: p - model.F.size + 1], theta[p - model.F.size + 1 :]
-            ahead = replace(model, B=delayed(b, model.nk), F=monic(f))
-            then = _errors(ahead, z, controller, ar)
-            if then is not None and _sums(then, p)[2] < sse:
-                break
-            length *= 0.5
-        else:
-            return model, rows * float(step @ (slope / scale)) <= 1e2 * TOLERANCE * sse, iteration
-        model, parts = ahead, then
-    return model, False, MAX_ITERATIONS
+    """The model at the nearest minimum, whether that was reached, and in how many steps."""
+    nb = model.B.size - model.nk
 
+    def at(theta: FloatArray) -> Model:
+        return replace(model, B=delayed(theta[:nb], model.nk), F=monic(theta[nb:]))
 
-def _sums(parts: Errors, p: int) -> tuple[FloatArray, FloatArray, float, int]:
-    """JᵀJ, Jᵀe, eᵀe and the number of rows."""
-    hessian = sum((j.T @ j for _, j in parts), np.zeros((p, p)))
-    slope = sum((j.T @ e for e, j in parts), np.zeros(p))
-    return hessian, slope, sum(float(e @ e) for e, _ in parts), sum(e.size for e, _ in parts)
+    @lru_cache(maxsize=4)
+    def judged(theta: bytes) -> tuple[FloatArray, FloatArray]:
+        parts = _errors(at(np.frombuffer(theta)), z, controller, ar)
+        if parts is None:  # an unstable loop: a step that is taken back
+            return np.full(rows, BEYOND), np.zeros((rows, model.parameters.size))
+        return np.concatenate([e for e, _ in parts]), np.concatenate([j for _, j in parts])
+
+    start = model.parameters
+    rows = sum(e.size for e, _ in _errors(model, z, controller, ar) or ())
+    found = least_squares(
+        lambda x: judged(x.tobytes())[0], start, lambda x: judged(x.tobytes())[1], method='trf',
+        x_scale='jac', ftol=TOLERANCE / max(rows, 1), xtol=None, gtol=None,
+        max_nfev=MAX_ITERATIONS,
+    )
+    return at(found.x), bool(found.status > 0), int(found.nfev)
 
 
 def _sum(a: FloatArray, b: FloatArray) -> FloatArray:

@@ -96,7 +96,8 @@ def descend(model: Model, point: Point, z: IOData, bar: float = math.inf) -> Mod
             break
         if iteration > PATIENCE and sum_of_squares(point) - PATIENCE * promised > bar * rows:
             break
-        bent = None if promised <= SLOW * before else _inside(curvature, free)
+        onto = np.eye(curvature.shape[0]) if free is None else free @ free.T
+        bent = None if promised <= SLOW * before else onto @ curvature @ onto
         ahead = _advance(model, local, z, bent)
         if ahead is None:
             converged = rows * promised <= 100.0 * TOLERANCE * sum_of_squares(point)
@@ -125,10 +126,6 @@ def _confined(point: Point, free: FloatArray | None) -> Point:
     return replace(
         point, hessian=onto @ point.hessian @ onto + stiff * beside, slope=onto @ point.slope
     )
-
-
-def _inside(curvature: FloatArray, free: FloatArray | None) -> FloatArray:
-    return curvature if free is None else free @ free.T @ curvature @ free @ free.T
 
 
 def _advance(
@@ -280,8 +277,7 @@ def pulled(model: Model) -> Model:
     c, f = _pulled(model.C), _pulled(model.F)
     if c is model.C and f is model.F:
         return model
-    theta = np.concatenate((model.A[1:], model.B[model.nk :], c[1:], model.D[1:], f[1:]))
-    return model.with_parameters(theta)
+    return replace(model, C=c, F=f)
 
 
 def on_edge(model: Model) -> tuple[str, ...]:
@@ -329,7 +325,8 @@ def _kept(poly: FloatArray, step: FloatArray) -> FloatArray | None:
         rest = np.ones(1)
         for factor, _ in factors[:i] + factors[i + 1 :]:
             rest = np.convolve(rest, factor)
-        inner = np.real(np.poly([z for z in roots if _elsewhere(z, edge)]))
+        inside = [z for z in roots if z not in edge and np.conj(z) not in edge]
+        inner = np.real(np.poly(inside))
         rest = np.convolve(rest, np.atleast_1d(inner))
         outward.append(_tail(np.convolve(rest, factors[i][1]), poly.size))
         if root.imag > 0.0:
@@ -354,11 +351,6 @@ def _factor(root: complex) -> tuple[FloatArray, FloatArray]:
         np.array([1.0, -2.0 * radius * turn, radius**2]),
         np.array([0.0, -2.0 * turn, 2.0 * radius]),
     )
-
-
-def _elsewhere(root: complex, edge: FloatArray) -> bool:
-    """Whether the root is none of those at the edge, nor the conjugate of one."""
-    return not any(root in (one, np.conj(one)) for one in edge)
 
 
 def _tail(poly: FloatArray, size: int, shift: int = 0) -> FloatArray:

@@ -203,8 +203,8 @@ def frequency_response(model: Model, w: FloatArray) -> FrequencyResponse:
             grid[~inside][0] if grid.ndim == 1 else f'shape {grid.shape}',
         )
     q = np.exp(-1j * grid * model.dt)
-    a, b, f = (_at(poly, q) for poly in (model.A, model.B, model.F))
-    response = b / (a * f)
+    a, b, f = (np.polynomial.polynomial.polyval(q, poly) for poly in (model.A, model.B, model.F))
+    response = np.asarray(b / (a * f), dtype=complex)
     covariance = None
     if model.covariance is not None:
         powers = [
@@ -217,11 +217,6 @@ def frequency_response(model: Model, w: FloatArray) -> FrequencyResponse:
         parts = np.stack((gradient.real, gradient.imag), axis=1)
         covariance = parts @ model.covariance @ np.swapaxes(parts, 1, 2)
     return FrequencyResponse(w=grid, response=response, covariance=covariance)
-
-
-def _at(poly: FloatArray, q: ComplexArray) -> ComplexArray:
-    """Value of a polynomial in q⁻¹ at q⁻¹ = `q`."""
-    return np.asarray(np.polynomial.polynomial.polyval(q, poly), dtype=complex)
 
 
 def _powers(q: ComplexArray, exponents: range) -> ComplexArray:

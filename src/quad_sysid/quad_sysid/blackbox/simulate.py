@@ -80,14 +80,8 @@ def predict(model: Model, z: IOData, horizon: float = 1) -> FloatArray:
         return yhat
     if not horizon >= 1 or horizon != int(horizon):
         raise BadInputError('predict', 'horizon must be an integer >= 1 or math.inf', horizon)
-    impulse = np.zeros(int(horizon))
-    impulse[0] = 1.0
-    h = filter_signal(model.C, np.convolve(model.A, model.D), impulse)
-    for part in one_step_errors(model, z):
-        error = np.convolve(h, part.errors)[: part.errors.size]
-        stop = part.start + error.size
-        yhat[part.start : stop] = z.y[part.start : stop] - error
-    return yhat
+    *_, errors = horizon_errors(model, z, int(horizon))
+    return np.asarray(z.y - errors)
 
 
 def horizon_errors(model: Model, z: IOData, horizon: int) -> Iterator[FloatArray]:
@@ -96,9 +90,7 @@ def horizon_errors(model: Model, z: IOData, horizon: int) -> Iterator[FloatArray
     One pass over the data for all horizons, since each adds one term to the one before.
     """
     parts = one_step_errors(model, z)
-    impulse = np.zeros(horizon)
-    impulse[0] = 1.0
-    h = filter_signal(model.C, np.convolve(model.A, model.D), impulse)
+    h = filter_signal(model.C, np.convolve(model.A, model.D), np.eye(1, horizon)[0])
     error = np.full(z.y.size, np.nan)
     for part in parts:
         error[part.start : part.start + part.errors.size] = 0.0

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import islice
+from typing import Any
 
 import numpy as np
 
@@ -70,8 +71,7 @@ def stabilised(model: Model) -> Model:
     c, f = inside(model.C), inside(model.F)
     if c is model.C and f is model.F:
         return model
-    theta = np.concatenate((model.A[1:], model.B[model.nk :], c[1:], model.D[1:], f[1:]))
-    return model.with_parameters(theta)
+    return replace(model, C=c, F=f)
 
 
 def inside(poly: FloatArray) -> FloatArray:
@@ -108,7 +108,9 @@ def oe_starts(ho: HighOrder, nb: int, nf: int) -> Iterator[Model]:
     for b, f in islice(plants, 2):
         yield _model(ho, B=b, F=f)
     if nb > 1 and nf > 1:
-        b, f = _steiglitz_mcbride(_differenced(ho.data), nb - 1, nf - 1, ho.model.nk)
+        z = ho.data  # in its changes a drift is small
+        changes = [np.diff(np.column_stack((z.y[i:j], z.u[i:j])), axis=0) for i, j in z.segments]
+        b, f = _steiglitz_mcbride(changes, nb - 1, nf - 1, ho.model.nk)
         yield _model(ho, B=np.convolve(b, SLOW_FACTOR), F=np.convolve(f, SLOW_FACTOR))
     for b, f in plants:
         yield _model(ho, B=b, F=f)
@@ -152,24 +154,11 @@ def reinserted(model: Model) -> Iterator[Model]:
                 yield replace(model, B=delayed(top, model.nk), F=bottom)
 
 
-def _model(
-    ho: HighOrder,
-    *,
-    B: FloatArray,
-    A: FloatArray | None = None,
-    C: FloatArray | None = None,
-    D: FloatArray | None = None,
-    F: FloatArray | None = None,
-) -> Model:
-    """Put the polynomials (B without its delay) into a stabilised model."""
-    one, nk = np.ones(1), ho.model.nk
-    return stabilised(
-        Model(
-            structure='', orders={}, A=one if A is None else A, B=delayed(B, nk),
-            C=one if C is None else C, D=one if D is None else D, F=one if F is None else F,
-            nk=nk, dt=ho.data.dt, noise_variance=ho.model.noise_variance,
-        )
-    )
+def _model(ho: HighOrder, *, B: FloatArray, **others: FloatArray) -> Model:
+    """Put the polynomials (B without its delay; A, C, D, F of 1 where not given) into a model."""
+    plain = replace(ho.model, structure='', orders={}, B=delayed(B, ho.model.nk), covariance=None)
+    polynomials: dict[str, Any] = {name: others.get(name, np.ones(1)) for name in 'ACDF'}
+    return stabilised(replace(plain, **polynomials))
 
 
 def _plants(ho: HighOrder, nb: int, nf: int) -> Iterator[tuple[FloatArray, FloatArray]]:
@@ -187,14 +176,6 @@ def _plants(ho: HighOrder, nb: int, nf: int) -> Iterator[tuple[FloatArray, Float
     if nf:
         yield _steiglitz_mcbride(plain, nb, nf, nk)
         yield _steiglitz_mcbride(plain, nb, nf, nk, rounds=1)
-
-
-def _differenced(z: IOData) -> list[FloatArray]:
-    """Per segment (n - 1, 2) the changes of y and u, in which a drift is small."""
-    return [
-        np.diff(np.column_stack((z.y[start:stop], z.u[start:stop])), axis=0)
-        for start, stop in z.segments
-    ]
 
 
 def _steiglitz_mcbride(

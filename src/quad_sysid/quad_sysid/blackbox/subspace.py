@@ -37,7 +37,9 @@ def n4sid(z: IOData, order: int, *, horizon: int | None = None) -> Model:
     r = upper(np.hstack((past / scale, future)))
     m = past.shape[1]
     gains = np.linalg.lstsq(r[:m, :m], r[:m, m:], rcond=1e-12)[0]
-    weight = np.linalg.cholesky(_definite(r[:, m:].T @ r[:, m:]))
+    gram = r[:, m:].T @ r[:, m:]
+    tiny = 1e-13 * np.trace(gram) * np.eye(gram.shape[0])  # only mends rounding
+    weight = np.linalg.cholesky(gram + tiny)
     left, values, _ = np.linalg.svd(r[:m, :m] @ gains @ np.linalg.inv(weight).T)
     if values[order - 1] < 1e-12 * values[0]:
         raise BadInputError(
@@ -72,11 +74,6 @@ def _projection(
         raise BadInputError('n4sid', f'no segment is longer than {2 * rows + 2} samples',
                             remedy='take a lower order or longer segments')
     return np.vstack(past), np.vstack(future), now
-
-
-def _definite(gram: FloatArray) -> FloatArray:
-    """Gram matrix with a small diagonal against rounding."""
-    return np.asarray(gram + 1e-13 * np.trace(gram) * np.eye(gram.shape[0]))
 
 
 def _state_space(

@@ -9,54 +9,33 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
-from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.loop.from_model import loop_plant
-from quad_sysid.loop.plant import Slopes, dynamics, state_space
+from quad_sysid.loop.plant import Slopes, StateSpace, dynamics, state_space
 from quad_sysid.model import AxisModel, Parameter
+from quad_sysid.report.document import plain
 
 OUTPUTS = ('rate', 'angle')
 """Outputs: rate after the gyro filter, rad/s; angle, rad."""
 OUTPUT_UNITS = ('rad/s', 'rad')
 
 
-@dataclass(frozen=True)
-class LinearModel:
-    """One axis from the normalised command to measured rate and angle."""
+def cycle_of(model: AxisModel) -> StateSpace:
+    """One control cycle of a model's linear part: base, gyro filter, slow motors and modes.
 
-    axis: str
-    a: FloatArray
-    """(n, n) continuous, without the delay."""
-    b: FloatArray
-    """(n, 1)"""
-    c: FloatArray
-    """(2, n)"""
-    delay_s: float
-    """Delay of the command, s, not contained in a, b, c."""
-    dt: float
-    """Control cycle, s."""
-    a_discrete: FloatArray
-    """(m, m) over one cycle with the delay as states; exact for a held command."""
-    b_discrete: FloatArray
-    """(m, 1)"""
-    c_discrete: FloatArray
-    """(2, m)"""
+    From the normalised command to measured rate and angle, the delay as states, no curves.
+    """
+    return state_space(loop_plant(model))
 
 
-def linear_model(model: AxisModel) -> LinearModel:
-    """The linear part of a model: base, gyro filter, slow motors and modes; no curves."""
-    plant = loop_plant(model)
+def matrices(model: AxisModel) -> dict[str, Any]:
+    """The same in MATLAB's names: A, B, C continuous behind `delay_s`, Ad, Bd, Cd of `dt_s`."""
+    plant, cycle = loop_plant(model), cycle_of(model)
     a, b, c = dynamics(plant, Slopes())
-    cycle = state_space(plant)
-    return LinearModel(
-        axis=model.axis, a=a, b=b[:, :1], c=c, delay_s=plant.delay_s, dt=plant.dt,
-        a_discrete=cycle.a, b_discrete=cycle.b, c_discrete=cycle.c,
-    )
+    return {'A': a, 'B': b[:, :1], 'C': c, 'delay_s': plant.delay_s,
+            'Ad': cycle.a, 'Bd': cycle.b, 'Cd': cycle.c, 'dt_s': plant.dt}
 
 
 def to_control(model: AxisModel) -> Any:
@@ -66,11 +45,9 @@ def to_control(model: AxisModel) -> Any:
     except ImportError as error:
         raise BadInputError('export', 'needs the package control', remedy='pip install control'
                             ) from error
-    found = linear_model(model)
-    return control.ss(
-        found.a_discrete, found.b_discrete, found.c_discrete, 0.0, found.dt,
-        inputs=['command'], outputs=list(OUTPUTS), name=model.axis,
-    )
+    cycle = cycle_of(model)
+    return control.ss(cycle.a, cycle.b, cycle.c, 0.0, cycle.dt, inputs=['command'],
+                      outputs=list(OUTPUTS), name=model.axis)
 
 
 SCHEMA = 'quad_sysid/export/1'
@@ -83,24 +60,19 @@ NOTE = (
 
 def tree(model: AxisModel) -> dict[str, Any]:
     """Plain values of one axis."""
-    found = linear_model(model)
+    found = plain(matrices(model))
     return {
         'input': 'command', 'input_unit': 'normalised', 'outputs': list(OUTPUTS),
         'output_units': list(OUTPUT_UNITS),
         'base': [_parameter(p) for p in model.base],
         'effects': [
             {'name': e.name, 'parameters': [_parameter(p) for p in e.parameters],
-             'settings': {k: v for k, v in e.settings.items() if _plain(v)}}
+             'settings': {k: v for k, v in e.settings.items()
+                          if isinstance(v, str | int | float | list | tuple)}}
             for e in model.effects
         ],
-        'continuous': {
-            'A': found.a.tolist(), 'B': found.b.tolist(), 'C': found.c.tolist(),
-            'delay_s': found.delay_s,
-        },
-        'discrete': {
-            'A': found.a_discrete.tolist(), 'B': found.b_discrete.tolist(),
-            'C': found.c_discrete.tolist(), 'dt_s': found.dt,
-        },
+        'continuous': {name: found[name] for name in ('A', 'B', 'C', 'delay_s')},
+        'discrete': {name: found[f'{name}d'] for name in 'ABC'} | {'dt_s': found['dt_s']},
         'trusted_band_rad_s':
             None if model.trusted_band_rad_s is None else list(model.trusted_band_rad_s),
         'gains_flown': {k: v for k, v in model.active_gains.items()
@@ -124,11 +96,8 @@ def as_mat(models: Mapping[str, AxisModel]) -> bytes:
 
     content: dict[str, Any] = {'note': NOTE}
     for axis, model in models.items():
-        found = linear_model(model)
         content[axis] = {
-            'A': found.a, 'B': found.b, 'C': found.c, 'delay_s': found.delay_s,
-            'Ad': found.a_discrete, 'Bd': found.b_discrete, 'Cd': found.c_discrete,
-            'dt_s': found.dt, 'outputs': list(OUTPUTS),
+            **matrices(model), 'outputs': list(OUTPUTS),
             'base': {p.name: p.value for p in model.base},
             'effects': {
                 e.name.replace(':', '_'): {p.name: p.value for p in e.parameters}
@@ -147,16 +116,16 @@ def as_control(models: Mapping[str, AxisModel]) -> bytes:
         'import control', 'import numpy as np', '', 'axes = {}',
     ]
     for axis, model in models.items():
-        found = linear_model(model)
+        found = matrices(model)
         lines += [
             '', (f'# {axis}: normalised command to rate (rad/s) and angle (rad), held over '
-            f'{found.dt:g} s,'), f'# the delay of {found.delay_s:.6g} s as states',
+            f'{found["dt_s"]:g} s,'), f'# the delay of {found["delay_s"]:.6g} s as states',
             *(f'# {p.name} = {p.value:.6g} {p.unit}' for p in model.base),
             *(f'# not in the matrices: {e.name}.{p.name} = {p.value:.6g} {p.unit}'
               for e in model.effects for p in e.parameters),
             f'axes[{axis!r}] = control.ss(',
-            f'    {_matrix(found.a_discrete)},', f'    {_matrix(found.b_discrete)},',
-            f'    {_matrix(found.c_discrete)},', f'    0.0, {found.dt!r},',
+            *(f'    np.array({found[name].tolist()}),' for name in ('Ad', 'Bd', 'Cd')),
+            f'    0.0, {found["dt_s"]!r},',
             f"    inputs=['command'], outputs={list(OUTPUTS)!r}, name={axis!r},", ')',
         ]
     return ('\n'.join(lines) + '\n').encode()
@@ -168,16 +137,5 @@ WRITERS: Mapping[str, tuple[Callable[[Mapping[str, AxisModel]], bytes], str]] = 
 """Format → its writer and the file's suffix."""
 
 
-def _matrix(values: FloatArray) -> str:
-    rows = ', '.join(
-        '[' + ', '.join(repr(float(v)) for v in row) + ']' for row in np.atleast_2d(values)
-    )
-    return f'np.array([{rows}])'
-
-
 def _parameter(p: Parameter) -> dict[str, Any]:
     return {'name': p.name, 'value': p.value, 'std': p.std, 'unit': p.unit}
-
-
-def _plain(value: object) -> bool:
-    return isinstance(value, str | int | float | list | tuple)

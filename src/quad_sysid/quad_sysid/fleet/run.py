@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from quad_sysid.errors import BadInputError
-from quad_sysid.files import make_folder
+from quad_sysid.files import make_folder, write_whole
 from quad_sysid.fleet.row import FAILED, REAL, TEXT, WHOLE, Job, Row, look
 
 STORAGE = ('.mcap', '.db3', '.mcap.zstd', '.db3.zstd')
@@ -30,28 +30,20 @@ def bags(folder: Path) -> list[Path]:
     if not folder.is_dir():
         raise BadInputError(str(folder), 'is not a folder',
                             remedy='give the one that holds the bags')
-    found = sorted(_below(folder))
+    found = []
+    for root, folders, files in os.walk(folder):
+        here = Path(root)
+        stored = [name for name in files if name.endswith(STORAGE)]
+        named = any(name.startswith(f'{here.name}_') for name in stored)  # as recorders name them
+        if 'metadata.yaml' in files or named:
+            folders.clear()
+            found.append(here)
+        else:
+            found += [here / name for name in stored if name.endswith('.mcap')]
     if not found:
         raise BadInputError(str(folder), 'holds no bag (a rosbag2 folder or an .mcap file)',
                             remedy='check the path')
-    return found
-
-
-def _below(folder: Path) -> Iterator[Path]:
-    for root, folders, files in os.walk(folder):
-        here = Path(root)
-        folders.sort()
-        stored = [name for name in files if name.endswith(STORAGE)]
-        if 'metadata.yaml' in files or any(_named_after(name, here) for name in stored):
-            folders.clear()
-            yield here
-        else:
-            yield from (here / name for name in stored if name.endswith('.mcap'))
-
-
-def _named_after(name: str, folder: Path) -> bool:
-    """Whether a storage file is that of a bag in `folder`, as recorders name them: folder_0."""
-    return name.startswith(f'{folder.name}_')
+    return sorted(found)
 
 
 def fingerprint(bag: Path) -> str:
@@ -86,11 +78,12 @@ class Journal:
 
     def add(self, row: Row) -> None:
         """Append one row and have the disk keep it."""
-        line = json.dumps(row) + '\n'
         with self._path.open('a+b') as stream:
-            if stream.tell() and not _ends_whole(self._path):
-                stream.write(b'\n')
-            stream.write(line.encode())
+            if stream.tell():
+                stream.seek(-1, os.SEEK_END)
+                if stream.read(1) != b'\n':  # a kill cut the last line off
+                    stream.write(b'\n')
+            stream.write((json.dumps(row) + '\n').encode())
             stream.flush()
             os.fsync(stream.fileno())
 
@@ -101,12 +94,6 @@ def _row(line: str) -> Row | None:
     except (ValueError, RecursionError):
         return None
     return row if isinstance(row, dict) and 'bag' in row else None
-
-
-def _ends_whole(path: Path) -> bool:
-    with path.open('rb') as stream:
-        stream.seek(-1, os.SEEK_END)
-        return stream.read(1) == b'\n'
 
 
 def write_table(rows: Sequence[Row], path: Path) -> Path:
@@ -122,12 +109,9 @@ def write_table(rows: Sequence[Row], path: Path) -> Path:
         *((name, pa.float64()) for name in REAL),
     ])
     content = {name: [row.get(name) for row in rows] for name in schema.names}
-    part = path.with_name(f'.{path.name}.part')
-    try:
-        parquet.write_table(pa.table(content, schema=schema), part)
-        part.replace(path)
-    except OSError as error:
-        raise BadInputError(str(path), 'cannot be written', error.strerror) from error
+    sink = pa.BufferOutputStream()
+    parquet.write_table(pa.table(content, schema=schema), sink)
+    write_whole(path, sink.getvalue().to_pybytes())
     return path
 
 
@@ -220,8 +204,6 @@ def _client(request: Request, count: int) -> Iterator[Any]:
         with client:
             yield client
         return
-    import os
-
     import dask
 
     workers = min(request.workers or os.cpu_count() or 1, count)

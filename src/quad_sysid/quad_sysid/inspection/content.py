@@ -5,8 +5,8 @@ Nothing is fitted; the conditions are those of the pipeline. page.py prints it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +25,7 @@ from quad_sysid.pipeline.assemble import band_of
 from quad_sysid.pipeline.blackbox_part import io_data
 from quad_sysid.pipeline.identify import asked_axes
 from quad_sysid.pipeline.usable import AT_LIMIT, check_usable, refusal
-from quad_sysid.record import Record, Segment
+from quad_sysid.record import Record, Segment, finite_runs
 
 GAP_CYCLES = 1.5
 """A pause between stamps longer than this many intervals is a gap."""
@@ -111,9 +111,12 @@ class Use:
 
 
 def uses_of_axis(record: Record, data: AxisData) -> tuple[Use, ...]:
-    """Uses of one axis' data: identification first, then those that need more signals."""
-    refused = _refusal(data)
-    axis = data.axis
+    """What one axis' data allow: identification first, then what hangs on more signals."""
+    axis, refused = data.axis, ''
+    try:
+        check_usable(data)
+    except NotInformativeError as error:
+        refused = str(error).removeprefix(f'{axis}: ')
     identify = Use(f'identify {axis}', possible=not refused, because=refused)
     if refused:
         return (identify,)
@@ -130,23 +133,16 @@ def uses_of_axis(record: Record, data: AxisData) -> tuple[Use, ...]:
     )
 
 
-def uses_of_flight(identifiable: tuple[str, ...], *, moving: bool) -> tuple[Use, ...]:
-    """Uses of the whole flight, by the axes that can be identified."""
-    both = {'roll', 'pitch'} <= set(identifiable)
+def _uses_of_flight(axes: Sequence[AxisContent]) -> tuple[Use, ...]:
+    """What the flight as a whole allows."""
+    both = {'roll', 'pitch'} <= {one.axis for one in axes if one.uses[0].possible}
+    moving = any(one.windows and one.rate_rms and one.command_rms for one in axes)
     return (
         Use('evaluate a stored model', moving,
             '' if moving else 'no axis holds rate and command that move'),
         Use('one model for roll and pitch', both,
             '' if both else 'it needs both, and this bag does not hold them'),
     )
-
-
-def _refusal(data: AxisData) -> str:
-    try:
-        check_usable(data)
-    except NotInformativeError as error:
-        return str(error).removeprefix(f'{data.axis}: ')
-    return ''
 
 
 def _moves(data: AxisData, signal: np.ndarray | None) -> bool:
@@ -186,22 +182,17 @@ class AxisContent:
     validation_s: float
     windows: int
     """Free-run windows of 0.5 s in the validation segments."""
-    rate_rms: float | None
-    """rad/s about the mean."""
-    command_rms: float | None
-    """Normalised, about the mean."""
-    reference_rms: float | None
-    """rad, rad/s or normalised, as the excitation is injected; None where the bag lacks it."""
-    excitation_order: int | None
-    """Order to which the command is persistently exciting, at most RICHEST; 0: it stands still."""
-    coherent_band_rad_s: tuple[float, float] | None
-    """Widest unbroken band of squared coherence above 0.6."""
     uses: tuple[Use, ...]
-
-    @property
-    def identifiable(self) -> bool:
-        """Whether a model can be fitted at all."""
-        return self.uses[0].possible
+    rate_rms: float | None = None
+    """rad/s about the mean."""
+    command_rms: float | None = None
+    """Normalised, about the mean."""
+    reference_rms: float | None = None
+    """rad, rad/s or normalised, as the excitation is injected; None where the bag lacks it."""
+    excitation_order: int | None = None
+    """Order to which the command is persistently exciting, at most RICHEST; 0: it stands still."""
+    coherent_band_rad_s: tuple[float, float] | None = None
+    """Widest unbroken band of squared coherence above 0.6."""
 
 
 @dataclass(frozen=True)
@@ -258,6 +249,7 @@ def content(path: str | Path) -> Content:
 def of_record(record: Record, held: Topics, *, split: bool) -> Content:
     """Content of a record with its segments."""
     lost = np.asarray(np.isnan(record.rates).any(axis=1))
+    gaps = finite_runs(lost, (0, record.n))
     warning = refusal(record)
     axes = tuple(_axis(record, axis) for axis in asked_axes([record]))
     motors = record.control @ MIXER.T if record.motors is None else record.motors
@@ -269,7 +261,7 @@ def of_record(record: Record, held: Topics, *, split: bool) -> Content:
         sample_rate_hz=1.0 / record.dt,
         length_s=record.n * record.dt,
         lost_pct=100.0 * float(np.mean(lost)),
-        longest_gap_s=_longest(lost) * record.dt,
+        longest_gap_s=max((b - a for a, b in gaps), default=0) * record.dt,
         split=split,
         segments=record.segments,
         gains=tuple(sorted(record.gains_at(np.inf))),
@@ -277,10 +269,7 @@ def of_record(record: Record, held: Topics, *, split: bool) -> Content:
         battery=_battery(record),
         layout=layout,
         axes=axes,
-        uses=uses_of_flight(
-            tuple(one.axis for one in axes if one.identifiable),
-            moving=any(one.windows and one.rate_rms and one.command_rms for one in axes),
-        ),
+        uses=_uses_of_flight(axes),
         warnings=(*record.warnings, *((warning,) if warning else ()), *odd),
     )
 
@@ -294,24 +283,19 @@ def _axis(record: Record, axis: str) -> AxisContent:
     try:
         data = axis_data([record], axis)
     except NotInformativeError as error:
-        return AxisContent(
-            axis, lengths['train'], lengths['validation'], 0, None, None, None, None, None,
-            (Use(f'identify {axis}', possible=False,
-                 because=str(error).removeprefix(f'{axis}: ')),),
-        )
-    windows = data.windows(data.validation).count
-    uses = uses_of_axis(record, data)
+        refused = Use(f'identify {axis}', possible=False,
+                      because=str(error).removeprefix(f'{axis}: '))
+        return AxisContent(axis, lengths['train'], lengths['validation'], 0, (refused,))
+    found = AxisContent(axis, lengths['train'], lengths['validation'],
+                        data.windows(data.validation).count, uses_of_axis(record, data))
     if not data.train:
-        return AxisContent(
-            axis, lengths['train'], lengths['validation'], windows, None, None, None, None, None,
-            uses,
-        )
-    reference = None if data.reference is None else _rms(data, data.reference)
+        return found
     command = _rms(data, data.command)
-    return AxisContent(
-        axis, lengths['train'], lengths['validation'], windows, _rms(data, data.rate),
-        command, reference, _order(data, command),
-        band_of(data) if command and command > MOVES else None, uses,
+    return replace(
+        found, rate_rms=_rms(data, data.rate), command_rms=command,
+        reference_rms=None if data.reference is None else _rms(data, data.reference),
+        excitation_order=_order(data, command),
+        coherent_band_rad_s=band_of(data) if command and command > MOVES else None,
     )
 
 
@@ -328,11 +312,6 @@ def _rms(data: AxisData, signal: np.ndarray) -> float | None:
     """Standard deviation over the training segments; None where it is not known there."""
     used = np.concatenate([signal[a:b] for a, b in data.train])
     return float(np.std(used)) if np.isfinite(used).all() else None
-
-
-def _longest(lost: np.ndarray) -> int:
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], lost, [False]))))
-    return int(np.max(edges[1::2] - edges[::2], initial=0))
 
 
 def _at_limit(record: Record) -> tuple[float, ...]:

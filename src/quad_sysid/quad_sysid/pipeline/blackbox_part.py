@@ -40,33 +40,6 @@ SHORTEST = 100
 """Samples of a validation span that is worth a fit."""
 
 
-@dataclass(frozen=True)
-class Offsets:
-    """The trim about which the linear models hold."""
-
-    command: float
-    rate: float
-    """rad/s."""
-    reference: float
-
-
-def offsets(data: AxisData) -> Offsets:
-    """Trim of the training segments; taken off every segment alike, never fitted anew.
-
-    The base's equilibrium where it is known: an axis nearly integrates, and the means of a command
-    and a rate that ends elsewhere than it began are no equilibrium. Otherwise the means.
-    """
-
-    def mean(x: FloatArray) -> float:
-        parts = np.concatenate([x[a:b] for a, b in data.train])
-        known = parts[np.isfinite(parts)]
-        return float(known.mean()) if known.size else 0.0
-
-    reference = 0.0 if data.reference is None else mean(data.reference)
-    command, rate = data.trim or (mean(data.command), mean(data.rate))
-    return Offsets(command, rate, reference)
-
-
 def about_base(data: AxisData, gain: float, bias: float) -> AxisData:
     """The data with the equilibrium of a base of this gain and bias (rad/s²) as their trim."""
     return replace(data, trim=(-bias / gain if gain else 0.0, 0.0))
@@ -75,10 +48,18 @@ def about_base(data: AxisData, gain: float, bias: float) -> AxisData:
 def io_data(data: AxisData, spans: tuple[Span, ...], *, external: bool = True) -> IOData:
     """Command and rate about their trim over spans, with the external reference where known.
 
-    Spans are cut where the rate or the reference was lost; the reference is left out where most of
-    it is missing or where it stands still.
+    The trim is the base's equilibrium where it is known: an axis nearly integrates, and the means
+    of a command and a rate that ends elsewhere than it began are no equilibrium. Otherwise the
+    means of the training, for every segment alike. Spans are cut where the rate or the reference
+    was lost; the reference is left out where most of it is missing or where it stands still.
     """
-    trim = offsets(data)
+
+    def mean(x: FloatArray) -> float:
+        parts = np.concatenate([x[a:b] for a, b in data.train])
+        known = parts[np.isfinite(parts)]
+        return float(known.mean()) if known.size else 0.0
+
+    command, rate = data.trim or (mean(data.command), mean(data.rate))
     known = np.isfinite(data.rate)
     r = data.reference if external else None
     if r is not None:
@@ -87,8 +68,8 @@ def io_data(data: AxisData, spans: tuple[Span, ...], *, external: bool = True) -
         moves = any(np.ptp(r[a:b][both[a:b]]) > 0.0 for a, b in spans if both[a:b].any())
         known, r = (both, r) if inside.mean() > 0.9 and moves else (known, None)
     return IOData(
-        u=data.command - trim.command, y=data.rate - trim.rate, dt=data.dt,
-        r=None if r is None else r - trim.reference,
+        u=data.command - command, y=data.rate - rate, dt=data.dt,
+        r=None if r is None else r - mean(r),
         segments=tuple(run for span in spans for run in finite_runs(known, span)),
     )
 
@@ -151,7 +132,8 @@ def _box_jenkins(refused: list[str], z: IOData, nk: int) -> Model | None:
     if best is not None:  # the orders are compared by first minima, the chosen one by the best
         best = min(best, *tried(refused, _bj(z, best.F.size - 1, nk)), key=rank)
     while best is not None and best.nk > 1:
-        earlier = tried(refused, _bj(z, best.F.size - 1, best.nk - 1, _earlier(best)))
+        start = replace(best, B=best.B[:-1], nk=best.nk - 1)
+        earlier = tried(refused, _bj(z, best.F.size - 1, start.nk, start))
         if not earlier or rank(earlier[0]) >= rank(best):
             break
         best = earlier[0]
@@ -164,11 +146,6 @@ def _bj(
     return lambda: bj(
         z, order, NOISE_ORDER, NOISE_ORDER, order, nk, start=start, thorough=thorough
     )
-
-
-def _earlier(model: Model) -> Model:
-    """The model with a delay of one sample less, its last coefficient of B given up."""
-    return replace(model, B=model.B[:-1], nk=model.nk - 1)
 
 
 def _highest_stable(
@@ -190,16 +167,15 @@ def _highest_stable(
 
 def tried(refused: list[str], *fits: Callable[[], Model]) -> tuple[Model, ...]:
     """The fits that the data carry; what is said of the others goes to `refused`."""
-    found = [_attempt(fit) for fit in fits]
-    refused += [one for one in found if isinstance(one, str)]
-    return tuple(one for one in found if isinstance(one, Model))
 
+    def attempt(fit: Callable[[], Model]) -> Model | None:
+        try:
+            return fit()
+        except BadInputError as error:
+            refused.append(str(error))
+            return None
 
-def _attempt(fit: Callable[[], Model]) -> Model | str:
-    try:
-        return fit()
-    except BadInputError as error:
-        return str(error)
+    return tuple(found for found in map(attempt, fits) if found is not None)
 
 
 def validations(data: AxisData) -> dict[str, IOData]:

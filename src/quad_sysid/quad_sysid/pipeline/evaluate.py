@@ -81,7 +81,13 @@ def evaluate(
         )
     unseen = Unseen(data, spans)
     hold = rms(unseen.holding(unseen.windows))
-    _check_motion(model, record, data, spans, hold)
+    check_limits(data, spans, f'{record.source}')
+    if hold <= MOTION * (model.noise_rms or 0.0):
+        noise = f', the noise is {model.noise_rms:.2g}' if model.noise_rms else ''
+        raise NotInformativeError(
+            f'{record.source}: {model.axis}: the rate does not move (it changes by {hold:.2g} '
+            f'rad/s in half a second{noise}); is the axis held, or the aircraft at rest?'
+        )
     before, after = stored.plain(model), stored.completed(model)
     _check_signals(record, unseen, after)
     after = of_this_flight(unseen, after)
@@ -111,19 +117,6 @@ def evaluate_or_say(
         return evaluate(model, record, spans_s, blackbox)
     except NotInformativeError as reason:
         return str(reason)
-
-
-def _check_motion(
-    model: AxisModel, record: Record, data: AxisData, spans: tuple[Span, ...], hold: float
-) -> None:
-    """Raise NotInformativeError where the rate hardly moves."""
-    check_limits(data, spans, f'{record.source}')
-    if hold <= MOTION * (model.noise_rms or 0.0):
-        noise = f', the noise is {model.noise_rms:.2g}' if model.noise_rms else ''
-        raise NotInformativeError(
-            f'{record.source}: {model.axis}: the rate does not move (it changes by {hold:.2g} '
-            f'rad/s in half a second{noise}); is the axis held, or the aircraft at rest?'
-        )
 
 
 def _check_signals(record: Record, unseen: Unseen, model: Stored) -> None:

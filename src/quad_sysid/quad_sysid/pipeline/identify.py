@@ -27,7 +27,7 @@ from quad_sysid.pipeline.selection import with_blackbox
 from quad_sysid.pipeline.shared import share
 from quad_sysid.pipeline.step_b import closed_loop
 from quad_sysid.pipeline.usable import check_usable, refusal, together
-from quad_sysid.record import Record, Segment
+from quad_sysid.record import Record
 
 Progress = Callable[[str], None]
 
@@ -71,7 +71,10 @@ def identify_axis(
     records: Sequence[Record], axis: str, options: Options, progress: Progress
 ) -> AxisAnswer:
     """Fit, find what is missing, judge, design: one axis."""
-    segments = _segments(records, axis)
+    segments = tuple(
+        s for r in records for s in r.segments
+        if s.axis == axis or (s.role == 'idle' and 'because' not in s.parameters)
+    )
     rate = 1.0 / records[0].dt
     try:
         data = axis_data(records, axis)
@@ -151,13 +154,6 @@ def _reason(told: Findings) -> str:
             'the sign of the gyro before anything else'
         )
     return reason
-
-
-def _segments(records: Sequence[Record], axis: str) -> tuple[Segment, ...]:
-    return tuple(
-        s for r in records for s in r.segments
-        if s.axis == axis or (s.role == 'idle' and 'because' not in s.parameters)
-    )
 
 
 def _joined(setpoints: Sequence[FloatArray | None], column: int) -> FloatArray | None:

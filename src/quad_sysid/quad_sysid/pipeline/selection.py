@@ -8,7 +8,7 @@ evidence.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -19,6 +19,7 @@ from quad_sysid.blackbox import (
     Table2Entry,
     bj,
     cascade_controller,
+    fit_percent,
     fit_table2,
     indirect,
     joint,
@@ -111,11 +112,9 @@ def reproduced(z: IOData, known: LinearController) -> float:
             u = known.command(z.r[a:b], z.y[a:b])
             recorded.append(z.u[a + lag : b] - z.u[a : b - lag])
             computed.append(u[lag:] - u[:-lag])
-    if not recorded:
+    if not recorded or not np.ptp(np.concatenate(recorded)):
         return 0.0
-    one, other = np.concatenate(recorded), np.concatenate(computed)
-    spread = float(np.linalg.norm(one - one.mean()))
-    return 100.0 * (1.0 - float(np.linalg.norm(one - other)) / spread) if spread > 0.0 else 0.0
+    return fit_percent(np.concatenate(recorded), np.concatenate(computed))
 
 
 def fit_others(
@@ -238,16 +237,21 @@ def with_blackbox(
     try:
         z = blackbox_part.io_data(data, data.train)
         fits = blackbox_part.fit_models(z)
-        cascade, behind = _cascade(gains, data.axis), _behind_attitude(records, data.axis)
+        known = f'{data.axis}.rate.kp' in gains
+        cascade = CascadeGains.from_mapping(gains, data.axis) if known else None
+        behind = not any(  # what drives the loop from outside is the attitude set-point
+            s.injection in ('rate', 'control') for r in records for s in r.segments
+            if s.axis == data.axis
+        )
         closed = feedback(
             z, fits.search.model, cascade, behind_attitude=behind,
             through=through_controller(records, data.axis),
         )
-        possible, known = approaches(
+        possible, controlled_by = approaches(
             z, cascade, behind_attitude=behind, one_loop=_one_loop(records, data.axis),
             closed=closed,
         )
-        others, refused = fit_others(z, fits, possible, known)
+        others, refused = fit_others(z, fits, possible, controlled_by)
         rows = blackbox_part.rows_of(data, fits.models + others)
     except QuadSysidError as error:
         return replace(
@@ -262,26 +266,16 @@ def with_blackbox(
     evidence = Evidence(
         z, fits, rows, selected, band, closed, axis_model, fits.refused + refused, why_not
     )
-    free_run, horizons = _errors(data, model)
+    held_out = data.validation
     return replace(
-        answer, model=axis_model, rows=rows, selected=selected, blackbox_error=free_run,
-        blackbox_horizons=horizons,
-        train=z, validation=_validation(data),
+        answer, model=axis_model, rows=rows, selected=selected, train=z,
+        blackbox_error=blackbox_part.window_error(data, model, held_out) if model else None,
+        blackbox_horizons=blackbox_part.horizons(data, model, held_out) if model else {},
+        validation=blackbox_part.io_data(data, held_out, external=False) if held_out else None,
         selection=Selection(
             approaches=possible, feedback=closed, checks=checks, advice=advice(evidence),
             table2=_table2(z, data) if table2 else (),
         ),
-    )
-
-
-def _cascade(gains: Mapping[str, float], axis: str) -> CascadeGains | None:
-    return CascadeGains.from_mapping(gains, axis) if f'{axis}.rate.kp' in gains else None
-
-
-def _behind_attitude(records: Sequence[Record], axis: str) -> bool:
-    """Whether what drives the loop from outside is the attitude set-point."""
-    return not any(
-        s.injection in ('rate', 'control') for r in records for s in r.segments if s.axis == axis
     )
 
 
@@ -300,7 +294,7 @@ def _second_steps(
     """Step B of every row, or why there is none; an axis in open loop stands by step A."""
     if closed is False:
         return (
-            tuple(step_b.open_loop_step(row) for row in rows),
+            tuple(replace(row, passed_second_step=row.step_a.passed_first_step) for row in rows),
             "the axis was flown without feedback, as the paper's yaw; the free run decides",
         )
     flights = step_b.flown(records, axis)
@@ -309,27 +303,9 @@ def _second_steps(
     return tuple(step_b.second_step(row, flights) for row in rows), ''
 
 
-def _errors(
-    data: AxisData, model: Model | None
-) -> tuple[float | None, dict[float, float]]:
-    """The contract's error of the selected model, and that so long after a window's start."""
-    if model is None:
-        return None, {}
-    return (
-        blackbox_part.window_error(data, model, data.validation),
-        blackbox_part.horizons(data, model, data.validation),
-    )
-
-
 def _table2(z: IOData, data: AxisData) -> tuple[Table2Entry, ...]:
     """The paper's rows on the same data; none where the data carry none of them."""
     try:
         return fit_table2(z, blackbox_part.validations(data))
     except QuadSysidError:
         return ()
-
-
-def _validation(data: AxisData) -> IOData | None:
-    return (
-        blackbox_part.io_data(data, data.validation, external=False) if data.validation else None
-    )

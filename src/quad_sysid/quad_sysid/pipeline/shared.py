@@ -39,7 +39,7 @@ def compare_axes(roll: AxisAnswer, pitch: AxisAnswer) -> SharedModel | None:
     data = [roll.train, pitch.train]
     if any(m is None or z is None for m, z in zip(models, data, strict=True)):
         return None
-    orders = dict(max((m for m in models if m is not None), key=_order).orders)
+    orders = dict(max((m for m in models if m is not None), key=lambda m: int(m.F.size)).orders)
     try:
         same = [_fit(z, orders) for z in data if z is not None]
         gap = largest_gap(same[0], same[1], _band(roll, pitch))
@@ -98,10 +98,6 @@ def box_jenkins(rows: Sequence[ModelRow]) -> Model | None:
         if model.structure == 'BJ' and model.approach == 'direct' and model.converged:
             return model
     return None
-
-
-def _order(model: Model) -> int:
-    return int(model.F.size)
 
 
 def _band(roll: AxisAnswer, pitch: AxisAnswer) -> tuple[float, float]:

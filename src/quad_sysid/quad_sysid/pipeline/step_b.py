@@ -11,8 +11,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from quad_sysid.blackbox import Model
+from quad_sysid.blackbox import Model, fit_percent
 from quad_sysid.contract import AXES, FloatArray
+from quad_sysid.discover.accept import rms
 from quad_sysid.errors import QuadSysidError
 from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.loop.from_model import loop_plant
@@ -149,13 +150,11 @@ def run(model: Model, flight: Flown) -> LoopRun:
         return replace(failed, because=str(refusal))
     if not np.isfinite(rate).all():
         return replace(failed, diverged=True, because='the simulated loop diverges')
-    measured = flight.rate[flight.rows]
-    error = (measured - measured.mean()) - (rate - rate.mean())
-    spread = float(np.linalg.norm(measured - measured.mean()))
-    fit = 100.0 * (1.0 - float(np.linalg.norm(error)) / spread) if spread > 0.0 else None
+    measured = flight.rate[flight.rows] - np.mean(flight.rate[flight.rows])
+    error = measured - (rate - rate.mean())
     return replace(
-        failed, fit_pct=fit, rmse=float(np.sqrt(np.mean(error**2))),
-        mae=float(np.mean(np.abs(error))),
+        failed, fit_pct=fit_percent(measured, measured - error) if measured.any() else None,
+        rmse=rms(error), mae=float(np.mean(np.abs(error))),
     )
 
 
@@ -174,11 +173,6 @@ def second_step(row: ModelRow, flights: Sequence[Flown]) -> ModelRow:
         second_step_because='; '.join(objections),
         passed_second_step=bool(row.step_a.passed_first_step and fits and not objections),
     )
-
-
-def open_loop_step(row: ModelRow) -> ModelRow:
-    """The row of an axis flown without feedback (the paper's yaw): step A alone decides."""
-    return replace(row, passed_second_step=row.step_a.passed_first_step)
 
 
 def closed_loop(
@@ -217,8 +211,8 @@ def closed_loop(
         measured=measured[order],
         before=before[order],
         after=after[order],
-        rms_before=float(np.sqrt(np.mean((before - measured) ** 2))),
-        rms_after=float(np.sqrt(np.mean((after - measured) ** 2))),
+        rms_before=rms(before - measured),
+        rms_after=rms(after - measured),
     )
 
 
@@ -242,9 +236,7 @@ def excitations(record: Record, axis: str) -> tuple[FloatArray, FloatArray] | No
 def _simulated(model: AxisModel, flight: Flown, dt: float) -> FloatArray:
     """(m,) the rate on the compared rows, rad/s."""
     at_rate, at_control = flight.added or (None, None)
-    response = simulate_cascade(
+    return np.asarray(simulate_cascade(
         loop_plant(model), flight.gains, flight.reference, dt, rate_excitation=at_rate,
         control_excitation=at_control, angle_lead_s=flight.angle_lead_s,
-    )
-    rate: FloatArray = response.rate[flight.rows]
-    return rate
+    ).rate[flight.rows])

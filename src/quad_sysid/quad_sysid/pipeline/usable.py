@@ -41,24 +41,20 @@ def together(records: Sequence[Record]) -> tuple[Record, ...]:
             )
     for one, other in combinations(records, 2):
         _check_apart(one, other)
-    return tuple(_told(record, first.dt) for record in records)
+    taken = []
+    for record in records:
+        own, dt = record.at_interval(first.dt), first.dt
+        if abs(record.dt - dt) > WORTH_SAYING * dt:
+            told = (f"{record.source}: its {1.0 / record.dt:.6g} Hz are taken as the first bag's "
+                    f'{1.0 / dt:.6g} Hz')
+            own = replace(own, warnings=(*own.warnings, told))
+        taken.append(own)
+    return tuple(taken)
 
 
 def same_rate(dt: float, other: float) -> bool:
     """Whether two sample intervals, s, are those of one rate under two clocks."""
     return abs(dt - other) <= SAME_RATE * other
-
-
-def _told(record: Record, dt: float) -> Record:
-    """The record at dt, with a warning where that changes it by more than WORTH_SAYING."""
-    taken = record.at_interval(dt)
-    if abs(record.dt - dt) <= WORTH_SAYING * dt:
-        return taken
-    told = (
-        f"{record.source}: its {1.0 / record.dt:.6g} Hz are taken as the first bag's "
-        f'{1.0 / dt:.6g} Hz'
-    )
-    return replace(taken, warnings=(*taken.warnings, told))
 
 
 def _check_apart(one: Record, other: Record) -> None:
@@ -137,23 +133,33 @@ CLIPPED = 0.1
 
 def check_usable(data: AxisData) -> None:
     """Raise NotInformativeError for segments too short, nothing that moves, or limits."""
-    _length(data)
+    if not data.train or not data.windows(data.validation).count:
+        missing = 'training' if not data.train else 'validation'
+        raise NotInformativeError(
+            f'{data.axis}: no {missing} segment of this axis is long enough (1.5 s); '
+            'name them with --train and --validate'
+        )
     check_limits(data, data.train, 'the training')
     check_moving(data)
 
 
 def check_limits(data: AxisData, spans: Sequence[Span], where: str) -> None:
     """Raise NotInformativeError for motors or gyro at their limits over spans, named `where`."""
-    _motors(data, spans, where)
-    _gyro(data, spans, where)
-
-
-def _length(data: AxisData) -> None:
-    if not data.train or not data.windows(data.validation).count:
-        missing = 'training' if not data.train else 'validation'
+    motors = _inside(data.motors, spans)
+    stuck = np.all((motors <= AT_LIMIT) | (motors >= 1.0 - AT_LIMIT), axis=1)
+    if stuck.mean() > THROUGHOUT:  # the commands no longer say what the controller does
         raise NotInformativeError(
-            f'{data.axis}: no {missing} segment of this axis is long enough (1.5 s); '
-            'name them with --train and --validate'
+            f'{data.axis}: all motors stand at their limits (0 or 1) during '
+            f'{100.0 * stuck.mean():.0f} % of {where}; is it armed? Fly with less excitation '
+            'or lower gains'
+        )
+    rate = _inside(data.rate, spans)
+    clipped = at_limit(rate)
+    if clipped.mean() > CLIPPED:  # the same largest rate again and again, as no noisy gyro gives
+        raise NotInformativeError(
+            f'{data.axis}: the measured rate stands at {np.abs(rate).max():.3g} rad/s during '
+            f'{100.0 * clipped.mean():.0f} % of {where}: the gyro is at its limit; widen its '
+            'range or fly more gently'
         )
 
 
@@ -178,28 +184,3 @@ def check_moving(data: AxisData) -> None:
 
 def _inside(signal: FloatArray, spans: Sequence[Span]) -> FloatArray:
     return np.concatenate([signal[a:b] for a, b in spans])
-
-
-def _motors(data: AxisData, spans: Sequence[Span], where: str) -> None:
-    """All four at 0 or 1: the commands no longer say what the controller does."""
-    motors = _inside(data.motors, spans)
-    stuck = np.all((motors <= AT_LIMIT) | (motors >= 1.0 - AT_LIMIT), axis=1)
-    if stuck.mean() > THROUGHOUT:
-        raise NotInformativeError(
-            f'{data.axis}: all motors stand at their limits (0 or 1) during '
-            f'{100.0 * stuck.mean():.0f} % of {where}; is it armed? Fly with less excitation '
-            'or lower gains'
-        )
-
-
-def _gyro(data: AxisData, spans: Sequence[Span], where: str) -> None:
-    """The very same largest rate again and again, which no noisy gyro gives."""
-    rate = _inside(data.rate, spans)
-    largest = float(np.abs(rate).max())
-    clipped = at_limit(rate)
-    if clipped.mean() > CLIPPED:
-        raise NotInformativeError(
-            f'{data.axis}: the measured rate stands at {largest:.3g} rad/s during '
-            f'{100.0 * clipped.mean():.0f} % of {where}: the gyro is at its limit; widen its '
-            'range or fly more gently'
-        )
