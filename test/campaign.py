@@ -74,7 +74,7 @@ def flown(folder: Path, wanted: dict[str, Any]) -> dict[str, Any]:
             outcome['updates'] = [str(told['source']) for told in observer.updates]
         except StageFailedError as failed:
             outcome['failed'] = str(failed)
-    outcome['processes'] = sorted(crew.cpu())
+    outcome['processes'] = sorted(crew.children)
     outcome['left'] = [name for name, child in crew.children.items() if lives(child.process.pid)]
     return outcome
 

@@ -18,8 +18,8 @@ import pytest
 from campaign import campaign
 
 from quad_sysid.bags import read_bag
-from quad_tuning.demo.stages import close
 from quad_tuning.demo.summary import flown_square
+from quad_tuning.history.sets import changed
 
 INERTIA = 0.0135
 """Of the plain profile about roll, kg m²."""
@@ -99,8 +99,8 @@ def test_an_effect_is_flown_found_and_flown_against(tmp_path: Path, emulated: bo
     wanted, before, after = roll['gains'], dict(flown.before), dict(flown.after)
     assert wanted
     assert flown.updates == [f'identification of {flown.bag}']
-    assert {k for k, value in wanted.items() if not close(after[k], value)} == set()
-    assert any(not close(before[k], value) for k, value in wanted.items())
+    assert changed(after, wanted) == {}
+    assert changed(before, wanted)
     # and it flies better with them
     first, second = (flown_square(Path(bag), 'roll').figures for bag in (flown.bag, flown.again))
     assert second.rms_error_rad < 0.9 * first.rms_error_rad

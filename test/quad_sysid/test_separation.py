@@ -15,6 +15,7 @@ from quad_sysid.cli import main
 from quad_sysid.errors import BadInputError, NotInformativeError
 from quad_sysid.estimate.fit import Problem, fit
 from quad_sysid.estimate.stored import estimate_of
+from quad_sysid.loop.from_model import Placed
 from quad_sysid.model import AxisModel, Parameter
 from quad_sysid.model.effect import Part
 from quad_sysid.model.plant import Structure
@@ -23,7 +24,7 @@ from quad_sysid.pipeline.identify import Options, identify
 from quad_sysid.report.model_file import save_models
 from quad_sysid.separation import design, words
 from quad_sysid.separation.design import Separation, rivals_of, separate, variants
-from quad_sysid.separation.flight import PAPER, PAPER_NOISE, Acting, fly, paper_aircraft
+from quad_sysid.separation.flight import PAPER, PAPER_NOISE, fly, paper_aircraft
 from quad_sysid.separation.measure import judged
 from quad_sysid.session import separation
 from quad_sysid.signals.schedule import parse_schedule
@@ -50,7 +51,7 @@ def test_what_flies_is_what_identification_fits(name):
     plain = fly(aircraft, (), [flight])[0].data
     settings = effect.prepare(plain)
     assert not isinstance(settings, str), settings
-    acting = Acting(Part(effect, settings), values)
+    acting = Placed(Part(effect, settings), values)
     found = judged(aircraft, fly(aircraft, [acting], [flight])[0].data)
     assert found.fitted([acting.part]) > 8.0
     problem: Problem = found.problem

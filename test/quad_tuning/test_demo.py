@@ -109,18 +109,6 @@ def test_a_death_is_told_with_its_last_words(tmp_path: Path) -> None:
         executable('no_such_package', 'x')
 
 
-def test_cpu_time_is_measured(tmp_path: Path) -> None:
-    ready = tmp_path / 'ready'
-    with Crew(tmp_path, 1) as crew:
-        source = 'import time\nwhile time.process_time() < 0.4: pass\n'
-        crew.start('busy', python(f'{source}open({str(ready)!r}, "w").close()\n{SLEEP}'))
-        crew.start('idle', python(SLEEP))
-        wait_for(ready.exists)
-    cpu = crew.cpu()
-    assert cpu['busy']['cpu_s'] > 0.3
-    assert cpu['idle']['cpu_s'] < cpu['busy']['cpu_s']
-
-
 def test_two_runs_never_share_a_domain(tmp_path: Path) -> None:
     """Nor one that somebody uses; children get it and the whole environment."""
     environment = Crew(tmp_path, 77).environment()
@@ -151,13 +139,13 @@ with Observer(int(os.environ['ROS_DOMAIN_ID'])) as observer:
         failed = ''
     except StageFailedError as error:
         failed = str(error)
-    print(json.dumps([observer.active_gains, observer.bag, failed]))
+    print(json.dumps([observer.active_gains, observer.segment, failed]))
 """
 
 
 @pytest.fixture
 def observe(run: Callable[..., Started]) -> Callable[..., list[Any]]:
-    """What an observer, as a process, has heard: gains, bag, and why it failed."""
+    """What an observer, as a process, has heard: gains, segment, and why it failed."""
 
     def watch(condition: str, then: str = 'pass') -> list[Any]:
         observer = run(*python(WATCH.format(condition=condition, then=then)))
@@ -171,11 +159,11 @@ def test_the_observer_hears_late_what_was_said_and_fails_with_the_reason(
     probe: Probe, observe: Callable[..., list[Any]]
 ) -> None:
     probe.publish('/gains/active', event({'roll.kp': 3.0, 'source': 'read back'}))
-    told = {'path': 'flight_1', 'split': 2, 'whole': True}
-    probe.publish('/logger/bag', event(told))
+    told = {'segment': 'train', 'register_bits': 9, 'whole': True}
+    probe.publish('/excitation/segment', event(told))
     probe.serve('/bag_logger/start', success=False, message='disk is full')
     ask = "observer.call('fly', '/bag_logger/start', 200.0)"
-    heard = observe('observer.active_gains and observer.bag', ask)
+    heard = observe('observer.active_gains and observer.segment', ask)
     assert heard == [{'roll.kp': 3.0}, told, 'fly: /bag_logger/start: disk is full']
     status = {'level': 2, 'name': 'link', 'message': 'port is busy'}
     probe.publish('/diagnostics', {'status': [status]}, every_s=0.1)
@@ -249,17 +237,17 @@ REPORT = {
 
 
 def test_every_figure_stands_in_the_summary_which_fits_a_terminal() -> None:
-    def flown(name: str, seconds: float, angle_kp: float, *square: float) -> FlightSummary:
+    def flown(seconds: float, angle_kp: float, *square: float) -> FlightSummary:
         gains = {'roll.angle.kp': angle_kp, 'roll.rate.kp': 0.0745, 'roll.rate.d_filter_hz': 30.0}
         rise_time_s, overshoot_pct, rms_deg = square
-        return FlightSummary(Path(name), seconds, gains, SquareFigures(
+        return FlightSummary(seconds, gains, SquareFigures(
             rise_time_s, overshoot_pct, 1.0, 0.0, rms_error_rad=math.radians(rms_deg), edges=4,
             step_rad=0.4,
         ))
 
     told = lines(Outcome(
-        axis='roll', first=flown('flight_1', 66.2, 3.0, 0.512, 23.4, 4.56),
-        second=flown('flight_2', 25.0, 4.25, 0.311, 8.1, 3.33), report=REPORT,
+        axis='roll', first=flown(66.2, 3.0, 0.512, 23.4, 4.56),
+        second=flown(25.0, 4.25, 0.311, 8.1, 3.33), report=REPORT,
         unseen={'before': 0.3, 'after': 0.06}, acknowledged_after_s=0.42,
         folder=Path('demo_out'), files=[('the report', Path('demo_out/report.html'))],
         seconds=180.0,

@@ -13,7 +13,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from quad_sysid.arguments import NOT_ANSWERED, Parser, command, quiet_and_json, run_command
+from quad_sysid.arguments import (
+    NOT_ANSWERED,
+    Parser,
+    command,
+    positive,
+    quiet_and_json,
+    run_command,
+)
 from quad_sysid.contract import AXES
 from quad_sysid.files import write_whole
 from quad_sysid.loop.cascade import CascadeGains
@@ -62,14 +69,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
         'lqr', "Bryson's rule: the largest value of each that is acceptable"
     )
     for name, unit in BRYSON.items():
-        bryson.add_argument(f'--max-{name}', type=_positive, metavar=unit)
-
-
-def _positive(text: str) -> float:
-    value = float(text)
-    if not 0.0 < value < float('inf'):
-        raise argparse.ArgumentTypeError(f'must be a positive number: found {text}')
-    return value
+        bryson.add_argument(f'--max-{name}', type=float, metavar=unit)
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -112,9 +112,10 @@ def _answer(model: AxisModel, arguments: argparse.Namespace) -> dict[str, Any]:
         }
     from quad_tuning.lqr_proposal import propose_lqr  # python-control takes its time
 
-    given = {name: getattr(arguments, f'max_{name}') for name in BRYSON}
+    asked = ((name, getattr(arguments, f'max_{name}')) for name in BRYSON)
+    given = {name: positive(f'--max-{name}', value) for name, value in asked if value is not None}
     try:
-        found = propose_lqr(model, {k: v for k, v in given.items() if v is not None})
+        found = propose_lqr(model, given)
     except DesignRefusedError as refusal:
         return {'gains': None, 'refused_because': str(refusal), 'figures': {}}
     return {'gains': found.gains, 'refused_because': '', 'figures': found.figures}
@@ -132,11 +133,16 @@ def _table(axis: str, method: str, answer: Mapping[str, Any]) -> str:
     lines = [f'{axis} ({method}), over {figures["draws"]:.0f} draws of the model',
              *Table(['', 'flown', 'new', 'unit'], [*rows, *figure_rows(figures)], (1, 2)).text()]
     if answer.get('steps'):
-        lines.append(_updates(answer))
+        count, first = len(answer['steps']), _short(answer['gains'])
+        lines.append(
+            f'  to be sent whole; the step limit makes {count} updates of it'
+            if answer['gains'] == answer['target'] else
+            f'  {count} updates lead there; send {first} first and identify again, '
+            'all at once is not safe'
+        )
     lines += [f'  {item["name"]}: {item["use"]}' for item in answer.get('effects_used', ())]
     for row in answer.get('schedule', ()):
-        gains = '  '.join(f'{name} {value:.4g}' for name, value in row['gains'].items())
-        lines.append(f'  at {row["battery_v"]:.1f} V: {gains}')
+        lines.append(f'  at {row["battery_v"]:.1f} V: {_short(row["gains"])}')
     return '\n'.join(lines) + '\n'
 
 
@@ -144,16 +150,6 @@ def _unit(name: str) -> str:
     if name in BOUNDS:
         return BOUNDS[name].unit
     return LIMITS.get(name.partition('.')[2], (0.0, 1.0, ''))[2]
-
-
-def _updates(answer: Mapping[str, Any]) -> str:
-    count = len(answer['steps'])
-    if answer['gains'] == answer['target']:
-        return f'  to be sent whole; the step limit makes {count} updates of it'
-    return (
-        f'  {count} updates lead there; send {_short(answer["gains"])} first and identify again, '
-        'all at once is not safe'
-    )
 
 
 def _short(gains: Mapping[str, float]) -> str:

@@ -42,10 +42,9 @@ LARGEST_LOSS_PCT = 3.0
 def design(model: AxisModel) -> GainProposal:
     """Gains for one axis, or the reason against; a model's faults never raise."""
     try:
-        proposal = propose(model)
+        return propose(model)
     except (QuadTuningError, QuadSysidError) as refusal:
         return GainProposal(gains=None, refused_because=str(refusal))
-    return proposal
 
 
 def propose(model: AxisModel, requirements: Requirements | None = None) -> GainProposal:
@@ -74,14 +73,11 @@ def propose(model: AxisModel, requirements: Requirements | None = None) -> GainP
     fixed = DESIGNED[len(known) :]  # the filter of D, where the flight did not tell it
     try:
         found = retune(plant, active, loops, needs, fixed=fixed)
-    except DesignRefusedError as refusal:
-        raise DesignRefusedError(f'{model.axis}: {refusal}') from refusal
-    _check_worth(model, found, needs)
-    check_bounds(told(found.gains, model.axis, known))
-    try:
+        _check_worth(found, needs)
         way = way_to(found.gains, active, loops)
     except DesignRefusedError as refusal:
         raise DesignRefusedError(f'{model.axis}: {refusal}') from refusal
+    check_bounds(told(found.gains, model.axis, known))
     return GainProposal(
         gains={**told(way.told, model.axis, known), **chosen},
         figures={
@@ -96,7 +92,7 @@ def propose(model: AxisModel, requirements: Requirements | None = None) -> GainP
     )
 
 
-def _check_worth(model: AxisModel, found: PidDesign, needs: Requirements) -> None:
+def _check_worth(found: PidDesign, needs: Requirements) -> None:
     before, after = found.before, found.figures
     drop = 100.0 * (1.0 - after.rms_tracking_rad / before.rms_tracking_rad)
     kept = (
@@ -106,12 +102,12 @@ def _check_worth(model: AxisModel, found: PidDesign, needs: Requirements) -> Non
     )
     if kept and drop < LEAST_GAIN_PCT:
         raise DesignRefusedError(
-            f'{model.axis}: the gains that flew keep all margins, and the best ones would lower '
-            f'the tracking error by {drop:.1f} % only'
+            'the gains that flew keep all margins, and the best ones would lower the tracking '
+            f'error by {drop:.1f} % only'
         )
     if drop < -LARGEST_LOSS_PCT:
         raise DesignRefusedError(
-            f'{model.axis}: the best gains that keep all margins would raise the tracking error '
+            'the best gains that keep all margins would raise the tracking error '
             f'by {-drop:.0f} % (flown: phase margin {before.worst_phase_margin_deg:.0f} deg at '
             'worst); lower the gains by hand'
         )
@@ -120,16 +116,13 @@ def _check_worth(model: AxisModel, found: PidDesign, needs: Requirements) -> Non
 def _figures(
     model: AxisModel, found: PidDesign, known: Mapping[str, float], draws: int
 ) -> dict[str, float]:
-    values = found.figures.named(model.noise_rms)
-    before = found.before.named(model.noise_rms)
-    values.update({f'{name}_before': value for name, value in before.items()})
-    values.update({f'{name}_before': value for name, value in known.items()})
-    values['draws'] = float(draws)
-    values['searches_that_agree'] = float(found.starts)
-    values['searches'] = float(found.searches)
-    values['optimum_spread_pct'] = found.spread_pct
-    values['grid_points'] = float(found.grid_points)
-    values['grid_excess_pct'] = found.grid_excess_pct
-    values['disturbance_kept'] = float(found.disturbance_kept)
-    values['effects_left_out'] = float(len(not_in_the_loop(model)))
+    before = {**found.before.named(model.noise_rms), **known}
+    values = found.figures.named(model.noise_rms) | {
+        f'{name}_before': value for name, value in before.items()
+    } | {
+        'draws': draws, 'searches_that_agree': found.starts, 'searches': found.searches,
+        'optimum_spread_pct': found.spread_pct, 'grid_points': found.grid_points,
+        'grid_excess_pct': found.grid_excess_pct, 'disturbance_kept': found.disturbance_kept,
+        'effects_left_out': len(not_in_the_loop(model)),
+    }
     return {name: float(value) for name, value in values.items() if np.isfinite(value)}

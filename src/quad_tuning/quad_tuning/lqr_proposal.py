@@ -53,7 +53,8 @@ def propose_lqr(model: AxisModel, largest: Mapping[str, float] | None = None) ->
     check_band(model, before.crossover_rad_s)
     try:
         weights = Weights(**{WEIGHTS[name]: value for name, value in (largest or {}).items()})
-        found = design_lqr(plant, loops, active.output_limit, weights, _noise(model))
+        noise = Noise(rate=model.noise_rms) if model.noise_rms else Noise()
+        found = design_lqr(plant, loops, active.output_limit, weights, noise)
     except DesignRefusedError as refusal:
         raise DesignRefusedError(f'{model.axis}: {refusal}') from refusal
     if not way_is_safe(found.controller, active, loops):
@@ -65,11 +66,15 @@ def propose_lqr(model: AxisModel, largest: Mapping[str, float] | None = None) ->
     figures['disturbance_rms_rad'] = disturbance(plant, found.controller)
     if model.noise_rms:
         nominal = loops.subset(np.flatnonzero(loops.nominal)[:1])
-        noise = noise_gain(found.controller, nominal)
-        figures['motor_noise_rms'] = noise * model.noise_rms
+        figures['motor_noise_rms'] = noise_gain(found.controller, nominal) * model.noise_rms
     old = before.named(model.noise_rms)
     figures.update({f'{name}_before': old[name] for name in figures})
-    _check_worth(model.axis, figures)
+    lost = 100.0 * (figures['rms_tracking_rad'] / figures['rms_tracking_rad_before'] - 1.0)
+    if lost > LARGEST_LOSS_PCT:
+        raise DesignRefusedError(
+            f'{model.axis}: the LQR that keeps all margins would raise the tracking error by '
+            f'{lost:.0f} %; the delay is too long for it, take the cascade (--method pid)'
+        )
     figures.update(promise(loops, active, found.controller, plant.lag_s))
     figures['draws'] = float(loops.draws)
     figures['control_weight'] = found.control_weight
@@ -78,20 +83,6 @@ def propose_lqr(model: AxisModel, largest: Mapping[str, float] | None = None) ->
         gains=found.controller.to_mapping(model.axis),
         figures={name: value for name, value in figures.items() if np.isfinite(value)},
     )
-
-
-def _check_worth(axis: str, figures: Mapping[str, float]) -> None:
-    lost = 100.0 * (figures['rms_tracking_rad'] / figures['rms_tracking_rad_before'] - 1.0)
-    if lost > LARGEST_LOSS_PCT:
-        raise DesignRefusedError(
-            f'{axis}: the LQR that keeps all margins would raise the tracking error by '
-            f'{lost:.0f} %; the delay is too long for it, take the cascade (--method pid)'
-        )
-
-
-def _noise(model: AxisModel) -> Noise:
-    """Noise for the observer, with the flight's measurement noise where it is known."""
-    return Noise(rate=model.noise_rms) if model.noise_rms else Noise()
 
 
 def disturbance(plant: LoopPlant, controller: StateFeedback) -> float:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 import numpy.typing as npt
@@ -70,8 +71,11 @@ def search(problem: Problem) -> Found:
     order = _ranked(problem, loops, grid)
     judged = [(_merit(problem, loops, grid[i]), grid[i]) for i in order[:JUDGED]]
     judged.sort(key=lambda item: item[0])
+    known = ((merit, problem.gains(x)) for merit, x in judged[:STARTS])
     best = min(
-        (merit for merit, x in judged[:STARTS] if _whole(problem, x)), default=float('inf')
+        (merit for merit, gains in known
+         if problem.holds(gains) and float(np.min(problem.value(gains)[1])) >= 0.0),
+        default=float('inf'),
     )
     ends: list[tuple[float, FloatArray]] = []
     for attempt, start in enumerate(_apart([x for _, x in judged])):
@@ -178,11 +182,6 @@ def _merit(problem: Problem, loops: Ensemble, point: FloatArray) -> float:
     return value - 20.0 * min(0.0, short)
 
 
-def _whole(problem: Problem, point: FloatArray) -> bool:
-    gains = problem.gains(point)
-    return problem.holds(gains) and float(np.min(problem.value(gains)[1])) >= 0.0
-
-
 def _apart(points: list[FloatArray]) -> list[FloatArray]:
     chosen: list[FloatArray] = []
     for point in points:
@@ -225,39 +224,25 @@ def _polish(problem: Problem, start: FloatArray) -> tuple[float, FloatArray] | N
 
 def _slsqp(judged: Callable[[FloatArray], FloatArray], start: FloatArray) -> FloatArray:
     """Minimise judged(x)[0] subject to judged(x)[1:] >= 0 in the unit cube."""
-    known: dict[bytes, FloatArray] = {}
-    slopes: dict[bytes, FloatArray] = {}
+
+    @cache
+    def known(key: bytes) -> FloatArray:
+        return judged(np.frombuffer(key))
 
     def at(x: FloatArray) -> FloatArray:
-        key = x.tobytes()
-        if key not in known:
-            known[key] = judged(x)
-        return known[key]
+        return known(x.tobytes())
 
-    def slope(x: FloatArray) -> FloatArray:
-        key = x.tobytes()
-        if key not in slopes:
-            columns = []
-            for i in range(x.size):
-                h = DIFFERENCE if x[i] < 0.5 else -DIFFERENCE
-                other = x.copy()
-                other[i] += h
-                columns.append((at(other) - at(x)) / h)
-            slopes[key] = np.stack(columns, axis=1)
-        return slopes[key]
+    @cache
+    def slopes(key: bytes) -> FloatArray:
+        x = np.frombuffer(key)
+        steps = np.diag(np.where(x < 0.5, DIFFERENCE, -DIFFERENCE))
+        return np.stack([(at(x + h) - at(x)) / h.sum() for h in steps], axis=1)
 
     result = minimize(
-        lambda x: at(x)[0],
-        start,
-        jac=lambda x: slope(x)[0],
-        bounds=[(0.0, 1.0)] * start.size,
-        constraints={
-            'type': 'ineq',
-            'fun': lambda x: at(x)[1:],
-            'jac': lambda x: slope(x)[1:],
-        },
-        method='SLSQP',
-        options={'maxiter': 40, 'ftol': 1e-4},
+        lambda x: at(x)[0], start, jac=lambda x: slopes(x.tobytes())[0],
+        bounds=[(0.0, 1.0)] * start.size, method='SLSQP', options={'maxiter': 40, 'ftol': 1e-4},
+        constraints={'type': 'ineq', 'fun': lambda x: at(x)[1:],
+                     'jac': lambda x: slopes(x.tobytes())[1:]},
     )
     return np.asarray(np.clip(result.x, 0.0, 1.0))
 
@@ -296,12 +281,8 @@ class PidDesign:
 
 
 def retune(
-    plant: LoopPlant,
-    active: CascadeGains,
-    ensemble: Ensemble,
-    needs: Requirements | None = None,
-    weights: Weights | None = None,
-    fixed: Collection[str] = (),
+    plant: LoopPlant, active: CascadeGains, ensemble: Ensemble, needs: Requirements | None = None,
+    weights: Weights | None = None, fixed: Collection[str] = (),
 ) -> PidDesign:
     """The best gains within the bounds that satisfy every loop of the ensemble.
 
@@ -316,44 +297,26 @@ def retune(
         factor = RELAXED_DISTURBANCE * needs.disturbance_factor
         problem = replace(problem, needs=replace(needs, disturbance_factor=factor))
         found = search(problem)
+    before = assess(plant, active, ensemble)
     if not found.points:
-        raise DesignRefusedError(_why_not(plant, active, ensemble))
+        raise DesignRefusedError(
+            f'no gains within the hard bounds keep the margins over {ensemble.draws} draws '
+            f'(flown: phase margin {before.worst_phase_margin_deg:.0f} deg, gain margin '
+            f'{before.worst_gain_margin_db:.1f} dB, sensitivity '
+            f'{before.worst_peak_sensitivity:.2f} at worst); identify with more excitation, or '
+            'lower the gains by hand first'
+        )
     objective, best = found.points[0]
     chosen = problem.gains(best)
     agreed = [(value, x) for value, x in found.points if value <= (1.0 + AGREED) * objective]
-    spreads = _spreads([problem.gains(x) for _, x in agreed], chosen)
+    spread = max(
+        abs(float(getattr(problem.gains(x), field)) / float(getattr(chosen, field)) - 1.0)
+        for _, x in agreed for field in TUNED[:2]
+    )
     return PidDesign(
-        gains=chosen,
-        figures=assess(plant, chosen, ensemble),
-        before=assess(plant, active, ensemble),
-        objective=objective,
-        spread_pct=100.0 * spreads,
+        gains=chosen, figures=assess(plant, chosen, ensemble), before=before, objective=objective,
+        spread_pct=100.0 * spread, starts=len(agreed), searches=len(found.points),
         objective_spread_pct=100.0 * (agreed[-1][0] / objective - 1.0),
-        starts=len(agreed),
-        searches=len(found.points),
-        grid_points=found.grid_points,
-        grid_excess_pct=_excess(found, objective),
-        disturbance_kept=kept,
-    )
-
-
-def _spreads(gains: list[CascadeGains], chosen: CascadeGains) -> float:
-    return max(
-        abs(float(getattr(g, f)) / float(getattr(chosen, f)) - 1.0)
-        for g in gains for f in TUNED[:2]
-    )
-
-
-def _excess(found: Found, objective: float) -> float:
-    return 100.0 * (found.grid_best / objective - 1.0)
-
-
-def _why_not(plant: LoopPlant, active: CascadeGains, ensemble: Ensemble) -> str:
-    figures = assess(plant, active, ensemble)
-    return (
-        f'no gains within the hard bounds keep the margins over {ensemble.draws} draws (flown: '
-        f'phase margin {figures.worst_phase_margin_deg:.0f} deg, gain margin '
-        f'{figures.worst_gain_margin_db:.1f} dB, sensitivity '
-        f'{figures.worst_peak_sensitivity:.2f} at worst); identify with more excitation, or '
-        'lower the gains by hand first'
+        grid_points=found.grid_points, disturbance_kept=kept,
+        grid_excess_pct=100.0 * (found.grid_best / objective - 1.0),
     )

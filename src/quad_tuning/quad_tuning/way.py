@@ -43,7 +43,8 @@ def way_to(wanted: CascadeGains, active: CascadeGains, loops: Ensemble) -> Way:
     """
     least = least_on_the_way(active, loops)
     for way in _tried(wanted, active):
-        if all(_safe(gains, loops, least) for gains in way.steps[:-1]):
+        if all(meets(loops.margins(gains), least).all() and not loops.unstable(gains).any()
+               for gains in way.steps[:-1]):
             return way
     raise DesignRefusedError(
         'all steps from the flown gains to the best ones lead through gains with poor margins; '
@@ -57,23 +58,12 @@ def _tried(wanted: CascadeGains, active: CascadeGains) -> Iterator[Way]:
     for share in HALTS:
         halt = _between(active, wanted, share)
         yield Way((*steps_to(halt, active), *steps_to(wanted, halt)), halt)
-    even = _even(wanted, active, len(together))
-    if even:
-        yield Way(even, even[0])
-
-
-def _even(wanted: CascadeGains, active: CascadeGains, least: int) -> tuple[CascadeGains, ...]:
-    """Steps of equal ratios (equal differences for gains near zero), as many as needed."""
-    for count in range(max(least, 1), 65):
-        path, now, fits = [], active, True
-        for k in range(1, count + 1):
-            following = wanted if k == count else _between(active, wanted, k / count)
-            fits &= _within(following, now)
-            path.append(following)
-            now = following
-        if fits:
-            return tuple(path)
-    return ()
+    # equal ratios (equal differences for gains near zero) in as many updates as it takes
+    for count in range(max(len(together), 1), 65):
+        path = [*(_between(active, wanted, k / count) for k in range(1, count)), wanted]
+        if all(_within(then, now) for now, then in zip([active, *path], path, strict=False)):
+            yield Way(tuple(path), path[0])
+            return
 
 
 def _between(active: CascadeGains, wanted: CascadeGains, share: float) -> CascadeGains:
@@ -85,11 +75,9 @@ def _between(active: CascadeGains, wanted: CascadeGains, share: float) -> Cascad
 
 
 def _within(following: CascadeGains, now: CascadeGains) -> bool:
-    for field in DESIGNED:
-        low, high = reachable(field, getattr(now, field))
-        if not low * (1 - 1e-9) <= getattr(following, field) <= high * (1 + 1e-9):
-            return False
-    return True
+    limits = ((field, reachable(field, getattr(now, field))) for field in DESIGNED)
+    return all(low * (1 - 1e-9) <= getattr(following, field) <= high * (1 + 1e-9)
+               for field, (low, high) in limits)
 
 
 def least_on_the_way(active: CascadeGains, loops: Ensemble) -> Requirements:
@@ -102,7 +90,3 @@ def least_on_the_way(active: CascadeGains, loops: Ensemble) -> Requirements:
         peak_sensitivity=max(FOR_SECONDS.peak_sensitivity,
                              float(np.max(m.peak_sensitivity)) / SLACK),
     )
-
-
-def _safe(gains: CascadeGains, loops: Ensemble, least: Requirements) -> bool:
-    return bool(meets(loops.margins(gains), least).all() and not loops.unstable(gains).any())

@@ -85,12 +85,10 @@ class CascadeGains:
     def from_mapping(cls, values: Mapping[str, float], axis: str) -> CascadeGains:
         """Gains by the contract's names (`roll.angle.kp`, …); missing ones have their defaults."""
         start = cls.default(axis)
-        return cls(
-            **{
-                field: float(values.get(f'{axis}.{name}', getattr(start, field)))
-                for field, name in CONTRACT_NAMES.items()
-            }
-        )
+        return cls(**{
+            field: float(values.get(f'{axis}.{name}', getattr(start, field)))
+            for field, name in CONTRACT_NAMES.items()
+        })
 
     def to_mapping(self, axis: str, *, constants: bool = False) -> dict[str, float]:
         """The contract's names and values; with `constants` filter and limits too."""
@@ -99,7 +97,6 @@ class CascadeGains:
             for field, name in CONTRACT_NAMES.items()
             if constants or field in TUNED
         }
-
 
     def dynamics(self, dt: float) -> Dynamics:
         """The linear controller that the firmware computes with these gains.
@@ -223,24 +220,13 @@ def closed_loop_radius(controller: Dynamics, cycle: Step) -> FloatArray:
     The states are those of the plant, the commands in the delay, and the controller's.
     """
     ca, cb, cc, cd = controller
-    p, n = cycle.phi.shape[:2]
-    depth = int(cycle.whole.max()) + 1
-    size = n + depth + ca.shape[0]
-    own = slice(n + depth, size)
+    a, b = cycle.with_delay()
+    p, n, m = len(a), cycle.phi.shape[1], a.shape[1]
+    size = m + ca.shape[0]
     control = np.zeros((p, size))
-    control[:, :n] = cd[0] @ cycle.c
-    control[:, own] = cc[0]
+    control[:, :n], control[:, m:] = cd[0] @ cycle.c, cc[0]
     matrix = np.zeros((p, size, size))
-    matrix[:, :n, :n] = cycle.phi
-    for i, late in enumerate(cycle.whole.tolist()):
-        matrix[i, :n, n + late] += cycle.before[i]
-        if late == 0:
-            matrix[i, :n] += np.outer(cycle.now[i], control[i])
-        else:
-            matrix[i, :n, n + late - 1] += cycle.now[i]
-    matrix[:, n] = control
-    for j in range(1, depth):
-        matrix[:, n + j, n + j - 1] = 1.0
-    matrix[:, own, :n] = cb @ cycle.c
-    matrix[:, own, own] = ca
+    matrix[:, :m, :m] = a
+    matrix[:, :m] += b[:, :, None] * control[:, None]
+    matrix[:, m:, :n], matrix[:, m:, m:] = cb @ cycle.c, ca
     return np.asarray(np.max(np.abs(np.linalg.eigvals(matrix)), axis=1))

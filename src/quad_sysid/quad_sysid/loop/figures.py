@@ -51,7 +51,9 @@ def step_figures(response: npt.ArrayLike, dt: float) -> StepFigures:
     The settled value is the mean of the last fifth. Raises BadInputError unless the response has
     n >= 10 finite values.
     """
-    y = _finite(response, 'response')
+    y = np.asarray(response, dtype=float)
+    if y.ndim != 1 or not np.isfinite(y).all():
+        raise BadInputError('figures', 'response must be (n,) and finite', y.shape)
     if y.size < 10:
         raise BadInputError('step_figures', 'needs 10 samples or more', y.size)
     settled = float(np.mean(y[-max(2, y.size // 5) :]))
@@ -92,13 +94,8 @@ def square_figures(reference: npt.ArrayLike, angle: npt.ArrayLike, dt: float) ->
                                   'stretch; record at least two edges')
     figures = step_figures(np.mean(responses, axis=0), dt)
     return SquareFigures(
-        rise_time_s=figures.rise_time_s,
-        overshoot_pct=figures.overshoot_pct,
-        settling_time_s=figures.settling_time_s,
-        final_error_pct=figures.final_error_pct,
-        rms_error_rad=float(np.sqrt(np.mean((r - y)[good] ** 2))),
-        edges=len(responses),
-        step_rad=float(np.mean(np.abs(steps))),
+        **vars(figures), rms_error_rad=float(np.sqrt(np.mean((r - y)[good] ** 2))),
+        edges=len(responses), step_rad=float(np.mean(np.abs(steps))),
     )
 
 
@@ -137,8 +134,8 @@ def _edge_responses(
         begin = float(np.mean(y[start - lead : start]))
         offset = (begin - float(r[start - 1])) / step
         # the step is scaled by where the response stood, so that a standing error is not a step
-        responses.append((y[start:stop] - begin) / (step * (1.0 - offset)) if abs(offset) < 0.5
-                         else (y[start:stop] - begin) / step)  # fmt: skip
+        scale = step * (1.0 - offset) if abs(offset) < 0.5 else step
+        responses.append((y[start:stop] - begin) / scale)
         steps.append(step)
     return responses, steps
 
@@ -152,10 +149,3 @@ def _first_crossing(way: FloatArray, level: float) -> float:
         return 0.0
     low, high = float(way[index - 1]), float(way[index])
     return index - 1 + (level - low) / (high - low)
-
-
-def _finite(values: npt.ArrayLike, name: str) -> FloatArray:
-    array = np.asarray(values, dtype=float)
-    if array.ndim != 1 or not np.isfinite(array).all():
-        raise BadInputError('figures', f'{name} must be (n,) and finite', array.shape)
-    return array

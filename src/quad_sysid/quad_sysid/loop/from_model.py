@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -308,10 +309,5 @@ def _chain(functions: list[Function]) -> Curve | None:
     """Command curves one after the other, in the model's order."""
     if not functions:
         return None
-
-    def through(u: FloatArray) -> FloatArray:
-        for function in functions:
-            u = function(u)
-        return u
-
-    return Curve.sampled(through, COMMAND_RANGE, STEPS['command'][0])
+    return Curve.sampled(lambda u: reduce(lambda x, function: function(x), functions, u),
+                         COMMAND_RANGE, STEPS['command'][0])

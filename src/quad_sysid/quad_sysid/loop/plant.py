@@ -265,6 +265,21 @@ class Step:
     whole: npt.NDArray[np.int64]
     dt: float
 
+    def with_delay(self) -> tuple[FloatArray, FloatArray]:
+        """(p, m, m) and (p, m) of a cycle with the commands under way as states behind the n."""
+        p, n = self.phi.shape[:2]
+        depth = int(self.whole.max()) + 1
+        a, b = np.zeros((p, n + depth, n + depth)), np.zeros((p, n + depth))
+        a[:, :n, :n], b[:, n] = self.phi, 1.0
+        a[:, n + 1 :, n:-1] = np.eye(depth - 1)
+        for i, late in enumerate(self.whole.tolist()):
+            a[i, :n, n + late] = self.before[i]
+            if late:
+                a[i, :n, n + late - 1] = self.now[i]
+            else:
+                b[i, :n] = self.now[i]
+        return a, b
+
     def response(self, omega: FloatArray) -> ComplexArray:
         """(2, p, f) discrete frequency response of measured rate and angle at omega, rad/s."""
         z = np.exp(1j * omega * self.dt)
@@ -319,20 +334,7 @@ def state_space(plant: LoopPlant, slopes: Slopes | None = None) -> StateSpace:
     Control of Dynamic Systems, 3rd ed., section 4.3 (delay that is not a whole number of cycles).
     """
     cycle = exact_cycles([plant], [slopes or Slopes()])
+    a, b = cycle.with_delay()
     n = cycle.phi.shape[-1]
-    d = int(cycle.whole[0])
-    size = n + d + 1
-    a = np.zeros((size, size))
-    b = np.zeros((size, 1))
-    a[:n, :n] = cycle.phi[0]
-    a[:n, n + d] = cycle.before[0]
-    if d == 0:
-        b[:n, 0] = cycle.now[0]
-    else:
-        a[:n, n + d - 1] = cycle.now[0]
-    b[n, 0] = 1.0
-    for i in range(d):
-        a[n + 1 + i, n + i] = 1.0
-    c = np.zeros((2, size))
-    c[:, :n] = cycle.c[0]
-    return StateSpace(a, b, c, plant.dt)
+    c = np.pad(cycle.c[0], ((0, 0), (0, a.shape[-1] - n)))
+    return StateSpace(a[0], b[0][:, None], c, plant.dt)

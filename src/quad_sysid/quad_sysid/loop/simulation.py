@@ -43,17 +43,8 @@ def _table(curve: Curve | None) -> FloatArray:
 
 
 def _constants(gains: CascadeGains, dt: float) -> kernels.Constants:
-    return kernels.Constants(
-        angle_kp=float(gains.angle_kp),
-        rate_kp=float(gains.rate_kp),
-        rate_ki=float(gains.rate_ki),
-        rate_kd=float(gains.rate_kd),
-        d_weight=float(derivative_weight(gains.d_filter_hz, dt)),
-        output_limit=float(gains.output_limit),
-        rate_limit=float(gains.rate_limit),
-        integrator_limit=float(gains.integrator_limit),
-        dt=float(dt),
-    )
+    known = {**vars(gains), 'd_weight': derivative_weight(gains.d_filter_hz, dt), 'dt': dt}
+    return kernels.Constants(**{name: float(known[name]) for name in kernels.Constants._fields})
 
 
 @lru_cache(maxsize=32)
@@ -109,18 +100,10 @@ def _steps_a_cycle(plant: LoopPlant) -> int:
 
 
 def simulate_cascade(
-    plant: LoopPlant,
-    gains: CascadeGains,
-    reference_angle: npt.ArrayLike,
-    dt: float,
-    noise: npt.ArrayLike | None = None,
-    disturbance: npt.ArrayLike | None = None,
-    *,
-    rate_excitation: npt.ArrayLike | None = None,
-    control_excitation: npt.ArrayLike | None = None,
-    initial_angle: float = 0.0,
-    initial_rate: float = 0.0,
-    angle_lead_s: float = 0.0,
+    plant: LoopPlant, gains: CascadeGains, reference_angle: npt.ArrayLike, dt: float,
+    noise: npt.ArrayLike | None = None, disturbance: npt.ArrayLike | None = None, *,
+    rate_excitation: npt.ArrayLike | None = None, control_excitation: npt.ArrayLike | None = None,
+    initial_angle: float = 0.0, initial_rate: float = 0.0, angle_lead_s: float = 0.0,
 ) -> LoopResponse:
     """Simulate the cascade around `plant` for an angle reference (n,), rad.
 
@@ -133,15 +116,11 @@ def simulate_cascade(
     """
     reference = _checked_reference(reference_angle, dt, plant.dt)
     n = reference.size
-    signals = np.stack(
-        (
-            reference,
-            _signal(noise, n, 'noise'),
-            plant.bias + _signal(disturbance, n, 'disturbance'),
-            _signal(rate_excitation, n, 'rate_excitation'),
-            _signal(control_excitation, n, 'control_excitation'),
-        )
-    )
+    signals = np.stack((
+        reference, _signal(noise, n, 'noise'), plant.bias + _signal(disturbance, n, 'disturbance'),
+        _signal(rate_excitation, n, 'rate_excitation'),
+        _signal(control_excitation, n, 'control_excitation'),
+    ))
     cycle = _cycle(plant)
     state = np.zeros(cycle.phi.shape[1])
     state[1], state[2] = initial_rate, initial_angle
@@ -156,15 +135,8 @@ def simulate_cascade(
 
 
 def simulate_polynomial_cascade(
-    A: npt.ArrayLike,
-    B: npt.ArrayLike,
-    gains: CascadeGains,
-    reference: npt.ArrayLike,
-    dt: float,
-    *,
-    nk: int = 0,
-    noise: npt.ArrayLike | None = None,
-    angle_lead_s: float = 0.0,
+    A: npt.ArrayLike, B: npt.ArrayLike, gains: CascadeGains, reference: npt.ArrayLike, dt: float,
+    *, nk: int = 0, noise: npt.ArrayLike | None = None, angle_lead_s: float = 0.0,
 ) -> LoopResponse:
     """Simulate the cascade around A(q) rate = B(q) q^-nk u (the paper's step B).
 

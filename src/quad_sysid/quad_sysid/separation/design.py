@@ -14,10 +14,11 @@ from threadpoolctl import threadpool_limits
 from quad_sysid.effects import EFFECTS
 from quad_sysid.errors import BadInputError, NotInformativeError
 from quad_sysid.estimate.stored import library
+from quad_sysid.loop.from_model import Placed
 from quad_sysid.model import AxisModel
 from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import Effect, Part
-from quad_sysid.separation.flight import Acting, Aircraft, Excitation, Flown, effect_of, fly
+from quad_sysid.separation.flight import Aircraft, Excitation, Flown, effect_of, fly
 from quad_sysid.separation.measure import Apart, Judged, judged
 from quad_sysid.signals import schedule
 from quad_sysid.signals.guard import Limits
@@ -127,15 +128,15 @@ class Rival:
     """An effect of a given strength, or nothing."""
 
     name: str
-    acting: Acting | None = None
+    acting: Placed | None = None
     variants: tuple[Effect, ...] = ()
     """Every effect of this name."""
 
     def words(self) -> str:
         """Name and strength."""
-        if self.acting is None or self.acting.part.effect.kind == 'shape':
+        if self.acting is None or self.acting.effect.kind == 'shape':
             return self.name
-        read = self.acting.part.effect.readable(self.acting.p, self.acting.part.settings)
+        read = self.acting.effect.readable(self.acting.p, self.acting.part.settings)
         told = (
             f'{name} {value:.3g} {unit if unit != "1" else ""}'.strip()
             for name, (value, unit) in read.items()
@@ -206,12 +207,10 @@ def rivals_of(model: AxisModel) -> Names:
 
 
 def nearest(models: Mapping[str, AxisModel]) -> AxisModel:
-    """The axis with the most probable rival; the first axis where there is none."""
-
-    def nearness(model: AxisModel) -> float:
-        return max((p for e in model.effects for _, p in e.rivals), default=-1.0)
-
-    return max(models.values(), key=nearness)
+    """The axis whose effects have the most probable rival; the first where none has any."""
+    return max(models.values(), key=lambda model: max(
+        (p for e in model.effects for _, p in e.rivals), default=-1.0
+    ))
 
 
 def variants(name: str, effects: Sequence[Effect] = EFFECTS) -> tuple[Effect, ...]:

@@ -15,12 +15,12 @@ import numpy as np
 
 from quad_sysid.contract import AXES, FloatArray, motors_from_wrench
 from quad_sysid.errors import BadInputError
-from quad_sysid.estimate.stored import fitted_of, part_of
 from quad_sysid.loop.cascade import CascadeGains, derivative_weight
+from quad_sysid.loop.from_model import Placed, placed
 from quad_sysid.loop.plant import LoopPlant, Slopes, dynamics, exact_cycles, exact_step
 from quad_sysid.model import AxisModel, NoiseEstimate
 from quad_sysid.model.data import AxisData
-from quad_sysid.model.effect import Part, Signals
+from quad_sysid.model.effect import Signals
 from quad_sysid.model.noise import sensor_of
 from quad_sysid.model.plant import BASE, NOISE, SLOPE_STEP, Flight, Structure
 from quad_sysid.signals import schedule
@@ -45,14 +45,6 @@ VOLTS = 12.1
 
 
 @dataclass(frozen=True)
-class Acting:
-    """An effect of a given strength: its physics and parameters (p,) in their units."""
-
-    part: Part
-    p: FloatArray
-
-
-@dataclass(frozen=True)
 class Aircraft:
     """One axis: its model without the rivals, the loop around it and its noise."""
 
@@ -60,8 +52,8 @@ class Aircraft:
     theta: FloatArray
     """(5,) gain, lag, delay, damping, bias."""
     gains: CascadeGains
-    acting: tuple[Acting, ...] = ()
-    """The effects that are not rivals."""
+    acting: tuple[Placed, ...] = ()
+    """The effects that are no rivals."""
     dt: float = PAPER_DT
     """Control cycle, s."""
     gyro_filter_hz: float | None = PAPER_GYRO_HZ
@@ -90,7 +82,8 @@ def aircraft_of(model: AxisModel, less: str, told: str) -> Aircraft:
             f'{theta[0]:.4g}', 'check mixer and gyro, identify again',
         )
     return Aircraft(
-        axis=model.axis, theta=theta, acting=_acting(model, lambda name: name != less),
+        axis=model.axis, theta=theta,
+        acting=tuple(placed(model, effect) for effect in model.effects if effect.name != less),
         gains=CascadeGains.from_mapping(model.active_gains, model.axis) if known
         else CascadeGains.default(model.axis),
         dt=model.dt, gyro_filter_hz=model.gyro_filter_hz, noise=model.noise or PAPER_NOISE,
@@ -98,14 +91,9 @@ def aircraft_of(model: AxisModel, less: str, told: str) -> Aircraft:
     )
 
 
-def effect_of(model: AxisModel, name: str) -> Acting | None:
+def effect_of(model: AxisModel, name: str) -> Placed | None:
     """One effect of a model; None without it."""
-    return next(iter(_acting(model, lambda own: own == name)), None)
-
-
-def _acting(model: AxisModel, wanted) -> tuple[Acting, ...]:  # type: ignore[no-untyped-def]  # noqa: ANN001
-    parts = [(part_of(model, e), e) for e in model.effects if wanted(e.name)]
-    return tuple(Acting(part, fitted_of(part, e)) for part, e in parts)
+    return next((placed(model, effect) for effect in model.effects if effect.name == name), None)
 
 
 LEAD_S = 1.0
@@ -167,7 +155,7 @@ class Flown:
 
 
 def fly(
-    aircraft: Aircraft, acting: Sequence[Acting], excitations: Sequence[Excitation]
+    aircraft: Aircraft, acting: Sequence[Placed], excitations: Sequence[Excitation]
 ) -> list[Flown]:
     """Each excitation simulated from rest with the effects `acting` and the aircraft's noise."""
     acting = tuple(acting)
@@ -176,15 +164,20 @@ def fly(
     inputs = np.stack([a[:, :n] for a in added])
     around = [_surroundings(aircraft, e, n) for e in excitations]
     extra, flown = np.zeros((n, len(around))), around
-    moving = tuple(one for one in acting if one.part.effect.moves_command)
+    moving = tuple(one for one in acting if one.effect.moves_command)
     command = np.zeros((n, len(around)))
     for _ in range(PASSES if moving else 1):
         rate, angle, new = _run(aircraft, acting, around, inputs, extra)
         settled = np.max(np.abs(new - command)) < SETTLED
         command = new
-        flown = [
-            _with(data, rate[:, i], angle[:, i], command[:, i]) for i, data in enumerate(around)
-        ]
+        flown = []
+        for i, data in enumerate(around):
+            control = data.control.copy()
+            control[:, data.index + 1] = command[:, i]
+            flown.append(replace(
+                data, rate=np.ascontiguousarray(rate[:, i]), control=control,
+                angle=np.ascontiguousarray(angle[:, i]), motors=motors_from_wrench(control),
+            ))
         if settled or not np.isfinite(command).all():
             break
         extra = np.stack([_pushed(aircraft, moving, data) for data in flown], axis=1)
@@ -192,17 +185,8 @@ def fly(
     return [Flown(data, float(peak)) for data, peak in zip(flown, peaks, strict=True)]
 
 
-def _with(data: AxisData, rate: FloatArray, angle: FloatArray, command: FloatArray) -> AxisData:
-    control = data.control.copy()
-    control[:, data.index + 1] = command
-    return replace(
-        data, rate=np.ascontiguousarray(rate), angle=np.ascontiguousarray(angle), control=control,
-        motors=motors_from_wrench(control),
-    )
-
-
-def _pushed(aircraft: Aircraft, moving: tuple[Acting, ...], data: AxisData) -> FloatArray:
-    """(n,) change of the drive by the effects on the command, rad/s²."""
+def _pushed(aircraft: Aircraft, moving: tuple[Placed, ...], data: AxisData) -> FloatArray:
+    """(n,) what the effects on the command add to the drive, rad/s²."""
     flight = Flight(data, data.stretches)
     with_them = Structure(tuple(one.part for one in moving))
     values = np.concatenate([aircraft.theta, *(one.p for one in moving), np.ones(len(NOISE))])
@@ -213,7 +197,7 @@ def _pushed(aircraft: Aircraft, moving: tuple[Acting, ...], data: AxisData) -> F
 
 
 def _run(
-    aircraft: Aircraft, acting: Sequence[Acting], around: Sequence[AxisData],
+    aircraft: Aircraft, acting: Sequence[Placed], around: Sequence[AxisData],
     inputs: FloatArray, extra: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """(n, f) measured rate and angle, and command, of f flights with `extra` acceleration."""
@@ -234,7 +218,7 @@ def _run(
     last = np.zeros(count)
     u, rates, angles = np.zeros((n, count)), np.zeros((n, count)), np.zeros((n, count))
     nothing = np.zeros(count)
-    hidden = [np.zeros((one.part.effect.states, count)) for one in torques]
+    hidden = [np.zeros((one.effect.states, count)) for one in torques]
     for k in range(n):
         rate, angle = x[:, rate_at] + gyro[k], x[:, angle_at]
         wanted = (g.angle_kp * (inputs[:, 0, k] - angle)).clip(-g.rate_limit, g.rate_limit)
@@ -259,26 +243,26 @@ def _run(
             total = (total + own) / (1.0 - 0.5 * push[1] * slope)
         begin, x = x[:, 1], free + total[:, None] * push
         hidden = [
-            one.part.effect.advance(h, 0.5 * (begin + x[:, 1]), one.p, one.part.settings, dt)
+            one.effect.advance(h, 0.5 * (begin + x[:, 1]), one.p, one.part.settings, dt)
             if h.size else h for one, h in zip(torques, hidden, strict=True)
         ]
     return rates, angles, u
 
 
-def _has_torque(one: Acting) -> bool:
+def _has_torque(one: Placed) -> bool:
     rest = np.zeros(1)
     s = Signals(rest, rest, rest, rest, rest, rest, rest, rest + 1.0, (rest, rest), (rest, rest),
-                rest, np.zeros((one.part.effect.states, 1)))
-    return one.part.effect.torque(s, one.p, one.part.settings) is not None
+                rest, np.zeros((one.effect.states, 1)))
+    return one.effect.torque(s, one.p, one.part.settings) is not None
 
 
 def _torque(
-    acting: Sequence[Acting], hidden: Sequence[FloatArray], known: Signals
+    acting: Sequence[Placed], hidden: Sequence[FloatArray], known: Signals
 ) -> tuple[FloatArray, FloatArray]:
     """Acceleration and its slope over the rate."""
     total, slope = np.zeros_like(known.rate), np.zeros_like(known.rate)
     for one, own in zip(acting, hidden, strict=True):
-        effect, p, settings = one.part.effect, one.p, one.part.settings
+        effect, p, settings = one.effect, one.p, one.part.settings
         s = replace(known, hidden=own) if own.size else known
         total = total + np.asarray(effect.torque(s, p, settings))
         if 'rate' in effect.signals:

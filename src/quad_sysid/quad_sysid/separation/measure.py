@@ -18,11 +18,12 @@ from scipy import special
 from quad_sysid.contract import FloatArray
 from quad_sysid.discover.screen import Score, screen
 from quad_sysid.estimate.fit import Fit, Problem, fit
+from quad_sysid.loop.from_model import Placed
 from quad_sysid.model import recursion
 from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import Part
 from quad_sysid.model.plant import NOISE, Structure
-from quad_sysid.separation.flight import Acting, Aircraft
+from quad_sysid.separation.flight import Aircraft
 
 TOLD = 0.1
 """Relative standard error of the gain below which a flight identifies the base."""
@@ -106,8 +107,8 @@ class Judged:
                 best = max(best, found.evidence - self.base.evidence)
         return best
 
-    def trace(self, one: Acting) -> float:
-        """Evidence of an effect along this flight, nats, beyond what the base can absorb."""
+    def trace(self, one: Placed) -> float:
+        """Nats that an effect is worth along this flight, beyond what the base can take up."""
         flight, base = self.problem.flight, self.base
         count = base.theta.size - len(NOISE)
         values = base.values
@@ -132,8 +133,8 @@ class Judged:
         c = out[rows, 0] / base.tail.scale
         return 0.5 * float(c @ c - np.sum((q.T @ c) ** 2))
 
-    def sized(self, part: Part, wanted: float) -> Acting:
-        """The effect at the strength that gives about `wanted` nats along this flight.
+    def sized(self, part: Part, wanted: float) -> Placed:
+        """The effect as strong as is worth `wanted` nats along this flight, about.
 
         Parameters that are zero without the effect are scaled (several along a draw from their
         prior); otherwise the first parameter is searched over its prior.
@@ -155,16 +156,16 @@ class Judged:
             scale = 0.1
             for _ in range(8):
                 p[free] = scale * along
-                worth = self.trace(Acting(part, p))
+                worth = self.trace(Placed(part, p))
                 scale *= float(np.clip(math.sqrt(wanted / max(worth, 1e-12)), 0.05, 20.0))
             p[free] = scale * along
-            return Acting(part, p)
+            return Placed(part, p)
         spread = specs[0].spread or 1.0
         reach = np.linspace(-REACH, REACH, GRID)
         grid = p[0] * np.exp(reach) if specs[0].log else p[0] + 0.5 * spread * reach
-        worths = [self.trace(Acting(part, np.r_[value, p[1:]])) for value in grid]
+        worths = [self.trace(Placed(part, np.r_[value, p[1:]])) for value in grid]
         away = np.abs(np.log(np.maximum(worths, 1e-12) / wanted))
-        return Acting(part, np.r_[grid[int(np.argmin(away))], p[1:]])
+        return Placed(part, np.r_[grid[int(np.argmin(away))], p[1:]])
 
 
 def judged(aircraft: Aircraft, data: AxisData) -> Judged:
@@ -181,7 +182,7 @@ def judged(aircraft: Aircraft, data: AxisData) -> Judged:
         structure = Structure(tuple(one.part for one in aircraft.acting))
         own: list[FloatArray] = []
         for one in aircraft.acting:
-            logs = np.array([s.log for s in one.part.effect.parameters])
+            logs = np.array([s.log for s in one.effect.parameters])
             own.append(np.where(logs, np.log(np.maximum(one.p, 1e-12)), one.p))
         found = fit(problem, structure, np.concatenate([base, *own, known]))
     return Judged(problem, found)

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from types import FrameType
 
+from quad_sysid.report.store import free_folder
 from quad_tuning.demo.processes import StageFailedError
 from quad_tuning.demo.story import Teller, tell
 
@@ -20,11 +21,7 @@ def fresh_folder(folder: Path) -> Path | None:
     """
     aside = None
     if folder.is_dir() and any(folder.iterdir()):
-        number = 1
-        aside = folder.with_name(f'{folder.name}.{number}')
-        while aside.exists():
-            number += 1
-            aside = folder.with_name(f'{folder.name}.{number}')
+        aside = free_folder(folder)
         folder.rename(aside)
     folder.mkdir(parents=True, exist_ok=True)
     return aside
@@ -40,14 +37,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument('--out', type=Path, default=Path('demo_out'), help='result folder')
     parser.add_argument('--seed', type=int, default=1, help="seed of the virtual sensors' noise")
-    parser.add_argument(
-        '--lockstep', action='store_true',
-        help='in simulated time, which waits for the slowest process; faster where it can',
-    )  # fmt: skip
-    parser.add_argument(
-        '--qemu', action='store_true',
-        help="fly the STM32's own ELF in QEMU, in lockstep (make qemu says what that needs)",
-    )  # fmt: skip
+    parser.add_argument('--lockstep', action='store_true', help='in simulated time, which waits '
+                        'for the slowest process; faster where it can')
+    parser.add_argument('--qemu', action='store_true', help="fly the STM32's own ELF in QEMU, in "
+                        'lockstep (make qemu says what that needs)')
     options = parser.parse_args(arguments)
     signal.signal(signal.SIGTERM, _interrupt)
     out = options.out.absolute()
@@ -59,11 +52,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         lockstep = options.lockstep or options.qemu
         for line in tell(out, options.seed, teller, lockstep=lockstep, qemu=options.qemu):
             sys.stdout.write(line + '\n')
-    except StageFailedError as error:
-        sys.stderr.write(f'demo failed at {error} (logs: {out / "logs"})\n')
-        return 1
-    except OSError as error:
-        sys.stderr.write(f'demo failed: {error}\n')
+    except (StageFailedError, OSError) as error:
+        sys.stderr.write(f'demo failed: {error} (logs: {out / "logs"})\n')
         return 1
     except KeyboardInterrupt:
         sys.stderr.write('demo interrupted; all of its processes are stopped\n')

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from types import TracebackType
 from typing import Any
 
 import rclpy
@@ -29,6 +28,7 @@ from quad_tuning.demo.processes import StageFailedError
 PATIENCE_S = 1200.0
 """Real time that anything may take in lockstep: what takes longer hangs."""
 
+
 class Observer:
     """The latest word on every state topic, and waiting for one that satisfies a condition."""
 
@@ -38,7 +38,6 @@ class Observer:
         self.updates: list[dict[str, Any]] = []
         self.update_time = self.gains_time = 0.0
         """When the last word on /gains/update and on /gains/active came, s on the run's clock."""
-        self.bag: dict[str, Any] = {}
         self.segment: dict[str, Any] = {}
         self.diagnostics: dict[str, tuple[int, str, dict[str, str]]] = {}
         self.imu_count = 0
@@ -50,7 +49,6 @@ class Observer:
         subscribe = self._node.create_subscription
         subscribe(ParameterEvent, '/gains/active', self._on_gains, STATE)
         subscribe(ParameterEvent, '/gains/update', self._on_update, EVENT)
-        subscribe(ParameterEvent, '/logger/bag', self._on_bag, STATE)
         subscribe(ParameterEvent, '/excitation/segment', self._on_segment, STATE)
         subscribe(DiagnosticArray, '/diagnostics', self._on_diagnostics, EVENT)
         self._imu: Any = None
@@ -59,12 +57,7 @@ class Observer:
         """Nothing more to open."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Shut the node and its context down."""
         self._executor.shutdown()
         self._node.destroy_node()
@@ -82,11 +75,7 @@ class Observer:
             self._imu = None
 
     def wait_for(
-        self,
-        stage: str,
-        what: str,
-        condition: Callable[[], bool],
-        timeout_s: float,
+        self, stage: str, what: str, condition: Callable[[], bool], timeout_s: float,
         meanwhile: Callable[[], None] = lambda: None,
     ) -> None:
         """Spin until `condition()`; raises StageFailedError after `timeout_s`.
@@ -98,9 +87,10 @@ class Observer:
         deadline = time.monotonic() + timeout_s
         while not condition():
             if time.monotonic() > deadline:
-                raise StageFailedError(
-                    stage, f'no {what} within {timeout_s:.0f} s{self._complaints()}'
-                )
+                bad = [f'{name}: {text}' for name, (level, text, _) in self.diagnostics.items()
+                       if level > 0]
+                raise StageFailedError(stage, f'no {what} within {timeout_s:.0f} s'
+                                       + (f' ({"; ".join(bad)})' if bad else ''))
             turn = time.monotonic() + 0.1
             while (left := turn - time.monotonic()) > 0:
                 self._executor.spin_once(timeout_sec=left)
@@ -120,12 +110,6 @@ class Observer:
             raise StageFailedError(stage, f'{service}: {answer and answer.message}')
         return str(answer.message)
 
-    def _complaints(self) -> str:
-        bad = [
-            f'{name}: {text}' for name, (level, text, _) in self.diagnostics.items() if level > 0
-        ]
-        return f' ({"; ".join(bad)})' if bad else ''
-
     def _on_gains(self, event: ParameterEvent) -> None:
         self.gains_time = self._clock.now_s()
         self.active_gains.update(
@@ -135,9 +119,6 @@ class Observer:
     def _on_update(self, event: ParameterEvent) -> None:
         self.update_time = self._clock.now_s()
         self.updates.append(parameters(event))
-
-    def _on_bag(self, event: ParameterEvent) -> None:
-        self.bag = parameters(event)
 
     def _on_segment(self, event: ParameterEvent) -> None:
         self.segment = parameters(event)

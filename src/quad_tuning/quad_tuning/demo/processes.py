@@ -15,7 +15,6 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
 
 import yaml
 from ament_index_python.packages import (
@@ -54,34 +53,24 @@ def own_domain() -> Iterator[int]:
     first = os.getpid() % span
     for step in range(span):
         domain = LOWEST + (first + step) % span
-        guard = _guard(domain)
-        if guard is None:
-            continue
-        with guard:
-            if not _in_use(domain):
+        with contextlib.ExitStack() as guard:
+            if _taken(domain, PORT_GUARD, guard, '127.0.0.1'):
+                continue
+            with contextlib.ExitStack() as probes:  # do participants look for each other here?
+                used = any(_taken(domain, offset, probes) for offset in DISCOVERY_OFFSETS)
+            if not used:
                 yield domain
                 return
     raise OSError('no free ROS domain id between 1 and 100 on this machine')
 
 
-def _guard(domain: int) -> socket.socket | None:
-    guard = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+def _taken(domain: int, offset: int, held: contextlib.ExitStack, host: str = '') -> bool:
+    """Whether somebody has this port of a domain; else `held` keeps it."""
+    port = held.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
     try:
-        guard.bind(('127.0.0.1', PORT_BASE + PORT_GAIN * domain + PORT_GUARD))
+        port.bind((host, PORT_BASE + PORT_GAIN * domain + offset))
     except OSError:
-        guard.close()
-        return None
-    return guard
-
-
-def _in_use(domain: int) -> bool:
-    """Whether somebody listens on one of the ports by which participants find each other."""
-    for offset in DISCOVERY_OFFSETS:
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            try:
-                probe.bind(('', PORT_BASE + PORT_GAIN * domain + offset))
-            except OSError:
-                return True
+        return True
     return False
 
 
@@ -104,23 +93,14 @@ def executable(package: str, name: str) -> Path:
 
 @dataclass
 class Child:
-    """One process, its log, and the CPU time it has used so far."""
+    """One process and its log."""
 
     name: str
     process: subprocess.Popen[bytes]
     log: Path
-    started: float
-    cpu_s: float = 0.0
-    ended: float | None = None
+    ended: bool = False
     may_end: bool = False
     """Whether it is in order when the process ends by itself with status 0."""
-
-    def measure(self) -> None:
-        """Read the CPU time (its own and that of its reaped children) from /proc."""
-        with contextlib.suppress(OSError, IndexError, ValueError):
-            stat = Path(f'/proc/{self.process.pid}/stat').read_text()
-            ticks = [int(x) for x in stat.rpartition(')')[2].split()[11:15]]
-            self.cpu_s = max(self.cpu_s, sum(ticks) / os.sysconf('SC_CLK_TCK'))
 
     def last_words(self) -> str:
         """The last line of its log that says something."""
@@ -160,12 +140,7 @@ class Crew:
             self.clock = Participant(Path(self._room.name) / 'lockstep', 'observer')
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Stop everything."""
         self.stop()
         if self._room is not None:
@@ -196,9 +171,8 @@ class Crew:
                 env=self.environment(),
                 start_new_session=True,
             )
-        child = Child(name, process, log, time.monotonic(), may_end=may_end)
-        self.children[name] = child
-        return child
+        self.children[name] = Child(name, process, log, may_end=may_end)
+        return self.children[name]
 
     def start_node(
         self, package: str, name: str, parameters: Mapping[str, object], *, called: str = ''
@@ -216,15 +190,12 @@ class Crew:
         return self.start(called, [executable(package, name), '--ros-args', *arguments])
 
     def check(self, stage: str) -> None:
-        """Measure all; raises StageFailedError naming the first one that died."""
+        """Raise StageFailedError naming the first one that died."""
         for child in self.children.values():
-            if child.ended is not None:
-                continue
-            child.measure()
-            status = child.process.poll()
+            status = None if child.ended else child.process.poll()
             if status is None:
                 continue
-            child.ended = time.monotonic()
+            child.ended = True
             if not (child.may_end and status == 0):
                 raise StageFailedError(
                     stage, f'{child.name} ended with status {status}: {child.last_words()}'
@@ -233,31 +204,16 @@ class Crew:
     def stop(self, *names: str) -> None:
         """SIGINT to the named ones (default: all, the last started first), then SIGKILL."""
         chosen = [self.children[name] for name in names] or list(self.children.values())[::-1]
-        running = [child for child in chosen if child.ended is None]
+        running = [child for child in chosen if not child.ended]
         for child in running:
-            child.measure()
             _signal_group(child, signal.SIGINT)
         deadline = time.monotonic() + STOP_PATIENCE_S
         for child in running:
-            while child.process.poll() is None and time.monotonic() < deadline:
-                child.measure()
-                time.sleep(0.05)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                child.process.wait(max(0.0, deadline - time.monotonic()))
             _signal_group(child, signal.SIGKILL)
             child.process.wait()
-            child.ended = time.monotonic()
-
-    def cpu(self) -> dict[str, dict[str, float]]:
-        """CPU seconds, seconds of life and percent of one core of every process."""
-        now = time.monotonic()
-        table = {}
-        for child in self.children.values():
-            life = (child.ended or now) - child.started
-            table[child.name] = {
-                'cpu_s': round(child.cpu_s, 2),
-                'life_s': round(life, 1),
-                'percent': round(100.0 * child.cpu_s / max(life, 1e-9), 1),
-            }
-        return table
+            child.ended = True
 
 
 def _signal_group(child: Child, number: int) -> None:

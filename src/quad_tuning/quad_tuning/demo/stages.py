@@ -13,6 +13,7 @@ from pathlib import Path
 from quad_sysid.schedule_file import load_schedule
 from quad_tuning.demo.observer import Observer
 from quad_tuning.demo.processes import Crew, StageFailedError, executable
+from quad_tuning.history.sets import changed
 
 CONNECT_S, START_S, CLOSE_S, ACKNOWLEDGE_S, IDENTIFY_S = 40.0, 20.0, 20.0, 60.0, 600.0
 """Patience of the stages, s."""
@@ -38,21 +39,14 @@ class Aircraft:
 
     def command(self, link: Path, lockstep: Path | None = None) -> list[str | Path]:
         """The command line that starts it."""
-        parts: list[str | Path] = [executable('quad_bridge', 'virtual_stm32')]
-        options: dict[str, object] = {
-            '--profile': self.profile,
-            '--mount': self.mount,
-            '--axis': self.axis,
-            '--seed': self.seed,
-            '--link': link,
+        options = {
+            '--profile': self.profile, '--mount': self.mount, '--axis': self.axis,
+            '--seed': self.seed, '--link': link, '--effect-module': self.effect_module,
+            '--lockstep': lockstep,
         }
-        if self.effect_module is not None:
-            options['--effect-module'] = self.effect_module
-        if lockstep is not None:
-            options['--lockstep'] = lockstep
-        for name, value in options.items():
-            parts += [name, str(value)]
-        return [*parts, '--qemu'] if self.qemu else parts
+        given = [str(part) for option in options.items() if option[1] is not None
+                 for part in option]
+        return [executable('quad_bridge', 'virtual_stm32'), *given, *['--qemu'] * self.qemu]
 
 
 @dataclass
@@ -74,19 +68,13 @@ class Campaign:
 
         def meanwhile() -> None:
             self.crew.check(stage)
-            self._tell_segment()
+            segment = self.observer.segment
+            if segment and segment != self.told.get('segment'):
+                self.told['segment'] = segment
+                if segment.get('signal') != 'none':
+                    self.say('  {segment}: {signal} on {axis} ({injection})'.format(**segment))
 
         self.observer.wait_for(stage, what, condition, timeout_s, meanwhile)
-
-    def _tell_segment(self) -> None:
-        segment = self.observer.segment
-        if segment and segment != self.told.get('segment'):
-            self.told['segment'] = segment
-            if segment.get('signal') != 'none':
-                self.say(
-                    f'  {segment.get("segment")}: {segment.get("signal")} on '
-                    f'{segment.get("axis")} ({segment.get("injection")})'
-                )
 
 
 @dataclass(frozen=True)
@@ -127,19 +115,13 @@ def fly(campaign: Campaign, name: str, schedule: Path) -> Flight:
     observer.call(name, '/bag_logger/start', START_S)
     began_s = campaign.crew.clock.now_s()
     observer.segment = {}
-    child = campaign.crew.start_node(
-        'quad_sysid',
-        'excitation',
-        {
-            'schedule': str(schedule),
-            'autostart': True,
-            'exit_when_done': True,
-            **({} if campaign.crew.lockstep else {'imu_stale_s': STALE_S}),
-        },
-        called=f'{name}_excitation',
-    )
+    settings = {'schedule': str(schedule), 'autostart': True, 'exit_when_done': True}
+    if not campaign.crew.lockstep:
+        settings['imu_stale_s'] = STALE_S
+    child = campaign.crew.start_node('quad_sysid', 'excitation', settings,
+                                     called=f'{name}_excitation')
     child.may_end = True
-    campaign.wait(name, 'end of the schedule', lambda: child.ended is not None, planned + START_S)
+    campaign.wait(name, 'end of the schedule', lambda: child.ended, planned + START_S)
     seconds = campaign.crew.clock.now_s() - began_s
     bag = Path(observer.call(name, '/bag_logger/stop', CLOSE_S))
     return Flight(bag, seconds, gains)
@@ -147,15 +129,9 @@ def fly(campaign: Campaign, name: str, schedule: Path) -> Flight:
 
 def start_identification(campaign: Campaign, *, auto_update: bool, axes: Sequence[str]) -> None:
     """Start the node that waits for a complete bag and writes the report."""
-    campaign.crew.start_node(
-        'quad_sysid',
-        'identification',
-        {
-            'out': str(campaign.folder / 'report'),
-            'auto_update': auto_update,
-            'axes': list(axes),
-        },
-    )
+    settings = {'out': str(campaign.folder / 'report'), 'auto_update': auto_update,
+                'axes': list(axes)}
+    campaign.crew.start_node('quad_sysid', 'identification', settings)
 
 
 def await_report(campaign: Campaign) -> Path:
@@ -185,17 +161,8 @@ def await_new_gains(campaign: Campaign, old: Mapping[str, float]) -> float:
         for name, value in observer.updates[-1].items()
         if isinstance(value, float | int)
     }
-    if all(close(old.get(name, 0.0), value) for name, value in wanted.items()):
+    if not changed(old, wanted):
         raise StageFailedError('update', 'the gains that were sent are the ones already flown')
-    campaign.wait(
-        'update',
-        'acknowledgement on /gains/active',
-        lambda: all(close(observer.active_gains.get(k, 0.0), v) for k, v in wanted.items()),
-        ACKNOWLEDGE_S,
-    )
+    campaign.wait('update', 'acknowledgement on /gains/active',
+                  lambda: not changed(observer.active_gains, wanted), ACKNOWLEDGE_S)
     return max(0.0, observer.gains_time - observer.update_time)
-
-
-def close(one: float, other: float) -> bool:
-    """Equal up to the float32 in which gains travel."""
-    return abs(one - other) <= 1e-6 * max(abs(one), abs(other), 1e-9)

@@ -53,19 +53,15 @@ def tell(
 ) -> list[str]:
     """Close the loop once, results in `out`; the lines of the summary.
 
-    Raises StageFailedError; in any case all processes are stopped and cpu.json is written.
+    Raises StageFailedError; in any case all processes are stopped.
     """
     with (
         own_domain() as domain,
         Crew(out, domain, lockstep=lockstep) as crew,
         Observer(domain, crew.clock) as observer,
     ):
-        try:
-            campaign = Campaign(crew, observer, teller.say)
-            return lines(_close_the_loop(campaign, seed, teller, qemu=qemu))
-        finally:
-            crew.stop()
-            (out / 'cpu.json').write_text(json.dumps(crew.cpu(), indent=1) + '\n')
+        campaign = Campaign(crew, observer, teller.say)
+        return lines(_close_the_loop(campaign, seed, teller, qemu=qemu))
 
 
 def _close_the_loop(campaign: Campaign, seed: int, teller: Teller, *, qemu: bool) -> Outcome:
@@ -75,7 +71,8 @@ def _close_the_loop(campaign: Campaign, seed: int, teller: Teller, *, qemu: bool
     connect(campaign, Aircraft('plain', AXIS, seed, effect_module=bearing, qemu=qemu))
     teller.say('first flight, with the gains of the paper')
     start_identification(campaign, auto_update=True, axes=[AXIS])
-    first = fly(campaign, 'flight_1', first_schedule())
+    shared = Path(get_package_share_directory('quad_sysid'))
+    first = fly(campaign, 'flight_1', shared / 'config' / 'schedule_demo.yaml')
     teller.say('bag complete; the identification node works on it')
     report_path = await_report(campaign)
     report = _axis_report(report_path)
@@ -87,24 +84,14 @@ def _close_the_loop(campaign: Campaign, seed: int, teller: Teller, *, qemu: bool
     second = fly(campaign, 'flight_2', HERE / 'second_flight.yaml')
     campaign.crew.stop()
     squares = [flown_square(flight.bag, AXIS) for flight in (first, second)]
-    draw_square(
-        out / 'square_wave.png',
-        [
-            (name, square.reference, square.angle)
-            for name, square in zip(('old gains', 'new gains'), squares, strict=True)
-        ],
-        squares[0].dt,
-    )
+    names = ('old gains', 'new gains')
+    draw_square(out / 'square_wave.png', dict(zip(names, squares, strict=True)))
     unseen = _evaluate(report_path.with_name('model.json'), second.bag)
     teller.say('both flights compared')
     return Outcome(
-        axis=AXIS,
-        first=FlightSummary(first.bag, first.seconds, first.gains, squares[0].figures),
-        second=FlightSummary(second.bag, second.seconds, second.gains, squares[1].figures),
-        report=report,
-        unseen=unseen,
-        acknowledged_after_s=waited,
-        folder=out,
+        axis=AXIS, report=report, unseen=unseen, acknowledged_after_s=waited, folder=out,
+        first=FlightSummary(first.seconds, first.gains, squares[0].figures),
+        second=FlightSummary(second.seconds, second.gains, squares[1].figures),
         files=[
             ('bag of the first flight', first.bag),
             ('bag of the second flight', second.bag),
@@ -113,15 +100,9 @@ def _close_the_loop(campaign: Campaign, seed: int, teller: Teller, *, qemu: bool
             ('the model, for quad-sysid evaluate', report_path.with_name('model.json')),
             ('pictures of the report', report_path.with_name('pictures')),
             ('picture of both square waves', out / 'square_wave.png'),
-            ('CPU time of each process', out / 'cpu.json'),
         ],
         seconds=teller.seconds,
     )
-
-
-def first_schedule() -> Path:
-    """The schedule of 60 s that quad_sysid ships for a quick flight on the rig."""
-    return Path(get_package_share_directory('quad_sysid')) / 'config' / 'schedule_demo.yaml'
 
 
 def _axis_report(path: Path) -> Mapping[str, Any]:
@@ -135,13 +116,8 @@ def _axis_report(path: Path) -> Mapping[str, Any]:
 def _evaluate(model: Path, bag: Path) -> Mapping[str, Any]:
     """Error figures of the stored model on a bag it has never seen, by the public command."""
     command = [sys.executable, '-m', 'quad_sysid.cli', 'evaluate', model, bag, '--json']
-    done = subprocess.run(  # noqa: S603
-        [str(part) for part in command],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=EVALUATE_S,
-    )
+    done = subprocess.run([str(part) for part in command], capture_output=True,  # noqa: S603
+                          text=True, check=False, timeout=EVALUATE_S)
     if done.returncode != 0:
         raise StageFailedError('evaluate', done.stderr or f'status {done.returncode}')
     error: Mapping[str, Any] = json.loads(done.stdout)['axes'][AXIS]['error']

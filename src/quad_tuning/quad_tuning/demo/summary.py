@@ -21,6 +21,7 @@ from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.errors import NotInformativeError, QuadSysidError
 from quad_sysid.loop.figures import EDGE_SHARE, SquareFigures, square_figures
 from quad_sysid.record import Record
+from quad_sysid.report.canvas import AFTER, BEFORE
 from quad_tuning.bounds import BOUNDS
 from quad_tuning.demo.processes import StageFailedError
 
@@ -84,22 +85,17 @@ def _joined(values: FloatArray, spans: list[tuple[int, int]]) -> FloatArray:
     return np.concatenate([np.append(values[start:stop], np.nan) for start, stop in spans])
 
 
-COLOURS = ('#d55e00', '#0072b2')
-"""Of the flights; told apart by colour-blind people too."""
-
-
-def draw_square(
-    path: Path, flights: Sequence[tuple[str, FloatArray, FloatArray]], dt: float
-) -> None:
-    """Write the angle over the reference (n,), rad, of each (name, reference, angle) as PNG."""
+def draw_square(path: Path, flights: Mapping[str, FlownSquare]) -> None:
+    """Write the angle over the reference of each flight, by its name, as PNG."""
     with mpl.rc_context({'font.size': 10}):
         figure = Figure(figsize=(9.0, 2.8 * len(flights)), layout='constrained')
         FigureCanvasAgg(figure)
         axes = np.atleast_1d(figure.subplots(len(flights), 1, sharex=True, sharey=True))
-        for ax, (name, reference, angle), colour in zip(axes, flights, COLOURS, strict=False):
-            time_s = np.arange(reference.size) * dt
-            ax.plot(time_s, np.degrees(reference), color='0.5', lw=1.0, label='reference')
-            ax.plot(time_s, np.degrees(angle), color=colour, lw=1.5, label='measured')
+        colours = (BEFORE, AFTER)
+        for ax, (name, one), colour in zip(axes, flights.items(), colours, strict=False):
+            time_s = np.arange(one.angle.size) * one.dt
+            ax.plot(time_s, np.degrees(one.reference), color='0.5', lw=1.0, label='reference')
+            ax.plot(time_s, np.degrees(one.angle), color=colour, lw=1.5, label='measured')
             ax.set_title(name, loc='left')
             ax.set_ylabel('roll angle, deg')
             ax.legend(loc='lower right', bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False)
@@ -113,9 +109,8 @@ WIDTH = 12
 
 @dataclass(frozen=True)
 class FlightSummary:
-    """One recorded flight: its bag, its length in s, gains in force, its figures."""
+    """One recorded flight: its length in s, gains in force, its figures."""
 
-    bag: Path
     seconds: float
     gains: Mapping[str, float]
     square: SquareFigures
@@ -141,23 +136,24 @@ class Outcome:
 
 def lines(outcome: Outcome) -> list[str]:
     """The summary, one string per line of at most 80 columns (paths may be longer)."""
-    return [
-        *_flown(outcome),
-        *_found(outcome),
-        *_gains(outcome),
-        *_worth(outcome),
-        *_where(outcome),
-    ]
-
-
-def _flown(outcome: Outcome) -> list[str]:
+    old, new = outcome.first.square, outcome.second.square
     return [
         '',
         f'The loop, closed once on the {outcome.axis} axis in {outcome.seconds:.0f} s',
         row('flown', f'{outcome.first.seconds:.0f} s with the old gains, '
-                     f'{outcome.second.seconds:.0f} s with the new ones'),
+            f'{outcome.second.seconds:.0f} s with the new ones'),
         row('undeclared', 'a bearing that sticks and slips (friction_bearing.py)'),
-    ]  # fmt: skip
+        *_found(outcome),
+        *_gains(outcome),
+        row('square wave', f'{"":24s}{"before":>10s}{"after":>10s}'),
+        row('', f'{"rise time, s":24s}{old.rise_time_s:10.3f}{new.rise_time_s:10.3f}'),
+        row('', f'{"overshoot, %":24s}{old.overshoot_pct:10.1f}{new.overshoot_pct:10.1f}'),
+        row('', f'{"RMS tracking error, deg":24s}'
+            f'{math.degrees(old.rms_error_rad):10.2f}{math.degrees(new.rms_error_rad):10.2f}'),
+        row('results in', f'{outcome.folder}/'),
+        *(row('', f'{path.relative_to(outcome.folder)!s:32s} {what}')
+          for what, path in outcome.files),
+    ]
 
 
 def _found(outcome: Outcome) -> list[str]:
@@ -191,23 +187,6 @@ def _gains(outcome: Outcome) -> list[str]:
         row('', f'acknowledged {1000 * outcome.acknowledged_after_s:.0f} ms after sending')
     )
     return table
-
-
-def _worth(outcome: Outcome) -> list[str]:
-    old, new = outcome.first.square, outcome.second.square
-    return [
-        row('square wave', f'{"":24s}{"before":>10s}{"after":>10s}'),
-        row('', f'{"rise time, s":24s}{old.rise_time_s:10.3f}{new.rise_time_s:10.3f}'),
-        row('', f'{"overshoot, %":24s}{old.overshoot_pct:10.1f}{new.overshoot_pct:10.1f}'),
-        row('', f'{"RMS tracking error, deg":24s}'
-                f'{math.degrees(old.rms_error_rad):10.2f}{math.degrees(new.rms_error_rad):10.2f}'),
-    ]  # fmt: skip
-
-
-def _where(outcome: Outcome) -> list[str]:
-    return [row('results in', f'{outcome.folder}/')] + [
-        row('', f'{path.relative_to(outcome.folder)!s:32s} {what}') for what, path in outcome.files
-    ]
 
 
 def row(label: str, text: str) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -52,13 +53,10 @@ def scales(items: list[str]) -> dict[str, float]:
     out = {}
     for item in items:
         axis, _, number = item.partition('=')
-        try:
-            value = float(number)
-        except ValueError:
-            value = float('nan')
-        if axis not in AXES or not value > 0.0:
+        with suppress(ValueError):
+            out[axis] = float(number)
+        if axis not in AXES or not out.get(axis, 0.0) > 0.0:
             raise BadInputError('--scale', 'needs AXIS=NUMBER', repr(item), 'such as roll=0.25')
-        out[axis] = value
     return out
 
 

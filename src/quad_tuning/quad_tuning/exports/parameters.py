@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError
@@ -17,9 +18,13 @@ from quad_sysid.errors import BadInputError
 PX4 = 'px4'
 ARDUPILOT = 'ardupilot'
 
-PX4_AXIS = {'roll': 'ROLL', 'pitch': 'PITCH', 'yaw': 'YAW'}
-ARDUPILOT_AXIS = {'roll': 'RLL', 'pitch': 'PIT', 'yaw': 'YAW'}
-FIRMWARES = (PX4, ARDUPILOT)
+NAMES: Mapping[str, Mapping[str, Any]] = {
+    PX4: {'axes': ('ROLL', 'PITCH', 'YAW'), 'angle': 'MC_{}_P', 'rate': 'MC_{}RATE_{}',
+          'filter': 'IMU_DGYRO_CUTOFF'},
+    ARDUPILOT: {'axes': ('RLL', 'PIT', 'YAW'), 'angle': 'ATC_ANG_{}_P', 'rate': 'ATC_RAT_{}_{}',
+                'filter': 'ATC_RAT_{}_FLTD'},
+}
+FIRMWARES = tuple(NAMES)
 
 NOTES: Mapping[str, tuple[str, ...]] = {
     PX4: (
@@ -64,51 +69,30 @@ def lines(firmware: str, gains: Mapping[str, float], scale: Mapping[str, float])
         unit = scale.get(axis, 1.0)
         if not 0.0 < unit < float('inf'):
             raise BadInputError('--scale', f'{axis} must be a positive number', unit)
-        out += (_px4 if firmware == PX4 else _ardupilot)(axis, own, unit)
+        out += _lines(firmware, axis, own, unit)
     if not out:
         raise BadInputError('gains', 'hold none of roll, pitch, yaw',
                             remedy='give the file of quad-tune design --out')
     return out
 
 
-def _px4(axis: str, own: Mapping[str, float], unit: float) -> list[Line]:
-    name = PX4_AXIS[axis]
-    out = [
-        Line(f'MC_{name}_P', own['angle.kp'], f'{axis}.angle.kp {own["angle.kp"]:.6g} 1/s'),
-        Line(f'MC_{name}RATE_K', 1.0, 'not a factor of P, I, D'),
-        *_rate(axis, own, unit, {'rate.kp': f'MC_{name}RATE_P', 'rate.ki': f'MC_{name}RATE_I',
-                                 'rate.kd': f'MC_{name}RATE_D'}),
-    ]
-    if 'rate.d_filter_hz' in own:
-        out.append(Line('IMU_DGYRO_CUTOFF', own['rate.d_filter_hz'],
-                        f'{axis}.rate.d_filter_hz, in Hz; one for all axes'))
-    return out
-
-
-def _ardupilot(axis: str, own: Mapping[str, float], unit: float) -> list[Line]:
-    name = ARDUPILOT_AXIS[axis]
-    out = [
-        Line(f'ATC_ANG_{name}_P', own['angle.kp'], f'{axis}.angle.kp {own["angle.kp"]:.6g} 1/s'),
-        *_rate(axis, own, unit, {
-            'rate.kp': f'ATC_RAT_{name}_P', 'rate.ki': f'ATC_RAT_{name}_I',
-            'rate.kd': f'ATC_RAT_{name}_D',
-        }),
-    ]
-    if 'rate.d_filter_hz' in own:
-        out.append(Line(f'ATC_RAT_{name}_FLTD', own['rate.d_filter_hz'],
-                        f'{axis}.rate.d_filter_hz, in Hz'))
-    return out
-
-
-def _rate(
-    axis: str, own: Mapping[str, float], unit: float, names: Mapping[str, str]
-) -> list[Line]:
-    out = []
-    for ours, theirs in names.items():
+def _lines(firmware: str, axis: str, own: Mapping[str, float], unit: float) -> list[Line]:
+    """The parameters of one axis."""
+    names = NAMES[firmware]
+    name = names['axes'][AXES.index(axis)]
+    out = [Line(names['angle'].format(name), own['angle.kp'],
+                f'{axis}.angle.kp {own["angle.kp"]:.6g} 1/s')]
+    if firmware == PX4:
+        out.append(Line(f'MC_{name}RATE_K', 1.0, 'P, I, D stand by themselves'))
+    for letter, ours in (('P', 'rate.kp'), ('I', 'rate.ki'), ('D', 'rate.kd')):
         value = own[ours]
         if value < 0.0:
             raise BadInputError(f'{axis}.{ours}', 'must not be negative', value)
-        out.append(Line(theirs, value / unit, f'{axis}.{ours} {value:.6g} / {unit:.6g}'))
+        out.append(Line(names['rate'].format(name, letter), value / unit,
+                        f'{axis}.{ours} {value:.6g} / {unit:.6g}'))
+    if 'rate.d_filter_hz' in own:
+        out.append(Line(names['filter'].format(name), own['rate.d_filter_hz'],
+                        f'{axis}.rate.d_filter_hz, in Hz'))
     return out
 
 

@@ -13,8 +13,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from quad_sysid.arguments import NOT_ANSWERED
 from quad_sysid.errors import BadInputError
 from quad_sysid.report.tables import Table
+from quad_sysid.result import PROMISES
 from quad_tuning.exports.cli import read_gains
 from quad_tuning.history.sets import (
     GainSet,
@@ -27,9 +29,6 @@ from quad_tuning.history.sets import (
 
 SCHEMA = 'quad_tuning/history/1'
 SOURCE, SENDER = 'quad-tune rollback', 'quad-tune send'
-REFUSED = 3
-PROMISES = ('rate_rms_ratio', 'oscillation_ratio', 'peak')
-"""Predictions of a design with which the bridge's watch compares the flight."""
 
 
 def add(commands: Any) -> None:
@@ -56,7 +55,8 @@ def add(commands: Any) -> None:
 def show(arguments: argparse.Namespace) -> int:
     """`quad-tune history`. Raises QuadSysidError for bad input."""
     sets = _sets(arguments)
-    print(_json(sets) if arguments.json else table(sets))
+    tree = {'schema': SCHEMA, 'sets': [asdict(one) for one in sets]}
+    print(json.dumps(tree, indent=1) if arguments.json else table(sets))
     return 0
 
 
@@ -72,12 +72,8 @@ def go_back(arguments: argparse.Namespace) -> int:
     except ImportError:
         print(f'{told}\nno ROS 2 here; on the aircraft:\n{by_hand(gains, arguments.namespace)}')
         return 0
-    refusal = publish(gains, SOURCE, rollback=True, namespace=arguments.namespace)
-    if refusal:
-        print(f'quad-tune: {refusal}', file=sys.stderr)
-        return REFUSED
-    print(f'back to {told}')
-    return 0
+    return _told(publish(gains, SOURCE, rollback=True, namespace=arguments.namespace),
+                 f'back to {told}')
 
 
 def send(arguments: argparse.Namespace) -> int:
@@ -89,13 +85,17 @@ def send(arguments: argparse.Namespace) -> int:
         raise BadInputError(
             'quad-tune send', 'needs ROS 2', missing.name, 'run it where the bridge runs'
         ) from missing
-    refusal = publish(
-        gains, SENDER, predicted=json.dumps(predicted), namespace=arguments.namespace
-    )
+    refusal = publish(gains, SENDER, predicted=json.dumps(predicted),
+                      namespace=arguments.namespace)
+    return _told(refusal, f'active, and watched by the bridge: {_words(gains)}')
+
+
+def _told(refusal: str, success: str) -> int:
+    """Say how the bridge answered; the exit status."""
     if refusal:
         print(f'quad-tune: {refusal}', file=sys.stderr)
-        return REFUSED
-    print(f'active, and watched by the bridge: {_words(gains)}')
+        return NOT_ANSWERED
+    print(success)
     return 0
 
 
@@ -148,7 +148,3 @@ def by_hand(gains: Mapping[str, float], namespace: str = '') -> str:
 
 def _words(gains: Mapping[str, float]) -> str:
     return ', '.join(f'{name} {value:.4g}' for name, value in gains.items())
-
-
-def _json(sets: Sequence[GainSet]) -> str:
-    return json.dumps({'schema': SCHEMA, 'sets': [asdict(one) for one in sets]}, indent=1)

@@ -21,6 +21,7 @@ from quad_bridge.lockstep import patience
 from quad_bridge.nodes.conversion import event_message
 from quad_bridge.nodes.qos import EVENT, STATE
 from quad_sysid.errors import BadInputError
+from quad_tuning.history.sets import changed
 
 LISTEN_S, ANSWER_S = 10.0, 60.0
 FAILED = ('rolled back', 'not taken over')
@@ -29,11 +30,7 @@ GAINS = 'serial_bridge: gains'
 
 
 def publish(
-    gains: Mapping[str, float],
-    source: str,
-    *,
-    rollback: bool = False,
-    predicted: str = '',
+    gains: Mapping[str, float], source: str, *, rollback: bool = False, predicted: str = '',
     namespace: str = '',
 ) -> str:
     """Send `gains` (contract names, SI) to the bridge; `rollback`: or revert those in flight.
@@ -84,8 +81,8 @@ def publish(
             **({'rollback': True} if rollback else {}),
         }
         publisher.publish(event_message(told, '/quad_tune', 0))
-        if not spin(lambda: heard.refusal or heard.has(gains), ANSWER_S):
-            raise BadInputError(answered, f'the bridge did not answer within {ANSWER_S:.0f} s')
+        if not spin(lambda: heard.refusal or not changed(heard.gains, gains), ANSWER_S):
+            raise BadInputError(answered, f'no answer of the bridge for {ANSWER_S:.0f} s')
         return heard.refusal
 
 
@@ -110,9 +107,3 @@ class _Heard:
         for status in array.status:
             if status.name == GAINS:
                 self.message = status.message
-
-    def has(self, gains: Mapping[str, float]) -> bool:
-        return all(
-            abs(self.gains.get(name, float('inf')) - value) <= 1e-6 * max(abs(value), 1e-9)
-            for name, value in gains.items()
-        )
