@@ -39,13 +39,18 @@ def plain_bag(plain_flight: Record, tmp_path_factory: pytest.TempPathFactory) ->
 
 
 @pytest.fixture(scope='session')
-def true_model(plain_flight: Record) -> AxisModel:
+def plain_answer(plain_flight: Record) -> AxisAnswer:
+    """What `identify` says of it, asked for no effects."""
+    return identify([plain_flight], Options(axes=('roll',), effects=()))['roll']
+
+
+@pytest.fixture(scope='session')
+def true_model(plain_answer: AxisAnswer) -> AxisModel:
     """A model of the plain axis with the true parameters and the noise that was found."""
-    answer = identify([plain_flight], Options(axes=('roll',), effects=()))['roll']
-    assert answer.model is not None
+    model = plain_answer.model
     truth = {'gain': 450.0, 'lag': 0.042, 'delay': 0.008, 'damping': 0.4, 'bias': 0.2}
-    base = tuple(replace(p, value=truth[p.name]) for p in answer.model.base)
-    return replace(answer.model, base=base, plain=())
+    base = tuple(replace(p, value=truth[p.name]) for p in model.base)
+    return replace(model, base=base, plain=())
 
 
 @pytest.fixture(scope='session')

@@ -23,7 +23,6 @@ from quad_sysid.blackbox import (
     n4sid,
     oe,
     polynomial_model,
-    residual_test,
     search_arx,
     simulate,
 )
@@ -81,13 +80,6 @@ def test_bj_and_clriv_are_consistent_with_their_covariance(study, flights):
         nees.append([distance(model, study.truth) for model in models])
         np.testing.assert_allclose(models[1].std, models[0].std, rtol=0.5)
     np.testing.assert_allclose(np.mean(nees, axis=0), 8.0, atol=4 * math.sqrt(16 / flights))
-
-
-def test_bj_passes_the_residual_tests_and_a_smaller_one_does_not(study):
-    z = flight(study, 3)
-    good = residual_test(bj(z, 2, 2, 2, 2, 3), z)
-    assert (good.residual_white, good.residual_uncorrelated_with_input, good.causal) == 3 * (True,)
-    assert not residual_test(bj(z, 1, 0, 1, 1, 3), z).residual_white
 
 
 def test_several_segments_are_fitted_without_joining_their_ends(study):
@@ -246,13 +238,6 @@ def test_a_segment_shorter_than_the_lags_is_left_out(study, fit):
     torn = (halves[0], (z.n // 2 + 3, z.n // 2 + 6), halves[1])
     whole, found = (fit(replace(z, segments=spans)).F for spans in (halves, torn))
     np.testing.assert_allclose(found, whole, rtol=0.0, atol=0.01)
-
-
-def test_given_start_is_used_and_checked(study, refusal):
-    z = flight(study, 4)
-    own, given = bj(z, 2, 2, 2, 2, 3), bj(z, 2, 2, 2, 2, 3, start=study.truth)
-    assert own.loss == pytest.approx(given.loss, rel=1e-7)
-    assert 'start must have nf = 1' in refusal(bj, z, 2, 2, 2, 1, 3, start=study.truth)
 
 
 def test_table_2_has_the_papers_rows_and_keeps_order(refusal):

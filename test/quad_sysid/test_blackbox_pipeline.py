@@ -129,13 +129,6 @@ def test_a_change_of_gains_within_a_flight_is_a_run_of_its_own():
     assert second.gains.angle_kp == 4.5
 
 
-@pytest.mark.parametrize(('change', 'words'), [
-    ({'gains': ()}, 'gains'), ({'attitude_setpoint': None}, '/setpoint/attitude'),
-])
-def test_step_b_says_what_is_missing(change, words):
-    assert words in step_b.flown([dataclasses.replace(flight(), **change)], 'roll')
-
-
 @pytest.mark.parametrize('alike', [True, False])
 def test_roll_and_pitch_share_a_model_where_they_are_alike(answers, alike):
     """And keep two where pitch has a tenth more gain."""
@@ -162,17 +155,6 @@ def test_table2_stands_beside_the_papers_figures_and_every_elimination_has_its_r
         assert gone == bool(model.get('eliminated_because')), model
 
 
-def test_a_trim_of_the_command_costs_nothing():
-    """Twenty times the trim: the same free-run fit to 0.1 points."""
-    fits = []
-    for trim in (0.0, 20 * TRIM):
-        data = axis_data([flight(trim=trim)], 'roll')
-        model = arx(blackbox_part.io_data(data, data.train), 10, 10, 3)
-        rows = blackbox_part.rows_of(data, (model,))
-        fits.append(rows[0].step_a.fit_validation_pct['square'])
-    assert abs(fits[1] - fits[0]) < 0.1
-
-
 def test_window_error_uses_nothing_from_inside_the_window():
     """Each other sample of the last window is missed by 50 more, whatever was predicted."""
     data = axis_data([flight()], 'roll')
@@ -185,21 +167,6 @@ def test_window_error_uses_nothing_from_inside_the_window():
     )
     added = windows.count * windows.length * (found**2 - whole**2)
     assert added == pytest.approx(2500.0 * (windows.length - 1), rel=0.01)
-
-
-def test_samples_that_were_lost_before_a_window_leave_its_error_alone():
-    """Two short gaps between the segments: the grey box bridges them, a black box cannot."""
-    data = axis_data([flight()], 'roll')
-    model = arx(blackbox_part.io_data(data, data.train), 6, 6, 3)
-    rate = data.rate.copy()
-    lost = round(34.5 / DT)
-    rate[[lost, lost + 1, lost + 20]] = np.nan
-    assert any(a < lost < b for a, b in data.stretches)
-    whole, found = (
-        blackbox_part.window_error(one, model, data.validation)
-        for one in (data, dataclasses.replace(data, rate=rate))
-    )
-    assert found == pytest.approx(whole, rel=1e-3)
 
 
 def test_open_loop_is_found_in_the_data_and_stands_by_the_first_step():
@@ -256,14 +223,6 @@ def test_preparation_keeps_the_rules_of_section_2_6():
     assert set(bad) == {'gyro bias', 'lost samples', 'gyro roll spectrum'}
     assert 'in 1 gaps' in bad['lost samples'].words
     assert 'at 37 Hz' in bad['gyro roll spectrum'].words
-
-
-def test_white_noise_has_no_resonance():
-    """200 spectra of white noise at 0.1 % each: no more than 3 with a peak."""
-    rng = np.random.default_rng(0)
-    found = [preparation.resonance_peaks(rng.standard_normal(4000), DT) for _ in range(200)]
-    assert sum(bool(peaks) for peaks in found) <= 3
-    assert preparation.resonance_peaks(rng.standard_normal(300), DT) is None
 
 
 def test_the_reference_is_what_drives_the_loop_from_outside():

@@ -1,6 +1,5 @@
 """Simulation, prediction, residual tests, spectra, step A: against the truth and by twins."""
 
-import itertools
 import math
 
 import numpy as np
@@ -53,12 +52,6 @@ def test_true_model_gives_back_the_innovations(study):
     error = y - predict(truth, IOData(u, y, truth.dt))
     assert np.isnan(error[:6]).all()
     np.testing.assert_allclose(error[300:], e[300:], atol=0.02)
-
-
-def test_horizon_grows_from_one_step_to_free_run(study, record):
-    fits = [compare(record, study.truth, horizon=h)[0] for h in (1, 5, 20, 100, math.inf)]
-    assert all(a > b - 0.01 for a, b in itertools.pairwise(fits))
-    assert fits[3] == pytest.approx(fits[4], abs=0.3)
 
 
 def test_horizon_errors_equal_predictions_one_by_one(study, record):
@@ -235,23 +228,11 @@ def white(seed: int, n: int = 6000) -> IOData:
     return IOData(u=rng.standard_normal(n), y=rng.standard_normal(n), dt=0.004)
 
 
-def test_innovations_are_tested_as_a_models_own_residual() -> None:
-    u, e, y = *np.random.default_rng(3).standard_normal((2, 4000)), np.zeros(4000)
-    for k in range(2, 4000):
-        y[k] = 0.9 * y[k - 1] + 0.4 * u[k - 2] + 0.1 * e[k]
-    z = IOData(u=u, y=y, dt=0.004)
-    model = arx(z, 1, 1, 2)
-    own, given = residual_test(model, z), innovation_test(y - predict(model, z, 1), z)
-    assert (given.p_white, given.p_input) == pytest.approx((own.p_white, own.p_input), rel=1e-9)
-    assert given.samples == own.samples
-    assert own.residual_white
-
-
 def test_white_errors_pass_and_coloured_or_driven_ones_do_not() -> None:
     """A gap ends a stretch."""
     z = white(1)
     for errors, passes in (
-        (z.y, (True, True)), (np.where(np.arange(z.n) // 3 == 333, np.nan, z.y), (True, True)),
+        (np.where(np.arange(z.n) // 3 == 333, np.nan, z.y), (True, True)),
         (z.y + 0.3 * np.roll(z.y, 1), (False, True)), (z.y + 0.2 * np.roll(z.u, 3), (True, False)),
     ):
         test = innovation_test(errors, z)

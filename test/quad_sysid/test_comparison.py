@@ -34,16 +34,6 @@ def test_a_difference_counts_by_its_error_and_by_how_many_are_looked_at():
     assert (found['drag'].reference, found['drag'].p_value) == (None, None)
 
 
-def test_by_chance_alone_a_change_is_told_once_in_a_hundred_comparisons():
-    rng = np.random.default_rng(0)
-    told = 0
-    for _ in range(1000):
-        values = 0.1 * rng.standard_normal((2, 6))
-        pair = [flight('x', **{f'p{i}': v for i, v in enumerate(row)}) for row in values]
-        told += any(c.changed for c in changes(*pair))
-    assert told <= 20  # 10 are expected
-
-
 @pytest.mark.parametrize(('shift', 'changed'), [(0.0, False), (0.1, True)])
 def test_a_trim_wanders_between_flights_as_it_does_within_one(shift, changed):
     def record(seed: int, offset: float) -> Record:

@@ -255,30 +255,6 @@ def test_the_true_effect_leaves_the_noise_and_spoils_a_flight_without_it(
 # found where it acts
 
 
-@dataclass(frozen=True)
-class Planted:
-    """What acts, what may be said of it, and what that must be worth on another flight."""
-
-    name: str
-    changes: Changes
-    names: tuple[set[str], ...]
-    """The sets of effects that are a right answer, the first one the best."""
-    parameters: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    """Truth and relative tolerance, which 4 standard errors may not exceed unnoticed."""
-    lowers: float = 1.5
-    """By this factor or more the error of an unseen flight falls; 0: it is not flown."""
-    later: Changes | None = None
-    """What acts on the unseen flight, where that is something else."""
-    seed: int = 1
-
-    def __str__(self) -> str:
-        return self.name
-
-
-def one(name: str, changes: Changes, *, kind: str = '', **fields: object) -> Planted:
-    return Planted(kind or name, changes, ({name},), **fields)
-
-
 def law_of(name: str, parameter: str) -> Changes:
     return next(law.changes for law in LAWS if law.name == name and parameter in law.parameters)
 
@@ -301,100 +277,20 @@ def coloured(seed: int, bandwidth_hz: float, intensity: float) -> Changes:
     return changes
 
 
-QUICK = [
-    one('dead_zone', law_of('dead_zone', 'half_width'), lowers=4.0,
-        parameters={'half_width': (0.004, 0.10)}),
-    one('gyroscopic_coupling', law_of('gyroscopic_coupling', 'coefficient'),
-        lowers=4.0, parameters={'coefficient': (-0.6, 0.10)}),
-    one('mode', strap(3.6, 0.8), kind='viscous strap',
-        parameters={'time_constant': (0.8, 0.6), 'stiffness': (3.6, 0.3)}),
+FRICTION = law_of('coulomb_friction', 'torque')
+PLANTED = [
+    ('dead_zone', law_of('dead_zone', 'half_width'), 4.0, {'half_width': (0.004, 0.10)}),
+    ('gyroscopic_coupling', law_of('gyroscopic_coupling', 'coefficient'), 4.0,
+     {'coefficient': (-0.6, 0.10)}),
+    ('mode', strap(3.6, 0.8), 1.5, {'time_constant': (0.8, 0.6), 'stiffness': (3.6, 0.3)}),
+    pytest.param('coulomb_friction', FRICTION, 4.0, {'torque': (0.8, 0.10)},
+                 marks=pytest.mark.xdist_group('rubbed')),
 ]
-LONG = [
-    one('quadratic_drag', law_of('quadratic_drag', 'coefficient'),
-        parameters={'coefficient': (1.5, 0.20)}),
-    one('pendulum_stiffness', law_of('pendulum_stiffness', 'stiffness'), lowers=3.0,
-        parameters={'stiffness': (4.0, 0.05)}),
-    one('cubic_stiffness', law_of('cubic_stiffness', 'stiffness'),
-        parameters={'stiffness': (75.0, 0.10)}),
-    one('battery_sag', law_of('battery_sag', 'exponent'), lowers=2.0,
-        parameters={'exponent': (2.0, 0.20)}),
-    one('thrust_curve', law_of('thrust_curve', 'curvature'), lowers=3.0,
-        parameters={'curvature': (0.5, 0.10)}),
-    one('saturation', law_of('saturation', 'upper'), parameters={'upper': (0.64, 0.01)}),
-    one('motor_lag', law_of('motor_lag', 'share'),
-        parameters={'slow_time_constant': (0.2, 0.4), 'share': (0.25, 0.3)}),
-    one('backlash', play(0.002), parameters={'half_width': (0.002, 0.10)}),
-    one('resonance', law_of('resonance', 'frequency'),
-        parameters={'frequency': (6.0, 0.02), 'damping_ratio': (0.05, 0.3)}),
-    one('cross_axis_input', law_of('cross_axis_input', 'fraction'), lowers=3.0,
-        parameters={'fraction': (0.1, 0.05)}),
-    one('inertia_coupling', law_of('inertia_coupling', 'coefficient'), lowers=3.0,
-        parameters={'coefficient': (0.5, 0.10)}),
-    one('periodic_disturbance', law_of('periodic_disturbance', 'amplitude'),
-        parameters={'amplitude': (0.8, 0.10), 'frequency': (2.3, 0.005)}),
-    one('step_event', torque(lambda t, *_: 0.4 * (t >= 17.0)), kind='step of the torque',
-        parameters={'time': (17.0, 0.01), 'torque': (0.4, 0.15)}, later=torque(lambda *_: 0.4)),
-    one('step_event', lambda: {'command': lambda t, u, _v: u * (0.7 if t >= 17.0 else 1.0)},
-        kind='step of the gain', parameters={'time': (17.0, 0.01), 'change': (-0.3, 0.15)},
-        later=command(lambda u: 0.7 * u)),
-    one('mode', dahl(0.4, 0.05), kind='hysteresis',
-        parameters={'torque': (0.4, 0.15), 'reach': (0.05, 0.35)}),
-    Planted("Stribeck's friction", torque(
-        lambda _t, r, _a: -(0.3 + 0.9 / (1.0 + (r / 0.3) ** 2)) * math.tanh(r / 0.01)),
-        ({'coulomb_friction'}, {'coulomb_friction', 'shape:rate'}), lowers=3.0),
-    Planted('drag and a spring that mask each other',
-            torque(lambda _t, r, a: -1.2 * r * abs(r) - 1.6 * math.sin(a)),
-            ({'quadratic_drag', 'pendulum_stiffness'},),
-            {'coefficient': (1.2, 0.5), 'stiffness': (1.6, 0.3)}),
-    Planted('top-heavy on an elastic cable',
-            torque(lambda _t, _r, a: 4.0 * math.sin(a) - 60.0 * a**3),
-            ({'cubic_stiffness', 'pendulum_stiffness'},)),
-    Planted('one-sided spring', torque(lambda _t, _r, a: -4.4 * max(0.0, a - 0.07)),
-            ({'shape:angle'},)),
-    Planted('friction along the angle',
-            torque(lambda _t, r, a: -0.4 * min(3.0, abs(a) / 0.1) * math.tanh(r / 0.03)),
-            ({'shape:angle'}, {'shape:angle', 'coulomb_friction'}, {'shape:damping:angle'}),
-            seed=4),
-    Planted('drag one way', torque(lambda _t, r, _a: -1.0 * r * abs(r) if r > 0.0 else 0.0),
-            ({'shape:rate'}, {'shape:damping:rate'}), lowers=1.3),
-    Planted('grease that warms up',
-            torque(lambda t, r, _a: -2.0 * r * math.exp(-t / 15.0)),
-            ({'shape:time'}, {'shape:damping:time'}), lowers=0.0, seed=15),
-    Planted('bearing that warms up',
-            torque(lambda t, r, _a: -0.8 * math.exp(-t / 20.0) * math.tanh(r / 0.03)),
-            ({'shape:time'}, {'shape:time', 'coulomb_friction'}, {'shape:damping:time'}),
-            lowers=0.0),
-]
+"""Effect; by which factor the error of an unseen flight falls; truths, relative tolerances."""
 
 
 def answer_of(record: Record):
     return identify([record], Options(axes=('roll',)))['roll']
-
-
-def check(case: Planted, answer) -> None:
-    assert answer.verdict == 'effects_added', answer.reason
-    effects = answer.model.effects
-    named = {e.name for e in effects}
-    assert named in case.names, named
-    found = {p.name: p for e in effects for p in e.parameters}
-    for name, (truth, tolerance) in case.parameters.items():
-        assert found[name].value == pytest.approx(truth, rel=tolerance), name
-        assert abs(found[name].value - truth) < 4.0 * found[name].std, name
-    assert 0.0 <= min(e.p_value for e in effects) < 0.05
-    for effect in effects:
-        assert effect.error_reduction_pct > 0.0
-        total = effect.probability + sum(p for _, p in effect.rivals)
-        assert total == pytest.approx(1.0, abs=1e-9)
-        # a curve may refine it, and is less sure
-        assert effect.probability > 0.5 or effect.name not in case.names[0]
-    gain = answer.model.value('gain')
-    if named == {'battery_sag'}:  # its gain counts at its reference
-        gain *= (12.0 / effects[0].settings['reference_v']) ** 2
-    assert gain == pytest.approx(GAIN, rel=0.05)
-    if case.lowers:
-        axis = Axis(**{**QUIET, **(case.later or case.changes)()})
-        unseen = evaluate(answer.model, fly(axis, 501, UNSEEN))
-        assert unseen.before > case.lowers * unseen.after
 
 
 def answer_to(changes: Changes, seed: int, *, short: bool = True):
@@ -402,46 +298,40 @@ def answer_to(changes: Changes, seed: int, *, short: bool = True):
     return answer_of(fly(Axis(**{**QUIET, **changes()}), seed, SHORT if short else None))
 
 
-@pytest.mark.parametrize('case', QUICK, ids=str)
-def test_what_acts_is_named_measured_and_pays(case):
-    check(case, answer_to(case.changes, 1))
-
-
-@pytest.mark.xdist_group('rubbed')
-def test_dry_friction_is_named_measured_and_pays(rubbed_answer):
-    check(one('coulomb_friction', law_of('coulomb_friction', 'torque'), lowers=4.0,
-              parameters={'torque': (0.8, 0.10)}), rubbed_answer)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize('case', LONG, ids=str)
-def test_all_else_that_acts_is_named_too(case):
-    check(case, answer_to(case.changes, case.seed, short=False))
+@pytest.mark.parametrize(('name', 'changes', 'lowers', 'truths'), PLANTED)
+def test_what_acts_is_named_measured_and_pays(rubbed_answer, name, changes, lowers, truths):
+    """One of each kind; bench/effects.py plants all that are named, and pairs."""
+    answer = rubbed_answer if changes is FRICTION else answer_to(changes, 1)
+    assert answer.verdict == 'effects_added', answer.reason
+    (effect,) = answer.model.effects
+    assert effect.name == name
+    found = {p.name: p for p in effect.parameters}
+    for parameter, (truth, tolerance) in truths.items():
+        assert found[parameter].value == pytest.approx(truth, rel=tolerance)
+        assert abs(found[parameter].value - truth) < 4.0 * found[parameter].std
+    assert 0.0 <= effect.p_value < 0.05
+    assert effect.error_reduction_pct > 0.0
+    assert effect.probability > 0.5
+    total = effect.probability + sum(p for _, p in effect.rivals)
+    assert total == pytest.approx(1.0, abs=1e-9)
+    assert answer.model.value('gain') == pytest.approx(GAIN, rel=0.05)
+    unseen = evaluate(answer.model, fly(Axis(**{**QUIET, **changes()}), 501, UNSEEN))
+    assert unseen.before > lowers * unseen.after
 
 
 # nothing where nothing acts
 
 
-def empty(name: str, changes: Changes, seed: int, *, short: bool = True):
-    marks = [] if short else [pytest.mark.long]
-    return pytest.param(changes, seed, short, id=name, marks=marks)
-
-
-EMPTY = [
-    empty('at rest besides', dict, 1), empty('gusts of 2 Hz', coloured(3, 2.0, 0.05), 3),
-    empty('everything else moves', lambda: {
+@pytest.mark.parametrize(
+    ('changes', 'seed'),
+    [(dict, 1), (coloured(3, 2.0, 0.05), 3), (lambda: {
         'throttle': throttle, 'other_rates': others, 'other_commands': other_commands,
-        'volts': (12.6, 11.4)}, 2),
-    *(empty(f'seed {seed}', dict, seed, short=False) for seed in range(1, 8)),
-    empty('gusts of 5 Hz', coloured(4, 5.0, 0.05), 4, short=False),
-    empty('gusts of 0.5 Hz', coloured(5, 0.5, 0.1), 5, short=False),
-    empty('vibration of the gyro', lambda: {'gyro_noise': 0.02}, 6, short=False),
-]
-
-
-@pytest.mark.parametrize(('changes', 'seed', 'short'), EMPTY)
-def test_where_nothing_acts_nothing_is_found(changes, seed, short):
-    answer = answer_to(changes, seed, short=short)
+        'volts': (12.6, 11.4)}, 2)],
+    ids=['at rest besides', 'gusts of 2 Hz', 'everything else moves'],
+)
+def test_where_nothing_acts_nothing_is_found(changes, seed):
+    """bench/effects.py flies some hundred of them."""
+    answer = answer_to(changes, seed)
     assert (answer.verdict, answer.model.effects) == ('no_missing_effect', ()), answer.reason
     error = document.document({'roll': answer}, ['bag'])['axes']['roll']['error']
     assert error['after'] == pytest.approx(error['before'], rel=1e-12)

@@ -1,4 +1,7 @@
-"""The guard and the player: every reason to end, how it ends, and that nothing else ends it."""
+"""The guard and the player: every reason to end, how it ends, and that nothing else ends it.
+
+A standstill of the node itself is left out of the age of what it heard, a silent link never is.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,7 @@ from dataclasses import replace
 
 import pytest
 
-from quad_sysid.signals.guard import Limits, Readings, check
+from quad_sysid.signals.guard import LONGEST_S, STALL_S, Limits, Readings, Stall, check
 from quad_sysid.signals.player import Player, State
 from quad_sysid.signals.schedule import parse_schedule
 
@@ -129,15 +132,6 @@ def test_a_training_segment_with_enough_ends_early_and_a_validation_one_does_not
     assert max(validation) == pytest.approx(math.radians(10.0))
 
 
-def test_nothing_to_end_early():
-    player = Player(schedule(), RIG)
-    assert not player.enough(100.0)
-    player.start(100.0, GOOD)
-    assert not player.enough(100.0)
-    play(player, lambda _: GOOD, 2.4)  # 0.1 s before its end, in its own ramp
-    assert not player.enough(102.4)
-
-
 @pytest.mark.parametrize(('change', 'words', 'immediate'), REASONS)
 def test_an_abort_ramps_out_or_ends_at_once_and_says_idle(change, words, immediate):
     player = Player(schedule(), RIG, ramp_out_s=0.4)
@@ -171,6 +165,7 @@ def test_failsafe_cuts_a_ramp_short():
 
 def test_a_start_is_refused_with_the_reason():
     player = Player(schedule(), RIG)
+    assert not player.enough(100.0)
     assert 'no /imu/data yet' in player.start(0.0, Readings())
     assert 'failsafe' in player.start(0.0, replace(GOOD, failsafe=True))
     assert player.state is State.READY
@@ -191,3 +186,50 @@ def test_stop_and_cut():
     assert last.setpoint == (0.0, 0.0, 0.0)
     assert last.announcement['segment'] == 'idle'
     assert player.cut('again').announcement is None
+
+
+# standstills
+
+
+def ages(*gaps: float, stall: Stall | None = None) -> list[float]:
+    """At each tick, so long after the one before, the age of what was heard at the first."""
+    stall, time, found = stall or Stall(), 0.0, []
+    heard = stall.awake_s(time)
+    for gap in (0.0, *gaps):
+        time += gap
+        stall.tick(time)
+        found.append(stall.awake_s(time) - heard)
+    return found
+
+
+@pytest.mark.parametrize(
+    ('gaps', 'last'),
+    [
+        (999 * [DT], 999 * DT),
+        # left out until what waited has had time to come
+        ((DT, 0.34), DT), ((DT, 0.34, DT, DT), 3 * DT),
+        # a second standstill at once is left out too, but no more than a second of both
+        ((0.5, DT, 0.4, DT), 2 * DT), ((0.5, DT, 0.4, DT, 0.3), 0.3 + 2 * DT),
+        # a long one by nothing, and one that only time awake has earned
+        ((1.01 * LONGEST_S,), 1.01 * LONGEST_S),
+        ((0.9, *50 * [DT], 0.9), 0.9 + 50 * DT), ((0.9, *250 * [DT], 0.9), 250 * DT),
+    ],
+)
+def test_a_silent_link_grows_old_by_the_clock_but_for_standstills(gaps, last):
+    assert ages(*gaps)[-1] == pytest.approx(last, abs=1e-9)
+
+
+def test_a_node_that_only_crawls_still_sees_the_link_die():
+    late = next(k for k, age in enumerate(ages(*20 * [2 * STALL_S])) if age > RIG.imu_stale_s)
+    assert 2 * STALL_S * late <= LONGEST_S + RIG.imu_stale_s + 2 * STALL_S + 1e-9
+
+
+def test_a_pause_on_purpose_is_no_standstill_and_one_before_the_first_tick_is():
+    paused, late = Stall(), Stall()
+    paused.tick(0.0)
+    paused.begin(0.5)
+    paused.tick(0.5 + DT)
+    assert (paused.stood_still_s, paused.awake_s(0.5)) == (0.0, 0.5)
+    late.begin(10.0)
+    late.tick(10.6)
+    assert late.stood_still_s == pytest.approx(0.6)

@@ -12,7 +12,7 @@ from quad_sysid.blackbox import bj, residual_test
 from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.loop.plant import LoopPlant
 from quad_sysid.loop.simulation import simulate_cascade
-from quad_sysid.pipeline.selection import feedback, largest_loop_gain, through_controller
+from quad_sysid.pipeline.selection import feedback, through_controller
 from quad_sysid.record import IOData, Record, Segment
 from quad_sysid.signals.waveforms import prbs
 
@@ -68,13 +68,6 @@ PRBS = np.resize(prbs(9, 24, 0.02, 1), N)
 def test_an_open_loop_is_told_where_the_command_proves_it(command):
     assert shown(open_loop(command)) is False
     assert shown(open_loop(command, 0.1)) is True
-
-
-def test_the_loop_gain_that_is_not_excluded_covers_the_true_one():
-    z = open_loop(CHIRP, 0.1)
-    assert largest_loop_gain(z, bj(z, 2, 2, 2, 2, 2)) > 0.1 * z.y.std() / z.u.std()
-    quiet = open_loop(CHIRP)
-    assert largest_loop_gain(quiet, bj(quiet, 2, 2, 2, 2, 2)) < 0.01
 
 
 def test_an_excitation_in_front_of_the_controllers_never_proves_an_open_loop():

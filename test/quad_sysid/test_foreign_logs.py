@@ -185,15 +185,6 @@ def test_px4_torque_alone_is_the_input_in_its_own_unit(flight, px4):
     assert 'asked for' in told
 
 
-def test_dropped_samples_are_drawn_on_a_coarser_grid(flight, px4):
-    """One sample in three is missing, as a logger that cannot follow leaves them."""
-    record, told = px4({}, drop=set(range(2, N, 3)))
-    assert record.dt == pytest.approx(1.5e-6 * DT_US)
-    assert '(the rate is uneven)' in told
-    np.testing.assert_allclose(record.rates[:900:2], flight.rates[:1350:3], atol=1e-3)
-    np.testing.assert_allclose(record.control[:900:2], flight.control[:1350:3], atol=1e-2)
-
-
 def dataflash(path: Path, messages: dict, parameters: dict) -> Path:
     """Messages {name: (labels, rows)}; the first label is TimeUS."""
     out = []
@@ -403,19 +394,6 @@ def test_indiflight_says_its_frame_by_gravity_and_names_no_layout(flight, tmp_pa
     angles = np.mod(log.angles.values - flight.angles + np.pi, 2 * np.pi) - np.pi
     np.testing.assert_allclose(angles, 0.0, atol=1e-6)
     assert log.mixer is None
-
-
-def test_a_log_too_slow_says_what_to_set(flight, tmp_path):
-    pytest.importorskip('pymavlink')
-    messages = {name: (labels, rows[::25]) for name, (labels, rows) in
-                ardupilot_messages(flight).items()}
-    messages = {**messages, 'RATE': (messages['RATE'][0], np.vstack([
-        row + np.array([k * 6_000_000 * (i == 0) for i in range(len(row))])
-        for k in range(2) for row in messages['RATE'][1]]))}
-    path = dataflash(tmp_path / 'log.bin', messages, {'FRAME_CLASS': 1, 'FRAME_TYPE': 1})
-    _, told = imported(path, tmp_path / 'bag')
-    assert '10 Hz is too slow' in told
-    assert 'LOG_BITMASK' in told
 
 
 @pytest.mark.skipif(not SAMPLE.exists(), reason='no folder shared/data beside the checkout')

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from quad_sysid.errors import BadInputError
-from quad_sysid.imports.clock import cycles, hold, mean_ahead, unroll
+from quad_sysid.imports.clock import cycles, hold, unroll
 from quad_sysid.imports.log import Stream
 
 DT, N = 0.004, 2000
@@ -52,15 +52,6 @@ def test_rates_come_onto_one_grid(times, hz, own, error, words):
     assert np.abs(laid.values[known, 0] - motion(laid.times[known])).max() < error
     assert words in laid.told[0]
     assert len(laid.told) == 1
-
-
-def test_a_grid_that_is_asked_for_overrides_and_averages_commands():
-    laid = cycles(stream(T), 100.0)
-    assert (laid.dt, laid.own) == (0.01, False)
-    np.testing.assert_allclose(laid.values[:, 0], motion(laid.times), atol=1e-3)
-    steps = Stream(T, np.floor(T / 0.02 + 1e-6)[:, None])
-    held = mean_ahead(steps, laid.times[:-1], laid.dt)[:, 0]
-    np.testing.assert_allclose(held, np.floor(laid.times[:-1] / 0.02 + 1e-6), atol=1e-9)
 
 
 def test_a_gap_is_not_drawn_over_and_a_pause_ends_what_is_held():

@@ -46,20 +46,6 @@ def test_the_import_loads_nothing_heavy_and_the_models_need_neither_ros_nor_matp
     ) == 'ARX 1 1 1 True'
 
 
-def test_the_grey_box_is_a_call_on_the_same_data(plain_flight):
-    """The plant of conftest.py: each value within 4 standard errors."""
-    z = plain_flight.axis('roll', 'train')
-    found = quad_sysid.greybox(z)
-    assert found.converged
-    truth = {'gain': 450.0, 'lag': 0.042, 'delay': 0.008, 'damping': 0.4, 'bias': 0.2}
-    for name, std in zip(found.parameter_names, found.std, strict=True):
-        off = abs(found.value(name) - truth[name])
-        assert off < 4.0 * std, (name, found.value(name), std)
-    assert found.noise.measured_rms == pytest.approx(0.005, rel=0.1)
-    with pytest.raises(ValueError, match='gyro_filter_hz'):
-        quad_sysid.greybox(z, gyro_filter_hz=1e4)
-
-
 def test_a_rate_that_does_not_fit_is_told():
     rng = np.random.default_rng(0)
     u = rng.standard_normal(300)
@@ -78,6 +64,7 @@ def test_a_rate_that_does_not_fit_is_told():
 
 def test_a_flight_to_a_result_in_one_call(plain_flight, tmp_path):
     """What the command prints, the pictures, the files, a simulation and another flight."""
+    z = plain_flight.axis('roll', 'train')
     result = quad_sysid.identify(plain_flight, axes='roll', effects=())
     assert (result.verdict, result.effects, result.rivals) == ('no_missing_effect', (), {})
     assert list(result) == ['roll']
@@ -96,6 +83,7 @@ def test_a_flight_to_a_result_in_one_call(plain_flight, tmp_path):
     for call, words in (
         (lambda: result['yaw'], 'no such axis'), (lambda: result.plot('nothing'), 'no such'),
         (lambda: quad_sysid.identify(plain_flight, 'bank'), "found 'bank'"),
+        (lambda: quad_sysid.greybox(z, gyro_filter_hz=1e4), 'gyro_filter_hz'),
         (lambda: result.model.simulate([np.nan, 1.0]), 'finite'),
     ):
         with pytest.raises(quad_sysid.BadInputError, match=words):

@@ -33,23 +33,16 @@ def test_another_axis_is_refused_by_name(name, refusal):
     ('call', 'told'),
     [
         (lambda: IOData(U, Y, 'a'), 'IOData: dt must be a positive number'),
-        (lambda: IOData(U, Y, None), 'IOData: dt must be'),
         (lambda: IOData(['a'] * N, Y, 0.01), 'IOData: u must hold real numbers'),
-        (lambda: IOData(U, [None] * N, 0.01, r=['b'] * N), 'IOData: r must hold real numbers'),
         (lambda: IOData(U + 1j, Y, 0.01), 'u must hold real numbers: found complex128'),
         (lambda: IOData([[1.0], [1.0, 2.0]], Y, 0.01), 'u must hold real numbers: found list'),
-        (lambda: IOData(U, 1j * Y, 0.01), 'y must hold real numbers'),
         (lambda: IOData(U, Y, 0.01, r=np.full(N, np.nan)), 'segment 0:600 of r holds NaN'),
         (lambda: IOData(U, np.full(N, np.inf), 0.01), 'of y holds NaN or infinity'),
-        (lambda: IOData(np.full(N, np.nan), Y, 0.01), 'of u holds NaN or infinity'),
         (lambda: IOData(U, Y, 0.01, segments=[(300, 600), (0, 301)]), 'must not overlap'),
-        (lambda: IOData(U, Y, 0.01, segments=[(0, 300), (0, 300)]), 'must not overlap'),
         (lambda: IOData(U, Y, 0.01, segments=[(0, 1, 2)]), 'segments must be pairs'),
-        (lambda: IOData(U, Y, 0.01, segments=[(0.5, 9)]), 'segments must be pairs'),
         (lambda: IOData(U, Y, 0.01, segments=5), 'segments must be pairs'),
         (lambda: IOData(U, Y, 0.01, segments=[(0, N + 1)]), 'must lie in 0..600'),
         (lambda: predict(MODEL, IOData(U, Y, 0.01), 'a'), 'predict: horizon must be'),
-        (lambda: predict(MODEL, IOData(U, Y, 0.01), np.nan), 'predict: horizon must be'),
     ],
 )
 def test_iodata_refuses_by_name(call, told, refusal):

@@ -12,7 +12,7 @@ from flown_axis import Axis, Plan
 from flown_axis import fly as flown
 
 from quad_sysid.cli import main
-from quad_sysid.errors import BadInputError, NotInformativeError
+from quad_sysid.errors import NotInformativeError
 from quad_sysid.estimate.fit import Problem, fit
 from quad_sysid.estimate.stored import estimate_of
 from quad_sysid.loop.from_model import Placed
@@ -92,16 +92,6 @@ def test_springs_are_told_apart_by_larger_angles_than_the_plain_prbs(springs):
     assert 'cubic_stiffness' in text
 
 
-@pytest.mark.long
-def test_friction_and_drag_are_told_apart_both_ways():
-    found = separate(paper_aircraft('roll'), ('coulomb_friction', 'quadratic_drag'), SECONDS)
-    best, plain = found.best, found.plain
-    assert min(best.first.score, best.second.score) > 1.3 * plain.worst.score
-    # friction is seen at any rate, drag wants large ones
-    assert best.rate_rms > 0.5 * plain.rate_rms
-    assert best.worst.over(60.0).probability > 0.98
-
-
 def test_sag_shows_where_the_throttle_moves():
     found = separate(paper_aircraft('roll'), ('battery_sag', 'nothing'), SECONDS)
     assert found.best.excitation.throttle_steps
@@ -166,21 +156,19 @@ def test_what_cannot_be_designed_is_said_in_one_line(arguments, words_in, capsys
     assert said.count('\n') == 1
 
 
-def test_a_model_that_cannot_fly_or_has_no_rivals_is_refused(tmp_path):
-    lonely = model_with_rival(0.0)
-    with pytest.raises(NotInformativeError, match='no effect of this model has a rival'):
-        rivals_of(lonely)
-    backwards = replace(lonely, base=(Parameter('gain', -400.0, 1.0, ''), *lonely.base[1:]))
-    save_models({'roll': backwards}, tmp_path / 'model.json')
-    with pytest.raises(BadInputError, match='gain is not positive'):
-        separation(('mode', 'nothing'), str(tmp_path / 'model.json'), None, 20.0)
-
-
-def test_the_report_advises_the_flight_where_a_rival_is_near():
+def test_the_report_advises_the_flight_where_a_rival_is_near(refusal, tmp_path):
+    """A model that has no rivals, or cannot fly, is refused."""
     (near,) = rivalry(model_with_rival(0.3))
     assert '--separate coulomb_friction quadratic_drag --axis roll' in near
     assert list(rivalry(model_with_rival(0.05))) == []
-    assert list(rivalry(None)) == []
+    with pytest.raises(NotInformativeError, match='no effect of this model has a rival'):
+        rivals_of(model_with_rival(0.0))
+    lonely = model_with_rival(0.0)
+    backwards = replace(lonely, base=(Parameter('gain', -400.0, 1.0, ''), *lonely.base[1:]))
+    file = tmp_path / 'model.json'
+    save_models({'roll': backwards}, file)
+    pair = ('mode', 'nothing')
+    assert 'gain is not positive' in refusal(separation, pair, str(file), None, 20.0)
 
 
 @pytest.mark.long

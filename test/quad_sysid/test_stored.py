@@ -13,9 +13,6 @@ from quad_sysid.model.plant import Structure
 from quad_sysid.report import document, words
 from quad_sysid.report.model_file import load_models, save_models
 
-LABELS = ('periodic_disturbance', 'saturation/upper', 'shape:gain:throttle/smooth',
-          'coulomb_friction', 'step_event/gain')
-
 
 def effect(label):
     return next(e for e in EFFECTS if e.label == label)
@@ -25,16 +22,6 @@ def effect(label):
 def problem(plain_flight):
     data = axis_data([plain_flight], 'roll')
     return Problem(data, data.train)
-
-
-@pytest.mark.parametrize('label', LABELS)
-def test_what_is_read_of_an_effect_gives_its_parameters_back(label):
-    """To rounding, for values that no report would show."""
-    one = effect(label)
-    p = np.random.default_rng(3).uniform(0.2, 0.9, len(one.parameters))
-    settings = {'mean': (0.0,) * p.size}
-    told = {name: value for name, (value, _) in one.readable(p, settings).items()}
-    np.testing.assert_allclose(one.fitted(told, settings), p, rtol=1e-14)
 
 
 def test_a_model_from_a_file_runs_as_the_fit_it_was(problem, tmp_path):
@@ -58,11 +45,6 @@ def test_a_model_from_a_file_runs_as_the_fit_it_was(problem, tmp_path):
     assert again.structure == found.structure
     np.testing.assert_allclose(again.theta, found.theta, rtol=1e-13, atol=1e-15)
     assert again.tail == found.tail
-    assert told.names[5:] == (
-        'periodic_disturbance.amplitude', 'periodic_disturbance.frequency',
-        'periodic_disturbance.phase', 'coulomb_friction.torque',
-        'coulomb_friction.transition',
-    )
 
 
 def test_a_delay_of_nothing_has_no_standard_error(problem):
@@ -82,6 +64,7 @@ def test_an_effect_that_is_not_known_is_refused(true_model, refusal):
 # up to where a model is worth something
 
 
+@pytest.mark.xdist_group('rubbed')
 def test_the_error_over_the_horizon_grows_from_the_noise_and_is_told(rubbed_answer):
     tree = document.document({'roll': rubbed_answer}, ['bag'])['axes']['roll']
     listed = tree['error']['horizons']
@@ -104,6 +87,3 @@ def test_worth_ends_where_holding_is_no_longer_twice_as_wrong(after, far):
         for s, hold, one in zip((0.05, 0.1, 1.0), (0.5, 1.0, 1.2), after, strict=True)
     ]}
     assert words.reach(error) == far
-    told = words.horizon_words(error)
-    assert ('At no horizon' in told) == (far is None)
-    assert ('further ahead' in told) == (far == 0.1)

@@ -26,11 +26,12 @@ def shown_by(arguments: list[str], capsys) -> str:
     return capsys.readouterr().out
 
 
-@pytest.mark.parametrize('name', COMMANDS)
-def test_every_command_is_listed_and_has_an_example_in_its_help(name, capsys):
-    assert f'\n    {name}' in shown_by(['--help'], capsys)
-    told = ' '.join(shown_by([name, '--help'], capsys).split())
-    assert f'quad-sysid {name}' in told.partition('example: ')[2]
+def test_every_command_is_listed_and_has_an_example_in_its_help(capsys):
+    listed = shown_by(['--help'], capsys)
+    for name in COMMANDS:
+        assert f'\n    {name}' in listed
+        told = ' '.join(shown_by([name, '--help'], capsys).split())
+        assert f'quad-sysid {name}' in told.partition('example: ')[2]
 
 
 def test_completion_is_printed_and_answers(capsys, tmp_path):
@@ -64,15 +65,6 @@ def test_text_fits_80_columns_and_is_plain(plain_bag, tmp_path, capsys):
     assert 'no such bag' in told.err
     report = json.loads((tmp_path / 'b' / 'flight' / 'report.json').read_text())
     assert max(map(len, text.brief(report))) <= 80
-    tree = report['axes']['roll']
-    tree['not_tested'] = [{'name': 'thrust_curve', 'because': 'the throttle stays ' * 6}]
-    tree['effects'] = [{
-        'name': 'shape:gain:battery', 'variant': 'a rather long name of a variant',
-        'kind': 'shape',
-        'p_value': 1.23e-30, 'probability': 0.5, 'error_reduction_pct': 1234.0, 'parameters': [],
-        'rivals': [],
-    }]
-    assert max(map(len, text.lines(report))) <= 80
 
 
 def shown(lines: list[tuple[float, str]]) -> list[str]:
@@ -93,14 +85,3 @@ def test_counted_work_tells_what_is_left_but_for_short_work(capsys):
     assert list(map(duration, (0.2, 59.4, 200.0, 7500.0))) == [
         '1 s', '59 s', '3 min 20 s', '2 h 5 min'
     ]
-
-
-def test_stages_of_two_axes_never_go_back():
-    report = Progress(io.StringIO(), ('roll', 'pitch'))
-    shares = [report.share(line) for line in (
-        'reading bag', 'roll: what is missing', 'roll: held-out segments',
-        'roll: black-box models', 'roll: gains', 'pitch: what is missing',
-        'pitch: black-box models', 'writing out',
-    )]
-    assert shares == sorted(shares)
-    assert shares[5] == pytest.approx(0.4 + 0.4 * 0.05)

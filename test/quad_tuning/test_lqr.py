@@ -85,23 +85,6 @@ def test_integral_action_removes_a_standing_torque(model):
     assert said['motor_noise_rms'] == pytest.approx(np.std(controls), rel=0.08)
 
 
-def test_the_loop_is_the_one_the_time_simulation_runs(model):
-    """Step of the linear loop settles, with overshoot under 10 %, as the margins promise."""
-    m = model()
-    d = design_lqr(loop_plant(m), loops_of(m), 0.3)
-    assert d.figures['overshoot_pct'] < 10.0
-    assert 0.1 < d.figures['rise_time_s'] < 0.6
-    a, b, c, dd = d.controller.dynamics()
-    y = np.random.default_rng(1).normal(size=(50, 2)) * 1e-3
-    x, own = np.zeros(a.shape[0]), np.zeros(d.controller.size)
-    for rate, angle in y:
-        want = (c @ x + dd @ (rate, angle))[0]
-        u, own = d.controller.command(own, rate, -angle)
-        assert u == pytest.approx(want, abs=1e-12)
-        own = d.controller.moved(own, -angle, u)
-        x = a @ x + b @ (rate, angle)
-
-
 def test_shares_of_it_beside_the_cascade_are_safe_and_the_whole_is_itself(model):
     """On the way in a quarter and half fly beside the cascade; all of it must be the feedback."""
     m = model()

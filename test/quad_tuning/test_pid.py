@@ -12,7 +12,6 @@ from quad_sysid.loop.from_model import loop_plant
 from quad_sysid.loop.plant import Curve
 from quad_sysid.loop.simulation import simulate_cascade
 from quad_tuning import ensemble as ensembles
-from quad_tuning.assess import disturbance, tracking
 from quad_tuning.designer import design
 from quad_tuning.objective import Requirements, meets
 from quad_tuning.pid import retune
@@ -63,31 +62,6 @@ def test_every_search_ends_at_the_same_gains_and_the_design_is_repeatable(model)
     assert first.grid_excess_pct > 0.0
 
 
-def test_no_better_gains_near_the_optimum(model):
-    """A brute search of 300 points around finds none that hold and track better by 0.5 %.
-
-    Points that overshoot by more, or reject a torque less, are no better.
-    """
-    plant, loops = loop_plant(model()), ensembles.build(model(), np.random.default_rng(7))
-    found, needs = retune(plant, ACTIVE, loops).gains, Requirements()
-    reference = square_wave(np.radians(12), 2.0, 1, 0.004)
-
-    def error(gains):
-        run = simulate_cascade(plant, gains, reference, 0.004, initial_angle=reference[0])
-        return np.sqrt(np.mean((reference - run.angle) ** 2))
-
-    best = error(found)
-    for angle, kp, kd in np.exp(np.random.default_rng(11).uniform(-0.3, 0.3, (300, 3))):
-        gains = dataclasses.replace(
-            found, angle_kp=min(found.angle_kp * angle, 15.0), rate_kp=found.rate_kp * kp,
-            rate_kd=found.rate_kd * kd,
-        )
-        if error(gains) < 0.995 * best:
-            worse = disturbance(plant, gains) > disturbance(plant, ACTIVE)
-            overshoots = tracking(plant, gains, reference)[1] > needs.overshoot_pct
-            assert worse or overshoots or not meets(loops.margins(gains), needs).all()
-
-
 def test_friction_of_a_real_bearing_does_not_hunt_with_the_new_gains(model):
     """Stiction that drops with speed, in no list of ours: RMS falls, at rest the axis rests.
 
@@ -109,29 +83,3 @@ def test_friction_of_a_real_bearing_does_not_hunt_with_the_new_gains(model):
     assert new.rms_error_rad < 0.85 * old.rms_error_rad
     assert new.overshoot_pct < 20.0
     assert np.sqrt(np.mean(after.rate[750:].reshape(-1, 750)[:, 500:] ** 2)) < 0.02
-
-
-def test_draws_follow_the_covariance_and_keep_a_floor(model):
-    m, rng = model(stds={'gain': 30.0, 'delay': 0.0}), np.random.default_rng
-    drawn = ensembles.draw_models(m, rng(5), 2000)
-    gain, delay = (np.array([d.value(name) for d in drawn]) for name in ('gain', 'delay'))
-    assert np.mean(gain) == pytest.approx(450.0, abs=3.0)
-    assert np.std(gain) == pytest.approx(30.0, rel=0.06)
-    assert np.std(delay) == pytest.approx(ensembles.DELAY_FLOOR_CYCLES * 0.004, rel=0.06)
-    covariance = np.array(m.covariance)
-    covariance[3], covariance[:, 3] = np.nan, np.nan
-    held = ensembles.draw_models(dataclasses.replace(m, covariance=covariance), rng(5), 20)
-    assert np.std([d.value('damping') for d in held]) < 0.1 * 0.4 * 2
-
-
-def test_battery_sag_widens_the_gains_that_are_judged(model):
-    sag = estimate_of('battery_sag', (2.0,), settings={'reference_v': 11.5}, std=0.1)
-    plain = dataclasses.replace(model(), mean_battery_v=11.5)
-    sagging = dataclasses.replace(model(effects=[sag]), mean_battery_v=11.5)
-
-    def spread(m):
-        loops = ensembles.build(m, np.random.default_rng(1))
-        size = np.abs(loops.response[0, :, 150])
-        return np.std(size) / np.mean(size)
-
-    assert spread(sagging) > 1.5 * spread(plain)

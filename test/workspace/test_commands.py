@@ -14,20 +14,16 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
+from flown_axis import Axis, Plan, fly
 
 from quad_sysid import cli as sysid
 from quad_sysid.bags import write_bag
-from quad_sysid.loop.cascade import CascadeGains
-from quad_sysid.loop.plant import LoopPlant
-from quad_sysid.loop.simulation import simulate_cascade
-from quad_sysid.record import GainChange, Record, Segment
 from quad_tuning import cli as tuning
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / 'README.md', *sorted((ROOT / 'docs').rglob('*.md')), ROOT / 'CONTRIBUTING.md']
-DT = 0.004
+PLAN = Plan(20.0, (('train', 'prbs', 1.0, 13.0), ('validation', 'prbs', 13.5, 20.0)))
 pytestmark = pytest.mark.xdist_group('commands')  # one flight for all
 
 PROGRAMS = {'quad-sysid': sysid.main, 'quad-tune': tuning.main}
@@ -38,12 +34,8 @@ STARTED_ELSEWHERE = {
     'echo': "a setting of the reader's machine",
 }
 ONLY_PARSED = {
-    'quad-tune send': 'needs ROS; test_update_node.py sends',
     'quad-tune rollback': 'needs ROS; test_gain_history.py rolls back',
     'quad-tune history': 'needs gains that flew; test_gain_history.py',
-    'quad-tune design result/model.json --pictures': 'test_tune_cli.py draws them',
-    'quad-tune design result/model.json --json': 'test_tune_cli.py',
-    'quad-tune design result/model.json --out': 'the fixture runs it',
     'quad-sysid import': 'its files are not at hand; test_foreign_logs.py, test_import_tables.py',
     'quad-sysid fleet': 'starts processes; test_fleet.py',
     'quad-sysid compare': 'identifies bags; test_comparison.py',
@@ -74,26 +66,6 @@ def quick(line: str) -> bool:
     return line.startswith(RUN_ALL_THE_SAME) or not line.startswith(tuple(ONLY_PARSED))
 
 
-def flight(seed: int) -> Record:
-    """Roll in its cascade, which follows levels of 0.2 rad."""
-    rng, n, gains = np.random.default_rng(seed), round(20.0 / DT), CascadeGains.default('roll')
-    zero = np.zeros(n)
-    reference = 0.2 * np.repeat(rng.choice([-1.0, 1.0], n // 50 + 1), 50)[:n]
-    run = simulate_cascade(
-        LoopPlant(400.0, 0.05, 0.004, 1.0, 0.0, None, DT), gains, reference, DT,
-        noise=rng.normal(0.0, 0.004, n), disturbance=rng.normal(0.0, 5.0, n),
-    )
-    return Record(
-        source='flight', dt=DT, rates=np.column_stack((run.rate, rng.normal(0.0, 0.004, (n, 2)))),
-        control=np.column_stack((zero + 0.5, run.control, zero, zero)),
-        angles=np.column_stack((run.angle, zero, zero)),
-        attitude_setpoint=np.column_stack((reference, zero, zero)),
-        segments=(Segment('train', 'prbs', 'roll', 'attitude', 1.0, 13.0),
-                  Segment('validation', 'prbs', 'roll', 'attitude', 13.5, 20.0)),
-        gains=(GainChange(0.0, gains.to_mapping('roll', constants=True)),), t0_ns=10**18,
-    )
-
-
 @pytest.fixture(scope='module')
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Bags, table and result by the names that the docs use.
@@ -102,7 +74,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """
     here = tmp_path_factory.mktemp('docs')
     for seed, name in enumerate(('my_flight', 'my_flight_bag', 'another_flight_bag')):
-        write_bag(flight(seed), here / name)
+        write_bag(fly(Axis(), seed, PLAN), here / name)
     (here / 'another_flight').symlink_to('another_flight_bag')
     (here / 'emps_pulses').symlink_to('another_flight_bag')
     columns = {'t': 1e-3, 'u': 1e-5, 'gx': 0.02, 'Time [ms]': 1.0, 'cmd roll': 0.01,

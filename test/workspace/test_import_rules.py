@@ -1,13 +1,12 @@
 """The rules of ARCHITECTURE.md about who may import what, and that the analysis needs no ROS.
 
-What import-linter's contracts (pyproject.toml) say, `make lint` and a test here have it check; on
-the source text stands what it cannot: standard modules and calls that touch files.
+What import-linter's contracts (pyproject.toml) say, `make lint` checks; here stands what it cannot
+check: standard modules and calls that touch files.
 """
 
 from __future__ import annotations
 
 import ast
-import importlib.util
 import subprocess
 import sys
 from pathlib import Path
@@ -61,21 +60,11 @@ def offences(source: str) -> list[str]:
     return sorted(imports(source) & OUTSIDE_MATHS | names & FILE_CALLS)
 
 
-@pytest.mark.parametrize('path', maths_files(), ids=lambda p: str(p.relative_to(ROOT / 'src')))
-def test_maths_touches_neither_ros_nor_files(path: Path) -> None:
-    assert offences(path.read_text()) == []
-
-
-@pytest.mark.parametrize('source', [
-    'import rclpy', 'def f():\n    from matplotlib import pyplot', 'import json', "open('x')",
-    'from rosbags.highlevel import AnyReader', 'import numpy as np\nnp.loadtxt(1)',
-    "from pathlib import Path\nPath('x').write_text('')",
-])
-def test_the_check_itself_finds_each_kind_of_offence(source: str) -> None:
-    assert offences(source)
-
-
-def test_wire_reads_no_port() -> None:
+def test_maths_touches_neither_ros_nor_files_and_wire_no_port() -> None:
+    files = maths_files()
+    assert len(files) > 50
+    for path in files:
+        assert offences(path.read_text()) == [], path
     for path in (ROOT / 'src/quad_bridge/quad_bridge/wire').rglob('*.py'):
         assert not imports(path) & PORTS, path
 
@@ -88,16 +77,6 @@ def test_what_both_packages_share_is_linked_and_knows_neither(shared: str, link:
     assert (ROOT / 'src/quad_sysid/quad_sysid' / link).resolve() == source
     for path in source.glob('*.py') if source.is_dir() else [source]:
         assert not imports(path) & {'quad_bridge', 'quad_sysid'}, path
-
-
-def test_import_linter_agrees() -> None:
-    if importlib.util.find_spec('importlinter') is None:
-        pytest.skip('import-linter is not installed')
-    done = subprocess.run(
-        [sys.executable, '-c', 'from importlinter.cli import lint_imports_command as c; c()'],
-        cwd=ROOT, capture_output=True, text=True, check=False,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
 
 
 def test_every_offline_module_imports_without_ros() -> None:
