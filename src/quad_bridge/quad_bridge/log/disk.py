@@ -56,7 +56,7 @@ class Reserve:
         self._file = file
 
     def give(self, used: int) -> None:
-        """Shrink the reserve by `used`, the bytes of the bag and of the next write."""
+        """Shrink the reserve to its size less `used`: bytes of the bag and its next write."""
         self._shrink(min(self._left, self._size - used))
 
     def more(self, size: int) -> bool:

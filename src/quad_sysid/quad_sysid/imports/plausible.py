@@ -66,8 +66,8 @@ class Column:
 def check_times(time: Column, speed: float | None = None) -> list[str]:
     """Check the sample rate of times (n,) s against usual ones, and against `speed`, rad/s.
 
-    Returns a line on an unusual rate. Raises BadInputError, with a guess, where no unit was given
-    and the axis would turn by more than half a radian between two samples, or `speed` is unknown.
+    Returns a line on an unusual rate. Raises BadInputError, with a guess, for an unusual rate
+    without a given unit, unless `speed` shows a turn of less than half a radian between samples.
     """
     if time.values.size < 3:
         return []
