@@ -91,7 +91,7 @@ def test_json(model, stored, tmp_path):
     tree = json.loads(out.read_text())
     roll = tree['axes']['roll']
     assert roll['effects'][0]['parameters'][0]['value'] == 0.16
-    np.testing.assert_allclose(roll['discrete']['A'], linear_model(model).a_discrete)
+    np.testing.assert_allclose(roll['discrete']['A'], matrices(model)['Ad'])
     assert 'not in the matrices' in tree['note']
 
 
