@@ -210,10 +210,13 @@ def test_a_bad_set_is_taken_back_before_twenty_degrees(bench, mount, bound, kp, 
 
 
 KILL = [Event(6.0, 'aux1', 1.0)]
+EARLIER = [Event(3.0, 'yaw', 0.9), Event(3.2, 'yaw', 0.0)]  # at an end before is no delay
 GESTURE = [Event(6.0 + 0.3 * k, 'yaw', v) for k, v in enumerate([0.9, -0.9, 0.9, 0.0])]
 
 
-@pytest.mark.parametrize(('events', 'words'), [(KILL, 'kill switch'), (GESTURE, 'stick gesture')])
+@pytest.mark.parametrize(
+    ('events', 'words'), [(KILL, 'kill switch'), (EARLIER + GESTURE, 'stick gesture')]
+)
 def test_the_kill_switch_and_the_stick_gesture_take_the_gains_back(bench, events, words):
     made = bench(events=events)
     made.up.fault = Fault(f.TimeSync, DROPPED)  # without a clock nothing is stamped

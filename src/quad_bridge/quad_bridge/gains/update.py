@@ -284,8 +284,10 @@ class GainUpdates:
     def sticks(self, yaw: float, now_s: float) -> None:
         """Take the yaw stick's place, -1..1."""
         ends, end = self._stick_ends, int(yaw > GESTURE_END) - int(yaw < -GESTURE_END)
-        if not end or (ends and ends[-1][1] == end):
+        if not end:
             return
+        if ends and ends[-1][1] == end:
+            ends.pop()  # the last moment there counts
         ends.append((now_s, end))
         if len(ends) == GESTURE_ENDS and now_s - ends[0][0] <= GESTURE_S:
             ends.clear()
