@@ -22,6 +22,7 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
 
 from quad_sysid.contract import FloatArray
+from quad_sysid.record import finite_runs
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
@@ -68,14 +69,14 @@ COLUMNS = {
 WIDTH = {msgtype: len(columns) for msgtype, columns in COLUMNS.items()}
 
 MOST_LAYOUTS = 8
-"""How many layouts are tried among messages of one length before they are read one by one."""
+"""Layouts that are tried for messages of one length before they are read one by one."""
 FIRST = 1_000_003
 """A number that no message holds, and those after it, show which goes to which column."""
 
 
 @dataclass(frozen=True)
 class Stamped:
-    """Messages of one topic: stamps (n,) in ns, values (n, WIDTH[type]), `spoiled` unreadable."""
+    """Messages of one topic: stamps (n,) ns, values (n, WIDTH[type]), `spoiled`: unreadable."""
 
     stamps: npt.NDArray[np.int64]
     values: FloatArray
@@ -86,10 +87,10 @@ class Stamped:
 class Layout:
     """Messages of one length that agree in all bytes but their numbers'."""
 
-    fixed: npt.NDArray[np.intp]
-    """Places of the bytes that agree: the encapsulation, lengths and texts."""
-    agreed: npt.NDArray[np.uint8]
-    """These bytes."""
+    pattern: npt.NDArray[np.uint8]
+    """One of them."""
+    fixed: tuple[tuple[int, int], ...]
+    """Ranges [start, stop) of the bytes that agree: the encapsulation, lengths and texts."""
     columns: tuple[tuple[int, str], ...]
     """Offset and type of the number that each of COLUMNS[type] is."""
 
@@ -112,8 +113,8 @@ def layout_of(msgtype: str, raw: bytes) -> Layout:
         columns = tuple(_place(told, value) for value in _values(msgtype, counted).tolist())
     except Exception as error:  # rosbags raises many kinds on spoiled bytes
         raise LayoutError(str(error)) from error
-    fixed = np.flatnonzero(low == high)
-    return Layout(fixed, np.frombuffer(raw, np.uint8)[fixed], columns)
+    fixed = finite_runs(low == high, (0, low.size))
+    return Layout(np.frombuffer(raw, np.uint8), tuple(fixed), columns)
 
 
 def _numbered(description: Any, value: Any, numbers: Iterator[int | None]) -> Any:
@@ -147,14 +148,15 @@ def _place(told: npt.NDArray[np.uint8], value: float) -> tuple[int, str]:
 
 
 def decode(msgtype: str, messages: Sequence[bytes]) -> Stamped:
-    """Stamps and values of `messages` in their order; those that cannot be read are left out."""
+    """Stamps and values of `messages` in order; unreadable ones are left out and counted."""
     stamps = np.zeros(len(messages), dtype=np.int64)
     values = np.full((len(messages), WIDTH[msgtype]), np.nan)
     good = np.zeros(len(messages), dtype=bool)
     lengths = np.fromiter(map(len, messages), dtype=np.int64, count=len(messages))
     for length in np.unique(lengths):
         rows = np.flatnonzero(lengths == length)
-        layout = _LAST.get((msgtype, int(length)))
+        key = msgtype, int(length)
+        layout = _LAST.get(key)
         for _ in range(MOST_LAYOUTS):
             if len(rows) == 0:
                 break
@@ -162,14 +164,16 @@ def decode(msgtype: str, messages: Sequence[bytes]) -> Stamped:
             if layout is None:
                 taken[0] = True  # of no layout to be read in bulk: one by one below
                 try:
-                    layout = _LAST[msgtype, int(length)] = layout_of(msgtype, messages[rows[0]])
+                    layout = _LAST[key] = layout_of(msgtype, messages[int(rows[0])])
                 except LayoutError:
                     rows = rows[~taken]
                     continue
-            joined = b''.join(messages if len(rows) == len(messages)
-                              else [messages[i] for i in rows])
+            whole = len(rows) == len(messages)
+            joined = b''.join(messages if whole else [messages[i] for i in rows.tolist()])
             table = np.frombuffer(joined, dtype=np.uint8).reshape(len(rows), -1)
-            same = (table[:, layout.fixed] == layout.agreed).all(axis=1)
+            same = np.ones(len(rows), dtype=bool)
+            for start, stop in layout.fixed:
+                same &= (table[:, start:stop] == layout.pattern[start:stop]).all(axis=1)
             _fill(table if same.all() else table[same], rows[same], layout, stamps, values)
             good[rows[same]] = True
             rows, layout = rows[~(same | taken)], None
@@ -204,7 +208,7 @@ def _fill(
 def encode(
     msgtype: str, template: bytes, stamps: npt.NDArray[np.int64], values: FloatArray
 ) -> list[bytes]:
-    """Copy one serialised message, `template`, with other stamps (n,) and values (n, w)."""
+    """Serialised copies of `template` with stamps (n,) ns and values (n, w)."""
     table = np.tile(np.frombuffer(template, dtype=np.uint8), (len(stamps), 1))
     seconds, rest = np.divmod(stamps, 1_000_000_000)
     columns = zip(layout_of(msgtype, template).columns, values.T, strict=False)
@@ -242,7 +246,7 @@ def _nothing(description: Any) -> Any:
 
 
 def _decode_one(msgtype: str, raw: bytes) -> tuple[int, FloatArray]:
-    """Stamp and values by rosbags' deserialiser."""
+    """Stamp and values of one message by rosbags' deserialiser."""
     message: Any = typestore().deserialize_cdr(raw, msgtype)
     stamp = message.header.stamp
     return stamp.sec * 1_000_000_000 + stamp.nanosec, _values(msgtype, message)

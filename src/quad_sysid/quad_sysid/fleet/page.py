@@ -11,8 +11,9 @@ import numpy as np
 from quad_sysid.contract import AXES
 from quad_sysid.fleet.row import ANSWERED, Row
 from quad_sysid.fleet.summary import Summary
-from quad_sysid.report.canvas import AFTER, MUTED, Picture, panels, svg
+from quad_sysid.report.canvas import AFTER, MUTED, Picture, panels
 from quad_sysid.report.html import SHEET
+from quad_sysid.report.html import figure as figure_of
 from quad_sysid.report.tables import Table
 from quad_sysid.report.words import named, number
 
@@ -95,12 +96,9 @@ def _figures(rows: Sequence[Row]) -> str:
             one.axhline(float(np.median(values)), color=MUTED, lw=0.8, ls=':')
             one.set_ylabel(f'{name}, {UNITS[name].replace(" per command", "")}')
         axes[-1].set_xlabel('days since the first flight, d')
-        picture = Picture(f'{axis}_fleet', f'{axis.capitalize()} over the flights',
+        picture = Picture('fleet', f'{axis.capitalize()} over the flights',
                           'Estimates with 95 % bars; dotted: the median.', figure)
-        found.append(
-            f'<figure id="{axis}-fleet"><h4>{escape(picture.title)}</h4>{svg(picture, axis)}'
-            f'<figcaption>{escape(picture.caption)}</figcaption></figure>'
-        )
+        found.append(figure_of(axis, picture))
     return f'<div class="figures">{"".join(found)}</div>' if found else ''
 
 

@@ -152,12 +152,14 @@ def resonance_peaks(
     return tuple(sorted(peaks, key=lambda item: -item[1]))
 
 
-def spectrum(values: FloatArray, dt: float) -> tuple[FloatArray, FloatArray, int] | None:
+def spectrum(
+    values: FloatArray, dt: float, window_s: float = WINDOW_S
+) -> tuple[FloatArray, FloatArray, int] | None:
     """Frequencies (m,) Hz, Welch's density (m,) per Hz over the unbroken stretches, its windows.
 
     None where there is too little for a spectrum.
     """
-    size = round(WINDOW_S / dt)
+    size = round(window_s / dt)
     runs = [r for r in finite_runs(np.isfinite(values), (0, values.size)) if r[1] - r[0] >= size]
     spectra: list[FloatArray] = []
     weights: list[int] = []

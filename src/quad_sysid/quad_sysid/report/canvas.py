@@ -106,6 +106,14 @@ def legend(axes: Axes, columns: int = 4) -> None:
         )
 
 
+def finish(axes: Sequence[Axes], x: str, *ys: str) -> None:
+    """Label the panels, whose x is one, and put a legend over the first."""
+    for one, label in zip(axes, ys, strict=True):
+        one.set_ylabel(label)
+    axes[-1].set_xlabel(x)
+    legend(axes[0])
+
+
 def shade(axes: Axes, low: float, high: float, colour: str, label: str = '') -> None:
     """Shade a range of x."""
     axes.axvspan(low, high, color=colour, alpha=0.13, linewidth=0, label=label or None, zorder=0)
@@ -142,7 +150,9 @@ def svg(picture: Picture, prefix: str) -> str:
     text = re.sub(r'\s(?:xmlns(?::xlink)?|version|width|height)="[^"]*"', '', text, count=5)
     text = re.sub(r'<g id="[^"]*"', '<g', text).replace('xlink:href', 'href')
     text = re.sub(r'font: ([\d.]+px) [^;"]*', r'font: \1 var(--font)', text)
-    text = re.sub(r'<[^>]+>', lambda tag: _LONG.sub(_short, tag.group()), text)
+    text = re.sub(r'<[^>]+>', lambda tag: _LONG.sub(
+        lambda digits: f'{float(digits.group()):.2f}', tag.group()
+    ), text)
     for colour, name in THEMED.items():
         text = text.replace(colour, f'var(--{name})')
     text = text.replace('#000000', 'var(--ink)')
@@ -158,10 +168,6 @@ def embedded(picture: Picture, prefix: str) -> str:
 
 
 _LONG = re.compile(r'-?\d+\.\d{3,}')
-
-
-def _short(digits: re.Match[str]) -> str:
-    return f'{float(digits.group()):.2f}'
 
 
 def png(picture: Picture) -> bytes:

@@ -100,7 +100,12 @@ def page(
         _axis(axis, tree, answers.get(axis), drawn.get(axis, Gallery({})))
         for axis, tree in axes.items()
     ]
-    parts.append(_footer(report['bags']))
+    sources = escape(', '.join(report['bags']))
+    parts.append(
+        '<p class="small">Fits and choices used the training segments alone; the held-out '
+        'ones were opened once. Numbers in full: report.json; the model: model.json. '
+        f'Source: {sources}</p>'
+    )
     return '\n'.join([*parts, '</body></html>\n'])
 
 
@@ -158,10 +163,11 @@ def _axis(
     """All details of one axis."""
     model = answer.model if answer is not None else None
     active = model.active_gains if model is not None else {}
-    shown = drawn.pictures
+    shown, told = drawn.pictures, escape(tables.shared(tree))
+    told = told and f'<p>{told}</p>'
 
     def figures(names: Sequence[str]) -> str:
-        found = ''.join(_figure(axis, shown[name]) for name in names if name in shown)
+        found = ''.join(figure(axis, shown[name]) for name in names if name in shown)
         return f'<div class="figures">{found}</div>' if found else ''
 
     sections = [
@@ -172,7 +178,7 @@ def _axis(
          + figures(EFFECTS) + _fold('Everything that was tried',
                               tables.tried(tree).html() + tables.untested(tree).html())),
         ('What is left', tables.residuals(tree).html() + figures(LEFT)),
-        ('Black-box models', tables.models(tree).html() + _paragraph(tables.shared(tree))
+        ('Black-box models', tables.models(tree).html() + told
          + figures(MODELS) + tables.approaches(tree).html()
          + _fold("Beside the paper's Table 2", tables.table2(tree).html())),
         ('Advice', _notes(tables.notes(tree))),
@@ -188,7 +194,8 @@ def _axis(
             f'<span class="small">{rate}</span></h2>{body}</section>')
 
 
-def _figure(axis: str, picture: Picture) -> str:
+def figure(axis: str, picture: Picture) -> str:
+    """A picture with its title and its caption."""
     return (
         f'<figure id="{axis}-{picture.name}"><h4>{escape(picture.title)}</h4>'
         f'{svg(picture, axis)}<figcaption>{escape(picture.caption)}</figcaption></figure>'
@@ -199,17 +206,6 @@ def _fold(title: str, content: str) -> str:
     return f'<details><summary>{title}</summary>{content}</details>' if content else ''
 
 
-def _paragraph(text: str) -> str:
-    return f'<p>{escape(text)}</p>' if text else ''
-
-
 def _notes(lines: Sequence[str]) -> str:
     items = ''.join(f'<li>{escape(line)}</li>' for line in lines)
     return f'<ul class="small">{items}</ul>' if items else ''
-
-
-def _footer(bags: Sequence[str]) -> str:
-    sources = ', '.join(bags)
-    return (f'<p class="small">Fits and choices used the training segments alone; the held-out '
-            f'ones were opened once. Numbers in full: report.json; the model: model.json. '
-            f'Source: {escape(sources)}</p>')

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +17,7 @@ import numpy.typing as npt
 from quad_sysid.contract import AXES, FloatArray, motors_from_wrench
 from quad_sysid.effects.torques import TRANSITION
 from quad_sysid.estimate.fit import Fit, Problem, covariance
+from quad_sysid.loop.from_model import Placed
 from quad_sysid.model.data import AxisData, Span
 from quad_sysid.model.effect import Drive, Part, Signals
 from quad_sysid.model.plant import N_BASE, NOISE, Flight, Structure
@@ -189,6 +191,10 @@ def drawn(along: Along, index: int) -> Drawn:
 
 Evaluate = Callable[[FloatArray], FloatArray]
 Sketch = tuple[Evaluate, FloatArray, str, str, FloatArray | None]
+REST = {'throttle': 0.0, 'battery': 1.0}
+UNIT = {'gain': {'drive': 1.0}, 'delay': {'change': -1.0}, 'damping': {'rate': -1.0},
+        'friction': {'rate': -1.0}}
+"""One unit of what an effect changes, by its term."""
 LABELS = {
     'torque': 'torque / inertia, rad/s²', 'gain': 'change of the gain, 1',
     'damping': 'change of the damping, 1/s', 'friction': 'friction / inertia, rad/s²',
@@ -217,11 +223,12 @@ def _picture(along: Along, part: Part) -> Sketch:
     if term == 'lag':
         return _lag(along, part, x), x, over, LABELS[term], np.ones(GRID)
 
-    def evaluate(p: FloatArray) -> FloatArray:
-        out = part.effect.torque(_signals(along, part, name, x), p, part.settings)
-        return np.zeros(GRID) if out is None else out + 0.0 * x
-
-    return evaluate, x, over, LABELS[term], None
+    unit = {signal: value * np.ones(GRID) for signal, value in UNIT.get(term, {}).items()}
+    moved = unit | _moved(along, part, name, x)
+    return (
+        lambda p: np.asarray(Placed(part, p).torque(REST, GRID, **moved)), x, over, LABELS[term],
+        None,
+    )
 
 
 def _named(data: AxisData, part: Part, name: str) -> str:
@@ -230,27 +237,17 @@ def _named(data: AxisData, part: Part, name: str) -> str:
     return 'acting command' if name == 'command' else name
 
 
-def _signals(along: Along, part: Part, name: str, x: FloatArray) -> Signals:
-    """Signals (GRID,) that hold one unit of what the effect changes, its variable over `x`."""
-    nothing, one = np.zeros(x.size), np.ones(x.size)
-    term, which = part.effect.term, _which(part)
-    others = [nothing, nothing]
-    if name in ('other rate', 'other command'):
-        others[which] = x
-    pair = (x, one) if name.startswith('product') else (others[0], others[1])
-    time = x
+def _moved(along: Along, part: Part, name: str, x: FloatArray) -> dict[str, Any]:
+    """The signals that go over `x` (GRID,) with the variable that an effect is drawn over."""
     if part.effect.phased:
-        time = x / (2.0 * np.pi * _frequency(along, part))
-    rate = {'rate': x}.get(name, -one if term in ('damping', 'friction') else nothing)
-    return Signals(
-        rate=rate, angle=x if name == 'angle' else nothing,
-        drive=one if term == 'gain' else nothing, command=nothing,
-        change=-one if term == 'delay' else nothing,
-        lagged=x if name == 'command' else nothing,
-        throttle=x if name == 'throttle' else nothing,
-        battery_v=x if name == 'battery' else one, other_rates=pair,
-        other_commands=(others[0], others[1]), time=time,
-    )
+        return {'time': x / (2.0 * np.pi * _frequency(along, part))}
+    if name.startswith('product'):
+        return {'other_rates': (x, np.ones(x.size))}
+    if name in ('other rate', 'other command'):
+        pair = [np.zeros(x.size), np.zeros(x.size)]
+        pair[_which(part)] = x
+        return {f'{name.replace(" ", "_")}s': tuple(pair)}
+    return {{'command': 'lagged', 'battery': 'battery_v'}.get(name, name): x}
 
 
 def _lag(along: Along, part: Part, x: FloatArray) -> Evaluate:
@@ -320,21 +317,15 @@ def _push(along: Along, part: Part) -> Sketch:
     """What hidden states do to a rate that is held for half the time, then stands still."""
     data = along.problem.data
     n = round(2.0 * RESPONSE_S / data.dt)
-    time, nothing = np.arange(n, dtype=np.float64) * data.dt, np.zeros(n)
+    time = np.arange(n, dtype=np.float64) * data.dt
     used = np.concatenate([data.rate[a:b] for a, b in along.problem.spans])
     held = float(np.nanstd(used))
     rate = held * (time < RESPONSE_S).astype(np.float64)
     record = _record(data, np.zeros((n, 4)), dt=data.dt)
-    signals = Signals(
-        rate=rate, angle=None, drive=nothing, command=nothing, change=nothing, lagged=nothing,
-        throttle=nothing, battery_v=None, other_rates=None, other_commands=(nothing, nothing),
-        time=time,
-    )
 
     def evaluate(p: FloatArray) -> FloatArray:
         hidden = part.effect.trace(record, rate, p, part.settings)
-        out = part.effect.torque(replace(signals, hidden=hidden), p, part.settings)
-        return nothing if out is None else out
+        return Placed(part, p).torque(REST, n, rate=rate, time=time, hidden=hidden)
 
     over = f'time since the rate steps to {held:.2g} rad/s, s'
     return evaluate, time, over, LABELS['torque'], None

@@ -6,12 +6,12 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import signal as filters
 
 from quad_sysid.blackbox import coherence
 from quad_sysid.contract import FloatArray
 from quad_sysid.model.data import AxisData, Span
 from quad_sysid.pipeline.answer import AxisAnswer
+from quad_sysid.pipeline.preparation import spectrum
 from quad_sysid.record import IOData
 from quad_sysid.report.canvas import (
     AFTER,
@@ -22,6 +22,7 @@ from quad_sysid.report.canvas import (
     ORANGE,
     PINK,
     Picture,
+    finish,
     legend,
     panels,
     shade,
@@ -127,10 +128,9 @@ def spectra(answer: AxisAnswer) -> Picture | None:
         (axes[1], [('command', train.u, AFTER)], 'command, 1/Hz'),
     ):
         for name, values, colour in parts:
-            if values is None or not _finite(values, train):
-                continue
-            w, density = _density(values, train)
-            one.loglog(w, density, color=colour, label=name)
+            found = None if values is None else _density(values, train)
+            if found is not None:
+                one.loglog(*found, color=colour, label=name)
         one.set_ylabel(label)
         trusted(one, answer)
     legend(axes[0])
@@ -158,9 +158,7 @@ def coherences(answer: AxisAnswer) -> Picture | None:
     one.axhline(COHERENT, color=MUTED, lw=0.8, ls=':')
     trusted(one, answer)
     one.set_ylim(0.0, 1.02)
-    one.set_xlabel('frequency, rad/s')
-    one.set_ylabel('squared coherence, 1')
-    legend(one)
+    finish([one], 'frequency, rad/s', 'squared coherence, 1')
     return Picture(
         'coherence', 'Coherence',
         f'1 means that the rate follows the command and nothing else. Above {COHERENT:g} the '
@@ -189,12 +187,11 @@ def _finite(values: FloatArray, z: IOData) -> bool:
     return all(bool(np.isfinite(values[a:b]).all()) for a, b in z.segments)
 
 
-def _density(values: FloatArray, z: IOData) -> tuple[FloatArray, FloatArray]:
-    """Frequencies, rad/s, and mean density, unit²/Hz, over the segments (Welch 1967)."""
-    longest = max(b - a for a, b in z.segments)
-    size = int(min(longest, max(256, round(8.0 / z.dt))))
-    parts = [s for s in z.segments if s[1] - s[0] >= size]
-    found = [filters.welch(values[a:b], 1.0 / z.dt, nperseg=size) for a, b in parts]
-    weights = [b - a for a, b in parts]
-    mean = np.average([density for _, density in found], axis=0, weights=weights)
-    return 2.0 * np.pi * found[0][0][1:], np.asarray(mean[1:])
+def _density(values: FloatArray, z: IOData) -> tuple[FloatArray, FloatArray] | None:
+    """Frequencies, rad/s, and density, unit²/Hz, over the segments; None where too little."""
+    longest = max(b - a for a, b in z.segments) * z.dt
+    inside = np.full(values.size, np.nan)
+    for a, b in z.segments:
+        inside[a:b] = values[a:b]
+    found = spectrum(inside, z.dt, min(8.0, longest / 3.0))
+    return None if found is None else (2.0 * np.pi * found[0][1:], found[1][1:])

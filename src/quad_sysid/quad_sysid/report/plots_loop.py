@@ -17,10 +17,11 @@ from quad_sysid.report.canvas import (
     INK,
     MUTED,
     Picture,
-    legend,
+    finish,
     panels,
     thinned,
 )
+from quad_sysid.report.plots_models import degrees
 
 SHOWN_S = 10.0
 STEP_RAD = float(np.radians(12.0))
@@ -52,11 +53,8 @@ def overlay(answer: AxisAnswer) -> Picture | None:
         flown = simulated[shown]
         axes[0].plot(*thinned(time_s[shown], flown), color=colour, ls=style, label=name)
         axes[1].plot(*thinned(time_s[shown], flown - measured), color=colour, lw=0.8)
-    axes[0].set_ylabel('rate, rad/s')
-    axes[1].set_ylabel('error, rad/s')
-    axes[1].set_xlabel('time, s')
     axes[1].margins(x=0.01)
-    legend(axes[0])
+    finish(axes, 'time, s', 'rate, rad/s', 'error, rad/s')
     return Picture(
         'closed_loop', 'Simulated flight against the recorded one',
         'The controller and the model flown on the recorded reference and excitation, from the '
@@ -101,10 +99,7 @@ def step_response(answer: AxisAnswer) -> Picture | None:
         axes[0].plot(*thinned(time_s, np.degrees(flown.angle)), color=colour, ls=style, lw=1.6,
                      label=name)
         axes[1].plot(*thinned(time_s, flown.control), color=colour, ls=style, lw=1.2)
-    axes[0].set_ylabel('angle, deg')
-    axes[1].set_ylabel('command, norm.')
-    axes[1].set_xlabel('time since the step, s')
-    legend(axes[0])
+    finish(axes, 'time since the step, s', 'angle, deg', 'command, norm.')
     why = '' if len(sets) == 2 else ' No new gains are proposed; the words above say why.'
     return Picture(
         'step', 'Step before and after', f'A step of {np.degrees(STEP_RAD):.0f} degrees in the '
@@ -125,8 +120,7 @@ def open_loop_margins(answer: AxisAnswer) -> Picture | None:
     for name, gains, colour, style in sets:
         loop = open_loop(gains, response, omega, model.dt)
         found = margins(loop, omega)
-        phase = np.degrees(np.unwrap(np.angle(loop[0])))
-        phase -= 360.0 * np.ceil((phase[0] - 90.0) / 360.0)
+        phase = degrees(loop[0])
         axes[0].loglog(omega, np.abs(loop[0]), color=colour, ls=style, lw=1.4, label=name)
         axes[1].semilogx(omega, phase, color=colour, ls=style, lw=1.4)
         crossover = float(found.crossover_rad_s[0])
@@ -143,10 +137,7 @@ def open_loop_margins(answer: AxisAnswer) -> Picture | None:
     axes[1].axhline(-180.0, color=MUTED, lw=0.8, ls=':')
     axes[1].set_ylim(-540.0, 0.0)
     axes[1].set_yticks(range(-540, 1, 180))
-    axes[0].set_ylabel('loop gain, 1')
-    axes[1].set_ylabel('phase, deg')
-    axes[1].set_xlabel('frequency, rad/s')
-    legend(axes[0])
+    finish(axes, 'frequency, rad/s', 'loop gain, 1', 'phase, deg')
     words = '; '.join(told)
     return Picture(
         'margins', 'The open loop and its margins',

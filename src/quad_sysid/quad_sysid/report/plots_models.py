@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quad_sysid.blackbox import Model, ResidualTest, frequency_response, spa
+from quad_sysid.blackbox import ResidualTest, frequency_response, spa
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import QuadSysidError
 from quad_sysid.loop.plant import ComplexArray
@@ -25,12 +25,13 @@ from quad_sysid.report.canvas import (
     MUTED,
     OTHER,
     Picture,
+    finish,
     legend,
     panels,
     thinned,
 )
 from quad_sysid.report.plots_data import trusted, trusted_words
-from quad_sysid.report.words import equals
+from quad_sysid.report.words import equals, yes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -71,11 +72,8 @@ def free_run(answer: AxisAnswer) -> Picture | None:
     for w in range(first, last + 1):
         for panel in axes:
             panel.axvline(windows.starts[w] * data.dt, color=MUTED, lw=0.5, ls=':')
-    axes[0].set_ylabel('rate, rad/s')
-    axes[1].set_ylabel('error, rad/s')
-    axes[1].set_xlabel('time, s')
     axes[1].margins(x=0.01)
-    legend(axes[0])
+    finish(axes, 'time, s', 'rate, rad/s', 'error, rad/s')
     return Picture(
         'free_run', 'Free run on held-out data',
         'In each window of 0.5 s (dotted) the model starts from what was measured before it and '
@@ -107,9 +105,7 @@ def horizon(answer: AxisAnswer) -> Picture | None:
         one.plot(ahead, growth, color=colour, ls=style, lw=1.6, label=name)
     one.axhline(found.verdict.noise_floor, color=GREEN, lw=1.0, ls=':', label='measurement noise')
     one.set_ylim(bottom=0.0)
-    one.set_xlabel('time since the start of the window, s')
-    one.set_ylabel('RMS error, rad/s')
-    legend(one)
+    finish([one], 'time since the start of the window, s', 'RMS error, rad/s')
     return Picture(
         'horizon', 'Error over the horizon',
         'How the prediction becomes worse: RMS over all held-out windows. Its mean square '
@@ -129,23 +125,13 @@ def residuals(answer: AxisAnswer) -> Picture | None:
     row = chosen_row(answer)
     if row is None:
         return None
-    test = row.step_a.test
-    shown = [(test, row.step_a.model.structure, OTHER, '-')]
-    figure = _correlogram(shown, row.step_a.model.dt)
-    model = row.step_a.model
+    test, model = row.step_a.test, row.step_a.model
+    figure = _correlogram([(test, model.structure, OTHER, '-')], model.dt)
     return Picture(
-        'residual_test', f'Residual tests of {_name(model)}',
+        'residual_test', f'Residual tests of {model.name}',
         f'{test.samples} one-step residuals on training data: {_told(test)}. Lines bound 99 % of '
         'a single lag; at negative lags a closed loop alone gives correlation.', figure,
     )
-
-
-def _name(model: Model) -> str:
-    return ' '.join([model.structure, *(str(v) for v in model.orders.values())])
-
-
-def _yes(value: bool) -> str:
-    return 'yes' if value else 'no'
 
 
 def bode(answer: AxisAnswer) -> Picture | None:
@@ -160,7 +146,7 @@ def bode(answer: AxisAnswer) -> Picture | None:
         good = data.coherence > 0.2
         axes[0].loglog(data.w[good], np.abs(data.response[good]), '.', ms=3.5, color=INK,
                        label='data')
-        axes[1].semilogx(data.w[good], _degrees(data.response[good]), '.', ms=3.5, color=INK)
+        axes[1].semilogx(data.w[good], degrees(data.response[good]), '.', ms=3.5, color=INK)
         w = w[w > 0.7 * data.w[0]]
     except QuadSysidError:
         axes[0].set_yscale('log')
@@ -168,7 +154,7 @@ def bode(answer: AxisAnswer) -> Picture | None:
     if row is not None:
         found = frequency_response(row.step_a.model, w)
         _curve(axes, w, found.response, Z99 * found.magnitude_std, Z99 * found.phase_std,
-               OTHER, '--', _name(row.step_a.model))
+               OTHER, '--', row.step_a.model.name)
     response = grey_response(model, w)
     _curve(axes, w, response, *_grey_spread(model, w, response), AFTER, '-', 'grey box')
     for one in axes:
@@ -177,12 +163,9 @@ def bode(answer: AxisAnswer) -> Picture | None:
     seen = np.abs(response)
     axes[0].set_ylim(max(float(seen.min()), 1e-4 * float(seen.max())) * 0.3,
                      float(seen.max()) * 4.0)
-    axes[0].set_ylabel('gain, rad/s per command')
-    axes[1].set_ylabel('phase, deg')
     axes[1].set_ylim(-720.0, 60.0)
     axes[1].set_yticks(range(-720, 61, 180))
-    axes[1].set_xlabel('frequency, rad/s')
-    legend(axes[0])
+    finish(axes, 'frequency, rad/s', 'gain, rad/s per command', 'phase, deg')
     left = ' Effects that are not linear are left out.' if model.effects else ''
     return Picture(
         'bode', 'Frequency response', 'From command to measured rate, bands of 99 %. Points: '
@@ -194,7 +177,7 @@ def bode(answer: AxisAnswer) -> Picture | None:
 def _curve(axes: list[Axes], w: FloatArray, response: ComplexArray, magnitude: FloatArray,
            phase: FloatArray, colour: str, style: str, name: str) -> None:
     """One response with its band; `magnitude` and `phase` (rad) are half widths, NaN for none."""
-    size, angle = np.abs(response), _degrees(response)
+    size, angle = np.abs(response), degrees(response)
     axes[0].loglog(w, size, color=colour, ls=style, lw=1.4, label=name)
     axes[1].semilogx(w, angle, color=colour, ls=style, lw=1.4)
     if np.isfinite(magnitude).all():
@@ -204,7 +187,7 @@ def _curve(axes: list[Axes], w: FloatArray, response: ComplexArray, magnitude: F
         axes[1].fill_between(w, angle - width, angle + width, color=colour, alpha=0.22, lw=0)
 
 
-def _degrees(response: ComplexArray) -> FloatArray:
+def degrees(response: ComplexArray) -> FloatArray:
     """Unwrapped phase, moved by whole turns so that it starts within -270 to 90 degrees."""
     phase = np.degrees(np.unwrap(np.angle(response)))
     if phase.size:
@@ -286,12 +269,9 @@ def one_step(answer: AxisAnswer) -> Picture | None:
         axes[1].plot(time_s, held.innovations[inside], color=colour, lw=0.9, ls=style, label=name)
     bound = Z99 * found.verdict.noise_floor
     axes[1].axhspan(-bound, bound, color=GREEN, alpha=0.14, lw=0, label='99 % of the noise')
-    axes[0].set_ylabel('rate, rad/s')
-    axes[1].set_ylabel('error, rad/s')
-    axes[1].set_xlabel('time, s')
     axes[1].margins(x=0.01)
-    for one in axes:
-        legend(one)
+    finish(axes, 'time, s', 'rate, rad/s', 'error, rad/s')
+    legend(axes[1])
     return Picture(
         'one_step', 'One step ahead on held-out data',
         'Each cycle is predicted from all that was measured before it. Close to the line is easy '
@@ -351,9 +331,10 @@ def _correlogram(shown: list[tuple[ResidualTest, str, str, str]], dt: float) -> 
 
 
 def _told(test: ResidualTest) -> str:
-    """Results of the tests in words."""
-    return (f'white {_yes(test.residual_white)} (p {equals(test.p_white)}), free of past commands '
-            f'{_yes(test.residual_uncorrelated_with_input)} (p {equals(test.p_input)})')
+    """What the tests say, in words."""
+    white, free = test.residual_white, test.residual_uncorrelated_with_input
+    return (f'white {yes(white)} (p {equals(test.p_white)}), free of past commands {yes(free)} '
+            f'(p {equals(test.p_input)})')
 
 
 def spectrum(answer: AxisAnswer) -> Picture | None:
@@ -372,9 +353,7 @@ def spectrum(answer: AxisAnswer) -> Picture | None:
     for frequency, _ in last.peaks[:3]:
         one.axvline(frequency, color=MUTED, lw=0.7, ls=':')
         one.text(frequency, one.get_ylim()[0], f' {frequency:.1f} Hz', fontsize=8, va='bottom')
-    one.set_xlabel('frequency, Hz')
-    one.set_ylabel('error, (rad/s)²/Hz')
-    legend(one)
+    finish([one], 'frequency, Hz', 'error, (rad/s)²/Hz')
     peaks = ' Dotted: peaks over their surroundings.' if last.peaks else ''
     return Picture(
         'residual_spectrum', 'Spectrum of what is left',
@@ -398,9 +377,7 @@ def torque(answer: AxisAnswer) -> Picture | None:
     last = shown[-1][0]
     bound = Z99 * last.expected_rms
     one.axhspan(-bound, bound, color=GREEN, alpha=0.14, lw=0, label='99 % of its noise')
-    one.set_xlabel('time, s')
-    one.set_ylabel('torque / inertia, rad/s²')
-    legend(one)
+    finish([one], 'time, s', 'torque / inertia, rad/s²')
     return Picture(
         'missing_torque', 'The torque that seems to be missing, over time',
         "The torque disturbance that the model's Kalman filter sees on held-out data. The green "

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from html import escape
 from typing import Any
 
-from quad_sysid.report.words import FIGURES, bound, chance, named, number, parameter
+from quad_sysid.report.words import FIGURES, bound, chance, named, number, parameter, yes
 
 Tree = Mapping[str, Any]
 WIDTH = 78
@@ -134,8 +134,8 @@ def models(tree: Tree) -> Table:
             ' '.join([m['structure'], *(str(v) for v in m['orders'].values())]), m['approach'],
             _fit(m['fit_train_pct']), *(_fit(m['fit_validation_pct'].get(s)) for s in signals),
             _fit(m.get('closed_loop_fit_pct')), _whole(m.get('aic')), _whole(m.get('bic')),
-            _yes(m['residual_white']), _yes(m['residual_uncorrelated_with_input']),
-            _yes(m['causal']), _outcome(m),
+            yes(m['residual_white']), yes(m['residual_uncorrelated_with_input']),
+            yes(m['causal']), _outcome(m),
         ]
         for m in listed
     ]
@@ -242,7 +242,7 @@ def segments(tree: Tree) -> Table:
 
 def approaches(tree: Tree) -> Table:
     """The paper's Table 1 on this record: which approach the signals allow."""
-    rows = [[a['name'], _yes(a['possible']), a['because']] for a in tree.get('approaches', [])]
+    rows = [[a['name'], yes(a['possible']), a['because']] for a in tree.get('approaches', [])]
     told = {True: 'The data show feedback from the rate to the command.',
             False: 'The data exclude feedback.',
             None: 'The data neither show nor exclude feedback.'}[tree.get('feedback')]
@@ -292,8 +292,8 @@ def residuals(tree: Tree) -> Table:
         torque = found.get('missing_torque') or {}
         rows.append([
             name, number(found['rms']),
-            f'{_yes(found["white"])} (p {chance(found["p_white"])})',
-            f'{_yes(found["uncorrelated_with_input"])} (p {chance(found["p_input"])})',
+            f'{yes(found["white"])} (p {chance(found["p_white"])})',
+            f'{yes(found["uncorrelated_with_input"])} (p {chance(found["p_input"])})',
             ', '.join(f'{p["frequency_hz"]:.1f} Hz' for p in found['peaks'][:3]) or 'none',
             *(number(torque[part]) if torque else '' for part in ('rms', 'expected_rms')),
         ])
@@ -327,7 +327,3 @@ def _fit(value: float | None, digits: int = 1) -> str:
 
 def _whole(value: float | None) -> str:
     return '–' if value is None else f'{value:.0f}'
-
-
-def _yes(value: bool) -> str:
-    return 'yes' if value else 'no'

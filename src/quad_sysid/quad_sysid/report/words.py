@@ -69,6 +69,11 @@ def number(value: float | None, digits: int = 3) -> str:
     return '–' if value is None else f'{value:.{digits}g}'
 
 
+def yes(value: bool) -> str:
+    """`yes` or `no`."""
+    return 'yes' if value else 'no'
+
+
 def chance(p: float | None) -> str:
     """A p-value or probability without false precision."""
     if p is None:
