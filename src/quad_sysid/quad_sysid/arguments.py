@@ -28,14 +28,11 @@ class Parser(argparse.ArgumentParser):
         self.exit(BAD_ARGUMENTS, f'{self.prog}: {message}; see {self.prog} --help\n')
 
 
-def command(
-    commands: Commands, name: str, run: Callable[[argparse.Namespace], int], summary: str,
-    example: str,
-) -> argparse.ArgumentParser:
+def command(commands: Commands, name: str, run: Callable[[argparse.Namespace], int], summary: str,
+            example: str) -> argparse.ArgumentParser:
     """Add one command; its --help ends with `example`, a line to type."""
-    parser: argparse.ArgumentParser = commands.add_parser(
-        name, help=summary, description=summary, epilog=f'example: {example}'
-    )
+    parser: argparse.ArgumentParser = commands.add_parser(name, help=summary, description=summary,
+                                                          epilog=f'example: {example}')
     parser.set_defaults(run=run)
     return parser
 
@@ -92,8 +89,6 @@ def completion_command(commands: Commands, programs: Sequence[str]) -> None:
         sys.stdout.write(shellcode(list(programs), shell=options.shell))
         return 0
 
-    parser = command(
-        commands, 'completion', run, 'Print the completion script for your shell.',
-        'eval "$(quad-sysid completion)"',
-    )
+    parser = command(commands, 'completion', run, 'Print the completion script for your shell.',
+                     'eval "$(quad-sysid completion)"')
     parser.add_argument('shell', nargs='?', default='bash', choices=['bash', 'zsh', 'fish'])

@@ -48,10 +48,8 @@ def ros2() -> int:
 
 
 def _parser() -> Parser:
-    parser = Parser(
-        prog='quad-sysid',
-        description='Identify a quadrotor from bags and find what the model lacks.',
-    )
+    parser = Parser(prog='quad-sysid',
+                    description='Identify a quadrotor from bags and find what the model lacks.')
     commands = parser.add_subparsers(required=True, metavar='COMMAND')
     inspection.add(commands)
     _identify_parser(commands)
@@ -66,11 +64,9 @@ def _parser() -> Parser:
 
 
 def _identify_parser(commands: Commands) -> None:
-    parser = command(
-        commands, 'identify', _identify,
-        'Fit models to bags, validate them, and say what they lack.',
-        'quad-sysid identify flight/ --axis roll --out report/',
-    )
+    parser = command(commands, 'identify', _identify,
+                     'Fit models to bags, validate them, and say what they lack.',
+                     'quad-sysid identify flight/ --axis roll --out report/')
     parser.add_argument('bags', nargs='+', metavar='BAG', help='rosbag2 directory or .mcap file')
     parser.add_argument('--axis', choices=[*AXES, 'all'],
                         help='default: the axes that the bag says were excited')
@@ -89,11 +85,9 @@ def _identify_parser(commands: Commands) -> None:
 
 
 def _evaluate_parser(commands: Commands) -> None:
-    parser = command(
-        commands, 'evaluate', _evaluate,
-        'Error figures of a stored model on a bag it has never seen.',
-        'quad-sysid evaluate report/model.json second_flight/ --json',
-    )
+    parser = command(commands, 'evaluate', _evaluate,
+                     'Error figures of a stored model on a bag it has never seen.',
+                     'quad-sysid evaluate report/model.json second_flight/ --json')
     parser.add_argument('model', metavar='MODEL.json', help='written by quad-sysid identify')
     parser.add_argument('bag', metavar='BAG', help='rosbag2 directory or .mcap file')
     parser.add_argument('--axis', choices=AXES, help='default: every axis of the model')
@@ -106,8 +100,7 @@ def _design_parser(commands: Commands) -> None:
     parser = command(
         commands, 'design-excitation', _design,
         'Design PRBS and others for a band by eqs. (9), (10), or the flight that tells two '
-        'effects apart.',
-        'quad-sysid design-excitation --band 0.1:20 --out schedule.yaml',
+        'effects apart.', 'quad-sysid design-excitation --band 0.1:20 --out schedule.yaml',
     )
     what = parser.add_mutually_exclusive_group(required=True)
     what.add_argument('--band', metavar='LOW:HIGH', help='rad/s')
@@ -203,13 +196,12 @@ def _evaluate(options: argparse.Namespace) -> int:
     if not found:
         return NOT_ANSWERED
     axes = {
-        e.axis: {'error': {
-            'metric': document.METRIC, 'unit': 'rad/s', 'data': 'unseen', 'before': e.before,
-            'after': e.after, 'one_step_before': e.one_step_before,
-            'one_step_after': e.one_step_after, 'blackbox': e.blackbox,
-            'hold_last_value': e.hold, 'windows': e.windows,
-            'horizons': document.horizons_tree(e.horizons, e.blackbox_horizons),
-        }}
+        e.axis: {'error': {'metric': document.METRIC, 'unit': 'rad/s', 'data': 'unseen',
+                           'before': e.before, 'after': e.after,
+                           'one_step_before': e.one_step_before,
+                           'one_step_after': e.one_step_after, 'blackbox': e.blackbox,
+                           'hold_last_value': e.hold, 'windows': e.windows,
+                           'horizons': document.horizons_tree(e.horizons, e.blackbox_horizons)}}
         for e in found
     }
     if options.json:
@@ -231,9 +223,8 @@ def _design(options: argparse.Namespace) -> int:
         check_new(options.out)
     if options.separate is not None:
         show = progress(quiet=options.quiet)
-        found = session.separation(
-            options.separate, options.model, options.axis, options.seconds, show
-        )
+        found = session.separation(options.separate, options.model, options.axis, options.seconds,
+                                   show)
         show('')
         told = words.text(found)
         content = words.schedule(found)

@@ -136,13 +136,10 @@ class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
         if decode_angles and self._imu:
             angles = euler_angles(decode(IMU, [self._imu]).values[:, :5]).tolist()
             self._angles = tuple(angles[0]) if angles else None
-        return replace(
-            self._rc,
-            imu_age_s=now - self._imu_time if self._imu else None,
-            angles=self._angles,
-            rc_age_s=now - self._rc_time if self._rc_time else None,
-            battery_v=max(self._volts) if self._volts else None,
-        )
+        return replace(self._rc, imu_age_s=now - self._imu_time if self._imu else None,
+                       angles=self._angles,
+                       rc_age_s=now - self._rc_time if self._rc_time else None,
+                       battery_v=max(self._volts) if self._volts else None)
 
     def _now_s(self) -> float:
         """The schedule's time."""
@@ -245,15 +242,13 @@ class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
         part = schedule.parts[player.part] if player.part is not None else None
         waiting = f'waits: {self._refused}' if self._waiting and self._refused else ''
         level = WARN if waiting else LEVELS.get(player.state, OK)
-        values = {
-            'state': player.state.value, 'reason': player.reason or waiting,
-            'schedule': schedule.source,
-            'segment': part.role if part else 'idle', 'signal': part.signal if part else 'none',
-            'axis': part.axis if part else '',
-            'elapsed_s': f'{player.elapsed_s:.1f}', 'duration_s': f'{schedule.duration_s:.1f}',
-            'progress_pct': f'{100.0 * player.elapsed_s / schedule.duration_s:.0f}',
-            **told(self._settings),
-        }
+        values = {'state': player.state.value, 'reason': player.reason or waiting,
+                  'schedule': schedule.source, 'segment': part.role if part else 'idle',
+                  'signal': part.signal if part else 'none', 'axis': part.axis if part else '',
+                  'elapsed_s': f'{player.elapsed_s:.1f}',
+                  'duration_s': f'{schedule.duration_s:.1f}',
+                  'progress_pct': f'{100.0 * player.elapsed_s / schedule.duration_s:.0f}',
+                  **told(self._settings)}
         status = Status('schedule', level, player.reason or waiting or player.state.value, values)
         now = self.get_clock().now().to_msg()
         self._diagnostics.publish(diagnostic_array(self.get_name(), '', now, [status]))
@@ -275,30 +270,23 @@ def declare(node: Any) -> Settings:
     """Declare and read the parameters; raises BadInputError naming the file or parameter."""
     flags = ['autostart', 'exit_when_done', 'end_when_covered']
     ros_node.refuse_unknown(node, [*NUMBERS, *flags, 'schedule', 'rate_hz', 'abort_aux'])
-    name = ros_node.declared(
-        node, 'schedule', 'schedule_rig', 'YAML file, or the name of a shipped schedule'
-    )
+    name = ros_node.declared(node, 'schedule', 'schedule_rig',
+                             'YAML file, or the name of a shipped schedule')
     autostart = ros_node.declared(node, 'autostart', False, 'start as soon as the guard lets it')
-    exit_when_done = ros_node.declared(
-        node, 'exit_when_done', False, 'end the process with the schedule (status 0 done, 1 not)'
-    )
+    exit_when_done = ros_node.declared(node, 'exit_when_done', False,
+                                       'end the process with the schedule (status 0 done, 1 not)')
     covered = ros_node.declared(
         node, 'end_when_covered', False,
         'end a training segment when the rate answers the whole band; validation is flown whole',
     )
     rate_hz = ros_node.declared(node, 'rate_hz', 250, 'set-points per second', (10, 1000))
-    aux = ros_node.declared(
-        node, 'abort_aux', 2, "channel aux 1..5 of the pilot's abort switch; 0: none", (0, 5)
-    )
-    numbers = {
-        key: ros_node.declared(node, key, default, description, (low, high))
-        for key, (default, low, high, description) in NUMBERS.items()
-    }
+    aux = ros_node.declared(node, 'abort_aux', 2,
+                            "channel aux 1..5 of the pilot's abort switch; 0: none", (0, 5))
+    numbers = {key: ros_node.declared(node, key, default, description, (low, high))
+               for key, (default, low, high, description) in NUMBERS.items()}
     share = lambda: Path(get_package_share_directory('quad_sysid'))  # noqa: E731
-    return settings_from(
-        find_schedule(name, share), numbers, aux, rate_hz,
-        autostart=autostart, exit_when_done=exit_when_done, end_when_covered=covered,
-    )
+    return settings_from(find_schedule(name, share), numbers, aux, rate_hz, autostart=autostart,
+                         exit_when_done=exit_when_done, end_when_covered=covered)
 
 
 def main() -> None:

@@ -28,9 +28,8 @@ def write_whole(path: str | os.PathLike[str], content: str | bytes) -> None:
     data = content.encode() if isinstance(content, str) else content
     part: Path | None = None
     try:
-        with tempfile.NamedTemporaryFile(
-            dir=target.parent, prefix=f'.{target.name}.', suffix='.part', delete=False
-        ) as stream:
+        with tempfile.NamedTemporaryFile(dir=target.parent, prefix=f'.{target.name}.',
+                                         suffix='.part', delete=False) as stream:
             part = Path(stream.name)
             stream.write(data)
             stream.flush()

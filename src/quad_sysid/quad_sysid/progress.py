@@ -18,9 +18,7 @@ SHOW_AFTER_S = 1.0
 """Work that is done sooner shows no remaining time."""
 LEAST_SHARE = 0.05
 """Before so much is done, no remaining time is estimated."""
-STAGES = (
-    ('what is missing', 0.05), ('held-out', 0.40), ('black-box', 0.45), ('gains', 0.80),
-)
+STAGES = (('what is missing', 0.05), ('held-out', 0.40), ('black-box', 0.45), ('gains', 0.80))
 """Stage of an axis to its share of the time when it begins, measured on a flight of 90 s with
 one effect."""
 WRITING = 0.8
@@ -31,9 +29,8 @@ COUNTED = re.compile(r'(\d+) of (\d+)')
 class Progress:
     """Called with a line of words at each step, with an empty one at the end."""
 
-    def __init__(
-        self, stream: TextIO, axes: Sequence[str] = (), clock: Callable[[], float] = time.monotonic
-    ) -> None:
+    def __init__(self, stream: TextIO, axes: Sequence[str] = (),
+                 clock: Callable[[], float] = time.monotonic) -> None:
         self._stream, self._axes, self._clock = stream, tuple(axes), clock
         self._start: float | None = None
         self._share = 0.0

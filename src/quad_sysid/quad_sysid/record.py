@@ -187,9 +187,8 @@ class IOData:
         """Check every field; raises BadInputError naming the argument."""
         u, y = _signal('u', self.u), _signal('y', self.y)
         if u.ndim != 1 or u.shape != y.shape:
-            raise BadInputError(
-                'IOData', 'u and y must be 1-D of one length', f'{u.shape} and {y.shape}'
-            )
+            raise BadInputError('IOData', 'u and y must be 1-D of one length',
+                                f'{u.shape} and {y.shape}')
         if not _is_interval(self.dt):
             raise BadInputError('IOData', 'dt must be a positive number of seconds', self.dt)
         r = None if self.r is None else _signal('r', self.r)
@@ -199,10 +198,9 @@ class IOData:
         for name, x in (('u', u), ('y', y), ('r', y if r is None else r)):
             for start, stop in segments:
                 if not np.isfinite(x[start:stop]).all():
-                    raise BadInputError(
-                        'IOData', f'segment {start}:{stop} of {name} holds NaN or infinity',
-                        remedy='split it there, as Record.axis does',
-                    )
+                    raise BadInputError('IOData',
+                                        f'segment {start}:{stop} of {name} holds NaN or infinity',
+                                        remedy='split it there, as Record.axis does')
         for name, value in (('u', u), ('y', y), ('r', r), ('segments', segments)):
             object.__setattr__(self, name, value)
 
@@ -241,17 +239,14 @@ def _spans(given: object, n: int) -> tuple[tuple[int, int], ...]:
     try:
         spans = tuple((operator.index(a), operator.index(b)) for a, b in given)  # type: ignore[attr-defined]
     except (TypeError, ValueError) as error:
-        raise BadInputError(
-            'IOData', 'segments must be pairs of whole numbers (start, stop)', given
-        ) from error
+        raise BadInputError('IOData', 'segments must be pairs of whole numbers (start, stop)',
+                            given) from error
     for start, stop in spans:
         if not 0 <= start < stop <= n:
             raise BadInputError('IOData', f'a segment must lie in 0..{n}', (start, stop))
     ordered = sorted(spans)
     for one, other in itertools.pairwise(ordered):
         if other[0] < one[1]:
-            raise BadInputError(
-                'IOData', 'segments must not overlap, samples would count twice',
-                f'{one} and {other}',
-            )
+            raise BadInputError('IOData', 'segments must not overlap, samples would count twice',
+                                f'{one} and {other}')
     return spans or ((0, n),)

@@ -41,9 +41,8 @@ Span = tuple[float, float]
 class Identified(AxisModel):
     """The completed model of one axis, which can be run."""
 
-    def simulate(
-        self, u: npt.ArrayLike, x0: Span = (0.0, 0.0), **signals: npt.ArrayLike
-    ) -> FloatArray:
+    def simulate(self, u: npt.ArrayLike, x0: Span = (0.0, 0.0),
+                 **signals: npt.ArrayLike) -> FloatArray:
         """(n,) measured rate, rad/s, for commands u (n,); see pipeline.evaluate.simulate."""
         from quad_sysid.pipeline.evaluate import simulate
 
@@ -155,9 +154,8 @@ class Result:
                                 f'the verdict is {self.verdict}: {self.reason}')
         return picture.figure
 
-    def save(
-        self, folder: str | Path | None = None, *, html: bool = True, pictures: bool = True
-    ) -> Result:
+    def save(self, folder: str | Path | None = None, *, html: bool = True,
+             pictures: bool = True) -> Result:
         """Write report.json, model.json, report.html, pictures/; returns the stored result.
 
         Without `folder` a new one, named after the flight, is created in the current directory.
@@ -178,9 +176,7 @@ class Result:
     @property
     def reasons(self) -> str:
         """The reasons why axes could not be answered, in one line."""
-        return '; '.join(
-            dict.fromkeys(a.reason for a in self.answers.values() if not a.answered)
-        )
+        return '; '.join(dict.fromkeys(a.reason for a in self.answers.values() if not a.answered))
 
     @property
     def gains(self) -> dict[str, float]:
@@ -189,19 +185,15 @@ class Result:
 
     def predictions(self) -> str:
         """The designs' predictions for the watch in flight, as JSON for /gains/update."""
-        return json.dumps({
-            f'{axis}.{name}': round(figures[name], 6)
-            for axis, _, figures in self._proposed()
-            for name in PROMISES if name in figures
-        })
+        return json.dumps({f'{axis}.{name}': round(figures[name], 6)
+                           for axis, _, figures in self._proposed()
+                           for name in PROMISES if name in figures})
 
     def refusals(self) -> dict[str, str]:
         """Axis → why there are no gains."""
-        return {
-            axis: answer.proposal.refused_because
-            for axis, answer in self.answers.items()
-            if answer.proposal is not None and answer.proposal.gains is None
-        }
+        return {axis: answer.proposal.refused_because
+                for axis, answer in self.answers.items()
+                if answer.proposal is not None and answer.proposal.gains is None}
 
     def _proposed(self) -> Iterator[tuple[str, Mapping[str, float], Mapping[str, float]]]:
         for axis, answer in self.answers.items():
@@ -209,18 +201,12 @@ class Result:
                 yield axis, answer.proposal.gains, answer.proposal.figures
 
 
-def identify(
-    flights: Record | str | Path | Sequence[Record | str | Path],
-    axes: str | Sequence[str] = (),
-    *,
-    train: Span | None = None,
-    validate: Span | None = None,
-    effects: Sequence[Effect] | None = None,
-    designer: Designer | None = None,
-    table2: bool = False,
-    inertia: Mapping[str, float] | None = None,
-    progress: Callable[[str], None] = lambda _: None,
-) -> Result:
+def identify(flights: Record | str | Path | Sequence[Record | str | Path],
+             axes: str | Sequence[str] = (), *, train: Span | None = None,
+             validate: Span | None = None, effects: Sequence[Effect] | None = None,
+             designer: Designer | None = None, table2: bool = False,
+             inertia: Mapping[str, float] | None = None,
+             progress: Callable[[str], None] = lambda _: None) -> Result:
     """Identify axes from flights of one aircraft, and find what the model lacks.
 
     `flights`: records or paths of bags. `axes`: `roll`, `pitch`, `yaw`; default: those that the
@@ -254,9 +240,7 @@ def identify(
                 table2=table2),
         progress,
     )
-    names = tuple(
-        flight.source if isinstance(flight, Record) else str(flight) for flight in given
-    )
+    names = tuple(flight.source if isinstance(flight, Record) else str(flight) for flight in given)
     return Result(answers, names, inertia)
 
 
@@ -290,11 +274,9 @@ def read_model(path: str | Path, axis: str = '', effects: Sequence[Effect] = ())
     return Identified(**vars(models[axis]))
 
 
-def separate(
-    model: AxisModel | str, names: Sequence[str] = (), seconds: float = 60.0, *,
-    effects: Sequence[Effect] = (), told: str = 'the model',
-    progress: Callable[[str], None] = lambda _: None,
-) -> Separation:
+def separate(model: AxisModel | str, names: Sequence[str] = (), seconds: float = 60.0, *,
+             effects: Sequence[Effect] = (), told: str = 'the model',
+             progress: Callable[[str], None] = lambda _: None) -> Separation:
     """Which flight of `seconds` separates two effects, and how reliably.
 
     `model`: an identified axis, or the name of an axis for the paper's aircraft. `names`: two
@@ -306,9 +288,8 @@ def separate(
     from quad_sysid.separation.flight import aircraft_of, effect_of, paper_aircraft
 
     if isinstance(model, str):
-        return design.separate(
-            paper_aircraft(model), _pair(names), seconds, progress=progress, own=effects
-        )
+        return design.separate(paper_aircraft(model), _pair(names), seconds, progress=progress,
+                               own=effects)
     pair = _pair(names) if names else design.rivals_of(model)
     inside = next((name for name in pair if effect_of(model, name) is not None), '')
     aircraft = aircraft_of(model, inside, told)

@@ -17,9 +17,8 @@ def load_schedule(path: str | Path) -> Schedule:
         content = yaml.safe_load(Path(path).read_text(encoding='utf-8'))
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, 'strerror', None) or str(error)
-        raise BadInputError(
-            source, f'cannot be read ({reason})', remedy='give a schedule in YAML'
-        ) from error
+        raise BadInputError(source, f'cannot be read ({reason})',
+                            remedy='give a schedule in YAML') from error
     except (yaml.YAMLError, ValueError, RecursionError) as error:  # also endless digits, brackets
         mark = getattr(error, 'problem_mark', None)
         place = f'{source}, line {mark.line + 1}' if mark else source

@@ -19,9 +19,8 @@ if TYPE_CHECKING:
     from quad_sysid.separation.design import Separation
 
 
-def asked(
-    axes: Sequence[str] = (), train: str = '', validate: str = '', inertia: str = ''
-) -> dict[str, Any]:
+def asked(axes: Sequence[str] = (), train: str = '', validate: str = '',
+          inertia: str = '') -> dict[str, Any]:
     """Keywords of `identify` from typed arguments; empty ones mean its defaults.
 
     `axes`: names, or `all`; `train`, `validate`: `A:B`, s; `inertia`: `IX,IY,IZ`, kg m². Raises
@@ -30,18 +29,14 @@ def asked(
     for name in axes:
         if name not in (*AXES, 'all'):
             raise BadInputError('axis', f'must be one of {", ".join(AXES)}, all', repr(name))
-    return {
-        'axes': AXES if 'all' in axes else tuple(axes),
-        'train': parse_span(train, '--train') if train else None,
-        'validate': parse_span(validate, '--validate') if validate else None,
-        'inertia': _inertia(inertia) if inertia else None,
-    }
+    return {'axes': AXES if 'all' in axes else tuple(axes),
+            'train': parse_span(train, '--train') if train else None,
+            'validate': parse_span(validate, '--validate') if validate else None,
+            'inertia': _inertia(inertia) if inertia else None}
 
 
-def run(
-    bags: Sequence[str], out: Path | None, wanted: Mapping[str, Any],
-    progress: Callable[[str], None] = lambda _: None,
-) -> Result:
+def run(bags: Sequence[str], out: Path | None, wanted: Mapping[str, Any],
+        progress: Callable[[str], None] = lambda _: None) -> Result:
     """Read, identify, design, write; `wanted` are keywords of `identify`.
 
     Without `out` a folder is created in the current directory. Raises QuadSysidError.
@@ -57,10 +52,8 @@ def run(
     return saved
 
 
-def separation(
-    names: Sequence[str], model_file: str | None, axis: str | None, seconds: float,
-    progress: Callable[[str], None] = lambda _: None,
-) -> Separation:
+def separation(names: Sequence[str], model_file: str | None, axis: str | None, seconds: float,
+               progress: Callable[[str], None] = lambda _: None) -> Separation:
     """The flights that separate two effects, for a stored model or the paper's aircraft.
 
     No names: an effect of the model and its nearest rival. Raises QuadSysidError.

@@ -78,16 +78,14 @@ def assess(plant: LoopPlant, gains: CascadeGains, ensemble: Ensemble) -> LoopFig
     if not np.isfinite(run.angle).all():
         raise DesignRefusedError('the simulated loop diverges; identify again')
     loop = open_loop(gains, ensemble.response, ensemble.omega, ensemble.cycle.dt)
-    return LoopFigures(
-        **margin_figures(ensemble.margins(gains), ensemble),
-        **square(reference, run.angle, plant.dt),
-        rate_rms_rad_s=float(np.sqrt(np.mean(run.rate**2))),
-        disturbance_rms_rad=disturbance(plant, gains),
-        bandwidth_rad_s=float(bandwidth(response, nominal.omega)[0]),
-        noise_gain=noise_gain(gains, nominal),
-        unstable_draws=int(np.sum(ensemble.unstable(gains))),
-        worst_peak_complementary=float(np.max(np.abs(loop / (1.0 + loop)))),
-    )
+    return LoopFigures(**margin_figures(ensemble.margins(gains), ensemble),
+                       **square(reference, run.angle, plant.dt),
+                       rate_rms_rad_s=float(np.sqrt(np.mean(run.rate**2))),
+                       disturbance_rms_rad=disturbance(plant, gains),
+                       bandwidth_rad_s=float(bandwidth(response, nominal.omega)[0]),
+                       noise_gain=noise_gain(gains, nominal),
+                       unstable_draws=int(np.sum(ensemble.unstable(gains))),
+                       worst_peak_complementary=float(np.max(np.abs(loop / (1.0 + loop)))))
 
 
 def margin_figures(every: Margins, ensemble: Ensemble) -> dict[str, float]:
@@ -107,10 +105,8 @@ def margin_figures(every: Margins, ensemble: Ensemble) -> dict[str, float]:
 def square(reference: FloatArray, angle: FloatArray, dt: float) -> dict[str, float]:
     """Figures of a square wave's response (n,), rad, by name."""
     found = square_figures(reference, angle, dt)
-    return {
-        'rise_time_s': found.rise_time_s, 'overshoot_pct': found.overshoot_pct,
-        'settling_time_s': found.settling_time_s, 'rms_tracking_rad': found.rms_error_rad,
-    }
+    return {'rise_time_s': found.rise_time_s, 'overshoot_pct': found.overshoot_pct,
+            'settling_time_s': found.settling_time_s, 'rms_tracking_rad': found.rms_error_rad}
 
 
 def reference_square(dt: float) -> FloatArray:
@@ -135,9 +131,8 @@ def disturbance(plant: LoopPlant, gains: CascadeGains) -> float:
 
 def noise_gain(gains: CascadeGains, nominal: Ensemble) -> float:
     """RMS of the control per RMS of white noise on the measured rate, 1/(rad/s)."""
-    return mean_gain(
-        noise_response(gains, nominal.response, nominal.omega, nominal.cycle.dt)[0], nominal.omega
-    )
+    return mean_gain(noise_response(gains, nominal.response, nominal.omega, nominal.cycle.dt)[0],
+                     nominal.omega)
 
 
 def mean_gain(response: ComplexArray, omega: FloatArray) -> float:
@@ -146,9 +141,8 @@ def mean_gain(response: ComplexArray, omega: FloatArray) -> float:
     return float(np.sqrt(total / (omega[-1] - omega[0])))
 
 
-def promise(
-    loops: Ensemble, before: CascadeGains, after: CascadeGains, lag_s: float
-) -> dict[str, float]:
+def promise(loops: Ensemble, before: CascadeGains, after: CascadeGains,
+            lag_s: float) -> dict[str, float]:
     """Predicted change of the rates under the same disturbances, for the watch in flight.
 
     `rate_rms_ratio`, `oscillation_ratio` (the worst octave) and `peak`, the largest complementary
@@ -162,20 +156,15 @@ def promise(
     return {**ratios(loops, old, new, lag_s), 'peak': float(peak)}
 
 
-def ratios(
-    loops: Ensemble, before: ComplexArray, after: ComplexArray, lag_s: float
-) -> dict[str, float]:
+def ratios(loops: Ensemble, before: ComplexArray, after: ComplexArray,
+           lag_s: float) -> dict[str, float]:
     """`rate_rms_ratio` and `oscillation_ratio` of two sets of loop gains (p, f)."""
     old, new = _power(loops, before, lag_s), _power(loops, after, lag_s)
-    octaves = [
-        (loops.omega > centre / np.sqrt(2.0)) & (loops.omega < centre * np.sqrt(2.0))
-        for centre in BANDS_RAD_S
-    ]
+    octaves = [(loops.omega > centre / np.sqrt(2.0)) & (loops.omega < centre * np.sqrt(2.0))
+               for centre in BANDS_RAD_S]
     every = [np.sqrt(new[band].sum() / old[band].sum()) for band in octaves if band.any()]
-    return {
-        'rate_rms_ratio': float(np.sqrt(new.sum() / old.sum())),
-        'oscillation_ratio': float(max(every)),
-    }
+    return {'rate_rms_ratio': float(np.sqrt(new.sum() / old.sum())),
+            'oscillation_ratio': float(max(every))}
 
 
 def _power(loops: Ensemble, loop: ComplexArray, lag_s: float) -> FloatArray:

@@ -89,9 +89,7 @@ def reachable(field: str, active: float) -> tuple[float, float]:
 def told(gains: CascadeGains, axis: str, active: Mapping[str, float]) -> dict[str, float]:
     """The designed gains by the contract's names; without those that `active` lacks."""
     names = {f'{axis}.{CONTRACT_NAMES[field]}': field for field in DESIGNED}
-    return {
-        name: float(getattr(gains, field)) for name, field in names.items() if name in active
-    }
+    return {name: float(getattr(gains, field)) for name, field in names.items() if name in active}
 
 
 def check_step(gains: Mapping[str, float], active: Mapping[str, float]) -> None:
@@ -121,12 +119,9 @@ def steps_to(wanted: CascadeGains, active: CascadeGains) -> tuple[CascadeGains, 
         for field in DESIGNED:
             low, high = reachable(field, getattr(now, field))
             values[field] = min(max(getattr(wanted, field), low), high)
-        following = CascadeGains(
-            **values,
-            output_limit=wanted.output_limit,
-            rate_limit=wanted.rate_limit,
-            integrator_limit=wanted.integrator_limit,
-        )
+        following = CascadeGains(**values, output_limit=wanted.output_limit,
+                                 rate_limit=wanted.rate_limit,
+                                 integrator_limit=wanted.integrator_limit)
         if following == now:
             break
         now = following

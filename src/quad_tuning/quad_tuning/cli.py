@@ -103,9 +103,8 @@ def _answer(model: AxisModel, arguments: argparse.Namespace) -> dict[str, Any]:
             'gains': gains,
             'target': dict(proposal.steps[-1]) if proposal.steps else None,
             'steps': [dict(step) for step in proposal.steps],
-            'schedule': [
-                {'battery_v': volts, 'gains': dict(row)} for volts, row in proposal.schedule
-            ],
+            'schedule': [{'battery_v': volts, 'gains': dict(row)} for volts,
+                         row in proposal.schedule],
             'effects_used': [{'name': name, 'use': use} for name, use in proposal.used],
             'refused_because': proposal.refused_because,
             'figures': dict(proposal.figures),

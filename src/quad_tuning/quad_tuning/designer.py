@@ -80,13 +80,10 @@ def propose(model: AxisModel, requirements: Requirements | None = None) -> GainP
     check_bounds(told(found.gains, model.axis, known))
     return GainProposal(
         gains={**told(way.told, model.axis, known), **chosen},
-        figures={
-            **_figures(model, found, known, loops.draws),
-            **promise(loops, active, found.gains, plant.lag_s),
-        },
-        steps=along(
-            [told(step, model.axis, known) for step in way.steps], chosen, flown.active_gains
-        ),
+        figures={**_figures(model, found, known, loops.draws),
+                 **promise(loops, active, found.gains, plant.lag_s)},
+        steps=along([told(step, model.axis, known) for step in way.steps], chosen,
+                    flown.active_gains),
         used=uses(model),
         schedule=() if chosen else schedule(model, found.gains),
     )
@@ -113,13 +110,11 @@ def _check_worth(found: PidDesign, needs: Requirements) -> None:
         )
 
 
-def _figures(
-    model: AxisModel, found: PidDesign, known: Mapping[str, float], draws: int
-) -> dict[str, float]:
+def _figures(model: AxisModel, found: PidDesign, known: Mapping[str, float],
+             draws: int) -> dict[str, float]:
     before = {**found.before.named(model.noise_rms), **known}
-    values = found.figures.named(model.noise_rms) | {
-        f'{name}_before': value for name, value in before.items()
-    } | {
+    values = found.figures.named(model.noise_rms) | {f'{name}_before': value for name,
+                                                     value in before.items()} | {
         'draws': draws, 'searches_that_agree': found.starts, 'searches': found.searches,
         'optimum_spread_pct': found.spread_pct, 'grid_points': found.grid_points,
         'grid_excess_pct': found.grid_excess_pct, 'disturbance_kept': found.disturbance_kept,

@@ -114,14 +114,10 @@ def _simple(effect: Effect) -> bool:
 def _reduced(model: AxisModel, effects: tuple[EffectEstimate, ...]) -> AxisModel:
     """The model with other effects and the rows of the covariance that remain."""
     kept = {f'{e.name}.{p.name}' for e in effects for p in e.parameters}
-    keep = [
-        i for i, name in enumerate(model.parameter_names) if '.' not in name or name in kept
-    ]
+    keep = [i for i, name in enumerate(model.parameter_names) if '.' not in name or name in kept]
     covariance = model.covariance
     return replace(
-        model,
-        effects=effects,
-        parameter_names=tuple(model.parameter_names[i] for i in keep),
+        model, effects=effects, parameter_names=tuple(model.parameter_names[i] for i in keep),
         covariance=None if covariance is None else np.asarray(covariance)[np.ix_(keep, keep)],
     )
 
@@ -170,9 +166,8 @@ class Ensemble:
         """The loops of `index` alone."""
         c = self.cycle
         return Ensemble(
-            cycle=Step(
-                c.phi[index], c.now[index], c.before[index], c.c[index], c.whole[index], c.dt
-            ),
+            cycle=Step(c.phi[index], c.now[index], c.before[index], c.c[index], c.whole[index],
+                       c.dt),
             omega=self.omega,
             response=self.response[:, index],
             nominal=self.nominal[index],
@@ -201,9 +196,8 @@ def build(model: AxisModel, rng: np.random.Generator, count: int = DRAWS) -> Ens
     """
     plants = [loop_plant(model)]
     choices = variants(model)
-    for number, (_, variant) in zip(
-        shares(tuple(weight for weight, _ in choices), count), choices, strict=True
-    ):
+    for number, (_, variant) in zip(shares(tuple(weight for weight, _ in choices), count), choices,
+                                    strict=True):
         plants += [_next_flight(drawn, rng) for drawn in draw_models(variant, rng, number)]
     plants = _alike(plants)
     levels = AMPLITUDES if any(_has_curves(p) for p in plants) else AMPLITUDES[:1]
@@ -211,13 +205,8 @@ def build(model: AxisModel, rng: np.random.Generator, count: int = DRAWS) -> Ens
     every = plants * len(levels)
     cycle = exact_cycles(every, slopes)
     omega = frequency_grid(model.dt)
-    return Ensemble(
-        cycle=cycle,
-        omega=omega,
-        response=cycle.response(omega),
-        nominal=np.arange(len(every)) % len(plants) == 0,
-        draws=count,
-    )
+    return Ensemble(cycle=cycle, omega=omega, response=cycle.response(omega),
+                    nominal=np.arange(len(every)) % len(plants) == 0, draws=count)
 
 
 def _next_flight(drawn: AxisModel, rng: np.random.Generator) -> LoopPlant:

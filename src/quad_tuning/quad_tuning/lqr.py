@@ -70,14 +70,9 @@ class LqrDesign:
     """Factor on the control's Bryson weight with which the margins hold."""
 
 
-def design_lqr(
-    plant: LoopPlant,
-    ensemble: Ensemble,
-    output_limit: float,
-    weights: Weights | None = None,
-    noise: Noise | None = None,
-    needs: Requirements | None = None,
-) -> LqrDesign:
+def design_lqr(plant: LoopPlant, ensemble: Ensemble, output_limit: float,
+               weights: Weights | None = None, noise: Noise | None = None,
+               needs: Requirements | None = None) -> LqrDesign:
     """The fastest LQR of this family that keeps margins and bounds; else DesignRefusedError."""
     needs = needs or Requirements()
     factor = FASTEST
@@ -93,47 +88,39 @@ def design_lqr(
         dynamics = found.dynamics()
         every = margins(loop_gain(dynamics, ensemble), ensemble.omega)
         if meets(every, needs).all() and closed_loop_radius(dynamics, ensemble.cycle).max() < 1.0:
-            return LqrDesign(
-                controller=found,
-                figures={**margin_figures(every, ensemble), **_square(plant, found)},
-                control_weight=factor,
-            )
+            return LqrDesign(controller=found,
+                             figures={**margin_figures(every, ensemble), **_square(plant, found)},
+                             control_weight=factor)
         factor *= RAISE
     raise DesignRefusedError('no LQR keeps the margins over all draws; identify more precisely')
 
 
 def passes(found: StateFeedback) -> bool:
     """Whether its gains are within the bridge's bounds."""
-    return all(
-        low <= getattr(found, name) <= high
-        for name, (low, high, _) in LIMITS.items() if name.startswith('k_')
-    )
+    return all(low <= getattr(found, name) <= high
+               for name, (low, high, _) in LIMITS.items() if name.startswith('k_'))
 
 
-def feedback(
-    plant: LoopPlant, output_limit: float, factor: float, weights: Weights, noise: Noise
-) -> StateFeedback:
+def feedback(plant: LoopPlant, output_limit: float, factor: float, weights: Weights,
+             noise: Noise) -> StateFeedback:
     """The optimal feedback where the control's weight is `factor` times Bryson's."""
     slopes = slopes_at(plant, *AMPLITUDES[0])
     dt, slow = plant.dt, plant.slow
     lag = plant.lag_s if slow is None else (
         (1.0 - slow.share) * plant.lag_s + slow.share * slow.lag_s
-    )  # fmt: skip
+    )
     late = plant.delay_s
     if plant.gyro_filter_hz is not None:  # a Butterworth's delay at low frequency
         late += np.sqrt(2.0) / (2.0 * np.pi * plant.gyro_filter_hz)
-    bare = StateFeedback(
-        k_angle=0.0, k_rate=0.0, k_drive=0.0, k_integral=0.0, gain=plant.gain * slopes.command,
-        lag_s=max(lag, 0.001), delay_s=dt * round(late / dt), damping=plant.damping - slopes.rate,
-        observer=_observer(plant.damping - slopes.rate, dt, noise), dt=dt,
-        output_limit=output_limit,
-    )
+    bare = StateFeedback(k_angle=0.0, k_rate=0.0, k_drive=0.0, k_integral=0.0,
+                         gain=plant.gain * slopes.command, lag_s=max(lag, 0.001),
+                         delay_s=dt * round(late / dt), damping=plant.damping - slopes.rate,
+                         observer=_observer(plant.damping - slopes.rate, dt, noise), dt=dt,
+                         output_limit=output_limit)
     a, b = _states(bare)
     # a loop slower by s = factor^(-1/4) keeps its shape when rates count s^-2 and integrals s^2
-    q = np.diag([
-        0.0, np.sqrt(factor) / weights.rate_rad_s**2, 1.0 / weights.angle_rad**2,
-        1.0 / np.sqrt(factor) / weights.integral_rad_s**2,
-    ])  # fmt: skip
+    q = np.diag([0.0, np.sqrt(factor) / weights.rate_rad_s**2, 1.0 / weights.angle_rad**2,
+                 1.0 / np.sqrt(factor) / weights.integral_rad_s**2])
     gain, _, _ = control.dlqr(a, b, q, [[factor / weights.control**2]])
     k_drive, k_rate, k_angle, pull = (float(value) for value in np.asarray(gain)[0])
     return replace(bare, k_angle=k_angle, k_rate=k_rate, k_drive=k_drive, k_integral=-pull)

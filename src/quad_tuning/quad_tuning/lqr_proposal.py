@@ -35,7 +35,7 @@ class LqrProposal:
 
 
 WEIGHTS = {'angle': 'angle_rad', 'rate': 'rate_rad_s', 'integral': 'integral_rad_s',
-           'control': 'control'}  # fmt: skip
+           'control': 'control'}
 """Short name → field of Weights."""
 
 
@@ -79,8 +79,7 @@ def propose_lqr(model: AxisModel, largest: Mapping[str, float] | None = None) ->
     figures['draws'] = float(loops.draws)
     figures['control_weight'] = found.control_weight
     return LqrProposal(
-        controller=found.controller,
-        gains=found.controller.to_mapping(model.axis),
+        controller=found.controller, gains=found.controller.to_mapping(model.axis),
         figures={name: value for name, value in figures.items() if np.isfinite(value)},
     )
 
@@ -106,9 +105,8 @@ def noise_gain(controller: StateFeedback, nominal: Ensemble) -> float:
     return mean_gain(response[0] / (1.0 + loop), omega)
 
 
-def promise(
-    loops: Ensemble, before: CascadeGains, after: StateFeedback, lag_s: float
-) -> dict[str, float]:
+def promise(loops: Ensemble, before: CascadeGains, after: StateFeedback,
+            lag_s: float) -> dict[str, float]:
     """As assess.promise, from the flown cascade to the feedback."""
     old = open_loop(before, loops.response, loops.omega, loops.cycle.dt)
     new = loop_gain(after.dynamics(), loops)

@@ -74,12 +74,11 @@ class Problem:
     def gains(self, x: FloatArray) -> CascadeGains:
         """Gains at a point (5,) of the unit cube."""
         values = {}
-        for field, share, low, high in zip(
-            DESIGNED, np.clip(x, 0.0, 1.0), self.low, self.high, strict=True
-        ):
+        for field, share, low, high in zip(DESIGNED, np.clip(x, 0.0, 1.0), self.low, self.high,
+                                           strict=True):
             power = POWERS.get(field)
             values[field] = float(low * (high / low) ** share if power is None
-                                  else low + share**power * (high - low))  # fmt: skip
+                                  else low + share**power * (high - low))
         return replace(self.active, **values)
 
     def point(self, gains: CascadeGains) -> FloatArray:
@@ -108,12 +107,9 @@ class Problem:
         crossover = float('nan')
         if np.isfinite(highest):
             crossover = float(self.nominal.margins(gains).crossover_rad_s[0])
-        kept = [
-            (self.needs.overshoot_pct - beyond) / 100.0,
-            1.0 - noise / self.needs.noise_factor,
-            1.0 if np.isnan(crossover) else 1.0 - crossover / highest,
-            1.0 - push / self.needs.disturbance_factor,
-        ]
+        kept = [(self.needs.overshoot_pct - beyond) / 100.0, 1.0 - noise / self.needs.noise_factor,
+                1.0 if np.isnan(crossover) else 1.0 - crossover / highest,
+                1.0 - push / self.needs.disturbance_factor]
         return float(value), np.clip(kept, -1.0, 1.0)
 
     def room(self, loops: Ensemble, gains: CascadeGains) -> FloatArray:
@@ -123,11 +119,9 @@ class Problem:
         """
         m, needs = loops.margins(gains), self.needs
         return np.concatenate(
-            [
-                np.clip(m.phase_margin_deg / needs.phase_margin_deg - 1.0, -1.0, 1.0),
-                np.clip(m.gain_margin_db / needs.gain_margin_db - 1.0, -1.0, 1.0),
-                np.clip(needs.peak_sensitivity / m.peak_sensitivity - 1.0, -1.0, 1.0),
-            ]
+            [np.clip(m.phase_margin_deg / needs.phase_margin_deg - 1.0, -1.0, 1.0),
+             np.clip(m.gain_margin_db / needs.gain_margin_db - 1.0, -1.0, 1.0),
+             np.clip(needs.peak_sensitivity / m.peak_sensitivity - 1.0, -1.0, 1.0)]
         )
 
     def holds(self, gains: CascadeGains) -> bool:
@@ -145,14 +139,8 @@ def meets(margins: Margins, needs: Requirements) -> npt.NDArray[np.bool_]:
     )
 
 
-def pose(
-    plant: LoopPlant,
-    active: CascadeGains,
-    ensemble: Ensemble,
-    needs: Requirements,
-    weights: Weights,
-    fixed: Collection[str] = (),
-) -> Problem:
+def pose(plant: LoopPlant, active: CascadeGains, ensemble: Ensemble, needs: Requirements,
+         weights: Weights, fixed: Collection[str] = ()) -> Problem:
     """The problem of one axis; raises DesignRefusedError where the flown loop diverges.
 
     `fixed` are fields of CascadeGains that do not change.
@@ -170,14 +158,9 @@ def pose(
         high.append(bound.upper if free else min(bound.upper, value * REACH))
     reference = reference_square(plant.dt)
     nominal = ensemble.subset(np.flatnonzero(ensemble.nominal)[:1])
-    scale = (
-        tracking(plant, active, reference)[0],
-        disturbance(plant, active),
-        noise_gain(active, nominal),
-    )
+    scale = (tracking(plant, active, reference)[0], disturbance(plant, active),
+             noise_gain(active, nominal))
     if not np.isfinite(scale).all():
         raise DesignRefusedError('the simulated loop diverges with these gains; identify again')
-    return Problem(
-        plant, active, ensemble, nominal, needs, weights, reference, scale,
-        np.array(low), np.array(high),
-    )  # fmt: skip
+    return Problem(plant, active, ensemble, nominal, needs, weights, reference, scale,
+                   np.array(low), np.array(high))

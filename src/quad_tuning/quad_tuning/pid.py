@@ -102,10 +102,8 @@ def _binding(problem: Problem) -> npt.NDArray[np.int64]:
     """Worst loops at the flown gains, and at half and twice their rate gains."""
     found = [np.flatnonzero(problem.ensemble.nominal)[:1]]
     for factor in (0.5, 1.0, 2.0):
-        gains = replace(
-            problem.active, rate_kp=factor * problem.active.rate_kp,
-            rate_kd=factor * problem.active.rate_kd,
-        )  # fmt: skip
+        gains = replace(problem.active, rate_kp=factor * problem.active.rate_kp,
+                        rate_kd=factor * problem.active.rate_kd)
         found.append(_worst(problem, gains, 1))
     return np.unique(np.concatenate(found)).astype(np.int64)
 
@@ -126,9 +124,8 @@ def _ranked(problem: Problem, loops: Ensemble, grid: FloatArray) -> npt.NDArray[
     return np.argsort(np.concatenate(merits), kind='stable')
 
 
-def _loops_of(
-    rows: list[CascadeGains], response: ComplexArray, omega: FloatArray, dt: float
-) -> tuple[ComplexArray, ComplexArray]:
+def _loops_of(rows: list[CascadeGains], response: ComplexArray, omega: FloatArray,
+              dt: float) -> tuple[ComplexArray, ComplexArray]:
     """Loop gain (g, p, f) and forward path of the angle reference (g, p, f)."""
     parts = [controller_response(gains, omega, dt) for gains in rows]
     p = np.stack([part[0] for part in parts])[:, None]
@@ -146,7 +143,7 @@ def _margin_room(problem: Problem, rows: list[CascadeGains], loops: Ensemble) ->
         np.minimum(m.phase_margin_deg / needs.phase_margin_deg,
                    m.gain_margin_db / needs.gain_margin_db) - 1.0,
         1.0 - m.peak_sensitivity / needs.peak_sensitivity,
-    )  # fmt: skip
+    )
     room = np.where(_turns(loop.reshape(g * p, f)) == 0, np.clip(room, -2.0, 0.0), -2.0)
     return np.asarray(np.min(room.reshape(g, p), axis=1))
 
@@ -162,9 +159,8 @@ def _turns(loop: ComplexArray) -> npt.NDArray[np.int64]:
     return np.rint((start + phase[:, -1] - phase[:, 0]) / (2.0 * np.pi)).astype(np.int64)
 
 
-def _linear_tracking(
-    rows: list[CascadeGains], nominal: ComplexArray, harmonics: FloatArray, dt: float
-) -> FloatArray:
+def _linear_tracking(rows: list[CascadeGains], nominal: ComplexArray, harmonics: FloatArray,
+                     dt: float) -> FloatArray:
     """(g,) RMS error of a square wave of amplitude 1 without limits, by Parseval."""
     loop, forward = _loops_of(rows, nominal, harmonics, dt)
     error = np.abs(1.0 - (forward / (1.0 + loop))[:, 0]) ** 2
@@ -280,10 +276,9 @@ class PidDesign:
     """Whether torque is rejected no worse than with the flown gains."""
 
 
-def retune(
-    plant: LoopPlant, active: CascadeGains, ensemble: Ensemble, needs: Requirements | None = None,
-    weights: Weights | None = None, fixed: Collection[str] = (),
-) -> PidDesign:
+def retune(plant: LoopPlant, active: CascadeGains, ensemble: Ensemble,
+           needs: Requirements | None = None, weights: Weights | None = None,
+           fixed: Collection[str] = ()) -> PidDesign:
     """The best gains within the bounds that satisfy every loop of the ensemble.
 
     `fixed` are fields of CascadeGains that do not change. Deterministic. Raises DesignRefusedError
@@ -309,14 +304,11 @@ def retune(
     objective, best = found.points[0]
     chosen = problem.gains(best)
     agreed = [(value, x) for value, x in found.points if value <= (1.0 + AGREED) * objective]
-    spread = max(
-        abs(float(getattr(problem.gains(x), field)) / float(getattr(chosen, field)) - 1.0)
-        for _, x in agreed for field in TUNED[:2]
-    )
-    return PidDesign(
-        gains=chosen, figures=assess(plant, chosen, ensemble), before=before, objective=objective,
-        spread_pct=100.0 * spread, starts=len(agreed), searches=len(found.points),
-        objective_spread_pct=100.0 * (agreed[-1][0] / objective - 1.0),
-        grid_points=found.grid_points, disturbance_kept=kept,
-        grid_excess_pct=100.0 * (found.grid_best / objective - 1.0),
-    )
+    spread = max(abs(float(getattr(problem.gains(x), field)) / float(getattr(chosen, field)) - 1.0)
+                 for _, x in agreed for field in TUNED[:2])
+    return PidDesign(gains=chosen, figures=assess(plant, chosen, ensemble), before=before,
+                     objective=objective, spread_pct=100.0 * spread, starts=len(agreed),
+                     searches=len(found.points),
+                     objective_spread_pct=100.0 * (agreed[-1][0] / objective - 1.0),
+                     grid_points=found.grid_points, disturbance_kept=kept,
+                     grid_excess_pct=100.0 * (found.grid_best / objective - 1.0))

@@ -147,14 +147,9 @@ def controller_response(dynamics: Dynamics, omega: FloatArray, dt: float) -> Com
     return np.asarray((c @ states + d)[:, 0, :].T)
 
 
-def simulate(
-    model: StateSpace,
-    controller: StateFeedback,
-    reference: FloatArray,
-    start_angle: float = 0.0,
-    push: FloatArray | None = None,
-    noise: FloatArray | None = None,
-) -> tuple[FloatArray, FloatArray]:
+def simulate(model: StateSpace, controller: StateFeedback, reference: FloatArray,
+             start_angle: float = 0.0, push: FloatArray | None = None,
+             noise: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
     """(n,) measured angle, rad, and limited command, with the linear plant.
 
     `push` is added to the plant's states in every cycle (a torque), `noise` (n,) rad/s to the

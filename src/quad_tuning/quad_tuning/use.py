@@ -43,9 +43,8 @@ def scheduled(model: AxisModel, chosen: Mapping[str, float]) -> AxisModel:
     return replace(model, active_gains={**model.active_gains, **chosen}) if chosen else model
 
 
-def along(
-    steps: Sequence[Mapping[str, float]], chosen: Mapping[str, float], active: Mapping[str, float]
-) -> tuple[dict[str, float], ...]:
+def along(steps: Sequence[Mapping[str, float]], chosen: Mapping[str, float],
+          active: Mapping[str, float]) -> tuple[dict[str, float], ...]:
     """The steps with the schedule, its exponent in each as far as the gate allows."""
     path = [{**step, **chosen} for step in steps]
     name = next((key for key in chosen if key.endswith('sag.exponent')), None)
@@ -94,11 +93,9 @@ def uses(model: AxisModel) -> tuple[tuple[str, str], ...]:
         if effect.name == 'coulomb_friction':
             words += NO_FEED_FORWARD
         out.append((effect.name, words))
-        out += [
-            (name, f'rival of {effect.name}: {100 * p:.0f} % of the draws have it instead')
-            for name, p in effect.rivals
-            if p >= LEAST_PROBABILITY
-        ]
+        out += [(name, f'rival of {effect.name}: {100 * p:.0f} % of the draws have it instead')
+                for name, p in effect.rivals
+                if p >= LEAST_PROBABILITY]
     return tuple(out)
 
 
@@ -120,9 +117,8 @@ def _words(one: Placed) -> str:  # noqa: PLR0911
     return WORDS['usual']
 
 
-def schedule(
-    model: AxisModel, gains: CascadeGains
-) -> tuple[tuple[float, Mapping[str, float]], ...]:
+def schedule(model: AxisModel,
+             gains: CascadeGains) -> tuple[tuple[float, Mapping[str, float]], ...]:
     """(battery voltage V, gains): rate gains that keep the loop gain over the voltage.
 
     For a firmware without a schedule of its own. Empty without battery sag.

@@ -28,11 +28,9 @@ if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
 LITTLE_ENDIAN = b'\x00\x01'
-_DTYPES = {
-    'bool': '|b1', 'byte': '|u1', 'char': '|u1', 'uint8': '|u1', 'int8': '|i1', 'uint16': '<u2',
-    'int16': '<i2', 'uint32': '<u4', 'int32': '<i4', 'uint64': '<u8', 'int64': '<i8',
-    'float32': '<f4', 'float64': '<f8',
-}
+_DTYPES = {'bool': '|b1', 'byte': '|u1', 'char': '|u1', 'uint8': '|u1', 'int8': '|i1',
+           'uint16': '<u2', 'int16': '<i2', 'uint32': '<u4', 'int32': '<i4', 'uint64': '<u8',
+           'int64': '<i8', 'float32': '<f4', 'float64': '<f8'}
 
 
 class LayoutError(Exception):
@@ -54,11 +52,9 @@ BATTERY = 'sensor_msgs/msg/BatteryState'
 MOTOR_NAMES = ('motor_1', 'motor_2', 'motor_3', 'motor_4')
 
 COLUMNS = {
-    IMU: (
-        *(f'orientation.{axis}' for axis in 'xyzw'), 'orientation_covariance[0]',
-        *(f'angular_velocity.{axis}' for axis in 'xyz'),
-        *(f'linear_acceleration.{axis}' for axis in 'xyz'),
-    ),
+    IMU: (*(f'orientation.{axis}' for axis in 'xyzw'), 'orientation_covariance[0]',
+          *(f'angular_velocity.{axis}' for axis in 'xyz'),
+          *(f'linear_acceleration.{axis}' for axis in 'xyz')),
     JOINTS: tuple(f'effort of {name}' for name in MOTOR_NAMES),
     WRENCH: tuple(f'wrench.{part}.{axis}' for part in ('force', 'torque') for axis in 'xyz'),
     VECTOR: ('vector.x', 'vector.y', 'vector.z'),
@@ -102,14 +98,10 @@ def layout_of(msgtype: str, raw: bytes) -> Layout:
     try:
         message = typestore().deserialize_cdr(raw, msgtype)
         kind = Nodetype.NAME, msgtype
-        bare, full, counted = (
-            _numbered(kind, message, numbers)
-            for numbers in (repeat(0), repeat(None), count(FIRST))
-        )
-        low, high, told = (
-            np.frombuffer(bytes(typestore().serialize_cdr(one, msgtype)), np.uint8)
-            for one in (bare, full, counted)
-        )
+        bare, full, counted = (_numbered(kind, message, numbers)
+                               for numbers in (repeat(0), repeat(None), count(FIRST)))
+        low, high, told = (np.frombuffer(bytes(typestore().serialize_cdr(one, msgtype)), np.uint8)
+                           for one in (bare, full, counted))
         columns = tuple(_place(told, value) for value in _values(msgtype, counted).tolist())
     except Exception as error:  # rosbags raises many kinds on spoiled bytes
         raise LayoutError(str(error)) from error
@@ -190,10 +182,8 @@ _LAST: dict[tuple[str, int], Layout] = {}
 """By type and length the layout that was found last: a stream's messages are alike."""
 
 
-def _fill(
-    table: npt.NDArray[np.uint8], rows: npt.NDArray[np.intp], layout: Layout,
-    stamps: npt.NDArray[np.int64], values: FloatArray,
-) -> None:
+def _fill(table: npt.NDArray[np.uint8], rows: npt.NDArray[np.intp], layout: Layout,
+          stamps: npt.NDArray[np.int64], values: FloatArray) -> None:
     """Write stamps and values of messages of one layout into their rows."""
 
     def numbers(offset: int, dtype: str) -> Any:
@@ -205,9 +195,8 @@ def _fill(
         values[rows, column] = numbers(*place)
 
 
-def encode(
-    msgtype: str, template: bytes, stamps: npt.NDArray[np.int64], values: FloatArray
-) -> list[bytes]:
+def encode(msgtype: str, template: bytes, stamps: npt.NDArray[np.int64],
+           values: FloatArray) -> list[bytes]:
     """Serialised copies of `template` with stamps (n,) ns and values (n, w)."""
     table = np.tile(np.frombuffer(template, dtype=np.uint8), (len(stamps), 1))
     seconds, rest = np.divmod(stamps, 1_000_000_000)

@@ -18,10 +18,8 @@ if TYPE_CHECKING:
 EVENT = 'rcl_interfaces/msg/ParameterEvent'
 ROLES = ('train', 'validation', 'idle')
 SECOND = 1_000_000_000
-KINDS: dict[int, tuple[str, type]] = {
-    1: ('bool_value', bool), 2: ('integer_value', int), 3: ('double_value', float),
-    4: ('string_value', str),
-}
+KINDS: dict[int, tuple[str, type]] = {1: ('bool_value', bool), 2: ('integer_value', int),
+                                      3: ('double_value', float), 4: ('string_value', str)}
 """ParameterType to the field that holds the value, and its type; True counts as a bool."""
 
 Value = float | int | str | bool
@@ -70,14 +68,12 @@ def encode_event(event: Event, node: str) -> bytes:
 def _value(value: Value) -> Any:
     """A ParameterValue of the value's type."""
     kind = next(k for k, own in KINDS.items() if isinstance(value, own[1]))
-    return blank(
-        'rcl_interfaces/msg/ParameterValue', type=kind, **{KINDS[kind][0]: KINDS[kind][1](value)}
-    )
+    return blank('rcl_interfaces/msg/ParameterValue', type=kind,
+                 **{KINDS[kind][0]: KINDS[kind][1](value)})
 
 
-def segments_from(
-    events: Sequence[Event], seconds: Callable[[int], float], end_s: float
-) -> tuple[tuple[Segment, ...], list[str]]:
+def segments_from(events: Sequence[Event], seconds: Callable[[int], float],
+                  end_s: float) -> tuple[tuple[Segment, ...], list[str]]:
     """Segments, each from its event to the next, and warnings; `seconds` converts stamps.
 
     An event for several axes at once (a flight without an experiment) names them in `axes`.
@@ -107,17 +103,13 @@ def segments_from(
     return tuple(segments), warnings
 
 
-def gains_from(
-    events: Sequence[Event], seconds: Callable[[int], float]
-) -> tuple[GainChange, ...]:
+def gains_from(events: Sequence[Event], seconds: Callable[[int], float]) -> tuple[GainChange, ...]:
     """Acknowledged gains with the time from which they apply."""
     changes = []
     for event in events:
-        numbers = {
-            name: float(value)
-            for name, value in event.values.items()
-            if isinstance(value, (int, float)) and not isinstance(value, bool)
-        }
+        numbers = {name: float(value)
+                   for name, value in event.values.items()
+                   if isinstance(value, (int, float)) and not isinstance(value, bool)}
         if numbers:
             changes.append(GainChange(max(0.0, seconds(event.stamp)), numbers))
     return tuple(changes)

@@ -12,12 +12,8 @@ def quaternions(angles: FloatArray) -> FloatArray:
     cr, cp, cy = np.cos(0.5 * angles).T
     sr, sp, sy = np.sin(0.5 * angles).T
     return np.column_stack(
-        (
-            sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy,
-            cr * cp * cy + sr * sp * sy,
-        )
+        (sr * cp * cy - cr * sp * sy, cr * sp * cy + sr * cp * sy, cr * cp * sy - sr * sp * cy,
+         cr * cp * cy + sr * sp * sy)
     )
 
 

@@ -79,10 +79,8 @@ def read_bag(path: str | Path) -> Record:
         control = control_from_motors(motors_from_wrench(wrench))
         warnings.append(f'{MOTORS} is missing: the input is {CONTROL} through mixer and limits')
     else:
-        raise BadInputError(
-            source, f'{MOTORS} and {CONTROL} are both missing or empty',
-            remedy='record one of them; it is the input of the model',
-        )
+        raise BadInputError(source, f'{MOTORS} and {CONTROL} are both missing or empty',
+                            remedy='record one of them; it is the input of the model')
     battery = _battery(content, grid, warnings)
 
     def seconds(stamp: int) -> float:
@@ -94,17 +92,15 @@ def read_bag(path: str | Path) -> Record:
     if spoiled + spoiled_gains:
         told.append(f'{spoiled + spoiled_gains} parameter events cannot be read')
     acceleration = placed[:, 8:11] if np.isfinite(placed[:, 8:11]).any() else None
-    return Record(
-        source=source, dt=grid.dt, rates=_frozen(rates), control=_frozen(control),
-        angles=_optional(_angles(placed[:, :5])), acceleration=_optional(acceleration),
-        motors=_optional(motors), wrench=_optional(wrench),
-        attitude_setpoint=_optional(arrays['attitude_setpoint']),
-        rate_setpoint=_optional(arrays['rate_setpoint']),
-        excitation=_optional(arrays['excitation']), battery_v=_optional(battery),
-        segments=segments, gains=gains_from(gain_events, seconds),
-        missing=_missing(content, arrays, battery), warnings=(*warnings, *told),
-        t0_ns=grid.t0_ns,
-    )
+    return Record(source=source, dt=grid.dt, rates=_frozen(rates), control=_frozen(control),
+                  angles=_optional(_angles(placed[:, :5])), acceleration=_optional(acceleration),
+                  motors=_optional(motors), wrench=_optional(wrench),
+                  attitude_setpoint=_optional(arrays['attitude_setpoint']),
+                  rate_setpoint=_optional(arrays['rate_setpoint']),
+                  excitation=_optional(arrays['excitation']), battery_v=_optional(battery),
+                  segments=segments, gains=gains_from(gain_events, seconds),
+                  missing=_missing(content, arrays, battery), warnings=(*warnings, *told),
+                  t0_ns=grid.t0_ns)
 
 
 def _read(path: Path) -> _Content:
@@ -123,22 +119,16 @@ def _read(path: Path) -> _Content:
     warnings += [f'{key}: {text}' for key, text in storage.notes.items()]
     streams = {}
     for topic, pieces in parts.items():
-        streams[topic] = Stamped(
-            np.concatenate([p.stamps for p in pieces]),
-            np.concatenate([p.values for p in pieces]),
-            sum(p.spoiled for p in pieces),
-        )
+        streams[topic] = Stamped(np.concatenate([p.stamps for p in pieces]),
+                                 np.concatenate([p.values for p in pieces]),
+                                 sum(p.spoiled for p in pieces))
         if streams[topic].spoiled:
-            warnings.append(
-                f'{topic}: {streams[topic].spoiled} messages cannot be read as '
-                f'{TOPIC_TYPES[topic]} of the contract; left out'
-            )
+            warnings.append(f'{topic}: {streams[topic].spoiled} messages cannot be read as '
+                            f'{TOPIC_TYPES[topic]} of the contract; left out')
     return _Content(streams, events, warnings)
 
 
-def _array(
-    name: str, content: _Content, grid: Grid, warnings: list[str]
-) -> FloatArray | None:
+def _array(name: str, content: _Content, grid: Grid, warnings: list[str]) -> FloatArray | None:
     """(n, k) one optional topic on the grid; None without usable values."""
     topic = OPTIONAL[name]
     stream = content.streams.get(topic)
@@ -159,9 +149,8 @@ def _array(
     return placed
 
 
-def _finite(
-    values: FloatArray, topic: str, field: str, grid: Grid, warnings: list[str]
-) -> FloatArray:
+def _finite(values: FloatArray, topic: str, field: str, grid: Grid,
+            warnings: list[str]) -> FloatArray:
     """Values with infinities as NaN; warns of received samples that are not finite."""
     came = np.isfinite(values[grid.cells]).all(axis=1)
     count = int(np.count_nonzero(~came))
@@ -199,10 +188,8 @@ def _battery(content: _Content, grid: Grid, warnings: list[str]) -> FloatArray |
         )
         return None
     if len(strange):
-        warnings.append(
-            f'/battery: {len(strange)} values outside {low:g} to {high:g} V left out, '
-            f'such as {strange[0]:.3g} V'
-        )
+        warnings.append(f'/battery: {len(strange)} values outside {low:g} to {high:g} V left out, '
+                        f'such as {strange[0]:.3g} V')
     stamps, volts = stream.stamps[good], volts[good]
     places = grid.position(stamps)
     places, first = np.unique(places, return_index=True)
@@ -216,9 +203,8 @@ def _battery(content: _Content, grid: Grid, warnings: list[str]) -> FloatArray |
     return battery
 
 
-def _missing(
-    content: _Content, arrays: dict[str, FloatArray | None], battery: FloatArray | None
-) -> tuple[str, ...]:
+def _missing(content: _Content, arrays: dict[str, FloatArray | None],
+             battery: FloatArray | None) -> tuple[str, ...]:
     """Topics that a Record could use but the bag lacks."""
     absent = [OPTIONAL[name] for name, array in arrays.items() if array is None]
     if battery is None:

@@ -27,19 +27,13 @@ def parse_span(text: str, option: str) -> Span:
     except ValueError:
         span = (np.nan, np.nan)
     if not colon or not 0.0 <= span[0] < span[1]:
-        raise BadInputError(
-            option, 'needs two times START:END in s, START before END', repr(text),
-            f'for example {option} 5:45',
-        )
+        raise BadInputError(option, 'needs two times START:END in s, START before END', repr(text),
+                            f'for example {option} 5:45')
     return span
 
 
-def split_segments(
-    record: Record,
-    train: Span | None = None,
-    validate: Span | None = None,
-    axes: tuple[str, ...] | None = None,
-) -> Record:
+def split_segments(record: Record, train: Span | None = None, validate: Span | None = None,
+                   axes: tuple[str, ...] | None = None) -> Record:
     """The record with the segments for its analysis.
 
     `train` and `validate` (s) replace the bag's segments for each of `axes` (None: those that the
@@ -76,10 +70,8 @@ def clip_span(span: Span | None, record: Record, option: str) -> Span | None:
         return None
     length = record.n * record.dt
     if span[0] >= length:
-        raise BadInputError(
-            record.source, f'{option} starts after the end of the record',
-            f'{span[0]:g} s of {length:.2f} s',
-        )
+        raise BadInputError(record.source, f'{option} starts after the end of the record',
+                            f'{span[0]:g} s of {length:.2f} s')
     return span[0], min(span[1], length)
 
 
@@ -89,11 +81,9 @@ def _check_apart(segments: list[Segment], record: Record) -> None:
         for b in segments:
             shared = min(a.end_s, b.end_s) - max(a.start_s, b.start_s)
             if (a.role, b.role, a.axis) == ('train', 'validation', b.axis) and shared > 1e-9:
-                raise BadInputError(
-                    record.source, f'{a.axis}: training and validation overlap',
-                    f'{a.start_s:g}:{a.end_s:g} s and {b.start_s:g}:{b.end_s:g} s',
-                    'give both --train and --validate, apart from each other',
-                )
+                raise BadInputError(record.source, f'{a.axis}: training and validation overlap',
+                                    f'{a.start_s:g}:{a.end_s:g} s and {b.start_s:g}:{b.end_s:g} s',
+                                    'give both --train and --validate, apart from each other')
 
 
 def _rest(other: Span | None, length: float, role: str) -> Span:
@@ -105,10 +95,9 @@ def _rest(other: Span | None, length: float, role: str) -> Span:
         return first
     if second[1] - second[0] > 0.0:
         return second
-    raise BadInputError(
-        f'--{"train" if role == "validation" else "validate"}', f'leaves nothing to {role}',
-        f'{start:g}:{end:g} of {length:g} s', 'choose a shorter span',
-    )
+    raise BadInputError(f'--{"train" if role == "validation" else "validate"}',
+                        f'leaves nothing to {role}', f'{start:g}:{end:g} of {length:g} s',
+                        'choose a shorter span')
 
 
 def _segment(record: Record, role: str, axis: str, span: Span) -> Segment:

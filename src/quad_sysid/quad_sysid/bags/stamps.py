@@ -80,30 +80,24 @@ def uniform_grid(stamps: IntArray, source: str, topic: str = '/imu/data') -> Gri
     rows = _in_order(stamps, rows, topic, warnings)
     rows = _longest_stretch(stamps, rows, topic, warnings)
     if len(rows) < MIN_SAMPLES:
-        raise BadInputError(
-            source, f'{topic} has too few stamped messages', len(rows),
-            f'at least {MIN_SAMPLES} are needed; record longer',
-        )
+        raise BadInputError(source, f'{topic} has too few stamped messages', len(rows),
+                            f'at least {MIN_SAMPLES} are needed; record longer')
     nominal = float(np.median(np.diff(stamps[rows])))
     rows = _one_rate(stamps, rows, nominal, source, topic, warnings)
     times = stamps[rows]
     cells, phase = count_cycles(np.diff(times) / nominal)
     kept = np.concatenate(([True], np.diff(cells) > 0))
     if not kept.all():
-        warnings.append(
-            f'{topic}: {np.count_nonzero(~kept)} stamps fall into an occupied cycle; '
-            'kept the first'
-        )
+        warnings.append(f'{topic}: {np.count_nonzero(~kept)} stamps fall into an occupied cycle; '
+                        'kept the first')
     rows, times, cells = rows[kept], times[kept], cells[kept]
     dt = _interval(times, cells)
     _tell_gaps(cells, dt, topic, warnings)
     jitter = float(np.quantile(np.abs(phase), 0.99))
     if jitter > JITTER_WARNING:
         warnings.append(f'{topic}: stamps jitter by {100 * jitter:.0f} % of a cycle (p99)')
-    return Grid(
-        dt=dt, t0_ns=int(times[0]), n=int(cells[-1]) + 1, rows=rows, cells=cells, stamps=times,
-        warnings=tuple(warnings),
-    )
+    return Grid(dt=dt, t0_ns=int(times[0]), n=int(cells[-1]) + 1, rows=rows, cells=cells,
+                stamps=times, warnings=tuple(warnings))
 
 
 def _in_order(stamps: IntArray, rows: IntArray, topic: str, warnings: list[str]) -> IntArray:
@@ -141,24 +135,20 @@ def _in_order(stamps: IntArray, rows: IntArray, topic: str, warnings: list[str])
     return rows[fresh]
 
 
-def _longest_stretch(
-    stamps: IntArray, rows: IntArray, topic: str, warnings: list[str]
-) -> IntArray:
+def _longest_stretch(stamps: IntArray, rows: IntArray, topic: str,
+                     warnings: list[str]) -> IntArray:
     """Keep the stretch with most samples between gaps of more than LONGEST_GAP_S."""
     breaks = np.flatnonzero(np.diff(stamps[rows]) > LONGEST_GAP_S * 1e9)
     if len(breaks) == 0:
         return rows
     longest = max(np.split(rows, breaks + 1), key=len)
-    warnings.append(
-        f'{topic}: gaps of more than {LONGEST_GAP_S:g} s; kept the longest stretch, '
-        f'{len(longest)} of {len(rows)} messages'
-    )
+    warnings.append(f'{topic}: gaps of more than {LONGEST_GAP_S:g} s; kept the longest stretch, '
+                    f'{len(longest)} of {len(rows)} messages')
     return longest
 
 
-def _one_rate(
-    stamps: IntArray, rows: IntArray, nominal: float, source: str, topic: str, warnings: list[str]
-) -> IntArray:
+def _one_rate(stamps: IntArray, rows: IntArray, nominal: float, source: str, topic: str,
+              warnings: list[str]) -> IntArray:
     """Rows without stretches of another sample rate, whose time becomes a gap."""
     steps = np.diff(stamps[rows]) / nominal
     blocks = len(steps) // BLOCK

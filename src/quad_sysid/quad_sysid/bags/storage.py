@@ -72,11 +72,9 @@ class Storage:
                     if len(files) == 1:
                         raise
                     self.warnings.append(f'{error}: that part of the flight is missing')
-        self.warnings += [
-            f'{topic}: {count} messages of type {kind} left out; '
-            f'the contract has {TOPIC_TYPES[topic]}'
-            for (topic, kind), count in sorted(foreign.items())
-        ]
+        self.warnings += [f'{topic}: {count} messages of type {kind} left out; '
+                          f'the contract has {TOPIC_TYPES[topic]}'
+                          for (topic, kind), count in sorted(foreign.items())]
 
     def _files(self) -> list[Path]:
         """The storage files in order. Raises BadInputError where there is no bag."""
@@ -87,17 +85,12 @@ class Storage:
             if path.suffix in FOREIGN:
                 raise BadInputError(str(path), f'is {FOREIGN[path.suffix]}')
             return [path]
-        found = sorted(
-            (p for p in path.iterdir() if p.name.endswith(('.mcap', '.db3', '.zstd'))),
-            key=lambda p: (len(p.name), p.name),
-        )
+        found = sorted((p for p in path.iterdir() if p.name.endswith(('.mcap', '.db3', '.zstd'))),
+                       key=lambda p: (len(p.name), p.name))
         listed = self._metadata()
         if not found:
-            raise BadInputError(
-                str(path),
-                'holds no storage file (.mcap or .db3)',
-                remedy='give a rosbag2 directory or an .mcap file',
-            )
+            raise BadInputError(str(path), 'holds no storage file (.mcap or .db3)',
+                                remedy='give a rosbag2 directory or an .mcap file')
         if listed is None:
             self.warnings.append(
                 f'{path}: metadata.yaml is missing or unreadable (the recorder was killed?): '
@@ -115,10 +108,8 @@ class Storage:
             return found
         unlisted = [file for file in found if file.name not in listed]
         parts = [file for file in unlisted if _is_part(file.name, listed)]
-        for files, what in (
-            (parts, 'read as parts of the flight'),
-            ([file for file in unlisted if file not in parts], 'left out'),
-        ):
+        for files, what in ((parts, 'read as parts of the flight'),
+                            ([file for file in unlisted if file not in parts], 'left out')):
             if files:
                 names = ', '.join(file.name for file in files)
                 self.warnings.append(f'{path}: metadata.yaml does not list {names}: {what}')
@@ -133,34 +124,27 @@ class Storage:
             names = [Path(str(name)).name for name in information['relative_file_paths']]
             custom = information.get('custom_data') or {}
             self.notes.update({str(key): str(value) for key, value in custom.items()})
-        except (
-            OSError, ValueError, RecursionError, yaml.YAMLError, LookupError, TypeError,
-            AttributeError,
-        ):  # fmt: skip
+        except (OSError, ValueError, RecursionError, yaml.YAMLError, LookupError, TypeError,
+                AttributeError):
             return None
         return names
 
-    def _read(
-        self, plain: Path, shown: Path, foreign: Counter[tuple[str, str]]
-    ) -> Iterator[Batch]:
+    def _read(self, plain: Path, shown: Path,
+              foreign: Counter[tuple[str, str]]) -> Iterator[Batch]:
         """Batches of one decompressed file; counts messages of other types in `foreign`."""
         with plain.open('rb') as stream:
             head = stream.read(16)
         if not head:
-            raise BadInputError(
-                str(shown), 'is empty', remedy='the recording never reached the disk; record again'
-            )
+            raise BadInputError(str(shown), 'is empty',
+                                remedy='the recording never reached the disk; record again')
         if head.startswith(MAGIC):
             batches = self._read_mcap(plain, shown, foreign)
         elif head == SQLITE_MAGIC:
             batches = self._read_sqlite(plain, shown, foreign)
         else:
-            raise BadInputError(
-                str(shown),
-                'is neither mcap nor sqlite3',
-                f'first bytes {head[:8].hex()}',
-                'give a rosbag2 directory or an .mcap file',
-            )
+            raise BadInputError(str(shown), 'is neither mcap nor sqlite3',
+                                f'first bytes {head[:8].hex()}',
+                                'give a rosbag2 directory or an .mcap file')
         for batch in batches:
             yield {topic: self._decompressed(raws, shown) for topic, raws in batch.items()}
 
@@ -170,20 +154,15 @@ class Storage:
         same = not kind or not wanted or kind.replace('/msg/', '/') == wanted.replace('/msg/', '/')
         return topic in self.topics and same
 
-    def _read_mcap(
-        self, plain: Path, shown: Path, foreign: Counter[tuple[str, str]]
-    ) -> Iterator[Batch]:
-        with (
-            plain.open('rb') as stream,
-            mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data,
-        ):
+    def _read_mcap(self, plain: Path, shown: Path,
+                   foreign: Counter[tuple[str, str]]) -> Iterator[Batch]:
+        with (plain.open('rb') as stream,
+              mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data):
             scan = McapScan(data)
             yield from scan.batches(lambda topic: self._wanted(topic.name, topic.kind))
         if not scan.ended:
-            self.warnings.append(
-                f'{shown}: cut off (no end of data): read the intact part; '
-                '`ros2 run quad_bridge recover` rebuilds the bag'
-            )
+            self.warnings.append(f'{shown}: cut off (no end of data): read the intact part; '
+                                 '`ros2 run quad_bridge recover` rebuilds the bag')
         elif scan.bad_chunks:
             self.warnings.append(f'{shown}: {scan.bad_chunks} damaged chunks: read the rest')
         if scan.unnamed:
@@ -194,9 +173,8 @@ class Storage:
             )
         foreign.update({key: n for key, n in scan.others.items() if key[0] in self.topics})
 
-    def _read_sqlite(
-        self, plain: Path, shown: Path, foreign: Counter[tuple[str, str]]
-    ) -> Iterator[Batch]:
+    def _read_sqlite(self, plain: Path, shown: Path,
+                     foreign: Counter[tuple[str, str]]) -> Iterator[Batch]:
         fault = sqlite_fault(plain)
         if fault:
             what = f'is a damaged sqlite3 file ({fault})'
@@ -210,7 +188,7 @@ class Storage:
                 foreign.update({
                     (name, kind): base.execute(count, (i,)).fetchone()[0]
                     for i, name, kind in topics if name in self.topics and i not in mine
-                })  # fmt: skip
+                })
                 marks = ', '.join('?' * len(mine))
                 rows = base.execute(  # it was 45 % slower through rosbags
                     f'SELECT topic_id, data FROM messages WHERE topic_id IN ({marks}) '  # noqa: S608

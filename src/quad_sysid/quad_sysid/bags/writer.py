@@ -58,10 +58,9 @@ def write_bag(record: Record, path: str | Path, options: BagOptions | None = Non
         motors = record.control @ MIXER.T
         low, high = float(np.nanmin(motors)), float(np.nanmax(motors))
         if low < -1e-9 or high > 1.0 + 1e-9:
-            raise BadInputError(
-                record.source, 'control gives motor commands outside 0..1',
-                f'{low:.3g} to {high:.3g}', 'scale the control down, or give the wrench',
-            )
+            raise BadInputError(record.source, 'control gives motor commands outside 0..1',
+                                f'{low:.3g} to {high:.3g}',
+                                'scale the control down, or give the wrench')
         motors = np.clip(motors, 0.0, 1.0)
     wrench = record.wrench
     if wrench is not None:
@@ -83,19 +82,15 @@ def write_bag(record: Record, path: str | Path, options: BagOptions | None = Non
     return write_streams(path, streams, _events(record), options)
 
 
-def write_streams(
-    path: str | Path,
-    streams: Mapping[str, Stamped],
-    events: Mapping[str, Sequence[Event]],
-    options: BagOptions | None = None,
-) -> Path:
+def write_streams(path: str | Path, streams: Mapping[str, Stamped],
+                  events: Mapping[str, Sequence[Event]],
+                  options: BagOptions | None = None) -> Path:
     """Write the given topics in the order of their stamps. BadInputError where `path` exists."""
     path = Path(path)
     options = options or BagOptions()
     if path.exists():
-        raise BadInputError(
-            str(path), 'exists already and is not overwritten', remedy='choose another --out'
-        )
+        raise BadInputError(str(path), 'exists already and is not overwritten',
+                            remedy='choose another --out')
     queue: list[tuple[int, str, bytes]] = []
     for topic, stream in streams.items():
         kind = TOPIC_TYPES[topic]
@@ -111,19 +106,16 @@ def write_streams(
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise BadInputError(
-            str(path), 'cannot be created', error.strerror, 'choose another --out'
-        ) from error
+        raise BadInputError(str(path), 'cannot be created', error.strerror,
+                            'choose another --out') from error
     writer = Writer(path, version=9, storage_plugin=plugin)
     writer.set_compression(CompressionMode[options.compression.upper()], CompressionFormat.ZSTD)
     for key, text in (options.notes or {}).items():
         writer.set_custom_data(key, text)
     with writer:
         connections = {
-            topic: writer.add_connection(
-                topic, TOPIC_TYPES[topic], typestore=typestore(),
-                offered_qos_profiles=[_qos(TOPIC_TYPES[topic])],
-            )
+            topic: writer.add_connection(topic, TOPIC_TYPES[topic], typestore=typestore(),
+                                         offered_qos_profiles=[_qos(TOPIC_TYPES[topic])])
             for topic in [*streams, *events]
         }
         for stamp, topic, raw in queue:
@@ -161,10 +153,8 @@ def _events(record: Record) -> dict[str, list[Event]]:
     ordered = [same[0] for same in together.values()]
     axes = [','.join(s.axis for s in same) for same in together.values()]
     for i, segment in enumerate(ordered):
-        names = {
-            'segment': segment.role, 'signal': segment.signal, 'axis': segment.axis,
-            'injection': segment.injection, **({'axes': axes[i]} if ',' in axes[i] else {}),
-        }
+        names = {'segment': segment.role, 'signal': segment.signal, 'axis': segment.axis,
+                 'injection': segment.injection, **({'axes': axes[i]} if ',' in axes[i] else {})}
         segments.append(Event(stamp(segment.start_s), {**names, **segment.parameters}))
         following = ordered[i + 1].start_s if i + 1 < len(ordered) else record.n * record.dt
         if following - segment.end_s > 0.5 * record.dt:
@@ -179,7 +169,5 @@ def _qos(msgtype: str) -> Qos:
     """Reliable; parameter events are kept for late subscribers (contract: transient local)."""
     unlimited = QosTime(9223372036, 854775807)
     durability = QosDurability.TRANSIENT_LOCAL if msgtype == EVENT else QosDurability.VOLATILE
-    return Qos(
-        QosHistory.KEEP_LAST, 10, QosReliability.RELIABLE, durability, unlimited, unlimited,
-        QosLiveliness.AUTOMATIC, unlimited, False,
-    )
+    return Qos(QosHistory.KEEP_LAST, 10, QosReliability.RELIABLE, durability, unlimited, unlimited,
+               QosLiveliness.AUTOMATIC, unlimited, False)

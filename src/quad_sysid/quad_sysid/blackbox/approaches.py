@@ -49,19 +49,15 @@ def joint(z: IOData, fit: Fit, *, order: int = STAGE_ORDER) -> Model:
     return replace(fit(replace(z, u=clean)), approach='joint')
 
 
-def noise_free(
-    where: str, z: IOData, x: FloatArray, external: FloatArray | None, order: int | None = None,
-    *, name: str = 'the reference r',
-) -> FloatArray:
+def noise_free(where: str, z: IOData, x: FloatArray, external: FloatArray | None,
+               order: int | None = None, *, name: str = 'the reference r') -> FloatArray:
     """(n,) the part of x that the external signal explains: free run of a model from r to x.
 
     A high-order ARX model, or, with `order`, an output error model of that order. Raises
     BadInputError, naming `where` and the signal's `name`, where it is missing or cannot serve.
     """
     if external is None:
-        raise BadInputError(
-            where, 'needs the external reference r', None, 'give IOData(…, r=…)'
-        )
+        raise BadInputError(where, 'needs the external reference r', None, 'give IOData(…, r=…)')
     r = np.asarray(external, dtype=float)
     if r.shape != z.u.shape:
         raise BadInputError(where, f'{name} must have {z.u.size} samples', r.shape)
@@ -119,10 +115,8 @@ class LinearController:
         return filter_signal(self.R, self.P, r) - filter_signal(self.S, self.P, y)
 
 
-def cascade_controller(
-    *, angle_kp: float, rate_kp: float, rate_ki: float, rate_kd: float, d_weight: float, dt: float,
-    trapezoid: bool = True,
-) -> LinearController:
+def cascade_controller(*, angle_kp: float, rate_kp: float, rate_ki: float, rate_kd: float,
+                       d_weight: float, dt: float, trapezoid: bool = True) -> LinearController:
     """C1 and C2 as the contract writes them; r the angle reference, y the rate.
 
     `d_weight` of the new difference in the D filter, 0..1. The angle is the running sum of the
@@ -136,17 +130,13 @@ def cascade_controller(
         forward, common = np.array([rate_kp]), np.ones(1)
     derivative = rate_kd * d_weight / dt * np.convolve(np.convolve(step, step), common)
     own = np.convolve(np.convolve(forward, angle + step), slow)
-    return LinearController(
-        P=np.convolve(np.convolve(common, step), slow),
-        R=angle_kp * np.convolve(np.convolve(forward, step), slow),
-        S=_sum(own, derivative),
-    )
+    return LinearController(P=np.convolve(np.convolve(common, step), slow),
+                            R=angle_kp * np.convolve(np.convolve(forward, step), slow),
+                            S=_sum(own, derivative))
 
 
-def indirect(
-    z: IOData, nb: int, nf: int, nk: int, controller: LinearController, *,
-    start: Model | None = None,
-) -> Model:
+def indirect(z: IOData, nb: int, nf: int, nk: int, controller: LinearController, *,
+             start: Model | None = None) -> Model:
     """Fit y = (B/F) u behind the known controller to z.y and the reference z.r.
 
     Consistent whatever the noise. `start` replaces the own start values where it is stable behind
@@ -172,27 +162,22 @@ def indirect(
     scale = np.linalg.norm(gradient, axis=0)
     spread = np.linalg.pinv(gradient.T @ gradient / np.outer(scale, scale), hermitian=True,
                             rcond=1e-14)
-    return replace(
-        model, converged=converged, iterations=iterations, samples=n,
-        covariance=float(e @ e) / (e.size - nb - nf) * spread / np.outer(scale, scale),
-        loss=sum(float(e @ e) for e in errors) / n,
-        noise_variance=sum(float(e @ e) for e in errors) / (n - nb - nf),
-    )
+    return replace(model, converged=converged, iterations=iterations, samples=n,
+                   covariance=float(e @ e) / (e.size - nb - nf) * spread / np.outer(scale, scale),
+                   loss=sum(float(e @ e) for e in errors) / n,
+                   noise_variance=sum(float(e @ e) for e in errors) / (n - nb - nf))
 
 
-def _given(
-    start: Model | None, z: IOData, nb: int, nf: int, nk: int, controller: LinearController
-) -> Model | None:
+def _given(start: Model | None, z: IOData, nb: int, nf: int, nk: int,
+           controller: LinearController) -> Model | None:
     """The given start as an output error model; None where it cannot serve."""
     if start is None or start.A.size > 1:
         return None
     if (start.B.size - start.nk, start.F.size - 1, start.nk) != (nb, nf, nk):
         return None
     one = np.ones(1)
-    model = replace(
-        start, C=one, D=one, structure='OE', orders={'nb': nb, 'nf': nf, 'nk': nk},
-        approach='indirect', warnings=(),
-    )
+    model = replace(start, C=one, D=one, structure='OE', orders={'nb': nb, 'nf': nf, 'nk': nk},
+                    approach='indirect', warnings=())
     return None if _errors(model, z, controller, one) is None else model
 
 
@@ -206,19 +191,16 @@ def _start(z: IOData, nb: int, nf: int, nk: int, controller: LinearController) -
         model = replace(oe(replace(z, u=u), nb, nf, nk), approach='indirect')
         if _errors(model, z, controller, np.ones(1)) is not None:
             return model
-    raise BadInputError(
-        'indirect', 'no plant was found that is stable behind this controller', f'nf {nf}',
-        'check the gains, or use the direct or joint approach',
-    )
+    raise BadInputError('indirect', 'no plant was found that is stable behind this controller',
+                        f'nf {nf}', 'check the gains, or use the direct or joint approach')
 
 
 Errors = list[tuple[FloatArray, FloatArray]]
 """Per segment e (m,) and its gradient (m, nb + nf), the unknown start of the loop taken out."""
 
 
-def _errors(
-    model: Model, z: IOData, controller: LinearController, ar: FloatArray
-) -> Errors | None:
+def _errors(model: Model, z: IOData, controller: LinearController,
+            ar: FloatArray) -> Errors | None:
     """Errors of the closed loop behind the filter `ar`; None where it is not stable."""
     loop = _sum(np.convolve(model.F, controller.P), np.convolve(model.B, controller.S))
     if z.r is None or loop[0] != 1.0 or np.max(np.abs(np.roots(loop)), initial=0.0) >= 1.0:
@@ -246,9 +228,8 @@ def _errors(
     return found or None
 
 
-def _descend(
-    model: Model, z: IOData, controller: LinearController, ar: FloatArray
-) -> tuple[Model, bool, int]:
+def _descend(model: Model, z: IOData, controller: LinearController,
+             ar: FloatArray) -> tuple[Model, bool, int]:
     """The model at the nearest minimum, whether that was reached, and in how many steps."""
     nb = model.B.size - model.nk
 
@@ -264,11 +245,10 @@ def _descend(
 
     start = model.parameters
     rows = sum(e.size for e, _ in _errors(model, z, controller, ar) or ())
-    found = least_squares(
-        lambda x: judged(x.tobytes())[0], start, lambda x: judged(x.tobytes())[1], method='trf',
-        x_scale='jac', ftol=TOLERANCE / max(rows, 1), xtol=None, gtol=None,
-        max_nfev=MAX_ITERATIONS,
-    )
+    found = least_squares(lambda x: judged(x.tobytes())[0], start,
+                          lambda x: judged(x.tobytes())[1], method='trf', x_scale='jac',
+                          ftol=TOLERANCE / max(rows, 1), xtol=None, gtol=None,
+                          max_nfev=MAX_ITERATIONS)
     return at(found.x), bool(found.status > 0), int(found.nfev)
 
 

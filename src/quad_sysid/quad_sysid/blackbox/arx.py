@@ -45,12 +45,9 @@ def arx(z: IOData, na: int, nb: int, nk: int) -> Model:
     rows = usable_rows(z, lead)
     theta, sse, gram_inverse = solve_triangular_factor('arx', triangular(blocks))
     variance = sse / (rows - na - nb)
-    return Model(
-        structure='ARX', orders=orders,
-        A=monic(theta[:na]), B=delayed(theta[na:], nk),
-        C=np.ones(1), D=np.ones(1), F=np.ones(1), nk=nk, dt=z.dt, noise_variance=variance,
-        covariance=variance * gram_inverse, samples=rows, loss=sse / rows,
-    )
+    return Model(structure='ARX', orders=orders, A=monic(theta[:na]), B=delayed(theta[na:], nk),
+                 C=np.ones(1), D=np.ones(1), F=np.ones(1), nk=nk, dt=z.dt, noise_variance=variance,
+                 covariance=variance * gram_inverse, samples=rows, loss=sse / rows)
 
 
 @dataclass(frozen=True)
@@ -108,13 +105,9 @@ def criterion_values(criterion: str, loss: FloatArray, k: IntArray, n: int) -> F
     raise BadInputError('search_arx', f'criterion must be one of {", ".join(CRITERIA)}', criterion)
 
 
-def search_arx(
-    z: IOData,
-    na: int | Iterable[int] = range(1, 11),
-    nb: int | Iterable[int] = range(1, 11),
-    nk: int | Iterable[int] = range(1, 9),
-    criterion: str = 'aic',
-) -> OrderSearch:
+def search_arx(z: IOData, na: int | Iterable[int] = range(1, 11),
+               nb: int | Iterable[int] = range(1, 11), nk: int | Iterable[int] = range(1, 9),
+               criterion: str = 'aic') -> OrderSearch:
     """Fit every (na, nb, nk) of the ranges at once and pick the best by `criterion`.
 
     One QR of the widest regressor over the rows that all models share; every model's residual
@@ -122,9 +115,8 @@ def search_arx(
     losses of all nb together. Raises BadInputError as `arx` does.
     """
     if criterion not in CRITERIA:
-        raise BadInputError(
-            'search_arx', f'criterion must be one of {", ".join(CRITERIA)}', criterion
-        )
+        raise BadInputError('search_arx', f'criterion must be one of {", ".join(CRITERIA)}',
+                            criterion)
     nas, nbs = _orders('na', na, 0), _orders('nb', nb, 1)
     nks = _orders('nk', nk, 0)
     lead = max(nas[-1], nks[-1] + nbs[-1] - 1)
@@ -139,10 +131,9 @@ def search_arx(
     k = (grid[0] + grid[1]).ravel()
     best = _first_best(criterion_values(criterion, sse.ravel() / rows, k, rows), k)
     orders = [int(axis.ravel()[best]) for axis in grid]
-    return OrderSearch(
-        na=grid[0].ravel(), nb=grid[1].ravel(), nk=grid[2].ravel(),
-        loss=sse.ravel() / rows, samples=rows, criterion=criterion, model=arx(z, *orders),
-    )
+    return OrderSearch(na=grid[0].ravel(), nb=grid[1].ravel(), nk=grid[2].ravel(),
+                       loss=sse.ravel() / rows, samples=rows, criterion=criterion,
+                       model=arx(z, *orders))
 
 
 def _first_best(values: FloatArray, k: IntArray) -> int:

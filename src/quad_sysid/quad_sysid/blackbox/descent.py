@@ -123,14 +123,12 @@ def _confined(point: Point, free: FloatArray | None) -> Point:
     onto = free @ free.T
     beside = np.eye(onto.shape[0]) - onto
     stiff = float(np.max(np.diag(point.hessian)))
-    return replace(
-        point, hessian=onto @ point.hessian @ onto + stiff * beside, slope=onto @ point.slope
-    )
+    return replace(point, hessian=onto @ point.hessian @ onto + stiff * beside,
+                   slope=onto @ point.slope)
 
 
-def _advance(
-    model: Model, point: Point, z: IOData, curvature: FloatArray | None
-) -> tuple[Model, Point] | None:
+def _advance(model: Model, point: Point, z: IOData,
+             curvature: FloatArray | None) -> tuple[Model, Point] | None:
     """Go to a lower point: with the residual's curvature where given, else by Gauss-Newton."""
     if curvature is not None:
         _, slope, scale = _scaled(point)
@@ -145,9 +143,8 @@ def _advance(
     return None
 
 
-def _secant(
-    curvature: FloatArray, model: Model, point: Point, ahead: Model, next_point: Point
-) -> FloatArray:
+def _secant(curvature: FloatArray, model: Model, point: Point, ahead: Model,
+            next_point: Point) -> FloatArray:
     """Update Σ e ∂²e, the part of the Hessian that Gauss-Newton leaves out.
 
     It matters where the structure cannot make the residual white (Dennis, Gay, Welsch 1981).
@@ -168,9 +165,7 @@ def _secant(
     return np.asarray(sized + turned + turned.T - float(miss @ s) / ys**2 * np.outer(y, y))
 
 
-def _search(
-    model: Model, point: Point, step: FloatArray, z: IOData
-) -> tuple[Model, Point] | None:
+def _search(model: Model, point: Point, step: FloatArray, z: IOData) -> tuple[Model, Point] | None:
     """Lower the criterion along -step: shorten, or pull back a step that went too far."""
     sse, promised = sum_of_squares(point), float(point.slope @ step)
     length = 1.0
@@ -248,10 +243,8 @@ def _finished(model: Model, point: Point, converged: bool, iterations: int) -> M
         covariance = sse / (n - p) * inverse @ inverse.T
         if model.C.size == model.D.size == model.A.size == 1:
             covariance = _sandwich(point, inverse @ inverse.T)
-    return replace(
-        model, noise_variance=sse / (n - p), covariance=covariance, converged=converged,
-        iterations=iterations, samples=n, loss=sse / n,
-    )
+    return replace(model, noise_variance=sse / (n - p), covariance=covariance, converged=converged,
+                   iterations=iterations, samples=n, loss=sse / n)
 
 
 def _sandwich(point: Point, bread: FloatArray) -> FloatArray:
@@ -347,10 +340,8 @@ def _factor(root: complex) -> tuple[FloatArray, FloatArray]:
     radius, turn = abs(root), np.cos(np.angle(root))
     if root.imag == 0.0:
         return np.array([1.0, -root.real]), np.array([0.0, -np.sign(root.real)])
-    return (
-        np.array([1.0, -2.0 * radius * turn, radius**2]),
-        np.array([0.0, -2.0 * turn, 2.0 * radius]),
-    )
+    return (np.array([1.0, -2.0 * radius * turn, radius**2]),
+            np.array([0.0, -2.0 * turn, 2.0 * radius]))
 
 
 def _tail(poly: FloatArray, size: int, shift: int = 0) -> FloatArray:

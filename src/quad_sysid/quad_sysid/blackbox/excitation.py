@@ -20,9 +20,7 @@ from quad_sysid.errors import BadInputError
 from quad_sysid.record import IOData
 
 
-def excitation_order(
-    u: FloatArray | IOData, max_order: int = 100, tolerance: float = 1e-6
-) -> int:
+def excitation_order(u: FloatArray | IOData, max_order: int = 100, tolerance: float = 1e-6) -> int:
     """Order to which u is persistently exciting: rank of its Hankel matrix (Ljung 1999, 13.2).
 
     A constant has order 1, a sine 2, noise `max_order` (or what the length allows). Singular
@@ -39,26 +37,21 @@ def excitation_order(
     if longest < 2:
         raise BadInputError('excitation_order', 'u must have at least 2 samples', longest)
     order = min(max_order, (longest + 1) // 2)
-    blocks = (
-        lagged(part, range(order), start, min(part.size, start + BLOCK_ROWS))
-        for part in parts
-        for start in range(order - 1, part.size, BLOCK_ROWS)
-    )
+    blocks = (lagged(part, range(order), start, min(part.size, start + BLOCK_ROWS))
+              for part in parts
+              for start in range(order - 1, part.size, BLOCK_ROWS))
     values = np.linalg.svd(triangular(blocks), compute_uv=False)
     return int(np.sum(values > tolerance * values[0])) if values[0] > 0.0 else 0
 
 
-def delay_estimate(
-    z: IOData, na: int = 8, nb: int = 4, nk_min: int = 0, nk_max: int = 20
-) -> int:
+def delay_estimate(z: IOData, na: int = 8, nb: int = 4, nk_min: int = 0, nk_max: int = 20) -> int:
     """Delay nk in samples of the ARX model with the lowest BIC, na and nb up to those given."""
     nk_min = check_order('delay_estimate', 'nk_min', nk_min, 0)
     nk_max = check_order('delay_estimate', 'nk_max', nk_max, nk_min)
     na, nb = (check_order('delay_estimate', k, v, 1) for k, v in (('na', na), ('nb', nb)))
     check_informative('delay_estimate', z, na + nb, max(na, nk_max + nb - 1))
-    found = search_arx(
-        z, range(1, na + 1), range(1, nb + 1), range(nk_min, nk_max + 1), criterion='bic'
-    )
+    found = search_arx(z, range(1, na + 1), range(1, nb + 1), range(nk_min, nk_max + 1),
+                       criterion='bic')
     return found.model.nk
 
 
@@ -69,7 +62,5 @@ def detrend(z: IOData) -> IOData:
         mean = np.concatenate([x[start:stop] for start, stop in z.segments]).mean()
         return np.asarray(x - mean)
 
-    return IOData(
-        u=centred(z.u), y=centred(z.y), dt=z.dt, r=None if z.r is None else centred(z.r),
-        segments=z.segments,
-    )
+    return IOData(u=centred(z.u), y=centred(z.y), dt=z.dt, r=None if z.r is None else centred(z.r),
+                  segments=z.segments)

@@ -11,9 +11,8 @@ import numpy as np
 from quad_sysid.contract import FloatArray
 
 
-@numba.njit(
-    'void(float64[::1], float64[::1], float64[:, ::1], int64, float64[:, ::1])', cache=True
-)
+@numba.njit('void(float64[::1], float64[::1], float64[:, ::1], int64, float64[:, ::1])',
+            cache=True)
 def _run(num, den, x, first, out):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """out(t) = Σ num_i x(t-i) - Σ den_i out(t-i) from t = first on, 0 before; x(<0) = 0."""
     n, p = x.shape
@@ -31,9 +30,7 @@ def _run(num, den, x, first, out):  # type: ignore[no-untyped-def]  # noqa: ANN0
                 out[t, c] -= den[i] * out[t - i, c]
 
 
-def filter_columns(
-    num: FloatArray, den: FloatArray, x: FloatArray, first: int = 0
-) -> FloatArray:
+def filter_columns(num: FloatArray, den: FloatArray, x: FloatArray, first: int = 0) -> FloatArray:
     """(n, p) columns of x behind num(q)/den(q), den monic, at rest at the start.
 
     The output is held at zero before row `first`, where the recursion starts; the numerator sees

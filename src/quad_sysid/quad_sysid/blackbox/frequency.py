@@ -38,9 +38,7 @@ def autocovariance(parts: Sequence[FloatArray], lags: int) -> FloatArray:
     return cross_covariance(parts, parts, lags)[lags:]
 
 
-def cross_covariance(
-    x: Sequence[FloatArray], y: Sequence[FloatArray], lags: int
-) -> FloatArray:
+def cross_covariance(x: Sequence[FloatArray], y: Sequence[FloatArray], lags: int) -> FloatArray:
     """(2 lags + 1,) biased covariance E x(t + k) y(t), k = -lags..lags, by FFT per part."""
     total, n = np.zeros(2 * lags + 1), 0
     for a, b in zip(x, y, strict=True):
@@ -54,9 +52,8 @@ def cross_covariance(
     return total / max(n, 1)
 
 
-def spa(
-    z: IOData, w: FloatArray | None = None, window: int | None = None, *, joint: bool = False
-) -> SpectralEstimate:
+def spa(z: IOData, w: FloatArray | None = None, window: int | None = None, *,
+        joint: bool = False) -> SpectralEstimate:
     """Blackman-Tukey estimate of the response from u to y (Ljung 1999, eq. 6.48 and 6.57).
 
     w in rad/s (default 100 from one resolution to 0.9 Nyquist), `window` the Hann lag window's
@@ -76,10 +73,8 @@ def spa(
         raise BadInputError('spa', f'w must be 1-D and within 0..{np.pi / z.dt:.6g} rad/s')
     for name, x in (('u', z.u), ('r', z.r if joint else None)):
         if x is not None and np.ptp(np.concatenate([x[a:b] for a, b in z.segments])) == 0.0:
-            raise BadInputError(
-                'spa', f'{name} is constant, it has no spectrum', float(x[z.segments[0][0]]),
-                'use a stretch with excitation',
-            )
+            raise BadInputError('spa', f'{name} is constant, it has no spectrum',
+                                float(x[z.segments[0][0]]), 'use a stretch with excitation')
     u, y = _centred(z, z.u), _centred(z, z.y)
     spectrum = _Spectrum(grid * z.dt, half)
     uu, yy, yu = spectrum.auto(u), spectrum.auto(y), spectrum.cross(y, u)
@@ -97,15 +92,12 @@ def spa(
         informative = uu
         coherence = np.abs(yu) ** 2 / np.maximum(uu * yy, tiny)
     variance = spectrum.energy / z.n * noise / np.maximum(informative, tiny)
-    return SpectralEstimate(
-        w=grid, response=response, std=np.sqrt(variance),
-        coherence=np.clip(coherence, 0.0, 1.0), noise_spectrum=noise,
-    )
+    return SpectralEstimate(w=grid, response=response, std=np.sqrt(variance),
+                            coherence=np.clip(coherence, 0.0, 1.0), noise_spectrum=noise)
 
 
-def coherence(
-    z: IOData, w: FloatArray | None = None, window: int | None = None, *, joint: bool = False
-) -> tuple[FloatArray, FloatArray]:
+def coherence(z: IOData, w: FloatArray | None = None, window: int | None = None, *,
+              joint: bool = False) -> tuple[FloatArray, FloatArray]:
     """Frequencies (m,) rad/s and squared coherence (m,) of u (or, `joint`, r) and y."""
     estimate = spa(z, w, window, joint=joint)
     return estimate.w, estimate.coherence
@@ -198,21 +190,18 @@ def frequency_response(model: Model, w: FloatArray) -> FrequencyResponse:
     nyquist = np.pi / model.dt
     inside = np.isfinite(grid) & (grid >= 0.0) & (grid <= nyquist * 1.000001)
     if grid.ndim != 1 or not inside.all():
-        raise BadInputError(
-            'frequency_response', f'w must be 1-D and within 0..{nyquist:.6g} rad/s',
-            grid[~inside][0] if grid.ndim == 1 else f'shape {grid.shape}',
-        )
+        raise BadInputError('frequency_response',
+                            f'w must be 1-D and within 0..{nyquist:.6g} rad/s',
+                            grid[~inside][0] if grid.ndim == 1 else f'shape {grid.shape}')
     q = np.exp(-1j * grid * model.dt)
     a, b, f = (np.polynomial.polynomial.polyval(q, poly) for poly in (model.A, model.B, model.F))
     response = np.asarray(b / (a * f), dtype=complex)
     covariance = None
     if model.covariance is not None:
-        powers = [
-            (-response / a)[:, None] * _powers(q, range(1, model.A.size)),
-            (1.0 / (a * f))[:, None] * _powers(q, range(model.nk, model.B.size)),
-            np.zeros((grid.size, model.C.size + model.D.size - 2)),
-            (-response / f)[:, None] * _powers(q, range(1, model.F.size)),
-        ]
+        powers = [(-response / a)[:, None] * _powers(q, range(1, model.A.size)),
+                  (1.0 / (a * f))[:, None] * _powers(q, range(model.nk, model.B.size)),
+                  np.zeros((grid.size, model.C.size + model.D.size - 2)),
+                  (-response / f)[:, None] * _powers(q, range(1, model.F.size))]
         gradient = np.hstack(powers)
         parts = np.stack((gradient.real, gradient.imag), axis=1)
         covariance = parts @ model.covariance @ np.swapaxes(parts, 1, 2)

@@ -43,10 +43,8 @@ def lead_of(model: Model) -> tuple[int, int]:
 def check_rate(model: Model, z: IOData) -> None:
     """Raise BadInputError where z was not sampled at the model's rate."""
     if abs(z.dt - model.dt) > 1e-6 * model.dt:
-        raise BadInputError(
-            'z', f"must be sampled at the model's {1.0 / model.dt:.6g} Hz", f'{1.0 / z.dt:.6g} Hz',
-            'resample it or identify at its rate',
-        )
+        raise BadInputError('z', f"must be sampled at the model's {1.0 / model.dt:.6g} Hz",
+                            f'{1.0 / z.dt:.6g} Hz', 'resample it or identify at its rate')
 
 
 def one_step_errors(model: Model, z: IOData) -> list[SegmentErrors]:
@@ -64,10 +62,8 @@ def one_step_errors(model: Model, z: IOData) -> list[SegmentErrors]:
             basis, turn = span(e[:, 1:])
             state = turn @ (basis.T @ e[:, 0])
             found.append(
-                SegmentErrors(
-                    start + lead, e[:, 0] - e[:, 1:] @ state,
-                    (w[:, 0] + w[:, 1:] @ state)[lead - first :],
-                )
+                SegmentErrors(start + lead, e[:, 0] - e[:, 1:] @ state,
+                              (w[:, 0] + w[:, 1:] @ state)[lead - first :])
             )
     return found
 
@@ -78,9 +74,8 @@ def squares(model: Model, z: IOData) -> tuple[int, float]:
     return sum(p.errors.size for p in parts), sum(float(p.errors @ p.errors) for p in parts)
 
 
-def errors_and_gradient(
-    model: Model, z: IOData
-) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
+def errors_and_gradient(model: Model,
+                        z: IOData) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
     """Per segment e (m,), its gradient by `parameters` (m, p), and a basis (m, k) of the nuisance.
 
     The nuisance is w's initial state; e has it at its best, the basis spans its gradient.
@@ -106,17 +101,13 @@ def errors_and_gradient(
         w0 = w[:, 0] + w[:, 1 : nf + 1] @ state
         e = base[:, 0] - base[:, 1:] @ state
         wf = filter_columns(np.ones(1), model.F, _shifts(w0, nf)) if nf else _shifts(w0, 0)
-        slow = filter_columns(
-            model.D, model.C, np.hstack((y[:, 1:], -w[:, nf + 1 :], wf)), skip
-        )[skip:]
+        slow = filter_columns(model.D, model.C, np.hstack((y[:, 1:], -w[:, nf + 1 :], wf)),
+                              skip)[skip:]
         v = y @ model.A - w0
         e_all = np.concatenate((np.zeros(skip), e))
-        fast = filter_columns(
-            np.ones(1), model.C, np.hstack((-_shifts(e_all, nc), _shifts(v, nd))), skip
-        )[skip:]
-        gradient = np.hstack(
-            (slow[:, : na + nb], fast[:, :nc], fast[:, nc:], slow[:, na + nb :])
-        )
+        fast = filter_columns(np.ones(1), model.C,
+                              np.hstack((-_shifts(e_all, nc), _shifts(v, nd))), skip)[skip:]
+        gradient = np.hstack((slow[:, : na + nb], fast[:, :nc], fast[:, nc:], slow[:, na + nb :]))
         found.append((e, gradient, basis))
     return found
 

@@ -33,9 +33,7 @@ SWINGING = 6
 UNSTABLE = 'the estimate is unstable; its instruments were made with reflected poles'
 
 
-def iv4(
-    z: IOData, na: int, nb: int, nk: int, instrument: FloatArray | None = None
-) -> Model:
+def iv4(z: IOData, na: int, nb: int, nk: int, instrument: FloatArray | None = None) -> Model:
     """Fit A y = B u + v by the four-stage instrumental variable method (Ljung 1999, eq. 15.26).
 
     `instrument` (n,) is the signal behind the instruments; None takes the reference z.r where
@@ -56,20 +54,16 @@ def iv4(
     blocks = _iv_blocks(z, source, second, lead, ar)
     theta, spread = _solve('iv4', blocks)
     whitened = np.concatenate([y - x @ theta for x, _, y in blocks])
-    model = replace(
-        second, A=monic(theta[:na]), B=delayed(theta[na:], nk), structure='IV4', orders=orders,
-        covariance=spread * float(whitened @ whitened) / (whitened.size - na - nb),
-    )
+    model = replace(second, A=monic(theta[:na]), B=delayed(theta[na:], nk), structure='IV4',
+                    orders=orders,
+                    covariance=spread * float(whitened @ whitened) / (whitened.size - na - nb))
     n, sse = squares(model, z)
-    return replace(
-        model, samples=n, loss=sse / n, noise_variance=sse / (n - na - nb),
-        warnings=() if model.stable else (UNSTABLE,),
-    )
+    return replace(model, samples=n, loss=sse / n, noise_variance=sse / (n - na - nb),
+                   warnings=() if model.stable else (UNSTABLE,))
 
 
-def clriv(
-    z: IOData, nb: int, nc: int, nd: int, nf: int, nk: int, reference: FloatArray | None = None
-) -> Model:
+def clriv(z: IOData, nb: int, nc: int, nd: int, nf: int, nk: int,
+          reference: FloatArray | None = None) -> Model:
     """Fit y = (B/F) u + (C/D) e by closed-loop refined instrumental variables.
 
     The noise-free input and output, both driven by the external reference (z.r where None), are
@@ -101,20 +95,17 @@ def clriv(
             converged = True
             break
     n, sse = squares(model, z)
-    return replace(
-        model, converged=converged and not was_unstable, iterations=iteration, samples=n,
-        loss=sse / n, noise_variance=sse / (n - model.parameters.size),
-        warnings=(UNSTABLE,) if was_unstable else (),
-    )
+    return replace(model, converged=converged and not was_unstable, iterations=iteration,
+                   samples=n, loss=sse / n, noise_variance=sse / (n - model.parameters.size),
+                   warnings=(UNSTABLE,) if was_unstable else ())
 
 
 Block = tuple[FloatArray, FloatArray, FloatArray]
 """Regressors (m, p), instruments (m, p), output (m,), all filtered."""
 
 
-def _iv_blocks(
-    z: IOData, source: FloatArray, model: Model, lead: int, ar: FloatArray
-) -> list[Block]:
+def _iv_blocks(z: IOData, source: FloatArray, model: Model, lead: int,
+               ar: FloatArray) -> list[Block]:
     """Rows of each segment for A y = B u, instruments from `model` driven by `source`."""
     na, nb, nk = model.A.size - 1, model.B.size - model.nk, model.nk
     runner = stabilised_plant(model)
@@ -126,10 +117,8 @@ def _iv_blocks(
         y, u, n = z.y[start:stop], z.u[start:stop], stop - start
         y_lags, u_lags = range(1, na + 1), range(nk, nk + nb)
         stack = np.column_stack(
-            (
-                -lagged(y, y_lags, lead, n), lagged(u, u_lags, lead, n),
-                -lagged(x, y_lags, lead, n), lagged(s, u_lags, lead, n), y[lead:],
-            )
+            (-lagged(y, y_lags, lead, n), lagged(u, u_lags, lead, n), -lagged(x, y_lags, lead, n),
+             lagged(s, u_lags, lead, n), y[lead:])
         )
         blocks.append(_split(filter_columns(ar, np.ones(1), stack)[ar.size - 1 :]))
     return blocks
@@ -151,11 +140,9 @@ def _refined_blocks(z: IOData, clean: FloatArray, model: Model) -> list[Block]:
         x = simulate(model, s, initial_state(model, s, y))
         y_lags, u_lags = range(1, nf + 1), range(nk, nk + nb)
         stack = np.column_stack(
-            (
-                lagged(z.u[start:stop], u_lags, lead, n), -lagged(y, y_lags, lead, n),
-                lagged(s, u_lags, lead, n), -lagged(x, y_lags, lead, n), y[lead:],
-                pulses(n - lead, nf),
-            )
+            (lagged(z.u[start:stop], u_lags, lead, n), -lagged(y, y_lags, lead, n),
+             lagged(s, u_lags, lead, n), -lagged(x, y_lags, lead, n), y[lead:],
+             pulses(n - lead, nf))
         )
         smooth = filter_columns(model.D, shape, stack)
         count = smooth.shape[1] - nf
@@ -180,9 +167,8 @@ def _solve(where: str, blocks: list[Block]) -> tuple[FloatArray, FloatArray]:
         raise BadInputError(where, 'an instrument is zero or diverges', remedy='lower the orders')
     cross = sum(((w / unit).T @ (x / scale) for x, w, _ in blocks), np.zeros((scale.size,) * 2))
     if np.linalg.cond(cross) > 1e14:
-        raise BadInputError(
-            where, 'the instruments do not excite all parameters', remedy='lower the orders'
-        )
+        raise BadInputError(where, 'the instruments do not excite all parameters',
+                            remedy='lower the orders')
     right = sum(((w / unit).T @ y for _, w, y in blocks), np.zeros(scale.size))
     gram = sum(((w / unit).T @ (w / unit) for _, w, _ in blocks), np.zeros_like(cross))
     inverse = np.linalg.inv(cross) / scale[:, None]

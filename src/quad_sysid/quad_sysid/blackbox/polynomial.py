@@ -65,9 +65,7 @@ class Model:
     @property
     def parameters(self) -> FloatArray:
         """(p,) free coefficients: a1.., b_nk.., c1.., d1.., f1..."""
-        return np.concatenate(
-            (self.A[1:], self.B[self.nk :], self.C[1:], self.D[1:], self.F[1:])
-        )
+        return np.concatenate((self.A[1:], self.B[self.nk :], self.C[1:], self.D[1:], self.F[1:]))
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
@@ -119,9 +117,7 @@ class Model:
         """Build the same model with other free coefficients (p,)."""
         sizes = [self.A.size - 1, self.B.size - self.nk, self.C.size - 1, self.D.size - 1]
         a, b, c, d, f = np.split(np.asarray(theta, dtype=float), np.cumsum(sizes))
-        return replace(
-            self, A=monic(a), B=delayed(b, self.nk), C=monic(c), D=monic(d), F=monic(f)
-        )
+        return replace(self, A=monic(a), B=delayed(b, self.nk), C=monic(c), D=monic(d), F=monic(f))
 
     def to_control(self) -> Any:
         """The plant B/(A F) as `control.TransferFunction` (needs the package `control`)."""
@@ -144,26 +140,19 @@ def delayed(b: FloatArray, nk: int) -> FloatArray:
     return np.concatenate((np.zeros(nk), b))
 
 
-def polynomial_model(
-    B: Sequence[float] | FloatArray,
-    *,
-    dt: float,
-    A: Sequence[float] | FloatArray = (1.0,),
-    C: Sequence[float] | FloatArray = (1.0,),
-    D: Sequence[float] | FloatArray = (1.0,),
-    F: Sequence[float] | FloatArray = (1.0,),
-    nk: int | None = None,
-    noise_variance: float = 1.0,
-    structure: str | None = None,
-) -> Model:
+def polynomial_model(B: Sequence[float] | FloatArray, *, dt: float,
+                     A: Sequence[float] | FloatArray = (1.0,),
+                     C: Sequence[float] | FloatArray = (1.0,),
+                     D: Sequence[float] | FloatArray = (1.0,),
+                     F: Sequence[float] | FloatArray = (1.0,), nk: int | None = None,
+                     noise_variance: float = 1.0, structure: str | None = None) -> Model:
     """Build a model from known polynomials; B with its leading zeros, from which nk is read."""
     given = {'A': A, 'B': B, 'C': C, 'D': D, 'F': F}
     polys = {key: np.asarray(poly, dtype=float) for key, poly in given.items()}
     for key, poly in polys.items():
         if poly.ndim != 1 or poly.size == 0 or not np.isfinite(poly).all():
-            raise BadInputError(
-                'polynomial_model', f'{key} must be a finite 1-D polynomial', poly.tolist()
-            )
+            raise BadInputError('polynomial_model', f'{key} must be a finite 1-D polynomial',
+                                poly.tolist())
         if key != 'B' and poly[0] != 1.0:
             raise BadInputError('polynomial_model', f'{key} must start with 1', float(poly[0]))
     if not (math.isfinite(dt) and dt > 0):
@@ -173,22 +162,17 @@ def polynomial_model(
         raise BadInputError('polynomial_model', 'B must not be zero', polys['B'].tolist())
     delay = int(nonzero[0]) if nk is None else nk
     if not 0 <= delay <= int(nonzero[0]):
-        raise BadInputError(
-            'polynomial_model', f'nk must be 0..{int(nonzero[0])}, the leading zeros of B', delay
-        )
+        raise BadInputError('polynomial_model',
+                            f'nk must be 0..{int(nonzero[0])}, the leading zeros of B', delay)
     na, nc, nd, nf = (polys[key].size - 1 for key in 'ACDF')
     nb = polys['B'].size - delay
     kind, orders = _classify(na, nb, nc, nd, nf, delay)
-    return Model(
-        structure=structure or kind, orders=orders, nk=delay, dt=dt,
-        noise_variance=noise_variance,
-        A=polys['A'], B=polys['B'], C=polys['C'], D=polys['D'], F=polys['F'],
-    )
+    return Model(structure=structure or kind, orders=orders, nk=delay, dt=dt,
+                 noise_variance=noise_variance, A=polys['A'], B=polys['B'], C=polys['C'],
+                 D=polys['D'], F=polys['F'])
 
 
-def _classify(
-    na: int, nb: int, nc: int, nd: int, nf: int, nk: int
-) -> tuple[str, dict[str, int]]:
+def _classify(na: int, nb: int, nc: int, nd: int, nf: int, nk: int) -> tuple[str, dict[str, int]]:
     """Structure's name and its orders from the lengths of the polynomials."""
     if nf == 0 and nd == 0 and nc == 0:
         return 'ARX', {'na': na, 'nb': nb, 'nk': nk}

@@ -63,10 +63,8 @@ def oe(z: IOData, nb: int, nf: int, nk: int, *, start: Model | None = None) -> M
     return _best('OE', orders, z, start, lambda ho: oe_starts(ho, nb, nf))
 
 
-def bj(
-    z: IOData, nb: int, nc: int, nd: int, nf: int, nk: int, *, start: Model | None = None,
-    thorough: bool = True,
-) -> Model:
+def bj(z: IOData, nb: int, nc: int, nd: int, nf: int, nk: int, *, start: Model | None = None,
+       thorough: bool = True) -> Model:
     """Fit y = (B/F) u + (C/D) e over all segments. C and F are kept stable. As `armax`.
 
     Not `thorough`, the minimum that the best start value leads to will do.
@@ -74,15 +72,12 @@ def bj(
     orders = check_orders('bj', nb=nb, nc=nc, nd=nd, nf=nf, nk=nk)
     check_informative('bj', z, nb + nc + nd + nf, nk + nb - 1 + nd + nf)
     check_exciting('bj', z, nb + nf)
-    return _best(
-        'BJ', orders, z, start, lambda ho: bj_starts(ho, nb, nc, nd, nf), thorough=thorough
-    )
+    return _best('BJ', orders, z, start, lambda ho: bj_starts(ho, nb, nc, nd, nf),
+                 thorough=thorough)
 
 
-def _best(
-    structure: str, orders: dict[str, int], z: IOData, start: Model | None, starts: Starts,
-    *, thorough: bool = True,
-) -> Model:
+def _best(structure: str, orders: dict[str, int], z: IOData, start: Model | None, starts: Starts,
+          *, thorough: bool = True) -> Model:
     """Fit from the given start, or from several until the loss is as low as expected."""
     if start is not None:
         _check_start(structure, orders, start)
@@ -134,15 +129,12 @@ def _better(one: Model, other: Model) -> Model:
 
 def _check_start(structure: str, orders: dict[str, int], start: Model) -> None:
     """Raise BadInputError where the start's polynomials do not have the orders asked for."""
-    sizes = {
-        'na': start.A.size - 1, 'nb': start.B.size - start.nk, 'nc': start.C.size - 1,
-        'nd': start.D.size - 1, 'nf': start.F.size - 1, 'nk': start.nk,
-    }
+    sizes = {'na': start.A.size - 1, 'nb': start.B.size - start.nk, 'nc': start.C.size - 1,
+             'nd': start.D.size - 1, 'nf': start.F.size - 1, 'nk': start.nk}
     for name, size in sizes.items():
         if size != orders.get(name, 0):
-            raise BadInputError(
-                structure.lower(), f'start must have {name} = {orders.get(name, 0)}', size
-            )
+            raise BadInputError(structure.lower(),
+                                f'start must have {name} = {orders.get(name, 0)}', size)
 
 
 def _warnings(model: Model) -> tuple[str, ...]:

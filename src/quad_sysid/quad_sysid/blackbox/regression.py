@@ -51,10 +51,8 @@ def check_informative(where: str, z: IOData, parameters: int, lead: int) -> None
         lows = [float(np.min(x[i:j])) for i, j in z.segments]
         highs = [float(np.max(x[i:j])) for i, j in z.segments]
         if min(lows) == max(highs):
-            raise BadInputError(
-                where, f'{name} is constant, nothing can be fitted', lows[0],
-                'use a stretch with excitation',
-            )
+            raise BadInputError(where, f'{name} is constant, nothing can be fitted', lows[0],
+                                'use a stretch with excitation')
 
 
 def check_exciting(where: str, z: IOData, count: int) -> None:
@@ -65,11 +63,9 @@ def check_exciting(where: str, z: IOData, count: int) -> None:
     """
     if not any(stop - start >= count for start, stop in z.segments):
         return
-    r = triangular(
-        lagged(z.u, range(count), begin, min(stop, begin + BLOCK_ROWS))
-        for start, stop in z.segments
-        for begin in range(start + count - 1, stop, BLOCK_ROWS)
-    )
+    r = triangular(lagged(z.u, range(count), begin, min(stop, begin + BLOCK_ROWS))
+                   for start, stop in z.segments
+                   for begin in range(start + count - 1, stop, BLOCK_ROWS))
     scale = np.linalg.norm(r, axis=0)
     if not (scale > 0.0).all() or np.linalg.cond(r / scale) > DEPENDENT:
         raise BadInputError(
@@ -91,19 +87,15 @@ def lagged(x: FloatArray, lags: Sequence[int], start: int, stop: int) -> FloatAr
     return out
 
 
-def arx_blocks(
-    z: IOData, y_lags: Sequence[int], u_lags: Sequence[int], lead: int
-) -> Iterator[FloatArray]:
+def arx_blocks(z: IOData, y_lags: Sequence[int], u_lags: Sequence[int],
+               lead: int) -> Iterator[FloatArray]:
     """Row blocks [-y(t-i) …, u(t-j) …, y(t)] of all segments, each behind its first `lead`."""
     for first, stop in z.segments:
         for start in range(first + lead, stop, BLOCK_ROWS):
             end = min(stop, start + BLOCK_ROWS)
             yield np.hstack(
-                (
-                    -lagged(z.y, y_lags, start, end),
-                    lagged(z.u, u_lags, start, end),
-                    z.y[start:end, None],
-                )
+                (-lagged(z.y, y_lags, start, end), lagged(z.u, u_lags, start, end),
+                 z.y[start:end, None])
             )
 
 

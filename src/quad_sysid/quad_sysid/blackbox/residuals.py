@@ -56,9 +56,8 @@ class ResidualTest:
     """Two-sided bound of one lag, z √(Σ ρ_e(k) ρ_u(k) / N) (Ljung 1999, eq. 16.67)."""
 
 
-def residual_test(
-    model: Model, z: IOData, lags: int = 25, confidence: float = 0.99
-) -> ResidualTest:
+def residual_test(model: Model, z: IOData, lags: int = 25,
+                  confidence: float = 0.99) -> ResidualTest:
     """Test the one-step residual of `model` on z.
 
     Each boolean is one joint test at `confidence` over all its lags; the bounds of single lags
@@ -70,9 +69,8 @@ def residual_test(
     return _tested(one_step_errors(model, z), z, lags, confidence, at_once=model.nk == 0)
 
 
-def innovation_test(
-    innovations: FloatArray, z: IOData, lags: int = 25, confidence: float = 0.99
-) -> ResidualTest:
+def innovation_test(innovations: FloatArray, z: IOData, lags: int = 25,
+                    confidence: float = 0.99) -> ResidualTest:
     """Test one-step errors (n,) that were made elsewhere (a Kalman filter's) over z's segments.
 
     A NaN ends a stretch. The input may not act at lag 0. Raises BadInputError as residual_test.
@@ -82,23 +80,19 @@ def innovation_test(
         raise BadInputError('innovation_test', 'innovations must have the length of z.y',
                             innovations.shape)
     known = np.isfinite(innovations)
-    parts = [
-        SegmentErrors(a, innovations[a:b], np.zeros(0))
-        for segment in z.segments for a, b in finite_runs(known, (segment[0], segment[1]))
-    ]
+    parts = [SegmentErrors(a, innovations[a:b], np.zeros(0))
+             for segment in z.segments for a, b in finite_runs(known, (segment[0], segment[1]))]
     return _tested(parts, z, lags, confidence, at_once=False)
 
 
-def _tested(
-    parts: list[SegmentErrors], z: IOData, lags: int, confidence: float, *, at_once: bool
-) -> ResidualTest:
+def _tested(parts: list[SegmentErrors], z: IOData, lags: int, confidence: float, *,
+            at_once: bool) -> ResidualTest:
     """All tests of one-step errors; `at_once`: the input may act in its own sample."""
     n = sum(part.errors.size for part in parts)
     if n < 10 * lags:
-        raise BadInputError(
-            'residual_test', f'too few residuals for {lags} lags, needs {10 * lags}', n,
-            'take fewer lags or a longer record',
-        )
+        raise BadInputError('residual_test',
+                            f'too few residuals for {lags} lags, needs {10 * lags}', n,
+                            'take fewer lags or a longer record')
     errors = [part.errors - _mean(parts) for part in parts]
     cov = autocovariance(errors, max(lags, min(BOUND_LAGS, n // 5)))
     if cov[0] <= 0.0:
@@ -157,9 +151,8 @@ def _mean(parts: list[SegmentErrors]) -> float:
     return float(np.concatenate([part.errors for part in parts]).mean())
 
 
-def _explained(
-    parts: list[SegmentErrors], x: FloatArray, ar: FloatArray, past: range, future: range
-) -> float:
+def _explained(parts: list[SegmentErrors], x: FloatArray, ar: FloatArray, past: range,
+               future: range) -> float:
     """p-value of the null that x at the lags `future` explains nothing beyond `past` does.
 
     With an empty `future` it is the null that `past` explains nothing. Lagrange multiplier test
@@ -183,9 +176,8 @@ def _explained(
     return float(special.chdtrc(dof, float(np.sum(r[tested, -1][counted] ** 2)) / unexplained))
 
 
-def _test_rows(
-    parts: list[SegmentErrors], x: FloatArray, ar: FloatArray, lags: list[int]
-) -> Iterator[FloatArray]:
+def _test_rows(parts: list[SegmentErrors], x: FloatArray, ar: FloatArray,
+               lags: list[int]) -> Iterator[FloatArray]:
     """Blocks of rows [1, x(t - lag) …, e(t)], x and e whitened by `ar`."""
     ahead, behind = max(0, -min(lags)), max(0, *lags) + ar.size - 1
     for part in parts:
@@ -198,9 +190,8 @@ def _test_rows(
             yield np.column_stack((np.ones(stop - start), columns, e[start:stop]))
 
 
-def _cross(
-    parts: list[SegmentErrors], z: IOData, rho_e: FloatArray, lags: npt.NDArray[np.int64]
-) -> tuple[FloatArray, float]:
+def _cross(parts: list[SegmentErrors], z: IOData, rho_e: FloatArray,
+           lags: npt.NDArray[np.int64]) -> tuple[FloatArray, float]:
     """Normalised cross-correlation at the lags, and its standard error under independence."""
     u_parts = [z.u[part.start : part.start + part.errors.size] for part in parts]
     mean_u, mean_e = float(np.concatenate(u_parts).mean()), _mean(parts)

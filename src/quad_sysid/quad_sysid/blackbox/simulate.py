@@ -35,9 +35,7 @@ def simulate(model: Model, u: FloatArray, x0: FloatArray | None = None) -> Float
     if x0 is not None:
         x0 = np.asarray(x0, dtype=float)
         if x0.shape != (state_size(model),):
-            raise BadInputError(
-                'simulate', f'x0 must have {state_size(model)} entries', x0.shape
-            )
+            raise BadInputError('simulate', f'x0 must have {state_size(model)} entries', x0.shape)
         count = min(x0.size, u.size)
         driven[:count] += x0[:count]
     with np.errstate(over='ignore', invalid='ignore'):
@@ -108,9 +106,8 @@ def fit_percent(y: FloatArray, yhat: FloatArray) -> float:
     """
     y, yhat = np.asarray(y, dtype=float), np.asarray(yhat, dtype=float)
     if y.shape != yhat.shape:
-        raise BadInputError(
-            'fit_percent', 'y and yhat must have one length', f'{y.shape}, {yhat.shape}'
-        )
+        raise BadInputError('fit_percent', 'y and yhat must have one length',
+                            f'{y.shape}, {yhat.shape}')
     known = ~np.isnan(yhat)
     if not known.any():
         raise BadInputError('fit_percent', 'yhat holds no prediction', int(y.size))
@@ -125,9 +122,7 @@ def fit_percent(y: FloatArray, yhat: FloatArray) -> float:
     return 100.0 * (1.0 - missed / spread)
 
 
-def compare(
-    z: IOData, *models: Model, horizon: float = math.inf
-) -> tuple[float, ...]:
+def compare(z: IOData, *models: Model, horizon: float = math.inf) -> tuple[float, ...]:
     """Fit in percent of each model on z, by default in the free run (MATLAB: compare)."""
     if isinstance(z, Model):
         raise BadInputError('compare', 'the data come first', 'a model', 'compare(z, model, …)')

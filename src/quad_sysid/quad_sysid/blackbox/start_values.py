@@ -178,9 +178,8 @@ def _plants(ho: HighOrder, nb: int, nf: int) -> Iterator[tuple[FloatArray, Float
         yield _steiglitz_mcbride(plain, nb, nf, nk, rounds=1)
 
 
-def _steiglitz_mcbride(
-    parts: list[FloatArray], nb: int, nf: int, nk: int, rounds: int = ROUNDS
-) -> tuple[FloatArray, FloatArray]:
+def _steiglitz_mcbride(parts: list[FloatArray], nb: int, nf: int, nk: int,
+                       rounds: int = ROUNDS) -> tuple[FloatArray, FloatArray]:
     """B, F that minimise the error of y = (B/F) u over parts (n, 2) of y, u, by fixed point.
 
     Each part's unknown start is fitted along, as pulses behind 1/F. One round is the ARX model.
@@ -194,17 +193,12 @@ def _steiglitz_mcbride(
         factors = []
         for part in parts:
             n = part.shape[0]
-            smooth = filter_columns(
-                np.ones(1), f, np.column_stack((part, pulses(n, f.size - 1, lead)))
-            )
+            smooth = filter_columns(np.ones(1), f,
+                                    np.column_stack((part, pulses(n, f.size - 1, lead))))
             y, u = smooth[:, 0], smooth[:, 1]
             rows = np.hstack(
-                (
-                    smooth[lead:, 2:],
-                    lagged(u, range(nk, nk + nb), lead, n),
-                    -lagged(y, range(1, nf + 1), lead, n),
-                    y[lead:, None],
-                )
+                (smooth[lead:, 2:], lagged(u, range(nk, nk + nb), lead, n),
+                 -lagged(y, range(1, nf + 1), lead, n), y[lead:, None])
             )
             factors.append(upper(rows)[f.size - 1 :, f.size - 1 :])
         theta = _least_squares(np.vstack(factors))
@@ -216,9 +210,8 @@ def _steiglitz_mcbride(
     return b, f
 
 
-def _noise(
-    ho: HighOrder, b: FloatArray, f: FloatArray, nc: int, nd: int
-) -> tuple[FloatArray, FloatArray]:
+def _noise(ho: HighOrder, b: FloatArray, f: FloatArray, nc: int,
+           nd: int) -> tuple[FloatArray, FloatArray]:
     """C, D of v = y - (B/F) u by regression on the high-order innovations."""
     rows = []
     lead = max(nc, nd)
@@ -227,17 +220,14 @@ def _noise(
         v, n = part.errors, part.errors.size
         begin = lead + ho.model.A.size
         if n > begin:
-            d_columns, c_columns = (
-                -lagged(v, range(1, nd + 1), begin, n), lagged(e, range(1, nc + 1), begin, n)
-            )
+            d_columns, c_columns = (-lagged(v, range(1, nd + 1), begin, n),
+                                    lagged(e, range(1, nc + 1), begin, n))
             rows.append(np.hstack((d_columns, c_columns, (v - e)[begin:, None])))
     theta = _least_squares(np.vstack(rows)) if rows else np.zeros(nc + nd)
     return inside(monic(theta[nd:])), inside(monic(theta[:nd]))
 
 
-def _moving_average(
-    ho: HighOrder, b: FloatArray, f: FloatArray, na: int, nc: int
-) -> FloatArray:
+def _moving_average(ho: HighOrder, b: FloatArray, f: FloatArray, na: int, nc: int) -> FloatArray:
     """C of F y - B u = C e by regression on the high-order innovations."""
     rows = []
     for block in _joined(ho, na, b.size, nc):
@@ -253,12 +243,10 @@ def _joined(ho: HighOrder, na: int, nb: int, nc: int) -> list[FloatArray]:
     lead = max(lead, na, nk + nb - 1)
     return [
         np.hstack(
-            (
-                -lagged(z.y, range(1, na + 1), start + lead, stop),
-                lagged(z.u, range(nk, nk + nb), start + lead, stop),
-                lagged(ho.innovations, range(1, nc + 1), start + lead, stop),
-                (z.y - ho.innovations)[start + lead : stop, None],
-            )
+            (-lagged(z.y, range(1, na + 1), start + lead, stop),
+             lagged(z.u, range(nk, nk + nb), start + lead, stop),
+             lagged(ho.innovations, range(1, nc + 1), start + lead, stop),
+             (z.y - ho.innovations)[start + lead : stop, None])
         )
         for start, stop in z.segments
         if stop - start > lead

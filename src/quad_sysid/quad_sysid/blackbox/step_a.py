@@ -71,13 +71,8 @@ class StepARow:
         }
 
 
-def step_a(
-    models: Sequence[Model],
-    train: IOData,
-    validations: Mapping[str, IOData],
-    lags: int = 25,
-    confidence: float = 0.99,
-) -> tuple[StepARow, ...]:
+def step_a(models: Sequence[Model], train: IOData, validations: Mapping[str, IOData],
+           lags: int = 25, confidence: float = 0.99) -> tuple[StepARow, ...]:
     """Judge every model: one row each, in the order given.
 
     `validations` by signal, such as {'prbs': …, 'square': …}; residual tests run on `train`.
@@ -94,16 +89,11 @@ def step_a(
         k = model.parameters.size
         fit = n * math.log(loss) if loss > 0.0 else None
         rows.append(
-            StepARow(
-                model=model,
-                fit_train_pct=_finite(compare(train, model, horizon=1)[0]),
-                fit_train_free_run_pct=_finite(compare(train, model)[0]),
-                fit_validation_pct=fits,
-                aic=None if fit is None else fit + 2.0 * k,
-                bic=None if fit is None else fit + k * math.log(n),
-                test=test,
-                eliminated_because='; '.join(_objections(model, test, fits)),
-            )
+            StepARow(model=model, fit_train_pct=_finite(compare(train, model, horizon=1)[0]),
+                     fit_train_free_run_pct=_finite(compare(train, model)[0]),
+                     fit_validation_pct=fits, aic=None if fit is None else fit + 2.0 * k,
+                     bic=None if fit is None else fit + k * math.log(n), test=test,
+                     eliminated_because='; '.join(_objections(model, test, fits)))
         )
     return tuple(rows)
 
@@ -125,9 +115,7 @@ def shared_losses(models: Sequence[Model], z: IOData) -> tuple[list[float], int]
     return [float(np.mean(e[known] ** 2)) for e in errors], n
 
 
-def _objections(
-    model: Model, test: ResidualTest, fits: Mapping[str, float | None]
-) -> list[str]:
+def _objections(model: Model, test: ResidualTest, fits: Mapping[str, float | None]) -> list[str]:
     """Reasons against the model."""
     found = []
     if not model.converged:
@@ -153,9 +141,7 @@ def _finite(value: float) -> float | None:
     return value if value > DIVERGED_PCT else None
 
 
-ESTIMATORS: Mapping[str, Callable[..., Model]] = {
-    'ARMAX': armax, 'ARX': arx, 'IV': iv4, 'BJ': bj,
-}
+ESTIMATORS: Mapping[str, Callable[..., Model]] = {'ARMAX': armax, 'ARX': arx, 'IV': iv4, 'BJ': bj}
 
 
 @dataclass(frozen=True)
@@ -213,9 +199,8 @@ TABLE2 = (
 )
 
 
-def fit_table2(
-    train: IOData, validations: Mapping[str, IOData], lags: int = 25, confidence: float = 0.99
-) -> tuple[Table2Entry, ...]:
+def fit_table2(train: IOData, validations: Mapping[str, IOData], lags: int = 25,
+               confidence: float = 0.99) -> tuple[Table2Entry, ...]:
     """Fit all rows on `train` and judge them as `step_a` does, beside the paper's figures.
 
     A row that the data cannot carry keeps its place with the reason; only where none can be

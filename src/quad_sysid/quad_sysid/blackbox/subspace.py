@@ -27,9 +27,8 @@ def n4sid(z: IOData, order: int, *, horizon: int | None = None) -> Model:
     ARMAX polynomials, without covariance; nk is 1. `horizon` is the rows of the past and future.
     """
     order = check_order('n4sid', 'order', order, 1)
-    rows = max(2 * order + 2, 15) if horizon is None else check_order(
-        'n4sid', 'horizon', horizon, order + 1
-    )
+    rows = max(2 * order + 2, 15) if horizon is None else check_order('n4sid', 'horizon', horizon,
+                                                                      order + 1)
     check_informative('n4sid', z, 4 * rows, 2 * rows)
     ho = high_order(z, 1, 3 * order).model
     past, future, now = _projection(z, ho, rows)
@@ -42,17 +41,15 @@ def n4sid(z: IOData, order: int, *, horizon: int | None = None) -> Model:
     weight = np.linalg.cholesky(gram + tiny)
     left, values, _ = np.linalg.svd(r[:m, :m] @ gains @ np.linalg.inv(weight).T)
     if values[order - 1] < 1e-12 * values[0]:
-        raise BadInputError(
-            'n4sid', f'the data do not show {order} states', order, 'lower the order'
-        )
+        raise BadInputError('n4sid', f'the data do not show {order} states', order,
+                            'lower the order')
     basis = np.linalg.lstsq(r[:m, :m], left[:, :order], rcond=1e-12)[0]
     a, b, c, k = _state_space((past / scale) @ basis, now)
     return _as_model(z, order, a, b, c, k)
 
 
-def _projection(
-    z: IOData, ho: Model, rows: int
-) -> tuple[FloatArray, FloatArray, list[tuple[int, FloatArray]]]:
+def _projection(z: IOData, ho: Model,
+                rows: int) -> tuple[FloatArray, FloatArray, list[tuple[int, FloatArray]]]:
     """Past (m, 2 rows), corrected future (m, rows), and per segment its row count and [u, y]."""
     u_gain = np.pad(ho.B, (0, max(0, rows - ho.B.size)))[:rows]
     y_gain = np.pad(-ho.A, (0, max(0, rows - ho.A.size)))[:rows]
@@ -93,9 +90,8 @@ def _state_space(
     return theta[:n].T, theta[n], np.asarray(c), theta[n + 1]
 
 
-def _as_model(
-    z: IOData, order: int, a: FloatArray, b: FloatArray, c: FloatArray, k: FloatArray
-) -> Model:
+def _as_model(z: IOData, order: int, a: FloatArray, b: FloatArray, c: FloatArray,
+              k: FloatArray) -> Model:
     """ARMAX polynomials of (A, B, C, K): A = det(qI - A), C = det(qI - A + K C)."""
     den = np.real(np.poly(a))
     noise = inside(np.real(np.poly(a - np.outer(k, c))))
@@ -104,12 +100,8 @@ def _as_model(
     for i in range(1, order + 1):
         impulse[i] = c @ state
         state = a @ state
-    model = Model(
-        structure='N4SID', orders={'order': order}, A=den,
-        B=filter_signal(den, np.ones(1), impulse), C=noise, D=np.ones(1), F=np.ones(1), nk=1,
-        dt=z.dt, noise_variance=1.0,
-    )
+    model = Model(structure='N4SID', orders={'order': order}, A=den,
+                  B=filter_signal(den, np.ones(1), impulse), C=noise, D=np.ones(1), F=np.ones(1),
+                  nk=1, dt=z.dt, noise_variance=1.0)
     n, sse = squares(model, z)
-    return replace(
-        model, noise_variance=sse / max(n - 3 * order, 1), samples=n, loss=sse / n
-    )
+    return replace(model, noise_variance=sse / max(n - 3 * order, 1), samples=n, loss=sse / n)

@@ -12,10 +12,9 @@ from quad_sysid.files import check_new, write_whole
 
 def add(commands: Commands) -> None:
     """Register the command."""
-    parser = command(
-        commands, 'export', _run, 'Write a model for python-control, MATLAB or as JSON.',
-        'quad-sysid export result/model.json --to mat --out aircraft.mat',
-    )
+    parser = command(commands, 'export', _run,
+                     'Write a model for python-control, MATLAB or as JSON.',
+                     'quad-sysid export result/model.json --to mat --out aircraft.mat')
     parser.add_argument('model', metavar='MODEL.json', type=Path)
     parser.add_argument('--to', required=True, choices=['control', 'mat', 'json'],
                         help='control: a Python file; mat: MATLAB')

@@ -99,10 +99,8 @@ def as_mat(models: Mapping[str, AxisModel]) -> bytes:
         content[axis] = {
             **matrices(model), 'outputs': list(OUTPUTS),
             'base': {p.name: p.value for p in model.base},
-            'effects': {
-                e.name.replace(':', '_'): {p.name: p.value for p in e.parameters}
-                for e in model.effects
-            },
+            'effects': {e.name.replace(':', '_'): {p.name: p.value for p in e.parameters}
+                        for e in model.effects},
         }
     stream = io.BytesIO()
     savemat(stream, content, oned_as='column', long_field_names=True)
@@ -111,10 +109,8 @@ def as_mat(models: Mapping[str, AxisModel]) -> bytes:
 
 def as_control(models: Mapping[str, AxisModel]) -> bytes:
     """A Python file that needs numpy and control alone, and defines `axes`: name to system."""
-    lines = [
-        '"""Identified by quad-sysid; for python-control.', '', NOTE, '"""', '',
-        'import control', 'import numpy as np', '', 'axes = {}',
-    ]
+    lines = ['"""Identified by quad-sysid; for python-control.', '', NOTE, '"""', '',
+             'import control', 'import numpy as np', '', 'axes = {}']
     for axis, model in models.items():
         found = matrices(model)
         lines += [

@@ -49,17 +49,14 @@ def _run(options: argparse.Namespace) -> int:
         raise BadInputError('--workers', 'must not be negative', options.workers)
     axes = AXES if options.axis == 'all' else (options.axis,) if options.axis else ()
     rows = run(
-        Request(
-            options.folder, out, axes, not options.no_effects, options.scheduler,
-            options.workers, options.reports, options.again,
-        ),
+        Request(options.folder, out, axes, not options.no_effects, options.scheduler,
+                options.workers, options.reports, options.again),
         progress(quiet=options.quiet),
     )
     summary = summarise(rows)
     write_table(rows, out / TABLE)
-    (out / 'fleet.html').write_text(
-        page.page(summary, rows, options.folder.resolve().name), encoding='utf-8'
-    )
+    (out / 'fleet.html').write_text(page.page(summary, rows, options.folder.resolve().name),
+                                    encoding='utf-8')
     if options.json:
         print(json.dumps(rows, indent=1))
     elif not options.quiet:

@@ -40,10 +40,8 @@ class Job:
 def look(job: Job) -> Row:
     """The row of a bag; an error of any kind becomes a row that says so."""
     start = time.monotonic()
-    row: Row = {
-        'bag': job.name, 'aircraft': job.aircraft, 'fingerprint': job.fingerprint,
-        'status': FAILED, 'reason': '',
-    }
+    row: Row = {'bag': job.name, 'aircraft': job.aircraft, 'fingerprint': job.fingerprint,
+                'status': FAILED, 'reason': ''}
     try:
         row.update(_identified(job))
     except QuadSysidError as error:
@@ -62,12 +60,10 @@ def _identified(job: Job) -> Row:
     if job.keep:
         found.save(Path(job.keep) / job.name, html=False, pictures=False)
     report = found.report
-    row: Row = {
-        'status': ANSWERED if found.answered else CANNOT_TELL,
-        'reason': '' if found.answered else found.reasons,
-        'start_ns': record.t0_ns, 'length_s': record.n * record.dt,
-        'sample_rate_hz': 1.0 / record.dt, 'warnings': len(record.warnings),
-    }
+    row: Row = {'status': ANSWERED if found.answered else CANNOT_TELL,
+                'reason': '' if found.answered else found.reasons, 'start_ns': record.t0_ns,
+                'length_s': record.n * record.dt, 'sample_rate_hz': 1.0 / record.dt,
+                'warnings': len(record.warnings)}
     for axis, tree in report['axes'].items():
         row.update(columns(axis, tree))
     return row
@@ -103,9 +99,7 @@ TEXT = (
 """Columns of text."""
 WHOLE = ('start_ns', 'warnings')
 """Columns of whole numbers."""
-REAL = (
-    'seconds', 'length_s', 'sample_rate_hz',
-    *(f'{axis}_{name}' for axis in AXES for name in ('error_before', 'error_after')),
-    *(f'{axis}_{name}{end}' for axis in AXES for name in BASE for end in ('', '_std')),
-)
+REAL = ('seconds', 'length_s', 'sample_rate_hz',
+        *(f'{axis}_{name}' for axis in AXES for name in ('error_before', 'error_after')),
+        *(f'{axis}_{name}{end}' for axis in AXES for name in BASE for end in ('', '_std')))
 """Columns of numbers; null where there is none."""

@@ -104,10 +104,9 @@ def write_table(rows: Sequence[Row], path: Path) -> Path:
     except ImportError as error:
         raise BadInputError(str(path), 'needs the package pyarrow',
                             remedy='pip install pyarrow') from error
-    schema = pa.schema([
-        *((name, pa.string()) for name in TEXT), *((name, pa.int64()) for name in WHOLE),
-        *((name, pa.float64()) for name in REAL),
-    ])
+    schema = pa.schema([*((name, pa.string()) for name in TEXT),
+                        *((name, pa.int64()) for name in WHOLE),
+                        *((name, pa.float64()) for name in REAL)])
     content = {name: [row.get(name) for row in rows] for name in schema.names}
     sink = pa.BufferOutputStream()
     parquet.write_table(pa.table(content, schema=schema), sink)
@@ -152,9 +151,8 @@ def jobs(request: Request) -> list[Job]:
         below = bag.relative_to(request.folder)
         found.append(Job(
             bag=str(bag.resolve()), name=str(below) if below.parts else bag.name,
-            aircraft=below.parts[0] if len(below.parts) > 1 else '',
-            fingerprint=fingerprint(bag), axes=request.axes,
-            search_effects=request.search_effects,
+            aircraft=below.parts[0] if len(below.parts) > 1 else '', fingerprint=fingerprint(bag),
+            axes=request.axes, search_effects=request.search_effects,
             keep=str((request.out / 'reports').resolve()) if request.keep_reports else '',
         ))
     return found
@@ -169,10 +167,8 @@ def waiting(every: Sequence[Job], done: Mapping[str, Row], *, again: bool) -> li
     ]
 
 
-def run(
-    request: Request, progress: Callable[[str], None] = lambda _: None,
-    work: Callable[[Job], Row] = look,
-) -> list[Row]:
+def run(request: Request, progress: Callable[[str], None] = lambda _: None,
+        work: Callable[[Job], Row] = look) -> list[Row]:
     """Look at all bags that wait; the rows of all bags of the folder, in their order."""
     every = jobs(request)
     journal = Journal(request.out)
@@ -209,10 +205,8 @@ def _client(request: Request, count: int) -> Iterator[Any]:
     workers = min(request.workers or os.cpu_count() or 1, count)
     with (
         dask.config.set(SETTINGS),
-        LocalCluster(
-            n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None,
-            silence_logs='ERROR', memory_limit=0,
-        ) as cluster,
+        LocalCluster(n_workers=workers, threads_per_worker=1, processes=True,
+                     dashboard_address=None, silence_logs='ERROR', memory_limit=0) as cluster,
         Client(cluster, set_as_default=False) as client,
     ):
         yield client
@@ -263,7 +257,5 @@ def _done(client: Any, running: Sequence[Any]) -> Sequence[Any]:
 
 
 def _dead(job: Job, reason: str) -> Row:
-    return {
-        'bag': job.name, 'aircraft': job.aircraft, 'fingerprint': job.fingerprint,
-        'status': FAILED, 'reason': reason, 'seconds': 0.0,
-    }
+    return {'bag': job.name, 'aircraft': job.aircraft, 'fingerprint': job.fingerprint,
+            'status': FAILED, 'reason': reason, 'seconds': 0.0}

@@ -121,10 +121,8 @@ def _spread(rows: Sequence[Row], axis: str, name: str) -> Spread | None:
         if sigma > 0.0 and abs(value - median) > OUTLYING * sigma
     ) if len(known) >= LEAST_FLIGHTS else ()
     low, high = np.quantile(values, [0.05, 0.95])
-    return Spread(
-        axis, name, len(known), median, float(low), float(high),
-        100.0 * sigma / abs(median) if median else math.nan, outliers,
-    )
+    return Spread(axis, name, len(known), median, float(low), float(high),
+                  100.0 * sigma / abs(median) if median else math.nan, outliers)
 
 
 def _lacks(rows: Sequence[Row], craft: str, axis: str) -> list[Lack]:
@@ -139,9 +137,7 @@ def _drift(rows: Sequence[Row], craft: str, axis: str, name: str) -> Drift | Non
     """Straight line over the flights' starts."""
     from scipy import stats
 
-    known = [
-        (row, value) for row, value in _values(rows, f'{axis}_{name}') if row.get('start_ns')
-    ]
+    known = [(row, value) for row, value in _values(rows, f'{axis}_{name}') if row.get('start_ns')]
     if len(known) < LEAST_FLIGHTS:
         return None
     days = np.array([row['start_ns'] for row, _ in known]) / DAY_NS

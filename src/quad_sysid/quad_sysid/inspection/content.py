@@ -90,10 +90,8 @@ def _content(topic: str, stamps: npt.NDArray[np.int64]) -> TopicContent:
         return TopicContent(topic, int(stamps.size), None, span, 0, 0.0)
     usual = float(np.median(steps))
     wide = steps > GAP_CYCLES * usual
-    return TopicContent(
-        topic, int(stamps.size), 1.0 / usual, span, int(np.count_nonzero(wide)),
-        float(steps.max()) if wide.any() else 0.0,
-    )
+    return TopicContent(topic, int(stamps.size), 1.0 / usual, span, int(np.count_nonzero(wide)),
+                        float(steps.max()) if wide.any() else 0.0)
 
 
 MOVES = 1e-9
@@ -256,22 +254,13 @@ def of_record(record: Record, held: Topics, *, split: bool) -> Content:
     layout = patterns_of(record.rates, motors, record.dt, record.angles)
     odd = doubts("the contract's mixer", MIXER_INVERSE, layout, record.rates, motors, record.dt,
                  record.angles) + places(layout)[1]
-    return Content(
-        record.source, held,
-        sample_rate_hz=1.0 / record.dt,
-        length_s=record.n * record.dt,
-        lost_pct=100.0 * float(np.mean(lost)),
-        longest_gap_s=max((b - a for a, b in gaps), default=0) * record.dt,
-        split=split,
-        segments=record.segments,
-        gains=tuple(sorted(record.gains_at(np.inf))),
-        motors_at_limit_pct=_at_limit(record),
-        battery=_battery(record),
-        layout=layout,
-        axes=axes,
-        uses=_uses_of_flight(axes),
-        warnings=(*record.warnings, *((warning,) if warning else ()), *odd),
-    )
+    return Content(record.source, held, sample_rate_hz=1.0 / record.dt,
+                   length_s=record.n * record.dt, lost_pct=100.0 * float(np.mean(lost)),
+                   longest_gap_s=max((b - a for a, b in gaps), default=0) * record.dt, split=split,
+                   segments=record.segments, gains=tuple(sorted(record.gains_at(np.inf))),
+                   motors_at_limit_pct=_at_limit(record), battery=_battery(record), layout=layout,
+                   axes=axes, uses=_uses_of_flight(axes),
+                   warnings=(*record.warnings, *((warning,) if warning else ()), *odd))
 
 
 def _axis(record: Record, axis: str) -> AxisContent:
@@ -291,12 +280,10 @@ def _axis(record: Record, axis: str) -> AxisContent:
     if not data.train:
         return found
     command = _rms(data, data.command)
-    return replace(
-        found, rate_rms=_rms(data, data.rate), command_rms=command,
-        reference_rms=None if data.reference is None else _rms(data, data.reference),
-        excitation_order=_order(data, command),
-        coherent_band_rad_s=band_of(data) if command and command > MOVES else None,
-    )
+    return replace(found, rate_rms=_rms(data, data.rate), command_rms=command,
+                   reference_rms=None if data.reference is None else _rms(data, data.reference),
+                   excitation_order=_order(data, command),
+                   coherent_band_rad_s=band_of(data) if command and command > MOVES else None)
 
 
 def _order(data: AxisData, command_rms: float | None) -> int | None:

@@ -68,9 +68,8 @@ class CascadeGains:
             if not np.isfinite(value):
                 raise BadInputError(f'gains: {CONTRACT_NAMES[item.name]}', 'must be finite', value)
             if item.name not in TUNED and value <= 0:
-                raise BadInputError(
-                    f'gains: {CONTRACT_NAMES[item.name]}', 'must be positive', value
-                )
+                raise BadInputError(f'gains: {CONTRACT_NAMES[item.name]}', 'must be positive',
+                                    value)
 
     @classmethod
     def default(cls, axis: str) -> CascadeGains:
@@ -85,18 +84,14 @@ class CascadeGains:
     def from_mapping(cls, values: Mapping[str, float], axis: str) -> CascadeGains:
         """Gains by the contract's names (`roll.angle.kp`, …); missing ones have their defaults."""
         start = cls.default(axis)
-        return cls(**{
-            field: float(values.get(f'{axis}.{name}', getattr(start, field)))
-            for field, name in CONTRACT_NAMES.items()
-        })
+        return cls(**{field: float(values.get(f'{axis}.{name}', getattr(start, field)))
+                      for field, name in CONTRACT_NAMES.items()})
 
     def to_mapping(self, axis: str, *, constants: bool = False) -> dict[str, float]:
         """The contract's names and values; with `constants` filter and limits too."""
-        return {
-            f'{axis}.{name}': float(getattr(self, field))
-            for field, name in CONTRACT_NAMES.items()
-            if constants or field in TUNED
-        }
+        return {f'{axis}.{name}': float(getattr(self, field))
+                for field, name in CONTRACT_NAMES.items()
+                if constants or field in TUNED}
 
     def dynamics(self, dt: float) -> Dynamics:
         """The linear controller that the firmware computes with these gains.
@@ -118,9 +113,8 @@ def derivative_weight(d_filter_hz: float, dt: float) -> float:
     return dt / (dt + 1.0 / (2.0 * np.pi * d_filter_hz))
 
 
-def controller_response(
-    gains: CascadeGains, omega: FloatArray, dt: float
-) -> tuple[ComplexArray, ComplexArray]:
+def controller_response(gains: CascadeGains, omega: FloatArray,
+                        dt: float) -> tuple[ComplexArray, ComplexArray]:
     """PI part (f,) on the rate error and D part (f,) on the measured rate, at omega rad/s."""
     back = np.exp(-1j * omega * dt)
     weight = derivative_weight(gains.d_filter_hz, dt)
@@ -129,27 +123,24 @@ def controller_response(
     return np.asarray(proportional), np.asarray(derivative)
 
 
-def open_loop(
-    gains: CascadeGains, plant: ComplexArray, omega: FloatArray, dt: float
-) -> ComplexArray:
+def open_loop(gains: CascadeGains, plant: ComplexArray, omega: FloatArray,
+              dt: float) -> ComplexArray:
     """Loop gain (p, f) broken at the control input; plant (2, p, f) from `Step.response`."""
     proportional, derivative = controller_response(gains, omega, dt)
     rate, angle = plant
     return np.asarray(rate * (proportional + derivative) + angle * (gains.angle_kp * proportional))
 
 
-def reference_response(
-    gains: CascadeGains, plant: ComplexArray, omega: FloatArray, dt: float
-) -> ComplexArray:
+def reference_response(gains: CascadeGains, plant: ComplexArray, omega: FloatArray,
+                       dt: float) -> ComplexArray:
     """(p, f) response of the measured angle to the angle reference."""
     proportional, _ = controller_response(gains, omega, dt)
     loop = open_loop(gains, plant, omega, dt)
     return np.asarray(plant[1] * gains.angle_kp * proportional / (1.0 + loop))
 
 
-def noise_response(
-    gains: CascadeGains, plant: ComplexArray, omega: FloatArray, dt: float
-) -> ComplexArray:
+def noise_response(gains: CascadeGains, plant: ComplexArray, omega: FloatArray,
+                   dt: float) -> ComplexArray:
     """(p, f) response of the control to noise on the measured rate."""
     proportional, derivative = controller_response(gains, omega, dt)
     loop = open_loop(gains, plant, omega, dt)
@@ -198,12 +189,9 @@ def margins(loop: ComplexArray, omega: FloatArray) -> Margins:
     part = np.where(passed, (level - turns[:, :-1]) / np.where(passed, step, 1.0), 0.0)
     gain = np.abs(low + part * (high - low))
     gain_margin = 20.0 / np.log(10.0) * np.min(np.where(passed, gain, np.inf), axis=1)
-    return Margins(
-        phase_margin_deg=phase_margin,
-        gain_margin_db=gain_margin,
-        peak_sensitivity=np.max(1.0 / np.abs(1.0 + loop), axis=1),
-        crossover_rad_s=np.where(np.isfinite(crossover), crossover, np.nan),
-    )
+    return Margins(phase_margin_deg=phase_margin, gain_margin_db=gain_margin,
+                   peak_sensitivity=np.max(1.0 / np.abs(1.0 + loop), axis=1),
+                   crossover_rad_s=np.where(np.isfinite(crossover), crossover, np.nan))
 
 
 def bandwidth(response: ComplexArray, omega: FloatArray) -> FloatArray:

@@ -64,12 +64,10 @@ def step_figures(response: npt.ArrayLike, dt: float) -> StepFigures:
     low, high = _first_crossing(way, 0.1), _first_crossing(way, 0.9)
     outside = np.flatnonzero(np.abs(y - settled) > SETTLED_BAND)
     last = int(outside[-1]) + 1 if outside.size else 0
-    return StepFigures(
-        rise_time_s=(high - low) * dt,
-        overshoot_pct=100.0 * max(0.0, float(np.max(way)) - 1.0),
-        settling_time_s=last * dt if last < y.size else nan,
-        final_error_pct=100.0 * (1.0 - settled),
-    )
+    return StepFigures(rise_time_s=(high - low) * dt,
+                       overshoot_pct=100.0 * max(0.0, float(np.max(way)) - 1.0),
+                       settling_time_s=last * dt if last < y.size else nan,
+                       final_error_pct=100.0 * (1.0 - settled))
 
 
 def square_figures(reference: npt.ArrayLike, angle: npt.ArrayLike, dt: float) -> SquareFigures:
@@ -81,10 +79,8 @@ def square_figures(reference: npt.ArrayLike, angle: npt.ArrayLike, dt: float) ->
     r = np.asarray(reference, dtype=float)
     y = np.asarray(angle, dtype=float)
     if r.ndim != 1 or r.shape != y.shape:
-        raise BadInputError(
-            'square_figures', 'reference and angle must be (n,) of one length',
-            f'{r.shape} and {y.shape}',
-        )  # fmt: skip
+        raise BadInputError('square_figures', 'reference and angle must be (n,) of one length',
+                            f'{r.shape} and {y.shape}')
     good = np.isfinite(r) & np.isfinite(y)
     if not good.any():
         raise NotInformativeError('square wave: no finite samples of reference and angle')
@@ -93,10 +89,9 @@ def square_figures(reference: npt.ArrayLike, angle: npt.ArrayLike, dt: float) ->
         raise NotInformativeError('square wave: no edge of the reference is followed by a whole '
                                   'stretch; record at least two edges')
     figures = step_figures(np.mean(responses, axis=0), dt)
-    return SquareFigures(
-        **vars(figures), rms_error_rad=float(np.sqrt(np.mean((r - y)[good] ** 2))),
-        edges=len(responses), step_rad=float(np.mean(np.abs(steps))),
-    )
+    return SquareFigures(**vars(figures),
+                         rms_error_rad=float(np.sqrt(np.mean((r - y)[good] ** 2))),
+                         edges=len(responses), step_rad=float(np.mean(np.abs(steps))))
 
 
 def square_wave(amplitude: float, half_period_s: float, periods: int, dt: float) -> FloatArray:
@@ -106,9 +101,8 @@ def square_wave(amplitude: float, half_period_s: float, periods: int, dt: float)
     return np.asarray(amplitude * np.repeat(signs, half))
 
 
-def _edge_responses(
-    r: FloatArray, y: FloatArray, good: npt.NDArray[np.bool_]
-) -> tuple[list[FloatArray], list[float]]:
+def _edge_responses(r: FloatArray, y: FloatArray,
+                    good: npt.NDArray[np.bool_]) -> tuple[list[FloatArray], list[float]]:
     """Responses after each edge, divided by its step and cut to a common length."""
     jump = np.abs(np.diff(r, prepend=r[0]))
     jump[~np.isfinite(jump)] = 0.0

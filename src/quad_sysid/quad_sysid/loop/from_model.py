@@ -142,13 +142,11 @@ def loop_plant(model: AxisModel) -> LoopPlant:
     if mapped is not None:
         tables['command'].insert(0, mapped)
     share, lag, slow, mode = _drive(model, effects, at)
-    return LoopPlant(
-        gain=gain * factor * share, lag_s=lag, delay_s=max(0.0, delay), damping=damping, bias=bias,
-        gyro_filter_hz=model.gyro_filter_hz, dt=model.dt,
-        rate_curve=_sum(tables['rate'], RATE_RANGE, STEPS['rate']),
-        angle_curve=_sum(tables['angle'], ANGLE_RANGE, STEPS['angle']),
-        command_curve=_chain(tables['command']), slow=slow, mode=mode,
-    )
+    return LoopPlant(gain=gain * factor * share, lag_s=lag, delay_s=max(0.0, delay),
+                     damping=damping, bias=bias, gyro_filter_hz=model.gyro_filter_hz, dt=model.dt,
+                     rate_curve=_sum(tables['rate'], RATE_RANGE, STEPS['rate']),
+                     angle_curve=_sum(tables['angle'], ANGLE_RANGE, STEPS['angle']),
+                     command_curve=_chain(tables['command']), slow=slow, mode=mode)
 
 
 def _over(signal: str, one: Placed, at: Mapping[str, float]) -> Function:
@@ -173,12 +171,10 @@ def _flown(model: AxisModel, at: Mapping[str, float], command: FloatArray) -> Ax
     control[:, 0], control[:, index + 1] = at['throttle'], command
     motors = np.clip(control @ MIXER.T, 0.0, 1.0)
     nothing = np.zeros(n)
-    return AxisData(
-        axis=model.axis, dt=model.dt, rate=nothing, angle=nothing, control=control, motors=motors,
-        other_rates=np.zeros((n, 2)), battery_v=np.full(n, at['battery']),
-        gyro_filter_hz=model.gyro_filter_hz, stretches=tuple((i, i + 1) for i in range(n)),
-        train=((0, n),), validation=(),
-    )
+    return AxisData(axis=model.axis, dt=model.dt, rate=nothing, angle=nothing, control=control,
+                    motors=motors, other_rates=np.zeros((n, 2)),
+                    battery_v=np.full(n, at['battery']), gyro_filter_hz=model.gyro_filter_hz,
+                    stretches=tuple((i, i + 1) for i in range(n)), train=((0, n),), validation=())
 
 
 def _mapped(model: AxisModel, effects: list[Placed], at: Mapping[str, float]) -> Function | None:
@@ -201,9 +197,8 @@ def _mapped(model: AxisModel, effects: list[Placed], at: Mapping[str, float]) ->
     return through
 
 
-def _drive(
-    model: AxisModel, effects: list[Placed], at: Mapping[str, float]
-) -> tuple[float, float, SlowMotors | None, LightMode | None]:
+def _drive(model: AxisModel, effects: list[Placed],
+           at: Mapping[str, float]) -> tuple[float, float, SlowMotors | None, LightMode | None]:
     """Factor on the gain in small motion, lag (s), motors with another lag, and a mode."""
     data = _flown(model, at, np.array([-SMALL_STEP, SMALL_STEP]))
     lag = np.full((1, 2), model.value('lag'))
@@ -223,10 +218,8 @@ def _drive(
         if found is None:
             continue
         if found.frequency_rad_s > 0.0 and mode is None:
-            mode = LightMode(
-                found.frequency_rad_s, max(found.damping_ratio, 1e-3), found.in_phase,
-                found.quadrature,
-            )
+            mode = LightMode(found.frequency_rad_s, max(found.damping_ratio, 1e-3), found.in_phase,
+                             found.quadrature)
         elif found.lag_s > 0.0 and slow is None:
             # partial fractions of two lags in series
             second = found.lag_s if abs(found.lag_s / usual - 1.0) > 1e-3 else 1.001 * usual
@@ -257,10 +250,8 @@ def schedule_factor(model: AxisModel, battery_v: float | None = None) -> float:
     From its schedule on the voltage (`<axis>.sag.*`); 1 without one.
     """
     volts = model.mean_battery_v if battery_v is None else battery_v
-    exponent, reference = (
-        model.active_gains.get(f'{model.axis}.sag.{name}', 0.0)
-        for name in ('exponent', 'reference_v')
-    )
+    exponent, reference = (model.active_gains.get(f'{model.axis}.sag.{name}', 0.0)
+                           for name in ('exponent', 'reference_v'))
     return float((reference / volts) ** exponent) if volts and reference > 0.0 else 1.0
 
 
@@ -291,9 +282,8 @@ def not_in_the_loop(model: AxisModel) -> tuple[str, ...]:
 def _sum(functions: list[Function], half_width: float, steps: tuple[float, ...]) -> Curve | None:
     if not functions:
         return None
-    step = next(
-        (s for s in steps[:-1] if all(_resolves(f, half_width, s) for f in functions)), steps[-1]
-    )
+    step = next((s for s in steps[:-1] if all(_resolves(f, half_width, s) for f in functions)),
+                steps[-1])
     return Curve.sampled(lambda x: np.sum([f(x) for f in functions], axis=0), half_width, step)
 
 

@@ -75,9 +75,8 @@ def look_up(table: FloatArray, x: float) -> float:
 
 
 @kernel
-def control(
-    gains: Constants, memory: FloatArray, reference: float, angle: float, rate: float, added: float
-) -> tuple[float, float]:
+def control(gains: Constants, memory: FloatArray, reference: float, angle: float, rate: float,
+            added: float) -> tuple[float, float]:
     """One cycle of C1/C2: (rate reference, u). `added` is a rate excitation; memory (3,)."""
     wanted = gains.angle_kp * (reference - angle)
     wanted = min(max(wanted, -gains.rate_limit), gains.rate_limit) + added
@@ -112,10 +111,8 @@ def advance(cycle: Cycle, part: int, v: float, torque: float, state: FloatArray)
 
 
 @kernel
-def run_plant(
-    gains: Constants, cycle: Cycle, signals: FloatArray, state: FloatArray, out: FloatArray,
-    lead: float,
-) -> None:
+def run_plant(gains: Constants, cycle: Cycle, signals: FloatArray, state: FloatArray,
+              out: FloatArray, lead: float) -> None:
     """The cascade around the plant; `lead`: of the measured angle over the rate's integral, s.
 
     signals (5, n): angle reference, noise of the rate, torque, rate and control excitation;
@@ -138,10 +135,8 @@ def run_plant(
 
 
 @kernel
-def run_polynomial(
-    gains: Constants, signals: FloatArray, a: FloatArray, b: FloatArray, out: FloatArray,
-    lead: float,
-) -> None:
+def run_polynomial(gains: Constants, signals: FloatArray, a: FloatArray, b: FloatArray,
+                   out: FloatArray, lead: float) -> None:
     """The cascade around A(q) rate = B(q) u with a[0] = 1, b[0] = 0; the angle is its sum."""
     memory = np.zeros(3)
     clean = np.zeros(signals.shape[1])

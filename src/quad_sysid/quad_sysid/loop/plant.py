@@ -57,9 +57,8 @@ class Curve:
         object.__setattr__(self, 'y', y)
 
     @classmethod
-    def sampled(
-        cls, function: Callable[[FloatArray], FloatArray], half_width: float, step: float
-    ) -> Curve:
+    def sampled(cls, function: Callable[[FloatArray], FloatArray], half_width: float,
+                step: float) -> Curve:
         """Table of `function` on -half_width..half_width; zero is a grid point."""
         count = max(1, int(np.ceil(half_width / step)))
         x: FloatArray = np.arange(-count, count + 1, dtype=np.float64) * float(step)
@@ -135,10 +134,9 @@ class LoopPlant:
         if not np.isfinite(numbers).all():
             raise BadInputError('LoopPlant', 'all parameters must be finite', numbers)
         if self.lag_s < 0 or self.delay_s < 0 or self.dt <= 0:
-            raise BadInputError(
-                'LoopPlant', 'lag and delay must not be negative, dt must be positive',
-                (self.lag_s, self.delay_s, self.dt),
-            )  # fmt: skip
+            raise BadInputError('LoopPlant',
+                                'lag and delay must not be negative, dt must be positive',
+                                (self.lag_s, self.delay_s, self.dt))
         filter_hz = self.gyro_filter_hz
         if filter_hz is not None and not (np.isfinite(filter_hz) and filter_hz > 0):
             raise BadInputError('LoopPlant', 'gyro_filter_hz must be positive or None', filter_hz)
@@ -307,14 +305,9 @@ def exact_cycles(plants: Sequence[LoopPlant], slopes: Sequence[Slopes]) -> Step:
     _, late = exact_step(a, b, rest)
     remain, now = exact_step(a, b, dt - rest)
     phi, _ = exact_step(a, b, np.full(len(plants), dt))
-    return Step(
-        phi=phi,
-        now=now[..., 0],
-        before=np.einsum('pij,pj->pi', remain, late[..., 0]),
-        c=np.stack([part[2] for part in parts]),
-        whole=np.array([p.whole_delay for p in plants], dtype=np.int64),
-        dt=dt,
-    )
+    return Step(phi=phi, now=now[..., 0], before=np.einsum('pij,pj->pi', remain, late[..., 0]),
+                c=np.stack([part[2] for part in parts]),
+                whole=np.array([p.whole_delay for p in plants], dtype=np.int64), dt=dt)
 
 
 @dataclass(frozen=True)

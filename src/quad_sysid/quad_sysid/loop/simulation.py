@@ -58,18 +58,12 @@ def _cycle(plant: LoopPlant) -> kernels.Cycle:
         split[0] = 0
         parts = np.array([plant.dt, plant.dt])
     phi, gamma = exact_step(a, b, parts / np.maximum(split, 1))
-    return kernels.Cycle(
-        phi=np.ascontiguousarray(phi),
-        drive=np.ascontiguousarray(gamma[..., 0]),
-        push=np.ascontiguousarray(gamma[..., 1]),
-        split=split,
-        whole=plant.whole_delay,
-        rate_output=int(np.argmax(c[0])),
-        angle_output=int(np.argmax(c[1])),
-        rate_table=_table(plant.rate_curve),
-        angle_table=_table(plant.angle_curve),
-        command_table=_table(plant.command_curve),
-    )
+    return kernels.Cycle(phi=np.ascontiguousarray(phi), drive=np.ascontiguousarray(gamma[..., 0]),
+                         push=np.ascontiguousarray(gamma[..., 1]), split=split,
+                         whole=plant.whole_delay, rate_output=int(np.argmax(c[0])),
+                         angle_output=int(np.argmax(c[1])), rate_table=_table(plant.rate_curve),
+                         angle_table=_table(plant.angle_curve),
+                         command_table=_table(plant.command_curve))
 
 
 def _signal(values: npt.ArrayLike | None, n: int, name: str) -> FloatArray:
@@ -116,11 +110,10 @@ def simulate_cascade(
     """
     reference = _checked_reference(reference_angle, dt, plant.dt)
     n = reference.size
-    signals = np.stack((
-        reference, _signal(noise, n, 'noise'), plant.bias + _signal(disturbance, n, 'disturbance'),
-        _signal(rate_excitation, n, 'rate_excitation'),
-        _signal(control_excitation, n, 'control_excitation'),
-    ))
+    signals = np.stack((reference, _signal(noise, n, 'noise'),
+                        plant.bias + _signal(disturbance, n, 'disturbance'),
+                        _signal(rate_excitation, n, 'rate_excitation'),
+                        _signal(control_excitation, n, 'control_excitation')))
     cycle = _cycle(plant)
     state = np.zeros(cycle.phi.shape[1])
     state[1], state[2] = initial_rate, initial_angle
@@ -128,9 +121,7 @@ def simulate_cascade(
         behind = np.sqrt(2.0) / (2.0 * np.pi * plant.gyro_filter_hz)
         state[3], state[4] = initial_rate, initial_angle - behind * initial_rate
     out = np.zeros((4, n))
-    kernels.run_plant(
-        _constants(gains, plant.dt), cycle, signals, state, out, float(angle_lead_s)
-    )
+    kernels.run_plant(_constants(gains, plant.dt), cycle, signals, state, out, float(angle_lead_s))
     return LoopResponse(*out)
 
 
@@ -150,14 +141,12 @@ def simulate_polynomial_cascade(
     if a.ndim != 1 or a.size == 0 or a[0] == 0 or not np.isfinite(a).all():
         raise BadInputError('simulate', 'A must be 1-D, finite, with A[0] not 0')
     if not np.isfinite(b).all() or (b.size and b[0] != 0):
-        raise BadInputError(
-            'simulate', 'B must be finite and act after one cycle at least', remedy='use nk >= 1'
-        )
+        raise BadInputError('simulate', 'B must be finite and act after one cycle at least',
+                            remedy='use nk >= 1')
     out = np.zeros((4, array.size))
     signals = np.stack((array, _signal(noise, array.size, 'noise')))
-    kernels.run_polynomial(
-        _constants(gains, dt), signals, a / a[0], b / a[0], out, float(angle_lead_s)
-    )
+    kernels.run_polynomial(_constants(gains, dt), signals, a / a[0], b / a[0], out,
+                           float(angle_lead_s))
     return LoopResponse(*out)
 
 

@@ -42,10 +42,8 @@ class Evidence:
 
 def advice(e: Evidence) -> tuple[str, ...]:
     """One line each, the most important first; empty without doubts."""
-    return (
-        *rivalry(e.model), *_excitation(e), *_delay(e), *_band(e), *_edge(e),
-        *_unstable(e.rows), *_selection(e), *e.refused,
-    )
+    return (*rivalry(e.model), *_excitation(e), *_delay(e), *_band(e), *_edge(e),
+            *_unstable(e.rows), *_selection(e), *e.refused)
 
 
 def rivalry(model: AxisModel | None) -> Iterator[str]:
@@ -53,12 +51,10 @@ def rivalry(model: AxisModel | None) -> Iterator[str]:
     for effect in () if model is None else model.effects:
         name, near = max(effect.rivals, key=lambda pair: pair[1], default=('', 0.0))
         if near > NEAR_RIVAL and model is not None:
-            yield (
-                f'{effect.name} (probability {effect.probability:.2g}) or {name} ({near:.2g}): '
-                'this flight hardly separates them; design one that does: quad-sysid '
-                f'design-excitation --separate {effect.name} {name} --axis {model.axis} '
-                '--model model.json --out schedule.yaml'
-            )
+            yield (f'{effect.name} (probability {effect.probability:.2g}) or {name} ({near:.2g}): '
+                   'this flight hardly separates them; design one that does: quad-sysid '
+                   f'design-excitation --separate {effect.name} {name} --axis {model.axis} '
+                   '--model model.json --out schedule.yaml')
 
 
 def _excitation(e: Evidence) -> Iterator[str]:
@@ -97,25 +93,19 @@ def _delay(e: Evidence) -> Iterator[str]:
               and row.step_a.passed_first_step]
     if broken:
         names = ', '.join(row.step_a.model.name for row in broken)
-        yield (
-            f'with the recorded gains the simulated cascade diverges for {names}, while the '
-            'aircraft flew: gain or delay of the model is not consistent with the cascade'
-        )
+        yield (f'with the recorded gains the simulated cascade diverges for {names}, while the '
+               'aircraft flew: gain or delay of the model is not consistent with the cascade')
 
 
 def _band(e: Evidence) -> Iterator[str]:
     if e.band is None:
-        yield (
-            'at no frequency are command and rate coherent enough to trust a model: '
-            'excite with more amplitude'
-        )
+        yield ('at no frequency are command and rate coherent enough to trust a model: '
+               'excite with more amplitude')
         return
     low, high = e.band
     if PAPERS_BAND[0] < low <= 1.05 * resolution(e.z):
-        yield (
-            f'below {low:.2g} rad/s nothing can be said: the longest unbroken training stretch '
-            'is too short for it'
-        )
+        yield (f'below {low:.2g} rad/s nothing can be said: the longest unbroken training stretch '
+               'is too short for it')
     elif low > 2.0 * PAPERS_BAND[0]:
         why = (
             'there the feedback has removed what was injected, and the direct approach sees noise '

@@ -23,30 +23,22 @@ HALF_POWER = 0.41
 """A gain that is off by this part is off by 3 dB."""
 
 
-def axis_model(
-    findings: Findings, gains: Mapping[str, float], band: tuple[float, float] | None,
-    candidates: Sequence[Effect] = EFFECTS,
-) -> AxisModel:
+def axis_model(findings: Findings, gains: Mapping[str, float], band: tuple[float, float] | None,
+               candidates: Sequence[Effect] = EFFECTS) -> AxisModel:
     """The completed model where the effects were accepted, the base where not."""
     data, verdict, chosen = findings.data, findings.verdict, findings.after.fit
     told = stored.readings(findings.problem, chosen)
-    base = told if not findings.added else stored.readings(
-        findings.problem, findings.before.fit
-    )
+    base = told if not findings.added else stored.readings(findings.problem, findings.before.fit)
     volts = data.battery_v
-    reductions = [
-        100.0 * (1.0 - verdict.after / without) if without > 0.0 else 0.0
-        for without in verdict.without
-    ]
+    reductions = [100.0 * (1.0 - verdict.after / without) if without > 0.0 else 0.0
+                  for without in verdict.without]
     return AxisModel(
         axis=data.axis,
         dt=data.dt,
         gyro_filter_hz=data.gyro_filter_hz,
         base=told.base,
-        effects=stored.effects_of(
-            chosen, told, min(1.0, 1.0 / verdict.e_value), reductions, verdict.probabilities,
-            verdict.rivals,
-        ),
+        effects=stored.effects_of(chosen, told, min(1.0, 1.0 / verdict.e_value), reductions,
+                                  verdict.probabilities, verdict.rivals),
         parameter_names=told.names,
         covariance=told.covariance,
         active_gains=dict(gains),

@@ -67,11 +67,9 @@ def io_data(data: AxisData, spans: tuple[Span, ...], *, external: bool = True) -
         inside = np.concatenate([both[a:b] for a, b in spans])
         moves = any(np.ptp(r[a:b][both[a:b]]) > 0.0 for a, b in spans if both[a:b].any())
         known, r = (both, r) if inside.mean() > 0.9 and moves else (known, None)
-    return IOData(
-        u=data.command - command, y=data.rate - rate, dt=data.dt,
-        r=None if r is None else r - mean(r),
-        segments=tuple(run for span in spans for run in finite_runs(known, span)),
-    )
+    return IOData(u=data.command - command, y=data.rate - rate, dt=data.dt,
+                  r=None if r is None else r - mean(r),
+                  segments=tuple(run for span in spans for run in finite_runs(known, span)))
 
 
 @dataclass(frozen=True)
@@ -95,10 +93,8 @@ def fit_models(z: IOData) -> Fits:
 
     Their plant's order is the one with which BJ has the lowest BIC.
     """
-    searches = [
-        search_arx(z, range(2, 11), range(1, 11), range(1, 9), criterion)
-        for criterion in ('aic', 'bic')
-    ]
+    searches = [search_arx(z, range(2, 11), range(1, 11), range(1, 9), criterion)
+                for criterion in ('aic', 'bic')]
     models = [search.model for search in searches]
     if dict(models[0].orders) == dict(models[1].orders):
         models.pop()
@@ -140,17 +136,14 @@ def _box_jenkins(refused: list[str], z: IOData, nk: int) -> Model | None:
     return best
 
 
-def _bj(
-    z: IOData, order: int, nk: int, start: Model | None = None, *, thorough: bool = True
-) -> Callable[[], Model]:
-    return lambda: bj(
-        z, order, NOISE_ORDER, NOISE_ORDER, order, nk, start=start, thorough=thorough
-    )
+def _bj(z: IOData, order: int, nk: int, start: Model | None = None, *,
+        thorough: bool = True) -> Callable[[], Model]:
+    return lambda: bj(z, order, NOISE_ORDER, NOISE_ORDER, order, nk, start=start,
+                      thorough=thorough)
 
 
-def _highest_stable(
-    refused: list[str], order: int, fit: Callable[[int], Model]
-) -> tuple[Model, ...]:
+def _highest_stable(refused: list[str], order: int,
+                    fit: Callable[[int], Model]) -> tuple[Model, ...]:
     """The instrumental variable fit of the order, or of the next lower one that settles.
 
     More coefficients than the plant has leave these estimators without an answer.

@@ -51,10 +51,8 @@ class Evaluation:
     blackbox_horizons: dict[float, float] = field(default_factory=dict)
 
 
-def evaluate(
-    model: AxisModel, record: Record, spans_s: tuple[tuple[float, float], ...] = (),
-    blackbox: Model | None = None,
-) -> Evaluation:
+def evaluate(model: AxisModel, record: Record, spans_s: tuple[tuple[float, float], ...] = (),
+             blackbox: Model | None = None) -> Evaluation:
     """Errors of the base and of the completed model, all parameters as stored.
 
     spans_s: parts of the record, s; default: all but its idle segments. blackbox: the polynomial
@@ -64,15 +62,12 @@ def evaluate(
     their limits, or the rate does not move.
     """
     if not same_rate(record.dt, model.dt):
-        raise BadInputError(
-            record.source, "sample rate must be the model's",
-            f'{1 / record.dt:.6g} Hz, model {1 / model.dt:.6g} Hz', 'identify at this rate',
-        )
+        raise BadInputError(record.source, "sample rate must be the model's",
+                            f'{1 / record.dt:.6g} Hz, model {1 / model.dt:.6g} Hz',
+                            'identify at this rate')
     data = axis_data([record], model.axis)
-    data = replace(
-        data, gyro_filter_hz=model.gyro_filter_hz,
-        derived_s=None if data.angle is None else data.derived_s,
-    )
+    data = replace(data, gyro_filter_hz=model.gyro_filter_hz,
+                   derived_s=None if data.angle is None else data.derived_s)
     spans = _spans(record, data, spans_s)
     if not data.windows(spans).count:
         raise NotInformativeError(
@@ -108,10 +103,9 @@ def evaluate(
     )
 
 
-def evaluate_or_say(
-    model: AxisModel, record: Record, spans_s: tuple[tuple[float, float], ...] = (),
-    blackbox: Model | None = None,
-) -> Evaluation | str:
+def evaluate_or_say(model: AxisModel, record: Record,
+                    spans_s: tuple[tuple[float, float], ...] = (),
+                    blackbox: Model | None = None) -> Evaluation | str:
     """As `evaluate`, but returns the reason where the flight cannot test the model."""
     try:
         return evaluate(model, record, spans_s, blackbox)
@@ -122,18 +116,15 @@ def evaluate_or_say(
 def _check_signals(record: Record, unseen: Unseen, model: Stored) -> None:
     """Raise BadInputError where an effect needs a signal that the bag lacks."""
     data = unseen.problem.data
-    known = {
-        'angle': data.angle is not None, 'battery': data.battery_v is not None,
-        'other rate': unseen.problem.flight.others is not None,
-    }
+    known = {'angle': data.angle is not None, 'battery': data.battery_v is not None,
+             'other rate': unseen.problem.flight.others is not None}
     for part in model.structure.parts:
         for signal in part.effect.signals:
             need = next((n for n in NEEDS if n in signal), '')
             if need and not known[need]:
-                raise BadInputError(
-                    record.source, f'{part.effect.name} of the model needs {NEEDS[need]}', None,
-                    'evaluate on a bag that holds it',
-                )
+                raise BadInputError(record.source,
+                                    f'{part.effect.name} of the model needs {NEEDS[need]}', None,
+                                    'evaluate on a bag that holds it')
 
 
 def of_this_flight(unseen: Unseen, model: Stored) -> Stored:
@@ -162,15 +153,13 @@ def of_this_flight(unseen: Unseen, model: Stored) -> Stored:
     grid = 2.0 * np.pi * np.arange(PHASES) / PHASES
     best = float(min(grid, key=unlikely))
     step = 2.0 * np.pi / PHASES
-    found = minimize_scalar(
-        unlikely, bounds=(best - step, best + step), method='bounded', options={'xatol': 1e-4}
-    )
+    found = minimize_scalar(unlikely, bounds=(best - step, best + step), method='bounded',
+                            options={'xatol': 1e-4})
     return at(float(found.x))
 
 
-def _spans(
-    record: Record, data: AxisData, spans_s: tuple[tuple[float, float], ...]
-) -> tuple[Span, ...]:
+def _spans(record: Record, data: AxisData,
+           spans_s: tuple[tuple[float, float], ...]) -> tuple[Span, ...]:
     good = np.isfinite(data.rate)
     if spans_s:
         wanted = [(round(a / data.dt), min(data.rate.size, round(min(b, 1e9) / data.dt)))
@@ -181,14 +170,9 @@ def _spans(
     return tuple(run for span in wanted for run in finite_runs(good, span))
 
 
-def simulate(
-    model: AxisModel,
-    u: npt.ArrayLike,
-    x0: tuple[float, float] = (0.0, 0.0),
-    *,
-    throttle: npt.ArrayLike | None = None,
-    battery_v: npt.ArrayLike | None = None,
-) -> FloatArray:
+def simulate(model: AxisModel, u: npt.ArrayLike, x0: tuple[float, float] = (0.0, 0.0), *,
+             throttle: npt.ArrayLike | None = None,
+             battery_v: npt.ArrayLike | None = None) -> FloatArray:
     """(n,) rate as the gyro would measure it, rad/s, for commands `u` (n,), one per cycle.
 
     `x0` is the rate (rad/s) and the angle (rad) at the first command; motors and filter are at
@@ -208,12 +192,11 @@ def simulate(
     control = np.zeros((n, 4))
     control[:, 0] = _like(throttle, n, 'throttle', 0.0)
     control[1:, 1 + AXES.index(model.axis)] = command
-    data = AxisData(
-        axis=model.axis, dt=model.dt, rate=np.zeros(n), angle=np.full(n, angle), control=control,
-        motors=np.zeros((n, 4)), other_rates=np.zeros((n, 2)),
-        battery_v=None if battery_v is None else _like(battery_v, n, 'battery_v'),
-        gyro_filter_hz=model.gyro_filter_hz, stretches=((0, n),), train=((0, n),), validation=(),
-    )
+    data = AxisData(axis=model.axis, dt=model.dt, rate=np.zeros(n), angle=np.full(n, angle),
+                    control=control, motors=np.zeros((n, 4)), other_rates=np.zeros((n, 2)),
+                    battery_v=None if battery_v is None else _like(battery_v, n, 'battery_v'),
+                    gyro_filter_hz=model.gyro_filter_hz, stretches=((0, n),), train=((0, n),),
+                    validation=())
     flight = Flight(data, ((0, n),))
     flight.angle = np.full(n, angle - flight.late * rate)  # the model takes angles for late
     found = flight.filter_of(stored.structure, stored.theta, 0.0)

@@ -40,14 +40,11 @@ def _held_out(unseen: Unseen, fitted: Fit) -> HeldOut:
     for start, stop in unseen.problem.spans:
         inside[start:stop] = True
     with np.errstate(over='ignore', invalid='ignore'):
-        errors = flight.free_run(
-            fitted.structure, fitted.theta, unseen.windows, prediction=predicted
-        )
-        return HeldOut(
-            fitted, errors, interval(errors),
-            np.where(inside, predicted.innovation, np.nan),
-            np.where(inside, predicted.states[:, 1], np.nan),
-        )
+        errors = flight.free_run(fitted.structure, fitted.theta, unseen.windows,
+                                 prediction=predicted)
+        return HeldOut(fitted, errors, interval(errors),
+                       np.where(inside, predicted.innovation, np.nan),
+                       np.where(inside, predicted.states[:, 1], np.nan))
 
 
 def interval(errors: FloatArray) -> tuple[float, float]:
@@ -99,10 +96,8 @@ def _with_spectrum(test: ResidualTest, errors: FloatArray, z: IOData) -> Residua
     found = spectrum(errors, z.dt)
     f, density, _ = (np.zeros(0), np.zeros(0), 0) if found is None else found
     known = errors[np.isfinite(errors)]
-    return Residual(
-        test=test, rms=float(np.sqrt(np.mean(known**2))), frequency_hz=f, density=density,
-        peaks=resonance_peaks(errors, z.dt, LOWEST_PEAK_HZ) or (),
-    )
+    return Residual(test=test, rms=float(np.sqrt(np.mean(known**2))), frequency_hz=f,
+                    density=density, peaks=resonance_peaks(errors, z.dt, LOWEST_PEAK_HZ) or ())
 
 
 def missing_torque(held: HeldOut, dt: float) -> MissingTorque:
@@ -110,7 +105,5 @@ def missing_torque(held: HeldOut, dt: float) -> MissingTorque:
     known = np.flatnonzero(np.isfinite(held.disturbance))
     noise, found = stored.noise_of(held.fit), held.fit.prediction.filter
     seen = max(noise.ratios['disturbance'] ** 2 - float(found.covariance[1, 1]), 0.0)
-    return MissingTorque(
-        known.astype(np.float64) * dt, held.disturbance[known],
-        noise.gyro_rms * float(np.sqrt(seen)),
-    )
+    return MissingTorque(known.astype(np.float64) * dt, held.disturbance[known],
+                         noise.gyro_rms * float(np.sqrt(seen)))

@@ -46,19 +46,16 @@ class Options:
     """Fit the paper's 13 rows as well."""
 
 
-def identify(
-    records: Sequence[Record], options: Options, progress: Progress = lambda _: None
-) -> dict[str, AxisAnswer]:
+def identify(records: Sequence[Record], options: Options,
+             progress: Progress = lambda _: None) -> dict[str, AxisAnswer]:
     """One answer for every axis asked for; records share one aircraft and one sample rate.
 
     Raises BadInputError where the records do not fit together (pipeline.together).
     """
     records = together(records)
     with threadpool_limits(limits=1):  # the matrices are narrow: threads only wait for another
-        return share({
-            axis: identify_axis(records, axis, options, progress)
-            for axis in options.axes or asked_axes(records)
-        })
+        return share({axis: identify_axis(records, axis, options, progress)
+                      for axis in options.axes or asked_axes(records)})
 
 
 def asked_axes(records: Sequence[Record]) -> tuple[str, ...]:
@@ -67,9 +64,8 @@ def asked_axes(records: Sequence[Record]) -> tuple[str, ...]:
     return tuple(axis for axis in AXES if axis in named) or AXES
 
 
-def identify_axis(
-    records: Sequence[Record], axis: str, options: Options, progress: Progress
-) -> AxisAnswer:
+def identify_axis(records: Sequence[Record], axis: str, options: Options,
+                  progress: Progress) -> AxisAnswer:
     """Fit, find what is missing, judge, design: one axis."""
     segments = tuple(
         s for r in records for s in r.segments
@@ -81,10 +77,8 @@ def identify_axis(
         check_usable(data)
         told = found_effects(data, options, progress)
     except NotInformativeError as error:
-        return AxisAnswer(
-            axis, rate, segments, 'cannot_tell', str(error),
-            proposal=GainProposal(None, str(error)),
-        )
+        return AxisAnswer(axis, rate, segments, 'cannot_tell', str(error),
+                          proposal=GainProposal(None, str(error)))
     base = told.before.fit
     data = blackbox_part.about_base(data, base.value('gain'), base.value('bias'))
     verdict, reason = told.verdict.verdict, _reason(told)
@@ -92,9 +86,8 @@ def identify_axis(
     answer = AxisAnswer(
         axis, rate, segments, verdict, reason, findings=told,
         train=blackbox_part.io_data(data, data.train),
-        model=assemble.axis_model(
-            told, _gains_of(records), assemble.band_of(data), options.effects
-        ),
+        model=assemble.axis_model(told, _gains_of(records), assemble.band_of(data),
+                                  options.effects),
         warnings=tuple(w for r in records for w in (*r.warnings, refusal(r)) if w),
         attitude_reference=_joined([r.attitude_setpoint for r in records], data.index),
         rate_reference=_joined([r.rate_setpoint for r in records], data.index),
@@ -107,9 +100,8 @@ def identify_axis(
     return replace(answer, proposal=_proposal(answer, options, swapped))
 
 
-def found_effects(
-    data: AxisData, options: Options, progress: Progress = lambda _: None
-) -> Findings:
+def found_effects(data: AxisData, options: Options,
+                  progress: Progress = lambda _: None) -> Findings:
     """Search on the training segments, then the held-out ones. Raises NotInformativeError."""
     progress(f'{data.axis}: what is missing')
     try:
@@ -129,10 +121,8 @@ def _reason(told: Findings) -> str:
     verdict, best = told.verdict, told.found.best
     reason = verdict.reason
     if verdict.verdict == 'cannot_tell':
-        reason += (
-            f'; fly a PRBS on {told.data.axis} (quad-sysid design-excitation), with more '
-            'amplitude where one was flown'
-        )
+        reason += (f'; fly a PRBS on {told.data.axis} (quad-sysid design-excitation), with more '
+                   'amplitude where one was flown')
     elif verdict.verdict == 'effects_added':
         names = ' and '.join(part.effect.name for part in verdict.chosen.structure.parts)
         reason = (

@@ -105,10 +105,8 @@ def _resonances(record: Record, axis: str) -> tuple[Check, ...]:
         mute[a:b] = True  # its lines would look like resonances
     sensors = [(f'gyro {axis} spectrum', record.rates[:, index])]
     if record.acceleration is not None:
-        sensors += [
-            (f'accelerometer {name} spectrum', record.acceleration[:, column])
-            for column, name in enumerate('xyz')
-        ]
+        sensors += [(f'accelerometer {name} spectrum', record.acceleration[:, column])
+                    for column, name in enumerate('xyz')]
     found = []
     for name, values in sensors:
         peaks = resonance_peaks(np.where(mute, np.nan, values), record.dt)
@@ -123,9 +121,8 @@ def _resonances(record: Record, axis: str) -> tuple[Check, ...]:
     return tuple(found)
 
 
-def resonance_peaks(
-    values: FloatArray, dt: float, lowest_hz: float = LOWEST_PEAK_HZ
-) -> tuple[tuple[float, float], ...] | None:
+def resonance_peaks(values: FloatArray, dt: float,
+                    lowest_hz: float = LOWEST_PEAK_HZ) -> tuple[tuple[float, float], ...] | None:
     """Frequency (Hz) and power over the surroundings of each narrow peak, strongest first.
 
     Welch's spectrum over the unbroken stretches against its own running median; a peak must
@@ -152,9 +149,8 @@ def resonance_peaks(
     return tuple(sorted(peaks, key=lambda item: -item[1]))
 
 
-def spectrum(
-    values: FloatArray, dt: float, window_s: float = WINDOW_S
-) -> tuple[FloatArray, FloatArray, int] | None:
+def spectrum(values: FloatArray, dt: float,
+             window_s: float = WINDOW_S) -> tuple[FloatArray, FloatArray, int] | None:
     """Frequencies (m,) Hz, Welch's density (m,) per Hz over the unbroken stretches, its windows.
 
     None where there is too little for a spectrum.

@@ -43,10 +43,8 @@ KNOWN_CONTROLLER_PCT = 70.0
 """Least fit of the controller's computed command to the recorded one, %."""
 
 
-def approaches(
-    z: IOData, gains: CascadeGains | None, *, behind_attitude: bool, one_loop: bool,
-    closed: bool | None,
-) -> tuple[tuple[Approach, ...], LinearController | None]:
+def approaches(z: IOData, gains: CascadeGains | None, *, behind_attitude: bool, one_loop: bool,
+               closed: bool | None) -> tuple[tuple[Approach, ...], LinearController | None]:
     """Judge each approach by the signals it needs; the controller where `indirect` is possible.
 
     `behind_attitude`: the external reference is the attitude set-point and not an excitation
@@ -89,11 +87,10 @@ def _known(z: IOData, gains: CascadeGains) -> tuple[LinearController | None, str
 
 def controller(gains: CascadeGains, dt: float, *, trapezoid: bool = True) -> LinearController:
     """C1 and C2 without limits; the firmware's angle by trapezoids or by rectangles."""
-    return cascade_controller(
-        angle_kp=gains.angle_kp, rate_kp=gains.rate_kp, rate_ki=gains.rate_ki,
-        rate_kd=gains.rate_kd, d_weight=derivative_weight(gains.d_filter_hz, dt), dt=dt,
-        trapezoid=trapezoid,
-    )
+    return cascade_controller(angle_kp=gains.angle_kp, rate_kp=gains.rate_kp,
+                              rate_ki=gains.rate_ki, rate_kd=gains.rate_kd,
+                              d_weight=derivative_weight(gains.d_filter_hz, dt), dt=dt,
+                              trapezoid=trapezoid)
 
 
 def reproduced(z: IOData, known: LinearController) -> float:
@@ -117,9 +114,8 @@ def reproduced(z: IOData, known: LinearController) -> float:
     return fit_percent(np.concatenate(recorded), np.concatenate(computed))
 
 
-def fit_others(
-    z: IOData, fits: Fits, possible: tuple[Approach, ...], known: LinearController | None
-) -> tuple[tuple[Model, ...], tuple[str, ...]]:
+def fit_others(z: IOData, fits: Fits, possible: tuple[Approach, ...],
+               known: LinearController | None) -> tuple[tuple[Model, ...], tuple[str, ...]]:
     """Fit the plant by every approach but the direct one that is possible; models and refusals."""
     refused: list[str] = []
     nk, n = fits.nk, fits.order
@@ -153,9 +149,8 @@ SURE = 3.0
 """Standard errors added to the estimated feedback gain for its upper bound."""
 
 
-def feedback(
-    z: IOData, model: Model, gains: CascadeGains | None, *, behind_attitude: bool, through: bool
-) -> bool | None:
+def feedback(z: IOData, model: Model, gains: CascadeGains | None, *, behind_attitude: bool,
+             through: bool) -> bool | None:
     """Whether the command depends on the rate; None where neither can be shown.
 
     True where the residual of `model` predicts the command, with nothing but the past of the
@@ -181,10 +176,8 @@ def feedback(
 
 def through_controller(records: Sequence[Record], axis: str) -> bool:
     """Whether training was excited in front of C1 or C2, so that a controller passed it on."""
-    return any(
-        s.injection in ('attitude', 'rate') and s.signal not in ('none', 'unknown')
-        for r in records for s in r.segments if s.role == 'train' and s.axis == axis
-    )
+    return any(s.injection in ('attitude', 'rate') and s.signal not in ('none', 'unknown')
+               for r in records for s in r.segments if s.role == 'train' and s.axis == axis)
 
 
 def _few_levels(z: IOData) -> bool:
@@ -205,11 +198,9 @@ def largest_loop_gain(z: IOData, model: Model) -> float:
         e[part.start : part.start + part.errors.size] = part.errors
         start, stop = part.start + max(PAST, CYCLES), part.start + part.errors.size
         if start < stop:
-            blocks.append(np.column_stack((
-                lagged(e, range(CYCLES), start, stop),
-                lagged(z.u, range(1, PAST + 1), start, stop),
-                np.ones(stop - start), z.u[start:stop],
-            )))
+            blocks.append(np.column_stack((lagged(e, range(CYCLES), start, stop),
+                                           lagged(z.u, range(1, PAST + 1), start, stop),
+                                           np.ones(stop - start), z.u[start:stop])))
     rows = np.vstack(blocks) if blocks else np.zeros((0, CYCLES + PAST + 2))
     if rows.shape[0] <= 2 * rows.shape[1]:
         return float('inf')
@@ -228,9 +219,8 @@ def largest_loop_gain(z: IOData, model: Model) -> float:
     return gain * float(y.std() / u.std()) if u.std() > 0.0 else float('inf')
 
 
-def with_blackbox(
-    answer: AxisAnswer, data: AxisData, records: Sequence[Record], *, table2: bool = False
-) -> AxisAnswer:
+def with_blackbox(answer: AxisAnswer, data: AxisData, records: Sequence[Record], *,
+                  table2: bool = False) -> AxisAnswer:
     """Add the table of models, the selected one, its error in the metric, and what to know."""
     gains = {} if answer.model is None else answer.model.active_gains
     checks = preparation.checks(records[0], data.axis, gains)
@@ -243,54 +233,42 @@ def with_blackbox(
             s.injection in ('rate', 'control') for r in records for s in r.segments
             if s.axis == data.axis
         )
-        closed = feedback(
-            z, fits.search.model, cascade, behind_attitude=behind,
-            through=through_controller(records, data.axis),
-        )
-        possible, controlled_by = approaches(
-            z, cascade, behind_attitude=behind, one_loop=_one_loop(records, data.axis),
-            closed=closed,
-        )
+        closed = feedback(z, fits.search.model, cascade, behind_attitude=behind,
+                          through=through_controller(records, data.axis))
+        possible, controlled_by = approaches(z, cascade, behind_attitude=behind,
+                                             one_loop=_one_loop(records, data.axis), closed=closed)
         others, refused = fit_others(z, fits, possible, controlled_by)
         rows = blackbox_part.rows_of(data, fits.models + others)
     except QuadSysidError as error:
-        return replace(
-            answer, warnings=(*answer.warnings, f'no black-box model: {error}'),
-            selection=Selection(checks=checks, advice=tuple(rivalry(answer.model))),
-        )
+        return replace(answer, warnings=(*answer.warnings, f'no black-box model: {error}'),
+                       selection=Selection(checks=checks, advice=tuple(rivalry(answer.model))))
     rows, why_not = _second_steps(rows, records, data.axis, closed=closed)
     selected = blackbox_part.select(rows, data)
     model = None if selected is None else rows[selected].step_a.model
     band = band_of(data, box_jenkins(rows) or model)
     axis_model = answer.model and replace(answer.model, trusted_band_rad_s=band)
-    evidence = Evidence(
-        z, fits, rows, selected, band, closed, axis_model, fits.refused + refused, why_not
-    )
+    evidence = Evidence(z, fits, rows, selected, band, closed, axis_model, fits.refused + refused,
+                        why_not)
     held_out = data.validation
     return replace(
         answer, model=axis_model, rows=rows, selected=selected, train=z,
         blackbox_error=blackbox_part.window_error(data, model, held_out) if model else None,
         blackbox_horizons=blackbox_part.horizons(data, model, held_out) if model else {},
         validation=blackbox_part.io_data(data, held_out, external=False) if held_out else None,
-        selection=Selection(
-            approaches=possible, feedback=closed, checks=checks, advice=advice(evidence),
-            table2=_table2(z, data) if table2 else (),
-        ),
+        selection=Selection(approaches=possible, feedback=closed, checks=checks,
+                            advice=advice(evidence), table2=_table2(z, data) if table2 else ()),
     )
 
 
 def _one_loop(records: Sequence[Record], axis: str) -> bool:
     """Whether all training segments were flown with one set of gains, as far as is known."""
-    flown = {
-        tuple(sorted(step_b.gains_of_axis(r, axis, s.start_s).items()))
-        for r in records for s in r.segments if s.role == 'train' and s.axis == axis
-    }
+    flown = {tuple(sorted(step_b.gains_of_axis(r, axis, s.start_s).items()))
+             for r in records for s in r.segments if s.role == 'train' and s.axis == axis}
     return len(flown) <= 1
 
 
-def _second_steps(
-    rows: tuple[ModelRow, ...], records: Sequence[Record], axis: str, *, closed: bool | None
-) -> tuple[tuple[ModelRow, ...], str]:
+def _second_steps(rows: tuple[ModelRow, ...], records: Sequence[Record], axis: str, *,
+                  closed: bool | None) -> tuple[tuple[ModelRow, ...], str]:
     """Step B of every row, or why there is none; an axis in open loop stands by step A."""
     if closed is False:
         return (

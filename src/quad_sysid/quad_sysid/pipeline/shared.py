@@ -56,16 +56,13 @@ def compare_axes(roll: AxisAnswer, pitch: AxisAnswer) -> SharedModel | None:
         model = _fit(joined, orders)
     except QuadSysidError as error:
         return SharedModel(agree=False, because=str(error))
-    fits = {
-        a.axis: compare(z, model)[0]
-        for a, z in ((roll, roll.validation), (pitch, pitch.validation)) if z is not None
-    }
+    fits = {a.axis: compare(z, model)[0]
+            for a, z in ((roll, roll.validation), (pitch, pitch.validation)) if z is not None}
     return SharedModel(agree=True, because=words, model=model, fit_validation_pct=fits)
 
 
-def largest_gap(
-    one: Model, other: Model, band: tuple[float, float]
-) -> tuple[str, float, float, float] | None:
+def largest_gap(one: Model, other: Model,
+                band: tuple[float, float]) -> tuple[str, float, float, float] | None:
     """Return where two responses lie furthest apart: what, rad/s, gap over bands, gap in %.
 
     The gap in magnitude or phase is measured in the sum of both 99 % half-widths, so that bands
@@ -117,7 +114,5 @@ def _joined(data: list[IOData]) -> IOData:
     for z in data:
         segments += [(a + shift, b + shift) for a, b in z.segments]
         shift += z.y.size
-    return IOData(
-        u=np.concatenate([z.u for z in data]), y=np.concatenate([z.y for z in data]),
-        dt=data[0].dt, segments=segments,
-    )
+    return IOData(u=np.concatenate([z.u for z in data]), y=np.concatenate([z.y for z in data]),
+                  dt=data[0].dt, segments=segments)

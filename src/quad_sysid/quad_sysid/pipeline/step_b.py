@@ -90,10 +90,8 @@ def gains_of_axis(record: Record, axis: str, time_s: float) -> dict[str, float]:
     return {name: value for name, value in known.items() if name.startswith(f'{axis}.')}
 
 
-def _flown(
-    record: Record, axis: str, values: Mapping[str, float], segments: Sequence[Segment],
-    changed: bool, offset: int,
-) -> Flown | str:
+def _flown(record: Record, axis: str, values: Mapping[str, float], segments: Sequence[Segment],
+           changed: bool, offset: int) -> Flown | str:
     """One run, or why it cannot be simulated."""
     index = AXES.index(axis)
     if record.attitude_setpoint is None:
@@ -108,20 +106,14 @@ def _flown(
     runs = [run for s in segments for run in finite_runs(good, record.span(s))]
     if not runs:
         return f'{record.source}: no rate in the segments to compare'
-    return Flown(
-        bag=record.source,
-        gains=CascadeGains.from_mapping(values, axis),
-        gains_changed=changed,
-        signals=tuple(dict.fromkeys(s.signal for s in segments)),
-        reference=reference,
-        rate=record.rates[:, index],
-        rows=np.concatenate([np.arange(a, b) for a, b in runs]),
-        injected=any(s.injection in ('rate', 'control') for s in segments),
-        added=excitations(record, axis),
-        held_out=all(s.role == 'validation' for s in segments),
-        offset=offset,
-        angle_lead_s=angle_lead_s(angle, record.rates[:, index], record.dt),
-    )
+    return Flown(bag=record.source, gains=CascadeGains.from_mapping(values, axis),
+                 gains_changed=changed, signals=tuple(dict.fromkeys(s.signal for s in segments)),
+                 reference=reference, rate=record.rates[:, index],
+                 rows=np.concatenate([np.arange(a, b) for a, b in runs]),
+                 injected=any(s.injection in ('rate', 'control') for s in segments),
+                 added=excitations(record, axis),
+                 held_out=all(s.role == 'validation' for s in segments), offset=offset,
+                 angle_lead_s=angle_lead_s(angle, record.rates[:, index], record.dt))
 
 
 def _held(reference: FloatArray) -> FloatArray | None:
@@ -142,20 +134,18 @@ def run(model: Model, flight: Flown) -> LoopRun:
     if model.B[0] != 0.0:
         return replace(failed, because='nk = 0: the command would act before it is known')
     try:
-        rate = simulate_polynomial_cascade(
-            model.denominator, model.B, flight.gains, flight.reference, model.dt,
-            angle_lead_s=flight.angle_lead_s,
-        ).rate[flight.rows]
+        rate = simulate_polynomial_cascade(model.denominator, model.B, flight.gains,
+                                           flight.reference, model.dt,
+                                           angle_lead_s=flight.angle_lead_s).rate[flight.rows]
     except QuadSysidError as refusal:
         return replace(failed, because=str(refusal))
     if not np.isfinite(rate).all():
         return replace(failed, diverged=True, because='the simulated loop diverges')
     measured = flight.rate[flight.rows] - np.mean(flight.rate[flight.rows])
     error = measured - (rate - rate.mean())
-    return replace(
-        failed, fit_pct=fit_percent(measured, measured - error) if measured.any() else None,
-        rmse=rms(error), mae=float(np.mean(np.abs(error))),
-    )
+    return replace(failed,
+                   fit_pct=fit_percent(measured, measured - error) if measured.any() else None,
+                   rmse=rms(error), mae=float(np.mean(np.abs(error))))
 
 
 def second_step(row: ModelRow, flights: Sequence[Flown]) -> ModelRow:
@@ -175,9 +165,8 @@ def second_step(row: ModelRow, flights: Sequence[Flown]) -> ModelRow:
     )
 
 
-def closed_loop(
-    answer: AxisAnswer, records: Sequence[Record], data: AxisData
-) -> ClosedLoop | None:
+def closed_loop(answer: AxisAnswer, records: Sequence[Record],
+                data: AxisData) -> ClosedLoop | None:
     """Simulated against measured rate on the validation segments of every flight; else None.
 
     The simulation runs on the recorded attitude reference and on the excitation that was applied
@@ -195,10 +184,8 @@ def closed_loop(
         return None
     plain = replace(model, base=model.plain or model.base, effects=(), noise=model.plain_noise)
     try:
-        before, after = (
-            np.concatenate([_simulated(one, run, data.dt) for run in runs])
-            for one in (plain, model)
-        )
+        before, after = (np.concatenate([_simulated(one, run, data.dt) for run in runs])
+                         for one in (plain, model))
     except QuadSysidError:
         return None
     if not (np.isfinite(before).all() and np.isfinite(after).all()):
@@ -206,14 +193,9 @@ def closed_loop(
     measured = np.concatenate([run.rate[run.rows] for run in runs])
     rows = np.concatenate([run.rows + run.offset for run in runs])
     order = np.argsort(rows, kind='stable')
-    return ClosedLoop(
-        time_s=rows[order] * data.dt,
-        measured=measured[order],
-        before=before[order],
-        after=after[order],
-        rms_before=rms(before - measured),
-        rms_after=rms(after - measured),
-    )
+    return ClosedLoop(time_s=rows[order] * data.dt, measured=measured[order], before=before[order],
+                      after=after[order], rms_before=rms(before - measured),
+                      rms_after=rms(after - measured))
 
 
 def excitations(record: Record, axis: str) -> tuple[FloatArray, FloatArray] | None:
@@ -236,7 +218,6 @@ def excitations(record: Record, axis: str) -> tuple[FloatArray, FloatArray] | No
 def _simulated(model: AxisModel, flight: Flown, dt: float) -> FloatArray:
     """(m,) the rate on the compared rows, rad/s."""
     at_rate, at_control = flight.added or (None, None)
-    return np.asarray(simulate_cascade(
-        loop_plant(model), flight.gains, flight.reference, dt, rate_excitation=at_rate,
-        control_excitation=at_control, angle_lead_s=flight.angle_lead_s,
-    ).rate[flight.rows])
+    return np.asarray(simulate_cascade(loop_plant(model), flight.gains, flight.reference, dt,
+                                       rate_excitation=at_rate, control_excitation=at_control,
+                                       angle_lead_s=flight.angle_lead_s).rate[flight.rows])

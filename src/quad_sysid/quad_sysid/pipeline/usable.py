@@ -34,11 +34,9 @@ def together(records: Sequence[Record]) -> tuple[Record, ...]:
     first = records[0]
     for record in records[1:]:
         if not same_rate(record.dt, first.dt):
-            raise BadInputError(
-                record.source, 'all bags must have one sample rate',
-                f'{1.0 / record.dt:.6g} Hz, the first {1.0 / first.dt:.6g} Hz',
-                'identify them one by one',
-            )
+            raise BadInputError(record.source, 'all bags must have one sample rate',
+                                f'{1.0 / record.dt:.6g} Hz, the first {1.0 / first.dt:.6g} Hz',
+                                'identify them one by one')
     for one, other in combinations(records, 2):
         _check_apart(one, other)
     taken = []
@@ -68,10 +66,8 @@ def _check_apart(one: Record, other: Record) -> None:
             continue
         same = (a == b).all(axis=1)
         if same.mean() > 0.5:
-            raise BadInputError(
-                other.source, f'holds the same measurement as {one.source}',
-                f'{np.count_nonzero(same)} samples', 'give each flight once',
-            )
+            raise BadInputError(other.source, f'holds the same measurement as {one.source}',
+                                f'{np.count_nonzero(same)} samples', 'give each flight once')
 
 
 ROWS = 20_000
@@ -97,10 +93,8 @@ def swapped_motors(record: Record) -> tuple[int, ...] | None:
     if rows.size == 0:
         return None
     motors, expected = record.motors[rows], expected[rows]
-    left = {
-        order: float(np.sqrt(np.mean((motors - expected[:, order]) ** 2)))
-        for order in permutations(range(4))
-    }
+    left = {order: float(np.sqrt(np.mean((motors - expected[:, order]) ** 2)))
+            for order in permutations(range(4))}
     best = min(left, key=left.__getitem__)
     plain = left[0, 1, 2, 3]
     if plain <= FLOOR or left[best] >= BETTER * plain:
@@ -113,11 +107,9 @@ def refusal(record: Record) -> str:
     order = swapped_motors(record)
     if order is None:
         return ''
-    return (
-        f'{record.source}: /motors/command holds the motors in the order '
-        f'{", ".join(map(str, order))} (by /control/wrench and the mixer), not 1, 2, 3, 4; '
-        'put them in order and fly again'
-    )
+    return (f'{record.source}: /motors/command holds the motors in the order '
+            f'{", ".join(map(str, order))} (by /control/wrench and the mixer), not 1, 2, 3, 4; '
+            'put them in order and fly again')
 
 
 LEAST_WINDOWS = 8
@@ -176,10 +168,8 @@ def check_moving(data: AxisData) -> None:
             f'{data.axis}: the command never moves during training; excite this axis'
         )
     if np.ptp(_inside(data.rate, data.train)) < 1e-9:
-        raise NotInformativeError(
-            f'{data.axis}: the measured rate is constant during training; '
-            'check the gyro and that the axis is free to turn'
-        )
+        raise NotInformativeError(f'{data.axis}: the measured rate is constant during training; '
+                                  'check the gyro and that the axis is free to turn')
 
 
 def _inside(signal: FloatArray, spans: Sequence[Span]) -> FloatArray:

@@ -26,10 +26,8 @@ INK, MUTED, GRID = '#1b1f24', '#5f6b78', '#d5dae0'
 BLUE, ORANGE, GREEN, SKY, PINK = '#0072b2', '#d55e00', '#009e73', '#56b4e9', '#cc79a7'
 """Okabe and Ito (2008): distinct for colour-blind readers."""
 
-THEMED = {
-    INK: 'ink', MUTED: 'muted', GRID: 'grid',
-    BLUE: 'blue', ORANGE: 'orange', GREEN: 'green', SKY: 'sky', PINK: 'pink',
-}
+THEMED = {INK: 'ink', MUTED: 'muted', GRID: 'grid', BLUE: 'blue', ORANGE: 'orange', GREEN: 'green',
+          SKY: 'sky', PINK: 'pink'}
 """Colour → the page's CSS variable, which differs between light and dark."""
 
 MEASURED, BEFORE, AFTER, OTHER = INK, ORANGE, BLUE, GREEN
@@ -38,16 +36,15 @@ WIDTH_IN = 4.4
 MOST_POINTS = 900
 """Most points of a line; more cannot be seen at this width."""
 PNG_DPI = 150
-_RC: Any = {
-    'svg.fonttype': 'none', 'font.family': 'sans-serif', 'font.size': 8.5,
-    'axes.edgecolor': MUTED, 'axes.labelcolor': INK, 'text.color': INK, 'xtick.color': MUTED,
-    'ytick.color': MUTED, 'xtick.labelcolor': INK, 'ytick.labelcolor': INK,
-    'axes.spines.top': False, 'axes.spines.right': False, 'axes.grid': True,
-    'grid.color': GRID, 'grid.linewidth': 0.6, 'axes.axisbelow': True, 'lines.linewidth': 1.1,
-    'axes.titlesize': 8.5, 'axes.titlelocation': 'left', 'legend.fontsize': 8.0,
-    'legend.frameon': False, 'xtick.labelsize': 8.0, 'ytick.labelsize': 8.0,
-    'axes.formatter.useoffset': False, 'axes.unicode_minus': False, 'path.simplify': True,
-}
+_RC: Any = {'svg.fonttype': 'none', 'font.family': 'sans-serif', 'font.size': 8.5,
+            'axes.edgecolor': MUTED, 'axes.labelcolor': INK, 'text.color': INK,
+            'xtick.color': MUTED, 'ytick.color': MUTED, 'xtick.labelcolor': INK,
+            'ytick.labelcolor': INK, 'axes.spines.top': False, 'axes.spines.right': False,
+            'axes.grid': True, 'grid.color': GRID, 'grid.linewidth': 0.6, 'axes.axisbelow': True,
+            'lines.linewidth': 1.1, 'axes.titlesize': 8.5, 'axes.titlelocation': 'left',
+            'legend.fontsize': 8.0, 'legend.frameon': False, 'xtick.labelsize': 8.0,
+            'ytick.labelsize': 8.0, 'axes.formatter.useoffset': False, 'axes.unicode_minus': False,
+            'path.simplify': True}
 
 
 @dataclass(frozen=True)
@@ -67,10 +64,9 @@ class Picture:
         return tuple((a.get_xlabel() or shared, a.get_ylabel()) for a in self.figure.axes)
 
 
-def panels(
-    rows: int = 1, columns: int = 1, height_in: float = 3.0, *, share_x: bool = True,
-    ratios: Sequence[float] | None = None, left_in: float = 0.7,
-) -> tuple[Figure, list[Axes]]:
+def panels(rows: int = 1, columns: int = 1, height_in: float = 3.0, *, share_x: bool = True,
+           ratios: Sequence[float] | None = None,
+           left_in: float = 0.7) -> tuple[Figure, list[Axes]]:
     """A figure with `rows` x `columns` panels, margins in inches, panels row by row."""
     import matplotlib as mpl
     from matplotlib.figure import Figure
@@ -80,12 +76,9 @@ def panels(
         figure.patch.set_alpha(0.0)
         grid = figure.subplots(
             rows, columns, squeeze=False, sharex=share_x and columns == 1,
-            gridspec_kw={
-                'left': left_in / WIDTH_IN, 'right': 1.0 - 0.12 / WIDTH_IN,
-                'bottom': 0.46 / height_in, 'top': 1.0 - 0.3 / height_in,
-                'hspace': 0.28, 'wspace': 0.42,
-                **({'height_ratios': list(ratios)} if ratios else {}),
-            },
+            gridspec_kw={'left': left_in / WIDTH_IN, 'right': 1.0 - 0.12 / WIDTH_IN,
+                         'bottom': 0.46 / height_in, 'top': 1.0 - 0.3 / height_in, 'hspace': 0.28,
+                         'wspace': 0.42, **({'height_ratios': list(ratios)} if ratios else {})},
         )
         axes = [one for row in grid for one in row]
         for one in axes:
@@ -99,11 +92,9 @@ def legend(axes: Axes, columns: int = 4) -> None:
     """A legend in one line above the panel, outside the data."""
     handles, labels = axes.get_legend_handles_labels()
     if handles:
-        axes.legend(
-            handles, labels, loc='lower left', bbox_to_anchor=(-0.01, 0.985), ncols=columns,
-            borderaxespad=0.1, handlelength=1.3, columnspacing=1.0, handletextpad=0.4,
-            frameon=False, fontsize=8.0,
-        )
+        axes.legend(handles, labels, loc='lower left', bbox_to_anchor=(-0.01, 0.985),
+                    ncols=columns, borderaxespad=0.1, handlelength=1.3, columnspacing=1.0,
+                    handletextpad=0.4, frameon=False, fontsize=8.0)
 
 
 def finish(axes: Sequence[Axes], x: str, *ys: str) -> None:
@@ -150,9 +141,8 @@ def svg(picture: Picture, prefix: str) -> str:
     text = re.sub(r'\s(?:xmlns(?::xlink)?|version|width|height)="[^"]*"', '', text, count=5)
     text = re.sub(r'<g id="[^"]*"', '<g', text).replace('xlink:href', 'href')
     text = re.sub(r'font: ([\d.]+px) [^;"]*', r'font: \1 var(--font)', text)
-    text = re.sub(r'<[^>]+>', lambda tag: _LONG.sub(
-        lambda digits: f'{float(digits.group()):.2f}', tag.group()
-    ), text)
+    text = re.sub(r'<[^>]+>', lambda tag: _LONG.sub(lambda digits: f'{float(digits.group()):.2f}',
+                                                    tag.group()), text)
     for colour, name in THEMED.items():
         text = text.replace(colour, f'var(--{name})')
     text = text.replace('#000000', 'var(--ink)')

@@ -31,11 +31,8 @@ ERRORS = ('before', 'after', 'blackbox', 'noise_floor', 'one_step_before', 'one_
           'closed_loop_before', 'closed_loop_after')
 
 
-def document(
-    answers: Mapping[str, AxisAnswer],
-    bags: Sequence[str],
-    inertia: Mapping[str, float] | None = None,
-) -> dict[str, Any]:
+def document(answers: Mapping[str, AxisAnswer], bags: Sequence[str],
+             inertia: Mapping[str, float] | None = None) -> dict[str, Any]:
     """The tree of report.json; `inertia` in kg m² by axis adds torques in N m."""
     axes = {axis: _axis(answer, (inertia or {}).get(axis)) for axis, answer in answers.items()}
     tree: dict[str, Any] = plain({'schema': SCHEMA, 'bags': bags, 'axes': axes})
@@ -71,25 +68,17 @@ def _axis(answer: AxisAnswer, inertia: float | None) -> dict[str, Any]:
         'verdict': answer.verdict,
         'reason': answer.reason,
         'effects': [_effect(e, inertia) for e in model.effects] if model else [],
-        'not_tested': [
-            {'name': name, 'because': because}
-            for name, because in (findings.found.reasons.items() if findings else ())
-        ],
+        'not_tested': [{'name': name, 'because': because}
+                       for name, because in (findings.found.reasons.items() if findings else ())],
         'tried': _tried(findings) if findings else [],
-        'base': {
-            'parameters': parameters(model.plain if model else ()),
-            'noise': _noise(model.plain_noise if model else None),
-        },
-        'completed': {
-            'parameters': parameters(model.base if model else ()),
-            'noise': _noise(model.noise if model else None),
-        },
+        'base': {'parameters': parameters(model.plain if model else ()),
+                 'noise': _noise(model.plain_noise if model else None)},
+        'completed': {'parameters': parameters(model.base if model else ()),
+                      'noise': _noise(model.noise if model else None)},
         'error': _error(answer),
         'trusted_band_rad_s': (model and model.trusted_band_rad_s) or None,
-        'residual': {
-            name: _residual(answer.residuals[name]) if name in answer.residuals else None
-            for name in RESIDUALS
-        },
+        'residual': {name: _residual(answer.residuals[name]) if name in answer.residuals else None
+                     for name in RESIDUALS},
         'warnings': answer.warnings,
         **_selection(answer.selection),
         **_gains(answer.proposal),
@@ -149,44 +138,32 @@ def _parameter(parameter: Parameter, inertia: float | None) -> dict[str, Any]:
     elif parameter.interval is not None:
         tree['interval_95'] = parameter.interval
     if inertia is not None and parameter.unit.startswith('rad/s²'):
-        tree['torque'] = {
-            'value': parameter.value * inertia,
-            'unit': parameter.unit.replace('rad/s²', 'N m', 1),
-        }
+        tree['torque'] = {'value': parameter.value * inertia,
+                          'unit': parameter.unit.replace('rad/s²', 'N m', 1)}
     return tree
 
 
 def _error(answer: AxisAnswer) -> dict[str, Any]:
     findings, loop = answer.findings, answer.closed_loop
-    tree: dict[str, Any] = {
-        'metric': METRIC, 'unit': 'rad/s', 'data': 'held-out', **dict.fromkeys(ERRORS),
-    }
+    tree: dict[str, Any] = {'metric': METRIC, 'unit': 'rad/s', 'data': 'held-out',
+                            **dict.fromkeys(ERRORS)}
     if findings is None:
         return {**tree, 'horizons': []}
     verdict = findings.verdict
-    return {
-        **tree,
-        'before': verdict.before,
-        'after': verdict.after,
-        'blackbox': answer.blackbox_error,
-        'noise_floor': verdict.noise_floor,
-        'one_step_before': verdict.one_step_before,
-        'one_step_after': verdict.one_step_after,
-        'closed_loop_before': loop and loop.rms_before,
-        'closed_loop_after': loop and loop.rms_after,
-        'before_interval_95': findings.before.interval,
-        'after_interval_95': findings.after.interval,
-        'hold_last_value': verdict.hold,
-        'predicted_by_noise': verdict.predicted,
-        'windows': int(findings.before.errors.shape[0]),
-        'e_value': verdict.e_value,
-        'horizons': horizons_tree(verdict.horizons, answer.blackbox_horizons),
-    }
+    return {**tree, 'before': verdict.before, 'after': verdict.after,
+            'blackbox': answer.blackbox_error, 'noise_floor': verdict.noise_floor,
+            'one_step_before': verdict.one_step_before, 'one_step_after': verdict.one_step_after,
+            'closed_loop_before': loop and loop.rms_before,
+            'closed_loop_after': loop and loop.rms_after,
+            'before_interval_95': findings.before.interval,
+            'after_interval_95': findings.after.interval, 'hold_last_value': verdict.hold,
+            'predicted_by_noise': verdict.predicted,
+            'windows': int(findings.before.errors.shape[0]), 'e_value': verdict.e_value,
+            'horizons': horizons_tree(verdict.horizons, answer.blackbox_horizons)}
 
 
-def horizons_tree(
-    found: Sequence[Horizon], blackbox: Mapping[float, float]
-) -> list[dict[str, Any]]:
+def horizons_tree(found: Sequence[Horizon],
+                  blackbox: Mapping[float, float]) -> list[dict[str, Any]]:
     """How the error grows, as the contract's `error.horizons`."""
     tree: list[dict[str, Any]] = plain([
         {'horizon_s': one.horizon_s, 'hold': one.hold, 'before': one.before, 'after': one.after,
@@ -204,9 +181,8 @@ def _gains(proposal: GainProposal | None) -> dict[str, Any]:
         'gains': proposal.gains,
         'gain_figures': proposal.figures,
         'gain_steps': proposal.steps,
-        'gain_schedule': [
-            {'battery_v': volts, 'gains': gains} for volts, gains in proposal.schedule
-        ],
+        'gain_schedule': [{'battery_v': volts, 'gains': gains} for volts,
+                          gains in proposal.schedule],
         'effects_used': [{'name': name, 'use': use} for name, use in proposal.used],
     }
 
@@ -229,12 +205,10 @@ def _model(row: ModelRow) -> dict[str, Any]:
 
 def _selection(selection: Selection) -> dict[str, Any]:
     """How an axis' black-box models were found and selected."""
-    tree: dict[str, Any] = {
-        'approaches': [asdict(approach) for approach in selection.approaches],
-        'feedback': selection.feedback,
-        'preparation': [asdict(check) for check in selection.checks],
-        'advice': selection.advice,
-    }
+    tree: dict[str, Any] = {'approaches': [asdict(approach) for approach in selection.approaches],
+                            'feedback': selection.feedback,
+                            'preparation': [asdict(check) for check in selection.checks],
+                            'advice': selection.advice}
     if selection.table2:
         tree['table2'] = [_table2(entry) for entry in selection.table2]
     if selection.shared is not None:
@@ -279,17 +253,14 @@ def _residual(residual: Residual) -> dict[str, Any]:
         'p_input': test.p_input,
         'cross_bound': test.cross_bound,
         'largest_cross_correlation': _largest(test.cross_lags, test.cross_correlation),
-        'peaks': [
-            {'frequency_hz': f, 'over_surroundings_db': 10.0 * math.log10(ratio)}
-            for f, ratio in residual.peaks[:MOST_PEAKS]
-        ],
+        'peaks': [{'frequency_hz': f, 'over_surroundings_db': 10.0 * math.log10(ratio)}
+                  for f, ratio in residual.peaks[:MOST_PEAKS]],
     }
     if missing is not None:
         at_s, value = missing.largest
-        tree['missing_torque'] = {
-            'unit': 'rad/s²', 'rms': missing.rms, 'expected_rms': missing.expected_rms,
-            'largest': value, 'at_s': at_s,
-        }
+        tree['missing_torque'] = {'unit': 'rad/s²', 'rms': missing.rms,
+                                  'expected_rms': missing.expected_rms, 'largest': value,
+                                  'at_s': at_s}
     return tree
 
 

@@ -76,30 +76,24 @@ CELL = """.quad .tiles{display:flex;flex-wrap:wrap;gap:8px}
 """Style of a notebook's cell: no colours of its own, so that it suits light and dark."""
 
 
-def page(
-    report: Mapping[str, Any], answers: Mapping[str, AxisAnswer],
-    galleries: Mapping[str, Gallery] | None = None,
-) -> str:
+def page(report: Mapping[str, Any], answers: Mapping[str, AxisAnswer],
+         galleries: Mapping[str, Gallery] | None = None) -> str:
     """The page as text; `galleries` by axis where they are drawn already."""
     drawn = galleries if galleries is not None else {a: gallery(one) for a, one in answers.items()}
     axes = report['axes']
     bags = ', '.join(PurePath(bag).name for bag in report['bags'])
-    parts = [
-        '<!doctype html><html lang="en"><head><meta charset="utf-8">',
-        '<meta name="viewport" content="width=device-width,initial-scale=1">',
-        f'<title>Identification of {escape(bags)}</title><style>{SHEET}</style></head><body>',
-        f'<h1>Identification of {escape(bags)}</h1>',
-    ]
+    parts = ['<!doctype html><html lang="en"><head><meta charset="utf-8">',
+             '<meta name="viewport" content="width=device-width,initial-scale=1">',
+             f'<title>Identification of {escape(bags)}</title><style>{SHEET}</style></head><body>',
+             f'<h1>Identification of {escape(bags)}</h1>']
     if len(axes) > 1:
         links = ''.join(
             f'<a href="#{a}"><span class="axis">{escape(a)}</span> in detail</a>' for a in axes
         )
         parts += [tables.overview(report).html(), f'<nav>{links}</nav>']
     parts += [_answer(axis, tree) for axis, tree in axes.items()]
-    parts += [
-        _axis(axis, tree, answers.get(axis), drawn.get(axis, Gallery({})))
-        for axis, tree in axes.items()
-    ]
+    parts += [_axis(axis, tree, answers.get(axis), drawn.get(axis, Gallery({})))
+              for axis, tree in axes.items()]
     sources = escape(', '.join(report['bags']))
     parts.append(
         '<p class="small">Fits and choices used the training segments alone; the held-out '
@@ -115,10 +109,8 @@ def excerpt(report: Mapping[str, Any], answers: Mapping[str, AxisAnswer], text: 
     for axis, tree in report['axes'].items():
         drawn = (draw(answers[axis], name) for name in SHOWN)
         picture = next((one for one in drawn if one is not None), None)
-        parts += [
-            _answer(axis, tree), tables.effects(tree).html(), tables.parameters(tree).html(),
-            tables.errors(tree).html(), '' if picture is None else embedded(picture, axis),
-        ]
+        parts += [_answer(axis, tree), tables.effects(tree).html(), tables.parameters(tree).html(),
+                  tables.errors(tree).html(), '' if picture is None else embedded(picture, axis)]
     parts.append(f'{_fold("All in words", f"<pre>{escape(text)}</pre>")}</div>')
     return ''.join(parts)
 
@@ -126,14 +118,10 @@ def excerpt(report: Mapping[str, Any], answers: Mapping[str, AxisAnswer], text: 
 def _answer(axis: str, tree: Mapping[str, Any]) -> str:
     """The answer, which the page begins with."""
     style, line = words.headline(tree)
-    told = ''.join(
-        f'<h3>{escape(question)}</h3><p>{escape(answer)}</p>'
-        for question, answer in words.story(axis, tree)
-    )
-    return (
-        f'<section class="answer {style}"><h2><span class="axis">{escape(axis)}</span>: '
-        f'{escape(line)}</h2>{_tiles(tree)}{told}</section>'
-    )
+    told = ''.join(f'<h3>{escape(question)}</h3><p>{escape(answer)}</p>'
+                   for question, answer in words.story(axis, tree))
+    return (f'<section class="answer {style}"><h2><span class="axis">{escape(axis)}</span>: '
+            f'{escape(line)}</h2>{_tiles(tree)}{told}</section>')
 
 
 def _tiles(tree: Mapping[str, Any]) -> str:
@@ -157,9 +145,7 @@ def _tiles(tree: Mapping[str, Any]) -> str:
     ) + '</div>'
 
 
-def _axis(
-    axis: str, tree: Mapping[str, Any], answer: AxisAnswer | None, drawn: Gallery
-) -> str:
+def _axis(axis: str, tree: Mapping[str, Any], answer: AxisAnswer | None, drawn: Gallery) -> str:
     """All details of one axis."""
     model = answer.model if answer is not None else None
     active = model.active_gains if model is not None else {}
@@ -196,10 +182,8 @@ def _axis(
 
 def figure(axis: str, picture: Picture) -> str:
     """A picture with its title and its caption."""
-    return (
-        f'<figure id="{axis}-{picture.name}"><h4>{escape(picture.title)}</h4>'
-        f'{svg(picture, axis)}<figcaption>{escape(picture.caption)}</figcaption></figure>'
-    )
+    return (f'<figure id="{axis}-{picture.name}"><h4>{escape(picture.title)}</h4>'
+            f'{svg(picture, axis)}<figcaption>{escape(picture.caption)}</figcaption></figure>')
 
 
 def _fold(title: str, content: str) -> str:

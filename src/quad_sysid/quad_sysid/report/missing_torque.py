@@ -32,11 +32,9 @@ RAMP_S = 12.0
 RESPONSE_S = 0.6
 Z95 = 1.96
 
-UNITS = {
-    'rate': 'rad/s', 'angle': 'rad', 'command': 'norm.', 'throttle': 'norm.', 'battery': 'V',
-    'time': 's', 'other rate': 'rad/s', 'other command': 'norm.',
-    'product of other rates': '(rad/s)²',
-}
+UNITS = {'rate': 'rad/s', 'angle': 'rad', 'command': 'norm.', 'throttle': 'norm.', 'battery': 'V',
+         'time': 's', 'other rate': 'rad/s', 'other command': 'norm.',
+         'product of other rates': '(rad/s)²'}
 """Signals over which effects are drawn, with units."""
 
 
@@ -131,10 +129,9 @@ def weight(along: Along, part: Part) -> FloatArray | None:
     if part.effect.states:
         return None
     s = along.signals
-    known = {
-        'torque': np.ones_like(s.rate), 'gain': s.drive, 'damping': -s.rate, 'delay': -s.change,
-        'friction': -np.tanh(s.rate / np.exp(TRANSITION.centre)),
-    }.get(part.effect.term)
+    known = {'torque': np.ones_like(s.rate), 'gain': s.drive, 'damping': -s.rate,
+             'delay': -s.change,
+             'friction': -np.tanh(s.rate / np.exp(TRANSITION.centre))}.get(part.effect.term)
     return None if known is None else along.seen(known)
 
 
@@ -195,11 +192,9 @@ REST = {'throttle': 0.0, 'battery': 1.0}
 UNIT = {'gain': {'drive': 1.0}, 'delay': {'change': -1.0}, 'damping': {'rate': -1.0},
         'friction': {'rate': -1.0}}
 """One unit of what an effect changes, by its term."""
-LABELS = {
-    'torque': 'torque / inertia, rad/s²', 'gain': 'change of the gain, 1',
-    'damping': 'change of the damping, 1/s', 'friction': 'friction / inertia, rad/s²',
-    'delay': 'change of the delay, s', 'lag': 'factor of the lag, 1',
-}
+LABELS = {'torque': 'torque / inertia, rad/s²', 'gain': 'change of the gain, 1',
+          'damping': 'change of the damping, 1/s', 'friction': 'friction / inertia, rad/s²',
+          'delay': 'change of the delay, s', 'lag': 'factor of the lag, 1'}
 
 
 def _picture(along: Along, part: Part) -> Sketch:
@@ -225,10 +220,8 @@ def _picture(along: Along, part: Part) -> Sketch:
 
     unit = {signal: value * np.ones(GRID) for signal, value in UNIT.get(term, {}).items()}
     moved = unit | _moved(along, part, name, x)
-    return (
-        lambda p: np.asarray(Placed(part, p).torque(REST, GRID, **moved)), x, over, LABELS[term],
-        None,
-    )
+    return (lambda p: np.asarray(Placed(part, p).torque(REST, GRID, **moved)), x, over,
+            LABELS[term], None)
 
 
 def _named(data: AxisData, part: Part, name: str) -> str:
@@ -266,17 +259,14 @@ def _lag(along: Along, part: Part, x: FloatArray) -> Evaluate:
     return evaluate
 
 
-def _record(
-    data: AxisData, control: FloatArray, *, dt: float, battery_v: FloatArray | None = None
-) -> AxisData:
+def _record(data: AxisData, control: FloatArray, *, dt: float,
+            battery_v: FloatArray | None = None) -> AxisData:
     """A made-up stretch of commands (n, 4) for the effects that act on them."""
     n = control.shape[0]
-    return replace(
-        data, dt=dt, rate=np.zeros(n), angle=None, control=control,
-        motors=motors_from_wrench(control), other_rates=np.zeros((n, 2)),
-        battery_v=battery_v, gyro_filter_hz=None, stretches=((0, n),), train=((0, n),),
-        validation=(), idle=(), validation_names=(), reference=None, time_s=None,
-    )
+    return replace(data, dt=dt, rate=np.zeros(n), angle=None, control=control,
+                   motors=motors_from_wrench(control), other_rates=np.zeros((n, 2)),
+                   battery_v=battery_v, gyro_filter_hz=None, stretches=((0, n),), train=((0, n),),
+                   validation=(), idle=(), validation_names=(), reference=None, time_s=None)
 
 
 def _largest(data: AxisData, column: int) -> float:
@@ -295,10 +285,8 @@ def _map(along: Along, part: Part) -> Sketch:
     name = f'command of {AXES[column - 1]}, norm.'
     evaluate = _driven(along, part, column, x, still=True)
     thin = slice(0, None, max(1, n // (4 * GRID)))
-    return (
-        lambda p: evaluate(p)[thin], x[thin], name, 'command that acts, norm.',
-        np.zeros_like(x[thin]) if other else x[thin],
-    )
+    return (lambda p: evaluate(p)[thin], x[thin], name, 'command that acts, norm.',
+            np.zeros_like(x[thin]) if other else x[thin])
 
 
 def _response(along: Along, part: Part) -> Sketch:
@@ -331,9 +319,8 @@ def _push(along: Along, part: Part) -> Sketch:
     return evaluate, time, over, LABELS['torque'], None
 
 
-def _driven(
-    along: Along, part: Part | None, column: int, x: FloatArray, *, still: bool
-) -> Evaluate:
+def _driven(along: Along, part: Part | None, column: int, x: FloatArray, *,
+            still: bool) -> Evaluate:
     """The drive for unit gain on a made-up command; `still` without lag and delay."""
     data, base = along.problem.data, along.fit.values[:N_BASE].copy()
     control = np.zeros((x.size, 4))
@@ -372,10 +359,8 @@ def settled(spans: Sequence[Span], dt: float) -> npt.NDArray[np.int64]:
     return np.concatenate([none, *(np.arange(a + margin, b, dtype=np.int64) for a, b in spans)])
 
 
-def binned(
-    x: FloatArray, y: FloatArray, spans: Sequence[Span], dt: float, bins: int = BINS,
-    weights: FloatArray | None = None,
-) -> Binned | None:
+def binned(x: FloatArray, y: FloatArray, spans: Sequence[Span], dt: float, bins: int = BINS,
+           weights: FloatArray | None = None) -> Binned | None:
     """Means of y over bins of x inside `spans`; None where too little is known.
 
     With weights (n,) the factor by which they explain y, by least squares in each bin. The

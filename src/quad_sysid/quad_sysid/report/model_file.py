@@ -35,10 +35,8 @@ REMEDY = 'give the model.json of quad-sysid identify'
 AGAIN = 'identify again with this version'
 
 
-def save_models(
-    models: Mapping[str, AxisModel], path: str | os.PathLike[str],
-    blackbox: Mapping[str, Mapping[str, Any]] | None = None,
-) -> None:
+def save_models(models: Mapping[str, AxisModel], path: str | os.PathLike[str],
+                blackbox: Mapping[str, Mapping[str, Any]] | None = None) -> None:
     """Write the models of a flight, by axis, to `path`, atomically.
 
     `blackbox`: trees of the selected black-box models by axis. Raises BadInputError where a
@@ -49,9 +47,8 @@ def save_models(
     write_whole(path, json.dumps(tree, indent=1, allow_nan=False) + '\n')
 
 
-def load_models(
-    path: str | os.PathLike[str], own_effects: Sequence[Effect] = ()
-) -> dict[str, AxisModel]:
+def load_models(path: str | os.PathLike[str],
+                own_effects: Sequence[Effect] = ()) -> dict[str, AxisModel]:
     """Models by axis from a model.json; raises BadInputError naming file, field and remedy.
 
     `own_effects`: the caller's effects that the models may name too.
@@ -71,9 +68,8 @@ def load_models(
     }
 
 
-def pick(
-    models: Mapping[str, AxisModel], axis: str, path: str | os.PathLike[str]
-) -> dict[str, AxisModel]:
+def pick(models: Mapping[str, AxisModel], axis: str,
+         path: str | os.PathLike[str]) -> dict[str, AxisModel]:
     """The model of one axis alone; BadInputError naming the file where it has none."""
     if axis not in models:
         raise BadInputError(f'{path}: axes', 'lacks this axis', axis,
@@ -86,10 +82,8 @@ def tree_of(model: Model) -> dict[str, Any]:
     if model.covariance is not None and not np.isfinite(model.covariance).all():
         model = replace(model, covariance=None)
     hints = get_type_hints(Model)
-    return {
-        **{n: _stored(hints[n], getattr(model, n), f'{model.name}.{n}') for n in BLACKBOX},
-        'parameter_names': list(model.parameter_names),
-    }
+    return {**{n: _stored(hints[n], getattr(model, n), f'{model.name}.{n}') for n in BLACKBOX},
+            'parameter_names': list(model.parameter_names)}
 
 
 def load_blackbox(path: str | os.PathLike[str]) -> dict[str, Model]:
@@ -146,10 +140,8 @@ def _stored(kind: Any, value: Any, where: str) -> Any:
         value = value.tolist()
     if is_dataclass(value):
         hints = get_type_hints(type(value))
-        return {
-            f.name: _stored(hints[f.name], getattr(value, f.name), f'{where}.{f.name}')
-            for f in fields(value) if f.name not in NOT_STORED
-        }
+        return {f.name: _stored(hints[f.name], getattr(value, f.name), f'{where}.{f.name}')
+                for f in fields(value) if f.name not in NOT_STORED}
     kinds = [k for k in get_args(kind) if k is not Ellipsis] or [object]
     if isinstance(value, Mapping):
         return {str(key): _stored(kinds[-1], one, f'{where}.{key}') for key, one in value.items()}

@@ -61,29 +61,24 @@ def detail(answer: AxisAnswer) -> Picture | None:
     start, stop = max(found.data.train, key=lambda s: s[1] - s[0])
     length = min(stop - start, round(DETAIL_S / data.dt))
     begin = start + (stop - start - length) // 2
-    return Picture(
-        'signals_detail', f'{length * data.dt:.0f} s of training',
-        'The same signals close up, from the middle of the longest training segment.',
-        _traces(answer, data, (begin, begin + length), segments=False),
-    )
+    return Picture('signals_detail', f'{length * data.dt:.0f} s of training',
+                   'The same signals close up, from the middle of the longest training segment.',
+                   _traces(answer, data, (begin, begin + length), segments=False))
 
 
 def _traces(answer: AxisAnswer, data: AxisData, span: Span, *, segments: bool) -> Figure:
     """Stacked panels of rate, angle (where measured) and command over `span`."""
     inside = slice(*span)
     time_s = np.asarray(np.arange(*span) * data.dt, dtype=np.float64)
-    rows = [
-        ('rate, rad/s', data.rate, answer.rate_reference),
-        ('angle, rad', data.angle, answer.attitude_reference),
-        ('command, norm.', data.command, None),
-    ]
+    rows = [('rate, rad/s', data.rate, answer.rate_reference),
+            ('angle, rad', data.angle, answer.attitude_reference),
+            ('command, norm.', data.command, None)]
     rows = [row for row in rows if row[1] is not None or row[2] is not None]
     figure, axes = panels(len(rows), height_in=1.2 + 1.15 * len(rows))
     for number, (one, (label, measured, reference)) in enumerate(zip(axes, rows, strict=True)):
         if segments:
-            for spans, colour, name in (
-                (data.train, BLUE, 'training'), (data.validation, ORANGE, 'held out'),
-            ):
+            for spans, colour, name in ((data.train, BLUE, 'training'),
+                                        (data.validation, ORANGE, 'held out')):
                 for at, (a, b) in enumerate(_joined(spans, data.dt)):
                     shade(one, a * data.dt, b * data.dt, colour, name if at == 0 else '')
             seen: set[str] = set()

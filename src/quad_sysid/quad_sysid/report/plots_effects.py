@@ -52,8 +52,7 @@ def left_out(answer: AxisAnswer) -> Picture | None:
         'left_out', 'What the model leaves out',
         'Mean angular acceleration that the model does not explain, over rate, angle and command '
         'in the training segments; bars are 99 % of the mean. A model that lacks nothing lies on '
-        'zero.' + ('' if found.added else ' No effect was added, so there is no after.'),
-        figure,
+        'zero.' + ('' if found.added else ' No effect was added, so there is no after.'), figure,
     )
 
 
@@ -71,10 +70,9 @@ def effect_shapes(answer: AxisAnswer) -> Picture | None:
         shape = missing_torque.drawn(along, index)
         weights = missing_torque.weight(along, part)
         if weights is not None:
-            points = missing_torque.binned(
-                missing_torque.variable(along, part), along.added(index) + rest,
-                found.problem.spans, found.data.dt, 25, weights,
-            )
+            points = missing_torque.binned(missing_torque.variable(along, part),
+                                           along.added(index) + rest, found.problem.spans,
+                                           found.data.dt, 25, weights)
             if points is not None:
                 one.errorbar(points.x, points.mean, Z99 * points.spread, color=INK, marker='o',
                              ms=3, lw=0, elinewidth=0.8, capsize=1.5, label='data')
@@ -106,10 +104,8 @@ def rivals(answer: AxisAnswer) -> Picture | None:
     if not lists:
         return None
     rows = sum(len(one) for one in lists)
-    figure, axes = panels(
-        len(lists), height_in=0.8 + 0.24 * rows + 0.35 * (len(lists) - 1), left_in=1.6,
-        ratios=[len(one) for one in lists],
-    )
+    figure, axes = panels(len(lists), height_in=0.8 + 0.24 * rows + 0.35 * (len(lists) - 1),
+                          left_in=1.6, ratios=[len(one) for one in lists])
     for one, entries in zip(axes, lists, strict=True):
         names = [name for name, _ in entries][::-1]
         values = [p for _, p in entries][::-1]

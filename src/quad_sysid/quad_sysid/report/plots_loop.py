@@ -101,10 +101,9 @@ def step_response(answer: AxisAnswer) -> Picture | None:
         axes[1].plot(*thinned(time_s, flown.control), color=colour, ls=style, lw=1.2)
     finish(axes, 'time since the step, s', 'angle, deg', 'command, norm.')
     why = '' if len(sets) == 2 else ' No new gains are proposed; the words above say why.'
-    return Picture(
-        'step', 'Step before and after', f'A step of {np.degrees(STEP_RAD):.0f} degrees in the '
-        'attitude reference, simulated with the identified model.' + why, figure,
-    )
+    return Picture('step', 'Step before and after',
+                   f'A step of {np.degrees(STEP_RAD):.0f} degrees in the '
+                   'attitude reference, simulated with the identified model.' + why, figure)
 
 
 def open_loop_margins(answer: AxisAnswer) -> Picture | None:
@@ -128,11 +127,9 @@ def open_loop_margins(answer: AxisAnswer) -> Picture | None:
             at = float(np.interp(np.log(crossover), np.log(omega), phase))
             axes[0].plot([crossover], [1.0], 'o', ms=4, color=colour)
             axes[1].plot([crossover], [at], 'o', ms=4, color=colour)
-        told.append(
-            f'{name}: phase margin {found.phase_margin_deg[0]:.0f} deg, gain margin '
-            f'{found.gain_margin_db[0]:.1f} dB, crossover {crossover:.3g} rad/s, peak '
-            f'sensitivity {found.peak_sensitivity[0]:.2f}'
-        )
+        told.append(f'{name}: phase margin {found.phase_margin_deg[0]:.0f} deg, gain margin '
+                    f'{found.gain_margin_db[0]:.1f} dB, crossover {crossover:.3g} rad/s, peak '
+                    f'sensitivity {found.peak_sensitivity[0]:.2f}')
     axes[0].axhline(1.0, color=MUTED, lw=0.8, ls=':')
     axes[1].axhline(-180.0, color=MUTED, lw=0.8, ls=':')
     axes[1].set_ylim(-540.0, 0.0)

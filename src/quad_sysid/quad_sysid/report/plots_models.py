@@ -77,8 +77,7 @@ def free_run(answer: AxisAnswer) -> Picture | None:
     return Picture(
         'free_run', 'Free run on held-out data',
         'In each window of 0.5 s (dotted) the model starts from what was measured before it and '
-        'then runs on the commands alone. The liveliest stretch of the held-out segments.',
-        figure,
+        'then runs on the commands alone. The liveliest stretch of the held-out segments.', figure,
     )
 
 
@@ -86,10 +85,8 @@ def _lively(windows: Windows, rate: FloatArray) -> tuple[int, int]:
     """First and last of up to SHOWN_WINDOWS windows in a row with the largest motion."""
     power = np.array([np.var(rate[s : s + windows.length]) for s in windows.starts])
     breaks = np.flatnonzero(np.diff(windows.starts) != windows.length) + 1
-    rows = [
-        (a, min(a + SHOWN_WINDOWS, int(piece[-1]) + 1) - 1)
-        for piece in np.split(np.arange(windows.count), breaks) for a in piece.tolist()
-    ]
+    rows = [(a, min(a + SHOWN_WINDOWS, int(piece[-1]) + 1) - 1)
+            for piece in np.split(np.arange(windows.count), breaks) for a in piece.tolist()]
     return max(rows, key=lambda row: float(np.sum(power[row[0] : row[1] + 1])))
 
 
@@ -195,9 +192,8 @@ def degrees(response: ComplexArray) -> FloatArray:
     return np.asarray(phase)
 
 
-def grey_response(
-    model: AxisModel, w: FloatArray, values: dict[str, float] | None = None
-) -> ComplexArray:
+def grey_response(model: AxisModel, w: FloatArray,
+                  values: dict[str, float] | None = None) -> ComplexArray:
     """(m,) base of the model with held command and gyro filter at w rad/s; rad/s per command."""
     p = values or {parameter.name: parameter.value for parameter in model.base}
     s = 1j * w
@@ -209,9 +205,8 @@ def grey_response(
     return np.asarray(response)
 
 
-def _grey_spread(
-    model: AxisModel, w: FloatArray, response: ComplexArray
-) -> tuple[FloatArray, FloatArray]:
+def _grey_spread(model: AxisModel, w: FloatArray,
+                 response: ComplexArray) -> tuple[FloatArray, FloatArray]:
     """99 % half widths of magnitude and phase (rad), first order in the base's covariance."""
     nothing = np.full(w.size, np.nan)
     if model.covariance is None:
@@ -229,10 +224,8 @@ def _grey_spread(
         columns.append((moved / response - 1.0) / step)
     gradient = np.stack(columns, axis=1)
     covariance = np.asarray(model.covariance)[np.ix_(index, index)]
-    spread = [
-        Z99 * np.sqrt(np.maximum(np.einsum('mi,ij,mj->m', g, covariance, g), 0.0))
-        for g in (gradient.real, gradient.imag)
-    ]
+    spread = [Z99 * np.sqrt(np.maximum(np.einsum('mi,ij,mj->m', g, covariance, g), 0.0))
+              for g in (gradient.real, gradient.imag)]
     return spread[0] * np.abs(response), spread[1]
 
 
@@ -251,9 +244,8 @@ def one_step(answer: AxisAnswer) -> Picture | None:
         return None
     data = found.data
     errors = found.after.innovations
-    start, stop = max(
-        data.validation, key=lambda s: float(np.nanvar(data.rate[s[0]:s[1]]) * (s[1] - s[0]))
-    )
+    start, stop = max(data.validation,
+                      key=lambda s: float(np.nanvar(data.rate[s[0]:s[1]]) * (s[1] - s[0])))
     length = round(SHOWN_S / data.dt)
     if stop - start <= 2 * length or errors.shape != data.rate.shape:
         return None
@@ -263,8 +255,7 @@ def one_step(answer: AxisAnswer) -> Picture | None:
     time_s = np.arange(begin, begin + length) * data.dt
     figure, axes = panels(2, height_in=3.7, ratios=(1.6, 1.0))
     axes[0].plot(time_s, data.rate[inside], color=INK, lw=2.2, alpha=0.35, label='measured')
-    axes[0].plot(time_s, (data.rate - errors)[inside], color=AFTER, lw=0.9,
-                 label='one step ahead')
+    axes[0].plot(time_s, (data.rate - errors)[inside], color=AFTER, lw=0.9, label='one step ahead')
     for held, colour, style, name in runs(found):
         axes[1].plot(time_s, held.innovations[inside], color=colour, lw=0.9, ls=style, label=name)
     bound = Z99 * found.verdict.noise_floor
@@ -319,9 +310,8 @@ def _correlogram(shown: list[tuple[ResidualTest, str, str, str]], dt: float) -> 
             for sign in (-1.0, 1.0):
                 axes[panel].axhline(sign * bound, color=colour, ls=style, lw=0.8)
             reach[panel] = max(reach[panel], 1.2 * float(np.max(np.abs(values))), 1.8 * bound)
-    for one, limit, label in zip(
-        axes, reach, ('autocorrelation, 1', 'with command, 1'), strict=True
-    ):
+    for one, limit, label in zip(axes, reach, ('autocorrelation, 1', 'with command, 1'),
+                                 strict=True):
         one.axhline(0.0, color=MUTED, lw=0.7)
         one.set_ylim(-limit, limit)
         one.set_ylabel(label)

@@ -35,10 +35,8 @@ def check_place(folder: Path) -> None:
         raise BadInputError('--out', f'{there} cannot be written', remedy='choose another place')
 
 
-def write(
-    folder: Path, report: Mapping[str, Any], answers: Mapping[str, AxisAnswer],
-    *, html: bool = True, pictures: bool = True,
-) -> None:
+def write(folder: Path, report: Mapping[str, Any], answers: Mapping[str, AxisAnswer], *,
+          html: bool = True, pictures: bool = True) -> None:
     """Write all files of a report, report.json last, so that the others exist once it does.
 
     `html` False writes no report.html; `pictures` False no folder `pictures` of PNG files (the
@@ -47,10 +45,8 @@ def write(
     make_folder(folder)
     models = {axis: a.model for axis, a in answers.items() if a.model is not None}
     if models:
-        blackbox = {
-            axis: tree_of(a.rows[a.selected].step_a.model)
-            for axis, a in answers.items() if a.selected is not None
-        }
+        blackbox = {axis: tree_of(a.rows[a.selected].step_a.model)
+                    for axis, a in answers.items() if a.selected is not None}
         save_models(models, folder / 'model.json', blackbox)
     if html or pictures:
         drawn = {axis: plots.gallery(answer) for axis, answer in answers.items()}

@@ -45,10 +45,8 @@ class Table:
         return (f'<div class="scroll"><table><thead><tr>{top}</tr></thead>'
                 f'<tbody>{body}</tbody></table></div>{words}')
 
-    def text(
-        self, columns: Sequence[int] | None = None, below: int | None = None, *,
-        caption: bool = True,
-    ) -> list[str]:
+    def text(self, columns: Sequence[int] | None = None, below: int | None = None, *,
+             caption: bool = True) -> list[str]:
         """Lines for a terminal: some columns side by side, another one's sentences below."""
         if not self.rows:
             return []
@@ -57,10 +55,8 @@ class Table:
         widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
         out = []
         for at, line in enumerate(cells, -1):
-            padded = (
-                cell.rjust(width) if c in self.numeric else cell.ljust(width)
-                for cell, width, c in zip(line, widths, shown, strict=True)
-            )
+            padded = (cell.rjust(width) if c in self.numeric else cell.ljust(width)
+                      for cell, width, c in zip(line, widths, shown, strict=True))
             out.append(('*' if at == self.marked else ' ') + '  '.join(padded).rstrip())
             if at >= 0 and below is not None:
                 out += wrapped(self.rows[at][below], '    ')
@@ -73,10 +69,8 @@ def _cell(tag: str, name: str, text: str) -> str:
 
 def wrapped(text: str, indent: str = '  ', first: str | None = None) -> list[str]:
     """A sentence in lines for a terminal."""
-    return textwrap.wrap(
-        text, WIDTH, initial_indent=indent if first is None else first, subsequent_indent=indent,
-        break_long_words=False, break_on_hyphens=False,
-    )
+    return textwrap.wrap(text, WIDTH, initial_indent=indent if first is None else first,
+                         subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
 
 
 def overview(report: Tree) -> Table:
@@ -98,12 +92,11 @@ def errors(tree: Tree) -> Table:
     rows = [
         [name, number(error.get(key), 4), _span(error.get(f'{key}_interval_95')),
          number(error.get(f'one_step_{key}'), 4) if f'one_step_{key}' in error else '']
-        for name, key in (
-            ('hold the last value', 'hold_last_value'), ('base (before)', 'before'),
-            ('completed (after)', 'after'), ('black box', 'blackbox'),
-            ('measurement noise', 'noise_floor'), ('in the loop, base', 'closed_loop_before'),
-            ('in the loop, completed', 'closed_loop_after'),
-        )
+        for name, key in (('hold the last value', 'hold_last_value'), ('base (before)', 'before'),
+                          ('completed (after)', 'after'), ('black box', 'blackbox'),
+                          ('measurement noise', 'noise_floor'),
+                          ('in the loop, base', 'closed_loop_before'),
+                          ('in the loop, completed', 'closed_loop_after'))
         if error.get(key) is not None and (tree['effects'] or 'completed' not in name)
     ]
     windows = f', {error["windows"]} windows' if error.get('windows') else ''
@@ -130,13 +123,11 @@ def models(tree: Tree) -> Table:
     head = ['model', 'approach', 'train, %', *(f'{s}, %' for s in signals), 'loop, %', 'AIC',
             'BIC', 'white', 'free of input', 'causal', 'outcome']
     rows = [
-        [
-            ' '.join([m['structure'], *(str(v) for v in m['orders'].values())]), m['approach'],
-            _fit(m['fit_train_pct']), *(_fit(m['fit_validation_pct'].get(s)) for s in signals),
-            _fit(m.get('closed_loop_fit_pct')), _whole(m.get('aic')), _whole(m.get('bic')),
-            yes(m['residual_white']), yes(m['residual_uncorrelated_with_input']),
-            yes(m['causal']), _outcome(m),
-        ]
+        [' '.join([m['structure'], *(str(v) for v in m['orders'].values())]), m['approach'],
+         _fit(m['fit_train_pct']), *(_fit(m['fit_validation_pct'].get(s)) for s in signals),
+         _fit(m.get('closed_loop_fit_pct')), _whole(m.get('aic')), _whole(m.get('bic')),
+         yes(m['residual_white']), yes(m['residual_uncorrelated_with_input']), yes(m['causal']),
+         _outcome(m)]
         for m in listed
     ]
     return Table(
@@ -165,10 +156,8 @@ def parameters(tree: Tree) -> Table:
                      caption='± one standard error')
     after = {p['name']: p for p in tree.get('completed', {}).get('parameters', [])}
     rows = [[p['name'], _value(p), _value(after.get(p['name'])), p['unit']] for p in alone]
-    rows += [
-        [f'{e["name"]}: {p["name"]}', '', _value(p), p['unit']]
-        for e in tree['effects'] for p in e['parameters']
-    ]
+    rows += [[f'{e["name"]}: {p["name"]}', '', _value(p), p['unit']]
+             for e in tree['effects'] for p in e['parameters']]
     return Table(['parameter', 'base alone', 'completed', 'unit'], rows, (1, 2),
                  caption='± one standard error')
 
@@ -256,11 +245,9 @@ def table2(tree: Tree) -> Table:
         paper, fits = entry['paper'], entry['fit_validation_pct']
         pairs = [(entry['fit_train_pct'], paper['train']),
                  *((fits.get(name), paper[name]) for name in ('prbs', 'square'))]
-        rows.append([
-            entry['name'] + (' *' if paper['kept'] else ''),
-            *(_fit(value, 2) for pair in pairs for value in pair),
-            entry['because'] or 'passed the first step',
-        ])
+        rows.append([entry['name'] + (' *' if paper['kept'] else ''),
+                     *(_fit(value, 2) for pair in pairs for value in pair),
+                     entry['because'] or 'passed the first step'])
     return Table(
         ['model', 'train, %', 'paper', 'prbs, %', 'paper', 'square, %', 'paper', 'outcome'],
         rows, range(1, 7), None,
@@ -291,8 +278,7 @@ def residuals(tree: Tree) -> Table:
             continue
         torque = found.get('missing_torque') or {}
         rows.append([
-            name, number(found['rms']),
-            f'{yes(found["white"])} (p {chance(found["p_white"])})',
+            name, number(found['rms']), f'{yes(found["white"])} (p {chance(found["p_white"])})',
             f'{yes(found["uncorrelated_with_input"])} (p {chance(found["p_input"])})',
             ', '.join(f'{p["frequency_hz"]:.1f} Hz' for p in found['peaks'][:3]) or 'none',
             *(number(torque[part]) if torque else '' for part in ('rms', 'expected_rms')),

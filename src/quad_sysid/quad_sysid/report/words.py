@@ -100,22 +100,18 @@ def story(axis: str, tree: Tree) -> list[tuple[str, str]]:
     if tree['error'].get('after') is None:
         reason = _bare(axis, tree.get('reason', ''))
         return [('Why?', f'{reason[:1].upper()}{reason[1:]}.')]
-    return [
-        ('How well does the model predict?', _worth(tree)),
-        ('What was missing, and how sure is that?', ' '.join(_missing(tree))),
-        ('Which gains, and why?', _gains(axis, tree)),
-    ]
+    return [('How well does the model predict?', _worth(tree)),
+            ('What was missing, and how sure is that?', ' '.join(_missing(tree))),
+            ('Which gains, and why?', _gains(axis, tree))]
 
 
 def _worth(tree: Tree) -> str:
     error = tree['error']
     after, hold = float(error['after']), error.get('hold_last_value')
     unit = error['unit']
-    text = (
-        f'Over half a second of held-out data its free run is off by '
-        f'{number(after)} '
-        f'{unit} RMS{_interval(error.get("after_interval_95"))}.'
-    )
+    text = (f'Over half a second of held-out data its free run is off by '
+            f'{number(after)} '
+            f'{unit} RMS{_interval(error.get("after_interval_95"))}.')
     if hold:
         text += (f' Holding the last value would be off by {number(hold)} {unit}, so the model '
                  f'removes {100.0 * (1.0 - after / hold):.0f} % of that error.')
@@ -157,10 +153,8 @@ def horizon_words(error: Tree) -> str:
     at = next(h for h in listed if h['horizon_s'] == far)
     last = listed[-1]['horizon_s']
     beyond = '' if far == last else f'; further ahead, up to {last:g} s, it predicts less well'
-    return (
-        f' It halves the error of holding the last value up to {far:g} s ahead (off by '
-        f'{number(at["after"])} instead of {number(at["hold"])} {error["unit"]}){beyond}.'
-    )
+    return (f' It halves the error of holding the last value up to {far:g} s ahead (off by '
+            f'{number(at["after"])} instead of {number(at["hold"])} {error["unit"]}){beyond}.')
 
 
 def _missing(tree: Tree) -> list[str]:

@@ -90,16 +90,12 @@ def family(axis: str, seconds: float, pilot: Excitation) -> Iterator[Excitation]
                     yield replace(pilot, part=part, before=before)
 
 
-def _part(
-    injection: str, signal: str, parameters: Mapping[str, float], amplitude: float, axis: str,
-    seconds: float,
-) -> schedule.Part:
+def _part(injection: str, signal: str, parameters: Mapping[str, float], amplitude: float,
+          axis: str, seconds: float) -> schedule.Part:
     shape = waveform(signal, dict(parameters), 'design-excitation')
     unit = schedule.AMPLITUDES[injection][1]
-    return schedule.Part(
-        'train', seconds, signal, axis, injection, amplitude=unit * amplitude,
-        parameters=dict(parameters), waveform=shape,
-    )
+    return schedule.Part('train', seconds, signal, axis, injection, amplitude=unit * amplitude,
+                         parameters=dict(parameters), waveform=shape)
 
 
 NOTHING = 'nothing'
@@ -137,10 +133,8 @@ class Rival:
         if self.acting is None or self.acting.effect.kind == 'shape':
             return self.name
         read = self.acting.effect.readable(self.acting.p, self.acting.part.settings)
-        told = (
-            f'{name} {value:.3g} {unit if unit != "1" else ""}'.strip()
-            for name, (value, unit) in read.items()
-        )
+        told = (f'{name} {value:.3g} {unit if unit != "1" else ""}'.strip()
+                for name, (value, unit) in read.items())
         return f'{self.name} ({", ".join(told)})'
 
     def parts(self, data: AxisData) -> list[Part]:
@@ -218,10 +212,9 @@ def variants(name: str, effects: Sequence[Effect] = EFFECTS) -> tuple[Effect, ..
     return tuple(e for e in effects if e.name == name)
 
 
-def separate(
-    aircraft: Aircraft, names: Names, seconds: float = 60.0, model: AxisModel | None = None,
-    progress: Progress = lambda _: None, own: Sequence[Effect] = (),
-) -> Separation:
+def separate(aircraft: Aircraft, names: Names, seconds: float = 60.0,
+             model: AxisModel | None = None, progress: Progress = lambda _: None,
+             own: Sequence[Effect] = ()) -> Separation:
     """Rank flights of `seconds` by how well they separate two effects (one may be `nothing`).
 
     Strengths come from `model` where it has the effect; another effect is made just strong enough
@@ -234,18 +227,15 @@ def separate(
         return _separate(aircraft, names, seconds, model, progress, effects)
 
 
-def _separate(
-    aircraft: Aircraft, names: Names, seconds: float, model: AxisModel | None, progress: Progress,
-    effects: Sequence[Effect],
-) -> Separation:
+def _separate(aircraft: Aircraft, names: Names, seconds: float, model: AxisModel | None,
+              progress: Progress, effects: Sequence[Effect]) -> Separation:
     length = min(seconds, SIMULATED_S)
     signals = {s for name in names for e in variants(name, effects) for s in e.signals}
     usual = plain_prbs(aircraft.axis, length)
     helped = list(with_pilot(usual, signals))
     rich = helped[-1] if helped else usual
-    first, second = _sized(
-        aircraft, names, model, rich, JUST_FOUND_NATS * length / seconds, effects
-    )
+    first, second = _sized(aircraft, names, model, rich, JUST_FOUND_NATS * length / seconds,
+                           effects)
     flights = _Flights(aircraft, first, second)
     plain = flights.rows([usual])[0]
     if plain is None:
@@ -270,9 +260,8 @@ def _separate(
         )
     if plain.worst.score > WORTH_IT * rows[0].worst.score:
         rows.sort(key=lambda row: row is not plain)
-    return Separation(
-        aircraft, first, second, seconds, tuple(rows), plain, len(candidates), refused
-    )
+    return Separation(aircraft, first, second, seconds, tuple(rows), plain, len(candidates),
+                      refused)
 
 
 def _pilot(plain: Row, helped: Sequence[Row | None]) -> Row:
@@ -289,19 +278,16 @@ def _check(names: Names, seconds: float, effects: Sequence[Effect]) -> None:
     all_names = [NOTHING, *dict.fromkeys(e.name for e in effects)]
     for name in names:
         if name not in all_names:
-            raise BadInputError(
-                '--separate', 'unknown effect', repr(name), f'use {", ".join(all_names)}'
-            )
+            raise BadInputError('--separate', 'unknown effect', repr(name),
+                                f'use {", ".join(all_names)}')
     if names[0] == names[1]:
         raise BadInputError('--separate', 'needs two different effects', ' '.join(names))
     if not SHORTEST_S <= seconds <= 600.0:
         raise BadInputError('--seconds', f'must be from {SHORTEST_S:g} to 600', seconds)
 
 
-def _sized(
-    aircraft: Aircraft, names: Names, model: AxisModel | None, rich: Excitation, wanted: float,
-    effects: Sequence[Effect],
-) -> tuple[Rival, Rival]:
+def _sized(aircraft: Aircraft, names: Names, model: AxisModel | None, rich: Excitation,
+           wanted: float, effects: Sequence[Effect]) -> tuple[Rival, Rival]:
     """Both rivals with their strengths; an unknown one gets as much evidence as the known."""
     seen = judged(aircraft, fly(aircraft, aircraft.acting, [rich])[0].data)
     given = [None if model is None else effect_of(model, name) for name in names]
@@ -335,9 +321,8 @@ class _Flights:
         self.aircraft, self.rivals = aircraft, (first, second)
         self.seen: dict[int, tuple[Judged, Judged]] = {}
 
-    def rows(
-        self, excitations: Sequence[Excitation], progress: Progress = lambda _: None
-    ) -> list[Row | None]:
+    def rows(self, excitations: Sequence[Excitation],
+             progress: Progress = lambda _: None) -> list[Row | None]:
         """Each excitation by linear scores; None where it is unsafe or moves too little."""
         if not excitations:
             return []
@@ -369,9 +354,8 @@ class _Flights:
 
     def _weighed(self, row: Row, worth: Callable[[Judged, Sequence[Part]], float]) -> Row:
         ways: list[Apart | None] = []
-        for seen, true, other in zip(
-            self.seen[id(row.excitation)], self.rivals, self.rivals[::-1], strict=True
-        ):
+        for seen, true, other in zip(self.seen[id(row.excitation)], self.rivals, self.rivals[::-1],
+                                     strict=True):
             data = seen.problem.data
             if true.acting is None:
                 ways.append(None)

@@ -25,16 +25,11 @@ from quad_sysid.model.noise import sensor_of
 from quad_sysid.model.plant import BASE, NOISE, SLOPE_STEP, Flight, Structure
 from quad_sysid.signals import schedule
 
-PAPER = {
-    'roll': (434.5, 0.045, 0.008, 0.4, 0.3),
-    'pitch': (419.0, 0.045, 0.008, 0.4, -0.2),
-    'yaw': (24.6, 0.045, 0.008, 0.3, 0.04),
-}
+PAPER = {'roll': (434.5, 0.045, 0.008, 0.4, 0.3), 'pitch': (419.0, 0.045, 0.008, 0.4, -0.2),
+         'yaw': (24.6, 0.045, 0.008, 0.3, 0.04)}
 """gain, lag, delay, damping, bias: the paper's airframe (1.2 kg, 940 g per motor) on its rig."""
-PAPER_NOISE = NoiseEstimate(
-    {'white': 1.5, 'disturbance': 0.5, 'correlation': 0.3, 'after': 0.1}, scale=0.002,
-    degrees=1e4, gyro_rms=0.01, measured_rms=0.0048,
-)
+PAPER_NOISE = NoiseEstimate({'white': 1.5, 'disturbance': 0.5, 'correlation': 0.3, 'after': 0.1},
+                            scale=0.002, degrees=1e4, gyro_rms=0.01, measured_rms=0.0048)
 """MPU-6050 with its 42 Hz filter; torque noise of 0.015 (rad/s²)/√Hz, hardly any wind."""
 PAPER_GYRO_HZ = 42.0
 PAPER_DT = 0.004
@@ -77,10 +72,9 @@ def aircraft_of(model: AxisModel, less: str, told: str) -> Aircraft:
     known = f'{model.axis}.rate.kp' in model.active_gains
     theta = np.array([model.value(spec.name) for spec in BASE])
     if not theta[0] > 0.0:
-        raise BadInputError(
-            told, f'{model.axis} cannot be flown in a loop, its gain is not positive',
-            f'{theta[0]:.4g}', 'check mixer and gyro, identify again',
-        )
+        raise BadInputError(told,
+                            f'{model.axis} cannot be flown in a loop, its gain is not positive',
+                            f'{theta[0]:.4g}', 'check mixer and gyro, identify again')
     return Aircraft(
         axis=model.axis, theta=theta,
         acting=tuple(placed(model, effect) for effect in model.effects if effect.name != less),
@@ -154,9 +148,8 @@ class Flown:
         return float(np.sqrt(np.mean(self.data.rate**2)))
 
 
-def fly(
-    aircraft: Aircraft, acting: Sequence[Placed], excitations: Sequence[Excitation]
-) -> list[Flown]:
+def fly(aircraft: Aircraft, acting: Sequence[Placed],
+        excitations: Sequence[Excitation]) -> list[Flown]:
     """Each excitation simulated from rest with the effects `acting` and the aircraft's noise."""
     acting = tuple(acting)
     added = [e.added(aircraft.dt) for e in excitations]
@@ -174,10 +167,9 @@ def fly(
         for i, data in enumerate(around):
             control = data.control.copy()
             control[:, data.index + 1] = command[:, i]
-            flown.append(replace(
-                data, rate=np.ascontiguousarray(rate[:, i]), control=control,
-                angle=np.ascontiguousarray(angle[:, i]), motors=motors_from_wrench(control),
-            ))
+            flown.append(replace(data, rate=np.ascontiguousarray(rate[:, i]), control=control,
+                                 angle=np.ascontiguousarray(angle[:, i]),
+                                 motors=motors_from_wrench(control)))
         if settled or not np.isfinite(command).all():
             break
         extra = np.stack([_pushed(aircraft, moving, data) for data in flown], axis=1)
@@ -196,10 +188,8 @@ def _pushed(aircraft: Aircraft, moving: tuple[Placed, ...], data: AxisData) -> F
     return out
 
 
-def _run(
-    aircraft: Aircraft, acting: Sequence[Placed], around: Sequence[AxisData],
-    inputs: FloatArray, extra: FloatArray,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _run(aircraft: Aircraft, acting: Sequence[Placed], around: Sequence[AxisData],
+         inputs: FloatArray, extra: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """(n, f) measured rate and angle, and command, of f flights with `extra` acceleration."""
     count, _, n = inputs.shape
     dt, g = aircraft.dt, aircraft.gains
@@ -223,9 +213,8 @@ def _run(
         rate, angle = x[:, rate_at] + gyro[k], x[:, angle_at]
         wanted = (g.angle_kp * (inputs[:, 0, k] - angle)).clip(-g.rate_limit, g.rate_limit)
         error = wanted + inputs[:, 1, k] - rate
-        integral = (integral + g.rate_ki * dt * error).clip(
-            -g.integrator_limit, g.integrator_limit
-        )
+        integral = (integral + g.rate_ki * dt * error).clip(-g.integrator_limit,
+                                                            g.integrator_limit)
         d_part = d_part + weight * ((rate - last) / dt - d_part)
         last = rate
         out = g.rate_kp * error + integral - g.rate_kd * d_part
@@ -256,9 +245,8 @@ def _has_torque(one: Placed) -> bool:
     return one.effect.torque(s, one.p, one.part.settings) is not None
 
 
-def _torque(
-    acting: Sequence[Placed], hidden: Sequence[FloatArray], known: Signals
-) -> tuple[FloatArray, FloatArray]:
+def _torque(acting: Sequence[Placed], hidden: Sequence[FloatArray],
+            known: Signals) -> tuple[FloatArray, FloatArray]:
     """Acceleration and its slope over the rate."""
     total, slope = np.zeros_like(known.rate), np.zeros_like(known.rate)
     for one, own in zip(acting, hidden, strict=True):
@@ -266,10 +254,8 @@ def _torque(
         s = replace(known, hidden=own) if own.size else known
         total = total + np.asarray(effect.torque(s, p, settings))
         if 'rate' in effect.signals:
-            ahead, back = (
-                np.asarray(effect.torque(replace(s, rate=s.rate + step), p, settings))
-                for step in (SLOPE_STEP, -SLOPE_STEP)
-            )
+            ahead, back = (np.asarray(effect.torque(replace(s, rate=s.rate + step), p, settings))
+                           for step in (SLOPE_STEP, -SLOPE_STEP))
             slope = slope + (ahead - back) / (2.0 * SLOPE_STEP)
     return total, slope
 
@@ -289,14 +275,12 @@ class _Known:
     def at(self, k: int, middle: FloatArray, command: FloatArray) -> Signals:
         """Signals at mid-cycle k, where the plant's states (f, n) are `middle`."""
         drive = middle[:, 0]
-        return Signals(
-            rate=middle[:, 1], angle=middle[:, 2], drive=drive, command=command,
-            change=(command - drive) / max(self.lag, 0.25 * self.dt), lagged=drive / self.gain,
-            throttle=self.throttle[k], battery_v=self.volts[k],
-            other_rates=(self.rates[0][k], self.rates[1][k]),
-            other_commands=(self.commands[0][k], self.commands[1][k]),
-            time=self.rest + (k + 0.5) * self.dt,
-        )
+        return Signals(rate=middle[:, 1], angle=middle[:, 2], drive=drive, command=command,
+                       change=(command - drive) / max(self.lag, 0.25 * self.dt),
+                       lagged=drive / self.gain, throttle=self.throttle[k],
+                       battery_v=self.volts[k], other_rates=(self.rates[0][k], self.rates[1][k]),
+                       other_commands=(self.commands[0][k], self.commands[1][k]),
+                       time=self.rest + (k + 0.5) * self.dt)
 
 
 def _noise(aircraft: Aircraft, n: int) -> tuple[FloatArray, FloatArray]:
@@ -333,13 +317,11 @@ def _surroundings(aircraft: Aircraft, excitation: Excitation, n: int) -> AxisDat
         for column, axis in enumerate(name for name in AXES if name != aircraft.axis):
             rates[:, column], control[:, AXES.index(axis) + 1] = _stirred(axis, dt, n)
     volts = aircraft.battery_v - (fall - fall[-1] / 2.0)
-    return AxisData(
-        axis=aircraft.axis, dt=dt, rate=np.zeros(n), angle=np.zeros(n), control=control,
-        motors=motors_from_wrench(control), other_rates=rates,
-        battery_v=volts - VOLTS_PER_THROTTLE * (throttle - aircraft.throttle),
-        gyro_filter_hz=aircraft.gyro_filter_hz, stretches=((0, n),),
-        train=((round(LEAD_S / dt), n),), validation=(),
-    )
+    return AxisData(axis=aircraft.axis, dt=dt, rate=np.zeros(n), angle=np.zeros(n),
+                    control=control, motors=motors_from_wrench(control), other_rates=rates,
+                    battery_v=volts - VOLTS_PER_THROTTLE * (throttle - aircraft.throttle),
+                    gyro_filter_hz=aircraft.gyro_filter_hz, stretches=((0, n),),
+                    train=((round(LEAD_S / dt), n),), validation=())
 
 
 @lru_cache(maxsize=16)

@@ -121,14 +121,11 @@ class Judged:
         columns, out = np.ascontiguousarray(difference[:, None]), np.zeros((base.rate.size, 1))
         found = base.prediction.filter
         for start, stop in flight.passes:
-            recursion.respond(
-                flight.measured, columns, plain.slope, found.gain, found.move,
-                flight.sensor.step, flight.sensor.behind, self.problem.data.dt, start, stop, out,
-            )
-        own = np.vstack([
-            np.asarray(base.prediction.jacobian)[rows] / base.tail.scale,
-            np.linalg.cholesky(base.precision).T,
-        ])
+            recursion.respond(flight.measured, columns, plain.slope, found.gain, found.move,
+                              flight.sensor.step, flight.sensor.behind, self.problem.data.dt,
+                              start, stop, out)
+        own = np.vstack([np.asarray(base.prediction.jacobian)[rows] / base.tail.scale,
+                         np.linalg.cholesky(base.precision).T])
         q = np.linalg.qr(own)[0][: rows.size]
         c = out[rows, 0] / base.tail.scale
         return 0.5 * float(c @ c - np.sum((q.T @ c) ** 2))
@@ -142,10 +139,8 @@ class Judged:
         specs = part.effect.parameters
         starts = list(part.effect.starts(self.problem.data, part.settings))
         p = np.array(starts[len(starts) // 2], dtype=float)
-        p = np.array([
-            math.exp(s.centre) if s.log and not v > 0.0 else v
-            for s, v in zip(specs, p, strict=True)
-        ])
+        p = np.array([math.exp(s.centre) if s.log and not v > 0.0 else v
+                      for s, v in zip(specs, p, strict=True)])
         free = [j for j, s in enumerate(specs) if not s.log and p[j] == 0.0]
         if free:
             precision = part.effect.precision(part.settings, self.problem.sizes_of(part))
@@ -172,9 +167,8 @@ def judged(aircraft: Aircraft, data: AxisData) -> Judged:
     """Fit the model without the rivals to a flight, from the aircraft's own values."""
     problem = Problem(data, data.train)
     noise = aircraft.noise
-    base = np.r_[
-        aircraft.theta[0], np.log(np.maximum(aircraft.theta[1:3], 1e-4)), aircraft.theta[3:]
-    ]
+    base = np.r_[aircraft.theta[0], np.log(np.maximum(aircraft.theta[1:3], 1e-4)),
+                 aircraft.theta[3:]]
     known = np.log([max(noise.ratios.get(s.name, math.exp(s.centre)), 1e-3) for s in NOISE])
     found = fit(problem, Structure(), np.r_[base, known])
     problem.measure(found)

@@ -28,13 +28,11 @@ def _lines(found: Separation) -> Iterator[str]:
     yield from textwrap.wrap(
         f'plant: {a.told}, gain {a.theta[0]:.3g}, lag {1e3 * a.theta[1]:.0f} ms, '
         f'delay {1e3 * a.theta[2]:.0f} ms; assumed: {found.first.words()}; '
-        f'{found.second.words()}',
-        WIDTH,
+        f'{found.second.words()}', WIDTH,
     )
     yield ''
     yield ROW.format('', '', 'angle', 'apart', 'apart', 'right', '95 %')
-    yield ROW.format('', f'flight of {found.seconds:g} s', '°', 'first', 'second', 'one',
-                     'after')
+    yield ROW.format('', f'flight of {found.seconds:g} s', '°', 'first', 'second', 'one', 'after')
     for number, row in enumerate(found.rows[:SHOWN], 1):
         yield _row(str(number), row, found.seconds)
     if found.plain not in found.rows[:SHOWN]:
@@ -43,8 +41,7 @@ def _lines(found: Separation) -> Iterator[str]:
     yield from textwrap.wrap(
         'apart: log evidence, in nats, of this effect over the other in a flight in which it is '
         'the true one. right one: probability that the true one has the larger evidence. '
-        '95 % after: seconds until that probability is 95 %.',
-        WIDTH,
+        '95 % after: seconds until that probability is 95 %.', WIDTH,
     )
     shown = [row.excitation for row in found.rows[:SHOWN]]
     if any(e.before is not None for e in shown):
@@ -57,8 +54,7 @@ def _lines(found: Separation) -> Iterator[str]:
         yield from textwrap.wrap(
             f'Of {found.tried} candidates {found.refused} would go near the angle at which the '
             'excitation node ends a flight, or move too little to identify the base; the best of '
-            'the others are shown.',
-            WIDTH,
+            'the others are shown.', WIDTH,
         )
     yield ''
     yield from textwrap.wrap(why(found), WIDTH)
@@ -82,11 +78,9 @@ def why(found: Separation) -> str:
             words += f', with the plain PRBS {_pct(matched)}'
         words += '; the evidence between them is '
     more = f'{gain:.1f} times that' if gain < 1e3 else 'far more than that'
-    words += (
-        f'{more} of the plain PRBS (rate {best.rate_rms:.2f} rad/s RMS, angle up to '
-        f'{math.degrees(best.peak_angle):.0f}°; PRBS {plain.rate_rms:.2f} rad/s and '
-        f'{math.degrees(plain.peak_angle):.0f}°).'
-    )
+    words += (f'{more} of the plain PRBS (rate {best.rate_rms:.2f} rad/s RMS, angle up to '
+              f'{math.degrees(best.peak_angle):.0f}°; PRBS {plain.rate_rms:.2f} rad/s and '
+              f'{math.degrees(plain.peak_angle):.0f}°).')
     if _worst(best, found.seconds).probability < CERTAIN:
         words += (
             f' {found.seconds:g} s are not enough for {100 * CERTAIN:.0f} %: '
@@ -129,21 +123,18 @@ def name_of(excitation: Excitation) -> str:
     size = part.amplitude / AMPLITUDES[part.injection][1]
     unit = '°' if part.injection == 'attitude' else ' control'
     extra = ''.join(
-        word for word, on in (
-            (' +P', excitation.before is not None), (' +T', excitation.throttle_steps),
-            (' +A', excitation.others_move),
-        ) if on
+        word for word, on in ((' +P', excitation.before is not None),
+                              (' +T', excitation.throttle_steps),
+                              (' +A', excitation.others_move)) if on
     )
     return f'{shape}, {size:g}{unit}{extra}'
 
 
 def _row(number: str, row: Row, seconds: float) -> str:
     worst = _worst(row, seconds)
-    return ROW.format(
-        number, name_of(row.excitation), f'{math.degrees(row.peak_angle):.0f}',
-        _distance(row.first, seconds), _distance(row.second, seconds),
-        f'{worst.probability:.2f}', _seconds(worst.seconds_for(CERTAIN)),
-    )
+    return ROW.format(number, name_of(row.excitation), f'{math.degrees(row.peak_angle):.0f}',
+                      _distance(row.first, seconds), _distance(row.second, seconds),
+                      f'{worst.probability:.2f}', _seconds(worst.seconds_for(CERTAIN)))
 
 
 def _worst(row: Row, seconds: float) -> Apart:
@@ -187,13 +178,10 @@ def _like(part: Part) -> dict[str, float | int]:
     return p
 
 
-def _entry(
-    role: str, part: Part, parameters: Mapping[str, float | int], seconds: float
-) -> str:
+def _entry(role: str, part: Part, parameters: Mapping[str, float | int], seconds: float) -> str:
     key, unit, _, _ = AMPLITUDES[part.injection]
-    fields = {
-        'segment': role, 'signal': part.signal, 'axis': part.axis, 'injection': part.injection,
-        key: f'{part.amplitude / unit:g}', 'duration_s': f'{seconds:.1f}',
-        **{name: f'{value:g}' for name, value in parameters.items()},
-    }
+    fields = {'segment': role, 'signal': part.signal, 'axis': part.axis,
+              'injection': part.injection, key: f'{part.amplitude / unit:g}',
+              'duration_s': f'{seconds:.1f}',
+              **{name: f'{value:g}' for name, value in parameters.items()}}
     return '{' + ', '.join(f'{name}: {value}' for name, value in fields.items()) + '}'

@@ -63,9 +63,8 @@ class Design:
         """YAML of a schedule: a training PRBS, then a PRBS and a square wave for validation."""
         highest = AMPLITUDES['attitude'][3]
         if not 0.0 < amplitude_deg <= highest:
-            raise BadInputError(
-                '--amplitude-deg', f'must be above 0 and at most {highest:g}°', amplitude_deg
-            )
+            raise BadInputError('--amplitude-deg', f'must be above 0 and at most {highest:g}°',
+                                amplitude_deg)
         train = math.ceil(min(self.period_s, 120.0))
         prbs = f'signal: prbs, axis: {axis}, injection: attitude, amplitude_deg: {amplitude_deg:g}'
         square = prbs.replace('prbs', 'square')
@@ -96,15 +95,13 @@ def parse_band(text: str) -> tuple[float, float]:
     except ValueError:
         band = (math.nan, math.nan)
     if not 0.0 < band[0] < band[1] < math.inf:
-        raise BadInputError(
-            '--band', 'needs 0 < LOW < HIGH in rad/s', repr(text), 'for example --band 0.1:20'
-        )
+        raise BadInputError('--band', 'needs 0 < LOW < HIGH in rad/s', repr(text),
+                            'for example --band 0.1:20')
     return band
 
 
-def design_excitation(
-    low_rad_s: float, high_rad_s: float, sample_rate_hz: float = 250.0
-) -> Design:
+def design_excitation(low_rad_s: float, high_rad_s: float,
+                      sample_rate_hz: float = 250.0) -> Design:
     """Design for a band in rad/s. BadInputError where the sample rate is too low for it.
 
     Eq. (10): 0.3 / clock = 1 / (2 pi tau_min) with tau_min = 1 / high, rounded down to whole
@@ -112,30 +109,25 @@ def design_excitation(
     the register length that comes nearest to 4.
     """
     if not 0.0 < low_rad_s < high_rad_s < math.inf:
-        raise BadInputError(
-            '--band', 'needs 0 < LOW < HIGH in rad/s', f'{low_rad_s:g}:{high_rad_s:g}',
-            'for example --band 0.1:20',
-        )
+        raise BadInputError('--band', 'needs 0 < LOW < HIGH in rad/s',
+                            f'{low_rad_s:g}:{high_rad_s:g}', 'for example --band 0.1:20')
     if not 0.0 < sample_rate_hz < math.inf:
         raise BadInputError('--rate', 'must be a positive number of Hz', sample_rate_hz)
     clock = 0.3 * 2.0 * math.pi / high_rad_s
     samples = math.floor(clock * sample_rate_hz + 1e-9)
     if samples < SAMPLES_PER_CLOCK:
         most = 0.3 * 2.0 * math.pi * sample_rate_hz / SAMPLES_PER_CLOCK
-        raise BadInputError(
-            '--band', f'HIGH is too fast for {sample_rate_hz:g} Hz', f'{high_rad_s:g} rad/s',
-            f'at most {most:.4g} rad/s ({SAMPLES_PER_CLOCK} samples per clock)',
-        )
+        raise BadInputError('--band', f'HIGH is too fast for {sample_rate_hz:g} Hz',
+                            f'{high_rad_s:g} rad/s',
+                            f'at most {most:.4g} rad/s ({SAMPLES_PER_CLOCK} samples per clock)')
     wanted = math.log2(4.0 / (low_rad_s * samples / sample_rate_hz) + 1.0)
     bits = min(max(round(wanted), min(TAPS)), max(TAPS))
     middle = math.sqrt(low_rad_s * high_rad_s)
-    return Design(
-        low_rad_s=low_rad_s, high_rad_s=high_rad_s, sample_rate_hz=sample_rate_hz,
-        clock_samples=samples, register_bits=bits,
-        validation_bits=bits - 1 if bits > min(TAPS) else bits + 1,
-        square_period_s=round(2.0 * math.pi / middle, 3),
-        unit_s=round(0.3 * 2.0 * math.pi / (high_rad_s / 3.0), 3),
-    )
+    return Design(low_rad_s=low_rad_s, high_rad_s=high_rad_s, sample_rate_hz=sample_rate_hz,
+                  clock_samples=samples, register_bits=bits,
+                  validation_bits=bits - 1 if bits > min(TAPS) else bits + 1,
+                  square_period_s=round(2.0 * math.pi / middle, 3),
+                  unit_s=round(0.3 * 2.0 * math.pi / (high_rad_s / 3.0), 3))
 
 
 def _lines(d: Design) -> list[str]:
@@ -157,10 +149,8 @@ def _lines(d: Design) -> list[str]:
         (f'persistently exciting of order {d.length} over one period '
         f'(the paper needs 50 for its largest model)'),
         f'first spectral line {first:.3g} rad/s'
-        + (
-            f', above LOW: what lies below is not excited steadily; a register of '
-            f'{d.register_bits + 1} bits would reach it' if first > d.low_rad_s else ''
-        ),
+        + (f', above LOW: what lies below is not excited steadily; a register of '
+           f'{d.register_bits + 1} bits would reach it' if first > d.low_rad_s else ''),
         (f'validation: another register ({d.validation_bits} bits; the same one would only be '
         f'shifted) and a square wave of {d.square_period_s:g} s'),
         (f'3-2-1-1 unit {d.unit_s:g} s; chirp or multisine {d.low_rad_s / (2 * math.pi):.3g} to '

@@ -97,10 +97,8 @@ def _attitude(limits: Limits, readings: Readings, axis: str, yaw_start: float) -
     turned = math.remainder(yaw - yaw_start, 2.0 * math.pi) if axis == 'yaw' else 0.0
     for name, angle in zip(AXES, (roll, pitch, turned), strict=True):
         if abs(angle) > limits.angle_rad:
-            return Abort(
-                f'{name} of {math.degrees(angle):.1f}° is beyond '
-                f'{math.degrees(limits.angle_rad):.0f}°'
-            )
+            return Abort(f'{name} of {math.degrees(angle):.1f}° is beyond '
+                         f'{math.degrees(limits.angle_rad):.0f}°')
     return None
 
 

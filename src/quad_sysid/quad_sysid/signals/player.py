@@ -171,8 +171,6 @@ class Player:
         self.state, self.reason = state, reason
         running = self._last != ZERO
         self._index, self._last = None, ZERO
-        announcement = {
-            'segment': 'idle', 'signal': 'none', 'axis': part.axis, 'injection': part.injection,
-            'reason': reason,
-        }
+        announcement = {'segment': 'idle', 'signal': 'none', 'axis': part.axis,
+                        'injection': part.injection, 'reason': reason}
         return Tick(ZERO if running else None, announcement)

@@ -23,8 +23,7 @@ DEGREE = math.pi / 180.0
 
 AMPLITUDES: dict[str, tuple[str, float, float, float]] = {
     'attitude': ('amplitude_deg', DEGREE, AMPLITUDE_DEG, 20.0),
-    'rate': ('amplitude_deg_s', DEGREE, 30.0, 200.0),
-    'control': ('amplitude', 1.0, 0.03, 0.2),
+    'rate': ('amplitude_deg_s', DEGREE, 30.0, 200.0), 'control': ('amplitude', 1.0, 0.03, 0.2),
 }
 """Injection → key of the amplitude, its unit in SI, default and limit (paper: 20° at most)."""
 
@@ -58,10 +57,8 @@ class Part:
 
     def announcement(self) -> dict[str, float | int | str]:
         """Parameters of /excitation/segment."""
-        names: dict[str, float | int | str] = {
-            'segment': self.role, 'signal': self.signal, 'axis': self.axis,
-            'injection': self.injection,
-        }
+        names: dict[str, float | int | str] = {'segment': self.role, 'signal': self.signal,
+                                               'axis': self.axis, 'injection': self.injection}
         if self.role != 'idle':
             names |= {'amplitude': self.amplitude, 'ramp_s': self.ramp_s, **self.parameters}
         return names
@@ -125,10 +122,8 @@ def parse_schedule(content: object, source: str) -> Schedule:
         raise BadInputError(source, 'schedule needs a list of segments', repr(listed),
                             'quad-sysid design-excitation --out FILE writes one')
     ramp_s = _number(body, 'ramp_s', RAMP_S, source, 0.0)
-    parts = [
-        _part(entry, f'{source}, segment {number}', ramp_s)
-        for number, entry in enumerate(listed, 1)
-    ]
+    parts = [_part(entry, f'{source}, segment {number}', ramp_s)
+             for number, entry in enumerate(listed, 1)]
     return Schedule(tuple(parts), mount, source)
 
 
@@ -159,18 +154,15 @@ def _part(entry: object, where: str, ramp_s: float) -> Part:
     if signal == 'chirp':
         own.setdefault('sweep_s', duration)
     shape = waveform(signal, own, where)
-    return Part(
-        role, duration, signal, axis, injection,
-        amplitude=unit * _number(entry, key, default, where, 0.0, limit),
-        ramp_s=_number(entry, 'ramp_s', ramp_s, where, 0.0, duration / 2.0),
-        parameters={name: getattr(shape, name) for name in parameter_names(signal)},
-        waveform=shape,
-    )
+    return Part(role, duration, signal, axis, injection,
+                amplitude=unit * _number(entry, key, default, where, 0.0, limit),
+                ramp_s=_number(entry, 'ramp_s', ramp_s, where, 0.0, duration / 2.0),
+                parameters={name: getattr(shape, name) for name in parameter_names(signal)},
+                waveform=shape)
 
 
-def _choice(
-    entry: Mapping[str, object], key: str, default: str, allowed: Sequence[str], where: str
-) -> str:
+def _choice(entry: Mapping[str, object], key: str, default: str, allowed: Sequence[str],
+            where: str) -> str:
     """A value that must be one of `allowed`."""
     value = entry.get(key, default)
     if value not in allowed:
@@ -184,16 +176,13 @@ def _mapping(value: object, where: str, keys: Sequence[str], what: str) -> Mappi
         raise BadInputError(where, f'{what} must hold {", ".join(keys)}', repr(value))
     strange = [str(key) for key in value if key not in keys]
     if strange:
-        raise BadInputError(
-            where, f'unknown key {", ".join(strange)}', remedy=f'{what} takes {", ".join(keys)}'
-        )
+        raise BadInputError(where, f'unknown key {", ".join(strange)}',
+                            remedy=f'{what} takes {", ".join(keys)}')
     return value
 
 
-def _number(
-    entry: Mapping[str, object], key: str, default: float, where: str,
-    low: float, high: float = math.inf,
-) -> float:
+def _number(entry: Mapping[str, object], key: str, default: float, where: str, low: float,
+            high: float = math.inf) -> float:
     """A finite number within low..high."""
     value = entry.get(key, default)
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):

@@ -17,11 +17,10 @@ import numpy as np
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 
-TAPS: dict[int, tuple[int, ...]] = {
-    2: (2, 1), 3: (3, 2), 4: (4, 3), 5: (5, 3), 6: (6, 5), 7: (7, 6), 8: (8, 6, 5, 4),
-    9: (9, 5), 10: (10, 7), 11: (11, 9), 12: (12, 6, 4, 1), 13: (13, 4, 3, 1),
-    14: (14, 5, 3, 1), 15: (15, 14),
-}
+TAPS: dict[int, tuple[int, ...]] = {2: (2, 1), 3: (3, 2), 4: (4, 3), 5: (5, 3), 6: (6, 5),
+                                    7: (7, 6), 8: (8, 6, 5, 4), 9: (9, 5), 10: (10, 7),
+                                    11: (11, 9), 12: (12, 6, 4, 1), 13: (13, 4, 3, 1),
+                                    14: (14, 5, 3, 1), 15: (15, 14)}
 """Stages whose sum is fed back; primitive polynomials over GF(2)."""
 
 
@@ -32,9 +31,8 @@ def prbs_bits(register_bits: int, seed: int = 1) -> FloatArray:
     must differ. Raises BadInputError outside 2..15 bits.
     """
     if register_bits not in TAPS:
-        raise BadInputError(
-            'prbs', 'register_bits must be a whole number from 2 to 15', register_bits
-        )
+        raise BadInputError('prbs', 'register_bits must be a whole number from 2 to 15',
+                            register_bits)
     length = 2**register_bits - 1
     state = (seed * 2_654_435_761) % length + 1
     taps = [stage - 1 for stage in TAPS[register_bits]]
@@ -48,9 +46,8 @@ def prbs_bits(register_bits: int, seed: int = 1) -> FloatArray:
     return out
 
 
-def prbs(
-    register_bits: int, clock_samples: int, amplitude: float, rng: np.random.Generator | int = 1
-) -> FloatArray:
+def prbs(register_bits: int, clock_samples: int, amplitude: float,
+         rng: np.random.Generator | int = 1) -> FloatArray:
     """One period ((2^n - 1) * clock_samples,) of ±amplitude, each bit held `clock_samples`.
 
     `rng` is a generator that draws the first state, or a seed.
@@ -177,10 +174,8 @@ class Silence:
         return 0.0
 
 
-SIGNALS: dict[str, type[Waveform]] = {
-    'prbs': Prbs, 'square': Square, 'chirp': Chirp, 'multisine': Multisine, '3211': Step3211,
-    'none': Silence,
-}
+SIGNALS: dict[str, type[Waveform]] = {'prbs': Prbs, 'square': Square, 'chirp': Chirp,
+                                      'multisine': Multisine, '3211': Step3211, 'none': Silence}
 """Name in schedules and bags → signal; its fields are its parameters."""
 
 WHOLE = {'register_bits', 'seed'}
@@ -194,18 +189,15 @@ def waveform(name: str, parameters: Mapping[str, object], where: str) -> Wavefor
     known = parameter_names(name)
     strange = [key for key in parameters if key not in known]
     if strange:
-        raise BadInputError(
-            where, f'unknown key {", ".join(strange)} for signal {name}',
-            remedy=f'it takes {", ".join(known) or "none"}',
-        )
+        raise BadInputError(where, f'unknown key {", ".join(strange)} for signal {name}',
+                            remedy=f'it takes {", ".join(known) or "none"}')
     given = {key: _number(value, key, where) for key, value in parameters.items()}
     try:
         built: Waveform = kind(**given)
     except TypeError as error:
         absent = [f for f in known if f not in given and f != 'seed']
-        raise BadInputError(
-            where, f'signal {name} needs {", ".join(absent)}', remedy='add it'
-        ) from error
+        raise BadInputError(where, f'signal {name} needs {", ".join(absent)}',
+                            remedy='add it') from error
     built.at(0.0)
     return built
 

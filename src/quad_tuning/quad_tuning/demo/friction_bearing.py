@@ -20,13 +20,8 @@ STICK_SPEED_RAD_S = 0.02
 """Below it the bearing creeps instead of sticking, so that the torque is smooth in the rate."""
 
 
-def effect(
-    t_s: float,
-    rates: np.ndarray,
-    angles: np.ndarray,
-    thrusts: np.ndarray,
-    battery_v: float,
-) -> np.ndarray:
+def effect(t_s: float, rates: np.ndarray, angles: np.ndarray, thrusts: np.ndarray,
+           battery_v: float) -> np.ndarray:
     """Body torque (3,) in N m of the roll bearing; rates (3,) in rad/s, the rest is not used."""
     del t_s, angles, thrusts, battery_v
     rate = float(rates[0])

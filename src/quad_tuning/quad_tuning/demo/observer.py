@@ -67,17 +67,14 @@ class Observer:
         """Listen to /imu/data only while its arrival is the question; it costs CPU."""
         if on and self._imu is None:
             self.imu_count = 0
-            self._imu = self._node.create_subscription(
-                Imu, '/imu/data', self._on_imu, qos_profile_sensor_data, raw=True
-            )
+            self._imu = self._node.create_subscription(Imu, '/imu/data', self._on_imu,
+                                                       qos_profile_sensor_data, raw=True)
         elif not on and self._imu is not None:
             self._node.destroy_subscription(self._imu)
             self._imu = None
 
-    def wait_for(
-        self, stage: str, what: str, condition: Callable[[], bool], timeout_s: float,
-        meanwhile: Callable[[], None] = lambda: None,
-    ) -> None:
+    def wait_for(self, stage: str, what: str, condition: Callable[[], bool], timeout_s: float,
+                 meanwhile: Callable[[], None] = lambda: None) -> None:
         """Spin until `condition()`; raises StageFailedError after `timeout_s`.
 
         In lockstep nobody is hurried, and only `PATIENCE_S` ends it. `meanwhile` is called about

@@ -150,14 +150,9 @@ class Crew:
     def environment(self) -> dict[str, str]:
         """The whole environment of this process, confined to the run's domain and folder."""
         lockstep = {} if self.socket is None else {VARIABLE: str(self.socket)}
-        return {
-            **os.environ,
-            **lockstep,
-            'ROS_DOMAIN_ID': str(self.domain),
-            'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
-            'ROS_LOG_DIR': str(self.folder / 'logs' / 'ros'),
-            'PYTHONUNBUFFERED': '1',
-        }
+        return {**os.environ, **lockstep, 'ROS_DOMAIN_ID': str(self.domain),
+                'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
+                'ROS_LOG_DIR': str(self.folder / 'logs' / 'ros'), 'PYTHONUNBUFFERED': '1'}
 
     def start(self, name: str, command: Sequence[str | Path], *, may_end: bool = False) -> Child:
         """Start `command` in a process group of its own, output to logs/`name`.log."""
@@ -174,9 +169,8 @@ class Crew:
         self.children[name] = Child(name, process, log, may_end=may_end)
         return self.children[name]
 
-    def start_node(
-        self, package: str, name: str, parameters: Mapping[str, object], *, called: str = ''
-    ) -> Child:
+    def start_node(self, package: str, name: str, parameters: Mapping[str, object], *,
+                   called: str = '') -> Child:
         """Start a node with its package's own configuration, if any, and these parameters.
 
         They are kept in a YAML file beside its log; `called` names both where one node runs twice.

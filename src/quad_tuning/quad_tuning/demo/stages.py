@@ -39,11 +39,9 @@ class Aircraft:
 
     def command(self, link: Path, lockstep: Path | None = None) -> list[str | Path]:
         """The command line that starts it."""
-        options = {
-            '--profile': self.profile, '--mount': self.mount, '--axis': self.axis,
-            '--seed': self.seed, '--link': link, '--effect-module': self.effect_module,
-            '--lockstep': lockstep,
-        }
+        options = {'--profile': self.profile, '--mount': self.mount, '--axis': self.axis,
+                   '--seed': self.seed, '--link': link, '--effect-module': self.effect_module,
+                   '--lockstep': lockstep}
         given = [str(part) for option in options.items() if option[1] is not None
                  for part in option]
         return [executable('quad_bridge', 'virtual_stm32'), *given, *['--qemu'] * self.qemu]
@@ -93,9 +91,8 @@ def connect(campaign: Campaign, aircraft: Aircraft) -> None:
     campaign.wait('connect', 'pseudo-terminal of the virtual STM32', link.exists, CONNECT_S)
     settings = {'port': str(link), 'state_folder': str(campaign.folder / 'aircraft')}
     campaign.crew.start_node('quad_bridge', 'serial_bridge', settings)
-    campaign.crew.start_node(
-        'quad_bridge', 'bag_logger', {'folder': str(campaign.folder), 'prefix': 'flight'}
-    )
+    campaign.crew.start_node('quad_bridge', 'bag_logger',
+                             {'folder': str(campaign.folder), 'prefix': 'flight'})
     observer = campaign.observer
     observer.count_imu(on=True)
     campaign.wait('connect', '/imu/data', lambda: observer.imu_count > 250 * SETTLED_S, CONNECT_S)
@@ -103,9 +100,8 @@ def connect(campaign: Campaign, aircraft: Aircraft) -> None:
     campaign.wait('connect', '/gains/active', lambda: bool(observer.active_gains), CONNECT_S)
     # its first report: in lockstep it knows the time from then on, before it refuses to record
     heard = observer.diagnostics
-    campaign.wait(
-        'connect', 'logger', lambda: any(n.startswith('bag_logger: ') for n in heard), CONNECT_S
-    )
+    campaign.wait('connect', 'logger', lambda: any(n.startswith('bag_logger: ') for n in heard),
+                  CONNECT_S)
 
 
 def fly(campaign: Campaign, name: str, schedule: Path) -> Flight:
@@ -156,11 +152,9 @@ def await_new_gains(campaign: Campaign, old: Mapping[str, float]) -> float:
     if campaign.told.get('update') != 'sent':
         raise StageFailedError('update', f'no gains were sent: {campaign.told.get("update")}')
     campaign.wait('update', '/gains/update', lambda: bool(observer.updates), ACKNOWLEDGE_S)
-    wanted = {
-        name: float(value)
-        for name, value in observer.updates[-1].items()
-        if isinstance(value, float | int)
-    }
+    wanted = {name: float(value)
+              for name, value in observer.updates[-1].items()
+              if isinstance(value, float | int)}
     if not changed(old, wanted):
         raise StageFailedError('update', 'the gains that were sent are the ones already flown')
     campaign.wait('update', 'acknowledgement on /gains/active',

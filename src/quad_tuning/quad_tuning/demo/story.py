@@ -48,18 +48,14 @@ class Teller:
         sys.stdout.flush()
 
 
-def tell(
-    out: Path, seed: int, teller: Teller, *, lockstep: bool = False, qemu: bool = False
-) -> list[str]:
+def tell(out: Path, seed: int, teller: Teller, *, lockstep: bool = False,
+         qemu: bool = False) -> list[str]:
     """Close the loop once, results in `out`; the lines of the summary.
 
     Raises StageFailedError; in any case all processes are stopped.
     """
-    with (
-        own_domain() as domain,
-        Crew(out, domain, lockstep=lockstep) as crew,
-        Observer(domain, crew.clock) as observer,
-    ):
+    with (own_domain() as domain, Crew(out, domain, lockstep=lockstep) as crew,
+          Observer(domain, crew.clock) as observer):
         campaign = Campaign(crew, observer, teller.say)
         return lines(_close_the_loop(campaign, seed, teller, qemu=qemu))
 
@@ -92,15 +88,12 @@ def _close_the_loop(campaign: Campaign, seed: int, teller: Teller, *, qemu: bool
         axis=AXIS, report=report, unseen=unseen, acknowledged_after_s=waited, folder=out,
         first=FlightSummary(first.seconds, first.gains, squares[0].figures),
         second=FlightSummary(second.seconds, second.gains, squares[1].figures),
-        files=[
-            ('bag of the first flight', first.bag),
-            ('bag of the second flight', second.bag),
-            ('the report, for people', report_path.with_name('report.html')),
-            ('the same, for programs', report_path),
-            ('the model, for quad-sysid evaluate', report_path.with_name('model.json')),
-            ('pictures of the report', report_path.with_name('pictures')),
-            ('picture of both square waves', out / 'square_wave.png'),
-        ],
+        files=[('bag of the first flight', first.bag), ('bag of the second flight', second.bag),
+               ('the report, for people', report_path.with_name('report.html')),
+               ('the same, for programs', report_path),
+               ('the model, for quad-sysid evaluate', report_path.with_name('model.json')),
+               ('pictures of the report', report_path.with_name('pictures')),
+               ('picture of both square waves', out / 'square_wave.png')],
         seconds=teller.seconds,
     )
 

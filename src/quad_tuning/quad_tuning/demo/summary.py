@@ -41,10 +41,8 @@ def flown_square(bag: Path, axis: str) -> FlownSquare:
     try:
         record = read_bag(bag)
         reference, angle = square_of(record, axis)
-        figures = replace(
-            square_figures(reference, angle, record.dt),
-            rms_error_rad=tracking_error(reference, angle),
-        )
+        figures = replace(square_figures(reference, angle, record.dt),
+                          rms_error_rad=tracking_error(reference, angle))
     except QuadSysidError as error:
         raise StageFailedError('compare', str(error)) from error
     return FlownSquare(reference, angle, record.dt, figures)
@@ -173,11 +171,9 @@ def _found(outcome: Outcome) -> list[str]:
 
 
 def _gains(outcome: Outcome) -> list[str]:
-    shown = [
-        name
-        for name in outcome.second.gains
-        if name.startswith(f'{outcome.axis}.') and name.split('.')[-1] in {'kp', 'ki', 'kd'}
-    ]
+    shown = [name
+             for name in outcome.second.gains
+             if name.startswith(f'{outcome.axis}.') and name.split('.')[-1] in {'kp', 'ki', 'kd'}]
     table = [row('gains', f'{"":16s}{"before":>10s}{"after":>10s}')]
     for name in sorted(shown):
         old = outcome.first.gains.get(name, math.nan)

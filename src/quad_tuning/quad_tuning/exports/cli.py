@@ -30,8 +30,7 @@ def add(commands: Any) -> None:
     parser.add_argument('--scale', metavar='AXIS=NUMBER', action='append', default=[],
                         help="our command per unit of the firmware's torque; 1 where the model "
                         'was identified on its torque set-points; repeat')
-    parser.add_argument('--out', metavar='FILE', type=Path,
-                        help='default: print it')
+    parser.add_argument('--out', metavar='FILE', type=Path, help='default: print it')
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -82,9 +82,8 @@ def send(arguments: argparse.Namespace) -> int:
     try:
         from quad_tuning.history.update_node import publish  # where ROS is installed
     except ImportError as missing:
-        raise BadInputError(
-            'quad-tune send', 'needs ROS 2', missing.name, 'run it where the bridge runs'
-        ) from missing
+        raise BadInputError('quad-tune send', 'needs ROS 2', missing.name,
+                            'run it where the bridge runs') from missing
     refusal = publish(gains, SENDER, predicted=json.dumps(predicted),
                       namespace=arguments.namespace)
     return _told(refusal, f'active, and watched by the bridge: {_words(gains)}')
@@ -104,12 +103,10 @@ def read_design(path: Path) -> tuple[dict[str, float], dict[str, float]]:
     gains = read_gains(path)
     axes = json.loads(path.read_text(encoding='utf-8'))['axes']
     figures = {axis: one.get('figures') or {} for axis, one in axes.items() if one.get('gains')}
-    predicted = {
-        f'{axis}.{name}': float(said[name])
-        for axis, said in figures.items()
-        for name in PROMISES
-        if name in said
-    }
+    predicted = {f'{axis}.{name}': float(said[name])
+                 for axis, said in figures.items()
+                 for name in PROMISES
+                 if name in said}
     return gains, predicted
 
 
@@ -135,10 +132,8 @@ def table(sets: Sequence[GainSet]) -> str:
 
 def by_hand(gains: Mapping[str, float], namespace: str = '') -> str:
     """The `ros2 topic pub` that sends these gains."""
-    parts = [
-        f'{{name: {name}, value: {{type: 3, double_value: {value!r}}}}}'
-        for name, value in gains.items()
-    ]
+    parts = [f'{{name: {name}, value: {{type: 3, double_value: {value!r}}}}}'
+             for name, value in gains.items()]
     parts.append(f'{{name: source, value: {{type: 4, string_value: {SOURCE}}}}}')
     parts.append('{name: rollback, value: {type: 1, bool_value: true}}')
     body = '{changed_parameters: [' + ', '.join(parts) + ']}'

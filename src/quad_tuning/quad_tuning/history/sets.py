@@ -50,16 +50,13 @@ def history_file(folder: Path, aircraft: str) -> Path:
     """The file of an aircraft; without a name the only one. Raises BadInputError."""
     found = sorted(path.parent.name for path in folder.glob(f'*/{FILE}'))
     if not found:
-        raise BadInputError(
-            str(folder), 'holds no history of gains', None,
-            "give the bridge's parameter state_folder as --folder",
-        )  # fmt: skip
+        raise BadInputError(str(folder), 'holds no history of gains', None,
+                            "give the bridge's parameter state_folder as --folder")
     if aircraft and aircraft not in found:
         raise BadInputError('--aircraft', f'must be one of {", ".join(found)}', aircraft)
     if not aircraft and len(found) > 1:
-        raise BadInputError(
-            str(folder), 'holds several aircraft', ', '.join(found), 'choose one by --aircraft'
-        )
+        raise BadInputError(str(folder), 'holds several aircraft', ', '.join(found),
+                            'choose one by --aircraft')
     return folder / (aircraft or found[0]) / FILE
 
 
@@ -88,16 +85,13 @@ def read_history(path: Path) -> list[GainSet]:
 
 def changed(one: Mapping[str, float], other: Mapping[str, float]) -> dict[str, float]:
     """The gains of `other` that differ in `one`."""
-    return {
-        name: value
-        for name, value in other.items()
-        if abs(one.get(name, float('inf')) - value) > 1e-6 * max(abs(value), 1e-9)
-    }
+    return {name: value
+            for name, value in other.items()
+            if abs(one.get(name, float('inf')) - value) > 1e-6 * max(abs(value), 1e-9)}
 
 
-def way_back(
-    sets: Sequence[GainSet], number: int | None = None
-) -> tuple[GainSet, dict[str, float]]:
+def way_back(sets: Sequence[GainSet],
+             number: int | None = None) -> tuple[GainSet, dict[str, float]]:
     """The set `number`, or the last good set that differs, and the gains that must change.
 
     Raises BadInputError where there is no such set.
@@ -128,11 +122,9 @@ def _entry(line: str) -> dict[str, Any] | None:
 
 def _set(entry: Mapping[str, Any], number: int) -> GainSet:
     gains = entry.get('gains')
-    values = {
-        str(name): float(value)
-        for name, value in (gains.items() if isinstance(gains, dict) else ())
-        if isinstance(value, (int, float))
-    }
+    values = {str(name): float(value)
+              for name, value in (gains.items() if isinstance(gains, dict) else ())
+              if isinstance(value, (int, float))}
     keys = ('source', 'model', 'bag', 'update', 'reason')
     texts = {key: str(entry.get(key, '')) for key in keys}
     outcome = 'in flight' if texts['update'] else 'found'

@@ -29,10 +29,8 @@ FAILED = ('rolled back', 'not taken over')
 GAINS = 'serial_bridge: gains'
 
 
-def publish(
-    gains: Mapping[str, float], source: str, *, rollback: bool = False, predicted: str = '',
-    namespace: str = '',
-) -> str:
+def publish(gains: Mapping[str, float], source: str, *, rollback: bool = False,
+            predicted: str = '', namespace: str = '') -> str:
     """Send `gains` (contract names, SI) to the bridge; `rollback`: or revert those in flight.
 
     `predicted` is JSON for /gains/update, `namespace` the bridge's. Returns '' once they are
@@ -76,10 +74,9 @@ def publish(
             raise BadInputError(asked, f'no bridge has been heard for {LISTEN_S:.0f} s',
                                 remedy='start serial_bridge, or give its --namespace')
         heard.before = heard.message
-        told: dict[str, bool | float | str] = {
-            **gains, 'source': source, **({'predicted': predicted} if predicted else {}),
-            **({'rollback': True} if rollback else {}),
-        }
+        told: dict[str, bool | float | str] = {**gains, 'source': source,
+                                               **({'predicted': predicted} if predicted else {}),
+                                               **({'rollback': True} if rollback else {})}
         publisher.publish(event_message(told, '/quad_tune', 0))
         if not spin(lambda: heard.refusal or not changed(heard.gains, gains), ANSWER_S):
             raise BadInputError(answered, f'no answer of the bridge for {ANSWER_S:.0f} s')

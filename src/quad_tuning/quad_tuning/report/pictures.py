@@ -37,16 +37,13 @@ NYQUIST_REACH = 3.0
 Sets = tuple[tuple[str, CascadeGains, str], ...]
 
 
-def write_pictures(
-    model: AxisModel, wanted: CascadeGains, folder: Path
-) -> tuple[Path, ...]:
+def write_pictures(model: AxisModel, wanted: CascadeGains, folder: Path) -> tuple[Path, ...]:
     """`<axis>_bode.png`, `_nyquist.png` and `_step.png` in `folder`; BadInputError if it fails."""
     loops = ensembles.build(model, np.random.default_rng(SEED))
     active = CascadeGains.from_mapping(model.active_gains, model.axis)
     sets: Sets = (('flown gains', active, BEFORE), ('new gains', wanted, AFTER))
-    figures = {
-        'bode': _bode(sets, loops), 'nyquist': _nyquist(sets, loops), 'step': _step(sets, model),
-    }  # fmt: skip
+    figures = {'bode': _bode(sets, loops), 'nyquist': _nyquist(sets, loops),
+               'step': _step(sets, model)}
     paths = []
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -77,9 +74,8 @@ def _bode(sets: Sets, loops: Ensemble) -> Figure:
     phase.set_ylim(-360.0, 0.0)
     gain.set_ylim(-60.0, 60.0)
     closed.set_ylim(-60.0, 12.0)
-    for axes, label in (
-        (gain, 'loop gain, dB'), (phase, 'loop phase, deg'), (closed, 'angle / reference, dB')
-    ):
+    for axes, label in ((gain, 'loop gain, dB'), (phase, 'loop phase, deg'),
+                        (closed, 'angle / reference, dB')):
         axes.set(xscale='log', ylabel=label)
         axes.grid(which='both', color='0.9')
     closed.set_xlabel('frequency, rad/s')
@@ -138,10 +134,8 @@ def _step(sets: Sets, model: AxisModel) -> Figure:
     return figure
 
 
-def _band(
-    axes: Axes, x: FloatArray, y: FloatArray, nominal: npt.NDArray[np.bool_], colour: str,
-    name: str,
-) -> None:
+def _band(axes: Axes, x: FloatArray, y: FloatArray, nominal: npt.NDArray[np.bool_], colour: str,
+          name: str) -> None:
     """The nominal row of y (p, n) as a line, all rows as a band."""
     axes.fill_between(x, y.min(axis=0), y.max(axis=0), color=colour, alpha=BAND, lw=0)
     axes.plot(x, y[int(np.flatnonzero(nominal)[0])], color=colour, lw=1.5, label=name)
