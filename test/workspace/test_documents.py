@@ -11,6 +11,9 @@ from pathlib import Path
 import pytest
 from probe import PATIENCE_S
 
+from quad_bridge.topics import TOPIC_TYPES
+from quad_sysid import contract
+
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [
     *(ROOT / f'{name}.md' for name in ('README', 'CONTRIBUTING', 'ARCHITECTURE')),
@@ -32,6 +35,13 @@ def test_what_a_page_names_exists(path: Path) -> None:
     for target in re.findall(r'\]\(([^)#]+)(?:#[^)]*)?\)', text):
         if not target.startswith(('http://', 'https://', 'mailto:')):
             assert (path.parent / target).exists(), target
+
+
+def test_the_topics_of_page_bridge_and_analysis_agree() -> None:
+    page = (ROOT / 'docs' / 'reference' / 'topics.md').read_text()
+    rows = dict(re.findall(r'^\| `(/[^`]+)` \| (\S+)', page, re.MULTILINE))
+    assert rows == {topic: kind.replace('/msg', '') for topic, kind in TOPIC_TYPES.items()}
+    assert contract.TOPIC_TYPES.items() <= TOPIC_TYPES.items()
 
 
 @pytest.mark.skipif(importlib.util.find_spec('mkdocs') is None, reason='mkdocs is not installed')
