@@ -59,9 +59,9 @@ class Found:
     @property
     def best(self) -> Fit:
         """The most probable variant of the most probable set of names."""
-        shares: Counter[tuple[str, ...]] = Counter()
+        shares: dict[tuple[str, ...], float] = {}
         for one, p in zip(self.all, self.probabilities(), strict=True):
-            shares[one.names] += float(p)
+            shares[one.names] = shares.get(one.names, 0.0) + float(p)
         names = max(shares, key=lambda key: shares[key])
         return next(one.fit for one in self.all if one.names == names)
 
