@@ -68,6 +68,6 @@ def test_it_is_linearised_designed_for_and_separated(result):
     slope = slopes_at(loop_plant(result.model), 1e-3, 1e-3, 1e-3).angle
     assert slope == pytest.approx(-12.0 * TRUTH, rel=0.05)
     assert result.gains['roll.rate.kp'] > 0.0
-    found = qs.separate(result.model, ('cogging', 'pendulum_stiffness'), 20.0)
+    found = qs.separate(result.model, ('cogging', 'pendulum_stiffness'), 10.0)
     assert found.best.worst.nats > 0.0
     assert qs.separate('roll', ('cogging', 'nothing'), 10.0, effects=OWN).rows

@@ -50,7 +50,7 @@ def test_completion_is_printed_and_answers(capsys, tmp_path):
 
 def test_text_fits_80_columns_and_is_plain(plain_bag, tmp_path, capsys):
     """Several bags apart, one bad among them, which is a line on stderr."""
-    words = ['identify', str(plain_bag), '--no-effects', '--table2', '--out', str(tmp_path / 'a')]
+    words = ['identify', str(plain_bag), '--no-effects', '--out', str(tmp_path / 'a')]
     assert main(words) == 0
     told = capsys.readouterr()
     assert max(map(len, told.out.splitlines()[:-1])) <= 80
