@@ -1,7 +1,7 @@
 """The file with the key that both ends sign with, and the command `make_key`. No signing here.
 
 A key is 32 random bytes, written as 64 hexadecimal digits, readable by its owner alone. What is
-accepted (docs/connect.md) is the same in firmware/host/terminal.c.
+accepted (docs/connect.md) is the same in firmware/boards/linux/terminal.c.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 One thread reads the port and hands each of the link's events to its handler; the executor's thread
 does the rest. Whatever is sent is encoded, signed and written in `_flush`, in one order, under the
-lock that also guards link, gains and relay.
+lock that also guards link and gains; the relay is the executor's alone.
 """
 
 from __future__ import annotations

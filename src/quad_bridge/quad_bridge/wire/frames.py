@@ -183,7 +183,7 @@ class GainsCommand:
     transaction: int
     """1..255."""
     checksum: int = 0
-    """COMMIT: of the whole copy (params.checksum)."""
+    """COMMIT: of the whole copy (`checksum` in gains/protocol.py)."""
     watch_ms: int = 0
     """COMMIT: revert without CONFIRM after this long, ms."""
     target_system: int = 0
@@ -197,7 +197,7 @@ class GainsState:
     aircraft: int
     """Unique number of the controller, 64 bits."""
     checksum: int
-    """Of all active parameters (params.checksum)."""
+    """Of all active parameters (`checksum` in gains/protocol.py)."""
     transaction: int
     action: int
     """A `GainsAction`; QUERY where unasked."""
