@@ -21,7 +21,7 @@ NEAR_US = 60_000_000
 
 
 class Stamped(NamedTuple):
-    """A frame for a topic with its stamp, host time in ns; the node adds what makes it ROS time."""
+    """A frame for a topic with its stamp, host time in ns; the node makes ROS time of it."""
 
     frame: f.Cycle | f.RcChannels | f.Battery | f.SlowSensors | Inertial | f.Outputs
     stamp_ns: int
