@@ -204,6 +204,21 @@ def test_nanobench_gets_an_honest_verdict(nanobench):
     assert 0.0 < low < high < np.pi * axis['sample_rate_hz']
 
 
+@pytest.mark.long
+@pytest.mark.parametrize('flight', ['normal', 'weight_near_m3'])
+def test_crazypad_landings_are_no_effects(tmp_path, flight):
+    """Their impacts, of 2.7 rad/s in flights of 0.1 rad/s, were once named as three effects."""
+    axes = ('roll', 'pitch', 'yaw')
+    units = [word for axis in axes for word in ('--unit', f'cmd_{axis}=pwm16')]
+    assert cli.main([
+        'import', str(measured(f'flights/crazypad_{flight}.csv')), '--axis', 'all', '--time', 't',
+        '--control', ','.join(f'cmd_{axis}' for axis in axes), '--thrust', 'cmd_thrust',
+        '--rate', 'p,q,r', *units, '--unit', 'cmd_thrust=pwm16', '--out', str(tmp_path / 'bag'),
+    ]) == 0  # fmt: skip
+    record = split_segments(read_bag(tmp_path / 'bag'), axes=('roll',))
+    assert answer_of(record).verdict == 'cannot_tell'
+
+
 # effects added to recordings
 
 
