@@ -16,7 +16,7 @@ import math
 
 import numpy as np
 
-from quad_bridge.link.stamping import Stamped, Stamping
+from quad_bridge.link.stamping import Stamping
 from quad_bridge.wire.frames import Cycle
 
 OFFSET_NS = 1_700_000_000_000_000_000
@@ -53,7 +53,6 @@ class Far:
 
     def __init__(self, case: dict[str, float], seed: int) -> None:
         self.world, self.stamping = World(case, seed), Stamping()
-        self.out: list[Stamped] = []
         self.found: list[tuple[float, float, float]] = []
         """True time, stamp and when it was given, s."""
         self.begun_s = -1.0
@@ -71,7 +70,7 @@ class Far:
         there, back = self.world.delays()
         told_ns = 1000 * self.world.device_us(at_s + there)
         sent, received = (host_ns(t) for t in (at_s, at_s + there + back))
-        self.stamping.trip(sent, told_ns, received, self.out)
+        self.stamping.trip(sent, told_ns, received)
         self.collect(at_s)
 
     def cycle(self, at_s: float) -> None:
@@ -90,14 +89,14 @@ class Far:
         self.kept.append(frame)
         if not self.stalled(at_s):
             for one in self.kept:
-                self.stamping.cycle(one, host_ns(at_s), self.out)
+                self.stamping.cycle(one, host_ns(at_s))
             self.kept.clear()
             self.collect(at_s)
 
     def collect(self, at_s: float) -> None:
-        for item in self.out:
+        for item in self.stamping.out:
             self.found.append((item.frame.gyro[0], 1e-9 * (item.stamp_ns - OFFSET_NS), at_s))
-        self.out.clear()
+        self.stamping.out.clear()
 
 
 def host_ns(at_s: float) -> int:
@@ -133,11 +132,11 @@ def run(case: dict[str, float], seconds: float, seed: int) -> dict[str, float]:
         'backwards': int((steps <= 0).sum()),
         'held': stamping.held,
         'over_2_ms': int((np.abs(errors) > 2.0).sum()),
-        'restarts': stamping.clock.state.restarts,
+        'restarts': stamping.clock.restarts,
         'wraps': stamping.device_time.wraps,
         'alarms': stamping.guard.alarms,
         'late_ms': float(1e3 * (given - true).max()),
-        'bound_ms': 500.0 * stamping.clock.state.round_trip_s,
+        'bound_ms': 500.0 * stamping.clock.round_trip_s,
     }
 
 

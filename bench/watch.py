@@ -22,7 +22,7 @@ import numpy as np
 from tuning_airframes import Airframe, draw, first_flight, identified, profile_of
 
 from quad_bridge.gains.table import AXES
-from quad_bridge.gains.watch import Alarm, GainWatch
+from quad_bridge.gains.watch import GainWatch
 from quad_bridge.virtual.aircraft import Aircraft
 from quad_bridge.virtual.cycle import COLUMNS
 from quad_bridge.virtual.profile import Profile
@@ -66,7 +66,7 @@ class Gusts:
 class Watched:
     """What the watch made of one update."""
 
-    alarm: Alarm | None
+    alarm: str | None
     after_s: float
     peak_deg: float
     """Largest angle away from the reference, roll or pitch, after the update."""

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from quad_bridge.gains.motor_places import MIXER, where_motors_are
-from quad_bridge.gains.polarity import PulseRun, merge_motors, motor_pulses
+from quad_bridge.gains.polarity import MOTOR_CHANNELS, PulseRun, merge_motors
 from quad_sysid import contract
 from quad_sysid.motor_layout import patterns_of, places
 
@@ -33,7 +33,7 @@ def test_they_agree_on_every_order(order, out):
     """Channel k drives the motor at place order[k], behind 8 ms of delay and 40 ms of lag."""
     rng = np.random.default_rng(3)
     does = WHERE[list(order)] * [1.0, 1.0, out]
-    check = PulseRun(motor_pulses(), 1.0 / DT)
+    check = PulseRun(MOTOR_CHANNELS, 1.0 / DT)
     rate, drive = np.zeros(3), np.zeros(3)
     rates, motors = [], []
     while not check.finished:

@@ -134,7 +134,7 @@ def test_without_highres_imu_the_scaled_one_does_and_without_both_the_attitude()
 
 def test_an_autopilot_that_answers_no_timesync_is_stamped_by_arrival():
     link, out = converse(Autopilot(sync=False), 12.0)
-    assert link.clock.state.one_way
+    assert link.clock.one_way
     inertial = [item for item in out if isinstance(item.frame, Inertial)]
     assert len(inertial) > 1000
     true = HOST0_NS + 1000 * np.array([item.frame.time_us for item in inertial])
@@ -189,6 +189,7 @@ def test_messages_in_ros_units_and_axes():
     motors = conversion.outputs_message(f.Outputs(0, 0, (1100, 1200, 1300, 1400)), 1)
     assert list(motors.effort) == pytest.approx([0.2, 0.4, 0.1, 0.3])
     assert not math.isnan(sum(motors.effort))
+    assert not Link().autopilot.outputs(f.Outputs(0, 1, (1100,) * 4), 0)  # no motors there
 
 
 PUBLISHED = ('/imu/data', '/motors/command', '/rc/in', '/imu/mag', '/baro', '/battery')

@@ -36,13 +36,13 @@ def flown(seconds=2.0):
 def test_a_restart_that_nobody_heard_is_found_though_the_counter_is_higher(uptime_s, silence_s):
     line = flown(uptime_s)
     line.lose(silence_s, restart_after=0.3)
-    held, line.out = line.link.held, []
+    held, line.out = line.link.stamping.held, []
     line.say(*sticks_of(line))
     line.fly(2.0)
     assert line.link.last_cycle.cycle > 250 * uptime_s  # its counter has not gone back
     assert_true(line)
     # told by the first round trip, 20 ms; then eight for the new clock, a tick apart each
-    assert 0 < line.link.held - held < 250
+    assert 0 < line.link.stamping.held - held < 250
     assert line.link.decoder.counts.restarts == 1
 
 
@@ -67,7 +67,7 @@ def test_sticks_that_come_before_the_cycle_do_not_end_the_wait_for_an_answer():
 
 def test_what_a_host_that_stood_still_finds_waiting_keeps_its_stamps():
     line = flown()
-    held, kept = line.link.held, b''
+    held, kept = line.link.stamping.held, b''
     for _ in range(250):
         line.skip()
         kept += line.controller.encode(line.controller.frame(), *sticks(line.controller))
@@ -76,10 +76,10 @@ def test_what_a_host_that_stood_still_finds_waiting_keeps_its_stamps():
         line.hear(kept[begin : begin + 4095])
         line.attend()
     line.fly(1.0)
-    assert line.link.held == held
+    assert line.link.stamping.held == held
     assert_true(line)
     assert line.rising()
-    assert (line.link.decoder.counts.restarts, line.link.clock.state.restarts) == (0, 0)
+    assert (line.link.decoder.counts.restarts, line.link.clock.restarts) == (0, 0)
 
 
 @pytest.mark.parametrize('answers', [True, False])
@@ -87,20 +87,20 @@ def test_a_silence_alone_costs_nothing(answers):
     line = flown()
     line.lose(3.0)
     line.controller.unanswered = () if answers else (f.TimeSync,)
-    held, line.out = line.link.held, []
+    held, line.out = line.link.stamping.held, []
     line.fly(1.0)
-    assert line.link.held == held
+    assert line.link.stamping.held == held
     assert len(line.out) == 300
     assert_true(line)
 
 
 def test_a_line_that_is_late_for_good_is_taken_for_what_it_is_after_one_round_trip():
     line = flown()
-    held, line.delay = line.link.held, 50  # 200 ms on the way, TIMESYNC is not
+    held, line.delay = line.link.stamping.held, 50  # 200 ms on the way, TIMESYNC is not
     line.fly(2.0)
-    assert line.link.held == held
+    assert line.link.stamping.held == held
     assert max(map(abs, line.errors_ms())) < 1.0
-    assert line.link.clock.state.restarts == 0
+    assert line.link.clock.restarts == 0
 
 
 def test_what_comes_late_beside_no_cycle_waits_no_longer_than_patience():

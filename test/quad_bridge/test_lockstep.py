@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from quad_bridge.errors import BadInputError
-from quad_bridge.lockstep import START_NS, WINDOW_NS, WIRE, Line, Participant
+from quad_bridge.lockstep import START_NS, WINDOW_NS, WIRE, Participant
+from quad_bridge.virtual.line import Line
 
 CYCLE_NS = 4_000_000
 PATIENCE_S = 120.0

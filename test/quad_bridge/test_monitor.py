@@ -14,7 +14,7 @@ import pytest
 from probe import event, stamp
 
 from quad_bridge.monitor.coverage import BAND, Pairs, coverage, needed_s, reachable
-from quad_bridge.monitor.view import WIDTH, Entry, State, call, lines, wanted
+from quad_bridge.monitor.view import WIDTH, Entry, State
 from quad_bridge.topics import TOPIC_TYPES
 
 LAYOUTS = Path(__file__).resolve().parents[2] / 'src/quad_bridge/layouts'
@@ -126,7 +126,7 @@ def full_state() -> State:
 
 def test_the_screen_tells_all_in_one_place():
     state = full_state()
-    shown = '\n'.join(lines(state, 100.0))
+    shown = '\n'.join(state.lines(100.0))
     assert max(len(line) for line in shown.splitlines()) <= WIDTH
     for pattern in (
         r'link +ok +control cycles', r'clock +stale +no news for 10 s', r'imu +ok +250 Hz',
@@ -137,23 +137,23 @@ def test_the_screen_tells_all_in_one_place():
         r'gains +- +nothing heard', r'100 %', r' 70 s trained, 0 s validated$',
     ):
         assert re.search(pattern, shown, re.MULTILINE), pattern
-    nothing = '\n'.join(lines(State(), 0.0))
+    nothing = '\n'.join(State().lines(0.0))
     assert 'nothing heard' in nothing
     assert 'roll' not in nothing
 
 
 def test_the_call_comes_when_enough_is_in_and_not_before():
     state = full_state()
-    assert 'go on to validation' in call(state, 10.0)
+    assert 'go on to validation' in state.call(10.0)
     state.validated_s = 12.0
-    assert call(state, 10.0) == 'stop now: 0.5 to 20 rad/s covered'
+    assert state.call(10.0) == 'stop now: 0.5 to 20 rad/s covered'
     state.entries['excitation: schedule'] = Entry(0, 'running', {'axes': 'roll pitch'}, 100.0)
-    assert call(state, 10.0) == 'roll suffices: 0.5 to 20 rad/s covered; pitch to come'
+    assert state.call(10.0) == 'roll suffices: 0.5 to 20 rad/s covered; pitch to come'
     state.done, state.segment = {'roll'}, {'axis': 'pitch'}
-    assert call(state, 10.0) == 'stop now: 0.5 to 20 rad/s covered'
+    assert state.call(10.0) == 'stop now: 0.5 to 20 rad/s covered'
     state.coverage = coverage([], DT, (0.5, 20.0))
-    assert call(state, 10.0) == ''
-    assert call(State(), 10.0) == ''
+    assert state.call(10.0) == ''
+    assert State().call(10.0) == ''
 
 
 def test_the_band_is_what_the_segments_can_tell_and_the_screen_says_so():
@@ -166,12 +166,12 @@ def test_the_band_is_what_the_segments_can_tell_and_the_screen_says_so():
     assert reachable(BAND, 0.1) == (20.0, 20.0)
     x, y = answered(40.0, 0.05, 1)
     state = State(asked=BAND, validated_s=12.0)
-    assert wanted(state, BAND) == BAND
+    assert state.wanted(BAND) == BAND
     state.entries['excitation: schedule'] = Entry(0, 'running', {'train_s': '40'}, 100.0)
-    assert wanted(state, BAND) == (low, high)
-    state.coverage = coverage([(x, y)], DT, wanted(state, BAND))
-    assert call(state, 10.0) == 'stop now: 0.25 to 20 rad/s covered'
-    shown = '\n'.join(lines(state, 100.0))
+    assert state.wanted(BAND) == (low, high)
+    state.coverage = coverage([(x, y)], DT, state.wanted(BAND))
+    assert state.call(10.0) == 'stop now: 0.25 to 20 rad/s covered'
+    shown = '\n'.join(state.lines(100.0))
     assert '0.25 to 20 of 0.25 to 20 rad/s' in shown
     assert '0 s trained, 12 s validated; 0.1 rad/s needs 100 s' in shown
 

@@ -1,4 +1,4 @@
-"""Known biases, offsets, vibrations and swings are found; what moves or is unclear is refused."""
+"""Known biases, offsets and vibrations are found; what moves or is unclear is refused."""
 
 import math
 
@@ -11,7 +11,6 @@ from quad_bridge.errors import BadInputError, RefusedError
 from quad_bridge.log.stored.files import zstd
 from quad_bridge.log.writer import BagWriter
 from quad_bridge.sensors import aircraft_file
-from quad_bridge.sensors.by_hand import bifilar_inertia, thrust_curve
 from quad_bridge.sensors.command import main
 from quad_bridge.sensors.compass import hard_iron
 from quad_bridge.sensors.rest import GRAVITY, estimate_at_rest
@@ -120,31 +119,6 @@ def test_the_strongest_vibration_and_whether_the_filter_covers_it(frequency, cov
     assert strongest(0.05 * rng.standard_normal((2000, 3)), RATE_HZ).share < 0.2
     assert strongest(np.full((300, 3), 1e200) * np.sin(np.arange(300))[:, None], 250.0) is None
     assert butterworth_gain(42.0, 42.0) == pytest.approx(math.sqrt(0.5))  # half the power
-
-
-def test_a_swing_on_two_strings_gives_the_inertia():
-    # a pendulum of known inertia, swung by its equation of motion
-    mass, distance, length, inertia = 1.2, 0.4, 1.0, 0.0135
-    angle, rate, time, step = 0.05, 0.0, 0.0, 1e-4
-    while angle > 0.0:  # a quarter of a period
-        rate -= step * mass * GRAVITY * distance**2 / (4.0 * length) / inertia * math.sin(angle)
-        angle += step * rate
-        time += step
-    assert bifilar_inertia(mass, distance, length, 4 * time) == pytest.approx(inertia, rel=2e-3)
-    with pytest.raises(RefusedError, match='period must be positive'):
-        bifilar_inertia(mass, distance, length, 0.0)
-
-
-def test_a_thrust_curve_is_found_and_half_of_one_refused():
-    u = np.linspace(0.1, 1.0, 10)
-    thrust = 9.2 * (0.6 * u + 0.4 * u**2) + 0.01 * np.random.default_rng(1).standard_normal(10)
-    found = thrust_curve(u, thrust)
-    assert found.full_thrust_n == pytest.approx(9.2, abs=0.03)
-    assert found.curvature == pytest.approx(0.4, abs=0.02)
-    with pytest.raises(RefusedError, match=r'over 0\.4 are needed'):
-        thrust_curve(u[:3], thrust[:3])
-    with pytest.raises(RefusedError, match=r'commands must lie in 0\.\.1'):
-        thrust_curve(100 * u, thrust)
 
 
 def imu_bag(path, t, gyro, felt, logged_s=None):
@@ -260,30 +234,6 @@ def test_stamps_that_cannot_be_and_any_order_do_no_harm(tmp_path, bag, rested):
     assert '1 /imu/data left out, their stamps cannot be' in warned
 
 
-@pytest.mark.parametrize(
-    ('rows', 'text'),
-    [
-        ('0.1,1\nnan,2\n0.5,3\n0.9,5\n', 'reading 2 is nan, 2'),
-        ('0.1,1\n0.3,2\n0.5,nan\n0.9,5\n', 'reading 3 is 0.5, nan'),
-        ('0.1,1\n0.3,2\n0.5,1e308\n0.9,inf\n', 'reading 3 is 0.5, 1e+308'),
-        ('', '0 readings over 0.00'),
-        ('# command,newton\n\n', '0 readings over 0.00'),
-        ('0.1,1\n0.3\n', 'cannot be read'),
-        ('0.1;1\n0.3;2\n', 'cannot be read'),
-        ('1\n2\n', 'needs two columns'),
-        ('\udcff', 'cannot be read'),
-    ],
-)
-def test_a_thrust_table_that_is_none_is_one_line(tmp_path, capsys, rows, text):
-    table = tmp_path / 'table.csv'
-    table.write_bytes(rows.encode(errors='surrogateescape'))
-    with pytest.raises(SystemExit) as caught:
-        main(['thrust', str(table)])
-    assert caught.value.code == 2
-    error = capsys.readouterr().err
-    assert (error.count('\n'), text in error) == (1, True), error
-
-
 @pytest.fixture(scope='module')
 def standing(tmp_path_factory):
     folder = tmp_path_factory.mktemp('standing')
@@ -301,15 +251,8 @@ def standing(tmp_path_factory):
         (['rest', '{}/bag', '--seconds', '-1'], "must be a number above 0, found '-1'"),
         (['vibration', '{}/bag', '--filter-hz', '0'], "must be a number above 0, found '0'"),
         (['vibration', '{}/bag', '--filter-hz', 'inf'], "must be a number above 0, found 'inf'"),
-        (['inertia', '--mass', '1e308', '--distance', '1e300', '--length', '1', '--period', '1'],
-         'check the units'),
-        (['inertia', '--mass', 'nan', '--distance', '1', '--length', '1', '--period', '1'],
-         'mass must be positive'),
         (['rest', '{}/bag', '--seconds', '2'], 'let it stand still for 5 s'),
         (['compass', '{}/bag'], 'holds no /imu/mag'),
-        (['thrust', '{}/absent.csv'], 'cannot be read'),
-        (['inertia', '--mass', '1', '--distance', '-1', '--length', '1', '--period', '1'],
-         'distance must be positive'),
         ([], 'see sensors --help'),
         (['rest', '{}/bag', '--out', '{}/list.yaml'], 'has no section sensors'),
     ],

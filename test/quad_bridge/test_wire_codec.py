@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from fastcrc.crc16 import mcrf4xx
 from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common
@@ -77,7 +78,9 @@ def test_a_frame_comes_back_whole_byte_by_byte_and_before_a_part_of_the_next(fra
 
 
 def test_golden_bytes_of_the_cycle_frame():
-    assert Encoder(1, 1).encode(CYCLE) == GOLDEN
+    encoder = Encoder(1, 1)
+    assert encoder.encode(CYCLE) == GOLDEN
+    assert [encoder.encode(CYCLE)[4] for _ in range(256)] == [*range(1, 256), 0]
     assert Decoder().feed(GOLDEN) == [CYCLE]
 
 
@@ -91,7 +94,7 @@ def test_a_battery_that_is_not_measured_is_nan():
     ('bits', 'name', 'value'),
     [
         (0x007, 'accel', (1.0, 2.0, 3.0)), (0x038, 'gyro', (4.0, 5.0, 6.0)),
-        (0x1C0, 'mag_gauss', (7.0, 8.0, 9.0)), (0x200, 'pressure_hpa', 10.0),
+        (0x1C0, 'mag_gauss', (7.0, 8.0, 9.0)), (0x200, 'pressure_hpa', 10.0), (3, 'accel', None),
     ],
 )  # fmt: skip
 def test_only_what_was_updated_is_told(bits, name, value):
@@ -135,6 +138,7 @@ def peer(system=1):
 
 
 PARAMETER = Encoder().encode(f.ParamValue('ROLL_RATE_KP', 9.0, 27, 3))
+FLAGGED = GOLDEN[1:2] + b'\x02' + GOLDEN[3:-2]
 OLD = peer().heartbeat_encode(2, 3, 0, 0, 4).pack(peer(), force_mavlink1=True)
 
 
@@ -152,6 +156,9 @@ OLD = peer().heartbeat_encode(2, 3, 0, 0, 4).pack(peer(), force_mavlink1=True)
          + bytes([len(PARAMETER), 0, 0, 1, 1, 1, 255, 255, 119]) + PARAMETER + b'??',
          [f.Heartbeat(2, 3, system=1, component=1)], {'unknown': 1}),
         (OLD + OLD, [], {'old_version': 2, 'garbage_bytes': 2 * len(OLD)}),
+        # flags of a later protocol, though its checksum is right
+        (b'\xfd' + FLAGGED + mcrf4xx(FLAGGED + b'\xed').to_bytes(2, 'little'), [],
+         {'garbage_bytes': len(GOLDEN), 'damaged': 1}),
         # a false start does not swallow the frame behind it
         (b'\xfd\x50', [], {'garbage_bytes': 2, 'damaged': 1}),
         (b'\xfd\x50\x00\x00', [], {'garbage_bytes': 4, 'damaged': 1}),
@@ -174,12 +181,12 @@ def test_only_the_far_end_is_listened_to_where_this_end_has_a_name():
     other = Encoder(2, 1).encode(f.Battery(11.0))
     (first,) = decoder.feed(station)  # nobody has flown yet: it may be the far end
     assert first.system == 255
-    assert decoder.feed(echo) == []
+    assert decoder.feed(echo + Encoder(1, 191).encode(f.Heartbeat(autopilot=3))) == []
     assert decoder.peer is None
     assert decoder.feed(GOLDEN) == [CYCLE]
     assert decoder.peer == (1, 1)
     assert decoder.feed(other + station + echo) == []
-    assert decoder.counts.foreign == 4
+    assert decoder.counts.foreign == 5
     decoder.feed(GOLDEN[:60])
     decoder.resync()  # and the half frame is forgotten
     assert decoder.feed(Encoder(2, 1).encode(CYCLE)) == [CYCLE]
@@ -190,6 +197,7 @@ def test_values_that_cannot_be_are_not_handed_out():
     nan, inf = float('nan'), float('inf')
     bad = [
         replace(CYCLE, gyro=(nan, 0.0, 0.0)), replace(CYCLE, motors=(0.0, 0.0, 0.0, inf)),
+        replace(CYCLE, accel=(0.0, nan, 0.0)), replace(CYCLE, motors=(-0.01, 0.0, 0.0, 0.0)),
         replace(CYCLE, attitude=(0.0, 6.31, 0.0)), replace(CYCLE, injection=9),
         *(replace(FRAMES[9], **{name: 5}) for name in ('phase', 'result', 'action')),
         replace(FRAMES[8], action=5), f.ParamValue('ROLL_RATE_KP', nan, 1, 0),

@@ -17,7 +17,8 @@ import pytest
 from node_process import Started
 from probe import Probe, content, entries, stamp
 
-from quad_bridge.lockstep import START_NS, VARIABLE, Line
+from quad_bridge.lockstep import START_NS, VARIABLE
+from quad_bridge.virtual.line import Line
 
 SCHEDULE = """
 schedule:

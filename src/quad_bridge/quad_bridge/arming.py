@@ -1,9 +1,10 @@
 """The operator's part: the dead-man switch, and a request to arm or to disarm. Pure.
 
-COMMAND_ACK does not say which request it answers: arming is sent once, and nothing is armed while
-an answer to an earlier request may still come; disarming passes at any time, and is sent again
-until it is answered. Arming that was given up may still lie in a buffer on the way: where
-the aircraft arms later, `late` says so; nothing is disarmed without a person, it may fly.
+COMMAND_ACK does not say which request it answers. So arming is sent once, and nothing is armed
+while an answer to an earlier request may still come; disarming passes at any time, and is sent
+again until it is answered. A request to arm that was given up may still lie in a buffer on the
+way: where the aircraft arms later, `late` says so. Nothing is disarmed without a person: it may
+fly.
 """
 
 from __future__ import annotations
@@ -12,22 +13,16 @@ import math
 import threading
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
 
 from quad_bridge.errors import RefusedError
 from quad_bridge.wire.frames import Command, CommandAck
 
-ARM_DISARM = 400
-"""MAV_CMD_COMPONENT_ARM_DISARM."""
-ANSWER_S = 1.0
-"""An answer is waited for so long; a late one may come for as long again."""
+ARM_DISARM = 400  # MAV_CMD_COMPONENT_ARM_DISARM
+ANSWER_S = 1.0  # an answer is waited for so long; a late one may come for as long again
+LATE_S = 60.0  # so long a request may have lain on the way
+AGAIN_S = 0.2  # between two disarms that nothing has answered
+HELD_S = 0.5  # after so long without a message the switch counts as let go
 ACCEPTED = 'accepted'
-LATE_S = 60.0
-"""So long a request may have lain on the way."""
-AGAIN_S = 0.2
-"""Between two disarms that nothing has answered."""
-HELD_S = 0.5
-"""After so long without a word the switch counts as let go."""
 _RESULTS = (ACCEPTED, 'not now', 'denied', 'not supported', 'failed')
 
 
@@ -35,7 +30,7 @@ class OperatorEnable:
     """The dead-man switch, /operator/enable: alive or not. Times in s on a steady clock.
 
     Whoever holds it says `true` at 5 Hz or faster; half a second of silence counts as letting go.
-    `required` False: needed only once somebody has held it: who takes a switch relies on it.
+    Where it is not `required` it counts once somebody has held it: who takes it relies on it.
     """
 
     def __init__(self, *, required: bool) -> None:
@@ -57,13 +52,12 @@ class OperatorEnable:
         return '' if self._on else "the operator's enable is off"
 
 
-@dataclass(eq=False)
-class _Asked:
+class _Request:
     """One request, and who waits for its answer until when."""
 
-    arm: bool
-    last_s: float = -math.inf
-    told: list[tuple[float, Callable[[str], None]]] = field(default_factory=list)
+    def __init__(self, arm: bool) -> None:
+        self.arm, self.last_s = arm, -math.inf
+        self.told: list[tuple[float, Callable[[str], None]]] = []
 
 
 class Arming:
@@ -74,101 +68,85 @@ class Arming:
     """
 
     def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._asked: _Asked | None = None
-        self._sent: deque[_Asked] = deque()
-        """What is not answered yet, one entry per command on the way, also of earlier requests."""
+        self._lock = threading.RLock()
+        self._asked: _Request | None = None
+        self._sent: deque[_Request] = deque()  # one per command on the way, of earlier ones too
         self._owed_until_s = self._given_up_s = -math.inf
 
     def ask(self, arm: bool, told: Callable[[str], None], now_s: float) -> Command:
         """Take on a request; what to send. Raises RefusedError."""
-        given_up: list[tuple[float, Callable[[str], None]]] = []
         with self._lock:
             self._expire(now_s)
             asked = self._asked
             if arm and (asked is not None or self._sent):
                 raise RefusedError('an earlier request waits for its answer')
             if asked is None or asked.arm:
-                given_up = self._end(now_s)
-                asked = self._asked = _Asked(arm)
+                self._end('given up for a request to disarm', now_s)
+                asked = self._asked = _Request(arm)
             asked.told.append((now_s + ANSWER_S, told))
-            command = self._send(asked, now_s)
-        for _, one in given_up:
-            one('given up for a request to disarm')
-        return command
+            return self._send(asked, now_s)
 
     def tick(self, now_s: float, *, armed: bool = False) -> Command | None:
         """Give up where no answer has come; what to send again.
 
-        `armed` says what the far end is: where it has armed, its answer alone was lost.
+        `armed` says what the aircraft is: where it has armed, only its answer was lost.
         """
-        command, text = None, f'no answer in {ANSWER_S:g} s'
         with self._lock:
-            asked = self._asked
+            asked, text = self._asked, f'no answer in {ANSWER_S:g} s'
             if asked is None:
                 return None
             late = [told for until_s, told in asked.told if now_s > until_s]
             asked.told = [one for one in asked.told if now_s <= one[0]]
             if not asked.told:
-                self._end(now_s)
                 if asked.arm and armed:
                     text = ACCEPTED
                 elif asked.arm:
                     self._given_up_s = now_s
-            elif not asked.arm and now_s - asked.last_s >= AGAIN_S:
-                command = self._send(asked, now_s)
-        for told in late:
-            told(text)
-        return command
+                self._end(text, now_s)
+            for told in late:
+                told(text)
+            again = asked.told and not asked.arm and now_s - asked.last_s >= AGAIN_S
+            return self._send(asked, now_s) if again else None
 
     def acknowledged(self, ack: CommandAck, now_s: float) -> None:
         """The STM32 has answered a command."""
-        if ack.command != ARM_DISARM:
-            return
-        told: list[tuple[float, Callable[[str], None]]] = []
         with self._lock:
             self._expire(now_s)
-            answered, asked = self._sent.popleft() if self._sent else None, self._asked
-            if answered is None or asked is None:
+            if ack.command != ARM_DISARM or not self._sent:
                 return
+            answered, asked = self._sent.popleft(), self._asked
             # an answer to the disarm of before is as good for the one that waits
-            if answered is asked or not (answered.arm or asked.arm):
-                told = self._end(now_s)
-        known = ack.result < len(_RESULTS)
-        for _, one in told:
-            one(_RESULTS[ack.result] if known else f'result {ack.result}')
+            if asked is not None and (answered is asked or not (answered.arm or asked.arm)):
+                known = ack.result < len(_RESULTS)
+                self._end(_RESULTS[ack.result] if known else f'result {ack.result}', now_s)
 
     def late(self, now_s: float, *, armed: bool) -> str:
-        """What is to be said of an aircraft that armed after it had been given up; once."""
+        """What to say of an aircraft that armed after the request had been given up; once."""
         with self._lock:
             passed_s = now_s - self._given_up_s
             if not armed or passed_s > LATE_S:
                 return ''
             self._given_up_s = -math.inf
-        return (
-            f'armed {passed_s:.0f} s after a request to arm was given up: disarm it if that is '
-            'not wanted'
-        )
+        words = f'armed {passed_s:.0f} s after a request to arm was given up'
+        return f'{words}: disarm it if that is not wanted'
 
     def end(self, why: str) -> None:
         """Nobody is there to answer any more; who waits is told why."""
         with self._lock:
-            told = self._end(-math.inf)
-        for _, one in told:
-            one(why)
+            self._end(why, -math.inf)
 
-    def _send(self, asked: _Asked, now_s: float) -> Command:
+    def _send(self, asked: _Request, now_s: float) -> Command:
         asked.last_s = now_s
         self._sent.append(asked)
         return Command(ARM_DISARM, (1.0 if asked.arm else 0.0,))
 
-    def _end(self, now_s: float) -> list[tuple[float, Callable[[str], None]]]:
-        """End the request that waits; who is to be told."""
+    def _end(self, text: str, now_s: float) -> None:
+        """End the request that waits, and tell who asked."""
         asked, self._asked = self._asked, None
-        if asked is None:
-            return []
-        self._owed_until_s = now_s + ANSWER_S
-        return asked.told
+        if asked is not None:
+            self._owed_until_s = now_s + ANSWER_S
+            for _, told in asked.told:
+                told(text)
 
     def _expire(self, now_s: float) -> None:
         """Wait no more for answers to requests that ended long ago."""

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 
 class QuadBridgeError(Exception):
-    """Root of all errors that a user or the far end can cause or mend; status of a command: 2."""
+    """Root of all errors that a user or the aircraft can cause or mend."""
 
     exit_status = 2
 

@@ -16,11 +16,7 @@ from quad_bridge.wire.axes import flip_body
 from quad_bridge.wire.frames import Cycle, Excitation, Flag, Injection, Vector3
 from quad_bridge.wire.plausible import LARGEST
 
-INJECTIONS = {
-    'attitude': Injection.ATTITUDE,
-    'rate': Injection.RATE,
-    'control': Injection.CONTROL,
-}
+INJECTIONS = {'attitude': Injection.ATTITUDE, 'rate': Injection.RATE, 'control': Injection.CONTROL}
 
 
 class ExcitationRelay:
@@ -34,10 +30,8 @@ class ExcitationRelay:
         self._injection = Injection.NONE
         self.forwarded = 0
         self.dropped = 0
-        self.reason = ''
-        """Why the last dropped set-point was dropped; empty after a good one."""
-        self.refusal = ''
-        """Why the far end cannot be excited at all."""
+        self.reason = ''  # why the last dropped set-point was dropped; empty after a good one
+        self.refusal = ''  # why the aircraft cannot be excited at all
 
     @property
     def injection(self) -> Injection:

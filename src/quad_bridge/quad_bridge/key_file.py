@@ -18,8 +18,7 @@ from quad_bridge.arguments import OneLineParser, ended_in_one_line, say
 from quad_bridge.errors import BadInputError
 from quad_bridge.wire.signing import KEY_BYTES, Signing, signing_time
 
-LARGEST = 4096
-"""Bytes that a file with a key may have, white space included."""
+LARGEST = 4096  # bytes that a file with a key may have, white space included
 MAKE = 'make one: ros2 run quad_bridge make_key FILE'
 _DIGITS = frozenset(b'0123456789abcdefABCDEF')
 _SPACE = b' \t\n\r\v\f'

@@ -1,9 +1,10 @@
 """Simulated time in lockstep: the virtual STM32 owns the clock and waits for the slowest process.
 
-A line is a Unix socket. The virtual STM32 tells the time, each process that takes part answers
-with the time up to which it has done everything; simulated time is never more than `WINDOW_NS`
-ahead of the slowest. Who publishes a stream says how far, who handles it waits for that much, so
-that no message can be late. No ROS here; nodes get timers and stamps by node_time.py.
+A line is a Unix socket. The virtual STM32 (virtual/line.py) tells the time, each process that
+takes part answers with the time up to which it has done everything; simulated time is never more
+than `WINDOW_NS` ahead of the slowest. Who publishes a stream says how far, who handles it waits
+for that much, so that no message can be late. No ROS here; nodes get timers and stamps by
+node_time.py.
 
 Messages are lines of JSON: `{"now": ns, "published": {stream: ns}}` to the processes,
 `{"name": ..., "reached": ns, "published": {stream: ns}}` from them.
@@ -16,31 +17,22 @@ import functools
 import json
 import math
 import os
-import select
 import socket
 import sys
 import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 
-from quad_bridge.errors import BadInputError
-
-VARIABLE = 'QUAD_LOCKSTEP'
-"""The environment variable that names the socket; unset: real time."""
-WINDOW_NS = 20_000_000
-"""Five control cycles: enough for all processes to work at the same time."""
+VARIABLE = 'QUAD_LOCKSTEP'  # the environment variable that names the socket; unset: real time
+WINDOW_NS = 20_000_000  # five control cycles: enough for all processes to work at the same time
 START_NS = 1_000_000_000_000
 """Simulated time at the STM32's boot: stamps are above 0, and no date is mistaken for today's."""
-WIRE = 'wire'
-"""The stream of the virtual STM32 itself: bytes on the serial line."""
+WIRE = 'wire'  # the stream of the virtual STM32 itself: bytes on the serial line
 STREAMS = ('/imu/data', '/rc/in', '/excitation/setpoint')
 """Topics that whoever subscribes is waited for; node_time.py reports them."""
 RETRY_S = 0.05
-TOLD_S = 10.0
-"""Whoever lets simulated time stand still for so long is named."""
 
 
 class Clock:
@@ -87,28 +79,35 @@ def clock() -> Clock:
     return Participant(Path(path), Path(sys.argv[0]).name) if path else Clock()
 
 
-@dataclass
 class Timer:
     """A callback every `period_ns` of simulated time, run by `Participant.step`."""
 
-    period_ns: int
-    callback: Callable[[], None]
-    now_ns: Callable[[], int]
-    due_ns: int | None = None
-    """None: cancelled, or created before time began."""
-    cancelled: bool = False
-
-    def __post_init__(self) -> None:
+    def __init__(
+        self, period_ns: int, callback: Callable[[], None], now_ns: Callable[[], int]
+    ) -> None:
+        self._period_ns, self.callback, self._now_ns = period_ns, callback, now_ns
+        self._due_ns: float = math.inf
         self.reset()
 
     def cancel(self) -> None:
         """Stop until `reset`."""
-        self.cancelled, self.due_ns = True, None
+        self._due_ns = math.inf
 
     def reset(self) -> None:
-        """Begin anew, one period from now."""
-        now_ns = self.now_ns()
-        self.cancelled, self.due_ns = False, now_ns + self.period_ns if now_ns else None
+        """Begin anew, one period from now, or from when time begins."""
+        now_ns = self._now_ns()
+        self._due_ns = now_ns + self._period_ns if now_ns else 0
+
+    def due(self, now_ns: int) -> bool:
+        """Whether it is to run at this time."""
+        self._due_ns = self._due_ns or now_ns + self._period_ns
+        return self._due_ns <= now_ns
+
+    def ran(self, now_ns: int) -> None:
+        """It runs at this time, and next a period later; what it has missed it has missed."""
+        self._due_ns += self._period_ns
+        if self._due_ns <= now_ns:
+            self._due_ns = now_ns + self._period_ns
 
 
 class Participant(Clock):
@@ -226,7 +225,7 @@ class Participant(Clock):
             for stream in self._handled.keys() - published.keys():  # its publisher has gone
                 del self._handled[stream]
             busy = self._stepping or bool(self._coming)
-            wake = busy or any(self._when(t, now_ns) <= now_ns for t in self._timers)
+            wake = busy or any(timer.due(now_ns) for timer in self._timers)
             if wake:
                 self._coming.append(now_ns)
             else:
@@ -234,14 +233,6 @@ class Participant(Clock):
             self._answer()
         if wake:
             self.on_due()
-
-    @staticmethod
-    def _when(timer: Timer, now_ns: int) -> int:
-        if timer.cancelled:
-            return now_ns + 1
-        if timer.due_ns is None:
-            timer.due_ns = now_ns + timer.period_ns
-        return timer.due_ns
 
     def _next(self) -> bool:
         with self._lock:
@@ -254,11 +245,9 @@ class Participant(Clock):
     def _due(self) -> list[Timer]:
         now_ns = self._now_ns
         with self._lock:
-            due = [timer for timer in self._timers if self._when(timer, now_ns) <= now_ns]
+            due = [timer for timer in self._timers if timer.due(now_ns)]
             for timer in due:
-                timer.due_ns = (timer.due_ns or 0) + timer.period_ns
-                if timer.due_ns <= now_ns:
-                    timer.due_ns = now_ns + timer.period_ns
+                timer.ran(now_ns)
         return due
 
     def _answer(self) -> None:
@@ -275,106 +264,3 @@ class Participant(Clock):
             self._answered = text
             with contextlib.suppress(OSError):
                 self._line.sendall(text.encode())
-
-
-@dataclass
-class _Member:
-    """One process on the line."""
-
-    reached_ns: int
-    name: str = 'a process'
-    published: Mapping[str, int] = field(default_factory=dict)
-    rest: bytes = b''
-
-    def take(self, data: bytes) -> None:
-        *whole, self.rest = (self.rest + data).split(b'\n')
-        if whole:
-            message = json.loads(whole[-1])
-            self.name, self.published = message['name'], message['published']
-            self.reached_ns = max(self.reached_ns, message['reached'])
-
-
-class Line:
-    """The end of whoever owns the clock. Not thread-safe."""
-
-    def __init__(self, path: Path, say: Callable[[str], object] = lambda _: None) -> None:
-        """Listen at `path`; `say` takes lines about who lets time stand still."""
-        self._path, self._say = path, say
-        self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        try:
-            path.unlink(missing_ok=True)
-            self._listener.bind(str(path))
-        except OSError as error:
-            self._listener.close()
-            what = f'cannot listen there ({error.strerror or error})'
-            raise BadInputError(f'--lockstep {path}', what) from error
-        self._listener.listen()
-        self._members: dict[socket.socket, _Member] = {}
-        self.published: dict[str, int] = {}
-        """How far the streams of this process itself are."""
-        self._now_ns = START_NS
-        self._since_s = time.monotonic()
-
-    @property
-    def names(self) -> list[str]:
-        """Who takes part."""
-        return [member.name for member in self._members.values()]
-
-    @property
-    def slowest_ns(self) -> int:
-        """The time that all have reached."""
-        return min((m.reached_ns for m in self._members.values()), default=0)
-
-    @property
-    def ready(self) -> bool:
-        """Whether time may go on: somebody takes part, and nobody is too far behind."""
-        return self.slowest_ns >= self._now_ns - WINDOW_NS
-
-    def tell(self, now_ns: int) -> None:
-        """Tell the time, before anything of that time is sent elsewhere."""
-        if now_ns > self._now_ns:
-            self._now_ns, self._since_s = now_ns, time.monotonic()
-        published = {**self.published, WIRE: now_ns}
-        for member in self._members.values():
-            published |= member.published
-        text = json.dumps({'now': now_ns, 'published': published}) + '\n'
-        for line in list(self._members):
-            with contextlib.suppress(OSError):  # it has gone, which `attend` will notice
-                line.sendall(text.encode())
-
-    def attend(self, wait_s: float, *others: int) -> None:
-        """Take answers, and who comes and goes, for `wait_s` or until one of `others` has data."""
-        lines: list[socket.socket | int] = [self._listener, *self._members, *others]
-        ready, _, _ = select.select(lines, [], [], wait_s)
-        for one in ready:
-            if one is self._listener:
-                self._members[self._listener.accept()[0]] = _Member(self._now_ns)
-            elif isinstance(one, socket.socket):
-                self._hear(one)
-        stands_s = time.monotonic() - self._since_s
-        if stands_s > TOLD_S and not self.ready:
-            self._since_s = time.monotonic()
-            slow = [m.name for m in self._members.values() if m.reached_ns == self.slowest_ns]
-            self._say(f'simulated time waits for {", ".join(slow) or "the first node"}\n')
-
-    def _hear(self, line: socket.socket) -> None:
-        try:
-            data = line.recv(65536)
-        except OSError:
-            data = b''
-        if data:
-            self._members[line].take(data)
-        else:
-            self._drop(line)
-
-    def _drop(self, line: socket.socket) -> None:
-        del self._members[line]
-        line.close()
-        self.tell(self._now_ns)  # what it published is waited for no more
-
-    def close(self) -> None:
-        """Hang up."""
-        for line in [*self._members, self._listener]:
-            line.close()
-        with contextlib.suppress(OSError):
-            self._path.unlink()

@@ -11,8 +11,7 @@ import os
 import signal
 import sys
 
-INTERRUPTED = 130
-"""Of a command; a node is meant to run until then and ends with 0."""
+INTERRUPTED = 130  # of a command; a node is meant to run until then and ends with 0
 
 
 def begin(module: str) -> None:

@@ -76,7 +76,7 @@ class CoverageWatch:
         for stamp, row in zip(inputs.stamps.tolist(), inputs.values.tolist(), strict=True):
             self._pairs.excitation(stamp, row[self._axis])
         parts, dt = self._pairs.parts()
-        flown_s = self._pairs.cycles * dt
+        flown_s = dt * sum(x.size for x, _ in parts)
         if not parts:
             return ''
         low, high = reachable(self.wanted.band_rad_s, self._segment_s)

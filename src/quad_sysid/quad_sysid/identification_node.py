@@ -12,6 +12,7 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import ParameterDescriptor, ParameterEvent
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
@@ -53,8 +54,9 @@ class IdentificationNode(Node):  # type: ignore[misc]
         self._diagnostics = self.create_publisher(DiagnosticArray, 'diagnostics', EVENT)
         self.create_subscription(ParameterEvent, 'logger/bag', self._on_bag, STATE)
         self.create_service(Trigger, '~/identify', self._on_identify)
-        ros_node.steady_timer(self, 0.2, self._collect)
-        ros_node.steady_timer(self, 1.0, self._report)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)  # simulated time stands still meanwhile
+        self.create_timer(0.2, self._collect, clock=steady)
+        self.create_timer(1.0, self._report, clock=steady)
         self.get_logger().info('waits for /logger/bag to say complete')
 
     def _on_bag(self, event: Any) -> None:

@@ -1,7 +1,7 @@
 """What stands between /gains/update and the aircraft: types, names, bounds, steps, sources. Pure.
 
-Here a NaN is refused. The bounds are the installation's (YAML, over the table's defaults); whether
-gains are good is the designer's business, whether they turned out good the watch's.
+Here a NaN is refused. The bounds are the installation's (YAML, over the table's defaults). Whether
+gains are good is the designer's business; whether they turned out well the watch's.
 """
 
 from __future__ import annotations
@@ -27,63 +27,61 @@ from quad_bridge.gains.watch import Predicted
 
 ROUNDING = 1e-4
 """Share by which a step stays inside the factor: float32 on the wire must not leave it."""
-FLOAT32_MAX = 3.4028234663852886e38
-"""Nothing larger goes over the wire, and no bound is."""
-LONGEST_NAME = 60
-"""Characters of a name in a message."""
-MOST_STEPS = 16
-"""More than that from one update is taken as a mistake: 2 to the 16 is 65536."""
+FLOAT32_MAX = 3.4028234663852886e38  # nothing larger goes over the wire, and no bound is
+LONGEST_NAME, LONGEST_TEXT = 60, 4096  # characters of a name in a message; of a text
+MOST_STEPS = 16  # more than that from one update is taken as a mistake: 2 to the 16 is 65536
 _LIMITS = {'rate_rms_ratio': (0.5, 3.0), 'oscillation_ratio': (0.5, 3.0), 'peak': (1.0, 2.5)}
 """How far a prediction may move the watch's bounds; beyond, the limit counts."""
-LONGEST_TEXT = 4096
-"""Characters of a text."""
+_NEEDS = (
+    ('lqr.share', 'lqr.gain', (
+        'the state feedback has no model as long as {0} is 0; send the whole set that quad-tune '
+        'design --method lqr gives'
+    )),
+    ('sag.exponent', 'sag.reference_v', (
+        '{0} is 0; send the voltage with it at which commands stay as they are'
+    )),
+)  # fmt: skip
+"""A gain above 0, the other of its axis that must not be 0 then, and why."""
 
 
 @dataclass(frozen=True)
 class GainRequest:
     """One update as it was asked for."""
 
-    gains: Mapping[str, float]
-    """Contract names, SI."""
+    gains: Mapping[str, float]  # contract names, SI
     source: str = 'unknown source'
     model: str = ''
     bag: str = ''
-    rollback: bool = False
-    """Take back what is in flight; with nothing in flight `gains` are an update."""
-    predicted: Mapping[str, Predicted] = field(default_factory=dict)
-    """Axis to what the design says of it."""
+    rollback: bool = False  # take back what is in flight; else `gains` are an update
+    predicted: Mapping[str, Predicted] = field(default_factory=dict)  # by axis
 
 
 def read_request(parameters: Mapping[str, object]) -> GainRequest:
     """The request of a message's parameters. Raises RefusedError where one has no meaning."""
     rest = dict(parameters)
     texts = {n: _text(n, rest.pop(n)) for n in ('source', 'model', 'bag') if n in rest}
+    for name, text in texts.items():  # which may stand in a log and in the aircraft's history
+        if not text.isprintable():
+            words = f'must be printable and one line: found {shorten(text)!r}'
+            raise RefusedError(f'{name}: {words}')
     rollback = rest.pop('rollback', False)
     if not isinstance(rollback, bool):
         raise RefusedError(f'rollback: must be true or false: found {reprlib.repr(rollback)}')
-    predicted = _predictions(_short('predicted', rest.pop('predicted', '{}')))
+    predicted = _predictions(_text('predicted', rest.pop('predicted', '{}')))
     return GainRequest(gains=numbers(rest), rollback=rollback, predicted=predicted, **texts)
 
 
-def _text(name: str, value: object) -> str:
-    """A text that may stand in a log and in the aircraft's history."""
-    text = _short(name, value)
-    if not text.isprintable():
-        raise RefusedError(f'{name}: must be printable and one line: found {shorten(text)!r}')
-    return text
-
-
-def _short(name: str, text: object) -> str:
+def _text(name: str, text: object) -> str:
     if not isinstance(text, str):
         raise RefusedError(f'{name}: must be a text: found {reprlib.repr(text)}')
     if len(text) > LONGEST_TEXT:
-        most = f'must have {LONGEST_TEXT} characters at most'
-        raise RefusedError(f'{name}: {most}: found {len(text)}')
+        words = f'must have {LONGEST_TEXT} characters at most: found {len(text)}'
+        raise RefusedError(f'{name}: {words}')
     return text
 
 
 def _predictions(text: str) -> dict[str, Predicted]:
-    """Of JSON such as `{"roll.peak": 1.2, "roll.rate_rms_ratio": 0.9}`."""
+    """What JSON such as `{"roll.peak": 1.2, "roll.rate_rms_ratio": 0.9}` says of each axis."""
     try:
         said = json.loads(text)
         pairs = numbers(said) if isinstance(said, dict) else None
@@ -127,9 +125,8 @@ def shorten(text: str) -> str:
 def check_source(source: str, allowed: Sequence[str]) -> None:
     """Raise RefusedError unless `source` fits one of the patterns (`*`, `identification*`)."""
     if not any(fnmatchcase(source, pattern) for pattern in allowed):
-        raise RefusedError(
-            f'the source is not allowed; parameter sources has {", ".join(allowed) or "none"}'
-        )
+        known = ', '.join(allowed) or 'none'
+        raise RefusedError(f'the source is not allowed; parameter sources has {known}')
 
 
 def steps(
@@ -145,7 +142,11 @@ def steps(
         raise RefusedError('no gain in changed_parameters; send one such as roll.rate.kp')
     for name, value in wanted.items():
         _check_one(name, value, active, bounds)
-    _check_switches(wanted, active)
+    gains = {**active, **wanted}
+    for axis in AXES:
+        for name, needed, words in _NEEDS:
+            if wanted.get(f'{axis}.{name}', 0.0) > 0.0 and not gains.get(f'{axis}.{needed}'):
+                raise RefusedError(f'{axis}.{name}: {words.format(f"{axis}.{needed}")}')
     path, now = list[dict[str, float]](), {name: active[name] for name in wanted}
     now.update({name: value for name, value in wanted.items() if _idle(name, active)})
     while any(float32(now[name]) != float32(value) for name, value in wanted.items()):
@@ -162,22 +163,6 @@ def _idle(name: str, active: Mapping[str, float]) -> bool:
     return bool(switch) and active.get(switch, 1.0) == 0.0
 
 
-def _check_switches(wanted: Mapping[str, float], active: Mapping[str, float]) -> None:
-    gains = {**active, **wanted}
-    for axis in AXES:
-        if wanted.get(f'{axis}.lqr.share', 0.0) > 0.0 and not gains.get(f'{axis}.lqr.gain'):
-            raise RefusedError(
-                f'{axis}.lqr.share: the state feedback has no model as long as {axis}.lqr.gain '
-                'is 0; send the whole set that quad-tune design --method lqr gives'
-            )
-        scheduled = wanted.get(f'{axis}.sag.exponent', 0.0) > 0.0
-        if scheduled and not gains.get(f'{axis}.sag.reference_v'):
-            raise RefusedError(
-                f'{axis}.sag.exponent: {axis}.sag.reference_v is 0; send the voltage with it at '
-                'which commands stay as they are'
-            )
-
-
 def _towards(now: float, wanted: float, bound: Bound) -> float:
     factor = max(bound.max_factor * (1.0 - ROUNDING), 1.0)
     low = min(now / factor, now - bound.small_step)
@@ -189,29 +174,26 @@ def _check_one(
     name: str, value: float, active: Mapping[str, float], bounds: Mapping[str, Bound]
 ) -> None:
     if name not in SETTABLE:
-        raise RefusedError(f'{shorten(name)}: no gain of this name can be set; '
-                           'docs/reference/gains.md lists them')
+        known = 'docs/reference/gains.md lists them'
+        raise RefusedError(f'{shorten(name)}: no gain of this name can be set; {known}')
     if not math.isfinite(value):
         raise RefusedError(f'{name}: must be finite: found {value}')
     bound = bounds.get(name)
     if bound is None:
+        remedy = 'list it under bounds as in config/serial_bridge.yaml'
         raise RefusedError(
-            f'{name}: the configuration allows no change of it: found {value:g}; '
-            'list it under bounds as in config/serial_bridge.yaml'
+            f'{name}: the configuration allows no change of it: found {value:g}; {remedy}'
         )
+    span = f'{bound.lower:g} .. {bound.upper:g}'
     if not bound.lower <= value <= bound.upper:
-        raise RefusedError(
-            f'{name}: must lie in {bound.lower:g} .. {bound.upper:g}: found {value:g}'
-        )
+        raise RefusedError(f'{name}: must lie in {span}: found {value:g}')
     now = active.get(name)
     if now is None:
         raise RefusedError(f'{name}: the STM32 has not reported it yet; wait for /gains/active')
     slack = 1e-6 * max(abs(bound.lower), abs(bound.upper))
     if not _idle(name, active) and not bound.lower - slack <= now <= bound.upper + slack:
-        raise RefusedError(
-            f'{name}: its active value {now:g} lies outside {bound.lower:g} .. {bound.upper:g}; '
-            'bring it there by hand'
-        )
+        words = f'its active value {now:g} lies outside {span}; bring it there by hand'
+        raise RefusedError(f'{name}: {words}')
 
 
 def bound_from(name: str, values: Sequence[float]) -> Bound:
@@ -219,19 +201,15 @@ def bound_from(name: str, values: Sequence[float]) -> Bound:
 
     Raises BadInputError naming the parameter.
     """
-    where = f'parameter bounds.{name}'
+    standard, what = DEFAULT_BOUNDS.get(name, Bound(0.0, 0.0)), ''
     if len(values) not in {2, 3, 4}:
-        raise BadInputError(
-            where, 'must be [lower, upper], or with max_factor and small_step behind', list(values)
-        )
-    standard = DEFAULT_BOUNDS.get(name, Bound(0.0, 0.0))
-    lower, upper, factor, small = (
-        *values, *(LARGEST_FACTOR, standard.small_step)[len(values) - 2 :]
-    )  # fmt: skip
-    if not all(abs(v) <= FLOAT32_MAX for v in (lower, upper, small)):  # nor is NaN
-        raise BadInputError(where, 'limits must be finite, and fit a float32', list(values))
-    if lower > upper or not factor > 1.0 or small < 0.0:
-        raise BadInputError(
-            where, 'needs lower <= upper, max_factor > 1 and small_step >= 0', list(values)
-        )
-    return Bound(lower, upper, min(factor, LARGEST_FACTOR), small)
+        what = 'must be [lower, upper], or with max_factor and small_step behind'
+    elif not all(abs(v) <= FLOAT32_MAX for v in (*values[:2], *values[3:])):  # nor is NaN
+        what = 'limits must be finite, and fit a float32'
+    else:
+        rest = (LARGEST_FACTOR, standard.small_step)[len(values) - 2 :]
+        lower, upper, factor, small = (*values, *rest)
+        if lower <= upper and factor > 1.0 and small >= 0.0:
+            return Bound(lower, upper, min(factor, LARGEST_FACTOR), small)
+        what = 'needs lower <= upper, max_factor > 1 and small_step >= 0'
+    raise BadInputError(f'parameter bounds.{name}', what, list(values))

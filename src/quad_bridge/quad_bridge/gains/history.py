@@ -25,8 +25,7 @@ if TYPE_CHECKING:
 Jobs = queue.SimpleQueue[Callable[[], None] | None]
 SCHEMA = 'quad_bridge/gains/1'
 HISTORY, POLARITY = 'gains.jsonl', 'polarity.json'
-CLOSE_S = 2.0
-"""How long the last lines are waited for when the node ends."""
+CLOSE_S = 2.0  # how long the last lines are waited for when the node ends
 
 
 def default_folder() -> Path:
@@ -73,8 +72,7 @@ class History:
     """
 
     def __init__(self, folder: Path, run: Callable[[Callable[[], None]], None]) -> None:
-        self.fault = ''
-        """What keeps the files from being written."""
+        self.fault = ''  # what keeps the files from being written
         self._folder, self._run = folder, run
         self._aircraft = ''
         self._last: Mapping[str, float] = {}

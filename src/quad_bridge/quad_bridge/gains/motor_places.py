@@ -9,8 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 AXES = ('roll', 'pitch', 'yaw')
-MOTORS = ('rear left', 'rear right', 'front right', 'front left')
-"""Of the contract's motors 1..4."""
+MOTORS = ('rear left', 'rear right', 'front right', 'front left')  # of the contract's motors 1..4
 MIXER = ((1, 1, 1), (-1, 1, -1), (-1, -1, 1), (1, -1, -1))
 """Signs of U2, U3, U4 in the command of motors 1..4 (contract): a push of that motor alone."""
 
@@ -21,21 +20,18 @@ def where_motors_are(signs: Mapping[str, Mapping[str, int]]) -> tuple[dict[str, 
     `signs` gives 1 or -1 for each of `motor_1` to `motor_4` and each axis that is known.
     """
     words, faults = {}, []
-    for k in range(4):
-        name = f'motor_{k + 1}'
-        found = signs.get(name, {})
-        wanted = dict(zip(AXES, MIXER[k], strict=True))
+    for k, (name, wanted) in enumerate(zip(MOTORS, MIXER, strict=True), 1):
+        found = signs.get(f'motor_{k}', {})
+        level = [axis for axis in found if axis != 'yaw']
         fits = [
-            MOTORS[j]
-            for j in range(4)
-            if all(
-                sign == MIXER[j][AXES.index(axis)] for axis, sign in found.items() if axis != 'yaw'
-            )
+            place
+            for place, row in zip(MOTORS, MIXER, strict=True)
+            if all(found[axis] == row[AXES.index(axis)] for axis in level)
         ]
-        words[name] = ' or '.join(fits) if found else 'unknown'
-        bad = [axis for axis, sign in found.items() if sign != wanted[axis]]
-        if 'roll' in bad or 'pitch' in bad:
-            faults.append(f'{name} drives the {words[name]}, must be the {MOTORS[k]}')
+        here = words[f'motor_{k}'] = ' or '.join(fits) if found else 'unknown'
+        bad = [axis for axis, sign in found.items() if sign != wanted[AXES.index(axis)]]
+        if set(bad) & set(level):
+            faults.append(f'motor_{k} drives the {here}, must be the {name}')
         elif bad:
-            faults.append(f'{name} turns the wrong way')
+            faults.append(f'motor_{k} turns the wrong way')
     return words, faults

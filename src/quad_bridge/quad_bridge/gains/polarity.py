@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -22,78 +21,60 @@ from quad_bridge.wire.axes import flip_body
 from quad_bridge.wire.frames import Cycle, Excitation, Flag, Injection, Vector3
 
 FloatArray = npt.NDArray[np.float64]
+Signs = dict[str, dict[str, int]]  # motor channel to axis to the sign of its answer
 
-LEVELS = {'roll': (0.012, 0.04), 'pitch': (0.012, 0.04), 'yaw': (0.03, 0.08)}
-"""Half-amplitudes that are tried on an axis until it answers, normalised command."""
-MOTOR_LEVELS = (0.012, 0.03)
 QUIET_S, HALF_S, REST_S = 0.16, 0.12, 0.36
-LISTEN_S = (0.04, 0.18)
-"""Of the answer, from the start of the doublet: before its second half can be felt."""
-LEAST_RAD_S = 0.015
-LEAST_SIGMAS = 5.0
+LISTEN_S = (0.04, 0.18)  # the answer, from the doublet's start on: its second half is not felt yet
+LEAST_RAD_S, LEAST_SIGMAS = 0.015, 5.0  # an answer is larger than both
 PULSE_VALID_MS = 60
-GRACE_S = 0.24
-"""In which the STM32 may still report a refusal of something older."""
+GRACE_S = 0.24  # in which the STM32 may still report a refusal of something older
 MODES = ('auto', 'manual', 'off')
 """Pulses before the first update of an axis by itself; only when asked for; never."""
 MEND = "mend the motors' order and spin or the gyro's axes, then call"
+NONE: Vector3 = (0.0, 0.0, 0.0)
 
 
-@dataclass(frozen=True)
-class Pulse:
-    """A direction in (U2, U3, U4) and the sizes to try."""
+class Pulse(NamedTuple):
+    """A direction in (U2, U3, U4) and the half-amplitudes to try, normalised command."""
 
-    name: str
-    direction: tuple[float, float, float]
+    direction: tuple[int, int, int]
     levels: tuple[float, ...]
-    watched: tuple[int, ...]
-    """Axes whose answer ends the tries."""
+    watched: tuple[int, ...]  # axes whose answer ends the tries
 
 
-def axis_pulses(axes: Sequence[str]) -> list[Pulse]:
-    """One pulse about each of the axes."""
-    found = []
-    for axis in axes:
-        i = AXES.index(axis)
-        direction = (float(i == 0), float(i == 1), float(i == 2))
-        found.append(Pulse(axis, direction, LEVELS[axis], (i,)))
-    return found
-
-
-def motor_pulses() -> list[Pulse]:
-    """One pulse per motor channel: U2..U4 with the signs of its mixer row push it alone."""
-    return [
-        Pulse(f'motor_{k + 1}', (float(a), float(b), float(c)), MOTOR_LEVELS, (0, 1, 2))
-        for k, (a, b, c) in enumerate(MIXER)
-    ]
+PULSES = {
+    'roll': Pulse((1, 0, 0), (0.012, 0.04), (0,)),
+    'pitch': Pulse((0, 1, 0), (0.012, 0.04), (1,)),
+    'yaw': Pulse((0, 0, 1), (0.03, 0.08), (2,)),
+    **{f'motor_{k}': Pulse(row, (0.012, 0.03), (0, 1, 2)) for k, row in enumerate(MIXER, 1)},
+}
+MOTOR_CHANNELS = tuple(name for name in PULSES if name not in AXES)
 
 
 class PulseRun:
     """Plays pulses cycle by cycle and collects the answers, (3,) rad/s of rate per pulse."""
 
-    def __init__(self, pulses: Sequence[Pulse], rate_hz: float) -> None:
-        self._queue = [(pulse, level) for pulse in pulses[:1] for level in pulse.levels[:1]]
-        self._left = list(pulses[1:])
+    def __init__(self, names: Sequence[str], rate_hz: float) -> None:
+        self._left, self._level = list(names), 0
         self._rate_hz = rate_hz
         self._samples: list[Vector3] = []
         self._length = round((QUIET_S + 2 * HALF_S + REST_S) * rate_hz)
-        self.answers: dict[str, FloatArray] = {}
-        """Name of a pulse to the rates' answers; 0 where an axis did not answer."""
+        self.answers: dict[str, FloatArray] = {}  # 0 where an axis did not answer
 
     @property
     def finished(self) -> bool:
         """True when all answers are there."""
-        return not self._queue
+        return not self._left
 
     def step(self, rates: Vector3) -> Vector3:
         """Take the rates of one cycle; what to add to U2..U4 in the next."""
         if self.finished:
-            return (0.0, 0.0, 0.0)
+            return NONE
         self._samples.append(rates)
-        pulse, level = self._queue[0]
-        size = level * self._shape(len(self._samples))
+        pulse = PULSES[self._left[0]]
+        size = pulse.levels[self._level] * self._shape(len(self._samples))
         if len(self._samples) == 2 * self._length:
-            self._judge(pulse, level)
+            self._judge(pulse)
         x, y, z = pulse.direction
         return (size * x, size * y, size * z)
 
@@ -106,7 +87,7 @@ class PulseRun:
             return sign
         return -sign if HALF_S <= t < 2 * HALF_S else 0.0
 
-    def _judge(self, pulse: Pulse, level: float) -> None:
+    def _judge(self, pulse: Pulse) -> None:
         rates = np.array(self._samples).reshape(2, self._length, 3)
         self._samples = []
         quiet = rates[:, : round(QUIET_S * self._rate_hz)]
@@ -116,42 +97,37 @@ class PulseRun:
         spread = quiet.std(axis=1).mean(axis=0)
         least = np.maximum(LEAST_RAD_S, LEAST_SIGMAS * spread / math.sqrt(last - first))
         heard = (np.sign(change[0]) == np.sign(change[1])) & (np.abs(change) > least).all(axis=0)
-        self.answers[pulse.name] = np.where(heard, change.mean(axis=0), 0.0)
-        larger = [x for x in pulse.levels if x > level]
-        if larger and not heard[list(pulse.watched)].any():
-            self._queue = [(pulse, larger[0])]
-        elif self._left:
-            following = self._left.pop(0)
-            self._queue = [(following, following.levels[0])]
-        else:
-            self._queue = []
+        self.answers[self._left[0]] = np.where(heard, change.mean(axis=0), 0.0)
+        self._level += 1
+        if self._level == len(pulse.levels) or heard[list(pulse.watched)].any():
+            self._left.pop(0)
+            self._level = 0
 
 
 def judge_axes(answers: Mapping[str, FloatArray]) -> dict[str, str]:
     """Axis to `right`, `wrong`, `crossed` (another axis answers more) or `silent`."""
     verdicts = {}
-    for axis, answer in answers.items():
-        if axis not in AXES:
+    for i, axis in enumerate(AXES):
+        if axis not in answers:
             continue
-        own = answer[AXES.index(axis)]
-        foreign = max(abs(float(v)) for i, v in enumerate(answer) if i != AXES.index(axis))
+        own = float(answers[axis][i])
+        foreign = float(np.abs(np.delete(answers[axis], i)).max())
+        verdicts[axis] = 'right' if own > 0.0 else 'wrong'
         if foreign > abs(own):
             verdicts[axis] = 'crossed'
         elif own == 0.0:
             verdicts[axis] = 'silent'
-        else:
-            verdicts[axis] = 'right' if own > 0.0 else 'wrong'
     return verdicts
 
 
 def merge_motors(
     known: Mapping[str, Mapping[str, int]], answers: Mapping[str, FloatArray]
-) -> dict[str, dict[str, int]]:
+) -> Signs:
     """Signs per motor channel and axis: those of this run over those of earlier mounts.
 
     In a run of four channels an axis counts only where at least three of them moved it.
     """
-    rows = {name: answers[name] for name in answers if name.startswith('motor_')}
+    rows = {name: answers[name] for name in answers if name in MOTOR_CHANNELS}
     counted = [i for i in range(3) if sum(row[i] != 0.0 for row in rows.values()) >= 3]
     merged = {name: dict(signs) for name, signs in known.items()}
     for name, row in rows.items():
@@ -165,14 +141,13 @@ class PolarityCheck:
     """The record, the rule, and the run."""
 
     def __init__(self, mode: str, rate_hz: float = 250.0) -> None:
+        """`rate_hz`: control cycles per second, of the next run."""
         self._mode, self.rate_hz = mode, rate_hz
-        """Control cycles per second, of the next run."""
         self._run: PulseRun | None = None
         self._axes: dict[str, str] = {}
-        self._motors: dict[str, dict[str, int]] = {}
+        self._motors: Signs = {}
         self._cycles = 0
-        self.trouble = ''
-        """Why the last run ended without a result."""
+        self.trouble = ''  # why the last run ended without a result
 
     @property
     def running(self) -> bool:
@@ -189,21 +164,22 @@ class PolarityCheck:
         if self.running:
             self.abort('stopped: the record of this aircraft was read only now')
         axes, motors = record.get('axes'), record.get('motors')
-        self._axes = {}
-        if isinstance(axes, dict):
-            self._axes = {a: str(v) for a, v in axes.items() if a in AXES}
-        self._motors = {}
-        if isinstance(motors, dict):
-            self._motors = {
-                str(m): {a: int(s) for a, s in row.items() if a in AXES and s in (-1, 1)}
-                for m, row in motors.items()
-                if isinstance(row, dict)
-            }
+        axes = axes if isinstance(axes, dict) else {}
+        rows = motors.items() if isinstance(motors, dict) else ()
+        self._axes = {a: str(v) for a, v in axes.items() if a in AXES}
+        self._motors = {
+            str(m): {a: int(s) for a, s in row.items() if a in AXES and s in (-1, 1)}
+            for m, row in rows
+            if isinstance(row, dict)
+        }
 
     def faults(self) -> list[str]:
         """What is wrong with the aircraft, each in words."""
-        found = [f'{a} answers with the wrong sign' for a, v in self._axes.items() if v == 'wrong']
-        found += [f'a pulse on {a} moves another axis more' for a in self._crossed()]
+        words = {
+            'wrong': '{} answers with the wrong sign',
+            'crossed': 'a pulse on {} moves another axis more',
+        }
+        found = [words[v].format(a) for a, v in self._axes.items() if v in words]
         return found + where_motors_are(self._motors)[1]
 
     def refuse_faults(self) -> None:
@@ -221,7 +197,7 @@ class PolarityCheck:
 
     def start(self, axes: Sequence[str]) -> None:
         """Begin with pulses about these axes; with none, of one motor channel after the other."""
-        self._run = PulseRun(axis_pulses(axes) if axes else motor_pulses(), self.rate_hz)
+        self._run = PulseRun(axes or MOTOR_CHANNELS, self.rate_hz)
         self._cycles, self.trouble = 0, ''
 
     def abort(self, trouble: str) -> None:
@@ -237,18 +213,14 @@ class PolarityCheck:
         refused = frame.flags & Flag.EXCITATION_REFUSED and self._cycles > GRACE_S * self.rate_hz
         if not frame.flags & Flag.ARMED or refused or frame.flags & Flag.RC_FAILSAFE:
             self.abort('stopped: disarmed, in failsafe, or the STM32 refuses the pulses')
-        if self._run is None:
-            return self._pulse((0.0, 0.0, 0.0), Injection.NONE)
-        added = self._run.step(flip_body(frame.gyro))
-        if not self._run.finished:
-            return self._pulse(added, Injection.CONTROL)
-        self._axes.update(judge_axes(self._run.answers))
-        self._motors = merge_motors(self._motors, self._run.answers)
-        self._run = None
-        return self._pulse((0.0, 0.0, 0.0), Injection.NONE)
-
-    def _pulse(self, flu: Vector3, injection: Injection) -> Excitation:
-        return Excitation(flip_body(flu), int(injection), self._cycles % 256, PULSE_VALID_MS)
+        added, injection = NONE, Injection.NONE
+        if self._run is not None:
+            added, injection = self._run.step(flip_body(frame.gyro)), Injection.CONTROL
+            if self._run.finished:
+                self._axes.update(judge_axes(self._run.answers))
+                self._motors = merge_motors(self._motors, self._run.answers)
+                self._run, added, injection = None, NONE, Injection.NONE
+        return Excitation(flip_body(added), int(injection), self._cycles % 256, PULSE_VALID_MS)
 
     def words(self) -> str:
         """What is known, in one line."""
@@ -256,8 +228,4 @@ class PolarityCheck:
         if self._motors:
             places, _ = where_motors_are(self._motors)
             parts += [f'{motor} {place}' for motor, place in places.items()]
-        faults = self.faults()
-        return '; '.join([*parts, *faults]) or 'nothing has been checked'
-
-    def _crossed(self) -> list[str]:
-        return [axis for axis, verdict in self._axes.items() if verdict == 'crossed']
+        return '; '.join([*parts, *self.faults()]) or 'nothing has been checked'

@@ -68,8 +68,7 @@ class GainEvent:
     what: What
     active: Mapping[str, float] | None = None
     reason: str = ''
-    by_stm32: bool = False
-    """The STM32 has taken its gains back by itself."""
+    by_stm32: bool = False  # the STM32 has taken its gains back by itself
 
 
 class GainProtocol:
@@ -80,15 +79,12 @@ class GainProtocol:
         self.events: list[GainEvent] = []
         self.active: Mapping[str, float] = {}
         """What is in force, contract names, SI; empty while it is not proven."""
-        self.told: f.GainsState | None = None
-        """The STM32's last word on its sets."""
+        self.told: f.GainsState | None = None  # the STM32's last word on its sets
         self._forget()
         self._number = 0
-        self._checksum = 0
-        """Of what is in force, or is to be."""
+        self._checksum = 0  # of what is in force, or is to be
         self._writes: dict[str, float] = {}
-        self._queue: list[str] = []
-        """Names that are still to be written, or to be read back."""
+        self._queue: list[str] = []  # names that are still to be written, or to be read back
         self._watch_ms = 0
         self._shown: float | None = None
         """What the STM32 has said instead of the value that was written."""
@@ -132,7 +128,7 @@ class GainProtocol:
             self._take_back(What.FAILED, reason)
 
     def restart(self) -> None:
-        """The far end is a new one, or the same again: read all anew."""
+        """The aircraft is another one, or the same again: read all anew."""
         if self.state not in {State.READING, State.READY}:
             self.events.append(GainEvent(What.LOST, reason='the link broke'))
         self.told, self._number = None, 0
@@ -314,11 +310,9 @@ class GainProtocol:
     def _forget(self) -> None:
         self.active = {}
         self._queue = []
-        self._count = 0
-        """Of the STM32's parameters; 0 before it has told."""
+        self._count = 0  # of the STM32's parameters; 0 before it has told
         self._names: dict[int, str] = {}
-        self._values: dict[str, float] = {}
-        """What is in force as far as it was read, wire names."""
+        self._values: dict[str, float] = {}  # what is in force as far as it was read, wire names
 
     def _ordered(self) -> list[str]:
         return [self._names[i] for i in sorted(self._names)]

@@ -11,8 +11,7 @@ import math
 from dataclasses import dataclass
 
 AXES = ('roll', 'pitch', 'yaw')
-LARGEST_FACTOR = 2.0
-"""Of one gain in one step; a configuration may ask for less, not for more."""
+LARGEST_FACTOR = 2.0  # of one gain in one step; a configuration may ask for less, not for more
 US_PER_DEG_S = math.degrees(1.0) / 1000.0
 """The paper's unit, µs of motor pulse per deg/s (of 1000 µs), as command per rad/s."""
 
@@ -23,8 +22,7 @@ class Bound:
 
     lower: float
     upper: float
-    max_factor: float = LARGEST_FACTOR
-    """Largest ratio of new to active value and of active to new."""
+    max_factor: float = LARGEST_FACTOR  # largest ratio of new to active value and of active to new
     small_step: float = 0.0
     """Absolute change that is allowed in any case: a gain near zero has no useful ratio."""
 
@@ -45,8 +43,7 @@ class Gain:
     """What the gate lets through; None: only where the configuration gives a bound."""
     yaw_bound: Bound | None = None
     """The same for yaw where it differs: its torque is some ten times weaker."""
-    switch: str = ''
-    """The gain of the same axis that, at 0, leaves this one without effect."""
+    switch: str = ''  # the gain of the same axis that, at 0, leaves this one without effect
 
 
 PER_AXIS = (
@@ -110,7 +107,6 @@ OPTIONAL = (
 )  # fmt: skip
 """Of each axis, where a firmware has them: a state feedback, a schedule on the battery's voltage.
 Both are off at 0."""
-
 
 
 def _all() -> dict[str, tuple[str, Gain]]:

@@ -28,14 +28,12 @@ from quad_bridge.status import ERROR, OK, WARN, Status
 from quad_bridge.wire import frames as f
 from quad_bridge.wire.axes import flip_attitude, flip_body
 
-STEP_WATCH_S, WATCH_S = 3.0, 10.0
-"""Between the steps of a larger change, and after the last."""
+STEP_WATCH_S, WATCH_S = 3.0, 10.0  # between the steps of a larger change, and after the last
 STM32_WATCH_MS = 15_000
 """After which the STM32 takes an unconfirmed set back: the watch, and time to confirm."""
 QUIET_S = 0.5
 """Without excitation before gains may change; without a cycle after which a check ends."""
-LINK_S = 1.0
-"""Without a control cycle after which gains on trial are asked back."""
+LINK_S = 1.0  # without a control cycle after which gains on trial are asked back
 LEAST_HZ, MOST_HZ, USUAL_HZ = 50.0, 1000.0, 250.0
 """Control cycles per second with which watch and pulses work; where the STM32 has not said it."""
 GESTURE_END, GESTURE_ENDS, GESTURE_S = 0.8, 3, 2.0
@@ -60,8 +58,7 @@ class GainSettings:
     bounds: Mapping[str, Bound] = field(default_factory=lambda: DEFAULT_BOUNDS)
     sources: Sequence[str] = ('*',)
     polarity: str = 'auto'
-    aircraft: str = ''
-    """Name of the folder of its files; empty: the STM32's unique number."""
+    aircraft: str = ''  # name of the folder of its files; empty: the STM32's unique number
     folder: Path = Path()
 
 
@@ -251,7 +248,7 @@ class GainUpdates:
         return wanted
 
     def restarted(self, now_s: float) -> None:
-        """The far end has started anew, or is another one."""
+        """The STM32 has started anew, or is another one."""
         self.protocol.restart()
         self._take_events(now_s)
 

@@ -21,26 +21,22 @@ FloatArray = npt.NDArray[np.float64]
 
 CENTRES_RAD_S = (4.0, 8.0, 16.0, 32.0, 64.0)
 """Bands one octave wide, from slow angle loops to fast rate loops; the last channel is the RMS."""
-RMS_CUT_RAD_S = 120.0
-RMS_AVERAGE_S = 1.0
-MARGIN = 2.0
-"""Factor on the figures before that gusts may make between one ten seconds and the next."""
+RMS_CUT_RAD_S, RMS_AVERAGE_S = 120.0, 1.0
+MARGIN = 2.0  # on the figures before: what gusts may make between one ten seconds and the next
 PEAK = 1.8
 """Largest complementary sensitivity of a good loop: how much of a reference comes back as rate."""
-FLOOR_DEG = 1.5
-"""Amplitude of an oscillation that is of no concern whatever it was before."""
+FLOOR_DEG = 1.5  # amplitude of an oscillation that is of no concern whatever it was before
 FLOOR_RMS_RAD_S = 0.3
 """The same for the rate as a whole: gusts that begin with the update shake a slow aircraft so."""
 FAR_DEG, FAR_PATIENCE_S = 8.0, 0.04
 """Roll or pitch away from the reference, beyond what the reference's own motion explains."""
-LEAD_S = 0.06
-"""By which the place is predicted from the rate: turning back takes that long."""
+LEAD_S = 0.06  # by which the place is predicted from the rate: turning back takes that long
 FOLLOW_S, FOLLOW_FACTOR, TURN_S = 0.5, 2.0, 0.25
 BEFORE_S, BLOCK_S = 10.0, 0.5
-MOST_HZ = 250.0
-"""A faster loop is watched by the means of so many of its cycles that no more remain."""
-SETTLE_S = 1.0
-"""Of data before the first figures count."""
+MOST_HZ = 125.0
+"""A faster loop is watched by the means of so many of its cycles that no more remain: twice what
+the fastest band needs, and half the work of every cycle."""
+SETTLE_S = 1.0  # of data before the first figures count
 
 
 @dataclass(frozen=True)
@@ -49,23 +45,7 @@ class Predicted:
 
     rate_rms_ratio: float = 1.0
     oscillation_ratio: float = 1.0
-    peak: float = PEAK
-    """Largest complementary sensitivity of the new loop."""
-
-
-@dataclass(frozen=True)
-class Alarm:
-    """Why the gains must go back."""
-
-    axis: str
-    what: str
-    found: float
-    bound: float
-    unit: str = 'rad/s RMS'
-
-    def __str__(self) -> str:
-        """One line."""
-        return f'{self.axis}: {self.what} {self.found:.2f} {self.unit}, bound {self.bound:.2f}'
+    peak: float = PEAK  # largest complementary sensitivity of the new loop
 
 
 class GainWatch:
@@ -74,7 +54,7 @@ class GainWatch:
     def __init__(self, rate_hz: float) -> None:
         """`rate_hz` control cycles per second, 50 or more."""
         self._every = max(1, round(rate_hz / MOST_HZ))
-        self._held: list[FloatArray] = []
+        self._held: list[tuple[Sequence[float], ...]] = []
         self._dt = self._every / rate_hz
         centres = np.array(CENTRES_RAD_S)
         self._b, self._a = _bank(centres, self._dt)
@@ -87,27 +67,20 @@ class GainWatch:
         self._patience[-1] = 0.3
         octaves = np.clip(centres * math.radians(FLOOR_DEG) / math.sqrt(2.0), 0.2, 0.5)
         self._floor = (np.append(octaves, FLOOR_RMS_RAD_S) ** 2)[:, np.newaxis]
-        self._memory = np.zeros((2, 2, periods.size, 3))
-        self._energy = np.zeros((2, periods.size, 3))
-        self._explained = np.zeros((periods.size, 3))
-        self._over_s = np.zeros((periods.size, 3))
+        channels = (periods.size, 3)
+        self._memory = np.zeros((2, 2, *channels))
+        self._energy = np.zeros((2, *channels))  # of the rates, and of what the references explain
+        self._explained, self._worst = np.zeros(channels), np.zeros(channels)
+        self._over_s = np.zeros(channels)
         self._blocks: deque[FloatArray] = deque(maxlen=round(BEFORE_S / BLOCK_S))
-        self._worst = np.zeros((periods.size, 3))
         self._last: FloatArray | None = None
         self._slow = np.zeros(3)
-        self._distance = np.zeros(2)
-        self._allowed = np.zeros(2)
-        self._allowed_before = np.zeros(2)
-        self._far_s = np.zeros(2)
-        self._cycles = 0
+        self._distance, self._allowed = np.zeros(2), np.zeros(2)
+        self._allowed_before, self._far_s = np.zeros(2), np.zeros(2)
+        self._rows = 0
         self._bound: FloatArray | None = None
         self._watched = np.ones(3, bool)
         self._peak = np.full(3, PEAK**2)
-
-    @property
-    def settled(self) -> bool:
-        """Whether there are figures of before to compare with."""
-        return self._cycles * self._dt >= SETTLE_S
 
     def step(
         self,
@@ -120,14 +93,11 @@ class GainWatch:
 
         `injected` (3,) is the excitation inside the loop as a rate reference, rad/s.
         """
-        row = np.array((rates, injected, attitude, reference))
-        if self._every > 1:
-            self._held.append(row)
-            if len(self._held) < self._every:
-                return
-            row[:2] = np.mean(self._held, axis=0)[:2]
+        self._held.append((rates, injected, attitude, reference))
+        if len(self._held) == self._every:
+            rows = np.array(self._held)
             self._held.clear()
-        self._step(*row)
+            self._step(*rows[:, :2].mean(axis=0), *rows[-1, 2:])
 
     def _step(
         self, rates: FloatArray, injected: FloatArray, attitude: FloatArray, reference: FloatArray
@@ -149,16 +119,14 @@ class GainWatch:
         memory[1] = b[2] * signals - a[1] * out
         self._energy += self._share * (out * out - self._energy)
         self._explained = np.maximum(self._energy[1], self._explained * self._fade)
-        self._cycles += 1
+        self._rows += 1
         if self._bound is None:
             self._remember()
         else:
             self._compare(self._bound)
 
     def begin(
-        self,
-        predicted: Mapping[str, Predicted] | None = None,
-        axes: Collection[str] = AXES,
+        self, predicted: Mapping[str, Predicted] | None = None, axes: Collection[str] = AXES
     ) -> None:
         """From now on compare with the figures before this call, times what is `predicted`.
 
@@ -182,14 +150,14 @@ class GainWatch:
         self._worst[:] = 0.0
         self._allowed_before[:] = 0.0
 
-    def alarm(self) -> Alarm | None:
+    def alarm(self) -> str | None:
         """The worst axis and band where the patience has run out; None while all is well."""
         if self._bound is None:
             return None
         if (self._far_s > FAR_PATIENCE_S).any():
             i = int(np.argmax(self._far_s))
             found, limit = np.degrees((self._distance[i], self._limit()[i]))
-            return Alarm(AXES[i], 'away from its reference', float(found), float(limit), 'deg')
+            return f'{AXES[i]}: away from its reference {found:.2f} deg, bound {limit:.2f}'
         late = self._over_s > self._patience
         if not late.any():
             return None
@@ -199,8 +167,8 @@ class GainWatch:
         what = 'rate'
         if channel < len(CENTRES_RAD_S):
             what = f'oscillation near {CENTRES_RAD_S[channel]:.0f} rad/s:'
-        found, limit = self._energy[0, channel, axis], bound[channel, axis]
-        return Alarm(AXES[axis], what, float(np.sqrt(found)), float(np.sqrt(limit)))
+        found, limit = np.sqrt((self._energy[0, channel, axis], bound[channel, axis]))
+        return f'{AXES[axis]}: {what} {found:.2f} rad/s RMS, bound {limit:.2f}'
 
     def figures(self) -> dict[str, float]:
         """Rate RMS per axis now, and the bound while it is watched, rad/s."""
@@ -214,7 +182,7 @@ class GainWatch:
         }
 
     def _remember(self) -> None:
-        if not self.settled:
+        if self._rows * self._dt < SETTLE_S:
             return
         excess = self._energy[0] - self._peak * self._explained
         self._worst = np.maximum(self._worst, excess)
@@ -222,7 +190,7 @@ class GainWatch:
         self._allowed_before = np.maximum(
             self._distance - self._allowed, self._allowed_before * fade
         )
-        if self._cycles % round(BLOCK_S / self._dt) == 0:
+        if self._rows % round(BLOCK_S / self._dt) == 0:
             self._blocks.append(self._worst)
             self._worst = np.zeros_like(self._worst)
 

@@ -1,1 +1,1 @@
-"""One conversation with one far end: port, clock, stamps. It knows no gains, sensors or topics."""
+"""The conversation with one aircraft: port, clock, stamps; no gains, sensors or topics."""

@@ -1,4 +1,4 @@
-"""A far end that sends standard messages only: what is made of them, what is missing. Pure.
+"""An autopilot that sends standard messages only: what is made of them, what is missing. Pure.
 
 Two tables: which message feeds which topic, and how often it is asked for
 (MAV_CMD_SET_MESSAGE_INTERVAL). Stamps are the link's affair.
@@ -12,8 +12,7 @@ from quad_bridge.wire.frames import Attitude, Battery, Command, Outputs, SlowSen
 
 SET_MESSAGE_INTERVAL = 511
 ASK_AGAIN_NS = 5_000_000_000
-ALIVE_NS = 1_000_000_000
-"""A message that has not come for so long does not come."""
+ALIVE_NS = 1_000_000_000  # a message that has not come for so long does not come
 
 INTERVALS_US = {
     'HIGHRES_IMU': (105, 4000),
@@ -55,11 +54,10 @@ class Autopilot:
         self._seen: dict[str, int] = {}
         self._angles: Vector3 | None = None
         self._next_ask_ns = 0
-        self.asked = 0
-        """Intervals asked for so far."""
+        self.asked = 0  # intervals asked for so far
 
     def clear(self) -> None:
-        """Forget the far end."""
+        """Forget the autopilot."""
         self.__init__()  # type: ignore[misc]
 
     def note(self, name: str, now_ns: int) -> None:

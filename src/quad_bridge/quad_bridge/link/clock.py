@@ -1,4 +1,4 @@
-"""The far end's clock in terms of ours, from TIMESYNC round trips. No timers, no I/O.
+"""The aircraft's clock in terms of ours, from TIMESYNC round trips. No timers, no I/O.
 
 Model: host = device + offset + drift (device - now). Weighted least squares over the last round
 trips; a trip weighs by how much longer than the shortest it took (half of the excess bounds its
@@ -13,37 +13,16 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
+from typing import NamedTuple
 
 DRIFT_PRIOR = 1e-4
 BLOCK_NS = 250_000_000
-FLOOR_S = 20e-6
-"""Standard deviation of the best round trip's offset, s."""
+FLOOR_S = 20e-6  # standard deviation of the best round trip's offset, s
 
 
-@dataclass(frozen=True)
-class ClockState:
-    """What the estimator believes, for diagnostics."""
-
-    converged: bool
-    offset_s: float
-    """Host minus device at the latest sample, s."""
-    drift_ppm: float
-    round_trip_s: float
-    """Shortest round trip in the window, s; NaN without samples. Half of it bounds the error of a
-    constant asymmetry."""
-    accepted: int
-    rejected: int
-    restarts: int
-    one_way: bool = False
-    """From arrivals alone, for want of TIMESYNC: late by the transport, which nobody knows."""
-
-
-@dataclass(frozen=True)
-class _Trip:
+class _Trip(NamedTuple):
     device_ns: int
-    offset_ns: int
-    """Mid of the trip on the host's clock minus device time."""
+    offset_ns: int  # mid of the trip on the host's clock minus device time
     round_trip_ns: int
 
 
@@ -63,20 +42,17 @@ class ClockEstimator:
         `jump_s` beyond a trip's own error is a jump; `min_samples` trips make it converged.
         While the first trips still find the drift, five times as much is allowed.
         """
-        self._max_ns = round(max_round_trip_s * 1e9)
-        self._jump_ns = round(jump_s * 1e9)
+        self._max_ns, self._jump_ns = round(max_round_trip_s * 1e9), round(jump_s * 1e9)
         self._min_samples = min_samples
         self._trips: deque[_Trip] = deque(maxlen=window)
         self._outliers = 0
-        self._offset_ns = 0.0
-        self._drift = 0.0
-        self._accepted = 0
-        self._rejected = 0
-        self._restarts = 0
+        self.offset_ns = 0.0  # host minus device at the latest trip
+        self.drift = 0.0  # s per s
+        self.accepted = self.rejected = self.restarts = 0
+        self.one_way = False
+        """From arrivals alone, for want of TIMESYNC: late by the transport, which nobody knows."""
         self._last: tuple[int, int] | None = None
-        self.off_ns = 0.0
-        """By how much the last round trip was off what was estimated before it."""
-        self._one_way = False
+        self.off_ns = 0.0  # by how much the last trip was off what was estimated before it
         self._block: list[tuple[int, int]] = []
 
     @property
@@ -90,40 +66,27 @@ class ClockEstimator:
         return self._outliers > 0
 
     @property
-    def one_way(self) -> bool:
-        """True where arrivals must do for want of TIMESYNC."""
-        return self._one_way
+    def round_trip_s(self) -> float:
+        """Shortest round trip in the window, s; NaN without any.
 
-    @property
-    def state(self) -> ClockState:
-        """Figures for diagnostics."""
-        return ClockState(
-            converged=self.converged,
-            offset_s=self._offset_ns * 1e-9,
-            drift_ppm=self._drift * 1e6,
-            round_trip_s=1e-9 * min((t.round_trip_ns for t in self._trips), default=math.nan),
-            accepted=self._accepted,
-            rejected=self._rejected,
-            restarts=self._restarts,
-            one_way=self._one_way,
-        )
+        Half of it bounds the error of a constant asymmetry.
+        """
+        return 1e-9 * min((t.round_trip_ns for t in self._trips), default=math.nan)
 
     def reset(self) -> None:
         """Forget the past: one of the clocks has jumped."""
-        self._restarts += bool(self._trips)
+        self.restarts += bool(self._trips)
         self._trips.clear()
-        self._outliers = 0
-        self._drift = 0.0
-        self._last = None
-        self._one_way = False
+        self._outliers, self.drift, self._last = 0, 0.0, None
+        self.one_way = False
         self._block.clear()
 
     def add_arrival(self, device_ns: int, arrived_ns: int) -> None:
-        """Take a message's device time and arrival, for a far end that answers no TIMESYNC.
+        """Take a message's device time and arrival, from an aircraft that answers no TIMESYNC.
 
         Of each block the one that took least counts.
         """
-        if self._trips and not self._one_way:
+        if self._trips and not self.one_way:
             return
         self._block.append((device_ns, arrived_ns))
         if device_ns - self._block[0][0] < BLOCK_NS:
@@ -132,7 +95,7 @@ class ClockEstimator:
             return
         device, arrived = min(self._block, key=lambda one: one[1] - one[0])
         self._block.clear()
-        self._one_way = True
+        self.one_way = True
         self._take(_Trip(device, arrived - device, 0))
 
     def add(self, sent_ns: int, device_ns: int, received_ns: int) -> bool:
@@ -142,31 +105,31 @@ class ClockEstimator:
         """
         trip = _Trip(device_ns, (sent_ns + received_ns) // 2 - device_ns, received_ns - sent_ns)
         if not 0 <= trip.round_trip_ns <= self._max_ns:
-            self._rejected += 1
+            self.rejected += 1
             return False
-        if self._one_way:
+        if self.one_way:
             self.reset()
         return self._take(trip)
 
     def _take(self, trip: _Trip) -> bool:
         if self._trips and self._jumped(trip):
             self._outliers += 1
-            self._rejected += 1
+            self.rejected += 1
             if self._outliers < 2:
                 return False
-            one_way = self._one_way
+            one_way = self.one_way
             self.reset()
-            self._one_way = one_way
+            self.one_way = one_way
         self._outliers = 0
         self._trips.append(trip)
-        self._accepted += 1
+        self.accepted += 1
         self._fit()
         return True
 
     def estimate_ns(self, device_ns: int) -> int:
         """Host time of a device time, ns, as the estimate is now."""
         base = self._trips[-1].device_ns if self._trips else device_ns
-        return device_ns + round(self._offset_ns + self._drift * (device_ns - base))
+        return device_ns + round(self.offset_ns + self.drift * (device_ns - base))
 
     def host_ns(self, device_ns: int) -> int:
         """Stamp of a device time, ns: it never runs backwards while device time does not."""
@@ -178,10 +141,10 @@ class ClockEstimator:
 
     def _jumped(self, trip: _Trip) -> bool:
         since = trip.device_ns - self._trips[-1].device_ns
-        self.off_ns = trip.offset_ns - self._offset_ns - self._drift * since
+        self.off_ns = trip.offset_ns - self.offset_ns - self.drift * since
         shortest = min(t.round_trip_ns for t in self._trips)
         own = abs(trip.round_trip_ns - shortest) / 2
-        jump = self._jump_ns * (20 if self._one_way else 1 if self.converged else 5)
+        jump = self._jump_ns * (20 if self.one_way else 1 if self.converged else 5)
         allowed = jump + own + 2.0 * DRIFT_PRIOR * abs(since)
         return since < 0 or abs(self.off_ns) > allowed
 
@@ -191,8 +154,7 @@ class ClockEstimator:
         shortest = min(t.round_trip_ns for t in self._trips)
         s0 = sx = sxx = sy = sxy = 0.0
         for trip in self._trips:
-            sigma = FLOOR_S + 0.5e-9 * (trip.round_trip_ns - shortest)
-            w = 1.0 / (sigma * sigma)
+            w = (FLOOR_S + 0.5e-9 * (trip.round_trip_ns - shortest)) ** -2
             x = 1e-9 * (trip.device_ns - last.device_ns)
             y = 1e-9 * (trip.offset_ns - last.offset_ns)
             s0 += w
@@ -201,9 +163,8 @@ class ClockEstimator:
             sy += w * y
             sxy += w * x * y
         sxx += 1.0 / (DRIFT_PRIOR * DRIFT_PRIOR)
-        determinant = s0 * sxx - sx * sx
-        self._drift = (s0 * sxy - sx * sy) / determinant
-        self._offset_ns = last.offset_ns + 1e9 * (sy - self._drift * sx) / s0
+        self.drift = (s0 * sxy - sx * sy) / (s0 * sxx - sx * sx)
+        self.offset_ns = last.offset_ns + 1e9 * (sy - self.drift * sx) / s0
 
 
 class DeviceTime:

@@ -1,11 +1,14 @@
 """Which cycles must wait for a round trip of TIMESYNC before they are stamped. No timers, no I/O.
 
+Both guards take every cycle (`step`) and every round trip (`trip`), and say by `waiting` whether
+cycles are to be held back.
+
 StepGuard: TIMESYNC sees a jump of a running STM32's clock only at its next round trips; cycles
 stamped until then would be wrong. Cycle counter and device time step together, so a step that does
-not fit holds cycles back until a round trip asked for after it has told.
+not fit holds cycles back until a round trip that was asked for after it has told.
 
 LateGuard: a host that stood still, or a line that held bytes back, delivers a burst, which catches
-up within milliseconds. A far end that restarted while nobody heard it, with a cycle counter that
+up within milliseconds. An aircraft that restarted while nobody heard it, with a cycle counter that
 happens to be higher than before, stays behind for ever. So what is late waits until it has caught
 up, or a round trip has told.
 """
@@ -13,32 +16,23 @@ up, or a round trip has told.
 from __future__ import annotations
 
 _WRAP = 1 << 32
-_LONGEST = 1_000_000
-"""Cycles: a larger step of the counter is a restart."""
+_LONGEST = 1_000_000  # cycles: a larger step of the counter is a restart
 LEAST_US, MOST_US = 1_000, 20_000
-"""What a step may be off. Doubled by each false alarm: there are far ends with uneven cycles."""
-AGREES_NS = 1_000_000
-"""A round trip this close to the estimate tells that the clock has not jumped."""
-PATIENCE_NS = 300_000_000
-"""Without a word from TIMESYNC for so long nothing is held back."""
+"""What a step may be off. Doubled by each false alarm: there are aircraft with uneven cycles."""
+AGREES_NS = 1_000_000  # a round trip this close to the estimate: the clock has not jumped
+PATIENCE_NS = 300_000_000  # without an answer to TIMESYNC for so long nothing is held back
 LEARN = 1.0 / 64.0
-DRIFT = 1e-3
-"""Share of a gap by which the period that was learned may be off."""
-
-PAST_NS = 100_000_000
-"""Lateness that is taken as it is: a busy host."""
+DRIFT = 1e-3  # share of a gap by which the period that was learned may be off
+PAST_NS = 100_000_000  # lateness that is taken as it is: a busy host
 
 
 class StepGuard:
-    """`step` for every cycle, `trip` for every round trip; `waiting` tells to hold cycles back."""
+    """Compares steps of device time with steps of the cycle counter."""
 
     def __init__(self) -> None:
-        self.alarms = 0
-        """Steps that did not fit."""
+        self.alarms = 0  # steps that did not fit
         self._tolerance_us = float(LEAST_US)
-        self._period_us = 0.0
-        self._last: tuple[int, int] | None = None
-        self._since_ns: int | None = None
+        self.restart()
 
     @property
     def waiting(self) -> bool:
@@ -47,7 +41,9 @@ class StepGuard:
 
     def restart(self) -> None:
         """Begin anew: the device has restarted, or its jump is known."""
-        self._period_us, self._last, self._since_ns = 0.0, None, None
+        self._period_us = 0.0
+        self._last: tuple[int, int] | None = None
+        self._since_ns: int | None = None
 
     def step(self, cycle: int, device_us: int, now_ns: int) -> bool:
         """Take a cycle's counter and device time, as it arrives; whether it has to wait."""
@@ -84,16 +80,12 @@ class StepGuard:
 
 
 class LateGuard:
-    """`step` for every cycle, `trip` for every round trip; `waiting` tells to hold cycles back."""
+    """Compares a cycle's arrival with the time that its stamp would have."""
 
     def __init__(self) -> None:
-        self.gone = False
-        """The clock of before is no more."""
-        self.anew = False
-        """Device time fits a start since the last cycle that had been heard before."""
-        self._since_ns: int | None = None
-        self._allowed_ns = PAST_NS
+        self.anew = False  # device time fits a start since the last cycle that was heard before
         self._late_ns = 0
+        self.restart()
 
     @property
     def waiting(self) -> bool:
@@ -102,7 +94,9 @@ class LateGuard:
 
     def restart(self) -> None:
         """Begin anew: stamps are by another clock now."""
-        self.gone, self._since_ns, self._allowed_ns = False, None, PAST_NS
+        self.gone = False  # whether the clock of before is no more
+        self._since_ns: int | None = None
+        self._allowed_ns = PAST_NS
 
     def late(self, late_ns: int) -> bool:
         """Whether so much between stamp and arrival needs an explanation."""
@@ -118,7 +112,7 @@ class LateGuard:
                 self._since_ns, self.anew = now_ns, anew
         elif now_ns - self._since_ns > PATIENCE_NS:
             self.gone = self.anew
-            self._believe()
+            self.believe(late_ns)
         return self.waiting
 
     def trip(self, sent_ns: int, off_ns: float, round_trip_ns: int) -> None:
@@ -131,12 +125,8 @@ class LateGuard:
         if abs(off_ns) > (round_trip_ns + PAST_NS) / 2:
             self.gone = True
         else:
-            self._believe()
+            self.believe(self._late_ns)
 
     def believe(self, late_ns: int) -> None:
-        """Take so much lateness as it is from now on: nobody tells."""
-        self._late_ns = late_ns
-        self._believe()
-
-    def _believe(self) -> None:
-        self._since_ns, self._allowed_ns = None, self._late_ns + PAST_NS
+        """Take so much lateness as it is from now on."""
+        self._since_ns, self._allowed_ns = None, late_ns + PAST_NS

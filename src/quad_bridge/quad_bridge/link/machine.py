@@ -1,37 +1,34 @@
 """The link as a machine without I/O: `receive` returns what has come, `to_send` what is to go out.
 
-Events come in order: what arrived, what was stamped, that the far end has restarted. All times are
-ns of one steady host clock. Not thread-safe: the node holds a lock around it.
+Events come in order: what arrived, what was stamped, that the aircraft has restarted. All times
+are ns of one steady host clock. Not thread-safe: the node holds a lock around it.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 from quad_bridge.link.autopilot import Autopilot
 from quad_bridge.link.stamping import Arrived, Event, Restarted, Stamped, Stamping
 from quad_bridge.wire import frames as f
-from quad_bridge.wire.codec import Decoder, Encoder
+from quad_bridge.wire.codec import NO_AUTOPILOT, Decoder, Encoder
 from quad_bridge.wire.signing import Signing
 
 BRIDGE_SYSTEM, BRIDGE_COMPONENT = 1, 191
-ONBOARD_CONTROLLER, NO_AUTOPILOT = 18, 8
+ONBOARD_CONTROLLER = 18  # MAV_TYPE
 ADDRESSED = (
     f.Command, f.Excitation, f.GainsCommand, f.ParamRequestList, f.ParamRequestRead, f.ParamSet,
 )  # fmt: skip
+_HANDED_ON = (f.ParamValue, f.GainsState, f.CommandAck, f.StatusText)
 HEARTBEAT_NS = 1_000_000_000
 SYNC_NS, SOON_NS = 200_000_000, 40_000_000
 """Between TIMESYNC questions once the clock has converged, and before."""
-URGENT_NS = 20_000_000
-"""Between questions while cycles wait for an answer."""
-NO_SYNC_NS = 3_000_000_000
-"""Without an answer to TIMESYNC for so long, an autopilot's arrivals must do."""
-NO_CYCLE_NS = 1_000_000_000
-"""An autopilot without a QUAD_CYCLE for so long sends none."""
-RELEASE_NS = 3_000_000_000
-"""A far end silent for so long may be followed by another one on the same line."""
-
-
+URGENT_NS = 20_000_000  # between questions while cycles wait for an answer
+NO_SYNC_NS = 3_000_000_000  # TIMESYNC unanswered for so long: an autopilot's arrivals must do
+NO_CYCLE_NS = 1_000_000_000  # an autopilot without a QUAD_CYCLE for so long sends none
+RELEASE_NS = 3_000_000_000  # silent for so long, an aircraft may be followed by another one
 CYCLE_OLD_NS, PEER_OLD_NS = 500_000_000, 2_500_000_000
 """An older cycle, or heartbeat where there are none, says nothing of now."""
 SAME_START_NS = 2_000_000_000
@@ -40,43 +37,45 @@ WRAP_NS = 1000 << 32
 
 
 class Link:
-    """State of the conversation with the far end."""
+    """State of the conversation with the aircraft."""
 
     def __init__(self, signing: Signing | None = None, one_clock_ns: int | None = None) -> None:
         """`one_clock_ns`: host minus device time where both are one clock, as in lockstep."""
         self._one_clock_ns = one_clock_ns
         self.decoder = Decoder(signing, own=(BRIDGE_SYSTEM, BRIDGE_COMPONENT))
-        self.stamping = Stamping()
-        self.stamping.on_restart = self._restarted_unseen
+        self.stamping = Stamping(self._restarted_unseen)
         self.clock = self.stamping.clock
         self.peer: f.Heartbeat | None = None
-        self.autopilot = Autopilot()
-        """Where the far end sends standard messages only."""
+        self.autopilot = Autopilot()  # where the aircraft sends standard messages only
         self.last_cycle: f.Cycle | None = None
-        self.last_cycle_ns = 0
-        """Host time at which the last cycle arrived."""
+        self.last_cycle_ns = 0  # host time at which the last cycle arrived
         self.cycles = 0
         self._encoder = Encoder(BRIDGE_SYSTEM, BRIDGE_COMPONENT, signing)
-        self._events: list[Event] = []
         self._outbox = bytearray()
         self._restarts = 0
         self._started_ns: int | None = None
-        """When the far end had started that was heard before the port was opened anew."""
+        """When the aircraft had started that was heard before the port was opened anew."""
         self._peer_since_ns = 0
-        self.answered_ns = 0
-        """When TIMESYNC was last answered."""
+        self.answered_ns = 0  # when TIMESYNC was last answered
         self._heard_ns = self._peer_ns = 0
         self._next_heartbeat_ns = 0
         self._next_sync_ns = self._next_urgent_ns = 0
-
-    @property
-    def held(self) -> int:
-        """Cycles not published, see `Stamping`."""
-        return self.stamping.held
+        self._takes: dict[type, Callable[[Any, int], None]] = {
+            **dict.fromkeys(_HANDED_ON, self._arrived),
+            f.Cycle: self._cycle,
+            f.RcChannels: self._sticks,
+            f.SlowSensors: self._slow_sensors,
+            f.Battery: self._battery,
+            f.Attitude: self._inertial,
+            f.Outputs: self._outputs,
+            f.TimeSync: self._time_sync,
+            f.Heartbeat: self._heartbeat,
+            f.Standard: lambda frame, now_ns: self.autopilot.note(frame.name, now_ns),
+        }
 
     @property
     def armed(self) -> bool:
-        """Whether the far end was armed when it was last heard."""
+        """Whether the aircraft was armed when it was last heard."""
         if self.last_cycle is not None:
             return bool(self.last_cycle.flags & f.Flag.ARMED)
         return self.peer is not None and self.peer.armed
@@ -90,7 +89,7 @@ class Link:
         return self.armed if heard else None
 
     def opened(self) -> None:
-        """Begin anew: the port was opened, the far end may be another one."""
+        """Begin anew: the port was opened, the aircraft may be another one."""
         if self.last_cycle is not None:
             self._started_ns = self.last_cycle_ns - 1000 * self.last_cycle.time_us
         self.decoder.resync()
@@ -103,15 +102,14 @@ class Link:
     def receive(self, data: bytes, now_ns: int) -> list[Event]:
         """What is in `data`, which arrived at `now_ns`, and what may be stamped by now."""
         events: list[Event] = []
-        self._events = events
+        self.stamping.out = events
         frames = self.decoder.feed(data)
         if frames:
             self._heard_ns = now_ns
         for frame in frames:
-            if isinstance(frame, f.Cycle):
-                self._cycle(frame, now_ns)
-            else:
-                self._other(frame, now_ns)
+            take = self._takes.get(type(frame))
+            if take is not None:
+                take(frame, now_ns)
         self.tick(now_ns)
         return events
 
@@ -157,25 +155,25 @@ class Link:
     def _cycle(self, frame: f.Cycle, now_ns: int) -> None:
         restarts = self.decoder.counts.restarts
         if self.peer is not None and self.decoder.peer != (self.peer.system, self.peer.component):
-            self._far_end_restarted()  # what was known was of one that had sent no cycle
+            self._restarted()  # what was known was of one that had sent no cycle
             self.peer = None
             self.autopilot.clear()
         if restarts != self._restarts:
             self._restarts = restarts
-            self._far_end_restarted()
+            self._restarted()
         elif self._started_ns is not None and self._moved(frame, now_ns, self._started_ns):
             self._restarted_unseen()
         self._started_ns = None
         self.cycles += 1
         self.last_cycle = frame
         self.last_cycle_ns = now_ns
-        self._events.append(Arrived(frame))
-        self.stamping.cycle(frame, now_ns, self._events)
+        self.stamping.out.append(Arrived(frame))
+        self.stamping.cycle(frame, now_ns)
         self._ask_urgently(now_ns)
 
     @staticmethod
     def _moved(frame: f.Cycle, now_ns: int, started_ns: int) -> bool:
-        """Whether the far end has started at another time; its µs may wrap at 32 bits."""
+        """Whether the aircraft has started at another time; its µs may wrap at 32 bits."""
         moved = now_ns - 1000 * frame.time_us - started_ns
         return abs((moved + WRAP_NS // 2) % WRAP_NS - WRAP_NS // 2) > SAME_START_NS
 
@@ -184,36 +182,26 @@ class Link:
             self._next_urgent_ns = now_ns + URGENT_NS
             self.send(f.TimeSync(0, now_ns))
 
-    def _other(self, frame: f.Frame, now_ns: int) -> None:
-        events = self._events
-        if isinstance(frame, (f.ParamValue, f.GainsState, f.CommandAck, f.StatusText)):
-            events.append(Arrived(frame))
-        elif isinstance(frame, f.RcChannels):
-            events.append(Arrived(frame))
-            self.autopilot.note('RC_CHANNELS', now_ns)
-            self.stamping.other(frame, frame.time_ms * 1000, 1000, now_ns, events)
-        elif isinstance(frame, f.SlowSensors):
-            self._inertial(frame, now_ns)
-            self.stamping.other(frame, frame.time_us, 1, now_ns, events)
-        elif isinstance(frame, f.Battery):
-            if self.autopilot.battery(frame, now_ns) and self.clock.converged:
-                last_ns = self.stamping.last_ns
-                events += [Stamped(frame, last_ns)] if last_ns else []
-        elif isinstance(frame, f.Attitude):
-            self._inertial(frame, now_ns)
-        elif isinstance(frame, f.Outputs):
-            if self.autopilot.outputs(frame, now_ns) and self.last_cycle is None:
-                self.stamping.outputs(frame, events)
-        else:
-            self._for_the_link(frame, now_ns)
+    def _arrived(self, frame: Any, _now_ns: int) -> None:
+        self.stamping.out.append(Arrived(frame))
 
-    def _for_the_link(self, frame: f.Frame, now_ns: int) -> None:
-        if isinstance(frame, f.TimeSync):
-            self._time_sync(frame, now_ns)
-        elif isinstance(frame, f.Heartbeat):
-            self._heartbeat(frame, now_ns)
-        elif isinstance(frame, f.Standard):
-            self.autopilot.note(frame.name, now_ns)
+    def _sticks(self, frame: f.RcChannels, now_ns: int) -> None:
+        self._arrived(frame, now_ns)
+        self.autopilot.note('RC_CHANNELS', now_ns)
+        self.stamping.other(frame, frame.time_ms * 1000, 1000, now_ns)
+
+    def _slow_sensors(self, frame: f.SlowSensors, now_ns: int) -> None:
+        self._inertial(frame, now_ns)
+        self.stamping.other(frame, frame.time_us, 1, now_ns)
+
+    def _battery(self, frame: f.Battery, now_ns: int) -> None:
+        last_ns = self.stamping.last_ns
+        if self.autopilot.battery(frame, now_ns) and self.clock.converged and last_ns:
+            self.stamping.out.append(Stamped(frame, last_ns))
+
+    def _outputs(self, frame: f.Outputs, now_ns: int) -> None:
+        if self.autopilot.outputs(frame, now_ns) and self.last_cycle is None:
+            self.stamping.outputs(frame)
 
     def _heartbeat(self, frame: f.Heartbeat, now_ns: int) -> None:
         if frame.autopilot != NO_AUTOPILOT:
@@ -228,7 +216,7 @@ class Link:
             return
         since_ns = self._peer_since_ns if self.peer is not None else now_ns
         arrivals = now_ns - since_ns > NO_SYNC_NS
-        self.stamping.inertial(inertial, now_ns, self._events, arrivals=arrivals)
+        self.stamping.inertial(inertial, now_ns, arrivals=arrivals)
         self._ask_urgently(now_ns)
 
     def _time_sync(self, frame: f.TimeSync, now_ns: int) -> None:
@@ -239,13 +227,13 @@ class Link:
             sent_ns, received_ns = frame.ts1_ns, now_ns
             if self._one_clock_ns is not None:
                 sent_ns = received_ns = frame.tc1_ns + self._one_clock_ns
-            self.stamping.trip(sent_ns, frame.tc1_ns, received_ns, self._events)
+            self.stamping.trip(sent_ns, frame.tc1_ns, received_ns)
 
     def _restarted_unseen(self) -> None:
         self.decoder.counts.restarts += 1  # which the cycle counter has not shown
         self._restarts = self.decoder.counts.restarts
-        self._events.append(Restarted())
+        self.stamping.out.append(Restarted())
 
-    def _far_end_restarted(self) -> None:
+    def _restarted(self) -> None:
         self.stamping.restart()
-        self._events.append(Restarted())
+        self.stamping.out.append(Restarted())

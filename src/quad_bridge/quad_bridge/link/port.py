@@ -2,7 +2,7 @@
 
 Bytes go to a callback, in the reader's thread; what they mean is not known here. All faults of
 pyserial and the terminal layer are caught in this file and become a `PortState`. A port that falls
-silent is looked at: its name may lead to another device by now, or the far end be gone unsaid.
+silent is looked at: its name may lead to another device by now, or the peer may be gone.
 """
 
 from __future__ import annotations
@@ -68,16 +68,11 @@ class PortStatus:
     """A snapshot for diagnostics."""
 
     state: PortState = PortState.CLOSED
-    detail: str = ''
-    """The system's own words for the last fault; empty while all is well."""
-    opened: int = 0
-    """Times the port has been opened."""
-    dropped_writes: int = 0
-    """Writes that found the output of the open port full."""
-    path: str = ''
-    """The device that is open, or was last: what a link or pattern has led to."""
-    latency_ms: int | None = None
-    """An FTDI adapter's latency timer; None where there is none."""
+    detail: str = ''  # the system's own words for the last fault; empty while all is well
+    opened: int = 0  # times the port has been opened
+    dropped_writes: int = 0  # writes that found the output of the open port full
+    path: str = ''  # the device that is open, or was last: what a link or pattern has led to
+    latency_ms: int | None = None  # an FTDI adapter's latency timer; None where there is none
 
 
 class SerialPort:
@@ -107,8 +102,7 @@ class SerialPort:
         self._port: Any = None
         self._stop = threading.Event()
         self._write_lock, self._status_lock = threading.Lock(), threading.Lock()
-        self._tail = b''
-        """What the output has not taken yet of the last write: no frame is torn."""
+        self._tail = b''  # what the output has not taken yet of the last write: no frame is torn
         self.status = PortStatus()
         self._patience_s = HALF_OPEN_S[0]
         self._skip = 0
@@ -205,7 +199,7 @@ class SerialPort:
                 self._note(state=PortState.HUNG_UP, detail=elsewhere)
                 return
             if clock().now_s() - heard_s > self._patience_s:
-                # half-open: a far end that went without a word, or the wrong one of several
+                # half-open: a peer that went without a word, or the wrong one of several
                 self._patience_s = min(2.0 * self._patience_s, HALF_OPEN_S[1])
                 self._skip += 1
                 return

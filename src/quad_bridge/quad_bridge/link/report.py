@@ -2,31 +2,44 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 from quad_bridge.link.machine import Link
 from quad_bridge.link.port import PortState, PortStatus
 from quad_bridge.status import ERROR, OK, WARN, Status
 from quad_bridge.wire.framing import Counts
 
-COARSE_S = 0.002
-"""Where half a round trip is longer, so may the error of the stamps be."""
+COARSE_S = 0.002  # where half a round trip is longer, so may the error of the stamps be
 FTDI_MS = 2
-SILENT_S = 3.0
-"""Without an answer to TIMESYNC for so long the estimate ages."""
-FOREIGN_BYTES = 2000
-"""Bytes without one valid frame after which the aircraft is said to speak another protocol."""
-SETTLED_S = 0.5
-"""Least time over which rates and losses are told."""
+SILENT_S = 3.0  # without an answer to TIMESYNC for so long the estimate ages
+FOREIGN_BYTES = 2000  # without one valid frame: the aircraft speaks another protocol
+SETTLED_S = 0.5  # least time over which rates and losses are told
+_COUNTED = {
+    'lost cycles': 'lost_cycles', 'bad CRC': 'bad_crc', 'garbage bytes': 'garbage_bytes',
+    'unknown messages': 'unknown', 'standard messages not used': 'standard',
+    'from other senders': 'foreign', 'implausible': 'implausible',
+    'MAVLink 1 messages': 'old_version', 'refused, unsigned': 'unsigned',
+    'refused, other key': 'forged', 'refused, replayed': 'replayed',
+    'refused, time ahead': 'ahead', 'restarts of the STM32': 'restarts', 'bytes': 'bytes',
+}  # fmt: skip
+"""Name in /diagnostics to the field of Counts."""
+_UNHEARD = {
+    'unsigned': 'the aircraft does not sign: give it the key of key_file',
+    'forged': 'the aircraft signs with another key than key_file',
+    'ahead': "the aircraft signs with a time far ahead: set its clock, or this computer's",
+    'replayed': 'only old frames arrive: a recording, or an aircraft that does not take our time',
+    'old_version': 'speaks MAVLink 1: set it to MAVLink 2 (SERIALn_PROTOCOL, MAV_PROTO_VER)',
+}
+"""What has been counted since the port was opened, and why then no frame is used."""
 
 
-@dataclass(frozen=True)
-class _Since:
+class _Before(NamedTuple):
     """Figures at an earlier report, to tell rates and new losses."""
 
     time_s: float
     counts: Counts
-    cycles: int
+    cycles: int = 0
     dropped_writes: int = 0
 
 
@@ -35,9 +48,8 @@ class LinkReport:
 
     def __init__(self, link: Link, now_s: float) -> None:
         self._link = link
-        self._opened = Counts()
-        """The decoder's counts when the port was opened."""
-        self._before = self._since = _Since(now_s, Counts(), 0)
+        self._opened = Counts()  # the decoder's when the port was opened
+        self._earlier = self._last = _Before(now_s, Counts())
 
     def opened(self) -> None:
         """The port was opened anew."""
@@ -50,86 +62,60 @@ class LinkReport:
 
         `unset`: time is simulated, and nobody has told it yet.
         """
-        settled = now_s - self._since.time_s > SETTLED_S
-        since = self._since if settled else self._before
-        entries = [
-            self._link_status(port, since, now_s),
-            clock_status(self._link, behind_ns, unset=unset, now_s=now_s),
-        ]
-        if settled:
-            counts, cycles = replace(self._link.decoder.counts), self._link.cycles
-            self._before = since
-            self._since = _Since(now_s, counts, cycles, port.dropped_writes)
-        return entries
-
-    def _link_status(self, port: PortStatus, since: _Since, now_s: float) -> Status:
         link, counts = self._link, self._link.decoder.counts
-        rate = (link.cycles - since.cycles) / max(now_s - since.time_s, 1e-3)
+        settled = now_s - self._last.time_s > SETTLED_S
+        before = self._last if settled else self._earlier
+        if settled:
+            now = _Before(now_s, replace(counts), link.cycles, port.dropped_writes)
+            self._earlier, self._last = before, now
+        rate = (link.cycles - before.cycles) / max(now_s - before.time_s, 1e-3)
         values = {
             'port': port.state.value,
             'port fault': port.detail,
             'device': port.path,
             'times opened': port.opened,
+            'dropped writes': port.dropped_writes,
             'cycle rate (Hz)': f'{rate:.1f}',
             'cycles': link.cycles,
-            'lost cycles': counts.lost_cycles,
-            'bad CRC': counts.bad_crc,
-            'garbage bytes': counts.garbage_bytes,
-            'unknown messages': counts.unknown,
-            'standard messages not used': counts.standard,
-            'from other senders': counts.foreign,
-            'implausible': counts.implausible,
-            'MAVLink 1 messages': counts.old_version,
-            'refused, unsigned': counts.unsigned,
-            'refused, other key': counts.forged,
-            'refused, replayed': counts.replayed,
-            'refused, time ahead': counts.ahead,
-            'restarts of the STM32': counts.restarts,
-            'dropped writes': port.dropped_writes,
-            'bytes': counts.bytes,
+            **{name: getattr(counts, field) for name, field in _COUNTED.items()},
         }
-        level, text = self._verdict(port, counts, since, now_s)
-        return Status('link', level, text, values)
+        level, text = self._verdict(port, counts, before, now_s)
+        clock = clock_status(link, behind_ns, unset=unset, now_s=now_s)
+        return [Status('link', level, text, values), clock]
 
     def _verdict(
-        self, port: PortStatus, counts: Counts, since: _Since, now_s: float
+        self, port: PortStatus, counts: Counts, before: _Before, now_s: float
     ) -> tuple[int, str]:
-        lost = counts.lost_cycles - since.counts.lost_cycles
-        slow_ms = port.latency_ms if port.latency_ms is not None else 0
-        if port.state is PortState.OPEN and counts.bytes != since.counts.bytes:
-            if counts.frames == self._opened.frames:
-                return self._no_frame(counts)
-            if self._link.cycles == since.cycles:
-                return self._no_cycle(round(1e9 * now_s))
-        arrive = 'control cycles arrive'
-        held = f'the FTDI adapter holds bytes for {slow_ms} ms: set latency_timer of {port.path}'
-        return _first(
-            (port.state is not PortState.OPEN, ERROR, f'port {port.state.value}'),
-            (counts.bytes == since.counts.bytes, ERROR, 'port open, but nothing arrives'),
-            (lost > 0, WARN, f'{lost} cycles lost since the last report'),
-            (port.dropped_writes > since.dropped_writes, WARN,
-             f'{arrive}, but the aircraft does not read what it is sent'),
-            (slow_ms > FTDI_MS, WARN, f'{arrive}, but {held} to 1'),
-            (True, OK, arrive),
-        )  # fmt: skip
+        lost = counts.lost_cycles - before.counts.lost_cycles
+        level, text = WARN, 'control cycles arrive'
+        if port.state is not PortState.OPEN:
+            level, text = ERROR, f'port {port.state.value}'
+        elif counts.bytes == before.counts.bytes:
+            level, text = ERROR, 'port open, but nothing arrives'
+        elif counts.frames == self._opened.frames:
+            level, text = self._no_frame(counts)
+        elif self._link.cycles == before.cycles:
+            level, text = self._no_cycle(round(1e9 * now_s))
+        elif lost > 0:
+            text = f'{lost} cycles lost since the last report'
+        elif port.dropped_writes > before.dropped_writes:
+            text += ', but the aircraft does not read what it is sent'
+        elif port.latency_ms is not None and port.latency_ms > FTDI_MS:
+            text += f', but the FTDI adapter holds bytes for {port.latency_ms} ms'
+            text += f': set latency_timer of {port.path} to 1'
+        else:
+            level = OK
+        return level, text
 
     def _no_frame(self, counts: Counts) -> tuple[int, str]:
-        opened, garbage = self._opened, counts.bytes - self._opened.bytes
-        return _first(
-            (counts.unsigned > opened.unsigned, ERROR,
-             'the aircraft does not sign: give it the key of key_file'),
-            (counts.forged > opened.forged, ERROR,
-             'the aircraft signs with another key than key_file'),
-            (counts.ahead > opened.ahead, ERROR,
-             "the aircraft signs with a time far ahead: set its clock, or this computer's"),
-            (counts.replayed > opened.replayed, ERROR,
-             'only old frames arrive: a recording, or an aircraft that does not take our time'),
-            (counts.old_version > opened.old_version, ERROR,
-             'speaks MAVLink 1: set it to MAVLink 2 (SERIALn_PROTOCOL, MAV_PROTO_VER)'),
-            (garbage < FOREIGN_BYTES, WARN, 'bytes arrive, no valid frame yet'),
-            (True, ERROR,
-             f'speaks another protocol or baud rate: no valid frame in {garbage} bytes'),
-        )  # fmt: skip
+        for name, words in _UNHEARD.items():
+            if getattr(counts, name) > getattr(self._opened, name):
+                return ERROR, words
+        garbage = counts.bytes - self._opened.bytes
+        if garbage < FOREIGN_BYTES:
+            return WARN, 'bytes arrive, no valid frame yet'
+        words = f'speaks another protocol or baud rate: no valid frame in {garbage} bytes'
+        return ERROR, words
 
     def _no_cycle(self, now_ns: int) -> tuple[int, str]:
         names = ', '.join(self._link.autopilot.names)
@@ -144,44 +130,37 @@ class LinkReport:
 
 def clock_status(link: Link, behind_ns: int, *, unset: bool, now_s: float) -> Status:
     """How well device time is mapped to host time; see `LinkReport.entries`."""
-    state = link.clock.state
+    clock = link.clock
     values = {
-        'offset (s)': f'{state.offset_s:.6f}',
-        'drift (ppm)': f'{state.drift_ppm:.2f}',
-        'shortest round trip (ms)': f'{1e3 * state.round_trip_s:.3f}',
-        'unseen asymmetry, at most (ms)': f'{500.0 * state.round_trip_s:.3f}',
-        'round trips used': state.accepted,
-        'round trips dropped': state.rejected,
-        'restarts': state.restarts,
+        'offset (s)': f'{1e-9 * clock.offset_ns:.6f}',
+        'drift (ppm)': f'{1e6 * clock.drift:.2f}',
+        'shortest round trip (ms)': f'{1e3 * clock.round_trip_s:.3f}',
+        'unseen asymmetry, at most (ms)': f'{500.0 * clock.round_trip_s:.3f}',
+        'round trips used': clock.accepted,
+        'round trips dropped': clock.rejected,
+        'restarts': clock.restarts,
         'uneven steps of device time': link.stamping.guard.alarms,
         'wraps at 32 bits': link.stamping.device_time.wraps,
-        'cycles held back': link.held,
+        'cycles held back': link.stamping.held,
     }
-    level, text = _clock_verdict(link, behind_ns, unset=unset, now_s=now_s)
-    return Status('clock', level, text, values)
-
-
-def _clock_verdict(link: Link, behind_ns: int, *, unset: bool, now_s: float) -> tuple[int, str]:
-    state, deaf = link.clock.state, 'no answer to TIMESYNC'
+    deaf, silent_s = 'no answer to TIMESYNC', now_s - 1e-9 * link.answered_ns
     if link.decoder.counts.unverified:
         deaf += ' (the aircraft signs: it heeds who has its key, see key_file)'
-    silent_s = now_s - 1e-9 * link.answered_ns
-    heard = state.accepted or state.rejected
-    set_by = f'the system clock was set by {1e-9 * behind_ns:.3f} s'
-    return _first(
-        (unset, WARN, 'use_sim_time is set and nothing comes on /clock: nothing is published'),
-        (behind_ns != 0, WARN, f'stamps still use the old time {set_by}'),
-        (not state.converged, WARN,
-         f'{"not converged" if heard else deaf}: nothing is published'),
-        (state.one_way, WARN, f'{deaf}: stamps are arrivals, late by the transport'),
-        (state.round_trip_s > 2.0 * COARSE_S, WARN,
-         f'converged, but stamps may be off by up to {500.0 * state.round_trip_s:.1f} ms'),
-        (silent_s > SILENT_S, WARN,
-         f'converged, but {deaf} for {silent_s:.0f} s: does the aircraft hear us?'),
-        (True, OK, 'converged'),
-    )  # fmt: skip
-
-
-def _first(*verdicts: tuple[bool, int, str]) -> tuple[int, str]:
-    """Level and words of the first that holds."""
-    return next((level, words) for holds, level, words in verdicts if holds)
+    level, text = WARN, ''
+    if unset:
+        text = 'use_sim_time is set and nothing comes on /clock: nothing is published'
+    elif behind_ns:
+        set_by = f'the system clock was set by {1e-9 * behind_ns:.3f} s'
+        text = f'stamps still use the old time: {set_by}'
+    elif not clock.converged:
+        heard = clock.accepted or clock.rejected
+        text = f'{"not converged" if heard else deaf}: nothing is published'
+    elif clock.one_way:
+        text = f'{deaf}: stamps are arrivals, late by the transport'
+    elif clock.round_trip_s > 2.0 * COARSE_S:
+        text = f'converged, but stamps may be off by up to {500.0 * clock.round_trip_s:.1f} ms'
+    elif silent_s > SILENT_S:
+        text = f'converged, but {deaf} for {silent_s:.0f} s: does the aircraft hear us?'
+    else:
+        level, text = OK, 'converged'
+    return Status('clock', level, text, values)

@@ -14,10 +14,8 @@ from quad_bridge.link.clock import ClockEstimator, DeviceTime
 from quad_bridge.link.guards import PATIENCE_NS, LateGuard, StepGuard
 from quad_bridge.wire import frames as f
 
-FUTURE_NS = 100_000_000
-"""A stamp later than its arrival by more is false."""
-NEAR_US = 60_000_000
-"""A device time is believed to have wrapped at 32 bits within this of the wrap."""
+FUTURE_NS = 100_000_000  # a stamp later than its arrival by more is false
+NEAR_US = 60_000_000  # a device time has wrapped at 32 bits only within this of the wrap
 
 
 class Stamped(NamedTuple):
@@ -34,38 +32,34 @@ class Arrived(NamedTuple):
 
 
 class Restarted(NamedTuple):
-    """The far end has started anew, or is another one."""
+    """The aircraft has started anew, or is another one."""
 
 
 Event = Stamped | Arrived | Restarted
 
 
 class Stamping:
-    """What is stamped goes to the list `out`, in order."""
+    """Appends what is stamped to `out`, in order; whoever reads that list puts a new one there."""
 
-    def __init__(self) -> None:
-        self.on_restart: Callable[[], None] = lambda: None
-        """Called where the far end has restarted and its cycle counter does not tell."""
-        self.clock = ClockEstimator()
-        self.device_time = DeviceTime()
-        self.guard = StepGuard()
-        self.late = LateGuard()
+    def __init__(self, on_restart: Callable[[], None] = lambda: None) -> None:
+        """`on_restart` is called where the aircraft restarted and its counter does not tell."""
+        self._on_restart = on_restart
+        self.out: list[Event] = []
+        self.clock, self.device_time = ClockEstimator(), DeviceTime()
+        self.guard, self.late = StepGuard(), LateGuard()
         self.held = 0
         """Not published: no clock yet, or a stamp that runs backwards or lies in the future."""
-        self.last_ns = 0
-        """The latest stamp."""
-        self._stamped: f.Cycle | Inertial | None = None
-        """What has this stamp."""
-        self._waiting: list[Callable[[int, list[Event]], None]] = []
-        """What is stamped once it is known whether the far end's clock is still the same."""
+        self.last_ns = 0  # the latest stamp
+        self._stamped: f.Cycle | Inertial | None = None  # what has this stamp
+        self._waiting: list[Callable[[int], None]] = []
+        """What is stamped once it is known whether the aircraft's clock is still the same."""
         self._arrived_ns = self._waits_since_ns = 0
 
     def restart(self) -> None:
-        """Forget: the far end has restarted, or is another one."""
+        """Forget: the aircraft has restarted, or is another one."""
+        for part in (self.device_time, self.guard, self.late):
+            part.restart()
         self.clock.reset()
-        self.device_time.restart()
-        self.guard.restart()
-        self.late.restart()
         self.held += len(self._waiting)
         self._waiting.clear()
         self._stamped = None
@@ -75,49 +69,47 @@ class Stamping:
         """Whether frames wait for a round trip."""
         return bool(self._waiting)
 
-    def cycle(self, frame: f.Cycle, now_ns: int, out: list[Event]) -> None:
+    def cycle(self, frame: f.Cycle, now_ns: int) -> None:
         """Stamp a cycle that has arrived, or let it wait."""
         device_us = self.device_time.extend(frame.time_us, NEAR_US)
         uneven = self.guard.step(frame.cycle, device_us, now_ns)
-        self._timed(frame, 1000 * device_us, now_ns, out, uneven=uneven)
+        self._timed(frame, 1000 * device_us, now_ns, uneven=uneven)
 
-    def inertial(
-        self, frame: Inertial, now_ns: int, out: list[Event], *, arrivals: bool
-    ) -> None:
+    def inertial(self, frame: Inertial, now_ns: int, *, arrivals: bool) -> None:
         """Stamp what an autopilot sends in place of a cycle; its arrival tells the clock too."""
         device_ns = 1000 * self.device_time.extend(frame.time_us, NEAR_US)
         if arrivals:
             self.clock.add_arrival(device_ns, now_ns)
-        self._timed(frame, device_ns, now_ns, out, uneven=False)
+        self._timed(frame, device_ns, now_ns, uneven=False)
 
-    def outputs(self, frame: f.Outputs, out: list[Event]) -> None:
+    def outputs(self, frame: f.Outputs) -> None:
         """Stamp an autopilot's motor pulses, whose time has 32 bits."""
         if self.clock.converged:
             device_ns = 1000 * self.device_time.nearest(frame.time_us)
-            out.append(Stamped(frame, self.clock.host_ns(device_ns)))
+            self.out.append(Stamped(frame, self.clock.host_ns(device_ns)))
 
     def other(
-        self,
-        frame: f.RcChannels | f.SlowSensors,
-        time_us: int,
-        grain_us: int,
-        now_ns: int,
-        out: list[Event],
+        self, frame: f.RcChannels | f.SlowSensors, time_us: int, grain_us: int, now_ns: int
     ) -> None:
         """Stamp a frame whose time has this grain: with its cycle's stamp where it was of one."""
         device_ns = 1000 * self.device_time.peek(time_us, NEAR_US)
         stamp = partial(self._stamp_other, frame, time_us // grain_us, grain_us, device_ns)
         late_ns = self._late_ns(device_ns, now_ns) if self._sure else 0
         if self._waiting and now_ns - self._waits_since_ns > 2 * PATIENCE_NS:
-            self._no_cycle_tells(late_ns, now_ns, out)
+            # cycles would have lost their patience by now: they have stopped, others go on
+            if self.late.waiting and self.late.anew:
+                self._begin_anew()
+            else:
+                self.late.believe(late_ns)
+                self._release(now_ns)
         if self._waiting or self.late.late(late_ns):
             self._wait(stamp, now_ns)
         else:
-            stamp(now_ns, out)
+            stamp(now_ns)
 
-    def trip(self, sent_ns: int, told_ns: int, now_ns: int, out: list[Event]) -> None:
-        """Take a round trip of TIMESYNC: sent and received by us, told by the far end."""
-        # a far end that counts µs in 32 bits wraps here too
+    def trip(self, sent_ns: int, told_ns: int, now_ns: int) -> None:
+        """Take a round trip of TIMESYNC: sent and received by us, told by the aircraft."""
+        # who counts µs in 32 bits wraps here too
         whole_us, rest_ns = divmod(told_ns, 1000)
         device_ns = 1000 * self.device_time.peek(whole_us, NEAR_US) + rest_ns
         if self._sure:
@@ -131,7 +123,7 @@ class Stamping:
         if not self.clock.converged:
             self.guard.restart()
         if not (self.guard.waiting or self.late.waiting):
-            self._release(now_ns, out)
+            self._release(now_ns)
 
     @property
     def _sure(self) -> bool:
@@ -141,35 +133,22 @@ class Stamping:
         return now_ns - self.clock.estimate_ns(device_ns)
 
     def _timed(
-        self,
-        frame: f.Cycle | Inertial,
-        device_ns: int,
-        now_ns: int,
-        out: list[Event],
-        *,
-        uneven: bool,
+        self, frame: f.Cycle | Inertial, device_ns: int, now_ns: int, *, uneven: bool
     ) -> None:
         unheard_ns, self._arrived_ns = now_ns - self._arrived_ns, now_ns
+        stamp = partial(self._stamp_timed, frame, device_ns)
         if self._sure:
             late_ns = self._late_ns(device_ns, now_ns)
             waits = self.late.step(late_ns, now_ns, anew=device_ns < unheard_ns)
             if self.late.gone:
                 self._begin_anew()
             elif waits or uneven:
-                self._wait(partial(self._stamp_timed, frame, device_ns), now_ns)
+                self._wait(stamp, now_ns)
                 return
-        self._release(now_ns, out)
-        self._stamp_timed(frame, device_ns, now_ns, out)
+        self._release(now_ns)
+        stamp(now_ns)
 
-    def _no_cycle_tells(self, late_ns: int, now_ns: int, out: list[Event]) -> None:
-        """Cycles would have lost their patience by now: they have stopped, others go on."""
-        if self.late.waiting and self.late.anew:
-            self._begin_anew()
-        else:
-            self.late.believe(late_ns)
-            self._release(now_ns, out)
-
-    def _wait(self, stamp: Callable[[int, list[Event]], None], now_ns: int) -> None:
+    def _wait(self, stamp: Callable[[int], None], now_ns: int) -> None:
         if not self._waiting:
             self._waits_since_ns = now_ns
         self._waiting.append(stamp)
@@ -179,36 +158,29 @@ class Stamping:
         restarted = self.late.anew
         self.restart()
         if restarted:
-            self.on_restart()
+            self._on_restart()
 
-    def _release(self, now_ns: int, out: list[Event]) -> None:
+    def _release(self, now_ns: int) -> None:
         """Stamp what has waited."""
         waiting, self._waiting = self._waiting, []
         for stamp in waiting:
-            stamp(now_ns, out)
+            stamp(now_ns)
 
-    def _stamp_timed(
-        self, frame: f.Cycle | Inertial, device_ns: int, now_ns: int, out: list[Event]
-    ) -> None:
+    def _stamp_timed(self, frame: f.Cycle | Inertial, device_ns: int, now_ns: int) -> None:
         """Stamp it where it may go out: no stamp runs backwards or lies in the future."""
         stamp_ns = self.clock.host_ns(device_ns) if self.clock.converged else 0
         if stamp_ns <= self.last_ns or stamp_ns > now_ns + FUTURE_NS:
             self.held += 1
             return
         self.last_ns, self._stamped = stamp_ns, frame
-        out.append(Stamped(frame, stamp_ns))
+        self.out.append(Stamped(frame, stamp_ns))
 
     def _stamp_other(
-        self,
-        frame: f.RcChannels | f.SlowSensors,
-        grains: int,
-        grain_us: int,
-        device_ns: int,
+        self, frame: f.RcChannels | f.SlowSensors, grains: int, grain_us: int, device_ns: int,
         _now_ns: int,
-        out: list[Event],
-    ) -> None:
-        if not self.clock.converged:
-            return
-        last = self._stamped
-        same = last is not None and last.time_us // grain_us == grains
-        out.append(Stamped(frame, self.last_ns if same else self.clock.host_ns(device_ns)))
+    ) -> None:  # fmt: skip
+        if self.clock.converged:
+            last = self._stamped
+            same = last is not None and last.time_us // grain_us == grains
+            stamp_ns = self.last_ns if same else self.clock.host_ns(device_ns)
+            self.out.append(Stamped(frame, stamp_ns))

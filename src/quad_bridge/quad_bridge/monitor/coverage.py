@@ -14,25 +14,19 @@ import numpy as np
 import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
-Stamps = npt.NDArray[np.int64]
 
-BAND = 0.1, 20.0
-"""rad/s, what is wanted where nobody says else: its lowest period lasts 63 s."""
+BAND = 0.1, 20.0  # rad/s, what is wanted where nobody says else: its lowest period lasts 63 s
 SPARED = 0.63
 """Share of a training segment in which the lowest period must fit: the rest may be spared."""
 TAPERS = 5
-LEAST_PERIODS = 1.0
-"""A part tells frequencies of at least so many periods in it."""
-SMOOTHING = 0.15
-"""Half the width over which a frequency is averaged, as a share of it."""
+LEAST_PERIODS = 1.0  # a part tells frequencies of at least so many periods in it
+SMOOTHING = 0.15  # half the width over which a frequency is averaged, as a share of it
 FINENESS = 8.0
 """Samples per period of the highest wanted frequency that are kept; more only cost time."""
-COHERENT = 0.6
-"""Squared coherence from which the pair is trusted, as in the analysis."""
+COHERENT = 0.6  # squared coherence from which the pair is trusted, as in the analysis
 BRIDGED_S = 0.1
 """A part goes on over cycles lost for less than this; between them both are drawn as lines."""
-CHANCE = 0.01
-"""A coherence that noise alone would reach with this probability does not count."""
+CHANCE = 0.01  # a coherence that noise alone would reach with this probability does not count
 
 
 @dataclass(frozen=True)
@@ -40,10 +34,8 @@ class Coverage:
     """What is covered of the wanted band, rad/s."""
 
     wanted: tuple[float, float]
-    w: FloatArray
-    """(m,) frequencies inside the wanted band, log-spaced."""
-    coherent: npt.NDArray[np.bool_]
-    """(m,)"""
+    w: FloatArray  # (m,) frequencies inside the wanted band, log-spaced
+    coherent: npt.NDArray[np.bool_]  # (m,)
 
     @property
     def share(self) -> float:
@@ -151,54 +143,31 @@ class Pairs:
     """Excitation and rate of one axis, matched by the stamps of their control cycles."""
 
     def __init__(self) -> None:
-        self._rates: list[tuple[int, float]] = []
-        self._inputs: list[tuple[int, float]] = []
-        self._matched: list[tuple[Stamps, FloatArray, FloatArray]] = []
+        self._rates: dict[int, float] = {}
+        self._inputs: dict[int, float] = {}
 
     def rate(self, stamp_ns: int, value: float) -> None:
         """The measured rate of a cycle, rad/s."""
-        self._rates.append((stamp_ns, value))
+        self._rates[stamp_ns] = value
 
     def excitation(self, stamp_ns: int, value: float) -> None:
         """What the STM32 says it added in a cycle."""
-        self._inputs.append((stamp_ns, value))
+        self._inputs[stamp_ns] = value
 
     def clear(self) -> None:
         """Forget all: another axis begins."""
-        self._rates, self._inputs, self._matched = [], [], []
-
-    @property
-    def cycles(self) -> int:
-        """Cycles of which both are known, as far as they were matched."""
-        return sum(stamps.size for stamps, _, _ in self._matched)
+        self.__init__()  # type: ignore[misc]
 
     def parts(self) -> tuple[list[tuple[FloatArray, FloatArray]], float]:
         """Unbroken parts (excitation, rate) and the cycle in s (0 where too little is known)."""
-        self._match()
-        if self.cycles < 3:
-            return [], 0.0
-        stamps, x, y = (np.concatenate(column) for column in zip(*self._matched, strict=True))
+        stamps = np.array(sorted(self._rates.keys() & self._inputs.keys()), dtype=np.int64)
         steps = np.diff(stamps)
-        dt = float(np.median(steps)) * 1e-9
+        dt = float(np.median(steps)) * 1e-9 if steps.size > 1 else 0.0
         if dt <= 0.0:
             return [], 0.0
+        x, y = (np.array([one[s] for s in stamps.tolist()]) for one in (self._inputs, self._rates))
         time_s = 1e-9 * (stamps - stamps[0])
         cuts = np.flatnonzero(steps > 1e9 * max(BRIDGED_S, 1.5 * dt)) + 1
         return [_even(*part, dt) for part in zip(
             np.split(time_s, cuts), np.split(x, cuts), np.split(y, cuts), strict=True
         )], dt
-
-    def _match(self) -> None:
-        """Pair what has come since; what may still get its partner waits."""
-        if not self._rates or not self._inputs:
-            return
-        common = min(max(s for s, _ in self._rates), max(s for s, _ in self._inputs))
-        rates, inputs = dict(self._rates), dict(self._inputs)
-        found = sorted(s for s in rates.keys() & inputs.keys())
-        if found:
-            self._matched.append((
-                np.array(found, dtype=np.int64),
-                np.array([inputs[s] for s in found]), np.array([rates[s] for s in found]),
-            ))
-        self._rates = [pair for pair in self._rates if pair[0] > common]
-        self._inputs = [pair for pair in self._inputs if pair[0] > common]

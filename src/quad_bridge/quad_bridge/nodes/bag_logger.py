@@ -6,6 +6,7 @@ import importlib
 import time
 from collections.abc import Callable
 from datetime import datetime, timezone
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from quad_bridge.log.disk import MB, Budget, free_bytes
 from quad_bridge.log.recording import Gaps, Recording, RecordingStatus, recording_status
 from quad_bridge.log.writer import Limits, free_paths, new_bag
 from quad_bridge.nodes import conversion, diagnostics, ros_node
-from quad_bridge.nodes.managed_node import ManagedNode, relative
+from quad_bridge.nodes.managed_node import ManagedNode, answered, relative
 from quad_bridge.nodes.qos import EVENT, STATE, adapted, offered
 from quad_bridge.status import WARN, Status
 from quad_bridge.topics import TOPIC_TYPES
@@ -34,8 +35,7 @@ NUMBERS = {
 }
 """Integer parameters: default, description, range."""
 NAMES = ('folder', 'prefix', 'topics', 'autostart', 'delete_oldest', 'managed', *NUMBERS)
-RETIRED = ('storage', 'compression')
-"""Parameters of earlier versions."""
+RETIRED = ('storage', 'compression')  # parameters of earlier versions
 
 
 class BagLogger(ManagedNode):
@@ -58,14 +58,10 @@ class BagLogger(ManagedNode):
         self._limits = Limits(
             numbers['split_mb'] * MB, numbers['split_s'], numbers['reserve_mb'] * MB
         )
-        self._budget = Budget(
-            self._folder,
-            self._prefix,
-            numbers['disk_budget_mb'] * MB,
-            ros_node.declared(
-                self, 'delete_oldest', False, 'delete closed bags to keep the budget'
-            ),
+        delete = ros_node.declared(
+            self, 'delete_oldest', False, 'delete closed bags to keep the budget'
         )
+        self._budget = Budget(self._folder, self._prefix, numbers['disk_budget_mb'] * MB, delete)
         self._topics = ros_node.declared(self, 'topics', list(TOPIC_TYPES), 'topics to record')
         for topic in self._topics:
             if topic not in TOPIC_TYPES:
@@ -73,13 +69,10 @@ class BagLogger(ManagedNode):
         self._recording: Recording | None = None
         self._subscribed: dict[str, tuple[Any, Any]] = {}
         self._gaps: dict[str, Gaps] = {}
-        self._numbered: set[str] = set()
-        """Topics whose messages come with their publisher's number."""
-        self._foreign: set[tuple[str, str]] = set()
-        """Topics with a type of a publisher that is not the contract's; each is told once."""
+        self._numbered: set[str] = set()  # topics whose messages come with a publisher's number
+        self._foreign: set[tuple[str, str]] = set()  # topics with a foreign type, each told once
         self._last = ''
-        self._failed: RecordingStatus | None = None
-        """How the last recording ended, where it failed."""
+        self._failed: RecordingStatus | None = None  # how the last recording ended, if it failed
         self._autostart = ros_node.declared(
             self, 'autostart', False, 'record from the start of the node'
         )
@@ -103,7 +96,7 @@ class BagLogger(ManagedNode):
         """End a running recording and see that `/logger/bag` is delivered."""
         self.destroy_timer(self._timer)
         if self._recording is not None:
-            self._stop()
+            self._stop(self._recording)
             self._bag.wait_for_all_acked(Duration(seconds=0.5))
 
     @property
@@ -122,27 +115,21 @@ class BagLogger(ManagedNode):
 
     def _on_start(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if not self.active:
-            response.message = 'the node is not active'
-            return response
+            return answered(response, False, 'the node is not active')
         if self._recording is not None:
-            response.message = f'already recording {self._recording.status.path}'
-            return response
+            path = self._recording.status.path
+            return answered(response, False, f'already recording {path}')
         try:
-            response.message = str(self._start())
-            response.success = True
+            return answered(response, True, str(self._start()))
         except QuadBridgeError as error:
-            response.message = str(error)
             self.get_logger().error(str(error))
-        return response
+            return answered(response, False, str(error))
 
     def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self._recording is None:
-            response.message = 'not recording'
-            return response
-        status = self._stop()
-        response.success = not status.failure
-        response.message = status.failure or str(status.path)
-        return response
+            return answered(response, False, 'not recording')
+        status = self._stop(self._recording)
+        return answered(response, not status.failure, status.failure or str(status.path))
 
     def _start(self) -> Path:
         if not self._clock_runs:
@@ -170,10 +157,8 @@ class BagLogger(ManagedNode):
         for bag in self._budget.make_room(more, current, refused):
             self.get_logger().warning(f'disk budget: deleted the oldest bag {bag}')
 
-    def _stop(self) -> RecordingStatus:
-        recording, self._recording = self._recording, None
-        if recording is None:
-            raise BadInputError('bag_logger', 'is not recording')
+    def _stop(self, recording: Recording) -> RecordingStatus:
+        self._recording = None
         for subscription, _ in self._subscribed.values():
             self.destroy_subscription(subscription)
         self._subscribed.clear()
@@ -192,14 +177,12 @@ class BagLogger(ManagedNode):
             if before == qos:
                 return
             self.destroy_subscription(subscription)
+        package, _, kind = TOPIC_TYPES[topic].split('/')
+        lost = SubscriptionEventCallbacks(message_lost=partial(self._lose, topic))
         subscription = self.create_subscription(
-            _message_class(TOPIC_TYPES[topic]),
-            relative(topic),
-            self._receiver(topic),
-            qos,
-            raw=True,
-            event_callbacks=SubscriptionEventCallbacks(message_lost=self._loser(topic)),
-        )
+            getattr(importlib.import_module(f'{package}.msg'), kind), relative(topic),
+            partial(self._receive, topic), qos, raw=True, event_callbacks=lost,
+        )  # fmt: skip
         self._subscribed[topic] = subscription, qos
 
     def _offers(self, topic: str) -> list[Any]:
@@ -216,35 +199,24 @@ class BagLogger(ManagedNode):
                     f'the contract has {TOPIC_TYPES[topic]}'
                 )
 
-    def _receiver(self, topic: str) -> Callable[[bytes, dict[str, Any]], None]:
-        gaps = self._gaps.setdefault(topic, Gaps())
+    def _receive(self, topic: str, data: bytes, about: dict[str, Any]) -> None:
+        recording = self._recording
+        if recording is None:
+            return
+        number = about.get('publication_sequence_number')
+        if number is not None:
+            self._numbered.add(topic)
+            gaps = self._gaps.setdefault(topic, Gaps())
+            lost = gaps.lost_before(number, lambda: len(self._offers(topic)))
+            recording.count_lost(lost)
+        if not recording.known(topic):
+            recording.declare(topic, TOPIC_TYPES[topic], offered(self._offers(topic)))
+        recording.put(topic, self._now_ns(), data)
 
-        def publishers() -> int:
-            return len(self._offers(topic))
-
-        def receive(data: bytes, about: dict[str, Any]) -> None:
-            recording = self._recording
-            if recording is None:
-                return
-            number = about.get('publication_sequence_number')
-            if number is not None:
-                self._numbered.add(topic)
-                recording.count_lost(gaps.lost_before(number, publishers))
-            if not recording.known(topic):
-                qos = offered(self._offers(topic))
-                recording.declare(topic, TOPIC_TYPES[topic], qos)
-            recording.put(topic, self._now_ns(), data)
-
-        return receive
-
-    def _loser(self, topic: str) -> Callable[[Any], None]:
+    def _lose(self, topic: str, event: Any) -> None:
         """Count what the middleware reports, where messages are not numbered."""
-
-        def lose(event: Any) -> None:
-            if self._recording is not None and topic not in self._numbered:
-                self._recording.count_lost(event.total_count_change)
-
-        return lose
+        if self._recording is not None and topic not in self._numbered:
+            self._recording.count_lost(event.total_count_change)
 
     def _announce(self, path: Path, state: str, reason: str = '') -> None:
         values = {'path': str(path), 'state': state, **({'reason': reason} if reason else {})}
@@ -268,7 +240,7 @@ class BagLogger(ManagedNode):
             status = self._recording.status
             self._keep_budget(self._recording, status.path)
             if status.failure:
-                self._stop()
+                self._stop(self._recording)
             for topic in list(self._subscribed):
                 self._subscribe(topic)
                 self._tell_foreign(topic)
@@ -296,11 +268,6 @@ class BagLogger(ManagedNode):
             return free_bytes(self._folder)
         except OSError:
             return None
-
-
-def _message_class(kind: str) -> Any:
-    package, _, name = kind.split('/')
-    return getattr(importlib.import_module(f'{package}.msg'), name)
 
 
 def main() -> None:

@@ -15,7 +15,7 @@ from quad_bridge.gains.history import default_folder
 from quad_bridge.gains.polarity import MODES
 from quad_bridge.gains.table import DEFAULT_BOUNDS, SETTABLE, Bound
 from quad_bridge.gains.update import GainSettings
-from quad_bridge.key_file import signing_from
+from quad_bridge.key_file import MAKE, signing_from
 from quad_bridge.nodes import ros_node
 from quad_bridge.wire.signing import Signing
 
@@ -85,11 +85,8 @@ def _signing(node: Any, port: str) -> Signing | None:
         node, 'key_file', '', 'key for MAVLink 2 signing; required where port is a network URL'
     )
     if not given and over_network(port):
-        raise BadInputError(
-            'parameter key_file',
-            f'is required where the port is a network URL ({port})',
-            remedy='make one: ros2 run quad_bridge make_key FILE',
-        )
+        what = f'is required where the port is a network URL ({port})'
+        raise BadInputError('parameter key_file', what, remedy=MAKE)
     return signing_from(Path(given).expanduser() if given else None)
 
 
@@ -108,12 +105,21 @@ def _gains(node: Any, bounds: Mapping[str, str]) -> GainSettings:
     return GainSettings(
         bounds={**DEFAULT_BOUNDS, **_bounds(node, bounds)},
         sources=tuple(pattern for pattern in sources if pattern),
-        polarity=ros_node.choice(
-            node, 'polarity', MODES, 'pulses before the first update', no='off'
-        ),
+        polarity=_polarity(node),
         folder=Path(folder).expanduser() if folder else default_folder(),
         aircraft=aircraft,
     )
+
+
+def _polarity(node: Any) -> str:
+    text = f'pulses before the first update: {", ".join(MODES)}'
+    descriptor = ParameterDescriptor(description=text, read_only=True, dynamic_typing=True)
+    value = node.declare_parameter('polarity', MODES[0], descriptor).value
+    value = 'off' if value is False else value  # as YAML takes a plain `off`
+    if value not in MODES:
+        known = f'must be one of {", ".join(MODES)}'
+        raise BadInputError('parameter polarity', known, repr(value))
+    return str(value)
 
 
 def _bounds(node: Any, known: Mapping[str, str]) -> dict[str, Bound]:
@@ -123,11 +129,8 @@ def _bounds(node: Any, known: Mapping[str, str]) -> dict[str, Bound]:
     for key, name in known.items():
         if key not in given:
             continue
-        descriptor = ParameterDescriptor(
-            description=f'[lower, upper(, max_factor(, small_step))] of {name}, SI',
-            read_only=True,
-            dynamic_typing=True,
-        )
+        text = f'[lower, upper(, max_factor(, small_step))] of {name}, SI'
+        descriptor = ParameterDescriptor(description=text, read_only=True, dynamic_typing=True)
         value = node.declare_parameter(key, given[key], descriptor).value
         try:
             numbers = [float(v) for v in value]

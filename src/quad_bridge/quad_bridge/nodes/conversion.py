@@ -69,8 +69,7 @@ class _Template:
 
 
 _STAMP = struct.Struct('<iI')
-_SPARE = 8
-"""Bytes that rclpy may leave behind the last number: it estimates the size."""
+_SPARE = 8  # bytes that rclpy may leave behind the last number: it estimates the size
 _THREE, _FOUR = (1.25, 2.25, 3.25), (4.25, 5.25, 6.25, 7.25)
 _MORE, _LAST = (8.25, 9.25, 10.25), (11.25, 12.25, 13.25)
 
@@ -214,13 +213,10 @@ def event_message(
 
 
 def _parameter_value(value: bool | float | str) -> ParameterValue:
-    if isinstance(value, str):
-        return ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=value)
-    if isinstance(value, bool):
-        return ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=value)
-    if isinstance(value, int):
-        return ParameterValue(type=ParameterType.PARAMETER_INTEGER, integer_value=value)
-    return ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value)
+    kinds = ((str, 'string'), (bool, 'bool'), (int, 'integer'))
+    name = next((name for kind, name in kinds if isinstance(value, kind)), 'double')
+    code = getattr(ParameterType, f'PARAMETER_{name.upper()}')
+    return ParameterValue(type=code, **{f'{name}_value': value})
 
 
 def parameters(event: ParameterEvent) -> dict[str, object]:
@@ -234,13 +230,9 @@ def parameters(event: ParameterEvent) -> dict[str, object]:
 
 
 _FIELDS = {
-    ParameterType.PARAMETER_BOOL: 'bool_value',
-    ParameterType.PARAMETER_INTEGER: 'integer_value',
-    ParameterType.PARAMETER_DOUBLE: 'double_value',
-    ParameterType.PARAMETER_STRING: 'string_value',
-    ParameterType.PARAMETER_BYTE_ARRAY: 'byte_array_value',
-    ParameterType.PARAMETER_BOOL_ARRAY: 'bool_array_value',
-    ParameterType.PARAMETER_INTEGER_ARRAY: 'integer_array_value',
-    ParameterType.PARAMETER_DOUBLE_ARRAY: 'double_array_value',
-    ParameterType.PARAMETER_STRING_ARRAY: 'string_array_value',
+    getattr(ParameterType, f'PARAMETER_{name.upper()}'): f'{name}_value'
+    for one in ('bool', 'integer', 'double', 'string', 'byte')
+    for name in (one, f'{one}_array')
+    if name != 'byte'
 }
+"""Type of a parameter to the field that holds its value."""

@@ -13,19 +13,13 @@ from typing import Any
 
 from quad_bridge.status import OK, WARN, Status
 
-MOST_IN_A_ROW = 1000
-"""Failures without anything that works between them: it is ROS itself that fails."""
-SETTLED_S = 0.5
-"""Least time between two reports; one out of turn tells of the time before."""
-LONGEST = 500
-"""Characters of a fault that are logged."""
+MOST_IN_A_ROW = 1000  # failures without anything that works between them: ROS itself fails
+SETTLED_S = 0.5  # least time between two reports; one out of turn tells of the time before
+LONGEST = 500  # characters of a fault that are logged
 
 
 class Sparing:
-    """What is said once and not every time: repeats and bursts are left out.
-
-    `allow` says whether a line may be logged now; times in s on a steady clock.
-    """
+    """What is said once and not every time: repeats and bursts are left out."""
 
     def __init__(self, *, repeat_s: float = 30.0, burst: int = 20, per_s: float = 60.0) -> None:
         """The same line once in `repeat_s`; `burst` lines in `per_s` at most."""
@@ -35,7 +29,7 @@ class Sparing:
         self.left_out = 0
 
     def allow(self, text: str, now_s: float) -> bool:
-        """Whether to log `text`; counts it where not."""
+        """Whether to log `text` now, s on a steady clock; counts it where not."""
         full = len(self._times) == self._times.maxlen and now_s - self._times[0] < self._per_s
         if full or now_s - self._said.get(text, -self._repeat_s) < self._repeat_s:
             self.left_out += 1
@@ -49,21 +43,17 @@ class Sparing:
 class Fence:
     """Keeps a node alive when one of its callbacks fails: logs the fault and counts it.
 
-    `log` takes one line; `then` is told the fault each time. What fails without end is not kept:
-    `take` raises it again.
+    `log` takes one line; `then` gets the fault each time. What fails without end is raised again.
     """
 
     def __init__(
         self, log: Callable[[str], None], then: Callable[[str], None] = lambda _fault: None
     ) -> None:
-        self.failed = 0
-        """Callbacks that have raised."""
-        self._told, self._before = (-SETTLED_S, 0), 0
-        """When was reported last, how many had failed then, and in the report before."""
-        self._log = log
-        self._then = then
-        self._in_a_row: dict[int, int] = {}
-        """By thread: the port goes on while ROS fails."""
+        self.failed = 0  # callbacks that have raised
+        self._log, self._then = log, then
+        self._reported_s = -SETTLED_S
+        self._reported = self._before = 0  # failures at the last report and at the one before
+        self._in_a_row: dict[int, int] = {}  # by thread: the port goes on while ROS fails
         self._sparing = Sparing()
 
     def take(self, error: Exception) -> None:
@@ -87,16 +77,17 @@ class Fence:
 
     def entries(self) -> list[Status]:
         """What failed, all and in the last second, for /diagnostics; nothing where nothing did."""
-        failed, now_s = self.failed, time.monotonic()
-        if now_s - self._told[0] > SETTLED_S:
-            self._told, self._before = (now_s, failed), self._told[1]
-        if not failed:
+        now_s = time.monotonic()
+        if now_s - self._reported_s > SETTLED_S:
+            self._reported_s, self._before, self._reported = now_s, self._reported, self.failed
+        if not self.failed:
             return []
-        level, text = OK, 'no callback has failed since the last report'
-        if failed > self._before:
-            level = WARN
-            text = f'{failed - self._before} callbacks failed since the last report: see the log'
-        return [Status('callbacks', level, text, {'failed callbacks': failed})]
+        fresh = self.failed - self._before
+        text = f'{fresh} callbacks failed since the last report: see the log'
+        if not fresh:
+            text = 'no callback has failed since the last report'
+        values = {'failed callbacks': self.failed}
+        return [Status('callbacks', WARN if fresh else OK, text, values)]
 
     def around(self, callback: Callable[..., None]) -> Callable[..., None]:
         """`callback`, for a thread of its own, that never raises."""

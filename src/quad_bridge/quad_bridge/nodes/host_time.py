@@ -7,12 +7,10 @@ waits for the next opening of the port.
 
 from __future__ import annotations
 
-NEVER_NS = -(1 << 62)
-"""The epoch of a time that nobody has told yet: with it no stamp is above 0."""
+NEVER_NS = -(1 << 62)  # the epoch of a time that nobody has told yet: with it no stamp is above 0
 SIMULATED_STEP_NS = 100_000_000
 """Simulated time comes in steps; it is followed where it has parted by more."""
-STEP_NS = 5_000_000
-"""A smaller difference is the time it takes to read two clocks."""
+STEP_NS = 5_000_000  # a smaller difference is the time it takes to read two clocks
 
 
 class HostTime:

@@ -14,13 +14,12 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 
-from quad_bridge.errors import QuadBridgeError
+from quad_bridge.errors import QuadBridgeError, RefusedError
 from quad_bridge.nodes import ros_node
 from quad_bridge.nodes.fence import Fence
 from quad_bridge.nodes.node_time import TimedNode
 
-SELDOM_S, LOOK_S = 1.0, 0.02
-"""How often, and for how long."""
+SELDOM_S, LOOK_S = 1.0, 0.02  # how often, and for how long
 RCLError = rclpy_implementation.RCLError
 
 
@@ -53,14 +52,12 @@ class ManagedNode(TimedNode, LifecycleNode):  # type: ignore[misc]
         service = self._service_change_state
         service.callback = _refusing(service.callback)
         self.active = False
-        self.fence = Fence(self.get_logger().error)
-        """What notes callbacks that fail."""
+        self.fence = Fence(self.get_logger().error)  # what notes callbacks that fail
         self._managed = ros_node.declared(
             self, 'managed', False, 'wait for a lifecycle manager to configure and activate'
         )
         self._fault: Exception | None = None
-        self._entities: list[tuple[Callable[[Any], object], Any]] = []
-        """What `configure` has created, and how it is destroyed."""
+        self._entities: list[tuple[Callable[[Any], object], Any]] = []  # destroyer, entity
 
     def begin(self) -> None:
         """Go to the first state. Raises QuadBridgeError where that fails."""
@@ -83,6 +80,11 @@ class ManagedNode(TimedNode, LifecycleNode):  # type: ignore[misc]
         made = self.create_subscription(kind, relative(topic), callback, qos)
         self._entities.append((self.destroy_subscription, made))
 
+    def refuse_unless_active(self) -> None:
+        """Raise RefusedError where the node is not active."""
+        if not self.active:
+            raise RefusedError('the node is not active')
+
     def configure(self) -> None:
         """Create topics. Raises QuadBridgeError."""
 
@@ -98,9 +100,10 @@ class ManagedNode(TimedNode, LifecycleNode):  # type: ignore[misc]
             self.active = False
             self.deactivate()
 
-    def on_configure(self, state: Any) -> Any:
-        """Answer rclpy's transition."""
-        del state
+    # rclpy's transitions.
+
+    def on_configure(self, _state: Any) -> Any:
+        """Configure, and look seldom at the events of the entities."""
         answer = self._try(self.configure)
         seldom, own = Seldom(), [made for _, made in self._entities]
         for one in {*self.publishers, *own}:
@@ -109,29 +112,26 @@ class ManagedNode(TimedNode, LifecycleNode):  # type: ignore[misc]
                 seldom.add_entity(handler)
         return answer
 
-    def on_activate(self, state: Any) -> Any:
-        """Answer rclpy's transition."""
-        del state
+    def on_activate(self, _state: Any) -> Any:
+        """Activate."""
         answer = self._try(self.activate)
         self.active = self._fault is None
         return answer
 
-    def on_deactivate(self, state: Any) -> Any:
-        """Answer rclpy's transition."""
-        del state
+    def on_deactivate(self, _state: Any) -> Any:
+        """Deactivate."""
         self.active = False
         return self._try(self.deactivate)
 
-    def on_cleanup(self, state: Any) -> Any:
-        """Answer rclpy's transition."""
-        del state
+    def on_cleanup(self, _state: Any) -> Any:
+        """Destroy what `configure` has created."""
         for destroy, made in self._entities:
             destroy(made)
         self._entities.clear()
         return TransitionCallbackReturn.SUCCESS
 
     def on_shutdown(self, state: Any) -> Any:
-        """Answer rclpy's transition."""
+        """End."""
         self.close()
         return self.on_cleanup(state)
 
@@ -161,6 +161,12 @@ def _refusing(change: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
             return response
 
     return answer
+
+
+def answered(response: Any, success: bool, message: str) -> Any:
+    """A service's response, filled in."""
+    response.success, response.message = success, message
+    return response
 
 
 def relative(topic: str) -> str:

@@ -16,6 +16,7 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Vector3Stamped
 from rcl_interfaces.msg import ParameterEvent
+from rclpy.clock import Clock, ClockType
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from sensor_msgs.msg import BatteryState, Imu
@@ -29,8 +30,7 @@ from quad_bridge.nodes.node_time import nanoseconds
 from quad_bridge.nodes.qos import EVENT, STATE, STREAM
 
 AXES = ('roll', 'pitch', 'yaw')
-LEAST_NEW = 250
-"""Cycles between two looks at the coverage."""
+LEAST_NEW = 250  # cycles between two looks at the coverage
 CLEAR, HOME, BELL = '\x1b[2J', '\x1b[H\x1b[J', '\a'
 NUMBERS = {
     'band_low_rad_s': (BAND[0], 'low end of the band that is to be covered, rad/s', (0.01, 100.0)),
@@ -68,8 +68,9 @@ class Monitor(Node):  # type: ignore[misc]
         self.create_subscription(Vector3Stamped, 'excitation/applied', self._on_applied, STREAM)
         self.create_subscription(ParameterEvent, 'excitation/segment', self._on_segment, STATE)
         self.create_subscription(ParameterEvent, 'logger/bag', self._on_bag, STATE)
-        ros_node.steady_timer(self, 0.5 if self._terminal else float(every), self._show)
-        ros_node.steady_timer(self, 1.0, self._look)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)  # whatever becomes of simulated time
+        self.create_timer(0.5 if self._terminal else every, self._show, clock=steady)
+        self.create_timer(1.0, self._look, clock=steady)
         if self._terminal:
             say(CLEAR)
 
@@ -110,7 +111,7 @@ class Monitor(Node):  # type: ignore[misc]
         values = {p.name: p.value.string_value for p in message.changed_parameters}
         self._role, axis = values.get('segment', ''), values.get('axis', '')
         if axis in AXES and axis != self._axis:
-            if view.suffices(self._state, self._validation_s):
+            if self._state.suffices(self._validation_s):
                 self._state.done.add(self._axis)
             self._axis = axis
             self._pairs.clear()
@@ -128,19 +129,19 @@ class Monitor(Node):  # type: ignore[misc]
         if self._new >= LEAST_NEW:
             self._new = 0
             parts, dt = self._pairs.parts()
-            if dt > 0.0 and not view.covered(self._state):
-                self._state.coverage = coverage(parts, dt, view.wanted(self._state, self._band))
+            if dt > 0.0 and not self._state.covered:
+                self._state.coverage = coverage(parts, dt, self._state.wanted(self._band))
         if len(self._stamps) > 1:
             step_s = 1e-9 * float(np.median(np.diff(np.array(self._stamps))))
             if step_s > 0.0:
                 self._step_s, self._state.rate_hz = step_s, 1.0 / step_s
-        said = view.call(self._state, self._validation_s)
+        said = self._state.call(self._validation_s)
         if said and said != self._said:
             self._said = said
             self._write(BELL if self._terminal else f'{said}\n')
 
     def _show(self) -> None:
-        text = '\n'.join(view.lines(self._state, time.monotonic()))
+        text = '\n'.join(self._state.lines(time.monotonic()))
         self._write(f'{HOME}{text}\n\n{self._said}\n' if self._terminal else f'{text}\n\n')
 
     def _write(self, text: str) -> None:

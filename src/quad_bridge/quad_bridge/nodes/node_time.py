@@ -102,16 +102,13 @@ def _then(act: Callable[..., None], tell: Callable[[int], None]) -> Callable[...
     @functools.wraps(act)  # rclpy looks at its arguments
     def done(message: Any, *about: Any) -> None:
         act(message, *about)
-        header = getattr(message, 'header', None)
-        tell(stamp_of(message) if header is None else nanoseconds(header.stamp))
+        if isinstance(message, (bytes, memoryview)):  # which begins with its header
+            sec, nanosec = _STAMP.unpack_from(message, 4)
+            tell(int(sec) * 1_000_000_000 + int(nanosec))
+        else:
+            tell(nanoseconds(message.header.stamp))
 
     return done
-
-
-def stamp_of(raw: bytes | memoryview) -> int:
-    """`header.stamp` of a serialised message that begins with a header, ns."""
-    sec, nanosec = _STAMP.unpack_from(raw, 4)
-    return int(sec) * 1_000_000_000 + int(nanosec)
 
 
 def nanoseconds(stamp: Any) -> int:

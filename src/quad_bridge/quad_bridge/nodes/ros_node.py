@@ -19,13 +19,8 @@ from typing import Any, NoReturn, TypeVar
 
 import rclpy
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
-from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import NameValidationException, ParameterException
-from rclpy.executors import (
-    ExternalShutdownException,
-    SingleThreadedExecutor,
-    await_or_execute,
-)
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor, await_or_execute
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.logging import LoggingSeverity, get_logger_level, set_logger_level
 from rclpy.signals import SignalHandlerOptions
@@ -35,8 +30,7 @@ from quad_bridge.errors import BadInputError, QuadBridgeError
 from quad_bridge.nodes.fence import Fence
 
 T = TypeVar('T', str, bool, int, float, list[str])
-WAKE_S = 0.1
-"""How long a signal may wait: rclpy's wait does not return for one."""
+WAKE_S = 0.1  # how long a signal may wait: rclpy's wait does not return for one
 RCLError = rclpy_implementation.RCLError
 WRONG = (QuadBridgeError, ParameterException, NameValidationException)
 """What a wrong parameter or name makes a node's constructor raise."""
@@ -80,28 +74,6 @@ def declared(
     return type(default)(value)
 
 
-def choice(node: Any, name: str, options: tuple[str, ...], description: str, no: str = '') -> str:
-    """Declare a string parameter of a few values, the first being the default.
-
-    Where `no` is given, false stands for it: YAML takes a plain `off` for that. Raises
-    BadInputError.
-    """
-    descriptor = ParameterDescriptor(
-        description=f'{description}: {", ".join(options)}', read_only=True, dynamic_typing=True
-    )
-    value = node.declare_parameter(name, options[0], descriptor).value
-    value = no if no and value is False else value
-    if value not in options:
-        where = f'parameter {name}'
-        raise BadInputError(where, f'must be one of {", ".join(options)}', repr(value))
-    return str(value)
-
-
-def steady_timer(node: Any, period_s: float, callback: Callable[[], None]) -> Any:
-    """Create a timer that runs whatever becomes of the system's clock, or of simulated time."""
-    return node.create_timer(period_s, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
-
-
 def begin_ros() -> None:
     """Take what stands behind --ros-args; signals are the caller's.
 
@@ -109,34 +81,25 @@ def begin_ros() -> None:
     """
     for name, value in itertools.pairwise(sys.argv):
         if name == '--params-file':
-            _readable(value)
+            try:
+                Path(value).read_bytes()
+            except OSError as error:
+                what = f'cannot be read ({error.strerror})'
+                where = f'--params-file {value}'
+                raise BadInputError(where, what, remedy='check the path') from error
     set_logger_level('rcl', LoggingSeverity.FATAL)  # it says the same, in lines of its own
     try:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     except rclpy_implementation.UnknownROSArgsError as error:
         raise BadInputError('--ros-args', 'unknown argument', str(error)) from error
     except RCLError as error:
-        raise BadInputError('--ros-args', *_told(_plain(error))) from error
+        words = _plain(error)
+        remedy = next((remedy for kind, remedy in _FORMS.items() if kind in words), '')
+        words = words.partition(' Error: ')[0].rstrip('.') if remedy else words
+        raise BadInputError('--ros-args', words, remedy=remedy) from error
     finally:
         if get_logger_level('rcl') == LoggingSeverity.FATAL:
             set_logger_level('rcl', LoggingSeverity.UNSET)
-
-
-def _readable(file: str) -> None:
-    try:
-        with Path(file).open('rb') as stream:
-            stream.read(1)
-    except OSError as error:
-        what = f'cannot be read ({error.strerror})'
-        raise BadInputError(f'--params-file {file}', what, remedy='check the path') from error
-
-
-def _told(words: str) -> tuple[str, None, str]:
-    """What was wrong, and where rcl speaks of its lexer what would be right."""
-    for kind, remedy in _FORMS.items():
-        if kind in words:
-            return words.partition(' Error: ')[0].rstrip('.'), None, remedy
-    return words, None, ''
 
 
 def _plain(error: Exception) -> str:
@@ -162,7 +125,7 @@ def run(factory: Callable[[], Any], name: str) -> NoReturn:
     stopping = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stopping.set())
-    status = 0
+    status: int | None = None
     try:
         with contextlib.ExitStack() as ending:
             ending.callback(rclpy.try_shutdown)
@@ -177,14 +140,17 @@ def run(factory: Callable[[], Any], name: str) -> NoReturn:
             executor.add_node(node)
             ending.callback(fence.around(node.close))
             tell_unused(node)
-            getattr(node, 'begin', _nothing)()
-            status = _spin(node, executor, fence, stopping)
+            if hasattr(node, 'begin'):
+                node.begin()
+            while status is None:
+                _spin_once(executor, fence)
+                status = 0 if stopping.is_set() else getattr(node, 'exit_status', None)
     except ExternalShutdownException:
-        pass
+        status = 0
     except (*WRONG, RCLError, OSError) as error:
         complain(f'{name}: {_plain(error)}\n')
         status = 2
-    _leave(status)
+    _leave(status or 0)
 
 
 def _answering(callback: Callable[..., Any], fence: Fence) -> Callable[..., Any]:
@@ -203,20 +169,6 @@ def _answering(callback: Callable[..., Any], fence: Fence) -> Callable[..., Any]
             return response
 
     return answer
-
-
-def _nothing() -> None:
-    """What a node does at its beginning that has nothing to begin."""
-
-
-def _spin(node: Any, executor: Any, fence: Fence, stopping: threading.Event) -> int:
-    """Exit status, once a signal or the node itself says so."""
-    while not stopping.is_set():
-        _spin_once(executor, fence)
-        status = getattr(node, 'exit_status', None)
-        if status is not None:
-            return int(status)
-    return 0
 
 
 def _leave(status: int) -> NoReturn:

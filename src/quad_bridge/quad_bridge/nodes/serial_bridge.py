@@ -11,6 +11,7 @@ import contextlib
 import threading
 import time
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -43,10 +44,8 @@ from quad_bridge.sensors.live import LiveSensors
 from quad_bridge.status import OK
 from quad_bridge.wire import frames as f
 
-TICK_S = 0.1
-"""An executor's turn costs half a millisecond; what is urgent the port's thread does."""
-REPORT_S = 0.1
-"""Least time between two reports, however many updates are refused."""
+TICK_S = 0.1  # an executor's turn costs half a millisecond; what is urgent the port's thread does
+REPORT_S = 0.1  # least time between two reports, however many updates are refused
 YAW_STICK = 3
 NO_EXCITATION = 'the aircraft sends standard messages only: it has no QUAD_EXCITATION'
 
@@ -77,13 +76,12 @@ class SerialBridge(ManagedNode):
             f.GainsState: self._on_gains_frame,
             f.RcChannels: self._on_sticks,
             f.CommandAck: lambda frame, _: self._operator.acknowledged(frame),
-            f.StatusText: lambda frame, _: self._tell_once(f'STM32: {frame.text}'),
+            f.StatusText: lambda frame, _: self._say_once(f'STM32: {frame.text}'),
         }
         self._reported_s = 0.0
         self._simulated = self.simulated
         self._time = HostTime(self._epoch())
-        self._told_time: Any = None
-        """In lockstep, for whoever is not on the line; outside any namespace."""
+        self._told_time: Any = None  # in lockstep, for whoever is not on the line
         if clock().simulated:
             self._told_time = self.create_publisher(ClockMessage, '/clock', 1)
         self._sparing = Sparing()
@@ -91,18 +89,13 @@ class SerialBridge(ManagedNode):
         self._port = self._new_port()
 
     def _new_port(self) -> SerialPort:
-        heard, opened = self.fence.around(self._on_bytes), self.fence.around(self._on_open)
-        return SerialPort(
-            self._settings.port, self._settings.baud, heard, opened,
-            on_silence=lambda: clock().forget(WIRE),
-        )  # fmt: skip
+        around, settings = self.fence.around, self._settings
+        return SerialPort(settings.port, settings.baud, around(self._on_bytes),
+                          around(self._on_open), lambda: clock().forget(WIRE))  # fmt: skip
 
     def configure(self) -> None:
         """Create the topics."""
-
-        def publisher(kind: Any, topic: str, qos: Any = STREAM) -> Any:
-            return self.publisher(kind, topic, qos)
-
+        publisher = partial(self.publisher, qos=STREAM)
         imu, motors = publisher(Imu, '/imu/data'), publisher(JointState, '/motors/command')
         self._per_cycle = (
             imu.publish,
@@ -122,8 +115,8 @@ class SerialBridge(ManagedNode):
             Inertial: ((imu, conversion.inertial_message),),
             f.Outputs: ((motors, conversion.outputs_message),),
         }
-        self._active = publisher(ParameterEvent, '/gains/active', STATE)
-        self._diagnostics = publisher(DiagnosticArray, '/diagnostics', EVENT)
+        self._active = self.publisher(ParameterEvent, '/gains/active', STATE)
+        self._diagnostics = self.publisher(DiagnosticArray, '/diagnostics', EVENT)
         self.subscribe(ParameterEvent, '/excitation/segment', self._on_segment, STATE)
         self.subscribe(ParameterEvent, '/gains/update', self._on_gains, EVENT)
         self.subscribe(
@@ -160,7 +153,7 @@ class SerialBridge(ManagedNode):
             self._gains.restarted(clock().now_s())
             self._gains.disturb('the port was opened anew')
             self._time.opened(self._epoch())
-        self._tell_once(f'{self._port.status.path}: open at {self._settings.baud} baud')
+        self._say_once(f'{self._port.status.path}: open at {self._settings.baud} baud')
 
     def _on_bytes(self, data: bytes) -> None:
         now_ns = clock().now_ns()
@@ -275,7 +268,7 @@ class SerialBridge(ManagedNode):
             self._active.publish(conversion.event_message(item.active, name, now_ns))
         self._gain_services.show(self._gains.active)
 
-    def _tell_once(self, words: str) -> None:
+    def _say_once(self, words: str) -> None:
         if self._sparing.allow(words, clock().now_s()):
             self.get_logger().info(words)
 
@@ -306,8 +299,7 @@ class SerialBridge(ManagedNode):
 
     def _ask_gains(self, parameters: Mapping[str, object]) -> None:
         """Hand on an update; raises RefusedError."""
-        if not self.active:
-            raise RefusedError('the node is not active')
+        self.refuse_unless_active()
         with self._lock:
             words = self._gains.ask(parameters, clock().now_s())
             self._poll_gains(clock().now_ns())
@@ -320,8 +312,7 @@ class SerialBridge(ManagedNode):
 
     def _ask_check(self, told: Callable[[str], None], motors: bool) -> None:
         """Have the polarity or the motors checked; raises RefusedError."""
-        if not self.active:
-            raise RefusedError('the node is not active')
+        self.refuse_unless_active()
         with self._lock:
             self._gains.check(clock().now_s(), told, motors=motors)
 
@@ -339,16 +330,17 @@ class SerialBridge(ManagedNode):
                 self._gains.status(standard=link.last_cycle is None and link.autopilot.asked > 0),
                 self._relay.status(link.last_cycle, now_s),
             ]
+        log, port = self.get_logger(), self._settings.port
         for entry in self._changes.new(entries[:2], now_s):
-            text = f'{self._settings.port}: {entry.name}: {entry.message}'
-            if entry.level == OK:
-                self.get_logger().info(text)
+            text = f'{port}: {entry.name}: {entry.message}'
+            if entry.level == OK:  # rclpy wants one severity for each line of code
+                log.info(text)
             else:
-                self.get_logger().warning(text)
+                log.warning(text)
         entries += [self._sensors.status(), *self._operator.entries(), *self.fence.entries()]
         now = self.get_clock().now().to_msg()
         self._diagnostics.publish(
-            diagnostics.diagnostic_array(self.get_name(), self._settings.port, now, entries)
+            diagnostics.diagnostic_array(self.get_name(), port, now, entries)
         )
 
     def _epoch(self) -> int:

@@ -24,6 +24,7 @@ from quad_bridge.errors import RefusedError
 from quad_bridge.gains.table import ROWS, SETTABLE, WIRE_NAMES
 from quad_bridge.lockstep import clock
 from quad_bridge.nodes import conversion
+from quad_bridge.nodes.managed_node import answered
 from quad_bridge.nodes.qos import STATE
 from quad_bridge.sensors.live import LiveSensors, Wanted
 from quad_bridge.status import WARN, Status
@@ -81,18 +82,17 @@ class GainServices:
         done = Future()
         try:
             self._check(done.set_result, motors)
-            response.message = str(await done)
-            response.success = not response.message.startswith('stopped')
         except RefusedError as error:
-            response.success, response.message = False, str(error)
-        return response
+            return answered(response, False, str(error))
+        words = str(await done)
+        return answered(response, not words.startswith('stopped'), words)
 
 
 class OperatorServices:
     """Topic operator/enable and service `~/arm`, which answers with what the STM32 said.
 
-    `send` puts a frame on the wire; `acknowledged` may be called from any thread. `armed` says
-    whether the aircraft is, as heard just now; None where it is not heard.
+    `send` puts a frame on the wire. `armed` says whether the aircraft is armed, as heard just now;
+    None where it is not heard. `acknowledged` may be called from any thread.
     """
 
     def __init__(
@@ -137,8 +137,7 @@ class OperatorServices:
 
     def _command(self, arm: bool, told: Callable[[str], None]) -> Command:
         now_s = clock().now_s()
-        if not self._node.active:
-            raise RefusedError('the node is not active')
+        self._node.refuse_unless_active()
         fault = (self._enable.fault(now_s) or self._not_disarmed()) if arm else ''
         if fault:
             raise RefusedError(fault)
@@ -155,11 +154,9 @@ class OperatorServices:
         try:
             self._send(self._command(bool(request.data), done.set_result))
         except RefusedError as error:
-            response.success, response.message = False, str(error)
-            return response
+            return answered(response, False, str(error))
         answer = await done
-        response.success, response.message = answer == ACCEPTED, f'the STM32: {answer}'
-        return response
+        return answered(response, answer == ACCEPTED, f'the STM32: {answer}')
 
 
 class SensorServices:
@@ -191,11 +188,8 @@ class SensorServices:
     def _on_calibrate(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         wanted = Wanted('asked for', self._sensors.standing())
         if wanted.samples and not self._sensors.settled:
-            response.message = 'the last estimate has not been published yet'
-            return response
+            return answered(response, False, 'the last estimate has not been published yet')
         try:
-            response.message = self._sensors.estimate(wanted)
-            response.success = True
+            return answered(response, True, self._sensors.estimate(wanted))
         except RefusedError as error:
-            response.message = str(error)
-        return response
+            return answered(response, False, str(error))

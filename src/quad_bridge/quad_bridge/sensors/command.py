@@ -1,4 +1,4 @@
-"""`ros2 run quad_bridge sensors …`: biases, compass, vibration from a bag, the bench by hand.
+"""`ros2 run quad_bridge sensors …`: biases, compass and vibration from a bag.
 
 Wiring only: arguments, the bag, the aircraft's YAML. The maths is in the room `sensors`.
 """
@@ -8,10 +8,9 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -19,8 +18,8 @@ import numpy.typing as npt
 from quad_bridge.arguments import OneLineParser, ended_in_one_line, positive, say
 from quad_bridge.errors import BadInputError, RefusedError
 from quad_bridge.log.reader import read_topics
-from quad_bridge.sensors import aircraft_file, by_hand, compass, rest, vibration
-from quad_bridge.sensors.correction import STATUS, Correction, as_sent, from_values
+from quad_bridge.sensors import aircraft_file, compass, rest, vibration
+from quad_bridge.sensors.correction import STATUS, as_sent, from_values
 
 IMU, MAG, DIAGNOSTICS = '/imu/data', '/imu/mag', '/diagnostics'
 KINDS = {
@@ -30,30 +29,35 @@ KINDS = {
 }
 MOST_AGE_S = 60.0
 """A message whose age differs by more from that of those around it has a damaged stamp."""
-USUAL = 51
-"""So many messages around it."""
+USUAL = 51  # so many messages around it
 
 
-@dataclass(frozen=True)
-class _Series:
-    """One topic of a bag, and what the bridge says it has subtracted from it."""
+class _Series(NamedTuple):
+    """One topic of a bag in the order of its stamps, and what the bag says of corrections."""
 
     stamps_ns: npt.NDArray[np.int64]
     messages: list[Any]
-    told: list[Correction]
+    statuses: list[Any]
 
     @property
     def times(self) -> rest.FloatArray:
         """Stamps in s from the first."""
         return np.asarray(1e-9 * (self.stamps_ns - self.stamps_ns[0]), dtype=float)
 
-    def as_sent(self, vectors: Sequence[Any], name: str) -> rest.FloatArray:
-        """Vectors (n, 3) as the STM32 sent them."""
-        return as_sent(self.stamps_ns, _xyz(vectors), self.told, name)
+    def xyz(self, field: str) -> rest.FloatArray:
+        """The vectors (n, 3) of one field."""
+        vectors = [getattr(message, field) for message in self.messages]
+        return np.array([[v.x, v.y, v.z] for v in vectors], dtype=float)
+
+    def as_sent(self, field: str, offset: str) -> rest.FloatArray:
+        """The same as the STM32 sent them; `offset` names what the bridge may have subtracted."""
+        told = [from_values({v.key: v.value for v in s.values}) for s in self.statuses]
+        known = [one for one in told if one is not None]
+        return as_sent(self.stamps_ns, self.xyz(field), known, offset)
 
 
 def _series(given: argparse.Namespace, topic: str, seconds: float = np.inf) -> _Series:
-    """Stamps and messages of one topic, the first `seconds` of them."""
+    """The first `seconds` of one topic."""
     bag = read_topics(given.bag, {topic: KINDS[topic], DIAGNOSTICS: KINDS[DIAGNOSTICS]})
     given.warnings += bag.warnings
     received = bag.messages[topic]
@@ -72,24 +76,14 @@ def _series(given: argparse.Namespace, topic: str, seconds: float = np.inf) -> _
     order = sound[np.argsort(stamps[sound], kind='stable')]
     order = order[stamps[order] - stamps[order[0]] <= 1e9 * seconds]
     statuses = [s for one in bag.messages[DIAGNOSTICS] for s in one.content.status]
-    statuses = [s for s in statuses if s.name.endswith(f': {STATUS}')]
-    told = [from_values({v.key: v.value for v in s.values}) for s in statuses]
-    return _Series(
-        stamps[order],
-        [received[k].content for k in order],
-        [one for one in told if one is not None],
-    )
-
-
-def _xyz(vectors: Sequence[Any]) -> rest.FloatArray:
-    return np.array([[v.x, v.y, v.z] for v in vectors], dtype=float)
+    own = [s for s in statuses if s.name.endswith(f': {STATUS}')]
+    return _Series(stamps[order], [received[k].content for k in order], own)
 
 
 def _rest(given: argparse.Namespace) -> list[str]:
     bag = _series(given, IMU, given.seconds)
-    gyro = bag.as_sent([m.angular_velocity for m in bag.messages], 'gyro_bias')
-    felt = _xyz([m.linear_acceleration for m in bag.messages])
-    found = rest.estimate_at_rest(bag.times, gyro, felt)
+    gyro = bag.as_sent('angular_velocity', 'gyro_bias')
+    found = rest.estimate_at_rest(bag.times, gyro, bag.xyz('linear_acceleration'))
     _keep(given, 'rest', found)
     bias, drift = (
         ', '.join(f'{v:+.5f}' for v in values) for values in (found.gyro_bias, found.gyro_drift)
@@ -104,28 +98,21 @@ def _rest(given: argparse.Namespace) -> list[str]:
 
 
 def _compass(given: argparse.Namespace) -> list[str]:
-    bag = _series(given, MAG)
-    sent = bag.as_sent([m.magnetic_field for m in bag.messages], 'hard_iron')
-    found = compass.hard_iron(sent)
+    found = compass.hard_iron(_series(given, MAG).as_sent('magnetic_field', 'hard_iron'))
     _keep(given, 'compass', found)
     offset = ', '.join(f'{1e6 * v:+.2f}' for v in found.offset)
-    return [
-        (
-            f'hard-iron offset {offset} µT, field {1e6 * found.field:.1f} µT, '
-            f'{100 * found.misfit:.1f} % off a sphere'
-        )
-    ]
+    radius, misfit = 1e6 * found.field, 100 * found.misfit
+    return [f'hard-iron offset {offset} µT, field {radius:.1f} µT, {misfit:.1f} % off a sphere']
 
 
 def _vibration(given: argparse.Namespace) -> list[str]:
     bag = _series(given, IMU)
-    times, messages = bag.times, bag.messages
-    step_s = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+    step_s = float(np.median(np.diff(bag.times))) if len(bag.messages) > 1 else 0.0
     if step_s <= 0.0:
-        raise RefusedError(f'{len(times)} samples of {IMU}, their stamps do not rise')
+        raise RefusedError(f'{len(bag.messages)} samples of {IMU}, their stamps do not rise')
     lines = []
     for name, unit in (('angular_velocity', 'rad/s'), ('linear_acceleration', 'm/s²')):
-        signal = _xyz([getattr(m, name) for m in messages])
+        signal = bag.xyz(name)
         peak = vibration.strongest(signal, 1.0 / step_s, given.filter_hz)
         if peak is None:
             raise RefusedError(
@@ -141,30 +128,6 @@ def _vibration(given: argparse.Namespace) -> list[str]:
     return lines
 
 
-def _inertia(given: argparse.Namespace) -> list[str]:
-    value = by_hand.bifilar_inertia(given.mass, given.distance, given.length, given.period)
-    return [f'{value:.5f} kg m²: one of inertia_kg_m2 in the airframe section']
-
-
-def _thrust(given: argparse.Namespace) -> list[str]:
-    try:
-        lines = given.table.read_text(encoding='utf-8').splitlines()
-        rows = [line for line in lines if line.partition('#')[0].strip()]
-        table = np.loadtxt(rows, delimiter=',', ndmin=2) if rows else np.empty((0, 2))
-    except (OSError, ValueError) as error:
-        remedy = 'two columns, command and thrust in N, separated by a comma'
-        raise BadInputError(str(given.table), f'cannot be read: {error}', remedy=remedy) from error
-    if table.shape[1] != 2:
-        raise BadInputError(str(given.table), 'needs two columns', table.shape[1])
-    found = by_hand.thrust_curve(table[:, 0], table[:, 1])
-    return [
-        (
-            f'full_thrust_n: {found.full_thrust_n:.3f}, curvature {found.curvature:.3f} of '
-            f'effects.thrust_curve; {100 * found.misfit:.1f} % of it unexplained'
-        )
-    ]
-
-
 def _keep(given: argparse.Namespace, name: str, found: Any) -> None:
     if given.out is not None:
         now = datetime.now(tz=timezone.utc)
@@ -172,7 +135,7 @@ def _keep(given: argparse.Namespace, name: str, found: Any) -> None:
 
 
 def _parser() -> OneLineParser:
-    parser = OneLineParser(prog='sensors', description="What an aircraft's sensors are worth.")
+    parser = OneLineParser(prog='sensors', description="How good an aircraft's sensors are.")
     kinds = parser.add_subparsers(required=True, metavar='WHAT')
     for name, run, text in (
         ('rest', _rest, 'biases, drift, level of an aircraft that stands still'),
@@ -188,14 +151,6 @@ def _parser() -> OneLineParser:
             kind.add_argument('--out', type=Path, metavar='AIRCRAFT.yaml', help='kept there')
         if name == 'rest':
             kind.add_argument('--seconds', type=positive, default=np.inf, help='the first so many')
-    kind = kinds.add_parser('inertia', help='moment of inertia by a swing on two strings')
-    for name, text in (('mass', 'kg'), ('distance', 'm between the strings'),
-                       ('length', 'm of a string'), ('period', 's of one swing')):  # fmt: skip
-        kind.add_argument(f'--{name}', type=float, required=True, help=text)
-    kind.set_defaults(run=_inertia)
-    kind = kinds.add_parser('thrust', help='thrust curve of a motor on a scale')
-    kind.add_argument('table', type=Path, metavar='CSV', help='command 0..1, thrust in N')
-    kind.set_defaults(run=_thrust)
     return parser
 
 

@@ -12,8 +12,7 @@ import numpy as np
 from quad_bridge.errors import RefusedError
 from quad_bridge.sensors.rest import FloatArray
 
-EARTH_T = (15e-6, 75e-6)
-"""Tesla: the earth's field is 22 to 67 µT."""
+EARTH_T = (15e-6, 75e-6)  # tesla: the earth's field is 22 to 67 µT
 LEAST_SPREAD = 0.05
 """Of directions: least eigenvalue of their covariance; a third where they fill the sphere."""
 MOST_MISFIT = 0.1
@@ -24,12 +23,9 @@ LEAST_READINGS = 50
 class HardIron:
     """What to subtract from every reading."""
 
-    offset: tuple[float, float, float]
-    """tesla, body axes."""
-    field: float
-    """tesla: radius of the sphere."""
-    misfit: float
-    """RMS distance from the sphere, as a share of the radius."""
+    offset: tuple[float, float, float]  # tesla, body axes
+    field: float  # tesla: radius of the sphere
+    misfit: float  # RMS distance from the sphere, as a share of the radius
 
 
 def hard_iron(readings: FloatArray) -> HardIron:

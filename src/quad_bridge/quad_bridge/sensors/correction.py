@@ -16,8 +16,7 @@ from quad_bridge.sensors.rest import FloatArray
 
 Triple = tuple[float, float, float]
 NOTHING: Triple = (0.0, 0.0, 0.0)
-STATUS = 'sensors'
-"""Name of the entry in /diagnostics, behind the node's."""
+STATUS = 'sensors'  # name of the entry in /diagnostics, behind the node's
 GYRO, MAG, SINCE = 'gyro bias removed (rad/s)', 'hard iron removed (T)', 'removed since (ns)'
 
 
@@ -25,12 +24,9 @@ GYRO, MAG, SINCE = 'gyro bias removed (rad/s)', 'hard iron removed (T)', 'remove
 class Correction:
     """Offsets in body axes FLU: published = sent by the STM32 - offset."""
 
-    gyro_bias: Triple = NOTHING
-    """rad/s."""
-    hard_iron: Triple = NOTHING
-    """tesla."""
-    since_ns: int = 0
-    """Stamp (ROS time) of the first message with it; 0: none yet."""
+    gyro_bias: Triple = NOTHING  # rad/s
+    hard_iron: Triple = NOTHING  # tesla
+    since_ns: int = 0  # stamp (ROS time) of the first message with it; 0: none yet
 
     def told(self) -> dict[str, str]:
         """Values of a status; floats come back bit for bit."""

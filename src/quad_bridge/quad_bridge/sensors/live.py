@@ -9,25 +9,23 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from quad_bridge.errors import BadInputError, RefusedError
 from quad_bridge.sensors import aircraft_file
-from quad_bridge.sensors.correction import NOTHING, STATUS, Correction, Triple
+from quad_bridge.sensors.correction import NOTHING, STATUS, Correction
 from quad_bridge.sensors.rest import LEAST_S, RestEstimate, estimate_at_rest
 from quad_bridge.status import OK, WARN, Status
 from quad_bridge.wire.axes import flip_body
 from quad_bridge.wire.frames import Cycle, Flag
 
-STANDING_S = LEAST_S + 1.0
-"""Of the last cycles without armed motors that are kept for an estimate."""
-SAME_START_S = 2.0
-"""The STM32 has not restarted where the time of its start agrees to this."""
+STANDING_S = LEAST_S + 1.0  # of cycles without armed motors are kept for an estimate
+SAME_START_S = 2.0  # the STM32 has not restarted where the time of its start agrees to this
 MOST_TESLA, MOST_RAD_S = 1e-3, 1.0
 """No compass is off by more, nor a gyro at rest: a figure beyond is in another unit."""
 NOT_YET = 'not estimated since the STM32 started'
@@ -36,8 +34,7 @@ Sample = tuple[float, float, float, float, float, float, float]
 """Device time in s, rates in rad/s, accelerations in m/s², FLU."""
 
 
-@dataclass(frozen=True)
-class Wanted:
+class Wanted(NamedTuple):
     """An estimate to be made, of what stood when it was asked for."""
 
     why: str
@@ -49,18 +46,16 @@ class LiveSensors:
 
     def __init__(self, folder: Path, *, correct: bool) -> None:
         self.current = Correction()
-        self.rest: RestEstimate | None = None
-        """The last estimate since the STM32 has started."""
+        self.rest: RestEstimate | None = None  # the last estimate since the STM32 has started
         self.words, self.warned = NOT_YET, False
-        self.fault = ''
-        """What is wrong with the aircraft's file."""
+        self.fault = ''  # what is wrong with the aircraft's file
         self._lock = threading.RLock()
         self._standing: deque[Sample] = deque()
         self._folder, self._correct = folder, correct
         self._aircraft = ''
         self._armed = False
         self._wanted: Wanted | None = None
-        self._fresh: Correction | None = None
+        self._fresh: Correction | None = None  # in force from the next stamp on
         self._started_s = 0.0
 
     @property
@@ -79,32 +74,29 @@ class LiveSensors:
         found = self.rest
         if found is not None:
             values |= {
-                'gyro drift (rad/s per s)': _three(found.gyro_drift),
-                'gyro noise (rad/s RMS)': _three(found.gyro_noise),
+                'gyro drift (rad/s per s)': ' '.join(f'{v:+.3g}' for v in found.gyro_drift),
+                'gyro noise (rad/s RMS)': ' '.join(f'{v:+.3g}' for v in found.gyro_noise),
                 'gravity measured off by (m/s²)': f'{found.acceleration_norm_error:+.4f}',
-                'level offset roll, pitch (rad)': f'{found.level[0]:+.5f} {found.level[1]:+.5f}',
+                'level offset roll, pitch (rad)': ' '.join(f'{v:+.5f}' for v in found.level),
                 'stood (s)': f'{found.duration_s:.1f}',
             }
         values['kept in'] = self.path or 'nowhere: the aircraft is not known'
-        if self.fault:
-            return Status(STATUS, WARN, self.fault, values)
-        return Status(STATUS, WARN if self.warned else OK, self.words, values)
+        warned = self.fault or self.warned
+        return Status(STATUS, WARN if warned else OK, self.fault or self.words, values)
 
     # In the port's thread.
 
     def cycle(self, frame: Cycle, clock_s: float) -> None:
         """Take one cycle at this system time; the one that arms wants an estimate."""
-        armed = bool(frame.flags & Flag.ARMED)
+        before, self._armed = self._armed, bool(frame.flags & Flag.ARMED)
         time_s = 1e-6 * frame.time_us
         self._started_s = clock_s - time_s
-        if armed:
-            if not self._armed:
+        if self._armed:
+            if not before:
                 self.want('arming')
                 with self._lock:
                     self._standing.clear()
-            self._armed = True
             return
-        self._armed = False
         with self._lock:
             standing = self._standing
             if standing and time_s < standing[-1][0]:
@@ -124,9 +116,8 @@ class LiveSensors:
         """The STM32 has started anew: it has removed another bias of its own."""
         with self._lock:
             self._standing.clear()
-            self.rest = None
+            self.rest, self._armed = None, False
             self.words, self.warned = NOT_YET, False
-            self._armed = False
             self._adopt(gyro_bias=NOTHING)
 
     # In the executor's.
@@ -155,8 +146,7 @@ class LiveSensors:
                 raise RefusedError('it is armed: biases are estimated with the motors off')  # noqa: TRY301
             found = estimate_at_rest(rows[:, 0], rows[:, 1:4], rows[:, 4:])
         except RefusedError as why:
-            held_s = wanted.samples[-1][0] - wanted.samples[0][0] if wanted.samples else 0.0
-            self.warned = held_s >= LEAST_S
+            self.warned = len(rows) > 0 and float(np.ptp(rows[:, 0])) >= LEAST_S
             earlier = '; the earlier one stays' if self.rest is not None else ''
             self.words = f'gyro bias not estimated ({wanted.why}): {why}{earlier}'
             raise RefusedError(self.words) from why
@@ -165,7 +155,7 @@ class LiveSensors:
         self.words = f'gyro bias {bias} rad/s at rest, {wanted.why} {now:%H:%M:%S} UTC'
         self.warned, self.rest = False, found
         self._adopt(gyro_bias=found.gyro_bias)
-        self._keep(found, now, wanted.why)
+        self._keep(found, wanted.why)
         self._read()
         return self.words
 
@@ -178,13 +168,13 @@ class LiveSensors:
         self._aircraft = name
         self._read(resume=self.rest is None)
         if self.rest is not None:
-            self._keep(self.rest, datetime.now(timezone.utc), 'before the aircraft was known')
+            self._keep(self.rest, 'before the aircraft was known')
 
     # The file.
 
     def _read(self, *, resume: bool = False) -> None:
         """Take the compass's offset from the file; with `resume` the bias of this power-up too."""
-        sections, iron, bias = self._sections(), NOTHING, None
+        sections = self._sections()
         try:
             iron = aircraft_file.three(sections, 'compass', 'offset', MOST_TESLA) or NOTHING
             bias = aircraft_file.three(sections, 'rest', 'gyro_bias', MOST_RAD_S)
@@ -192,12 +182,11 @@ class LiveSensors:
             self.fault = f'{self.path}: {error}'
             return
         self._adopt(hard_iron=iron)
-        if not resume or bias is None or self._started_s <= 0.0:
-            return
-        started_s = sections['rest'].get('stm32_started_s')
-        if isinstance(started_s, float) and abs(started_s - self._started_s) < SAME_START_S:
-            self._adopt(gyro_bias=bias)
-            self.words = 'gyro bias as estimated before, the STM32 has not restarted since'
+        if resume and bias is not None and self._started_s > 0.0:
+            started_s = sections['rest'].get('stm32_started_s')
+            if isinstance(started_s, float) and abs(started_s - self._started_s) < SAME_START_S:
+                self._adopt(gyro_bias=bias)
+                self.words = 'gyro bias as estimated before, the STM32 has not restarted since'
 
     def _sections(self) -> dict[str, Any]:
         try:
@@ -207,11 +196,11 @@ class LiveSensors:
             self.fault = str(error)
             return {}
 
-    def _keep(self, found: RestEstimate, now: datetime, why: str) -> None:
+    def _keep(self, found: RestEstimate, why: str) -> None:
         before = self._sections().get('rest')
         if self.path is None or self.fault:
             return
-        entry = aircraft_file.entry(found, now, f'the bridge, {why}')
+        entry = aircraft_file.entry(found, datetime.now(timezone.utc), f'the bridge, {why}')
         entry['stm32_started_s'] = round(self._started_s, 3)
         if isinstance(before, dict) and 'gyro_bias' in before:
             entry['before'] = {k: before[k] for k in ('measured', 'gyro_bias') if k in before}
@@ -220,17 +209,10 @@ class LiveSensors:
         except BadInputError as error:
             self.fault = str(error)
 
-    def _adopt(self, *, gyro_bias: Triple | None = None, hard_iron: Triple | None = None) -> None:
+    def _adopt(self, **offsets: Any) -> None:
+        """Subtract these offsets (`gyro_bias`, `hard_iron`) from the next stamp on."""
         with self._lock:
             now = self._fresh or self.current
-            new = Correction(
-                now.gyro_bias if gyro_bias is None else gyro_bias,
-                now.hard_iron if hard_iron is None else hard_iron,
-                now.since_ns,
-            )
+            new = replace(now, **offsets)
             if self._correct and new != now:
                 self._fresh = new
-
-
-def _three(values: tuple[float, float, float]) -> str:
-    return ' '.join(f'{v:+.3g}' for v in values)

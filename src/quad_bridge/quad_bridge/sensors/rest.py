@@ -18,16 +18,11 @@ FloatArray = npt.NDArray[np.float64]
 GRAVITY = 9.80665
 BLOCK_S = 0.5
 LEAST_S = 5.0
-STILL_RATE = 0.01
-"""rad/s: by how much the mean of a block may leave the straight line through all."""
-STILL_ACCELERATION = 0.15
-"""m/s²: the same for the accelerations."""
-MOST_READING = 1e4
-"""rad/s, m/s²: more is no reading, and not counted."""
-MOST_BIAS = 0.15
-"""rad/s: more is no bias but a turn, or a sensor that is broken."""
-MOST_NORM_ERROR = 0.8
-"""m/s²: by how much the measured gravity may be off."""
+STILL_RATE = 0.01  # rad/s: by how much the mean of a block may leave the straight line through all
+STILL_ACCELERATION = 0.15  # m/s²: the same for the accelerations
+MOST_READING = 1e4  # rad/s, m/s²: more is no reading, and not counted
+MOST_BIAS = 0.15  # rad/s: more is no bias but a turn, or a sensor that is broken
+MOST_NORM_ERROR = 0.8  # m/s²: by how much the measured gravity may be off
 
 
 @dataclass(frozen=True)
@@ -35,18 +30,14 @@ class RestEstimate:
     """Of the time in the middle; standard errors where they are known."""
 
     duration_s: float
-    gyro_bias: tuple[float, float, float]
-    """rad/s, body axes x y z."""
+    gyro_bias: tuple[float, float, float]  # rad/s, body axes x y z
     gyro_bias_std: tuple[float, float, float]
-    gyro_drift: tuple[float, float, float]
-    """rad/s per s."""
+    gyro_drift: tuple[float, float, float]  # rad/s per s
     gyro_drift_std: tuple[float, float, float]
-    gyro_noise: tuple[float, float, float]
-    """rad/s RMS, sample by sample."""
+    gyro_noise: tuple[float, float, float]  # rad/s RMS, sample by sample
     acceleration_norm_error: float
     """m/s²: measured gravity minus 9.80665; the bias of z where the aircraft stands level."""
-    level: tuple[float, float]
-    """rad: roll and pitch that the accelerometer shows."""
+    level: tuple[float, float]  # rad: roll and pitch that the accelerometer shows
 
 
 def estimate_at_rest(

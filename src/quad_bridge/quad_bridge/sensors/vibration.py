@@ -8,10 +8,8 @@ import numpy as np
 
 from quad_bridge.sensors.rest import MOST_READING, FloatArray
 
-LOWEST_HZ = 12.0
-"""Below it the aircraft flies; above it shakes."""
-COVERED = 0.25
-"""A filter covers what it lowers to this share."""
+LOWEST_HZ = 12.0  # below it the aircraft flies; above it shakes
+COVERED = 0.25  # a filter covers what it lowers to this share
 
 
 @dataclass(frozen=True)
@@ -21,11 +19,9 @@ class Vibration:
     frequency_hz: float
     amplitude: float
     """Of the sinusoid of the same power, in the unit of the signal, as it was recorded."""
-    share: float
-    """Of the power above LOWEST_HZ that lies in this line; small for mere noise."""
+    share: float  # of the power above LOWEST_HZ that lies in this line; small for mere noise
     axis: str
-    filter_gain: float
-    """What the filter leaves at this frequency."""
+    filter_gain: float  # what the filter leaves at this frequency
 
     @property
     def covered(self) -> bool:

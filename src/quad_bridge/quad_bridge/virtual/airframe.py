@@ -25,12 +25,10 @@ def require(condition: bool, what: str) -> None:
 class Motors:
     """Four equal motors with propellers; thrust at full command and nominal voltage."""
 
-    full_thrust_n: float = 9.218
-    """940 g."""
+    full_thrust_n: float = 9.218  # 940 g
     lag_s: float = 0.045
     """First-order lag of the thrust (of the speed where the thrust curve is on)."""
-    torque_per_thrust_m: float = 0.016
-    """Reaction torque per thrust."""
+    torque_per_thrust_m: float = 0.016  # reaction torque per thrust
     full_speed_rad_s: float = 730.0
     rotor_inertia_kg_m2: float = 6.0e-5
     full_current_a: float = 14.0
@@ -50,8 +48,7 @@ class Battery:
     capacity_ah: float = 4.5
     cells: int = 3
     resistance_ohm: float = 0.025
-    start_charge: float = 0.95
-    """State of charge at the start, 0..1."""
+    start_charge: float = 0.95  # state of charge at the start, 0..1
     idle_current_a: float = 0.4
     charge_points: tuple[float, ...] = (0.0, 0.1, 0.2, 0.4, 0.6, 0.8, 0.9, 1.0)
     cell_voltage_v: tuple[float, ...] = (3.0, 3.5, 3.65, 3.74, 3.83, 3.96, 4.06, 4.2)
@@ -70,13 +67,11 @@ class Battery:
 class Surroundings:
     """What acts on the rotation in one mount, per axis roll, pitch, yaw."""
 
-    damping_per_s: Vector
-    """Viscous torque over rate and inertia."""
+    damping_per_s: Vector  # viscous torque over rate and inertia
     bias_torque_nm: Vector
     torque_noise_nm_rthz: Vector
     """One-sided intensity of the torque noise (turbulence, propeller wash)."""
-    torque_noise_bandwidth_hz: float = 0.0
-    """First-order colouring; 0: white."""
+    torque_noise_bandwidth_hz: float = 0.0  # first-order colouring; 0: white
 
 
 @dataclass(frozen=True)
@@ -104,11 +99,9 @@ class Airframe:
     """The rigid body and what drives it."""
 
     mass_kg: float = 1.2
-    arm_m: float = 0.225
-    """Centre to motor; the lever about roll and pitch is arm sqrt(2)/2."""
+    arm_m: float = 0.225  # centre to motor; the lever about roll and pitch is arm sqrt(2)/2
     inertia_kg_m2: Vector = (0.0135, 0.0140, 0.0240)
-    linear_drag_per_s: float = 0.3
-    """Translation only, in hover: drag over speed and mass."""
+    linear_drag_per_s: float = 0.3  # translation only, in hover: drag over speed and mass
     motors: Motors = field(default_factory=Motors)
     battery: Battery = field(default_factory=Battery)
     mounts: Mounts = field(default_factory=Mounts)

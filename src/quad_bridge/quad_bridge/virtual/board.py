@@ -17,8 +17,7 @@ from quad_bridge.virtual.errors import ConfigurationError
 from quad_bridge.virtual.native import PROGRAM, find
 
 ELF, EMULATOR, MACHINE = 'stm32f405.elf', 'qemu-system-arm', 'netduinoplus2'
-END_S = 10.0
-"""After which a firmware that does not end is killed."""
+END_S = 10.0  # after which a firmware that does not end is killed
 START_S = 60.0
 
 

@@ -15,8 +15,7 @@ import yaml
 
 from quad_bridge.virtual.errors import ConfigurationError
 
-LARGEST = 1e9
-"""No number of a profile is larger: none would fit the simulation's floats or memory."""
+LARGEST = 1e9  # no number of a profile is larger: none would fit the simulation's floats or memory
 _T = TypeVar('_T')
 
 

@@ -29,14 +29,7 @@ from quad_bridge.virtual.physics import (
 )
 from quad_bridge.virtual.plant import Plant
 from quad_bridge.virtual.rotation import euler_from_quaternion
-from quad_bridge.virtual.sensors import (
-    MAG,
-    PRESSURE,
-    TAKEN,
-    Chips,
-    sense_cycle,
-    sense_step,
-)
+from quad_bridge.virtual.sensors import MAG, PRESSURE, TAKEN, Chips, sense_cycle, sense_step
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -45,8 +38,7 @@ INPUTS = 9
 """Columns of what reaches a cycle from outside: armed 0/1, injection 0..3 (none, attitude, rate,
 control), excitation (3), sticks -1..1, throttle 0..1."""
 LARGEST_DELAY = 4
-HOLD = 0.08
-"""The most that the pilot adds to the throttle to hold the height, either way."""
+HOLD = 0.08  # the most that the pilot adds to the throttle to hold the height, either way
 NORMALS_PER_STEP = 9
 NORMALS_PER_CYCLE = 7
 
@@ -88,19 +80,14 @@ class Machine(NamedTuple):
     plant: Plant
     chips: Chips
     delay_cycles: int
-    climb_kp: float
-    """Pilot's altitude hold in hover: throttle per m; 0 on the rig."""
+    climb_kp: float  # pilot's altitude hold in hover: throttle per m; 0 on the rig
     climb_kd: float
     state: FloatArray
     sensed: FloatArray
-    samples: FloatArray
-    """(n, 6) gyro and accelerometer, chip axes."""
-    queue: FloatArray
-    """(LARGEST_DELAY + 1, 4) motor commands on their way."""
-    acting: FloatArray
-    """(4,) motor commands that act during the present cycle."""
-    firmware: npt.NDArray[np.uint8]
-    """The C firmware's memory."""
+    samples: FloatArray  # (n, 6) gyro and accelerometer, chip axes
+    queue: FloatArray  # (LARGEST_DELAY + 1, 4) motor commands on their way
+    acting: FloatArray  # (4,) motor commands that act during the present cycle
+    firmware: npt.NDArray[np.uint8]  # the C firmware's memory
     gains: npt.NDArray[np.float32]
     """(n,) its parameters where it flies in compiled code, in the order of their index."""
 

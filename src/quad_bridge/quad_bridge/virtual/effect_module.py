@@ -41,11 +41,7 @@ def checked(function: EffectFunction, name: str) -> EffectFunction:
     """`function` with its result held to three finite numbers; errors name `name`."""
 
     def effect(
-        t_s: float,
-        rates: FloatArray,
-        angles: FloatArray,
-        thrusts: FloatArray,
-        battery_v: float,
+        t_s: float, rates: FloatArray, angles: FloatArray, thrusts: FloatArray, battery_v: float
     ) -> FloatArray:
         try:
             returned = function(t_s, rates, angles, thrusts, battery_v)

@@ -51,13 +51,11 @@ class FirmwareSettings:
 
     rate_hz: float = 250.0
     physics_steps_per_cycle: int = 4
-    delay_cycles: int = 2
-    """From computing a command to its acting on the motors."""
+    delay_cycles: int = 2  # from computing a command to its acting on the motors
     auto_arm: bool = True
     stick_angle_deg: float = 30.0
     stick_yaw_rate_deg_s: float = 90.0
-    angle_limit_deg: float = 30.0
-    """Beyond it the flag ANGLE_LIMIT is set and excitation refused."""
+    angle_limit_deg: float = 30.0  # beyond it the flag ANGLE_LIMIT is set and excitation refused
     low_battery_v: float = 9.9
     gains: Gains = field(default_factory=Gains)
 

@@ -27,8 +27,7 @@ from quad_bridge.virtual.simulation import INJECTIONS, Excited, Flight
 from quad_bridge.wire.axes import quaternion
 
 FloatArray = npt.NDArray[np.float64]
-Message = tuple[int, str, bytes]
-"""Stamp in ns, topic, CDR bytes."""
+Message = tuple[int, str, bytes]  # stamp in ns, topic, CDR bytes
 
 TYPES = {
     '/imu/data': 'sensor_msgs/msg/Imu',
@@ -47,8 +46,7 @@ TYPES = {
 }
 LATCHED = {'/excitation/segment', '/gains/active'}
 STORE = get_typestore(Stores.ROS2_JAZZY)
-_FIRST_DOUBLE = 28
-"""Where the first double of a message with a header of frame `base_link` stands."""
+_FIRST_DOUBLE = 28  # where the first double of a message with a header of frame `base_link` stands
 _FOREVER = QosTime(9223372036, 854775807)
 
 
@@ -172,22 +170,7 @@ def _receiver_and_battery(flight: Flight, stamps: npt.NDArray[np.int64]) -> Iter
         stamp = int(stamps[row])
         volts = float(flight.battery_v[row])
         message = t[battery](
-            _header(stamp),
-            volts,
-            nan,
-            nan,
-            nan,
-            nan,
-            nan,
-            nan,
-            2,
-            1,
-            3,
-            True,
-            none,
-            none,
-            '',
-            '',
+            _header(stamp), volts, nan, nan, nan, nan, nan, nan, 2, 1, 3, True, none, none, '', ''
         )
         yield stamp, '/battery', bytes(STORE.serialize_cdr(message, battery))
 

@@ -29,8 +29,7 @@ class Boot:
     rate_hz: int
     armed: bool
     may_arm: bool
-    samples: int
-    """Of gyro and accelerometer in a cycle."""
+    samples: int  # of gyro and accelerometer in a cycle
     lockstep: bool
     stick_angle: float
     stick_yaw_rate: float
@@ -38,8 +37,7 @@ class Boot:
     low_battery_v: float
     complementary_s: float
     declination: float
-    gains: Sequence[float]
-    """All parameters in the order of their index."""
+    gains: Sequence[float]  # all parameters in the order of their index
 
     def frame(self) -> bytes:
         """As it goes over the line."""

@@ -20,8 +20,7 @@ from quad_bridge.virtual.errors import ConfigurationError
 VARIABLE = 'QUAD_FIRMWARE'
 """The environment variable that names the folder of a build of one's own, which comes first."""
 PROGRAM, LIBRARY = 'quad_firmware', 'libquad_firmware.so'
-MOTORS_BYTES, LARGEST_ANSWER = 42, 2048
-"""Of a motor frame; of what waits to be sent."""
+MOTORS_BYTES, LARGEST_ANSWER = 42, 2048  # of a motor frame; of what waits to be sent
 
 
 def _folders() -> Iterator[Path]:

@@ -197,11 +197,7 @@ def dry_friction(state: FloatArray, plant: Plant) -> None:
 
 @kernel
 def physics_step(
-    state: FloatArray,
-    plant: Plant,
-    motors: FloatArray,
-    normals: FloatArray,
-    extra: FloatArray,
+    state: FloatArray, plant: Plant, motors: FloatArray, normals: FloatArray, extra: FloatArray
 ) -> None:
     """Advance `state` by one step; `normals` (3,) drive the torque noise, `extra` is N m."""
     h = plant.step_s

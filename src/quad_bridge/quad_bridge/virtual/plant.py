@@ -35,20 +35,16 @@ class Plant(NamedTuple):
 
     step_s: float
     free_axes: Triple
-    moves: float
-    """1 in hover, 0 on the rig (no translation)."""
+    moves: float  # 1 in hover, 0 on the rig (no translation)
     mass: float
     inertia: Triple
-    torque_map: tuple[Quad, Quad, Quad]
-    """(3, 4) torque per thrust of each motor, m."""
+    torque_map: tuple[Quad, Quad, Quad]  # (3, 4) torque per thrust of each motor, m
     full_thrust: float
     lag: Quad
     linear_drag: float
-    damping: Triple
-    """N m s/rad."""
+    damping: Triple  # n m s/rad
     bias_torque: Triple
-    noise: Triple
-    """N m/sqrt(Hz), one-sided."""
+    noise: Triple  # n m/sqrt(Hz), one-sided
     noise_bandwidth_hz: float
     charge_points: tuple[float, ...]
     pack_voltage: tuple[float, ...]
@@ -61,16 +57,13 @@ class Plant(NamedTuple):
     curvature: float
     sag_exponent: float
     sag_reference_v: float
-    dry_low: Triple
-    """Friction at speed, N m."""
-    dry_extra: Triple
-    """What static friction adds to it, N m."""
+    dry_low: Triple  # friction at speed, N m
+    dry_extra: Triple  # what static friction adds to it, N m
     dry_speed: float
     quadratic_drag: Triple
     pendulum: Triple
     cubic: Triple
-    springs: bool
-    """Whether a torque depends on the angle."""
+    springs: bool  # whether a torque depends on the angle
     dead_zone: Triple
     play: Triple
     motor_lower: float

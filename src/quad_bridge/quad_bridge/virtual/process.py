@@ -30,18 +30,18 @@ from quad_bridge.arguments import (
 )
 from quad_bridge.errors import QuadBridgeError
 from quad_bridge.key_file import signing_from
-from quad_bridge.lockstep import START_NS, Line
+from quad_bridge.lockstep import START_NS
 from quad_bridge.virtual import hil
 from quad_bridge.virtual.aircraft import Aircraft, boot
 from quad_bridge.virtual.board import ELF, Board, EmulatedBoard, EndedError
 from quad_bridge.virtual.effect_module import load_effect
 from quad_bridge.virtual.errors import ConfigurationError
+from quad_bridge.virtual.line import Line
 from quad_bridge.virtual.native import find
 from quad_bridge.virtual.profile import Profile, load_profile, profile_names
 from quad_bridge.virtual.receiver import Receiver, channels_at, read_events
 
-WAIT_S = 0.5
-"""How long a signal may have to wait in lockstep."""
+WAIT_S = 0.5  # how long a signal may have to wait in lockstep
 
 
 def arguments() -> argparse.ArgumentParser:
@@ -124,9 +124,7 @@ class Stop:
         self._signalled = True
 
     def __bool__(self) -> bool:
-        return self._signalled or (
-            self._last is not None and self._aircraft.cycle >= self._last
-        )
+        return self._signalled or (self._last is not None and self._aircraft.cycle >= self._last)
 
 
 def fly_in_lockstep(flight: Flight, board: Board, line: Line, stop: Stop) -> None:

@@ -28,10 +28,8 @@ class Pilot:
 class Profile:
     """One virtual aircraft; `Profile()` is the profile `plain`."""
 
-    mount: str = 'rig'
-    """`rig` or `hover`."""
-    axis: str = 'roll'
-    """The free axis on the rig."""
+    mount: str = 'rig'  # `rig` or `hover`
+    axis: str = 'roll'  # the free axis on the rig
     airframe: Airframe = field(default_factory=Airframe)
     effects: Effects = field(default_factory=Effects)
     sensors: Sensors = field(default_factory=Sensors)

@@ -22,8 +22,7 @@ class Event:
 
     time_s: float
     channel: str
-    value: float | None = None
-    """None on the throttle: back to the trim."""
+    value: float | None = None  # None on the throttle: back to the trim
 
     def __post_init__(self) -> None:
         """Check names and ranges."""
@@ -46,8 +45,7 @@ class Channels:
 
     roll: float = 0.0
     pitch: float = 0.0
-    throttle: float | None = None
-    """None: the trim that carries the weight."""
+    throttle: float | None = None  # None: the trim that carries the weight
     yaw: float = 0.0
     aux: tuple[float, float, float, float, float] = (-1.0, -1.0, -1.0, -1.0, -1.0)
     failsafe: bool = False

@@ -45,22 +45,18 @@ class Sensors:
 
     gyro_filter_hz: float = 42.0
     accel_filter_hz: float = 42.0
-    gyro_noise_rad_s_rthz: float = 6.0e-4
-    """One-sided, motors running; the bare chip has 0.9e-4."""
+    gyro_noise_rad_s_rthz: float = 6.0e-4  # one-sided, motors running; the bare chip has 0.9e-4
     gyro_calibration_error_rad_s: float = 5.0e-4
     """Standard deviation of the bias that calibration at rest leaves."""
-    gyro_drift_rad_s_rts: float = 5.0e-5
-    """Random walk of the bias."""
+    gyro_drift_rad_s_rts: float = 5.0e-5  # random walk of the bias
     accel_noise_m_s2_rthz: float = 0.02
     accel_bias_m_s2: Vector = (0.02, -0.03, 0.05)
     complementary_time_s: float = 5.0
-    mag_field_t: Vector = (0.0, 24.0e-6, -38.0e-6)
-    """World ENU."""
+    mag_field_t: Vector = (0.0, 24.0e-6, -38.0e-6)  # world ENU
     mag_noise_t: float = 3.0e-7
     pressure_pa: float = 101325.0
     pressure_noise_pa: float = 2.0
-    slow_divider: int = 5
-    """Magnetometer and barometer are read every so many cycles."""
+    slow_divider: int = 5  # magnetometer and barometer are read every so many cycles
     quantisation: bool = True
 
     def __post_init__(self) -> None:
@@ -75,11 +71,9 @@ class Sensors:
 class Chips(NamedTuple):
     """Constants for the kernels."""
 
-    gyro_sigma: float
-    """Per physics step, rad/s."""
+    gyro_sigma: float  # per physics step, rad/s
     accel_sigma: float
-    drift_sigma: float
-    """Per cycle, rad/s."""
+    drift_sigma: float  # per cycle, rad/s
     accel_bias: Vector
     mag_field: Vector
     mag_sigma: float

@@ -55,8 +55,7 @@ class Flight:
 
     profile: Profile
     schedule: tuple[Excited, ...]
-    gains: Mapping[str, float]
-    """What /gains/active would say, at the start."""
+    gains: Mapping[str, float]  # what /gains/active would say, at the start
     time_s: FloatArray
     rates: FloatArray
     acceleration: FloatArray
@@ -67,8 +66,7 @@ class Flight:
     motors: FloatArray
     excitation: FloatArray
     injection: npt.NDArray[np.int64]
-    sticks: FloatArray
-    """(n, 3) roll, pitch, yaw, -1..1."""
+    sticks: FloatArray  # (n, 3) roll, pitch, yaw, -1..1
     battery_v: FloatArray
     mag: FloatArray
     pressure_pa: FloatArray
@@ -98,9 +96,7 @@ def fly(
     """
     profile = load_profile(config) if isinstance(config, str) else config
     aircraft = Aircraft(profile, seed=seed, effect=effect)
-    aircraft.set_gains(
-        {k: v for k, v in (gains or {}).items() if not k.startswith('loop.')}
-    )
+    aircraft.set_gains({k: v for k, v in (gains or {}).items() if not k.startswith('loop.')})
     count = round(duration_s * profile.firmware.rate_hz)
     active = aircraft.gains
     given = inputs(aircraft, schedule, count)

@@ -27,12 +27,10 @@ _EXTRAS = {number: kind.crc_extra for number, kind in _OURS.items()} | {
 _BUILD = {**FROM_MESSAGE, **FROM_AUTOPILOT}
 _CYCLE = dialect.MAVLINK_MSG_ID_QUAD_CYCLE
 _ANSWERS = (f.TimeSync, f.ParamValue, f.GainsState, f.CommandAck)
-"""They mean something only from who was asked: the far end, once it is known."""
+"""They mean something only from who was asked: the peer, once it is known."""
 _WRAP = 1 << 32
-_LARGEST_GAP = 1_000_000
-"""Cycles (over an hour at 250 Hz): a larger step is a restart, not a loss."""
-NO_AUTOPILOT = 8
-"""MAV_AUTOPILOT_INVALID: the heartbeat of something that flies nothing."""
+_LARGEST_GAP = 1_000_000  # cycles (over an hour at 250 Hz): a larger step is a restart, not a loss
+NO_AUTOPILOT = 8  # MAV_AUTOPILOT_INVALID: the heartbeat of something that flies nothing
 
 
 class Decoder:
@@ -50,25 +48,23 @@ class Decoder:
         self._signing = signing
         self._own = own
         self._peer: tuple[int, int] | None = None
-        self._cycles = False
-        """Whether the peer has sent control cycles."""
-        self._last: int | None = None
-        """The counter of the last cycle, 32 bits."""
+        self._cycles = False  # whether the peer has sent control cycles
+        self._last: int | None = None  # the counter of the last cycle, 32 bits
         self.counts = Counts()
         self._framer = Framer(_EXTRAS, self.counts)
 
     @property
     def peer(self) -> tuple[int, int] | None:
-        """System and component of the far end, where `own` was given and it has spoken."""
+        """System and component of the peer, where `own` was given and it has spoken."""
         return self._peer
 
     def resync(self) -> None:
-        """Forget an incomplete frame and the far end: the port was opened anew. Counts stay."""
+        """Forget an incomplete frame and the peer: the port was opened anew. Counts stay."""
         self._framer.clear()
         self.release()
 
     def release(self) -> None:
-        """Let another sender be the far end: the one before has fallen silent."""
+        """Let another sender be the peer: the one before has fallen silent."""
         self._peer, self._cycles = None, False
 
     def feed(self, data: bytes) -> list[f.Frame]:
@@ -92,7 +88,7 @@ class Decoder:
         sender = (packet.system, packet.component)
         if self._own is None or sender == self._peer:
             return True
-        # who sends control cycles is the far end; a heartbeat alone is a guess
+        # who sends control cycles is the peer; a heartbeat alone is a guess
         free = self._peer is None or (packet.message == _CYCLE and not self._cycles)
         if sender == self._own or not free:
             self.counts.foreign += 1
@@ -119,7 +115,7 @@ class Decoder:
         frames.append(frame)
 
     def _count(self, cycle: int) -> None:
-        """Count what is missing before this cycle, or a restart of the far end."""
+        """Count what is missing before this cycle, or a restart of the peer."""
         last, self._last = self._last, cycle
         gap = (cycle - last) % _WRAP - 1 if last is not None else 0
         if gap > _LARGEST_GAP:
@@ -128,7 +124,7 @@ class Decoder:
             self.counts.lost_cycles += max(gap, 0)
 
     def _known(self, frame: f.Frame, packet: Packet) -> bool:
-        """Take who flies for the far end; False for an answer of somebody else."""
+        """Take who flies for the peer; False for an answer of somebody else."""
         if isinstance(frame, f.Cycle):
             self._peer, self._cycles = (packet.system, packet.component), True
         elif self._peer is None:

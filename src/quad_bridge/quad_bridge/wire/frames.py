@@ -69,43 +69,29 @@ class GainsResult(IntEnum):
 class Cycle:
     """Everything one control cycle knew."""
 
-    time_us: int
-    """Start of the cycle, µs since boot."""
-    cycle: int
-    """Cycles since boot, 32 bits."""
-    gyro: Vector3
-    """p q r, rad/s, FRD, filtered, bias removed."""
-    accel: Vector3
-    """Specific force, m/s², FRD: at rest and level (0, 0, -9.81)."""
-    attitude: Vector3
-    """Roll, pitch, yaw, rad, FRD relative to NED."""
-    attitude_setpoint: Vector3
-    """Reference that C1 used, rad, excitation included."""
-    rate_setpoint: Vector3
-    """Reference that C2 used, rad/s, FRD, excitation included."""
+    time_us: int  # start of the cycle, µs since boot
+    cycle: int  # cycles since boot, 32 bits
+    gyro: Vector3  # p q r, rad/s, FRD, filtered, bias removed
+    accel: Vector3  # specific force, m/s², FRD: at rest and level (0, 0, -9.81)
+    attitude: Vector3  # roll, pitch, yaw, rad, FRD relative to NED
+    attitude_setpoint: Vector3  # reference that C1 used, rad, excitation included
+    rate_setpoint: Vector3  # reference that C2 used, rad/s, FRD, excitation included
     control: Vector4
     """U1 (collective, positive up), U2..U4 (torque demand about x y z, FRD), normalised."""
-    excitation: Vector3
-    """What was added, per axis, FRD, in the unit of `injection`."""
-    motors: Vector4
-    """Commands of motors 1 to 4, 0..1, after mixer and limits."""
-    flags: int
-    """Bits of `Flag`; a plain int, for speed."""
-    excitation_seq: int = 0
-    """Sequence number (8 bits) of the excitation set-point in use."""
-    injection: int = 0
-    """An `Injection`."""
+    excitation: Vector3  # what was added, per axis, FRD, in the unit of `injection`
+    motors: Vector4  # commands of motors 1 to 4, 0..1, after mixer and limits
+    flags: int  # bits of `Flag`; a plain int, for speed
+    excitation_seq: int = 0  # sequence number (8 bits) of the excitation set-point in use
+    injection: int = 0  # an `Injection`
 
 
 @dataclass(frozen=True)
 class Excitation:
     """What the bridge asks the STM32 to add, until replaced or `valid_ms` old."""
 
-    value: Vector3
-    """Per axis, FRD, rad, rad/s or normalised command."""
+    value: Vector3  # per axis, FRD, rad, rad/s or normalised command
     injection: int
-    seq: int
-    """8 bits, wraps."""
+    seq: int  # 8 bits, wraps
     valid_ms: int = 100
     target_system: int = 0
     target_component: int = 0
@@ -115,13 +101,10 @@ class Excitation:
 class Heartbeat:
     """HEARTBEAT; `system` and `component` are the sender's (the encoder puts in its own)."""
 
-    type: int = 2
-    """MAV_TYPE: 2 quadrotor, 18 onboard controller (the bridge)."""
-    autopilot: int = 0
-    """MAV_AUTOPILOT: 0 generic, 8 none (the bridge)."""
+    type: int = 2  # MAV_TYPE: 2 quadrotor, 18 onboard controller (the bridge)
+    autopilot: int = 0  # MAV_AUTOPILOT: 0 generic, 8 none (the bridge)
     armed: bool = False
-    system_status: int = 4
-    """MAV_STATE: 3 standby, 4 active, 5 critical."""
+    system_status: int = 4  # MAV_STATE: 3 standby, 4 active, 5 critical
     custom_mode: int = 0
     system: int = 0
     component: int = 0
@@ -132,8 +115,7 @@ class TimeSync:
     """TIMESYNC: a question has tc1 = 0; the answer holds the answerer's time in tc1, ns."""
 
     tc1_ns: int
-    ts1_ns: int
-    """The asker's time, mirrored in the answer, ns."""
+    ts1_ns: int  # the asker's time, mirrored in the answer, ns
 
 
 @dataclass(frozen=True)
@@ -178,14 +160,10 @@ class ParamValue:
 class GainsCommand:
     """One action on the staged set of parameters; answered by a GainsState."""
 
-    action: int
-    """A `GainsAction`."""
-    transaction: int
-    """1..255."""
-    checksum: int = 0
-    """COMMIT: of the whole copy (`checksum` in gains/protocol.py)."""
-    watch_ms: int = 0
-    """COMMIT: revert without CONFIRM after this long, ms."""
+    action: int  # a `GainsAction`
+    transaction: int  # 1..255
+    checksum: int = 0  # COMMIT: of the whole copy (`checksum` in gains/protocol.py)
+    watch_ms: int = 0  # COMMIT: revert without CONFIRM after this long, ms
     target_system: int = 0
     target_component: int = 0
 
@@ -194,17 +172,12 @@ class GainsCommand:
 class GainsState:
     """The answer to a GainsCommand; unasked once a second and after the STM32's own revert."""
 
-    aircraft: int
-    """Unique number of the controller, 64 bits."""
-    checksum: int
-    """Of all active parameters (`checksum` in gains/protocol.py)."""
+    aircraft: int  # unique number of the controller, 64 bits
+    checksum: int  # of all active parameters (`checksum` in gains/protocol.py)
     transaction: int
-    action: int
-    """A `GainsAction`; QUERY where unasked."""
-    result: int
-    """A `GainsResult`."""
-    phase: int
-    """A `GainsPhase`."""
+    action: int  # a `GainsAction`; QUERY where unasked
+    result: int  # a `GainsResult`
+    phase: int  # a `GainsPhase`
 
 
 @dataclass(frozen=True)
@@ -223,8 +196,7 @@ class Battery:
     voltage_v: float
     current_a: float = float('nan')
     remaining: float = float('nan')
-    name: str = 'BATTERY_STATUS'
-    """The message that it came in; SYS_STATUS has it too."""
+    name: str = 'BATTERY_STATUS'  # the message that it came in; SYS_STATUS has it too
 
 
 @dataclass(frozen=True)
@@ -238,12 +210,9 @@ class SlowSensors:
     mag_gauss: Vector3 | None = None
     pressure_hpa: float | None = None
     temperature_c: float = 0.0
-    gyro: Vector3 | None = None
-    """rad/s, FRD; only other autopilots fill it."""
-    accel: Vector3 | None = None
-    """m/s², FRD; only other autopilots fill it."""
-    name: str = 'HIGHRES_IMU'
-    """The message that it came in."""
+    gyro: Vector3 | None = None  # rad/s, FRD; only other autopilots fill it
+    accel: Vector3 | None = None  # m/s², FRD; only other autopilots fill it
+    name: str = 'HIGHRES_IMU'  # the message that it came in
 
 
 @dataclass(frozen=True)
@@ -251,8 +220,7 @@ class Command:
     """COMMAND_LONG."""
 
     command: int
-    parameters: tuple[float, ...] = ()
-    """Up to seven."""
+    parameters: tuple[float, ...] = ()  # up to seven
     confirmation: int = 0
     target_system: int = 0
     target_component: int = 0
@@ -287,8 +255,7 @@ class Attitude:
 class Outputs:
     """SERVO_OUTPUT_RAW of another autopilot: the first four pulses of a port, µs."""
 
-    time_us: int
-    """32 bits: wraps after 71.6 minutes."""
+    time_us: int  # 32 bits: wraps after 71.6 minutes
     port: int
     pulses: tuple[int, int, int, int]
 

@@ -19,21 +19,17 @@ OLD_MARKER = 0xFE
 HEADER, CHECKSUM, SIGNATURE = 10, 2, 13
 SIGNED = 0x01
 _OLD_HEADER = 6
-_SENDERS = 16
-"""Senders whose sequence numbers are remembered."""
+_SENDERS = 16  # senders whose sequence numbers are remembered
 
 
 class Packet(NamedTuple):
     """One packet with a good checksum."""
 
-    message: int
-    """Its 24-bit id."""
+    message: int  # its 24-bit id
     system: int
     component: int
-    payload: bytes
-    """As sent: zeros at the end may be missing."""
-    whole: bytes
-    """Marker to checksum or signature."""
+    payload: bytes  # as sent: zeros at the end may be missing
+    whole: bytes  # marker to checksum or signature
 
 
 @dataclass
@@ -41,36 +37,24 @@ class Counts:
     """What a decoder has seen since its start; `replace` makes a copy that stays."""
 
     bytes: int = 0
-    frames: int = 0
-    """Frames handed out, `standard` included."""
+    frames: int = 0  # frames handed out, `standard` included
     bad_crc: int = 0
     """False starts: wrong checksum or incompatible flags, those inside another left out."""
-    garbage_bytes: int = 0
-    """Bytes that belong to no usable message."""
-    unknown: int = 0
-    """Packets of unknown ids: no checksum can be verified."""
-    standard: int = 0
-    """Known standard messages that the suite does not use."""
-    lost_cycles: int = 0
-    """Gaps in the 32-bit cycle counter."""
-    restarts: int = 0
-    """The cycle counter went back: the far end has restarted."""
-    unsigned: int = 0
-    """Ignored: a key is set, and these frames bear no signature."""
-    forged: int = 0
-    """Ignored: signed with another key, or changed on the way."""
-    replayed: int = 0
-    """Ignored: signed well, but not newer than what came before."""
+    garbage_bytes: int = 0  # bytes that belong to no usable message
+    unknown: int = 0  # packets of unknown ids: no checksum can be verified
+    standard: int = 0  # known standard messages that the suite does not use
+    lost_cycles: int = 0  # gaps in the 32-bit cycle counter
+    restarts: int = 0  # the cycle counter went back: the peer has restarted
+    unsigned: int = 0  # ignored: a key is set, and these frames bear no signature
+    forged: int = 0  # ignored: signed with another key, or changed on the way
+    replayed: int = 0  # ignored: signed well, but not newer than what came before
     ahead: int = 0
     """Ignored: signed well, but of a time that cannot be yet: a clock is broken, or not set."""
     foreign: int = 0
-    """Ignored: from another sender than the far end (own echo, ground station, other aircraft)."""
-    implausible: int = 0
-    """Ignored: a good checksum, but values that cannot be (plausible.py)."""
-    old_version: int = 0
-    """MAVLink 1 packets with a good checksum; they are part of the garbage."""
-    unverified: int = 0
-    """Signed frames that were taken as they are, because no key is set."""
+    """Ignored: from another sender than the peer (own echo, ground station, other aircraft)."""
+    implausible: int = 0  # ignored: a good checksum, but values that cannot be (plausible.py)
+    old_version: int = 0  # MAVLink 1 packets with a good checksum; they are part of the garbage
+    unverified: int = 0  # signed frames that were taken as they are, because no key is set
 
     def refused(self, verdict: Verdict) -> None:
         """Count a frame that the signature does not let pass."""
@@ -84,8 +68,7 @@ class Framer:
     def __init__(self, extras: Mapping[int, int], counts: Counts) -> None:
         self._extras, self._counts = extras, counts
         self._pending = bytearray()
-        self._suspect = 0
-        """Up to here in `_pending` a false start has been counted already."""
+        self._suspect = 0  # up to here in `_pending` a false start has been counted already
         self._expected: dict[tuple[int, int], int] = {}
 
     def clear(self) -> None:

@@ -10,28 +10,7 @@ from collections.abc import Callable
 from typing import Any
 
 from quad_bridge.wire import dialect as d
-from quad_bridge.wire.frames import (
-    Attitude,
-    Battery,
-    Command,
-    CommandAck,
-    Cycle,
-    Excitation,
-    Frame,
-    GainsCommand,
-    GainsState,
-    Heartbeat,
-    Outputs,
-    ParamRequestList,
-    ParamRequestRead,
-    ParamSet,
-    ParamValue,
-    RcChannels,
-    SlowSensors,
-    StatusText,
-    TimeSync,
-    Vector3,
-)
+from quad_bridge.wire import frames as f
 from quad_bridge.wire.framing import Packet
 
 Fields = dict[str, Any]
@@ -50,35 +29,34 @@ _PRESSURE = 0x200
 _TARGET = 'target_system target_component'
 
 _ROWS: tuple[tuple[type, Any, str], ...] = (
-    (Cycle, d.MAVLink_quad_cycle_message,
+    (f.Cycle, d.MAVLink_quad_cycle_message,
      ('time_usec cycle gyro accel attitude attitude_setpoint rate_setpoint control excitation '
       'motors flags excitation_seq injection')),
-    (Excitation, d.MAVLink_quad_excitation_message, f'value injection seq valid_ms {_TARGET}'),
-    (TimeSync, d.MAVLink_timesync_message, 'tc1 ts1'),
-    (ParamRequestList, d.MAVLink_param_request_list_message, _TARGET),
-    (ParamRequestRead, d.MAVLink_param_request_read_message, f'param_id param_index {_TARGET}'),
-    (ParamSet, d.MAVLink_param_set_message, f'param_id param_value {_TARGET}'),
-    (ParamValue, d.MAVLink_param_value_message, 'param_id param_value param_count param_index'),
-    (GainsCommand, d.MAVLink_quad_gains_message,
+    (f.Excitation, d.MAVLink_quad_excitation_message, f'value injection seq valid_ms {_TARGET}'),
+    (f.TimeSync, d.MAVLink_timesync_message, 'tc1 ts1'),
+    (f.ParamRequestList, d.MAVLink_param_request_list_message, _TARGET),
+    (f.ParamRequestRead, d.MAVLink_param_request_read_message, f'param_id param_index {_TARGET}'),
+    (f.ParamSet, d.MAVLink_param_set_message, f'param_id param_value {_TARGET}'),
+    (f.ParamValue, d.MAVLink_param_value_message, 'param_id param_value param_count param_index'),
+    (f.GainsCommand, d.MAVLink_quad_gains_message,
      f'action transaction checksum watch_ms {_TARGET}'),
-    (GainsState, d.MAVLink_quad_gains_state_message,
+    (f.GainsState, d.MAVLink_quad_gains_state_message,
      'aircraft checksum transaction action result phase'),
-    (CommandAck, d.MAVLink_command_ack_message, 'command result'),
-    (StatusText, d.MAVLink_statustext_message, 'severity text'),
+    (f.CommandAck, d.MAVLink_command_ack_message, 'command result'),
+    (f.StatusText, d.MAVLink_statustext_message, 'severity text'),
 )  # fmt: skip
 """Frame class, message, and the message's fields in the order of the frame's."""
 COPIED = {kind: (message, tuple(names.split())) for kind, message, names in _ROWS}
-_ALWAYS = {'param_type': 9}
-"""Fields that never differ: MAV_PARAM_TYPE_REAL32."""
+_ALWAYS = {'param_type': 9}  # fields that never differ: MAV_PARAM_TYPE_REAL32
 
 _CYCLE = d.MAVLink_quad_cycle_message.unpacker
 _LAYOUT: dict[int, tuple[Any, tuple[tuple[str, int, int], ...]]] = {}
 
 
-def cycle(payload: bytes) -> Cycle:
+def cycle(payload: bytes) -> f.Cycle:
     """QUAD_CYCLE straight from its payload: it comes in every cycle."""
     v = _CYCLE.unpack(payload[: _CYCLE.size].ljust(_CYCLE.size, b'\0'))
-    return Cycle(
+    return f.Cycle(
         v[0], v[1], v[2:5], v[5:8], v[8:11], v[11:14], v[14:17], v[17:21], v[21:24], v[24:28],
         v[28], v[29], v[30],
     )  # fmt: skip
@@ -107,10 +85,10 @@ def unpacked(packet: Packet) -> Fields:
     return fields
 
 
-def _battery(m: Fields) -> Battery:
+def _battery(m: Fields) -> f.Battery:
     cells = [v for v in m.get('voltages', (m.get('voltage_battery'),)) if v != _NOT_MEASURED]
     current, remaining = m['current_battery'], m['battery_remaining']
-    return Battery(
+    return f.Battery(
         sum(cells) / 1000.0 if cells else math.nan,
         current / 100.0 if current >= 0 else math.nan,
         remaining / 100.0 if remaining >= 0 else math.nan,
@@ -118,20 +96,20 @@ def _battery(m: Fields) -> Battery:
     )
 
 
-def _slow_sensors(m: Fields) -> SlowSensors:
+def _slow_sensors(m: Fields) -> f.SlowSensors:
     updated = m['fields_updated']
     vectors = {
         name: _columns(m, columns) if updated & bits == bits else None
         for name, (bits, columns) in _UPDATED.items()
     }
     pressure = m['abs_pressure'] if updated & _PRESSURE else None
-    return SlowSensors(m['time_usec'], vectors['mag_gauss'], pressure, m['temperature'],
+    return f.SlowSensors(m['time_usec'], vectors['mag_gauss'], pressure, m['temperature'],
                        vectors['gyro'], vectors['accel'])  # fmt: skip
 
 
-def _scaled_imu(m: Fields) -> SlowSensors:
+def _scaled_imu(m: Fields) -> f.SlowSensors:
     mag, gyro, accel = (_UPDATED[name][1] for name in ('mag_gauss', 'gyro', 'accel'))
-    return SlowSensors(
+    return f.SlowSensors(
         time_us=1000 * m['time_boot_ms'],
         mag_gauss=_columns(m, mag, 1e-3) if any(m[n] for n in mag) else None,
         gyro=_columns(m, gyro, 1e-3),
@@ -140,22 +118,22 @@ def _scaled_imu(m: Fields) -> SlowSensors:
     )
 
 
-def _columns(m: Fields, names: tuple[str, ...], unit: float = 1.0) -> Vector3:
+def _columns(m: Fields, names: tuple[str, ...], unit: float = 1.0) -> f.Vector3:
     x, y, z = (m[name] * unit for name in names)
     return x, y, z
 
 
-FROM_MESSAGE: dict[int, Callable[[Fields], Frame]] = {
-    d.MAVLINK_MSG_ID_HEARTBEAT: lambda m: Heartbeat(
+FROM_MESSAGE: dict[int, Callable[[Fields], f.Frame]] = {
+    d.MAVLINK_MSG_ID_HEARTBEAT: lambda m: f.Heartbeat(
         m['type'], m['autopilot'], bool(m['base_mode'] & _ARMED), m['system_status'],
         m['custom_mode'], m['system'], m['component'],
     ),
-    d.MAVLINK_MSG_ID_RC_CHANNELS: lambda m: RcChannels(
+    d.MAVLINK_MSG_ID_RC_CHANNELS: lambda m: f.RcChannels(
         m['time_boot_ms'], tuple(m[n] for n in _CHANNELS[: m['chancount']]), m['rssi']
     ),
     d.MAVLINK_MSG_ID_BATTERY_STATUS: _battery,
     d.MAVLINK_MSG_ID_HIGHRES_IMU: _slow_sensors,
-    d.MAVLINK_MSG_ID_COMMAND_LONG: lambda m: Command(
+    d.MAVLINK_MSG_ID_COMMAND_LONG: lambda m: f.Command(
         m['command'], tuple(m[n] for n in _PARAMETERS), m['confirmation'], m['target_system'],
         m['target_component'],
     ),
@@ -163,24 +141,24 @@ FROM_MESSAGE: dict[int, Callable[[Fields], Frame]] = {
 """Message id to the frame's constructor: what the suite's own firmware and the bridge speak."""
 
 
-def _copies(frame: Callable[..., Frame], names: tuple[str, ...]) -> Callable[[Fields], Frame]:
+def _copies(frame: Callable[..., f.Frame], names: tuple[str, ...]) -> Callable[[Fields], f.Frame]:
     return lambda m: frame(*[m[name] for name in names])
 
 
 FROM_MESSAGE |= {message.id: _copies(kind, names) for kind, (message, names) in COPIED.items()}
 
-FROM_AUTOPILOT: dict[int, Callable[[Fields], Frame]] = {
-    d.MAVLINK_MSG_ID_ATTITUDE: lambda m: Attitude(
+FROM_AUTOPILOT: dict[int, Callable[[Fields], f.Frame]] = {
+    d.MAVLINK_MSG_ID_ATTITUDE: lambda m: f.Attitude(
         m['time_boot_ms'],
         _columns(m, ('roll', 'pitch', 'yaw')),
         _columns(m, ('rollspeed', 'pitchspeed', 'yawspeed')),
     ),
     d.MAVLINK_MSG_ID_SCALED_IMU: _scaled_imu,
-    d.MAVLINK_MSG_ID_SCALED_PRESSURE: lambda m: SlowSensors(
+    d.MAVLINK_MSG_ID_SCALED_PRESSURE: lambda m: f.SlowSensors(
         1000 * m['time_boot_ms'], pressure_hpa=m['press_abs'],
         temperature_c=0.01 * m['temperature'], name='SCALED_PRESSURE',
     ),
-    d.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: lambda m: Outputs(
+    d.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: lambda m: f.Outputs(
         m['time_usec'], m['port'],
         (m['servo1_raw'], m['servo2_raw'], m['servo3_raw'], m['servo4_raw']),
     ),
@@ -189,57 +167,57 @@ FROM_AUTOPILOT: dict[int, Callable[[Fields], Frame]] = {
 """The same for what other autopilots send beside; ids in neither table are `Standard`."""
 
 
-def _to_heartbeat(f: Heartbeat) -> Any:
-    mode = _ARMED if f.armed else 0
+def _to_heartbeat(frame: f.Heartbeat) -> Any:
+    mode = _ARMED if frame.armed else 0
     return d.MAVLink_heartbeat_message(
-        f.type, f.autopilot, mode, f.custom_mode, f.system_status, 3
+        frame.type, frame.autopilot, mode, frame.custom_mode, frame.system_status, 3
     )
 
 
-def _to_rc_channels(f: RcChannels) -> Any:
-    raw = [*f.channels, *([_NOT_MEASURED] * (18 - len(f.channels)))]
+def _to_rc_channels(frame: f.RcChannels) -> Any:
+    raw = [*frame.channels, *([_NOT_MEASURED] * (18 - len(frame.channels)))]
     message: Any = d.MAVLink_rc_channels_message
-    return message(f.time_ms, len(f.channels), *raw, f.rssi)
+    return message(frame.time_ms, len(frame.channels), *raw, frame.rssi)
 
 
-def _to_battery(f: Battery) -> Any:
-    voltage = _NOT_MEASURED if math.isnan(f.voltage_v) else round(1000.0 * f.voltage_v)
-    current = -1 if math.isnan(f.current_a) else round(100.0 * f.current_a)
-    remaining = -1 if math.isnan(f.remaining) else round(100.0 * f.remaining)
+def _to_battery(frame: f.Battery) -> Any:
+    voltage = _NOT_MEASURED if math.isnan(frame.voltage_v) else round(1000.0 * frame.voltage_v)
+    current = -1 if math.isnan(frame.current_a) else round(100.0 * frame.current_a)
+    remaining = -1 if math.isnan(frame.remaining) else round(100.0 * frame.remaining)
     cells = [voltage, *([_NOT_MEASURED] * 9)]
     return d.MAVLink_battery_status_message(0, 1, 1, 0x7FFF, cells, current, -1, -1, remaining)
 
 
-def _to_slow_sensors(f: SlowSensors) -> Any:
-    updated = 0 if f.pressure_hpa is None else _PRESSURE
+def _to_slow_sensors(frame: f.SlowSensors) -> Any:
+    updated = 0 if frame.pressure_hpa is None else _PRESSURE
     values: list[float] = []
     for name, (bits, _) in _UPDATED.items():
-        vector = getattr(f, name)
+        vector = getattr(frame, name)
         updated |= 0 if vector is None else bits
         values += vector or (0.0, 0.0, 0.0)
     message: Any = d.MAVLink_highres_imu_message
     return message(
-        f.time_us, *values, f.pressure_hpa or 0.0, 0.0, 0.0, f.temperature_c, updated
+        frame.time_us, *values, frame.pressure_hpa or 0.0, 0.0, 0.0, frame.temperature_c, updated
     )
 
 
-def _to_command(f: Command) -> Any:
-    values = [*f.parameters, *([0.0] * (7 - len(f.parameters)))]
+def _to_command(frame: f.Command) -> Any:
+    values = [*frame.parameters, *([0.0] * (7 - len(frame.parameters)))]
     return d.MAVLink_command_long_message(
-        f.target_system, f.target_component, f.command, f.confirmation, *values
+        frame.target_system, frame.target_component, frame.command, frame.confirmation, *values
     )
 
 
 _TO_MESSAGE: dict[type, Callable[[Any], Any]] = {
-    Heartbeat: _to_heartbeat,
-    RcChannels: _to_rc_channels,
-    Battery: _to_battery,
-    SlowSensors: _to_slow_sensors,
-    Command: _to_command,
+    f.Heartbeat: _to_heartbeat,
+    f.RcChannels: _to_rc_channels,
+    f.Battery: _to_battery,
+    f.SlowSensors: _to_slow_sensors,
+    f.Command: _to_command,
 }
 
 
-def message_of(frame: Frame) -> Any:
+def message_of(frame: f.Frame) -> Any:
     """The message that a frame is sent as. Raises KeyError where it has none of its own."""
     build = _TO_MESSAGE.get(type(frame))
     if build is not None:

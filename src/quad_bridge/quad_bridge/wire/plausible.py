@@ -11,8 +11,7 @@ from typing import Any
 
 from quad_bridge.wire import frames as f
 
-LARGEST = 1000.0
-"""No value of a cycle is larger, in rad, rad/s, m/s² or normalised command."""
+LARGEST = 1000.0  # no value of a cycle is larger, in rad, rad/s, m/s² or normalised command
 LARGEST_ANGLE = 6.3
 LARGEST_FLAGS = 0x0FFF
 _ABOVE_ONE = 1.001

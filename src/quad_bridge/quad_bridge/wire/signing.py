@@ -13,15 +13,13 @@ from collections.abc import Callable
 from enum import Enum
 
 KEY_BYTES = 32
-SIGNED_FLAG = 0x01
-"""Bit of the incompatibility flags of a signed frame."""
+SIGNED_FLAG = 0x01  # bit of the incompatibility flags of a signed frame
 _EPOCH_NS = 1_420_070_400_000_000_000
 """2015-01-01 GMT, from which signatures count, in ns since 1970."""
 LAST = 1 << 47
 """August 2059. A time has 48 bits; whoever accepted one near the end would soon have none left."""
 _YEAR = 365 * 86_400 * 100_000
-_SET = 10 * _YEAR
-"""A clock behind it, in the end of 2024, was never set."""
+_SET = 10 * _YEAR  # a clock behind it, in the end of 2024, was never set
 _MARKER, _BLOCK, _DIGEST = 0xFD, 13, 6
 
 

@@ -1,8 +1,7 @@
 """Writes dialect.py from quad_suite.xml with pymavlink's mavgen.
 
-`python src/quad_bridge/quad_bridge/wire/generate.py`, run by developers after a change of the XML
-(as a file: the package imports what it writes); a test holds the committed file against the XML.
-Nothing at run time imports this.
+`python tools/dialect.py`, run by developers after a change of the XML; a test holds the committed
+file against the XML.
 """
 
 from __future__ import annotations
@@ -17,8 +16,8 @@ from xml.etree import ElementTree as ET
 from pymavlink.dialects.v20 import ardupilotmega
 from pymavlink.generator import mavgen
 
-XML = Path(__file__).with_name('quad_suite.xml')
-DIALECT = Path(__file__).with_name('dialect.py')
+WIRE = Path(__file__).resolve().parents[1] / 'src/quad_bridge/quad_bridge/wire'
+XML, DIALECT = WIRE / 'quad_suite.xml', WIRE / 'dialect.py'
 _HEAD = """
 OTHER_MESSAGES: Dict[int, Tuple[str, int]] = {
     # standard messages without a use here: id, name, CRC_EXTRA; with these their checksums can be
