@@ -120,8 +120,10 @@ def test_replugged_under_another_name_the_flight_goes_on(tmp_path, probe, bridge
     again = FlightController(number=number)
     with Port(again, Pty(tmp_path / 'ttyACM1'), start_s=first.start_s) as second:
         probe.until(lambda: probe.diagnostics(LINK, 'times opened') == '2')
-        probe.until(lambda: again.number > number + 500)
         probe.until(lambda: count(probe, LINK, 'lost cycles') > 0)
+        probe.until(lambda: probe.diagnostics('serial_bridge: clock') == 'converged')
+        written = count(probe, RECORDING, 'messages written')
+        probe.until(lambda: count(probe, RECORDING, 'messages written') > written + 1000)
         second.halt()
         lost = count(probe, LINK, 'lost cycles')
         assert probe.diagnostics(LINK, 'device').endswith('ttyACM1')
