@@ -59,7 +59,7 @@ def test_a_wrong_sign_refuses_every_update_until_it_is_mended(bench):
 def test_a_fixed_axis_is_silent_and_its_gains_are_refused(bench):
     made = bench(polarity='auto')
     made.ask(pitch_rate_kp=0.1)
-    assert 'pitch did not answer to the pulses' in made.fly_until('refused')
+    assert 'pitch did not respond to the pulses' in made.fly_until('refused')
     assert made.gain('pitch.rate.kp') == pytest.approx(0.0744845, rel=1e-5)
 
 

@@ -39,12 +39,12 @@ class OperatorEnable:
         self._on = False
 
     def take(self, on: bool, now_s: float) -> None:
-        """A message has come."""
+        """Take a message."""
         self._on, self._heard_s = on, now_s
         self.required = True
 
     def fault(self, now_s: float) -> str:
-        """Why nobody may excite or arm now, empty where somebody may."""
+        """Why excitation and arming are refused now; empty if they are allowed."""
         if not self.required:
             return ''
         if now_s - self._heard_s > HELD_S:
@@ -53,7 +53,7 @@ class OperatorEnable:
 
 
 class _Request:
-    """One request, and who waits for its answer until when."""
+    """One request, with its caller and deadline."""
 
     def __init__(self, arm: bool) -> None:
         self.arm, self.last_s = arm, -math.inf
@@ -74,12 +74,12 @@ class Arming:
         self._owed_until_s = self._given_up_s = -math.inf
 
     def ask(self, arm: bool, told: Callable[[str], None], now_s: float) -> Command:
-        """Take on a request; what to send. Raises RefusedError."""
+        """Accept a request; returns the frame to send. Raises RefusedError."""
         with self._lock:
             self._expire(now_s)
             asked = self._asked
             if arm and (asked is not None or self._sent):
-                raise RefusedError('an earlier request waits for its answer')
+                raise RefusedError('an earlier request waits for its answer; try again after it')
             if asked is None or asked.arm:
                 self._end('given up for a request to disarm', now_s)
                 asked = self._asked = _Request(arm)
@@ -109,7 +109,7 @@ class Arming:
             return self._send(asked, now_s) if again else None
 
     def acknowledged(self, ack: CommandAck, now_s: float) -> None:
-        """The STM32 has answered a command."""
+        """Take the STM32's answer to a command."""
         with self._lock:
             self._expire(now_s)
             if ack.command != ARM_DISARM or not self._sent:
@@ -131,7 +131,7 @@ class Arming:
         return f'{words}: disarm it if that is not wanted'
 
     def end(self, why: str) -> None:
-        """Nobody is there to answer any more; who waits is told why."""
+        """End all requests with this reason, because no answer can come."""
         with self._lock:
             self._end(why, -math.inf)
 
@@ -141,7 +141,7 @@ class Arming:
         return Command(ARM_DISARM, (1.0 if asked.arm else 0.0,))
 
     def _end(self, text: str, now_s: float) -> None:
-        """End the request that waits, and tell who asked."""
+        """End the waiting request and answer its caller."""
         asked, self._asked = self._asked, None
         if asked is not None:
             self._owed_until_s = now_s + ANSWER_S

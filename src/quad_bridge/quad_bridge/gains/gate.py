@@ -1,4 +1,4 @@
-"""What stands between /gains/update and the aircraft: types, names, bounds, steps, sources. Pure.
+"""The checks of /gains/update: types, names, bounds, steps, sources. Pure.
 
 Here a NaN is refused. The bounds are the installation's (YAML, over the table's defaults). Whether
 gains are good is the designer's business; whether they turned out well the watch's.
@@ -26,19 +26,19 @@ from quad_bridge.gains.table import (
 from quad_bridge.gains.watch import Predicted
 
 ROUNDING = 1e-4
-"""Share by which a step stays inside the factor: float32 on the wire must not leave it."""
+"""Share by which a step stays inside the factor, since float32 on the wire rounds."""
 FLOAT32_MAX = 3.4028234663852886e38  # nothing larger goes over the wire, and no bound is
 LONGEST_NAME, LONGEST_TEXT = 60, 4096  # characters of a name in a message; of a text
 MOST_STEPS = 16  # more than that from one update is taken as a mistake: 2 to the 16 is 65536
 _LIMITS = {'rate_rms_ratio': (0.5, 3.0), 'oscillation_ratio': (0.5, 3.0), 'peak': (1.0, 2.5)}
-"""How far a prediction may move the watch's bounds; beyond, the limit counts."""
+"""Limits of a prediction's effect on the watch's bounds."""
 _NEEDS = (
     ('lqr.share', 'lqr.gain', (
         'the state feedback has no model as long as {0} is 0; send the whole set that quad-tune '
         'design --method lqr gives'
     )),
     ('sag.exponent', 'sag.reference_v', (
-        '{0} is 0; send the voltage with it at which commands stay as they are'
+        '{0} is 0; send it too: the voltage at which commands are not scaled'
     )),
 )  # fmt: skip
 """A gain above 0, the other of its axis that must not be 0 then, and why."""
@@ -46,7 +46,7 @@ _NEEDS = (
 
 @dataclass(frozen=True)
 class GainRequest:
-    """One update as it was asked for."""
+    """One requested update."""
 
     gains: Mapping[str, float]  # contract names, SI
     source: str = 'unknown source'
@@ -57,7 +57,7 @@ class GainRequest:
 
 
 def read_request(parameters: Mapping[str, object]) -> GainRequest:
-    """The request of a message's parameters. Raises RefusedError where one has no meaning."""
+    """The request in a message's parameters. Raises RefusedError for a meaningless one."""
     rest = dict(parameters)
     texts = {n: _text(n, rest.pop(n)) for n in ('source', 'model', 'bag') if n in rest}
     for name, text in texts.items():  # which may stand in a log and in the aircraft's history
@@ -117,7 +117,7 @@ def numbers(wanted: Mapping[str, object]) -> dict[str, float]:
 
 
 def shorten(text: str) -> str:
-    """A name that was sent, fit for one line of a log."""
+    """A received name, shortened for one line of a log."""
     kept = ''.join(c if c.isprintable() else '?' for c in text[: LONGEST_NAME + 1])
     return kept if len(text) <= LONGEST_NAME else f'{kept[:LONGEST_NAME]}…'
 
@@ -151,14 +151,14 @@ def steps(
     now.update({name: value for name, value in wanted.items() if _idle(name, active)})
     while any(float32(now[name]) != float32(value) for name, value in wanted.items()):
         if len(path) == MOST_STEPS:
-            raise RefusedError(f'more than {MOST_STEPS} steps away; send what lies between first')
+            raise RefusedError(f'more than {MOST_STEPS} steps; send intermediate values first')
         now = {name: _towards(now[name], value, bounds[name]) for name, value in wanted.items()}
         path.append(now)
     return path or [dict(wanted)]
 
 
 def _idle(name: str, active: Mapping[str, float]) -> bool:
-    """Whether a gain belongs to what is switched off: state feedback, schedule on the voltage."""
+    """Whether a gain belongs to a part that is off: state feedback, schedule on the voltage."""
     switch = switch_of(name)
     return bool(switch) and active.get(switch, 1.0) == 0.0
 
@@ -203,7 +203,7 @@ def bound_from(name: str, values: Sequence[float]) -> Bound:
     """
     standard, what = DEFAULT_BOUNDS.get(name, Bound(0.0, 0.0)), ''
     if len(values) not in {2, 3, 4}:
-        what = 'must be [lower, upper], or with max_factor and small_step behind'
+        what = 'must be [lower, upper] or [lower, upper, max_factor, small_step]'
     elif not all(abs(v) <= FLOAT32_MAX for v in (*values[:2], *values[3:])):  # nor is NaN
         what = 'limits must be finite, and fit a float32'
     else:

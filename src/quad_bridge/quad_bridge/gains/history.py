@@ -1,4 +1,4 @@
-"""What is kept on disk of each aircraft: every set of gains that was active, and its check. Files.
+"""The files of each aircraft: every set of gains that was active, and its polarity check.
 
 `<folder>/<aircraft>/gains.jsonl` is only ever appended to, one line per event, each in one write
 and on the disk before the next; `polarity.json` is replaced whole. A thread of its own writes: a
@@ -29,13 +29,13 @@ CLOSE_S = 2.0  # how long the last lines are waited for when the node ends
 
 
 def default_folder() -> Path:
-    """Where ROS keeps what outlives a process: `$ROS_HOME/quad_suite`, or in `~/.ros`."""
+    """Folder for lasting files: `$ROS_HOME/quad_suite`, or in `~/.ros`."""
     home = os.environ.get('ROS_HOME')
     return (Path(home) if home else Path.home() / '.ros') / 'quad_suite'
 
 
 class Worker:
-    """Runs what it is given, one after the other, in a thread that begins with the first."""
+    """Runs jobs one after the other in a thread, which starts with the first."""
 
     def __init__(self) -> None:
         self._jobs = Jobs()
@@ -52,7 +52,7 @@ class Worker:
         self._jobs.put(job)
 
     def close(self) -> None:
-        """Wait a little for what is still to be done."""
+        """Wait briefly for the remaining jobs."""
         if self._thread is not None:
             self._jobs.put(None)
             self._thread.join(timeout=CLOSE_S)
@@ -98,7 +98,7 @@ class History:
         return f'{datetime.now(timezone.utc):%Y%m%dT%H%M%S}-{self._count}'
 
     def found(self, active: Mapping[str, float]) -> None:
-        """Gains read from the STM32: written where they are not those written last."""
+        """Store gains read from the STM32, if they differ from the last ones stored."""
         if active and active != self._last:
             self.write('active', active, reason='read from the STM32')
 
@@ -109,7 +109,7 @@ class History:
         asked: GainRequest | None = None,
         **more: object,
     ) -> None:
-        """One line: a set that is active now, or what became of an update."""
+        """Write one line: a set that is now active, or the outcome of an update."""
         if not self._aircraft:
             return
         entry: dict[str, object] = {'time': now_text(), 'clock_s': time.time(), 'state': state}
@@ -161,6 +161,6 @@ def now_text() -> str:
 
 
 def _torn(file: int) -> str:
-    """A line end where a crash left half a line behind."""
+    """A line end, if a crash left half a line."""
     size = os.fstat(file).st_size
     return '\n' if size and os.pread(file, 1, size - 1) != b'\n' else ''

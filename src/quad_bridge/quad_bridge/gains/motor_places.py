@@ -1,4 +1,4 @@
-"""Which motor stands where and turns which way, by the signs with which it turns the axes. Pure.
+"""Position and sense of rotation of each motor, by the signs with which it turns the axes. Pure.
 
 The polarity check in flight asks it and the analysis of recordings, of which it is a part by a
 link (`quad_sysid/motor_places.py`). It imports neither package.

@@ -1,4 +1,4 @@
-"""Whether each axis answers with the right sign, and each motor's signs: small pulses. Pure.
+"""The check by small pulses of each axis' sign, and of each motor's signs. Pure.
 
 A pulse is a doublet added to U2..U4, once each way round; the rates' answers are compared with
 what the contract's mixer and axes promise. A wrong sign refuses every update; an axis that never
@@ -52,7 +52,7 @@ MOTOR_CHANNELS = tuple(name for name in PULSES if name not in AXES)
 
 
 class PulseRun:
-    """Plays pulses cycle by cycle and collects the answers, (3,) rad/s of rate per pulse."""
+    """Plays pulses cycle by cycle and collects the responses, (3,) rad/s of rate per pulse."""
 
     def __init__(self, names: Sequence[str], rate_hz: float) -> None:
         self._left, self._level = list(names), 0
@@ -63,11 +63,11 @@ class PulseRun:
 
     @property
     def finished(self) -> bool:
-        """True when all answers are there."""
+        """Whether all pulses are done."""
         return not self._left
 
     def step(self, rates: Vector3) -> Vector3:
-        """Take the rates of one cycle; what to add to U2..U4 in the next."""
+        """Take the rates of one cycle; returns the addition to U2..U4 in the next."""
         if self.finished:
             return NONE
         self._samples.append(rates)
@@ -105,7 +105,7 @@ class PulseRun:
 
 
 def judge_axes(answers: Mapping[str, FloatArray]) -> dict[str, str]:
-    """Axis to `right`, `wrong`, `crossed` (another axis answers more) or `silent`."""
+    """Axis → `right`, `wrong`, `crossed` (another axis responds more) or `silent`."""
     verdicts = {}
     for i, axis in enumerate(AXES):
         if axis not in answers:
@@ -156,11 +156,11 @@ class PolarityCheck:
 
     @property
     def record(self) -> dict[str, Any]:
-        """What is to be kept on disk."""
+        """The record for the disk."""
         return {'axes': dict(self._axes), 'motors': {k: dict(v) for k, v in self._motors.items()}}
 
     def load(self, record: Mapping[str, Any]) -> None:
-        """Take over what was kept of this aircraft; what does not fit counts as not there."""
+        """Use the stored record of this aircraft; invalid parts are ignored."""
         if self.running:
             self.abort('stopped: the record of this aircraft was read only now')
         axes, motors = record.get('axes'), record.get('motors')
@@ -174,7 +174,7 @@ class PolarityCheck:
         }
 
     def faults(self) -> list[str]:
-        """What is wrong with the aircraft, each in words."""
+        """The aircraft's faults in words."""
         words = {
             'wrong': '{} answers with the wrong sign',
             'crossed': 'a pulse on {} moves another axis more',
@@ -201,7 +201,7 @@ class PolarityCheck:
         self._cycles, self.trouble = 0, ''
 
     def abort(self, trouble: str) -> None:
-        """Stop the pulses; nothing is learned."""
+        """Stop the pulses without a result."""
         self._run, self.trouble = None, trouble
 
     def step(self, frame: Cycle) -> Excitation:
@@ -223,7 +223,7 @@ class PolarityCheck:
         return Excitation(flip_body(added), int(injection), self._cycles % 256, PULSE_VALID_MS)
 
     def words(self) -> str:
-        """What is known, in one line."""
+        """The results in one line."""
         parts = [f'{axis} {verdict}' for axis, verdict in self._axes.items()]
         if self._motors:
             places, _ = where_motors_are(self._motors)

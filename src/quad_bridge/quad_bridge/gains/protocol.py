@@ -21,13 +21,13 @@ from quad_bridge.wire import frames as f
 
 Request = f.GainsCommand | f.ParamSet | f.ParamRequestList | f.ParamRequestRead
 TRIES, STUBBORN_TRIES = 4, 41
-"""Of one request; of CONFIRM and REVERT, so long that the STM32 decides by itself before."""
+"""Tries of one request; of CONFIRM and REVERT, which last until the STM32 decides itself."""
 REPEAT_S, READ_S, QUIET_S = 0.25, 0.5, 0.1
 """Between two tries; between two while reading; silence that ends a list of parameters."""
 
 
 class State(Enum):
-    """Where the conversation stands."""
+    """State of the conversation."""
 
     READING = 'reading'
     READY = 'read back'
@@ -78,7 +78,7 @@ class GainProtocol:
         self.state = State.READING
         self.events: list[GainEvent] = []
         self.active: Mapping[str, float] = {}
-        """What is in force, contract names, SI; empty while it is not proven."""
+        """The active gains, contract names, SI; empty until they are read back."""
         self.told: f.GainsState | None = None  # the STM32's last word on its sets
         self._forget()
         self._number = 0
@@ -87,14 +87,14 @@ class GainProtocol:
         self._queue: list[str] = []  # names that are still to be written, or to be read back
         self._watch_ms = 0
         self._shown: float | None = None
-        """What the STM32 has said instead of the value that was written."""
+        """The value that the STM32 reported instead of the written one."""
         self._outcome, self._reason = What.REVERTED, ''
         """What is to be told when the way back has ended."""
         self._left, self._due_s = 0, -math.inf
 
     @property
     def busy(self) -> str:
-        """What is being done, empty where a set may be written."""
+        """The current activity; empty where a set may be written."""
         return '' if self.state in AT_REST else self.state.value
 
     # What is asked for.
@@ -108,7 +108,7 @@ class GainProtocol:
             raise RefusedError(f'the parameters are busy: {self.busy}')
         for name in writes:
             if name not in self._values:
-                raise RefusedError(f'{name}: the STM32 has not reported it; nothing to go back to')
+                raise RefusedError(f'{name}: not reported by the STM32, so no value to return to')
         self._writes = {name: float32(value) for name, value in writes.items()}
         merged = {**self._values, **self._writes}
         self._checksum = checksum([merged[name] for name in self._ordered()])
@@ -116,19 +116,19 @@ class GainProtocol:
         self._go(State.OPENING)
 
     def confirm(self) -> None:
-        """Keep the set on trial."""
+        """Confirm the set on trial."""
         if self.state is State.ON_TRIAL:
             self._go(State.CONFIRMING)
 
     def revert(self, reason: str) -> None:
-        """Take back what is being written or on trial; a set being confirmed is decided."""
+        """Revert the set that is being written or on trial, but not one being confirmed."""
         if self.state is State.ON_TRIAL:
             self._take_back(What.REVERTED, reason)
         elif self.state in WRITING:
             self._take_back(What.FAILED, reason)
 
     def restart(self) -> None:
-        """The aircraft is another one, or the same again: read all anew."""
+        """Read everything again, after a restart or from another aircraft."""
         if self.state not in {State.READING, State.READY}:
             self.events.append(GainEvent(What.LOST, reason='the link broke'))
         self.told, self._number = None, 0
@@ -137,7 +137,7 @@ class GainProtocol:
     # The wire.
 
     def poll(self, now_s: float) -> Request | None:
-        """What to send now; also notices that the tries are used up."""
+        """Frames to send now; also detects that the tries are used up."""
         if self.state in AT_REST or now_s < self._due_s:
             return None
         if self.state is State.READING:
@@ -158,7 +158,7 @@ class GainProtocol:
         return f.ParamSet(name, self._writes[name]) if staging else f.ParamRequestRead(name)
 
     def take(self, frame: f.ParamValue | f.GainsState, now_s: float) -> None:
-        """Use an answer; those to other questions are ignored."""
+        """Take an answer; those to other questions are ignored."""
         if isinstance(frame, f.ParamValue):
             if self.state is State.READING:
                 self._read(frame, now_s)
@@ -194,7 +194,7 @@ class GainProtocol:
         self._due_s = -math.inf if complete else now_s + QUIET_S
 
     def _compare(self, state: f.GainsState, now_s: float) -> None:
-        """Hold what the STM32 says is in force against what is believed."""
+        """Compare the STM32's active checksum with the expected one."""
         if self.state is State.READING:
             if state.phase != f.GainsPhase.IDLE:
                 self._found_open(state)
@@ -220,7 +220,7 @@ class GainProtocol:
             self._take_back(outcome, 'the STM32 has other gains in force')
 
     def _found_open(self, state: f.GainsState) -> None:
-        """Somebody before us has left a set unconfirmed, or a copy open."""
+        """Handle an unconfirmed set or open copy of an earlier bridge."""
         self._number = state.transaction
         self._take_back(What.REVERTED, 'found unconfirmed gains of an earlier bridge')
 
@@ -287,7 +287,7 @@ class GainProtocol:
         self._go(State.REVERTING)
 
     def _gave_up_by_itself(self, result: f.GainsResult) -> None:
-        """The STM32 has heard nothing of us, or no confirmation."""
+        """The STM32 reverted, without a frame or a confirmation from us."""
         if self.state is State.READY:
             return  # what it has taken back was nothing of ours; its checksum will tell
         words = result.name.lower().replace('_', ' ')

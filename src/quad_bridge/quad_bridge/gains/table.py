@@ -1,4 +1,4 @@
-"""Every gain and loop constant, one row each: what it is called, what it may be, what it means.
+"""Every gain and loop constant, one row each: names, bounds, meaning.
 
 Wire names, gate, node parameters and the virtual aircraft read these rows; tools/gain_tables.py
 writes the C table and docs/reference/gains.md from them; a test holds both files against the rows.
@@ -18,29 +18,29 @@ US_PER_DEG_S = math.degrees(1.0) / 1000.0
 
 @dataclass(frozen=True)
 class Bound:
-    """What the gate lets through: hard limits, and how far one step may go."""
+    """Bounds of the gate: hard limits, and the largest step."""
 
     lower: float
     upper: float
     max_factor: float = LARGEST_FACTOR  # largest ratio of new to active value and of active to new
     small_step: float = 0.0
-    """Absolute change that is allowed in any case: a gain near zero has no useful ratio."""
+    """Absolute change that is always allowed, since a gain near zero has no useful ratio."""
 
 
 @dataclass(frozen=True)
 class Gain:
-    """One row. Names of an axis' gain stand behind the axis: `roll.rate.kp`, `ROLL_RATE_KP`."""
+    """One row. Names of an axis' gain follow the axis: `roll.rate.kp`, `ROLL_RATE_KP`."""
 
     name: str
     wire: str
     unit: str
     meaning: str
     limits: tuple[float, float] | None
-    """What the firmware takes, lowest and highest; None where nobody sets it."""
+    """Lowest and highest value in the firmware; None where it cannot be set."""
     start: tuple[float, ...] = (0.0,)
-    """What the firmware starts with: of roll, pitch, yaw, or of all three."""
+    """First value in the firmware: of roll, pitch, yaw, or of all three."""
     bound: Bound | None = None
-    """What the gate lets through; None: only where the configuration gives a bound."""
+    """Default bound; None: only with a bound of the configuration."""
     yaw_bound: Bound | None = None
     """The same for yaw where it differs: its torque is some ten times weaker."""
     switch: str = ''  # the gain of the same axis that, at 0, leaves this one without effect
@@ -131,11 +131,11 @@ DEFAULT_BOUNDS: dict[str, Bound] = {
     for name, row in ROWS.items()
     if row.bound is not None
 }
-"""What the gate lets through where the configuration says nothing."""
+"""Default bounds, for gains that the configuration does not list."""
 
 
 def split(name: str) -> tuple[str, str]:
-    """Axis, '' where the gain is of the whole aircraft, and the name behind it."""
+    """Axis ('' for a gain of the whole aircraft) and the name after it."""
     axis, _, rest = name.partition('.')
     return (axis, rest) if axis in AXES else ('', name)
 

@@ -30,18 +30,18 @@ from quad_bridge.wire.axes import flip_attitude, flip_body
 
 STEP_WATCH_S, WATCH_S = 3.0, 10.0  # between the steps of a larger change, and after the last
 STM32_WATCH_MS = 15_000
-"""After which the STM32 takes an unconfirmed set back: the watch, and time to confirm."""
+"""Time after which the STM32 reverts an unconfirmed set: the watch, and time to confirm."""
 QUIET_S = 0.5
 """Without excitation before gains may change; without a cycle after which a check ends."""
 LINK_S = 1.0  # without a control cycle after which gains on trial are asked back
 LEAST_HZ, MOST_HZ, USUAL_HZ = 50.0, 1000.0, 250.0
 """Control cycles per second with which watch and pulses work; where the STM32 has not said it."""
 GESTURE_END, GESTURE_ENDS, GESTURE_S = 0.8, 3, 2.0
-"""The pilot's no: the yaw stick (-1..1) at one end, the other and the first again in this time."""
+"""Time for the pilot's gesture: the yaw stick at one end, the other and the first again."""
 
 
 class State(Enum):
-    """What is going on with the gains."""
+    """State of the gains."""
 
     IDLE = 'read back'
     CHECKING = 'checking polarity'
@@ -53,7 +53,7 @@ class State(Enum):
 
 @dataclass(frozen=True)
 class GainSettings:
-    """What the configuration says."""
+    """The configuration."""
 
     bounds: Mapping[str, Bound] = field(default_factory=lambda: DEFAULT_BOUNDS)
     sources: Sequence[str] = ('*',)
@@ -64,7 +64,7 @@ class GainSettings:
 
 @dataclass(frozen=True)
 class News:
-    """One thing to tell: a line, and the gains where they are now known to be in force."""
+    """One event: a line, and the active gains where they are now known."""
 
     text: str
     fault: bool = False
@@ -87,7 +87,7 @@ class GainUpdates:
     def __init__(self, settings: GainSettings, history: History) -> None:
         self.news: list[News] = []
         self.refused = ''
-        """Why the last update was refused, failed or taken back; empty after a good one."""
+        """Why the last update was refused, failed or reverted; empty after a good one."""
         self.refusals = self.commits = self.rollbacks = 0
         self.state = State.IDLE
         self.protocol = GainProtocol()
@@ -98,7 +98,7 @@ class GainUpdates:
         self._stick_ends: deque[tuple[float, int]] = deque(maxlen=GESTURE_ENDS)
         self._update: _Update | None = None
         self._pending: gate.GainRequest | None = None
-        """What waits for the check of its axes."""
+        """The update that waits for the check of its axes."""
         self._checked: Callable[[str], None] | None = None
         self._until_s = 0.0
         self._cycle_s = self._excited_s = float('-inf')
@@ -107,7 +107,7 @@ class GainUpdates:
 
     @property
     def active(self) -> Mapping[str, float]:
-        """Gains and loop constants in force, contract names, SI; empty while not proven."""
+        """Active gains and loop constants, contract names, SI; empty until they are read back."""
         return self.protocol.active
 
     @property
@@ -191,7 +191,7 @@ class GainUpdates:
         self._checked = told
 
     def disturb(self, why: str = 'the excitation has started') -> None:
-        """Somebody else excites, or nobody may: a check cannot go on."""
+        """End a check, because somebody else excites or nobody may."""
         if self.state is State.CHECKING:
             self.polarity.abort(f'stopped: {why}')
             self._end_check()
@@ -232,7 +232,7 @@ class GainUpdates:
     # What comes from the STM32.
 
     def know(self, record: Mapping[str, Any]) -> None:
-        """What was kept of the polarity of the aircraft that is now connected."""
+        """Set the stored polarity record of the connected aircraft."""
         self.polarity.load(record)
         self._history.found(self.active)
 
@@ -242,13 +242,13 @@ class GainUpdates:
         self._take_events(now_s)
 
     def poll(self, now_s: float) -> Request | None:
-        """What to send now."""
+        """Frames to send now."""
         wanted = self.protocol.poll(now_s)
         self._take_events(now_s)
         return wanted
 
     def restarted(self, now_s: float) -> None:
-        """The STM32 has started anew, or is another one."""
+        """Handle a restart of the STM32, or another one."""
         self.protocol.restart()
         self._take_events(now_s)
 
@@ -279,7 +279,7 @@ class GainUpdates:
         return None
 
     def sticks(self, yaw: float, now_s: float) -> None:
-        """Take the yaw stick's place, -1..1."""
+        """Take the yaw stick's position, -1..1."""
         ends, end = self._stick_ends, int(yaw > GESTURE_END) - int(yaw < -GESTURE_END)
         if not end:
             return
@@ -293,7 +293,7 @@ class GainUpdates:
             self.disturb("the pilot's stick gesture")
 
     def tick(self, now_s: float) -> None:
-        """Go on where it is time."""
+        """Continue where a time has come."""
         watching = self.state is State.WATCHING
         if self.state is State.CHECKING and now_s - self._cycle_s > QUIET_S:
             self.disturb(f'no control cycle for {QUIET_S:g} s')
@@ -437,4 +437,4 @@ class GainUpdates:
         self.polarity.refuse_faults()
         silent = ', '.join(self.polarity.unchecked(asked.gains))
         if silent:
-            raise RefusedError(f'{silent} did not answer to the pulses: mount it free about it')
+            raise RefusedError(f'{silent} did not respond to the pulses: mount it free about it')

@@ -1,8 +1,8 @@
-"""Whether an aircraft moves worse than its gains promise: rate RMS and oscillation per cycle.
+"""Watch over new gains: rate RMS and oscillation against what they predicted.
 
 Pure arithmetic on arrays of three axes, no clock and no ROS. What an axis may do is what it did
 before (times a margin and what the design predicts), plus what its references explain, plus a
-floor; whoever is beyond that for a while is unwell. Acting on it is update.py's.
+floor; more than that for a while is an alarm, on which update.py acts.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ CENTRES_RAD_S = (4.0, 8.0, 16.0, 32.0, 64.0)
 RMS_CUT_RAD_S, RMS_AVERAGE_S = 120.0, 1.0
 MARGIN = 2.0  # on the figures before: what gusts may make between one ten seconds and the next
 PEAK = 1.8
-"""Largest complementary sensitivity of a good loop: how much of a reference comes back as rate."""
+"""Largest complementary sensitivity of a good loop."""
 FLOOR_DEG = 1.5  # amplitude of an oscillation that is of no concern whatever it was before
 FLOOR_RMS_RAD_S = 0.3
-"""The same for the rate as a whole: gusts that begin with the update shake a slow aircraft so."""
+"""The same for the whole rate, as gusts that begin with the update cause on a slow aircraft."""
 FAR_DEG, FAR_PATIENCE_S = 8.0, 0.04
 """Roll or pitch away from the reference, beyond what the reference's own motion explains."""
 LEAD_S = 0.06  # by which the place is predicted from the rate: turning back takes that long
@@ -41,7 +41,7 @@ SETTLE_S = 1.0  # of data before the first figures count
 
 @dataclass(frozen=True)
 class Predicted:
-    """What the design says of one axis, as ratios of after to before; 1 where it says nothing."""
+    """The design's prediction for one axis, as ratios of after to before; 1 without any."""
 
     rate_rms_ratio: float = 1.0
     oscillation_ratio: float = 1.0
@@ -49,7 +49,7 @@ class Predicted:
 
 
 class GainWatch:
-    """Fed every cycle, armed by `begin`, asked for an alarm after each `step`."""
+    """Takes each cycle by `step`; after `begin`, `alarm` says whether the gains must go back."""
 
     def __init__(self, rate_hz: float) -> None:
         """`rate_hz` control cycles per second, 50 or more."""
@@ -144,14 +144,14 @@ class GainWatch:
         self._over_s[:] = 0.0
 
     def end(self) -> None:
-        """Stop comparing; figures of before are collected anew."""
+        """Stop comparing and collect new figures of before."""
         self._bound = None
         self._blocks.clear()
         self._worst[:] = 0.0
         self._allowed_before[:] = 0.0
 
     def alarm(self) -> str | None:
-        """The worst axis and band where the patience has run out; None while all is well."""
+        """The worst axis and band beyond its bound for too long; None: no alarm."""
         if self._bound is None:
             return None
         if (self._far_s > FAR_PATIENCE_S).any():

@@ -1,4 +1,4 @@
-"""An autopilot that sends standard messages only: what is made of them, what is missing. Pure.
+"""An autopilot with standard messages only: their use, and the topics that are missing. Pure.
 
 Two tables: which message feeds which topic, and how often it is asked for
 (MAV_CMD_SET_MESSAGE_INTERVAL). Stamps are the link's affair.
@@ -39,7 +39,7 @@ NEVER = ('/control/wrench', '/setpoint/attitude', '/setpoint/rates', '/excitatio
 
 @dataclass(frozen=True)
 class Inertial:
-    """What /imu/data can be made of, FRD, rad/s, m/s², rad; None where it is not known."""
+    """Data for /imu/data, FRD, rad/s, m/s², rad; None where unknown."""
 
     time_us: int
     gyro: Vector3
@@ -48,7 +48,7 @@ class Inertial:
 
 
 class Autopilot:
-    """What has come when; chooses among messages that tell the same."""
+    """Arrival times of messages; chooses among those with the same content."""
 
     def __init__(self) -> None:
         self._seen: dict[str, int] = {}
@@ -61,20 +61,20 @@ class Autopilot:
         self.__init__()  # type: ignore[misc]
 
     def note(self, name: str, now_ns: int) -> None:
-        """A message of that name has come."""
+        """Take the arrival of a message of that name."""
         self._seen[name] = now_ns
 
     def alive(self, name: str, now_ns: int) -> bool:
-        """Whether it still comes."""
+        """Whether it is still being received."""
         return now_ns - self._seen.get(name, -ALIVE_NS - 1) <= ALIVE_NS
 
     @property
     def names(self) -> tuple[str, ...]:
-        """All that have come, sorted."""
+        """Names of all received messages, sorted."""
         return tuple(sorted(self._seen))
 
     def inertial(self, frame: Attitude | SlowSensors, now_ns: int) -> Inertial | None:
-        """What `frame` gives for /imu/data; None: nothing, or a better message comes."""
+        """Data for /imu/data from `frame`; None: nothing, or a better message is received."""
         if isinstance(frame, Attitude):
             self.note('ATTITUDE', now_ns)
             self._angles = frame.angles
@@ -99,7 +99,7 @@ class Autopilot:
         return frame.port == 0
 
     def due(self, now_ns: int) -> list[Command]:
-        """What is to be asked for now: all that does not come."""
+        """Messages to request now: those not being received."""
         if now_ns < self._next_ask_ns:
             return []
         self._next_ask_ns = now_ns + ASK_AGAIN_NS

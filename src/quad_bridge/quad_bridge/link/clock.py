@@ -1,4 +1,4 @@
-"""The aircraft's clock in terms of ours, from TIMESYNC round trips. No timers, no I/O.
+"""The aircraft's clock against the host's, from TIMESYNC round trips. No timers, no I/O.
 
 Model: host = device + offset + drift (device - now). Weighted least squares over the last round
 trips; a trip weighs by how much longer than the shortest it took (half of the excess bounds its
@@ -50,7 +50,7 @@ class ClockEstimator:
         self.drift = 0.0  # s per s
         self.accepted = self.rejected = self.restarts = 0
         self.one_way = False
-        """From arrivals alone, for want of TIMESYNC: late by the transport, which nobody knows."""
+        """Whether times come from arrivals, without TIMESYNC, and are late by the transport."""
         self._last: tuple[int, int] | None = None
         self.off_ns = 0.0  # by how much the last trip was off what was estimated before it
         self._block: list[tuple[int, int]] = []
@@ -127,7 +127,7 @@ class ClockEstimator:
         return True
 
     def estimate_ns(self, device_ns: int) -> int:
-        """Host time of a device time, ns, as the estimate is now."""
+        """Host time of a device time, ns, by the present estimate."""
         base = self._trips[-1].device_ns if self._trips else device_ns
         return device_ns + round(self.offset_ns + self.drift * (device_ns - base))
 
@@ -195,7 +195,7 @@ class DeviceTime:
         return extended
 
     def peek(self, time: int, near: int) -> int:
-        """What `extend` would give, without believing it."""
+        """The result of `extend`, without changing the state."""
         extended = time + self._base
         if self._span - near < self._last - extended <= self._span and time < near:
             return extended + self._span

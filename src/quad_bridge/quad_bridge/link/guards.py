@@ -18,7 +18,7 @@ from __future__ import annotations
 _WRAP = 1 << 32
 _LONGEST = 1_000_000  # cycles: a larger step of the counter is a restart
 LEAST_US, MOST_US = 1_000, 20_000
-"""What a step may be off. Doubled by each false alarm: there are aircraft with uneven cycles."""
+"""Allowed deviation of a step, doubled by each false alarm: some aircraft have uneven cycles."""
 AGREES_NS = 1_000_000  # a round trip this close to the estimate: the clock has not jumped
 PATIENCE_NS = 300_000_000  # without an answer to TIMESYNC for so long nothing is held back
 LEARN = 1.0 / 64.0
@@ -36,11 +36,11 @@ class StepGuard:
 
     @property
     def waiting(self) -> bool:
-        """Whether cycles are to be held back until TIMESYNC has told."""
+        """Whether cycles are held back until a TIMESYNC round trip."""
         return self._since_ns is not None
 
     def restart(self) -> None:
-        """Begin anew: the device has restarted, or its jump is known."""
+        """Reset, after a restart of the device or a known jump."""
         self._period_us = 0.0
         self._last: tuple[int, int] | None = None
         self._since_ns: int | None = None
@@ -89,11 +89,11 @@ class LateGuard:
 
     @property
     def waiting(self) -> bool:
-        """Whether cycles are to be held back until it is known."""
+        """Whether cycles are held back until the reason is known."""
         return self._since_ns is not None
 
     def restart(self) -> None:
-        """Begin anew: stamps are by another clock now."""
+        """Reset, since stamps are by another clock now."""
         self.gone = False  # whether the clock of before is no more
         self._since_ns: int | None = None
         self._allowed_ns = PAST_NS
@@ -128,5 +128,5 @@ class LateGuard:
             self.believe(self._late_ns)
 
     def believe(self, late_ns: int) -> None:
-        """Take so much lateness as it is from now on."""
+        """Accept this lateness from now on."""
         self._since_ns, self._allowed_ns = None, late_ns + PAST_NS

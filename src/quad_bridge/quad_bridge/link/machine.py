@@ -1,4 +1,4 @@
-"""The link as a machine without I/O: `receive` returns what has come, `to_send` what is to go out.
+"""The link without I/O: `receive` returns events, `to_send` the bytes to send.
 
 Events come in order: what arrived, what was stamped, that the aircraft has restarted. All times
 are ns of one steady host clock. Not thread-safe: the node holds a lock around it.
@@ -30,7 +30,7 @@ NO_SYNC_NS = 3_000_000_000  # TIMESYNC unanswered for so long: an autopilot's ar
 NO_CYCLE_NS = 1_000_000_000  # an autopilot without a QUAD_CYCLE for so long sends none
 RELEASE_NS = 3_000_000_000  # silent for so long, an aircraft may be followed by another one
 CYCLE_OLD_NS, PEER_OLD_NS = 500_000_000, 2_500_000_000
-"""An older cycle, or heartbeat where there are none, says nothing of now."""
+"""Age above which a cycle, or without cycles a heartbeat, no longer counts."""
 SAME_START_NS = 2_000_000_000
 """Starts that differ by less are one: the clocks drift, and the last bytes may have come late."""
 WRAP_NS = 1000 << 32
@@ -89,7 +89,7 @@ class Link:
         return self.armed if heard else None
 
     def opened(self) -> None:
-        """Begin anew: the port was opened, the aircraft may be another one."""
+        """Reset after opening the port; the aircraft may be another one."""
         if self.last_cycle is not None:
             self._started_ns = self.last_cycle_ns - 1000 * self.last_cycle.time_us
         self.decoder.resync()
@@ -100,7 +100,7 @@ class Link:
         self._outbox.clear()
 
     def receive(self, data: bytes, now_ns: int) -> list[Event]:
-        """What is in `data`, which arrived at `now_ns`, and what may be stamped by now."""
+        """Events of `data`, which arrived at `now_ns`, and of frames that can now be stamped."""
         events: list[Event] = []
         self.stamping.out = events
         frames = self.decoder.feed(data)
@@ -210,7 +210,7 @@ class Link:
             self.peer, self._peer_ns = frame, now_ns
 
     def _inertial(self, frame: f.Attitude | f.SlowSensors, now_ns: int) -> None:
-        """What another autopilot says in place of a cycle; nothing once a cycle has come."""
+        """Events of another autopilot's messages; none once a control cycle was received."""
         inertial = self.autopilot.inertial(frame, now_ns)
         if inertial is None or self.last_cycle is not None:
             return

@@ -1,4 +1,4 @@
-"""The one place that opens a serial port: a reader thread that survives whatever the port does.
+"""The one place that opens a serial port, with a reader thread that survives all its faults.
 
 Bytes go to a callback, in the reader's thread; what they mean is not known here. All faults of
 pyserial and the terminal layer are caught in this file and become a `PortState`. A port that falls
@@ -40,7 +40,7 @@ TypeError and ValueError when another thread has closed the port."""
 
 
 class PortState(Enum):
-    """What is the matter with the port; the value is the text for people."""
+    """State of the port; the value is the text for the user."""
 
     CLOSED = 'closed'
     OPEN = 'open'
@@ -241,7 +241,7 @@ def latency_timer(device: str) -> int | None:
 
 
 def _read(port: Any) -> bytes:
-    """What has arrived, after waiting a little for it; b'' where nothing has."""
+    """Bytes that have arrived, after a short wait; b'' if none."""
     try:
         number = port.fileno()
     except (AttributeError, OSError):  # `loop://` and its like

@@ -1,4 +1,4 @@
-"""What the link says of itself in /diagnostics: port, frames, losses, clock. Pure sentences."""
+"""The link's entries in /diagnostics: port, frames, losses, clock. Pure."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _UNHEARD = {
     'replayed': 'only old frames arrive: a recording, or an aircraft that does not take our time',
     'old_version': 'speaks MAVLink 1: set it to MAVLink 2 (SERIALn_PROTOCOL, MAV_PROTO_VER)',
 }
-"""What has been counted since the port was opened, and why then no frame is used."""
+"""Counts since the port was opened, and the reason if no frame is accepted."""
 
 
 class _Before(NamedTuple):
@@ -52,7 +52,7 @@ class LinkReport:
         self._earlier = self._last = _Before(now_s, Counts())
 
     def opened(self) -> None:
-        """The port was opened anew."""
+        """Reset after the port was reopened."""
         self._opened = replace(self._link.decoder.counts)
 
     def entries(

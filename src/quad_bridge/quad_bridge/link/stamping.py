@@ -1,4 +1,4 @@
-"""Which stamp a frame gets, and which frames wait for one: clock, wraps and guards. Pure.
+"""Stamps of frames, and the frames that wait for one: clock, wraps and guards. Pure.
 
 All times are ns of one steady host clock, device times µs. What TIMESYNC asks is the link's.
 """
@@ -26,13 +26,13 @@ class Stamped(NamedTuple):
 
 
 class Arrived(NamedTuple):
-    """A frame that has just come; cycles and channels are stamped afterwards, or never."""
+    """A frame as it arrives; cycles and channels are stamped later, or never."""
 
     frame: f.Cycle | f.CommandAck | f.ParamValue | f.GainsState | f.RcChannels | f.StatusText
 
 
 class Restarted(NamedTuple):
-    """The aircraft has started anew, or is another one."""
+    """The aircraft has restarted, or is another one."""
 
 
 Event = Stamped | Arrived | Restarted
@@ -52,7 +52,7 @@ class Stamping:
         self.last_ns = 0  # the latest stamp
         self._stamped: f.Cycle | Inertial | None = None  # what has this stamp
         self._waiting: list[Callable[[int], None]] = []
-        """What is stamped once it is known whether the aircraft's clock is still the same."""
+        """Frames that wait until it is known whether the aircraft's clock is still the same."""
         self._arrived_ns = self._waits_since_ns = 0
 
     def restart(self) -> None:
@@ -154,20 +154,20 @@ class Stamping:
         self._waiting.append(stamp)
 
     def _begin_anew(self) -> None:
-        """What came late was of another clock."""
+        """Drop late frames of another clock."""
         restarted = self.late.anew
         self.restart()
         if restarted:
             self._on_restart()
 
     def _release(self, now_ns: int) -> None:
-        """Stamp what has waited."""
+        """Stamp the waiting frames."""
         waiting, self._waiting = self._waiting, []
         for stamp in waiting:
             stamp(now_ns)
 
     def _stamp_timed(self, frame: f.Cycle | Inertial, device_ns: int, now_ns: int) -> None:
-        """Stamp it where it may go out: no stamp runs backwards or lies in the future."""
+        """Publish a stamped frame unless its stamp runs backwards or lies in the future."""
         stamp_ns = self.clock.host_ns(device_ns) if self.clock.converged else 0
         if stamp_ns <= self.last_ns or stamp_ns > now_ns + FUTURE_NS:
             self.held += 1

@@ -28,12 +28,12 @@ KINDS = {
     DIAGNOSTICS: 'diagnostic_msgs/msg/DiagnosticArray',
 }
 MOST_AGE_S = 60.0
-"""A message whose age differs by more from that of those around it has a damaged stamp."""
+"""Difference of a message's age from its neighbours' above which its stamp is damaged."""
 USUAL = 51  # so many messages around it
 
 
 class _Series(NamedTuple):
-    """One topic of a bag in the order of its stamps, and what the bag says of corrections."""
+    """One topic of a bag in the order of its stamps, with the bag's corrections."""
 
     stamps_ns: npt.NDArray[np.int64]
     messages: list[Any]
@@ -122,7 +122,7 @@ def _vibration(given: argparse.Namespace) -> list[str]:
         verdict = 'covers it' if peak.covered else 'does not cover it'
         lines.append(
             f'{name} {peak.axis}: {peak.amplitude:.3g} {unit} at {peak.frequency_hz:.1f} Hz '
-            f'({100 * peak.share:.0f} % of what shakes); the {given.filter_hz:g} Hz filter '
+            f'({100 * peak.share:.0f} % of the vibration); the {given.filter_hz:g} Hz filter '
             f'{verdict} (gain {peak.filter_gain:.2f})'
         )
     return lines

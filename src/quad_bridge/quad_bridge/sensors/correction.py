@@ -1,4 +1,4 @@
-"""What is subtracted from readings before they are published, and how to undo it. Pure.
+"""Offsets that are subtracted from readings before publishing, and how to undo that. Pure.
 
 The bridge says in `/diagnostics`, and so in every bag, what it subtracts and from which stamp on:
 readings as the STM32 sent them can be had back. Which figures are trusted is decided elsewhere.
@@ -38,7 +38,7 @@ class Correction:
 
 
 def from_values(values: Mapping[str, str]) -> Correction | None:
-    """What a status tells; None where it is none of these."""
+    """Offsets in a status entry; None where it is another entry."""
     try:
         return Correction(_triple(values[GYRO]), _triple(values[MAG]), int(values[SINCE]))
     except (KeyError, ValueError):

@@ -1,4 +1,4 @@
-"""Estimates one aircraft's sensors before each flight, keeps them, says what to subtract.
+"""Estimates one aircraft's sensor offsets before each flight, stores and applies them.
 
 Cycles and the wish for an estimate come in; the node subtracts `current` from what it publishes
 and tells it in `/diagnostics`. Cycles come in the port's thread, all else in the executor's, where
@@ -27,7 +27,7 @@ from quad_bridge.wire.frames import Cycle, Flag
 STANDING_S = LEAST_S + 1.0  # of cycles without armed motors are kept for an estimate
 SAME_START_S = 2.0  # the STM32 has not restarted where the time of its start agrees to this
 MOST_TESLA, MOST_RAD_S = 1e-3, 1.0
-"""No compass is off by more, nor a gyro at rest: a figure beyond is in another unit."""
+"""Largest plausible offset of compass and gyro; a larger one is in another unit."""
 NOT_YET = 'not estimated since the STM32 started'
 
 Sample = tuple[float, float, float, float, float, float, float]
@@ -35,7 +35,7 @@ Sample = tuple[float, float, float, float, float, float, float]
 
 
 class Wanted(NamedTuple):
-    """An estimate to be made, of what stood when it was asked for."""
+    """A requested estimate, with the samples at rest at that time."""
 
     why: str
     samples: tuple[Sample, ...]
@@ -60,7 +60,7 @@ class LiveSensors:
 
     @property
     def path(self) -> Path | None:
-        """The aircraft's file; None as long as it is not known whose."""
+        """The aircraft's file; None until the aircraft is known."""
         return self._folder / self._aircraft / aircraft_file.NAME if self._aircraft else None
 
     @property
@@ -87,7 +87,7 @@ class LiveSensors:
     # In the port's thread.
 
     def cycle(self, frame: Cycle, clock_s: float) -> None:
-        """Take one cycle at this system time; the one that arms wants an estimate."""
+        """Take one cycle at this system time; the one that arms requests an estimate."""
         before, self._armed = self._armed, bool(frame.flags & Flag.ARMED)
         time_s = 1e-6 * frame.time_us
         self._started_s = clock_s - time_s
@@ -106,14 +106,14 @@ class LiveSensors:
                 standing.popleft()
 
     def stamped(self, stamp_ns: int) -> Correction:
-        """What to subtract from the message that gets this stamp."""
+        """Offsets to subtract from the message with this stamp."""
         if self._fresh is not None:
             with self._lock:
                 self.current, self._fresh = replace(self._fresh, since_ns=stamp_ns), None
         return self.current
 
     def restarted(self) -> None:
-        """The STM32 has started anew: it has removed another bias of its own."""
+        """Handle a restart of the STM32, which has removed another bias itself."""
         with self._lock:
             self._standing.clear()
             self.rest, self._armed = None, False
@@ -160,7 +160,7 @@ class LiveSensors:
         return self.words
 
     def aircraft(self, name: str) -> None:
-        """Whose sensors these are; another aircraft's are forgotten, its own file is read."""
+        """Set the aircraft: forget another one's offsets and read its file."""
         if not name or name == self._aircraft:
             return
         if self._aircraft:

@@ -20,7 +20,7 @@ BLOCK_S = 0.5
 LEAST_S = 5.0
 STILL_RATE = 0.01  # rad/s: by how much the mean of a block may leave the straight line through all
 STILL_ACCELERATION = 0.15  # m/s²: the same for the accelerations
-MOST_READING = 1e4  # rad/s, m/s²: more is no reading, and not counted
+MOST_READING = 1e4  # rad/s, m/s²: a larger value is damaged and not used
 MOST_BIAS = 0.15  # rad/s: more is no bias but a turn, or a sensor that is broken
 MOST_NORM_ERROR = 0.8  # m/s²: by how much the measured gravity may be off
 

@@ -1,4 +1,4 @@
-"""What shakes the sensors: the strongest line, and whether the gyro's filter covers it. Pure."""
+"""Vibration of the sensors: the strongest line, and whether the filter suppresses it. Pure."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Vibration:
 
     frequency_hz: float
     amplitude: float
-    """Of the sinusoid of the same power, in the unit of the signal, as it was recorded."""
+    """Amplitude of a sinusoid of the same power, in the signal's unit."""
     share: float  # of the power above LOWEST_HZ that lies in this line; small for mere noise
     axis: str
     filter_gain: float  # what the filter leaves at this frequency
