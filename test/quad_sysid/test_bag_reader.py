@@ -172,6 +172,12 @@ def wild(stamps):
     return stamps
 
 
+def away(seconds):
+    stamps = regular()
+    stamps[400:450] += seconds * 10**9
+    return stamps
+
+
 STAMPS = {
     'lost cycles': (np.delete(regular(), [100, 300, 301, 302]), N, 4, ''),
     'jitter and drift': (
@@ -187,6 +193,8 @@ STAMPS = {
         regular()[np.r_[:10, 11, 10, 12:N]], N, 0, '1 stamps run backward'),
     'a clock set back': (
         np.concatenate((regular(700), regular(300) - 5_000_000_000)), 700, 0, 'set back'),
+    'a while of stamps 2 s late': (away(-2), N, 50, 'set back 1 times: 50 of 1000'),
+    'a while of stamps 2 s early': (away(2), N, 50, 'set back 1 times: 50 of 1000'),
     'wild stamps': (wild(regular()), N, 2, ''),
 }
 
@@ -232,6 +240,13 @@ def test_topics_at_other_stamps_go_to_the_nearest_cycle(tmp_path):
     np.testing.assert_array_equal(got.rate_setpoint, other.values)
     assert got.attitude_setpoint is None
     assert '/setpoint/attitude' in got.missing
+
+
+def test_of_a_clock_that_was_set_back_every_topic_keeps_the_same_side():
+    """Stamps that come twice: what was flown before belongs to no sample that is kept."""
+    stamps = np.concatenate((regular(300), regular(700) - 200 * STEP))
+    placed = uniform_grid(stamps, 'bag').place(stamps, np.arange(1000.0)[:, None])
+    np.testing.assert_array_equal(placed[:, 0], np.arange(300.0, 1000.0))
 
 
 def test_nan_samples_are_kept_as_gaps_with_a_warning(tmp_path):

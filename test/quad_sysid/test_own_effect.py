@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import math
 from dataclasses import replace
 
@@ -10,8 +11,11 @@ import pytest
 from flown_axis import SHORT, UNSEEN, Axis, fly
 
 import quad_sysid as qs
+from quad_sysid.cli import main
 from quad_sysid.loop.from_model import loop_plant
 from quad_sysid.loop.plant import slopes_at
+from quad_sysid.model.checked import checked
+from quad_tuning.cli import main as tune
 
 
 class Cogging(qs.Effect):
@@ -49,7 +53,7 @@ def test_it_is_fitted_chosen_and_reported(result):
     assert result.plot('effect_shape').axes
 
 
-def test_it_is_stored_read_back_simulated_and_judged(result, tmp_path):
+def test_it_is_stored_read_back_simulated_and_judged(result, tmp_path, capsys):
     """A reader who does not hand it in is told so; one who does has the same model."""
     folder = result.save(tmp_path / 'out', pictures=False).folder
     assert 'cogging' in (folder / 'report.html').read_text()
@@ -59,8 +63,14 @@ def test_it_is_stored_read_back_simulated_and_judged(result, tmp_path):
     assert np.abs(again.simulate(u) - replace(again, effects=()).simulate(u)).max() > 0.1
     unseen = qs.evaluate(again, fly(AXIS, 6, UNSEEN))
     assert unseen.after < 0.6 * unseen.before
-    with pytest.raises(qs.BadInputError, match='effects='):
-        qs.read_model(folder).simulate(u)
+    with pytest.raises(qs.BadInputError, match='not known here: found cogging'):
+        qs.read_model(folder)
+    file, model = tmp_path / 'mine.py', str(folder / 'model.json')
+    file.write_text(f'import numpy as np\nimport quad_sysid as qs\n{inspect.getsource(Cogging)}')
+    for run, words in ((main, ['export', model, '--to', 'json']), (tune, ['design', model])):
+        assert run(words) == 2
+        assert '--effects FILE.py' in capsys.readouterr().err
+        assert run([*words, '--effects', str(file), '--quiet']) == 0
 
 
 def test_it_is_linearised_designed_for_and_separated(result):
@@ -71,3 +81,39 @@ def test_it_is_linearised_designed_for_and_separated(result):
     found = qs.separate(result.model, ('cogging', 'pendulum_stiffness'), 10.0)
     assert found.best.worst.nats > 0.0
     assert qs.separate('roll', ('cogging', 'nothing'), 10.0, effects=OWN).rows
+
+
+def like(torque=Cogging.torque, **changes):
+    """A class like Cogging, another torque or other fields in it."""
+    return type('Mine', (Cogging,), {'torque': torque, **changes})
+
+
+@pytest.mark.parametrize(
+    ('effects', 'words'),
+    [
+        (Cogging(), 'must be a sequence of effects'),
+        ((Cogging,), 'must hold instances of quad_sysid.Effect: found the class Cogging'),
+        (('coulomb_friction',), "quad_sysid.Effect: found 'coulomb_friction'"),
+        ((*OWN, Cogging()), 'two effects have one name: found cogging'),
+        ((like(name='quadratic_drag')(),), 'two effects have one name: found quadratic_drag'),
+        ((like(name='')(),), 'Mine: has no name'),
+        ((like(signals='rate')(),), '`signals` must be a tuple of str'),
+        ((like(parameters=())(),), '`parameters` must be a tuple of Spec'),
+        ((like(lambda _, s, p: -p[0] * s.rate)(),), 'cannot be evaluated: found TypeError'),
+        ((like(lambda _, s, p, __: p[0] * s.rates)(),), 'evaluated: found AttributeError'),
+        ((like(lambda *given: -given[2][0])(),), '`torque` must give an array like s.rate'),
+        ((like(lambda _, s, p, __: p[0] * np.sqrt(s.rate))(),), '`torque` must be finite'),
+        ((like(lambda _, s, p, __: s.rate * p[0] ** 2)(),), 'not linear in its parameters'),
+        ((like(lambda *_: None)(),), 'adds no torque'),
+    ],
+)
+def test_an_effect_that_is_none_is_refused_before_the_flight_is_read(tmp_path, effects, words):
+    for call in (lambda: qs.identify(tmp_path / 'none', 'roll', effects=effects),
+                 lambda: checked(effects, 'here', qs.EFFECTS)):
+        with pytest.raises(qs.BadInputError) as refused:
+            call()
+        assert words in str(refused.value)
+
+
+def test_the_built_in_effects_pass_the_same_check():
+    assert checked(qs.EFFECTS, 'here') == qs.EFFECTS

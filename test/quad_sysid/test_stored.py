@@ -58,7 +58,7 @@ def test_a_delay_of_nothing_has_no_standard_error(problem):
 
 def test_an_effect_that_is_not_known_is_refused(true_model, refusal):
     unknown = EffectEstimate('perpetual_motion', 'named', (), ())
-    assert 'does not know: found perpetual_motion' in refusal(part_of, true_model, unknown)
+    assert 'not known here: found perpetual_motion' in refusal(part_of, true_model, unknown)
 
 
 # up to where a model is worth something

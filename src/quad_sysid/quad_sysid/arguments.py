@@ -9,9 +9,12 @@ import argparse
 import os
 import sys
 from collections.abc import Callable, Sequence
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from quad_sysid.errors import BadInputError, QuadSysidError
+
+if TYPE_CHECKING:
+    from quad_sysid.model.effect import Effect
 
 BAD_ARGUMENTS, NOT_ANSWERED, INTERRUPTED = 2, 3, 130
 """Exit status (contract, Commands)."""
@@ -41,6 +44,41 @@ def quiet_and_json(parser: argparse.ArgumentParser, what: str) -> None:
     """Add `--json`, which prints `what` instead of text, and `--quiet`."""
     parser.add_argument('--json', action='store_true', help=f'print {what} instead of text')
     parser.add_argument('--quiet', action='store_true', help='print nothing but errors')
+
+
+def effects_option(parser: argparse.ArgumentParser) -> None:
+    """Add `--effects`, which `own_effects` reads."""
+    parser.add_argument('--effects', metavar='FILE.py', help='your own effects: the list EFFECTS '
+                        'of this file, or one of each class of Effect in it')
+
+
+def own_effects(path: str | None) -> tuple[Effect, ...]:
+    """The effects in a Python file of the user's; none without a file.
+
+    Raises BadInputError where the file cannot be run or holds none.
+    """
+    if path is None:
+        return ()
+    import runpy
+
+    from quad_sysid.effects import EFFECTS
+    from quad_sysid.model.checked import checked
+    from quad_sysid.model.effect import Effect
+
+    try:
+        content = runpy.run_path(path)
+        own = content.get('EFFECTS') or [
+            kind() for kind in content.values()
+            if isinstance(kind, type) and issubclass(kind, Effect)
+            and kind.__module__ == content['__name__']
+        ]
+    except Exception as error:
+        raise BadInputError(f'--effects {path}', 'cannot be run',
+                            f'{type(error).__name__}: {error}') from error
+    if not own:
+        raise BadInputError(f'--effects {path}', 'holds no effect', None,
+                            'write a class of quad_sysid.Effect into it (docs/extend.md)')
+    return tuple(e for e in checked(own, f'--effects {path}', EFFECTS) if e not in EFFECTS)
 
 
 def positive(option: str, value: float) -> float:

@@ -12,7 +12,7 @@ import json
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from quad_sysid.arguments import (
     BAD_ARGUMENTS,
@@ -21,6 +21,8 @@ from quad_sysid.arguments import (
     Parser,
     command,
     completion_command,
+    effects_option,
+    own_effects,
     quiet_and_json,
     run_command,
 )
@@ -33,6 +35,9 @@ from quad_sysid.fleet import cli as fleet
 from quad_sysid.imports import cli as imports
 from quad_sysid.inspection import cli as inspection
 from quad_sysid.progress import progress
+
+if TYPE_CHECKING:
+    from quad_sysid.model.effect import Effect
 
 DONE = 0
 
@@ -79,6 +84,7 @@ def _identify_parser(commands: Commands) -> None:
     parser.add_argument('--apart', action='store_true',
                         help='several bags: a report for each instead of one fit to all')
     parser.add_argument('--no-effects', action='store_true', help='fit the models only')
+    effects_option(parser)
     parser.add_argument('--table2', action='store_true',
                         help="fit the paper's 13 rows too and print its Table 2 beside them")
     quiet_and_json(parser, 'report.json')
@@ -93,6 +99,7 @@ def _evaluate_parser(commands: Commands) -> None:
     parser.add_argument('--axis', choices=AXES, help='default: every axis of the model')
     parser.add_argument('--validate', metavar='A:B',
                         help='seconds; default: all but the idle segments')
+    effects_option(parser)
     quiet_and_json(parser, 'one JSON object')
 
 
@@ -126,7 +133,7 @@ def _identify(options: argparse.Namespace) -> int:
     wanted = session.asked(
         [options.axis] if options.axis else (), options.train or '', options.validate or '',
         options.inertia or '',
-    ) | {'effects': () if options.no_effects else None, 'table2': options.table2}
+    ) | {'effects': _candidates(options), 'table2': options.table2}
     if options.apart and len(options.bags) > 1:
         return _identify_apart(wanted, options)
     show = progress(quiet=options.quiet, axes=wanted['axes'])
@@ -140,6 +147,16 @@ def _identify(options: argparse.Namespace) -> int:
         print(f'quad-sysid: {options.bags[0]}: {outcome.reasons}', file=sys.stderr)
         return NOT_ANSWERED
     return DONE
+
+
+def _candidates(options: argparse.Namespace) -> tuple[Effect, ...] | None:
+    """What `identify` takes as its effects; None: the built-in ones."""
+    own = own_effects(options.effects)
+    if options.no_effects or not own:
+        return () if options.no_effects else None
+    from quad_sysid.effects import EFFECTS
+
+    return (*EFFECTS, *own)
 
 
 def _identify_apart(wanted: Mapping[str, Any], options: argparse.Namespace) -> int:
@@ -177,7 +194,8 @@ def _evaluate(options: argparse.Namespace) -> int:
     from quad_sysid.report import document, tables, text
     from quad_sysid.report.model_file import load_blackbox, load_models, pick
 
-    models, polynomials = load_models(options.model), load_blackbox(options.model)
+    models = load_models(options.model, own_effects(options.effects))
+    polynomials = load_blackbox(options.model)
     if options.axis:
         models = pick(models, options.axis, options.model)
     wanted = parse_span(options.validate, '--validate') if options.validate else None

@@ -216,6 +216,7 @@ def identify(flights: Record | str | Path | Sequence[Record | str | Path],
     BadInputError for wrong input.
     """
     from quad_sysid.effects import EFFECTS
+    from quad_sysid.model.checked import checked
     from quad_sysid.pipeline.identify import Options
     from quad_sysid.pipeline.identify import identify as answers_of
 
@@ -223,6 +224,7 @@ def identify(flights: Record | str | Path | Sequence[Record | str | Path],
     for axis in wanted:
         if axis not in AXES:
             raise BadInputError('identify', f'axes must be among {", ".join(AXES)}', repr(axis))
+    candidates = EFFECTS if effects is None else checked(effects, 'identify: effects', EFFECTS)
     given = [flights] if isinstance(flights, Record | str | Path) else list(flights)
     records = []
     for flight in given:
@@ -233,7 +235,6 @@ def identify(flights: Record | str | Path | Sequence[Record | str | Path],
     missing = ''
     if designer is None:
         designer, missing = find_designer()
-    candidates = EFFECTS if effects is None else tuple(effects)
     answers = answers_of(
         records,
         Options(axes=wanted, designer=designer, no_designer_because=missing, effects=candidates,
@@ -261,16 +262,20 @@ def read_model(path: str | Path, axis: str = '', effects: Sequence[Effect] = ())
     `axis` may be left out where the file has only one. `effects`: your own effects that the model
     may name, or `EFFECTS` with them. Raises BadInputError where the file or the axis is missing.
     """
+    from quad_sysid.effects import EFFECTS
+    from quad_sysid.estimate.stored import completed
+    from quad_sysid.model.checked import checked
     from quad_sysid.report.model_file import load_models
 
     place = Path(path)
     place = place / 'model.json' if place.is_dir() else place
-    models = load_models(place, effects)
+    models = load_models(place, checked(effects, 'read_model: effects', EFFECTS))
     if not axis and len(models) == 1:
         axis = next(iter(models))
     if axis not in models:
         raise BadInputError(f'{place}: axes', 'lacks this axis' if axis else 'has several axes',
                             axis or None, f'take one of {", ".join(models)}')
+    completed(models[axis])  # raises where an effect is not known
     return Identified(**vars(models[axis]))
 
 

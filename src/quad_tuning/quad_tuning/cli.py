@@ -17,6 +17,8 @@ from quad_sysid.arguments import (
     NOT_ANSWERED,
     Parser,
     command,
+    effects_option,
+    own_effects,
     positive,
     quiet_and_json,
     run_command,
@@ -58,9 +60,13 @@ def ros2() -> int:
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument('model', type=Path, metavar='MODEL.json')
-    parser.add_argument('--method', choices=('pid', 'lqr'), default='pid')
-    parser.add_argument('--axis', choices=(*AXES, 'all'), default='all')
+    parser.add_argument('model', type=Path, metavar='MODEL.json',
+                        help='written by quad-sysid identify')
+    parser.add_argument('--method', choices=('pid', 'lqr'), default='pid',
+                        help='pid: the cascade of angle and rate (default); lqr: state feedback')
+    parser.add_argument('--axis', choices=(*AXES, 'all'), default='all',
+                        help='default: every axis of the model')
+    effects_option(parser)
     quiet_and_json(parser, 'JSON')
     parser.add_argument('--out', type=Path, metavar='FILE', help='write the JSON there too')
     parser.add_argument('--pictures', type=Path, metavar='DIR',
@@ -73,7 +79,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    models = load_models(arguments.model)
+    models = load_models(arguments.model, own_effects(arguments.effects))
     if arguments.axis != 'all':
         models = pick(models, arguments.axis, arguments.model)
     answers = {axis: _answer(model, arguments) for axis, model in models.items()}

@@ -21,6 +21,8 @@ IntArray = npt.NDArray[np.int64]
 MIN_SAMPLES = 3
 LEAK = 0.02
 """Share of the remaining phase by which the grid follows the stamps, per sample."""
+JUMP_NS = 1_000_000_000
+"""A step beyond it, either way, may be a clock that was set."""
 LONGEST_GAP_S = 600.0
 RATE_TOLERANCE = 0.15
 BLOCK = 32
@@ -61,9 +63,10 @@ class Grid:
         out = np.full((self.n, values.shape[1]), np.nan)
         if len(stamps) == 0:
             return out
-        cells = np.rint(self.position(stamps)).astype(np.int64)
+        rows = _in_order(stamps, np.arange(len(stamps)), '', [])
+        cells = np.rint(self.position(stamps[rows])).astype(np.int64)
         inside = (cells >= 0) & (cells < self.n)
-        cells, kept = cells[inside], values[inside]
+        cells, kept = cells[inside], values[rows][inside]
         out[cells[::-1]] = kept[::-1]
         return out
 
@@ -101,27 +104,19 @@ def uniform_grid(stamps: IntArray, source: str, topic: str = '/imu/data') -> Gri
 
 
 def _in_order(stamps: IntArray, rows: IntArray, topic: str, warnings: list[str]) -> IntArray:
-    """Rows sorted by stamp without duplicates; if the clock was set back, the longest part."""
-    times = stamps[rows]
-    steps = np.diff(times)
-    if len(steps) == 0 or (steps > 0).all():
+    """Rows sorted by stamp without duplicates; after a jump of the clock, what follows in time."""
+    steps = np.diff(stamps[rows])
+    if (steps > 0).all():
         return rows
-    ahead = np.zeros(len(times), dtype=bool)
-    ahead[1:-1] = (steps[:-1] > 1_000_000_000) & (steps[1:] < -1_000_000_000)
-    if ahead.any():
-        warnings.append(f'{topic}: {np.count_nonzero(ahead)} stamps far ahead of time left out')
-        rows = rows[~ahead]
-        times = stamps[rows]
-    back = np.flatnonzero(np.diff(times) < -1_000_000_000)
-    if len(back):
-        parts = np.split(rows, back + 1)
-        longest = max(parts, key=len)
+    back = int(np.count_nonzero(steps < -JUMP_NS))
+    if back:
+        kept = _longest_chain(np.split(rows, np.flatnonzero(np.abs(steps) > JUMP_NS) + 1), stamps)
         warnings.append(
-            f'{topic}: the clock was set back {len(back)} times; kept the longest part, '
-            f'{len(longest)} of {len(rows)} messages'
+            f'{topic}: the clock was set back {back} times: {len(rows) - len(kept)} of '
+            f'{len(rows)} messages, whose stamps fit to no others, are left out'
         )
-        rows = longest
-        times = stamps[rows]
+        rows = kept
+    times = stamps[rows]
     backward = int(np.count_nonzero(np.diff(times) < 0))
     if backward:
         warnings.append(f'{topic}: {backward} stamps run backward; sorted by stamp')
@@ -135,8 +130,30 @@ def _in_order(stamps: IntArray, rows: IntArray, topic: str, warnings: list[str])
     return rows[fresh]
 
 
-def _longest_stretch(stamps: IntArray, rows: IntArray, topic: str,
-                     warnings: list[str]) -> IntArray:
+def _longest_chain(parts: list[IntArray], stamps: IntArray) -> IntArray:
+    """Rows of the parts that follow each other in time, with the most messages.
+
+    A stretch of wrong stamps falls out alone; of a clock that stays set back one side is left.
+    """
+    first = np.array([stamps[part].min() for part in parts])
+    last = np.array([stamps[part].max() for part in parts])
+    total = np.array([len(part) for part in parts])
+    before = np.full(len(parts), -1)
+    for i in range(1, len(parts)):
+        behind = np.where(last[:i] < first[i], total[:i], 0)
+        if behind.any():
+            before[i] = int(np.argmax(behind))
+            total[i] += behind[before[i]]
+    chain, at = [], int(np.argmax(total))
+    while at >= 0:
+        chain.append(parts[at])
+        at = before[at]
+    return np.concatenate(chain[::-1])
+
+
+def _longest_stretch(
+    stamps: IntArray, rows: IntArray, topic: str, warnings: list[str]
+) -> IntArray:
     """Keep the stretch with most samples between gaps of more than LONGEST_GAP_S."""
     breaks = np.flatnonzero(np.diff(stamps[rows]) > LONGEST_GAP_S * 1e9)
     if len(breaks) == 0:

@@ -12,12 +12,17 @@ from quad_sysid.effects.curves import CURVES
 from quad_sysid.effects.events import EVENTS
 from quad_sysid.effects.hidden import HIDDEN
 from quad_sysid.effects.torques import TORQUES
+from quad_sysid.model.checked import checked
 from quad_sysid.model.effect import Effect
 
 GROUP = 'quad_sysid.effects'
-EFFECTS: tuple[Effect, ...] = (
+BUILT_IN: tuple[Effect, ...] = (
     *TORQUES, *ACTUATORS, *COUPLINGS, *EVENTS, *HIDDEN, *CURVES,
-    *(effect for entry in entry_points(group=GROUP) for effect in entry.load()),
+)
+EFFECTS: tuple[Effect, ...] = (
+    *BUILT_IN,
+    *(effect for entry in entry_points(group=GROUP)
+      for effect in checked(entry.load(), f'entry point {entry.value}', BUILT_IN)),
 )
 """The effects that `discover` compares, all under one prior."""
 

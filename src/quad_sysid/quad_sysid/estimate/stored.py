@@ -244,10 +244,11 @@ def part_of(model: AxisModel, effect: EffectEstimate) -> Part:
     }
     if physics is None or names != wanted:
         raise BadInputError(
-            f'model: {model.axis}.effects', 'holds an effect that this version does not know',
-            f'{effect.name} {effect.variant} ({", ".join(sorted(names))})',
-            'identify again with this version, or, where the effect is your own, read the model '
-            'with effects=',
+            f'model: {model.axis}.effects', 'names an effect that is not known here',
+            ' '.join([effect.name, *filter(None, (effect.variant,)),
+                      f'({", ".join(sorted(names))})']),
+            'one of your own is handed in, in Python as read_model(…, effects=(Mine(),)), to a '
+            'command as --effects FILE.py; else identify again with this version',
         )
     return Part(physics, settings)
 

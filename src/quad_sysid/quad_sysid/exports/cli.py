@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from quad_sysid.arguments import Commands, command
+from quad_sysid.arguments import Commands, command, effects_option, own_effects
 from quad_sysid.contract import AXES
 from quad_sysid.files import check_new, write_whole
 
@@ -21,6 +21,7 @@ def add(commands: Commands) -> None:
     parser.add_argument('--axis', choices=AXES, help='default: every axis of the model')
     parser.add_argument('--out', metavar='FILE', type=Path,
                         help='default: beside the model, with the suffix of the format')
+    effects_option(parser)
     parser.add_argument('--quiet', action='store_true', help='print nothing but errors')
 
 
@@ -28,7 +29,7 @@ def _run(options: argparse.Namespace) -> int:
     from quad_sysid.exports.files import WRITERS
     from quad_sysid.report.model_file import load_models, pick
 
-    models = load_models(options.model)
+    models = load_models(options.model, own_effects(options.effects))
     if options.axis is not None:
         models = pick(models, options.axis, options.model)
     write, suffix = WRITERS[options.to]

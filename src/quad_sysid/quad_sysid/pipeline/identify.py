@@ -30,6 +30,7 @@ from quad_sysid.pipeline.usable import check_usable, refusal, together
 from quad_sysid.record import Record
 
 Progress = Callable[[str], None]
+NOT_SEARCHED = 'effects were not searched for'
 
 
 @dataclass(frozen=True)
@@ -77,18 +78,21 @@ def identify_axis(records: Sequence[Record], axis: str, options: Options,
         check_usable(data)
         told = found_effects(data, options, progress)
     except NotInformativeError as error:
-        return AxisAnswer(axis, rate, segments, 'cannot_tell', str(error),
-                          proposal=GainProposal(None, str(error)))
+        return AxisAnswer(
+            axis, rate, segments, 'cannot_tell', str(error),
+            proposal=GainProposal(None, str(error)), warnings=_warnings(records),
+        )
     base = told.before.fit
     data = blackbox_part.about_base(data, base.value('gain'), base.value('bias'))
-    verdict, reason = told.verdict.verdict, _reason(told)
+    verdict, reason = told.verdict.verdict, _reason(told, searched=bool(options.effects))
     progress(f'{axis}: black-box models')
     answer = AxisAnswer(
         axis, rate, segments, verdict, reason, findings=told,
         train=blackbox_part.io_data(data, data.train),
-        model=assemble.axis_model(told, _gains_of(records), assemble.band_of(data),
-                                  options.effects),
-        warnings=tuple(w for r in records for w in (*r.warnings, refusal(r)) if w),
+        model=assemble.axis_model(
+            told, _gains_of(records), assemble.band_of(data), options.effects
+        ),
+        warnings=_warnings(records),
         attitude_reference=_joined([r.attitude_setpoint for r in records], data.index),
         rate_reference=_joined([r.rate_setpoint for r in records], data.index),
     )
@@ -107,6 +111,8 @@ def found_effects(data: AxisData, options: Options,
     try:
         problem = Problem(data, data.train)
         found = search(problem, options.effects)
+        if not options.effects:
+            found.reasons.update((effect.label, NOT_SEARCHED) for effect in EFFECTS)
         progress(f'{data.axis}: held-out segments')
         return findings(data, problem, found, judge(data, problem, found))
     except (FloatingPointError, np.linalg.LinAlgError) as error:
@@ -116,7 +122,7 @@ def found_effects(data: AxisData, options: Options,
         ) from error
 
 
-def _reason(told: Findings) -> str:
+def _reason(told: Findings, *, searched: bool) -> str:
     """The verdict's reason in words, with what would help."""
     verdict, best = told.verdict, told.found.best
     reason = verdict.reason
@@ -129,6 +135,8 @@ def _reason(told: Findings) -> str:
             f'with {names} the model predicts the held-out segments better than the base alone '
             f'(e-value {min(verdict.e_value, 1e99):.3g})'
         ) + (verdict.reason and f'; yet that is not all: {verdict.reason}')
+    elif not searched:
+        reason = f'{NOT_SEARCHED}: this is the base alone' + (reason and f'; {reason}')
     else:
         reason = reason or 'no effect predicts the held-out segments better than the base alone'
         if best.structure.parts:
@@ -144,6 +152,10 @@ def _reason(told: Findings) -> str:
             'the sign of the gyro before anything else'
         )
     return reason
+
+
+def _warnings(records: Sequence[Record]) -> tuple[str, ...]:
+    return tuple(w for r in records for w in (*r.warnings, refusal(r)) if w)
 
 
 def _joined(setpoints: Sequence[FloatArray | None], column: int) -> FloatArray | None:

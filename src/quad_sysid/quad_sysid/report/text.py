@@ -22,6 +22,10 @@ def lines(report: Mapping[str, Any]) -> list[str]:
             *wrapped(tables.shared(tree)),
         ])
         parts.append(tables.table2(tree).text(below=7))
+        parts.append([
+            line for i, warning in enumerate(tree.get('warnings', []))
+            for line in (*(() if i else ('warnings',)), *wrapped(warning, '    ', '  - '))
+        ])
         parts += [_verdict(tree), tables.errors(tree).text((0, 1, 2)),
                   growth(tree), _gains(axis, tree)]
         out += ['', f'{axis} at {tree["sample_rate_hz"]:g} Hz']

@@ -92,6 +92,8 @@ def headline(tree: Tree) -> tuple[str, str]:
     style, text = VERDICTS.get(tree['verdict'], ('none', tree['verdict']))
     if tree['verdict'] == 'effects_added' and tree['effects']:
         return style, 'Was missing: ' + joined([named(e['name']) for e in tree['effects']])
+    if tree['verdict'] == 'no_missing_effect' and 'were not searched' in tree.get('reason', ''):
+        return 'none', 'The plain model alone'
     return style, text
 
 
@@ -160,8 +162,7 @@ def horizon_words(error: Tree) -> str:
 def _missing(tree: Tree) -> list[str]:
     error = tree['error']
     if tree['verdict'] != 'effects_added':
-        _, text = VERDICTS.get(tree['verdict'], ('', tree['verdict']))
-        return [f'{text}: {tree.get("reason", "")}.']
+        return [f'{headline(tree)[1]}: {tree.get("reason", "")}.']
     out = []
     for effect in tree['effects']:
         values = '; '.join(parameter(p) for p in effect['parameters'])

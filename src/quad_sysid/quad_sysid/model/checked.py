@@ -1,0 +1,111 @@
+"""Effects of a user's own, each tried on made-up signals before any flight is: `checked`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from quad_sysid.errors import BadInputError
+from quad_sysid.model.data import AxisData
+from quad_sysid.model.effect import Effect, Signals, Spec
+
+
+def checked(effects: object, where: str, known: Sequence[Effect] = ()) -> tuple[Effect, ...]:
+    """`effects` as a tuple; those that are not among the `known` are tried.
+
+    Raises BadInputError, which names `where` they were given, for what is no effect, has no name
+    or that of another, or whose torque is none.
+    """
+    try:
+        given = tuple(effects)  # type: ignore[arg-type]
+    except TypeError as error:
+        raise BadInputError(where, 'must be a sequence of effects', type(effects).__name__,
+                            'put it in brackets: (Mine(),)') from error
+    taken = {effect.label: effect for effect in known}
+    seen: set[str] = set()
+    for effect in given:
+        if not isinstance(effect, Effect):
+            what = f'the class {effect.__name__}' if isinstance(effect, type) else repr(effect)
+            raise BadInputError(where, 'must hold instances of quad_sysid.Effect', what,
+                                'such as Mine(); the built-in ones are in quad_sysid.EFFECTS')
+        other = taken.get(effect.label, effect)
+        if effect.label in seen or type(other) is not type(effect):
+            raise BadInputError(where, 'two effects have one name', effect.label,
+                                'give yours a `name` of its own')
+        seen.add(effect.label)
+        if other is not effect or effect.label not in taken:
+            _check_fields(effect, f'{where}: {type(effect).__name__}')
+            _try(effect, f'{where}: {type(effect).__name__}')
+    return given
+
+
+def _check_fields(effect: Effect, where: str) -> None:
+    """Raise BadInputError where the effect lacks what a fit and a report need."""
+    for name, kind, remedy in (
+        ('signals', str, "what it depends on, such as ('rate',)"),
+        ('parameters', Spec, "such as (Spec('torque', 'rad/s²'),)"),
+    ):
+        value = getattr(effect, name)
+        if not (isinstance(value, tuple) and value and all(isinstance(v, kind) for v in value)):
+            raise BadInputError(where, f'`{name}` must be a tuple of {kind.__name__}', repr(value),
+                                remedy)
+    if not effect.name or not isinstance(effect.name, str):
+        raise BadInputError(where, 'has no name', remedy="such as name = 'my_effect'")
+
+
+def _try(effect: Effect, where: str) -> None:
+    """Raise BadInputError where its torque is no array of accelerations, or not linear."""
+    linear = np.array([spec.spread is None for spec in effect.parameters])
+    start = np.array([
+        0.0 if spec.spread is None else np.exp(spec.centre) if spec.log else spec.centre
+        for spec in effect.parameters
+    ])
+    data, s = _made_up()
+    steps = np.where(linear, [[1.0], [0.3]], 0.0) * (1.0 + np.arange(start.size))
+    try:
+        settings = effect.prepare(data)
+        if isinstance(settings, str) or effect.states:
+            return
+        with np.errstate(all='ignore'):
+            one, other, both = (
+                effect.torque(s, start + step, settings) for step in (*steps, steps.sum(axis=0))
+            )
+    except Exception as error:
+        raise BadInputError(where, 'cannot be evaluated', f'{type(error).__name__}: {error}',
+                            'see docs/extend.md') from error
+    if one is None or other is None or both is None:
+        if not effect.moves_command or linear.any():
+            raise BadInputError(where, 'adds no torque to which its parameters belong',
+                                remedy='write `torque`, or `command` with a `spread` for each')
+        return
+    if np.shape(one) != s.rate.shape:
+        raise BadInputError(where, '`torque` must give an array like s.rate',
+                            f'{np.shape(one)} for {s.rate.shape}')
+    if not np.isfinite([one, both]).all():
+        raise BadInputError(where, '`torque` must be finite', 'NaN or infinity',
+                            'mind rates of 0 and below')
+    if linear.any() and not np.allclose(both, one + other, rtol=1e-6, atol=1e-9):
+        names = ', '.join(spec.name for spec in effect.parameters if spec.spread is None)
+        raise BadInputError(where, '`torque` is not linear in its parameters', names,
+                            'give a `spread` to each that is an exponent, a limit or a frequency')
+
+
+def _made_up() -> tuple[AxisData, Signals]:
+    n = 500
+    time = 0.004 * np.arange(n)
+    wave, other = np.sin(9.0 * time), np.cos(5.0 * time)
+    control = np.stack([0.5 + 0.1 * other, 0.1 * wave, 0.1 * other, 0.01 * wave], axis=1)
+    volts, others = 12.0 - 0.5 * time, np.stack([other, wave], axis=1)
+    span = ((0, n),)
+    data = AxisData(
+        axis='roll', dt=0.004, rate=wave, angle=0.1 * other, control=control,
+        motors=np.clip(control[:, :1] + 0.1 * others[:, [0, 1, 0, 1]], 0.0, 1.0),
+        other_rates=others, battery_v=volts, gyro_filter_hz=None, stretches=span, train=span,
+        validation=span,
+    )
+    return data, Signals(
+        rate=wave, angle=0.1 * other, drive=10.0 * wave, command=10.0 * wave, change=90.0 * other,
+        lagged=0.1 * wave, throttle=control[:, 0], battery_v=volts, other_rates=(other, wave),
+        other_commands=(control[:, 2], control[:, 3]), time=time,
+    )
