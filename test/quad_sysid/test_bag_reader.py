@@ -7,9 +7,11 @@ import shutil
 import sqlite3
 from dataclasses import replace
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import pytest
+import yaml
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
 from quad_sysid.bags import (
@@ -24,7 +26,7 @@ from quad_sysid.bags import (
 from quad_sysid.bags.cdr import Stamped, decode
 from quad_sysid.bags.events import Event
 from quad_sysid.bags.stamps import uniform_grid
-from quad_sysid.contract import MIXER, control_from_motors, motors_from_wrench
+from quad_sysid.contract import MIXER, TOPIC_TYPES, control_from_motors, motors_from_wrench
 from quad_sysid.errors import BadInputError
 from quad_sysid.record import GainChange, Record, Segment
 
@@ -296,7 +298,8 @@ def test_any_cut_or_noise_gives_a_record_or_one_line(tmp_path):
 
 NONE = {
     'absent': (None, 'no such bag'), 'empty.mcap': (b'', 'is empty'),
-    'folder': ('', 'no storage file'), 'table.csv': (b't,u\n0,1\n', 'quad-sysid import'),
+    'folder': ('', 'metadata.yaml names lost.mcap'),
+    'log.txt': (b't,u\n0,1\n', 'quad-sysid import'), 'table.csv': (b't,u\n0,1\n', 'quad-sysid import'),
     'notes.mcap': (b'hello, this is not a bag', 'neither mcap nor sqlite3'),
     'broken.db3': (b'SQLite format 3\x00' + bytes(500), 'is a damaged sqlite3 file'),
 }
@@ -308,6 +311,8 @@ def test_what_is_no_bag_ends_in_one_line(tmp_path, refusal, name):
     path = tmp_path / name
     if content == '':
         path.mkdir()
+        listed = {'rosbag2_bagfile_information': {'relative_file_paths': ['lost.mcap']}}
+        (path / 'metadata.yaml').write_text(yaml.safe_dump(listed))
     elif content is not None:
         path.write_bytes(content)
     assert words in refusal(read_bag, path)
@@ -325,12 +330,15 @@ UNEVEN = T0 + np.cumsum(
         (('/control/wrench',), regular(10), '/imu/data'),
         (('/imu/data', '/control/wrench'), regular(2), 'too few'),
         (('/imu/data', '/control/wrench'), UNEVEN, 'no steady rate'),
+        (('/mavros/imu/data', '/control/wrench'), regular(10),
+         'its type is that of /mavros/imu/data: `quad-sysid import`'),
     ],
 )
 def test_a_bag_that_lacks_too_much_ends_in_one_line(tmp_path, refusal, topics, stamps, words):
-    wrench = Stamped(stamps, np.zeros((len(stamps), 6)))
-    streams = {'/imu/data': imu_stream(stamps), '/control/wrench': wrench}
-    bag = write_streams(tmp_path / 'bag', {name: streams[name] for name in topics}, {})
+    wrench, imu = Stamped(stamps, np.zeros((len(stamps), 6))), imu_stream(stamps)
+    streams = {'/imu/data': imu, '/mavros/imu/data': imu, '/control/wrench': wrench}
+    with mock.patch.dict(TOPIC_TYPES, {'/mavros/imu/data': TOPIC_TYPES['/imu/data']}):
+        bag = write_streams(tmp_path / 'bag', {name: streams[name] for name in topics}, {})
     assert words in refusal(read_bag, bag)
 
 
@@ -389,6 +397,8 @@ def test_what_trains_and_what_validates(bare, asked, spans):
 def test_bad_spans_are_refused(refusal):
     assert 'overlap' in refusal(split_segments, make_record(), train=(1.0, 3.5))
     assert 'after the end' in refusal(split_segments, make_record(), train=(10.0, 12.0))
+    cut = split_segments(make_record(), train=(1.0, 2.0), validate=(3.0, 30.0))
+    assert '--validate 3:30 is cut at the end of the record, 4.00 s' in cut.warnings
     assert all('--train' in refusal(parse_span, text, '--train') for text in ('5', '5:4', 'a:b'))
     assert parse_span(':', '--train') == (0.0, float('inf'))
     assert parse_span('5:45', '--train') == (5.0, 45.0)

@@ -49,6 +49,8 @@ class _Content:
     streams: dict[str, Stamped]
     events: dict[str, list[bytes]]
     warnings: list[str]
+    alike: list[str]
+    """Other topics of the type of /imu/data."""
 
 
 def read_bag(path: str | Path) -> Record:
@@ -61,10 +63,13 @@ def read_bag(path: str | Path) -> Record:
     content = _read(Path(path))
     imu = content.streams.get(IMU_TOPIC)
     if imu is None or len(imu.stamps) == 0:
-        why = f' ({"; ".join(content.warnings)})' if content.warnings else ''
+        told = [line.removeprefix(source).lstrip('/: ') for line in content.warnings]
+        why = f' ({"; ".join(told)})' if told else ''
         raise BadInputError(
             source, f'{IMU_TOPIC} is missing or empty{why}',
-            remedy='record it (sensor_msgs/msg/Imu); nothing can be identified without it',
+            remedy=f'its type is that of {" and ".join(content.alike)}: `quad-sysid import` makes '
+            'a bag of it' if content.alike
+            else 'record it (sensor_msgs/msg/Imu); nothing can be identified without it',
         )
     grid = uniform_grid(imu.stamps, source)
     warnings = [*content.warnings, *grid.warnings]
@@ -123,9 +128,13 @@ def _read(path: Path) -> _Content:
                                  np.concatenate([p.values for p in pieces]),
                                  sum(p.spoiled for p in pieces))
         if streams[topic].spoiled:
-            warnings.append(f'{topic}: {streams[topic].spoiled} messages cannot be read as '
-                            f'{TOPIC_TYPES[topic]} of the contract; left out')
-    return _Content(streams, events, warnings)
+            warnings.append(
+                f'{topic}: {streams[topic].spoiled} messages cannot be read as '
+                f'{TOPIC_TYPES[topic]} of the contract; left out'
+            )
+    alike = [name for name, kind in sorted(storage.others.items())
+             if kind.replace('/msg/', '/') == TOPIC_TYPES[IMU_TOPIC].replace('/msg/', '/')]
+    return _Content(streams, events, warnings, alike)
 
 
 def _array(name: str, content: _Content, grid: Grid, warnings: list[str]) -> FloatArray | None:

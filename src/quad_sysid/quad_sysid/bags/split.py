@@ -50,6 +50,11 @@ def split_segments(record: Record, train: Span | None = None, validate: Span | N
     if axes is None:
         axes = tuple(axis for axis in AXES if axis in {s.axis for s in known}) or AXES
     length = record.n * record.dt
+    cut = tuple(
+        f'{option} {span[0]:g}:{span[1]:g} is cut at the end of the record, {length:.2f} s'
+        for option, span in (('--train', train), ('--validate', validate))
+        if span is not None and length + record.dt < span[1] < np.inf
+    )
     train = clip_span(train, record, '--train')
     validate = clip_span(validate, record, '--validate')
     segments: list[Segment] = []
@@ -61,7 +66,8 @@ def split_segments(record: Record, train: Span | None = None, validate: Span | N
         segments += [_segment(record, role, axis, taken) for axis in axes]
     _check_apart(segments, record)
     segments += [s for s in record.segments if s.role == 'idle' and known]
-    return replace(record, segments=tuple(sorted(segments, key=lambda s: s.start_s)))
+    return replace(record, segments=tuple(sorted(segments, key=lambda s: s.start_s)),
+                   warnings=(*record.warnings, *cut))
 
 
 def clip_span(span: Span | None, record: Record, option: str) -> Span | None:

@@ -38,7 +38,8 @@ RECOVER = '`ros2 run quad_bridge recover` may find more'
 Batch = dict[str, list[bytes]]
 """Topic → serialised messages in the file's order."""
 FOREIGN = {
-    '.csv': 'a CSV file; turn it into a bag with `quad-sysid import`',
+    **dict.fromkeys(('.csv', '.txt', '.parquet'),
+                    'a table; turn it into a bag with `quad-sysid import`'),
     '.gz': 'a compressed table; turn it into a bag with `quad-sysid import`',
     '.bag': 'a ROS 1 bag; convert it with `rosbags-convert`',
     '.ulg': 'a PX4 log; turn it into a bag with `quad-sysid import`',
@@ -59,6 +60,8 @@ class Storage:
     warnings: list[str] = field(default_factory=list)
     notes: dict[str, str] = field(default_factory=dict)
     """`custom_data` of metadata.yaml."""
+    others: dict[str, str] = field(default_factory=dict)
+    """Topics of the files that are not wanted, with their types."""
 
     def batches(self) -> Iterator[Batch]:
         """Messages of `topics`, decompressed. BadInputError for a damaged or foreign file."""
@@ -89,8 +92,12 @@ class Storage:
                        key=lambda p: (len(p.name), p.name))
         listed = self._metadata()
         if not found:
-            raise BadInputError(str(path), 'holds no storage file (.mcap or .db3)',
-                                remedy='give a rosbag2 directory or an .mcap file')
+            raise BadInputError(
+                str(path),
+                'holds no storage file (.mcap or .db3)',
+                remedy=f'metadata.yaml names {", ".join(listed)}: copy it there' if listed
+                else 'give a rosbag2 directory or an .mcap file',
+            )
         if listed is None:
             self.warnings.append(
                 f'{path}: metadata.yaml is missing or unreadable (the recorder was killed?): '
@@ -150,6 +157,8 @@ class Storage:
 
     def _wanted(self, topic: str, kind: str) -> bool:
         """Whether the topic is wanted and its type is, or may be, the contract's."""
+        if topic not in self.topics:
+            self.others[topic] = kind
         wanted = TOPIC_TYPES.get(topic, '')
         same = not kind or not wanted or kind.replace('/msg/', '/') == wanted.replace('/msg/', '/')
         return topic in self.topics and same

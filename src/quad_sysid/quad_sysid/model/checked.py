@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import Effect, Signals, Spec
@@ -18,7 +19,7 @@ def checked(effects: object, where: str, known: Sequence[Effect] = ()) -> tuple[
     or that of another, or whose torque is none.
     """
     try:
-        given = tuple(effects)  # type: ignore[arg-type]
+        given: tuple[object, ...] = tuple(effects)  # type: ignore[arg-type]
     except TypeError as error:
         raise BadInputError(where, 'must be a sequence of effects', type(effects).__name__,
                             'put it in brackets: (Mine(),)') from error
@@ -37,7 +38,7 @@ def checked(effects: object, where: str, known: Sequence[Effect] = ()) -> tuple[
         if other is not effect or effect.label not in taken:
             _check_fields(effect, f'{where}: {type(effect).__name__}')
             _try(effect, f'{where}: {type(effect).__name__}')
-    return given
+    return tuple(effect for effect in given if isinstance(effect, Effect))
 
 
 def _check_fields(effect: Effect, where: str) -> None:
@@ -93,10 +94,11 @@ def _try(effect: Effect, where: str) -> None:
 
 def _made_up() -> tuple[AxisData, Signals]:
     n = 500
-    time = 0.004 * np.arange(n)
+    time: FloatArray = 0.004 * np.arange(n, dtype=np.float64)
     wave, other = np.sin(9.0 * time), np.cos(5.0 * time)
     control = np.stack([0.5 + 0.1 * other, 0.1 * wave, 0.1 * other, 0.01 * wave], axis=1)
-    volts, others = 12.0 - 0.5 * time, np.stack([other, wave], axis=1)
+    volts: FloatArray = 12.0 - 0.5 * time
+    others = np.stack([other, wave], axis=1)
     span = ((0, n),)
     data = AxisData(
         axis='roll', dt=0.004, rate=wave, angle=0.1 * other, control=control,

@@ -78,9 +78,11 @@ def identify_axis(records: Sequence[Record], axis: str, options: Options,
         check_usable(data)
         told = found_effects(data, options, progress)
     except NotInformativeError as error:
+        warnings = _warnings(records)
+        reason = '; '.join([str(error), *(w for w in warnings if 'cut off' in w)])
         return AxisAnswer(
-            axis, rate, segments, 'cannot_tell', str(error),
-            proposal=GainProposal(None, str(error)), warnings=_warnings(records),
+            axis, rate, segments, 'cannot_tell', reason, proposal=GainProposal(None, reason),
+            warnings=warnings,
         )
     base = told.before.fit
     data = blackbox_part.about_base(data, base.value('gain'), base.value('bias'))
