@@ -299,7 +299,8 @@ def test_any_cut_or_noise_gives_a_record_or_one_line(tmp_path):
 NONE = {
     'absent': (None, 'no such bag'), 'empty.mcap': (b'', 'is empty'),
     'folder': ('', 'metadata.yaml names lost.mcap'),
-    'log.txt': (b't,u\n0,1\n', 'quad-sysid import'), 'table.csv': (b't,u\n0,1\n', 'quad-sysid import'),
+    'log.txt': (b't,u\n0,1\n', 'quad-sysid import'),
+    'table.csv': (b't,u\n0,1\n', 'quad-sysid import'),
     'notes.mcap': (b'hello, this is not a bag', 'neither mcap nor sqlite3'),
     'broken.db3': (b'SQLite format 3\x00' + bytes(500), 'is a damaged sqlite3 file'),
 }

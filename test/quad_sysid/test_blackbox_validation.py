@@ -93,7 +93,7 @@ def test_residual_test_passes_the_truth_as_often_as_stated(study):
     """Each boolean at 99 %: over 60 seeds in closed loop at most 4 false alarms (p = 0.003)."""
     short = Study(study.truth, samples=4000)
     tests = [
-        residual_test(study.truth, short.record(np.random.default_rng(seed)))
+        residual_test(short.record(np.random.default_rng(seed)), study.truth)
         for seed in range(60)
     ]
     for name in ('residual_white', 'residual_uncorrelated_with_input', 'causal'):
@@ -104,24 +104,24 @@ def test_residual_test_passes_the_truth_as_often_as_stated(study):
 def test_residual_test_sees_feedback_only_where_there_is_some(study, record):
     """And feedback alone eliminates no model."""
     without_r = IOData(record.u, record.y, record.dt)
-    assert not residual_test(study.truth, without_r).causal
+    assert not residual_test(without_r, study.truth).causal
     (row,) = step_a([study.truth], without_r, {})
     assert (row.test.causal, row.passed_first_step) == (False, True)
     opened = study.record(np.random.default_rng(9), closed=False)
-    open_test = residual_test(study.truth, IOData(opened.u, opened.y, opened.dt))
+    open_test = residual_test(IOData(opened.u, opened.y, opened.dt), study.truth)
     assert (open_test.causal, open_test.causality_signal) == (True, 'u')
 
 
 def test_residual_test_rejects_what_is_wrong(study, record):
     """Too small a model, a delay too long, an output that comes before its cause."""
-    poor, truth = residual_test(arx(record, 2, 1, 1), record), study.truth
+    poor, truth = residual_test(record, arx(record, 2, 1, 1)), study.truth
     assert (poor.residual_white, poor.residual_uncorrelated_with_input) == (False, False)
     late = polynomial_model(np.concatenate((np.zeros(4), truth.B)), C=truth.C, D=truth.D,
                             F=truth.F, dt=truth.dt)
-    assert not residual_test(late, record).residual_uncorrelated_with_input
+    assert not residual_test(record, late).residual_uncorrelated_with_input
     early = IOData(record.u[:-9], record.y[9:], record.dt, r=record.r[:-9])
-    assert not residual_test(arx(early, 10, 10, 1), early).causal
-    assert residual_test(arx(record, 10, 10, 3), record).causal
+    assert not residual_test(early, arx(early, 10, 10, 1)).causal
+    assert residual_test(record, arx(record, 10, 10, 3)).causal
 
 
 def test_cross_bound_covers_a_coloured_pair():
@@ -131,7 +131,7 @@ def test_cross_bound_covers_a_coloured_pair():
     for seed in range(100):
         u, y = (filter_signal(np.ones(1), color, e)
                 for e in np.random.default_rng(seed).standard_normal((2, 1500)))
-        test = residual_test(model, IOData(u, y, 1.0))
+        test = residual_test(IOData(u, y, 1.0), model)
         outside.append(np.abs(test.cross_correlation) > test.cross_bound)
     assert 0.004 < np.mean(outside) < 0.022
 
@@ -203,8 +203,8 @@ def test_detrend_takes_the_common_mean():
         (lambda m, z: predict(m, z, 0), 'horizon'),
         (lambda m, z: simulate(m, z.u, np.zeros(1)), 'x0'),
         (lambda m, _: simulate(m, np.array([np.nan])), 'u must be'),
-        (lambda m, z: residual_test(m, z, confidence=99), 'confidence'),
-        (lambda m, z: residual_test(m, IOData(z.u[:200], z.y[:200], z.dt)), 'too few residuals'),
+        (lambda m, z: residual_test(z, m, confidence=99), 'confidence'),
+        (lambda m, z: residual_test(IOData(z.u[:200], z.y[:200], z.dt), m), 'too few residuals'),
         (lambda m, _: frequency_response(m, np.array([1e5])), 'w must be'),
         (lambda m, _: frequency_response(m, np.array([1.0, -1.0])), 'found -1'),
         (lambda _, z: spa(z, w=np.array([-1.0])), 'w must be'),

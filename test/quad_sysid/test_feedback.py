@@ -36,7 +36,7 @@ def shown(z, gains=None, *, through=False, nk=2):
 
 
 def test_the_recorded_controller_is_feedback_though_no_residual_predicts_the_command(yaw):
-    test = residual_test(bj(yaw, 2, 2, 2, 2, 4), replace(yaw, r=None))
+    test = residual_test(replace(yaw, r=None), bj(yaw, 2, 2, 2, 2, 4))
     assert test.p_causal > 0.01  # the test that was taken as proof of an open loop
     assert shown(yaw, GAINS, through=True, nk=4) is True
 

@@ -19,7 +19,9 @@ NAMES = (
 def test_every_promised_name_is_there():
     assert all(callable(getattr(quad_sysid, name)) for name in NAMES)
     assert {effect.name for effect in quad_sysid.EFFECTS} >= {'coulomb_friction', 'resonance'}
-    assert set(NAMES) <= set(quad_sysid.__all__) <= set(dir(quad_sysid))
+    assert set(NAMES) <= set(quad_sysid.__all__)
+    offered = {name for name in dir(quad_sysid) if not name.startswith('__')}
+    assert offered == set(quad_sysid.__all__)
     assert all(getattr(quad_sysid, name) is not None for name in quad_sysid.__all__)
     with pytest.raises(AttributeError, match='no attribute'):
         quad_sysid.nothing  # noqa: B018
@@ -52,12 +54,16 @@ def test_a_rate_that_does_not_fit_is_told():
     y = np.roll(u, 1) + 0.1 * rng.standard_normal(300)
     model = quad_sysid.arx(quad_sysid.IOData(u, y, 0.01), 1, 1, 1)
     other = quad_sysid.IOData(u, y, 0.02)
-    for call in (lambda m, z: quad_sysid.compare(z, m), quad_sysid.residual_test,
+    for call in (lambda m, z: quad_sysid.compare(z, m),
+                 lambda m, z: quad_sysid.residual_test(z, m),
                  lambda m, z: quad_sysid.predict(m, z, 1)):
         with pytest.raises(ValueError, match='100 Hz: found 50 Hz'):
             call(model, other)
-    with pytest.raises(ValueError, match='the data come first'):
-        quad_sysid.compare(model, other)
+    for call in (quad_sysid.compare, quad_sysid.residual_test):
+        with pytest.raises(ValueError, match='the data come first'):
+            call(model, other)
+    with pytest.raises(ValueError, match='model of an axis comes first'):
+        quad_sysid.evaluate(other, model)
     with pytest.raises(ValueError, match='greybox'):
         quad_sysid.greybox(quad_sysid.IOData(u, y, 0.01))
 
@@ -84,9 +90,23 @@ def test_a_flight_to_a_result_in_one_call(plain_flight, tmp_path):
         path.name for path in saved.folder.iterdir()
     }
     found = quad_sysid.evaluate(result.model, plain_flight)
+    z = plain_flight.axis('roll', 'train')
+    model = quad_sysid.bj(z, 2, 2, 2, 2, 3)
+    for value, words in (
+        (plain_flight, 'train: prbs on roll'), (z, 'at 250 Hz in 1 segments'),
+        (model, '  D = +1 '),
+        (quad_sysid.residual_test(z, model), 'white: yes, p = '), (found, 'base (before) 0.'),
+        (result.model, 'rad/s² per unit command'),
+    ):
+        assert words in repr(value) == str(value)
+        assert len(repr(value)) < 500
+    assert repr(quad_sysid.EFFECTS[0]).endswith('()')
     assert found.before == pytest.approx(result.errors['before'], rel=0.3)
     for call, words in (
-        (lambda: result['yaw'], 'no such axis'), (lambda: result.plot('nothing'), 'no such'),
+        (lambda: result['yaw'], 'no such axis'),
+        (lambda: result.model.value('gian'), "found 'gian'; it has gain, lag,"),
+        (lambda: plain_flight.axis('roll', 'validate'), 'must be of train, validation, idle'),
+        (lambda: result.plot('nothing'), 'no such'),
         (lambda: quad_sysid.identify(plain_flight, 'bank'), "found 'bank'"),
         (lambda: quad_sysid.greybox(z, gyro_filter_hz=1e4), 'gyro_filter_hz'),
         (lambda: result.model.simulate([np.nan, 1.0]), 'finite'),

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 BAD_ARGUMENTS, NOT_ANSWERED, INTERRUPTED = 2, 3, 130
 """Exit status (contract, Commands)."""
 
+STATUSES = 'exit status: 0 done, 2 bad input or arguments, 3 the data cannot answer'
+
 Commands = Any
 """Result of `add_subparsers`, whose type is private to argparse."""
 
@@ -26,13 +28,40 @@ Commands = Any
 class Parser(argparse.ArgumentParser):
     """A parser whose errors are one line; its subparsers too."""
 
+    @classmethod
+    def program(cls, prog: str, package: str, description: str, example: str) -> Parser:
+        """The parser of a whole program, with `--version` of its package."""
+        parser = cls(
+            prog=prog, description=description,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+            epilog=f'example: {example}\n{STATUSES}\n{prog} COMMAND --help says more',
+        )
+        parser.add_argument('--version', action=_Version, nargs=0, const=package,
+                            help='print the version')
+        return parser
+
     def error(self, message: str) -> NoReturn:
         """Exit with status 2 and one line on stderr."""
         self.exit(BAD_ARGUMENTS, f'{self.prog}: {message}; see {self.prog} --help\n')
 
 
-def command(commands: Commands, name: str, run: Callable[[argparse.Namespace], int], summary: str,
-            example: str) -> argparse.ArgumentParser:
+class _Version(argparse.Action):
+    """Looks the version up only where it is asked for."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
+        from importlib.metadata import PackageNotFoundError, version
+
+        try:
+            told = version(str(self.const))
+        except PackageNotFoundError:
+            told = 'not installed, run from its sources'
+        parser.exit(0, f'{parser.prog} {told}\n')
+
+
+def command(
+    commands: Commands, name: str, run: Callable[[argparse.Namespace], int], summary: str,
+    example: str,
+) -> argparse.ArgumentParser:
     """Add one command; its --help ends with `example`, a line to type."""
     parser: argparse.ArgumentParser = commands.add_parser(name, help=summary, description=summary,
                                                           epilog=f'example: {example}')

@@ -53,8 +53,11 @@ def ros2() -> int:
 
 
 def _parser() -> Parser:
-    parser = Parser(prog='quad-sysid',
-                    description='Identify a quadrotor from bags and find what the model lacks.')
+    parser = Parser.program(
+        'quad-sysid', 'quad_sysid',
+        'Identify a quadrotor from bags and find what the model lacks.',
+        'quad-sysid identify my_flight --axis roll --out result',
+    )
     commands = parser.add_subparsers(required=True, metavar='COMMAND')
     inspection.add(commands)
     _identify_parser(commands)
@@ -69,9 +72,13 @@ def _parser() -> Parser:
 
 
 def _identify_parser(commands: Commands) -> None:
-    parser = command(commands, 'identify', _identify,
-                     'Fit models to bags, validate them, and say what they lack.',
-                     'quad-sysid identify flight/ --axis roll --out report/')
+    parser = command(
+        commands, 'identify', _identify,
+        'Fit models to bags, validate them, and say what they lack. Prints the models, the '
+        'verdict, the effects that were found and the errors before and after; writes '
+        'report.html, report.json and model.json, with gains where quad_tuning is installed.',
+        'quad-sysid identify flight/ --axis roll --out report/',
+    )
     parser.add_argument('bags', nargs='+', metavar='BAG', help='rosbag2 directory or .mcap file')
     parser.add_argument('--axis', choices=[*AXES, 'all'],
                         help='default: the axes that the bag says were excited')
@@ -86,7 +93,8 @@ def _identify_parser(commands: Commands) -> None:
     parser.add_argument('--no-effects', action='store_true', help='fit the models only')
     effects_option(parser)
     parser.add_argument('--table2', action='store_true',
-                        help="fit the paper's 13 rows too and print its Table 2 beside them")
+                        help='fit the 13 models of Table 2 of the paper (docs/theory.md) too, and '
+                        'print it beside them')
     quiet_and_json(parser, 'report.json')
 
 

@@ -15,6 +15,8 @@ import numpy as np
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.errors import BadInputError, NotInformativeError
 
+ROLES = ('train', 'validation', 'idle')
+
 
 @dataclass(frozen=True)
 class Segment:
@@ -80,6 +82,13 @@ class Record:
     t0_ns: int = 0
     """Stamp of the first sample, ns."""
 
+    def __repr__(self) -> str:
+        head = f'{self.source}: {self.n * self.dt:.1f} s at {1.0 / self.dt:.6g} Hz'
+        lines = [head, *(f'  {s.role}: {s.signal} on {s.axis}, {s.start_s:.1f} to {s.end_s:.1f} s'
+                         for s in self.segments)]
+        lines += [f'  lacks {", ".join(self.missing)}'] if self.missing else []
+        return '\n'.join([*lines, *(f'  warning: {line}' for line in self.warnings)])
+
     @property
     def n(self) -> int:
         """Number of grid points."""
@@ -94,9 +103,11 @@ class Record:
         """Input and output of one axis over the segments of `role` (all of the record: None).
 
         r is `external(name)` where that is known throughout, else None. Raises BadInputError for
-        another axis and NotInformativeError where nothing is left.
+        another axis or role and NotInformativeError where nothing is left.
         """
         index = axis_index('Record.axis', name)
+        if role not in (None, *ROLES):
+            raise BadInputError('Record.axis', f'role must be of {", ".join(ROLES)}', repr(role))
         y = self.rates[:, index]
         u = self.control[:, index + 1]
         r = self.external(name)
@@ -203,6 +214,10 @@ class IOData:
                                         remedy='split it there, as Record.axis does')
         for name, value in (('u', u), ('y', y), ('r', r), ('segments', segments)):
             object.__setattr__(self, name, value)
+
+    def __repr__(self) -> str:
+        return (f'IOData: {self.n} samples at {1.0 / self.dt:.6g} Hz in {len(self.segments)} '
+                f'segments, {"with" if self.r is not None else "no"} reference r')
 
     @property
     def n(self) -> int:

@@ -253,6 +253,10 @@ def evaluate(model: AxisModel, flight: Record | str | Path) -> Evaluation:
     """
     from quad_sysid.pipeline.evaluate import evaluate as errors_of
 
+    if not isinstance(model, AxisModel):
+        raise BadInputError('evaluate', 'the model of an axis comes first', type(model).__name__,
+                            'evaluate(result.model, flight); compare(z, model) for a black box')
+
     return errors_of(model, flight if isinstance(flight, Record) else read_bag(flight))
 
 

@@ -45,8 +45,9 @@ BRYSON = {'angle': 'RAD', 'rate': 'RAD/S', 'integral': 'RAD*S', 'control': 'SHAR
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run `quad-tune`; returns its exit status."""
-    parser = Parser(prog='quad-tune', description='Gains from identified models.')
-    commands = parser.add_subparsers(dest='command', required=True)
+    parser = Parser.program('quad-tune', 'quad_tuning', 'Gains from identified models.',
+                            'quad-tune design result/model.json --out gains.json')
+    commands = parser.add_subparsers(dest='command', required=True, metavar='COMMAND')
     _arguments(command(commands, 'design', _run, 'Gains from a model.json, with margins.',
                        'quad-tune design result/model.json --out gains.json'))
     exports.add(commands)

@@ -109,6 +109,23 @@ class Model:
         return self.samples * math.log(self.loss) + self.parameters.size * math.log(self.samples)
 
     @property
+    def fpe(self) -> float:
+        """Akaike's final prediction error V (1 + p/N) / (1 - p/N), as MATLAB's fpe."""
+        share = self.parameters.size / max(self.samples, 1)
+        return self.loss * (1.0 + share) / (1.0 - share)
+
+    def __repr__(self) -> str:
+        lines = [f'{self.name}: A y = (B/F) u + (C/D) e, {1.0 / self.dt:.6g} Hz, {self.approach}']
+        for letter in 'ABCDF':
+            poly = getattr(self, letter)
+            terms = [f'{c:+.4g}' + (f' q^-{i}' if i else '') for i, c in enumerate(poly) if c]
+            if poly.size > 1 or letter == 'B':
+                lines.append(f'  {letter} = {" ".join(terms)}')
+        if self.samples:
+            lines.append(f'  loss {self.loss:.4g}, FPE {self.fpe:.4g}, {self.samples} samples')
+        return '\n'.join([*lines, *(f'  {warning}' for warning in self.warnings)])
+
+    @property
     def name(self) -> str:
         """Such as `ARX 10 10 5`, as the paper's Table 2 writes it."""
         return ' '.join([self.structure, *(str(value) for value in self.orders.values())])

@@ -55,16 +55,28 @@ class ResidualTest:
     cross_bound: float
     """Two-sided bound of one lag, z √(Σ ρ_e(k) ρ_u(k) / N) (Ljung 1999, eq. 16.67)."""
 
+    def __repr__(self) -> str:
+        told = ((self.residual_white, 'white', self.p_white),
+                (self.residual_uncorrelated_with_input, 'free of past inputs', self.p_input),
+                (self.causal, f'causal (by {self.causality_signal})', self.p_causal))
+        lines = (f'  {name}: {"yes" if good else "no"}, p = {p:.2g}' for good, name, p in told)
+        head = f'residual of {self.samples} samples, tests at {self.confidence:.0%}'
+        return '\n'.join([head, *lines])
 
-def residual_test(model: Model, z: IOData, lags: int = 25,
-                  confidence: float = 0.99) -> ResidualTest:
-    """Test the one-step residual of `model` on z.
+
+def residual_test(
+    z: IOData, model: Model, lags: int = 25, confidence: float = 0.99
+) -> ResidualTest:
+    """Test the one-step residual of `model` on z (MATLAB: resid).
 
     Each boolean is one joint test at `confidence` over all its lags; the bounds of single lags
     are for pictures. For the tests against inputs residual and input are first whitened by one
     autoregression of the residual, so that a coloured residual (OE, IV) is judged fairly.
     Raises BadInputError where z is too short for the lags.
     """
+    if isinstance(z, Model):
+        raise BadInputError('residual_test', 'the data come first', 'a model',
+                            'residual_test(z, model)')
     _check(lags, confidence)
     return _tested(one_step_errors(model, z), z, lags, confidence, at_once=model.nk == 0)
 

@@ -84,7 +84,7 @@ def step_a(models: Sequence[Model], train: IOData, validations: Mapping[str, IOD
     losses, n = shared_losses(models, train)
     rows = []
     for model, loss in zip(models, losses, strict=True):
-        test = residual_test(model, train, lags, confidence)
+        test = residual_test(train, model, lags, confidence)
         fits = {name: _finite(compare(z, model)[0]) for name, z in validations.items()}
         k = model.parameters.size
         fit = n * math.log(loss) if loss > 0.0 else None

@@ -233,6 +233,10 @@ class Effect:
         del settings
         return np.diag(sizes**-2.0)
 
+    def __repr__(self) -> str:
+        own = type(self).__name__
+        return f'{own}()' if 'name' in vars(type(self)) else f'{own}({self.label!r})'
+
     @property
     def moves_command(self) -> bool:
         """Whether it acts before the torque."""

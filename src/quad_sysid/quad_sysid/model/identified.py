@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from quad_sysid.contract import FloatArray
+from quad_sysid.errors import BadInputError
 from quad_sysid.model.effect import Effect
 
 
@@ -107,6 +108,16 @@ class AxisModel:
     own_effects: tuple[Effect, ...] = field(default=(), repr=False)
     """Effects from outside quad_sysid.effects that `effects` and rivals may name."""
 
+    def __repr__(self) -> str:
+        parts = ' and '.join(effect.name for effect in self.effects)
+        told = [(p.name, p) for p in self.base]
+        told += [(f'{e.name}.{p.name}', p) for e in self.effects for p in e.parameters]
+        return '\n'.join([
+            f'{self.axis} at {1.0 / self.dt:.6g} Hz: the base' + (parts and f' with {parts}'),
+            *(f'  {name} {p.value:.4g}' + ('' if p.std is None else f' ± {p.std:.2g}') +
+              f' {p.unit}' for name, p in told),
+        ])
+
     @property
     def noise_rms(self) -> float | None:
         """RMS of the measurement noise of the rate, rad/s."""
@@ -123,7 +134,10 @@ class AxisModel:
                 for parameter in effect.parameters:
                     if parameter.name == parameter_name:
                         return parameter.value
-        raise KeyError(name)
+        names = [p.name for p in self.base]
+        names += [f'{e.name}.{p.name}' for e in self.effects for p in e.parameters]
+        raise BadInputError('model', 'has no such parameter', repr(name),
+                            f'it has {", ".join(names)}')
 
 
 @dataclass(frozen=True)

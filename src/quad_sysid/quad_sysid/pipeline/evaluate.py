@@ -50,6 +50,13 @@ class Evaluation:
     horizons: tuple[Horizon, ...] = ()
     blackbox_horizons: dict[float, float] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        told = {'hold the last value': self.hold, 'base (before)': self.before,
+                'completed (after)': self.after, 'black box': self.blackbox}
+        lines = [f'  {name} {value:.4g}' for name, value in told.items() if value is not None]
+        head = f'{self.axis}: RMS error of the rate, rad/s, over {self.windows} free runs of 0.5 s'
+        return '\n'.join([head, *lines])
+
 
 def evaluate(model: AxisModel, record: Record, spans_s: tuple[tuple[float, float], ...] = (),
              blackbox: Model | None = None) -> Evaluation:

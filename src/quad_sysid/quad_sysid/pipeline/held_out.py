@@ -77,7 +77,7 @@ def of_black_box(data: AxisData, model: Model) -> Residual | None:
     """The winner's one-step errors; None where the segments are too short to test them."""
     z = io_data(data, data.validation, external=False)
     try:
-        test = residual_test(model, z)
+        test = residual_test(z, model)
     except QuadSysidError:
         return None
     return _with_spectrum(test, z.y - predict(model, z, 1), z)

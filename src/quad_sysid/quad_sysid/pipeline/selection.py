@@ -160,7 +160,7 @@ def feedback(z: IOData, model: Model, gains: CascadeGains | None, *, behind_atti
     NEGLIGIBLE; never where the excitation came `through` C1 or C2, which are feedback.
     """
     try:
-        test = residual_test(model, replace(z, r=None))
+        test = residual_test(replace(z, r=None), model)
         if test.p_causal < FEEDBACK_LEVEL:
             return True
         if (gains is not None and behind_attitude

@@ -191,15 +191,23 @@ def untested(tree: Tree) -> Table:
     reasons: dict[str, list[str]] = {}
     for item in tree.get('not_tested', []):
         reasons.setdefault(item['because'], []).append(item['name'])
-    return Table(['not tested', 'because'],
-                 [[', '.join(dict.fromkeys(names)), why] for why, names in reasons.items()])
+    return Table(['not tested', 'because'], [[_counted(n), why] for why, n in reasons.items()])
+
+
+def _counted(names: Sequence[str]) -> str:
+    """The names, each once; of many curves their number."""
+    shapes = {name for name in names if name.startswith('shape:')}
+    if len(shapes) < 3:
+        return ', '.join(dict.fromkeys(names))
+    named = dict.fromkeys(name for name in names if name not in shapes)
+    return ', '.join([*named, f'{len(shapes)} shapes'])
 
 
 def gains(tree: Tree, axis: str, active: Mapping[str, float]) -> Table:
     """Gains before and after, then the designer's figures before and after."""
     figures, new = tree.get('gain_figures') or {}, tree.get('gains') or {}
-    units = {'angle.kp': '1/s', 'rate.kp': 'norm. per rad/s', 'rate.ki': 'norm. per rad',
-             'rate.kd': 'norm. per rad/s²', 'rate.d_filter_hz': 'Hz'}
+    units = {'angle.kp': '1/s', 'rate.kp': 's/rad', 'rate.ki': '1/rad', 'rate.kd': 's²/rad',
+             'rate.d_filter_hz': 'Hz'}
     rows = [
         [name, number(figures.get(f'{name}_before', active.get(name)), 4),
          number(new.get(name), 4), unit]
