@@ -15,7 +15,7 @@ ARGS ?=
 # one worker more than there are cores: tests of nodes wait more than they compute
 PYTEST := $(RUN) exec python -m pytest --timeout 600 -n $$(($(shell nproc) + 1)) --dist loadgroup
 
-.PHONY: help demo qemu pictures test test-qemu test-long build lint format firmware-table bench bench-effects bench-log bench-tuning bench-watch bench-link bench-effects-speed bench-likelihood wheel docs lock shell clean
+.PHONY: help demo flight qemu pictures test test-qemu test-long build lint format firmware-table bench bench-effects bench-log bench-tuning bench-watch bench-link bench-effects-speed bench-likelihood wheel docs lock shell clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-19s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -31,6 +31,9 @@ qemu: build  ## the STM32's ELF for demo ARGS=--qemu (needs gcc-arm-none-eabi, q
 
 firmware-table: qemu  ## measure the STM32's ELFs in QEMU: the table of docs/firmware.md
 	@$(RUN) exec python tools/firmware_table.py firmware/build
+
+flight: build  ## two simulated flights as bags, my_flight and another_flight (seconds; ARGS=FOLDER)
+	@$(RUN) exec python tools/flight.py $(ARGS)
 
 pictures:  ## renew the pictures of README and docs from the last demo_out/
 	@[ -d demo_out/report ] || { echo 'no demo_out/report: run make demo first' >&2; exit 2; }

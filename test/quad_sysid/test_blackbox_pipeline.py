@@ -145,7 +145,12 @@ def test_roll_and_pitch_share_a_model_where_they_are_alike(answers, alike):
 
 def test_table2_stands_beside_the_papers_figures_and_every_elimination_has_its_reason(answers):
     tree = document.document(answers, ['flight'])
-    roll, lines = tree['axes']['roll'], text.lines(tree)
+    roll = tree['axes']['roll']
+    roll['warnings'] = ['/imu/data: the clock was set back 1 times ' * 3]
+    roll['not_tested'] = [{'name': f'shape:throttle/{i}', 'because': 'still'} for i in range(14)]
+    lines = text.lines(tree)
+    assert '  - /imu/data: the clock was set back' in '\n'.join(lines)
+    assert '  not tested: 14 shapes: still' in lines
     assert (len(roll['table2']), roll['roll_and_pitch']['agree']) == (13, True)
     line = next(one for one in lines if one.startswith(' ARX 10 10 5 *'))
     assert line.split()[6:12:2] == ['98.30', '73.84', '80.15']

@@ -36,4 +36,4 @@ def __getattr__(name: str) -> object:
 
 
 def __dir__() -> list[str]:
-    return sorted({*_HOME_OF, *(name for name in globals() if name.startswith('__'))})
+    return sorted({'__all__', *_HOME_OF, *(name for name in globals() if name.startswith('__'))})
