@@ -67,8 +67,10 @@ def test_it_is_stored_read_back_simulated_and_judged(result, tmp_path, capsys):
         qs.read_model(folder)
     file, model = tmp_path / 'mine.py', str(folder / 'model.json')
     file.write_text(f'import numpy as np\nimport quad_sysid as qs\n{inspect.getsource(Cogging)}')
-    for run, words in ((main, ['export', model, '--to', 'json']), (tune, ['design', model])):
-        assert run(words) == 2
+    for run, words, status in (
+        (main, ['export', model, '--to', 'json'], 2), (tune, ['design', model], 3),
+    ):
+        assert run(words) == status
         assert '--effects FILE.py' in capsys.readouterr().err
         assert run([*words, '--effects', str(file), '--quiet']) == 0
 
