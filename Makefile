@@ -15,7 +15,7 @@ ARGS ?=
 # one worker more than there are cores: tests of nodes wait more than they compute
 PYTEST := $(RUN) exec python -m pytest --timeout 600 -n $$(($(shell nproc) + 1)) --dist loadgroup
 
-.PHONY: help demo flight qemu pictures test test-qemu test-long build lint format firmware-table bench bench-effects bench-log bench-tuning bench-watch bench-link bench-effects-speed bench-likelihood wheel docs lock shell clean
+.PHONY: help demo flight qemu pictures test test-qemu test-long build lint firmware-table bench bench-effects bench-log bench-tuning bench-watch bench-link bench-effects-speed bench-likelihood wheel docs lock shell clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-19s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -60,9 +60,6 @@ lint: build  ## ruff, mypy --strict, the import rules; the firmware's C with cla
 	lint-imports --no-logo || status=1; \
 	make -s -C firmware PYTHON=python lint || status=1; \
 	exit $$status
-
-format: build  ## lay the code out with ruff
-	@$(RUN) ruff format $(SOURCES)
 
 bench: build  ## black-box accuracy and speed (ten minutes; ARGS='--quick --peers PYTHON')
 	@$(RUN) exec python bench/blackbox.py $(ARGS)
