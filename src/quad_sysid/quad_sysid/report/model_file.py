@@ -15,6 +15,7 @@ from dataclasses import fields, is_dataclass, replace
 from typing import Any, get_args, get_origin, get_type_hints
 
 import numpy as np
+import numpy.typing as npt
 
 from quad_sysid.blackbox import Model, polynomial_model
 from quad_sysid.contract import AXES, FloatArray
@@ -210,8 +211,8 @@ def _tuple(kinds: Any, tree: Any, where: str) -> tuple[Any, ...]:
 
 
 READERS: dict[Any, Callable[[Any, Any, str], Any]] = {
-    str: _text, float: _number, int: lambda *given: int(_number(*given)), np.ndarray: _array,
-    Mapping: _mapping, tuple: _tuple,
+    str: _text, float: _number, int: lambda *given: int(_number(*given)), Mapping: _mapping,
+    tuple: _tuple, np.ndarray: _array, npt.NDArray: _array,  # the origin from numpy 2.5 on
 }
 """By the declared type; what it does not name is taken as it is."""
 
