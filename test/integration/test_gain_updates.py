@@ -224,7 +224,7 @@ def test_updates_parameters_services_and_a_killed_bridge(bench):
     bridge = bench.crew.children['serial_bridge']
     bridge.process.send_signal(signal.SIGKILL)
     bridge.process.wait()
-    bridge.may_end, bridge.ended = True, 0.0
+    bridge.ended = True
     bench.heard.clear()
     bench.told.clear()
     bench.rest(2.5)
