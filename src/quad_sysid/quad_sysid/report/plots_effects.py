@@ -28,8 +28,7 @@ def left_out(answer: AxisAnswer) -> Picture | None:
     problem = found.problem
     at = missing_torque.variables(missing_torque.Along(problem, found.after.fit))
     names = [name for name in SHOWN if name in at]
-    figure, axes = panels(len(names), height_in=0.8 + 1.6 * len(names), share_x=False)
-    figure.subplots_adjust(hspace=0.72)
+    figure, axes = panels(len(names), height_in=0.8 + 1.6 * len(names), share_x=False, apart=0.72)
     drawn = False
     for held, colour, _, label in runs(found):
         values = missing_torque.Along(problem, held.fit).left_out()
@@ -64,8 +63,7 @@ def effect_shapes(answer: AxisAnswer) -> Picture | None:
     along = missing_torque.Along(found.problem, found.after.fit)
     parts = found.after.fit.structure.parts
     rest = along.left_out()
-    figure, axes = panels(len(parts), height_in=0.9 + 2.0 * len(parts), share_x=False)
-    figure.subplots_adjust(hspace=0.75)
+    figure, axes = panels(len(parts), height_in=0.9 + 2.0 * len(parts), share_x=False, apart=0.75)
     for index, (one, part) in enumerate(zip(axes, parts, strict=True)):
         shape = missing_torque.drawn(along, index)
         weights = missing_torque.weight(along, part)

@@ -295,8 +295,7 @@ def correlations(answer: AxisAnswer) -> Picture | None:
 
 def _correlogram(shown: list[tuple[ResidualTest, str, str, str]], dt: float) -> Figure:
     """Auto- and cross-correlation of residuals (test, name, colour, style), with their bounds."""
-    figure, axes = panels(2, height_in=4.0, share_x=False)
-    figure.subplots_adjust(hspace=0.72)
+    figure, axes = panels(2, height_in=4.0, share_x=False, apart=0.72)
     reach = [0.0, 0.0]
     for number, (test, name, colour, style) in enumerate(shown):
         for panel, lags, values, bound in (
