@@ -156,6 +156,7 @@ def test_two_aircraft_on_one_machine_keep_apart(tmp_path, probe, bridge, logger)
             heard[name] = probe.listen(f'/{name}/imu/data')
         told = probe.listen('/left/diagnostics')
         probe.until(lambda: min(len(h) for h in heard.values()) > 300)
+        probe.until(lambda: RECORDING in entries(told))  # the bridge may be the first to speak
         probe.until(lambda: int(entries(told)[RECORDING].values['messages written']) > 1000)
     assert recorder.end() == 0
     # in the bag topics have the contract's names, so that every analysis reads it
