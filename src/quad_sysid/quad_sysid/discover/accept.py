@@ -312,16 +312,13 @@ def _posterior(
 ) -> tuple[tuple[float, ...], tuple[tuple[tuple[str, float], ...], ...]]:
     """Probability of each chosen effect, and of its alternatives."""
     p = found.probabilities()
-    names = [
-        tuple(part.effect.name for part in scored.fit.structure.parts) for scored in found.all
-    ]
     probabilities, rivals = [], []
     own = [part.effect.name for part in chosen.structure.parts]
     for i, name in enumerate(own):
         rest = own[:i] + own[i + 1 :]
         share: dict[str, float] = {}
-        for parts, weight in zip(names, p, strict=True):
-            left = list(parts)
+        for scored, weight in zip(found.all, p, strict=True):
+            left = list(scored.names)
             if all(_taken(left, one) for one in rest):
                 for one in set(left) or {'nothing'}:
                     share[one] = share.get(one, 0.0) + float(weight) / max(len(set(left)), 1)

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from quad_sysid.contract import FloatArray
+from quad_sysid.effects.torques import PendulumStiffness
 from quad_sysid.model import recursion
 from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import Effect, Settings, Signals, Spec, required
@@ -83,15 +84,15 @@ class Pendulum(SlowState):
     The true angle turns the aircraft; the rate's integral gives it over the memory.
     """
 
-    name = 'pendulum_stiffness'
-    kind = 'named'
+    name = PendulumStiffness.name
+    kind = PendulumStiffness.kind
     variant = 'from the rate'
     parameters = (
         Spec('memory', 's', spread=0.7, centre=math.log(30.0), log=True, starts=(15.0, 60.0)),
-        Spec('stiffness', 'rad/s² per rad'),
+        *PendulumStiffness.parameters,
     )
     physics = "-k sin(x), x' = rate - x / memory: centre of mass off the axis"
-    excite = 'large slow angles: a square wave of long period, a slow chirp'
+    excite = PendulumStiffness.excite
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         return -p[1] * np.sin(required(s.hidden)[0])

@@ -7,7 +7,6 @@ parameters.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -191,11 +190,8 @@ def estimate_of(
     Parameters left out at the end take the centres of their priors.
     """
     effect, fixed = required(_named(name, variant, own)), settings or {}
-    rest = [
-        math.exp(spec.centre) if spec.log else spec.centre
-        for spec in effect.parameters[len(fitted) :]
-    ]
-    told = effect.readable(np.array([*fitted, *rest], dtype=float), fixed)
+    p = np.array([*fitted, *effect.centre()[len(fitted) :]], dtype=float)
+    told = effect.readable(p, fixed)
     return EffectEstimate(
         name=name, kind=effect.kind, signals=effect.signals,
         parameters=tuple(Parameter(k, value, std, unit) for k, (value, unit) in told.items()),

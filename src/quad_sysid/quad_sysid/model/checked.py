@@ -58,10 +58,7 @@ def _check_fields(effect: Effect, where: str) -> None:
 def _try(effect: Effect, where: str) -> None:
     """Raise BadInputError where its torque is no array of accelerations, or not linear."""
     linear = np.array([spec.spread is None for spec in effect.parameters])
-    start = np.array([
-        0.0 if spec.spread is None else np.exp(spec.centre) if spec.log else spec.centre
-        for spec in effect.parameters
-    ])
+    start = effect.centre()
     data, s = _made_up()
     steps = np.where(linear, [[1.0], [0.3]], 0.0) * (1.0 + np.arange(start.size))
     try:

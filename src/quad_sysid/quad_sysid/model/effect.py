@@ -155,12 +155,16 @@ class Effect:
         del s, p, settings
         return None
 
-    def size(self, s: Signals, j: int, settings: Settings) -> FloatArray:
-        """Acceleration per unit of a parameter without a spread, the others at their centre."""
-        p = np.array([
+    def centre(self) -> FloatArray:
+        """(p,) parameters in their units at the centres of their priors; 0 without a spread."""
+        return np.array([
             0.0 if spec.spread is None else (np.exp(spec.centre) if spec.log else spec.centre)
             for spec in self.parameters
         ])
+
+    def size(self, s: Signals, j: int, settings: Settings) -> FloatArray:
+        """Acceleration per unit of a parameter without a spread, the others at their centre."""
+        p = self.centre()
         p[j] = 1.0
         own = self.torque(s, p, settings)
         if own is None:
