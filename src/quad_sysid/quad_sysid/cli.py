@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from quad_sysid import fleet
 from quad_sysid.arguments import (
     BAD_ARGUMENTS,
     NOT_ANSWERED,
@@ -31,7 +32,6 @@ from quad_sysid.contract import AXES
 from quad_sysid.errors import QuadSysidError
 from quad_sysid.exports import cli as exports
 from quad_sysid.files import check_new, write_whole
-from quad_sysid.fleet import cli as fleet
 from quad_sysid.imports import cli as imports
 from quad_sysid.inspection import cli as inspection
 from quad_sysid.progress import progress
@@ -92,9 +92,6 @@ def _identify_parser(commands: Commands) -> None:
                         help='several bags: a report for each instead of one fit to all')
     parser.add_argument('--no-effects', action='store_true', help='fit the models only')
     effects_option(parser)
-    parser.add_argument('--table2', action='store_true',
-                        help='fit the 13 models of Table 2 of the paper (docs/theory.md) too, and '
-                        'print it beside them')
     quiet_and_json(parser, 'report.json')
 
 
@@ -141,7 +138,7 @@ def _identify(options: argparse.Namespace) -> int:
     wanted = session.asked(
         [options.axis] if options.axis else (), options.train or '', options.validate or '',
         options.inertia or '',
-    ) | {'effects': _candidates(options), 'table2': options.table2}
+    ) | {'effects': _candidates(options)}
     if options.apart and len(options.bags) > 1:
         return _identify_apart(wanted, options)
     show = progress(quiet=options.quiet, axes=wanted['axes'])

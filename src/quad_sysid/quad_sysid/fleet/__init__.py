@@ -1,1 +1,0 @@
-"""Many bags: one row each, on Dask, resumable; a table and a page about the fleet."""
