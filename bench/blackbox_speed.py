@@ -25,7 +25,7 @@ import numpy as np
 from blackbox_flight import flight
 
 from quad_sysid.bags.writer import write_bag
-from quad_sysid.blackbox import armax, arx, bj, clriv, fit_table2, iv4, n4sid, oe, search_arx
+from quad_sysid.blackbox import armax, arx, bj, clriv, iv4, oe, search_arx
 from quad_sysid.record import IOData
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / 'test'))
@@ -120,10 +120,6 @@ def main() -> None:
     options = parser.parse_args()
     study = reference_study()
     z = study.record(np.random.default_rng(0))
-    others = {
-        'prbs': study.record(np.random.default_rng(1)),
-        'square': study.record(np.random.default_rng(2)),
-    }
     plain_ms, plain = thousand_lstsq(z)
     ours = search_arx(z, range(1, 11), range(1, 11), range(10)).values()
     result: dict[str, float | str] = {
@@ -136,8 +132,6 @@ def main() -> None:
         'bj_2_2_2_2_3': best(lambda: bj(z, 2, 2, 2, 2, 3)),
         'iv4_2_2_3': best(lambda: iv4(z, 2, 2, 3)),
         'clriv_2_2_2_2_3': best(lambda: clriv(z, 2, 2, 2, 2, 3)),
-        'n4sid_6': best(lambda: n4sid(z, 6)),
-        'table2_with_validations': best(lambda: fit_table2(z, others), 3),
     }
     result |= plain_fits(z)
     if options.peers:

@@ -31,7 +31,6 @@ PARAMETERS = [
     ('excitation', {'schedule': '/nowhere.yaml'}, '/nowhere.yaml: cannot be read'),
     ('excitation', {'shedule': 'x'}, 'parameter shedule: is unknown; is it schedule?'),
     ('excitation', {'angle_limit_deg': 90.0}, 'angle_limit_deg'),
-    ('excitation', {'band_low_rad_s': 30.0, 'end_when_covered': True}, 'is not below band_high'),
     ('identification', {'train': '5:1'}, 'parameter train: needs two times START:END'),
     ('identification', {'inertia': 'abc'}, 'inertia: needs three positive numbers'),
     ('identification', {'axes': '[sideways]'}, "roll, pitch, yaw, all: found 'sideways'"),

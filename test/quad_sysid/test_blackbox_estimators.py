@@ -1,14 +1,13 @@
-"""ARMAX, OE, BJ, IV4, CL-RIV, N4SID and Table 2: recovery of known plants in closed loop."""
+"""ARMAX, OE, BJ, IV4 and CL-RIV: recovery of known plants in closed loop."""
 
 import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from known_plants import Study, reference_study, table3_study
+from known_plants import Study, reference_study
 
 from quad_sysid.blackbox import (
-    TABLE2,
     Model,
     armax,
     arx,
@@ -16,11 +15,9 @@ from quad_sysid.blackbox import (
     cascade_controller,
     clriv,
     compare,
-    fit_table2,
     indirect,
     iv4,
     joint,
-    n4sid,
     oe,
     polynomial_model,
     search_arx,
@@ -90,7 +87,6 @@ def test_several_segments_are_fitted_without_joining_their_ends(study):
     for model in (bj(parts, 2, 2, 2, 2, 3), clriv(parts, 2, 2, 2, 2, 3)):
         assert model.converged
         assert distance(model, study.truth) < 26.1  # 99.9 % point of 8 degrees of freedom
-    assert np.isfinite(n4sid(parts, 4).loss)
 
 
 def test_oe_covariance_allows_for_coloured_residuals():
@@ -213,23 +209,6 @@ def test_data_without_noise_give_the_plant_exactly():
         np.testing.assert_allclose(model.B, truth.B, atol=1e-8)
 
 
-def test_n4sid_in_closed_loop(study):
-    model, validation = n4sid(flight(study, 0), 6), flight(study, 1000)
-    assert compare(validation, model)[0] > 92.0
-    assert compare(validation, model, horizon=1)[0] > 98.5
-    assert model.stable
-
-
-def test_n4sid_recovers_an_exact_order():
-    truth = polynomial_model([0, 0.2, 0.1], A=[1, -1.6, 0.68], C=[1, -0.4, 0.1], dt=0.004,
-                             noise_variance=0.04)
-    z = Study(truth, amplitude=1.0).record(np.random.default_rng(2), closed=False)
-    model = n4sid(z, 2)
-    np.testing.assert_allclose(model.A, truth.A, atol=0.01)
-    np.testing.assert_allclose(model.B[1:], truth.B[1:], atol=0.01)
-    np.testing.assert_allclose(model.C, truth.C, atol=0.05)
-
-
 @pytest.mark.parametrize('fit', [lambda z: oe(z, 3, 3, 2), lambda z: bj(z, 3, 2, 2, 3, 2)])
 def test_a_segment_shorter_than_the_lags_is_left_out(study, fit):
     """Three samples between two gaps hold no row: nearly the same plant as without them."""
@@ -238,20 +217,6 @@ def test_a_segment_shorter_than_the_lags_is_left_out(study, fit):
     torn = (halves[0], (z.n // 2 + 3, z.n // 2 + 6), halves[1])
     whole, found = (fit(replace(z, segments=spans)).F for spans in (halves, torn))
     np.testing.assert_allclose(found, whole, rtol=0.0, atol=0.01)
-
-
-def test_table_2_has_the_papers_rows_and_keeps_order(refusal):
-    kept = ['ARMAX 3 3 3 1', 'ARX 10 10 5', 'IV 5 5 4', 'BJ 2 3 2 2 1']
-    assert (len(TABLE2), [row.name for row in TABLE2 if row.kept]) == (13, kept)
-    study = Study(table3_study().truth, samples=5000)
-    z = flight(study, 0)
-    entries = fit_table2(z, {'prbs': flight(study, 1)})
-    assert [entry.paper for entry in entries] == list(TABLE2)
-    winner = entries[5].row
-    assert winner.eliminated_because == ''
-    assert winner.fit_validation_pct['prbs'] > 60.0
-    assert entries[6].row.aic > winner.aic
-    assert 'too few' in refusal(fit_table2, IOData(z.u[:45], z.y[:45], z.dt), {})
 
 
 @pytest.mark.parametrize(

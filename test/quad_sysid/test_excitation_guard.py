@@ -107,31 +107,6 @@ def test_a_schedule_is_played_to_its_end():
     assert player.start(200.0, GOOD) == ''
 
 
-def test_a_training_segment_with_enough_ends_early_and_a_validation_one_does_not():
-    """Asked from 1.2 s on, every 0.2 s; what follows keeps its length."""
-    player, granted = Player(schedule(), RIG), []
-    player.start(1.7e9, GOOD)
-
-    def readings(t: float) -> Readings:
-        if t >= 1.2 and round(t / DT) % 50 == 0 and player.enough(1.7e9 + t):
-            granted.append(t)
-        return GOOD
-
-    ticks = play(player, readings, 4.8, 1.7e9)
-    assert (granted, player.state) == ([1.2], State.DONE)
-    assert told(ticks) == [  # 1.2 s and the ramp of 0.2 s
-        (0.0, 'idle', 'none'), (0.5, 'train', 'square'), (1.4, 'idle', 'none'),
-        (1.9, 'validation', 'square'), (2.9, 'idle', 'none'), (3.4, 'idle', 'none'),
-    ]
-    ramp = [abs(tick.setpoint[0]) for t, tick in ticks if 1.2 <= t < 1.4]
-    assert ramp == sorted(ramp, reverse=True)
-    assert ramp[0] == pytest.approx(math.radians(10.0))
-    assert ramp[-1] < math.radians(0.3)
-    validation = [abs(tick.setpoint[0]) for t, tick in ticks if 1.9 <= t < 2.9 and tick.setpoint]
-    assert len(validation) == pytest.approx(250, abs=2)
-    assert max(validation) == pytest.approx(math.radians(10.0))
-
-
 @pytest.mark.parametrize(('change', 'words', 'immediate'), REASONS)
 def test_an_abort_ramps_out_or_ends_at_once_and_says_idle(change, words, immediate):
     player = Player(schedule(), RIG, ramp_out_s=0.4)
@@ -165,7 +140,6 @@ def test_failsafe_cuts_a_ramp_short():
 
 def test_a_start_is_refused_with_the_reason():
     player = Player(schedule(), RIG)
-    assert not player.enough(100.0)
     assert 'no /imu/data yet' in player.start(0.0, Readings())
     assert 'failsafe' in player.start(0.0, replace(GOOD, failsafe=True))
     assert player.state is State.READY

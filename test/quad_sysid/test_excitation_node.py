@@ -206,46 +206,6 @@ def test_an_interrupt_takes_the_excitation_back(aircraft, fly, number):
     aircraft.until_taken_back()
 
 
-@pytest.mark.parametrize('answers', [True, False])
-def test_training_ends_when_the_rate_answers_the_whole_band(aircraft, fly, answers):
-    process = fly(
-        LONG, autostart=True, exit_when_done=True,
-        end_when_covered=True, band_low_rad_s=2.0, least_train_s=5.0,
-    )  # fmt: skip
-    aircraft.until(lambda: len(aircraft.heard) > 20)
-    aircraft.probe.until(lambda: aircraft.probe.listeners('/excitation/applied'))
-    aircraft.silent = True  # the cycles below are what it hears
-    rng = np.random.default_rng(1)
-    levels = np.repeat(rng.choice([-0.2, 0.2], 500), 25)
-    rate = angle = 0.0
-    for first in range(0, levels.size if answers else 1500, 5):
-        if len(aircraft.events) > 1:
-            break
-        cycles, added = [], []
-        for k in range(first, first + 5):
-            rate += 0.08 * (3.0 * (levels[k] - angle) - rate)
-            angle += 0.004 * rate
-            header = stamp(aircraft.now_ns + (k - first + 1) * CYCLE_NS)
-            turned = {'y': rate if answers else float(rng.standard_normal())}
-            cycles.append({'header': header, 'orientation': UPRIGHT, 'angular_velocity': turned})
-            added.append({'header': header, 'vector': {'y': float(levels[k])}})
-        aircraft.probe.publish('/imu/data', *cycles)
-        aircraft.probe.publish('/excitation/applied', *added)
-        end = aircraft.cycle + 5
-        aircraft.until(lambda end=end: aircraft.cycle >= end)
-    if not answers:
-        assert [s['segment'] for s in aircraft.segments] == ['train']
-        return
-    aircraft.silent = False
-    aircraft.until(lambda: process.poll() is not None, 'its end')
-    assert process.poll() == 0
-    aircraft.probe.until(lambda: len(aircraft.events) == 3)
-    assert [s['segment'] for s in aircraft.segments] == ['train', 'validation', 'idle']
-    began, validated, ended = aircraft.starts_s
-    assert validated - began < 30.0
-    assert ended - validated == pytest.approx(1.0, abs=0.005)
-
-
 BROKEN = """
 from quad_sysid.signals.player import Player
 def broken(*_): raise ArithmeticError('as the test wants')

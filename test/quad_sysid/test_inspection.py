@@ -66,7 +66,6 @@ def test_an_axis_and_its_uses(record, tmp_path):
     assert uses['identify roll'].possible
     assert uses['closed-loop check, gain design'].possible
     assert 'throttle stays' in uses['find thrust curve'].because
-    assert not {use.name: use for use in held.uses}['one model for roll and pitch'].possible
 
 
 def test_a_flight_in_which_nothing_moves_is_good_for_nothing(record, tmp_path, capsys):

@@ -9,7 +9,7 @@ import pytest
 import quad_sysid
 
 NAMES = (
-    'read_bag', 'Record', 'IOData', 'arx', 'armax', 'oe', 'bj', 'iv4', 'clriv', 'n4sid', 'greybox',
+    'read_bag', 'Record', 'IOData', 'arx', 'armax', 'oe', 'bj', 'iv4', 'clriv', 'greybox',
     'search_arx', 'delay_estimate', 'Model', 'simulate', 'predict', 'fit_percent', 'compare',
     'residual_test', 'frequency_response', 'spa', 'coherence', 'excitation_order', 'identify',
     'evaluate', 'Result', 'Effect', 'prbs', 'design_excitation',

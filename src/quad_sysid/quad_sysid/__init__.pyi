@@ -21,7 +21,6 @@ from quad_sysid.blackbox import frequency_response as frequency_response
 from quad_sysid.blackbox import indirect as indirect
 from quad_sysid.blackbox import iv4 as iv4
 from quad_sysid.blackbox import joint as joint
-from quad_sysid.blackbox import n4sid as n4sid
 from quad_sysid.blackbox import oe as oe
 from quad_sysid.blackbox import polynomial_model as polynomial_model
 from quad_sysid.blackbox import predict as predict

@@ -36,7 +36,6 @@ from quad_sysid.bags.orientation import euler_angles
 from quad_sysid.errors import QuadSysidError
 from quad_sysid.excitation_settings import (
     NUMBERS,
-    CoverageWatch,
     Settings,
     find_schedule,
     settings_from,
@@ -82,14 +81,7 @@ class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
         self._stall = Stall()
         self._waiting = settings.autostart
         self._refused = ''
-        self._watch = CoverageWatch(settings.wanted) if settings.wanted is not None else None
-        self._watched: int | None = None
         sensor = qos_profile_sensor_data
-        if self._watch is not None:  # each cycle counts
-            self.create_subscription(Vector3Stamped, 'excitation/applied', self._watch.applied,
-                                     STREAM, raw=True)
-            self.create_timer(1.0, self._look, clock=self._pace)
-            sensor = STREAM
         self.create_subscription(Imu, 'imu/data', self._on_imu, sensor, raw=True)
         self.create_subscription(Joy, 'rc/in', self._on_rc, sensor)
         self.create_subscription(BatteryState, 'battery', self._on_battery, sensor)
@@ -114,8 +106,6 @@ class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
 
     def _on_imu(self, raw: bytes) -> None:
         self._imu, self._imu_time = raw, self._stall.awake_s(clock().now_s())
-        if self._watch is not None:
-            self._watch.imu(raw)
 
     def _on_rc(self, message: Any) -> None:
         axes, switch = message.axes, self._settings.abort_axis
@@ -189,17 +179,8 @@ class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
             )
         before = self._player.state
         self._publish(self._player.tick(self._now_s(), readings), stamp)
-        if self._watch is not None and self._player.part != self._watched:
-            self._watched = part = self._player.part
-            self._watch.begin(None if part is None else self._settings.schedule.parts[part])
         if self._player.state is not before:
             self._on_state()
-
-    def _look(self) -> None:
-        """End a training segment that covers its band."""
-        found = self._watch.look() if self._watch is not None else ''
-        if found and self._player.enough(self._now_s()):
-            self.get_logger().info(f'the training segment ends early: {found}')
 
     def _publish(self, tick: Tick, stamp: int) -> None:
         if tick.announcement is not None:
@@ -268,17 +249,13 @@ def told(settings: Settings) -> dict[str, str]:
 
 def declare(node: Any) -> Settings:
     """Declare and read the parameters; raises BadInputError naming the file or parameter."""
-    flags = ['autostart', 'exit_when_done', 'end_when_covered']
-    ros_node.refuse_unknown(node, [*NUMBERS, *flags, 'schedule', 'rate_hz', 'abort_aux'])
+    ros_node.refuse_unknown(node, [*NUMBERS, 'autostart', 'exit_when_done', 'schedule', 'rate_hz',
+                                   'abort_aux'])
     name = ros_node.declared(node, 'schedule', 'schedule_rig',
                              'YAML file, or the name of a shipped schedule')
     autostart = ros_node.declared(node, 'autostart', False, 'start as soon as the guard lets it')
     exit_when_done = ros_node.declared(node, 'exit_when_done', False,
                                        'end the process with the schedule (status 0 done, 1 not)')
-    covered = ros_node.declared(
-        node, 'end_when_covered', False,
-        'end a training segment when the rate answers the whole band; validation is flown whole',
-    )
     rate_hz = ros_node.declared(node, 'rate_hz', 250, 'set-points per second', (10, 1000))
     aux = ros_node.declared(node, 'abort_aux', 2,
                             "channel aux 1..5 of the pilot's abort switch; 0: none", (0, 5))
@@ -286,7 +263,7 @@ def declare(node: Any) -> Settings:
                for key, (default, low, high, description) in NUMBERS.items()}
     share = lambda: Path(get_package_share_directory('quad_sysid'))  # noqa: E731
     return settings_from(find_schedule(name, share), numbers, aux, rate_hz, autostart=autostart,
-                         exit_when_done=exit_when_done, end_when_covered=covered)
+                         exit_when_done=exit_when_done)
 
 
 def main() -> None:

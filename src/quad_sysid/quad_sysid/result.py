@@ -204,8 +204,7 @@ class Result:
 def identify(flights: Record | str | Path | Sequence[Record | str | Path],
              axes: str | Sequence[str] = (), *, train: Span | None = None,
              validate: Span | None = None, effects: Sequence[Effect] | None = None,
-             designer: Designer | None = None, table2: bool = False,
-             inertia: Mapping[str, float] | None = None,
+             designer: Designer | None = None, inertia: Mapping[str, float] | None = None,
              progress: Callable[[str], None] = lambda _: None) -> Result:
     """Identify axes from flights of one aircraft, and find what the model lacks.
 
@@ -237,8 +236,7 @@ def identify(flights: Record | str | Path | Sequence[Record | str | Path],
         designer, missing = find_designer()
     answers = answers_of(
         records,
-        Options(axes=wanted, designer=designer, no_designer_because=missing, effects=candidates,
-                table2=table2),
+        Options(axes=wanted, designer=designer, no_designer_because=missing, effects=candidates),
         progress,
     )
     names = tuple(flight.source if isinstance(flight, Record) else str(flight) for flight in given)

@@ -25,7 +25,6 @@ from quad_sysid.arguments import (
 )
 from quad_sysid.contract import AXES
 from quad_sysid.files import write_whole
-from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.model import AxisModel
 from quad_sysid.report.model_file import load_models, pick
 from quad_sysid.report.tables import Table, figure_rows
@@ -70,8 +69,6 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     effects_option(parser)
     quiet_and_json(parser, 'JSON')
     parser.add_argument('--out', type=Path, metavar='FILE', help='write the JSON there too')
-    parser.add_argument('--pictures', type=Path, metavar='DIR',
-                        help='Bode, Nyquist and step with bands (pid)')
     bryson = parser.add_argument_group(
         'lqr', "Bryson's rule: the largest value of each that is acceptable"
     )
@@ -88,8 +85,6 @@ def _run(arguments: argparse.Namespace) -> int:
     text = json.dumps(tree, indent=1, allow_nan=False)
     if arguments.out is not None:
         write_whole(arguments.out, text + '\n')
-    if arguments.pictures is not None and arguments.method == 'pid':
-        _draw(models, answers, arguments.pictures)
     if arguments.json:
         print(text)
     elif not arguments.quiet:
@@ -160,15 +155,6 @@ def _unit(name: str) -> str:
 
 def _short(gains: Mapping[str, float]) -> str:
     return ', '.join(f'{name} {value:.4g}' for name, value in gains.items())
-
-
-def _draw(models: Mapping[str, AxisModel], answers: Mapping[str, Any], folder: Path) -> None:
-    from quad_tuning.report.pictures import write_pictures  # matplotlib takes its time
-
-    for axis, answer in answers.items():
-        if answer['target'] is not None:
-            known = {**models[axis].active_gains, **answer['target']}
-            write_pictures(models[axis], CascadeGains.from_mapping(known, axis), folder)
 
 
 if __name__ == '__main__':

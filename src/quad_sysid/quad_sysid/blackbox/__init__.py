@@ -23,13 +23,11 @@ from quad_sysid.blackbox.simulate import (
     simulate,
     state_size,
 )
-from quad_sysid.blackbox.step_a import TABLE2, PaperRow, StepARow, Table2Entry, fit_table2, step_a
-from quad_sysid.blackbox.subspace import n4sid
+from quad_sysid.blackbox.step_a import StepARow, step_a
 
-__all__ = ['TABLE2', 'FrequencyResponse', 'LinearController', 'Model', 'OrderSearch', 'PaperRow',
-           'ResidualTest', 'SpectralEstimate', 'StepARow', 'Table2Entry', 'armax', 'arx', 'bj',
-           'cascade_controller', 'clriv', 'coherence', 'compare', 'delay_estimate', 'detrend',
-           'excitation_order', 'fit_percent', 'fit_table2', 'frequency_response', 'horizon_errors',
-           'indirect', 'initial_state', 'innovation_test', 'iv4', 'joint', 'n4sid', 'oe',
-           'polynomial_model', 'predict', 'residual_test', 'search_arx', 'simulate', 'spa',
-           'state_size', 'step_a']
+__all__ = ['FrequencyResponse', 'LinearController', 'Model', 'OrderSearch', 'ResidualTest',
+           'SpectralEstimate', 'StepARow', 'armax', 'arx', 'bj', 'cascade_controller', 'clriv',
+           'coherence', 'compare', 'delay_estimate', 'detrend', 'excitation_order', 'fit_percent',
+           'frequency_response', 'horizon_errors', 'indirect', 'initial_state', 'innovation_test',
+           'iv4', 'joint', 'oe', 'polynomial_model', 'predict', 'residual_test', 'search_arx',
+           'simulate', 'spa', 'state_size', 'step_a']

@@ -28,7 +28,7 @@ class Model:
     """
 
     structure: str
-    """ARX, ARMAX, OE, BJ, IV4, CLRIV or N4SID."""
+    """ARX, ARMAX, OE, BJ, IV4 or CLRIV."""
     orders: Mapping[str, int]
     """Such as {'na': 10, 'nb': 10, 'nk': 5}."""
     A: FloatArray

@@ -1,28 +1,24 @@
 """Step A of the paper: models side by side on training and validation data, with residual tests.
 
-Also its Table 2: 13 rows by their orders, one entry each, fitted on the user's own data. The
-second step, in the simulated closed loop, belongs to the room `pipeline`.
+The second step, in the simulated closed loop, is in `pipeline`.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from quad_sysid.blackbox.arx import arx
 from quad_sysid.blackbox.innovations import one_step_errors
-from quad_sysid.blackbox.instruments import clriv, iv4
 from quad_sysid.blackbox.polynomial import Model
-from quad_sysid.blackbox.prediction_error import armax, bj
 from quad_sysid.blackbox.residuals import ResidualTest, residual_test
 from quad_sysid.blackbox.simulate import compare
 from quad_sysid.errors import BadInputError
 from quad_sysid.record import IOData
 
-WITH_NOISE_MODEL = ('ARX', 'ARMAX', 'BJ', 'N4SID')
+WITH_NOISE_MODEL = ('ARX', 'ARMAX', 'BJ')
 """Structures that claim a white residual; OE, IV4 and CLRIV leave the noise to itself."""
 
 DIVERGED_PCT = -1e4
@@ -139,86 +135,3 @@ def _objections(model: Model, test: ResidualTest, fits: Mapping[str, float | Non
 def _finite(value: float) -> float | None:
     """Return the fit, or None where the run has diverged."""
     return value if value > DIVERGED_PCT else None
-
-
-ESTIMATORS: Mapping[str, Callable[..., Model]] = {'ARMAX': armax, 'ARX': arx, 'IV': iv4, 'BJ': bj}
-
-
-@dataclass(frozen=True)
-class PaperRow:
-    """One row of Table 2."""
-
-    name: str
-    """Structure and orders."""
-    prbs_pct: float
-    """The paper's fit on the validation PRBS; square and training alike."""
-    square_pct: float
-    train_pct: float
-    kept: bool = False
-    """Whether the paper kept the model for its second step."""
-
-    def fit(self, z: IOData) -> Model | str:
-        """The row's model on z, or why the data cannot carry it.
-
-        Refined: CL-RIV of the same plant orders with AR noise; driven by u where there is no r.
-        """
-        structure, *words = self.name.removesuffix(' refined').split()
-        orders = [int(word) for word in words]
-        try:
-            if not self.name.endswith('refined'):
-                return ESTIMATORS[structure](z, *orders)
-            na, nb, nk = orders
-            return clriv(z, nb, 0, na, na, nk, reference=z.u if z.r is None else z.r)
-        except BadInputError as error:
-            return str(error)
-
-
-@dataclass(frozen=True)
-class Table2Entry:
-    """The paper's row beside ours; `row` is None where the fit was refused, with the reason."""
-
-    paper: PaperRow
-    row: StepARow | None
-    refused_because: str = ''
-
-
-TABLE2 = (
-    PaperRow('ARMAX 4 3 4 2', 57.38, 79.18, 98.27),
-    PaperRow('ARMAX 3 3 3 1', 62.09, 73.2, 98.23, kept=True),
-    PaperRow('ARMAX 3 2 3 1', 59.39, 61.61, 98.15),
-    PaperRow('ARMAX 3 2 2 1', 63.06, 75.3, 98.17),
-    PaperRow('ARMAX 3 2 1 1', 57.08, 70.77, 97.92),
-    PaperRow('ARX 10 10 5', 73.84, 80.15, 98.3, kept=True),
-    PaperRow('ARX 2 2 1', 51.59, 43.52, 96.92),
-    PaperRow('ARX 2 2 0', 45.9, 39.04, 96.94),
-    PaperRow('IV 4 4 5', 77.93, 65.85, 97.85),
-    PaperRow('IV 5 5 4', 77.34, 70.23, 98.12, kept=True),
-    PaperRow('IV 4 4 5 refined', 77.62, 75.76, 96.71),
-    PaperRow('BJ 2 3 2 2 1', 58.33, 63.25, 98.09, kept=True),
-    PaperRow('BJ 1 3 3 2 1', 61.58, 66.91, 98.16),
-)
-
-
-def fit_table2(train: IOData, validations: Mapping[str, IOData], lags: int = 25,
-               confidence: float = 0.99) -> tuple[Table2Entry, ...]:
-    """Fit all rows on `train` and judge them as `step_a` does, beside the paper's figures.
-
-    A row that the data cannot carry keeps its place with the reason; only where none can be
-    fitted is BadInputError raised.
-    """
-    models: dict[str, Model] = {}
-    refused: dict[str, str] = {}
-    for paper in TABLE2:
-        found = paper.fit(train)
-        if isinstance(found, Model):
-            models[paper.name] = found
-        else:
-            refused[paper.name] = found
-    if not models:
-        raise BadInputError('fit_table2', 'no row can be fitted', next(iter(refused.values())),
-                            'take longer segments')
-    judged = step_a(list(models.values()), train, validations, lags, confidence)
-    rows = dict(zip(models, judged, strict=True))
-    return tuple(
-        Table2Entry(paper, rows.get(paper.name), refused.get(paper.name, '')) for paper in TABLE2
-    )

@@ -133,14 +133,9 @@ def uses_of_axis(record: Record, data: AxisData) -> tuple[Use, ...]:
 
 def _uses_of_flight(axes: Sequence[AxisContent]) -> tuple[Use, ...]:
     """What the flight as a whole allows."""
-    both = {'roll', 'pitch'} <= {one.axis for one in axes if one.uses[0].possible}
     moving = any(one.windows and one.rate_rms and one.command_rms for one in axes)
-    return (
-        Use('evaluate a stored model', moving,
-            '' if moving else 'no axis holds rate and command that move'),
-        Use('one model for roll and pitch', both,
-            '' if both else 'it needs both, and this bag does not hold them'),
-    )
+    return (Use('evaluate a stored model', moving,
+                '' if moving else 'no axis holds rate and command that move'),)
 
 
 def _moves(data: AxisData, signal: np.ndarray | None) -> bool:

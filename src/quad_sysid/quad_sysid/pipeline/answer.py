@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from quad_sysid.blackbox import Model, ResidualTest, StepARow, Table2Entry
+from quad_sysid.blackbox import ResidualTest, StepARow
 from quad_sysid.contract import FloatArray
 from quad_sysid.discover.accept import Verdict
 from quad_sysid.discover.search import Found
@@ -70,18 +70,6 @@ class Check:
 
 
 @dataclass(frozen=True)
-class SharedModel:
-    """One model for roll and pitch, where their confidence bands agree (the paper's choice)."""
-
-    agree: bool
-    because: str
-    model: Model | None = None
-    """Fitted on both axes' training together; None where they do not agree."""
-    fit_validation_pct: Mapping[str, float | None] = field(default_factory=dict)
-    """Free-run fit of the shared model by axis."""
-
-
-@dataclass(frozen=True)
 class Selection:
     """How the black-box models of one axis were found and selected."""
 
@@ -90,9 +78,6 @@ class Selection:
     """Whether the data show feedback from the rate to the command."""
     checks: tuple[Check, ...] = ()
     advice: tuple[str, ...] = ()
-    table2: tuple[Table2Entry, ...] = ()
-    """The paper's rows, where they were asked for."""
-    shared: SharedModel | None = None
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,6 @@ from quad_sysid.pipeline import assemble, blackbox_part
 from quad_sysid.pipeline.answer import AxisAnswer, Findings, Residual
 from quad_sysid.pipeline.held_out import findings, of_black_box, of_grey_box
 from quad_sysid.pipeline.selection import with_blackbox
-from quad_sysid.pipeline.shared import share
 from quad_sysid.pipeline.step_b import closed_loop
 from quad_sysid.pipeline.usable import check_usable, refusal, together
 from quad_sysid.record import Record
@@ -43,8 +42,6 @@ class Options:
     no_designer_because: str = 'no designer is installed (quad_tuning offers one)'
     effects: tuple[Effect, ...] = EFFECTS
     """The candidates for what is missing."""
-    table2: bool = False
-    """Fit the paper's 13 rows as well."""
 
 
 def identify(records: Sequence[Record], options: Options,
@@ -55,8 +52,8 @@ def identify(records: Sequence[Record], options: Options,
     """
     records = together(records)
     with threadpool_limits(limits=1):  # the matrices are narrow: threads only wait for another
-        return share({axis: identify_axis(records, axis, options, progress)
-                      for axis in options.axes or asked_axes(records)})
+        return {axis: identify_axis(records, axis, options, progress)
+                for axis in options.axes or asked_axes(records)}
 
 
 def asked_axes(records: Sequence[Record]) -> tuple[str, ...]:
@@ -98,7 +95,7 @@ def identify_axis(records: Sequence[Record], axis: str, options: Options,
         attitude_reference=_joined([r.attitude_setpoint for r in records], data.index),
         rate_reference=_joined([r.rate_setpoint for r in records], data.index),
     )
-    answer = with_blackbox(answer, data, records, table2=options.table2)
+    answer = with_blackbox(answer, data, records)
     answer = replace(answer, residuals=_residuals(answer, data, told))
     answer = replace(answer, closed_loop=closed_loop(answer, records, data))
     progress(f'{axis}: gains')

@@ -16,11 +16,9 @@ import numpy as np
 from quad_sysid.blackbox import (
     LinearController,
     Model,
-    Table2Entry,
     bj,
     cascade_controller,
     fit_percent,
-    fit_table2,
     indirect,
     joint,
     residual_test,
@@ -36,7 +34,6 @@ from quad_sysid.pipeline.advice import Evidence, advice, rivalry
 from quad_sysid.pipeline.answer import Approach, AxisAnswer, ModelRow, Selection
 from quad_sysid.pipeline.assemble import band_of
 from quad_sysid.pipeline.blackbox_part import NOISE_ORDER, ORDERS, Fits, tried
-from quad_sysid.pipeline.shared import box_jenkins
 from quad_sysid.record import IOData, Record
 
 KNOWN_CONTROLLER_PCT = 70.0
@@ -219,8 +216,7 @@ def largest_loop_gain(z: IOData, model: Model) -> float:
     return gain * float(y.std() / u.std()) if u.std() > 0.0 else float('inf')
 
 
-def with_blackbox(answer: AxisAnswer, data: AxisData, records: Sequence[Record], *,
-                  table2: bool = False) -> AxisAnswer:
+def with_blackbox(answer: AxisAnswer, data: AxisData, records: Sequence[Record]) -> AxisAnswer:
     """Add the table of models, the selected one, its error in the metric, and what to know."""
     gains = {} if answer.model is None else answer.model.active_gains
     checks = preparation.checks(records[0], data.axis, gains)
@@ -245,7 +241,7 @@ def with_blackbox(answer: AxisAnswer, data: AxisData, records: Sequence[Record],
     rows, why_not = _second_steps(rows, records, data.axis, closed=closed)
     selected = blackbox_part.select(rows, data)
     model = None if selected is None else rows[selected].step_a.model
-    band = band_of(data, box_jenkins(rows) or model)
+    band = band_of(data, _box_jenkins(rows) or model)
     axis_model = answer.model and replace(answer.model, trusted_band_rad_s=band)
     evidence = Evidence(z, fits, rows, selected, band, closed, axis_model, fits.refused + refused,
                         why_not)
@@ -256,8 +252,15 @@ def with_blackbox(answer: AxisAnswer, data: AxisData, records: Sequence[Record],
         blackbox_horizons=blackbox_part.horizons(data, model, held_out) if model else {},
         validation=blackbox_part.io_data(data, held_out, external=False) if held_out else None,
         selection=Selection(approaches=possible, feedback=closed, checks=checks,
-                            advice=advice(evidence), table2=_table2(z, data) if table2 else ()),
+                            advice=advice(evidence)),
     )
+
+
+def _box_jenkins(rows: Sequence[ModelRow]) -> Model | None:
+    """The direct Box-Jenkins model, whose covariance is the best that is known; None without."""
+    models = (row.step_a.model for row in rows)
+    return next((m for m in models if m.structure == 'BJ' and m.approach == 'direct'
+                 and m.converged), None)
 
 
 def _one_loop(records: Sequence[Record], axis: str) -> bool:
@@ -279,11 +282,3 @@ def _second_steps(rows: tuple[ModelRow, ...], records: Sequence[Record], axis: s
     if isinstance(flights, str):
         return rows, flights
     return tuple(step_b.second_step(row, flights) for row in rows), ''
-
-
-def _table2(z: IOData, data: AxisData) -> tuple[Table2Entry, ...]:
-    """The paper's rows on the same data; none where the data carry none of them."""
-    try:
-        return fit_table2(z, blackbox_part.validations(data))
-    except QuadSysidError:
-        return ()

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from quad_sysid.blackbox import Table2Entry
 from quad_sysid.contract import FloatArray
 from quad_sysid.discover.accept import Horizon
 from quad_sysid.model import EffectEstimate, GainProposal, NoiseEstimate, Parameter
@@ -19,7 +18,6 @@ from quad_sysid.pipeline.answer import (
     ModelRow,
     Residual,
     Selection,
-    SharedModel,
 )
 
 SCHEMA = 'quad_sysid/report/1'
@@ -205,39 +203,10 @@ def _model(row: ModelRow) -> dict[str, Any]:
 
 def _selection(selection: Selection) -> dict[str, Any]:
     """How an axis' black-box models were found and selected."""
-    tree: dict[str, Any] = {'approaches': [asdict(approach) for approach in selection.approaches],
-                            'feedback': selection.feedback,
-                            'preparation': [asdict(check) for check in selection.checks],
-                            'advice': selection.advice}
-    if selection.table2:
-        tree['table2'] = [_table2(entry) for entry in selection.table2]
-    if selection.shared is not None:
-        tree['roll_and_pitch'] = _shared(selection.shared)
-    return tree
-
-
-def _table2(entry: Table2Entry) -> dict[str, Any]:
-    paper, row = entry.paper, entry.row
-    return {
-        'name': paper.name,
-        'paper': {'prbs': paper.prbs_pct, 'square': paper.square_pct, 'train': paper.train_pct,
-                  'kept': paper.kept},
-        'fit_train_pct': row and row.fit_train_pct,
-        'fit_validation_pct': row.fit_validation_pct if row else {},
-        'passed_first_step': bool(row and row.passed_first_step),
-        'because': row.eliminated_because if row else entry.refused_because,
-    }
-
-
-def _shared(shared: SharedModel) -> dict[str, Any]:
-    model = shared.model
-    return {
-        'agree': shared.agree,
-        'because': shared.because,
-        'model': model and {'structure': model.structure, 'orders': dict(model.orders),
-                            **{name: getattr(model, name) for name in 'ABCDF'}},
-        'fit_validation_pct': shared.fit_validation_pct,
-    }
+    return {'approaches': [asdict(approach) for approach in selection.approaches],
+            'feedback': selection.feedback,
+            'preparation': [asdict(check) for check in selection.checks],
+            'advice': selection.advice}
 
 
 def _residual(residual: Residual) -> dict[str, Any]:

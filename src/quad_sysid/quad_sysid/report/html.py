@@ -149,8 +149,7 @@ def _axis(axis: str, tree: Mapping[str, Any], answer: AxisAnswer | None, drawn: 
     """All details of one axis."""
     model = answer.model if answer is not None else None
     active = model.active_gains if model is not None else {}
-    shown, told = drawn.pictures, escape(tables.shared(tree))
-    told = told and f'<p>{told}</p>'
+    shown = drawn.pictures
 
     def figures(names: Sequence[str]) -> str:
         found = ''.join(figure(axis, shown[name]) for name in names if name in shown)
@@ -164,9 +163,8 @@ def _axis(axis: str, tree: Mapping[str, Any], answer: AxisAnswer | None, drawn: 
          + figures(EFFECTS) + _fold('Everything that was tried',
                               tables.tried(tree).html() + tables.untested(tree).html())),
         ('What is left', tables.residuals(tree).html() + figures(LEFT)),
-        ('Black-box models', tables.models(tree).html() + told
-         + figures(MODELS) + tables.approaches(tree).html()
-         + _fold("Beside the paper's Table 2", tables.table2(tree).html())),
+        ('Black-box models', tables.models(tree).html() + figures(MODELS)
+         + tables.approaches(tree).html()),
         ('Advice', _notes(tables.notes(tree))),
         ('Loop and gains', tables.gains(tree, axis, active).html() + figures(LOOP)),
         ('Warnings', _notes([

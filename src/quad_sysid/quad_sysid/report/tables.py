@@ -246,37 +246,6 @@ def approaches(tree: Tree) -> Table:
     return Table(['approach', 'possible', 'because'], rows, caption=told)
 
 
-def table2(tree: Tree) -> Table:
-    """Our fits beside the paper's; empty where they were not asked for."""
-    rows = []
-    for entry in tree.get('table2', []):
-        paper, fits = entry['paper'], entry['fit_validation_pct']
-        pairs = [(entry['fit_train_pct'], paper['train']),
-                 *((fits.get(name), paper[name]) for name in ('prbs', 'square'))]
-        rows.append([entry['name'] + (' *' if paper['kept'] else ''),
-                     *(_fit(value, 2) for pair in pairs for value in pair),
-                     entry['because'] or 'passed the first step'])
-    return Table(
-        ['model', 'train, %', 'paper', 'prbs, %', 'paper', 'square, %', 'paper', 'outcome'],
-        rows, range(1, 7), None,
-        "The paper's Table 2. Train: one-step fit; prbs and square: free run on held-out "
-        'segments. * kept in the paper.',
-    )
-
-
-def shared(tree: Tree) -> str:
-    """Whether roll and pitch share one model, in a sentence."""
-    found = tree.get('roll_and_pitch')
-    if not found:
-        return ''
-    told = (
-        'One model serves roll and pitch' if found['agree'] else 'Roll and pitch need two models'
-    )
-    fits = ', '.join(f'{axis} {_fit(fit)} %' for axis, fit in found['fit_validation_pct'].items()
-                     if fit is not None)
-    return f'{told}: {found["because"]}.' + (f' Its free-run fit: {fits}.' if fits else '')
-
-
 def residuals(tree: Tree) -> Table:
     """The tests of each model's one-step errors on the held-out data."""
     rows = []
@@ -315,8 +284,8 @@ def _span(interval: Sequence[float] | None) -> str:
     return f'{number(interval[0])} to {number(interval[1])}' if interval else ''
 
 
-def _fit(value: float | None, digits: int = 1) -> str:
-    return '–' if value is None else f'{max(value, -999.0):.{digits}f}'
+def _fit(value: float | None) -> str:
+    return '–' if value is None else f'{max(value, -999.0):.1f}'
 
 
 def _whole(value: float | None) -> str:

@@ -12,8 +12,6 @@ from enum import Enum
 from quad_sysid.signals.guard import Limits, Readings, Vector, check
 from quad_sysid.signals.schedule import Schedule
 
-TINY_S = 1e-9
-"""Tolerance for rounding at the end of a part."""
 ZERO: Vector = (0.0, 0.0, 0.0)
 Announcement = Mapping[str, float | int | str]
 
@@ -51,10 +49,6 @@ class Player:
         self._index: int | None = None
         self._last: Vector = ZERO
         self._yaw_start = 0.0
-        self._skipped = 0.0
-        """Part of the schedule's time that was skipped, s."""
-        self._enough: tuple[int, float] | None = None
-        """Part that ends early, and since which time."""
 
     @property
     def active(self) -> bool:
@@ -64,7 +58,7 @@ class Player:
     @property
     def elapsed_s(self) -> float:
         """Time into the schedule at the last tick."""
-        return min(max(self._schedule_s(self._now), 0.0), self.schedule.duration_s)
+        return min(max(self._now - self._began, 0.0), self.schedule.duration_s)
 
     @property
     def part(self) -> int | None:
@@ -82,47 +76,12 @@ class Player:
         self.state, self.reason = State.RUNNING, ''
         self._began = self._now = now_s
         self._index, self._last, self._yaw_start = None, ZERO, yaw
-        self._skipped, self._enough = 0.0, None
         return ''
 
     def stop(self, now_s: float, reason: str) -> None:
         """Ramp out from `now_s`."""
         if self.state is State.RUNNING:
             self.state, self.reason, self._ended = State.ENDING, reason, now_s
-
-    def enough(self, now_s: float) -> bool:
-        """End the running training segment early, with its ramp; False where there is none.
-
-        The next segment begins, and is announced, when the ramp is over.
-        """
-        if self.state is not State.RUNNING or self._index is None or self._enough is not None:
-            return False
-        part = self.schedule.parts[self._index]
-        left = self._end_s(self._index) - self._schedule_s(now_s)
-        if part.role != 'train' or left <= part.ramp_s:
-            return False
-        self._enough = self._index, now_s
-        return True
-
-    def _schedule_s(self, now_s: float) -> float:
-        """Time into the schedule, skipped time included."""
-        return now_s - self._began + self._skipped
-
-    def _end_s(self, index: int) -> float:
-        return self.schedule.starts_s[index] + self.schedule.parts[index].duration_s
-
-    def _early(self, now_s: float) -> float:
-        """Share of the amplitude left in a part that ends early; at 0 the next part begins."""
-        if self._enough is None:
-            return 1.0
-        index, since = self._enough
-        ramp_s = self.schedule.parts[index].ramp_s
-        share = 1.0 - (now_s - since) / ramp_s if ramp_s > 0.0 else 0.0
-        if share > 0.0 and self._schedule_s(now_s) < self._end_s(index):
-            return share
-        self._skipped += max(0.0, self._end_s(index) - self._schedule_s(now_s)) + TINY_S
-        self._enough = None
-        return 1.0
 
     def cut(self, reason: str) -> Tick:
         """End at once, without a ramp."""
@@ -141,8 +100,7 @@ class Player:
             self.stop(now_s, abort.reason)
         if self.state is State.ENDING:
             return self._ramp_out(now_s)
-        share = self._early(now_s)
-        into_s = self._schedule_s(now_s)
+        into_s = now_s - self._began
         index = self.schedule.index(into_s)
         if index is None:
             return self._finish(State.DONE, 'the schedule is complete')
@@ -154,8 +112,7 @@ class Player:
             if part.axis == 'yaw' and readings.angles is not None:
                 self._yaw_start = readings.angles[2]
         idle = part.role == 'idle'
-        roll, pitch, yaw = ZERO if idle else self.schedule.sample(into_s)
-        self._last = share * roll, share * pitch, share * yaw
+        self._last = ZERO if idle else self.schedule.sample(into_s)
         return Tick(None if idle else self._last, announcement)
 
     def _ramp_out(self, now_s: float) -> Tick:

@@ -1,1 +1,0 @@
-"""Pictures of a gain design; nothing else in the design draws."""
