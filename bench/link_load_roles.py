@@ -1,4 +1,4 @@
-"""The processes of link_load.py that are not the suite's own: far end, subscriber, bare publisher.
+"""The processes of link_load.py that are not the suite's own: STM32, subscriber, bare publisher.
 
 python bench/link_load_roles.py stm32|ears|bare|exciter FOLDER [RATE]
 """
@@ -27,14 +27,14 @@ class Stopped:
 def stm32(folder: Path, rate: float) -> None:
     """The virtual STM32, which notes when the last byte of each cycle was written."""
     from quad_bridge.virtual import process
-    from quad_bridge.virtual.aircraft import Aircraft
     from quad_bridge.virtual.board import Board
     from quad_bridge.virtual.profile import load_profile
     from quad_bridge.virtual.receiver import Receiver
 
     profile = load_profile('plain')
     profile = replace(profile, mount='rig', firmware=replace(profile.firmware, rate_hz=rate))
-    aircraft, board = Aircraft(profile, seed=1), Board.linux('--link', folder / 'tty')
+    aircraft = process.prepared(profile, seed=1)
+    board = Board.linux('--link', folder / 'tty')
     stop, written = process.Stop(aircraft, None), list[int]()
     flight = process.Flight(aircraft, Receiver(), board, lockstep=False)
     while not stop:

@@ -15,6 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from quad_bridge.virtual.flight_bag import write_bag
+from quad_bridge.virtual.process import prepared
+from quad_bridge.virtual.profile import Profile
 from quad_bridge.virtual.simulation import Excited, fly
 from quad_sysid.cli import main as quad_sysid
 from quad_tuning.cli import main as quad_tune
@@ -40,6 +42,7 @@ def main() -> int:
         seconds = TRAIN_S + VALIDATION_S + 3.0
         write_bag(fly('demo_rig', schedule, seconds, 1), Path('bag'))
         fly('demo_rig', [], 0.1, 1, effect=lambda *_: np.zeros(3))  # steps with a Python effect
+        prepared(Profile(), seed=1)  # the process' own steps
         model, status = 'result/model.json', 0
         for command, *arguments in (
             (quad_sysid, 'identify', 'bag', '--axis', 'roll', '--out', 'result'),

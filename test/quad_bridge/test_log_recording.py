@@ -8,7 +8,6 @@ import struct
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
 from probe import PATIENCE_S
@@ -17,7 +16,7 @@ from rosbags.highlevel import AnyReader
 from quad_bridge import status as level
 from quad_bridge.errors import BadInputError
 from quad_bridge.log import mcap
-from quad_bridge.log.disk import MB, Budget, Reserve, free_bytes
+from quad_bridge.log.disk import MB, Reserve, free_bytes
 from quad_bridge.log.recording import Gaps, Recording, RecordingStatus, recording_status
 from quad_bridge.log.recover import recover
 from quad_bridge.log.writer import BagWriter, Limits
@@ -291,74 +290,6 @@ def test_a_recovery_without_room_is_refused_in_one_line(tmp_path):
     assert told['left'] == ['bag']
 
 
-# ---- the budget -------------------------------------------------------------------------------
-
-
-def bag_of(folder, name, size, closed=True):
-    (folder / name).mkdir()
-    (folder / name / 'data.mcap').write_bytes(bytes(size))
-    if closed:
-        (folder / name / 'metadata.yaml').write_text('')
-
-
-def test_old_bags_are_deleted_only_where_that_is_allowed(tmp_path):
-    names = [f'flight_20250101_12000{i}' for i in range(4)]
-    for i, name in enumerate(names):
-        bag_of(tmp_path, name, 1000, closed=i != 1)
-    for other in ('other_20250101_120000', 'flight_b_20250101_120000', f'{names[0]}_recovered'):
-        bag_of(tmp_path, other, 9000)
-    with pytest.raises(BadInputError, match='exceed the disk budget'):
-        Budget(tmp_path, 'flight', 3500).make_room(0)
-    assert len(list(tmp_path.iterdir())) == 7
-    allowed = Budget(tmp_path, 'flight', 3500, delete_oldest=True)
-    assert [b.name for b in allowed.make_room(500)] == [names[0]]
-    # an unclosed bag waits for recover, the current one is being written
-    assert [b.name for b in allowed.make_room(1500, tmp_path / names[2])] == [names[3]]
-    with pytest.raises(BadInputError, match='MB too much'):
-        allowed.make_room(3000, tmp_path / names[2])
-    assert len(list(tmp_path.iterdir())) == 5
-    assert Budget(tmp_path, 'flight').make_room(10**12) == []
-    # what a recorder was killed at while it deleted is room as well
-    bag_of(tmp_path, f'{names[0]}.deleting', 3000)
-    assert allowed.make_room(500) == []
-    assert len(list(tmp_path.iterdir())) == 5
-
-
-def test_the_oldest_bag_is_the_one_closed_first_whatever_its_clock_said(tmp_path):
-    names = [
-        'flight_19700101_000500', 'flight_20250101_120000', 'flight_20250101_130000',
-        'flight_19700101_000100',
-    ]  # fmt: skip
-    # the first was closed last of all, the fourth by a computer that has no clock: of unknown age
-    for name, closed_s in zip(names, (1.76e9, 1.74e9, 1.75e9, 100.0), strict=True):
-        bag_of(tmp_path, name, 1000)
-        os.utime(tmp_path / name / 'metadata.yaml', (closed_s, closed_s))
-    budget = Budget(tmp_path, 'flight', 1500, delete_oldest=True)
-    assert [b.name for b in budget.make_room(0)] == [names[1], names[2], names[0]]
-
-
-@pytest.mark.parametrize('locked', ['data.mcap', 'metadata.yaml'])
-def test_a_bag_that_may_not_be_deleted_stays_whole(tmp_path, monkeypatch, locked):
-    names = ['flight_20250101_120000', 'flight_20250101_130000']
-    for name in names:
-        bag_of(tmp_path, name, 1000)
-    rename = Path.rename
-
-    def refuse(path, target):  # as of a file that chattr +i protects
-        if path.parent.name == names[0] and path.name == locked:
-            raise PermissionError(errno.EPERM, os.strerror(errno.EPERM))
-        return rename(path, target)
-
-    monkeypatch.setattr(Path, 'rename', refuse)
-    budget, kept = Budget(tmp_path, 'flight', 1500, delete_oldest=True), []
-    assert [b.name for b in budget.make_room(0, refused=kept.append)] == [names[1]]
-    assert [b.name for b in kept] == [names[0]]
-    assert [p.name for p in tmp_path.iterdir()] == [names[0]]
-    assert {p.name for p in (tmp_path / names[0]).iterdir()} == {'data.mcap', 'metadata.yaml'}
-    with pytest.raises(BadInputError, match='MB too much'):
-        budget.make_room(1500)
-
-
 def test_whatever_goes_wrong_in_the_writers_thread_ends_the_recording(tmp_path):
     recording = started(tmp_path / 'bag')
     put(recording, range(10))
@@ -369,18 +300,6 @@ def test_whatever_goes_wrong_in_the_writers_thread_ends_the_recording(tmp_path):
     assert 'writing failed' in status.failure
     assert status.dropped >= 9
     assert numbers_in(tmp_path / 'bag') == list(range(status.written))
-
-
-def test_a_recording_that_is_ended_from_outside_is_closed(tmp_path):
-    recording = started(tmp_path / 'bag')
-    put(recording, range(20))
-    recording.end('the disk budget is used up')
-    until((tmp_path / 'bag' / 'metadata.yaml').exists)
-    put(recording, range(20, 25))
-    status = recording.stop()
-    assert 'the disk budget is used up' in status.failure
-    assert (status.written, status.dropped) == (20, 5)
-    assert numbers_in(tmp_path / 'bag') == list(range(20))
 
 
 # ---- one bag, several files -------------------------------------------------------------------

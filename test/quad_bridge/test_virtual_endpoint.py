@@ -8,7 +8,6 @@ import select
 import signal
 import subprocess
 import sys
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -32,8 +31,8 @@ from quad_bridge.wire import frames as f
 class Peer:
     """A bridge in miniature, in memory."""
 
-    def __init__(self, *events: Event, profile: Profile | None = None) -> None:
-        self.endpoint = Endpoint(Aircraft(profile or Profile(), seed=1), Receiver(events=events))
+    def __init__(self, *events: Event) -> None:
+        self.endpoint = Endpoint(Aircraft(Profile(), seed=1), Receiver(events=events))
         self.encoder, self.decoder = Encoder(1, 191), Decoder()
 
     def ask(self, frame):
@@ -68,15 +67,6 @@ def test_gains_and_filters_are_float32_and_act_at_once():
     assert slow < 0.8 * fast
 
 
-def test_excitation_is_added_to_the_set_point_in_the_next_cycle():
-    peer = Peer()
-    peer.fly(50)
-    peer.ask(f.Excitation((0.2, 0.0, 0.0), f.Injection.ATTITUDE, seq=7, valid_ms=100))
-    (first,) = peer.cycles(1)
-    assert first.excitation == pytest.approx((0.2, 0.0, 0.0))
-    assert first.attitude_setpoint[0] == pytest.approx(0.2)
-
-
 def test_axes_on_the_wire_are_frd_and_turn_back_to_flu():
     peer = Peer()
     peer.ask(f.Excitation((0.0, 0.1, -0.2), f.Injection.CONTROL, seq=1))
@@ -89,18 +79,6 @@ def test_axes_on_the_wire_are_frd_and_turn_back_to_flu():
     assert sum(cycle.motors[2:]) > sum(cycle.motors[:2])
 
 
-def test_kill_switch_and_disarm_stop_the_motors_and_arming_starts_them():
-    peer = Peer(Event(0.2, 'aux1', 1.0), Event(0.4, 'aux1', -1.0))
-    cycles = peer.cycles(150)
-    assert min(cycles[10].motors) > 0.2
-    assert cycles[60].motors == (0.0, 0.0, 0.0, 0.0)
-    assert min(cycles[120].motors) > 0.2
-    assert peer.ask(f.Command(400, (0.0,))) == [f.CommandAck(400, 0)]
-    assert peer.cycles(2)[1].motors == (0.0, 0.0, 0.0, 0.0)
-    assert peer.ask(f.Command(400, (1.0,))) == [f.CommandAck(400, 0)]
-    assert min(peer.cycles(50)[-1].motors) > 0.0
-
-
 def test_sticks_move_the_reference_and_the_channels_and_failsafe_centres_them():
     peer = Peer(Event(0.1, 'roll', 0.5), Event(0.3, 'failsafe', 1.0))
     frames = peer.fly(100)
@@ -108,16 +86,6 @@ def test_sticks_move_the_reference_and_the_channels_and_failsafe_centres_them():
     assert cycles[40].attitude_setpoint[0] == pytest.approx(math.radians(15.0))
     assert cycles[90].attitude_setpoint[0] == 0.0
     assert (rc[8].channels[0], len(rc[8].channels), rc[-1].rssi) == (1750, 9, 0)
-
-
-def test_a_low_battery_is_said_once_and_refuses_excitation():
-    airframe = Profile().airframe
-    battery = replace(airframe.battery, start_charge=0.05)
-    peer = Peer(profile=replace(Profile(), airframe=replace(airframe, battery=battery)))
-    said = [t.text for t in only(peer.fly(10), f.StatusText)]
-    assert sum(text.startswith('low battery') for text in said) == 1
-    peer.ask(f.Excitation((0.1, 0.0, 0.0), f.Injection.ATTITUDE, seq=1))
-    assert peer.cycles(1)[0].flags & f.Flag.EXCITATION_REFUSED
 
 
 # The process.
@@ -164,20 +132,6 @@ def ended(running, number):
     running.send_signal(number)
     _, errors = running.communicate(timeout=PATIENCE_S)
     return running.returncode, errors
-
-
-def test_the_process_serves_a_real_pty_and_ends_cleanly(port):
-    encoder = Encoder(1, 191)
-    os.write(port.number, encoder.encode(f.TimeSync(0, 77)))
-    os.write(port.number, encoder.encode(f.GainsCommand(f.GainsAction.OPEN, 1)))
-    os.write(port.number, encoder.encode(f.ParamSet('ROLL_ANG_KP', 3.5)))
-    wanted = (f.Heartbeat, f.TimeSync, f.ParamValue)
-    frames = port(lambda x: len(only(x, f.Cycle)) >= 300 and all(only(x, k) for k in wanted))
-    assert only(frames, f.TimeSync)[0].ts1_ns == 77
-    assert only(frames, f.ParamValue)[0].value == 3.5
-    assert {b.cycle - a.cycle for a, b in pairwise(only(frames, f.Cycle))} == {1}
-    assert ended(port.running, signal.SIGTERM) == (0, '')
-    assert not port.link.is_symlink()
 
 
 def test_a_stalled_process_catches_up_without_losing_a_cycle(port):
@@ -259,6 +213,6 @@ def test_an_interrupt_while_it_prepares_is_one_line(capsys, monkeypatch):
     def interrupted(*_given, **_named):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(virtual_process, '_warm_up', interrupted)
+    monkeypatch.setattr(virtual_process, 'prepared', interrupted)
     assert main([]) == 130
     assert capsys.readouterr().err == 'virtual_stm32: interrupted\n'

@@ -136,10 +136,6 @@ class Recording:
         """Add messages that the middleware lost."""
         self._lost += number
 
-    def end(self, reason: str) -> None:
-        """End the recording as a fault of the disk would; call `stop` afterwards."""
-        self._failure = self._failure or f'{self._writer.path}: {reason}'
-
     def stop(self) -> RecordingStatus:
         """Write the waiting messages and close the bag; `status.failure` says if that failed."""
         self._stopping.set()

@@ -17,7 +17,7 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from std_srvs.srv import Trigger
 
 from quad_bridge.errors import BadInputError, QuadBridgeError
-from quad_bridge.log.disk import MB, Budget, free_bytes
+from quad_bridge.log.disk import MB, free_bytes
 from quad_bridge.log.recording import Gaps, Recording, RecordingStatus, recording_status
 from quad_bridge.log.writer import Limits, free_paths, new_bag
 from quad_bridge.nodes import conversion, diagnostics, ros_node
@@ -31,11 +31,9 @@ NUMBERS = {
     'split_mb': (0, 'a new file in the bag after so many MB, 0 for never', (0, 1_000_000)),
     'split_s': (0, 'a new file in the bag after so many seconds, 0 for never', (0, 86_400)),
     'reserve_mb': (200, 'MB reserved on the disk before a recording starts', (0, 1_000_000)),
-    'disk_budget_mb': (0, 'MB that all bags of the folder may take, 0: any', (0, 100_000_000)),
 }
 """Integer parameters: default, description, range."""
-NAMES = ('folder', 'prefix', 'topics', 'autostart', 'delete_oldest', 'managed', *NUMBERS)
-RETIRED = ('storage', 'compression')  # parameters of earlier versions
+NAMES = ('folder', 'prefix', 'topics', 'autostart', 'managed', *NUMBERS)
 
 
 class BagLogger(ManagedNode):
@@ -46,10 +44,6 @@ class BagLogger(ManagedNode):
 
     def __init__(self) -> None:
         super().__init__('bag_logger')
-        for name in RETIRED:
-            if name in ros_node.overrides(self):
-                what = 'is retired: bags are mcap without compression'
-                raise BadInputError(f'parameter {name}', what, remedy='leave it out')
         ros_node.refuse_unknown(self, NAMES)
         self._folder = Path(ros_node.declared(self, 'folder', '.', 'where bags are written'))
         self._prefix = ros_node.declared(self, 'prefix', 'flight', 'how names of bags begin')
@@ -58,10 +52,6 @@ class BagLogger(ManagedNode):
         self._limits = Limits(
             numbers['split_mb'] * MB, numbers['split_s'], numbers['reserve_mb'] * MB
         )
-        delete = ros_node.declared(
-            self, 'delete_oldest', False, 'delete closed bags to keep the budget'
-        )
-        self._budget = Budget(self._folder, self._prefix, numbers['disk_budget_mb'] * MB, delete)
         self._topics = ros_node.declared(self, 'topics', list(TOPIC_TYPES), 'topics to record')
         for topic in self._topics:
             if topic not in TOPIC_TYPES:
@@ -137,7 +127,6 @@ class BagLogger(ManagedNode):
             raise BadInputError('use_sim_time', what, remedy='start what publishes it')
         now = datetime.now(tz=timezone.utc)
         try:
-            self._make_room(self._limits.reserve_bytes)
             paths = free_paths(self._folder.absolute(), self._prefix, now)
             writer = new_bag(paths, self._limits)
         except OSError as error:
@@ -149,13 +138,6 @@ class BagLogger(ManagedNode):
             self._subscribe(topic)
         self._announce(path, 'recording')
         return path
-
-    def _make_room(self, more: int, current: Path | None = None) -> None:
-        def refused(bag: Path) -> None:
-            self.get_logger().warning(f'disk budget: {bag} cannot be deleted and stays')
-
-        for bag in self._budget.make_room(more, current, refused):
-            self.get_logger().warning(f'disk budget: deleted the oldest bag {bag}')
 
     def _stop(self, recording: Recording) -> RecordingStatus:
         self._recording = None
@@ -238,7 +220,6 @@ class BagLogger(ManagedNode):
         status = self._failed
         if self._recording is not None:
             status = self._recording.status
-            self._keep_budget(self._recording, status.path)
             if status.failure:
                 self._stop(self._recording)
             for topic in list(self._subscribed):
@@ -253,14 +234,6 @@ class BagLogger(ManagedNode):
         self._diagnostics.publish(
             diagnostics.diagnostic_array(self.get_name(), str(self._folder), now, entries)
         )
-
-    def _keep_budget(self, recording: Recording, path: Path) -> None:
-        try:
-            self._make_room(0, path)
-        except BadInputError as error:
-            recording.end(str(error))
-        except OSError as error:  # a folder that is gone, the recording itself will notice
-            self.get_logger().warning(f'disk budget: not looked after: {error}')
 
     def _free(self) -> int | None:
         """Bytes; None where the folder is gone."""

@@ -65,7 +65,7 @@ def declare(node: Any) -> BridgeSettings:
         ),
         correct_sensors=ros_node.declared(
             node, 'correct_sensors', True,
-            "subtract the gyro's bias at rest and the compass's offset from what is published",
+            "subtract the gyro's bias at rest from /imu/data",
         ),
         gains=_gains(node, bounds),
     )  # fmt: skip

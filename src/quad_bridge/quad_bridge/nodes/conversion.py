@@ -41,10 +41,6 @@ def _set(vector: Any, values: tuple[float, float, float]) -> None:
     vector.x, vector.y, vector.z = values
 
 
-def _less(values: f.Vector3, offset: f.Vector3) -> f.Vector3:
-    return values[0] - offset[0], values[1] - offset[1], values[2] - offset[2]
-
-
 class _Template:
     """One message as bytes; `groups` are its numbers that change, as they lie together."""
 
@@ -99,8 +95,9 @@ class CycleMessages:
         `gyro_bias` (rad/s, FLU) is subtracted from the rates.
         """
         u1, u2, u3, u4 = flip_control(cycle.control)
-        rates, attitude = _less(flip_body(cycle.gyro), gyro_bias), flip_attitude(cycle.attitude)
-        imu = self._imu.pack(stamp_ns, quaternion(attitude), rates, flip_body(cycle.accel))
+        (p, q, r), (x, y, z) = flip_body(cycle.gyro), gyro_bias
+        attitude = quaternion(flip_attitude(cycle.attitude))
+        imu = self._imu.pack(stamp_ns, attitude, (p - x, q - y, r - z), flip_body(cycle.accel))
         return (
             imu,
             self._motors.pack(stamp_ns, cycle.motors),
@@ -182,16 +179,14 @@ def battery_message(battery: f.Battery, stamp_ns: int) -> BatteryState:
     return message
 
 
-def mag_message(
-    sensors: f.SlowSensors, stamp_ns: int, hard_iron: f.Vector3 = (0.0, 0.0, 0.0)
-) -> MagneticField | None:
-    """Tesla, FLU, without `hard_iron`; None where the magnetometer was not updated."""
+def mag_message(sensors: f.SlowSensors, stamp_ns: int) -> MagneticField | None:
+    """Tesla, FLU; None where the magnetometer was not updated."""
     if sensors.mag_gauss is None:
         return None
     message = _stamped(MagneticField(), stamp_ns)
     x, y, z = flip_body(sensors.mag_gauss)
     scale = TESLA_PER_GAUSS
-    _set(message.magnetic_field, _less((x * scale, y * scale, z * scale), hard_iron))
+    _set(message.magnetic_field, (x * scale, y * scale, z * scale))
     return message
 
 

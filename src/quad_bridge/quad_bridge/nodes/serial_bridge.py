@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import threading
-import time
 from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
@@ -65,7 +64,7 @@ class SerialBridge(ManagedNode):
         self._worker = Worker()
         self._history = History(settings.gains.folder, self._worker)
         self._gains = GainUpdates(settings.gains, self._history)
-        self._sensors = LiveSensors(settings.gains.folder, correct=settings.correct_sensors)
+        self._sensors = LiveSensors(correct=settings.correct_sensors)
         self._gain_services = GainServices(self, self._ask_gains, self._ask_check)
         self._operator = OperatorServices(self, self._enable, self._forward, self._armed)
         self._sensor_services = SensorServices(self, self._sensors, self._on_report)
@@ -109,7 +108,7 @@ class SerialBridge(ManagedNode):
         self._others: dict[type, tuple[tuple[Any, Callable[[Any, int], Any]], ...]] = {
             f.Battery: ((publisher(BatteryState, '/battery'), conversion.battery_message),),
             f.SlowSensors: (
-                (publisher(MagneticField, '/imu/mag'), self._mag_message),
+                (publisher(MagneticField, '/imu/mag'), conversion.mag_message),
                 (publisher(FluidPressure, '/baro'), conversion.baro_message),
             ),
             Inertial: ((imu, conversion.inertial_message),),
@@ -173,7 +172,7 @@ class SerialBridge(ManagedNode):
             clock().handled(WIRE, START_NS + 1000 * last.time_us)
 
     def _on_cycle(self, frame: f.Cycle, now_ns: int) -> None:
-        self._sensors.cycle(frame, time.time())  # the start it keeps on disk outlives `clock()`
+        self._sensors.cycle(frame)
         if self._gains.state is State.CHECKING:
             fault = self._enable.fault(1e-9 * now_ns)
             if fault:
@@ -215,10 +214,6 @@ class SerialBridge(ManagedNode):
         if self._told_time is not None:
             self._told_time.publish(ClockMessage(clock=conversion.time_message(stamp_ns)))
 
-    def _mag_message(self, frame: f.SlowSensors, stamp_ns: int) -> MagneticField | None:
-        offset = self._sensors.stamped(stamp_ns).hard_iron
-        return conversion.mag_message(frame, stamp_ns, offset)
-
     # In both threads, the lock being held.
 
     def _poll_gains(self, now_ns: int) -> None:
@@ -249,7 +244,7 @@ class SerialBridge(ManagedNode):
             self._flush()
             news, self._gains.news = self._gains.news, []
         self._operator.tick()
-        self._sensor_services.tick(aircraft)
+        self._sensor_services.tick()
         end = self._relay.tick(clock().now_s())
         if end is not None:
             self._forward(end)

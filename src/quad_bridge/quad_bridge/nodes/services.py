@@ -168,9 +168,8 @@ class SensorServices:
         node.create_service(Trigger, '~/calibrate_at_rest', self._on_calibrate)
         node.create_subscription(ParameterEvent, 'logger/bag', self._on_bag, STATE)
 
-    def tick(self, aircraft: str) -> None:
+    def tick(self) -> None:
         """Make the estimate that arming or a recording asks for; report a change at once."""
-        self._sensors.aircraft(aircraft)
         wanted, since_ns = self._sensors.wanted(), self._sensors.current.since_ns
         if wanted is not None:
             try:

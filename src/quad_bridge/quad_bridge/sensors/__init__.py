@@ -1,1 +1,1 @@
-"""The sensors of one aircraft: biases at rest, compass offsets, vibration."""
+"""The gyro's bias of an aircraft at rest: from a bag, and live before each flight."""

@@ -1,7 +1,7 @@
-"""Offsets that are subtracted from readings before publishing, and how to undo that. Pure.
+"""The gyro bias that is subtracted from rates before publishing, and how to undo that. Pure.
 
 The bridge says in `/diagnostics`, and so in every bag, what it subtracts and from which stamp on:
-readings as the STM32 sent them can be had back. Which figures are trusted is decided elsewhere.
+the rates as the STM32 sent them can be restored.
 """
 
 from __future__ import annotations
@@ -13,59 +13,45 @@ import numpy as np
 import numpy.typing as npt
 
 from quad_bridge.sensors.rest import FloatArray
+from quad_bridge.wire.frames import Vector3
 
-Triple = tuple[float, float, float]
-NOTHING: Triple = (0.0, 0.0, 0.0)
 STATUS = 'sensors'  # name of the entry in /diagnostics, behind the node's
-GYRO, MAG, SINCE = 'gyro bias removed (rad/s)', 'hard iron removed (T)', 'removed since (ns)'
+GYRO, SINCE = 'gyro bias removed (rad/s)', 'removed since (ns)'
 
 
 @dataclass(frozen=True)
 class Correction:
-    """Offsets in body axes FLU: published = sent by the STM32 - offset."""
+    """An offset in body axes FLU: published = sent by the STM32 - offset."""
 
-    gyro_bias: Triple = NOTHING  # rad/s
-    hard_iron: Triple = NOTHING  # tesla
+    gyro_bias: Vector3 = (0.0, 0.0, 0.0)  # rad/s
     since_ns: int = 0  # stamp (ROS time) of the first message with it; 0: none yet
 
     def told(self) -> dict[str, str]:
-        """Values of a status; floats come back bit for bit."""
-        return {
-            GYRO: _words(self.gyro_bias),
-            MAG: _words(self.hard_iron),
-            SINCE: str(self.since_ns),
-        }
+        """Values of a status entry; floats come back bit for bit."""
+        return {GYRO: ' '.join(map(repr, self.gyro_bias)), SINCE: str(self.since_ns)}
 
 
 def from_values(values: Mapping[str, str]) -> Correction | None:
-    """Offsets in a status entry; None where it is another entry."""
+    """The offset in a status entry; None where it is another entry."""
     try:
-        return Correction(_triple(values[GYRO]), _triple(values[MAG]), int(values[SINCE]))
+        x, y, z = map(float, values[GYRO].split())
+        return Correction((x, y, z), int(values[SINCE]))
     except (KeyError, ValueError):
         return None
 
 
 def as_sent(
-    stamps_ns: npt.NDArray[np.int64], corrected: FloatArray, told: Sequence[Correction], name: str
+    stamps_ns: npt.NDArray[np.int64], rates: FloatArray, told: Sequence[Correction]
 ) -> FloatArray:
-    """Undo what was subtracted from readings (n, 3) with these stamps (n,).
+    """Undo what was subtracted from rates (n, 3), rad/s, with these stamps (n,).
 
-    `told` are all corrections of the bag in any order, `name` is `gyro_bias` or `hard_iron`.
-    Before the first of them nothing was subtracted.
+    `told` are all corrections of the bag in any order. Before the first of them nothing was
+    subtracted.
     """
-    sent = np.array(corrected, dtype=float)
+    sent = np.array(rates, dtype=float)
     by_begin = {one.since_ns: one for one in told if one.since_ns > 0}
     begins = sorted(by_begin)
     which = np.searchsorted(begins, stamps_ns, side='right') - 1
     for k, begin in enumerate(begins):
-        sent[which == k] += getattr(by_begin[begin], name)
+        sent[which == k] += by_begin[begin].gyro_bias
     return sent
-
-
-def _words(values: Triple) -> str:
-    return ' '.join(repr(v) for v in values)
-
-
-def _triple(text: str) -> Triple:
-    x, y, z = (float(v) for v in text.split())
-    return x, y, z

@@ -32,7 +32,7 @@ from quad_bridge.errors import QuadBridgeError
 from quad_bridge.key_file import signing_from
 from quad_bridge.lockstep import START_NS
 from quad_bridge.virtual import hil
-from quad_bridge.virtual.aircraft import Aircraft, boot
+from quad_bridge.virtual.aircraft import Aircraft, EffectFunction, boot
 from quad_bridge.virtual.board import ELF, Board, EmulatedBoard, EndedError
 from quad_bridge.virtual.effect_module import load_effect
 from quad_bridge.virtual.errors import ConfigurationError
@@ -90,7 +90,7 @@ def arguments() -> argparse.ArgumentParser:
 
 
 class Flight:
-    """The aircraft on its board, cycle by cycle; `frame` are the sensors of the coming one."""
+    """A prepared aircraft on its board, cycle by cycle; device time runs from here on."""
 
     def __init__(
         self, aircraft: Aircraft, script: Receiver, board: Board, *, lockstep: bool
@@ -140,26 +140,26 @@ def fly_in_lockstep(flight: Flight, board: Board, line: Line, stop: Stop) -> Non
 
 
 def build_aircraft(given: argparse.Namespace) -> tuple[Aircraft, Receiver]:
-    """The aircraft that the arguments ask for, with its kernels compiled, and its receiver."""
+    """The aircraft that the arguments ask for, prepared, and its receiver."""
     profile = load_profile(given.profile)
     profile = replace(profile, mount=given.mount or profile.mount, axis=given.axis or profile.axis)
     effect = None if given.effect_module is None else load_effect(given.effect_module)
     events = Receiver() if given.rc_events is None else read_events(given.rc_events)
     script = Receiver(events=profile.receiver.events + events.events)
-    say('virtual STM32 prepares (some 15 s the first time, to compile)\n')
-    _warm_up(profile, python_effect=effect is not None)
-    return Aircraft(profile, seed=given.seed, effect=effect), script
+    say('virtual STM32 prepares\n')
+    return prepared(profile, seed=given.seed, effect=effect), script
 
 
-def _warm_up(profile: Profile, *, python_effect: bool) -> None:
-    """Compile (or load) the kernels before time starts to run."""
+def prepared(profile: Profile, *, seed: int, effect: EffectFunction | None = None) -> Aircraft:
+    """An aircraft whose kernels are compiled, or loaded: device time must not wait for that.
 
-    def nothing(*_: object) -> np.ndarray:
-        return np.zeros(3)
-
-    aircraft = Aircraft(profile, seed=0, effect=nothing if python_effect else None)
-    aircraft.measure(channels_at(Receiver(), 0.0))
-    aircraft.move(hil.Motors(0, (0.0, 0.0, 0.0, 0.0), 0, 0, 0))
+    A compilation takes seconds, after which the missed cycles are more than a port holds.
+    """
+    nothing = None if effect is None else lambda *_: np.zeros(3)
+    first = Aircraft(profile, seed=0, effect=nothing)
+    first.measure(channels_at(Receiver(), 0.0))
+    first.move(hil.Motors(0, (0.0, 0.0, 0.0, 0.0), 0, 0, 0))
+    return Aircraft(profile, seed=seed, effect=effect)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
