@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -153,6 +153,10 @@ class _Beside:
 
     def _block(self, part: Part, start: FloatArray) -> _Block:
         effect, p = part.effect, coordinates(part, start)
+        if effect.wanders:
+            unit = replace(self.signals, hidden=np.ones((1, self.plain.size)))
+            own = required(effect.torque(unit, start, part.settings))
+            return _Block(part, p, [], [own])
         linear = [
             j for j, spec in enumerate(effect.parameters)
             if not spec.log and not spec.starts
@@ -193,6 +197,11 @@ class _Beside:
                 flight.measured, inputs, self.slope, found.gain, found.move, flight.sensor.step,
                 flight.sensor.behind, problem.data.dt, start, stop, out,
             )
+        first = 0
+        for block in batch:
+            if block.part.effect.wanders:
+                out[:, first] = self._followed(block, out[:, first])
+            first += len(block.columns)
         c = self._left(out[problem.rows] * self.w[:, None])
         first = 0
         for block in batch:
@@ -201,6 +210,19 @@ class _Beside:
             score = self._score(block, c[:, where])
             if score is not None:
                 yield score
+
+    def _followed(self, block: _Block, psi: FloatArray) -> FloatArray:
+        """(n,) change of the innovations if a coefficient follows them."""
+        flight, e = self.problem.flight, np.nan_to_num(self.fitted.prediction.innovation)
+        spread, correlation = np.exp(block.p)
+        out = e.copy()
+        for start, stop in flight.passes:
+            recursion.pursued(
+                e, np.ascontiguousarray(psi), flight.variance, spread,
+                math.exp(-flight.data.dt / correlation), start, stop, out,
+            )
+        change: FloatArray = out - e
+        return change
 
     def _score(self, block: _Block, c: FloatArray) -> Score | None:
         part, parameters = block.part, block.part.effect.parameters

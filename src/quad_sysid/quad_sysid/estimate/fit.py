@@ -134,6 +134,7 @@ class Problem:
     def measure(self, fitted: Fit) -> None:
         """Take the sizes of all later priors from the signals of this fit."""
         p = fitted.values
+        self.flight.variance = fitted.tail.variance
         halves, states = self.flight.driven(fitted.structure, p)
         self._reference = self.flight.signals(p, halves, states, fitted.rate)
         self._sizes = {}

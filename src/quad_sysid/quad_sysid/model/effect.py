@@ -130,6 +130,9 @@ class Effect:
     parameters: tuple[Spec, ...] = ()
     states: int = 0
     """Number of hidden states, driven by the rate."""
+    wanders: bool = False
+    """Whether it is a coefficient of unit-sized noise that the filter follows: parameters are its
+    spread and its correlation time, s, and `torque` is linear in s.hidden[0]."""
     phased: bool = False
     """Whether each flight has its own phase, which `elsewhere` takes."""
 

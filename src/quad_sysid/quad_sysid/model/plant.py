@@ -201,6 +201,7 @@ class Flight:
         self.other_commands = one, other
         self.throttle = np.ascontiguousarray(data.control[:, 0])
         self.disturbances = np.zeros((n, 2))
+        self.variance = 0.0
         self._drives: dict[bytes, tuple[FloatArray, FloatArray]] = {}
         if self.rate.size != n:
             self.rate = self._first_guess()
@@ -335,6 +336,9 @@ class Flight:
                 out[:, place] = self.disturbances[:, structure.shared[j - effects_end]]
             elif j not in first:
                 part, where = owner[j]
+                if part.effect.wanders:
+                    out[:, place] = 0.0
+                    continue
                 up, down = self._stepped(structure, theta, j, steps[j])
                 ahead, back = (
                     required(part.effect.torque(self.hidden(part, s, p), p, part.settings))
@@ -409,7 +413,11 @@ class Flight:
         rate = self.rate
         nothing = np.zeros((n, 0))
         innovation = np.full(n, np.nan)
-        states = np.zeros((n, 4 + 2 * structure.lines))
+        wandering = [
+            (part, where) for part, where in zip(structure.parts, structure.slices(), strict=True)
+            if part.effect.wanders
+        ]
+        states = np.zeros((n, 4 + 2 * structure.lines + len(wandering)))
         for sweep in range(sweeps):
             push = self.pushed(structure, p, rate)
             damping = -float(np.mean(push.slope))
@@ -422,15 +430,18 @@ class Flight:
                 count = theta.size - physics.shape[1]
                 columns = np.ascontiguousarray(np.hstack([physics, np.zeros((n, count))]))
                 gains, moves = self._noise_columns(structure, theta, damping, count)
+            followed = self._followed(structure, theta, wandering, push, found, rate, columns)
             new_rate = rate.copy()
             jacobian = np.zeros((n, columns.shape[1]))
             for start, stop in self.passes:
                 recursion.predict(
                     self.measured, float(data.rate[start]), push.known, push.slope, columns,
                     bends, found.gain, gains, found.move, moves, self.sensor.step,
-                    self.sensor.behind, data.dt, start, stop, new_rate, states, innovation,
-                    jacobian,
+                    self.sensor.behind, *followed, data.dt, start, stop, new_rate, states,
+                    innovation, jacobian,
                 )
+            if not self.variance:
+                self.variance = float(np.nanmedian(np.abs(innovation)) / 0.6745) ** 2
             if not np.isfinite(new_rate).all() or np.abs(new_rate).max() > 1e6:
                 return Prediction(np.full(n, np.inf), None, states, found, rate)
             rate = new_rate
@@ -441,6 +452,57 @@ class Flight:
             put[:, len(self.order) :] = jacobian[:, len(self.order) :]
             jacobian = put
         return Prediction(innovation, jacobian if steps is not None else None, states, found, rate)
+
+    def _followed(
+        self, structure: Structure, theta: FloatArray, wandering: Sequence[tuple[Part, slice]],
+        push: Pushed, found: Filter, rate: FloatArray, columns: FloatArray,
+    ) -> tuple[FloatArray, ...]:
+        """What recursion.predict needs of wandering coefficients, `wander` to `place`."""
+        n, count, dt = rate.size, len(wandering), self.data.dt
+        wander, follow = np.zeros((n, count)), np.zeros((n, count))
+        left, by_left = np.zeros(count), np.zeros((count, 2))
+        by_follow = np.zeros((n, count, 2)) if columns.shape[1] else np.zeros((0, count, 2))
+        place = np.zeros(count, dtype=np.int64)
+        if not count:
+            return wander, follow, left, by_follow, by_left, place
+        p = structure.natural(theta)
+        halves, states = self.driven(structure, p)
+        s = replace(self.signals(p, halves, states, rate), hidden=np.ones((1, n)))
+        for i, (part, where) in enumerate(wandering):
+            wander[:, i] = required(part.effect.torque(s, p[where], part.settings))
+        psi = self.responses(wander, push.slope, found)
+
+        def at(i: int, log: FloatArray) -> tuple[float, FloatArray]:
+            spread, correlation = np.exp(log)
+            stays = math.exp(-dt / correlation)
+            out = np.zeros(n)
+            if self.variance:
+                for start, stop in self.passes:
+                    recursion.pursuit(psi[:, i], self.variance, spread, stays, start, stop, out)
+            return stays, out
+
+        for i, (_, where) in enumerate(wandering):
+            left[i], follow[:, i] = at(i, theta[where])
+            if not columns.shape[1]:
+                continue
+            place[i] = self.order.index(where.start)
+            for j in range(2):
+                step = np.zeros(2)
+                step[j] = 1e-3
+                up, down = at(i, theta[where] + step), at(i, theta[where] - step)
+                by_left[i, j] = (up[0] - down[0]) / 2e-3
+                by_follow[:, i, j] = (up[1] - down[1]) / 2e-3
+        return wander, follow, left, by_follow, by_left, place
+
+    def responses(self, columns: FloatArray, slope: FloatArray, found: Filter) -> FloatArray:
+        """(n, m) response of the innovations to accelerations (n, m)."""
+        out = np.zeros_like(columns)
+        for start, stop in self.passes:
+            recursion.respond(
+                self.measured, columns, slope, found.gain, found.move, self.sensor.step,
+                self.sensor.behind, self.data.dt, start, stop, out,
+            )
+        return out
 
     def _noise_columns(
         self, structure: Structure, theta: FloatArray, damping: float, count: int
@@ -484,7 +546,9 @@ class Flight:
         halves, states = self.driven(structure, p)
         x = prediction.states[windows.starts]
         r, d, g, q = (x[:, i].copy() for i in range(4))
-        v = x[:, 4::2] + 1j * x[:, 5::2]
+        end = 4 + 2 * structure.lines
+        v = x[:, 4:end:2] + 1j * x[:, 5:end:2]
+        followed = iter(x[:, end:].T)
         turn = found.move[2::2] + 1j * found.move[3::2]
         fade, hold = found.move[:2]
         angle = None if self.angle is None else self.angle[windows.starts] + self.late * r
@@ -496,6 +560,7 @@ class Flight:
             for part, where in zip(structure.parts, structure.slices(), strict=True)
         ]
         hidden = [
+            next(followed)[None, :] if part.effect.wanders else
             part.effect.trace(data, prediction.rate, values, part.settings)[:, windows.starts]
             if part.effect.states else None for part, values in acting
         ]
