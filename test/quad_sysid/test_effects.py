@@ -159,6 +159,14 @@ def dahl(size: float, build_up: float) -> Changes:
     return changes
 
 
+def drifting(seed: int, spread: float, correlation_s: float) -> Changes:
+    """A gain that wanders: a first-order process with this RMS and correlation time."""
+    keep = math.exp(-0.05 / correlation_s)
+    white = np.random.default_rng(seed).standard_normal(2000)
+    path = lfilter([spread * math.sqrt(1.0 - keep * keep)], [1.0, -keep], white)[200:].tolist()
+    return lambda: {'command': lambda t, u, _v: u * (1.0 + path[int(20.0 * t)])}
+
+
 @dataclass(frozen=True)
 class Law:
     """An effect, the plant that has it, and its parameters with the contract's units."""
@@ -216,6 +224,9 @@ LAWS = [
         variant='slow state'),
     Law('mode', tilted(9.0, 0.6), {'stiffness': 9.0, 'time_constant': 0.6},
         variant='slow angle'),
+    Law('shape:angle', torque(lambda _t, _r, a: 0.8 * math.sin(60.0 * a + 0.5)),
+        {'waves': 60.0, 'cosine': 0.8 * math.sin(0.5), 'sine': 0.8 * math.cos(0.5)},
+        variant='periodic', left=0.003),
     Law('mode', dahl(0.4, 0.05), {'torque': 0.4, 'reach': 0.05}, variant='hysteresis'),
 ]
 """On another flight the values after an event hold, and a disturbance has a phase of its own."""
@@ -317,6 +328,19 @@ def test_what_acts_is_named_measured_and_pays(rubbed_answer, name, changes, lowe
     assert answer.model.value('gain') == pytest.approx(GAIN, rel=0.05)
     unseen = evaluate(answer.model, fly(Axis(**{**QUIET, **changes()}), 501, UNSEEN))
     assert unseen.before > lowers * unseen.after
+
+
+def test_a_gain_that_wanders_is_followed_in_another_flight_on_its_own_path():
+    answer = answer_to(drifting(1, 0.3, 5.0), 1)
+    (effect,) = answer.model.effects
+    assert (effect.name, effect.variant) == ('shape:gain:time', 'wandering')
+    found = {p.name: p.value for p in effect.parameters}
+    assert 0.15 < found['spread'] < 0.6
+    assert 1.0 < found['correlation'] < 25.0
+    unseen = evaluate(answer.model, fly(Axis(**{**QUIET, **drifting(2, 0.3, 5.0)()}), 501, UNSEEN))
+    assert unseen.before > 2.0 * unseen.after
+    plain = evaluate(answer.model, fly(Axis(**QUIET), 502, UNSEEN))
+    assert plain.after < 1.1 * plain.before
 
 
 # nothing where nothing acts
@@ -456,7 +480,8 @@ UNITS = {
 def read(effect) -> dict[str, str]:
     """What a report reads of an effect: name to unit."""
     count = len(effect.parameters)
-    told = effect.readable(np.ones(count), {'mean': (0.0,) * getattr(effect, 'count', count)})
+    settings = {'mean': (0.0,) * getattr(effect, 'count', count), 'unit': 1.0}
+    told = effect.readable(np.ones(count), settings)
     return {name: unit for name, (_, unit) in told.items()}
 
 

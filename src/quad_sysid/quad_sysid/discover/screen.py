@@ -155,8 +155,7 @@ class _Beside:
         effect, p = part.effect, coordinates(part, start)
         if effect.wanders:
             unit = replace(self.signals, hidden=np.ones((1, self.plain.size)))
-            own = required(effect.torque(unit, start, part.settings))
-            return _Block(part, p, [], [own])
+            return _Block(part, p, [], [required(effect.torque(unit, start, part.settings))])
         linear = [
             j for j, spec in enumerate(effect.parameters)
             if not spec.log and not spec.starts
@@ -191,12 +190,7 @@ class _Beside:
         problem, flight = self.problem, self.problem.flight
         found = self.fitted.prediction.filter
         inputs = np.column_stack([column for block in batch for column in block.columns])
-        out = np.empty_like(inputs)
-        for start, stop in flight.passes:
-            recursion.respond(
-                flight.measured, inputs, self.slope, found.gain, found.move, flight.sensor.step,
-                flight.sensor.behind, problem.data.dt, start, stop, out,
-            )
+        out = flight.responses(inputs, self.slope, found)
         first = 0
         for block in batch:
             if block.part.effect.wanders:

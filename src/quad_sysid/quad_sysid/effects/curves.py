@@ -6,7 +6,6 @@ a Gaussian process at knots, linear between them; two smoothnesses of each compe
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -52,6 +51,23 @@ def measured(data: AxisData, name: str) -> FloatArray | str:
     }
     found = known[name]
     return f'the bag holds no {MISSING[name]}' if found is None else found
+
+
+def per_unit(
+    term: str, s: Signals, transition: float = float(np.exp(TRANSITION.centre))
+) -> FloatArray:
+    """Acceleration per unit of a change of one term, rad/s² per its unit in UNITS."""
+    if term == 'gain':
+        return s.drive
+    if term == 'damping':
+        return -s.rate
+    if term == 'delay':
+        return -s.change
+    if term == 'lag':  # of a change that is slow beside the lag itself
+        return s.drive - s.command
+    if term == 'friction':
+        return -np.tanh(s.rate / max(transition, 1e-4))
+    return np.ones_like(s.rate)
 
 
 class Curve(Effect):
@@ -140,18 +156,10 @@ class Curve(Effect):
         }[self.signal])
 
     def _factor(self, s: Signals, p: FloatArray) -> FloatArray:
-        if self.term == 'gain':
-            return s.drive
-        if self.term == 'damping':
-            return -s.rate
-        if self.term == 'delay':
-            return -s.change
-        if self.term == 'friction':
-            return -np.tanh(s.rate / max(p[-1], 1e-4))
-        return np.ones_like(s.rate)
+        return per_unit(self.term, s, float(p[-1]))
 
     def size(self, s: Signals, j: int, settings: Settings) -> FloatArray:
-        return self._factor(s, np.array([np.exp(TRANSITION.centre)]))
+        return per_unit(self.term, s)
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray | None:
         if self.term == 'lag':
@@ -208,62 +216,6 @@ class Curve(Effect):
         }
 
 
-class Wandering(Curve):
-    """One term of the base that wanders by itself; the filter follows it in every flight."""
-
-    wanders = True
-
-    def __init__(self, term: str) -> None:
-        super().__init__(term, 'time', 'smooth')
-        self.variant = 'wandering' + ' friction' * (term == 'friction')
-        self.parameters = (
-            Spec('spread', '1', spread=1.0, centre=math.log(0.3), log=True, starts=(0.1, 0.3, 1.0)),
-            Spec('correlation', 's', spread=1.0, centre=math.log(10.0), log=True,
-                 starts=(2.0, 10.0)),
-        )
-        self.physics = f'{term} wanders by itself with a spread and a correlation time'
-        self.excite = 'a long flight'
-
-    def prepare(self, data: AxisData) -> Settings | str:
-        if self.term in ('gain', 'lag', 'delay'):
-            return {'unit': {'delay': 0.01}.get(self.term, 1.0)}
-        rate = over_training(data, data.rate)
-        reach = max(1, round(0.02 / data.dt))
-        own = 0.5 * float(np.nanstd(rate[2 * reach:] - rate[:-2 * reach])) / (2 * reach * data.dt)
-        if self.term == 'damping':
-            own /= float(np.nanpercentile(np.abs(rate), 97.0))
-        return {'unit': own}
-
-    def _factor(self, s: Signals, p: FloatArray) -> FloatArray:
-        if self.term == 'lag':
-            return s.drive - s.command
-        return super()._factor(s, np.array([0.005]))
-
-    def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray | None:
-        if s.hidden is None:
-            return None
-        return settings['unit'] * s.hidden[0] * self._factor(s, p)
-
-    def starts(self, data: AxisData, settings: Settings) -> Sequence[FloatArray]:
-        return Effect.starts(self, data, settings)
-
-    def actuate(self, data: AxisData, drive: Drive, p: FloatArray, settings: Settings) -> Drive:
-        return drive
-
-    def advance(
-        self, x: FloatArray, rate: FloatArray, p: FloatArray, settings: Settings, dt: float
-    ) -> FloatArray:
-        return x * math.exp(-dt / float(p[1]))
-
-    moves_command = False
-
-    def precision(self, settings: Settings, sizes: FloatArray) -> FloatArray:
-        return np.diag(sizes**-2.0)
-
-    def readable(self, p: FloatArray, settings: Settings) -> dict[str, tuple[float, str]]:
-        return dict(Effect.readable(self, p, settings))
-
-
 CELLS = {
     'torque': ('rate', 'angle', 'command', 'throttle', 'battery', 'time', 'other rate 1',
                'other rate 2', 'other command 1', 'other command 2'),
@@ -279,4 +231,4 @@ CURVES = tuple(
     Curve(term, signal, smoothness)
     for term, signals in CELLS.items() for signal in signals
     for smoothness in ((*SMOOTH, *DRIFT) if signal == 'time' and term != 'friction' else SMOOTH)
-) + tuple(Wandering(term) for term in UNITS if term != 'torque')
+)

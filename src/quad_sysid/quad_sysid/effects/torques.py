@@ -101,7 +101,7 @@ class Detents(OnAngle):
              starts=tuple(np.geomspace(10.0, 200.0, 30))),
         Spec('cosine', 'rad/s²'), Spec('sine', 'rad/s²'),
     )
-    physics = 'torque C cos(n angle) + S sin(n angle): wells at equal angles, as of magnets or teeth'
+    physics = 'C cos(n angle) + S sin(n angle): wells at equal angles, as of magnets or teeth'
     excite = 'slow motion over a large range of angles'
 
     def size(self, s: Signals, j: int, settings: Settings) -> FloatArray:

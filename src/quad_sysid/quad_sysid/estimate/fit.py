@@ -132,7 +132,7 @@ class Problem:
         self.data = part_of(self.data, passes)
 
     def measure(self, fitted: Fit) -> None:
-        """Take the sizes of all later priors from the signals of this fit."""
+        """Take the sizes of all later priors and of the innovations from this fit."""
         p = fitted.values
         self.flight.variance = fitted.tail.variance
         halves, states = self.flight.driven(fitted.structure, p)

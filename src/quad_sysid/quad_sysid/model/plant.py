@@ -29,6 +29,8 @@ SLOPE_STEP = 1e-4
 """Step of the rate for the slope of a torque, rad/s."""
 SLOPE_S = 0.02
 """An acceleration is the slope of the rate over this time to either side."""
+PURSUIT_STEP = 1e-3
+"""Step of a wandering coefficient's parameters for the derivatives of its gain."""
 SHORTEST_S = 1e-5
 """A lag or delay below this counts as none."""
 
@@ -94,6 +96,11 @@ class Structure:
     def labels(self) -> tuple[str, ...]:
         """Labels of the effects."""
         return tuple(part.effect.label for part in self.parts)
+
+    @property
+    def states(self) -> int:
+        """Number of the filter's states: four, two of each line, one of each wandering effect."""
+        return 4 + 2 * self.lines + sum(part.effect.wanders for part in self.parts)
 
     def slices(self) -> list[slice]:
         """Each effect's slice of the vector."""
@@ -201,7 +208,7 @@ class Flight:
         self.other_commands = one, other
         self.throttle = np.ascontiguousarray(data.control[:, 0])
         self.disturbances = np.zeros((n, 2))
-        self.variance = 0.0
+        self.variance = 0.0  # of the innovations, (rad/s)²; 0: not known yet
         self._drives: dict[bytes, tuple[FloatArray, FloatArray]] = {}
         if self.rate.size != n:
             self.rate = self._first_guess()
@@ -336,9 +343,6 @@ class Flight:
                 out[:, place] = self.disturbances[:, structure.shared[j - effects_end]]
             elif j not in first:
                 part, where = owner[j]
-                if part.effect.wanders:
-                    out[:, place] = 0.0
-                    continue
                 up, down = self._stepped(structure, theta, j, steps[j])
                 ahead, back = (
                     required(part.effect.torque(self.hidden(part, s, p), p, part.settings))
@@ -413,11 +417,7 @@ class Flight:
         rate = self.rate
         nothing = np.zeros((n, 0))
         innovation = np.full(n, np.nan)
-        wandering = [
-            (part, where) for part, where in zip(structure.parts, structure.slices(), strict=True)
-            if part.effect.wanders
-        ]
-        states = np.zeros((n, 4 + 2 * structure.lines + len(wandering)))
+        states = np.zeros((n, structure.states))
         for sweep in range(sweeps):
             push = self.pushed(structure, p, rate)
             damping = -float(np.mean(push.slope))
@@ -430,14 +430,14 @@ class Flight:
                 count = theta.size - physics.shape[1]
                 columns = np.ascontiguousarray(np.hstack([physics, np.zeros((n, count))]))
                 gains, moves = self._noise_columns(structure, theta, damping, count)
-            followed = self._followed(structure, theta, wandering, push, found, rate, columns)
+            follow = self._follow(structure, theta, push.slope, found, rate, columns.shape[1])
             new_rate = rate.copy()
             jacobian = np.zeros((n, columns.shape[1]))
             for start, stop in self.passes:
                 recursion.predict(
                     self.measured, float(data.rate[start]), push.known, push.slope, columns,
                     bends, found.gain, gains, found.move, moves, self.sensor.step,
-                    self.sensor.behind, *followed, data.dt, start, stop, new_rate, states,
+                    self.sensor.behind, *follow, data.dt, start, stop, new_rate, states,
                     innovation, jacobian,
                 )
             if not self.variance:
@@ -453,46 +453,56 @@ class Flight:
             jacobian = put
         return Prediction(innovation, jacobian if steps is not None else None, states, found, rate)
 
-    def _followed(
-        self, structure: Structure, theta: FloatArray, wandering: Sequence[tuple[Part, slice]],
-        push: Pushed, found: Filter, rate: FloatArray, columns: FloatArray,
-    ) -> tuple[FloatArray, ...]:
-        """What recursion.predict needs of wandering coefficients, `wander` to `place`."""
-        n, count, dt = rate.size, len(wandering), self.data.dt
-        wander, follow = np.zeros((n, count)), np.zeros((n, count))
-        left, by_left = np.zeros(count), np.zeros((count, 2))
-        by_follow = np.zeros((n, count, 2)) if columns.shape[1] else np.zeros((0, count, 2))
-        place = np.zeros(count, dtype=np.int64)
-        if not count:
-            return wander, follow, left, by_follow, by_left, place
-        p = structure.natural(theta)
-        halves, states = self.driven(structure, p)
-        s = replace(self.signals(p, halves, states, rate), hidden=np.ones((1, n)))
-        for i, (part, where) in enumerate(wandering):
-            wander[:, i] = required(part.effect.torque(s, p[where], part.settings))
-        psi = self.responses(wander, push.slope, found)
+    def _follow(
+        self, structure: Structure, theta: FloatArray, slope: FloatArray, found: Filter,
+        rate: FloatArray, columns: int,
+    ) -> tuple[FloatArray | NDArray[np.int64], ...]:
+        """What recursion.predict takes of wandering effects, from `wander` to `place`."""
+        n, dt = rate.size, self.data.dt
+        parts = [
+            (part, where) for part, where in zip(structure.parts, structure.slices(), strict=True)
+            if part.effect.wanders
+        ]
+        wander = self.wander(structure, structure.natural(theta), rate)
+        follow, left = np.zeros_like(wander), np.zeros(len(parts))
+        by_follow = np.zeros((n if columns else 0, len(parts), 2))
+        by_left, place = np.zeros((len(parts), 2)), np.zeros(len(parts), dtype=np.int64)
+        psi = self.responses(wander, slope, found) if parts else wander
 
-        def at(i: int, log: FloatArray) -> tuple[float, FloatArray]:
-            spread, correlation = np.exp(log)
-            stays = math.exp(-dt / correlation)
-            out = np.zeros(n)
-            if self.variance:
-                for start, stop in self.passes:
-                    recursion.pursuit(psi[:, i], self.variance, spread, stays, start, stop, out)
+        def at(i: int, logs: FloatArray) -> tuple[float, FloatArray]:
+            spread, correlation = np.exp(logs)
+            stays, out = math.exp(-dt / correlation), np.zeros(n)
+            for start, stop in self.passes if self.variance else ():
+                recursion.pursuit(psi[:, i], self.variance, spread, stays, start, stop, out)
             return stays, out
 
-        for i, (_, where) in enumerate(wandering):
+        for i, (_, where) in enumerate(parts):
             left[i], follow[:, i] = at(i, theta[where])
-            if not columns.shape[1]:
+            if not columns:
                 continue
+            # the gain's dependence on all other parameters is neglected: white innovations make
+            # its mean effect on the likelihood zero
             place[i] = self.order.index(where.start)
-            for j in range(2):
-                step = np.zeros(2)
-                step[j] = 1e-3
+            for j, step in enumerate(PURSUIT_STEP * np.eye(2)):
                 up, down = at(i, theta[where] + step), at(i, theta[where] - step)
-                by_left[i, j] = (up[0] - down[0]) / 2e-3
-                by_follow[:, i, j] = (up[1] - down[1]) / 2e-3
+                by_left[i, j] = (up[0] - down[0]) / (2.0 * PURSUIT_STEP)
+                by_follow[:, i, j] = (up[1] - down[1]) / (2.0 * PURSUIT_STEP)
         return wander, follow, left, by_follow, by_left, place
+
+    def wander(self, structure: Structure, p: FloatArray, rate: FloatArray) -> FloatArray:
+        """(n, w) acceleration per unit of each wandering coefficient, rad/s²."""
+        acting = [
+            (part, p[where])
+            for part, where in zip(structure.parts, structure.slices(), strict=True)
+            if part.effect.wanders
+        ]
+        if not acting:
+            return np.zeros((rate.size, 0))
+        s = replace(self.signals(p, *self.driven(structure, p), rate),
+                    hidden=np.ones((1, rate.size)))
+        return np.stack([
+            required(part.effect.torque(s, own, part.settings)) for part, own in acting
+        ], axis=1)
 
     def responses(self, columns: FloatArray, slope: FloatArray, found: Filter) -> FloatArray:
         """(n, m) response of the innovations to accelerations (n, m)."""
@@ -635,7 +645,7 @@ class Prediction:
     jacobian: FloatArray | None
     """(n, p) derivatives by the coordinates of the fit."""
     states: FloatArray
-    """(n, 4 + 2 v) predicted states of the filter, before each measurement."""
+    """(n, Structure.states) predicted states of the filter, before each measurement."""
     filter: Filter
     rate: FloatArray
 

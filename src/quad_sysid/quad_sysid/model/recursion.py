@@ -76,8 +76,8 @@ def motors(commands, row, lag, asymmetry, whole, fraction, dt, start, stop, halv
 
 @njit(**_OPTIONS)
 def predict(y, begin, known, slope, columns, bends, gain, gain_columns, move, move_columns,
-            gyro, behind, wander, follow, left, follow_columns, left_columns, place, dt, start, stop,
-            rate, states, innovation, jacobian):
+            gyro, behind, wander, follow, left, follow_columns, left_columns, place, dt, start,
+            stop, rate, states, innovation, jacobian):
     """Innovations of the predictor over [start, stop) and their derivatives.
 
     y (n,) measured, begin the rate at the start. known (2, n) acceleration over the halves of each
@@ -255,7 +255,7 @@ def pursuit(psi, variance, spread, left, start, stop, follow):
 
     psi (n,) derivative of the innovations by the parameter, variance of the innovations, spread
     the parameter's own, left: what is left of it after a cycle. The scalar Riccati equation of a
-    recursive prediction-error method (Ljung & Soderstrom 1983, ch. 3).
+    recursive prediction-error method (Ljung and Söderström 1983, ch. 3).
     """
     p = spread * spread
     more = p * (1.0 - left * left)
