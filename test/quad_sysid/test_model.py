@@ -18,7 +18,7 @@ from quad_sysid.estimate.fit import Problem
 from quad_sysid.estimate.stored import readings
 from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import Part
-from quad_sysid.model.plant import Structure
+from quad_sysid.model.structure import Structure
 
 DT = 0.01
 FINE = 10

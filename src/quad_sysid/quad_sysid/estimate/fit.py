@@ -16,7 +16,8 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.model.data import AxisData, Span, part_of
 from quad_sysid.model.effect import Part, required
 from quad_sysid.model.noise import sensor_of
-from quad_sysid.model.plant import BASE, NOISE, Flight, Prediction, Structure, passes_of
+from quad_sysid.model.plant import Flight, Prediction, passes_of
+from quad_sysid.model.structure import BASE, NOISE, Structure
 
 SETTLE_S = 0.5
 """Innovations count from this long after the start of an unbroken stretch."""

@@ -20,7 +20,8 @@ from quad_sysid.estimate.fit import Fit, Problem, covariance
 from quad_sysid.loop.from_model import Placed
 from quad_sysid.model.data import AxisData, Span
 from quad_sysid.model.effect import Drive, Part, Signals
-from quad_sysid.model.plant import N_BASE, NOISE, Flight, Structure
+from quad_sysid.model.plant import Flight
+from quad_sysid.model.structure import N_BASE, NOISE, Structure
 
 HALF_SPAN_S = 0.025
 BLOCK_S = 1.0
