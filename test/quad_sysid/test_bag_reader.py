@@ -375,12 +375,9 @@ def test_what_trains_and_what_validates(bare, asked, spans):
     assert bare or [s.signal for s in told] == ['prbs', 'square']
 
 
-def test_bad_spans_are_refused(refusal):
-    assert 'overlap' in refusal(split_segments, make_record(), train=(1.0, 3.5))
-    assert 'after the end' in refusal(split_segments, make_record(), train=(10.0, 12.0))
+def test_a_span_beyond_the_end_is_cut_and_told():
     cut = split_segments(make_record(), train=(1.0, 2.0), validate=(3.0, 30.0))
     assert '--validate 3:30 is cut at the end of the record, 4.00 s' in cut.warnings
-    assert all('--train' in refusal(parse_span, text, '--train') for text in ('5', '5:4', 'a:b'))
     assert parse_span(':', '--train') == (0.0, float('inf'))
     assert parse_span('5:45', '--train') == (5.0, 45.0)
 
