@@ -13,7 +13,6 @@ from quad_sysid.estimate.stored import estimate_of
 from quad_sysid.loop.from_model import loop_plant, schedule_factor
 from quad_tuning.assess import SQUARE_AMPLITUDE_RAD
 from quad_tuning.designer import design
-from quad_tuning.use import uses
 
 EXPONENT, REFERENCE = 'roll.sag.exponent', 'roll.sag.reference_v'
 
@@ -59,13 +58,11 @@ def test_the_design_takes_the_schedule_and_tracks_better_for_it(model, changed):
     with_it, without = (design(sagging(model, changed, offered=o)) for o in (True, False))
     assert with_it.gains[EXPONENT] == pytest.approx(1.2)
     assert with_it.gains[REFERENCE] == pytest.approx(11.4)
-    assert (with_it.schedule, len(without.schedule)) == ((), 5)
     assert EXPONENT not in without.gains
     better = with_it.figures['rms_tracking_rad'] / without.figures['rms_tracking_rad']
     assert better < 0.995
     assert with_it.figures['worst_phase_margin_deg'] >= 45.0
     m = sagging(model, changed)
-    assert 'schedules the command on the voltage' in dict(uses(m))['battery_sag']
     made = gate_steps(with_it.gains, m.active_gains, DEFAULT_BOUNDS)
     ours, gates = ([step[EXPONENT] for step in steps] for steps in (with_it.steps, made))
     least = min(len(ours), len(gates))

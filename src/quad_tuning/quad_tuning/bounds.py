@@ -92,22 +92,6 @@ def told(gains: CascadeGains, axis: str, active: Mapping[str, float]) -> dict[st
     return {name: float(getattr(gains, field)) for name, field in names.items() if name in active}
 
 
-def check_step(gains: Mapping[str, float], active: Mapping[str, float]) -> None:
-    """Raise DesignRefusedError where a gain changes by more than one step."""
-    check_bounds(gains)
-    for name, value in gains.items():
-        field = next(f for f in DESIGNED if CONTRACT_NAMES[f] == name.partition('.')[2])
-        if name not in active:
-            raise DesignRefusedError(f'{name}: its active value is not known')
-        low, high = reachable(field, active[name])
-        slack = 2.0 * ROUNDING * abs(value)
-        if not low - slack <= value <= high + slack:
-            raise DesignRefusedError(
-                f'{name}: one update may change {active[name]:g} to {low:g} .. {high:g}: '
-                f'found {value:g}; go there in steps'
-            )
-
-
 def steps_to(wanted: CascadeGains, active: CascadeGains) -> tuple[CascadeGains, ...]:
     """The steps from `active` to `wanted`, each within the limit."""
     path: list[CascadeGains] = []

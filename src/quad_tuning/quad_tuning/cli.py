@@ -105,9 +105,6 @@ def _answer(model: AxisModel, arguments: argparse.Namespace) -> dict[str, Any]:
             'gains': gains,
             'target': dict(proposal.steps[-1]) if proposal.steps else None,
             'steps': [dict(step) for step in proposal.steps],
-            'schedule': [{'battery_v': volts, 'gains': dict(row)} for volts,
-                         row in proposal.schedule],
-            'effects_used': [{'name': name, 'use': use} for name, use in proposal.used],
             'refused_because': proposal.refused_because,
             'figures': dict(proposal.figures),
         }
@@ -141,9 +138,6 @@ def _table(axis: str, method: str, answer: Mapping[str, Any]) -> str:
             f'  {count} updates lead there; send {first} first and identify again, '
             'all at once is not safe'
         )
-    lines += [f'  {item["name"]}: {item["use"]}' for item in answer.get('effects_used', ())]
-    for row in answer.get('schedule', ()):
-        lines.append(f'  at {row["battery_v"]:.1f} V: {_short(row["gains"])}')
     return '\n'.join(lines) + '\n'
 
 

@@ -1,6 +1,6 @@
 """The designer that the identification finds: an axis model in, gains or a refusal out.
 
-Wiring only: checks, ensemble, PID design, steps, use of effects. It is the entry point `pid` of
+Wiring only: checks, ensemble, PID design, steps, battery voltage. It is the entry point `pid` of
 the group `quad_sysid.designers`.
 """
 
@@ -28,7 +28,7 @@ from quad_tuning.bounds import (
 from quad_tuning.errors import DesignRefusedError, QuadTuningError
 from quad_tuning.objective import Requirements
 from quad_tuning.pid import PidDesign, retune
-from quad_tuning.use import along, schedule, scheduled, settings, uses
+from quad_tuning.voltage import along, scheduled, settings
 from quad_tuning.way import way_to
 
 SEED = 20_250_101
@@ -84,8 +84,6 @@ def propose(model: AxisModel, requirements: Requirements | None = None) -> GainP
                  **promise(loops, active, found.gains, plant.lag_s)},
         steps=along([told(step, model.axis, known) for step in way.steps], chosen,
                     flown.active_gains),
-        used=uses(model),
-        schedule=() if chosen else schedule(model, found.gains),
     )
 
 

@@ -152,10 +152,6 @@ class GainProposal:
     `_before`."""
     steps: tuple[Mapping[str, float], ...] = ()
     """Updates that lead to the target, each within the step limit; the last is the target."""
-    used: tuple[tuple[str, str], ...] = ()
-    """Effect (or rival) and how the design uses it, in words."""
-    schedule: tuple[tuple[float, Mapping[str, float]], ...] = ()
-    """Battery voltage, V, and the gains for it, where the plant's gain follows the voltage."""
 
 
 Designer = Callable[[AxisModel], GainProposal]

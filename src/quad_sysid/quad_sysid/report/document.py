@@ -175,14 +175,8 @@ def _gains(proposal: GainProposal | None) -> dict[str, Any]:
     if proposal is None or proposal.gains is None:
         why = {} if proposal is None else {'gains_refused_because': proposal.refused_because}
         return {'gains': None, **why}
-    return {
-        'gains': proposal.gains,
-        'gain_figures': proposal.figures,
-        'gain_steps': proposal.steps,
-        'gain_schedule': [{'battery_v': volts, 'gains': gains} for volts,
-                          gains in proposal.schedule],
-        'effects_used': [{'name': name, 'use': use} for name, use in proposal.used],
-    }
+    return {'gains': proposal.gains, 'gain_figures': proposal.figures,
+            'gain_steps': proposal.steps}
 
 
 def _model(row: ModelRow) -> dict[str, Any]:
@@ -204,9 +198,7 @@ def _model(row: ModelRow) -> dict[str, Any]:
 def _selection(selection: Selection) -> dict[str, Any]:
     """How an axis' black-box models were found and selected."""
     return {'approaches': [asdict(approach) for approach in selection.approaches],
-            'feedback': selection.feedback,
-            'preparation': [asdict(check) for check in selection.checks],
-            'advice': selection.advice}
+            'feedback': selection.feedback, 'advice': selection.advice}
 
 
 def _residual(residual: Residual) -> dict[str, Any]:
