@@ -14,10 +14,10 @@ import pytest
 
 from quad_sysid.bags import read_bag
 from quad_sysid.cli import main
+from quad_sysid.imports.cli import table
 from quad_sysid.imports.formats import format_of, read_log
 from quad_sysid.imports.log import ForeignLog, Stream
 from quad_sysid.imports.to_bag import import_log
-from quad_sysid.imports.words import table
 
 SAMPLE = Path(__file__).resolve().parents[2] / '../shared/data/px4/sample_log_small.ulg'
 DT_US = 4000

@@ -22,6 +22,7 @@ from quad_sysid.imports.table import open_table
 from quad_sysid.imports.to_bag import import_log
 from quad_sysid.imports.units import unit_of
 
+SHARED = Path(__file__).resolve().parents[2] / '../shared/data'
 N, DT = 1600, 0.004
 DEG = np.pi / 180.0
 MOTORS = ('m1', 'm2', 'm3', 'm4')
@@ -126,15 +127,15 @@ def test_all_axes_at_once_in_the_units_of_the_header(tmp_path, capsys):
 
 
 def test_an_unknown_table_is_listed_with_a_command_line_that_works(tmp_path, capsys, monkeypatch):
-    """Names and values alone: degrees, milliseconds, pulses and a mirrored angle are guessed."""
+    """Names and values alone: degrees, milliseconds and pulses are guessed."""
     monkeypatch.chdir(tmp_path)
     table = columns()
     t = table['t']
-    angles = [0.1 * np.sin(9 * t), 0.1 * np.sin(7 * t), 0.1 * np.sin(5 * t)]
-    rates = [0.9 * np.cos(9 * t), 0.7 * np.cos(7 * t), 0.5 * np.cos(5 * t)]
+    angles = [0.2 * np.sin(9 * t), 0.2 * np.sin(7 * t), 0.2 * np.sin(5 * t)]
+    rates = [1.8 * np.cos(9 * t), 1.4 * np.cos(7 * t), 1.0 * np.cos(5 * t)]
     write(tmp_path / 'flight.csv', {
         'timestamp': 5e4 + 1e3 * t, **{f'gyro.{a}': rates[i] / DEG for i, a in enumerate('xyz')},
-        'roll': angles[0] / DEG, 'pitch': -angles[1] / DEG, 'yaw': angles[2] / DEG,
+        'roll': angles[0] / DEG, 'pitch': angles[1] / DEG, 'yaw': angles[2] / DEG,
         **{f'motor[{i}]': 1000.0 + 1000.0 * table[m] for i, m in enumerate(MOTORS)},
         'vbat': table['bat'], 'altitude': 0.1 * t,
     })
@@ -454,3 +455,23 @@ def test_an_advised_unit_can_be_typed_as_it_stands(tmp_path, refused):
     assert "--unit 'cmd roll=0.005'" in refused(base)
     mended = replace(base, units=parse_units(['cmd roll=0.001']))
     assert "--unit 'Angle (roll)=deg'" in refused(mended)
+
+
+@pytest.mark.parametrize('name', ['DATA_EMPS', 'DATA_EMPS_PULSES'])
+def test_emps_becomes_a_bag(tmp_path, name):
+    file = SHARED / f'emps/{name}.csv'
+    if not file.exists():
+        pytest.skip('the measured data are not beside this checkout')
+    raw = np.loadtxt(file, delimiter=',', skiprows=1)
+    imported(ColumnOptions(
+        file, ('roll',), 't', control=('vir',), angle=('qm',), reference=('qg',),
+        units={'vir': 'V', 'qm': 'm', 'qg': 'm'},
+    ), tmp_path / 'bag')
+    record = read_bag(tmp_path / 'bag')
+    assert (record.dt, record.n) == (0.001, 24_841)
+    np.testing.assert_allclose(record.control[:, 1], 0.05 * raw[:, 1], atol=1e-9)
+    np.testing.assert_allclose(record.angles[:, 0], raw[:, 2], atol=1e-12)
+    np.testing.assert_allclose(record.attitude_setpoint[:, 0], raw[:, 3], atol=1e-12)
+    moved = np.cumsum(record.rates[:, 0]) * record.dt
+    assert np.abs(moved - raw[:, 2]).max() < 2e-4
+    assert np.isfinite(record.rates).all()

@@ -1,8 +1,9 @@
-"""`quad-sysid import`: arguments and wiring only."""
+"""`quad-sysid import`: the command, and what it says in 80 columns."""
 
 from __future__ import annotations
 
 import argparse
+import textwrap
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,7 @@ from quad_sysid.errors import BadInputError
 if TYPE_CHECKING:
     from quad_sysid.imports.formats import Format
     from quad_sysid.imports.log import ForeignLog
+    from quad_sysid.imports.to_bag import Imported
 
 TABLE_ONLY: Mapping[str, str] = {
     'axis': '--axis', 'time': '--time', 'control': '--control', 'thrust': '--thrust',
@@ -86,7 +88,6 @@ def _run(options: argparse.Namespace) -> int:
 def _log(options: argparse.Namespace, known: Format) -> int:
     from quad_sysid.imports.formats import read_log
     from quad_sysid.imports.mixers import mixer_of
-    from quad_sysid.imports.words import mapped
 
     log = read_log(options.file, known, options.log)
     if options.out is None:
@@ -144,10 +145,39 @@ def _axes(options: argparse.Namespace, measured: tuple[str, ...]) -> tuple[str, 
 
 def _write(log: ForeignLog, options: argparse.Namespace) -> int:
     from quad_sysid.imports.to_bag import import_log
-    from quad_sysid.imports.words import table
 
     done = import_log(log, options.out, options.grid)
     if not options.quiet:
         print('\n'.join(table(done)))
         print(f'\nnext: quad-sysid inspect {done.path}')
     return 0
+
+
+def table(done: Imported) -> list[str]:
+    """Lines to print after an import."""
+    record = done.record
+    out = [
+        str(done.path),
+        (f'{done.log.kind}, {record.n} samples at {1.0 / record.dt:.5g} Hz, '
+         f'{record.n * record.dt:.1f} s'), '', *mapped(done.log),
+    ]
+    for title, lines in (('clock and motors', done.told), ('missing', done.log.missing),
+                         ('warnings', done.warnings)):
+        if lines:
+            out += ['', title, *(part for line in lines for part in _wrapped(line, '  '))]
+    return out
+
+
+def mapped(log: ForeignLog) -> list[str]:
+    """The table of fields: from the log, to the bag."""
+    out = [f'{"from the log":<36} {"Hz":>6}  to the bag']
+    for m in log.mapped:
+        rate = f'{m.rate_hz:.4g}' if m.rate_hz else '-'
+        out.append(f'{f"{m.source} [{m.unit}]":<36} {rate:>6}  {m.topic}')
+        out += _wrapped(m.how, '      ') if m.how else []
+    return out
+
+
+def _wrapped(text: str, indent: str) -> list[str]:
+    return textwrap.wrap(text, 79, initial_indent=indent, subsequent_indent=indent + '  ',
+                         break_on_hyphens=False)

@@ -1,7 +1,7 @@
 """What the columns of an unknown table are likely to be, and the command line that imports them.
 
-Names give the role, values the unit: an angle's change is compared with the rate's integral. A
-guess is printed for the user to check and never used unchecked.
+Names give the role, names and sizes the unit. A guess is printed for the user to check; the import
+compares the columns with each other and refuses a wrong one (plausible.py).
 """
 
 from __future__ import annotations
@@ -15,14 +15,9 @@ from pathlib import Path
 import numpy as np
 
 from quad_sysid.contract import AXES, FloatArray
-from quad_sysid.imports.plausible import (
-    HIGHEST_RATE_HZ,
-    LOWEST_RATE_HZ,
-    USUAL_RATE_HZ,
-    turn_factor,
-)
+from quad_sysid.imports.plausible import HIGHEST_RATE_HZ, LOWEST_RATE_HZ, USUAL_RATE_HZ
 from quad_sysid.imports.table import Table
-from quad_sysid.imports.units import DEGREE, UNITS, header_unit
+from quad_sysid.imports.units import UNITS, header_unit
 
 
 def _named(*parts: str) -> re.Pattern[str]:
@@ -48,12 +43,6 @@ AXIS_NAMES = (
     _named('yaw', 'psi', 'heading', 'r', '(?<![a-z])[gw]?z(?![a-z])', r'\[2\]'),
 )
 GYRO = _named('gyro', 'p', 'q', 'r', '(?<![a-z])g[xyz]')
-FEWEST = 50
-"""Samples of a rate or an angle that can be compared."""
-WHOLE_TURN = 6.3
-"""rad; an angle that goes further is in degrees, or counts its turns and may be scaled as well."""
-ALIKE = 0.5
-"""Least correlation between an angle and its rate."""
 SMOOTH_TURN = 20.0
 """99 % quantile of a rate, rad/s, above which it is taken for deg/s."""
 
@@ -123,14 +112,14 @@ def guess(table: Table) -> Guess:
     rates = _triples(measured, RATE)
     rates.sort(key=lambda t: not all(GYRO.search(n) for n in t))
     rate = rates[0] if rates else ()
-    angle, found = _angle(table, seconds, _triples(
-        [n for n in measured if not RATE.search(n) or 'angle' in n.lower()], ANGLE), rate)
+    angles = _triples([n for n in measured if not RATE.search(n) or 'angle' in n.lower()], ANGLE)
+    angle = next((t for t in angles if not rate or _same_axes(t, rate)), ())
     axes = tuple(a for a, name in zip(AXES, rate or angle, strict=True) if name) \
         if rate or angle else ()
     for role, triple in (('rate', rate), ('angle', angle)):
         if triple:
             roles[role] = tuple(n for n in triple if n)
-    units |= found
+            units |= {n: u for n in roles[role] if (u := _size_unit(table, n, role))}
     if not motors:
         _add_commands(table, rest, rate or angle, roles, units)
     reference_is = _add_references(table, rest, rate or angle, roles, units)
@@ -278,73 +267,6 @@ def _triples(names: Sequence[str], pattern: re.Pattern[str]) -> list[tuple[str, 
 
 def _same_axes(triple: Sequence[str], other: Sequence[str]) -> bool:
     return [bool(n) for n in triple] == [bool(n) for n in other]
-
-
-def _angle(
-    table: Table, seconds: Mapping[str, FloatArray], angles: Sequence[tuple[str, str, str]],
-    rate: Sequence[str],
-) -> tuple[tuple[str, ...], dict[str, str]]:
-    """The angles that belong to the rates, with units for both."""
-    alone = {n: u for n in rate if n and (u := _size_unit(table, n, 'rate'))}
-    if not rate:
-        chosen = angles[0] if angles else ()
-        return chosen, {n: u for n in chosen if n and (u := _size_unit(table, n, 'angle'))}
-    best: tuple[float, tuple[str, ...], dict[str, str]] = (ALIKE, (), alone)
-    for triple in angles:
-        if not _same_axes(triple, rate):
-            continue
-        units: dict[str, str] = {}
-        alike = []
-        for r, a in zip(rate, triple, strict=True):
-            if not r:
-                continue
-            together, factor = _factor(table, seconds, r, a)
-            alike.append(abs(together))
-            if abs(together) < ALIKE:
-                continue
-            units |= _units_of(table, r, a, factor)
-        worth = float(np.median(alike))
-        if worth > best[0]:
-            best = worth, triple, {**alone, **units}
-    return best[1], {n: u for n, u in best[2].items() if u}
-
-
-def _units_of(table: Table, rate: str, angle: str, factor: float) -> dict[str, str]:
-    """Units of a rate and its angle by how much the angle changes per integral of the rate."""
-    size = abs(np.log(abs(factor)))
-    both_degrees = bool(_size_unit(table, rate, 'rate')) or bool(
-        _size_unit(table, angle, 'angle'))
-    if size < 1.0:  # alike: both in radians, or both in degrees
-        degrees = (True, True) if both_degrees else (False, False)
-    else:
-        degrees = (factor**2 < 1.0, factor**2 > 1.0)
-    sign = -1.0 if factor < 0.0 else 1.0
-    return {
-        rate: 'deg/s' if degrees[0] else '',
-        angle: ('deg' if degrees[1] else '') if sign > 0.0
-        else f'{-DEGREE if degrees[1] else -1.0:.6g}',
-    }
-
-
-def _factor(
-    table: Table, seconds: Mapping[str, FloatArray], rate: str, angle: str
-) -> tuple[float, float]:
-    """Correlation and size of an angle's change over the rate's integral, over short windows."""
-    t, w = _known(seconds[rate], table.columns[rate])
-    s, a = _known(seconds[angle], table.columns[angle])
-    if min(len(t), len(s)) < FEWEST:
-        return 0.0, 1.0
-    step = float(np.median(np.diff(t)))
-    grid = np.arange(max(t[0], s[0]), min(t[-1], s[-1]), step)
-    scale = DEGREE if np.ptp(a) > WHOLE_TURN else 1.0
-    found = turn_factor(np.interp(grid, t, w), scale * np.interp(grid, s, a), step)
-    return (found[0], found[1] / scale) if found else (0.0, 1.0)
-
-
-def _known(times: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    good = np.isfinite(times) & np.isfinite(values)
-    fresh = np.concatenate(([True], np.diff(times[good]) > 0.0))
-    return times[good][fresh], values[good][fresh]
 
 
 def _size_unit(table: Table, name: str, kind: str) -> str:
