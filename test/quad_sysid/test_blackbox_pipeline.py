@@ -13,9 +13,9 @@ from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.loop.plant import LoopPlant
 from quad_sysid.loop.simulation import simulate_cascade
 from quad_sysid.model.data import axis_data
-from quad_sysid.pipeline import blackbox_part, preparation, step_b
+from quad_sysid.pipeline import blackbox_part, held_out, step_b
 from quad_sysid.pipeline.identify import Options, identify
-from quad_sysid.record import GainChange, Record, Segment
+from quad_sysid.record import GainChange, IOData, Record, Segment
 from quad_sysid.report import document, text
 from quad_sysid.signals.waveforms import prbs
 
@@ -39,30 +39,36 @@ def references(n: int, seed: int) -> np.ndarray:
 
 
 def flight(
-    seed: int = 0, gains: CascadeGains = SLOW, noise: float = 0.01, source: str = 'flight'
+    seed: int = 0, gains: CascadeGains = SLOW, gain: tuple[float, float] = (450.0, 450.0),
+    noise: float = 0.01, source: str = 'flight', trim: float = TRIM,
 ) -> Record:
-    """Roll excited in the cascade; white gyro noise, a white torque and a trim of the command."""
+    """Roll and pitch excited in the cascade; white gyro noise and a white torque."""
     n = round(SECONDS / DT)
     rng = np.random.default_rng(seed)
-    reference = references(n, seed + 1)
-    run = simulate_cascade(PLANT, gains, reference, DT, noise=noise * rng.standard_normal(n),
-                           disturbance=0.5 * rng.standard_normal(n))
-    rates, angles, wanted = (
-        np.outer(x, [1.0, 0.0, 0.0]) for x in (run.rate, run.angle, reference)
-    )
-    still = np.full((n, 2), TRIM)
+    rates, commands, wanted, angles = (np.zeros((n, 3)) for _ in range(4))
+    segments: list[Segment] = []
+    for axis, name in enumerate(('roll', 'pitch')):
+        reference = references(n, seed + 1)
+        run = simulate_cascade(
+            dataclasses.replace(PLANT, gain=gain[axis]), gains, reference, DT,
+            noise=noise * rng.standard_normal(n),
+            disturbance=0.5 * rng.standard_normal(n),
+        )
+        rates[:, axis], angles[:, axis], wanted[:, axis] = run.rate, run.angle, reference
+        commands[:, axis] = run.control + trim
+        segments += [Segment(r, s, name, 'attitude', a, b) for r, s, a, b in SPANS]
+    values = gains.to_mapping('roll', constants=True) | gains.to_mapping('pitch', constants=True)
     return Record(
         source=source, dt=DT, rates=rates, angles=angles, attitude_setpoint=wanted,
-        control=np.column_stack((np.full(n, 0.5), run.control + TRIM, still)),
-        segments=tuple(Segment(r, s, 'roll', 'attitude', a, b) for r, s, a, b in SPANS),
-        gains=(GainChange(0.0, gains.to_mapping('roll', constants=True)),),
+        control=np.column_stack((np.full(n, 0.5), commands)), segments=tuple(segments),
+        gains=(GainChange(0.0, values),),
     )
 
 
 @pytest.fixture(scope='module')
 def answers():
     records = [flight(), flight(7, FAST, source='second')]
-    return identify(records, Options(axes=('roll',), effects=()))
+    return identify(records, Options(effects=()))
 
 
 @pytest.fixture(scope='module')
@@ -185,26 +191,13 @@ def test_poor_excitation_is_told():
                for line in found.selection.advice)
 
 
-def kept(record: Record, **gains: float) -> dict[str, bool | None]:
-    values = {f'sensor.{name}': value for name, value in gains.items()}
-    return {c.name: c.kept for c in preparation.checks(record, 'roll', values)}
-
-
-def test_preparation_keeps_the_rules_of_section_2_6():
-    record = flight()
-    assert kept(record, gyro_filter_hz=42.0) == dict.fromkeys((
-        'gyro filter', 'sample rate', 'gyro bias', 'lost samples', 'gyro roll spectrum'), True)
-    assert kept(record, gyro_filter_hz=10.0)['gyro filter'] is False
-    assert kept(record, gyro_filter_hz=80.0)['sample rate'] is False
-    assert kept(record)['gyro filter'] is None
-    rates = record.rates.copy()
-    rates[:, 0] += 0.05 + 0.02 * np.sin(2 * np.pi * 37.0 * np.arange(record.n) * DT)
-    rates[2000:2300] = np.nan
-    spoiled = dataclasses.replace(record, rates=rates)
-    bad = {c.name: c for c in preparation.checks(spoiled, 'roll', {}) if c.kept is False}
-    assert set(bad) == {'gyro bias', 'lost samples', 'gyro roll spectrum'}
-    assert 'in 1 gaps' in bad['lost samples'].words
-    assert 'at 37 Hz' in bad['gyro roll spectrum'].words
+def test_a_line_in_the_errors_is_told_as_a_peak():
+    rng, t = np.random.default_rng(0), DT * np.arange(8000)
+    u, noise = rng.choice([-1.0, 1.0], t.size), 0.01 * rng.standard_normal(t.size)
+    z = IOData(u, noise, DT)
+    (frequency, _), = held_out.residual(noise + 0.01 * np.sin(2 * np.pi * 37.0 * t), z).peaks
+    assert frequency == pytest.approx(37.0, abs=0.5)
+    assert held_out.residual(noise, z).peaks == ()
 
 
 def test_the_reference_is_what_drives_the_loop_from_outside():

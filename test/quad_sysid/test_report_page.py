@@ -143,12 +143,12 @@ def test_a_picture_that_fails_is_named_and_the_rest_stand(answers, monkeypatch):
     def broken(_):
         raise ValueError('no such window')
 
-    monkeypatch.setattr(plots, 'PICTURES', (('spectra', broken), *plots.PICTURES[3:5]))
+    monkeypatch.setattr(plots, 'PICTURES', (('signals', broken), *plots.PICTURES[1:3]))
     drawn = plots.gallery(answers['roll'])
-    assert drawn.failed == (('spectra', 'no such window'),)
+    assert drawn.failed == (('signals', 'no such window'),)
     assert list(drawn.pictures) == ['coherence', 'free_run']
     text = page(document.document(answers, ['bag']), answers, {'roll': drawn})
-    assert 'picture spectra could not be drawn: no such window' in text
+    assert 'picture signals could not be drawn: no such window' in text
 
 
 @pytest.fixture(scope='module')

@@ -60,23 +60,12 @@ class Approach:
 
 
 @dataclass(frozen=True)
-class Check:
-    """One rule of the paper's section 2.6 on preparing data, checked on the record."""
-
-    name: str
-    kept: bool | None
-    """None where the record does not allow the check."""
-    words: str
-
-
-@dataclass(frozen=True)
 class Selection:
     """How the black-box models of one axis were found and selected."""
 
     approaches: tuple[Approach, ...] = ()
     feedback: bool | None = None
     """Whether the data show feedback from the rate to the command."""
-    checks: tuple[Check, ...] = ()
     advice: tuple[str, ...] = ()
 
 

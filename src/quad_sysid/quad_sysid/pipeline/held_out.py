@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy import ndimage, signal, special
 
 from quad_sysid.blackbox import Model, ResidualTest, innovation_test, predict, residual_test
 from quad_sysid.contract import FloatArray
@@ -21,8 +22,7 @@ from quad_sysid.estimate.fit import Fit, Problem
 from quad_sysid.model.data import AxisData
 from quad_sysid.pipeline.answer import Findings, HeldOut, MissingTorque, Residual
 from quad_sysid.pipeline.blackbox_part import io_data
-from quad_sysid.pipeline.preparation import resonance_peaks, spectrum
-from quad_sysid.record import IOData
+from quad_sysid.record import IOData, finite_runs
 
 
 def findings(data: AxisData, problem: Problem, found: Found, verdict: Verdict) -> Findings:
@@ -60,6 +60,10 @@ def interval(errors: FloatArray) -> tuple[float, float]:
 
 LOWEST_PEAK_HZ = 1.0
 """Two lines of the spectrum below this there is no peak to tell from a slope."""
+WINDOW_S = 2.0
+"""Window of the spectra, which resolves peaks half a hertz apart."""
+PEAK = 6.0
+"""Least power of a peak over its surroundings, whatever its significance."""
 
 
 def of_grey_box(data: AxisData, told: Findings) -> dict[str, Residual]:
@@ -93,11 +97,11 @@ def residual(errors: FloatArray, z: IOData) -> Residual | None:
 
 
 def _with_spectrum(test: ResidualTest, errors: FloatArray, z: IOData) -> Residual:
-    found = spectrum(errors, z.dt)
-    f, density, _ = (np.zeros(0), np.zeros(0), 0) if found is None else found
+    found = _spectrum(errors, z.dt)
+    f, density, _ = found or (np.zeros(0), np.zeros(0), 0)
     known = errors[np.isfinite(errors)]
     return Residual(test=test, rms=float(np.sqrt(np.mean(known**2))), frequency_hz=f,
-                    density=density, peaks=resonance_peaks(errors, z.dt, LOWEST_PEAK_HZ) or ())
+                    density=density, peaks=_peaks(*found) if found else ())
 
 
 def missing_torque(held: HeldOut, dt: float) -> MissingTorque:
@@ -107,3 +111,46 @@ def missing_torque(held: HeldOut, dt: float) -> MissingTorque:
     seen = max(noise.ratios['disturbance'] ** 2 - float(found.covariance[1, 1]), 0.0)
     return MissingTorque(known.astype(np.float64) * dt, held.disturbance[known],
                          noise.gyro_rms * float(np.sqrt(seen)))
+
+
+def _peaks(f: FloatArray, density: FloatArray, count: int) -> tuple[tuple[float, float], ...]:
+    """Frequency (Hz) and power over the surroundings of each narrow peak, strongest first.
+
+    The spectrum of `count` windows is compared with its own running median; a peak must stand out
+    of the scatter of the estimate at 0.1 % over all frequencies together.
+    """
+    if not density.max() > 0.0:
+        return ()
+    width = max(9, round(10.0 * WINDOW_S) | 1)
+    around = ndimage.median_filter(density, size=width, mode='nearest')
+    ratio = density / np.maximum(around, 1e-12 * density.max())
+    looked = (f >= LOWEST_PEAK_HZ) & (f < 0.95 * f[-1])
+    freedom = 1.2 * count  # halves overlap, so neighbours in time are not independent
+    level = float(special.chdtri(freedom, 1e-3 / max(int(looked.sum()), 1))) / freedom
+    high = looked & (ratio > max(PEAK, 1.5 * level))
+    peaks = [
+        (float(f[i]), float(ratio[i])) for i in np.flatnonzero(high)
+        if ratio[i] == ratio[max(i - 4, 0) : i + 5].max()
+    ]
+    return tuple(sorted(peaks, key=lambda item: -item[1]))
+
+
+def _spectrum(values: FloatArray, dt: float) -> tuple[FloatArray, FloatArray, int] | None:
+    """Frequencies (m,) Hz, Welch's density (m,) per Hz over the unbroken stretches, its windows.
+
+    None where there is too little for a spectrum.
+    """
+    size = round(WINDOW_S / dt)
+    runs = [r for r in finite_runs(np.isfinite(values), (0, values.size)) if r[1] - r[0] >= size]
+    spectra: list[FloatArray] = []
+    weights: list[int] = []
+    f = np.zeros(0)
+    for a, b in runs:
+        f, density = signal.welch(values[a:b] - values[a:b].mean(), 1.0 / dt, nperseg=size)
+        spectra.append(np.asarray(density))
+        weights.append(max(1, 2 * (b - a) // size - 1))
+    count = sum(weights)
+    if count < 4:
+        return None
+    density = np.average(spectra, axis=0, weights=weights)
+    return f, np.asarray(density), count

@@ -29,7 +29,7 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.errors import QuadSysidError
 from quad_sysid.loop.cascade import CascadeGains, derivative_weight
 from quad_sysid.model.data import AxisData
-from quad_sysid.pipeline import blackbox_part, preparation, step_b
+from quad_sysid.pipeline import blackbox_part, step_b
 from quad_sysid.pipeline.advice import Evidence, advice, rivalry
 from quad_sysid.pipeline.answer import Approach, AxisAnswer, ModelRow, Selection
 from quad_sysid.pipeline.assemble import band_of
@@ -219,7 +219,6 @@ def largest_loop_gain(z: IOData, model: Model) -> float:
 def with_blackbox(answer: AxisAnswer, data: AxisData, records: Sequence[Record]) -> AxisAnswer:
     """Add the table of models, the selected one, its error in the metric, and what to know."""
     gains = {} if answer.model is None else answer.model.active_gains
-    checks = preparation.checks(records[0], data.axis, gains)
     try:
         z = blackbox_part.io_data(data, data.train)
         fits = blackbox_part.fit_models(z)
@@ -237,7 +236,7 @@ def with_blackbox(answer: AxisAnswer, data: AxisData, records: Sequence[Record])
         rows = blackbox_part.rows_of(data, fits.models + others)
     except QuadSysidError as error:
         return replace(answer, warnings=(*answer.warnings, f'no black-box model: {error}'),
-                       selection=Selection(checks=checks, advice=tuple(rivalry(answer.model))))
+                       selection=Selection(advice=tuple(rivalry(answer.model))))
     rows, why_not = _second_steps(rows, records, data.axis, closed=closed)
     selected = blackbox_part.select(rows, data)
     model = None if selected is None else rows[selected].step_a.model
@@ -251,8 +250,7 @@ def with_blackbox(answer: AxisAnswer, data: AxisData, records: Sequence[Record])
         blackbox_error=blackbox_part.window_error(data, model, held_out) if model else None,
         blackbox_horizons=blackbox_part.horizons(data, model, held_out) if model else {},
         validation=blackbox_part.io_data(data, held_out, external=False) if held_out else None,
-        selection=Selection(approaches=possible, feedback=closed, checks=checks,
-                            advice=advice(evidence)),
+        selection=Selection(approaches=possible, feedback=closed, advice=advice(evidence)),
     )
 
 

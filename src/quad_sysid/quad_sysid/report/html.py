@@ -61,13 +61,13 @@ figure,.answer,tr{break-inside:avoid}h2,h3,h4{break-after:avoid}
 )
 
 
-DATA = ('signals', 'signals_detail', 'spectra', 'coherence')
+DATA = ('signals', 'coherence')
 MODELS = ('residual_test', 'bode')
-PREDICTION = ('free_run', 'horizon', 'one_step')
+PREDICTION = ('free_run', 'horizon')
 EFFECTS = ('effect_shape', 'left_out', 'rivals')
 LEFT = ('correlations', 'residual_spectrum', 'missing_torque')
 LOOP = ('closed_loop', 'step', 'margins')
-SHOWN = ('effect_shape', 'missing_torque', 'free_run', 'signals_detail')
+SHOWN = ('effect_shape', 'missing_torque', 'free_run', 'signals')
 """Picture of a notebook's cell: the first of these that exists."""
 CELL = """.quad .tiles{display:flex;flex-wrap:wrap;gap:8px}
 .quad .tile{border:1px solid #8886;border-radius:6px;padding:4px 10px}
@@ -165,7 +165,7 @@ def _axis(axis: str, tree: Mapping[str, Any], answer: AxisAnswer | None, drawn: 
         ('What is left', tables.residuals(tree).html() + figures(LEFT)),
         ('Black-box models', tables.models(tree).html() + figures(MODELS)
          + tables.approaches(tree).html()),
-        ('Advice', _notes(tables.notes(tree))),
+        ('Advice', _notes(tree.get('advice', ()))),
         ('Loop and gains', tables.gains(tree, axis, active).html() + figures(LOOP)),
         ('Warnings', _notes([
             *tree.get('warnings', []),

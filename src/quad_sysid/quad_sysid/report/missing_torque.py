@@ -14,23 +14,18 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from quad_sysid.contract import AXES, FloatArray, motors_from_wrench
+from quad_sysid.contract import FloatArray, motors_from_wrench
 from quad_sysid.effects.torques import TRANSITION
 from quad_sysid.estimate.fit import Fit, Problem, covariance
 from quad_sysid.loop.from_model import Placed
 from quad_sysid.model.data import AxisData, Span
 from quad_sysid.model.effect import Drive, Part, Signals
-from quad_sysid.model.plant import Flight
-from quad_sysid.model.structure import N_BASE, NOISE, Structure
 
 HALF_SPAN_S = 0.025
 BLOCK_S = 1.0
 BINS = 17
 LEAST_IN_A_BIN = 40
 GRID = 301
-RAMP_S = 12.0
-"""Length of the slow triangle of the command over which a map is drawn, s."""
-RESPONSE_S = 0.6
 Z95 = 1.96
 
 UNITS = {'rate': 'rad/s', 'angle': 'rad', 'command': 'norm.', 'throttle': 'norm.', 'battery': 'V',
@@ -81,24 +76,12 @@ class Along:
     def acceleration(self, without: int | None = None) -> FloatArray:
         """(n,) mean over each cycle, rad/s², also with one effect taken out."""
         structure, values = self.fit.structure, self.fit.values
-        followed = self.followed()
         if without is not None:
-            followed = {i: x for i, x in followed.items() if i != without}
             values = np.delete(values, structure.slices()[without])
             structure = structure.minus(without)
         pushed = self.problem.flight.pushed(structure, values, self.fit.rate)
         mean: FloatArray = 0.5 * (pushed.known[0] + pushed.known[1])
-        wander = self.problem.flight.wander(structure, values, self.fit.rate)
-        for column, x in zip(wander.T, followed.values(), strict=True):
-            mean = mean + column * x
         return mean + pushed.slope * self.fit.rate
-
-    def followed(self) -> dict[int, FloatArray]:
-        """Index of each wandering effect → (n,) its coefficient as the filter followed it."""
-        structure = self.fit.structure
-        wandering = [i for i, part in enumerate(structure.parts) if part.effect.wanders]
-        first = structure.states - len(wandering)
-        return {i: self.fit.prediction.states[:, first + j] for j, i in enumerate(wandering)}
 
     def seen(self, signal: FloatArray) -> FloatArray:
         """(n,) mean over the short span of what is known per cycle, as the gyro lags behind."""
@@ -179,15 +162,15 @@ def _frequency(along: Along, part: Part) -> float:
     return told['frequency'][0]
 
 
+def is_curve(part: Part) -> bool:
+    """Whether an effect is a curve over a signal: no map of the command, and without memory."""
+    return part.effect.term not in ('command', 'response') and not part.effect.states
+
+
 def drawn(along: Along, index: int) -> Drawn:
-    """An effect's own physics over its variable, with the band of its parameters' errors."""
+    """A curve's own physics over its variable, with the band of its parameters' errors."""
     structure, theta = along.fit.structure, along.fit.theta
     part, where = structure.parts[index], structure.slices()[index]
-    if part.effect.wanders:
-        inside = settled(along.problem.spans, along.problem.data.dt)
-        x, y = variable(along, part)[inside], along.followed()[index][inside]
-        return Drawn('time, s', LABELS[part.effect.term].replace('factor', 'change'), x,
-                     part.settings['unit'] * y, np.zeros(x.size))
     evaluate, x, over, label, plain = _picture(along, part)
 
     def at(moved: FloatArray) -> FloatArray:
@@ -218,12 +201,6 @@ LABELS = {'torque': 'torque / inertia, rad/s²', 'gain': 'change of the gain, 1'
 def _picture(along: Along, part: Part) -> Sketch:
     """How to evaluate an effect, over what, the labels, and what the base alone gives."""
     term = part.effect.term
-    if term == 'command':
-        return _map(along, part)
-    if term == 'response':
-        return _response(along, part)
-    if part.effect.states:
-        return _push(along, part)
     inside = settled(along.problem.spans, along.problem.data.dt)
     values = variable(along, part)[inside]
     low, high = np.nanpercentile(values, [0.5, 99.5])
@@ -267,91 +244,14 @@ def _lag(along: Along, part: Part, x: FloatArray) -> Evaluate:
     control = np.zeros((n, 4))
     control[:, 0] = x
     control[:, data.index + 1] = x
-    record = _record(data, control, battery_v=x, dt=float(x[1] - x[0]))
+    record = replace(data, dt=float(x[1] - x[0]), rate=np.zeros(n), angle=None, control=control,
+                     motors=motors_from_wrench(control), other_rates=np.zeros((n, 2)), battery_v=x,
+                     gyro_filter_hz=None, stretches=((0, n),), train=((0, n),), validation=(),
+                     idle=(), validation_names=(), reference=None, time_s=None)
     drive = Drive(np.zeros((1, n)), np.ones(1), np.ones((1, n)))
 
     def evaluate(p: FloatArray) -> FloatArray:
         out: FloatArray = part.effect.actuate(record, drive, p, part.settings).lag[0]
-        return out
-
-    return evaluate
-
-
-def _record(data: AxisData, control: FloatArray, *, dt: float,
-            battery_v: FloatArray | None = None) -> AxisData:
-    """A made-up stretch of commands (n, 4) for the effects that act on them."""
-    n = control.shape[0]
-    return replace(data, dt=dt, rate=np.zeros(n), angle=None, control=control,
-                   motors=motors_from_wrench(control), other_rates=np.zeros((n, 2)),
-                   battery_v=battery_v, gyro_filter_hz=None, stretches=((0, n),), train=((0, n),),
-                   validation=(), idle=(), validation_names=(), reference=None, time_s=None)
-
-
-def _largest(data: AxisData, column: int) -> float:
-    used = np.concatenate([data.control[a:b, column] for a, b in data.train])
-    return max(float(np.percentile(np.abs(used - used.mean()), 99.5)), 1e-6)
-
-
-def _map(along: Along, part: Part) -> Sketch:
-    """The drive over a slow triangle of the command that the effect maps."""
-    data = along.problem.data
-    other = part.effect.signals[0] == 'other command'
-    column = AXES.index(data.other_axes[_which(part)]) + 1 if other else data.index + 1
-    n = round(RAMP_S / data.dt)
-    largest = _largest(data, column)
-    x = largest * np.interp(np.arange(n) / n, [0.0, 0.25, 0.75, 1.0], [0.0, 1.0, -1.0, 0.0])
-    name = f'command of {AXES[column - 1]}, norm.'
-    evaluate = _driven(along, part, column, x, still=True)
-    thin = slice(0, None, max(1, n // (4 * GRID)))
-    return (lambda p: evaluate(p)[thin], x[thin], name, 'command that acts, norm.',
-            np.zeros_like(x[thin]) if other else x[thin])
-
-
-def _response(along: Along, part: Part) -> Sketch:
-    """The drive after a step of the command up and, half way, down again."""
-    data = along.problem.data
-    n = round(2.0 * RESPONSE_S / data.dt)
-    time = np.arange(n, dtype=np.float64) * data.dt
-    inside = (time > 0.05) & (time < RESPONSE_S)
-    x = _largest(data, data.index + 1) * inside.astype(np.float64)
-    evaluate = _driven(along, part, data.index + 1, x, still=False)
-    plain = _driven(along, None, data.index + 1, x, still=False)(np.zeros(0))
-    return evaluate, time, 'time, s', 'command that acts, norm.', plain
-
-
-def _push(along: Along, part: Part) -> Sketch:
-    """What hidden states do to a rate that is held for half the time, then stands still."""
-    data = along.problem.data
-    n = round(2.0 * RESPONSE_S / data.dt)
-    time = np.arange(n, dtype=np.float64) * data.dt
-    used = np.concatenate([data.rate[a:b] for a, b in along.problem.spans])
-    held = float(np.nanstd(used))
-    rate = held * (time < RESPONSE_S).astype(np.float64)
-    record = _record(data, np.zeros((n, 4)), dt=data.dt)
-
-    def evaluate(p: FloatArray) -> FloatArray:
-        hidden = part.effect.trace(record, rate, p, part.settings)
-        return Placed(part, p).torque(REST, n, rate=rate, time=time, hidden=hidden)
-
-    over = f'time since the rate steps to {held:.2g} rad/s, s'
-    return evaluate, time, over, LABELS['torque'], None
-
-
-def _driven(along: Along, part: Part | None, column: int, x: FloatArray, *,
-            still: bool) -> Evaluate:
-    """The drive for unit gain on a made-up command; `still` without lag and delay."""
-    data, base = along.problem.data, along.fit.values[:N_BASE].copy()
-    control = np.zeros((x.size, 4))
-    control[:, 0] = np.mean(np.concatenate([data.control[a:b, 0] for a, b in data.train]))
-    control[:, column] = x
-    flight = Flight(_record(data, control, dt=data.dt), ((0, x.size),))
-    structure = Structure(() if part is None else (part,))
-    if still:
-        base[1:3] = 0.0
-
-    def evaluate(p: FloatArray) -> FloatArray:
-        halves, _ = flight.driven(structure, np.r_[base, p, np.ones(len(NOISE))])
-        out: FloatArray = 0.5 * (halves[0] + halves[1])
         return out
 
     return evaluate

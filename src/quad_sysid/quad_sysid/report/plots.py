@@ -19,12 +19,9 @@ from quad_sysid.report.canvas import Picture, png
 
 PICTURES: tuple[tuple[str, Callable[[AxisAnswer], Picture | None]], ...] = (
     ('signals', plots_data.signals),
-    ('signals_detail', plots_data.detail),
-    ('spectra', plots_data.spectra),
     ('coherence', plots_data.coherences),
     ('free_run', plots_models.free_run),
     ('horizon', plots_models.horizon),
-    ('one_step', plots_models.one_step),
     ('residual_test', plots_models.residuals),
     ('bode', plots_models.bode),
     ('left_out', plots_effects.left_out),

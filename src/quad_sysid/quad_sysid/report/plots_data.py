@@ -1,4 +1,4 @@
-"""Pictures of what was measured: signals and segments, spectra, coherence. No model."""
+"""Pictures of what was measured: signals and segments, coherence. No model."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from quad_sysid.blackbox import coherence
 from quad_sysid.contract import FloatArray
 from quad_sysid.model.data import AxisData, Span
 from quad_sysid.pipeline.answer import AxisAnswer
-from quad_sysid.pipeline.preparation import spectrum
 from quad_sysid.record import IOData
 from quad_sysid.report.canvas import (
     AFTER,
@@ -33,7 +32,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-DETAIL_S = 8.0
 COHERENT = 0.6
 """Squared coherence above which the model is trusted."""
 
@@ -48,51 +46,35 @@ def signals(answer: AxisAnswer) -> Picture | None:
         'signals', 'Signals and segments',
         'The whole record. Blue stretches train the model, orange ones are held out and were '
         'opened once, at the end; what lies in grey was left out.',
-        _traces(answer, data, (0, data.rate.size), segments=True),
+        _traces(answer, data),
     )
 
 
-def detail(answer: AxisAnswer) -> Picture | None:
-    """A few seconds of training in detail."""
-    found = answer.findings
-    if found is None or not found.data.train:
-        return None
-    data = found.data
-    start, stop = max(found.data.train, key=lambda s: s[1] - s[0])
-    length = min(stop - start, round(DETAIL_S / data.dt))
-    begin = start + (stop - start - length) // 2
-    return Picture('signals_detail', f'{length * data.dt:.0f} s of training',
-                   'The same signals close up, from the middle of the longest training segment.',
-                   _traces(answer, data, (begin, begin + length), segments=False))
-
-
-def _traces(answer: AxisAnswer, data: AxisData, span: Span, *, segments: bool) -> Figure:
-    """Stacked panels of rate, angle (where measured) and command over `span`."""
-    inside = slice(*span)
-    time_s = np.asarray(np.arange(*span) * data.dt, dtype=np.float64)
+def _traces(answer: AxisAnswer, data: AxisData) -> Figure:
+    """Stacked panels of rate, angle (where measured) and command with the segments shaded."""
+    time_s = np.asarray(np.arange(data.rate.size) * data.dt, dtype=np.float64)
     rows = [('rate, rad/s', data.rate, answer.rate_reference),
             ('angle, rad', data.angle, answer.attitude_reference),
             ('command, norm.', data.command, None)]
     rows = [row for row in rows if row[1] is not None or row[2] is not None]
     figure, axes = panels(len(rows), height_in=1.2 + 1.15 * len(rows))
     for number, (one, (label, measured, reference)) in enumerate(zip(axes, rows, strict=True)):
-        if segments:
-            for spans, colour, name in ((data.train, BLUE, 'training'),
-                                        (data.validation, ORANGE, 'held out')):
-                for at, (a, b) in enumerate(_joined(spans, data.dt)):
-                    shade(one, a * data.dt, b * data.dt, colour, name if at == 0 else '')
-            seen: set[str] = set()
-            for left in answer.segments:
-                because = str(left.parameters.get('because', ''))
-                if because and left.axis == answer.axis:
-                    shade(one, left.start_s, left.end_s, MUTED,
-                          '' if because in seen else f'left out: {because}')
-                    seen.add(because)
+        for spans, colour, name in ((data.train, BLUE, 'training'),
+                                    (data.validation, ORANGE, 'held out')):
+            for at, (a, b) in enumerate(_joined(spans, data.dt)):
+                shade(one, a * data.dt, b * data.dt, colour, name if at == 0 else '')
+        seen: set[str] = set()
+        for left in answer.segments:
+            because = str(left.parameters.get('because', ''))
+            if because and left.axis == answer.axis:
+                shade(one, left.start_s, left.end_s, MUTED,
+                      '' if because in seen else f'left out: {because}')
+                seen.add(because)
         if reference is not None:
-            one.plot(*thinned(time_s, reference[inside]), color=GREEN, lw=0.9, label='reference')
+            one.plot(*thinned(time_s, reference), color=GREEN, lw=0.9, label='reference')
         if measured is not None:
             name = 'measured' if number < len(rows) - 1 else 'command'
-            one.plot(*thinned(time_s, measured[inside]), color=INK, lw=0.7, label=name)
+            one.plot(*thinned(time_s, measured), color=INK, lw=0.7, label=name)
         one.set_ylabel(label)
         one.margins(x=0.0)
     legend(axes[0])
@@ -109,32 +91,6 @@ def _joined(spans: tuple[Span, ...], dt: float) -> list[Span]:
         else:
             out.append((a, b))
     return out
-
-
-def spectra(answer: AxisAnswer) -> Picture | None:
-    """Power spectral densities of command, rate and reference over the training segments."""
-    train = answer.train
-    if train is None:
-        return None
-    figure, axes = panels(2, height_in=3.7)
-    for one, parts, label in (
-        (axes[0], [('measured', train.y, INK), ('reference', answer.rate_reference, GREEN)],
-         'rate, (rad/s)²/Hz'),
-        (axes[1], [('command', train.u, AFTER)], 'command, 1/Hz'),
-    ):
-        for name, values, colour in parts:
-            found = None if values is None else _density(values, train)
-            if found is not None:
-                one.loglog(*found, color=colour, label=name)
-        one.set_ylabel(label)
-        trusted(one, answer)
-    legend(axes[0])
-    axes[-1].set_xlabel('frequency, rad/s')
-    return Picture(
-        'spectra', 'Spectra',
-        'Power over frequency in the training segments: where the test flight had strength.'
-        + trusted_words(answer), figure,
-    )
 
 
 def coherences(answer: AxisAnswer) -> Picture | None:
@@ -180,13 +136,3 @@ def trusted_words(answer: AxisAnswer) -> str:
 
 def _finite(values: FloatArray, z: IOData) -> bool:
     return all(bool(np.isfinite(values[a:b]).all()) for a, b in z.segments)
-
-
-def _density(values: FloatArray, z: IOData) -> tuple[FloatArray, FloatArray] | None:
-    """Frequencies, rad/s, and density, unit²/Hz, over the segments; None where too little."""
-    longest = max(b - a for a, b in z.segments) * z.dt
-    inside = np.full(values.size, np.nan)
-    for a, b in z.segments:
-        inside[a:b] = values[a:b]
-    found = spectrum(inside, z.dt, min(8.0, longest / 3.0))
-    return None if found is None else (2.0 * np.pi * found[0][1:], found[1][1:])

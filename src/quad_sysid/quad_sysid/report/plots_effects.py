@@ -56,15 +56,18 @@ def left_out(answer: AxisAnswer) -> Picture | None:
 
 
 def effect_shapes(answer: AxisAnswer) -> Picture | None:
-    """Each effect over its variable with its band, against what the data say without it."""
+    """Each effect that is a curve, with its band, against what the data say without it."""
     found = answer.findings
-    if found is None or not found.added:
+    parts = [] if found is None or not found.added else [
+        (index, part) for index, part in enumerate(found.after.fit.structure.parts)
+        if missing_torque.is_curve(part)
+    ]
+    if found is None or not parts:
         return None
     along = missing_torque.Along(found.problem, found.after.fit)
-    parts = found.after.fit.structure.parts
     rest = along.left_out()
     figure, axes = panels(len(parts), height_in=0.9 + 2.0 * len(parts), share_x=False, apart=0.75)
-    for index, (one, part) in enumerate(zip(axes, parts, strict=True)):
+    for one, (index, part) in zip(axes, parts, strict=True):
         shape = missing_torque.drawn(along, index)
         weights = missing_torque.weight(along, part)
         if weights is not None:

@@ -13,7 +13,7 @@ import numpy as np
 from quad_sysid.blackbox import ResidualTest, frequency_response, spa
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import QuadSysidError
-from quad_sysid.loop.plant import ComplexArray
+from quad_sysid.loop.plant import ComplexArray, LoopPlant, Slopes, exact_cycles
 from quad_sysid.model import AxisModel
 from quad_sysid.model.data import Windows
 from quad_sysid.pipeline.answer import AxisAnswer, Findings, HeldOut, ModelRow, Residual
@@ -194,15 +194,11 @@ def degrees(response: ComplexArray) -> FloatArray:
 
 def grey_response(model: AxisModel, w: FloatArray,
                   values: dict[str, float] | None = None) -> ComplexArray:
-    """(m,) base of the model with held command and gyro filter at w rad/s; rad/s per command."""
+    """(m,) base of the model from command to measured rate at w rad/s; rad/s per command."""
     p = values or {parameter.name: parameter.value for parameter in model.base}
-    s = 1j * w
-    response = p['gain'] * np.exp(-s * p['delay']) / (1.0 + s * p['lag']) / (s + p['damping'])
-    response = response * (1.0 - np.exp(-s * model.dt)) / (s * model.dt)
-    if model.gyro_filter_hz:
-        x = s / (2.0 * np.pi * model.gyro_filter_hz)
-        response = response / (1.0 + np.sqrt(2.0) * x + x**2)
-    return np.asarray(response)
+    plant = LoopPlant(p['gain'], p['lag'], max(p['delay'], 0.0), p['damping'], 0.0,
+                      model.gyro_filter_hz, model.dt)
+    return np.asarray(exact_cycles([plant], [Slopes()]).response(w)[0, 0])
 
 
 def _grey_spread(model: AxisModel, w: FloatArray,
@@ -229,45 +225,10 @@ def _grey_spread(model: AxisModel, w: FloatArray,
     return spread[0] * np.abs(response), spread[1]
 
 
-SHOWN_S = 2.0
-"""Shown length, s, so that single cycles can be seen."""
 Z99 = 2.576
 NAMES = (('before', 'base', BEFORE, '--'), ('after', 'completed', AFTER, '-'))
 OFFSET = 0.3
 """Offset of the second model's lines from the first's, lags."""
-
-
-def one_step(answer: AxisAnswer) -> Picture | None:
-    """Measured rate against the prediction of one cycle ahead, and its error."""
-    found = answer.findings
-    if found is None or not found.data.validation:
-        return None
-    data = found.data
-    errors = found.after.innovations
-    start, stop = max(data.validation,
-                      key=lambda s: float(np.nanvar(data.rate[s[0]:s[1]]) * (s[1] - s[0])))
-    length = round(SHOWN_S / data.dt)
-    if stop - start <= 2 * length or errors.shape != data.rate.shape:
-        return None
-    pieces = np.arange(start + length, stop - length, length)
-    begin = int(max(pieces, key=lambda a: float(np.var(data.rate[a:a + length]))))
-    inside = slice(begin, begin + length)
-    time_s = np.arange(begin, begin + length) * data.dt
-    figure, axes = panels(2, height_in=3.7, ratios=(1.6, 1.0))
-    axes[0].plot(time_s, data.rate[inside], color=INK, lw=2.2, alpha=0.35, label='measured')
-    axes[0].plot(time_s, (data.rate - errors)[inside], color=AFTER, lw=0.9, label='one step ahead')
-    for held, colour, style, name in runs(found):
-        axes[1].plot(time_s, held.innovations[inside], color=colour, lw=0.9, ls=style, label=name)
-    bound = Z99 * found.verdict.noise_floor
-    axes[1].axhspan(-bound, bound, color=GREEN, alpha=0.14, lw=0, label='99 % of the noise')
-    axes[1].margins(x=0.01)
-    finish(axes, 'time, s', 'rate, rad/s', 'error, rad/s')
-    legend(axes[1])
-    return Picture(
-        'one_step', 'One step ahead on held-out data',
-        'Each cycle is predicted from all that was measured before it. Close to the line is easy '
-        'here; the free run is the harder test.', figure,
-    )
 
 
 def _known(answer: AxisAnswer) -> Iterator[tuple[Residual, str, str, str]]:

@@ -268,12 +268,6 @@ def residuals(tree: Tree) -> Table:
     )
 
 
-def notes(tree: Tree) -> list[str]:
-    """Advice, and the rules of the data's preparation that are broken."""
-    broken = [c for c in tree.get('preparation', []) if c['kept'] is False]
-    return [*tree.get('advice', []), *(f'{c["name"]}: {c["words"]}' for c in broken)]
-
-
 def _value(p: Tree | None) -> str:
     if p is None:
         return '–'

@@ -17,7 +17,7 @@ def lines(report: Mapping[str, Any]) -> list[str]:
         loop, outcome = (models.head.index(name) for name in ('loop, %', 'outcome'))
         shown = [0, 1, *range(2, min(loop, 6)), loop]
         parts.append(models.text(shown, outcome, caption=False))
-        parts.append([line for note in tables.notes(tree)
+        parts.append([line for note in tree.get('advice', ())
                       for line in wrapped(note, '    ', '  - ')])
         parts.append([
             line for i, warning in enumerate(tree.get('warnings', []))
