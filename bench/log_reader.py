@@ -21,7 +21,7 @@ from quad_bridge.log.writer import BagWriter, Limits
 from quad_sysid.bags import cdr
 from quad_sysid.bags.cdr import typestore
 from quad_sysid.bags.storage import Storage
-from quad_sysid.bags.templates import template
+from quad_sysid.bags.writer import template
 from quad_sysid.contract import TOPIC_TYPES
 
 RATE_HZ = 250

@@ -196,10 +196,11 @@ def test_a_standstill_of_the_node_itself_is_no_stale_link(aircraft, fly):
     assert aircraft.state['reason'] == 'the schedule is complete'
 
 
-def test_an_interrupt_takes_the_excitation_back(aircraft, fly):
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_takes_the_excitation_back(aircraft, fly, number):
     process = fly(LONG, autostart=True)
     aircraft.until(lambda: len(aircraft.heard) > 20)
-    process.send(signal.SIGTERM)
+    process.send(number)
     aircraft.until(lambda: process.poll() is not None, 'its end')
     assert process.poll() == 0
     aircraft.until_taken_back()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import os
 import subprocess
@@ -11,12 +10,12 @@ import sys
 import pytest
 from probe import PATIENCE_S
 
+from quad_sysid.arguments import progress
 from quad_sysid.cli import main
-from quad_sysid.progress import Progress, duration, progress
 from quad_sysid.report import text
 
-COMMANDS = ('inspect', 'identify', 'evaluate', 'import', 'design-excitation', 'export', 'fleet',
-            'completion')
+COMMANDS = ('inspect', 'identify', 'evaluate', 'import', 'design-excitation', 'export', 'compare',
+            'fleet')
 
 
 def shown_by(arguments: list[str], capsys) -> str:
@@ -34,10 +33,8 @@ def test_every_command_is_listed_and_has_an_example_in_its_help(capsys):
         assert f'quad-sysid {name}' in told.partition('example: ')[2]
 
 
-def test_completion_is_printed_and_answers(capsys, tmp_path):
+def test_completion_answers(tmp_path):
     pytest.importorskip('argcomplete')
-    assert main(['completion']) == 0
-    assert 'quad-sysid' in capsys.readouterr().out
     answer = tmp_path / 'answer'
     done = subprocess.run(
         [sys.executable, '-c', 'import sys; from quad_sysid.cli import main; main([])'],
@@ -67,21 +64,12 @@ def test_text_fits_80_columns_and_is_plain(plain_bag, tmp_path, capsys):
     assert max(map(len, text.brief(report))) <= 80
 
 
-def shown(lines: list[tuple[float, str]]) -> list[str]:
-    stream, times = io.StringIO(), iter([time for time, _ in lines])
-    report = Progress(stream, (), lambda: next(times))
-    for _, line in lines:
-        report(line)
-    return [text.removeprefix('\x1b[2K') for text in stream.getvalue().split('\r')[1:]]
-
-
-def test_counted_work_tells_what_is_left_but_for_short_work(capsys):
-    """And only on a terminal."""
-    out = shown([(0.0, 'flight 1 of 5'), (10.0, 'flight 2 of 5'), (20.0, '')])
-    assert out == ['flight 1 of 5', 'flight 2 of 5  (10 s so far, about 40 s left)', '']
-    assert shown([(0.0, 'a 1 of 2'), (0.9, 'a 2 of 2')])[-1] == 'a 2 of 2'
+def test_progress_rewrites_one_line_on_a_terminal_alone(capsys, monkeypatch):
     progress()('reading')
     assert capsys.readouterr().err == ''
-    assert list(map(duration, (0.2, 59.4, 200.0, 7500.0))) == [
-        '1 s', '59 s', '3 min 20 s', '2 h 5 min'
-    ]
+    monkeypatch.setattr('sys.stderr.isatty', lambda: True, raising=False)
+    show = progress()
+    for line in ('flight 1 of 5' + 200 * ' and on', ''):
+        show(line)
+    first, last = capsys.readouterr().err.split('\r\x1b[2K')[1:]
+    assert (first[:13], len(first) < 200, last) == ('flight 1 of 5', True, '')

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import shutil
 import sys
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -117,6 +118,18 @@ def positive(option: str, value: float) -> float:
     return value
 
 
+def progress(*, quiet: bool = False) -> Callable[[str], None]:
+    """What rewrites one line on stderr, and wipes it for an empty one; nothing off a terminal."""
+    if quiet or not sys.stderr.isatty():
+        return lambda _: None
+
+    def show(line: str) -> None:
+        width = shutil.get_terminal_size().columns - 1
+        print(f'\r\x1b[2K{line[:width]}', end='', file=sys.stderr, flush=True)  # noqa: T201
+
+    return show
+
+
 def run_command(parser: Parser, arguments: Sequence[str] | None) -> int:
     """Run the command; returns its exit status."""
     offer_completion(parser)
@@ -142,20 +155,3 @@ def offer_completion(parser: argparse.ArgumentParser) -> None:
     except ImportError:
         return
     argcomplete.autocomplete(parser)
-
-
-def completion_command(commands: Commands, programs: Sequence[str]) -> None:
-    """Add `completion`, which prints the shell's completion script for `programs`."""
-
-    def run(options: argparse.Namespace) -> int:
-        try:
-            from argcomplete.shell_integration import shellcode
-        except ImportError as error:
-            raise BadInputError('completion', 'needs the package argcomplete',
-                                remedy='pip install argcomplete') from error
-        sys.stdout.write(shellcode(list(programs), shell=options.shell))
-        return 0
-
-    parser = command(commands, 'completion', run, 'Print the completion script for your shell.',
-                     'eval "$(quad-sysid completion)"')
-    parser.add_argument('shell', nargs='?', default='bash', choices=['bash', 'zsh', 'fish'])

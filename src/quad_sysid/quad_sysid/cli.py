@@ -21,9 +21,9 @@ from quad_sysid.arguments import (
     Commands,
     Parser,
     command,
-    completion_command,
     effects_option,
     own_effects,
+    progress,
     quiet_and_json,
     run_command,
 )
@@ -34,7 +34,6 @@ from quad_sysid.exports import cli as exports
 from quad_sysid.files import check_new, write_whole
 from quad_sysid.imports import cli as imports
 from quad_sysid.inspection import cli as inspection
-from quad_sysid.progress import progress
 
 if TYPE_CHECKING:
     from quad_sysid.model.effect import Effect
@@ -67,7 +66,6 @@ def _parser() -> Parser:
     exports.add(commands)
     comparison.add(commands)
     fleet.add(commands)
-    completion_command(commands, ('quad-sysid', 'quad-tune'))
     return parser
 
 
@@ -141,7 +139,7 @@ def _identify(options: argparse.Namespace) -> int:
     ) | {'effects': _candidates(options)}
     if options.apart and len(options.bags) > 1:
         return _identify_apart(wanted, options)
-    show = progress(quiet=options.quiet, axes=wanted['axes'])
+    show = progress(quiet=options.quiet)
     outcome = session.run(options.bags, options.out, wanted, show)
     if options.json:
         print(json.dumps(outcome.report, indent=1))

@@ -24,11 +24,10 @@ from typing import Any
 
 import numpy as np
 
-from quad_sysid.arguments import NOT_ANSWERED, Commands, command, quiet_and_json
+from quad_sysid.arguments import NOT_ANSWERED, Commands, command, progress, quiet_and_json
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError, QuadSysidError
 from quad_sysid.files import make_folder, write_whole
-from quad_sysid.progress import progress
 
 Row = dict[str, Any]
 ANSWERED, CANNOT_TELL, FAILED = 'answered', 'cannot_tell', 'failed'

@@ -13,12 +13,12 @@ import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from quad_sysid.bags import read_bag, split_segments
 from quad_sysid.contract import AXES
-from quad_sysid.designers import find_designer
 from quad_sysid.errors import BadInputError
 from quad_sysid.model import AxisModel, Designer, EffectEstimate
 from quad_sysid.record import Record
@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 
 PROMISES = ('rate_rms_ratio', 'oscillation_ratio', 'peak')
 """Predictions of a design with which the bridge's watch compares the flight."""
+DESIGNERS = 'quad_sysid.designers'
+"""Group of entry points: quad_sysid does not import quad_tuning."""
 Span = tuple[float, float]
 
 
@@ -233,7 +235,7 @@ def identify(flights: Record | str | Path | Sequence[Record | str | Path],
         records.append(split_segments(flight, train, validate, wanted or None))
     missing = ''
     if designer is None:
-        designer, missing = find_designer()
+        designer, missing = _designer()
     answers = answers_of(
         records,
         Options(axes=wanted, designer=designer, no_designer_because=missing, effects=candidates),
@@ -241,6 +243,22 @@ def identify(flights: Record | str | Path | Sequence[Record | str | Path],
     )
     names = tuple(flight.source if isinstance(flight, Record) else str(flight) for flight in given)
     return Result(answers, names, inertia)
+
+
+def _designer(name: str = 'pid') -> tuple[Designer | None, str]:
+    """The designer of this name, or None and the reason."""
+    found = {entry.name: entry for entry in entry_points(group=DESIGNERS)}
+    if name not in found:
+        offered = ', '.join(sorted(found)) or 'none'
+        return None, (
+            f'no designer {name!r} in the entry point group {DESIGNERS} (offered: {offered}); '
+            'install quad_tuning'
+        )
+    try:
+        designer: Designer = found[name].load()
+    except ImportError as error:
+        return None, f'the designer {name!r} cannot be loaded: {error}'
+    return designer, ''
 
 
 def evaluate(model: AxisModel, flight: Record | str | Path) -> Evaluation:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Literal
 
@@ -21,10 +22,18 @@ from rosbags.interfaces import (
 )
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
-from quad_sysid.bags.cdr import IMU, Stamped, encode, typestore
+from quad_sysid.bags.cdr import (
+    BATTERY,
+    IMU,
+    JOINTS,
+    MOTOR_NAMES,
+    Stamped,
+    blank,
+    encode,
+    typestore,
+)
 from quad_sysid.bags.events import EVENT, Event, encode_event
 from quad_sysid.bags.orientation import quaternions
-from quad_sysid.bags.templates import template
 from quad_sysid.contract import MIXER, TOPIC_TYPES, FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.record import Record, Segment
@@ -34,6 +43,7 @@ Compression = Literal['none', 'message', 'file', 'storage']
 
 NODE_NAMES = {'/excitation/segment': '/excitation', '/gains/active': '/serial_bridge'}
 BATTERY_PERIOD_S = 0.1
+UNMEASURED = ('temperature', 'current', 'charge', 'capacity', 'design_capacity', 'percentage')
 
 
 @dataclass(frozen=True)
@@ -171,3 +181,20 @@ def _qos(msgtype: str) -> Qos:
     durability = QosDurability.TRANSIENT_LOCAL if msgtype == EVENT else QosDurability.VOLATILE
     return Qos(QosHistory.KEEP_LAST, 10, QosReliability.RELIABLE, durability, unlimited, unlimited,
                QosLiveliness.AUTOMATIC, unlimited, False)
+
+
+@lru_cache(maxsize=8)
+def template(msgtype: str, *, measured_orientation: bool = True) -> bytes:
+    """CDR of one message. Without measured orientation its covariance[0] is -1 (REP-145)."""
+    message = blank(msgtype)
+    message.header.frame_id = 'base_link'
+    if msgtype == IMU:
+        message.orientation.w = 1.0
+        message.orientation_covariance[0] = 0.0 if measured_orientation else -1.0
+    elif msgtype == JOINTS:
+        message.name, message.effort = list(MOTOR_NAMES), np.zeros(4)
+    elif msgtype == BATTERY:
+        message.present = True
+        for name in UNMEASURED:
+            setattr(message, name, float('nan'))
+    return bytes(typestore().serialize_cdr(message, msgtype))

@@ -1,12 +1,23 @@
-"""`quad-sysid inspect`: arguments and wiring only."""
+"""`quad-sysid inspect`: the command, and a Content as a page of text for 80 columns or as JSON."""
 
 from __future__ import annotations
 
 import argparse
 import json
 import sys
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
 
 from quad_sysid.arguments import NOT_ANSWERED, Commands, command, quiet_and_json
+from quad_sysid.report.tables import Table, wrapped
+
+if TYPE_CHECKING:
+    from quad_sysid.inspection.content import AxisContent, Content, Use
+
+MOST_SEGMENTS = 12
+MOST_WARNINGS = 8
+SCHEMA = 'quad_sysid/inspection/1'
 
 
 def add(commands: Commands) -> None:
@@ -22,7 +33,6 @@ def add(commands: Commands) -> None:
 
 def _run(options: argparse.Namespace) -> int:
     from quad_sysid.inspection.content import content  # numba and scipy: only where needed
-    from quad_sysid.inspection.page import lines, tree
 
     held = content(options.bag)
     if options.json:
@@ -37,3 +47,96 @@ def _run(options: argparse.Namespace) -> int:
         print(f'quad-sysid: {options.bag}: {why}', file=sys.stderr)
         return NOT_ANSWERED
     return 0
+
+
+def tree(held: Content) -> Mapping[str, Any]:
+    """What `--json` prints: the dataclasses' fields by name."""
+    return {'schema': SCHEMA, **asdict(held)}
+
+
+def lines(held: Content) -> list[str]:
+    """One page."""
+    out = [held.source, *_topics(held)]
+    if held.unusable:
+        return [*out, '', *wrapped(f'usable for nothing: {held.unusable}', '')]
+    out += ['', *_flight(held), '', *_segments(held), '']
+    for axis in held.axes:
+        out += [*_axis(axis), '']
+    out += ['usable for', *(line for use in held.uses for line in _use(use))]
+    if held.warnings:
+        shown = held.warnings[:MOST_WARNINGS]
+        more = len(held.warnings) - len(shown)
+        out += ['', 'warnings', *(line for text in shown for line in wrapped(text, '  '))]
+        out += [f'  and {more} more (--json)'] if more else []
+    return out
+
+
+def _topics(held: Content) -> Iterator[str]:
+    rows = [
+        [one.name, str(one.messages), '-' if one.rate_hz is None else f'{one.rate_hz:.4g}',
+         f'{one.span_s:.1f}', str(one.gaps), f'{one.longest_gap_s:.3f}' if one.gaps else '-']
+        for one in held.topics.found
+    ]
+    yield from Table(['topic', 'messages', 'rate, Hz', 'seconds', 'gaps', 'longest, s'], rows,
+                     range(1, 6)).text()
+    if held.topics.absent:
+        yield from wrapped(f'not there: {", ".join(held.topics.absent)}', '')
+
+
+def _flight(held: Content) -> Iterator[str]:
+    rate = held.sample_rate_hz or 0.0
+    lost = f'{held.lost_pct:.2g} % of the cycles lost'
+    if held.longest_gap_s:
+        lost += f', the longest gap {held.longest_gap_s:.3f} s'
+    yield f'flight    {held.length_s:.1f} s at {rate:.4g} Hz, {lost}'
+    if held.motors_at_limit_pct:
+        shares = ', '.join(f'{share:.2g}' for share in held.motors_at_limit_pct)
+        yield f'motors    at 0 or 1 for {shares} % of the time'
+    else:
+        yield 'motors    not recorded: limits are known from the wrench only'
+    for pattern in held.layout:
+        yield from wrapped(pattern.sentence, '          ')
+    if held.battery:
+        b = held.battery
+        yield f'battery   {b.first:.2f} V to {b.last:.2f} V, lowest {b.lowest:.2f} V'
+    else:
+        yield 'battery   not measured'
+    axes = dict.fromkeys(name.partition('.')[0] for name in held.gains)
+    known = ', '.join(axis for axis in axes if axis != 'sensor')
+    if 'sensor.gyro_filter_hz' in held.gains:
+        known += ' and the gyro filter'
+    yield f'gains     {"of " + known if known else "unknown (/gains/active is missing)"}'
+
+
+def _segments(held: Content) -> Iterator[str]:
+    note = ' (the bag names none: split in time)' if held.split else ''
+    yield f'segments{note}'
+    shown = held.segments[:MOST_SEGMENTS]
+    for s in shown:
+        yield (f'  {s.role:<11} {s.signal:<10} {s.axis:<6} {s.injection:<9} '
+               f'{s.start_s:8.2f} to {s.end_s:8.2f} s')
+    if len(held.segments) > len(shown):
+        yield f'  and {len(held.segments) - len(shown)} more (--json)'
+
+
+def _axis(one: AxisContent) -> Iterator[str]:
+    yield (f'{one.axis}: {one.train_s:.1f} s to train, {one.validation_s:.1f} s to validate, '
+           f'{one.windows} windows')
+    if one.rate_rms is not None and one.command_rms is not None:
+        reference = '' if one.reference_rms is None else f', reference {one.reference_rms:.3g}'
+        yield f'  RMS: rate {one.rate_rms:.3g} rad/s, command {one.command_rms:.3g}{reference}'
+    if one.excitation_order == 0:
+        yield '  not excited: the command stands still'
+    elif one.excitation_order is not None:
+        band = one.coherent_band_rad_s
+        told = f'{band[0]:.2g} to {band[1]:.3g} rad/s' if band else 'in no band'
+        yield (f'  persistently exciting of order {one.excitation_order}; '
+               f'coherent {told}')
+    for use in one.uses:
+        yield from _use(use)
+
+
+def _use(use: Use) -> Iterator[str]:
+    mark = 'yes' if use.possible else 'no '
+    because = f': {use.because}' if use.because else ''
+    yield from wrapped(f'{use.name}{because}', '      ', first=f'  {mark} ')
