@@ -28,7 +28,7 @@ from quad_sysid.discover.base import best_base
 from quad_sysid.estimate.fit import Problem, fit
 from quad_sysid.estimate.stored import readings
 from quad_sysid.model.data import AxisData, axis_alone
-from quad_sysid.model.plant import NOISE, Structure
+from quad_sysid.model.structure import NOISE, Structure
 
 DT = 0.004
 SUBSTEPS = 8

@@ -27,7 +27,7 @@ from quad_sysid.effects import EFFECTS
 from quad_sysid.estimate.fit import Fit, Problem, fit, start_of
 from quad_sysid.model.data import AxisData, axis_alone
 from quad_sysid.model.effect import Part
-from quad_sysid.model.plant import Structure
+from quad_sysid.model.structure import Structure
 
 DT, SECONDS, SUBSTEPS = 0.01, 25.0, 10
 NAMES = ('coulomb_friction', 'quadratic_drag', 'dead_zone')

@@ -30,7 +30,6 @@ from quad_sysid.contract import MIXER, TOPIC_TYPES, control_from_motors, motors_
 from quad_sysid.errors import BadInputError
 from quad_sysid.record import GainChange, Record, Segment
 
-SHARED = Path(__file__).resolve().parents[2] / '../shared/data'
 T0 = 1_750_000_000_123_456_789
 N = 1000
 STEP = 4_000_000
@@ -144,25 +143,6 @@ def test_motors_are_taken_by_their_names():
     np.testing.assert_array_equal(got.values, [[0.1, 0.2, 0.3, 0.4]] * 2)
     assert got.stamps.tolist() == [1_000_000_002] * 2
     assert got.spoiled == 3
-
-
-@pytest.mark.parametrize(
-    ('name', 'n', 'starts'),
-    [('flight', 22_500, [0.0, 5.0, 45.0, 47.0, 67.0, 69.0, 89.0]),
-     ('second_flight', 17_500, [0.0, 5.0, 30.0, 32.0, 47.0, 49.0, 69.0])],
-)
-def test_bags_of_somebody_else_are_read(name, n, starts):
-    bag = SHARED / 'independent' / name
-    if not bag.exists():
-        pytest.skip('the measured data are not beside this checkout')
-    record = read_bag(bag)
-    assert (record.dt, record.n, record.missing) == (0.004, n, ())
-    assert np.isfinite(np.column_stack((record.rates, record.control))).all()
-    assert [s.start_s for s in record.segments] == starts
-    assert {s.signal for s in record.segments if s.role == 'train'} <= {'prbs'}
-    assert record.gains_at(1.0)['sensor.gyro_filter_hz'] == 42.0
-    assert 11.0 < np.min(record.battery_v) < np.max(record.battery_v) < 13.0
-    assert [line for line in record.warnings if 'battery' in line]
 
 
 # ---- stamps -----------------------------------------------------------------------------------
@@ -345,10 +325,10 @@ def test_a_bag_that_lacks_too_much_ends_in_one_line(tmp_path, refusal, topics, s
 
 @pytest.mark.parametrize('compression', ['none', 'storage', 'message'])
 def test_a_cut_off_mcap_gives_what_is_whole(tmp_path, compression):
-    want = make_record(6000)
+    want = make_record(3000)
     bag = write_bag(want, tmp_path / 'bag', BagOptions('mcap', compression))
     whole, cut, previous = (bag / 'bag.mcap').read_bytes(), tmp_path / 'cut.mcap', 0
-    for share in (0.5, 0.7, 0.9):  # and as a disk leaves it
+    for share in (0.5, 0.9):  # and as a disk leaves it
         cut.write_bytes(whole[: int(share * len(whole))] + bytes(20_000_000 * (share == 0.9)))
         got = read_bag(cut)
         assert got.n > previous
@@ -395,12 +375,9 @@ def test_what_trains_and_what_validates(bare, asked, spans):
     assert bare or [s.signal for s in told] == ['prbs', 'square']
 
 
-def test_bad_spans_are_refused(refusal):
-    assert 'overlap' in refusal(split_segments, make_record(), train=(1.0, 3.5))
-    assert 'after the end' in refusal(split_segments, make_record(), train=(10.0, 12.0))
+def test_a_span_beyond_the_end_is_cut_and_told():
     cut = split_segments(make_record(), train=(1.0, 2.0), validate=(3.0, 30.0))
     assert '--validate 3:30 is cut at the end of the record, 4.00 s' in cut.warnings
-    assert all('--train' in refusal(parse_span, text, '--train') for text in ('5', '5:4', 'a:b'))
     assert parse_span(':', '--train') == (0.0, float('inf'))
     assert parse_span('5:45', '--train') == (5.0, 45.0)
 
@@ -420,7 +397,7 @@ def chunks_of(data: bytes) -> list[int]:
 @pytest.fixture(scope='module')
 def chunked(tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes, np.ndarray]:
     """An mcap file of many chunks, and the rates in it."""
-    bag = write_bag(make_record(30_000), tmp_path_factory.mktemp('b') / 'bag',
+    bag = write_bag(make_record(15_000), tmp_path_factory.mktemp('b') / 'bag',
                     BagOptions('mcap', 'storage'))  # fmt: skip
     return (bag / 'bag.mcap').read_bytes(), read_bag(bag).rates
 

@@ -24,6 +24,7 @@ from quad_sysid.contract import MIXER, MIXER_INVERSE
 from quad_sysid.effects import EFFECTS
 from quad_sysid.effects.curves import CELLS, Curve
 from quad_sysid.model import EffectEstimate, Parameter
+from quad_sysid.model.data import axis_data
 from quad_sysid.pipeline.evaluate import evaluate
 from quad_sysid.pipeline.identify import Options, identify
 from quad_sysid.record import Record
@@ -159,6 +160,14 @@ def dahl(size: float, build_up: float) -> Changes:
     return changes
 
 
+def drifting(seed: int, spread: float, correlation_s: float) -> Changes:
+    """A gain that wanders: a first-order process with this RMS and correlation time."""
+    keep = math.exp(-0.05 / correlation_s)
+    white = np.random.default_rng(seed).standard_normal(2000)
+    path = lfilter([spread * math.sqrt(1.0 - keep * keep)], [1.0, -keep], white)[200:].tolist()
+    return lambda: {'command': lambda t, u, _v: u * (1.0 + path[int(20.0 * t)])}
+
+
 @dataclass(frozen=True)
 class Law:
     """An effect, the plant that has it, and its parameters with the contract's units."""
@@ -216,6 +225,9 @@ LAWS = [
         variant='slow state'),
     Law('mode', tilted(9.0, 0.6), {'stiffness': 9.0, 'time_constant': 0.6},
         variant='slow angle'),
+    Law('shape:angle', torque(lambda _t, _r, a: 0.8 * math.sin(60.0 * a + 0.5)),
+        {'waves': 60.0, 'cosine': 0.8 * math.sin(0.5), 'sine': 0.8 * math.cos(0.5)},
+        variant='periodic', left=0.003),
     Law('mode', dahl(0.4, 0.05), {'torque': 0.4, 'reach': 0.05}, variant='hysteresis'),
 ]
 """On another flight the values after an event hold, and a disturbance has a phase of its own."""
@@ -280,8 +292,6 @@ def coloured(seed: int, bandwidth_hz: float, intensity: float) -> Changes:
 FRICTION = law_of('coulomb_friction', 'torque')
 PLANTED = [
     ('dead_zone', law_of('dead_zone', 'half_width'), 4.0, {'half_width': (0.004, 0.10)}),
-    ('gyroscopic_coupling', law_of('gyroscopic_coupling', 'coefficient'), 4.0,
-     {'coefficient': (-0.6, 0.10)}),
     ('mode', strap(3.6, 0.8), 1.5, {'time_constant': (0.8, 0.6), 'stiffness': (3.6, 0.3)}),
     pytest.param('coulomb_friction', FRICTION, 4.0, {'torque': (0.8, 0.10)},
                  marks=pytest.mark.xdist_group('rubbed')),
@@ -319,18 +329,31 @@ def test_what_acts_is_named_measured_and_pays(rubbed_answer, name, changes, lowe
     assert unseen.before > lowers * unseen.after
 
 
+def test_a_gain_that_wanders_is_followed_in_another_flight_on_its_own_path():
+    answer = answer_to(drifting(1, 0.3, 5.0), 1)
+    (effect,) = answer.model.effects
+    assert (effect.name, effect.variant) == ('shape:gain:time', 'wandering')
+    found = {p.name: p.value for p in effect.parameters}
+    assert 0.15 < found['spread'] < 0.6
+    assert 1.0 < found['correlation'] < 25.0
+    unseen = evaluate(answer.model, fly(Axis(**{**QUIET, **drifting(2, 0.3, 5.0)()}), 501, UNSEEN))
+    assert unseen.before > 2.0 * unseen.after
+    plain = evaluate(answer.model, fly(Axis(**QUIET), 502, UNSEEN))
+    assert plain.after < 1.1 * plain.before
+
+
 # nothing where nothing acts
 
 
 @pytest.mark.parametrize(
     ('changes', 'seed'),
-    [(dict, 1), (coloured(3, 2.0, 0.05), 3), (lambda: {
+    [(coloured(3, 2.0, 0.05), 3), (lambda: {
         'throttle': throttle, 'other_rates': others, 'other_commands': other_commands,
         'volts': (12.6, 11.4)}, 2)],
-    ids=['at rest besides', 'gusts of 2 Hz', 'everything else moves'],
+    ids=['gusts of 2 Hz', 'everything else moves'],
 )
 def test_where_nothing_acts_nothing_is_found(changes, seed):
-    """bench/effects.py flies some hundred of them."""
+    """bench/effects.py flies some hundred of them, test_nodes_go_on.py one in which all rests."""
     answer = answer_to(changes, seed)
     assert (answer.verdict, answer.model.effects) == ('no_missing_effect', ()), answer.reason
     error = document.document({'roll': answer}, ['bag'])['axes']['roll']['error']
@@ -408,15 +431,10 @@ def test_validation_does_not_touch_what_is_chosen(rubbed_flight, rubbed_answer):
 # what the data cannot show
 
 
-def told_of(record: Record) -> tuple[dict[str, str], dict]:
-    """Name of an effect, without its variant, to why one was not tested; and the report."""
-    tree = document.document({'roll': answer_of(record)}, ['bag'])['axes']['roll']
-    return {e['name'].partition('/')[0]: e['because'] for e in tree['not_tested']}, tree
-
-
 def test_effects_that_the_data_cannot_show_are_left_out_and_told(plain_flight):
     bare = replace(plain_flight, angles=None, attitude_setpoint=None)
-    told, tree = told_of(bare)
+    tree = document.document({'roll': answer_of(bare)}, ['bag'])['axes']['roll']
+    told = {e['name'].partition('/')[0]: e['because'] for e in tree['not_tested']}
     for name, words in {
         'pendulum_stiffness': 'the bag holds no orientation',
         'cubic_stiffness': 'the bag holds no orientation',
@@ -431,9 +449,10 @@ def test_effects_that_the_data_cannot_show_are_left_out_and_told(plain_flight):
     labels = {item['name'] for item in tree['not_tested']}
     assert not {label for item in tree['tried'] for label in item['effects']} & labels
     rates = np.where([True, False, False], bare.rates, np.nan)
-    told, _ = told_of(replace(bare, battery_v=None, rates=rates))
-    assert told['battery_sag'] == 'the bag holds no battery voltage'
-    assert 'was not measured throughout' in told['gyroscopic_coupling']
+    data = axis_data([replace(bare, battery_v=None, rates=rates)], 'roll')
+    why = {effect.name: effect.prepare(data) for effect in EFFECTS}
+    assert why['battery_sag'] == 'the bag holds no battery voltage'
+    assert 'was not measured throughout' in why['gyroscopic_coupling']
 
 
 # the table and the page about it
@@ -456,7 +475,8 @@ UNITS = {
 def read(effect) -> dict[str, str]:
     """What a report reads of an effect: name to unit."""
     count = len(effect.parameters)
-    told = effect.readable(np.ones(count), {'mean': (0.0,) * getattr(effect, 'count', count)})
+    settings = {'mean': (0.0,) * getattr(effect, 'count', count), 'unit': 1.0}
+    told = effect.readable(np.ones(count), settings)
     return {name: unit for name, (_, unit) in told.items()}
 
 

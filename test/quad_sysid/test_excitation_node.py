@@ -196,11 +196,10 @@ def test_a_standstill_of_the_node_itself_is_no_stale_link(aircraft, fly):
     assert aircraft.state['reason'] == 'the schedule is complete'
 
 
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupt_takes_the_excitation_back(aircraft, fly, number):
+def test_an_interrupt_takes_the_excitation_back(aircraft, fly):
     process = fly(LONG, autostart=True)
     aircraft.until(lambda: len(aircraft.heard) > 20)
-    process.send(number)
+    process.send(signal.SIGTERM)
     aircraft.until(lambda: process.poll() is not None, 'its end')
     assert process.poll() == 0
     aircraft.until_taken_back()

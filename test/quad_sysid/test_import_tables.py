@@ -22,7 +22,6 @@ from quad_sysid.imports.table import open_table
 from quad_sysid.imports.to_bag import import_log
 from quad_sysid.imports.units import unit_of
 
-SHARED = Path(__file__).resolve().parents[2] / '../shared/data'
 N, DT = 1600, 0.004
 DEG = np.pi / 180.0
 MOTORS = ('m1', 'm2', 'm3', 'm4')
@@ -455,23 +454,3 @@ def test_an_advised_unit_can_be_typed_as_it_stands(tmp_path, refused):
     assert "--unit 'cmd roll=0.005'" in refused(base)
     mended = replace(base, units=parse_units(['cmd roll=0.001']))
     assert "--unit 'Angle (roll)=deg'" in refused(mended)
-
-
-@pytest.mark.parametrize('name', ['DATA_EMPS', 'DATA_EMPS_PULSES'])
-def test_emps_becomes_a_bag(tmp_path, name):
-    file = SHARED / f'emps/{name}.csv'
-    if not file.exists():
-        pytest.skip('the measured data are not beside this checkout')
-    raw = np.loadtxt(file, delimiter=',', skiprows=1)
-    imported(ColumnOptions(
-        file, ('roll',), 't', control=('vir',), angle=('qm',), reference=('qg',),
-        units={'vir': 'V', 'qm': 'm', 'qg': 'm'},
-    ), tmp_path / 'bag')
-    record = read_bag(tmp_path / 'bag')
-    assert (record.dt, record.n) == (0.001, 24_841)
-    np.testing.assert_allclose(record.control[:, 1], 0.05 * raw[:, 1], atol=1e-9)
-    np.testing.assert_allclose(record.angles[:, 0], raw[:, 2], atol=1e-12)
-    np.testing.assert_allclose(record.attitude_setpoint[:, 0], raw[:, 3], atol=1e-12)
-    moved = np.cumsum(record.rates[:, 0]) * record.dt
-    assert np.abs(moved - raw[:, 2]).max() < 2e-4
-    assert np.isfinite(record.rates).all()

@@ -18,7 +18,7 @@ from quad_sysid.estimate.stored import estimate_of
 from quad_sysid.loop.from_model import Placed
 from quad_sysid.model import AxisModel, Parameter
 from quad_sysid.model.effect import Part
-from quad_sysid.model.plant import Structure
+from quad_sysid.model.structure import Structure
 from quad_sysid.pipeline.advice import rivalry
 from quad_sysid.pipeline.identify import Options, identify
 from quad_sysid.report.model_file import save_models

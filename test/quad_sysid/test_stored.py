@@ -9,7 +9,7 @@ from quad_sysid.estimate.stored import completed, noise_of, part_of, readings
 from quad_sysid.model import AxisModel, EffectEstimate
 from quad_sysid.model.data import axis_data
 from quad_sysid.model.effect import Part
-from quad_sysid.model.plant import Structure
+from quad_sysid.model.structure import Structure
 from quad_sysid.report import document, words
 from quad_sysid.report.model_file import load_models, save_models
 

@@ -1,8 +1,10 @@
-"""The demo's parts: processes are watched and all stopped, state topics heard, figures told."""
+"""The demo's parts: processes are watched and all stopped, figures are told.
+
+The observer is flown by test/integration.
+"""
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import socket
@@ -10,12 +12,10 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from node_process import Started
-from probe import PATIENCE_S, Probe, event
+from probe import PATIENCE_S
 
 pytest.importorskip('ament_index_python', reason='the demo runs in a ROS 2 workspace')
 
@@ -117,55 +117,6 @@ def test_two_runs_never_share_a_domain(tmp_path: Path) -> None:
             user.bind(('', PORT_BASE + PORT_GAIN * free + offset))
             with own_domain() as other:
                 assert other != free
-
-
-# ---- the observer
-
-
-WATCH = """
-import json, os
-from quad_tuning.demo.processes import StageFailedError
-from quad_tuning.demo.observer import Observer
-
-with Observer(int(os.environ['ROS_DOMAIN_ID'])) as observer:
-    try:
-        observer.wait_for('connect', 'word', lambda: {condition}, 200.0)
-        {then}
-        failed = ''
-    except StageFailedError as error:
-        failed = str(error)
-    print(json.dumps([observer.active_gains, observer.segment, failed]))
-"""
-
-
-@pytest.fixture
-def observe(run: Callable[..., Started]) -> Callable[..., list[Any]]:
-    """What an observer, as a process, has heard: gains, segment, and why it failed."""
-
-    def watch(condition: str, then: str = 'pass') -> list[Any]:
-        observer = run(*python(WATCH.format(condition=condition, then=then)))
-        assert observer.wait() == 0, observer.said
-        return json.loads(observer.printed)
-
-    return watch
-
-
-def test_the_observer_hears_late_what_was_said_and_fails_with_the_reason(
-    probe: Probe, observe: Callable[..., list[Any]]
-) -> None:
-    probe.publish('/gains/active', event({'roll.kp': 3.0, 'source': 'read back'}))
-    told = {'segment': 'train', 'register_bits': 9, 'whole': True}
-    probe.publish('/excitation/segment', event(told))
-    probe.serve('/bag_logger/start', success=False, message='disk is full')
-    ask = "observer.call('fly', '/bag_logger/start', 200.0)"
-    heard = observe('observer.active_gains and observer.segment', ask)
-    assert heard == [{'roll.kp': 3.0}, told, 'fly: /bag_logger/start: disk is full']
-    status = {'level': 2, 'name': 'link', 'message': 'port is busy'}
-    probe.publish('/diagnostics', {'status': [status]}, every_s=0.1)
-    then = "observer.wait_for('connect', 'gains', lambda: False, 0.3)"
-    *_, failed = observe('observer.diagnostics', then)
-    assert failed.startswith('connect: no gains within 0 s (')
-    assert 'port is busy' in failed
 
 
 # ---- what is kept, compared and told

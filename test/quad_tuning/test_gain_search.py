@@ -21,7 +21,8 @@ def problem_of(m, axis='roll', **needs):
 SLOW = {'gain': 260.0, 'lag': 0.075, 'delay': 0.012}
 
 
-@pytest.mark.parametrize('values', [{}, pytest.param(SLOW, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize('values', [{}, SLOW])
 def test_another_global_optimiser_finds_nothing_better(model, values):
     """Differential evolution with a penalty, on the loops that bind: within 1 % on either side."""
     problem = problem_of(model(**values))

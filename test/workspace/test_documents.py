@@ -44,23 +44,25 @@ def test_the_topics_of_page_bridge_and_analysis_agree() -> None:
     assert contract.TOPIC_TYPES.items() <= TOPIC_TYPES.items()
 
 
-@pytest.mark.skipif(importlib.util.find_spec('mkdocs') is None, reason='mkdocs is not installed')
-def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, '-m', 'mkdocs', 'build', '--strict', '--quiet', '--site-dir',
-         str(tmp_path / 'site')],
-        cwd=ROOT, capture_output=True, text=True, check=False, timeout=PATIENCE_S,
-    )
-    assert done.returncode == 0, done.stderr[-2000:]
-    text = (tmp_path / 'site' / 'reference' / 'api.html').read_text()
-    assert all(name in text for name in ('read_bag', 'AxisModel', 'CascadeGains', 'import_log'))
-    errors = (tmp_path / 'site' / 'reference' / 'errors.html').read_text()
-    assert all(told in errors for told in ('must be a finite number', 'chmod 600', 'no such axis'))
-    notebook = (tmp_path / 'site' / 'notebook.html').read_text()
-    assert 'Was missing: dry friction' in notebook
-    assert notebook.count('<img') >= 4
-    pictures = re.findall(r'<img[^>]*src="([^"]+)"', (tmp_path / 'site/tune.html').read_text())
-    assert all((tmp_path / 'site' / p).exists() for p in pictures if not p.startswith('http'))
+def test_the_site_lists_every_page() -> None:
     listed = set(re.findall(r'[\w/]+\.md', (ROOT / 'mkdocs.yml').read_text()))
     pages = {str(p.relative_to(ROOT / 'docs')) for p in PAGES[3:]}
     assert listed == pages | {'notebook.md'}  # made from notebook.ipynb
+
+
+@pytest.mark.long
+@pytest.mark.skipif(importlib.util.find_spec('mkdocs') is None, reason='mkdocs is not installed')
+def test_what_is_made_for_the_site_stands_in_it(tmp_path: Path) -> None:
+    """The notebook runs here; .ci/run builds the site by `make docs`, which refuses a warning."""
+    done = subprocess.run(
+        [sys.executable, '-m', 'mkdocs', 'build', '--quiet', '--site-dir', tmp_path / 'site'],
+        cwd=ROOT, capture_output=True, text=True, check=False, timeout=PATIENCE_S,
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    for page, words in {
+        'reference/api': ('read_bag', 'AxisModel', 'CascadeGains', 'import_log'),
+        'reference/errors': ('must be a finite number', 'chmod 600', 'no such axis'),
+        'notebook': ('Was missing: dry friction', *4 * ('<img',)),
+    }.items():
+        text = (tmp_path / f'site/{page}.html').read_text()
+        assert all(text.count(word) >= words.count(word) for word in words), page

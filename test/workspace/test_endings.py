@@ -72,8 +72,9 @@ def ended(process: Started, status: int = 0) -> str:
     return process.said
 
 
-@pytest.mark.parametrize('number', [INT, TERM])
-@pytest.mark.parametrize('name', ONE_OF_EACH)
+@pytest.mark.parametrize(
+    ('name', 'number'), [('serial_bridge', INT), ('excitation', TERM), ('virtual_stm32', INT)]
+)
 def test_a_signal_while_it_imports(begin, name, number):
     last = 'rclpy.executors' if name in NODES else 'quad_bridge.virtual.receiver'
     module = 'numpy' if number == INT else last

@@ -93,7 +93,3 @@ def test_what_it_uses_starts_and_includes_exists(path: Path) -> None:
     for include in [e for e in entries if e.kind == 'IncludeLaunchDescription']:
         included = Path(include.given[0].given[0])
         assert set(dict(include.named['launch_arguments'])) <= set(arguments(described(included)))
-
-
-def test_there_is_one_for_flight_rig_and_demo() -> None:
-    assert {'bridge', 'flight', 'rig', 'demo'} <= {p.name.partition('.')[0] for p in FILES}

@@ -21,7 +21,8 @@ from quad_sysid.discover.search import Found
 from quad_sysid.estimate.fit import Fit, Problem, Tail
 from quad_sysid.model.data import AxisData, Windows
 from quad_sysid.model.noise import growth
-from quad_sysid.model.plant import Prediction, Structure
+from quad_sysid.model.plant import Prediction
+from quad_sysid.model.structure import Structure
 
 BLOCK_S = 0.5
 """Length of the blocks in which predictive log-likelihoods are compared."""

@@ -12,7 +12,8 @@ from quad_sysid.discover.screen import vibration_line
 from quad_sysid.effects.couplings import is_measured
 from quad_sysid.estimate.fit import MOST_STEPS, Fit, Problem, fit, start_of
 from quad_sysid.model.data import other_axis
-from quad_sysid.model.plant import Flight, Structure
+from quad_sysid.model.plant import Flight
+from quad_sysid.model.structure import Structure
 
 EXPECTED = 0.05
 """Prior probability that an effect is missing, divided equally among the names that can be tried,

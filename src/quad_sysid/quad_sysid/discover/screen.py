@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -153,6 +153,9 @@ class _Beside:
 
     def _block(self, part: Part, start: FloatArray) -> _Block:
         effect, p = part.effect, coordinates(part, start)
+        if effect.wanders:
+            unit = replace(self.signals, hidden=np.ones((1, self.plain.size)))
+            return _Block(part, p, [], [required(effect.torque(unit, start, part.settings))])
         linear = [
             j for j, spec in enumerate(effect.parameters)
             if not spec.log and not spec.starts
@@ -187,12 +190,12 @@ class _Beside:
         problem, flight = self.problem, self.problem.flight
         found = self.fitted.prediction.filter
         inputs = np.column_stack([column for block in batch for column in block.columns])
-        out = np.empty_like(inputs)
-        for start, stop in flight.passes:
-            recursion.respond(
-                flight.measured, inputs, self.slope, found.gain, found.move, flight.sensor.step,
-                flight.sensor.behind, problem.data.dt, start, stop, out,
-            )
+        out = flight.responses(inputs, self.slope, found)
+        first = 0
+        for block in batch:
+            if block.part.effect.wanders:
+                out[:, first] = self._followed(block, out[:, first])
+            first += len(block.columns)
         c = self._left(out[problem.rows] * self.w[:, None])
         first = 0
         for block in batch:
@@ -201,6 +204,19 @@ class _Beside:
             score = self._score(block, c[:, where])
             if score is not None:
                 yield score
+
+    def _followed(self, block: _Block, psi: FloatArray) -> FloatArray:
+        """(n,) change of the innovations if a coefficient follows them."""
+        flight, e = self.problem.flight, np.nan_to_num(self.fitted.prediction.innovation)
+        spread, correlation = np.exp(block.p)
+        out = e.copy()
+        for start, stop in flight.passes:
+            recursion.pursued(
+                e, np.ascontiguousarray(psi), flight.variance, spread,
+                math.exp(-flight.data.dt / correlation), start, stop, out,
+            )
+        change: FloatArray = out - e
+        return change
 
     def _score(self, block: _Block, c: FloatArray) -> Score | None:
         part, parameters = block.part, block.part.effect.parameters

@@ -12,12 +12,13 @@ from quad_sysid.effects.curves import CURVES
 from quad_sysid.effects.events import EVENTS
 from quad_sysid.effects.hidden import HIDDEN
 from quad_sysid.effects.torques import TORQUES
+from quad_sysid.effects.wandering import WANDERING
 from quad_sysid.model.checked import checked
 from quad_sysid.model.effect import Effect
 
 GROUP = 'quad_sysid.effects'
 BUILT_IN: tuple[Effect, ...] = (
-    *TORQUES, *ACTUATORS, *COUPLINGS, *EVENTS, *HIDDEN, *CURVES,
+    *TORQUES, *ACTUATORS, *COUPLINGS, *EVENTS, *HIDDEN, *CURVES, *WANDERING,
 )
 EFFECTS: tuple[Effect, ...] = (
     *BUILT_IN,

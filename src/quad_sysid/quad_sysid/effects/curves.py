@@ -27,8 +27,6 @@ DRIFT = {'drift': (2, 1.0)}
 """For curves over time also a straight line, which continues after the training."""
 HELD = ('time', 'battery')
 """Signals that change one way: outside the training's range the curve stays constant."""
-BEYOND = 0.5
-"""Share of the range by which other curves continue straight outside it."""
 UNITS = {'torque': 'rad/s²', 'gain': '1', 'damping': '1/s', 'lag': '1', 'delay': 's',
          'friction': 'rad/s²'}
 MISSING = {'angle': 'orientation', 'battery': 'battery voltage'}
@@ -53,6 +51,23 @@ def measured(data: AxisData, name: str) -> FloatArray | str:
     }
     found = known[name]
     return f'the bag holds no {MISSING[name]}' if found is None else found
+
+
+def per_unit(
+    term: str, s: Signals, transition: float = float(np.exp(TRANSITION.centre))
+) -> FloatArray:
+    """Acceleration per unit of a change of one term, rad/s² per its unit in UNITS."""
+    if term == 'gain':
+        return s.drive
+    if term == 'damping':
+        return -s.rate
+    if term == 'delay':
+        return -s.change
+    if term == 'lag':  # of a change that is slow beside the lag itself
+        return s.drive - s.command
+    if term == 'friction':
+        return -np.tanh(s.rate / max(transition, 1e-4))
+    return np.ones_like(s.rate)
 
 
 class Curve(Effect):
@@ -116,7 +131,7 @@ class Curve(Effect):
         """Index of the knot before each value, and the value's share (0..1) of the interval."""
         knots = np.array(settings['knots'])
         span = knots[-1] - knots[0]
-        below, above = (0.0, 0.0) if self.signal in HELD else (BEYOND, BEYOND)
+        below, above = (0.0, 0.0) if self.signal in HELD else (self.length, self.length)
         if self.variant in DRIFT:
             above = 1.0
         x = np.clip(x, knots[0] - below * span, knots[-1] + above * span)
@@ -141,18 +156,10 @@ class Curve(Effect):
         }[self.signal])
 
     def _factor(self, s: Signals, p: FloatArray) -> FloatArray:
-        if self.term == 'gain':
-            return s.drive
-        if self.term == 'damping':
-            return -s.rate
-        if self.term == 'delay':
-            return -s.change
-        if self.term == 'friction':
-            return -np.tanh(s.rate / max(p[-1], 1e-4))
-        return np.ones_like(s.rate)
+        return per_unit(self.term, s, float(p[-1]))
 
     def size(self, s: Signals, j: int, settings: Settings) -> FloatArray:
-        return self._factor(s, np.array([np.exp(TRANSITION.centre)]))
+        return per_unit(self.term, s)
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray | None:
         if self.term == 'lag':

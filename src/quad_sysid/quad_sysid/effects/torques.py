@@ -90,6 +90,29 @@ class CubicStiffness(OnAngle):
         return -p[0] * required(s.angle)**3
 
 
+class Detents(OnAngle):
+    """Wells at equal angles: cogging of magnets, dents of a bearing's race, teeth."""
+
+    name = 'shape:angle'
+    kind = 'shape'
+    variant = 'periodic'
+    parameters = (
+        Spec('waves', '1/rad', spread=1.0, centre=math.log(40.0), log=True,
+             starts=tuple(np.geomspace(10.0, 200.0, 30))),
+        Spec('cosine', 'rad/s²'), Spec('sine', 'rad/s²'),
+    )
+    physics = 'C cos(n angle) + S sin(n angle): wells at equal angles, as of magnets or teeth'
+    excite = 'slow motion over a large range of angles'
+
+    def size(self, s: Signals, j: int, settings: Settings) -> FloatArray:
+        return np.ones_like(s.rate)
+
+    def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+        phase = p[0] * required(s.angle)
+        return p[1] * np.cos(phase) + p[2] * np.sin(phase)
+
+
 TORQUES = (
     CoulombFriction(), StribeckFriction(), QuadraticDrag(), PendulumStiffness(), CubicStiffness(),
+    Detents(),
 )

@@ -16,7 +16,8 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.model.data import AxisData, Span, part_of
 from quad_sysid.model.effect import Part, required
 from quad_sysid.model.noise import sensor_of
-from quad_sysid.model.plant import BASE, NOISE, Flight, Prediction, Structure, passes_of
+from quad_sysid.model.plant import Flight, Prediction, passes_of
+from quad_sysid.model.structure import BASE, NOISE, Structure
 
 SETTLE_S = 0.5
 """Innovations count from this long after the start of an unbroken stretch."""
@@ -132,8 +133,9 @@ class Problem:
         self.data = part_of(self.data, passes)
 
     def measure(self, fitted: Fit) -> None:
-        """Take the sizes of all later priors from the signals of this fit."""
+        """Take the sizes of all later priors and of the innovations from this fit."""
         p = fitted.values
+        self.flight.variance = fitted.tail.variance
         halves, states = self.flight.driven(fitted.structure, p)
         self._reference = self.flight.signals(p, halves, states, fitted.rate)
         self._sizes = {}

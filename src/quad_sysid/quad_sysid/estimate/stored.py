@@ -18,7 +18,7 @@ from quad_sysid.errors import BadInputError
 from quad_sysid.estimate.fit import Fit, Problem, Tail, covariance, shift_by_form
 from quad_sysid.model import AxisModel, EffectEstimate, NoiseEstimate, Parameter
 from quad_sysid.model.effect import Effect, Part, Settings, Spec, required
-from quad_sysid.model.plant import BASE, N_BASE, NOISE, Structure
+from quad_sysid.model.structure import BASE, N_BASE, NOISE, Structure
 
 SHORTEST = 0.25
 """Share of a cycle below which the data do not show a lag or delay."""

@@ -130,6 +130,10 @@ class Effect:
     parameters: tuple[Spec, ...] = ()
     states: int = 0
     """Number of hidden states, driven by the rate."""
+    wanders: bool = False
+    """Whether it is a coefficient that the filter follows: noise whose RMS and correlation time
+    (s) are the two parameters; `torque` is linear in the coefficient, s.hidden[0], and zero
+    without it."""
     phased: bool = False
     """Whether each flight has its own phase, which `elsewhere` takes."""
 

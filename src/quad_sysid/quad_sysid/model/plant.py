@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 from quad_sysid.contract import AXES, MIXER_INVERSE, FloatArray
 from quad_sysid.model import recursion
 from quad_sysid.model.data import AxisData, Span, Windows, at_limit
-from quad_sysid.model.effect import Drive, Effect, Part, Signals, Spec, required
+from quad_sysid.model.effect import Drive, Effect, Part, Signals, required
 from quad_sysid.model.noise import Filter, Noise, Sensor, kalman, sensor_of
+from quad_sysid.model.structure import NOISE, VIBRATION, Structure
 
 LEAD_S = 1.0
 """The filter starts this long before each span, where the flight is unbroken."""
@@ -29,94 +30,10 @@ SLOPE_STEP = 1e-4
 """Step of the rate for the slope of a torque, rad/s."""
 SLOPE_S = 0.02
 """An acceleration is the slope of the rate over this time to either side."""
+PURSUIT_STEP = 1e-3
+"""Step of a wandering coefficient's parameters for the derivatives of its gain."""
 SHORTEST_S = 1e-5
 """A lag or delay below this counts as none."""
-
-BASE = (
-    Spec('gain', 'rad/s² per unit command'),
-    Spec('lag', 's', spread=1.2, centre=math.log(0.04), log=True, starts=(0.04,)),
-    Spec('delay', 's', spread=1.2, centre=math.log(0.01), log=True, starts=(0.01,)),
-    Spec('damping', '1/s'),
-    Spec('bias', 'rad/s²'),
-)
-NOISE = (
-    Spec('white', '(rad/s²)/√Hz per rad/s', spread=3.0, centre=math.log(10.0), log=True),
-    Spec('disturbance', 'rad/s² per rad/s', spread=3.0, centre=math.log(30.0), log=True),
-    Spec('correlation', 's', spread=1.0, centre=math.log(0.3), log=True),
-    Spec('after', '1', spread=1.0, centre=math.log(0.1), log=True),
-)
-SHARED = Spec('shared', '1', spread=1.0)
-"""Share of another axis' disturbance that disturbs this one too, as gusts at an angle do."""
-VIBRATION = (
-    Spec('vibration', '1', spread=2.0, centre=0.0, log=True),
-    Spec('vibration_frequency', 'Hz', spread=1.0, centre=math.log(50.0), log=True),
-    Spec('vibration_width', 'Hz', spread=1.5, centre=math.log(1.0), log=True),
-)
-"""A narrow line of vibration in the gyro's noise."""
-N_BASE = len(BASE)
-
-
-@dataclass(frozen=True)
-class Structure:
-    """The base and its effects, each with its settings, and the parts of the noise."""
-
-    parts: tuple[Part, ...] = ()
-    lines: int = 0
-    """Number of vibration lines in the gyro's noise."""
-    shared: tuple[int, ...] = ()
-    """Which of the other two axes (0, 1) share their disturbance with this one."""
-
-    @property
-    def noise(self) -> tuple[Spec, ...]:
-        """The noise's parameters: the last ones of the vector."""
-        return (SHARED,) * len(self.shared) + NOISE + VIBRATION * self.lines
-
-    @property
-    def filtered(self) -> int:
-        """Number of noise parameters that shape the filter: the last ones of the vector."""
-        return len(NOISE) + len(VIBRATION) * self.lines
-
-    @property
-    def specs(self) -> tuple[Spec, ...]:
-        """Specs in the order of the vector: base, effect by effect, noise."""
-        return BASE + tuple(s for part in self.parts for s in part.effect.parameters) + self.noise
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names in that order: `gain`, …, `<effect>.<parameter>`, the noise."""
-        return (
-            tuple(s.name for s in BASE)
-            + tuple(f'{p.effect.name}.{s.name}' for p in self.parts for s in p.effect.parameters)
-            + tuple(f'noise.{s.name}' for s in self.noise)
-        )
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """Labels of the effects."""
-        return tuple(part.effect.label for part in self.parts)
-
-    def slices(self) -> list[slice]:
-        """Each effect's slice of the vector."""
-        out, position = [], N_BASE
-        for part in self.parts:
-            count = len(part.effect.parameters)
-            out.append(slice(position, position + count))
-            position += count
-        return out
-
-    def plus(self, part: Part) -> Structure:
-        """The structure with one more effect."""
-        return replace(self, parts=(*self.parts, part))
-
-    def minus(self, index: int) -> Structure:
-        """The structure without one of its effects."""
-        return replace(self, parts=self.parts[:index] + self.parts[index + 1 :])
-
-    def natural(self, theta: FloatArray) -> FloatArray:
-        """(p,) parameters in their units from the coordinates of the fit, theta (p,)."""
-        logs = np.array([s.log for s in self.specs])
-        exponents = np.clip(np.where(logs, theta, 0.0), -40.0, 40.0)
-        return np.where(logs, np.exp(exponents), theta)
 
 
 @dataclass(frozen=True)
@@ -201,6 +118,7 @@ class Flight:
         self.other_commands = one, other
         self.throttle = np.ascontiguousarray(data.control[:, 0])
         self.disturbances = np.zeros((n, 2))
+        self.variance = 0.0  # of the innovations, (rad/s)²; 0: not known yet
         self._drives: dict[bytes, tuple[FloatArray, FloatArray]] = {}
         if self.rate.size != n:
             self.rate = self._first_guess()
@@ -409,7 +327,7 @@ class Flight:
         rate = self.rate
         nothing = np.zeros((n, 0))
         innovation = np.full(n, np.nan)
-        states = np.zeros((n, 4 + 2 * structure.lines))
+        states = np.zeros((n, structure.states))
         for sweep in range(sweeps):
             push = self.pushed(structure, p, rate)
             damping = -float(np.mean(push.slope))
@@ -422,15 +340,18 @@ class Flight:
                 count = theta.size - physics.shape[1]
                 columns = np.ascontiguousarray(np.hstack([physics, np.zeros((n, count))]))
                 gains, moves = self._noise_columns(structure, theta, damping, count)
+            follow = self._follow(structure, theta, push.slope, found, rate, columns.shape[1])
             new_rate = rate.copy()
             jacobian = np.zeros((n, columns.shape[1]))
             for start, stop in self.passes:
                 recursion.predict(
                     self.measured, float(data.rate[start]), push.known, push.slope, columns,
                     bends, found.gain, gains, found.move, moves, self.sensor.step,
-                    self.sensor.behind, data.dt, start, stop, new_rate, states, innovation,
-                    jacobian,
+                    self.sensor.behind, *follow, data.dt, start, stop, new_rate, states,
+                    innovation, jacobian,
                 )
+            if not self.variance:
+                self.variance = float(np.nanmedian(np.abs(innovation)) / 0.6745) ** 2
             if not np.isfinite(new_rate).all() or np.abs(new_rate).max() > 1e6:
                 return Prediction(np.full(n, np.inf), None, states, found, rate)
             rate = new_rate
@@ -441,6 +362,67 @@ class Flight:
             put[:, len(self.order) :] = jacobian[:, len(self.order) :]
             jacobian = put
         return Prediction(innovation, jacobian if steps is not None else None, states, found, rate)
+
+    def _follow(
+        self, structure: Structure, theta: FloatArray, slope: FloatArray, found: Filter,
+        rate: FloatArray, columns: int,
+    ) -> tuple[FloatArray | NDArray[np.int64], ...]:
+        """What recursion.predict takes of wandering effects, from `wander` to `place`."""
+        n, dt = rate.size, self.data.dt
+        parts = [
+            (part, where) for part, where in zip(structure.parts, structure.slices(), strict=True)
+            if part.effect.wanders
+        ]
+        wander = self.wander(structure, structure.natural(theta), rate)
+        follow, left = np.zeros_like(wander), np.zeros(len(parts))
+        by_follow = np.zeros((n if columns else 0, len(parts), 2))
+        by_left, place = np.zeros((len(parts), 2)), np.zeros(len(parts), dtype=np.int64)
+        psi = self.responses(wander, slope, found) if parts else wander
+
+        def at(i: int, logs: FloatArray) -> tuple[float, FloatArray]:
+            spread, correlation = np.exp(logs)
+            stays, out = math.exp(-dt / correlation), np.zeros(n)
+            for start, stop in self.passes if self.variance else ():
+                recursion.pursuit(psi[:, i], self.variance, spread, stays, start, stop, out)
+            return stays, out
+
+        for i, (_, where) in enumerate(parts):
+            left[i], follow[:, i] = at(i, theta[where])
+            if not columns:
+                continue
+            # the gain's dependence on all other parameters is neglected: white innovations make
+            # its mean effect on the likelihood zero
+            place[i] = self.order.index(where.start)
+            for j, step in enumerate(PURSUIT_STEP * np.eye(2)):
+                up, down = at(i, theta[where] + step), at(i, theta[where] - step)
+                by_left[i, j] = (up[0] - down[0]) / (2.0 * PURSUIT_STEP)
+                by_follow[:, i, j] = (up[1] - down[1]) / (2.0 * PURSUIT_STEP)
+        return wander, follow, left, by_follow, by_left, place
+
+    def wander(self, structure: Structure, p: FloatArray, rate: FloatArray) -> FloatArray:
+        """(n, w) acceleration per unit of each wandering coefficient, rad/s²."""
+        acting = [
+            (part, p[where])
+            for part, where in zip(structure.parts, structure.slices(), strict=True)
+            if part.effect.wanders
+        ]
+        if not acting:
+            return np.zeros((rate.size, 0))
+        s = replace(self.signals(p, *self.driven(structure, p), rate),
+                    hidden=np.ones((1, rate.size)))
+        return np.stack([
+            required(part.effect.torque(s, own, part.settings)) for part, own in acting
+        ], axis=1)
+
+    def responses(self, columns: FloatArray, slope: FloatArray, found: Filter) -> FloatArray:
+        """(n, m) response of the innovations to accelerations (n, m)."""
+        out = np.zeros_like(columns)
+        for start, stop in self.passes:
+            recursion.respond(
+                self.measured, columns, slope, found.gain, found.move, self.sensor.step,
+                self.sensor.behind, self.data.dt, start, stop, out,
+            )
+        return out
 
     def _noise_columns(
         self, structure: Structure, theta: FloatArray, damping: float, count: int
@@ -484,7 +466,9 @@ class Flight:
         halves, states = self.driven(structure, p)
         x = prediction.states[windows.starts]
         r, d, g, q = (x[:, i].copy() for i in range(4))
-        v = x[:, 4::2] + 1j * x[:, 5::2]
+        end = 4 + 2 * structure.lines
+        v = x[:, 4:end:2] + 1j * x[:, 5:end:2]
+        followed = iter(x[:, end:].T)
         turn = found.move[2::2] + 1j * found.move[3::2]
         fade, hold = found.move[:2]
         angle = None if self.angle is None else self.angle[windows.starts] + self.late * r
@@ -496,6 +480,7 @@ class Flight:
             for part, where in zip(structure.parts, structure.slices(), strict=True)
         ]
         hidden = [
+            next(followed)[None, :] if part.effect.wanders else
             part.effect.trace(data, prediction.rate, values, part.settings)[:, windows.starts]
             if part.effect.states else None for part, values in acting
         ]
@@ -570,7 +555,7 @@ class Prediction:
     jacobian: FloatArray | None
     """(n, p) derivatives by the coordinates of the fit."""
     states: FloatArray
-    """(n, 4 + 2 v) predicted states of the filter, before each measurement."""
+    """(n, Structure.states) predicted states of the filter, before each measurement."""
     filter: Filter
     rate: FloatArray
 

@@ -76,7 +76,8 @@ def motors(commands, row, lag, asymmetry, whole, fraction, dt, start, stop, halv
 
 @njit(**_OPTIONS)
 def predict(y, begin, known, slope, columns, bends, gain, gain_columns, move, move_columns,
-            gyro, behind, dt, start, stop, rate, states, innovation, jacobian):
+            gyro, behind, wander, follow, left, follow_columns, left_columns, place, dt, start,
+            stop, rate, states, innovation, jacobian):
     """Innovations of the predictor over [start, stop) and their derivatives.
 
     y (n,) measured, begin the rate at the start. known (2, n) acceleration over the halves of each
@@ -87,8 +88,11 @@ def predict(y, begin, known, slope, columns, bends, gain, gain_columns, move, mo
     the disturbance after a cycle, its mean over the cycle, and the turn of each line (cosine and
     sine times what is left of it); gain_columns (m, 4 + 2 v) and move_columns (m, 2 + 2 v) their
     derivatives; nothing is added where y is NaN. gyro (2, 5) as in noise.Sensor.step, measured
-    where `behind`. rate (n,) receives the rate at half cycle, states (n, 4 + 2 v) the prediction
-    before the innovation, innovation (n,) and jacobian (n, m) what the name says.
+    where `behind`. wander (n, w): acceleration per unit of each wandering term, of which an
+    innovation adds follow (n, w) and left (w,) is left after a cycle; the derivatives of both by
+    its two parameters, whose columns begin at place (w,), are follow_columns (n, w, 2) and
+    left_columns (w, 2). rate (n,) receives the rate at half cycle, states (n, 4 + 2 v + w) the
+    prediction before the innovation, innovation (n,) and jacobian (n, m) what the name says.
     """
     m = columns.shape[1]
     g00, g01, g02, g03, g04 = gyro[0, 0], gyro[0, 1], gyro[0, 2], gyro[0, 3], gyro[0, 4]
@@ -101,7 +105,10 @@ def predict(y, begin, known, slope, columns, bends, gain, gain_columns, move, mo
     q = 0.0
     lines = move.size // 2 - 1
     v = np.zeros(2 * lines)
-    s = np.zeros((4 + 2 * lines, m))
+    wanders = wander.shape[1]
+    x = np.zeros(wanders)
+    first = 4 + 2 * lines
+    s = np.zeros((first + wanders, m))
     n = np.ascontiguousarray(gain_columns.T)
     t = np.ascontiguousarray(move_columns.T)
     for k in range(start, stop):
@@ -112,6 +119,8 @@ def predict(y, begin, known, slope, columns, bends, gain, gain_columns, move, mo
         e = y[k] - (g if behind else r)
         for i in range(2 * lines):
             states[k, 4 + i] = v[i]
+        for i in range(wanders):
+            states[k, first + i] = x[i]
         for i in range(lines):
             e -= v[2 * i]
         innovation[k] = e
@@ -124,11 +133,15 @@ def predict(y, begin, known, slope, columns, bends, gain, gain_columns, move, mo
         q += c3 * e
         for i in range(2 * lines):
             v[i] += gain[4 + i] * e
+        moved = 0.0
+        for i in range(wanders):
+            x[i] += follow[k, i] * e
+            moved += wander[k, i] * x[i]
         a = 0.5 * dt * slope[k]
         ahead = (1.0 + a) / (1.0 - a)
         push = dt / (1.0 - a)
         mean = 0.5 * (known[0, k] + known[1, k])
-        new = ahead * r + push * (mean + hold * d)
+        new = ahead * r + push * (mean + moved + hold * d)
         middle = 0.5 * (r + new)
         rate[k] = middle
         bent = middle + 0.25 * dt * (known[0, k] - known[1, k])
@@ -149,18 +162,34 @@ def predict(y, begin, known, slope, columns, bends, gain, gain_columns, move, mo
                 t2, t3 = t[2 + 2 * i, j], t[3 + 2 * i, j]
                 s[p, j] = turn * x5 - over * x6 + t2 * v[2 * i] - t3 * v[2 * i + 1]
                 s[o, j] = over * x5 + turn * x6 + t3 * v[2 * i] + t2 * v[2 * i + 1]
+        for i in range(wanders):
+            for j in range(m):
+                s[first + i, j] += follow[k, i] * jacobian[k, j]
+            if m > 0:
+                for j in range(2):
+                    s[first + i, place[i] + j] += follow_columns[k, i, j] * e
         for j in range(m):
             z = jacobian[k, j]
             x0 = s[0, j] + c0 * z + n[0, j] * e
             x1 = s[1, j] + c1 * z + n[1, j] * e
             x2 = s[2, j] + c2 * z + n[2, j] * e
             x3 = s[3, j] + c3 * z + n[3, j] * e
-            x4 = ahead * x0 + push * (columns[k, j] + hold * x1 + t[1, j] * d)
+            pushed = columns[k, j] + hold * x1 + t[1, j] * d
+            for i in range(wanders):
+                pushed += wander[k, i] * s[first + i, j]
+            x4 = ahead * x0 + push * pushed
             mid = 0.5 * (x0 + x4)
             s[0, j] = x4
             s[1, j] = fade * x1 + t[0, j] * d
             s[2, j] = g00 * x2 + g01 * x3 + g02 * x0 + g03 * mid + g04 * x4
             s[3, j] = g10 * x2 + g11 * x3 + g12 * x0 + g13 * mid + g14 * x4
+        for i in range(wanders):
+            for j in range(m):
+                s[first + i, j] *= left[i]
+            if m > 0:
+                for j in range(2):
+                    s[first + i, place[i] + j] += left_columns[i, j] * x[i]
+            x[i] *= left[i]
         for j in range(bends.shape[1]):
             s[2, j] += g03 * 0.5 * dt * bends[k, j]
             s[3, j] += g13 * 0.5 * dt * bends[k, j]
@@ -218,6 +247,36 @@ def respond(y, columns, slope, gain, move, gyro, behind, dt, start, stop, out):
             s[1, j] = fade * x1
             s[2, j] = g00 * x2 + g01 * x3 + g02 * x0 + g03 * mid + g04 * x4
             s[3, j] = g10 * x2 + g11 * x3 + g12 * x0 + g13 * mid + g14 * x4
+
+
+@njit(**_OPTIONS)
+def pursuit(psi, variance, spread, left, start, stop, follow):
+    """Gain of a wandering parameter per innovation, (n,) into `follow`.
+
+    psi (n,) derivative of the innovations by the parameter, variance of the innovations, spread
+    the parameter's own, left: what is left of it after a cycle. The scalar Riccati equation of a
+    recursive prediction-error method (Ljung and Söderström 1983, ch. 3).
+    """
+    p = spread * spread
+    more = p * (1.0 - left * left)
+    for k in range(start, stop):
+        total = variance + psi[k] * psi[k] * p
+        follow[k] = -p * psi[k] / total
+        p = left * left * p * variance / total + more
+
+
+@njit(**_OPTIONS)
+def pursued(e, psi, variance, spread, left, start, stop, out):
+    """Innovations e (n,) after such a parameter has followed them, into `out` (n,)."""
+    p = spread * spread
+    more = p * (1.0 - left * left)
+    x = 0.0
+    for k in range(start, stop):
+        new = e[k] + psi[k] * x
+        out[k] = new
+        total = variance + psi[k] * psi[k] * p
+        x = left * (x - p * psi[k] / total * new)
+        p = left * left * p * variance / total + more
 
 
 @njit(**_OPTIONS)

@@ -76,12 +76,24 @@ class Along:
     def acceleration(self, without: int | None = None) -> FloatArray:
         """(n,) mean over each cycle, rad/s², also with one effect taken out."""
         structure, values = self.fit.structure, self.fit.values
+        followed = self.followed()
         if without is not None:
+            followed = {i: x for i, x in followed.items() if i != without}
             values = np.delete(values, structure.slices()[without])
             structure = structure.minus(without)
         pushed = self.problem.flight.pushed(structure, values, self.fit.rate)
         mean: FloatArray = 0.5 * (pushed.known[0] + pushed.known[1])
+        wander = self.problem.flight.wander(structure, values, self.fit.rate)
+        for column, x in zip(wander.T, followed.values(), strict=True):
+            mean = mean + column * x
         return mean + pushed.slope * self.fit.rate
+
+    def followed(self) -> dict[int, FloatArray]:
+        """Index of each wandering effect → (n,) its coefficient as the filter followed it."""
+        structure = self.fit.structure
+        wandering = [i for i, part in enumerate(structure.parts) if part.effect.wanders]
+        first = structure.states - len(wandering)
+        return {i: self.fit.prediction.states[:, first + j] for j, i in enumerate(wandering)}
 
     def seen(self, signal: FloatArray) -> FloatArray:
         """(n,) mean over the short span of what is known per cycle, as the gyro lags behind."""
@@ -171,6 +183,11 @@ def drawn(along: Along, index: int) -> Drawn:
     """A curve's own physics over its variable, with the band of its parameters' errors."""
     structure, theta = along.fit.structure, along.fit.theta
     part, where = structure.parts[index], structure.slices()[index]
+    if part.effect.wanders:
+        inside = settled(along.problem.spans, along.problem.data.dt)
+        x, y = variable(along, part)[inside], along.followed()[index][inside]
+        return Drawn('time, s', LABELS[part.effect.term].replace('factor', 'change'), x,
+                     part.settings['unit'] * y, np.zeros(x.size))
     evaluate, x, over, label, plain = _picture(along, part)
 
     def at(moved: FloatArray) -> FloatArray:

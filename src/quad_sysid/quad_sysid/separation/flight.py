@@ -22,7 +22,8 @@ from quad_sysid.model import AxisModel, NoiseEstimate
 from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import Signals
 from quad_sysid.model.noise import sensor_of
-from quad_sysid.model.plant import BASE, NOISE, SLOPE_STEP, Flight, Structure
+from quad_sysid.model.plant import SLOPE_STEP, Flight
+from quad_sysid.model.structure import BASE, NOISE, Structure
 from quad_sysid.signals import schedule
 
 PAPER = {'roll': (434.5, 0.045, 0.008, 0.4, 0.3), 'pitch': (419.0, 0.045, 0.008, 0.4, -0.2),

@@ -22,7 +22,7 @@ from quad_sysid.loop.from_model import Placed
 from quad_sysid.model import recursion
 from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import Part
-from quad_sysid.model.plant import NOISE, Structure
+from quad_sysid.model.structure import NOISE, Structure
 from quad_sysid.separation.flight import Aircraft
 
 TOLD = 0.1

@@ -1,0 +1,102 @@
+"""The parameters of a base, its effects and its noise, in the order of one vector."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from quad_sysid.contract import FloatArray
+from quad_sysid.model.effect import Part, Spec
+
+BASE = (
+    Spec('gain', 'rad/s² per unit command'),
+    Spec('lag', 's', spread=1.2, centre=math.log(0.04), log=True, starts=(0.04,)),
+    Spec('delay', 's', spread=1.2, centre=math.log(0.01), log=True, starts=(0.01,)),
+    Spec('damping', '1/s'),
+    Spec('bias', 'rad/s²'),
+)
+NOISE = (
+    Spec('white', '(rad/s²)/√Hz per rad/s', spread=3.0, centre=math.log(10.0), log=True),
+    Spec('disturbance', 'rad/s² per rad/s', spread=3.0, centre=math.log(30.0), log=True),
+    Spec('correlation', 's', spread=1.0, centre=math.log(0.3), log=True),
+    Spec('after', '1', spread=1.0, centre=math.log(0.1), log=True),
+)
+SHARED = Spec('shared', '1', spread=1.0)
+"""Share of another axis' disturbance that disturbs this one too, as gusts at an angle do."""
+VIBRATION = (
+    Spec('vibration', '1', spread=2.0, centre=0.0, log=True),
+    Spec('vibration_frequency', 'Hz', spread=1.0, centre=math.log(50.0), log=True),
+    Spec('vibration_width', 'Hz', spread=1.5, centre=math.log(1.0), log=True),
+)
+"""A narrow line of vibration in the gyro's noise."""
+N_BASE = len(BASE)
+
+
+@dataclass(frozen=True)
+class Structure:
+    """The base and its effects, each with its settings, and the parts of the noise."""
+
+    parts: tuple[Part, ...] = ()
+    lines: int = 0
+    """Number of vibration lines in the gyro's noise."""
+    shared: tuple[int, ...] = ()
+    """Which of the other two axes (0, 1) share their disturbance with this one."""
+
+    @property
+    def noise(self) -> tuple[Spec, ...]:
+        """The noise's parameters: the last ones of the vector."""
+        return (SHARED,) * len(self.shared) + NOISE + VIBRATION * self.lines
+
+    @property
+    def filtered(self) -> int:
+        """Number of noise parameters that shape the filter: the last ones of the vector."""
+        return len(NOISE) + len(VIBRATION) * self.lines
+
+    @property
+    def specs(self) -> tuple[Spec, ...]:
+        """Specs in the order of the vector: base, effect by effect, noise."""
+        return BASE + tuple(s for part in self.parts for s in part.effect.parameters) + self.noise
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names in that order: `gain`, …, `<effect>.<parameter>`, the noise."""
+        return (
+            tuple(s.name for s in BASE)
+            + tuple(f'{p.effect.name}.{s.name}' for p in self.parts for s in p.effect.parameters)
+            + tuple(f'noise.{s.name}' for s in self.noise)
+        )
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Labels of the effects."""
+        return tuple(part.effect.label for part in self.parts)
+
+    @property
+    def states(self) -> int:
+        """Number of the filter's states: four, two of each line, one of each wandering effect."""
+        return 4 + 2 * self.lines + sum(part.effect.wanders for part in self.parts)
+
+    def slices(self) -> list[slice]:
+        """Each effect's slice of the vector."""
+        out, position = [], N_BASE
+        for part in self.parts:
+            count = len(part.effect.parameters)
+            out.append(slice(position, position + count))
+            position += count
+        return out
+
+    def plus(self, part: Part) -> Structure:
+        """The structure with one more effect."""
+        return replace(self, parts=(*self.parts, part))
+
+    def minus(self, index: int) -> Structure:
+        """The structure without one of its effects."""
+        return replace(self, parts=self.parts[:index] + self.parts[index + 1 :])
+
+    def natural(self, theta: FloatArray) -> FloatArray:
+        """(p,) parameters in their units from the coordinates of the fit, theta (p,)."""
+        logs = np.array([s.log for s in self.specs])
+        exponents = np.clip(np.where(logs, theta, 0.0), -40.0, 40.0)
+        return np.where(logs, np.exp(exponents), theta)
