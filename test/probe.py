@@ -79,10 +79,6 @@ class Probe:
             return ''
         return str(found.values.get(key, '') if key else found.message)
 
-    def deafen(self, topic: str) -> None:
-        """Listen to the topic no longer."""
-        self._do('deafen', topic=topic)
-
     def advertise(self, topic: str, kind: str = '') -> None:
         """Have a publisher, which a first message needs so that somebody can know of it."""
         self._do('advertise', topic=topic, kind=kind or kind_of(topic))
@@ -124,20 +120,6 @@ class Probe:
         """Wait for what somebody was asked for."""
         self.until(answer.done, answer.words)
         return answer.result()
-
-    def serve(self, service: str, kind: str = TRIGGER, **response: Any) -> list[Any]:
-        """Offer a service that always answers the same; the list grows with each request."""
-        asked = self._heard.setdefault(f'service {service}', [])
-        self._do('serve', service=service, kind=kind, response=response)
-        return asked
-
-    def parameter(self, node: str, name: str) -> Any:
-        """The value of a node's parameter."""
-        kind = 'rcl_interfaces/srv/GetParameters'
-        (value,) = self.call(f'{node}/get_parameters', kind, names=[name]).values
-        return next(
-            (getattr(value, f) for number, f in KINDS.values() if number == value.type), None
-        )
 
     def set_parameter(self, node: str, name: str, value: Any) -> Any:
         """Ask a node to take a value; its answer has `successful` and `reason`."""
@@ -274,7 +256,6 @@ class Server:
         self.executor.add_node(self.node)
         self._guard = self.node.create_guard_condition(self._work)
         self._lines: list[str] = []
-        self._subscriptions: dict[str, Any] = {}
         self._publishers: dict[str, tuple[Any, type]] = {}
         self._timers: dict[str, Any] = {}
         self._clients: dict[str, Any] = {}
@@ -321,12 +302,7 @@ class Server:
             tell(heard=f'topic {topic}', message=plain(message))
 
         qos = self._qos(topic, reliable=reliable)
-        self._subscriptions[topic] = self.node.create_subscription(
-            interface(kind), topic, heard, qos
-        )
-
-    def deafen(self, topic: str) -> None:
-        self.node.destroy_subscription(self._subscriptions.pop(topic))
+        self.node.create_subscription(interface(kind), topic, heard, qos)
 
     def advertise(self, topic: str, kind: str) -> None:
         if topic not in self._publishers:
@@ -373,13 +349,6 @@ class Server:
                 self._waiting.remove(one)
                 future = client.call_async(question)
                 future.add_done_callback(partial_of(answered, number))
-
-    def serve(self, service: str, kind: str, response: Any) -> None:
-        def asked(request: Any, answer: Any) -> Any:
-            tell(heard=f'service {service}', message=plain(request))
-            return filled(answer, response)
-
-        self.node.create_service(interface(kind), service, asked)
 
 
 def answered(number: int, future: Any) -> None:
