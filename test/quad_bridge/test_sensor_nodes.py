@@ -1,6 +1,7 @@
 """A virtual STM32 that stands, bridge and logger as processes: calibrated, armed, and in the bag.
 
 What the bridge subtracts is told in the bag; the command `sensors` has the readings back from it.
+They fly in lockstep: the second in which the STM32 has to answer is one of simulated time.
 """
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 import yaml
 from node_process import program, recorded
 
+from quad_bridge.lockstep import VARIABLE
 from quad_bridge.sensors.command import main as sensors
 from quad_bridge.sensors.correction import from_values
 
@@ -29,11 +31,13 @@ def xyz(vectors):
     return np.array([[v.x, v.y, v.z] for v in vectors])
 
 
-def test_calibrated_at_rest_armed_and_recorded(tmp_path, run, start, probe, capsys):
+def test_calibrated_at_rest_armed_and_recorded(tmp_path, monkeypatch, run, start, probe, capsys):
     (tmp_path / 'standing.yaml').write_text(STANDING)
-    link = tmp_path / 'tty'
+    link, line = tmp_path / 'tty', tmp_path / 'line'
     stm32 = run(*program('virtual_stm32'), '--profile', tmp_path / 'standing.yaml',
-                '--link', link, '--seed', 5)  # fmt: skip
+                '--link', link, '--seed', 5, '--lockstep', line)  # fmt: skip
+    stm32.until(link.exists)
+    monkeypatch.setenv(VARIABLE, str(line))
     logger = start('bag_logger', folder=tmp_path / 'bags', autostart=True)
     imu = probe.listen('/imu/data')
     bridge = start('serial_bridge', port=link, state_folder=tmp_path / 'state')
