@@ -231,6 +231,9 @@ def test_an_unsafe_state_ends_the_excitation_in_the_next_cycle_at_the_latest(boa
     assert last.flags & f.Flag.EXCITATION_REFUSED
     assert last.excitation == (0.0, 0.0, 0.0)
     assert 'excitation refused' in texts(frames)
+    frames += made.run(5, **unsafe)
+    low = [text for text in texts(frames) if text.startswith('low battery')]
+    assert len(low) == ('battery_v' in unsafe)  # said once
     # and it does not come back by itself
     assert not any(c.flags & f.Flag.EXCITATION for c in of(f.Cycle, made.run(5)))
 

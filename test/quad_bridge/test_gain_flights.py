@@ -31,7 +31,7 @@ def flown(bench):
 
 
 def test_a_good_update_is_written_whole_watched_and_confirmed(bench, tmp_path):
-    made = bench()
+    made = bench(sources=('test', 'design*'))
     made.ask(roll_rate_kp=0.1, roll_angle_kp=5.0, source='designer', model='model.json')
     assert made.updates.state is State.WRITING
     made.fly_until('step 1 of 1 of designer is in force')
@@ -74,10 +74,9 @@ def test_a_larger_change_goes_in_steps_with_three_seconds_between(bench):
 
 BAD_UPDATES = [
     ({'roll_rate_kp': math.nan}, 'must be finite'),
-    ({'roll_rate_kp': math.inf}, 'must be finite'),
-    ({'roll_rate_kp': -0.05}, 'must lie in'),
     ({'roll_rate_kp': 1e6}, 'must lie in'),
-    ({'roll_rate_kp': 'fast'}, 'must be a number'),
+    ({'roll_rate_kp': 'fast'}, r'roll\.rate\.kp: must be a number'),
+    ({'roll_rate_kp': True}, r'roll\.rate\.kp: must be a number'),
     ({'source': 'a stranger'}, 'source is not allowed'),
     ({'predicted': '{"roll.peak": NaN}'}, 'roll.peak must be finite'),
     ({'predicted': '{"roll.colour": 1}'}, 'roll.colour is not known'),
@@ -126,19 +125,6 @@ def test_nothing_passes_while_excitation_runs_the_pilot_has_killed_or_the_link_i
         made.ask(roll_rate_kp=0.1)
 
 
-def test_a_flood_of_updates_is_one_update(bench):
-    made = bench()
-    made.ask(roll_rate_kp=0.08)
-    for k in range(499):
-        with pytest.raises(RefusedError, match='in flight'):
-            made.ask(roll_rate_kp=0.08 + 1e-5 * k)
-        if k % 10 == 0:
-            made.fly(0.004)
-    made.fly_until('confirmed')
-    assert made.gain(KP) == pytest.approx(0.08)
-    assert (made.updates.commits, made.updates.refusals) == (1, 499)
-
-
 # What the wire can do to it.
 
 FALSE = changed(value=lambda x: 1.07 * x.value)
@@ -148,7 +134,11 @@ def test_every_third_value_falsified_does_no_harm(bench):
     made = bench()
     made.spoil(Fault(f.ParamSet, FALSE, every=3))
     made.ask(**SET)
+    for _ in range(9):
+        with pytest.raises(RefusedError, match='in flight'):
+            made.ask(**SET)
     made.fly_until('in force')
+    assert (made.updates.commits, made.updates.refusals) == (1, 9)
     assert made.gain(KP) == pytest.approx(0.1)
     assert made.gain('roll.rate.kd') == pytest.approx(0.0015)
     assert made.told == pytest.approx({**made.told, KP: 0.1, ANGLE: 5.0})
@@ -217,7 +207,9 @@ GESTURE = [Event(6.0 + 0.3 * k, 'yaw', v) for k, v in enumerate([0.9, -0.9, 0.9,
 @pytest.mark.parametrize(
     ('events', 'words'), [(KILL, 'kill switch'), (EARLIER + GESTURE, 'stick gesture')]
 )
-def test_the_kill_switch_and_the_stick_gesture_take_the_gains_back(bench, events, words):
+def test_the_kill_switch_and_the_stick_gesture_take_the_gains_back(
+    bench, tmp_path, events, words
+):
     made = bench(events=events)
     made.up.fault = Fault(f.TimeSync, DROPPED)  # without a clock nothing is stamped
     made.opened()
@@ -225,19 +217,10 @@ def test_the_kill_switch_and_the_stick_gesture_take_the_gains_back(bench, events
     made.ask(roll_rate_kp=0.1)
     assert words in made.fly_until('rolled back')
     assert made.gain(KP) == pytest.approx(OLD_KP)
-
-
-def test_a_roll_back_can_be_asked_for(bench, tmp_path):
-    made = bench()
-    made.ask(roll_rate_kp=0.1, roll_angle_kp=12.0)
-    made.fly_until('step 1')
-    made.ask(rollback=True, source='operator')
-    assert 'operator asked for it' in made.fly_until('rolled back')
     made.fly(1.0)
-    assert_old(made)
     *_, outcome, active = history(tmp_path)
-    assert (outcome['state'], outcome['reason']) == ('rolled back', 'operator asked for it')
-    assert active['gains'][ANGLE] == 3.0
+    assert (outcome['state'], words in outcome['reason']) == ('rolled back', True)
+    assert active['gains'][KP] == pytest.approx(OLD_KP)
 
 
 def test_a_full_disk_does_not_keep_gains_from_being_flown_or_taken_back(bench, tmp_path):

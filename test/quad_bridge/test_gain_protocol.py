@@ -28,7 +28,6 @@ from quad_bridge.wire.frames import (
     GainsAction,
     GainsCommand,
     GainsPhase,
-    GainsState,
     ParamRequestList,
     ParamRequestRead,
 )
@@ -494,25 +493,3 @@ def test_unknown_names_are_refused_before_anything_is_sent(talk):
 def test_the_checksum_is_the_crc_of_the_float32_bytes():
     assert checksum([1.0, -0.5]) == zlib.crc32(bytes.fromhex('0000803f 000000bf'))
     assert checksum([0.1]) == checksum([0.1 + 1e-10])
-
-
-# The firmware's side.
-
-
-@pytest.mark.parametrize(
-    ('heard_s', 'alive_s', 'late_s', 'result'), [(0.0, 1.9, 2.1, 3), (9.5, 9.0, 9.6, 4)]
-)
-def test_the_firmware_reverts_without_a_link_or_a_confirmation(
-    heard_s, alive_s, late_s, result
-):
-    store = GainStore(OLD, lambda *_: True, 7)
-    for command in (GainsCommand(1, 1), GainsCommand(2, 1, checksum(list(OLD.values())), 9000)):
-        store.take(command, 0.0)
-    assert store.phase is GainsPhase.WATCH
-    assert store.take(GainsCommand(int(GainsAction.REVERT), 9), 1.0).result == 1
-    store.heard(heard_s)
-    assert store.tick(alive_s) is None
-    state = store.tick(late_s)
-    assert isinstance(state, GainsState)
-    assert (state.result, state.phase) == (result, GainsPhase.IDLE)
-    assert store.tick(99.0) is None

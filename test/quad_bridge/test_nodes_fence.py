@@ -5,7 +5,7 @@ import threading
 import pytest
 
 from quad_bridge.nodes import fence as module
-from quad_bridge.nodes.fence import Fence
+from quad_bridge.nodes.fence import Fence, Sparing
 from quad_bridge.status import OK, WARN
 
 
@@ -84,3 +84,11 @@ def test_callbacks_that_fail_are_a_warning_for_as_long_as_they_come(monkeypatch)
         (told,) = fence.entries()
         assert (told.level, told.values) == (level, {'failed callbacks': 2})
         assert told.message.startswith('2 callbacks failed') is (level == WARN)
+
+
+def test_a_log_says_things_once_and_never_floods():
+    log = Sparing(repeat_s=30.0, burst=5, per_s=60.0)
+    assert [log.allow('hung up', t) for t in (0.0, 1.0, 29.0, 30.0)] == [True, False, False, True]
+    assert [log.allow(f'line {k}', 31.0) for k in range(5)] == [True] * 3 + [False] * 2
+    assert log.allow('line 9', 70.0)
+    assert log.left_out == 4

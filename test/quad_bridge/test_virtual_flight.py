@@ -11,9 +11,7 @@ from rosbags.highlevel import AnyReader
 
 from quad_bridge.virtual import hil
 from quad_bridge.virtual.aircraft import Aircraft, boot
-from quad_bridge.virtual.cycle import COLUMNS
 from quad_bridge.virtual.endpoint import Endpoint
-from quad_bridge.virtual.firmware import Gains
 from quad_bridge.virtual.flight_bag import STORE, write_bag
 from quad_bridge.virtual.native import NativeFirmware
 from quad_bridge.virtual.profile import Profile
@@ -148,14 +146,6 @@ def test_the_delay_is_the_configured_number_of_cycles():
         assert np.flatnonzero(moved != quiet)[0] == 100 + delay + 1
 
 
-def test_gains_in_the_papers_units_become_the_contracts_si():
-    values = Gains().values()
-    names = ('angle.kp', 'rate.kp', 'rate.ki', 'rate.kd')
-    assert [values[f'roll.{name}'] for name in names] == pytest.approx(
-        [3.0, 0.0744845, 0.000572958, 0.00131780], rel=1e-5
-    )
-
-
 def test_the_wire_process_and_the_array_flight_are_the_same_flight():
     events = (Event(0.6, 'roll', 0.5), Event(0.7, 'roll', 0.0), Event(0.9, 'aux1', 1.0))
     profile = Profile(receiver=Receiver(events=events))
@@ -219,8 +209,3 @@ def test_a_flight_becomes_a_bag_of_the_contract(tmp_path, storage):
     gains = {p.name: p.value.double_value for p in rows['/gains/active'][0][1].changed_parameters}
     assert gains['roll.angle.kp'] == 3.0
     assert gains['sensor.gyro_filter_hz'] == 42.0
-
-
-def test_columns_of_the_log_do_not_overlap():
-    used = [i for span in COLUMNS.values() for i in range(span.start, span.stop)]
-    assert sorted(used) == list(range(len(used)))

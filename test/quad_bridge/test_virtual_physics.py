@@ -157,18 +157,6 @@ def test_each_motor_turns_the_body_as_its_place_and_sense_say(motor, signs):
     assert tuple(MIXER[motor - 1, 1:]) == signs
 
 
-@pytest.mark.parametrize('axis', AXES)
-def test_a_positive_control_of_an_axis_accelerates_that_axis_alone_and_positively(axis):
-    index = AXES.index(axis)
-    aircraft = Aircraft(quiet_profile(mount='hover'), seed=1)
-    open_loop(aircraft)
-    given = inputs(10, aircraft)
-    given[:, INJECTION], given[:, ADDED + index] = 3.0, 0.05
-    rates = aircraft.run(given)[-1, COLUMNS['true_rates']]
-    assert rates[index] > 0.005
-    assert np.abs(np.delete(rates, index)).max() < 1e-6
-
-
 def test_the_battery_sags_under_load_and_empties_by_its_current():
     aircraft = Aircraft(quiet_profile(), seed=1)
     machine = aircraft.machine
