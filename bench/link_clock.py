@@ -49,7 +49,7 @@ class World:
 
 
 class Far:
-    """What the far end sends, when the host gets it, and what became of it."""
+    """What the aircraft sends, when the host gets it, and what became of it."""
 
     def __init__(self, case: dict[str, float], seed: int) -> None:
         self.world, self.stamping = World(case, seed), Stamping()

@@ -75,7 +75,7 @@ def sticks(controller):
 
 
 class FlightController:
-    """The far end's script; all attributes may be changed while it runs."""
+    """The flight controller's script; all attributes may be changed while it runs."""
 
     def __init__(
         self,

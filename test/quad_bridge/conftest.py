@@ -34,16 +34,16 @@ settings.load_profile('fixed')
 class Bench(Line):
     """`cut` loses what goes either way; `cycle` is the last one that has come.
 
-    `far_end` makes what is flown: the firmware in memory, or one on another board.
+    `endpoint` makes what is flown: the firmware in memory, or one on another board.
     """
 
     def __init__(
-        self, folder, *, profile='plain', mount='rig', events=(), effect=None, far_end=Endpoint,
+        self, folder, *, profile='plain', mount='rig', events=(), effect=None, endpoint=Endpoint,
         **settings,
     ):
         profile = replace(load_profile(profile), mount=mount)
         self.aircraft = Aircraft(profile, seed=1, effect=effect)
-        self.endpoint = far_end(self.aircraft, Receiver(events=tuple(events)))
+        self.endpoint = endpoint(self.aircraft, Receiver(events=tuple(events)))
         self.settings = GainSettings(folder=folder, **settings)
         self.news, self.cycle = [], None
         self.peak_rad = 0.0

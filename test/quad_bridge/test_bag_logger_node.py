@@ -141,7 +141,7 @@ def test_after_a_recording_that_failed_the_logger_records_the_next(tmp_path, pro
     told = probe.listen('/diagnostics')
     process.says('was removed or renamed; the bag is gone, unless it was moved')
     heard = len(told)
-    probe.until(lambda: len(told) > heard + 3)
+    probe.until(lambda: len(told) > heard + 2)
     for array in told[heard + 1 :]:  # an error until the next recording, not for a second
         (entry,) = (one for one in array.status if one.name == RECORDING)
         assert (entry.level, 'was removed or renamed' in entry.message) == (2, True)

@@ -186,10 +186,10 @@ def commit(frame):
     ids=['cut between write and commit', 'doubled', 'corrupted', 'cut in the watch', 'reset'],
 )
 def test_it_flies_the_old_gains_or_the_new_ones(bench, emulated, fault, said, gain):
-    def far_end(aircraft, script):
+    def board(aircraft, script):
         return emulated('stm32f405.elf', aircraft, script).until_it_is_heard()
 
-    made = bench(far_end=far_end)
+    made = bench(endpoint=board)
     if fault == 'noise':
         made.up.noise = made.down.noise = 2e-4  # a frame in thirty
     elif isinstance(fault, Fault):

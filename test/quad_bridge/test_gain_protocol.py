@@ -28,7 +28,6 @@ from quad_bridge.wire.frames import (
     GainsAction,
     GainsCommand,
     GainsPhase,
-    ParamRequestList,
     ParamRequestRead,
 )
 
@@ -426,30 +425,6 @@ def test_the_undoing_goes_on_until_the_stm32_has_gone_back_by_itself(talk):
     assert talk.far.store.active == OLD
 
 
-@pytest.mark.parametrize('told', [True, False])
-def test_a_confirmation_after_the_stm32_has_gone_back_is_none(talk, told):
-    talk.bridge.write(SET, 1000)
-    talk.until(What.COMMITTED)
-    state = talk.far.store.tick(talk.now_s + 1.5)  # not confirmed in time
-    if told:
-        talk.bridge.take(state, talk.now_s)
-    talk.bridge.confirm()
-    event = talk.until(What.REVERTED)
-    assert event.by_stm32 is told
-    assert talk.far.store.active == OLD
-    assert talk.until(What.READ).active['roll.rate.kp'] == 1.0
-
-
-def test_a_second_step_reverts_to_before_the_first_and_says_why(talk):
-    for one in (SET, {A: 2.5}):
-        talk.bridge.write(one, 9000)
-        talk.until(What.COMMITTED)
-    assert talk.far.store.active[A] == 2.5
-    talk.bridge.revert('why')
-    assert talk.until(What.REVERTED).reason == 'why'
-    assert talk.far.store.active == OLD
-
-
 @pytest.mark.parametrize('change', ['set', 'copy'])
 def test_what_somebody_else_has_changed_is_read_again_and_an_open_copy_is_not_taken_for_it(
     talk, change
@@ -465,20 +440,6 @@ def test_what_somebody_else_has_changed_is_read_again_and_an_open_copy_is_not_ta
         talk.until(What.REVERTED)
     wanted = 7.0 if change == 'set' else 2.0
     assert talk.until(What.READ).active['roll.rate.ki'] == wanted
-
-
-def test_the_reader_asks_again_for_what_did_not_come():
-    made = Talk()
-    made.deaf = Fault(ParamRequestList, DROPPED, times=2)
-    made.until(What.READ)
-    made = Talk()
-    only = []
-    made.far._answer, answer = lambda x, t: (
-        y for y in answer(x, t) if not (isinstance(x, ParamRequestList) and y.name == B)
-    ), made.far._answer
-    made.up = lambda x: only.append(x) or [x]
-    made.until(What.READ)
-    assert ParamRequestRead('', 1) in only
 
 
 def test_unknown_names_are_refused_before_anything_is_sent(talk):

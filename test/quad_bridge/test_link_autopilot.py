@@ -1,4 +1,4 @@
-"""A far end made of pymavlink's `common` dialect: what the bridge makes of standard messages."""
+"""A peer made of pymavlink's `common` dialect: what the bridge makes of standard messages."""
 
 import math
 

@@ -69,7 +69,7 @@ def test_a_stamp_in_the_future_is_held_back_and_does_not_stop_the_others(line):
     assert len(line.out) == published + 8
 
 
-def test_another_far_end_is_heard_once_the_first_is_silent(line):
+def test_another_aircraft_is_heard_once_the_first_is_silent(line):
     other = Encoder(7, 1)
     assert line.link.receive(other.encode(f.StatusText(4, 'me too')), line.now_ns) == []
     line.link.tick(line.now_ns + 4_000_000_000)
@@ -98,7 +98,7 @@ def test_the_bridge_addresses_the_peer_it_has_heard(line):
 
 
 @pytest.mark.parametrize('set_ms', [40.0, -40.0, 3.0, -3.0, 2500.0, -2500.0])
-def test_no_cycle_is_stamped_wrongly_when_the_far_ends_clock_is_set(set_ms):
+def test_no_cycle_is_stamped_wrongly_when_the_aircrafts_clock_is_set(set_ms):
     line = Line()
     line.run(800)
     held = line.link.stamping.held
@@ -129,7 +129,7 @@ def test_cycles_that_come_unevenly_are_neither_lost_nor_wrong():
     assert line.rising()
 
 
-def test_a_far_end_that_no_longer_answers_timesync_is_not_held_back_for_long():
+def test_an_aircraft_that_no_longer_answers_timesync_is_not_held_back_for_long():
     line = Line()
     line.run(500)
     held, before = line.link.stamping.held, len(line.out)
@@ -145,7 +145,7 @@ def test_a_far_end_that_no_longer_answers_timesync_is_not_held_back_for_long():
     assert len(line.out) == before + 111
 
 
-def test_only_the_far_end_answers_and_no_other_time_moves_the_clock():
+def test_only_the_aircraft_answers_and_no_other_time_moves_the_clock():
     line, station = Line(), Encoder(255, 190)
     for _ in range(20):
         line.skip(12)
@@ -163,7 +163,7 @@ def test_only_the_far_end_answers_and_no_other_time_moves_the_clock():
     assert line.link.stamping.device_time.wraps == 0
 
 
-def test_who_sends_cycles_is_the_far_end_whoever_was_heard_first():
+def test_who_sends_cycles_is_the_peer_whoever_was_heard_first():
     line, other = Line(), Encoder(255, 190)
     line.hear(other.encode(f.Heartbeat(autopilot=8)))
     assert line.link.peer is None  # it flies nothing
@@ -174,7 +174,7 @@ def test_who_sends_cycles_is_the_far_end_whoever_was_heard_first():
     assert line.link.decoder.peer == (1, 1)
     assert line.link.cycles == 250
     line.hear(other.encode(line.link.last_cycle))
-    assert line.link.decoder.counts.foreign == 2  # heard a cycle too late to be the far end
+    assert line.link.decoder.counts.foreign == 2  # heard a cycle too late to be the peer
     line.link.send(f.Command(400))
     line.exchange()
     (command,) = line.controller.told(f.Command)

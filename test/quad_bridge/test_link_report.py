@@ -48,7 +48,7 @@ def test_a_port_fault_a_silent_port_and_another_protocol_are_errors_in_their_own
     assert verdict(link) == (ERROR, words)
 
 
-def test_a_far_end_of_a_broken_clock_is_told_what_to_set():
+def test_an_aircraft_of_a_broken_clock_is_told_what_to_set():
     key, today = bytes(range(32)), 2**45
     far = Signing(key, lambda: today)
     far.stamp = lambda: 2**48 - 2
@@ -128,7 +128,7 @@ def test_the_excitation_state_follows_the_flags():
     assert 'no segment is running' in told(f.Flag.STALE_SETPOINT).message
 
 
-def test_a_far_end_that_does_not_read_is_told():
+def test_an_aircraft_that_does_not_read_is_told():
     link, port = Link(), PortStatus(PortState.OPEN, '', 1, 7)
     report = LinkReport(link, 0.0)
     for k, (level, words) in enumerate(((WARN, 'does not read'), (OK, 'cycles arrive')), 1):

@@ -19,6 +19,7 @@ from quad_bridge.log import mcap
 from quad_bridge.log.disk import MB, Reserve, free_bytes
 from quad_bridge.log.recording import Gaps, Recording, RecordingStatus, recording_status
 from quad_bridge.log.recover import recover
+from quad_bridge.log.stored.scan import McapScan
 from quad_bridge.log.writer import BagWriter, Limits
 
 VECTOR = 'geometry_msgs/msg/Vector3Stamped'
@@ -52,22 +53,22 @@ def numbers_in(bag):
         return [struct.unpack_from('<Q', raw, 4)[0] for _, _, raw in reader.messages()]
 
 
-def test_a_sync_that_stalls_for_two_seconds_loses_nothing_and_is_told(tmp_path, monkeypatch):
-    sync, stalls = os.fdatasync, [2.0]
+def test_a_sync_that_stalls_for_a_second_loses_nothing_and_is_told(tmp_path, monkeypatch):
+    sync, stalls = os.fdatasync, [1.2]
     monkeypatch.setattr(
         mcap.os, 'fdatasync', lambda fd: (time.sleep(stalls.pop() if stalls else 0), sync(fd))
     )
     recording = started(tmp_path / 'bag')
     begin_s = time.monotonic()
-    for k in range(10_000):  # 4,000 a second
+    for k in range(6000):  # 4,000 a second
         put(recording, [k])
         time.sleep(max(begin_s + k / 4000 - time.monotonic(), 0.0) if k % 16 == 0 else 0.0)
     status = recording.stop()
-    assert (status.written, status.dropped, status.failure) == (10_000, 0, '')
-    assert numbers_in(tmp_path / 'bag') == list(range(10_000))
+    assert (status.written, status.dropped, status.failure) == (6000, 0, '')
+    assert numbers_in(tmp_path / 'bag') == list(range(6000))
     told = recording_status(status, '', 10**10)
     assert told.level == level.WARN
-    assert 'the disk is slow: 2.' in told.message
+    assert 'the disk is slow: 1.' in told.message
 
 
 def test_a_full_queue_drops_its_oldest_and_counts_them(tmp_path, monkeypatch):
@@ -98,8 +99,8 @@ def test_a_bag_that_is_removed_ends_the_recording_with_one_line(tmp_path):
 def test_a_disk_that_turns_read_only_keeps_what_was_synced(tmp_path, monkeypatch):
     recording = started(tmp_path / 'bag')
     put(recording, range(100))
-    until(lambda: recording.status.size > 0 and recording._writer.pending == 0
-          and recording.status.written == 100)  # fmt: skip
+    file = tmp_path / 'bag' / 'bag_0.mcap'
+    until(lambda: len(list(McapScan(file.read_bytes()).messages())) == 100)  # synced
 
     def refuse(*_):
         raise OSError(errno.EROFS, os.strerror(errno.EROFS))
@@ -203,38 +204,23 @@ def test_a_full_disk_ends_with_a_sound_bag_and_the_reserve_used(tmp_path):
     assert told['bytes'] > 5_000_000  # what was reserved could be used, whoever took the rest
 
 
-GREEDY = """
-import json, struct, sys, threading, time
-from pathlib import Path
-from quad_bridge.log.writer import BagWriter, Limits
-from quad_bridge.log.recording import Recording
-folder = Path(sys.argv[1])
-writer = BagWriter(folder / 'bag', Limits(reserve_bytes=10_000_000))
-recording = Recording(writer)
+def test_freed_space_that_others_take_is_given_again_from_the_reserve(tmp_path, monkeypatch):
+    recording = Recording(BagWriter(tmp_path / 'bag', Limits(reserve_bytes=10 * MB)))
+    recording.declare(TOPIC, VECTOR, ())
+    write, taken = os.write, [True] * 3
 
-def eat():
-    with (folder / 'other').open('wb', buffering=0) as other:
-        while not recording.status.failure:  # whatever becomes free is taken at once
-            try:
-                other.write(bytes(4096))
-            except OSError:
-                time.sleep(0.02)
+    def others_first(fd, data):
+        if taken and len(data) > 5000:
+            taken.pop()
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return write(fd, data)
 
-threading.Thread(target=eat, daemon=True).start()
-""" + RECORD + """
-print(json.dumps({'failure': status.failure, 'written': status.written,
-                  'bytes': sum(p.stat().st_size for p in (folder / 'bag').iterdir())}))
-"""
-
-
-def test_what_is_reserved_can_be_used_beside_somebody_who_takes_all_he_can(tmp_path):
-    for _ in range(4):  # he may win the race for what is given back more often than not
-        told = on_a_small_disk(tmp_path, 24, GREEDY)
-        assert 'the bag is closed, whole up to here' in told['failure']
-        if told['bytes'] > 2_500_000:
-            break
-    assert told['bytes'] > 2_500_000
-    assert told['written'] > 4000
+    monkeypatch.setattr(mcap.os, 'write', others_first)
+    put(recording, range(200))
+    until(lambda: not taken)
+    status = recording.stop()
+    assert (status.written, status.dropped, status.failure) == (200, 0, '')
+    assert numbers_in(tmp_path / 'bag') == list(range(200))
 
 
 def test_a_reserve_keeps_blocks_from_others_and_gives_them_back(tmp_path):

@@ -54,7 +54,7 @@ def test_calibrated_at_rest_armed_and_recorded(tmp_path, monkeypatch, run, start
     refused = probe.call(calibrate)
     assert (refused.success, 'it is armed' in refused.message) == (False, True), refused.message
     heard = len(imu)
-    probe.until(lambda: len(imu) > heard + 375)
+    probe.until(lambda: len(imu) > heard + 125)
     assert [process.end() for process in (bridge, logger, stm32)] == [0, 0, 0]
 
     (bag,) = (tmp_path / 'bags').glob('flight_*')

@@ -174,12 +174,12 @@ def test_what_is_not_ours_is_counted_and_costs_no_frame(data, found, counts):
     assert seen == counts
 
 
-def test_only_the_far_end_is_listened_to_where_this_end_has_a_name():
+def test_only_the_peer_is_listened_to_where_this_end_has_a_name():
     decoder = Decoder(own=(1, 191))
     station = Encoder(255, 190).encode(f.Heartbeat(type=6, autopilot=8))
     echo = Encoder(1, 191).encode(f.TimeSync(0, 5))
     other = Encoder(2, 1).encode(f.Battery(11.0))
-    (first,) = decoder.feed(station)  # nobody has flown yet: it may be the far end
+    (first,) = decoder.feed(station)  # nobody has flown yet: it may be the peer
     assert first.system == 255
     assert decoder.feed(echo + Encoder(1, 191).encode(f.Heartbeat(autopilot=3))) == []
     assert decoder.peer is None

@@ -10,7 +10,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-AXES = ('roll', 'pitch', 'yaw')
+from quad_bridge.gains.motor_places import AXES
+
 LARGEST_FACTOR = 2.0  # of one gain in one step; a configuration may ask for less, not for more
 US_PER_DEG_S = math.degrees(1.0) / 1000.0
 """The paper's unit, µs of motor pulse per deg/s (of 1000 µs), as command per rad/s."""

@@ -129,11 +129,6 @@ class McapFile:
         """Bytes written, with the open chunk."""
         return self._end + len(self._chunk)
 
-    @property
-    def pending(self) -> int:
-        """Messages of the open chunk, which a kill would lose."""
-        return sum(map(len, self._index.values()))
-
     def add_topic(self, topic: RecordedTopic) -> None:
         """Declare a topic of this file before its first message."""
         if topic.kind not in self._schemas:

@@ -92,11 +92,6 @@ class BagWriter:
             raise BadInputError(str(path), f'cannot write a bag here: {error.strerror}') from error
 
     @property
-    def pending(self) -> int:
-        """Messages that a kill would lose now."""
-        return self._file.pending
-
-    @property
     def size(self) -> int:
         """Bytes of all files so far, with the open chunk."""
         return sum(entry.size for entry in self._closed) + self._file.size

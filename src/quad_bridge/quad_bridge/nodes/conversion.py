@@ -147,19 +147,15 @@ def rc_message(rc: f.RcChannels, stamp_ns: int, *, failsafe: bool) -> Joy:
     A stick without a pulse counts as failsafe too.
     """
     message = _stamped(Joy(), stamp_ns)
-    message.axes = rc_axes(rc)
+    message.axes = [rc_axis(rc, i) for i in range(RC_CHANNELS)]
     lost = failsafe or any(math.isnan(v) for v in message.axes[:STICKS])
     message.buttons = [int(lost)]
     return message
 
 
-def rc_axes(rc: f.RcChannels) -> list[float]:
-    """The nine channels as `/rc/in` has them: -1..1, throttle 0..1, NaN without a pulse."""
-    pulses = [*rc.channels[:RC_CHANNELS], *([0] * (RC_CHANNELS - len(rc.channels)))]
-    return [_axis(i, pulse) for i, pulse in enumerate(pulses)]
-
-
-def _axis(index: int, pulse_us: int) -> float:
+def rc_axis(rc: f.RcChannels, index: int) -> float:
+    """A channel as `/rc/in` has it: -1..1, throttle 0..1, NaN without a pulse."""
+    pulse_us = rc.channels[index] if index < len(rc.channels) else 0
     if pulse_us in {0, 0xFFFF}:
         return math.nan
     if index == THROTTLE:

@@ -23,13 +23,13 @@ from sensor_msgs.msg import BatteryState, Imu
 
 from quad_bridge.arguments import say
 from quad_bridge.errors import BadInputError
+from quad_bridge.gains.table import AXES
 from quad_bridge.monitor import view
 from quad_bridge.monitor.coverage import BAND, Pairs, coverage
 from quad_bridge.nodes import ros_node
 from quad_bridge.nodes.node_time import nanoseconds
 from quad_bridge.nodes.qos import EVENT, STATE, STREAM
 
-AXES = ('roll', 'pitch', 'yaw')
 LEAST_NEW = 250  # cycles between two looks at the coverage
 CLEAR, HOME, BELL = '\x1b[2J', '\x1b[H\x1b[J', '\a'
 NUMBERS = {

@@ -185,7 +185,7 @@ class SerialBridge(ManagedNode):
         self._gains.take(frame, 1e-9 * now_ns)
 
     def _on_sticks(self, frame: f.RcChannels, now_ns: int) -> None:
-        self._gains.sticks(conversion.rc_axes(frame)[YAW_STICK], 1e-9 * now_ns)
+        self._gains.sticks(conversion.rc_axis(frame, YAW_STICK), 1e-9 * now_ns)
 
     def _publish(self, event: Stamped) -> None:
         frame, stamp_ns = event.frame, event.stamp_ns + self._time.epoch_ns
