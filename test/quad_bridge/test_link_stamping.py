@@ -3,7 +3,7 @@
 import pytest
 from flight_controller import CYCLE_NS, HOST0_NS, FlightController, Line, sticks
 
-from quad_bridge.link.guards import PATIENCE_NS
+from quad_bridge.link.guards import PAST_NS, PATIENCE_NS, LateGuard
 from quad_bridge.wire import frames as f
 
 
@@ -136,3 +136,21 @@ def test_a_time_of_32_bits_that_wraps_while_the_cable_is_out_is_no_other_start()
     line.fly(1.0)
     assert line.link.last_cycle.time_us < 4_000_000
     assert line.link.decoder.counts.restarts == 0
+
+
+@pytest.mark.parametrize(
+    ('off_ms', 'round_trip_ms', 'gone'),
+    [
+        (1, 2, False), (3500, 2, True), (-3500, 2, True),
+        (300, 700, False),  # a trip through the same jam
+        (3500, 700, True),
+    ],
+)  # fmt: skip
+def test_a_round_trip_decides_whose_lateness_it_is(off_ms, round_trip_ms, gone):
+    guard = LateGuard()
+    assert guard.step(PAST_NS + 1, 0, anew=True)
+    guard.trip(-1, 1e12, 0)  # asked before
+    assert guard.waiting
+    guard.trip(5_000_000, 1e6 * off_ms, 1_000_000 * round_trip_ms)
+    assert guard.gone == gone
+    assert gone or not guard.waiting
