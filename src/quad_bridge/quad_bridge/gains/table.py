@@ -10,8 +10,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from quad_bridge.gains.motor_places import AXES
+from quad_bridge.gains import motor_places
 
+AXES = motor_places.AXES
 LARGEST_FACTOR = 2.0  # of one gain in one step; a configuration may ask for less, not for more
 US_PER_DEG_S = math.degrees(1.0) / 1000.0
 """The paper's unit, µs of motor pulse per deg/s (of 1000 µs), as command per rad/s."""
