@@ -1,7 +1,7 @@
-"""How far the excitation of an axis has come: in which band the rate answers it, so far.
+"""The band in which the rate of an axis follows its excitation so far.
 
 Squared coherence of the excitation as applied with the measured rate, by sine tapers (Riedel and
-Sidorenko 1995) over each unbroken part: a frequency is told once one whole period of it lies in a
+Sidorenko 1995) over each unbroken part: a frequency counts once a whole period of it lies in a
 part. Feedback alone gives no coherence, because the excitation comes from outside the loop.
 """
 
@@ -15,23 +15,23 @@ import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
 
-BAND = 0.1, 20.0  # rad/s, what is wanted where nobody says else: its lowest period lasts 63 s
+BAND = 0.1, 20.0  # rad/s, the default of the wanted band: its lowest period lasts 63 s
 SPARED = 0.63
-"""Share of a training segment in which the lowest period must fit: the rest may be spared."""
+"""Share of a training segment in which the lowest period must fit."""
 TAPERS = 5
-LEAST_PERIODS = 1.0  # a part tells frequencies of at least so many periods in it
+LEAST_PERIODS = 1.0  # of a frequency in a part, from which the part counts for it
 SMOOTHING = 0.15  # half the width over which a frequency is averaged, as a share of it
 FINENESS = 8.0
-"""Samples per period of the highest wanted frequency that are kept; more only cost time."""
+"""Samples per period of the highest wanted frequency that are kept; more would only cost time."""
 COHERENT = 0.6  # squared coherence from which the pair is trusted, as in the analysis
 BRIDGED_S = 0.1
-"""A part goes on over cycles lost for less than this; between them both are drawn as lines."""
+"""A shorter gap of lost cycles does not end a part: both signals are interpolated over it."""
 CHANCE = 0.01  # a coherence that noise alone would reach with this probability does not count
 
 
 @dataclass(frozen=True)
 class Coverage:
-    """What is covered of the wanted band, rad/s."""
+    """Which frequencies of the wanted band, rad/s, are covered."""
 
     wanted: tuple[float, float]
     w: FloatArray  # (m,) frequencies inside the wanted band, log-spaced
@@ -39,12 +39,12 @@ class Coverage:
 
     @property
     def share(self) -> float:
-        """Of the wanted band, on a logarithmic scale, 0..1."""
+        """The covered share of the wanted band on a logarithmic scale, 0..1."""
         return float(np.mean(self.coherent)) if self.coherent.size else 0.0
 
     @property
     def band(self) -> tuple[float, float] | None:
-        """The widest unbroken stretch that is covered."""
+        """The widest covered band without a gap, rad/s; None where nothing is covered."""
         edges = np.flatnonzero(np.diff(np.concatenate(([False], self.coherent, [False]))))
         if not edges.size:
             return None
@@ -58,7 +58,7 @@ class Coverage:
 
 
 def reachable(wanted: tuple[float, float], segment_s: float) -> tuple[float, float]:
-    """Of a band, rad/s, what a segment of so many seconds can tell; all where that is unknown.
+    """The part of a band, rad/s, that a segment of this length can cover; all if it is unknown.
 
     Its low end rises to the frequency of which a period fits into SPARED of the segment.
     """
@@ -69,7 +69,7 @@ def reachable(wanted: tuple[float, float], segment_s: float) -> tuple[float, flo
 
 
 def needed_s(low: float) -> float:
-    """Length of a training segment that can tell `low`, rad/s; s."""
+    """Length in s of a training segment that can cover `low`, rad/s."""
     return 2.0 * np.pi * LEAST_PERIODS / (SPARED * low)
 
 
@@ -97,7 +97,7 @@ def coverage(
 
 
 def _thinned(x: FloatArray, every: int) -> FloatArray:
-    """Means of so many samples each."""
+    """Means over `every` samples each."""
     rows: FloatArray = x[:x.size // every * every].reshape(-1, every).mean(axis=1)
     return rows
 
@@ -126,7 +126,7 @@ def _spectra(
 
 
 def _windows(w: FloatArray, seconds: float) -> FloatArray:
-    """How many independent windows the sums at w are worth."""
+    """The number of independent windows that the sums at w amount to."""
     half = np.pi * (TAPERS + 1) / seconds  # half a taper's width, rad/s
     return TAPERS * np.maximum(1.0, SMOOTHING * w / half)
 
@@ -134,7 +134,7 @@ def _windows(w: FloatArray, seconds: float) -> FloatArray:
 def _even(
     time_s: FloatArray, x: FloatArray, y: FloatArray, dt: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Both on an even grid."""
+    """Both signals, interpolated on an even grid."""
     grid = np.arange(time_s[0], time_s[-1] + 0.5 * dt, dt)
     return np.interp(grid, time_s, x), np.interp(grid, time_s, y)
 

@@ -1,4 +1,4 @@
-"""The dashboard: what is known → lines of text for a terminal. Pure; values only."""
+"""The dashboard: the latest values as lines of text for a terminal. Pure."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ LEVELS = ('ok', 'WARN', 'ERROR', 'stale')
 
 
 class Entry(NamedTuple):
-    """One status of /diagnostics, and when it was heard."""
+    """One status entry of /diagnostics, and when it arrived."""
 
     level: int
     message: str
@@ -31,7 +31,7 @@ class Entry(NamedTuple):
 
 @dataclass
 class State:
-    """What was heard last; times in s of one monotonic clock."""
+    """The latest values; times in s of one monotonic clock."""
 
     entries: dict[str, Entry] = field(default_factory=dict)  # `serial_bridge: link` and others
     rate_hz: float = 0.0
@@ -47,7 +47,7 @@ class State:
     """Band that the operator wants, rad/s; the segments may be too short for its low end."""
     coverage: Coverage | None = None
     done: set[str] = field(default_factory=set)
-    """Axes that need no more, the running one not among them."""
+    """Axes whose data suffice, without the running one."""
 
     def lines(self, now_s: float) -> list[str]:
         """One screen."""
@@ -60,12 +60,12 @@ class State:
         return [line[:WIDTH] for line in out]
 
     def wanted(self, asked: tuple[float, float]) -> tuple[float, float]:
-        """Of the band that is asked for what the schedule's training segments can tell."""
+        """The part of the band `asked` that the schedule's training segments can cover."""
         return reachable(asked, self._value('train_s'))
 
     @property
     def covered(self) -> bool:
-        """Whether the running axis is covered; what was told aloud is not taken back."""
+        """Whether the band of the running axis is covered."""
         return self.coverage is not None and self.coverage.enough
 
     def suffices(self, validation_s: float) -> bool:
@@ -73,7 +73,7 @@ class State:
         return self.covered and self.validated_s >= validation_s
 
     def call(self, validation_s: float) -> str:
-        """What the operator is told aloud, empty where nothing is to be said."""
+        """The call to the operator; empty where there is none."""
         if self.coverage is None or not self.covered:
             return ''
         low, high = self.coverage.wanted
@@ -92,7 +92,7 @@ class State:
         return next((e for n, e in self.entries.items() if n.endswith(f': {end}')), None)
 
     def _value(self, key: str) -> float:
-        """A number that the schedule's status carries, NaN where it does not."""
+        """A number in the schedule's status; NaN where it has none."""
         entry = self._entry('schedule')
         try:
             return float(entry.values[key]) if entry is not None else math.nan
@@ -126,7 +126,7 @@ class State:
         return _line('recording', level, f'{self.bag_state} {self.bag}')
 
     def _progress(self) -> list[str]:
-        """What the bridge has against the excitation, and how far the schedule is."""
+        """Why the bridge refuses the excitation, and the progress of the schedule."""
         refusal, entry = self._entry('excitation'), self._entry('schedule')
         found = []
         if refusal is not None and refusal.level:

@@ -118,7 +118,7 @@ def time_message(stamp_ns: int) -> Time:
 
 
 def inertial_message(inertial: Inertial, stamp_ns: int) -> Imu:
-    """What another autopilot tells; -1 in a covariance marks what it does not (sensor_msgs)."""
+    """Another autopilot's data; -1 in a covariance marks what is unknown (sensor_msgs)."""
     message = _stamped(Imu(), stamp_ns)
     _set(message.angular_velocity, flip_body(inertial.gyro))
     if inertial.accel is None:

@@ -1,4 +1,4 @@
-"""What keeps a node alive when a callback fails, and its log from being flooded. No ROS here."""
+"""Keeps a node alive when a callback fails, and its log from being flooded. No ROS here."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ LONGEST = 500  # characters of a fault that are logged
 
 
 class Sparing:
-    """What is said once and not every time: repeats and bursts are left out."""
+    """Decides what is logged: repeats and bursts are left out."""
 
     def __init__(self, *, repeat_s: float = 30.0, burst: int = 20, per_s: float = 60.0) -> None:
         """The same line once in `repeat_s`; `burst` lines in `per_s` at most."""
@@ -72,11 +72,11 @@ class Fence:
             self._then(f'a callback failed: {words}')
 
     def passed(self) -> None:
-        """Note that one has not failed."""
+        """Note that a callback has succeeded."""
         self._in_a_row[threading.get_ident()] = 0
 
     def entries(self) -> list[Status]:
-        """What failed, all and in the last second, for /diagnostics; nothing where nothing did."""
+        """The failures for /diagnostics, all and since the last report; empty without any."""
         now_s = time.monotonic()
         if now_s - self._reported_s > SETTLED_S:
             self._reported_s, self._before, self._reported = now_s, self._reported, self.failed

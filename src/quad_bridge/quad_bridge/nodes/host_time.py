@@ -7,9 +7,9 @@ waits for the next opening of the port.
 
 from __future__ import annotations
 
-NEVER_NS = -(1 << 62)  # the epoch of a time that nobody has told yet: with it no stamp is above 0
+NEVER_NS = -(1 << 62)  # the epoch before the first simulated time: with it no stamp is above 0
 SIMULATED_STEP_NS = 100_000_000
-"""Simulated time comes in steps; it is followed where it has parted by more."""
+"""Simulated time comes in steps; stamps follow it where it differs by more."""
 STEP_NS = 5_000_000  # a smaller difference is the time it takes to read two clocks
 
 
@@ -31,7 +31,7 @@ class HostTime:
             self.opened(epoch_ns)
 
     def measured(self, epoch_ns: int, *, armed: bool) -> str:
-        """Compare with the clocks as they are now; what to say where they have parted, or ''."""
+        """Compare with the clocks as they are; a line for the log where they differ, else ''."""
         step = epoch_ns - self.epoch_ns
         if abs(step) <= STEP_NS:
             self.behind_ns = 0

@@ -33,7 +33,7 @@ without CPU time for a while misses nothing."""
 STATE = _profile(10, latched=True)
 """States that a late subscriber must see: segment, active gains, bag."""
 EVENT = _profile(10)
-"""Requests that count only when they are sent: wanted gains, diagnostics."""
+"""Messages that only present subscribers need: wanted gains, diagnostics."""
 
 
 def adapted(topic: str, publishers: Sequence[Any]) -> QoSProfile:

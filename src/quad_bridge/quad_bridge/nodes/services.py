@@ -59,7 +59,7 @@ class GainServices:
             )
 
     def show(self, active: Mapping[str, float]) -> None:
-        """Let the parameters say what is in force."""
+        """Set the parameters to the gains in force."""
         self._showing = True
         try:
             self._node.set_parameters(
@@ -125,11 +125,11 @@ class OperatorServices:
         self._late = late or self._late if armed else ''
 
     def entries(self) -> list[Status]:
-        """What stands in /diagnostics for as long as it holds."""
+        """Entries for /diagnostics: a warning for as long as its reason lasts."""
         return [Status('operator', WARN, self._late)] if self._late else []
 
     def end(self) -> None:
-        """The port is about to be shut."""
+        """End requests before the port is closed."""
         self._arming.end('no answer before the node was deactivated')
 
     def _on_enable(self, message: Bool) -> None:

@@ -38,7 +38,7 @@ class Injection(IntEnum):
 
 
 class GainsAction(IntEnum):
-    """What to do with the staged set (enum QUAD_GAINS_ACTION); all are idempotent."""
+    """An action on the staged set (enum QUAD_GAINS_ACTION); each is idempotent."""
 
     QUERY = 0
     OPEN = 1
@@ -56,7 +56,7 @@ class GainsPhase(IntEnum):
 
 
 class GainsResult(IntEnum):
-    """What became of an action (enum QUAD_GAINS_RESULT); the last two come unasked."""
+    """The result of an action (enum QUAD_GAINS_RESULT); the last two are sent unasked."""
 
     OK = 0
     WRONG_ID = 1
@@ -67,7 +67,7 @@ class GainsResult(IntEnum):
 
 @dataclass(frozen=True)
 class Cycle:
-    """Everything one control cycle knew."""
+    """All data of one control cycle."""
 
     time_us: int  # start of the cycle, µs since boot
     cycle: int  # cycles since boot, 32 bits

@@ -24,7 +24,7 @@ _MARKER, _BLOCK, _DIGEST = 0xFD, 13, 6
 
 
 class Verdict(Enum):
-    """What is thought of a frame."""
+    """The verdict on a frame."""
 
     GOOD = 'good'
     UNSIGNED = 'unsigned'
