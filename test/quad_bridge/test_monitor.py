@@ -197,7 +197,7 @@ def test_the_node_says_when_enough_is_in(probe, start):
     topics = ('/left/imu/data', '/left/excitation/applied', '/left/excitation/segment')
     probe.meet(*topics)
     x, y = answered(60.0, 0.05, 5)
-    y[8000:10_000] += 20.0 * np.random.default_rng(7).standard_normal(2000)  # covered by then
+    y[4500:5400] += 20.0 * np.random.default_rng(7).standard_normal(900)  # covered by then
 
     def announce(role):
         probe.publish(topics[2], event({'segment': role, 'axis': 'pitch', 'signal': 'prbs'}))
@@ -219,7 +219,7 @@ def test_the_node_says_when_enough_is_in(probe, start):
 
     announce('train')
     probe.until(lambda: 'pitch' in monitor.printed)
-    for begin in range(0, 10_000, 900):  # never more than the middleware holds
+    for begin in range(0, 5400, 900):  # never more than the middleware holds
         fly(begin, 900)
         probe.until(lambda begin=begin: trained_s() >= (begin + 700) // 250)
     probe.until(lambda: 'go on to validation' in monitor.printed)
