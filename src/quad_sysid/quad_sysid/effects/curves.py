@@ -20,14 +20,17 @@ from quad_sysid.model.effect import Drive, Effect, Settings, Signals, Spec, requ
 
 SLOW_MOVES = 0.01
 """Share of its mean by which a slow signal must move to support a curve."""
-SMOOTH = {'smooth': (6, 0.6, 0.6), 'rough': (11, 0.2, 0.0)}
-"""Number of knots, correlation length, and how far a curve continues straight outside the range
-of the training, both as a share of that range. The knots of the first are among those of the
-second. What a rough curve does at its edge says nothing of what it does beyond."""
-DRIFT = {'drift': (2, 1.0, 1.0)}
+SMOOTH = {'smooth': (6, 0.6), 'rough': (11, 0.2)}
+"""Number of knots, and correlation length as a share of the signal's range. The knots of the first
+are among those of the second."""
+DRIFT = {'drift': (2, 1.0)}
 """For curves over time also a straight line, which continues after the training."""
 HELD = ('time', 'battery')
 """Signals that change one way: outside the training's range the curve stays constant."""
+KEPT = ('damping', 'lag', 'delay')
+"""Terms that have no sense below zero, where a slope may lead: the curve stays constant too."""
+BEYOND = 0.5
+"""Share of the range by which other curves continue straight outside it."""
 UNITS = {'torque': 'rad/s²', 'gain': '1', 'damping': '1/s', 'lag': '1', 'delay': 's',
          'friction': 'rad/s²'}
 MISSING = {'angle': 'orientation', 'battery': 'battery voltage'}
@@ -90,7 +93,7 @@ class Curve(Effect):
             'torque': (signal,), 'gain': (signal, 'command'), 'damping': (signal, 'rate'),
             'friction': (signal, 'rate'), 'lag': (signal, 'command'), 'delay': (signal, 'command'),
         }[term]
-        self.count, self.length, self.beyond = {**SMOOTH, **DRIFT}[smoothness]
+        self.count, self.length = {**SMOOTH, **DRIFT}[smoothness]
         spread = {'lag': 0.5, 'delay': 0.01}.get(term)
         self.parameters = tuple(
             Spec(f'y{i}', UNITS[term], spread=spread) for i in range(self.count)
@@ -132,9 +135,9 @@ class Curve(Effect):
         """Index of the knot before each value, and the value's share (0..1) of the interval."""
         knots = np.array(settings['knots'])
         span = knots[-1] - knots[0]
-        below, above = self.beyond, self.beyond
-        if self.signal in HELD:
-            below, above = 0.0, self.beyond if self.variant in DRIFT else 0.0
+        held = self.signal in HELD or self.term in KEPT
+        below = 0.0 if held else BEYOND
+        above = 1.0 if self.variant in DRIFT else below
         x = np.clip(x, knots[0] - below * span, knots[-1] + above * span)
         index = np.clip(np.searchsorted(knots, x, side='right') - 1, 0, knots.size - 2)
         return index, (x - knots[index]) / (knots[index + 1] - knots[index])
