@@ -27,7 +27,7 @@ DRIFT = {'drift': (2, 1.0)}
 """For curves over time also a straight line, which continues after the training."""
 HELD = ('time', 'battery')
 """Signals that change one way: outside the training's range the curve stays constant."""
-KEPT = ('damping', 'lag', 'delay')
+KEPT = ('damping', 'delay')
 """Terms that have no sense below zero, where a slope may lead: the curve stays constant too."""
 BEYOND = 0.5
 """Share of the range by which other curves continue straight outside it."""
