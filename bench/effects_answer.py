@@ -12,9 +12,10 @@ from pathlib import Path
 
 import effects_scenarios as scenarios
 from threadpoolctl import threadpool_limits
+from virtual_flights import record_of
 
-from quad_bridge.virtual.flight_bag import write_bag
 from quad_bridge.virtual.profile import load_profile
+from quad_sysid.bags import write_bag
 from quad_sysid.discover.accept import Unseen, rms
 from quad_sysid.discover.search import Scored, search
 from quad_sysid.effects import EFFECTS
@@ -72,7 +73,8 @@ def answered_by_command(scenario: scenarios.Scenario, folder: Path) -> Row:
     bags = [folder / 'flight', folder / 'unseen']
     for bag, unseen in zip(bags, (False, True), strict=True):
         seed = scenario.seed + (500_000 if unseen else 0)
-        write_bag(scenarios.flight_of(scenario, seed, unseen=unseen), bag)
+        flight = scenarios.flight_of(scenario, seed, unseen=unseen)
+        write_bag(record_of(flight), bag)
     began = time.perf_counter()
     _run('identify', str(bags[0]), '--axis', scenario.axis, '--out', str(folder / 'out'))
     seconds = time.perf_counter() - began

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
-from quad_bridge.virtual.simulation import Excited, Flight
-from quad_sysid.contract import control_from_motors
-from quad_sysid.record import GainChange, Record, Segment
+from quad_bridge.virtual.simulation import Excited
 from quad_sysid.signals.waveforms import prbs
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / 'tools'))
+from flight import record_of
+
+__all__ = ['AMPLITUDE', 'PLAN', 'RATE_HZ', 'START_S', 'record_of', 'schedule_of']
 
 RATE_HZ = 250.0
 AMPLITUDE = float(np.deg2rad(12.0))
@@ -33,22 +38,3 @@ def schedule_of(
         out.append(Excited(time, samples, axis, 'attitude', role, signal))
         time += seconds + 2.0
     return out, time
-
-
-def record_of(flight: Flight) -> Record:
-    """The flight as the analysis gets it from a bag."""
-    segments: list[Segment] = []
-    time = 0.0
-    for part in flight.schedule:
-        segments.append(Segment('idle', 'none', part.axis, part.injection, time, part.start_s))
-        time = part.start_s + part.samples.size * flight.dt
-        segments.append(
-            Segment(part.role, part.signal, part.axis, part.injection, part.start_s, time)
-        )
-    return Record(
-        source='simulated', dt=flight.dt, rates=flight.rates,
-        control=control_from_motors(flight.motors), angles=flight.angles, motors=flight.motors,
-        wrench=flight.wrench, attitude_setpoint=flight.attitude_setpoint,
-        rate_setpoint=flight.rate_setpoint, battery_v=flight.battery_v,
-        segments=tuple(segments), gains=(GainChange(0.0, dict(flight.gains)),),
-    )

@@ -13,11 +13,12 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+from flight import record_of
 
-from quad_bridge.virtual.flight_bag import write_bag
 from quad_bridge.virtual.process import prepared
 from quad_bridge.virtual.profile import Profile
 from quad_bridge.virtual.simulation import Excited, fly
+from quad_sysid.bags import write_bag
 from quad_sysid.cli import main as quad_sysid
 from quad_tuning.cli import main as quad_tune
 
@@ -40,7 +41,7 @@ def main() -> int:
             excited(2.0 + TRAIN_S, VALIDATION_S, 'validation', 2),
         ]
         seconds = TRAIN_S + VALIDATION_S + 3.0
-        write_bag(fly('demo_rig', schedule, seconds, 1), Path('bag'))
+        write_bag(record_of(fly('demo_rig', schedule, seconds, 1)), Path('bag'))
         fly('demo_rig', [], 0.1, 1, effect=lambda *_: np.zeros(3))  # steps with a Python effect
         prepared(Profile(), seed=1)  # the process' own steps
         model, status = 'result/model.json', 0

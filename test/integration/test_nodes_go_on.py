@@ -10,17 +10,14 @@ import tty
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
+from flown_axis import Axis, fly
 from node_process import Started, program
 from probe import Probe, content, entries, event
 
-from quad_bridge.virtual.flight_bag import write_bag
-from quad_bridge.virtual.simulation import Excited, fly
+from quad_sysid.bags import write_bag
 
 OK, ERROR = 0, 2
-GAIN = 4 * 9.218 * 0.225 / math.sqrt(2) / 0.0135
-"""Of the plain profile: four motors of 9.218 N on arms of 0.225 m in X, rad/s² per command."""
 
 
 class Ears:
@@ -94,24 +91,13 @@ def test_the_bridge_outlives_every_bad_port_and_refuses_bad_gains(ears, start, r
     assert bridge.poll() is None
 
 
-def flight(folder: Path) -> Path:
-    """A bag of the plain profile, flown faster than time."""
-    rng = np.random.default_rng(1)
-
-    def prbs(seconds: float) -> np.ndarray:
-        n = round(250 * seconds)
-        return math.radians(12) * np.repeat(rng.choice([-1.0, 1.0], n // 23 + 1), 23)[:n]
-
-    parts = [Excited(1.0, prbs(24.0)), Excited(26.0, prbs(10.0), role='validation')]
-    return write_bag(fly('plain', parts, 37.0, 1), folder / 'flight')
-
-
 @pytest.mark.timeout(1800)
 def test_the_identification_outlives_bad_bags_and_writes_beside_what_is_there(
     ears: Ears, start: Callable[..., Started], tmp_path: Path
 ) -> None:
     """Nothing is found where nothing was planted, and nothing sent: the twin of test_loop.py."""
-    flown, nothing, out = flight(tmp_path), tmp_path / 'nothing', tmp_path / 'report'
+    axis, nothing, out = Axis(), tmp_path / 'nothing', tmp_path / 'report'
+    flown = write_bag(fly(axis, 1), tmp_path / 'flight')
     nothing.mkdir()
     out.mkdir()
     ears.say_bag(tmp_path / 'no_such_bag')
@@ -128,7 +114,8 @@ def test_the_identification_outlives_bad_bags_and_writes_beside_what_is_there(
     assert (roll['verdict'], roll['effects']) == ('no_missing_effect', [])
     assert roll['error']['after'] == pytest.approx(roll['error']['before'], rel=1e-12)
     found = {p['name']: p['value'] for p in roll['base']['parameters']}
-    assert found['gain'] == pytest.approx(GAIN, rel=0.03)
-    assert found['lag'] + found['delay'] == pytest.approx(0.045 + 0.008, rel=0.06)
+    assert found['gain'] == pytest.approx(axis.gain, rel=0.03)
+    late_s = axis.lag_s + 1e-3 * axis.delay_ms
+    assert found['lag'] + found['delay'] == pytest.approx(late_s, rel=0.06)
     assert ears.updates == []
     assert node.end() == 0

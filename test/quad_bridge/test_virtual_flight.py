@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
+import runpy
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
-from rosbags.highlevel import AnyReader
 
 from quad_bridge.virtual import hil
 from quad_bridge.virtual.aircraft import Aircraft, boot
 from quad_bridge.virtual.endpoint import Endpoint
-from quad_bridge.virtual.flight_bag import STORE, write_bag
 from quad_bridge.virtual.native import NativeFirmware
 from quad_bridge.virtual.profile import Profile
 from quad_bridge.virtual.receiver import Channels, Event, Receiver
@@ -20,6 +20,7 @@ from quad_bridge.virtual.simulation import Excited, fly, without_noise
 from quad_bridge.wire import Decoder
 from quad_bridge.wire.axes import flip_attitude, flip_body, flip_control
 from quad_bridge.wire.frames import Cycle
+from quad_sysid.bags import read_bag, write_bag
 
 SIZE = math.radians(12.0)
 
@@ -169,43 +170,23 @@ def test_the_wire_process_and_the_array_flight_are_the_same_flight():
     assert flight.attitude_setpoint[160, 0] == pytest.approx(math.radians(15.0))
 
 
-@pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
-def test_a_flight_becomes_a_bag_of_the_contract(tmp_path, storage):
+@pytest.mark.parametrize('injection', ['attitude', 'control'])
+def test_a_flight_becomes_a_bag_of_the_contract(tmp_path, injection):
+    tool = runpy.run_path(str(Path(__file__).resolve().parents[2] / 'tools/flight.py'))
     parts = [
-        Excited(1.0, square(2.0), 'roll', 'attitude', 'train', 'prbs', {'register_bits': 9}),
-        Excited(3.5, square(1.0), 'roll', 'attitude', 'validation', 'square'),
+        Excited(1.0, square(2.0, size=0.1), 'roll', injection, 'train', 'prbs', {'bits': 9}),
+        Excited(3.5, square(1.0, size=0.1), 'roll', injection, 'validation', 'square'),
     ]
     flight = fly('paper', parts, 5.0, 1)
-    path = write_bag(flight, tmp_path / 'bag', storage=storage, leave_out=('/baro',))
-    rows: dict[str, list] = {}
-    with AnyReader([path], default_typestore=STORE) as reader:
-        for connection, stamp, raw in reader.messages():
-            message = reader.deserialize(raw, connection.msgtype)
-            rows.setdefault(connection.topic, []).append((stamp, message))
-    counts = {topic: len(messages) for topic, messages in rows.items()}
-    assert counts['/imu/data'] == counts['/motors/command'] == counts['/control/wrench'] == 1250
-    assert counts['/excitation/applied'] == 750
-    assert (counts['/rc/in'], counts['/imu/mag'], counts['/battery']) == (250, 250, 50)
-    assert '/baro' not in counts
-    imu = [m for _, m in rows['/imu/data']]
-    gyro = np.array(
-        [[m.angular_velocity.x, m.angular_velocity.y, m.angular_velocity.z] for m in imu]
-    )
-    assert np.array_equal(gyro, flight.rates)
-    assert imu[0].header.frame_id == 'base_link'
-    stamps = [m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in imu]
-    assert set(np.diff(stamps)) == {4_000_000}
-    effort = np.array([m.effort for _, m in rows['/motors/command']])
-    assert np.array_equal(effort, flight.motors)
-    assert rows['/motors/command'][0][1].name == [f'motor_{i}' for i in range(1, 5)]
-    force = np.array([m.wrench.force.z for _, m in rows['/control/wrench']])
-    assert np.array_equal(force, flight.wrench[:, 0])
-    said = [
-        {p.name: p.value.string_value or p.value.integer_value for p in m.changed_parameters}
-        for _, m in rows['/excitation/segment']
-    ]
-    assert [s['segment'] for s in said] == ['idle', 'train', 'idle', 'validation', 'idle']
-    assert said[1]['register_bits'] == 9
-    gains = {p.name: p.value.double_value for p in rows['/gains/active'][0][1].changed_parameters}
-    assert gains['roll.angle.kp'] == 3.0
-    assert gains['sensor.gyro_filter_hz'] == 42.0
+    record = read_bag(write_bag(tool['record_of'](flight), tmp_path / 'bag'))
+    assert record.battery_v[::25] == pytest.approx(flight.battery_v[::25], rel=1e-6)
+    arrays = ('rates', 'acceleration', 'motors', 'wrench', 'attitude_setpoint', 'rate_setpoint')
+    for name in arrays:
+        assert np.array_equal(getattr(record, name), getattr(flight, name)), name
+    assert record.angles == pytest.approx(flight.angles, abs=1e-12)
+    assert np.array_equal(np.nan_to_num(record.excitation), flight.excitation)
+    roles = [(s.role, s.injection) for s in record.segments if s.role != 'idle']
+    assert roles == [('train', injection), ('validation', injection)]
+    assert next(s for s in record.segments if s.role == 'train').parameters['bits'] == 9
+    gains = record.gains_at(5.0)
+    assert (gains['roll.angle.kp'], gains['sensor.gyro_filter_hz']) == (3.0, 42.0)

@@ -1,6 +1,6 @@
 """Whole flights as arrays, faster than real time: the process's aircraft and firmware, no process.
 
-For studies and tests. Nothing here writes files (flight_bag.py does).
+For studies and tests. Nothing here writes files; tools/flight.py makes a bag of a flight.
 """
 
 from __future__ import annotations
