@@ -165,17 +165,27 @@ def test_a_wire_that_always_spoils_the_set_leaves_the_old_gains(bench, kind, cha
     assert_old(made)
 
 
-def test_a_link_that_dies_in_the_watch_brings_the_old_gains_back(bench):
+@pytest.mark.parametrize(
+    ('ways', 'seconds', 'words'),
+    [
+        (('up', 'down'), 3.0, 'no control cycle'),
+        (('up',), 3.0, 'link lost'),
+        (('down',), 1.5, 'no control cycle'),  # the STM32 hears the bridge all the time
+    ],
+)
+def test_a_link_that_dies_in_the_watch_brings_the_old_gains_back(bench, ways, seconds, words):
     made = bench()
     made.ask(roll_rate_kp=0.1)
     made.fly_until('in force')
-    made.cut = True
-    made.fly(3.0)
+    for way in ways:
+        getattr(made, way).cut = True
+    made.fly(seconds)
     assert made.gain(KP) == pytest.approx(OLD_KP)
     made.cut = False
     made.fly(3.0)
     assert_old(made)
     assert 'rolled back' in made.updates.refused
+    assert words in made.updates.refused
 
 
 # The watch.

@@ -168,7 +168,10 @@ class Walk:
 
     def gesture(self):
         before = self.gains.state
-        for end in (1.0, -1.0, 1.0):
+        for end, at_s in ((1.0, -4.2), (-1.0, -2.1), (1.0, 0.0)):
+            self.gains.sticks(end, at_s)
+        assert self.gains.state is before  # too slow
+        for end in (-1.0, 1.0):
             self.gains.sticks(end, 0.0)
         self.goes_back(before)
         assert self.gains.state is not State.CHECKING

@@ -91,17 +91,6 @@ def test_a_jump_of_the_device_is_not_averaged_away_but_restarts_the_estimate(jum
     assert np.abs(errors_ms(clock, pair, 20.0)).max() < 0.5
 
 
-def test_stamps_never_run_backwards():
-    clock, pair = ClockEstimator(), Jitter(80e-6, 4)
-    stamps = []
-    while pair.now_s < 20.0:
-        trip = pair.trip(0.05)
-        stamps += [clock.host_ns(round(1e9 * (pair.now_s - 0.04 + 0.004 * k))) for k in range(10)]
-        clock.add(*trip)
-    settled = np.diff(stamps[200:])
-    assert settled.min() >= 0
-
-
 def test_arrivals_do_where_nobody_answers_and_an_answer_ends_it():
     clock, pair = ClockEstimator(), Jitter(20e-6, 6)
     errors = []

@@ -3,7 +3,7 @@
 import pytest
 from flight_controller import CYCLE_NS, HOST0_NS, FlightController, Line, sticks
 
-from quad_bridge.link.guards import PAST_NS, PATIENCE_NS, LateGuard
+from quad_bridge.link.guards import AGREES_NS, PAST_NS, PATIENCE_NS, LateGuard, StepGuard
 from quad_bridge.wire import frames as f
 
 
@@ -154,3 +154,11 @@ def test_a_round_trip_decides_whose_lateness_it_is(off_ms, round_trip_ms, gone):
     guard.trip(5_000_000, 1e6 * off_ms, 1_000_000 * round_trip_ms)
     assert guard.gone == gone
     assert gone or not guard.waiting
+
+
+def test_a_round_trip_that_is_off_does_not_end_the_wait_for_one_that_tells():
+    guard = StepGuard()
+    assert [guard.step(*cycle, 0) for cycle in ((0, 0), (1, 4000), (2, 11_000))][-1]
+    for off_ns, waits in ((AGREES_NS + 1, True), (AGREES_NS - 1, False)):
+        guard.trip(0, off_ns, accepted=True)  # a slow one, which bounds no better
+        assert guard.waiting is waits

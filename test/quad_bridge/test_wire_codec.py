@@ -138,7 +138,7 @@ def peer(system=1):
 
 
 PARAMETER = Encoder().encode(f.ParamValue('ROLL_RATE_KP', 9.0, 27, 3))
-FLAGGED = GOLDEN[1:2] + b'\x02' + GOLDEN[3:-2]
+FLAGGED = GOLDEN[1:2] + b'\x03' + GOLDEN[3:-2]
 OLD = peer().heartbeat_encode(2, 3, 0, 0, 4).pack(peer(), force_mavlink1=True)
 
 
@@ -156,9 +156,9 @@ OLD = peer().heartbeat_encode(2, 3, 0, 0, 4).pack(peer(), force_mavlink1=True)
          + bytes([len(PARAMETER), 0, 0, 1, 1, 1, 255, 255, 119]) + PARAMETER + b'??',
          [f.Heartbeat(2, 3, system=1, component=1)], {'unknown': 1}),
         (OLD + OLD, [], {'old_version': 2, 'garbage_bytes': 2 * len(OLD)}),
-        # flags of a later protocol, though its checksum is right
-        (b'\xfd' + FLAGGED + mcrf4xx(FLAGGED + b'\xed').to_bytes(2, 'little'), [],
-         {'garbage_bytes': len(GOLDEN), 'damaged': 1}),
+        # signed, with flags of a later protocol, though its checksum is right
+        (b'\xfd' + FLAGGED + mcrf4xx(FLAGGED + b'\xed').to_bytes(2, 'little') + bytes(13), [],
+         {'garbage_bytes': len(GOLDEN) + 13, 'damaged': 1}),
         # a false start does not swallow the frame behind it
         (b'\xfd\x50', [], {'garbage_bytes': 2, 'damaged': 1}),
         (b'\xfd\x50\x00\x00', [], {'garbage_bytes': 4, 'damaged': 1}),

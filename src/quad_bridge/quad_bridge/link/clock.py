@@ -51,7 +51,6 @@ class ClockEstimator:
         self.accepted = self.rejected = self.restarts = 0
         self.one_way = False
         """Whether times come from arrivals, without TIMESYNC, and are late by the transport."""
-        self._last: tuple[int, int] | None = None
         self.off_ns = 0.0  # by how much the last trip was off what was estimated before it
         self._block: list[tuple[int, int]] = []
 
@@ -77,7 +76,7 @@ class ClockEstimator:
         """Forget the past: one of the clocks has jumped."""
         self.restarts += bool(self._trips)
         self._trips.clear()
-        self._outliers, self.drift, self._last = 0, 0.0, None
+        self._outliers, self.drift = 0, 0.0
         self.one_way = False
         self._block.clear()
 
@@ -104,7 +103,7 @@ class ClockEstimator:
         Two trips in a row that disagree with all before them restart the estimate.
         """
         trip = _Trip(device_ns, (sent_ns + received_ns) // 2 - device_ns, received_ns - sent_ns)
-        if not 0 <= trip.round_trip_ns <= self._max_ns:
+        if trip.round_trip_ns > self._max_ns:
             self.rejected += 1
             return False
         if self.one_way:
@@ -126,18 +125,10 @@ class ClockEstimator:
         self._fit()
         return True
 
-    def estimate_ns(self, device_ns: int) -> int:
+    def host_ns(self, device_ns: int) -> int:
         """Host time of a device time, ns, by the present estimate."""
         base = self._trips[-1].device_ns if self._trips else device_ns
         return device_ns + round(self.offset_ns + self.drift * (device_ns - base))
-
-    def host_ns(self, device_ns: int) -> int:
-        """Stamp of a device time, ns: it never runs backwards while device time does not."""
-        host = self.estimate_ns(device_ns)
-        if self._last is not None and device_ns >= self._last[0] and host < self._last[1]:
-            host = self._last[1]
-        self._last = (device_ns, host)
-        return host
 
     def _jumped(self, trip: _Trip) -> bool:
         since = trip.device_ns - self._trips[-1].device_ns

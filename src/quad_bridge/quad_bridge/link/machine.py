@@ -26,7 +26,6 @@ HEARTBEAT_NS = 1_000_000_000
 SYNC_NS, SOON_NS = 200_000_000, 40_000_000
 """Between TIMESYNC questions once the clock has converged, and before."""
 URGENT_NS = 20_000_000  # between questions while cycles wait for an answer
-NO_SYNC_NS = 3_000_000_000  # TIMESYNC unanswered for so long: an autopilot's arrivals must do
 NO_CYCLE_NS = 1_000_000_000  # an autopilot without a QUAD_CYCLE for so long sends none
 RELEASE_NS = 3_000_000_000  # silent for so long, an aircraft may be followed by another one
 CYCLE_OLD_NS, PEER_OLD_NS = 500_000_000, 2_500_000_000
@@ -214,9 +213,7 @@ class Link:
         inertial = self.autopilot.inertial(frame, now_ns)
         if inertial is None or self.last_cycle is not None:
             return
-        since_ns = self._peer_since_ns if self.peer is not None else now_ns
-        arrivals = now_ns - since_ns > NO_SYNC_NS
-        self.stamping.inertial(inertial, now_ns, arrivals=arrivals)
+        self.stamping.inertial(inertial, now_ns)
         self._ask_urgently(now_ns)
 
     def _time_sync(self, frame: f.TimeSync, now_ns: int) -> None:

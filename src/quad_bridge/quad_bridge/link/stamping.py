@@ -75,11 +75,10 @@ class Stamping:
         uneven = self.guard.step(frame.cycle, device_us, now_ns)
         self._timed(frame, 1000 * device_us, now_ns, uneven=uneven)
 
-    def inertial(self, frame: Inertial, now_ns: int, *, arrivals: bool) -> None:
+    def inertial(self, frame: Inertial, now_ns: int) -> None:
         """Stamp what an autopilot sends in place of a cycle; its arrival tells the clock too."""
         device_ns = 1000 * self.device_time.extend(frame.time_us, NEAR_US)
-        if arrivals:
-            self.clock.add_arrival(device_ns, now_ns)
+        self.clock.add_arrival(device_ns, now_ns)
         self._timed(frame, device_ns, now_ns, uneven=False)
 
     def outputs(self, frame: f.Outputs) -> None:
@@ -113,7 +112,7 @@ class Stamping:
         whole_us, rest_ns = divmod(told_ns, 1000)
         device_ns = 1000 * self.device_time.peek(whole_us, NEAR_US) + rest_ns
         if self._sure:
-            off_ns = (sent_ns + now_ns) // 2 - self.clock.estimate_ns(device_ns)
+            off_ns = (sent_ns + now_ns) // 2 - self.clock.host_ns(device_ns)
             self.late.trip(sent_ns, off_ns, now_ns - sent_ns)
         if self.late.gone:
             self._begin_anew()
@@ -130,7 +129,7 @@ class Stamping:
         return self.clock.converged and not self.clock.one_way
 
     def _late_ns(self, device_ns: int, now_ns: int) -> int:
-        return now_ns - self.clock.estimate_ns(device_ns)
+        return now_ns - self.clock.host_ns(device_ns)
 
     def _timed(
         self, frame: f.Cycle | Inertial, device_ns: int, now_ns: int, *, uneven: bool
