@@ -15,9 +15,10 @@ import copy
 import math
 import zlib
 from collections import deque
+from itertools import product
 
 import pytest
-from flight_controller import DROPPED, Fault, FlightController, answers_of, clone
+from flight_controller import DROPPED, Fault, FlightController, answers_of, changed, clone
 from gain_store import GainStore
 
 from quad_bridge.errors import RefusedError
@@ -297,8 +298,8 @@ def label(frame):
     return getattr(frame, 'name', '')
 
 
-def lost(what, times=99):
-    return Fault(lambda frame: label(frame) == what, DROPPED, times=times)
+def lost(what, times=99, how=DROPPED):
+    return Fault(lambda frame: label(frame) == what, how, times=times)
 
 
 class Talk:
@@ -360,10 +361,15 @@ def test_all_are_written_and_take_effect_together_and_stay_when_confirmed(talk):
     assert talk.far.store.active == WRITTEN
 
 
-@pytest.mark.parametrize('what', ['OPEN', B, 'COMMIT'])
-@pytest.mark.parametrize('way', ['up', 'deaf'])
-def test_three_losses_of_any_frame_do_no_harm(talk, what, way):
-    fault = lost(what, times=3)
+@pytest.mark.parametrize(
+    ('way', 'what', 'how'),
+    [
+        *product(('up', 'deaf'), ('OPEN', B, 'COMMIT'), (DROPPED,)),
+        ('up', B, changed(value=lambda x: 1.07 * x.value)),
+    ],
+)
+def test_three_faults_of_any_frame_do_no_harm(talk, way, what, how):
+    fault = lost(what, 3, how)
     setattr(talk, way, fault)
     talk.bridge.write(SET, 9000)
     talk.until(What.COMMITTED)
