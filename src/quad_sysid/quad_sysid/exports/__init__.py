@@ -1,1 +1,1 @@
-"""Identified models for other tools: python-control, MATLAB, JSON."""
+"""Identified models for other tools: python-control, MATLAB."""

@@ -13,10 +13,10 @@ from quad_sysid.files import check_new, write_whole
 def add(commands: Commands) -> None:
     """Register the command."""
     parser = command(commands, 'export', _run,
-                     'Write a model for python-control, MATLAB or as JSON.',
+                     'Write a model for python-control or MATLAB.',
                      'quad-sysid export result/model.json --to mat --out aircraft.mat')
     parser.add_argument('model', metavar='MODEL.json', type=Path)
-    parser.add_argument('--to', required=True, choices=['control', 'mat', 'json'],
+    parser.add_argument('--to', required=True, choices=['control', 'mat'],
                         help='control: a Python file; mat: MATLAB')
     parser.add_argument('--axis', choices=AXES, help='default: every axis of the model')
     parser.add_argument('--out', metavar='FILE', type=Path,

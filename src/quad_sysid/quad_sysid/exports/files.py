@@ -1,4 +1,4 @@
-"""Identified models as files for other tools: JSON, MATLAB .mat, a Python file for python-control.
+"""Identified models as files for other tools: MATLAB .mat, a Python file for python-control.
 
 The linear plant as matrices, with held command, delay and gyro filter. Nonlinear effects are
 listed by name, with parameters and units.
@@ -7,32 +7,26 @@ listed by name, with parameters and units.
 from __future__ import annotations
 
 import io
-import json
 from collections.abc import Callable, Mapping
 from typing import Any
 
 from quad_sysid.errors import BadInputError
 from quad_sysid.loop.from_model import loop_plant
-from quad_sysid.loop.plant import Slopes, StateSpace, dynamics, state_space
-from quad_sysid.model import AxisModel, Parameter
-from quad_sysid.report.document import plain
+from quad_sysid.loop.plant import Slopes, dynamics, state_space
+from quad_sysid.model import AxisModel
 
 OUTPUTS = ('rate', 'angle')
 """Outputs: rate after the gyro filter, rad/s; angle, rad."""
-OUTPUT_UNITS = ('rad/s', 'rad')
-
-
-def cycle_of(model: AxisModel) -> StateSpace:
-    """One control cycle of a model's linear part: base, gyro filter, slow motors and modes.
-
-    From the normalised command to measured rate and angle, the delay as states, no curves.
-    """
-    return state_space(loop_plant(model))
 
 
 def matrices(model: AxisModel) -> dict[str, Any]:
-    """The same in MATLAB's names: A, B, C continuous behind `delay_s`, Ad, Bd, Cd of `dt_s`."""
-    plant, cycle = loop_plant(model), cycle_of(model)
+    """A model's linear part in MATLAB's names: base, gyro filter, slow motors and modes.
+
+    A, B, C are continuous behind `delay_s`; Ad, Bd, Cd are one control cycle of `dt_s`, with the
+    delay as states. From the normalised command to measured rate and angle, no curves.
+    """
+    plant = loop_plant(model)
+    cycle = state_space(plant)
     a, b, c = dynamics(plant, Slopes())
     return {'A': a, 'B': b[:, :1], 'C': c, 'delay_s': plant.delay_s,
             'Ad': cycle.a, 'Bd': cycle.b, 'Cd': cycle.c, 'dt_s': plant.dt}
@@ -45,45 +39,16 @@ def to_control(model: AxisModel) -> Any:
     except ImportError as error:
         raise BadInputError('export', 'needs the package control', remedy='pip install control'
                             ) from error
-    cycle = cycle_of(model)
-    return control.ss(cycle.a, cycle.b, cycle.c, 0.0, cycle.dt, inputs=['command'],
-                      outputs=list(OUTPUTS), name=model.axis)
+    found = matrices(model)
+    return control.ss(found['Ad'], found['Bd'], found['Cd'], 0.0, found['dt_s'],
+                      inputs=['command'], outputs=list(OUTPUTS), name=model.axis)
 
 
-SCHEMA = 'quad_sysid/export/1'
 NOTE = (
     'Linear part: d(rate)/dt = gain * (command behind delay and lag) - damping * rate + bias, the '
     'measured rate behind the gyro filter where that is known. The bias and all effects that are '
     'not linear are not in the matrices.'
 )
-
-
-def tree(model: AxisModel) -> dict[str, Any]:
-    """Plain values of one axis."""
-    found = plain(matrices(model))
-    return {
-        'input': 'command', 'input_unit': 'normalised', 'outputs': list(OUTPUTS),
-        'output_units': list(OUTPUT_UNITS),
-        'base': [_parameter(p) for p in model.base],
-        'effects': [
-            {'name': e.name, 'parameters': [_parameter(p) for p in e.parameters],
-             'settings': {k: v for k, v in e.settings.items()
-                          if isinstance(v, str | int | float | list | tuple)}}
-            for e in model.effects
-        ],
-        'continuous': {name: found[name] for name in ('A', 'B', 'C', 'delay_s')},
-        'discrete': {name: found[f'{name}d'] for name in 'ABC'} | {'dt_s': found['dt_s']},
-        'trusted_band_rad_s':
-            None if model.trusted_band_rad_s is None else list(model.trusted_band_rad_s),
-        'gains_flown': {k: v for k, v in model.active_gains.items()
-                        if k.startswith((model.axis, 'sensor'))},
-    }
-
-
-def as_json(models: Mapping[str, AxisModel]) -> bytes:
-    """All axes as JSON."""
-    content = {'schema': SCHEMA, 'note': NOTE, 'axes': {a: tree(m) for a, m in models.items()}}
-    return (json.dumps(content, indent=1, allow_nan=False) + '\n').encode()
 
 
 def as_mat(models: Mapping[str, AxisModel]) -> bytes:
@@ -128,10 +93,6 @@ def as_control(models: Mapping[str, AxisModel]) -> bytes:
 
 
 WRITERS: Mapping[str, tuple[Callable[[Mapping[str, AxisModel]], bytes], str]] = {
-    'json': (as_json, '.json'), 'mat': (as_mat, '.mat'), 'control': (as_control, '.py'),
+    'mat': (as_mat, '.mat'), 'control': (as_control, '.py'),
 }
 """Format → its writer and the file's suffix."""
-
-
-def _parameter(p: Parameter) -> dict[str, Any]:
-    return {'name': p.name, 'value': p.value, 'std': p.std, 'unit': p.unit}
