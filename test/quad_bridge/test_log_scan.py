@@ -495,26 +495,13 @@ def test_files_compressed_as_a_whole_are_unpacked(tmp_path, storage, cut):
     assert len(got) + result.lost == len(ledger)
 
 
-def test_a_clock_that_was_set_back_is_no_time_without_messages(tmp_path):
+def test_a_file_without_its_index_is_recovered_and_said(tmp_path):
     writer = BagWriter(tmp_path / 'bag')
     writer.add_topic(TOPICS[0], VECTOR)
-    for k in range(100):
-        back_ns = 3600 * 10**9 if k >= 50 else 0
-        writer.write(TOPICS[0], 10**18 + k * 10**8 - back_ns, bytes(40))
-    writer.close()
-    said = recover(tmp_path / 'bag').lines()
-    assert '100 messages over 9.80 s' in said[0]
-    assert not any('nothing for' in line for line in said)
-
-
-def test_what_was_lost_is_said_with_its_time(tmp_path):
-    writer = BagWriter(tmp_path / 'bag')
-    writer.add_topic(TOPICS[0], VECTOR)
-    for k in (0, 1, 2, 60, 61):
+    for k in range(5):
         writer.write(TOPICS[0], 10**18 + k * 100_000_000, bytes(40))
     writer.flush()
     writer.abort()
     lines = '\n'.join(recover(tmp_path / 'bag').lines())
-    assert '5 messages over 6.10 s recovered' in lines
-    assert 'nothing for 5.80 s at 0.20 s' in lines
+    assert '5 messages recovered' in lines
     assert 'ends without its index' in lines

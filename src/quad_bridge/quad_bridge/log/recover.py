@@ -25,8 +25,6 @@ from quad_bridge.log.writer import BagWriter, Definition
 
 LATEST_NS = 1 << 63
 """Latest plausible receive time."""
-HOLE_S = 1.0
-"""Silence of all topics from which it is reported."""
 
 
 @dataclass
@@ -39,16 +37,9 @@ class Recovered:
     """Messages known to be lost; where the end of a file is missing, there were more."""
     unread_bytes: int = 0
     total_bytes: int = 0
-    span_ns: int = 0
-    """Receive time from the first message to the last, without a clock set back."""
-    first_ns: int = 0
-    last_ns: int = 0
-    """First and last time since the clock was last set back."""
     undecodable: int = 0
     """Messages with damaged compression, time or topic."""
     notes: list[str] = field(default_factory=list)
-    holes: list[tuple[int, int]] = field(default_factory=list)
-    """Stretches without any message: start after the first message, and length (ns)."""
     kinds: dict[str, str] = field(default_factory=dict)
     """First type of each topic."""
     refused: set[str] = field(default_factory=set)
@@ -61,7 +52,6 @@ class Recovered:
 
     def lines(self) -> list[str]:
         """The summary as text lines."""
-        seconds = (self.span_ns + self.last_ns - self.first_ns) * 1e-9
         share = 100.0 * self.unread_bytes / max(self.total_bytes, 1)
         lost = f'{self.unread_bytes} of {self.total_bytes} bytes ({share:.2f} %) are not whole'
         if self.undecodable:
@@ -69,16 +59,8 @@ class Recovered:
         if self.lost:
             lost += f', at least {self.lost} messages are missing'
         counts = [f'  {count:8d}  {topic}' for topic, count in sorted(self.counts.items())]
-        holes = [
-            f'  nothing for {length * 1e-9:.2f} s at {start * 1e-9:.2f} s'
-            for start, length in self.holes
-        ]
-        return [
-            f'{self.path}: {self.messages} messages over {seconds:.2f} s recovered; lost: {lost}',
-            *self.notes,
-            *holes,
-            *counts,
-        ]
+        head = f'{self.path}: {self.messages} messages recovered; lost: {lost}'
+        return [head, *self.notes, *counts]
 
 
 def recover(bag: Path) -> Recovered:
@@ -160,19 +142,6 @@ def _copy(message: Message, writer: BagWriter, result: Recovered) -> None:
         return
     writer.write(key, message.time_ns, message.data)
     result.counts[key] = writer.counts[key]
-    _follow(message.time_ns, result)
-
-
-def _follow(time_ns: int, result: Recovered) -> None:
-    """Update span and holes by a receive time."""
-    if not result.first_ns or result.last_ns - time_ns > HOLE_S * 1e9:
-        result.span_ns += result.last_ns - result.first_ns
-        result.first_ns = result.last_ns = time_ns
-    elif time_ns - result.last_ns > HOLE_S * 1e9:
-        since = result.span_ns + result.last_ns - result.first_ns
-        result.holes.append((since, time_ns - result.last_ns))
-    result.first_ns = min(result.first_ns, time_ns)
-    result.last_ns = max(result.last_ns, time_ns)
 
 
 def _declared(topic: Topic, writer: BagWriter, result: Recovered) -> str:
