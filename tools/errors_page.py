@@ -24,17 +24,16 @@ PACKAGES = ('quad_bridge', 'quad_sysid', 'quad_tuning')
 FIELDS = ('BadInputError', 'ConfigurationError', 'TakenError')
 """Take where, what, found and remedy; the others one text."""
 TEXTS = ('NotInformativeError', 'DesignRefusedError', 'RefusedError', 'QuadBridgeError',
-         'EncodeError', 'EffectModuleError', 'StageFailedError')
+         'EncodeError', 'StageFailedError')
 MEANS = {
     'BadInputError': 'A file, a field or an argument is wrong (exit status 2).',
-    'ConfigurationError': "The virtual STM32's profile is wrong (exit status 2).",
+    'ConfigurationError': "The virtual STM32's profile or effect module is wrong (exit status 2).",
     'TakenError': 'The recording cannot have this place (exit status 2).',
     'NotInformativeError': 'The data are in order and cannot answer the question (exit status 3).',
     'DesignRefusedError': 'The model does not allow a design of gains (exit status 3).',
     'RefusedError': 'The bridge refuses a request: new gains, arming, a check.',
     'QuadBridgeError': 'The bridge cannot do what was asked (exit status 2).',
     'EncodeError': 'A frame of ours cannot be sent.',
-    'EffectModuleError': "The virtual STM32's effect module is wrong (exit status 2).",
     'StageFailedError': 'A stage of the demo failed; the demo ends with status 1.',
 }
 

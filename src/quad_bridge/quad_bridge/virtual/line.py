@@ -84,14 +84,13 @@ class Line:
             with contextlib.suppress(OSError):  # it has gone, which `attend` will notice
                 line.sendall(text.encode())
 
-    def attend(self, wait_s: float, *others: int) -> None:
-        """Take answers, and who comes and goes, for `wait_s` or until one of `others` has data."""
-        lines: list[socket.socket | int] = [self._listener, *self._members, *others]
-        ready, _, _ = select.select(lines, [], [], wait_s)
+    def attend(self, wait_s: float) -> None:
+        """Take answers, and who comes and goes; wait for `wait_s` at most."""
+        ready, _, _ = select.select([self._listener, *self._members], [], [], wait_s)
         for one in ready:
             if one is self._listener:
                 self._members[self._listener.accept()[0]] = _Member(self._now_ns)
-            elif isinstance(one, socket.socket):
+            else:
                 self._hear(one)
         stands_s = time.monotonic() - self._since_s
         if stands_s > TOLD_S and not self.ready:

@@ -1,6 +1,6 @@
 """A bag → what it holds and what it suffices for: topics, excitation, coherence, limits, battery.
 
-Nothing is fitted; the conditions are those of the pipeline. page.py prints it.
+Nothing is fitted; the conditions are those of the pipeline. cli.py prints it.
 """
 
 from __future__ import annotations
