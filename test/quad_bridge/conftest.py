@@ -13,13 +13,13 @@ from pathlib import Path
 import pytest
 from flight_controller import Line
 from hypothesis import settings
+from virtual_aircraft import Endpoint
 
 from quad_bridge.gains.history import History
 from quad_bridge.gains.update import GainSettings, GainUpdates
 from quad_bridge.link.machine import Link
 from quad_bridge.link.stamping import Restarted, Stamped
 from quad_bridge.virtual.aircraft import Aircraft
-from quad_bridge.virtual.endpoint import Endpoint
 from quad_bridge.virtual.profile import load_profile
 from quad_bridge.virtual.receiver import Receiver
 from quad_bridge.wire.frames import Cycle, GainsState, ParamValue, RcChannels

@@ -31,7 +31,7 @@ EXACT = ('-icount', 'shift=3,sleep=off')
 
 
 class Emulated:
-    """An aircraft on the emulated board, in lockstep: quad_bridge.virtual.endpoint's calls."""
+    """An aircraft on the emulated board, in lockstep: the calls of `virtual_aircraft.Endpoint`."""
 
     def __init__(self, elf, room, aircraft, script=None):
         self.aircraft, self._script = aircraft, script or Receiver()

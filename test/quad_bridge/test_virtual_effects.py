@@ -7,6 +7,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from virtual_aircraft import without_noise
 
 from quad_bridge.virtual import effects as table
 from quad_bridge.virtual.aircraft import Aircraft
@@ -15,7 +16,7 @@ from quad_bridge.virtual.cycle import ARMED, COLUMNS, INPUTS, THROTTLE
 from quad_bridge.virtual.effects import Effects
 from quad_bridge.virtual.physics import QUAT, RATES
 from quad_bridge.virtual.profile import Profile
-from quad_bridge.virtual.simulation import Excited, fly, without_noise
+from quad_bridge.virtual.simulation import Excited, fly
 
 NAMES = [field.name for field in fields(Effects)]
 

@@ -13,12 +13,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from probe import PATIENCE_S
+from virtual_aircraft import Endpoint
 
 from quad_bridge.gains.protocol import checksum
 from quad_bridge.gains.table import WIRE_NAMES
 from quad_bridge.virtual import process as virtual_process
 from quad_bridge.virtual.aircraft import Aircraft
-from quad_bridge.virtual.endpoint import Endpoint
 from quad_bridge.virtual.process import main
 from quad_bridge.virtual.profile import Profile
 from quad_bridge.virtual.receiver import Event, Receiver

@@ -9,14 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from virtual_aircraft import Endpoint, without_noise
 
 from quad_bridge.virtual import hil
 from quad_bridge.virtual.aircraft import Aircraft, boot
-from quad_bridge.virtual.endpoint import Endpoint
 from quad_bridge.virtual.native import NativeFirmware
 from quad_bridge.virtual.profile import Profile
 from quad_bridge.virtual.receiver import Channels, Event, Receiver
-from quad_bridge.virtual.simulation import Excited, fly, without_noise
+from quad_bridge.virtual.simulation import Excited, fly
 from quad_bridge.wire import Decoder
 from quad_bridge.wire.axes import flip_attitude, flip_body, flip_control
 from quad_bridge.wire.frames import Cycle

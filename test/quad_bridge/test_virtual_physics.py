@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from virtual_aircraft import without_noise
 
 from quad_bridge.virtual import compiled
 from quad_bridge.virtual.aircraft import Aircraft
@@ -18,7 +19,6 @@ from quad_bridge.virtual.effects import Effects, GyroscopicCoupling, InertiaCoup
 from quad_bridge.virtual.physics import CHARGE, QUAT, RATES, ROTORS
 from quad_bridge.virtual.plant import MIXER, axis_gains
 from quad_bridge.virtual.profile import Profile
-from quad_bridge.virtual.simulation import without_noise
 
 AXES = ('roll', 'pitch', 'yaw')
 

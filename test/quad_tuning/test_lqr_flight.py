@@ -4,18 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from virtual_aircraft import without_noise
 
 from quad_bridge.gains.table import ROWS
 from quad_bridge.virtual.aircraft import Aircraft
 from quad_bridge.virtual.cycle import COLUMNS
 from quad_bridge.virtual.plant import axis_gains
 from quad_bridge.virtual.profile import load_profile
-from quad_bridge.virtual.simulation import (
-    Excited,
-    fly,
-    inputs,
-    without_noise,
-)
+from quad_bridge.virtual.simulation import Excited, fly, inputs
 from quad_sysid.record import GainChange, Record
 from quad_tuning.assess import SQUARE_AMPLITUDE_RAD
 from quad_tuning.designer import design

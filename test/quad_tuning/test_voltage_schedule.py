@@ -4,11 +4,12 @@ import dataclasses
 
 import numpy as np
 import pytest
+from virtual_aircraft import without_noise
 
 from quad_bridge.gains.gate import steps as gate_steps
 from quad_bridge.gains.table import DEFAULT_BOUNDS
 from quad_bridge.virtual.profile import load_profile
-from quad_bridge.virtual.simulation import Excited, fly, without_noise
+from quad_bridge.virtual.simulation import Excited, fly
 from quad_sysid.estimate.stored import estimate_of
 from quad_sysid.loop.from_model import loop_plant, schedule_factor
 from quad_tuning.assess import SQUARE_AMPLITUDE_RAD

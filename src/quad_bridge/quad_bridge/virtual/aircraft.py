@@ -81,7 +81,7 @@ class Aircraft:
         start = profile.airframe.battery.start_charge
         sensed, samples = initial_sensors(chips, bias, self._steps)
         self.firmware = NativeFirmware(boot(profile).frame())
-        """The firmware in memory, for `run` and Endpoint."""
+        """The firmware in memory, for `run`."""
         free = 1.0 if profile.mount == 'hover' else 0.0
         self.machine = Machine(
             plant=plant,

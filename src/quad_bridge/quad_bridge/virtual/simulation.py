@@ -6,7 +6,7 @@ For studies and tests. Nothing here writes files; tools/flight.py makes a bag of
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -137,26 +137,3 @@ def inputs(aircraft: Aircraft, schedule: Sequence[Excited], count: int) -> Float
         given[start:stop, INJECTION] = INJECTIONS.index(part.injection)
         given[start:stop, ADDED + AXES.index(part.axis)] = part.samples[: stop - start]
     return given
-
-
-def without_noise(profile: Profile) -> Profile:
-    """The profile with perfect sensors (filter kept) and no torque noise, for comparisons."""
-    quiet = (0.0, 0.0, 0.0)
-    mounts = profile.airframe.mounts
-    mounts = replace(
-        mounts,
-        rig=replace(mounts.rig, torque_noise_nm_rthz=quiet),
-        hover=replace(mounts.hover, torque_noise_nm_rthz=quiet),
-    )
-    sensors = replace(
-        profile.sensors,
-        gyro_noise_rad_s_rthz=0.0,
-        gyro_calibration_error_rad_s=0.0,
-        gyro_drift_rad_s_rts=0.0,
-        accel_noise_m_s2_rthz=0.0,
-        accel_bias_m_s2=quiet,
-        mag_noise_t=0.0,
-        pressure_noise_pa=0.0,
-        quantisation=False,
-    )
-    return replace(profile, airframe=replace(profile.airframe, mounts=mounts), sensors=sensors)

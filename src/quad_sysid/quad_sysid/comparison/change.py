@@ -1,7 +1,7 @@
 """Flights or models → each parameter's difference, its error and p-value.
 
 Base, trim and effects of every axis, the first flight against each other one. Two-sided tests,
-held to one level together (Holm 1979). Values only: fits are pipeline's, words are page.py's.
+held to one level together (Holm 1979). Values only: fits are pipeline's, words are cli.py's.
 """
 
 from __future__ import annotations
