@@ -66,7 +66,6 @@ class Flight:
     motors: FloatArray
     excitation: FloatArray
     injection: npt.NDArray[np.int64]
-    sticks: FloatArray  # (n, 3) roll, pitch, yaw, -1..1
     battery_v: FloatArray
     mag: FloatArray
     pressure_pa: FloatArray
@@ -111,7 +110,6 @@ def fly(
         gains=active,
         excitation=given[:, ADDED : ADDED + 3],
         injection=given[:, INJECTION].astype(np.int64),
-        sticks=given[:, [STICK_ROLL, STICK_PITCH, STICK_YAW]],
         **arrays,
     )
 

@@ -22,7 +22,7 @@ from quad_sysid.imports.firmware import (
     missing,
     motors_fast,
 )
-from quad_sysid.imports.frames import MIRROR, angles_from_ned, mixer_at_places
+from quad_sysid.imports.frames import MIRROR, angles_from_ned, mirrored, mixer_at_places
 from quad_sysid.imports.log import ForeignLog, Given, Mapped, Stream
 
 FIRST_INSTANCE = ('IMU', 'BAT')
@@ -46,12 +46,8 @@ FASTER = ("set bit 0 (fast attitude) of LOG_BITMASK: RATE is then logged at the 
 DEGREE = np.pi / 180.0
 
 
-def _mirrored(values: FloatArray) -> FloatArray:
-    return values * MIRROR
-
-
 def _mirrored_degrees(values: FloatArray) -> FloatArray:
-    return values * DEGREE * MIRROR
+    return mirrored(values * DEGREE)
 
 
 def _ned_degrees(values: FloatArray) -> FloatArray:
@@ -61,7 +57,7 @@ def _ned_degrees(values: FloatArray) -> FloatArray:
 SEEN = Wanted('rates', 'RATE', ('R', 'P', 'Y'), 'deg/s',
               'to rad/s, FRD to FLU: pitch and yaw turned', _mirrored_degrees)
 GYRO = Wanted('rates', 'IMU', ('GyrX', 'GyrY', 'GyrZ'), 'rad/s',
-              'FRD to FLU: pitch and yaw turned', _mirrored)
+              'FRD to FLU: pitch and yaw turned', mirrored)
 WANTED = (
     Wanted('angles', 'ATT', ('Roll', 'Pitch', 'Yaw'), 'deg', 'to rad, FRD in NED to FLU in ENU',
            _ned_degrees),
@@ -69,7 +65,7 @@ WANTED = (
            'to rad, FRD in NED to FLU in ENU', _ned_degrees),
     Wanted('rate_setpoint', 'RATE', ('RDes', 'PDes', 'YDes'), 'deg/s',
            'to rad/s, pitch and yaw turned', _mirrored_degrees),
-    Wanted('acceleration', 'IMU', ('AccX', 'AccY', 'AccZ'), 'm/s²', 'y and z turned', _mirrored),
+    Wanted('acceleration', 'IMU', ('AccX', 'AccY', 'AccZ'), 'm/s²', 'y and z turned', mirrored),
     Wanted('battery', 'BAT', ('Volt',), 'V', 'as it is'),
 )
 OUTPUTS = ('AOut', 'ROut', 'POut', 'YOut')

@@ -16,6 +16,11 @@ MIRROR: FloatArray = np.array([1.0, -1.0, -1.0])
 MIRROR.setflags(write=False)
 
 
+def mirrored(values: FloatArray) -> FloatArray:
+    """Body vectors, rates or torques (n, 3) from FRD to FLU, and back."""
+    return values * MIRROR
+
+
 def mixer_at_places(
     name: str, order: tuple[int, ...], *, clockwise_rear_left: bool
 ) -> Mixer:
