@@ -5,7 +5,8 @@ are stand-ins that speak when the walk says so. In every state that can be reach
 
 1. What the STM32 flies is a set that the gate has let through whole, inside its bounds, by no more
    than the largest step from the set before, with the polarity of its axis known.
-2. An update is refused in every state but IDLE, and a NaN in all.
+2. An update is refused in every state but IDLE, and a NaN in all. Its next step waits for the end
+   of an excitation.
 3. Killed, alarmed, gestured at or asked back, a set in flight goes back; it is not confirmed. The
    pilot's gesture ends a check of the polarity too.
 4. What is published as active is what the STM32 flies, as long as nothing else has happened.
@@ -180,7 +181,7 @@ class Walk:
         if before in {State.WRITING, State.WATCHING}:
             assert self.gains.state is State.REVERTING
 
-    def tick(self):
+    def tick(self, *, excited=False):
         g, s = self.gains, self.stm32
         for part, name in (
             (g, '_cycle_s'), (g, '_excited_s'), (g, '_until_s'), (g.protocol, '_due_s'),
@@ -188,10 +189,14 @@ class Walk:
         ):  # fmt: skip
             setattr(part, name, max(getattr(part, name) - STEP_S, -2.5))
         g._stick_ends.clear()
-        told = s.tick(0.0)
+        if excited:
+            self.cycle(f.Flag.ARMED | f.Flag.EXCITATION)
+        before, told = g.state, s.tick(0.0)
         if told is not None:
             g.take(told, 0.0)
         g.tick(0.0)
+        if excited and before is not State.WRITING:  # the next step waits
+            assert g.state is not State.WRITING
 
     def ask(self, value, **more):
         before, refusals = self.gains.state, self.gains.refusals
@@ -219,7 +224,7 @@ class Walk:
         found = {
             'answer': self.exchange_of, 'cycle': lambda w: w.cycle(armed),
             'killed': lambda w: w.cycle(armed | f.Flag.RC_KILL),
-            'excited': lambda w: w.cycle(armed | f.Flag.EXCITATION),
+            'excited': lambda w: w.tick(excited=True),
             'disarmed': lambda w: w.cycle(f.Flag.NONE),
             'alarm': Walk.alarm, 'gesture': Walk.gesture, 'tick': Walk.tick,
             'nan': lambda w: w.ask(math.nan), 'back': lambda w: w.ask(HELD, rollback=True),
