@@ -1,5 +1,6 @@
 """The STM32F405's ELFs in QEMU: they fly what the Linux build flies, with whole sets of gains."""
 
+import contextlib
 import os
 import re
 import shutil
@@ -13,6 +14,8 @@ from flight_controller import DOUBLED, DROPPED, Fault
 from quad_bridge.virtual import hil
 from quad_bridge.virtual.aircraft import Aircraft, boot
 from quad_bridge.virtual.board import EMULATOR, MACHINE, EmulatedBoard
+from quad_bridge.virtual.errors import RestartedError
+from quad_bridge.virtual.process import Flight
 from quad_bridge.virtual.profile import Profile
 from quad_bridge.virtual.receiver import Channels, Receiver, channels_at
 from quad_bridge.wire import Decoder
@@ -149,6 +152,14 @@ def test_a_loop_that_hangs_is_restarted_by_the_watchdog(emulated):
     while not made.told(f.StatusText):
         made.cycle()
     assert made.told(f.StatusText)[0].text == 'restarted by the watchdog'
+
+
+def test_a_flight_ends_where_its_board_restarts(firmware):
+    board = EmulatedBoard(firmware('hangs.elf'))
+    flight = Flight(Aircraft(Profile(), seed=1), Receiver(), board, lockstep=True)
+    with contextlib.closing(board), pytest.raises(RestartedError, match='by itself in cycle'):
+        while True:
+            flight.cycle()
 
 
 def test_the_timer_keeps_250_hz_to_the_microsecond(firmware):

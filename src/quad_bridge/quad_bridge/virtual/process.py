@@ -35,7 +35,7 @@ from quad_bridge.virtual import hil
 from quad_bridge.virtual.aircraft import Aircraft, EffectFunction, boot
 from quad_bridge.virtual.board import ELF, Board, EmulatedBoard, EndedError
 from quad_bridge.virtual.effect_module import load_effect
-from quad_bridge.virtual.errors import ConfigurationError
+from quad_bridge.virtual.errors import ConfigurationError, RestartedError
 from quad_bridge.virtual.line import Line
 from quad_bridge.virtual.native import find
 from quad_bridge.virtual.profile import Profile, load_profile, profile_names
@@ -101,9 +101,12 @@ class Flight:
         self._frame = self._measured()
 
     def cycle(self) -> None:
-        """Run one, which the firmware begins when it is due."""
+        """Run one, which begins when it is due; RestartedError where the firmware began anew."""
         self._board.send(self._frame)
-        self.aircraft.move(self._board.motors())
+        motors = self._board.motors()
+        if self.aircraft.cycle and not motors.time_us:  # it says that it listens, as at first
+            raise RestartedError(self.aircraft.cycle)
+        self.aircraft.move(motors)
         self._frame = self._measured()
 
     def _measured(self) -> bytes:
