@@ -12,8 +12,8 @@ MAKEFLAGS += --no-print-directory
 RUN := . tools/workspace.bash;
 SOURCES := $(wildcard src test tools bench)
 ARGS ?=
-# one worker more than there are cores: tests of nodes wait more than they compute
-PYTEST := $(RUN) exec python -m pytest --timeout 600 -n $$(($(shell nproc) + 1)) --dist loadgroup
+# two workers more than there are cores: tests of nodes wait more than they compute
+PYTEST := $(RUN) exec python -m pytest --timeout 600 -n $$(($(shell nproc) + 2)) --dist loadgroup
 
 .PHONY: help demo flight qemu pictures test test-qemu test-long build lint firmware-table bench bench-effects bench-log bench-tuning bench-watch bench-link bench-effects-speed bench-likelihood wheel docs lock shell clean
 
@@ -41,7 +41,7 @@ pictures:  ## renew the pictures of README and docs from the last demo_out/
 	@cp demo_out/report/pictures/roll_effect_shape.png docs/images/missing_torque.png
 	@ls -l docs/images/*.png
 
-test: build  ## all tests but those below, one more at once than there are cores
+test: build  ## all tests but those below, two more at once than there are cores
 	@$(PYTEST) $(ARGS)
 
 test-qemu: build  ## the STM32's ELF in QEMU: gains under faults, and the whole loop (two minutes)
