@@ -34,6 +34,7 @@ RECORDINGS: dict[str, tuple[str, ...]] = {
        for name in ('normal', 'weight_near_m3', 'propeller_cut_1mm')},
     **{f'flights/lee_{name}.csv': ()
        for name in ('standard_1', 'standard_2', 'upgraded_motors', 'payload_5g')},
+    'log10': COARSE, 'log15': COARSE, 'log16': COARSE,
     'flights/crazyflie_1khz_roll_pitch.csv': COARSE,
     **{f'nanobench/{name}_rep1.csv.gz': NANOBENCH
        for name in ('B2_circle_fast', 'B3_figure8_fast', 'B7_oval_fast', 'B10_lissajous_fast')},

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import re
+import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -193,6 +194,39 @@ def test_columns_of_two_rates_stand_side_by_side(options, tmp_path):
     assert any('were logged at 50 Hz' in line for line in record.warnings)
 
 
+def sd_card(version: int, cut: int = 0) -> bytes:
+    """A log of a Crazyflie's SD card: rates and motors at 250 Hz, the battery as an event."""
+    table = columns()
+    out = b'\xbc' + struct.pack('<HH', version, 2)
+    out += struct.pack('<H', 0) + b'fixedFrequency\0' + struct.pack('<H', 2)
+    out += b'gyro.x(f)\0motor.m1(H)\0'
+    out += struct.pack('<H', 7) + b'power\0' + struct.pack('<H', 1) + b'vbat(f)\0'
+    for k, t in enumerate(table['t']):
+        stamp = struct.pack('<HI', 0, 100 + round(1e3 * t)) if version == 1 else \
+            struct.pack('<HQ', 0, 100_000 + round(1e6 * t))
+        out += stamp + struct.pack('<fH', table['rate'][k] / DEG, round(65535 * table['m1'][k]))
+        if k % 100 == 0:
+            out += struct.pack('<H', 7) + stamp[2:] + struct.pack('<f', table['bat'][k])
+    return out[: len(out) - cut] + b'\0\0\0\0'
+
+
+@pytest.mark.parametrize(('version', 'cut'), [(1, 0), (2, 0), (2, 5)])
+def test_a_crazyflies_sd_card(tmp_path, version, cut):
+    file = tmp_path / 'log00'
+    file.write_bytes(sd_card(version, cut))
+    table = open_table(file)
+    assert set(table.columns) == {'gyro.x', 'motor.m1', 'power.vbat'}
+    assert len(table.columns['gyro.x']) == N - bool(cut)
+    imported(ColumnOptions(
+        file=file, axes=('roll',), control=('motor.m1',), rate=('gyro.x',), battery='power.vbat',
+        units={'motor.m1': f'{1 / 65535}:-0.5', 'gyro.x': 'deg/s'},
+    ), tmp_path / 'bag')
+    record = read_bag(tmp_path / 'bag')
+    assert record.dt == DT
+    n = min(record.n, N - 1)
+    np.testing.assert_allclose(record.rates[:n, 0], columns()['rate'][:n], atol=1e-6)
+
+
 def test_a_bag_of_ros_1(tmp_path):
     from rosbags.rosbag1 import Writer
     from rosbags.typesys import Stores, get_typestore
@@ -287,8 +321,9 @@ BROKEN = gzip.compress(b't,u,rate\n' + b'0.125,0.5,1.75\n' * 2000, mtime=0)[:60]
         ('t,u,rate\n0,0,1\n0,0,2\n', 'column t: does not increase'),
         ('t,u,rate\n2,0,1\n1,0,2\n', 'column t: does not increase'),
         ('t,u,rate\n0,0,1\n0.2,0,1\n', 'too few'),
-        (b'\xbc\x01\x00\x01\x00\x00', 'is not a text file'),
         (b'PAR1 and noise', 'is not a whole Parquet file'),
+        (b'\xbc\x07\x00\x01\x00', 'unknown version'),
+        (b'\xbc\x01\x00\x01\x00\x00', 'is not a whole log of a Crazyflie SD card'),
         (b'#ROSBAG V2.0\n and noise', 'is not a whole bag'),
         pytest.param(np.random.default_rng(0).bytes(1000), '', id='noise'),
         pytest.param(BROKEN, '', id='broken gzip'),

@@ -35,7 +35,7 @@ class ColumnOptions:
     file: Path
     axes: tuple[str, ...]
     time: str | None = None
-    """None where each column has its own time (messages of a bag)."""
+    """None where each column has its own time (messages of a bag or an SD card)."""
     control: tuple[str, ...] = ()
     thrust: str | None = None
     motors: tuple[str, ...] = ()
