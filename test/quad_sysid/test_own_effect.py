@@ -68,7 +68,7 @@ def test_it_is_stored_read_back_simulated_and_judged(result, tmp_path, capsys):
     file, model = tmp_path / 'mine.py', str(folder / 'model.json')
     file.write_text(f'import numpy as np\nimport quad_sysid as qs\n{inspect.getsource(Cogging)}')
     for run, words, status in (
-        (main, ['export', model, '--to', 'json'], 2), (tune, ['design', model], 3),
+        (main, ['export', model, '--to', 'control'], 2), (tune, ['design', model], 3),
     ):
         assert run(words) == status
         assert '--effects FILE.py' in capsys.readouterr().err
