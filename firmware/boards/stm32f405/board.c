@@ -9,7 +9,6 @@
 
 __attribute__((section(".noinit"))) static uint32_t bitten;
 static volatile uint32_t unheard_ms;
-static uint32_t hung_ms = BOARD_HUNG_MS;
 static uint32_t last_count;
 static uint64_t base_us;
 
@@ -88,7 +87,7 @@ void board_alive(void)
  * that it has bitten. */
 void board_tick(void)
 {
-    if (++unheard_ms > hung_ms) {
+    if (++unheard_ms > (emulated() ? EMULATED_HUNG_MS : BOARD_HUNG_MS)) {
         bitten = BITTEN;
         AIRCR = AIRCR_RESET;
     }
@@ -107,7 +106,6 @@ bool board_start(void)
 {
     const bool was_bitten = bitten == BITTEN;
     bitten = 0;
-    hung_ms = emulated() ? EMULATED_HUNG_MS : BOARD_HUNG_MS;
     start_clock();
     start_time();
     SYSTICK->RVR = CORE_MHZ * 1000u - 1u;

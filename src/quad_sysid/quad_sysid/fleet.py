@@ -10,14 +10,11 @@ import argparse
 import csv
 import io
 import json
-import multiprocessing
 import os
 import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -163,6 +160,11 @@ def run(every: Sequence[Job], out: Path, workers: int = 1, *, again: bool = Fals
 
 def _rows(todo: Sequence[Job], workers: int, work: Callable[[Job], Row]) -> Iterator[Row]:
     """Rows as they come: a process that dies takes one bag with it and no other."""
+    # imported here: no other command starts processes
+    import multiprocessing
+    from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor, as_completed
+    from concurrent.futures.process import BrokenProcessPool
+
     context = multiprocessing.get_context('forkserver')
     context.set_forkserver_preload(['quad_sysid.pipeline.identify', 'quad_sysid.report.document'])
 

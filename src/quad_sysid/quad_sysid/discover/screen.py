@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -17,6 +17,7 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.estimate.fit import Fit, Problem
 from quad_sysid.model import recursion
 from quad_sysid.model.effect import Effect, Part, required
+from quad_sysid.model.plant import per_coefficient
 
 STEP = 1e-4
 PER_NONLINEAR = 2.0
@@ -154,8 +155,7 @@ class _Beside:
     def _block(self, part: Part, start: FloatArray) -> _Block:
         effect, p = part.effect, coordinates(part, start)
         if effect.wanders:
-            unit = replace(self.signals, hidden=np.ones((1, self.plain.size)))
-            return _Block(part, p, [], [required(effect.torque(unit, start, part.settings))])
+            return _Block(part, p, [], [per_coefficient(part, self.signals, start)])
         linear = [
             j for j, spec in enumerate(effect.parameters)
             if not spec.log and not spec.starts
@@ -208,13 +208,10 @@ class _Beside:
     def _followed(self, block: _Block, psi: FloatArray) -> FloatArray:
         """(n,) change of the innovations if a coefficient follows them."""
         flight, e = self.problem.flight, np.nan_to_num(self.fitted.prediction.innovation)
-        spread, correlation = np.exp(block.p)
+        left, follow = flight.pursuit(psi, block.p)
         out = e.copy()
         for start, stop in flight.passes:
-            recursion.pursued(
-                e, np.ascontiguousarray(psi), flight.variance, spread,
-                math.exp(-flight.data.dt / correlation), start, stop, out,
-            )
+            recursion.pursued(e, psi, follow, left, start, stop, out)
         change: FloatArray = out - e
         return change
 

@@ -15,9 +15,8 @@ import numpy as np
 from quad_sysid.contract import FloatArray
 from quad_sysid.effects.couplings import over_training
 from quad_sysid.effects.curves import UNITS, per_unit
-from quad_sysid.model.data import AxisData
+from quad_sysid.model.data import AxisData, high, typical_acceleration
 from quad_sysid.model.effect import Effect, Settings, Signals, Spec
-from quad_sysid.model.plant import SLOPE_S
 
 USUAL = {'gain': 1.0, 'lag': 1.0, 'delay': 0.01}
 """What counts as a large change of a term, in its unit; of damping and friction it is what adds
@@ -46,11 +45,8 @@ class Wandering(Effect):
     def prepare(self, data: AxisData) -> Settings | str:
         if self.term in USUAL:
             return {'unit': USUAL[self.term]}
-        rate = over_training(data, data.rate)
-        reach = max(1, round(SLOPE_S / data.dt))
-        change = float(np.nanstd(rate[2 * reach :] - rate[: -2 * reach])) / (2 * reach * data.dt)
-        high = float(np.nanpercentile(np.abs(rate), 97.0)) if self.term == 'damping' else 1.0
-        return {'unit': 0.5 * change / max(high, 1e-9)}
+        rate = high(over_training(data, data.rate)) if self.term == 'damping' else 1.0
+        return {'unit': 0.5 * typical_acceleration(data, data.train) / rate}
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         if s.hidden is None:

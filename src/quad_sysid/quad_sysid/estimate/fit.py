@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import gammaln
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.model.data import AxisData, Span, part_of
+from quad_sysid.model.data import AxisData, Span, high, part_of, typical_acceleration
 from quad_sysid.model.effect import Part, required
 from quad_sysid.model.noise import sensor_of
 from quad_sysid.model.plant import Flight, Prediction, passes_of
@@ -30,8 +30,6 @@ WIDE = 30.0
 that it does not draw an estimate; as all structures have it, comparisons hardly depend on it."""
 SMALL_NATS = 0.02
 MOST_STEPS = 40
-SLOW_S = 0.04
-"""Span over which the rate's change gives the flight's typical acceleration."""
 
 
 @dataclass(frozen=True)
@@ -117,10 +115,7 @@ class Problem:
         for start, _ in self.flight.passes:
             count[start : start + settle] = False
         self.rows = np.flatnonzero(count)
-        reach = max(1, round(0.5 * SLOW_S / self.data.dt))
-        inside = [self.data.rate[a:b] for a, b in self.spans if b - a > 4 * reach]
-        change = np.concatenate([x[2 * reach :] - x[: -2 * reach] for x in inside])
-        self.acceleration = float(np.std(change)) / (2 * reach * self.data.dt) or 1.0
+        self.acceleration = typical_acceleration(self.data, self.spans)
 
     def _keep(self, passes: tuple[Span, ...]) -> None:
         begins = np.cumsum([0] + [b - a for a, b in passes])
@@ -152,7 +147,7 @@ class Problem:
                 elif alike is not None:
                     out[j] = alike
                 else:
-                    unit = _high(part.effect.size(self._reference, j, part.settings)[self.rows])
+                    unit = high(part.effect.size(self._reference, j, part.settings)[self.rows])
                     out[j] = 0.5 * self.acceleration / unit
                     if part.effect.kind == 'shape':
                         alike = float(out[j])
@@ -163,8 +158,8 @@ class Problem:
         """(p,) prior standard deviation of each parameter, in the coordinates of the fit."""
         rows, wide = self.rows, WIDE * self.acceleration
         base = [
-            wide / _high(self.data.command[rows]), BASE[1].spread, BASE[2].spread,
-            wide / _high(self.data.rate[rows]), wide,
+            wide / high(self.data.command[rows]), BASE[1].spread, BASE[2].spread,
+            wide / high(self.data.rate[rows]), wide,
         ]
         own = [self.sizes_of(part) for part in structure.parts]
         noise = [s.spread for s in structure.noise]
@@ -180,11 +175,6 @@ class Problem:
         for part, where in zip(structure.parts, structure.slices(), strict=True):
             out[where, where] = part.effect.precision(part.settings, sizes[where])
         return out
-
-
-def _high(x: FloatArray) -> float:
-    """97th percentile of |x|, at least 1e-9."""
-    return max(float(np.nanpercentile(np.abs(x), 97.0)), 1e-9)
 
 
 @dataclass(frozen=True, eq=False)

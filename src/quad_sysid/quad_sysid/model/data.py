@@ -20,6 +20,8 @@ SETTLE_S = 1.0
 """Time between the start of a segment, or a gap, and its first window."""
 BRIDGED_S = 0.1
 """The filter runs on over shorter gaps, without the rate and with commands interpolated."""
+SLOW_S = 0.04
+"""Span over which the rate's change gives the flight's typical acceleration."""
 RESTING = 0.05
 """rad/s. Equal largest values below this are the resolution of a gyro at rest, not its limit."""
 
@@ -280,3 +282,16 @@ def _held(signal: FloatArray) -> FloatArray:
     """(n,) a slow signal with missing samples interpolated linearly."""
     good = np.flatnonzero(np.isfinite(signal))
     return np.interp(np.arange(signal.size), good, signal[good])
+
+
+def high(x: FloatArray) -> float:
+    """97th percentile of |x|, at least 1e-9."""
+    return max(float(np.nanpercentile(np.abs(x), 97.0)), 1e-9)
+
+
+def typical_acceleration(data: AxisData, spans: Sequence[Span]) -> float:
+    """RMS of the rate's change over SLOW_S within these spans, rad/s²; 1 where nothing moves."""
+    reach = max(1, round(0.5 * SLOW_S / data.dt))
+    inside = [data.rate[a:b] for a, b in spans if b - a > 4 * reach]
+    change = np.concatenate([x[2 * reach :] - x[: -2 * reach] for x in inside])
+    return float(np.std(change)) / (2 * reach * data.dt) or 1.0

@@ -53,6 +53,12 @@ def slope_over_rate(part: Part, s: Signals, p: FloatArray) -> FloatArray:
     return (ahead - back) / (2.0 * SLOPE_STEP)
 
 
+def per_coefficient(part: Part, s: Signals, p: FloatArray) -> FloatArray:
+    """(n,) acceleration per unit of a wandering effect's coefficient, rad/s²."""
+    one = replace(s, hidden=np.ones((1, s.rate.size)))
+    return required(part.effect.torque(one, p, part.settings))
+
+
 def passes_of(data: AxisData, spans: Sequence[Span]) -> tuple[Span, ...]:
     """What the filter runs over: each span with LEAD_S before it, where that is unbroken."""
     lead = round(LEAD_S / data.dt)
@@ -368,7 +374,7 @@ class Flight:
         rate: FloatArray, columns: int,
     ) -> tuple[FloatArray | NDArray[np.int64], ...]:
         """What recursion.predict takes of wandering effects, from `wander` to `place`."""
-        n, dt = rate.size, self.data.dt
+        n = rate.size
         parts = [
             (part, where) for part, where in zip(structure.parts, structure.slices(), strict=True)
             if part.effect.wanders
@@ -378,26 +384,31 @@ class Flight:
         by_follow = np.zeros((n if columns else 0, len(parts), 2))
         by_left, place = np.zeros((len(parts), 2)), np.zeros(len(parts), dtype=np.int64)
         psi = self.responses(wander, slope, found) if parts else wander
-
-        def at(i: int, logs: FloatArray) -> tuple[float, FloatArray]:
-            spread, correlation = np.exp(logs)
-            stays, out = math.exp(-dt / correlation), np.zeros(n)
-            for start, stop in self.passes if self.variance else ():
-                recursion.pursuit(psi[:, i], self.variance, spread, stays, start, stop, out)
-            return stays, out
-
         for i, (_, where) in enumerate(parts):
-            left[i], follow[:, i] = at(i, theta[where])
+            left[i], follow[:, i] = self.pursuit(psi[:, i], theta[where])
             if not columns:
                 continue
             # the gain's dependence on all other parameters is neglected: white innovations make
             # its mean effect on the likelihood zero
             place[i] = self.order.index(where.start)
             for j, step in enumerate(PURSUIT_STEP * np.eye(2)):
-                up, down = at(i, theta[where] + step), at(i, theta[where] - step)
+                up, down = (
+                    self.pursuit(psi[:, i], theta[where] + way * step) for way in (1.0, -1.0)
+                )
                 by_left[i, j] = (up[0] - down[0]) / (2.0 * PURSUIT_STEP)
                 by_follow[:, i, j] = (up[1] - down[1]) / (2.0 * PURSUIT_STEP)
         return wander, follow, left, by_follow, by_left, place
+
+    def pursuit(self, psi: FloatArray, logs: FloatArray) -> tuple[float, FloatArray]:
+        """What is left of a coefficient after a cycle, and (n,) what an innovation adds to it.
+
+        psi (n,): derivative of the innovations by it; logs (2,): of its spread and correlation.
+        """
+        spread, correlation = np.exp(logs)
+        left, follow = math.exp(-self.data.dt / correlation), np.zeros(psi.size)
+        for start, stop in self.passes if self.variance else ():
+            recursion.pursuit(psi, self.variance, spread, left, start, stop, follow)
+        return left, follow
 
     def wander(self, structure: Structure, p: FloatArray, rate: FloatArray) -> FloatArray:
         """(n, w) acceleration per unit of each wandering coefficient, rad/s²."""
@@ -408,11 +419,8 @@ class Flight:
         ]
         if not acting:
             return np.zeros((rate.size, 0))
-        s = replace(self.signals(p, *self.driven(structure, p), rate),
-                    hidden=np.ones((1, rate.size)))
-        return np.stack([
-            required(part.effect.torque(s, own, part.settings)) for part, own in acting
-        ], axis=1)
+        s = self.signals(p, *self.driven(structure, p), rate)
+        return np.stack([per_coefficient(part, s, own) for part, own in acting], axis=1)
 
     def responses(self, columns: FloatArray, slope: FloatArray, found: Filter) -> FloatArray:
         """(n, m) response of the innovations to accelerations (n, m)."""
@@ -558,8 +566,3 @@ class Prediction:
     """(n, Structure.states) predicted states of the filter, before each measurement."""
     filter: Filter
     rate: FloatArray
-
-
-def effects_of(parts: Sequence[Part]) -> tuple[Effect, ...]:
-    """The effects of a structure."""
-    return tuple(part.effect for part in parts)

@@ -266,17 +266,12 @@ def pursuit(psi, variance, spread, left, start, stop, follow):
 
 
 @njit(**_OPTIONS)
-def pursued(e, psi, variance, spread, left, start, stop, out):
-    """Innovations e (n,) after such a parameter has followed them, into `out` (n,)."""
-    p = spread * spread
-    more = p * (1.0 - left * left)
+def pursued(e, psi, follow, left, start, stop, out):
+    """Innovations e (n,) after such a parameter has followed them with this gain, into `out`."""
     x = 0.0
     for k in range(start, stop):
-        new = e[k] + psi[k] * x
-        out[k] = new
-        total = variance + psi[k] * psi[k] * p
-        x = left * (x - p * psi[k] / total * new)
-        p = left * left * p * variance / total + more
+        out[k] = e[k] + psi[k] * x
+        x = left * (x + follow[k] * out[k])
 
 
 @njit(**_OPTIONS)

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from quad_sysid.contract import FloatArray, motors_from_wrench
-from quad_sysid.effects.torques import TRANSITION
+from quad_sysid.effects.curves import per_unit
 from quad_sysid.estimate.fit import Fit, Problem, covariance
 from quad_sysid.loop.from_model import Placed
 from quad_sysid.model.data import AxisData, Span
@@ -27,6 +27,8 @@ BINS = 17
 LEAST_IN_A_BIN = 40
 GRID = 301
 Z95 = 1.96
+WEIGHED = ('torque', 'gain', 'damping', 'delay', 'friction')
+"""Terms that add a torque in proportion; a lag does not."""
 
 UNITS = {'rate': 'rad/s', 'angle': 'rad', 'command': 'norm.', 'throttle': 'norm.', 'battery': 'V',
          'time': 's', 'other rate': 'rad/s', 'other command': 'norm.',
@@ -134,13 +136,9 @@ def variables(along: Along) -> dict[str, FloatArray]:
 
 def weight(along: Along, part: Part) -> FloatArray | None:
     """(n,) rad/s² that one unit of what the effect changes adds; None where that is not known."""
-    if part.effect.states:
+    if part.effect.states or part.effect.term not in WEIGHED:
         return None
-    s = along.signals
-    known = {'torque': np.ones_like(s.rate), 'gain': s.drive, 'damping': -s.rate,
-             'delay': -s.change,
-             'friction': -np.tanh(s.rate / np.exp(TRANSITION.centre))}.get(part.effect.term)
-    return None if known is None else along.seen(known)
+    return along.seen(per_unit(part.effect.term, along.signals))
 
 
 def variable(along: Along, part: Part) -> FloatArray:
