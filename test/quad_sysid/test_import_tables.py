@@ -40,7 +40,7 @@ def columns() -> dict[str, np.ndarray]:
         't': t, 'u': 0.1 * np.sin(5.0 * t),
         'angle': 0.15 * np.sin(5 * t) + 0.05 * np.sin(17 * t) + 0.003 * rng.standard_normal(N),
         'rate': rate + 0.1 + 0.1 * rng.standard_normal(N),
-        'ref': 0.15 * np.sin(5.0 * t + 0.3), 'bat': 11.5 - 0.1 * t,
+        'ref': 0.15 * np.sin(5.0 * t + 0.3), 'wanted': np.cos(5.0 * t), 'bat': 11.5 - 0.1 * t,
         **{name: motors[:, i] for i, name in enumerate(MOTORS)},
     }
 
@@ -61,7 +61,8 @@ def imported(options: ColumnOptions, out: Path, grid_hz: float | None = None):
 def options(tmp_path: Path) -> ColumnOptions:
     return ColumnOptions(
         file=write(tmp_path / 'flight.csv', columns()), axes=('pitch',), time='t', control=('u',),
-        rate=('rate',), angle=('angle',), reference=('ref',), battery='bat',
+        rate=('rate',), angle=('angle',), reference=('ref',), rate_reference=('wanted',),
+        battery='bat',
     )
 
 
@@ -76,6 +77,7 @@ def test_a_table_comes_back_from_its_bag(options, tmp_path):
     np.testing.assert_array_equal(record.rates[:, 0], 0.0)
     np.testing.assert_allclose(record.angles[:, 1], want['angle'], atol=1e-9)
     np.testing.assert_allclose(record.attitude_setpoint[:, 1], want['ref'], atol=1e-9)
+    np.testing.assert_allclose(record.rate_setpoint[:, 1], want['wanted'], atol=1e-9)
     np.testing.assert_allclose(record.battery_v[:1500], want['bat'][:1500], atol=1e-2)
     assert record.motors is None
     assert any('import: flight.csv' in line for line in record.warnings)
@@ -163,7 +165,7 @@ def test_commands_of_all_axes_and_thrust(options, tmp_path):
     })
     imported(replace(
         options, file=file, axes=('roll', 'yaw'), control=('u2', 'u4'), thrust='u1',
-        rate=('p', 'r'), angle=(), reference=(),
+        rate=('p', 'r'), angle=(), reference=(), rate_reference=(),
     ), tmp_path / 'bag')
     record = read_bag(tmp_path / 'bag')
     np.testing.assert_allclose(record.control[:, [0, 1, 3]], wrench[:, [0, 1, 3]], atol=1e-9)
@@ -291,7 +293,6 @@ STILL = {**FOUR, 'rate': ('bat',), 'angle': (), 'battery': None}
         ({'rate': (), 'angle': ()}, '--rate or --angle'),
         ({'rate': ('rate', 'm1')}, 'a column for each of pitch'),
         ({'axes': ('nose',)}, '--axis'),
-        ({'reference_is': 'speed'}, '--reference-is'),
         ({'rate': ('u',)}, 'named twice'),
         ({'units': {'rate': 'furlong'}}, "'furlong'"),
         ({'units': {'speed': 'm/s'}}, 'speed'),

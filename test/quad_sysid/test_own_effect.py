@@ -53,6 +53,13 @@ def test_it_is_fitted_chosen_and_reported(result):
     assert result.plot('effect_shape').axes
 
 
+def written(folder):
+    """The user's file with the class."""
+    file = folder / 'mine.py'
+    file.write_text(f'import numpy as np\nimport quad_sysid as qs\n{inspect.getsource(Cogging)}')
+    return str(file)
+
+
 def test_it_is_stored_read_back_simulated_and_judged(result, tmp_path, capsys):
     """A reader who does not hand it in is told so; one who does has the same model."""
     folder = result.save(tmp_path / 'out', pictures=False).folder
@@ -65,24 +72,25 @@ def test_it_is_stored_read_back_simulated_and_judged(result, tmp_path, capsys):
     assert unseen.after < 0.6 * unseen.before
     with pytest.raises(qs.BadInputError, match='not known here: found cogging'):
         qs.read_model(folder)
-    file, model = tmp_path / 'mine.py', str(folder / 'model.json')
-    file.write_text(f'import numpy as np\nimport quad_sysid as qs\n{inspect.getsource(Cogging)}')
+    file, model = written(tmp_path), str(folder / 'model.json')
     for run, words, status in (
         (main, ['export', model, '--to', 'control'], 2), (tune, ['design', model], 3),
     ):
         assert run(words) == status
         assert '--effects FILE.py' in capsys.readouterr().err
-        assert run([*words, '--effects', str(file), '--quiet']) == 0
+        assert run([*words, '--effects', file, '--quiet']) == 0
 
 
-def test_it_is_linearised_designed_for_and_separated(result):
+def test_it_is_linearised_designed_for_and_separated(result, tmp_path):
     """In small motion a spring of 12 T; gains and the flight that tells it from a spring."""
     slope = slopes_at(loop_plant(result.model), 1e-3, 1e-3, 1e-3).angle
     assert slope == pytest.approx(-12.0 * TRUTH, rel=0.05)
     assert result.gains['roll.rate.kp'] > 0.0
     found = qs.separate(result.model, ('cogging', 'pendulum_stiffness'), 10.0)
     assert found.best.worst.nats > 0.0
-    assert qs.separate('roll', ('cogging', 'nothing'), 10.0, effects=OWN).rows
+    words = ['design-excitation', '--quiet', '--seconds', '10', '--separate', 'cogging', 'nothing']
+    assert main(words) == 2
+    assert main([*words, '--effects', written(tmp_path)]) == 0
 
 
 def like(torque=Cogging.torque, **changes):

@@ -111,6 +111,18 @@ def own_effects(path: str | None) -> tuple[Effect, ...]:
     return tuple(e for e in checked(own, f'--effects {path}', EFFECTS) if e not in EFFECTS)
 
 
+def candidates(options: argparse.Namespace) -> tuple[Effect, ...] | None:
+    """What `identify` takes as its effects, by --effects and --no-effects; None: its default."""
+    if options.no_effects:
+        return ()
+    own = own_effects(options.effects)
+    if not own:
+        return None
+    from quad_sysid.effects import EFFECTS
+
+    return (*EFFECTS, *own)
+
+
 def positive(option: str, value: float) -> float:
     """The value if it is finite and above 0, else BadInputError naming the option."""
     if not 0.0 < value < float('inf'):

@@ -10,16 +10,15 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 from quad_sysid import fleet
 from quad_sysid.arguments import (
-    BAD_ARGUMENTS,
     NOT_ANSWERED,
     Commands,
     Parser,
+    candidates,
     command,
     effects_option,
     own_effects,
@@ -29,14 +28,11 @@ from quad_sysid.arguments import (
 )
 from quad_sysid.comparison import cli as comparison
 from quad_sysid.contract import AXES
-from quad_sysid.errors import QuadSysidError
+from quad_sysid.errors import BadInputError
 from quad_sysid.exports import cli as exports
 from quad_sysid.files import check_new, write_whole
 from quad_sysid.imports import cli as imports
 from quad_sysid.inspection import cli as inspection
-
-if TYPE_CHECKING:
-    from quad_sysid.model.effect import Effect
 
 DONE = 0
 
@@ -86,8 +82,6 @@ def _identify_parser(commands: Commands) -> None:
                         '(default: <bag>_identified here, numbered where that exists)')
     parser.add_argument('--inertia', metavar='IX,IY,IZ',
                         help='kg m²; the report then gives torques in N m as well')
-    parser.add_argument('--apart', action='store_true',
-                        help='several bags: a report for each instead of one fit to all')
     parser.add_argument('--no-effects', action='store_true', help='fit the models only')
     effects_option(parser)
     quiet_and_json(parser, 'report.json')
@@ -126,6 +120,7 @@ def _design_parser(commands: Commands) -> None:
                         help="default: roll, or the model's axis with the nearest rivals")
     parser.add_argument('--amplitude-deg', type=float, default=12.0, help='with --band')
     parser.add_argument('--out', metavar='FILE', type=Path, help='write a schedule as YAML')
+    effects_option(parser)
     parser.add_argument('--quiet', action='store_true', help='print nothing but errors')
 
 
@@ -136,9 +131,7 @@ def _identify(options: argparse.Namespace) -> int:
     wanted = session.asked(
         [options.axis] if options.axis else (), options.train or '', options.validate or '',
         options.inertia or '',
-    ) | {'effects': _candidates(options)}
-    if options.apart and len(options.bags) > 1:
-        return _identify_apart(wanted, options)
+    ) | {'effects': candidates(options)}
     show = progress(quiet=options.quiet)
     outcome = session.run(options.bags, options.out, wanted, show)
     if options.json:
@@ -150,45 +143,6 @@ def _identify(options: argparse.Namespace) -> int:
         print(f'quad-sysid: {options.bags[0]}: {outcome.reasons}', file=sys.stderr)
         return NOT_ANSWERED
     return DONE
-
-
-def _candidates(options: argparse.Namespace) -> tuple[Effect, ...] | None:
-    """What `identify` takes as its effects; None: the built-in ones."""
-    own = own_effects(options.effects)
-    if options.no_effects or not own:
-        return () if options.no_effects else None
-    from quad_sysid.effects import EFFECTS
-
-    return (*EFFECTS, *own)
-
-
-def _identify_apart(wanted: Mapping[str, Any], options: argparse.Namespace) -> int:
-    """Identify each bag by itself, with its own report; a bad bag does not stop the others."""
-    from quad_sysid import session
-    from quad_sysid.report import store, text
-
-    show = progress(quiet=options.quiet)
-    reports, answered = {}, False
-    for number, bag in enumerate(options.bags, 1):
-
-        def behind(line: str, told: str = f'bag {number} of {len(options.bags)}, ') -> None:
-            show(told + line if line else line)
-
-        out = options.out and store.free_folder(options.out / Path(bag).resolve().stem)
-        try:
-            outcome = session.run([bag], out, wanted, behind)
-        except QuadSysidError as error:
-            print(f'quad-sysid: {error}', file=sys.stderr)
-            continue
-        answered = answered or outcome.answered
-        reports[bag] = outcome.report
-        if not options.json and not options.quiet:
-            print('\n'.join([bag, *text.brief(outcome.report), f'  report in {outcome.folder}']))
-    if options.json:
-        print(json.dumps(reports, indent=1))
-    if not reports:
-        return BAD_ARGUMENTS
-    return DONE if answered else NOT_ANSWERED
 
 
 def _evaluate(options: argparse.Namespace) -> int:
@@ -203,7 +157,9 @@ def _evaluate(options: argparse.Namespace) -> int:
         models = pick(models, options.axis, options.model)
     wanted = parse_span(options.validate, '--validate') if options.validate else None
     record = read_bag(options.bag)
-    span = clip_span(wanted, record, '--validate')
+    span, told = clip_span(wanted, record, '--validate')
+    for line in told:
+        print(f'quad-sysid: {line}', file=sys.stderr)
     spans = () if span is None else (span,)
     found, refused = [], {}
     for axis in models:
@@ -226,8 +182,8 @@ def _evaluate(options: argparse.Namespace) -> int:
         for e in found
     }
     if options.json:
-        told = {'not_answered': refused} if refused else {}
-        print(json.dumps({'schema': 'quad_sysid/evaluation/1', 'axes': axes, **told}))
+        unanswered = {'not_answered': refused} if refused else {}
+        print(json.dumps({'schema': 'quad_sysid/evaluation/1', 'axes': axes, **unanswered}))
         return DONE
     for e in () if options.quiet else found:
         tree = {'error': axes[e.axis]['error'], 'effects': models[e.axis].effects}
@@ -236,19 +192,12 @@ def _evaluate(options: argparse.Namespace) -> int:
 
 
 def _design(options: argparse.Namespace) -> int:
-    from quad_sysid import session
-    from quad_sysid.separation import words
     from quad_sysid.signals.design import design_excitation, parse_band
 
     if options.out:
         check_new(options.out)
     if options.separate is not None:
-        show = progress(quiet=options.quiet)
-        found = session.separation(options.separate, options.model, options.axis, options.seconds,
-                                   show)
-        show('')
-        told = words.text(found)
-        content = words.schedule(found)
+        told, content = _separation(options)
     else:
         design = design_excitation(*parse_band(options.band), options.rate)
         told = design.text()
@@ -259,6 +208,35 @@ def _design(options: argparse.Namespace) -> int:
     if not options.quiet:
         print(told)
     return DONE
+
+
+def _separation(options: argparse.Namespace) -> tuple[str, str]:
+    """Table and schedule of the flights that separate two effects."""
+    from quad_sysid.report.model_file import load_models, pick
+    from quad_sysid.result import separate
+    from quad_sysid.separation import words
+    from quad_sysid.separation.design import nearest
+
+    names, own = options.separate, own_effects(options.effects)
+    if len(names) not in (0, 2):
+        raise BadInputError('--separate', 'needs two effects or none', ' '.join(names),
+                            'for example --separate coulomb_friction quadratic_drag')
+    if options.model is None and not names:
+        raise BadInputError('--separate', 'without effects needs --model',
+                            remedy='name two effects, or give --model result/model.json')
+    show = progress(quiet=options.quiet)
+    if options.model is None:
+        found = separate(options.axis or AXES[0], names, options.seconds, effects=own,
+                         progress=show)
+    else:
+        models = load_models(options.model, own)
+        found = separate(
+            pick(models, options.axis, options.model)[options.axis] if options.axis
+            else nearest(models), names, options.seconds, effects=own, told=options.model,
+            progress=show,
+        )
+    show('')
+    return words.text(found), words.schedule(found)
 
 
 if __name__ == '__main__':

@@ -8,15 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from quad_sysid.bags import parse_span
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError
 from quad_sysid.result import Result, identify
-
-if TYPE_CHECKING:
-    from quad_sysid.separation.design import Separation
 
 
 def asked(axes: Sequence[str] = (), train: str = '', validate: str = '',
@@ -50,29 +47,6 @@ def run(bags: Sequence[str], out: Path | None, wanted: Mapping[str, Any],
     saved = found.save(out)
     progress('')
     return saved
-
-
-def separation(names: Sequence[str], model_file: str | None, axis: str | None, seconds: float,
-               progress: Callable[[str], None] = lambda _: None) -> Separation:
-    """The flights that separate two effects, for a stored model or the paper's aircraft.
-
-    No names: an effect of the model and its nearest rival. Raises QuadSysidError.
-    """
-    from quad_sysid.report.model_file import load_models, pick
-    from quad_sysid.result import separate
-    from quad_sysid.separation.design import nearest
-
-    if len(names) not in (0, 2):
-        raise BadInputError('--separate', 'needs two effects or none', ' '.join(names) or None,
-                            'for example --separate coulomb_friction quadratic_drag')
-    if model_file is None:
-        if not names:
-            raise BadInputError('--separate', 'without effects needs --model',
-                                remedy='name two effects, or give --model result/model.json')
-        return separate(axis or AXES[0], names, seconds, progress=progress)
-    models = load_models(model_file)
-    model = pick(models, axis, model_file)[axis] if axis else nearest(models)
-    return separate(model, names, seconds, told=model_file, progress=progress)
 
 
 def _inertia(given: str) -> dict[str, float]:

@@ -49,36 +49,36 @@ def split_segments(record: Record, train: Span | None = None, validate: Span | N
         train = (0.0, TRAIN_SHARE * record.n * record.dt)
     if axes is None:
         axes = tuple(axis for axis in AXES if axis in {s.axis for s in known}) or AXES
-    length = record.n * record.dt
-    cut = tuple(
-        f'{option} {span[0]:g}:{span[1]:g} is cut at the end of the record, {length:.2f} s'
-        for option, span in (('--train', train), ('--validate', validate))
-        if span is not None and length + record.dt < span[1] < np.inf
-    )
-    train = clip_span(train, record, '--train')
-    validate = clip_span(validate, record, '--validate')
+    train, told = clip_span(train, record, '--train')
+    validate, more = clip_span(validate, record, '--validate')
     segments: list[Segment] = []
     for role, span, other in (('train', train, validate), ('validation', validate, train)):
         if span is None and known:
             segments += [s for s in known if s.role == role]
             continue
-        taken = span or _rest(other, length, role)
+        taken = span or _rest(other, record.n * record.dt, role)
         segments += [_segment(record, role, axis, taken) for axis in axes]
     _check_apart(segments, record)
     segments += [s for s in record.segments if s.role == 'idle' and known]
     return replace(record, segments=tuple(sorted(segments, key=lambda s: s.start_s)),
-                   warnings=(*record.warnings, *cut))
+                   warnings=(*record.warnings, *told, *more))
 
 
-def clip_span(span: Span | None, record: Record, option: str) -> Span | None:
-    """The span, cut at the record's end; BadInputError (naming the option) if it starts after."""
+def clip_span(
+    span: Span | None, record: Record, option: str
+) -> tuple[Span | None, tuple[str, ...]]:
+    """The span, cut at the record's end, and a line where more than a sample was cut off.
+
+    Raises BadInputError (naming the option) where it starts after the end.
+    """
     if span is None:
-        return None
+        return None, ()
     length = record.n * record.dt
     if span[0] >= length:
         raise BadInputError(record.source, f'{option} starts after the end of the record',
                             f'{span[0]:g} s of {length:.2f} s')
-    return span[0], min(span[1], length)
+    told = f'{option} {span[0]:g}:{span[1]:g} is cut at the end of the record, {length:.2f} s'
+    return (span[0], min(span[1], length)), (told,) * (length + record.dt < span[1] < np.inf)
 
 
 def _check_apart(segments: list[Segment], record: Record) -> None:

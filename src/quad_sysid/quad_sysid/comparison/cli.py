@@ -10,12 +10,21 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from quad_sysid.arguments import NOT_ANSWERED, Commands, command, progress, quiet_and_json
+from quad_sysid.arguments import (
+    NOT_ANSWERED,
+    Commands,
+    candidates,
+    command,
+    effects_option,
+    progress,
+    quiet_and_json,
+)
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError
 
 if TYPE_CHECKING:
     from quad_sysid.comparison.change import Change, Flight
+    from quad_sysid.model.effect import Effect
 
     Pair = tuple[Flight, tuple[Change, ...]]
 
@@ -35,6 +44,7 @@ def add(commands: Commands) -> None:
     parser.add_argument('--axis', choices=[*AXES, 'all'], default='all', help='default: all')
     parser.add_argument('--no-effects', action='store_true',
                         help='compare base and trim only, which takes less time')
+    effects_option(parser)
     quiet_and_json(parser, 'one JSON object')
 
 
@@ -45,10 +55,8 @@ def _run(options: argparse.Namespace) -> int:
         raise BadInputError('compare', 'needs two flights or more', len(options.flights),
                             'name what is to be compared with the first')
     axes = AXES if options.axis == 'all' else (options.axis,)
-    show = progress(quiet=options.quiet)
-    reference, *others = [
-        _flight(name, axes, show, effects=not options.no_effects) for name in options.flights
-    ]
+    show, effects = progress(quiet=options.quiet), candidates(options)
+    reference, *others = [_flight(name, axes, effects, show) for name in options.flights]
     show('')
     pairs = [(other, changes(reference, other)) for other in others]
     if options.json:
@@ -62,9 +70,8 @@ def _run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _flight(
-    name: str, axes: tuple[str, ...], show: Callable[[str], None], *, effects: bool
-) -> Flight:
+def _flight(name: str, axes: tuple[str, ...], effects: tuple[Effect, ...] | None,
+            show: Callable[[str], None]) -> Flight:
     """A stored model as it is; a bag identified, with its trim."""
     from quad_sysid.bags import read_bag, split_segments
     from quad_sysid.comparison.change import Flight, of_model, trims
@@ -72,11 +79,11 @@ def _flight(
     from quad_sysid.result import identify
 
     if Path(name).suffix == '.json':
-        models = load_models(name)
+        models = load_models(name, effects or ())
         return Flight(name, {axis: of_model(models[axis]) for axis in axes if axis in models},
                       {axis: 'not in the file' for axis in axes if axis not in models})
     record = split_segments(read_bag(name), axes=axes)
-    found = identify(record, axes, effects=None if effects else (),
+    found = identify(record, axes, effects=effects,
                      progress=lambda line: show(f'{name}: {line}' if line else ''))
     answers = found.answers
     by_axis = {axis: of_model(answer.model) for axis, answer in answers.items()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import textwrap
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,18 +11,12 @@ from typing import TYPE_CHECKING
 from quad_sysid.arguments import Commands, command, positive
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError
+from quad_sysid.imports.units import OPTIONS, flag
 
 if TYPE_CHECKING:
     from quad_sysid.imports.formats import Format
     from quad_sysid.imports.log import ForeignLog
     from quad_sysid.imports.to_bag import Imported
-
-TABLE_ONLY: Mapping[str, str] = {
-    'axis': '--axis', 'time': '--time', 'control': '--control', 'thrust': '--thrust',
-    'motors': '--motors', 'rate': '--rate', 'angle': '--angle', 'reference': '--reference',
-    'battery': '--battery', 'unit': '--unit',
-}
-"""Options that name columns, which a log of a known kind does not need."""
 
 
 def add(commands: Commands) -> None:
@@ -53,16 +46,8 @@ def add(commands: Commands) -> None:
     )
     table.add_argument('--axis', metavar='roll|pitch|yaw|all',
                        help='one, several by commas, or all (default where there are three COLS)')
-    table.add_argument('--time', metavar='COL')
-    source = table.add_mutually_exclusive_group()
-    source.add_argument('--control', metavar='COLS', help='commands of the axes')
-    source.add_argument('--motors', metavar='COL,COL,…', help='the motors, all of them')
-    table.add_argument('--thrust', metavar='COL', help='U1 beside --control (default 0.5)')
-    table.add_argument('--rate', metavar='COLS', help='measured rates; else from --angle')
-    table.add_argument('--angle', metavar='COLS', help='measured angles or positions')
-    table.add_argument('--reference', metavar='COLS')
-    table.add_argument('--reference-is', choices=['angle', 'rate'], default='angle')
-    table.add_argument('--battery', metavar='COL')
+    for name, option in OPTIONS.items():
+        table.add_argument(flag(name), metavar=option.metavar, help=option.help)
     table.add_argument('--unit', metavar='COL=UNIT', action='append', default=[],
                        help='such as gx=deg/s, u=V, t=ms, or a factor: u=0.05; repeat. A unit in '
                        'brackets in the header is read')
@@ -71,7 +56,7 @@ def add(commands: Commands) -> None:
 def _run(options: argparse.Namespace) -> int:
     from quad_sysid.imports.formats import format_of
 
-    columns = [flag for name, flag in TABLE_ONLY.items() if getattr(options, name)]
+    columns = [flag(name) for name in ('axis', *OPTIONS, 'unit') if getattr(options, name)]
     known = format_of(options.file)
     if options.grid is not None:
         positive('--grid', options.grid)
@@ -108,8 +93,8 @@ def _table(options: argparse.Namespace, columns: list[str]) -> int:
     from quad_sysid.imports.table import open_table
 
     if not columns:
-        found = guess(open_table(options.file))
-        print('\n'.join(lines(found, options.file)))
+        content = open_table(options.file)
+        print('\n'.join(lines(guess(content), content, options.file)))
         if options.out is None:
             return 0
         raise BadInputError(f'{options.file}', 'is a table, whose columns need names',
@@ -121,15 +106,12 @@ def _table(options: argparse.Namespace, columns: list[str]) -> int:
             '--mixer', 'applies to --motors only; --control columns need no mixer',
             options.mixer, 'leave it out or give --motors',
         )
-    names = {
-        option: tuple(given.split(',')) if (given := getattr(options, option)) else ()
-        for option in ('control', 'motors', 'rate', 'angle', 'reference')
-    }
+    names = {name: tuple(given.split(',')) for name, option in OPTIONS.items()
+             if (given := getattr(options, name)) and (option.per_axis or name == 'motors')}
     return _write(read_columns(ColumnOptions(
-        file=options.file, axes=_axes(options, names['rate'] or names['angle']),
+        file=options.file, axes=_axes(options, names.get('rate') or names.get('angle', ())),
         time=options.time, thrust=options.thrust, mixer=options.mixer or 'x',
-        reference_is=options.reference_is, battery=options.battery,
-        units=parse_units(options.unit), **names,
+        battery=options.battery, units=parse_units(options.unit), **names,
     )), options)
 
 

@@ -20,7 +20,7 @@ from quad_sysid.imports.mixers import mixer_of
 from quad_sysid.imports.plausible import Column, check_rate, check_reference, check_times
 from quad_sysid.imports.table import Table, open_table
 from quad_sysid.imports.to_bag import EPOCH_S, MIDDLE_COMMAND
-from quad_sysid.imports.units import Role, Unit, header_unit, unit_of
+from quad_sysid.imports.units import OPTIONS, Role, Unit, flag, header_unit, unit_of
 
 ANGLE_LIMIT = {'roll': np.pi, 'pitch': 0.5 * np.pi, 'yaw': np.inf}
 
@@ -44,10 +44,14 @@ class ColumnOptions:
     rate: tuple[str, ...] = ()
     angle: tuple[str, ...] = ()
     reference: tuple[str, ...] = ()
-    reference_is: str = 'angle'
-    """`angle` or `rate`."""
+    rate_reference: tuple[str, ...] = ()
     battery: str | None = None
     units: Mapping[str, str] = field(default_factory=dict)
+
+    def names(self, option: str) -> tuple[str, ...]:
+        """The columns of an option."""
+        given = getattr(self, option)
+        return (given,) if isinstance(given, str) else given or ()
 
 
 def parse_units(items: list[str]) -> dict[str, str]:
@@ -121,8 +125,9 @@ def read_columns(options: ColumnOptions) -> ForeignLog:
         time_s, rows, clock = unrolled.time_s, unrolled.rows, unrolled.told
         if time_s[0] < EPOCH_S:
             time_s = time_s - time_s[0] + 1.0
-        speed = options.rate and _speed(units, table, options.rate)
-        odd += check_times(_column(options, units, options.time, time_s), speed or None)
+        speeds = [np.nanstd(units[name](table.columns[name])) for name in options.rate]
+        odd += check_times(_column(options, units, options.time, time_s),
+                           max(map(float, speeds), default=None))
     elif any(name not in table.times for name in roles):
         raise BadInputError(f'{options.file}', 'is a table, which needs --time',
                             remedy='quad-sysid import FILE alone proposes one')
@@ -138,9 +143,9 @@ def read_columns(options: ColumnOptions) -> ForeignLog:
         control=_wrench(source), motors=source.stream(options.motors),
         mixer=None if not options.motors or options.mixer == 'auto'
         else mixer_of(options.mixer, options.motors),
-        attitude_setpoint=_placed(options, reference if options.reference_is == 'angle' else None),
-        rate_setpoint=_placed(options, reference if options.reference_is == 'rate' else None),
-        battery=source.stream((options.battery,) if options.battery else ()),
+        attitude_setpoint=_placed(options, reference),
+        rate_setpoint=_placed(options, source.stream(options.rate_reference)),
+        battery=source.stream(options.names('battery')),
         mapped=_mapped(options, roles, units), checks=tuple(odd), clock=clock,
     )
 
@@ -159,12 +164,11 @@ def _wrench(source: _Source) -> Stream | None:
     options = source.options
     if not options.control:
         return None
-    thrust = (options.thrust,) if options.thrust else ()
-    given = source.stream((*options.control, *thrust))
+    given = source.stream((*options.control, *options.names('thrust')))
     if given is None:
         return None
     out = np.zeros((len(given.values), 4))
-    out[:, 0] = given.values[:, -1] if thrust else MIDDLE_COMMAND
+    out[:, 0] = given.values[:, -1] if options.thrust else MIDDLE_COMMAND
     for i, axis in enumerate(options.axes):
         out[:, 1 + AXES.index(axis)] = given.values[:, i]
     return Stream(given.time_s, out)
@@ -207,21 +211,19 @@ def _roles(options: ColumnOptions) -> dict[str, Role]:
                             ','.join(options.motors), 'separate them by commas')
     if not options.rate and not options.angle:
         raise BadInputError('import', 'needs --rate or --angle', remedy='name what was measured')
-    _check_counts(options)
     roles: dict[str, Role] = {}
-    named: list[tuple[str | None, Role]] = [
-        (options.time, 'time'), *((name, 'control') for name in options.control),
-        (options.thrust, 'thrust'), *((name, 'motor') for name in options.motors),
-        *((name, 'rate') for name in options.rate), *((name, 'angle') for name in options.angle),
-        *((name, 'angle' if options.reference_is == 'angle' else 'rate')
-          for name in options.reference),
-        (options.battery, 'battery'),
-    ]
-    for name, role in named:
-        if name in roles:
-            raise BadInputError('import', 'one column is named twice', name, 'name each once')
-        if name is not None:
-            roles[name] = role
+    for option, what in OPTIONS.items():
+        names = options.names(option)
+        if what.per_axis and names and len(names) != len(options.axes):
+            raise BadInputError(
+                flag(option), f'needs a column for each of {", ".join(options.axes)}',
+                ','.join(names), 'separate them by commas, or name the axes with --axis',
+            )
+        for name in names:
+            if name in roles:
+                raise BadInputError('import', 'one column is named twice', name,
+                                    'name each once')
+            roles[name] = what.role
     strange = [name for name in options.units if name not in roles]
     if strange:
         raise BadInputError(
@@ -231,30 +233,12 @@ def _roles(options: ColumnOptions) -> dict[str, Role]:
     return roles
 
 
-def _check_counts(options: ColumnOptions) -> None:
-    """Raise BadInputError where an option has not one column for each axis."""
-    for option, names in (('--rate', options.rate), ('--angle', options.angle),
-                          ('--control', options.control), ('--reference', options.reference)):
-        if names and len(names) != len(options.axes):
-            raise BadInputError(
-                option, f'needs a column for each of {", ".join(options.axes)}', ','.join(names),
-                'separate them by commas, or name the axes with --axis',
-            )
-    if options.reference_is not in ('angle', 'rate'):
-        raise BadInputError(
-            '--reference-is', 'must be angle or rate', repr(options.reference_is), 'choose one'
-        )
-
-
 def _check_ranges(
     options: ColumnOptions, table: Table, units: Mapping[str, Unit]
 ) -> None:
     """Raise BadInputError at the first row that is outside the normalised range."""
-    ranged = [*((name, -0.5, 0.5) for name in options.control),
-              *((name, 0.0, 1.0) for name in options.motors)]
-    if options.thrust:
-        ranged.append((options.thrust, 0.0, 1.0))
-    for name, low, high in ranged:
+    for name, span in ((n, o.span) for key, o in OPTIONS.items() for n in options.names(key)):
+        low, high = span or (-np.inf, np.inf)
         raw, unit = table.columns[name], units[name]
         values = unit(raw)
         outside = np.flatnonzero((values < low - 1e-6) | (values > high + 1e-6))
@@ -276,11 +260,6 @@ def _column(
     unit = units[name]
     named = name in options.units or header_unit(name) == unit.name
     return Column(str(options.file), name, unit, named, values, degrees)
-
-
-def _speed(units: Mapping[str, Unit], table: Table, names: tuple[str, ...]) -> float:
-    """RMS of the fastest rate about its mean, rad/s."""
-    return max(float(np.nanstd(units[name](table.columns[name]))) for name in names)
 
 
 def _compared(
@@ -309,8 +288,7 @@ def _compared(
             _check_angle(columns['angle'], axis)
         if columns['rate'] is not None:
             odd += check_rate(columns['rate'], columns['angle'], laid.dt)
-        if columns['reference'] is not None and columns['angle'] is not None and \
-                options.reference_is == 'angle':
+        if columns['reference'] is not None and columns['angle'] is not None:
             check_reference(columns['reference'], columns['angle'])
     return odd
 

@@ -79,19 +79,23 @@ def check_times(time: Column, speed: float | None = None) -> list[str]:
     slow = rate < LOWEST_RATE_HZ and speed is not None and speed * step < MOST_TURN_RAD
     if time.named or slow:
         return [f'{time.name} gives an unusual sample rate of {found}']
-    guesses = {
-        name: time.unit.factor / (factor * step) for name, (factor, _) in UNITS['time'].items()
-    }
-    likely = sorted(
-        (abs(math.log(guess / USUAL_RATE_HZ)), name) for name, guess in guesses.items()
-        if name != time.unit.name and LOWEST_RATE_HZ <= guess <= HIGHEST_RATE_HZ
-    )
-    guess = likely[0][1] if likely else 'FACTOR'
-    told = f' ({guesses[guess]:.4g} Hz)' if likely else ' (seconds per unit)'
+    guess = time_unit(time.values / time.unit.factor)
+    told = ' (seconds per unit)' if guess is None else \
+        f' ({rate * time.unit.factor / UNITS["time"][guess][0]:.4g} Hz)'
     raise BadInputError(
         time.where, 'gives an impossible sample rate', found,
-        f'name its unit, such as {time.advise(guess)}{told}, or {time.advise("s")} if it is true',
+        f'name its unit, such as {time.advise(guess or "FACTOR")}{told}, or {time.advise("s")} '
+        'if it is true',
     )
+
+
+def time_unit(values: FloatArray) -> str | None:
+    """The unit in which times (n,) give the most usual sample rate; None where no unit does."""
+    steps = np.diff(values[np.isfinite(values)])
+    step = float(np.median(steps[steps > 0.0]))
+    rates = {unit: 1.0 / (factor * step) for unit, (factor, _) in UNITS['time'].items()}
+    near = [unit for unit, rate in rates.items() if LOWEST_RATE_HZ <= rate <= HIGHEST_RATE_HZ]
+    return min(near, key=lambda unit: abs(math.log(rates[unit] / USUAL_RATE_HZ)), default=None)
 
 
 def check_size(rate: Column) -> None:

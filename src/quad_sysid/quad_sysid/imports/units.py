@@ -29,6 +29,39 @@ class Unit:
         return self.factor * values + self.offset
 
 
+@dataclass(frozen=True)
+class Option:
+    """An option of `quad-sysid import` that names columns of a table."""
+
+    role: Role
+    metavar: str = 'COL'
+    help: str | None = None
+    per_axis: bool = False
+    """Whether it has a column for each axis."""
+    span: tuple[float, float] | None = None
+    """Range of a normalised command."""
+
+
+OPTIONS = {
+    'time': Option('time'),
+    'control': Option('control', 'COLS', 'commands of the axes', per_axis=True, span=(-0.5, 0.5)),
+    'thrust': Option('thrust', help='U1 beside --control (default 0.5)', span=(0.0, 1.0)),
+    'motors': Option('motor', 'COL,COL,…', 'the motors, all of them', span=(0.0, 1.0)),
+    'rate': Option('rate', 'COLS', 'measured rates; else from --angle', per_axis=True),
+    'angle': Option('angle', 'COLS', 'measured angles or positions', per_axis=True),
+    'reference': Option('angle', 'COLS', 'attitude set-points', per_axis=True),
+    'rate_reference': Option('rate', 'COLS', 'rate set-points', per_axis=True),
+    'battery': Option('battery'),
+}
+"""By the option's name, the time first."""
+
+
+def flag(option: str) -> str:
+    """An option as it is typed."""
+    return f'--{option.replace("_", "-")}'
+
+
+
 DEGREE = math.pi / 180.0
 VOLTS_OF_FULL_COMMAND = 20.0
 """An analogue command of -10 V..10 V spans the whole range of 1 of a motor command."""

@@ -30,21 +30,6 @@ def lines(report: Mapping[str, Any]) -> list[str]:
     return out
 
 
-def brief(report: Mapping[str, Any]) -> list[str]:
-    """Two lines per axis, for several flights."""
-    out = []
-    for axis, tree in report['axes'].items():
-        error = tree['error']
-        effects = ', '.join(e['name'] for e in tree['effects'])
-        out.append(f'  {axis}: {tree["verdict"]}{": " + effects if effects else ""}')
-        if error['before'] is not None:
-            after = f' -> {error["after"]:.4g}' if tree['effects'] else ''
-            out.append(f'    error {error["before"]:.4g}{after} {error["unit"]}')
-        else:
-            out += wrapped(tree.get('reason', ''), '    ')
-    return out
-
-
 def _verdict(tree: Mapping[str, Any]) -> list[str]:
     out = [f'verdict  {tree["verdict"]}', *wrapped(tree.get('reason', ''))]
     out += tables.effects(tree).text((0, 3, 4, 5))
