@@ -25,7 +25,7 @@ POLL_S = 0.05
 SLOW_S = 1.0
 """Duration of a sync from which a warning is given."""
 LOW_DISK_BYTES = 100_000_000
-"""Free space below which a warning is given, without the reserve."""
+"""Free space below which a warning is given."""
 
 
 @dataclass(frozen=True)

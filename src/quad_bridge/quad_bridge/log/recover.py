@@ -172,14 +172,10 @@ def _qos(topic: Topic, result: Recovered) -> tuple[Qos, ...]:
 def _notes(scan: McapScan, *, all_decoded: bool) -> list[str]:
     """Notes on one file."""
     found = []
-    if scan.mended:
-        found.append(f'{scan.mended} chunks are intact except for their opcode or length')
     if scan.bad_chunks:
         found.append(f'{scan.bad_chunks} chunks are not whole')
     if scan.unchecked:
         found.append(f'{scan.unchecked} messages of the last one lack their checksum')
-    if scan.doubtful_names:
-        found.append(f'a damaged chunk alone names {", ".join(sorted(scan.doubtful_names))}')
     if scan.unnamed:
         found.append(f'{scan.unnamed} messages have lost their topic')
     if scan.stated is not None and scan.lost:

@@ -19,15 +19,13 @@ from rosbags.rosbag2.metadata import dump_qos_v9
 from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 
 from quad_bridge.errors import BadInputError
-from quad_bridge.log.disk import MB, Reserve, free_bytes, is_full, sync_folder
+from quad_bridge.log.disk import MB, free_bytes, reserved, sync_folder
 from quad_bridge.log.mcap import FileEntry, McapFile, RecordedTopic
 
 MOST_NAMESAKES = 1000
 """Most bags of one second."""
 CLOSING_RESERVE = 4 * MB
 """Space for index and metadata of some hours when the disk is full."""
-AHEAD = 2 * MB
-"""Most bytes between two calls of `flush`, which the reserve frees beforehand."""
 
 
 class TakenError(BadInputError):
@@ -53,12 +51,13 @@ class Definition:
 
 @dataclass(frozen=True)
 class Limits:
-    """Size and time at which a bag is split (0: never), and its reserve."""
+    """Size and time at which a bag is split (0: never), and the disk that it needs."""
 
     split_bytes: int = 0
     split_s: float = 0.0
     """Receive time, s."""
     reserve_bytes: int = 0
+    """Free space without which no bag is begun."""
 
 
 class BagWriter:
@@ -80,8 +79,7 @@ class BagWriter:
             _check_space(path, self._limits.reserve_bytes)
             path.mkdir(parents=True)
             made = True
-            self._reserve = Reserve(path, self._limits.reserve_bytes)
-            self._closing = Reserve(path, CLOSING_RESERVE if self._limits.reserve_bytes else 0)
+            self._closing = reserved(path, CLOSING_RESERVE if self._limits.reserve_bytes else 0)
             self._file = self._open_file()
             sync_folder(path.parent)
         except FileExistsError as error:  # another recorder's, of this moment
@@ -138,24 +136,19 @@ class BagWriter:
         if self._split_due or self._over_time(time_ns):
             self._split()
         self._began_ns = self._began_ns or time_ns
-        try:
-            self._file.write(topic, time_ns, data)
-        except OSError as error:  # it waits in the file's chunk all the same
-            self._take_more(error)
-            self._sync()
+        self._file.write(topic, time_ns, data)
         self.counts[topic] += 1
 
     def flush(self) -> None:
         """Bring everything written so far to the disk. Raises OSError."""
         if not self._file.path.exists():
             raise FileNotFoundError(f'{self._file.path.name} was removed or renamed')
-        self._reserve.give(self.size + AHEAD)
-        self._sync()
+        self._file.sync()
         self._split_due = 0 < self._limits.split_bytes <= self._file.size
 
     def close(self) -> None:
         """Write the index and metadata.yaml."""
-        self._release()
+        self._closing.close()
         if not self._file_closed:
             self._close_file()
         whole = information(list(self._topics.values()), self._closed)
@@ -165,11 +158,11 @@ class BagWriter:
         sync_folder(self.path)
 
     def close_after_fault(self) -> None:
-        """Write the open chunk into the freed reserve and close; `counts` says what is stored.
+        """Write the open chunk into the reserved space and close; `counts` says what is stored.
 
         Raises OSError where that fails too: call `abort`, and `recover` later.
         """
-        self._release()
+        self._closing.close()
         if not self._file.path.exists():
             raise FileNotFoundError(f'{self._file.path.name} was removed or renamed')
         if not self._file_closed:
@@ -184,22 +177,9 @@ class BagWriter:
 
     def abort(self) -> None:
         """Close without index; flushed messages stay for `recover`."""
-        self._release()
+        self._closing.close()
         self._recount()
         self._file.abandon()
-
-    def _sync(self) -> None:
-        while True:
-            try:
-                return self._file.sync()
-            except OSError as error:  # noqa: PERF203  (once, mostly)
-                self._take_more(error)
-
-    def _take_more(self, error: OSError) -> None:
-        """Free more of the reserve for another attempt; raises `error` where that cannot help."""
-        if not is_full(error) or not self._reserve.more(AHEAD):
-            raise error
-        self._file.cut_back()
 
     def _recount(self) -> None:
         """Count the stored messages, without the open chunk."""
@@ -211,10 +191,6 @@ class BagWriter:
     def _file_closed(self) -> bool:
         """No next file could be opened after the last one."""
         return any(entry is self._file.entry for entry in self._closed)
-
-    def _release(self) -> None:
-        self._reserve.release()
-        self._closing.release()
 
     def _over_time(self, time_ns: int) -> bool:
         limit = self._limits.split_s

@@ -30,7 +30,7 @@ NUMBERS = {
     'queue_messages': (50_000, 'messages that may wait for the disk', (100, 10_000_000)),
     'split_mb': (0, 'a new file in the bag after so many MB, 0 for never', (0, 1_000_000)),
     'split_s': (0, 'a new file in the bag after so many seconds, 0 for never', (0, 86_400)),
-    'reserve_mb': (200, 'MB reserved on the disk before a recording starts', (0, 1_000_000)),
+    'reserve_mb': (200, 'MB of free disk without which no recording starts', (0, 1_000_000)),
 }
 """Integer parameters: default, description, range."""
 NAMES = ('folder', 'prefix', 'topics', 'autostart', 'managed', *NUMBERS)

@@ -27,8 +27,6 @@ MESSAGE_HEAD = struct.Struct('<HIQQ')
 CHUNK_HEAD = struct.Struct('<QQQII')
 """First and last time, size of the content, its checksum, length of the compression's name."""
 _FOOTER = struct.Struct('<QQI')
-_LONGEST_NAME = 16
-"""Longest name of a compression."""
 _CHUNK_START = rb'\x06(?=.{36}(?:\0{4}|\x04\0{3}zstd|\x03\0{3}lz4))'
 _IN_CHUNKS = re.compile(_CHUNK_START + rb'|\x07(?=.{4}\0{4})|\x0f(?=\x04\0{7})', re.DOTALL)
 _PLAIN = re.compile(rb'[\3\4\5](?=.{4}\0{4})|' + _IN_CHUNKS.pattern, re.DOTALL)
@@ -129,49 +127,9 @@ def next_record(data: Data, position: int, stop: int, *, plain: bool) -> int | N
         end = end_of(data, start, stop)
         if end is None:
             continue
-        telling = data[start] == CHUNK or _is_index(data, start + RECORD.size, end)
-        if telling or end == stop or end_of(data, end, stop):
+        if data[start] in {CHUNK, MESSAGE_INDEX} or end == stop or end_of(data, end, stop):
             return start
     return None
-
-
-def chunk_follows(data: Data, position: int, stop: int) -> bool:
-    """Whether the next recognisable record is a chunk or its index."""
-    found = next_record(data, position, stop, plain=False)
-    return found is not None and data[found] in {CHUNK, MESSAGE_INDEX}
-
-
-def looks_chunked(data: Data, position: int, end: int) -> bool:
-    """Whether the record has the shape of a chunk or its index, whatever its opcode."""
-    return chunk_ends(data, position, end) == [end] or _is_index(
-        data, position + RECORD.size, end
-    )
-
-
-def _is_index(data: Data, start: int, end: int) -> bool:
-    """Whether an index of at least one message fills these bytes: two lengths agree."""
-    length = end - start
-    return length > 6 and length % 16 == 6 and (
-        struct.unpack_from('<I', data, start + 2)[0] == length - 6
-    )  # fmt: skip
-
-
-def chunk_ends(data: Data, position: int, stop: int) -> list[int]:
-    """Possible ends of the chunk at `position`, by its content's length and its own, ascending.
-
-    (A decompressor ignores what follows its content.)
-    """
-    start = position + RECORD.size
-    if start + CHUNK_HEAD.size + 8 > stop:
-        return []
-    *_, name_length = CHUNK_HEAD.unpack_from(data, start)
-    inner = start + CHUNK_HEAD.size + name_length
-    if name_length > _LONGEST_NAME or inner + 8 > stop:
-        return []
-    content = inner + 8
-    inner = content + struct.unpack_from('<Q', data, inner)[0]
-    outer = start + RECORD.unpack_from(data, position)[1]
-    return [inner] if outer < content else sorted({inner, outer})
 
 
 def _string(body: bytes, offset: int) -> tuple[str, int]:
@@ -216,9 +174,7 @@ _LENGTHS: dict[int, Callable[[Data, int, int], bool]] = {
     SCHEMA: _made_of('2 s s s'),
     CHANNEL: _made_of('4 s s s'),
     MESSAGE: lambda _data, _start, length: length >= MESSAGE_HEAD.size,
-    CHUNK: lambda data, start, length: (
-        chunk_ends(data, start - RECORD.size, start + length) == [start + length]
-    ),
+    CHUNK: _made_of('28 s l'),
     MESSAGE_INDEX: _made_of('2 s'),
     CHUNK_INDEX: _made_of('32 s 8 s 16'),
     ATTACHMENT: _made_of('16 s s l 4'),
