@@ -28,7 +28,7 @@ from quad_sysid.arguments import (
 )
 from quad_sysid.comparison import cli as comparison
 from quad_sysid.contract import AXES
-from quad_sysid.errors import BadInputError
+from quad_sysid.errors import BadInputError, NotInformativeError
 from quad_sysid.exports import cli as exports
 from quad_sysid.files import check_new, write_whole
 from quad_sysid.imports import cli as imports
@@ -147,7 +147,7 @@ def _identify(options: argparse.Namespace) -> int:
 
 def _evaluate(options: argparse.Namespace) -> int:
     from quad_sysid.bags import clip_span, parse_span, read_bag
-    from quad_sysid.pipeline.evaluate import evaluate_or_say
+    from quad_sysid.pipeline.evaluate import evaluate
     from quad_sysid.report import document, tables, text
     from quad_sysid.report.model_file import load_blackbox, load_models, pick
 
@@ -163,11 +163,10 @@ def _evaluate(options: argparse.Namespace) -> int:
     spans = () if span is None else (span,)
     found, refused = [], {}
     for axis in models:
-        one = evaluate_or_say(models[axis], record, spans, polynomials.get(axis))
-        if isinstance(one, str):
-            refused[axis] = one
-        else:
-            found.append(one)
+        try:
+            found.append(evaluate(models[axis], record, spans, polynomials.get(axis)))
+        except NotInformativeError as error:  # noqa: PERF203  an axis each
+            refused[axis] = str(error)
     if refused:
         print('quad-sysid:', '; '.join(refused.values()), file=sys.stderr)
     if not found:

@@ -27,9 +27,16 @@ def euler_angles(orientation: FloatArray) -> FloatArray:
     norm = np.linalg.norm(quaternion, axis=1)
     known = np.isfinite(norm) & (norm > 0.5) & (covariance != -1.0)
     angles = np.full((len(orientation), 3), np.nan)
-    x, y, z, w = (quaternion[known] / norm[known, None]).T
-    angles[known, 0] = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
-    angles[known, 1] = np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))
-    yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-    angles[known, 2] = np.unwrap(yaw)
+    angles[known] = euler_from_quaternion(quaternion[known] / norm[known, None])
+    angles[known, 2] = np.unwrap(angles[known, 2])
     return angles
+
+
+def euler_from_quaternion(xyzw: FloatArray) -> FloatArray:
+    """Roll, pitch, yaw (n, 3), rad, ZYX, from unit quaternions x y z w (n, 4)."""
+    x, y, z, w = xyzw.T
+    return np.column_stack([
+        np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
+        np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0)),
+        np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
+    ])

@@ -21,12 +21,7 @@ import numpy as np
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.imports.clock import unroll
-from quad_sysid.imports.frames import (
-    MIRROR,
-    angles_from_ned,
-    euler_from_quaternion,
-    mixer_at_places,
-)
+from quad_sysid.imports.frames import MIRROR, mixer_at_places, ned_angles
 from quad_sysid.imports.log import ForeignLog, Mapped, Stream
 from quad_sysid.imports.mixers import Mixer
 from quad_sysid.imports.table import read_csv, text_lines
@@ -313,7 +308,7 @@ def _angles(table: _Table, mapped: list[Mapped], rate: float) -> FloatArray | No
     if quaternion is not None:
         mapped.append(Mapped('quat[0..3]', 'raw', '/imu/data orientation',
                              'FRD in NED to FLU in ENU', rate))
-        return angles_from_ned(euler_from_quaternion(quaternion / UNIT_AS_INTEGER))
+        return ned_angles(quaternion / UNIT_AS_INTEGER)
     if all(name in columns for name in ('roll', 'pitch', 'heading')):
         factor = DEGREE if _in_degrees(table) else 1.0
         raw = np.column_stack([columns['roll'], columns['pitch'], -columns['heading']]) * factor

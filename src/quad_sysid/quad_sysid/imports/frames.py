@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from quad_sysid.bags.orientation import euler_from_quaternion
 from quad_sysid.contract import MIXER_INVERSE, FloatArray
 from quad_sysid.imports.mixers import Mixer
 
@@ -35,21 +36,16 @@ def mixer_at_places(
     return Mixer(name, matrix)
 
 
+def ned_angles(wxyz: FloatArray) -> FloatArray:
+    """Roll, pitch, yaw (n, 3), rad, of FLU in ENU; from w x y z (n, 4) of FRD in NED."""
+    return angles_from_ned(euler_from_quaternion(np.roll(wxyz, -1, axis=1)))
+
+
 def angles_from_ned(angles: FloatArray) -> FloatArray:
     """Roll, pitch, yaw (n, 3) of FRD in NED → of FLU in ENU, rad, yaw unwrapped."""
     out = angles * MIRROR
     out[:, 2] = np.unwrap(0.5 * np.pi + out[:, 2])
     return np.asarray(out)
-
-
-def euler_from_quaternion(wxyz: FloatArray) -> FloatArray:
-    """Roll, pitch, yaw (n, 3), rad, ZYX, from unit quaternions w x y z (n, 4)."""
-    w, x, y, z = wxyz.T
-    return np.column_stack([
-        np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
-        np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0)),
-        np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
-    ])
 
 
 def order_by_places(x: FloatArray, y_right: FloatArray) -> tuple[int, ...] | None:

@@ -23,10 +23,9 @@ from quad_sysid.imports.firmware import (
 )
 from quad_sysid.imports.frames import (
     MIRROR,
-    angles_from_ned,
-    euler_from_quaternion,
     mirrored,
     mixer_at_places,
+    ned_angles,
     order_by_places,
 )
 from quad_sysid.imports.log import ForeignLog, Given, Mapped, Stream
@@ -44,23 +43,19 @@ LINEAR = 0.98
 FASTER = 'set SDLOG_PROFILE to high rate (bit 2) or system identification (bit 3)'
 
 
-def _ned_angles(wxyz: FloatArray) -> FloatArray:
-    return angles_from_ned(euler_from_quaternion(wxyz))
-
-
 WANTED = (
     Wanted('rates', 'vehicle_angular_velocity', ('xyz[0]', 'xyz[1]', 'xyz[2]'), 'rad/s',
            'FRD to FLU: pitch and yaw turned', mirrored),
     Wanted('rates', 'sensor_combined', tuple(f'gyro_rad[{i}]' for i in range(3)), 'rad/s',
            'FRD to FLU: pitch and yaw turned', mirrored),
     Wanted('angles', 'vehicle_attitude', tuple(f'q[{i}]' for i in range(4)), '1',
-           'FRD in NED to FLU in ENU', _ned_angles),
+           'FRD in NED to FLU in ENU', ned_angles),
     Wanted('acceleration', 'vehicle_acceleration', ('xyz[0]', 'xyz[1]', 'xyz[2]'), 'm/s²',
            'y and z turned', mirrored),
     Wanted('acceleration', 'sensor_combined', tuple(f'accelerometer_m_s2[{i}]' for i in range(3)),
            'm/s²', 'y and z turned', mirrored),
     Wanted('attitude_setpoint', 'vehicle_attitude_setpoint', tuple(f'q_d[{i}]' for i in range(4)),
-           '1', 'FRD in NED to FLU in ENU', _ned_angles),
+           '1', 'FRD in NED to FLU in ENU', ned_angles),
     Wanted('rate_setpoint', 'vehicle_rates_setpoint', AXES, 'rad/s', 'pitch and yaw turned',
            mirrored),
     Wanted('battery', 'battery_status', ('voltage_v',), 'V', 'as it is'),

@@ -19,9 +19,9 @@ from typing import Any
 
 import numpy as np
 
+from quad_sysid.bags.orientation import euler_from_quaternion
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
-from quad_sysid.imports.frames import euler_from_quaternion
 
 DELIMITERS = (',', ';', '\t')
 MOST_NUMBERS = 64
@@ -297,7 +297,7 @@ def _messages(path: Path, wanted: Sequence[str] | None) -> Table:
         found = {n: np.array([item.get(n, math.nan) for item in items]) for n in names}
         for name in names:
             stem = name.removesuffix('.w')
-            parts = [f'{stem}.{p}' for p in 'wxyz']
+            parts = [f'{stem}.{p}' for p in 'xyzw']
             if name.endswith('.w') and all(p in found for p in parts):
                 euler = euler_from_quaternion(np.column_stack([found[p] for p in parts]))
                 found |= {f'{stem}.{a}': euler[:, i]

@@ -40,22 +40,6 @@ class Curve:
     x: FloatArray
     y: FloatArray
 
-    def __post_init__(self) -> None:
-        """Check shapes, the grid and finiteness; raises BadInputError."""
-        x = np.array(self.x, dtype=float)
-        y = np.array(self.y, dtype=float)
-        if x.ndim != 1 or x.shape != y.shape or x.size < 2:
-            raise BadInputError('Curve', 'x and y must be 1-D of one length >= 2', x.shape)
-        if not (np.isfinite(x).all() and np.isfinite(y).all()):
-            raise BadInputError('Curve', 'x and y must be finite')
-        steps = np.diff(x)
-        if steps[0] <= 0 or not np.allclose(steps, steps[0], rtol=1e-6, atol=0.0):
-            raise BadInputError('Curve', 'x must ascend in equal steps')
-        x.setflags(write=False)
-        y.setflags(write=False)
-        object.__setattr__(self, 'x', x)
-        object.__setattr__(self, 'y', y)
-
     @classmethod
     def sampled(cls, function: Callable[[FloatArray], FloatArray], half_width: float,
                 step: float) -> Curve:

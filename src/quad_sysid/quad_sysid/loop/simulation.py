@@ -127,17 +127,17 @@ def simulate_cascade(
 
 def simulate_polynomial_cascade(
     A: npt.ArrayLike, B: npt.ArrayLike, gains: CascadeGains, reference: npt.ArrayLike, dt: float,
-    *, nk: int = 0, noise: npt.ArrayLike | None = None, angle_lead_s: float = 0.0,
+    *, noise: npt.ArrayLike | None = None, angle_lead_s: float = 0.0,
 ) -> LoopResponse:
-    """Simulate the cascade around A(q) rate = B(q) q^-nk u (the paper's step B).
+    """Simulate the cascade around A(q) rate = B(q) u (the paper's step B).
 
-    A (na + 1,) with A[0] != 0; B (m,) in powers of q^-1 from q^0, its leading zeros and `nk` are
-    the delay. The angle is the trapezoidal sum of the rate, ahead by angle_lead_s. A model without
+    A (na + 1,) with A[0] != 0; B (m,) in powers of q^-1 from q^0, its leading zeros are the
+    delay. The angle is the trapezoidal sum of the rate, ahead by angle_lead_s. A model without
     delay would need u before it is known: BadInputError.
     """
     array = _checked_reference(reference, dt, dt)
     a = np.asarray(A, dtype=float)
-    b = np.concatenate((np.zeros(nk), np.asarray(B, dtype=float)))
+    b = np.asarray(B, dtype=float)
     if a.ndim != 1 or a.size == 0 or a[0] == 0 or not np.isfinite(a).all():
         raise BadInputError('simulate', 'A must be 1-D, finite, with A[0] not 0')
     if not np.isfinite(b).all() or (b.size and b[0] != 0):

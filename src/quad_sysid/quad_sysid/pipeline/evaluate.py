@@ -110,16 +110,6 @@ def evaluate(model: AxisModel, record: Record, spans_s: tuple[tuple[float, float
     )
 
 
-def evaluate_or_say(model: AxisModel, record: Record,
-                    spans_s: tuple[tuple[float, float], ...] = (),
-                    blackbox: Model | None = None) -> Evaluation | str:
-    """As `evaluate`, but returns the reason where the flight cannot test the model."""
-    try:
-        return evaluate(model, record, spans_s, blackbox)
-    except NotInformativeError as reason:
-        return str(reason)
-
-
 def _check_signals(record: Record, unseen: Unseen, model: Stored) -> None:
     """Raise BadInputError where an effect needs a signal that the bag lacks."""
     data = unseen.problem.data

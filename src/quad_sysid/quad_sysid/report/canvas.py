@@ -14,10 +14,6 @@ from dataclasses import dataclass
 from html import escape
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from quad_sysid.contract import FloatArray
-
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -33,8 +29,6 @@ THEMED = {INK: 'ink', MUTED: 'muted', GRID: 'grid', BLUE: 'blue', ORANGE: 'orang
 MEASURED, BEFORE, AFTER, OTHER = INK, ORANGE, BLUE, GREEN
 WIDTH_IN = 4.4
 """Width of all pictures: 317 pt, so that the text keeps its size on a phone."""
-MOST_POINTS = 900
-"""Most points of a line; more cannot be seen at this width."""
 PNG_DPI = 150
 _RC: Any = {'svg.fonttype': 'none', 'font.family': 'sans-serif', 'font.size': 8.5,
             'axes.edgecolor': MUTED, 'axes.labelcolor': INK, 'text.color': INK,
@@ -44,7 +38,8 @@ _RC: Any = {'svg.fonttype': 'none', 'font.family': 'sans-serif', 'font.size': 8.
             'lines.linewidth': 1.1, 'axes.titlesize': 8.5, 'axes.titlelocation': 'left',
             'legend.fontsize': 8.0, 'legend.frameon': False, 'xtick.labelsize': 8.0,
             'ytick.labelsize': 8.0, 'axes.formatter.useoffset': False, 'axes.unicode_minus': False,
-            'path.simplify': True}
+            'path.simplify_threshold': 0.5}
+"""The threshold, points, leaves out of long lines what cannot be seen at this width."""
 
 
 @dataclass(frozen=True)
@@ -111,24 +106,6 @@ def finish(axes: Sequence[Axes], x: str, *ys: str) -> None:
 def shade(axes: Axes, low: float, high: float, colour: str, label: str = '') -> None:
     """Shade a range of x."""
     axes.axvspan(low, high, color=colour, alpha=0.13, linewidth=0, label=label or None, zorder=0)
-
-
-def thinned(time_s: FloatArray, signal: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Line of at most MOST_POINTS points that keeps each stretch's extremes; NaN breaks it."""
-    n = signal.size
-    if n <= MOST_POINTS:
-        return time_s, signal
-    width = -(-n // (MOST_POINTS // 2))
-    padded = np.full(-(-n // width) * width, np.nan)
-    padded[:n] = signal
-    blocks = padded.reshape(-1, width)
-    known = np.isfinite(blocks).any(axis=1)
-    low = np.where(np.isfinite(blocks), blocks, np.inf)
-    high = np.where(np.isfinite(blocks), blocks, -np.inf)
-    at = np.sort(np.stack([low.argmin(axis=1), high.argmax(axis=1)], axis=1), axis=1)
-    rows = np.arange(blocks.shape[0])[:, None]
-    values = np.where(known[:, None], blocks[rows, at], np.nan)
-    return time_s[np.minimum(rows * width + at, n - 1)].ravel(), values.ravel()
 
 
 def svg(picture: Picture, prefix: str) -> str:

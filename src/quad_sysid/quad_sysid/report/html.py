@@ -62,7 +62,7 @@ figure,.answer,tr{break-inside:avoid}h2,h3,h4{break-after:avoid}
 
 
 DATA = ('signals', 'coherence')
-MODELS = ('residual_test', 'bode')
+MODELS = ('bode',)
 PREDICTION = ('free_run', 'horizon')
 EFFECTS = ('effect_shape', 'left_out', 'rivals')
 LEFT = ('correlations', 'residual_spectrum', 'missing_torque')

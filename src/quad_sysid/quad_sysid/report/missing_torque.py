@@ -30,10 +30,11 @@ Z95 = 1.96
 WEIGHED = ('torque', 'gain', 'damping', 'delay', 'friction')
 """Terms that add a torque in proportion; a lag does not."""
 
-UNITS = {'rate': 'rad/s', 'angle': 'rad', 'command': 'norm.', 'throttle': 'norm.', 'battery': 'V',
-         'time': 's', 'other rate': 'rad/s', 'other command': 'norm.',
-         'product of other rates': '(rad/s)²'}
-"""Signals over which effects are drawn, with units."""
+OVER = {'rate': ('rate', 'rad/s'), 'angle': ('angle', 'rad'), 'command': ('lagged', 'norm.'),
+        'throttle': ('throttle', 'norm.'), 'battery': ('battery_v', 'V'), 'time': ('time', 's'),
+        'other rate': ('other_rates', 'rad/s'), 'other command': ('other_commands', 'norm.'),
+        'product of other rates': ('other_rates', '(rad/s)²')}
+"""Signals over which effects are drawn, as fields of Signals, with their units."""
 
 
 @dataclass(frozen=True)
@@ -143,20 +144,22 @@ def weight(along: Along, part: Part) -> FloatArray | None:
 
 def variable(along: Along, part: Part) -> FloatArray:
     """(n,) of the signal that an effect is drawn over, at the samples."""
-    s, signal = along.signals, part.effect.signals[0]
     if part.effect.phased:
-        return (2.0 * np.pi * _frequency(along, part) * along.at_samples(s.time)) % (2.0 * np.pi)
-    which = _which(part)
-    found = {
-        'rate': s.rate, 'angle': s.angle, 'command': s.lagged, 'throttle': s.throttle,
-        'battery': s.battery_v, 'time': s.time, 'other command': s.other_commands[which],
-    }.get(signal.rstrip(' 12') if signal.startswith('other') else signal)
-    if found is None and s.other_rates is not None:
-        found = (
-            s.other_rates[0] * s.other_rates[1] if signal.startswith('product')
-            else s.other_rates[which]
-        )
-    return np.full_like(s.rate, np.nan) if found is None else along.at_samples(found)
+        time = along.at_samples(along.signals.time)
+        return (2.0 * np.pi * _frequency(along, part) * time) % (2.0 * np.pi)
+    name = _name(part)
+    found = getattr(along.signals, OVER[name][0])
+    if isinstance(found, tuple):
+        found = found[0] * found[1] if name.startswith('product') else found[_which(part)]
+    elif found is None:
+        found = np.full_like(along.problem.data.rate, np.nan)
+    return along.at_samples(found)
+
+
+def _name(part: Part) -> str:
+    """The signal that an effect is drawn over, in the words of OVER."""
+    signal = part.effect.signals[0]
+    return signal.rstrip(' 12') if signal.startswith('other') else signal
 
 
 def _which(part: Part) -> int:
@@ -220,9 +223,8 @@ def _picture(along: Along, part: Part) -> Sketch:
     values = variable(along, part)[inside]
     low, high = np.nanpercentile(values, [0.5, 99.5])
     x = np.linspace(low, high, GRID)
-    signal = part.effect.signals[0]
-    name = signal.rstrip(' 12') if signal.startswith('other') else signal
-    over = f'{_named(along.problem.data, part, name)}, {UNITS.get(name, "1")}'
+    name = _name(part)
+    over = f'{_named(along.problem.data, part, name)}, {OVER[name][1]}'
     if part.effect.phased:
         x, over = np.linspace(0.0, 2.0 * np.pi, GRID), 'phase of the disturbance, rad'
     if term == 'lag':
@@ -246,11 +248,12 @@ def _moved(along: Along, part: Part, name: str, x: FloatArray) -> dict[str, Any]
         return {'time': x / (2.0 * np.pi * _frequency(along, part))}
     if name.startswith('product'):
         return {'other_rates': (x, np.ones(x.size))}
-    if name in ('other rate', 'other command'):
+    field = OVER[name][0]
+    if name.startswith('other'):
         pair = [np.zeros(x.size), np.zeros(x.size)]
         pair[_which(part)] = x
-        return {f'{name.replace(" ", "_")}s': tuple(pair)}
-    return {{'command': 'lagged', 'battery': 'battery_v'}.get(name, name): x}
+        return {field: tuple(pair)}
+    return {field: x}
 
 
 def _lag(along: Along, part: Part, x: FloatArray) -> Evaluate:

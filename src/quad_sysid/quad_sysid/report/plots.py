@@ -22,7 +22,6 @@ PICTURES: tuple[tuple[str, Callable[[AxisAnswer], Picture | None]], ...] = (
     ('coherence', plots_data.coherences),
     ('free_run', plots_models.free_run),
     ('horizon', plots_models.horizon),
-    ('residual_test', plots_models.residuals),
     ('bode', plots_models.bode),
     ('left_out', plots_effects.left_out),
     ('effect_shape', plots_effects.effect_shapes),

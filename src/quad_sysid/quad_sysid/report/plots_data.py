@@ -9,7 +9,7 @@ import numpy as np
 
 from quad_sysid.blackbox import coherence
 from quad_sysid.contract import FloatArray
-from quad_sysid.model.data import AxisData, Span
+from quad_sysid.model.data import AxisData, bridged
 from quad_sysid.pipeline.answer import AxisAnswer
 from quad_sysid.record import IOData
 from quad_sysid.report.canvas import (
@@ -25,7 +25,6 @@ from quad_sysid.report.canvas import (
     legend,
     panels,
     shade,
-    thinned,
 )
 
 if TYPE_CHECKING:
@@ -61,7 +60,7 @@ def _traces(answer: AxisAnswer, data: AxisData) -> Figure:
     for number, (one, (label, measured, reference)) in enumerate(zip(axes, rows, strict=True)):
         for spans, colour, name in ((data.train, BLUE, 'training'),
                                     (data.validation, ORANGE, 'held out')):
-            for at, (a, b) in enumerate(_joined(spans, data.dt)):
+            for at, (a, b) in enumerate(bridged(sorted(spans), data.dt)):
                 shade(one, a * data.dt, b * data.dt, colour, name if at == 0 else '')
         seen: set[str] = set()
         for left in answer.segments:
@@ -71,26 +70,15 @@ def _traces(answer: AxisAnswer, data: AxisData) -> Figure:
                       '' if because in seen else f'left out: {because}')
                 seen.add(because)
         if reference is not None:
-            one.plot(*thinned(time_s, reference), color=GREEN, lw=0.9, label='reference')
+            one.plot(time_s, reference, color=GREEN, lw=0.9, label='reference')
         if measured is not None:
             name = 'measured' if number < len(rows) - 1 else 'command'
-            one.plot(*thinned(time_s, measured), color=INK, lw=0.7, label=name)
+            one.plot(time_s, measured, color=INK, lw=0.7, label=name)
         one.set_ylabel(label)
         one.margins(x=0.0)
     legend(axes[0])
     axes[-1].set_xlabel('time, s')
     return figure
-
-
-def _joined(spans: tuple[Span, ...], dt: float) -> list[Span]:
-    """Spans with gaps below 0.2 s closed, since lost samples do not end a segment."""
-    out: list[Span] = []
-    for a, b in sorted(spans):
-        if out and (a - out[-1][1]) * dt < 0.2:
-            out[-1] = (out[-1][0], b)
-        else:
-            out.append((a, b))
-    return out
 
 
 def coherences(answer: AxisAnswer) -> Picture | None:

@@ -42,7 +42,7 @@ def left_out(answer: AxisAnswer) -> Picture | None:
     for one, name in zip(axes, names, strict=True):
         one.axhline(0.0, color=MUTED, lw=0.8)
         where = 'acting command' if name == 'command' else name
-        one.set_xlabel(f'{where}, {missing_torque.UNITS[name]}')
+        one.set_xlabel(f'{where}, {missing_torque.OVER[name][1]}')
         one.set_ylabel('left out, rad/s²')
     legend(axes[0])
     if not drawn:

@@ -19,7 +19,6 @@ from quad_sysid.report.canvas import (
     Picture,
     finish,
     panels,
-    thinned,
 )
 from quad_sysid.report.plots_models import degrees
 
@@ -44,15 +43,15 @@ def overlay(answer: AxisAnswer) -> Picture | None:
     shown = shown[: round(SHOWN_S / step)]
     figure, axes = panels(2, height_in=3.9, ratios=(2.0, 1.0))
     measured = loop.measured[shown]
-    axes[0].plot(*thinned(time_s[shown], measured), color=INK, lw=1.0, label='measured')
+    axes[0].plot(time_s[shown], measured, color=INK, lw=1.0, label='measured')
     added = answer.model is not None and bool(answer.model.effects)
     runs = [(loop.after, AFTER, '-', 'completed' if added else 'base')]
     if added:
         runs.insert(0, (loop.before, BEFORE, '--', 'base'))
     for simulated, colour, style, name in runs:
         flown = simulated[shown]
-        axes[0].plot(*thinned(time_s[shown], flown), color=colour, ls=style, label=name)
-        axes[1].plot(*thinned(time_s[shown], flown - measured), color=colour, lw=0.8)
+        axes[0].plot(time_s[shown], flown, color=colour, ls=style, label=name)
+        axes[1].plot(time_s[shown], flown - measured, color=colour, lw=0.8)
     axes[1].margins(x=0.01)
     finish(axes, 'time, s', 'rate, rad/s', 'error, rad/s')
     return Picture(
@@ -96,9 +95,9 @@ def step_response(answer: AxisAnswer) -> Picture | None:
             return None
         if not np.isfinite(flown.angle).all():
             return None
-        axes[0].plot(*thinned(time_s, np.degrees(flown.angle)), color=colour, ls=style, lw=1.6,
+        axes[0].plot(time_s, np.degrees(flown.angle), color=colour, ls=style, lw=1.6,
                      label=name)
-        axes[1].plot(*thinned(time_s, flown.control), color=colour, ls=style, lw=1.2)
+        axes[1].plot(time_s, flown.control, color=colour, ls=style, lw=1.2)
     finish(axes, 'time since the step, s', 'angle, deg', 'command, norm.')
     why = '' if len(sets) == 2 else ' No new gains are proposed; the words above say why.'
     return Picture('step', 'Step before and after',

@@ -16,7 +16,7 @@ from quad_sysid.errors import QuadSysidError
 from quad_sysid.loop.plant import ComplexArray, LoopPlant, Slopes, exact_cycles
 from quad_sysid.model import AxisModel
 from quad_sysid.model.data import Windows
-from quad_sysid.pipeline.answer import AxisAnswer, Findings, HeldOut, ModelRow, Residual
+from quad_sysid.pipeline.answer import AxisAnswer, Findings, HeldOut, Residual
 from quad_sysid.report.canvas import (
     AFTER,
     BEFORE,
@@ -28,14 +28,12 @@ from quad_sysid.report.canvas import (
     finish,
     legend,
     panels,
-    thinned,
 )
 from quad_sysid.report.plots_data import trusted, trusted_words
 from quad_sysid.report.words import equals, yes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 SHOWN_WINDOWS = 10
 
@@ -110,27 +108,6 @@ def horizon(answer: AxisAnswer) -> Picture | None:
     )
 
 
-def chosen_row(answer: AxisAnswer) -> ModelRow | None:
-    """The selected black-box model's row."""
-    if answer.selected is None or not 0 <= answer.selected < len(answer.rows):
-        return None
-    return answer.rows[answer.selected]
-
-
-def residuals(answer: AxisAnswer) -> Picture | None:
-    """Auto- and cross-correlation of the selected black-box model's residual."""
-    row = chosen_row(answer)
-    if row is None:
-        return None
-    test, model = row.step_a.test, row.step_a.model
-    figure = _correlogram([(test, model.structure, OTHER, '-')], model.dt)
-    return Picture(
-        'residual_test', f'Residual tests of {model.name}',
-        f'{test.samples} one-step residuals on training data: {_told(test)}. Lines bound 99 % of '
-        'a single lag; at negative lags a closed loop alone gives correlation.', figure,
-    )
-
-
 def bode(answer: AxisAnswer) -> Picture | None:
     """Response from command to measured rate: grey box and black box with bands, and the data."""
     model, train = answer.model, answer.train
@@ -147,13 +124,13 @@ def bode(answer: AxisAnswer) -> Picture | None:
         w = w[w > 0.7 * data.w[0]]
     except QuadSysidError:
         axes[0].set_yscale('log')
-    row = chosen_row(answer)
-    if row is not None:
-        found = frequency_response(row.step_a.model, w)
+    if answer.selected is not None:
+        chosen = answer.rows[answer.selected].step_a.model
+        found = frequency_response(chosen, w)
         _curve(axes, w, found.response, Z99 * found.magnitude_std, Z99 * found.phase_std,
-               OTHER, '--', row.step_a.model.name)
-    response = grey_response(model, w)
-    _curve(axes, w, response, *_grey_spread(model, w, response), AFTER, '-', 'grey box')
+               OTHER, '--', chosen.name)
+    response, magnitude, phase = _grey_box(model, w)
+    _curve(axes, w, response, magnitude, phase, AFTER, '-', 'grey box')
     for one in axes:
         trusted(one, answer)
         one.set_xscale('log')
@@ -192,47 +169,41 @@ def degrees(response: ComplexArray) -> FloatArray:
     return np.asarray(phase)
 
 
-def grey_response(model: AxisModel, w: FloatArray,
-                  values: dict[str, float] | None = None) -> ComplexArray:
-    """(m,) base of the model from command to measured rate at w rad/s; rad/s per command."""
-    p = values or {parameter.name: parameter.value for parameter in model.base}
-    plant = LoopPlant(p['gain'], p['lag'], max(p['delay'], 0.0), p['damping'], 0.0,
-                      model.gyro_filter_hz, model.dt)
-    return np.asarray(exact_cycles([plant], [Slopes()]).response(w)[0, 0])
+def _grey_box(model: AxisModel, w: FloatArray) -> tuple[ComplexArray, FloatArray, FloatArray]:
+    """(m,) base from command to measured rate at w rad/s, half widths of magnitude and phase.
 
-
-def _grey_spread(model: AxisModel, w: FloatArray,
-                 response: ComplexArray) -> tuple[FloatArray, FloatArray]:
-    """99 % half widths of magnitude and phase (rad), first order in the base's covariance."""
-    nothing = np.full(w.size, np.nan)
-    if model.covariance is None:
-        return nothing, nothing
-    values = {p.name: p.value for p in model.base}
+    rad/s per command and rad, 99 %, first order in the covariance; NaN where that is not known.
+    """
+    values, n = {p.name: p.value for p in model.base}, len(model.parameter_names)
+    covariance = np.full((n, n), np.nan) if model.covariance is None else \
+        np.asarray(model.covariance)
     index = [i for i, name in enumerate(model.parameter_names)
-             if name in values and np.isfinite(model.covariance[i, i])]
+             if name in values and np.isfinite(covariance[i, i])]
+    names = [model.parameter_names[i] for i in index]
+    steps = [0.01 * float(np.sqrt(covariance[i, i])) or 1e-9 for i in index]
+    moved = [{**values, name: values[name] + step}
+             for name, step in zip(names, steps, strict=True)]
+    plants = [LoopPlant(p['gain'], p['lag'], max(p['delay'], 0.0), p['damping'], 0.0,
+                        model.gyro_filter_hz, model.dt) for p in (values, *moved)]
+    response, *near = exact_cycles(plants, [Slopes()] * len(plants)).response(w)[0]
     if not index:
-        return nothing, nothing
-    columns = []
-    for i in index:
-        name = model.parameter_names[i]
-        step = 0.01 * float(np.sqrt(model.covariance[i, i])) or 1e-9
-        moved = grey_response(model, w, {**values, name: values[name] + step})
-        columns.append((moved / response - 1.0) / step)
-    gradient = np.stack(columns, axis=1)
-    covariance = np.asarray(model.covariance)[np.ix_(index, index)]
-    spread = [Z99 * np.sqrt(np.maximum(np.einsum('mi,ij,mj->m', g, covariance, g), 0.0))
+        return response, np.full(w.size, np.nan), np.full(w.size, np.nan)
+    gradient = (np.stack(near, axis=1) / response[:, None] - 1.0) / np.array(steps)
+    known = covariance[np.ix_(index, index)]
+    spread = [Z99 * np.sqrt(np.maximum(np.einsum('mi,ij,mj->m', g, known, g), 0.0))
               for g in (gradient.real, gradient.imag)]
-    return spread[0] * np.abs(response), spread[1]
+    return response, spread[0] * np.abs(response), spread[1]
 
 
 Z99 = 2.576
-NAMES = (('before', 'base', BEFORE, '--'), ('after', 'completed', AFTER, '-'))
+NAMES = (('before', 'base', BEFORE, '--'), ('after', 'completed', AFTER, '-'),
+         ('blackbox', 'black box', OTHER, ':'))
 OFFSET = 0.3
-"""Offset of the second model's lines from the first's, lags."""
+"""Offset of each model's lines from those of the one before, lags."""
 
 
 def _known(answer: AxisAnswer) -> Iterator[tuple[Residual, str, str, str]]:
-    """Residuals to draw: of the base, and of the completed model where it is another one."""
+    """Residuals to draw: of the completed model only where it is another one than the base."""
     same = answer.findings is None or not answer.findings.added
     for key, name, colour, style in NAMES:
         if key in answer.residuals and not (same and key == 'after'):
@@ -240,30 +211,19 @@ def _known(answer: AxisAnswer) -> Iterator[tuple[Residual, str, str, str]]:
 
 
 def correlations(answer: AxisAnswer) -> Picture | None:
-    """Auto- and cross-correlation of the one-step errors of base and completed model."""
-    shown = list(_known(answer))
-    found = answer.findings
+    """Auto- and cross-correlation of the one-step errors of every model, with their bounds."""
+    shown, found = list(_known(answer)), answer.findings
     if not shown or found is None:
         return None
-    figure = _correlogram([(r.test, name, c, s) for r, name, c, s in shown], found.data.dt)
-    told = '; '.join(f'{name}: {_told(r.test)}' for r, name, _, _ in shown)
-    return Picture(
-        'correlations', 'What is left, cycle by cycle',
-        'One-step errors on held-out data; lines bound 99 % of a single lag. A positive lag is '
-        f'the command before the error. {told[:1].upper()}{told[1:]}.', figure,
-    )
-
-
-def _correlogram(shown: list[tuple[ResidualTest, str, str, str]], dt: float) -> Figure:
-    """Auto- and cross-correlation of residuals (test, name, colour, style), with their bounds."""
     figure, axes = panels(2, height_in=4.0, share_x=False, apart=0.72)
     reach = [0.0, 0.0]
-    for number, (test, name, colour, style) in enumerate(shown):
+    for number, (residual, name, colour, style) in enumerate(shown):
+        test = residual.test
         for panel, lags, values, bound in (
             (0, test.lags[1:], test.autocorrelation[1:], test.autocorrelation_bound),
             (1, test.cross_lags, test.cross_correlation, test.cross_bound),
         ):
-            at = (lags + OFFSET * number) * dt
+            at = (lags + OFFSET * number) * found.data.dt
             axes[panel].vlines(at, 0.0, values, color=colour, lw=1.1)
             axes[panel].plot(at, values, 's' if number == 0 else 'o', ms=2.4, color=colour,
                              label=name)
@@ -277,7 +237,13 @@ def _correlogram(shown: list[tuple[ResidualTest, str, str, str]], dt: float) -> 
         one.set_ylabel(label)
         one.set_xlabel('lag, s')
     legend(axes[0])
-    return figure
+    told = '; '.join(f'{name}: {_told(r.test)}' for r, name, _, _ in shown)
+    return Picture(
+        'correlations', 'What is left, cycle by cycle',
+        'One-step errors on held-out data; lines bound 99 % of a single lag. A positive lag is '
+        'the command before the error; at negative lags a closed loop alone gives correlation. '
+        f'{told[:1].upper()}{told[1:]}.', figure,
+    )
 
 
 def _told(test: ResidualTest) -> str:
@@ -289,10 +255,7 @@ def _told(test: ResidualTest) -> str:
 
 def spectrum(answer: AxisAnswer) -> Picture | None:
     """Spectrum of the one-step errors of every model, with the peaks that stand out."""
-    shown = list(_known(answer))
-    if 'blackbox' in answer.residuals:
-        shown.append((answer.residuals['blackbox'], 'black box', OTHER, ':'))
-    shown = [entry for entry in shown if entry[0].frequency_hz.size > 2]
+    shown = [entry for entry in _known(answer) if entry[0].frequency_hz.size > 2]
     if not shown:
         return None
     figure, (one,) = panels(height_in=2.7)
@@ -322,7 +285,7 @@ def torque(answer: AxisAnswer) -> Picture | None:
         time_s, values = np.asarray(missing.time_s), np.asarray(missing.acceleration)
         pieces = np.split(np.arange(time_s.size), np.flatnonzero(np.diff(time_s) > 1.0) + 1)
         for number, at in enumerate(pieces):
-            one.plot(*thinned(time_s[at], values[at]), color=colour, lw=0.8,
+            one.plot(time_s[at], values[at], color=colour, lw=0.8,
                      label='' if number else name)
     last = shown[-1][0]
     bound = Z99 * last.expected_rms
