@@ -14,9 +14,8 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 from virtual_flights import AMPLITUDE, PLAN, RATE_HZ, START_S, record_of, schedule_of
 
-from quad_bridge.virtual.firmware import FirmwareSettings
 from quad_bridge.virtual.plant import axis_gains
-from quad_bridge.virtual.profile import Profile, load_profile
+from quad_bridge.virtual.profile import FirmwareSettings, Profile, load_profile
 from quad_bridge.virtual.receiver import Event, Receiver
 from quad_bridge.virtual.simulation import Excited, Flight, fly
 from quad_sysid.contract import AXES

@@ -186,7 +186,7 @@ def boot(profile: Profile, *, lockstep: bool = True) -> hil.Boot:
     """The settings with which the firmware flies this profile."""
     firmware, sensors = profile.firmware, profile.sensors
     wanted = {
-        **firmware.gains.values(),
+        **firmware.gains,
         'sensor.gyro_filter_hz': sensors.gyro_filter_hz,
         'sensor.accel_filter_hz': sensors.accel_filter_hz,
     }

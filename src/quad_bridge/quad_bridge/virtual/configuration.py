@@ -41,21 +41,16 @@ def read_yaml(path: Path, library: Path, above: tuple[Path, ...] = ()) -> dict[s
 
 def read_mapping(path: Path) -> dict[str, object]:
     """The mapping in one YAML file, {} for an empty one; ConfigurationError names the file."""
-    loaded = load(path)
-    mapping = {} if loaded is None else loaded
-    if not isinstance(mapping, dict):
-        raise ConfigurationError(str(path), f'must be a mapping of keys, is {loaded!r}')
-    return mapping
-
-
-def load(path: Path) -> object:
-    """What a YAML file holds; ConfigurationError names the file."""
     try:
-        return yaml.safe_load(path.read_text(encoding='utf-8'))
+        loaded = yaml.safe_load(path.read_text(encoding='utf-8'))
     except OSError as error:
         raise ConfigurationError(str(path), f'cannot be read ({error.strerror})') from error
     except (yaml.YAMLError, ValueError, RecursionError) as error:  # no text, digits, brackets
         raise ConfigurationError(str(path), f'is not YAML ({error})') from error
+    mapping = {} if loaded is None else loaded
+    if not isinstance(mapping, dict):
+        raise ConfigurationError(str(path), f'must be a mapping of keys, is {loaded!r}')
+    return mapping
 
 
 def merged(under: Mapping[str, object], over: Mapping[str, object]) -> dict[str, object]:
@@ -103,6 +98,9 @@ def _value(hint: object, value: object, where: str) -> object:
     if isinstance(hint, type) and dataclasses.is_dataclass(hint):
         return build(hint, value, where)
     origin, arguments = typing.get_origin(hint), typing.get_args(hint)
+    if origin is Mapping:
+        named = value if isinstance(value, Mapping) else {'': value}
+        return {key: _value(arguments[1], v, f'{where}.{key}') for key, v in named.items()}
     if origin is tuple:
         if Ellipsis in arguments:
             items = value if isinstance(value, (list, tuple)) else [value]

@@ -11,14 +11,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from quad_bridge.virtual.airframe import GRAVITY_M_S2, Airframe, Surroundings
-from quad_bridge.virtual.effects import Effects
+from quad_bridge.gains.table import AXES
+from quad_bridge.virtual.airframe import GRAVITY_M_S2, Airframe
+from quad_bridge.virtual.effects import CrossAxisInput, Effects
 
 FloatArray = npt.NDArray[np.float64]
 Triple = tuple[float, float, float]
 Quad = tuple[float, float, float, float]
-
-AXES = ('roll', 'pitch', 'yaw')
 
 MIXER: FloatArray = np.array(
     [[1.0, 1, 1, 1], [1.0, -1, 1, -1], [1.0, -1, -1, 1], [1.0, 1, -1, -1]]
@@ -98,133 +97,94 @@ def axis_gains(airframe: Airframe) -> FloatArray:
     return np.asarray(torque / np.array(airframe.inertia_kg_m2))
 
 
+STRENGTHS = {
+    'quadratic_drag': ('quadratic_drag', 'coefficient_nm_s2'),
+    'pendulum': ('pendulum_stiffness', 'stiffness_nm_rad'),
+    'cubic': ('cubic_stiffness', 'stiffness_nm_rad3'),
+    'dead_zone': ('dead_zone', 'half_width'),
+    'play': ('backlash', 'half_width'),
+    'mode_peak': ('resonance', 'peak'),
+    'periodic_torque': ('periodic_disturbance', 'amplitude_nm'),
+    'event_gain': ('step_event', 'gain_change'),
+    'event_torque': ('step_event', 'torque_nm'),
+}
+"""Constant of the plant to the effect and its field that it is where the effect is on; else 0."""
+
+
 def build_plant(
     airframe: Airframe, effects: Effects, *, mount: str, axis: str, step_s: float, phase: float
 ) -> Plant:
     """The constants of one aircraft on one mount; `phase` (rad) of the periodic disturbance."""
-    around = airframe.mounts.rig if mount == 'rig' else airframe.mounts.hover
-    free = np.ones(3) if mount == 'hover' else np.eye(3)[AXES.index(axis)]
-    inertia = np.array(airframe.inertia_kg_m2)
-    values: dict[str, object] = {
+    hovers, inertia = mount == 'hover', np.array(airframe.inertia_kg_m2)
+    around = airframe.mounts.hover if hovers else airframe.mounts.rig
+    motors, battery = airframe.motors, airframe.battery
+    lag, limits, gyro = effects.motor_lag, effects.saturation, effects.gyroscopic_coupling
+    lags = np.full(4, motors.lag_s)
+    if lag.enabled:
+        lags[[m - 1 for m in lag.motors]] = lag.slow_time_constant_s
+    stribeck, coulomb = effects.stribeck, effects.coulomb_friction
+    sliding = stribeck.enabled * np.array(stribeck.coulomb_nm)
+    values: dict[str, Any] = {
         'step_s': step_s,
-        'free_axes': free,
-        'moves': 1.0 if mount == 'hover' else 0.0,
+        'free_axes': np.ones(3) if hovers else np.eye(3)[AXES.index(axis)],
+        'moves': float(hovers),
         'mass': airframe.mass_kg,
         'inertia': inertia,
         'torque_map': torque_map(airframe),
-        'linear_drag': airframe.linear_drag_per_s,
-        **_around(around, inertia),
-        **_motors_and_battery(airframe, effects),
-        **_resistances(effects),
-        **_couplings(airframe, effects),
-        **_time_dependent(effects, phase),
-    }
-    fields: dict[str, Any] = {name: _frozen(value) for name, value in values.items()}
-    return Plant(**fields)
-
-
-def _frozen(value: object) -> object:
-    """Arrays as nested tuples, anything else as it is."""
-    if not isinstance(value, np.ndarray):
-        return value
-    rows = value.tolist()
-    return tuple(tuple(row) if isinstance(row, list) else row for row in rows)
-
-
-def _strength(on: bool, values: tuple[float, float, float]) -> FloatArray:
-    """The values of an effect that is on, zeros where it is off."""
-    return np.array(values) if on else np.zeros(3)
-
-
-def _around(around: Surroundings, inertia: FloatArray) -> dict[str, object]:
-    return {
-        'damping': np.array(around.damping_per_s) * inertia,
-        'bias_torque': np.array(around.bias_torque_nm),
-        'noise': np.array(around.torque_noise_nm_rthz),
-        'noise_bandwidth_hz': around.torque_noise_bandwidth_hz,
-    }
-
-
-def _motors_and_battery(airframe: Airframe, effects: Effects) -> dict[str, object]:
-    motors, battery = airframe.motors, airframe.battery
-    lag = np.full(4, motors.lag_s)
-    if effects.motor_lag.enabled:
-        lag[[m - 1 for m in effects.motor_lag.motors]] = effects.motor_lag.slow_time_constant_s
-    limited = effects.saturation.enabled
-    return {
         'full_thrust': motors.full_thrust_n,
-        'lag': lag,
-        'full_speed': motors.full_speed_rad_s,
-        'rotor_inertia': motors.rotor_inertia_kg_m2,
-        'full_current': motors.full_current_a,
-        'motor_lower': effects.saturation.lower if limited else 0.0,
-        'motor_upper': effects.saturation.upper if limited else 1.0,
-        'charge_points': np.array(battery.charge_points),
+        'lag': lags,
+        'linear_drag': airframe.linear_drag_per_s,
+        'damping': np.array(around.damping_per_s) * inertia,
+        'bias_torque': around.bias_torque_nm,
+        'noise': around.torque_noise_nm_rthz,
+        'noise_bandwidth_hz': around.torque_noise_bandwidth_hz,
+        'charge_points': battery.charge_points,
         'pack_voltage': np.array(battery.cell_voltage_v) * battery.cells,
         'resistance': battery.resistance_ohm,
         'capacity_as': battery.capacity_ah * 3600.0,
+        'full_current': motors.full_current_a,
         'idle_current': battery.idle_current_a,
-        'curvature': effects.thrust_curve.curvature if effects.thrust_curve.enabled else 0.0,
-        'sag_exponent': effects.battery_sag.exponent if effects.battery_sag.enabled else 0.0,
+        'full_speed': motors.full_speed_rad_s,
+        'rotor_inertia': motors.rotor_inertia_kg_m2,
+        'curvature': effects.thrust_curve.enabled * effects.thrust_curve.curvature,
+        'sag_exponent': effects.battery_sag.enabled * effects.battery_sag.exponent,
         'sag_reference_v': effects.battery_sag.reference_v,
-    }
-
-
-def _resistances(effects: Effects) -> dict[str, object]:
-    stribeck = effects.stribeck
-    low = _strength(stribeck.enabled, stribeck.coulomb_nm)
-    return {
-        'dry_low': low
-        + _strength(effects.coulomb_friction.enabled, effects.coulomb_friction.torque_nm),
-        'dry_extra': _strength(stribeck.enabled, stribeck.static_nm) - low,
+        'dry_low': sliding + coulomb.enabled * np.array(coulomb.torque_nm),
+        'dry_extra': stribeck.enabled * np.array(stribeck.static_nm) - sliding,
         'dry_speed': stribeck.speed_rad_s,
-        'quadratic_drag': _strength(
-            effects.quadratic_drag.enabled, effects.quadratic_drag.coefficient_nm_s2
-        ),
         'springs': effects.pendulum_stiffness.enabled or effects.cubic_stiffness.enabled,
-        'pendulum': _strength(
-            effects.pendulum_stiffness.enabled, effects.pendulum_stiffness.stiffness_nm_rad
-        ),
-        'cubic': _strength(
-            effects.cubic_stiffness.enabled, effects.cubic_stiffness.stiffness_nm_rad3
-        ),
-    }
-
-
-def _couplings(airframe: Airframe, effects: Effects) -> dict[str, object]:
-    cross = np.zeros((3, 3))
-    if effects.cross_axis_input.enabled:
-        gain = axis_gains(airframe) * np.array(airframe.inertia_kg_m2)
-        to, source = (
-            AXES.index(effects.cross_axis_input.to_axis),
-            AXES.index(effects.cross_axis_input.from_axis),
-        )
-        cross[to, source] = effects.cross_axis_input.fraction * gain[to] / gain[source]
-    gyro = effects.gyroscopic_coupling
-    return {
-        'gyro_scale': gyro.rotor_scale if gyro.enabled else 0.0,
-        'gyro_momentum': gyro.extra_momentum_nm_s if gyro.enabled else 0.0,
-        'euler_term': 1.0 if effects.inertia_coupling.enabled else 0.0,
-        'cross': cross,
-        'dead_zone': _strength(effects.dead_zone.enabled, effects.dead_zone.half_width),
-        'play': _strength(effects.backlash.enabled, effects.backlash.half_width),
-        'mode_peak': _strength(effects.resonance.enabled, effects.resonance.peak),
+        'motor_lower': limits.lower if limits.enabled else 0.0,
+        'motor_upper': limits.upper if limits.enabled else 1.0,
+        'gyro_scale': gyro.enabled * gyro.rotor_scale,
+        'gyro_momentum': gyro.enabled * gyro.extra_momentum_nm_s,
+        'euler_term': float(effects.inertia_coupling.enabled),
+        'cross': _cross(airframe, effects.cross_axis_input),
         'mode_rad_s': 2.0 * math.pi * effects.resonance.frequency_hz,
         'mode_damping': effects.resonance.damping_ratio,
-    }
-
-
-def _time_dependent(effects: Effects, phase: float) -> dict[str, object]:
-    periodic, event = effects.periodic_disturbance, effects.step_event
-    return {
-        'periodic_torque': _strength(periodic.enabled, periodic.amplitude_nm),
-        'periodic': periodic.enabled,
-        'periodic_rad_s': 2.0 * math.pi * periodic.frequency_hz,
+        'periodic': effects.periodic_disturbance.enabled,
+        'periodic_rad_s': 2.0 * math.pi * effects.periodic_disturbance.frequency_hz,
         'periodic_phase': phase,
-        'event_time_s': event.time_s,
-        'event_gain': _strength(event.enabled, event.gain_change),
-        'event_torque': _strength(event.enabled, event.torque_nm),
+        'event_time_s': effects.step_event.time_s,
     }
+    for name, (effect, strength) in STRENGTHS.items():
+        one = getattr(effects, effect)
+        values[name] = one.enabled * np.array(getattr(one, strength))
+    return Plant(**{name: _frozen(value) for name, value in values.items()})
+
+
+def _frozen(value: Any) -> Any:
+    """Arrays as nested tuples, anything else as it is."""
+    if not isinstance(value, np.ndarray):
+        return value
+    return tuple(tuple(row) if isinstance(row, list) else row for row in value.tolist())
+
+
+def _cross(airframe: Airframe, coupling: CrossAxisInput) -> FloatArray:
+    """(3, 3) share of the drive of axis j that acts on axis i as well."""
+    cross, gain = np.zeros((3, 3)), axis_gains(airframe) * np.array(airframe.inertia_kg_m2)
+    to, source = AXES.index(coupling.to_axis), AXES.index(coupling.from_axis)
+    cross[to, source] = coupling.enabled * coupling.fraction * gain[to] / gain[source]
+    return cross
 
 
 def hover_throttle(airframe: Airframe, plant: Plant) -> float:

@@ -39,7 +39,7 @@ from quad_bridge.virtual.errors import ConfigurationError, RestartedError
 from quad_bridge.virtual.line import Line
 from quad_bridge.virtual.native import find
 from quad_bridge.virtual.profile import Profile, load_profile, profile_names
-from quad_bridge.virtual.receiver import Receiver, channels_at, read_events
+from quad_bridge.virtual.receiver import Receiver, channels_at
 
 WAIT_S = 0.5  # how long a signal may have to wait in lockstep
 
@@ -67,12 +67,6 @@ def arguments() -> argparse.ArgumentParser:
         help='adds the torque of its effect(t_s, rates, angles, thrusts, battery_v), N m',
     )
     parser.add_argument(
-        '--rc-events',
-        type=Path,
-        metavar='FILE.yaml',
-        help='stick movements: a list of {time_s: 3.0, channel: roll, value: 0.4}',
-    )
-    parser.add_argument(
         '--key', type=Path, metavar='FILE', help='sign, and ignore whoever does not (make_key)'
     )
     parser.add_argument('--link', type=Path, help='symbolic link to make to the port')
@@ -92,10 +86,8 @@ def arguments() -> argparse.ArgumentParser:
 class Flight:
     """A prepared aircraft on its board, cycle by cycle; device time runs from here on."""
 
-    def __init__(
-        self, aircraft: Aircraft, script: Receiver, board: Board, *, lockstep: bool
-    ) -> None:
-        self.aircraft, self._script, self._board = aircraft, script, board
+    def __init__(self, aircraft: Aircraft, board: Board, *, lockstep: bool) -> None:
+        self.aircraft, self._board = aircraft, board
         board.motors()  # it listens
         board.send(boot(aircraft.profile, lockstep=lockstep).frame())
         self._frame = self._measured()
@@ -111,7 +103,7 @@ class Flight:
 
     def _measured(self) -> bytes:
         now_s = self.aircraft.cycle * self.aircraft.cycle_s
-        return self.aircraft.measure(channels_at(self._script, now_s))
+        return self.aircraft.measure(channels_at(self.aircraft.profile.receiver, now_s))
 
 
 class Stop:
@@ -142,15 +134,13 @@ def fly_in_lockstep(flight: Flight, board: Board, line: Line, stop: Stop) -> Non
             raise EndedError
 
 
-def build_aircraft(given: argparse.Namespace) -> tuple[Aircraft, Receiver]:
-    """The aircraft that the arguments ask for, prepared, and its receiver."""
+def build_aircraft(given: argparse.Namespace) -> Aircraft:
+    """The aircraft that the arguments ask for, prepared."""
     profile = load_profile(given.profile)
     profile = replace(profile, mount=given.mount or profile.mount, axis=given.axis or profile.axis)
     effect = None if given.effect_module is None else load_effect(given.effect_module)
-    events = Receiver() if given.rc_events is None else read_events(given.rc_events)
-    script = Receiver(events=profile.receiver.events + events.events)
     say('virtual STM32 prepares\n')
-    return prepared(profile, seed=given.seed, effect=effect), script
+    return prepared(profile, seed=given.seed, effect=effect)
 
 
 def prepared(profile: Profile, *, seed: int, effect: EffectFunction | None = None) -> Aircraft:
@@ -173,12 +163,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     given = arguments().parse_args(argv)
     try:
         signing_from(given.key)
-        aircraft, script = build_aircraft(given)
+        aircraft = build_aircraft(given)
         sys.stdout.flush()
         stop = Stop(aircraft, given.duration)  # its port appears, and whoever waits may signal
         board = board_of(given)
         try:
-            fly(aircraft, script, board, given, stop)
+            fly(aircraft, board, given, stop)
         finally:
             status = board.close()
     except (QuadBridgeError, OSError) as error:
@@ -205,12 +195,10 @@ def board_of(given: argparse.Namespace) -> Board:
     return Board.linux(*options, *(['--link', given.link] if given.link is not None else []))
 
 
-def fly(
-    aircraft: Aircraft, script: Receiver, board: Board, given: argparse.Namespace, stop: Stop
-) -> None:
+def fly(aircraft: Aircraft, board: Board, given: argparse.Namespace, stop: Stop) -> None:
     """Fly until a signal, the duration or the firmware's own end."""
     with contextlib.suppress(EndedError):
-        flight = Flight(aircraft, script, board, lockstep=given.lockstep is not None)
+        flight = Flight(aircraft, board, lockstep=given.lockstep is not None)
         if given.lockstep is not None:
             with contextlib.closing(Line(given.lockstep, say)) as line:
                 fly_in_lockstep(flight, board, line, stop)

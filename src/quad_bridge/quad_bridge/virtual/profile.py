@@ -2,18 +2,47 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from quad_bridge.gains.table import AXES, SETTABLE
 from quad_bridge.virtual.airframe import Airframe, require
 from quad_bridge.virtual.configuration import build, read_yaml
 from quad_bridge.virtual.effects import Effects
 from quad_bridge.virtual.errors import ConfigurationError
-from quad_bridge.virtual.firmware import FirmwareSettings
 from quad_bridge.virtual.receiver import Receiver
 from quad_bridge.virtual.sensors import Sensors
 
 FOLDER = Path(__file__).with_name('profiles')
+
+
+@dataclass(frozen=True)
+class FirmwareSettings:
+    """What the firmware is started with, and how the physics goes on between its cycles."""
+
+    rate_hz: float = 250.0
+    physics_steps_per_cycle: int = 4
+    delay_cycles: int = 2  # from computing a command to its acting on the motors
+    auto_arm: bool = True
+    stick_angle_deg: float = 30.0
+    stick_yaw_rate_deg_s: float = 90.0
+    angle_limit_deg: float = 30.0  # beyond it the flag ANGLE_LIMIT is set and excitation refused
+    low_battery_v: float = 9.9
+    gains: Mapping[str, float] = field(default_factory=dict)
+    """By the contract's names, SI; the others start as gains/table.py says."""
+
+    def __post_init__(self) -> None:
+        """Check bounds."""
+        require(50.0 <= self.rate_hz <= 1000.0, f'rate_hz must lie in 50..1000: {self.rate_hz}')
+        require(self.rate_hz == int(self.rate_hz), f'rate_hz must be whole: {self.rate_hz}')
+        require(0 <= self.delay_cycles <= 4, f'delay_cycles must be 0..4: {self.delay_cycles}')
+        steps = self.physics_steps_per_cycle
+        fine = steps * self.rate_hz >= 1000.0
+        require(fine, f'physics_steps_per_cycle {steps} gives less than 1 kHz of physics')
+        require(steps <= 20, f'physics_steps_per_cycle must be at most 20: {steps}')
+        unknown = sorted(self.gains.keys() - set(SETTABLE))
+        require(not unknown, f'gains: unknown {", ".join(unknown)}')
 
 
 @dataclass(frozen=True)
@@ -40,8 +69,7 @@ class Profile:
     def __post_init__(self) -> None:
         """Check names."""
         require(self.mount in {'rig', 'hover'}, f'mount must be rig or hover, is {self.mount!r}')
-        known = {'roll', 'pitch', 'yaw'}
-        require(self.axis in known, f'axis must be roll, pitch or yaw, is {self.axis!r}')
+        require(self.axis in AXES, f'axis must be roll, pitch or yaw, is {self.axis!r}')
 
 
 def profile_names() -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""The pilot's receiver: nine channels that follow a script of timed events. No I/O but reading it.
+"""The pilot's receiver: nine channels that follow a script of timed events. No I/O.
 
 Sticks are -1..1 in body FLU terms (positive roll: right side down, positive pitch: nose down,
 positive yaw: to the left), the throttle 0..1; channel 5 (aux 1) is the kill switch.
@@ -7,11 +7,8 @@ positive yaw: to the left), the throttle 0..1; channel 5 (aux 1) is the kill swi
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 from quad_bridge.virtual.airframe import require
-from quad_bridge.virtual.configuration import build, load
-from quad_bridge.virtual.errors import ConfigurationError
 
 NAMES = ('roll', 'pitch', 'throttle', 'yaw', 'aux1', 'aux2', 'aux3', 'aux4', 'aux5')
 
@@ -75,16 +72,6 @@ def channels_at(script: Receiver, time_s: float) -> Channels:
         yaw=_number(values.get('yaw'), 0.0),
         aux=(aux[0], aux[1], aux[2], aux[3], aux[4]),
         failsafe=_number(values.get('failsafe'), 0.0) > 0.5,
-    )
-
-
-def read_events(path: Path) -> Receiver:
-    """A script from a YAML list of `{time_s: 3.0, channel: roll, value: 0.4}`."""
-    loaded = load(path)
-    if not isinstance(loaded, list):
-        raise ConfigurationError(str(path), 'must be a list of events')
-    return Receiver(
-        events=tuple(build(Event, item, f'{path}: [{i}]') for i, item in enumerate(loaded))
     )
 
 
