@@ -1,5 +1,4 @@
-"""The search: one optimum from any start, nothing better on the grid, no unstable point taken."""
-
+"""The search: nothing better anywhere, and nothing where no gains keep the margins."""
 
 import numpy as np
 import pytest
@@ -26,8 +25,7 @@ SLOW = {'gain': 260.0, 'lag': 0.075, 'delay': 0.012}
 def test_another_global_optimiser_finds_nothing_better(model, values):
     """Differential evolution with a penalty, on the loops that bind: within 1 % on either side."""
     problem = problem_of(model(**values))
-    found = searches.search(problem)
-    best, at = found.points[0]
+    best, at = searches.search(problem)[0]
     loops = problem.ensemble.subset(searches._worst(problem, problem.gains(at), 2))
 
     def judged(x):
@@ -42,8 +40,7 @@ def test_another_global_optimiser_finds_nothing_better(model, values):
     )
     assert best < 1.01 * other.fun
     assert other.fun > 0.99 * best
-    assert found.grid_best > best
 
 
 def test_what_no_gains_can_keep_is_not_found(model):
-    assert searches.search(problem_of(model(), peak_sensitivity=1.01)).points == ()
+    assert searches.search(problem_of(model(), peak_sensitivity=1.01)) == []

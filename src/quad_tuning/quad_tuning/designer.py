@@ -113,9 +113,8 @@ def _figures(model: AxisModel, found: PidDesign, known: Mapping[str, float],
     before = {**found.before.named(model.noise_rms), **known}
     values = found.figures.named(model.noise_rms) | {f'{name}_before': value for name,
                                                      value in before.items()} | {
-        'draws': draws, 'searches_that_agree': found.starts, 'searches': found.searches,
-        'optimum_spread_pct': found.spread_pct, 'grid_points': found.grid_points,
-        'grid_excess_pct': found.grid_excess_pct, 'disturbance_kept': found.disturbance_kept,
+        'draws': draws, 'searches_that_agree': found.agreeing, 'searches': found.searches,
+        'disturbance_kept': found.disturbance_kept,
         'effects_left_out': len(not_in_the_loop(model)),
     }
     return {name: float(value) for name, value in values.items() if np.isfinite(value)}

@@ -19,12 +19,7 @@ import numpy.typing as npt
 from scipy.optimize import minimize
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.loop.cascade import (
-    TUNED,
-    CascadeGains,
-    controller_response,
-    margins,
-)
+from quad_sysid.loop.cascade import CascadeGains, controller_response, margins
 from quad_sysid.loop.plant import ComplexArray, LoopPlant
 from quad_tuning.assess import SQUARE_HALF_PERIOD_S, LoopFigures, assess
 from quad_tuning.bounds import DESIGNED
@@ -53,30 +48,16 @@ INFEASIBLE = 0.005
 CHUNK = 256
 
 
-@dataclass(frozen=True)
-class Found:
-    """Results of the searches, best first, and the best of the grid."""
+def search(problem: Problem) -> list[tuple[float, FloatArray]]:
+    """Objective and point of each search that satisfied all requirements, best first.
 
-    points: tuple[tuple[float, FloatArray], ...]
-    """(objective, point) of each search that satisfied all requirements."""
-    grid_points: int
-    grid_best: float
-    """Objective of the best grid point that satisfies all loops; inf: none."""
-
-
-def search(problem: Problem) -> Found:
-    """Grid, then local searches; no points where nothing in the box is feasible."""
+    Empty where nothing in the box is feasible.
+    """
     grid = _grid(problem)
     loops = problem.ensemble.subset(_binding(problem))
     order = _ranked(problem, loops, grid)
     judged = [(_merit(problem, loops, grid[i]), grid[i]) for i in order[:JUDGED]]
     judged.sort(key=lambda item: item[0])
-    known = ((merit, problem.gains(x)) for merit, x in judged[:STARTS])
-    best = min(
-        (merit for merit, gains in known
-         if problem.holds(gains) and float(np.min(problem.value(gains)[1])) >= 0.0),
-        default=float('inf'),
-    )
     ends: list[tuple[float, FloatArray]] = []
     for attempt, start in enumerate(_apart([x for _, x in judged])):
         end = _polish(problem, start)
@@ -84,8 +65,7 @@ def search(problem: Problem) -> Found:
             ends.append(end)
         elif attempt and not ends:
             break  # two searches from afar found none
-    ends.sort(key=lambda item: item[0])
-    return Found(tuple(ends), grid.shape[0], best)
+    return sorted(ends, key=lambda item: item[0])
 
 
 def _grid(problem: Problem) -> FloatArray:
@@ -261,17 +241,10 @@ class PidDesign:
     gains: CascadeGains
     figures: LoopFigures
     before: LoopFigures
-    objective: float
-    spread_pct: float
-    """Largest difference of angle kp or rate kp between searches that agree, %."""
-    objective_spread_pct: float
-    starts: int
+    agreeing: int
     """Searches that ended within AGREED of the best objective."""
     searches: int
     """Searches that satisfied all requirements."""
-    grid_points: int
-    grid_excess_pct: float
-    """Excess of the best feasible grid point over the optimum, %; negative: better."""
     disturbance_kept: bool
     """Whether torque is rejected no worse than with the flown gains."""
 
@@ -286,14 +259,14 @@ def retune(plant: LoopPlant, active: CascadeGains, ensemble: Ensemble,
     """
     needs = needs or Requirements()
     problem = pose(plant, active, ensemble, needs, weights or Weights(), fixed)
-    found, kept = search(problem), True
-    if not found.points:
+    points, kept = search(problem), True
+    if not points:
         kept = False
         factor = RELAXED_DISTURBANCE * needs.disturbance_factor
         problem = replace(problem, needs=replace(needs, disturbance_factor=factor))
-        found = search(problem)
+        points = search(problem)
     before = assess(plant, active, ensemble)
-    if not found.points:
+    if not points:
         raise DesignRefusedError(
             f'no gains within the hard bounds keep the margins over {ensemble.draws} draws '
             f'(flown: phase margin {before.worst_phase_margin_deg:.0f} deg, gain margin '
@@ -301,14 +274,8 @@ def retune(plant: LoopPlant, active: CascadeGains, ensemble: Ensemble,
             f'{before.worst_peak_sensitivity:.2f} at worst); identify with more excitation, or '
             'lower the gains by hand first'
         )
-    objective, best = found.points[0]
+    objective, best = points[0]
     chosen = problem.gains(best)
-    agreed = [(value, x) for value, x in found.points if value <= (1.0 + AGREED) * objective]
-    spread = max(abs(float(getattr(problem.gains(x), field)) / float(getattr(chosen, field)) - 1.0)
-                 for _, x in agreed for field in TUNED[:2])
     return PidDesign(gains=chosen, figures=assess(plant, chosen, ensemble), before=before,
-                     objective=objective, spread_pct=100.0 * spread, starts=len(agreed),
-                     searches=len(found.points),
-                     objective_spread_pct=100.0 * (agreed[-1][0] / objective - 1.0),
-                     grid_points=found.grid_points, disturbance_kept=kept,
-                     grid_excess_pct=100.0 * (found.grid_best / objective - 1.0))
+                     agreeing=sum(value <= (1.0 + AGREED) * objective for value, _ in points),
+                     searches=len(points), disturbance_kept=kept)
