@@ -12,6 +12,7 @@ import math
 import os
 import signal
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -43,6 +44,7 @@ class Bench:
         crew.clock.hold()
         self.told = probe.listen('/diagnostics')
         self.heard = probe.listen('/gains/active')
+        self.wanted = probe.listen('/gains/update')
         probe.advertise('/gains/update')
         self.state = crew.folder / 'state'
         self.stm32 = crew.folder / 'stm32'
@@ -58,7 +60,7 @@ class Bench:
         own |= settings
         self.crew.start_node('quad_bridge', 'serial_bridge', own)
         self.said('read back')
-        self.until(lambda: self.probe.listeners('/gains/update'), 'a bridge that listens')
+        self.until(lambda: self.probe.listeners('/gains/update') > 1, 'a bridge beside us')
         self.rest(2.5)
 
     def rest(self, seconds):
@@ -119,23 +121,30 @@ class Bench:
         """`ros2 param set` of one gain."""
         return self.probe.set_parameter('/serial_bridge', name, value)
 
-    def quad_tune(self, *words: object) -> str:
-        """Run the command; what it prints."""
+    def quad_tune(self, *words: object, gives: dict[str, float]) -> str:
+        """Run a command that gives these gains; what it prints.
+
+        It hears the bridge once in a second of simulated time, before it asks and when the gains
+        are active. The rest of the time stands still: new gains are watched for 10 s only.
+        """
         environment = {**os.environ, VARIABLE: str(self.crew.socket)}
         command = [sys.executable, '-m', 'quad_tuning.cli', *words]
-        listeners = self.probe.listeners('/diagnostics')
+        listeners, asked = self.probe.listeners('/diagnostics'), len(self.wanted)
         done = Started(command, self.crew.folder / 'quad_tune', env=environment)
-        self.probe.until(  # no time passes while it starts
-            lambda: done.poll() is not None or self.probe.listeners('/diagnostics') > listeners
-        )
 
-        def ended():
-            if done.poll() is None:
-                self.rest(TURN_S)
+        def over():
             return done.poll() is not None
 
-        # it has to find the bridge within the time that new gains are watched: not a race
-        self.probe.until(ended, words, pause_s=5.0 * TURN_S)
+        def pass_seconds(met):
+            while not met():
+                self.rest(1.1)
+                end_s = time.monotonic() + 10.0
+                self.probe.until(lambda end_s=end_s: met() or time.monotonic() > end_s)
+
+        self.probe.until(lambda: over() or self.probe.listeners('/diagnostics') > listeners)
+        pass_seconds(lambda: over() or len(self.wanted) > asked)
+        self.active(gives)
+        pass_seconds(over)
         assert (done.poll(), done.said) == (0, '')
         return done.printed
 
@@ -184,7 +193,8 @@ def test_updates_parameters_services_and_a_killed_bridge(bench):
     bench.ask({KP: 0.1}, source='a stranger')  # the last of this publisher: the flood is over
     bench.said('gains of a stranger refused')
     bench.told.clear()
-    assert 'back to set 1 of' in bench.quad_tune('rollback', '--folder', bench.state)
+    told = bench.quad_tune('rollback', '--folder', bench.state, gives=OLD)
+    assert 'back to set 1 of' in told
     bench.said('rolled back, old gains: quad-tune rollback asked for it')
     bench.active(OLD)
 
@@ -214,8 +224,7 @@ def test_the_second_control_mode_comes_in_by_quarters_and_goes_back_at_once(benc
     axes = {'roll': {'gains': proposal.gains, 'figures': proposal.figures}}
     design.write_text(json.dumps({'schema': 'quad_tuning/design/1', 'axes': axes}))
     bench.start(sources=['test', 'quad-tune*'], polarity='off')
-    bench.quad_tune('send', design)
-    bench.active({'roll.lqr.share': 1.0})
+    bench.quad_tune('send', design, gives={'roll.lqr.share': 1.0})
     sets = [entry['gains'] for entry in bench.history() if 'gains' in entry]
     shares = [gains['roll.lqr.share'] for gains in sets]
     assert shares[:3] == pytest.approx([0.0, 0.25, 0.5], rel=1e-3)

@@ -22,17 +22,23 @@ def send(run, tmp_path, monkeypatch):
     return lambda namespace: run(sys.executable, '-c', QUAD_TUNE, *words, namespace)
 
 
+def gains_are(kp):
+    """The bridge's diagnostics."""
+    pair = {'key': 'roll.rate.kp', 'value': str(kp)}
+    return {'status': [{'name': 'serial_bridge: gains', 'message': 'idle', 'values': [pair]}]}
+
+
 def test_gains_reach_the_bridge_of_their_namespace_only(probe, send):
+    """Sets of earlier, which /gains/active tells a late subscriber first, are no answer."""
     asked = {name: probe.listen(f'/{name}/gains/update') for name in ('left', 'right')}
-    told = {'status': [{'name': 'serial_bridge: gains', 'message': 'read back'}]}
     for name in asked:
-        probe.publish(f'/{name}/gains/active', event({'roll.rate.kp': 0.05}))
-        probe.publish(f'/{name}/diagnostics', told, every_s=0.05)
+        probe.publish(f'/{name}/gains/active', event({'roll.rate.kp': 0.08}))
+        probe.publish(f'/{name}/diagnostics', gains_are(0.05), every_s=0.05)
     process = send('/left')
     probe.until(lambda: asked['left'])
     assert content(asked['left'][0])['roll.rate.kp'] == 0.08
     assert process.poll() is None
-    probe.publish('/left/gains/active', event({'roll.rate.kp': 0.08}))
+    probe.publish('/left/diagnostics', gains_are(0.08), every_s=0.05)
     assert (process.wait(), process.said) == (0, '')
     assert (len(asked['left']), asked['right']) == (1, [])
 

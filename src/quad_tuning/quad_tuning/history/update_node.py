@@ -17,9 +17,10 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 from rclpy.validate_namespace import validate_namespace
 
+from quad_bridge.gains.table import WIRE_NAMES
 from quad_bridge.lockstep import patience
 from quad_bridge.nodes.conversion import event_message
-from quad_bridge.nodes.qos import EVENT, STATE
+from quad_bridge.nodes.qos import EVENT
 from quad_sysid.errors import BadInputError
 from quad_tuning.history.sets import changed
 
@@ -54,7 +55,6 @@ def publish(gains: Mapping[str, float], source: str, *, rollback: bool = False,
         ending.callback(executor.shutdown)
         executor.add_node(node)
         heard = _Heard(source, () if rollback else FAILED)
-        node.create_subscription(ParameterEvent, 'gains/active', heard.active, STATE)
         node.create_subscription(DiagnosticArray, 'diagnostics', heard.diagnostics, EVENT)
         publisher = node.create_publisher(ParameterEvent, 'gains/update', EVENT)
 
@@ -67,9 +67,9 @@ def publish(gains: Mapping[str, float], source: str, *, rollback: bool = False,
             return bool(until())
 
         def ready() -> bool:
-            return bool(publisher.get_subscription_count() and heard.gains and heard.message)
+            return bool(publisher.get_subscription_count() and heard.gains)
 
-        asked, answered = (node.resolve_topic_name(t) for t in ('gains/update', 'gains/active'))
+        asked, answered = (node.resolve_topic_name(t) for t in ('gains/update', 'diagnostics'))
         if not spin(ready, LISTEN_S):
             raise BadInputError(asked, f'no bridge has been heard for {LISTEN_S:.0f} s',
                                 remedy='start serial_bridge, or give its --namespace')
@@ -84,7 +84,10 @@ def publish(gains: Mapping[str, float], source: str, *, rollback: bool = False,
 
 
 class _Heard:
-    """The bridge's last messages, and those from `before` the update."""
+    """The bridge's last diagnostics, which hold its active gains, and those `before` the update.
+
+    Not /gains/active: it is latched, and begins with the sets that were active earlier.
+    """
 
     def __init__(self, source: str, failed: Sequence[str]) -> None:
         self._words = (f'gains of {source} refused', *failed)
@@ -97,10 +100,9 @@ class _Heard:
         new = self.before and self.message != self.before
         return self.message if new and any(w in self.message for w in self._words) else ''
 
-    def active(self, event: Any) -> None:
-        self.gains = {p.name: p.value.double_value for p in event.changed_parameters}
-
     def diagnostics(self, array: Any) -> None:
         for status in array.status:
             if status.name == GAINS:
                 self.message = status.message
+                self.gains = {pair.key: float(pair.value) for pair in status.values
+                              if pair.key in WIRE_NAMES}
