@@ -63,7 +63,7 @@ def evaluate(model: Model, z: IOData) -> Point:
     with np.errstate(over='ignore', invalid='ignore'):
         for e, gradient, basis in errors_and_gradient(model, z):
             errors.append(e)
-            gradients.append(gradient - basis @ (basis.T @ gradient))
+            gradients.append(gradient - basis @ (basis.T @ gradient) if basis.size else gradient)
             hessian += gradients[-1].T @ gradients[-1]
             slope += gradients[-1].T @ e
     return Point(errors, gradients, hessian, slope)
@@ -75,8 +75,9 @@ def without(gradient: FloatArray, states: FloatArray) -> FloatArray:
     return np.asarray(gradient - basis @ (basis.T @ gradient))
 
 
-def descend(model: Model, point: Point, z: IOData, bar: float = math.inf) -> Model:
-    """Gauss-Newton with line search from `model` to the nearest minimum.
+def descend(model: Model, point: Point, z: IOData,
+            bar: float = math.inf) -> tuple[Model, Point]:
+    """Gauss-Newton with line search from `model` to the nearest minimum, and the criterion there.
 
     Given up early where even a multiple of what the next step promises stays above the loss `bar`.
     """
@@ -85,7 +86,7 @@ def descend(model: Model, point: Point, z: IOData, bar: float = math.inf) -> Mod
     rows = sum(e.size for e in point.errors)
     exact = EXACT * sum(float(z.y[start:stop] @ z.y[start:stop]) for start, stop in z.segments)
     if not math.isfinite(sum_of_squares(point)):
-        return replace(model, converged=False, loss=math.inf, samples=rows)
+        return replace(model, converged=False, loss=math.inf, samples=rows), point
     while iteration < MAX_ITERATIONS:
         iteration += 1
         free = _free(model, point)
@@ -105,7 +106,8 @@ def descend(model: Model, point: Point, z: IOData, bar: float = math.inf) -> Mod
         curvature = _secant(curvature, model, point, *ahead)
         before = promised
         model, point = ahead
-    return _finished(model, point, converged, iteration)
+    return replace(model, converged=converged, iterations=iteration, samples=rows,
+                   loss=sum_of_squares(point) / rows), point
 
 
 def _free(model: Model, point: Point) -> FloatArray | None:
@@ -224,8 +226,8 @@ def decrement(point: Point) -> float:
     return float(np.sum((vectors[:, kept].T @ slope) ** 2 / values[kept]))
 
 
-def _finished(model: Model, point: Point, converged: bool, iterations: int) -> Model:
-    """Attach loss, noise variance and covariance (Ljung 1999, eq. 9.42).
+def with_covariance(model: Model, point: Point) -> Model:
+    """Attach noise variance and covariance (Ljung 1999, eq. 9.42) to what a descent has reached.
 
     Roots at the edge of stability have no spread: the covariance is that of the rest.
     """
@@ -243,8 +245,7 @@ def _finished(model: Model, point: Point, converged: bool, iterations: int) -> M
         covariance = sse / (n - p) * inverse @ inverse.T
         if model.C.size == model.D.size == model.A.size == 1:
             covariance = _sandwich(point, inverse @ inverse.T)
-    return replace(model, noise_variance=sse / (n - p), covariance=covariance, converged=converged,
-                   iterations=iterations, samples=n, loss=sse / n)
+    return replace(model, noise_variance=sse / (n - p), covariance=covariance)
 
 
 def _sandwich(point: Point, bread: FloatArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""The one compiled loop: a rational filter run over several columns at once.
+"""The one compiled loop: a rational filter run over a signal, its lags, or several columns.
 
 Nothing statistical belongs here. Compiled once per installation and cached.
 """
@@ -11,23 +11,35 @@ import numpy as np
 from quad_sysid.contract import FloatArray
 
 
-@numba.njit('void(float64[::1], float64[::1], float64[:, ::1], int64, float64[:, ::1])',
-            cache=True)
-def _run(num, den, x, first, out):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """out(t) = Σ num_i x(t-i) - Σ den_i out(t-i) from t = first on, 0 before; x(<0) = 0."""
-    n, p = x.shape
-    for t in range(min(first, n)):
-        for c in range(p):
-            out[t, c] = 0.0
-    for t in range(first, n):
-        for c in range(p):
-            out[t, c] = num[0] * x[t, c]
-        for i in range(1, min(num.size, t + 1)):
-            for c in range(p):
-                out[t, c] += num[i] * x[t - i, c]
-        for i in range(1, min(den.size, t - first + 1)):
-            for c in range(p):
-                out[t, c] -= den[i] * out[t - i, c]
+@numba.njit('void(float64[::1], float64[::1], float64[::1], int64, int64, float64[::1])',
+            cache=True, fastmath={'contract'})
+def _run(num, den, x, lag, first, out):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """out(t) = Σ num_i x(t-lag-i) - Σ den_i out(t-i) from t = first on, 0 before; x(<0) = 0.
+
+    Where the last three outputs are enough they stay in registers.
+    """
+    out[:] = 0.0
+    for i in range(num.size):
+        begin = max(first, lag + i)
+        if num[i] != 0.0 and begin < out.size:
+            out[begin:] += num[i] * x[begin - lag - i : out.size - lag - i]
+    if den.size > 4:
+        for t in range(first, out.size):
+            value = out[t]
+            for i in range(1, min(den.size, t - first + 1)):
+                value -= den[i] * out[t - i]
+            out[t] = value
+    elif den.size > 1:
+        one, two, three = den[1], 0.0, 0.0
+        if den.size > 2:
+            two = den[2]
+        if den.size > 3:
+            three = den[3]
+        last, before, oldest = 0.0, 0.0, 0.0
+        for t in range(first, out.size):
+            last, before, oldest = (
+                (out[t] - three * oldest - two * before) - one * last, last, before)
+            out[t] = last
 
 
 def filter_columns(num: FloatArray, den: FloatArray, x: FloatArray, first: int = 0) -> FloatArray:
@@ -36,20 +48,32 @@ def filter_columns(num: FloatArray, den: FloatArray, x: FloatArray, first: int =
     The output is held at zero before row `first`, where the recursion starts; the numerator sees
     the rows of x before it.
     """
-    x = np.require(x, dtype=float, requirements=['C', 'W'])
-    out = np.empty_like(x)
-    _run(np.array(num, dtype=float), np.array(den, dtype=float), x, first, out)
+    x = np.asfortranarray(x, dtype=float)
+    num, den, out = num.astype(float), den.astype(float), np.empty(x.shape, order='F')
+    for column in range(x.shape[1]):
+        _run(num, den, x[:, column], 0, first, out[:, column])
     return out
 
 
-def filter_signal(num: FloatArray, den: FloatArray, x: FloatArray) -> FloatArray:
-    """(n,) x behind num(q)/den(q), den monic, at rest at the start."""
-    return filter_columns(num, den, np.asarray(x, dtype=float)[:, None])[:, 0]
+def filter_lags(num: FloatArray, den: FloatArray, x: FloatArray, lags: range, first: int = 0,
+                *, out: FloatArray | None = None) -> FloatArray:
+    """(n, len(lags)) x(t - lag) of x (n,) behind num(q)/den(q), as `filter_columns`; lags >= 0.
+
+    `out`, of contiguous columns, takes them where given.
+    """
+    x = np.ascontiguousarray(x, dtype=float)
+    out = np.empty((x.size, len(lags)), order='F') if out is None else out
+    num, den = num.astype(float), den.astype(float)
+    for column, lag in enumerate(lags):
+        _run(num, den, x, lag, first, out[:, column])
+    return out
+
+
+def filter_signal(num: FloatArray, den: FloatArray, x: FloatArray, first: int = 0) -> FloatArray:
+    """(n,) x behind num(q)/den(q), as `filter_columns`."""
+    return filter_lags(num, den, x, range(1), first)[:, 0]
 
 
 def pulses(n: int, count: int, first: int = 0) -> FloatArray:
     """(n, count) unit pulses at rows first, first + 1, …: what initial conditions add."""
-    out = np.zeros((n, count))
-    for column in range(min(count, max(0, n - first))):
-        out[first + column, column] = 1.0
-    return out
+    return np.eye(n, count, -first)

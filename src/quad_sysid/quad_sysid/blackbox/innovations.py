@@ -11,9 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from quad_sysid.blackbox.filters import filter_columns, pulses
+from quad_sysid.blackbox.filters import filter_columns, filter_lags, filter_signal, pulses
 from quad_sysid.blackbox.polynomial import Model
-from quad_sysid.blackbox.regression import lagged
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.record import IOData
@@ -47,24 +46,43 @@ def check_rate(model: Model, z: IOData) -> None:
                             f'{1.0 / z.dt:.6g} Hz', 'resample it or identify at its rate')
 
 
+@dataclass(frozen=True)
+class _Response:
+    """Errors of one segment (n samples from its start), with w's initial state at its best."""
+
+    errors: FloatArray
+    """(n,) e, zero before its first row."""
+    output: FloatArray
+    """(n,) w."""
+    disturbance: FloatArray
+    """(n,) A y - w."""
+    basis: FloatArray
+    """(n, k) orthonormal, of what the initial state adds to e."""
+
+
+def _response(model: Model, u: FloatArray, y: FloatArray) -> _Response:
+    first, lead = lead_of(model)
+    w = filter_signal(model.B, model.F, u, first)
+    kick = filter_columns(np.ones(1), model.F, pulses(u.size, 1, first))[:, 0]
+    kicks = filter_lags(np.ones(1), np.ones(1), kick, range(model.F.size - 1))
+    v = filter_signal(model.A, np.ones(1), y, first) - w
+    e = filter_signal(model.D, model.C, v, lead)
+    states = filter_columns(model.D, model.C, kicks, lead)
+    basis, turn = span(states)
+    state = turn @ (basis.T @ e)
+    free = kicks @ state
+    return _Response(e - states @ state, w + free, v - free, basis)
+
+
 def one_step_errors(model: Model, z: IOData) -> list[SegmentErrors]:
     """Errors of every segment that is long enough, in order."""
     check_rate(model, z)
-    first, lead = lead_of(model)
+    _, lead = lead_of(model)
     found = []
     for start, stop in z.segments:
         if stop - start > lead + model.F.size:
-            begin = start + first
-            w = filter_columns(np.ones(1), model.F, _driven(model, z, begin, stop))
-            v = lagged(z.y, range(model.A.size), begin, stop) @ model.A - w[:, 0]
-            stack = np.column_stack((v, w[:, 1:]))
-            e = filter_columns(model.D, model.C, stack, lead - first)[lead - first :]
-            basis, turn = span(e[:, 1:])
-            state = turn @ (basis.T @ e[:, 0])
-            found.append(
-                SegmentErrors(start + lead, e[:, 0] - e[:, 1:] @ state,
-                              (w[:, 0] + w[:, 1:] @ state)[lead - first :])
-            )
+            all_of = _response(model, z.u[start:stop], z.y[start:stop])
+            found.append(SegmentErrors(start + lead, all_of.errors[lead:], all_of.output[lead:]))
     return found
 
 
@@ -78,52 +96,32 @@ def errors_and_gradient(model: Model,
                         z: IOData) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
     """Per segment e (m,), its gradient by `parameters` (m, p), and a basis (m, k) of the nuisance.
 
-    The nuisance is w's initial state; e has it at its best, the basis spans its gradient.
+    The nuisance is w's initial state; e has it at its best, the basis spans its gradient, and the
+    gradient by B and F is exact up to that.
     """
     first, lead = lead_of(model)
-    skip = lead - first
-    na, nc = model.A.size - 1, model.C.size - 1
-    nb, nd, nf = model.B.size - model.nk, model.D.size - 1, model.F.size - 1
+    one = np.ones(1)
     found = []
     for start, stop in z.segments:
-        if stop - start <= lead + nf:
+        if stop - start <= lead + model.F.size - 1:
             continue
-        begin = start + first
-        u_lags = range(model.nk, model.nk + nb)
-        raw = np.hstack((_driven(model, z, begin, stop), lagged(z.u, u_lags, begin, stop)))
-        w = filter_columns(np.ones(1), model.F, raw) if nf else raw
-        y = lagged(z.y, range(na + 1), begin, stop)
-        base = filter_columns(
-            model.D, model.C, np.column_stack((y @ model.A - w[:, 0], w[:, 1 : nf + 1])), skip
-        )[skip:]
-        basis, turn = span(base[:, 1:])
-        state = turn @ (basis.T @ base[:, 0])
-        w0 = w[:, 0] + w[:, 1 : nf + 1] @ state
-        e = base[:, 0] - base[:, 1:] @ state
-        wf = filter_columns(np.ones(1), model.F, _shifts(w0, nf)) if nf else _shifts(w0, 0)
-        slow = filter_columns(model.D, model.C, np.hstack((y[:, 1:], -w[:, nf + 1 :], wf)),
-                              skip)[skip:]
-        v = y @ model.A - w0
-        e_all = np.concatenate((np.zeros(skip), e))
-        fast = filter_columns(np.ones(1), model.C,
-                              np.hstack((-_shifts(e_all, nc), _shifts(v, nd))), skip)[skip:]
-        gradient = np.hstack((slow[:, : na + nb], fast[:, :nc], fast[:, nc:], slow[:, na + nb :]))
-        found.append((e, gradient, basis))
+        u, y = z.u[start:stop], z.y[start:stop]
+        at = _response(model, u, y)
+        driven, fed = filter_signal(one, model.F, u), filter_signal(one, model.F, at.output, first)
+        columns = (  # in the order of `parameters`
+            (model.D, model.C, y, range(1, model.A.size)),
+            (-model.D, model.C, driven, range(model.nk, model.B.size)),
+            (-one, model.C, at.errors, range(1, model.C.size)),
+            (one, model.C, at.disturbance, range(1, model.D.size)),
+            (model.D, model.C, fed, range(1, model.F.size)),
+        )
+        gradient = np.empty((u.size, model.parameters.size), order='F')
+        done = 0
+        for num, den, x, lags in columns:
+            filter_lags(num, den, x, lags, lead, out=gradient[:, done : done + len(lags)])
+            done += len(lags)
+        found.append((at.errors[lead:], gradient[lead:], at.basis[lead:]))
     return found
-
-
-def _driven(model: Model, z: IOData, begin: int, stop: int) -> FloatArray:
-    """(m, 1 + nf) B u and the pulses of w's unknown start."""
-    bu = lagged(z.u, range(model.nk, model.B.size), begin, stop) @ model.B[model.nk :]
-    return np.column_stack((bu, pulses(stop - begin, model.F.size - 1)))
-
-
-def _shifts(x: FloatArray, count: int) -> FloatArray:
-    """(n, count) x(t-1), …, x(t-count), zero before the start."""
-    out = np.zeros((x.size, count))
-    for i in range(1, count + 1):
-        out[i:, i - 1] = x[:-i]
-    return out
 
 
 def span(columns: FloatArray) -> tuple[FloatArray, FloatArray]:

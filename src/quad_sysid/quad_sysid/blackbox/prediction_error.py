@@ -9,7 +9,15 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
-from quad_sysid.blackbox.descent import decrement, descend, evaluate, on_edge, sum_of_squares
+from quad_sysid.blackbox.descent import (
+    Point,
+    decrement,
+    descend,
+    evaluate,
+    on_edge,
+    sum_of_squares,
+    with_covariance,
+)
 from quad_sysid.blackbox.polynomial import Model
 from quad_sysid.blackbox.regression import check_exciting, check_informative, check_orders
 from quad_sysid.blackbox.start_values import (
@@ -24,7 +32,7 @@ from quad_sysid.blackbox.start_values import (
 from quad_sysid.errors import BadInputError
 from quad_sysid.record import IOData
 
-AGREED = 0.1
+AGREED = 0.5
 """Difference of N ln V below which two descents have found the same minimum."""
 
 REINSERTED = 3
@@ -38,6 +46,8 @@ EDGE_TOLD = {
 """Polynomial → meaning of a root at the edge of stability."""
 
 Starts = Callable[[HighOrder], Iterator[Model]]
+Descent = tuple[Model, Point]
+"""Where a descent ended: the model, without its covariance, and the criterion there."""
 
 
 def armax(z: IOData, na: int, nb: int, nc: int, nk: int, *, start: Model | None = None) -> Model:
@@ -92,39 +102,46 @@ def _best(structure: str, orders: dict[str, int], z: IOData, start: Model | None
         best = descend(first, evaluate(first, z), z)
         if thorough:
             best = _without_false_pair(_best_of(best, found, z, goal), z)
-    return replace(best, structure=structure, orders=orders, warnings=_warnings(best))
+    model = with_covariance(*best)
+    return replace(model, structure=structure, orders=orders, warnings=_warnings(model))
 
 
-def _best_of(best: Model, others: Iterator[Model], z: IOData, goal: float) -> Model:
-    """Descend from other starts too, until the loss is as low as `goal` or two descents agree."""
-    while not (best.converged and best.loss <= goal):
-        model = next(others, None)
-        if model is None:
+def _best_of(best: Descent, others: Iterator[Model], z: IOData, goal: float) -> Descent:
+    """Descend from other starts too, until the loss is as low as `goal` or two of them agree."""
+    while not (best[0].converged and best[0].loss <= goal):
+        start = next(others, None)
+        if start is None:
             break
-        other = descend(model, evaluate(model, z), z, best.loss)
-        agreed = (
-            best.converged
-            and other.converged
-            and abs(math.log(other.loss / best.loss)) * best.samples < AGREED
-        )
+        point = evaluate(start, z)
+        if _agree(best[0], sum_of_squares(point) - decrement(point)):
+            break
+        other = descend(start, point, z, best[0].loss)
+        agreed = other[0].converged and _agree(best[0], sum_of_squares(other[1]))
         best = _better(best, other)
         if agreed:
             break
     return best
 
 
-def _without_false_pair(best: Model, z: IOData) -> Model:
+def _agree(model: Model, squares: float) -> bool:
+    """Whether a sum of squares that another start has, or promises, is the converged model's."""
+    if not (model.converged and 0.0 < squares < math.inf):
+        return False
+    return abs(math.log(squares / model.samples / model.loss)) * model.samples < AGREED
+
+
+def _without_false_pair(best: Descent, z: IOData) -> Descent:
     """Descend again from the most promising places of a nearly cancelling pair."""
-    moved = [(model, evaluate(model, z)) for model in reinserted(best)]
+    moved = [(model, evaluate(model, z)) for model in reinserted(best[0])]
     moved.sort(key=lambda item: sum_of_squares(item[1]) - decrement(item[1]))
     for model, point in moved[:REINSERTED]:
-        best = _better(best, descend(model, point, z, best.loss))
+        best = _better(best, descend(model, point, z, best[0].loss))
     return best
 
 
-def _better(one: Model, other: Model) -> Model:
-    """The converged one of two fits; if both or none converged, that with the lower loss."""
-    return min(one, other, key=lambda model: (not model.converged, model.loss))
+def _better(one: Descent, other: Descent) -> Descent:
+    """The converged one of two; if both or none converged, that with the lower loss."""
+    return min(one, other, key=lambda end: (not end[0].converged, end[0].loss))
 
 
 def _check_start(structure: str, orders: dict[str, int], start: Model) -> None:

@@ -13,7 +13,7 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.record import IOData
 
-BLOCK_ROWS = 1 << 14
+BLOCK_ROWS = 1 << 11
 """Rows factored at once, so that memory grows with the columns and not with the record."""
 SLICE = 8192
 """Numbers in one slice of a tall matrix."""
@@ -81,7 +81,7 @@ def usable_rows(z: IOData, lead: int) -> int:
 
 def lagged(x: FloatArray, lags: Sequence[int], start: int, stop: int) -> FloatArray:
     """(stop - start, len(lags)) with x(t - lag) in the columns, t = start..stop-1."""
-    out = np.empty((stop - start, len(lags)))
+    out = np.empty((stop - start, len(lags)), order='F')
     for column, lag in enumerate(lags):
         out[:, column] = x[start - lag : stop - lag]
     return out

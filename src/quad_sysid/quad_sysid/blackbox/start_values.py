@@ -14,21 +14,25 @@ from itertools import islice
 from typing import Any
 
 import numpy as np
+from scipy.linalg import toeplitz
 
-from quad_sysid.blackbox.arx import arx
-from quad_sysid.blackbox.filters import filter_columns, pulses
+from quad_sysid.blackbox.filters import filter_columns, filter_signal, pulses
 from quad_sysid.blackbox.innovations import one_step_errors
-from quad_sysid.blackbox.polynomial import Model, delayed, monic
-from quad_sysid.blackbox.regression import lagged, upper, usable_rows
+from quad_sysid.blackbox.polynomial import Model, delayed, monic, polynomial_model
+from quad_sysid.blackbox.regression import arx_blocks, lagged, upper, usable_rows
 from quad_sysid.contract import FloatArray
-from quad_sysid.errors import BadInputError
 from quad_sysid.record import IOData
 
 ROUNDS = 12
+SETTLED = 1e-4
+"""Change of a coefficient of F from which further rounds are left to the descent."""
 NEAR = 0.4
 """Distance in the z plane within which a pole and a zero count as cancelling."""
 PLACES = (-0.7, -0.2, 0.3, 0.6, 0.8, 0.95)
 EDGE = 1.0 - 1e-7
+RIDGE = 1e-13
+"""Added to the scaled normal equations of the high-order model: data without noise leave its
+coefficients open, and then any that explain the data will do."""
 SLOW_FACTOR = np.array([1.0, -0.9999])
 """Factor of a cancelling pole and zero, which a drift can separate."""
 
@@ -49,21 +53,19 @@ def high_order(z: IOData, nk: int, parameters: int) -> HighOrder:
     order = max(20, parameters)
     while order > 1 and (nk + order > longest // 4 or usable_rows(z, nk + order) < 10 * order):
         order //= 2
-    model = _richest_arx(z, order, nk)
-    innovations = np.zeros(z.y.size)
-    for part in one_step_errors(model, z):
+    blocks = arx_blocks(z, range(1, order + 1), range(nk, nk + order),
+                        max(order, nk + order - 1))
+    gram = sum((x.T @ x for x in blocks), np.zeros((2 * order + 1, 2 * order + 1)))
+    scale = np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))
+    gram = gram / np.outer(scale, scale) + RIDGE * np.eye(scale.size)
+    theta = np.linalg.solve(gram[:-1, :-1], gram[:-1, -1]) * scale[-1] / scale[:-1]
+    model = polynomial_model(delayed(theta[order:], nk), A=monic(theta[:order]), nk=nk, dt=z.dt)
+    innovations, parts = np.zeros(z.y.size), one_step_errors(model, z)
+    for part in parts:
         innovations[part.start : part.start + part.errors.size] = part.errors
-    return HighOrder(model, z, innovations)
-
-
-def _richest_arx(z: IOData, order: int, nk: int) -> Model:
-    """Fit ARX of the order, or of the next half where the data (without noise) carry no more."""
-    try:
-        return arx(z, order, order, nk)
-    except BadInputError:
-        if order == 1:
-            raise
-        return _richest_arx(z, order // 2, nk)
+    samples = sum(part.errors.size for part in parts)
+    loss = float(innovations @ innovations) / samples
+    return HighOrder(replace(model, samples=samples, loss=loss), z, innovations)
 
 
 def stabilised(model: Model) -> Model:
@@ -163,19 +165,42 @@ def _model(ho: HighOrder, *, B: FloatArray, **others: FloatArray) -> Model:
 
 def _plants(ho: HighOrder, nb: int, nf: int) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Return B (without delay) and F by Steiglitz-McBride, on the model and on the data."""
-    z, nk = ho.data, ho.model.nk
-    lead = max(ho.model.B.size, ho.model.A.size) - 1
-    smooth, plain = [], []
-    for start, stop in z.segments:
-        if stop - start > lead + nb + nk + nf:
-            y1 = lagged(z.u, range(nk, ho.model.B.size), start + lead, stop) @ ho.model.B[nk:]
-            u1 = lagged(z.u, range(ho.model.A.size), start + lead, stop) @ ho.model.A
-            smooth.append(np.column_stack((y1, u1)))
-            plain.append(np.column_stack((z.y[start:stop], z.u[start:stop])))
-    yield _steiglitz_mcbride(smooth, nb, nf, nk)
+    yield _reduced(ho, nb, nf)
     if nf:
-        yield _steiglitz_mcbride(plain, nb, nf, nk)
-        yield _steiglitz_mcbride(plain, nb, nf, nk, rounds=1)
+        z, nk = ho.data, ho.model.nk
+        parts = [np.column_stack((z.y[start:stop], z.u[start:stop])) for start, stop in z.segments]
+        yield _steiglitz_mcbride(parts, nb, nf, nk)
+        yield _steiglitz_mcbride(parts, nb, nf, nk, rounds=1)
+
+
+def _reduced(ho: HighOrder, nb: int, nf: int) -> tuple[FloatArray, FloatArray]:
+    """B, F nearest to the high-order model's response to the record's u, weighted by its A.
+
+    The error (F Bho - B Aho) u / F has only as many unknowns as the polynomial in front of u has
+    coefficients, so that the autocovariance of u / F stands for the record.
+    """
+    nk, b, f = ho.model.nk, np.zeros(nb), np.ones(1)
+    size = max(ho.model.B.size + nf, ho.model.A.size + nk + nb - 1)
+    columns = [_padded(ho.model.A, size, nk + i) for i in range(nb)]
+    columns += [-_padded(ho.model.B, size, i) for i in range(1, nf + 1)]
+    unknown = np.column_stack((*columns, _padded(ho.model.B, size)))
+    for _ in range(ROUNDS if nf else 1):
+        cov = np.zeros(size)
+        for start, stop in ho.data.segments:
+            u = filter_signal(np.ones(1), f, ho.data.u[start:stop])
+            cov += np.correlate(np.append(u, np.zeros(size - 1)), u)
+        values, vectors = np.linalg.eigh(toeplitz(cov))
+        root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+        theta = _least_squares(root @ unknown)
+        before, b, f = f, theta[:nb], inside(monic(theta[nb:]))
+        if float(np.max(np.abs(_padded(before, nf + 1) - f), initial=0.0)) < SETTLED:
+            break
+    return b, f
+
+
+def _padded(poly: FloatArray, size: int, lag: int = 0) -> FloatArray:
+    """(size,) the coefficients of poly behind `lag` zeros."""
+    return np.pad(poly, (lag, size - lag - poly.size))
 
 
 def _steiglitz_mcbride(parts: list[FloatArray], nb: int, nf: int, nk: int,
@@ -184,7 +209,8 @@ def _steiglitz_mcbride(parts: list[FloatArray], nb: int, nf: int, nk: int,
 
     Each part's unknown start is fitted along, as pulses behind 1/F. One round is the ARX model.
     """
-    f, b = np.ones(1), np.zeros(nb)
+    one = f = np.ones(1)
+    b = np.zeros(nb)
     lead = max(nf, nk + nb - 1)
     parts = [part for part in parts if part.shape[0] > lead]  # a shorter one holds no row
     if not parts:
@@ -193,19 +219,16 @@ def _steiglitz_mcbride(parts: list[FloatArray], nb: int, nf: int, nk: int,
         factors = []
         for part in parts:
             n = part.shape[0]
-            smooth = filter_columns(np.ones(1), f,
-                                    np.column_stack((part, pulses(n, f.size - 1, lead))))
-            y, u = smooth[:, 0], smooth[:, 1]
-            rows = np.hstack(
-                (smooth[lead:, 2:], lagged(u, range(nk, nk + nb), lead, n),
-                 -lagged(y, range(1, nf + 1), lead, n), y[lead:, None])
-            )
+            y, u, kick = filter_columns(one, f, np.column_stack((part, pulses(n, 1, lead)))).T
+            rows = np.hstack((lagged(kick, range(f.size - 1), lead, n),
+                              lagged(u, range(nk, nk + nb), lead, n),
+                              -lagged(y, range(1, nf + 1), lead, n), y[lead:, None]))
             factors.append(upper(rows)[f.size - 1 :, f.size - 1 :])
         theta = _least_squares(np.vstack(factors))
         new = inside(monic(theta[nb:]))
         b, change = theta[:nb], float(np.max(np.abs(np.pad(f, (0, nf + 1 - f.size)) - new)))
         f = new
-        if change < 1e-5:
+        if change < SETTLED:
             break
     return b, f
 
