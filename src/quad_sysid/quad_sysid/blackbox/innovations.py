@@ -7,6 +7,7 @@ at its start is fitted with the parameters (a nuisance per segment), e is zero b
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +19,7 @@ from quad_sysid.errors import BadInputError
 from quad_sysid.record import IOData
 
 DEPENDENT = 1e-13
-"""Relative singular value below which columns of initial states are taken as dependent."""
+"""Part of a column of initial states, beside the others, below which it is rounding."""
 
 
 @dataclass(frozen=True)
@@ -127,15 +128,18 @@ def errors_and_gradient(model: Model,
 def span(columns: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Orthonormal basis (m, k) of the few `columns` (m, n), and (n, k) from it to coefficients.
 
-    Coefficients are of least norm where columns depend on each other. By orthogonal factors: slow
-    poles make the columns so much alike that their products lose it.
+    By Gram and Schmidt, each column twice: slow poles make the columns so much alike that one
+    pass or their products lose it. A column that depends on those before it is left out.
     """
-    n = columns.shape[1]
-    scale = np.sqrt(np.einsum('ij,ij->j', columns, columns))
-    if n == 0 or not np.isfinite(scale).all():
-        return np.zeros((columns.shape[0], 0)), np.zeros((n, 0))
-    scale[scale == 0.0] = 1.0
-    q, r = np.linalg.qr(columns / scale)
-    u, values, vt = np.linalg.svd(r)
-    kept = values > DEPENDENT * values[0]
-    return q @ u[:, kept], vt[kept].T / values[kept] / scale[:, None]
+    basis, kept = np.empty_like(columns), []
+    for j in range(columns.shape[1]):
+        known = basis[:, : len(kept)]
+        rest = columns[:, j] - known @ (known.T @ columns[:, j])
+        rest -= known @ (known.T @ rest)
+        left, size = np.linalg.norm(rest), np.linalg.norm(columns[:, j])
+        if math.isfinite(size) and left > DEPENDENT * size:
+            basis[:, len(kept)] = rest / left
+            kept.append(j)
+    basis, turn = basis[:, : len(kept)], np.zeros((columns.shape[1], len(kept)))
+    turn[kept] = np.linalg.inv(basis.T @ columns[:, kept])
+    return basis, turn
