@@ -131,7 +131,7 @@ def span(columns: FloatArray) -> tuple[FloatArray, FloatArray]:
     By Gram and Schmidt, each column twice: slow poles make the columns so much alike that one
     pass or their products lose it. A column that depends on those before it is left out.
     """
-    basis, kept = np.empty_like(columns), []
+    basis, kept = np.empty_like(columns), list[int]()
     for j in range(columns.shape[1]):
         known = basis[:, : len(kept)]
         rest = columns[:, j] - known @ (known.T @ columns[:, j])
