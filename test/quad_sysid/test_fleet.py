@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -29,10 +30,10 @@ def folder(tmp_path_factory):
 
 
 def test_bags_are_found_with_their_aircraft(folder, tmp_path, refusal):
-    found = [(job.name, job.aircraft) for job in fleet.jobs(folder)]
+    found = [(job.name, job.aircraft) for job in fleet.jobs(folder, tmp_path)]
     assert found == [('one/flight', 'one'), ('two/flight', 'two'), ('two/torn', 'two')]
-    assert 'is not a folder' in refusal(fleet.jobs, folder / 'nowhere')
-    assert 'holds no bag' in refusal(fleet.jobs, tmp_path)
+    assert 'is not a folder' in refusal(fleet.jobs, folder / 'nowhere', tmp_path)
+    assert 'holds no bag' in refusal(fleet.jobs, tmp_path, tmp_path)
 
 
 def test_a_fleet_through_the_command_and_on_from_there(folder, tmp_path, capsys):
@@ -50,11 +51,13 @@ def test_a_fleet_through_the_command_and_on_from_there(folder, tmp_path, capsys)
     with (out / 'fleet.csv').open() as stream:
         told = {row['bag']: row['roll_gain'] for row in csv.DictReader(stream)}
     assert told == {name: str(row.get('roll_gain', '')) for name, row in rows.items()}
-    # everything is done: a second call starts nothing and prints the table within 80 columns
-    before = (out / 'rows.jsonl').read_text()
+    assert (out / 'bags' / 'two' / 'flight' / 'report.json').exists()
+    # a second call tries the failed bag alone, and prints the table within 80 columns
+    before = {path: path.stat().st_mtime_ns for path in out.rglob('row.json')}
     assert main(arguments) == 0
     shown = capsys.readouterr().out
-    assert (out / 'rows.jsonl').read_text() == before
+    assert before == {path: path.stat().st_mtime_ns for path in out.rglob('row.json')}
+    assert len(before) == 2
     assert max(len(line) for line in shown.splitlines()[:-1]) <= 80
     assert '2 answered, 1 failed' in shown
 
@@ -67,24 +70,19 @@ def test_a_dead_process_is_a_row_and_the_rest_go_on(folder, tmp_path, monkeypatc
     monkeypatch.syspath_prepend(tmp_path)
     from deadly import work
 
-    every = [replace(job, search_effects=False) for job in fleet.jobs(folder)]
-    rows = fleet.run(every, tmp_path / 'out', work=work)
+    every = [replace(job, search_effects=False) for job in fleet.jobs(folder, tmp_path)]
+    rows = fleet.run(every, work=work)
     assert [row['status'] for row in rows] == ['answered', 'answered', 'failed']
     assert rows[2]['reason'] == 'its process died'
 
 
-@pytest.mark.parametrize(('again', 'wanted'), [(False, []), (True, ['two/torn'])])
-def test_what_waits_is_what_is_new_changed_or_failed(folder, tmp_path, again, wanted):
-    every, journal, told = fleet.jobs(folder), tmp_path / 'rows.jsonl', []
-    for job, status in zip(every, ('answered', 'answered', 'failed'), strict=True):
-        fleet.add_row(journal, {'bag': job.name, 'fingerprint': job.fingerprint, 'status': status})
-    fleet.add_row(journal, {'bag': 'one/flight', 'fingerprint': 'other', 'status': 'answered'})
-    with journal.open('a') as stream:
-        stream.write('{"bag": "two/fli')  # a kill in the middle of a line
-    every = [replace(job, bag='/nowhere') for job in every]
-    rows = fleet.run(every, tmp_path, again=again, show=told.append)
-    assert [line.split()[4] for line in told[:-1]] == ['one/flight', *wanted]
-    assert set(fleet.read_rows(journal)) == {row['bag'] for row in rows}
+def test_what_waits_is_what_is_new_or_changed(folder, tmp_path):
+    for name in ('one/flight', 'two/flight'):
+        (tmp_path / 'bags' / name).mkdir(parents=True)
+        (tmp_path / 'bags' / name / 'row.json').write_text('{}')
+    os.utime(tmp_path / 'bags' / 'one' / 'flight' / 'row.json', (0, 0))
+    waits = [job.name for job in fleet.jobs(folder, tmp_path) if not job.done]
+    assert waits == ['one/flight', 'two/torn']
 
 
 def test_a_fault_of_the_program_is_a_row_too(monkeypatch):
@@ -92,7 +90,7 @@ def test_a_fault_of_the_program_is_a_row_too(monkeypatch):
         raise RuntimeError('no such thing')
 
     monkeypatch.setattr(fleet, '_identified', broken)
-    row = fleet.look(fleet.Job('bag', 'bag', '', ''))
+    row = fleet.look(fleet.Job('bag', 'bag', '', 'none'))
     assert (row['status'], row['reason']) == ('failed', 'RuntimeError: no such thing')
 
 

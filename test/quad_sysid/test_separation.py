@@ -11,6 +11,7 @@ import yaml
 from flown_axis import Axis, Plan
 from flown_axis import fly as flown
 
+import quad_sysid as qs
 from quad_sysid.cli import main
 from quad_sysid.errors import NotInformativeError
 from quad_sysid.estimate.fit import Problem, fit
@@ -26,7 +27,6 @@ from quad_sysid.separation import design, words
 from quad_sysid.separation.design import Separation, rivals_of, separate, variants
 from quad_sysid.separation.flight import PAPER, PAPER_NOISE, fly, paper_aircraft
 from quad_sysid.separation.measure import judged
-from quad_sysid.session import separation
 from quad_sysid.signals.schedule import parse_schedule
 
 SECONDS = 40.0
@@ -156,7 +156,7 @@ def test_what_cannot_be_designed_is_said_in_one_line(arguments, words_in, capsys
     assert said.count('\n') == 1
 
 
-def test_the_report_advises_the_flight_where_a_rival_is_near(refusal, tmp_path):
+def test_the_report_advises_the_flight_where_a_rival_is_near(refusal):
     """A model that has no rivals, or cannot fly, is refused."""
     (near,) = rivalry(model_with_rival(0.3))
     assert '--separate coulomb_friction quadratic_drag --axis roll' in near
@@ -165,10 +165,7 @@ def test_the_report_advises_the_flight_where_a_rival_is_near(refusal, tmp_path):
         rivals_of(model_with_rival(0.0))
     lonely = model_with_rival(0.0)
     backwards = replace(lonely, base=(Parameter('gain', -400.0, 1.0, ''), *lonely.base[1:]))
-    file = tmp_path / 'model.json'
-    save_models({'roll': backwards}, file)
-    pair = ('mode', 'nothing')
-    assert 'gain is not positive' in refusal(separation, pair, str(file), None, 20.0)
+    assert 'gain is not positive' in refusal(qs.separate, backwards, ('mode', 'nothing'), 20.0)
 
 
 @pytest.mark.long

@@ -1,7 +1,8 @@
 """`quad-sysid fleet`: many bags, each identified in a process of its own; one row per bag.
 
-Rows lie in a journal that grows line by line: a line is written when its bag is done, so a run
-that is killed continues where it stopped. The mathematics is imported by the processes alone.
+Each bag that could be read has a folder with its report, its model and its row. The row is written
+last, and a bag is done while its row is newer than its files, so that a run that is killed
+continues where it stopped. The mathematics is imported by the processes alone.
 """
 
 from __future__ import annotations
@@ -24,18 +25,18 @@ import numpy as np
 from quad_sysid.arguments import NOT_ANSWERED, Commands, command, progress, quiet_and_json
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError, QuadSysidError
-from quad_sysid.files import make_folder, write_whole
+from quad_sysid.files import make_folder, read_json, write_whole
 
 Row = dict[str, Any]
 ANSWERED, CANNOT_TELL, FAILED = 'answered', 'cannot_tell', 'failed'
 STORAGE = ('.mcap', '.db3', '.mcap.zstd', '.db3.zstd')
-JOURNAL, TABLE = 'rows.jsonl', 'fleet.csv'
+ROW, TABLE = 'row.json', 'fleet.csv'
 BASE = ('gain', 'lag', 'delay', 'damping', 'bias')
 """Parameters of the base that every row holds, by axis."""
 OF_AXIS = ('verdict', 'effects', 'error_before', 'error_after', 'effect_parameters', 'gains',
            *(f'{name}{end}' for name in BASE for end in ('', '_std')))
 COLUMNS = ('bag', 'aircraft', 'status', 'reason', 'start_ns', 'length_s', 'sample_rate_hz',
-           'warnings', 'seconds', 'fingerprint',
+           'warnings', 'seconds',
            *(f'{axis}_{name}' for axis in AXES for name in OF_AXIS))
 LEAST_FLIGHTS = 4
 """Least number of flights among which one can be an outlier."""
@@ -53,12 +54,12 @@ class Job:
     """Path below the fleet's folder, which names it in the table."""
     aircraft: str
     """First folder below the fleet's, empty where the bag lies in it directly."""
-    fingerprint: str
-    """Size and time of the bag's files; if it changes the bag is identified again."""
+    folder: str
+    """Of its report, its model and its row."""
+    done: bool = False
+    """Whether the row is newer than the bag's files."""
     axes: tuple[str, ...] = ()
     search_effects: bool = True
-    keep: str = ''
-    """Folder for report.json and model.json of each bag; empty: only the row is kept."""
 
 
 def add(commands: Commands) -> None:
@@ -77,9 +78,6 @@ def add(commands: Commands) -> None:
     parser.add_argument('--workers', metavar='N', type=int, default=os.cpu_count() or 1,
                         help='bags at a time (default: one per core)')
     parser.add_argument('--no-effects', action='store_true', help='fit the models only')
-    parser.add_argument('--reports', action='store_true',
-                        help='keep report.json and model.json of every bag')
-    parser.add_argument('--again', action='store_true', help='try failed bags again')
     quiet_and_json(parser, 'the rows')
 
 
@@ -88,11 +86,10 @@ def _run(options: argparse.Namespace) -> int:
     if options.workers < 1:
         raise BadInputError('--workers', 'must be at least 1', options.workers)
     axes = AXES if options.axis == 'all' else (options.axis,) if options.axis else ()
-    keep = str((out / 'reports').resolve()) if options.reports else ''
-    every = [replace(job, axes=axes, search_effects=not options.no_effects, keep=keep)
-             for job in jobs(options.folder)]
-    rows = run(every, out, options.workers, again=options.again,
-               show=progress(quiet=options.quiet))
+    every = [replace(job, axes=axes, search_effects=not options.no_effects)
+             for job in jobs(options.folder, out)]
+    rows = run(every, options.workers, show=progress(quiet=options.quiet))
+    make_folder(out)
     write_table(rows, out / TABLE)
     if options.json:
         print(json.dumps(rows, indent=1))
@@ -105,8 +102,10 @@ def _run(options: argparse.Namespace) -> int:
     return 0
 
 
-def jobs(folder: Path) -> list[Job]:
-    """Every bag below a folder, sorted; raises BadInputError where there is no such or no bag.
+def jobs(folder: Path, out: Path) -> list[Job]:
+    """Every bag below a folder, sorted, with its folder below `out`.
+
+    Raises BadInputError where there is no such folder or no bag in it.
 
     A folder with storage files and metadata.yaml, or with files that are named after it as
     recorders do, is one bag; so is an .mcap file elsewhere.
@@ -126,36 +125,34 @@ def jobs(folder: Path) -> list[Job]:
     if not found:
         raise BadInputError(str(folder), 'holds no bag (a rosbag2 folder or an .mcap file)',
                             remedy='check the path')
-    return [_job(bag, bag.relative_to(folder)) for bag in sorted(found)]
+    return [_job(bag, bag.relative_to(folder), out) for bag in sorted(found)]
 
 
-def _job(bag: Path, below: Path) -> Job:
+def _job(bag: Path, below: Path, out: Path) -> Job:
     files = [bag] if bag.is_file() else [p for p in bag.iterdir() if p.is_file()]
-    stats = [p.stat() for p in files]
-    changed = max((s.st_mtime_ns for s in stats), default=0)
-    return Job(bag=str(bag.resolve()), name=str(below) if below.parts else bag.name,
+    name = str(below) if below.parts else bag.name
+    row = out / 'bags' / name / ROW
+    done = row.exists() and all(p.stat().st_mtime <= row.stat().st_mtime for p in files)
+    return Job(bag=str(bag.resolve()), name=name,
                aircraft=below.parts[0] if len(below.parts) > 1 else '',
-               fingerprint=f'{sum(s.st_size for s in stats)}-{changed}')
+               folder=str(row.parent.resolve()), done=done)
 
 
-def run(every: Sequence[Job], out: Path, workers: int = 1, *, again: bool = False,
-        show: Callable[[str], None] = lambda _: None,
+def run(every: Sequence[Job], workers: int = 1, *, show: Callable[[str], None] = lambda _: None,
         work: Callable[[Job], Row] | None = None) -> list[Row]:
-    """Identify the bags without a row, or whose files changed, or (`again`) that failed.
+    """Identify the bags that are not done; the rows of all, in their order.
 
-    Returns the rows of all jobs, in their order; `work` makes the row of one (default: `look`).
+    `work` makes the row of one (default: `look`).
     """
-    journal = make_folder(out) / JOURNAL
-    done = read_rows(journal)
-    todo = [job for job in every
-            if done.get(job.name, {}).get('fingerprint') != job.fingerprint
-            or (again and done[job.name]['status'] == FAILED)]
+    rows: dict[str, Row] = {
+        job.name: read_json(Path(job.folder) / ROW) for job in every if job.done
+    }
+    todo = [job for job in every if not job.done]
     for number, row in enumerate(_rows(todo, workers, work or look), 1):
-        add_row(journal, row)
-        done[row['bag']] = row
+        rows[row['bag']] = row
         show(f'bag {min(number + 1, len(todo))} of {len(todo)}, {row["bag"]} {row["status"]}')
     show('')
-    return [done[job.name] for job in every]
+    return [rows[job.name] for job in every]
 
 
 def _rows(todo: Sequence[Job], workers: int, work: Callable[[Job], Row]) -> Iterator[Row]:
@@ -186,8 +183,7 @@ def _rows(todo: Sequence[Job], workers: int, work: Callable[[Job], Row]) -> Iter
 
 def _row(job: Job) -> Row:
     """The row of a bag that failed, the reason left open."""
-    return {'bag': job.name, 'aircraft': job.aircraft, 'fingerprint': job.fingerprint,
-            'status': FAILED, 'reason': ''}
+    return {'bag': job.name, 'aircraft': job.aircraft, 'status': FAILED, 'reason': ''}
 
 
 def look(job: Job) -> Row:
@@ -195,12 +191,15 @@ def look(job: Job) -> Row:
     start = time.monotonic()
     row = _row(job)
     try:
-        row.update(_identified(job))
+        row |= _identified(job)
     except QuadSysidError as error:
         row['reason'] = str(error)
     except Exception as error:  # noqa: BLE001  one bad bag never stops the run
         row['reason'] = f'{type(error).__name__}: {error}'
-    return {**row, 'seconds': round(time.monotonic() - start, 3)}
+    row['seconds'] = round(time.monotonic() - start, 3)
+    if row['status'] != FAILED:
+        write_whole(Path(job.folder) / ROW, json.dumps(row))
+    return row
 
 
 def _identified(job: Job) -> Row:
@@ -209,8 +208,7 @@ def _identified(job: Job) -> Row:
 
     record = replace(read_bag(job.bag), source=job.name)
     found = identify(record, job.axes, effects=None if job.search_effects else ())
-    if job.keep:
-        found.save(Path(job.keep) / job.name, html=False, pictures=False)
+    found.save(job.folder, html=False, pictures=False)
     row: Row = {'status': ANSWERED if found.answered else CANNOT_TELL,
                 'reason': '' if found.answered else found.reasons, 'start_ns': record.t0_ns,
                 'length_s': record.n * record.dt, 'sample_rate_hz': 1.0 / record.dt,
@@ -230,31 +228,6 @@ def _of_axis(tree: Mapping[str, Any]) -> Row:
             'effect_parameters': json.dumps(effects), 'gains': json.dumps(tree.get('gains')),
             **{f'{name}{end}': known.get(name, {}).get(field)
                for name in BASE for end, field in (('', 'value'), ('_std', 'std'))}}
-
-
-def read_rows(journal: Path) -> dict[str, Row]:
-    """Rows by bag; the last line of a bag counts, one that a kill cut off is left out."""
-    found: dict[str, Row] = {}
-    for line in journal.read_text(encoding='utf-8').splitlines() if journal.exists() else ():
-        try:
-            row = json.loads(line)
-        except ValueError:
-            continue
-        if isinstance(row, dict) and 'bag' in row:
-            found[row['bag']] = row
-    return found
-
-
-def add_row(journal: Path, row: Row) -> None:
-    """Append one row, on a line of its own even behind a line that a kill cut off, and sync."""
-    with journal.open('a+b') as stream:
-        if stream.tell():
-            stream.seek(-1, os.SEEK_END)
-            if stream.read(1) != b'\n':
-                stream.write(b'\n')
-        stream.write((json.dumps(row) + '\n').encode())
-        stream.flush()
-        os.fsync(stream.fileno())
 
 
 def write_table(rows: Sequence[Row], path: Path) -> None:

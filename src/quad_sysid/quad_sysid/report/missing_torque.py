@@ -189,7 +189,7 @@ def drawn(along: Along, index: int) -> Drawn:
         x, y = variable(along, part)[inside], along.followed()[index][inside]
         return Drawn('time, s', LABELS[part.effect.term].replace('factor', 'change'), x,
                      part.settings['unit'] * y, np.zeros(x.size))
-    evaluate, x, over, label, plain = _picture(along, part)
+    evaluate, x, over = _picture(along, part)
 
     def at(moved: FloatArray) -> FloatArray:
         return evaluate(structure.natural(moved)[where])
@@ -202,11 +202,11 @@ def drawn(along: Along, index: int) -> Drawn:
         columns.append((at(theta + step) - at(theta - step)) / max(deviation, 1e-300))
     slope = np.stack(columns, axis=1)
     spread = np.sqrt(np.maximum(np.einsum('ni,ij,nj->n', slope, raw, slope), 0.0))
-    return Drawn(over, label, x, at(theta), Z95 * spread, plain)
+    plain = np.ones(GRID) if part.effect.term == 'lag' else None
+    return Drawn(over, LABELS[part.effect.term], x, at(theta), Z95 * spread, plain)
 
 
 Evaluate = Callable[[FloatArray], FloatArray]
-Sketch = tuple[Evaluate, FloatArray, str, str, FloatArray | None]
 REST = {'throttle': 0.0, 'battery': 1.0}
 UNIT = {'gain': {'drive': 1.0}, 'delay': {'change': -1.0}, 'damping': {'rate': -1.0},
         'friction': {'rate': -1.0}}
@@ -216,8 +216,8 @@ LABELS = {'torque': 'torque / inertia, rad/s²', 'gain': 'change of the gain, 1'
           'delay': 'change of the delay, s', 'lag': 'factor of the lag, 1'}
 
 
-def _picture(along: Along, part: Part) -> Sketch:
-    """How to evaluate an effect, over what, the labels, and what the base alone gives."""
+def _picture(along: Along, part: Part) -> tuple[Evaluate, FloatArray, str]:
+    """How to evaluate an effect, over what, and the label of that."""
     term = part.effect.term
     inside = settled(along.problem.spans, along.problem.data.dt)
     values = variable(along, part)[inside]
@@ -228,12 +228,10 @@ def _picture(along: Along, part: Part) -> Sketch:
     if part.effect.phased:
         x, over = np.linspace(0.0, 2.0 * np.pi, GRID), 'phase of the disturbance, rad'
     if term == 'lag':
-        return _lag(along, part, x), x, over, LABELS[term], np.ones(GRID)
-
+        return _lag(along, part, x), x, over
     unit = {signal: value * np.ones(GRID) for signal, value in UNIT.get(term, {}).items()}
     moved = unit | _moved(along, part, name, x)
-    return (lambda p: np.asarray(Placed(part, p).torque(REST, GRID, **moved)), x, over,
-            LABELS[term], None)
+    return lambda p: np.asarray(Placed(part, p).torque(REST, GRID, **moved)), x, over
 
 
 def _named(data: AxisData, part: Part, name: str) -> str:

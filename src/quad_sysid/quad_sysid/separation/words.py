@@ -8,7 +8,6 @@ from collections.abc import Iterator, Mapping
 
 from quad_sysid.separation.design import CERTAIN, Row, Separation
 from quad_sysid.separation.flight import THROTTLE_STEP, THROTTLE_STEP_S, Excitation
-from quad_sysid.separation.measure import Apart
 from quad_sysid.signals.schedule import AMPLITUDES, Part
 
 SHOWN = 8
@@ -73,24 +72,21 @@ def why(found: Separation) -> str:
     if other.acting is None:
         words += f'the evidence for {harder.name} is '
     else:
-        words += f'{other.name} explains {_pct(best.worst)} of the evidence for {harder.name}'
+        words += (f'{other.name} explains {best.worst.mimicked:.0%} of the evidence for '
+                  f'{harder.name}')
         if matched is not None and matched.mimicked > best.worst.mimicked + 0.01:
-            words += f', with the plain PRBS {_pct(matched)}'
+            words += f', with the plain PRBS {matched.mimicked:.0%}'
         words += '; the evidence between them is '
     more = f'{gain:.1f} times that' if gain < 1e3 else 'far more than that'
     words += (f'{more} of the plain PRBS (rate {best.rate_rms:.2f} rad/s RMS, angle up to '
               f'{math.degrees(best.peak_angle):.0f}°; PRBS {plain.rate_rms:.2f} rad/s and '
               f'{math.degrees(plain.peak_angle):.0f}°).')
-    if _worst(best, found.seconds).probability < CERTAIN:
+    if best.worst.over(found.seconds).probability < CERTAIN:
         words += (
             f' {found.seconds:g} s are not enough for {100 * CERTAIN:.0f} %: '
             f'fly {_seconds(best.worst.seconds_for(CERTAIN))}, in several flights if need be.'
         )
     return words + pilot_of(best.excitation)
-
-
-def _pct(one: Apart) -> str:
-    return f'{100.0 * one.mimicked:.0f} %'
 
 
 def pilot_of(excitation: Excitation) -> str:
@@ -131,18 +127,11 @@ def name_of(excitation: Excitation) -> str:
 
 
 def _row(number: str, row: Row, seconds: float) -> str:
-    worst = _worst(row, seconds)
+    worst = row.worst.over(seconds)
+    apart = ('-' if one is None else f'{one.over(seconds).nats:.1f}'
+             for one in (row.first, row.second))
     return ROW.format(number, name_of(row.excitation), f'{math.degrees(row.peak_angle):.0f}',
-                      _distance(row.first, seconds), _distance(row.second, seconds),
-                      f'{worst.probability:.2f}', _seconds(worst.seconds_for(CERTAIN)))
-
-
-def _worst(row: Row, seconds: float) -> Apart:
-    return row.worst.over(seconds)
-
-
-def _distance(one: Apart | None, seconds: float) -> str:
-    return '-' if one is None else f'{one.over(seconds).nats:.1f}'
+                      *apart, f'{worst.probability:.2f}', _seconds(worst.seconds_for(CERTAIN)))
 
 
 def _seconds(value: float) -> str:
