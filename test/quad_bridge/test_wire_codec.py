@@ -107,7 +107,7 @@ def test_only_what_was_updated_is_told(bits, name, value):
     [
         f.RcChannels(0, (70000,)), f.ParamSet('ROLL_RATE_KP', 'much'), f.ParamSet('Größe', 1.0),
         f.Excitation((1.0, 2.0), 1, 0), f.Excitation((1.0, 2.0, 3.0), 1, 256),
-        f.Standard('ATTITUDE', 1, 1),
+        f.Standard('ATTITUDE'),
     ],
 )  # fmt: skip
 def test_what_does_not_fit_is_refused_in_one_line(frame):
@@ -146,11 +146,11 @@ OLD = peer().heartbeat_encode(2, 3, 0, 0, 4).pack(peer(), force_mavlink1=True)
     ('data', 'found', 'counts'),
     [
         (peer(9).gps_raw_int_encode(1, 3, 1, 1, 1, 1, 1, 1, 1, 9).pack(peer(9)),
-         [f.Standard('GPS_RAW_INT', 9, 1)], {'standard': 1}),
+         [f.Standard('GPS_RAW_INT')], {'standard': 1}),
         (b'\xfd\x02\0\0\x07\x09\x01\xff\xff\x77ab??', [], {'unknown': 1, 'garbage_bytes': 14}),
         # a log that is downloaded over the link holds frames of an earlier flight
         (peer().serial_control_encode(0, 0, 0, 0, len(PARAMETER), PARAMETER.ljust(70, b'\0'))
-         .pack(peer()), [f.Standard('SERIAL_CONTROL', 1, 1)], {'standard': 1}),
+         .pack(peer()), [f.Standard('SERIAL_CONTROL')], {'standard': 1}),
         # in a message that only the sender knows, in sequence with its other messages
         (peer().heartbeat_encode(2, 3, 0, 0, 4).pack(peer()) + b'\xfd'
          + bytes([len(PARAMETER), 0, 0, 1, 1, 1, 255, 255, 119]) + PARAMETER + b'??',

@@ -35,7 +35,6 @@ from quad_tuning.demo.summary import (
     FlightSummary,
     Outcome,
     lines,
-    number,
     square_of,
 )
 
@@ -162,11 +161,6 @@ REPORT = {
         'name': 'coulomb_friction', 'probability': 0.93,
         'parameters': [{'name': 'torque', 'value': 0.4876, 'std': 0.0123, 'unit': 'rad/s²'}],
     }],
-    'base': {'parameters': [
-        {'name': 'gain', 'value': 131.23, 'std': 1.2, 'unit': 'rad/s²'},
-        {'name': 'lag', 'value': 0.0451, 'std': None, 'unit': 's'},
-        {'name': 'delay', 'value': 0.0123, 'std': 0.001, 'unit': 's'},
-    ]},
     'error': {'metric': 'rms of the rate', 'unit': 'rad/s', 'before': 0.2, 'after': 0.05},
 }
 
@@ -188,7 +182,7 @@ def test_every_figure_stands_in_the_summary_which_fits_a_terminal() -> None:
         seconds=180.0,
     ))
     for said in (
-        'effects_added', 'coulomb_friction (probability 0.93)', 'torque 0.4876 ± 0.01 rad/s²',
+        'effects_added', 'coulomb_friction (probability 0.93)', 'torque 0.4876 rad/s²',
         '0.2000 before, 0.0500 after (0.25)', '0.3000 before, 0.0600 after (0.20)', 'report.html',
         'acknowledged 420 ms after sending', '23.4       8.1\n',
     ):
@@ -198,6 +192,4 @@ def test_every_figure_stands_in_the_summary_which_fits_a_terminal() -> None:
         'roll.angle.kp': ['3', '4.25', '1/s'], 'roll.rate.kp': ['0.0745', '0.0745', 's/rad']
     }
     assert max(map(len, told)) <= 80
-    assert 18 <= len(told) <= 30
-    assert number({'name': 'lag', 'value': 0.0451, 'std': None, 'unit': 's'}) == 'lag 0.0451 s'
-    assert number({'name': 'x', 'value': 2.0, 'std': float('nan'), 'unit': '1'}) == 'x 2'
+    assert 16 <= len(told) <= 30

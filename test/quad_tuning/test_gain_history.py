@@ -62,17 +62,17 @@ def test_the_way_back_leads_to_the_last_good_set_that_differs(folder):
         way_back(sets[:1])
 
 
-def test_without_ros_the_rollback_says_what_to_send(folder, capsys, monkeypatch):
+def test_the_rollback_shows_what_it_would_send_and_needs_ros_to_send_it(
+    folder, capsys, monkeypatch
+):
     monkeypatch.delitem(sys.modules, 'quad_tuning.history.update_node', raising=False)
     monkeypatch.setitem(sys.modules, 'rclpy', None)
-    for more in ([], ['--print']):
-        assert main(['rollback', '--folder', str(folder), *more]) == 0
-        out = capsys.readouterr().out
-        assert 'set 1 of' in out
-        assert 'ros2 topic pub --once /gains/update' in out
-        assert '{name: roll.angle.kp, value: {type: 3, double_value: 3.0}}' in out
-    assert main(['rollback', '--folder', str(folder), '--print', '--namespace', '/left']) == 0
-    assert 'ros2 topic pub --once /left/gains/update' in capsys.readouterr().out
+    assert main(['rollback', '--folder', str(folder), '--print']) == 0
+    said = capsys.readouterr().out
+    assert said.startswith('set 1 of')
+    assert said.endswith('roll.rate.kp 0.07, roll.angle.kp 3\n')
+    assert main(['rollback', '--folder', str(folder)]) == 2
+    assert 'quad-tune rollback: needs ROS 2' in capsys.readouterr().err
 
 
 def test_a_torn_line_is_left_out_and_the_next_one_begins_anew(folder):

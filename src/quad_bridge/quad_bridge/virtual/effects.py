@@ -12,18 +12,23 @@ from quad_bridge.virtual.airframe import Vector, require
 
 
 @dataclass(frozen=True)
-class ThrustCurve:
-    """thrust = full thrust ((1 - curvature) n + curvature n^2), n the lagged command."""
+class Effect:
+    """What each effect has: its switch."""
 
     enabled: bool = False
+
+
+@dataclass(frozen=True)
+class ThrustCurve(Effect):
+    """thrust = full thrust ((1 - curvature) n + curvature n^2), n the lagged command."""
+
     curvature: float = 0.5
 
 
 @dataclass(frozen=True)
-class BatterySag:
+class BatterySag(Effect):
     """Thrust follows (voltage / reference)^exponent."""
 
-    enabled: bool = False
     exponent: float = 1.5
     reference_v: float = 11.1
 
@@ -33,77 +38,68 @@ class BatterySag:
 
 
 @dataclass(frozen=True)
-class CoulombFriction:
+class CoulombFriction(Effect):
     """Constant torque against the rate's sign, with true sticking."""
 
-    enabled: bool = False
     torque_nm: Vector = (0.004, 0.004, 0.004)
 
 
 @dataclass(frozen=True)
-class Stribeck:
+class Stribeck(Effect):
     """Friction coulomb + (static - coulomb) exp(-(rate / speed)^2) against the rate."""
 
-    enabled: bool = False
     static_nm: Vector = (0.012, 0.012, 0.012)
     coulomb_nm: Vector = (0.004, 0.004, 0.004)
     speed_rad_s: float = 0.15
 
 
 @dataclass(frozen=True)
-class QuadraticDrag:
+class QuadraticDrag(Effect):
     """Torque -coefficient rate |rate|."""
 
-    enabled: bool = False
     coefficient_nm_s2: Vector = (0.006, 0.006, 0.006)
 
 
 @dataclass(frozen=True)
-class PendulumStiffness:
+class PendulumStiffness(Effect):
     """Torque -stiffness sin(angle) about roll and pitch; negative: centre of mass above."""
 
-    enabled: bool = False
     stiffness_nm_rad: Vector = (0.15, 0.15, 0.0)
 
 
 @dataclass(frozen=True)
-class CubicStiffness:
+class CubicStiffness(Effect):
     """Torque -stiffness angle^3."""
 
-    enabled: bool = False
     stiffness_nm_rad3: Vector = (3.0, 3.0, 0.0)
 
 
 @dataclass(frozen=True)
-class DeadZone:
+class DeadZone(Effect):
     """The command of an axis does nothing within +-half_width, and is shifted by it outside."""
 
-    enabled: bool = False
     half_width: Vector = (0.003, 0.003, 0.003)
 
 
 @dataclass(frozen=True)
-class Backlash:
+class Backlash(Effect):
     """Play of +-half_width between the command of an axis and its torque."""
 
-    enabled: bool = False
     half_width: Vector = (0.004, 0.004, 0.004)
 
 
 @dataclass(frozen=True)
-class Saturation:
+class Saturation(Effect):
     """The motors' own limits, narrower than what /motors/command shows."""
 
-    enabled: bool = False
     lower: float = 0.2
     upper: float = 0.45
 
 
 @dataclass(frozen=True)
-class MotorLag:
+class MotorLag(Effect):
     """The given motors (1..4) are slower than the others."""
 
-    enabled: bool = False
     motors: tuple[int, ...] = (1,)
     slow_time_constant_s: float = 0.12
 
@@ -114,27 +110,24 @@ class MotorLag:
 
 
 @dataclass(frozen=True)
-class GyroscopicCoupling:
+class GyroscopicCoupling(Effect):
     """Rotors' angular momentum, eqs. (4), (5) with opposite signs, plus a constant one."""
 
-    enabled: bool = False
     rotor_scale: float = 1.0
     extra_momentum_nm_s: float = 0.0
     """Of a steady spin about body z, positive counter-clockwise from above."""
 
 
 @dataclass(frozen=True)
-class InertiaCoupling:
+class InertiaCoupling(Effect):
     """Euler's term -rate x (I rate) of eqs. (4) to (6); nothing on the rig."""
 
-    enabled: bool = False
 
 
 @dataclass(frozen=True)
-class CrossAxisInput:
+class CrossAxisInput(Effect):
     """A fraction of one axis' command also acts on another axis."""
 
-    enabled: bool = False
     fraction: float = 0.1
     from_axis: str = 'pitch'
     to_axis: str = 'roll'
@@ -146,39 +139,35 @@ class CrossAxisInput:
 
 
 @dataclass(frozen=True)
-class Resonance:
+class Resonance(Effect):
     """A lightly damped mode in the drive: adds peak * drive at its frequency."""
 
-    enabled: bool = False
     frequency_hz: float = 6.0
     damping_ratio: float = 0.05
     peak: Vector = (1.0, 1.0, 1.0)
 
 
 @dataclass(frozen=True)
-class PeriodicDisturbance:
+class PeriodicDisturbance(Effect):
     """A sinusoidal torque; the phase is drawn from the seed."""
 
-    enabled: bool = False
     frequency_hz: float = 2.3
     amplitude_nm: Vector = (0.01, 0.01, 0.01)
 
 
 @dataclass(frozen=True)
-class StepEvent:
+class StepEvent(Effect):
     """From `time_s` on the drive is scaled by 1 + gain_change and a torque added."""
 
-    enabled: bool = False
     time_s: float = 30.0
     gain_change: Vector = (0.0, 0.0, 0.0)
     torque_nm: Vector = (0.01, 0.01, 0.01)
 
 
 @dataclass(frozen=True)
-class Vibration:
+class Vibration(Effect):
     """Lines in the gyro before its filter, rad/s each."""
 
-    enabled: bool = False
     frequency_hz: tuple[float, ...] = (47.0, 94.0)
     amplitude_rad_s: tuple[float, ...] = (0.05, 0.02)
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import importlib.util
 import signal
 import sys
 from collections.abc import Sequence
@@ -18,6 +19,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from quad_bridge.arguments import (
     BAD_INPUT,
@@ -34,12 +36,13 @@ from quad_bridge.lockstep import START_NS
 from quad_bridge.virtual import hil
 from quad_bridge.virtual.aircraft import Aircraft, EffectFunction, boot
 from quad_bridge.virtual.board import ELF, Board, EmulatedBoard, EndedError
-from quad_bridge.virtual.effect_module import load_effect
 from quad_bridge.virtual.errors import ConfigurationError, RestartedError
 from quad_bridge.virtual.line import Line
 from quad_bridge.virtual.native import find
 from quad_bridge.virtual.profile import Profile, load_profile, profile_names
 from quad_bridge.virtual.receiver import Receiver, channels_at
+
+FloatArray = npt.NDArray[np.float64]
 
 WAIT_S = 0.5  # how long a signal may have to wait in lockstep
 
@@ -141,6 +144,56 @@ def build_aircraft(given: argparse.Namespace) -> Aircraft:
     effect = None if given.effect_module is None else load_effect(given.effect_module)
     say('virtual STM32 prepares\n')
     return prepared(profile, seed=given.seed, effect=effect)
+
+
+def load_effect(path: Path) -> EffectFunction:
+    """The checked function `effect` of a user's file; ConfigurationError names the file.
+
+    It is called before every physics step with scalars in s and V and arrays of 3 (rad/s), 3 (rad)
+    and 4 (N); it returns an extra body torque (3,) in N m, held over the step.
+    """
+    spec = importlib.util.spec_from_file_location('virtual_stm32_effect', path)
+    if not path.is_file() or spec is None or spec.loader is None:
+        raise ConfigurationError(str(path), 'is not a readable Python file (.py)')
+    module = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+    except (Exception, SystemExit) as error:
+        raise ConfigurationError(str(path), f'cannot be loaded: {_named(error)}') from error
+    function = getattr(module, 'effect', None)
+    if not callable(function):
+        raise ConfigurationError(
+            str(path), 'has no function effect(t_s, rates, angles, thrusts, battery_v)'
+        )
+    return checked(function, str(path))
+
+
+def checked(function: EffectFunction, name: str) -> EffectFunction:
+    """`function` with its result held to three finite numbers; errors name `name`."""
+
+    def effect(
+        t_s: float, rates: FloatArray, angles: FloatArray, thrusts: FloatArray, battery_v: float
+    ) -> FloatArray:
+        try:
+            returned = function(t_s, rates, angles, thrusts, battery_v)
+            torque = np.array(returned, dtype=np.float64)
+        except (Exception, SystemExit) as error:
+            raise ConfigurationError(
+                name, f'effect() at t = {t_s:.3f} s: {_named(error)}'
+            ) from error
+        if torque.shape != (3,) or not np.isfinite(torque).all():
+            raise ConfigurationError(
+                name,
+                f'effect() at t = {t_s:.3f} s must return three finite torques in N m, '
+                f'returned {str(returned)[:80]}',
+            )
+        return torque
+
+    return effect
+
+
+def _named(error: BaseException) -> str:
+    return f'{type(error).__name__}: {error}'
 
 
 def prepared(profile: Profile, *, seed: int, effect: EffectFunction | None = None) -> Aircraft:

@@ -91,7 +91,7 @@ def fly(
 ) -> Flight:
     """Fly `config` (profile or its name) over the schedule; `gains` (SI) replace the profile's.
 
-    The same seed gives the same flight, bit for bit. `effect` as in effect_module.py.
+    The same seed gives the same flight, bit for bit. `effect` as in aircraft.py.
     """
     profile = load_profile(config) if isinstance(config, str) else config
     aircraft = Aircraft(profile, seed=seed, effect=effect)

@@ -103,7 +103,7 @@ class Decoder:
             frame = build(unpacked(packet))
         else:
             self.counts.standard += 1
-            frame = f.Standard(_NAMES[packet.message], packet.system, packet.component)
+            frame = f.Standard(_NAMES[packet.message])
         if self._own is not None and not plausible(frame):
             self.counts.implausible += 1
             return

@@ -262,11 +262,9 @@ class Outputs:
 
 @dataclass(frozen=True)
 class Standard:
-    """A standard message that the suite knows by name but does not use yet."""
+    """A standard message that the suite knows by name but does not use."""
 
     name: str
-    system: int
-    component: int
 
 
 Frame = (

@@ -156,13 +156,11 @@ def lines(outcome: Outcome) -> list[str]:
 
 def _found(outcome: Outcome) -> list[str]:
     report = outcome.report
-    base = [number(p) for p in report['base']['parameters']]
-    found = [row('base model', ', '.join(base[:2]))]
-    found += [row('', ', '.join(base[k : k + 2])) for k in range(2, len(base), 2)]
-    found.append(row('verdict', report['verdict']))
+    found = [row('verdict', report['verdict'])]
     for effect in report['effects']:
         found.append(row('effect', f'{effect["name"]} (probability {effect["probability"]:.2f})'))
-        found += [row('', number(p)) for p in effect['parameters'][:3]]
+        found += [row('', f'{p["name"]} {p["value"]:.4g} {p["unit"]}')
+                  for p in effect['parameters'][:3]]
     error = report['error']
     found.append(row('error', f'{error["metric"]}, {error["unit"]}'))
     found.append(row('', before_after('held-out', error)))
@@ -188,14 +186,6 @@ def _gains(outcome: Outcome) -> list[str]:
 def row(label: str, text: str) -> str:
     """One line: a label in its column and the text."""
     return f'{label:{WIDTH}s} {text}'.rstrip()
-
-
-def number(parameter: Mapping[str, Any]) -> str:
-    """`gain 12.3 ± 0.4 rad/s²`; without a standard error where there is none."""
-    std = parameter.get('std')
-    spread = f' ± {std:.1g}' if isinstance(std, float | int) and math.isfinite(std) else ''
-    unit = '' if parameter.get('unit') in {None, '', '1'} else f' {parameter["unit"]}'
-    return f'{parameter["name"]} {parameter["value"]:.4g}{spread}{unit}'
 
 
 def before_after(label: str, error: Mapping[str, Any]) -> str:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -65,28 +65,28 @@ def go_back(arguments: argparse.Namespace) -> int:
     chosen, gains = way_back(_sets(arguments), arguments.to)
     told = f'set {chosen.number} of {chosen.time}: {_words(gains) or "nothing differs"}'
     if arguments.print or not gains:
-        print(f'{told}\n{by_hand(gains, arguments.namespace)}' if gains else told)
+        print(told)
         return 0
-    try:
-        from quad_tuning.history.update_node import publish  # where ROS is installed
-    except ImportError:
-        print(f'{told}\nno ROS 2 here; on the aircraft:\n{by_hand(gains, arguments.namespace)}')
-        return 0
-    return _told(publish(gains, SOURCE, rollback=True, namespace=arguments.namespace),
-                 f'back to {told}')
+    refusal = _publish('rollback')(gains, SOURCE, rollback=True, namespace=arguments.namespace)
+    return _told(refusal, f'back to {told}')
 
 
 def send(arguments: argparse.Namespace) -> int:
     """`quad-tune send`. Raises QuadSysidError for bad input."""
     gains, predicted = read_design(arguments.design)
-    try:
-        from quad_tuning.history.update_node import publish  # where ROS is installed
-    except ImportError as missing:
-        raise BadInputError('quad-tune send', 'needs ROS 2', missing.name,
-                            'run it where the bridge runs') from missing
-    refusal = publish(gains, SENDER, predicted=json.dumps(predicted),
-                      namespace=arguments.namespace)
+    refusal = _publish('send')(gains, SENDER, predicted=json.dumps(predicted),
+                               namespace=arguments.namespace)
     return _told(refusal, f'active, and watched by the bridge: {_words(gains)}')
+
+
+def _publish(command: str) -> Callable[..., str]:
+    """What sends gains to the bridge; raises BadInputError without ROS."""
+    try:
+        from quad_tuning.history.update_node import publish
+    except ImportError as missing:
+        raise BadInputError(f'quad-tune {command}', 'needs ROS 2', missing.name,
+                            'run it where the bridge runs') from missing
+    return publish
 
 
 def _told(refusal: str, success: str) -> int:
@@ -128,17 +128,6 @@ def table(sets: Sequence[GainSet]) -> str:
         before = one.gains
     head = ['', 'time (UTC)', 'outcome', 'source', 'changed']
     return '\n'.join(Table(head, rows, (0,)).text(below=4))
-
-
-def by_hand(gains: Mapping[str, float], namespace: str = '') -> str:
-    """The `ros2 topic pub` that sends these gains."""
-    parts = [f'{{name: {name}, value: {{type: 3, double_value: {value!r}}}}}'
-             for name, value in gains.items()]
-    parts.append(f'{{name: source, value: {{type: 4, string_value: {SOURCE}}}}}')
-    parts.append('{name: rollback, value: {type: 1, bool_value: true}}')
-    body = '{changed_parameters: [' + ', '.join(parts) + ']}'
-    topic = '/'.join(['', *filter(None, namespace.split('/')), 'gains', 'update'])
-    return f"ros2 topic pub --once {topic} rcl_interfaces/msg/ParameterEvent '{body}'"
 
 
 def _words(gains: Mapping[str, float]) -> str:
