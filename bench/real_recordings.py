@@ -71,7 +71,7 @@ def imported(file: Path, options: tuple[str, ...], bag: Path) -> str:
 def row(name: str, said: str, axes: dict[str, Any], seconds: float) -> str:
     """One line of the table."""
     motors = re.findall(r'motors on (\w+): ([-+0 ]+) explain ([\d.e-]+) %[^(]*\(([^)]*)\)', said)
-    used = re.search(r'no experiment in it: (\d+ s) train, (\d+ s) are held out', said)
+    used = re.search(r'no experiment: (\d+ s) train, (\d+ s) are held out', said)
     layout = '; '.join(
         f'{axis} `{signs}` {float(share):.0f} %{"" if "not told" not in sure else " (unsure)"}'
         for axis, signs, share, sure in motors

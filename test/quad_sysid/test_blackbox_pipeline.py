@@ -181,7 +181,7 @@ def test_poor_excitation_is_told():
     wanted = np.column_stack((slow, np.zeros((record.n, 2))))
     poor = dataclasses.replace(record, rates=rates, control=control, attitude_setpoint=wanted)
     found = identify([poor], Options(axes=('roll',), effects=()))['roll']
-    assert any('not to be trusted' in line or 'no frequency' in line
+    assert any('cannot be trusted' in line or 'no frequency' in line
                for line in found.selection.advice)
 
 

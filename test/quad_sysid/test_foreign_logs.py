@@ -182,7 +182,7 @@ def test_px4_torque_alone_is_the_input_in_its_own_unit(flight, px4):
     record, told = px4({'MC_PITCHRATE_P': 0.1}, without_motors)
     check_motion(record, flight)
     assert record.gains_at(0.0)['pitch.rate.kp'] == pytest.approx(0.1)
-    assert 'asked for' in told
+    assert 'the controller demanded' in told
 
 
 def dataflash(path: Path, messages: dict, parameters: dict) -> Path:

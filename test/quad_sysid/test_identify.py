@@ -239,8 +239,8 @@ def resting(record):
 @pytest.mark.parametrize(
     ('change', 'words'),
     [
-        (relay, 'all motors stand at their limits (0 or 1) during 100 % of the training'),
-        (flat_out, 'all motors stand at their limits'),
+        (relay, 'all motors are at their limits (0 or 1) during 100 % of the training'),
+        (flat_out, 'all motors are at their limits'),
         (clipped(0.15), 'the gyro is at its limit; widen its range'),
         (clipped(0.08), ''),
         (silent, 'the measured rate is constant'),

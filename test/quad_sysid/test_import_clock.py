@@ -29,8 +29,8 @@ def jittered(share: float) -> np.ndarray:
 @pytest.mark.parametrize(
     ('times', 'hz', 'own', 'error', 'words'),
     [
-        (T, 250.0, True, 1e-12, '0 odd intervals; kept on their own cycles of 250 Hz'),
-        (jittered(0.05), 250.0, True, 0.01, 'kept on their own'),
+        (T, 250.0, True, 1e-12, '0 odd intervals; each kept in its own cycle of 250 Hz'),
+        (jittered(0.05), 250.0, True, 0.01, 'kept in its own'),
         (jittered(0.3), 250.0, False, 0.002, 'jitter of'),
         (jittered(0.95), 250.0, False, 0.01, 'the rate is uneven'),
         (np.delete(T, [100, 101, 900]), 250.0, True, 1e-12, '2 gaps of 0.012 s in all'),
@@ -74,13 +74,13 @@ def test_restarts_and_jumps_are_experiments_one_after_the_other():
     assert (np.diff(found.time_s) > 0.0).all()
     assert np.flatnonzero(np.diff(found.time_s) > 1.0).tolist() == [N - 1, N + 699]
     assert found.time_s[-1] < 20.0
-    assert '2 jumps of the clock: 3 experiments, laid 2 s apart' in found.told
+    assert '2 jumps of the clock: 3 experiments, placed 2 s apart' in found.told
 
 
 @pytest.mark.parametrize(
     ('times', 'left', 'words'),
     [
-        (np.insert(T, 700, 1e6), N, '1 rows whose time lies astray'),
+        (np.insert(T, 700, 1e6), N, '1 rows with a time far off'),
         (np.insert(T, 700, np.nan), N, '1 rows without a time'),
         (np.concatenate([T[:50], T[52:54], T[50:52], T[54:]]), N, '1 rows ran back'),
         (np.repeat(T, 2)[:3000], 3000, 'ticks more slowly than the rows come (50 % repeat'),

@@ -77,7 +77,7 @@ def test_a_crash_and_a_time_in_the_hand_do_not_hide_the_layout(tmp_path, seed):
     for axis, text in zip(('roll', 'pitch', 'yaw'), LAYOUTS['another order'], strict=True):
         (line,) = (line for line in told if line.startswith(f'motors on {axis}'))
         assert f': {text} explain' in line
-        assert 'not told apart' not in line
+        assert 'not certain' not in line
 
 
 @pytest.mark.parametrize('unsaid', [('yaw',), ()])

@@ -74,7 +74,7 @@ class Pattern:
     @property
     def sentence(self) -> str:
         """One line on what the motors do to the axis."""
-        sure = '' if self.certain else ', not told apart'
+        sure = '' if self.certain else ', not certain'
         return (f'motors on {self.axis}: {self.text} explain {100.0 * self.share:.3g} % of the '
                 f'{self.response} (next best {100.0 * self.rival_share:.2g} %{sure})')
 

@@ -1,6 +1,6 @@
 """What was measured, as arrays on one uniform grid: Record, Segment, IOData.
 
-Built by bag_reader (from bags) or by hand (from arrays). No file access, no filtering, no fitting.
+Built by bags.read_bag or by hand, from arrays. No file access, no filtering, no fitting.
 """
 
 from __future__ import annotations

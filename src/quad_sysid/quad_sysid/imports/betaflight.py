@@ -282,8 +282,8 @@ def _motor_range(table: _Table, raw: FloatArray) -> tuple[float, float, str]:
     if 'maxthrottle' in table.header:
         return *PULSE_US, 'pulses of 1000 to 2000 µs, as maxthrottle of the header'
     if np.nanmin(raw) < PULSE_US[0] - 1.0 or np.nanmax(raw) > PULSE_US[1] + 1.0:
-        return *DSHOT, 'DShot, told by the values'
-    return *PULSE_US, 'pulses of 1000 to 2000 µs, told by the values'
+        return *DSHOT, 'DShot, judging by the values'
+    return *PULSE_US, 'pulses of 1000 to 2000 µs, judging by the values'
 
 
 def _acceleration(table: _Table) -> tuple[FloatArray | None, str]:

@@ -90,7 +90,7 @@ def unroll(time_s: FloatArray, values: FloatArray, where: str) -> Unrolled:
     jump = max(JUMP_S, JUMP_INTERVALS * usual)
     parts = np.split(rows, np.flatnonzero((steps < -BACK * usual) | (steps > jump)) + 1)
     long = [part for part in parts if len(part) >= min(FEWEST, len(rows))]
-    told += _left_out(len(rows) - sum(map(len, long)), 'rows whose time lies astray')
+    told += _left_out(len(rows) - sum(map(len, long)), 'rows with a time far off')
     if not long:
         raise BadInputError(where, 'jumps from row to row', f'{len(parts) - 1} jumps',
                             'name another column as the time')
@@ -105,7 +105,7 @@ def unroll(time_s: FloatArray, values: FloatArray, where: str) -> Unrolled:
         moments.append(time_s[part] + (0.0 if 0.0 < step <= jump else pause - step))
     jumps = sum(float(m[0]) != float(time_s[p[0]]) for m, p in zip(moments, long, strict=True))
     if jumps:
-        told.append(f'{jumps} jumps of the clock: {jumps + 1} experiments, laid {pause:.3g} s '
+        told.append(f'{jumps} jumps of the clock: {jumps + 1} experiments, placed {pause:.3g} s '
                     'apart')
     kept, moment = _spread(np.concatenate(long), np.concatenate(moments), told)
     return Unrolled(kept, moment, tuple(told))
@@ -179,7 +179,7 @@ def _own(
     more = f', {crowded} in an occupied cycle left out' if crowded else ''
     times = np.interp(np.arange(len(out)), cells, time_s)
     return Cycles(times, dt, out, own=True, told=(
-        f'{head}; kept on their own cycles of {1.0 / dt:.4g} Hz{more}{_gaps(out, dt)}',
+        f'{head}; each kept in its own cycle of {1.0 / dt:.4g} Hz{more}{_gaps(out, dt)}',
     ))
 
 

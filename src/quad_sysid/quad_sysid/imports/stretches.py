@@ -77,7 +77,7 @@ def told(record: Record) -> str:
             sums[name] = sums.get(name, 0.0) + s.end_s - s.start_s
     left = ', '.join(f'{name} {sums[name]:.0f} s' for name in sums
                      if name not in ('train', 'validation'))
-    return (f'no experiment in it: {sums.get("train", 0.0):.0f} s train, '
+    return (f'the log holds no experiment: {sums.get("train", 0.0):.0f} s train, '
             f'{sums.get("validation", 0.0):.0f} s are held out' +
             (f'; left out: {left}' if left else ''))
 

@@ -40,7 +40,7 @@ TINY = 1e-6
 """Rounding of a normalised command."""
 LEAST_SAMPLES = 100
 SLOWEST_HZ = 50.0
-"""A log of a flight controller below it shows neither the motors' lag nor the delay."""
+"""A slower log of a flight controller shows neither the motors' lag nor the delay."""
 DERIVATIVE_HALF_WIDTH_S = 0.01
 DERIVATIVE_ORDER = 3
 EPOCH_S = 1e8
@@ -84,7 +84,7 @@ def import_log(log: ForeignLog, out: Path, grid_hz: float | None = None) -> Impo
         raise BadInputError(log.source, 'holds commands that never change',
                             remedy='import a log of a flight')
     if laid.dt > 1.0 / SLOWEST_HZ and log.faster:
-        warnings.append(f'{1.0 / laid.dt:.3g} Hz is too slow to tell motors and delay: '
+        warnings.append(f'{1.0 / laid.dt:.3g} Hz is too slow to show lag and delay: '
                         f'{log.faster}')
     commands = log.control or log.motors
     if commands is not None and commands.rate_hz < SLOW / laid.dt:
@@ -177,14 +177,14 @@ def _armed(
     log: ForeignLog, laid: Cycles, control: FloatArray, motors: FloatArray | None,
     warnings: list[str],
 ) -> tuple[FloatArray, FloatArray | None]:
-    """Commands as they reach the motors: none where these stand, whatever was asked for."""
+    """Commands as they reach the motors: none while disarmed, whatever was demanded."""
     if log.armed is None:
         return control, motors
     at = np.searchsorted(log.armed.time_s, laid.times, side='right') - 1
     off = log.armed.values[np.maximum(at, 0), 0] == 0.0
     if off.any():
         warnings.append(f'disarmed for {off.sum() * laid.dt:.3g} s of {off.size * laid.dt:.3g} s: '
-                        'there the motors stand and the commands are 0, whatever was asked for')
+                        'the motors stood still then, and the commands count as 0')
     stands = off[:, None]
     return np.where(stands, 0.0, control), None if motors is None else np.where(
         stands, 0.0, motors)
@@ -200,8 +200,8 @@ def _by_motion(
                             'name the mixer, or fly an excitation')
     lost = [axis for axis in log.axes if axis not in {p.axis for p in certain}]
     if lost:
-        warnings.append(f'what the motors do to {", ".join(lost)} cannot be told: its commands '
-                        'stand as 0')
+        warnings.append(f'what the motors do to {", ".join(lost)} is not certain: its command is '
+                        'set to 0')
     return mixer_of_patterns(certain, motors)
 
 
@@ -258,10 +258,10 @@ def _possible(control: FloatArray, log: ForeignLog, warnings: list[str]) -> Floa
     """
     if float(np.mean(_beyond(control))) > BEYOND_LIMIT and log.motors is None:
         warnings.append(
-            f'U1 stands as {MIDDLE_COMMAND:g}: in {100.0 * np.mean(_beyond(control)):.0f} % of '
-            'the samples the throttle is too low for the torque that was asked for (on the '
-            'ground, or no multirotor flight?); what the motors did is not known, a thrust curve '
-            'cannot be told'
+            f'U1 is set to {MIDDLE_COMMAND:g}: in {100.0 * np.mean(_beyond(control)):.0f} % of '
+            'the samples the throttle is too low for the torque that was demanded (on the '
+            'ground, or not a multirotor?); what the motors did is not known, so a thrust curve '
+            'cannot be identified'
         )
         control = control.copy()
         control[~np.isnan(control[:, 0]), 0] = MIDDLE_COMMAND
@@ -280,7 +280,7 @@ def _possible(control: FloatArray, log: ForeignLog, warnings: list[str]) -> Floa
         )
     if beyond.any():
         warnings.append(
-            f'{int(beyond.sum())} samples left out that no motors of an X frame can give'
+            f'{int(beyond.sum())} samples left out: the motors of an X frame cannot give them'
         )
         limited[beyond] = np.nan
     return limited

@@ -58,7 +58,7 @@ def lines(held: Content) -> list[str]:
     """One page."""
     out = [held.source, *_topics(held)]
     if held.unusable:
-        return [*out, '', *wrapped(f'usable for nothing: {held.unusable}', '')]
+        return [*out, '', *wrapped(f'not usable: {held.unusable}', '')]
     out += ['', *_flight(held), '', *_segments(held), '']
     for axis in held.axes:
         out += [*_axis(axis), '']
@@ -80,7 +80,7 @@ def _topics(held: Content) -> Iterator[str]:
     yield from Table(['topic', 'messages', 'rate, Hz', 'seconds', 'gaps', 'longest, s'], rows,
                      range(1, 6)).text()
     if held.topics.absent:
-        yield from wrapped(f'not there: {", ".join(held.topics.absent)}', '')
+        yield from wrapped(f'missing: {", ".join(held.topics.absent)}', '')
 
 
 def _flight(held: Content) -> Iterator[str]:

@@ -62,8 +62,8 @@ def _excitation(e: Evidence) -> Iterator[str]:
     asked = max((_inputs(row) for row in e.rows), default=0)
     if found < asked:
         yield (
-            f'the command is persistently exciting of order {found} only, the largest model asks '
-            f'for {asked}: the data do not fix all its coefficients; fly a PRBS of more bits '
+            f'the command is persistently exciting of order {found} only, the largest model needs '
+            f'{asked}: the data do not determine all its coefficients; fly a PRBS of more bits '
             'or fit lower orders'
         )
 
@@ -78,7 +78,7 @@ def _delay(e: Evidence) -> Iterator[str]:
     dt = e.z.dt
     if e.fits.delay == 0:
         yield (
-            'the delay comes out as 0 samples: in the cascade a command cannot act on the rate of '
+            'the estimated delay is 0 samples: in the cascade a command cannot act on the rate of '
             'its own cycle; the stamps of command and rate seem to be one cycle apart'
         )
     if e.model is not None:
@@ -112,10 +112,10 @@ def _band(e: Evidence) -> Iterator[str]:
             'through the controller; compare with the joint approach, or fly a slower PRBS'
             if e.feedback else 'the excitation holds too little of it; fly longer or slower'
         )
-        yield f'below {low:.2g} rad/s the models are not to be trusted: {why}'
+        yield f'below {low:.2g} rad/s the models cannot be trusted: {why}'
     if high < PAPERS_BAND[1]:
         yield (
-            f'above {high:.3g} rad/s the models are not to be trusted; a faster clock of the PRBS '
+            f'above {high:.3g} rad/s the models cannot be trusted; a faster clock of the PRBS '
             'or more amplitude would reach further'
         )
 

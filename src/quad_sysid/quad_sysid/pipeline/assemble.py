@@ -54,12 +54,12 @@ def axis_model(findings: Findings, gains: Mapping[str, float], band: tuple[float
 
 
 def lag_window(z: IOData) -> int:
-    """Half-width of the lag window, samples: the longest stretch told in four."""
+    """Half-width of the lag window, samples: a quarter of the longest stretch."""
     return max(2, max(b - a for a, b in z.segments) // 4)
 
 
 def resolution(z: IOData) -> float:
-    """Lowest frequency of the band that these data can tell, rad/s."""
+    """Lowest frequency that these data can resolve, rad/s."""
     return float(np.pi / (lag_window(z) * z.dt))
 
 

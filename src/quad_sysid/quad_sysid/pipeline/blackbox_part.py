@@ -159,7 +159,7 @@ def _highest_stable(refused: list[str], order: int,
 
 
 def tried(refused: list[str], *fits: Callable[[], Model]) -> tuple[Model, ...]:
-    """The fits that the data carry; what is said of the others goes to `refused`."""
+    """The fits that succeed; the errors of the others are added to `refused`."""
 
     def attempt(fit: Callable[[], Model]) -> Model | None:
         try:

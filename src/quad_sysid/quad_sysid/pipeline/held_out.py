@@ -2,7 +2,7 @@
 
 Errors and innovations of the free run and the filter, whiteness, correlation with the command,
 spectrum with peaks, and the torque that a model seems to lack over time. The verdict on them is
-discover/accept.py's; told in report/document.py, drawn in report/plots_*.py.
+discover/accept.py's; written by report/document.py, drawn by report/plots_*.py.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def interval(errors: FloatArray) -> tuple[float, float]:
 
 
 LOWEST_PEAK_HZ = 1.0
-"""Two lines of the spectrum below this there is no peak to tell from a slope."""
+"""Below this, two lines of the spectrum, a peak cannot be told from a slope."""
 WINDOW_S = 2.0
 """Window of the spectra, which resolves peaks half a hertz apart."""
 PEAK = 6.0

@@ -20,7 +20,7 @@ from quad_sysid.record import Record
 SAME_RATE = 5e-3
 """Relative difference of sample intervals that two clocks of one rate may have."""
 WORTH_SAYING = 5e-4
-"""Above it the difference is told."""
+"""Above this, a warning states the difference."""
 LEAST_OVERLAP = 50
 """Samples; fewer may agree by chance, as at rest."""
 
@@ -120,7 +120,7 @@ THROUGHOUT = 0.9
 """Share of the training in which all motors at their limits leave nothing to learn from."""
 CLIPPED = 0.1
 """Share that a gyro may spend at its limit: the fit leaves these samples out and would hold to
-0.3, but errors are told of them too."""
+0.3, but the errors include them."""
 
 
 def check_usable(data: AxisData) -> None:
@@ -141,7 +141,7 @@ def check_limits(data: AxisData, spans: Sequence[Span], where: str) -> None:
     stuck = np.all((motors <= AT_LIMIT) | (motors >= 1.0 - AT_LIMIT), axis=1)
     if stuck.mean() > THROUGHOUT:  # the commands no longer say what the controller does
         raise NotInformativeError(
-            f'{data.axis}: all motors stand at their limits (0 or 1) during '
+            f'{data.axis}: all motors are at their limits (0 or 1) during '
             f'{100.0 * stuck.mean():.0f} % of {where}; is it armed? Fly with less excitation '
             'or lower gains'
         )
@@ -149,7 +149,7 @@ def check_limits(data: AxisData, spans: Sequence[Span], where: str) -> None:
     clipped = at_limit(rate)
     if clipped.mean() > CLIPPED:  # the same largest rate again and again, as no noisy gyro gives
         raise NotInformativeError(
-            f'{data.axis}: the measured rate stands at {np.abs(rate).max():.3g} rad/s during '
+            f'{data.axis}: the measured rate stays at {np.abs(rate).max():.3g} rad/s during '
             f'{100.0 * clipped.mean():.0f} % of {where}: the gyro is at its limit; widen its '
             'range or fly more gently'
         )

@@ -1,4 +1,4 @@
-"""The page's style sheet: light and dark, phone and paper. No content."""
+"""report.html and a notebook's cell: their style, and tables and pictures in order of reading."""
 
 from __future__ import annotations
 

@@ -90,8 +90,8 @@ def effect_shapes(answer: AxisAnswer) -> Picture | None:
     return Picture(
         'effect_shape', 'The effect against the data',
         'Line: the fitted effect, its band 95 %. Points, where a single number can be read off '
-        'the data: what they ask for when the rest of the model stays and this effect alone is '
-        'taken out; bars are 99 % of the mean.', figure,
+        'the data: what they require when this effect alone is removed and the rest of the model '
+        'stays; bars are 99 % of the mean.', figure,
     )
 
 
@@ -120,6 +120,6 @@ def rivals(answer: AxisAnswer) -> Picture | None:
     axes[-1].set_xlabel('probability, 1')
     return Picture(
         'rivals', 'Rival explanations',
-        'Blue: what was chosen. Green: what could stand in its place, each refitted; the '
+        'Blue: the chosen effect. Green: its alternatives, each fitted in its place; the '
         'probabilities of one panel sum to 1 over all rivals.', figure,
     )

@@ -183,7 +183,7 @@ def tried(tree: Tree) -> Table:
         for t in tree.get('tried', [])
     ]
     return Table(['structure', 'log evidence over the base', 'probability', ''], rows, (1, 2),
-                 caption='Of the training segments alone, prior included.')
+                 caption='Evidence in the training segments alone, prior included.')
 
 
 def untested(tree: Tree) -> Table:

@@ -342,7 +342,7 @@ class _Flights:
         if not peak <= ANGLE_SHARE * Limits().angle_rad:
             return None
         seen = judged(self.aircraft, pair[0].data), judged(self.aircraft, pair[1].data)
-        if not (seen[0].told and seen[1].told):
+        if not (seen[0].identified and seen[1].identified):
             return None
         self.seen[id(excitation)] = seen
         row = Row(excitation, None, None, peak, max(one.rate_rms for one in pair))

@@ -25,7 +25,7 @@ from quad_sysid.model.effect import Part
 from quad_sysid.model.structure import NOISE, Structure
 from quad_sysid.separation.flight import Aircraft
 
-TOLD = 0.1
+GAIN_KNOWN = 0.1
 """Relative standard error of the gain below which a flight identifies the base."""
 GRID = 65
 REACH = 4.0
@@ -77,10 +77,10 @@ class Judged:
     """Linear scores of the rivals so far, by label."""
 
     @property
-    def told(self) -> bool:
+    def identified(self) -> bool:
         """Whether the flight identifies the base."""
         variance = np.linalg.inv(self.base.hessian)[0, 0]
-        return bool(math.sqrt(variance) < TOLD * abs(self.base.theta[0]))
+        return bool(math.sqrt(variance) < GAIN_KNOWN * abs(self.base.theta[0]))
 
     def linear(self, parts: Sequence[Part]) -> float:
         """Evidence of the best of some rivals over nothing, by one linear step; at least 0."""
