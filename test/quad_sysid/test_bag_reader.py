@@ -160,11 +160,22 @@ def away(seconds):
     return stamps
 
 
+CLOSE = np.isin(range(20), [3, 14]) - 1.0 * np.isin(range(20), [4, 13])
+"""Two samples that come closer to each other, and two that move apart."""
+
+
+def shaken(cycles):
+    return regular() + np.rint(STEP * cycles).astype(np.int64)
+
+
 STAMPS = {
     'lost cycles': (np.delete(regular(), [100, 300, 301, 302]), N, 4, ''),
     'jitter and drift': (
         (T0 + 4_000_321.7 * np.arange(20_000) + 0.2 * STEP * np.random.default_rng(1).uniform(
             -1, 1, 20_000)).astype(np.int64), 20_000, 0, ''),
+    'jitter of a quarter cycle, and some lost': (
+        np.delete(shaken(np.random.default_rng(1).uniform(-0.25, 0.25, N)), [100, 300]), N, 2, ''),
+    'two samples that nearly meet': (shaken(0.3 * np.tile(CLOSE, N // 20)), N, 0, ''),
     'another rate': ((T0 + np.arange(5000) * 1e9 / 300).astype(np.int64), 5000, 0, ''),
     'a phase that changes in a long gap': (
         np.concatenate((regular(500), regular(500) + 700 * STEP + STEP // 2)), 1201, 201, ''),
@@ -175,6 +186,9 @@ STAMPS = {
         regular()[np.r_[:10, 11, 10, 12:N]], N, 0, '1 stamps run backward'),
     'a clock set back': (
         np.concatenate((regular(700), regular(300) - 5_000_000_000)), 700, 0, 'set back'),
+    'a while of stamps that run beside those before and behind it': (
+        np.concatenate((regular(400), regular(560) + 125 * STEP, regular(400) + 400 * STEP)),
+        800, 0, 'set back 2 times: 560 of 1360'),
     'a while of stamps 2 s late': (away(-2), N, 50, 'set back 1 times: 50 of 1000'),
     'a while of stamps 2 s early': (away(2), N, 50, 'set back 1 times: 50 of 1000'),
     'wild stamps': (wild(regular()), N, 2, ''),
@@ -186,7 +200,8 @@ def test_cycles_lie_where_their_stamps_say_and_lost_ones_are_gaps(case):
     stamps, n, lost, words = STAMPS[case]
     grid = uniform_grid(stamps, 'bag')
     # a whole number of µs; 4 ms exactly, though the stamps drift by 8e-5
-    assert grid.dt == (0.003333 if case == 'another rate' else 0.004)
+    dt = 0.003333 if case == 'another rate' else 0.004
+    assert grid.dt == pytest.approx(dt, abs=2e-6 if 'quarter' in case else 1e-12)
     assert grid.n == pytest.approx(n, abs=n == 1201)
     assert grid.n - len(grid.cells) == pytest.approx(lost, abs=n == 1201)
     assert words in '\n'.join(grid.warnings)
@@ -215,11 +230,14 @@ def test_a_changed_rate_is_a_gap_with_a_warning(tmp_path):
 
 def test_topics_at_other_stamps_go_to_the_nearest_cycle(tmp_path):
     stamps = regular(100)
-    other = Stamped(stamps + 1_500_000, np.arange(300.0).reshape(100, 3))
+    first = np.arange(300.0).reshape(100, 3)
+    other = Stamped(  # two of them come in each cycle: the first counts
+        np.repeat(stamps, 2) + np.tile([500_000, 1_500_000], 100),
+        np.stack((first, -first), axis=1).reshape(200, 3))
     far = Stamped(stamps[-1:] + 10 * STEP, np.ones((1, 3)))
     others = {'/setpoint/rates': other, '/setpoint/attitude': far}
     got = read_bag(write_imu(tmp_path / 'bag', stamps, **others))
-    np.testing.assert_array_equal(got.rate_setpoint, other.values)
+    np.testing.assert_array_equal(got.rate_setpoint, first)
     assert got.attitude_setpoint is None
     assert '/setpoint/attitude' in got.missing
 
@@ -246,6 +264,16 @@ def test_a_battery_that_was_not_measured_is_none(tmp_path, volts, there):
     got = read_bag(write_imu(tmp_path / 'bag', regular(100), **{'/battery': battery}))
     assert (got.battery_v is not None) is there
     assert ('/battery' in got.missing) is ('/battery' in ' '.join(got.warnings)) is not there
+
+
+def test_a_voltage_is_drawn_between_its_measurements_but_not_over_a_gap(tmp_path):
+    """10 Hz, nothing from 0.9 s to 3.2 s."""
+    at = np.array([*range(0, 250, 25), *range(800, N, 25)])
+    battery = Stamped(regular()[at], 12.0 - 1e-3 * at[:, None])
+    got = read_bag(write_imu(tmp_path / 'bag', regular(), **{'/battery': battery})).battery_v
+    known = np.r_[0:226, 801:N]
+    np.testing.assert_allclose(got[known], np.maximum(12.0 - 1e-3 * known, 12.0 - 1e-3 * at[-1]))
+    assert np.isnan(got[226:800]).all()
 
 
 @pytest.mark.parametrize('kind', ['identity', 'zero', 'unknown'])

@@ -88,7 +88,10 @@ def uniform_grid(stamps: IntArray, source: str, topic: str = '/imu/data') -> Gri
     nominal = float(np.median(np.diff(stamps[rows])))
     rows = _one_rate(stamps, rows, nominal, source, topic, warnings)
     times = stamps[rows]
-    cells, phase = count_cycles(np.diff(times) / nominal)
+    steps = np.diff(times)
+    # the median of steps that jitter is a per cent off; their mean is not, as stamps do not add up
+    nominal = float(steps[np.abs(steps / nominal - 1.0) < 0.5].mean())
+    cells, phase = count_cycles(steps / nominal)
     kept = np.concatenate(([True], np.diff(cells) > 0))
     if not kept.all():
         warnings.append(f'{topic}: {np.count_nonzero(~kept)} stamps fall into an occupied cycle; '
