@@ -5,7 +5,7 @@
 A third of the points is SIGKILL alone (the page cache survives), a third a power cut (killed, and
 the newest file cut off somewhere behind what had been synced), a third any cut of the newest file.
 Each point says by how much the oldest missing message is older than the moment of the damage. The
-last line is JSON. The test of the log uses `study` with 30 points.
+last line is JSON.
 """
 
 from __future__ import annotations

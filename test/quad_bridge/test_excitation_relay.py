@@ -7,27 +7,21 @@ pytest.importorskip('rcl_interfaces.msg', reason='needs the ROS 2 message packag
 from quad_bridge.arming import OperatorEnable
 from quad_bridge.excitation_relay import ExcitationRelay
 from quad_bridge.nodes.bridge_parameters import over_network
+from quad_bridge.wire.codec import Encoder
 from quad_bridge.wire.frames import Injection
 
 TRAIN = {'segment': 'train', 'signal': 'prbs', 'axis': 'roll', 'injection': 'rate'}
 
 
-def test_half_a_second_of_silence_counts_as_letting_go():
-    enable = OperatorEnable(required=True)
-    assert 'silent' in enable.fault(0.0)
-    enable.take(True, 1.0)
+@pytest.mark.parametrize('required', [True, False])
+def test_half_a_second_of_silence_counts_as_letting_go(required):
+    enable = OperatorEnable(required=required)
+    assert ('silent' in enable.fault(0.0)) is required
+    enable.take(True, 1.0)  # who has taken it is relied on, needed or not
     assert enable.fault(1.5) == ''
     assert 'silent' in enable.fault(1.501)
     enable.take(False, 2.0)
     assert 'off' in enable.fault(2.0)
-
-
-def test_where_nobody_needs_to_hold_it_who_has_taken_it_is_relied_on():
-    enable = OperatorEnable(required=False)
-    assert enable.fault(5.0) == ''
-    enable.take(True, 6.0)
-    assert enable.fault(6.4) == ''
-    assert 'silent' in enable.fault(6.6)
 
 
 def test_the_relay_ends_the_excitation_once_and_waits_for_the_next_segment():
@@ -55,3 +49,24 @@ def test_what_leads_over_a_network():
     assert over_network('unknown://rig')
     for wire in ('/dev/ttyACM0', 'COM3', 'loop://', 'spy:///dev/ttyUSB0', 'hwgrep://FTDI'):
         assert not over_network(wire)
+
+
+def test_set_points_follow_the_segment():
+    relay = ExcitationRelay(100)
+    assert relay.setpoint(0.1, 0.2, 0.3) is None
+    assert 'no segment is running' in relay.reason
+    assert relay.segment(TRAIN) is None
+    frame = relay.setpoint(0.1, 0.2, 0.3)
+    assert frame.value == (0.1, -0.2, -0.3)  # FLU to FRD
+    assert (frame.injection, frame.valid_ms) == (Injection.RATE, 100)
+    # what no frame can carry is dropped with its reason
+    unfit = [1e300, -3.5e38, float('inf'), float('nan'), 1000.0]
+    for value in unfit:
+        assert relay.setpoint(0.0, value, 0.0) is None
+        assert 'within ±1000' in relay.reason
+    Encoder().encode(relay.setpoint(999.0, -999.0, 0.0))
+    assert relay.reason == ''
+    end = relay.segment({'segment': 'idle', 'signal': 'none', 'injection': 'rate'})
+    assert end.injection == Injection.NONE
+    assert relay.setpoint(0.1, 0.0, 0.0) is None
+    assert (relay.forwarded, relay.dropped) == (2, 2 + len(unfit))

@@ -214,7 +214,6 @@ def test_an_excitation_beyond_its_limits_is_refused(board, value, injection):
     assert not cycle.flags & f.Flag.EXCITATION
 
 
-TILTED = (0.0, 0.0, 0.0, 0.0, 9.81, 1.0)
 UNSAFE = [{'kill': True}, {'failsafe': True}, {'battery_v': 9.5}]
 
 
@@ -236,6 +235,13 @@ def test_an_unsafe_state_ends_the_excitation_in_the_next_cycle_at_the_latest(boa
     assert len(low) == ('battery_v' in unsafe)  # said once
     # and it does not come back by itself
     assert not any(c.flags & f.Flag.EXCITATION for c in of(f.Cycle, made.run(5)))
+
+
+def test_sticks_move_the_reference_and_a_failsafe_centres_them(board):
+    made = board()
+    for failsafe, angle in ((False, 15.0), (True, 0.0)):
+        cycle = of(f.Cycle, made.run(5, sticks=(0.5, 0.0, 0.0), failsafe=failsafe))[-1]
+        assert cycle.attitude_setpoint[0] == pytest.approx(math.radians(angle))
 
 
 def arm(made, value, command=400):

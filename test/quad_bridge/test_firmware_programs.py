@@ -1,27 +1,84 @@
-"""The firmware's own test programs (firmware/test), one of them on a model of registers."""
+"""The firmware's own test programs (firmware/test), and the C that the documents show."""
 
 import platform
 import re
 import subprocess
+from pathlib import Path
 
 import pytest
-from probe import PATIENCE_S
 
+ROOT = Path(__file__).resolve().parents[2]
+PAGE = ROOT / 'docs/firmware.md'
+HEADER = ROOT / 'firmware/quad_endpoint.h'
 PC = pytest.mark.skipif(platform.machine() != 'x86_64', reason='its registers lie on x86-64 only')
+DEPTHS = ('frames used', 'bad', 'cycles excited', 'unsigned', 'forged', 'reverts')
+
+
+def said(*command):
+    run = subprocess.run(command, capture_output=True, text=True, check=False, timeout=1800)
+    assert (run.returncode, run.stderr) == (0, ''), run.stdout
+    return run.stdout
 
 
 @pytest.mark.parametrize(
     ('target', 'says', 'least'),
     [
-        ('store', r'(\d+) cuts', 5000),
-        ('chips', r'(\d+) checks, 0 failed', 400),
-        pytest.param('registers', r'(\d+) cuts between accesses', 500, marks=PC),
+        ('store', 'cuts', 5000),
+        ('chips', 'checks, 0 failed', 400),
+        pytest.param('registers', 'cuts between accesses', 500, marks=PC),
     ],
 )
 def test_it_ends_well(firmware, target, says, least):
     """Power cuts at every byte of a flash write; drivers by their datasheets; DMA, I2C, flash."""
-    run = subprocess.run(
-        [firmware(target)], capture_output=True, text=True, timeout=PATIENCE_S, check=False
-    )
-    assert (run.returncode, run.stderr) == (0, ''), run.stdout
-    assert int(re.search(says, run.stdout)[1]) > least
+    assert int(re.search(rf'(\d+) {says}', said(firmware(target)))[1]) > least
+
+
+@pytest.mark.parametrize(
+    ('seed', 'number', 'least'),
+    [(3, 500_000, 20), pytest.param(1, 100_000_000, 1000, marks=pytest.mark.long)],
+)
+def test_no_bytes_break_it(firmware, seed, number, least):
+    """Random bytes, frames and damage into the firmware, under the sanitizers."""
+    told = said(firmware('fuzz'), str(seed), str(number))
+    # it has come to the depths: frames heeded, excitation flown, gain sets taken back
+    *used, reverts = (int(re.search(rf'(\d+) {word}', told)[1]) for word in DEPTHS)
+    assert min(used) > least
+    assert reverts > least // 50
+
+
+EXAMPLE = """#include "quad_endpoint.h"
+void example(quad_endpoint e, const uint8_t *bytes, uint8_t *buffer, size_t count, size_t room,
+             uint64_t now_us, quad_pilot pilot, quad_cycle record, quad_slow slow)
+{{
+    {}
+    (void)count;
+}}
+"""
+"""Around the calls with which the header opens."""
+
+
+@pytest.mark.parametrize(
+    ('page', 'excerpt', 'number', 'around'),
+    [
+        (PAGE, r'```c\n(.*?)```', 1, '{}'),
+        (HEADER, r'(?m)^ \*     ((?:count = )?quad_\w+\(.*?\);)', 4, EXAMPLE),
+    ],
+)
+def test_the_excerpts_compile(firmware, tmp_path, page, excerpt, number, around):
+    blocks = re.findall(excerpt, page.read_text(encoding='utf-8'), re.DOTALL)
+    assert len(blocks) >= number
+    source = tmp_path / 'excerpts.c'
+    source.write_text(around.format('\n'.join(blocks)), encoding='utf-8')
+    headers = firmware('generated/quad_suite/mavlink.h').parents[1]
+    said('gcc', '-std=c99', '-Wall', '-Wextra', '-Werror', '-Wno-address-of-packed-member',
+         '-fsyntax-only', '-I', ROOT / 'firmware', '-isystem', headers, source)  # fmt: skip
+
+
+def test_every_message_that_the_page_names_exists():
+    xml = (ROOT / 'src/quad_bridge/quad_bridge/wire/quad_suite.xml').read_text(encoding='utf-8')
+    page = PAGE.read_text(encoding='utf-8')
+    table = page.split('## What goes over the wire')[1].split('## Timing')[0]
+    named = {name for row in re.findall(r'^\| (`.*?) \|', table, re.MULTILINE)
+             for name in re.findall(r'`([A-Z_]+)`', row)}  # fmt: skip
+    assert len(named) == 10
+    assert all(f'name="{name}"' in xml for name in named)

@@ -13,7 +13,6 @@ asked for), breadth first over the real code of both ends. The invariants, check
 
 import copy
 import math
-import zlib
 from collections import deque
 from itertools import product
 
@@ -23,7 +22,7 @@ from gain_store import GainStore
 
 from quad_bridge.errors import RefusedError
 from quad_bridge.gains import protocol
-from quad_bridge.gains.protocol import GainProtocol, State, What, checksum, float32
+from quad_bridge.gains.protocol import GainProtocol, State, What, float32
 from quad_bridge.gains.table import CONTRACT_NAMES
 from quad_bridge.wire.frames import (
     GainsAction,
@@ -469,8 +468,3 @@ def test_unknown_names_are_refused_before_anything_is_sent(talk):
         GainProtocol().write({A: 1.0}, 0)
     talk.now_s += 1.0
     assert talk.bridge.poll(talk.now_s) is None
-
-
-def test_the_checksum_is_the_crc_of_the_float32_bytes():
-    assert checksum([1.0, -0.5]) == zlib.crc32(bytes.fromhex('0000803f 000000bf'))
-    assert checksum([0.1]) == checksum([0.1 + 1e-10])

@@ -70,13 +70,6 @@ def start():
         assert not port._thread.is_alive()
 
 
-def test_bytes_arrive_and_leave(line, start):
-    port = start(line.link)
-    port.hears(line, b'hello')
-    assert port.write(b'back')
-    assert os.read(line.master, 10) == b'back'
-
-
 def test_a_port_that_does_not_exist_is_waited_for(tmp_path, start):
     port = start(tmp_path / 'tty', PortState.NOT_THERE)
     assert not port.write(b'lost')

@@ -1,16 +1,11 @@
 """What the bridge says of its link, clock, gains and excitation."""
 
-import math
 
 import pytest
 
 pytest.importorskip('diagnostic_msgs.msg', reason='needs the ROS 2 message packages')
-from pymavlink.dialects.v20 import common
 
-from quad_bridge.errors import RefusedError
 from quad_bridge.excitation_relay import ExcitationRelay
-from quad_bridge.gains.history import History
-from quad_bridge.gains.update import GainSettings, GainUpdates
 from quad_bridge.link.machine import Link
 from quad_bridge.link.port import PortState, PortStatus
 from quad_bridge.link.report import LinkReport, clock_status
@@ -59,17 +54,6 @@ def test_an_aircraft_of_a_broken_clock_is_told_what_to_set():
     assert 'signs with a time far ahead: set its clock' in text
 
 
-def test_a_controller_of_standard_messages_is_named_with_what_it_sends():
-    link, peer = Link(), common.MAVLink(None, srcSystem=1, srcComponent=1)
-    link.receive(peer.attitude_encode(1, 0, 0, 0, 0, 0, 0).pack(peer), 0)
-    still = (0.0,) * 13
-    link.receive(peer.highres_imu_encode(1, *still, 0x3F).pack(peer), 0)
-    link.receive(peer.heartbeat_encode(2, 3, 0, 0, 4).pack(peer), 0)
-    level, text = verdict(link)
-    assert level == WARN
-    assert 'only standard MAVLink messages arrive (ATTITUDE, HIGHRES_IMU)' in text
-
-
 def test_good_cycles_are_ok_and_new_losses_a_warning():
     link = Link()
     link.receive(cycle(1) + cycle(2), 0)
@@ -99,18 +83,6 @@ def test_the_clock_says_why_nothing_is_published():
     assert told().level == OK
     late = told(4.0)
     assert (late.level, 'for 4 s: does the aircraft hear us?' in late.message) == (WARN, True)
-
-
-def test_a_refusal_stands_in_the_gain_state(tmp_path):
-    gains = GainUpdates(GainSettings(), History(tmp_path, lambda job: job()))
-    assert 'has not reported' in gains.status(standard=False).message
-    with pytest.raises(RefusedError):
-        gains.ask({'roll.rate.kp': math.nan, 'source': 'me'}, 0.0)
-    status = gains.status(standard=False)
-    words = 'gains of me refused: roll.rate.kp: must be finite: found nan'
-    assert (status.level, status.message) == (ERROR, words)
-    assert (status.values['refused'], status.values['writes acknowledged']) == (1, 0)
-    assert gains.status(standard=True).message == 'refused: the aircraft has no QUAD_GAINS'
 
 
 def test_the_excitation_state_follows_the_flags():

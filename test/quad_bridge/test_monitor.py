@@ -45,13 +45,6 @@ def test_an_answer_covers_the_band_and_noise_none_of_it():
     assert max(shares) < 0.5
 
 
-def test_the_answer_to_another_excitation_is_no_coverage():
-    """Two flights share the excitation's law but not its values."""
-    flown, _ = answered(40.0, 0.05, 3)
-    _, other = answered(40.0, 0.05, 4)
-    assert coverage([(flown, other)], DT, (0.2, 20.0)).share < 0.2
-
-
 def test_low_frequencies_take_longer_and_noise_hides_high_ones():
     x, y = answered(70.0, 0.05, 3)
     assert coverage([(x, y)], DT, (0.1, 20.0)).enough
@@ -64,16 +57,6 @@ def test_low_frequencies_take_longer_and_noise_hides_high_ones():
     assert not loud.enough
     assert loud.band[1] < 60.0
     assert coverage([], DT, (0.5, 20.0)).band is None
-
-
-def test_parts_add_up_but_a_period_needs_an_unbroken_one():
-    x, y = answered(60.0, 1.0, 6)
-    halves = [(x[:7500], y[:7500]), (x[7500:], y[7500:])]
-    one, both = (coverage(parts, DT, (0.15, 20.0)) for parts in (halves[:1], halves))
-    assert one.share < both.share
-    assert not both.coherent[both.w < 2.0 * np.pi / 30.0].any()
-    x, y = answered(60.0, 0.05, 6)
-    assert coverage([(x, y)], DT, (0.15, 20.0)).band[0] < 2.0 * np.pi / 30.0
 
 
 def test_pairs_match_by_stamp_and_break_at_gaps():

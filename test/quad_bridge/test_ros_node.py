@@ -11,28 +11,19 @@ ONE_OF = 'must be one of auto, manual, off: found'
 
 PARAMETERS = [
     ('serial_bridge', {'baudd': 9600}, 'parameter baudd: is unknown; is it baud?'),
-    ('serial_bridge', {'x': 1}, 'parameter x: is unknown; known are aircraft, baud, bounds.*, '),
-    ('serial_bridge', {'baud': 'fast'}, 'baud'),
     ('serial_bridge', {'baud': 1}, 'baud'),
     ('serial_bridge', {'bounds.roll.rate.kp': [2.0, 1.0]}, 'parameter bounds.roll.rate.kp'),
     ('serial_bridge', {'polarity': 'never'}, f"parameter polarity: {ONE_OF} 'never'"),
-    ('serial_bridge', {'polarity': True}, f'parameter polarity: {ONE_OF} True'),
     ('serial_bridge', {'port': 'socket://127.0.0.1:1'}, 'make_key'),
     ('serial_bridge', {'key_file': '/nowhere/key'}, '/nowhere/key: cannot be read'),
-    ('bag_logger', {'storage': 'sqlite3'}, 'parameter storage: is unknown; known'),
     ('bag_logger', {'topics': ['/nothing']}, 'is not a topic of the contract: found /nothing'),
     ('bag_logger', {'reserve_mb': 1_000_000}, 'MB of free disk for a flight'),
-    ('bag_logger', {'split_mb': -1}, 'split_mb'),
     ('bag_logger', {'folder': '/proc/nowhere', 'reserve_mb': 0}, 'cannot write a bag here'),
     ('bag_logger', {'prefix': 300 * 'a'}, 'File name too long'),
     ('monitor', {'band_low_rad_s': 30.0}, 'is not below band_high_rad_s 20'),
     ('excitation', {'schedule': '/nowhere.yaml'}, '/nowhere.yaml: cannot be read'),
-    ('excitation', {'shedule': 'x'}, 'parameter shedule: is unknown; is it schedule?'),
-    ('excitation', {'angle_limit_deg': 90.0}, 'angle_limit_deg'),
     ('identification', {'train': '5:1'}, 'parameter train: needs two times START:END'),
-    ('identification', {'inertia': 'abc'}, 'inertia: needs three positive numbers'),
     ('identification', {'axes': '[sideways]'}, "roll, pitch, yaw, all: found 'sideways'"),
-    ('identification', {'autoupdate': True}, 'parameter autoupdate: is unknown; is it auto_upd'),
 ]  # fmt: skip
 
 
@@ -51,9 +42,7 @@ def test_a_wrong_parameter(start, tmp_path, name, parameters, words):
     ('arguments', 'words'),
     [
         (['--params-file', 'absent.yaml'], 'absent.yaml: cannot be read (No such file'),
-        (['--params-file', '.'], 'cannot be read (Is a directory)'),
         (['--params-file', 'broken.yaml'], 'Sequences can only be values'),
-        (['--params-file', 'rootless.yaml'], 'Cannot have a value before ros__parameters'),
         (['-r', '__ns:=/2bad'], "'-r __ns:=/2bad'; write -r FROM:=TO"),
         (['-p', 'port:='], "'-p port:='; write -p NAME:=VALUE"),
         (['--log-level', 'loud'], 'does not use a valid severity level'),
@@ -63,7 +52,6 @@ def test_a_wrong_parameter(start, tmp_path, name, parameters, words):
 def test_a_wrong_argument_of_ros(start, run, tmp_path, arguments, words):
     del start
     (tmp_path / 'broken.yaml').write_text('bridge: [\n')
-    (tmp_path / 'rootless.yaml').write_text('bridge:\n  port: x\n')
     process = run(*node_command('monitor'), *arguments, cwd=tmp_path)
     assert process.wait() == 2
     assert (process.said.count('\n'), words in process.said) == (1, True), process.said
