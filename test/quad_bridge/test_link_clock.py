@@ -41,14 +41,11 @@ def errors_ms(clock, pair, seconds, *, stalls=0.0):
 @pytest.mark.parametrize(
     ('drift', 'seed', 'asymmetry_s', 'stalls', 'rms_ms', 'most_ms'),
     [
-        (-50e-6, 3, 0.0, 0.3, 0.1, 0.5),
         (0.0, 3, 0.0, 0.3, 0.1, 0.5),
         (50e-6, 3, 0.0, 0.3, 0.1, 0.5),
         # what is demanded of the link, from the first stamp on
         (50e-6, 0, 0.0005, 0.5, 0.5, 2.0),
         (-50e-6, 1, 0.0005, 0.5, 0.5, 2.0),
-        (50e-6, 2, 0.0005, 0.5, 0.5, 2.0),
-        (-50e-6, 3, 0.0005, 0.5, 0.5, 2.0),
     ],
 )
 def test_stamps_follow_a_drifting_clock_through_stalls(

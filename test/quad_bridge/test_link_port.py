@@ -99,19 +99,6 @@ def test_hang_up_and_replug_under_the_same_name(line, start):
     assert port.status.opened == 2
 
 
-def test_a_pattern_finds_the_adapter_under_another_name(tmp_path, start):
-    port = start(tmp_path / 'ttyACM*', PortState.NOT_THERE)
-    assert 'nothing matches' in port.status.detail
-    first = Pty(tmp_path / 'ttyACM0')
-    port.reaches(PortState.OPEN)
-    first.unplug()
-    port.reaches(PortState.NOT_THERE)
-    second = Pty(tmp_path / 'ttyACM1')
-    port.reaches(PortState.OPEN)
-    assert port.status.path == str(tmp_path / 'ttyACM1')
-    port.hears(second, b'here')
-
-
 def test_a_link_that_leads_elsewhere_is_followed_though_nothing_has_hung_up(line, start):
     """As /dev/serial/by-id after a re-enumeration that left the old device half-open."""
     port = start(line.link)

@@ -1,11 +1,7 @@
 """Simulated time waits for the slowest process, and for nothing that nobody owes."""
 
-from __future__ import annotations
-
 import itertools
 import time
-from collections.abc import Callable, Iterator
-from pathlib import Path
 
 import pytest
 
@@ -15,39 +11,47 @@ from quad_bridge.virtual.line import Line
 
 CYCLE_NS = 4_000_000
 PATIENCE_S = 120.0
+WINDOW = WINDOW_NS // CYCLE_NS + 1
+"""Cycles after which time stands still."""
 
 
 class Master:
     """A line whose time the test moves, and processes on it that have their steps run by it."""
 
-    def __init__(self, folder: Path) -> None:
-        self.said: list[str] = []
+    def __init__(self, folder):
+        self.said = []
         self.path = folder / 'line'
         self.line = Line(self.path, self.said.append)
         self.now_ns = START_NS
-        self.members: list[Participant] = []
-        self.meanwhile: Callable[[], None] = lambda: None
+        self.members = []
+        self.meanwhile = lambda: None
 
-    def join(self, name: str) -> Participant:
+    def join(self, name):
         member = Participant(self.path, name)
         self.members.append(member)
         self.until(lambda: name in self.line.names)
         return member
 
-    def until(self, condition: Callable[[], object]) -> None:
+    def until(self, condition):
         end_s = time.monotonic() + PATIENCE_S
         while not condition():
             assert time.monotonic() < end_s, (self.line.names, self.line.slowest_ns)
             self.line.attend(0.005)
             self.meanwhile()
 
-    def cycle(self) -> None:
+    def cycle(self):
         """One more cycle, when all are ready for it."""
         self.until(lambda: self.line.ready)
         self.now_ns += CYCLE_NS
         self.line.tell(self.now_ns)
 
-    def stuck(self) -> int:
+    def goes_on(self, then=lambda: None):
+        """Time does not stand still, with this after each cycle."""
+        for _ in range(3 * WINDOW):
+            self.cycle()
+            then()
+
+    def stuck(self):
         """Run until time stands still; how many cycles that were."""
         count = 0
         for _ in range(20):
@@ -60,7 +64,7 @@ class Master:
 
 
 @pytest.fixture
-def master(tmp_path: Path) -> Iterator[Master]:
+def master(tmp_path):
     master = Master(tmp_path)
     yield master
     for member in master.members:
@@ -68,30 +72,24 @@ def master(tmp_path: Path) -> Iterator[Master]:
     master.line.close()
 
 
-WINDOW = WINDOW_NS // CYCLE_NS + 1
-"""Cycles after which time stands still."""
-
-
-def test_nobody_there_no_time_passes(master: Master) -> None:
+def test_nobody_there_no_time_passes(master):
     assert not master.line.ready
     member = master.join('bridge')
     assert member.now_ns() == 0
-    for _ in range(3 * WINDOW):
-        master.cycle()
+    master.goes_on()
     master.until(lambda: member.now_ns() == master.now_ns)
 
 
-def test_time_waits_for_who_holds_it(master: Master) -> None:
+def test_time_waits_for_who_holds_it(master):
     quick, slow = master.join('quick'), master.join('slow')
     slow.hold()
     assert master.stuck() <= WINDOW
     assert quick.now_ns() == master.now_ns
     slow.release()
-    for _ in range(3 * WINDOW):
-        master.cycle()
+    master.goes_on()
 
 
-def test_who_ends_is_waited_for_no_more(master: Master) -> None:
+def test_who_ends_is_waited_for_no_more(master):
     member, other = master.join('one'), master.join('other')
     other.hold()
     master.stuck()
@@ -102,44 +100,37 @@ def test_who_ends_is_waited_for_no_more(master: Master) -> None:
 
 
 def test_a_stream_is_waited_for_from_the_first_message_until_its_publisher_ends(
-    master: Master,
-) -> None:
+    master,
+):
     publisher, reader = master.join('publisher'), master.join('reader')
 
-    def publish() -> None:
+    def publish():
         publisher.published('stream', master.now_ns)
         publisher.handled(WIRE, master.now_ns)
 
-    for _ in range(2 * WINDOW):  # nothing was received yet: nothing is waited for
-        master.cycle()
-        publish()
+    master.goes_on(publish)  # nothing was received yet: nothing is waited for
     reader.handled('stream', master.now_ns)
-    for _ in range(3 * WINDOW):
-        master.cycle()
-        publish()
-        reader.handled('stream', master.now_ns)
+    master.goes_on(lambda: (publish(), reader.handled('stream', master.now_ns)))
     publish()
     master.cycle()
     publish()
     assert master.stuck() <= 2 * WINDOW
     publisher.close()
-    for _ in range(3 * WINDOW):
-        master.cycle()
+    master.goes_on()
 
 
-def test_the_wire_is_waited_for_until_it_is_forgotten(master: Master) -> None:
+def test_the_wire_is_waited_for_until_it_is_forgotten(master):
     bridge = master.join('bridge')
     master.cycle()
     bridge.handled(WIRE, master.now_ns)
     assert master.stuck() <= WINDOW
     bridge.forget(WIRE)
-    for _ in range(3 * WINDOW):
-        master.cycle()
+    master.goes_on()
 
 
-def test_timers_run_at_every_time_that_is_theirs(master: Master) -> None:
+def test_timers_run_at_every_time_that_is_theirs(master):
     member, seen, slow = master.join('node'), [], []
-    wakes: list[None] = []
+    wakes = []
     member.on_due = lambda: wakes.append(None)
     timer = member.timer(0.004, lambda: seen.append(member.now_ns()))
     member.timer(0.05, lambda: slow.append(member.now_ns()))
@@ -160,17 +151,17 @@ def test_timers_run_at_every_time_that_is_theirs(master: Master) -> None:
     assert len(seen) == count
 
 
-def test_a_callback_that_fails_does_not_stop_time(master: Master) -> None:
+def test_a_callback_that_fails_does_not_stop_time(master):
     member = master.join('node')
 
-    def fail() -> None:
+    def fail():
         raise ZeroDivisionError
 
     member.on_due = lambda: None
     member.timer(0.004, fail)
     failed = 0
 
-    def step() -> None:
+    def step():
         nonlocal failed
         try:
             member.step()
@@ -178,11 +169,10 @@ def test_a_callback_that_fails_does_not_stop_time(master: Master) -> None:
             failed += 1
 
     master.meanwhile = step
-    for _ in range(3 * WINDOW):
-        master.cycle()
+    master.goes_on()
     assert failed > WINDOW
 
 
-def test_a_socket_that_cannot_be_is_one_line(tmp_path: Path) -> None:
+def test_a_socket_that_cannot_be_is_one_line(tmp_path):
     with pytest.raises(BadInputError, match=r'--lockstep .*cannot listen there'):
         Line(tmp_path / ('x' * 200))

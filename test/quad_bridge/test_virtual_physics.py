@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -102,17 +101,6 @@ def test_a_torque_free_body_keeps_its_angular_momentum_and_energy_while_it_tumbl
     assert inertia @ state[RATES : RATES + 3] ** 2 == pytest.approx(energy, rel=1e-8)
 
 
-def test_gyroscopic_terms_of_roll_and_pitch_have_opposite_signs():
-    effects = Effects(gyroscopic_coupling=spinning(0.01))
-    profile = quiet_profile(effects, mount='hover')
-    pitching, rolling = (coasting(profile, rates) for rates in ((0.0, 1.0, 0.0), (1.0, 0.0, 0.0)))
-    for aircraft in (pitching, rolling):
-        aircraft.run(inputs(1, aircraft, armed=False))
-    # eqs. (4), (5): -(h/Ix) q about roll, +(h/Iy) p about pitch
-    assert pitching.machine.state[0] == pytest.approx(-0.01 / 0.0135 * 0.004, rel=1e-3)
-    assert rolling.machine.state[1] == pytest.approx(0.01 / 0.0140 * 0.004, rel=1e-3)
-
-
 @pytest.mark.parametrize('axis', AXES)
 def test_a_control_step_gives_gain_lag_and_delay_of_the_base(axis):
     index, damping, size, lag = AXES.index(axis), 0.4, 0.02, 0.045
@@ -128,12 +116,6 @@ def test_a_control_step_gives_gain_lag_and_delay_of_the_base(axis):
         gain * size / damping * (1 - slow - damping * lag * (slow - fast) / (1 - damping * lag))
     )
     assert log[:, COLUMNS['true_rates']][:, index] == pytest.approx(expected, rel=1e-6, abs=1e-6)
-
-
-def test_the_paper_airframe_has_the_gains_of_its_numbers():
-    gains = axis_gains(Airframe())
-    assert gains[0] == pytest.approx(4 * 9.218 * 0.225 * math.sqrt(0.5) / 0.0135)
-    assert gains[2] == pytest.approx(4 * 9.218 * 0.016 / 0.0240)
 
 
 def test_hover_throttle_carries_the_weight():
