@@ -152,27 +152,17 @@ class FlightController:
         return [] if isinstance(frame, self.unanswered) else list(self._answer(frame, now_ns))
 
     def _answer(self, frame, now_ns):
-        names = list(self.store.active)
         if isinstance(frame, f.TimeSync):
             since_us = now_ns // 1000 - CYCLE_US * self.boot + self.clock_us + self.late_us
             yield f.TimeSync(1000 * (since_us % (1 << self.bits)), frame.ts1_ns)
         elif isinstance(frame, f.GainsCommand):
             yield self.store.take(frame, 1e-9 * now_ns)
-        elif isinstance(frame, f.ParamRequestList):
-            yield from map(self._parameter, names)
-        elif isinstance(frame, (f.ParamSet, f.ParamRequestRead)):
-            name = frame.name or names[frame.index]
-            if isinstance(frame, f.ParamSet):
-                self.store.write(name, float32(frame.value))
-            yield self._parameter(name)
+        elif isinstance(frame, (f.ParamSet, f.ParamRequestRead, f.ParamRequestList)):
+            for told in answers_of(self.store, frame):
+                yield replace(told, value=self.reports.get(told.name, told.value))
         elif isinstance(frame, f.Command) and frame.command == ARM_DISARM:
             self.flags = self.flags & ~f.Flag.ARMED | int(frame.parameters[0])
             yield f.CommandAck(ARM_DISARM, ACCEPTED)
-
-    def _parameter(self, name):
-        names = list(self.store.active)
-        value = self.reports.get(name, self.store.shown(name))
-        return f.ParamValue(name, value, len(names), names.index(name))
 
 
 # For walks through all states of both ends.
@@ -188,8 +178,9 @@ def clone(part):
     return new
 
 
-def answers_of(store, frame, names):
+def answers_of(store, frame):
     """What the STM32 answers to one frame about its parameters."""
+    names = list(store.active)
     if isinstance(frame, f.GainsCommand):
         return [store.take(frame, 0.0)]
     if isinstance(frame, f.ParamSet):

@@ -129,7 +129,7 @@ class World:
         self.up = self.up if doubled else tuple(rest)
         self.faults -= doubled
         self.stm32.heard(0.0)
-        self.down += tuple(answers_of(self.stm32, frame, list(OLD)))
+        self.down += tuple(answers_of(self.stm32, frame))
 
     def arrives_down(self, *, doubled=False):
         frame, *rest = self.down

@@ -146,7 +146,7 @@ class Walk:
         frame = self.gains.poll(0.0)
         if frame is not None and not lost:
             self.stm32.heard(0.0)
-            for answer in answers_of(self.stm32, frame, list(OLD)):
+            for answer in answers_of(self.stm32, frame):
                 self.gains.take(answer, 0.0)
 
     def lose(self):

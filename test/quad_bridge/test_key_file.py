@@ -37,7 +37,6 @@ FILES = {
     'two keys': (HEX + HEX, NO_KEY),
     'text behind': (HEX + b' of the rig\n', NO_KEY),
     'a zero byte behind': (HEX + b'\0', NO_KEY),
-    'too long': (HEX + b' ' * 4096, NO_KEY),
     'white space within': (HEX[:32] + b' ' + HEX[32:], NO_KEY),
     'byte order mark': (b'\xef\xbb\xbf' + HEX, NO_KEY),
     'no digits': (b'x' * 64, NO_KEY),
@@ -102,13 +101,17 @@ def test_the_command_keeps_what_is_there_and_says_one_line(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ('mode', 'wrong'), [(0o600, ''), (0o644, 'chmod 600'), (None, 'Is a directory')]
+    ('mode', 'data', 'wrong'),
+    [
+        (0o600, HEX, ''),
+        (0o644, HEX, 'chmod 600'),
+        (0o600, HEX + b' ' * 4096, 'key'),
+        (None, b'', 'Is a directory'),
+    ],
 )
-def test_the_programs_refuse_what_is_no_key_in_one_line(tmp_path, firmware, mode, wrong):
-    path = tmp_path if mode is None else tmp_path / 'key'
-    if mode is not None:
-        write_key(path)
-        path.chmod(mode)
+def test_the_programs_refuse_what_is_no_key_in_one_line(tmp_path, firmware, mode, data, wrong):
+    path = tmp_path if mode is None else held(tmp_path, data)
+    path.chmod(mode or 0o700)
     for program in ([firmware('checked/quad_firmware')],
                     [sys.executable, '-m', 'quad_bridge.virtual.process', '--duration', '0.02']):
         run = subprocess.run(
