@@ -65,6 +65,11 @@ TICK = 12
 """Cycles between two ticks of the bridge."""
 ZERO = (0.0, 0.0, 0.0)
 ARM_DISARM, ACCEPTED = 400, 0
+STILL = f.Cycle(
+    0, 0, ZERO, (0.0, 0.0, -9.81), ZERO, ZERO, ZERO, (0.5, 0.0, 0.0, 0.0), ZERO, (0.5,) * 4,
+    int(f.Flag.ARMED),
+)  # fmt: skip
+"""A cycle at rest; `replace` says what differs from it."""
 
 
 def sticks(controller):
@@ -98,7 +103,7 @@ class FlightController:
         """Kinds of frames that it does not answer."""
         self.reports: dict[str, float] = {}
         """Parameters about which it lies in PARAM_VALUE."""
-        self.gyro, self.accel, self.flags = gyro, (0.0, 0.0, -9.81), int(f.Flag.ARMED)
+        self.gyro, self.flags = gyro, int(f.Flag.ARMED)
         self.also = also
         """Frames that it sends behind each cycle."""
         self.number, self.boot = number, 0
@@ -127,10 +132,9 @@ class FlightController:
     def frame(self):
         """The present cycle."""
         gyro = (1e-3 * (self.number % NUMBERS), *self.gyro[1:])
-        return f.Cycle(
-            self.device_us, self.number - self.boot, gyro if self.gyro[0] is None else self.gyro,
-            self.accel, ZERO, ZERO, ZERO, (0.5, 0.0, 0.0, 0.0), ZERO, (0.5,) * 4, self.flags,
-        )  # fmt: skip
+        gyro = gyro if self.gyro[0] is None else self.gyro
+        number, flags = self.number - self.boot, self.flags
+        return replace(STILL, time_us=self.device_us, cycle=number, gyro=gyro, flags=flags)
 
     def cycle(self):
         """The bytes of the coming cycle."""

@@ -64,14 +64,6 @@ def test_a_fixed_axis_is_silent_and_its_gains_are_refused(bench):
     assert made.gain('pitch.rate.kp') == pytest.approx(0.0744845, rel=1e-5)
 
 
-def test_manual_means_that_somebody_must_ask(bench):
-    made = bench(polarity='manual')
-    with pytest.raises(RefusedError, match='call ~/check_polarity'):
-        made.ask(**ROLL)
-    assert checked(made) == 'roll right; pitch silent; yaw silent'
-    made.ask(**ROLL)
-
-
 def test_all_axes_answer_in_hover(bench):
     made = bench(polarity='manual', mount='hover', profile='paper_hover')
     assert checked(made) == 'roll right; pitch right; yaw right'

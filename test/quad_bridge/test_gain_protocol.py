@@ -422,6 +422,20 @@ def test_what_goes_wrong_with_a_set_leaves_the_old_one(talk, fault, reason):
     assert (talk.far.store.active, talk.far.store.phase) == (OLD, GainsPhase.IDLE)
 
 
+@pytest.mark.parametrize('told', [True, False])
+def test_a_confirmation_after_the_stm32_has_gone_back_is_none(talk, told):
+    talk.bridge.write(SET, 1000)
+    talk.until(What.COMMITTED)
+    state = talk.far.store.tick(talk.now_s + 1.5)  # not confirmed in time
+    if told:
+        talk.bridge.take(state, talk.now_s)
+    talk.bridge.confirm()
+    event = talk.until(What.REVERTED)
+    assert event.by_stm32 is told
+    assert talk.far.store.active == OLD
+    assert talk.until(What.READ).active['roll.rate.kp'] == 1.0
+
+
 @pytest.mark.parametrize('change', ['set', 'copy'])
 def test_what_somebody_else_has_changed_is_read_again_and_an_open_copy_is_not_taken_for_it(
     talk, change

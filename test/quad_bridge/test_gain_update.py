@@ -17,9 +17,10 @@ import copy
 import math
 import threading
 from collections import deque
+from dataclasses import replace
 
 import pytest
-from flight_controller import answers_of, clone
+from flight_controller import STILL, ZERO, answers_of, clone
 from gain_store import GainStore
 
 from quad_bridge.errors import RefusedError
@@ -33,7 +34,6 @@ from quad_bridge.wire import frames as f
 KP, RATE = 'ROLL_RATE_KP', 'LOOP_RATE_HZ'
 OLD = {KP: 0.1, RATE: 250.0}
 BOUND = DEFAULT_BOUNDS['roll.rate.kp']
-ZERO = (0.0, 0.0, 0.0)
 STEP_S = 1.0
 HELD = object()
 
@@ -100,9 +100,7 @@ class Pulses:
 
 
 def cycle(flags):
-    return f.Cycle(
-        0, 0, ZERO, ZERO, ZERO, ZERO, ZERO, (0.0,) * 4, ZERO, (0.0,) * 4, int(flags)
-    )  # fmt: skip
+    return replace(STILL, flags=int(flags))
 
 
 class Walk:

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from flight_controller import Line, Port, Pty
+from flight_controller import STILL, Line, Port, Pty
 from pymavlink.dialects.v20 import common
 
 from quad_bridge.link.autopilot import INTERVALS_US, SET_MESSAGE_INTERVAL, Inertial
@@ -161,10 +161,8 @@ def test_messages_that_do_not_come_are_asked_for_again():
 def test_our_own_controller_is_asked_for_nothing():
     link = Link()
     link.opened()
-    zero = (0.0, 0.0, 0.0)
-    cycle = f.Cycle(1, 1, zero, zero, zero, zero, zero, (0.0,) * 4, zero, (0.0,) * 4, 0)
     encoder = Encoder(1, 1)
-    link.receive(encoder.encode(f.Heartbeat()) + encoder.encode(cycle), HOST0_NS)
+    link.receive(encoder.encode(f.Heartbeat()) + encoder.encode(STILL), HOST0_NS)
     link.tick(HOST0_NS + 9_000_000_000)
     sent = Decoder().feed(link.to_send())
     assert not [frame for frame in sent if isinstance(frame, f.Command)]

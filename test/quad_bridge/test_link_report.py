@@ -1,7 +1,9 @@
 """What the bridge says of its link, clock, gains and excitation."""
 
+from dataclasses import replace
 
 import pytest
+from flight_controller import STILL
 
 pytest.importorskip('diagnostic_msgs.msg', reason='needs the ROS 2 message packages')
 
@@ -15,14 +17,10 @@ from quad_bridge.wire.codec import Decoder, Encoder
 from quad_bridge.wire.signing import Signing
 
 OPEN = PortStatus(PortState.OPEN, '', 1, 0)
-ZERO = (0.0, 0.0, 0.0)
 
 
 def cycle(number, flags=1):
-    frame = f.Cycle(
-        4000 * number, number, ZERO, ZERO, ZERO, ZERO, ZERO, (0.0,) * 4, ZERO, (0.0,) * 4, flags
-    )
-    return Encoder().encode(frame)
+    return Encoder().encode(replace(STILL, time_us=4000 * number, cycle=number, flags=flags))
 
 
 def verdict(link, port=OPEN, report=None, now_s=1.0):

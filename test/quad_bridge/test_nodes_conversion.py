@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from flight_controller import STILL
 from rosbags.typesys import Stores, get_typestore
 
 from quad_bridge.wire import frames as f
@@ -15,10 +16,6 @@ pytest.importorskip('sensor_msgs.msg', reason='needs the ROS 2 message packages'
 from quad_bridge.nodes import conversion
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
-STILL = f.Cycle(
-    0, 0, (0.0,) * 3, (0.0, 0.0, -9.81), (0.0,) * 3, (0.0,) * 3, (0.0,) * 3,
-    (0.5, 0.0, 0.0, 0.0), (0.0,) * 3, (0.5,) * 4, 1,
-)  # fmt: skip
 
 
 def filled(**changes):

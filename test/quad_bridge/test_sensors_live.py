@@ -1,18 +1,20 @@
 """What stands before a flight is estimated, subtracted and can be had back; or refused."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from flight_controller import STILL, ZERO
 
 from quad_bridge.errors import RefusedError
 from quad_bridge.sensors.correction import Correction, as_sent, from_values
 from quad_bridge.sensors.live import LiveSensors, Wanted
 from quad_bridge.status import OK, WARN
 from quad_bridge.wire.axes import flip_body
-from quad_bridge.wire.frames import Cycle, Flag
+from quad_bridge.wire.frames import Flag
 
 BIAS = (0.012, -0.02, 0.004)
 """rad/s, FLU."""
-ZERO = (0.0, 0.0, 0.0)
 
 
 class Aircraft:
@@ -30,9 +32,9 @@ class Aircraft:
             gyro = np.array(BIAS) + 0.005 * self.rng.standard_normal(3)
             gyro[1] += self.shake(1e-6 * time_us)
             felt = np.array([0.0, 0.0, 9.80665]) + 0.05 * self.rng.standard_normal(3)
-            frame = Cycle(
-                time_us, self.cycle, flip_body(gyro), flip_body(felt), ZERO, ZERO, ZERO,
-                (0.0,) * 4, ZERO, (0.0,) * 4, int(Flag.ARMED if armed else Flag.NONE),
+            frame = replace(
+                STILL, time_us=time_us, cycle=self.cycle, gyro=flip_body(gyro),
+                accel=flip_body(felt), flags=int(Flag.ARMED if armed else Flag.NONE),
             )  # fmt: skip
             self.sensors.cycle(frame)
             self.stamps.append(10**18 + 1000 * time_us)

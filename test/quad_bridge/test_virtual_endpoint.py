@@ -11,7 +11,6 @@ import pytest
 from flight_controller import Device
 from node_process import program
 
-from quad_bridge.virtual import process as virtual_process
 from quad_bridge.virtual.process import main
 from quad_bridge.wire import Decoder
 from quad_bridge.wire import frames as f
@@ -93,13 +92,3 @@ def test_an_effect_module_acts_in_the_process(tmp_path):
     )
     assert main(['--effect-module', str(path), '--duration', '0.2']) == 0
     assert int(seen.read_text(encoding='utf-8')) == 200
-
-
-@pytest.mark.usefixtures('handlers')
-def test_an_interrupt_while_it_prepares_is_one_line(capsys, monkeypatch):
-    def interrupted(*_given, **_named):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(virtual_process, 'prepared', interrupted)
-    assert main([]) == 130
-    assert capsys.readouterr().err == 'virtual_stm32: interrupted\n'
