@@ -1,8 +1,9 @@
 """The black-box fits as a textbook would write them: the yardstick of blackbox_speed.py.
 
 ARX by `numpy.linalg.lstsq`; ARMAX, OE and BJ by Gauss-Newton with `scipy.signal.lfilter` and
-`lstsq`, from an ARX model, halving a step that does not lower the loss. No covariance, no second
-start, no care for initial states, segments, or the edge of stability.
+`lstsq`, from an ARX model, halving a step that does not lower the loss; covariance from the last
+gradient. No second start, no test for another minimum, no care for the start of w, for segments,
+for coloured residuals, or for the edge of stability.
 """
 
 from __future__ import annotations
@@ -42,26 +43,28 @@ def polynomials(
 def errors(
     y: np.ndarray, u: np.ndarray, theta: np.ndarray, orders: tuple[int, ...], nk: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """One-step errors (n,) and their gradient (n, p)."""
+    """One-step errors (n,) behind the lags' start, zero before it, and their gradient (n, p)."""
     na, nb, nc, nd, nf = orders
     A, B, C, D, F = polynomials(theta, orders, nk)
+    lead = max(na, nk + nb - 1)
     w = lfilter(B, F, u)
-    v = lfilter(A, 1.0, y) - w
+    v = (lfilter(A, 1.0, y) - w)[lead:]
     e = lfilter(D, C, v)
-    shaped = lfilter(D, C, y)
-    driven = lfilter(D, np.convolve(C, F), u)
-    fed = lfilter(D, np.convolve(C, F), w)
     inside, left = lfilter(1.0, C, e), lfilter(1.0, C, v)
-    columns = [
-        delayed(x, lags) if sign > 0 else -delayed(x, lags)
+    driven, fed = lfilter(1.0, F, u), lfilter(1.0, F, w)
+    shaped = [
+        lfilter(sign * D, C, delayed(x, lags)[lead:], axis=0)
         for x, lags, sign in (
-            (shaped, range(1, na + 1), 1), (driven, range(nk, nk + nb), -1),
-            (inside, range(1, nc + 1), -1), (left, range(1, nd + 1), 1),
-            (fed, range(1, nf + 1), 1),
+            (y, range(1, na + 1), 1), (driven, range(nk, nk + nb), -1), (fed, range(1, nf + 1), 1),
         )
         if len(lags)
     ]
-    return e, np.hstack(columns)
+    noise = [
+        sign * delayed(x, range(1, count + 1))
+        for x, count, sign in ((inside, nc, -1), (left, nd, 1)) if count
+    ]
+    plant = shaped if not nf else shaped[:-1]
+    return e, np.hstack([*plant, *noise, *shaped[len(plant):]])
 
 
 def stable(theta: np.ndarray, orders: tuple[int, ...], nk: int) -> bool:
@@ -72,8 +75,8 @@ def stable(theta: np.ndarray, orders: tuple[int, ...], nk: int) -> bool:
 
 def gauss_newton(
     y: np.ndarray, u: np.ndarray, na: int, nb: int, nc: int, nd: int, nf: int, nk: int
-) -> tuple[np.ndarray, float]:
-    """Parameters a, b, c, d, f and the loss of A y = (B/F) u + (C/D) e."""
+) -> tuple[np.ndarray, np.ndarray]:
+    """Parameters a, b, c, d, f of A y = (B/F) u + (C/D) e and their covariance."""
     orders = na, nb, nc, nd, nf
     start = arx(y, u, na + nf, nb, nk)[0]
     poles, zeros = start[: na + nf], start[na + nf :]
@@ -96,4 +99,4 @@ def gauss_newton(
                     break
         else:
             break
-    return theta, float(e @ e) / y.size
+    return theta, e @ e / (e.size - theta.size) * np.linalg.inv(gradient.T @ gradient)
