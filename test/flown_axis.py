@@ -109,12 +109,13 @@ def fly(axis: Axis, seed: int, plan: Plan | None = None) -> Record:
                 for _ in range(4):
                     seen_slope += 0.25 * h * w * (w * (rate - seen) - math.sqrt(2.0) * seen_slope)
                     seen += 0.25 * h * seen_slope
-    zero = np.zeros(n)
+    zero, others = np.zeros(n), axis.other_rates(times)
+    leans = [np.cumsum(rate) * DT for rate in others]
     return Record(
         source=f'flight {seed}', dt=DT, t0_ns=10**18,
-        rates=np.stack([rates, *axis.other_rates(times)], axis=1),
+        rates=np.stack([rates, *others], axis=1),
         control=np.stack([axis.throttle(times), commands, *axis.other_commands(times)], axis=1),
-        angles=np.stack([angles, zero, zero], axis=1), battery_v=volts,
+        angles=np.stack([angles, *leans], axis=1), battery_v=volts,
         attitude_setpoint=np.stack([reference, zero, zero], axis=1),
         segments=tuple(
             Segment(role, signal, 'roll', 'attitude', a, b) for role, signal, a, b in plan.segments

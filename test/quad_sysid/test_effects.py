@@ -32,6 +32,9 @@ from quad_sysid.report import document
 
 GAIN, HALF_S = 450.0, 0.0005
 """The simulator asks for the torque every half millisecond."""
+WARM = 0.002
+"""Mean square of the commands that a memory counts as usual."""
+PLAIN = {'unit': 1.0, 'rest': 0.0}
 QUIET = {'gyro_noise': 0.004, 'torque_noise': 0.02}
 
 Changes = Callable[[], Mapping[str, object]]
@@ -134,17 +137,25 @@ def strap(stiffness: float, time_constant_s: float) -> Changes:
     return changes
 
 
-def tilted(stiffness: float, time_constant_s: float) -> Changes:
-    """What gathers speed where the aircraft tilts, and pushes it back."""
+def remembered(
+    law: Callable[[float, float], float], change: float, time_constant_s: float
+) -> Changes:
+    """A torque that follows a law of time and angle with a delay."""
 
     def changes():
-        speed, lag = [0.0], HALF_S / time_constant_s
+        late = stateful(lambda x, now: x + HALF_S / time_constant_s * (now - x))
+        return {'torque': lambda t, _rate, angle: change * late(law(t, angle))}
 
-        def torque(_t, _rate, angle):
-            speed[0] += lag * (angle - speed[0])
-            return -stiffness * speed[0]
+    return changes
 
-        return {'torque': torque}
+
+def heated(change: float, time_constant_s: float) -> Changes:
+    """A gain that falls as the motors' effort, behind their lag, heats them."""
+
+    def changes():
+        effort = stateful(lambda z, u: u + (z - u) * math.exp(-DT / Axis().lag_s))
+        warm = stateful(lambda x, z: x + DT / time_constant_s * (z * z / WARM - x))
+        return {'command': lambda _t, u, _v: u * (1.0 + change * (warm(effort(u)) - 1.0))}
 
     return changes
 
@@ -223,8 +234,18 @@ LAWS = [
         variant='torque'),
     Law('mode', strap(9.0, 0.6), {'stiffness': 9.0, 'time_constant': 0.6},
         variant='slow state'),
-    Law('mode', tilted(9.0, 0.6), {'stiffness': 9.0, 'time_constant': 0.6},
-        variant='slow angle'),
+    Law('shape:angle', remembered(lambda _t, angle: angle, -9.0, 0.6),
+        {'time_constant': 0.6, 'change': -9.0}, PLAIN, variant='memory'),
+    Law('shape:other_angle',
+        lambda: {**remembered(lambda t, _: 2.0 / 3.0 * (1.0 - math.cos(3.0 * t)), 1.5, 0.6)(),
+                 'other_rates': others},
+        {'time_constant': 0.6, 'change': 1.5}, PLAIN, variant='memory 1'),
+    Law('shape:gain:command', heated(-0.3, 3.0), {'time_constant': 3.0, 'change': -0.3},
+        {'unit': WARM, 'rest': 0.0}, variant='memory'),
+    Law('shape:gain:time',
+        lambda: {'command': lambda t, u, _v: u * (1.0 + 0.4 * math.sin(2.0 * t + 0.7))},
+        {'amplitude': 0.4, 'frequency': 1.0 / math.pi, 'phase': 0.0}, variant='periodic',
+        left=0.006),  # it swings before the lag here, behind it in the model
     Law('shape:angle', torque(lambda _t, _r, a: 0.8 * math.sin(60.0 * a + 0.5)),
         {'waves': 60.0, 'cosine': 0.8 * math.sin(0.5), 'sine': 0.8 * math.cos(0.5)},
         variant='periodic', left=0.003),

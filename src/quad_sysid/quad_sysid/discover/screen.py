@@ -14,6 +14,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from quad_sysid.contract import FloatArray
+from quad_sysid.effects.curves import per_unit
 from quad_sysid.estimate.fit import Fit, Problem
 from quad_sysid.model import recursion
 from quad_sysid.model.effect import Effect, Part, required
@@ -51,9 +52,11 @@ class _Block:
     a linear parameter the acceleration at `p`."""
 
 
-def _spectrum(problem: Problem, fitted: Fit) -> tuple[FloatArray, FloatArray]:
-    """Frequency (Hz) and power of the innovations over the longest segment."""
-    e = np.where(np.isfinite(fitted.prediction.innovation), fitted.prediction.innovation, 0.0)
+def _spectrum(
+    problem: Problem, fitted: Fit, carrier: FloatArray | float = 1.0
+) -> tuple[FloatArray, FloatArray]:
+    """Frequency (Hz) and power of the innovations, times a carrier, over the longest segment."""
+    e = carrier * np.nan_to_num(fitted.prediction.innovation, posinf=0.0, neginf=0.0)
     start, stop = max(problem.spans, key=lambda span: span[1] - span[0])
     part = e[start:stop] - e[start:stop].mean()
     size = 4 * part.size
@@ -61,9 +64,9 @@ def _spectrum(problem: Problem, fitted: Fit) -> tuple[FloatArray, FloatArray]:
     return np.fft.rfftfreq(size, problem.data.dt).astype(np.float64), power
 
 
-def lines(problem: Problem, fitted: Fit) -> FloatArray:
-    """Frequencies (Hz) of the strongest lines in the innovations, in the band of motion."""
-    frequency, power = _spectrum(problem, fitted)
+def lines(problem: Problem, fitted: Fit, carrier: FloatArray) -> FloatArray:
+    """Frequencies (Hz), in the band of motion, at which what adds to a carrier (n,) swings."""
+    frequency, power = _spectrum(problem, fitted, carrier)
     power[(frequency < LINE_BAND_HZ[0]) | (frequency > LINE_BAND_HZ[1])] = 0.0
     found = []
     for _ in range(LINES):
@@ -104,13 +107,6 @@ def screen(problem: Problem, fitted: Fit, parts: Sequence[Part]) -> list[Score]:
     return sorted(best.values(), key=lambda s: -s.nats)
 
 
-def _starts(problem: Problem, fitted: Fit, part: Part) -> Sequence[FloatArray]:
-    """Values of a candidate's parameters to search from, in their units."""
-    if getattr(part.effect, 'from_lines', False):
-        return [np.array([f, 0.0, 0.0]) for f in lines(problem, fitted)]
-    return part.effect.starts(problem.data, part.settings)
-
-
 class _Beside:
     """The fit beside which candidates are scored; its parameters are projected out.
 
@@ -144,7 +140,12 @@ class _Beside:
         """All candidates from all starts in batches that fit the cache."""
         batch: list[_Block] = []
         for part in parts:
-            for start in _starts(self.problem, self.fitted, part):
+            starts = part.effect.starts(self.problem.data, part.settings)
+            if part.effect.phased:
+                carrier = per_unit(part.effect.term, self.signals)
+                found = lines(self.problem, self.fitted, carrier)
+                starts = [np.r_[frequency, starts[0][1:]] for frequency in found]
+            for start in starts:
                 batch.append(self._block(part, start))
                 if sum(len(block.columns) for block in batch) >= BATCH:
                     yield batch

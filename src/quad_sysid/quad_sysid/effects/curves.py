@@ -39,12 +39,15 @@ MISSING = {'angle': 'orientation', 'battery': 'battery voltage'}
 
 def measured(data: AxisData, name: str) -> FloatArray | str:
     """(n,) a signal before the fit, for the range of its knots; or a text: why it is unusable."""
-    column = {'other rate 1': 0, 'other rate 2': 1}.get(name)
-    if column is not None:
+    column = int(name[-1]) - 1 if name.startswith('other') else 0
+    if name.startswith('other rate'):
         return turns(data, column) or np.nan_to_num(data.other_rates[:, column])
+    if name.startswith('other angle'):
+        lean = data.other_angles
+        return 'the bag holds no orientation' if lean is None else lean[:, column]
     others = [i for i in range(3) if i != data.index]
     if name.startswith('other command'):
-        signal = data.control[:, others[int(name[-1]) - 1] + 1]
+        signal = data.control[:, others[column] + 1]
         if np.std(over_training(data, signal)) < 0.05 * np.std(over_training(data, data.command)):
             return f'{name} hardly moves'
         return signal
@@ -152,6 +155,8 @@ class Curve(Effect):
     def _signal(self, s: Signals, scale: float = 1.0) -> FloatArray:
         if self.signal.startswith('other rate'):
             return required(s.other_rates)[self.others[0]]
+        if self.signal.startswith('other angle'):
+            return required(s.other_angles)[self.others[0]]
         if self.signal.startswith('other command'):
             return s.other_commands[self.others[0]]
         return required({
@@ -222,7 +227,8 @@ class Curve(Effect):
 
 CELLS = {
     'torque': ('rate', 'angle', 'command', 'throttle', 'battery', 'time', 'other rate 1',
-               'other rate 2', 'other command 1', 'other command 2'),
+               'other rate 2', 'other angle 1', 'other angle 2', 'other command 1',
+               'other command 2'),
     'gain': ('rate', 'angle', 'command', 'throttle', 'battery', 'time'),
     'damping': ('angle', 'command', 'throttle', 'battery', 'time'),
     'friction': ('rate', 'angle', 'command', 'throttle', 'time'),

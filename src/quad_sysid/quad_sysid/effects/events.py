@@ -107,7 +107,7 @@ class PeriodicDisturbance(Effect):
     """A sinusoidal torque whose phase differs from flight to flight."""
 
     name = 'periodic_disturbance'
-    signals = ('time',)
+    signals: tuple[str, ...] = ('time',)
     parameters = (
         Spec('frequency', 'Hz', spread=1.3, centre=math.log(1.5), log=True),
         Spec('sine', 'rad/s²'),
@@ -116,8 +116,6 @@ class PeriodicDisturbance(Effect):
     physics = 'A sin(2 pi f t + phase): an unbalanced part, a swinging load'
     excite = 'any flight of many periods'
     phased = True
-    from_lines = True
-    """Start frequencies come from lines in the innovations."""
 
     def size(self, s: Signals, j: int, settings: Settings) -> FloatArray:
         return np.ones_like(s.time)
@@ -132,7 +130,8 @@ class PeriodicDisturbance(Effect):
 
     def readable(self, p: FloatArray, settings: Settings) -> dict[str, tuple[float, str]]:
         return {
-            'amplitude': (math.hypot(p[1], p[2]), 'rad/s²'), 'frequency': (float(p[0]), 'Hz'),
+            'amplitude': (math.hypot(p[1], p[2]), self.parameters[1].unit),
+            'frequency': (float(p[0]), 'Hz'),
             'phase': (math.atan2(p[2], p[1]), 'rad'),
         }
 
@@ -141,4 +140,23 @@ class PeriodicDisturbance(Effect):
         return np.array([values['frequency'], size * math.cos(phase), size * math.sin(phase)])
 
 
-EVENTS = (StepTorque(), StepGain(), Pulse(), PeriodicDisturbance())
+class PeriodicGain(PeriodicDisturbance):
+    """A gain that swings, such as the beat of two motors or of a filter with its line."""
+
+    name = 'shape:gain:time'
+    kind = 'shape'
+    variant = 'periodic'
+    signals = ('time', 'command')
+    term = 'gain'
+    parameters = (PeriodicDisturbance.parameters[0], Spec('sine', '1'), Spec('cosine', '1'))
+    physics = 'gain times 1 + A sin(2 pi f t + phase)'
+    excite = 'excitation over many periods'
+
+    def size(self, s: Signals, j: int, settings: Settings) -> FloatArray:
+        return s.drive
+
+    def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+        return s.drive * super().torque(s, p, settings)
+
+
+EVENTS = (StepTorque(), StepGain(), Pulse(), PeriodicDisturbance(), PeriodicGain())

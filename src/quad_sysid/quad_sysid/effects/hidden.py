@@ -1,4 +1,4 @@
-"""Effects with a hidden state driven by the rate: it swings, relaxes or builds up."""
+"""Effects with a hidden state: it swings, relaxes, builds up or remembers what a signal was."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ import numpy as np
 from scipy.linalg import expm
 
 from quad_sysid.contract import FloatArray
+from quad_sysid.effects.couplings import over_training
+from quad_sysid.effects.curves import UNITS, measured, per_unit
 from quad_sysid.effects.torques import PendulumStiffness
 from quad_sysid.model import recursion
 from quad_sysid.model.data import AxisData
@@ -15,10 +17,14 @@ from quad_sysid.model.effect import Effect, Settings, Signals, Spec, required
 
 
 class Linear(Effect):
-    """Hidden states x' = A x + B rate; subclasses give A and B."""
+    """Hidden states x' = A x + B input; subclasses give A and B."""
 
     kind = 'mode'
     name = 'mode'
+
+    def input(self, s: Signals, settings: Settings) -> FloatArray:
+        """What drives the states: the rate."""
+        return s.rate
 
     def system(self, p: FloatArray) -> tuple[FloatArray, FloatArray]:
         """A (m, m) and B (m,)."""
@@ -33,19 +39,19 @@ class Linear(Effect):
         return np.ascontiguousarray(e[:m, :m]), np.ascontiguousarray(e[:m, m])
 
     def trace(
-        self, data: AxisData, rate: FloatArray, p: FloatArray, settings: Settings
+        self, data: AxisData, s: Signals, p: FloatArray, settings: Settings
     ) -> FloatArray:
         a, b = self._step(p, data.dt)
-        out = np.zeros((self.states, rate.size))
+        out, moving = np.zeros((self.states, s.rate.size)), self.input(s, settings)
         for start, stop in data.stretches:
-            recursion.linear_states(rate, a, b, start, stop, out)
+            recursion.linear_states(moving, a, b, start, stop, out)
         return out
 
     def advance(
-        self, x: FloatArray, rate: FloatArray, p: FloatArray, settings: Settings, dt: float
+        self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings, dt: float
     ) -> FloatArray:
         a, b = self._step(p, dt)
-        return a @ x + b[:, None] * rate
+        return a @ x + b[:, None] * self.input(s, settings)
 
 
 class Relaxing(Linear):
@@ -98,20 +104,6 @@ class Pendulum(SlowState):
         return -p[1] * np.sin(required(s.hidden)[0])
 
 
-class SlowAngle(Relaxing):
-    """A torque of the angle after a first-order lag."""
-
-    variant = 'slow angle'
-    signals = ('angle', 'rate', 'history')
-    physics = "-k a, tau a' = angle - a: the aircraft gathers speed where it tilts"
-
-    def prepare(self, data: AxisData) -> Settings | str:
-        return {} if data.angle is not None else 'the bag holds no orientation'
-
-    def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        return -p[1] * (required(s.angle) - required(s.hidden)[0])
-
-
 class Swinging(Linear):
     """A second-order mode excited by the rate, such as a swinging load."""
 
@@ -157,18 +149,18 @@ class Hysteresis(Effect):
     excite = 'small and large motion with many reversals'
 
     def trace(
-        self, data: AxisData, rate: FloatArray, p: FloatArray, settings: Settings
+        self, data: AxisData, s: Signals, p: FloatArray, settings: Settings
     ) -> FloatArray:
-        out = np.zeros((1, rate.size))
+        out = np.zeros((1, s.rate.size))
         for start, stop in data.stretches:
-            recursion.built_up(rate, data.dt / max(float(p[0]), 1e-4), start, stop, out[0])
+            recursion.built_up(s.rate, data.dt / max(float(p[0]), 1e-4), start, stop, out[0])
         return out
 
     def advance(
-        self, x: FloatArray, rate: FloatArray, p: FloatArray, settings: Settings, dt: float
+        self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings, dt: float
     ) -> FloatArray:
-        way = np.sign(rate)
-        return way + (x - way) * np.exp(-np.abs(rate) * dt / max(float(p[0]), 1e-4))
+        way = np.sign(s.rate)
+        return way + (x - way) * np.exp(-np.abs(s.rate) * dt / max(float(p[0]), 1e-4))
 
     def size(self, s: Signals, j: int, settings: Settings) -> FloatArray:
         return np.ones_like(s.rate)
@@ -177,4 +169,75 @@ class Hysteresis(Effect):
         return -p[1] * required(s.hidden)[0]
 
 
-HIDDEN = (SlowState(), Pendulum(), SlowAngle(), Swinging(), Hysteresis())
+class Memory(Linear):
+    """One term of the base follows what a signal has lately been, not what it is.
+
+    Airspeed follows the lean. What a signal's power heats is cold when a flight begins, and the
+    base's parameters are those of the usual power.
+    """
+
+    kind = 'shape'
+    states = 1
+
+    def __init__(self, term: str, signal: str) -> None:
+        self.term, self.leans = term, 'angle' in signal
+        name = signal.rstrip(' 12').replace(' ', '_')
+        self.name = f'shape:{name}' if term in ('torque', 'friction') else f'shape:{term}:{name}'
+        self.variant = 'memory' + ' friction' * (term == 'friction')
+        if signal.startswith('other'):
+            self.variant += f' {signal[-1]}'
+            self.others = (int(signal[-1]) - 1,)
+        moving = {'torque': (), 'gain': ('command',)}.get(term, ('rate',))
+        self.signals = (signal, *moving, 'history')
+        self.parameters = (
+            Spec('time_constant', 's', spread=1.2, centre=math.log(3.0), log=True,
+                 starts=(0.3, 1.5, 8.0, 40.0)),
+            Spec('change', UNITS[term]),
+        )
+        source = signal if self.leans else f'{signal}² / mean({signal}²) - 1'
+        self.physics = f"{term} + change x, time_constant x' = {source} - x"
+        self.excite = f'let {signal} rise and fall slowly while the axis is excited'
+
+    def prepare(self, data: AxisData) -> Settings | str:
+        signal = measured(data, self.signals[0])
+        if isinstance(signal, str):
+            return signal
+        used = over_training(data, signal)
+        rest = float(np.nanmean(used)) if self.leans else 0.0
+        unit = float(np.nanmean((used - rest) ** 2))
+        if not unit > 0.0:
+            return f'{self.signals[0]} does not move during training'
+        return {'unit': unit, 'rest': rest}
+
+    def input(self, s: Signals, settings: Settings) -> FloatArray:
+        known = {'command': s.lagged, 'rate': s.rate, 'throttle': s.throttle, 'angle': s.angle}
+        own = known.get(self.signals[0]) if not self.others else (
+            required(s.other_angles)[self.others[0]]
+        )
+        unit, away = settings['unit'], required(own) - settings['rest']
+        return away / math.sqrt(unit) if self.leans else away**2 / unit
+
+    def system(self, p: FloatArray) -> tuple[FloatArray, FloatArray]:
+        return np.array([[-1.0 / p[0]]]), np.array([1.0 / p[0]])
+
+    def size(self, s: Signals, j: int, settings: Settings) -> FloatArray:
+        return per_unit(self.term, s)
+
+    def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+        x = required(s.hidden)[0] - (not self.leans)
+        out: FloatArray = p[1] * x * per_unit(self.term, s)
+        return out
+
+
+REMEMBERED = {
+    'torque': ('angle', 'throttle', 'other angle 1', 'other angle 2'),
+    'gain': ('command', 'throttle'),
+    'damping': ('rate', 'throttle'),
+    'friction': ('rate', 'throttle'),
+}
+"""Term → the signals whose past it may follow."""
+
+HIDDEN = (
+    SlowState(), Pendulum(), Swinging(), Hysteresis(),
+    *(Memory(term, signal) for term, signals in REMEMBERED.items() for signal in signals),
+)

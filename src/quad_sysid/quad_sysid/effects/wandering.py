@@ -55,7 +55,7 @@ class Wandering(Effect):
         return own
 
     def advance(
-        self, x: FloatArray, rate: FloatArray, p: FloatArray, settings: Settings, dt: float
+        self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings, dt: float
     ) -> FloatArray:
         return x * math.exp(-dt / float(p[1]))
 

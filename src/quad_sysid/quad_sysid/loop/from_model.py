@@ -78,7 +78,7 @@ class Placed:
             'rate': rest, 'angle': rest, 'drive': rest, 'command': rest, 'change': rest,
             'lagged': rest, 'time': np.full(n, LATE_S), 'throttle': np.full(n, at['throttle']),
             'battery_v': np.full(n, at['battery']), 'other_rates': (rest, rest),
-            'other_commands': (rest, rest),
+            'other_commands': (rest, rest), 'other_angles': (rest, rest),
         } | moved
         own = self.effect.torque(Signals(**signals), self.p, self.part.settings)
         return rest if own is None else np.broadcast_to(own, (n,))

@@ -101,10 +101,11 @@ def _made_up() -> tuple[AxisData, Signals]:
         axis='roll', dt=0.004, rate=wave, angle=0.1 * other, control=control,
         motors=np.clip(control[:, :1] + 0.1 * others[:, [0, 1, 0, 1]], 0.0, 1.0),
         other_rates=others, battery_v=volts, gyro_filter_hz=None, stretches=span, train=span,
-        validation=span,
+        validation=span, other_angles=0.1 * others,
     )
     return data, Signals(
         rate=wave, angle=0.1 * other, drive=10.0 * wave, command=10.0 * wave, change=90.0 * other,
         lagged=0.1 * wave, throttle=control[:, 0], battery_v=volts, other_rates=(other, wave),
         other_commands=(control[:, 2], control[:, 3]), time=time,
+        other_angles=(0.1 * other, 0.1 * wave),
     )

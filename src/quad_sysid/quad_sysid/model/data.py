@@ -74,6 +74,8 @@ class AxisData:
     """(n,) time of each sample, s; None: k dt from the first sample on."""
     derived_s: float | None = None
     """The rate is the angle's slope over this time to either side, s; None: it was measured."""
+    other_angles: FloatArray | None = None
+    """(n, 2) the other two axes' angles, rad; None: not measured."""
     trim: tuple[float, float] | None = None
     """Command and rate (rad/s) of the equilibrium that a fit has found; None: not known."""
 
@@ -139,7 +141,8 @@ def other_axis(data: AxisData, which: int) -> AxisData:
     """AxisData of the first (0) or second (1) of the other two axes: command and rate."""
     return replace(
         data, axis=data.other_axes[which], rate=np.ascontiguousarray(data.other_rates[:, which]),
-        angle=None, other_rates=np.full_like(data.other_rates, np.nan), derived_s=None,
+        angle=None, other_rates=np.full_like(data.other_rates, np.nan), other_angles=None,
+        derived_s=None,
         reference=None,
     )
 
@@ -165,6 +168,7 @@ def part_of(data: AxisData, passes: Sequence[Span]) -> AxisData:
     return replace(
         data, rate=data.rate[index], angle=cut(data.angle), control=data.control[index],
         motors=data.motors[index], other_rates=data.other_rates[index],
+        other_angles=cut(data.other_angles),
         battery_v=cut(data.battery_v), reference=cut(data.reference), time_s=time[index],
         stretches=tuple((int(a), int(b)) for a, b in zip(begins, ends, strict=True)),
         train=moved(data.train), validation=moved(data.validation), idle=moved(data.idle),
@@ -210,6 +214,7 @@ def axis_data(records: Sequence[Record], axis: str) -> AxisData:
     if has_angle:
         joined['angle'] = _held(joined['angle'])
     battery, reference = joined['battery_v'], joined['reference']
+    lean = joined['other_angles']
     return AxisData(
         axis=axis,
         dt=dt,
@@ -218,6 +223,7 @@ def axis_data(records: Sequence[Record], axis: str) -> AxisData:
         control=joined['control'],
         motors=joined['motors'],
         other_rates=joined['other_rates'],
+        other_angles=_filled(lean) if np.isfinite(lean).all(axis=1).any() else None,
         battery_v=_held(battery) if np.isfinite(battery).mean() > 0.5 else None,
         gyro_filter_hz=records[0].gains_at(np.inf).get('sensor.gyro_filter_hz') or None,
         derived_s=records[0].gains_at(np.inf).get('sensor.rate_from_angle_s') or None,
@@ -247,11 +253,13 @@ def _prepare(record: Record, axis: str) -> tuple[np.ndarray, dict[str, FloatArra
             f'{record.source}: {axis} has no sample with both rate and command; '
             'record /imu/data with /motors/command or /control/wrench'
         )
+    angles = np.full((n, 3), np.nan) if record.angles is None else record.angles
     nothing, external = np.full(n, np.nan), record.external(axis)
     others = [i for i in range(3) if i != index]
     return good, {
         'rate': np.where(good, rate, np.nan),
-        'angle': nothing if record.angles is None else record.angles[:, index],
+        'angle': angles[:, index],
+        'other_angles': angles[:, others],
         'control': _filled(control),
         'motors': _filled(motors),
         'other_rates': record.rates[:, others],

@@ -77,6 +77,8 @@ class Signals:
     """Normalised."""
     time: FloatArray
     """s from the first sample."""
+    other_angles: tuple[FloatArray, FloatArray] | None = None
+    """rad"""
     hidden: FloatArray | None = None
     """(states, …) hidden states of the effect, if any, at the start of the cycle."""
 
@@ -129,13 +131,14 @@ class Effect:
     """Distinguishes effects of one name, such as the other axis of a coupling."""
     parameters: tuple[Spec, ...] = ()
     states: int = 0
-    """Number of hidden states, driven by the rate."""
+    """Number of hidden states, which `trace` and `advance` drive by the signals."""
     wanders: bool = False
     """Whether it is a coefficient that the filter follows: noise whose RMS and correlation time
     (s) are the two parameters; `torque` is linear in the coefficient, s.hidden[0], and zero
     without it."""
     phased: bool = False
-    """Whether each flight has its own phase, which `elsewhere` takes."""
+    """Whether it swings at its first parameter's frequency (Hz), whose start comes from lines in
+    the innovations; each flight has its own phase, which `elsewhere` takes."""
 
     def prepare(self, data: AxisData) -> Settings | str:
         """Settings from the training data, or a text: why it cannot be tested on them."""
@@ -212,15 +215,15 @@ class Effect:
         return p
 
     def trace(
-        self, data: AxisData, rate: FloatArray, p: FloatArray, settings: Settings
+        self, data: AxisData, s: Signals, p: FloatArray, settings: Settings
     ) -> FloatArray:
         """(states, n) hidden states along a flight, zero at the start of each stretch."""
         raise NotImplementedError
 
     def advance(
-        self, x: FloatArray, rate: FloatArray, p: FloatArray, settings: Settings, dt: float
+        self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings, dt: float
     ) -> FloatArray:
-        """(states, w) hidden states a cycle of `dt` s later, for a rate (w,) held over it."""
+        """(states, w) hidden states a cycle of `dt` s later, for signals (w,) held over it."""
         raise NotImplementedError
 
     def usual(self, p: FloatArray, settings: Settings) -> Mapping[str, float]:

@@ -117,6 +117,10 @@ class Flight:
                 np.interp(ahead, grid, np.nan_to_num(column)) for column in data.other_rates.T
             )
             self.others = first, second
+        self.leans: tuple[FloatArray, FloatArray] | None = None
+        if data.other_angles is not None:
+            first, second = np.ascontiguousarray(data.other_angles.T)
+            self.leans = first, second
         one, other = (
             np.ascontiguousarray(data.control[:, AXES.index(name) + 1])
             for name in data.other_axes
@@ -194,14 +198,14 @@ class Flight:
             change=(command - gain * states[0]) / max(float(p[1]), 0.25 * data.dt),
             lagged=0.5 * (halves[0] + halves[1]), throttle=self.throttle,
             battery_v=data.battery_v, other_rates=self.others,
-            other_commands=self.other_commands, time=self.time,
+            other_commands=self.other_commands, other_angles=self.leans, time=self.time,
         )
 
     def hidden(self, part: Part, s: Signals, p: FloatArray) -> Signals:
         """The signals with the effect's hidden states along the flight."""
         if not part.effect.states:
             return s
-        return replace(s, hidden=part.effect.trace(self.data, s.rate, p, part.settings))
+        return replace(s, hidden=part.effect.trace(self.data, s, p, part.settings))
 
     def pushed(self, structure: Structure, p: FloatArray, rate: FloatArray) -> Pushed:
         """Accelerations along the trajectory `rate` (n,), and their slope over it."""
@@ -487,9 +491,10 @@ class Flight:
             (part, p[where])
             for part, where in zip(structure.parts, structure.slices(), strict=True)
         ]
+        along = self.signals(p, halves, states, prediction.rate)
         hidden = [
             next(followed)[None, :] if part.effect.wanders else
-            part.effect.trace(data, prediction.rate, values, part.settings)[:, windows.starts]
+            part.effect.trace(data, along, values, part.settings)[:, windows.starts]
             if part.effect.states else None for part, values in acting
         ]
         for i in range(windows.length):
@@ -500,13 +505,15 @@ class Flight:
             drive = p[0] * halves[:, k]
             mean = 0.5 * (drive[0] + drive[1])
             middle = r + 0.5 * dt * mean  # where physics is evaluated, then corrected by its slope
-            force, slope = self._force(acting, hidden, p, k, middle, angle, mean, states)
+            s = self._at(k, p, middle, angle, mean, states)
+            force, slope = _force(acting, hidden, p, s)
             a = 0.5 * dt * slope
             push = mean + force - slope * middle + hold * d
             new = ((1.0 + a) * r + dt * push) / (1.0 - a)
             half = 0.5 * (r + new)
+            s = replace(s, rate=half)
             hidden = [
-                None if x is None else part.effect.advance(x, half, values, part.settings, dt)
+                None if x is None else part.effect.advance(x, s, values, part.settings, dt)
                 for x, (part, values) in zip(hidden, acting, strict=True)
             ]
             bent = half + 0.25 * dt * (drive[0] - drive[1])
@@ -522,18 +529,14 @@ class Flight:
             v = v * turn
         return out
 
-    def _force(
-        self, acting: Sequence[tuple[Part, FloatArray]], hidden: Sequence[FloatArray | None],
-        p: FloatArray, k: NDArray[np.int64], rate: FloatArray, angle: FloatArray | None,
+    def _at(
+        self, k: NDArray[np.int64], p: FloatArray, rate: FloatArray, angle: FloatArray | None,
         drive: FloatArray, states: FloatArray,
-    ) -> tuple[FloatArray, FloatArray]:
-        """Torque and its slope over the rate at mid-cycle of the samples k."""
+    ) -> Signals:
+        """The signals at mid-cycle of the samples k, where a free run has come."""
         data = self.data
-        force, slope = p[4] - p[3] * rate, np.full(rate.size, -p[3])
-        if not acting:
-            return force, slope
         command = p[0] * states[1, k]
-        s = Signals(
+        return Signals(
             rate=rate, angle=None if angle is None else angle + 0.5 * data.dt * rate,
             drive=drive, command=command,
             change=(command - p[0] * states[0, k]) / max(float(p[1]), 0.25 * data.dt),
@@ -541,17 +544,26 @@ class Flight:
             battery_v=None if data.battery_v is None else data.battery_v[k],
             other_rates=None if self.others is None else (self.others[0][k], self.others[1][k]),
             other_commands=(self.other_commands[0][k], self.other_commands[1][k]),
+            other_angles=None if self.leans is None else (self.leans[0][k], self.leans[1][k]),
             time=self.time[k],
         )
-        for (part, values), x in zip(acting, hidden, strict=True):
-            s = replace(s, hidden=x)
-            own = part.effect.torque(s, values, part.settings)
-            if own is None:
-                continue
-            force = force + own
-            if 'rate' in part.effect.signals:
-                slope = slope + slope_over_rate(part, s, values)
-        return force, slope
+
+
+def _force(
+    acting: Sequence[tuple[Part, FloatArray]], hidden: Sequence[FloatArray | None],
+    p: FloatArray, s: Signals,
+) -> tuple[FloatArray, FloatArray]:
+    """Acceleration without the drive, and its slope over the rate."""
+    force, slope = p[4] - p[3] * s.rate, np.full(s.rate.size, -p[3])
+    for (part, values), x in zip(acting, hidden, strict=True):
+        s = replace(s, hidden=x)
+        own = part.effect.torque(s, values, part.settings)
+        if own is None:
+            continue
+        force = force + own
+        if 'rate' in part.effect.signals:
+            slope = slope + slope_over_rate(part, s, values)
+    return force, slope
 
 
 @dataclass(frozen=True)

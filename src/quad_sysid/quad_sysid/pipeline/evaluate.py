@@ -191,6 +191,7 @@ def simulate(model: AxisModel, u: npt.ArrayLike, x0: tuple[float, float] = (0.0,
     control[1:, 1 + AXES.index(model.axis)] = command
     data = AxisData(axis=model.axis, dt=model.dt, rate=np.zeros(n), angle=np.full(n, angle),
                     control=control, motors=np.zeros((n, 4)), other_rates=np.zeros((n, 2)),
+                    other_angles=np.zeros((n, 2)),
                     battery_v=None if battery_v is None else _like(battery_v, n, 'battery_v'),
                     gyro_filter_hz=model.gyro_filter_hz, stretches=((0, n),), train=((0, n),),
                     validation=())

@@ -33,6 +33,7 @@ WEIGHED = ('torque', 'gain', 'damping', 'delay', 'friction')
 OVER = {'rate': ('rate', 'rad/s'), 'angle': ('angle', 'rad'), 'command': ('lagged', 'norm.'),
         'throttle': ('throttle', 'norm.'), 'battery': ('battery_v', 'V'), 'time': ('time', 's'),
         'other rate': ('other_rates', 'rad/s'), 'other command': ('other_commands', 'norm.'),
+        'other angle': ('other_angles', 'rad'),
         'product of other rates': ('other_rates', '(rad/s)²')}
 """Signals over which effects are drawn, as fields of Signals, with their units."""
 

@@ -60,7 +60,9 @@ CONTROL: tuple[Candidate, ...] = (
 """Signals after C2, where the loop does not attenuate fast ones; normalised command."""
 
 THROTTLE = {'throttle', 'battery', 'motors'}
-OTHERS = {'other command', 'other rate', 'product of other rates', 'motors'}
+OTHERS = {
+    'other command', 'other rate', 'other angle', 'product of other rates', 'motors',
+}
 
 
 def plain_prbs(axis: str, seconds: float) -> Excitation:

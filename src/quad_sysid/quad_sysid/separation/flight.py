@@ -226,23 +226,24 @@ def _run(aircraft: Aircraft, acting: Sequence[Placed], around: Sequence[AxisData
         free = x @ phi + delayed[:, None] * now + older[:, None] * before
         total = bias + torque[k] + extra[k]
         if known is not None:
-            middle = 0.5 * (x + free)
-            s = known.at(k, middle, gain * delayed)
+            s = known.at(k, 0.5 * (x + free), gain * delayed)
             own, slope = _torque(torques, hidden, s)
             # evaluated without its own push, which its slope then takes into account
             total = (total + own) / (1.0 - 0.5 * push[1] * slope)
         begin, x = x[:, 1], free + total[:, None] * push
-        hidden = [
-            one.effect.advance(h, 0.5 * (begin + x[:, 1]), one.p, one.part.settings, dt)
-            if h.size else h for one, h in zip(torques, hidden, strict=True)
-        ]
+        if known is not None:
+            s = replace(s, rate=0.5 * (begin + x[:, 1]))
+            hidden = [
+                one.effect.advance(h, s, one.p, one.part.settings, dt) if h.size else h
+                for one, h in zip(torques, hidden, strict=True)
+            ]
     return rates, angles, u
 
 
 def _has_torque(one: Placed) -> bool:
     rest = np.zeros(1)
     s = Signals(rest, rest, rest, rest, rest, rest, rest, rest + 1.0, (rest, rest), (rest, rest),
-                rest, np.zeros((one.effect.states, 1)))
+                rest, (rest, rest), np.zeros((one.effect.states, 1)))
     return one.effect.torque(s, one.p, one.part.settings) is not None
 
 
@@ -271,6 +272,7 @@ class _Known:
         self.volts = np.stack([np.asarray(d.battery_v) for d in around], axis=1)
         self.commands = [np.stack([d.control[:, i] for d in around], axis=1) for i in others]
         self.rates = [np.stack([d.other_rates[:, i] for d in around], axis=1) for i in range(2)]
+        self.leans = np.stack([np.asarray(d.other_angles) for d in around], axis=2).swapaxes(0, 1)
         self.rest = np.zeros(len(around))
 
     def at(self, k: int, middle: FloatArray, command: FloatArray) -> Signals:
@@ -281,6 +283,7 @@ class _Known:
                        lagged=drive / self.gain, throttle=self.throttle[k],
                        battery_v=self.volts[k], other_rates=(self.rates[0][k], self.rates[1][k]),
                        other_commands=(self.commands[0][k], self.commands[1][k]),
+                       other_angles=(self.leans[0][k], self.leans[1][k]),
                        time=self.rest + (k + 0.5) * self.dt)
 
 
@@ -320,6 +323,7 @@ def _surroundings(aircraft: Aircraft, excitation: Excitation, n: int) -> AxisDat
     volts = aircraft.battery_v - (fall - fall[-1] / 2.0)
     return AxisData(axis=aircraft.axis, dt=dt, rate=np.zeros(n), angle=np.zeros(n),
                     control=control, motors=motors_from_wrench(control), other_rates=rates,
+                    other_angles=np.cumsum(rates, axis=0) * dt,
                     battery_v=volts - VOLTS_PER_THROTTLE * (throttle - aircraft.throttle),
                     gyro_filter_hz=aircraft.gyro_filter_hz, stretches=((0, n),),
                     train=((round(LEAD_S / dt), n),), validation=())
