@@ -9,7 +9,7 @@ from scipy.linalg import expm
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.effects.couplings import over_training
-from quad_sysid.effects.curves import UNITS, measured, per_unit
+from quad_sysid.effects.curves import SLOW_MOVES, UNITS, measured, per_unit
 from quad_sysid.effects.torques import PendulumStiffness
 from quad_sysid.model import recursion
 from quad_sysid.model.data import AxisData
@@ -173,7 +173,7 @@ class Memory(Linear):
     """One term of the base follows what a signal has lately been, not what it is.
 
     Airspeed follows the lean. What a signal's power heats is cold when a flight begins, and the
-    base's parameters are those of the usual power.
+    base's parameters are those of the usual power; the power of the time is constant.
     """
 
     kind = 'shape'
@@ -194,7 +194,8 @@ class Memory(Linear):
                  starts=(0.3, 1.5, 8.0, 40.0)),
             Spec('change', UNITS[term]),
         )
-        source = signal if self.leans else f'{signal}² / mean({signal}²) - 1'
+        source = '0' if signal == 'time' else f'{signal}² / mean({signal}²) - 1'
+        source = signal if self.leans else source
         self.physics = f"{term} + change x, time_constant x' = {source} - x"
         self.excite = f'let {signal} rise and fall slowly while the axis is excited'
 
@@ -202,15 +203,19 @@ class Memory(Linear):
         signal = measured(data, self.signals[0])
         if isinstance(signal, str):
             return signal
+        if self.signals[0] == 'time':
+            return {'unit': 1.0, 'rest': 0.0}
         used = over_training(data, signal)
+        if np.nanstd(used) < SLOW_MOVES * abs(np.nanmean(used)):
+            return f'{self.signals[0]} hardly moves during training'
         rest = float(np.nanmean(used)) if self.leans else 0.0
-        unit = float(np.nanmean((used - rest) ** 2))
-        if not unit > 0.0:
-            return f'{self.signals[0]} does not move during training'
-        return {'unit': unit, 'rest': rest}
+        return {'unit': float(np.nanmean((used - rest) ** 2)), 'rest': rest}
 
     def input(self, s: Signals, settings: Settings) -> FloatArray:
-        known = {'command': s.lagged, 'rate': s.rate, 'throttle': s.throttle, 'angle': s.angle}
+        known = {
+            'command': s.lagged, 'rate': s.rate, 'throttle': s.throttle, 'angle': s.angle,
+            'time': np.ones_like(s.time),
+        }
         own = known.get(self.signals[0]) if not self.others else (
             required(s.other_angles)[self.others[0]]
         )
@@ -230,10 +235,10 @@ class Memory(Linear):
 
 
 REMEMBERED = {
-    'torque': ('angle', 'throttle', 'other angle 1', 'other angle 2'),
-    'gain': ('command', 'throttle'),
-    'damping': ('rate', 'throttle'),
-    'friction': ('rate', 'throttle'),
+    'torque': ('angle', 'throttle', 'time', 'other angle 1', 'other angle 2'),
+    'gain': ('command', 'throttle', 'time'),
+    'damping': ('rate', 'throttle', 'time'),
+    'friction': ('rate', 'throttle', 'time'),
 }
 """Term → the signals whose past it may follow."""
 
