@@ -206,7 +206,7 @@ class Memory(Linear):
         if self.signals[0] == 'time':
             return {'unit': 1.0, 'rest': 0.0}
         used = over_training(data, signal)
-        if np.nanstd(used) < SLOW_MOVES * abs(np.nanmean(used)):
+        if not np.nanstd(used) > SLOW_MOVES * abs(np.nanmean(used)):
             return f'{self.signals[0]} hardly moves during training'
         rest = float(np.nanmean(used)) if self.leans else 0.0
         return {'unit': float(np.nanmean((used - rest) ** 2)), 'rest': rest}
