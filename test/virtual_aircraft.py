@@ -11,6 +11,9 @@ from dataclasses import replace
 from quad_bridge.gains.table import WIRE_NAMES
 from quad_bridge.virtual import hil
 from quad_bridge.virtual.aircraft import Aircraft, boot
+from quad_bridge.virtual.airframe import Airframe, Mounts, Surroundings
+from quad_bridge.virtual.effects import Effects
+from quad_bridge.virtual.physics import RATES
 from quad_bridge.virtual.profile import Profile
 from quad_bridge.virtual.receiver import Receiver, channels_at
 from quad_bridge.wire.signing import Signing
@@ -66,3 +69,30 @@ def without_noise(profile: Profile) -> Profile:
         quantisation=False,
     )
     return replace(profile, airframe=replace(profile.airframe, mounts=mounts), sensors=sensors)
+
+
+def quiet_profile(
+    effects: Effects | None = None, damping: float = 0.0, bias: float = 0.0, **changes: object
+) -> Profile:
+    """No noise, on a rig of this damping (1/s) and this bias torque (N m) about roll."""
+    still = Surroundings(
+        damping_per_s=(damping,) * 3, bias_torque_nm=(bias, 0.0, 0.0),
+        torque_noise_nm_rthz=(0.0,) * 3,
+    )  # fmt: skip
+    airframe = Airframe(mounts=Mounts(rig=still, hover=still))
+    return without_noise(Profile(airframe=airframe, effects=effects or Effects(), **changes))
+
+
+def coasting(profile: Profile, rates: tuple[float, float, float]) -> Aircraft:
+    """Motors stopped, given body rates, rad/s."""
+    profile = replace(profile, firmware=replace(profile.firmware, auto_arm=False))
+    aircraft = Aircraft(profile, seed=1)
+    aircraft.machine.state[RATES : RATES + 3] = rates
+    return aircraft
+
+
+def open_loop(aircraft: Aircraft) -> None:
+    """No feedback."""
+    aircraft.set_gains(
+        {name: 0.0 for name in aircraft.gains if name.endswith(('.kp', '.ki', '.kd'))}
+    )

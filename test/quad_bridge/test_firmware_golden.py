@@ -1,6 +1,6 @@
 """Frames that both languages must read and write to the same byte: golden_frames.json.
 
-Each is checked by pymavlink's generated Python, by our codec and by the generated C, both ways.
+Each is checked by our codec, over pymavlink's generated Python, and by the generated C, both ways.
 Characters stand in hexadecimal.
 """
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from flight_controller import STILL
 from rosbags.typesys import Stores, get_typestore
+from scipy.spatial.transform import Rotation
 
 from quad_bridge.wire import frames as f
 from quad_bridge.wire.axes import flip_attitude, quaternion
@@ -38,14 +39,7 @@ def vector(v):
 
 def rotation(q):
     """Matrix of a quaternion x y z w, body to earth."""
-    x, y, z, w = q
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    return Rotation.from_quat(q).as_matrix()
 
 
 def test_at_rest_the_acceleration_is_up_and_all_messages_carry_the_same_stamp_and_frame():

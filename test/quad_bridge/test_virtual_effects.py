@@ -7,14 +7,13 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from virtual_aircraft import without_noise
+from virtual_aircraft import coasting, open_loop, quiet_profile, without_noise
 
 from quad_bridge.virtual import effects as table
 from quad_bridge.virtual.aircraft import Aircraft
-from quad_bridge.virtual.airframe import Airframe, Mounts, Surroundings
 from quad_bridge.virtual.cycle import ARMED, COLUMNS, INPUTS, THROTTLE
 from quad_bridge.virtual.effects import Effects
-from quad_bridge.virtual.physics import QUAT, RATES
+from quad_bridge.virtual.physics import QUAT
 from quad_bridge.virtual.profile import Profile
 from quad_bridge.virtual.simulation import Excited, fly
 
@@ -27,15 +26,7 @@ def enabled(name: str, **values) -> Effects:
 
 
 def coast(effects: Effects, rate: float, angle: float, seconds: float, bias: float = 0.0):
-    still = Surroundings(
-        damping_per_s=(0.0,) * 3, bias_torque_nm=(bias, 0.0, 0.0), torque_noise_nm_rthz=(0.0,) * 3
-    )
-    profile = without_noise(
-        Profile(airframe=Airframe(mounts=Mounts(rig=still, hover=still)), effects=effects)
-    )
-    profile = replace(profile, firmware=replace(profile.firmware, auto_arm=False))
-    aircraft = Aircraft(profile, seed=1)
-    aircraft.machine.state[RATES] = rate
+    aircraft = coasting(quiet_profile(effects, bias=bias), (rate, 0.0, 0.0))
     aircraft.machine.state[QUAT : QUAT + 2] = math.cos(angle / 2), math.sin(angle / 2)
     log = aircraft.run(np.zeros((round(seconds * 250), INPUTS)))
     return log[:, 0], log[:, COLUMNS['true_rates']][:, 0], log[:, COLUMNS['true_angles']][:, 0]
@@ -148,15 +139,11 @@ def test_battery_sag_lowers_the_gain_by_its_power():
 
 
 def _first_acceleration(effects: Effects, charge: float) -> tuple[float, float]:
-    profile = without_noise(Profile(effects=effects))
-    airframe = profile.airframe
-    battery = replace(airframe.battery, start_charge=charge)
-    mounts = Mounts(rig=replace(airframe.mounts.rig, bias_torque_nm=(0.0, 0.0, 0.0)))
-    profile = replace(profile, airframe=replace(airframe, battery=battery, mounts=mounts))
+    profile = quiet_profile(effects, damping=0.4)
+    battery = replace(profile.airframe.battery, start_charge=charge)
+    profile = replace(profile, airframe=replace(profile.airframe, battery=battery))
     aircraft = Aircraft(profile, seed=1)
-    aircraft.set_gains(
-        {name: 0.0 for name in aircraft.gains if name.endswith(('.kp', '.ki', '.kd'))}
-    )
+    open_loop(aircraft)
     given = np.zeros((12, INPUTS))
     given[:, ARMED], given[:, THROTTLE], given[:, 1], given[:, 2] = 1.0, 0.32, 3.0, 0.01
     aircraft.machine.state[7:11] = 0.32

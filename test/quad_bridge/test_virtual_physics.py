@@ -8,34 +8,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from virtual_aircraft import without_noise
+from scipy.spatial.transform import Rotation
+from virtual_aircraft import coasting, open_loop, quiet_profile
 
 from quad_bridge.virtual import compiled
 from quad_bridge.virtual.aircraft import Aircraft
-from quad_bridge.virtual.airframe import Airframe, Mounts, Surroundings
 from quad_bridge.virtual.cycle import ADDED, ARMED, COLUMNS, INJECTION, INPUTS, THROTTLE
 from quad_bridge.virtual.effects import Effects, GyroscopicCoupling, InertiaCoupling
 from quad_bridge.virtual.physics import CHARGE, QUAT, RATES, ROTORS
 from quad_bridge.virtual.plant import MIXER, axis_gains
-from quad_bridge.virtual.profile import Profile
 
 AXES = ('roll', 'pitch', 'yaw')
-
-
-def quiet_profile(effects: Effects | None = None, damping: float = 0.0, **changes) -> Profile:
-    still = Surroundings(
-        damping_per_s=(damping,) * 3, bias_torque_nm=(0.0,) * 3, torque_noise_nm_rthz=(0.0,) * 3
-    )
-    airframe = Airframe(mounts=Mounts(rig=still, hover=still))
-    return without_noise(Profile(airframe=airframe, effects=effects or Effects(), **changes))
-
-
-def coasting(profile: Profile, rates: tuple[float, float, float]) -> Aircraft:
-    """Motors stopped, given body rates."""
-    profile = replace(profile, firmware=replace(profile.firmware, auto_arm=False))
-    aircraft = Aircraft(profile, seed=1)
-    aircraft.machine.state[RATES : RATES + 3] = rates
-    return aircraft
 
 
 def inputs(cycles: int, aircraft: Aircraft, armed: bool = True) -> np.ndarray:
@@ -45,22 +28,9 @@ def inputs(cycles: int, aircraft: Aircraft, armed: bool = True) -> np.ndarray:
     return given
 
 
-def open_loop(aircraft: Aircraft) -> None:
-    aircraft.set_gains(
-        {name: 0.0 for name in aircraft.gains if name.endswith(('.kp', '.ki', '.kd'))}
-    )
-
-
 def world_vector(quat: np.ndarray, v: np.ndarray) -> np.ndarray:
-    w, x, y, z = quat
-    rotation = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-    return rotation @ v
+    """`quat` w x y z."""
+    return Rotation.from_quat(np.roll(quat, -1)).apply(v)
 
 
 @pytest.mark.parametrize('axis', AXES)
