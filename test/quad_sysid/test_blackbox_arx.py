@@ -56,17 +56,14 @@ def test_arx_equals_lstsq_over_segments(record, orders):
     np.testing.assert_allclose(model.covariance, covariance, rtol=1e-6, atol=1e-12)
 
 
-@pytest.mark.parametrize('criterion', ['aic', 'aicc', 'bic', 'mdl'])
+@pytest.mark.parametrize('criterion', ['aic', 'bic'])
 def test_search_equals_lstsq_to_1e9(record, criterion):
     found = search_arx(record, range(4), [1, 3, 4], range(0, 4, 2), criterion)
     for *orders, value in zip(found.na, found.nb, found.nk, found.values(), strict=True):
         na, nb, nk = map(int, orders)
         _, sse, n, _ = plain_arx(record, na, nb, nk, lead=5)
         k, fit = na + nb, n * math.log(sse / n)
-        expected = {
-            'aic': fit + 2 * k, 'aicc': fit + 2 * k + 2 * k * (k + 1) / (n - k - 1),
-            'bic': fit + k * math.log(n), 'mdl': fit + n * math.log1p(k * math.log(n) / n),
-        }[criterion]
+        expected = fit + {'aic': 2, 'bic': math.log(n)}[criterion] * k
         assert n == found.samples
         assert value == pytest.approx(expected, rel=1e-9)
     best = int(np.argmin(found.values()))
@@ -122,7 +119,6 @@ def test_model_names_parameters_and_converts():
         (lambda z: arx(IOData(np.sin(0.1 * np.arange(2000)), z.y, z.dt), 0, 8, 1), 'excite'),
         (lambda z: armax(z, 2, 2, -1, 1), 'nc'), (lambda z: oe(z, 2, 2, -1), 'nk'),
         (lambda z: bj(z, 2, 2, 2, 2.0, 1), 'nf'), (lambda z: iv4(z, 2, 0, 1), 'nb'),
-        (lambda z: iv4(z, 2, 2, 1, instrument=np.ones(3)), 'instrument'),
         (lambda z: clriv(z, 2, 2, 2, 2, 1), 'reference'),
         (lambda z: bj(IOData(z.u[:12], z.y[:12], z.dt), 2, 2, 2, 2, 1), 'too few samples'),
         (lambda z: oe(IOData(0 * z.u, z.y, z.dt), 2, 2, 1), 'u is constant'),

@@ -21,7 +21,6 @@ from quad_sysid.blackbox.simulate import (
     initial_state,
     predict,
     simulate,
-    state_size,
 )
 from quad_sysid.blackbox.step_a import StepARow, step_a
 
@@ -30,4 +29,4 @@ __all__ = ['FrequencyResponse', 'LinearController', 'Model', 'OrderSearch', 'Res
            'coherence', 'compare', 'delay_estimate', 'detrend', 'excitation_order', 'fit_percent',
            'frequency_response', 'horizon_errors', 'indirect', 'initial_state', 'innovation_test',
            'iv4', 'joint', 'oe', 'polynomial_model', 'predict', 'residual_test', 'search_arx',
-           'simulate', 'spa', 'state_size', 'step_a']
+           'simulate', 'spa', 'step_a']

@@ -50,31 +50,32 @@ def joint(z: IOData, fit: Fit, *, order: int = STAGE_ORDER) -> Model:
 
 
 def noise_free(where: str, z: IOData, x: FloatArray, external: FloatArray | None,
-               order: int | None = None, *, name: str = 'the reference r') -> FloatArray:
+               order: int | None = None) -> FloatArray:
     """(n,) the part of x that the external signal explains: free run of a model from r to x.
 
     A high-order ARX model, or, with `order`, an output error model of that order. Raises
-    BadInputError, naming `where` and the signal's `name`, where it is missing or cannot serve.
+    BadInputError, naming `where`, where the signal is missing or cannot serve.
     """
     if external is None:
         raise BadInputError(where, 'needs the external reference r', None, 'give IOData(…, r=…)')
     r = np.asarray(external, dtype=float)
     if r.shape != z.u.shape:
-        raise BadInputError(where, f'{name} must have {z.u.size} samples', r.shape)
+        raise BadInputError(where, f'the reference r must have {z.u.size} samples', r.shape)
     inside = np.concatenate([r[start:stop] for start, stop in z.segments])
     if not np.isfinite(inside).all():
-        raise BadInputError(where, f'{name} must be finite in all segments',
+        raise BadInputError(where, 'the reference r must be finite in all segments',
                             remedy='split the segments where it is not')
     if np.ptp(inside) == 0.0:
-        raise BadInputError(where, f'{name} is constant, it drives nothing', float(inside[0]),
-                            'use a stretch with excitation')
+        raise BadInputError(where, 'the reference r is constant, it drives nothing',
+                            float(inside[0]), 'use a stretch with excitation')
     if np.array_equal(r, x):
         return r
     try:
         loop = IOData(u=r, y=x, dt=z.dt, segments=z.segments)
         model = _loop_model(loop, order)
     except BadInputError as error:
-        raise BadInputError(where, f'no response from {name} can be fitted ({error})') from error
+        raise BadInputError(
+            where, f'no response from the reference r can be fitted ({error})') from error
     return np.asarray(np.nan_to_num(predict(model, loop, np.inf)))
 
 

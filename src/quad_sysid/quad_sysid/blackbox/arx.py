@@ -29,7 +29,7 @@ from quad_sysid.record import IOData
 IntArray = npt.NDArray[np.int64]
 ROUNDING = 1e-22
 """Part of the output's power below which a residual sum is rounding: such models tie."""
-CRITERIA = ('aic', 'aicc', 'bic', 'mdl')
+CRITERIA = ('aic', 'bic')
 
 
 def arx(z: IOData, na: int, nb: int, nk: int) -> Model:
@@ -71,7 +71,7 @@ class OrderSearch:
         return self.na + self.nb
 
     def values(self, criterion: str | None = None) -> FloatArray:
-        """Value of `aic`, `aicc`, `bic` or `mdl` of each model (lower is better)."""
+        """Value of `aic` or `bic` of each model (lower is better)."""
         return criterion_values(criterion or self.criterion, self.loss, self.parameters,
                                 self.samples)
 
@@ -92,17 +92,11 @@ class OrderSearch:
 
 
 def criterion_values(criterion: str, loss: FloatArray, k: IntArray, n: int) -> FloatArray:
-    """N ln V + penalty: aic 2k; aicc 2kN/(N-k-1); bic k ln N; mdl N ln(1 + k ln N/N)."""
-    fit = n * np.log(loss)
-    if criterion == 'aic':
-        return np.asarray(fit + 2.0 * k)
-    if criterion == 'aicc':
-        return np.asarray(fit + 2.0 * k + 2.0 * k * (k + 1.0) / np.maximum(n - k - 1.0, 1e-9))
-    if criterion == 'bic':
-        return np.asarray(fit + k * np.log(n))
-    if criterion == 'mdl':
-        return np.asarray(fit + n * np.log1p(k * np.log(n) / n))
-    raise BadInputError('search_arx', f'criterion must be one of {", ".join(CRITERIA)}', criterion)
+    """N ln V + penalty per parameter: 2 of aic, ln N of bic."""
+    if criterion not in CRITERIA:
+        raise BadInputError('search_arx', f'criterion must be one of {", ".join(CRITERIA)}',
+                            criterion)
+    return np.asarray(n * np.log(loss) + (2.0 if criterion == 'aic' else np.log(n)) * k)
 
 
 def search_arx(z: IOData, na: int | Iterable[int] = range(1, 11),
@@ -114,9 +108,6 @@ def search_arx(z: IOData, na: int | Iterable[int] = range(1, 11),
     sum then comes from that small factor: for each (na, nk) the factor of its columns gives the
     losses of all nb together. Raises BadInputError as `arx` does.
     """
-    if criterion not in CRITERIA:
-        raise BadInputError('search_arx', f'criterion must be one of {", ".join(CRITERIA)}',
-                            criterion)
     nas, nbs = _orders('na', na, 0), _orders('nb', nb, 1)
     nks = _orders('nk', nk, 0)
     lead = max(nas[-1], nks[-1] + nbs[-1] - 1)

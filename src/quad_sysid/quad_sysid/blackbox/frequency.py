@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import special
 
 from quad_sysid.blackbox.polynomial import ComplexArray, Model
 from quad_sysid.contract import FloatArray
@@ -166,11 +165,6 @@ class FrequencyResponse:
         """(m,) standard error of the phase, rad; NaN without a covariance."""
         across = np.column_stack((-self.response.imag, self.response.real))
         return np.asarray(self._spread(across) / self.magnitude)
-
-    def magnitude_band(self, confidence: float = 0.99) -> tuple[FloatArray, FloatArray]:
-        """Lower and upper bound (m,) of |G|, normal approximation."""
-        width = float(special.ndtri(0.5 + 0.5 * confidence)) * self.magnitude_std
-        return np.maximum(self.magnitude - width, 0.0), self.magnitude + width
 
     def _spread(self, direction: FloatArray) -> FloatArray:
         """Standard error along `direction` (m, 2), scaled to unit length."""

@@ -33,18 +33,16 @@ SWINGING = 6
 UNSTABLE = 'the estimate is unstable; its instruments were made with reflected poles'
 
 
-def iv4(z: IOData, na: int, nb: int, nk: int, instrument: FloatArray | None = None) -> Model:
+def iv4(z: IOData, na: int, nb: int, nk: int) -> Model:
     """Fit A y = B u + v by the four-stage instrumental variable method (Ljung 1999, eq. 15.26).
 
-    `instrument` (n,) is the signal behind the instruments; None takes the reference z.r where
-    the data hold one, else u, which is right in open loop only. Raises BadInputError as `arx`.
+    The signal behind the instruments is the reference z.r where the data hold one, else u, which
+    is right in open loop only. Raises BadInputError as `arx`.
     """
     orders = check_orders('iv4', na=na, nb=nb, nk=nk)
     lead = max(na, nk + nb - 1)
     check_informative('iv4', z, 2 * (na + nb), lead)
-    external = z.r if instrument is None else instrument
-    named = 'the reference r' if instrument is None else 'the instrument'
-    source = z.u if external is None else noise_free('iv4', z, z.u, external, name=named)
+    source = z.u if z.r is None else noise_free('iv4', z, z.u, z.r)
     first = arx(z, na, nb, nk)
     theta, _ = _solve('iv4', _iv_blocks(z, source, first, lead, np.ones(1)))
     second = replace(first, A=monic(theta[:na]), B=delayed(theta[na:], nk), covariance=None)
@@ -62,17 +60,16 @@ def iv4(z: IOData, na: int, nb: int, nk: int, instrument: FloatArray | None = No
                    warnings=() if model.stable else (UNSTABLE,))
 
 
-def clriv(z: IOData, nb: int, nc: int, nd: int, nf: int, nk: int,
-          reference: FloatArray | None = None) -> Model:
+def clriv(z: IOData, nb: int, nc: int, nd: int, nf: int, nk: int) -> Model:
     """Fit y = (B/F) u + (C/D) e by closed-loop refined instrumental variables.
 
-    The noise-free input and output, both driven by the external reference (z.r where None), are
-    the instruments; data and instruments are filtered by D/(C F), renewed each round (Gilson,
+    The noise-free input and output, both driven by the external reference z.r, are the
+    instruments; data and instruments are filtered by D/(C F), renewed each round (Gilson,
     Garnier, Young, Van den Hof 2008). Raises BadInputError where there is no reference.
     """
     orders = check_orders('clriv', nb=nb, nc=nc, nd=nd, nf=nf, nk=nk)
     check_informative('clriv', z, 2 * (nb + nc + nd + nf), nk + nb - 1 + nd + nf)
-    clean = noise_free('clriv', z, z.u, z.r if reference is None else reference)
+    clean = noise_free('clriv', z, z.u, z.r)
     model = next(bj_starts(high_order(z, nk, nb + nc + nd + nf), nb, nc, nd, nf))
     model = replace(model, structure='CLRIV', orders=orders)
     converged, iteration, was_unstable = False, 0, False

@@ -34,22 +34,18 @@ def simulate(model: Model, u: FloatArray, x0: FloatArray | None = None) -> Float
     driven = np.convolve(model.B, u)[: u.size] if u.size else u.copy()
     if x0 is not None:
         x0 = np.asarray(x0, dtype=float)
-        if x0.shape != (state_size(model),):
-            raise BadInputError('simulate', f'x0 must have {state_size(model)} entries', x0.shape)
+        size = max(model.denominator.size, model.B.size) - 1
+        if x0.shape != (size,):
+            raise BadInputError('simulate', f'x0 must have {size} entries', x0.shape)
         count = min(x0.size, u.size)
         driven[:count] += x0[:count]
     with np.errstate(over='ignore', invalid='ignore'):
         return filter_signal(np.ones(1), model.denominator, driven)
 
 
-def state_size(model: Model) -> int:
-    """Entries of the free run's state."""
-    return max(model.denominator.size, model.B.size) - 1
-
-
 def initial_state(model: Model, u: FloatArray, y: FloatArray) -> FloatArray:
     """State from which the free run on u (n,) comes nearest to y (n,), by least squares."""
-    size = state_size(model)
+    size = max(model.denominator.size, model.B.size) - 1
     rows = min(np.asarray(u).size, max(SETTLE_ROWS, 10 * size))
     rest = np.asarray(y, dtype=float)[:rows] - simulate(model, u[:rows])
     with np.errstate(over='ignore', invalid='ignore'):
