@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import yaml
 
-from quad_sysid.schedule_file import load_schedule
+from quad_sysid.excitation_settings import load_schedule
 from quad_sysid.signals import (
     SIGNALS,
     design_excitation,

@@ -25,7 +25,6 @@ class BadInputError(QuadSysidError, ValueError):
         if remedy:
             text += f'; {remedy}'
         super().__init__(' '.join(text.split()))
-        self.where = where
 
 
 class NotInformativeError(QuadSysidError):

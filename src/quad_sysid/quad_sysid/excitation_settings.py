@@ -1,4 +1,4 @@
-"""Settings of the `excitation` node: parameters with ranges and units.
+"""Settings of the `excitation` node: parameters with ranges and units, and the schedule's file.
 
 No ROS: the node declares the parameters.
 """
@@ -10,10 +10,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+import yaml
+
 from quad_sysid.errors import BadInputError
-from quad_sysid.schedule_file import load_schedule
 from quad_sysid.signals.guard import Limits
-from quad_sysid.signals.schedule import Schedule
+from quad_sysid.signals.schedule import Schedule, parse_schedule
 
 FIRST_AUX = 4
 
@@ -82,3 +83,19 @@ def find_schedule(name: str, share: Callable[[], Path]) -> Path:
             f'shipped are {known}',
         )
     return shipped
+
+
+def load_schedule(path: str | Path) -> Schedule:
+    """Read and check a schedule; raises BadInputError naming file, segment and key."""
+    source = str(path)
+    try:
+        content = yaml.safe_load(Path(path).read_text(encoding='utf-8'))
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, 'strerror', None) or str(error)
+        raise BadInputError(source, f'cannot be read ({reason})',
+                            remedy='give a schedule in YAML') from error
+    except (yaml.YAMLError, ValueError, RecursionError) as error:  # also endless digits, brackets
+        mark = getattr(error, 'problem_mark', None)
+        place = f'{source}, line {mark.line + 1}' if mark else source
+        raise BadInputError(place, 'is not YAML', remedy='mend the syntax') from error
+    return parse_schedule(content, source)

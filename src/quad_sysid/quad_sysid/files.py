@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import os
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +22,22 @@ def read_json(path: str | os.PathLike[str], remedy: str = '') -> Any:
     except (ValueError, RecursionError) as error:  # no text, no JSON, endless digits or brackets
         raise BadInputError(str(path), 'is not JSON', str(error),
                             'give a file that quad-sysid or quad-tune wrote') from error
+
+
+@contextmanager
+def read_by_library(path: str | os.PathLike[str], what: str, remedy: str) -> Iterator[None]:
+    """Import a library and read `path` by it: any error becomes a BadInputError.
+
+    `what` says that the file is damaged: a library raises whatever that makes it meet.
+    """
+    try:
+        yield
+    except ImportError as error:
+        raise BadInputError(str(path), f'needs the package {error.name} to be read',
+                            remedy=f'pip install {error.name}') from error
+    except Exception as error:
+        raise BadInputError(str(path), f'{what} ({type(error).__name__}: {error})',
+                            remedy=remedy) from error
 
 
 def write_whole(path: str | os.PathLike[str], content: str | bytes) -> None:

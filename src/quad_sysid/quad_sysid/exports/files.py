@@ -10,7 +10,6 @@ import io
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from quad_sysid.errors import BadInputError
 from quad_sysid.loop.from_model import loop_plant
 from quad_sysid.loop.plant import Slopes, dynamics, state_space
 from quad_sysid.model import AxisModel
@@ -30,18 +29,6 @@ def matrices(model: AxisModel) -> dict[str, Any]:
     a, b, c = dynamics(plant, Slopes())
     return {'A': a, 'B': b[:, :1], 'C': c, 'delay_s': plant.delay_s,
             'Ad': cycle.a, 'Bd': cycle.b, 'Cd': cycle.c, 'dt_s': plant.dt}
-
-
-def to_control(model: AxisModel) -> Any:
-    """A discrete `control.StateSpace` of one cycle, delay included; BadInputError without it."""
-    try:
-        import control
-    except ImportError as error:
-        raise BadInputError('export', 'needs the package control', remedy='pip install control'
-                            ) from error
-    found = matrices(model)
-    return control.ss(found['Ad'], found['Bd'], found['Cd'], 0.0, found['dt_s'],
-                      inputs=['command'], outputs=list(OUTPUTS), name=model.axis)
 
 
 NOTE = (

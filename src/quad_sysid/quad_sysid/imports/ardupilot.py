@@ -14,6 +14,7 @@ import numpy as np
 
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.errors import BadInputError
+from quad_sysid.files import read_by_library
 from quad_sysid.imports.firmware import (
     ASKED_FOR,
     Content,
@@ -107,14 +108,12 @@ def _armed(content: Content) -> Stream | None:
 
 
 def _load(path: Path) -> Content:
-    try:
-        from pymavlink.DFReader import DFReader_binary, DFReader_text
-    except ImportError as error:
-        raise BadInputError(str(path), 'needs the package pymavlink to be read',
-                            remedy='pip install pymavlink') from error
     rows: dict[str, list[dict[str, float]]] = {}
     parameters: dict[str, float] = {}
-    try:
+    with read_by_library(path, 'is not a whole dataflash log',
+                         'download it anew from the aircraft'):
+        from pymavlink.DFReader import DFReader_binary, DFReader_text
+
         with path.open('rb') as stream:
             binary = stream.read(3) == b'\xa3\x95\x80'
         log: Any = (DFReader_binary if binary else DFReader_text)(str(path))
@@ -132,11 +131,6 @@ def _load(path: Path) -> Content:
             }
             for kind, some in rows.items()
         }
-    except Exception as error:  # DFReader raises whatever a damaged file makes it meet
-        raise BadInputError(
-            str(path), f'is not a whole dataflash log ({type(error).__name__}: {error})',
-            remedy='download it anew from the aircraft',
-        ) from error
     return Content(str(path), messages, parameters)
 
 

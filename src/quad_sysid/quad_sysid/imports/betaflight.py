@@ -20,6 +20,7 @@ import numpy as np
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
+from quad_sysid.files import read_by_library
 from quad_sysid.imports.clock import unroll
 from quad_sysid.imports.frames import MIRROR, mixer_at_places, ned_angles
 from quad_sysid.imports.log import ForeignLog, Mapped, Stream
@@ -155,25 +156,16 @@ def _decoded(path: Path, log: int) -> _Table:
             remedy='pip install "orangebox<0.5", or give the CSV of blackbox_decode',
         ) from error
     logging.getLogger('orangebox').setLevel(logging.CRITICAL)
-    try:
+    remedy = 'decode it with blackbox_decode and import its CSV'
+    with read_by_library(path, 'cannot be decoded', remedy):
         count = int(Parser.load(str(path), 1, allow_invalid_header=True).reader.log_count)
-    except Exception as error:  # orangebox raises whatever a damaged file makes it meet
-        raise BadInputError(
-            str(path), f'cannot be decoded ({type(error).__name__}: {error})',
-            remedy='decode it with blackbox_decode and import its CSV',
-        ) from error
     if not 1 <= log <= count:
         raise BadInputError(f'{path}: --log', f'must be 1 to {count}', log)
-    try:
+    with read_by_library(path, f'log {log} of {count} cannot be decoded', remedy):
         parser: Any = Parser.load(str(path), log, allow_invalid_header=True)
         names = list(parser.field_names)
         places = [i for i, name in enumerate(names) if name.partition('[')[0] in WANTED]
         rows = _frames(parser, places, len(names))
-    except Exception as error:  # as above
-        raise BadInputError(
-            str(path), f'log {log} of {count} cannot be decoded ({type(error).__name__}: {error})',
-            remedy='decode it with blackbox_decode and import its CSV',
-        ) from error
     if len(rows) < FEWEST:
         raise BadInputError(str(path), f'log {log} of {count} holds too few frames', len(rows),
                             f'choose another of {count} with --log')

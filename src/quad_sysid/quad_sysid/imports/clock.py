@@ -14,6 +14,7 @@ from quad_sysid.bags.stamps import count_cycles
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.imports.log import Stream
+from quad_sysid.record import finite_runs
 
 BACK = 5.0
 """Usual intervals by which rows may go back in time and are sorted; further back, the clock was
@@ -184,12 +185,12 @@ def _own(
 
 
 def _gaps(values: FloatArray, dt: float) -> str:
-    lost = np.isnan(values).all(axis=1)
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], lost, [False]))))
-    if not len(edges):
+    lost = np.asarray(np.isnan(values).all(axis=1))
+    gaps = finite_runs(lost, (0, len(lost)))
+    if not gaps:
         return ''
-    return (f'; {len(edges) // 2} gaps of {lost.sum() * dt:.3g} s in all stay, the longest '
-            f'{np.max(edges[1::2] - edges[::2]) * dt:.3g} s')
+    return (f'; {len(gaps)} gaps of {lost.sum() * dt:.3g} s in all stay, the longest '
+            f'{max(b - a for a, b in gaps) * dt:.3g} s')
 
 
 def _rounded(dt: float) -> float:

@@ -13,6 +13,7 @@ import numpy as np
 
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.errors import BadInputError
+from quad_sysid.files import read_by_library
 from quad_sysid.imports.firmware import (
     ASKED_FOR,
     Content,
@@ -86,16 +87,10 @@ def read(path: Path) -> ForeignLog:
 
 
 def _load(path: Path) -> Content:
-    try:
+    with read_by_library(path, 'is not a whole ULog', 'copy it anew from the aircraft'):
         from pyulog import ULog
-    except ImportError as error:
-        raise BadInputError(str(path), 'needs the package pyulog to be read',
-                            remedy='pip install pyulog') from error
-    try:
+
         log: Any = ULog(str(path), list(TOPICS), disable_str_exceptions=True)
-    except Exception as error:  # pyulog raises whatever a damaged file makes it meet
-        raise BadInputError(str(path), f'is not a whole ULog ({type(error).__name__}: {error})',
-                            remedy='copy it anew from the aircraft') from error
     topics: dict[str, dict[str, FloatArray]] = {}
     for data in log.data_list:
         wanted = data.data

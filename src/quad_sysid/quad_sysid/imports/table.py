@@ -22,6 +22,7 @@ import numpy as np
 from quad_sysid.bags.orientation import euler_from_quaternion
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
+from quad_sysid.files import read_by_library
 
 DELIMITERS = (',', ';', '\t')
 MOST_NUMBERS = 64
@@ -180,16 +181,10 @@ def _numbers(
 
 
 def _parquet(path: Path) -> Table:
-    try:
+    with read_by_library(path, 'is not a whole Parquet file', 'write it anew'):
         from pyarrow import parquet
-    except ImportError as error:
-        raise BadInputError(str(path), 'needs the package pyarrow to be read',
-                            remedy='pip install pyarrow') from error
-    try:
+
         content = parquet.read_table(path)
-    except Exception as error:  # pyarrow raises whatever a damaged file makes it meet
-        raise BadInputError(str(path), f'is not a whole Parquet file ({error})',
-                            remedy='write it anew') from error
     columns = {}
     for name in content.column_names:
         values = content[name].to_numpy()
@@ -273,23 +268,20 @@ def _messages(path: Path, wanted: Sequence[str] | None) -> Table:
 
     rows: dict[str, list[dict[str, float]]] = {}
     stamps: dict[str, list[float]] = {}
-    try:
-        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
-            asked = [
-                c for c in reader.connections
-                if wanted is None or any(name.startswith(f'{c.topic}.') for name in wanted)
-            ]
-            for connection, received, raw in reader.messages(connections=asked):
-                message: Any = reader.deserialize(raw, connection.msgtype)
-                header = getattr(message, 'header', None)
-                stamp = 0.0 if header is None else header.stamp.sec + 1e-9 * header.stamp.nanosec
-                stamps.setdefault(connection.topic, []).append(stamp or 1e-9 * received)
-                rows.setdefault(connection.topic, []).append(
-                    dict(_leaves(message, connection.topic))
-                )
-    except Exception as error:  # rosbags raises whatever a damaged file makes it meet
-        raise BadInputError(str(path), f'is not a whole bag ({type(error).__name__}: {error})',
-                            remedy='mend it, such as with rosbag reindex') from error
+    with (read_by_library(path, 'is not a whole bag', 'mend it, such as with rosbag reindex'),
+          AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader):
+        asked = [
+            c for c in reader.connections
+            if wanted is None or any(name.startswith(f'{c.topic}.') for name in wanted)
+        ]
+        for connection, received, raw in reader.messages(connections=asked):
+            message: Any = reader.deserialize(raw, connection.msgtype)
+            header = getattr(message, 'header', None)
+            stamp = 0.0 if header is None else header.stamp.sec + 1e-9 * header.stamp.nanosec
+            stamps.setdefault(connection.topic, []).append(stamp or 1e-9 * received)
+            rows.setdefault(connection.topic, []).append(
+                dict(_leaves(message, connection.topic))
+            )
     columns: dict[str, FloatArray] = {}
     times: dict[str, FloatArray] = {}
     for topic, items in rows.items():

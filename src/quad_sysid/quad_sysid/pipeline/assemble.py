@@ -15,7 +15,7 @@ from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import Effect
 from quad_sysid.pipeline.answer import Findings
 from quad_sysid.pipeline.blackbox_part import io_data
-from quad_sysid.record import IOData
+from quad_sysid.record import IOData, finite_runs
 
 COHERENT = 0.6
 CONFIDENT = 2.576
@@ -79,8 +79,8 @@ def band_of(data: AxisData, model: Model | None = None) -> tuple[float, float] |
     if model is not None and model.covariance is not None:
         response = frequency_response(model, w)
         good &= CONFIDENT * response.magnitude_std < HALF_POWER * response.magnitude
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], good, [False])))).reshape(-1, 2)
-    if not edges.size:
+    bands = finite_runs(good, (0, good.size))
+    if not bands:
         return None
-    a, b = max(edges, key=lambda e: np.log(w[e[1] - 1] / w[e[0]]))
+    a, b = max(bands, key=lambda e: np.log(w[e[1] - 1] / w[e[0]]))
     return float(w[a]), float(w[b - 1])

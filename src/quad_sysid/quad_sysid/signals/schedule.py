@@ -1,7 +1,7 @@
 """The schedule of a flight: timed parts, one axis each, and the excitation at any time.
 
-Pure: a mapping (from YAML) in, a frozen Schedule out. Unknown keys are errors. schedule_file.py
-reads the file; guard.py ends a flight early.
+Pure: a mapping (from YAML) in, a frozen Schedule out. Unknown keys are errors.
+excitation_settings.py reads the file; guard.py ends a flight early.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from quad_sysid.schedule_file import load_schedule
+from quad_sysid.excitation_settings import load_schedule
 from quad_tuning.demo.observer import Observer
 from quad_tuning.demo.processes import Crew, StageFailedError, executable
 from quad_tuning.history.sets import changed
