@@ -23,6 +23,8 @@ PAGE, MARK = 'reference/errors.md', '<!-- errors -->'
 PACKAGES = ('quad_bridge', 'quad_sysid', 'quad_tuning')
 FIELDS = ('BadInputError', 'ConfigurationError', 'TakenError')
 """Take where, what, found and remedy; the others one text."""
+READER = 'read_by_library'
+"""Takes where, what and remedy, and raises a BadInputError."""
 TEXTS = ('NotInformativeError', 'DesignRefusedError', 'RefusedError', 'QuadBridgeError',
          'EncodeError', 'StageFailedError')
 MEANS = {
@@ -86,7 +88,10 @@ def said_in(path: Path) -> Iterator[Said]:
         if not isinstance(node, ast.Call):
             continue
         kind = node.func.id if isinstance(node.func, ast.Name) else ''
-        given = dict(zip(('where', 'what', 'found', 'remedy'), node.args, strict=False))
+        order = ('where', 'what', 'found', 'remedy')
+        if kind == READER:
+            kind, order = 'BadInputError', ('where', 'what', 'remedy')
+        given = dict(zip(order, node.args, strict=False))
         given |= {k.arg: k.value for k in node.keywords if k.arg}
         if kind in FIELDS and 'what' in given:
             what = f"{words(given['where'])}: {words(given['what'])}"
