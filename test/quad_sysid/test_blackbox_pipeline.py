@@ -13,9 +13,9 @@ from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.loop.plant import LoopPlant
 from quad_sysid.loop.simulation import simulate_cascade
 from quad_sysid.model.data import axis_data
-from quad_sysid.pipeline import blackbox_part, held_out, step_b
+from quad_sysid.pipeline import blackbox_part, step_b
 from quad_sysid.pipeline.identify import Options, identify
-from quad_sysid.record import GainChange, IOData, Record, Segment
+from quad_sysid.record import GainChange, Record, Segment
 from quad_sysid.report import document, text
 from quad_sysid.signals.waveforms import prbs
 
@@ -183,15 +183,6 @@ def test_poor_excitation_is_told():
     found = identify([poor], Options(axes=('roll',), effects=()))['roll']
     assert any('cannot be trusted' in line or 'no frequency' in line
                for line in found.selection.advice)
-
-
-def test_a_line_in_the_errors_is_told_as_a_peak():
-    rng, t = np.random.default_rng(0), DT * np.arange(8000)
-    u, noise = rng.choice([-1.0, 1.0], t.size), 0.01 * rng.standard_normal(t.size)
-    z = IOData(u, noise, DT)
-    (frequency, _), = held_out.residual(noise + 0.01 * np.sin(2 * np.pi * 37.0 * t), z).peaks
-    assert frequency == pytest.approx(37.0, abs=0.5)
-    assert held_out.residual(noise, z).peaks == ()
 
 
 def test_the_reference_is_what_drives_the_loop_from_outside():

@@ -188,6 +188,9 @@ def test_evaluate_gives_the_figures_of_identify_through_the_file(plain, plain_fl
     for name in ('before', 'after', 'one_step_before', 'one_step_after'):
         assert getattr(found, name) == pytest.approx(told[name], rel=1e-9), name
     assert found.hold > 3.0 * found.before
+    rate, starts = plain_flight.rates[:, 0], 5000 + 125 * np.arange(found.windows)
+    errors = rate[starts - 1][:, None] - rate[starts[:, None] + np.arange(125)]
+    assert found.hold == pytest.approx(np.sqrt(np.mean(errors**2)), rel=1e-9)
 
 
 # flights that do not say enough, or do not fit together
@@ -257,15 +260,14 @@ def test_a_flight_that_cannot_be_answered_says_why(plain_flight, change, words):
         assert answer.model.value('gain') == pytest.approx(450.0, rel=0.02)
 
 
-@pytest.mark.parametrize(('seed', 'axis'), [(6, 'roll'), (8, 'pitch')])
-def test_an_aircraft_that_is_carried_about_has_no_answer(seed, axis):
+def test_an_aircraft_that_is_carried_about_has_no_answer():
     """Its controller asks for torque, from rate and angle, and no motor turns."""
-    rng, dt, n = np.random.default_rng(seed), 0.004, 15000
+    rng, dt, n = np.random.default_rng(6), 0.004, 15000
     hand = 8.0 * lfilter(*butter(2, 1.2 * 2.0 * dt), rng.standard_normal((n, 3)), axis=0)
     asked = -(0.08 * hand + 0.15 * dt * np.cumsum(hand, axis=0))
     control = np.c_[np.full(n, 0.5), np.clip(np.repeat(asked[::5], 5, axis=0), -0.24, 0.24)]
     record = Record('carried', dt, hand + 0.001 * rng.standard_normal((n, 3)), control)
-    answer = identify([split_segments(record)], Options(axes=(axis,), effects=()))[axis]
+    answer = base_of(split_segments(record))
     assert (answer.verdict, answer.proposal.gains) == ('cannot_tell', None)
 
 

@@ -1,13 +1,15 @@
-"""The search: nothing better anywhere, and nothing where no gains keep the margins."""
+"""The search: nothing better anywhere, nothing where no gains keep the margins or a rival's."""
 
 import numpy as np
 import pytest
 from scipy.optimize import differential_evolution
 
+from quad_sysid.estimate.stored import estimate_of
 from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.loop.from_model import loop_plant
 from quad_tuning import ensemble as ensembles
 from quad_tuning import pid as searches
+from quad_tuning.designer import design
 from quad_tuning.objective import Requirements, Weights, pose
 
 
@@ -44,3 +46,15 @@ def test_another_global_optimiser_finds_nothing_better(model, values):
 
 def test_what_no_gains_can_keep_is_not_found(model):
     assert searches.search(problem_of(model(), peak_sensitivity=1.01)) == []
+
+
+def test_the_margins_hold_for_the_rival_too(model):
+    """A resonance that may as well be slow motors: the design is held against both."""
+    mode = estimate_of('resonance', (6.0, 0.05, 0.0, 0.03), std=0.01, probability=0.6,
+                       rivals=(('motor_lag', 0.4),))
+    m = model(effects=[mode])
+    figures = design(m).figures
+    loops = ensembles.build(m, np.random.default_rng(5))
+    assert loops.cycle.phi.shape[-1] == 7
+    assert figures['worst_phase_margin_deg'] >= 45.0
+    assert figures['unstable_draws'] == 0

@@ -38,6 +38,7 @@ def test_a_large_change_goes_in_steps_within_the_limit():
     path = steps_to(wanted, active)
     assert path[-1] == wanted
     assert len(path) >= 3
+    assert reachable('angle_kp', 3.0) == pytest.approx((1.5, 6.0), rel=2e-4)
     now = active
     for following in path:
         for field in TUNED:
