@@ -109,7 +109,7 @@ def fly_and_intrude(rig, probe, network, key):
     probe.silence('/operator/enable')
     rig.says(EXCITATION, 'silent')
     probe.publish('/operator/enable', HELD, every_s=0.02)
-    rig.says(EXCITATION, 'had let go')
+    rig.says(EXCITATION, 'has released the enable')
     ended_and_stays_so(rig)
 
     # intruders: what was said before, and what bears no signature

@@ -47,7 +47,7 @@ def test_a_wrong_sign_refuses_every_update_until_it_is_mended(bench):
     made = bench(polarity='auto')
     made.down.fault = Fault(f.Cycle, changed(gyro=lambda x: (-x.gyro[0], *x.gyro[1:])))
     made.ask(**ROLL)
-    assert 'roll answers with the wrong sign: mend' in made.fly_until('refused')
+    assert 'roll responds with the wrong sign: correct' in made.fly_until('refused')
     for wanted in (ROLL, {'yaw_rate_kp': 0.2}):
         with pytest.raises(RefusedError, match='wrong sign'):
             made.ask(**wanted)

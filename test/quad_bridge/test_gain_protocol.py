@@ -409,10 +409,11 @@ def unanswered(way, what):
         (unanswered('deaf', 'COMMIT'), 'no answer to 4 tries while committing'),
         (unanswered('up', lambda x: isinstance(x, ParamRequestRead) and x.name == B),
          f'{B}: no answer to 4 tries while reading back'),
-        (lambda talk: setattr(talk.far, 'refuses', [B]), f'{B}: the STM32 kept 2 not 0.1'),
+        (lambda talk: setattr(talk.far, 'refuses', [B]), f'{B}: the STM32 kept 2 instead of 0.1'),
         # a stray write that nobody read back
         (spoilt(lambda far: far.store.write(B, 7.0)), 'the STM32 refused the set: checksum'),
-        (spoilt(lambda far: far.reports.update({B: 7.0})), f'{B}: the STM32 kept 7 not 0.1'),
+        (spoilt(lambda far: far.reports.update({B: 7.0})),
+         f'{B}: the STM32 kept 7 instead of 0.1'),
     ],
 )  # fmt: skip
 def test_what_goes_wrong_with_a_set_leaves_the_old_one(talk, fault, reason):

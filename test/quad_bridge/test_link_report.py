@@ -73,7 +73,7 @@ def test_the_clock_says_why_nothing_is_published():
     assert 'no answer to TIMESYNC' in told().message
     signed = Encoder(1, 1, Signing(bytes(range(32)), lambda: 2**45))
     link.receive(signed.encode(f.Heartbeat()), 0)
-    assert 'it heeds who has its key, see key_file' in told().message
+    assert 'answers only who has its key: set key_file' in told().message
     link.clock.add(0, 100, 200)
     assert 'not converged' in told().message
     for k in range(10):

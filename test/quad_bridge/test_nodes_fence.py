@@ -5,7 +5,7 @@ import threading
 import pytest
 
 from quad_bridge.nodes import fence as module
-from quad_bridge.nodes.fence import Fence, Sparing
+from quad_bridge.nodes.fence import Fence, LogLimiter
 from quad_bridge.status import OK, WARN
 
 
@@ -81,7 +81,7 @@ def test_callbacks_that_fail_are_a_warning_for_as_long_as_they_come(monkeypatch)
 
 
 def test_a_log_says_things_once_and_never_floods():
-    log = Sparing(repeat_s=30.0, burst=5, per_s=60.0)
+    log = LogLimiter(repeat_s=30.0, burst=5, per_s=60.0)
     assert [log.allow('hung up', t) for t in (0.0, 1.0, 29.0, 30.0)] == [True, False, False, True]
     assert [log.allow(f'line {k}', 31.0) for k in range(5)] == [True] * 3 + [False] * 2
     assert log.allow('line 9', 70.0)

@@ -79,7 +79,7 @@ class Arming:
             self._expire(now_s)
             asked = self._asked
             if arm and (asked is not None or self._sent):
-                raise RefusedError('an earlier request waits for its answer; try again after it')
+                raise RefusedError('an earlier request is not answered yet; try again in a moment')
             if asked is None or asked.arm:
                 self._end('given up for a request to disarm', now_s)
                 asked = self._asked = _Request(arm)

@@ -83,7 +83,7 @@ class ExcitationRelay:
         if fault:
             return self._drop(fault)
         if self._lost:
-            return self._drop('the operator had let go: start the next segment')
+            return self._drop('the operator has released the enable: start the next segment')
         if self._injection is Injection.NONE:
             return self._drop('no segment is running: publish /excitation/segment first')
         if not max(abs(x), abs(y), abs(z)) < LARGEST or math.isnan(x + y + z):

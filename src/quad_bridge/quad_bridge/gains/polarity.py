@@ -30,7 +30,7 @@ PULSE_VALID_MS = 60
 GRACE_S = 0.24  # in which the STM32 may still report a refusal of something older
 MODES = ('auto', 'manual', 'off')
 """Pulses before the first update of an axis by itself; only when asked for; never."""
-MEND = "mend the motors' order and spin or the gyro's axes, then call"
+MEND = "correct the motors' order and spin or the gyro's axes, then call"
 NONE: Vector3 = (0.0, 0.0, 0.0)
 
 
@@ -176,7 +176,7 @@ class PolarityCheck:
     def faults(self) -> list[str]:
         """The aircraft's faults in words."""
         words = {
-            'wrong': '{} answers with the wrong sign',
+            'wrong': '{} responds with the wrong sign',
             'crossed': 'a pulse on {} moves another axis more',
         }
         found = [words[v].format(a) for a, v in self._axes.items() if v in words]

@@ -28,7 +28,7 @@ _UNHEARD = {
     'unsigned': 'the aircraft does not sign: give it the key of key_file',
     'forged': 'the aircraft signs with another key than key_file',
     'ahead': "the aircraft signs with a time far ahead: set its clock, or this computer's",
-    'replayed': 'only old frames arrive: a recording, or an aircraft that does not take our time',
+    'replayed': 'only old frames arrive: a replay, or an aircraft whose clock lags behind ours',
     'old_version': 'speaks MAVLink 1: set it to MAVLink 2 (SERIALn_PROTOCOL, MAV_PROTO_VER)',
 }
 """Counts since the port was opened, and the reason if no frame is accepted."""
@@ -145,7 +145,7 @@ def clock_status(link: Link, behind_ns: int, *, unset: bool, now_s: float) -> St
     }
     deaf, silent_s = 'no answer to TIMESYNC', now_s - 1e-9 * link.answered_ns
     if link.decoder.counts.unverified:
-        deaf += ' (the aircraft signs: it heeds who has its key, see key_file)'
+        deaf += ' (the aircraft signs its frames and answers only who has its key: set key_file)'
     level, text = WARN, ''
     if unset:
         text = 'use_sim_time is set and nothing comes on /clock: nothing is published'
@@ -156,7 +156,7 @@ def clock_status(link: Link, behind_ns: int, *, unset: bool, now_s: float) -> St
         heard = clock.accepted or clock.rejected
         text = f'{"not converged" if heard else deaf}: nothing is published'
     elif clock.one_way:
-        text = f'{deaf}: stamps are arrivals, late by the transport'
+        text = f'{deaf}: stamps are times of arrival, late by the transport'
     elif clock.round_trip_s > 2.0 * COARSE_S:
         text = f'converged, but stamps may be off by up to {500.0 * clock.round_trip_s:.1f} ms'
     elif silent_s > SILENT_S:

@@ -6,22 +6,22 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
-from quad_bridge.nodes.fence import Sparing
+from quad_bridge.nodes.fence import LogLimiter
 from quad_bridge.status import Status
 
 
 class Changes:
     """Selects entries for the log: a state when it begins, not every second."""
 
-    def __init__(self, sparing: Sparing) -> None:
-        self._sparing = sparing
+    def __init__(self, limiter: LogLimiter) -> None:
+        self._limiter = limiter
         self._told: dict[str, str] = {}
 
     def new(self, entries: list[Status], now_s: float) -> list[Status]:
         """Entries whose message changed and may be logged."""
         begun = [e for e in entries if self._told.get(e.name) != e.message]
         self._told.update({e.name: e.message for e in begun})
-        return [e for e in begun if self._sparing.allow(e.name + e.message, now_s)]
+        return [e for e in begun if self._limiter.allow(e.name + e.message, now_s)]
 
 
 def diagnostic_array(node: str, hardware: str, stamp: Any, entries: list[Status]) -> Any:

@@ -18,8 +18,8 @@ SETTLED_S = 0.5  # least time between two reports; one out of turn tells of the 
 LONGEST = 500  # characters of a fault that are logged
 
 
-class Sparing:
-    """Decides what is logged: repeats and bursts are left out."""
+class LogLimiter:
+    """A rate limiter for the log: repeats and bursts are left out."""
 
     def __init__(self, *, repeat_s: float = 30.0, burst: int = 20, per_s: float = 60.0) -> None:
         """The same line once in `repeat_s`; `burst` lines in `per_s` at most."""
@@ -54,7 +54,7 @@ class Fence:
         self._reported_s = -SETTLED_S
         self._reported = self._before = 0  # failures at the last report and at the one before
         self._in_a_row: dict[int, int] = {}  # by thread: the port goes on while ROS fails
-        self._sparing = Sparing()
+        self._limiter = LogLimiter()
 
     def take(self, error: Exception) -> None:
         """Note what a callback has raised."""
@@ -66,7 +66,7 @@ class Fence:
         frame = traceback.extract_tb(error.__traceback__)[-1]
         words = f'{type(error).__name__}: {" ".join(str(error).split())[:LONGEST]}'
         where = f'{Path(frame.filename).name}:{frame.lineno}'
-        if self._sparing.allow(where + words, time.monotonic()):
+        if self._limiter.allow(where + words, time.monotonic()):
             self._log(f'a callback failed and was left out: {words} ({where})')
         with contextlib.suppress(Exception):  # it may fail with what failed
             self._then(f'a callback failed: {words}')

@@ -111,7 +111,7 @@ def tell_unused(node: Any) -> None:
     """Warn where parameter files were given and hold nothing of this node."""
     if '--params-file' in sys.argv and not overrides(node):
         name = node.get_fully_qualified_name()
-        text = f'the parameter files hold nothing of {name}: root it at "{name}:" or "/**:"'
+        text = f'the parameter files set nothing of {name}: root them at "{name}:" or "/**:"'
         node.get_logger().warning(text)
 
 

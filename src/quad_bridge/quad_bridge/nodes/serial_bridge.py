@@ -33,7 +33,7 @@ from quad_bridge.link.stamping import Arrived, Restarted, Stamped
 from quad_bridge.lockstep import START_NS, WIRE, clock
 from quad_bridge.nodes import conversion, diagnostics
 from quad_bridge.nodes.bridge_parameters import BridgeSettings, declare
-from quad_bridge.nodes.fence import Sparing
+from quad_bridge.nodes.fence import LogLimiter
 from quad_bridge.nodes.host_time import NEVER_NS, HostTime
 from quad_bridge.nodes.managed_node import ManagedNode
 from quad_bridge.nodes.qos import EVENT, STATE, STREAM
@@ -83,8 +83,8 @@ class SerialBridge(ManagedNode):
         self._told_time: Any = None  # in lockstep, for whoever is not on the line
         if clock().simulated:
             self._told_time = self.create_publisher(ClockMessage, '/clock', 1)
-        self._sparing = Sparing()
-        self._changes = diagnostics.Changes(self._sparing)
+        self._limiter = LogLimiter()
+        self._changes = diagnostics.Changes(self._limiter)
         self._port = self._new_port()
 
     def _new_port(self) -> SerialPort:
@@ -264,7 +264,7 @@ class SerialBridge(ManagedNode):
         self._gain_services.show(self._gains.active)
 
     def _say_once(self, words: str) -> None:
-        if self._sparing.allow(words, clock().now_s()):
+        if self._limiter.allow(words, clock().now_s()):
             self.get_logger().info(words)
 
     def _on_segment(self, event: ParameterEvent) -> None:

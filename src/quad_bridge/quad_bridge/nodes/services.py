@@ -146,7 +146,7 @@ class OperatorServices:
     def _not_disarmed(self) -> str:
         armed = self._armed()
         if armed is None:
-            return 'the aircraft is not heard: nothing says that it is disarmed'
+            return 'nothing is received from the aircraft, so it may be armed: check the link'
         return 'it is armed already' if armed else ''
 
     async def _on_arm(self, request: Any, response: Any) -> Any:

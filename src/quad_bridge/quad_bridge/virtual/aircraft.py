@@ -196,7 +196,7 @@ def boot(profile: Profile, *, lockstep: bool = True) -> hil.Boot:
         value = float(np.float32(wanted.get(name, start)))
         lowest, highest = row.limits or (value, value)
         if not np.float32(lowest) <= value <= np.float32(highest):
-            what = f'the firmware takes {lowest:g} to {highest:g}'
+            what = f'the firmware accepts {lowest:g} to {highest:g}'
             raise ConfigurationError(f'profile: {name}', what, f'{value:g}')
         gains.append(value)
     return hil.Boot(

@@ -52,9 +52,3 @@ def up_in_world(quat: FloatArray, out: FloatArray) -> None:
     out[0] = 2 * (x * z + w * y)
     out[1] = 2 * (y * z - w * x)
     out[2] = 1 - 2 * (x * x + y * y)
-
-
-@kernel
-def wrapped(angle: float) -> float:
-    """`angle` in rad, brought into -pi..pi."""
-    return math.atan2(math.sin(angle), math.cos(angle))
