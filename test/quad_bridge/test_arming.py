@@ -10,7 +10,7 @@ ACKS = {'other': CommandAck(511, 0), 'good': CommandAck(ARM_DISARM, 0),
         'bad': CommandAck(ARM_DISARM, 2)}  # fmt: skip
 SENT = {1.0: 'sent 1', 0.0: 'sent 0'}
 SILENT = 'no answer in 1 s'
-WAITS = 'an earlier request waits for its answer; try again after it'
+WAITS = 'an earlier request is not answered yet; try again in a moment'
 
 
 class Desk:
