@@ -22,7 +22,7 @@ class Linear(Effect):
     kind = 'mode'
     name = 'mode'
 
-    def input(self, s: Signals, settings: Settings) -> FloatArray:
+    def driver(self, s: Signals, settings: Settings) -> FloatArray:
         """What drives the states: the rate."""
         return s.rate
 
@@ -42,7 +42,7 @@ class Linear(Effect):
         self, data: AxisData, s: Signals, p: FloatArray, settings: Settings
     ) -> FloatArray:
         a, b = self._step(p, data.dt)
-        out, moving = np.zeros((self.states, s.rate.size)), self.input(s, settings)
+        out, moving = np.zeros((self.states, s.rate.size)), self.driver(s, settings)
         for start, stop in data.stretches:
             recursion.linear_states(moving, a, b, start, stop, out)
         return out
@@ -51,7 +51,7 @@ class Linear(Effect):
         self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings, dt: float
     ) -> FloatArray:
         a, b = self._step(p, dt)
-        return a @ x + b[:, None] * self.input(s, settings)
+        return a @ x + b[:, None] * self.driver(s, settings)
 
 
 class Relaxing(Linear):
@@ -211,7 +211,7 @@ class Memory(Linear):
         rest = float(np.nanmean(used)) if self.leans else 0.0
         return {'unit': float(np.nanmean((used - rest) ** 2)), 'rest': rest}
 
-    def input(self, s: Signals, settings: Settings) -> FloatArray:
+    def driver(self, s: Signals, settings: Settings) -> FloatArray:
         known = {
             'command': s.lagged, 'rate': s.rate, 'throttle': s.throttle, 'angle': s.angle,
             'time': np.ones_like(s.time),
