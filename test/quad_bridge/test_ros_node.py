@@ -65,9 +65,9 @@ def test_a_parameter_file_of_another_node_is_told(start, run, tmp_path):
     here, elsewhere = (
         run(*node_command('monitor', namespace=name), *arguments) for name in ('', '/left')
     )
-    elsewhere.says('root it at "/left/monitor:"')
+    elsewhere.says('root them at "/left/monitor:"')
     assert (elsewhere.end(), here.end()) == (0, 0)
-    assert 'root it' not in here.said
+    assert 'root them' not in here.said
 
 
 @pytest.mark.parametrize('name', ['serial_bridge', 'bag_logger'])
