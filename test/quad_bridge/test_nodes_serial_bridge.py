@@ -81,7 +81,9 @@ def test_replugged_under_another_name_the_flight_goes_on_into_the_bag(
     node = start('serial_bridge', **{f'serial_bridge:{name}': x for name, x in settings.items()},
                  files=[CONFIG / 'serial_bridge.yaml'])  # fmt: skip
     with Port(FlightController(), Pty(tmp_path / 'ttyACM0')) as first:
-        probe.until(lambda: count(probe, RECORDING, 'messages written') > 1000)
+        probe.until(lambda: all(probe.listeners(topic) for topic in PER_CYCLE))
+        begun = count(probe, RECORDING, 'messages written')
+        probe.until(lambda: count(probe, RECORDING, 'messages written') > begun + 1000)
     probe.until(lambda: 'not there' in probe.diagnostics(LINK))
     # the flight controller has gone on meanwhile
     number = max(int((time.monotonic() - first.start_s) / CYCLE_S), first.controller.number + 100)
