@@ -29,14 +29,13 @@ def stm32(folder: Path, rate: float) -> None:
     from quad_bridge.virtual import process
     from quad_bridge.virtual.board import Board
     from quad_bridge.virtual.profile import load_profile
-    from quad_bridge.virtual.receiver import Receiver
 
     profile = load_profile('plain')
     profile = replace(profile, mount='rig', firmware=replace(profile.firmware, rate_hz=rate))
     aircraft = process.prepared(profile, seed=1)
     board = Board.linux('--link', folder / 'tty')
     stop, written = process.Stop(aircraft, None), list[int]()
-    flight = process.Flight(aircraft, Receiver(), board, lockstep=False)
+    flight = process.Flight(aircraft, board, lockstep=False)
     while not stop:
         flight.cycle()
         written.append(time.monotonic_ns())  # its frame has just gone to the port

@@ -156,7 +156,7 @@ def test_a_loop_that_hangs_is_restarted_by_the_watchdog(emulated):
 
 def test_a_flight_ends_where_its_board_restarts(firmware):
     board = EmulatedBoard(firmware('hangs.elf'))
-    flight = Flight(Aircraft(Profile(), seed=1), Receiver(), board, lockstep=True)
+    flight = Flight(Aircraft(Profile(), seed=1), board, lockstep=True)
     with contextlib.closing(board), pytest.raises(RestartedError, match='by itself in cycle'):
         all(flight.cycle() is None for _ in range(100_000))
 
