@@ -191,6 +191,8 @@ STAMPS = {
         800, 0, 'set back 2 times: 560 of 1360'),
     'a while of stamps 2 s late': (away(-2), N, 50, 'set back 1 times: 50 of 1000'),
     'a while of stamps 2 s early': (away(2), N, 50, 'set back 1 times: 50 of 1000'),
+    'stamps in pairs': (regular(N + 1) - 3 * STEP // 4 * (np.arange(N + 1) % 2), N + 1, N // 2,
+                        'fall into an occupied cycle'),
     'wild stamps': (wild(regular()), N, 2, '1 messages without a stamp left out'),
 }
 

@@ -89,8 +89,9 @@ def uniform_grid(stamps: IntArray, source: str, topic: str = '/imu/data') -> Gri
     rows = _one_rate(stamps, rows, nominal, source, topic, warnings)
     times = stamps[rows]
     steps = np.diff(times)
-    # the median of steps that jitter is a per cent off; their mean is not, as stamps do not add up
-    nominal = float(steps[np.abs(steps / nominal - 1.0) < 0.5].mean())
+    near = np.abs(steps / nominal - 1.0) < 0.5
+    if near.mean() > 0.5:  # the median of steps that jitter is a per cent off, their mean is not
+        nominal = float(steps[near].mean())
     cells, phase = count_cycles(steps / nominal)
     kept = np.concatenate(([True], np.diff(cells) > 0))
     if not kept.all():
