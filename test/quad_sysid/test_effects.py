@@ -23,8 +23,12 @@ from scipy.signal import lfilter
 from quad_sysid.contract import MIXER, MIXER_INVERSE
 from quad_sysid.effects import EFFECTS
 from quad_sysid.effects.curves import CELLS, Curve
+from quad_sysid.estimate.fit import Problem
 from quad_sysid.model import EffectEstimate, Parameter
 from quad_sysid.model.data import axis_data
+from quad_sysid.model.effect import Part
+from quad_sysid.model.plant import Flight
+from quad_sysid.model.structure import Structure
 from quad_sysid.pipeline.evaluate import evaluate
 from quad_sysid.pipeline.identify import Options, identify
 from quad_sysid.record import Record
@@ -283,6 +287,34 @@ def test_the_true_effect_leaves_the_noise_and_spoils_a_flight_without_it(
     assert there.before > 5.0 * there.after
     assert absent.before < 0.002
     assert absent.after > 5.0 * absent.before
+
+
+def test_a_memory_begins_with_its_flight_whatever_part_of_it_is_fitted_or_judged():
+    """Neither earlier segments that are left out nor a gap make it cold."""
+    plan = Plan(24.0, (('train', 'prbs', 4.0, 9.0), ('train', 'prbs', 13.0, 18.0),
+                       ('validation', 'prbs', 19.0, 24.0)))
+    flights = [fly(Axis(throttle=throttle, other_rates=others), seed, plan) for seed in (1, 2)]
+    lost = [f.rates.copy() for f in flights]
+    for rates in lost:
+        rates[round(11.0 / DT) : round(11.5 / DT)] = np.nan
+    torn = axis_data([replace(f, rates=r) for f, r in zip(flights, lost, strict=True)], 'roll')
+    whole = axis_data(flights, 'roll')
+    memories = [effect for effect in EFFECTS if effect.variant.startswith('memory')]
+    assert len(memories) > 10
+    for effect in memories:
+        part = Part(effect, effect.prepare(whole))
+        structure, p = Structure((part,)), np.array([GAIN, 0.042, 0.008, 0.4, 0.2, 6.0, 0.1])
+
+        def remembered_in(flight, part=part, structure=structure, p=p):
+            s = flight.signals(p, *flight.driven(structure, p), flight.rate)
+            return flight.hidden(part, s, p[5:]).hidden[0]
+
+        truth = remembered_in(Flight(whole, whole.stretches))
+        for problem in (Problem(torn, torn.train), Problem(torn, torn.validation, whole=True)):
+            at = np.arange(truth.size) if problem.data.source is None else problem.data.source[1]
+            inside = np.concatenate([np.arange(a, b) for a, b in problem.spans])
+            found = remembered_in(problem.flight)[inside]
+            assert found == pytest.approx(truth[at[inside]], abs=0.1), effect
 
 
 # found where it acts

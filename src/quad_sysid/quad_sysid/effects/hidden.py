@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 from scipy.linalg import expm
+from scipy.signal import lfilter
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.effects.couplings import over_training
@@ -14,6 +15,7 @@ from quad_sysid.effects.torques import PendulumStiffness
 from quad_sysid.model import recursion
 from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import Effect, Settings, Signals, Spec, required
+from quad_sysid.model.structure import BASE
 
 
 class Linear(Effect):
@@ -38,11 +40,16 @@ class Linear(Effect):
         e = expm(block)
         return np.ascontiguousarray(e[:m, :m]), np.ascontiguousarray(e[:m, m])
 
+    def begun(self, data: AxisData, p: FloatArray, settings: Settings) -> FloatArray:
+        """(states, n) of which each stretch's first column counts: where the states begin."""
+        del p, settings
+        return np.zeros((self.states, data.rate.size))
+
     def trace(
         self, data: AxisData, s: Signals, p: FloatArray, settings: Settings
     ) -> FloatArray:
         a, b = self._step(p, data.dt)
-        out, moving = np.zeros((self.states, s.rate.size)), self.driver(s, settings)
+        out, moving = self.begun(data, p, settings), self.driver(s, settings)
         for start, stop in data.stretches:
             recursion.linear_states(moving, a, b, start, stop, out)
         return out
@@ -204,7 +211,7 @@ class Memory(Linear):
         if isinstance(signal, str):
             return signal
         if self.signals[0] == 'time':
-            return {'unit': 1.0, 'rest': 0.0}
+            return {}
         used = over_training(data, signal)
         if not np.nanstd(used) > SLOW_MOVES * abs(np.nanmean(used)):
             return f'{self.signals[0]} hardly moves during training'
@@ -214,13 +221,34 @@ class Memory(Linear):
     def driver(self, s: Signals, settings: Settings) -> FloatArray:
         known = {
             'command': s.lagged, 'rate': s.rate, 'throttle': s.throttle, 'angle': s.angle,
-            'time': np.ones_like(s.time),
+            'time': s.time,
         }
         own = known.get(self.signals[0]) if not self.others else (
             required(s.other_angles)[self.others[0]]
         )
-        unit, away = settings['unit'], required(own) - settings['rest']
+        return self._push(required(own), settings)
+
+    def _push(self, signal: FloatArray, settings: Settings) -> FloatArray:
+        if self.signals[0] == 'time':
+            return np.ones_like(signal)
+        unit, away = settings['unit'], signal - settings['rest']
         return away / math.sqrt(unit) if self.leans else away**2 / unit
+
+    def begun(self, data: AxisData, p: FloatArray, settings: Settings) -> FloatArray:
+        # from the start of the flight on, of which a fit sees segments and a gap ends a stretch
+        whole, here = data.source or (data, np.arange(data.rate.size))
+        signal = measured(whole, self.signals[0])
+        if isinstance(signal, str):
+            raise ValueError(signal)  # noqa: TRY004 - why this flight cannot be used
+        a, b = self._step(p, data.dt)
+        if self.signals[0] == 'command':  # the lag matters little here, and is not known
+            keep = math.exp(-data.dt / math.exp(BASE[1].centre))
+            signal = lfilter([1.0 - keep], [1.0, -keep], signal)
+        push = self._push(np.nan_to_num(signal), settings)
+        out = np.zeros((1, push.size))
+        for start, stop in whole.flights or ((0, push.size),):
+            recursion.linear_states(push, a, b, start, stop, out)
+        return np.ascontiguousarray(out[:, here])
 
     def system(self, p: FloatArray) -> tuple[FloatArray, FloatArray]:
         return np.array([[-1.0 / p[0]]]), np.array([1.0 / p[0]])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -76,6 +77,11 @@ class AxisData:
     """The rate is the angle's slope over this time to either side, s; None: it was measured."""
     other_angles: FloatArray | None = None
     """(n, 2) the other two axes' angles, rad; None: not measured."""
+    flights: tuple[Span, ...] = ()
+    """Samples of each flight; empty: all are of one."""
+    source: tuple[AxisData, NDArray[np.int64]] | None = None
+    """The whole flights of which this is a part, and (n,) the sample there of each here; None: it
+    is whole itself."""
     trim: tuple[float, float] | None = None
     """Command and rate (rad/s) of the equilibrium that a fit has found; None: not known."""
 
@@ -142,8 +148,7 @@ def other_axis(data: AxisData, which: int) -> AxisData:
     return replace(
         data, axis=data.other_axes[which], rate=np.ascontiguousarray(data.other_rates[:, which]),
         angle=None, other_rates=np.full_like(data.other_rates, np.nan), other_angles=None,
-        derived_s=None,
-        reference=None,
+        derived_s=None, reference=None, source=None,
     )
 
 
@@ -165,6 +170,7 @@ def part_of(data: AxisData, passes: Sequence[Span]) -> AxisData:
         return None if signal is None else np.ascontiguousarray(signal[index])
 
     time = np.arange(data.rate.size) * data.dt if data.time_s is None else data.time_s
+    whole, at = (data, index) if data.source is None else (data.source[0], data.source[1][index])
     return replace(
         data, rate=data.rate[index], angle=cut(data.angle), control=data.control[index],
         motors=data.motors[index], other_rates=data.other_rates[index],
@@ -176,6 +182,7 @@ def part_of(data: AxisData, passes: Sequence[Span]) -> AxisData:
             name for name, (a, b) in zip(data.validation_names, data.validation, strict=False)
             if any(start <= a and b <= stop for start, stop in passes)
         ),
+        flights=(), source=(whole, at),
     )
 
 
@@ -233,6 +240,7 @@ def axis_data(records: Sequence[Record], axis: str) -> AxisData:
         idle=idle,
         validation_names=names,
         reference=reference if np.isfinite(reference).any() else None,
+        flights=tuple((int(a), int(b)) for a, b in itertools.pairwise(offsets)),
     )
 
 

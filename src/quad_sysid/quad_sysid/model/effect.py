@@ -217,7 +217,7 @@ class Effect:
     def trace(
         self, data: AxisData, s: Signals, p: FloatArray, settings: Settings
     ) -> FloatArray:
-        """(states, n) hidden states along a flight, zero at the start of each stretch."""
+        """(states, n) hidden states at the start of each cycle, in each stretch from its start."""
         raise NotImplementedError
 
     def advance(

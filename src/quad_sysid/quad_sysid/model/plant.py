@@ -153,7 +153,10 @@ class Flight:
             (part, where) for part, where in zip(structure.parts, structure.slices(), strict=True)
             if part.effect.moves_command
         ]
-        key = p[1:3].tobytes() + b''.join(
+        # what remembers the drive needs it from the start, all others from a pass to its end
+        remembered = any({'command', 'history'} <= {*part.effect.signals}
+                         for part in structure.parts)
+        key = p[1:3].tobytes() + bytes([remembered]) + b''.join(
             part.effect.label.encode() + p[where].tobytes() + repr(part.settings).encode()
             for part, where in acting
         )
@@ -172,7 +175,7 @@ class Flight:
         delay = min(max(float(p[2]), 0.0), 0.5) / data.dt
         whole = math.floor(delay + 1e-9)
         halves, states = np.zeros((2, n)), np.zeros((2, n))
-        for start, stop in self.passes:
+        for start, stop in data.stretches if remembered else self.passes:
             recursion.motors(
                 np.ascontiguousarray(drive.commands), np.ascontiguousarray(drive.row),
                 np.ascontiguousarray(drive.lag), float(drive.asymmetry), whole,

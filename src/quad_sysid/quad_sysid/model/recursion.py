@@ -354,9 +354,12 @@ def light_mode(command, omega, damping, in_phase, quadrature, dt, start, stop, o
 
 @njit(**_OPTIONS)
 def linear_states(rate, a, b, start, stop, out):
-    """States x of x+ = a x + b rate from rest, at the start of each cycle: (m, n) into `out`."""
+    """States x of x+ = a x + b rate, at the start of each cycle: (m, n) into `out`.
+
+    They begin as out[:, start].
+    """
     m = b.size
-    x = np.zeros(m)
+    x = out[:, start].copy()
     for k in range(start, stop):
         out[:, k] = x
         new = np.empty(m)
