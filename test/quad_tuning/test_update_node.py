@@ -22,10 +22,10 @@ def send(run, tmp_path, monkeypatch):
     return lambda namespace: run(sys.executable, '-c', QUAD_TUNE, *words, namespace)
 
 
-def gains_are(kp):
+def gains_are(kp, message='idle', refused=0):
     """The bridge's diagnostics."""
-    pair = {'key': 'roll.rate.kp', 'value': str(kp)}
-    return {'status': [{'name': 'serial_bridge: gains', 'message': 'idle', 'values': [pair]}]}
+    values = [{'key': k, 'value': str(v)} for k, v in (('roll.rate.kp', kp), ('refused', refused))]
+    return {'status': [{'name': 'serial_bridge: gains', 'message': message, 'values': values}]}
 
 
 def test_gains_reach_the_bridge_of_their_namespace_only(probe, send):
@@ -41,6 +41,16 @@ def test_gains_reach_the_bridge_of_their_namespace_only(probe, send):
     probe.publish('/left/diagnostics', gains_are(0.08), every_s=0.05)
     assert (process.wait(), process.said) == (0, '')
     assert (len(asked['left']), asked['right']) == (1, [])
+
+
+def test_a_refusal_in_the_words_of_the_last_one_is_an_answer(probe, send):
+    refusal = 'gains of quad-tune send refused: not while the excitation runs'
+    asked = probe.listen('/left/gains/update')
+    probe.publish('/left/diagnostics', gains_are(0.05, refusal, 1), every_s=0.05)
+    process = send('left')
+    probe.until(lambda: asked)
+    probe.publish('/left/diagnostics', gains_are(0.05, refusal, 2), every_s=0.05)
+    assert (process.wait(), process.said) == (3, f'quad-tune: {refusal}\n')
 
 
 @pytest.mark.parametrize('interrupted', [True, False])

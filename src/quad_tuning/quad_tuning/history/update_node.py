@@ -73,7 +73,7 @@ def publish(gains: Mapping[str, float], source: str, *, rollback: bool = False,
         if not spin(ready, LISTEN_S):
             raise BadInputError(asked, f'no bridge has been heard for {LISTEN_S:.0f} s',
                                 remedy='start serial_bridge, or give its --namespace')
-        heard.before = heard.message
+        heard.before = heard.told
         told: dict[str, bool | float | str] = {**gains, 'source': source,
                                                **({'predicted': predicted} if predicted else {}),
                                                **({'rollback': True} if rollback else {})}
@@ -92,17 +92,21 @@ class _Heard:
     def __init__(self, source: str, failed: Sequence[str]) -> None:
         self._words = (f'gains of {source} refused', *failed)
         self.gains: dict[str, float] = {}
-        self.message = self.before = ''
+        self.message = ''
+        self.told: tuple[str | None, ...] = ()
+        """Message, and the counts that tell a refusal from an earlier one in the same words."""
+        self.before: tuple[str | None, ...] = ()
 
     @property
     def refusal(self) -> str:
         """Why the update failed; empty until a message says so."""
-        new = self.before and self.message != self.before
+        new = self.before and self.told != self.before
         return self.message if new and any(w in self.message for w in self._words) else ''
 
     def diagnostics(self, array: Any) -> None:
         for status in array.status:
             if status.name == GAINS:
+                values = {pair.key: pair.value for pair in status.values}
                 self.message = status.message
-                self.gains = {pair.key: float(pair.value) for pair in status.values
-                              if pair.key in WIRE_NAMES}
+                self.told = self.message, values.get('refused'), values.get('rolled back')
+                self.gains = {name: float(values[name]) for name in WIRE_NAMES.keys() & values}
