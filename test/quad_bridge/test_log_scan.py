@@ -137,6 +137,9 @@ DAMAGE = {
     **{f'index {k}, byte {at}': (None, ('none', False),
        lambda d, k=k, at=at: flipped(d, positions(d, MESSAGE_INDEX)[k][0] + at, 0x21))
        for k in (0, 9) for at in (0, 3, 9, 20)},
+    # which does not make it one that is cut off, of which the first messages are read
+    'the end of the last chunk': (9, ('none', False),
+       lambda d: d[: chunk(d, 9)[1] - 999] + bytes(len(d) - chunk(d, 9)[1] + 998) + b'!'),
     'an index with bytes missing': (None, ('none', False), short_index),
     # the length of that chunk, read a byte too late, looks like a footer
     'an index with a byte missing before chunk 6': (None, ('lz4', False),
@@ -157,7 +160,8 @@ def test_damage_of_a_record_costs_its_chunk_at_most(sound, name):
         kept = ledger if lost is None else ledger[: lost * EVERY] + ledger[(lost + 1) * EVERY :]
         assert got == kept
         assert damaged.lost == (len(ledger) - len(got) if closed and lost is not None else 0)
-        assert damaged.ended or 'end' not in name
+        assert damaged.ended or 'an end' not in name
+        assert lost is None or damaged.unread
 
 
 def test_statistics_of_a_damaged_summary_do_not_count(tmp_path, sound):

@@ -218,19 +218,23 @@ class McapScan:
             content = None if end is None else _content(data, position, end, unchecked=followed)
             self.bad_chunks += content is None
             return (None, b'') if content is None else (end, content)
-        if not followed or (opcode == MESSAGE and not self._plain):
+        if end is None or not followed or (opcode == MESSAGE and not self._plain):
             return None, b''
         self.ended = self.ended or opcode in {DATA_END, FOOTER}
+        self.unread += (opcode >= PRIVATE) * (end - position)  # it may have been a chunk
         # behind the end only the checksum of the summary makes its names trustworthy
         counts = opcode == MESSAGE or (opcode in {SCHEMA, CHANNEL} and not self.ended)
         return end, data[position:end] if counts else b''
 
     def _cut_off(self, position: int) -> bytes:
-        """Whole messages of the last chunk, of which the end is missing or was never written."""
+        """Whole messages of the last chunk, if its end is missing or was never written."""
         name, packed = _packed(self.data, position, len(self.data))
-        content = b''
+        written, content = packed.rstrip(b'\0'), b''
+        there = len(self.data) - position - RECORD.size - (len(packed) - len(written))
+        if not written or RECORD.unpack_from(self.data, position)[1] <= there:
+            return b''  # it is all there, and damaged
         with suppress(*UNPACK_ERRORS, KeyError):
-            content = bytes(_UNPACK_PART[name](packed.rstrip(b'\0')))
+            content = bytes(_UNPACK_PART[name](written))
         self.unchecked = sum(opcode == MESSAGE for opcode, _ in _split(content))
         return content
 
