@@ -63,13 +63,14 @@ def test_every_profile_loads(name):
         (f'sensors: {{slow_divider: {10**18}}}', 'slow_divider: needs a whole number'),
         ('firmware: {physics_steps_per_cycle: 1000}', 'must be at most 20: 1000'),
         ('firmware: {gains: {roll.rate.kq: 0}}', 'gains: unknown roll.rate.kq'),
-        ('firmware: {gains: 3}', 'gains: unknown'),
+        ('firmware: {gains: {1: 0.5}}', 'gains: unknown 1'),
+        ('firmware: {gains: 3}', 'firmware.gains: must be a mapping of keys, is 3'),
         ('effects: {battery_sag: {reference_v: 0}}', 'reference_v must be positive: 0'),
         ('- 1', 'must be a mapping of keys'),
         ('a: [', 'is not YAML'),
         ('a: ' + '9' * 5000, 'is not YAML'),
     ],
-    ids=range(20),
+    ids=range(21),
 )
 def test_a_wrong_profile_is_one_line_that_names_file_and_key(tmp_path, capsys, text, said):
     path = written(tmp_path, mine=text)

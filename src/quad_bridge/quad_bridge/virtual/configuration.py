@@ -99,8 +99,9 @@ def _value(hint: object, value: object, where: str) -> object:
         return build(hint, value, where)
     origin, arguments = typing.get_origin(hint), typing.get_args(hint)
     if origin is Mapping:
-        named = value if isinstance(value, Mapping) else {'': value}
-        return {key: _value(arguments[1], v, f'{where}.{key}') for key, v in named.items()}
+        if not isinstance(value, Mapping):
+            raise ConfigurationError(where, f'must be a mapping of keys, is {value!r:.80}')
+        return {str(key): _value(arguments[1], v, f'{where}.{key}') for key, v in value.items()}
     if origin is tuple:
         if Ellipsis in arguments:
             items = value if isinstance(value, (list, tuple)) else [value]
