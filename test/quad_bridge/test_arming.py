@@ -62,6 +62,10 @@ STORIES = {
     'all who ask to disarm are told': [
         (0.0, 'disarm', 'sent 0'), (0.5, 'disarm', 'sent 0'), (0.6, 'good', *['accepted'] * 2),
     ],
+    'each is told after a second, however often it is asked': [
+        (0.0, 'disarm', 'sent 0'), (0.5, 'disarm', 'sent 0'), (1.1, 'tick', 'sent 0', SILENT),
+        (1.6, 'tick', SILENT),
+    ],
     'who waits is told when the node ends': [
         (0.0, 'arm', 'sent 1'), (0.1, 'end', 'the node was deactivated'), (0.2, 'end'),
     ],
