@@ -15,7 +15,7 @@ from quad_bridge.virtual import hil
 from quad_bridge.virtual.aircraft import Aircraft, boot
 from quad_bridge.virtual.native import NativeFirmware
 from quad_bridge.virtual.profile import Profile
-from quad_bridge.virtual.receiver import Event, Receiver
+from quad_bridge.virtual.receiver import Channels, Event, Receiver
 from quad_bridge.virtual.simulation import Excited, fly
 from quad_bridge.wire import Decoder
 from quad_bridge.wire.axes import flip_attitude, flip_body, flip_control
@@ -103,6 +103,15 @@ def test_gyro_noise_is_the_chips_behind_the_filter():
     # white noise through a 2nd-order Butterworth: equivalent bandwidth 1.11 x cut-off
     assert np.std(error) == pytest.approx(6.0e-4 * math.sqrt(1.11 * 42.0), rel=0.05)
     assert np.abs(flight.true_angles - flight.angles).max() < math.radians(1.0)
+
+
+def test_the_chips_readings_lie_on_their_grid():
+    aircraft = Aircraft(Profile(), seed=6)
+    aircraft.measure(Channels())
+    aircraft.move(hil.Motors(0, (0.3,) * 4, 0, 0, 0))
+    grid = np.repeat([math.radians(1.0 / 65.5), 9.80665 / 4096.0], 3)
+    readings = aircraft.machine.samples[:, :6] / grid
+    assert readings == pytest.approx(np.round(readings), abs=1e-9)
 
 
 @pytest.mark.parametrize('frequency', [1.0, 20.0, 42.0])
