@@ -23,6 +23,7 @@ from scipy.signal import lfilter
 from quad_sysid.contract import MIXER, MIXER_INVERSE
 from quad_sysid.effects import EFFECTS
 from quad_sysid.effects.curves import CELLS, Curve
+from quad_sysid.errors import BadInputError
 from quad_sysid.estimate.fit import Problem
 from quad_sysid.model import EffectEstimate, Parameter
 from quad_sysid.model.data import axis_data
@@ -287,6 +288,20 @@ def test_the_true_effect_leaves_the_noise_and_spoils_a_flight_without_it(
     assert there.before > 5.0 * there.after
     assert absent.before < 0.002
     assert absent.after > 5.0 * absent.before
+
+
+@pytest.mark.parametrize(('name', 'lost'), [('pendulum_stiffness', [0, 1, 2]),
+                                            ('shape:other_angle', [1, 2])])
+def test_a_model_is_refused_on_a_flight_without_a_signal_that_it_needs(
+    name, lost, true_model, empty_flight
+):
+    law = next(law for law in LAWS if law.name == name)
+    parameters = tuple(Parameter(n, v, None, '') for n, v in law.parameters.items())
+    effect = EffectEstimate(law.name, 'named', (), parameters, law.variant, law.settings)
+    angles = empty_flight.angles.copy()
+    angles[:, lost] = np.nan
+    with pytest.raises(BadInputError, match=f'{name} of the model needs'):
+        evaluate(replace(true_model, effects=(effect,)), replace(empty_flight, angles=angles))
 
 
 def test_a_memory_begins_with_its_flight_whatever_part_of_it_is_fitted_or_judged():

@@ -12,7 +12,7 @@ import pytest
 
 from quad_sysid.model import GainProposal
 from quad_sysid.pipeline.answer import AxisAnswer
-from quad_sysid.report import document, plots, store
+from quad_sysid.report import document, plots, store, tables
 from quad_sysid.report.html import page
 
 SCHEMA = json.loads(
@@ -137,6 +137,16 @@ def test_missing_parts_do_not_break_it(answers, parts):
     assert not found.stack
     assert len(found.figures) == len(drawn.pictures)
     assert text.count('command never moves') == ('reason' in parts)
+
+
+def test_only_a_curve_points_to_its_picture_other_shapes_say_their_parameters(tree):
+    effect = {**tree['effects'][0], 'name': 'shape:gain:command', 'kind': 'shape',
+              'variant': 'memory'}
+    curve = {**effect, 'variant': 'smooth',
+             'parameters': [{**p, 'name': f'y{i}'} for i, p in enumerate(effect['parameters'])]}
+    for one, words in ((effect, effect['parameters'][0]['name']), (curve, 'drawn below')):
+        rows = tables.effects({'effects': [one]}).rows
+        assert [words in rows[0][2], 'drawn below' in rows[0][2]] == [True, one is curve]
 
 
 def test_a_picture_that_fails_is_named_and_the_rest_stand(answers, monkeypatch):

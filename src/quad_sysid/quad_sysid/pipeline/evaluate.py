@@ -29,9 +29,10 @@ MOTION = 1.5
 
 PHASES = 12
 """Starts of the search for the phase of a periodic effect."""
-NEEDS = {'angle': 'an orientation in /imu/data', 'battery': '/battery',
+NEEDS = {'other angle': "the other axes' angles in /imu/data",
+         'angle': 'an orientation in /imu/data', 'battery': '/battery',
          'other rate': "the other axes' rates"}
-"""Signals that a bag may lack, and their topics."""
+"""Signals that a bag may lack, and their topics; the first whose name is in an effect's counts."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +114,8 @@ def evaluate(model: AxisModel, record: Record, spans_s: tuple[tuple[float, float
 def _check_signals(record: Record, unseen: Unseen, model: Stored) -> None:
     """Raise BadInputError where an effect needs a signal that the bag lacks."""
     data = unseen.problem.data
-    known = {'angle': data.angle is not None, 'battery': data.battery_v is not None,
+    known = {'other angle': data.other_angles is not None, 'angle': data.angle is not None,
+             'battery': data.battery_v is not None,
              'other rate': unseen.problem.flight.others is not None}
     for part in model.structure.parts:
         for signal in part.effect.signals:

@@ -236,7 +236,7 @@ def _picture(along: Along, part: Part) -> tuple[Evaluate, FloatArray, str]:
 
 
 def _named(data: AxisData, part: Part, name: str) -> str:
-    if name in ('other rate', 'other command'):
+    if name.startswith('other '):
         return f'{name.removeprefix("other ")} of {data.other_axes[_which(part)]}'
     return 'acting command' if name == 'command' else name
 

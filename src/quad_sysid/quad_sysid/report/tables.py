@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from html import escape
 from typing import Any
 
-from quad_sysid.report.words import FIGURES, bound, chance, named, number, parameter, yes
+from quad_sysid.report.words import FIGURES, bound, chance, named, number, values, yes
 
 Tree = Mapping[str, Any]
 WIDTH = 78
@@ -165,10 +165,8 @@ def parameters(tree: Tree) -> Table:
 def effects(tree: Tree) -> Table:
     """The added effects."""
     rows = [
-        [e['name'], named(e['name']),
-         'a curve, drawn below' if e['kind'] == 'shape'
-         else '; '.join(parameter(p) for p in e['parameters']),
-         chance(e['p_value']), f'{e["probability"]:.2f}', f'{e["error_reduction_pct"]:.0f} %']
+        [e['name'], named(e), values(e), chance(e['p_value']), f'{e["probability"]:.2f}',
+         f'{e["error_reduction_pct"]:.0f} %']
         for e in tree['effects']
     ]
     return Table(['effect', 'in words', 'parameters', 'p', 'probability', 'lowers the error by'],

@@ -54,14 +54,24 @@ FIGURES = {
 """A designer's figure → its label, unit and factor into that unit, in order of reading."""
 
 
-def named(effect: str) -> str:
-    """An effect in everyday words, with a curve's signal spelled out."""
-    kind, *rest = effect.split(':')
-    if kind == 'shape' and len(rest) == 2:
-        return f'a {rest[0]} that depends on the {rest[1].replace("_", " ")}'
-    if kind == 'shape':
-        return f'a torque that is a smooth curve of the {rest[0].replace("_", " ")}'
-    return PLAIN.get(effect, effect.replace('_', ' '))
+def named(effect: Tree) -> str:
+    """An effect in everyday words, with the signal of a shape spelled out."""
+    name, variant = str(effect['name']), str(effect.get('variant', ''))
+    kind, *rest = name.replace('_', ' ').split(':')
+    if kind != 'shape':
+        return PLAIN.get(name, kind)
+    term = rest[0] if len(rest) == 2 else 'friction' if 'friction' in variant else 'torque'
+    if variant.startswith('memory'):
+        late = f'follows what the {rest[-1]} has lately been'
+        return f'a {term} that {"warms up" if rest[-1] == "time" else late}'
+    return f'a {term} that depends on the {rest[-1]}'
+
+
+def values(effect: Tree) -> str:
+    """The parameters of an effect, or where its curve is."""
+    if effect['parameters'] and effect['parameters'][0]['name'] == 'y0':
+        return 'a curve, drawn below'
+    return '; '.join(parameter(p) for p in effect['parameters'])
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -91,7 +101,7 @@ def headline(tree: Tree) -> tuple[str, str]:
     """Style and headline of the verdict."""
     style, text = VERDICTS.get(tree['verdict'], ('none', tree['verdict']))
     if tree['verdict'] == 'effects_added' and tree['effects']:
-        return style, 'Was missing: ' + joined([named(e['name']) for e in tree['effects']])
+        return style, 'Was missing: ' + joined([named(e) for e in tree['effects']])
     if tree['verdict'] == 'no_missing_effect' and 'were not searched' in tree.get('reason', ''):
         return 'none', 'The plain model alone'
     return style, text
@@ -165,9 +175,7 @@ def _missing(tree: Tree) -> list[str]:
         return [f'{headline(tree)[1]}: {tree.get("reason", "")}.']
     out = []
     for effect in tree['effects']:
-        values = '; '.join(parameter(p) for p in effect['parameters'])
-        shown = f': {values}' if effect['kind'] != 'shape' else ' (its curve is drawn below)'
-        text = f'{named(effect["name"]).capitalize()} ({effect["name"]}){shown}.'
+        text = f'{named(effect).capitalize()} ({effect["name"]}): {values(effect)}.'
         text += (f' Against the claim that nothing is missing, the held-out data give p '
                  f'{equals(effect["p_value"])}')
         rivals = effect.get('rivals') or []

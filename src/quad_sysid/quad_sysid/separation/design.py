@@ -72,7 +72,7 @@ def plain_prbs(axis: str, seconds: float) -> Excitation:
 
 def with_pilot(usual: Excitation, signals: set[str]) -> Iterator[Excitation]:
     """Motion that the pilot may add where the rivals depend on it, the simplest first."""
-    steps, stirs = bool(signals & THROTTLE), bool(signals & OTHERS)
+    steps, stirs = bool(signals & THROTTLE), bool({s.rstrip(' 12') for s in signals} & OTHERS)
     for throttle, others in ((True, False), (False, True), (True, True)):
         if throttle <= steps and others <= stirs:
             yield replace(usual, throttle_steps=throttle, others_move=others)
