@@ -315,7 +315,7 @@ def encoded(columns: dict[str, np.ndarray], header: dict[str, str]) -> bytes:
     """A blackbox file of whole frames, every field a signed number of seven bits a byte."""
     names = ['loopIteration', 'time', *columns]
     lines = ['Product:Blackbox flight data recorder by Nicholas Sherlock', 'Data version:2',
-             'I interval:1', f'Field I name:{",".join(names)}',
+             'I interval:1', 'P interval:1/1', f'Field I name:{",".join(names)}',
              f'Field I signed:{",".join("1" for _ in names)}',
              f'Field I predictor:{",".join("0" for _ in names)}',
              f'Field I encoding:{",".join("0" for _ in names)}',
