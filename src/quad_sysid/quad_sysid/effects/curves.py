@@ -33,6 +33,11 @@ BEYOND = 0.5
 """Share of the range by which other curves continue straight outside it."""
 UNITS = {'torque': 'rad/s²', 'gain': '1', 'damping': '1/s', 'lag': '1', 'delay': 's',
          'friction': 'rad/s²'}
+ACTS_ON: dict[str, tuple[str, ...]] = {
+    'torque': (), 'gain': ('command',), 'damping': ('rate',), 'friction': ('rate',),
+    'lag': ('command',), 'delay': ('command',),
+}
+"""Term → the signal that its acceleration is proportional to."""
 MISSING = {'angle': 'orientation', 'battery': 'battery voltage'}
 """What the bag lacks if a signal is absent."""
 
@@ -60,6 +65,24 @@ def measured(data: AxisData, name: str) -> FloatArray | str:
     return f'the bag holds no {MISSING[name]}' if found is None else found
 
 
+def signal_of(s: Signals, name: str) -> FloatArray:
+    """A signal in a matrix's word for it, along a flight or in a free run."""
+    pair = {'other rate': s.other_rates, 'other angle': s.other_angles,
+            'other command': s.other_commands}
+    if name.startswith('other'):
+        return required(pair[name[:-2]])[int(name[-1]) - 1]
+    return required({
+        'rate': s.rate, 'angle': s.angle, 'throttle': s.throttle, 'battery': s.battery_v,
+        'time': s.time, 'command': s.lagged,
+    }[name])
+
+
+def shape_name(term: str, signal: str) -> str:
+    """The contract's name of a term that depends on a signal."""
+    kind = signal.rstrip(' 12').replace(' ', '_')
+    return f'shape:{kind}' if term in ('torque', 'friction') else f'shape:{term}:{kind}'
+
+
 def per_unit(
     term: str, s: Signals, transition: float = float(np.exp(TRANSITION.centre))
 ) -> FloatArray:
@@ -84,18 +107,13 @@ class Curve(Effect):
 
     def __init__(self, term: str, signal: str, smoothness: str) -> None:
         self.term, self.signal, self.variant = term, signal, smoothness
-        kind = signal.rstrip(' 12') if signal.startswith('other') else signal
-        kind = kind.replace(' ', '_')
-        self.name = f'shape:{kind}' if term in ('torque', 'friction') else f'shape:{term}:{kind}'
+        self.name = shape_name(term, signal)
         if signal.startswith('other'):
             self.variant += f' {signal[-1]}'
             self.others = (int(signal[-1]) - 1,)
         if term == 'friction':
             self.variant += ' friction'
-        self.signals = {
-            'torque': (signal,), 'gain': (signal, 'command'), 'damping': (signal, 'rate'),
-            'friction': (signal, 'rate'), 'lag': (signal, 'command'), 'delay': (signal, 'command'),
-        }[term]
+        self.signals = (signal, *ACTS_ON[term])
         self.count, self.length = {**SMOOTH, **DRIFT}[smoothness]
         spread = {'lag': 0.5, 'delay': 0.01}.get(term)
         self.parameters = tuple(
@@ -152,18 +170,6 @@ class Curve(Effect):
         along: FloatArray = y[index] + share * (y[index + 1] - y[index])
         return along
 
-    def _signal(self, s: Signals, scale: float = 1.0) -> FloatArray:
-        if self.signal.startswith('other rate'):
-            return required(s.other_rates)[self.others[0]]
-        if self.signal.startswith('other angle'):
-            return required(s.other_angles)[self.others[0]]
-        if self.signal.startswith('other command'):
-            return s.other_commands[self.others[0]]
-        return required({
-            'rate': s.rate, 'angle': s.angle, 'throttle': s.throttle, 'battery': s.battery_v,
-            'time': s.time, 'command': s.lagged,
-        }[self.signal])
-
     def _factor(self, s: Signals, p: FloatArray) -> FloatArray:
         return per_unit(self.term, s, float(p[-1]))
 
@@ -173,13 +179,13 @@ class Curve(Effect):
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray | None:
         if self.term == 'lag':
             return None
-        return self._factor(s, p) * self._along(self._signal(s), p, settings)
+        return self._factor(s, p) * self._along(signal_of(s, self.signal), p, settings)
 
     def columns(
         self, s: Signals, p: FloatArray, linear: Sequence[int], settings: Settings
     ) -> FloatArray:
         """Derivatives by the values at all knots at once."""
-        x = self._signal(s)
+        x = signal_of(s, self.signal)
         index, share = self._between(x, settings)
         factor = self._factor(s, p)
         out = np.zeros((x.size, self.count))

@@ -10,7 +10,15 @@ from scipy.signal import lfilter
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.effects.couplings import over_training
-from quad_sysid.effects.curves import SLOW_MOVES, UNITS, measured, per_unit
+from quad_sysid.effects.curves import (
+    ACTS_ON,
+    SLOW_MOVES,
+    UNITS,
+    measured,
+    per_unit,
+    shape_name,
+    signal_of,
+)
 from quad_sysid.effects.torques import PendulumStiffness
 from quad_sysid.model import recursion
 from quad_sysid.model.data import AxisData
@@ -188,14 +196,12 @@ class Memory(Linear):
 
     def __init__(self, term: str, signal: str) -> None:
         self.term, self.leans = term, 'angle' in signal
-        name = signal.rstrip(' 12').replace(' ', '_')
-        self.name = f'shape:{name}' if term in ('torque', 'friction') else f'shape:{term}:{name}'
+        self.name = shape_name(term, signal)
         self.variant = 'memory' + ' friction' * (term == 'friction')
         if signal.startswith('other'):
             self.variant += f' {signal[-1]}'
             self.others = (int(signal[-1]) - 1,)
-        moving = {'torque': (), 'gain': ('command',)}.get(term, ('rate',))
-        self.signals = (signal, *moving, 'history')
+        self.signals = (signal, *ACTS_ON[term], 'history')
         self.parameters = (
             Spec('time_constant', 's', spread=1.2, centre=math.log(3.0), log=True,
                  starts=(0.3, 1.5, 8.0, 40.0)),
@@ -219,14 +225,7 @@ class Memory(Linear):
         return {'unit': float(np.nanmean((used - rest) ** 2)), 'rest': rest}
 
     def driver(self, s: Signals, settings: Settings) -> FloatArray:
-        known = {
-            'command': s.lagged, 'rate': s.rate, 'throttle': s.throttle, 'angle': s.angle,
-            'time': s.time,
-        }
-        own = known.get(self.signals[0]) if not self.others else (
-            required(s.other_angles)[self.others[0]]
-        )
-        return self._push(required(own), settings)
+        return self._push(signal_of(s, self.signals[0]), settings)
 
     def _push(self, signal: FloatArray, settings: Settings) -> FloatArray:
         if self.signals[0] == 'time':

@@ -14,7 +14,7 @@ import numpy as np
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.effects.couplings import over_training
-from quad_sysid.effects.curves import UNITS, per_unit
+from quad_sysid.effects.curves import ACTS_ON, UNITS, per_unit, shape_name
 from quad_sysid.model.data import AxisData, high, typical_acceleration
 from quad_sysid.model.effect import Effect, Settings, Signals, Spec
 
@@ -36,10 +36,9 @@ class Wandering(Effect):
 
     def __init__(self, term: str) -> None:
         self.term = term
-        self.name = 'shape:time' if term == 'friction' else f'shape:{term}:time'
+        self.name = shape_name(term, 'time')
         self.variant = 'wandering' + ' friction' * (term == 'friction')
-        moving = 'rate' if term in ('damping', 'friction') else 'command'
-        self.signals = ('time', moving, 'history')
+        self.signals = ('time', *ACTS_ON[term], 'history')
         self.physics = f"the {term} wanders: x' = -x / correlation + noise, of RMS `spread`"
 
     def prepare(self, data: AxisData) -> Settings | str:
