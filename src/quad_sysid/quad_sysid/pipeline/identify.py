@@ -7,10 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from quad_sysid.beside import side_by_side
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.discover.accept import judge
 from quad_sysid.discover.search import search
@@ -51,9 +53,11 @@ def identify(records: Sequence[Record], options: Options,
     Raises BadInputError where the records do not fit together (pipeline.together).
     """
     records = together(records)
+    axes = options.axes or asked_axes(records)
     with threadpool_limits(limits=1):  # the matrices are narrow: threads only wait for another
-        return {axis: identify_axis(records, axis, options, progress)
-                for axis in options.axes or asked_axes(records)}
+        answers = side_by_side([partial(identify_axis, records, axis, options, progress)
+                                for axis in axes])
+    return dict(zip(axes, answers, strict=True))
 
 
 def asked_axes(records: Sequence[Record]) -> tuple[str, ...]:
@@ -84,7 +88,6 @@ def identify_axis(records: Sequence[Record], axis: str, options: Options,
     base = told.before.fit
     data = blackbox_part.about_base(data, base.value('gain'), base.value('bias'))
     verdict, reason = told.verdict.verdict, _reason(told, searched=bool(options.effects))
-    progress(f'{axis}: black-box models')
     answer = AxisAnswer(
         axis, rate, segments, verdict, reason, findings=told,
         train=blackbox_part.io_data(data, data.train),
@@ -95,12 +98,20 @@ def identify_axis(records: Sequence[Record], axis: str, options: Options,
         attitude_reference=_joined([r.attitude_setpoint for r in records], data.index),
         rate_reference=_joined([r.rate_setpoint for r in records], data.index),
     )
+    swapped = next((line for line in map(refusal, records) if line), '')
+    known: AxisAnswer
+    known, proposal = side_by_side([partial(_compared, answer, told, data, records, progress),
+                                    partial(_proposal, answer, options, swapped, progress)])
+    return replace(known, proposal=proposal)
+
+
+def _compared(answer: AxisAnswer, told: Findings, data: AxisData, records: Sequence[Record],
+              progress: Progress) -> AxisAnswer:
+    """The answer with the black-box models, what all models leave, and the loop around them."""
+    progress(f'{answer.axis}: black-box models')
     answer = with_blackbox(answer, data, records)
     answer = replace(answer, residuals=_residuals(answer, data, told))
-    answer = replace(answer, closed_loop=closed_loop(answer, records, data))
-    progress(f'{axis}: gains')
-    swapped = next((line for line in map(refusal, records) if line), '')
-    return replace(answer, proposal=_proposal(answer, options, swapped))
+    return replace(answer, closed_loop=closed_loop(answer, records, data))
 
 
 def found_effects(data: AxisData, options: Options,
@@ -179,7 +190,9 @@ def _gains_of(records: Sequence[Record]) -> dict[str, float]:
     return dict(records[0].gains_at(min(trained, default=0.0)))
 
 
-def _proposal(answer: AxisAnswer, options: Options, refused_because: str) -> GainProposal:
+def _proposal(answer: AxisAnswer, options: Options, refused_because: str,
+              progress: Progress) -> GainProposal:
+    progress(f'{answer.axis}: gains')
     if refused_because:
         return GainProposal(None, refused_because)
     if not answer.answered or answer.model is None:

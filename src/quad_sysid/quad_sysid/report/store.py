@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+from quad_sysid.beside import side_by_side
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import make_folder, write_whole
 from quad_sysid.pipeline.answer import AxisAnswer
@@ -50,8 +52,13 @@ def write(folder: Path, report: Mapping[str, Any], answers: Mapping[str, AxisAns
         save_models(models, folder / 'model.json', blackbox)
     if html or pictures:
         drawn = {axis: plots.gallery(answer) for axis, answer in answers.items()}
-        if pictures:
-            plots.save(drawn, folder / 'pictures')
-        if html:
-            write_whole(folder / 'report.html', page(report, answers, drawn))
+        side_by_side([
+            *([partial(plots.save, drawn, folder / 'pictures')] if pictures else []),
+            *([partial(_write_page, folder, report, answers, drawn)] if html else []),
+        ])
     write_whole(folder / 'report.json', json.dumps(report, indent=1, allow_nan=False) + '\n')
+
+
+def _write_page(folder: Path, report: Mapping[str, Any], answers: Mapping[str, AxisAnswer],
+                drawn: Mapping[str, plots.Gallery]) -> None:
+    write_whole(folder / 'report.html', page(report, answers, drawn))
