@@ -53,10 +53,11 @@ test-long: build  ## soaks, studies and sweeps alone (an hour or more)
 build:  ## venv with the pinned packages and colcon build into install/
 	@tools/set_up.sh
 
-lint: build  ## ruff, mypy --strict, the import rules; the firmware's C with clang and cppcheck
+lint: build  ## ruff, mypy --strict, mypy for benchmarks, the import rules; the firmware's C with clang and cppcheck
 	@$(RUN) status=0; \
 	ruff check --output-format concise $(SOURCES) || status=1; \
 	mypy || status=1; \
+	mypy --config-file bench/mypy.ini bench tools || status=1; \
 	lint-imports --no-logo || status=1; \
 	make -s -C firmware PYTHON=python lint || status=1; \
 	exit $$status

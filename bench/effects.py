@@ -20,6 +20,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import effects_judge as judge_of
 import effects_scenarios as scenarios
@@ -69,7 +70,7 @@ def main() -> int:
 
 def _by_command(
     drawn: Sequence[scenarios.Scenario], rows: Sequence[judge_of.Row], folder: Path
-) -> dict[str, object]:
+) -> dict[str, Any]:
     """Every tenth flight of the virtual aircraft once more through a bag and the commands."""
     known = {row['number']: row for row in rows}
     tenth = [s for s in drawn if s.number % 10 == BY_COMMAND and s.simulator == 'virtual']
@@ -96,7 +97,7 @@ def opened(sealed: Path, answers: Path) -> list[judge_of.Row]:
 
 def _answers(
     drawn: Sequence[scenarios.Scenario], jobs: int
-) -> Iterator[dict[str, object]]:
+) -> Iterator[dict[str, Any]]:
     began = time.monotonic()
     with ProcessPoolExecutor(jobs, mp_context=get_context('spawn')) as pool:
         waiting = [pool.submit(answered, scenario) for scenario in drawn]

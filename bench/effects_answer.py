@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import effects_scenarios as scenarios
 from threadpoolctl import threadpool_limits
@@ -30,7 +31,7 @@ from quad_sysid.pipeline.evaluate import evaluate, of_this_flight
 from quad_sysid.pipeline.identify import Options, found_effects
 from quad_sysid.record import Record
 
-Row = dict[str, object]
+Row = dict[str, Any]
 
 
 def answered(scenario: scenarios.Scenario) -> Row:

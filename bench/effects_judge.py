@@ -6,6 +6,7 @@ import math
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from effects_undeclared import UNDECLARED
@@ -16,10 +17,10 @@ SPOILED = 1.05
 """An answer that makes the error on the unseen flight larger by this factor is listed."""
 UNNAMED = ('shape:', 'mode', 'event')
 
-Row = Mapping[str, object]
+Row = Mapping[str, Any]
 
 
-def summary(rows: Sequence[Row]) -> dict[str, object]:
+def summary(rows: Sequence[Row]) -> dict[str, Any]:
     """All figures of the issue's list, over the given rows."""
     worth = [r for r in rows if r['kind'] == 'named' and (r['factor'] or 0.0) >= WORTH]
     pairs = [r for r in rows if r['kind'] == 'pair' and (r['factor'] or 0.0) >= WORTH]
@@ -84,7 +85,7 @@ def _gap(row: Row) -> float:
     return (row['before'] - row['after']) / (row['before'] - row['true'])
 
 
-def _share(rows: Sequence[Row], holds) -> dict[str, object]:
+def _share(rows: Sequence[Row], holds) -> dict[str, Any]:
     count = sum(bool(holds(r)) for r in rows)
     return {'n': len(rows), 'share': count / len(rows) if rows else None}
 
@@ -93,7 +94,7 @@ def _median(values: Sequence[float]) -> float | None:
     return float(np.median(values)) if len(values) else None
 
 
-def _coverage(rows: Sequence[Row]) -> dict[str, object]:
+def _coverage(rows: Sequence[Row]) -> dict[str, Any]:
     inside = [ok for r in rows for ok in r['covered'].values()]
     return {'n': len(inside), 'share': float(np.mean(inside)) if inside else None}
 

@@ -17,7 +17,7 @@ from quad_sysid.discover.accept import judge
 from quad_sysid.discover.base import best_base
 from quad_sysid.discover.search import search
 from quad_sysid.effects import EFFECTS
-from quad_sysid.estimate.fit import Problem
+from quad_sysid.estimate.fit import Fit, Problem
 from quad_sysid.model.data import axis_data
 
 REPEATS = 5
@@ -65,7 +65,7 @@ def timed(call: Callable[[], object], repeats: int = REPEATS) -> float:
     return min(spent)
 
 
-def plain_filter(problem: Problem, base: object, evaluations: int) -> float:
+def plain_filter(problem: Problem, base: Fit, evaluations: int) -> float:
     """Sum of squared innovations, as often as differences over all parameters ask for."""
     flight = problem.flight
     p = base.values

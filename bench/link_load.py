@@ -20,6 +20,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rosbags.highlevel import AnyReader
@@ -132,7 +133,8 @@ def lost(folder: Path, rate: float) -> dict[str, int]:
             wanted = [c for c in reader.connections if c.topic == topic]
             stamps = []
             for connection, _, raw in reader.messages(wanted):
-                stamp = reader.deserialize(raw, connection.msgtype).header.stamp
+                message: Any = reader.deserialize(raw, connection.msgtype)
+                stamp = message.header.stamp
                 stamps.append(stamp.sec + 1e-9 * stamp.nanosec)
             number = np.rint((np.array(stamps) - stamps[0]) * rate).astype(int)
             missing = max(missing, int(number[-1]) + 1 - len(set(number.tolist())))
@@ -150,12 +152,13 @@ def said(reader: AnyReader) -> dict[str, str]:
     found = {}
     connections = [c for c in reader.connections if c.topic == '/diagnostics']
     for connection, _, raw in reader.messages(connections):
-        for status in reader.deserialize(raw, connection.msgtype).status:
+        message: Any = reader.deserialize(raw, connection.msgtype)
+        for status in message.status:
             found |= {v.key: v.value for v in status.values if v.key in wanted}
     return found
 
 
-def link(rate: float, seconds: float, folder: Path, *, excite: bool) -> dict[str, object]:
+def link(rate: float, seconds: float, folder: Path, *, excite: bool) -> dict[str, Any]:
     run = Processes()
     try:
         run.start('stm32', ROLES, 'stm32', str(folder), str(rate))
@@ -174,7 +177,7 @@ def link(rate: float, seconds: float, folder: Path, *, excite: bool) -> dict[str
     }  # fmt: skip
 
 
-def bare(rate: float, seconds: float, folder: Path) -> dict[str, object]:
+def bare(rate: float, seconds: float, folder: Path) -> dict[str, Any]:
     """The same five messages without a link: publishing alone, to the same subscribers."""
     run = Processes()
     try:
@@ -195,7 +198,7 @@ def main() -> None:
     parser.add_argument('--seconds', default='250=300,500=120,1000=60,excite=60')
     parser.add_argument('--bare', type=float, default=20.0, help='s of bare rclpy beside each')
     given = parser.parse_args()
-    told: dict[str, object] = {'schema': 'quad_bridge/link_load/1', 'cores': os.cpu_count()}
+    told: dict[str, Any] = {'schema': 'quad_bridge/link_load/1', 'cores': os.cpu_count()}
     print(
         'case      cycles  lost  bridge %  logger %  stm32 %  bare %   median  p99 ms   bare  p99'
     )
