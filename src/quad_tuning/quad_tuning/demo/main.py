@@ -53,7 +53,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for line in tell(out, options.seed, teller, lockstep=lockstep, qemu=options.qemu):
             sys.stdout.write(line + '\n')
     except (StageFailedError, OSError) as error:
-        sys.stderr.write(f'demo failed: {error} (logs: {out / "logs"})\n')
+        simulated = options.lockstep or options.qemu or isinstance(error, OSError)
+        remedy = '' if simulated else '; on a busy machine add --lockstep'
+        sys.stderr.write(f'demo failed: {error}{remedy} (logs: {out / "logs"})\n')
         return 1
     except KeyboardInterrupt:
         sys.stderr.write('demo interrupted; all of its processes are stopped\n')
