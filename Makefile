@@ -68,7 +68,7 @@ bench: build  ## black-box accuracy and speed (ten minutes; ARGS='--quick --peer
 bench-effects: build  ## planted effects against named ones (half an hour; ARGS='--seeds 1 --nothing 6')
 	@$(RUN) exec python bench/effects.py $(ARGS)
 
-bench-effects-speed: build  ## a candidate's cost beside scipy's solvers, a whole axis' time (two minutes)
+bench-effects-speed: build  ## a likelihood beside plain and other filters, a whole axis (a minute; ARGS="--peers PYTHON")
 	@$(RUN) exec python bench/effects_speed.py $(ARGS)
 
 bench-likelihood: build  ## the fit against the Cramer-Rao bound, the evidence against the truth (15 minutes)

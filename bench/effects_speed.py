@@ -1,13 +1,20 @@
 """What one evaluation of the likelihood costs, and a whole axis: `make bench-effects-speed`.
 
 Beside it, in the same run, a plain Kalman filter of the same base in numpy, with derivatives by
-differences, as one writes it in an afternoon. Ratios count, not seconds.
+differences, as one writes it in an afternoon; with `--peers PYTHON`, a Python that has them, also
+the filters of statsmodels and filterpy, which give the likelihood without derivatives. Ratios
+count, not seconds.
 """
 
 from __future__ import annotations
 
+import argparse
+import json
+import subprocess
+import tempfile
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import effects_scenarios as scenarios
 import numpy as np
@@ -25,13 +32,16 @@ REPEATS = 5
 
 def main() -> None:
     """Print the cost of one evaluation, and of flights with nothing and with friction."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument('--peers', metavar='PYTHON', help='a Python with statsmodels, filterpy')
+    options = parser.parse_args()
     with threadpool_limits(limits=1):
         for flight in scenarios.draw(77_000, seeds=1, pairs=0, nothing=1, undeclared=0):
             if flight.planted in ((), ('coulomb_friction',)):
-                axis(flight)
+                axis(flight, options.peers)
 
 
-def axis(flight: scenarios.Scenario) -> None:
+def axis(flight: scenarios.Scenario, peers: str | None) -> None:
     """One flight: an evaluation beside its plain twin, then the whole answer."""
     data = axis_data([scenarios.flown(flight, unseen=False)], flight.axis)
     problem = Problem(data, data.train)
@@ -46,6 +56,15 @@ def axis(flight: scenarios.Scenario) -> None:
     print(f'  likelihood and gradient  {1e6 * ours / n:7.2f} us a sample')
     print(f'  the same in plain numpy  {1e6 * plain / n:7.2f} us a sample')
     print(f'  ratio                    {plain / ours:7.0f}')
+    if peers and not problem.flight.sensor.behind:  # theirs is the model without a gyro filter
+        value = timed(lambda: problem.flight.predict(base.structure, base.theta, sweeps=1))
+        left = problem.flight.predict(base.structure, base.theta, sweeps=1).innovation
+        print(f'  likelihood alone         {1e6 * value / n:7.2f} us a sample; innovations '
+              f'{float(np.sqrt(np.nanmean(left**2))):.5f} rad/s')
+        for name, told in by_peers(problem, base, peers).items():
+            if told:
+                print(f'  {name:24} {told["us"]:7.2f} us a sample, ratio '
+                      f'{told["us"] / (1e6 * value / n):.0f}; innovations {told["rms"]:.5f} rad/s')
     began = time.process_time()
     found = search(problem, EFFECTS)
     verdict = judge(data, problem, found)
@@ -81,6 +100,21 @@ def plain_filter(problem: Problem, base: Fit, evaluations: int) -> float:
             x[0] += problem.data.dt * known[k]
             total += e * e
     return total
+
+
+def by_peers(problem: Problem, base: Fit, python: str) -> dict[str, dict[str, float]]:
+    """The same linear model filtered by others, in their own Python: us a sample, RMS."""
+    flight = problem.flight
+    p = base.values
+    used = flight.filter_of(base.structure, base.theta, float(p[3]))
+    known = flight.pushed(base.structure, p, flight.rate).known.mean(axis=0)
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / 'model.npz'
+        np.savez(file, y=problem.data.rate, f=used.transition, q=used.process, c=used.output,
+                 r=np.array(used.after), pushes=problem.data.dt * known)
+        done = subprocess.run([python, Path(__file__).with_name('effects_peers.py'), file],
+                              capture_output=True, text=True, check=True)
+    return json.loads(done.stdout)
 
 
 if __name__ == '__main__':
