@@ -41,7 +41,6 @@ setup(
     extras_require={
         'logs': ['pyulog', 'pymavlink'],
         'blackbox': ['orangebox<0.5'],  # GPL-3; 0.5 cannot be installed by pip
-        'parquet': ['pyarrow'],
         'export': ['control'],
         'shell': ['argcomplete'],
         'test': ['pytest', 'hypothesis', 'jsonschema'],

@@ -86,15 +86,10 @@ def test_a_table_comes_back_from_its_bag(options, tmp_path):
         imported(options, out)
 
 
-@pytest.mark.parametrize('kind', ['semicolon', 'tab', 'gzip', 'comments', 'parquet'])
+@pytest.mark.parametrize('kind', ['semicolon', 'tab', 'gzip', 'comments'])
 def test_other_forms_of_the_table(options, tmp_path, kind):
     file = tmp_path / ('table.csv.gz' if kind == 'gzip' else 'table.txt')
-    if kind == 'parquet':
-        pyarrow = pytest.importorskip('pyarrow')
-        parquet = pytest.importorskip('pyarrow.parquet')
-        parquet.write_table(pyarrow.table(columns()), file)
-    else:
-        write(file, columns(), {'semicolon': ';', 'tab': '\t'}.get(kind, ','))
+    write(file, columns(), {'semicolon': ';', 'tab': '\t'}.get(kind, ','))
     if kind == 'comments':
         quoted = file.read_text().replace('rate', '"rate"')
         file.write_text('\ufeff# made by hand\n\n' + quoted)
@@ -322,7 +317,6 @@ BROKEN = gzip.compress(b't,u,rate\n' + b'0.125,0.5,1.75\n' * 2000, mtime=0)[:60]
         ('t,u,rate\n0,0,1\n0,0,2\n', 'column t: does not increase'),
         ('t,u,rate\n2,0,1\n1,0,2\n', 'column t: does not increase'),
         ('t,u,rate\n0,0,1\n0.2,0,1\n', 'too few'),
-        (b'PAR1 and noise', 'is not a whole Parquet file'),
         (b'\xbc\x07\x00\x01\x00', 'unknown version'),
         (b'\xbc\x01\x00\x01\x00\x00', 'is not a whole log of a Crazyflie SD card'),
         (b'#ROSBAG V2.0\n and noise', 'is not a whole bag'),

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from quad_sysid.imports.frames import mixer_at_places
 from quad_sysid.imports.log import ForeignLog, Stream
+from quad_sysid.imports.mixers import mixer_at_places
 from quad_sysid.imports.to_bag import import_log
 from quad_sysid.motor_layout import patterns_of, share_of
 

@@ -38,7 +38,7 @@ RECOVER = '`ros2 run quad_bridge recover` may find more'
 Batch = dict[str, list[bytes]]
 """Topic → serialised messages in the file's order."""
 FOREIGN = {
-    **dict.fromkeys(('.csv', '.txt', '.parquet'),
+    **dict.fromkeys(('.csv', '.txt'),
                     'a table; turn it into a bag with `quad-sysid import`'),
     '.gz': 'a compressed table; turn it into a bag with `quad-sysid import`',
     '.bag': 'a ROS 1 bag; convert it with `rosbags-convert`',

@@ -15,16 +15,23 @@ import numpy as np
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import read_by_library
-from quad_sysid.imports.firmware import (
+from quad_sysid.imports.log import (
     ASKED_FOR,
-    Content,
+    DEGREE,
+    ForeignLog,
+    Reading,
+    Stream,
     Wanted,
     gains_of,
-    missing,
-    motors_fast,
 )
-from quad_sysid.imports.frames import MIRROR, angles_from_ned, mirrored, mixer_at_places
-from quad_sysid.imports.log import ForeignLog, Given, Mapped, Stream
+from quad_sysid.imports.mixers import (
+    MIRROR,
+    Mixer,
+    angles_from_ned,
+    mirrored,
+    mixer_at_places,
+)
+from quad_sysid.imports.table import Table
 
 FIRST_INSTANCE = ('IMU', 'BAT')
 INSTANCE = ('I', 'Instance', 'Inst')
@@ -44,7 +51,6 @@ AS_FAST = 0.9
 """Share of the gyro's rate from which on RATE, which the controller saw, is preferred."""
 FASTER = ("set bit 0 (fast attitude) of LOG_BITMASK: RATE is then logged at the loop's rate, not "
           'at 10 Hz; LOG_FILE_RATEMAX 0')
-DEGREE = np.pi / 180.0
 
 
 def _mirrored_degrees(values: FloatArray) -> FloatArray:
@@ -55,59 +61,60 @@ def _ned_degrees(values: FloatArray) -> FloatArray:
     return angles_from_ned(values * DEGREE)
 
 
-SEEN = Wanted('rates', 'RATE', ('R', 'P', 'Y'), 'deg/s',
+def _of(message: str, *fields: str) -> tuple[str, ...]:
+    return tuple(f'{message}.{field}' for field in fields)
+
+
+SEEN = Wanted('rates', _of('RATE', 'R', 'P', 'Y'), 'deg/s',
               'to rad/s, FRD to FLU: pitch and yaw turned', _mirrored_degrees)
-GYRO = Wanted('rates', 'IMU', ('GyrX', 'GyrY', 'GyrZ'), 'rad/s',
+GYRO = Wanted('rates', _of('IMU', 'GyrX', 'GyrY', 'GyrZ'), 'rad/s',
               'FRD to FLU: pitch and yaw turned', mirrored)
 WANTED = (
-    Wanted('angles', 'ATT', ('Roll', 'Pitch', 'Yaw'), 'deg', 'to rad, FRD in NED to FLU in ENU',
-           _ned_degrees),
-    Wanted('attitude_setpoint', 'ATT', ('DesRoll', 'DesPitch', 'DesYaw'), 'deg',
+    Wanted('angles', _of('ATT', 'Roll', 'Pitch', 'Yaw'), 'deg',
            'to rad, FRD in NED to FLU in ENU', _ned_degrees),
-    Wanted('rate_setpoint', 'RATE', ('RDes', 'PDes', 'YDes'), 'deg/s',
+    Wanted('attitude_setpoint', _of('ATT', 'DesRoll', 'DesPitch', 'DesYaw'), 'deg',
+           'to rad, FRD in NED to FLU in ENU', _ned_degrees),
+    Wanted('rate_setpoint', _of('RATE', 'RDes', 'PDes', 'YDes'), 'deg/s',
            'to rad/s, pitch and yaw turned', _mirrored_degrees),
-    Wanted('acceleration', 'IMU', ('AccX', 'AccY', 'AccZ'), 'm/s²', 'y and z turned', mirrored),
-    Wanted('battery', 'BAT', ('Volt',), 'V', 'as it is'),
+    Wanted('acceleration', _of('IMU', 'AccX', 'AccY', 'AccZ'), 'm/s²', 'y and z turned',
+           mirrored),
+    Wanted('battery', _of('BAT', 'Volt'), 'V', 'as it is'),
 )
-OUTPUTS = ('AOut', 'ROut', 'POut', 'YOut')
-MESSAGES = (*dict.fromkeys(one.message for one in (SEEN, *WANTED)), 'RCOU', 'EV')
+OUTPUTS = Wanted('control', _of('RATE', 'AOut', 'ROut', 'POut', 'YOut'), '-1..1',
+                 'as they are, pitch and yaw turned; U is in the unit of these outputs',
+                 lambda values: values * [1.0, *MIRROR])
+MESSAGES = ('RATE', 'ATT', 'IMU', 'BAT', 'RCOU', 'EV')
 
 
 def read(path: Path) -> ForeignLog:
     """Read a dataflash log; raises BadInputError where it is none or lacks rates or commands."""
-    content = _load(path)
-    seen, gyro = (content.stream(one.message, *one.fields) for one in (SEEN, GYRO))
+    table = _load(path)
+    seen, gyro = (table.stream(*one.columns) for one in (SEEN, GYRO))
     first = seen is not None and (gyro is None or seen.rate_hz >= AS_FAST * gyro.rate_hz)
-    mapped: list[Mapped] = []
-    streams = content.streams((SEEN if first else GYRO, *WANTED), mapped)
-    if 'rates' not in streams:
+    reading = Reading(table)
+    reading.take(SEEN if first else GYRO, *WANTED)
+    if 'rates' not in reading.streams:
         raise BadInputError(
-            content.source, 'holds no RATE and no IMU messages',
-            ', '.join(sorted(content.messages)) or 'no message of use',
+            table.source, 'holds no RATE and no IMU messages',
+            table.messages or 'no message of use',
             'set LOG_BITMASK to log fast attitude (bit 0) and log again',
         )
-    given, gains, warnings = _input(content, streams['rates'], mapped)
-    return ForeignLog(
-        source=str(path), kind='an ArduPilot log', **streams, **given, armed=_armed(content),
-        gains=gains, faster=FASTER, mapped=tuple(mapped), missing=missing(WANTED, streams, gains),
-        warnings=(*_frame(content), *warnings),
-    )
+    mixer, gains, warnings = _input(reading)
+    return reading.log('an ArduPilot log', WANTED, mixer=mixer, armed=_armed(table), gains=gains,
+                       faster=FASTER, warnings=(*_frame(table), *warnings))
 
 
-def _armed(content: Content) -> Stream | None:
+def _armed(table: Table) -> Stream | None:
     """From each event on; before the first, what it ends."""
-    events = content.messages.get('EV')
-    if events is None:
-        return None
-    chosen = np.isin(events['Id'], (ARMED, DISARMED))
+    events = table.columns.get('EV.Id', np.zeros(0))
+    chosen = np.isin(events, (ARMED, DISARMED))
     if not chosen.any():
         return None
-    state = events['Id'][chosen, None] == ARMED
-    return Stream(np.r_[0.0, events['timestamp'][chosen] * 1e-6],
-                  1.0 * np.vstack([~state[:1], state]))
+    state = events[chosen, None] == ARMED
+    return Stream(np.r_[0.0, table.times['EV.Id'][chosen]], 1.0 * np.vstack([~state[:1], state]))
 
 
-def _load(path: Path) -> Content:
+def _load(path: Path) -> Table:
     rows: dict[str, list[dict[str, float]]] = {}
     parameters: dict[str, float] = {}
     with read_by_library(path, 'is not a whole dataflash log',
@@ -123,69 +130,59 @@ def _load(path: Path) -> Content:
                 parameters[str(message.Name)] = float(message.Value)
             elif kind not in FIRST_INSTANCE or not _instance(message):
                 rows.setdefault(kind, []).append(message.to_dict())
-        messages = {
-            kind: {
-                'timestamp' if name == 'TimeUS' else name:
-                np.array([row.get(name, np.nan) for row in some], dtype=float)
-                for name, value in some[0].items() if isinstance(value, int | float)
-            }
-            for kind, some in rows.items()
+        columns = {
+            f'{kind}.{name}': np.array([row.get(name, np.nan) for row in some], dtype=float)
+            for kind, some in rows.items() for name, value in some[0].items()
+            if isinstance(value, int | float)
         }
-    return Content(str(path), messages, parameters)
+    times = {name: columns[f'{name.partition(".")[0]}.TimeUS'] * 1e-6 for name in columns}
+    return Table(str(path), columns, times, header=parameters)
 
 
 def _instance(message: Any) -> int:
     return int(next((getattr(message, n) for n in INSTANCE if hasattr(message, n)), 0))
 
 
-def _input(
-    content: Content, rates: Stream, mapped: list[Mapped]
-) -> tuple[Given, dict[str, float], list[str]]:
-    """What a ForeignLog takes of commands, the gains in their unit, warnings."""
-    asked = content.stream('RATE', *OUTPUTS)
-    channels = _channels(content)
-    pulses = content.stream('RCOU', *channels)
-    if pulses is not None and motors_fast(pulses, rates, asked):
-        low = content.parameters.get('MOT_PWM_MIN', 0.0) or 1000.0
-        high = content.parameters.get('MOT_PWM_MAX', 0.0) or 2000.0
-        motors = Stream(pulses.time_s, np.clip((pulses.values - low) / (high - low), 0.0, 1.0))
+def _input(reading: Reading) -> tuple[Mixer | None, dict[str, float], list[str]]:
+    """Take the commands: their mixer, the gains in their unit, warnings."""
+    table = reading.table
+    channels = _channels(table)
+    pulses = _of('RCOU', *channels)
+    if reading.motors_fast(table.stream(*pulses), table.stream(*OUTPUTS.columns)):
+        low = table.header.get('MOT_PWM_MIN', 0.0) or 1000.0
+        high = table.header.get('MOT_PWM_MAX', 0.0) or 2000.0
         mixer, how = None, 'U by what the motion shows'
-        if len(channels) == len(MOTOR_ORDER) and not _frame(content):
+        if len(channels) == len(MOTOR_ORDER) and not _frame(table):
             mixer = mixer_at_places("ArduPilot's Quad X", MOTOR_ORDER, clockwise_rear_left=False)
             how = ('motors 2, 4, 1, 3 stand rear left, rear right, front right, front left; U by '
                    "the mixer's inverse, yaw by their sense of rotation")
-        mapped.append(Mapped(f'RCOU.{", ".join(channels)}', 'µs', '/control/wrench',
-                             f'(pulse - {low:g}) / {high - low:g}; {how}', pulses.rate_hz))
-        return {'motors': motors, 'mixer': mixer}, {}, [
+        reading.take(Wanted('motors', pulses, 'µs', f'(pulse - {low:g}) / {high - low:g}; {how}',
+                            lambda v: np.clip((v - low) / (high - low), 0.0, 1.0)))
+        return mixer, {}, [
             ("ArduPilot's gains are not carried over: between its outputs and the pulses stands a "
             'thrust curve (MOT_THST_EXPO)')
         ]
-    if asked is None:
+    reading.take(OUTPUTS)
+    if 'control' not in reading.streams:
         raise BadInputError(
-            content.source, 'holds no RCOU and no RATE messages',
-            ', '.join(sorted(content.messages)),
+            table.source, 'holds no RCOU and no RATE messages', table.messages,
             'set LOG_BITMASK to log fast attitude (bit 0) or RC output (bit 10) and log again',
         )
-    mapped.append(Mapped(
-        f'RATE.{", ".join(OUTPUTS)}', '-1..1', '/control/wrench',
-        'as they are, pitch and yaw turned; U is in the unit of these outputs', asked.rate_hz,
-    ))
-    return {'control': Stream(asked.time_s, asked.values * [1.0, *MIRROR])}, \
-        _gains(content), [ASKED_FOR]
+    return None, _gains(table), [ASKED_FOR]
 
 
-def _channels(content: Content) -> tuple[str, ...]:
+def _channels(table: Table) -> tuple[str, ...]:
     """RCOU columns of the motors, by SERVOn_FUNCTION where the log says it."""
-    count = MOTORS_OF_FRAME.get(int(content.parameters.get('FRAME_CLASS', QUAD)), 4)
-    found = {content.parameters.get(f'SERVO{n}_FUNCTION'): f'C{n}' for n in range(1, CHANNELS + 1)}
+    count = MOTORS_OF_FRAME.get(int(table.header.get('FRAME_CLASS', QUAD)), 4)
+    found = {table.header.get(f'SERVO{n}_FUNCTION'): f'C{n}' for n in range(1, CHANNELS + 1)}
     motors = [found.get(function) for function in MOTOR_FUNCTIONS[:count]]
     named = tuple(channel for channel in motors if channel is not None)
     return named if len(named) == count else tuple(f'C{i + 1}' for i in range(count))
 
 
-def _gains(content: Content) -> dict[str, float]:
+def _gains(table: Table) -> dict[str, float]:
     """The contract's names. ArduPilot differentiates the error, ours the rate: D is alike."""
-    return gains_of(content.parameters, {
+    return gains_of(table.header, {
         axis: (1.0, (
             ('angle.kp', f'ATC_ANG_{name}_P', 1.0), ('rate.kp', f'ATC_RAT_{name}_P', 1.0),
             ('rate.ki', f'ATC_RAT_{name}_I', 1.0), ('rate.kd', f'ATC_RAT_{name}_D', 1.0),
@@ -197,8 +194,8 @@ def _gains(content: Content) -> dict[str, float]:
     })
 
 
-def _frame(content: Content) -> tuple[str, ...]:
-    kind = content.parameters.get('FRAME_CLASS'), content.parameters.get('FRAME_TYPE')
+def _frame(table: Table) -> tuple[str, ...]:
+    kind = table.header.get('FRAME_CLASS'), table.header.get('FRAME_TYPE')
     if kind[0] is None or (kind[0], kind[1]) == (QUAD, X_FRAME):
         return ()
     return ((f'FRAME_CLASS {kind[0]:g}, FRAME_TYPE {kind[1] or 0:g} is not a quadrotor in X '

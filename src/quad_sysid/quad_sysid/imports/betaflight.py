@@ -11,7 +11,7 @@ from __future__ import annotations
 import csv
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -21,17 +21,15 @@ import numpy as np
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import read_by_library
-from quad_sysid.imports.clock import unroll
-from quad_sysid.imports.frames import MIRROR, mixer_at_places, ned_angles
-from quad_sysid.imports.log import ForeignLog, Mapped, Stream
-from quad_sysid.imports.mixers import Mixer
-from quad_sysid.imports.table import read_csv, text_lines
+from quad_sysid.imports.log import DEGREE, ForeignLog, Mapped, Reading, Wanted
+from quad_sysid.imports.mixers import MIRROR, Mixer, mixer_at_places, ned_angles
+from quad_sysid.imports.table import Table, read_csv, text_lines
+from quad_sysid.imports.units import header_unit, unit_of
 
 MOTOR_ORDER = (2, 0, 1, 3)
 """Motor at rear left, rear right, front right, front left in Quad X (1 rear right, 2 front right,
 3 rear left, 4 front left); the rear left one turns counter-clockwise unless the yaw motors are
 reversed (propellers out)."""
-DEGREE = np.pi / 180.0
 DSHOT = (48.0, 2047.0)
 PULSE_US = (1000.0, 2000.0)
 MOST_VOLTS = 100.0
@@ -53,23 +51,11 @@ FILTERS = (
 )
 """Header fields of gains and filters that the bag's notes keep."""
 FASTER = 'set blackbox_sample_rate (before 4.3 blackbox_p_ratio) to log 500 Hz or more'
-
-
-@dataclass(frozen=True)
-class _Table:
-    """Columns by name without unit, their units, and the header."""
-
-    source: str
-    columns: dict[str, FloatArray]
-    units: dict[str, str]
-    header: dict[str, str]
-
-    def several(self, name: str, count: int) -> FloatArray | None:
-        """(n, count) of `name[0]`, `name[1]`, …; None where one is missing."""
-        names = [f'{name}[{i}]' for i in range(count)]
-        if not names or any(one not in self.columns for one in names):
-            return None
-        return np.column_stack([self.columns[one] for one in names])
+NO_GAINS = (
+    "attitude set-point and gains of our form: Betaflight's loop has feed-forward and gains that "
+    'follow the throttle; no closed loop, no gain design (blackbox_decode --simulate-imu adds '
+    'angles)'
+)
 
 
 def read(path: Path, log: int = 1) -> ForeignLog:
@@ -77,68 +63,63 @@ def read(path: Path, log: int = 1) -> ForeignLog:
 
     Raises BadInputError naming file, line and column.
     """
-    table = _decoded(path, log) if _is_encoded(path) else _read(path)
-    indi = 'indiflight' in ' '.join(table.header.values()).lower() or 'u[0]' in table.columns
-    if 'time' not in table.columns:
-        raise BadInputError(table.source, 'lacks the column time',
-                            remedy='decode the log again with blackbox_decode')
-    factor = 1.0 if table.units.get('time') == 's' else 1e-6
-    unrolled = unroll(
-        table.columns['time'] * factor, np.column_stack(list(table.columns.values())),
-        f'{table.source}, column time',
-    )
-    time_s, keep = unrolled.time_s - unrolled.time_s[0] + 1.0, unrolled.rows
-    mapped: list[Mapped] = []
-    rate = 1.0 / float(np.median(np.diff(time_s)))
-    turned = indi and _points_down(table)
+    table, units = _decoded(path, log) if _is_encoded(path) else _read(path)
+    for name, remedy in (('time', 'decode the log again with blackbox_decode'),
+                         ('gyroADC[2]', 'log the gyro (blackbox_disable_gyro = OFF)')):
+        if name not in table.columns:
+            raise BadInputError(table.source, f'lacks the column {name}', remedy=remedy)
+    clock_unit = unit_of('time', 's' if units.get('time') == 's' else 'us', 'time')
+    table, clock = table.on_clock('time', clock_unit)
+    indi = 'indiflight' in ' '.join(map(str, table.header.values())).lower() or \
+        'u[0]' in table.columns
+    wanted = _wanted(table, units, indi=indi)
+    motors, mixer = _motors(table, indi=indi)
+    reading = Reading(table)
+    reading.take(*wanted, motors)
+    kept = ', '.join(f'{name} {table.header[name]}' for name in FILTERS if name in table.header)
+    reading.mapped += [Mapped('header', '-', 'note', kept)] if kept else []
+    return reading.log('a blackbox log', wanted, mixer=mixer, clock=clock, faster=FASTER,
+                       no_gains=NO_GAINS)
+
+
+def _several(name: str, count: int) -> tuple[str, ...]:
+    return tuple(f'{name}[{i}]' for i in range(count))
+
+
+def _wanted(table: Table, units: dict[str, str], *, indi: bool) -> tuple[Wanted, ...]:
+    """What is taken of a log besides the motors, by its header's units and scales."""
+    columns, said = table.columns, units.get('gyroADC[0]', '')
+    # whether the sensors' z axis points down, by the specific force in flight
+    turned = indi and bool(np.nanmean(columns.get('accSmooth[2]', np.zeros(1))) <= 0.0)
     frame = MIRROR if turned else np.ones(3)
-    how = 'pitch and yaw turned' if turned else 'the frame is ours'
+    scale = _rate_unit(table, said)
+    how = f'times {scale:.6g}; ' + ('pitch and yaw turned' if turned else 'the frame is ours')
 
-    def stream(values: FloatArray | None) -> Stream | None:
-        if values is None:
-            return None
-        rows = values[keep]
-        known = np.isfinite(rows).all(axis=1)
-        return Stream(time_s[known], rows[known]) if known.sum() > 1 else None
+    def volts(values: FloatArray) -> FloatArray:
+        hundredths = units.get('vbatLatest') != 'V' and float(np.median(values)) > MOST_VOLTS
+        return values * (1e-3 if units.get('vbatLatest') == 'mV' else
+                         0.01 if hundredths else 1.0)
 
-    gyro = table.several('gyroADC', 3)
-    if gyro is None:
-        raise BadInputError(str(path), 'lacks the columns gyroADC[0..2]',
-                            remedy='log the gyro (blackbox_disable_gyro = OFF)')
-    unit = table.units.get('gyroADC[0]', '')
-    factor = _rate_unit(table, unit)
-    mapped.append(Mapped('gyroADC[0..2]', unit or 'deg/s', '/imu/data angular_velocity',
-                         f'times {factor:.6g}; {how}', rate))
-    motors, mixer, told = _motors(table, indi=indi)
-    mapped.append(Mapped(*told, rate))
-    setpoint = next((found for name in ('setpoint', 'axisRate', 'gyroSp')
-                     if (found := table.several(name, 3)) is not None), None)
-    if setpoint is not None:
-        mapped.append(Mapped('setpoint[0..2]', 'deg/s', '/setpoint/rates',
-                             f'times {factor:.6g}; {how}', rate))
-        setpoint = setpoint * factor * frame
-    acceleration, by = _acceleration(table)
-    if acceleration is not None:
-        acceleration = acceleration * frame
-        mapped.append(Mapped('accSmooth[0..2]', 'raw', '/imu/data linear_acceleration', by, rate))
-    angles = _angles(table, mapped, rate)
-    volts = _volts(table, mapped, rate)
-    header = ', '.join(f'{name} {table.header[name]}' for name in FILTERS if name in table.header)
-    if header:
-        mapped.append(Mapped('header', '-', 'note', header))
-    return ForeignLog(
-        source=str(path), kind='a blackbox log', rates=stream(gyro * factor * frame),
-        motors=stream(motors), mixer=mixer, mapped=tuple(mapped), clock=unrolled.told,
-        rate_setpoint=stream(setpoint), acceleration=stream(acceleration), angles=stream(angles),
-        battery=stream(None if volts is None else volts[:, None]), faster=FASTER,
-        missing=_missing(angles, volts),
-    )
-
-
-def _points_down(table: _Table) -> bool:
-    """Whether the sensors' z axis points down, by the specific force in flight."""
-    lift = table.columns.get('accSmooth[2]', np.zeros(1))
-    return bool(np.nanmean(lift) <= 0.0)
+    largest = np.nanmax(np.abs(columns.get('roll', np.zeros(1))))
+    degrees = units.get('roll') == 'deg' or (not units.get('roll') and largest > np.pi)
+    out = [
+        Wanted('rates', _several('gyroADC', 3), said or 'deg/s', how, lambda v: v * scale * frame),
+        *(Wanted('rate_setpoint', _several(name, 3), 'deg/s', how, lambda v: v * scale * frame)
+          for name in ('setpoint', 'axisRate', 'gyroSp')),
+        Wanted('angles', _several('quat', 4), 'raw', 'FRD in NED to FLU in ENU',
+               lambda v: ned_angles(v / UNIT_AS_INTEGER)),
+        _angles(('roll', 'pitch', 'heading'), *(('deg', DEGREE) if degrees else ('rad', 1.0))),
+        _angles(_several('attitude', 3), '0.1 deg', 0.1 * DEGREE),
+        *(Wanted('battery', (name,), units.get(name) or 'raw', 'to V', volts)
+          for name in ('vbatLatest', 'vbat')),
+    ]
+    unit = units.get('accSmooth[0]', '')
+    counts = {'m/s2': ONE_G, 'm/s/s': ONE_G, 'g': 1.0}.get(unit) or float(
+        table.header.get('acc_1G') or 2048)
+    if counts > 0.0:  # else a board without an accelerometer
+        out.append(Wanted('acceleration', _several('accSmooth', 3), unit or 'raw',
+                          f'{counts:g} are {ONE_G} m/s²', lambda v: v * (ONE_G / counts) * frame))
+    return tuple(out)
 
 
 def _is_encoded(path: Path) -> bool:
@@ -146,7 +127,7 @@ def _is_encoded(path: Path) -> bool:
         return stream.read(2) == b'H '
 
 
-def _decoded(path: Path, log: int) -> _Table:
+def _decoded(path: Path, log: int) -> tuple[Table, dict[str, str]]:
     """One log of an encoded file, by orangebox."""
     try:
         from orangebox import Parser
@@ -171,8 +152,8 @@ def _decoded(path: Path, log: int) -> _Table:
                             f'choose another of {count} with --log')
     array = np.array(rows, dtype=float)
     header = {str(k): _plain(v) for k, v in parser.headers.items()}
-    return _Table(f'{path}, log {log} of {count}',
-                  {names[i]: array[:, k] for k, i in enumerate(places)}, {}, header)
+    columns = {names[i]: array[:, k] for k, i in enumerate(places)}
+    return Table(f'{path}, log {log} of {count}', columns, header=header), {}
 
 
 def _frames(parser: Any, places: Sequence[int], width: int) -> list[list[float]]:
@@ -197,7 +178,7 @@ def _plain(value: object) -> str:
     return ','.join(map(str, value)) if isinstance(value, list | tuple) else str(value)
 
 
-def _rate_unit(table: _Table, unit: str) -> float:
+def _rate_unit(table: Table, unit: str) -> float:
     """rad/s per unit of gyroADC: degrees, tenths of them, or counts times the header's scale."""
     if unit == 'rad/s':
         return 1.0
@@ -213,61 +194,56 @@ def _rate_unit(table: _Table, unit: str) -> float:
     return DEGREE * (value if 1e-3 < value < 1.0 else 1.0)
 
 
-def _read(path: Path) -> _Table:
+def _read(path: Path) -> tuple[Table, dict[str, str]]:
+    """The wanted columns of a text, named without their units, and the units."""
     header: dict[str, str] = {}
     with text_lines(path) as lines:
         rows = ((n, line, next(csv.reader([line]))) for n, line in enumerate(lines, 1))
         for number, line, row in rows:
             cells = [cell.strip() for cell in row]
             if cells[:1] == ['loopIteration']:
-                wanted = {cell: cell.partition(' (') for cell in cells if _bare(cell) in WANTED}
-                read = read_csv(chain([line], lines), str(path), list(wanted), number)
+                bare = {cell: cell.partition(' (')[0] for cell in cells}
+                bare = {cell: name for cell, name in bare.items()
+                        if name.partition('[')[0] in WANTED}
+                read = read_csv(chain([line], lines), str(path), list(bare), number)
                 break
             if len(cells) == 2:
                 header[cells[0]] = cells[1]
-    return _Table(
-        str(path), {wanted[cell][0]: values for cell, values in read.columns.items()},
-        {name: unit.rstrip(')') for name, _, unit in wanted.values()}, header,
-    )
+    units = {name: header_unit(cell) or '' for cell, name in bare.items()}
+    columns = {bare[cell]: values for cell, values in read.columns.items()}
+    return Table(str(path), columns, header=header), units
 
 
-def _bare(cell: str) -> str:
-    """`gyroADC` of `gyroADC[0] (deg/s)`."""
-    return cell.partition(' (')[0].partition('[')[0]
-
-
-def _motors(
-    table: _Table, *, indi: bool
-) -> tuple[FloatArray, Mixer | None, tuple[str, str, str, str]]:
-    """Motor commands (n, k) 0..1, their mixer, and its description."""
+def _motors(table: Table, *, indi: bool) -> tuple[Wanted, Mixer | None]:
+    """Motor commands (n, k) 0..1, and their mixer."""
     name = 'u' if 'u[0]' in table.columns else 'motor'
-    slots = [f'{name}[{i}]' for i in range(8) if f'{name}[{i}]' in table.columns]
-    used = [slot for slot in slots if np.nanmax(table.columns[slot]) > 0.0]
-    count = len(used if name == 'u' else slots)
-    raw = table.several(name, count)
-    if raw is None or count < 2:
+    slots = [slot for slot in _several(name, 8) if slot in table.columns]
+    used = [slot for slot in slots if name == 'motor' or np.nanmax(table.columns[slot]) > 0.0]
+    count = len(used)
+    columns = _several(name, count)
+    if count < 2 or not set(columns) <= set(slots):
         raise BadInputError(table.source, 'needs the columns motor[0], motor[1], …')
     if name == 'u':
-        motors, how = np.clip(raw / UNIT_AS_INTEGER, 0.0, 1.0), f'over {UNIT_AS_INTEGER:g}'
+        low, high, why = 0.0, UNIT_AS_INTEGER, 'the largest number'
     else:
-        low, high, why = _motor_range(table, raw)
-        motors = np.clip((raw - low) / (high - low), 0.0, 1.0)
-        how = f'(motor - {low:g}) / {high - low:g} ({why})'
+        low, high, why = _motor_range(table, np.array([table.columns[one] for one in columns]))
+    how, mixer = f'({name} - {low:g}) / {high - low:g} ({why}); U by ', None
     if indi or count != len(MOTOR_ORDER):
-        return motors, None, (f'{name}[0..{count - 1}]', 'raw', '/control/wrench',
-                              f'{how}; U by what the motion shows')
-    said = table.header.get('yaw_motors_reversed', '').strip()
-    mixer = mixer_at_places("Betaflight's Quad X", MOTOR_ORDER, clockwise_rear_left=said == '1')
-    mixer = replace(mixer, unsaid=() if said else ('yaw',))
-    turn = 'propellers out' if said == '1' else 'propellers in'
-    turn += '' if said else ', or as the motion shows (the header does not say)'
-    return motors, mixer, (f'{name}[0..3]', 'raw', '/control/wrench', (
-        f'{how}; motors 3, 1, 2, 4 stand rear left, rear right, front right, front left; U by the '
-        f"mixer's inverse, yaw for {turn}"
-    ))
+        how += 'what the motion shows'
+    else:
+        said = table.header.get('yaw_motors_reversed', '').strip()
+        mixer = replace(
+            mixer_at_places("Betaflight's Quad X", MOTOR_ORDER, clockwise_rear_left=said == '1'),
+            unsaid=() if said else ('yaw',),
+        )
+        how += ("the mixer's inverse: motors 3, 1, 2, 4 stand rear left, rear right, front right, "
+                f'front left, propellers {"out" if said == "1" else "in"}')
+        how += '' if said else ', or as the motion shows (the header does not say)'
+    return Wanted('motors', columns, 'raw', how,
+                  lambda v: np.clip((v - low) / (high - low), 0.0, 1.0)), mixer
 
 
-def _motor_range(table: _Table, raw: FloatArray) -> tuple[float, float, str]:
+def _motor_range(table: Table, raw: FloatArray) -> tuple[float, float, str]:
     parts = table.header.get('motorOutput', '').split(',')
     if len(parts) == 2 and float(parts[1]) > float(parts[0]):
         return float(parts[0]), float(parts[1]), 'motorOutput of the header'
@@ -278,71 +254,13 @@ def _motor_range(table: _Table, raw: FloatArray) -> tuple[float, float, str]:
     return *PULSE_US, 'pulses of 1000 to 2000 µs, judging by the values'
 
 
-def _acceleration(table: _Table) -> tuple[FloatArray | None, str]:
-    raw = table.several('accSmooth', 3)
-    if raw is None:
-        return None, ''
-    unit = table.units.get('accSmooth[0]', '')
-    if unit in ('m/s2', 'm/s/s'):
-        return raw, 'as it is'
-    if unit == 'g':
-        return raw * ONE_G, f'times {ONE_G}'
-    counts = float(table.header.get('acc_1G') or 2048)
-    if counts <= 0.0:  # a board without an accelerometer
-        return None, ''
-    return raw * (ONE_G / counts), f'{counts:g} counts are {ONE_G} m/s²'
+def _angles(columns: tuple[str, ...], unit: str, factor: float) -> Wanted:
+    """Roll, pitch and the heading, as blackbox_decode simulates or Betaflight logs them."""
 
+    def convert(values: FloatArray) -> FloatArray:
+        raw = values * [1.0, 1.0, -1.0] * factor
+        raw[:, 2] = np.unwrap(raw[:, 2] + 0.5 * np.pi)
+        return np.asarray(raw)
 
-def _angles(table: _Table, mapped: list[Mapped], rate: float) -> FloatArray | None:
-    """Roll, pitch, yaw, rad: as blackbox_decode simulates or Betaflight logs them."""
-    columns = table.columns
-    quaternion = table.several('quat', 4)
-    if quaternion is not None:
-        mapped.append(Mapped('quat[0..3]', 'raw', '/imu/data orientation',
-                             'FRD in NED to FLU in ENU', rate))
-        return ned_angles(quaternion / UNIT_AS_INTEGER)
-    if all(name in columns for name in ('roll', 'pitch', 'heading')):
-        factor = DEGREE if _in_degrees(table) else 1.0
-        raw = np.column_stack([columns['roll'], columns['pitch'], -columns['heading']]) * factor
-        source, unit = 'roll, pitch, heading', 'deg' if factor != 1.0 else 'rad'
-    else:
-        logged = table.several('attitude', 3)
-        if logged is None:
-            return None
-        raw = logged * (0.1 * DEGREE) * np.array([1.0, 1.0, -1.0])
-        source, unit = 'attitude[0..2]', '0.1 deg'
-    mapped.append(Mapped(source, unit, '/imu/data orientation',
-                         'to rad; heading clockwise from north to yaw from east', rate))
-    raw[:, 2] = np.unwrap(raw[:, 2] + 0.5 * np.pi)
-    return np.asarray(raw)
-
-
-def _in_degrees(table: _Table) -> bool:
-    unit = table.units.get('roll', '')
-    return unit == 'deg' or (not unit and bool(np.nanmax(np.abs(table.columns['roll'])) > np.pi))
-
-
-def _volts(table: _Table, mapped: list[Mapped], rate: float) -> FloatArray | None:
-    raw = table.columns.get('vbatLatest', table.columns.get('vbat'))
-    if raw is None or not np.isfinite(raw).any():
-        return None
-    factor = 1.0
-    unit = table.units.get('vbatLatest', '')
-    if unit == 'mV':
-        factor = 1e-3
-    elif unit != 'V' and float(np.nanmedian(raw)) > MOST_VOLTS:
-        factor = 0.01
-    mapped.append(Mapped('vbatLatest', unit or 'raw', '/battery', f'times {factor:g}', rate))
-    return raw * factor
-
-
-def _missing(angles: FloatArray | None, volts: FloatArray | None) -> tuple[str, ...]:
-    lacks = (
-        (angles, 'angles (blackbox_decode --simulate-imu gives them): no effects of the angle'),
-        (volts, 'vbatLatest: battery sag cannot be told'),
-    )
-    return (
-        *(text for found, text in lacks if found is None),
-        ("attitude set-point and gains of our form: Betaflight's loop has feed-forward and gains "
-        'that follow the throttle; no closed loop, no gain design'),
-    )
+    return Wanted('angles', columns, unit,
+                  'to rad; heading clockwise from north to yaw from east', convert)

@@ -30,7 +30,7 @@ def add(commands: Commands) -> None:
         '--time t --motors m1,m2,m3,m4 --mixer auto --rate gx,gy,gz --unit gx=deg/s --out bag/',
     )
     parser.add_argument('file', metavar='FILE', type=Path,
-                        help='.ulg, .bin, .bbl, .bfl, blackbox CSV, CSV, .parquet, ROS 1 .bag, '
+                        help='.ulg, .bin, .bbl, .bfl, blackbox CSV, CSV, ROS 1 .bag, '
                         "a Crazyflie's SD card log; tables also gzipped")
     parser.add_argument('--out', metavar='BAG', type=Path,
                         help='without it, the contents are listed and nothing is written')

@@ -19,6 +19,8 @@ from quad_sysid.record import finite_runs
 BACK = 5.0
 """Usual intervals by which rows may go back in time and are sorted; further back, the clock was
 set and another experiment begins."""
+EPOCH_S = 1e8
+"""Times beyond this count as seconds since 1970; others start at one second."""
 JUMP_S, JUMP_INTERVALS = 10.0, 20.0
 """Forward jump (s, and usual intervals) from which another experiment begins."""
 FEWEST = 20
@@ -53,7 +55,7 @@ class Unrolled:
     rows: np.ndarray
     """(m,) indices of the given rows, in order of time."""
     time_s: FloatArray
-    """(m,) strictly increasing."""
+    """(m,) strictly increasing, from one second on if they do not count from 1970."""
     told: tuple[str, ...]
 
 
@@ -109,6 +111,7 @@ def unroll(time_s: FloatArray, values: FloatArray, where: str) -> Unrolled:
         told.append(f'{jumps} jumps of the clock: {jumps + 1} experiments, placed {pause:.3g} s '
                     'apart')
     kept, moment = _spread(np.concatenate(long), np.concatenate(moments), told)
+    moment = moment if moment[0] > EPOCH_S else moment - moment[0] + 1.0
     return Unrolled(kept, moment, tuple(told))
 
 

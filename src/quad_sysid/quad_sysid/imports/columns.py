@@ -14,12 +14,12 @@ import numpy as np
 
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.errors import BadInputError
-from quad_sysid.imports.clock import cycles, draw, unroll
+from quad_sysid.imports.clock import cycles, draw
 from quad_sysid.imports.log import ForeignLog, Mapped, Stream
 from quad_sysid.imports.mixers import mixer_of
 from quad_sysid.imports.plausible import Column, check_rate, check_reference, check_times
 from quad_sysid.imports.table import Table, open_table
-from quad_sysid.imports.to_bag import EPOCH_S, MIDDLE_COMMAND
+from quad_sysid.imports.to_bag import MIDDLE_COMMAND
 from quad_sysid.imports.units import OPTIONS, Role, Unit, flag, header_unit, unit_of
 
 ANGLE_LIMIT = {'roll': np.pi, 'pitch': 0.5 * np.pi, 'yaw': np.inf}
@@ -65,50 +65,6 @@ def parse_units(items: list[str]) -> dict[str, str]:
     return units
 
 
-@dataclass(frozen=True)
-class _Source:
-    """The table's columns as streams in SI."""
-
-    options: ColumnOptions
-    table: Table
-    units: Mapping[str, Unit]
-    time_s: FloatArray | None
-    """(m,) time of the rows in use, s; None where columns have their own times."""
-    rows: np.ndarray
-
-    def stream(self, names: tuple[str, ...]) -> Stream | None:
-        """(n, k) where all of the columns have a number; None for no names.
-
-        Columns with their own times are interpolated at those of the first.
-        """
-        if not names:
-            return None
-        if self.time_s is None:
-            streams = [self._alone(name) for name in names]
-            base = streams[0].time_s
-            values = np.column_stack([
-                s.values if np.array_equal(s.time_s, base)
-                else draw(s, base, 3.0 / s.rate_hz) for s in streams
-            ])
-            times = base
-        else:
-            times = self.time_s
-            values = np.column_stack([
-                self.units[n](self.table.columns[n])[self.rows] for n in names
-            ])
-        known = np.isfinite(values).all(axis=1)
-        if known.sum() < 2:
-            raise BadInputError(self.table.source, 'has no two rows with a number in each of',
-                                ', '.join(names), 'name other columns')
-        return Stream(times[known], values[known])
-
-    def _alone(self, name: str) -> Stream:
-        times, values = self.table.times[name], self.units[name](self.table.columns[name])
-        order = np.argsort(times, kind='stable')
-        order = order[np.concatenate(([True], np.diff(times[order]) > 0.0))]
-        return Stream(times[order], values[order][:, None])
-
-
 def read_columns(options: ColumnOptions) -> ForeignLog:
     """Read the named columns; raises BadInputError naming file, line and column."""
     roles = _roles(options)
@@ -116,38 +72,43 @@ def read_columns(options: ColumnOptions) -> ForeignLog:
     table = open_table(options.file, list(roles))
     odd: list[str] = []
     clock: tuple[str, ...] = ()
-    time_s, rows = None, np.arange(0)
     if options.time is not None:
-        where = f'{options.file}, column {options.time}'
-        data = np.column_stack([table.columns[n] for n in roles if n != options.time])
-        seconds = units[options.time](table.columns[options.time])
-        unrolled = unroll(seconds, data, where)
-        time_s, rows, clock = unrolled.time_s, unrolled.rows, unrolled.told
-        if time_s[0] < EPOCH_S:
-            time_s = time_s - time_s[0] + 1.0
+        _check_ranges(options, table, units)
         speeds = [np.nanstd(units[name](table.columns[name])) for name in options.rate]
-        odd += check_times(_column(options, units, options.time, time_s),
+        table, clock = table.on_clock(options.time, units[options.time])
+        odd += check_times(_column(options, units, options.time, next(iter(table.times.values()))),
                            max(map(float, speeds), default=None))
     elif any(name not in table.times for name in roles):
         raise BadInputError(f'{options.file}', 'is a table, which needs --time',
                             remedy='quad-sysid import FILE alone proposes one')
-    source = _Source(options, table, units, time_s, rows)
-    rate, angle, reference = (
-        source.stream(names) for names in (options.rate, options.angle, options.reference)
-    )
-    _check_ranges(options, table, units)
-    odd += _compared(options, units, rate, angle, reference)
+    found = {option: _stream(table, units, options.names(option)) for option in OPTIONS
+             if option != 'time'}
+    if options.time is None:
+        _check_ranges(options, table, units)
+    odd += _compared(options, units, found)
     return ForeignLog(
         source=str(options.file), kind='a table', axes=options.axes,
-        rates=_placed(options, rate), angles=_placed(options, angle),
-        control=_wrench(source), motors=source.stream(options.motors),
+        rates=_placed(options, found['rate']), angles=_placed(options, found['angle']),
+        attitude_setpoint=_placed(options, found['reference']),
+        rate_setpoint=_placed(options, found['rate_reference']),
+        control=_wrench(options, _stream(
+            table, units, options.control and (*options.control, *options.names('thrust')))),
+        motors=found['motors'],
         mixer=None if not options.motors or options.mixer == 'auto'
         else mixer_of(options.mixer, options.motors),
-        attitude_setpoint=_placed(options, reference),
-        rate_setpoint=_placed(options, source.stream(options.rate_reference)),
-        battery=source.stream(options.names('battery')),
-        mapped=_mapped(options, roles, units), checks=tuple(odd), clock=clock,
+        battery=found['battery'], mapped=_mapped(options, roles, units), checks=tuple(odd),
+        clock=clock,
     )
+
+
+def _stream(table: Table, units: Mapping[str, Unit], names: tuple[str, ...]) -> Stream | None:
+    """(n, k) in SI where all of the columns have a number; None for no names."""
+    found = table.stream(*names)
+    if names and found is None:
+        raise BadInputError(table.source, 'has no two rows with a number in each of',
+                            ', '.join(names), 'name other columns')
+    return found and Stream(found.time_s, np.column_stack([
+        units[name](found.values[:, i]) for i, name in enumerate(names)]))
 
 
 def _placed(options: ColumnOptions, stream: Stream | None) -> Stream | None:
@@ -159,12 +120,8 @@ def _placed(options: ColumnOptions, stream: Stream | None) -> Stream | None:
     return Stream(stream.time_s, out)
 
 
-def _wrench(source: _Source) -> Stream | None:
-    """U1..U4 (n, 4) of control columns: U1 from the thrust, else in the middle."""
-    options = source.options
-    if not options.control:
-        return None
-    given = source.stream((*options.control, *options.names('thrust')))
+def _wrench(options: ColumnOptions, given: Stream | None) -> Stream | None:
+    """U1..U4 (n, 4) of control columns, the thrust behind them: U1 in the middle without it."""
     if given is None:
         return None
     out = np.zeros((len(given.values), 4))
@@ -262,33 +219,29 @@ def _column(
     return Column(str(options.file), name, unit, named, values, degrees)
 
 
-def _compared(
-    options: ColumnOptions, units: Mapping[str, Unit],
-    rate: Stream | None, angle: Stream | None, reference: Stream | None,
-) -> list[str]:
+def _compared(options: ColumnOptions, units: Mapping[str, Unit],
+              found: Mapping[str, Stream | None]) -> list[str]:
     """Compare rates, angles and references; disagreements in words."""
-    base = rate or angle
+    base = found['rate'] or found['angle']
     if base is None:
         return []
     laid = cycles(base)
     on_grid = {
-        names: None if stream is None else
-        laid.values if stream is base else draw(stream, laid.times, 3.0 / stream.rate_hz)
-        for names, stream in (('rate', rate), ('angle', angle), ('reference', reference))
+        role: laid.values if stream is base else draw(stream, laid.times, 3.0 / stream.rate_hz)
+        for role in ('rate', 'angle', 'reference') if (stream := found[role]) is not None
     }
     odd = []
     for i, axis in enumerate(options.axes):
         columns = {
-            role: None if values is None else
-            _column(options, units, getattr(options, role)[i], values[:, i],
-                    'deg/s' if role == 'rate' else 'deg')
+            role: _column(options, units, getattr(options, role)[i], values[:, i],
+                          'deg/s' if role == 'rate' else 'deg')
             for role, values in on_grid.items()
         }
-        if columns['angle'] is not None:
+        if 'angle' in columns:
             _check_angle(columns['angle'], axis)
-        if columns['rate'] is not None:
-            odd += check_rate(columns['rate'], columns['angle'], laid.dt)
-        if columns['reference'] is not None and columns['angle'] is not None:
+        if 'rate' in columns:
+            odd += check_rate(columns['rate'], columns.get('angle'), laid.dt)
+        if 'reference' in columns and 'angle' in columns:
             check_reference(columns['reference'], columns['angle'])
     return odd
 

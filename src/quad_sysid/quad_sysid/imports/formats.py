@@ -21,7 +21,7 @@ HEAD = 65536
 
 @dataclass(frozen=True)
 class Format:
-    """A format of logs. A file that none recognises is a table: CSV, Parquet, a ROS 1 bag."""
+    """A format of logs. A file that none recognises is a table: CSV, an SD card, a bag."""
 
     name: str
     """With its article, such as `a PX4 log`."""

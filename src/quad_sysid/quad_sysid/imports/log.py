@@ -1,19 +1,43 @@
 """A foreign log as read: streams in SI units and our frames, and the table of fields.
 
-Readers (px4.py, ardupilot.py, betaflight.py, columns.py) make it, to_bag.py lays it on one grid.
-No files.
+A reader (px4.py, ardupilot.py, betaflight.py) opens its file as a Table and says with rows of
+Wanted what each column is; columns.py takes that from the user. to_bag.py lays the result on one
+grid. No files.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TypedDict
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.imports.mixers import Mixer
+
+if TYPE_CHECKING:
+    from quad_sysid.imports.table import Table
+
+DEGREE = np.pi / 180.0
+TOPICS = {
+    'rates': '/imu/data angular_velocity', 'angles': '/imu/data orientation',
+    'acceleration': '/imu/data linear_acceleration', 'attitude_setpoint': '/setpoint/attitude',
+    'rate_setpoint': '/setpoint/rates', 'battery': '/battery', 'control': '/control/wrench',
+    'motors': '/control/wrench',
+}
+"""Topic of each stream of ForeignLog."""
+LACKING = {
+    'angles': 'no effects of the angle, no closed loop',
+    'attitude_setpoint': 'no indirect approach, no closed loop',
+    'rate_setpoint': 'the pictures lack the rate reference',
+    'battery': 'no battery sag',
+}
+"""What cannot be done without a stream."""
+NO_GAINS = "the controller's gains: no closed loop, no gain design"
+ASKED_FOR = 'the input is what the controller demanded: the limits of the motors are not in it'
+FAST_ENOUGH = 0.5
+"""Share of the rates' rate at which motors must be logged to be taken as the input."""
 
 
 @dataclass(frozen=True)
@@ -29,14 +53,6 @@ class Stream:
         steps = np.diff(self.time_s)
         usual = float(np.median(steps)) if steps.size else 0.0
         return 1.0 / usual if usual > 0.0 else 0.0
-
-
-class Given(TypedDict, total=False):
-    """The commands of a log: `control`, or `motors` with their mixer."""
-
-    control: Stream
-    motors: Stream
-    mixer: Mixer | None
 
 
 @dataclass(frozen=True)
@@ -95,3 +111,75 @@ class ForeignLog:
     """Settings of the firmware with which the next flight is logged fast enough."""
     clock: tuple[str, ...] = ()
     """Repairs of the times so far."""
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """A stream of the contract in columns of a log."""
+
+    role: str
+    """Field of ForeignLog, a key of TOPICS."""
+    columns: tuple[str, ...]
+    unit: str
+    how: str
+    """The conversion in words."""
+    convert: Callable[[FloatArray], FloatArray] = np.asarray
+    """(n, k) columns → values of the ForeignLog."""
+
+
+@dataclass
+class Reading:
+    """A table on its way to a ForeignLog: what was taken from it so far."""
+
+    table: Table
+    streams: dict[str, Stream] = field(default_factory=dict)
+    mapped: list[Mapped] = field(default_factory=list)
+
+    def take(self, *wanted: Wanted) -> None:
+        """Take the first of each role whose columns were logged."""
+        for one in wanted:
+            found = None if one.role in self.streams else self.table.stream(*one.columns)
+            if found is not None:
+                self.put(one, Stream(found.time_s, one.convert(found.values)))
+
+    def put(self, one: Wanted, found: Stream) -> None:
+        """Take a stream that was made of the columns of `one`."""
+        message = one.columns[0].rpartition('.')[0]
+        fields = dict.fromkeys(name.removeprefix(f'{message}.').partition('[')[0]
+                               for name in one.columns)
+        source = '.'.join(filter(None, (message, ', '.join(fields))))
+        self.streams[one.role] = found
+        self.mapped.append(Mapped(source, one.unit, TOPICS[one.role], one.how, found.rate_hz))
+
+    def log(self, kind: str, wanted: Sequence[Wanted], **more: Any) -> ForeignLog:
+        """The log, with what is missing of `wanted`; `more` are its other fields."""
+        first = {one.role: one.columns[0].rpartition('.')[0] or one.columns[0]
+                 for one in reversed(wanted)}
+        lacking = [f'{first[role]}: {text}' for role, text in LACKING.items()
+                   if role in first and role not in self.streams]
+        lacking += [] if more.get('gains') else [more.pop('no_gains', NO_GAINS)]
+        return ForeignLog(self.table.source, kind, **{'rates': None, **self.streams, **more},
+                          mapped=tuple(self.mapped), missing=tuple(lacking))
+
+    def motors_fast(self, motors: Stream | None, asked: Stream | None) -> bool:
+        """Whether the motors are the input, not what the controller asked for."""
+        return motors is not None and (
+            asked is None or motors.rate_hz >= FAST_ENOUGH * self.streams['rates'].rate_hz)
+
+
+def gains_of(
+    known: Mapping[str, float], axes: Mapping[str, tuple[float, Sequence[tuple[str, str, float]]]]
+) -> dict[str, float]:
+    """The contract's gains from the firmware's parameters.
+
+    By axis: the limit of the controller's output, and rows of the contract's name, the
+    parameter's name and a factor. Limits and filters of 0 are none.
+    """
+    out: dict[str, float] = {}
+    for axis, (limit, rows) in axes.items():
+        for ours, theirs, factor in rows:
+            if theirs in known and (known[theirs] > 0.0 or not ours.endswith(('limit', '_hz'))):
+                out[f'{axis}.{ours}'] = float(known[theirs] * factor)
+        if f'{axis}.rate.kp' in out:
+            out[f'{axis}.rate.output_limit'] = float(limit)
+    return out

@@ -14,23 +14,16 @@ import numpy as np
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import read_by_library
-from quad_sysid.imports.firmware import (
-    ASKED_FOR,
-    Content,
-    Wanted,
-    gains_of,
-    missing,
-    motors_fast,
-)
-from quad_sysid.imports.frames import (
+from quad_sysid.imports.log import ASKED_FOR, ForeignLog, Reading, Stream, Wanted, gains_of
+from quad_sysid.imports.mixers import (
     MIRROR,
+    Mixer,
     mirrored,
     mixer_at_places,
     ned_angles,
     order_by_places,
 )
-from quad_sysid.imports.log import ForeignLog, Given, Mapped, Stream
-from quad_sysid.imports.mixers import Mixer
+from quad_sysid.imports.table import Table
 
 MOTOR_ORDER = (1, 3, 0, 2)
 """Motor at rear left, rear right, front right, front left in PX4's Quad X (1 front right, 2 rear
@@ -44,125 +37,133 @@ LINEAR = 0.98
 FASTER = 'set SDLOG_PROFILE to high rate (bit 2) or system identification (bit 3)'
 
 
+def _of(topic: str, *fields: str) -> tuple[str, ...]:
+    return tuple(f'{topic}.{field}' for field in fields)
+
+
+def _vector(topic: str, field: str, size: int = 3) -> tuple[str, ...]:
+    return _of(topic, *(f'{field}[{i}]' for i in range(size)))
+
+
 WANTED = (
-    Wanted('rates', 'vehicle_angular_velocity', ('xyz[0]', 'xyz[1]', 'xyz[2]'), 'rad/s',
+    Wanted('rates', _vector('vehicle_angular_velocity', 'xyz'), 'rad/s',
            'FRD to FLU: pitch and yaw turned', mirrored),
-    Wanted('rates', 'sensor_combined', tuple(f'gyro_rad[{i}]' for i in range(3)), 'rad/s',
+    Wanted('rates', _vector('sensor_combined', 'gyro_rad'), 'rad/s',
            'FRD to FLU: pitch and yaw turned', mirrored),
-    Wanted('angles', 'vehicle_attitude', tuple(f'q[{i}]' for i in range(4)), '1',
-           'FRD in NED to FLU in ENU', ned_angles),
-    Wanted('acceleration', 'vehicle_acceleration', ('xyz[0]', 'xyz[1]', 'xyz[2]'), 'm/s²',
-           'y and z turned', mirrored),
-    Wanted('acceleration', 'sensor_combined', tuple(f'accelerometer_m_s2[{i}]' for i in range(3)),
-           'm/s²', 'y and z turned', mirrored),
-    Wanted('attitude_setpoint', 'vehicle_attitude_setpoint', tuple(f'q_d[{i}]' for i in range(4)),
-           '1', 'FRD in NED to FLU in ENU', ned_angles),
-    Wanted('rate_setpoint', 'vehicle_rates_setpoint', AXES, 'rad/s', 'pitch and yaw turned',
+    Wanted('angles', _vector('vehicle_attitude', 'q', 4), '1', 'FRD in NED to FLU in ENU',
+           ned_angles),
+    Wanted('acceleration', _vector('vehicle_acceleration', 'xyz'), 'm/s²', 'y and z turned',
            mirrored),
-    Wanted('battery', 'battery_status', ('voltage_v',), 'V', 'as it is'),
+    Wanted('acceleration', _vector('sensor_combined', 'accelerometer_m_s2'), 'm/s²',
+           'y and z turned', mirrored),
+    Wanted('attitude_setpoint', _vector('vehicle_attitude_setpoint', 'q_d', 4), '1',
+           'FRD in NED to FLU in ENU', ned_angles),
+    Wanted('rate_setpoint', _of('vehicle_rates_setpoint', *AXES), 'rad/s',
+           'pitch and yaw turned', mirrored),
+    Wanted('battery', _of('battery_status', 'voltage_v'), 'V', 'as it is'),
 )
 TOPICS = (
-    *dict.fromkeys(one.message for one in WANTED), 'actuator_motors', 'vehicle_torque_setpoint',
-    'vehicle_thrust_setpoint', 'actuator_controls_0', 'actuator_armed', 'vehicle_status',
+    *dict.fromkeys(one.columns[0].partition('.')[0] for one in WANTED), 'actuator_motors',
+    'vehicle_torque_setpoint', 'vehicle_thrust_setpoint', 'actuator_controls_0', 'actuator_armed',
+    'vehicle_status',
 )
 
 
 def read(path: Path) -> ForeignLog:
     """Read a .ulg file; raises BadInputError where it is damaged or lacks rates or commands."""
-    content = _load(path)
-    mapped: list[Mapped] = []
-    streams = content.streams(WANTED, mapped)
-    if 'rates' not in streams:
+    table = _load(path)
+    reading = Reading(table)
+    reading.take(*WANTED)
+    if 'rates' not in reading.streams:
         raise BadInputError(
-            content.source, 'holds no vehicle_angular_velocity and no sensor_combined',
-            ', '.join(sorted(content.messages)) or 'no topic of use',
+            table.source, 'holds no vehicle_angular_velocity and no sensor_combined',
+            table.messages or 'no topic of use',
             'set SDLOG_PROFILE to high rate or system identification and log again',
         )
-    given, gains, warnings = _input(content, streams['rates'], mapped)
-    return ForeignLog(
-        source=str(path), kind='a PX4 log', **streams, **given, armed=_armed(content),
-        gains=gains, faster=FASTER, mapped=tuple(mapped), missing=missing(WANTED, streams, gains),
-        warnings=(*_frame(content), *warnings),
-    )
+    mixer, gains, warnings = _input(reading)
+    return reading.log('a PX4 log', WANTED, mixer=mixer, armed=_armed(table), gains=gains,
+                       faster=FASTER, warnings=(*_frame(table), *warnings))
 
 
-def _load(path: Path) -> Content:
+def _load(path: Path) -> Table:
     with read_by_library(path, 'is not a whole ULog', 'copy it anew from the aircraft'):
         from pyulog import ULog
 
         log: Any = ULog(str(path), list(TOPICS), disable_str_exceptions=True)
-    topics: dict[str, dict[str, FloatArray]] = {}
-    for data in log.data_list:
-        wanted = data.data
-        if 'q_d[0]' in wanted:  # all zeros where the controller runs without a set-point
-            known = np.abs(wanted['q_d[0]']) + np.abs(wanted['q_d[3]']) > 0.0
-            wanted = {name: values[known] for name, values in wanted.items()}
-        topics.setdefault(data.name, wanted)
+    columns: dict[str, FloatArray] = {}
+    times: dict[str, FloatArray] = {}
+    for data in {one.name: one for one in reversed(log.data_list)}.values():
+        found = data.data
+        if 'q_d[0]' in found:  # all zeros where the controller runs without a set-point
+            known = np.abs(found['q_d[0]']) + np.abs(found['q_d[3]']) > 0.0
+            found = {name: values[known] for name, values in found.items()}
+        stamps = np.asarray(found.get('timestamp_sample', found['timestamp']), dtype=float)
+        if not (stamps > 0).all():
+            stamps = np.asarray(found['timestamp'], dtype=float)
+        columns |= {f'{data.name}.{name}': np.asarray(values, dtype=float)
+                    for name, values in found.items()}
+        times |= dict.fromkeys(_of(data.name, *found), stamps * 1e-6)
     parameters = {
         str(name): float(value) for name, value in log.initial_parameters.items()
         if isinstance(value, int | float)
     }
-    return Content(str(path), topics, parameters)
+    return Table(str(path), columns, times, header=parameters)
 
 
-def _armed(content: Content) -> Stream | None:
-    said = content.stream('actuator_armed', 'armed')
+def _armed(table: Table) -> Stream | None:
+    said = table.stream('actuator_armed.armed')
     if said is not None:
         return said
-    state = content.stream('vehicle_status', 'arming_state')
+    state = table.stream('vehicle_status.arming_state')
     return None if state is None else Stream(state.time_s, 1.0 * (state.values == ARMED))
 
 
-def _input(
-    content: Content, rates: Stream, mapped: list[Mapped]
-) -> tuple[Given, dict[str, float], list[str]]:
-    """What a ForeignLog takes of commands, the gains in their unit, warnings."""
-    torque = _torque(content)
-    count = int(content.parameters.get('CA_ROTOR_COUNT', 0)) or len(MOTOR_ORDER)
-    motors = content.stream('actuator_motors', *(f'control[{i}]' for i in range(count)))
-    if motors is not None and motors_fast(motors, rates, torque):
-        mixer, how = _mixer(content, count)
-        mapped.append(Mapped('actuator_motors.control', '0..1', '/control/wrench', how,
-                             motors.rate_hz))
+def _input(reading: Reading) -> tuple[Mixer | None, dict[str, float], list[str]]:
+    """Take the commands: their mixer, the gains in their unit, warnings."""
+    table = reading.table
+    old = _of('actuator_controls_0', *(f'control[{i}]' for i in (3, 0, 1, 2)))
+    new = (*_vector('vehicle_torque_setpoint', 'xyz'), 'vehicle_thrust_setpoint.xyz[2]')
+    torque = _torque(table, old, new)
+    count = int(table.header.get('CA_ROTOR_COUNT', 0)) or len(MOTOR_ORDER)
+    columns = _vector('actuator_motors', 'control', count)
+    motors = table.stream(*columns)
+    if motors is not None and reading.motors_fast(motors, torque):
+        mixer, how = _mixer(table, count)
+        reading.take(Wanted('motors', columns, '0..1', how))
         scale = None if torque is None or mixer is None else _scale(
             Stream(motors.time_s, motors.values @ mixer.matrix.T), torque
         )
         told = ("PX4's gains are not carried over: its torque set-point was not logged beside the "
                 'motors, or does not follow from them')
-        given: Given = {'motors': motors, 'mixer': mixer}
-        return given, _gains(content, scale) if scale else {}, [] if scale else [told]
+        return mixer, _gains(table, scale) if scale else {}, [] if scale else [told]
     if torque is None:
         raise BadInputError(
-            content.source, 'holds no actuator_motors, vehicle_torque_setpoint or '
-            'actuator_controls_0', ', '.join(sorted(content.messages)),
+            table.source, 'holds no actuator_motors, vehicle_torque_setpoint or '
+            'actuator_controls_0', table.messages,
             'set SDLOG_PROFILE to high rate or system identification and log again',
         )
-    name = 'actuator_controls_0' if 'actuator_controls_0' in content.messages else \
-        'vehicle_torque_setpoint and vehicle_thrust_setpoint'
-    mapped.append(Mapped(
-        name, '-1..1', '/control/wrench',
+    reading.put(Wanted(
+        'control', old if old[0] in table.columns else new, '-1..1',
         "as it is, pitch and yaw turned; U is in the unit of PX4's torque set-point",
-        torque.rate_hz,
-    ))
-    return {'control': torque}, _gains(content, (1.0, 1.0, 1.0)), [ASKED_FOR]
+    ), torque)
+    return None, _gains(table, (1.0, 1.0, 1.0)), [ASKED_FOR]
 
 
-def _torque(content: Content) -> Stream | None:
-    """U1..U4 in PX4's own normalised unit, FLU."""
-    old = content.stream('actuator_controls_0', *(f'control[{i}]' for i in (3, 0, 1, 2)))
-    if old is not None:
-        return Stream(old.time_s, old.values * [1.0, *MIRROR])
-    torque = content.stream('vehicle_torque_setpoint', 'xyz[0]', 'xyz[1]', 'xyz[2]')
-    thrust = content.stream('vehicle_thrust_setpoint', 'xyz[2]')
+def _torque(table: Table, old: tuple[str, ...], new: tuple[str, ...]) -> Stream | None:
+    """U1..U4 in PX4's own normalised unit, FLU, from the columns before 1.13 or since then."""
+    one = table.stream(*old)
+    if one is not None:
+        return Stream(one.time_s, one.values * [1.0, *MIRROR])
+    torque, thrust = table.stream(*new[:3]), table.stream(new[3])
     if torque is None or thrust is None:
         return None
     up = -np.interp(torque.time_s, thrust.time_s, thrust.values[:, 0])
     return Stream(torque.time_s, np.column_stack([up, torque.values * MIRROR]))
 
 
-def _mixer(content: Content, count: int) -> tuple[Mixer | None, str]:
+def _mixer(table: Table, count: int) -> tuple[Mixer | None, str]:
     """What the motors do by the log's parameters; None where only the motion can say it."""
-    known = content.parameters
+    known = table.header
     places = None
     if 'CA_ROTOR0_PX' in known and count == len(MOTOR_ORDER):
         places = order_by_places(*(
@@ -193,9 +194,9 @@ def _scale(control: Stream, torque: Stream) -> tuple[float, ...] | None:
     return tuple(map(float, slope)) if (1.0 - left / total >= LINEAR).all() else None
 
 
-def _gains(content: Content, scale: tuple[float, ...]) -> dict[str, float]:
+def _gains(table: Table, scale: tuple[float, ...]) -> dict[str, float]:
     """The contract's names; PX4's rate loop has their form: K (P e + I ∫e - D d(rate)/dt)."""
-    known = content.parameters
+    known = table.header
     axes = {}
     for axis, unit in zip(AXES, scale, strict=True):
         name = axis.upper()
@@ -209,13 +210,13 @@ def _gains(content: Content, scale: tuple[float, ...]) -> dict[str, float]:
         )
     out = gains_of(known, axes)
     cut = known.get('IMU_GYRO_CUTOFF')
-    if cut and 'vehicle_angular_velocity' in content.messages:
+    if cut and 'vehicle_angular_velocity.xyz[0]' in table.columns:
         out['sensor.gyro_filter_hz'] = float(cut)
     return out
 
 
-def _frame(content: Content) -> tuple[str, ...]:
-    kind = content.parameters.get('MAV_TYPE')
+def _frame(table: Table) -> tuple[str, ...]:
+    kind = table.header.get('MAV_TYPE')
     if kind is None or int(kind) == QUADROTOR:
         return ()
     return ((f'MAV_TYPE is {int(kind)}, not {QUADROTOR} (quadrotor): the model is one of a '

@@ -1,4 +1,4 @@
-"""Tables → columns: CSV, Parquet, Crazyflie SD card, messages of ROS 1 and other bags.
+"""Files → columns: CSV, Crazyflie SD card, messages of ROS 1 and other bags.
 
 The meaning of a column is not known here. Errors in a text name the line.
 """
@@ -12,7 +12,7 @@ import struct
 import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,9 @@ from quad_sysid.bags.orientation import euler_from_quaternion
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import read_by_library
+from quad_sysid.imports.clock import draw, unroll
+from quad_sysid.imports.log import Stream
+from quad_sysid.imports.units import Unit
 
 DELIMITERS = (',', ';', '\t')
 MOST_NUMBERS = 64
@@ -43,6 +46,47 @@ class Table:
     """Times, s, of columns with their own (messages); a CSV has a column for it."""
     lines: tuple[int, ...] = ()
     """Line number of each row of a text, counted from 1."""
+    header: Mapping[str, Any] = field(default_factory=dict)
+    """The log's parameters, as it names them."""
+
+    @property
+    def messages(self) -> str:
+        """Names of the messages with columns, for an error."""
+        return ', '.join(sorted({name.partition('.')[0] for name in self.columns}))
+
+    def on_clock(self, name: str, unit: Unit) -> tuple[Table, tuple[str, ...]]:
+        """The other columns at the times in the column `name`, and what was repaired.
+
+        Raises BadInputError where the time does not advance.
+        """
+        others = {n: values for n, values in self.columns.items() if n != name}
+        found = unroll(unit(self.columns[name]), np.column_stack(list(others.values())),
+                       f'{self.source}, column {name}')
+        columns = {n: values[found.rows] for n, values in others.items()}
+        return replace(self, columns=columns, times=dict.fromkeys(columns, found.time_s)), \
+            found.told
+
+    def stream(self, *names: str) -> Stream | None:
+        """(n, k) where all of the columns have a number; None where one is missing or empty.
+
+        Columns at other times than the first are interpolated at its.
+        """
+        if not names or any(name not in self.columns for name in names):
+            return None
+        alone = [self._in_order(name) for name in names]
+        times = alone[0].time_s
+        values = np.column_stack([
+            one.values if np.array_equal(one.time_s, times)
+            else draw(one, times, 3.0 / one.rate_hz) for one in alone
+        ])
+        known = np.isfinite(values).all(axis=1)
+        return Stream(times[known], values[known]) if known.sum() > 1 else None
+
+    def _in_order(self, name: str) -> Stream:
+        times = self.times[name]
+        order = np.argsort(times, kind='stable')
+        order = order[np.concatenate(([True], np.diff(times[order]) > 0.0))]
+        return Stream(times[order], self.columns[name][order][:, None])
 
     def complain(self, row: int, column: str, what: str, remedy: str) -> BadInputError:
         """An error that names file, line and column."""
@@ -60,9 +104,7 @@ def open_table(path: Path, wanted: Sequence[str] | None = None) -> Table:
     number should be.
     """
     head = _head(path)
-    if head.startswith(b'PAR1'):
-        table = _parquet(path)
-    elif head[:1] == bytes([SD_MAGIC]):
+    if head[:1] == bytes([SD_MAGIC]):
         table = sd_card(path.read_bytes(), str(path))
     elif head.startswith(b'#ROSBAG') or path.is_dir():
         table = _messages(path, wanted)
@@ -178,21 +220,6 @@ def _numbers(
             ) from error
         out.append(value if math.isfinite(value) else math.nan)
     return out
-
-
-def _parquet(path: Path) -> Table:
-    with read_by_library(path, 'is not a whole Parquet file', 'write it anew'):
-        from pyarrow import parquet
-
-        content = parquet.read_table(path)
-    columns = {}
-    for name in content.column_names:
-        values = content[name].to_numpy()
-        if values.dtype.kind == 'M':
-            values = values.astype('datetime64[ns]').astype(np.int64) * 1e-9
-        if values.dtype.kind in 'iufb':
-            columns[str(name)] = values.astype(float)
-    return Table(str(path), columns)
 
 
 def sd_card(data: bytes, source: str) -> Table:

@@ -20,7 +20,7 @@ from quad_sysid.contract import (
     motors_from_wrench,
 )
 from quad_sysid.errors import BadInputError
-from quad_sysid.imports.clock import LONGEST_PAUSE, Cycles, cycles, draw, hold, mean_ahead
+from quad_sysid.imports.clock import EPOCH_S, LONGEST_PAUSE, Cycles, cycles, draw, hold, mean_ahead
 from quad_sysid.imports.log import ForeignLog, Stream
 from quad_sysid.imports.mixers import Mixer, mixer_of_patterns
 from quad_sysid.imports.plausible import contradicted
@@ -43,8 +43,6 @@ SLOWEST_HZ = 50.0
 """A slower log of a flight controller shows neither the motors' lag nor the delay."""
 DERIVATIVE_HALF_WIDTH_S = 0.01
 DERIVATIVE_ORDER = 3
-EPOCH_S = 1e8
-"""Times beyond this count as seconds since 1970; others start at one second."""
 
 
 @dataclass(frozen=True)
