@@ -36,6 +36,7 @@ from quad_bridge.virtual.simulation import Flight
 from quad_sysid.contract import AXES
 from quad_sysid.loop.cascade import (
     CascadeGains,
+    Controller,
     closed_loop_radius,
     frequency_grid,
     margins,
@@ -49,9 +50,8 @@ from quad_sysid.report.model_file import load_models, save_models
 from quad_tuning import ensemble
 from quad_tuning.designer import design
 from quad_tuning.errors import DesignRefusedError
-from quad_tuning.lqr_proposal import propose_lqr
+from quad_tuning.lqr import propose_lqr
 from quad_tuning.objective import Requirements, meets
-from quad_tuning.state_feedback import controller_response
 
 LARGEST_ANGLE_DEG = 45.0
 RESTLESS_RAD_S = 0.5
@@ -119,16 +119,11 @@ def outcome(
     if gains is None:
         return Outcome(name, why or 'none', 0.0, False), before
     after = judged(second_flight(airframe, gains))
-    plant = loop_plant(true)
-    cycle = exact_cycles([plant], [slopes_at(plant, *ensemble.AMPLITUDES[0])])
-    omega = frequency_grid(plant.dt, points=1000)
     cascade = CascadeGains.from_mapping({**true.active_gains, **gains}, airframe.axis)
-    m = margins(open_loop(cascade, cycle.response(omega), omega, plant.dt), omega)
-    radius = closed_loop_radius(cascade.dynamics(cycle.dt), cycle)[0]
-    kept = meets(m, Requirements())[0] and radius < 1.0
+    kept, phase_margin = margins_kept(true, cascade)
     change = 100.0 * (1.0 - after.rms_rad / before.rms_rad)
     return Outcome(
-        name, '', change, after.unstable, bool(kept), float(m.phase_margin_deg[0])
+        name, '', change, after.unstable, kept, phase_margin
     ), after
 
 
@@ -182,6 +177,16 @@ def tuned(airframe: Airframe, models: Path | None, *, peers: bool) -> list[Outco
     return rows
 
 
+def margins_kept(true: AxisModel, controller: Controller) -> tuple[bool, float]:
+    """Whether the true plant keeps the required margins, and its phase margin, degrees."""
+    plant = loop_plant(true)
+    cycle = exact_cycles([plant], [slopes_at(plant, *ensemble.AMPLITUDES[0])])
+    omega = frequency_grid(plant.dt, points=1000)
+    m = margins(open_loop(controller, cycle.response(omega), omega, plant.dt), omega)
+    stable = closed_loop_radius(controller, cycle)[0] < 1.0
+    return bool(meets(m, Requirements())[0] and stable), float(m.phase_margin_deg[0])
+
+
 def state_feedback(
     airframe: Airframe, model: AxisModel, true: AxisModel, before: Flown
 ) -> Outcome:
@@ -191,14 +196,9 @@ def state_feedback(
     except DesignRefusedError as refusal:
         return Outcome('LQR', str(refusal), 0.0, False)
     after = judged(second_flight(airframe, found.gains))
-    plant = loop_plant(true)
-    cycle = exact_cycles([plant], [slopes_at(plant, *ensemble.AMPLITUDES[0])])
-    omega, dynamics = frequency_grid(plant.dt, points=1000), found.controller.dynamics()
-    response = controller_response(dynamics, omega, plant.dt)
-    m = margins(-np.einsum('of,opf->pf', response, cycle.response(omega)), omega)
-    kept = meets(m, Requirements())[0] and closed_loop_radius(dynamics, cycle)[0] < 1.0
+    kept, phase_margin = margins_kept(true, found.controller)
     change = 100.0 * (1.0 - after.rms_rad / before.rms_rad)
-    return Outcome('LQR', '', change, after.unstable, bool(kept), float(m.phase_margin_deg[0]))
+    return Outcome('LQR', '', change, after.unstable, kept, phase_margin)
 
 
 def _model(airframe: Airframe, models: Path | None) -> AxisModel | str:

@@ -27,7 +27,7 @@ from quad_sysid.model import AxisModel
 from quad_sysid.model import Parameter as IdentifiedParameter
 from quad_tuning.demo.processes import Crew
 from quad_tuning.demo.stages import Aircraft
-from quad_tuning.lqr_proposal import propose_lqr
+from quad_tuning.lqr import propose_lqr
 
 pytestmark = [pytest.mark.timeout(1800), pytest.mark.usefixtures('workspace')]
 KP, ANGLE = 'roll.rate.kp', 'roll.angle.kp'

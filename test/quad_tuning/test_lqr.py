@@ -11,10 +11,9 @@ from quad_sysid.loop.plant import state_space
 from quad_tuning import ensemble as ensembles
 from quad_tuning.bounds import flown_gains
 from quad_tuning.errors import DesignRefusedError
-from quad_tuning.lqr import Noise, Weights, design_lqr, way_is_safe
-from quad_tuning.lqr_proposal import propose_lqr
+from quad_tuning.lqr import Noise, Weights, design_lqr, propose_lqr, way_is_safe
 from quad_tuning.objective import Requirements
-from quad_tuning.state_feedback import beside, controller_response, simulate
+from quad_tuning.state_feedback import beside, simulate
 
 
 def loops_of(m, seed=3):
@@ -25,14 +24,14 @@ def loops_of(m, seed=3):
 def test_margins_hold_over_fresh_draws(model, values):
     m = model(**values)
     found = propose_lqr(m)
-    said, dynamics = found.figures, found.controller.dynamics()
+    said = found.figures
     assert said['worst_phase_margin_deg'] >= 45.0
     assert said['worst_gain_margin_db'] >= 8.0
     assert said['worst_peak_sensitivity'] <= 1.8
-    assert closed_loop_radius(dynamics, loops_of(m, 77).cycle).max() < 1.0
+    assert closed_loop_radius(found.controller, loops_of(m, 77).cycle).max() < 1.0
     # eight times the gain is beyond any gain margin that was found
     shaky = loops_of(model(**{**values, 'gain': 8 * 450.0})).cycle
-    assert closed_loop_radius(dynamics, shaky).max() >= 1.0
+    assert closed_loop_radius(found.controller, shaky).max() >= 1.0
 
 
 def test_feedback_solves_the_riccati_equation_and_beats_its_neighbours(model):
@@ -40,8 +39,8 @@ def test_feedback_solves_the_riccati_equation_and_beats_its_neighbours(model):
 
     The delay only shifts the states that count, so the predicted ones are weighted.
     """
-    d = design_lqr(loop_plant(model()), loops_of(model()), 0.3)
-    w, f = Weights(), d.control_weight
+    best_of_all, f = design_lqr(loop_plant(model()), loops_of(model()), 0.3)
+    w = Weights()
 
     def cost(controller):
         own, error, rate, sums = np.zeros(controller.size), -0.1, 0.0, np.zeros(4)
@@ -62,10 +61,10 @@ def test_feedback_solves_the_riccati_equation_and_beats_its_neighbours(model):
         )
 
     names = ('k_angle', 'k_rate', 'k_drive', 'k_integral')
-    best, rng = cost(d.controller), np.random.default_rng(2)
+    best, rng = cost(best_of_all), np.random.default_rng(2)
     for _ in range(10):
-        other = {n: getattr(d.controller, n) * (1 + rng.normal(0, 0.1)) for n in names}
-        assert cost(dataclasses.replace(d.controller, **other)) > 0.999 * best
+        other = {n: getattr(best_of_all, n) * (1 + rng.normal(0, 0.1)) for n in names}
+        assert cost(dataclasses.replace(best_of_all, **other)) > 0.999 * best
 
 
 def test_integral_action_removes_a_standing_torque(model):
@@ -77,24 +76,25 @@ def test_integral_action_removes_a_standing_torque(model):
     exact, said = state_space(loop_plant(m)), found.figures
     # a constant torque acts like a constant command behind the plant's gain
     weaker = dataclasses.replace(exact, b=exact.b * 0.8)
-    angle, _ = simulate(weaker, found.controller, np.full(6000, 0.2))
+    angle = simulate(weaker, found.controller, np.full(6000, 0.2)).angle
     assert angle[-1] == pytest.approx(0.2, rel=2e-3)
     assert said['disturbance_rms_rad'] < said['disturbance_rms_rad_before']
     noise = 0.01 * np.random.default_rng(4).standard_normal(20_000)
-    _, controls = simulate(exact, found.controller, np.zeros(noise.size), noise=noise)
+    controls = simulate(exact, found.controller, np.zeros(noise.size), noise=noise).control
     assert said['motor_noise_rms'] == pytest.approx(np.std(controls), rel=0.08)
 
 
 def test_shares_of_it_beside_the_cascade_are_safe_and_the_whole_is_itself(model):
     """On the way in a quarter and half fly beside the cascade; all of it must be the feedback."""
     m = model()
-    d, loops, active = design_lqr(loop_plant(m), loops_of(m), 0.3), loops_of(m), flown_gains(m)
-    assert way_is_safe(d.controller, active, loops)
-    whole = controller_response(beside(d.controller, active, 1.0), loops.omega, m.dt)
-    own = controller_response(d.controller.dynamics(), loops.omega, m.dt)
+    loops, active = loops_of(m), flown_gains(m)
+    found, _ = design_lqr(loop_plant(m), loops, 0.3)
+    assert way_is_safe(found, active, loops)
+    whole = beside(found, active, 1.0).response(loops.omega, m.dt)
+    own = found.response(loops.omega, m.dt)
     np.testing.assert_allclose(whole, own, rtol=1e-9)
     shaky = dataclasses.replace(active, rate_kp=6.0 * active.rate_kp)
-    assert closed_loop_radius(beside(d.controller, shaky, 0.25), loops.cycle).max() >= 1.0
+    assert closed_loop_radius(beside(found, shaky, 0.25), loops.cycle).max() >= 1.0
 
 
 def test_what_cannot_be_is_refused(model):

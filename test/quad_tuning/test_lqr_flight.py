@@ -15,7 +15,7 @@ from quad_bridge.virtual.simulation import Excited, fly, inputs
 from quad_sysid.record import GainChange, Record
 from quad_tuning.assess import SQUARE_AMPLITUDE_RAD
 from quad_tuning.designer import design
-from quad_tuning.lqr_proposal import propose_lqr
+from quad_tuning.lqr import propose_lqr
 from quad_tuning.state_feedback import LIMITS
 
 HALF = 500

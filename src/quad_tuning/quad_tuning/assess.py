@@ -14,17 +14,24 @@ from scipy.integrate import trapezoid
 from quad_sysid.contract import FloatArray
 from quad_sysid.loop.cascade import (
     CascadeGains,
-    Margins,
+    Controller,
     bandwidth,
     noise_response,
-    open_loop,
     reference_response,
 )
 from quad_sysid.loop.figures import square_figures, square_wave
-from quad_sysid.loop.plant import ComplexArray, LoopPlant
-from quad_sysid.loop.simulation import simulate_cascade
-from quad_tuning.ensemble import Ensemble
+from quad_sysid.loop.plant import (
+    ComplexArray,
+    LoopPlant,
+    dynamics,
+    exact_step,
+    slopes_at,
+    state_space,
+)
+from quad_sysid.loop.simulation import LoopResponse, simulate_cascade
+from quad_tuning.ensemble import AMPLITUDES, Ensemble
 from quad_tuning.errors import DesignRefusedError
+from quad_tuning.state_feedback import StateFeedback, simulate
 
 SQUARE_AMPLITUDE_RAD = np.radians(12.0)
 SQUARE_HALF_PERIOD_S = 2.0
@@ -69,44 +76,51 @@ class LoopFigures:
         return values if noise_rms is None else {**values, 'motor_noise_rms': gain * noise_rms}
 
 
-def assess(plant: LoopPlant, gains: CascadeGains, ensemble: Ensemble) -> LoopFigures:
-    """Figures of `gains` on the nominal plant and over the ensemble."""
+def assess(plant: LoopPlant, controller: CascadeGains | StateFeedback,
+           ensemble: Ensemble) -> LoopFigures:
+    """Figures of a controller on the nominal plant and over the ensemble."""
     nominal = ensemble.subset(np.flatnonzero(ensemble.nominal)[:1])
-    response = reference_response(gains, nominal.response, nominal.omega, plant.dt)
+    response = reference_response(controller, nominal.response, nominal.omega, plant.dt)
     reference = reference_square(plant.dt)
-    run = simulate_cascade(plant, gains, reference, plant.dt, initial_angle=float(reference[0]))
+    run = flown(plant, controller, reference, float(reference[0]))
     if not np.isfinite(run.angle).all():
         raise DesignRefusedError('the simulated loop diverges; identify again')
-    loop = open_loop(gains, ensemble.response, ensemble.omega, ensemble.cycle.dt)
-    return LoopFigures(**margin_figures(ensemble.margins(gains), ensemble),
-                       **square(reference, run.angle, plant.dt),
+    square = square_figures(reference, run.angle, plant.dt)
+    loop, every = ensemble.loop(controller), ensemble.margins(controller)
+    first = int(np.flatnonzero(ensemble.nominal)[0])
+    return LoopFigures(phase_margin_deg=float(every.phase_margin_deg[first]),
+                       gain_margin_db=float(every.gain_margin_db[first]),
+                       peak_sensitivity=float(every.peak_sensitivity[first]),
+                       crossover_rad_s=float(every.crossover_rad_s[first]),
+                       worst_phase_margin_deg=float(np.min(every.phase_margin_deg)),
+                       worst_gain_margin_db=float(np.min(every.gain_margin_db)),
+                       worst_peak_sensitivity=float(np.max(every.peak_sensitivity)),
+                       rise_time_s=square.rise_time_s, overshoot_pct=square.overshoot_pct,
+                       settling_time_s=square.settling_time_s,
+                       rms_tracking_rad=square.rms_error_rad,
                        rate_rms_rad_s=float(np.sqrt(np.mean(run.rate**2))),
-                       disturbance_rms_rad=disturbance(plant, gains),
+                       disturbance_rms_rad=disturbance(plant, controller),
                        bandwidth_rad_s=float(bandwidth(response, nominal.omega)[0]),
-                       noise_gain=noise_gain(gains, nominal),
-                       unstable_draws=int(np.sum(ensemble.unstable(gains))),
+                       noise_gain=noise_gain(controller, nominal),
+                       unstable_draws=int(np.sum(ensemble.unstable(controller))),
                        worst_peak_complementary=float(np.max(np.abs(loop / (1.0 + loop)))))
 
 
-def margin_figures(every: Margins, ensemble: Ensemble) -> dict[str, float]:
-    """Margins of the nominal loop, and the worst over the ensemble."""
-    first = int(np.flatnonzero(ensemble.nominal)[0])
-    return {
-        'phase_margin_deg': float(every.phase_margin_deg[first]),
-        'gain_margin_db': float(every.gain_margin_db[first]),
-        'peak_sensitivity': float(every.peak_sensitivity[first]),
-        'crossover_rad_s': float(every.crossover_rad_s[first]),
-        'worst_phase_margin_deg': float(np.min(every.phase_margin_deg)),
-        'worst_gain_margin_db': float(np.min(every.gain_margin_db)),
-        'worst_peak_sensitivity': float(np.max(every.peak_sensitivity)),
-    }
+def flown(plant: LoopPlant, controller: CascadeGains | StateFeedback, reference: FloatArray,
+          start: float = 0.0, torque: float = 0.0) -> LoopResponse:
+    """The loop over time from the angle `start`, rad, under a constant torque, rad/s².
 
-
-def square(reference: FloatArray, angle: FloatArray, dt: float) -> dict[str, float]:
-    """Figures of a square wave's response (n,), rad, by name."""
-    found = square_figures(reference, angle, dt)
-    return {'rise_time_s': found.rise_time_s, 'overshoot_pct': found.overshoot_pct,
-            'settling_time_s': found.settling_time_s, 'rms_tracking_rad': found.rms_error_rad}
+    A state feedback flies the plant linearised for wide motion.
+    """
+    if isinstance(controller, CascadeGains):
+        return simulate_cascade(plant, controller, reference, plant.dt, disturbance=torque,
+                                initial_angle=start)
+    slopes = slopes_at(plant, *AMPLITUDES[0])
+    a, b, _ = dynamics(plant, slopes)
+    model = state_space(plant, slopes)
+    push = np.zeros(model.a.shape[0])
+    push[: a.shape[0]] = torque * exact_step(a, b, np.array(plant.dt))[1][:, 1]
+    return simulate(model, controller, reference, start, push)
 
 
 def reference_square(dt: float) -> FloatArray:
@@ -116,55 +130,41 @@ def reference_square(dt: float) -> FloatArray:
 
 def tracking(plant: LoopPlant, gains: CascadeGains, reference: FloatArray) -> tuple[float, float]:
     """RMS error, rad, and overshoot beyond the reference, %, of the square wave."""
-    run = simulate_cascade(plant, gains, reference, plant.dt, initial_angle=float(reference[0]))
+    run = flown(plant, gains, reference, float(reference[0]))
     beyond = (np.max(np.abs(run.angle)) / SQUARE_AMPLITUDE_RAD - 1.0) / 2.0
     return float(np.sqrt(np.mean((reference - run.angle) ** 2))), 100.0 * float(beyond)
 
 
-def disturbance(plant: LoopPlant, gains: CascadeGains) -> float:
+def disturbance(plant: LoopPlant, controller: CascadeGains | StateFeedback) -> float:
     """RMS angle under a torque step, rad."""
-    n = round(TORQUE_STEP_S / plant.dt)
-    level = replace(plant, bias=0.0)
-    run = simulate_cascade(level, gains, np.zeros(n), plant.dt, disturbance=TORQUE_STEP)
+    still = np.zeros(round(TORQUE_STEP_S / plant.dt))
+    run = flown(replace(plant, bias=0.0), controller, still, torque=TORQUE_STEP)
     return float(np.sqrt(np.mean(run.angle**2)))
 
 
-def noise_gain(gains: CascadeGains, nominal: Ensemble) -> float:
+def noise_gain(controller: Controller, nominal: Ensemble) -> float:
     """RMS of the control per RMS of white noise on the measured rate, 1/(rad/s)."""
-    return mean_gain(noise_response(gains, nominal.response, nominal.omega, nominal.cycle.dt)[0],
-                     nominal.omega)
-
-
-def mean_gain(response: ComplexArray, omega: FloatArray) -> float:
-    """RMS of a response (f,) to white noise over the frequencies omega (f,)."""
+    omega = nominal.omega
+    response = noise_response(controller, nominal.response, omega, nominal.cycle.dt)[0]
     total = trapezoid(np.abs(response) ** 2, omega)
     return float(np.sqrt(total / (omega[-1] - omega[0])))
 
 
-def promise(loops: Ensemble, before: CascadeGains, after: CascadeGains,
+def promise(loops: Ensemble, before: Controller, after: Controller,
             lag_s: float) -> dict[str, float]:
     """Predicted change of the rates under the same disturbances, for the watch in flight.
 
-    `rate_rms_ratio`, `oscillation_ratio` (the worst octave) and `peak`, the largest complementary
-    sensitivity over all draws. `lag_s` is the motors' lag, which does not delay a gust. The
+    `rate_rms_ratio`, `oscillation_ratio` (the worst octave) and `peak`, the largest response to
+    the reference over all draws. `lag_s` is the motors' lag, which does not delay a gust. The
     bridge's gains/watch.py reads them.
     """
-    old, new = (
-        open_loop(gains, loops.response, loops.omega, loops.cycle.dt) for gains in (before, after)
-    )
-    peak = np.abs(reference_response(after, loops.response, loops.omega, loops.cycle.dt)).max()
-    return {**ratios(loops, old, new, lag_s), 'peak': float(peak)}
-
-
-def ratios(loops: Ensemble, before: ComplexArray, after: ComplexArray,
-           lag_s: float) -> dict[str, float]:
-    """`rate_rms_ratio` and `oscillation_ratio` of two sets of loop gains (p, f)."""
-    old, new = _power(loops, before, lag_s), _power(loops, after, lag_s)
+    old, new = (_power(loops, loops.loop(one), lag_s) for one in (before, after))
     octaves = [(loops.omega > centre / np.sqrt(2.0)) & (loops.omega < centre * np.sqrt(2.0))
                for centre in BANDS_RAD_S]
     every = [np.sqrt(new[band].sum() / old[band].sum()) for band in octaves if band.any()]
+    peak = np.abs(reference_response(after, loops.response, loops.omega, loops.cycle.dt)).max()
     return {'rate_rms_ratio': float(np.sqrt(new.sum() / old.sum())),
-            'oscillation_ratio': float(max(every))}
+            'oscillation_ratio': float(max(every)), 'peak': float(peak)}
 
 
 def _power(loops: Ensemble, loop: ComplexArray, lag_s: float) -> FloatArray:

@@ -108,7 +108,7 @@ def _answer(model: AxisModel, arguments: argparse.Namespace) -> dict[str, Any]:
             'refused_because': proposal.refused_because,
             'figures': dict(proposal.figures),
         }
-    from quad_tuning.lqr_proposal import propose_lqr  # python-control takes its time
+    from quad_tuning.lqr import propose_lqr  # python-control takes its time
 
     asked = ((name, getattr(arguments, f'max_{name}')) for name in BRYSON)
     given = {name: positive(f'--max-{name}', value) for name, value in asked if value is not None}

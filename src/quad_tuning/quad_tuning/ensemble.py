@@ -18,7 +18,7 @@ import numpy.typing as npt
 from quad_sysid.contract import FloatArray
 from quad_sysid.estimate.stored import estimate_of, library
 from quad_sysid.loop.cascade import (
-    CascadeGains,
+    Controller,
     Margins,
     closed_loop_radius,
     frequency_grid,
@@ -153,14 +153,17 @@ class Ensemble:
     nominal: npt.NDArray[np.bool_]
     draws: int
 
-    def margins(self, gains: CascadeGains) -> Margins:
-        """Margins (p,) with these gains."""
-        loop = open_loop(gains, self.response, self.omega, self.cycle.dt)
-        return margins(loop, self.omega)
+    def loop(self, controller: Controller) -> ComplexArray:
+        """(p, f) loop gain broken at the control."""
+        return open_loop(controller, self.response, self.omega, self.cycle.dt)
 
-    def unstable(self, gains: CascadeGains) -> npt.NDArray[np.bool_]:
+    def margins(self, controller: Controller) -> Margins:
+        """Margins (p,) with this controller."""
+        return margins(self.loop(controller), self.omega)
+
+    def unstable(self, controller: Controller) -> npt.NDArray[np.bool_]:
         """(p,) True where the closed loop is not stable."""
-        return np.asarray(closed_loop_radius(gains.dynamics(self.cycle.dt), self.cycle) >= 1.0)
+        return np.asarray(closed_loop_radius(controller, self.cycle) >= 1.0)
 
     def subset(self, index: npt.NDArray[np.int64]) -> Ensemble:
         """The loops of `index` alone."""

@@ -11,25 +11,25 @@ Source: Anderson, Moore, Optimal Control (1990), 2.3 and 7.2; Bryson, Ho, Applie
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import control
 import numpy as np
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.loop.cascade import CascadeGains, Dynamics, closed_loop_radius, margins
-from quad_sysid.loop.plant import ComplexArray, LoopPlant, slopes_at, state_space
-from quad_tuning.assess import SQUARE_AMPLITUDE_RAD, margin_figures, reference_square, square
+from quad_sysid.loop.cascade import CascadeGains
+from quad_sysid.loop.from_model import loop_plant
+from quad_sysid.loop.plant import LoopPlant, slopes_at
+from quad_sysid.model import AxisModel
+from quad_tuning import ensemble as ensembles
+from quad_tuning.assess import assess, promise
+from quad_tuning.bounds import check_band, check_model, flown_gains
+from quad_tuning.designer import LARGEST_LOSS_PCT, SEED
 from quad_tuning.ensemble import AMPLITUDES, Ensemble
 from quad_tuning.errors import DesignRefusedError
 from quad_tuning.objective import Requirements, meets
-from quad_tuning.state_feedback import (
-    LIMITS,
-    StateFeedback,
-    beside,
-    controller_response,
-    simulate,
-)
+from quad_tuning.state_feedback import LIMITS, StateFeedback, beside
 from quad_tuning.way import least_on_the_way
 
 FASTEST = 0.02
@@ -49,6 +49,11 @@ class Weights:
     control: float = 0.1
 
 
+WEIGHTS = {'angle': 'angle_rad', 'rate': 'rate_rad_s', 'integral': 'integral_rad_s',
+           'control': 'control'}
+"""Short name → field of Weights."""
+
+
 @dataclass(frozen=True)
 class Noise:
     """Noise that the observer assumes."""
@@ -60,38 +65,71 @@ class Noise:
 
 
 @dataclass(frozen=True)
-class LqrDesign:
-    """A controller and its figures."""
+class LqrProposal:
+    """A controller for one axis with its figures; `<name>_before`: of the flown cascade."""
 
     controller: StateFeedback
+    gains: dict[str, float]
+    """The controller by the contract's names, with share 1, for /gains/update."""
     figures: dict[str, float]
-    """Margins, nominal and the worst over the ensemble, and its square wave."""
-    control_weight: float
-    """Factor on the control's Bryson weight with which the margins hold."""
+
+
+def propose_lqr(model: AxisModel, largest: Mapping[str, float] | None = None) -> LqrProposal:
+    """An LQR for the angle of one axis; raises DesignRefusedError with the reason.
+
+    `largest`: Bryson's largest acceptable values by the names of WEIGHTS, in rad, rad/s, rad s and
+    normalised command; missing ones have their defaults. The admission is the cascade's.
+    """
+    check_model(model)
+    active = flown_gains(model)
+    plant = loop_plant(model)
+    loops = ensembles.build(model, np.random.default_rng(SEED))
+    before = assess(plant, active, loops)
+    check_band(model, before.crossover_rad_s)
+    try:
+        weights = Weights(**{WEIGHTS[name]: value for name, value in (largest or {}).items()})
+        noise = Noise(rate=model.noise_rms) if model.noise_rms else Noise()
+        found, factor = design_lqr(plant, loops, active.output_limit, weights, noise)
+    except DesignRefusedError as refusal:
+        raise DesignRefusedError(f'{model.axis}: {refusal}') from refusal
+    if not way_is_safe(found, active, loops):
+        raise DesignRefusedError(
+            f'{model.axis}: a quarter or half of the LQR mixed with the flown gains leaves poor '
+            'margins; take quad-tune design without --method lqr first'
+        )
+    after = assess(plant, found, loops)
+    lost = 100.0 * (after.rms_tracking_rad / before.rms_tracking_rad - 1.0)
+    if lost > LARGEST_LOSS_PCT:
+        raise DesignRefusedError(
+            f'{model.axis}: the LQR that keeps all margins would raise the tracking error by '
+            f'{lost:.0f} %; the delay is too long for it, take the cascade (--method pid)'
+        )
+    figures = {
+        **after.named(model.noise_rms),
+        **{f'{name}_before': value for name, value in before.named(model.noise_rms).items()},
+        **promise(loops, active, found, plant.lag_s), 'draws': float(loops.draws),
+        'control_weight': factor,
+    }
+    return LqrProposal(found, found.to_mapping(model.axis),
+                       {name: value for name, value in figures.items() if np.isfinite(value)})
 
 
 def design_lqr(plant: LoopPlant, ensemble: Ensemble, output_limit: float,
                weights: Weights | None = None, noise: Noise | None = None,
-               needs: Requirements | None = None) -> LqrDesign:
-    """The fastest LQR of this family that keeps margins and bounds; else DesignRefusedError."""
+               needs: Requirements | None = None) -> tuple[StateFeedback, float]:
+    """The fastest LQR of this family that keeps margins and bounds; else DesignRefusedError.
+
+    With it comes the factor on the control's Bryson weight with which the margins hold.
+    """
     needs = needs or Requirements()
-    factor = FASTEST
-    for _ in range(ROUNDS):
+    for factor in FASTEST * RAISE ** np.arange(ROUNDS):
         try:
             found = feedback(plant, output_limit, factor, weights or Weights(), noise or Noise())
         except (ValueError, np.linalg.LinAlgError):
-            factor *= RAISE
             continue
-        if not passes(found):
-            factor *= RAISE
-            continue
-        dynamics = found.dynamics()
-        every = margins(loop_gain(dynamics, ensemble), ensemble.omega)
-        if meets(every, needs).all() and closed_loop_radius(dynamics, ensemble.cycle).max() < 1.0:
-            return LqrDesign(controller=found,
-                             figures={**margin_figures(every, ensemble), **_square(plant, found)},
-                             control_weight=factor)
-        factor *= RAISE
+        if (passes(found) and meets(ensemble.margins(found), needs).all()
+                and not ensemble.unstable(found).any()):
+            return found, float(factor)
     raise DesignRefusedError('no LQR keeps the margins over all draws; identify more precisely')
 
 
@@ -130,16 +168,8 @@ def way_is_safe(found: StateFeedback, active: CascadeGains, ensemble: Ensemble) 
     """Whether each mix of feedback and flown cascade keeps the margins of a step."""
     least = least_on_the_way(active, ensemble)
     mixed = [beside(found, active, share) for share in SHARES]
-    return all(
-        meets(margins(loop_gain(both, ensemble), ensemble.omega), least).all()
-        and closed_loop_radius(both, ensemble.cycle).max() < 1.0 for both in mixed
-    )
-
-
-def loop_gain(dynamics: Dynamics, ensemble: Ensemble) -> ComplexArray:
-    """(p, f) loop gain broken at the control, with the sign of negative feedback."""
-    response = controller_response(dynamics, ensemble.omega, ensemble.cycle.dt)
-    return np.asarray(-np.einsum('of,opf->pf', response, ensemble.response))
+    return all(meets(ensemble.margins(both), least).all() and not ensemble.unstable(both).any()
+               for both in mixed)
 
 
 def _states(bare: StateFeedback) -> tuple[FloatArray, FloatArray]:
@@ -161,10 +191,3 @@ def _observer(damping: float, dt: float, noise: Noise) -> float:
     half = 0.5 * (push + measured * (keep**2 - 1.0))
     spread = half + np.sqrt(half**2 + push * measured)
     return float(spread / (spread + measured))
-
-
-def _square(plant: LoopPlant, controller: StateFeedback) -> dict[str, float]:
-    model = state_space(plant, slopes_at(plant, *AMPLITUDES[0]))
-    reference = reference_square(plant.dt)
-    angle, _ = simulate(model, controller, reference, -float(SQUARE_AMPLITUDE_RAD))
-    return square(reference, angle, plant.dt)

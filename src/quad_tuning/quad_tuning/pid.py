@@ -19,7 +19,7 @@ import numpy.typing as npt
 from scipy.optimize import minimize
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.loop.cascade import CascadeGains, controller_response, margins
+from quad_sysid.loop.cascade import CascadeGains, margins
 from quad_sysid.loop.plant import ComplexArray, LoopPlant
 from quad_tuning.assess import SQUARE_HALF_PERIOD_S, LoopFigures, assess
 from quad_tuning.bounds import DESIGNED
@@ -107,11 +107,9 @@ def _ranked(problem: Problem, loops: Ensemble, grid: FloatArray) -> npt.NDArray[
 def _loops_of(rows: list[CascadeGains], response: ComplexArray, omega: FloatArray,
               dt: float) -> tuple[ComplexArray, ComplexArray]:
     """Loop gain (g, p, f) and forward path of the angle reference (g, p, f)."""
-    parts = [controller_response(gains, omega, dt) for gains in rows]
-    p = np.stack([part[0] for part in parts])[:, None]
-    d = np.stack([part[1] for part in parts])[:, None]
-    forward = np.array([g.angle_kp for g in rows])[:, None, None] * p * response[1]
-    return np.asarray(response[0] * (p + d) + forward), np.asarray(forward)
+    rate, angle = np.stack([gains.response(omega, dt) for gains in rows], axis=1)
+    forward = -angle[:, None] * response[1]
+    return np.asarray(forward - rate[:, None] * response[0]), forward
 
 
 def _margin_room(problem: Problem, rows: list[CascadeGains], loops: Ensemble) -> FloatArray:

@@ -15,8 +15,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.loop.cascade import CascadeGains, Dynamics
+from quad_sysid.loop.cascade import CascadeGains, Dynamics, Linear
 from quad_sysid.loop.plant import ComplexArray, StateSpace
+from quad_sysid.loop.simulation import LoopResponse
 from quad_tuning.errors import DesignRefusedError
 
 DRIVE, RATE, TOTAL, COMMANDS = range(4)
@@ -105,8 +106,9 @@ class StateFeedback:
         slope = 0.5 * (drive + following) - self.damping * speed
         return following, speed + self.dt * slope
 
-    def dynamics(self) -> Dynamics:
-        """The linear controller from the responses to each state and measurement."""
+    def dynamics(self, dt: float = 0.0) -> Dynamics:
+        """The linear controller, of its own cycle, from what each state and measurement does."""
+        del dt
         n = self.size
         columns, outputs = [], []
         for unit in np.eye(n + 2):
@@ -117,8 +119,12 @@ class StateFeedback:
         a, c = np.array(columns).T, np.array(outputs)[None]
         return a[:, :n], a[:, n:], c[:, :n], c[:, n:]
 
+    def response(self, omega: FloatArray, dt: float) -> ComplexArray:
+        """(2, f) from the measured rate and angle to u at omega, rad/s, at reference 0."""
+        return Linear(self.dynamics()).response(omega, dt)
 
-def beside(found: StateFeedback, gains: CascadeGains, share: float) -> Dynamics:
+
+def beside(found: StateFeedback, gains: CascadeGains, share: float) -> Linear:
     """`share` of the feedback and the rest of the cascade, as the firmware mixes them.
 
     Only the feedback's integral runs; the cascade's follows it.
@@ -136,37 +142,30 @@ def beside(found: StateFeedback, gains: CascadeGains, share: float) -> Dynamics:
     a[:n, :n] = one[0] - heard @ one[2]
     b[:n] = one[1] - heard @ one[3] + heard @ d
     a[:n] += heard @ c
-    return a, b, c, d
-
-
-def controller_response(dynamics: Dynamics, omega: FloatArray, dt: float) -> ComplexArray:
-    """(2, f) from the measured rate and angle to u at omega, rad/s."""
-    a, b, c, d = dynamics
-    z = np.exp(1j * omega * dt)
-    states = np.linalg.solve(z[:, None, None] * np.eye(a.shape[0]) - a, b[None])
-    return np.asarray((c @ states + d)[:, 0, :].T)
+    return Linear((a, b, c, d))
 
 
 def simulate(model: StateSpace, controller: StateFeedback, reference: FloatArray,
              start_angle: float = 0.0, push: FloatArray | None = None,
-             noise: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
-    """(n,) measured angle, rad, and limited command, with the linear plant.
+             noise: FloatArray | None = None) -> LoopResponse:
+    """Measured angle and rate, and the limited command, with the linear plant.
 
     `push` is added to the plant's states in every cycle (a torque), `noise` (n,) rad/s to the
-    measured rate.
+    measured rate. There is no rate reference: it is NaN.
     """
     x = np.zeros(model.a.shape[0])
     x[sorted({2, int(np.argmax(model.c[1]))})] = start_angle  # the true angle and the filtered
     own = np.zeros(controller.size)
-    angles, commands = np.empty(reference.size), np.empty(reference.size)
+    out = np.full((4, reference.size), np.nan)
     for k, wanted in enumerate(reference):
         rate, angle = model.c @ x
+        rate += 0.0 if noise is None else noise[k]
         error = wanted - angle
-        raw, own = controller.command(own, rate + (0.0 if noise is None else noise[k]), error)
+        raw, own = controller.command(own, rate, error)
         u = min(max(raw, -controller.output_limit), controller.output_limit)
         own = controller.moved(own, error, u, held=u != raw)
         x = model.a @ x + model.b[:, 0] * u
         if push is not None:
             x = x + push
-        angles[k], commands[k] = angle, u
-    return angles, commands
+        out[:3, k] = angle, rate, u
+    return LoopResponse(*out)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from typing import Protocol
 
 import numpy as np
 
@@ -107,44 +108,70 @@ class CascadeGains:
         d = self.rate_kp * error + b[:1] - self.rate_kd * b[2:]
         return a, b, c, d
 
+    def response(self, omega: FloatArray, dt: float) -> ComplexArray:
+        """(2, f) from the measured rate and angle to u at omega, rad/s, at reference 0."""
+        back = np.exp(-1j * omega * dt)
+        weight = derivative_weight(self.d_filter_hz, dt)
+        proportional = self.rate_kp + self.rate_ki * dt / (1.0 - back)
+        derivative = self.rate_kd * weight * (1.0 - back) / dt / (1.0 - (1.0 - weight) * back)
+        return np.stack([-(proportional + derivative), -(self.angle_kp * proportional)])
+
 
 def derivative_weight(d_filter_hz: float, dt: float) -> float:
     """Weight of the new difference in the D filter: dt / (dt + 1 / (2 pi f)), backward Euler."""
     return dt / (dt + 1.0 / (2.0 * np.pi * d_filter_hz))
 
 
-def controller_response(gains: CascadeGains, omega: FloatArray,
-                        dt: float) -> tuple[ComplexArray, ComplexArray]:
-    """PI part (f,) on the rate error and D part (f,) on the measured rate, at omega rad/s."""
-    back = np.exp(-1j * omega * dt)
-    weight = derivative_weight(gains.d_filter_hz, dt)
-    proportional = gains.rate_kp + gains.rate_ki * dt / (1.0 - back)
-    derivative = gains.rate_kd * weight * (1.0 - back) / dt / (1.0 - (1.0 - weight) * back)
-    return np.asarray(proportional), np.asarray(derivative)
+class Controller(Protocol):
+    """What margins are judged of: a cascade, a state feedback, a mixture of both."""
+
+    def dynamics(self, dt: float) -> Dynamics:
+        """The linear controller, with a control cycle of dt s."""
+        ...
+
+    def response(self, omega: FloatArray, dt: float) -> ComplexArray:
+        """(2, f) from the measured rate and angle to u at omega, rad/s, at reference 0."""
+        ...
 
 
-def open_loop(gains: CascadeGains, plant: ComplexArray, omega: FloatArray,
+@dataclass(frozen=True)
+class Linear:
+    """A controller by its matrices alone."""
+
+    matrices: Dynamics
+
+    def dynamics(self, dt: float) -> Dynamics:
+        """The matrices, which are of one control cycle."""
+        del dt
+        return self.matrices
+
+    def response(self, omega: FloatArray, dt: float) -> ComplexArray:
+        """(2, f) from the measured rate and angle to u at omega, rad/s."""
+        a, b, c, d = self.matrices
+        z = np.exp(1j * omega * dt)
+        states = np.linalg.solve(z[:, None, None] * np.eye(a.shape[0]) - a, b[None])
+        return np.asarray((c @ states + d)[:, 0, :].T)
+
+
+def open_loop(controller: Controller, plant: ComplexArray, omega: FloatArray,
               dt: float) -> ComplexArray:
     """Loop gain (p, f) broken at the control input; plant (2, p, f) from `Step.response`."""
-    proportional, derivative = controller_response(gains, omega, dt)
-    rate, angle = plant
-    return np.asarray(rate * (proportional + derivative) + angle * (gains.angle_kp * proportional))
+    rate, angle = controller.response(omega, dt)
+    return np.asarray(-(plant[0] * rate + plant[1] * angle))
 
 
-def reference_response(gains: CascadeGains, plant: ComplexArray, omega: FloatArray,
+def reference_response(controller: Controller, plant: ComplexArray, omega: FloatArray,
                        dt: float) -> ComplexArray:
     """(p, f) response of the measured angle to the angle reference."""
-    proportional, _ = controller_response(gains, omega, dt)
-    loop = open_loop(gains, plant, omega, dt)
-    return np.asarray(plant[1] * gains.angle_kp * proportional / (1.0 + loop))
+    loop = open_loop(controller, plant, omega, dt)
+    return np.asarray(-plant[1] * controller.response(omega, dt)[1] / (1.0 + loop))
 
 
-def noise_response(gains: CascadeGains, plant: ComplexArray, omega: FloatArray,
+def noise_response(controller: Controller, plant: ComplexArray, omega: FloatArray,
                    dt: float) -> ComplexArray:
     """(p, f) response of the control to noise on the measured rate."""
-    proportional, derivative = controller_response(gains, omega, dt)
-    loop = open_loop(gains, plant, omega, dt)
-    return np.asarray(-(proportional + derivative) / (1.0 + loop))
+    loop = open_loop(controller, plant, omega, dt)
+    return np.asarray(controller.response(omega, dt)[0] / (1.0 + loop))
 
 
 def frequency_grid(dt: float, points: int = 240, lowest_rad_s: float = 0.1) -> FloatArray:
@@ -202,12 +229,12 @@ def bandwidth(response: ComplexArray, omega: FloatArray) -> FloatArray:
     return np.where(below.any(axis=1), omega[index], np.nan)
 
 
-def closed_loop_radius(controller: Dynamics, cycle: Step) -> FloatArray:
+def closed_loop_radius(controller: Controller, cycle: Step) -> FloatArray:
     """(p,) largest absolute eigenvalue of the linear closed loop; stable below 1.
 
     The states are those of the plant, the commands in the delay, and the controller's.
     """
-    ca, cb, cc, cd = controller
+    ca, cb, cc, cd = controller.dynamics(cycle.dt)
     a, b = cycle.with_delay()
     p, n, m = len(a), cycle.phi.shape[1], a.shape[1]
     size = m + ca.shape[0]
