@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from virtual_aircraft import without_noise
 
-from quad_bridge.gains.table import ROWS
+from quad_bridge.gains.table import DEFAULT_BOUNDS, ROWS
 from quad_bridge.virtual.aircraft import Aircraft
 from quad_bridge.virtual.cycle import COLUMNS
 from quad_bridge.virtual.plant import axis_gains
@@ -16,7 +16,6 @@ from quad_sysid.record import GainChange, Record
 from quad_tuning.assess import SQUARE_AMPLITUDE_RAD
 from quad_tuning.designer import design
 from quad_tuning.lqr import propose_lqr
-from quad_tuning.state_feedback import LIMITS
 
 HALF = 500
 
@@ -93,9 +92,9 @@ def test_off_it_leaves_no_trace(profile, proposal):
 
 
 def test_the_firmware_accepts_what_the_gate_lets_through():
-    for name, (low, high, _) in LIMITS.items():
-        lowest, highest = ROWS[f'yaw.lqr.{name}'].limits
-        assert lowest <= low <= high <= highest
+    for name, bound in DEFAULT_BOUNDS.items():
+        lowest, highest = ROWS[name].limits
+        assert lowest <= bound.lower <= bound.upper <= highest
 
 
 def test_a_flight_under_it_is_no_flight_of_the_cascade(model, changed):

@@ -48,11 +48,12 @@ def test_maths_calls_nothing_that_touches_files() -> None:
 
 
 @pytest.mark.parametrize(('shared', 'link'), [
-    ('log/stored', 'bags/stored'), ('gains/motor_places.py', 'motor_places.py'),
+    ('log/stored', SYSID / 'bags/stored'), ('gains/motor_places.py', SYSID / 'motor_places.py'),
+    ('gains/table.py', TUNING / 'gain_table.py'),
 ])
-def test_what_both_packages_share_is_linked_and_knows_neither(shared: str, link: str) -> None:
+def test_what_both_packages_share_is_linked_and_knows_neither(shared: str, link: Path) -> None:
     source = ROOT / 'src/quad_bridge/quad_bridge' / shared
-    assert (SYSID / link).resolve() == source
+    assert link.resolve() == source
     for path in source.glob('*.py') if source.is_dir() else [source]:
         assert not imports(path) & {'quad_bridge', 'quad_sysid'}, path
 

@@ -8,18 +8,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 
 from quad_sysid.loop.cascade import CONTRACT_NAMES, TUNED, CascadeGains
 from quad_sysid.model import AxisModel
 from quad_tuning.errors import DesignRefusedError
+from quad_tuning.gain_table import LARGEST_FACTOR, OPTIONAL, PER_AXIS, Bound
 
 DESIGNED = (*TUNED, 'd_filter_hz')
 """Fields of CascadeGains that a designer changes; the D filter only if the flight recorded it."""
-STEP_FACTOR = 2.0
-"""Largest change of one gain in one update."""
 ROUNDING = 1e-4
 """Share by which a step stays inside the factor, since float32 on the wire rounds."""
 SIGN_CONFIDENCE = 3.0
@@ -28,26 +27,10 @@ FOREIGN_DRIVE = 0.5
 """Share of another axis' command in this axis' torque from which the motor order is in doubt."""
 
 
-@dataclass(frozen=True)
-class Bound:
-    """Limits of a gain (SI), and the absolute step allowed near zero."""
-
-    lower: float
-    upper: float
-    small_step: float
-    unit: str
-
-
-BOUNDS: Mapping[str, Bound] = {
-    'angle.kp': Bound(0.3, 15.0, 0.0, '1/s'),
-    'rate.kp': Bound(0.005, 0.5, 0.0, 's/rad'),
-    'rate.ki': Bound(0.0, 1.0, 0.004, '1/rad'),
-    'rate.kd': Bound(0.0, 0.02, 0.0005, 's²/rad'),
-    'rate.d_filter_hz': Bound(5.0, 100.0, 0.0, 'Hz'),
-    'sag.exponent': Bound(0.0, 2.5, 0.5, ''),
-    'sag.reference_v': Bound(3.0, 60.0, 0.0, 'V'),
-}
-"""The contract's name after `<axis>.` → its bound."""
+ROWS = {row.name: row for row in (*PER_AXIS, *OPTIONAL) if row.bound is not None}
+"""The contract's name after `<axis>.` → its row in the bridge's table."""
+BOUNDS: dict[str, Bound] = {name: row.bound for name, row in ROWS.items() if row.bound}
+BOUNDS['rate.kd'] = replace(BOUNDS['rate.kd'], upper=0.02)  # more amplifies the gyro's noise
 
 
 def check_finite(gains: Mapping[str, float]) -> None:
@@ -66,21 +49,21 @@ def check_bounds(gains: Mapping[str, float]) -> None:
             raise DesignRefusedError(f'{name}: is not a gain that a designer may change')
         if not bound.lower <= value <= bound.upper:
             raise DesignRefusedError(
-                f'{name}: must lie in {bound.lower:g} .. {bound.upper:g} {bound.unit}: '
-                f'found {value:g}'
+                f'{name}: must lie in {bound.lower:g} .. {bound.upper:g} '
+                f'{ROWS[name.partition(".")[2]].unit}: found {value:g}'
             )
 
 
 def reachable(field: str, active: float) -> tuple[float, float]:
     """Lowest and highest value of one gain (field of CascadeGains) that one update may set."""
     bound = BOUNDS[CONTRACT_NAMES[field]]
-    factor = STEP_FACTOR * (1.0 - ROUNDING)
+    factor = LARGEST_FACTOR * (1.0 - ROUNDING)
     low = min(active / factor, active - bound.small_step)
     high = max(active * factor, active + bound.small_step)
     low, high = max(low, bound.lower), min(high, bound.upper)
     if low > high:
         raise DesignRefusedError(
-            f'{CONTRACT_NAMES[field]}: the active value {active:g} {bound.unit} is further than '
+            f'{CONTRACT_NAMES[field]}: the active value {active:g} is further than '
             f'one step outside {bound.lower:g} .. {bound.upper:g}; bring it there by hand'
         )
     return low, high

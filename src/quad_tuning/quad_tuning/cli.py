@@ -29,12 +29,11 @@ from quad_sysid.model import AxisModel
 from quad_sysid.report.model_file import load_models, pick
 from quad_sysid.report.tables import Table, figure_rows
 from quad_sysid.report.words import number
-from quad_tuning.bounds import BOUNDS
+from quad_tuning.bounds import ROWS
 from quad_tuning.designer import design
 from quad_tuning.errors import DesignRefusedError
 from quad_tuning.exports import cli as exports
 from quad_tuning.history import cli as history
-from quad_tuning.state_feedback import LIMITS
 
 SCHEMA = 'quad_tuning/design/1'
 
@@ -142,9 +141,8 @@ def _table(axis: str, method: str, answer: Mapping[str, Any]) -> str:
 
 
 def _unit(name: str) -> str:
-    if name in BOUNDS:
-        return BOUNDS[name].unit
-    return LIMITS.get(name.partition('.')[2], (0.0, 1.0, ''))[2]
+    unit = ROWS[name].unit if name in ROWS else ''
+    return '' if unit == '1' else unit
 
 
 def _short(gains: Mapping[str, float]) -> str:

@@ -28,8 +28,7 @@ from quad_tuning.bounds import (
 from quad_tuning.errors import DesignRefusedError, QuadTuningError
 from quad_tuning.objective import Requirements
 from quad_tuning.pid import PidDesign, retune
-from quad_tuning.voltage import along, scheduled, settings
-from quad_tuning.way import way_to
+from quad_tuning.way import along, sag_settings, scheduled, way_to
 
 SEED = 20_250_101
 """Seed of the draws, so that a model always gives the same gains."""
@@ -51,7 +50,7 @@ def propose(model: AxisModel, requirements: Requirements | None = None) -> GainP
     """Gains for one axis; raises DesignRefusedError with the reason where there are none."""
     check_model(model)
     active = flown_gains(model)
-    flown, chosen = model, settings(model)
+    flown, chosen = model, sag_settings(model)
     model = scheduled(model, chosen)
     plant = loop_plant(model)
     loops = ensembles.build(model, np.random.default_rng(SEED))

@@ -24,12 +24,12 @@ from quad_sysid.loop.plant import LoopPlant, slopes_at
 from quad_sysid.model import AxisModel
 from quad_tuning import ensemble as ensembles
 from quad_tuning.assess import assess, promise
-from quad_tuning.bounds import check_band, check_model, flown_gains
+from quad_tuning.bounds import BOUNDS, check_band, check_model, flown_gains
 from quad_tuning.designer import LARGEST_LOSS_PCT, SEED
 from quad_tuning.ensemble import AMPLITUDES, Ensemble
 from quad_tuning.errors import DesignRefusedError
 from quad_tuning.objective import Requirements, meets
-from quad_tuning.state_feedback import LIMITS, StateFeedback, beside
+from quad_tuning.state_feedback import PARAMETERS, StateFeedback, beside
 from quad_tuning.way import least_on_the_way
 
 FASTEST = 0.02
@@ -135,8 +135,8 @@ def design_lqr(plant: LoopPlant, ensemble: Ensemble, output_limit: float,
 
 def passes(found: StateFeedback) -> bool:
     """Whether its gains are within the bridge's bounds."""
-    return all(low <= getattr(found, name) <= high
-               for name, (low, high, _) in LIMITS.items() if name.startswith('k_'))
+    return all(BOUNDS[f'lqr.{name}'].lower <= getattr(found, name) <= BOUNDS[f'lqr.{name}'].upper
+               for name in PARAMETERS if name.startswith('k_'))
 
 
 def feedback(plant: LoopPlant, output_limit: float, factor: float, weights: Weights,

@@ -9,7 +9,6 @@ with the commands in it. The steps are those of the firmware. lqr.py finds the p
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,22 +17,14 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.loop.cascade import CascadeGains, Dynamics, Linear
 from quad_sysid.loop.plant import ComplexArray, StateSpace
 from quad_sysid.loop.simulation import LoopResponse
+from quad_tuning.bounds import BOUNDS, check_bounds
 from quad_tuning.errors import DesignRefusedError
 
 DRIVE, RATE, TOTAL, COMMANDS = range(4)
 
-LIMITS: Mapping[str, tuple[float, float, str]] = {
-    'k_angle': (0.005, 3.0, '1/rad'),
-    'k_rate': (0.005, 0.5, 's/rad'),
-    'k_drive': (0.0, 0.05, 's²/rad'),
-    'k_integral': (0.0, 5.0, '1/(rad s)'),
-    'gain': (5.0, 5000.0, 'rad/s²'),
-    'lag_s': (0.001, 0.3, 's'),
-    'delay_s': (0.0, 0.06, 's'),
-    'damping': (-5.0, 20.0, '1/s'),
-    'observer': (0.005, 1.0, ''),
-}
-"""The bridge's bounds in SI, and the unit."""
+PARAMETERS = tuple(name.removeprefix('lqr.') for name in BOUNDS
+                   if name.startswith('lqr.') and name != 'lqr.share')
+"""Fields of StateFeedback that the firmware has as gains."""
 
 
 @dataclass(frozen=True)
@@ -72,14 +63,12 @@ class StateFeedback:
 
     def to_mapping(self, axis: str, share: float = 1.0) -> dict[str, float]:
         """Parameters by the contract's names; DesignRefusedError where one is out of bounds."""
-        for name, (low, high, _) in LIMITS.items():
-            if not low <= getattr(self, name) <= high:
-                raise DesignRefusedError(
-                    f'{axis}.lqr.{name}: must lie in {low:g} .. {high:g}: '
-                    f'found {getattr(self, name):g}; choose other weights (--max-...)'
-                )
-        values = {f'{axis}.lqr.{name}': float(getattr(self, name)) for name in LIMITS}
-        return {**values, f'{axis}.lqr.share': share}
+        gains = {f'{axis}.lqr.{name}': float(getattr(self, name)) for name in PARAMETERS}
+        try:
+            check_bounds(gains)
+        except DesignRefusedError as refusal:
+            raise DesignRefusedError(f'{refusal}; choose other weights (--max-...)') from refusal
+        return {**gains, f'{axis}.lqr.share': share}
 
     def command(self, x: FloatArray, rate: float, error: float) -> tuple[float, FloatArray]:
         """The command before limits, and the states (size,) corrected by the measured rate."""

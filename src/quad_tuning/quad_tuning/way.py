@@ -1,20 +1,24 @@
 """The steps from the flown gains to the target, all within the step limit and safe.
 
 Each step is flown for some seconds, so each is checked against the ensemble, as the target is.
-bounds.py has the step limit.
+bounds.py has the step limit. With them goes the firmware's schedule on the battery's voltage,
+where a model has battery sag: a firmware that offers it multiplies commands by
+(reference / voltage) ** exponent (`<axis>.sag.*`), so one set of gains suits all voltages.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from quad_sysid.loop.cascade import CascadeGains
-from quad_tuning.bounds import DESIGNED, reachable, steps_to
+from quad_sysid.model import AxisModel
+from quad_tuning.bounds import BOUNDS, DESIGNED, reachable, steps_to
 from quad_tuning.ensemble import Ensemble
 from quad_tuning.errors import DesignRefusedError
+from quad_tuning.gain_table import LARGEST_FACTOR
 from quad_tuning.objective import Requirements, meets
 
 SLACK = 0.85
@@ -90,3 +94,48 @@ def least_on_the_way(active: CascadeGains, loops: Ensemble) -> Requirements:
         peak_sensitivity=max(FOR_SECONDS.peak_sensitivity,
                              float(np.max(m.peak_sensitivity)) / SLACK),
     )
+
+
+EFFECT = 'battery_sag'
+
+
+def sag_settings(model: AxisModel) -> dict[str, float]:
+    """Exponent and reference by the contract's names; empty without sag or such a firmware.
+
+    Commands are not scaled at the reference: the active one, else the flight's mean voltage.
+    """
+    exponent, reference = (f'{model.axis}.sag.{name}' for name in ('exponent', 'reference_v'))
+    mean = model.mean_battery_v
+    found = any(effect.name == EFFECT for effect in model.effects)
+    if not (found and mean and exponent in model.active_gains and reference in model.active_gains):
+        return {}
+    bound, volts = BOUNDS['sag.exponent'], BOUNDS['sag.reference_v']
+    power = min(max(model.value(f'{EFFECT}.exponent'), bound.lower), bound.upper)
+    at = model.active_gains[reference] if model.active_gains[exponent] > 0.0 else mean
+    if power == bound.lower or not volts.lower <= at <= volts.upper:
+        return {}
+    return {exponent: power, reference: at}
+
+
+def scheduled(model: AxisModel, chosen: Mapping[str, float]) -> AxisModel:
+    """The model with the schedule active."""
+    return replace(model, active_gains={**model.active_gains, **chosen}) if chosen else model
+
+
+def along(steps: Sequence[Mapping[str, float]], chosen: Mapping[str, float],
+          active: Mapping[str, float]) -> tuple[dict[str, float], ...]:
+    """The steps with the schedule, its exponent in each as far as the gate allows."""
+    path = [{**step, **chosen} for step in steps]
+    name = next((key for key in chosen if key.endswith('sag.exponent')), None)
+    if name is None or not path:
+        return tuple(path)
+    now, wanted, small = active[name], chosen[name], BOUNDS['sag.exponent'].small_step
+    k = 0
+    while now != wanted:
+        low, high = min(now / LARGEST_FACTOR, now - small), max(now * LARGEST_FACTOR, now + small)
+        now = min(max(wanted, low), high)
+        if k == len(path):
+            path.append(dict(path[-1]))
+        path[k][name] = now
+        k += 1
+    return tuple(path)

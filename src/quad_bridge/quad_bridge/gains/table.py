@@ -2,6 +2,7 @@
 
 Wire names, gate, node parameters and the virtual aircraft read these rows; tools/gain_tables.py
 writes the C table and docs/reference/gains.md from them; a test holds both files against the rows.
+The design has them by a link (`quad_tuning/gain_table.py`); the module imports neither package.
 Values are SI on topics, in files and on the wire, so there is nothing to convert.
 """
 
@@ -10,9 +11,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from quad_bridge.gains import motor_places
-
-AXES = motor_places.AXES
+AXES = ('roll', 'pitch', 'yaw')
 LARGEST_FACTOR = 2.0  # of one gain in one step; a configuration may ask for less, not for more
 US_PER_DEG_S = math.degrees(1.0) / 1000.0
 """The paper's unit, µs of motor pulse per deg/s (of 1000 µs), as command per rad/s."""

@@ -22,7 +22,7 @@ from quad_sysid.errors import NotInformativeError, QuadSysidError
 from quad_sysid.loop.figures import EDGE_SHARE, SquareFigures, square_figures
 from quad_sysid.record import Record
 from quad_sysid.report.canvas import AFTER, BEFORE
-from quad_tuning.bounds import BOUNDS
+from quad_tuning.bounds import ROWS
 from quad_tuning.demo.processes import StageFailedError
 
 
@@ -175,7 +175,7 @@ def _gains(outcome: Outcome) -> list[str]:
     table = [row('gains', f'{"":16s}{"before":>10s}{"after":>10s}')]
     for name in sorted(shown):
         old = outcome.first.gains.get(name, math.nan)
-        unit = BOUNDS[name.partition('.')[2]].unit
+        unit = ROWS[name.partition('.')[2]].unit
         table.append(row('', f'{name:16s}{old:10.4g}{outcome.second.gains[name]:10.4g}  {unit}'))
     table.append(
         row('', f'acknowledged {1000 * outcome.acknowledged_after_s:.0f} ms after sending')
