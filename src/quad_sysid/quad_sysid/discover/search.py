@@ -6,9 +6,11 @@ import math
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
+from quad_sysid.beside import side_by_side
 from quad_sysid.contract import FloatArray
 from quad_sysid.discover.base import EXPECTED, best_base, fit_without, fitted_from, shares
 from quad_sysid.discover.screen import Score, candidates, screen
@@ -90,15 +92,14 @@ class _Search:
 
     def build_on(self, parent: Scored, refits: int, bar: float) -> list[Scored]:
         """Fitted structures with one more effect, where the linear score may reach `bar`."""
-        out = []
-        for one in self.scores(parent.fit)[:refits]:
-            reaches = parent.score + one.nats + self.prices[one.part.effect.label]
-            if reaches < bar + HOPELESS:
-                continue
-            fitted = self.add(parent.fit, one)
-            if fitted is not None:
-                out.append(fitted)
-        return out
+        labels = parent.fit.structure.labels
+        hopeful = [
+            one for one in self.scores(parent.fit)[:refits]
+            if parent.score + one.nats + self.prices[one.part.effect.label] >= bar + HOPELESS
+            and frozenset((*labels, one.part.effect.label)) not in self.known
+        ]
+        fits = side_by_side([partial(self.fitted, parent.fit, one) for one in hopeful])
+        return [self.keep(fit) for fit in fits if fit is not None]
 
     def scores(self, parent: Fit) -> list[Score]:
         """Linear scores of the candidates beside a structure, best first."""
@@ -111,11 +112,8 @@ class _Search:
             ))
         return self.screens[labels]
 
-    def add(self, parent: Fit, one: Score) -> Scored | None:
-        """A structure with one more effect; None where it was fitted before or diverges."""
-        labels = frozenset((*parent.structure.labels, one.part.effect.label))
-        if labels in self.known:
-            return None
+    def fitted(self, parent: Fit, one: Score) -> Fit | None:
+        """A structure with one more effect; None where its fit diverges."""
         structure = parent.structure.plus(one.part)
         base = parent.theta.size - len(parent.structure.noise)
         starts = [np.r_[parent.theta[:base], start, parent.theta[base:]] for start in one.starts]
@@ -129,8 +127,7 @@ class _Search:
             ] if any(tried) else []
         if not starts:
             return None
-        fitted = fitted_from(self.problem, structure, starts[0], rate=parent.rate)
-        return None if fitted is None else self.keep(fitted)
+        return fitted_from(self.problem, structure, starts[0], rate=parent.rate)
 
     def keep(self, fitted: Fit) -> Scored:
         """Store a fit with its score, log evidence plus log prior."""
