@@ -19,7 +19,7 @@ from campaign import campaign
 
 from quad_sysid.bags import read_bag
 from quad_tuning.demo.summary import flown_square
-from quad_tuning.history.sets import changed
+from quad_tuning.history import changed
 
 INERTIA = 0.0135
 """Of the plain profile about roll, kg m²."""

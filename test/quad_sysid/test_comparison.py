@@ -11,7 +11,7 @@ from flown_axis import SHORT, Axis, fly
 
 from quad_sysid.bags import write_bag
 from quad_sysid.cli import main
-from quad_sysid.comparison.change import Estimate, Flight, changes, trims
+from quad_sysid.comparison import Estimate, Flight, changes, trims
 from quad_sysid.record import Record, Segment
 
 

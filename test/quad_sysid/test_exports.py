@@ -9,7 +9,7 @@ import pytest
 
 from quad_sysid.cli import main
 from quad_sysid.estimate.stored import estimate_of
-from quad_sysid.exports.files import matrices
+from quad_sysid.exports import matrices
 from quad_sysid.model import AxisModel, Parameter
 from quad_sysid.report.model_file import save_models
 

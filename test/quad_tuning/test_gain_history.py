@@ -9,7 +9,7 @@ from quad_bridge.gains.gate import GainRequest
 from quad_bridge.gains.history import History
 from quad_sysid.errors import BadInputError
 from quad_tuning.cli import main
-from quad_tuning.history.sets import SCHEMA, read_history, way_back
+from quad_tuning.history import STORED, read_history, way_back
 
 KP, ANGLE = 'roll.rate.kp', 'roll.angle.kp'
 
@@ -65,7 +65,7 @@ def test_the_way_back_leads_to_the_last_good_set_that_differs(folder):
 def test_the_rollback_shows_what_it_would_send_and_needs_ros_to_send_it(
     folder, capsys, monkeypatch
 ):
-    monkeypatch.delitem(sys.modules, 'quad_tuning.history.update_node', raising=False)
+    monkeypatch.delitem(sys.modules, 'quad_tuning.update_node', raising=False)
     monkeypatch.setitem(sys.modules, 'rclpy', None)
     assert main(['rollback', '--folder', str(folder), '--print']) == 0
     said = capsys.readouterr().out
@@ -91,7 +91,7 @@ def test_a_torn_line_is_left_out_and_the_next_one_begins_anew(folder):
         (['--folder', 'nowhere'], 'holds no history of gains'),
         (['--aircraft', 'quad_9'], 'quad_7, quad_8: found quad_9'),
         ([], 'holds several aircraft: found quad_7, quad_8; choose one by --aircraft'),
-        (['--aircraft', 'quad_8'], f'schema must be {SCHEMA}: found other'),
+        (['--aircraft', 'quad_8'], f'schema must be {STORED}: found other'),
     ],
 )
 def test_bad_input_is_one_line_and_status_2(folder, options, words, capsys):

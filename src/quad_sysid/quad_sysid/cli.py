@@ -16,7 +16,7 @@ from pathlib import Path
 
 os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')  # a process of one thread may fork: beside.py
 
-from quad_sysid import fleet
+from quad_sysid import comparison, exports, fleet
 from quad_sysid.arguments import (
     NOT_ANSWERED,
     Commands,
@@ -29,10 +29,8 @@ from quad_sysid.arguments import (
     quiet_and_json,
     run_command,
 )
-from quad_sysid.comparison import cli as comparison
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError, NotInformativeError
-from quad_sysid.exports import cli as exports
 from quad_sysid.files import check_new, write_whole
 from quad_sysid.imports import cli as imports
 from quad_sysid.inspection import cli as inspection

@@ -29,11 +29,10 @@ from quad_sysid.model import AxisModel
 from quad_sysid.report.model_file import load_models, pick
 from quad_sysid.report.tables import Table, figure_rows
 from quad_sysid.report.words import number
+from quad_tuning import exports, history
 from quad_tuning.bounds import ROWS
 from quad_tuning.designer import design
 from quad_tuning.errors import DesignRefusedError
-from quad_tuning.exports import cli as exports
-from quad_tuning.history import cli as history
 
 SCHEMA = 'quad_tuning/design/1'
 

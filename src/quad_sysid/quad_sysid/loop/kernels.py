@@ -91,6 +91,19 @@ def control(gains: Constants, memory: FloatArray, reference: float, angle: float
 
 
 @kernel
+def control_each(gains: Constants, memory: FloatArray, inputs: FloatArray, angle: FloatArray,
+                 rate: FloatArray, out: FloatArray) -> None:
+    """One cycle of f cascades: u (f,) with the excitation after C2.
+
+    memory (f, 3); inputs (f, 3): angle reference, excitation of the rate, of the control; angle
+    and rate (f,).
+    """
+    for i in range(angle.size):
+        _, u = control(gains, memory[i], inputs[i, 0], angle[i], rate[i], inputs[i, 1])
+        out[i] = u + inputs[i, 2]
+
+
+@kernel
 def advance(cycle: Cycle, part: int, v: float, torque: float, state: FloatArray) -> None:
     """One step of `part` in place: exact linear part, Heun for the curves."""
     n = state.size

@@ -42,7 +42,8 @@ def _table(curve: Curve | None) -> FloatArray:
     return np.concatenate(([curve.x[0], curve.x[1] - curve.x[0]], curve.y))
 
 
-def _constants(gains: CascadeGains, dt: float) -> kernels.Constants:
+def constants(gains: CascadeGains, dt: float) -> kernels.Constants:
+    """The cascade's numbers for the kernels, with a control cycle of dt s."""
     known = {**vars(gains), 'd_weight': derivative_weight(gains.d_filter_hz, dt), 'dt': dt}
     return kernels.Constants(**{name: float(known[name]) for name in kernels.Constants._fields})
 
@@ -121,7 +122,7 @@ def simulate_cascade(
         behind = np.sqrt(2.0) / (2.0 * np.pi * plant.gyro_filter_hz)
         state[3], state[4] = initial_rate, initial_angle - behind * initial_rate
     out = np.zeros((4, n))
-    kernels.run_plant(_constants(gains, plant.dt), cycle, signals, state, out, float(angle_lead_s))
+    kernels.run_plant(constants(gains, plant.dt), cycle, signals, state, out, float(angle_lead_s))
     return LoopResponse(*out)
 
 
@@ -145,7 +146,7 @@ def simulate_polynomial_cascade(
                             remedy='use nk >= 1')
     out = np.zeros((4, array.size))
     signals = np.stack((array, _signal(noise, array.size, 'noise')))
-    kernels.run_polynomial(_constants(gains, dt), signals, a / a[0], b / a[0], out,
+    kernels.run_polynomial(constants(gains, dt), signals, a / a[0], b / a[0], out,
                            float(angle_lead_s))
     return LoopResponse(*out)
 

@@ -1,8 +1,9 @@
 """Simulated flights in closed loop: an aircraft with given effects, several excitations at once.
 
-The aircraft is an identified model or the paper's. Controller and linear plant advance cycle by
-cycle, vectorised over the flights, with the effects' own torques. Effects on the command are
-evaluated along the whole flight; the flight is repeated until its commands converge.
+The aircraft is an identified model or the paper's. The cascade is the compiled one of loop; the
+linear plant advances cycle by cycle, vectorised over the flights, with the effects' own torques,
+which may depend on signals that a LoopPlant does not have. Effects on the command are evaluated
+along the whole flight; the flight is repeated until its commands converge.
 """
 
 from __future__ import annotations
@@ -15,14 +16,16 @@ import numpy as np
 
 from quad_sysid.contract import AXES, FloatArray, motors_from_wrench
 from quad_sysid.errors import BadInputError
-from quad_sysid.loop.cascade import CascadeGains, derivative_weight
+from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.loop.from_model import Placed, placed
+from quad_sysid.loop.kernels import control_each
 from quad_sysid.loop.plant import LoopPlant, Slopes, dynamics, exact_cycles, exact_step
+from quad_sysid.loop.simulation import constants
 from quad_sysid.model import AxisModel, NoiseEstimate
 from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import Signals
 from quad_sysid.model.noise import sensor_of
-from quad_sysid.model.plant import SLOPE_STEP, Flight
+from quad_sysid.model.plant import Flight, slope_over_rate
 from quad_sysid.model.structure import BASE, NOISE, Structure
 from quad_sysid.signals import schedule
 
@@ -193,7 +196,7 @@ def _run(aircraft: Aircraft, acting: Sequence[Placed], around: Sequence[AxisData
          inputs: FloatArray, extra: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """(n, f) measured rate and angle, and command, of f flights with `extra` acceleration."""
     count, _, n = inputs.shape
-    dt, g = aircraft.dt, aircraft.gains
+    dt = aircraft.dt
     gain, lag, delay, damping, bias = (float(v) for v in aircraft.theta)
     plant = LoopPlant(gain, lag, delay, damping, 0.0, aircraft.gyro_filter_hz, dt)
     a, b, c = dynamics(plant, Slopes())
@@ -202,32 +205,22 @@ def _run(aircraft: Aircraft, acting: Sequence[Placed], around: Sequence[AxisData
     push, whole = exact_step(a, b[:, 1:], np.array(dt))[1][:, 0], plant.whole_delay
     rate_at, angle_at = int(np.argmax(c[0])), int(np.argmax(c[1]))
     torque, gyro = _noise(aircraft, n)
-    torques = [one for one in acting if _has_torque(one)]
-    known = _Known(aircraft, around) if torques else None
-    weight = derivative_weight(g.d_filter_hz, dt)
-    x, integral, d_part = np.zeros((count, phi.shape[0])), np.zeros(count), np.zeros(count)
-    last = np.zeros(count)
+    known = _Known(aircraft, around) if acting else None
+    gains, memory = constants(aircraft.gains, dt), np.zeros((count, 3))
+    x = np.zeros((count, phi.shape[0]))
     u, rates, angles = np.zeros((n, count)), np.zeros((n, count)), np.zeros((n, count))
     nothing = np.zeros(count)
-    hidden = [np.zeros((one.effect.states, count)) for one in torques]
+    hidden = [np.zeros((one.effect.states, count)) for one in acting]
     for k in range(n):
-        rate, angle = x[:, rate_at] + gyro[k], x[:, angle_at]
-        wanted = (g.angle_kp * (inputs[:, 0, k] - angle)).clip(-g.rate_limit, g.rate_limit)
-        error = wanted + inputs[:, 1, k] - rate
-        integral = (integral + g.rate_ki * dt * error).clip(-g.integrator_limit,
-                                                            g.integrator_limit)
-        d_part = d_part + weight * ((rate - last) / dt - d_part)
-        last = rate
-        out = g.rate_kp * error + integral - g.rate_kd * d_part
-        u[k] = out.clip(-g.output_limit, g.output_limit) + inputs[:, 2, k]
-        rates[k], angles[k] = rate, angle
+        rates[k], angles[k] = x[:, rate_at] + gyro[k], x[:, angle_at]
+        control_each(gains, memory, inputs[:, :, k], angles[k], rates[k], u[k])
         delayed = u[k - whole] if k >= whole else nothing
         older = u[k - whole - 1] if k > whole else nothing
         free = x @ phi + delayed[:, None] * now + older[:, None] * before
         total = bias + torque[k] + extra[k]
         if known is not None:
             s = known.at(k, 0.5 * (x + free), gain * delayed)
-            own, slope = _torque(torques, hidden, s)
+            own, slope = _torque(acting, hidden, s)
             # evaluated without its own push, which its slope then takes into account
             total = (total + own) / (1.0 - 0.5 * push[1] * slope)
         begin, x = x[:, 1], free + total[:, None] * push
@@ -235,16 +228,9 @@ def _run(aircraft: Aircraft, acting: Sequence[Placed], around: Sequence[AxisData
             s = replace(s, rate=0.5 * (begin + x[:, 1]))
             hidden = [
                 one.effect.advance(h, s, one.p, one.part.settings, dt) if h.size else h
-                for one, h in zip(torques, hidden, strict=True)
+                for one, h in zip(acting, hidden, strict=True)
             ]
     return rates, angles, u
-
-
-def _has_torque(one: Placed) -> bool:
-    rest = np.zeros(1)
-    s = Signals(rest, rest, rest, rest, rest, rest, rest, rest + 1.0, (rest, rest), (rest, rest),
-                rest, (rest, rest), np.zeros((one.effect.states, 1)))
-    return one.effect.torque(s, one.p, one.part.settings) is not None
 
 
 def _torque(acting: Sequence[Placed], hidden: Sequence[FloatArray],
@@ -252,13 +238,12 @@ def _torque(acting: Sequence[Placed], hidden: Sequence[FloatArray],
     """Acceleration and its slope over the rate."""
     total, slope = np.zeros_like(known.rate), np.zeros_like(known.rate)
     for one, own in zip(acting, hidden, strict=True):
-        effect, p, settings = one.effect, one.p, one.part.settings
         s = replace(known, hidden=own) if own.size else known
-        total = total + np.asarray(effect.torque(s, p, settings))
-        if 'rate' in effect.signals:
-            ahead, back = (np.asarray(effect.torque(replace(s, rate=s.rate + step), p, settings))
-                           for step in (SLOPE_STEP, -SLOPE_STEP))
-            slope = slope + (ahead - back) / (2.0 * SLOPE_STEP)
+        torque = one.effect.torque(s, one.p, one.part.settings)
+        if torque is not None:
+            total = total + torque
+            if 'rate' in one.effect.signals:
+                slope = slope + slope_over_rate(one.part, s, one.p)
     return total, slope
 
 

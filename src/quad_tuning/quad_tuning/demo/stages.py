@@ -13,7 +13,7 @@ from pathlib import Path
 from quad_sysid.excitation_settings import load_schedule
 from quad_tuning.demo.observer import Observer
 from quad_tuning.demo.processes import Crew, StageFailedError, executable
-from quad_tuning.history.sets import changed
+from quad_tuning.history import changed
 
 CONNECT_S, START_S, CLOSE_S, ACKNOWLEDGE_S, IDENTIFY_S = 40.0, 20.0, 20.0, 60.0, 600.0
 """Patience of the stages, s."""

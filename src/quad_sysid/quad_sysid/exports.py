@@ -1,4 +1,4 @@
-"""Identified models as files for other tools: MATLAB .mat, a Python file for python-control.
+"""`quad-sysid export`: models as files for other tools, MATLAB .mat and python-control.
 
 The linear plant as matrices, with held command, delay and gyro filter. Nonlinear effects are
 listed by name, with parameters and units.
@@ -6,13 +6,18 @@ listed by name, with parameters and units.
 
 from __future__ import annotations
 
+import argparse
 import io
 from collections.abc import Callable, Mapping
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from quad_sysid.loop.from_model import loop_plant
-from quad_sysid.loop.plant import Slopes, dynamics, state_space
-from quad_sysid.model import AxisModel
+from quad_sysid.arguments import Commands, command, effects_option, own_effects
+from quad_sysid.contract import AXES
+from quad_sysid.files import check_new, write_whole
+
+if TYPE_CHECKING:
+    from quad_sysid.model import AxisModel
 
 OUTPUTS = ('rate', 'angle')
 """Outputs: rate after the gyro filter, rad/s; angle, rad."""
@@ -24,6 +29,9 @@ def matrices(model: AxisModel) -> dict[str, Any]:
     A, B, C are continuous behind `delay_s`; Ad, Bd, Cd are one control cycle of `dt_s`, with the
     delay as states. From the normalised command to measured rate and angle, no curves.
     """
+    from quad_sysid.loop.from_model import loop_plant  # slow to import, as is scipy
+    from quad_sysid.loop.plant import Slopes, dynamics, state_space
+
     plant = loop_plant(model)
     cycle = state_space(plant)
     a, b, c = dynamics(plant, Slopes())
@@ -83,3 +91,33 @@ WRITERS: Mapping[str, tuple[Callable[[Mapping[str, AxisModel]], bytes], str]] = 
     'mat': (as_mat, '.mat'), 'control': (as_control, '.py'),
 }
 """Format → its writer and the file's suffix."""
+
+
+def add(commands: Commands) -> None:
+    """Register the command."""
+    parser = command(commands, 'export', _run,
+                     'Write a model for python-control or MATLAB.',
+                     'quad-sysid export result/model.json --to mat --out aircraft.mat')
+    parser.add_argument('model', metavar='MODEL.json', type=Path)
+    parser.add_argument('--to', required=True, choices=['control', 'mat'],
+                        help='control: a Python file; mat: MATLAB')
+    parser.add_argument('--axis', choices=AXES, help='default: every axis of the model')
+    parser.add_argument('--out', metavar='FILE', type=Path,
+                        help='default: beside the model, with the suffix of the format')
+    effects_option(parser)
+    parser.add_argument('--quiet', action='store_true', help='print nothing but errors')
+
+
+def _run(options: argparse.Namespace) -> int:
+    from quad_sysid.report.model_file import load_models, pick
+
+    models = load_models(options.model, own_effects(options.effects))
+    if options.axis is not None:
+        models = pick(models, options.axis, options.model)
+    write, suffix = WRITERS[options.to]
+    out = options.out or options.model.with_name(f'{options.model.stem}_export{suffix}')
+    check_new(out)
+    write_whole(out, write(models))
+    if not options.quiet:
+        print(f'{out}: {", ".join(models)}')
+    return 0

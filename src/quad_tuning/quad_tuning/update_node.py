@@ -22,7 +22,7 @@ from quad_bridge.lockstep import patience
 from quad_bridge.nodes.conversion import event_message
 from quad_bridge.nodes.qos import EVENT
 from quad_sysid.errors import BadInputError
-from quad_tuning.history.sets import changed
+from quad_tuning.history import changed
 
 LISTEN_S, ANSWER_S = 10.0, 60.0
 FAILED = ('rolled back', 'not taken over')

@@ -1,0 +1,269 @@
+"""`quad-sysid compare`: what changed between flights or models, parameter by parameter.
+
+Base, trim and effects of every axis, the first flight against each other one: difference, error
+and p-value. Two-sided tests, held to one level together (Holm 1979). Fits are pipeline's.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from quad_sysid.arguments import (
+    NOT_ANSWERED,
+    Commands,
+    candidates,
+    command,
+    effects_option,
+    progress,
+    quiet_and_json,
+)
+from quad_sysid.contract import AXES
+from quad_sysid.errors import BadInputError
+from quad_sysid.report.tables import Table
+from quad_sysid.report.words import number
+
+if TYPE_CHECKING:
+    from quad_sysid.model import AxisModel
+    from quad_sysid.model.effect import Effect
+    from quad_sysid.record import Record
+
+SCHEMA = 'quad_sysid/comparison/1'
+LEVEL = 0.01
+"""Probability of any false change among all comparisons."""
+QUARTERS = 4
+"""Parts of a flight whose trims give the trim's scatter between equal flights."""
+MANY = 1e9
+"""Degrees of freedom with which Student's t is normal."""
+LEAST_IN_PART = 50
+"""Samples."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One parameter of one flight."""
+
+    value: float
+    std: float | None
+    """None where there is no ordinary standard error."""
+    unit: str
+    degrees: float = np.inf
+    """Degrees of freedom of `std`."""
+
+
+@dataclass(frozen=True)
+class Flight:
+    """Parameters of one flight or model by axis and name."""
+
+    source: str
+    parameters: Mapping[str, Mapping[str, Estimate]]
+    """`gain`, `lag`, …, `trim`, and `<effect>.<parameter>`; of answered axes."""
+    reasons: Mapping[str, str]
+    """By axis, why there is no model."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """One parameter in two flights."""
+
+    axis: str
+    name: str
+    unit: str
+    reference: float | None
+    """In the first flight; None where it has no such effect."""
+    value: float | None
+    difference: float | None = None
+    std: float | None = None
+    """Standard error of the difference."""
+    p_value: float | None = None
+    """Probability of a difference as large without a change; None without an error."""
+    changed: bool = False
+    """Whether it is significant among all comparisons."""
+
+
+Pair = tuple[Flight, tuple[Change, ...]]
+
+
+def of_model(model: AxisModel) -> dict[str, Estimate]:
+    """The base fitted alone, then the effects."""
+    out = {p.name: Estimate(p.value, p.std, p.unit) for p in model.plain or model.base}
+    for effect in model.effects:
+        out |= {f'{effect.name}.{p.name}': Estimate(p.value, p.std, p.unit)
+                for p in effect.parameters}
+    return out
+
+
+def trims(record: Record) -> dict[str, Estimate]:
+    """Mean command of each axis over training and validation, normalised.
+
+    Its error is the scatter between the flight's quarters, not that of their mean: a trim drifts
+    with wind and battery, between flights as within one.
+    """
+    used = np.zeros(record.n, dtype=bool)
+    for segment in record.segments:
+        if segment.role != 'idle':
+            used[slice(*record.span(segment))] = True
+    used &= np.isfinite(record.control).all(axis=1)
+    rows = np.flatnonzero(used if record.segments else np.isfinite(record.control[:, 0]))
+    if len(rows) < QUARTERS * LEAST_IN_PART:
+        return {}
+    means = np.array([record.control[part].mean(axis=0)
+                      for part in np.array_split(rows, QUARTERS)])
+    std = means.std(axis=0, ddof=1)
+    return {
+        axis: Estimate(float(means[:, i].mean()), float(std[i]), '1', QUARTERS - 1.0)
+        for i, axis in enumerate(AXES, 1) if std[i] > 0.0
+    }
+
+
+def changes(reference: Flight, other: Flight) -> tuple[Change, ...]:
+    """All parameters of either flight, in the order of axes and names."""
+    found = [
+        _change(axis, name, reference.parameters.get(axis, {}).get(name),
+                other.parameters.get(axis, {}).get(name))
+        for axis in AXES
+        for name in dict.fromkeys([*reference.parameters.get(axis, {}),
+                                   *other.parameters.get(axis, {})])
+    ]
+    return _held(found)
+
+
+def _change(axis: str, name: str, a: Estimate | None, b: Estimate | None) -> Change:
+    from scipy.stats import t  # slow to import
+
+    known = a or b
+    unit = known.unit if known else ''
+    change = Change(axis, name, unit, a.value if a else None, b.value if b else None)
+    if a is None or b is None:
+        return change
+    change = replace(change, difference=b.value - a.value)
+    if a.std is None or b.std is None or not a.std + b.std > 0.0:
+        return change
+    variances = np.array([a.std**2, b.std**2])
+    std = float(np.sqrt(variances.sum()))
+    # Welch 1947
+    lost = float(np.sum(variances**2 / np.array([a.degrees, b.degrees])))
+    degrees = min(float(variances.sum()) ** 2 / lost, MANY) if lost > 0.0 else MANY
+    p = float(2.0 * t.sf(abs(b.value - a.value) / std, degrees))
+    return replace(change, std=std, p_value=p)
+
+
+def _held(found: Sequence[Change]) -> tuple[Change, ...]:
+    """Mark the changes at LEVEL for all of them together."""
+    tested = sorted((c.p_value, i) for i, c in enumerate(found) if c.p_value is not None)
+    marked = set()
+    for rank, (p, i) in enumerate(tested):
+        if p * (len(tested) - rank) > LEVEL:
+            break
+        marked.add(i)
+    return tuple(replace(c, changed=i in marked) for i, c in enumerate(found))
+
+
+def add(commands: Commands) -> None:
+    """Register the command."""
+    parser = command(
+        commands, 'compare', _run,
+        'Show what changed between flights or aircraft: the difference of every parameter of '
+        'base, trim and effects, its error, and the chance that nothing changed.',
+        'quad-sysid compare monday/ friday/ --axis roll',
+    )
+    parser.add_argument('flights', nargs='+', metavar='BAG|MODEL.json',
+                        help='the first is what the others are compared with')
+    parser.add_argument('--axis', choices=[*AXES, 'all'], default='all', help='default: all')
+    parser.add_argument('--no-effects', action='store_true',
+                        help='compare base and trim only, which takes less time')
+    effects_option(parser)
+    quiet_and_json(parser, 'one JSON object')
+
+
+def _run(options: argparse.Namespace) -> int:
+    if len(options.flights) < 2:
+        raise BadInputError('compare', 'needs two flights or more', len(options.flights),
+                            'name what is to be compared with the first')
+    axes = AXES if options.axis == 'all' else (options.axis,)
+    show, effects = progress(quiet=options.quiet), candidates(options)
+    reference, *others = [_flight(name, axes, effects, show) for name in options.flights]
+    show('')
+    pairs = [(other, changes(reference, other)) for other in others]
+    if options.json:
+        print(json.dumps(tree(reference, pairs), indent=1))
+    elif not options.quiet:
+        print('\n'.join(lines(reference, pairs)))
+    if not any(change.p_value is not None for _, found in pairs for change in found):
+        print(f'quad-sysid: {reference.source}: nothing can be compared: no parameter has an '
+              'error in both flights', file=sys.stderr)
+        return NOT_ANSWERED
+    return 0
+
+
+def _flight(name: str, axes: tuple[str, ...], effects: tuple[Effect, ...] | None,
+            show: Callable[[str], None]) -> Flight:
+    """A stored model as it is; a bag identified, with its trim."""
+    from quad_sysid.bags import read_bag, split_segments
+    from quad_sysid.report.model_file import load_models
+    from quad_sysid.result import identify
+
+    if Path(name).suffix == '.json':
+        models = load_models(name, effects or ())
+        return Flight(name, {axis: of_model(models[axis]) for axis in axes if axis in models},
+                      {axis: 'not in the file' for axis in axes if axis not in models})
+    record = split_segments(read_bag(name), axes=axes)
+    found = identify(record, axes, effects=effects,
+                     progress=lambda line: show(f'{name}: {line}' if line else ''))
+    answers = found.answers
+    by_axis = {axis: of_model(answer.model) for axis, answer in answers.items()
+               if answer.answered and answer.model}
+    told = tuple(by_axis)
+    for axis, trim in trims(record).items():
+        if axis in axes:
+            by_axis.setdefault(axis, {})['trim'] = trim
+    return Flight(name, by_axis, {axis: answer.reason for axis, answer in answers.items()
+                                  if axis not in told})
+
+
+def tree(reference: Flight, pairs: Sequence[Pair]) -> dict[str, Any]:
+    """What `--json` prints."""
+    return {
+        'schema': SCHEMA, 'reference': reference.source, 'level': LEVEL,
+        'flights': [
+            {'source': flight.source, 'not_answered': dict(flight.reasons),
+             'parameters': [asdict(change) for change in found]}
+            for flight, found in pairs
+        ],
+        'not_answered': dict(reference.reasons),
+    }
+
+
+def lines(reference: Flight, pairs: Sequence[Pair]) -> Iterator[str]:
+    """A table for each flight, then what changed."""
+    for flight, found in pairs:
+        yield f'{reference.source} -> {flight.source}'
+        rows = [['*' if c.changed else '', c.axis, _name(c), *(number(value) for value in (
+            c.reference, c.value, c.difference, c.std, c.p_value))] for c in found]
+        head = ['', 'axis', '', 'before', 'after', 'difference', 'error', 'chance']
+        yield from Table(head, rows, range(3, 8)).text()
+        for known in (reference, flight):
+            for axis, reason in known.reasons.items():
+                yield f'  {known.source}, {axis}: no model ({reason})'
+        told = [f'{c.axis} {c.name}' for c in found if c.changed]
+        alone = [f'{c.axis} {c.name}' for c in found
+                 if (c.reference is None) != (c.value is None) and '.' in c.name]
+        yield (f'  changed: {", ".join(told)}' if told else
+               f'  nothing changed, at a level of {LEVEL:.0%} for all comparisons together')
+        if alone:
+            yield f'  in one of the two only, not compared: {", ".join(alone)}'
+        yield ''
+    yield 'chance: probability of a difference as large if nothing had changed'
+
+
+def _name(change: Change) -> str:
+    unit = '' if change.unit in ('', '1') else f', {change.unit}'
+    name = f'{change.name}{unit}'
+    return name if len(name) <= 24 else f'{name[:23]}…'

@@ -1,1 +1,0 @@
-"""What changed between flights or aircraft, parameter by parameter."""

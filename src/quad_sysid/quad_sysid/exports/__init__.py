@@ -1,1 +1,0 @@
-"""Identified models for other tools: python-control, MATLAB."""

@@ -1,0 +1,168 @@
+"""`quad-tune export`: gains of the contract as a parameter file of PX4 or ArduPilot.
+
+Ours: u = kp e + ki ∫e dt - kd d(rate)/dt in normalised command per rad/s, C1 in 1/s (contract).
+Theirs: the same in their own unit of torque, -1..1. `scale` is our U per unit of their torque: 1
+where the model was identified from their torque set-points (quad-sysid import says so), else the
+factor of their mixer. Each conversion is written out as a comment.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from quad_sysid.arguments import Commands, command
+from quad_sysid.contract import AXES
+from quad_sysid.errors import BadInputError
+from quad_sysid.files import check_new, read_json, write_whole
+
+NEEDED = ('angle.kp', 'rate.kp', 'rate.ki', 'rate.kd')
+
+
+@dataclass(frozen=True)
+class Firmware:
+    """Names of a firmware's parameters, with the axis' own name in the place of {}."""
+
+    axes: tuple[str, str, str]
+    angle: str
+    rate: str
+    """Without the letter P, I or D."""
+    d_filter: str
+    notes: tuple[str, ...]
+    """What has no counterpart."""
+    head: str = ''
+    row: str = '{name},{value:.9g}'
+    fixed: str = ''
+    """A parameter that is set to 1, so that it multiplies nothing."""
+
+
+PX4_NOTES = (
+    ('PX4 differentiates the measured rate, as ours; its D filter (IMU_DGYRO_CUTOFF) is of second '
+     'order and one for all axes: the lowest.'),
+    'MC_*RATE_K is set to 1, so that P, I and D are not multiplied by it.',
+)
+ARDUPILOT_NOTES = (
+    ('ArduPilot differentiates the error, ours the measured rate: the answer to a reference is '
+     'quicker there, that to a disturbance the same.'),
+    ('Its input shaping (ATC_ACCEL_*) and its filters of target and error (FLTT, FLTE) are not '
+     'part of our loop.'),
+)
+FIRMWARES = {
+    'px4': Firmware(('ROLL', 'PITCH', 'YAW'), 'MC_{}_P', 'MC_{}RATE_', 'IMU_DGYRO_CUTOFF',
+                    PX4_NOTES, '# Vehicle-Id\tComponent-Id\tName\tValue\tType (9: float)\n',
+                    '1\t1\t{name}\t{value:.9g}\t9', 'MC_{}RATE_K'),
+    'ardupilot': Firmware(('RLL', 'PIT', 'YAW'), 'ATC_ANG_{}_P', 'ATC_RAT_{}_',
+                          'ATC_RAT_{}_FLTD', ARDUPILOT_NOTES),
+}
+
+
+def add(commands: Commands) -> None:
+    """Register the command."""
+    parser = command(
+        commands, 'export', run,
+        'Write designed gains as a parameter file of PX4 or ArduPilot, with each conversion as a '
+        'comment.',
+        'quad-tune design result/model.json --out gains.json && quad-tune export gains.json '
+        '--to px4 --scale roll=0.25',
+    )
+    parser.add_argument('gains', metavar='GAINS.json', type=Path,
+                        help='of quad-tune design --out, or a report.json')
+    parser.add_argument('--to', choices=tuple(FIRMWARES), required=True)
+    parser.add_argument('--scale', metavar='AXIS=NUMBER', action='append', default=[],
+                        help="our command per unit of the firmware's torque; 1 where the model "
+                        'was identified on its torque set-points; repeat')
+    parser.add_argument('--out', metavar='FILE', type=Path, help='default: print it')
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Read, convert, print or write; raises BadInputError."""
+    firmware = FIRMWARES[arguments.to]
+    found = parameters(firmware, read_gains(arguments.gains), scales(arguments.scale))
+    content = (
+        f'# Gains of {arguments.gains.name}, converted by quad-tune export\n'
+        + ''.join(f'# {note}\n' for note in firmware.notes) + firmware.head
+        + ''.join(f'# {name} = {how}\n' for name, (_, how) in found.items())
+        + ''.join(firmware.row.format(name=name, value=value) + '\n'
+                  for name, (value, _) in found.items())
+    )
+    if arguments.out is None:
+        print(content, end='')
+        return 0
+    check_new(arguments.out)
+    write_whole(arguments.out, content)
+    print(f'{len(found)} parameters in {arguments.out}')
+    return 0
+
+
+def scales(items: list[str]) -> dict[str, float]:
+    """`AXIS=NUMBER` options by axis."""
+    out = {}
+    for item in items:
+        axis, _, number = item.partition('=')
+        with suppress(ValueError):
+            out[axis] = float(number)
+        if axis not in AXES or not 0.0 < out.get(axis, 0.0) < float('inf'):
+            raise BadInputError('--scale', 'needs AXIS=NUMBER', repr(item), 'such as roll=0.25')
+    return out
+
+
+def read_gains(path: Path) -> dict[str, float]:
+    """The gains of all axes in a design or report: what is sent, before any target."""
+    tree = read_json(path)
+    axes = tree.get('axes') if isinstance(tree, dict) else None
+    if not isinstance(axes, Mapping):
+        raise BadInputError(f'{path}: axes', 'is missing',
+                            remedy='give the file of quad-tune design --out, or a report.json')
+    found: dict[str, float] = {}
+    for one in axes.values():
+        gains = one.get('gains') if isinstance(one, Mapping) else None
+        if isinstance(gains, Mapping):
+            found.update({str(name): float(value) for name, value in gains.items()})
+    if not found:
+        raise BadInputError(f'{path}: gains', 'holds none',
+                            remedy='the design was refused, or this is a model: run quad-tune '
+                            'design MODEL.json --out gains.json first')
+    return found
+
+
+def parameters(firmware: Firmware, gains: Mapping[str, float],
+               scale: Mapping[str, float]) -> dict[str, tuple[float, str]]:
+    """Name → value and conversion, for gains by the contract's names; scale by axis, default 1.
+
+    Raises BadInputError where an axis' gains are incomplete or negative. A name that all axes
+    share has the lowest value.
+    """
+    out: dict[str, tuple[float, str]] = {}
+    for axis in AXES:
+        own = {k.partition('.')[2]: v for k, v in gains.items() if k.startswith(f'{axis}.')}
+        for name, value, how in _of_axis(firmware, axis, own, scale.get(axis, 1.0)) if own else ():
+            if name not in out or value < out[name][0]:
+                out[name] = value, how
+    if not out:
+        raise BadInputError('gains', 'hold none of roll, pitch, yaw',
+                            remedy='give the file of quad-tune design --out')
+    return out
+
+
+def _of_axis(firmware: Firmware, axis: str, own: Mapping[str, float],
+             unit: float) -> Iterator[tuple[str, float, str]]:
+    lacking = [name for name in NEEDED if name not in own]
+    if lacking:
+        raise BadInputError(f'gains of {axis}', f'lack {", ".join(lacking)}',
+                            remedy='take them from quad-tune design --out or report.json')
+    theirs = firmware.axes[AXES.index(axis)]
+    yield (firmware.angle.format(theirs), own['angle.kp'],
+           f'{axis}.angle.kp {own["angle.kp"]:.6g} 1/s')
+    if firmware.fixed:
+        yield firmware.fixed.format(theirs), 1.0, 'P, I, D stand by themselves'
+    for letter, ours in zip('PID', NEEDED[1:], strict=True):
+        if own[ours] < 0.0:
+            raise BadInputError(f'{axis}.{ours}', 'must not be negative', own[ours])
+        yield (firmware.rate.format(theirs) + letter, own[ours] / unit,
+               f'{axis}.{ours} {own[ours]:.6g} / {unit:.6g}')
+    if 'rate.d_filter_hz' in own:
+        yield (firmware.d_filter.format(theirs), own['rate.d_filter_hz'],
+               f'{axis}.rate.d_filter_hz, in Hz')

@@ -1,1 +1,0 @@
-"""Designed gains as parameter files of other flight controllers."""

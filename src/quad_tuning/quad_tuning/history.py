@@ -1,0 +1,262 @@
+"""`quad-tune history`, `rollback` and `send`: an aircraft's gains over time, and the way back.
+
+Reads `<folder>/<aircraft>/gains.jsonl` (quad_bridge's gains/history.py writes it): each set with
+its source and outcome. Exit status: 0 done, 2 bad input, 3 refused by the bridge; both with one
+line on stderr.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from quad_sysid.arguments import NOT_ANSWERED
+from quad_sysid.errors import BadInputError
+from quad_sysid.report.tables import Table
+from quad_sysid.result import PROMISES
+from quad_tuning.exports import read_gains
+
+SCHEMA = 'quad_tuning/history/1'
+SOURCE, SENDER = 'quad-tune rollback', 'quad-tune send'
+STORED = 'quad_bridge/gains/1'
+FILE = 'gains.jsonl'
+GOOD = ('confirmed', 'found')
+"""Outcomes of sets to which a rollback may return."""
+
+
+@dataclass(frozen=True)
+class GainSet:
+    """One set that was active."""
+
+    number: int
+    """From 1, in the order of time."""
+    time: str
+    """ISO 8601, UTC."""
+    gains: Mapping[str, float]
+    """All gains and loop constants, contract names, SI."""
+    source: str = ''
+    model: str = ''
+    bag: str = ''
+    update: str = ''
+    """Name of its update; sets of one update are its steps."""
+    outcome: str = 'in flight'
+    """`found` on the STM32, `in flight`, `confirmed`, `passed` on the way, `rolled back`, ..."""
+    reason: str = ''
+
+
+def default_folder() -> Path:
+    """Where the bridge stores it: `$ROS_HOME/quad_suite`, or in `~/.ros`."""
+    home = os.environ.get('ROS_HOME')
+    return (Path(home) if home else Path.home() / '.ros') / 'quad_suite'
+
+
+def history_file(folder: Path, aircraft: str) -> Path:
+    """The file of an aircraft; without a name the only one. Raises BadInputError."""
+    found = sorted(path.parent.name for path in folder.glob(f'*/{FILE}'))
+    if not found:
+        raise BadInputError(str(folder), 'holds no history of gains', None,
+                            "give the bridge's parameter state_folder as --folder")
+    if aircraft and aircraft not in found:
+        raise BadInputError('--aircraft', f'must be one of {", ".join(found)}', aircraft)
+    if not aircraft and len(found) > 1:
+        raise BadInputError(str(folder), 'holds several aircraft', ', '.join(found),
+                            'choose one by --aircraft')
+    return folder / (aircraft or found[0]) / FILE
+
+
+def read_history(path: Path) -> list[GainSet]:
+    """All sets in order of time, without lines that a crash cut short.
+
+    Raises BadInputError where the file cannot be read or is of another kind.
+    """
+    try:
+        lines = path.read_text(encoding='utf-8', errors='replace').splitlines()
+    except OSError as error:
+        raise BadInputError(str(path), 'cannot be read', error.strerror) from error
+    sets: list[GainSet] = []
+    for line in lines:
+        entry = _entry(line)
+        if entry is None:
+            continue
+        if entry.get('schema') != STORED:
+            raise BadInputError(str(path), f'schema must be {STORED}', entry.get('schema'))
+        if entry.get('state') == 'active':
+            sets.append(_set(entry, len(sets) + 1))
+        else:
+            sets = [_ended(one, entry) for one in sets]
+    return _passed(sets)
+
+
+def changed(one: Mapping[str, float], other: Mapping[str, float]) -> dict[str, float]:
+    """The gains of `other` that differ in `one`."""
+    return {name: value
+            for name, value in other.items()
+            if abs(one.get(name, float('inf')) - value) > 1e-6 * max(abs(value), 1e-9)}
+
+
+def way_back(sets: Sequence[GainSet],
+             number: int | None = None) -> tuple[GainSet, dict[str, float]]:
+    """The set `number`, or the last good set that differs, and the gains that must change.
+
+    Raises BadInputError where there is no such set.
+    """
+    if not sets:
+        raise BadInputError('history', 'holds no set of gains',
+                            remedy='the bridge adds the first when the aircraft is connected')
+    now = sets[-1].gains
+    if number is not None:
+        if not 1 <= number <= len(sets):
+            raise BadInputError('--to', f'must be 1..{len(sets)}', number, 'see quad-tune history')
+        chosen = sets[number - 1]
+        return chosen, changed(now, chosen.gains)
+    for one in reversed(sets[:-1]):
+        difference = changed(now, one.gains)
+        if one.outcome in GOOD and difference:
+            return one, difference
+    raise BadInputError('history', 'holds no earlier good set that differs from the present one')
+
+
+def _entry(line: str) -> dict[str, Any] | None:
+    try:
+        entry = json.loads(line)
+    except (ValueError, RecursionError):
+        return None
+    return entry if isinstance(entry, dict) else None
+
+
+def _set(entry: Mapping[str, Any], number: int) -> GainSet:
+    gains = entry.get('gains')
+    values = {str(name): float(value)
+              for name, value in (gains.items() if isinstance(gains, dict) else ())
+              if isinstance(value, (int, float))}
+    keys = ('source', 'model', 'bag', 'update', 'reason')
+    texts = {key: str(entry.get(key, '')) for key in keys}
+    outcome = 'in flight' if texts['update'] else 'found'
+    return GainSet(number, str(entry.get('time', '')), values, outcome=outcome, **texts)
+
+
+def _ended(one: GainSet, entry: Mapping[str, Any]) -> GainSet:
+    if not one.update or one.update != entry.get('update') or one.outcome != 'in flight':
+        return one
+    outcome, reason = str(entry.get('state', '')), str(entry.get('reason', ''))
+    return replace(one, outcome=outcome, reason=reason)
+
+
+def _passed(sets: Sequence[GainSet]) -> list[GainSet]:
+    """`sets` with only the last set of an update confirmed; those before it were passed."""
+    last = {one.update: one.number for one in sets}
+    return [
+        replace(one, outcome='passed')
+        if one.outcome == 'confirmed' and last[one.update] != one.number
+        else one
+        for one in sets
+    ]
+
+
+def add(commands: Any) -> None:
+    """Add them to the subparsers of `quad-tune`."""
+    history = commands.add_parser('history', help='every set of gains that was ever active')
+    history.add_argument('--json', action='store_true', help='print JSON instead of the table')
+    rollback = commands.add_parser('rollback', help='back to the last good set of gains')
+    rollback.add_argument('--to', type=int, metavar='N', help='this set of the history')
+    rollback.add_argument('--print', action='store_true', help='only print what would be sent')
+    for parser, run in ((history, show), (rollback, go_back)):
+        parser.set_defaults(run=run)
+        parser.add_argument('--folder', type=Path, metavar='DIR',
+                            help="the bridge's state_folder; default quad_suite in ROS_HOME")
+        parser.add_argument('--aircraft', default='', metavar='NAME')
+    sending = commands.add_parser('send', help='designed gains to the bridge, through its gate')
+    sending.add_argument('design', type=Path, metavar='GAINS.json',
+                         help='of quad-tune design --out')
+    sending.set_defaults(run=send)
+    for parser in (rollback, sending):
+        parser.add_argument('--namespace', default='', metavar='NS',
+                            help="the bridge's, where several aircraft fly")
+
+
+def show(arguments: argparse.Namespace) -> int:
+    """`quad-tune history`. Raises QuadSysidError for bad input."""
+    sets = _sets(arguments)
+    tree = {'schema': SCHEMA, 'sets': [asdict(one) for one in sets]}
+    print(json.dumps(tree, indent=1) if arguments.json else table(sets))
+    return 0
+
+
+def go_back(arguments: argparse.Namespace) -> int:
+    """`quad-tune rollback`. Raises QuadSysidError for bad input."""
+    chosen, gains = way_back(_sets(arguments), arguments.to)
+    told = f'set {chosen.number} of {chosen.time}: {_words(gains) or "nothing differs"}'
+    if arguments.print or not gains:
+        print(told)
+        return 0
+    refusal = _publish('rollback')(gains, SOURCE, rollback=True, namespace=arguments.namespace)
+    return _told(refusal, f'back to {told}')
+
+
+def send(arguments: argparse.Namespace) -> int:
+    """`quad-tune send`. Raises QuadSysidError for bad input."""
+    gains, predicted = read_design(arguments.design)
+    refusal = _publish('send')(gains, SENDER, predicted=json.dumps(predicted),
+                               namespace=arguments.namespace)
+    return _told(refusal, f'active, and watched by the bridge: {_words(gains)}')
+
+
+def _publish(command: str) -> Callable[..., str]:
+    """What sends gains to the bridge; raises BadInputError without ROS."""
+    try:
+        from quad_tuning.update_node import publish
+    except ImportError as missing:
+        raise BadInputError(f'quad-tune {command}', 'needs ROS 2', missing.name,
+                            'run it where the bridge runs') from missing
+    return publish
+
+
+def _told(refusal: str, success: str) -> int:
+    """Say how the bridge answered; the exit status."""
+    if refusal:
+        print(f'quad-tune: {refusal}', file=sys.stderr)
+        return NOT_ANSWERED
+    print(success)
+    return 0
+
+
+def read_design(path: Path) -> tuple[dict[str, float], dict[str, float]]:
+    """Gains and predictions of all axes in a design's file. Raises BadInputError."""
+    gains = read_gains(path)
+    axes = json.loads(path.read_text(encoding='utf-8'))['axes']
+    figures = {axis: one.get('figures') or {} for axis, one in axes.items() if one.get('gains')}
+    predicted = {f'{axis}.{name}': float(said[name])
+                 for axis, said in figures.items()
+                 for name in PROMISES
+                 if name in said}
+    return gains, predicted
+
+
+def _sets(arguments: argparse.Namespace) -> list[GainSet]:
+    return read_history(history_file(arguments.folder or default_folder(), arguments.aircraft))
+
+
+def table(sets: Sequence[GainSet]) -> str:
+    """One line per set with time, source and outcome, and below it its changes and the reason."""
+    rows = []
+    before: Mapping[str, float] = {}
+    for one in sets:
+        words = _words(changed(before, one.gains)) if before else f'{len(one.gains)} values'
+        why = one.reason if one.outcome not in {'found', 'confirmed', 'passed'} else ''
+        origin = ' and '.join(filter(None, (one.bag, one.model)))
+        below = '; '.join(filter(None, (words, why, origin and f'of {origin}')))
+        rows.append([str(one.number), one.time[:19], one.outcome,
+                     one.source or 'read from the STM32', below])
+        before = one.gains
+    head = ['', 'time (UTC)', 'outcome', 'source', 'changed']
+    return '\n'.join(Table(head, rows, (0,)).text(below=4))
+
+
+def _words(gains: Mapping[str, float]) -> str:
+    return ', '.join(f'{name} {value:.4g}' for name, value in gains.items())

@@ -1,1 +1,0 @@
-"""History of the gains, as the bridge stores it, and the return to an earlier set."""
