@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from quad_sysid.blackbox import armax, arx, bj, clriv, compare, oe
-from quad_sysid.blackbox.descent import evaluate
+from quad_sysid.blackbox.prediction_error import evaluate
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / 'test'))
 from known_plants import reference_study, table3_study

@@ -17,15 +17,15 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from quad_sysid.blackbox.arx import arx
-from quad_sysid.blackbox.descent import without
 from quad_sysid.blackbox.filters import filter_columns, filter_signal, pulses
 from quad_sysid.blackbox.frequency import autocovariance
+from quad_sysid.blackbox.innovations import without
 from quad_sysid.blackbox.polynomial import Model, delayed, monic
 from quad_sysid.blackbox.prediction_error import oe
 from quad_sysid.blackbox.regression import check_informative, check_order
 from quad_sysid.blackbox.residuals import AR_ORDER_MAX, whitener
 from quad_sysid.blackbox.simulate import predict
-from quad_sysid.blackbox.start_values import inside, stabilised
+from quad_sysid.blackbox.start_values import inside
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.record import IOData
@@ -89,7 +89,7 @@ def _loop_model(loop: IOData, order: int | None) -> Model:
 
 def stabilised_plant(model: Model) -> Model:
     """Reflect the roots of A and F into the unit circle, so that the free run stays bounded."""
-    return replace(stabilised(model), A=inside(model.A))
+    return replace(model, A=inside(model.A), F=inside(model.F))
 
 
 STAGE_ORDERS = (6, 8, 4)

@@ -16,7 +16,8 @@ from quad_sysid.contract import FloatArray
 def _run(num, den, x, lag, first, out):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """out(t) = Σ num_i x(t-lag-i) - Σ den_i out(t-i) from t = first on, 0 before; x(<0) = 0.
 
-    Where the last three outputs are enough they stay in registers.
+    Where the last three outputs are enough they stay in registers; else the latest comes last in
+    the sum, so that the processor need not wait for it.
     """
     out[:] = 0.0
     for i in range(num.size):
@@ -26,7 +27,7 @@ def _run(num, den, x, lag, first, out):  # type: ignore[no-untyped-def]  # noqa:
     if den.size > 4:
         for t in range(first, out.size):
             value = out[t]
-            for i in range(1, min(den.size, t - first + 1)):
+            for i in range(min(den.size - 1, t - first), 0, -1):
                 value -= den[i] * out[t - i]
             out[t] = value
     elif den.size > 1:

@@ -131,15 +131,22 @@ def span(columns: FloatArray) -> tuple[FloatArray, FloatArray]:
     By Gram and Schmidt, each column twice: slow poles make the columns so much alike that one
     pass or their products lose it. A column that depends on those before it is left out.
     """
-    basis, kept = np.empty_like(columns), list[int]()
-    for j in range(columns.shape[1]):
-        known = basis[:, : len(kept)]
-        rest = columns[:, j] - known @ (known.T @ columns[:, j])
-        rest -= known @ (known.T @ rest)
-        left, size = np.linalg.norm(rest), np.linalg.norm(columns[:, j])
+    basis, kept = list[FloatArray](), list[int]()
+    for j, column in enumerate(columns.T):
+        rest = column.copy()
+        for known in basis * 2:
+            rest -= (known @ rest) * known
+        left, size = math.sqrt(rest @ rest), math.sqrt(column @ column)
         if math.isfinite(size) and left > DEPENDENT * size:
-            basis[:, len(kept)] = rest / left
+            basis.append(rest / left)
             kept.append(j)
-    basis, turn = basis[:, : len(kept)], np.zeros((columns.shape[1], len(kept)))
-    turn[kept] = np.linalg.inv(basis.T @ columns[:, kept])
-    return basis, turn
+    turn = np.zeros((columns.shape[1], len(kept)))
+    whole = np.array(basis).T if basis else np.zeros((columns.shape[0], 0))
+    turn[kept] = np.linalg.inv(whole.T @ columns[:, kept])
+    return whole, turn
+
+
+def without(columns: FloatArray, states: FloatArray) -> FloatArray:
+    """(m, p) `columns` without their part in the span of the initial states (m, k)."""
+    basis, _ = span(states)
+    return np.asarray(columns - basis @ (basis.T @ columns))

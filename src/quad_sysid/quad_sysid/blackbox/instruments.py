@@ -12,15 +12,14 @@ import numpy as np
 
 from quad_sysid.blackbox.approaches import noise_free, stabilised_plant
 from quad_sysid.blackbox.arx import arx
-from quad_sysid.blackbox.descent import without
 from quad_sysid.blackbox.filters import filter_columns, pulses
 from quad_sysid.blackbox.frequency import autocovariance
-from quad_sysid.blackbox.innovations import errors_and_gradient, one_step_errors, squares
+from quad_sysid.blackbox.innovations import errors_and_gradient, one_step_errors, squares, without
 from quad_sysid.blackbox.polynomial import Model, delayed, monic
 from quad_sysid.blackbox.regression import check_informative, check_orders, lagged
 from quad_sysid.blackbox.residuals import whitener
 from quad_sysid.blackbox.simulate import initial_state, simulate
-from quad_sysid.blackbox.start_values import bj_starts, high_order, inside, stabilised
+from quad_sysid.blackbox.start_values import bj_starts, high_order, inside
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.record import IOData
@@ -200,7 +199,8 @@ def _noise_step(model: Model, z: IOData) -> _Noise:
     theta = model.parameters.copy()
     theta[held] -= inverse @ slope
     covariance = np.asarray(variance * inverse)
-    return _Noise(stabilised(model.with_parameters(theta)), variance, covariance)
+    ahead = model.with_parameters(theta)
+    return _Noise(replace(ahead, C=inside(ahead.C)), variance, covariance)
 
 
 def _joined_covariance(noise: _Noise, spread: FloatArray, nb: int) -> FloatArray:

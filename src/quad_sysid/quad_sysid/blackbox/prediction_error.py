@@ -1,40 +1,54 @@
 """ARMAX, OE and BJ by the prediction error method: Gauss-Newton with exact gradients.
 
-Start values come from start_values.py, the descent from descent.py; here they are put together.
+One start value, and a test of the minimum that it leads to: its loss is compared with what a
+high-order ARX model reaches. Only where that is lower, other start values are tried
+(start_values.py). Roots of C and F may be pulled to the edge of stability: a drift that the
+command does not explain pulls a pole of F there, and the least loss among stable models then lies
+on the edge.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
-from quad_sysid.blackbox.descent import (
-    Point,
-    decrement,
-    descend,
-    evaluate,
-    on_edge,
-    sum_of_squares,
-    with_covariance,
-)
+import numpy as np
+
+from quad_sysid.blackbox.filters import filter_columns
+from quad_sysid.blackbox.frequency import autocovariance
+from quad_sysid.blackbox.innovations import errors_and_gradient
 from quad_sysid.blackbox.polynomial import Model
-from quad_sysid.blackbox.regression import check_exciting, check_informative, check_orders
+from quad_sysid.blackbox.regression import check_exciting, check_informative, check_orders, upper
+from quad_sysid.blackbox.residuals import AR_ORDER_MAX, whitener
 from quad_sysid.blackbox.start_values import (
+    EDGE,
     HighOrder,
     armax_starts,
     bj_starts,
     high_order,
     oe_starts,
     reinserted,
-    stabilised,
 )
+from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.record import IOData
 
-AGREED = 0.5
-"""Difference of N ln V below which two descents have found the same minimum."""
-
+MAX_ITERATIONS = 60
+TOLERANCE = 1e-3
+"""Converged where the next step would lower N ln V by less than this."""
+DAMPINGS = (0.0, 1e-6, 1e-2, 1.0)
+"""Tried in turn where the plain Gauss-Newton direction gives no descent."""
+FLAT = 1e-13
+"""Eigenvalue of a scaled Hessian, against the largest, below which it is rounding."""
+EXACT = 1e-18
+"""Part of the output's power below which a residual is rounding, as with data free of noise."""
+ON_EDGE = 1.0 - 2.0 * (1.0 - EDGE)
+"""Radius from which a root counts as held at EDGE, where it was pulled to."""
+FAR = 1.1
+"""Loss of a start, against that of its minimum, from which another minimum may be lower."""
+WANDERS = 0.02
+"""Power of the residual's changes, against its own, below which it wanders as with a drift."""
 REINSERTED = 3
 """Places of a nearly cancelling pair from which the descent is tried again."""
 
@@ -44,10 +58,6 @@ EDGE_TOLD = {
     'C': 'a zero of the noise model is held at the unit circle: the residual lacks that frequency',
 }
 """Polynomial → meaning of a root at the edge of stability."""
-
-Starts = Callable[[HighOrder], Iterator[Model]]
-Descent = tuple[Model, Point]
-"""Where a descent ended: the model, without its covariance, and the criterion there."""
 
 
 def armax(z: IOData, na: int, nb: int, nc: int, nk: int, *, start: Model | None = None) -> Model:
@@ -59,7 +69,7 @@ def armax(z: IOData, na: int, nb: int, nc: int, nk: int, *, start: Model | None 
     orders = check_orders('armax', na=na, nb=nb, nc=nc, nk=nk)
     check_informative('armax', z, na + nb + nc, max(na, nk + nb - 1))
     check_exciting('armax', z, nb)
-    return _best('ARMAX', orders, z, start, lambda ho: armax_starts(ho, na, nb, nc))
+    return _fit('ARMAX', orders, z, start, lambda ho: armax_starts(ho, na, nb, nc))
 
 
 def oe(z: IOData, nb: int, nf: int, nk: int, *, start: Model | None = None) -> Model:
@@ -70,78 +80,29 @@ def oe(z: IOData, nb: int, nf: int, nk: int, *, start: Model | None = None) -> M
     orders = check_orders('oe', nb=nb, nf=nf, nk=nk)
     check_informative('oe', z, nb + nf, nk + nb - 1 + nf)
     check_exciting('oe', z, nb + nf)
-    return _best('OE', orders, z, start, lambda ho: oe_starts(ho, nb, nf))
+    return _fit('OE', orders, z, start, lambda ho: oe_starts(ho, nb, nf))
 
 
-def bj(z: IOData, nb: int, nc: int, nd: int, nf: int, nk: int, *, start: Model | None = None,
-       thorough: bool = True) -> Model:
-    """Fit y = (B/F) u + (C/D) e over all segments. C and F are kept stable. As `armax`.
-
-    Not `thorough`, the minimum that the best start value leads to will do.
-    """
+def bj(z: IOData, nb: int, nc: int, nd: int, nf: int, nk: int, *,
+       start: Model | None = None) -> Model:
+    """Fit y = (B/F) u + (C/D) e over all segments. C and F are kept stable. As `armax`."""
     orders = check_orders('bj', nb=nb, nc=nc, nd=nd, nf=nf, nk=nk)
     check_informative('bj', z, nb + nc + nd + nf, nk + nb - 1 + nd + nf)
     check_exciting('bj', z, nb + nf)
-    return _best('BJ', orders, z, start, lambda ho: bj_starts(ho, nb, nc, nd, nf),
-                 thorough=thorough)
+    return _fit('BJ', orders, z, start, lambda ho: bj_starts(ho, nb, nc, nd, nf))
 
 
-def _best(structure: str, orders: dict[str, int], z: IOData, start: Model | None, starts: Starts,
-          *, thorough: bool = True) -> Model:
-    """Fit from the given start, or from several until the loss is as low as expected."""
+def _fit(structure: str, orders: dict[str, int], z: IOData, start: Model | None,
+         starts: Callable[[HighOrder], Iterator[Model]]) -> Model:
+    """Fit from the given start, or from the own ones until the loss is as low as expected."""
     if start is not None:
         _check_start(structure, orders, start)
-        first = stabilised(start)
-        best = descend(first, evaluate(first, z), z)
+        best = descend(evaluate(start, z), lambda model: evaluate(model, z))
     else:
         ho = high_order(z, orders['nk'], sum(orders.values()) - orders['nk'])
-        spare = max(ho.model.parameters.size - sum(orders.values()) + orders['nk'], 0)
-        goal = ho.model.loss * math.exp((spare + math.sqrt(2.0 * spare)) / ho.model.samples)
-        found = starts(ho)
-        first = next(found)
-        best = descend(first, evaluate(first, z), z)
-        if thorough:
-            best = _without_false_pair(_best_of(best, found, z, goal), z)
-    model = with_covariance(*best)
-    return replace(model, structure=structure, orders=orders, warnings=_warnings(model))
-
-
-def _best_of(best: Descent, others: Iterator[Model], z: IOData, goal: float) -> Descent:
-    """Descend from other starts too, until the loss is as low as `goal` or two of them agree."""
-    while not (best[0].converged and best[0].loss <= goal):
-        start = next(others, None)
-        if start is None:
-            break
-        point = evaluate(start, z)
-        if _agree(best[0], sum_of_squares(point) - decrement(point)):
-            break
-        other = descend(start, point, z, best[0].loss)
-        agreed = other[0].converged and _agree(best[0], sum_of_squares(other[1]))
-        best = _better(best, other)
-        if agreed:
-            break
-    return best
-
-
-def _agree(model: Model, squares: float) -> bool:
-    """Whether a sum of squares that another start has, or promises, is the converged model's."""
-    if not (model.converged and 0.0 < squares < math.inf):
-        return False
-    return abs(math.log(squares / model.samples / model.loss)) * model.samples < AGREED
-
-
-def _without_false_pair(best: Descent, z: IOData) -> Descent:
-    """Descend again from the most promising places of a nearly cancelling pair."""
-    moved = [(model, evaluate(model, z)) for model in reinserted(best[0])]
-    moved.sort(key=lambda item: sum_of_squares(item[1]) - decrement(item[1]))
-    for model, point in moved[:REINSERTED]:
-        best = _better(best, descend(model, point, z, best[0].loss))
-    return best
-
-
-def _better(one: Descent, other: Descent) -> Descent:
-    """The converged one of two; if both or none converged, that with the lower loss."""
-    return min(one, other, key=lambda end: (not end[0].converged, end[0].loss))
+        best = _lowest(starts(ho), ho)
+    model = with_covariance(best)
+    return replace(model, structure=structure, orders=orders, warnings=_warnings(best, model))
 
 
 def _check_start(structure: str, orders: dict[str, int], start: Model) -> None:
@@ -154,11 +115,217 @@ def _check_start(structure: str, orders: dict[str, int], start: Model) -> None:
                                 f'start must have {name} = {orders.get(name, 0)}', size)
 
 
-def _warnings(model: Model) -> tuple[str, ...]:
+def _warnings(point: Point, model: Model) -> tuple[str, ...]:
     """Warnings for the user of the fit."""
-    told = [EDGE_TOLD[name] for name in on_edge(model)]
+    told = [EDGE_TOLD[name] for name in point.on_edge]
     if not model.converged:
         told.insert(0, f'did not converge in {model.iterations} iterations')
     if model.covariance is None:
         told.append('the data do not determine all parameters: no standard errors')
     return tuple(told)
+
+
+@dataclass(frozen=True)
+class Point:
+    """The criterion at one model: e, and what is left of J beside the nuisance, by segment."""
+
+    model: Model
+    errors: list[FloatArray]
+    gradients: list[FloatArray]
+    hessian: FloatArray
+    """(p, p) JᵀJ."""
+    slope: FloatArray
+    """(p,) Jᵀe."""
+    squares: float
+    """Sum of squared errors; inf where it or its derivatives overflowed."""
+    rounding: float = 0.0
+    """Sum of squares that rounding alone makes."""
+    edge: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    """(m, p) how the radius of each root at the edge of stability grows with the parameters."""
+    on_edge: tuple[str, ...] = ()
+    """Names of the polynomials, of C and F, that have such a root."""
+
+
+def point_of(model: Model, errors: list[FloatArray], gradients: list[FloatArray]) -> Point:
+    """The criterion from its errors (m,) and gradients (m, p) by segment, without an edge."""
+    p = model.parameters.size
+    hessian, slope = np.zeros((p, p)), np.zeros(p)
+    for e, gradient in zip(errors, gradients, strict=True):
+        hessian += gradient.T @ gradient
+        slope += gradient.T @ e
+    total = float(sum(e @ e for e in errors))
+    known = math.isfinite(total) and np.isfinite(hessian).all() and np.isfinite(slope).all()
+    return Point(model, errors, gradients, hessian, slope, total if known else math.inf)
+
+
+def evaluate(model: Model, z: IOData) -> Point:
+    """The criterion with the initial states eliminated; C and F are made stable before."""
+    p, nf, nd = model.parameters.size, model.F.size - 1, model.D.size - 1
+    (c, at_c), (f, at_f) = _bounded(model.C), _bounded(model.F)
+    if c is not model.C or f is not model.F:
+        model = replace(model, C=c, F=f)
+    errors, gradients = [], []
+    with np.errstate(over='ignore', invalid='ignore'):
+        for e, gradient, basis in errors_and_gradient(model, z):
+            errors.append(e)
+            gradients.append(gradient - (gradient.T @ basis @ basis.T).T)
+        point = point_of(model, errors, gradients)
+    edge = np.zeros((len(at_c) + len(at_f), p))
+    edge[: len(at_c), p - nf - nd - c.size + 1 : p - nf - nd] = at_c
+    edge[len(at_c) :, p - nf :] = at_f
+    power = sum(float(z.y[start:stop] @ z.y[start:stop]) for start, stop in z.segments)
+    return replace(point, rounding=EXACT * power, edge=edge,
+                   on_edge=tuple(name for name, at in (('C', at_c), ('F', at_f)) if len(at)))
+
+
+def _bounded(poly: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Poly with its roots pulled back to EDGE, and how the radii of those at the edge grow.
+
+    The second is (m, n) by the coefficients of q⁻¹, q⁻², …, scaled; one row for a pair of roots.
+    """
+    n = poly.size - 1
+    if not n or not np.isfinite(poly).all():
+        return poly, np.zeros((0, n))
+    roots = np.roots(poly)
+    radius = np.abs(roots)
+    if (radius > EDGE).any():
+        roots = roots * np.minimum(1.0, EDGE / np.maximum(radius, EDGE))
+        poly = np.real(np.poly(roots))
+    at = roots[(radius > ON_EDGE) & (roots.imag >= 0.0)]
+    if not at.size:
+        return poly, np.zeros((0, n))
+    turn = np.conj(at * np.polyval(np.polyder(poly), at))
+    growth = -np.real(turn[:, None] * at[:, None] ** np.arange(n - 1, -1, -1))
+    size = np.linalg.norm(growth, axis=1, keepdims=True)
+    return poly, growth / np.where(size > 0.0, size, 1.0)
+
+
+def descend(point: Point, at: Callable[[Model], Point]) -> Point:
+    """Gauss-Newton with line search from `point` to the nearest minimum of the criterion `at`."""
+    converged, iteration = False, 0
+    rows = sum(e.size for e in point.errors)
+    while iteration < MAX_ITERATIONS and math.isfinite(point.squares):
+        iteration += 1
+        free = _free(point)
+        promised = float(point.slope @ _step(point, free))
+        if rows * promised <= TOLERANCE * point.squares or point.squares <= point.rounding:
+            converged = True
+            break
+        ahead = None
+        for damping in DAMPINGS:
+            ahead = _search(point, _step(point, free, damping), at)
+            if ahead is not None:
+                break
+        if ahead is None:
+            converged = rows * promised <= 100.0 * TOLERANCE * point.squares
+            break
+        point = ahead
+    return replace(point, model=replace(point.model, converged=converged, iterations=iteration,
+                                        samples=rows, loss=point.squares / max(rows, 1)))
+
+
+def _free(point: Point) -> FloatArray:
+    """(p, m) orthonormal directions that carry no root across the edge of stability.
+
+    A root that the plain step would carry outside keeps its radius; another is let go.
+    """
+    p = point.slope.size
+    if not point.edge.size:
+        return np.eye(p)
+    held = point.edge[point.edge @ _step(point) < 0.0]
+    if not held.size:
+        return np.eye(p)
+    _, sizes, turn = np.linalg.svd(held)
+    return np.asarray(turn[int(np.sum(sizes > FLAT * sizes[0])) :].T)
+
+
+def _step(point: Point, free: FloatArray | None = None, damping: float = 0.0) -> FloatArray:
+    """Damped Gauss-Newton step (p,) along the `free` directions (p, m), to be subtracted."""
+    free = np.eye(point.slope.size) if free is None else free
+    hessian = free.T @ point.hessian @ free
+    scale = _scale(hessian)
+    values, vectors = np.linalg.eigh(hessian / np.outer(scale, scale))
+    kept = values > FLAT * max(values[-1:], default=0.0)
+    along = vectors[:, kept]
+    return np.asarray(
+        free @ (along @ ((along.T @ (free.T @ point.slope / scale)) / (values[kept] + damping))
+                / scale))
+
+
+def _scale(hessian: FloatArray) -> FloatArray:
+    """(m,) units in which a Hessian (m, m) has a diagonal of ones."""
+    scale = np.sqrt(np.diag(hessian))
+    return np.asarray(np.where(scale > 0.0, scale, 1.0))
+
+
+def _search(point: Point, step: FloatArray, at: Callable[[Model], Point]) -> Point | None:
+    """Lower the criterion along -step: shorten, or pull back a step that went too far."""
+    theta, promised = point.model.parameters, float(point.slope @ step)
+    length = 1.0
+    while length > 1e-3:
+        ahead = at(point.model.with_parameters(theta - length * step))
+        if ahead.squares < point.squares:
+            break
+        rise = ahead.squares - point.squares + 2.0 * length * promised
+        length *= min(max(length * promised / rise, 0.1), 0.6) if rise > 0.0 else 0.5
+    else:
+        return None
+    beyond = -float(ahead.slope @ step) / promised
+    if length == 1.0 and beyond > 0.2:
+        back = at(point.model.with_parameters(theta - step / (1.0 + beyond)))
+        if back.squares < ahead.squares:
+            return back
+    return ahead
+
+
+def _lowest(starts: Iterator[Model], ho: HighOrder) -> Point:
+    """Descend from the first start, and from the others where its minimum is in doubt.
+
+    In doubt is one that lies far below its start, or leaves a drift, unless its loss is as low as
+    that of the high-order model. Then a nearly cancelling pair is tried elsewhere.
+    """
+    def at(model: Model) -> Point:
+        return evaluate(model, ho.data)
+
+    first = at(next(starts))
+    best = descend(first, at)
+    doubt = not best.model.converged or first.squares > FAR * best.squares or _wanders(best)
+    if doubt and best.model.loss > ho.loss_of(best.slope.size):
+        best = min(best, best, *(descend(at(start), at) for start in starts), key=_squares)
+    moved = sorted((at(model) for model in reinserted(best.model)),
+                   key=lambda one: one.squares - one.slope @ _step(one))
+    return min(best, best, *(descend(one, at) for one in moved[:REINSERTED]), key=_squares)
+
+
+def _squares(point: Point) -> float:
+    return point.squares
+
+
+def _wanders(point: Point) -> bool:
+    """Whether the residual is mostly a drift, which a pole near the edge may explain."""
+    changes = [np.diff(e) for e in point.errors]
+    return sum(float(d @ d) for d in changes) < WANDERS * point.squares
+
+
+def with_covariance(point: Point) -> Model:
+    """Attach noise variance and covariance (Ljung 1999, eq. 9.42) to what a descent has reached.
+
+    Roots at the edge of stability have no spread: the covariance is that of the rest. Without a
+    noise model it allows for a coloured residual: the gradient is shaped by the residual's filter.
+    """
+    n, p, free = sum(e.size for e in point.errors), point.slope.size, _free(point)
+    model = replace(point.model, noise_variance=point.squares / (n - p), covariance=None)
+    own = [g @ free for g in point.gradients]
+    scale = _scale(free.T @ point.hessian @ free)
+    r = upper(np.vstack([upper(g / scale) for g in own]))
+    if r.shape[0] != free.shape[1] or np.linalg.cond(r) > 1e12:
+        return model
+    inverse = free @ (np.linalg.solve(r, np.eye(r.shape[0])) / scale[:, None])
+    if not model.C.size == model.D.size == model.A.size == 1:
+        return replace(model, covariance=model.noise_variance * inverse @ inverse.T)
+    cov = autocovariance(point.errors, min(AR_ORDER_MAX, n // 10))
+    ar = whitener(cov, n)
+    power = float(ar @ cov[: ar.size]) * n / (n - p)
+    shaped = np.concatenate([filter_columns(np.ones(1), ar, g @ inverse) for g in point.gradients])
+    spread = inverse @ (shaped.T @ shaped) @ inverse.T
+    return replace(model, covariance=power * spread)

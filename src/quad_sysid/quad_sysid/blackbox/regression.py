@@ -63,15 +63,19 @@ def check_exciting(where: str, z: IOData, count: int) -> None:
     """
     if not any(stop - start >= count for start, stop in z.segments):
         return
-    r = triangular(lagged(z.u, range(count), begin, min(stop, begin + BLOCK_ROWS))
-                   for start, stop in z.segments
-                   for begin in range(start + count - 1, stop, BLOCK_ROWS))
-    scale = np.linalg.norm(r, axis=0)
-    if not (scale > 0.0).all() or np.linalg.cond(r / scale) > DEPENDENT:
-        raise BadInputError(
-            where, f'u does not excite {count} parameters (its lags are linearly dependent)',
-            remedy='lower the orders or excite more richly',
-        )
+    r = np.zeros((0, count))
+    for start, stop in z.segments:
+        for begin in range(start + count - 1, stop, BLOCK_ROWS):
+            block = lagged(z.u, range(count), begin, min(stop, begin + BLOCK_ROWS))
+            r = upper(np.vstack((r, block)))
+            scale = np.linalg.norm(r, axis=0)
+            full = len(r) == count and (scale > 0.0).all()
+            if full and np.linalg.cond(r / scale) <= DEPENDENT:
+                return
+    raise BadInputError(
+        where, f'u does not excite {count} parameters (its lags are linearly dependent)',
+        remedy='lower the orders or excite more richly',
+    )
 
 
 def usable_rows(z: IOData, lead: int) -> int:

@@ -8,9 +8,10 @@ criterion itself belongs here.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import islice
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from scipy.linalg import toeplitz
 from quad_sysid.blackbox.filters import filter_columns, filter_signal, pulses
 from quad_sysid.blackbox.innovations import one_step_errors
 from quad_sysid.blackbox.polynomial import Model, delayed, monic, polynomial_model
-from quad_sysid.blackbox.regression import arx_blocks, lagged, upper, usable_rows
+from quad_sysid.blackbox.regression import lagged, upper, usable_rows
 from quad_sysid.contract import FloatArray
 from quad_sysid.record import IOData
 
@@ -29,12 +30,12 @@ SETTLED = 1e-4
 NEAR = 0.4
 """Distance in the z plane within which a pole and a zero count as cancelling."""
 PLACES = (-0.7, -0.2, 0.3, 0.6, 0.8, 0.95)
-EDGE = 1.0 - 1e-7
-RIDGE = 1e-13
-"""Added to the scaled normal equations of the high-order model: data without noise leave its
-coefficients open, and then any that explain the data will do."""
 SLOW_FACTOR = np.array([1.0, -0.9999])
 """Factor of a cancelling pole and zero, which a drift can separate."""
+EDGE = 1.0 - 1e-7
+RIDGE = 1e-13
+"""Added to scaled normal equations: data without noise, or a command of few frequencies, leave
+coefficients of the high-order model open, and then any that explain the data will do."""
 
 
 @dataclass(frozen=True)
@@ -43,8 +44,23 @@ class HighOrder:
 
     model: Model
     data: IOData
-    innovations: FloatArray
-    """(n,) zero outside segments and before their first error."""
+
+    @cached_property
+    def innovations(self) -> FloatArray:
+        """(n,) zero outside segments and before their first error."""
+        found, one = np.zeros(self.data.y.size), np.ones(1)
+        lead = max(self.model.A.size, self.model.B.size) - 1
+        for i, j in self.data.segments:
+            found[i:j] = (filter_signal(self.model.A, one, self.data.y[i:j], lead)
+                          - filter_signal(self.model.B, one, self.data.u[i:j], lead))
+        return found
+
+    def loss_of(self, parameters: int) -> float:
+        """Loss that the right structure reaches with so many: chi-squared, within a sigma."""
+        n = usable_rows(self.data, max(self.model.A.size, self.model.B.size) - 1)
+        spare = max(self.model.parameters.size - parameters, 0)
+        return float(self.innovations @ self.innovations) / n * math.exp(
+            (spare + math.sqrt(2.0 * spare)) / n)
 
 
 def high_order(z: IOData, nk: int, parameters: int) -> HighOrder:
@@ -53,27 +69,35 @@ def high_order(z: IOData, nk: int, parameters: int) -> HighOrder:
     order = max(20, parameters)
     while order > 1 and (nk + order > longest // 4 or usable_rows(z, nk + order) < 10 * order):
         order //= 2
-    blocks = arx_blocks(z, range(1, order + 1), range(nk, nk + order),
-                        max(order, nk + order - 1))
-    gram = sum((x.T @ x for x in blocks), np.zeros((2 * order + 1, 2 * order + 1)))
+    lead = nk + order + 1
+    gram = sum((_lag_gram((z.y[i:j], np.append(np.zeros(nk), z.u[i : j - nk])), order + 1, lead)
+                for i, j in z.segments if j - i > lead), np.zeros((2 * order + 2, 2 * order + 2)))
     scale = np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))
     gram = gram / np.outer(scale, scale) + RIDGE * np.eye(scale.size)
-    theta = np.linalg.solve(gram[:-1, :-1], gram[:-1, -1]) * scale[-1] / scale[:-1]
-    model = polynomial_model(delayed(theta[order:], nk), A=monic(theta[:order]), nk=nk, dt=z.dt)
-    innovations, parts = np.zeros(z.y.size), one_step_errors(model, z)
-    for part in parts:
-        innovations[part.start : part.start + part.errors.size] = part.errors
-    samples = sum(part.errors.size for part in parts)
-    loss = float(innovations @ innovations) / samples
-    return HighOrder(replace(model, samples=samples, loss=loss), z, innovations)
+    theta = np.linalg.solve(gram[1:-1, 1:-1], gram[1:-1, 0]) * scale[0] / scale[1:-1]
+    model = polynomial_model(delayed(theta[::2], nk), A=monic(-theta[1::2]), nk=nk, dt=z.dt)
+    return HighOrder(model, z)
 
 
-def stabilised(model: Model) -> Model:
-    """Reflect roots of C and F that are not inside the unit circle."""
-    c, f = inside(model.C), inside(model.F)
-    if c is model.C and f is model.F:
-        return model
-    return replace(model, C=c, F=f)
+def _lag_gram(signals: tuple[FloatArray, ...], lags: int, first: int) -> FloatArray:
+    """Gram matrix of the lags 0, 1, … of k signals (n,) over the rows from `first` >= lags on.
+
+    By lag, then by signal. Each block follows from the one a lag before in both, by the row that
+    enters and the one that leaves; only the first `k` rows are sums over the record.
+    """
+    k, n = len(signals), signals[0].size
+    gram = np.empty((lags * k, lags * k))
+    for row, x in enumerate(signals):
+        for column, other in enumerate(signals):
+            sums = np.correlate(other[first - lags + 1 :], x[first:], 'valid')
+            gram[row, column::k] = sums[::-1]
+    both = np.column_stack(signals)
+    enters, leaves = both[first - lags : first][::-1].ravel(), both[n - lags :][::-1].ravel()
+    change = np.outer(enters, enters) - np.outer(leaves, leaves)
+    for row in range(k, lags * k):
+        gram[row, :k] = gram[:k, row]
+        gram[row, k:] = gram[row - k, :-k] + change[row - k, :-k]
+    return gram
 
 
 def inside(poly: FloatArray) -> FloatArray:
@@ -84,31 +108,23 @@ def inside(poly: FloatArray) -> FloatArray:
     radius = np.abs(roots)
     if (radius < 1.0).all():
         return poly
-    reflected = np.where(radius < 1.0, roots, roots / np.maximum(radius, 1.0) ** 2)
-    new = np.abs(reflected)
-    reflected = np.where(new > EDGE, reflected / np.maximum(new, EDGE) * EDGE, reflected)
-    padded = np.zeros(poly.size)
-    found = np.real(np.poly(reflected))
-    padded[: found.size] = found
-    return padded
+    back = np.where(radius < 1.0, 1.0, np.minimum(1.0 / radius, EDGE) / np.maximum(radius, 1.0))
+    return np.asarray(np.real(np.poly(roots * back)))
 
 
 def armax_starts(ho: HighOrder, na: int, nb: int, nc: int) -> Iterator[Model]:
     """Start values by the regression on innovations; then A from each plant denominator."""
     theta = _regress(_joined(ho, na, nb, nc))
     yield _model(ho, A=monic(theta[:na]), B=theta[na : na + nb], C=monic(theta[na + nb :]))
-    plain = _regress([block[:, [*range(na + nb), -1]] for block in _joined(ho, na, nb, 0)])
-    yield _model(ho, A=monic(plain[:na]), B=plain[na:], C=monic(np.zeros(nc)))
     for b, f in _plants(ho, nb, na):
-        c = _moving_average(ho, b, f, na, nc)
-        yield _model(ho, A=f, B=b, C=c)
+        yield _model(ho, A=f, B=b, C=_moving_average(ho, b, f, na, nc))
 
 
 def oe_starts(ho: HighOrder, nb: int, nf: int) -> Iterator[Model]:
     """Start values from the plants B/F alone, and from one in which a pole is left to a drift."""
     plants = _plants(ho, nb, nf)
-    for b, f in islice(plants, 2):
-        yield _model(ho, B=b, F=f)
+    b, f = next(plants)
+    yield _model(ho, B=b, F=f)
     if nb > 1 and nf > 1:
         z = ho.data  # in its changes a drift is small
         changes = [np.diff(np.column_stack((z.y[i:j], z.u[i:j])), axis=0) for i, j in z.segments]
@@ -131,46 +147,39 @@ def reinserted(model: Model) -> Iterator[Model]:
     Such a pair is what nearly all false minima have; where it stands matters little to the
     criterion, so that the descent does not find the place where it matters.
     """
-    plant = 'A' if model.F.size == 1 else 'F'
-    for zeros, poles in (('B', plant), ('C', 'D')):
-        num, den = getattr(model, zeros), getattr(model, poles)
-        lead = num[model.nk :] if zeros == 'B' else num
-        if lead.size < 2 or den.size < 2 or lead[0] == 0.0:
+    for zeros, poles in (('B', 'A' if model.F.size == 1 else 'F'), ('C', 'D')):
+        lead = getattr(model, zeros)[model.nk if zeros == 'B' else 0 :]
+        if lead[0] == 0.0:
             continue
-        z_roots, p_roots = np.roots(lead), np.roots(den)
-        pairs = np.abs(z_roots[:, None] - p_roots[None, :])
-        pairs[np.ix_(np.abs(z_roots.imag) > 1e-9, np.arange(p_roots.size))] = np.inf
-        pairs[:, np.abs(p_roots.imag) > 1e-9] = np.inf
-        i, j = np.unravel_index(int(np.argmin(pairs)), pairs.shape)
-        if pairs[i, j] > NEAR:
+        z_roots, p_roots = np.roots(lead), np.roots(getattr(model, poles))
+        apart = np.abs(z_roots[:, None] - p_roots)
+        apart[(np.abs(z_roots.imag) > 1e-9)[:, None] | (np.abs(p_roots.imag) > 1e-9)] = np.inf
+        if zeros == 'B':
+            apart[:, (p_roots.imag == 0.0) & (p_roots.real < 0.0)] *= 1e-3
+        if apart.min(initial=np.inf) > NEAR:
             continue
-        rest_z = lead[0] * np.real(np.poly(np.delete(z_roots, i)))
-        rest_p = np.real(np.poly(np.delete(p_roots, j)))
+        i, j = np.unravel_index(int(np.argmin(apart)), apart.shape)
         for place in PLACES:
-            top, bottom = np.convolve(rest_z, [1.0, -place]), np.convolve(rest_p, [1.0, -place])
-            if zeros == 'C':
-                yield replace(model, C=top, D=bottom)
-            elif plant == 'A':
-                yield replace(model, B=delayed(top, model.nk), A=bottom)
-            else:
-                yield replace(model, B=delayed(top, model.nk), F=bottom)
+            top = lead[0] * np.real(np.poly([*np.delete(z_roots, i), place]))
+            bottom = np.real(np.poly([*np.delete(p_roots, j), place]))
+            moved: dict[str, Any] = {
+                zeros: delayed(top, model.nk) if zeros == 'B' else top, poles: bottom}
+            yield replace(model, **moved)
 
 
 def _model(ho: HighOrder, *, B: FloatArray, **others: FloatArray) -> Model:
     """Put the polynomials (B without its delay; A, C, D, F of 1 where not given) into a model."""
-    plain = replace(ho.model, structure='', orders={}, B=delayed(B, ho.model.nk), covariance=None)
     polynomials: dict[str, Any] = {name: others.get(name, np.ones(1)) for name in 'ACDF'}
-    return stabilised(replace(plain, **polynomials))
+    return replace(ho.model, B=delayed(B, ho.model.nk), **polynomials)
 
 
 def _plants(ho: HighOrder, nb: int, nf: int) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Return B (without delay) and F by Steiglitz-McBride, on the model and on the data."""
     yield _reduced(ho, nb, nf)
     if nf:
-        z, nk = ho.data, ho.model.nk
+        z = ho.data
         parts = [np.column_stack((z.y[start:stop], z.u[start:stop])) for start, stop in z.segments]
-        yield _steiglitz_mcbride(parts, nb, nf, nk)
-        yield _steiglitz_mcbride(parts, nb, nf, nk, rounds=1)
+        yield _steiglitz_mcbride(parts, nb, nf, ho.model.nk)
 
 
 def _reduced(ho: HighOrder, nb: int, nf: int) -> tuple[FloatArray, FloatArray]:
@@ -189,9 +198,8 @@ def _reduced(ho: HighOrder, nb: int, nf: int) -> tuple[FloatArray, FloatArray]:
         for start, stop in ho.data.segments:
             u = filter_signal(np.ones(1), f, ho.data.u[start:stop])
             cov += np.correlate(np.append(u, np.zeros(size - 1)), u)
-        values, vectors = np.linalg.eigh(toeplitz(cov))
-        root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
-        theta = _least_squares(root @ unknown)
+        cov[0] *= 1.0 + RIDGE * size
+        theta = _least_squares(np.linalg.cholesky(toeplitz(cov)).T @ unknown)
         before, b, f = f, theta[:nb], inside(monic(theta[nb:]))
         if float(np.max(np.abs(_padded(before, nf + 1) - f), initial=0.0)) < SETTLED:
             break
@@ -200,22 +208,22 @@ def _reduced(ho: HighOrder, nb: int, nf: int) -> tuple[FloatArray, FloatArray]:
 
 def _padded(poly: FloatArray, size: int, lag: int = 0) -> FloatArray:
     """(size,) the coefficients of poly behind `lag` zeros."""
-    return np.pad(poly, (lag, size - lag - poly.size))
+    out = np.zeros(size)
+    out[lag : lag + poly.size] = poly
+    return out
 
 
-def _steiglitz_mcbride(parts: list[FloatArray], nb: int, nf: int, nk: int,
-                       rounds: int = ROUNDS) -> tuple[FloatArray, FloatArray]:
+def _steiglitz_mcbride(parts: list[FloatArray], nb: int, nf: int,
+                       nk: int) -> tuple[FloatArray, FloatArray]:
     """B, F that minimise the error of y = (B/F) u over parts (n, 2) of y, u, by fixed point.
 
-    Each part's unknown start is fitted along, as pulses behind 1/F. One round is the ARX model.
+    Each part's unknown start is fitted along, as pulses behind 1/F. Round one is the ARX model.
     """
     one = f = np.ones(1)
     b = np.zeros(nb)
     lead = max(nf, nk + nb - 1)
     parts = [part for part in parts if part.shape[0] > lead]  # a shorter one holds no row
-    if not parts:
-        return b, monic(np.zeros(nf))
-    for _ in range(rounds if nf else 1):
+    for _ in range(ROUNDS if parts else 0):
         factors = []
         for part in parts:
             n = part.shape[0]
@@ -225,38 +233,34 @@ def _steiglitz_mcbride(parts: list[FloatArray], nb: int, nf: int, nk: int,
                               -lagged(y, range(1, nf + 1), lead, n), y[lead:, None]))
             factors.append(upper(rows)[f.size - 1 :, f.size - 1 :])
         theta = _least_squares(np.vstack(factors))
-        new = inside(monic(theta[nb:]))
-        b, change = theta[:nb], float(np.max(np.abs(np.pad(f, (0, nf + 1 - f.size)) - new)))
-        f = new
-        if change < SETTLED:
+        before, b, f = f, theta[:nb], inside(monic(theta[nb:]))
+        if float(np.max(np.abs(_padded(before, nf + 1) - f))) < SETTLED:
             break
-    return b, f
+    return b, _padded(f, nf + 1)
 
 
 def _noise(ho: HighOrder, b: FloatArray, f: FloatArray, nc: int,
            nd: int) -> tuple[FloatArray, FloatArray]:
     """C, D of v = y - (B/F) u by regression on the high-order innovations."""
-    rows = []
-    lead = max(nc, nd)
+    blocks = []
+    begin = max(nc, nd) + ho.model.A.size
     for part in one_step_errors(_model(ho, B=b, F=f), ho.data):
-        e = ho.innovations[part.start : part.start + part.errors.size]
         v, n = part.errors, part.errors.size
-        begin = lead + ho.model.A.size
+        e = ho.innovations[part.start : part.start + n]
         if n > begin:
-            d_columns, c_columns = (-lagged(v, range(1, nd + 1), begin, n),
-                                    lagged(e, range(1, nc + 1), begin, n))
-            rows.append(np.hstack((d_columns, c_columns, (v - e)[begin:, None])))
-    theta = _least_squares(np.vstack(rows)) if rows else np.zeros(nc + nd)
+            blocks.append(np.hstack((-lagged(v, range(1, nd + 1), begin, n),
+                                     lagged(e, range(1, nc + 1), begin, n),
+                                     (v - e)[begin:, None])))
+    theta = _regress(blocks) if blocks else np.zeros(nc + nd)
     return inside(monic(theta[nd:])), inside(monic(theta[:nd]))
 
 
 def _moving_average(ho: HighOrder, b: FloatArray, f: FloatArray, na: int, nc: int) -> FloatArray:
     """C of F y - B u = C e by regression on the high-order innovations."""
-    rows = []
-    for block in _joined(ho, na, b.size, nc):
-        rest = block[:, -1] - block[:, :na] @ f[1:] - block[:, na : na + b.size] @ b
-        rows.append(np.column_stack((block[:, na + b.size : -1], rest)))
-    return inside(monic(_regress(rows)))
+    return inside(monic(_regress(
+        [np.column_stack((block[:, na + b.size : -1],
+                          block[:, -1] - block[:, : na + b.size] @ np.append(f[1:], b)))
+         for block in _joined(ho, na, b.size, nc)])))
 
 
 def _joined(ho: HighOrder, na: int, nb: int, nc: int) -> list[FloatArray]:
@@ -277,19 +281,15 @@ def _joined(ho: HighOrder, na: int, nb: int, nc: int) -> list[FloatArray]:
 
 
 def _regress(blocks: list[FloatArray]) -> FloatArray:
-    """Least squares of the last column on the others, zeros where there are no rows."""
-    if not blocks:
-        return np.zeros(0)
+    """Least squares of the last column on the others, over blocks of rows."""
     return _least_squares(np.vstack([upper(block) for block in blocks]))
 
 
 def _least_squares(rows: FloatArray) -> FloatArray:
     """Coefficients of the last column on the others, scaled, minimal norm where dependent."""
     x, target = rows[:, :-1], rows[:, -1]
-    if x.shape[1] == 0:
-        return np.zeros(0)
-    scale = np.linalg.norm(x, axis=0)
-    scale[~(scale > 0.0)] = 1.0
     if not (np.isfinite(x).all() and np.isfinite(target).all()):
         return np.zeros(x.shape[1])
+    scale = np.linalg.norm(x, axis=0)
+    scale[~(scale > 0.0)] = 1.0
     return np.asarray(np.linalg.lstsq(x / scale, target, rcond=1e-12)[0] / scale)

@@ -119,27 +119,24 @@ def _box_jenkins(refused: list[str], z: IOData, nk: int) -> Model | None:
     def rank(model: Model) -> tuple[bool, float]:
         return not model.converged, model.bic
 
+    def fitted(order: int, delay: int, start: Model | None = None) -> Model | None:
+        found = tried(refused, lambda: bj(z, order, NOISE_ORDER, NOISE_ORDER, order, delay,
+                                          start=start))
+        return found[0] if found else None
+
     best: Model | None = None
     for order in ORDERS:
-        found = tried(refused, _bj(z, order, nk, thorough=False))
-        if best is not None and (not found or rank(found[0]) >= rank(best)):
+        higher = fitted(order, nk)
+        if best is not None and (higher is None or rank(higher) >= rank(best)):
             break
-        best = found[0] if found else best
-    if best is not None:  # the orders are compared by first minima, the chosen one by the best
-        best = min(best, *tried(refused, _bj(z, best.F.size - 1, nk)), key=rank)
+        best = higher
     while best is not None and best.nk > 1:
         start = replace(best, B=best.B[:-1], nk=best.nk - 1)
-        earlier = tried(refused, _bj(z, best.F.size - 1, start.nk, start))
-        if not earlier or rank(earlier[0]) >= rank(best):
+        earlier = fitted(best.F.size - 1, start.nk, start)
+        if earlier is None or rank(earlier) >= rank(best):
             break
-        best = earlier[0]
+        best = earlier
     return best
-
-
-def _bj(z: IOData, order: int, nk: int, start: Model | None = None, *,
-        thorough: bool = True) -> Callable[[], Model]:
-    return lambda: bj(z, order, NOISE_ORDER, NOISE_ORDER, order, nk, start=start,
-                      thorough=thorough)
 
 
 def _highest_stable(refused: list[str], order: int,
