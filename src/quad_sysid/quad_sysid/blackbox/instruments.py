@@ -6,16 +6,17 @@ reference.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from quad_sysid.blackbox.approaches import noise_free, stabilised_plant
+from quad_sysid.blackbox.approaches import noise_free, stabilised
 from quad_sysid.blackbox.arx import arx
 from quad_sysid.blackbox.filters import filter_columns, pulses
 from quad_sysid.blackbox.frequency import autocovariance
-from quad_sysid.blackbox.innovations import errors_and_gradient, one_step_errors, squares, without
+from quad_sysid.blackbox.innovations import one_step_errors, squares, without
 from quad_sysid.blackbox.polynomial import Model, delayed, monic
+from quad_sysid.blackbox.prediction_error import evaluate
 from quad_sysid.blackbox.regression import check_informative, check_orders, lagged
 from quad_sysid.blackbox.residuals import whitener
 from quad_sysid.blackbox.simulate import initial_state, simulate
@@ -41,7 +42,7 @@ def iv4(z: IOData, na: int, nb: int, nk: int) -> Model:
     orders = check_orders('iv4', na=na, nb=nb, nk=nk)
     lead = max(na, nk + nb - 1)
     check_informative('iv4', z, 2 * (na + nb), lead)
-    source = z.u if z.r is None else noise_free('iv4', z, z.u, z.r)
+    source = z.u if z.r is None else noise_free('iv4', z, z.u)
     first = arx(z, na, nb, nk)
     theta, _ = _solve('iv4', _iv_blocks(z, source, first, lead, np.ones(1)))
     second = replace(first, A=monic(theta[:na]), B=delayed(theta[na:], nk), covariance=None)
@@ -68,25 +69,29 @@ def clriv(z: IOData, nb: int, nc: int, nd: int, nf: int, nk: int) -> Model:
     """
     orders = check_orders('clriv', nb=nb, nc=nc, nd=nd, nf=nf, nk=nk)
     check_informative('clriv', z, 2 * (nb + nc + nd + nf), nk + nb - 1 + nd + nf)
-    clean = noise_free('clriv', z, z.u, z.r)
+    clean = noise_free('clriv', z, z.u)
     model = next(bj_starts(high_order(z, nk, nb + nc + nd + nf), nb, nc, nd, nf))
     model = replace(model, structure='CLRIV', orders=orders)
     converged, iteration, was_unstable = False, 0, False
     while iteration < ROUNDS:
         iteration += 1
-        noise = _noise_step(model, z)
-        blocks = _refined_blocks(z, clean, noise.model)
+        ahead, variance, noise_spread = _noise_step(model, z)
+        blocks = _refined_blocks(z, clean, ahead)
         theta, spread = _solve('clriv', blocks)
         f = monic(theta[nb:])
         was_unstable = inside(f) is not f
-        ahead = replace(noise.model, B=delayed(theta[:nb], nk), F=inside(f))
-        sigma = np.sqrt(np.maximum(np.diag(spread) * noise.variance, 1e-300))
+        ahead = replace(ahead, B=delayed(theta[:nb], nk), F=inside(f))
+        sigma = np.sqrt(np.maximum(np.diag(spread) * variance, 1e-300))
         moved = np.concatenate((ahead.B[nk:] - model.B[nk:], ahead.F[1:] - model.F[1:])) / sigma
         if iteration > SWINGING:  # parameters that the data hardly tell swing about the solution
             share = 1.0 / (iteration - SWINGING + 1.0)
             f = inside(model.F + share * (ahead.F - model.F))
             ahead = replace(ahead, B=model.B + share * (ahead.B - model.B), F=f)
-        model = replace(ahead, covariance=_joined_covariance(noise, spread, nb))
+        covariance = np.zeros((nb + nc + nd + nf,) * 2)  # plant and noise part are independent
+        plant = [*range(nb), *range(nb + nc + nd, nb + nc + nd + nf)]
+        covariance[np.ix_(plant, plant)] = variance * spread
+        covariance[nb : nb + nc + nd, nb : nb + nc + nd] = noise_spread
+        model = replace(ahead, covariance=covariance)
         if float(np.max(np.abs(moved))) < SETTLED:
             converged = True
             break
@@ -104,7 +109,7 @@ def _iv_blocks(z: IOData, source: FloatArray, model: Model, lead: int,
                ar: FloatArray) -> list[Block]:
     """Rows of each segment for A y = B u, instruments from `model` driven by `source`."""
     na, nb, nk = model.A.size - 1, model.B.size - model.nk, model.nk
-    runner = stabilised_plant(model)
+    runner = stabilised(model)
     blocks = []
     for start, stop in z.segments:
         if stop - start <= lead + ar.size:
@@ -171,43 +176,14 @@ def _solve(where: str, blocks: list[Block]) -> tuple[FloatArray, FloatArray]:
     return inverse @ right, inverse @ gram @ inverse.T
 
 
-@dataclass(frozen=True)
-class _Noise:
-    """A model with a new noise part, its variance and covariance."""
-
-    model: Model
-    variance: float
-    covariance: FloatArray
-    """(nc + nd, nc + nd)"""
-
-
-def _noise_step(model: Model, z: IOData) -> _Noise:
-    """One Gauss-Newton step on C and D with the plant held."""
-    first = model.B.size - model.nk
-    count = model.C.size + model.D.size - 2
-    held = slice(first, first + count)
-    hessian, slope, sse, n = np.zeros((count, count)), np.zeros(count), 0.0, 0
-    for e, gradient, _ in errors_and_gradient(model, z):
-        part = gradient[:, held]
-        hessian += part.T @ part
-        slope += part.T @ e
-        sse, n = sse + float(e @ e), n + e.size
-    variance = sse / max(n - model.parameters.size, 1)
-    if not count:
-        return _Noise(model, variance, np.zeros((0, 0)))
-    inverse = np.linalg.pinv(hessian, rcond=1e-12, hermitian=True)
+def _noise_step(model: Model, z: IOData) -> tuple[Model, float, FloatArray]:
+    """One Gauss-Newton step on C and D with the plant held; the variance of e, their covariance."""
+    point = evaluate(model, z)
+    first, count = model.B.size - model.nk, model.C.size + model.D.size - 2
+    held, n = slice(first, first + count), sum(e.size for e in point.errors)
+    variance = point.squares / max(n - model.parameters.size, 1)
+    inverse = np.linalg.pinv(point.hessian[held, held], rcond=1e-12, hermitian=True)
     theta = model.parameters.copy()
-    theta[held] -= inverse @ slope
-    covariance = np.asarray(variance * inverse)
+    theta[held] -= inverse @ point.slope[held]
     ahead = model.with_parameters(theta)
-    return _Noise(replace(ahead, C=inside(ahead.C)), variance, covariance)
-
-
-def _joined_covariance(noise: _Noise, spread: FloatArray, nb: int) -> FloatArray:
-    """Covariance (p, p) in the order b, c, d, f; plant and noise part independent."""
-    p, count = spread.shape[0] + noise.covariance.shape[0], noise.covariance.shape[0]
-    plant = [*range(nb), *range(nb + count, p)]
-    out = np.zeros((p, p))
-    out[np.ix_(plant, plant)] = noise.variance * spread
-    out[nb : nb + count, nb : nb + count] = noise.covariance
-    return out
+    return replace(ahead, C=inside(ahead.C)), variance, np.asarray(variance * inverse)

@@ -49,6 +49,8 @@ FAR = 1.1
 """Loss of a start, against that of its minimum, from which another minimum may be lower."""
 WANDERS = 0.02
 """Power of the residual's changes, against its own, below which it wanders as with a drift."""
+LOWER = 1.0 - 1e-5
+"""Loss, against that before, above which moving a pair once more is not tried."""
 REINSERTED = 3
 """Places of a nearly cancelling pair from which the descent is tried again."""
 
@@ -292,9 +294,13 @@ def _lowest(starts: Iterator[Model], ho: HighOrder) -> Point:
     doubt = not best.model.converged or first.squares > FAR * best.squares or _wanders(best)
     if doubt and best.model.loss > ho.loss_of(best.slope.size):
         best = min(best, best, *(descend(at(start), at) for start in starts), key=_squares)
-    moved = sorted((at(model) for model in reinserted(best.model)),
-                   key=lambda one: one.squares - one.slope @ _step(one))
-    return min(best, best, *(descend(one, at) for one in moved[:REINSERTED]), key=_squares)
+    while True:
+        moved = sorted((at(model) for model in reinserted(best.model)),
+                       key=lambda one: one.squares - one.slope @ _step(one))
+        end = min(best, best, *(descend(one, at) for one in moved[:REINSERTED]), key=_squares)
+        if end.squares >= LOWER * best.squares:
+            return end
+        best = end
 
 
 def _squares(point: Point) -> float:

@@ -29,6 +29,8 @@ SETTLED = 1e-4
 """Change of a coefficient of F from which further rounds are left to the descent."""
 NEAR = 0.4
 """Distance in the z plane within which a pole and a zero count as cancelling."""
+NEARLY_REAL = 0.15
+"""Imaginary part below which a pair of roots may stand for two real ones."""
 PLACES = (-0.7, -0.2, 0.3, 0.6, 0.8, 0.95)
 SLOW_FACTOR = np.array([1.0, -0.9999])
 """Factor of a cancelling pole and zero, which a drift can separate."""
@@ -151,10 +153,11 @@ def reinserted(model: Model) -> Iterator[Model]:
         lead = getattr(model, zeros)[model.nk if zeros == 'B' else 0 :]
         if lead[0] == 0.0:
             continue
-        z_roots, p_roots = np.roots(lead), np.roots(getattr(model, poles))
+        z_roots, p_roots = (np.where(np.abs(r.imag) < NEARLY_REAL, r.real, r)
+                            for r in (np.roots(lead), np.roots(getattr(model, poles))))
         apart = np.abs(z_roots[:, None] - p_roots)
-        apart[(np.abs(z_roots.imag) > 1e-9)[:, None] | (np.abs(p_roots.imag) > 1e-9)] = np.inf
-        if zeros == 'B':
+        apart[(z_roots.imag != 0.0)[:, None] | (p_roots.imag != 0.0)] = np.inf
+        if zeros == 'B':  # no plant sampled from continuous time has a pole below 0
             apart[:, (p_roots.imag == 0.0) & (p_roots.real < 0.0)] *= 1e-3
         if apart.min(initial=np.inf) > NEAR:
             continue
