@@ -1,8 +1,7 @@
 """Black-box identification of one axis: polynomial models, order search, validation, tests."""
 
 from quad_sysid.blackbox.approaches import LinearController, cascade_controller, indirect, joint
-from quad_sysid.blackbox.arx import OrderSearch, arx, search_arx
-from quad_sysid.blackbox.excitation import delay_estimate, detrend, excitation_order
+from quad_sysid.blackbox.arx import OrderSearch, arx, delay_estimate, search_arx
 from quad_sysid.blackbox.frequency import (
     FrequencyResponse,
     SpectralEstimate,
@@ -13,6 +12,7 @@ from quad_sysid.blackbox.frequency import (
 from quad_sysid.blackbox.instruments import clriv, iv4
 from quad_sysid.blackbox.polynomial import Model, polynomial_model
 from quad_sysid.blackbox.prediction_error import armax, bj, oe
+from quad_sysid.blackbox.regression import detrend, excitation_order
 from quad_sysid.blackbox.residuals import ResidualTest, innovation_test, residual_test
 from quad_sysid.blackbox.simulate import (
     compare,

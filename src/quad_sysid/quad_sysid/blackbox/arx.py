@@ -127,6 +127,17 @@ def search_arx(z: IOData, na: int | Iterable[int] = range(1, 11),
                        model=arx(z, *orders))
 
 
+def delay_estimate(z: IOData, na: int = 8, nb: int = 4, nk_min: int = 0, nk_max: int = 20) -> int:
+    """Delay nk in samples of the ARX model with the lowest BIC, na and nb up to those given."""
+    nk_min = check_order('delay_estimate', 'nk_min', nk_min, 0)
+    nk_max = check_order('delay_estimate', 'nk_max', nk_max, nk_min)
+    na, nb = (check_order('delay_estimate', k, v, 1) for k, v in (('na', na), ('nb', nb)))
+    check_informative('delay_estimate', z, na + nb, max(na, nk_max + nb - 1))
+    found = search_arx(z, range(1, na + 1), range(1, nb + 1), range(nk_min, nk_max + 1),
+                       criterion='bic')
+    return found.model.nk
+
+
 def _first_best(values: FloatArray, k: IntArray) -> int:
     """Index of the lowest value; the fewest parameters where values tie."""
     tied = np.flatnonzero(values == values.min())

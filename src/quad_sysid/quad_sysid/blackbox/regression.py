@@ -1,6 +1,7 @@
-"""Rows of linear regressions over several segments, their triangular factor, checks of arguments.
+"""Rows of linear regressions over several segments, their triangular factor, what they can carry.
 
-What every estimator here begins with. No model structure is decided here.
+What every estimator here begins with: checks of orders and data, persistence of excitation,
+removal of means. No model structure is decided here.
 """
 
 from __future__ import annotations
@@ -76,6 +77,41 @@ def check_exciting(where: str, z: IOData, count: int) -> None:
         where, f'u does not excite {count} parameters (its lags are linearly dependent)',
         remedy='lower the orders or excite more richly',
     )
+
+
+def excitation_order(u: FloatArray | IOData, max_order: int = 100, tolerance: float = 1e-6) -> int:
+    """Order to which u is persistently exciting: rank of its Hankel matrix (Ljung 1999, 13.2).
+
+    A constant has order 1, a sine 2, noise `max_order` (or what the length allows). Singular
+    values below `tolerance` times the largest count as zero.
+    """
+    max_order = check_order('excitation_order', 'max_order', max_order, 1)
+    if isinstance(u, IOData):
+        parts = [u.u[start:stop] for start, stop in u.segments]
+    else:
+        parts = [np.asarray(u, dtype=float)]
+    if any(part.ndim != 1 or not np.isfinite(part).all() for part in parts):
+        raise BadInputError('excitation_order', 'u must be 1-D and finite')
+    longest = max(part.size for part in parts)
+    if longest < 2:
+        raise BadInputError('excitation_order', 'u must have at least 2 samples', longest)
+    order = min(max_order, (longest + 1) // 2)
+    blocks = (lagged(part, range(order), start, min(part.size, start + BLOCK_ROWS))
+              for part in parts
+              for start in range(order - 1, part.size, BLOCK_ROWS))
+    values = np.linalg.svd(triangular(blocks), compute_uv=False)
+    return int(np.sum(values > tolerance * values[0])) if values[0] > 0.0 else 0
+
+
+def detrend(z: IOData) -> IOData:
+    """Take from u and y (and r) the common mean over all segments."""
+
+    def centred(x: FloatArray) -> FloatArray:
+        mean = np.concatenate([x[start:stop] for start, stop in z.segments]).mean()
+        return np.asarray(x - mean)
+
+    return IOData(u=centred(z.u), y=centred(z.y), dt=z.dt, r=None if z.r is None else centred(z.r),
+                  segments=z.segments)
 
 
 def usable_rows(z: IOData, lead: int) -> int:

@@ -30,7 +30,7 @@ SETTLED = 1e-4
 NEAR = 0.4
 """Distance in the z plane within which a pole and a zero count as cancelling."""
 NEARLY_REAL = 0.15
-"""Imaginary part below which a pair of roots may stand for two real ones."""
+"""Imaginary part below which a pair of D's roots may stand for two real ones."""
 PLACES = (-0.7, -0.2, 0.3, 0.6, 0.8, 0.95)
 SLOW_FACTOR = np.array([1.0, -0.9999])
 """Factor of a cancelling pole and zero, which a drift can separate."""
@@ -115,11 +115,19 @@ def inside(poly: FloatArray) -> FloatArray:
 
 
 def armax_starts(ho: HighOrder, na: int, nb: int, nc: int) -> Iterator[Model]:
-    """Start values by the regression on innovations; then A from each plant denominator."""
-    theta = _regress(_joined(ho, na, nb, nc))
+    """Start values by regression on the innovations, and from the plants B/F without a C."""
+    z, nk, e = ho.data, ho.model.nk, ho.innovations
+    lead = max(max(ho.model.A.size, ho.model.B.size) - 1 + nc, na, nk + nb - 1)
+    theta = _regress([
+        np.hstack((-lagged(z.y, range(1, na + 1), start + lead, stop),
+                   lagged(z.u, range(nk, nk + nb), start + lead, stop),
+                   lagged(e, range(1, nc + 1), start + lead, stop),
+                   (z.y - e)[start + lead : stop, None]))
+        for start, stop in z.segments if stop - start > lead
+    ])
     yield _model(ho, A=monic(theta[:na]), B=theta[na : na + nb], C=monic(theta[na + nb :]))
     for b, f in _plants(ho, nb, na):
-        yield _model(ho, A=f, B=b, C=_moving_average(ho, b, f, na, nc))
+        yield _model(ho, A=f, B=b, C=monic(np.zeros(nc)))
 
 
 def oe_starts(ho: HighOrder, nb: int, nf: int) -> Iterator[Model]:
@@ -153,8 +161,9 @@ def reinserted(model: Model) -> Iterator[Model]:
         lead = getattr(model, zeros)[model.nk if zeros == 'B' else 0 :]
         if lead[0] == 0.0:
             continue
-        z_roots, p_roots = (np.where(np.abs(r.imag) < NEARLY_REAL, r.real, r)
-                            for r in (np.roots(lead), np.roots(getattr(model, poles))))
+        z_roots, p_roots = np.roots(lead), np.roots(getattr(model, poles))
+        if zeros == 'C':
+            p_roots = np.where(np.abs(p_roots.imag) < NEARLY_REAL, p_roots.real, p_roots)
         apart = np.abs(z_roots[:, None] - p_roots)
         apart[(z_roots.imag != 0.0)[:, None] | (p_roots.imag != 0.0)] = np.inf
         if zeros == 'B':  # no plant sampled from continuous time has a pole below 0
@@ -256,31 +265,6 @@ def _noise(ho: HighOrder, b: FloatArray, f: FloatArray, nc: int,
                                      (v - e)[begin:, None])))
     theta = _regress(blocks) if blocks else np.zeros(nc + nd)
     return inside(monic(theta[nd:])), inside(monic(theta[:nd]))
-
-
-def _moving_average(ho: HighOrder, b: FloatArray, f: FloatArray, na: int, nc: int) -> FloatArray:
-    """C of F y - B u = C e by regression on the high-order innovations."""
-    return inside(monic(_regress(
-        [np.column_stack((block[:, na + b.size : -1],
-                          block[:, -1] - block[:, : na + b.size] @ np.append(f[1:], b)))
-         for block in _joined(ho, na, b.size, nc)])))
-
-
-def _joined(ho: HighOrder, na: int, nb: int, nc: int) -> list[FloatArray]:
-    """Blocks [-y lags | u lags | e lags | y - e] behind the first innovations."""
-    z, nk = ho.data, ho.model.nk
-    lead = max(ho.model.A.size - 1, ho.model.B.size - 1) + nc
-    lead = max(lead, na, nk + nb - 1)
-    return [
-        np.hstack(
-            (-lagged(z.y, range(1, na + 1), start + lead, stop),
-             lagged(z.u, range(nk, nk + nb), start + lead, stop),
-             lagged(ho.innovations, range(1, nc + 1), start + lead, stop),
-             (z.y - ho.innovations)[start + lead : stop, None])
-        )
-        for start, stop in z.segments
-        if stop - start > lead
-    ]
 
 
 def _regress(blocks: list[FloatArray]) -> FloatArray:
