@@ -162,8 +162,8 @@ def _start(z: IOData, nb: int, nf: int, nk: int, controller: LinearController,
             for a, b in z.segments:
                 u[a:b] = controller.command(np.asarray(z.r)[a:b], clean[a:b])
             model = oe(replace(z, u=u), nb, nf, nk)
-        if model is None or (model.B.size - model.nk, model.F.size - 1, model.nk, model.A.size) != (
-                nb, nf, nk, 1):
+        if model is None or (model.A.size, model.B.size - model.nk, model.F.size - 1,
+                             model.nk) != (1, nb, nf, nk):
             continue
         model = replace(model, **plain)  # type: ignore[arg-type]
         if math.isfinite(_evaluate(model, z, controller, one).squares):

@@ -177,7 +177,7 @@ def _solve(where: str, blocks: list[Block]) -> tuple[FloatArray, FloatArray]:
 
 
 def _noise_step(model: Model, z: IOData) -> tuple[Model, float, FloatArray]:
-    """One Gauss-Newton step on C and D with the plant held; the variance of e, their covariance."""
+    """One Gauss-Newton step on C and D, the plant held; variance of e, covariance of the step."""
     point = evaluate(model, z)
     first, count = model.B.size - model.nk, model.C.size + model.D.size - 2
     held, n = slice(first, first + count), sum(e.size for e in point.errors)
