@@ -33,6 +33,8 @@ lost it.
 from __future__ import annotations
 
 import contextlib
+import ctypes
+import functools
 import math
 import os
 import select
@@ -47,12 +49,12 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from gain_store import GainStore
 
-from quad_bridge.gains.protocol import GainProtocol, float32
+from quad_bridge.gains.protocol import GainProtocol
 from quad_bridge.gains.table import WIRE_NAMES
 from quad_bridge.link.machine import Link
 from quad_bridge.link.stamping import Restarted, Stamped
+from quad_bridge.virtual.native import library
 from quad_bridge.wire import frames as f
 from quad_bridge.wire.codec import Decoder, Encoder
 
@@ -94,9 +96,7 @@ class FlightController:
         number=0,
         bits=64,
     ) -> None:
-        """`parameters` maps wire names to values; all at 0.5 and 250 Hz where not given."""
-        everything = {**dict.fromkeys(WIRE_NAMES.values(), 0.5), 'LOOP_RATE_HZ': 250.0}
-        parameters = parameters or everything
+        """`parameters` maps wire names to values; the others start as the firmware's."""
         self.refuses = refuses
         """Parameters whose new values it does not take."""
         self.unanswered = unanswered
@@ -111,8 +111,7 @@ class FlightController:
         self.clock_us, self.late_us, self.bits = 0, 0, bits
         """By how much its clock was set, and its cycles begin too late; the width of its time."""
         self.heard: list[f.Frame] = []
-        values = {name: float32(value) for name, value in parameters.items()}
-        self.store = GainStore(values, lambda name, _: name not in self.refuses, 7)
+        self.store = Store.begun(parameters or {})
         self.encoder, self.decoder = Encoder(*sender, signing), Decoder(signing)
 
     def restart(self):
@@ -152,28 +151,128 @@ class FlightController:
     def answer(self, frame, now_ns=0):
         """The frames with which it answers one."""
         self.heard.append(frame)
-        self.store.heard(1e-9 * now_ns)
         return [] if isinstance(frame, self.unanswered) else list(self._answer(frame, now_ns))
 
     def _answer(self, frame, now_ns):
         if isinstance(frame, f.TimeSync):
             since_us = now_ns // 1000 - CYCLE_US * self.boot + self.clock_us + self.late_us
             yield f.TimeSync(1000 * (since_us % (1 << self.bits)), frame.ts1_ns)
-        elif isinstance(frame, f.GainsCommand):
-            yield self.store.take(frame, 1e-9 * now_ns)
-        elif isinstance(frame, (f.ParamSet, f.ParamRequestRead, f.ParamRequestList)):
-            for told in answers_of(self.store, frame):
-                yield replace(told, value=self.reports.get(told.name, told.value))
+        elif isinstance(frame, ASKING):
+            refused = isinstance(frame, f.ParamSet) and frame.name in self.refuses
+            asked = f.ParamRequestRead(frame.name) if refused else frame
+            for told in self.store.answers(asked, now_ns // 1000):
+                lies = isinstance(told, f.ParamValue) and told.name in self.reports
+                yield replace(told, value=self.reports[told.name]) if lies else told
         elif isinstance(frame, f.Command) and frame.command == ARM_DISARM:
             self.flags = self.flags & ~f.Flag.ARMED | int(frame.parameters[0])
             yield f.CommandAck(ARM_DISARM, ACCEPTED)
 
 
-# For walks through all states of both ends.
+NAMES = tuple(WIRE_NAMES.values())
+INDEX = {name: index for index, name in enumerate(NAMES)}
+ASKING = (f.GainsCommand, f.ParamSet, f.ParamRequestRead, f.ParamRequestList)
+BYTE, WORD, HERE = ctypes.c_uint8, ctypes.c_uint64, ctypes.c_void_p
+Set = ctypes.c_float * len(NAMES)
+
+
+class Request(ctypes.Structure):
+    """`quad_gains_request` of firmware/quad_gains.h."""
+
+    _fields_ = (
+        ('action', BYTE), ('transaction', BYTE), ('watch_ms', ctypes.c_uint16),
+        ('checksum', ctypes.c_uint32),
+    )  # fmt: skip
+
+
+@functools.cache
+def quad_gains(name):
+    """A function of firmware/quad_gains.h, with its types."""
+    function = getattr(library(), f'quad_gains_{name}')
+    function.restype, function.argtypes = {
+        'init': (None, (HERE, HERE)), 'heard': (None, (HERE, WORD)),
+        'write': (None, (HERE, ctypes.c_size_t, ctypes.c_float)),
+        'shown': (ctypes.c_float, (HERE, ctypes.c_size_t)), 'phase': (BYTE, (HERE,)),
+        'act': (BYTE, (HERE, HERE, WORD, HERE)), 'tick': (ctypes.c_bool, (HERE, WORD, HERE)),
+        'checksum': (ctypes.c_uint32, (HERE,)),
+    }[name]  # fmt: skip
+    return function
+
+
+class Store(ctypes.Structure):
+    """The firmware's sets of gains, `quad_gains` of firmware/quad_gains.h: its code and memory."""
+
+    _fields_ = (
+        ('active', Set), ('good', Set), ('copy', Set), ('staging', ctypes.c_bool),
+        ('watching', ctypes.c_bool), ('transaction', BYTE), ('confirmations', ctypes.c_uint32),
+        ('deadline_us', WORD), ('heard_us', WORD),
+    )  # fmt: skip
+
+    @classmethod
+    def begun(cls, stored):
+        """As it starts with these values, by wire names; the others are the firmware's own."""
+        made = cls()
+        quad_gains('init')(made.here, Set(*(stored.get(name, math.nan) for name in NAMES)))
+        return made
+
+    @property
+    def here(self):
+        return ctypes.byref(self)
+
+    def restarted(self):
+        """As it starts with the set in its flash."""
+        return self.begun(dict(zip(NAMES, self.good, strict=True)))
+
+    def of(self, names, which='active'):
+        """The values of these parameters in a set."""
+        values = getattr(self, which)
+        return tuple([values[INDEX[name]] for name in names])
+
+    def write(self, name, value):
+        quad_gains('write')(self.here, INDEX[name], value)
+
+    def answers(self, frame, now_us):
+        """What the STM32 answers to a frame about parameters or sets."""
+        quad_gains('heard')(self.here, now_us)
+        if isinstance(frame, f.GainsCommand):
+            asked = Request(frame.action, frame.transaction, frame.watch_ms, frame.checksum)
+            action = BYTE()
+            result = quad_gains('act')(
+                self.here, ctypes.byref(asked), now_us, ctypes.byref(action)
+            )
+            return [self.state(action.value, result)]
+        if isinstance(frame, f.ParamSet):
+            self.write(frame.name, frame.value)
+        wanted = range(len(NAMES))
+        if not isinstance(frame, f.ParamRequestList):
+            wanted = [INDEX[frame.name] if frame.name else frame.index]
+        shown, here = quad_gains('shown'), self.here
+        return [f.ParamValue(NAMES[k], shown(here, k), len(NAMES), k) for k in wanted]
+
+    def pass_by(self, seconds, now_us, oldest_us=2_500_000):
+        """Time goes by where it stands still at `now_us`: what lies in it moves."""
+        for name in ('deadline_us', 'heard_us'):
+            moved = getattr(self, name) - round(1e6 * seconds)
+            setattr(self, name, max(moved, now_us - oldest_us))
+
+    def tick(self, now_us):
+        """Once a cycle: the state to send where the firmware has reverted by itself."""
+        result = BYTE()
+        back = quad_gains('tick')(self.here, now_us, ctypes.byref(result))
+        return self.state(result=result.value) if back else None
+
+    def state(self, action=0, result=0):
+        """What is sent once a second."""
+        checksum, phase = quad_gains('checksum')(self.active), quad_gains('phase')(self.here)
+        return f.GainsState(7, checksum, self.transaction, action, result, phase)
+
+
+# Walks through all states of both ends.
 
 
 def clone(part):
     """A copy whose containers are its own."""
+    if isinstance(part, Store):
+        return Store.from_buffer_copy(part)
     new = object.__new__(type(part))  # as copy.copy does, at a quarter of its cost
     vars(new).update({
         name: value.copy() if type(value) in {dict, list} else value
@@ -182,17 +281,27 @@ def clone(part):
     return new
 
 
-def answers_of(store, frame):
-    """What the STM32 answers to one frame about its parameters."""
-    names = list(store.active)
-    if isinstance(frame, f.GainsCommand):
-        return [store.take(frame, 0.0)]
-    if isinstance(frame, f.ParamSet):
-        store.write(frame.name, float32(frame.value))
-    wanted = names
-    if not isinstance(frame, f.ParamRequestList):
-        wanted = [frame.name or names[frame.index]]
-    return [f.ParamValue(n, store.shown(n), len(names), names.index(n)) for n in wanted]
+def explore(begin, most, rest_every):
+    """Every state within reach, breadth first: the (state, move) met, how many, how many left.
+
+    A state has `state`, `key()`, `copy()`, `moves()` (functions of a copy by name) and `check()`;
+    every so many-th one must come to rest by itself.
+    """
+    seen, left, met = {begin.key()}, deque([begin]), set()
+    while left and len(seen) < most:
+        here = left.popleft()
+        if len(seen) % rest_every == 0:
+            here.copy().comes_to_rest()
+        for name, move in here.moves().items():
+            new = here.copy()
+            move(new)
+            new.check()
+            met.add((here.state, name))
+            key = new.key()
+            if key not in seen:
+                seen.add(key)
+                left.append(new)
+    return met, len(seen), len(left)
 
 
 # What a line does to frames.

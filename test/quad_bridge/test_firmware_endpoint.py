@@ -127,21 +127,6 @@ def test_time_is_answered_at_once_and_only_questions_are(board):
     assert made.tell(f.TimeSync(5, 123)) == []
 
 
-def test_gains_come_whole_and_stay_when_confirmed(board):
-    made = board()
-    made.run()
-    before = [made.value(name) for name in NAMES]
-    state = made.update(ROLL_RATE_KP=0.125, YAW_RATE_KI=0.25)
-    assert (state.result, state.phase) == (f.GainsResult.OK, f.GainsPhase.WATCH)
-    made.run()
-    after = [made.value(name) for name in NAMES]
-    assert sum(a != b for a, b in zip(after, before, strict=True)) == 2
-    (state,) = made.tell(f.GainsCommand(f.GainsAction.CONFIRM, 5))
-    assert state.phase == f.GainsPhase.IDLE
-    made.run(1000)
-    assert made.value('ROLL_RATE_KP') == 0.125
-
-
 def test_refused_values_and_a_wrong_checksum_change_nothing(board):
     made = board()
     made.run()
@@ -159,30 +144,6 @@ def test_refused_values_and_a_wrong_checksum_change_nothing(board):
     ]
     made.run()
     assert {name: made.value(name) for name in NAMES} == before
-
-
-@pytest.mark.parametrize(
-    ('alive', 'cycles', 'result'),
-    [(True, 260, f.GainsResult.NOT_CONFIRMED), (False, 510, f.GainsResult.LINK_LOST)],
-)
-def test_the_last_good_set_comes_back_by_itself(board, alive, cycles, result):
-    made = board()
-    made.run()
-    before = made.in_force()
-    made.tell(f.GainsCommand(f.GainsAction.OPEN, 9))
-    if alive:
-        made.update(ROLL_RATE_KP=0.125)
-        made.run()
-        assert made.in_force() != before
-    frames = []
-    for _ in range(cycles):
-        if alive:
-            made.tell(f.Heartbeat(18, 8))
-        frames += made.run()
-    results = {s.result for s in of(f.GainsState, frames)} - {f.GainsResult.OK}
-    assert results == {result}
-    assert 'restored' in ' '.join(texts(frames))
-    assert made.in_force() == pytest.approx(before)
 
 
 @pytest.mark.parametrize(('valid_ms', 'cycles'), [(100, 26), (60_000, 126)])

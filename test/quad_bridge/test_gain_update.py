@@ -13,15 +13,12 @@ are stand-ins that speak when the walk says so. In every state that can be reach
 5. Left alone, the machine comes to IDLE within the time of an update.
 """
 
-import copy
 import math
 import threading
-from collections import deque
 from dataclasses import replace
 
 import pytest
-from flight_controller import STILL, ZERO, answers_of, clone
-from gain_store import GainStore
+from flight_controller import INDEX, STILL, ZERO, Store, clone, explore
 
 from quad_bridge.errors import RefusedError
 from quad_bridge.gains import history, protocol, update
@@ -31,10 +28,9 @@ from quad_bridge.gains.table import DEFAULT_BOUNDS
 from quad_bridge.gains.update import GainSettings, GainUpdates, State
 from quad_bridge.wire import frames as f
 
-KP, RATE = 'ROLL_RATE_KP', 'LOOP_RATE_HZ'
-OLD = {KP: 0.1, RATE: 250.0}
+KP, RATE = 'ROLL_RATE_KP', INDEX['LOOP_RATE_HZ']
 BOUND = DEFAULT_BOUNDS['roll.rate.kp']
-STEP_S = 1.0
+NOW_US, STEP_S, OLDEST_S = 10_000_000, 1.0, 2.5
 HELD = object()
 
 
@@ -104,28 +100,32 @@ def cycle(flags):
 
 
 class Walk:
-    """Time stands at 0; what waits for a time moves towards it."""
+    """Time stands still; what waits for a time moves towards it."""
 
     def __init__(self, tmp_path):
         self.gains = GainUpdates(GainSettings(), History(tmp_path, lambda _: None))
         self.gains.watch, self.gains.polarity = Watch(), Pulses()
-        self.stm32 = GainStore(OLD, lambda *_: True, 7)
-        self.gated = frozenset({0.1})
+        self.stm32 = Store.begun({KP: 0.1})
+        self.gains.protocol.gated = frozenset({0.1})
         self.asks, self.faults = 2, 1
-        self.told = None
-        """What was published last as active."""
         for _ in range(20):
             self.exchange()
         self.cycle(f.Flag.ARMED)
         self.gains.news.clear()
 
+    state = property(lambda self: self.gains.state)
+
     def copy(self):
-        new = copy.copy(self)
+        new = clone(self)
         new.stm32, new.gains = clone(self.stm32), clone(self.gains)
         g = new.gains
-        g.protocol, g.watch, g.polarity = clone(g.protocol), copy.copy(g.watch), clone(g.polarity)
-        g._update, g._stick_ends = copy.copy(g._update), g._stick_ends.copy()
+        g.protocol, g.watch, g.polarity = clone(g.protocol), clone(g.watch), clone(g.polarity)
+        g._update, g._stick_ends = g._update and clone(g._update), g._stick_ends.copy()
         return new
+
+    def flown(self, which='active'):
+        (value,) = self.stm32.of([KP], which)
+        return value
 
     def key(self):
         g, s, p = self.gains, self.stm32, self.gains.protocol
@@ -134,8 +134,9 @@ class Walk:
             g.state, flight, bool(g._pending), g._flags, g._cycle_s, g._excited_s > -0.5,
             g.state is State.WATCHING and g._until_s,
             g.watch.bad, g.watch.begun, g.polarity.left, g.polarity.known, p.state, p._left,
-            p._due_s, p._number % 4, tuple(p._queue), str(p._values), str(s.active), str(s._good),
-            str(s._copy), s._watching and (s._deadline_s, s._heard_s), self.asks, self.faults,
+            p._due_s, p._number % 4, tuple(p._queue), len(p._values), p._values.get(KP),
+            self.flown(), self.flown('good'), s.staging and self.flown('copy'),
+            s.watching and (s.deadline_us, s.heard_us), self.asks, self.faults,
         )  # fmt: skip
 
     # Events.
@@ -143,8 +144,7 @@ class Walk:
     def exchange(self, *, lost=False):
         frame = self.gains.poll(0.0)
         if frame is not None and not lost:
-            self.stm32.heard(0.0)
-            for answer in answers_of(self.stm32, frame):
+            for answer in self.stm32.answers(frame, NOW_US):
                 self.gains.take(answer, 0.0)
 
     def lose(self):
@@ -183,13 +183,13 @@ class Walk:
         g, s = self.gains, self.stm32
         for part, name in (
             (g, '_cycle_s'), (g, '_excited_s'), (g, '_until_s'), (g.protocol, '_due_s'),
-            (s, '_heard_s'), (s, '_deadline_s'),
         ):  # fmt: skip
-            setattr(part, name, max(getattr(part, name) - STEP_S, -2.5))
+            setattr(part, name, max(getattr(part, name) - STEP_S, -OLDEST_S))
+        s.pass_by(STEP_S, NOW_US)
         g._stick_ends.clear()
         if excited:
             self.cycle(f.Flag.ARMED | f.Flag.EXCITATION)
-        before, told = g.state, s.tick(0.0)
+        before, told = g.state, s.tick(NOW_US)
         if told is not None:
             g.take(told, 0.0)
         g.tick(0.0)
@@ -214,13 +214,13 @@ class Walk:
 
     def restarts(self):
         self.faults -= 1
-        self.stm32 = GainStore(self.stm32._good, lambda *_: True, 7)
+        self.stm32 = self.stm32.restarted()
         self.gains.restarted(0.0)
 
     def moves(self):
         armed, g = f.Flag.ARMED, self.gains
         found = {
-            'answer': self.exchange_of, 'cycle': lambda w: w.cycle(armed),
+            'answer': Walk.exchange, 'cycle': lambda w: w.cycle(armed),
             'killed': lambda w: w.cycle(armed | f.Flag.RC_KILL),
             'excited': lambda w: w.tick(excited=True),
             'disarmed': lambda w: w.cycle(f.Flag.NONE),
@@ -234,18 +234,14 @@ class Walk:
             found |= {'lost': Walk.lose, 'restart': Walk.restarts}
         return found
 
-    @staticmethod
-    def exchange_of(walk):
-        walk.exchange()
-
     def check(self):
-        g, flown = self.gains, self.stm32.active[KP]
+        g, flown = self.gains, self.flown()
         for item in g.news:
             if item.active is not None:
                 assert item.active['roll.rate.kp'] == flown
         g.news.clear()
-        assert any(abs(flown - gated) < 1e-6 for gated in self.gated), 'never gated'
-        assert flown == self.stm32._good[KP] or g.polarity.known
+        assert any(abs(flown - gated) < 1e-6 for gated in g.protocol.gated), 'never gated'
+        assert flown == self.flown('good') or g.polarity.known
         if g.state is State.IDLE:
             assert g._update is None
             assert g.protocol.state not in {*PROTOCOL_BUSY, Protocol.ON_TRIAL}
@@ -253,20 +249,19 @@ class Walk:
             assert g.protocol.state in {Protocol.ON_TRIAL, Protocol.REVERTING}
 
     def comes_to_rest(self):
-        walk = self.copy()
         for _ in range(60):
             for _ in range(8):
-                walk.exchange()
-            walk.cycle(f.Flag.ARMED)
-            walk.tick()
-        assert walk.gains.state is State.IDLE
-        assert walk.gains.active['roll.rate.kp'] == walk.stm32.active[KP] == walk.stm32._good[KP]
+                self.exchange()
+            self.cycle(f.Flag.ARMED)
+            self.tick()
+        assert self.state is State.IDLE
+        assert self.gains.active['roll.rate.kp'] == self.flown() == self.flown('good')
 
 
 PROTOCOL_BUSY = (Protocol.OPENING, Protocol.STAGING, Protocol.COMMITTING, Protocol.VERIFYING)
 
 
-def test_no_state_and_no_event_lets_an_ungated_set_fly(tmp_path):
+def test_no_state_and_no_event_lets_an_ungated_set_fly(tmp_path, monkeypatch):
     walk = Walk(tmp_path)
     write = type(walk.gains.protocol).write
 
@@ -275,32 +270,17 @@ def test_no_state_and_no_event_lets_an_ungated_set_fly(tmp_path):
         now = machine._values[KP]
         assert BOUND.lower <= value <= BOUND.upper
         assert max(value / now, now / value) <= BOUND.max_factor
-        current.gated |= {value}
+        machine.gated |= {value}  # in this walk's past
         write(machine, writes, watch_ms)
 
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(type(walk.gains.protocol), 'write', gated)
-        for module, short in (
-            (protocol, {'TRIES': 2, 'STUBBORN_TRIES': 3}),
-            (update, {'STEP_WATCH_S': 1.0, 'WATCH_S': 2.0, 'STM32_WATCH_MS': 4000}),
-        ):  # fewer states
-            for name, value in short.items():
-                patch.setattr(module, name, value)
-        seen, left, met = {walk.key()}, deque([walk]), set()
-        while left and len(seen) < 12_000:
-            walk = left.popleft()
-            if len(seen) % 40 == 0:
-                current = walk.copy()
-                current.comes_to_rest()
-            for name, move in walk.moves().items():
-                current = new = walk.copy()
-                move(new)
-                new.check()
-                met.add((walk.gains.state, name))
-                key = new.key()
-                if key not in seen:
-                    seen.add(key)
-                    left.append(new)
+    monkeypatch.setattr(type(walk.gains.protocol), 'write', gated)
+    for module, short in (
+        (protocol, {'TRIES': 2, 'STUBBORN_TRIES': 3}),
+        (update, {'STEP_WATCH_S': 1.0, 'WATCH_S': 2.0, 'STM32_WATCH_MS': 4000}),
+    ):  # fewer states
+        for name, value in short.items():
+            monkeypatch.setattr(module, name, value)
+    met, _, _ = explore(walk, 12_000, rest_every=40)
     assert met >= {(state, name) for state in State for name in Walk(tmp_path).moves()}
 
 
@@ -341,7 +321,7 @@ def test_a_disk_that_takes_seconds_holds_up_nothing(tmp_path, monkeypatch):
 @pytest.mark.parametrize('rate_hz', [10.0, 2000.0])
 def test_a_loop_whose_rate_the_watch_does_not_know_is_refused(tmp_path, rate_hz):
     walk = Walk(tmp_path)
-    walk.stm32.active[RATE] = walk.stm32._good[RATE] = rate_hz
+    walk.stm32.active[RATE] = walk.stm32.good[RATE] = rate_hz
     walk.gains.take(walk.stm32.state(), 0.0)
     walk.gains.polarity.known = True
     for _ in range(20):
