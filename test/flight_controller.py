@@ -477,11 +477,13 @@ class Line:
 
     def errors_ms(self):
         """Of the cycles that number themselves: stamp minus the time at which each began."""
-        return [
+        off_ms = [
             1e-6 * (item.stamp_ns - self.host0_ns) - 4.0 * round(1e3 * item.frame.gyro[0])
             for item in self.out
             if isinstance(item.frame, f.Cycle)
         ]
+        turn_ms = 4.0 * NUMBERS
+        return [(one + turn_ms / 2) % turn_ms - turn_ms / 2 for one in off_ms]
 
 
 # Real ends: each has fileno(), read() and write(data), which says how many bytes it took.

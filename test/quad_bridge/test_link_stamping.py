@@ -1,4 +1,7 @@
-"""Stamps after silence: a burst keeps its own, an aircraft that restarted gets its new clock's."""
+"""Stamps through all that a line and a clock do, told as stories; the guards one by one.
+
+Whatever happens, no stamp is off by a millisecond or more, and none runs backwards.
+"""
 
 import pytest
 from flight_controller import CYCLE_NS, HOST0_NS, FlightController, Line, sticks
@@ -7,104 +10,157 @@ from quad_bridge.link.guards import AGREES_NS, PAST_NS, PATIENCE_NS, LateGuard, 
 from quad_bridge.wire import frames as f
 
 
-def sticks_ms(line):
-    """Stamps of the sticks minus the host time by their device time."""
-    boot_ms = 4.0 * line.controller.boot
-    found = [
-        1e-6 * (item.stamp_ns - HOST0_NS) - item.frame.time_ms - boot_ms
-        for item in line.out
-        if isinstance(item.frame, f.RcChannels)
-    ]
-    assert len(found) > 30
-    return found
+class Story(Line):
+    """A line whose flight controller sends sticks too, and has flown for two seconds."""
+
+    def __init__(self, bits, clock_us, seconds):
+        super().__init__(FlightController(also=sticks, bits=bits))
+        self.controller.clock_us = clock_us
+        self.fly(seconds)
+        self.begin_held, self.since_restart = self.link.stamping.held, 0
+        self.out = []
+
+    def set(self, **script):
+        """Change the flight controller's script."""
+        vars(self.controller).update(script)
+
+    def restart(self, seconds=0.0):
+        self.controller.restart()
+        self.since_restart = len(self.out)
+        self.fly(seconds)
+
+    def reopen(self):
+        self.link.opened()
+
+    def delayed(self, cycles):
+        self.delay = cycles
+
+    def say_sticks(self):
+        self.say(*self.own_sticks())
+
+    def own_sticks(self):
+        yield f.RcChannels(self.controller.device_us // 1000 % (1 << 32), (1500,) * 9)
+
+    def deaf_and_sticks_first(self, deaf=100, cycles=350):
+        """TIMESYNC is not answered at first, and the sticks come before the cycle."""
+        for k in range(cycles):
+            self.controller.unanswered = (f.TimeSync,) if k <= deaf else ()
+            self.skip()
+            self.hear(self.controller.encode(*self.own_sticks(), self.controller.frame()))
+            self.attend()
+
+    def stand_still(self, cycles=250):
+        """The host stands still, and then finds all waiting: pieces of 16 ms, time goes on."""
+        kept = b''
+        for _ in range(cycles):
+            self.skip()
+            kept += self.controller.encode(self.controller.frame(), *sticks(self.controller))
+        for begin in range(0, len(kept), 4095):
+            self.skip(4)
+            self.hear(kept[begin : begin + 4095])
+            self.attend()
+
+    def uneven(self, cycles=5000):
+        """Every 50th cycle begins 3 ms late."""
+        for k in range(cycles):
+            self.controller.late_us = 3000 if k % 50 == 0 else 0
+            self.run()
+
+    def sticks_off_ms(self):
+        """Stamps of the sticks minus the host time by their device time."""
+        zero_ms = 4.0 * self.controller.boot - 1e-3 * self.controller.clock_us
+        wrap_ms = 2.0**32 / (1000.0 if self.controller.bits == 32 else 1.0)
+        return [
+            (1e-6 * (item.stamp_ns - HOST0_NS) - item.frame.time_ms - zero_ms + wrap_ms / 2)
+            % wrap_ms - wrap_ms / 2
+            for item in self.out[self.since_restart :] if isinstance(item.frame, f.RcChannels)
+        ]  # fmt: skip
 
 
-def assert_true(line, bound_ms=1.0):
-    assert max(map(abs, [*line.errors_ms(), *sticks_ms(line)])) < bound_ms
+DEAF, HEARS = {'unanswered': (f.TimeSync,)}, {'unanswered': ()}
+NEW_CLOCK = (1, 250)
+"""Cycles held back: told by the first round trip, then eight for the new clock, a tick each."""
 
 
-def flown(seconds=2.0):
-    line = Line(FlightController(also=sticks))
-    line.fly(seconds)
-    return line
+def unheard(uptime_s, silence_s):
+    """A restart that nobody hears, whose counter is higher afterwards."""
+    steps = ('lose', silence_s, {'restart_after': 0.3}), ('say_sticks',), ('fly', 2.0)
+    return steps, {'seconds': uptime_s, 'restarts': 1, 'held': NEW_CLOCK, 'clock restarts': None}
 
 
-@pytest.mark.parametrize(('uptime_s', 'silence_s'), [(2.0, 3.0), (1.0, 2.0), (2.0, 4.9), (0.6, 2)])
-def test_a_restart_that_nobody_heard_is_found_though_the_counter_is_higher(uptime_s, silence_s):
-    line = flown(uptime_s)
-    line.lose(silence_s, restart_after=0.3)
-    held, line.out = line.link.stamping.held, []
-    line.say(*sticks_of(line))
-    line.fly(2.0)
-    assert line.link.last_cycle.cycle > 250 * uptime_s  # its counter has not gone back
-    assert_true(line)
-    # told by the first round trip, 20 ms; then eight for the new clock, a tick apart each
-    assert 0 < line.link.stamping.held - held < 250
-    assert line.link.decoder.counts.restarts == 1
+def clock_set(by_ms):
+    """The aircraft's clock is set in flight."""
+    steps = ('set', {'clock_us': round(1000 * by_ms)}), ('run', 1500)
+    return steps, {'seconds': 3.2, 'held': NEW_CLOCK, 'clock restarts': 1, 'alarms': (1, 1)}
 
 
-def sticks_of(line):
-    yield f.RcChannels(line.controller.device_us // 1000, (1500,) * 9)
+def reopened(away_s, restart_after, restarts):
+    steps = ('lose', away_s, {'restart_after': restart_after}), ('reopen',), ('fly', 2.0)
+    more = {'restarts': restarts, 'held': NEW_CLOCK, 'clock restarts': None}
+    return steps, {'seconds': 3.0, **more}
 
 
-def test_sticks_that_come_before_the_cycle_do_not_end_the_wait_for_an_answer():
-    """Restarted unheard, TIMESYNC deaf for 0.4 s more: sticks tell nothing of the past."""
-    line = flown()
-    line.lose(3.0, restart_after=0.3)
-    line.out = []
-    for k in range(350):
-        line.controller.unanswered = (f.TimeSync,) if k <= 100 else ()
-        line.skip()
-        line.hear(line.controller.encode(*sticks_of(line), line.controller.frame()))
-        line.attend()
-    assert line.link.decoder.counts.restarts == 1
-    assert len(line.errors_ms()) > 100
-    assert_true(line)
+STORIES = {
+    **{f'restarted unheard after {up} s': unheard(up, silence)
+       for up, silence in ((2.0, 3.0), (1.0, 2.0), (2.0, 4.9), (0.6, 2.0))},
+    **{f'clock set by {ms} ms': clock_set(ms) for ms in (40.0, -40.0, 3.0, -3.0, 2500.0, -2500.0)},
+    'opened anew': reopened(8.0, None, 0),
+    'opened anew after a restart': reopened(8.0, 1.0, 1),
+    'opened anew soon after a restart': reopened(0.5, 0.1, 1),
+    'sticks before the cycle tell nothing of the past': (
+        (('lose', 3.0, {'restart_after': 0.3}), ('deaf_and_sticks_first',)),
+        {'restarts': 1, 'held': (1, 300), 'clock restarts': 1},
+    ),
+    'the host stands still': ((('stand_still',), ('fly', 1.0)), {}),
+    'a silence alone': ((('lose', 3.0), ('fly', 1.0)), {}),
+    'a silence, then no answers': ((('lose', 3.0), ('set', DEAF), ('fly', 1.0)), {}),
+    'late for good': ((('delayed', 50), ('fly', 2.0)), {}),
+    'a counter and a time that go on, then begin anew': (
+        (('skip', 2**32 // 4000 - 1000), ('run', 1400), ('restart', 2.4)),
+        {'seconds': 0.0, 'restarts': 1, 'held': (1, 400), 'clock restarts': 1},
+    ),
+    'a time of 32 bits': (
+        (('run', 1500),), {'bits': 32, 'clock_us': 2**32 - 4_000_000, 'wraps': 1},
+    ),
+    'a time of 32 bits that wraps while the cable is out': (
+        (('lose', 4.0), ('reopen',), ('fly', 1.0)),
+        {'bits': 32, 'clock_us': 2**32 - 4_000_000, 'held': NEW_CLOCK, 'clock restarts': 1},
+    ),
+    # doubled twice, what may be off covers them
+    'uneven cycles': ((('uneven',),), {'alarms': (1, 4), 'off_ms': 3.5, 'off': 100}),
+    'uneven, and no answers any more': (
+        (('set', DEAF), ('run', 10), ('set', {'late_us': 3000}), ('run', 1),
+         ('set', {'late_us': 0}), ('run', 100)),
+        {'alarms': (1, 1), 'off_ms': 3.5, 'off': 1},
+    ),
+}  # fmt: skip
+"""What happens, and what it costs; where nothing is said it costs nothing."""
 
 
-def test_what_a_host_that_stood_still_finds_waiting_keeps_its_stamps():
-    line = flown()
-    held, kept = line.link.stamping.held, b''
-    for _ in range(250):
-        line.skip()
-        kept += line.controller.encode(line.controller.frame(), *sticks(line.controller))
-    for begin in range(0, len(kept), 4095):  # read in pieces of 16 ms: meanwhile time goes on
-        line.skip(4)
-        line.hear(kept[begin : begin + 4095])
-        line.attend()
-    line.fly(1.0)
-    assert line.link.stamping.held == held
-    assert_true(line)
+@pytest.mark.parametrize(('steps', 'said'), STORIES.values(), ids=STORIES)
+def test_every_stamp_is_true_whatever_happens(steps, said):
+    line = Story(said.get('bits', 64), said.get('clock_us', 0), said.get('seconds', 2.0))
+    for name, *given in steps:
+        named = given.pop() if given and isinstance(given[-1], dict) else {}
+        getattr(line, name)(*given, **named)
+    link, stamping = line.link, line.link.stamping
     assert line.rising()
-    assert (line.link.decoder.counts.restarts, line.link.clock.restarts) == (0, 0)
-
-
-@pytest.mark.parametrize('answers', [True, False])
-def test_a_silence_alone_costs_nothing(answers):
-    line = flown()
-    line.lose(3.0)
-    line.controller.unanswered = () if answers else (f.TimeSync,)
-    held, line.out = line.link.stamping.held, []
-    line.fly(1.0)
-    assert line.link.stamping.held == held
-    assert len(line.out) == 300
-    assert_true(line)
-
-
-def test_a_line_that_is_late_for_good_is_taken_for_what_it_is_after_one_round_trip():
-    line = flown()
-    held, line.delay = line.link.stamping.held, 50  # 200 ms on the way, TIMESYNC is not
-    line.fly(2.0)
-    assert line.link.stamping.held == held
-    assert max(map(abs, line.errors_ms())) < 1.0
-    assert line.link.clock.restarts == 0
+    off = [e for e in line.errors_ms() if abs(e) > 1.0]
+    assert len(off) == said.get('off', 0)
+    assert max(map(abs, [*line.errors_ms(), *line.sticks_off_ms()])) < said.get('off_ms', 1.0)
+    low, high = said.get('held', (0, 0))
+    assert low <= stamping.held - line.begin_held <= high
+    assert link.decoder.counts.restarts == said.get('restarts', 0)
+    low, high = said.get('alarms', (0, 0))
+    assert low <= stamping.guard.alarms <= high
+    assert stamping.device_time.wraps == said.get('wraps', 0)
+    assert said.get('clock restarts', 0) in {None, link.clock.restarts}
 
 
 def test_what_comes_late_beside_no_cycle_waits_no_longer_than_patience():
     """The control task hangs, the radio's frames go on 250 ms late, TIMESYNC is silent."""
-    line = flown(3.0)
-    line.controller.unanswered = (f.TimeSync,)
-    line.out, waiting = [], []
+    line, waiting = Story(64, 0, 3.0), []
+    line.set(**DEAF)
     for k in range(500):
         line.skip(5)
         us = line.controller.device_us - 250_000
@@ -113,29 +169,6 @@ def test_what_comes_late_beside_no_cycle_waits_no_longer_than_patience():
         waiting.append(k + 1 - len(line.out))
     assert max(waiting) <= 2 * PATIENCE_NS / (5 * CYCLE_NS) + 2
     assert len(line.out) > 465
-
-
-@pytest.mark.parametrize(
-    ('away_s', 'restart_after', 'restarts'), [(8.0, None, 0), (8.0, 1.0, 1), (0.5, 0.1, 1)]
-)
-def test_another_start_is_seen_when_the_port_is_opened_anew(away_s, restart_after, restarts):
-    line = flown(3.0)
-    line.lose(away_s, restart_after=restart_after)
-    line.link.opened()
-    line.fly(2.0)
-    assert line.link.decoder.counts.restarts == restarts
-    assert max(map(abs, line.errors_ms())) < 1.0
-
-
-def test_a_time_of_32_bits_that_wraps_while_the_cable_is_out_is_no_other_start():
-    line = Line(FlightController(bits=32))
-    line.controller.clock_us = 2**32 - 5_000_000
-    line.fly(3.0)
-    line.lose(4.0)
-    line.link.opened()
-    line.fly(1.0)
-    assert line.link.last_cycle.time_us < 4_000_000
-    assert line.link.decoder.counts.restarts == 0
 
 
 @pytest.mark.parametrize(
