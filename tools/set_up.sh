@@ -72,7 +72,7 @@ commands() {  # quad-sysid and quad-tune in .venv/bin, which need nothing source
         module=${name#*:}
         name=.venv/bin/${name%:*}
         printf '%s\n' "#!$PWD/.venv/bin/python" '# PYTHON_ARGCOMPLETE_OK' 'import sys' \
-            "from $module.cli import main" 'sys.exit(main())' >"$name"
+            "from $module.cli import main" "if __name__ == '__main__':" '    sys.exit(main())' >"$name"
         chmod +x "$name"
     done
 }
@@ -100,7 +100,6 @@ make_venv() {
     if ! with_ros; then
         run_logged "rclpy cannot be imported" .venv/bin/python -c 'import rclpy'
     fi
-    commands
     echo "$want" >.venv/packages.stamp
 }
 
@@ -161,6 +160,7 @@ compile() {  # fills numba's cache, which follows changes of a function's own fi
 }
 
 make_venv
+commands
 [ "${1:-}" = venv ] && exit
 firmware
 set -m  # the warm-up is a process group of its own, so that all of it ends with a failed build

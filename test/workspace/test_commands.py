@@ -125,6 +125,18 @@ def test_a_command_works(
     assert PROGRAMS[program](arguments) == 0, f'{page}: {line}\n{capsys.readouterr().err}'
 
 
+def test_the_installed_fleet_starts_its_processes(tmp_path: Path) -> None:
+    """Each imports the program that started it, which must not begin a fleet of its own then."""
+    (tmp_path / 'flights').mkdir()
+    (tmp_path / 'flights/no_bag.mcap').write_text('no bag')
+    done = subprocess.run(
+        [Path(sys.prefix) / 'bin/quad-sysid', 'fleet', 'flights', '--out', 'fleet'],
+        cwd=tmp_path, check=False, capture_output=True, text=True,
+    )  # fmt: skip
+    row = (tmp_path / 'fleet/fleet.csv').read_text()
+    assert ('Traceback' in done.stderr, 'process died' in row) == (False, False), done.stderr
+
+
 def test_pip_installs_folders_that_exist() -> None:
     for page, line in COMMANDS:
         if line.startswith('pip install'):
