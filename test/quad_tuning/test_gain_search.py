@@ -10,13 +10,13 @@ from quad_sysid.loop.from_model import loop_plant
 from quad_tuning import ensemble as ensembles
 from quad_tuning import pid as searches
 from quad_tuning.designer import design
-from quad_tuning.objective import Requirements, Weights, pose
+from quad_tuning.objective import Requirements, pose
 
 
 def problem_of(m, axis='roll', **needs):
     loops = ensembles.build(m, np.random.default_rng(7))
     active = CascadeGains.default(axis)
-    return pose(loop_plant(m), active, loops, Requirements(**needs), Weights())
+    return pose(loop_plant(m), active, loops, Requirements(**needs))
 
 
 SLOW = {'gain': 260.0, 'lag': 0.075, 'delay': 0.012}

@@ -56,8 +56,8 @@ def test_feedback_solves_the_riccati_equation_and_beats_its_neighbours(model):
             error -= 0.5 * controller.dt * (rate + after)
             drive, rate = following, after
         return (
-            np.sqrt(f) * sums[0] / w.rate_rad_s**2 + sums[1] / w.angle_rad**2
-            + sums[2] / np.sqrt(f) / w.integral_rad_s**2 + f * sums[3] / w.control**2
+            np.sqrt(f) * sums[0] / w.rate**2 + sums[1] / w.angle**2
+            + sums[2] / np.sqrt(f) / w.integral**2 + f * sums[3] / w.control**2
         )
 
     names = ('k_angle', 'k_rate', 'k_drive', 'k_integral')

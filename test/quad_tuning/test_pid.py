@@ -13,7 +13,7 @@ from quad_sysid.loop.plant import Curve
 from quad_sysid.loop.simulation import simulate_cascade
 from quad_tuning import ensemble as ensembles
 from quad_tuning.designer import design
-from quad_tuning.objective import Requirements, Weights, meets, pose
+from quad_tuning.objective import Requirements, meets, pose
 from quad_tuning.pid import retune, search
 
 ACTIVE = CascadeGains.default('roll')
@@ -56,7 +56,7 @@ def test_every_search_ends_at_the_same_gains_and_the_design_is_repeatable(model)
     first, again = retune(plant, ACTIVE, loops), retune(plant, ACTIVE, loops)
     assert first == again
     assert first.agreeing == first.searches == 5
-    problem = pose(plant, ACTIVE, loops, Requirements(), Weights())
+    problem = pose(plant, ACTIVE, loops, Requirements())
     ends = [problem.gains(x) for _, x in search(problem)]
     assert ends[0] == first.gains
     for field in ('angle_kp', 'rate_kp'):

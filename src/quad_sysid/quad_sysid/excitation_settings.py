@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import yaml
@@ -52,13 +52,8 @@ def settings_from(
 ) -> Settings:
     """Settings from the parameters; raises BadInputError for a wrong schedule."""
     loaded = load_schedule(schedule).scaled(numbers['amplitude_scale'])
-    limits = Limits(
-        mount=loaded.mount, angle_rad=math.radians(numbers['angle_limit_deg']),
-        imu_stale_s=numbers['imu_stale_s'], rc_stale_s=numbers['rc_stale_s'],
-        battery_min_v=numbers['battery_min_v'], stick_dead_band=numbers['stick_dead_band'],
-        hover_deflection=numbers['hover_deflection'],
-        abort_threshold=numbers['abort_threshold'],
-    )
+    same = {field.name: numbers[field.name] for field in fields(Limits) if field.name in numbers}
+    limits = Limits(mount=loaded.mount, angle_rad=math.radians(numbers['angle_limit_deg']), **same)
     return Settings(loaded, limits, numbers['ramp_out_s'], rate_hz,
                     FIRST_AUX + aux - 1 if aux else None, autostart, exit_when_done)
 

@@ -7,7 +7,7 @@ gate with its default bounds.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -96,40 +96,6 @@ def steps_to(wanted: CascadeGains, active: CascadeGains) -> tuple[CascadeGains, 
     raise DesignRefusedError('the wanted gains lie outside the hard bounds')
 
 
-def check_polarity(model: AxisModel) -> None:
-    """Refuse a gain of the wrong or an uncertain sign, and a plant driven by another axis.
-
-    If the motors' order is not the mixer's, an axis' command drives it backwards, not at all, or
-    less than another axis' command does.
-    """
-    gain = next(p for p in model.base if p.name == 'gain')
-    order = "check the motors' order and spin, and the gyro's axes"
-    if not math.isfinite(gain.value):
-        raise DesignRefusedError(f'{model.axis}: the plant gain is {gain.value}; identify again')
-    if gain.value <= 0.0:
-        raise DesignRefusedError(
-            f'{model.axis}: a positive command lowers the rate (plant gain {gain.value:.4g} '
-            f'rad/s², must be positive); {order}'
-        )
-    if gain.std is None or not math.isfinite(gain.std):
-        raise DesignRefusedError(
-            f'{model.axis}: the plant gain has no standard error, so its sign is not sure; '
-            'fly a longer excitation'
-        )
-    if gain.value - SIGN_CONFIDENCE * gain.std <= 0.0:
-        raise DesignRefusedError(
-            f'{model.axis}: the plant gain {gain.value:.4g} +- {gain.std:.2g} rad/s² may be zero '
-            f'or negative; {order}, or excite more'
-        )
-    for effect in model.effects:
-        share = next((p.value for p in effect.parameters if p.name == 'fraction'), 0.0)
-        if effect.name == 'cross_axis_input' and abs(share) > FOREIGN_DRIVE:
-            raise DesignRefusedError(
-                f"{model.axis}: another axis' command drives it with {share:.2f} of its own; "
-                f'{order}'
-            )
-
-
 LARGEST_RELATIVE_STD = {'gain': 0.2, 'lag': 0.4}
 """Largest relative standard error with which margins over draws are meaningful."""
 LARGEST_DELAY_STD_CYCLES = 1.5
@@ -140,46 +106,69 @@ BAND_REACH = 2.0
 def check_model(model: AxisModel) -> None:
     """Refuse a model with the wrong sign, without covariance, not finite or too uncertain."""
     check_polarity(model)
+    _refuse(model, _uncertain(model))
+
+
+def check_polarity(model: AxisModel) -> None:
+    """Refuse a gain of the wrong or an uncertain sign, and a plant driven by another axis.
+
+    If the motors' order is not the mixer's, an axis' command drives it backwards, not at all, or
+    less than another axis' command does.
+    """
+    _refuse(model, _wrong_way(model))
+
+
+def _refuse(model: AxisModel, reasons: Iterator[str]) -> None:
+    """Raise DesignRefusedError for the first reason."""
+    for reason in reasons:
+        raise DesignRefusedError(f'{model.axis}: {reason}')
+
+
+def _wrong_way(model: AxisModel) -> Iterator[str]:
+    gain = next(p for p in model.base if p.name == 'gain')
+    order = "check the motors' order and spin, and the gyro's axes"
+    if not math.isfinite(gain.value):
+        yield f'the plant gain is {gain.value}; identify again'
+    if gain.value <= 0.0:
+        yield (f'a positive command lowers the rate (plant gain {gain.value:.4g} rad/s², must be '
+               f'positive); {order}')
+    if gain.std is None or not math.isfinite(gain.std):
+        yield ('the plant gain has no standard error, so its sign is not sure; '
+               'fly a longer excitation')
+    elif gain.value - SIGN_CONFIDENCE * gain.std <= 0.0:
+        yield (f'the plant gain {gain.value:.4g} +- {gain.std:.2g} rad/s² may be zero or '
+               f'negative; {order}, or excite more')
+    for effect in model.effects:
+        share = next((p.value for p in effect.parameters if p.name == 'fraction'), 0.0)
+        if effect.name == 'cross_axis_input' and abs(share) > FOREIGN_DRIVE:
+            yield f"another axis' command drives it with {share:.2f} of its own; {order}"
+
+
+def _uncertain(model: AxisModel) -> Iterator[str]:
     named = [(p.name, p.value) for p in model.base]
     named += [(f'{e.name}.{p.name}', p.value) for e in model.effects for p in e.parameters]
     for name, value in named:
         if not math.isfinite(value):
-            raise DesignRefusedError(f'{model.axis}: {name} is {value}; identify again')
-    if model.covariance is None or not model.parameter_names:
-        raise DesignRefusedError(
-            f'{model.axis}: the model has no covariance, so no margin can be assured; '
-            'identify again'
-        )
-    size = len(model.parameter_names)
-    if np.shape(model.covariance) != (size, size):
-        raise DesignRefusedError(
-            f'{model.axis}: the covariance is {np.shape(model.covariance)}, the parameters are '
-            f'{size}; identify again'
-        )
-    _check_uncertainty(model)
-
-
-def _check_uncertainty(model: AxisModel) -> None:
+            yield f'{name} is {value}; identify again'
+    names = model.parameter_names
+    if model.covariance is None or not names:
+        yield 'the model has no covariance, so no margin can be assured; identify again'
+    shape = np.shape(np.asarray(model.covariance))
+    if shape != (len(names), len(names)):
+        yield f'the covariance is {shape}, the parameters are {len(names)}; identify again'
     stds = np.sqrt(np.maximum(np.diag(np.asarray(model.covariance, dtype=float)), 0.0))
-    known = dict(zip(model.parameter_names, stds, strict=True))
+    known = dict(zip(names, map(float, stds), strict=True))
+    if not math.isfinite(known.get('gain', math.nan)):
+        yield 'the covariance lacks the plant gain; identify again'
     for name, largest in LARGEST_RELATIVE_STD.items():
-        value, std = model.value(name), float(known.get(name, np.nan))
-        if name == 'gain' and not math.isfinite(std):
-            raise DesignRefusedError(
-                f'{model.axis}: the covariance lacks the plant gain; identify again'
-            )
+        value, std = model.value(name), known.get(name, math.nan)
         if std > max(largest * abs(value), model.dt if name == 'lag' else 0.0):
-            raise DesignRefusedError(
-                f'{model.axis}: {name} {value:.4g} +- {std:.2g} is too uncertain (at most '
-                f'{100 * largest:.0f} %); fly a longer or stronger excitation'
-            )
-    delay_std = float(known.get('delay', np.nan))
-    if delay_std > LARGEST_DELAY_STD_CYCLES * model.dt:
-        raise DesignRefusedError(
-            f'{model.axis}: delay {model.value("delay"):.4g} +- {delay_std:.2g} s is too '
-            f'uncertain (at most {LARGEST_DELAY_STD_CYCLES * model.dt:.2g} s); '
-            'fly a faster excitation'
-        )
+            yield (f'{name} {value:.4g} +- {std:.2g} is too uncertain (at most '
+                   f'{100 * largest:.0f} %); fly a longer or stronger excitation')
+    std = known.get('delay', math.nan)
+    if std > LARGEST_DELAY_STD_CYCLES * model.dt:
+        yield (f'delay {model.value("delay"):.4g} +- {std:.2g} s is too uncertain (at most '
+               f'{LARGEST_DELAY_STD_CYCLES * model.dt:.2g} s); fly a faster excitation')
 
 
 def flown_gains(model: AxisModel) -> CascadeGains:

@@ -106,12 +106,12 @@ def _answer(model: AxisModel, arguments: argparse.Namespace) -> dict[str, Any]:
             'refused_because': proposal.refused_because,
             'figures': dict(proposal.figures),
         }
-    from quad_tuning.lqr import propose_lqr  # python-control takes its time
+    from quad_tuning.lqr import Weights, propose_lqr  # python-control takes its time
 
     asked = ((name, getattr(arguments, f'max_{name}')) for name in BRYSON)
     given = {name: positive(f'--max-{name}', value) for name, value in asked if value is not None}
     try:
-        found = propose_lqr(model, given)
+        found = propose_lqr(model, Weights(**given))
     except DesignRefusedError as refusal:
         return {'gains': None, 'refused_because': str(refusal), 'figures': {}}
     return {'gains': found.gains, 'refused_because': '', 'figures': found.figures}

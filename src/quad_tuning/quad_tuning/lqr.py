@@ -11,7 +11,6 @@ Source: Anderson, Moore, Optimal Control (1990), 2.3 and 7.2; Bryson, Ho, Applie
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import control
@@ -43,15 +42,13 @@ SHARES = (0.25, 0.5)
 class Weights:
     """Bryson's rule: the largest value of each that is acceptable; its weight is 1 / max²."""
 
-    angle_rad: float = 0.1
-    rate_rad_s: float = 0.7
-    integral_rad_s: float = 0.2
+    angle: float = 0.1
+    """rad."""
+    rate: float = 0.7
+    """rad/s."""
+    integral: float = 0.2
+    """rad s."""
     control: float = 0.1
-
-
-WEIGHTS = {'angle': 'angle_rad', 'rate': 'rate_rad_s', 'integral': 'integral_rad_s',
-           'control': 'control'}
-"""Short name → field of Weights."""
 
 
 @dataclass(frozen=True)
@@ -74,11 +71,10 @@ class LqrProposal:
     figures: dict[str, float]
 
 
-def propose_lqr(model: AxisModel, largest: Mapping[str, float] | None = None) -> LqrProposal:
+def propose_lqr(model: AxisModel, weights: Weights | None = None) -> LqrProposal:
     """An LQR for the angle of one axis; raises DesignRefusedError with the reason.
 
-    `largest`: Bryson's largest acceptable values by the names of WEIGHTS, in rad, rad/s, rad s and
-    normalised command; missing ones have their defaults. The admission is the cascade's.
+    The admission is the cascade's.
     """
     check_model(model)
     active = flown_gains(model)
@@ -87,7 +83,6 @@ def propose_lqr(model: AxisModel, largest: Mapping[str, float] | None = None) ->
     before = assess(plant, active, loops)
     check_band(model, before.crossover_rad_s)
     try:
-        weights = Weights(**{WEIGHTS[name]: value for name, value in (largest or {}).items()})
         noise = Noise(rate=model.noise_rms) if model.noise_rms else Noise()
         found, factor = design_lqr(plant, loops, active.output_limit, weights, noise)
     except DesignRefusedError as refusal:
@@ -157,8 +152,8 @@ def feedback(plant: LoopPlant, output_limit: float, factor: float, weights: Weig
                          output_limit=output_limit)
     a, b = _states(bare)
     # a loop slower by s = factor^(-1/4) keeps its shape when rates count s^-2 and integrals s^2
-    q = np.diag([0.0, np.sqrt(factor) / weights.rate_rad_s**2, 1.0 / weights.angle_rad**2,
-                 1.0 / np.sqrt(factor) / weights.integral_rad_s**2])
+    q = np.diag([0.0, np.sqrt(factor) / weights.rate**2, 1.0 / weights.angle**2,
+                 1.0 / np.sqrt(factor) / weights.integral**2])
     gain, _, _ = control.dlqr(a, b, q, [[factor / weights.control**2]])
     k_drive, k_rate, k_angle, pull = (float(value) for value in np.asarray(gain)[0])
     return replace(bare, k_angle=k_angle, k_rate=k_rate, k_drive=k_drive, k_integral=-pull)

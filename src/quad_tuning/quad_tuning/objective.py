@@ -24,6 +24,8 @@ REACH = 16.0
 """Largest factor between flown and new gain; the bounds apply too."""
 POWERS = {'rate_ki': 3.0, 'rate_kd': 2.0}
 """Power of the cube's coordinate for gains that may be 0; the others are logarithmic."""
+DISTURBANCE_SHARE, NOISE_SHARE = 0.05, 0.005
+"""Shares of the objective beside the tracking, each figure relative to the flown gains."""
 NOMINAL = 4
 """Number of nominal requirements: overshoot, noise, crossover, disturbance."""
 
@@ -48,15 +50,6 @@ class Requirements:
 
 
 @dataclass(frozen=True)
-class Weights:
-    """Shares of the objective, each figure relative to the flown gains."""
-
-    tracking: float = 1.0
-    disturbance: float = 0.05
-    noise: float = 0.005
-
-
-@dataclass(frozen=True)
 class Problem:
     """Everything that is constant during a search."""
 
@@ -65,7 +58,6 @@ class Problem:
     ensemble: Ensemble
     nominal: Ensemble
     needs: Requirements
-    weights: Weights
     reference: FloatArray
     scale: tuple[float, float, float]
     low: FloatArray
@@ -99,8 +91,7 @@ class Problem:
         rms, beyond = tracking(self.plant, gains, self.reference)
         push = disturbance(self.plant, gains) / self.scale[1]
         noise = noise_gain(gains, self.nominal) / self.scale[2]
-        w = self.weights
-        value = w.tracking * rms / self.scale[0] + w.disturbance * push + w.noise * noise
+        value = rms / self.scale[0] + DISTURBANCE_SHARE * push + NOISE_SHARE * noise
         if not np.isfinite(value):
             return 1e3, np.full(NOMINAL, -1.0)
         highest = self.needs.highest_crossover_rad_s
@@ -140,7 +131,7 @@ def meets(margins: Margins, needs: Requirements) -> npt.NDArray[np.bool_]:
 
 
 def pose(plant: LoopPlant, active: CascadeGains, ensemble: Ensemble, needs: Requirements,
-         weights: Weights, fixed: Collection[str] = ()) -> Problem:
+         fixed: Collection[str] = ()) -> Problem:
     """The problem of one axis; raises DesignRefusedError where the flown loop diverges.
 
     `fixed` are fields of CascadeGains that do not change.
@@ -162,5 +153,5 @@ def pose(plant: LoopPlant, active: CascadeGains, ensemble: Ensemble, needs: Requ
              noise_gain(active, nominal))
     if not np.isfinite(scale).all():
         raise DesignRefusedError('the simulated loop diverges with these gains; identify again')
-    return Problem(plant, active, ensemble, nominal, needs, weights, reference, scale,
+    return Problem(plant, active, ensemble, nominal, needs, reference, scale,
                    np.array(low), np.array(high))

@@ -25,7 +25,7 @@ from quad_tuning.assess import SQUARE_HALF_PERIOD_S, LoopFigures, assess
 from quad_tuning.bounds import DESIGNED
 from quad_tuning.ensemble import Ensemble
 from quad_tuning.errors import DesignRefusedError
-from quad_tuning.objective import Problem, Requirements, Weights, pose
+from quad_tuning.objective import Problem, Requirements, pose
 
 GRID = (9, 14, 3, 7, 3)
 """Points along angle kp, rate kp, ki, kd and the filter of D."""
@@ -248,7 +248,7 @@ class PidDesign:
 
 
 def retune(plant: LoopPlant, active: CascadeGains, ensemble: Ensemble,
-           needs: Requirements | None = None, weights: Weights | None = None,
+           needs: Requirements | None = None,
            fixed: Collection[str] = ()) -> PidDesign:
     """The best gains within the bounds that satisfy every loop of the ensemble.
 
@@ -256,7 +256,7 @@ def retune(plant: LoopPlant, active: CascadeGains, ensemble: Ensemble,
     where no gains in the box meet the requirements.
     """
     needs = needs or Requirements()
-    problem = pose(plant, active, ensemble, needs, weights or Weights(), fixed)
+    problem = pose(plant, active, ensemble, needs, fixed)
     points, kept = search(problem), True
     if not points:
         kept = False

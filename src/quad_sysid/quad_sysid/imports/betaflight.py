@@ -23,7 +23,7 @@ from quad_sysid.errors import BadInputError
 from quad_sysid.files import read_by_library
 from quad_sysid.imports.log import DEGREE, ForeignLog, Mapped, Reading, Wanted
 from quad_sysid.imports.mixers import MIRROR, Mixer, mixer_at_places, ned_angles
-from quad_sysid.imports.table import Table, read_csv, text_lines
+from quad_sysid.imports.table import Table, head_of, read_csv, text_lines
 from quad_sysid.imports.units import header_unit, unit_of
 
 MOTOR_ORDER = (2, 0, 1, 3)
@@ -63,7 +63,7 @@ def read(path: Path, log: int = 1) -> ForeignLog:
 
     Raises BadInputError naming file, line and column.
     """
-    table, units = _decoded(path, log) if _is_encoded(path) else _read(path)
+    table, units = _decoded(path, log) if head_of(path).startswith(b'H ') else _read(path)
     for name, remedy in (('time', 'decode the log again with blackbox_decode'),
                          ('gyroADC[2]', 'log the gyro (blackbox_disable_gyro = OFF)')):
         if name not in table.columns:
@@ -120,11 +120,6 @@ def _wanted(table: Table, units: dict[str, str], *, indi: bool) -> tuple[Wanted,
         out.append(Wanted('acceleration', _several('accSmooth', 3), unit or 'raw',
                           f'{counts:g} are {ONE_G} m/s²', lambda v: v * (ONE_G / counts) * frame))
     return tuple(out)
-
-
-def _is_encoded(path: Path) -> bool:
-    with path.open('rb') as stream:
-        return stream.read(2) == b'H '
 
 
 def _decoded(path: Path, log: int) -> tuple[Table, dict[str, str]]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import textwrap
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,6 +11,7 @@ from quad_sysid.arguments import Commands, command, positive
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError
 from quad_sysid.imports.units import OPTIONS, flag
+from quad_sysid.report.tables import Table, wrapped
 
 if TYPE_CHECKING:
     from quad_sysid.imports.formats import Format
@@ -146,20 +146,12 @@ def table(done: Imported) -> list[str]:
     for title, lines in (('clock and motors', done.told), ('missing', done.log.missing),
                          ('warnings', done.warnings)):
         if lines:
-            out += ['', title, *(part for line in lines for part in _wrapped(line, '  '))]
+            out += ['', title, *(part for line in lines for part in wrapped(line, '    ', '  '))]
     return out
 
 
 def mapped(log: ForeignLog) -> list[str]:
     """The table of fields: from the log, to the bag."""
-    out = [f'{"from the log":<36} {"Hz":>6}  to the bag']
-    for m in log.mapped:
-        rate = f'{m.rate_hz:.4g}' if m.rate_hz else '-'
-        out.append(f'{f"{m.source} [{m.unit}]":<36} {rate:>6}  {m.topic}')
-        out += _wrapped(m.how, '      ') if m.how else []
-    return out
-
-
-def _wrapped(text: str, indent: str) -> list[str]:
-    return textwrap.wrap(text, 79, initial_indent=indent, subsequent_indent=indent + '  ',
-                         break_on_hyphens=False)
+    rows = [[f'{m.source} [{m.unit}]', f'{m.rate_hz:.4g}' if m.rate_hz else '-', m.topic, m.how]
+            for m in log.mapped]
+    return Table(['from the log', 'Hz', 'to the bag', ''], rows, (1,)).text(below=3)

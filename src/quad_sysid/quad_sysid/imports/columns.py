@@ -72,8 +72,8 @@ def read_columns(options: ColumnOptions) -> ForeignLog:
     table = open_table(options.file, list(roles))
     odd: list[str] = []
     clock: tuple[str, ...] = ()
+    _check_ranges(options, table, units)
     if options.time is not None:
-        _check_ranges(options, table, units)
         speeds = [np.nanstd(units[name](table.columns[name])) for name in options.rate]
         table, clock = table.on_clock(options.time, units[options.time])
         odd += check_times(_column(options, units, options.time, next(iter(table.times.values()))),
@@ -83,8 +83,6 @@ def read_columns(options: ColumnOptions) -> ForeignLog:
                             remedy='quad-sysid import FILE alone proposes one')
     found = {option: _stream(table, units, options.names(option)) for option in OPTIONS
              if option != 'time'}
-    if options.time is None:
-        _check_ranges(options, table, units)
     odd += _compared(options, units, found)
     return ForeignLog(
         source=str(options.file), kind='a table', axes=options.axes,

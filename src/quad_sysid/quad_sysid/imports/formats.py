@@ -5,7 +5,6 @@ To add a format, add its reader beside this file and one entry to FORMATS.
 
 from __future__ import annotations
 
-import gzip
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,9 +13,7 @@ from typing import Any
 from quad_sysid.errors import BadInputError
 from quad_sysid.imports import ardupilot, betaflight, px4
 from quad_sysid.imports.log import ForeignLog
-
-HEAD = 65536
-"""Number of bytes by which a format is recognised."""
+from quad_sysid.imports.table import head_of
 
 
 @dataclass(frozen=True)
@@ -51,17 +48,7 @@ FORMATS = (
 
 def format_of(path: Path) -> Format | None:
     """The format of a file, None for a table. Raises BadInputError where it cannot be read."""
-    if path.is_dir():
-        return None
-    try:
-        with path.open('rb') as stream:
-            head = stream.read(HEAD)
-        if head[:2] == b'\x1f\x8b':
-            with gzip.open(path) as packed:
-                head = packed.read(HEAD)
-    except (OSError, EOFError) as error:
-        reason = getattr(error, 'strerror', None) or str(error)
-        raise BadInputError(str(path), f'cannot be read ({reason})', remedy='check it') from error
+    head = head_of(path)
     return next((one for one in FORMATS if one.recognises(head)), None)
 
 

@@ -18,6 +18,8 @@ from quad_sysid.contract import AXES
 from quad_sysid.imports.plausible import time_unit
 from quad_sysid.imports.table import Table
 from quad_sysid.imports.units import OPTIONS, UNITS, flag, header_unit
+from quad_sysid.report.tables import Table as Text
+from quad_sysid.report.words import number
 
 
 def _named(*parts: str) -> re.Pattern[str]:
@@ -138,20 +140,20 @@ def _axes(triple: Triple) -> tuple[str, ...]:
 
 def lines(guessed: Guess, table: Table, file: Path) -> Iterator[str]:
     """The table of columns, and what to type."""
-    width = min(34, max(len(n) for n in table.columns))
     (time,) = guessed.columns.get('time', (None,))
     factor = UNITS['time'][guessed.units.get(str(time)) or header_unit(str(time)) or 's'][0]
-    yield f'{file}: {len(table.columns)} columns with numbers'
-    yield ''
-    yield f'{"column":<{width}} {"Hz":>7} {"lowest":>10} {"highest":>10}  guess'
+    rows = []
     for name, values in table.columns.items():
         own = table.times.get(name)
         times = factor * table.columns[time] if own is None and time else own
         steps = np.zeros(0) if times is None else np.diff(times[np.isfinite(values)])
         steps = steps[steps > 0.0]
-        rate = f'{1.0 / np.median(steps):.4g}' if len(steps) else '-'
-        yield (f'{name:<{width}} {rate:>7} {np.nanmin(values):>10.4g} '
-               f'{np.nanmax(values):>10.4g}  {guessed.role_of(name)}')
+        rows.append([name, number(1.0 / np.median(steps) if len(steps) else None, 4),
+                     number(np.nanmin(values), 4), number(np.nanmax(values), 4),
+                     guessed.role_of(name)])
+    yield f'{file}: {len(rows)} columns with numbers'
+    yield ''
+    yield from Text(['column', 'Hz', 'lowest', 'highest', 'guess'], rows, (1, 2, 3)).text()
     command = guessed.command(file)
     yield ''
     if command is None:

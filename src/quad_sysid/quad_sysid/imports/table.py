@@ -10,7 +10,7 @@ import gzip
 import math
 import struct
 import zlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import islice
@@ -27,6 +27,8 @@ from quad_sysid.imports.clock import draw, unroll
 from quad_sysid.imports.log import Stream
 from quad_sysid.imports.units import Unit
 
+HEAD = 65536
+"""Number of bytes by which a format is recognised."""
 DELIMITERS = (',', ';', '\t')
 MOST_NUMBERS = 64
 """Longest array in a message that becomes columns; a longer one is an image or a cloud."""
@@ -103,7 +105,7 @@ def open_table(path: Path, wanted: Sequence[str] | None = None) -> Table:
     Raises BadInputError for a file that cannot be read, a missing column, and a text where a
     number should be.
     """
-    head = _head(path)
+    head = head_of(path)
     if head[:1] == bytes([SD_MAGIC]):
         table = sd_card(path.read_bytes(), str(path))
     elif head.startswith(b'#ROSBAG') or path.is_dir():
@@ -124,26 +126,31 @@ def _absent(source: str, absent: Sequence[str], known: Sequence[str]) -> BadInpu
                          'name a column of the file')
 
 
-def _head(path: Path) -> bytes:
+def head_of(path: Path) -> bytes:
+    """The first bytes of a file, unpacked; none of a folder. Raises BadInputError."""
     if path.is_dir():
         return b''
-    try:
-        with path.open('rb') as stream:
-            return stream.read(16)
-    except OSError as error:
-        raise BadInputError(str(path), f'cannot be read ({error.strerror})',
-                            remedy='check it') from error
+    with _readable(path), _opener(path)(path, 'rb') as stream:
+        return bytes(stream.read(HEAD))
 
 
 @contextmanager
 def text_lines(file: Path) -> Iterator[Iterator[str]]:
     """Lines of a text file, gzipped or not. Raises BadInputError for another file."""
+    with _readable(file), _opener(file)(file, 'rt', encoding='utf-8-sig') as stream:
+        yield iter(stream)
+
+
+def _opener(file: Path) -> Callable[..., Any]:
+    with file.open('rb') as probe:
+        return gzip.open if probe.read(2) == b'\x1f\x8b' else open
+
+
+@contextmanager
+def _readable(file: Path) -> Iterator[None]:
+    """Say in one line why a file cannot be read."""
     try:
-        with file.open('rb') as probe:
-            packed = probe.read(2) == b'\x1f\x8b'
-        opened = gzip.open if packed else open
-        with opened(file, 'rt', encoding='utf-8-sig') as stream:
-            yield iter(stream)
+        yield
     except (OSError, EOFError, zlib.error) as error:
         reason = getattr(error, 'strerror', None) or str(error)
         raise BadInputError(str(file), f'cannot be read ({reason})', remedy='check it') from error

@@ -7,7 +7,9 @@ in which the node itself did not run.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import chain
 
 from quad_sysid.contract import AXES
 
@@ -62,63 +64,44 @@ def check(limits: Limits, readings: Readings, axis: str, yaw_start: float = 0.0)
 
     Yaw counts against `yaw_start` (rad) and only while it is the excited axis.
     """
-    return (
-        _receiver(limits, readings)
-        or _link(limits, readings)
-        or _attitude(limits, readings, axis, yaw_start)
-        or _sticks(limits, readings)
-        or _battery(limits, readings)
-    )
+    return next(chain(_lines(limits, readings), _attitude(limits, readings, axis, yaw_start),
+                      _sticks_and_battery(limits, readings)), None)
 
 
-def _receiver(limits: Limits, readings: Readings) -> Abort | None:
-    if readings.failsafe:
-        return Abort('the receiver is in failsafe', immediate=True)
-    if readings.rc_age_s is not None and readings.rc_age_s > limits.rc_stale_s:
-        return Abort(f'/rc/in is {readings.rc_age_s:.2f} s old', immediate=True)
-    switch = readings.abort_switch
-    if switch is not None and switch > limits.abort_threshold:
-        return Abort("the pilot's abort switch is thrown")
-    return None
+def _lines(limits: Limits, r: Readings) -> Iterator[Abort]:
+    """Of the receiver, then of the link."""
+    if r.failsafe:
+        yield Abort('the receiver is in failsafe', immediate=True)
+    if r.rc_age_s is not None and r.rc_age_s > limits.rc_stale_s:
+        yield Abort(f'/rc/in is {r.rc_age_s:.2f} s old', immediate=True)
+    if r.abort_switch is not None and r.abort_switch > limits.abort_threshold:
+        yield Abort("the pilot's abort switch is thrown")
+    if r.imu_age_s is None:
+        yield Abort('no /imu/data yet')
+    elif r.imu_age_s > limits.imu_stale_s:
+        yield Abort(f'/imu/data is {r.imu_age_s:.2f} s old')
 
 
-def _link(limits: Limits, readings: Readings) -> Abort | None:
-    if readings.imu_age_s is None:
-        return Abort('no /imu/data yet')
-    if readings.imu_age_s > limits.imu_stale_s:
-        return Abort(f'/imu/data is {readings.imu_age_s:.2f} s old')
-    return None
-
-
-def _attitude(limits: Limits, readings: Readings, axis: str, yaw_start: float) -> Abort | None:
-    if readings.angles is None or not all(map(math.isfinite, readings.angles)):
-        return Abort('/imu/data has no orientation: the angle cannot be watched')
-    roll, pitch, yaw = readings.angles
+def _attitude(limits: Limits, r: Readings, axis: str, yaw_start: float) -> Iterator[Abort]:
+    if r.angles is None or not all(map(math.isfinite, r.angles)):
+        yield Abort('/imu/data has no orientation: the angle cannot be watched')
+        return
+    roll, pitch, yaw = r.angles
     turned = math.remainder(yaw - yaw_start, 2.0 * math.pi) if axis == 'yaw' else 0.0
     for name, angle in zip(AXES, (roll, pitch, turned), strict=True):
         if abs(angle) > limits.angle_rad:
-            return Abort(f'{name} of {math.degrees(angle):.1f}° is beyond '
-                         f'{math.degrees(limits.angle_rad):.0f}°')
-    return None
+            yield Abort(f'{name} of {math.degrees(angle):.1f}° is beyond '
+                        f'{math.degrees(limits.angle_rad):.0f}°')
 
 
-def _sticks(limits: Limits, readings: Readings) -> Abort | None:
-    if readings.sticks is None:
-        return None
+def _sticks_and_battery(limits: Limits, r: Readings) -> Iterator[Abort]:
     allowed = limits.stick_dead_band if limits.mount == 'rig' else limits.hover_deflection
-    for name, stick in zip(AXES, readings.sticks, strict=True):
+    for name, stick in zip(AXES, r.sticks or (), strict=False):
         if not abs(stick) <= allowed:
-            return Abort(f'the {name} stick is at {100 * stick:.0f} %')
-    return None
-
-
-def _battery(limits: Limits, readings: Readings) -> Abort | None:
-    volts = readings.battery_v
-    if volts is None or not math.isfinite(volts) or limits.battery_min_v <= 0.0:
-        return None
-    if volts < limits.battery_min_v:
-        return Abort(f'battery at {volts:.2f} V, below {limits.battery_min_v:.2f} V')
-    return None
+            yield Abort(f'the {name} stick is at {100 * stick:.0f} %')
+    volts = r.battery_v
+    if volts is not None and volts < limits.battery_min_v and math.isfinite(volts):
+        yield Abort(f'battery at {volts:.2f} V, below {limits.battery_min_v:.2f} V')
 
 
 STALL_S = 0.05
