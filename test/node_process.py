@@ -60,6 +60,17 @@ def recorded(bag: Path, *topics: str) -> dict[str, list[Any]]:
     return found
 
 
+def until(
+    condition: Callable[[], object], what: object = '', meanwhile: Callable[[], object] = bool
+) -> None:
+    """Wait for a condition; the bound is a safety net, not a measurement."""
+    end_s = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < end_s, f'never: {what}'
+        meanwhile()
+        time.sleep(0.002)
+
+
 class Started:
     """A running process; what it says goes into files, so that it never waits for who reads."""
 
@@ -112,11 +123,11 @@ class Started:
 
     def until(self, condition: Callable[[], object], what: object = '') -> None:
         """Wait for a condition as long as the process lives."""
-        end_s = time.monotonic() + PATIENCE_S
-        while not condition():
+
+        def lives() -> None:
             assert self.poll() is None, f'ended with {self.poll()}: {self.said[-2000:]}'
-            assert time.monotonic() < end_s, f'never: {what}'
-            time.sleep(0.01)
+
+        until(condition, what, lives)
 
     def says(self, words: str) -> None:
         """Wait until it has said this on stderr."""

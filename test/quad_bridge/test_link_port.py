@@ -4,23 +4,15 @@ import fcntl
 import os
 import socket
 import threading
-import time
 from types import SimpleNamespace
 
 import pytest
 from flight_controller import Pty
+from node_process import until
 from probe import PATIENCE_S
 
 from quad_bridge.link import port as serial_port
 from quad_bridge.link.port import PortState, SerialPort
-
-
-def until(condition):
-    """Poll a condition; the bound is a safety net, not a measurement."""
-    deadline = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.005)
 
 
 @pytest.fixture

@@ -10,6 +10,7 @@ import sys
 import time
 
 import pytest
+from node_process import until
 from probe import PATIENCE_S
 from rosbags.highlevel import AnyReader
 
@@ -42,13 +43,6 @@ def numbered(k):
 def put(recording, numbers):
     for k in numbers:
         recording.put(TOPIC, 10**18 + k, numbered(k))
-
-
-def until(condition):
-    end_s = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < end_s
-        time.sleep(0.01)
 
 
 def numbers_in(bag):

@@ -315,17 +315,6 @@ def database(tmp_path):
     return tmp_path / 'bag' / 'bag.db3', fill(theirs(tmp_path / 'bag', 'SQLITE3'))
 
 
-def contents(bag):
-    with AnyReader([bag]) as reader:
-        return [(c.topic, t, bytes(raw)) for c, t, raw in reader.messages()]
-
-
-def edit(file, *statements):
-    with contextlib.closing(sqlite3.connect(file)) as base, base:
-        for statement in statements:
-            base.execute(statement)
-
-
 def unfinished(file):
     """Leave the file as a recorder does that is killed within a transaction."""
     with contextlib.closing(sqlite3.connect(file, isolation_level=None)) as base:
@@ -425,8 +414,9 @@ def test_a_topic_whose_type_is_damaged_and_rows_that_are_none_do_not_cost_the_ot
             topic = writer.add_connection(name, VECTOR, typestore=STORE)
             for k in range(10):
                 writer.write(topic, 1000 + k, b'\0\1\0\0' + bytes([k]))
-    edit(tmp_path / 'bag' / 'bag.db3', "UPDATE topics SET type='geometry_msgs/msg/Vec' WHERE id=1",
-         'UPDATE messages SET data=5 WHERE id=20')  # fmt: skip
+    with contextlib.closing(sqlite3.connect(tmp_path / 'bag' / 'bag.db3')) as base, base:
+        base.execute("UPDATE topics SET type='geometry_msgs/msg/Vec' WHERE id=1")
+        base.execute('UPDATE messages SET data=5 WHERE id=20')
     result = recover(tmp_path / 'bag')
     assert (result.counts, result.undecodable) == ({'/b': 9}, 11)
     assert '/a: left out' in '\n'.join(result.notes)
@@ -438,4 +428,5 @@ def test_files_compressed_as_a_whole_are_unpacked(tmp_path, storage):
     writer.set_compression(CompressionMode.FILE, CompressionFormat.ZSTD)
     ledger = fill(writer)
     assert len(list((tmp_path / 'bag').glob('*.zstd'))) == 1
-    assert contents(recover(tmp_path / 'bag').path) == ledger
+    with AnyReader([recover(tmp_path / 'bag').path]) as reader:
+        assert [(c.topic, t, bytes(raw)) for c, t, raw in reader.messages()] == ledger

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import yaml
 from node_process import program, recorded
+from probe import stamp_ns
 
 from quad_bridge.lockstep import VARIABLE
 from quad_bridge.sensors.command import main as sensors
@@ -23,14 +24,6 @@ firmware: {auto_arm: false}
 """
 
 
-def stamps_ns(found):
-    return np.array([10**9 * m.header.stamp.sec + m.header.stamp.nanosec for m in found])
-
-
-def xyz(vectors):
-    return np.array([[v.x, v.y, v.z] for v in vectors])
-
-
 def test_calibrated_at_rest_armed_and_recorded(tmp_path, monkeypatch, run, start, probe, capsys):
     (tmp_path / 'standing.yaml').write_text(STANDING)
     link, line = tmp_path / 'tty', tmp_path / 'line'
@@ -40,38 +33,39 @@ def test_calibrated_at_rest_armed_and_recorded(tmp_path, monkeypatch, run, start
     monkeypatch.setenv(VARIABLE, str(line))
     logger = start('bag_logger', folder=tmp_path / 'bags', autostart=True)
     imu = probe.listen('/imu/data')
+
+    def fly(cycles):
+        heard = len(imu)
+        probe.until(lambda: len(imu) > heard + cycles)
+
     bridge = start('serial_bridge', port=link, state_folder=tmp_path / 'state')
     written = ('bag_logger: recording', 'messages written')
     probe.until(lambda: int(probe.diagnostics(*written) or 0) > 500, 'messages in the bag')
-    heard = len(imu)
-    probe.until(lambda: len(imu) > heard + 1250, 'five seconds at rest in the bag')
+    fly(1250)  # five seconds at rest in the bag
     calibrate = '/serial_bridge/calibrate_at_rest'
     probe.until(lambda: probe.call(calibrate).success)
-    heard = len(imu)
-    probe.until(lambda: len(imu) > heard + 500)
+    fly(500)
     armed = probe.call('/serial_bridge/arm', 'std_srvs/srv/SetBool', data=True)
     assert armed.success, armed.message
     refused = probe.call(calibrate)
     assert (refused.success, 'it is armed' in refused.message) == (False, True), refused.message
-    heard = len(imu)
-    probe.until(lambda: len(imu) > heard + 125)
+    fly(125)
     assert [process.end() for process in (bridge, logger, stm32)] == [0, 0, 0]
 
     (bag,) = (tmp_path / 'bags').glob('flight_*')
     found = recorded(bag)
-    entries = {}
-    for array in found['/diagnostics']:
-        for status in array.status:
-            entries.setdefault(status.name, []).append(status)
     told = [
         from_values({v.key: v.value for v in status.values})
-        for status in entries['serial_bridge: sensors']
+        for array in found['/diagnostics']
+        for status in array.status
+        if status.name == 'serial_bridge: sensors'
     ]
     # nothing from the first stamp on, asked for, arming
     begins = sorted({one.since_ns for one in told if one.since_ns})
     assert len(begins) == 3
-    stamps = stamps_ns(found['/imu/data'])
-    rates = xyz([m.angular_velocity for m in found['/imu/data']])
+    stamps = np.array([stamp_ns(m) for m in found['/imu/data']])
+    turns = [m.angular_velocity for m in found['/imu/data']]
+    rates = np.array([(turn.x, turn.y, turn.z) for turn in turns])
     before = rates[stamps < begins[1]].mean(axis=0)
     # it moves as soon as it is armed, the bridge's tick comes up to 0.1 s later
     after = rates[(stamps >= begins[1]) & (stamps < begins[2] - 3 * 10**8)]
