@@ -1,4 +1,4 @@
-"""The logger as a process: killed and restarted, what it refuses."""
+"""The logger as a process: what it records, loses and refuses."""
 
 import shutil
 import signal
@@ -7,9 +7,6 @@ import pytest
 from node_process import recorded
 from probe import entries, stamp
 from rosbags.highlevel import AnyReader
-
-from quad_bridge.log.recover import recover
-from quad_sysid.bags.storage import Storage
 
 TOPICS = ('/setpoint/attitude', '/setpoint/rates', '/excitation/setpoint', '/excitation/applied')
 RECORDING = 'bag_logger: recording'
@@ -106,27 +103,6 @@ def test_what_the_middleware_loses_is_counted_to_the_last_message(tmp_path, prob
     assert lost > 1000
     assert load.lost == lost
     assert probe.diagnostics(RECORDING) == f'recording, {lost} messages lost'
-
-
-def test_a_killed_logger_leaves_a_bag_that_is_read_and_recovered(tmp_path, probe, logger, load):
-    process = logger()
-    probe.meet(*TOPICS)
-    load.publish(3600)
-    probe.until(lambda: bags(tmp_path) and stored(bags(tmp_path)[0])[0] == 3600)
-    load.publish(400)
-    process.kill()
-    (bag,) = bags(tmp_path)
-    read, warnings = stored(bag)
-    assert 'metadata.yaml is missing' in warnings[0]
-    got = numbers_in(recover(bag).path)
-    assert len(got) == read
-    assert got[:3600] == list(range(3600))
-
-
-def stored(bag):
-    """How many messages a reader finds, and what it warns of."""
-    storage = Storage(bag, TOPICS)
-    return sum(len(r) for batch in storage.batches() for r in batch.values()), storage.warnings
 
 
 def test_after_a_recording_that_failed_the_logger_records_the_next(tmp_path, probe, logger, load):

@@ -4,13 +4,12 @@ import math
 
 import numpy as np
 import pytest
-from flight_controller import STILL, Line, Port, Pty
+from flight_controller import Line, Port, Pty
 from pymavlink.dialects.v20 import common
 
 from quad_bridge.link.autopilot import INTERVALS_US, SET_MESSAGE_INTERVAL, Inertial
 from quad_bridge.link.machine import Link
 from quad_bridge.wire import frames as f
-from quad_bridge.wire.codec import Decoder, Encoder
 
 HOST0_NS = 5_000_000_000
 NAMES = {number: name for name, (number, _) in INTERVALS_US.items()}
@@ -156,16 +155,6 @@ def test_messages_that_do_not_come_are_asked_for_again():
     assert peer.asked == {'ATTITUDE': 4000}
     assert link.autopilot.asked > 2 * (len(INTERVALS_US) - 1)
     assert '/motors/command' in link.autopilot.missing(HOST0_NS + 12_000_000_000)
-
-
-def test_our_own_controller_is_asked_for_nothing():
-    link = Link()
-    link.opened()
-    encoder = Encoder(1, 1)
-    link.receive(encoder.encode(f.Heartbeat()) + encoder.encode(STILL), HOST0_NS)
-    link.tick(HOST0_NS + 9_000_000_000)
-    sent = Decoder().feed(link.to_send())
-    assert not [frame for frame in sent if isinstance(frame, f.Command)]
 
 
 def test_messages_in_ros_units_and_axes():

@@ -155,6 +155,7 @@ def test_every_stamp_is_true_whatever_happens(steps, said):
     assert low <= stamping.guard.alarms <= high
     assert stamping.device_time.wraps == said.get('wraps', 0)
     assert said.get('clock restarts', 0) in {None, link.clock.restarts}
+    assert not line.controller.told(f.Command)  # it is no autopilot that must be asked
 
 
 def test_what_comes_late_beside_no_cycle_waits_no_longer_than_patience():
