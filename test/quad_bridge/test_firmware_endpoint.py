@@ -258,28 +258,8 @@ def test_our_own_echo_is_no_sign_of_life_and_only_who_is_meant_is_commanded(boar
     assert f.GainsResult.LINK_LOST in [s.result for s in of(f.GainsState, frames)]
 
 
-ASK = f.ParamRequestRead('YAW_ANG_KP')
 
-
-def test_a_signed_link_hears_nobody_else(board):
-    made = board(key=KEY, time=10**12)
-    assert of(f.Cycle, made.run())
-    assert of(f.TimeSync, made.tell(f.TimeSync(0, 5)))
-    assert made.decoder.counts.unsigned == made.decoder.counts.forged == 0
-    assert made.feed(Encoder(1, 191).encode(ASK)) == []
-    other = Signing(bytes(32), lambda: 2 * 10**12)
-    assert made.feed(Encoder(1, 191, other).encode(ASK)) == []
-    data = made.encoder.encode(ASK)
-    assert [len(made.feed(data)) for _ in range(2)] == [1, 0]
-    assert [made.counts[n] for n in ('unsigned', 'forged', 'replayed')] == [1, 1, 1]
-    # after a restart a second later the recording is too old, though less than a minute
-    again = board(key=KEY, time=10**12 + 100_000)
-    assert again.feed(data) == []
-    assert again.counts['replayed'] == 1
-    assert len(again.tell(ASK)) == 1
-
-
-def test_a_board_without_a_clock_takes_the_bridges_time(board):
+def test_a_board_without_a_clock_takes_the_bridges_time_and_signs_all_that_it_says(board):
     made = board(key=KEY, time=0)
     bridge = Signing(KEY, lambda: 10**12)
     made.decoder = Decoder(bridge)
@@ -287,23 +267,4 @@ def test_a_board_without_a_clock_takes_the_bridges_time(board):
     assert made.decoder.counts.replayed > 0
     made.feed(Encoder(1, 191, bridge).encode(f.Heartbeat(18, 8)))
     assert of(f.Cycle, made.run())
-
-
-@pytest.mark.parametrize('stored', [2**64 - 1, 2**48 - 1, 2**47 + 1])
-def test_erased_flash_is_no_time(board, stored):
-    made = board(key=KEY, time=stored)
-    made.run(1)
-    assert len(made.feed(Encoder(1, 191, Signing(KEY, lambda: 10**12)).encode(ASK))) == 1
-
-
-def test_one_frame_of_a_broken_clock_locks_nobody_out(board):
-    made = board(key=KEY, time=10**12)
-    broken = Signing(KEY, lambda: 10**12)
-    broken.stamp = lambda: 2**48 - 1
-    data = Encoder(1, 191, broken).encode(ASK)
-    assert made.feed(data) == []
-    assert made.counts['replayed'] == 1
-    assert len(made.tell(ASK)) == 1
-    # behind a good frame in the same bytes, and before one
-    good = [made.encoder.encode(ASK) for _ in range(2)]
-    assert len(made.feed(good[0] + data + good[1])) == 2
+    assert made.decoder.counts.unsigned == made.decoder.counts.forged == 0

@@ -1,18 +1,24 @@
-"""Signing: pymavlink's own signer and ours understand each other; forgeries are refused."""
+"""Signing: both ends refuse the same; pymavlink's own signer and ours understand each other."""
 
 
 import pytest
 from pymavlink.dialects.v20 import common
 
+from quad_bridge.virtual.aircraft import boot
+from quad_bridge.virtual.native import NativeFirmware
+from quad_bridge.virtual.profile import Profile
 from quad_bridge.wire import frames as f
 from quad_bridge.wire.codec import Decoder, Encoder
 from quad_bridge.wire.signing import LAST, Signing, Verdict, signing_time
 
 KEY, OTHER = bytes(range(32)), bytes(32)
 FRAME = f.ParamSet('ROLL_RATE_KP', 0.5, 1, 1)
+ASK = f.ParamRequestRead('YAW_ANG_KP', -1, 1, 1)
 
 
 NOW = 10_000_000
+TODAY = signing_time(1_780_000_000_000_000_000)
+YEAR = 365 * 86_400 * 100_000
 
 
 def signing(key=KEY, now=NOW, **more):
@@ -44,48 +50,85 @@ def test_pymavlink_accepts_ours_and_we_accept_pymavlinks():
     assert decoder.feed(data) == [f.ParamValue('YAW_ANG_KP', 2.0, 27, 16)]
 
 
-def test_nobody_else_is_heard_and_each_is_counted_apart():
-    decoder = Decoder(signing())
-    assert decoder.feed(Encoder(1, 191).encode(FRAME)) == []
-    assert decoder.feed(encoder(key=OTHER).encode(FRAME)) == []
-    assert decoder.feed(encoder(now=9_000_000).encode(FRAME)) == []
-    old = common.MAVLink(None, srcSystem=1, srcComponent=1)  # MAVLink 1 knows no signatures
-    heartbeat = common.MAVLink_heartbeat_message(2, 0, 0, 0, 4, 3)
-    assert decoder.feed(heartbeat.pack(old, force_mavlink1=True)) == []
-    counts = decoder.counts
-    assert (counts.unsigned, counts.forged, counts.replayed) == (1, 1, 1)
-    assert counts.old_version == 1
-    assert (counts.frames, counts.bad_crc) == (0, 0)
-    good = encoder().encode(FRAME)
-    assert decoder.feed(good) == [FRAME]
+class Bridge:
+    """The end in Python."""
+
+    def __init__(self, now=NOW):
+        self.decoder = Decoder(signing(now=now))
+
+    def hears(self, data):
+        """How many of the frames it takes."""
+        return len(self.decoder.feed(data))
+
+    def counts(self):
+        """Unsigned, forged, replayed."""
+        counts = self.decoder.counts
+        return (counts.unsigned, counts.forged, counts.replayed + counts.ahead)
 
 
-def test_a_replay_is_refused_before_and_after_a_restart():
-    sender, first = encoder(), Decoder(signing())
-    data = b''.join(sender.encode(FRAME) for _ in range(3))
-    assert first.feed(data) == [FRAME] * 3
-    assert first.feed(data) == []
-    assert first.counts.replayed == 3
-    # restarted a second later: the recording is from before its start
-    assert Decoder(signing(now=NOW + 100_000)).feed(data) == []
-    # and frames of another link, system or component have their own time
-    assert first.feed(Encoder(1, 190, signing()).encode(FRAME)) == [FRAME]
+class Board:
+    """The firmware, which answers each of the frames."""
+
+    def __init__(self, now=NOW):
+        self.firmware = NativeFirmware(boot(Profile()).frame(), KEY, now)
+
+    def hears(self, data):
+        return len(Decoder().feed(self.firmware.receive(data, 0)))
+
+    def counts(self):
+        return self.firmware.counts()[2:5]
 
 
-def test_any_changed_byte_of_a_signed_frame_is_refused():
-    data = encoder().encode(f.GainsCommand(2, 9, 0x12345678, 15_000, 1, 1))
+each_end = pytest.mark.parametrize('end', [Bridge, Board])
+
+
+@each_end
+def test_nobody_else_is_heard_and_each_is_counted_apart(end):
+    made, sender = end(), encoder()
+    good, later = sender.encode(ASK), sender.encode(ASK)
+    for data, heard in (
+        (Encoder(1, 191).encode(ASK), 0), (encoder(key=OTHER).encode(ASK), 0),
+        (encoder(key=OTHER, now=2**40).encode(ASK), 0),  # the time of a forgery does not count
+        (encoder(now=NOW - 1_000_000).encode(ASK), 0), (good, 1), (good, 0), (later, 1),
+        (good + later, 0), (Encoder(1, 190, signing()).encode(ASK), 1),  # has its own time
+    ):  # fmt: skip
+        assert made.hears(data) == heard
+    assert made.counts() == (1, 2, 4)
+    # restarted a second later: the recording is from before its start, though of this minute
+    assert end(NOW + 100_000).hears(good + later) == 0
+
+
+@each_end
+def test_any_changed_byte_of_a_signed_frame_is_refused(end):
+    data = encoder().encode(ASK)
     for place in range(len(data)):
         damaged = bytearray(data)
         damaged[place] ^= 0x10
-        assert Decoder(signing()).feed(bytes(damaged)) == [], place
-    # the time of a forgery does not count: the true sender is still heard
-    decoder = Decoder(signing())
-    assert decoder.feed(encoder(key=OTHER, now=2**40).encode(FRAME)) == []
-    assert decoder.feed(data) != []
+        assert end().hears(bytes(damaged)) == 0, place
 
 
-TODAY = signing_time(1_780_000_000_000_000_000)
-YEAR = 365 * 86_400 * 100_000
+@each_end
+def test_one_frame_of_a_broken_clock_locks_nobody_out(end):
+    broken = signing()
+    broken.stamp = lambda: 2**48 - 1
+    data = Encoder(1, 191, broken).encode(ASK)
+    made, sender = end(), encoder()
+    for around, heard in (((b'', b''), 0), ((sender.encode(ASK), sender.encode(ASK)), 2)):
+        assert made.hears(around[0] + data + around[1]) == heard
+    assert made.counts() == (0, 0, 2)
+
+
+@each_end
+@pytest.mark.parametrize('stored', [0, 2**64 - 1, 2**48 - 1, 2**47 + 1])
+def test_a_clock_that_was_never_set_follows(end, stored):
+    assert end(stored).hears(encoder(now=TODAY).encode(ASK)) == 1
+
+
+def test_the_first_version_knows_no_signatures():
+    decoder, old = Decoder(signing()), common.MAVLink(None, srcSystem=1, srcComponent=1)
+    heartbeat = common.MAVLink_heartbeat_message(2, 0, 0, 0, 4, 3)
+    assert decoder.feed(heartbeat.pack(old, force_mavlink1=True)) == []
+    assert (decoder.counts.old_version, decoder.counts.frames) == (1, 0)
 
 
 def test_ends_whose_clocks_differ_meet():
