@@ -1,9 +1,10 @@
 """One scripted flight controller and the faults of its line, for every test of the bridge.
 
 `FlightController` speaks the wire and has no physics: its cycles are numbered, and it answers
-TIMESYNC, parameters, the gains' transactions and arming as the script wants. Whatever has
-`cycle() -> bytes` and `receive(data, now_ns) -> bytes` can take its place: the virtual STM32's
-`Endpoint`, another autopilot. It is used in three ways:
+TIMESYNC, parameters, the gains' transactions and arming as the script wants. Its sets of gains are
+the firmware's own code (`Store`). Whatever has `cycle() -> bytes` and
+`receive(data, now_ns) -> bytes` can take its place: the virtual STM32's `Endpoint`, another
+autopilot. It is used in three ways:
 
 In memory, with a clock of its own, deterministic (`Line`):
 
@@ -236,9 +237,8 @@ class Store(ctypes.Structure):
         if isinstance(frame, f.GainsCommand):
             asked = Request(frame.action, frame.transaction, frame.watch_ms, frame.checksum)
             action = BYTE()
-            result = quad_gains('act')(
-                self.here, ctypes.byref(asked), now_us, ctypes.byref(action)
-            )
+            given, answered = ctypes.byref(asked), ctypes.byref(action)
+            result = quad_gains('act')(self.here, given, now_us, answered)
             return [self.state(action.value, result)]
         if isinstance(frame, f.ParamSet):
             self.write(frame.name, frame.value)

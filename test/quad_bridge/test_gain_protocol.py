@@ -259,7 +259,7 @@ def connected(monkeypatch):
 )
 def test_no_state_and_no_event_breaks_an_invariant(connected, faults, restarts, writes, most):
     connected.faults, connected.restarts, connected.writes = faults, restarts, writes
-    met, seen, left = explore(connected, most, rest_every=50)
+    met, seen, left = explore(connected, most, rest_every=70)
     assert seen > 5000
     assert most < math.inf or left == 0
     if faults:  # whatever can happen in a state has happened in it
@@ -277,7 +277,7 @@ def test_the_walk_finds_a_late_write_that_goes_straight_into_force(connected, mo
     monkeypatch.setattr(Store, 'write', straight)
     connected.restarts = 0
     with pytest.raises(AssertionError, match='a mixture of sets is in force'):
-        explore(connected, math.inf, rest_every=50)
+        explore(connected, math.inf, rest_every=70)
 
 
 # One conversation after the other, told by name.
