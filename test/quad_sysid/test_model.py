@@ -9,14 +9,17 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from flown_axis import SHORT, Axis, fly
 from scipy.signal import savgol_filter
 
 from quad_sysid.discover.accept import judge
+from quad_sysid.discover.base import best_base, fitted_from
+from quad_sysid.discover.screen import candidates, screen
 from quad_sysid.discover.search import Found, Scored, search
 from quad_sysid.effects import EFFECTS
 from quad_sysid.estimate.fit import Problem
 from quad_sysid.estimate.stored import readings
-from quad_sysid.model.data import AxisData
+from quad_sysid.model.data import AxisData, axis_data
 from quad_sysid.model.effect import Part
 from quad_sysid.model.structure import Structure
 
@@ -134,6 +137,25 @@ def test_an_effect_of_an_installed_package_is_one_of_ours(tmp_path):
         env={**os.environ, 'PYTHONPATH': f'{tmp_path}:{os.environ.get("PYTHONPATH", "")}'},
     )
     assert 'acme_cogging' in done.stdout.split(), done.stderr
+
+
+@pytest.mark.parametrize(
+    ('name', 'law'),
+    [('quadratic_drag', lambda _t, rate, _a: -0.5 * rate * abs(rate)),
+     ('pendulum_stiffness', lambda _t, _r, angle: -0.5 * np.sin(angle))],
+)
+def test_the_score_of_a_candidate_is_what_its_fit_gains(name, law):
+    """Within a fifth, though the base's damping or lag explain most of what it does."""
+    data = axis_data([fly(Axis(torque=law), 1, SHORT)], 'roll')
+    problem = Problem(data, data.train)
+    base = best_base(problem)
+    problem.measure(base)
+    parts, _ = candidates(problem, [e for e in EFFECTS if e.name == name])
+    score = screen(problem, base, parts)[0]
+    count = base.theta.size - len(base.structure.noise)
+    start = np.r_[base.theta[:count], score.starts[0], base.theta[count:]]
+    fitted = fitted_from(problem, base.structure.plus(score.part), start, rate=base.rate)
+    assert score.nats == pytest.approx(fitted.evidence - base.evidence, rel=0.2)
 
 
 def test_variants_of_one_name_are_one_explanation():
