@@ -1,14 +1,12 @@
 """An identified model of the paper's aircraft, as identification would hand it on."""
 
 import dataclasses
-from functools import cache
 
 import numpy as np
 import pytest
 
 from quad_sysid.loop.cascade import CascadeGains
-from quad_sysid.model import AxisModel, GainProposal, NoiseEstimate, Parameter
-from quad_tuning.designer import design
+from quad_sysid.model import AxisModel, NoiseEstimate, Parameter
 
 NAMES = ('gain', 'lag', 'delay', 'damping', 'bias')
 VALUES = {'gain': 450.0, 'lag': 0.043, 'delay': 0.008, 'damping': 0.4, 'bias': 0.1}
@@ -37,14 +35,3 @@ def model():
 @pytest.fixture
 def changed():
     return dataclasses.replace
-
-
-@cache
-def designed_once(axis: str, values: tuple[tuple[str, float], ...]) -> GainProposal:
-    return design(build_model(axis, **dict(values)))
-
-
-@pytest.fixture
-def designed():
-    """The design for a model of plain values, which is computed once."""
-    return lambda axis='roll', **values: designed_once(axis, tuple(sorted(values.items())))
