@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from flown_axis import Axis, fly
+from flown_axis import SHORT, Axis, fly
 from node_process import Started, program
 from probe import Probe, content, entries, event
 
@@ -97,7 +97,7 @@ def test_the_identification_outlives_bad_bags_and_writes_beside_what_is_there(
 ) -> None:
     """Nothing is found where nothing was planted, and nothing sent: the twin of test_loop.py."""
     axis, nothing, out = Axis(), tmp_path / 'nothing', tmp_path / 'report'
-    flown = write_bag(fly(axis, 1), tmp_path / 'flight')
+    flown = write_bag(fly(axis, 1, SHORT), tmp_path / 'flight')
     nothing.mkdir()
     out.mkdir()
     ears.say_bag(tmp_path / 'no_such_bag')

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import json
 import os
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -64,14 +63,13 @@ def test_a_fleet_through_the_command_and_on_from_there(folder, tmp_path, capsys)
 
 def test_a_dead_process_is_a_row_and_the_rest_go_on(folder, tmp_path, monkeypatch):
     (tmp_path / 'deadly.py').write_text(
-        'import os\nfrom quad_sysid import fleet\n'
-        "def work(job):\n    return os._exit(1) if 'torn' in job.name else fleet.look(job)\n"
+        'import os\ndef work(job):\n'
+        "    return os._exit(1) if 'torn' in job.name else {'bag': job.name, 'status': 'answered'}"
     )
     monkeypatch.syspath_prepend(tmp_path)
     from deadly import work
 
-    every = [replace(job, search_effects=False) for job in fleet.jobs(folder, tmp_path)]
-    rows = fleet.run(every, work=work)
+    rows = fleet.run(fleet.jobs(folder, tmp_path), work=work)
     assert [row['status'] for row in rows] == ['answered', 'answered', 'failed']
     assert rows[2]['reason'] == 'its process died'
 

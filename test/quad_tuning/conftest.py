@@ -22,7 +22,9 @@ def build_model(axis='roll', effects=(), stds=None, **values):
     return AxisModel(
         axis=axis, dt=0.004, gyro_filter_hz=42.0, base=base, effects=tuple(effects),
         parameter_names=NAMES, covariance=np.diag([stds[n] ** 2 for n in NAMES]),
-        active_gains=CascadeGains.default(axis).to_mapping(axis, constants=True), noise=NOISE,
+        active_gains={**CascadeGains.default(axis).to_mapping(axis, constants=True),
+                      f'{axis}.sag.exponent': 0.0, f'{axis}.sag.reference_v': 0.0},
+        noise=NOISE, mean_battery_v=11.4,
     )  # fmt: skip
 
 

@@ -61,6 +61,7 @@ def test_a_design_tracks_better_and_keeps_margins_over_fresh_draws(model, axis, 
     proposal = design(m)
     said, steps = proposal.figures, steps_of(m, proposal)
     assert proposal.refused_because == ''
+    assert not any('.sag.' in name for name in proposal.gains)
     loops, gains = loops_of(m, 99, 300), steps[-1]
     needs = Requirements(44.0, 7.8, 1.84)  # fresh draws go a little further than the design's
     assert meets(loops.margins(gains), needs).mean() > 0.99

@@ -20,13 +20,6 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ('quad_bridge', 'quad_sysid', 'quad_tuning')
 NEEDED, RUN = ('quad_firmware', 'quad_bridge'), 'run quad_bridge virtual_stm32 --duration 1'
-SYSTEM_KEYS = {
-    'numpy': 'python3-numpy', 'scipy': 'python3-scipy', 'yaml': 'python3-yaml',
-    'serial': 'python3-serial', 'matplotlib': 'python3-matplotlib', 'numba': 'python3-numba',
-    'rosbags': 'python3-rosbags-pip', 'pymavlink': 'python3-pymavlink-pip',
-    'control': 'python-control-pip', 'argcomplete': 'python3-argcomplete',
-}  # fmt: skip
-"""Imports that rosdep knows (rosdistro, rosdep/python.yaml); others: requirements/."""
 
 
 def setup_arguments(package: str, command: str = 'develop') -> dict[str, Any]:
@@ -86,27 +79,6 @@ def test_pip_puts_one_command_on_the_path(package: str, command: str) -> None:
     scripts = setup_arguments(package, 'bdist_wheel')['entry_points']['console_scripts']
     assert [line.split(' = ')[0] for line in scripts] == [command]
     assert len(setup_arguments(package)['entry_points']['console_scripts']) > 1
-
-
-@pytest.mark.parametrize('package', PACKAGES)
-def test_ros_imports_stand_in_the_manifest(package: str) -> None:
-    folder = ROOT / 'src' / package
-    manifest = ET.parse(folder / 'package.xml').getroot()
-    declared = {node.text for node in manifest.iter('exec_depend')} | {package}
-    known = {
-        'rclpy', 'sensor_msgs', 'geometry_msgs', 'rcl_interfaces', 'diagnostic_msgs', 'std_msgs',
-        'std_srvs', 'builtin_interfaces', 'ament_index_python', 'launch', 'launch_ros', *PACKAGES,
-        *SYSTEM_KEYS.values(),
-    }
-    for path in (*(folder / package).rglob('*.py'), *(folder / 'launch').glob('*.py')):
-        tops = set()
-        for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.Import):
-                tops |= {alias.name.split('.')[0] for alias in node.names}
-            elif isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
-                tops.add(node.module.split('.')[0])
-        wanted = {SYSTEM_KEYS.get(top, top) for top in tops} & known
-        assert wanted <= declared, f'{path}: {wanted - declared}'
 
 
 def test_colcon_runs_every_folder_of_tests_once() -> None:
