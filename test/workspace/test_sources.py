@@ -18,8 +18,8 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 SRC, TEST = ROOT / 'src', ROOT / 'test'
-BRIDGE, SYSID, TUNING = (SRC / name / name for name in ('quad_bridge', 'quad_sysid', 'quad_tuning'))
-PACKAGES = (BRIDGE, SYSID, TUNING)
+PACKAGES = [SRC / name / name for name in ('quad_bridge', 'quad_sysid', 'quad_tuning')]
+BRIDGE, SYSID, TUNING = PACKAGES
 TOO_LONG, GENERATED = 600, 'dialect.py'
 pytestmark = pytest.mark.xdist_group('sources')
 
