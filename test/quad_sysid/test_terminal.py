@@ -1,4 +1,7 @@
-"""The commands as they are met on a terminal: help, completion, 80 columns, plain when piped."""
+"""The commands as they are met on a terminal: help, completion, progress.
+
+That a piped answer is plain and fits 80 columns, test_commands.py shows.
+"""
 
 from __future__ import annotations
 
@@ -41,16 +44,6 @@ def test_completion_answers(tmp_path):
         check=False, capture_output=True, timeout=PATIENCE_S,
     )
     assert answer.read_text().strip() == 'inspect', done.stderr
-
-
-def test_text_fits_80_columns_and_is_plain(plain_bag, tmp_path, capsys):
-    words = ['identify', str(plain_bag), '--no-effects', '--out', str(tmp_path / 'a')]
-    assert main(words) == 0
-    told = capsys.readouterr()
-    assert max(map(len, told.out.splitlines()[:-1])) <= 80
-    assert 'verdict' in told.out
-    assert '\x1b' not in told.out
-    assert told.err == ''
 
 
 def test_progress_rewrites_one_line_on_a_terminal_alone(capsys, monkeypatch):

@@ -70,7 +70,8 @@ def quick(line: str) -> bool:
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Bags, table and result by the names that the docs use.
 
-    The result is made as by a new user: nothing is sourced, and nothing is left to be compiled.
+    The result is made as by a new user: nothing is sourced, nothing is left to be compiled, and
+    what is said is plain text that fits a terminal.
     """
     here = tmp_path_factory.mktemp('docs')
     for seed, name in enumerate(('my_flight', 'my_flight_bag', 'another_flight_bag')):
@@ -93,6 +94,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         assert done.returncode == 0, done.stderr
         assert 'data loaded from' in done.stdout
         assert 'data saved to' not in done.stdout, 'tools/warm_up.py misses a function'
+        assert ('\x1b' in done.stdout, done.stderr) == (False, '')
+        said = [line for line in done.stdout.splitlines() if not line.startswith('[cache]')]
+        assert program == 'quad-tune' or max(map(len, said)) <= 80, said
     return here
 
 

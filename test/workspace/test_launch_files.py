@@ -1,6 +1,6 @@
 """Launch files parse, start executables that exist, hand on arguments that are declared.
 
-`launch` itself is not to be had without ROS 2: a recording stand-in takes its place.
+`launch` itself is not to be had without ROS 2: stand-ins note what they are called with.
 """
 
 from __future__ import annotations
@@ -8,8 +8,6 @@ from __future__ import annotations
 import runpy
 import sys
 from pathlib import Path
-from types import ModuleType
-from typing import Any
 from unittest import mock
 
 import pytest
@@ -30,66 +28,39 @@ MODULES = {
     'launch_ros.actions': ['Node'],
     'launch_ros.parameter_descriptions': ['ParameterValue'],
     'launch_ros.substitutions': ['ExecutableInPackage'],
+    'ament_index_python.packages': ['get_package_share_directory'],
 }
 
 
-class Recorded:
-    """Any class of `launch`: keeps what it was called with."""
-
-    kind = ''
-
-    def __init__(self, *given: Any, **named: Any) -> None:
-        self.given, self.named = given, named
-
-
-def stand_ins() -> dict[str, ModuleType]:
-    modules = {}
-    for name, classes in MODULES.items():
-        module = modules[name] = ModuleType(name)
-        for one in classes:
-            setattr(module, one, type(one, (Recorded,), {'kind': one}))
-    index = modules['ament_index_python.packages'] = ModuleType('ament_index_python.packages')
-    index.get_package_share_directory = lambda package: str(ROOT / 'src' / package)  # type: ignore[attr-defined]
-    return modules
+def described(path: Path) -> dict[str, list[mock._Call]]:
+    """How often and with what the file calls each class of `launch`."""
+    modules = {name: mock.Mock(spec=classes) for name, classes in MODULES.items()}
+    share = modules['ament_index_python.packages'].get_package_share_directory
+    share.side_effect = lambda package: str(ROOT / 'src' / package)
+    with mock.patch.dict(sys.modules, modules):
+        runpy.run_path(str(path))['generate_launch_description']()
+    return {one: getattr(modules[name], one).call_args_list
+            for name, classes in MODULES.items() for one in classes}
 
 
-def described(path: Path) -> list[Recorded]:
-    with mock.patch.dict(sys.modules, stand_ins()):
-        found = runpy.run_path(str(path))['generate_launch_description']()
-    return list(found.given[0])
-
-
-def arguments(entries: list[Recorded]) -> dict[str, str]:
-    declared = [e for e in entries if e.kind == 'DeclareLaunchArgument']
-    return {e.given[0]: e.named['default_value'] for e in declared}
-
-
-def used(value: Any) -> set[str]:
-    """Names of all launch configurations inside `value`."""
-    if isinstance(value, Recorded):
-        if value.kind == 'LaunchConfiguration':
-            return {value.given[0]}
-        return used(value.given) | used(value.named)
-    if isinstance(value, dict):
-        value = value.values()
-    inside = isinstance(value, (list, tuple)) or type(value).__name__.startswith('dict_')
-    return set().union(*map(used, value)) if inside else set()
+def names(calls: list[mock._Call]) -> set[str]:
+    return {call.args[0] for call in calls}
 
 
 @pytest.mark.parametrize('path', FILES, ids=lambda p: p.name)
 def test_what_it_uses_starts_and_includes_exists(path: Path) -> None:
-    entries = described(path)
-    assert used(entries) == set(arguments(entries))
-    for node in [e for e in entries if e.kind == 'Node']:
-        package, executable = node.named['package'], node.named['executable']
+    made = described(path)
+    assert names(made['LaunchConfiguration']) == names(made['DeclareLaunchArgument'])
+    for node in made['Node']:
+        package, executable = node.kwargs['package'], node.kwargs['executable']
         folder = ROOT / 'src' / package
         assert f"'{executable} = {package}." in (folder / 'setup.py').read_text(encoding='utf-8')
-        for given in node.named.get('parameters', []):
-            if isinstance(given, dict):
-                config = (folder / 'config' / f'{executable}.yaml').read_text(encoding='utf-8')
-                known = yaml.safe_load(config)[executable]['ros__parameters']
-                source = ''.join(p.read_text(encoding='utf-8') for p in folder.rglob('*.py'))
-                assert all(name in known or f"'{name}'" in source for name in given)
-    for include in [e for e in entries if e.kind == 'IncludeLaunchDescription']:
-        included = Path(include.given[0].given[0])
-        assert set(dict(include.named['launch_arguments'])) <= set(arguments(described(included)))
+        config = (folder / 'config' / f'{executable}.yaml').read_text(encoding='utf-8')
+        known = yaml.safe_load(config)[executable]['ros__parameters']
+        source = ''.join(p.read_text(encoding='utf-8') for p in folder.rglob('*.py'))
+        for given in (g for g in node.kwargs.get('parameters', []) if isinstance(g, dict)):
+            assert all(name in known or f"'{name}'" in source for name in given)
+    included = (described(Path(call.args[0])) for call in made['PythonLaunchDescriptionSource'])
+    for include, other in zip(made['IncludeLaunchDescription'], included, strict=True):
+        handed_on = dict(include.kwargs['launch_arguments'])
+        assert set(handed_on) <= names(other['DeclareLaunchArgument'])
