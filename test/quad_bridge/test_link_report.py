@@ -23,46 +23,49 @@ def cycle(number, flags=1):
     return Encoder().encode(replace(STILL, time_us=4000 * number, cycle=number, flags=flags))
 
 
-def verdict(link, port=OPEN, report=None, now_s=1.0):
-    """What is said of the link, since the last report or since the start."""
-    status, _ = (report or LinkReport(link, 0.0)).entries(port, now_s)
-    return status.level, status.message
-
-
-def test_a_port_fault_a_silent_port_and_another_protocol_are_errors_in_their_own_words():
-    for state in (PortState.NOT_THERE, PortState.BUSY, PortState.DENIED, PortState.HUNG_UP):
-        assert verdict(Link(), PortStatus(state, 'why', 0, 0)) == (ERROR, f'port {state.value}')
-    link = Link()
-    assert verdict(link) == (ERROR, 'port open, but nothing arrives')
-    link.receive(b'$GPGGA,1,2,3\r\n' * 10, 0)
-    assert verdict(link) == (WARN, 'bytes arrive, no valid frame yet')
-    link.receive(b'$GPGGA,1,2,3\r\n' * 200, 0)
-    words = 'speaks another protocol or baud rate: no valid frame in 2940 bytes'
-    assert verdict(link) == (ERROR, words)
-
-
-def test_an_aircraft_of_a_broken_clock_is_told_what_to_set():
-    key, today = bytes(range(32)), 2**45
-    far = Signing(key, lambda: today)
+def far_ahead():
+    """A frame of an aircraft whose clock is broken."""
+    far = Signing(KEY, lambda: TODAY)
     far.stamp = lambda: 2**48 - 2
-    link = Link(Signing(key, lambda: today))
-    link.receive(Encoder(1, 1, far).encode(f.Heartbeat(2, 12)), 0)
-    level, text = verdict(link)
-    assert level == ERROR
-    assert 'signs with a time far ahead: set its clock' in text
+    return Encoder(1, 1, far).encode(f.Heartbeat(2, 12))
 
 
-def test_good_cycles_are_ok_and_new_losses_a_warning():
-    link = Link()
-    link.receive(cycle(1) + cycle(2), 0)
+KEY, TODAY = bytes(range(32)), 2**45
+NOISE, BEAT = b'$GPGGA,1,2,3\r\n', Encoder().encode(f.Heartbeat())
+LOST, DROPS = '3 cycles lost since the last report', PortStatus(PortState.OPEN, '', 1, 7)
+STORIES = {
+    **{state.name: [(1.0, b'', PortStatus(state, 'why', 0, 0), ERROR, f'port {state.value}')]
+       for state in (PortState.NOT_THERE, PortState.BUSY, PortState.DENIED, PortState.HUNG_UP)},
+    'another protocol': [
+        (1.0, b'', OPEN, ERROR, 'port open, but nothing arrives'),
+        (1.1, NOISE * 10, OPEN, WARN, 'bytes arrive, no valid frame yet'),
+        (1.2, NOISE * 200, OPEN, ERROR,
+         'speaks another protocol or baud rate: no valid frame in 2940 bytes'),
+    ],
+    'a broken clock': [
+        (1.0, far_ahead(), OPEN, ERROR, 'signs with a time far ahead: set its clock'),
+    ],
+    'lost cycles': [
+        (1.0, cycle(1) + cycle(2), OPEN, OK, 'control cycles arrive'),
+        (2.0, cycle(6), OPEN, WARN, LOST),
+        (2.1, b'', OPEN, WARN, LOST),  # out of turn: of the time before
+        (3.0, BEAT, OPEN, ERROR, 'no control cycle since the last report'),
+    ],
+    'an aircraft that does not read': [
+        (1.0, cycle(1), DROPS, WARN, 'does not read'), (2.0, cycle(2), DROPS, OK, 'arrive'),
+    ],
+}  # fmt: skip
+"""When, what has arrived, at which port, and what is said."""
+
+
+@pytest.mark.parametrize('story', STORIES.values(), ids=STORIES)
+def test_the_link_says_what_is_wrong_in_its_own_words(story):
+    link = Link(Signing(KEY, lambda: TODAY) if story is STORIES['a broken clock'] else None)
     report = LinkReport(link, 0.0)
-    assert verdict(link, report=report) == (OK, 'control cycles arrive')
-    link.receive(cycle(6), 0)
-    lost = (WARN, '3 cycles lost since the last report')
-    assert verdict(link, report=report, now_s=2.0) == lost
-    assert verdict(link, report=report, now_s=2.1) == lost  # out of turn: of the time before
-    link.receive(Encoder().encode(f.Heartbeat()), 0)
-    assert verdict(link, report=report, now_s=3.0)[0] == ERROR
+    for now_s, data, port, level, words in story:
+        link.receive(data, 0)
+        status, _ = report.entries(port, now_s)
+        assert (status.level, words in status.message) == (level, True), status.message
 
 
 def test_the_clock_says_why_nothing_is_published():
@@ -96,12 +99,3 @@ def test_the_excitation_state_follows_the_flags():
     assert 'stale' in told(f.Flag.STALE_SETPOINT).message
     relay.setpoint(0.1, 0.0, 0.0)
     assert 'no segment is running' in told(f.Flag.STALE_SETPOINT).message
-
-
-def test_an_aircraft_that_does_not_read_is_told():
-    link, port = Link(), PortStatus(PortState.OPEN, '', 1, 7)
-    report = LinkReport(link, 0.0)
-    for k, (level, words) in enumerate(((WARN, 'does not read'), (OK, 'cycles arrive')), 1):
-        link.receive(cycle(k), 0)
-        told = verdict(link, port, report, 1.0 * k)
-        assert (told[0], words in told[1]) == (level, True)
