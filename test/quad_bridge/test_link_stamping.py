@@ -13,11 +13,12 @@ from quad_bridge.wire import frames as f
 class Story(Line):
     """A line whose flight controller sends sticks too, and has flown for two seconds."""
 
-    def __init__(self, bits, clock_us, seconds):
-        super().__init__(FlightController(also=sticks, bits=bits))
+    def __init__(self, bits=64, clock_us=0, seconds=2.0, also=sticks):
+        super().__init__(FlightController(also=also, bits=bits))
         self.controller.clock_us = clock_us
         self.fly(seconds)
-        self.begin_held, self.since_restart = self.link.stamping.held, 0
+        self.begun, self.since_restart = self.link.stamping.held, 0
+        self.cycles_before = self.link.cycles
         self.out = []
 
     def set(self, **script):
@@ -91,7 +92,8 @@ def unheard(uptime_s, silence_s):
 def clock_set(by_ms):
     """The aircraft's clock is set in flight."""
     steps = ('set', {'clock_us': round(1000 * by_ms)}), ('run', 1500)
-    return steps, {'seconds': 3.2, 'held': NEW_CLOCK, 'clock restarts': 1, 'alarms': (1, 1)}
+    begin = {'seconds': 3.2, 'also': lambda _: ()}  # each cycle is published or held back
+    return steps, {**begin, 'held': NEW_CLOCK, 'clock restarts': 1, 'alarms': (1, 1)}
 
 
 def reopened(away_s, restart_after, restarts):
@@ -139,7 +141,7 @@ STORIES = {
 
 @pytest.mark.parametrize(('steps', 'said'), STORIES.values(), ids=STORIES)
 def test_every_stamp_is_true_whatever_happens(steps, said):
-    line = Story(said.get('bits', 64), said.get('clock_us', 0), said.get('seconds', 2.0))
+    line = Story(**{k: said[k] for k in ('bits', 'clock_us', 'seconds', 'also') if k in said})
     for name, *given in steps:
         named = given.pop() if given and isinstance(given[-1], dict) else {}
         getattr(line, name)(*given, **named)
@@ -148,8 +150,9 @@ def test_every_stamp_is_true_whatever_happens(steps, said):
     off = [e for e in line.errors_ms() if abs(e) > 1.0]
     assert len(off) == said.get('off', 0)
     assert max(map(abs, [*line.errors_ms(), *line.sticks_off_ms()])) < said.get('off_ms', 1.0)
-    low, high = said.get('held', (0, 0))
-    assert low <= stamping.held - line.begin_held <= high
+    (low, high), held = said.get('held', (0, 0)), stamping.held - line.begun
+    assert low <= held <= high
+    assert 'also' not in said or len(line.out) + held == link.cycles - line.cycles_before
     assert link.decoder.counts.restarts == said.get('restarts', 0)
     low, high = said.get('alarms', (0, 0))
     assert low <= stamping.guard.alarms <= high
@@ -160,7 +163,7 @@ def test_every_stamp_is_true_whatever_happens(steps, said):
 
 def test_what_comes_late_beside_no_cycle_waits_no_longer_than_patience():
     """The control task hangs, the radio's frames go on 250 ms late, TIMESYNC is silent."""
-    line, waiting = Story(64, 0, 3.0), []
+    line, waiting = Story(seconds=3.0), []
     line.set(**DEAF)
     for k in range(500):
         line.skip(5)
