@@ -66,33 +66,42 @@ def spa(z: IOData, w: FloatArray | None = None, window: int | None = None, *,
         raise BadInputError('spa', f'window must be 2..{longest - 1} samples', half)
     if joint and z.r is None:
         raise BadInputError('spa', 'joint needs the reference r', None, 'give IOData(…, r=…)')
-    grid = frequency_grid(z, half) if w is None else np.asarray(w, dtype=float)
+    grid = np.geomspace(np.pi / (half * z.dt), 0.9 * np.pi / z.dt, 100) if w is None else (
+        np.asarray(w, dtype=float))
     inside = np.isfinite(grid) & (grid >= 0.0) & (grid * z.dt <= np.pi + 1e-9)
     if grid.ndim != 1 or not inside.all():
         raise BadInputError('spa', f'w must be 1-D and within 0..{np.pi / z.dt:.6g} rad/s')
-    for name, x in (('u', z.u), ('r', z.r if joint else None)):
-        if x is not None and np.ptp(np.concatenate([x[a:b] for a, b in z.segments])) == 0.0:
+    source = z.r if joint and z.r is not None else z.u
+    for name, x in (('u', z.u), ('r', source)):
+        if np.ptp(np.concatenate([x[a:b] for a, b in z.segments])) == 0.0:
             raise BadInputError('spa', f'{name} is constant, it has no spectrum',
                                 float(x[z.segments[0][0]]), 'use a stretch with excitation')
-    u, y = _centred(z, z.u), _centred(z, z.y)
-    spectrum = _Spectrum(grid * z.dt, half)
-    uu, yy, yu = spectrum.auto(u), spectrum.auto(y), spectrum.cross(y, u)
-    tiny = np.finfo(float).tiny
-    if joint and z.r is not None:
-        r = _centred(z, z.r)
-        ur, yr, rr = spectrum.cross(u, r), spectrum.cross(y, r), spectrum.auto(r)
-        response = yr / ur
-        noise = np.abs(yy - 2.0 * (np.conj(response) * yu).real + np.abs(response) ** 2 * uu)
-        informative = np.abs(ur) ** 2 / np.maximum(rr, tiny)
-        coherence = np.abs(yr) ** 2 / np.maximum(rr * yy, tiny)
-    else:
-        response = yu / np.maximum(uu, tiny)
-        noise = np.maximum(yy - np.abs(yu) ** 2 / np.maximum(uu, tiny), 0.0)
-        informative = uu
-        coherence = np.abs(yu) ** 2 / np.maximum(uu * yy, tiny)
-    variance = spectrum.energy / z.n * noise / np.maximum(informative, tiny)
-    return SpectralEstimate(w=grid, response=response, std=np.sqrt(variance),
-                            coherence=np.clip(coherence, 0.0, 1.0), noise_spectrum=noise)
+    lags = np.arange(-half, half + 1)
+    weights = 0.5 * (1.0 + np.cos(np.pi * lags / half))
+    kernel = np.exp(-1j * np.outer(grid * z.dt, lags)) * weights
+
+    def centred(x: FloatArray) -> list[FloatArray]:
+        parts = [x[start:stop] for start, stop in z.segments]
+        mean = float(np.concatenate(parts).mean())
+        return [part - mean for part in parts]
+
+    def cross(x: list[FloatArray], y: list[FloatArray]) -> ComplexArray:
+        return np.asarray(kernel @ cross_covariance(x, y, half))
+
+    def auto(x: list[FloatArray]) -> FloatArray:
+        spectrum = cross(x, x).real
+        return np.maximum(spectrum, max(1e-15 * float(spectrum.max()), np.finfo(float).tiny))
+
+    u, y, s = centred(z.u), centred(z.y), centred(source)
+    us, ys, uu, yy, ss = cross(u, s), cross(y, s), auto(u), auto(y), auto(s)
+    response = ys / (us if joint else ss)
+    left = yy - 2.0 * (np.conj(response) * cross(y, u)).real + np.abs(response) ** 2 * uu
+    noise = np.abs(left) if joint else np.maximum(left, 0.0)
+    informative = np.maximum(np.abs(us) ** 2 / ss, np.finfo(float).tiny) if joint else uu
+    return SpectralEstimate(
+        w=grid, response=response, noise_spectrum=noise,
+        std=np.sqrt(float(weights @ weights) / z.n * noise / informative),
+        coherence=np.clip(np.abs(ys) ** 2 / (ss * yy), 0.0, 1.0))
 
 
 def coherence(z: IOData, w: FloatArray | None = None, window: int | None = None, *,
@@ -100,38 +109,6 @@ def coherence(z: IOData, w: FloatArray | None = None, window: int | None = None,
     """Frequencies (m,) rad/s and squared coherence (m,) of u (or, `joint`, r) and y."""
     estimate = spa(z, w, window, joint=joint)
     return estimate.w, estimate.coherence
-
-
-def frequency_grid(z: IOData, half: int) -> FloatArray:
-    """100 frequencies, log-spaced from the window's resolution to 0.9 Nyquist, rad/s."""
-    return np.geomspace(np.pi / (half * z.dt), 0.9 * np.pi / z.dt, 100)
-
-
-def _centred(z: IOData, x: FloatArray) -> list[FloatArray]:
-    """The segments of x without their common mean."""
-    parts = [x[start:stop] for start, stop in z.segments]
-    mean = float(np.concatenate(parts).mean())
-    return [part - mean for part in parts]
-
-
-class _Spectrum:
-    """Hann-windowed Fourier sums of covariances at fixed frequencies (rad/sample)."""
-
-    def __init__(self, omega: FloatArray, half: int) -> None:
-        k = np.arange(-half, half + 1)
-        self._half = half
-        self._weights = 0.5 * (1.0 + np.cos(np.pi * k / half))
-        self._kernel = np.exp(-1j * np.outer(omega, k))
-        self.energy = float(np.sum(self._weights**2))
-
-    def auto(self, x: list[FloatArray]) -> FloatArray:
-        """Spectrum of x, kept positive."""
-        spectrum = self.cross(x, x).real
-        return np.maximum(spectrum, 1e-15 * max(float(spectrum.max()), 0.0))
-
-    def cross(self, x: list[FloatArray], y: list[FloatArray]) -> ComplexArray:
-        """Cross spectrum of x by y."""
-        return np.asarray(self._kernel @ (self._weights * cross_covariance(x, y, self._half)))
 
 
 @dataclass(frozen=True)
@@ -192,16 +169,11 @@ def frequency_response(model: Model, w: FloatArray) -> FrequencyResponse:
     response = np.asarray(b / (a * f), dtype=complex)
     covariance = None
     if model.covariance is not None:
-        powers = [(-response / a)[:, None] * _powers(q, range(1, model.A.size)),
-                  (1.0 / (a * f))[:, None] * _powers(q, range(model.nk, model.B.size)),
-                  np.zeros((grid.size, model.C.size + model.D.size - 2)),
-                  (-response / f)[:, None] * _powers(q, range(1, model.F.size))]
-        gradient = np.hstack(powers)
+        powers = q[:, None] ** np.arange(max(model.A.size, model.B.size, model.F.size))
+        gradient = np.hstack((-(response / a)[:, None] * powers[:, 1 : model.A.size],
+                              powers[:, model.nk : model.B.size] / (a * f)[:, None],
+                              np.zeros((grid.size, model.C.size + model.D.size - 2)),
+                              -(response / f)[:, None] * powers[:, 1 : model.F.size]))
         parts = np.stack((gradient.real, gradient.imag), axis=1)
         covariance = parts @ model.covariance @ np.swapaxes(parts, 1, 2)
     return FrequencyResponse(w=grid, response=response, covariance=covariance)
-
-
-def _powers(q: ComplexArray, exponents: range) -> ComplexArray:
-    """(m, len(exponents)) powers of q⁻¹."""
-    return np.asarray(q[:, None] ** np.array(exponents, dtype=int))

@@ -30,8 +30,6 @@ class SegmentErrors:
     """Index of the first error in the record."""
     errors: FloatArray
     """(m,) one-step errors with the best initial state of w."""
-    output: FloatArray
-    """(m,) w = (B/F) u, with that initial state."""
 
 
 def lead_of(model: Model) -> tuple[int, int]:
@@ -47,21 +45,11 @@ def check_rate(model: Model, z: IOData) -> None:
                             f'{1.0 / z.dt:.6g} Hz', 'resample it or identify at its rate')
 
 
-@dataclass(frozen=True)
-class _Response:
-    """Errors of one segment (n samples from its start), with w's initial state at its best."""
+def _response(model: Model, u: FloatArray, y: FloatArray) -> tuple[FloatArray, ...]:
+    """(n,) e, w and A y - w of one segment of n samples, w's initial state at its best.
 
-    errors: FloatArray
-    """(n,) e, zero before its first row."""
-    output: FloatArray
-    """(n,) w."""
-    disturbance: FloatArray
-    """(n,) A y - w."""
-    basis: FloatArray
-    """(n, k) orthonormal, of what the initial state adds to e."""
-
-
-def _response(model: Model, u: FloatArray, y: FloatArray) -> _Response:
+    Last a basis (n, k), orthonormal, of what that state adds to e. e is zero before its first row.
+    """
     first, lead = lead_of(model)
     w = filter_signal(model.B, model.F, u, first)
     kick = filter_columns(np.ones(1), model.F, pulses(u.size, 1, first))[:, 0]
@@ -72,7 +60,7 @@ def _response(model: Model, u: FloatArray, y: FloatArray) -> _Response:
     basis, turn = span(states)
     state = turn @ (basis.T @ e)
     free = kicks @ state
-    return _Response(e - states @ state, w + free, v - free, basis)
+    return e - states @ state, w + free, v - free, basis
 
 
 def one_step_errors(model: Model, z: IOData) -> list[SegmentErrors]:
@@ -82,8 +70,8 @@ def one_step_errors(model: Model, z: IOData) -> list[SegmentErrors]:
     found = []
     for start, stop in z.segments:
         if stop - start > lead + model.F.size:
-            all_of = _response(model, z.u[start:stop], z.y[start:stop])
-            found.append(SegmentErrors(start + lead, all_of.errors[lead:], all_of.output[lead:]))
+            e, *_ = _response(model, z.u[start:stop], z.y[start:stop])
+            found.append(SegmentErrors(start + lead, e[lead:]))
     return found
 
 
@@ -107,13 +95,13 @@ def errors_and_gradient(model: Model,
         if stop - start <= lead + model.F.size - 1:
             continue
         u, y = z.u[start:stop], z.y[start:stop]
-        at = _response(model, u, y)
-        driven, fed = filter_signal(one, model.F, u), filter_signal(one, model.F, at.output, first)
+        e, w, v, basis = _response(model, u, y)
+        driven, fed = filter_signal(one, model.F, u), filter_signal(one, model.F, w, first)
         columns = (  # in the order of `parameters`
             (model.D, model.C, y, range(1, model.A.size)),
             (-model.D, model.C, driven, range(model.nk, model.B.size)),
-            (-one, model.C, at.errors, range(1, model.C.size)),
-            (one, model.C, at.disturbance, range(1, model.D.size)),
+            (-one, model.C, e, range(1, model.C.size)),
+            (one, model.C, v, range(1, model.D.size)),
             (model.D, model.C, fed, range(1, model.F.size)),
         )
         gradient = np.empty((u.size, model.parameters.size), order='F')
@@ -121,7 +109,7 @@ def errors_and_gradient(model: Model,
         for num, den, x, lags in columns:
             filter_lags(num, den, x, lags, lead, out=gradient[:, done : done + len(lags)])
             done += len(lags)
-        found.append((at.errors[lead:], gradient[lead:], at.basis[lead:]))
+        found.append((e[lead:], gradient[lead:], basis[lead:]))
     return found
 
 

@@ -92,7 +92,7 @@ def innovation_test(innovations: FloatArray, z: IOData, lags: int = 25,
         raise BadInputError('innovation_test', 'innovations must have the length of z.y',
                             innovations.shape)
     known = np.isfinite(innovations)
-    parts = [SegmentErrors(a, innovations[a:b], np.zeros(0))
+    parts = [SegmentErrors(a, innovations[a:b])
              for segment in z.segments for a, b in finite_runs(known, (segment[0], segment[1]))]
     return _tested(parts, z, lags, confidence, at_once=False)
 
@@ -105,7 +105,8 @@ def _tested(parts: list[SegmentErrors], z: IOData, lags: int, confidence: float,
         raise BadInputError('residual_test',
                             f'too few residuals for {lags} lags, needs {10 * lags}', n,
                             'take fewer lags or a longer record')
-    errors = [part.errors - _mean(parts) for part in parts]
+    mean = float(np.concatenate([part.errors for part in parts]).mean())
+    errors = [part.errors - mean for part in parts]
     cov = autocovariance(errors, max(lags, min(BOUND_LAGS, n // 5)))
     if cov[0] <= 0.0:
         raise BadInputError('residual_test', 'the residual is zero throughout', 0.0,
@@ -121,8 +122,7 @@ def _tested(parts: list[SegmentErrors], z: IOData, lags: int, confidence: float,
         else (range(lags + 1), range(-lags, 0))
     )
     p_causal = _explained(parts, signal, ar, past, future)
-    cross_lags = np.arange(-lags, lags + 1)
-    cross, cross_bound = _cross(parts, z, rho, cross_lags)
+    cross, cross_bound = _cross(parts, errors, z, rho, lags)
     sigma = float(special.ndtri(0.5 + 0.5 * confidence))
     level = 1.0 - confidence
     return ResidualTest(
@@ -130,7 +130,7 @@ def _tested(parts: list[SegmentErrors], z: IOData, lags: int, confidence: float,
         causal=p_causal >= level, causality_signal='u' if z.r is None else 'r',
         confidence=confidence, samples=n, p_white=p_white, p_input=p_input, p_causal=p_causal,
         lags=np.arange(lags + 1), autocorrelation=rho[: lags + 1],
-        autocorrelation_bound=sigma / math.sqrt(n), cross_lags=cross_lags,
+        autocorrelation_bound=sigma / math.sqrt(n), cross_lags=np.arange(-lags, lags + 1),
         cross_correlation=cross, cross_bound=sigma * cross_bound,
     )
 
@@ -156,11 +156,6 @@ def whitener(cov: FloatArray, n: int) -> FloatArray:
         if value < best_value:
             best, best_value = poly, value
     return best
-
-
-def _mean(parts: list[SegmentErrors]) -> float:
-    """Mean of all residuals."""
-    return float(np.concatenate([part.errors for part in parts]).mean())
 
 
 def _explained(parts: list[SegmentErrors], x: FloatArray, ar: FloatArray, past: range,
@@ -202,17 +197,15 @@ def _test_rows(parts: list[SegmentErrors], x: FloatArray, ar: FloatArray,
             yield np.column_stack((np.ones(stop - start), columns, e[start:stop]))
 
 
-def _cross(parts: list[SegmentErrors], z: IOData, rho_e: FloatArray,
-           lags: npt.NDArray[np.int64]) -> tuple[FloatArray, float]:
-    """Normalised cross-correlation at the lags, and its standard error under independence."""
-    u_parts = [z.u[part.start : part.start + part.errors.size] for part in parts]
-    mean_u, mean_e = float(np.concatenate(u_parts).mean()), _mean(parts)
-    n = sum(part.errors.size for part in parts)
-    e = [part.errors - mean_e for part in parts]
-    total = n * cross_covariance(e, [u - mean_u for u in u_parts], int(lags[-1]))
-    cov_u = autocovariance([u - mean_u for u in u_parts], rho_e.size - 1)
+def _cross(parts: list[SegmentErrors], e: list[FloatArray], z: IOData, rho_e: FloatArray,
+           lags: int) -> tuple[FloatArray, float]:
+    """Normalised cross-correlation at -lags..lags, and its standard error under independence."""
+    u = [z.u[part.start : part.start + part.errors.size] for part in parts]
+    mean, n = float(np.concatenate(u).mean()), sum(x.size for x in e)
+    u = [x - mean for x in u]
+    cov_u = autocovariance(u, rho_e.size - 1)
     var_e = sum(float(np.sum(x**2)) for x in e)
     spread = math.sqrt(var_e * n * cov_u[0]) if cov_u[0] > 0.0 else 1.0
     rho_u = cov_u / cov_u[0] if cov_u[0] > 0.0 else np.eye(1, rho_e.size)[0]
     inflation = max(float(1.0 + 2.0 * rho_e[1:] @ rho_u[1:]), 0.1)
-    return total / spread, math.sqrt(inflation / n)
+    return n * cross_covariance(e, u, lags) / spread, math.sqrt(inflation / n)
