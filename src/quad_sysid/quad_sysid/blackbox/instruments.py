@@ -40,16 +40,15 @@ def iv4(z: IOData, na: int, nb: int, nk: int) -> Model:
     is right in open loop only. Raises BadInputError as `arx`.
     """
     orders = check_orders('iv4', na=na, nb=nb, nk=nk)
-    lead = max(na, nk + nb - 1)
-    check_informative('iv4', z, 2 * (na + nb), lead)
+    check_informative('iv4', z, 2 * (na + nb), max(na, nk + nb - 1))
     source = z.u if z.r is None else noise_free('iv4', z, z.u)
     first = arx(z, na, nb, nk)
-    theta, _ = _solve('iv4', _iv_blocks(z, source, first, lead, np.ones(1)))
+    theta, _ = _solve('iv4', _blocks(z, source, first, np.ones(1), np.ones(1)))
     second = replace(first, A=monic(theta[:na]), B=delayed(theta[na:], nk), covariance=None)
     errors = [part.errors - part.errors.mean() for part in one_step_errors(second, z)]
     n = sum(e.size for e in errors)
     ar = whitener(autocovariance(errors, min(na + nb, n // 10)), n)
-    blocks = _iv_blocks(z, source, second, lead, ar)
+    blocks = _blocks(z, source, second, ar, np.ones(1))
     theta, spread = _solve('iv4', blocks)
     whitened = np.concatenate([y - x @ theta for x, _, y in blocks])
     model = replace(second, A=monic(theta[:na]), B=delayed(theta[na:], nk), structure='IV4',
@@ -76,19 +75,19 @@ def clriv(z: IOData, nb: int, nc: int, nd: int, nf: int, nk: int) -> Model:
     while iteration < ROUNDS:
         iteration += 1
         ahead, variance, noise_spread = _noise_step(model, z)
-        blocks = _refined_blocks(z, clean, ahead)
-        theta, spread = _solve('clriv', blocks)
-        f = monic(theta[nb:])
+        shape = np.convolve(ahead.C, ahead.F)
+        theta, spread = _solve('clriv', _blocks(z, clean, ahead, ahead.D, shape, nf))
+        f = monic(theta[:nf])
         was_unstable = inside(f) is not f
-        ahead = replace(ahead, B=delayed(theta[:nb], nk), F=inside(f))
+        ahead = replace(ahead, B=delayed(theta[nf:], nk), F=inside(f))
         sigma = np.sqrt(np.maximum(np.diag(spread) * variance, 1e-300))
-        moved = np.concatenate((ahead.B[nk:] - model.B[nk:], ahead.F[1:] - model.F[1:])) / sigma
+        moved = np.concatenate((ahead.F[1:] - model.F[1:], ahead.B[nk:] - model.B[nk:])) / sigma
         if iteration > SWINGING:  # parameters that the data hardly tell swing about the solution
             share = 1.0 / (iteration - SWINGING + 1.0)
             f = inside(model.F + share * (ahead.F - model.F))
             ahead = replace(ahead, B=model.B + share * (ahead.B - model.B), F=f)
         covariance = np.zeros((nb + nc + nd + nf,) * 2)  # plant and noise part are independent
-        plant = [*range(nb), *range(nb + nc + nd, nb + nc + nd + nf)]
+        plant = [*range(nb + nc + nd, nb + nc + nd + nf), *range(nb)]
         covariance[np.ix_(plant, plant)] = variance * spread
         covariance[nb : nb + nc + nd, nb : nb + nc + nd] = noise_spread
         model = replace(ahead, covariance=covariance)
@@ -105,56 +104,30 @@ Block = tuple[FloatArray, FloatArray, FloatArray]
 """Regressors (m, p), instruments (m, p), output (m,), all filtered."""
 
 
-def _iv_blocks(z: IOData, source: FloatArray, model: Model, lead: int,
-               ar: FloatArray) -> list[Block]:
-    """Rows of each segment for A y = B u, instruments from `model` driven by `source`."""
-    na, nb, nk = model.A.size - 1, model.B.size - model.nk, model.nk
-    runner = stabilised(model)
-    blocks = []
-    for start, stop in z.segments:
-        if stop - start <= lead + ar.size:
-            continue
-        x, s = simulate(runner, source[start:stop]), source[start:stop]
-        y, u, n = z.y[start:stop], z.u[start:stop], stop - start
-        y_lags, u_lags = range(1, na + 1), range(nk, nk + nb)
-        stack = np.column_stack(
-            (-lagged(y, y_lags, lead, n), lagged(u, u_lags, lead, n), -lagged(x, y_lags, lead, n),
-             lagged(s, u_lags, lead, n), y[lead:])
-        )
-        blocks.append(_split(filter_columns(ar, np.ones(1), stack)[ar.size - 1 :]))
-    return blocks
+def _blocks(z: IOData, source: FloatArray, model: Model, num: FloatArray, den: FloatArray,
+            starts: int = 0) -> list[Block]:
+    """Rows of each segment for A F y = B u behind num/den, instruments from `model` and `source`.
 
-
-def _refined_blocks(z: IOData, clean: FloatArray, model: Model) -> list[Block]:
-    """Rows of each segment for F y = B u behind D/(C F), instruments free of noise.
-
-    The filter's unknown start is spanned by pulses behind it and taken out of all columns.
+    Regressors are the lags of -y, then of u. The filter's unknown start is left out with the
+    first rows, and with the span of as many pulses behind it as it has `starts`.
     """
-    nb, nf, nk = model.B.size - model.nk, model.F.size - 1, model.nk
-    lead = max(nf, nk + nb - 1)
-    shape = np.convolve(model.C, model.F)
+    runner, y_lags = stabilised(model), range(1, model.denominator.size)
+    u_lags, lead = range(model.nk, model.B.size), max(len(y_lags), model.B.size - 1)
     blocks = []
     for start, stop in z.segments:
-        if stop - start <= lead + shape.size + model.D.size:
+        if stop - start <= lead + num.size + den.size:
             continue
-        y, s, n = z.y[start:stop], clean[start:stop], stop - start
-        x = simulate(model, s, initial_state(model, s, y))
-        y_lags, u_lags = range(1, nf + 1), range(nk, nk + nb)
+        y, s, n = z.y[start:stop], source[start:stop], stop - start
+        x = simulate(runner, s, initial_state(runner, s, y))
         stack = np.column_stack(
-            (lagged(z.u[start:stop], u_lags, lead, n), -lagged(y, y_lags, lead, n),
-             lagged(s, u_lags, lead, n), -lagged(x, y_lags, lead, n), y[lead:],
-             pulses(n - lead, nf))
-        )
-        smooth = filter_columns(model.D, shape, stack)
-        count = smooth.shape[1] - nf
-        blocks.append(_split(without(smooth[:, :count], smooth[:, count:])))
+            (-lagged(y, y_lags, lead, n), lagged(z.u[start:stop], u_lags, lead, n),
+             -lagged(x, y_lags, lead, n), lagged(s, u_lags, lead, n), y[lead:],
+             pulses(n - lead, starts)))
+        smooth = filter_columns(num, den, stack)[num.size - 1 :]
+        p = len(y_lags) + len(u_lags)
+        rest = without(smooth[:, : 2 * p + 1], smooth[:, 2 * p + 1 :])
+        blocks.append((rest[:, :p], rest[:, p : 2 * p], rest[:, -1]))
     return blocks
-
-
-def _split(stack: FloatArray) -> Block:
-    """Split the columns [regressors | instruments | output]."""
-    p = (stack.shape[1] - 1) // 2
-    return stack[:, :p], stack[:, p : 2 * p], stack[:, -1]
 
 
 def _solve(where: str, blocks: list[Block]) -> tuple[FloatArray, FloatArray]:

@@ -17,6 +17,9 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 
 ComplexArray = npt.NDArray[np.complex128]
+ORDERS_OF = {'ARX': ('na', 'nb', 'nk'), 'ARMAX': ('na', 'nb', 'nc', 'nk'),
+             'OE': ('nb', 'nf', 'nk'), 'BJ': ('nb', 'nc', 'nd', 'nf', 'nk')}
+"""Structure → its orders, as MATLAB counts them."""
 
 
 @dataclass(frozen=True)
@@ -181,20 +184,9 @@ def polynomial_model(B: Sequence[float] | FloatArray, *, dt: float,
     if not 0 <= delay <= int(nonzero[0]):
         raise BadInputError('polynomial_model',
                             f'nk must be 0..{int(nonzero[0])}, the leading zeros of B', delay)
-    na, nc, nd, nf = (polys[key].size - 1 for key in 'ACDF')
-    nb = polys['B'].size - delay
-    kind, orders = _classify(na, nb, nc, nd, nf, delay)
-    return Model(structure=structure or kind, orders=orders, nk=delay, dt=dt,
-                 noise_variance=noise_variance, A=polys['A'], B=polys['B'], C=polys['C'],
-                 D=polys['D'], F=polys['F'])
-
-
-def _classify(na: int, nb: int, nc: int, nd: int, nf: int, nk: int) -> tuple[str, dict[str, int]]:
-    """Structure's name and its orders from the lengths of the polynomials."""
-    if nf == 0 and nd == 0 and nc == 0:
-        return 'ARX', {'na': na, 'nb': nb, 'nk': nk}
-    if nf == 0 and nd == 0:
-        return 'ARMAX', {'na': na, 'nb': nb, 'nc': nc, 'nk': nk}
-    if na == 0 and nc == 0 and nd == 0:
-        return 'OE', {'nb': nb, 'nf': nf, 'nk': nk}
-    return 'BJ', {'nb': nb, 'nc': nc, 'nd': nd, 'nf': nf, 'nk': nk}
+    sizes = {f'n{key.lower()}': poly.size - 1 for key, poly in polys.items()}
+    sizes |= {'nb': polys['B'].size - delay, 'nk': delay}
+    kind = next(name for name, orders in ORDERS_OF.items()
+                if name == 'BJ' or all(key in orders or not size for key, size in sizes.items()))
+    return Model(structure=structure or kind, orders={key: sizes[key] for key in ORDERS_OF[kind]},
+                 nk=delay, dt=dt, noise_variance=noise_variance, **polys)

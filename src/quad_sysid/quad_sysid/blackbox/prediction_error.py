@@ -47,9 +47,11 @@ ON_EDGE = 1.0 - 2.0 * (1.0 - EDGE)
 """Radius from which a root counts as held at EDGE, where it was pulled to."""
 FAR = 1.1
 """Loss of a start, against that of its minimum, from which another minimum may be lower."""
+OVERSHOT = 0.2
+"""Slope behind a full step, against that before it, from which a shorter one is tried."""
 WANDERS = 0.02
 """Power of the residual's changes, against its own, below which it wanders as with a drift."""
-LOWER = 1.0 - 1e-5
+LOWER = 1.0 - 1e-4
 """Loss, against that before, above which moving a pair once more is not tried."""
 REINSERTED = 3
 """Places of a nearly cancelling pair from which the descent is tried again."""
@@ -213,11 +215,8 @@ def descend(point: Point, at: Callable[[Model], Point]) -> Point:
         if rows * promised <= TOLERANCE * point.squares or point.squares <= point.rounding:
             converged = True
             break
-        ahead = None
-        for damping in DAMPINGS:
-            ahead = _search(point, _step(point, free, damping), at)
-            if ahead is not None:
-                break
+        searched = (_search(point, _step(point, free, damping), at) for damping in DAMPINGS)
+        ahead = next((found for found in searched if found is not None), None)
         if ahead is None:
             converged = rows * promised <= 100.0 * TOLERANCE * point.squares
             break
@@ -261,7 +260,10 @@ def _scale(hessian: FloatArray) -> FloatArray:
 
 
 def _search(point: Point, step: FloatArray, at: Callable[[Model], Point]) -> Point | None:
-    """Lower the criterion along -step: shorten, or pull back a step that went too far."""
+    """Lower the criterion along -step: shorten by a parabola, or pull back where it went too far.
+
+    None where no length lowers it.
+    """
     theta, promised = point.model.parameters, float(point.slope @ step)
     length = 1.0
     while length > 1e-3:
@@ -273,11 +275,9 @@ def _search(point: Point, step: FloatArray, at: Callable[[Model], Point]) -> Poi
     else:
         return None
     beyond = -float(ahead.slope @ step) / promised
-    if length == 1.0 and beyond > 0.2:
-        back = at(point.model.with_parameters(theta - step / (1.0 + beyond)))
-        if back.squares < ahead.squares:
-            return back
-    return ahead
+    if length < 1.0 or beyond < OVERSHOT:
+        return ahead
+    return min(ahead, at(point.model.with_parameters(theta - step / (1.0 + beyond))), key=_squares)
 
 
 def _lowest(starts: Iterator[Model], ho: HighOrder) -> Point:

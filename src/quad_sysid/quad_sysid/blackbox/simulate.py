@@ -64,7 +64,8 @@ def predict(model: Model, z: IOData, horizon: float = 1) -> FloatArray:
     (Ljung 1999, eq. 3.31).
     """
     check_rate(model, z)
-    if isinstance(horizon, bool) or not isinstance(horizon, (int, float, np.number)):
+    number = isinstance(horizon, (int, float, np.number)) and not isinstance(horizon, bool)
+    if not (number and (horizon == math.inf or (horizon >= 1 and horizon % 1 == 0))):
         raise BadInputError('predict', 'horizon must be an integer >= 1 or math.inf', horizon)
     yhat = np.full(z.y.size, np.nan)
     if horizon == math.inf:
@@ -72,8 +73,6 @@ def predict(model: Model, z: IOData, horizon: float = 1) -> FloatArray:
             u, y = z.u[start:stop], z.y[start:stop]
             yhat[start:stop] = simulate(model, u, initial_state(model, u, y))
         return yhat
-    if not horizon >= 1 or horizon != int(horizon):
-        raise BadInputError('predict', 'horizon must be an integer >= 1 or math.inf', horizon)
     *_, errors = horizon_errors(model, z, int(horizon))
     return np.asarray(z.y - errors)
 

@@ -24,7 +24,7 @@ from quad_sysid.blackbox import (
     residual_test,
 )
 from quad_sysid.blackbox.innovations import one_step_errors
-from quad_sysid.blackbox.regression import lagged
+from quad_sysid.blackbox.regression import lagged, solve_triangular_factor, triangular
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import QuadSysidError
 from quad_sysid.loop.cascade import CascadeGains, derivative_weight
@@ -187,7 +187,8 @@ def largest_loop_gain(z: IOData, model: Model) -> float:
     """Loop gain that the data do not exclude: feedback gain times rate over command.
 
     The feedback gain is that from the one-step errors (of the last CYCLES) to the command beyond
-    what the command's past predicts, plus SURE standard errors; inf where it has no estimate.
+    what the command's past predicts, plus SURE standard errors; inf where the record is too short.
+    Raises BadInputError where that past is linearly dependent.
     """
     blocks: list[FloatArray] = []
     for part in one_step_errors(model, z):
@@ -198,19 +199,12 @@ def largest_loop_gain(z: IOData, model: Model) -> float:
             blocks.append(np.column_stack((lagged(e, range(CYCLES), start, stop),
                                            lagged(z.u, range(1, PAST + 1), start, stop),
                                            np.ones(stop - start), z.u[start:stop])))
-    rows = np.vstack(blocks) if blocks else np.zeros((0, CYCLES + PAST + 2))
-    if rows.shape[0] <= 2 * rows.shape[1]:
+    n, columns = sum(map(len, blocks)), CYCLES + PAST + 1
+    if n <= 2 * (columns + 1):
         return float('inf')
-    past, targets = rows[:, CYCLES:-1], np.column_stack((rows[:, :CYCLES], rows[:, -1]))
-    left = targets - past @ np.linalg.lstsq(past, targets, rcond=1e-12)[0]
-    gram = left[:, :CYCLES].T @ left[:, :CYCLES]
-    if np.linalg.cond(gram) > 1e12:
-        return float('inf')
-    found = np.linalg.solve(gram, left[:, :CYCLES].T @ left[:, -1])
-    rest = left[:, -1] - left[:, :CYCLES] @ found
-    power = float(rest @ rest) / (rows.shape[0] - rows.shape[1] + 1)
-    spread = np.sqrt(power * np.diag(np.linalg.inv(gram)))
-    gain = float(np.max(np.abs(found) + SURE * spread))
+    found, sse, inverse = solve_triangular_factor('feedback', triangular(blocks))
+    spread = np.sqrt(sse / (n - columns) * np.diag(inverse))
+    gain = float(np.max((np.abs(found) + SURE * spread)[:CYCLES]))
     u = np.concatenate([z.u[a:b] for a, b in z.segments])
     y = np.concatenate([z.y[a:b] for a, b in z.segments])
     return gain * float(y.std() / u.std()) if u.std() > 0.0 else float('inf')
