@@ -118,7 +118,7 @@ def _blocks(z: IOData, source: FloatArray, model: Model, num: FloatArray, den: F
         if stop - start <= lead + num.size + den.size:
             continue
         y, s, n = z.y[start:stop], source[start:stop], stop - start
-        x = simulate(runner, s, initial_state(runner, s, y))
+        x = simulate(runner, s, initial_state(runner, s, y) if starts else None)
         stack = np.column_stack(
             (-lagged(y, y_lags, lead, n), lagged(z.u[start:stop], u_lags, lead, n),
              -lagged(x, y_lags, lead, n), lagged(s, u_lags, lead, n), y[lead:],

@@ -35,6 +35,8 @@ from quad_sysid.errors import BadInputError
 from quad_sysid.record import IOData
 
 MAX_ITERATIONS = 60
+PATIENCE = 5
+"""Iterations before a descent is measured against one before it."""
 TOLERANCE = 1e-3
 """Converged where the next step would lower N ln V by less than this."""
 DAMPINGS = (0.0, 1e-6, 1e-2, 1.0)
@@ -51,8 +53,6 @@ OVERSHOT = 0.2
 """Slope behind a full step, against that before it, from which a shorter one is tried."""
 WANDERS = 0.02
 """Power of the residual's changes, against its own, below which it wanders as with a drift."""
-LOWER = 1.0 - 1e-4
-"""Loss, against that before, above which moving a pair once more is not tried."""
 REINSERTED = 3
 """Places of a nearly cancelling pair from which the descent is tried again."""
 
@@ -204,8 +204,11 @@ def _bounded(poly: FloatArray) -> tuple[FloatArray, FloatArray]:
     return poly, growth / np.where(size > 0.0, size, 1.0)
 
 
-def descend(point: Point, at: Callable[[Model], Point]) -> Point:
-    """Gauss-Newton with line search from `point` to the nearest minimum of the criterion `at`."""
+def descend(point: Point, at: Callable[[Model], Point], bar: float = math.inf) -> Point:
+    """Gauss-Newton with line search from `point` to the nearest minimum of the criterion `at`.
+
+    Given up where even a multiple of what the next step promises stays above the squares `bar`.
+    """
     converged, iteration = False, 0
     rows = sum(e.size for e in point.errors)
     while iteration < MAX_ITERATIONS and math.isfinite(point.squares):
@@ -214,6 +217,8 @@ def descend(point: Point, at: Callable[[Model], Point]) -> Point:
         promised = float(point.slope @ _step(point, free))
         if rows * promised <= TOLERANCE * point.squares or point.squares <= point.rounding:
             converged = True
+            break
+        if iteration > PATIENCE and point.squares - PATIENCE * promised > bar:
             break
         searched = (_search(point, _step(point, free, damping), at) for damping in DAMPINGS)
         ahead = next((found for found in searched if found is not None), None)
@@ -293,14 +298,13 @@ def _lowest(starts: Iterator[Model], ho: HighOrder) -> Point:
     best = descend(first, at)
     doubt = not best.model.converged or first.squares > FAR * best.squares or _wanders(best)
     if doubt and best.model.loss > ho.loss_of(best.slope.size):
-        best = min(best, best, *(descend(at(start), at) for start in starts), key=_squares)
-    while True:
-        moved = sorted((at(model) for model in reinserted(best.model)),
-                       key=lambda one: one.squares - one.slope @ _step(one))
-        end = min(best, best, *(descend(one, at) for one in moved[:REINSERTED]), key=_squares)
-        if end.squares >= LOWER * best.squares:
-            return end
-        best = end
+        for start in starts:
+            best = min(best, descend(at(start), at, best.squares), key=_squares)
+    moved = sorted((at(model) for model in reinserted(best.model)),
+                   key=lambda one: one.squares - one.slope @ _step(one))
+    for one in moved[:REINSERTED]:
+        best = min(best, descend(one, at, best.squares), key=_squares)
+    return best
 
 
 def _squares(point: Point) -> float:
