@@ -189,4 +189,5 @@ def polynomial_model(B: Sequence[float] | FloatArray, *, dt: float,
     kind = next(name for name, orders in ORDERS_OF.items()
                 if name == 'BJ' or all(key in orders or not size for key, size in sizes.items()))
     return Model(structure=structure or kind, orders={key: sizes[key] for key in ORDERS_OF[kind]},
-                 nk=delay, dt=dt, noise_variance=noise_variance, **polys)
+                 nk=delay, dt=dt, noise_variance=noise_variance, A=polys['A'], B=polys['B'],
+                 C=polys['C'], D=polys['D'], F=polys['F'])
