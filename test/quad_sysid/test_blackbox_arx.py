@@ -149,6 +149,7 @@ def reference(z: IOData, r: np.ndarray) -> IOData:
         (lambda z: IOData(['a'] * z.y.size, z.y, z.dt), 'IOData: u must hold real numbers'),
         (lambda z: IOData(z.u + 1j, z.y, z.dt), 'u must hold real numbers: found complex128'),
         (lambda z: IOData([[1.0], [1.0, 2.0]], z.y, z.dt), 'must hold real numbers: found list'),
+        (lambda z: reference(z, z.y[:-1]), 'r must have the length of y'),
         (lambda z: reference(z, np.nan * z.y), 'segment 0:900 of r holds NaN'),
         (lambda z: IOData(z.u, np.inf * z.u, z.dt), 'of y holds NaN or infinity'),
         (lambda z: IOData(z.u, z.y, z.dt, segments=[(300, 600), (0, 301)]), 'must not overlap'),

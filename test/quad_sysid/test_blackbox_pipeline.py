@@ -220,6 +220,7 @@ def test_the_true_model_in_the_loop_leaves_the_noise_wherever_the_excitation_act
         found = in_the_loop(*records)
         assert NOISE < found.rms_after < 1.6 * NOISE
         assert found.time_s[0] == pytest.approx(23.0)
+        assert (np.diff(found.time_s) > 0.0).all()
         assert found.time_s.size == (2 if len(records) > 1 else 1) * 3500
     wrong = dataclasses.replace(second, gains=first.gains)
     assert in_the_loop(first, wrong).rms_after > 2.5 * NOISE

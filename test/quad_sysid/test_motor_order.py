@@ -7,38 +7,25 @@ from itertools import permutations
 
 import numpy as np
 import pytest
+from flown_axis import SHORT, Axis, Plan, fly
 
 from quad_sysid.contract import control_from_motors, motors_from_wrench
 from quad_sysid.pipeline.identify import Options, identify
 from quad_sysid.pipeline.usable import refusal, swapped_motors
-from quad_sysid.record import Record, Segment
+from quad_sysid.record import Record
 from quad_tuning.designer import design
 
-DT = 0.004
 
-
-def flight(seconds: float = 30.0, *, seed: int = 1, noise: float = 0.001) -> Record:
+def flight(plan: Plan = SHORT) -> Record:
     """A PRBS on roll; pitch and yaw commands are a little noise, as on a rig of one free axis."""
-    rng = np.random.default_rng(seed)
-    n = round(seconds / DT)
-    wrench = rng.normal(0.0, noise, (n, 4))
-    wrench[:, 0] = 0.5
-    wrench[:, 1] += 0.02 * np.repeat(rng.choice([-1.0, 1.0], n // 25 + 1), 25)[:n]
-    motors = motors_from_wrench(wrench)
-    rates = rng.normal(0.0, 0.002, (n, 3))
-    rate = lag = 0.0
-    for k in range(n):
-        lag += DT / 0.05 * (wrench[k, 1] - lag)
-        rate += DT * (400.0 * lag - 3.0 * rate)
-        rates[k, 0] += rate
-    parts = (
-        Segment('train', 'prbs', 'roll', 'attitude', 0.0, 18.0),
-        Segment('validation', 'prbs', 'roll', 'attitude', 18.0, 30.0),
-    )
-    return Record(
-        source='flight', dt=DT, rates=rates, control=control_from_motors(motors),
-        motors=motors, wrench=wrench, segments=parts,
-    )  # fmt: skip
+    noise = 0.001 * np.random.default_rng(1).standard_normal((2, 7500))
+    record = fly(Axis(other_commands=lambda t: noise[:, : t.size]), 1, plan)
+    motors = motors_from_wrench(record.control)
+    control = control_from_motors(motors)
+    return replace(record, wrench=record.control, motors=motors, control=control)
+
+
+BRIEF = Plan(4.0, ())
 
 
 def reordered(record: Record, order: tuple[int, ...]) -> Record:
@@ -50,7 +37,7 @@ def reordered(record: Record, order: tuple[int, ...]) -> Record:
 
 @pytest.mark.parametrize('order', list(permutations((1, 2, 3, 4)))[1:])
 def test_every_wrong_order_is_named(order):
-    assert swapped_motors(reordered(flight(4.0), order)) == order
+    assert swapped_motors(reordered(flight(BRIEF), order)) == order
 
 
 @pytest.mark.parametrize('change', [
@@ -60,7 +47,7 @@ def test_every_wrong_order_is_named(order):
     lambda _: {'wrench': None}, lambda r: {'wrench': np.full_like(r.wrench, np.nan)},
 ])
 def test_the_right_order_raises_no_alarm(change):
-    record = flight(4.0)
+    record = flight(BRIEF)
     changed = replace(record, **change(record))
     assert (swapped_motors(changed), refusal(changed)) == (None, '')
 

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import re
 import runpy
 import sys
 from pathlib import Path
@@ -37,6 +38,7 @@ def described(path: Path) -> dict[str, list[mock._Call]]:
     modules = {name: mock.Mock(spec=classes) for name, classes in MODULES.items()}
     share = modules['ament_index_python.packages'].get_package_share_directory
     share.side_effect = lambda package: str(ROOT / 'src' / package)
+    modules['launch.substitutions'].LaunchConfiguration.side_effect = '<{}>'.format
     with mock.patch.dict(sys.modules, modules):
         runpy.run_path(str(path))['generate_launch_description']()
     return {one: getattr(modules[name], one).call_args_list
@@ -50,7 +52,7 @@ def names(calls: list[mock._Call]) -> set[str]:
 @pytest.mark.parametrize('path', FILES, ids=lambda p: p.name)
 def test_what_it_uses_starts_and_includes_exists(path: Path) -> None:
     made = described(path)
-    assert names(made['LaunchConfiguration']) == names(made['DeclareLaunchArgument'])
+    assert set(re.findall(r'<(\w+)>', repr(made))) == names(made['DeclareLaunchArgument'])
     for node in made['Node']:
         package, executable = node.kwargs['package'], node.kwargs['executable']
         folder = ROOT / 'src' / package
