@@ -21,7 +21,14 @@ from quad_sysid.model import Parameter
 from quad_tuning import ensemble as ensembles
 from quad_tuning import pid
 from quad_tuning.assess import GUST_RAD_S, promise
-from quad_tuning.bounds import DESIGNED, reachable
+from quad_tuning.bounds import (
+    DESIGNED,
+    check_bounds,
+    check_finite,
+    check_polarity,
+    reachable,
+    steps_to,
+)
 from quad_tuning.designer import design
 from quad_tuning.errors import DesignRefusedError
 from quad_tuning.objective import Requirements, meets, pose
@@ -38,13 +45,18 @@ def problem_of(m, **needs):
     return pose(loop_plant(m), ACTIVE, loops_of(m), Requirements(**needs))
 
 
-def steps_of(m, proposal):
-    """The sets on the way, each within one step of the one before."""
-    steps = [CascadeGains.from_mapping({**m.active_gains, **s}, m.axis) for s in proposal.steps]
-    for before, step in itertools.pairwise((CascadeGains.default(m.axis), *steps)):
+def held(steps, active):
+    """Whether each set is within one step of the one before."""
+    for before, step in itertools.pairwise((active, *steps)):
         for field in DESIGNED:
             low, high = reachable(field, getattr(before, field))
             assert low * (1.0 - 1e-6) <= getattr(step, field) <= high * (1.0 + 1e-6), field
+
+
+def steps_of(m, proposal):
+    """The sets on the way."""
+    steps = [CascadeGains.from_mapping({**m.active_gains, **s}, m.axis) for s in proposal.steps]
+    held(steps, CascadeGains.default(m.axis))
     assert proposal.gains in proposal.steps
     return steps
 
@@ -153,6 +165,16 @@ def test_the_margins_hold_for_the_rival_too(model):
 
 
 # ---- the way there, and what is promised to the watch
+
+
+def test_a_large_change_goes_in_steps_within_the_limit():
+    wanted = dataclasses.replace(ACTIVE, angle_kp=14.0, rate_kd=0.0)
+    path = steps_to(wanted, ACTIVE)
+    assert (path[-1], len(path) >= 3) == (wanted, True)
+    assert reachable('angle_kp', 3.0) == pytest.approx((1.5, 6.0), rel=2e-4)
+    held(path, ACTIVE)
+    with pytest.raises(DesignRefusedError, match='outside the hard bounds'):
+        steps_to(dataclasses.replace(ACTIVE, angle_kp=20.0), ACTIVE)
 
 
 def test_where_all_at_once_is_unsafe_the_way_halts_between(model):
@@ -264,3 +286,28 @@ def test_it_is_found_as_a_designer_where_the_package_is_installed():
     if not found:
         pytest.skip('quad_tuning is not installed here, only on the path')
     assert found['pid'] == 'quad_tuning.designer:design'
+
+
+@pytest.mark.parametrize(
+    ('check', 'gains', 'said'),
+    [
+        *((check_finite, {'roll.rate.kp': value}, r'roll\.rate\.kp: must be finite')
+          for value in (float('nan'), float('inf'), -float('inf'), True)),
+        *((check_bounds, gains, 'must lie in') for gains in (
+            {'roll.angle.kp': 16.0}, {'roll.rate.kp': -0.01}, {'roll.rate.kd': 0.03})),
+        (check_bounds, {'roll.rate.output_limit': 0.3}, 'roll.rate.output_limit'),
+        (lambda _: reachable('angle_kp', 40.0), {}, 'further than'),
+    ],
+)
+def test_what_must_never_reach_an_aircraft_is_refused_by_name(check, gains, said):
+    with pytest.raises(DesignRefusedError, match=said):
+        check(gains)
+
+
+def test_an_axis_driven_by_another_ones_command_is_refused(model):
+    def crossed(fraction):
+        return estimate_of('cross_axis_input', (fraction,), 'other axis 1', std=0.01)
+
+    check_polarity(model(effects=[crossed(0.1)]))
+    with pytest.raises(DesignRefusedError, match="motors' order"):
+        check_polarity(model(effects=[crossed(-0.9)]))
