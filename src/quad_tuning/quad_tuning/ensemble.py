@@ -168,14 +168,9 @@ class Ensemble:
     def subset(self, index: npt.NDArray[np.int64]) -> Ensemble:
         """The loops of `index` alone."""
         c = self.cycle
-        return Ensemble(
-            cycle=Step(c.phi[index], c.now[index], c.before[index], c.c[index], c.whole[index],
-                       c.dt),
-            omega=self.omega,
-            response=self.response[:, index],
-            nominal=self.nominal[index],
-            draws=self.draws,
-        )
+        cycle = Step(c.phi[index], c.now[index], c.before[index], c.c[index], c.whole[index], c.dt)
+        return replace(self, cycle=cycle, response=self.response[:, index],
+                       nominal=self.nominal[index])
 
 
 def draw_models(model: AxisModel, rng: np.random.Generator, count: int) -> list[AxisModel]:

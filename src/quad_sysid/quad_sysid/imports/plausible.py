@@ -119,13 +119,10 @@ def check_rate(rate: Column, angle: Column | None, dt: float) -> list[str]:
     size = float(np.nanstd(rate.values))
     alone = (f'the unit of {rate.name} could not be checked: its RMS is {size:.3g} rad/s, '
              f'{size / DEGREE:.3g} deg/s')
-    if angle is None:
+    compared = None if angle is None else turn_factor(rate.values, angle.values, dt)
+    if angle is None or compared is None:
         check_size(rate)
-        return [] if rate.named else [f'{alone}; add --angle']
-    compared = turn_factor(rate.values, angle.values, dt)
-    if compared is None:
-        check_size(rate)
-        return [] if rate.named else [alone]
+        return [] if rate.named else [alone + ('; add --angle' if angle is None else '')]
     together, factor = compared
     if abs(together) < TOGETHER:
         loose = f'(correlation {together:.2f})'
