@@ -48,10 +48,10 @@ from quad_sysid.loop.plant import exact_cycles, slopes_at
 from quad_sysid.model import AxisModel
 from quad_sysid.report.model_file import load_models, save_models
 from quad_tuning import ensemble
+from quad_tuning.assess import Requirements, meets
 from quad_tuning.designer import design
 from quad_tuning.errors import DesignRefusedError
 from quad_tuning.lqr import propose_lqr
-from quad_tuning.objective import Requirements, meets
 
 LARGEST_ANGLE_DEG = 45.0
 RESTLESS_RAD_S = 0.5

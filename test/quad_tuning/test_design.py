@@ -20,7 +20,7 @@ from quad_sysid.loop.simulation import simulate_cascade
 from quad_sysid.model import Parameter
 from quad_tuning import ensemble as ensembles
 from quad_tuning import pid
-from quad_tuning.assess import GUST_RAD_S, promise
+from quad_tuning.assess import GUST_RAD_S, Requirements, meets, promise
 from quad_tuning.bounds import (
     DESIGNED,
     check_bounds,
@@ -31,7 +31,6 @@ from quad_tuning.bounds import (
 )
 from quad_tuning.designer import design
 from quad_tuning.errors import DesignRefusedError
-from quad_tuning.objective import Requirements, meets, pose
 from quad_tuning.way import way_to
 
 ACTIVE = CascadeGains.default('roll')
@@ -42,7 +41,7 @@ def loops_of(m, seed=7, count=ensembles.DRAWS):
 
 
 def problem_of(m, **needs):
-    return pose(loop_plant(m), ACTIVE, loops_of(m), Requirements(**needs))
+    return pid.pose(loop_plant(m), ACTIVE, loops_of(m), Requirements(**needs))
 
 
 def held(steps, active):

@@ -9,10 +9,10 @@ from quad_sysid.loop.cascade import closed_loop_radius
 from quad_sysid.loop.from_model import loop_plant
 from quad_sysid.loop.plant import state_space
 from quad_tuning import ensemble as ensembles
+from quad_tuning.assess import Requirements
 from quad_tuning.bounds import flown_gains
 from quad_tuning.errors import DesignRefusedError
 from quad_tuning.lqr import Noise, Weights, design_lqr, propose_lqr, way_is_safe
-from quad_tuning.objective import Requirements
 from quad_tuning.state_feedback import beside, simulate
 
 

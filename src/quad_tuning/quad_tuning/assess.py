@@ -9,12 +9,14 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 from scipy.integrate import trapezoid
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.loop.cascade import (
     CascadeGains,
     Controller,
+    Margins,
     bandwidth,
     noise_response,
     reference_response,
@@ -42,6 +44,25 @@ GUST_RAD_S = 3.0
 """Corner frequency of the disturbing torque of gusts."""
 BANDS_RAD_S = (4.0, 8.0, 16.0, 32.0, 64.0)
 """Centres of the octaves that the watch compares."""
+
+
+@dataclass(frozen=True)
+class Requirements:
+    """Requirements on every loop of the ensemble, or on the nominal one."""
+
+    phase_margin_deg: float = 45.0
+    gain_margin_db: float = 8.0
+    peak_sensitivity: float = 1.8
+    overshoot_pct: float = 15.0
+    """Nominal, of the square wave."""
+    noise_factor: float = 3.0
+    """Noise at the motors relative to the flown gains; always allowed up to `motor_noise`."""
+    motor_noise: float = 0.01
+    """Harmless RMS noise at the motors, normalised command."""
+    disturbance_factor: float = 1.0
+    """RMS angle under a torque step, relative to the flown gains."""
+    highest_crossover_rad_s: float = float('inf')
+    """Nominal."""
 
 
 @dataclass(frozen=True)
@@ -104,6 +125,15 @@ def assess(plant: LoopPlant, controller: CascadeGains | StateFeedback,
                        noise_gain=noise_gain(controller, nominal),
                        unstable_draws=int(np.sum(ensemble.unstable(controller))),
                        worst_peak_complementary=float(np.max(np.abs(loop / (1.0 + loop)))))
+
+
+def meets(margins: Margins, needs: Requirements) -> npt.NDArray[np.bool_]:
+    """(p,) True where a loop keeps phase margin, gain margin and peak sensitivity."""
+    return np.asarray(
+        (margins.phase_margin_deg >= needs.phase_margin_deg)
+        & (margins.gain_margin_db >= needs.gain_margin_db)
+        & (margins.peak_sensitivity <= needs.peak_sensitivity)
+    )
 
 
 def flown(plant: LoopPlant, controller: CascadeGains | StateFeedback, reference: FloatArray,

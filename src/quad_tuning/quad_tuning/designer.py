@@ -15,7 +15,7 @@ from quad_sysid.errors import QuadSysidError
 from quad_sysid.loop.from_model import loop_plant, not_in_the_loop
 from quad_sysid.model import AxisModel, GainProposal
 from quad_tuning import ensemble as ensembles
-from quad_tuning.assess import assess, promise
+from quad_tuning.assess import Requirements, assess, promise
 from quad_tuning.bounds import (
     BAND_REACH,
     DESIGNED,
@@ -26,7 +26,6 @@ from quad_tuning.bounds import (
     told,
 )
 from quad_tuning.errors import DesignRefusedError, QuadTuningError
-from quad_tuning.objective import Requirements
 from quad_tuning.pid import PidDesign, retune
 from quad_tuning.way import along, sag_settings, scheduled, way_to
 

@@ -22,12 +22,11 @@ from quad_sysid.loop.from_model import loop_plant
 from quad_sysid.loop.plant import LoopPlant, slopes_at
 from quad_sysid.model import AxisModel
 from quad_tuning import ensemble as ensembles
-from quad_tuning.assess import assess, promise
+from quad_tuning.assess import Requirements, assess, meets, promise
 from quad_tuning.bounds import BOUNDS, check_band, check_model, flown_gains
 from quad_tuning.designer import LARGEST_LOSS_PCT, SEED
 from quad_tuning.ensemble import AMPLITUDES, Ensemble
 from quad_tuning.errors import DesignRefusedError
-from quad_tuning.objective import Requirements, meets
 from quad_tuning.state_feedback import PARAMETERS, StateFeedback, beside
 from quad_tuning.way import least_on_the_way
 

@@ -3,9 +3,9 @@
 The objective is the tracking error of a square wave, with small shares of the deviation under a
 torque step and of the noise at the motors, each relative to the flown gains; the margins of all
 loops of the ensemble are constraints. A grid over all gains is judged at once on the binding loops
-(linear tracking by Parseval's theorem, margins), its best points by the whole objective
-(objective.py). SLSQP continues from those that lie apart; violated loops are added as constraints
-until all hold (cutting planes). Deterministic.
+(linear tracking by Parseval's theorem, margins), its best points by the whole objective. SLSQP
+continues from those that lie apart; violated loops are added as constraints until all hold
+(cutting planes). Deterministic. assess.py has the figures.
 """
 
 from __future__ import annotations
@@ -19,14 +19,31 @@ import numpy.typing as npt
 from scipy.optimize import minimize
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.loop.cascade import CascadeGains, margins
+from quad_sysid.loop.cascade import CONTRACT_NAMES, CascadeGains, margins
 from quad_sysid.loop.plant import ComplexArray, LoopPlant
-from quad_tuning.assess import SQUARE_HALF_PERIOD_S, LoopFigures, assess
-from quad_tuning.bounds import DESIGNED
+from quad_tuning.assess import (
+    SQUARE_HALF_PERIOD_S,
+    LoopFigures,
+    Requirements,
+    assess,
+    disturbance,
+    meets,
+    noise_gain,
+    reference_square,
+    tracking,
+)
+from quad_tuning.bounds import BOUNDS, DESIGNED, check_bounds
 from quad_tuning.ensemble import Ensemble
 from quad_tuning.errors import DesignRefusedError
-from quad_tuning.objective import Problem, Requirements, pose
 
+REACH = 16.0
+"""Largest factor between flown and new gain; the bounds apply too."""
+POWERS = {'rate_ki': 3.0, 'rate_kd': 2.0}
+"""Power of the cube's coordinate for gains that may be 0; the others are logarithmic."""
+DISTURBANCE_SHARE, NOISE_SHARE = 0.05, 0.005
+"""Shares of the objective beside the tracking, each figure relative to the flown gains."""
+NOMINAL = 4
+"""Number of nominal requirements: overshoot, noise, crossover, disturbance."""
 GRID = (9, 14, 3, 7, 3)
 """Points along angle kp, rate kp, ki, kd and the filter of D."""
 KI_SHARES, KD_SHARES = (0.15, 0.6), (0.08, 0.8)
@@ -46,6 +63,105 @@ ROUNDS = 6
 INFEASIBLE = 0.005
 """Relative violation after a search from which no further round is tried."""
 CHUNK = 256
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Everything that is constant during a search."""
+
+    plant: LoopPlant
+    active: CascadeGains
+    ensemble: Ensemble
+    nominal: Ensemble
+    needs: Requirements
+    reference: FloatArray
+    scale: tuple[float, float, float]
+    low: FloatArray
+    high: FloatArray
+
+    def gains(self, x: FloatArray) -> CascadeGains:
+        """Gains at a point (5,) of the unit cube."""
+        values = {}
+        for field, share, low, high in zip(DESIGNED, np.clip(x, 0.0, 1.0), self.low, self.high,
+                                           strict=True):
+            power = POWERS.get(field)
+            values[field] = float(low * (high / low) ** share if power is None
+                                  else low + share**power * (high - low))
+        return replace(self.active, **values)
+
+    def point(self, gains: CascadeGains) -> FloatArray:
+        """The point (5,) of the unit cube for `gains`, clipped to it."""
+        values = np.array([getattr(gains, field) for field in DESIGNED])
+        shares = []
+        for field, value, low, high in zip(DESIGNED, values, self.low, self.high, strict=True):
+            power = POWERS.get(field)
+            if power is None:
+                width = np.log(high / low)
+                shares.append(np.log(max(value, 1e-12) / low) / width if width > 0.0 else 0.0)
+            else:
+                shares.append(max((value - low) / (high - low), 0.0) ** (1.0 / power))
+        return np.asarray(np.clip(np.array(shares), 0.0, 1.0))
+
+    def value(self, gains: CascadeGains) -> tuple[float, FloatArray]:
+        """The objective, and the nominal constraints (4,), satisfied where >= 0."""
+        rms, beyond = tracking(self.plant, gains, self.reference)
+        push = disturbance(self.plant, gains) / self.scale[1]
+        noise = noise_gain(gains, self.nominal) / self.scale[2]
+        value = rms / self.scale[0] + DISTURBANCE_SHARE * push + NOISE_SHARE * noise
+        if not np.isfinite(value):
+            return 1e3, np.full(NOMINAL, -1.0)
+        highest = self.needs.highest_crossover_rad_s
+        crossover = float('nan')
+        if np.isfinite(highest):
+            crossover = float(self.nominal.margins(gains).crossover_rad_s[0])
+        kept = [(self.needs.overshoot_pct - beyond) / 100.0, 1.0 - noise / self.needs.noise_factor,
+                1.0 if np.isnan(crossover) else 1.0 - crossover / highest,
+                1.0 - push / self.needs.disturbance_factor]
+        return float(value), np.clip(kept, -1.0, 1.0)
+
+    def room(self, loops: Ensemble, gains: CascadeGains) -> FloatArray:
+        """(3 p,) relative margin of every loop to each requirement, satisfied where >= 0.
+
+        It has a slope everywhere up to instability, so that a search can start anywhere.
+        """
+        m, needs = loops.margins(gains), self.needs
+        return np.concatenate(
+            [np.clip(m.phase_margin_deg / needs.phase_margin_deg - 1.0, -1.0, 1.0),
+             np.clip(m.gain_margin_db / needs.gain_margin_db - 1.0, -1.0, 1.0),
+             np.clip(needs.peak_sensitivity / m.peak_sensitivity - 1.0, -1.0, 1.0)]
+        )
+
+    def holds(self, gains: CascadeGains) -> bool:
+        """Whether every loop of the ensemble keeps its margins and is stable."""
+        kept = meets(self.ensemble.margins(gains), self.needs).all()
+        return bool(kept and not self.ensemble.unstable(gains).any())
+
+
+def pose(plant: LoopPlant, active: CascadeGains, ensemble: Ensemble, needs: Requirements,
+         fixed: Collection[str] = ()) -> Problem:
+    """The problem of one axis; raises DesignRefusedError where the flown loop diverges.
+
+    `fixed` are fields of CascadeGains that do not change.
+    """
+    check_bounds({f'flown.{CONTRACT_NAMES[f]}': getattr(active, f) for f in DESIGNED})
+    low, high = [], []
+    for field in DESIGNED:
+        bound, value = BOUNDS[CONTRACT_NAMES[field]], getattr(active, field)
+        if field in fixed:
+            low.append(value)
+            high.append(value)
+            continue
+        free = field in POWERS
+        low.append(bound.lower if free else max(bound.lower, value / REACH))
+        high.append(bound.upper if free else min(bound.upper, value * REACH))
+    reference = reference_square(plant.dt)
+    nominal = ensemble.subset(np.flatnonzero(ensemble.nominal)[:1])
+    scale = (tracking(plant, active, reference)[0], disturbance(plant, active),
+             noise_gain(active, nominal))
+    if not np.isfinite(scale).all():
+        raise DesignRefusedError('the simulated loop diverges with these gains; identify again')
+    return Problem(plant, active, ensemble, nominal, needs, reference, scale,
+                   np.array(low), np.array(high))
 
 
 def search(problem: Problem) -> list[tuple[float, FloatArray]]:

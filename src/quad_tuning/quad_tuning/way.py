@@ -15,11 +15,11 @@ import numpy as np
 
 from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.model import AxisModel
+from quad_tuning.assess import Requirements, meets
 from quad_tuning.bounds import BOUNDS, DESIGNED, reachable, steps_to
 from quad_tuning.ensemble import Ensemble
 from quad_tuning.errors import DesignRefusedError
 from quad_tuning.gain_table import LARGEST_FACTOR
-from quad_tuning.objective import Requirements, meets
 
 SLACK = 0.85
 """A step must keep this share of the flown gains' margins, or FOR_SECONDS, whichever is less."""
