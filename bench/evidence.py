@@ -22,12 +22,11 @@ from numba import njit
 from scipy.signal import lfilter
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.discover.screen import coordinates
 from quad_sysid.effects import EFFECTS
 from quad_sysid.estimate.fit import Fit, Problem, fit, start_of
 from quad_sysid.model.data import AxisData, axis_alone
 from quad_sysid.model.effect import Part
-from quad_sysid.model.structure import Structure
+from quad_sysid.model.structure import Structure, coordinates
 
 DT, SECONDS, SUBSTEPS = 0.01, 25.0, 10
 NAMES = ('coulomb_friction', 'quadratic_drag', 'dead_zone')
@@ -81,7 +80,8 @@ def fits(data: AxisData) -> list[Fit]:
         part = Part(effect, {})
         structure, best = Structure((part,)), None
         for start in effect.starts(data, {}):
-            theta = np.r_[base.theta[:5], coordinates(part, start), base.theta[5:]]
+            own = coordinates(part.effect.parameters, start)
+            theta = np.r_[base.theta[:5], own, base.theta[5:]]
             try:
                 one = fit(problem, structure, theta, rate=base.rate)
             except (FloatingPointError, np.linalg.LinAlgError):

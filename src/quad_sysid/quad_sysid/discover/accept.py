@@ -8,9 +8,9 @@ true, the bet's expectation is at most 1, whatever the noise is.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from scipy.linalg import toeplitz
@@ -18,11 +18,11 @@ from scipy.linalg import toeplitz
 from quad_sysid.contract import FloatArray
 from quad_sysid.discover.base import fit_without, fitted_from
 from quad_sysid.discover.search import Found
-from quad_sysid.estimate.fit import Fit, Problem, Tail
+from quad_sysid.estimate.fit import Fit, Problem
+from quad_sysid.estimate.stored import Stored
 from quad_sysid.model.data import AxisData, Windows
 from quad_sysid.model.noise import growth
 from quad_sysid.model.plant import Prediction
-from quad_sysid.model.structure import Structure
 
 BLOCK_S = 0.5
 """Length of the blocks in which predictive log-likelihoods are compared."""
@@ -85,20 +85,8 @@ class Verdict:
     """For each chosen effect its alternatives with their probabilities."""
 
 
-class Fitted(Protocol):
-    """A model that predicts: a fit or a stored model."""
-
-    @property
-    def structure(self) -> Structure:
-        """The base and its effects."""
-
-    @property
-    def theta(self) -> FloatArray:
-        """(p,) in the coordinates of the fit."""
-
-    @property
-    def tail(self) -> Tail:
-        """Distribution of the innovations."""
+Fitted = Fit | Stored
+"""A model that predicts."""
 
 
 class Unseen:
@@ -176,12 +164,7 @@ def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
     if best is not base:
         e_value = bet(unseen.log_likelihood(best) - unseen.log_likelihood(base))
     better = e_value * LEVEL >= 1.0 and rms(unseen.errors(best)) < rms(unseen.errors(base))
-    return _verdict(problem, found, unseen, base, best if better else base, e_value)
-
-
-def _verdict(
-    problem: Problem, found: Found, unseen: Unseen, base: Fit, chosen: Fit, e_value: float
-) -> Verdict:
+    chosen = best if better else base
     before, after = rms(unseen.errors(base)), rms(unseen.errors(chosen))
     parts = chosen.structure.parts
     rest: list[Fit | None] = [base]
@@ -319,10 +302,11 @@ def _posterior(
         rest = own[:i] + own[i + 1 :]
         share: dict[str, float] = {}
         for scored, weight in zip(found.all, p, strict=True):
-            left = list(scored.names)
-            if all(_taken(left, one) for one in rest):
-                for one in set(left) or {'nothing'}:
-                    share[one] = share.get(one, 0.0) + float(weight) / max(len(set(left)), 1)
+            left = Counter(scored.names)
+            if left >= Counter(rest):
+                others = set(left - Counter(rest)) or {'nothing'}
+                for one in others:
+                    share[one] = share.get(one, 0.0) + float(weight) / len(others)
         least = LEAST_REPORTED * sum(share.values())
         share = {one: v for one, v in share.items() if one == name or v > least}
         total = sum(share.values()) or 1.0
@@ -331,10 +315,3 @@ def _posterior(
             ((one, v / total) for one, v in share.items()), key=lambda item: -item[1]
         )))
     return tuple(probabilities), tuple(rivals)
-
-
-def _taken(names: list[str], name: str) -> bool:
-    if name not in names:
-        return False
-    names.remove(name)
-    return True

@@ -9,7 +9,6 @@ import numpy as np
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.discover.screen import vibration_line
-from quad_sysid.effects.couplings import is_measured
 from quad_sysid.estimate.fit import MOST_STEPS, Fit, Problem, fit, start_of
 from quad_sysid.model.data import other_axis
 from quad_sysid.model.plant import Flight
@@ -51,12 +50,12 @@ def best_base(problem: Problem) -> Fit:
 
 
 def fitted_from(
-    problem: Problem, structure: Structure, start: FloatArray, *, rate: FloatArray | None = None,
+    problem: Problem, structure: Structure, *starts: FloatArray, rate: FloatArray | None = None,
     most_steps: int = MOST_STEPS, still: tuple[int, ...] = (),
 ) -> Fit | None:
-    """A fit from `start`, as `estimate.fit.fit`; None where it diverges."""
+    """A fit from the best of `starts`, as `estimate.fit.fit`; None where it diverges."""
     try:
-        return fit(problem, structure, start, rate=rate, most_steps=most_steps, still=still)
+        return fit(problem, structure, *starts, rate=rate, most_steps=most_steps, still=still)
     except (FloatingPointError, np.linalg.LinAlgError):
         return None
 
@@ -87,7 +86,7 @@ def shares(problem: Problem, fitted: Fit, base: Fit, which: int) -> bool:
     The other axis' disturbance is the acceleration that its own base does not explain. Its fit
     starts from this axis' `base`, since motors and gyro are the same.
     """
-    if not is_measured(problem.data, which):
+    if not problem.data.measures(which):
         return False
     data = other_axis(problem.data, which)
     other = fitted_from(Problem(data, data.train), base.structure, base.theta)

@@ -6,7 +6,6 @@ explain of the innovations beyond these, under their prior. It only chooses what
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -14,11 +13,11 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.effects.curves import per_unit
 from quad_sysid.estimate.fit import Fit, Problem
 from quad_sysid.model import recursion
-from quad_sysid.model.effect import Effect, Part, required
+from quad_sysid.model.effect import Effect, Part, per_unit, required
 from quad_sysid.model.plant import per_coefficient
+from quad_sysid.model.structure import coordinates, natural
 
 STEP = 1e-4
 PER_NONLINEAR = 2.0
@@ -87,14 +86,6 @@ def vibration_line(problem: Problem, fitted: Fit) -> float | None:
     return float(frequency[int(np.argmax(smooth))])
 
 
-def coordinates(part: Part, values: FloatArray) -> FloatArray:
-    """Parameters in their units as coordinates of the fit."""
-    return np.array([
-        math.log(max(v, 1e-12)) if spec.log else v
-        for spec, v in zip(part.effect.parameters, values, strict=True)
-    ])
-
-
 def screen(problem: Problem, fitted: Fit, parts: Sequence[Part]) -> list[Score]:
     """The best start and score of each candidate, best first."""
     beside = _Beside(problem, fitted)
@@ -154,7 +145,7 @@ class _Beside:
             yield batch
 
     def _block(self, part: Part, start: FloatArray) -> _Block:
-        effect, p = part.effect, coordinates(part, start)
+        effect, p = part.effect, coordinates(part.effect.parameters, start)
         if effect.wanders:
             return _Block(part, p, [], [per_coefficient(part, self.signals, start)])
         linear = [
@@ -163,8 +154,7 @@ class _Beside:
             and (spec.spread is None or (spec.centre == 0.0 and spec.name != 'time'))
         ]
         if not effect.moves_command:
-            logs = np.array([s.log for s in effect.parameters])
-            at = np.where(logs, np.exp(np.where(logs, p, 0.0)), p)
+            at = natural(effect.parameters, p)
             own = self.problem.flight.hidden(part, self.signals, at)
             return _Block(part, p, linear, effect.columns(own, at, linear, part.settings).T)
         if not linear:

@@ -117,17 +117,7 @@ class _Search:
         structure = parent.structure.plus(one.part)
         base = parent.theta.size - len(parent.structure.noise)
         starts = [np.r_[parent.theta[:base], start, parent.theta[base:]] for start in one.starts]
-        if len(starts) > 1:
-            tried = [
-                fitted_from(self.problem, structure, start, rate=parent.rate, most_steps=0)
-                for start in starts
-            ]
-            starts = [
-                max((f for f in tried if f), key=lambda f: f.log_posterior).theta
-            ] if any(tried) else []
-        if not starts:
-            return None
-        return fitted_from(self.problem, structure, starts[0], rate=parent.rate)
+        return fitted_from(self.problem, structure, *starts, rate=parent.rate)
 
     def keep(self, fitted: Fit) -> Scored:
         """Store a fit with its score, log evidence plus log prior."""
@@ -214,7 +204,7 @@ def _unlike(ordered: Sequence[Scored]) -> list[Scored]:
     """The best of each set of names, since two smoothnesses of a curve are one explanation."""
     out: dict[tuple[str, ...], Scored] = {}
     for one in ordered:
-        out.setdefault(tuple(sorted(p.effect.name for p in one.fit.structure.parts)), one)
+        out.setdefault(one.names, one)
     return list(out.values())
 
 

@@ -1,4 +1,4 @@
-"""The effects that a base may lack: one class for each, one list of all.
+"""The effects that a base may lack: rows of tables and classes, in one list.
 
 Other packages add theirs by the entry point group `quad_sysid.effects`: each entry is a sequence
 of model.effect.Effect.
@@ -7,11 +7,10 @@ of model.effect.Effect.
 from importlib.metadata import entry_points
 
 from quad_sysid.effects.actuators import ACTUATORS
-from quad_sysid.effects.couplings import COUPLINGS
 from quad_sysid.effects.curves import CURVES
 from quad_sysid.effects.events import EVENTS
 from quad_sysid.effects.hidden import HIDDEN
-from quad_sysid.effects.torques import TORQUES
+from quad_sysid.effects.torques import COUPLINGS, TORQUES
 from quad_sysid.effects.wandering import WANDERING
 from quad_sysid.model.checked import checked
 from quad_sysid.model.effect import Effect

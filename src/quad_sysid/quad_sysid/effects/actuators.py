@@ -9,63 +9,156 @@ from dataclasses import replace
 import numpy as np
 
 from quad_sysid.contract import MIXER_INVERSE, FloatArray
-from quad_sysid.effects.couplings import over_training
+from quad_sysid.effects.hidden import RING, followed, ring, step_of
+from quad_sysid.effects.torques import Row
 from quad_sysid.model import recursion
 from quad_sysid.model.data import AxisData
-from quad_sysid.model.effect import Drive, Dynamics, Effect, Settings, Signals, Spec, required
+from quad_sysid.model.effect import (
+    Drive,
+    Dynamics,
+    Effect,
+    Settings,
+    Signals,
+    Spec,
+    required,
+)
 
 MOVES = 0.02
 """Share of its mean by which a signal must move for its effect to show."""
 LIGHT = 0.3
 """Damping ratio up to which a mode counts as lightly damped."""
+NO_MOTORS = 'the bag holds no motor commands'
+
+
+def moves(data: AxisData) -> bool:
+    """Whether the motors' commands move during training."""
+    return bool(np.ptp(data.training(data.motors)) >= 1e-6)
 
 
 def along(
     data: AxisData, signal: FloatArray, kernel: Callable[..., None], *numbers: float
 ) -> FloatArray:
     """(n,) a compiled kernel with memory, run along each unbroken stretch of a signal (n,)."""
+    signal = np.ascontiguousarray(signal)
     out = np.array(signal, dtype=float)
     for start, stop in data.stretches:
         kernel(signal, *numbers, start, stop, out)
     return out
 
 
-class DeadZone(Effect):
-    """Small commands have no effect."""
+class Map(Row):
+    """A map of the command; of every motor's command where it depends on the motors.
 
-    name = 'dead_zone'
-    signals = ('command',)
+    Its law takes the data, the command (n,) or those of the motors (4, n), and the parameters;
+    `mode`, where it is linear with memory, gives its Dynamics from the parameters.
+    """
+
     term = 'command'
-    parameters = (
-        Spec('half_width', '1', spread=2.0, centre=math.log(0.003), log=True,
-             starts=(0.0003, 0.001, 0.003, 0.01)),
-    )
-    physics = 'sign(u) max(|u| - w, 0): the motors do not answer to small commands'
-    excite = 'small commands around zero: a multisine of small amplitude'
+    mode: Callable[[FloatArray], Dynamics] | None = None
 
     def command(
         self, data: AxisData, command: FloatArray, p: FloatArray, settings: Settings
     ) -> FloatArray:
-        return np.sign(command) * np.maximum(np.abs(command) - p[0], 0.0)
+        if 'motors' not in self.signals:
+            return self.law(data, command, p)
+        motors = data.motors.T
+        return command + MIXER_INVERSE[data.index + 1] @ (self.law(data, motors, p) - motors)
+
+    def dynamics(self, p: FloatArray) -> Dynamics | None:
+        return None if self.mode is None else self.mode(p)
 
 
-class Backlash(Effect):
-    """Play between the command and the torque."""
+def _slew(data: AxisData, motors: FloatArray, p: FloatArray) -> FloatArray:
+    step = float(p[0]) * data.dt
+    return np.stack([along(data, m, recursion.slew, step) for m in motors])
 
-    name = 'backlash'
-    signals = ('command', 'history')
-    term = 'command'
-    parameters = (
-        Spec('half_width', '1', spread=2.0, centre=math.log(0.003), log=True,
-             starts=(0.0003, 0.001, 0.003, 0.01)),
-    )
-    physics = 'play of +-w between command and torque'
-    excite = 'small slow reversals of the command'
 
-    def command(
-        self, data: AxisData, command: FloatArray, p: FloatArray, settings: Settings
-    ) -> FloatArray:
-        return along(data, command, recursion.play, float(p[0]))
+def lagged(data: AxisData, command: FloatArray, tau: float) -> FloatArray:
+    """(n,) a held command after a first-order lag of `tau` s, mean over each cycle."""
+    keep = math.exp(-data.dt / tau)
+    a, b = np.array([[keep]]), np.array([1.0 - keep])
+    out = command[None, :].copy()
+    followed(data.stretches, command, a, b, out)
+    return command + (out[0] - command) * (tau / data.dt * (1.0 - keep))
+
+
+def _ringing(data: AxisData, command: FloatArray, p: FloatArray) -> FloatArray:
+    """Command plus the response of a lightly damped mode at mid-cycle."""
+    system = ring(min(float(p[0]), 0.4 / data.dt), min(float(p[1]), LIGHT))
+    x = np.stack([command, np.zeros_like(command)])
+    followed(data.stretches, command, *step_of(*system, data.dt), x)
+    a, b = step_of(*system, 0.5 * data.dt)
+    z = a @ x + b[:, None] * command
+    return command + p[2] * z[0] + p[3] * z[1]
+
+
+HALF_WIDTH = (
+    Spec('half_width', '1', spread=2.0, centre=math.log(0.003), log=True,
+         starts=(0.0003, 0.001, 0.003, 0.01)),
+)
+MAPS = (
+    Map(
+        'dead_zone', ('command',), HALF_WIDTH,
+        lambda _, u, p: np.sign(u) * np.maximum(np.abs(u) - p[0], 0.0),
+        physics='sign(u) max(|u| - w, 0): the motors do not answer to small commands',
+        excite='small commands around zero: a multisine of small amplitude',
+    ),
+    Map(
+        'backlash', ('command', 'history'), HALF_WIDTH,
+        lambda data, u, p: along(data, u, recursion.play, float(p[0])),
+        physics='play of +-w between command and torque',
+        excite='small slow reversals of the command',
+    ),
+)
+SLOW_MAPS = (
+    Map(
+        'shape:lag:command', ('command', 'motors', 'history'),
+        (
+            Spec('slew', '1/s', spread=1.5, centre=math.log(3.0), log=True,
+                 starts=(0.5, 1.5, 4.0, 10.0)),
+        ),
+        _slew, kind='shape', variant='slew limit', term='response',
+        physics='the command of a motor changes by at most so much a second',
+        excite='large steps of the command',
+    ),
+    Map(
+        'shape:gain:command', ('command', 'motors'),
+        (
+            Spec('step', '1', spread=1.5, centre=math.log(0.01), log=True,
+                 starts=tuple(np.geomspace(0.002, 0.06, 15))),
+        ),
+        lambda _, motors, p: np.round(motors / p[0]) * p[0], kind='shape', variant='steps',
+        physics='motors take their command in whole steps', excite='slow small commands',
+    ),
+    Map(
+        'mode', ('command', 'history'),
+        (
+            Spec('time_constant', 's', spread=1.0, centre=math.log(0.02), log=True,
+                 starts=(0.01, 0.03, 0.1)),
+        ),
+        lambda data, u, p: lagged(data, u, max(float(p[0]), 1e-5)),
+        mode=lambda p: Dynamics(lag_s=float(p[0])), kind='mode', variant='second lag',
+        term='response', physics='a second first-order lag between command and torque',
+        excite='a PRBS that reaches beyond 1 / lag',
+    ),
+    Map(
+        'resonance', ('command', 'history'),
+        (
+            Spec('frequency', 'Hz', spread=0.8, centre=math.log(5.0), log=True,
+                 starts=tuple(np.geomspace(1.5, 16.0, 12))),
+            Spec('damping_ratio', '1', spread=0.7, centre=math.log(0.06), log=True,
+                 starts=(0.06,)),
+            # at its peak a mode adds half of what is commanded: share / (2 damping ratio)
+            Spec('in_phase', '1', spread=0.06), Spec('quadrature', '1', spread=0.06),
+        ),
+        _ringing, term='response',
+        mode=lambda p: Dynamics(
+            0.0, 2.0 * math.pi * float(p[0]), min(float(p[1]), LIGHT), float(p[2]), float(p[3])
+        ),
+        physics=f"{RING} u; adds in_phase z + quadrature z'/w to the command",
+        excite='a chirp or PRBS through the mode',
+    ),
+)
 
 
 class BatterySag(Effect):
@@ -79,9 +172,10 @@ class BatterySag(Effect):
     excite = 'a long flight, or throttle changes, so that the voltage moves by 5 % or more'
 
     def prepare(self, data: AxisData) -> Settings | str:
-        if data.battery_v is None:
-            return 'the bag holds no battery voltage'
-        used = over_training(data, data.battery_v)
+        volts = data.signal('battery')
+        if isinstance(volts, str):
+            return volts
+        used = data.training(volts)
         if np.ptp(used) < 0.002 * np.mean(used):
             return f'the voltage moves by {np.ptp(used):.3f} V only; fly longer'
         return {'reference_v': float(np.mean(used))}
@@ -104,11 +198,11 @@ class ThrustCurve(Effect):
     excite = 'throttle changes during the excitation, or large commands on two axes at once'
 
     def prepare(self, data: AxisData) -> Settings | str:
-        throttle = over_training(data, data.control[:, 0])
-        others = [over_training(data, data.control[:, i + 1]) for i in range(3) if i != data.index]
+        throttle = data.training(data.control[:, 0])
+        others = [data.training(data.control[:, i + 1]) for i in range(3) if i != data.index]
         mean = float(np.mean(throttle))
         product = float(np.std(others[0] * others[1]))
-        command = float(np.std(over_training(data, data.command)))
+        command = float(np.std(data.training(data.command)))
         if np.std(throttle) < MOVES * mean and product < MOVES * command:
             return f'the throttle stays at {mean:.2f}; fly with throttle changes'
         return {'throttle': mean}
@@ -118,10 +212,7 @@ class ThrustCurve(Effect):
         # follows the same lag where the command is (1 - k) u + k (2 u m - m²)
         k, tau = p[0], float(drive.lag[0, 0])
         u = data.motors.T
-        m = np.stack([
-            along(data, np.ascontiguousarray(one), recursion.first_order, tau, data.dt)
-            for one in u
-        ])
+        m = np.stack([lagged(data, one, tau) for one in u])
         slope = max(1.0 - k + 2.0 * k * float(settings['throttle']), 1e-3)
         row = MIXER_INVERSE[data.index + 1]
         bent = (row @ (k * (2.0 * u * m - m * m - u)) + drive.commands[0]) / slope
@@ -131,52 +222,28 @@ class ThrustCurve(Effect):
         return {'throttle': float(settings['throttle'])}
 
 
-class Motors(Effect):
-    """A map of the motors' commands (4, n), which subclasses give."""
-
-    term = 'command'
-
-    def map(
-        self, data: AxisData, motors: FloatArray, p: FloatArray, settings: Settings
-    ) -> FloatArray:
-        """(4, n) commands after the effect."""
-        raise NotImplementedError
-
-    def command(
-        self, data: AxisData, command: FloatArray, p: FloatArray, settings: Settings
-    ) -> FloatArray:
-        m = data.motors.T
-        lost = self.map(data, m, p, settings) - m
-        return command + MIXER_INVERSE[data.index + 1] @ lost
-
-
-class Saturation(Motors):
+class Saturation(Map):
     """Each motor command is limited on one side."""
 
-    name = 'saturation'
-    signals = ('command', 'motors')
-    physics = 'clip(m, lower, upper): the motors stop short of what is commanded'
-    excite = 'large commands: a square wave of large amplitude'
-
     def __init__(self, side: str) -> None:
-        self.variant = side
-        self.parameters = (Spec(side, '1', spread=0.3, centre=1.0 if side == 'upper' else 0.0),)
+        limit, centre = (np.minimum, 1.0) if side == 'upper' else (np.maximum, 0.0)
+        super().__init__(
+            'saturation', ('command', 'motors'), (Spec(side, '1', spread=0.3, centre=centre),),
+            lambda _, motors, p: limit(motors, p[0]), variant=side,
+            physics='clip(m, lower, upper): the motors stop short of what is commanded',
+            excite='large commands: a square wave of large amplitude',
+        )
 
     def prepare(self, data: AxisData) -> Settings | str:
-        motors = over_training(data, data.motors)
-        if np.ptp(motors) < 1e-6:
-            return 'the bag holds no motor commands'
+        if not moves(data):
+            return NO_MOTORS
+        motors = data.training(data.motors)
         return {'lowest': float(motors.min()), 'highest': float(motors.max())}
 
     def starts(self, data: AxisData, settings: Settings) -> Sequence[FloatArray]:
-        motors = over_training(data, data.motors)
+        motors = data.training(data.motors)
         shares = (99.0, 95.0, 85.0) if self.variant == 'upper' else (1.0, 5.0, 15.0)
         return [np.array([value]) for value in np.percentile(motors, shares)]
-
-    def map(
-        self, data: AxisData, motors: FloatArray, p: FloatArray, settings: Settings
-    ) -> FloatArray:
-        return np.minimum(motors, p[0]) if self.variant == 'upper' else np.maximum(motors, p[0])
 
     def readable(self, p: FloatArray, settings: Settings) -> dict[str, tuple[float, str]]:
         upper = self.variant == 'upper'
@@ -191,50 +258,6 @@ class Saturation(Motors):
     def usual(self, p: FloatArray, settings: Settings) -> Mapping[str, float]:
         # in the middle of the motors' limits: as far to either side
         return {'throttle': 0.5 * float(p[0] + (0.0 if self.variant == 'upper' else 1.0))}
-
-
-class SlewLimit(Motors):
-    """The rate of change of each motor command is limited."""
-
-    name = 'shape:lag:command'
-    kind = 'shape'
-    variant = 'slew limit'
-    signals = ('command', 'motors', 'history')
-    term = 'response'
-    parameters = (
-        Spec('slew', '1/s', spread=1.5, centre=math.log(3.0), log=True,
-             starts=(0.5, 1.5, 4.0, 10.0)),
-    )
-    physics = 'the command of a motor changes by at most so much a second'
-    excite = 'large steps of the command'
-
-    def map(
-        self, data: AxisData, motors: FloatArray, p: FloatArray, settings: Settings
-    ) -> FloatArray:
-        step = float(p[0]) * data.dt
-        return np.stack([
-            along(data, np.ascontiguousarray(m), recursion.slew, step) for m in motors
-        ])
-
-
-class Steps(Motors):
-    """Each motor command is quantised."""
-
-    name = 'shape:gain:command'
-    kind = 'shape'
-    variant = 'steps'
-    signals = ('command', 'motors')
-    parameters = (
-        Spec('step', '1', spread=1.5, centre=math.log(0.01), log=True,
-             starts=tuple(np.geomspace(0.002, 0.06, 15))),
-    )
-    physics = 'motors take their command in whole steps'
-    excite = 'slow small commands'
-
-    def map(
-        self, data: AxisData, motors: FloatArray, p: FloatArray, settings: Settings
-    ) -> FloatArray:
-        return np.round(motors / p[0]) * p[0]
 
 
 class SlowShare(Effect):
@@ -290,12 +313,12 @@ class SlowMotor(Effect):
         self.variant = f'motor {motor + 1}'
 
     def prepare(self, data: AxisData) -> Settings | str:
-        own = over_training(data, data.command)
+        own = data.training(data.command)
         moving = [
-            np.std(over_training(data, data.control[:, i + 1])) > 0.05 * np.std(own)
+            np.std(data.training(data.control[:, i + 1])) > 0.05 * np.std(own)
             for i in range(3) if i != data.index
         ]
-        if np.ptp(over_training(data, data.motors)) < 1e-6 or not any(moving):
+        if not moves(data) or not any(moving):
             return 'the other axes hardly move, so no single motor can be told apart'
         return {}
 
@@ -321,72 +344,15 @@ class AsymmetricLag(Effect):
         self.variant = variant
 
     def prepare(self, data: AxisData) -> Settings | str:
-        if self.variant == 'motors' and np.ptp(over_training(data, data.motors)) < 1e-6:
-            return 'the bag holds no motor commands'
-        return {}
+        return NO_MOTORS if self.variant == 'motors' and not moves(data) else {}
 
     def actuate(self, data: AxisData, drive: Drive, p: FloatArray, settings: Settings) -> Drive:
         split = by_motor(data, drive) if self.variant == 'motors' else drive
         return replace(split, asymmetry=split.asymmetry + float(p[0]))
 
 
-class SecondLag(Effect):
-    """A second first-order lag in series with the motors."""
-
-    name = 'mode'
-    kind = 'mode'
-    variant = 'second lag'
-    signals = ('command', 'history')
-    term = 'response'
-    parameters = (
-        Spec('time_constant', 's', spread=1.0, centre=math.log(0.02), log=True,
-             starts=(0.01, 0.03, 0.1)),
-    )
-    physics = 'a second first-order lag between command and torque'
-    excite = 'a PRBS that reaches beyond 1 / lag'
-
-    def command(
-        self, data: AxisData, command: FloatArray, p: FloatArray, settings: Settings
-    ) -> FloatArray:
-        return along(data, command, recursion.first_order, max(float(p[0]), 1e-5), data.dt)
-
-    def dynamics(self, p: FloatArray) -> Dynamics | None:
-        return Dynamics(lag_s=float(p[0]))
-
-
-class Resonance(Effect):
-    """A lightly damped mode in parallel with the command."""
-
-    name = 'resonance'
-    signals = ('command', 'history')
-    term = 'response'
-    parameters = (
-        Spec('frequency', 'Hz', spread=0.8, centre=math.log(5.0), log=True,
-             starts=tuple(np.geomspace(1.5, 16.0, 12))),
-        Spec('damping_ratio', '1', spread=0.7, centre=math.log(0.06), log=True, starts=(0.06,)),
-        # at its peak a mode adds half of what is commanded: share / (2 damping ratio)
-        Spec('in_phase', '1', spread=0.06),
-        Spec('quadrature', '1', spread=0.06),
-    )
-    physics = "z'' + 2 d w z' + w² z = w² u; adds in_phase z + quadrature z'/w to the command"
-    excite = 'a chirp or PRBS through the mode'
-
-    def command(
-        self, data: AxisData, command: FloatArray, p: FloatArray, settings: Settings
-    ) -> FloatArray:
-        return along(
-            data, command, recursion.light_mode, 2.0 * math.pi * min(float(p[0]), 0.4 / data.dt),
-            min(float(p[1]), LIGHT), float(p[2]), float(p[3]), data.dt,
-        )
-
-    def dynamics(self, p: FloatArray) -> Dynamics | None:
-        return Dynamics(
-            0.0, 2.0 * math.pi * float(p[0]), min(float(p[1]), LIGHT), float(p[2]), float(p[3])
-        )
-
-
-ACTUATORS = (
-    DeadZone(), Backlash(), BatterySag(), ThrustCurve(), Saturation('upper'), Saturation('lower'),
+ACTUATORS: tuple[Effect, ...] = (
+    *MAPS, BatterySag(), ThrustCurve(), Saturation('upper'), Saturation('lower'),
     SlowShare(), *(SlowMotor(i) for i in range(4)), AsymmetricLag('motors'), AsymmetricLag('axis'),
-    SlewLimit(), Steps(), SecondLag(), Resonance(),
+    *SLOW_MAPS,
 )

@@ -10,13 +10,20 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.effects.couplings import clock, over_training, turns
-from quad_sysid.effects.torques import TRANSITION
 from quad_sysid.model.data import AxisData
-from quad_sysid.model.effect import Drive, Effect, Settings, Signals, Spec, required
+from quad_sysid.model.effect import (
+    TRANSITION,
+    UNITS,
+    Drive,
+    Effect,
+    Settings,
+    Signals,
+    Spec,
+    per_unit,
+    required,
+)
 
 SLOW_MOVES = 0.01
 """Share of its mean by which a slow signal must move to support a curve."""
@@ -31,39 +38,11 @@ KEPT = ('damping', 'delay')
 """Terms that have no sense below zero, where a slope may lead: the curve stays constant too."""
 BEYOND = 0.5
 """Share of the range by which other curves continue straight outside it."""
-UNITS = {'torque': 'rad/s²', 'gain': '1', 'damping': '1/s', 'lag': '1', 'delay': 's',
-         'friction': 'rad/s²'}
 ACTS_ON: dict[str, tuple[str, ...]] = {
     'torque': (), 'gain': ('command',), 'damping': ('rate',), 'friction': ('rate',),
     'lag': ('command',), 'delay': ('command',),
 }
 """Term → the signal that its acceleration is proportional to."""
-MISSING = {'angle': 'orientation', 'battery': 'battery voltage'}
-"""What the bag lacks if a signal is absent."""
-
-
-def measured(data: AxisData, name: str) -> FloatArray | str:
-    """(n,) a signal before the fit, for the range of its knots; or a text: why it is unusable."""
-    column = int(name[-1]) - 1 if name.startswith('other') else 0
-    if name.startswith('other rate'):
-        return turns(data, column) or np.nan_to_num(data.other_rates[:, column])
-    if name.startswith('other angle'):
-        lean = data.other_angles
-        return 'the bag holds no orientation' if lean is None else lean[:, column]
-    others = [i for i in range(3) if i != data.index]
-    if name.startswith('other command'):
-        signal = data.control[:, others[column] + 1]
-        if np.std(over_training(data, signal)) < 0.05 * np.std(over_training(data, data.command)):
-            return f'{name} hardly moves'
-        return signal
-    known: dict[str, FloatArray | None] = {
-        'time': clock(data),
-        'angle': data.angle, 'battery': data.battery_v, 'rate': data.rate,
-        'command': data.command, 'throttle': data.control[:, 0],
-    }
-    found = known[name]
-    return f'the bag holds no {MISSING[name]}' if found is None else found
-
 
 def signal_of(s: Signals, name: str) -> FloatArray:
     """A signal in a matrix's word for it, along a flight or in a free run."""
@@ -83,37 +62,37 @@ def shape_name(term: str, signal: str) -> str:
     return f'shape:{kind}' if term in ('torque', 'friction') else f'shape:{term}:{kind}'
 
 
-def per_unit(
-    term: str, s: Signals, transition: float = float(np.exp(TRANSITION.centre))
-) -> FloatArray:
-    """Acceleration per unit of a change of one term, rad/s² per its unit in UNITS."""
-    if term == 'gain':
-        return s.drive
-    if term == 'damping':
-        return -s.rate
-    if term == 'delay':
-        return -s.change
-    if term == 'lag':  # of a change that is slow beside the lag itself
-        return s.drive - s.command
-    if term == 'friction':
-        return -np.tanh(s.rate / max(transition, 1e-4))
-    return np.ones_like(s.rate)
-
-
-class Curve(Effect):
-    """One term of the base as a curve of one signal."""
+class Shape(Effect):
+    """A term of the base that varies with a signal, in the words of AxisData.signal."""
 
     kind = 'shape'
 
-    def __init__(self, term: str, signal: str, smoothness: str) -> None:
-        self.term, self.signal, self.variant = term, signal, smoothness
-        self.name = shape_name(term, signal)
+    def shaped(self, term: str, signal: str, how: str, *more: str) -> None:
+        """Take the names that follow from term, signal and how the term follows it."""
+        self.term, self.signal, self.name = term, signal, shape_name(term, signal)
+        words = [how]
         if signal.startswith('other'):
-            self.variant += f' {signal[-1]}'
+            words.append(signal[-1])
             self.others = (int(signal[-1]) - 1,)
-        if term == 'friction':
-            self.variant += ' friction'
-        self.signals = (signal, *ACTS_ON[term])
+        self.variant = ' '.join([*words, *(['friction'] if term == 'friction' else [])])
+        self.signals = (signal, *ACTS_ON[term], *more)
+
+    def known(self, data: AxisData) -> FloatArray:
+        """(n,) the signal of a flight that has it, as it was measured."""
+        found = data.signal(self.signal)
+        if isinstance(found, str):
+            raise ValueError(found)  # noqa: TRY004 - why this flight cannot be used
+        return found
+
+    def size(self, s: Signals, j: int, settings: Settings) -> FloatArray:
+        return per_unit(self.term, s)
+
+
+class Curve(Shape):
+    """One term of the base as a curve of one signal."""
+
+    def __init__(self, term: str, signal: str, smoothness: str) -> None:
+        self.shaped(term, signal, smoothness)
         self.count, self.length = {**SMOOTH, **DRIFT}[smoothness]
         spread = {'lag': 0.5, 'delay': 0.01}.get(term)
         self.parameters = tuple(
@@ -123,10 +102,10 @@ class Curve(Effect):
         self.excite = f'let {signal} cover its range while the axis is excited'
 
     def prepare(self, data: AxisData) -> Settings | str:
-        signal = measured(data, self.signal)
+        signal = data.signal(self.signal)
         if isinstance(signal, str):
             return signal
-        used = over_training(data, signal)
+        used = data.training(signal)
         low, high = np.nanpercentile(used, [0.5, 99.5])
         if self.signal in ('throttle', 'battery') and high - low < SLOW_MOVES * abs(high):
             return f'{self.signal} hardly moves during training'
@@ -150,31 +129,25 @@ class Curve(Effect):
             'knots': tuple(knots.tolist()), 'place': tuple(place.tolist()), 'mean': tuple(mean),
         }
 
-    def _between(
-        self, x: FloatArray, settings: Settings
-    ) -> tuple[NDArray[np.int64], FloatArray]:
-        """Index of the knot before each value, and the value's share (0..1) of the interval."""
+    def _at(self, x: FloatArray, y: FloatArray, settings: Settings) -> FloatArray:
+        """(n,) the curve through y (count,) at the knots, and a little beyond them straight on."""
         knots = np.array(settings['knots'])
         span = knots[-1] - knots[0]
         held = self.signal in HELD or self.term in KEPT
-        below = 0.0 if held else BEYOND
-        above = 1.0 if self.variant in DRIFT else below
-        x = np.clip(x, knots[0] - below * span, knots[-1] + above * span)
-        index = np.clip(np.searchsorted(knots, x, side='right') - 1, 0, knots.size - 2)
-        return index, (x - knots[index]) / (knots[index + 1] - knots[index])
+        below = 0.0 if held else BEYOND * span
+        above = span if self.variant in DRIFT else below
+        slopes = np.diff(y) / np.diff(knots)
+        places = np.array([knots[0] - below, *knots, knots[-1] + above])
+        values = np.array([y[0] - slopes[0] * below, *y, y[-1] + slopes[-1] * above])
+        return np.interp(x, places, values)
 
     def _along(self, x: FloatArray, p: FloatArray, settings: Settings) -> FloatArray:
         # less its mean over the training, so that the base's parameters keep their meaning
         y = p[: self.count] - float(np.dot(settings['mean'], p[: self.count]))
-        index, share = self._between(x, settings)
-        along: FloatArray = y[index] + share * (y[index + 1] - y[index])
-        return along
+        return self._at(x, y, settings)
 
     def _factor(self, s: Signals, p: FloatArray) -> FloatArray:
         return per_unit(self.term, s, float(p[-1]))
-
-    def size(self, s: Signals, j: int, settings: Settings) -> FloatArray:
-        return per_unit(self.term, s)
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray | None:
         if self.term == 'lag':
@@ -185,22 +158,22 @@ class Curve(Effect):
         self, s: Signals, p: FloatArray, linear: Sequence[int], settings: Settings
     ) -> FloatArray:
         """Derivatives by the values at all knots at once."""
-        x = signal_of(s, self.signal)
-        index, share = self._between(x, settings)
-        factor = self._factor(s, p)
-        out = np.zeros((x.size, self.count))
-        rows = np.arange(x.size)
-        out[rows, index] = 1.0 - share
-        out[rows, index + 1] = share
-        return (out - np.array(settings['mean'])) * factor[:, None]
+        x, factor = signal_of(s, self.signal), self._factor(s, p)
+        rows = [
+            (self._at(x, hat, settings) - mean) * factor
+            for hat, mean in zip(np.eye(self.count), settings['mean'], strict=True)
+        ]
+        return np.array(rows).T
 
     def actuate(self, data: AxisData, drive: Drive, p: FloatArray, settings: Settings) -> Drive:
         if self.term != 'lag':
             return drive
-        signal = measured(data, self.signal)
-        if isinstance(signal, str):
-            raise ValueError(signal)  # noqa: TRY004 - why this flight cannot be used
-        return replace(drive, lag=drive.lag * np.exp(self._along(signal, p, settings))[None, :])
+        factor = np.exp(self._along(self.known(data), p, settings))
+        return replace(drive, lag=drive.lag * factor[None, :])
+
+    @property
+    def linear(self) -> list[int]:
+        return list(range(self.count))
 
     @property
     def moves_command(self) -> bool:

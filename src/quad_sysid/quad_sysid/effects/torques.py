@@ -1,118 +1,180 @@
-"""Named torques of rate and angle, divided by the axis' inertia: rad/s²."""
+"""Torques that are one expression of the signals, divided by the axis' inertia: rad/s².
+
+Those of rate and angle, then the couplings from the other two axes.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
-from quad_sysid.contract import FloatArray
+from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.model.data import AxisData
-from quad_sysid.model.effect import Effect, Settings, Signals, Spec, required
-
-TRANSITION = Spec('transition', 'rad/s', spread=1.0, centre=math.log(0.005), log=True,
-                  starts=(0.003, 0.04))
-"""Rate over which friction changes its sign."""
-
-
-class CoulombFriction(Effect):
-    """Dry friction, with a smooth transition through rest."""
-
-    name = 'coulomb_friction'
-    signals = ('rate',)
-    parameters: tuple[Spec, ...] = (Spec('torque', 'rad/s²', positive=True), TRANSITION)
-    physics = '-T sign(rate): dry friction of a bearing (Coulomb 1785)'
-    excite = 'slow and fast motion with many reversals: a PRBS or a slow square wave'
-
-    def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        return -p[0] * np.tanh(s.rate / max(p[1], 1e-4))
+from quad_sysid.model.effect import (
+    TRANSITION,
+    Effect,
+    Settings,
+    Signals,
+    Spec,
+    per_unit,
+    required,
+)
 
 
-class StribeckFriction(CoulombFriction):
-    """Dry friction that is larger near rest than in motion (Armstrong-Hélouvry et al. 1994)."""
+class Row(Effect):
+    """An effect as a row of a table: its law, and what else differs from Effect by name."""
 
-    variant = 'stribeck'
-    parameters = (
-        *CoulombFriction.parameters, Spec('static', 'rad/s²', positive=True),
-        Spec('stribeck_rate', 'rad/s', spread=1.5, centre=math.log(0.1), log=True,
-             starts=(0.05, 0.4)),
-    )
-    physics = '-(T + S exp(-(rate/v)²)) sign(rate): dry friction that drops with the rate'
+    law: Callable[..., FloatArray]
 
-    def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        near = np.exp(-((s.rate / max(p[3], 1e-4)) ** 2))
-        return -(p[0] + p[2] * near) * np.tanh(s.rate / max(p[1], 1e-4))
+    def __init__(
+        self, name: str, signals: tuple[str, ...], parameters: tuple[Spec, ...],
+        law: Callable[..., FloatArray], *, physics: str, excite: str, **more: object,
+    ) -> None:
+        vars(self).update(
+            more, name=name, signals=signals, parameters=parameters, law=law, physics=physics,
+            excite=excite,
+        )
+
+    def __reduce__(self) -> tuple[Callable[[str], Effect], tuple[str]]:
+        return built_in, (self.label,)
 
 
-class QuadraticDrag(Effect):
-    """Drag that grows with the square of the rate."""
+def built_in(label: str) -> Effect:
+    """The row of that label: in another process too it is one of the package's."""
+    from quad_sysid.effects import BUILT_IN
 
-    name = 'quadratic_drag'
-    signals = ('rate',)
-    parameters = (Spec('coefficient', 'rad/s² per (rad/s)²', positive=True),)
-    physics = '-k rate |rate|: drag of arms and discs in turbulent flow'
-    excite = 'high rates: a square wave of large amplitude, a chirp'
+    return next(effect for effect in BUILT_IN if effect.label == label)
+
+
+class Torque(Row):
+    """A torque, rad/s², by the law of the signals `s` and the parameters (p,)."""
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        return -p[0] * s.rate * np.abs(s.rate)
+        return self.law(s, p)
 
 
-class OnAngle(Effect):
-    """A torque of the measured angle."""
-
-    signals = ('angle',)
-
-    def prepare(self, data: AxisData) -> Settings | str:
-        return {} if data.angle is not None else 'the bag holds no orientation'
+DRY = (Spec('torque', 'rad/s²', positive=True), TRANSITION)
+REVERSALS = 'slow and fast motion with many reversals: a PRBS or a slow square wave'
 
 
-class PendulumStiffness(OnAngle):
-    """The restoring torque of a centre of mass off the axis."""
-
-    name = 'pendulum_stiffness'
-    parameters = (Spec('stiffness', 'rad/s² per rad'),)
-    physics = '-k sin(angle): centre of mass below (k > 0) or above the axis'
-    excite = 'large slow angles: a square wave of long period, a slow chirp'
-
-    def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        return -p[0] * np.sin(required(s.angle))
+def _stribeck(s: Signals, p: FloatArray) -> FloatArray:
+    near = np.exp(-((s.rate / max(p[3], 1e-4)) ** 2))
+    return (p[0] + p[2] * near) * per_unit('friction', s, p[1])
 
 
-class CubicStiffness(OnAngle):
-    """A spring that hardens or softens with the angle."""
+class Detents(Torque):
+    """Wells at equal angles, whose size is that of their torque wherever they are."""
 
-    name = 'cubic_stiffness'
-    parameters = (Spec('stiffness', 'rad/s² per rad³'),)
-    physics = '-k angle³: a spring that hardens (k > 0), as cables do'
-    excite = 'large angles'
-
-    def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        return -p[0] * required(s.angle)**3
-
-
-class Detents(OnAngle):
-    """Wells at equal angles: cogging of magnets, dents of a bearing's race, teeth."""
-
-    name = 'shape:angle'
     kind = 'shape'
-    variant = 'periodic'
-    parameters = (
-        Spec('waves', '1/rad', spread=1.0, centre=math.log(40.0), log=True,
-             starts=tuple(np.geomspace(10.0, 200.0, 30))),
-        Spec('cosine', 'rad/s²'), Spec('sine', 'rad/s²'),
-    )
-    physics = 'C cos(n angle) + S sin(n angle): wells at equal angles, as of magnets or teeth'
-    excite = 'slow motion over a large range of angles'
 
     def size(self, s: Signals, j: int, settings: Settings) -> FloatArray:
         return np.ones_like(s.rate)
 
-    def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        phase = p[0] * required(s.angle)
-        return p[1] * np.cos(phase) + p[2] * np.sin(phase)
+
+TORQUES: tuple[Effect, ...] = (
+    Torque(
+        'coulomb_friction', ('rate',), DRY, lambda s, p: p[0] * per_unit('friction', s, p[1]),
+        physics='-T sign(rate): dry friction of a bearing (Coulomb 1785)', excite=REVERSALS,
+    ),
+    Torque(
+        'coulomb_friction', ('rate',),
+        (
+            *DRY, Spec('static', 'rad/s²', positive=True),
+            Spec('stribeck_rate', 'rad/s', spread=1.5, centre=math.log(0.1), log=True,
+                 starts=(0.05, 0.4)),
+        ),
+        _stribeck, variant='stribeck',
+        physics='-(T + S exp(-(rate/v)²)) sign(rate): dry friction that drops with the rate '
+        '(Armstrong-Hélouvry et al. 1994)',
+        excite=REVERSALS,
+    ),
+    Torque(
+        'quadratic_drag', ('rate',),
+        (Spec('coefficient', 'rad/s² per (rad/s)²', positive=True),),
+        lambda s, p: -p[0] * s.rate * np.abs(s.rate),
+        physics='-k rate |rate|: drag of arms and discs in turbulent flow',
+        excite='high rates: a square wave of large amplitude, a chirp',
+    ),
+    Torque(
+        'pendulum_stiffness', ('angle',), (Spec('stiffness', 'rad/s² per rad'),),
+        lambda s, p: -p[0] * np.sin(required(s.angle)),
+        physics='-k sin(angle): centre of mass below (k > 0) or above the axis',
+        excite='large slow angles: a square wave of long period, a slow chirp',
+    ),
+    Torque(
+        'cubic_stiffness', ('angle',), (Spec('stiffness', 'rad/s² per rad³'),),
+        lambda s, p: -p[0] * required(s.angle) ** 3,
+        physics='-k angle³: a spring that hardens (k > 0), as cables do', excite='large angles',
+    ),
+    Detents(
+        'shape:angle', ('angle',),
+        (
+            Spec('waves', '1/rad', spread=1.0, centre=math.log(40.0), log=True,
+                 starts=tuple(np.geomspace(10.0, 200.0, 30))),
+            Spec('cosine', 'rad/s²'), Spec('sine', 'rad/s²'),
+        ),
+        lambda s, p: p[1] * np.cos(p[0] * required(s.angle))
+        + p[2] * np.sin(p[0] * required(s.angle)),
+        variant='periodic',
+        physics='C cos(n angle) + S sin(n angle): wells at equal angles, as of magnets or teeth',
+        excite='slow motion over a large range of angles',
+    ),
+)
 
 
-TORQUES = (
-    CoulombFriction(), StribeckFriction(), QuadraticDrag(), PendulumStiffness(), CubicStiffness(),
-    Detents(),
+class CrossAxisInput(Effect):
+    """A fraction of another axis' command that acts on this axis."""
+
+    name = 'cross_axis_input'
+    signals = ('other command',)
+    term = 'command'
+    parameters = (Spec('fraction', '1', spread=0.2),)
+    physics = "a fraction of another axis' command acts here (motors out of line)"
+    excite = 'both axes excited with different signals'
+
+    def __init__(self, which: int) -> None:
+        self.others, self.variant = (which,), f'other axis {which + 1}'
+
+    def prepare(self, data: AxisData) -> Settings | str:
+        (which,) = self.others
+        found = data.signal(f'other command {which + 1}')
+        return found if isinstance(found, str) else {'other': data.other_axes[which]}
+
+    def command(
+        self, data: AxisData, command: FloatArray, p: FloatArray, settings: Settings
+    ) -> FloatArray:
+        return command + p[0] * data.control[:, AXES.index(str(settings['other'])) + 1]
+
+
+class Coupled(Torque):
+    """A torque of the rates of the other axes that are its `others`."""
+
+    def prepare(self, data: AxisData) -> Settings | str:
+        found = [data.signal(f'other rate {which + 1}') for which in self.others]
+        why = next((one for one in found if isinstance(one, str)), None)
+        alone = len(self.others) == 1
+        return why or ({'other': data.other_axes[self.others[0]]} if alone else {})
+
+
+def _gyroscopic(which: int) -> Effect:
+    return Coupled(
+        'gyroscopic_coupling', ('other rate',), (Spec('coefficient', '1/s'),),
+        lambda s, p: p[0] * required(s.other_rates)[which],
+        others=(which,), variant=f'other axis {which + 1}',
+        physics="h times another axis' rate: spinning rotors (paper, eqs. 4 and 5)",
+        excite='hover with all axes moving',
+    )
+
+
+COUPLINGS: tuple[Effect, ...] = (
+    CrossAxisInput(0), CrossAxisInput(1), _gyroscopic(0), _gyroscopic(1),
+    Coupled(
+        'inertia_coupling', ('product of other rates',), (Spec('coefficient', '1'),),
+        lambda s, p: p[0] * required(s.other_rates)[0] * required(s.other_rates)[1],
+        others=(0, 1),
+        physics='c times the product of the other two rates (Euler; paper, eqs. 4 to 6)',
+        excite='hover with all axes moving fast',
+    ),
 )

@@ -13,20 +13,18 @@ from collections.abc import Mapping
 import numpy as np
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.effects.couplings import over_training
-from quad_sysid.effects.curves import ACTS_ON, UNITS, per_unit, shape_name
+from quad_sysid.effects.curves import Shape
 from quad_sysid.model.data import AxisData, high, typical_acceleration
-from quad_sysid.model.effect import Effect, Settings, Signals, Spec
+from quad_sysid.model.effect import UNITS, Settings, Signals, Spec, per_unit
 
 USUAL = {'gain': 1.0, 'lag': 1.0, 'delay': 0.01}
 """What counts as a large change of a term, in its unit; of damping and friction it is what adds
 half of the axis' own acceleration."""
 
 
-class Wandering(Effect):
+class Wandering(Shape):
     """One term of the base wanders by itself."""
 
-    kind = 'shape'
     wanders = True
     parameters = (
         Spec('spread', '1', spread=1.0, centre=math.log(0.3), log=True, starts=(0.1, 0.3, 1.0)),
@@ -35,16 +33,13 @@ class Wandering(Effect):
     excite = 'a long flight with excitation throughout'
 
     def __init__(self, term: str) -> None:
-        self.term = term
-        self.name = shape_name(term, 'time')
-        self.variant = 'wandering' + ' friction' * (term == 'friction')
-        self.signals = ('time', *ACTS_ON[term], 'history')
+        self.shaped(term, 'time', 'wandering', 'history')
         self.physics = f"the {term} wanders: x' = -x / correlation + noise, of RMS `spread`"
 
     def prepare(self, data: AxisData) -> Settings | str:
         if self.term in USUAL:
             return {'unit': USUAL[self.term]}
-        rate = high(over_training(data, data.rate)) if self.term == 'damping' else 1.0
+        rate = high(data.training(data.rate)) if self.term == 'damping' else 1.0
         return {'unit': 0.5 * typical_acceleration(data, data.train) / rate}
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:

@@ -172,7 +172,7 @@ class Problem:
     def precision(self, structure: Structure, sizes: FloatArray) -> FloatArray:
         """(p, p) prior precision."""
         out = np.diag(sizes**-2.0)
-        for part, where in zip(structure.parts, structure.slices(), strict=True):
+        for part, where in structure.placed():
             out[where, where] = part.effect.precision(part.settings, sizes[where])
         return out
 
@@ -221,20 +221,17 @@ def upper_triangle(a: FloatArray) -> FloatArray:
     return r
 
 
-def fit(  # noqa: C901, PLR0912, PLR0915 - one loop, whose steps share all they have
-    problem: Problem, structure: Structure, start: FloatArray, *, most_steps: int = MOST_STEPS,
+def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
+    problem: Problem, structure: Structure, *starts: FloatArray, most_steps: int = MOST_STEPS,
     rate: FloatArray | None = None, still: tuple[int, ...] = (),
 ) -> Fit:
-    """The most probable parameters from `start` (coordinates of the fit), by Gauss-Newton.
+    """The most probable parameters from the best of `starts` (coordinates of the fit).
 
-    Parameters in `still` are held; the first of them, the gain, at zero.
+    By Gauss-Newton; parameters in `still` are held, the first of them, the gain, at zero. Raises
+    FloatingPointError where the fit diverges.
     """
     flight = problem.flight
-    if rate is not None:
-        flight.rate = rate.copy()
-    theta = start.astype(float).copy()
-    if still:
-        theta[0] = 0.0
+    flight.rate = begun = flight.rate if rate is None else rate
     sizes = problem.sizes(structure)
     precision = problem.precision(structure, sizes)
     root = np.linalg.cholesky(precision).T
@@ -250,6 +247,17 @@ def fit(  # noqa: C901, PLR0912, PLR0915 - one loop, whose steps share all they 
         away = root @ (at - centres)
         return float(np.sum(own.log_density(e))) - 0.5 * float(away @ away), own
 
+    def worth(at: FloatArray) -> float:
+        flight.rate = begun
+        try:
+            return objective(flight.predict(structure, at, sweeps=3), at, None)[0]
+        except np.linalg.LinAlgError:
+            return -math.inf
+
+    theta = (starts[0] if len(starts) == 1 else max(starts, key=worth)).astype(float)
+    if still:
+        theta[0] = 0.0
+    flight.rate = begun
     found = flight.predict(structure, theta, sweeps=3, steps=steps)
     value, tail = objective(found, theta, None)
     if not math.isfinite(value):

@@ -18,7 +18,7 @@ from quad_sysid.errors import BadInputError
 from quad_sysid.estimate.fit import Fit, Problem, Tail, covariance, shift_by_form
 from quad_sysid.model import AxisModel, EffectEstimate, NoiseEstimate, Parameter
 from quad_sysid.model.effect import Effect, Part, Settings, Spec, required
-from quad_sysid.model.structure import BASE, N_BASE, NOISE, Structure
+from quad_sysid.model.structure import BASE, N_BASE, NOISE, Structure, coordinates
 
 SHORTEST = 0.25
 """Share of a cycle below which the data do not show a lag or delay."""
@@ -62,11 +62,12 @@ def readings(problem: Problem, fitted: Fit) -> Readings:
     """All parameters with their standard errors and joint covariance."""
     raw = covariance(problem, fitted)
     structure, theta, dt = fitted.structure, fitted.theta, problem.data.dt
-    names = _names(structure)
+    told = _told(structure, theta)
+    names = tuple(name for name, _, _ in told)
     deviations = np.sqrt(np.diag(raw))
     jacobian = np.stack(
         [
-            (_read(structure, theta + step) - _read(structure, theta - step)) / (2.0 * step[j])
+            (_values(structure, theta + step) - _values(structure, theta - step)) / (2.0 * step[j])
             for j, step in enumerate(np.diag(1e-3 * np.minimum(deviations, 1.0)))
         ],
         axis=1,
@@ -81,20 +82,19 @@ def readings(problem: Problem, fitted: Fit) -> Readings:
     for i, name in enumerate(names):
         if name in vague or not joint[i, i] > 0.0:
             joint[i, :] = joint[:, i] = np.nan
-    values, units = _read(structure, theta), _units(structure)
-    told = [
+    shown = [
         Parameter(
-            name.rpartition('.')[2], float(value), _std(joint[i, i] + form[i] ** 2), unit,
+            name.rpartition('.')[2], value, _std(joint[i, i] + form[i] ** 2), unit,
             _interval(structure, theta, deviations, name) if name in vague else None,
         )
-        for i, (name, value, unit) in enumerate(zip(names, values, units, strict=True))
+        for i, (name, value, unit) in enumerate(told)
     ]
     effects, at = [], N_BASE
-    for part, where in zip(structure.parts, structure.slices(), strict=True):
+    for part, where in structure.placed():
         count = len(part.effect.readable(fitted.values[where], part.settings))
-        effects.append(tuple(told[at : at + count]))
+        effects.append(tuple(shown[at : at + count]))
         at += count
-    return Readings(tuple(told[:N_BASE]), tuple(effects), names, joint)
+    return Readings(tuple(shown[:N_BASE]), tuple(effects), names, joint)
 
 
 def _vague(spec: Spec, value: float, deviation: float, dt: float) -> bool:
@@ -118,33 +118,18 @@ def _std(variance: float) -> float | None:
     return float(np.sqrt(variance)) if np.isfinite(variance) else None
 
 
-def _names(structure: Structure) -> tuple[str, ...]:
-    nothing = structure.natural(np.zeros(len(structure.specs)))
-    return tuple(s.name for s in BASE) + tuple(
-        f'{part.effect.name}.{name}'
-        for part, where in zip(structure.parts, structure.slices(), strict=True)
-        for name in part.effect.readable(nothing[where], part.settings)
-    )
-
-
-def _read(structure: Structure, theta: FloatArray) -> FloatArray:
-    """Base and what a report reads of the effects, in the order of `_names`."""
+def _told(structure: Structure, theta: FloatArray) -> list[tuple[str, float, str]]:
+    """Name, value and unit of the base and of what a report reads of the effects."""
     p = structure.natural(theta)
-    read = [
-        value
-        for part, where in zip(structure.parts, structure.slices(), strict=True)
-        for value, _ in part.effect.readable(p[where], part.settings).values()
-    ]
-    return np.array([*p[:N_BASE], *read])
+    told = [(spec.name, float(v), spec.unit) for spec, v in zip(BASE, p, strict=False)]
+    for part, where in structure.placed():
+        for name, (value, unit) in part.effect.readable(p[where], part.settings).items():
+            told.append((f'{part.effect.name}.{name}', value, unit))
+    return told
 
 
-def _units(structure: Structure) -> tuple[str, ...]:
-    nothing = structure.natural(np.zeros(len(structure.specs)))
-    return tuple(s.unit for s in BASE) + tuple(
-        unit
-        for part, where in zip(structure.parts, structure.slices(), strict=True)
-        for _, unit in part.effect.readable(nothing[where], part.settings).values()
-    )
+def _values(structure: Structure, theta: FloatArray) -> FloatArray:
+    return np.array([value for _, value, _ in _told(structure, theta)])
 
 
 def noise_of(fitted: Fit) -> NoiseEstimate:
@@ -225,9 +210,7 @@ def _stored(
         *(values[spec.name] for spec in BASE), *(v for own in effects for v in own), *numbers,
         *(v for line in lines for v in line),
     ])
-    logs = np.array([spec.log for spec in structure.specs])
-    theta = np.where(logs, np.log(np.maximum(np.where(logs, p, 1.0), 1e-17)), p)
-    return Stored(structure, theta, Tail(*known))
+    return Stored(structure, coordinates(structure.specs, p, 1e-17), Tail(*known))
 
 
 def part_of(model: AxisModel, effect: EffectEstimate) -> Part:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from quad_sysid.contract import FloatArray
+from quad_sysid.contract import FloatArray, motors_from_wrench
 from quad_sysid.errors import BadInputError
-from quad_sysid.model.data import AxisData
+from quad_sysid.model.data import AxisData, axis_alone
 from quad_sysid.model.effect import Effect, Signals, Spec
+from quad_sysid.model.plant import Flight
+from quad_sysid.model.structure import Structure
 
 
 def checked(effects: object, where: str, known: Sequence[Effect] = ()) -> tuple[Effect, ...]:
@@ -90,22 +93,15 @@ def _try(effect: Effect, where: str) -> None:
 
 
 def _made_up() -> tuple[AxisData, Signals]:
-    n = 500
-    time: FloatArray = 0.004 * np.arange(n, dtype=np.float64)
+    n, dt = 500, 0.004
+    time: FloatArray = dt * np.arange(n, dtype=np.float64)
     wave, other = np.sin(9.0 * time), np.cos(5.0 * time)
-    control = np.stack([0.5 + 0.1 * other, 0.1 * wave, 0.1 * other, 0.01 * wave], axis=1)
-    volts: FloatArray = 12.0 - 0.5 * time
     others = np.stack([other, wave], axis=1)
-    span = ((0, n),)
-    data = AxisData(
-        axis='roll', dt=0.004, rate=wave, angle=0.1 * other, control=control,
-        motors=np.clip(control[:, :1] + 0.1 * others[:, [0, 1, 0, 1]], 0.0, 1.0),
-        other_rates=others, battery_v=volts, gyro_filter_hz=None, stretches=span, train=span,
-        validation=span, other_angles=0.1 * others,
+    control = np.stack([0.5 + 0.1 * other, 0.1 * wave, 0.1 * other, 0.01 * wave], axis=1)
+    data = replace(
+        axis_alone(0.1 * wave, wave, dt, ((0, n),)), angle=0.1 * other, control=control,
+        motors=motors_from_wrench(control), other_rates=others, other_angles=0.1 * others,
+        battery_v=12.0 - 0.5 * time, validation=((0, n),),
     )
-    return data, Signals(
-        rate=wave, angle=0.1 * other, drive=10.0 * wave, command=10.0 * wave, change=90.0 * other,
-        lagged=0.1 * wave, throttle=control[:, 0], battery_v=volts, other_rates=(other, wave),
-        other_commands=(control[:, 2], control[:, 3]), time=time,
-        other_angles=(0.1 * other, 0.1 * wave),
-    )
+    flight, p = Flight(data, ((0, n),)), np.array([100.0, 0.04, 0.01, 0.0, 0.0])
+    return data, flight.signals(p, *flight.driven(Structure(), p), wave)

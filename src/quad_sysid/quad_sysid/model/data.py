@@ -25,15 +25,22 @@ SLOW_S = 0.04
 """Span over which the rate's change gives the flight's typical acceleration."""
 RESTING = 0.05
 """rad/s. Equal largest values below this are the resolution of a gyro at rest, not its limit."""
+LEAST_SHARE = 0.05
+"""Least size of another axis' command, relative to this axis'."""
+MEASURED = 0.95
+"""Least share of the training in which another axis' rate is known."""
+LEAST_RATE = 0.05
+"""Least RMS of another axis' rate beyond its gyro's noise, rad/s."""
+MISSING = {'angle': 'orientation', 'battery': 'battery voltage'}
+"""What the bag lacks if a signal is absent."""
 
 
 @dataclass(frozen=True)
 class Windows:
-    """Free-run windows of one length: first indices, and the span each lies in."""
+    """Free-run windows of one length, by their first indices."""
 
-    starts: np.ndarray
+    starts: NDArray[np.int64]
     length: int
-    spans: np.ndarray
 
     @property
     def count(self) -> int:
@@ -106,14 +113,57 @@ class AxisData:
         """Windows in `spans`, by default of the contract's length, end to end, no partial ones."""
         length = max(2, round(length_s / self.dt))
         settle = round(SETTLE_S / self.dt)
-        stride = length
-        starts: list[int] = []
-        owners: list[int] = []
-        for number, (start, stop) in enumerate(spans):
-            found = range(start + settle, stop - length + 1, stride)
-            starts.extend(found)
-            owners.extend([number] * len(found))
-        return Windows(np.array(starts, dtype=np.int64), length, np.array(owners, dtype=np.int64))
+        starts = [k for a, b in spans for k in range(a + settle, b - length + 1, length)]
+        return Windows(np.array(starts, dtype=np.int64), length)
+
+    @property
+    def clock(self) -> FloatArray:
+        """(n,) time of each sample since the flight's first, s."""
+        if self.time_s is not None:
+            return self.time_s
+        return np.arange(self.rate.size, dtype=np.float64) * self.dt
+
+    def training(self, signal: FloatArray) -> FloatArray:
+        """The samples of a signal (n, …) in the training segments."""
+        return np.concatenate([signal[a:b] for a, b in self.train])
+
+    def measures(self, which: int) -> bool:
+        """Whether another axis' rate (0 or 1) is known throughout training."""
+        return bool(np.isfinite(self.training(self.other_rates[:, which])).mean() >= MEASURED)
+
+    def signal(self, name: str) -> FloatArray | str:
+        """(n,) a signal by its word, as it was measured; or a text: why it cannot be used.
+
+        Words: rate, angle, command, throttle, battery, time; other rate, other angle and other
+        command, followed by 1 or 2 for the first or second of `other_axes`.
+        """
+        if name.startswith('other'):
+            return self._of_another(name[:-2], int(name[-1]) - 1)
+        known: dict[str, FloatArray | None] = {
+            'time': self.clock, 'angle': self.angle, 'battery': self.battery_v, 'rate': self.rate,
+            'command': self.command, 'throttle': self.control[:, 0],
+        }
+        found = known[name]
+        return f'the bag holds no {MISSING[name]}' if found is None else found
+
+    def _of_another(self, name: str, which: int) -> FloatArray | str:
+        axis = self.other_axes[which]
+        if name == 'other angle':
+            lean = self.other_angles
+            return f'the bag holds no {MISSING["angle"]}' if lean is None else lean[:, which]
+        if name == 'other command':
+            signal = self.control[:, AXES.index(axis) + 1]
+            moved = np.std(self.training(signal)) >= LEAST_SHARE * np.std(
+                self.training(self.command)
+            )
+            return signal if moved else (
+                f'the command of {axis} hardly moves during training; excite it as well'
+            )
+        if not self.measures(which):
+            return f'the rate of {axis} was not measured throughout'
+        rate = self.other_rates[:, which]
+        moved = np.nanstd(self.training(rate)) >= LEAST_RATE
+        return np.nan_to_num(rate) if moved else f'{axis} hardly turns during training'
 
 
 def at_limit(rate: FloatArray) -> NDArray[np.bool_]:
@@ -166,16 +216,13 @@ def part_of(data: AxisData, passes: Sequence[Span]) -> AxisData:
             if start <= a and b <= stop
         )
 
-    def cut(signal: FloatArray | None) -> FloatArray | None:
-        return None if signal is None else np.ascontiguousarray(signal[index])
-
-    time = np.arange(data.rate.size) * data.dt if data.time_s is None else data.time_s
+    arrays = {
+        name: np.ascontiguousarray(value[index]) for name, value in vars(data).items()
+        if isinstance(value, np.ndarray)
+    }
     whole, at = (data, index) if data.source is None else (data.source[0], data.source[1][index])
     return replace(
-        data, rate=data.rate[index], angle=cut(data.angle), control=data.control[index],
-        motors=data.motors[index], other_rates=data.other_rates[index],
-        other_angles=cut(data.other_angles),
-        battery_v=cut(data.battery_v), reference=cut(data.reference), time_s=time[index],
+        data, **(arrays | {'time_s': data.clock[index]}),
         stretches=tuple((int(a), int(b)) for a, b in zip(begins, ends, strict=True)),
         train=moved(data.train), validation=moved(data.validation), idle=moved(data.idle),
         validation_names=tuple(

@@ -8,6 +8,7 @@ effects themselves are in quad_sysid.effects; nothing is fitted here.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
@@ -15,7 +16,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.model.data import AxisData
+from quad_sysid.model.data import MISSING, AxisData
 
 Settings = Mapping[str, Any]
 Present = TypeVar('Present')
@@ -83,6 +84,31 @@ class Signals:
     """(states, …) hidden states of the effect, if any, at the start of the cycle."""
 
 
+UNITS = {'torque': 'rad/s²', 'gain': '1', 'damping': '1/s', 'lag': '1', 'delay': 's',
+         'friction': 'rad/s²'}
+"""Term of the base → the unit in which it changes."""
+TRANSITION = Spec('transition', 'rad/s', spread=1.0, centre=math.log(0.005), log=True,
+                  starts=(0.003, 0.04))
+"""Rate over which friction changes its sign."""
+
+
+def per_unit(
+    term: str, s: Signals, transition: float = math.exp(TRANSITION.centre)
+) -> FloatArray:
+    """Acceleration per unit of a change of one term, rad/s² per its unit in UNITS."""
+    if term == 'gain':
+        return s.drive
+    if term == 'damping':
+        return -s.rate
+    if term == 'delay':
+        return -s.change
+    if term == 'lag':  # of a change that is slow beside the lag itself
+        return s.drive - s.command
+    if term == 'friction':
+        return -np.tanh(s.rate / max(transition, 1e-4))
+    return np.ones_like(s.rate)
+
+
 @dataclass(frozen=True)
 class Drive:
     """Commands between mixer and motors: each channel has a lag and a share of the axis."""
@@ -142,8 +168,8 @@ class Effect:
 
     def prepare(self, data: AxisData) -> Settings | str:
         """Settings from the training data, or a text: why it cannot be tested on them."""
-        del data
-        return {}
+        found = (data.signal(name) for name in MISSING if name in self.signals)
+        return next((why for why in found if isinstance(why, str)), {})
 
     def command(
         self, data: AxisData, command: FloatArray, p: FloatArray, settings: Settings
@@ -247,6 +273,11 @@ class Effect:
     def __repr__(self) -> str:
         own = type(self).__name__
         return f'{own}()' if 'name' in vars(type(self)) else f'{own}({self.label!r})'
+
+    @property
+    def linear(self) -> list[int]:
+        """The parameters in which `torque` is linear."""
+        return [j for j, spec in enumerate(self.parameters) if spec.spread is None]
 
     @property
     def moves_command(self) -> bool:

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,7 @@ from quad_sysid.model import recursion
 from quad_sysid.model.data import AxisData, Span, Windows, at_limit
 from quad_sysid.model.effect import Drive, Effect, Part, Signals, required
 from quad_sysid.model.noise import Filter, Noise, Sensor, kalman, sensor_of
-from quad_sysid.model.structure import NOISE, VIBRATION, Structure
+from quad_sysid.model.structure import NOISE, VIBRATION, Structure, natural
 
 LEAD_S = 1.0
 """The filter starts this long before each span, where the flight is unbroken."""
@@ -149,10 +150,7 @@ class Flight:
 
         p: parameters in their units.
         """
-        acting = [
-            (part, where) for part, where in zip(structure.parts, structure.slices(), strict=True)
-            if part.effect.moves_command
-        ]
+        acting = [one for one in structure.placed() if one[0].effect.moves_command]
         # what remembers the drive needs it from the start, all others from a pass to its end
         remembered = any({'command', 'history'} <= {*part.effect.signals}
                          for part in structure.parts)
@@ -187,21 +185,31 @@ class Flight:
         return halves, states
 
     def signals(
-        self, p: FloatArray, halves: FloatArray, states: FloatArray, rate: FloatArray
+        self, p: FloatArray, halves: FloatArray, states: FloatArray, rate: FloatArray,
+        at: slice | NDArray[np.int64] = slice(None), angle: FloatArray | None = None,
     ) -> Signals:
-        """All signals along the flight for a rate (n,) at mid-cycle."""
-        data, gain = self.data, p[0]
-        angle = None
-        if self.angle is not None:
-            angle = self.angle + (0.5 * data.dt + self.late) * rate
-        drive = gain * 0.5 * (halves[0] + halves[1])
-        command = gain * states[1]
+        """Signals for a rate at mid-cycle: all along the flight, or of the samples `at`.
+
+        angle: at the start of the cycle, rad; by default the measured one.
+        """
+        data, gain, h = self.data, p[0], 0.5 * self.data.dt
+        if angle is not None:
+            angle = angle + h * rate
+        elif self.angle is not None:
+            angle = self.angle[at] + (h + self.late) * rate
+        lagged = 0.5 * (halves[0, at] + halves[1, at])
+        command = gain * states[1, at]
+
+        def pair(both: tuple[FloatArray, FloatArray] | None) -> Any:
+            return None if both is None else (both[0][at], both[1][at])
+
         return Signals(
-            rate=rate, angle=angle, drive=drive, command=command,
-            change=(command - gain * states[0]) / max(float(p[1]), 0.25 * data.dt),
-            lagged=0.5 * (halves[0] + halves[1]), throttle=self.throttle,
-            battery_v=data.battery_v, other_rates=self.others,
-            other_commands=self.other_commands, other_angles=self.leans, time=self.time,
+            rate=rate, angle=angle, drive=gain * lagged, command=command,
+            change=(command - gain * states[0, at]) / max(float(p[1]), 0.25 * data.dt),
+            lagged=lagged, throttle=self.throttle[at],
+            battery_v=None if data.battery_v is None else data.battery_v[at],
+            other_rates=pair(self.others), other_commands=pair(self.other_commands),
+            other_angles=pair(self.leans), time=self.time[at],
         )
 
     def hidden(self, part: Part, s: Signals, p: FloatArray) -> Signals:
@@ -214,90 +222,72 @@ class Flight:
         """Accelerations along the trajectory `rate` (n,), and their slope over it."""
         halves, states = self.driven(structure, p)
         s = self.signals(p, halves, states, rate)
-        torque = p[4] - p[3] * rate
-        slope = np.full(rate.size, -p[3])
-        for part, where in zip(structure.parts, structure.slices(), strict=True):
-            with_states = self.hidden(part, s, p[where])
-            own = part.effect.torque(with_states, p[where], part.settings)
-            if own is None:
-                continue
-            torque = torque + own
-            if 'rate' in part.effect.signals or 'angle' in part.effect.signals:
-                slope = slope + slope_over_rate(part, with_states, p[where])
+        acting = [(part, p[where]) for part, where in structure.placed()]
+        torque, slope = _added(
+            p, rate, [(part, own, self.hidden(part, s, own)) for part, own in acting]
+        )
         for which, share in zip(structure.shared, p[-len(structure.noise) :], strict=False):
             torque = torque + share * self.disturbances[:, which]
-        rest = torque - slope * rate
-        return Pushed(p[0] * halves + rest, slope)
+        return Pushed(p[0] * halves + (torque - slope * rate), slope)
 
     def columns(
         self, structure: Structure, theta: FloatArray, rate: FloatArray, steps: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """(n, m) derivatives of the acceleration, (n, b) of half its difference over the cycle.
+    ) -> tuple[FloatArray, FloatArray, NDArray[np.int64]]:
+        """(n, m) derivatives of the acceleration; (n, b) of half its difference over the cycle.
 
-        In the coordinates of the fit, by central differences of `steps` (p,) along a fixed
-        trajectory.
+        In the coordinates of the fit along a fixed trajectory, by central differences of `steps`
+        (p,) where a torque is not linear. The third, (b,), says for which of the m the second is.
         """
-        n, m = rate.size, theta.size - structure.filtered
-        effects_end = theta.size - len(structure.noise)
-        first = [0, 1, 2]
-        for part, where in zip(structure.parts, structure.slices(), strict=True):
-            if part.effect.moves_command:
-                first += range(where.start, where.stop)
-        order = first + [j for j in range(m) if j not in first]
-        out, bends = np.empty((n, m)), np.empty((n, len(first)))
-        centre = structure.natural(theta)
-        halves, states = self.driven(structure, centre)
-        s = self.signals(centre, halves, states, rate)
-        follows_drive = any(
-            'command' in part.effect.signals and type(part.effect).torque is not Effect.torque
-            for part in structure.parts
-        )
-        owner = {
-            j: (part, where)
-            for part, where in zip(structure.parts, structure.slices(), strict=True)
-            for j in range(where.start, where.stop)
-        }
-        for place, j in enumerate(order):
-            if j == 3:
-                out[:, place] = -rate
-            elif j == 4:
-                out[:, place] = 1.0
-            elif j >= effects_end:
-                out[:, place] = self.disturbances[:, structure.shared[j - effects_end]]
-            elif j not in first:
-                part, where = owner[j]
-                up, down = self._stepped(structure, theta, j, steps[j])
-                ahead, back = (
-                    required(part.effect.torque(self.hidden(part, s, p), p, part.settings))
-                    for p in (up[where], down[where])
-                )
-                out[:, place] = (ahead - back) / (2.0 * steps[j])
+        m = theta.size - structure.filtered
+        placed, p = structure.placed(), structure.natural(theta)
+        moving = [where for part, where in placed if part.effect.moves_command]
+        bent = np.array([0, 1, 2, *(j for w in moving for j in range(w.start, w.stop))])
+        out, bends = np.empty((rate.size, m)), np.empty((rate.size, bent.size))
+        out[:, 3], out[:, 4] = -rate, 1.0
+        for place, which in enumerate(structure.shared, theta.size - len(structure.noise)):
+            out[:, place] = self.disturbances[:, which]
+        halves, states = self.driven(structure, p)
+        s = self.signals(p, halves, states, rate)
+        follows_drive = False
+        for part, where in placed:
+            torque = type(part.effect).torque is not Effect.torque
+            follows_drive |= torque and 'command' in part.effect.signals
+            if not part.effect.moves_command:
+                out[:, where] = self._by_parameters(part, s, theta[where], steps[where])
+        for i, j in enumerate(bent):
+            up, down = (structure.natural(one) for one in _moved(theta, int(j), steps[j]))
+            if follows_drive:
+                difference = (
+                    self.pushed(structure, up, rate).known
+                    - self.pushed(structure, down, rate).known
+                ) / (2.0 * steps[j])
+            elif j == 0:
+                difference = halves
             else:
-                up, down = self._stepped(structure, theta, j, steps[j])
-                if follows_drive:
-                    difference = (
-                        self.pushed(structure, up, rate).known
-                        - self.pushed(structure, down, rate).known
-                    ) / (2.0 * steps[j])
-                elif j == 0:
-                    difference = halves
-                else:
-                    difference = (
-                        self.driven(structure, up)[0] - self.driven(structure, down)[0]
-                    ) * (centre[0] / (2.0 * steps[j]))
-                out[:, place] = 0.5 * (difference[0] + difference[1])
-                bends[:, place] = 0.5 * (difference[0] - difference[1])
-        self.order = order
-        return out, bends
+                difference = (
+                    self.driven(structure, up)[0] - self.driven(structure, down)[0]
+                ) * (p[0] / (2.0 * steps[j]))
+            out[:, j] = 0.5 * (difference[0] + difference[1])
+            bends[:, i] = 0.5 * (difference[0] - difference[1])
+        return out, bends, bent
 
-    @staticmethod
-    def _stepped(
-        structure: Structure, theta: FloatArray, j: int, step: float
-    ) -> tuple[FloatArray, FloatArray]:
-        up, down = theta.copy(), theta.copy()
-        up[j] += step
-        down[j] -= step
-        return structure.natural(up), structure.natural(down)
+    def _by_parameters(
+        self, part: Part, s: Signals, theta: FloatArray, steps: FloatArray
+    ) -> FloatArray:
+        """(n, q) derivatives of an effect's torque by its coordinates of the fit."""
+        effect, settings = part.effect, part.settings
+        out, linear = np.empty((s.rate.size, theta.size)), effect.linear
+        if linear:
+            p = natural(effect.parameters, theta)
+            p[linear] = 0.0
+            out[:, linear] = effect.columns(self.hidden(part, s, p), p, linear, settings)
+        for j in set(range(theta.size)) - set(linear):
+            ahead, back = (
+                required(effect.torque(self.hidden(part, s, p), p, settings))
+                for p in (natural(effect.parameters, one) for one in _moved(theta, j, steps[j]))
+            )
+            out[:, j] = (ahead - back) / (2.0 * steps[j])
+        return out
 
     def unexplained(self, p: FloatArray) -> FloatArray:
         """(n,) acceleration that the base does not explain, rad/s², from the slope of the rate.
@@ -335,76 +325,71 @@ class Flight:
         steps: FloatArray | None = None,
     ) -> Prediction:
         """Innovations after `sweeps` passes along the flight; with `steps` their derivatives."""
-        data, n = self.data, self.data.rate.size
-        p = structure.natural(theta)
-        rate = self.rate
-        nothing = np.zeros((n, 0))
-        innovation = np.full(n, np.nan)
-        states = np.zeros((n, structure.states))
+        n, p, rate = self.data.rate.size, structure.natural(theta), self.rate
         for sweep in range(sweeps):
             push = self.pushed(structure, p, rate)
             damping = -float(np.mean(push.slope))
             found = self.filter_of(structure, theta, damping)
-            columns, bends = nothing, nothing
-            gains = np.zeros((0, 4 + 2 * structure.lines))
-            moves = np.zeros((0, 2 + 2 * structure.lines))
+            by = _Inputs.none(found, self.wander(structure, p, rate))
             if steps is not None and sweep == sweeps - 1:
-                physics, bends = self.columns(structure, theta, rate, steps)
-                count = theta.size - physics.shape[1]
-                columns = np.ascontiguousarray(np.hstack([physics, np.zeros((n, count))]))
-                gains, moves = self._noise_columns(structure, theta, damping, count)
-            follow = self._follow(structure, theta, push.slope, found, rate, columns.shape[1])
-            new_rate = rate.copy()
-            jacobian = np.zeros((n, columns.shape[1]))
-            for start, stop in self.passes:
-                recursion.predict(
-                    self.measured, float(data.rate[start]), push.known, push.slope, columns,
-                    bends, found.gain, gains, found.move, moves, self.sensor.step,
-                    self.sensor.behind, *follow, data.dt, start, stop, new_rate, states,
-                    innovation, jacobian,
-                )
+                by = self._derivatives(structure, theta, rate, steps, damping, by)
+            if by.left.size:
+                self._follow(structure, theta, push.slope, found, by)
+            ran = self._run(push, found, by)
             if not self.variance:
-                self.variance = float(np.nanmedian(np.abs(innovation)) / 0.6745) ** 2
-            if not np.isfinite(new_rate).all() or np.abs(new_rate).max() > 1e6:
-                return Prediction(np.full(n, np.inf), None, states, found, rate)
-            rate = new_rate
+                self.variance = float(np.nanmedian(np.abs(ran.innovation)) / 0.6745) ** 2
+            if not np.isfinite(ran.rate).all() or np.abs(ran.rate).max() > 1e6:
+                return Prediction(np.full(n, np.inf), None, ran.states, found, rate)
+            rate = ran.rate
         self.rate = rate
-        if steps is not None:
-            put = np.empty_like(jacobian)
-            put[:, self.order] = jacobian[:, : len(self.order)]
-            put[:, len(self.order) :] = jacobian[:, len(self.order) :]
-            jacobian = put
-        return Prediction(innovation, jacobian if steps is not None else None, states, found, rate)
+        return ran if steps is not None else replace(ran, jacobian=None)
+
+    def _derivatives(
+        self, structure: Structure, theta: FloatArray, rate: FloatArray, steps: FloatArray,
+        damping: float, by: _Inputs,
+    ) -> _Inputs:
+        """The inputs with the derivatives of all but wandering by all parameters."""
+        physics, bends, bent = self.columns(structure, theta, rate, steps)
+        columns = np.zeros((rate.size, theta.size))
+        columns[:, : physics.shape[1]] = physics
+        gains, moves = self._noise_columns(structure, theta, damping)
+        return replace(
+            by, columns=columns, bends=bends, bent=bent, gains=gains, moves=moves,
+            by_follow=np.zeros((rate.size, by.left.size, 2)),
+        )
+
+    def _run(self, push: Pushed, found: Filter, by: _Inputs) -> Prediction:
+        """The compiled filter along all passes."""
+        n, rate = self.data.rate.size, self.rate.copy()
+        states = np.zeros((n, found.gain.size + by.left.size))
+        innovation, jacobian = np.full(n, np.nan), np.zeros(by.columns.shape)
+        for start, stop in self.passes:
+            recursion.predict(
+                self.measured, float(self.data.rate[start]), push.known, push.slope, by.columns,
+                by.bends, by.bent, found.gain, by.gains, found.move, by.moves, self.sensor.step,
+                self.sensor.behind, by.wander, by.follow, by.left, by.by_follow, by.by_left,
+                by.place, self.data.dt, start, stop, rate, states, innovation, jacobian,
+            )
+        return Prediction(innovation, jacobian, states, found, rate)
 
     def _follow(
         self, structure: Structure, theta: FloatArray, slope: FloatArray, found: Filter,
-        rate: FloatArray, columns: int,
-    ) -> tuple[FloatArray | NDArray[np.int64], ...]:
-        """What recursion.predict takes of wandering effects, from `wander` to `place`."""
-        n = rate.size
-        parts = [
-            (part, where) for part, where in zip(structure.parts, structure.slices(), strict=True)
-            if part.effect.wanders
-        ]
-        wander = self.wander(structure, structure.natural(theta), rate)
-        follow, left = np.zeros_like(wander), np.zeros(len(parts))
-        by_follow = np.zeros((n if columns else 0, len(parts), 2))
-        by_left, place = np.zeros((len(parts), 2)), np.zeros(len(parts), dtype=np.int64)
-        psi = self.responses(wander, slope, found) if parts else wander
-        for i, (_, where) in enumerate(parts):
-            left[i], follow[:, i] = self.pursuit(psi[:, i], theta[where])
-            if not columns:
-                continue
+        by: _Inputs,
+    ) -> None:
+        """Put in how the filter follows wandering effects, with derivatives where asked for."""
+        psi = self.responses(by.wander, slope, found)
+        wandering = [where for part, where in structure.placed() if part.effect.wanders]
+        for i, where in enumerate(wandering):
+            by.left[i], by.follow[:, i] = self.pursuit(psi[:, i], theta[where])
             # the gain's dependence on all other parameters is neglected: white innovations make
             # its mean effect on the likelihood zero
-            place[i] = self.order.index(where.start)
-            for j, step in enumerate(PURSUIT_STEP * np.eye(2)):
+            by.place[i] = where.start
+            for j in range(2) if by.by_follow.size else ():
                 up, down = (
-                    self.pursuit(psi[:, i], theta[where] + way * step) for way in (1.0, -1.0)
+                    self.pursuit(psi[:, i], one) for one in _moved(theta[where], j, PURSUIT_STEP)
                 )
-                by_left[i, j] = (up[0] - down[0]) / (2.0 * PURSUIT_STEP)
-                by_follow[:, i, j] = (up[1] - down[1]) / (2.0 * PURSUIT_STEP)
-        return wander, follow, left, by_follow, by_left, place
+                by.by_left[i, j] = (up[0] - down[0]) / (2.0 * PURSUIT_STEP)
+                by.by_follow[:, i, j] = (up[1] - down[1]) / (2.0 * PURSUIT_STEP)
 
     def pursuit(self, psi: FloatArray, logs: FloatArray) -> tuple[float, FloatArray]:
         """What is left of a coefficient after a cycle, and (n,) what an innovation adds to it.
@@ -419,11 +404,7 @@ class Flight:
 
     def wander(self, structure: Structure, p: FloatArray, rate: FloatArray) -> FloatArray:
         """(n, w) acceleration per unit of each wandering coefficient, rad/s²."""
-        acting = [
-            (part, p[where])
-            for part, where in zip(structure.parts, structure.slices(), strict=True)
-            if part.effect.wanders
-        ]
+        acting = [(part, p[at]) for part, at in structure.placed() if part.effect.wanders]
         if not acting:
             return np.zeros((rate.size, 0))
         s = self.signals(p, *self.driven(structure, p), rate)
@@ -431,40 +412,28 @@ class Flight:
 
     def responses(self, columns: FloatArray, slope: FloatArray, found: Filter) -> FloatArray:
         """(n, m) response of the innovations to accelerations (n, m)."""
-        out = np.zeros_like(columns)
-        for start, stop in self.passes:
-            recursion.respond(
-                self.measured, columns, slope, found.gain, found.move, self.sensor.step,
-                self.sensor.behind, self.data.dt, start, stop, out,
-            )
-        return out
+        m, nothing = columns.shape[1], np.zeros((slope.size, 0))
+        by = replace(
+            _Inputs.none(found, nothing), columns=columns, gains=np.zeros((m, found.gain.size)),
+            moves=np.zeros((m, found.move.size)),
+        )
+        push = Pushed(np.zeros((2, slope.size)), slope)
+        return required(self._run(push, found, by).jacobian)
 
     def _noise_columns(
-        self, structure: Structure, theta: FloatArray, damping: float, count: int
+        self, structure: Structure, theta: FloatArray, damping: float
     ) -> tuple[FloatArray, FloatArray]:
         """Derivatives of Filter.gain (p, 4 + 2 v) and Filter.move (p, 2 + 2 v)."""
-        more = 2 * structure.lines
+        more, step = 2 * structure.lines, 1e-4
         gains, moves = np.zeros((theta.size, 4 + more)), np.zeros((theta.size, 2 + more))
-        step = 1e-4
-
-        def difference(up: Filter, down: Filter, at: int) -> None:
+        for at in (3, *range(theta.size - structure.filtered, theta.size)):
+            up, down = (
+                self.filter_of(structure, theta, damping + way * step) if at == 3 else
+                self.filter_of(structure, one, damping)
+                for way, one in zip((1.0, -1.0), _moved(theta, at, step), strict=True)
+            )
             gains[at] = (up.gain - down.gain) / (2.0 * step)
             moves[at] = (up.move - down.move) / (2.0 * step)
-
-        # the base's damping comes fourth in the vector, and fourth among the columns only where
-        # no effect acts on the command
-        difference(
-            self.filter_of(structure, theta, damping + step),
-            self.filter_of(structure, theta, damping - step), self.order.index(3),
-        )
-        for at in range(theta.size - count, theta.size):
-            up, down = theta.copy(), theta.copy()
-            up[at] += step
-            down[at] -= step
-            difference(
-                self.filter_of(structure, up, damping), self.filter_of(structure, down, damping),
-                at,
-            )
         return gains, moves
 
     # ---------------------------------------------------------------------- the free run
@@ -490,10 +459,7 @@ class Flight:
         out = np.full((windows.count, windows.length), np.nan)
         last = data.rate.size - 1
         gyro = self.sensor.step
-        acting = [
-            (part, p[where])
-            for part, where in zip(structure.parts, structure.slices(), strict=True)
-        ]
+        acting = [(part, p[where]) for part, where in structure.placed()]
         along = self.signals(p, halves, states, prediction.rate)
         hidden = [
             next(followed)[None, :] if part.effect.wanders else
@@ -508,8 +474,11 @@ class Flight:
             drive = p[0] * halves[:, k]
             mean = 0.5 * (drive[0] + drive[1])
             middle = r + 0.5 * dt * mean  # where physics is evaluated, then corrected by its slope
-            s = self._at(k, p, middle, angle, mean, states)
-            force, slope = _force(acting, hidden, p, s)
+            s = self.signals(p, halves, states, middle, k, angle)
+            force, slope = _added(p, middle, [
+                (part, values, replace(s, hidden=x))
+                for x, (part, values) in zip(hidden, acting, strict=True)
+            ])
             a = 0.5 * dt * slope
             push = mean + force - slope * middle + hold * d
             new = ((1.0 + a) * r + dt * push) / (1.0 - a)
@@ -532,41 +501,59 @@ class Flight:
             v = v * turn
         return out
 
-    def _at(
-        self, k: NDArray[np.int64], p: FloatArray, rate: FloatArray, angle: FloatArray | None,
-        drive: FloatArray, states: FloatArray,
-    ) -> Signals:
-        """The signals at mid-cycle of the samples k, where a free run has come."""
-        data = self.data
-        command = p[0] * states[1, k]
-        return Signals(
-            rate=rate, angle=None if angle is None else angle + 0.5 * data.dt * rate,
-            drive=drive, command=command,
-            change=(command - p[0] * states[0, k]) / max(float(p[1]), 0.25 * data.dt),
-            lagged=drive / p[0] if p[0] else 0.0 * drive, throttle=self.throttle[k],
-            battery_v=None if data.battery_v is None else data.battery_v[k],
-            other_rates=None if self.others is None else (self.others[0][k], self.others[1][k]),
-            other_commands=(self.other_commands[0][k], self.other_commands[1][k]),
-            other_angles=None if self.leans is None else (self.leans[0][k], self.leans[1][k]),
-            time=self.time[k],
-        )
+
+def _moved(theta: FloatArray, j: int, step: float) -> tuple[FloatArray, FloatArray]:
+    """Coordinates with one of them a step ahead, and a step back."""
+    up, down = theta.copy(), theta.copy()
+    up[j] += step
+    down[j] -= step
+    return up, down
 
 
-def _force(
-    acting: Sequence[tuple[Part, FloatArray]], hidden: Sequence[FloatArray | None],
-    p: FloatArray, s: Signals,
+def _added(
+    p: FloatArray, rate: FloatArray, acting: Sequence[tuple[Part, FloatArray, Signals]]
 ) -> tuple[FloatArray, FloatArray]:
-    """Acceleration without the drive, and its slope over the rate."""
-    force, slope = p[4] - p[3] * s.rate, np.full(s.rate.size, -p[3])
-    for (part, values), x in zip(acting, hidden, strict=True):
-        s = replace(s, hidden=x)
+    """Acceleration without the drive, and its slope over the rate.
+
+    acting: each effect with its own parameters and signals.
+    """
+    torque, slope = p[4] - p[3] * rate, np.full(rate.size, -p[3])
+    for part, values, s in acting:
         own = part.effect.torque(s, values, part.settings)
         if own is None:
             continue
-        force = force + own
+        torque = torque + own
         if 'rate' in part.effect.signals:
             slope = slope + slope_over_rate(part, s, values)
-    return force, slope
+    return torque, slope
+
+
+@dataclass(frozen=True)
+class _Inputs:
+    """What enters the filter besides known accelerations, as recursion.predict takes it."""
+
+    columns: FloatArray
+    bends: FloatArray
+    bent: NDArray[np.int64]
+    gains: FloatArray
+    moves: FloatArray
+    wander: FloatArray
+    follow: FloatArray
+    left: FloatArray
+    by_follow: FloatArray
+    by_left: FloatArray
+    place: NDArray[np.int64]
+
+    @staticmethod
+    def none(found: Filter, wander: FloatArray) -> _Inputs:
+        """Without derivatives, and wandering coefficients (n, w) that stay where they are."""
+        n, w = wander.shape
+        no, whole = np.zeros((n, 0)), np.int64
+        return _Inputs(
+            no, no, np.zeros(0, whole), np.zeros((0, found.gain.size)),
+            np.zeros((0, found.move.size)), wander, np.zeros((n, w)), np.zeros(w),
+            np.zeros((0, w, 2)), np.zeros((w, 2)), np.zeros(w, whole),
+        )
 
 
 @dataclass(frozen=True)

@@ -75,24 +75,25 @@ def motors(commands, row, lag, asymmetry, whole, fraction, dt, start, stop, halv
 
 
 @njit(**_OPTIONS)
-def predict(y, begin, known, slope, columns, bends, gain, gain_columns, move, move_columns,
-            gyro, behind, wander, follow, left, follow_columns, left_columns, place, dt, start,
-            stop, rate, states, innovation, jacobian):
+def predict(y, begin, known, slope, columns, bends, bent, gain, gain_columns, move,
+            move_columns, gyro, behind, wander, follow, left, follow_columns, left_columns,
+            place, dt, start, stop, rate, states, innovation, jacobian):
     """Innovations of the predictor over [start, stop) and their derivatives.
 
-    y (n,) measured, begin the rate at the start. known (2, n) acceleration over the halves of each
-    cycle, without what `slope` (n,) times the rate at half cycle adds. columns (n, m) derivatives
-    of the mean acceleration of each cycle, bends (n, b) half the difference of its halves for the
-    first b of them. States: rate, disturbance, the sensor's two, and two of each of the v lines of
-    vibration. gain (4 + 2 v,) what the innovation adds to them; move (2 + 2 v,): what is left of
-    the disturbance after a cycle, its mean over the cycle, and the turn of each line (cosine and
-    sine times what is left of it); gain_columns (m, 4 + 2 v) and move_columns (m, 2 + 2 v) their
-    derivatives; nothing is added where y is NaN. gyro (2, 5) as in noise.Sensor.step, measured
-    where `behind`. wander (n, w): acceleration per unit of each wandering term, of which an
-    innovation adds follow (n, w) and left (w,) is left after a cycle; the derivatives of both by
-    its two parameters, whose columns begin at place (w,), are follow_columns (n, w, 2) and
-    left_columns (w, 2). rate (n,) receives the rate at half cycle, states (n, 4 + 2 v + w) the
-    prediction before the innovation, innovation (n,) and jacobian (n, m) what the name says.
+    y (n,) measured, begin the rate at the start. known (2, n) acceleration over the halves of
+    each cycle, without what `slope` (n,) times the rate at half cycle adds. columns (n, m)
+    derivatives of the mean acceleration of each cycle, bends (n, b) half the difference of its
+    halves for those whose numbers are in bent (b,). States: rate, disturbance, the sensor's
+    two, and two of each of the v lines of vibration. gain (4 + 2 v,) what the innovation adds
+    to them; move (2 + 2 v,): what is left of the disturbance after a cycle, its mean over the
+    cycle, and the turn of each line (cosine and sine times what is left of it); gain_columns
+    (m, 4 + 2 v) and move_columns (m, 2 + 2 v) their derivatives; nothing is added where y is
+    NaN. gyro (2, 5) as in noise.Sensor.step, measured where `behind`. wander (n, w):
+    acceleration per unit of each wandering term, of which an innovation adds follow (n, w) and
+    left (w,) is left after a cycle; the derivatives of both by its two parameters, whose
+    columns begin at place (w,), are follow_columns (n, w, 2) and left_columns (w, 2). rate
+    (n,) receives the rate at half cycle, states (n, 4 + 2 v + w) the prediction before the
+    innovation, innovation (n,) and jacobian (n, m) what the name says.
     """
     m = columns.shape[1]
     g00, g01, g02, g03, g04 = gyro[0, 0], gyro[0, 1], gyro[0, 2], gyro[0, 3], gyro[0, 4]
@@ -144,7 +145,7 @@ def predict(y, begin, known, slope, columns, bends, gain, gain_columns, move, mo
         new = ahead * r + push * (mean + moved + hold * d)
         middle = 0.5 * (r + new)
         rate[k] = middle
-        bent = middle + 0.25 * dt * (known[0, k] - known[1, k])
+        curved = middle + 0.25 * dt * (known[0, k] - known[1, k])
         for j in range(m):
             jacobian[k, j] = -(s[2, j] if behind else s[0, j])
         for i in range(lines):
@@ -191,10 +192,10 @@ def predict(y, begin, known, slope, columns, bends, gain, gain_columns, move, mo
                     s[first + i, place[i] + j] += left_columns[i, j] * x[i]
             x[i] *= left[i]
         for j in range(bends.shape[1]):
-            s[2, j] += g03 * 0.5 * dt * bends[k, j]
-            s[3, j] += g13 * 0.5 * dt * bends[k, j]
-        ng = g00 * g + g01 * q + g02 * r + g03 * bent + g04 * new
-        q = g10 * g + g11 * q + g12 * r + g13 * bent + g14 * new
+            s[2, bent[j]] += g03 * 0.5 * dt * bends[k, j]
+            s[3, bent[j]] += g13 * 0.5 * dt * bends[k, j]
+        ng = g00 * g + g01 * q + g02 * r + g03 * curved + g04 * new
+        q = g10 * g + g11 * q + g12 * r + g13 * curved + g14 * new
         g = ng
         r = new
         d *= fade
@@ -203,50 +204,6 @@ def predict(y, begin, known, slope, columns, bends, gain, gain_columns, move, mo
             v[2 * i], v[2 * i + 1] = (
                 turn * v[2 * i] - over * v[2 * i + 1], over * v[2 * i] + turn * v[2 * i + 1]
             )
-
-
-@njit(**_OPTIONS)
-def respond(y, columns, slope, gain, move, gyro, behind, dt, start, stop, out):
-    """Response of the innovations of y (n,) to the accelerations `columns`: (n, m) into `out`."""
-    m = columns.shape[1]
-    g00, g01, g02, g03, g04 = gyro[0, 0], gyro[0, 1], gyro[0, 2], gyro[0, 3], gyro[0, 4]
-    g10, g11, g12, g13, g14 = gyro[1, 0], gyro[1, 1], gyro[1, 2], gyro[1, 3], gyro[1, 4]
-    c0, c1, c2, c3 = gain[0], gain[1], gain[2], gain[3]
-    fade, hold = move[0], move[1]
-    lines = move.size // 2 - 1
-    s = np.zeros((4 + 2 * lines, m))
-    for k in range(start, stop):
-        a = 0.5 * dt * slope[k]
-        ahead = (1.0 + a) / (1.0 - a)
-        push = dt / (1.0 - a)
-        for j in range(m):
-            out[k, j] = -(s[2, j] if behind else s[0, j])
-        for i in range(lines):
-            for j in range(m):
-                out[k, j] -= s[4 + 2 * i, j]
-        if not np.isfinite(y[k]):
-            out[k] = 0.0
-        for i in range(lines):
-            turn, over = move[2 + 2 * i], move[3 + 2 * i]
-            p, o = 4 + 2 * i, 5 + 2 * i
-            for j in range(m):
-                z = out[k, j]
-                x5 = s[p, j] + gain[p] * z
-                x6 = s[o, j] + gain[o] * z
-                s[p, j] = turn * x5 - over * x6
-                s[o, j] = over * x5 + turn * x6
-        for j in range(m):
-            z = out[k, j]
-            x0 = s[0, j] + c0 * z
-            x1 = s[1, j] + c1 * z
-            x2 = s[2, j] + c2 * z
-            x3 = s[3, j] + c3 * z
-            x4 = ahead * x0 + push * (columns[k, j] + hold * x1)
-            mid = 0.5 * (x0 + x4)
-            s[0, j] = x4
-            s[1, j] = fade * x1
-            s[2, j] = g00 * x2 + g01 * x3 + g02 * x0 + g03 * mid + g04 * x4
-            s[3, j] = g10 * x2 + g11 * x3 + g12 * x0 + g13 * mid + g14 * x4
 
 
 @njit(**_OPTIONS)
@@ -275,15 +232,67 @@ def pursued(e, psi, follow, left, start, stop, out):
 
 
 @njit(**_OPTIONS)
-def riccati(f, q, c, r):
-    """Steady predicted covariance (n, n) of a Kalman filter, by doubling.
+def noisy_cycle(white, disturbance, correlation_s, lines, damping, gyro, behind, noisy, dt):
+    """A cycle of `predict` with noise: transition, its noise's covariance, output, and `move`.
 
-    f (n, n) transition, q (n, n) its noise, c (n,) output, r its noise variance. Anderson (1978).
+    Noise as in noise.Noise, lines (v, 3); damping in 1/s; gyro, behind and noisy as in
+    noise.Sensor.
     """
-    n = f.shape[0]
-    a = np.ascontiguousarray(f.T)
-    g = np.outer(c, c) / r
-    h = q.copy()
+    size = 4 + 2 * len(lines)
+    fade = math.exp(-dt / correlation_s)
+    hold = correlation_s / dt * (1.0 - fade)
+    a = -0.5 * damping * dt
+    ahead, push = (1.0 + a) / (1.0 - a), dt / (1.0 - a)
+    rows, process, output = np.zeros((size, size)), np.zeros((size, size)), np.zeros(size)
+    move = np.empty(2 + 2 * len(lines))
+    move[0], move[1] = fade, hold
+    rows[0, 0], rows[0, 1], rows[1, 1] = ahead, push * hold, fade
+    first, second = np.zeros(size), np.zeros(size)  # of accelerations over the two halves
+    first[0] = second[0] = 0.5 * push
+    inside = np.zeros(size)
+    for i in range(2):
+        begin, half, end = gyro[i, 2], gyro[i, 3], gyro[i, 4]
+        rows[2 + i, 0] = begin + half * 0.5 * (1.0 + ahead) + end * ahead
+        rows[2 + i, 1] = (0.5 * half + end) * push * hold
+        rows[2 + i, 2], rows[2 + i, 3] = gyro[i, 0], gyro[i, 1]
+        first[2 + i] = (0.5 * half + end) * 0.5 * push + 0.25 * dt * half
+        second[2 + i] = (0.5 * half + end) * 0.5 * push - 0.25 * dt * half
+        inside[2 + i] = begin + half + end
+    for i in range(4):
+        for j in range(4):
+            process[i, j] = white**2 * 2.0 / dt * (first[i] * first[j] + second[i] * second[j])
+            if noisy:
+                process[i, j] += inside[i] * inside[j]
+    process[1, 1] += disturbance**2 * (1.0 - fade**2)
+    output[2 if behind else 0] = 1.0
+    for i in range(len(lines)):
+        left = math.exp(-math.pi * lines[i, 2] * dt)
+        angle = 2.0 * math.pi * lines[i, 1] * dt
+        turn, over = left * math.cos(angle), left * math.sin(angle)
+        p = 4 + 2 * i
+        rows[p, p] = rows[p + 1, p + 1] = turn
+        rows[p, p + 1], rows[p + 1, p] = -over, over
+        process[p, p] = process[p + 1, p + 1] = lines[i, 0] ** 2 * (1.0 - left**2)
+        output[p] = 1.0
+        move[2 + 2 * i], move[3 + 2 * i] = turn, over
+    return rows, process, output, move
+
+
+@njit(**_OPTIONS)
+def steady(rows, process, output, r, used):
+    """Gain (n,), predicted covariance (n, n) and innovation variance of a steady Kalman filter.
+
+    rows (n, n) transition, process (n, n) its noise, output (n,), r its noise variance; only the
+    states in used (n,) take part. Doubling: Anderson (1978).
+    """
+    keep = np.flatnonzero(used)
+    n = keep.size
+    a, h, g = np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
+    for i in range(n):
+        for j in range(n):
+            a[i, j] = rows[keep[j], keep[i]]
+            h[i, j] = process[keep[i], keep[j]]
+            g[i, j] = output[keep[i]] * output[keep[j]] / r
     eye = np.eye(n)
     for _ in range(60):
         w = np.linalg.inv(eye + g @ h)
@@ -294,7 +303,13 @@ def riccati(f, q, c, r):
         h = 0.5 * (new_h + new_h.T)
         if change <= 1e-13 * np.max(np.abs(h)):
             break
-    return h
+    covariance = np.zeros(rows.shape)
+    for i in range(n):
+        for j in range(n):
+            covariance[keep[i], keep[j]] = h[i, j]
+    gain = covariance @ output
+    s = output @ gain + r
+    return gain / s, covariance, s
 
 
 @njit(**_OPTIONS)
@@ -316,59 +331,18 @@ def slew(command, step, start, stop, out):
 
 
 @njit(**_OPTIONS)
-def first_order(command, tau, dt, start, stop, out):
-    """A held command after a first-order lag of `tau` s, mean over each cycle."""
-    decay = math.exp(-dt / tau)
-    mean = tau / dt * (1.0 - decay)
-    state = command[start]
-    for k in range(start, stop):
-        u = command[k]
-        out[k] = u + (state - u) * mean
-        state = u + (state - u) * decay
-
-
-@njit(**_OPTIONS)
-def light_mode(command, omega, damping, in_phase, quadrature, dt, start, stop, out):
-    """Command plus the response of a lightly damped mode at mid-cycle.
-
-    z'' + 2 damping omega z' + omega² z = omega² u, exact for a held u (damping below 1).
-    """
-    ring = omega * math.sqrt(max(1.0 - damping * damping, 1e-6))
-    x = command[start]
-    v = 0.0
-    half = 0.5 * dt
-    decay = math.exp(-damping * omega * half)
-    c, s = math.cos(ring * half), math.sin(ring * half)
-    a00 = decay * (c + damping * omega / ring * s)
-    a01 = decay * s / ring
-    a10 = -decay * omega * omega / ring * s
-    a11 = decay * (c - damping * omega / ring * s)
-    for k in range(start, stop):
-        u = command[k]
-        x -= u
-        x, v = a00 * x + a01 * v, a10 * x + a11 * v
-        out[k] = u + in_phase * (x + u) + quadrature * v / omega
-        x, v = a00 * x + a01 * v, a10 * x + a11 * v
-        x += u
-
-
-@njit(**_OPTIONS)
-def linear_states(rate, a, b, start, stop, out):
-    """States x of x+ = a x + b rate, at the start of each cycle: (m, n) into `out`.
+def linear_states(moving, a, b, start, stop, out):
+    """States x of x+ = a x + b moving, at the start of each cycle: (m, n) into `out`.
 
     They begin as out[:, start].
     """
     m = b.size
-    x = out[:, start].copy()
-    for k in range(start, stop):
-        out[:, k] = x
-        new = np.empty(m)
+    for k in range(start, stop - 1):
         for i in range(m):
-            total = b[i] * rate[k]
+            total = b[i] * moving[k]
             for j in range(m):
-                total += a[i, j] * x[j]
-            new[i] = total
-        x = new
+                total += a[i, j] * out[j, k]
+            out[i, k + 1] = total
 
 
 @njit(**_OPTIONS)

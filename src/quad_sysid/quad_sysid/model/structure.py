@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -87,6 +88,10 @@ class Structure:
             position += count
         return out
 
+    def placed(self) -> list[tuple[Part, slice]]:
+        """Each effect with its slice of the vector."""
+        return list(zip(self.parts, self.slices(), strict=True))
+
     def plus(self, part: Part) -> Structure:
         """The structure with one more effect."""
         return replace(self, parts=(*self.parts, part))
@@ -97,6 +102,19 @@ class Structure:
 
     def natural(self, theta: FloatArray) -> FloatArray:
         """(p,) parameters in their units from the coordinates of the fit, theta (p,)."""
-        logs = np.array([s.log for s in self.specs])
-        exponents = np.clip(np.where(logs, theta, 0.0), -40.0, 40.0)
-        return np.where(logs, np.exp(exponents), theta)
+        return natural(self.specs, theta)
+
+
+def natural(specs: Sequence[Spec], theta: FloatArray) -> FloatArray:
+    """(p,) parameters in their units from coordinates of the fit: some are logarithms."""
+    logs = np.array([s.log for s in specs])
+    exponents = np.clip(np.where(logs, theta, 0.0), -40.0, 40.0)
+    return np.where(logs, np.exp(exponents), theta)
+
+
+def coordinates(
+    specs: Sequence[Spec], values: FloatArray, least: float = 1e-12
+) -> FloatArray:
+    """The inverse of `natural`; a logarithm is of `least` at least."""
+    logs = np.array([s.log for s in specs])
+    return np.where(logs, np.log(np.maximum(np.where(logs, values, 1.0), least)), values)

@@ -205,7 +205,7 @@ def simulate(model: AxisModel, u: npt.ArrayLike, x0: tuple[float, float] = (0.0,
     settled = rate * (filtered[0] + filtered[2:].sum()) / (1.0 - filtered[1])
     states[1, :4] = rate, 0.0, rate, settled
     start = Prediction(np.zeros(n), None, states, found, np.full(n, rate))
-    once = Windows(np.ones(1, dtype=np.int64), n - 1, np.zeros(1, dtype=np.int64))
+    once = Windows(np.ones(1, dtype=np.int64), n - 1)
     rates = flight.free_run(stored.structure, stored.theta, once, prediction=start)
     return np.asarray(rates[0])
 

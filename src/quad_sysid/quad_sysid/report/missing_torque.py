@@ -15,11 +15,10 @@ import numpy as np
 import numpy.typing as npt
 
 from quad_sysid.contract import FloatArray, motors_from_wrench
-from quad_sysid.effects.curves import per_unit
 from quad_sysid.estimate.fit import Fit, Problem, covariance
 from quad_sysid.loop.from_model import Placed
 from quad_sysid.model.data import AxisData, Span
-from quad_sysid.model.effect import Drive, Part, Signals
+from quad_sysid.model.effect import Drive, Part, Signals, per_unit
 
 HALF_SPAN_S = 0.025
 BLOCK_S = 1.0
@@ -164,9 +163,8 @@ def _name(part: Part) -> str:
 
 
 def _which(part: Part) -> int:
-    """Which of the other two axes: curves tell it in their signal, couplings in `which`."""
-    signal = part.effect.signals[0]
-    return int(signal[-1]) - 1 if signal[-1:].isdigit() else int(getattr(part.effect, 'which', 0))
+    """Which of the other two axes it depends on; 0 where on none."""
+    return (*part.effect.others, 0)[0]
 
 
 def _frequency(along: Along, part: Part) -> float:

@@ -15,14 +15,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import special
 
-from quad_sysid.contract import FloatArray
 from quad_sysid.discover.screen import Score, screen
 from quad_sysid.estimate.fit import Fit, Problem, fit
 from quad_sysid.loop.from_model import Placed
-from quad_sysid.model import recursion
 from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import Part
-from quad_sysid.model.structure import NOISE, Structure
+from quad_sysid.model.structure import NOISE, Structure, coordinates
 from quad_sysid.separation.flight import Aircraft
 
 GAIN_KNOWN = 0.1
@@ -118,12 +116,8 @@ class Judged:
         rows = self.problem.rows
         difference = np.mean(added.known - plain.known, axis=0)
         difference = difference + (added.slope - plain.slope) * base.rate
-        columns, out = np.ascontiguousarray(difference[:, None]), np.zeros((base.rate.size, 1))
-        found = base.prediction.filter
-        for start, stop in flight.passes:
-            recursion.respond(flight.measured, columns, plain.slope, found.gain, found.move,
-                              flight.sensor.step, flight.sensor.behind, self.problem.data.dt,
-                              start, stop, out)
+        columns = np.ascontiguousarray(difference[:, None])
+        out = flight.responses(columns, plain.slope, base.prediction.filter)
         own = np.vstack([np.asarray(base.prediction.jacobian)[rows] / base.tail.scale,
                          np.linalg.cholesky(base.precision).T])
         q = np.linalg.qr(own)[0][: rows.size]
@@ -174,9 +168,6 @@ def judged(aircraft: Aircraft, data: AxisData) -> Judged:
     problem.measure(found)
     if aircraft.acting:
         structure = Structure(tuple(one.part for one in aircraft.acting))
-        own: list[FloatArray] = []
-        for one in aircraft.acting:
-            logs = np.array([s.log for s in one.effect.parameters])
-            own.append(np.where(logs, np.log(np.maximum(one.p, 1e-12)), one.p))
+        own = [coordinates(one.effect.parameters, one.p) for one in aircraft.acting]
         found = fit(problem, structure, np.concatenate([base, *own, known]))
     return Judged(problem, found)
