@@ -188,11 +188,12 @@ class _Beside:
                 out[:, first] = self._followed(block, out[:, first])
             first += len(block.columns)
         c = self._left(out[problem.rows] * self.w[:, None])
+        gram, gradient = c.T @ c, -(c.T @ self.r)
         first = 0
         for block in batch:
             where = slice(first, first + len(block.columns))
             first = where.stop
-            score = self._score(block, c[:, where])
+            score = self._score(block, gram[where, where], gradient[where])
             if score is not None:
                 yield score
 
@@ -206,17 +207,14 @@ class _Beside:
         change: FloatArray = out - e
         return change
 
-    def _score(self, block: _Block, c: FloatArray) -> Score | None:
+    def _score(self, block: _Block, gram: FloatArray, b: FloatArray) -> Score | None:
         part, parameters = block.part, block.part.effect.parameters
         nats = -PER_NONLINEAR * (len(parameters) - len(block.linear))
         if not block.linear:  # what it does from this start, as it is
-            residual = self.r + c[:, 0]
-            nats += 0.5 * float(self.r @ self.r - residual @ residual)
-            return Score(part, (block.p,), nats)
-        b = -(c.T @ self.r)
+            return Score(part, (block.p,), nats + float(b[0] - 0.5 * gram[0, 0]))
         precision = part.effect.precision(part.settings, self.problem.sizes_of(part))
         precision = precision[np.ix_(block.linear, block.linear)]
-        factor = cho_factor(c.T @ c + precision)
+        factor = cho_factor(gram + precision)
         x = cho_solve(factor, b)
         logdet = 2.0 * float(np.sum(np.log(np.diag(factor[0]))))
         nats += 0.5 * float(b @ x) - 0.5 * (logdet - float(np.linalg.slogdet(precision)[1]))

@@ -7,11 +7,10 @@ of model.effect.Effect.
 from importlib.metadata import entry_points
 
 from quad_sysid.effects.actuators import ACTUATORS
-from quad_sysid.effects.curves import CURVES
+from quad_sysid.effects.curves import CURVES, WANDERING
 from quad_sysid.effects.events import EVENTS
 from quad_sysid.effects.hidden import HIDDEN
 from quad_sysid.effects.torques import COUPLINGS, TORQUES
-from quad_sysid.effects.wandering import WANDERING
 from quad_sysid.model.checked import checked
 from quad_sysid.model.effect import Effect
 

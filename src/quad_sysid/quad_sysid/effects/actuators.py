@@ -60,7 +60,8 @@ class Map(Row):
         self, data: AxisData, command: FloatArray, p: FloatArray, settings: Settings
     ) -> FloatArray:
         if 'motors' not in self.signals:
-            return self.law(data, command, p)
+            mapped: FloatArray = self.law(data, command, p)
+            return mapped
         motors = data.motors.T
         return command + MIXER_INVERSE[data.index + 1] @ (self.law(data, motors, p) - motors)
 
@@ -260,30 +261,6 @@ class Saturation(Map):
         return {'throttle': 0.5 * float(p[0] + (0.0 if self.variant == 'upper' else 1.0))}
 
 
-class SlowShare(Effect):
-    """A share of the axis' torque has a longer lag."""
-
-    name = 'motor_lag'
-    signals = ('command',)
-    term = 'response'
-    parameters = (
-        Spec('slow_time_constant', 's', spread=0.7, centre=math.log(0.12), log=True,
-             starts=(0.09, 0.15, 0.3)),
-        Spec('share', '1', spread=0.3),
-    )
-    physics = 'a share of the motors answers with a longer lag than the others'
-    excite = 'a PRBS that reaches beyond 1 / lag'
-
-    def actuate(self, data: AxisData, drive: Drive, p: FloatArray, settings: Settings) -> Drive:
-        slow = np.broadcast_to(np.maximum(p[0], drive.lag[:1]), drive.lag[:1].shape)
-        return replace(
-            drive,
-            commands=np.vstack([drive.commands, drive.commands[:1]]),
-            row=np.r_[drive.row[:1] * (1.0 - p[1]), drive.row[1:], drive.row[:1] * p[1]],
-            lag=np.vstack([drive.lag, slow]),
-        )
-
-
 def by_motor(data: AxisData, drive: Drive) -> Drive:
     """One channel for each motor, and one for what earlier effects added to the command."""
     row = MIXER_INVERSE[data.index + 1]
@@ -295,22 +272,35 @@ def by_motor(data: AxisData, drive: Drive) -> Drive:
     )
 
 
-class SlowMotor(Effect):
+class Motors(Row):
+    """What happens between commands and torque: the law gives the Drive after it."""
+
+    term = 'response'
+
+    def prepare(self, data: AxisData) -> Settings | str:
+        return NO_MOTORS if self.variant == 'motors' and not moves(data) else {}
+
+    def actuate(self, data: AxisData, drive: Drive, p: FloatArray, settings: Settings) -> Drive:
+        after: Drive = self.law(data, drive, p)
+        return after
+
+
+class SlowMotor(Motors):
     """One motor has a longer lag than the others."""
 
-    name = 'motor_lag'
-    signals = ('command', 'motors')
-    term = 'response'
-    parameters = (
-        Spec('slow_time_constant', 's', spread=0.7, centre=math.log(0.12), log=True,
-             starts=(0.07, 0.12, 0.25)),
-    )
-    physics = 'one motor answers with a longer lag; the other axes then act here as well'
-    excite = 'hover with all axes moving'
-
     def __init__(self, motor: int) -> None:
-        self.motor = motor
-        self.variant = f'motor {motor + 1}'
+        def slowed(data: AxisData, drive: Drive, p: FloatArray) -> Drive:
+            split = by_motor(data, drive)
+            lag = split.lag.copy()
+            lag[motor] = p[0]
+            return replace(split, lag=lag)
+
+        slow = replace(SLOW, starts=(0.07, 0.12, 0.25))
+        super().__init__(
+            'motor_lag', ('command', 'motors'), (slow,), slowed, variant=f'motor {motor + 1}',
+            physics='one motor answers with a longer lag; the other axes then act here as well',
+            excite='hover with all axes moving',
+        )
 
     def prepare(self, data: AxisData) -> Settings | str:
         own = data.training(data.command)
@@ -322,37 +312,38 @@ class SlowMotor(Effect):
             return 'the other axes hardly move, so no single motor can be told apart'
         return {}
 
-    def actuate(self, data: AxisData, drive: Drive, p: FloatArray, settings: Settings) -> Drive:
-        split = by_motor(data, drive)
-        lag = split.lag.copy()
-        lag[self.motor] = p[0]
-        return replace(split, lag=lag)
+
+def _slow_share(_: AxisData, drive: Drive, p: FloatArray) -> Drive:
+    slow = np.broadcast_to(np.maximum(p[0], drive.lag[:1]), drive.lag[:1].shape)
+    return replace(
+        drive, commands=np.vstack([drive.commands, drive.commands[:1]]),
+        row=np.r_[drive.row[:1] * (1.0 - p[1]), drive.row[1:], drive.row[:1] * p[1]],
+        lag=np.vstack([drive.lag, slow]),
+    )
 
 
-class AsymmetricLag(Effect):
-    """The lag differs between acceleration and deceleration of a motor."""
-
-    name = 'shape:lag:direction'
-    kind = 'shape'
-    signals = ('command', 'direction')
-    term = 'response'
-    parameters = (Spec('asymmetry', '1', spread=0.5),)
-    physics = 'a motor slows down with the lag times exp(a) and speeds up with the lag over exp(a)'
-    excite = 'steps of the command up and down'
-
-    def __init__(self, variant: str) -> None:
-        self.variant = variant
-
-    def prepare(self, data: AxisData) -> Settings | str:
-        return NO_MOTORS if self.variant == 'motors' and not moves(data) else {}
-
-    def actuate(self, data: AxisData, drive: Drive, p: FloatArray, settings: Settings) -> Drive:
-        split = by_motor(data, drive) if self.variant == 'motors' else drive
+def _asymmetric(variant: str) -> Effect:
+    def uneven(data: AxisData, drive: Drive, p: FloatArray) -> Drive:
+        split = by_motor(data, drive) if variant == 'motors' else drive
         return replace(split, asymmetry=split.asymmetry + float(p[0]))
 
+    return Motors(
+        'shape:lag:direction', ('command', 'direction'), (Spec('asymmetry', '1', spread=0.5),),
+        uneven, kind='shape', variant=variant, excite='steps of the command up and down',
+        physics='a motor slows down with the lag times exp(a) and speeds up with the lag over '
+        'exp(a)',
+    )
 
+
+SLOW = Spec('slow_time_constant', 's', spread=0.7, centre=math.log(0.12), log=True,
+            starts=(0.09, 0.15, 0.3))
 ACTUATORS: tuple[Effect, ...] = (
     *MAPS, BatterySag(), ThrustCurve(), Saturation('upper'), Saturation('lower'),
-    SlowShare(), *(SlowMotor(i) for i in range(4)), AsymmetricLag('motors'), AsymmetricLag('axis'),
+    Motors(
+        'motor_lag', ('command',), (SLOW, Spec('share', '1', spread=0.3)), _slow_share,
+        physics='a share of the motors answers with a longer lag than the others',
+        excite='a PRBS that reaches beyond 1 / lag',
+    ),
+    *(SlowMotor(i) for i in range(4)), _asymmetric('motors'), _asymmetric('axis'),
     *SLOW_MAPS,
 )

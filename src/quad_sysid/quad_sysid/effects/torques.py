@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -26,11 +27,11 @@ from quad_sysid.model.effect import (
 class Row(Effect):
     """An effect as a row of a table: its law, and what else differs from Effect by name."""
 
-    law: Callable[..., FloatArray]
+    law: Callable[..., Any]
 
     def __init__(
         self, name: str, signals: tuple[str, ...], parameters: tuple[Spec, ...],
-        law: Callable[..., FloatArray], *, physics: str, excite: str, **more: object,
+        law: Callable[..., Any], *, physics: str, excite: str, **more: object,
     ) -> None:
         vars(self).update(
             more, name=name, signals=signals, parameters=parameters, law=law, physics=physics,
@@ -52,7 +53,8 @@ class Torque(Row):
     """A torque, rad/s², by the law of the signals `s` and the parameters (p,)."""
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        return self.law(s, p)
+        added: FloatArray = self.law(s, p)
+        return added
 
 
 DRY = (Spec('torque', 'rad/s²', positive=True), TRANSITION)

@@ -266,7 +266,7 @@ def axis_data(records: Sequence[Record], axis: str) -> AxisData:
     }
     has_angle = bool(np.isfinite(joined['angle']).any())
     if has_angle:
-        joined['angle'] = _held(joined['angle'])
+        joined['angle'] = _filled(joined['angle'])
     battery, reference = joined['battery_v'], joined['reference']
     lean = joined['other_angles']
     return AxisData(
@@ -278,7 +278,7 @@ def axis_data(records: Sequence[Record], axis: str) -> AxisData:
         motors=joined['motors'],
         other_rates=joined['other_rates'],
         other_angles=_filled(lean) if np.isfinite(lean).all(axis=1).any() else None,
-        battery_v=_held(battery) if np.isfinite(battery).mean() > 0.5 else None,
+        battery_v=_filled(battery) if np.isfinite(battery).mean() > 0.5 else None,
         gyro_filter_hz=records[0].gains_at(np.inf).get('sensor.gyro_filter_hz') or None,
         derived_s=records[0].gains_at(np.inf).get('sensor.rate_from_angle_s') or None,
         stretches=stretches,
@@ -335,16 +335,10 @@ def bridged(runs: Sequence[Span], dt: float) -> list[Span]:
 
 
 def _filled(values: FloatArray) -> FloatArray:
-    """(n, k) with unknown rows interpolated linearly."""
-    at = np.flatnonzero(np.isfinite(values).all(axis=1))
-    grid = np.arange(values.shape[0])
-    return np.column_stack([np.interp(grid, at, column[at]) for column in values.T])
-
-
-def _held(signal: FloatArray) -> FloatArray:
-    """(n,) a slow signal with missing samples interpolated linearly."""
-    good = np.flatnonzero(np.isfinite(signal))
-    return np.interp(np.arange(signal.size), good, signal[good])
+    """(n,) or (n, k) with unknown rows interpolated linearly."""
+    rows = values.reshape(values.shape[0], -1)
+    at, grid = np.flatnonzero(np.isfinite(rows).all(axis=1)), np.arange(rows.shape[0])
+    return np.column_stack([np.interp(grid, at, v[at]) for v in rows.T]).reshape(values.shape)
 
 
 def high(x: FloatArray) -> float:

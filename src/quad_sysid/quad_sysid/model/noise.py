@@ -15,7 +15,7 @@ from scipy.linalg import expm, solve_discrete_lyapunov
 from scipy.signal import savgol_coeffs
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.model import recursion
+from quad_sysid.model.recursion import riccati
 
 FORM_STEP_S = 1e-3
 """Interval at which gyros run their own filter."""
@@ -140,23 +140,59 @@ class Filter:
 
 def kalman(noise: Noise, damping: float, sensor: Sensor, dt: float) -> Filter:
     """Steady Kalman filter for a rate with this damping, 1/s (mean slope of the torque)."""
-    rows, process, output, move = recursion.noisy_cycle(
-        noise.white, noise.disturbance, noise.correlation_s,
-        np.array(noise.lines, dtype=float).reshape(-1, 3), damping, sensor.step, sensor.behind,
-        sensor.noisy, dt,
-    )
+    fade = math.exp(-dt / noise.correlation_s)
+    hold = noise.correlation_s / dt * (1.0 - fade)
+    a = -0.5 * damping * dt
+    ahead, push = (1.0 + a) / (1.0 - a), dt / (1.0 - a)
+    size = 4 + 2 * len(noise.lines)
+    rows = np.zeros((size, size))
+    rows[0, 0], rows[0, 1], rows[1, 1] = ahead, push * hold, fade
+    b = np.zeros((size, 2))  # accelerations over the two halves
+    b[0] = 0.5 * push
+    bend = 0.25 * dt * np.array([1.0, -1.0])
+    for i in range(2):
+        g, q, begin, half, end = sensor.step[i]
+        rows[2 + i, 0] = begin + half * 0.5 * (1.0 + ahead) + end * ahead
+        rows[2 + i, 1] = (0.5 * half + end) * push * hold
+        rows[2 + i, 2], rows[2 + i, 3] = g, q
+        b[2 + i] = (0.5 * half + end) * 0.5 * push + half * bend
+    process = noise.white**2 * 2.0 / dt * (b @ b.T)
+    process[1, 1] += noise.disturbance**2 * (1.0 - fade**2)
+    c = np.zeros(size)
+    c[2 if sensor.behind else 0] = 1.0
+    move = [fade, hold]
+    for i, (size_of, frequency, width) in enumerate(noise.lines):
+        left = math.exp(-math.pi * width * dt)
+        angle = 2.0 * math.pi * frequency * dt
+        turn, over = left * math.cos(angle), left * math.sin(angle)
+        at = 4 + 2 * i
+        rows[at : at + 2, at : at + 2] = [[turn, -over], [over, turn]]
+        process[at, at] = process[at + 1, at + 1] = size_of**2 * (1.0 - left**2)
+        c[at] = 1.0
+        move += [turn, over]
     r = floor = 1.0
     if sensor.noisy:
         r = noise.after**2
+        inside = sensor.step[:, 2:].sum(axis=1)
+        process[2:4, 2:4] += np.outer(inside, inside)
         floor = sensor.floor + r
     floor += sum(line[0] ** 2 for line in noise.lines)
-    used = np.ones(output.size, dtype=np.bool_)
-    used[2:4] = sensor.noisy or (sensor.behind, False)
-    gain, covariance, s = recursion.steady(rows, process, output, r, used)
+    used = np.array([0, 1, *([2, 3] if sensor.noisy else [2] * sensor.behind), *range(4, size)])
+    block = used[:, None], used
+    covariance = riccati(
+        np.ascontiguousarray(rows[block]), np.ascontiguousarray(process[block]), c[used], r
+    )
+    s = float(c[used] @ covariance @ c[used] + r)
+    gain = np.zeros(size)
+    gain[used] = covariance @ c[used] / s
+    full = np.zeros((size, size))
+    full[block] = covariance
     if sensor.derived:
-        r = floor = sensor.derived
-        output = np.eye(output.size)[0]
-    return Filter(gain, move, s, rows, process, covariance, output, r, floor)
+        return Filter(
+            gain, np.array(move), s, rows, process, full, np.eye(size)[0], sensor.derived,
+            sensor.derived,
+        )
+    return Filter(gain, np.array(move), s, rows, process, full, c, r, floor)
 
 
 def growth(found: Filter, steps: int) -> FloatArray:

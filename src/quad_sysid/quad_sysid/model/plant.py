@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from quad_sysid.contract import AXES, MIXER_INVERSE, FloatArray
+from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.model import recursion
 from quad_sysid.model.data import AxisData, Span, Windows, at_limit
 from quad_sysid.model.effect import Drive, Effect, Part, Signals, required
@@ -106,28 +106,22 @@ class Flight:
         lost = ~np.isfinite(data.rate) | at_limit(data.rate)
         self.measured = np.where(lost, np.nan, output)
         n = data.rate.size
-        self.row = np.ascontiguousarray(MIXER_INVERSE[data.index + 1])
-        grid = np.arange(n, dtype=np.float64)
-        time = grid * data.dt if data.time_s is None else data.time_s
-        self.time = time + 0.5 * data.dt
         self.angle = None if data.angle is None else np.nan_to_num(data.angle)
-        self.others: tuple[FloatArray, FloatArray] | None = None
+        self.others: list[FloatArray] | None = None
         if np.isfinite(data.other_rates).mean() > 0.5:
+            grid = np.arange(n, dtype=np.float64)
             ahead = grid + (0.5 + self.late / data.dt)
-            first, second = (
+            self.others = [
                 np.interp(ahead, grid, np.nan_to_num(column)) for column in data.other_rates.T
-            )
-            self.others = first, second
-        self.leans: tuple[FloatArray, FloatArray] | None = None
-        if data.other_angles is not None:
-            first, second = np.ascontiguousarray(data.other_angles.T)
-            self.leans = first, second
-        one, other = (
-            np.ascontiguousarray(data.control[:, AXES.index(name) + 1])
-            for name in data.other_axes
-        )
-        self.other_commands = one, other
-        self.throttle = np.ascontiguousarray(data.control[:, 0])
+            ]
+        columns = [AXES.index(name) + 1 for name in data.other_axes]
+        self._known: dict[str, Any] = {
+            'throttle': np.ascontiguousarray(data.control[:, 0]), 'battery_v': data.battery_v,
+            'time': data.clock + 0.5 * data.dt, 'other_rates': self.others,
+            'other_commands': [*np.ascontiguousarray(data.control[:, columns].T)],
+            'other_angles': None if data.other_angles is None
+            else [*np.ascontiguousarray(data.other_angles.T)],
+        }
         self.disturbances = np.zeros((n, 2))
         self.variance = 0.0  # of the innovations, (rad/s)²; 0: not known yet
         self._drives: dict[bytes, tuple[FloatArray, FloatArray]] = {}
@@ -200,16 +194,13 @@ class Flight:
         lagged = 0.5 * (halves[0, at] + halves[1, at])
         command = gain * states[1, at]
 
-        def pair(both: tuple[FloatArray, FloatArray] | None) -> Any:
-            return None if both is None else (both[0][at], both[1][at])
-
+        known: dict[str, Any] = {
+            name: tuple(one[at] for one in value) if isinstance(value, list) else
+            None if value is None else value[at] for name, value in self._known.items()
+        }
         return Signals(
-            rate=rate, angle=angle, drive=gain * lagged, command=command,
-            change=(command - gain * states[0, at]) / max(float(p[1]), 0.25 * data.dt),
-            lagged=lagged, throttle=self.throttle[at],
-            battery_v=None if data.battery_v is None else data.battery_v[at],
-            other_rates=pair(self.others), other_commands=pair(self.other_commands),
-            other_angles=pair(self.leans), time=self.time[at],
+            rate=rate, angle=angle, drive=gain * lagged, command=command, lagged=lagged,
+            change=(command - gain * states[0, at]) / max(float(p[1]), 0.25 * data.dt), **known,
         )
 
     def hidden(self, part: Part, s: Signals, p: FloatArray) -> Signals:

@@ -232,67 +232,15 @@ def pursued(e, psi, follow, left, start, stop, out):
 
 
 @njit(**_OPTIONS)
-def noisy_cycle(white, disturbance, correlation_s, lines, damping, gyro, behind, noisy, dt):
-    """A cycle of `predict` with noise: transition, its noise's covariance, output, and `move`.
+def riccati(f, q, c, r):
+    """Steady predicted covariance (n, n) of a Kalman filter, by doubling.
 
-    Noise as in noise.Noise, lines (v, 3); damping in 1/s; gyro, behind and noisy as in
-    noise.Sensor.
+    f (n, n) transition, q (n, n) its noise, c (n,) output, r its noise variance. Anderson (1978).
     """
-    size = 4 + 2 * len(lines)
-    fade = math.exp(-dt / correlation_s)
-    hold = correlation_s / dt * (1.0 - fade)
-    a = -0.5 * damping * dt
-    ahead, push = (1.0 + a) / (1.0 - a), dt / (1.0 - a)
-    rows, process, output = np.zeros((size, size)), np.zeros((size, size)), np.zeros(size)
-    move = np.empty(2 + 2 * len(lines))
-    move[0], move[1] = fade, hold
-    rows[0, 0], rows[0, 1], rows[1, 1] = ahead, push * hold, fade
-    first, second = np.zeros(size), np.zeros(size)  # of accelerations over the two halves
-    first[0] = second[0] = 0.5 * push
-    inside = np.zeros(size)
-    for i in range(2):
-        begin, half, end = gyro[i, 2], gyro[i, 3], gyro[i, 4]
-        rows[2 + i, 0] = begin + half * 0.5 * (1.0 + ahead) + end * ahead
-        rows[2 + i, 1] = (0.5 * half + end) * push * hold
-        rows[2 + i, 2], rows[2 + i, 3] = gyro[i, 0], gyro[i, 1]
-        first[2 + i] = (0.5 * half + end) * 0.5 * push + 0.25 * dt * half
-        second[2 + i] = (0.5 * half + end) * 0.5 * push - 0.25 * dt * half
-        inside[2 + i] = begin + half + end
-    for i in range(4):
-        for j in range(4):
-            process[i, j] = white**2 * 2.0 / dt * (first[i] * first[j] + second[i] * second[j])
-            if noisy:
-                process[i, j] += inside[i] * inside[j]
-    process[1, 1] += disturbance**2 * (1.0 - fade**2)
-    output[2 if behind else 0] = 1.0
-    for i in range(len(lines)):
-        left = math.exp(-math.pi * lines[i, 2] * dt)
-        angle = 2.0 * math.pi * lines[i, 1] * dt
-        turn, over = left * math.cos(angle), left * math.sin(angle)
-        p = 4 + 2 * i
-        rows[p, p] = rows[p + 1, p + 1] = turn
-        rows[p, p + 1], rows[p + 1, p] = -over, over
-        process[p, p] = process[p + 1, p + 1] = lines[i, 0] ** 2 * (1.0 - left**2)
-        output[p] = 1.0
-        move[2 + 2 * i], move[3 + 2 * i] = turn, over
-    return rows, process, output, move
-
-
-@njit(**_OPTIONS)
-def steady(rows, process, output, r, used):
-    """Gain (n,), predicted covariance (n, n) and innovation variance of a steady Kalman filter.
-
-    rows (n, n) transition, process (n, n) its noise, output (n,), r its noise variance; only the
-    states in used (n,) take part. Doubling: Anderson (1978).
-    """
-    keep = np.flatnonzero(used)
-    n = keep.size
-    a, h, g = np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
-    for i in range(n):
-        for j in range(n):
-            a[i, j] = rows[keep[j], keep[i]]
-            h[i, j] = process[keep[i], keep[j]]
-            g[i, j] = output[keep[i]] * output[keep[j]] / r
+    n = f.shape[0]
+    a = np.ascontiguousarray(f.T)
+    g = np.outer(c, c) / r
+    h = q.copy()
     eye = np.eye(n)
     for _ in range(60):
         w = np.linalg.inv(eye + g @ h)
@@ -303,13 +251,7 @@ def steady(rows, process, output, r, used):
         h = 0.5 * (new_h + new_h.T)
         if change <= 1e-13 * np.max(np.abs(h)):
             break
-    covariance = np.zeros(rows.shape)
-    for i in range(n):
-        for j in range(n):
-            covariance[keep[i], keep[j]] = h[i, j]
-    gain = covariance @ output
-    s = output @ gain + r
-    return gain / s, covariance, s
+    return h
 
 
 @njit(**_OPTIONS)
