@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import gammaln
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.model.data import AxisData, Span, high, part_of, typical_acceleration
+from quad_sysid.model.data import AxisData, Span, high, moved, part_of, typical_acceleration
 from quad_sysid.model.effect import Part, required
 from quad_sysid.model.noise import sensor_of
 from quad_sysid.model.plant import Flight, Prediction, passes_of
@@ -104,7 +104,9 @@ class Problem:
 
     def __post_init__(self) -> None:
         if not self.whole:
-            self._keep(passes_of(self.data, self.spans))
+            passes = passes_of(self.data, self.spans)
+            self.spans = moved(sorted(self.spans), passes)
+            self.data = part_of(self.data, passes)
         self.flight = Flight(self.data, self.spans)
         self._sizes: dict[str, FloatArray] = {}
         count = np.zeros(self.data.rate.size, dtype=bool)
@@ -116,16 +118,6 @@ class Problem:
             count[start : start + settle] = False
         self.rows = np.flatnonzero(count)
         self.acceleration = typical_acceleration(self.data, self.spans)
-
-    def _keep(self, passes: tuple[Span, ...]) -> None:
-        begins = np.cumsum([0] + [b - a for a, b in passes])
-        self.spans = tuple(
-            (a - start + int(begin), b - start + int(begin))
-            for a, b in sorted(self.spans)
-            for (start, stop), begin in zip(passes, begins, strict=False)
-            if start <= a and b <= stop
-        )
-        self.data = part_of(self.data, passes)
 
     def measure(self, fitted: Fit) -> None:
         """Take the sizes of all later priors and of the innovations from this fit."""
@@ -239,28 +231,29 @@ def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
     positive = np.array([s.positive and not s.log for s in structure.specs])
     steps = np.where(sizes > 1.0, 1e-4 * sizes, np.where(sizes < 1e-2, 1e-3 * sizes, 1e-4))
 
-    def objective(found: Prediction, at: FloatArray, tail: Tail | None) -> tuple[float, Tail]:
+    def evaluated(
+        at: FloatArray, begun: FloatArray, sweeps: int, *, by: FloatArray | None = None
+    ) -> tuple[Prediction | None, float, Tail]:
+        """Prediction, log posterior and tail; minus infinity where the noise has no filter."""
+        flight.rate, nothing = begun, Tail(1.0, 1e4)
+        try:
+            found = flight.predict(structure, at, sweeps=sweeps, steps=by)
+        except np.linalg.LinAlgError:
+            return None, -math.inf, nothing
         e = found.innovation[problem.rows]
         if not np.isfinite(e).all():
-            return -math.inf, tail or Tail(1.0, 1e4)
-        own = tail_of(e)
-        away = root @ (at - centres)
-        return float(np.sum(own.log_density(e))) - 0.5 * float(away @ away), own
+            return found, -math.inf, nothing
+        tail, away = tail_of(e), root @ (at - centres)
+        return found, float(np.sum(tail.log_density(e))) - 0.5 * float(away @ away), tail
 
-    def worth(at: FloatArray) -> float:
-        flight.rate = begun
-        try:
-            return objective(flight.predict(structure, at, sweeps=3), at, None)[0]
-        except np.linalg.LinAlgError:
-            return -math.inf
-
-    theta = (starts[0] if len(starts) == 1 else max(starts, key=worth)).astype(float)
+    theta = starts[0]
+    if len(starts) > 1:
+        theta = max(starts, key=lambda start: evaluated(start, begun, 3)[1])
+    theta = theta.astype(float)
     if still:
         theta[0] = 0.0
-    flight.rate = begun
-    found = flight.predict(structure, theta, sweeps=3, steps=steps)
-    value, tail = objective(found, theta, None)
-    if not math.isfinite(value):
+    found, value, tail = evaluated(theta, begun, 3, by=steps)
+    if found is None or not math.isfinite(value):
         raise FloatingPointError('the start runs away')
     damping, converged, count = 1e-3, False, 0
     for count in range(1, most_steps + 1):  # noqa: B007 - read after the loop
@@ -279,7 +272,6 @@ def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
             converged = True
             break
         kept = flight.rate
-        improved = False
         scale = np.sqrt(np.sum(a**2, axis=0))
         for _ in range(12):
             damped = np.vstack([a, math.sqrt(damping) * np.diag(scale)])
@@ -287,31 +279,22 @@ def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
             step[list(still)] = 0.0
             trial = theta + step
             trial = np.where(positive, np.maximum(trial, 0.0), trial)
-            flight.rate = kept
-            try:
-                tried = flight.predict(structure, trial, sweeps=2)
-            except np.linalg.LinAlgError:  # noise of such sizes has no filter
-                new = -math.inf
-            else:
-                new, new_tail = objective(tried, trial, tail)
+            _, new, _ = evaluated(trial, kept, 2)
             if new > value - 1e-9:
-                improved = True
                 break
             damping = max(damping * 8.0, 1e-4)
-        if not improved:
+        else:
             flight.rate = kept
             break
         gained = new - value
-        try:
-            found = flight.predict(structure, trial, sweeps=1, steps=steps)
-        except np.linalg.LinAlgError:  # the noise is at the edge of what has a filter
+        ahead, value_ahead, tail_ahead = evaluated(trial, flight.rate, 1, by=steps)
+        if ahead is None:  # the noise is at the edge of what has a filter
             flight.rate = kept
             break
-        theta, value, tail = trial, new, new_tail
-        damping *= 0.15
-        if found.jacobian is None:
+        if ahead.jacobian is None:
             raise FloatingPointError('the fit runs away')
-        value, tail = objective(found, theta, tail)
+        found, theta, value, tail = ahead, trial, value_ahead, tail_ahead
+        damping *= 0.15
         if gained < SMALL_NATS:
             converged = True
             break

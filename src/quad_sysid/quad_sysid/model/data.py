@@ -5,11 +5,12 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from quad_sysid.contract import AXES, FloatArray
+from quad_sysid.contract import AXES, FloatArray, motors_from_wrench
 from quad_sysid.errors import NotInformativeError
 from quad_sysid.record import Record, finite_runs
 
@@ -202,20 +203,20 @@ def other_axis(data: AxisData, which: int) -> AxisData:
     )
 
 
+def moved(spans: Sequence[Span], passes: Sequence[Span]) -> tuple[Span, ...]:
+    """Where spans are among the samples of these stretches, joined; those in none are left out."""
+    begins = np.cumsum([0] + [b - a for a, b in passes])
+    return tuple(
+        (a - start + int(begin), b - start + int(begin))
+        for a, b in spans
+        for (start, stop), begin in zip(passes, begins, strict=False)
+        if start <= a and b <= stop
+    )
+
+
 def part_of(data: AxisData, passes: Sequence[Span]) -> AxisData:
     """The samples of these unbroken stretches only, joined."""
     index = np.concatenate([np.arange(a, b) for a, b in passes])
-    ends = np.cumsum([b - a for a, b in passes])
-    begins = np.r_[0, ends[:-1]]
-
-    def moved(spans: Sequence[Span]) -> tuple[Span, ...]:
-        return tuple(
-            (a - start + int(begin), b - start + int(begin))
-            for a, b in spans
-            for (start, stop), begin in zip(passes, begins, strict=True)
-            if start <= a and b <= stop
-        )
-
     arrays = {
         name: np.ascontiguousarray(value[index]) for name, value in vars(data).items()
         if isinstance(value, np.ndarray)
@@ -223,11 +224,11 @@ def part_of(data: AxisData, passes: Sequence[Span]) -> AxisData:
     whole, at = (data, index) if data.source is None else (data.source[0], data.source[1][index])
     return replace(
         data, **(arrays | {'time_s': data.clock[index]}),
-        stretches=tuple((int(a), int(b)) for a, b in zip(begins, ends, strict=True)),
-        train=moved(data.train), validation=moved(data.validation), idle=moved(data.idle),
+        stretches=moved(passes, passes), train=moved(data.train, passes),
+        validation=moved(data.validation, passes), idle=moved(data.idle, passes),
         validation_names=tuple(
-            name for name, (a, b) in zip(data.validation_names, data.validation, strict=False)
-            if any(start <= a and b <= stop for start, stop in passes)
+            name for name, span in zip(data.validation_names, data.validation, strict=False)
+            if moved([span], passes)
         ),
         flights=(), source=(whole, at),
     )
@@ -261,24 +262,19 @@ def axis_data(records: Sequence[Record], axis: str) -> AxisData:
         for record, (good, _), offset in zip(records, parts, offsets, strict=False)
         for a, b in bridged(finite_runs(good, (0, record.n)), dt)
     )
-    joined = {
+    joined: dict[str, Any] = {
         key: np.concatenate([values[key] for _, values in parts]) for key in parts[0][1]
     }
-    has_angle = bool(np.isfinite(joined['angle']).any())
-    if has_angle:
-        joined['angle'] = _filled(joined['angle'])
-    battery, reference = joined['battery_v'], joined['reference']
-    lean = joined['other_angles']
+    for name, least in (('angle', 0.0), ('other_angles', 0.0), ('battery_v', 0.5)):
+        values = joined[name].reshape(offsets[-1], -1)
+        known = np.isfinite(values).all(axis=1).mean() > least
+        joined[name] = _filled(joined[name]) if known else None
+    if not np.isfinite(joined['reference']).any():
+        joined['reference'] = None
     return AxisData(
         axis=axis,
         dt=dt,
-        rate=joined['rate'],
-        angle=joined['angle'] if has_angle else None,
-        control=joined['control'],
-        motors=joined['motors'],
-        other_rates=joined['other_rates'],
-        other_angles=_filled(lean) if np.isfinite(lean).all(axis=1).any() else None,
-        battery_v=_filled(battery) if np.isfinite(battery).mean() > 0.5 else None,
+        **joined,
         gyro_filter_hz=records[0].gains_at(np.inf).get('sensor.gyro_filter_hz') or None,
         derived_s=records[0].gains_at(np.inf).get('sensor.rate_from_angle_s') or None,
         stretches=stretches,
@@ -286,7 +282,6 @@ def axis_data(records: Sequence[Record], axis: str) -> AxisData:
         validation=validation,
         idle=idle,
         validation_names=names,
-        reference=reference if np.isfinite(reference).any() else None,
         flights=tuple((int(a), int(b)) for a, b in itertools.pairwise(offsets)),
     )
 
@@ -297,11 +292,7 @@ def _prepare(record: Record, axis: str) -> tuple[np.ndarray, dict[str, FloatArra
     n = record.n
     rate = record.rates[:, index]
     control = record.control
-    motors = record.motors
-    if motors is None:
-        from quad_sysid.contract import motors_from_wrench
-
-        motors = motors_from_wrench(control)
+    motors = motors_from_wrench(control) if record.motors is None else record.motors
     good = np.isfinite(rate) & np.isfinite(control[:, index + 1])
     if not good.any():
         raise NotInformativeError(

@@ -110,12 +110,10 @@ class AxisModel:
 
     def __repr__(self) -> str:
         parts = ' and '.join(effect.name for effect in self.effects)
-        told = [(p.name, p) for p in self.base]
-        told += [(f'{e.name}.{p.name}', p) for e in self.effects for p in e.parameters]
         return '\n'.join([
             f'{self.axis} at {1.0 / self.dt:.6g} Hz: the base' + (parts and f' with {parts}'),
             *(f'  {name} {p.value:.4g}' + ('' if p.std is None else f' ± {p.std:.2g}') +
-              f' {p.unit}' for name, p in told),
+              f' {p.unit}' for name, p in self._named),
         ])
 
     @property
@@ -123,21 +121,19 @@ class AxisModel:
         """RMS of the measurement noise of the rate, rad/s."""
         return None if self.noise is None else self.noise.measured_rms
 
+    @property
+    def _named(self) -> list[tuple[str, Parameter]]:
+        return [(p.name, p) for p in self.base] + [
+            (f'{effect.name}.{p.name}', p) for effect in self.effects for p in effect.parameters
+        ]
+
     def value(self, name: str) -> float:
         """Value of a base parameter, or of `<effect>.<parameter>`."""
-        for parameter in self.base:
-            if parameter.name == name:
+        for known, parameter in self._named:
+            if known == name:
                 return parameter.value
-        effect_name, _, parameter_name = name.partition('.')
-        for effect in self.effects:
-            if effect.name == effect_name:
-                for parameter in effect.parameters:
-                    if parameter.name == parameter_name:
-                        return parameter.value
-        names = [p.name for p in self.base]
-        names += [f'{e.name}.{p.name}' for e in self.effects for p in e.parameters]
         raise BadInputError('model', 'has no such parameter', repr(name),
-                            f'it has {", ".join(names)}')
+                            f'it has {", ".join(known for known, _ in self._named)}')
 
 
 @dataclass(frozen=True)
