@@ -19,7 +19,7 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.discover.base import fit_without, fitted_from
 from quad_sysid.discover.search import Found
 from quad_sysid.estimate.fit import Fit, Problem
-from quad_sysid.estimate.stored import Stored
+from quad_sysid.estimate.stored import Stored, noise_of
 from quad_sysid.model.data import AxisData, Windows
 from quad_sysid.model.noise import growth
 from quad_sysid.model.plant import Prediction
@@ -96,11 +96,7 @@ class Unseen:
         self.problem = Problem(data, tuple(spans), whole=True)
         self.windows = data.windows(spans)
         self.long = data.windows(spans, HORIZONS_S[-1])
-        length = max(2, round(BLOCK_S / data.dt))
-        rows = self.problem.rows
-        stretch = np.cumsum(np.r_[0, np.diff(rows) > 1])
-        label = stretch * 10**6 + np.arange(rows.size) // length
-        self.block = np.unique(label, return_inverse=True)[1]
+        self.block = self.problem.blocks(BLOCK_S)
 
     def predict(self, fitted: Fitted) -> Prediction:
         """The filter's result along the segments."""
@@ -143,19 +139,6 @@ def rms(errors: FloatArray) -> float:
     return value if not math.isnan(value) else math.inf
 
 
-def expected(fitted: Fit, length: int) -> float:
-    """RMS of the free run over `length` cycles that the model's own noise predicts, rad/s."""
-    found = fitted.prediction.filter
-    mean_growth = float(np.mean(growth(found, length)))
-    return math.sqrt(fitted.tail.variance / found.innovation * mean_growth)
-
-
-def floor_of(fitted: Fit) -> float:
-    """RMS of the measurement noise in the rate, rad/s."""
-    found = fitted.prediction.filter
-    return math.sqrt(fitted.tail.variance / found.innovation * found.floor)
-
-
 def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
     """Open the validation segments and decide."""
     unseen = Unseen(data, data.validation)
@@ -163,16 +146,17 @@ def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
     e_value = 1.0
     if best is not base:
         e_value = bet(unseen.log_likelihood(best) - unseen.log_likelihood(base))
-    better = e_value * LEVEL >= 1.0 and rms(unseen.errors(best)) < rms(unseen.errors(base))
-    chosen = best if better else base
-    before, after = rms(unseen.errors(base)), rms(unseen.errors(chosen))
+    before, after = rms(unseen.errors(base)), rms(unseen.errors(best))
+    chosen = best
+    if not (e_value * LEVEL >= 1.0 and after < before):
+        chosen, after = base, before
     parts = chosen.structure.parts
     rest: list[Fit | None] = [base]
     if len(parts) != 1:
         rest = [fit_without(problem, chosen, i) for i in range(len(parts))]
     without = tuple(math.inf if one is None else rms(unseen.errors(one)) for one in rest)
     probabilities, rivals = _posterior(found, chosen)
-    predicted = expected(chosen, unseen.windows.length)
+    noise, spread = noise_of(chosen), growth(chosen.prediction.filter, unseen.windows.length)
     verdict, reason = 'effects_added', ''
     if not parts:
         verdict, reason = _empty(problem, found, unseen, base)
@@ -181,8 +165,9 @@ def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
     return Verdict(
         verdict=verdict, reason=reason, chosen=chosen, e_value=e_value, before=before, after=after,
         one_step_before=unseen.one_step(base), one_step_after=unseen.one_step(chosen),
-        hold=rms(unseen.holding(unseen.windows)), predicted=predicted,
-        noise_floor=floor_of(chosen), horizons=horizons(unseen, base, chosen), without=without,
+        hold=rms(unseen.holding(unseen.windows)),
+        predicted=noise.gyro_rms * math.sqrt(float(np.mean(spread))),
+        noise_floor=noise.measured_rms, horizons=horizons(unseen, base, chosen), without=without,
         probabilities=probabilities, rivals=rivals,
     )
 

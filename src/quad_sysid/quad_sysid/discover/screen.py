@@ -182,17 +182,14 @@ class _Beside:
         found = self.fitted.prediction.filter
         inputs = np.column_stack([column for block in batch for column in block.columns])
         out = flight.responses(inputs, self.slope, found)
-        first = 0
-        for block in batch:
+        ends = np.cumsum([len(block.columns) for block in batch])
+        for block, end in zip(batch, ends, strict=True):
             if block.part.effect.wanders:
-                out[:, first] = self._followed(block, out[:, first])
-            first += len(block.columns)
+                out[:, end - 1] = self._followed(block, out[:, end - 1])
         c = self._left(out[problem.rows] * self.w[:, None])
         gram, gradient = c.T @ c, -(c.T @ self.r)
-        first = 0
-        for block in batch:
-            where = slice(first, first + len(block.columns))
-            first = where.stop
+        for block, end in zip(batch, ends, strict=True):
+            where = slice(end - len(block.columns), end)
             score = self._score(block, gram[where, where], gradient[where])
             if score is not None:
                 yield score

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -32,8 +32,6 @@ SHARED = (
     'what disturbs this axis disturbs the other one as well, so that its command and rate answer '
     'to the same gusts; fly in calm air, or excite that axis by itself'
 )
-
-Log = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -78,10 +76,8 @@ class Found:
 class _Search:
     """The structures fitted so far, by the labels of their effects."""
 
-    def __init__(
-        self, problem: Problem, parts: Sequence[Part], base: Fit, log: Log | None
-    ) -> None:
-        self.problem, self.parts, self.log = problem, parts, log or (lambda _: None)
+    def __init__(self, problem: Problem, parts: Sequence[Part], base: Fit) -> None:
+        self.problem, self.parts = problem, parts
         names = Counter(part.effect.name for part in parts)
         self.prices = {
             part.effect.label: math.log(EXPECTED / len(names) / names[part.effect.name])
@@ -107,9 +103,6 @@ class _Search:
         if labels not in self.screens:
             rest = [p for p in self.parts if p.effect.label not in labels]
             self.screens[labels] = screen(self.problem, parent, rest)
-            self.log(f'{parent.structure.labels}: ' + ', '.join(
-                f'{s.part.effect.label} {s.nats:.1f}' for s in self.screens[labels][:8]
-            ))
         return self.screens[labels]
 
     def fitted(self, parent: Fit, one: Score) -> Fit | None:
@@ -126,8 +119,6 @@ class _Search:
         # effects come in any order: the list of a set counts once
         scored = Scored(fitted, fitted.evidence + price - math.lgamma(len(labels) + 1))
         self.known[labels] = scored
-        self.log(f'    {fitted.structure.labels} {scored.score:.1f}, {fitted.steps} steps'
-                 + ('' if fitted.converged else ', not converged'))
         return scored
 
     def best(self) -> Scored:
@@ -140,8 +131,7 @@ class _Search:
         if len(best.fit.structure.parts) < 2:
             return False
         for index in range(len(best.fit.structure.parts)):
-            structure = best.fit.structure.minus(index)
-            labels = frozenset(structure.labels)
+            labels = frozenset(best.fit.structure.minus(index).labels)
             if labels not in self.known:
                 fitted = fit_without(self.problem, best.fit, index)
                 if fitted is None:
@@ -152,7 +142,7 @@ class _Search:
         return self.best() is not best
 
 
-def search(problem: Problem, effects: Sequence[Effect], *, log: Log | None = None) -> Found:
+def search(problem: Problem, effects: Sequence[Effect]) -> Found:
     """The structures that the training segments support.
 
     A beam search adds one effect at a time until the evidence falls; then each effect of the best
@@ -167,7 +157,7 @@ def search(problem: Problem, effects: Sequence[Effect], *, log: Log | None = Non
     base, scored = best_base(problem), 0
     problem.measure(base)
     while True:
-        found = _structures(problem, parts, base, log)
+        found = _structures(problem, parts, base)
         scored += sum(map(len, found.screens.values()))
         best = found.best().fit
         used = {which for part in best.structure.parts for which in part.effect.others}
@@ -182,10 +172,8 @@ def search(problem: Problem, effects: Sequence[Effect], *, log: Log | None = Non
     return Found(base, ordered, reasons, scored)
 
 
-def _structures(
-    problem: Problem, parts: Sequence[Part], base: Fit, log: Log | None
-) -> _Search:
-    found = _Search(problem, parts, base, log)
+def _structures(problem: Problem, parts: Sequence[Part], base: Fit) -> _Search:
+    found = _Search(problem, parts, base)
     beam = [found.best()]
     for _ in range(MOST_EFFECTS):
         top = max(s.score for s in beam)
@@ -193,19 +181,10 @@ def _structures(
         fresh.sort(key=lambda s: -s.score)
         if not fresh or fresh[0].score <= top:
             break
-        beam = _unlike(fresh)[:BEAM]
+        # the best of each set of names: two smoothnesses of a curve are one explanation
+        unlike = {one.names: one for one in reversed(fresh)}.values()
+        beam = sorted(unlike, key=lambda s: -s.score)[:BEAM]
     for _ in range(MOST_EFFECTS):
         if not found.exchange():
             break
     return found
-
-
-def _unlike(ordered: Sequence[Scored]) -> list[Scored]:
-    """The best of each set of names, since two smoothnesses of a curve are one explanation."""
-    out: dict[tuple[str, ...], Scored] = {}
-    for one in ordered:
-        out.setdefault(one.names, one)
-    return list(out.values())
-
-
-__all__ = ['Found', 'Part', 'Scored', 'search']

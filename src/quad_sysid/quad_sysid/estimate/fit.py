@@ -10,6 +10,7 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import gammaln
 
 from quad_sysid.contract import FloatArray
@@ -98,7 +99,7 @@ class Problem:
     spans: tuple[Span, ...]
     whole: bool = False
     flight: Flight = field(init=False)
-    rows: np.ndarray = field(init=False)
+    rows: NDArray[np.int64] = field(init=False)
     acceleration: float = field(init=False)
     """Typical acceleration of the axis, rad/s², to which priors are relative."""
 
@@ -118,6 +119,13 @@ class Problem:
             count[start : start + settle] = False
         self.rows = np.flatnonzero(count)
         self.acceleration = typical_acceleration(self.data, self.spans)
+
+    def blocks(self, length_s: float) -> NDArray[np.int64]:
+        """(rows,) number of the block of each row: unbroken, of this length at most."""
+        length = max(2, round(length_s / self.data.dt))
+        stretch = np.cumsum(np.r_[0, np.diff(self.rows) > 1])
+        label = stretch * 10**6 + np.arange(self.rows.size) // length
+        return np.unique(label, return_inverse=True)[1]
 
     def measure(self, fitted: Fit) -> None:
         """Take the sizes of all later priors and of the innovations from this fit."""
@@ -325,10 +333,7 @@ def covariance(problem: Problem, fitted: Fit) -> FloatArray:
     j = required(fitted.prediction.jacobian)[problem.rows]
     tail = fitted.tail
     score = j * (tail.weights(e) * e / tail.scale**2)[:, None]
-    length = max(2, round(BLOCK_S / problem.data.dt))
-    number = np.cumsum(np.r_[0, (np.diff(problem.rows) > 1).astype(int)]) * 10**6
-    number = number + (np.arange(problem.rows.size) // length)
-    _, index = np.unique(number, return_inverse=True)
+    index = problem.blocks(BLOCK_S)
     sums = np.zeros((int(index.max()) + 1, j.shape[1]))
     np.add.at(sums, index, score)
     meat = sums.T @ sums + fitted.precision

@@ -51,7 +51,7 @@ class NoiseEstimate:
     """The noise of a fit, from which its Kalman filter follows."""
 
     ratios: Mapping[str, float]
-    """Noise parameters relative to the gyro's noise; names and units as in plant.NOISE."""
+    """Noise parameters relative to the gyro's noise; names and units as in structure.NOISE."""
     scale: float
     """Scale of the innovations' Student's t distribution, rad/s."""
     degrees: float

@@ -21,25 +21,6 @@ FORM_STEP_S = 1e-3
 """Interval at which gyros run their own filter."""
 
 
-@dataclass(frozen=True)
-class Noise:
-    """Ratios to the gyro's noise, whose size the innovations give.
-
-    white: torque noise over gyro noise, (rad/s²)/√Hz per rad/s; disturbance: RMS of d over gyro
-    noise, rad/s² per rad/s; correlation_s: correlation time of d, s.
-    """
-
-    white: float
-    disturbance: float
-    correlation_s: float
-    after: float = 0.1
-    """Noise after the gyro filter (rounding, sampling) over that before it; without a filter it
-    does not count."""
-    lines: tuple[tuple[float, float, float], ...] = ()
-    """Narrow lines of vibration of the gyro alone: RMS over the gyro noise, frequency and width,
-    Hz."""
-
-
 @dataclass(frozen=True, eq=False)
 class Sensor:
     """What lies between the rate and the measurement: nothing, a filter, or an integral."""
@@ -138,13 +119,20 @@ class Filter:
     """Variance of all noise in `output` over that before the gyro filter."""
 
 
-def kalman(noise: Noise, damping: float, sensor: Sensor, dt: float) -> Filter:
-    """Steady Kalman filter for a rate with this damping, 1/s (mean slope of the torque)."""
-    fade = math.exp(-dt / noise.correlation_s)
-    hold = noise.correlation_s / dt * (1.0 - fade)
+def kalman(noise: FloatArray, damping: float, sensor: Sensor, dt: float) -> Filter:
+    """Steady Kalman filter for a rate with this damping, 1/s (mean slope of the torque).
+
+    noise (4 + 3 v,): the parameters of structure.NOISE, ratios to the gyro's noise, whose size
+    the innovations give; without a gyro filter the last does not count. Then of each of the v
+    lines of vibration the three of structure.VIBRATION.
+    """
+    white, disturbance, correlation, after = noise[:4].tolist()
+    lines = noise[4:].reshape(-1, 3).tolist()
+    fade = math.exp(-dt / correlation)
+    hold = correlation / dt * (1.0 - fade)
     a = -0.5 * damping * dt
     ahead, push = (1.0 + a) / (1.0 - a), dt / (1.0 - a)
-    size = 4 + 2 * len(noise.lines)
+    size = 4 + 2 * len(lines)
     rows = np.zeros((size, size))
     rows[0, 0], rows[0, 1], rows[1, 1] = ahead, push * hold, fade
     b = np.zeros((size, 2))  # accelerations over the two halves
@@ -156,12 +144,12 @@ def kalman(noise: Noise, damping: float, sensor: Sensor, dt: float) -> Filter:
         rows[2 + i, 1] = (0.5 * half + end) * push * hold
         rows[2 + i, 2], rows[2 + i, 3] = g, q
         b[2 + i] = (0.5 * half + end) * 0.5 * push + half * bend
-    process = noise.white**2 * 2.0 / dt * (b @ b.T)
-    process[1, 1] += noise.disturbance**2 * (1.0 - fade**2)
+    process = white**2 * 2.0 / dt * (b @ b.T)
+    process[1, 1] += disturbance**2 * (1.0 - fade**2)
     c = np.zeros(size)
     c[2 if sensor.behind else 0] = 1.0
     move = [fade, hold]
-    for i, (size_of, frequency, width) in enumerate(noise.lines):
+    for i, (size_of, frequency, width) in enumerate(lines):
         left = math.exp(-math.pi * width * dt)
         angle = 2.0 * math.pi * frequency * dt
         turn, over = left * math.cos(angle), left * math.sin(angle)
@@ -172,11 +160,11 @@ def kalman(noise: Noise, damping: float, sensor: Sensor, dt: float) -> Filter:
         move += [turn, over]
     r = floor = 1.0
     if sensor.noisy:
-        r = noise.after**2
+        r = after**2
         inside = sensor.step[:, 2:].sum(axis=1)
         process[2:4, 2:4] += np.outer(inside, inside)
         floor = sensor.floor + r
-    floor += sum(line[0] ** 2 for line in noise.lines)
+    floor += sum(line[0] ** 2 for line in lines)
     used = np.array([0, 1, *([2, 3] if sensor.noisy else [2] * sensor.behind), *range(4, size)])
     block = used[:, None], used
     covariance = riccati(
@@ -188,10 +176,8 @@ def kalman(noise: Noise, damping: float, sensor: Sensor, dt: float) -> Filter:
     full = np.zeros((size, size))
     full[block] = covariance
     if sensor.derived:
-        return Filter(
-            gain, np.array(move), s, rows, process, full, np.eye(size)[0], sensor.derived,
-            sensor.derived,
-        )
+        c, r = np.eye(size)[0], sensor.derived
+        floor = r
     return Filter(gain, np.array(move), s, rows, process, full, c, r, floor)
 
 

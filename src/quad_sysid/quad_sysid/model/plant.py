@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +22,8 @@ from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.model import recursion
 from quad_sysid.model.data import AxisData, Span, Windows, at_limit
 from quad_sysid.model.effect import Drive, Effect, Part, Signals, required
-from quad_sysid.model.noise import Filter, Noise, Sensor, kalman, sensor_of
-from quad_sysid.model.structure import NOISE, VIBRATION, Structure, natural
+from quad_sysid.model.noise import Filter, Sensor, kalman, sensor_of
+from quad_sysid.model.structure import Structure, natural
 
 LEAD_S = 1.0
 """The filter starts this long before each span, where the flight is unbroken."""
@@ -302,13 +302,7 @@ class Flight:
 
     def filter_of(self, structure: Structure, theta: FloatArray, damping: float) -> Filter:
         """The steady Kalman filter at these parameters."""
-        p = structure.natural(theta)[-structure.filtered :]
-        white, disturbance, correlation, after = (float(v) for v in p[: len(NOISE)])
-        lines = p[len(NOISE) :].reshape(-1, len(VIBRATION))
-        noise = Noise(
-            white, disturbance, correlation, after,
-            tuple((float(size), float(centre), float(width)) for size, centre, width in lines),
-        )
+        noise = structure.natural(theta)[-structure.filtered :]
         return kalman(noise, damping, self.sensor, self.data.dt)
 
     def predict(
@@ -344,8 +338,8 @@ class Flight:
         columns = np.zeros((rate.size, theta.size))
         columns[:, : physics.shape[1]] = physics
         gains, moves = self._noise_columns(structure, theta, damping)
-        return replace(
-            by, columns=columns, bends=bends, bent=bent, gains=gains, moves=moves,
+        return by._replace(
+            columns=columns, bends=bends, bent=bent, gains=gains, moves=moves,
             by_follow=np.zeros((rate.size, by.left.size, 2)),
         )
 
@@ -356,10 +350,9 @@ class Flight:
         innovation, jacobian = np.full(n, np.nan), np.zeros(by.columns.shape)
         for start, stop in self.passes:
             recursion.predict(
-                self.measured, float(self.data.rate[start]), push.known, push.slope, by.columns,
-                by.bends, by.bent, found.gain, by.gains, found.move, by.moves, self.sensor.step,
-                self.sensor.behind, by.wander, by.follow, by.left, by.by_follow, by.by_left,
-                by.place, self.data.dt, start, stop, rate, states, innovation, jacobian,
+                self.measured, float(self.data.rate[start]), push.known, push.slope, found.gain,
+                found.move, self.sensor.step, self.sensor.behind, self.data.dt, start, stop, *by,
+                rate, states, innovation, jacobian,
             )
         return Prediction(innovation, jacobian, states, found, rate)
 
@@ -404,8 +397,8 @@ class Flight:
     def responses(self, columns: FloatArray, slope: FloatArray, found: Filter) -> FloatArray:
         """(n, m) response of the innovations to accelerations (n, m)."""
         m, nothing = columns.shape[1], np.zeros((slope.size, 0))
-        by = replace(
-            _Inputs.none(found, nothing), columns=columns, gains=np.zeros((m, found.gain.size)),
+        by = _Inputs.none(found, nothing)._replace(
+            columns=columns, gains=np.zeros((m, found.gain.size)),
             moves=np.zeros((m, found.move.size)),
         )
         push = Pushed(np.zeros((2, slope.size)), slope)
@@ -449,7 +442,6 @@ class Flight:
         angle = None if self.angle is None else self.angle[windows.starts] + self.late * r
         out = np.full((windows.count, windows.length), np.nan)
         last = data.rate.size - 1
-        gyro = self.sensor.step
         acting = [(part, p[where]) for part, where in structure.placed()]
         along = self.signals(p, halves, states, prediction.rate)
         hidden = [
@@ -480,12 +472,7 @@ class Flight:
                 for x, (part, values) in zip(hidden, acting, strict=True)
             ]
             bent = half + 0.25 * dt * (drive[0] - drive[1])
-            g, q = (
-                gyro[0, 0] * g + gyro[0, 1] * q + gyro[0, 2] * r + gyro[0, 3] * bent
-                + gyro[0, 4] * new,
-                gyro[1, 0] * g + gyro[1, 1] * q + gyro[1, 2] * r + gyro[1, 3] * bent
-                + gyro[1, 4] * new,
-            )
+            g, q = self.sensor.step @ np.stack([g, q, r, bent, new])
             if angle is not None:
                 angle = angle + dt * half
             r, d = new, d * fade
@@ -519,8 +506,7 @@ def _added(
     return torque, slope
 
 
-@dataclass(frozen=True)
-class _Inputs:
+class _Inputs(NamedTuple):
     """What enters the filter besides known accelerations, as recursion.predict takes it."""
 
     columns: FloatArray

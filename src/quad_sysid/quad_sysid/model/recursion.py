@@ -75,9 +75,9 @@ def motors(commands, row, lag, asymmetry, whole, fraction, dt, start, stop, halv
 
 
 @njit(**_OPTIONS)
-def predict(y, begin, known, slope, columns, bends, bent, gain, gain_columns, move,
-            move_columns, gyro, behind, wander, follow, left, follow_columns, left_columns,
-            place, dt, start, stop, rate, states, innovation, jacobian):
+def predict(y, begin, known, slope, gain, move, gyro, behind, dt, start, stop, columns, bends,
+            bent, gain_columns, move_columns, wander, follow, left, follow_columns, left_columns,
+            place, rate, states, innovation, jacobian):
     """Innovations of the predictor over [start, stop) and their derivatives.
 
     y (n,) measured, begin the rate at the start. known (2, n) acceleration over the halves of
