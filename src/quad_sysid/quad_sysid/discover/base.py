@@ -42,7 +42,13 @@ def best_base(problem: Problem) -> Fit:
     if base is None:
         raise FloatingPointError('no start of the base holds')
     for _ in range(MOST_LINES):
-        shaken = with_vibration(problem, base)
+        frequency = vibration_line(problem, base)
+        if frequency is None:
+            break
+        shaken = fitted_from(
+            problem, replace(base.structure, lines=base.structure.lines + 1),
+            np.r_[base.theta, 0.0, math.log(frequency), math.log(0.1)], rate=base.rate,
+        )
         if shaken is None or shaken.evidence + math.log(EXPECTED) <= base.evidence:
             break
         base = shaken
@@ -66,17 +72,6 @@ def fit_without(problem: Problem, fitted: Fit, index: int) -> Fit | None:
     keep = np.r_[0 : where.start, where.stop : fitted.theta.size]
     return fitted_from(
         problem, fitted.structure.minus(index), fitted.theta[keep], rate=fitted.rate
-    )
-
-
-def with_vibration(problem: Problem, base: Fit) -> Fit | None:
-    """The base with one more vibration line in the gyro's noise, the strongest that is left."""
-    frequency = vibration_line(problem, base)
-    if frequency is None:
-        return None
-    return fitted_from(
-        problem, replace(base.structure, lines=base.structure.lines + 1),
-        np.r_[base.theta, 0.0, math.log(frequency), math.log(0.1)], rate=base.rate,
     )
 
 

@@ -109,11 +109,7 @@ class Flight:
         self.angle = None if data.angle is None else np.nan_to_num(data.angle)
         self.others: list[FloatArray] | None = None
         if np.isfinite(data.other_rates).mean() > 0.5:
-            grid = np.arange(n, dtype=np.float64)
-            ahead = grid + (0.5 + self.late / data.dt)
-            self.others = [
-                np.interp(ahead, grid, np.nan_to_num(column)) for column in data.other_rates.T
-            ]
+            self.others = [self._ahead(np.nan_to_num(column)) for column in data.other_rates.T]
         columns = [AXES.index(name) + 1 for name in data.other_axes]
         self._known: dict[str, Any] = {
             'throttle': np.ascontiguousarray(data.control[:, 0]), 'battery_v': data.battery_v,
@@ -128,14 +124,17 @@ class Flight:
         if self.rate.size != n:
             self.rate = self._first_guess()
 
+    def _ahead(self, measured: FloatArray, cycles: float = 0.0) -> FloatArray:
+        """(n,) a measured rate at mid-cycle, or some cycles later, without the filter's delay."""
+        known, grid = np.isfinite(measured), np.arange(measured.size, dtype=np.float64)
+        later = grid + (0.5 + self.late / self.data.dt) + cycles
+        return np.interp(later, grid[known], measured[known])
+
     def _first_guess(self) -> FloatArray:
         """The measured rate, smoothed over five cycles and advanced by the filter's delay."""
-        known = np.flatnonzero(np.isfinite(self.data.rate))
-        measured = np.interp(np.arange(self.data.rate.size), known, self.data.rate[known])
-        smooth = np.convolve(measured, np.full(5, 0.2), mode='same')
-        shift = 0.5 + self.late / self.data.dt
-        grid = np.arange(measured.size, dtype=np.float64)
-        return np.interp(grid + shift, grid, smooth).astype(np.float64)
+        known, grid = np.isfinite(self.data.rate), np.arange(self.data.rate.size)
+        measured = np.interp(grid, grid[known], self.data.rate[known])
+        return self._ahead(np.convolve(measured, np.full(5, 0.2), mode='same'))
 
     # -------------------------------------------------------------------------- physics
 
@@ -285,14 +284,9 @@ class Flight:
 
         p: parameters in their units, the base's first.
         """
-        rate, dt = self.data.rate, self.data.dt
-        known = np.isfinite(rate)
+        dt = self.data.dt
         reach = max(1.0, SLOPE_S / dt)
-        grid = np.arange(rate.size, dtype=np.float64)
-        back, here, ahead = (
-            np.interp(grid + 0.5 + self.late / dt + shift, grid[known], rate[known])
-            for shift in (-reach, 0.0, reach)
-        )
+        back, here, ahead = (self._ahead(self.data.rate, way * reach) for way in (-1.0, 0.0, 1.0))
         halves = self.driven(Structure(), p)[0]
         explained = p[0] * 0.5 * (halves[0] + halves[1]) - p[3] * here + p[4]
         left: FloatArray = (ahead - back) / (2.0 * reach * dt) - explained
