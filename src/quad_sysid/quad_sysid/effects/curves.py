@@ -72,6 +72,7 @@ class Shape(Effect):
     """A term of the base that varies with a signal, in the words of AxisData.signal."""
 
     kind = 'shape'
+    sized_by_term = True
 
     def shaped(self, term: str, signal: str, how: str, *more: str) -> None:
         """Take the names that follow from term, signal and how the term follows it."""
@@ -89,9 +90,6 @@ class Shape(Effect):
         if isinstance(found, str):
             raise ValueError(found)  # noqa: TRY004 - why this flight cannot be used
         return found
-
-    def size(self, s: Signals, j: int, settings: Settings) -> FloatArray:
-        return per_unit(self.term, s)
 
 
 class Curve(Shape):

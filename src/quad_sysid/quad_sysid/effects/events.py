@@ -34,14 +34,12 @@ def after(s: Signals, time_s: float) -> FloatArray:
 class Event(Torque):
     """A torque that begins at a time, the first parameter."""
 
+    sized_by_term = True
     lengths: tuple[tuple[float, ...], ...] = ((),)
     """Start values of the parameters between the time and the size."""
 
     def starts(self, data: AxisData, settings: Settings) -> Sequence[FloatArray]:
         return [np.array([t, *d, 0.0]) for d in self.lengths for t in times(data)]
-
-    def size(self, s: Signals, j: int, settings: Settings) -> FloatArray:
-        return per_unit(self.term, s)
 
     def elsewhere(self, p: FloatArray, settings: Settings, phase: float) -> FloatArray:
         return np.array([LONG_AGO_S, *p[1:]])

@@ -79,6 +79,8 @@ class Linear(Torque):
         return a @ x + b[:, None] * self.driver(s, settings)
 
     def size(self, s: Signals, j: int, settings: Settings) -> FloatArray:
+        if self.sized_by_term:
+            return super().size(s, j, settings)
         return self.per_rate * s.rate
 
 
@@ -88,6 +90,7 @@ class Hysteresis(Effect):
     name = 'mode'
     kind = 'mode'
     variant = 'hysteresis'
+    sized_by_term = True
     signals = ('rate', 'history')
     states = 1
     parameters = (
@@ -111,9 +114,6 @@ class Hysteresis(Effect):
     ) -> FloatArray:
         way = np.sign(s.rate)
         return way + (x - way) * np.exp(-np.abs(s.rate) * dt / max(float(p[0]), 1e-4))
-
-    def size(self, s: Signals, j: int, settings: Settings) -> FloatArray:
-        return np.ones_like(s.rate)
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         return -p[1] * required(s.hidden)[0]

@@ -66,15 +66,6 @@ def _stribeck(s: Signals, p: FloatArray) -> FloatArray:
     return (p[0] + p[2] * near) * per_unit('friction', s, p[1])
 
 
-class Detents(Torque):
-    """Wells at equal angles, whose size is that of their torque wherever they are."""
-
-    kind = 'shape'
-
-    def size(self, s: Signals, j: int, settings: Settings) -> FloatArray:
-        return np.ones_like(s.rate)
-
-
 TORQUES: tuple[Effect, ...] = (
     Torque(
         'coulomb_friction', ('rate',), DRY, lambda s, p: p[0] * per_unit('friction', s, p[1]),
@@ -110,7 +101,7 @@ TORQUES: tuple[Effect, ...] = (
         lambda s, p: -p[0] * required(s.angle) ** 3,
         physics='-k angle³: a spring that hardens (k > 0), as cables do', excite='large angles',
     ),
-    Detents(
+    Torque(
         'shape:angle', ('angle',),
         (
             Spec('waves', '1/rad', spread=1.0, centre=math.log(40.0), log=True,
@@ -119,7 +110,7 @@ TORQUES: tuple[Effect, ...] = (
         ),
         lambda s, p: p[1] * np.cos(p[0] * required(s.angle))
         + p[2] * np.sin(p[0] * required(s.angle)),
-        variant='periodic',
+        kind='shape', variant='periodic', sized_by_term=True,
         physics='C cos(n angle) + S sin(n angle): wells at equal angles, as of magnets or teeth',
         excite='slow motion over a large range of angles',
     ),

@@ -162,6 +162,9 @@ class Effect:
     """Whether it is a coefficient that the filter follows: noise whose RMS and correlation time
     (s) are the two parameters; `torque` is linear in the coefficient, s.hidden[0], and zero
     without it."""
+    sized_by_term: bool = False
+    """Whether a unit of a parameter without a spread counts as one of the term it changes,
+    wherever the other parameters are."""
     phased: bool = False
     """Whether it swings at its first parameter's frequency (Hz), whose start comes from lines in
     the innovations; each flight has its own phase, which `elsewhere` takes."""
@@ -197,6 +200,8 @@ class Effect:
 
     def size(self, s: Signals, j: int, settings: Settings) -> FloatArray:
         """Acceleration per unit of a parameter without a spread, the others at their centre."""
+        if self.sized_by_term:
+            return per_unit(self.term, s)
         p = self.centre()
         p[j] = 1.0
         own = self.torque(s, p, settings)
