@@ -100,7 +100,7 @@ def test_a_flight_to_a_result_in_one_call(plain_flight, tmp_path):
     ):
         assert words in repr(value) == str(value)
         assert len(repr(value)) < 500
-    assert repr(quad_sysid.EFFECTS[0]).endswith('()')
+    assert repr(quad_sysid.EFFECTS[0]) == "Torque('coulomb_friction')"
     assert found.before == pytest.approx(result.errors['before'], rel=0.3)
     for call, words in (
         (lambda: result['yaw'], 'no such axis'),
