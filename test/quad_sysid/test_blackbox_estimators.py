@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from known_plants import Study, reference_study
+from known_plants import Cascade, Study, reference_study
 
 from quad_sysid.blackbox import (
     Model,
@@ -181,6 +181,16 @@ def test_a_drift_leaves_oe_on_the_edge_of_stability_and_converged(seed):
         again = oe(z, 2, 3, 2, start=start)
         assert again.converged
         assert model.loss <= again.loss * (1.0 + 1e-6)
+
+
+@pytest.mark.parametrize('pole', [0.9, 0.99, 0.999])
+def test_oe_under_strongly_coloured_noise_is_no_worse_than_from_the_truth(pole):
+    """Closed loop, where such noise moves the minimum far from the plant: N ln V within 0.5."""
+    plant = polynomial_model([0, 0, 0.1, 0.05], F=[1, -1.6, 0.68], dt=0.004)
+    truth = replace(plant, D=np.array([1.0, -pole]), noise_variance=0.01)
+    z = Study(truth, Cascade(3.0, 0.3, 0.0, 0.0), samples=6000).record(np.random.default_rng(3))
+    own, from_truth = oe(z, 2, 2, 2), oe(z, 2, 2, 2, start=plant)
+    assert own.samples * math.log(own.loss / from_truth.loss) < 0.5
 
 
 def test_a_pole_on_the_edge_is_let_go_where_the_data_have_none():

@@ -37,6 +37,8 @@ from quad_sysid.record import IOData
 MAX_ITERATIONS = 60
 PATIENCE = 5
 """Iterations before a descent is measured against one before it."""
+HOPE = 20.0
+"""Multiple of what the next step promises that a descent may still lower the squares."""
 TOLERANCE = 1e-3
 """Converged where the next step would lower N ln V by less than this."""
 DAMPINGS = (0.0, 1e-6, 1e-2, 1.0)
@@ -218,7 +220,7 @@ def descend(point: Point, at: Callable[[Model], Point], bar: float = math.inf) -
         if rows * promised <= TOLERANCE * point.squares or point.squares <= point.rounding:
             converged = True
             break
-        if iteration > PATIENCE and point.squares - PATIENCE * promised > bar:
+        if iteration > PATIENCE and point.squares - HOPE * promised > bar:
             break
         searched = (_search(point, _step(point, free, damping), at) for damping in DAMPINGS)
         ahead = next((found for found in searched if found is not None), None)
