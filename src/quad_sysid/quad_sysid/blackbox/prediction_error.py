@@ -161,7 +161,9 @@ def point_of(model: Model, errors: list[FloatArray], gradients: list[FloatArray]
         slope += gradient.T @ e
     total = float(sum(e @ e for e in errors))
     known = math.isfinite(total) and np.isfinite(hessian).all() and np.isfinite(slope).all()
-    return Point(model, errors, gradients, hessian, slope, total if known else math.inf)
+    if not known:
+        return Point(model, errors, gradients, np.zeros((p, p)), np.zeros(p), math.inf)
+    return Point(model, errors, gradients, hessian, slope, total)
 
 
 def evaluate(model: Model, z: IOData) -> Point:
@@ -327,6 +329,8 @@ def with_covariance(point: Point) -> Model:
     """
     n, p, free = sum(e.size for e in point.errors), point.slope.size, _free(point)
     model = replace(point.model, noise_variance=point.squares / (n - p), covariance=None)
+    if not math.isfinite(point.squares):
+        return model
     own = [g @ free for g in point.gradients]
     scale = _scale(free.T @ point.hessian @ free)
     r = upper(np.vstack([upper(g / scale) for g in own]))
