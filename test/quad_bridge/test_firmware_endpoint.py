@@ -99,8 +99,8 @@ def test_a_second_of_frames(board):
     frames = board().run(250)
     cycles = of(f.Cycle, frames)
     assert [(c.cycle, c.time_us) for c in cycles] == [(k, CYCLE_US * k) for k in range(250)]
-    kinds = (f.Heartbeat, f.GainsState, f.Battery, f.RcChannels, f.SlowSensors)
-    assert [len(of(kind, frames)) for kind in kinds] == [1, 1, 10, 50, 50]
+    kinds = (f.Heartbeat, f.GainsState, f.Battery, f.RcChannels, f.SlowSensors, f.ParamValue)
+    assert [len(of(kind, frames)) for kind in kinds] == [1, 1, 10, 50, 50, 0]
     assert of(f.Battery, frames)[0].voltage_v == pytest.approx(12.0)
     assert of(f.SlowSensors, frames)[0].pressure_hpa == pytest.approx(1013.25, abs=0.2)
 

@@ -154,10 +154,10 @@ def test_ends_whose_clocks_differ_meet():
     [
         (TODAY, 2**48 - 2, False), (TODAY, LAST + 1, False), (0, 2**48 - 2, False),
         (TODAY, TODAY + 2 * YEAR, False), (TODAY, TODAY + YEAR // 2, True),
-        (0, TODAY, True), (5 * YEAR, TODAY, True), (2**48 - 1, TODAY, True),
+        (5 * YEAR, TODAY, True),
     ],
 )  # fmt: skip
-def test_a_broken_clock_is_not_followed_and_one_that_was_never_set_follows(own, theirs, heard):
+def test_a_clock_far_ahead_of_one_that_was_set_is_not_followed(own, theirs, heard):
     ours, far = signing(now=own), signing(now=10)
     decoder = Decoder(ours)
     far.stamp = lambda: theirs
