@@ -10,10 +10,17 @@ from quad_bridge.link.guards import AGREES_NS, PAST_NS, PATIENCE_NS, LateGuard, 
 from quad_bridge.wire import frames as f
 
 
-class Story(Line):
-    """A line whose flight controller sends sticks too, and has flown for two seconds."""
+def talks(controller):
+    """Sticks, and once a second the heartbeat of who flies."""
+    yield from sticks(controller)
+    if controller.number % 250 == 0:
+        yield f.Heartbeat()
 
-    def __init__(self, bits=64, clock_us=0, seconds=2.0, also=sticks):
+
+class Story(Line):
+    """A line whose flight controller talks beside its cycles, and has flown for two seconds."""
+
+    def __init__(self, bits=64, clock_us=0, seconds=2.0, also=talks):
         super().__init__(FlightController(also=also, bits=bits))
         self.controller.clock_us = clock_us
         self.fly(seconds)
