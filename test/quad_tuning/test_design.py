@@ -210,6 +210,7 @@ def test_the_promised_change_of_the_rate_is_that_of_the_simulation(model):
     assert said['rate_rms_ratio'] == pytest.approx(np.std(after) / np.std(before), rel=0.05)
     assert said['oscillation_ratio'] > said['rate_rms_ratio']
     assert 0.99 < said['peak'] < 1.8
+    assert said['peak'] == promise(loops, new, new, 0.043)['peak']
     same = promise(loops, ACTIVE, ACTIVE, 0.043)
     assert same['rate_rms_ratio'] == same['oscillation_ratio'] == 1.0
 
