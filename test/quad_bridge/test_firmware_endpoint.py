@@ -146,6 +146,14 @@ def test_refused_values_and_a_wrong_checksum_change_nothing(board):
     assert {name: made.value(name) for name in NAMES} == before
 
 
+def test_a_copy_that_another_bridge_has_left_open_is_replaced(board):
+    made = board()
+    before = made.in_force()
+    made.tell(f.GainsCommand(f.GainsAction.OPEN, 9), f.ParamSet('ROLL_RATE_KP', 0.5))
+    assert made.update(YAW_RATE_KI=0.25).result == f.GainsResult.OK
+    assert sum(a != b for a, b in zip(made.in_force(), before, strict=True)) == 1
+
+
 @pytest.mark.parametrize(('valid_ms', 'cycles'), [(100, 26), (60_000, 126)])
 def test_an_excitation_ends_when_it_is_stale_after_half_a_second_at_the_latest(
     board, valid_ms, cycles
