@@ -4,6 +4,8 @@ import multiprocessing
 import os
 import subprocess
 import sys
+import threading
+from collections.abc import Callable
 
 import pytest
 
@@ -45,16 +47,56 @@ def test_an_error_is_raised_as_it_is(failing: int) -> None:
     assert not multiprocessing.active_children()
 
 
+def killed() -> None:
+    os.kill(os.getpid(), 9)
+
+
+def killed_as_it_sends() -> bytes:
+    threading.Timer(0.1, killed).start()
+    return bytes(1 << 20)
+
+
+def not_packed() -> Callable[[], None]:
+    return lambda: None
+
+
+def not_unpacked() -> UnicodeDecodeError:
+    error = UnicodeDecodeError('utf-8', b'', 0, 1, '')
+    error.args = ()
+    return error
+
+
 @pytest.mark.usefixtures('two_cores')
-def test_a_call_whose_process_was_killed_is_made_here() -> None:
+@pytest.mark.parametrize('there', [killed, killed_as_it_sends, not_packed, not_unpacked])
+def test_a_call_whose_result_did_not_come_is_made_here(there: Callable[[], object]) -> None:
     here = os.getpid()
 
-    def call() -> int:
+    def call() -> object:
         if os.getpid() != here:
-            os.kill(os.getpid(), 9)
+            return there()
+        for process in multiprocessing.active_children():
+            process.join()
         return 7
 
     assert beside.side_by_side([call, call, call]) == [7, 7, 7]
+
+
+@pytest.mark.usefixtures('two_cores')
+def test_where_no_process_can_be_started_all_are_made_here(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(os, 'fork', lambda: os.stat('/no/room'))
+    assert beside.side_by_side([os.getpid] * 3) == [os.getpid()] * 3
+
+
+@pytest.mark.usefixtures('two_cores')
+def test_a_large_result_does_not_hold_up_the_next_call() -> None:
+    """The parent's second call waits for the child's second."""
+    done, told = os.pipe()
+    calls = [int, lambda: bytes(1 << 20), lambda: os.read(done, 1), lambda: os.write(told, b'!')]
+    assert beside.side_by_side(calls) == [0, bytes(1 << 20), b'!', 1]
+    os.close(done)
+    os.close(told)
 
 
 @pytest.mark.skipif(sys.platform != 'linux' or len(os.sched_getaffinity(0)) < 2,

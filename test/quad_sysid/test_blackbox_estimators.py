@@ -158,6 +158,8 @@ def test_indirect_finds_the_plant_without_the_recorded_command(study, refusal, s
     assert compare(validation, model)[0] > compare(validation, study.truth)[0] - 0.1
     assert np.all(np.abs(model.parameters - plant_of(study)) < 4 * model.std)
     assert 'reference r' in refusal(indirect, IOData(z.u, z.y, z.dt), 2, 2, 3, controller)
+    short = replace(z, segments=[(k, k + 14) for k in range(0, 3000, 14)])
+    assert 'too few samples' in refusal(indirect, short, 2, 2, 3, controller, start=model)
 
 
 @pytest.mark.parametrize('seed', [1, 5, 6, 7])

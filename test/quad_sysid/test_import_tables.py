@@ -18,7 +18,7 @@ from quad_sysid.contract import MIXER_INVERSE, control_from_motors, motors_from_
 from quad_sysid.errors import BadInputError
 from quad_sysid.imports.columns import ColumnOptions, parse_units, read_columns
 from quad_sysid.imports.mixers import mixer_of
-from quad_sysid.imports.table import open_table
+from quad_sysid.imports.table import Table, open_table
 from quad_sysid.imports.to_bag import import_log
 from quad_sysid.imports.units import unit_of
 
@@ -189,6 +189,23 @@ def test_columns_of_two_rates_stand_side_by_side(options, tmp_path):
     np.testing.assert_allclose(record.rates[:, 1], want['rate'], atol=1e-9)
     np.testing.assert_allclose(record.control[:, 2], np.repeat(want['u'][::5], 5), atol=1e-9)
     assert any('were logged at 50 Hz' in line for line in record.warnings)
+
+
+T = np.arange(10.0)
+
+
+@pytest.mark.parametrize(('times', 'values', 'rows'), [
+    (T, T, 10), (T + 0.1, T, 9), (T[::-1] + 0.1, T, 9), (T, np.full(10, np.nan), 0),
+    (T + 0.1, np.where(T == 4, np.nan, T), 9), (T + 0.1, np.full(10, np.nan), 0), ([], [], 0),
+    ([1.0], [2.0], 0), ([1.0, 1.0], [2.0, 3.0], 0), (np.full(10, np.nan), T, 0),
+])  # fmt: skip
+def test_a_column_beside_one_at_other_times(times, values, rows):
+    """Drawn at the times of the first; one without two samples makes no stream."""
+    times, values = np.array(times), np.array(values)
+    table = Table('a log', {'first': T, 'second': values}, {'first': T, 'second': times})
+    found = table.stream('first', 'second')
+    assert (0 if found is None else found.values.shape) == (rows and (rows, 2))
+    assert (table.stream('second') is None) == (rows == 0)
 
 
 def sd_card(version: int, cut: int = 0) -> bytes:

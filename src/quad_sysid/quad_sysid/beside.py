@@ -21,23 +21,24 @@ def side_by_side(calls: Sequence[Callable[[], Any]]) -> list[Any]:
 
     A fork is safe only where no other thread holds a lock, so it is left to processes with one
     thread: the command line's, but not a node's or a notebook's, where the calls follow each
-    other. A call whose process gave no result is made here, so errors are raised as they are.
+    other. A call whose result did not come whole is made here, so errors are raised as they are.
     """
-    cores = min(len(calls), len(os.sched_getaffinity(0)))
-    if cores < 2 or multiprocessing.parent_process() is not None or not _single_threaded():
+    if not _single_threaded() or multiprocessing.parent_process() is not None:
         return [call() for call in calls]
+    cores = min(len(calls), len(os.sched_getaffinity(0)))
     context = multiprocessing.get_context('fork')
     started = []
     try:
-        for first in range(1, cores):
-            receiver, sender = context.Pipe(duplex=False)
-            process = context.Process(target=_make, args=(calls[first::cores], sender))
-            process.start()
-            sender.close()
-            started.append((first, process, receiver))
-        results = {place: calls[place]() for place in range(0, len(calls), cores)}
+        with suppress(OSError):  # no room for another process
+            for first in range(1, cores):
+                receiver, sender = context.Pipe(duplex=False)
+                process = context.Process(target=_make, args=(calls[first::cores], sender))
+                process.start()
+                sender.close()
+                started.append((first, process, receiver))
+        results = {place: calls[place]() for place in range(0, len(calls), max(cores, 1))}
         for first, _, receiver in started:
-            with suppress(EOFError):
+            with suppress(Exception):  # killed, or what it sent cannot be unpacked
                 for place in range(first, len(calls), cores):
                     results[place] = receiver.recv()
         return [results[place] if place in results else call() for place, call in enumerate(calls)]
@@ -49,11 +50,17 @@ def side_by_side(calls: Sequence[Callable[[], Any]]) -> list[Any]:
 
 
 def _make(calls: Sequence[Callable[[], Any]], sender: Connection) -> None:
-    """The calls' results to the parent, up to the first that fails; Ctrl-C ends it silently."""
+    """The calls' results to the parent, up to the first that fails; Ctrl-C ends it silently.
+
+    They are sent once all are there: a pipe is full after 64 kB, and the parent reads it last.
+    """
     signal.signal(signal.SIGINT, signal.SIG_DFL)
+    results: list[Any] = []
     with suppress(Exception):  # the parent makes the call itself and meets the error
-        for call in calls:
-            sender.send(call())
+        results.extend(call() for call in calls)
+    with suppress(Exception):  # what cannot be packed, the parent makes itself
+        for result in results:
+            sender.send(result)
 
 
 def _single_threaded() -> bool:

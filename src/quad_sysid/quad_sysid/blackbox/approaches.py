@@ -175,11 +175,11 @@ def _start(z: IOData, nb: int, nf: int, nk: int, controller: LinearController,
 def _evaluate(model: Model, z: IOData, controller: LinearController, ar: FloatArray) -> Point:
     """Errors of the closed loop behind the filter `ar`, its unknown start taken out of them.
 
-    Their sum of squares is inf where the loop is not stable.
+    Their sum of squares is inf where the loop is not stable or no segment is long enough.
     """
     loop = _sum(np.convolve(model.F, controller.P), np.convolve(model.B, controller.S))
     if loop[0] != 1.0 or np.max(np.abs(np.roots(loop)), initial=0.0) >= 1.0:
-        return replace(point_of(model, [], []), squares=math.inf)
+        return point_of(model, [], [])
     nb, nf, states, one = model.B.size - model.nk, model.F.size - 1, loop.size - 1, np.ones(1)
     errors, gradients = [], []
     for a, b in z.segments:

@@ -143,7 +143,7 @@ class Point:
     slope: FloatArray
     """(p,) Jᵀe."""
     squares: float
-    """Sum of squared errors; inf where it or its derivatives overflowed."""
+    """Sum of squared errors; inf where there are none, or it or its derivatives overflowed."""
     rounding: float = 0.0
     """Sum of squares that rounding alone makes."""
     edge: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
@@ -161,7 +161,7 @@ def point_of(model: Model, errors: list[FloatArray], gradients: list[FloatArray]
         slope += gradient.T @ e
     total = float(sum(e @ e for e in errors))
     known = math.isfinite(total) and np.isfinite(hessian).all() and np.isfinite(slope).all()
-    if not known:
+    if not errors or not known:
         return Point(model, errors, gradients, np.zeros((p, p)), np.zeros(p), math.inf)
     return Point(model, errors, gradients, hessian, slope, total)
 

@@ -77,17 +77,14 @@ class Table:
             return None
         alone = [self._in_order(name) for name in names]
         times = alone[0].time_s
-        values = np.column_stack([
-            one.values if np.array_equal(one.time_s, times)
-            else draw(one, times, 3.0 / one.rate_hz) for one in alone
-        ])
+        values = np.column_stack([_at(one, times) for one in alone])
         known = np.isfinite(values).all(axis=1)
         return Stream(times[known], values[known]) if known.sum() > 1 else None
 
     def _in_order(self, name: str) -> Stream:
         times = self.times[name]
         order = np.argsort(times, kind='stable')
-        order = order[np.concatenate(([True], np.diff(times[order]) > 0.0))]
+        order = order[np.diff(times[order], prepend=-np.inf) > 0.0]
         return Stream(times[order], self.columns[name][order][:, None])
 
     def complain(self, row: int, column: str, what: str, remedy: str) -> BadInputError:
@@ -97,6 +94,15 @@ class Table:
             f'{self.source}{line}, column {column}', what,
             f'{self.columns[column][row]:.10g}', remedy,
         )
+
+
+def _at(one: Stream, times: FloatArray) -> FloatArray:
+    """(n, 1) at these times, interpolated where they are not its own; NaN in gaps."""
+    if np.array_equal(one.time_s, times):
+        return one.values
+    known = np.isfinite(one.values[:, 0])
+    one = Stream(one.time_s[known], one.values[known])
+    return draw(one, times, 3.0 / (one.rate_hz or np.inf))
 
 
 def open_table(path: Path, wanted: Sequence[str] | None = None) -> Table:
