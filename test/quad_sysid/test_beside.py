@@ -6,6 +6,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
@@ -85,7 +86,7 @@ def test_a_call_whose_result_did_not_come_is_made_here(there: Callable[[], objec
 def test_where_no_process_can_be_started_all_are_made_here(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(os, 'fork', lambda: os.stat('/no/room'))
+    monkeypatch.setattr(os, 'fork', lambda: Path('/no/room').stat())
     assert beside.side_by_side([os.getpid] * 3) == [os.getpid()] * 3
 
 
