@@ -169,3 +169,46 @@ def test_variants_of_one_name_are_one_explanation():
     found = Found(None, (scored(0.0, cubic), *alike), {}, 0)
     assert len(springs) > 1
     assert found.best is alike[0].fit
+
+
+def test_every_effect_moves_the_innovations_as_its_derivatives_say() -> None:
+    """Of the base's and of the effect's own parameters, along one random direction each.
+
+    A command in whole steps has no derivative; what moves the innovations by less than a thousandth of
+    what the base does is left out.
+    """
+    rng = np.random.default_rng(1)
+    flown = fly(Axis(
+        volts=(12.6, 11.0), throttle=lambda t: 0.5 + 0.1 * np.sin(0.8 * t),
+        other_commands=lambda t: (0.05 * np.sin(3.0 * t), 0.04 * np.sin(5.0 * t + 1.0)),
+        other_rates=lambda t: (0.8 * np.sin(2.0 * t), 0.6 * np.sin(4.0 * t + 1.0)),
+    ), 4, SHORT)
+    data = axis_data([flown], 'roll')
+    problem = Problem(data, data.train)
+    base = best_base(problem)
+    problem.measure(base)
+    parts, untried = candidates(problem, EFFECTS)
+    assert not untried
+    wrong = {}
+    for one in screen(problem, base, parts):
+        structure = base.structure.plus(one.part)
+        at = base.theta.size - len(base.structure.noise)
+        theta = np.r_[base.theta[:at], one.starts[0], base.theta[at:]]
+        own = np.zeros(theta.size)
+        own[at : at + one.starts[0].size] = 1.0
+        steps = 1e-4 * np.minimum(problem.sizes(structure), 1e3)
+
+        def predicted(theta, steps=None, structure=structure):
+            problem.flight.rate = base.rate
+            found = problem.flight.predict(structure, theta, sweeps=1, steps=steps)
+            return (found.innovation if steps is None else found.jacobian)[problem.rows]
+
+        jacobian, least = predicted(theta, steps), 0.0
+        for of in (1.0 - own, own):
+            way = of * steps * rng.standard_normal(theta.size)
+            moved = 0.5 * (predicted(theta + way) - predicted(theta - way))
+            size = np.linalg.norm(moved)
+            if size > least and np.linalg.norm(moved - jacobian @ way) > 0.05 * size:
+                wrong[one.part.effect.label] = one.part.effect
+            least = 1e-3 * size
+    assert set(wrong) == {'shape:gain:command/steps'}

@@ -45,6 +45,15 @@ class Pushed:
     slope: FloatArray
 
 
+Acting = tuple[Part, FloatArray, Signals]
+"""An effect with its own parameters and the signals that it sees."""
+
+
+def turns(effect: Effect) -> bool:
+    """Whether the effect adds a torque."""
+    return type(effect).torque is not Effect.torque
+
+
 def slope_over_rate(part: Part, s: Signals, p: FloatArray) -> FloatArray:
     """Derivative of an effect's torque over the rate, 1/s."""
     ahead, back = (
@@ -210,15 +219,22 @@ class Flight:
 
     def pushed(self, structure: Structure, p: FloatArray, rate: FloatArray) -> Pushed:
         """Accelerations along the trajectory `rate` (n,), and their slope over it."""
+        drive, torque, acting = self._acting(structure, p, rate)
+        slope = _slope(p, rate, acting)
+        return Pushed(drive + (torque - slope * rate), slope)
+
+    def _acting(
+        self, structure: Structure, p: FloatArray, rate: FloatArray
+    ) -> tuple[FloatArray, FloatArray, list[Acting]]:
+        """Accelerations by the drive (2, n) and by all else (n,), and the effects that act."""
         halves, states = self.driven(structure, p)
         s = self.signals(p, halves, states, rate)
-        acting = [(part, p[where]) for part, where in structure.placed()]
-        torque, slope = _added(
-            p, rate, [(part, own, self.hidden(part, s, own)) for part, own in acting]
-        )
+        acting = [(part, p[where], self.hidden(part, s, p[where]))
+                  for part, where in structure.placed()]
+        torque = _torque(p, rate, acting)
         for which, share in zip(structure.shared, p[-len(structure.noise) :], strict=False):
             torque = torque + share * self.disturbances[:, which]
-        return Pushed(p[0] * halves + (torque - slope * rate), slope)
+        return p[0] * halves, torque, acting
 
     def columns(
         self, structure: Structure, theta: FloatArray, rate: FloatArray, steps: FloatArray
@@ -240,17 +256,14 @@ class Flight:
         s = self.signals(p, halves, states, rate)
         follows_drive = False
         for part, where in placed:
-            torque = type(part.effect).torque is not Effect.torque
-            follows_drive |= torque and 'command' in part.effect.signals
+            follows_drive |= turns(part.effect) and 'command' in part.effect.signals
             if not part.effect.moves_command:
                 out[:, where] = self._by_parameters(part, s, theta[where], steps[where])
         for i, j in enumerate(bent):
             up, down = (structure.natural(one) for one in _moved(theta, int(j), steps[j]))
             if follows_drive:
-                difference = (
-                    self.pushed(structure, up, rate).known
-                    - self.pushed(structure, down, rate).known
-                ) / (2.0 * steps[j])
+                ahead, back = (sum(self._acting(structure, one, rate)[:2]) for one in (up, down))
+                difference = (ahead - back) / (2.0 * steps[j])
             elif j == 0:
                 difference = halves
             else:
@@ -452,12 +465,13 @@ class Flight:
             mean = 0.5 * (drive[0] + drive[1])
             middle = r + 0.5 * dt * mean  # where physics is evaluated, then corrected by its slope
             s = self.signals(p, halves, states, middle, k, angle)
-            force, slope = _added(p, middle, [
+            now = [
                 (part, values, replace(s, hidden=x))
                 for x, (part, values) in zip(hidden, acting, strict=True)
-            ])
+            ]
+            slope = _slope(p, middle, now)
             a = 0.5 * dt * slope
-            push = mean + force - slope * middle + hold * d
+            push = mean + _torque(p, middle, now) - slope * middle + hold * d
             new = ((1.0 + a) * r + dt * push) / (1.0 - a)
             half = 0.5 * (r + new)
             s = replace(s, rate=half)
@@ -482,22 +496,23 @@ def _moved(theta: FloatArray, j: int, step: float) -> tuple[FloatArray, FloatArr
     return up, down
 
 
-def _added(
-    p: FloatArray, rate: FloatArray, acting: Sequence[tuple[Part, FloatArray, Signals]]
-) -> tuple[FloatArray, FloatArray]:
-    """Acceleration without the drive, and its slope over the rate.
-
-    acting: each effect with its own parameters and signals.
-    """
-    torque, slope = p[4] - p[3] * rate, np.full(rate.size, -p[3])
+def _torque(p: FloatArray, rate: FloatArray, acting: Sequence[Acting]) -> FloatArray:
+    """Acceleration without the drive."""
+    torque: FloatArray = p[4] - p[3] * rate
     for part, values, s in acting:
         own = part.effect.torque(s, values, part.settings)
-        if own is None:
-            continue
-        torque = torque + own
-        if 'rate' in part.effect.signals:
+        if own is not None:
+            torque = torque + own
+    return torque
+
+
+def _slope(p: FloatArray, rate: FloatArray, acting: Sequence[Acting]) -> FloatArray:
+    """Slope of that acceleration over the rate, 1/s."""
+    slope = np.full(rate.size, -p[3])
+    for part, values, s in acting:
+        if 'rate' in part.effect.signals and turns(part.effect):
             slope = slope + slope_over_rate(part, s, values)
-    return torque, slope
+    return slope
 
 
 class _Inputs(NamedTuple):
