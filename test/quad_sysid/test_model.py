@@ -174,8 +174,8 @@ def test_variants_of_one_name_are_one_explanation():
 def test_every_effect_moves_the_innovations_as_its_derivatives_say() -> None:
     """Of the base's and of the effect's own parameters, along one random direction each.
 
-    A command in whole steps has no derivative; what moves the innovations by less than a thousandth of
-    what the base does is left out.
+    A command in whole steps has no derivative; what moves the innovations by less than a
+    thousandth of what the base does is left out.
     """
     rng = np.random.default_rng(1)
     flown = fly(Axis(
