@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -20,6 +21,14 @@ if 'thread' in sys.argv:
     threading.Thread(target=threading.Event().wait, daemon=True).start()
 print(len(set(side_by_side([os.getpid] * 3))))
 """
+KILLED = """
+import os, signal
+os.environ['OPENBLAS_NUM_THREADS'] = '1'
+from quad_sysid.beside import side_by_side
+side_by_side([lambda: os.kill(os.getpid(), signal.SIGTERM), signal.pause])
+"""
+ON_CORES = pytest.mark.skipif(sys.platform != 'linux' or len(os.sched_getaffinity(0)) < 2,
+                              reason='needs two cores and /proc')
 
 
 @pytest.fixture
@@ -100,10 +109,17 @@ def test_a_large_result_does_not_hold_up_the_next_call() -> None:
     os.close(told)
 
 
-@pytest.mark.skipif(sys.platform != 'linux' or len(os.sched_getaffinity(0)) < 2,
-                    reason='needs two cores and /proc')
+@ON_CORES
 @pytest.mark.parametrize(('argument', 'processes'), [('', '2'), ('thread', '1')])
 def test_only_a_process_of_one_thread_forks(argument: str, processes: str) -> None:
     done = subprocess.run([sys.executable, '-c', WHERE, argument], capture_output=True, text=True,
                           check=True)
     assert done.stdout.split() == [processes], done.stderr
+
+
+@ON_CORES
+def test_nobody_goes_on_where_the_command_was_killed() -> None:
+    """The output of a process that still ran would stay open."""
+    done = subprocess.run([sys.executable, '-c', KILLED], capture_output=True, text=True,
+                          check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (-signal.SIGTERM, '', '')

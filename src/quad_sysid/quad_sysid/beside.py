@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import ctypes
 import multiprocessing
 import os
 import signal
-import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from multiprocessing.connection import Connection
@@ -13,7 +13,9 @@ from pathlib import Path
 from typing import Any
 
 TASKS = Path('/proc/self/task')
-"""The threads of this process, those of libraries included (Linux)."""
+"""The threads of this process, those of libraries included (Linux; no other system has it)."""
+PR_SET_PDEATHSIG = 1
+"""Of prctl (Linux): the signal that a process is sent when its parent dies."""
 
 
 def side_by_side(calls: Sequence[Callable[[], Any]]) -> list[Any]:
@@ -32,7 +34,8 @@ def side_by_side(calls: Sequence[Callable[[], Any]]) -> list[Any]:
         with suppress(OSError):  # no room for another process
             for first in range(1, cores):
                 receiver, sender = context.Pipe(duplex=False)
-                process = context.Process(target=_make, args=(calls[first::cores], sender))
+                some = calls[first::cores], sender, os.getpid()
+                process = context.Process(target=_make, args=some)
                 process.start()
                 sender.close()
                 started.append((first, process, receiver))
@@ -49,19 +52,20 @@ def side_by_side(calls: Sequence[Callable[[], Any]]) -> list[Any]:
             receiver.close()
 
 
-def _make(calls: Sequence[Callable[[], Any]], sender: Connection) -> None:
-    """The calls' results to the parent, up to the first that fails; Ctrl-C ends it silently.
+def _make(calls: Sequence[Callable[[], Any]], sender: Connection, parent: int) -> None:
+    """The calls' results to the parent, up to the first that fails; ends silently with it.
 
     They are sent once all are there: a pipe is full after 64 kB, and the parent reads it last.
     """
     signal.signal(signal.SIGINT, signal.SIG_DFL)
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     results: list[Any] = []
     with suppress(Exception):  # the parent makes the call itself and meets the error
-        results.extend(call() for call in calls)
+        results.extend(call() for call in calls if os.getppid() == parent)
     with suppress(Exception):  # what cannot be packed, the parent makes itself
         for result in results:
             sender.send(result)
 
 
 def _single_threaded() -> bool:
-    return sys.platform == 'linux' and sum(1 for _ in TASKS.iterdir()) == 1
+    return TASKS.is_dir() and len(list(TASKS.iterdir())) == 1
