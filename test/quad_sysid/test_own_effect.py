@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import math
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 from flown_axis import SHORT, UNSEEN, Axis, fly
 
 import quad_sysid as qs
+from quad_sysid.arguments import own_effects
 from quad_sysid.cli import main
 from quad_sysid.loop.from_model import loop_plant
 from quad_sysid.loop.plant import slopes_at
@@ -79,6 +81,11 @@ def test_it_is_stored_read_back_simulated_and_judged(result, tmp_path, capsys):
         assert run(words) == status
         assert '--effects FILE.py' in capsys.readouterr().err
         assert run([*words, '--effects', file, '--quiet']) == 0
+
+
+def test_a_process_side_by_side_sends_back_what_names_it(tmp_path):
+    own = own_effects(written(tmp_path))
+    assert [type(effect) for effect in pickle.loads(pickle.dumps(own))] == [type(own[0])]
 
 
 def test_it_is_linearised_designed_for_and_separated(result, tmp_path):

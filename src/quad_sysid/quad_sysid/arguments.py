@@ -10,6 +10,7 @@ import os
 import shutil
 import sys
 from collections.abc import Callable, Sequence
+from types import ModuleType
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from quad_sysid.errors import BadInputError, QuadSysidError
@@ -21,6 +22,9 @@ BAD_ARGUMENTS, NOT_ANSWERED, INTERRUPTED = 2, 3, 130
 """Exit status (contract, Commands)."""
 
 STATUSES = 'exit status: 0 done, 2 bad input or arguments, 3 the data cannot answer'
+
+OWN = 'own_effects'
+"""Name of the module that the user's file of effects becomes."""
 
 Commands = Any
 """Result of `add_subparsers`, whose type is private to argparse."""
@@ -96,7 +100,10 @@ def own_effects(path: str | None) -> tuple[Effect, ...]:
     from quad_sysid.model.effect import Effect
 
     try:
-        content = runpy.run_path(path)
+        content = runpy.run_path(path, run_name=OWN)
+        # as a module, so that processes side by side know its classes
+        sys.modules[OWN] = ModuleType(OWN)
+        vars(sys.modules[OWN]).update(content)
         own = content.get('EFFECTS') or [
             kind() for kind in content.values()
             if isinstance(kind, type) and issubclass(kind, Effect)
