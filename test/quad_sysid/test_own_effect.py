@@ -85,7 +85,8 @@ def test_it_is_stored_read_back_simulated_and_judged(result, tmp_path, capsys):
 
 def test_a_process_side_by_side_sends_back_what_names_it(tmp_path):
     own = own_effects(written(tmp_path))
-    assert [type(effect) for effect in pickle.loads(pickle.dumps(own))] == [type(own[0])]
+    again = pickle.loads(pickle.dumps(own))  # noqa: S301
+    assert [type(effect) for effect in again] == [type(own[0])]
 
 
 def test_it_is_linearised_designed_for_and_separated(result, tmp_path):

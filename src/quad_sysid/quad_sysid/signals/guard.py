@@ -100,7 +100,7 @@ def _sticks_and_battery(limits: Limits, r: Readings) -> Iterator[Abort]:
         if not abs(stick) <= allowed:
             yield Abort(f'the {name} stick is at {100 * stick:.0f} %')
     volts = r.battery_v
-    if volts is not None and volts < limits.battery_min_v and math.isfinite(volts):
+    if volts is not None and math.isfinite(volts) and volts < limits.battery_min_v > 0.0:
         yield Abort(f'battery at {volts:.2f} V, below {limits.battery_min_v:.2f} V')
 
 
