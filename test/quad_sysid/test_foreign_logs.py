@@ -302,6 +302,13 @@ def test_betaflight(flight, tmp_path, reversed_yaw):
     assert 'feed-forward' in told
 
 
+@pytest.mark.parametrize('column', ['time (us)', 'gyroADC[1]', 'gyroADC[2]', 'motor[0]'])
+def test_a_blackbox_log_without_a_column_is_refused_by_its_name(flight, tmp_path, refusal, column):
+    file = blackbox(tmp_path / 'LOG.csv', flight)
+    file.write_text(file.read_text().replace(column, 'debug[0]', 1))
+    assert column.partition(' ')[0] in refusal(imported, file, tmp_path / 'bag')
+
+
 def varied(value: int) -> bytes:
     """Seven bits a byte, the least first."""
     out = []

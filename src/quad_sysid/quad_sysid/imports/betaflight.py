@@ -64,10 +64,11 @@ def read(path: Path, log: int = 1) -> ForeignLog:
     Raises BadInputError naming file, line and column.
     """
     table, units = _decoded(path, log) if head_of(path).startswith(b'H ') else _read(path)
-    for name, remedy in (('time', 'decode the log again with blackbox_decode'),
-                         ('gyroADC[2]', 'log the gyro (blackbox_disable_gyro = OFF)')):
+    for name in ('time', *_several('gyroADC', 3)):
         if name not in table.columns:
-            raise BadInputError(table.source, f'lacks the column {name}', remedy=remedy)
+            raise BadInputError(table.source, f'lacks the column {name}', remedy=(
+                'decode the log again with blackbox_decode' if name == 'time' else
+                'log the gyro (blackbox_disable_gyro = OFF)'))
     clock_unit = unit_of('time', 's' if units.get('time') == 's' else 'us', 'time')
     table, clock = table.on_clock('time', clock_unit)
     indi = 'indiflight' in ' '.join(map(str, table.header.values())).lower() or \
