@@ -26,6 +26,7 @@ from quad_sysid.discover.search import search
 from quad_sysid.effects import EFFECTS
 from quad_sysid.estimate.fit import Fit, Problem
 from quad_sysid.model.data import axis_data
+from quad_sysid.model.noise import Filter
 
 REPEATS = 5
 
@@ -84,34 +85,35 @@ def timed(call: Callable[[], object], repeats: int = REPEATS) -> float:
     return min(spent)
 
 
+def linear(problem: Problem, base: Fit) -> tuple[Filter, np.ndarray]:
+    """The base's steady filter, and (n,) what pushes its rate in each cycle, rad/s."""
+    flight, p = problem.flight, base.values
+    known = flight.pushed(base.structure, p, flight.rate).known.mean(axis=0)
+    return flight.filter_of(base.structure, base.theta, float(p[3])), problem.data.dt * known
+
+
 def plain_filter(problem: Problem, base: Fit, evaluations: int) -> float:
     """Sum of squared innovations, as often as differences over all parameters ask for."""
-    flight = problem.flight
-    p = base.values
-    found = flight.filter_of(base.structure, base.theta, float(p[3]))
-    known = flight.pushed(base.structure, p, flight.rate).known.mean(axis=0)
+    found, pushes = linear(problem, base)
     f, gain = found.transition, found.gain
     total = 0.0
     for _ in range(evaluations):
         x = np.zeros(gain.size)
-        for k in range(known.size):
+        for k in range(pushes.size):
             e = problem.data.rate[k] - found.output @ x
             x = f @ (x + gain * e)
-            x[0] += problem.data.dt * known[k]
+            x[0] += pushes[k]
             total += e * e
     return total
 
 
 def by_peers(problem: Problem, base: Fit, python: str) -> dict[str, dict[str, float]]:
     """The same linear model filtered by others, in their own Python: us a sample, RMS."""
-    flight = problem.flight
-    p = base.values
-    used = flight.filter_of(base.structure, base.theta, float(p[3]))
-    known = flight.pushed(base.structure, p, flight.rate).known.mean(axis=0)
+    used, pushes = linear(problem, base)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / 'model.npz'
         np.savez(file, y=problem.data.rate, f=used.transition, q=used.process, c=used.output,
-                 r=np.array(used.after), pushes=problem.data.dt * known)
+                 r=np.array(used.after), pushes=pushes)
         done = subprocess.run([python, Path(__file__).with_name('effects_peers.py'), file],
                               capture_output=True, text=True, check=True)
     return json.loads(done.stdout)

@@ -15,12 +15,10 @@ import numpy as np
 from quad_sysid.loop.cascade import CONTRACT_NAMES, TUNED, CascadeGains
 from quad_sysid.model import AxisModel
 from quad_tuning.errors import DesignRefusedError
-from quad_tuning.gain_table import LARGEST_FACTOR, OPTIONAL, PER_AXIS, Bound
+from quad_tuning.gain_table import OPTIONAL, PER_AXIS, Bound
 
 DESIGNED = (*TUNED, 'd_filter_hz')
 """Fields of CascadeGains that a designer changes; the D filter only if the flight recorded it."""
-ROUNDING = 1e-4
-"""Share by which a step stays inside the factor, since float32 on the wire rounds."""
 SIGN_CONFIDENCE = 3.0
 """Least distance of the plant's gain from zero, in standard errors."""
 FOREIGN_DRIVE = 0.5
@@ -57,9 +55,7 @@ def check_bounds(gains: Mapping[str, float]) -> None:
 def reachable(field: str, active: float) -> tuple[float, float]:
     """Lowest and highest value of one gain (field of CascadeGains) that one update may set."""
     bound = BOUNDS[CONTRACT_NAMES[field]]
-    factor = LARGEST_FACTOR * (1.0 - ROUNDING)
-    low = min(active / factor, active - bound.small_step)
-    high = max(active * factor, active + bound.small_step)
+    low, high = bound.one_step(active)
     low, high = max(low, bound.lower), min(high, bound.upper)
     if low > high:
         raise DesignRefusedError(

@@ -25,8 +25,6 @@ from quad_bridge.gains.table import (
 )
 from quad_bridge.gains.watch import Predicted
 
-ROUNDING = 1e-4
-"""Share by which a step stays inside the factor, since float32 on the wire rounds."""
 FLOAT32_MAX = 3.4028234663852886e38  # nothing larger goes over the wire, and no bound is
 LONGEST_NAME, LONGEST_TEXT = 60, 4096  # characters of a name in a message; of a text
 MOST_STEPS = 16  # more than that from one update is taken as a mistake: 2 to the 16 is 65536
@@ -164,9 +162,7 @@ def _idle(name: str, active: Mapping[str, float]) -> bool:
 
 
 def _towards(now: float, wanted: float, bound: Bound) -> float:
-    factor = max(bound.max_factor * (1.0 - ROUNDING), 1.0)
-    low = min(now / factor, now - bound.small_step)
-    high = max(now * factor, now + bound.small_step)
+    low, high = bound.one_step(now)
     return min(max(wanted, low, bound.lower), high, bound.upper)
 
 

@@ -13,6 +13,8 @@ from dataclasses import dataclass
 
 AXES = ('roll', 'pitch', 'yaw')
 LARGEST_FACTOR = 2.0  # of one gain in one step; a configuration may ask for less, not for more
+ROUNDING = 1e-4
+"""Share by which a step stays inside the factor, since float32 on the wire rounds."""
 US_PER_DEG_S = math.degrees(1.0) / 1000.0
 """The paper's unit, µs of motor pulse per deg/s (of 1000 µs), as command per rad/s."""
 
@@ -26,6 +28,11 @@ class Bound:
     max_factor: float = LARGEST_FACTOR  # largest ratio of new to active value and of active to new
     small_step: float = 0.0
     """Absolute change that is always allowed, since a gain near zero has no useful ratio."""
+
+    def one_step(self, now: float) -> tuple[float, float]:
+        """Lowest and highest value that one step may set, hard limits aside."""
+        factor = max(self.max_factor * (1.0 - ROUNDING), 1.0)
+        return min(now / factor, now - self.small_step), max(now * factor, now + self.small_step)
 
 
 @dataclass(frozen=True)

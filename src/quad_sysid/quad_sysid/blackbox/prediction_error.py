@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from itertools import chain
 
 import numpy as np
 
@@ -41,7 +42,7 @@ HOPE = 20.0
 """Multiple of what the next step promises that a descent may still lower the squares."""
 TOLERANCE = 1e-3
 """Converged where the next step would lower N ln V by less than this."""
-DAMPINGS = (0.0, 1e-6, 1e-2, 1.0)
+DAMPINGS = (1e-6, 1e-2, 1.0)
 """Tried in turn where the plain Gauss-Newton direction gives no descent."""
 FLAT = 1e-13
 """Eigenvalue of a scaled Hessian, against the largest, below which it is rounding."""
@@ -218,13 +219,15 @@ def descend(point: Point, at: Callable[[Model], Point], bar: float = math.inf) -
     while iteration < MAX_ITERATIONS and math.isfinite(point.squares):
         iteration += 1
         free = _free(point)
-        promised = float(point.slope @ _step(point, free))
+        plain = _step(point, free)
+        promised = float(point.slope @ plain)
         if rows * promised <= TOLERANCE * point.squares or point.squares <= point.rounding:
             converged = True
             break
         if iteration > PATIENCE and point.squares - HOPE * promised > bar:
             break
-        searched = (_search(point, _step(point, free, damping), at) for damping in DAMPINGS)
+        steps = chain([plain], (_step(point, free, damping) for damping in DAMPINGS))
+        searched = (_search(point, step, at) for step in steps)
         ahead = next((found for found in searched if found is not None), None)
         if ahead is None:
             converged = rows * promised <= 100.0 * TOLERANCE * point.squares

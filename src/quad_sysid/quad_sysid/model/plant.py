@@ -49,18 +49,27 @@ Acting = tuple[Part, FloatArray, Signals]
 """An effect with its own parameters and the signals that it sees."""
 
 
-def turns(effect: Effect) -> bool:
-    """Whether the effect adds a torque."""
-    return type(effect).torque is not Effect.torque
+def with_torques(start: FloatArray, acting: Sequence[Acting]) -> FloatArray:
+    """An acceleration and those of the effects, rad/s²."""
+    for part, p, s in acting:
+        own = part.effect.torque(s, p, part.settings)
+        if own is not None:
+            start = start + own
+    return start
 
 
-def slope_over_rate(part: Part, s: Signals, p: FloatArray) -> FloatArray:
-    """Derivative of an effect's torque over the rate, 1/s."""
-    ahead, back = (
-        required(part.effect.torque(replace(s, rate=s.rate + step), p, part.settings))
-        for step in (SLOPE_STEP, -SLOPE_STEP)
-    )
-    return (ahead - back) / (2.0 * SLOPE_STEP)
+def with_slopes(start: FloatArray, acting: Sequence[Acting]) -> FloatArray:
+    """The slope of an acceleration over the rate and those of the effects' torques, 1/s."""
+    for part, p, s in acting:
+        if 'rate' not in part.effect.signals:
+            continue
+        ahead, back = (
+            part.effect.torque(replace(s, rate=s.rate + step), p, part.settings)
+            for step in (SLOPE_STEP, -SLOPE_STEP)
+        )
+        if ahead is not None and back is not None:
+            start = start + (ahead - back) / (2.0 * SLOPE_STEP)
+    return start
 
 
 def per_coefficient(part: Part, s: Signals, p: FloatArray) -> FloatArray:
@@ -201,7 +210,6 @@ class Flight:
             angle = self.angle[at] + (h + self.late) * rate
         lagged = 0.5 * (halves[0, at] + halves[1, at])
         command = gain * states[1, at]
-
         known: dict[str, Any] = {
             name: tuple(one[at] for one in value) if isinstance(value, list) else
             None if value is None else value[at] for name, value in self._known.items()
@@ -220,7 +228,7 @@ class Flight:
     def pushed(self, structure: Structure, p: FloatArray, rate: FloatArray) -> Pushed:
         """Accelerations along the trajectory `rate` (n,), and their slope over it."""
         drive, torque, acting = self._acting(structure, p, rate)
-        slope = _slope(p, rate, acting)
+        slope = with_slopes(np.full(rate.size, -p[3]), acting)
         return Pushed(drive + (torque - slope * rate), slope)
 
     def _acting(
@@ -231,7 +239,7 @@ class Flight:
         s = self.signals(p, halves, states, rate)
         acting = [(part, p[where], self.hidden(part, s, p[where]))
                   for part, where in structure.placed()]
-        torque = _torque(p, rate, acting)
+        torque = with_torques(p[4] - p[3] * rate, acting)
         for which, share in zip(structure.shared, p[-len(structure.noise) :], strict=False):
             torque = torque + share * self.disturbances[:, which]
         return p[0] * halves, torque, acting
@@ -256,7 +264,8 @@ class Flight:
         s = self.signals(p, halves, states, rate)
         follows_drive = False
         for part, where in placed:
-            follows_drive |= turns(part.effect) and 'command' in part.effect.signals
+            torque = type(part.effect).torque is not Effect.torque
+            follows_drive |= torque and 'command' in part.effect.signals
             if not part.effect.moves_command:
                 out[:, where] = self._by_parameters(part, s, theta[where], steps[where])
         for i, j in enumerate(bent):
@@ -469,9 +478,10 @@ class Flight:
                 (part, values, replace(s, hidden=x))
                 for x, (part, values) in zip(hidden, acting, strict=True)
             ]
-            slope = _slope(p, middle, now)
+            force = with_torques(p[4] - p[3] * middle, now)
+            slope = with_slopes(np.full(middle.size, -p[3]), now)
             a = 0.5 * dt * slope
-            push = mean + _torque(p, middle, now) - slope * middle + hold * d
+            push = mean + force - slope * middle + hold * d
             new = ((1.0 + a) * r + dt * push) / (1.0 - a)
             half = 0.5 * (r + new)
             s = replace(s, rate=half)
@@ -494,25 +504,6 @@ def _moved(theta: FloatArray, j: int, step: float) -> tuple[FloatArray, FloatArr
     up[j] += step
     down[j] -= step
     return up, down
-
-
-def _torque(p: FloatArray, rate: FloatArray, acting: Sequence[Acting]) -> FloatArray:
-    """Acceleration without the drive."""
-    torque: FloatArray = p[4] - p[3] * rate
-    for part, values, s in acting:
-        own = part.effect.torque(s, values, part.settings)
-        if own is not None:
-            torque = torque + own
-    return torque
-
-
-def _slope(p: FloatArray, rate: FloatArray, acting: Sequence[Acting]) -> FloatArray:
-    """Slope of that acceleration over the rate, 1/s."""
-    slope = np.full(rate.size, -p[3])
-    for part, values, s in acting:
-        if 'rate' in part.effect.signals and turns(part.effect):
-            slope = slope + slope_over_rate(part, s, values)
-    return slope
 
 
 class _Inputs(NamedTuple):

@@ -25,7 +25,7 @@ from quad_sysid.model import AxisModel, NoiseEstimate
 from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import Signals
 from quad_sysid.model.noise import sensor_of
-from quad_sysid.model.plant import Flight, slope_over_rate
+from quad_sysid.model.plant import Flight, with_slopes, with_torques
 from quad_sysid.model.structure import BASE, NOISE, Structure
 from quad_sysid.signals import schedule
 
@@ -220,7 +220,9 @@ def _run(aircraft: Aircraft, acting: Sequence[Placed], around: Sequence[AxisData
         total = bias + torque[k] + extra[k]
         if known is not None:
             s = known.at(k, 0.5 * (x + free), gain * delayed)
-            own, slope = _torque(acting, hidden, s)
+            pushing = [(one.part, one.p, replace(s, hidden=h) if h.size else s)
+                       for one, h in zip(acting, hidden, strict=True)]
+            own, slope = with_torques(nothing, pushing), with_slopes(nothing, pushing)
             # evaluated without its own push, which its slope then takes into account
             total = (total + own) / (1.0 - 0.5 * push[1] * slope)
         begin, x = x[:, 1], free + total[:, None] * push
@@ -231,20 +233,6 @@ def _run(aircraft: Aircraft, acting: Sequence[Placed], around: Sequence[AxisData
                 for one, h in zip(acting, hidden, strict=True)
             ]
     return rates, angles, u
-
-
-def _torque(acting: Sequence[Placed], hidden: Sequence[FloatArray],
-            known: Signals) -> tuple[FloatArray, FloatArray]:
-    """Acceleration and its slope over the rate."""
-    total, slope = np.zeros_like(known.rate), np.zeros_like(known.rate)
-    for one, own in zip(acting, hidden, strict=True):
-        s = replace(known, hidden=own) if own.size else known
-        torque = one.effect.torque(s, one.p, one.part.settings)
-        if torque is not None:
-            total = total + torque
-            if 'rate' in one.effect.signals:
-                slope = slope + slope_over_rate(one.part, s, one.p)
-    return total, slope
 
 
 class _Known:
