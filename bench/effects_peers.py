@@ -2,9 +2,10 @@
 
     PYTHON bench/effects_peers.py MODEL.npz
 
-Started by effects_speed.py with the same linear model: `statsmodels` (compiled) and `filterpy`
-(numpy), each left out where it is missing. Ends with one JSON object: us a sample for one value of
-the likelihood, and the RMS of the innovations.
+Started by effects_speed.py with the same linear model: `statsmodels` (compiled), `filterpy`
+(numpy) and `dynamax` (JAX, compiled), each left out where it is missing. Ends with one JSON
+object: us a sample for one value of the likelihood, and the RMS of the innovations; of dynamax
+also with the derivatives by all matrices.
 """
 
 from __future__ import annotations
@@ -62,8 +63,45 @@ def filterpy_filter(model: dict[str, np.ndarray]) -> dict[str, float]:
     return {'us': 1e6 * spent / n, 'rms': float(np.sqrt(np.mean(errors[n // 10 :] ** 2)))}
 
 
+def dynamax_filter(model: dict[str, np.ndarray]) -> dict[str, float]:
+    """Its lgssm_filter in double precision, alone and with its reverse-mode derivatives."""
+    try:
+        import jax
+        import jax.numpy as jnp
+        from dynamax.linear_gaussian_ssm.inference import lgssm_filter, make_lgssm_params
+    except ImportError:
+        return {}
+    jax.config.update('jax_enable_x64', True)
+    n, states = model['pushes'].size, model['f'].shape[0]
+    y, pushes = jnp.asarray(model['y'])[:, None], jnp.asarray(model['pushes'])[:, None]
+    into = np.eye(states)[:, :1]
+
+    def value(f, q, c, r):
+        params = make_lgssm_params(np.zeros(states), 10.0 * np.eye(states), f, q, c, r,
+                                   dynamics_input_weights=into)
+        found = lgssm_filter(params, y, pushes)
+        return found.marginal_loglik, found.filtered_means
+
+    given = (model['f'], model['q'], model['c'][None, :], model['r'].reshape(1, 1))
+    alone = jax.jit(lambda *of: value(*of)[0])
+    both = jax.jit(jax.value_and_grad(lambda *of: value(*of)[0], argnums=(0, 1, 2, 3)))
+    spent = []
+    for call in (alone, both):
+        jax.block_until_ready(call(*given))
+        began = time.perf_counter()
+        jax.block_until_ready(call(*given))
+        spent.append(1e6 * (time.perf_counter() - began) / n)
+    means = np.asarray(value(*given)[1])
+    ahead = means[:-1] @ model['f'].T + pushes[:-1] @ into.T
+    errors = (y[1:] - ahead @ model['c'][:, None])[n // 10 :]
+    return {'us': spent[0], 'us_derivatives': spent[1], 'rms': float(np.sqrt(np.mean(errors**2)))}
+
+
 if __name__ == '__main__':
     with np.load(sys.argv[1]) as stored:
         given = {name: stored[name] for name in stored.files}
-    told = {'statsmodels': statsmodels_filter(given), 'filterpy': filterpy_filter(given)}
+    told = {
+        'statsmodels': statsmodels_filter(given), 'filterpy': filterpy_filter(given),
+        'dynamax': dynamax_filter(given),
+    }
     sys.stdout.write(json.dumps(told) + '\n')

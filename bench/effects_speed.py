@@ -2,8 +2,8 @@
 
 Beside it, in the same run, a plain Kalman filter of the same base in numpy, with derivatives by
 differences, as one writes it in an afternoon; with `--peers PYTHON`, a Python that has them, also
-the filters of statsmodels and filterpy, which give the likelihood without derivatives. Ratios
-count, not seconds.
+the filters of statsmodels and filterpy, which give the likelihood without derivatives, and that of
+dynamax. Ratios count, not seconds.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ REPEATS = 5
 def main() -> None:
     """Print the cost of one evaluation, and of flights with nothing and with friction."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument('--peers', metavar='PYTHON', help='a Python with statsmodels, filterpy')
+    parser.add_argument('--peers', metavar='PYTHON',
+                        help='a Python with statsmodels, filterpy, dynamax')
     options = parser.parse_args()
     with threadpool_limits(limits=1):
         for flight in scenarios.draw(77_000, seeds=1, pairs=0, nothing=1, undeclared=0):
@@ -66,6 +67,9 @@ def axis(flight: scenarios.Scenario, peers: str | None) -> None:
             if told:
                 print(f'  {name:24} {told["us"]:7.2f} us a sample, ratio '
                       f'{told["us"] / (1e6 * value / n):.0f}; innovations {told["rms"]:.5f} rad/s')
+            if 'us_derivatives' in told:
+                print(f'  {name + " with derivatives":24} {told["us_derivatives"]:7.2f} us a '
+                      f'sample, ratio {told["us_derivatives"] / (1e6 * ours / n):.0f}')
     began = time.process_time()
     found = search(problem, EFFECTS)
     verdict = judge(data, problem, found)

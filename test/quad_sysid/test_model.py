@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,16 +13,17 @@ import pytest
 from flown_axis import SHORT, Axis, fly
 from scipy.signal import savgol_filter
 
-from quad_sysid.discover.accept import judge
+from quad_sysid.discover.accept import bet, judge
 from quad_sysid.discover.base import best_base, fitted_from
 from quad_sysid.discover.screen import candidates, screen
-from quad_sysid.discover.search import Found, Scored, search
+from quad_sysid.discover.search import Found, Scored, extended, search
 from quad_sysid.effects import EFFECTS
 from quad_sysid.estimate.fit import Problem
 from quad_sysid.estimate.stored import readings
 from quad_sysid.model.data import AxisData, axis_data
 from quad_sysid.model.effect import Part
 from quad_sysid.model.structure import Structure
+from quad_sysid.record import GainChange
 
 DT = 0.01
 FINE = 10
@@ -156,6 +158,36 @@ def test_the_score_of_a_candidate_is_what_its_fit_gains(name, law):
     start = np.r_[base.theta[:count], score.starts[0], base.theta[count:]]
     fitted = fitted_from(problem, base.structure.plus(score.part), start, rate=base.rate)
     assert score.nats == pytest.approx(fitted.evidence - base.evidence, rel=0.2)
+
+
+def test_noise_that_stood_for_what_was_missing_gives_way_to_an_effect():
+    """A base that attributes all to torques and vibration leaves the gyro no noise, where nothing
+    has a slope; beside it an effect is fitted as well as beside the base with moderate noise."""
+    cut_off = {'sensor.gyro_filter_hz': 42.0}
+    flight = fly(Axis(torque=lambda _t, w, _a: -2.0 * np.tanh(w / 0.005), gyro_filter_hz=42.0), 1,
+                 SHORT)
+    data = axis_data([replace(flight, gains=(GainChange(0.0, cut_off),))], 'roll')
+    problem = Problem(data, data.train)
+    base = best_base(problem)
+    problem.measure(base)
+    parts, _ = candidates(problem, [e for e in EFFECTS if e.label == 'coulomb_friction'])
+    (score,) = screen(problem, base, parts)
+    theta = np.r_[base.theta, np.log([1.6e6, 20.0, 0.1])]
+    theta[base.structure.names.index('noise.white')] = np.log(2e7)
+    extreme = replace(base, theta=theta, structure=replace(base.structure, lines=1))
+    fits = [extended(problem, parent, score) for parent in (base, extreme)]
+    assert fits[1].log_posterior > fits[0].log_posterior - 0.5
+
+
+def test_a_bet_on_blocks_counts_calm_ones_and_is_rarely_won_by_chance():
+    """Loud blocks that contradict one another do not outweigh calm ones that agree; where both
+    sides are alike, no more than one in twenty reaches 20 (Ville 1939)."""
+    loud = np.where(np.arange(20) % 2, 400.0, 100.0)
+    calm = np.full(20, 8.0)
+    assert bet(np.r_[loud, calm], np.r_[loud[::-1], np.full(20, 2.0)]) > 20.0
+    rng = np.random.default_rng(0)
+    won = [bet(*np.exp(2.0 * rng.standard_normal((2, 50)))) >= 20.0 for _ in range(1000)]
+    assert np.mean(won) <= 0.05
 
 
 def test_variants_of_one_name_are_one_explanation():

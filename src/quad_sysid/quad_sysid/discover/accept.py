@@ -39,10 +39,15 @@ FLIPS = 200
 """Random draws of the innovations' signs, all of which an error must exceed: a level of 0.5 %."""
 
 
-def bet(differences: FloatArray) -> float:
-    """E-value of 'the differences are not above zero on average', from blocks in their order."""
-    largest = np.maximum.accumulate(np.abs(differences))
-    share = np.divide(differences, largest, out=np.zeros_like(differences), where=largest > 0.0)
+def bet(speaks_for: FloatArray, against: FloatArray) -> float:
+    """E-value of 'no more speaks for the model than against it', from blocks in their order.
+
+    Both (blocks,), not negative. Each block counts by the share of its balance in its turnover, so
+    that loud blocks do not outweigh calm ones.
+    """
+    turnover = speaks_for + against
+    balance = speaks_for - against
+    share = np.divide(balance, turnover, out=np.zeros_like(balance), where=turnover > 0.0)
     with np.errstate(over='ignore'):
         return float(np.mean([np.prod(1.0 + stake * share) for stake in STAKES]))
 
@@ -102,13 +107,20 @@ class Unseen:
         """The filter's result along the segments."""
         return self.problem.flight.predict(fitted.structure, fitted.theta, sweeps=3)
 
+    def bet(self, fitted: Fitted, other: Fitted) -> float:
+        """E-value of the predictive log-likelihood against another model's, by blocks."""
+        gain = self.log_likelihood(fitted) - self.log_likelihood(other)
+        speaks_for, against = (
+            np.bincount(self.block, weights=np.maximum(way * gain, 0.0)).astype(np.float64)
+            for way in (1.0, -1.0)
+        )
+        return bet(speaks_for, against)
+
     def log_likelihood(self, fitted: Fitted) -> FloatArray:
-        """(blocks,) predictive log-likelihood, nats."""
-        found = self.predict(fitted)
-        e = found.innovation[self.problem.rows]
+        """(rows,) predictive log-likelihood of each sample, nats."""
+        e = self.predict(fitted).innovation[self.problem.rows]
         with np.errstate(over='ignore', invalid='ignore'):
-            values = fitted.tail.log_density(np.nan_to_num(e, nan=1e6, posinf=1e6))
-        return np.bincount(self.block, weights=values).astype(np.float64)
+            return fitted.tail.log_density(np.nan_to_num(e, nan=1e6, posinf=1e6))
 
     def errors(self, fitted: Fitted, windows: Windows | None = None) -> FloatArray:
         """(windows, length) errors of the free run, rad/s."""
@@ -145,7 +157,7 @@ def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
     base, best = found.base, found.best
     e_value = 1.0
     if best is not base:
-        e_value = bet(unseen.log_likelihood(best) - unseen.log_likelihood(base))
+        e_value = unseen.bet(best, base)
     before, after = rms(unseen.errors(base)), rms(unseen.errors(best))
     chosen = best
     if not (e_value * LEVEL >= 1.0 and after < before):
@@ -208,11 +220,11 @@ def _empty(
     without, evidence, clearly = held, [], False
     if uncommanded is not None:
         without = unseen.errors(uncommanded)
-        evidence = [bet(unseen.log_likelihood(base) - unseen.log_likelihood(uncommanded))]
+        evidence = [unseen.bet(base, uncommanded)]
     for horizon in HORIZONS_S:
         k = at_horizon(horizon, unseen.problem.data.dt)
         if k < unseen.windows.length:
-            evidence.append(bet(without[:, k] ** 2 - with_commands[:, k] ** 2))
+            evidence.append(bet(without[:, k] ** 2, with_commands[:, k] ** 2))
             rival = min(rms(without[:, k]), rms(held[:, k]))
             clearly |= DISAGREES * rms(with_commands[:, k]) < rival
     if not clearly or float(np.mean(evidence)) * LEVEL < 1.0:  # a mean of e-values is one

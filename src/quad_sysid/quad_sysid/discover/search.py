@@ -15,7 +15,8 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.discover.base import EXPECTED, best_base, fit_without, fitted_from, shares
 from quad_sysid.discover.screen import Score, candidates, screen
 from quad_sysid.estimate.fit import Fit, Problem
-from quad_sysid.model.effect import Effect, Part
+from quad_sysid.model.effect import Effect, Part, required
+from quad_sysid.model.structure import NOISE, VIBRATION
 
 BEAM = 2
 """Structures that are extended at each level."""
@@ -28,6 +29,8 @@ HOPELESS = -8.0
 """Linear score relative to the best, nats, below which a candidate is not fitted: about where it
 would improve nothing even without its prior."""
 
+SIZES = (NOISE[0], NOISE[1], VIBRATION[0])
+"""Parts of the noise relative to the gyro's white noise."""
 SHARED = (
     'what disturbs this axis disturbs the other one as well, so that its command and rate answer '
     'to the same gusts; fly in calm air, or excite that axis by itself'
@@ -73,6 +76,32 @@ class Found:
         return out
 
 
+def noises(parent: Fit) -> list[FloatArray]:
+    """Start values of the noise beside one more effect: the parent's, and with moderate sizes.
+
+    What a poor model misses counts as torque noise, beside which the gyro's is nothing. There the
+    likelihood is flat in the sizes, and no step leads back.
+    """
+    specs = parent.structure.noise
+    kept = parent.theta[-len(specs) :]
+    most = [s.centre + required(s.spread) if s in SIZES else math.inf for s in specs]
+    moderate = np.minimum(kept, most)
+    return [kept] if np.array_equal(moderate, kept) else [kept, moderate]
+
+
+def extended(problem: Problem, parent: Fit, one: Score) -> Fit | None:
+    """A structure with one more effect; None where its fit diverges."""
+    structure = parent.structure.plus(one.part)
+    own = parent.theta[: -len(parent.structure.noise)]
+    fits = [
+        fitted_from(
+            problem, structure, *(np.r_[own, start, noise] for start in one.starts),
+            rate=parent.rate,
+        ) for noise in noises(parent)
+    ]
+    return max((f for f in fits if f), key=lambda f: f.log_posterior, default=None)
+
+
 class _Search:
     """The structures fitted so far, by the labels of their effects."""
 
@@ -94,7 +123,7 @@ class _Search:
             if parent.score + one.nats + self.prices[one.part.effect.label] >= bar + HOPELESS
             and frozenset((*labels, one.part.effect.label)) not in self.known
         ]
-        fits = side_by_side([partial(self.fitted, parent.fit, one) for one in hopeful])
+        fits = side_by_side([partial(extended, self.problem, parent.fit, one) for one in hopeful])
         return [self.keep(fit) for fit in fits if fit is not None]
 
     def scores(self, parent: Fit) -> list[Score]:
@@ -104,13 +133,6 @@ class _Search:
             rest = [p for p in self.parts if p.effect.label not in labels]
             self.screens[labels] = screen(self.problem, parent, rest)
         return self.screens[labels]
-
-    def fitted(self, parent: Fit, one: Score) -> Fit | None:
-        """A structure with one more effect; None where its fit diverges."""
-        structure = parent.structure.plus(one.part)
-        base = parent.theta.size - len(parent.structure.noise)
-        starts = [np.r_[parent.theta[:base], start, parent.theta[base:]] for start in one.starts]
-        return fitted_from(self.problem, structure, *starts, rate=parent.rate)
 
     def keep(self, fitted: Fit) -> Scored:
         """Store a fit with its score, log evidence plus log prior."""
