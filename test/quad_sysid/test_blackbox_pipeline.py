@@ -193,6 +193,23 @@ def test_poor_excitation_is_told():
                for line in found.selection.advice)
 
 
+def test_held_out_motion_beyond_the_trainings_is_told():
+    record = flight()
+    larger = np.ones((record.n, 1))
+    for segment in record.segments:
+        if segment.role == 'validation':
+            larger[slice(*record.span(segment))] = 3.0
+    beyond = dataclasses.replace(
+        record, rates=larger * record.rates, control=larger * record.control
+    )
+    told = [
+        any('held-out rates reach' in line for line in
+            identify([one], Options(axes=('roll',), effects=()))['roll'].selection.advice)
+        for one in (record, beyond)
+    ]
+    assert told == [False, True]
+
+
 TRUE = {'gain': 450.0, 'lag': 0.04, 'delay': 0.008, 'damping': 0.4, 'bias': 0.0}
 MODEL = AxisModel('roll', DT, None, tuple(Parameter(n, v, None, '') for n, v in TRUE.items()),
                   active_gains=SLOW.to_mapping('roll', constants=True))

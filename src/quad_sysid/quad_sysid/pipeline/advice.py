@@ -9,6 +9,7 @@ import numpy as np
 
 from quad_sysid.blackbox import excitation_order
 from quad_sysid.model import AxisModel
+from quad_sysid.model.data import high
 from quad_sysid.pipeline.answer import ModelRow
 from quad_sysid.pipeline.assemble import resolution
 from quad_sysid.pipeline.blackbox_part import Fits
@@ -18,6 +19,8 @@ PAPERS_BAND = (0.1, 20.0)
 """rad/s."""
 NEAR_RIVAL = 0.1
 """Probability of a rival from which a separating flight is advised."""
+FURTHER = 1.5
+"""Factor by which held-out rates exceed the training's where extrapolation is told."""
 RICHEST = 50
 """Order up to which the paper's PRBS is persistently exciting."""
 
@@ -38,12 +41,13 @@ class Evidence:
     refused: tuple[str, ...] = ()
     no_second_step: str = ''
     """Why step B was not possible."""
+    held_out: IOData | None = None
 
 
 def advice(e: Evidence) -> tuple[str, ...]:
     """One line each, the most important first; empty without doubts."""
-    return (*rivalry(e.model), *_excitation(e), *_delay(e), *_band(e), *_edge(e),
-            *_unstable(e.rows), *_selection(e), *e.refused)
+    return (*rivalry(e.model), *_excitation(e), *_beyond(e), *_delay(e), *_band(e),
+            *_edge(e), *_unstable(e.rows), *_selection(e), *e.refused)
 
 
 def rivalry(model: AxisModel | None) -> Iterator[str]:
@@ -65,6 +69,20 @@ def _excitation(e: Evidence) -> Iterator[str]:
             f'the command is persistently exciting of order {found} only, the largest model needs '
             f'{asked}: the data do not determine all its coefficients; fly a PRBS of more bits '
             'or fit lower orders'
+        )
+
+
+def _beyond(e: Evidence) -> Iterator[str]:
+    if e.held_out is None:
+        return
+    trained, asked = (
+        high(np.concatenate([z.y[a:b] for a, b in z.segments])) for z in (e.z, e.held_out)
+    )
+    if asked > FURTHER * trained:
+        yield (
+            f'the held-out rates reach {asked:.2g} rad/s, those of the training {trained:.2g}: '
+            'there every effect is extrapolated; train on motion as large as the model has to '
+            'predict'
         )
 
 

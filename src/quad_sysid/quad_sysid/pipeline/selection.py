@@ -236,14 +236,15 @@ def with_blackbox(answer: AxisAnswer, data: AxisData, records: Sequence[Record])
     model = None if selected is None else rows[selected].step_a.model
     band = band_of(data, _box_jenkins(rows) or model)
     axis_model = answer.model and replace(answer.model, trusted_band_rad_s=band)
-    evidence = Evidence(z, fits, rows, selected, band, closed, axis_model, fits.refused + refused,
-                        why_not)
     held_out = data.validation
+    validation = blackbox_part.io_data(data, held_out, external=False) if held_out else None
+    evidence = Evidence(z, fits, rows, selected, band, closed, axis_model, fits.refused + refused,
+                        why_not, validation)
     return replace(
         answer, model=axis_model, rows=rows, selected=selected, train=z,
         blackbox_error=blackbox_part.window_error(data, model, held_out) if model else None,
         blackbox_horizons=blackbox_part.horizons(data, model, held_out) if model else {},
-        validation=blackbox_part.io_data(data, held_out, external=False) if held_out else None,
+        validation=validation,
         selection=Selection(approaches=possible, feedback=closed, advice=advice(evidence)),
     )
 
