@@ -17,6 +17,7 @@ from scipy.linalg import toeplitz
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.discover.base import fit_without, fitted_from
+from quad_sysid.discover.constants import BLOCK_S, DISAGREES, FLIPS, LEVEL, STAKES
 from quad_sysid.discover.search import Found
 from quad_sysid.estimate.fit import Fit, Problem
 from quad_sysid.estimate.stored import Stored, noise_of
@@ -24,19 +25,9 @@ from quad_sysid.model.data import AxisData, Windows
 from quad_sysid.model.noise import growth
 from quad_sysid.model.plant import Prediction
 
-BLOCK_S = 0.5
-"""Length of the blocks in which predictive log-likelihoods are compared."""
-STAKES = (0.1, 0.3, 0.5, 0.9)
-"""Shares of the capital that are bet on each block; the mean of the bets counts."""
-LEVEL = 0.05
 HORIZONS_S = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
-DISAGREES = 1.1
-"""Factor by which two errors must differ to count: from what noise causes (contract), and from
-the prediction without commands."""
 LEAST_REPORTED = 0.005
 """Share of the rivals' probability below which one is not reported."""
-FLIPS = 200
-"""Random draws of the innovations' signs, all of which an error must exceed: a level of 0.5 %."""
 
 
 def bet(speaks_for: FloatArray, against: FloatArray) -> float:

@@ -8,15 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from quad_sysid.contract import FloatArray
+from quad_sysid.discover.constants import EXPECTED
 from quad_sysid.discover.screen import vibration_line
 from quad_sysid.estimate.fit import MOST_STEPS, Fit, Problem, fit, start_of
 from quad_sysid.model.data import other_axis
 from quad_sysid.model.plant import Flight
 from quad_sysid.model.structure import Structure
 
-EXPECTED = 0.05
-"""Prior probability that an effect is missing, divided equally among the names that can be tried,
-and within each name among its variants (smoothnesses, motors, other axes)."""
 LEADING = 2
 """Number of starts of the base that are fitted to convergence."""
 BEGUN_STEPS = 6

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from quad_sysid.contract import FloatArray
+from quad_sysid.discover.constants import PER_NONLINEAR
 from quad_sysid.estimate.fit import Fit, Problem
 from quad_sysid.model import recursion
 from quad_sysid.model.effect import Effect, Part, per_unit, required
@@ -20,8 +21,6 @@ from quad_sysid.model.plant import per_coefficient
 from quad_sysid.model.structure import coordinates, natural
 
 STEP = 1e-4
-PER_NONLINEAR = 2.0
-"""Approximate cost of a parameter chosen from a grid, nats."""
 BATCH = 64
 """Columns that are filtered at once."""
 LINES = 4

@@ -12,22 +12,19 @@ import numpy as np
 
 from quad_sysid.beside import side_by_side
 from quad_sysid.contract import FloatArray
-from quad_sysid.discover.base import EXPECTED, best_base, fit_without, fitted_from, shares
+from quad_sysid.discover.base import best_base, fit_without, fitted_from, shares
+from quad_sysid.discover.constants import (
+    BEAM,
+    EXCHANGES,
+    EXPECTED,
+    HOPELESS,
+    MOST_EFFECTS,
+    REFITS,
+)
 from quad_sysid.discover.screen import Score, candidates, screen
 from quad_sysid.estimate.fit import Fit, Problem
 from quad_sysid.model.effect import Effect, Part, required
 from quad_sysid.model.structure import NOISE, VIBRATION
-
-BEAM = 2
-"""Structures that are extended at each level."""
-REFITS = 8
-"""Candidates that are fitted beside each of them."""
-EXCHANGES = 3
-"""Candidates that are fitted in the place of an effect of the best structure."""
-MOST_EFFECTS = 4
-HOPELESS = -8.0
-"""Linear score relative to the best, nats, below which a candidate is not fitted: about where it
-would improve nothing even without its prior."""
 
 SIZES = (NOISE[0], NOISE[1], VIBRATION[0])
 """Parts of the noise relative to the gyro's white noise."""

@@ -1,0 +1,41 @@
+"""All constants of the search and the verdict, with their reasons; no effect has one of its own.
+
+The priors of parameters stand beside each effect, the noise's in model/structure.py.
+"""
+
+# what is believed before the data
+
+EXPECTED = 0.05
+"""Prior probability that an effect is missing, divided equally among the names that can be tried,
+and within each name among its variants (smoothnesses, motors, other axes). The 5 % of a test."""
+
+# how far the search goes: more costs time only
+
+BEAM = 2
+"""Structures that are extended at each level: two effects may mask each other."""
+REFITS = 8
+"""Candidates that are fitted beside each of them."""
+EXCHANGES = 3
+"""Candidates that are fitted in the place of an effect of the best structure."""
+MOST_EFFECTS = 4
+"""A minute of flight hardly determines more."""
+HOPELESS = -8.0
+"""Linear score relative to the best, nats, below which a candidate is not fitted: about where it
+would improve nothing even without its prior."""
+PER_NONLINEAR = 2.0
+"""Cost in that score of a parameter chosen from a grid, nats, as Laplace's approximation gives it
+to a parameter that the data know ten times better than its prior; the fit's evidence decides."""
+
+# what the validation segments must show
+
+LEVEL = 0.05
+"""Of the contract: a claim needs an e-value of 1 / LEVEL."""
+BLOCK_S = 0.5
+"""Length of the blocks in which predictive log-likelihoods are compared: that of the windows."""
+STAKES = (0.1, 0.3, 0.5, 0.9)
+"""Shares of the capital that are bet on each block, small to bold; the mean of the bets counts."""
+DISAGREES = 1.1
+"""Factor by which two errors must differ to count: from what noise causes (contract), and from
+the prediction without commands."""
+FLIPS = 200
+"""Random draws of the innovations' signs, all of which an error must exceed: a level of 0.5 %."""
