@@ -131,8 +131,7 @@ class Unseen:
         """(windows, length) errors of holding the last rate, rad/s."""
         rate = self.problem.data.rate
         index = windows.starts[:, None] + np.arange(windows.length)[None, :]
-        errors: FloatArray = rate[windows.starts - 1][:, None] - rate[index]
-        return errors
+        return rate[windows.starts - 1][:, None] - rate[index]
 
 
 def rms(errors: FloatArray) -> float:

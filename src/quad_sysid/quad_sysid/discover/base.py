@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.discover.constants import EXPECTED
 from quad_sysid.discover.screen import vibration_line
-from quad_sysid.estimate.fit import MOST_STEPS, Fit, Problem, fit, start_of
+from quad_sysid.estimate.fit import Fit, Problem, fit, start_of
 from quad_sysid.model.data import other_axis
 from quad_sysid.model.plant import Flight
 from quad_sysid.model.structure import Structure
@@ -54,23 +55,19 @@ def best_base(problem: Problem) -> Fit:
 
 
 def fitted_from(
-    problem: Problem, structure: Structure, *starts: FloatArray, rate: FloatArray | None = None,
-    most_steps: int = MOST_STEPS, still: tuple[int, ...] = (),
+    problem: Problem, structure: Structure, *starts: FloatArray, **options: Any
 ) -> Fit | None:
     """A fit from the best of `starts`, as `estimate.fit.fit`; None where it diverges."""
     try:
-        return fit(problem, structure, *starts, rate=rate, most_steps=most_steps, still=still)
+        return fit(problem, structure, *starts, **options)
     except (FloatingPointError, np.linalg.LinAlgError):
         return None
 
 
 def fit_without(problem: Problem, fitted: Fit, index: int) -> Fit | None:
     """A fit without one of its effects, the rest refitted; None where that diverges."""
-    where = fitted.structure.slices()[index]
-    keep = np.r_[0 : where.start, where.stop : fitted.theta.size]
-    return fitted_from(
-        problem, fitted.structure.minus(index), fitted.theta[keep], rate=fitted.rate
-    )
+    theta = np.delete(fitted.theta, fitted.structure.slices()[index])
+    return fitted_from(problem, fitted.structure.minus(index), theta, rate=fitted.rate)
 
 
 def shares(problem: Problem, fitted: Fit, base: Fit, which: int) -> bool:
@@ -87,9 +84,7 @@ def shares(problem: Problem, fitted: Fit, base: Fit, which: int) -> bool:
         return False
     flight = problem.flight
     flight.disturbances[:, which] = Flight(data, data.stretches).unexplained(other.values)
-    at = fitted.theta.size - fitted.structure.filtered
-    beside = fitted_from(
-        problem, replace(fitted.structure, shared=(which,)),
-        np.r_[fitted.theta[:at], 0.0, fitted.theta[at:]], rate=fitted.rate,
-    )
+    structure = replace(fitted.structure, shared=(which,))
+    theta = np.insert(fitted.theta, -structure.filtered, 0.0)
+    beside = fitted_from(problem, structure, theta, rate=fitted.rate)
     return beside is not None and beside.evidence + math.log(EXPECTED) > fitted.evidence

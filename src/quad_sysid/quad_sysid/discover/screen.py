@@ -122,7 +122,7 @@ class _Beside:
     def _left(self, columns: FloatArray) -> FloatArray:
         """(rows and priors, m) weighted columns, the fit's own parameters projected out."""
         rows = columns.shape[0]
-        left: FloatArray = -(self.q @ (self.q[:rows].T @ columns))
+        left = -(self.q @ (self.q[:rows].T @ columns))
         left[:rows] += columns
         return left
 
@@ -167,13 +167,10 @@ class _Beside:
 
     def _driven(self, part: Part, p: FloatArray) -> FloatArray:
         """(n,) mean drive of each cycle with a candidate that acts before it."""
-        theta, structure = self.fitted.theta, self.fitted.structure
-        base = theta.size - len(structure.noise)
-        more = structure.plus(part)
-        whole = more.natural(np.r_[theta[:base], p, theta[base:]])
-        own = self.problem.flight.driven(more, whole)[0]
-        drive: FloatArray = self.values[0] * 0.5 * (own[0] + own[1])
-        return drive
+        structure = self.fitted.structure.plus(part)
+        whole = np.insert(self.fitted.theta, -len(structure.noise), p)
+        own = self.problem.flight.driven(structure, structure.natural(whole))[0]
+        return self.values[0] * 0.5 * (own[0] + own[1])
 
     def scores(self, batch: Sequence[_Block]) -> Iterator[Score]:
         """Gain of each linear step, where physics allows its sign."""
@@ -196,12 +193,10 @@ class _Beside:
     def _followed(self, block: _Block, psi: FloatArray) -> FloatArray:
         """(n,) change of the innovations if a coefficient follows them."""
         flight, e = self.problem.flight, np.nan_to_num(self.fitted.prediction.innovation)
-        left, follow = flight.pursuit(psi, block.p)
-        out = e.copy()
+        pursuit, out = flight.pursuit(psi, block.p), e.copy()
         for start, stop in flight.passes:
-            recursion.pursued(e, psi, follow, left, start, stop, out)
-        change: FloatArray = out - e
-        return change
+            recursion.pursued(e, psi, pursuit, start, stop, out)
+        return out - e
 
     def _score(self, block: _Block, gram: FloatArray, b: FloatArray) -> Score | None:
         part, parameters = block.part, block.part.effect.parameters

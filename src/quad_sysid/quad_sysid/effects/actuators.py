@@ -60,8 +60,7 @@ class Map(Row):
         self, data: AxisData, command: FloatArray, p: FloatArray, settings: Settings
     ) -> FloatArray:
         if 'motors' not in self.signals:
-            mapped: FloatArray = self.law(data, command, p)
-            return mapped
+            return self.law(data, command, p)
         motors = data.motors.T
         return command + MIXER_INVERSE[data.index + 1] @ (self.law(data, motors, p) - motors)
 
@@ -281,8 +280,7 @@ class Motors(Row):
         return NO_MOTORS if self.variant == 'motors' and not moves(data) else {}
 
     def actuate(self, data: AxisData, drive: Drive, p: FloatArray, settings: Settings) -> Drive:
-        after: Drive = self.law(data, drive, p)
-        return after
+        return self.law(data, drive, p)
 
 
 class SlowMotor(Motors):

@@ -61,7 +61,6 @@ class Linear(Torque):
 
     def begun(self, data: AxisData, p: FloatArray, settings: Settings) -> FloatArray:
         """(states, n) of which each stretch's first column counts: where the states begin."""
-        del p, settings
         return np.zeros((self.states, data.rate.size))
 
     def trace(
@@ -180,8 +179,7 @@ class Memory(Shape, Linear):
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         x = required(s.hidden)[0] - (not self.leans)
-        out: FloatArray = p[1] * x * per_unit(self.term, s)
-        return out
+        return p[1] * x * per_unit(self.term, s)
 
 
 REMEMBERED = {

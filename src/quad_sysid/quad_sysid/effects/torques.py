@@ -53,8 +53,7 @@ class Torque(Row):
     """A torque, rad/s², by the law of the signals `s` and the parameters (p,)."""
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        added: FloatArray = self.law(s, p)
-        return added
+        return self.law(s, p)
 
 
 DRY = (Spec('torque', 'rad/s²', positive=True), TRANSITION)

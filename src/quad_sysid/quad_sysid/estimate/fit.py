@@ -7,7 +7,8 @@ so that bursts of noise do not dominate. Least squares by QR, evidence by Laplac
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,16 +45,12 @@ class Tail:
         """(n,) logarithm of the density of innovations e, nats."""
         v = self.degrees
         constant = gammaln(0.5 * (v + 1.0)) - gammaln(0.5 * v) - 0.5 * math.log(math.pi * v)
-        out: FloatArray = (
-            constant - math.log(self.scale)
-            - 0.5 * (v + 1.0) * np.log1p((e / self.scale) ** 2 / v)
-        )
-        return out
+        shape = 0.5 * (v + 1.0) * np.log1p((e / self.scale) ** 2 / v)
+        return constant - math.log(self.scale) - shape
 
     def weights(self, e: FloatArray) -> FloatArray:
         """(n,) weights of the equivalent least squares; 1 for a normal distribution."""
-        out: FloatArray = (self.degrees + 1.0) / (self.degrees + (e / self.scale) ** 2)
-        return out
+        return (self.degrees + 1.0) / (self.degrees + (e / self.scale) ** 2)
 
     @property
     def variance(self) -> float:
@@ -88,26 +85,22 @@ def tail_of(e: FloatArray, degrees: tuple[float, ...] = DEGREES) -> Tail:
     return best
 
 
-@dataclass
 class Problem:
     """The data of a fit: spans of an axis' flight, each with its lead; the rest is left out.
 
     `data` and `spans` describe the part that is kept, or, if `whole`, the whole flight.
     """
 
-    data: AxisData
-    spans: tuple[Span, ...]
-    whole: bool = False
-    flight: Flight = field(init=False)
-    rows: NDArray[np.int64] = field(init=False)
-    acceleration: float = field(init=False)
+    acceleration: float
     """Typical acceleration of the axis, rad/s², to which priors are relative."""
+    rows: NDArray[np.int64]
+    """(rows,) samples whose innovations count."""
 
-    def __post_init__(self) -> None:
-        if not self.whole:
-            passes = passes_of(self.data, self.spans)
-            self.spans = moved(sorted(self.spans), passes)
-            self.data = part_of(self.data, passes)
+    def __init__(self, data: AxisData, spans: Sequence[Span], *, whole: bool = False) -> None:
+        self.data, self.spans = data, tuple(spans)
+        if not whole:
+            passes = passes_of(data, spans)
+            self.data, self.spans = part_of(data, passes), moved(sorted(spans), passes)
         self.flight = Flight(self.data, self.spans)
         self._sizes: dict[str, FloatArray] = {}
         count = np.zeros(self.data.rate.size, dtype=bool)
@@ -129,30 +122,22 @@ class Problem:
 
     def measure(self, fitted: Fit) -> None:
         """Take the sizes of all later priors and of the innovations from this fit."""
-        p = fitted.values
-        self.flight.variance = fitted.tail.variance
-        halves, states = self.flight.driven(fitted.structure, p)
-        self._reference = self.flight.signals(p, halves, states, fitted.rate)
-        self._sizes = {}
+        flight, p = self.flight, fitted.values
+        flight.variance, self._sizes = fitted.tail.variance, {}
+        self._reference = flight.signals(p, *flight.driven(fitted.structure, p), fitted.rate)
 
     def sizes_of(self, part: Part) -> FloatArray:
         """(q,) prior standard deviation of an effect's parameters, in coordinates of the fit."""
-        label = part.effect.label
-        if label not in self._sizes:
-            out = np.empty(len(part.effect.parameters))
-            alike: float | None = None
-            for j, spec in enumerate(part.effect.parameters):
-                if spec.spread is not None:
-                    out[j] = spec.spread
-                elif alike is not None:
-                    out[j] = alike
-                else:
-                    unit = high(part.effect.size(self._reference, j, part.settings)[self.rows])
-                    out[j] = 0.5 * self.acceleration / unit
-                    if part.effect.kind == 'shape':
-                        alike = float(out[j])
-            self._sizes[label] = out
-        return self._sizes[label]
+        effect = part.effect
+        if effect.label not in self._sizes:
+            sizes = np.array([spec.spread for spec in effect.parameters], dtype=float)
+            free = np.flatnonzero(np.isnan(sizes))
+            # the values of a curve are of one size
+            units = [effect.size(self._reference, j, part.settings)[self.rows]
+                     for j in (free[:1] if effect.kind == 'shape' else free)]
+            sizes[free] = [0.5 * self.acceleration / high(unit) for unit in units]
+            self._sizes[effect.label] = sizes
+        return self._sizes[effect.label]
 
     def sizes(self, structure: Structure) -> FloatArray:
         """(p,) prior standard deviation of each parameter, in the coordinates of the fit."""
@@ -161,13 +146,8 @@ class Problem:
             wide / high(self.data.command[rows]), BASE[1].spread, BASE[2].spread,
             wide / high(self.data.rate[rows]), wide,
         ]
-        own = [self.sizes_of(part) for part in structure.parts]
-        noise = [s.spread for s in structure.noise]
-        return np.concatenate([np.array(base, dtype=float), *own, np.array(noise, dtype=float)])
-
-    def centres(self, structure: Structure) -> FloatArray:
-        """(p,) prior means in the coordinates of the fit."""
-        return np.array([s.centre for s in structure.specs])
+        own = [size for part in structure.parts for size in self.sizes_of(part)]
+        return np.array([*base, *own, *(s.spread for s in structure.noise)], dtype=float)
 
     def precision(self, structure: Structure, sizes: FloatArray) -> FloatArray:
         """(p, p) prior precision."""
@@ -185,17 +165,18 @@ class Fit:
     theta: FloatArray
     """(p,) in the coordinates of the fit."""
     tail: Tail
-    log_likelihood: float
     log_posterior: float
     evidence: float
     """log p(data | structure) by Laplace's approximation, nats."""
     hessian: FloatArray
     precision: FloatArray
     converged: bool
-    steps: int
     prediction: Prediction
-    rate: FloatArray
-    """(n,) the trajectory with which the fit ended, rad/s."""
+
+    @property
+    def rate(self) -> FloatArray:
+        """(n,) the trajectory with which the fit ended, rad/s."""
+        return self.prediction.rate
 
     @property
     def values(self) -> FloatArray:
@@ -217,8 +198,7 @@ def start_of(problem: Problem) -> FloatArray:
 
 def upper_triangle(a: FloatArray) -> FloatArray:
     """R of the QR factorisation of `a`."""
-    r: FloatArray = np.asarray(np.linalg.qr(a, mode='r'))
-    return r
+    return np.asarray(np.linalg.qr(a, mode='r'))
 
 
 def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
@@ -231,11 +211,11 @@ def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
     FloatingPointError where the fit diverges.
     """
     flight = problem.flight
-    flight.rate = begun = flight.rate if rate is None else rate
+    begun = flight.rate if rate is None else rate
     sizes = problem.sizes(structure)
     precision = problem.precision(structure, sizes)
     root = np.linalg.cholesky(precision).T
-    centres = problem.centres(structure)
+    centres = np.array([s.centre for s in structure.specs])
     positive = np.array([s.positive and not s.log for s in structure.specs])
     steps = np.where(sizes > 1.0, 1e-4 * sizes, np.where(sizes < 1e-2, 1e-3 * sizes, 1e-4))
 
@@ -263,23 +243,19 @@ def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
     found, value, tail = evaluated(theta, begun, 3, by=steps)
     if found is None or not math.isfinite(value):
         raise FloatingPointError('the start runs away')
-    damping, converged, count = 1e-3, False, 0
-    for count in range(1, most_steps + 1):  # noqa: B007 - read after the loop
+    damping, converged = 1e-3, False
+    for _ in range(most_steps):
         e = found.innovation[problem.rows]
         j = required(found.jacobian)[problem.rows]
         j[:, list(still)] = 0.0
         w = np.sqrt(tail.weights(e)) / tail.scale
-        stacked = np.empty((e.size + theta.size, theta.size + 1))
-        np.multiply(j, w[:, None], out=stacked[: e.size, :-1])
-        stacked[: e.size, -1] = e * w
-        stacked[e.size :, :-1] = root
-        stacked[e.size :, -1] = root @ (theta - centres)
-        r_factor = upper_triangle(stacked)[: theta.size]
-        a, b = r_factor[:, :-1], r_factor[:, -1]
-        if not still and 0.5 * float(b @ b) < SMALL_NATS:
-            converged = True
+        away = root @ (theta - centres)
+        stacked = np.block([[j * w[:, None], (e * w)[:, None]], [root, away[:, None]]])
+        factor = upper_triangle(stacked)[: theta.size]
+        a, b = factor[:, :-1], factor[:, -1]
+        converged = not still and 0.5 * float(b @ b) < SMALL_NATS
+        if converged:
             break
-        kept = flight.rate
         scale = np.sqrt(np.sum(a**2, axis=0))
         for _ in range(12):
             damped = np.vstack([a, math.sqrt(damping) * np.diag(scale)])
@@ -287,40 +263,30 @@ def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
             step[list(still)] = 0.0
             trial = theta + step
             trial = np.where(positive, np.maximum(trial, 0.0), trial)
-            _, new, _ = evaluated(trial, kept, 2)
+            _, new, _ = evaluated(trial, found.rate, 2)
             if new > value - 1e-9:
                 break
             damping = max(damping * 8.0, 1e-4)
         else:
-            flight.rate = kept
             break
-        gained = new - value
         ahead, value_ahead, tail_ahead = evaluated(trial, flight.rate, 1, by=steps)
         if ahead is None:  # the noise is at the edge of what has a filter
-            flight.rate = kept
             break
         if ahead.jacobian is None:
             raise FloatingPointError('the fit runs away')
+        converged = new - value < SMALL_NATS
         found, theta, value, tail = ahead, trial, value_ahead, tail_ahead
-        damping *= 0.15
-        if gained < SMALL_NATS:
-            converged = True
+        if converged:
             break
-    e = found.innovation[problem.rows]
+        damping *= 0.15
+    flight.rate = found.rate
     j = required(found.jacobian)[problem.rows] * (math.sqrt(tail.information) / tail.scale)
     r = upper_triangle(np.vstack([j, root]))
-    hessian = r.T @ r
-    log_likelihood = float(np.sum(tail.log_density(e)))
-    away = root @ (theta - centres)
     evidence = (
-        log_likelihood - 0.5 * float(away @ away)
-        + float(np.sum(np.log(np.diag(root)))) - float(np.sum(np.log(np.abs(np.diag(r)))))
+        value + float(np.sum(np.log(np.diag(root)))) - float(np.sum(np.log(np.abs(np.diag(r)))))
         + math.log(2.0) * int(positive.sum())
     )
-    return Fit(
-        structure, theta, tail, log_likelihood, value, evidence, hessian, precision, converged,
-        count, found, flight.rate.copy(),
-    )
+    return Fit(structure, theta, tail, value, evidence, r.T @ r, precision, converged, found)
 
 
 def covariance(problem: Problem, fitted: Fit) -> FloatArray:
@@ -340,8 +306,7 @@ def covariance(problem: Problem, fitted: Fit) -> FloatArray:
     half = np.linalg.inv(fitted.hessian)
     sandwich = half @ meat @ half
     wider = np.sqrt(np.maximum(np.diag(half) / np.diag(sandwich), 1.0))
-    out: FloatArray = sandwich * np.outer(wider, wider)
-    return out
+    return sandwich * np.outer(wider, wider)
 
 
 def shift_by_form(problem: Problem, fitted: Fit) -> FloatArray:
@@ -360,5 +325,4 @@ def shift_by_form(problem: Problem, fitted: Fit) -> FloatArray:
     e = fitted.prediction.innovation[problem.rows]
     j = required(fitted.prediction.jacobian)[problem.rows]
     change = (stepped.innovation[problem.rows] - e) * fitted.tail.weights(e) / fitted.tail.scale**2
-    out: FloatArray = -np.linalg.solve(fitted.hessian, j.T @ change)
-    return out
+    return -np.linalg.solve(fitted.hessian, j.T @ change)

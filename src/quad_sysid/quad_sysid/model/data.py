@@ -101,8 +101,7 @@ class AxisData:
     @property
     def command(self) -> FloatArray:
         """(n,) this axis' input U2, U3 or U4, normalised; U1 where `index` is -1."""
-        column: FloatArray = np.ascontiguousarray(self.control[:, self.index + 1])
-        return column
+        return np.ascontiguousarray(self.control[:, self.index + 1])
 
     @property
     def other_axes(self) -> tuple[str, str]:

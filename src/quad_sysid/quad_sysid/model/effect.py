@@ -178,17 +178,14 @@ class Effect:
         self, data: AxisData, command: FloatArray, p: FloatArray, settings: Settings
     ) -> FloatArray:
         """(n,) command of the axis after the effect."""
-        del data, p, settings
         return command
 
     def actuate(self, data: AxisData, drive: Drive, p: FloatArray, settings: Settings) -> Drive:
         """The motors' lags after the effect."""
-        del data, p, settings
         return drive
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray | None:
         """Acceleration that it adds, rad/s²; None: it adds none."""
-        del s, p, settings
         return None
 
     def centre(self) -> FloatArray:
@@ -202,12 +199,7 @@ class Effect:
         """Acceleration per unit of a parameter without a spread, the others at their centre."""
         if self.sized_by_term:
             return per_unit(self.term, s)
-        p = self.centre()
-        p[j] = 1.0
-        own = self.torque(s, p, settings)
-        if own is None:
-            raise NotImplementedError(f'{self.label}.{self.parameters[j].name} needs a spread')
-        return own
+        return self.columns(s, self.centre(), [j], settings)[:, 0]
 
     def columns(
         self, s: Signals, p: FloatArray, linear: Sequence[int], settings: Settings
@@ -217,19 +209,16 @@ class Effect:
         for place, j in enumerate(linear):
             at = p.copy()
             at[j] = SMALL
-            own = self.torque(s, at, settings)
-            out[:, place] = required(own) / SMALL
+            out[:, place] = required(self.torque(s, at, settings)) / SMALL
         return out
 
     def starts(self, data: AxisData, settings: Settings) -> Sequence[FloatArray]:
         """Start values in their units; those of parameters without a spread are ignored."""
-        del data, settings
         grid = [spec.starts or (0.0,) for spec in self.parameters]
         return [np.array(values) for values in itertools.product(*grid)]
 
     def readable(self, p: FloatArray, settings: Settings) -> Mapping[str, tuple[float, str]]:
         """Name → (value, unit) as a report shows the parameters."""
-        del settings
         return {
             spec.name: (float(value), spec.unit)
             for spec, value in zip(self.parameters, p, strict=True)
@@ -237,12 +226,10 @@ class Effect:
 
     def fitted(self, values: Mapping[str, float], settings: Settings) -> FloatArray:
         """The inverse of `readable`: (p,) parameters in their units."""
-        del settings
         return np.array([values[spec.name] for spec in self.parameters])
 
     def elsewhere(self, p: FloatArray, settings: Settings, phase: float) -> FloatArray:
         """Parameters for another flight: for an event the values after it; phase in rad."""
-        del settings, phase
         return p
 
     def trace(
@@ -259,12 +246,10 @@ class Effect:
 
     def usual(self, p: FloatArray, settings: Settings) -> Mapping[str, float]:
         """Signal (`throttle`, `battery`) → the value at which a loop is judged."""
-        del p, settings
         return {}
 
     def dynamics(self, p: FloatArray) -> Dynamics | None:
         """Linear dynamics of a command effect with memory; None where it is not linear."""
-        del p
         return None
 
     def precision(self, settings: Settings, sizes: FloatArray) -> FloatArray:
@@ -272,7 +257,6 @@ class Effect:
 
         sizes (p,): standard deviation of each.
         """
-        del settings
         return np.diag(sizes**-2.0)
 
     def __repr__(self) -> str:

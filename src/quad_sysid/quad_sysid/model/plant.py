@@ -11,8 +11,9 @@ This is Newton's method on the nonlinear filter: each step, and its derivatives,
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,7 +23,7 @@ from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.model import recursion
 from quad_sysid.model.data import AxisData, Span, Windows, at_limit
 from quad_sysid.model.effect import Drive, Effect, Part, Signals, required
-from quad_sysid.model.noise import Filter, Sensor, kalman, sensor_of
+from quad_sysid.model.noise import Filter, kalman, sensor_of
 from quad_sysid.model.structure import Structure, natural
 
 LEAD_S = 1.0
@@ -31,8 +32,8 @@ SLOPE_STEP = 1e-4
 """Step of the rate for the slope of a torque, rad/s."""
 SLOPE_S = 0.02
 """An acceleration is the slope of the rate over this time to either side."""
-PURSUIT_STEP = 1e-3
-"""Step of a wandering coefficient's parameters for the derivatives of its gain."""
+FILTER_STEP, PURSUIT_STEP = 1e-4, 1e-3
+"""Steps of the noise's and of a wandering coefficient's parameters for derivatives of gains."""
 SHORTEST_S = 1e-5
 """A lag or delay below this counts as none."""
 
@@ -72,6 +73,16 @@ def with_slopes(start: FloatArray, acting: Sequence[Acting]) -> FloatArray:
     return start
 
 
+def central(
+    function: Callable[[FloatArray], FloatArray], x: FloatArray, j: int, step: float
+) -> FloatArray:
+    """Derivative of an array by one coordinate of x (p,), by central differences."""
+    up, down = x.copy(), x.copy()
+    up[j] += step
+    down[j] -= step
+    return (function(up) - function(down)) / (2.0 * step)
+
+
 def per_coefficient(part: Part, s: Signals, p: FloatArray) -> FloatArray:
     """(n,) acceleration per unit of a wandering effect's coefficient, rad/s²."""
     one = replace(s, hidden=np.ones((1, s.rate.size)))
@@ -94,7 +105,6 @@ def passes_of(data: AxisData, spans: Sequence[Span]) -> tuple[Span, ...]:
     return tuple((a, b) for a, b in merged)
 
 
-@dataclass
 class Flight:
     """One axis of a flight as the filter follows it.
 
@@ -102,28 +112,24 @@ class Flight:
     evaluated is kept between calls.
     """
 
-    data: AxisData
-    spans: tuple[Span, ...]
-    passes: tuple[Span, ...] = ()
-    rate: FloatArray = field(default_factory=lambda: np.zeros(0))
+    rate: FloatArray
     """(n,) rate at the middle of each cycle by the last estimate of the filter, rad/s."""
-    sensor: Sensor = field(init=False)
-    disturbances: FloatArray = field(init=False)
-    """(n, 2) acceleration of the other two axes that their bases do not explain, rad/s²; zero
-    until discover.base.shares sets it."""
-    measured: FloatArray = field(init=False)
+    measured: FloatArray
     """(n,) the measurement that is predicted, rad/s: the rate, or angle / dt where only the angle
     was measured; NaN where it was lost or at its limit."""
+    disturbances: FloatArray
+    """(n, 2) acceleration of the other two axes that their bases do not explain, rad/s²; zero
+    until discover.base.shares sets it."""
+    variance: float
+    """Variance of the innovations, (rad/s)²; 0: not known yet."""
 
-    def __post_init__(self) -> None:
-        data = self.data
-        self.passes = passes_of(data, self.spans)
+    def __init__(self, data: AxisData, spans: Sequence[Span]) -> None:
+        self.data, self.passes = data, passes_of(data, spans)
         self.sensor = sensor_of(data.gyro_filter_hz, data.derived_s, data.dt)
         self.late = self.sensor.late_s
         output = required(data.angle) / data.dt if self.sensor.derived else data.rate
         lost = ~np.isfinite(data.rate) | at_limit(data.rate)
         self.measured = np.where(lost, np.nan, output)
-        n = data.rate.size
         self.angle = None if data.angle is None else np.nan_to_num(data.angle)
         self.others: list[FloatArray] | None = None
         if np.isfinite(data.other_rates).mean() > 0.5:
@@ -136,11 +142,9 @@ class Flight:
             'other_angles': None if data.other_angles is None
             else [*np.ascontiguousarray(data.other_angles.T)],
         }
-        self.disturbances = np.zeros((n, 2))
-        self.variance = 0.0  # of the innovations, (rad/s)²; 0: not known yet
+        self.disturbances, self.variance = np.zeros((data.rate.size, 2)), 0.0
         self._drives: dict[bytes, tuple[FloatArray, FloatArray]] = {}
-        if self.rate.size != n:
-            self.rate = self._first_guess()
+        self.rate = self._first_guess()
 
     def _ahead(self, measured: FloatArray, cycles: float = 0.0) -> FloatArray:
         """(n,) a measured rate at mid-cycle, or some cycles later, without the filter's delay."""
@@ -227,78 +231,78 @@ class Flight:
 
     def pushed(self, structure: Structure, p: FloatArray, rate: FloatArray) -> Pushed:
         """Accelerations along the trajectory `rate` (n,), and their slope over it."""
-        drive, torque, acting = self._acting(structure, p, rate)
+        drive, acting = self._acting(structure, p, rate, structure.placed())
+        torque = with_torques(p[4] - p[3] * rate, acting)
+        for which, share in zip(structure.shared, p[-len(structure.noise) :], strict=False):
+            torque = torque + share * self.disturbances[:, which]
         slope = with_slopes(np.full(rate.size, -p[3]), acting)
         return Pushed(drive + (torque - slope * rate), slope)
 
     def _acting(
-        self, structure: Structure, p: FloatArray, rate: FloatArray
-    ) -> tuple[FloatArray, FloatArray, list[Acting]]:
-        """Accelerations by the drive (2, n) and by all else (n,), and the effects that act."""
-        halves, states = self.driven(structure, p)
-        s = self.signals(p, halves, states, rate)
-        acting = [(part, p[where], self.hidden(part, s, p[where]))
-                  for part, where in structure.placed()]
-        torque = with_torques(p[4] - p[3] * rate, acting)
-        for which, share in zip(structure.shared, p[-len(structure.noise) :], strict=False):
-            torque = torque + share * self.disturbances[:, which]
-        return p[0] * halves, torque, acting
+        self, structure: Structure, p: FloatArray, rate: FloatArray,
+        placed: Sequence[tuple[Part, slice]],
+    ) -> tuple[FloatArray, list[Acting]]:
+        """Acceleration by the drive (2, n), and those effects with what they see."""
+        driven = self.driven(structure, p)
+        s = self.signals(p, *driven, rate)
+        return p[0] * driven[0], [
+            (part, p[where], self.hidden(part, s, p[where])) for part, where in placed
+        ]
 
     def columns(
         self, structure: Structure, theta: FloatArray, rate: FloatArray, steps: FloatArray
     ) -> tuple[FloatArray, FloatArray, NDArray[np.int64]]:
-        """(n, m) derivatives of the acceleration; (n, b) of half its difference over the cycle.
+        """(n, p) derivatives of the acceleration; (n, b) of half its difference over the cycle.
 
         In the coordinates of the fit along a fixed trajectory, by central differences of `steps`
-        (p,) where a torque is not linear. The third, (b,), says for which of the m the second is.
+        (p,) where a torque is not linear. The third, (b,), says for which of the p the second is.
         """
-        m = theta.size - structure.filtered
         placed, p = structure.placed(), structure.natural(theta)
         moving = [where for part, where in placed if part.effect.moves_command]
         bent = np.array([0, 1, 2, *(j for w in moving for j in range(w.start, w.stop))])
-        out, bends = np.empty((rate.size, m)), np.empty((rate.size, bent.size))
+        out, bends = np.zeros((rate.size, theta.size)), np.empty((rate.size, bent.size))
         out[:, 3], out[:, 4] = -rate, 1.0
         for place, which in enumerate(structure.shared, theta.size - len(structure.noise)):
             out[:, place] = self.disturbances[:, which]
-        halves, states = self.driven(structure, p)
-        s = self.signals(p, halves, states, rate)
-        follows_drive = False
+        s = self.signals(p, *self.driven(structure, p), rate)
         for part, where in placed:
-            torque = type(part.effect).torque is not Effect.torque
-            follows_drive |= torque and 'command' in part.effect.signals
             if not part.effect.moves_command:
                 out[:, where] = self._by_parameters(part, s, theta[where], steps[where])
+        follow_drive = [
+            (part, where) for part, where in placed if 'command' in part.effect.signals
+            and type(part.effect).torque is not Effect.torque
+        ]
+
+        def driven(theta: FloatArray) -> FloatArray:
+            """(2, n) acceleration of all that follows the command."""
+            p = structure.natural(theta)
+            if not follow_drive:
+                return p[0] * self.driven(structure, p)[0]
+            drive, acting = self._acting(structure, p, rate, follow_drive)
+            return with_torques(drive, acting)
+
         for i, j in enumerate(bent):
-            up, down = (structure.natural(one) for one in _moved(theta, int(j), steps[j]))
-            if follows_drive:
-                ahead, back = (sum(self._acting(structure, one, rate)[:2]) for one in (up, down))
-                difference = (ahead - back) / (2.0 * steps[j])
-            elif j == 0:
-                difference = halves
-            else:
-                difference = (
-                    self.driven(structure, up)[0] - self.driven(structure, down)[0]
-                ) * (p[0] / (2.0 * steps[j]))
-            out[:, j] = 0.5 * (difference[0] + difference[1])
-            bends[:, i] = 0.5 * (difference[0] - difference[1])
+            begin, end = central(driven, theta, j, steps[j])
+            out[:, j], bends[:, i] = 0.5 * (begin + end), 0.5 * (begin - end)
         return out, bends, bent
 
     def _by_parameters(
         self, part: Part, s: Signals, theta: FloatArray, steps: FloatArray
     ) -> FloatArray:
         """(n, q) derivatives of an effect's torque by its coordinates of the fit."""
-        effect, settings = part.effect, part.settings
-        out, linear = np.empty((s.rate.size, theta.size)), effect.linear
+        effect, settings, linear = part.effect, part.settings, part.effect.linear
+
+        def torque(theta: FloatArray) -> FloatArray:
+            p = natural(effect.parameters, theta)
+            return required(effect.torque(self.hidden(part, s, p), p, settings))
+
+        out = np.empty((s.rate.size, theta.size))
         if linear:
             p = natural(effect.parameters, theta)
             p[linear] = 0.0
             out[:, linear] = effect.columns(self.hidden(part, s, p), p, linear, settings)
         for j in set(range(theta.size)) - set(linear):
-            ahead, back = (
-                required(effect.torque(self.hidden(part, s, p), p, settings))
-                for p in (natural(effect.parameters, one) for one in _moved(theta, j, steps[j]))
-            )
-            out[:, j] = (ahead - back) / (2.0 * steps[j])
+            out[:, j] = central(torque, theta, j, steps[j])
         return out
 
     def unexplained(self, p: FloatArray) -> FloatArray:
@@ -311,8 +315,7 @@ class Flight:
         back, here, ahead = (self._ahead(self.data.rate, way * reach) for way in (-1.0, 0.0, 1.0))
         halves = self.driven(Structure(), p)[0]
         explained = p[0] * 0.5 * (halves[0] + halves[1]) - p[3] * here + p[4]
-        left: FloatArray = (ahead - back) / (2.0 * reach * dt) - explained
-        return left
+        return (ahead - back) / (2.0 * reach * dt) - explained
 
     # ------------------------------------------------------------------------ the filter
 
@@ -332,10 +335,12 @@ class Flight:
             damping = -float(np.mean(push.slope))
             found = self.filter_of(structure, theta, damping)
             by = _Inputs.none(found, self.wander(structure, p, rate))
-            if steps is not None and sweep == sweeps - 1:
-                by = self._derivatives(structure, theta, rate, steps, damping, by)
-            if by.left.size:
+            if by.place.size:
                 self._follow(structure, theta, push.slope, found, by)
+            if steps is not None and sweep == sweeps - 1:
+                columns, bends, bent = self.columns(structure, theta, rate, steps)
+                by = by._replace(columns=columns, bends=bends, bent=bent,
+                                 filters=self._by_filter(structure, theta, damping))
             ran = self._run(push, found, by)
             if not self.variance:
                 self.variance = float(np.nanmedian(np.abs(ran.innovation)) / 0.6745) ** 2
@@ -345,24 +350,10 @@ class Flight:
         self.rate = rate
         return ran if steps is not None else replace(ran, jacobian=None)
 
-    def _derivatives(
-        self, structure: Structure, theta: FloatArray, rate: FloatArray, steps: FloatArray,
-        damping: float, by: _Inputs,
-    ) -> _Inputs:
-        """The inputs with the derivatives of all but wandering by all parameters."""
-        physics, bends, bent = self.columns(structure, theta, rate, steps)
-        columns = np.zeros((rate.size, theta.size))
-        columns[:, : physics.shape[1]] = physics
-        gains, moves = self._noise_columns(structure, theta, damping)
-        return by._replace(
-            columns=columns, bends=bends, bent=bent, gains=gains, moves=moves,
-            by_follow=np.zeros((rate.size, by.left.size, 2)),
-        )
-
     def _run(self, push: Pushed, found: Filter, by: _Inputs) -> Prediction:
         """The compiled filter along all passes."""
         n, rate = self.data.rate.size, self.rate.copy()
-        states = np.zeros((n, found.gain.size + by.left.size))
+        states = np.zeros((n, found.gain.size + by.place.size))
         innovation, jacobian = np.full(n, np.nan), np.zeros(by.columns.shape)
         for start, stop in self.passes:
             recursion.predict(
@@ -372,35 +363,47 @@ class Flight:
             )
         return Prediction(innovation, jacobian, states, found, rate)
 
+    def _by_filter(
+        self, structure: Structure, theta: FloatArray, damping: float
+    ) -> FloatArray:
+        """(p, 6 + 4 v) derivatives of Filter.gain and Filter.move."""
+        first, specs = theta.size - structure.filtered, structure.specs
+
+        def steady(at: FloatArray) -> FloatArray:
+            found = kalman(natural(specs[first:], at[:-1]), at[-1], self.sensor, self.data.dt)
+            return np.concatenate([found.gain, found.move])
+
+        at, out = np.r_[theta[first:], damping], np.zeros((theta.size, 6 + 4 * structure.lines))
+        for i, j in enumerate((*range(first, theta.size), 3)):
+            out[j] = central(steady, at, i, FILTER_STEP)
+        return out
+
     def _follow(
         self, structure: Structure, theta: FloatArray, slope: FloatArray, found: Filter,
         by: _Inputs,
     ) -> None:
-        """Put in how the filter follows wandering effects, with derivatives where asked for."""
+        """Put in how the filter follows wandering effects, with derivatives."""
         psi = self.responses(by.wander, slope, found)
         wandering = [where for part, where in structure.placed() if part.effect.wanders]
         for i, where in enumerate(wandering):
-            by.left[i], by.follow[:, i] = self.pursuit(psi[:, i], theta[where])
             # the gain's dependence on all other parameters is neglected: white innovations make
             # its mean effect on the likelihood zero
-            by.place[i] = where.start
-            for j in range(2) if by.by_follow.size else ():
-                up, down = (
-                    self.pursuit(psi[:, i], one) for one in _moved(theta[where], j, PURSUIT_STEP)
-                )
-                by.by_left[i, j] = (up[0] - down[0]) / (2.0 * PURSUIT_STEP)
-                by.by_follow[:, i, j] = (up[1] - down[1]) / (2.0 * PURSUIT_STEP)
+            pursuit, by.place[i] = partial(self.pursuit, psi[:, i]), where.start
+            by.pursuit[:, i] = pursuit(theta[where])
+            for j in range(2):
+                by.by_pursuit[:, i, :, j] = central(pursuit, theta[where], j, PURSUIT_STEP)
 
-    def pursuit(self, psi: FloatArray, logs: FloatArray) -> tuple[float, FloatArray]:
-        """What is left of a coefficient after a cycle, and (n,) what an innovation adds to it.
+    def pursuit(self, psi: FloatArray, logs: FloatArray) -> FloatArray:
+        """(n, 2) what an innovation adds to a coefficient, and what is left of it after a cycle.
 
         psi (n,): derivative of the innovations by it; logs (2,): of its spread and correlation.
         """
         spread, correlation = np.exp(logs)
-        left, follow = math.exp(-self.data.dt / correlation), np.zeros(psi.size)
+        out = np.zeros((psi.size, 2))
+        out[:, 1] = math.exp(-self.data.dt / correlation)
         for start, stop in self.passes if self.variance else ():
-            recursion.pursuit(psi, self.variance, spread, left, start, stop, follow)
-        return left, follow
+            recursion.pursuit(psi, self.variance, spread, start, stop, out)
+        return out
 
     def wander(self, structure: Structure, p: FloatArray, rate: FloatArray) -> FloatArray:
         """(n, w) acceleration per unit of each wandering coefficient, rad/s²."""
@@ -412,29 +415,8 @@ class Flight:
 
     def responses(self, columns: FloatArray, slope: FloatArray, found: Filter) -> FloatArray:
         """(n, m) response of the innovations to accelerations (n, m)."""
-        m, nothing = columns.shape[1], np.zeros((slope.size, 0))
-        by = _Inputs.none(found, nothing)._replace(
-            columns=columns, gains=np.zeros((m, found.gain.size)),
-            moves=np.zeros((m, found.move.size)),
-        )
-        push = Pushed(np.zeros((2, slope.size)), slope)
-        return required(self._run(push, found, by).jacobian)
-
-    def _noise_columns(
-        self, structure: Structure, theta: FloatArray, damping: float
-    ) -> tuple[FloatArray, FloatArray]:
-        """Derivatives of Filter.gain (p, 4 + 2 v) and Filter.move (p, 2 + 2 v)."""
-        more, step = 2 * structure.lines, 1e-4
-        gains, moves = np.zeros((theta.size, 4 + more)), np.zeros((theta.size, 2 + more))
-        for at in (3, *range(theta.size - structure.filtered, theta.size)):
-            up, down = (
-                self.filter_of(structure, theta, damping + way * step) if at == 3 else
-                self.filter_of(structure, one, damping)
-                for way, one in zip((1.0, -1.0), _moved(theta, at, step), strict=True)
-            )
-            gains[at] = (up.gain - down.gain) / (2.0 * step)
-            moves[at] = (up.move - down.move) / (2.0 * step)
-        return gains, moves
+        by = _Inputs.none(found, np.zeros((slope.size, 0)), columns)
+        return required(self._run(Pushed(np.zeros((2, slope.size)), slope), found, by).jacobian)
 
     # ---------------------------------------------------------------------- the free run
 
@@ -498,38 +480,27 @@ class Flight:
         return out
 
 
-def _moved(theta: FloatArray, j: int, step: float) -> tuple[FloatArray, FloatArray]:
-    """Coordinates with one of them a step ahead, and a step back."""
-    up, down = theta.copy(), theta.copy()
-    up[j] += step
-    down[j] -= step
-    return up, down
-
-
 class _Inputs(NamedTuple):
     """What enters the filter besides known accelerations, as recursion.predict takes it."""
 
     columns: FloatArray
     bends: FloatArray
     bent: NDArray[np.int64]
-    gains: FloatArray
-    moves: FloatArray
+    filters: FloatArray
     wander: FloatArray
-    follow: FloatArray
-    left: FloatArray
-    by_follow: FloatArray
-    by_left: FloatArray
+    pursuit: FloatArray
+    by_pursuit: FloatArray
     place: NDArray[np.int64]
 
     @staticmethod
-    def none(found: Filter, wander: FloatArray) -> _Inputs:
-        """Without derivatives, and wandering coefficients (n, w) that stay where they are."""
+    def none(found: Filter, wander: FloatArray, columns: FloatArray | None = None) -> _Inputs:
+        """Of (n, m) columns the physics alone, and no pursuit of what wanders, (n, w)."""
         n, w = wander.shape
-        no, whole = np.zeros((n, 0)), np.int64
+        columns = np.zeros((n, 0)) if columns is None else columns
         return _Inputs(
-            no, no, np.zeros(0, whole), np.zeros((0, found.gain.size)),
-            np.zeros((0, found.move.size)), wander, np.zeros((n, w)), np.zeros(w),
-            np.zeros((0, w, 2)), np.zeros((w, 2)), np.zeros(w, whole),
+            columns, np.zeros((n, 0)), np.zeros(0, np.int64),
+            np.zeros((columns.shape[1], found.gain.size + found.move.size)),
+            wander, np.zeros((n, w, 2)), np.zeros((n, w, 2, 2)), np.zeros(w, np.int64),
         )
 
 

@@ -76,8 +76,7 @@ def motors(commands, row, lag, asymmetry, whole, fraction, dt, start, stop, halv
 
 @njit(**_OPTIONS)
 def predict(y, begin, known, slope, gain, move, gyro, behind, dt, start, stop, columns, bends,
-            bent, gain_columns, move_columns, wander, follow, left, follow_columns, left_columns,
-            place, rate, states, innovation, jacobian):
+            bent, filters, wander, pursuit, by_pursuit, place, rate, states, innovation, jacobian):
     """Innovations of the predictor over [start, stop) and their derivatives.
 
     y (n,) measured, begin the rate at the start. known (2, n) acceleration over the halves of
@@ -86,58 +85,67 @@ def predict(y, begin, known, slope, gain, move, gyro, behind, dt, start, stop, c
     halves for those whose numbers are in bent (b,). States: rate, disturbance, the sensor's
     two, and two of each of the v lines of vibration. gain (4 + 2 v,) what the innovation adds
     to them; move (2 + 2 v,): what is left of the disturbance after a cycle, its mean over the
-    cycle, and the turn of each line (cosine and sine times what is left of it); gain_columns
-    (m, 4 + 2 v) and move_columns (m, 2 + 2 v) their derivatives; nothing is added where y is
-    NaN. gyro (2, 5) as in noise.Sensor.step, measured where `behind`. wander (n, w):
-    acceleration per unit of each wandering term, of which an innovation adds follow (n, w) and
-    left (w,) is left after a cycle; the derivatives of both by its two parameters, whose
-    columns begin at place (w,), are follow_columns (n, w, 2) and left_columns (w, 2). rate
-    (n,) receives the rate at half cycle, states (n, 4 + 2 v + w) the prediction before the
-    innovation, innovation (n,) and jacobian (n, m) what the name says.
+    cycle, and the turn of each line (cosine and sine times what is left of it); filters
+    (m, 6 + 4 v) the derivatives of both; nothing is added where y is NaN. gyro (2, 5) as in
+    noise.Sensor.step, measured where `behind`. wander (n, w): acceleration per unit of each
+    wandering term; pursuit (n, w, 2): what an innovation adds to it, and what is left of it
+    after the cycle, by_pursuit (n, w, 2, 2) their derivatives by its two parameters, whose
+    columns begin at place (w,). rate (n,) receives the rate at half cycle, states
+    (n, 4 + 2 v + w) the prediction before the innovation, innovation (n,) and jacobian (n, m)
+    what the name says.
     """
-    m = columns.shape[1]
+    m, wanders, first = columns.shape[1], wander.shape[1], gain.size
     g00, g01, g02, g03, g04 = gyro[0, 0], gyro[0, 1], gyro[0, 2], gyro[0, 3], gyro[0, 4]
     g10, g11, g12, g13, g14 = gyro[1, 0], gyro[1, 1], gyro[1, 2], gyro[1, 3], gyro[1, 4]
     c0, c1, c2, c3 = gain[0], gain[1], gain[2], gain[3]
     fade, hold = move[0], move[1]
-    r = begin
-    d = 0.0
-    g = y[start]
-    q = 0.0
-    lines = move.size // 2 - 1
-    v = np.zeros(2 * lines)
-    wanders = wander.shape[1]
-    x = np.zeros(wanders)
-    first = 4 + 2 * lines
-    s = np.zeros((first + wanders, m))
-    n = np.ascontiguousarray(gain_columns.T)
-    t = np.ascontiguousarray(move_columns.T)
+    n = np.ascontiguousarray(filters[:, :4].T)
+    t = np.ascontiguousarray(filters[:, first : first + 2].T)
+    # each line is one complex state, which turns
+    into, turn = gain[4:].view(np.complex128), move[2:].view(np.complex128)
+    by_into = np.ascontiguousarray(filters[:, 4:first]).view(np.complex128)
+    by_turn = np.ascontiguousarray(filters[:, first + 2 :]).view(np.complex128)
+    lines = turn.size
+    r, d, g, q = begin, 0.0, y[start], 0.0
+    v, x = np.zeros(lines, np.complex128), np.zeros(wanders)
+    s, sv, sx = np.zeros((4, m)), np.zeros((lines, m), np.complex128), np.zeros((wanders, m))
     for k in range(start, stop):
         states[k, 0] = r
         states[k, 1] = d
         states[k, 2] = g
         states[k, 3] = q
         e = y[k] - (g if behind else r)
-        for i in range(2 * lines):
-            states[k, 4 + i] = v[i]
-        for i in range(wanders):
-            states[k, first + i] = x[i]
+        for j in range(m):
+            jacobian[k, j] = -(s[2, j] if behind else s[0, j])
         for i in range(lines):
-            e -= v[2 * i]
+            states[k, 4 + 2 * i] = v[i].real
+            states[k, 5 + 2 * i] = v[i].imag
+            e -= v[i].real
+            for j in range(m):
+                jacobian[k, j] -= sv[i, j].real
         innovation[k] = e
-        missing = not np.isfinite(y[k])
-        if missing:
+        if not np.isfinite(y[k]):
             e = 0.0
+            jacobian[k] = 0.0
         r += c0 * e
         d += c1 * e
         g += c2 * e
         q += c3 * e
-        for i in range(2 * lines):
-            v[i] += gain[4 + i] * e
+        for i in range(lines):
+            v[i] += into[i] * e
+            for j in range(m):
+                corrected = sv[i, j] + into[i] * jacobian[k, j] + by_into[j, i] * e
+                sv[i, j] = turn[i] * corrected + by_turn[j, i] * v[i]
+            v[i] *= turn[i]
         moved = 0.0
         for i in range(wanders):
-            x[i] += follow[k, i] * e
+            states[k, first + i] = x[i]
+            x[i] += pursuit[k, i, 0] * e
             moved += wander[k, i] * x[i]
+            for j in range(m):
+                sx[i, j] += pursuit[k, i, 0] * jacobian[k, j]
+            for j in range(min(m, 2)):
+                sx[i, place[i] + j] += by_pursuit[k, i, 0, j] * e
         a = 0.5 * dt * slope[k]
         ahead = (1.0 + a) / (1.0 - a)
         push = dt / (1.0 - a)
@@ -147,29 +155,6 @@ def predict(y, begin, known, slope, gain, move, gyro, behind, dt, start, stop, c
         rate[k] = middle
         curved = middle + 0.25 * dt * (known[0, k] - known[1, k])
         for j in range(m):
-            jacobian[k, j] = -(s[2, j] if behind else s[0, j])
-        for i in range(lines):
-            for j in range(m):
-                jacobian[k, j] -= s[4 + 2 * i, j]
-        if missing:
-            jacobian[k] = 0.0
-        for i in range(lines):
-            turn, over = move[2 + 2 * i], move[3 + 2 * i]
-            p, o = 4 + 2 * i, 5 + 2 * i
-            for j in range(m):
-                z = jacobian[k, j]
-                x5 = s[p, j] + gain[p] * z + n[p, j] * e
-                x6 = s[o, j] + gain[o] * z + n[o, j] * e
-                t2, t3 = t[2 + 2 * i, j], t[3 + 2 * i, j]
-                s[p, j] = turn * x5 - over * x6 + t2 * v[2 * i] - t3 * v[2 * i + 1]
-                s[o, j] = over * x5 + turn * x6 + t3 * v[2 * i] + t2 * v[2 * i + 1]
-        for i in range(wanders):
-            for j in range(m):
-                s[first + i, j] += follow[k, i] * jacobian[k, j]
-            if m > 0:
-                for j in range(2):
-                    s[first + i, place[i] + j] += follow_columns[k, i, j] * e
-        for j in range(m):
             z = jacobian[k, j]
             x0 = s[0, j] + c0 * z + n[0, j] * e
             x1 = s[1, j] + c1 * z + n[1, j] * e
@@ -177,7 +162,7 @@ def predict(y, begin, known, slope, gain, move, gyro, behind, dt, start, stop, c
             x3 = s[3, j] + c3 * z + n[3, j] * e
             pushed = columns[k, j] + hold * x1 + t[1, j] * d
             for i in range(wanders):
-                pushed += wander[k, i] * s[first + i, j]
+                pushed += wander[k, i] * sx[i, j]
             x4 = ahead * x0 + push * pushed
             mid = 0.5 * (x0 + x4)
             s[0, j] = x4
@@ -186,11 +171,10 @@ def predict(y, begin, known, slope, gain, move, gyro, behind, dt, start, stop, c
             s[3, j] = g10 * x2 + g11 * x3 + g12 * x0 + g13 * mid + g14 * x4
         for i in range(wanders):
             for j in range(m):
-                s[first + i, j] *= left[i]
-            if m > 0:
-                for j in range(2):
-                    s[first + i, place[i] + j] += left_columns[i, j] * x[i]
-            x[i] *= left[i]
+                sx[i, j] *= pursuit[k, i, 1]
+            for j in range(min(m, 2)):
+                sx[i, place[i] + j] += by_pursuit[k, i, 1, j] * x[i]
+            x[i] *= pursuit[k, i, 1]
         for j in range(bends.shape[1]):
             s[2, bent[j]] += g03 * 0.5 * dt * bends[k, j]
             s[3, bent[j]] += g13 * 0.5 * dt * bends[k, j]
@@ -199,36 +183,32 @@ def predict(y, begin, known, slope, gain, move, gyro, behind, dt, start, stop, c
         g = ng
         r = new
         d *= fade
-        for i in range(lines):
-            turn, over = move[2 + 2 * i], move[3 + 2 * i]
-            v[2 * i], v[2 * i + 1] = (
-                turn * v[2 * i] - over * v[2 * i + 1], over * v[2 * i] + turn * v[2 * i + 1]
-            )
 
 
 @njit(**_OPTIONS)
-def pursuit(psi, variance, spread, left, start, stop, follow):
-    """Gain of a wandering parameter per innovation, (n,) into `follow`.
+def pursuit(psi, variance, spread, start, stop, out):
+    """Gain of a wandering parameter per innovation into the first column of `out` (n, 2).
 
     psi (n,) derivative of the innovations by the parameter, variance of the innovations, spread
-    the parameter's own, left: what is left of it after a cycle. The scalar Riccati equation of a
-    recursive prediction-error method (Ljung and Söderström 1983, ch. 3).
+    the parameter's own; the second column says what is left of it after a cycle. The scalar
+    Riccati equation of a recursive prediction-error method (Ljung and Söderström 1983, ch. 3).
     """
     p = spread * spread
+    left = out[start, 1]
     more = p * (1.0 - left * left)
     for k in range(start, stop):
         total = variance + psi[k] * psi[k] * p
-        follow[k] = -p * psi[k] / total
+        out[k, 0] = -p * psi[k] / total
         p = left * left * p * variance / total + more
 
 
 @njit(**_OPTIONS)
-def pursued(e, psi, follow, left, start, stop, out):
+def pursued(e, psi, pursuit, start, stop, out):
     """Innovations e (n,) after such a parameter has followed them with this gain, into `out`."""
     x = 0.0
     for k in range(start, stop):
         out[k] = e[k] + psi[k] * x
-        x = left * (x + follow[k] * out[k])
+        x = pursuit[k, 1] * (x + pursuit[k, 0] * out[k])
 
 
 @njit(**_OPTIONS)
