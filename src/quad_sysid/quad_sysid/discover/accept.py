@@ -159,11 +159,10 @@ def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
     without = tuple(math.inf if one is None else rms(unseen.errors(one)) for one in rest)
     probabilities, rivals = _posterior(found, chosen)
     noise, spread = noise_of(chosen), growth(chosen.prediction.filter, unseen.windows.length)
-    verdict, reason = 'effects_added', ''
-    if not parts:
-        verdict, reason = _empty(problem, found, unseen, base)
-    else:
-        reason = unexplained(unseen, chosen)
+    verdict, reason = (
+        ('effects_added', unexplained(unseen, chosen)) if parts
+        else _empty(problem, found, unseen, base)
+    )
     return Verdict(
         verdict=verdict, reason=reason, chosen=chosen, e_value=e_value, before=before, after=after,
         one_step_before=unseen.one_step(base), one_step_after=unseen.one_step(chosen),
@@ -182,11 +181,10 @@ def horizons(unseen: Unseen, base: Fitted, chosen: Fitted) -> tuple[Horizon, ...
     errors = [
         unseen.holding(windows), unseen.errors(base, windows), unseen.errors(chosen, windows),
     ]
-    out = []
-    for horizon in HORIZONS_S:
-        k = at_horizon(horizon, dt)
-        out.append(Horizon(horizon, *(rms(e[:, k]) for e in errors)))
-    return tuple(out)
+    return tuple(
+        Horizon(horizon, *(rms(e[:, at_horizon(horizon, dt)]) for e in errors))
+        for horizon in HORIZONS_S
+    )
 
 
 def at_horizon(horizon_s: float, dt: float) -> int:

@@ -158,11 +158,8 @@ class _Beside:
             return _Block(part, p, linear, effect.columns(own, at, linear, part.settings).T)
         if not linear:
             return _Block(part, p, linear, [self._driven(part, p) - self.plain])
-        columns = []
-        for j in linear:
-            up = p.copy()
-            up[j] += STEP
-            columns.append((self._driven(part, up) - self.plain) / STEP)
+        steps = STEP * np.eye(p.size)[linear]
+        columns = [(self._driven(part, p + step) - self.plain) / STEP for step in steps]
         return _Block(part, p, linear, columns)
 
     def _driven(self, part: Part, p: FloatArray) -> FloatArray:

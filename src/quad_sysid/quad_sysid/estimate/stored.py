@@ -7,8 +7,9 @@ parameters.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -17,13 +18,18 @@ from quad_sysid.effects import EFFECTS
 from quad_sysid.errors import BadInputError
 from quad_sysid.estimate.fit import Fit, Problem, Tail, covariance, shift_by_form
 from quad_sysid.model import AxisModel, EffectEstimate, NoiseEstimate, Parameter
-from quad_sysid.model.effect import Effect, Part, Settings, Spec, required
-from quad_sysid.model.structure import BASE, N_BASE, NOISE, Structure, coordinates
+from quad_sysid.model.effect import Effect, Part, Settings, required
+from quad_sysid.model.plant import central
+from quad_sysid.model.structure import BASE, NOISE, Structure, coordinates
 
 SHORTEST = 0.25
 """Share of a cycle below which the data do not show a lag or delay."""
 VAGUE = 1.0
 """Standard error above which a logarithm counts as undetermined."""
+
+
+UNKNOWN = NoiseEstimate({}, scale=1.0, degrees=1.0, gyro_rms=0.0, measured_rms=0.0)
+"""What stands for the noise of a model that has none."""
 
 
 def library(own: Sequence[Effect] = ()) -> tuple[Effect, ...]:
@@ -62,74 +68,50 @@ def readings(problem: Problem, fitted: Fit) -> Readings:
     """All parameters with their standard errors and joint covariance."""
     raw = covariance(problem, fitted)
     structure, theta, dt = fitted.structure, fitted.theta, problem.data.dt
-    told = _told(structure, theta)
-    names = tuple(name for name, _, _ in told)
+    groups = _told(structure, theta)
+    names = tuple(name for group in groups for name, _, _ in group)
     deviations = np.sqrt(np.diag(raw))
-    jacobian = np.stack(
-        [
-            (_values(structure, theta + step) - _values(structure, theta - step)) / (2.0 * step[j])
-            for j, step in enumerate(np.diag(1e-3 * np.minimum(deviations, 1.0)))
-        ],
-        axis=1,
-    )
+    jacobian = np.stack([
+        central(partial(_values, structure), theta, j, step)
+        for j, step in enumerate(1e-3 * np.minimum(deviations, 1.0))
+    ], axis=1)
     joint = jacobian @ raw @ jacobian.T
     form = jacobian @ shift_by_form(problem, fitted)
-    vague = {
-        name for name, spec, value, deviation in zip(
-            structure.names, structure.specs, fitted.values, deviations, strict=True
-        ) if _vague(spec, value, deviation, dt)
-    }
+    vague: dict[str, tuple[float, float] | None] = {}
+    for name, spec, at, value, deviation in zip(
+        structure.names, structure.specs, theta, fitted.values, deviations, strict=True
+    ):  # what is at its bound or not determined: from nothing to where it may reach, 95 %
+        if spec.log and (deviation > VAGUE or (spec.unit == 's' and value < SHORTEST * dt)):
+            vague[name] = 0.0, float(np.exp(at + 1.645 * deviation))
+        elif spec.positive and value <= 0.0:
+            vague[name] = None
     for i, name in enumerate(names):
         if name in vague or not joint[i, i] > 0.0:
             joint[i, :] = joint[:, i] = np.nan
-    shown = [
-        Parameter(
-            name.rpartition('.')[2], value, _std(joint[i, i] + form[i] ** 2), unit,
-            _interval(structure, theta, deviations, name) if name in vague else None,
-        )
-        for i, (name, value, unit) in enumerate(told)
-    ]
-    effects, at = [], N_BASE
-    for part, where in structure.placed():
-        count = len(part.effect.readable(fitted.values[where], part.settings))
-        effects.append(tuple(shown[at : at + count]))
-        at += count
-    return Readings(tuple(shown[:N_BASE]), tuple(effects), names, joint)
+    errors = iter(np.sqrt(np.diag(joint) + form**2))
+    base, *effects = (
+        tuple(
+            Parameter(name.rpartition('.')[2], value, float(std) if np.isfinite(std) else None,
+                      unit, vague.get(name))
+            for (name, value, unit), std in zip(group, errors, strict=False)
+        ) for group in groups
+    )
+    return Readings(base, tuple(effects), names, joint)
 
 
-def _vague(spec: Spec, value: float, deviation: float, dt: float) -> bool:
-    """Whether a parameter is at its bound or not determined."""
-    if spec.log:
-        return deviation > VAGUE or (spec.unit == 's' and value < SHORTEST * dt)
-    return spec.positive and value <= 0.0
-
-
-def _interval(
-    structure: Structure, theta: FloatArray, deviations: FloatArray, name: str
-) -> tuple[float, float] | None:
-    """From nothing to where a logarithm may reach, 95 %."""
-    j = structure.names.index(name)
-    if not structure.specs[j].log:
-        return None
-    return 0.0, float(np.exp(theta[j] + 1.645 * deviations[j]))
-
-
-def _std(variance: float) -> float | None:
-    return float(np.sqrt(variance)) if np.isfinite(variance) else None
-
-
-def _told(structure: Structure, theta: FloatArray) -> list[tuple[str, float, str]]:
-    """Name, value and unit of the base and of what a report reads of the effects."""
+def _told(structure: Structure, theta: FloatArray) -> list[list[tuple[str, float, str]]]:
+    """Name, value and unit of the base's parameters, and as reports show them of each effect's."""
     p = structure.natural(theta)
-    told = [(spec.name, float(v), spec.unit) for spec, v in zip(BASE, p, strict=False)]
-    for part, where in structure.placed():
-        for name, (value, unit) in part.effect.readable(p[where], part.settings).items():
-            told.append((f'{part.effect.name}.{name}', value, unit))
-    return told
+    return [
+        [(spec.name, float(v), spec.unit) for spec, v in zip(BASE, p, strict=False)],
+        *([(f'{part.effect.name}.{name}', value, unit) for name, (value, unit)
+           in part.effect.readable(p[where], part.settings).items()]
+          for part, where in structure.placed()),
+    ]
 
 
 def _values(structure: Structure, theta: FloatArray) -> FloatArray:
-    return np.array([value for _, value, _ in _told(structure, theta)])
+    return np.array([value for group in _told(structure, theta) for _, value, _ in group])
 
 
 def noise_of(fitted: Fit) -> NoiseEstimate:
@@ -200,24 +182,25 @@ def _stored(
     base: Sequence[Parameter], parts: tuple[Part, ...], effects: Sequence[FloatArray],
     noise: NoiseEstimate | None,
 ) -> Stored:
-    values = {p.name: p.value for p in base}
-    known = (1.0, 1.0) if noise is None else (noise.scale, noise.degrees)
-    lines = () if noise is None else noise.lines
-    ratios = {} if noise is None else noise.ratios
-    numbers = [ratios.get(spec.name, np.exp(spec.centre)) for spec in NOISE]
-    structure = Structure(parts, len(lines))
+    values, noise = {p.name: p.value for p in base}, noise or UNKNOWN
+    structure = Structure(parts, len(noise.lines))
     p = np.array([
-        *(values[spec.name] for spec in BASE), *(v for own in effects for v in own), *numbers,
-        *(v for line in lines for v in line),
+        *(values[spec.name] for spec in BASE), *(v for own in effects for v in own),
+        *(noise.ratios.get(spec.name, np.exp(spec.centre)) for spec in NOISE),
+        *(v for line in noise.lines for v in line),
     ])
-    return Stored(structure, coordinates(structure.specs, p, 1e-17), Tail(*known))
+    tail = Tail(noise.scale, noise.degrees)
+    return Stored(structure, coordinates(structure.specs, p, 1e-17), tail)
 
 
 def part_of(model: AxisModel, effect: EffectEstimate) -> Part:
     """The physics of a stored effect. Raises BadInputError for an unknown one."""
     physics = _named(effect.name, effect.variant, model.own_effects)
     names = {p.name for p in effect.parameters}
-    settings = _settings(effect.settings)
+    settings = {  # as the effect prepared them, from JSON values
+        key: tuple(value) if isinstance(value, list) else value
+        for key, value in effect.settings.items()
+    }
     wanted = set() if physics is None else {
         *physics.readable(np.ones(len(physics.parameters)), settings)
     }
@@ -235,10 +218,3 @@ def part_of(model: AxisModel, effect: EffectEstimate) -> Part:
 def fitted_of(part: Part, effect: EffectEstimate) -> FloatArray:
     """(p,) parameters of a stored effect as its physics takes them."""
     return part.effect.fitted({p.name: p.value for p in effect.parameters}, part.settings)
-
-
-def _settings(stored: Mapping[str, object]) -> Settings:
-    """Settings as the effect prepared them, from JSON values."""
-    return {
-        key: tuple(value) if isinstance(value, list) else value for key, value in stored.items()
-    }

@@ -240,25 +240,22 @@ def axis_data(records: Sequence[Record], axis: str) -> AxisData:
     """
     dt = records[0].dt
     parts = [_prepare(record, axis) for record in records]
-    offsets = np.cumsum([0] + [record.n for record in records])
+    offsets = [0, *itertools.accumulate(record.n for record in records)]
+    placed = [(record, good, offset)
+              for record, (good, _), offset in zip(records, parts, offsets, strict=False)]
 
-    def spans(role: str) -> tuple[tuple[Span, ...], tuple[str, ...]]:
-        found: list[Span] = []
-        names: list[str] = []
-        for record, (good, _), offset in zip(records, parts, offsets, strict=False):
-            for segment in record.segments:
-                if segment.role == role and (segment.axis == axis or role == 'idle'):
-                    for a, b in finite_runs(good, record.span(segment)):
-                        found.append((a + int(offset), b + int(offset)))
-                        names.append(segment.signal)
-        return tuple(found), tuple(names)
+    def pieces(role: str) -> list[tuple[Span, str]]:
+        """Unbroken spans of a role, with the names of their signals."""
+        return [
+            ((a + offset, b + offset), segment.signal) for record, good, offset in placed
+            for segment in record.segments
+            if segment.role == role and (segment.axis == axis or role == 'idle')
+            for a, b in finite_runs(good, record.span(segment))
+        ]
 
-    train, _ = spans('train')
-    validation, names = spans('validation')
-    idle, _ = spans('idle')
+    validation = pieces('validation')
     stretches = tuple(
-        (a + int(offset), b + int(offset))
-        for record, (good, _), offset in zip(records, parts, offsets, strict=False)
+        (a + offset, b + offset) for record, good, offset in placed
         for a, b in bridged(finite_runs(good, (0, record.n)), dt)
     )
     joined: dict[str, Any] = {
@@ -270,18 +267,16 @@ def axis_data(records: Sequence[Record], axis: str) -> AxisData:
         joined[name] = _filled(joined[name]) if known else None
     if not np.isfinite(joined['reference']).any():
         joined['reference'] = None
+    known_gains = records[0].gains_at(np.inf)
     return AxisData(
-        axis=axis,
-        dt=dt,
-        **joined,
-        gyro_filter_hz=records[0].gains_at(np.inf).get('sensor.gyro_filter_hz') or None,
-        derived_s=records[0].gains_at(np.inf).get('sensor.rate_from_angle_s') or None,
-        stretches=stretches,
-        train=train,
-        validation=validation,
-        idle=idle,
-        validation_names=names,
-        flights=tuple((int(a), int(b)) for a, b in itertools.pairwise(offsets)),
+        axis=axis, dt=dt, **joined, stretches=stretches,
+        gyro_filter_hz=known_gains.get('sensor.gyro_filter_hz') or None,
+        derived_s=known_gains.get('sensor.rate_from_angle_s') or None,
+        train=tuple(span for span, _ in pieces('train')),
+        validation=tuple(span for span, _ in validation),
+        idle=tuple(span for span, _ in pieces('idle')),
+        validation_names=tuple(name for _, name in validation),
+        flights=tuple(itertools.pairwise(offsets)),
     )
 
 

@@ -127,44 +127,39 @@ def kalman(noise: FloatArray, damping: float, sensor: Sensor, dt: float) -> Filt
     lines of vibration the three of structure.VIBRATION.
     """
     white, disturbance, correlation, after = noise[:4].tolist()
-    lines = noise[4:].reshape(-1, 3).tolist()
+    vibration, frequency, width = noise[4:].reshape(-1, 3).T
     fade = math.exp(-dt / correlation)
     hold = correlation / dt * (1.0 - fade)
     a = -0.5 * damping * dt
     ahead, push = (1.0 + a) / (1.0 - a), dt / (1.0 - a)
-    size = 4 + 2 * len(lines)
+    size = 4 + 2 * width.size
     rows = np.zeros((size, size))
     rows[0, 0], rows[0, 1], rows[1, 1] = ahead, push * hold, fade
     b = np.zeros((size, 2))  # accelerations over the two halves
     b[0] = 0.5 * push
     bend = 0.25 * dt * np.array([1.0, -1.0])
-    for i in range(2):
-        g, q, begin, half, end = sensor.step[i]
-        rows[2 + i, 0] = begin + half * 0.5 * (1.0 + ahead) + end * ahead
-        rows[2 + i, 1] = (0.5 * half + end) * push * hold
-        rows[2 + i, 2], rows[2 + i, 3] = g, q
-        b[2 + i] = (0.5 * half + end) * 0.5 * push + half * bend
+    begin, half, end = sensor.step[:, 2:].T
+    rows[2:4, 0] = begin + half * 0.5 * (1.0 + ahead) + end * ahead
+    rows[2:4, 1] = (0.5 * half + end) * push * hold
+    rows[2:4, 2:4] = sensor.step[:, :2]
+    b[2:4] = np.outer((0.5 * half + end) * 0.5, [push, push]) + np.outer(half, bend)
     process = white**2 * 2.0 / dt * (b @ b.T)
     process[1, 1] += disturbance**2 * (1.0 - fade**2)
     c = np.zeros(size)
     c[2 if sensor.behind else 0] = 1.0
-    move = [fade, hold]
-    for i, (size_of, frequency, width) in enumerate(lines):
-        left = math.exp(-math.pi * width * dt)
-        angle = 2.0 * math.pi * frequency * dt
-        turn, over = left * math.cos(angle), left * math.sin(angle)
-        at = 4 + 2 * i
-        rows[at : at + 2, at : at + 2] = [[turn, -over], [over, turn]]
-        process[at, at] = process[at + 1, at + 1] = size_of**2 * (1.0 - left**2)
-        c[at] = 1.0
-        move += [turn, over]
+    c[4::2] = 1.0
+    turn = np.exp(math.pi * dt * (2j * frequency - width))  # of each line over a cycle
+    for i, (rms, one) in enumerate(zip(vibration, turn, strict=True)):
+        at = slice(4 + 2 * i, 6 + 2 * i)
+        rows[at, at] = [[one.real, -one.imag], [one.imag, one.real]]
+        process[at, at] = np.eye(2) * rms**2 * (1.0 - abs(one) ** 2)
     r = floor = 1.0
     if sensor.noisy:
         r = after**2
         inside = sensor.step[:, 2:].sum(axis=1)
         process[2:4, 2:4] += np.outer(inside, inside)
         floor = sensor.floor + r
-    floor += sum(line[0] ** 2 for line in lines)
+    floor += float(vibration @ vibration)
     used = np.array([0, 1, *([2, 3] if sensor.noisy else [2] * sensor.behind), *range(4, size)])
     block = used[:, None], used
     covariance = riccati(
@@ -178,7 +173,8 @@ def kalman(noise: FloatArray, damping: float, sensor: Sensor, dt: float) -> Filt
     if sensor.derived:
         c, r = np.eye(size)[0], sensor.derived
         floor = r
-    return Filter(gain, np.array(move), s, rows, process, full, c, r, floor)
+    move = np.r_[fade, hold, turn.view(float)]
+    return Filter(gain, move, s, rows, process, full, c, r, floor)
 
 
 def growth(found: Filter, steps: int) -> FloatArray:

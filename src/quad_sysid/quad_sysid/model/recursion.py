@@ -31,10 +31,10 @@ def motors(commands, row, lag, asymmetry, whole, fraction, dt, start, stop, halv
         halves[1, k] = 0.0
         states[0, k] = 0.0
         states[1, k] = 0.0
-    early = fraction < 0.5
-    cut0 = fraction if early else 0.5
-    cut1 = 0.5 if early else fraction
+    cut0, cut1 = min(fraction, 0.5), max(fraction, 0.5)
     lengths = (cut0 * dt, (cut1 - cut0) * dt, (1.0 - cut1) * dt)
+    older = 1 if fraction < 0.5 else 2  # lengths with the older command
+    first = 3 - older  # lengths in the first half
     up, down = math.exp(-asymmetry), math.exp(asymmetry)
     for c in range(commands.shape[0]):
         weight = row[c]
@@ -48,7 +48,7 @@ def motors(commands, row, lag, asymmetry, whole, fraction, dt, start, stop, halv
             before = commands[c, max(k - whole - 1, start)]
             for i in range(3):
                 h = lengths[i]
-                u = before if i < (1 if early else 2) else new
+                u = before if i < older else new
                 if h > 0.0:
                     tau = lag[c, k]
                     if asymmetry != 0.0:
@@ -63,9 +63,8 @@ def motors(commands, row, lag, asymmetry, whole, fraction, dt, start, stop, halv
                     away = w - u
                     area = u * h + away * tau * (1.0 - decay)
                     w = u + away * decay
-                    first = (i <= 1) if early else (i == 0)
-                    halves[0 if first else 1, k] += weight * area
-                if (early and i == 1) or (not early and i == 0):
+                    halves[0 if i < first else 1, k] += weight * area
+                if i == first - 1:
                     states[0, k] += weight * w
                     states[1, k] += weight * u
     half = 2.0 / dt
