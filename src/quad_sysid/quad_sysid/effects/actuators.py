@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from quad_sysid.contract import MIXER_INVERSE, FloatArray
-from quad_sysid.effects.hidden import RING, followed, ring, step_of
+from quad_sysid.effects.hidden import RING, along, followed, ring, step_of
 from quad_sysid.effects.torques import Row
 from quad_sysid.model import recursion
 from quad_sysid.model.data import AxisData
@@ -33,17 +33,6 @@ NO_MOTORS = 'the bag holds no motor commands'
 def moves(data: AxisData) -> bool:
     """Whether the motors' commands move during training."""
     return bool(np.ptp(data.training(data.motors)) >= 1e-6)
-
-
-def along(
-    data: AxisData, signal: FloatArray, kernel: Callable[..., None], *numbers: float
-) -> FloatArray:
-    """(n,) a compiled kernel with memory, run along each unbroken stretch of a signal (n,)."""
-    signal = np.ascontiguousarray(signal)
-    out = np.array(signal, dtype=float)
-    for start, stop in data.stretches:
-        kernel(signal, *numbers, start, stop, out)
-    return out
 
 
 class Map(Row):
@@ -301,12 +290,8 @@ class SlowMotor(Motors):
         )
 
     def prepare(self, data: AxisData) -> Settings | str:
-        own = data.training(data.command)
-        moving = [
-            np.std(data.training(data.control[:, i + 1])) > 0.05 * np.std(own)
-            for i in range(3) if i != data.index
-        ]
-        if not moves(data) or not any(moving):
+        still = [isinstance(data.signal(f'other command {i}'), str) for i in (1, 2)]
+        if not moves(data) or all(still):
             return 'the other axes hardly move, so no single motor can be told apart'
         return {}
 

@@ -133,8 +133,12 @@ class Curve(Shape):
             'knots': tuple(knots.tolist()), 'place': tuple(place.tolist()), 'mean': tuple(mean),
         }
 
-    def _at(self, x: FloatArray, y: FloatArray, settings: Settings) -> FloatArray:
-        """(n,) the curve through y (count,) at the knots, and a little beyond them straight on."""
+    def _along(self, x: FloatArray, p: FloatArray, settings: Settings) -> FloatArray:
+        """(n,) the curve over x (n,), and a little beyond its knots straight on.
+
+        Less its mean over the training, so that the base's parameters keep their meaning.
+        """
+        y = p[: self.count] - float(np.dot(settings['mean'], p[: self.count]))
         knots = np.array(settings['knots'])
         span = knots[-1] - knots[0]
         held = self.signal in HELD or self.term in KEPT
@@ -145,32 +149,14 @@ class Curve(Shape):
         values = np.array([y[0] - slopes[0] * below, *y, y[-1] + slopes[-1] * above])
         return np.interp(x, places, values)
 
-    def _along(self, x: FloatArray, p: FloatArray, settings: Settings) -> FloatArray:
-        # less its mean over the training, so that the base's parameters keep their meaning
-        y = p[: self.count] - float(np.dot(settings['mean'], p[: self.count]))
-        return self._at(x, y, settings)
-
-    def _factor(self, s: Signals, p: FloatArray) -> FloatArray:
-        return per_unit(self.term, s, float(p[-1]))
-
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray | None:
-        if self.term == 'lag':
+        if self.moves_command:
             return None
-        return self._factor(s, p) * self._along(signal_of(s, self.signal), p, settings)
-
-    def columns(
-        self, s: Signals, p: FloatArray, linear: Sequence[int], settings: Settings
-    ) -> FloatArray:
-        """Derivatives by the values at all knots at once."""
-        x, factor = signal_of(s, self.signal), self._factor(s, p)
-        rows = [
-            (self._at(x, hat, settings) - mean) * factor
-            for hat, mean in zip(np.eye(self.count), settings['mean'], strict=True)
-        ]
-        return np.array(rows).T
+        factor = per_unit(self.term, s, float(p[-1]))
+        return factor * self._along(signal_of(s, self.signal), p, settings)
 
     def actuate(self, data: AxisData, drive: Drive, p: FloatArray, settings: Settings) -> Drive:
-        if self.term != 'lag':
+        if not self.moves_command:
             return drive
         factor = np.exp(self._along(self.known(data), p, settings))
         return replace(drive, lag=drive.lag * factor[None, :])
@@ -236,8 +222,7 @@ class Wandering(Shape):
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         if s.hidden is None:
             return np.zeros_like(s.rate)
-        own: FloatArray = settings['unit'] * s.hidden[0] * per_unit(self.term, s)
-        return own
+        return settings['unit'] * s.hidden[0] * per_unit(self.term, s)
 
     def advance(
         self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings, dt: float

@@ -46,6 +46,17 @@ def followed(
         recursion.linear_states(moving, a, b, start, stop, out)
 
 
+def along(
+    data: AxisData, signal: FloatArray, kernel: Callable[..., None], *numbers: float
+) -> FloatArray:
+    """(n,) a compiled kernel with memory, run along each unbroken stretch of a signal (n,)."""
+    signal = np.ascontiguousarray(signal)
+    out = np.array(signal, dtype=float)
+    for start, stop in data.stretches:
+        kernel(signal, *numbers, start, stop, out)
+    return out
+
+
 class Linear(Torque):
     """A torque of hidden states x' = A x + B input; the input is the rate."""
 
@@ -103,10 +114,8 @@ class Hysteresis(Effect):
     def trace(
         self, data: AxisData, s: Signals, p: FloatArray, settings: Settings
     ) -> FloatArray:
-        out = np.zeros((1, s.rate.size))
-        for start, stop in data.stretches:
-            recursion.built_up(s.rate, data.dt / max(float(p[0]), 1e-4), start, stop, out[0])
-        return out
+        share = data.dt / max(float(p[0]), 1e-4)
+        return along(data, s.rate, recursion.built_up, share)[None, :]
 
     def advance(
         self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings, dt: float

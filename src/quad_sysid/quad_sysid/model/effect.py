@@ -205,12 +205,9 @@ class Effect:
         self, s: Signals, p: FloatArray, linear: Sequence[int], settings: Settings
     ) -> FloatArray:
         """(n, len(linear)) acceleration per unit of parameters that are zero in p (units)."""
-        out = np.empty((s.rate.size, len(linear)))
-        for place, j in enumerate(linear):
-            at = p.copy()
-            at[j] = SMALL
-            out[:, place] = required(self.torque(s, at, settings)) / SMALL
-        return out
+        steps = SMALL * np.eye(p.size)[linear]
+        torques = [required(self.torque(s, p + step, settings)) for step in steps]
+        return np.stack(torques, axis=1) / SMALL
 
     def starts(self, data: AxisData, settings: Settings) -> Sequence[FloatArray]:
         """Start values in their units; those of parameters without a spread are ignored."""

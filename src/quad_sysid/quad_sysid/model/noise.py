@@ -6,6 +6,7 @@ adds white noise, before its filter where the model contains one. Nothing is fit
 
 from __future__ import annotations
 
+import cmath
 import math
 from dataclasses import dataclass
 from functools import lru_cache
@@ -127,12 +128,12 @@ def kalman(noise: FloatArray, damping: float, sensor: Sensor, dt: float) -> Filt
     lines of vibration the three of structure.VIBRATION.
     """
     white, disturbance, correlation, after = noise[:4].tolist()
-    vibration, frequency, width = noise[4:].reshape(-1, 3).T
+    lines = noise[4:].reshape(-1, 3).tolist()
     fade = math.exp(-dt / correlation)
     hold = correlation / dt * (1.0 - fade)
     a = -0.5 * damping * dt
     ahead, push = (1.0 + a) / (1.0 - a), dt / (1.0 - a)
-    size = 4 + 2 * width.size
+    size = 4 + 2 * len(lines)
     rows = np.zeros((size, size))
     rows[0, 0], rows[0, 1], rows[1, 1] = ahead, push * hold, fade
     b = np.zeros((size, 2))  # accelerations over the two halves
@@ -142,24 +143,26 @@ def kalman(noise: FloatArray, damping: float, sensor: Sensor, dt: float) -> Filt
     rows[2:4, 0] = begin + half * 0.5 * (1.0 + ahead) + end * ahead
     rows[2:4, 1] = (0.5 * half + end) * push * hold
     rows[2:4, 2:4] = sensor.step[:, :2]
-    b[2:4] = np.outer((0.5 * half + end) * 0.5, [push, push]) + np.outer(half, bend)
+    b[2:4] = ((0.5 * half + end) * 0.5 * push)[:, None] + half[:, None] * bend
     process = white**2 * 2.0 / dt * (b @ b.T)
     process[1, 1] += disturbance**2 * (1.0 - fade**2)
     c = np.zeros(size)
     c[2 if sensor.behind else 0] = 1.0
     c[4::2] = 1.0
-    turn = np.exp(math.pi * dt * (2j * frequency - width))  # of each line over a cycle
-    for i, (rms, one) in enumerate(zip(vibration, turn, strict=True)):
+    move = [fade, hold]
+    for i, (rms, frequency, width) in enumerate(lines):
+        turn = cmath.exp(math.pi * dt * (2j * frequency - width))  # over a cycle
         at = slice(4 + 2 * i, 6 + 2 * i)
-        rows[at, at] = [[one.real, -one.imag], [one.imag, one.real]]
-        process[at, at] = np.eye(2) * rms**2 * (1.0 - abs(one) ** 2)
+        rows[at, at] = [[turn.real, -turn.imag], [turn.imag, turn.real]]
+        process[at, at] = np.eye(2) * rms**2 * (1.0 - abs(turn) ** 2)
+        move += [turn.real, turn.imag]
     r = floor = 1.0
     if sensor.noisy:
         r = after**2
         inside = sensor.step[:, 2:].sum(axis=1)
         process[2:4, 2:4] += np.outer(inside, inside)
         floor = sensor.floor + r
-    floor += float(vibration @ vibration)
+    floor += sum(rms**2 for rms, _, _ in lines)
     used = np.array([0, 1, *([2, 3] if sensor.noisy else [2] * sensor.behind), *range(4, size)])
     block = used[:, None], used
     covariance = riccati(
@@ -173,8 +176,7 @@ def kalman(noise: FloatArray, damping: float, sensor: Sensor, dt: float) -> Filt
     if sensor.derived:
         c, r = np.eye(size)[0], sensor.derived
         floor = r
-    move = np.r_[fade, hold, turn.view(float)]
-    return Filter(gain, move, s, rows, process, full, c, r, floor)
+    return Filter(gain, np.array(move), s, rows, process, full, c, r, floor)
 
 
 def growth(found: Filter, steps: int) -> FloatArray:

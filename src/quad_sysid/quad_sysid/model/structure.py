@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -32,7 +33,6 @@ VIBRATION = (
     Spec('vibration_width', 'Hz', spread=1.5, centre=math.log(1.0), log=True),
 )
 """A narrow line of vibration in the gyro's noise."""
-N_BASE = len(BASE)
 
 
 @dataclass(frozen=True)
@@ -81,12 +81,9 @@ class Structure:
 
     def slices(self) -> list[slice]:
         """Each effect's slice of the vector."""
-        out, position = [], N_BASE
-        for part in self.parts:
-            count = len(part.effect.parameters)
-            out.append(slice(position, position + count))
-            position += count
-        return out
+        counts = (len(part.effect.parameters) for part in self.parts)
+        ends = itertools.accumulate(counts, initial=len(BASE))
+        return [slice(begin, end) for begin, end in itertools.pairwise(ends)]
 
     def placed(self) -> list[tuple[Part, slice]]:
         """Each effect with its slice of the vector."""
