@@ -6,12 +6,15 @@ explain of the innovations beyond these, under their prior. It only chooses what
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
+from quad_sysid.beside import side_by_side
 from quad_sysid.contract import FloatArray
 from quad_sysid.discover.constants import PER_NONLINEAR
 from quad_sysid.estimate.fit import Fit, Problem
@@ -23,6 +26,8 @@ from quad_sysid.model.structure import coordinates, natural
 STEP = 1e-4
 BATCH = 64
 """Columns that are filtered at once."""
+SHARES = 4
+"""Into how many shares the candidates are divided, for as many cores at most."""
 LINES = 4
 LINE_BAND_HZ = (0.1, 16.0)
 
@@ -88,13 +93,8 @@ def vibration_line(problem: Problem, fitted: Fit) -> float | None:
 def screen(problem: Problem, fitted: Fit, parts: Sequence[Part]) -> list[Score]:
     """The best start and score of each candidate, best first."""
     beside = _Beside(problem, fitted)
-    best: dict[str, Score] = {}
-    for batch in beside.batches(parts):
-        for score in beside.scores(batch):
-            label = score.part.effect.label
-            if label not in best or score.nats > best[label].nats:
-                best[label] = score
-    return sorted(best.values(), key=lambda s: -s.nats)
+    found = side_by_side([partial(beside.best, parts[i::SHARES]) for i in range(SHARES)])
+    return sorted(itertools.chain(*found), key=lambda s: -s.nats)
 
 
 class _Beside:
@@ -125,6 +125,16 @@ class _Beside:
         left = -(self.q @ (self.q[:rows].T @ columns))
         left[:rows] += columns
         return left
+
+    def best(self, parts: Sequence[Part]) -> list[Score]:
+        """The best start and score of each candidate."""
+        best: dict[str, Score] = {}
+        for batch in self.batches(parts):
+            for score in self.scores(batch):
+                label = score.part.effect.label
+                if label not in best or score.nats > best[label].nats:
+                    best[label] = score
+        return list(best.values())
 
     def batches(self, parts: Sequence[Part]) -> Iterator[list[_Block]]:
         """All candidates from all starts in batches that fit the cache."""
