@@ -69,8 +69,7 @@ class Found:
         """Posterior of each fitted structure, given the training segments."""
         scores = np.array([s.score for s in self.all])
         p = np.exp(scores - scores.max())
-        out: FloatArray = p / p.sum()
-        return out
+        return p / p.sum()
 
 
 def noises(parent: Fit) -> list[FloatArray]:

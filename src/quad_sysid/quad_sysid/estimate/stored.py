@@ -88,7 +88,7 @@ def readings(problem: Problem, fitted: Fit) -> Readings:
     for i, name in enumerate(names):
         if name in vague or not joint[i, i] > 0.0:
             joint[i, :] = joint[:, i] = np.nan
-    errors = iter(np.sqrt(np.diag(joint) + form**2))
+    errors = iter(np.sqrt(np.diag(joint) + form**2))  # from one group on to the next
     base, *effects = (
         tuple(
             Parameter(name.rpartition('.')[2], value, float(std) if np.isfinite(std) else None,

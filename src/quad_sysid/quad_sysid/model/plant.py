@@ -244,6 +244,8 @@ class Flight:
     ) -> tuple[FloatArray, list[Acting]]:
         """Acceleration by the drive (2, n), and those effects with what they see."""
         driven = self.driven(structure, p)
+        if not placed:
+            return p[0] * driven[0], []
         s = self.signals(p, *driven, rate)
         return p[0] * driven[0], [
             (part, p[where], self.hidden(part, s, p[where])) for part, where in placed
@@ -264,9 +266,10 @@ class Flight:
         out[:, 3], out[:, 4] = -rate, 1.0
         for place, which in enumerate(structure.shared, theta.size - len(structure.noise)):
             out[:, place] = self.disturbances[:, which]
-        s = self.signals(p, *self.driven(structure, p), rate)
-        for part, where in placed:
-            if not part.effect.moves_command:
+        pushing = [(part, where) for part, where in placed if not part.effect.moves_command]
+        if pushing:
+            s = self.signals(p, *self.driven(structure, p), rate)
+            for part, where in pushing:
                 out[:, where] = self._by_parameters(part, s, theta[where], steps[where])
         follow_drive = [
             (part, where) for part, where in placed if 'command' in part.effect.signals
@@ -276,10 +279,7 @@ class Flight:
         def driven(theta: FloatArray) -> FloatArray:
             """(2, n) acceleration of all that follows the command."""
             p = structure.natural(theta)
-            if not follow_drive:
-                return p[0] * self.driven(structure, p)[0]
-            drive, acting = self._acting(structure, p, rate, follow_drive)
-            return with_torques(drive, acting)
+            return with_torques(*self._acting(structure, p, rate, follow_drive))
 
         for i, j in enumerate(bent):
             begin, end = central(driven, theta, j, steps[j])
@@ -363,9 +363,7 @@ class Flight:
             )
         return Prediction(innovation, jacobian, states, found, rate)
 
-    def _by_filter(
-        self, structure: Structure, theta: FloatArray, damping: float
-    ) -> FloatArray:
+    def _by_filter(self, structure: Structure, theta: FloatArray, damping: float) -> FloatArray:
         """(p, 6 + 4 v) derivatives of Filter.gain and Filter.move."""
         first, specs = theta.size - structure.filtered, structure.specs
 
