@@ -13,7 +13,7 @@ import pytest
 from flown_axis import SHORT, Axis, fly
 from scipy.signal import savgol_filter
 
-from quad_sysid.discover.accept import bet, judge
+from quad_sysid.discover.accept import Unseen, bet, judge
 from quad_sysid.discover.base import best_base, fitted_from
 from quad_sysid.discover.screen import candidates, screen
 from quad_sysid.discover.search import Found, Scored, extended, search
@@ -188,6 +188,21 @@ def test_a_bet_on_blocks_counts_calm_ones_and_is_rarely_won_by_chance():
     rng = np.random.default_rng(0)
     won = [bet(*np.exp(2.0 * rng.standard_normal((2, 50)))) >= 20.0 for _ in range(1000)]
     assert np.mean(won) <= 0.05
+
+
+def test_what_pays_one_step_ahead_only_is_no_effect():
+    """Beside a base with twice the noise an idle effect gains in every block, but not in a free
+    run."""
+    data = axis_data([fly(Axis(), 1, SHORT)], 'roll')
+    problem = Problem(data, data.train)
+    base = best_base(problem)
+    problem.measure(base)
+    parts, _ = candidates(problem, [e for e in EFFECTS if e.label == 'cubic_stiffness'])
+    idle = extended(problem, base, screen(problem, base, parts)[0])
+    loose = replace(base, tail=replace(base.tail, scale=2.0 * base.tail.scale))
+    verdict = judge(data, problem, Found(loose, (Scored(idle, 9.0), Scored(loose, 0.0)), {}, 1))
+    assert Unseen(data, data.validation).bet(idle, loose) > 1e3
+    assert verdict.chosen is loose
 
 
 def test_variants_of_one_name_are_one_explanation():

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import stats
 from scipy.linalg import toeplitz
 
 from quad_sysid.contract import FloatArray
@@ -26,21 +27,30 @@ from quad_sysid.model.noise import growth
 from quad_sysid.model.plant import Prediction
 
 HORIZONS_S = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
+HUGE = 1e100
 LEAST_REPORTED = 0.005
 """Share of the rivals' probability below which one is not reported."""
 
 
 def bet(speaks_for: FloatArray, against: FloatArray) -> float:
-    """E-value of 'no more speaks for the model than against it', from blocks in their order.
-
-    Both (blocks,), not negative. Each block counts by the share of its balance in its turnover, so
-    that loud blocks do not outweigh calm ones.
-    """
-    turnover = speaks_for + against
-    balance = speaks_for - against
-    share = np.divide(balance, turnover, out=np.zeros_like(balance), where=turnover > 0.0)
+    """E-value of 'no more speaks for the model than against it', from blocks in their order."""
+    share = shares_of(speaks_for, against)
     with np.errstate(over='ignore'):
         return float(np.mean([np.prod(1.0 + stake * share) for stake in STAKES]))
+
+
+def shares_of(speaks_for: FloatArray, against: FloatArray) -> FloatArray:
+    """(blocks,) balance of each block as a share of its turnover, -1 to 1.
+
+    Both (blocks,), not negative; what is not finite diverged and is taken for huge. So loud blocks
+    do not outweigh calm ones.
+    """
+    speaks_for, against = (
+        np.nan_to_num(x, nan=HUGE, posinf=HUGE) for x in (speaks_for, against)
+    )
+    turnover = speaks_for + against
+    balance = speaks_for - against
+    return np.divide(balance, turnover, out=np.zeros_like(balance), where=turnover > 0.0)
 
 
 @dataclass(frozen=True)
@@ -145,13 +155,13 @@ def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
     """Open the validation segments and decide."""
     unseen = Unseen(data, data.validation)
     base, best = found.base, found.best
-    e_value = 1.0
+    errors = unseen.errors(base), unseen.errors(best)
+    before, after = map(rms, errors)
+    chosen, e_value = best, 1.0
     if best is not base:
         e_value = unseen.bet(best, base)
-    before, after = rms(unseen.errors(base)), rms(unseen.errors(best))
-    chosen = best
-    if not (e_value * LEVEL >= 1.0 and after < before):
-        chosen, after = base, before
+        if not (e_value * LEVEL >= 1.0 and _pays(*errors)):
+            chosen, after = base, before
     parts = chosen.structure.parts
     rest: list[Fit | None] = [base]
     if len(parts) != 1:
@@ -171,6 +181,17 @@ def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
         noise_floor=noise.measured_rms, horizons=horizons(unseen, base, chosen), without=without,
         probabilities=probabilities, rivals=rivals,
     )
+
+
+def _pays(before: FloatArray, after: FloatArray) -> bool:
+    """Whether errors (windows, length) are smaller than others, by a paired t-test of the windows.
+
+    Noise of another colour than the model's may pay one step ahead, but not in a free run.
+    """
+    with np.errstate(over='ignore', invalid='ignore'):
+        squares = (np.mean(errors**2, axis=1) for errors in (before, after))
+        p = stats.ttest_1samp(shares_of(*squares), 0.0, alternative='greater').pvalue
+    return bool(p <= LEVEL)
 
 
 def horizons(unseen: Unseen, base: Fitted, chosen: Fitted) -> tuple[Horizon, ...]:
