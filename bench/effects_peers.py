@@ -73,7 +73,8 @@ def dynamax_filter(model: dict[str, np.ndarray]) -> dict[str, float]:
         return {}
     jax.config.update('jax_enable_x64', True)
     n, states = model['pushes'].size, model['f'].shape[0]
-    y, pushes = jnp.asarray(model['y'])[:, None], jnp.asarray(model['pushes'])[:, None]
+    y = jnp.asarray(model['y'])[:, None]
+    pushes = jnp.asarray(np.r_[0.0, model['pushes'][:-1]])[:, None]  # input k leads to state k
     into = np.eye(states)[:, :1]
 
     def value(f, q, c, r):
@@ -92,7 +93,7 @@ def dynamax_filter(model: dict[str, np.ndarray]) -> dict[str, float]:
         jax.block_until_ready(call(*given))
         spent.append(1e6 * (time.perf_counter() - began) / n)
     means = np.asarray(value(*given)[1])
-    ahead = means[:-1] @ model['f'].T + pushes[:-1] @ into.T
+    ahead = means[:-1] @ model['f'].T + pushes[1:] @ into.T
     errors = (y[1:] - ahead @ model['c'][:, None])[n // 10 :]
     return {'us': spent[0], 'us_derivatives': spent[1], 'rms': float(np.sqrt(np.mean(errors**2)))}
 
