@@ -171,7 +171,7 @@ def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
     noise, spread = noise_of(chosen), growth(chosen.prediction.filter, unseen.windows.length)
     verdict, reason = (
         ('effects_added', unexplained(unseen, chosen)) if parts
-        else _empty(problem, found, unseen, base)
+        else _empty(problem, found, unseen, e_value)
     )
     return Verdict(
         verdict=verdict, reason=reason, chosen=chosen, e_value=e_value, before=before, after=after,
@@ -214,7 +214,7 @@ def at_horizon(horizon_s: float, dt: float) -> int:
 
 
 def _empty(
-    problem: Problem, found: Found, unseen: Unseen, base: Fit
+    problem: Problem, found: Found, unseen: Unseen, e_value: float
 ) -> tuple[str, str]:
     """Verdict and reason without effects: whether commands predict, and the error is as expected.
 
@@ -222,6 +222,7 @@ def _empty(
     below that without commands and that of holding the rate. A feedback's commands contain past
     rates and angles, which predict a little even while the motors stand.
     """
+    base = found.base
     uncommanded = fitted_from(
         problem, base.structure, base.theta, rate=base.rate, still=(0, 1, 2)
     )
@@ -243,6 +244,11 @@ def _empty(
     left = unexplained(unseen, base)
     if left:
         return 'unexplained_residual', left
+    if e_value * LEVEL >= 1.0:
+        return 'unexplained_residual', (
+            'the most probable structure predicts the next sample better than the base, but not '
+            'the free run: the noise seems to have another colour than the model gives it'
+        )
     if float(sum(p for p, s in zip(found.probabilities(), found.all, strict=True)
                  if s.fit is base)) < LEVEL:
         return 'unexplained_residual', (
