@@ -160,7 +160,7 @@ def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
     chosen, e_value = best, 1.0
     if best is not base:
         e_value = unseen.bet(best, base)
-        if not (e_value * LEVEL >= 1.0 and _pays(*errors)):
+        if not (e_value * LEVEL >= 1.0 and after < before and _pays(*errors)):
             chosen, after = base, before
     parts = chosen.structure.parts
     rest: list[Fit | None] = [base]
