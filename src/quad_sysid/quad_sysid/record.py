@@ -224,6 +224,10 @@ class IOData:
         """Number of samples in all segments."""
         return sum(stop - start for start, stop in self.segments)
 
+    def inside(self, signal: FloatArray) -> FloatArray:
+        """The samples of a signal (n,) within the segments, one after the other."""
+        return np.concatenate([signal[start:stop] for start, stop in self.segments])
+
 
 def axis_index(where: str, name: str) -> int:
     """0, 1, 2 for roll, pitch, yaw; else BadInputError, naming `where`."""

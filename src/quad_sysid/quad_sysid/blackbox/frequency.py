@@ -73,7 +73,7 @@ def spa(z: IOData, w: FloatArray | None = None, window: int | None = None, *,
         raise BadInputError('spa', f'w must be 1-D and within 0..{np.pi / z.dt:.6g} rad/s')
     source = z.r if joint and z.r is not None else z.u
     for name, x in (('u', z.u), ('r', source)):
-        if np.ptp(np.concatenate([x[a:b] for a, b in z.segments])) == 0.0:
+        if np.ptp(z.inside(x)) == 0.0:
             raise BadInputError('spa', f'{name} is constant, it has no spectrum',
                                 float(x[z.segments[0][0]]), 'use a stretch with excitation')
     lags = np.arange(-half, half + 1)

@@ -155,23 +155,24 @@ def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
     """Open the validation segments and decide."""
     unseen = Unseen(data, data.validation)
     base, best = found.base, found.best
-    errors = unseen.errors(base), unseen.errors(best)
-    before, after = map(rms, errors)
+    of_base = unseen.errors(base)
+    before = after = rms(of_base)
     chosen, e_value = best, 1.0
     if best is not base:
-        e_value = unseen.bet(best, base)
-        if not (e_value * LEVEL >= 1.0 and after < before and _pays(*errors)):
+        of_best = unseen.errors(best)
+        after, e_value = rms(of_best), unseen.bet(best, base)
+        if not (e_value * LEVEL >= 1.0 and after < before and _pays(of_base, of_best)):
             chosen, after = base, before
     parts = chosen.structure.parts
-    rest: list[Fit | None] = [base]
+    without: tuple[float, ...] = (before,)
     if len(parts) != 1:
         rest = [fit_without(problem, chosen, i) for i in range(len(parts))]
-    without = tuple(math.inf if one is None else rms(unseen.errors(one)) for one in rest)
+        without = tuple(math.inf if one is None else rms(unseen.errors(one)) for one in rest)
     probabilities, rivals = _posterior(found, chosen)
     noise, spread = noise_of(chosen), growth(chosen.prediction.filter, unseen.windows.length)
     verdict, reason = (
         ('effects_added', unexplained(unseen, chosen)) if parts
-        else _empty(problem, found, unseen, e_value)
+        else _empty(problem, found, unseen, of_base, e_value)
     )
     return Verdict(
         verdict=verdict, reason=reason, chosen=chosen, e_value=e_value, before=before, after=after,
@@ -214,19 +215,20 @@ def at_horizon(horizon_s: float, dt: float) -> int:
 
 
 def _empty(
-    problem: Problem, found: Found, unseen: Unseen, e_value: float
+    problem: Problem, found: Found, unseen: Unseen, with_commands: FloatArray, e_value: float
 ) -> tuple[str, str]:
     """Verdict and reason without effects: whether commands predict, and the error is as expected.
 
     The commands predict if they help beyond chance, and if at some horizon the error is clearly
     below that without commands and that of holding the rate. A feedback's commands contain past
-    rates and angles, which predict a little even while the motors stand.
+    rates and angles, which predict a little even while the motors stand. with_commands: the
+    base's errors (windows, length).
     """
     base = found.base
     uncommanded = fitted_from(
         problem, base.structure, base.theta, rate=base.rate, still=(0, 1, 2)
     )
-    with_commands, held = unseen.errors(base), unseen.holding(unseen.windows)
+    held = unseen.holding(unseen.windows)
     without, evidence, clearly = held, [], False
     if uncommanded is not None:
         without = unseen.errors(uncommanded)

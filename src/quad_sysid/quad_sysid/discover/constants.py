@@ -1,6 +1,7 @@
-"""All constants of the search and the verdict, with their reasons; no effect has one of its own.
+"""What decides in the search and the verdict, with its reasons; no effect has a rule of its own.
 
-The priors of parameters stand beside each effect, the noise's in model/structure.py.
+Priors of parameters stand beside each effect, those of the noise in model/structure.py; numerical
+steps, the base's starts and the bands of lines where they are used.
 """
 
 # what is believed before the data

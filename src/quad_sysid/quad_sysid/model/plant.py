@@ -335,10 +335,11 @@ class Flight:
             damping = -float(np.mean(push.slope))
             found = self.filter_of(structure, theta, damping)
             by = _Inputs.none(found, self.wander(structure, p, rate))
+            derived = steps if sweep == sweeps - 1 else None
             if by.place.size:
-                self._follow(structure, theta, push.slope, found, by)
-            if steps is not None and sweep == sweeps - 1:
-                columns, bends, bent = self.columns(structure, theta, rate, steps)
+                self._follow(structure, theta, push.slope, found, by, derived is not None)
+            if derived is not None:
+                columns, bends, bent = self.columns(structure, theta, rate, derived)
                 by = by._replace(columns=columns, bends=bends, bent=bent,
                                  filters=self._by_filter(structure, theta, damping))
             ran = self._run(push, found, by)
@@ -378,9 +379,9 @@ class Flight:
 
     def _follow(
         self, structure: Structure, theta: FloatArray, slope: FloatArray, found: Filter,
-        by: _Inputs,
+        by: _Inputs, derived: bool,
     ) -> None:
-        """Put in how the filter follows wandering effects, with derivatives."""
+        """Put in how the filter follows wandering effects, with derivatives where `derived`."""
         psi = self.responses(by.wander, slope, found)
         wandering = [where for part, where in structure.placed() if part.effect.wanders]
         for i, where in enumerate(wandering):
@@ -388,7 +389,7 @@ class Flight:
             # its mean effect on the likelihood zero
             pursuit, by.place[i] = partial(self.pursuit, psi[:, i]), where.start
             by.pursuit[:, i] = pursuit(theta[where])
-            for j in range(2):
+            for j in range(2) if derived else ():
                 by.by_pursuit[:, i, :, j] = central(pursuit, theta[where], j, PURSUIT_STEP)
 
     def pursuit(self, psi: FloatArray, logs: FloatArray) -> FloatArray:

@@ -75,9 +75,7 @@ def _excitation(e: Evidence) -> Iterator[str]:
 def _beyond(e: Evidence) -> Iterator[str]:
     if e.held_out is None:
         return
-    trained, asked = (
-        high(np.concatenate([z.y[a:b] for a, b in z.segments])) for z in (e.z, e.held_out)
-    )
+    trained, asked = (high(z.inside(z.y)) for z in (e.z, e.held_out))
     if asked > FURTHER * trained:
         yield (
             f'the held-out rates reach {asked:.2g} rad/s, those of the training {trained:.2g}: '

@@ -178,7 +178,7 @@ def through_controller(records: Sequence[Record], axis: str) -> bool:
 
 
 def _few_levels(z: IOData) -> bool:
-    u = np.concatenate([z.u[a:b] for a, b in z.segments])
+    u = z.inside(z.u)
     spread = float(u.std())
     return spread > 0.0 and np.unique(np.round(u / (SAME * spread))).size <= FEW_LEVELS
 
@@ -205,8 +205,8 @@ def largest_loop_gain(z: IOData, model: Model) -> float:
     found, sse, inverse = solve_triangular_factor('feedback', triangular(blocks))
     spread = np.sqrt(sse / (n - columns) * np.diag(inverse))
     gain = float(np.max((np.abs(found) + SURE * spread)[:CYCLES]))
-    u = np.concatenate([z.u[a:b] for a, b in z.segments])
-    y = np.concatenate([z.y[a:b] for a, b in z.segments])
+    u = z.inside(z.u)
+    y = z.inside(z.y)
     return gain * float(y.std() / u.std()) if u.std() > 0.0 else float('inf')
 
 
