@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from flown_axis import SHORT, Axis, fly
-from scipy.signal import savgol_filter
+from scipy.signal import butter, lfilter, savgol_filter
 
 from quad_sysid.discover.accept import Unseen, bet, judge
 from quad_sysid.discover.base import best_base, fitted_from
@@ -19,7 +19,7 @@ from quad_sysid.discover.screen import candidates, screen
 from quad_sysid.discover.search import Found, Scored, extended, search
 from quad_sysid.effects import EFFECTS
 from quad_sysid.estimate.fit import Problem
-from quad_sysid.estimate.stored import readings
+from quad_sysid.estimate.stored import noise_of, readings
 from quad_sysid.model.data import AxisData, axis_data
 from quad_sysid.model.effect import Part
 from quad_sysid.model.structure import Structure
@@ -177,6 +177,25 @@ def test_noise_that_stood_for_what_was_missing_gives_way_to_an_effect():
     extreme = replace(base, theta=theta, structure=replace(base.structure, lines=1))
     fits = [extended(problem, parent, score) for parent in (base, extreme)]
     assert fits[1].log_posterior > fits[0].log_posterior - 0.5
+
+
+def test_noise_of_a_filter_that_was_computed_once_a_cycle_is_no_vibration():
+    """Such a filter leaves nothing of the noise near half the sample rate. The innovations are
+    white, the noise has its size, and no line of vibration is needed."""
+    flight = fly(Axis(gyro_filter_hz=42.0, gyro_noise=1e-4), 3, SHORT)
+    rates = flight.rates.copy()
+    white = np.random.default_rng(3).standard_normal(rates.shape[0])
+    noise = 0.01 * lfilter(*butter(2, 42.0, fs=1.0 / flight.dt), white)
+    rates[:, 0] += noise
+    cut_off = (GainChange(0.0, {'sensor.gyro_filter_hz': 42.0}),)
+    data = axis_data([replace(flight, rates=rates, gains=cut_off)], 'roll')
+    problem = Problem(data, data.train)
+    base = best_base(problem)
+    assert base.structure.lines == 0
+    e = base.prediction.innovation[problem.rows]
+    for lag in (1, 2, 3):
+        assert abs(e[lag:] @ e[:-lag]) < 0.06 * (e @ e)
+    assert noise_of(base).measured_rms == pytest.approx(np.std(noise), rel=0.1)
 
 
 def test_a_bet_on_blocks_counts_calm_ones_and_is_rarely_won_by_chance():

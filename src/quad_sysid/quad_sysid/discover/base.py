@@ -40,6 +40,9 @@ def best_base(problem: Problem) -> Fit:
     base = max((f for f in ended if f), key=lambda f: f.log_posterior, default=None)
     if base is None:
         raise FloatingPointError('no start of the base holds')
+    if problem.flight.sensor.noisy:
+        structure = replace(base.structure, averaged=True)
+        base = _likelier(base, fitted_from(problem, structure, base.theta, rate=base.rate))
     for _ in range(MOST_LINES):
         frequency = vibration_line(problem, base)
         if frequency is None:
@@ -48,10 +51,17 @@ def best_base(problem: Problem) -> Fit:
             problem, replace(base.structure, lines=base.structure.lines + 1),
             np.r_[base.theta, 0.0, math.log(frequency), math.log(0.1)], rate=base.rate,
         )
-        if shaken is None or shaken.evidence + math.log(EXPECTED) <= base.evidence:
+        if _likelier(base, shaken) is base:
             break
         base = shaken
     return base
+
+
+def _likelier(base: Fit, other: Fit | None) -> Fit:
+    """The base, or the one with more in its noise if the evidence is for that."""
+    if other is None or other.evidence + math.log(EXPECTED) <= base.evidence:
+        return base
+    return other
 
 
 def fitted_from(

@@ -217,6 +217,7 @@ def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
     root = np.linalg.cholesky(precision).T
     centres = np.array([s.centre for s in structure.specs])
     positive = np.array([s.positive and not s.log for s in structure.specs])
+    logs = np.array([s.log for s in structure.specs])
     steps = np.where(sizes > 1.0, 1e-4 * sizes, np.where(sizes < 1e-2, 1e-3 * sizes, 1e-4))
 
     def evaluated(
@@ -250,7 +251,13 @@ def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
         j[:, list(still)] = 0.0
         w = np.sqrt(tail.weights(e)) / tail.scale
         away = root @ (theta - centres)
-        stacked = np.block([[j * w[:, None], (e * w)[:, None]], [root, away[:, None]]])
+        rows, column = j * w[:, None], (e * w)[:, None]
+        # a part that vanishes acts by its square: over its logarithm that curves by twice the
+        # slope, where the rows alone see nothing
+        bent = np.where(logs, np.sqrt(np.maximum(2.0 * (rows.T @ column)[:, 0], 0.0)), 0.0)
+        stacked = np.block([
+            [rows, column], [root, away[:, None]], [np.diag(bent), np.zeros((bent.size, 1))],
+        ])
         factor = upper_triangle(stacked)[: theta.size]
         a, b = factor[:, :-1], factor[:, -1]
         converged = not still and 0.5 * float(b @ b) < SMALL_NATS

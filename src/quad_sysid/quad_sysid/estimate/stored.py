@@ -126,6 +126,7 @@ def noise_of(fitted: Fit) -> NoiseEstimate:
         lines=tuple(
             (float(a), float(f), float(w)) for a, f, w in values[len(NOISE) :].reshape(-1, 3)
         ),
+        averaged=fitted.structure.averaged,
     )
 
 
@@ -183,7 +184,7 @@ def _stored(
     noise: NoiseEstimate | None,
 ) -> Stored:
     values, noise = {p.name: p.value for p in base}, noise or UNKNOWN
-    structure = Structure(parts, len(noise.lines))
+    structure = Structure(parts, len(noise.lines), averaged=noise.averaged)
     p = np.array([
         *(values[spec.name] for spec in BASE), *(v for own in effects for v in own),
         *(noise.ratios.get(spec.name, np.exp(spec.centre)) for spec in NOISE),

@@ -62,6 +62,8 @@ class NoiseEstimate:
     """RMS of the measurement noise in the recorded rate, rad/s."""
     lines: tuple[tuple[float, float, float], ...] = ()
     """Lines of vibration in the recorded rate: RMS over the gyro's noise, frequency, width, Hz."""
+    averaged: bool = False
+    """As in structure.Structure."""
 
     @property
     def disturbance_rms(self) -> float:

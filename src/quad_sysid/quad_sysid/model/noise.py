@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from numba import njit
 from scipy.linalg import expm, solve_discrete_lyapunov
 from scipy.signal import savgol_coeffs
 
@@ -35,8 +36,8 @@ class Sensor:
     """Whether noise enters before the filter (and little of it after)."""
     late_s: float = 0.0
     """Delay of the output behind the rate, s."""
-    floor: float = 0.0
-    """Variance behind the filter of unit white noise before it."""
+    floor: tuple[float, float] = 0.0, 0.0
+    """Variance behind the filter of unit white noise before it, and covariance over one cycle."""
     derived: float = 0.0
     """Where only the angle was measured: variance of the derived rate over that of the angle's
     noise per cycle; else 0."""
@@ -62,8 +63,9 @@ def sensor_of(
     step = (_stepped if stepped else gyro_step)(gyro_filter_hz, dt)
     late = math.sqrt(2.0) / (2.0 * math.pi * gyro_filter_hz)
     inside = step[:, 2:].sum(axis=1)
-    floor = solve_discrete_lyapunov(step[:, :2], np.outer(inside, inside))[0, 0]
-    return Sensor(step, behind=True, noisy=True, late_s=late, floor=float(floor))
+    spread = solve_discrete_lyapunov(step[:, :2], np.outer(inside, inside))
+    floor = float(spread[0, 0]), float((step[:, :2] @ spread)[0, 0])
+    return Sensor(step, behind=True, noisy=True, late_s=late, floor=floor)
 
 
 def gyro_step(gyro_filter_hz: float, dt: float) -> FloatArray:
@@ -115,68 +117,106 @@ class Filter:
     output: FloatArray
     """From the states to the recorded rate."""
     after: float
-    """Variance of the noise in `output` that is white."""
+    """What adds to the variance of `output`: white noise, and what that has in common with it."""
     floor: float
     """Variance of all noise in `output` over that before the gyro filter."""
 
 
-def kalman(noise: FloatArray, damping: float, sensor: Sensor, dt: float) -> Filter:
+def kalman(
+    noise: FloatArray, damping: float, sensor: Sensor, dt: float, *, averaged: bool = False
+) -> Filter:
     """Steady Kalman filter for a rate with this damping, 1/s (mean slope of the torque).
 
     noise (4 + 3 v,): the parameters of structure.NOISE, ratios to the gyro's noise, whose size
     the innovations give; without a gyro filter the last does not count. Then of each of the v
-    lines of vibration the three of structure.VIBRATION.
+    lines of vibration the three of structure.VIBRATION. averaged: as in structure.Structure.
     """
-    white, disturbance, correlation, after = noise[:4].tolist()
-    lines = noise[4:].reshape(-1, 3).tolist()
+    gain, move, innovation, transition, process, covariance, output, after = _steady(
+        noise, damping, sensor.step, sensor.behind, sensor.noisy, averaged, dt
+    )
+    floor = 1.0
+    if sensor.noisy:
+        floor = noise[3] ** 2 + sensor.floor[0] + averaged * sensor.floor[1]
+    floor += float(np.sum(noise[4::3] ** 2))
+    if sensor.derived:
+        output, after = np.eye(output.size)[0], sensor.derived
+        floor = after
+    return Filter(gain, move, innovation, transition, process, covariance, output, after, floor)
+
+
+@njit(cache=True, nogil=True, error_model='numpy')
+def _steady(noise, damping, step, behind, noisy, averaged, dt):  # type: ignore[no-untyped-def]
+    """The fields of Filter, the floor excepted, for a sensor that measures the rate."""
+    white, disturbance, correlation, after = noise[:4]
+    lines = (noise.size - 4) // 3
     fade = math.exp(-dt / correlation)
     hold = correlation / dt * (1.0 - fade)
     a = -0.5 * damping * dt
     ahead, push = (1.0 + a) / (1.0 - a), dt / (1.0 - a)
-    size = 4 + 2 * len(lines)
-    rows = np.zeros((size, size))
+    size = 4 + 2 * lines
+    # beside the states, last: what the gyro's noise of the last cycle adds to the output directly
+    rows = np.zeros((size + 1, size + 1))
     rows[0, 0], rows[0, 1], rows[1, 1] = ahead, push * hold, fade
-    b = np.zeros((size, 2))  # accelerations over the two halves
-    b[0] = 0.5 * push
-    bend = 0.25 * dt * np.array([1.0, -1.0])
-    begin, half, end = sensor.step[:, 2:].T
-    rows[2:4, 0] = begin + half * 0.5 * (1.0 + ahead) + end * ahead
-    rows[2:4, 1] = (0.5 * half + end) * push * hold
-    rows[2:4, 2:4] = sensor.step[:, :2]
-    b[2:4] = ((0.5 * half + end) * 0.5 * push)[:, None] + half[:, None] * bend
-    process = white**2 * 2.0 / dt * (b @ b.T)
+    by_halves = np.zeros((size + 1, 2))  # of accelerations over the two halves
+    by_halves[0] = 0.5 * push
+    process = np.zeros((size + 1, size + 1))
+    move = np.empty(2 + 2 * lines)
+    move[0], move[1] = fade, hold
+    inside = np.zeros(2)
+    for i in range(2):
+        begin, half, end = step[i, 2:]
+        rows[2 + i, 0] = begin + half * 0.5 * (1.0 + ahead) + end * ahead
+        rows[2 + i, 1] = (0.5 * half + end) * push * hold
+        rows[2 + i, 2:4] = step[i, :2]
+        by_halves[2 + i] = (0.5 * half + end) * 0.5 * push
+        by_halves[2 + i, 0] += 0.25 * dt * half
+        by_halves[2 + i, 1] -= 0.25 * dt * half
+        inside[i] = begin + half + end
+    process += white**2 * 2.0 / dt * (by_halves @ by_halves.T)
     process[1, 1] += disturbance**2 * (1.0 - fade**2)
-    c = np.zeros(size)
-    c[2 if sensor.behind else 0] = 1.0
-    c[4::2] = 1.0
-    move = [fade, hold]
-    for i, (rms, frequency, width) in enumerate(lines):
-        turn = cmath.exp(math.pi * dt * (2j * frequency - width))  # over a cycle
-        at = slice(4 + 2 * i, 6 + 2 * i)
-        rows[at, at] = [[turn.real, -turn.imag], [turn.imag, turn.real]]
-        process[at, at] = np.eye(2) * rms**2 * (1.0 - abs(turn) ** 2)
-        move += [turn.real, turn.imag]
-    r = floor = 1.0
-    if sensor.noisy:
+    c = np.zeros(size + 1)
+    c[2 if behind else 0] = 1.0
+    for i in range(lines):
+        rms, frequency, width = noise[4 + 3 * i : 7 + 3 * i]
+        turn = cmath.exp(math.pi * dt * complex(-width, 2.0 * frequency))  # over a cycle
+        k = 4 + 2 * i
+        c[k] = 1.0
+        move[2 + 2 * i], move[3 + 2 * i] = turn.real, turn.imag
+        rows[k, k] = rows[k + 1, k + 1] = turn.real
+        rows[k, k + 1], rows[k + 1, k] = -turn.imag, turn.imag
+        process[k, k] = process[k + 1, k + 1] = rms**2 * (1.0 - abs(turn) ** 2)
+    r = adds = 1.0
+    if noisy:
+        # The filter's states after noise that was held over the cycle before last are those after
+        # `older` held over the last one, but for what of it they could not show yet.
+        older = np.zeros(2)
+        if averaged:
+            inside *= math.sqrt(0.5)
+            older[:] = np.linalg.solve(step[:, :2].copy(), inside)
+        entered = inside + older
+        for i in range(2):
+            for j in range(2):
+                process[2 + i, 2 + j] += entered[i] * entered[j]
+            process[2 + i, size] = process[size, 2 + i] = entered[i]
+        process[size, size] = 1.0
+        c[size] = -older[0]
         r = after**2
-        inside = sensor.step[:, 2:].sum(axis=1)
-        process[2:4, 2:4] += np.outer(inside, inside)
-        floor = sensor.floor + r
-    floor += sum(rms**2 for rms, _, _ in lines)
-    used = np.array([0, 1, *([2, 3] if sensor.noisy else [2] * sensor.behind), *range(4, size)])
-    block = used[:, None], used
-    covariance = riccati(
-        np.ascontiguousarray(rows[block]), np.ascontiguousarray(process[block]), c[used], r
+        adds = r + older[0] ** 2 - 2.0 * entered[0] * older[0]
+    used = np.ones(size + 1, np.bool_)
+    used[2] = behind
+    used[3] = used[size] = noisy
+    at = np.flatnonzero(used)
+    part = riccati(rows[at][:, at], process[at][:, at], c[at], r)
+    gain = np.zeros(size + 1)
+    s = c[at] @ part @ c[at] + r
+    gain[at] = part @ c[at] / s
+    covariance = np.zeros((size + 1, size + 1))
+    for i, k in enumerate(at):
+        covariance[k, at] = part[i]
+    return (
+        gain[:size], move, s, rows[:size, :size].copy(), process[:size, :size].copy(),
+        covariance[:size, :size].copy(), c[:size].copy(), adds,
     )
-    s = float(c[used] @ covariance @ c[used] + r)
-    gain = np.zeros(size)
-    gain[used] = covariance @ c[used] / s
-    full = np.zeros((size, size))
-    full[block] = covariance
-    if sensor.derived:
-        c, r = np.eye(size)[0], sensor.derived
-        floor = r
-    return Filter(gain, np.array(move), s, rows, process, full, c, r, floor)
 
 
 def growth(found: Filter, steps: int) -> FloatArray:

@@ -322,7 +322,7 @@ class Flight:
     def filter_of(self, structure: Structure, theta: FloatArray, damping: float) -> Filter:
         """The steady Kalman filter at these parameters."""
         noise = structure.natural(theta)[-structure.filtered :]
-        return kalman(noise, damping, self.sensor, self.data.dt)
+        return kalman(noise, damping, self.sensor, self.data.dt, averaged=structure.averaged)
 
     def predict(
         self, structure: Structure, theta: FloatArray, *, sweeps: int = 2,
@@ -369,7 +369,8 @@ class Flight:
         first, specs = theta.size - structure.filtered, structure.specs
 
         def steady(at: FloatArray) -> FloatArray:
-            found = kalman(natural(specs[first:], at[:-1]), at[-1], self.sensor, self.data.dt)
+            found = kalman(natural(specs[first:], at[:-1]), at[-1], self.sensor, self.data.dt,
+                           averaged=structure.averaged)
             return np.concatenate([found.gain, found.move])
 
         at, out = np.r_[theta[first:], damping], np.zeros((theta.size, 6 + 4 * structure.lines))

@@ -42,6 +42,9 @@ class Structure:
     parts: tuple[Part, ...] = ()
     lines: int = 0
     """Number of vibration lines in the gyro's noise."""
+    averaged: bool = False
+    """Whether the gyro's noise, before its filter, is averaged over two cycles. So it is where the
+    filter is computed once a cycle by the bilinear transformation (Oppenheim, Schafer, 7.1)."""
     shared: tuple[int, ...] = ()
     """Which of the other two axes (0, 1) share their disturbance with this one."""
 
