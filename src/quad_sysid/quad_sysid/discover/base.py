@@ -37,21 +37,22 @@ def best_base(problem: Problem) -> Fit:
         begun.append(fitted_from(problem, Structure(), start, most_steps=BEGUN_STEPS))
     leading = sorted((f for f in begun if f), key=lambda f: -f.log_posterior)[:LEADING]
     ended = [fitted_from(problem, Structure(), f.theta, rate=f.rate) for f in leading]
-    base = max((f for f in ended if f), key=lambda f: f.log_posterior, default=None)
-    if base is None:
+    fits = [f for f in ended if f is not None]
+    if not fits:
         raise FloatingPointError('no start of the base holds')
+    base = max(fits, key=lambda f: f.log_posterior)
     if problem.flight.sensor.noisy:
-        structure = replace(base.structure, averaged=True)
-        base = _likelier(base, fitted_from(problem, structure, base.theta, rate=base.rate))
+        averaged = replace(base.structure, averaged=True)
+        base = _likelier(base, fitted_from(problem, averaged, base.theta, rate=base.rate))
     for _ in range(MOST_LINES):
         frequency = vibration_line(problem, base)
         if frequency is None:
             break
-        shaken = fitted_from(
+        shaken = _likelier(base, fitted_from(
             problem, replace(base.structure, lines=base.structure.lines + 1),
             np.r_[base.theta, 0.0, math.log(frequency), math.log(0.1)], rate=base.rate,
-        )
-        if _likelier(base, shaken) is base:
+        ))
+        if shaken is base:
             break
         base = shaken
     return base

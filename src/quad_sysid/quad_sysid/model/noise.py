@@ -6,18 +6,16 @@ adds white noise, before its filter where the model contains one. Nothing is fit
 
 from __future__ import annotations
 
-import cmath
 import math
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 from scipy.linalg import expm, solve_discrete_lyapunov
 from scipy.signal import savgol_coeffs
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.model.recursion import riccati
+from quad_sysid.model import recursion
 
 FORM_STEP_S = 1e-3
 """Interval at which gyros run their own filter."""
@@ -131,9 +129,10 @@ def kalman(
     the innovations give; without a gyro filter the last does not count. Then of each of the v
     lines of vibration the three of structure.VIBRATION. averaged: as in structure.Structure.
     """
-    gain, move, innovation, transition, process, covariance, output, after = _steady(
+    found = recursion.steady_filter(
         noise, damping, sensor.step, sensor.behind, sensor.noisy, averaged, dt
     )
+    gain, move, innovation, transition, process, covariance, output, after = found
     floor = 1.0
     if sensor.noisy:
         floor = noise[3] ** 2 + sensor.floor[0] + averaged * sensor.floor[1]
@@ -142,81 +141,6 @@ def kalman(
         output, after = np.eye(output.size)[0], sensor.derived
         floor = after
     return Filter(gain, move, innovation, transition, process, covariance, output, after, floor)
-
-
-@njit(cache=True, nogil=True, error_model='numpy')
-def _steady(noise, damping, step, behind, noisy, averaged, dt):  # type: ignore[no-untyped-def]
-    """The fields of Filter, the floor excepted, for a sensor that measures the rate."""
-    white, disturbance, correlation, after = noise[:4]
-    lines = (noise.size - 4) // 3
-    fade = math.exp(-dt / correlation)
-    hold = correlation / dt * (1.0 - fade)
-    a = -0.5 * damping * dt
-    ahead, push = (1.0 + a) / (1.0 - a), dt / (1.0 - a)
-    size = 4 + 2 * lines
-    # beside the states, last: what the gyro's noise of the last cycle adds to the output directly
-    rows = np.zeros((size + 1, size + 1))
-    rows[0, 0], rows[0, 1], rows[1, 1] = ahead, push * hold, fade
-    by_halves = np.zeros((size + 1, 2))  # of accelerations over the two halves
-    by_halves[0] = 0.5 * push
-    process = np.zeros((size + 1, size + 1))
-    move = np.empty(2 + 2 * lines)
-    move[0], move[1] = fade, hold
-    inside = np.zeros(2)
-    for i in range(2):
-        begin, half, end = step[i, 2:]
-        rows[2 + i, 0] = begin + half * 0.5 * (1.0 + ahead) + end * ahead
-        rows[2 + i, 1] = (0.5 * half + end) * push * hold
-        rows[2 + i, 2:4] = step[i, :2]
-        by_halves[2 + i] = (0.5 * half + end) * 0.5 * push
-        by_halves[2 + i, 0] += 0.25 * dt * half
-        by_halves[2 + i, 1] -= 0.25 * dt * half
-        inside[i] = begin + half + end
-    process += white**2 * 2.0 / dt * (by_halves @ by_halves.T)
-    process[1, 1] += disturbance**2 * (1.0 - fade**2)
-    c = np.zeros(size + 1)
-    c[2 if behind else 0] = 1.0
-    for i in range(lines):
-        rms, frequency, width = noise[4 + 3 * i : 7 + 3 * i]
-        turn = cmath.exp(math.pi * dt * complex(-width, 2.0 * frequency))  # over a cycle
-        k = 4 + 2 * i
-        c[k] = 1.0
-        move[2 + 2 * i], move[3 + 2 * i] = turn.real, turn.imag
-        rows[k, k] = rows[k + 1, k + 1] = turn.real
-        rows[k, k + 1], rows[k + 1, k] = -turn.imag, turn.imag
-        process[k, k] = process[k + 1, k + 1] = rms**2 * (1.0 - abs(turn) ** 2)
-    r = adds = 1.0
-    if noisy:
-        # The filter's states after noise that was held over the cycle before last are those after
-        # `older` held over the last one, but for what of it they could not show yet.
-        older = np.zeros(2)
-        if averaged:
-            inside *= math.sqrt(0.5)
-            older[:] = np.linalg.solve(step[:, :2].copy(), inside)
-        entered = inside + older
-        for i in range(2):
-            for j in range(2):
-                process[2 + i, 2 + j] += entered[i] * entered[j]
-            process[2 + i, size] = process[size, 2 + i] = entered[i]
-        process[size, size] = 1.0
-        c[size] = -older[0]
-        r = after**2
-        adds = r + older[0] ** 2 - 2.0 * entered[0] * older[0]
-    used = np.ones(size + 1, np.bool_)
-    used[2] = behind
-    used[3] = used[size] = noisy
-    at = np.flatnonzero(used)
-    part = riccati(rows[at][:, at], process[at][:, at], c[at], r)
-    gain = np.zeros(size + 1)
-    s = c[at] @ part @ c[at] + r
-    gain[at] = part @ c[at] / s
-    covariance = np.zeros((size + 1, size + 1))
-    for i, k in enumerate(at):
-        covariance[k, at] = part[i]
-    return (
-        gain[:size], move, s, rows[:size, :size].copy(), process[:size, :size].copy(),
-        covariance[:size, :size].copy(), c[:size].copy(), adds,
-    )
 
 
 def growth(found: Filter, steps: int) -> FloatArray:

@@ -8,6 +8,7 @@ loop serves every structure and all its derivatives (model/plant.py).
 
 from __future__ import annotations
 
+import cmath
 import math
 
 import numpy as np
@@ -231,6 +232,80 @@ def riccati(f, q, c, r):
         if change <= 1e-13 * np.max(np.abs(h)):
             break
     return h
+
+
+@njit(**_OPTIONS)
+def steady_filter(noise, damping, step, behind, noisy, averaged, dt):
+    """The fields of noise.Filter, its floor excepted, for a sensor that measures the rate.
+
+    Arguments: as noise.kalman and noise.Sensor name them; noise (4 + 3 v,).
+    """
+    white, disturbance, correlation, after = noise[:4]
+    lines = (noise.size - 4) // 3
+    fade = math.exp(-dt / correlation)
+    hold = correlation / dt * (1.0 - fade)
+    a = -0.5 * damping * dt
+    ahead, push = (1.0 + a) / (1.0 - a), dt / (1.0 - a)
+    size = 4 + 2 * lines
+    # last, beside the states: the gyro's noise of the cycle before, where it is averaged
+    rows = np.zeros((size + 1, size + 1))
+    rows[0, 0], rows[0, 1], rows[1, 1] = ahead, push * hold, fade
+    by_halves = np.zeros((size + 1, 2))  # of accelerations over the two halves
+    by_halves[0] = 0.5 * push
+    process = np.zeros((size + 1, size + 1))
+    move = np.empty(2 + 2 * lines)
+    move[0], move[1] = fade, hold
+    inside = np.zeros(2)
+    for i in range(2):
+        begin, half, end = step[i, 2:]
+        rows[2 + i, 0] = begin + half * 0.5 * (1.0 + ahead) + end * ahead
+        rows[2 + i, 1] = (0.5 * half + end) * push * hold
+        rows[2 + i, 2:4] = step[i, :2]
+        by_halves[2 + i] = (0.5 * half + end) * 0.5 * push
+        by_halves[2 + i, 0] += 0.25 * dt * half
+        by_halves[2 + i, 1] -= 0.25 * dt * half
+        inside[i] = begin + half + end
+    process += white**2 * 2.0 / dt * (by_halves @ by_halves.T)
+    process[1, 1] += disturbance**2 * (1.0 - fade**2)
+    c = np.zeros(size + 1)
+    c[2 if behind else 0] = 1.0
+    for i in range(lines):
+        rms, frequency, width = noise[4 + 3 * i : 7 + 3 * i]
+        turn = cmath.exp(math.pi * dt * complex(-width, 2.0 * frequency))  # over a cycle
+        k = 4 + 2 * i
+        c[k] = 1.0
+        move[2 + 2 * i], move[3 + 2 * i] = turn.real, turn.imag
+        rows[k, k] = rows[k + 1, k + 1] = turn.real
+        rows[k, k + 1], rows[k + 1, k] = -turn.imag, turn.imag
+        process[k, k] = process[k + 1, k + 1] = rms**2 * (1.0 - abs(turn) ** 2)
+    r = adds = 1.0
+    if noisy:
+        r = adds = after**2
+        if averaged:
+            # Noise enters over two cycles, with equal shares. The second share is
+            # put in with the first, as the states would have to be for it to end where it does;
+            # what they then show too early is taken from the output.
+            inside *= math.sqrt(0.5)
+            early = np.linalg.solve(step[:, :2].copy(), inside)
+            inside += early
+            process[size, size], c[size] = 1.0, -early[0]
+            process[2:4, size] = process[size, 2:4] = inside
+            adds += early[0] ** 2 - 2.0 * inside[0] * early[0]
+        process[2:4, 2:4] += np.outer(inside, inside)
+    used = np.ones(size + 1, np.bool_)
+    used[2], used[3], used[size] = behind, noisy, noisy and averaged
+    at = np.flatnonzero(used)
+    part = riccati(rows[at][:, at], process[at][:, at], c[at], r)
+    gain = np.zeros(size + 1)
+    s = c[at] @ part @ c[at] + r
+    gain[at] = part @ c[at] / s
+    covariance = np.zeros((size + 1, size + 1))
+    for i, k in enumerate(at):
+        covariance[k, at] = part[i]
+    return (
+        gain[:size], move, s, rows[:size, :size].copy(), process[:size, :size].copy(),
+        covariance[:size, :size].copy(), c[:size].copy(), adds,
+    )
 
 
 @njit(**_OPTIONS)
