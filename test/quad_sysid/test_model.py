@@ -18,7 +18,7 @@ from quad_sysid.discover.base import best_base, fitted_from
 from quad_sysid.discover.screen import candidates, screen
 from quad_sysid.discover.search import Found, Scored, extended, search
 from quad_sysid.effects import EFFECTS
-from quad_sysid.estimate.fit import Problem
+from quad_sysid.estimate.fit import Problem, fit
 from quad_sysid.estimate.stored import noise_of, readings
 from quad_sysid.model.data import AxisData, axis_data
 from quad_sysid.model.effect import Part
@@ -28,6 +28,11 @@ from quad_sysid.record import GainChange
 DT = 0.01
 FINE = 10
 """Steps of the simulation in one cycle."""
+
+
+def friction(_t, rate, _angle):
+    """Of 2 rad/s²."""
+    return -2.0 * np.tanh(rate / 0.005)
 
 
 def moved(gain, lag, damping, drag, bias, command, disturbance=0.0, seed=0):
@@ -198,6 +203,21 @@ def test_noise_of_a_filter_that_was_computed_once_a_cycle_is_no_vibration():
     assert noise_of(base).measured_rms == pytest.approx(np.std(noise), rel=0.1)
 
 
+def test_a_part_of_the_noise_that_vanishes_does_not_hold_up_a_fit():
+    """Without any torque noise, from a start 10 % and 20 % away."""
+    flight = fly(Axis(gyro_filter_hz=42.0, torque_noise=0.0), 1, SHORT)
+    cut_off = (GainChange(0.0, {'sensor.gyro_filter_hz': 42.0}),)
+    data = axis_data([replace(flight, gains=cut_off)], 'roll')
+    problem = Problem(data, data.train)
+    base = best_base(problem)
+    start = base.theta.copy()
+    start[0] *= 1.1
+    start[1] += 0.2
+    again = fit(problem, base.structure, start, rate=base.rate, most_steps=12)
+    assert again.converged
+    assert again.log_posterior > base.log_posterior - 0.1
+
+
 def test_a_bet_on_blocks_counts_calm_ones_and_is_rarely_won_by_chance():
     """Loud blocks that contradict one another do not outweigh calm ones that agree; where both
     sides are alike, no more than one in twenty reaches 20 (Ville 1939)."""
@@ -222,6 +242,35 @@ def test_what_pays_one_step_ahead_only_is_no_effect():
     verdict = judge(data, problem, Found(loose, (Scored(idle, 9.0), Scored(loose, 0.0)), {}, 1))
     assert Unseen(data, data.validation).bet(idle, loose) > 1e3
     assert verdict.chosen is loose
+
+
+def test_an_effect_counts_that_foresees_the_free_run_though_the_noise_was_taken_for_smaller():
+    """The validation's noise may be of another size than the training's; that is no effect's
+    fault."""
+    data = axis_data([fly(Axis(torque=friction), 1, SHORT)], 'roll')
+    problem = Problem(data, data.train)
+    found = search(problem, [e for e in EFFECTS if e.label == 'coulomb_friction'])
+    tight = replace(found.best, tail=replace(found.best.tail, scale=0.4 * found.best.tail.scale))
+    told = replace(found, all=(Scored(tight, 9.0), Scored(found.base, 0.0)))
+    assert Unseen(data, data.validation).bet(tight, found.base) < 1.0
+    assert judge(data, problem, told).chosen is tight
+
+
+def test_what_the_validation_does_not_confirm_is_dropped_and_the_rest_is_kept():
+    """A spring that is gone before the validation, beside a friction that stays."""
+    def both(t, rate, angle):
+        return friction(t, rate, angle) - (8.0 * np.sin(angle) if t < 18.5 else 0.0)
+
+    data = axis_data([fly(Axis(torque=both), 1, SHORT)], 'roll')
+    problem = Problem(data, data.train)
+    tried = ('coulomb_friction', 'pendulum_stiffness', 'quadratic_drag')
+    found = search(problem, [e for e in EFFECTS if e.label in tried])
+    names = {part.effect.name for part in found.best.structure.parts}
+    assert names == {'coulomb_friction', 'pendulum_stiffness'}
+    verdict = judge(data, problem, found)
+    assert [p.effect.name for p in verdict.chosen.structure.parts] == ['coulomb_friction']
+    assert verdict.after < 0.7 * verdict.before
+    assert verdict.probabilities[0] > 0.9
 
 
 def test_variants_of_one_name_are_one_explanation():

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -73,7 +73,8 @@ class Verdict:
     chosen: Fit
     """The reported fit: the base where no effect was accepted."""
     e_value: float
-    """Evidence of the validation segments against the claim that nothing beats the base."""
+    """Evidence of the validation segments against the claim that nothing beats the base, divided
+    by the number of structures that were compared there."""
     before: float
     after: float
     one_step_before: float
@@ -154,15 +155,20 @@ def rms(errors: FloatArray) -> float:
 def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
     """Open the validation segments and decide."""
     unseen = Unseen(data, data.validation)
-    base, best = found.base, found.best
+    base, compared = found.base, max(len(found.best.structure.parts), 1)
     of_base = unseen.errors(base)
-    before = after = rms(of_base)
-    chosen, e_value = best, 1.0
-    if best is not base:
-        of_best = unseen.errors(best)
-        after, e_value = rms(of_best), unseen.bet(best, base)
-        if not (e_value * LEVEL >= 1.0 and after < before and _pays(of_base, of_best)):
-            chosen, after = base, before
+    chosen, before = base, rms(of_base)
+    after, e_value = before, 1.0
+    for fitted in _shortened(problem, found):
+        errors = unseen.errors(fitted)
+        squares = _squares(of_base), _squares(errors)
+        # half the stake is on the next sample, half on the free run
+        wealth = 0.5 * (unseen.bet(fitted, base) + bet(*squares)) / compared
+        if fitted is found.best or wealth * LEVEL >= 1.0:
+            e_value = wealth
+        if wealth * LEVEL >= 1.0 and rms(errors) < before and _pays(*squares, LEVEL / compared):
+            chosen, after = fitted, rms(errors)
+            break
     parts = chosen.structure.parts
     without: tuple[float, ...] = (before,)
     if len(parts) != 1:
@@ -184,15 +190,29 @@ def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
     )
 
 
-def _pays(before: FloatArray, after: FloatArray) -> bool:
-    """Whether errors (windows, length) are smaller than others, by a paired t-test of the windows.
+def _shortened(problem: Problem, found: Found) -> Iterator[Fit]:
+    """The most probable structure, then one by one without the effect that training misses least.
+
+    The first that the validation confirms counts: what does not transfer is dropped.
+    """
+    known = {frozenset(one.fit.structure.labels): one.fit for one in found.all}
+    fitted: Fit | None = found.best
+    while fitted is not None and fitted.structure.parts:
+        yield fitted
+        shorter = [
+            known.get(frozenset(fitted.structure.minus(i).labels))
+            or fit_without(problem, fitted, i) for i in range(len(fitted.structure.parts))
+        ]
+        fitted = max((f for f in shorter if f), key=lambda f: f.evidence, default=None)
+
+
+def _pays(before: FloatArray, after: FloatArray, level: float) -> bool:
+    """Whether squared errors (windows,) are smaller than others, by a paired t-test.
 
     Noise of another colour than the model's may pay one step ahead, but not in a free run.
     """
-    with np.errstate(over='ignore', invalid='ignore'):
-        squares = (np.mean(errors**2, axis=1) for errors in (before, after))
-        p = stats.ttest_1samp(shares_of(*squares), 0.0, alternative='greater').pvalue
-    return bool(p <= LEVEL)
+    share = shares_of(before, after)
+    return bool(stats.ttest_1samp(share, 0.0, alternative='greater').pvalue <= level)
 
 
 def horizons(unseen: Unseen, base: Fitted, chosen: Fitted) -> tuple[Horizon, ...]:
@@ -249,7 +269,8 @@ def _empty(
     if e_value * LEVEL >= 1.0:
         return 'unexplained_residual', (
             'the most probable structure predicts the next sample better than the base, but not '
-            'the free run: the noise seems to have another colour than the model gives it'
+            'the free run: the noise may have another colour than the model gives it, or the '
+            'structure may hold for the training only'
         )
     if float(sum(p for p, s in zip(found.probabilities(), found.all, strict=True)
                  if s.fit is base)) < LEVEL:
@@ -297,10 +318,16 @@ def unexplained(unseen: Unseen, fitted: Fit) -> str:
     return ''
 
 
+def _squares(errors: FloatArray) -> FloatArray:
+    """(windows,) mean squares of errors (windows, length)."""
+    with np.errstate(over='ignore', invalid='ignore'):
+        return np.asarray(np.mean(errors**2, axis=1))
+
+
 def _size_and_spread(errors: FloatArray) -> FloatArray:
     """(2,) RMS of errors (windows, length), and its ratio to the windows' geometric mean."""
+    square = _squares(errors)
     with np.errstate(over='ignore', invalid='ignore'):
-        square = np.mean(errors**2, axis=1)
         size = np.sqrt(np.mean(square))
         return np.array([size, size / np.exp(0.5 * np.mean(np.log(square + 1e-300)))])
 
@@ -312,11 +339,12 @@ def _posterior(
     p = found.probabilities()
     probabilities, rivals = [], []
     own = [part.effect.name for part in chosen.structure.parts]
+    dropped = Counter(part.effect.name for part in found.best.structure.parts) - Counter(own)
     for i, name in enumerate(own):
         rest = own[:i] + own[i + 1 :]
         share: dict[str, float] = {}
         for scored, weight in zip(found.all, p, strict=True):
-            left = Counter(scored.names)
+            left = Counter(scored.names) - dropped
             if left >= Counter(rest):
                 others = set(left - Counter(rest)) or {'nothing'}
                 for one in others:

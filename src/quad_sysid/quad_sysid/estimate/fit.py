@@ -253,8 +253,9 @@ def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
         away = root @ (theta - centres)
         rows, column = j * w[:, None], (e * w)[:, None]
         # a part that vanishes acts by its square: over its logarithm that curves by twice the
-        # slope, where the rows alone see nothing
-        bent = np.where(logs, np.sqrt(np.maximum(2.0 * (rows.T @ column)[:, 0], 0.0)), 0.0)
+        # slope, of which the rows may see little
+        curves = 2.0 * (rows.T @ column)[:, 0] - np.sum(rows**2, axis=0)
+        bent = np.where(logs, np.sqrt(np.maximum(curves, 0.0)), 0.0)
         stacked = np.block([
             [rows, column], [root, away[:, None]], [np.diag(bent), np.zeros((bent.size, 1))],
         ])
