@@ -149,12 +149,14 @@ def _reason(told: Findings, *, searched: bool) -> str:
         reason = f'{NOT_SEARCHED}: this is the base alone' + (reason and f'; {reason}')
     else:
         reason = reason or 'no effect predicts the held-out segments better than the base alone'
-        if best.structure.parts:
-            names = ' and '.join(part.effect.name for part in best.structure.parts)
-            reason += (
-                f'; the training segments alone suggest {names}, which the held-out segments do '
-                'not confirm'
-            )
+    kept = verdict.chosen.structure.labels
+    names = ' and '.join(part.effect.name for part in best.structure.parts
+                         if part.effect.label not in kept)
+    if names and verdict.verdict != 'cannot_tell':
+        reason += (
+            f'; the training segments alone {"also " if kept else ""}suggest {names}, which the '
+            'held-out segments do not confirm'
+        )
     gain = verdict.chosen.value('gain')
     if verdict.verdict != 'cannot_tell' and gain < 0.0:
         reason += (
