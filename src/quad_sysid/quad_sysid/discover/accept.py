@@ -27,6 +27,8 @@ from quad_sysid.model.noise import growth
 from quad_sysid.model.plant import Prediction
 
 HORIZONS_S = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
+SHORT_S = 0.1
+"""Windows over which motors answer, and gusts have hardly turned the aircraft yet."""
 HUGE = 1e100
 LEAST_REPORTED = 0.005
 """Share of the rivals' probability below which one is not reported."""
@@ -74,7 +76,7 @@ class Verdict:
     """The reported fit: the base where no effect was accepted."""
     e_value: float
     """Evidence of the validation segments against the claim that nothing beats the base, divided
-    by the number of structures that were compared there."""
+    by the number of structures for which it was asked so far."""
     before: float
     after: float
     one_step_before: float
@@ -102,6 +104,7 @@ class Unseen:
     def __init__(self, data: AxisData, spans: Sequence[tuple[int, int]]) -> None:
         self.problem = Problem(data, tuple(spans), whole=True)
         self.windows = data.windows(spans)
+        self.short = data.windows(spans, SHORT_S)
         self.long = data.windows(spans, HORIZONS_S[-1])
         self.block = self.problem.blocks(BLOCK_S)
 
@@ -155,18 +158,18 @@ def rms(errors: FloatArray) -> float:
 def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
     """Open the validation segments and decide."""
     unseen = Unseen(data, data.validation)
-    base, compared = found.base, max(len(found.best.structure.parts), 1)
+    base = found.base
     of_base = unseen.errors(base)
     chosen, before = base, rms(of_base)
     after, e_value = before, 1.0
-    for fitted in _shortened(problem, found):
+    for asked, fitted in enumerate(_shortened(problem, found), 1):
         errors = unseen.errors(fitted)
-        squares = _squares(of_base), _squares(errors)
         # half the stake is on the next sample, half on the free run
-        wealth = 0.5 * (unseen.bet(fitted, base) + bet(*squares)) / compared
-        if fitted is found.best or wealth * LEVEL >= 1.0:
+        free = bet(_squares(of_base), _squares(errors))
+        wealth = 0.5 * (unseen.bet(fitted, base) + free) / asked
+        if asked == 1 or wealth * LEVEL >= 1.0:
             e_value = wealth
-        if wealth * LEVEL >= 1.0 and rms(errors) < before and _pays(*squares, LEVEL / compared):
+        if wealth * LEVEL >= 1.0 and rms(errors) < before and _pays(unseen, base, fitted):
             chosen, after = fitted, rms(errors)
             break
     parts = chosen.structure.parts
@@ -206,13 +209,17 @@ def _shortened(problem: Problem, found: Found) -> Iterator[Fit]:
         fitted = max((f for f in shorter if f), key=lambda f: f.evidence, default=None)
 
 
-def _pays(before: FloatArray, after: FloatArray, level: float) -> bool:
-    """Whether squared errors (windows,) are smaller than others, by a paired t-test.
+def _pays(unseen: Unseen, base: Fit, fitted: Fit) -> bool:
+    """Whether the free run's errors fall by more than chance, by a paired t-test of windows.
 
-    Noise of another colour than the model's may pay one step ahead, but not in a free run.
+    Noise of another colour than the model's may pay one step ahead, but not in a free run. Where
+    gusts rule the windows of the verdict, short ones may tell; each length has half of the level.
     """
-    share = shares_of(before, after)
-    return bool(stats.ttest_1samp(share, 0.0, alternative='greater').pvalue <= level)
+    for windows in (unseen.windows, unseen.short):
+        share = shares_of(*(_squares(unseen.errors(one, windows)) for one in (base, fitted)))
+        if stats.ttest_1samp(share, 0.0, alternative='greater').pvalue <= 0.5 * LEVEL:
+            return True
+    return False
 
 
 def horizons(unseen: Unseen, base: Fitted, chosen: Fitted) -> tuple[Horizon, ...]:

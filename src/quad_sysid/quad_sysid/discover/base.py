@@ -40,7 +40,7 @@ def best_base(problem: Problem) -> Fit:
     fits = [f for f in ended if f is not None]
     if not fits:
         raise FloatingPointError('no start of the base holds')
-    base = max(fits, key=lambda f: f.log_posterior)
+    base = _beside(problem, max(fits, key=lambda f: f.log_posterior))
     if problem.flight.sensor.noisy:
         averaged = replace(base.structure, averaged=True)
         base = _likelier(base, fitted_from(problem, averaged, base.theta, rate=base.rate))
@@ -56,6 +56,22 @@ def best_base(problem: Problem) -> Fit:
             break
         base = shaken
     return base
+
+
+def _beside(problem: Problem, base: Fit) -> Fit:
+    """The base, or a better one whose delay is a cycle shorter or longer.
+
+    Commands are held over a cycle, so that there may be a maximum near each whole one.
+    """
+    best = base
+    for delay in (base.value('delay') - problem.data.dt, base.value('delay') + problem.data.dt):
+        if delay > 0.0:
+            start = base.theta.copy()
+            start[2] = math.log(delay)
+            other = fitted_from(problem, base.structure, start, rate=base.rate)
+            if other is not None and other.log_posterior > best.log_posterior:
+                best = other
+    return best
 
 
 def _likelier(base: Fit, other: Fit | None) -> Fit:
