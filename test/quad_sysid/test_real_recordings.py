@@ -18,7 +18,10 @@ from scipy.signal import butter, lfilter
 
 from quad_sysid import cli
 from quad_sysid.bags import read_bag, split_segments
+from quad_sysid.discover.base import best_base
 from quad_sysid.estimate import stored
+from quad_sysid.estimate.fit import Problem
+from quad_sysid.model.data import axis_data
 from quad_sysid.model.effect import Signals
 from quad_sysid.pipeline import identify as pipeline
 from quad_sysid.pipeline.answer import AxisAnswer
@@ -204,19 +207,30 @@ def test_nanobench_gets_an_honest_verdict(nanobench):
     assert 0.0 < low < high < np.pi * axis['sample_rate_hz']
 
 
-@pytest.mark.long
-@pytest.mark.parametrize('flight', ['normal', 'weight_near_m3'])
-def test_crazypad_landings_are_no_effects(tmp_path, flight):
-    """Their impacts, of 2.7 rad/s in flights of 0.1 rad/s, were once named as three effects."""
+def crazypad(folder: Path, flight: str) -> Record:
+    """One of those flights, imported and split for roll."""
     axes = ('roll', 'pitch', 'yaw')
     units = [word for axis in axes for word in ('--unit', f'cmd_{axis}=pwm16')]
     assert cli.main([
         'import', str(measured(f'flights/crazypad_{flight}.csv')), '--axis', 'all', '--time', 't',
         '--control', ','.join(f'cmd_{axis}' for axis in axes), '--thrust', 'cmd_thrust',
-        '--rate', 'p,q,r', *units, '--unit', 'cmd_thrust=pwm16', '--out', str(tmp_path / 'bag'),
+        '--rate', 'p,q,r', *units, '--unit', 'cmd_thrust=pwm16', '--out', str(folder / 'bag'),
     ]) == 0  # fmt: skip
-    record = split_segments(read_bag(tmp_path / 'bag'), axes=('roll',))
-    assert answer_of(record).verdict == 'cannot_tell'
+    return split_segments(read_bag(folder / 'bag'), axes=('roll',))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize('flight', ['normal', 'weight_near_m3'])
+def test_crazypad_landings_are_no_effects(tmp_path, flight):
+    """Their impacts, of 2.7 rad/s in flights of 0.1 rad/s, were once named as three effects."""
+    assert answer_of(crazypad(tmp_path, flight)).verdict == 'cannot_tell'
+
+
+def test_a_delay_of_one_cycle_is_not_taken_for_two(tmp_path):
+    """At 100 Hz there is a second maximum, 10 nats lower, to which all starts lead."""
+    data = axis_data([crazypad(tmp_path, 'normal')], 'roll')
+    base = best_base(Problem(data, data.train))
+    assert base.value('delay') == pytest.approx(0.0099, abs=0.001)
 
 
 # effects added to recordings
