@@ -13,7 +13,7 @@ import pytest
 from flown_axis import SHORT, Axis, fly
 from scipy.signal import butter, lfilter, savgol_filter
 
-from quad_sysid.discover.accept import Unseen, bet, judge
+from quad_sysid.discover.accept import Unseen, bet, closed, judge
 from quad_sysid.discover.base import best_base, fitted_from
 from quad_sysid.discover.screen import candidates, screen
 from quad_sysid.discover.search import Found, Scored, extended, search
@@ -232,6 +232,16 @@ def test_a_bet_on_blocks_counts_calm_ones_and_is_rarely_won_by_chance():
     rng = np.random.default_rng(0)
     won = [bet(*np.exp(2.0 * rng.standard_normal((2, 50)))) >= 20.0 for _ in range(1000)]
     assert np.mean(won) <= 0.05
+
+
+def test_of_several_bets_that_are_lost_hardly_one_counts_as_won():
+    """One in twenty at most, though four are looked at; evidence for all keeps its weight."""
+    rng = np.random.default_rng(0)
+    lost = 21.0 * (rng.random((2000, 4)) < 1.0 / 21.0)  # of expectation 1
+    assert np.mean(lost.max(axis=1) >= 20.0) > 0.15
+    assert np.mean([max(closed(list(e))) >= 20.0 for e in lost]) <= 0.05
+    assert closed([30.0]) == [30.0]
+    assert closed([18.0, 24.0, 30.0]) == [18.0, 21.0, 24.0]
 
 
 def test_what_pays_one_step_ahead_only_is_no_effect():

@@ -41,6 +41,18 @@ def bet(speaks_for: FloatArray, against: FloatArray) -> float:
         return float(np.mean([np.prod(1.0 + stake * share) for stake in STAKES]))
 
 
+def closed(e_values: Sequence[float]) -> list[float]:
+    """Each e-value at one level for them all: the least mean of it and any of the others.
+
+    Closed testing, since a mean of e-values is one (Vovk, Wang 2021).
+    """
+    out = []
+    for i, own in enumerate(e_values):
+        rest = sorted([*e_values[:i], *e_values[i + 1 :]])
+        out.append(float(np.min(np.cumsum([own, *rest]) / np.arange(1, len(e_values) + 1))))
+    return out
+
+
 def shares_of(speaks_for: FloatArray, against: FloatArray) -> FloatArray:
     """(blocks,) balance of each block as a share of its turnover, -1 to 1.
 
@@ -75,8 +87,8 @@ class Verdict:
     chosen: Fit
     """The reported fit: the base where no effect was accepted."""
     e_value: float
-    """Evidence of the validation segments against the claim that nothing beats the base, divided
-    by the number of structures for which it was asked so far."""
+    """Evidence of the validation segments against the claim that nothing beats the base, at one
+    level for all structures for which it was asked."""
     before: float
     after: float
     one_step_before: float
@@ -158,19 +170,18 @@ def rms(errors: FloatArray) -> float:
 def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
     """Open the validation segments and decide."""
     unseen = Unseen(data, data.validation)
-    base = found.base
-    of_base = unseen.errors(base)
+    base, chain = found.base, list(_shortened(problem, found))
+    of_base, errors = unseen.errors(base), [unseen.errors(fitted) for fitted in chain]
+    # half the stake is on the next sample, half on the free run
+    wealth = closed([
+        0.5 * (unseen.bet(fitted, base) + bet(_squares(of_base), _squares(own)))
+        for fitted, own in zip(chain, errors, strict=True)
+    ])
     chosen, before = base, rms(of_base)
-    after, e_value = before, 1.0
-    for asked, fitted in enumerate(_shortened(problem, found), 1):
-        errors = unseen.errors(fitted)
-        # half the stake is on the next sample, half on the free run
-        free = bet(_squares(of_base), _squares(errors))
-        wealth = 0.5 * (unseen.bet(fitted, base) + free) / asked
-        if asked == 1 or wealth * LEVEL >= 1.0:
-            e_value = wealth
-        if wealth * LEVEL >= 1.0 and rms(errors) < before and _pays(unseen, base, fitted):
-            chosen, after = fitted, rms(errors)
+    after, e_value = before, wealth[0] if wealth else 1.0
+    for fitted, own, e in zip(chain, errors, wealth, strict=True):
+        if e * LEVEL >= 1.0 and rms(own) < before and _pays(unseen, base, fitted):
+            chosen, after, e_value = fitted, rms(own), e
             break
     parts = chosen.structure.parts
     without: tuple[float, ...] = (before,)
@@ -196,7 +207,7 @@ def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
 def _shortened(problem: Problem, found: Found) -> Iterator[Fit]:
     """The most probable structure, then one by one without the effect that training misses least.
 
-    The first that the validation confirms counts: what does not transfer is dropped.
+    The largest that the validation confirms counts: what does not transfer is dropped.
     """
     known = {frozenset(one.fit.structure.labels): one.fit for one in found.all}
     fitted: Fit | None = found.best
