@@ -27,7 +27,7 @@ from quad_sysid.model.noise import growth
 from quad_sysid.model.plant import Prediction
 
 HORIZONS_S = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
-SHORT_S = 0.1
+SHORT_S = HORIZONS_S[2]
 """Windows over which motors answer, and gusts have hardly turned the aircraft yet."""
 HUGE = 1e100
 LEAST_REPORTED = 0.005
