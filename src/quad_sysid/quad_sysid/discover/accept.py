@@ -170,7 +170,10 @@ def rms(errors: FloatArray) -> float:
 def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
     """Open the validation segments and decide."""
     unseen = Unseen(data, data.validation)
-    base, chain = found.base, list(_shortened(problem, found))
+    known: dict[frozenset[str], Fit | None] = {
+        frozenset(one.fit.structure.labels): one.fit for one in found.all
+    }
+    base, chain = found.base, list(_shortened(problem, found.best, known))
     of_base, errors = unseen.errors(base), [unseen.errors(fitted) for fitted in chain]
     # half the stake is on the next sample, half on the free run
     wealth = closed([
@@ -186,7 +189,7 @@ def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
     parts = chosen.structure.parts
     without: tuple[float, ...] = (before,)
     if len(parts) != 1:
-        rest = [fit_without(problem, chosen, i) for i in range(len(parts))]
+        rest = _each_left_out(problem, chosen, known)
         without = tuple(math.inf if one is None else rms(unseen.errors(one)) for one in rest)
     probabilities, rivals = _posterior(found, chosen)
     noise, spread = noise_of(chosen), growth(chosen.prediction.filter, unseen.windows.length)
@@ -204,20 +207,35 @@ def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
     )
 
 
-def _shortened(problem: Problem, found: Found) -> Iterator[Fit]:
+def _shortened(
+    problem: Problem, best: Fit, known: dict[frozenset[str], Fit | None]
+) -> Iterator[Fit]:
     """The most probable structure, then one by one without the effect that training misses least.
 
-    The largest that the validation confirms counts: what does not transfer is dropped.
+    The largest that the validation confirms counts: what does not transfer is dropped. known: as
+    in _each_left_out.
     """
-    known = {frozenset(one.fit.structure.labels): one.fit for one in found.all}
-    fitted: Fit | None = found.best
+    fitted: Fit | None = best
     while fitted is not None and fitted.structure.parts:
         yield fitted
-        shorter = [
-            known.get(frozenset(fitted.structure.minus(i).labels))
-            or fit_without(problem, fitted, i) for i in range(len(fitted.structure.parts))
-        ]
-        fitted = max((f for f in shorter if f), key=lambda f: f.evidence, default=None)
+        shorter = [one for one in _each_left_out(problem, fitted, known) if one is not None]
+        fitted = max(shorter, key=lambda f: f.evidence, default=None)
+
+
+def _each_left_out(
+    problem: Problem, fitted: Fit, known: dict[frozenset[str], Fit | None]
+) -> list[Fit | None]:
+    """The fits without each effect, None where one diverges.
+
+    known: fits by the labels of their effects, to which new ones are added.
+    """
+    out = []
+    for i in range(len(fitted.structure.parts)):
+        labels = frozenset(fitted.structure.minus(i).labels)
+        if labels not in known:
+            known[labels] = fit_without(problem, fitted, i)
+        out.append(known[labels])
+    return out
 
 
 def _pays(unseen: Unseen, base: Fit, fitted: Fit) -> bool:
