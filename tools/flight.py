@@ -6,6 +6,7 @@ validates. `my_flight` is to be identified, `another_flight` to judge the model 
 
 from __future__ import annotations
 
+import argparse
 import sys
 from pathlib import Path
 
@@ -67,4 +68,6 @@ def main(folder: Path) -> int:
 
 
 if __name__ == '__main__':
-    sys.exit(main(Path(*sys.argv[1:])))
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument('folder', type=Path, nargs='?', default=Path(), help='default: this one')
+    sys.exit(main(parser.parse_args().folder))

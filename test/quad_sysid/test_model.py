@@ -28,6 +28,8 @@ from quad_sysid.record import GainChange
 DT = 0.01
 FINE = 10
 """Steps of the simulation in one cycle."""
+CUT_OFF = (GainChange(0.0, {'sensor.gyro_filter_hz': 42.0}),)
+"""A bag that states the gyro's filter."""
 
 
 def friction(_t, rate, _angle):
@@ -168,10 +170,8 @@ def test_the_score_of_a_candidate_is_what_its_fit_gains(name, law):
 def test_noise_that_stood_for_what_was_missing_gives_way_to_an_effect():
     """A base that attributes all to torques and vibration leaves the gyro no noise, where nothing
     has a slope; beside it an effect is fitted as well as beside the base with moderate noise."""
-    cut_off = {'sensor.gyro_filter_hz': 42.0}
-    flight = fly(Axis(torque=lambda _t, w, _a: -2.0 * np.tanh(w / 0.005), gyro_filter_hz=42.0), 1,
-                 SHORT)
-    data = axis_data([replace(flight, gains=(GainChange(0.0, cut_off),))], 'roll')
+    flight = fly(Axis(torque=friction, gyro_filter_hz=42.0), 1, SHORT)
+    data = axis_data([replace(flight, gains=CUT_OFF)], 'roll')
     problem = Problem(data, data.train)
     base = best_base(problem)
     problem.measure(base)
@@ -192,8 +192,7 @@ def test_noise_of_a_filter_that_was_computed_once_a_cycle_is_no_vibration():
     white = np.random.default_rng(3).standard_normal(rates.shape[0])
     noise = 0.01 * lfilter(*butter(2, 42.0, fs=1.0 / flight.dt), white)
     rates[:, 0] += noise
-    cut_off = (GainChange(0.0, {'sensor.gyro_filter_hz': 42.0}),)
-    data = axis_data([replace(flight, rates=rates, gains=cut_off)], 'roll')
+    data = axis_data([replace(flight, rates=rates, gains=CUT_OFF)], 'roll')
     problem = Problem(data, data.train)
     base = best_base(problem)
     assert base.structure.lines == 0
@@ -211,8 +210,7 @@ def test_a_part_of_the_noise_that_vanishes_does_not_hold_up_a_fit():
     gusts = lfilter([np.sqrt(1.0 - keep**2)], [1.0, -keep], white).tolist()
     flight = fly(Axis(gyro_filter_hz=42.0, torque_noise=0.0,
                       torque=lambda t, _rate, _angle: gusts[int(1000.0 * t)]), 1, SHORT)
-    cut_off = (GainChange(0.0, {'sensor.gyro_filter_hz': 42.0}),)
-    data = axis_data([replace(flight, gains=cut_off)], 'roll')
+    data = axis_data([replace(flight, gains=CUT_OFF)], 'roll')
     problem = Problem(data, data.train)
     base = best_base(problem)
     start = base.theta.copy()

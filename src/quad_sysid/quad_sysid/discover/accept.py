@@ -183,7 +183,12 @@ def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
     chosen, before = base, rms(of_base)
     after, e_value = before, wealth[0] if wealth else 1.0
     for fitted, own, e in zip(chain, errors, wealth, strict=True):
-        if e * LEVEL >= 1.0 and rms(own) < before and _pays(unseen, base, fitted):
+        if e * LEVEL < 1.0 or rms(own) >= before:
+            continue
+        # where gusts rule the windows of the verdict, short ones may tell
+        if _falls(of_base, own) or _falls(
+            unseen.errors(base, unseen.short), unseen.errors(fitted, unseen.short)
+        ):
             chosen, after, e_value = fitted, rms(own), e
             break
     parts = chosen.structure.parts
@@ -238,17 +243,15 @@ def _each_left_out(
     return out
 
 
-def _pays(unseen: Unseen, base: Fit, fitted: Fit) -> bool:
-    """Whether the free run's errors fall by more than chance, by a paired t-test of windows.
+def _falls(before: FloatArray, after: FloatArray) -> bool:
+    """Whether errors (windows, length) are smaller than others, by a paired t-test of the windows.
 
-    Noise of another colour than the model's may pay one step ahead, but not in a free run. Where
-    gusts rule the windows of the verdict, short ones may tell; each length has half of the level.
+    Noise of another colour than the model's may pay one step ahead, but not in a free run. It is
+    asked for windows of two lengths, each at half of the level.
     """
-    for windows in (unseen.windows, unseen.short):
-        share = shares_of(*(_squares(unseen.errors(one, windows)) for one in (base, fitted)))
-        if stats.ttest_1samp(share, 0.0, alternative='greater').pvalue <= 0.5 * LEVEL:
-            return True
-    return False
+    share = shares_of(_squares(before), _squares(after))
+    p = stats.ttest_1samp(share, 0.0, alternative='greater').pvalue
+    return bool(p <= 0.5 * LEVEL)
 
 
 def horizons(unseen: Unseen, base: Fitted, chosen: Fitted) -> tuple[Horizon, ...]:

@@ -282,9 +282,9 @@ def steady_filter(noise, damping, step, behind, noisy, averaged, dt):
     if noisy:
         r = adds = after**2
         if averaged:
-            # Noise enters over two cycles, with equal shares. The second share is
-            # put in with the first, as the states would have to be for it to end where it does;
-            # what they then show too early is taken from the output.
+            # Noise enters over two cycles, with equal shares. The second share is put in with the
+            # first, as the states would have to be for it to end where it does; what they then
+            # show too early is taken from the output.
             inside *= math.sqrt(0.5)
             early = np.linalg.solve(step[:, :2].copy(), inside)
             inside += early
