@@ -27,7 +27,7 @@ from quad_sysid.errors import BadInputError
 from quad_sysid.estimate.fit import Problem
 from quad_sysid.model import EffectEstimate, Parameter
 from quad_sysid.model.data import axis_data
-from quad_sysid.model.effect import Part
+from quad_sysid.model.effect import Part, Signals
 from quad_sysid.model.plant import Flight
 from quad_sysid.model.structure import Structure
 from quad_sysid.pipeline.evaluate import evaluate
@@ -40,6 +40,9 @@ GAIN, HALF_S = 450.0, 0.0005
 WARM = 0.002
 """Mean square of the commands that a memory counts as usual."""
 PLAIN = {'unit': 1.0, 'rest': 0.0}
+NOWHERE = Signals(*(np.zeros(1) for _ in range(7)), None, None, (np.zeros(1),) * 2, np.zeros(1))
+NO_MORE = {f'c{i}': 0.0 for i in range(2, 8)}
+KNOTS = (0.3, 0.38, 0.46, 0.54, 0.62, 0.7)
 QUIET = {'gyro_noise': 0.004, 'torque_noise': 0.02}
 
 Changes = Callable[[], Mapping[str, object]]
@@ -176,6 +179,66 @@ def dahl(size: float, build_up: float) -> Changes:
     return changes
 
 
+def rolling(pull: float, frequency_hz: float, damping: float, weight: float) -> Changes:
+    """A load that the lean pulls against a spring, which hardens towards two stops."""
+
+    def changes():
+        z = v = 0.0
+
+        def law(_t, _rate, angle):
+            nonlocal z, v
+            spring = (2.0 * math.pi * frequency_hz) ** 2 * z / max(1.0 - z * z, 0.02)
+            v += HALF_S * (-pull * math.sin(angle) - spring - damping * v)
+            z += HALF_S * v
+            if abs(z) > 1.0:
+                z, v = math.copysign(1.0, z), 0.0
+            return weight * z
+
+        return {'torque': law}
+
+    return changes
+
+
+def carried(reach: float, frequency_hz: float, damping: float, inertia: float) -> Changes:
+    """A load on such a spring, beneath which the aircraft turns; it pushes back."""
+
+    def changes():
+        z = own = 0.0
+
+        def law(_t, rate, _angle):
+            nonlocal z, own
+            v = own - rate / reach
+            spring = (2.0 * math.pi * frequency_hz) ** 2 * z / max(1.0 - z * z, 0.02)
+            push = -spring - damping * v
+            own, z = own + HALF_S * push, z + HALF_S * v
+            return -inertia * reach * push
+
+        return {'torque': law}
+
+    return changes
+
+
+def laguerre(first: float, second: float, time_constant_s: float, *, drive: bool) -> Changes:
+    """A torque of the first two Laguerre states, x2 = (1 - s T) / (1 + s T) x1."""
+
+    def changes():
+        sent, lag = [0.0], Axis().lag_s
+        pushed, one, two = (stateful(lambda x, now, t=t: x + HALF_S / t * (now - x))
+                            for t in (lag, time_constant_s, time_constant_s))
+
+        def given(_t, u, _v):
+            sent[0] = u
+            return u
+
+        def law(_t, rate, _angle):
+            x = one(GAIN * pushed(sent[0]) if drive else -rate)
+            return first * x + second * (x - 2.0 * two(x))
+
+        return {'command': given, 'torque': law}
+
+    return changes
+
+
 def drifting(seed: int, spread: float, correlation_s: float) -> Changes:
     """A gain that wanders: a first-order process with this RMS and correlation time."""
     keep = math.exp(-0.05 / correlation_s)
@@ -255,6 +318,23 @@ LAWS = [
         {'waves': 60.0, 'cosine': 0.8 * math.sin(0.5), 'sine': 0.8 * math.cos(0.5)},
         variant='periodic', left=0.003),
     Law('mode', dahl(0.4, 0.05), {'torque': 0.4, 'reach': 0.05}, variant='hysteresis'),
+    Law('mode', rolling(60.0, 0.5, 3.0, 2.0),
+        {'frequency': 0.5, 'damping': 3.0, 'pull': 60.0, 'weight': 2.0, 'inertia': 0.0},
+        variant='loose, leaning', left=0.01),
+    Law('mode', carried(0.3, 1.0, 4.0, 0.4),
+        {'frequency': 1.0, 'damping': 4.0, 'reach': 0.3, 'weight': 0.0, 'inertia': 0.4},
+        variant='loose, turning', left=0.006),
+    Law('mode', laguerre(1.5, -1.0, 0.2, drive=False),
+        {'time_constant': 0.2, 'c0': 1.5, 'c1': -1.0, **NO_MORE}, variant='response to rate'),
+    Law('mode', laguerre(0.3, -0.2, 0.2, drive=True),
+        {'time_constant': 0.2, 'c0': 0.3, 'c1': -0.2, **NO_MORE}, variant='response to drive',
+        left=0.003),
+    Law('shape:gain:command', of_motors(lambda m: m + 0.5 * (m - 0.5) ** 2),
+        {f'slope_{i}': x - 0.5 for i, x in enumerate(KNOTS)},
+        {'knots': KNOTS, 'mean': (0.0,) * 6, 'throttle': 0.5}, 'smooth, motors', left=0.003),
+    Law('shape:gain:command', of_motors(lambda m: m - np.array([0.0, 0.3, 0.0, 0.0]) * (m - 0.5)),
+        {f'slope_{i}': -0.3 for i in range(6)},
+        {'knots': KNOTS, 'mean': (0.0,) * 6, 'throttle': 0.5}, 'smooth, motor 2', left=0.003),
 ]
 """On another flight the values after an event hold, and a disturbance has a phase of its own."""
 
@@ -335,6 +415,16 @@ def test_a_memory_begins_with_its_flight_whatever_part_of_it_is_fitted_or_judged
 # found where it acts
 
 
+def test_a_curve_goes_straight_on_no_further_than_it_is_correlated():
+    """The slope at the end of a rough curve says nothing about what follows in half a range."""
+    knots = np.linspace(-0.3, 0.3, 11)
+    settings = {'knots': tuple(knots), 'mean': (0.0,) * 11}
+    angle = np.array([0.3, 0.36, 0.42, 0.5, 1.0])
+    curve = Curve('torque', 'angle', 'rough')
+    out = curve.torque(replace(NOWHERE, rate=0.0 * angle, angle=angle), 5.0 * knots, settings)
+    np.testing.assert_allclose(out, [1.5, 1.8, 2.1, 2.1, 2.1])
+
+
 def law_of(name: str, parameter: str) -> Changes:
     return next(law.changes for law in LAWS if law.name == name and parameter in law.parameters)
 
@@ -408,6 +498,31 @@ def test_a_gain_that_wanders_is_followed_in_another_flight_on_its_own_path():
     assert unseen.before > 2.0 * unseen.after
     plain = evaluate(answer.model, fly(Axis(**QUIET), 502, UNSEEN))
     assert plain.after < 1.1 * plain.before
+
+
+def echo(share: float, delay_s: float) -> Changes:
+    """A share of the command acts once more, later and against it, as blown air comes round."""
+
+    def changes():
+        sent = [0.0] * round(delay_s / DT)
+
+        def given(_t, u, _v):
+            sent.append(u)
+            return u - share * sent[-1 - round(delay_s / DT)]
+
+        return {'command': given}
+
+    return changes
+
+
+def test_an_echo_that_no_law_describes_is_found_as_a_response():
+    few = tuple(e for e in EFFECTS if e.name == 'motor_lag' or e.variant == 'response to drive')
+    flight = fly(Axis(**{**QUIET, **echo(0.4, 0.3)()}), 1, SHORT)
+    answer = identify([flight], Options(axes=('roll',), effects=few))['roll']
+    assert answer.verdict == 'effects_added', answer.reason
+    assert any(effect.variant == 'response to drive' for effect in answer.model.effects)
+    unseen = evaluate(answer.model, fly(Axis(**{**QUIET, **echo(0.4, 0.3)()}), 501, UNSEEN))
+    assert unseen.before > 2.0 * unseen.after
 
 
 # nothing where nothing acts

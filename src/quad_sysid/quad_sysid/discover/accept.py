@@ -174,22 +174,22 @@ def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
         frozenset(one.fit.structure.labels): one.fit for one in found.all
     }
     base, chain = found.base, list(_shortened(problem, found.best, known))
-    of_base, errors = unseen.errors(base), [unseen.errors(fitted) for fitted in chain]
-    # half the stake is on the next sample, half on the free run
+    # where gusts rule the windows of the verdict, short ones may tell
+    lengths = unseen.windows, unseen.short
+    of_base = [unseen.errors(base, windows) for windows in lengths]
+    errors = [[unseen.errors(fitted, windows) for windows in lengths] for fitted in chain]
+    # the stakes are on the next sample and on free runs of both lengths; a mean of e-values is one
     wealth = closed([
-        0.5 * (unseen.bet(fitted, base) + bet(_squares(of_base), _squares(own)))
-        for fitted, own in zip(chain, errors, strict=True)
+        float(np.mean([unseen.bet(fitted, base), *(
+            bet(_squares(b), _squares(e)) for b, e in zip(of_base, own, strict=True)
+        )])) for fitted, own in zip(chain, errors, strict=True)
     ])
-    chosen, before = base, rms(of_base)
+    chosen, before = base, rms(of_base[0])
     after, e_value = before, wealth[0] if wealth else 1.0
     for fitted, own, e in zip(chain, errors, wealth, strict=True):
-        if e * LEVEL < 1.0 or rms(own) >= before:
-            continue
-        # where gusts rule the windows of the verdict, short ones may tell
-        if _falls(of_base, own) or _falls(
-            unseen.errors(base, unseen.short), unseen.errors(fitted, unseen.short)
-        ):
-            chosen, after, e_value = fitted, rms(own), e
+        better = rms(own[0]) < before and any(map(_falls, of_base, own))
+        if e * LEVEL >= 1.0 and better:
+            chosen, after, e_value = fitted, rms(own[0]), e
             break
     parts = chosen.structure.parts
     without: tuple[float, ...] = (before,)
@@ -200,7 +200,7 @@ def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
     noise, spread = noise_of(chosen), growth(chosen.prediction.filter, unseen.windows.length)
     verdict, reason = (
         ('effects_added', unexplained(unseen, chosen)) if parts
-        else _empty(problem, found, unseen, of_base, e_value)
+        else _empty(problem, found, unseen, of_base[0], e_value)
     )
     return Verdict(
         verdict=verdict, reason=reason, chosen=chosen, e_value=e_value, before=before, after=after,

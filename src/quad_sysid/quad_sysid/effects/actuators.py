@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from quad_sysid.contract import MIXER_INVERSE, FloatArray
+from quad_sysid.effects.curves import Curve
 from quad_sysid.effects.hidden import RING, along, followed, ring, step_of
 from quad_sysid.effects.torques import Row
 from quad_sysid.model import recursion
@@ -197,15 +198,89 @@ class ThrustCurve(Effect):
         return {'throttle': mean}
 
     def actuate(self, data: AxisData, drive: Drive, p: FloatArray, settings: Settings) -> Drive:
-        # the lag is the motor's, the curve its propeller's: v = (1 - k) m + k m² of the lagged m
-        # follows the same lag where the command is (1 - k) u + k (2 u m - m²)
-        k, tau = p[0], float(drive.lag[0, 0])
-        u = data.motors.T
-        m = np.stack([lagged(data, one, tau) for one in u])
+        k = float(p[0])
         slope = max(1.0 - k + 2.0 * k * float(settings['throttle']), 1e-3)
-        row = MIXER_INVERSE[data.index + 1]
-        bent = (row @ (k * (2.0 * u * m - m * m - u)) + drive.commands[0]) / slope
+        more = through_propellers(
+            data, drive, lambda m: (k * (m * m - m), k * (2.0 * m - 1.0)), range(4)
+        )
+        bent = (drive.commands[0] + more) / slope
         return replace(drive, commands=np.vstack([bent, drive.commands[1:]]))
+
+    def usual(self, p: FloatArray, settings: Settings) -> Mapping[str, float]:
+        return {'throttle': float(settings['throttle'])}
+
+
+def through_propellers(
+    data: AxisData, drive: Drive, at_speed: Callable[[FloatArray], tuple[FloatArray, FloatArray]],
+    motors: Sequence[int],
+) -> FloatArray:
+    """(n,) what curved propellers add to the axis' command.
+
+    at_speed gives what the thrust of a motor gains at a lagged command (n,), and its slope. The
+    lag is the motor's and the curve its propeller's: f(m) of the lagged m follows the same lag
+    where the command is f(m) + f'(m) (u - m).
+    """
+    row, tau, more = MIXER_INVERSE[data.index + 1], float(drive.lag[0, 0]), 0.0
+    for i in motors:
+        u = data.motors[:, i]
+        m = lagged(data, u, tau)
+        thrust, slope = at_speed(m)
+        more = more + row[i] * (thrust + slope * (u - m))
+    return np.asarray(more)
+
+
+class MotorCurve(Curve):
+    """The slope of thrust over command is a smooth curve, of all motors or of one."""
+
+    def __init__(self, smoothness: str, *motors: int) -> None:
+        super().__init__('gain', 'command', smoothness)
+        self.motors = motors or (0, 1, 2, 3)
+        who = f'motor {motors[0] + 1}' if motors else 'motors'
+        self.term, self.variant = 'command', f'{smoothness}, {who}'
+        self.signals = ('command', 'motors', 'throttle')
+        self.parameters = tuple(
+            Spec(f'slope_{i}', '1', spread=0.3) for i in range(self.count)
+        )
+        self.physics = 'thrust m + f(m) of a motor command m behind its lag; f has smooth slopes'
+        self.excite = 'throttle changes during the excitation, large commands on two axes at once'
+
+    def prepare(self, data: AxisData) -> Settings | str:
+        if not moves(data):
+            return NO_MOTORS
+        low, high = np.percentile(data.training(data.motors), [0.5, 99.5])
+        return {
+            'knots': tuple(np.linspace(low, high, self.count).tolist()),
+            'place': tuple(np.linspace(-1.0, 1.0, self.count).tolist()),
+            # of all motors the mean slope is the gain; one may be weaker than the others
+            'mean': (1.0 / self.count if len(self.motors) > 1 else 0.0,) * self.count,
+            'throttle': float(np.mean(data.training(data.control[:, 0]))),
+        }
+
+    def actuate(self, data: AxisData, drive: Drive, p: FloatArray, settings: Settings) -> Drive:
+        knots = np.array(settings['knots'])
+        width = knots[1] - knots[0]
+        slopes = p - float(np.dot(settings['mean'], p))
+        bends = np.diff(slopes) / width
+        thrusts = np.r_[0.0, np.cumsum(0.5 * (slopes[1:] + slopes[:-1]) * width)]
+
+        def at_speed(m: FloatArray) -> tuple[FloatArray, FloatArray]:
+            inside = np.clip(m, knots[0], knots[-1])
+            i = np.minimum(((inside - knots[0]) / width).astype(int), bends.size - 1)
+            after = inside - knots[i]
+            slope = slopes[i] + bends[i] * after
+            return thrusts[i] + 0.5 * (slopes[i] + slope) * after + slope * (m - inside), slope
+
+        # nothing is added at the usual throttle, so that the base keeps its bias
+        thrusts -= at_speed(np.array([settings['throttle']]))[0]
+        more = through_propellers(data, drive, at_speed, self.motors)
+        return replace(drive, commands=np.vstack([drive.commands[:1] + more, drive.commands[1:]]))
+
+    def torque(self, s: Signals, p: FloatArray, settings: Settings) -> None:
+        return None
+
+    @property
+    def moves_command(self) -> bool:
+        return True
 
     def usual(self, p: FloatArray, settings: Settings) -> Mapping[str, float]:
         return {'throttle': float(settings['throttle'])}
@@ -321,7 +396,8 @@ def _asymmetric(variant: str) -> Effect:
 SLOW = Spec('slow_time_constant', 's', spread=0.7, centre=math.log(0.12), log=True,
             starts=(0.09, 0.15, 0.3))
 ACTUATORS: tuple[Effect, ...] = (
-    *MAPS, BatterySag(), ThrustCurve(), Saturation('upper'), Saturation('lower'),
+    *MAPS, BatterySag(), ThrustCurve(), MotorCurve('smooth'), MotorCurve('rough'),
+    *(MotorCurve('smooth', i) for i in range(4)), Saturation('upper'), Saturation('lower'),
     Motors(
         'motor_lag', ('command',), (SLOW, Spec('share', '1', spread=0.3)), _slow_share,
         physics='a share of the motors answers with a longer lag than the others',

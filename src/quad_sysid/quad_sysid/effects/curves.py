@@ -37,8 +37,6 @@ HELD = ('time', 'battery')
 """Signals that change one way: outside the training's range the curve stays constant."""
 KEPT = ('damping', 'delay')
 """Terms that have no sense below zero, where a slope may lead: the curve stays constant too."""
-BEYOND = 0.5
-"""Share of the range by which other curves continue straight outside it."""
 ACTS_ON: dict[str, tuple[str, ...]] = {
     'torque': (), 'gain': ('command',), 'damping': ('rate',), 'friction': ('rate',),
     'lag': ('command',), 'delay': ('command',),
@@ -134,7 +132,7 @@ class Curve(Shape):
         }
 
     def _along(self, x: FloatArray, p: FloatArray, settings: Settings) -> FloatArray:
-        """(n,) the curve over x (n,), and a little beyond its knots straight on.
+        """(n,) the curve over x (n,), beyond its knots straight on for its correlation length.
 
         Less its mean over the training, so that the base's parameters keep their meaning.
         """
@@ -142,7 +140,7 @@ class Curve(Shape):
         knots = np.array(settings['knots'])
         span = knots[-1] - knots[0]
         held = self.signal in HELD or self.term in KEPT
-        below = 0.0 if held else BEYOND * span
+        below = 0.0 if held else self.length * span
         above = span if self.variant in DRIFT else below
         slopes = np.diff(y) / np.diff(knots)
         places = np.array([knots[0] - below, *knots, knots[-1] + above])

@@ -127,6 +127,104 @@ class Hysteresis(Effect):
         return -p[1] * required(s.hidden)[0]
 
 
+class Loose(Effect):
+    """A mass on a damped spring between two stops, by its weight and what it does to its mount.
+
+    Gravity pulls it to the side as the aircraft leans (rig), or the aircraft turns beneath it.
+    The spring hardens towards the stops, w² z / (1 - z²) with z = -1 to 1, as finitely extensible
+    ones do (Warner 1972); without a spring it is a loose load.
+    """
+
+    name = 'mode'
+    kind = 'mode'
+    states = 3
+
+    def __init__(self, moving: str) -> None:
+        self.leans = moving == 'leaning'
+        self.variant = f'loose, {moving}'
+        self.signals = ('rate', 'history', *(('angle',) if self.leans else ()))
+        play = (
+            Spec('pull', '1/s²', spread=1.0, centre=math.log(60.0), log=True,
+                 starts=(20.0, 60.0, 180.0)) if self.leans else
+            Spec('reach', 'rad', spread=1.2, centre=math.log(0.1), log=True,
+                 starts=(0.02, 0.07, 0.2, 0.6))
+        )
+        self.parameters = (
+            Spec('frequency', 'Hz', spread=1.0, centre=math.log(1.0), log=True,
+                 starts=(0.1, 0.5, 1.0, 2.0, 4.0, 8.0)),
+            Spec('damping', '1/s', spread=1.0, centre=math.log(2.0), log=True, starts=(0.7, 3.0)),
+            play, Spec('weight', 'rad/s²'), Spec('inertia', '1', spread=0.3),
+        )
+        moves = '-pull sin(angle)' if self.leans else "-rate' / reach"
+        self.physics = (
+            f"z'' + damping z' + w² z / (1 - z²) = {moves}, z = -1 to 1; its weight z, and what "
+            'its spring and damper push back: a load with play'
+        )
+        self.excite = 'large and small motion, slow and fast'
+
+    def _inputs(self, s: Signals, p: FloatArray) -> tuple[FloatArray, FloatArray]:
+        if self.leans:
+            return -p[2] * np.sin(required(s.angle)), np.zeros_like(s.rate)
+        return np.zeros_like(s.rate), s.rate / max(float(p[2]), 1e-4)
+
+    def trace(
+        self, data: AxisData, s: Signals, p: FloatArray, settings: Settings
+    ) -> FloatArray:
+        out, (pull, moved) = np.zeros((3, s.rate.size)), self._inputs(s, p)
+        out[1] = moved
+        w = 2.0 * math.pi * float(p[0])
+        for start, stop in data.stretches:
+            recursion.loose(pull, moved, w, float(p[1]), data.dt, start, stop, out)
+        return out
+
+    def advance(
+        self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings, dt: float
+    ) -> FloatArray:
+        w = 2.0 * math.pi * float(p[0])
+        return recursion.all_loose_ahead(*self._inputs(s, p), w, float(p[1]), dt, x)
+
+    def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+        z, _, pushed = required(s.hidden)
+        turned = 1.0 / float(p[2]) if self.leans else float(p[2])  # rad or s² per unit of z
+        return p[3] * z - p[4] * turned * pushed
+
+    def size(self, s: Signals, j: int, settings: Settings) -> FloatArray:
+        return np.ones_like(s.rate)
+
+
+class Response(Linear):
+    """A torque by any linear response to the rate or to the drive: a Laguerre network.
+
+    Its states are orthogonal; with eight of them it remembers some 16 time constants
+    (Wahlberg 1991).
+    """
+
+    states = 8
+    sized_by_term = True
+
+    def __init__(self, term: str) -> None:
+        what = 'rate' if term == 'damping' else 'drive'
+        self.name, self.term, self.variant = 'mode', term, f'response to {what}'
+        self.signals = ('rate' if term == 'damping' else 'command', 'history')
+        self.parameters = (
+            Spec('time_constant', 's', spread=0.5, centre=math.log(0.2), log=True,
+                 starts=(0.1, 0.3)),
+            *(Spec(f'c{i}', UNITS[term]) for i in range(self.states)),
+        )
+        self.physics = f'sum of c_i x_i, Laguerre states of the {what}'
+        self.excite = 'a PRBS long enough for the slowest response'
+
+    def system(self, p: FloatArray) -> System:
+        a, ones = 1.0 / float(p[0]), np.ones((self.states, self.states))
+        return -a * np.eye(self.states) - 2.0 * a * np.tril(ones, -1), a * ones[0]
+
+    def driver(self, s: Signals, settings: Settings) -> FloatArray:
+        return per_unit(self.term, s)
+
+    def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+        return np.tensordot(p[1:], required(s.hidden), 1)
+
+
 class Memory(Shape, Linear):
     """One term of the base follows what a signal has lately been, not what it is.
 
@@ -244,5 +342,7 @@ HIDDEN: tuple[Effect, ...] = (
         physics=f"{RING} rate; torque in_phase z + quadrature z'/w",
     ),
     Hysteresis(),
+    *(Loose(moving) for moving in ('leaning', 'turning')),
+    Response('damping'), Response('gain'),
     *(Memory(term, signal) for term, signals in REMEMBERED.items() for signal in signals),
 )

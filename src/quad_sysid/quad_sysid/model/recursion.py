@@ -349,3 +349,46 @@ def built_up(rate, share, start, stop, out):
         out[k] = x
         way = 1.0 if rate[k] > 0.0 else -1.0
         x = way + (x - way) * math.exp(-abs(rate[k]) * share)
+
+
+@njit(**_OPTIONS)
+def loose_ahead(pull, moved, spring, damping, dt, state):
+    """The states (3,) of a loose mass a cycle later: its place z, own speed q, acceleration f.
+
+    z' = q - moved, q' = pull + f, f = -spring² z / (1 - z²) - damping z'; at the ends, |z| = 1,
+    it stops dead. The steps are half implicit, of 1 ms.
+    """
+    parts = max(1, round(dt / 0.001))
+    h = dt / parts
+    z, before, _ = state
+    q = before
+    for _ in range(parts):
+        stiff = spring**2 / max(1.0 - z * z, 0.02)
+        v = q - moved + h * pull
+        v = (v - h * stiff * z) / (1.0 + h * damping + h * h * stiff)
+        z += h * v
+        if abs(z) > 1.0:
+            z, v = math.copysign(1.0, z), 0.0
+        q = v + moved
+    return z, q, (q - before) / dt - pull
+
+
+@njit(**_OPTIONS)
+def loose(pull, moved, spring, damping, dt, start, stop, out):
+    """Such states at the start of each cycle, (3, n) into `out`, as they begin there."""
+    state = out[0, start], out[1, start], out[2, start]
+    for k in range(start, stop):
+        out[0, k], out[1, k], out[2, k] = state
+        state = loose_ahead(pull[k], moved[k], spring, damping, dt, state)
+
+
+@njit(**_OPTIONS)
+def all_loose_ahead(pull, moved, spring, damping, dt, states):
+    """The states (3, w) a cycle later."""
+    out = np.empty_like(states)
+    for i in range(pull.size):
+        state = states[0, i], states[1, i], states[2, i]
+        out[0, i], out[1, i], out[2, i] = loose_ahead(
+            pull[i], moved[i], spring, damping, dt, state
+        )
+    return out

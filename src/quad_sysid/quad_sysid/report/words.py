@@ -36,6 +36,8 @@ VERDICTS = {
 }
 """Verdict → its style and headline."""
 
+MOST_VALUES = 6
+"""Parameters of an effect that a sentence lists."""
 FIGURES = {
     'rise_time_s': ('rise time', 's', 1.0), 'overshoot_pct': ('overshoot', '%', 1.0),
     'settling_time_s': ('settling time', 's', 1.0),
@@ -58,8 +60,14 @@ def named(effect: Tree) -> str:
     """An effect in everyday words, with the signal of a shape spelled out."""
     name, variant = str(effect['name']), str(effect.get('variant', ''))
     kind, *rest = name.replace('_', ' ').split(':')
+    if variant.startswith('loose'):
+        return 'a load with play'
+    if variant.startswith('response'):
+        return f'a late {variant}'
     if kind != 'shape':
         return PLAIN.get(name, kind)
+    if rest == ['gain', 'command'] and 'motor' in variant:
+        return f'a curved thrust of {"the motors" if variant.endswith("s") else variant[-7:]}'
     term = rest[0] if len(rest) == 2 else 'friction' if 'friction' in variant else 'torque'
     if variant.startswith('memory'):
         late = f'follows what the {rest[-1]} has lately been'
@@ -71,6 +79,11 @@ def values(effect: Tree) -> str:
     """The parameters of an effect, or where its curve is."""
     if effect['parameters'] and effect['parameters'][0]['name'] == 'y0':
         return 'a curve, drawn below'
+    if 'curve' in effect:
+        slopes = effect['curve']['y']
+        return f'slopes {number(min(slopes))} to {number(max(slopes))}'
+    if len(effect['parameters']) > MOST_VALUES:
+        return parameter(effect['parameters'][0]) + '; more in the report'
     return '; '.join(parameter(p) for p in effect['parameters'])
 
 
