@@ -104,7 +104,7 @@ def claims(rows: Sequence[Row]) -> np.ndarray:
     out = [
         (p, float(name in true_names(r)))
         for r in rows for rivals in r['rivals'] for name, p in rivals
-        if not name.startswith(UNNAMED) and name not in ('nothing', 'unlisted')
+        if not name.startswith(UNNAMED) and name != 'nothing'
     ]
     return np.array(out).reshape(-1, 2)
 

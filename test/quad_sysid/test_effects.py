@@ -30,7 +30,6 @@ from quad_sysid.model.data import axis_data
 from quad_sysid.model.effect import Part, Signals
 from quad_sysid.model.plant import Flight
 from quad_sysid.model.structure import Structure
-from quad_sysid.pipeline.advice import rivalry
 from quad_sysid.pipeline.evaluate import evaluate
 from quad_sysid.pipeline.identify import Options, identify
 from quad_sysid.record import Record
@@ -514,21 +513,6 @@ def echo(share: float, delay_s: float) -> Changes:
         return {'command': given}
 
     return changes
-
-
-def test_a_name_is_worth_half_where_the_list_lacks_something():
-    """Friction in a wind that jumps: beside what is explained the report says that more is not."""
-    wind = gale(4, 2.5)()['torque']
-    rough = torque(lambda t, rate, a: FRICTION()['torque'](t, rate, a) + wind(t, rate, a))
-    few = tuple(e for e in EFFECTS if e.name in ('coulomb_friction', 'quadratic_drag'))
-    flight = fly(Axis(**{**QUIET, **rough()}), 2, SHORT)
-    answer = identify([flight], Options(axes=('roll',), effects=few))['roll']
-    (effect,) = answer.model.effects
-    assert effect.name == 'coulomb_friction'
-    assert answer.reason
-    assert effect.rivals[0] == ('unlisted', 0.5), answer.reason
-    assert effect.probability + sum(p for _, p in effect.rivals) == pytest.approx(1.0)
-    assert 'unlisted' not in ' '.join(rivalry(answer.model))
 
 
 def test_an_echo_that_no_law_describes_is_found_as_a_response():

@@ -23,7 +23,6 @@ from quad_sysid.discover.search import Found
 from quad_sysid.estimate.fit import Fit, Problem
 from quad_sysid.estimate.stored import Stored, noise_of
 from quad_sysid.model.data import AxisData, Windows
-from quad_sysid.model.identified import UNLISTED
 from quad_sysid.model.noise import growth
 from quad_sysid.model.plant import Prediction
 
@@ -203,10 +202,6 @@ def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
         ('effects_added', unexplained(unseen, chosen)) if parts
         else _empty(problem, found, unseen, of_base[0], e_value)
     )
-    if parts and reason:
-        # the list lacks something, for which any of these effects may only stand in
-        probabilities = tuple(0.5 * p for p in probabilities)
-        rivals = tuple(((UNLISTED, 0.5), *((n, 0.5 * p) for n, p in one)) for one in rivals)
     return Verdict(
         verdict=verdict, reason=reason, chosen=chosen, e_value=e_value, before=before, after=after,
         one_step_before=unseen.one_step(base), one_step_after=unseen.one_step(chosen),

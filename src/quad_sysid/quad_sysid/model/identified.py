@@ -26,10 +26,6 @@ class Parameter:
     """95 % where there is no `std` (one-sided at a bound); in reports, not stored."""
 
 
-UNLISTED = 'unlisted'
-"""The rival of every effect of a model that leaves something unexplained."""
-
-
 @dataclass(frozen=True)
 class EffectEstimate:
     """An effect that was added to the base, with its parameters (contract, names of effects)."""
@@ -48,11 +44,6 @@ class EffectEstimate:
     probability: float = 1.0
     rivals: tuple[tuple[str, float], ...] = ()
     """Names of alternatives in its place, with their probabilities."""
-
-    @property
-    def listed_rivals(self) -> tuple[tuple[str, float], ...]:
-        """Those that a flight can be designed against, and a loop be computed with."""
-        return tuple(rival for rival in self.rivals if rival[0] != UNLISTED)
 
 
 @dataclass(frozen=True)
