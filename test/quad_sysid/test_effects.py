@@ -218,8 +218,8 @@ def carried(reach: float, frequency_hz: float, damping: float, inertia: float) -
     return changes
 
 
-def laguerre(first: float, second: float, time_constant_s: float, *, drive: bool) -> Changes:
-    """A torque of the first two Laguerre states, x2 = (1 - s T) / (1 + s T) x1."""
+def laguerre(first: float, second: float, time_constant_s: float) -> Changes:
+    """A torque of the first two Laguerre states of the drive, x2 = (1 - s T) / (1 + s T) x1."""
 
     def changes():
         sent, lag = [0.0], Axis().lag_s
@@ -230,8 +230,8 @@ def laguerre(first: float, second: float, time_constant_s: float, *, drive: bool
             sent[0] = u
             return u
 
-        def law(_t, rate, _angle):
-            x = one(GAIN * pushed(sent[0]) if drive else -rate)
+        def law(*_):
+            x = one(GAIN * pushed(sent[0]))
             return first * x + second * (x - 2.0 * two(x))
 
         return {'command': given, 'torque': law}
@@ -324,9 +324,7 @@ LAWS = [
     Law('mode', carried(0.3, 1.0, 4.0, 0.4),
         {'frequency': 1.0, 'damping': 4.0, 'reach': 0.3, 'weight': 0.0, 'inertia': 0.4},
         variant='loose, turning', left=0.006),
-    Law('mode', laguerre(1.5, -1.0, 0.2, drive=False),
-        {'time_constant': 0.2, 'c0': 1.5, 'c1': -1.0, **NO_MORE}, variant='response to rate'),
-    Law('mode', laguerre(0.3, -0.2, 0.2, drive=True),
+    Law('mode', laguerre(0.3, -0.2, 0.2),
         {'time_constant': 0.2, 'c0': 0.3, 'c1': -0.2, **NO_MORE}, variant='response to drive',
         left=0.003),
     Law('shape:gain:command', of_motors(lambda m: m + 0.5 * (m - 0.5) ** 2),

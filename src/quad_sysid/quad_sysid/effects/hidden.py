@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 
 import numpy as np
 from scipy.linalg import expm
@@ -30,9 +31,16 @@ def ring(frequency_hz: float, damping_ratio: float) -> System:
 
 def step_of(a: FloatArray, b: FloatArray, dt: float) -> System:
     """The system's exact step over `dt` s with a held input."""
+    return _step(a.tobytes(), b.tobytes(), dt)
+
+
+@lru_cache(maxsize=1024)
+def _step(rows: bytes, column: bytes, dt: float) -> System:
+    # derivatives by all other parameters ask for the same step again
+    b = np.frombuffer(column)
     m = b.size
     block = np.zeros((m + 1, m + 1))
-    block[:m, :m], block[:m, m] = a * dt, b * dt
+    block[:m, :m], block[:m, m] = np.frombuffer(rows).reshape(m, m) * dt, b * dt
     e = expm(block)
     return np.ascontiguousarray(e[:m, :m]), np.ascontiguousarray(e[:m, m])
 
@@ -193,33 +201,34 @@ class Loose(Effect):
 
 
 class Response(Linear):
-    """A torque by any linear response to the rate or to the drive: a Laguerre network.
+    """A torque by any linear response to the drive: a Laguerre network.
 
     Its states are orthogonal; with eight of them it remembers some 16 time constants
-    (Wahlberg 1991).
+    (Wahlberg 1991). There is none of the rate, which would also describe a gyro's coloured noise.
     """
 
+    name = 'mode'
+    variant = 'response to drive'
+    term = 'gain'
+    signals = ('command', 'history')
     states = 8
     sized_by_term = True
+    parameters = (
+        Spec('time_constant', 's', spread=0.5, centre=math.log(0.2), log=True, starts=(0.1, 0.3)),
+        *(Spec(f'c{i}', UNITS['gain']) for i in range(8)),
+    )
+    physics = 'sum of c_i x_i, eight Laguerre states of the drive'
+    excite = 'a PRBS long enough for the slowest response'
 
-    def __init__(self, term: str) -> None:
-        what = 'rate' if term == 'damping' else 'drive'
-        self.name, self.term, self.variant = 'mode', term, f'response to {what}'
-        self.signals = ('rate' if term == 'damping' else 'command', 'history')
-        self.parameters = (
-            Spec('time_constant', 's', spread=0.5, centre=math.log(0.2), log=True,
-                 starts=(0.1, 0.3)),
-            *(Spec(f'c{i}', UNITS[term]) for i in range(self.states)),
-        )
-        self.physics = f'sum of c_i x_i, Laguerre states of the {what}'
-        self.excite = 'a PRBS long enough for the slowest response'
+    def __init__(self) -> None:
+        """All that a row of Linear says stands in the class."""
 
     def system(self, p: FloatArray) -> System:
         a, ones = 1.0 / float(p[0]), np.ones((self.states, self.states))
         return -a * np.eye(self.states) - 2.0 * a * np.tril(ones, -1), a * ones[0]
 
     def driver(self, s: Signals, settings: Settings) -> FloatArray:
-        return per_unit(self.term, s)
+        return s.drive
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         return np.tensordot(p[1:], required(s.hidden), 1)
@@ -343,6 +352,6 @@ HIDDEN: tuple[Effect, ...] = (
     ),
     Hysteresis(),
     *(Loose(moving) for moving in ('leaning', 'turning')),
-    Response('damping'), Response('gain'),
+    Response(),
     *(Memory(term, signal) for term, signals in REMEMBERED.items() for signal in signals),
 )
