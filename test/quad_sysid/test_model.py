@@ -302,8 +302,8 @@ def test_variants_of_one_name_are_one_explanation():
 def test_every_effect_moves_the_innovations_as_its_derivatives_say() -> None:
     """Of the base's and of the effect's own parameters, along one random direction each.
 
-    A command in whole steps has no derivative; what moves the innovations by less than a
-    thousandth of what the base does is left out.
+    A command in whole steps has no derivative, nor has a load that stops dead; what moves the
+    innovations by less than a thousandth of what the base does is left out.
     """
     rng = np.random.default_rng(1)
     flown = fly(Axis(
@@ -339,4 +339,5 @@ def test_every_effect_moves_the_innovations_as_its_derivatives_say() -> None:
             if size > least and np.linalg.norm(moved - jacobian @ way) > 0.05 * size:
                 wrong[one.part.effect.label] = one.part.effect
             least = 1e-3 * size
-    assert set(wrong) == {'shape:gain:command/steps'}
+    dead = {label for label in wrong if label.startswith('mode/loose')}
+    assert set(wrong) - dead == {'shape:gain:command/steps'}
