@@ -204,9 +204,9 @@ class Effect:
     def columns(
         self, s: Signals, p: FloatArray, linear: Sequence[int], settings: Settings
     ) -> FloatArray:
-        """(n, len(linear)) acceleration per unit of parameters that are zero in p (units)."""
-        steps = SMALL * np.eye(p.size)[linear]
-        torques = [required(self.torque(s, p + step, settings)) for step in steps]
+        """(n, len(linear)) acceleration per unit of parameters in which it is linear, at p."""
+        steps, here = SMALL * np.eye(p.size)[linear], required(self.torque(s, p, settings))
+        torques = [required(self.torque(s, p + step, settings)) - here for step in steps]
         return np.stack(torques, axis=1) / SMALL
 
     def starts(self, data: AxisData, settings: Settings) -> Sequence[FloatArray]:
