@@ -179,39 +179,29 @@ def dahl(size: float, build_up: float) -> Changes:
     return changes
 
 
-def rolling(pull: float, frequency_hz: float, damping: float, weight: float) -> Changes:
-    """A load that the lean pulls against a spring, which hardens towards two stops."""
+def with_play(
+    frequency_hz: float, damping: float, *, pull: float = 0.0, turns: float = 0.0,
+    weight: float = 0.0, back: float = 0.0,
+) -> Changes:
+    """A load on a spring that hardens towards two stops; the lean pulls it, or a turn moves it.
 
-    def changes():
-        z = v = 0.0
-
-        def law(_t, _rate, angle):
-            nonlocal z, v
-            spring = (2.0 * math.pi * frequency_hz) ** 2 * z / max(1.0 - z * z, 0.02)
-            v += HALF_S * (-pull * math.sin(angle) - spring - damping * v)
-            z += HALF_S * v
-            if abs(z) > 1.0:
-                z, v = math.copysign(1.0, z), 0.0
-            return weight * z
-
-        return {'torque': law}
-
-    return changes
-
-
-def carried(reach: float, frequency_hz: float, damping: float, inertia: float) -> Changes:
-    """A load on such a spring, beneath which the aircraft turns; it pushes back."""
+    Its weight acts, and what its spring and damper push back.
+    """
 
     def changes():
         z = own = 0.0
 
-        def law(_t, rate, _angle):
+        def law(_t, rate, angle):
             nonlocal z, own
-            v = own - rate / reach
+            v = own - turns * rate
             spring = (2.0 * math.pi * frequency_hz) ** 2 * z / max(1.0 - z * z, 0.02)
             push = -spring - damping * v
-            own, z = own + HALF_S * push, z + HALF_S * v
-            return -inertia * reach * push
+            v += HALF_S * (push - pull * math.sin(angle))
+            z += HALF_S * v
+            if abs(z) > 1.0:
+                z, v = math.copysign(1.0, z), 0.0
+            own = v + turns * rate
+            return weight * z - back * push
 
         return {'torque': law}
 
@@ -318,10 +308,10 @@ LAWS = [
         {'waves': 60.0, 'cosine': 0.8 * math.sin(0.5), 'sine': 0.8 * math.cos(0.5)},
         variant='periodic', left=0.003),
     Law('mode', dahl(0.4, 0.05), {'torque': 0.4, 'reach': 0.05}, variant='hysteresis'),
-    Law('mode', rolling(60.0, 0.5, 3.0, 2.0),
+    Law('mode', with_play(0.5, 3.0, pull=60.0, weight=2.0),
         {'frequency': 0.5, 'damping': 3.0, 'pull': 60.0, 'weight': 2.0, 'inertia': 0.0},
         variant='loose, leaning', left=0.01),
-    Law('mode', carried(0.3, 1.0, 4.0, 0.4),
+    Law('mode', with_play(1.0, 4.0, turns=1.0 / 0.3, back=0.4 * 0.3),
         {'frequency': 1.0, 'damping': 4.0, 'reach': 0.3, 'weight': 0.0, 'inertia': 0.4},
         variant='loose, turning', left=0.006),
     Law('mode', laguerre(0.3, -0.2, 0.2),
@@ -410,9 +400,6 @@ def test_a_memory_begins_with_its_flight_whatever_part_of_it_is_fitted_or_judged
             assert found == pytest.approx(truth[at[inside]], abs=0.1), effect
 
 
-# found where it acts
-
-
 def test_a_curve_goes_straight_on_no_further_than_it_is_correlated():
     """The slope at the end of a rough curve says nothing about what follows in half a range."""
     knots = np.linspace(-0.3, 0.3, 11)
@@ -421,6 +408,9 @@ def test_a_curve_goes_straight_on_no_further_than_it_is_correlated():
     curve = Curve('torque', 'angle', 'rough')
     out = curve.torque(replace(NOWHERE, rate=0.0 * angle, angle=angle), 5.0 * knots, settings)
     np.testing.assert_allclose(out, [1.5, 1.8, 2.1, 2.1, 2.1])
+
+
+# found where it acts
 
 
 def law_of(name: str, parameter: str) -> Changes:
@@ -455,13 +445,14 @@ PLANTED = [
 """Effect; by which factor the error of an unseen flight falls; truths, relative tolerances."""
 
 
-def answer_of(record: Record):
-    return identify([record], Options(axes=('roll',)))['roll']
+def answer_of(record: Record, **options):
+    return identify([record], Options(axes=('roll',), **options))['roll']
 
 
-def answer_to(changes: Changes, seed: int, *, short: bool = True):
+def answer_to(changes: Changes, seed: int, *, short: bool = True, **options):
     """What is said of a flight in which this acts."""
-    return answer_of(fly(Axis(**{**QUIET, **changes()}), seed, SHORT if short else None))
+    flight = fly(Axis(**{**QUIET, **changes()}), seed, SHORT if short else None)
+    return answer_of(flight, **options)
 
 
 @pytest.mark.parametrize(('name', 'changes', 'lowers', 'truths'), PLANTED)
@@ -515,8 +506,7 @@ def echo(share: float, delay_s: float) -> Changes:
 
 def test_an_echo_that_no_law_describes_is_found_as_a_response():
     few = tuple(e for e in EFFECTS if e.name == 'motor_lag' or e.variant == 'response to drive')
-    flight = fly(Axis(**{**QUIET, **echo(0.4, 0.3)()}), 1, SHORT)
-    answer = identify([flight], Options(axes=('roll',), effects=few))['roll']
+    answer = answer_to(echo(0.4, 0.3), 1, effects=few)
     assert answer.verdict == 'effects_added', answer.reason
     assert any(effect.variant == 'response to drive' for effect in answer.model.effects)
     unseen = evaluate(answer.model, fly(Axis(**{**QUIET, **echo(0.4, 0.3)()}), 501, UNSEEN))

@@ -220,13 +220,14 @@ def through_propellers(
     lag is the motor's and the curve its propeller's: f(m) of the lagged m follows the same lag
     where the command is f(m) + f'(m) (u - m).
     """
-    row, tau, more = MIXER_INVERSE[data.index + 1], float(drive.lag[0, 0]), 0.0
+    row, tau = MIXER_INVERSE[data.index + 1], float(drive.lag[0, 0])
+    more = np.zeros(data.rate.size)
     for i in motors:
         u = data.motors[:, i]
         m = lagged(data, u, tau)
         thrust, slope = at_speed(m)
-        more = more + row[i] * (thrust + slope * (u - m))
-    return np.asarray(more)
+        more += row[i] * (thrust + slope * (u - m))
+    return more
 
 
 class MotorCurve(Curve):
@@ -274,13 +275,6 @@ class MotorCurve(Curve):
         thrusts -= at_speed(np.array([settings['throttle']]))[0]
         more = through_propellers(data, drive, at_speed, self.motors)
         return replace(drive, commands=np.vstack([drive.commands[:1] + more, drive.commands[1:]]))
-
-    def torque(self, s: Signals, p: FloatArray, settings: Settings) -> None:
-        return None
-
-    @property
-    def moves_command(self) -> bool:
-        return True
 
     def usual(self, p: FloatArray, settings: Settings) -> Mapping[str, float]:
         return {'throttle': float(settings['throttle'])}

@@ -165,7 +165,7 @@ class Curve(Shape):
 
     @property
     def moves_command(self) -> bool:
-        return self.term == 'lag'
+        return self.term in ('lag', 'command')
 
     def precision(self, settings: Settings, sizes: FloatArray) -> FloatArray:
         place = np.array(settings['place'])

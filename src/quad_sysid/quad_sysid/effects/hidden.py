@@ -20,6 +20,8 @@ from quad_sysid.model.structure import BASE
 
 System = tuple[FloatArray, FloatArray]
 """A (m, m) and B (m,) of x' = A x + B input."""
+LAGUERRE = 8
+"""Number of states of a linear response."""
 RING = "z'' + 2 d w z' + w² z = w²"
 
 
@@ -146,6 +148,7 @@ class Loose(Effect):
     name = 'mode'
     kind = 'mode'
     states = 3
+    sized_by_term = True
 
     def __init__(self, moving: str) -> None:
         self.leans = moving == 'leaning'
@@ -196,42 +199,11 @@ class Loose(Effect):
         turned = 1.0 / float(p[2]) if self.leans else float(p[2])  # rad or s² per unit of z
         return p[3] * z - p[4] * turned * pushed
 
-    def size(self, s: Signals, j: int, settings: Settings) -> FloatArray:
-        return np.ones_like(s.rate)
-
-
 class Response(Linear):
-    """A torque by any linear response to the drive: a Laguerre network.
-
-    Its states are orthogonal; with eight of them it remembers some 16 time constants
-    (Wahlberg 1991). There is none of the rate, which would also describe a gyro's coloured noise.
-    """
-
-    name = 'mode'
-    variant = 'response to drive'
-    term = 'gain'
-    signals = ('command', 'history')
-    states = 8
-    sized_by_term = True
-    parameters = (
-        Spec('time_constant', 's', spread=0.5, centre=math.log(0.2), log=True, starts=(0.1, 0.3)),
-        *(Spec(f'c{i}', UNITS['gain']) for i in range(8)),
-    )
-    physics = 'sum of c_i x_i, eight Laguerre states of the drive'
-    excite = 'a PRBS long enough for the slowest response'
-
-    def __init__(self) -> None:
-        """All that a row of Linear says stands in the class."""
-
-    def system(self, p: FloatArray) -> System:
-        a, ones = 1.0 / float(p[0]), np.ones((self.states, self.states))
-        return -a * np.eye(self.states) - 2.0 * a * np.tril(ones, -1), a * ones[0]
+    """A torque of hidden states that the drive moves."""
 
     def driver(self, s: Signals, settings: Settings) -> FloatArray:
         return s.drive
-
-    def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        return np.tensordot(p[1:], required(s.hidden), 1)
 
 
 class Memory(Shape, Linear):
@@ -311,6 +283,15 @@ def _relaxing(p: FloatArray) -> System:
     return np.array([[-1.0 / p[0]]]), np.array([1.0])
 
 
+def _laguerre(p: FloatArray) -> System:
+    """Orthogonal states; with eight of them they remember some 16 time constants (Wahlberg 1991).
+
+    There are none of the rate, which would also describe a gyro's coloured noise.
+    """
+    a, ones = 1.0 / float(p[0]), np.ones((LAGUERRE, LAGUERRE))
+    return -a * np.eye(LAGUERRE) - 2.0 * a * np.tril(ones, -1), a * ones[0]
+
+
 HIDDEN: tuple[Effect, ...] = (
     Linear(
         'mode', ('rate', 'history'),
@@ -352,6 +333,17 @@ HIDDEN: tuple[Effect, ...] = (
     ),
     Hysteresis(),
     *(Loose(moving) for moving in ('leaning', 'turning')),
-    Response(),
+    Response(
+        'mode', ('command', 'history'),
+        (
+            Spec('time_constant', 's', spread=0.5, centre=math.log(0.2), log=True,
+                 starts=(0.1, 0.3)),
+            *(Spec(f'c{i}', UNITS['gain']) for i in range(LAGUERRE)),
+        ),
+        lambda s, p: np.tensordot(p[1:], required(s.hidden), 1), system=_laguerre, states=LAGUERRE,
+        term='gain', sized_by_term=True, variant='response to drive',
+        physics='sum of c_i x_i, Laguerre states of the drive: any linear response to it',
+        excite='a PRBS long enough for the slowest response',
+    ),
     *(Memory(term, signal) for term, signals in REMEMBERED.items() for signal in signals),
 )

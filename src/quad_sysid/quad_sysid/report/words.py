@@ -66,8 +66,9 @@ def named(effect: Tree) -> str:
         return f'a late {variant}'
     if kind != 'shape':
         return PLAIN.get(name, kind)
-    if rest == ['gain', 'command'] and 'motor' in variant:
-        return f'a curved thrust of {"the motors" if variant.endswith("s") else variant[-7:]}'
+    motors = variant.partition(', ')[2]
+    if motors:
+        return f'a curved thrust of {motors.replace("motors", "the motors")}'
     term = rest[0] if len(rest) == 2 else 'friction' if 'friction' in variant else 'torque'
     if variant.startswith('memory'):
         late = f'follows what the {rest[-1]} has lately been'
@@ -83,7 +84,7 @@ def values(effect: Tree) -> str:
         slopes = effect['curve']['y']
         return f'slopes {number(min(slopes))} to {number(max(slopes))}'
     if len(effect['parameters']) > MOST_VALUES:
-        return parameter(effect['parameters'][0]) + '; more in the report'
+        return parameter(effect['parameters'][0]) + '; the others stand in report.json'
     return '; '.join(parameter(p) for p in effect['parameters'])
 
 
