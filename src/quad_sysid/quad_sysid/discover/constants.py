@@ -12,8 +12,8 @@ and within each name among its variants (smoothnesses, motors, other axes). The 
 
 # how far the search goes: more costs time only
 
-BEAM = 2
-"""Structures that are extended at each level: two effects may mask each other."""
+BEAM = 3
+"""Explanations that are extended at each level: two effects may mask each other."""
 REFITS = 8
 """Candidates that are fitted beside each of them."""
 EXCHANGES = 3

@@ -43,8 +43,14 @@ class Scored:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of its effects, sorted: variants of one name are one explanation."""
+        """Of its effects, sorted."""
         return tuple(sorted(part.effect.name for part in self.fit.structure.parts))
+
+    @property
+    def explanations(self) -> tuple[str, ...]:
+        """Of its effects, sorted: hidden states of one name are unlike, its curves are not."""
+        effects = (part.effect for part in self.fit.structure.parts)
+        return tuple(sorted(effect.label if effect.states else effect.name for effect in effects))
 
 
 @dataclass(frozen=True)
@@ -199,8 +205,8 @@ def _structures(problem: Problem, parts: Sequence[Part], base: Fit) -> _Search:
         fresh.sort(key=lambda s: -s.score)
         if not fresh or fresh[0].score <= top:
             break
-        # the best of each set of names: two smoothnesses of a curve are one explanation
-        unlike = {one.names: one for one in reversed(fresh)}.values()
+        # the best of each explanation: two smoothnesses of a curve would lead the same way
+        unlike = {one.explanations: one for one in reversed(fresh)}.values()
         beam = sorted(unlike, key=lambda s: -s.score)[:BEAM]
     for _ in range(MOST_EFFECTS):
         if not found.exchange():
