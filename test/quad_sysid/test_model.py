@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import subprocess
 import sys
@@ -13,7 +14,7 @@ import pytest
 from flown_axis import SHORT, Axis, fly
 from scipy.signal import butter, lfilter, savgol_filter
 
-from quad_sysid.discover.accept import Unseen, bet, closed, judge
+from quad_sysid.discover.accept import Unseen, bet, closed, judge, listed
 from quad_sysid.discover.base import best_base, fitted_from
 from quad_sysid.discover.screen import candidates, screen
 from quad_sysid.discover.search import Found, Scored, extended, search
@@ -284,6 +285,19 @@ def test_what_the_validation_does_not_confirm_is_dropped_and_the_rest_is_kept():
     assert [p.effect.name for p in verdict.chosen.structure.parts] == ['coulomb_friction']
     assert verdict.after < 0.7 * verdict.before
     assert verdict.probabilities[0] > 0.9
+
+
+def test_a_name_beside_larger_effects_without_one_may_be_a_part_of_what_is_not_listed():
+    def beside(own, unnamed):
+        without = [math.hypot(1.0, own), math.hypot(1.0, unnamed)]
+        return listed([True, False], without, 1.0, 10.0)
+
+    assert beside(5.0, 0.0) == [1.0, 1.0]
+    assert beside(1.0, 2.0)[0] < 0.05
+    assert beside(5.0, 1.0)[0] > 0.95
+    assert beside(1.0, 2.0)[1] == 1.0
+    # the rest runs away without it
+    assert listed([True, False], [math.inf, 2.0], 1.0, 10.0)[0] == 1.0
 
 
 def test_variants_of_one_name_are_one_explanation():

@@ -20,6 +20,7 @@ from quad_sysid.estimate.stored import estimate_of
 from quad_sysid.loop.from_model import Placed
 from quad_sysid.model import AxisModel, Parameter
 from quad_sysid.model.effect import Part
+from quad_sysid.model.identified import UNLISTED
 from quad_sysid.model.structure import Structure
 from quad_sysid.pipeline.advice import rivalry
 from quad_sysid.pipeline.identify import Options, identify
@@ -172,6 +173,9 @@ def test_the_report_advises_the_flight_where_a_rival_is_near(refusal):
     with pytest.raises(NotInformativeError, match='no effect of this model has a rival'):
         rivals_of(model_with_rival(0.0))
     lonely = model_with_rival(0.0)
+    (friction,) = lonely.effects
+    doubted = replace(friction, probability=0.2, rivals=((UNLISTED, 0.8),))
+    assert list(rivalry(replace(lonely, effects=(doubted,)))) == []
     backwards = replace(lonely, base=(Parameter('gain', -400.0, 1.0, ''), *lonely.base[1:]))
     assert 'gain is not positive' in refusal(qs.separate, backwards, ('mode', 'nothing'), 20.0)
 

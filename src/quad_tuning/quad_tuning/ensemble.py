@@ -59,7 +59,7 @@ def variants(model: AxisModel) -> tuple[tuple[float, AxisModel], ...]:
     out = [(float(np.prod([_own(effect) for effect in model.effects])), model)]
     for effect in model.effects:
         others = float(np.prod([_own(e) for e in model.effects if e is not effect]))
-        for name, probability in effect.rivals:
+        for name, probability in effect.listed_rivals:
             if probability >= LEAST_PROBABILITY:
                 out.append((probability * others, _with_rival(model, effect, name)))
     total = sum(weight for weight, _ in out)
@@ -78,7 +78,8 @@ def shares(weights: tuple[float, ...], count: int) -> tuple[int, ...]:
 
 
 def _own(effect: EffectEstimate) -> float:
-    return min(max(effect.probability, 0.0), 1.0)
+    """Probability that it is in its place: whatever it is, it describes the motion."""
+    return min(max(1.0 - sum(p for _, p in effect.listed_rivals), 0.0), 1.0)
 
 
 def _with_rival(model: AxisModel, effect: EffectEstimate, name: str) -> AxisModel:

@@ -15,14 +15,23 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 from scipy.linalg import toeplitz
+from scipy.special import expit
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.discover.base import fit_without, fitted_from
-from quad_sysid.discover.constants import BLOCK_S, DISAGREES, FLIPS, LEVEL, STAKES
+from quad_sysid.discover.constants import (
+    BLOCK_S,
+    DISAGREES,
+    EXPECTED,
+    FLIPS,
+    LEVEL,
+    STAKES,
+)
 from quad_sysid.discover.search import Found
 from quad_sysid.estimate.fit import Fit, Problem
 from quad_sysid.estimate.stored import Stored, noise_of
 from quad_sysid.model.data import AxisData, Windows
+from quad_sysid.model.identified import UNLISTED
 from quad_sysid.model.noise import growth
 from quad_sysid.model.plant import Prediction
 
@@ -196,18 +205,21 @@ def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
     if len(parts) != 1:
         rest = _each_left_out(problem, chosen, known)
         without = tuple(math.inf if one is None else rms(unseen.errors(one)) for one in rest)
-    probabilities, rivals = _posterior(found, chosen)
     noise, spread = noise_of(chosen), growth(chosen.prediction.filter, unseen.windows.length)
+    predicted = noise.gyro_rms * math.sqrt(float(np.mean(spread)))
+    hold = rms(unseen.holding(unseen.windows))
     verdict, reason = (
         ('effects_added', unexplained(unseen, chosen)) if parts
         else _empty(problem, found, unseen, of_base[0], e_value)
     )
+    as_named = listed(
+        [part.effect.kind == 'named' for part in parts], without[: len(parts)], after, 0.5 * hold
+    )
+    probabilities, rivals = _posterior(found, chosen, as_named)
     return Verdict(
         verdict=verdict, reason=reason, chosen=chosen, e_value=e_value, before=before, after=after,
         one_step_before=unseen.one_step(base), one_step_after=unseen.one_step(chosen),
-        hold=rms(unseen.holding(unseen.windows)),
-        predicted=noise.gyro_rms * math.sqrt(float(np.mean(spread))),
-        noise_floor=noise.measured_rms, horizons=horizons(unseen, base, chosen), without=without,
+        hold=hold, predicted=predicted, noise_floor=noise.measured_rms, horizons=horizons(unseen, base, chosen), without=without,
         probabilities=probabilities, rivals=rivals,
     )
 
@@ -371,10 +383,34 @@ def _size_and_spread(errors: FloatArray) -> FloatArray:
         return np.array([size, size / np.exp(0.5 * np.mean(np.log(square + 1e-300)))])
 
 
+def listed(
+    named: Sequence[bool], without: Sequence[float], after: float, usual: float
+) -> list[float]:
+    """Probability of each effect, if it helps, that it is what its name says.
+
+    Effects that only describe tell of physics that the list lacks. A named effect beside them may
+    be a part of that description, and is then no larger than they are; an effect of its own is as
+    probable as any (EXPECTED), and of the usual size. All in rad/s; without: errors without each.
+    """
+    squares = [min(max(one**2 - after**2, 0.0), HUGE) for one in without]
+    unlisted = sum(square for square, own in zip(squares, named, strict=True) if not own)
+    if not unlisted > 0.0:
+        return [1.0] * len(squares)
+    ratio = unlisted / usual**2  # of the variances of two normal distributions
+    return [
+        float(expit(
+            math.log(EXPECTED) + 0.5 * math.log(ratio) + 0.5 * (1.0 - ratio) * square / unlisted
+        )) if own else 1.0 for square, own in zip(squares, named, strict=True)
+    ]
+
+
 def _posterior(
-    found: Found, chosen: Fit
+    found: Found, chosen: Fit, as_named: Sequence[float]
 ) -> tuple[tuple[float, ...], tuple[tuple[tuple[str, float], ...], ...]]:
-    """Probability of each chosen effect, and of its alternatives."""
+    """Probability of each chosen effect, and of its alternatives.
+
+    as_named: if it is the most probable one, that it is what its name says.
+    """
     p = found.probabilities()
     probabilities, rivals = [], []
     own = [part.effect.name for part in chosen.structure.parts]
@@ -390,8 +426,10 @@ def _posterior(
                     share[one] = share.get(one, 0.0) + float(weight) / len(others)
         least = LEAST_REPORTED * sum(share.values())
         share = {one: v for one, v in share.items() if one == name or v > least}
-        total = sum(share.values()) or 1.0
-        probabilities.append(share.pop(name, 0.0) / total)
+        total, full = sum(share.values()) or 1.0, share.pop(name, 0.0)
+        probabilities.append(as_named[i] * full / total)
+        if (1.0 - as_named[i]) * full > least:
+            share[UNLISTED] = (1.0 - as_named[i]) * full
         rivals.append(tuple(sorted(
             ((one, v / total) for one, v in share.items()), key=lambda item: -item[1]
         )))

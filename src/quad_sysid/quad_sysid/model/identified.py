@@ -26,6 +26,10 @@ class Parameter:
     """95 % where there is no `std` (one-sided at a bound); in reports, not stored."""
 
 
+UNLISTED = 'unlisted_physics'
+"""Among an effect's rivals: it describes a part of physics that no effect of the list is."""
+
+
 @dataclass(frozen=True)
 class EffectEstimate:
     """An effect that was added to the base, with its parameters (contract, names of effects)."""
@@ -43,7 +47,12 @@ class EffectEstimate:
     error_reduction_pct: float = 0.0
     probability: float = 1.0
     rivals: tuple[tuple[str, float], ...] = ()
-    """Names of alternatives in its place, with their probabilities."""
+    """Names of alternatives in its place, with their probabilities; one may be UNLISTED."""
+
+    @property
+    def listed_rivals(self) -> tuple[tuple[str, float], ...]:
+        """The alternatives that can be put in its place."""
+        return tuple((name, p) for name, p in self.rivals if name != UNLISTED)
 
 
 @dataclass(frozen=True)

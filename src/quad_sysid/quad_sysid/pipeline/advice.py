@@ -53,7 +53,7 @@ def advice(e: Evidence) -> tuple[str, ...]:
 def rivalry(model: AxisModel | None) -> Iterator[str]:
     """The command that designs the flight against an effect's nearest rival, if it is near."""
     for effect in () if model is None else model.effects:
-        name, near = max(effect.rivals, key=lambda pair: pair[1], default=('', 0.0))
+        name, near = max(effect.listed_rivals, key=lambda pair: pair[1], default=('', 0.0))
         if near > NEAR_RIVAL and model is not None:
             yield (f'{effect.name} (probability {effect.probability:.2g}) or {name} ({near:.2g}): '
                    'this flight hardly separates them; design one that does: quad-sysid '

@@ -192,7 +192,7 @@ def rivals_of(model: AxisModel) -> Names:
 
     Raises NotInformativeError where no effect has one.
     """
-    found = [(p, e.name, name) for e in model.effects for name, p in e.rivals if p > 0.0]
+    found = [(p, e.name, name) for e in model.effects for name, p in e.listed_rivals if p > 0.0]
     if not found:
         raise NotInformativeError(
             f'{model.axis}: no effect of this model has a rival of any probability; '
@@ -205,7 +205,7 @@ def rivals_of(model: AxisModel) -> Names:
 def nearest(models: Mapping[str, AxisModel]) -> AxisModel:
     """The axis whose effects have the most probable rival; the first where none has any."""
     return max(models.values(), key=lambda model: max(
-        (p for e in model.effects for _, p in e.rivals), default=-1.0
+        (p for e in model.effects for _, p in e.listed_rivals), default=-1.0
     ))
 
 
