@@ -256,8 +256,9 @@ class Flight:
     ) -> tuple[FloatArray, FloatArray, NDArray[np.int64]]:
         """(n, p) derivatives of the acceleration; (n, b) of half its difference over the cycle.
 
-        In the coordinates of the fit along a fixed trajectory, by central differences of `steps`
-        (p,) where a torque is not linear. The third, (b,), says for which of the p the second is.
+        In the coordinates of the fit along a fixed trajectory, by differences of `steps` (p,) where
+        a torque is not linear: central, or one-sided for what moves the drive, where an evaluation
+        costs most. The third, (b,), says for which of the p the second is.
         """
         placed, p = structure.placed(), structure.natural(theta)
         moving = [where for part, where in placed if part.effect.moves_command]
@@ -281,8 +282,11 @@ class Flight:
             p = structure.natural(theta)
             return with_torques(*self._acting(structure, p, rate, follow_drive))
 
+        here = driven(theta)
         for i, j in enumerate(bent):
-            begin, end = central(driven, theta, j, steps[j])
+            ahead = theta.copy()
+            ahead[j] += steps[j]
+            begin, end = (driven(ahead) - here) / steps[j]
             out[:, j], bends[:, i] = 0.5 * (begin + end), 0.5 * (begin - end)
         return out, bends, bent
 

@@ -333,12 +333,15 @@ def linear_states(moving, a, b, start, stop, out):
     They begin as out[:, start].
     """
     m = b.size
+    x, new = out[:, start].copy(), np.empty(m)
     for k in range(start, stop - 1):
         for i in range(m):
             total = b[i] * moving[k]
             for j in range(m):
-                total += a[i, j] * out[j, k]
+                total += a[i, j] * x[j]
+            new[i] = total
             out[i, k + 1] = total
+        x, new = new, x
 
 
 @njit(**_OPTIONS)
