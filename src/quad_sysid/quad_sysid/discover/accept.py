@@ -219,7 +219,8 @@ def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
     return Verdict(
         verdict=verdict, reason=reason, chosen=chosen, e_value=e_value, before=before, after=after,
         one_step_before=unseen.one_step(base), one_step_after=unseen.one_step(chosen),
-        hold=hold, predicted=predicted, noise_floor=noise.measured_rms, horizons=horizons(unseen, base, chosen), without=without,
+        hold=hold, predicted=predicted, noise_floor=noise.measured_rms,
+        horizons=horizons(unseen, base, chosen), without=without,
         probabilities=probabilities, rivals=rivals,
     )
 

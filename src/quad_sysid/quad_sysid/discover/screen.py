@@ -112,19 +112,15 @@ class _Beside:
         self.signals = flight.signals(self.values, halves, states, fitted.rate)
         self.plain = self.values[0] * 0.5 * (halves[0] + halves[1])
         self.slope = flight.pushed(structure, self.values, fitted.rate).slope
-        e = fitted.prediction.innovation[problem.rows]
-        self.w = np.sqrt(fitted.tail.weights(e)) / fitted.tail.scale
-        own = required(fitted.prediction.jacobian)[problem.rows] * self.w[:, None]
+        e = np.nan_to_num(fitted.prediction.innovation, posinf=0.0, neginf=0.0)
+        self.weight = np.zeros((e.size, 1))  # of samples that do not count
+        counts = fitted.tail.weights(e[problem.rows])
+        self.weight[problem.rows, 0] = np.sqrt(counts) / fitted.tail.scale
+        own = required(fitted.prediction.jacobian) * self.weight
         root = np.linalg.cholesky(fitted.precision).T
-        self.q = np.linalg.qr(np.vstack([own, root]))[0]
-        self.r = self._left((e * self.w)[:, None])[:, 0]
-
-    def _left(self, columns: FloatArray) -> FloatArray:
-        """(rows and priors, m) weighted columns, the fit's own parameters projected out."""
-        rows = columns.shape[0]
-        left = -(self.q @ (self.q[:rows].T @ columns))
-        left[:rows] += columns
-        return left
+        self.q = np.linalg.qr(np.vstack([own, root]))[0][: e.size]
+        weighted = e * self.weight[:, 0]
+        self.left = weighted - self.q @ (self.q.T @ weighted)
 
     def best(self, parts: Sequence[Part]) -> list[Score]:
         """The best start and score of each candidate."""
@@ -181,16 +177,16 @@ class _Beside:
 
     def scores(self, batch: Sequence[_Block]) -> Iterator[Score]:
         """Gain of each linear step, where physics allows its sign."""
-        problem, flight = self.problem, self.problem.flight
-        found = self.fitted.prediction.filter
+        flight, found = self.problem.flight, self.fitted.prediction.filter
         inputs = np.column_stack([column for block in batch for column in block.columns])
         out = flight.responses(inputs, self.slope, found)
         ends = np.cumsum([len(block.columns) for block in batch])
         for block, end in zip(batch, ends, strict=True):
             if block.part.effect.wanders:
                 out[:, end - 1] = self._followed(block, out[:, end - 1])
-        c = self._left(out[problem.rows] * self.w[:, None])
-        gram, gradient = c.T @ c, -(c.T @ self.r)
+        out *= self.weight
+        inside = self.q.T @ out  # what the fit's own parameters can do as well
+        gram, gradient = out.T @ out - inside.T @ inside, -(out.T @ self.left)
         for block, end in zip(batch, ends, strict=True):
             where = slice(end - len(block.columns), end)
             score = self._score(block, gram[where, where], gradient[where])

@@ -117,15 +117,18 @@ class _Search:
         self.known: dict[frozenset[str], Scored] = {frozenset(): Scored(base, base.evidence)}
         self.screens: dict[frozenset[str], list[Score]] = {}
 
-    def build_on(self, parent: Scored, refits: int, bar: float) -> list[Scored]:
+    def build_on(self, parents: Sequence[Scored], refits: int, bar: float) -> list[Scored]:
         """Fitted structures with one more effect, where the linear score may reach `bar`."""
-        labels = parent.fit.structure.labels
-        hopeful = [
-            one for one in self.scores(parent.fit)[:refits]
-            if parent.score + one.nats + self.prices[one.part.effect.label] >= bar + HOPELESS
-            and frozenset((*labels, one.part.effect.label)) not in self.known
-        ]
-        fits = side_by_side([partial(extended, self.problem, parent.fit, one) for one in hopeful])
+        ahead: dict[frozenset[str], tuple[float, Fit, Score]] = {}
+        for parent in parents:
+            for one in self.scores(parent.fit):
+                label = one.part.effect.label
+                labels = frozenset((*parent.fit.structure.labels, label))
+                score = parent.score + one.nats + self.prices[label]
+                if labels not in self.known and score >= ahead.get(labels, (bar + HOPELESS,))[0]:
+                    ahead[labels] = score, parent.fit, one
+        hopeful = sorted(ahead.values(), key=lambda one: -one[0])[:refits]
+        fits = side_by_side([partial(extended, self.problem, fit, one) for _, fit, one in hopeful])
         return [self.keep(fit) for fit in fits if fit is not None]
 
     def scores(self, parent: Fit) -> list[Score]:
@@ -162,7 +165,7 @@ class _Search:
                     continue
                 self.keep(fitted)
             parent = self.known[labels]
-            self.build_on(parent, EXCHANGES, parent.score)
+            self.build_on([parent], EXCHANGES, parent.score)
         return self.best() is not best
 
 
@@ -201,8 +204,7 @@ def _structures(problem: Problem, parts: Sequence[Part], base: Fit) -> _Search:
     beam = [found.best()]
     for _ in range(MOST_EFFECTS):
         top = max(s.score for s in beam)
-        fresh = [s for parent in beam for s in found.build_on(parent, REFITS, top)]
-        fresh.sort(key=lambda s: -s.score)
+        fresh = sorted(found.build_on(beam, REFITS, top), key=lambda s: -s.score)
         if not fresh or fresh[0].score <= top:
             break
         # the best of each explanation: two smoothnesses of a curve would lead the same way

@@ -256,9 +256,9 @@ class Flight:
     ) -> tuple[FloatArray, FloatArray, NDArray[np.int64]]:
         """(n, p) derivatives of the acceleration; (n, b) of half its difference over the cycle.
 
-        In the coordinates of the fit along a fixed trajectory, by differences of `steps` (p,) where
-        a torque is not linear: central, or one-sided for what moves the drive, where an evaluation
-        costs most. The third, (b,), says for which of the p the second is.
+        In the coordinates of the fit along a fixed trajectory, by differences of `steps` (p,)
+        where a torque is not linear: central, but one-sided for what moves the drive, which costs
+        most. The third, (b,), says for which of the p the second is.
         """
         placed, p = structure.placed(), structure.natural(theta)
         moving = [where for part, where in placed if part.effect.moves_command]
