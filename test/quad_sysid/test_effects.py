@@ -23,6 +23,7 @@ from scipy.signal import lfilter
 from quad_sysid.contract import MIXER, MIXER_INVERSE
 from quad_sysid.effects import EFFECTS
 from quad_sysid.effects.curves import CELLS, Curve
+from quad_sysid.effects.hidden import MemoryCurve
 from quad_sysid.errors import BadInputError
 from quad_sysid.estimate.fit import Problem
 from quad_sysid.model import EffectEstimate, Parameter
@@ -153,6 +154,21 @@ def remembered(
     def changes():
         late = stateful(lambda x, now: x + HALF_S / time_constant_s * (now - x))
         return {'torque': lambda t, _rate, angle: change * late(law(t, angle))}
+
+    return changes
+
+
+def beyond_a_wind(change: float, least: float, time_constant_s: float) -> Changes:
+    """A torque that follows the angle with a delay, where that exceeds the least."""
+
+    def changes():
+        late = stateful(lambda x, now: x + HALF_S / time_constant_s * (now - x))
+
+        def law(_t, _rate, angle):
+            x = late(angle)
+            return change * math.copysign(max(abs(x) - least, 0.0), x)
+
+        return {'torque': law}
 
     return changes
 
@@ -294,6 +310,11 @@ LAWS = [
         variant='slow state'),
     Law('shape:angle', remembered(lambda _t, angle: angle, -9.0, 0.6),
         {'time_constant': 0.6, 'change': -9.0}, PLAIN, variant='memory'),
+    Law('shape:angle', beyond_a_wind(-9.0, 0.06, 0.6),
+        {'time_constant': 0.6, 'y0': 2.16, 'y1': 1.08, 'y2': 0.0, 'y3': 0.0, 'y4': -1.08,
+         'y5': -2.16},
+        {**PLAIN, 'knots': (-0.3, -0.18, -0.06, 0.06, 0.18, 0.3), 'mean': (0.0,) * 6},
+        variant='memory curve'),
     Law('shape:other_angle',
         lambda: {**remembered(lambda t, _: 2.0 / 3.0 * (1.0 - math.cos(3.0 * t)), 1.5, 0.6)(),
                  'other_rates': others},
@@ -665,7 +686,7 @@ def test_the_contracts_names_stand_in_the_table_and_its_page_with_their_units():
             rows[parts[0].strip('`')] = parts[2]
         elif len(parts) == 2 and parts[0] in CELLS:
             cells[parts[0]] = tuple(parts[1].split(', '))
-    formed = [e for e in EFFECTS if not isinstance(e, Curve)]
+    formed = [e for e in EFFECTS if not isinstance(e, (Curve, MemoryCurve))]
     assert (cells, set(rows)) == (CELLS, {e.name for e in formed})
     for name, told in rows.items():
         pairs = set(re.findall(r'`(\w+)` \(((?:[^()]|\([^()]*\))+)\)', told))

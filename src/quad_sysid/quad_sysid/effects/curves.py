@@ -66,6 +66,33 @@ USUAL = {'gain': 1.0, 'lag': 1.0, 'delay': 0.01}
 half of the axis' own acceleration."""
 
 
+def over_knots(
+    x: FloatArray, y: FloatArray, settings: Settings, below: float, above: float
+) -> FloatArray:
+    """(n,) a curve over x (n,), linear between its values y at the knots, and further for a while.
+
+    below, above: how far, in ranges of the knots. Less its mean over the training, so that the
+    base's parameters keep their meaning.
+    """
+    y = y - float(np.dot(settings['mean'], y))
+    knots = np.array(settings['knots'])
+    slopes, span = np.diff(y) / np.diff(knots), knots[-1] - knots[0]
+    places = np.array([knots[0] - below * span, *knots, knots[-1] + above * span])
+    values = np.array([y[0] - slopes[0] * below * span, *y, y[-1] + slopes[-1] * above * span])
+    return np.interp(x, places, values)
+
+
+def smooth(place: Sequence[float], length: float, size: float) -> FloatArray:
+    """(k, k) prior precision of a curve's values at knots, placed from -1 to 1.
+
+    length: over which it is correlated, as a share of the range; size: their standard deviation.
+    """
+    at = np.array(place)
+    apart = (at[:, None] - at[None, :]) / (2.0 * length)
+    kernel = np.exp(-0.5 * apart**2) + 1e-3 * np.eye(at.size)
+    return np.linalg.inv(kernel) / size**2
+
+
 class Shape(Effect):
     """A term of the base that varies with a signal, in the words of AxisData.signal."""
 
@@ -81,6 +108,10 @@ class Shape(Effect):
             self.others = (int(signal[-1]) - 1,)
         self.variant = ' '.join([*words, *(['friction'] if term == 'friction' else [])])
         self.signals = (signal, *ACTS_ON[term], *more)
+
+    def further(self, length: float) -> float:
+        """How far a curve goes straight on beyond its knots, as a share of their range."""
+        return 0.0 if self.signal in HELD or self.term in KEPT else length
 
     def known(self, data: AxisData) -> FloatArray:
         """(n,) the signal of a flight that has it, as it was measured."""
@@ -132,20 +163,8 @@ class Curve(Shape):
         }
 
     def _along(self, x: FloatArray, p: FloatArray, settings: Settings) -> FloatArray:
-        """(n,) the curve over x (n,), beyond its knots straight on for its correlation length.
-
-        Less its mean over the training, so that the base's parameters keep their meaning.
-        """
-        y = p[: self.count] - float(np.dot(settings['mean'], p[: self.count]))
-        knots = np.array(settings['knots'])
-        span = knots[-1] - knots[0]
-        held = self.signal in HELD or self.term in KEPT
-        below = 0.0 if held else self.length * span
-        above = span if self.variant in DRIFT else below
-        slopes = np.diff(y) / np.diff(knots)
-        places = np.array([knots[0] - below, *knots, knots[-1] + above])
-        values = np.array([y[0] - slopes[0] * below, *y, y[-1] + slopes[-1] * above])
-        return np.interp(x, places, values)
+        above = 1.0 if self.variant in DRIFT else self.further(self.length)
+        return over_knots(x, p[: self.count], settings, self.further(self.length), above)
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray | None:
         if self.moves_command:
@@ -168,11 +187,8 @@ class Curve(Shape):
         return self.term in ('lag', 'command')
 
     def precision(self, settings: Settings, sizes: FloatArray) -> FloatArray:
-        place = np.array(settings['place'])
-        apart = (place[:, None] - place[None, :]) / (2.0 * self.length)
-        kernel = np.exp(-0.5 * apart**2) + 1e-3 * np.eye(place.size)
         out = np.diag(sizes**-2.0)
-        out[: place.size, : place.size] = np.linalg.inv(kernel) / sizes[0] ** 2
+        out[: self.count, : self.count] = smooth(settings['place'], self.length, sizes[0])
         return out
 
     def starts(self, data: AxisData, settings: Settings) -> Sequence[FloatArray]:

@@ -11,7 +11,7 @@ from scipy.linalg import expm
 from scipy.signal import lfilter
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.effects.curves import SLOW_MOVES, Shape, signal_of
+from quad_sysid.effects.curves import SLOW_MOVES, SMOOTH, Shape, over_knots, signal_of, smooth
 from quad_sysid.effects.torques import Torque
 from quad_sysid.model import recursion
 from quad_sysid.model.data import AxisData, Span
@@ -270,6 +270,43 @@ class Memory(Shape, Linear):
         return p[1] * x * per_unit(self.term, s)
 
 
+class MemoryCurve(Memory):
+    """As a smooth curve of what a signal has lately been (Wiener 1958)."""
+
+    def __init__(self, term: str, signal: str) -> None:
+        super().__init__(term, signal)
+        self.count, self.length = SMOOTH['smooth']
+        self.parameters = (
+            self.parameters[0], *(Spec(f'y{i}', UNITS[term]) for i in range(self.count)),
+        )
+        self.physics = f'{self.physics.replace("change x", "y(x)")}; y is a smooth curve'
+        self.shaped(term, signal, 'memory curve', 'history')
+
+    def prepare(self, data: AxisData) -> Settings | str:
+        settings = super().prepare(data)
+        if isinstance(settings, str):
+            return settings
+        quick = np.array(self.parameters[0].starts[:1])
+        seen = data.training(self.begun(data, quick, settings)[0])
+        low, high = np.nanpercentile(seen, [0.5, 99.5])
+        rest, knots = 0.0 if self.leans else 1.0, np.linspace(low, high, self.count)
+        return {
+            **settings, 'knots': tuple(knots.tolist()),
+            'place': tuple(np.linspace(-1.0, 1.0, self.count).tolist()),
+            'mean': tuple(float(np.interp(rest, knots, hat)) for hat in np.eye(self.count)),
+        }
+
+    def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+        further = self.further(self.length)
+        curve = over_knots(required(s.hidden)[0], p[1:], settings, further, further)
+        return curve * per_unit(self.term, s)
+
+    def precision(self, settings: Settings, sizes: FloatArray) -> FloatArray:
+        out = np.diag(sizes**-2.0)
+        out[1:, 1:] = smooth(settings['place'], self.length, sizes[1])
+        return out
+
+
 REMEMBERED = {
     'torque': ('angle', 'throttle', 'time', 'other angle 1', 'other angle 2'),
     'gain': ('command', 'throttle', 'time'),
@@ -346,4 +383,6 @@ HIDDEN: tuple[Effect, ...] = (
         excite='a PRBS long enough for the slowest response',
     ),
     *(Memory(term, signal) for term, signals in REMEMBERED.items() for signal in signals),
+    *(MemoryCurve(term, signal) for term, signals in REMEMBERED.items() for signal in signals
+      if signal != 'time'),
 )
