@@ -295,7 +295,7 @@ class MotorSwitch(Effect):
     kind = 'mode'
     variant = 'switch, motors'
     term = 'command'
-    signals = ('command', 'motors')
+    signals = ('command', 'motors', 'history')
     parameters = (
         Spec('centre', '1', spread=0.2, centre=0.5, starts=(0.5,)),
         Spec('width', '1', spread=1.0, centre=math.log(0.03), log=True, starts=(0.01, 0.05)),
