@@ -287,17 +287,22 @@ def test_what_the_validation_does_not_confirm_is_dropped_and_the_rest_is_kept():
     assert verdict.probabilities[0] > 0.9
 
 
-def test_a_name_beside_larger_effects_without_one_may_be_a_part_of_what_is_not_listed():
-    def beside(own, unnamed):
-        without = [math.hypot(1.0, own), math.hypot(1.0, unnamed)]
-        return listed([True, False], without, 1.0, 10.0)
+def test_a_name_may_only_mend_the_description_of_what_is_not_listed():
+    def beside(own, unnamed, left):
+        after = math.hypot(1.0, left)
+        without = [math.hypot(after, own), math.hypot(after, unnamed)]
+        return listed([True, False], without, after, 1.0, 10.0)
 
-    assert beside(5.0, 0.0) == [1.0, 1.0]
-    assert beside(1.0, 2.0)[0] < 0.05
-    assert beside(5.0, 1.0)[0] > 0.95
-    assert beside(1.0, 2.0)[1] == 1.0
+    # all effects have names, or nothing is left
+    assert beside(1.0, 0.0, left=2.0) == beside(1.0, 2.0, left=0.0) == [1.0, 1.0]
+    small, unnamed = beside(1.0, 4.0, left=2.0)
+    assert small < 0.05
+    assert unnamed == 1.0
+    # too large for a part of what is left, or of what is described
+    assert beside(8.0, 9.0, left=2.0)[0] > 0.95
+    assert beside(8.0, 2.0, left=9.0)[0] > 0.95
     # the rest runs away without it
-    assert listed([True, False], [math.inf, 2.0], 1.0, 10.0)[0] == 1.0
+    assert listed([True, False], [math.inf, 2.0], 1.5, 1.0, 10.0)[0] == 1.0
 
 
 def test_variants_of_one_name_are_one_explanation():

@@ -213,7 +213,8 @@ def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
         else _empty(problem, found, unseen, of_base[0], e_value)
     )
     as_named = listed(
-        [part.effect.kind == 'named' for part in parts], without[: len(parts)], after, 0.5 * hold
+        [part.effect.kind == 'named' for part in parts], without[: len(parts)], after,
+        predicted if reason else after, 0.5 * hold,
     )
     probabilities, rivals = _posterior(found, chosen, as_named)
     return Verdict(
@@ -385,22 +386,24 @@ def _size_and_spread(errors: FloatArray) -> FloatArray:
 
 
 def listed(
-    named: Sequence[bool], without: Sequence[float], after: float, usual: float
+    named: Sequence[bool], without: Sequence[float], after: float, expected: float, usual: float
 ) -> list[float]:
     """Probability of each effect, if it helps, that it is what its name says.
 
-    Effects that only describe tell of physics that the list lacks. A named effect beside them may
-    be a part of that description, and is then no larger than they are; an effect of its own is as
-    probable as any (EXPECTED), and of the usual size. All in rad/s; without: errors without each.
+    Where effects that only describe leave an error above the expected one, there is physics that
+    the list lacks. A named effect may then merely mend its description, and is about as large as
+    what they describe or leave, whichever is less. One of its own is as probable as any (EXPECTED)
+    and of the usual size. All in rad/s; without: errors without each.
     """
     squares = [min(max(one**2 - after**2, 0.0), HUGE) for one in without]
-    unlisted = sum(square for square, own in zip(squares, named, strict=True) if not own)
-    if not unlisted > 0.0:
+    described = sum(square for square, own in zip(squares, named, strict=True) if not own)
+    mended = min(described, max(after**2 - expected**2, 0.0))
+    if not mended > 0.0:
         return [1.0] * len(squares)
-    ratio = unlisted / usual**2  # of the variances of two normal distributions
+    ratio = mended / usual**2  # of the variances of two normal distributions
     return [
         float(expit(
-            math.log(EXPECTED) + 0.5 * math.log(ratio) + 0.5 * (1.0 - ratio) * square / unlisted
+            math.log(EXPECTED) + 0.5 * math.log(ratio) + 0.5 * (1.0 - ratio) * square / mended
         )) if own else 1.0 for square, own in zip(squares, named, strict=True)
     ]
 
