@@ -533,6 +533,16 @@ def test_a_gain_that_wanders_is_followed_in_another_flight_on_its_own_path():
     assert plain.after < 1.1 * plain.before
 
 
+def test_what_begins_beyond_an_airspeed_is_found_as_a_curve_of_what_the_angle_has_lately_been():
+    law = beyond_a_wind(-20.0, 0.06, 0.4)
+    answer = answer_to(law, 1)
+    (effect,) = answer.model.effects
+    assert (effect.name, effect.variant) == ('shape:angle', 'memory curve')
+    assert effect.parameters[0].value == pytest.approx(0.4, rel=0.3)
+    unseen = evaluate(answer.model, fly(Axis(**{**QUIET, **law()}), 501, UNSEEN))
+    assert unseen.before > 3.0 * unseen.after
+
+
 def echo(share: float, delay_s: float) -> Changes:
     """A share of the command acts once more, later and against it, as blown air comes round."""
 
