@@ -80,27 +80,6 @@ def of_motors(law: Callable[[np.ndarray], np.ndarray], scale: float = 1.0) -> Ch
     return lambda: {'command': given, 'throttle': throttle, 'other_commands': other_commands}
 
 
-def two_branches(change: float, centre: float, width: float) -> Changes:
-    """Motors whose thrust changes above one speed, and back below a lower one."""
-
-    def changes():
-        tau = Axis().lag_s
-        keep = math.exp(-DT / tau)
-        state = [np.full(4, 0.5), np.zeros(4)]  # lagged commands, and who is above
-
-        def law(motors):
-            speed, above = state
-            mean = motors + (speed - motors) * (tau / DT * (1.0 - keep))
-            above = np.where(mean > centre + 0.5 * width, 1.0,
-                             np.where(mean < centre - 0.5 * width, 0.0, above))
-            state[:] = motors + (speed - motors) * keep, above
-            return motors * (1.0 + change * (above - 0.5))
-
-        return of_motors(law)()
-
-    return changes
-
-
 def stateful(law: Callable[[float, float], float], begin: float = 0.0) -> Callable[[float], float]:
     """A law of its own last value and what comes in."""
     state = [begin]
@@ -362,8 +341,6 @@ LAWS = [
     Law('shape:gain:command', of_motors(lambda m: m + 0.5 * (m - 0.5) ** 2),
         {f'slope_{i}': x - 0.5 for i, x in enumerate(KNOTS)},
         {'knots': KNOTS, 'mean': (0.0,) * 6, 'throttle': 0.5}, 'smooth, motors', left=0.003),
-    Law('mode', two_branches(0.2, 0.52, 0.03), {'centre': 0.52, 'width': 0.03, 'change': 0.2},
-        variant='switch, motors', left=0.02),  # switched at once here, within a cycle there
     Law('shape:gain:command', of_motors(lambda m: m - np.array([0.0, 0.3, 0.0, 0.0]) * (m - 0.5)),
         {f'slope_{i}': -0.3 for i in range(6)},
         {'knots': KNOTS, 'mean': (0.0,) * 6, 'throttle': 0.5}, 'smooth, motor 2', left=0.003),

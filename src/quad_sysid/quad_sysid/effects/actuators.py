@@ -10,13 +10,7 @@ import numpy as np
 
 from quad_sysid.contract import MIXER_INVERSE, FloatArray
 from quad_sysid.effects.curves import Curve
-from quad_sysid.effects.hidden import (
-    RING,
-    along,
-    followed,
-    ring,
-    step_of,
-)
+from quad_sysid.effects.hidden import RING, along, followed, ring, step_of
 from quad_sysid.effects.torques import Row
 from quad_sysid.model import recursion
 from quad_sysid.model.data import AxisData
@@ -34,8 +28,6 @@ MOVES = 0.02
 """Share of its mean by which a signal must move for its effect to show."""
 LIGHT = 0.3
 """Damping ratio up to which a mode counts as lightly damped."""
-LEVELS = (10.0, 25.0, 40.0, 60.0, 75.0, 90.0)
-"""Percentiles of the motors' commands from which a switch's search starts."""
 NO_MOTORS = 'the bag holds no motor commands'
 
 
@@ -288,46 +280,6 @@ class MotorCurve(Curve):
         return {'throttle': float(settings['throttle'])}
 
 
-class MotorSwitch(Effect):
-    """Each motor's thrust changes above one speed, and back below a lower one."""
-
-    name = 'mode'
-    kind = 'mode'
-    variant = 'switch, motors'
-    term = 'command'
-    signals = ('command', 'motors', 'history')
-    parameters = (
-        Spec('centre', '1', spread=0.2, centre=0.5, starts=(0.5,)),
-        Spec('width', '1', spread=1.0, centre=math.log(0.03), log=True, starts=(0.01, 0.05)),
-        Spec('change', '1', spread=0.3),
-    )
-    physics = (
-        'a motor command times 1 + change (x - 1/2); x = 1 where it exceeds centre + width / 2 '
-        'behind its lag, 0 below centre - width / 2, else as it was: a controller that changes '
-        'its mode (a relay: Tsypkin 1984)'
-    )
-    excite = 'throttle changes during the excitation, large commands'
-
-    def prepare(self, data: AxisData) -> Settings | str:
-        return {} if moves(data) else NO_MOTORS
-
-    def starts(self, data: AxisData, settings: Settings) -> Sequence[FloatArray]:
-        levels = np.percentile(data.training(data.motors), LEVELS)
-        widths = self.parameters[1].starts
-        return [np.array([level, width, 0.0]) for level in levels for width in widths]
-
-    def actuate(self, data: AxisData, drive: Drive, p: FloatArray, settings: Settings) -> Drive:
-        row, tau = MIXER_INVERSE[data.index + 1], float(drive.lag[0, 0])
-        low, high = float(p[0] - 0.5 * p[1]), float(p[0] + 0.5 * p[1])
-        more = np.zeros(data.rate.size)
-        for i, motor in enumerate(data.motors.T):
-            on = along(data, lagged(data, motor, tau), recursion.switched, low, high)
-            more += row[i] * motor * (on - 0.5)
-        return replace(
-            drive, commands=np.vstack([drive.commands[:1] + p[2] * more, drive.commands[1:]])
-        )
-
-
 class Saturation(Map):
     """Each motor command is limited on one side."""
 
@@ -439,8 +391,7 @@ SLOW = Spec('slow_time_constant', 's', spread=0.7, centre=math.log(0.12), log=Tr
             starts=(0.09, 0.15, 0.3))
 ACTUATORS: tuple[Effect, ...] = (
     *MAPS, BatterySag(), ThrustCurve(), MotorCurve('smooth'), MotorCurve('rough'),
-    *(MotorCurve('smooth', i) for i in range(4)), MotorSwitch(), Saturation('upper'),
-    Saturation('lower'),
+    *(MotorCurve('smooth', i) for i in range(4)), Saturation('upper'), Saturation('lower'),
     Motors(
         'motor_lag', ('command',), (SLOW, Spec('share', '1', spread=0.3)), _slow_share,
         physics='a share of the motors answers with a longer lag than the others',

@@ -345,25 +345,6 @@ def linear_states(moving, a, b, start, stop, out):
 
 
 @njit(**_OPTIONS)
-def switched(signal, low, high, start, stop, out):
-    """State (0 or 1) of a switch: on above `high`, off below `low`, else as it was.
-
-    Where it changes, the share of the cycle after the crossing, so that a threshold has a slope.
-    """
-    on = signal[start] > 0.5 * (low + high)
-    out[start] = 1.0 if on else 0.0
-    for k in range(start + 1, stop):
-        before, now = signal[k - 1], signal[k]
-        out[k] = 1.0 if on else 0.0
-        if on and now < low:
-            on = False
-            out[k] = min((low - before) / (now - before), 1.0) if before > low else 0.0
-        elif not on and now > high:
-            on = True
-            out[k] = min((now - high) / (now - before), 1.0) if before < high else 1.0
-
-
-@njit(**_OPTIONS)
 def built_up(rate, share, start, stop, out):
     """State (-1..1) of a friction that builds up over an angle, at the start of each cycle."""
     x = 0.0

@@ -60,8 +60,8 @@ def named(effect: Tree) -> str:
     """An effect in everyday words, with the signal of a shape spelled out."""
     name, variant = str(effect['name']), str(effect.get('variant', ''))
     kind, *rest = name.replace('_', ' ').split(':')
-    if variant.startswith(('loose', 'switch')):
-        return 'a load with play' if variant.startswith('loose') else 'a switch in the motors'
+    if variant.startswith('loose'):
+        return 'a load with play'
     if variant.startswith('response'):
         return f'a late {variant}'
     if kind != 'shape':
