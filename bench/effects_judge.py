@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 from effects_undeclared import UNDECLARED
 
+from quad_sysid.model.identified import UNLISTED
+
 WORTH = 1.5
 """Targets hold where the true structure lowers the error by this factor or more."""
 SPOILED = 1.05
@@ -100,9 +102,12 @@ def _coverage(rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def claims(rows: Sequence[Row]) -> np.ndarray:
-    """(m, 2) probability that was given to a name, and whether it is true of the flight."""
+    """(m, 2) probability that was given to a name, and whether it is true of the flight.
+
+    That physics is not on the list is true of every invention.
+    """
     out = [
-        (p, float(name in true_names(r)))
+        (p, float(name in true_names(r) or (name == UNLISTED and r['kind'] == 'undeclared')))
         for r in rows for rivals in r['rivals'] for name, p in rivals
         if not name.startswith(UNNAMED) and name != 'nothing'
     ]
