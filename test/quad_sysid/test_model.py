@@ -288,21 +288,22 @@ def test_what_the_validation_does_not_confirm_is_dropped_and_the_rest_is_kept():
 
 
 def test_a_name_may_only_mend_the_description_of_what_is_not_listed():
-    def beside(own, unnamed, left):
-        after = math.hypot(1.0, left)
-        without = [math.hypot(after, own), math.hypot(after, unnamed)]
-        return listed([True, False], without, after, 1.0, 10.0)
+    effects = {effect.label: Part(effect) for effect in EFFECTS}
 
-    # all effects have names, or nothing is left
-    assert beside(1.0, 0.0, left=2.0) == beside(1.0, 2.0, left=0.0) == [1.0, 1.0]
-    small, unnamed = beside(1.0, 4.0, left=2.0)
-    assert small < 0.05
-    assert unnamed == 1.0
-    # too large for a part of what is left, or of what is described
-    assert beside(8.0, 9.0, left=2.0)[0] > 0.95
-    assert beside(8.0, 2.0, left=9.0)[0] > 0.95
-    # the rest runs away without it
-    assert listed([True, False], [math.inf, 2.0], 1.5, 1.0, 10.0)[0] == 1.0
+    def beside(own, other, label):
+        parts = [effects['coulomb_friction'], effects[label]]
+        return listed(parts, [math.hypot(1.0, own), math.hypot(1.0, other)], 1.0, 10.0)
+
+    # what has a law of its own is on the list
+    assert beside(1.0, 2.0, 'mode/slow state') == [1.0, 1.0]
+    for free in ('shape:angle/smooth', 'shape:angle/memory curve', 'mode/response to drive',
+                 'shape:gain:time/wandering', 'shape:gain:command/smooth, motors'):
+        small, unnamed = beside(1.0, 2.0, free)
+        assert small < 0.05
+        assert unnamed == 1.0
+        assert beside(5.0, 1.0, free)[0] > 0.95
+        # the rest runs away without it
+        assert beside(math.inf, 2.0, free)[0] == 1.0
 
 
 def test_variants_of_one_name_are_one_explanation():

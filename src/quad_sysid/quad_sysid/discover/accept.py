@@ -31,6 +31,7 @@ from quad_sysid.discover.search import Found
 from quad_sysid.estimate.fit import Fit, Problem
 from quad_sysid.estimate.stored import Stored, noise_of
 from quad_sysid.model.data import AxisData, Windows
+from quad_sysid.model.effect import Part
 from quad_sysid.model.identified import UNLISTED
 from quad_sysid.model.noise import growth
 from quad_sysid.model.plant import Prediction
@@ -212,10 +213,7 @@ def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
         ('effects_added', unexplained(unseen, chosen)) if parts
         else _empty(problem, found, unseen, of_base[0], e_value)
     )
-    as_named = listed(
-        [part.effect.kind == 'named' for part in parts], without[: len(parts)], after,
-        predicted if reason else after, 0.5 * hold,
-    )
+    as_named = listed(parts, without[: len(parts)], after, 0.5 * hold)
     probabilities, rivals = _posterior(found, chosen, as_named)
     return Verdict(
         verdict=verdict, reason=reason, chosen=chosen, e_value=e_value, before=before, after=after,
@@ -386,25 +384,26 @@ def _size_and_spread(errors: FloatArray) -> FloatArray:
 
 
 def listed(
-    named: Sequence[bool], without: Sequence[float], after: float, expected: float, usual: float
+    parts: Sequence[Part], without: Sequence[float], after: float, usual: float
 ) -> list[float]:
     """Probability of each effect, if it helps, that it is what its name says.
 
-    Where effects that only describe leave an error above the expected one, there is physics that
-    the list lacks. A named effect may then merely mend its description, and is about as large as
-    what they describe or leave, whichever is less. One of its own is as probable as any (EXPECTED)
-    and of the usual size. All in rad/s; without: errors without each.
+    Effects of a free form describe physics that the list lacks. A named effect beside them may
+    merely mend that description, and is then no larger than they are; one of its own is as
+    probable as any (EXPECTED), and of the usual size. All in rad/s; without: errors without each.
     """
     squares = [min(max(one**2 - after**2, 0.0), HUGE) for one in without]
-    described = sum(square for square, own in zip(squares, named, strict=True) if not own)
-    mended = min(described, max(after**2 - expected**2, 0.0))
-    if not mended > 0.0:
+    described = sum(
+        square for square, part in zip(squares, parts, strict=True) if part.effect.free
+    )
+    if not described > 0.0:
         return [1.0] * len(squares)
-    ratio = mended / usual**2  # of the variances of two normal distributions
+    ratio = described / usual**2  # of the variances of two normal distributions
     return [
         float(expit(
-            math.log(EXPECTED) + 0.5 * math.log(ratio) + 0.5 * (1.0 - ratio) * square / mended
-        )) if own else 1.0 for square, own in zip(squares, named, strict=True)
+            math.log(EXPECTED) + 0.5 * math.log(ratio) + 0.5 * (1.0 - ratio) * square / described
+        )) if part.effect.kind == 'named' else 1.0
+        for square, part in zip(squares, parts, strict=True)
     ]
 
 

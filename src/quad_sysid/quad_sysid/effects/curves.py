@@ -124,6 +124,8 @@ class Shape(Effect):
 class Curve(Shape):
     """One term of the base as a curve of one signal."""
 
+    free = True
+
     def __init__(self, term: str, signal: str, smoothness: str) -> None:
         self.shaped(term, signal, smoothness)
         self.count, self.length = {**SMOOTH, **DRIFT}[smoothness]
@@ -216,7 +218,7 @@ class Wandering(Shape):
     to the next. A wandering torque is no effect: it is the disturbance that every model has.
     """
 
-    wanders = True
+    free = wanders = True
     parameters = (
         Spec('spread', '1', spread=1.0, centre=math.log(0.3), log=True, starts=(0.1, 0.3, 1.0)),
         Spec('correlation', 's', spread=1.0, centre=math.log(10.0), log=True, starts=(2.0, 10.0)),

@@ -202,6 +202,8 @@ class Loose(Effect):
 class Response(Linear):
     """A torque of hidden states that the drive moves."""
 
+    free = True
+
     def driver(self, s: Signals, settings: Settings) -> FloatArray:
         return s.drive
 
@@ -272,6 +274,8 @@ class Memory(Shape, Linear):
 
 class MemoryCurve(Memory):
     """As a smooth curve of what a signal has lately been (Wiener 1958)."""
+
+    free = True
 
     def __init__(self, term: str, signal: str) -> None:
         super().__init__(term, signal)

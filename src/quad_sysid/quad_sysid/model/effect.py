@@ -158,6 +158,8 @@ class Effect:
     parameters: tuple[Spec, ...] = ()
     states: int = 0
     """Number of hidden states, which `trace` and `advance` drive by the signals."""
+    free: bool = False
+    """Whether its form is free, a curve or any response, so that it describes and explains not."""
     wanders: bool = False
     """Whether it is a coefficient that the filter follows: noise whose RMS and correlation time
     (s) are the two parameters; `torque` is linear in the coefficient, s.hidden[0], and zero
