@@ -14,7 +14,7 @@ import pytest
 from flown_axis import SHORT, Axis, fly
 from scipy.signal import butter, lfilter, savgol_filter
 
-from quad_sysid.discover.accept import Unseen, bet, closed, judge, listed
+from quad_sysid.discover.accept import Unseen, _posterior, bet, closed, judge, listed
 from quad_sysid.discover.base import best_base, fitted_from
 from quad_sysid.discover.screen import candidates, screen
 from quad_sysid.discover.search import Found, Scored, extended, search
@@ -306,10 +306,23 @@ def test_a_name_may_only_mend_the_description_of_what_is_not_listed():
         assert beside(math.inf, 2.0, free)[0] == 1.0
 
 
-def test_variants_of_one_name_are_one_explanation():
-    def scored(score, *effects):
-        return Scored(SimpleNamespace(structure=Structure(tuple(map(Part, effects)))), score)
+def scored(score, *effects):
+    """A structure with these effects, as if it had been fitted."""
+    return Scored(SimpleNamespace(structure=Structure(tuple(map(Part, effects)))), score)
 
+
+@pytest.mark.parametrize('as_named', [0.0, 0.4, 0.9, 0.996, 0.9999, 1.0])
+def test_the_probabilities_of_an_effect_and_its_rivals_sum_to_one(as_named):
+    friction, drag = (next(e for e in EFFECTS if e.name == name)
+                      for name in ('coulomb_friction', 'quadratic_drag'))
+    best = scored(0.0, friction)
+    found = Found(None, (best, scored(-1.0, drag), scored(-2.0)), {}, 0)
+    (own,), (rivals,) = _posterior(found, best.fit, [as_named])
+    assert own + sum(p for _, p in rivals) == pytest.approx(1.0, abs=1e-9)
+    assert own == pytest.approx(as_named * found.probabilities()[0], abs=0.005)
+
+
+def test_variants_of_one_name_are_one_explanation():
     springs = [e for e in EFFECTS if e.name == 'pendulum_stiffness']
     cubic = next(e for e in EFFECTS if e.name == 'cubic_stiffness')
     first, *others = springs

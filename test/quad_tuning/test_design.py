@@ -18,6 +18,7 @@ from quad_sysid.loop.from_model import loop_plant
 from quad_sysid.loop.plant import Curve
 from quad_sysid.loop.simulation import simulate_cascade
 from quad_sysid.model import Parameter
+from quad_sysid.model.identified import UNLISTED
 from quad_tuning import ensemble as ensembles
 from quad_tuning import pid
 from quad_tuning.assess import GUST_RAD_S, Requirements, meets, promise
@@ -161,6 +162,15 @@ def test_the_margins_hold_for_the_rival_too(model):
     assert loops_of(m).cycle.phi.shape[-1] == 7
     assert figures['worst_phase_margin_deg'] >= 45.0
     assert figures['unstable_draws'] == 0
+
+
+def test_an_effect_of_unlisted_physics_acts_in_every_plant_that_a_design_must_hold_for(model):
+    mode = estimate_of('resonance', (6.0, 0.05, 0.0, 0.03), std=0.01, probability=0.2,
+                       rivals=((UNLISTED, 0.5), ('motor_lag', 0.3)))
+    (with_it, own), (other, rival) = ensembles.variants(model(effects=[mode]))
+    assert (with_it, other) == pytest.approx((0.7, 0.3))
+    assert [e.name for e in own.effects] == ['resonance']
+    assert 'resonance' not in [e.name for e in rival.effects]
 
 
 # ---- the way there, and what is promised to the watch

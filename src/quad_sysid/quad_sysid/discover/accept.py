@@ -19,14 +19,7 @@ from scipy.special import expit
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.discover.base import fit_without, fitted_from
-from quad_sysid.discover.constants import (
-    BLOCK_S,
-    DISAGREES,
-    EXPECTED,
-    FLIPS,
-    LEVEL,
-    STAKES,
-)
+from quad_sysid.discover.constants import BLOCK_S, DISAGREES, EXPECTED, FLIPS, LEVEL, STAKES
 from quad_sysid.discover.search import Found
 from quad_sysid.estimate.fit import Fit, Problem
 from quad_sysid.estimate.stored import Stored, noise_of
@@ -207,7 +200,6 @@ def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
         rest = _each_left_out(problem, chosen, known)
         without = tuple(math.inf if one is None else rms(unseen.errors(one)) for one in rest)
     noise, spread = noise_of(chosen), growth(chosen.prediction.filter, unseen.windows.length)
-    predicted = noise.gyro_rms * math.sqrt(float(np.mean(spread)))
     hold = rms(unseen.holding(unseen.windows))
     verdict, reason = (
         ('effects_added', unexplained(unseen, chosen)) if parts
@@ -218,8 +210,8 @@ def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
     return Verdict(
         verdict=verdict, reason=reason, chosen=chosen, e_value=e_value, before=before, after=after,
         one_step_before=unseen.one_step(base), one_step_after=unseen.one_step(chosen),
-        hold=hold, predicted=predicted, noise_floor=noise.measured_rms,
-        horizons=horizons(unseen, base, chosen), without=without,
+        hold=hold, predicted=noise.gyro_rms * math.sqrt(float(np.mean(spread))),
+        noise_floor=noise.measured_rms, horizons=horizons(unseen, base, chosen), without=without,
         probabilities=probabilities, rivals=rivals,
     )
 
@@ -430,9 +422,10 @@ def _posterior(
         least = LEAST_REPORTED * sum(share.values())
         share = {one: v for one, v in share.items() if one == name or v > least}
         total, full = sum(share.values()) or 1.0, share.pop(name, 0.0)
-        probabilities.append(as_named[i] * full / total)
-        if (1.0 - as_named[i]) * full > least:
-            share[UNLISTED] = (1.0 - as_named[i]) * full
+        doubt = (1.0 - as_named[i]) * full
+        if doubt > least:
+            share[UNLISTED] = doubt
+        probabilities.append((full - share.get(UNLISTED, 0.0)) / total)
         rivals.append(tuple(sorted(
             ((one, v / total) for one, v in share.items()), key=lambda item: -item[1]
         )))

@@ -112,7 +112,7 @@ class _Beside:
         self.signals = flight.signals(self.values, halves, states, fitted.rate)
         self.plain = self.values[0] * 0.5 * (halves[0] + halves[1])
         self.slope = flight.pushed(structure, self.values, fitted.rate).slope
-        e = np.nan_to_num(fitted.prediction.innovation, posinf=0.0, neginf=0.0)
+        e = self.innovation = np.nan_to_num(fitted.prediction.innovation)
         self.weight = np.zeros((e.size, 1))  # of samples that do not count
         counts = fitted.tail.weights(e[problem.rows])
         self.weight[problem.rows, 0] = np.sqrt(counts) / fitted.tail.scale
@@ -195,7 +195,7 @@ class _Beside:
 
     def _followed(self, block: _Block, psi: FloatArray) -> FloatArray:
         """(n,) change of the innovations if a coefficient follows them."""
-        flight, e = self.problem.flight, np.nan_to_num(self.fitted.prediction.innovation)
+        flight, e = self.problem.flight, self.innovation
         pursuit, out = flight.pursuit(psi, block.p), e.copy()
         for start, stop in flight.passes:
             recursion.pursued(e, psi, pursuit, start, stop, out)

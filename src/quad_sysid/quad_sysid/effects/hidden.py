@@ -199,6 +199,7 @@ class Loose(Effect):
         turned = 1.0 / float(p[2]) if self.leans else float(p[2])  # rad or s² per unit of z
         return p[3] * z - p[4] * turned * pushed
 
+
 class Response(Linear):
     """A torque of hidden states that the drive moves."""
 

@@ -159,7 +159,7 @@ class Effect:
     states: int = 0
     """Number of hidden states, which `trace` and `advance` drive by the signals."""
     free: bool = False
-    """Whether its form is free, a curve or any response, so that it describes and explains not."""
+    """Whether its form is free, as that of a curve: it describes what no law of the list says."""
     wanders: bool = False
     """Whether it is a coefficient that the filter follows: noise whose RMS and correlation time
     (s) are the two parameters; `torque` is linear in the coefficient, s.hidden[0], and zero
