@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
+from quad_sysid.beside import side_by_side
 from quad_sysid.contract import FloatArray
 from quad_sysid.discover.constants import EXPECTED
 from quad_sysid.discover.screen import vibration_line
@@ -29,14 +31,15 @@ def best_base(problem: Problem) -> Fit:
 
     A few steps from each start; then the best are fitted to convergence.
     """
-    begun = []
+    tried = partial(fitted_from, problem, Structure())
+    begun, rate = [], problem.flight.rate
     for way, lag, delay in ((1, 0.04, 0.01), (1, 0.005, 0.03), (1, 0.15, 0.005), (-1, 0.04, 0.01)):
         start = start_of(problem)
         start[0] *= way
         start[1], start[2] = math.log(lag), math.log(delay)
-        begun.append(fitted_from(problem, Structure(), start, most_steps=BEGUN_STEPS))
-    leading = sorted((f for f in begun if f), key=lambda f: -f.log_posterior)[:LEADING]
-    ended = [fitted_from(problem, Structure(), f.theta, rate=f.rate) for f in leading]
+        begun.append(partial(tried, start, most_steps=BEGUN_STEPS, rate=rate))
+    leading = sorted((f for f in side_by_side(begun) if f), key=lambda f: -f.log_posterior)
+    ended = side_by_side([partial(tried, f.theta, rate=f.rate) for f in leading[:LEADING]])
     fits = [f for f in ended if f is not None]
     if not fits:
         raise FloatingPointError('no start of the base holds')

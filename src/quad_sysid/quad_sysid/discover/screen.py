@@ -24,7 +24,7 @@ from quad_sysid.model.plant import per_coefficient
 from quad_sysid.model.structure import coordinates, natural
 
 STEP = 1e-4
-BATCH = 64
+BATCH = 32
 """Columns that are filtered at once."""
 SHARES = 4
 """Into how many shares the candidates are divided, for as many cores at most."""
