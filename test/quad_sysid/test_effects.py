@@ -544,6 +544,29 @@ def test_an_echo_that_no_law_describes_is_found_as_a_response():
     assert unseen.before > 2.0 * unseen.after
 
 
+@pytest.mark.parametrize(
+    ('variant', 'angles'),
+    [('', lambda angles, rng: angles + 0.02 * rng.standard_normal(angles.shape)),
+     ('from the rate', lambda _angles, _rng: None)],
+    ids=['noisy', 'not measured'],
+)
+def test_a_swinging_rig_is_foreseen_in_another_flight_with_a_poor_angle_or_none(variant, angles):
+    """With commands that hold for a second, and a noisy gyro: errors must not add up in the angle."""
+    held = np.repeat(np.random.default_rng(4).uniform(-0.25, 0.25, 80), round(0.8 / DT))
+    law = {'torque': lambda _t, _rate, angle: -20.0 * math.sin(angle), 'gyro_noise': 0.03}
+
+    def flown(seed: int, plan: Plan) -> Record:
+        flight = fly(Axis(**law), seed, replace(plan, reference=held[:: 1 if seed == 1 else -1]))
+        return replace(flight, angles=angles(flight.angles, np.random.default_rng(seed)))
+
+    answer = answer_of(flown(1, Plan()))
+    assert [(e.name, e.variant) for e in answer.model.effects] == [('pendulum_stiffness', variant)]
+    found = {p.name: p.value for p in answer.model.effects[0].parameters}
+    assert found['stiffness'] == pytest.approx(20.0, rel=0.05)
+    unseen = evaluate(answer.model, flown(2, UNSEEN))
+    assert unseen.before > 3.0 * unseen.after
+
+
 # nothing where nothing acts
 
 

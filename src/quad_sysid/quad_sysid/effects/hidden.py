@@ -343,7 +343,7 @@ HIDDEN: tuple[Effect, ...] = (
             Spec('stiffness', 'rad/s² per rad'),
         ),
         lambda s, p: -p[1] * required(s.hidden)[0], system=_relaxing, states=1, per_rate=0.5,
-        variant='slow state', excite='a PRBS and slow steps of the angle',
+        variant='slow state', integrates=True, excite='a PRBS and slow steps of the angle',
         physics="-k x, x' = rate - x / tau: a spring on a damper, a load that relaxes",
     ),
     # in free flight an accelerometer does not see the tilt, so the measured orientation is wrong;
@@ -355,7 +355,7 @@ HIDDEN: tuple[Effect, ...] = (
             Spec('stiffness', 'rad/s² per rad'),
         ),
         lambda s, p: -p[1] * np.sin(required(s.hidden)[0]), system=_relaxing, states=1,
-        per_rate=0.5, kind='named', variant='from the rate',
+        per_rate=0.5, kind='named', variant='from the rate', integrates=True,
         excite='large slow angles: a square wave of long period, a slow chirp',
         physics="-k sin(x), x' = rate - x / memory: centre of mass off the axis",
     ),

@@ -158,6 +158,8 @@ class Effect:
     parameters: tuple[Spec, ...] = ()
     states: int = 0
     """Number of hidden states, which `trace` and `advance` drive by the signals."""
+    integrates: bool = False
+    """Whether its hidden states sum up the rate."""
     free: bool = False
     """Whether its form is free, as that of a curve: it describes what no law of the list says."""
     wanders: bool = False

@@ -18,9 +18,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.model import recursion
+from quad_sysid.model.angle import led_by_gyro
 from quad_sysid.model.data import AxisData, Span, Windows, at_limit
 from quad_sysid.model.effect import Drive, Effect, Part, Signals, required
 from quad_sysid.model.noise import Filter, kalman, sensor_of
@@ -32,6 +34,8 @@ SLOPE_STEP = 1e-4
 """Step of the rate for the slope of a torque, rad/s."""
 SLOPE_S = 0.02
 """An acceleration is the slope of the rate over this time to either side."""
+FOLLOWED_S = 0.05
+"""Time after which an integral of the rate follows the measurement."""
 FILTER_STEP, PURSUIT_STEP = 1e-4, 1e-3
 """Steps of the noise's and of a wandering coefficient's parameters for derivatives of gains."""
 SHORTEST_S = 1e-5
@@ -114,6 +118,8 @@ class Flight:
 
     rate: FloatArray
     """(n,) rate at the middle of each cycle by the last estimate of the filter, rad/s."""
+    gyro: FloatArray
+    """(n,) the rate as it was measured, or derived from the angle, without gaps, rad/s."""
     measured: FloatArray
     """(n,) the measurement that is predicted, rad/s: the rate, or angle / dt where only the angle
     was measured; NaN where it was lost or at its limit."""
@@ -130,7 +136,12 @@ class Flight:
         output = required(data.angle) / data.dt if self.sensor.derived else data.rate
         lost = ~np.isfinite(data.rate) | at_limit(data.rate)
         self.measured = np.where(lost, np.nan, output)
-        self.angle = None if data.angle is None else np.nan_to_num(data.angle)
+        seen = np.isfinite(data.rate)
+        self.gyro = np.interp(np.arange(seen.size), np.flatnonzero(seen), data.rate[seen])
+        self.angle = None
+        if data.angle is not None:
+            self.angle = np.nan_to_num(data.angle) if self.sensor.derived else \
+                led_by_gyro(data, self.gyro)
         self.others: list[FloatArray] | None = None
         if np.isfinite(data.other_rates).mean() > 0.5:
             self.others = [self._ahead(np.nan_to_num(column)) for column in data.other_rates.T]
@@ -144,19 +155,14 @@ class Flight:
         }
         self.disturbances, self.variance = np.zeros((data.rate.size, 2)), 0.0
         self._drives: dict[bytes, tuple[FloatArray, FloatArray]] = {}
-        self.rate = self._first_guess()
+        # smoothed over five cycles and advanced by the filter's delay
+        self.rate = self._ahead(np.convolve(self.gyro, np.full(5, 0.2), mode='same'))
 
     def _ahead(self, measured: FloatArray, cycles: float = 0.0) -> FloatArray:
         """(n,) a measured rate at mid-cycle, or some cycles later, without the filter's delay."""
         known, grid = np.isfinite(measured), np.arange(measured.size, dtype=np.float64)
         later = grid + (0.5 + self.late / self.data.dt) + cycles
         return np.interp(later, grid[known], measured[known])
-
-    def _first_guess(self) -> FloatArray:
-        """The measured rate, smoothed over five cycles and advanced by the filter's delay."""
-        known, grid = np.isfinite(self.data.rate), np.arange(self.data.rate.size)
-        measured = np.interp(grid, grid[known], self.data.rate[known])
-        return self._ahead(np.convolve(measured, np.full(5, 0.2), mode='same'))
 
     # -------------------------------------------------------------------------- physics
 
@@ -225,9 +231,20 @@ class Flight:
 
     def hidden(self, part: Part, s: Signals, p: FloatArray) -> Signals:
         """The signals with the effect's hidden states along the flight."""
-        if not part.effect.states:
-            return s
-        return replace(s, hidden=part.effect.trace(self.data, s, p, part.settings))
+        return replace(s, hidden=self._trace(part, s, p)) if part.effect.states else s
+
+    def _trace(self, part: Part, s: Signals, p: FloatArray) -> FloatArray:
+        """(states, n) an effect's hidden states along the flight.
+
+        What integrates the rate takes the measured one at all that is slower than FOLLOWED_S:
+        errors of an estimated rate would add up in it, and from one pass to the next.
+        """
+        if part.effect.integrates and not self.sensor.derived:
+            dt, grid = self.data.dt, np.arange(s.rate.size)
+            keep = math.exp(-dt / FOLLOWED_S)
+            away = self.gyro - np.interp(grid - 0.5 - self.late / dt, grid, s.rate)
+            s = replace(s, rate=s.rate + lfilter([1.0 - keep], [1.0, -keep], away))
+        return part.effect.trace(self.data, s, p, part.settings)
 
     def pushed(self, structure: Structure, p: FloatArray, rate: FloatArray) -> Pushed:
         """Accelerations along the trajectory `rate` (n,), and their slope over it."""
@@ -448,7 +465,7 @@ class Flight:
         along = self.signals(p, halves, states, prediction.rate)
         hidden = [
             next(followed)[None, :] if part.effect.wanders else
-            part.effect.trace(data, along, values, part.settings)[:, windows.starts]
+            self._trace(part, along, values)[:, windows.starts]
             if part.effect.states else None for part, values in acting
         ]
         for i in range(windows.length):

@@ -345,6 +345,21 @@ def linear_states(moving, a, b, start, stop, out):
 
 
 @njit(**_OPTIONS)
+def led(measured, turned, gain, start, stop, out):
+    """A measured angle, followed with this gain and carried on by what was turned since, rad.
+
+    It begins as the mean of what was measured so far; lost samples are NaN.
+    """
+    x, known = 0.0, 0
+    for k in range(start, stop):
+        if np.isfinite(measured[k]):
+            known += 1
+            x += max(gain, 1.0 / known) * (measured[k] - x)
+        out[k] = x
+        x += turned[k]
+
+
+@njit(**_OPTIONS)
 def built_up(rate, share, start, stop, out):
     """State (-1..1) of a friction that builds up over an angle, at the start of each cycle."""
     x = 0.0
