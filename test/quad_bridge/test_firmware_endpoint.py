@@ -3,6 +3,7 @@
 import math
 import shutil
 import subprocess
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -230,6 +231,18 @@ def test_arming(board):
     assert arm(made, 0.0) == 0
     (cycle,) = of(f.Cycle, made.run())
     assert not cycle.flags & f.Flag.ARMED
+
+
+def test_a_stored_set_is_taken_whole_or_not_at_all(board):
+    """One value beyond its bounds: it is another firmware's."""
+    made, settings = board(), boot(Profile())
+    first = made.in_force()
+    stored = [*first[:2], 0.09, *first[3:]]
+    made.firmware.boot(replace(settings, gains=stored).frame())
+    assert made.in_force()[2] == pytest.approx(0.09)
+    stored[5] = 1000.0
+    made.firmware.boot(replace(settings, gains=stored).frame())
+    assert made.in_force() == first
 
 
 def test_nothing_hidden_no_heap_no_input_or_output(firmware):
