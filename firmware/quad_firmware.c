@@ -10,7 +10,6 @@
 #define LONGEST_US 2200.0f
 #define SWITCHED_US 1750.0f
 #define LOW_THROTTLE_US 1100.0f
-#define BLIND_S 0.1f /* without a sample of the gyro: the motors stop */
 
 enum { ROLL, PITCH, THROTTLE, YAW, KILL };
 
@@ -91,7 +90,7 @@ static void heed_switch(quad_firmware *f)
 /* Without a gyro nothing arms, and what flies is let fall before it turns over with a rate of long ago. */
 static void heed_gyro(quad_firmware *f)
 {
-    const bool lost = (float)f->attitude.silent * f->period_s > BLIND_S;
+    const bool lost = (float)f->attitude.silent * f->period_s > QUAD_BLIND_S;
     if (lost && f->endpoint.armed) {
         f->endpoint.armed = false;
         quad_put_text(&f->endpoint, 2, "gyro silent: motors stopped");

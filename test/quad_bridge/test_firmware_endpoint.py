@@ -47,16 +47,16 @@ class Board:
 
     def run(
         self, cycles=1, *, kill=False, failsafe=False, battery_v=12.0, sample=LEVEL, throttle=0.5,
-        sticks=(0.0, 0.0, 0.0),
+        sticks=(0.0, 0.0, 0.0), samples=4,
     ):  # fmt: skip
-        """Cycles with these inputs; `sticks` roll, pitch, yaw."""
+        """Cycles with these inputs; `sticks` roll, pitch, yaw; so many `samples` in each."""
         roll, pitch, yaw = (1500.0 + 500.0 * stick for stick in sticks)
         pulses = (roll, pitch, 1000.0 + 1000.0 * throttle, yaw, 2000.0 if kill else 1000.0,
                   *(1000.0,) * 4)  # fmt: skip
         slow, out = (battery_v, 0.0, 0.24, -0.38, 1013.25, math.nan), []
         for _ in range(cycles):
-            samples = np.array([sample] * 4, dtype=float)
-            frame = hil.sensors(self.cycle * CYCLE_US, pulses, failsafe, slow, samples)
+            gyro = np.array([sample] * samples, dtype=float).reshape(-1, 6)
+            frame = hil.sensors(self.cycle * CYCLE_US, pulses, failsafe, slow, gyro)
             self.motors = hil.motors(self.firmware.cycle(frame)).commands
             self.cycle += 1
             out += self.decoder.feed(self.firmware.send())
@@ -231,6 +231,16 @@ def test_arming(board):
     assert arm(made, 0.0) == 0
     (cycle,) = of(f.Cycle, made.run())
     assert not cycle.flags & f.Flag.ARMED
+
+
+def test_after_the_gyros_silence_the_attitude_begins_anew(board):
+    made = board()
+    made.run(500)
+    turning = (0.3, *LEVEL[1:])
+    made.run(3, sample=turning)
+    made.run(5000, samples=0)
+    cycle = of(f.Cycle, made.run(1))[-1]
+    assert cycle.attitude[:2] == pytest.approx((0.0, 0.0), abs=math.radians(0.1))
 
 
 def test_a_stored_set_is_taken_whole_or_not_at_all(board):
