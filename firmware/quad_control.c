@@ -6,7 +6,6 @@
 
 #define TURN_F 6.28318531f
 #define VOLTAGE_LAG_S 0.5f
-#define MOST_VOLTS 100.0f
 #define LARGEST_LIFT 1.5f /* of the command, either way, whatever voltage is measured */
 #define SHORTEST_LAG_S 1e-5f
 
@@ -197,7 +196,7 @@ void quad_control_cycle(quad_control *c, const quad_ranges *ranges, const quad_s
                         float volts, float period_s, quad_cycle *r)
 {
     const bool armed = (r->flags & QUAD_FLAG_ARMED) != 0;
-    if (volts > 0.0f && volts < MOST_VOLTS) {
+    if (volts > 0.0f && volts < QUAD_MOST_VOLTS) {
         const float share = c->volts > 0.0f ? period_s / VOLTAGE_LAG_S : 1.0f;
         c->volts += share * (volts - c->volts);
     }

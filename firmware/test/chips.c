@@ -344,6 +344,15 @@ static void test_arming(void)
     in.receiver.pulse_us[5] = 2000.0f;
     quad_firmware_cycle(&f, 400000, &in, motors);
     check(!f.endpoint.armed && motors[0] == 0.0f, "nothing arms without a gyro");
+    in.sensors.samples = 1;
+    for (uint64_t cycle = 101; cycle < 200; cycle++) {
+        in.receiver.pulse_us[2] = cycle > 120 && cycle < 150 ? 1600.0f : 1000.0f;
+        in.receiver.pulse_us[4] = cycle > 130 && cycle < 140 ? 2000.0f : 1000.0f;
+        in.receiver.pulse_us[5] = (cycle > 105 && cycle < 110) || cycle == 170 ? 1000.0f : 2000.0f;
+        quad_firmware_cycle(&f, 4000 * cycle, &in, motors);
+        const bool turns = (f.record.flags & QUAD_FLAG_ARMED) != 0;
+        check(turns == ((cycle >= 110 && cycle <= 130) || cycle > 170), "killed: until it is armed again");
+    }
 }
 
 int main(void)

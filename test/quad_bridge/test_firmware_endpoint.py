@@ -184,17 +184,21 @@ def test_an_excitation_beyond_its_limits_is_refused(board, value, injection):
     assert not cycle.flags & f.Flag.EXCITATION
 
 
-UNSAFE = [{'kill': True}, {'failsafe': True}, {'battery_v': 9.5}]
+UNSAFE = [{'kill': True}, {'failsafe': True}, {'battery_v': 5.0}, {'throttle': 0.04}]
+
+
+def excite(made, seq):
+    made.tell(f.Excitation((0.1, 0.0, 0.0), int(f.Injection.RATE), seq, valid_ms=400))
+    return of(f.Cycle, made.run())[-1].flags
 
 
 @pytest.mark.parametrize('unsafe', UNSAFE, ids=str)
-def test_an_unsafe_state_ends_the_excitation_in_the_next_cycle_at_the_latest(board, unsafe):
+def test_an_unsafe_state_ends_the_excitation_until_it_is_idle(board, unsafe):
+    """In the next cycle; the voltage is a mean over half a second."""
     made = board()
     made.run()
-    made.tell(f.Excitation((0.1, 0.0, 0.0), int(f.Injection.RATE), 7, valid_ms=400))
-    (cycle,) = of(f.Cycle, made.run())
-    assert cycle.flags & f.Flag.EXCITATION
-    frames = made.run(2, **unsafe)
+    assert excite(made, 7) & f.Flag.EXCITATION
+    frames = made.run(60 if 'battery_v' in unsafe else 2, **unsafe)
     last = of(f.Cycle, frames)[-1]
     assert not last.flags & f.Flag.EXCITATION
     assert last.flags & f.Flag.EXCITATION_REFUSED
@@ -203,8 +207,24 @@ def test_an_unsafe_state_ends_the_excitation_in_the_next_cycle_at_the_latest(boa
     frames += made.run(5, **unsafe)
     low = [text for text in texts(frames) if text.startswith('low battery')]
     assert len(low) == ('battery_v' in unsafe)  # said once
-    # and it does not come back by itself
-    assert not any(c.flags & f.Flag.EXCITATION for c in of(f.Cycle, made.run(5)))
+    # and it does not come back by itself, nor with the next set-points of the same segment
+    assert not any(c.flags & f.Flag.EXCITATION for c in of(f.Cycle, made.run(500)))
+    made.firmware.arm(True)
+    flags = excite(made, 8)
+    assert flags & f.Flag.EXCITATION_REFUSED
+    assert not flags & f.Flag.EXCITATION
+    made.tell(f.Excitation((0.0, 0.0, 0.0), int(f.Injection.NONE), 9))
+    assert not of(f.Cycle, made.run())[0].flags & f.Flag.EXCITATION_REFUSED
+    assert excite(made, 10) & f.Flag.EXCITATION
+
+
+def test_a_voltage_about_its_limit_switches_nothing(board):
+    made = board()
+    flags = [excite(made, 1)]
+    for k in range(200):
+        flags += [c.flags for c in of(f.Cycle, made.run(battery_v=9.6 + 0.8 * (k % 2)))]
+        made.tell(f.Excitation((0.1, 0.0, 0.0), int(f.Injection.RATE), 1, valid_ms=400))
+    assert all(flag & f.Flag.EXCITATION for flag in flags)
 
 
 def test_sticks_move_the_reference_and_a_failsafe_centres_them(board):
@@ -221,9 +241,11 @@ def arm(made, value, command=400):
 
 def test_arming(board):
     made = board(armed=False)
-    made.run(1, kill=True)
-    assert arm(made, 1.0) == 1
-    made.run(1, kill=False)
+    assert arm(made, 1.0) == 1  # before the gyro was heard
+    for unsafe in ({'kill': True}, {'throttle': 0.06}, {'samples': 0}):
+        made.run(30, **{'throttle': 0.0} | unsafe)
+        assert arm(made, 1.0) == 1
+    made.run(1, throttle=0.0)
     assert arm(made, 1.0) == 0
     (cycle,) = of(f.Cycle, made.run())
     assert cycle.flags & f.Flag.ARMED
@@ -231,6 +253,17 @@ def test_arming(board):
     assert arm(made, 0.0) == 0
     (cycle,) = of(f.Cycle, made.run())
     assert not cycle.flags & f.Flag.ARMED
+
+
+def test_the_kill_switch_disarms(board):
+    """Its release does not start the motors again."""
+    made = board()
+    made.run(10)
+    assert all(made.motors)
+    made.run(1, kill=True)
+    cycles = of(f.Cycle, made.run(50))
+    assert not any(made.motors)
+    assert not any(c.flags & f.Flag.ARMED for c in cycles)
 
 
 def test_after_the_gyros_silence_the_attitude_begins_anew(board):
