@@ -266,6 +266,18 @@ def test_the_kill_switch_disarms(board):
     assert not any(c.flags & f.Flag.ARMED for c in cycles)
 
 
+def test_on_the_ground_nothing_winds_up_and_in_flight_the_yaw_reference_waits(board):
+    made = board()
+    slope = (0.0, 0.0, 0.0, 0.0, 2.0, 9.6)
+    made.run(500, throttle=0.04, sticks=(0.5, 0.0, 1.0), sample=slope)
+    assert made.motors == pytest.approx([0.04] * 4)
+    (cycle,) = of(f.Cycle, made.run(1, throttle=0.5))
+    assert cycle.attitude_setpoint[2] == pytest.approx(cycle.attitude[2], abs=0.01)
+    cycle = of(f.Cycle, made.run(1250, sticks=(0.0, 0.0, 1.0)))[-1]  # 450 deg, held fast
+    ahead = math.remainder(cycle.attitude_setpoint[2] - cycle.attitude[2], 2 * math.pi)
+    assert abs(ahead) == pytest.approx(math.radians(60.0), abs=1e-3)
+
+
 def test_after_the_gyros_silence_the_attitude_begins_anew(board):
     made = board()
     made.run(500)
@@ -274,6 +286,22 @@ def test_after_the_gyros_silence_the_attitude_begins_anew(board):
     made.run(5000, samples=0)
     cycle = of(f.Cycle, made.run(1))[-1]
     assert cycle.attitude[:2] == pytest.approx((0.0, 0.0), abs=math.radians(0.1))
+
+
+def test_an_observer_that_diverges_does_not_come_in(board):
+    """A model of no aircraft, beside the cascade for 25 s, then with a share of a quarter."""
+    made = board()
+    made.run(50)
+    made.update(ROLL_LQR_GAIN=200.0, ROLL_LQR_KANG=0.3, ROLL_LQR_KRATE=0.1, ROLL_LQR_LAG=0.03,
+                ROLL_LQR_OBS=0.005, ROLL_LQR_DAMP=-5.0)  # fmt: skip
+    made.tell(f.GainsCommand(f.GainsAction.CONFIRM, 5))
+    made.run(6250, sample=(0.001, *LEVEL[1:]))
+    made.update(ROLL_LQR_SHARE=0.25)
+    (cycle,) = of(f.Cycle, made.run())
+    assert abs(cycle.control[1]) < 0.05
+    made.tell(f.GainsCommand(f.GainsAction.CONFIRM, 5))
+    cycles = of(f.Cycle, made.run(1250, sample=(0.001, *LEVEL[1:])))
+    assert all(math.isfinite(c.control[1]) for c in cycles)
 
 
 def test_a_stored_set_is_taken_whole_or_not_at_all(board):
