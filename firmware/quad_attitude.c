@@ -146,6 +146,9 @@ void quad_attitude_cycle(quad_attitude *a, const quad_mounting *m, const quad_se
     for (size_t i = 0; i < s->samples && i < QUAD_MOST_SAMPLES; i++) {
         take(a, m, s->gyro[i], s->accel[i]);
     }
+    if ((float)a->silent * period_s > QUAD_BLIND_S) { /* the last rate says nothing any more */
+        a->settled = a->started = false;
+    }
     quad_to_body(m->axes, s->slow.mag_gauss, mag);
     if (a->settled && !a->started) {
         level(a->accel.out, &a->angle[0], &a->angle[1]);

@@ -7,6 +7,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#define QUAD_BLIND_S 0.1f /* without a sample of the gyro: the motors stop, the attitude begins anew */
 #define QUAD_MOST_SAMPLES 20 /* of gyro and accelerometer in one control cycle */
 
 /* What changes slowly; NaN where it is not measured. */
@@ -51,7 +52,8 @@ typedef struct {
 void quad_attitude_init(quad_attitude *attitude);
 
 /* Take a cycle's samples; `gains` as in quad_parameters.h, for the cut-offs. Writes rates, specific
- * force and attitude, (3) each. The first sample of all is taken as one at rest. */
+ * force and attitude, (3) each. The first sample of all, and after QUAD_BLIND_S without one, is taken as one at
+ * rest. */
 void quad_attitude_cycle(quad_attitude *attitude, const quad_mounting *mounting,
                          const quad_sensors *sensors, const float *gains, float period_s,
                          float gyro[3], float accel[3], float angle[3]);

@@ -6,9 +6,10 @@
 
 #define TURN_F 6.28318531f
 #define VOLTAGE_LAG_S 0.5f
-#define MOST_VOLTS 100.0f
 #define LARGEST_LIFT 1.5f /* of the command, either way, whatever voltage is measured */
 #define SHORTEST_LAG_S 1e-5f
+#define LARGEST_RATE 140.0f      /* rad/s, of an observer: twice what any gyro reports */
+#define LARGEST_YAW_LEAD 1.0472f /* rad, of its reference; a full stick leads by 0.8 at the paper's gain */
 
 /* Rows: motors 1 rear left, 2 rear right, 3 front right, 4 front left; columns U1..U4, FRD. */
 static const float mixer[4][4] = {
@@ -18,9 +19,10 @@ static const float mixer[4][4] = {
     {1, 1, 1, 1},
 };
 
+/* 0 for what is no number. */
 static float clip(float value, float limit)
 {
-    return fmaxf(-limit, fminf(limit, value));
+    return isnan(value) ? 0.0f : fmaxf(-limit, fminf(limit, value));
 }
 
 void quad_control_init(quad_control *control)
@@ -116,15 +118,19 @@ static float blended(quad_control *c, const quad_cycle *r, size_t axis, float pe
     quad_feedback *own = &c->feedback[axis];
     const float *set = r->gains;
     const float share = quad_of_axis(set, axis, QUAD_LQR_SHARE);
-    if (share <= 0.0f) {
+    if (share <= 0.0f) { /* it begins where the cascade is, and with the rate that is measured */
         own->integral = c->integral[axis];
+        own->rate = r->gyro[axis];
+        return u;
     }
     if (!(quad_of_axis(set, axis, QUAD_LQR_K_INTEGRAL) > 0.0f)) {
         own->integral = 0.0f; /* nothing would ever change it */
     }
     const float raw = state_feedback(own, set, axis, period_s, error, r->gyro[axis]) +
                       quad_of_axis(set, axis, QUAD_LQR_K_RATE) * extra;
-    if (share <= 0.0f) {
+    if (!isfinite(raw) || fabsf(own->rate) > LARGEST_RATE) { /* its model is none of this aircraft */
+        memset(own, 0, sizeof *own);
+        own->rate = r->gyro[axis];
         return u;
     }
     /* two integrals of the same error would drift apart */
@@ -187,7 +193,7 @@ bool quad_mix(const float control[4], float motors[4])
         for (size_t u = 0; u < 4; u++) {
             sum += mixer[motor][u] * control[u];
         }
-        motors[motor] = fmaxf(0.0f, fminf(1.0f, sum));
+        motors[motor] = sum > 0.0f ? fminf(1.0f, sum) : 0.0f; /* 0 for what is no number */
         cut = cut || motors[motor] != sum;
     }
     return cut;
@@ -197,24 +203,31 @@ void quad_control_cycle(quad_control *c, const quad_ranges *ranges, const quad_s
                         float volts, float period_s, quad_cycle *r)
 {
     const bool armed = (r->flags & QUAD_FLAG_ARMED) != 0;
-    if (volts > 0.0f && volts < MOST_VOLTS) {
+    if (volts > 0.0f && volts < QUAD_MOST_VOLTS) {
         const float share = c->volts > 0.0f ? period_s / VOLTAGE_LAG_S : 1.0f;
         c->volts += share * (volts - c->volts);
     }
-    if (!c->started || !armed) {
+    const bool flies = armed && sticks->throttle >= QUAD_LOW_THROTTLE;
+    if (!c->started || !flies) {
         begin(c, r);
     }
     c->yaw_reference =
         quad_wrapped(c->yaw_reference + sticks->yaw * ranges->yaw_rate * period_s);
+    const float lead = quad_wrapped(c->yaw_reference - r->attitude[2]);
+    if (fabsf(lead) > LARGEST_YAW_LEAD) { /* it waits for an aircraft that cannot follow */
+        c->yaw_reference = quad_wrapped(r->attitude[2] + clip(lead, LARGEST_YAW_LEAD));
+    }
     const float references[3] = {sticks->roll * ranges->angle, sticks->pitch * ranges->angle,
                                  c->yaw_reference};
     for (size_t i = 0; i < 3; i++) {
         r->attitude_setpoint[i] = references[i] + added(r, QUAD_INJECTION_ATTITUDE, i);
         fly_axis(c, r, i, period_s);
     }
-    r->control[0] = sticks->throttle;
-    if (!armed) {
+    if (!flies) {
         memset(r->control, 0, sizeof r->control);
+    }
+    r->control[0] = armed ? sticks->throttle : 0.0f;
+    if (!armed) {
         memset(r->motors, 0, sizeof r->motors);
     } else if (quad_mix(r->control, r->motors)) {
         r->flags |= QUAD_FLAG_SATURATED;

@@ -15,6 +15,9 @@
  * over the delay (whole cycles) with the commands that are under way (Franklin, Powell, Workman,
  * Digital Control of Dynamic Systems, 3rd ed., 8.2 and 8.6). Only one integral runs.
  *
+ * Below QUAD_LOW_THROTTLE no torque is commanded and all begins anew with the next cycle: standing on the ground,
+ * nothing answers, and what is added up there would act at take-off.
+ *
  * Where SAG_EXP is not 0, u is multiplied by that power of (reference voltage / voltage). */
 #ifndef QUAD_CONTROL_H
 #define QUAD_CONTROL_H

@@ -6,6 +6,7 @@
 #include "quad_outbox.h"
 
 #define LOWEST_RATE_HZ 50
+#define BATTERY_LAG_S 0.5f /* a motor that starts does not empty the battery */
 #define LIST_PER_CYCLE 2 /* parameters, so that a list does not delay the cycles */
 
 static void start_signing(quad_endpoint *e, const quad_settings *settings)
@@ -33,6 +34,8 @@ void quad_endpoint_init(quad_endpoint *e, const quad_settings *settings)
     e->settings.stored = NULL;
     e->settings.key = NULL;
     e->armed = settings->armed;
+    e->blind = true;
+    e->volts = QUAD_MOST_VOLTS;
     e->list_next = QUAD_PARAMETERS;
     quad_excitation_init(&e->excitation);
     quad_gains_init(&e->gains, settings->stored);
@@ -80,11 +83,11 @@ void quad_endpoint_begin_cycle(quad_endpoint *e, uint64_t now_us, const quad_pil
     keep_time(e, now_us);
     revert_where_due(e, now_us);
     memcpy(e->in_force, e->gains.active, sizeof e->in_force);
-    const bool turning = e->armed && !pilot->kill;
-    const bool allowed = turning && !pilot->failsafe && !e->low_battery && !e->tilted;
+    e->armed = e->armed && !pilot->kill; /* nothing starts again by the switch's going back */
+    const bool allowed = e->armed && !pilot->throttle_low && !pilot->failsafe && !e->low_battery && !e->tilted;
     memset(record, 0, sizeof *record);
     record->flags = quad_excitation_tick(&e->excitation, allowed, now_us);
-    record->flags |= turning ? QUAD_FLAG_ARMED : 0u;
+    record->flags |= e->armed ? QUAD_FLAG_ARMED : 0u;
     record->flags |= pilot->kill ? QUAD_FLAG_RC_KILL : 0u;
     record->flags |= pilot->failsafe ? QUAD_FLAG_RC_FAILSAFE : 0u;
     record->flags |= late(e, now_us);
@@ -120,6 +123,15 @@ static void tell(quad_endpoint *e, uint16_t flags, bool low_battery)
     e->last_flags = flags;
 }
 
+static bool battery_is_low(quad_endpoint *e, float volts)
+{
+    if (volts >= 0.0f && volts < QUAD_MOST_VOLTS) { /* not NaN */
+        const bool first = e->volts >= QUAD_MOST_VOLTS;
+        e->volts += (first ? 1.0f : 1.0f / (BATTERY_LAG_S * (float)e->settings.rate_hz)) * (volts - e->volts);
+    }
+    return e->volts < e->settings.low_battery_v;
+}
+
 static bool due(const quad_endpoint *e, uint32_t cycle, uint32_t per_second)
 {
     return cycle % (e->settings.rate_hz / per_second) == 0;
@@ -128,10 +140,11 @@ static bool due(const quad_endpoint *e, uint32_t cycle, uint32_t per_second)
 void quad_endpoint_end_cycle(quad_endpoint *e, const quad_cycle *record, const quad_pilot *pilot,
                              const quad_slow *slow)
 {
-    const bool low_battery = slow->battery_v < e->settings.low_battery_v; /* not for NaN */
+    const bool low_battery = battery_is_low(e, slow->battery_v);
     quad_put_cycle(e, record);
     tell(e, record->flags, low_battery);
     e->low_battery = low_battery;
+    e->throttle_low = pilot->throttle_low;
     e->tilted = (record->flags & QUAD_FLAG_ANGLE_LIMIT) != 0;
     if (due(e, record->cycle, 1)) {
         quad_put_heartbeat(e);

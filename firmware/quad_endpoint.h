@@ -26,13 +26,15 @@
 
 #define QUAD_OUTBOX 2048 /* bytes: five cycles at 921600 baud and 250 Hz */
 #define QUAD_RC_CHANNELS 18
+#define QUAD_LOW_THROTTLE 0.05f /* below it nothing but itself is commanded, and only there something arms */
+#define QUAD_MOST_VOLTS 100.0f  /* a measurement beyond is none */
 #define QUAD_SIGNING_LAST (1ull << 47) /* August 2059: no signature's time is beyond it */
 
 typedef struct {
     uint8_t system, component; /* ids of this end, usually 1 and 1 */
     uint64_t aircraft;         /* unique number of this controller, as the chip's id */
     uint16_t rate_hz;          /* of the control cycle, 50 or more */
-    float low_battery_v;       /* no excitation below it */
+    float low_battery_v;       /* no excitation and no arming below it */
     bool armed;                /* at the start: for rigs, whose switch is in the supply */
     bool may_arm;              /* by command of the bridge; disarming is always obeyed */
     const float *stored;       /* QUAD_PARAMETERS confirmed values from flash, or NULL */
@@ -44,7 +46,8 @@ typedef struct {
 typedef struct {
     uint16_t pulse_us[QUAD_RC_CHANNELS];
     uint8_t count;
-    bool failsafe, kill;
+    bool failsafe, kill; /* kill disarms */
+    bool throttle_low;   /* below QUAD_LOW_THROTTLE */
 } quad_pilot;
 
 /* All that one control cycle knew. begin_cycle fills what is marked (e), the control law the rest
@@ -79,7 +82,9 @@ typedef struct {
     quad_excitation excitation;
     float in_force[QUAD_PARAMETERS];
     bool armed, low_battery, tilted;
-    bool blind; /* no gyro: the control loop says so; nothing arms */
+    bool throttle_low; /* in the last cycle */
+    bool blind; /* no gyro, as at first: the control loop says so; nothing arms */
+    float volts; /* low-passed; QUAD_MOST_VOLTS before the first measurement */
     uint16_t last_flags;
     uint32_t cycle;
     uint64_t began_us;

@@ -34,8 +34,10 @@ void quad_excitation_init(quad_excitation *excitation)
 void quad_excitation_take(quad_excitation *excitation, const float value[3], uint8_t injection,
                           uint8_t seq, uint16_t valid_ms, uint64_t now_us)
 {
+    const bool refused = excitation->refused && injection != QUAD_INJECTION_NONE;
     quad_excitation_init(excitation);
-    if (injection == QUAD_INJECTION_NONE) {
+    excitation->refused = refused;
+    if (refused || injection == QUAD_INJECTION_NONE) {
         return;
     }
     const float limit = limit_of(injection);

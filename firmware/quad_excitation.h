@@ -21,7 +21,8 @@ typedef struct {
 
 void quad_excitation_init(quad_excitation *excitation);
 
-/* Take a set-point; injection NONE ends the excitation, one beyond its limits is refused. */
+/* Take a set-point; injection NONE ends the excitation, one beyond its limits is refused. After a refusal all are,
+ * up to the next NONE: an excitation that was dropped does not go on by itself. */
 void quad_excitation_take(quad_excitation *excitation, const float value[3], uint8_t injection,
                           uint8_t seq, uint16_t valid_ms, uint64_t now_us);
 

@@ -9,8 +9,6 @@
 #define SHORTEST_US 800.0f
 #define LONGEST_US 2200.0f
 #define SWITCHED_US 1750.0f
-#define LOW_THROTTLE_US 1100.0f
-#define BLIND_S 0.1f /* without a sample of the gyro: the motors stop */
 
 enum { ROLL, PITCH, THROTTLE, YAW, KILL };
 
@@ -80,8 +78,8 @@ static void heed_switch(quad_firmware *f)
         return;
     }
     const bool on = f->receiver.pulse_us[channel - 1] > SWITCHED_US;
-    if (on && !f->arm_switch && f->receiver.pulse_us[THROTTLE] < LOW_THROTTLE_US) {
-        f->endpoint.armed = quad_endpoint_may_arm_now(&f->endpoint);
+    if (on && !f->arm_switch) {
+        f->endpoint.armed = f->endpoint.armed || quad_endpoint_may_arm_now(&f->endpoint);
     } else if (!on && f->arm_switch) {
         f->endpoint.armed = false;
     }
@@ -91,7 +89,7 @@ static void heed_switch(quad_firmware *f)
 /* Without a gyro nothing arms, and what flies is let fall before it turns over with a rate of long ago. */
 static void heed_gyro(quad_firmware *f)
 {
-    const bool lost = (float)f->attitude.silent * f->period_s > BLIND_S;
+    const bool lost = (float)f->attitude.silent * f->period_s > QUAD_BLIND_S;
     if (lost && f->endpoint.armed) {
         f->endpoint.armed = false;
         quad_put_text(&f->endpoint, 2, "gyro silent: motors stopped");
@@ -116,9 +114,10 @@ static quad_sticks sticks_of(const quad_receiver *r)
     return s;
 }
 
-static quad_pilot pilot_of(const quad_receiver *r)
+static quad_pilot pilot_of(const quad_receiver *r, const quad_sticks *sticks)
 {
     quad_pilot pilot = {.count = QUAD_CHANNELS, .failsafe = r->failsafe};
+    pilot.throttle_low = sticks->throttle < QUAD_LOW_THROTTLE;
     for (size_t i = 0; i < QUAD_CHANNELS; i++) {
         pilot.pulse_us[i] = (uint16_t)(r->pulse_us[i] + 0.5f);
     }
@@ -134,8 +133,8 @@ void quad_firmware_cycle(quad_firmware *f, uint64_t start_us, const quad_inputs 
     quad_to_body(f->settings.mounting.axes, inputs->sensors.slow.mag_gauss, slow.mag_gauss);
     hear_receiver(f, &inputs->receiver, start_us);
     heed_switch(f);
-    const quad_pilot pilot = pilot_of(&f->receiver);
     const quad_sticks sticks = sticks_of(&f->receiver);
+    const quad_pilot pilot = pilot_of(&f->receiver, &sticks);
     quad_endpoint_begin_cycle(&f->endpoint, start_us, &pilot, r);
     quad_attitude_cycle(&f->attitude, &f->settings.mounting, &inputs->sensors, r->gains,
                         f->period_s, r->gyro, r->accel, r->attitude);

@@ -26,8 +26,11 @@ static void revert(quad_gains *gains)
 void quad_gains_init(quad_gains *gains, const float *stored)
 {
     memset(gains, 0, sizeof *gains);
+    bool use = stored != NULL;
+    for (size_t i = 0; use && i < QUAD_PARAMETERS; i++) {
+        use = i == QUAD_LOOP_RATE_HZ || quad_parameter_fits(i, stored[i]);
+    }
     for (size_t i = 0; i < QUAD_PARAMETERS; i++) {
-        const bool use = stored != NULL && quad_parameter_fits(i, stored[i]);
         gains->good[i] = use ? stored[i] : quad_parameters[i].start;
     }
     copy_set(gains->active, gains->good);

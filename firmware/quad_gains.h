@@ -30,7 +30,7 @@ typedef struct {
     uint32_t checksum;
 } quad_gains_request;
 
-/* `stored`: QUAD_PARAMETERS values kept from before; where one does not fit, or NULL: the table's. */
+/* `stored`: QUAD_PARAMETERS values kept from before; where one of them does not fit, or NULL: the table's, all. */
 void quad_gains_init(quad_gains *gains, const float *stored);
 
 /* A frame of the bridge has come. */

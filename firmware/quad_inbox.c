@@ -87,7 +87,7 @@ static void take_list(quad_endpoint *e)
 bool quad_endpoint_may_arm_now(const quad_endpoint *e)
 {
     const uint16_t unsafe = QUAD_FLAG_RC_KILL | QUAD_FLAG_RC_FAILSAFE | QUAD_FLAG_ANGLE_LIMIT;
-    return !e->low_battery && !e->blind && (e->last_flags & unsafe) == 0;
+    return e->throttle_low && !e->low_battery && !e->blind && (e->last_flags & unsafe) == 0;
 }
 
 static uint8_t arm(quad_endpoint *e, float wanted)

@@ -20,12 +20,24 @@ static uint32_t check(uint32_t number, const float values[QUAD_PARAMETERS])
     return quad_gains_checksum(values) ^ (number * 2654435761u);
 }
 
+/* FNV-1a of the parameters' names: another firmware's values may mean something else. */
+static uint32_t layout(void)
+{
+    uint32_t hash = 2166136261u;
+    for (size_t i = 0; i < QUAD_PARAMETERS; i++) {
+        for (size_t k = 0; k < QUAD_NAME_LENGTH; k++) {
+            hash = (hash ^ (uint8_t)quad_parameters[i].name[k]) * 16777619u;
+        }
+    }
+    return hash;
+}
+
 /* Whether it is whole; then its values are written. */
 static bool read(words record, float values[QUAD_PARAMETERS])
 {
     uint32_t bits[QUAD_PARAMETERS];
     for (size_t i = 0; i < QUAD_PARAMETERS; i++) {
-        bits[i] = record[1 + i];
+        bits[i] = record[2 + i];
     }
     memcpy(values, bits, sizeof bits);
     return record[QUAD_STORE_WORDS - 1] == check(record[0], values);
@@ -49,36 +61,59 @@ static size_t free_records(const quad_flash *flash, int page)
     return count;
 }
 
-/* Page and number of the newest record, 0 and number 0 where there is none. */
-static uint32_t newest(const quad_flash *flash, int *page, float values[QUAD_PARAMETERS])
+/* Where a record stands; of two with one number the first was cut off. */
+typedef struct {
+    uint32_t number; /* 0: no record */
+    int page;
+    size_t index;
+} mark;
+
+static bool later(mark a, mark b)
 {
-    uint32_t found = 0;
-    float read_values[QUAD_PARAMETERS];
-    *page = 0;
+    if (a.number != b.number) {
+        return a.number > b.number;
+    }
+    return a.page != b.page ? a.page > b.page : a.index > b.index;
+}
+
+/* The last record before `before` by its number alone: to compute a checksum of each would take a second. */
+static mark last(const quad_flash *flash, mark before, uint32_t wanted)
+{
+    mark found = {0, 0, 0};
     for (int p = 0; p < 2; p++) {
         for (size_t i = 0; i < flash->records; i++) {
             words record = record_of(flash, p, i);
-            if (record[0] != BLANK && record[0] > found && read(record, read_values)) {
-                found = record[0];
-                *page = p;
-                memcpy(values, read_values, sizeof read_values);
+            const mark here = {record[0], p, i};
+            if (record[1] == wanted && later(before, here) && later(here, found)) {
+                found = here;
             }
         }
     }
     return found;
 }
 
+/* The newest whole record; its number and page are 0 where there is none. */
+static mark newest(const quad_flash *flash, float values[QUAD_PARAMETERS])
+{
+    const uint32_t wanted = layout();
+    mark found = last(flash, (mark){BLANK, 0, 0}, wanted); /* before all that is blank */
+    while (found.number > 0 && !read(record_of(flash, found.page, found.index), values)) {
+        found = last(flash, found, wanted);
+    }
+    return found;
+}
+
 bool quad_store_load(const quad_flash *flash, float values[QUAD_PARAMETERS])
 {
-    int page;
-    return newest(flash, &page, values) > 0;
+    return newest(flash, values).number > 0;
 }
 
 bool quad_store_save(const quad_flash *flash, const float values[QUAD_PARAMETERS])
 {
     float written[QUAD_PARAMETERS];
-    int page;
-    const uint32_t number = newest(flash, &page, written) + 1;
+    const mark before = newest(flash, written);
+    const uint32_t number = before.number + 1;
+    int page = before.page;
     size_t room = free_records(flash, page);
     if (room == 0) {
         page = 1 - page;
@@ -88,11 +123,11 @@ bool quad_store_save(const quad_flash *flash, const float values[QUAD_PARAMETERS
         return false;
     }
     words record = record_of(flash, page, flash->records - room);
-    bool done = flash->program(&record[0], number);
+    bool done = flash->program(&record[0], number) && flash->program(&record[1], layout());
     for (size_t i = 0; i < QUAD_PARAMETERS; i++) {
         uint32_t bits;
         memcpy(&bits, &values[i], sizeof bits);
-        done = done && flash->program(&record[1 + i], bits);
+        done = done && flash->program(&record[2 + i], bits);
     }
     done = done && flash->program(&record[QUAD_STORE_WORDS - 1], check(number, values));
     return done && read(record, written) && memcmp(written, values, sizeof written) == 0;
@@ -101,8 +136,7 @@ bool quad_store_save(const quad_flash *flash, const float values[QUAD_PARAMETERS
 bool quad_store_prepare(const quad_flash *flash)
 {
     float values[QUAD_PARAMETERS];
-    int page;
-    newest(flash, &page, values);
+    const int page = newest(flash, values).page;
     if (free_records(flash, page) >= LITTLE || free_records(flash, 1 - page) == flash->records) {
         return true;
     }

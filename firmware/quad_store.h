@@ -7,7 +7,7 @@
 
 #include <stdint.h>
 
-#define QUAD_STORE_WORDS (QUAD_PARAMETERS + 2) /* of a record: number, values, CRC-32 */
+#define QUAD_STORE_WORDS (QUAD_PARAMETERS + 3) /* of a record: number, layout, values, CRC-32 */
 
 /* A page is words that are all ones when erased; a word is programmed once. Both calls say whether it
  * worked. */
@@ -18,7 +18,8 @@ typedef struct {
     bool (*program)(const volatile uint32_t *word, uint32_t value);
 } quad_flash;
 
-/* The newest whole record's values; false where there is none. */
+/* The values of the newest whole record that a table with the same names in the same order has written; false where
+ * there is none. It checks that record and no older one. */
 bool quad_store_load(const quad_flash *flash, float values[QUAD_PARAMETERS]);
 
 /* Append a record; false where there is no room before quad_store_prepare, or it cannot be read back. */

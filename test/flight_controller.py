@@ -212,7 +212,9 @@ class Store(ctypes.Structure):
     def begun(cls, stored):
         """As it starts with these values, by wire names; the others are the firmware's own."""
         made = cls()
-        quad_gains('init')(made.here, Set(*(stored.get(name, math.nan) for name in NAMES)))
+        quad_gains('init')(made.here, None)
+        kept = dict(zip(NAMES, made.good, strict=True)) | stored
+        quad_gains('init')(made.here, Set(*(kept[name] for name in NAMES)))
         return made
 
     @property

@@ -7,28 +7,39 @@
 #define LONGEST_US 2200u
 #define GAP_US 2700u /* between two PPM frames, at the least */
 #define LEAST 5u     /* channels of a PPM frame: sticks and kill switch */
+#define MOST 20u
 
 void radio_start(radio *r, bool ppm)
 {
     memset(r, 0, sizeof *r);
     r->ppm = ppm;
-    r->next = QUAD_CHANNELS + 1;
+    r->next = RADIO_NO_FRAME;
 }
 
 static void heard(radio *r, size_t channel, float pulse_us, uint64_t now_us)
 {
     r->receiver.pulse_us[channel] = pulse_us;
-    if (channel < 4) {
-        r->heard_us[channel] = now_us + 1; /* 0: never */
-    }
+    r->heard_us[channel] = now_us + 1; /* 0: never */
 }
 
-/* A frame is taken whole or not at all. */
+static bool silent(const radio *r, size_t channel, uint64_t now_us)
+{
+    return r->heard_us[channel] == 0 || now_us > r->heard_us[channel] + RADIO_LOST_US;
+}
+
+/* A frame is taken whole or not at all, and only with as many channels as all others: an edge too few or too many
+ * would shift the rest, arming switch and throttle included. Two alike say how many, at first and after silence. */
 static void take_gap(radio *r, uint64_t now_us)
 {
-    for (size_t i = 0; r->next <= QUAD_CHANNELS && r->next >= LEAST && i < r->next; i++) {
+    const size_t count = r->next;
+    const bool whole = count >= LEAST && count <= MOST;
+    if (silent(r, 0, now_us)) {
+        r->channels = whole && count == r->last ? count : 0;
+    }
+    for (size_t i = 0; whole && count == r->channels && i < count && i < QUAD_CHANNELS; i++) {
         heard(r, i, r->frame_us[i], now_us);
     }
+    r->last = count;
     r->next = 0;
 }
 
@@ -37,9 +48,12 @@ static void take_ppm(radio *r, uint16_t width_us, uint64_t now_us)
     if (width_us >= GAP_US) {
         take_gap(r, now_us);
     } else if (width_us < SHORTEST_US || width_us > LONGEST_US) {
-        r->next = QUAD_CHANNELS + 1; /* noise: wait for the next gap */
-    } else if (r->next < QUAD_CHANNELS) {
-        r->frame_us[r->next++] = width_us; /* channels beyond those are nobody's */
+        r->next = RADIO_NO_FRAME; /* noise: wait for the next gap */
+    } else if (r->next < RADIO_NO_FRAME) {
+        if (r->next < QUAD_CHANNELS) { /* those beyond are counted only */
+            r->frame_us[r->next] = width_us;
+        }
+        r->next++;
     }
 }
 
@@ -62,9 +76,9 @@ void radio_take(radio *r, radio_edge edge, uint64_t now_us)
 quad_receiver radio_now(const radio *r, uint64_t now_us)
 {
     quad_receiver receiver = r->receiver;
-    for (size_t i = 0; i < 4; i++) {
-        receiver.failsafe = receiver.failsafe || r->heard_us[i] == 0 ||
-                            now_us > r->heard_us[i] + RADIO_LOST_US;
+    for (size_t i = 0; i < QUAD_CHANNELS; i++) {
+        const bool wire = !r->ppm && r->heard_us[i] > 0; /* a switch on a loose wire would stay as it was */
+        receiver.failsafe = receiver.failsafe || ((i < 4 || wire) && silent(r, i, now_us));
     }
     return receiver;
 }

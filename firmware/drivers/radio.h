@@ -5,7 +5,10 @@
 
 #include "quad_firmware.h"
 
-#define RADIO_LOST_US 100000u /* failsafe after so long without all of the first four channels */
+#define RADIO_LOST_US 100000u /* failsafe after so long without one of the first four channels or, of wires, of any
+                               * that has been heard */
+
+#define RADIO_NO_FRAME 1000u
 
 /* An edge as a timer captured it. */
 typedef struct {
@@ -19,8 +22,9 @@ typedef struct {
     quad_receiver receiver; /* 0 where a channel has not come: no pulse */
     uint16_t rose_us[QUAD_CHANNELS];
     float frame_us[QUAD_CHANNELS]; /* of the PPM frame under way */
-    size_t next;                   /* channel of it; QUAD_CHANNELS + 1 before its gap */
-    uint64_t heard_us[4];
+    size_t next;                   /* channel of it, however many there are; RADIO_NO_FRAME before its gap */
+    size_t last, channels;         /* of the frame before; of all frames, 0 where that is not known */
+    uint64_t heard_us[QUAD_CHANNELS];
 } radio;
 
 void radio_start(radio *r, bool ppm);

@@ -211,14 +211,28 @@ static void test_bus_time(void)
 static radio r;
 static uint32_t clock_us;
 
+static void edges(void)
+{
+    const radio_edge up = {(uint16_t)clock_us, 0, true}, down = {(uint16_t)(clock_us + 300), 0, false};
+    radio_take(&r, up, clock_us);
+    radio_take(&r, down, clock_us + 300);
+}
+
 static void pulses(const uint16_t *widths, size_t count, uint32_t gap_us)
 {
     for (size_t i = 0; i <= count; i++) {
-        const radio_edge up = {(uint16_t)clock_us, 0, true}, down = {(uint16_t)(clock_us + 300), 0, false};
-        radio_take(&r, up, clock_us);
-        radio_take(&r, down, clock_us + 300);
+        edges();
         clock_us += i < count ? widths[i] : gap_us;
     }
+}
+
+static bool alike(const uint16_t *widths, size_t count)
+{
+    bool is = !radio_now(&r, clock_us).failsafe;
+    for (size_t i = 0; i < count; i++) {
+        is = is && radio_now(&r, clock_us).pulse_us[i] == (float)widths[i];
+    }
+    return is;
 }
 
 static void test_ppm(void)
@@ -232,19 +246,50 @@ static void test_ppm(void)
     check(radio_now(&r, clock_us).failsafe, "half a frame is none");
     pulses(frame, 9, 6000);
     pulses(frame, 9, 6000);
-    bool alike = true;
-    for (size_t i = 0; i < 9; i++) {
-        alike = alike && radio_now(&r, clock_us).pulse_us[i] == (float)frame[i];
-    }
-    check(alike && !radio_now(&r, clock_us).failsafe, "nine channels of PPM");
+    check(radio_now(&r, clock_us).failsafe, "one frame alone says not how many channels there are");
+    pulses(frame, 9, 6000);
+    check(alike(frame, 9), "nine channels of PPM");
     pulses(noisy, 9, 6000);
     pulses(frame, 4, 6000); /* a frame that was cut */
     check(radio_now(&r, clock_us).pulse_us[0] == 1500.0f, "a frame with noise is not used");
-    pulses(frame, 8, 6000);
-    pulses(frame, 8, 6000);
-    check(!radio_now(&r, clock_us).failsafe, "eight channels do");
+    pulses(frame, 9, 6000);
+    pulses(frame, 9, 6000);
+    check(alike(frame, 9), "the next good one is");
+    clock_us += 200000;
+    for (size_t i = 0; i < 12; i++) { /* the first edge ends the frame of before */
+        pulses(frame, 8, 6000);
+    }
+    check(alike(frame, 8), "after silence eight channels do");
     check(!radio_now(&r, clock_us + 50000).failsafe, "two frames may be lost");
     check(radio_now(&r, clock_us + 130000).failsafe, "silence is failsafe");
+}
+
+/* An edge that is lost, or a spike, shifts all channels behind it: such a frame is not used, wherever it is. */
+static void test_ppm_edges(void)
+{
+    static const uint16_t frame[12] = {1700, 1400, 1900, 1600, 1000, 2000, 1100, 1200, 1234, 1500, 1300, 1000};
+    for (size_t count = 6; count <= 12; count++) {
+        for (size_t at = 0; at < 2 * count + 1; at++) {
+            radio_start(&r, true);
+            for (size_t i = 0; i < 4; i++) {
+                pulses(frame, count, 6000);
+            }
+            for (size_t i = 0; i <= count; i++) {
+                const uint32_t width_us = i < count ? frame[i] : 6000;
+                if (at != i) {
+                    edges();
+                }
+                if (at == count + 1 + i) {
+                    clock_us += width_us / 2;
+                    edges();
+                    clock_us -= width_us / 2;
+                }
+                clock_us += width_us;
+            }
+            pulses(frame, count, 6000);
+            check(alike(frame, count < 9 ? count : 9), "an edge too few or too many");
+        }
+    }
 }
 
 static void test_pwm(void)
@@ -264,6 +309,13 @@ static void test_pwm(void)
     radio_take(&r, nobodys, 2000);
     check(radio_now(&r, 2000).pulse_us[2] == 1300.0f, "a glitch is no pulse");
     check(radio_now(&r, 1000 + RADIO_LOST_US + 2).failsafe, "a wire fell silent");
+    for (uint8_t wire = 0; wire < 5; wire++) { /* all but the arming switch's */
+        const radio_edge up = {0, wire, true}, down = {1500, wire, false};
+        radio_take(&r, up, 1000 + RADIO_LOST_US);
+        radio_take(&r, down, 1000 + RADIO_LOST_US);
+    }
+    check(radio_now(&r, 1000 + RADIO_LOST_US + 2).failsafe, "a switch's wire fell silent");
+    check(!radio_now(&r, 1000 + RADIO_LOST_US).failsafe, "it was heard until then");
 }
 
 /* What comes from the radio goes through the firmware: kill, arming, the switch that must be seen off. */
@@ -292,6 +344,15 @@ static void test_arming(void)
     in.receiver.pulse_us[5] = 2000.0f;
     quad_firmware_cycle(&f, 400000, &in, motors);
     check(!f.endpoint.armed && motors[0] == 0.0f, "nothing arms without a gyro");
+    in.sensors.samples = 1;
+    for (uint64_t cycle = 101; cycle < 200; cycle++) {
+        in.receiver.pulse_us[2] = cycle > 120 && cycle < 150 ? 1600.0f : 1000.0f;
+        in.receiver.pulse_us[4] = cycle > 130 && cycle < 140 ? 2000.0f : 1000.0f;
+        in.receiver.pulse_us[5] = (cycle > 105 && cycle < 110) || cycle == 170 ? 1000.0f : 2000.0f;
+        quad_firmware_cycle(&f, 4000 * cycle, &in, motors);
+        const bool turns = (f.record.flags & QUAD_FLAG_ARMED) != 0;
+        check(turns == ((cycle >= 110 && cycle <= 130) || cycle > 170), "killed: until it is armed again");
+    }
 }
 
 int main(void)
@@ -301,8 +362,12 @@ int main(void)
     test_barometer();
     test_bus_time();
     test_ppm();
+    test_ppm_edges();
     test_pwm();
     test_arming();
+    float motors[4];
+    const float none[4] = {0.5f, NAN, 0.0f, 0.0f};
+    check(quad_mix(none, motors) && motors[0] == 0.0f && motors[1] == 0.0f, "no number, no thrust");
     check(esc_pulse_us(0) == 1000 && esc_pulse_us(1) == 2000 && esc_pulse_us(0.5f) == 1500, "ESC");
     check(esc_pulse_us(-1) == 1000 && esc_pulse_us(NAN) == 1000 && esc_pulse_us(9) == 2000, "limits");
     printf("%d checks, %d failed\n", checks, failures);

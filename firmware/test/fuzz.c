@@ -50,7 +50,7 @@ static void fill(mavlink_message_t *m, uint32_t kind)
         memcpy(_MAV_PAYLOAD_NON_CONST(m), &g, MAVLINK_MSG_ID_QUAD_GAINS_LEN);
     } else if (kind == MAVLINK_MSG_ID_QUAD_EXCITATION && draw(4) != 0) {
         mavlink_quad_excitation_t x = {.valid_ms = (uint16_t)draw(2000)};
-        x.injection = (uint8_t)draw(5);
+        x.injection = (uint8_t)(draw(2) == 0 ? 0 : draw(5)); /* 0 ends a refusal */
         for (int i = 0; i < 3; i++) {
             x.value[i] = (float)draw(1000) / 1500.0f;
         }
@@ -143,12 +143,12 @@ static void measure(quad_inputs *inputs)
     }
     s->slow.pressure_hpa = number(1000.0f, 10.0f);
     s->slow.temperature_c = number(20.0f, 10.0f);
-    inputs->receiver.failsafe = draw(50) == 0;
+    inputs->receiver.failsafe = draw(100) == 0;
     for (size_t i = 0; i < QUAD_CHANNELS; i++) {
         inputs->receiver.pulse_us[i] = number(i == 4 ? 1100.0f : 1500.0f, i == 4 ? 50.0f : 600.0f);
     }
-    inputs->receiver.pulse_us[4] += draw(50) == 0 ? 900.0f : 0.0f;
-    inputs->receiver.pulse_us[5] = draw(10) == 0 ? 1100.0f : 1900.0f; /* the arm switch */
+    inputs->receiver.pulse_us[4] += draw(200) == 0 ? 900.0f : 0.0f;
+    inputs->receiver.pulse_us[5] = draw(20) == 0 ? 1100.0f : 1900.0f; /* the arm switch */
 }
 
 /* The second line too: whole frames and noise. */

@@ -55,7 +55,7 @@ static uint8_t fifo[1024];
 static size_t fifo_count, popped, overflows;
 static uint64_t sampled_ns, converts_ns;
 static uint32_t converting;
-static bool gyro_gone, moves;
+static bool gyro_gone, moves, flash_broken;
 
 static void sample(void)
 {
@@ -217,7 +217,7 @@ static void written(const volatile void *at, uint32_t value, uint32_t before)
         if ((R(FLASH->CR) & 1) == 0 || (R(FLASH->CR) & (3u << 8)) != 2u << 8) {
             fail("flash written without leave");
         }
-        *real(at) = value & before;
+        *real(at) = flash_broken ? before : value & before;
         R(FLASH->SR) = 1u << 16;
         programmed++;
     } else if (at == &TIM2->EGR) {
@@ -313,7 +313,7 @@ static void open_registers(void)
 /* The flight: what a loop's turn finds on the lines, and what came of it. */
 uint32_t board_stack_used(void);
 static uint64_t pulse_ns;
-static size_t pulse, sent_cycles;
+static size_t pulse, sent_cycles, told_of_flash;
 static uint16_t pulses_us[9] = {1500, 1500, 1000, 1500, 1000, 1000, 1000, 1000, 1000};
 static mavlink_message_t heard, whole;
 static mavlink_status_t line;
@@ -348,7 +348,12 @@ static void transmit(void)
     for (uint32_t i = 0; i < R(tx->NDTR); i++) {
         mavlink_status_t status;
         if (mavlink_frame_char_buffer(&heard, &line, bytes[i], &whole, &status) == MAVLINK_FRAMING_OK) {
+            char text[51] = "";
             sent_cycles += whole.msgid == MAVLINK_MSG_ID_QUAD_CYCLE;
+            if (whole.msgid == MAVLINK_MSG_ID_STATUSTEXT) {
+                mavlink_msg_statustext_get_text(&whole, text);
+                told_of_flash += strncmp(text, "flash:", 6) == 0;
+            }
         }
     }
     R(tx->CR) &= ~DMA_CR_EN;
@@ -470,6 +475,17 @@ static void test_gains_outlive_the_power(void)
     CHECK(flight.firmware.endpoint.gains.active[KP] == found[KP]);
 }
 
+static void test_a_broken_flash_is_told_of_once(void)
+{
+    flash_broken = true;
+    command_gains();
+    fly_on(0.05);
+    agree_on_gains();
+    fly_on(0.5);
+    CHECK(flight.firmware.endpoint.gains.confirmations == 1 && told_of_flash == 1);
+    flash_broken = false;
+}
+
 static void test_cut_at_every_access(void)
 {
     static uint8_t before[0x40000];
@@ -502,6 +518,7 @@ int main(void)
     power();
     test_flight();
     test_gains_outlive_the_power();
+    test_a_broken_flash_is_told_of_once();
     test_cut_at_every_access();
     return 0;
 }

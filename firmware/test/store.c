@@ -85,6 +85,17 @@ int main(void)
             cuts++;
         }
     }
+    bytes_left = -1;
+    memset(pages, 0xFF, sizeof pages);
+    quad_store_save(&flash, old);
+    quad_store_save(&flash, new);
+    for (size_t word = 0; word < QUAD_STORE_WORDS; word++) { /* 1: of a table in another order */
+        pages[0][QUAD_STORE_WORDS + word] ^= 1u;
+        if (!quad_store_load(&flash, found) || memcmp(found, old, sizeof old) != 0) {
+            return printf("word %zu of the newest is wrong: the one before is not found\n", word), 1;
+        }
+        pages[0][QUAD_STORE_WORDS + word] ^= 1u;
+    }
     printf("%ld cuts\n", cuts);
     return 0;
 }

@@ -3,6 +3,7 @@
 import math
 import shutil
 import subprocess
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -46,16 +47,16 @@ class Board:
 
     def run(
         self, cycles=1, *, kill=False, failsafe=False, battery_v=12.0, sample=LEVEL, throttle=0.5,
-        sticks=(0.0, 0.0, 0.0),
+        sticks=(0.0, 0.0, 0.0), samples=4,
     ):  # fmt: skip
-        """Cycles with these inputs; `sticks` roll, pitch, yaw."""
+        """Cycles with these inputs; `sticks` roll, pitch, yaw; so many `samples` in each."""
         roll, pitch, yaw = (1500.0 + 500.0 * stick for stick in sticks)
         pulses = (roll, pitch, 1000.0 + 1000.0 * throttle, yaw, 2000.0 if kill else 1000.0,
                   *(1000.0,) * 4)  # fmt: skip
         slow, out = (battery_v, 0.0, 0.24, -0.38, 1013.25, math.nan), []
         for _ in range(cycles):
-            samples = np.array([sample] * 4, dtype=float)
-            frame = hil.sensors(self.cycle * CYCLE_US, pulses, failsafe, slow, samples)
+            gyro = np.array([sample] * samples, dtype=float).reshape(-1, 6)
+            frame = hil.sensors(self.cycle * CYCLE_US, pulses, failsafe, slow, gyro)
             self.motors = hil.motors(self.firmware.cycle(frame)).commands
             self.cycle += 1
             out += self.decoder.feed(self.firmware.send())
@@ -183,17 +184,21 @@ def test_an_excitation_beyond_its_limits_is_refused(board, value, injection):
     assert not cycle.flags & f.Flag.EXCITATION
 
 
-UNSAFE = [{'kill': True}, {'failsafe': True}, {'battery_v': 9.5}]
+UNSAFE = [{'kill': True}, {'failsafe': True}, {'battery_v': 5.0}, {'throttle': 0.04}]
+
+
+def excite(made, seq):
+    made.tell(f.Excitation((0.1, 0.0, 0.0), int(f.Injection.RATE), seq, valid_ms=400))
+    return of(f.Cycle, made.run())[-1].flags
 
 
 @pytest.mark.parametrize('unsafe', UNSAFE, ids=str)
-def test_an_unsafe_state_ends_the_excitation_in_the_next_cycle_at_the_latest(board, unsafe):
+def test_an_unsafe_state_ends_the_excitation_until_it_is_idle(board, unsafe):
+    """In the next cycle; the voltage is a mean over half a second."""
     made = board()
     made.run()
-    made.tell(f.Excitation((0.1, 0.0, 0.0), int(f.Injection.RATE), 7, valid_ms=400))
-    (cycle,) = of(f.Cycle, made.run())
-    assert cycle.flags & f.Flag.EXCITATION
-    frames = made.run(2, **unsafe)
+    assert excite(made, 7) & f.Flag.EXCITATION
+    frames = made.run(60 if 'battery_v' in unsafe else 2, **unsafe)
     last = of(f.Cycle, frames)[-1]
     assert not last.flags & f.Flag.EXCITATION
     assert last.flags & f.Flag.EXCITATION_REFUSED
@@ -202,8 +207,24 @@ def test_an_unsafe_state_ends_the_excitation_in_the_next_cycle_at_the_latest(boa
     frames += made.run(5, **unsafe)
     low = [text for text in texts(frames) if text.startswith('low battery')]
     assert len(low) == ('battery_v' in unsafe)  # said once
-    # and it does not come back by itself
-    assert not any(c.flags & f.Flag.EXCITATION for c in of(f.Cycle, made.run(5)))
+    # and it does not come back by itself, nor with the next set-points of the same segment
+    assert not any(c.flags & f.Flag.EXCITATION for c in of(f.Cycle, made.run(500)))
+    made.firmware.arm(True)
+    flags = excite(made, 8)
+    assert flags & f.Flag.EXCITATION_REFUSED
+    assert not flags & f.Flag.EXCITATION
+    made.tell(f.Excitation((0.0, 0.0, 0.0), int(f.Injection.NONE), 9))
+    assert not of(f.Cycle, made.run())[0].flags & f.Flag.EXCITATION_REFUSED
+    assert excite(made, 10) & f.Flag.EXCITATION
+
+
+def test_a_voltage_about_its_limit_switches_nothing(board):
+    made = board()
+    flags = [excite(made, 1)]
+    for k in range(200):
+        flags += [c.flags for c in of(f.Cycle, made.run(battery_v=9.6 + 0.8 * (k % 2)))]
+        made.tell(f.Excitation((0.1, 0.0, 0.0), int(f.Injection.RATE), 1, valid_ms=400))
+    assert all(flag & f.Flag.EXCITATION for flag in flags)
 
 
 def test_sticks_move_the_reference_and_a_failsafe_centres_them(board):
@@ -220,9 +241,11 @@ def arm(made, value, command=400):
 
 def test_arming(board):
     made = board(armed=False)
-    made.run(1, kill=True)
-    assert arm(made, 1.0) == 1
-    made.run(1, kill=False)
+    assert arm(made, 1.0) == 1  # before the gyro was heard
+    for unsafe in ({'kill': True}, {'throttle': 0.06}, {'samples': 0}):
+        made.run(30, **{'throttle': 0.0} | unsafe)
+        assert arm(made, 1.0) == 1
+    made.run(1, throttle=0.0)
     assert arm(made, 1.0) == 0
     (cycle,) = of(f.Cycle, made.run())
     assert cycle.flags & f.Flag.ARMED
@@ -230,6 +253,67 @@ def test_arming(board):
     assert arm(made, 0.0) == 0
     (cycle,) = of(f.Cycle, made.run())
     assert not cycle.flags & f.Flag.ARMED
+
+
+def test_the_kill_switch_disarms(board):
+    """Its release does not start the motors again."""
+    made = board()
+    made.run(10)
+    assert all(made.motors)
+    made.run(1, kill=True)
+    cycles = of(f.Cycle, made.run(50))
+    assert not any(made.motors)
+    assert not any(c.flags & f.Flag.ARMED for c in cycles)
+
+
+def test_on_the_ground_nothing_winds_up_and_in_flight_the_yaw_reference_waits(board):
+    made = board()
+    slope = (0.0, 0.0, 0.0, 0.0, 2.0, 9.6)
+    made.run(500, throttle=0.04, sticks=(0.5, 0.0, 1.0), sample=slope)
+    assert made.motors == pytest.approx([0.04] * 4)
+    (cycle,) = of(f.Cycle, made.run(1, throttle=0.5))
+    assert cycle.attitude_setpoint[2] == pytest.approx(cycle.attitude[2], abs=0.01)
+    cycle = of(f.Cycle, made.run(1250, sticks=(0.0, 0.0, 1.0)))[-1]  # 450 deg, held fast
+    ahead = math.remainder(cycle.attitude_setpoint[2] - cycle.attitude[2], 2 * math.pi)
+    assert abs(ahead) == pytest.approx(math.radians(60.0), abs=1e-3)
+
+
+def test_after_the_gyros_silence_the_attitude_begins_anew(board):
+    made = board()
+    made.run(500)
+    turning = (0.3, *LEVEL[1:])
+    made.run(3, sample=turning)
+    made.run(5000, samples=0)
+    cycle = of(f.Cycle, made.run(1))[-1]
+    assert cycle.attitude[:2] == pytest.approx((0.0, 0.0), abs=math.radians(0.1))
+
+
+def test_an_observer_that_diverges_does_not_come_in(board):
+    """A model of no aircraft, beside the cascade for 25 s, then with a share of a quarter."""
+    made = board()
+    made.run(50)
+    made.update(ROLL_LQR_GAIN=200.0, ROLL_LQR_KANG=0.3, ROLL_LQR_KRATE=0.1, ROLL_LQR_LAG=0.03,
+                ROLL_LQR_OBS=0.005, ROLL_LQR_DAMP=-5.0)  # fmt: skip
+    made.tell(f.GainsCommand(f.GainsAction.CONFIRM, 5))
+    made.run(6250, sample=(0.001, *LEVEL[1:]))
+    made.update(ROLL_LQR_SHARE=0.25)
+    (cycle,) = of(f.Cycle, made.run())
+    assert abs(cycle.control[1]) < 0.05
+    made.tell(f.GainsCommand(f.GainsAction.CONFIRM, 5))
+    cycles = of(f.Cycle, made.run(1250, sample=(0.001, *LEVEL[1:])))
+    assert all(math.isfinite(c.control[1]) for c in cycles)
+
+
+def test_a_stored_set_is_taken_whole_or_not_at_all(board):
+    """One value beyond its bounds: it is another firmware's."""
+    made, settings = board(), boot(Profile())
+    first = made.in_force()
+    stored = [*first[:2], 0.09, *first[3:]]
+    made.firmware.boot(replace(settings, gains=stored).frame())
+    assert made.in_force()[2] == pytest.approx(0.09)
+    stored[5] = 1000.0
+    made.firmware.boot(replace(settings, gains=stored).frame())
+    assert made.in_force() == first
 
 
 def test_nothing_hidden_no_heap_no_input_or_output(firmware):

@@ -5,12 +5,16 @@ import os
 import re
 import shutil
 import socket
+import struct
 import subprocess
+from functools import reduce
 from itertools import pairwise
 
 import pytest
 from flight_controller import DOUBLED, DROPPED, Fault
 
+from quad_bridge.gains.protocol import checksum
+from quad_bridge.gains.table import ROWS, WIRE_NAMES
 from quad_bridge.virtual import hil
 from quad_bridge.virtual.aircraft import Aircraft, boot
 from quad_bridge.virtual.board import EMULATOR, MACHINE, EmulatedBoard
@@ -178,6 +182,52 @@ def test_the_timer_keeps_250_hz_to_the_microsecond(firmware):
     assert not any(frame.flags & f.Flag.ARMED for frame in cycles)
     (timing,) = (x.text for x in frames if isinstance(x, f.StatusText) and 'timing' in x.text)
     assert int(re.search(r'latest (\d+)', timing)[1]) < 10  # us of its own timer
+
+
+PAGE_BYTES, PAGES_AT = 128 * 1024, 0x080C0000
+
+
+def kept_sets(number):
+    """The flash after so many confirmed sets; roll.rate.kp is their number / 10000."""
+    names = ''.join(name.ljust(16, '\0') for name in WIRE_NAMES.values()).encode()
+    layout = reduce(lambda h, c: (h ^ c) * 16777619 & 0xFFFFFFFF, names, 2166136261)
+    values = {name: row.start[0] for name, row in ROWS.items()}
+    pages = [b'', b'']
+    for k in range(1, number + 1):
+        values[KP] = 1e-4 * k
+        packed = struct.pack(f'<{len(values)}f', *values.values())
+        check = checksum(list(values.values())) ^ (k * 2654435761 & 0xFFFFFFFF)
+        record = struct.pack('<2I', k, layout) + packed + struct.pack('<I', check)
+        pages[k > PAGE_BYTES // len(record)] += record
+    return b''.join(page.ljust(PAGE_BYTES, b'\xff') for page in pages)
+
+
+def test_a_flash_full_of_sets_holds_up_neither_boot_nor_loop(firmware, tmp_path):
+    """By the flight board's own watchdog; the set that is confirmed cannot be kept in QEMU."""
+    (tmp_path / 'pages').write_bytes(kept_sets(980))
+    command = (EMULATOR, '-M', MACHINE, '-display', 'none', '-monitor', 'none', '-serial', 'stdio',
+               '-kernel', firmware('strict.elf'), *EXACT, '-device',
+               f'loader,file={tmp_path / "pages"},addr={PAGES_AT:#x},force-raw=on')  # fmt: skip
+    decoder, encoder, frames = Decoder(), Encoder(1, 191), []
+    asked = (f.ParamRequestRead('ROLL_RATE_KP'), f.GainsCommand(f.GainsAction.OPEN, 5),
+             f.GainsCommand(f.GainsAction.CONFIRM, 5))  # fmt: skip
+
+    def heard(kind):
+        return [frame for frame in frames if isinstance(frame, kind)]
+
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as run:
+        while not heard(f.Cycle):
+            frames += decoder.feed(os.read(run.stdout.fileno(), 65536))
+        run.stdin.write(b''.join(map(encoder.encode, asked)))
+        run.stdin.flush()
+        while not any(x.text.startswith(('timing', 'restarted')) for x in heard(f.StatusText)):
+            frames += decoder.feed(os.read(run.stdout.fileno(), 65536))
+        run.kill()
+    said = [x.text for x in heard(f.StatusText)]
+    assert not any('watchdog' in text for text in said)
+    assert 'flash: these gains end with the power' in said
+    assert heard(f.ParamValue)[0].value == pytest.approx(0.098)
+    assert {b.cycle - a.cycle for a, b in pairwise(heard(f.Cycle))} == {1}
 
 
 def commit(frame):

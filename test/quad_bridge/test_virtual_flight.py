@@ -145,7 +145,8 @@ def test_the_delay_is_the_configured_number_of_cycles():
 
 
 def test_the_wire_process_and_the_array_flight_are_the_same_flight():
-    events = (Event(0.6, 'roll', 0.5), Event(0.7, 'roll', 0.0), Event(0.9, 'aux1', 1.0))
+    events = (Event(0.6, 'roll', 0.5), Event(0.7, 'roll', 0.0), Event(0.9, 'aux1', 1.0),
+              Event(0.95, 'aux1', -1.0))  # the kill switch has disarmed
     profile = Profile(receiver=Receiver(events=events))
     flight = fly(profile, [], 1.0, 9)
     endpoint, decoder = Endpoint(Aircraft(profile, seed=9), profile.receiver), Decoder()

@@ -5,7 +5,6 @@
 #define HSE_MHZ 8u
 #define SPIN 200000u /* turns of a bounded wait: some ms */
 #define BITTEN 0xB17E4D06u
-#define EMULATED_HUNG_MS 5000u /* its time is its host's, which may have other work */
 
 __attribute__((section(".noinit"))) static uint32_t bitten;
 static volatile uint32_t unheard_ms;

@@ -22,6 +22,9 @@ uint64_t board_now_us(void);
 /* The control loop is alive: at least every BOARD_HUNG_MS. */
 void board_alive(void);
 #define BOARD_HUNG_MS 50u
+#ifndef EMULATED_HUNG_MS /* an emulator's time is its host's, which may have other work */
+#define EMULATED_HUNG_MS 5000u
+#endif
 
 extern const quad_flash board_flash; /* to be written while the motors stand */
 
@@ -55,9 +58,9 @@ void receiver_4_interrupt(void);
 void receiver_5_interrupt(void);
 
 /* What both mains do between two cycles: send what waits, hear the bridge at now_us, and keep confirmed gains
- * in flash while the motors stand; `kept` counts the confirmations that are. */
+ * in flash while the motors stand, or tell that they could not; `kept` counts the confirmations that were seen to. */
 void serve_send(quad_firmware *f);
 void serve_bridge(quad_firmware *f, uint64_t now_us);
-void serve_flash(const quad_firmware *f, uint32_t *kept);
+void serve_flash(quad_firmware *f, uint32_t *kept);
 
 #endif

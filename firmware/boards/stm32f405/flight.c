@@ -29,7 +29,7 @@ static struct {
         uint32_t count;
         float sum[3], least[3], most[3];
     } rest;
-    uint32_t kept; /* confirmations whose gains are in flash */
+    uint32_t kept; /* confirmations that serve_flash has seen to */
     uint64_t due_us;
 } flight;
 
@@ -37,13 +37,14 @@ static void begin(void)
 {
     float kept[QUAD_PARAMETERS];
     quad_store_prepare(&board_flash); /* before the watchdog: an erasure takes seconds */
+    const bool stored = quad_store_load(&board_flash, kept);
     const bool bitten = board_start();
     uart_start();
     i2c_start();
     pulses_start();
     quad_firmware_settings settings = quad_firmware_defaults();
     settings.endpoint.aircraft = board_id();
-    settings.endpoint.stored = quad_store_load(&board_flash, kept) ? kept : NULL;
+    settings.endpoint.stored = stored ? kept : NULL;
     quad_firmware_init(&flight.firmware, &settings);
     radio_start(&flight.radio, PPM);
     if (bitten) {

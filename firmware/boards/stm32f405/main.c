@@ -17,7 +17,7 @@ static struct {
     quad_hil_boot boot;
     quad_inputs inputs;
     uint64_t due_us, last_us, start_us;
-    uint32_t kept;     /* confirmations whose gains are in flash */
+    uint32_t kept;     /* confirmations that serve_flash has seen to */
     bool booted, waiting, started;
 } board;
 

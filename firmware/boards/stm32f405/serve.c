@@ -1,5 +1,6 @@
 /* What both mains do between two cycles. See board.h. */
 #include "board.h"
+#include "quad_outbox.h"
 
 #define SLICE 64u /* bytes heard in one turn of the loop */
 
@@ -25,11 +26,13 @@ void serve_bridge(quad_firmware *f, uint64_t now_us)
 }
 
 /* The core stops for a ms. */
-void serve_flash(const quad_firmware *f, uint32_t *kept)
+void serve_flash(quad_firmware *f, uint32_t *kept)
 {
     const quad_gains *gains = &f->endpoint.gains;
     if (*kept != gains->confirmations && !f->endpoint.armed) {
         *kept = gains->confirmations;
-        quad_store_save(&board_flash, gains->good);
+        if (!quad_store_save(&board_flash, gains->good)) {
+            quad_put_text(&f->endpoint, 4, "flash: these gains end with the power");
+        }
     }
 }

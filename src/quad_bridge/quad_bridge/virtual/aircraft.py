@@ -43,6 +43,8 @@ EffectFunction = Callable[[float, FloatArray, FloatArray, FloatArray, float], Fl
 """effect(t_s, rates, angles, thrusts, battery_v) -> extra body torque (3,) in N m."""
 
 BLOCK_CYCLES = 2000
+WAITING_THROTTLE = 0.03
+"""The pilot's throttle, 0..1, while no motor turns: low enough to be armed."""
 
 
 class Aircraft:
@@ -76,6 +78,7 @@ class Aircraft:
             phases=phases[1:],
         )
         self.hover_throttle = hover_throttle(profile.airframe, plant)
+        self._turning = firmware.auto_arm
         running = self.hover_throttle if firmware.auto_arm else 0.0
         bias = profile.sensors.gyro_calibration_error_rad_s * self._rng.standard_normal(3)
         start = profile.airframe.battery.start_charge
@@ -125,6 +128,8 @@ class Aircraft:
         seen = np.empty(2)
         measure_cycle(machine, self._cycle, trim, self._normals[:NORMALS_PER_CYCLE], seen)
         throttle, volts = map(float, seen)
+        if channels.throttle is None and not self._turning:
+            throttle = WAITING_THROTTLE
         pulses = [
             1000.0 + 1000.0 * value if i == 2 else 1500.0 + 500.0 * value
             for i, value in enumerate(channels.axes(throttle))
@@ -142,6 +147,7 @@ class Aircraft:
         if self._effect is not None:
             self._effect_steps(steps)
         self._cycle += 1
+        self._turning = any(motors.commands)
 
     @property
     def time_us(self) -> int:

@@ -120,9 +120,10 @@ def inputs(aircraft: Aircraft, schedule: Sequence[Excited], count: int) -> Float
     given = np.zeros((count, INPUTS))
     script, times = profile.receiver, np.arange(count) * aircraft.cycle_s
     marks = sorted({0.0, *(event.time_s for event in script.events)})
+    armed = profile.firmware.auto_arm
     for mark in marks:
         channels, rows = channels_at(script, mark), times >= mark - 1e-9
-        armed = profile.firmware.auto_arm and not channels.kill
+        armed = armed and not channels.kill  # nobody arms it again
         given[rows, ARMED] = float(armed)
         throttle = channels.throttle
         given[rows, THROTTLE] = aircraft.hover_throttle if throttle is None else throttle
