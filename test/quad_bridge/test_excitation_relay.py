@@ -55,6 +55,8 @@ def test_set_points_follow_the_segment():
     relay = ExcitationRelay(100)
     assert relay.setpoint(0.1, 0.2, 0.3) is None
     assert 'no segment is running' in relay.reason
+    # what the STM32 refused before is forgotten by the frame that ends it
+    assert relay.segment(TRAIN).injection == Injection.NONE
     assert relay.segment(TRAIN) is None
     frame = relay.setpoint(0.1, 0.2, 0.3)
     assert frame.value == (0.1, -0.2, -0.3)  # FLU to FRD

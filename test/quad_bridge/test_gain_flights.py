@@ -46,6 +46,7 @@ def test_a_good_update_is_written_whole_watched_and_confirmed(bench, tmp_path):
         'designer', 'model.json', 5.0,
     )  # fmt: skip
     assert (confirmed['state'], confirmed['update']) == ('confirmed', active['update'])
+    assert confirmed['flown'] is True
     made.cut = True
     made.fly(20.0)
     assert made.gain(ANGLE) == 5.0
@@ -167,14 +168,20 @@ def test_a_bad_set_is_taken_back_before_twenty_degrees(bench, mount, bound, kp, 
 
 
 KILL = [Event(6.0, 'aux1', 1.0)]
+FAILSAFE = [Event(6.0, 'failsafe', 1.0)]
 EARLIER = [Event(3.0, 'yaw', 0.9), Event(3.2, 'yaw', 0.0)]  # at an end before is no delay
 GESTURE = [Event(6.0 + 0.3 * k, 'yaw', v) for k, v in enumerate([0.9, -0.9, 0.9, 0.0])]
 
 
 @pytest.mark.parametrize(
-    ('events', 'words'), [(KILL, 'kill switch'), (EARLIER + GESTURE, 'stick gesture')]
+    ('events', 'words'),
+    [
+        (KILL, 'kill switch'),
+        (FAILSAFE, "receiver's failsafe"),
+        (EARLIER + GESTURE, 'stick gesture'),
+    ],
 )
-def test_the_kill_switch_and_the_stick_gesture_take_the_gains_back(
+def test_the_kill_switch_a_failsafe_and_the_stick_gesture_take_the_gains_back(
     bench, tmp_path, events, words
 ):
     made = bench(events=events)
@@ -188,6 +195,24 @@ def test_the_kill_switch_and_the_stick_gesture_take_the_gains_back(
     *_, outcome, active = history(tmp_path)
     assert (outcome['state'], words in outcome['reason']) == ('rolled back', True)
     assert active['gains'][KP] == pytest.approx(OLD_KP)
+
+
+def test_a_pilot_who_disarms_takes_the_gains_back(bench):
+    made = bench()
+    made.ask(roll_rate_kp=0.1)
+    made.fly_until('in force')
+    made.link.send(f.Command(400, (0.0,)))
+    assert 'disarmed while the gains were on trial' in made.fly_until('rolled back')
+    made.fly(1.0)
+    assert_old(made)
+
+
+def test_gains_of_another_aircraft_are_refused(bench):
+    made = bench()
+    with pytest.raises(RefusedError, match=f'aircraft A: connected is {made.updates.aircraft}'):
+        made.ask(roll_rate_kp=0.1, aircraft='A')
+    made.ask(roll_rate_kp=0.1, aircraft=made.updates.aircraft)
+    assert made.updates.state is State.WRITING
 
 
 def test_a_full_disk_does_not_keep_gains_from_being_flown_or_taken_back(bench, tmp_path):

@@ -33,6 +33,8 @@ def test_no_step_leaves_factor_two_or_the_small_step(name, a, b):
     bound = DEFAULT_BOUNDS[name]
     now, wanted = (bound.lower + x * (bound.upper - bound.lower) for x in (a, b))
     model = {f'{axis}.{own}': 20.0 for axis in AXES for own in ('lqr.gain', 'sag.reference_v')}
+    for own in ('lqr.k_angle', 'lqr.k_rate', 'lqr.observer'):
+        model |= {f'{axis}.{own}': 0.2 for axis in AXES}
     for step in steps({name: wanted}, {**model, name: now}, DEFAULT_BOUNDS):
         value = step[name]
         small = abs(value - now) <= bound.small_step * (1 + 1e-9)
@@ -43,19 +45,45 @@ def test_no_step_leaves_factor_two_or_the_small_step(name, a, b):
 
 
 def test_a_state_feedback_comes_in_by_quarters_and_its_gains_move_freely_only_before():
-    off = {'roll.lqr.share': 0.0, 'roll.lqr.k_angle': 0.0, 'roll.lqr.gain': 0.0}
-    wanted = {'roll.lqr.share': 1.0, 'roll.lqr.k_angle': 0.4, 'roll.lqr.gain': 450.0}
+    wanted = {
+        'roll.lqr.share': 1.0, 'roll.lqr.k_angle': 0.4, 'roll.lqr.k_rate': 0.1,
+        'roll.lqr.gain': 450.0, 'roll.lqr.observer': 0.2,
+    }  # fmt: skip
+    off = dict.fromkeys(wanted, 0.0)
     path = steps(wanted, off, DEFAULT_BOUNDS)
     assert [p['roll.lqr.share'] for p in path] == pytest.approx([0.25, 0.5, 1.0, 1.0], rel=1e-3)
     assert all(p['roll.lqr.k_angle'] == 0.4 for p in path)
     path = steps({'roll.lqr.k_angle': 0.9}, wanted, DEFAULT_BOUNDS)
     assert [p['roll.lqr.k_angle'] for p in path] == pytest.approx([0.8, 0.9], rel=1e-3)
-    with pytest.raises(RefusedError, match=r'has no model as long as roll\.lqr\.gain is 0'):
-        steps({'roll.lqr.share': 0.25}, off, DEFAULT_BOUNDS)
+    for name in wanted.keys() - {'roll.lqr.share'}:  # each alone makes it do nothing
+        rest = {**wanted, name: 0.0}
+        with pytest.raises(RefusedError, match=f'does not work as long as {name} is 0'):
+            steps({'roll.lqr.share': 0.25}, {**rest, 'roll.lqr.share': 0.0}, DEFAULT_BOUNDS)
     with pytest.raises(RefusedError, match='must lie in'):
         steps({'roll.lqr.share': 1.5}, wanted, DEFAULT_BOUNDS)
     with pytest.raises(RefusedError, match=r'roll\.sag\.reference_v is 0'):
         steps({'roll.sag.exponent': 1.0}, {'roll.sag.exponent': 0.0}, DEFAULT_BOUNDS)
+
+
+@pytest.mark.parametrize(
+    ('damping', 'observer', 'before', 'refused'),
+    [
+        (-5.0, 0.005, {}, True),
+        (-5.0, 0.03, {}, False),
+        (1.0, 0.005, {}, False),
+        # the set after the first step, not the last one: 0.01 beside -3
+        (20.0, 0.005, {'share': 0.25, 'damping': -5.0, 'observer': 0.02}, True),
+    ],
+)
+def test_no_observer_is_let_through_that_diverges(damping, observer, before, refused):
+    active = {'share': 0.0, 'gain': 200.0, 'damping': 0.0, 'observer': 0.0, **before}
+    active = {f'roll.lqr.{name}': value for name, value in active.items()}
+    wanted = {'roll.lqr.damping': damping, 'roll.lqr.observer': observer}
+    if refused:
+        with pytest.raises(RefusedError, match=r'roll\.lqr\.observer: the observer diverges'):
+            steps(wanted, active, DEFAULT_BOUNDS)
+    else:
+        assert steps(wanted, active, DEFAULT_BOUNDS)[-1] == wanted
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import json
 
 import numpy as np
 import pytest
-from flight_controller import Fault, changed
+from flight_controller import STILL, Fault, changed
 
 from quad_bridge.errors import RefusedError
 from quad_bridge.gains.history import History
@@ -192,3 +192,10 @@ def test_a_damaged_record_counts_as_no_check(tmp_path, record):
     (tmp_path / 'one' / 'polarity.json').write_text(text, encoding='latin-1')
     check.load(History(tmp_path, lambda job: job()).open('one'))
     assert check.unchecked(['roll.rate.kp', 'sensor.gyro_filter_hz']) == ['roll']
+
+
+def test_a_check_begins_with_the_frame_that_ends_an_earlier_refusal():
+    check = PolarityCheck('auto', 250.0)
+    check.start(['roll'])
+    sent = [check.step(STILL).injection for _ in range(3)]
+    assert sent == [f.Injection.NONE, f.Injection.CONTROL, f.Injection.CONTROL]

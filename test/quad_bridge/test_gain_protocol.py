@@ -44,6 +44,7 @@ from quad_bridge.wire.frames import (
 
 A, B = NAMES = ('ROLL_RATE_KP', 'ROLL_RATE_KI')
 OLD = {A: 0.25, B: 0.5}
+REVOCABLE = (*protocol.WRITING, State.ON_TRIAL, State.CONFIRMING)
 WRITES = ({A: 0.375, B: 0.625}, {A: 0.75})
 LEGAL = {(0.25, 0.5), (0.375, 0.625), (0.75, 0.5), (0.75, 0.625)}
 NOW_US, TICK_S, OLDEST_S, WATCH_MS = 10_000_000, 0.5, 2.5, 1000
@@ -66,6 +67,8 @@ class World:
         """How many there may still be."""
         self.flown = self.asked = frozenset({(0.25, 0.5)})
         """Sets that have been in force, and that were to be confirmed."""
+        self.known = (0.25, 0.5)
+        """The confirmed set, as last told."""
         self.unnoticed = False
         """The STM32 has restarted, and its cycle counter has not told yet."""
 
@@ -83,12 +86,12 @@ class World:
         return (
             b.state, b._number, b._checksum, values, tuple(b._queue),
             b.state in protocol.AT_REST
-            or (b._left, b._due_s, tuple(b._writes.items()), b._outcome),
+            or (b._left, b._due_s, tuple(b._writes.items()), b._outcome, b._late),
             b.told and b.told.transaction, s.of(NAMES), s.of(NAMES, 'good'),
             s.staging and s.of(NAMES, 'copy'), s.transaction, s.watching,
             (s.staging or s.watching) and (s.heard_us, s.watching and s.deadline_us),
             self.up, self.down, self.faults, self.restarts, self.writes, self.flown, self.asked,
-            self.unnoticed,
+            self.unnoticed, self.known,
         )  # fmt: skip
 
     def moves(self):
@@ -100,7 +103,7 @@ class World:
             'doubled up': self.faults and room, 'doubled down': self.faults and self.down,
             'write': self.writes and not self.bridge.busy,
             'confirm': self.state is State.ON_TRIAL,
-            'revert': self.state in {*protocol.WRITING, State.ON_TRIAL},
+            'revert': self.state in REVOCABLE,
             'bridge restarts': self.restarts, 'stm32 restarts': self.restarts,
             'noticed': self.unnoticed,
         }  # fmt: skip
@@ -149,6 +152,10 @@ class World:
                 assert active in self.flown, 'told of gains that were never in force'
                 if event.what is What.CONFIRMED:
                     assert active == before, 'told of a confirmation that is none'
+                if event.what in {What.READ, What.CONFIRMED}:
+                    self.known = active
+            if event.what in {What.REVERTED, What.FAILED} and event.reason == 'why':
+                assert before == self.known, 'told of a way back that is none'
         self.bridge.events.clear()
         self.send()
 
@@ -200,7 +207,7 @@ class World:
         state = self.state
         if state is not State.ON_TRIAL:
             self.bridge.confirm()
-            if state not in protocol.WRITING:
+            if state not in REVOCABLE:
                 self.bridge.revert('why')
         assert self.state is state
 
@@ -270,7 +277,7 @@ def test_no_state_and_no_event_breaks_an_invariant(connected, faults, restarts, 
         events = ('tick', 'report', 'arrives up', 'arrives down')
         assert {(s, e) for s in State for e in events} <= met
         assert {s for s, name in met if 'lost' in name} == set(State)
-        assert {(s, 'revert') for s in (*protocol.WRITING, State.ON_TRIAL)} <= met
+        assert {(s, 'revert') for s in REVOCABLE} <= met
         assert (State.ON_TRIAL, 'confirm') in met
 
 
@@ -402,6 +409,25 @@ def test_what_goes_wrong_with_a_set_leaves_the_old_one(talk, fault, reason):
     talk.bridge.write(SET, 9000)
     assert talk.until(What.FAILED).reason == reason
     assert (talk.flown(), talk.far.store.state().phase) == (OLD_SET, GainsPhase.IDLE)
+
+
+@pytest.mark.parametrize(
+    ('way', 'what', 'flown'), [('up', What.REVERTED, OLD_SET), ('deaf', What.CONFIRMED, WRITTEN)]
+)
+def test_a_set_asked_back_while_it_is_confirmed_goes_back_unless_it_is_by_then(
+    talk, way, what, flown
+):
+    talk.bridge.write(SET, 9000)
+    talk.until(What.COMMITTED)
+    setattr(talk, way, lost('CONFIRM', 99))
+    talk.bridge.confirm()
+    talk.bridge.poll(talk.now_s)
+    if way == 'deaf':
+        talk.far.answer(GainsCommand(int(GainsAction.CONFIRM), talk.bridge._number))
+    talk.bridge.revert('why')
+    event = talk.until(What.REVERTED, What.CONFIRMED)
+    assert (event.what, event.reason) == (what, 'why')
+    assert talk.flown() == flown
 
 
 def test_a_set_that_somebody_else_has_changed_is_read_again(talk):

@@ -7,13 +7,18 @@ are stand-ins that speak when the walk says so. In every state that can be reach
    than the largest step from the set before, with the polarity of its axis known.
 2. An update is refused in every state but IDLE, and a NaN in all. Its next step waits for the end
    of an excitation.
-3. Killed, alarmed, gestured at or asked back, a set in flight goes back; it is not confirmed. The
-   pilot's gesture ends a check of the polarity too.
+3. Alarmed, gestured at or asked back, a set in flight goes back; it is not confirmed. Killed, in
+   failsafe, or disarmed after it was in force armed, it goes back also while it is confirmed,
+   unless the STM32 has confirmed it by then. The gesture, and who asks back, end a check of the
+   polarity too, and drop what waits for it.
 4. What is published as active is what the STM32 flies, as long as nothing else has happened.
 5. Left alone, the machine comes to IDLE within the time of an update.
 """
 
+import errno
+import json
 import math
+import os
 import threading
 from dataclasses import replace
 
@@ -108,6 +113,7 @@ class Walk:
         self.stm32 = Store.begun({KP: 0.1})
         self.gains.protocol.gated = frozenset({0.1})
         self.asks, self.faults = 2, 1
+        self.armed = False  # while a set of the update in flight was in force
         for _ in range(20):
             self.exchange()
         self.cycle(f.Flag.ARMED)
@@ -129,14 +135,15 @@ class Walk:
 
     def key(self):
         g, s, p = self.gains, self.stm32, self.gains.protocol
-        flight = g._update and (g._update.written, str(g._update.steps))
+        flight = g._update and (g._update.written, str(g._update.steps), g._update.armed)
         return (
             g.state, flight, bool(g._pending), g._flags, g._cycle_s, g._excited_s > -0.5,
             g.state is State.WATCHING and g._until_s,
             g.watch.bad, g.watch.begun, g.polarity.left, g.polarity.known, p.state, p._left,
             p._due_s, p._number % 4, tuple(p._queue), len(p._values), p._values.get(KP),
             self.flown(), self.flown('good'), s.staging and self.flown('copy'),
-            s.watching and (s.deadline_us, s.heard_us), self.asks, self.faults,
+            s.watching and (s.deadline_us, s.heard_us), self.asks, self.faults, self.armed,
+            p._late,
         )  # fmt: skip
 
     # Events.
@@ -152,10 +159,10 @@ class Walk:
         self.exchange(lost=True)
 
     def cycle(self, flags):
-        before = self.gains.state
+        before, armed = self.gains.state, flags & f.Flag.ARMED
         self.gains.cycle(cycle(flags), 0.0)
-        if flags & f.Flag.RC_KILL:
-            self.goes_back(before)
+        if flags & (f.Flag.RC_KILL | f.Flag.RC_FAILSAFE) or (self.armed and not armed):
+            self.goes_back(before, STOPPED_IN)
 
     def alarm(self):
         before = self.gains.state
@@ -175,8 +182,8 @@ class Walk:
         self.goes_back(before)
         assert self.gains.state is not State.CHECKING
 
-    def goes_back(self, before):
-        if before in {State.WRITING, State.WATCHING}:
+    def goes_back(self, before, within=(State.WRITING, State.WATCHING)):
+        if before in within:
             assert self.gains.state is State.REVERTING
 
     def tick(self, *, excited=False):
@@ -206,7 +213,9 @@ class Walk:
             assert self.gains.refusals == refusals + 1
         else:
             if more.get('rollback'):
-                assert self.gains.state is State.REVERTING
+                dropped = before is State.CHECKING
+                assert self.gains.state is (State.IDLE if dropped else State.REVERTING)
+                assert self.gains._pending is None
             else:
                 assert before is State.IDLE
                 assert math.isfinite(value)
@@ -221,7 +230,8 @@ class Walk:
         armed, g = f.Flag.ARMED, self.gains
         found = {
             'answer': Walk.exchange, 'cycle': lambda w: w.cycle(armed),
-            'killed': lambda w: w.cycle(armed | f.Flag.RC_KILL),
+            'killed': lambda w: w.cycle(f.Flag.RC_KILL),
+            'failsafe': lambda w: w.cycle(armed | f.Flag.RC_FAILSAFE),
             'excited': lambda w: w.tick(excited=True),
             'disarmed': lambda w: w.cycle(f.Flag.NONE),
             'alarm': Walk.alarm, 'gesture': Walk.gesture, 'tick': Walk.tick,
@@ -236,6 +246,8 @@ class Walk:
 
     def check(self):
         g, flown = self.gains, self.flown()
+        in_force = bool(g._update and g._update.written)
+        self.armed = in_force and (self.armed or bool(g._flags & f.Flag.ARMED))
         for item in g.news:
             if item.active is not None:
                 assert item.active['roll.rate.kp'] == flown
@@ -258,6 +270,7 @@ class Walk:
         assert self.gains.active['roll.rate.kp'] == self.flown() == self.flown('good')
 
 
+STOPPED_IN = (State.WRITING, State.WATCHING, State.CONFIRMING)
 PROTOCOL_BUSY = (Protocol.OPENING, Protocol.STAGING, Protocol.COMMITTING, Protocol.VERIFYING)
 
 
@@ -282,6 +295,79 @@ def test_no_state_and_no_event_lets_an_ungated_set_fly(tmp_path, monkeypatch):
             monkeypatch.setattr(module, name, value)
     met, _, _ = explore(walk, 12_000, rest_every=40)
     assert met >= {(state, name) for state in State for name in Walk(tmp_path).moves()}
+
+
+# One update after the other, told by name.
+
+
+class Bench:
+    """An aircraft that lies still, 20 ms after 20 ms; `flags` are those of its cycles."""
+
+    def __init__(self, folder):
+        self.folder, self.history = folder, History(folder, lambda job: job())
+        self.gains = GainUpdates(GainSettings(polarity='off'), self.history)
+        self.gains.watch, self.stm32 = Watch(), Store.begun({KP: 0.1})
+        self.now_s, self.flags = 1.0, f.Flag.NONE
+        self.until('read back')
+
+    def goes_on(self, seconds=20.0):
+        """The lines of news as they come."""
+        g = self.gains
+        for _ in range(round(50 * seconds)):
+            self.now_s += 0.02
+            g.cycle(cycle(self.flags), self.now_s)
+            frame = g.poll(self.now_s)
+            if frame is not None:
+                for answer in self.stm32.answers(frame, round(1e6 * self.now_s)):
+                    g.take(answer, self.now_s)
+            self.history.open(g.aircraft)
+            g.tick(self.now_s)
+            new, g.news = g.news, []
+            yield from (item.text for item in new)
+
+    def until(self, said):
+        """Let time go by until a line of news holds `said`; the line."""
+        return next(text for text in self.goes_on() if said in text)
+
+    @property
+    def stored(self):
+        """The history's last line."""
+        (path,) = self.folder.rglob('gains.jsonl')
+        return json.loads(path.read_text().splitlines()[-1])
+
+
+def test_gains_confirmed_on_the_ground_have_not_flown_until_they_have(tmp_path):
+    bench = Bench(tmp_path)
+    bench.gains.ask({'roll.rate.kp': 0.15, 'source': 'test'}, bench.now_s)
+    assert 'have not flown for 10 s' in bench.until('confirmed')
+    assert (bench.stored['state'], bench.stored['flown']) == ('confirmed', False)
+    assert 'not flown' in bench.gains.status(standard=False).message
+    bench.flags = f.Flag.ARMED
+    bench.until('have flown for 10 s')
+    assert bench.stored['state'] == 'flown'
+    assert 'not flown' not in bench.gains.status(standard=False).message
+    bench.gains.ask({'roll.rate.kp': 0.2, 'source': 'test'}, bench.now_s)
+    assert 'not flown' not in bench.until('confirmed')
+    assert bench.stored['flown'] is True
+
+
+def test_gains_armed_in_the_midst_of_the_watch_have_not_flown_for_its_time(tmp_path):
+    bench = Bench(tmp_path)
+    bench.gains.ask({'roll.rate.kp': 0.15, 'source': 'test'}, bench.now_s)
+    assert not any('confirmed' in text for text in bench.goes_on(5.0))
+    bench.flags = f.Flag.ARMED
+    bench.until('confirmed')
+    assert bench.stored['flown'] is False
+
+
+def test_a_rollback_drops_the_gains_that_wait_for_the_polarity_check(tmp_path):
+    bench = Bench(tmp_path)
+    bench.gains.polarity, bench.flags = Pulses(), f.Flag.ARMED
+    bench.gains.cycle(cycle(bench.flags), bench.now_s)
+    bench.gains.ask({'roll.rate.kp': 0.15, 'source': 'test'}, bench.now_s)
+    bench.gains.ask({'rollback': True, 'source': 'pilot'}, bench.now_s)
+    assert 'a rollback was asked for' in bench.until('refused')
+    assert not any('in force' in text for text in bench.goes_on())
 
 
 # The history.
@@ -316,6 +402,29 @@ def test_a_disk_that_takes_seconds_holds_up_nothing(tmp_path, monkeypatch):
         if thread.name == 'gain history':
             thread.join(60.0)
     assert len(lines()) == 5
+
+
+def test_a_disk_that_takes_a_part_of_a_line_loses_no_set_in_silence(tmp_path, monkeypatch):
+    write, kept, room = os.write, History(tmp_path, lambda job: job()), []
+
+    def some(file, data):  # as a disk does that fills up
+        if not room:
+            raise OSError(errno.ENOSPC, 'No space left on device')
+        return write(file, data[: room.pop()])
+
+    kept.open('one')
+    monkeypatch.setattr(history.os, 'write', some)
+    room[:] = [1000, 20]
+    kept.found({'roll.rate.kp': 0.1})
+    assert not kept.fault
+    room[:] = [20]
+    kept.found({'roll.rate.kp': 0.2})
+    assert 'No space left' in kept.fault
+    monkeypatch.setattr(history.os, 'write', write)
+    kept.found({'roll.rate.kp': 0.2})
+    lines = (tmp_path / 'one' / 'gains.jsonl').read_text().splitlines()
+    assert ['"roll.rate.kp": 0.1}' in lines[0], '"roll.rate.kp": 0.2}' in lines[2]] == [True] * 2
+    assert len(lines) == 3
 
 
 @pytest.mark.parametrize('rate_hz', [10.0, 2000.0])

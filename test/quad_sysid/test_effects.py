@@ -551,7 +551,7 @@ def test_an_echo_that_no_law_describes_is_found_as_a_response():
     ids=['noisy', 'not measured'],
 )
 def test_a_swinging_rig_is_foreseen_in_another_flight_with_a_poor_angle_or_none(variant, angles):
-    """With commands that hold for a second, and a noisy gyro: errors must not add up in the angle."""
+    """Commands hold for a second, the gyro is noisy: errors must not add up in the angle."""
     held = np.repeat(np.random.default_rng(4).uniform(-0.25, 0.25, 80), round(0.8 / DT))
     law = {'torque': lambda _t, _rate, angle: -20.0 * math.sin(angle), 'gyro_noise': 0.03}
 

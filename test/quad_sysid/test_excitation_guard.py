@@ -14,11 +14,12 @@ from quad_sysid.signals.guard import LONGEST_S, STALL_S, Limits, Readings, Stall
 from quad_sysid.signals.player import Player, State
 from quad_sysid.signals.schedule import parse_schedule
 
-RIG = Limits(battery_min_v=10.2)
+RIG = Limits(battery_min_v=10.2, abort_switch=True)
+UNGUARDED = replace(RIG, battery_min_v=0.0, abort_switch=False)
 HOVER = replace(RIG, mount='hover')
 GOOD = Readings(
     imu_age_s=0.004, angles=(0.1, -0.1, 3.0), rc_age_s=0.02, sticks=(0.0, 0.05, 0.0),
-    abort_switch=-1.0, failsafe=False, battery_v=11.5,
+    abort_switch=-1.0, failsafe=False, battery_v=11.5, battery_age_s=0.1,
 )
 DT = 0.004
 
@@ -36,10 +37,17 @@ REASONS = [
     ({'sticks': (0.0, 0.0, -0.15)}, 'the yaw stick', False),
     ({'sticks': (math.nan, 0.0, 0.0)}, 'the roll stick', False),
     ({'battery_v': 10.1}, 'battery at 10.10 V', False),
+    ({'refused': True}, 'the STM32 refuses the excitation', True),
+]
+UNHEARD = [
+    ({'rc_age_s': None, 'abort_switch': None}, 'no /rc/in yet', False),
+    ({'abort_switch': None}, 'no channel of the pilot', False),
+    ({'abort_switch': math.nan}, 'no channel of the pilot', False),
+    ({'battery_v': None, 'battery_age_s': None}, 'no voltage on /battery yet', False),
+    ({'battery_age_s': 2.1}, 'the last voltage on /battery is 2.1 s old', False),
 ]
 FINE = [
-    {}, {'rc_age_s': None, 'abort_switch': None}, {'battery_v': None},
-    {'battery_v': math.nan}, {'angles': (math.radians(24.9), 0.0, 3.1)}, {'imu_age_s': 0.19},
+    {}, {'battery_age_s': 1.9}, {'angles': (math.radians(24.9), 0.0, 3.1)}, {'imu_age_s': 0.19},
 ]
 
 
@@ -84,9 +92,14 @@ def test_yaw_counts_from_its_start_and_only_while_excited():
     assert check(RIG, turned, 'roll') is None
     assert check(RIG, turned, 'yaw', yaw_start=3.1) is None
     assert check(RIG, turned, 'yaw', yaw_start=0.0) is not None
-    unheard = replace(GOOD, rc_age_s=None, sticks=None, abort_switch=None)
-    assert check(RIG, unheard, 'roll') is None
-    assert check(replace(RIG, battery_min_v=0.0), replace(GOOD, battery_v=-0.1), 'roll') is None
+
+
+@pytest.mark.parametrize(('change', 'words', '_'), UNHEARD)
+def test_what_a_guard_does_not_hear_keeps_from_starting_where_it_is_configured(change, words, _):
+    unheard = replace(GOOD, **change)
+    assert words in Player(schedule(), RIG).start(0.0, unheard)
+    assert Player(schedule(), UNGUARDED).start(0.0, unheard) == ''
+    assert check(UNGUARDED, replace(GOOD, battery_v=-0.1, abort_switch=1.0), 'roll') is None
 
 
 def test_a_schedule_is_played_to_its_end():
@@ -107,7 +120,7 @@ def test_a_schedule_is_played_to_its_end():
     assert player.start(200.0, GOOD) == ''
 
 
-@pytest.mark.parametrize(('change', 'words', 'immediate'), REASONS)
+@pytest.mark.parametrize(('change', 'words', 'immediate'), REASONS + UNHEARD)
 def test_an_abort_ramps_out_or_ends_at_once_and_says_idle(change, words, immediate):
     player = Player(schedule(), RIG, ramp_out_s=0.4)
     assert player.start(100.0, GOOD) == ''
@@ -140,7 +153,8 @@ def test_failsafe_cuts_a_ramp_short():
 
 def test_a_start_is_refused_with_the_reason():
     player = Player(schedule(), RIG)
-    assert 'no /imu/data yet' in player.start(0.0, Readings())
+    assert 'no /imu/data yet' in player.start(0.0, replace(GOOD, imu_age_s=None))
+    assert player.start(0.0, Readings()) != ''
     assert 'failsafe' in player.start(0.0, replace(GOOD, failsafe=True))
     assert player.state is State.READY
     assert player.tick(1.0, GOOD).setpoint is None

@@ -48,10 +48,11 @@ class Aircraft:
         self.line = Line(self.path)
         self.cycle = 0
         self.failsafe, self.silent = 0, False
+        self.aux, self.volts = [-1.0] * 5, 0.0
         self.events = probe.listen('/excitation/segment')
         self.heard = probe.listen(SETPOINT)
         self.told = probe.listen('/diagnostics')
-        for topic in ('/imu/data', '/rc/in', '/excitation/applied'):
+        for topic in ('/imu/data', '/rc/in', '/battery', '/diagnostics', '/excitation/applied'):
             probe.advertise(topic)
 
     @property
@@ -96,8 +97,10 @@ class Aircraft:
         self.probe.until(done, 'the node is ready', pause_s=0.0)
 
     def publish(self) -> None:
-        axes = [0.0, 0.0, 0.5, 0.0, -1.0, -1.0, -1.0, -1.0, -1.0]
+        axes = [0.0, 0.0, 0.5, 0.0, *self.aux]
         self.probe.publish('/rc/in', {'axes': axes, 'buttons': [self.failsafe]})
+        if self.volts:
+            self.probe.publish('/battery', {'voltage': self.volts})
         if not self.silent:
             header = stamp(self.now_ns)
             self.probe.publish('/imu/data', {'header': header, 'orientation': UPRIGHT})
@@ -196,6 +199,33 @@ def test_started_by_service_and_ended_by_failsafe_or_a_silent_link(aircraft, fly
     aircraft.until(lambda: '/imu/data is 0.2' in aircraft.state['reason'])
 
 
+def test_the_arming_switch_is_no_abort_switch_and_an_unheard_battery_keeps_from_starting(
+    aircraft, fly
+):
+    fly(LONG, battery_min_v=10.2)
+    aircraft.until_state('ready')
+    aircraft.aux[1] = 1.0  # aux 2 arms on the project's own board
+    refused = aircraft.call('/excitation/start')
+    assert (refused.success, 'no voltage on /battery yet' in refused.message) == (False, True)
+    aircraft.volts = 11.5
+    aircraft.until(lambda: aircraft.call('/excitation/start').success)
+    aircraft.until(lambda: len(aircraft.heard) > 20)
+    aircraft.aux[2] = 1.0
+    aircraft.until_state('aborted')
+    assert 'abort switch' in aircraft.state['reason']
+
+
+def test_the_schedule_ends_where_the_stm32_refuses(aircraft, fly):
+    fly(LONG, autostart=True)
+    aircraft.until(lambda: len(aircraft.heard) > 200)
+    flags = [{'key': 'flags of the STM32', 'value': 'armed excitation_refused'}]
+    aircraft.probe.publish('/diagnostics', {'status': [
+        {'name': 'serial_bridge: excitation', 'values': flags}]})
+    aircraft.until_state('aborted')
+    assert 'the STM32 refuses the excitation' in aircraft.state['reason']
+    aircraft.until_taken_back()
+
+
 def test_a_standstill_of_the_node_itself_is_no_stale_link(aircraft, fly):
     process = fly(autostart=True, exit_when_done=True, imu_stale_s=0.4)
     aircraft.until(lambda: len(aircraft.heard) > 20)
@@ -252,7 +282,8 @@ def test_a_system_clock_that_is_set_back_does_not_stop_a_schedule(
     (tmp_path / 'long.yaml').write_text(LONG)
     told, setpoints = probe.listen('/diagnostics'), probe.listen(SETPOINT)
     probe.publish('/imu/data', {'orientation': UPRIGHT}, every_s=0.02)
-    process = start('excitation', schedule=tmp_path / 'long.yaml', autostart=True, imu_stale_s=2.0)
+    process = start('excitation', schedule=tmp_path / 'long.yaml', autostart=True, imu_stale_s=2.0,
+                    abort_aux=0)  # nobody publishes /rc/in
 
     def elapsed_s() -> float:
         said = entries(told).get('excitation: schedule')

@@ -178,6 +178,20 @@ def test_a_rate_is_made_of_an_angle_without_phase_shift(options, tmp_path):
     assert any('Savitzky-Golay' in line for line in record.warnings)
 
 
+def test_a_heading_that_wraps_turns_no_faster_than_the_aircraft(tmp_path):
+    t = DT * np.arange(N)
+    heading = 3.0 + 1.5 * np.sin(2.0 * t)
+    table = {'t': t, 'u': 0.1 * np.cos(2.0 * t),
+             'a': np.mod(heading / DEG, 360.0), 'r': (heading / DEG + 170.0) % 360.0 - 180.0}
+    file = write(tmp_path / 'yaw.csv', table)
+    options = ColumnOptions(file, ('yaw',), 't', control=('u',), angle=('a',), reference=('r',),
+                            units={'a': 'deg', 'r': 'deg'})
+    record = imported(options, tmp_path / 'bag').record
+    np.testing.assert_allclose(record.rates[:, 2], 3.0 * np.cos(2.0 * t), atol=0.01)
+    np.testing.assert_allclose(record.attitude_setpoint[:, 2] - record.angles[:, 2], -10.0 * DEG,
+                               atol=1e-6)
+
+
 def test_columns_of_two_rates_stand_side_by_side(options, tmp_path):
     """An empty cell is not a sample: a slower command is held, a slower angle is drawn."""
     table = columns()
@@ -329,6 +343,7 @@ BROKEN = gzip.compress(b't,u,rate\n' + b'0.125,0.5,1.75\n' * 2000, mtime=0)[:60]
         ('', 'is empty'),
         ('t,u,rate\n', 'no rows'),
         ('t,u\n0,1\n', 'line 1: no column rate'),
+        ('t,u,rate,rate\n0,0,1,2\n', 'line 1: several columns rate'),
         ('t,u,rate\n0,0,1\n0.1,much,1\n', "line 3, column u: needs a number or nothing: found 'm"),
         ('t,u,rate\n0,0,nan\n', 'line 2, column rate: holds no number'),
         ('t,u,rate\n0,0,1\n0,0,2\n', 'column t: does not increase'),

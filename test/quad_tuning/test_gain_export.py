@@ -13,6 +13,8 @@ GAINS = {
     'roll.rate.d_filter_hz': 69.0, 'yaw.angle.kp': 2.0, 'yaw.rate.kp': 0.17, 'yaw.rate.ki': 0.001,
     'yaw.rate.kd': 0.0, 'yaw.rate.d_filter_hz': 30.0,
 }
+ONES = ['--scale', 'roll=1', '--scale', 'yaw=1']
+UNITS = ['--scale', 'roll=0.25', '--scale', 'yaw=1']
 
 
 @pytest.fixture
@@ -25,7 +27,7 @@ def file(tmp_path):
 
 
 def test_px4_gives_the_same_command_for_the_same_error(file, capsys):
-    assert main(['export', str(file), '--to', 'px4', '--scale', 'roll=0.25']) == 0
+    assert main(['export', str(file), '--to', 'px4', *UNITS]) == 0
     told = capsys.readouterr().out
     rows = [line.split('\t') for line in told.splitlines() if not line.startswith('#')]
     values = {row[2]: float(row[3]) for row in rows}
@@ -41,26 +43,27 @@ def test_px4_gives_the_same_command_for_the_same_error(file, capsys):
 
 def test_ardupilot_through_a_file(file, tmp_path, capsys):
     out = tmp_path / 'gains.param'
-    assert main(['export', str(file), '--to', 'ardupilot', '--out', str(out)]) == 0
+    assert main(['export', str(file), '--to', 'ardupilot', '--out', str(out), *ONES]) == 0
     rows = [line.split(',') for line in out.read_text().splitlines() if not line.startswith('#')]
     values = {name: float(value) for name, value in rows}
     assert values['ATC_RAT_RLL_P'] == pytest.approx(0.08)
     assert values['ATC_RAT_RLL_FLTD'] == 69.0
     assert values['ATC_ANG_YAW_P'] == 2.0
     assert 'differentiates the error' in out.read_text()
-    assert main(['export', str(file), '--to', 'ardupilot', '--out', str(out)]) == 2
+    assert main(['export', str(file), '--to', 'ardupilot', '--out', str(out), *ONES]) == 2
     assert 'exists already' in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
     ('content', 'arguments', 'words'),
     [
-        ('{"axes": {"roll": {"gains": ' + json.dumps(GAINS | {'roll.rate.ki': -1.0}) + '}}}', [],
+        ('{"axes": {"roll": {"gains": ' + json.dumps(GAINS | {'roll.rate.ki': -1.0}) + '}}}', ONES,
          'must not be negative'),
         (None, [], 'cannot be read'), ('{', [], 'is not JSON'),
         pytest.param('[' * 100_000, [], 'is not JSON', id='deep'), ('{}', [], 'axes'),
         ('{"axes": {"roll": {"gains": null}}}', [], 'holds none'),
         ('{"axes": {"roll": {"gains": {"roll.rate.kp": 1}}}}', [], 'lack angle.kp'),
+        ('', ['--scale', 'roll=1'], '--scale yaw: is missing'),
         ('', ['--scale', 'roll=0'], '--scale'), ('', ['--scale', 'nose=1'], '--scale'),
     ],
 )
@@ -72,6 +75,19 @@ def test_wrong_files_and_options_are_one_line(file, content, arguments, words, c
     error = capsys.readouterr().err
     assert words in error
     assert len(error.splitlines()) == 1
+
+
+def test_what_is_not_exported_is_told(file, tmp_path, capsys):
+    tree = json.loads(file.read_text())
+    tree['axes']['roll']['gains'] |= {'roll.sag.exponent': 1.5, 'roll.lqr.share': 0.0}
+    file.write_text(json.dumps(tree))
+    assert main(['export', str(file), '--to', 'px4', *ONES]) == 0
+    told = capsys.readouterr().out
+    assert '# Left out, it has no counterpart here: roll.sag.exponent 1.5\n# Veh' in told
+    out = str(tmp_path / 'gains.params')
+    assert main(['export', str(file), '--to', 'px4', *ONES, '--out', out]) == 0
+    told = capsys.readouterr().out
+    assert told.endswith('left out: roll.sag.exponent 1.5\n')
 
 
 @pytest.mark.parametrize('name', ['design', 'export'])

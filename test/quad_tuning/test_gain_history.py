@@ -62,6 +62,27 @@ def test_the_way_back_leads_to_the_last_good_set_that_differs(folder):
         way_back(sets[:1])
 
 
+def test_a_set_confirmed_on_the_ground_is_good_once_it_has_flown(folder):
+    path = folder / 'quad_7' / 'gains.jsonl'
+    log = History(folder, lambda job: job())
+    log.open('quad_7')
+    asked = GainRequest({}, source='operator')
+    for kp in (0.08, 0.09):
+        log.write('active', gains(kp, 8.0), asked, update='c')
+    log.write('confirmed', None, asked, update='c', flown=False)
+    log.open('another')
+    log.open('quad_7')
+    log.found(gains(0.09, 8.0))  # after the bridge has started again
+    log.write('active', gains(0.3, 8.0), asked, update='d')
+    sets = read_history(path)
+    assert [one.outcome for one in sets[5:]] == ['passed', 'not flown', 'not flown', 'in flight']
+    assert way_back(sets)[1] == {KP: 0.1, ANGLE: 7.0}
+    log.found(gains(0.09, 8.0))
+    log.write('flown')
+    log.write('active', gains(0.2, 8.0), asked, update='e')
+    assert way_back(read_history(path))[1] == {KP: 0.09}
+
+
 def test_the_rollback_shows_what_it_would_send_and_needs_ros_to_send_it(
     folder, capsys, monkeypatch
 ):

@@ -60,13 +60,16 @@ class ExcitationRelay:
         return Status('excitation', level, text, values)
 
     def segment(self, parameters: Mapping[str, Any]) -> Excitation | None:
-        """Take a segment's parameters; the frame that ends the excitation where it is idle."""
+        """Take a segment's parameters; the frame that ends what was before, None in its midst.
+
+        The STM32 refuses until it hears one, once it has refused.
+        """
         running = parameters.get('segment') != 'idle' and parameters.get('signal') != 'none'
         wanted = INJECTIONS.get(str(parameters.get('injection', '')))
+        before, self._lost = self._injection, False
         self._injection = wanted if running and wanted is not None else Injection.NONE
-        self._lost = False
-        if self._injection is Injection.NONE:
-            return self._frame((0.0, 0.0, 0.0))
+        if Injection.NONE in {before, self._injection}:
+            return Excitation((0.0, 0.0, 0.0), int(Injection.NONE), self._next(), self._valid_ms)
         return None
 
     def tick(self, now_s: float) -> Excitation | None:

@@ -35,6 +35,7 @@ from quad_sysid.bags.cdr import IMU, decode
 from quad_sysid.bags.orientation import euler_angles
 from quad_sysid.errors import QuadSysidError
 from quad_sysid.excitation_settings import (
+    ABORT_AUX,
     NUMBERS,
     Settings,
     find_schedule,
@@ -49,6 +50,10 @@ BATTERY_SAMPLES = 5
 """Number of voltages whose highest counts, since a short dip is not a low battery."""
 LEAVE_S = 0.5
 """Longest wait for the last messages at the end, s."""
+RELAY, FLAGS, REFUSED = ': excitation', 'flags of the STM32', 'excitation_refused'
+"""How the bridge reports on /diagnostics that the STM32 refuses."""
+REFUSAL_S = 0.5
+"""After the start, s: an older refusal may still be reported."""
 LEVELS = {State.ENDING: WARN, State.ABORTED: ERROR}
 
 
@@ -74,8 +79,9 @@ class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
         self._message.header.frame_id = 'base_link'
         self._imu: bytes = b''
         self._angles: tuple[float, float, float] | None = None
-        self._imu_time = self._rc_time = 0.0
+        self._imu_time = self._rc_time = self._volts_time = 0.0
         self._rc = Readings()
+        self._refusal, self._began_s = False, 0.0
         self._volts: deque[float] = deque(maxlen=BATTERY_SAMPLES)
         self._ticks = 0
         self._stall = Stall()
@@ -85,6 +91,7 @@ class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
         self.create_subscription(Imu, 'imu/data', self._on_imu, sensor, raw=True)
         self.create_subscription(Joy, 'rc/in', self._on_rc, sensor)
         self.create_subscription(BatteryState, 'battery', self._on_battery, sensor)
+        self.create_subscription(DiagnosticArray, 'diagnostics', self._on_diagnostics, EVENT)
         self.create_service(Trigger, '~/start', self._on_start)
         self.create_service(Trigger, '~/stop', self._on_stop)
         period_s = 1.0 / settings.rate_hz
@@ -119,6 +126,15 @@ class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
     def _on_battery(self, message: Any) -> None:
         if math.isfinite(message.voltage):
             self._volts.append(message.voltage)
+            self._volts_time = self._stall.awake_s(clock().now_s())
+
+    def _on_diagnostics(self, message: Any) -> None:
+        """Note that the STM32 refuses; what it refused before the start counts no more."""
+        if clock().now_s() - self._began_s > REFUSAL_S:
+            self._refusal = any(
+                status.name.endswith(RELAY) and pair.key == FLAGS and REFUSED in pair.value
+                for status in message.status for pair in status.values
+            ) or self._refusal
 
     def _readings(self, *, decode_angles: bool) -> Readings:
         """Latest values for the guard."""
@@ -129,7 +145,9 @@ class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
         return replace(self._rc, imu_age_s=now - self._imu_time if self._imu else None,
                        angles=self._angles,
                        rc_age_s=now - self._rc_time if self._rc_time else None,
-                       battery_v=max(self._volts) if self._volts else None)
+                       battery_v=max(self._volts) if self._volts else None,
+                       battery_age_s=now - self._volts_time if self._volts else None,
+                       refused=self._refusal)
 
     def _now_s(self) -> float:
         """The schedule's time."""
@@ -138,9 +156,12 @@ class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
     def _start(self) -> str:
         if not self._now_s():
             return 'time is simulated, and nothing comes on /clock'
+        if not self._player.active:
+            self._refusal = False
         began_s = clock().now_s()  # the first decoding takes its time, and so may the first tick
         refused = self._player.start(self._now_s(), self._readings(decode_angles=True))
         if not refused:
+            self._began_s = began_s
             self._stall.begin(began_s)
             self._timer.reset()
             self.get_logger().info('excitation runs')
@@ -257,7 +278,7 @@ def declare(node: Any) -> Settings:
     exit_when_done = ros_node.declared(node, 'exit_when_done', False,
                                        'end the process with the schedule (status 0 done, 1 not)')
     rate_hz = ros_node.declared(node, 'rate_hz', 250, 'set-points per second', (10, 1000))
-    aux = ros_node.declared(node, 'abort_aux', 2,
+    aux = ros_node.declared(node, 'abort_aux', ABORT_AUX,
                             "channel aux 1..5 of the pilot's abort switch; 0: none", (0, 5))
     numbers = {key: ros_node.declared(node, key, default, description, (low, high))
                for key, (default, low, high, description) in NUMBERS.items()}

@@ -17,6 +17,8 @@ from quad_sysid.signals.guard import Limits
 from quad_sysid.signals.schedule import Schedule, parse_schedule
 
 FIRST_AUX = 4
+ABORT_AUX = 3
+"""Default of abort_aux: docs/connect.md has the channels, 1 and 2 kill and arm."""
 
 NUMBERS = {
     'angle_limit_deg': (25.0, 1.0, 60.0, 'angle at which the excitation ends, degrees'),
@@ -53,7 +55,8 @@ def settings_from(
     """Settings from the parameters; raises BadInputError for a wrong schedule."""
     loaded = load_schedule(schedule).scaled(numbers['amplitude_scale'])
     same = {field.name: numbers[field.name] for field in fields(Limits) if field.name in numbers}
-    limits = Limits(mount=loaded.mount, angle_rad=math.radians(numbers['angle_limit_deg']), **same)
+    limits = Limits(mount=loaded.mount, angle_rad=math.radians(numbers['angle_limit_deg']),
+                    abort_switch=bool(aux), **same)
     return Settings(loaded, limits, numbers['ramp_out_s'], rate_hz,
                     FIRST_AUX + aux - 1 if aux else None, autostart, exit_when_done)
 

@@ -3,7 +3,8 @@
 Ours: u = kp e + ki ∫e dt - kd d(rate)/dt in normalised command per rad/s, C1 in 1/s (contract).
 Theirs: the same in their own unit of torque, -1..1. `scale` is our U per unit of their torque: 1
 where the model was identified from their torque set-points (quad-sysid import says so), else the
-factor of their mixer. Each conversion is written out as a comment.
+factor of their mixer; a design does not tell which, so it is asked for. Each conversion is written
+out as a comment, and so is what has no counterpart.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from quad_sysid.errors import BadInputError
 from quad_sysid.files import check_new, read_json, write_whole
 
 NEEDED = ('angle.kp', 'rate.kp', 'rate.ki', 'rate.kd')
+D_FILTER = 'rate.d_filter_hz'
 
 
 @dataclass(frozen=True)
@@ -66,24 +68,28 @@ def add(commands: Commands) -> None:
         'Write designed gains as a parameter file of PX4 or ArduPilot, with each conversion as a '
         'comment.',
         'quad-tune design result/model.json --out gains.json && quad-tune export gains.json '
-        '--to px4 --scale roll=0.25',
+        '--to px4 --scale roll=0.25 --scale pitch=0.25',
     )
     parser.add_argument('gains', metavar='GAINS.json', type=Path,
                         help='of quad-tune design --out, or a report.json')
     parser.add_argument('--to', choices=tuple(FIRMWARES), required=True)
     parser.add_argument('--scale', metavar='AXIS=NUMBER', action='append', default=[],
                         help="our command per unit of the firmware's torque; 1 where the model "
-                        'was identified on its torque set-points; repeat')
+                        'was identified on its torque set-points; repeat for each axis')
     parser.add_argument('--out', metavar='FILE', type=Path, help='default: print it')
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, convert, print or write; raises BadInputError."""
     firmware = FIRMWARES[arguments.to]
-    found = parameters(firmware, read_gains(arguments.gains), scales(arguments.scale))
+    gains = read_gains(arguments.gains)
+    found = parameters(firmware, gains, scales(arguments.scale))
+    rest = left_out(gains)
     content = (
         f'# Gains of {arguments.gains.name}, converted by quad-tune export\n'
-        + ''.join(f'# {note}\n' for note in firmware.notes) + firmware.head
+        + ''.join(f'# {note}\n' for note in firmware.notes)
+        + ''.join(f'# Left out, it has no counterpart here: {note}\n' for note in rest)
+        + firmware.head
         + ''.join(f'# {name} = {how}\n' for name, (_, how) in found.items())
         + ''.join(firmware.row.format(name=name, value=value) + '\n'
                   for name, (value, _) in found.items())
@@ -93,7 +99,8 @@ def run(arguments: argparse.Namespace) -> int:
         return 0
     check_new(arguments.out)
     write_whole(arguments.out, content)
-    print(f'{len(found)} parameters in {arguments.out}')
+    print(f'{len(found)} parameters in {arguments.out}'
+          + (f'; left out: {", ".join(rest)}' if rest else ''))
     return 0
 
 
@@ -128,17 +135,23 @@ def read_gains(path: Path) -> dict[str, float]:
     return found
 
 
+def left_out(gains: Mapping[str, float]) -> list[str]:
+    """Gains that act and are not exported, with their values."""
+    return [f'{name} {value:.6g}' for name, value in gains.items()
+            if value and name.partition('.')[2] not in {*NEEDED, D_FILTER}]
+
+
 def parameters(firmware: Firmware, gains: Mapping[str, float],
                scale: Mapping[str, float]) -> dict[str, tuple[float, str]]:
-    """Name → value and conversion, for gains by the contract's names; scale by axis, default 1.
+    """Name → value and conversion, for gains by the contract's names; scale by axis.
 
-    Raises BadInputError where an axis' gains are incomplete or negative. A name that all axes
-    share has the lowest value.
+    Raises BadInputError where an axis' gains are incomplete or negative, or its scale is missing.
+    A name that all axes share has the lowest value.
     """
     out: dict[str, tuple[float, str]] = {}
     for axis in AXES:
         own = {k.partition('.')[2]: v for k, v in gains.items() if k.startswith(f'{axis}.')}
-        for name, value, how in _of_axis(firmware, axis, own, scale.get(axis, 1.0)) if own else ():
+        for name, value, how in _of_axis(firmware, axis, own, scale.get(axis)) if own else ():
             if name not in out or value < out[name][0]:
                 out[name] = value, how
     if not out:
@@ -148,11 +161,16 @@ def parameters(firmware: Firmware, gains: Mapping[str, float],
 
 
 def _of_axis(firmware: Firmware, axis: str, own: Mapping[str, float],
-             unit: float) -> Iterator[tuple[str, float, str]]:
+             unit: float | None) -> Iterator[tuple[str, float, str]]:
     lacking = [name for name in NEEDED if name not in own]
     if lacking:
         raise BadInputError(f'gains of {axis}', f'lack {", ".join(lacking)}',
                             remedy='take them from quad-tune design --out or report.json')
+    if unit is None:
+        raise BadInputError(
+            f'--scale {axis}', 'is missing', None,
+            'our command per unit of their torque: 1 where the model was identified on their '
+            'torque set-points (quad-sysid import says so), else the factor of their mixer')
     theirs = firmware.axes[AXES.index(axis)]
     yield (firmware.angle.format(theirs), own['angle.kp'],
            f'{axis}.angle.kp {own["angle.kp"]:.6g} 1/s')
@@ -163,6 +181,6 @@ def _of_axis(firmware: Firmware, axis: str, own: Mapping[str, float],
             raise BadInputError(f'{axis}.{ours}', 'must not be negative', own[ours])
         yield (firmware.rate.format(theirs) + letter, own[ours] / unit,
                f'{axis}.{ours} {own[ours]:.6g} / {unit:.6g}')
-    if 'rate.d_filter_hz' in own:
-        yield (firmware.d_filter.format(theirs), own['rate.d_filter_hz'],
+    if D_FILTER in own:
+        yield (firmware.d_filter.format(theirs), own[D_FILTER],
                f'{axis}.rate.d_filter_hz, in Hz')

@@ -28,6 +28,8 @@ STORED = 'quad_bridge/gains/1'
 FILE = 'gains.jsonl'
 GOOD = ('confirmed', 'found')
 """Outcomes of sets to which a rollback may return."""
+GROUND = 'not flown'
+"""Outcome of a set that was confirmed and has not flown for the watch's time yet."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +48,8 @@ class GainSet:
     update: str = ''
     """Name of its update; sets of one update are its steps."""
     outcome: str = 'in flight'
-    """`found` on the STM32, `in flight`, `confirmed`, `passed` on the way, `rolled back`, ..."""
+    """`found` on the STM32, `in flight`, `confirmed`, `not flown` (confirmed on the ground),
+    `passed` on the way, `rolled back`, ..."""
     reason: str = ''
 
 
@@ -87,7 +90,9 @@ def read_history(path: Path) -> list[GainSet]:
         if entry.get('schema') != STORED:
             raise BadInputError(str(path), f'schema must be {STORED}', entry.get('schema'))
         if entry.get('state') == 'active':
-            sets.append(_set(entry, len(sets) + 1))
+            sets.append(_as_before(_set(entry, len(sets) + 1), sets))
+        elif entry.get('state') == 'flown':
+            sets[-1:] = [_flown(one) for one in sets[-1:]]
         else:
             sets = [_ended(one, entry) for one in sets]
     return _passed(sets)
@@ -103,6 +108,8 @@ def changed(one: Mapping[str, float], other: Mapping[str, float]) -> dict[str, f
 def way_back(sets: Sequence[GainSet],
              number: int | None = None) -> tuple[GainSet, dict[str, float]]:
     """The set `number`, or the last good set that differs, and the gains that must change.
+
+    A set that was only confirmed on the ground is none of those.
 
     Raises BadInputError where there is no such set.
     """
@@ -145,15 +152,30 @@ def _ended(one: GainSet, entry: Mapping[str, Any]) -> GainSet:
     if not one.update or one.update != entry.get('update') or one.outcome != 'in flight':
         return one
     outcome, reason = str(entry.get('state', '')), str(entry.get('reason', ''))
+    if outcome == 'confirmed' and entry.get('flown') is False:
+        outcome = GROUND
     return replace(one, outcome=outcome, reason=reason)
+
+
+def _as_before(one: GainSet, sets: Sequence[GainSet]) -> GainSet:
+    """A set that was found is not flown where it was confirmed on the ground before."""
+    same = [s.outcome for s in sets if not changed(s.gains, one.gains)]
+    return replace(one, outcome=GROUND) if not one.update and same[-1:] == [GROUND] else one
+
+
+def _flown(one: GainSet) -> GainSet:
+    """The set in force once the bridge has seen it fly for the watch's time."""
+    if one.outcome != GROUND:
+        return one
+    return replace(one, outcome='confirmed' if one.update else 'found')
 
 
 def _passed(sets: Sequence[GainSet]) -> list[GainSet]:
     """`sets` with only the last set of an update confirmed; those before it were passed."""
-    last = {one.update: one.number for one in sets}
+    last = {one.update: one.number for one in sets if one.update}
     return [
         replace(one, outcome='passed')
-        if one.outcome == 'confirmed' and last[one.update] != one.number
+        if one.outcome in {'confirmed', GROUND} and last.get(one.update, 0) > one.number
         else one
         for one in sets
     ]
@@ -163,7 +185,7 @@ def add(commands: Any) -> None:
     """Add them to the subparsers of `quad-tune`."""
     history = commands.add_parser('history', help='every set of gains that was ever active')
     history.add_argument('--json', action='store_true', help='print JSON instead of the table')
-    rollback = commands.add_parser('rollback', help='back to the last good set of gains')
+    rollback = commands.add_parser('rollback', help='back to the last good set that has flown')
     rollback.add_argument('--to', type=int, metavar='N', help='this set of the history')
     rollback.add_argument('--print', action='store_true', help='only print what would be sent')
     for parser, run in ((history, show), (rollback, go_back)):
@@ -195,7 +217,8 @@ def go_back(arguments: argparse.Namespace) -> int:
     if arguments.print or not gains:
         print(told)
         return 0
-    refusal = _publish('rollback')(gains, SOURCE, rollback=True, namespace=arguments.namespace)
+    refusal = _publish('rollback')(gains, SOURCE, rollback=True, namespace=arguments.namespace,
+                                   aircraft=_file(arguments).parent.name)
     return _told(refusal, f'back to {told}')
 
 
@@ -239,7 +262,11 @@ def read_design(path: Path) -> tuple[dict[str, float], dict[str, float]]:
 
 
 def _sets(arguments: argparse.Namespace) -> list[GainSet]:
-    return read_history(history_file(arguments.folder or default_folder(), arguments.aircraft))
+    return read_history(_file(arguments))
+
+
+def _file(arguments: argparse.Namespace) -> Path:
+    return history_file(arguments.folder or default_folder(), arguments.aircraft)
 
 
 def table(sets: Sequence[GainSet]) -> str:

@@ -31,10 +31,11 @@ GAINS = 'serial_bridge: gains'
 
 
 def publish(gains: Mapping[str, float], source: str, *, rollback: bool = False,
-            predicted: str = '', namespace: str = '') -> str:
+            predicted: str = '', namespace: str = '', aircraft: str = '') -> str:
     """Send `gains` (contract names, SI) to the bridge; `rollback`: or revert those in flight.
 
-    `predicted` is JSON for /gains/update, `namespace` the bridge's. Returns '' once they are
+    `predicted` is JSON for /gains/update, `namespace` the bridge's, `aircraft` the name of the one
+    they are for, if that is known. Returns '' once they are
     active, else the reason. Raises BadInputError for an invalid namespace or a bridge that does
     not listen or answer, KeyboardInterrupt on SIGINT. Call it in the main thread.
     """
@@ -76,6 +77,7 @@ def publish(gains: Mapping[str, float], source: str, *, rollback: bool = False,
         heard.before = heard.told
         told: dict[str, bool | float | str] = {**gains, 'source': source,
                                                **({'predicted': predicted} if predicted else {}),
+                                               **({'aircraft': aircraft} if aircraft else {}),
                                                **({'rollback': True} if rollback else {})}
         publisher.publish(event_message(told, '/quad_tune', 0))
         if not spin(lambda: heard.refusal or not changed(heard.gains, gains), ANSWER_S):

@@ -26,20 +26,21 @@ from quad_bridge.gains.table import (
 from quad_bridge.gains.watch import Predicted
 
 FLOAT32_MAX = 3.4028234663852886e38  # nothing larger goes over the wire, and no bound is
+USUAL_HZ = 250.0  # control cycles per second, where the STM32 has not said it
 LONGEST_NAME, LONGEST_TEXT = 60, 4096  # characters of a name in a message; of a text
 MOST_STEPS = 16  # more than that from one update is taken as a mistake: 2 to the 16 is 65536
 _LIMITS = {'rate_rms_ratio': (0.5, 3.0), 'oscillation_ratio': (0.5, 3.0), 'peak': (1.0, 2.5)}
 """Limits of a prediction's effect on the watch's bounds."""
+_WHOLE = 'send the whole set that quad-tune design --method lqr gives'
 _NEEDS = (
-    ('lqr.share', 'lqr.gain', (
-        'the state feedback has no model as long as {0} is 0; send the whole set that quad-tune '
-        'design --method lqr gives'
+    ('lqr.share', ('lqr.gain', 'lqr.k_angle', 'lqr.k_rate', 'lqr.observer'), (
+        f'the state feedback does not work as long as {{0}} is 0; {_WHOLE}'
     )),
-    ('sag.exponent', 'sag.reference_v', (
+    ('sag.exponent', ('sag.reference_v',), (
         '{0} is 0; send it too: the voltage at which commands are not scaled'
     )),
 )  # fmt: skip
-"""A gain above 0, the other of its axis that must not be 0 then, and why."""
+"""A gain above 0, the others of its axis that must be above 0 then, and why."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,7 @@ class GainRequest:
     source: str = 'unknown source'
     model: str = ''
     bag: str = ''
+    aircraft: str = ''  # for which they are; empty: for the connected one
     rollback: bool = False  # take back what is in flight; else `gains` are an update
     predicted: Mapping[str, Predicted] = field(default_factory=dict)  # by axis
 
@@ -57,7 +59,8 @@ class GainRequest:
 def read_request(parameters: Mapping[str, object]) -> GainRequest:
     """The request in a message's parameters. Raises RefusedError for a meaningless one."""
     rest = dict(parameters)
-    texts = {n: _text(n, rest.pop(n)) for n in ('source', 'model', 'bag') if n in rest}
+    names = ('source', 'model', 'bag', 'aircraft')
+    texts = {n: _text(n, rest.pop(n)) for n in names if n in rest}
     for name, text in texts.items():  # which may stand in a log and in the aircraft's history
         if not text.isprintable():
             words = f'must be printable and one line: found {shorten(text)!r}'
@@ -140,11 +143,8 @@ def steps(
         raise RefusedError('no gain in changed_parameters; send one such as roll.rate.kp')
     for name, value in wanted.items():
         _check_one(name, value, active, bounds)
-    gains = {**active, **wanted}
     for axis in AXES:
-        for name, needed, words in _NEEDS:
-            if wanted.get(f'{axis}.{name}', 0.0) > 0.0 and not gains.get(f'{axis}.{needed}'):
-                raise RefusedError(f'{axis}.{name}: {words.format(f"{axis}.{needed}")}')
+        _check_needs(axis, wanted, {**active, **wanted})
     path, now = list[dict[str, float]](), {name: active[name] for name in wanted}
     now.update({name: value for name, value in wanted.items() if _idle(name, active)})
     while any(float32(now[name]) != float32(value) for name, value in wanted.items()):
@@ -152,7 +152,32 @@ def steps(
             raise RefusedError(f'more than {MOST_STEPS} steps; send intermediate values first')
         now = {name: _towards(now[name], value, bounds[name]) for name, value in wanted.items()}
         path.append(now)
-    return path or [dict(wanted)]
+    path = path or [dict(wanted)]
+    for step in path:
+        for axis in {name.partition('.')[0] for name in wanted if '.lqr.' in name}:
+            _check_observer(axis, {**active, **step})
+    return path
+
+
+def _check_needs(axis: str, wanted: Mapping[str, float], gains: Mapping[str, float]) -> None:
+    for name, needed, words in _NEEDS:
+        if wanted.get(f'{axis}.{name}', 0.0) > 0.0:
+            for other in needed:
+                if not gains.get(f'{axis}.{other}', 0.0) > 0.0:
+                    raise RefusedError(f'{axis}.{name}: {words.format(f"{axis}.{other}")}')
+
+
+def _check_observer(axis: str, gains: Mapping[str, float]) -> None:
+    """Refuse an observer whose error grows: it is computed at share 0 too."""
+    gain, damping, observer = (
+        gains.get(f'{axis}.lqr.{name}', 0.0) for name in ('gain', 'damping', 'observer')
+    )
+    left = (1.0 - observer) * (1.0 - damping / gains.get('loop.rate_hz', USUAL_HZ))
+    if gain > 0.0 and left >= 1.0:
+        raise RefusedError(
+            f'{axis}.lqr.observer: the observer diverges: {observer:g} a cycle is too little for '
+            f'a damping of {damping:g} 1/s; {_WHOLE}'
+        )
 
 
 def _idle(name: str, active: Mapping[str, float]) -> bool:

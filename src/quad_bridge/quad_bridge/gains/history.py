@@ -1,9 +1,9 @@
 """The files of each aircraft: every set of gains that was active, and its polarity check.
 
-`<folder>/<aircraft>/gains.jsonl` is only ever appended to, one line per event, each in one write
-and on the disk before the next; `polarity.json` is replaced whole. A thread of its own writes: a
-disk that takes seconds delays no control cycle and no confirmation. `quad-tune history` reads the
-first file by itself.
+`<folder>/<aircraft>/gains.jsonl` is only ever appended to, one line per event, each on the disk
+before the next; `polarity.json` is replaced whole. A thread of its own writes: a disk that takes
+seconds delays no control cycle and no confirmation. `quad-tune history` reads the first file by
+itself.
 """
 
 from __future__ import annotations
@@ -135,13 +135,16 @@ class History:
             path.parent.mkdir(parents=True, exist_ok=True)
             file = os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT, 0o644)
             try:
-                os.write(file, f'{_torn(file)}{line}\n'.encode())
+                left = f'{_torn(file)}{line}\n'.encode()
+                while left:  # a disk that fills up takes a part
+                    left = left[os.write(file, left) :]
                 os.fsync(file)
             finally:
                 os.close(file)
             self.fault = ''
         except OSError as error:
             self.fault = f'{path}: cannot be written ({error.strerror}); gains are not kept'
+            self._last = {}  # not stored: when they are read again, they are written again
 
     def _replace(self, path: Path, text: str) -> None:
         fresh = path.with_suffix(f'.{os.getpid()}')

@@ -216,6 +216,8 @@ class PolarityCheck:
         added, injection = NONE, Injection.NONE
         if self._run is not None:
             added, injection = self._run.step(flip_body(frame.gyro)), Injection.CONTROL
+            if self._cycles == 1:  # which ends what was refused before
+                injection = Injection.NONE
             if self._run.finished:
                 self._axes.update(judge_axes(self._run.answers))
                 self._motors = merge_motors(self._motors, self._run.answers)

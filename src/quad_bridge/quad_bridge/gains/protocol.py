@@ -90,6 +90,7 @@ class GainProtocol:
         """The value that the STM32 reported instead of the written one."""
         self._outcome, self._reason = What.REVERTED, ''
         """What is to be told when the way back has ended."""
+        self._late = False  # the STM32 may have confirmed what is asked back
         self._left, self._due_s = 0, -math.inf
 
     @property
@@ -121,8 +122,11 @@ class GainProtocol:
             self._go(State.CONFIRMING)
 
     def revert(self, reason: str) -> None:
-        """Revert the set that is being written or on trial, but not one being confirmed."""
-        if self.state is State.ON_TRIAL:
+        """Revert the set that is being written, on trial or being confirmed.
+
+        One that the STM32 has confirmed by then stays: that is told as CONFIRMED, with the reason.
+        """
+        if self.state in {State.ON_TRIAL, State.CONFIRMING}:
             self._take_back(What.REVERTED, reason)
         elif self.state in WRITING:
             self._take_back(What.FAILED, reason)
@@ -250,7 +254,11 @@ class GainProtocol:
         """Take the answer to an action."""
         good = state.result == f.GainsResult.OK
         if self.state is State.REVERTING:
-            self._back_again()
+            idle = state.phase == f.GainsPhase.IDLE
+            if self._late and idle and state.checksum == self._checksum:
+                self._confirmed(self._reason)
+            else:
+                self._back_again()
         elif not good and self.state is not State.CONFIRMING:
             words = f.GainsResult(state.result).name.lower().replace('_', ' ')
             self._take_back(What.FAILED, f'the STM32 refused the set: {words}')
@@ -264,8 +272,11 @@ class GainProtocol:
             self._queue = list(self._writes)
             self._go(State.VERIFYING)
         else:
-            self._go(State.READY)
-            self.events.append(GainEvent(What.CONFIRMED, self.active))
+            self._confirmed()
+
+    def _confirmed(self, reason: str = '') -> None:
+        self._go(State.READY)
+        self.events.append(GainEvent(What.CONFIRMED, self.active, reason))
 
     def _unanswered(self) -> None:
         words = f'no answer to {TRIES} tries while {self.state.value}'
@@ -284,6 +295,7 @@ class GainProtocol:
 
     def _take_back(self, outcome: What, reason: str) -> None:
         self._outcome, self._reason, self._queue = outcome, reason, []
+        self._late = self.state is State.CONFIRMING
         self._go(State.REVERTING)
 
     def _gave_up_by_itself(self, result: f.GainsResult) -> None:

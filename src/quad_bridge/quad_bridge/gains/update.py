@@ -34,8 +34,8 @@ STM32_WATCH_MS = 15_000
 QUIET_S = 0.5
 """Without excitation before gains may change; without a cycle after which a check ends."""
 LINK_S = 1.0  # without a control cycle after which gains on trial are asked back
-LEAST_HZ, MOST_HZ, USUAL_HZ = 50.0, 1000.0, 250.0
-"""Control cycles per second with which watch and pulses work; where the STM32 has not said it."""
+LEAST_HZ, MOST_HZ = 50.0, 1000.0
+"""Control cycles per second with which watch and pulses work."""
 GESTURE_END, GESTURE_ENDS, GESTURE_S = 0.8, 3, 2.0
 """Time for the pilot's gesture: the yaw stick at one end, the other and the first again."""
 
@@ -49,6 +49,10 @@ class State(Enum):
     WATCHING = 'watching'
     CONFIRMING = 'confirming'
     REVERTING = 'taking back'
+
+
+IN_FLIGHT = (State.WRITING, State.WATCHING, State.CONFIRMING)
+"""States of an update that the pilot ends by switch or by disarming."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +83,7 @@ class _Update:
     steps: list[dict[str, float]]
     identity: str
     written: int = 0
+    armed: bool = False  # at any time since the first step was in force
 
 
 class GainUpdates:
@@ -91,9 +96,9 @@ class GainUpdates:
         self.refusals = self.commits = self.rollbacks = 0
         self.state = State.IDLE
         self.protocol = GainProtocol()
-        self.rate_hz = USUAL_HZ
-        self.watch = GainWatch(USUAL_HZ)
-        self.polarity = PolarityCheck(settings.polarity, USUAL_HZ)
+        self.rate_hz = gate.USUAL_HZ
+        self.watch = GainWatch(gate.USUAL_HZ)
+        self.polarity = PolarityCheck(settings.polarity, gate.USUAL_HZ)
         self._settings, self._history = settings, history
         self._stick_ends: deque[tuple[float, int]] = deque(maxlen=GESTURE_ENDS)
         self._update: _Update | None = None
@@ -103,6 +108,11 @@ class GainUpdates:
         self._until_s = 0.0
         self._cycle_s = self._excited_s = float('-inf')
         self._flags = 0
+        self._armed_s: float | None = None  # since when it is armed
+        self._in_force_s = 0.0  # since when the active gains are
+        self._flown = False  # they have been armed for the watch's time, and the history says so
+        self._ground: Mapping[str, float] = {}
+        """A set that was confirmed and has not flown for the watch's time."""
         self._rate_kp = np.ones(3)
 
     @property
@@ -120,10 +130,15 @@ class GainUpdates:
     def words(self) -> str:
         """The state in a few words."""
         if self.state is State.IDLE or self._update is None:
-            return self.protocol.busy or self.state.value
+            ground = ', confirmed on the ground, not flown' if self._on_ground else ''
+            return self.protocol.busy or self.state.value + ground
         source, left = self._update.asked.source, self._until_s - self._cycle_s
         text = f'{self.state.value} gains of {source}'
         return f'{text}, {max(left, 0.0):.0f} s left' if self.state is State.WATCHING else text
+
+    @property
+    def _on_ground(self) -> bool:
+        return bool(self.active) and self.active == self._ground
 
     def status(self, *, standard: bool) -> Status:
         """For /diagnostics; `standard`: the aircraft has no QUAD_GAINS."""
@@ -132,6 +147,7 @@ class GainUpdates:
         values['refused'] = self.refusals
         values['rolled back'] = self.rollbacks
         values['polarity'] = self.polarity.words()
+        values['aircraft'] = self.aircraft
         values |= {f'watch {n} (rad/s)': f'{v:.3f}' for n, v in self.watch.figures().items()}
         if standard:
             return Status('gains', WARN, 'refused: the aircraft has no QUAD_GAINS', values)
@@ -160,9 +176,18 @@ class GainUpdates:
 
     def _request(self, asked: gate.GainRequest, now_s: float) -> str:
         gate.check_source(asked.source, self._settings.sources)
+        if asked.aircraft not in {'', self.aircraft}:
+            raise RefusedError(
+                f'they are for the aircraft {gate.shorten(asked.aircraft)}: connected is '
+                f'{self.aircraft or "none"}'
+            )
         if asked.rollback and self.state in {State.WRITING, State.WATCHING}:
             self._take_back(f'{asked.source} asked for it')
             return 'taking back the gains in flight'
+        if asked.rollback and self.state is State.CHECKING:
+            self.disturb('a rollback was asked for')  # which drops the gains that waited for it
+            if not asked.gains:
+                return 'stopped the check, and dropped what waited for it'
         path = self._admit(asked, now_s)
         self.polarity.refuse_faults()
         axes = self.polarity.unchecked(asked.gains)
@@ -234,6 +259,7 @@ class GainUpdates:
     def know(self, record: Mapping[str, Any]) -> None:
         """Set the stored polarity record of the connected aircraft."""
         self.polarity.load(record)
+        self._ground = {}  # was another aircraft's
         self._history.found(self.active)
 
     def take(self, frame: f.ParamValue | f.GainsState, now_s: float) -> None:
@@ -255,6 +281,10 @@ class GainUpdates:
     def cycle(self, frame: f.Cycle, now_s: float) -> f.Excitation | None:
         """Take one control cycle; a pulse to send while the polarity is checked."""
         self._cycle_s, self._flags = now_s, frame.flags
+        if not frame.flags & f.Flag.ARMED:
+            self._armed_s = None
+        elif self._armed_s is None:
+            self._armed_s = now_s
         injected: Any = (0.0, 0.0, 0.0)
         if frame.injection == f.Injection.RATE:
             injected = flip_body(frame.excitation)
@@ -274,9 +304,39 @@ class GainUpdates:
             alarm = self.watch.alarm()
             if alarm is not None:
                 self._take_back(str(alarm))
-            elif frame.flags & f.Flag.RC_KILL:
-                self._take_back("the pilot's kill switch")
+        self._heed_pilot(frame.flags)
+        self._note_flight(now_s)
         return None
+
+    def _heed_pilot(self, flags: int) -> None:
+        """Take back what the pilot, or the loss of the receiver, has ended."""
+        update = self._update
+        if update is None or self.state not in IN_FLIGHT:
+            return
+        armed = bool(flags & f.Flag.ARMED)
+        if flags & f.Flag.RC_KILL:
+            self._take_back("the pilot's kill switch")
+        elif flags & f.Flag.RC_FAILSAFE:
+            self._take_back("the receiver's failsafe")
+        elif update.armed and not armed:
+            self._take_back('the aircraft was disarmed while the gains were on trial')
+        elif update.written:
+            update.armed = update.armed or armed
+
+    def _has_flown(self, now_s: float) -> bool:
+        """Whether the active gains have been armed for the watch's time."""
+        since_s = self._armed_s
+        return since_s is not None and now_s - max(since_s, self._in_force_s) >= WATCH_S
+
+    def _note_flight(self, now_s: float) -> None:
+        """Tell the history once that gains fly that were found or confirmed on the ground."""
+        if self._flown or self.state is not State.IDLE or not self.active:
+            return
+        if self._has_flown(now_s):
+            if self._on_ground:
+                self.news.append(News(f'the gains in force have flown for {WATCH_S:g} s'))
+            self._flown, self._ground = True, {}
+            self._history.write('flown')
 
     def sticks(self, yaw: float, now_s: float) -> None:
         """Take the yaw stick's position, -1..1."""
@@ -324,14 +384,14 @@ class GainUpdates:
     def _event(self, event: GainEvent, now_s: float) -> None:
         if event.what is What.READ:
             self._know(event)
+            self._in_force_s, self._flown = now_s, False
             self._history.found(self.active)
             text = f'{len(self.active)} gains and constants read back'
             self.news.append(News(text, active=self.active))
         elif event.what is What.COMMITTED:
             self._committed(event, now_s)
         elif event.what is What.CONFIRMED:
-            self._ended('confirmed')
-            self.news.append(News('the new gains are confirmed'))
+            self._confirmed(event, now_s)
         elif event.what is What.REVERTED:
             who = 'the STM32 took its last good gains' if event.by_stm32 else 'old gains'
             self.rollbacks += 1
@@ -344,10 +404,21 @@ class GainUpdates:
             if busy:
                 self._fault(f'gains not taken over: {event.reason}')
 
+    def _confirmed(self, event: GainEvent, now_s: float) -> None:
+        self._flown = self._has_flown(now_s)
+        self._ground = {} if self._flown else self.active
+        text = 'the new gains are confirmed'
+        if not self._flown:
+            text += f' but have not flown for {WATCH_S:g} s: no rollback returns to them yet'
+        self._ended('confirmed', event.reason, flown=self._flown)
+        self.news.append(News(text))
+        if event.reason:
+            self._fault(f'{event.reason}, but the STM32 had confirmed the gains')
+
     def _know(self, event: GainEvent) -> None:
         active = event.active or {}
         self._rate_kp = np.maximum([active.get(f'{a}.rate.kp', 1.0) for a in AXES], 1e-3)
-        rate_hz = active.get('loop.rate_hz', USUAL_HZ)
+        rate_hz = active.get('loop.rate_hz', gate.USUAL_HZ)
         if rate_hz != self.rate_hz:
             self.rate_hz = self.polarity.rate_hz = rate_hz
             self.watch = GainWatch(min(max(rate_hz, LEAST_HZ), MOST_HZ))
@@ -362,6 +433,8 @@ class GainUpdates:
             axes = touched if touched <= set(AXES) else AXES
             self.watch.begin(update.asked.predicted, axes)
         update.written += 1
+        update.armed = update.armed or bool(self._flags & f.Flag.ARMED)
+        self._in_force_s = now_s
         self.commits += 1
         last = update.written == len(update.steps)
         self._until_s = now_s + (WATCH_S if last else STEP_WATCH_S)
@@ -377,10 +450,10 @@ class GainUpdates:
         self.refused = f'rolling back: {reason}'
         self.protocol.revert(reason)
 
-    def _ended(self, outcome: str, reason: str = '') -> None:
+    def _ended(self, outcome: str, reason: str = '', **more: object) -> None:
         if self._update is not None:
             figures = {k: round(v, 4) for k, v in self.watch.figures().items()}
-            self._log(outcome, reason=reason, figures=figures)
+            self._log(outcome, None, reason=reason, figures=figures, **more)
         if self.state is State.CHECKING:
             self.polarity.abort(f'stopped: {reason}')
             self._end_check()

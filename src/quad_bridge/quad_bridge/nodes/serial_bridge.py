@@ -270,7 +270,7 @@ class SerialBridge(ManagedNode):
     def _on_segment(self, event: ParameterEvent) -> None:
         end = self._relay.segment(conversion.parameters(event))
         with self._lock:
-            if end is None:
+            if self._relay.injection:
                 self._gains.disturb()
             elif self._gains.state is State.CHECKING:
                 end = None

@@ -83,6 +83,7 @@ def read_columns(options: ColumnOptions) -> ForeignLog:
                             remedy='quad-sysid import FILE alone proposes one')
     found = {option: _stream(table, units, options.names(option)) for option in OPTIONS
              if option != 'time'}
+    _unwrap(options, found)
     odd += _compared(options, units, found)
     return ForeignLog(
         source=str(options.file), kind='a table', axes=options.axes,
@@ -107,6 +108,26 @@ def _stream(table: Table, units: Mapping[str, Unit], names: tuple[str, ...]) -> 
                             ', '.join(names), 'name other columns')
     return found and Stream(found.time_s, np.column_stack([
         units[name](found.values[:, i]) for i, name in enumerate(names)]))
+
+
+def _unwrap(options: ColumnOptions, found: dict[str, Stream | None]) -> None:
+    """Make a heading continuous, and its reference within half a turn of it (median)."""
+    if 'yaw' not in options.axes:
+        return
+    i, angle = options.axes.index('yaw'), found['angle']
+    for role in ('angle', 'reference'):
+        stream = found[role]
+        if stream is None:
+            continue
+        values = stream.values.copy()
+        values[:, i] = np.unwrap(values[:, i])
+        apart = values[:1, i]
+        if role == 'reference' and angle is not None:
+            apart = values[:, i] - np.interp(stream.time_s, angle.time_s, angle.values[:, i])
+        values[:, i] -= 2.0 * np.pi * np.round(np.median(apart) / (2.0 * np.pi))
+        found[role] = Stream(stream.time_s, values)
+        if role == 'angle':
+            angle = found[role]
 
 
 def _placed(options: ColumnOptions, stream: Stream | None) -> Stream | None:

@@ -189,6 +189,10 @@ def read_csv(
     absent = [name for name in names if name not in header]
     if absent:
         raise _absent(f'{source}, line {head[0]}', absent, header)
+    twice = [name for name in dict.fromkeys(names) if header.count(name) > 1]
+    if twice and wanted is not None:
+        raise BadInputError(f'{source}, line {head[0]}', f'several columns {", ".join(twice)}',
+                            remedy='give each column a name of its own')
     places = [header.index(name) for name in names]
     rows: list[list[float]] = []
     kept: list[int] = []

@@ -28,9 +28,13 @@ class Limits:
     rc_stale_s: float = 1.0
     """Applies once a receiver has been heard."""
     battery_min_v: float = 0.0
-    """0: not checked."""
+    """0: not checked. Above it, a voltage must be heard too."""
+    battery_stale_s: float = 2.0
+    """Age of the last voltage; /battery comes ten times a second."""
     stick_dead_band: float = 0.1
     hover_deflection: float = 0.6
+    abort_switch: bool = False
+    """The pilot has an abort switch, which must be heard."""
     abort_threshold: float = 0.5
     """The pilot's abort switch counts as thrown above this."""
 
@@ -46,9 +50,13 @@ class Readings:
     sticks: Vector | None = None
     """Roll, pitch, yaw, -1..1."""
     abort_switch: float | None = None
+    """None or NaN where /rc/in has no such channel."""
     failsafe: bool = False
     battery_v: float | None = None
-    """None or NaN where not measured."""
+    battery_age_s: float | None = None
+    """Of the last voltage that was measured."""
+    refused: bool = False
+    """The STM32 says that it refuses the excitation."""
 
 
 @dataclass(frozen=True)
@@ -74,12 +82,24 @@ def _lines(limits: Limits, r: Readings) -> Iterator[Abort]:
         yield Abort('the receiver is in failsafe', immediate=True)
     if r.rc_age_s is not None and r.rc_age_s > limits.rc_stale_s:
         yield Abort(f'/rc/in is {r.rc_age_s:.2f} s old', immediate=True)
-    if r.abort_switch is not None and r.abort_switch > limits.abort_threshold:
-        yield Abort("the pilot's abort switch is thrown")
+    if r.refused:
+        yield Abort('the STM32 refuses the excitation: disarmed, low battery, beyond its angle or '
+                    'its limits', immediate=True)
+    if limits.abort_switch:
+        yield from _switch(limits, r)
     if r.imu_age_s is None:
         yield Abort('no /imu/data yet')
     elif r.imu_age_s > limits.imu_stale_s:
         yield Abort(f'/imu/data is {r.imu_age_s:.2f} s old')
+
+
+def _switch(limits: Limits, r: Readings) -> Iterator[Abort]:
+    if r.rc_age_s is None:
+        yield Abort("no /rc/in yet: the pilot's abort switch (abort_aux) cannot be watched")
+    elif r.abort_switch is None or not math.isfinite(r.abort_switch):
+        yield Abort("/rc/in has no channel of the pilot's abort switch (abort_aux)")
+    elif r.abort_switch > limits.abort_threshold:
+        yield Abort("the pilot's abort switch is thrown")
 
 
 def _attitude(limits: Limits, r: Readings, axis: str, yaw_start: float) -> Iterator[Abort]:
@@ -99,9 +119,17 @@ def _sticks_and_battery(limits: Limits, r: Readings) -> Iterator[Abort]:
     for name, stick in zip(AXES, r.sticks or (), strict=False):
         if not abs(stick) <= allowed:
             yield Abort(f'the {name} stick is at {100 * stick:.0f} %')
-    volts = r.battery_v
-    if volts is not None and math.isfinite(volts) and volts < limits.battery_min_v > 0.0:
-        yield Abort(f'battery at {volts:.2f} V, below {limits.battery_min_v:.2f} V')
+    if limits.battery_min_v > 0.0:
+        yield from _battery(limits, r)
+
+
+def _battery(limits: Limits, r: Readings) -> Iterator[Abort]:
+    if r.battery_v is None or r.battery_age_s is None:
+        yield Abort('no voltage on /battery yet: battery_min_v cannot be watched')
+    elif not r.battery_age_s <= limits.battery_stale_s:
+        yield Abort(f'the last voltage on /battery is {r.battery_age_s:.1f} s old')
+    elif not r.battery_v >= limits.battery_min_v:
+        yield Abort(f'battery at {r.battery_v:.2f} V, below {limits.battery_min_v:.2f} V')
 
 
 STALL_S = 0.05
