@@ -9,7 +9,9 @@ from __future__ import annotations
 import importlib
 import os
 import sys
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 USAGE = (
     'ros2: without ROS 2 installed there is only: ros2 run PACKAGE EXECUTABLE [ARGS …] and '
@@ -33,6 +35,16 @@ def run(package: str, executable: str, arguments: list[str]) -> str:
     return f'ros2 run: {package} has no {executable}; it has {", ".join(known)}'
 
 
+def fill(request: Any, values: Mapping[str, object]) -> None:
+    """Set the fields of a request; one that is unknown or of another type raises."""
+    known = request.get_fields_and_field_types()
+    for field, value in values.items():
+        if field not in known:
+            there = ', '.join(known) or 'no fields'
+            raise ValueError(f'the request has no {field}; it has {there}')
+        setattr(request, field, value)
+
+
 def call(name: str, kind: str, text: str) -> str:
     """Call a service once and write its answer; returns what is wrong."""
     import rclpy
@@ -43,14 +55,21 @@ def call(name: str, kind: str, text: str) -> str:
         offered = getattr(importlib.import_module(f'{package}.srv'), service)
     except (ImportError, AttributeError, ValueError):
         return f'ros2 service call: {kind} is no service type, such as std_srvs/srv/Trigger'
-    request = offered.Request()
-    for field, value in (yaml.safe_load(text) or {}).items():
-        setattr(request, field, value)
+    request = offered.Request(check_fields=True)
+    try:
+        fill(request, dict(yaml.safe_load(text) or {}))
+    except (AssertionError, TypeError, ValueError, yaml.YAMLError) as error:
+        return f'ros2 service call: {" ".join(f"{text}: {error}".split())}'
     rclpy.init()
     try:
         node = rclpy.create_node('service_call')
         client = node.create_client(offered, name)
         if not client.wait_for_service(PATIENCE_S):
+            full = node.resolve_service_name(name)
+            kinds = dict(node.get_service_names_and_types()).get(full, [])
+            others = ', '.join(one for one in kinds if one != kind)  # the client's own is there
+            if others:
+                return f'ros2 service call: {name} is a {others}'
             return f'ros2 service call: nobody offers {name} within {PATIENCE_S:g} s'
         answer = client.call_async(request)
         rclpy.spin_until_future_complete(node, answer, timeout_sec=6.0 * PATIENCE_S)

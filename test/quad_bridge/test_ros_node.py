@@ -4,14 +4,16 @@ from pathlib import Path
 
 import pytest
 import yaml
-from node_process import node_command
+from node_process import node_command, program
 
 CONFIG = Path(__file__).resolve().parents[2] / 'src' / 'quad_bridge' / 'config'
 ONE_OF = 'must be one of auto, manual, off: found'
 
 PARAMETERS = [
     ('serial_bridge', {'baudd': 9600}, 'parameter baudd: is unknown; is it baud?'),
-    ('serial_bridge', {'baud': 1}, 'baud'),
+    ('serial_bridge', {'baud': 1}, 'whole number in 9600 .. 12000000: found 1; baud rate, bit/s'),
+    ('bag_logger', {'split_mb': -3}, 'parameter split_mb: must be a whole number in 0 .. '),
+    ('monitor', {'validation_s': 5}, 'must be a number with a decimal point in 0 .. 600: found 5'),
     ('serial_bridge', {'bounds.roll.rate.kp': [2.0, 1.0]}, 'parameter bounds.roll.rate.kp'),
     ('serial_bridge', {'polarity': 'never'}, f"parameter polarity: {ONE_OF} 'never'"),
     ('serial_bridge', {'port': 'socket://127.0.0.1:1'}, 'make_key'),
@@ -55,6 +57,46 @@ def test_a_wrong_argument_of_ros(start, run, tmp_path, arguments, words):
     process = run(*node_command('monitor'), *arguments, cwd=tmp_path)
     assert process.wait() == 2
     assert (process.said.count('\n'), words in process.said) == (1, True), process.said
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'word'),
+    [
+        (['-p', 'every_s:=5'], '-p'), (['--foo', '--ros-args', '-p', 'every_s:=5'], '--foo'),
+        (['--ros-args', '--', 'every_s:=5'], 'every_s:=5'),
+    ],
+)  # fmt: skip
+def test_what_stands_outside_of_ros_args_is_refused(start, run, arguments, word):
+    del start
+    process = run(*program('monitor'), *arguments)
+    assert process.wait() == 2
+    assert process.said == (
+        f'monitor: argument {word}: is unknown; parameters stand behind --ros-args: '
+        '--ros-args -p NAME:=VALUE\n'
+    )
+
+
+@pytest.mark.parametrize(('name', 'words'), [
+    ('serial_bridge', "port ('/dev/ttyACM0'): device"), ('bag_logger', 'split_mb ('),
+    ('monitor', 'every_s (5): '), ('excitation', 'schedule ('), ('identification', 'train ('),
+])  # fmt: skip
+def test_help_lists_the_parameters(start, run, name, words):
+    del start
+    process = run(*program(name), '--help')
+    assert (process.wait(), process.said) == (0, '')
+    assert process.printed.startswith('usage: ros2 run quad_')
+    assert words in process.printed
+
+
+def test_the_parameter_file_in_which_it_is_wrong_is_named(start, run, tmp_path):
+    del start
+    text = '/**:\n  ros__parameters:\n    band: {low: 3}\n    every_s: 90\n'
+    (tmp_path / 'mine.yaml').write_text(text)
+    for more, where in (([], 'mine.yaml: '), (['-p', 'band.low:=4'], '')):
+        arguments = ['--params-file', 'mine.yaml', *more]
+        process = run(*node_command('monitor'), *arguments, cwd=tmp_path)
+        assert process.wait() == 2
+        assert process.said.startswith(f'monitor: {where}parameter band.low: is unknown')
 
 
 def test_a_parameter_file_of_another_node_is_told(start, run, tmp_path):

@@ -184,7 +184,7 @@ def test_every_figure_stands_in_the_summary_which_fits_a_terminal() -> None:
     for said in (
         'effects_added', 'coulomb_friction (probability 0.93)', 'torque 0.4876 rad/s²',
         '0.2000 before, 0.0500 after (0.25)', '0.3000 before, 0.0600 after (0.20)', 'report.html',
-        'acknowledged 420 ms after sending', '23.4       8.1\n',
+        'in force 0.4 s after sending', '23.4       8.1\n',
     ):
         assert said in '\n'.join(told)
     table = {line.split()[-4]: line.split()[-3:] for line in told if 'roll.' in line}

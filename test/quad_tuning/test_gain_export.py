@@ -7,6 +7,7 @@ import json
 import pytest
 
 from quad_tuning.cli import main
+from quad_tuning.history import read_design
 
 GAINS = {
     'roll.angle.kp': 9.5, 'roll.rate.kp': 0.08, 'roll.rate.ki': 0.13, 'roll.rate.kd': 0.0028,
@@ -17,12 +18,22 @@ ONES = ['--scale', 'roll=1', '--scale', 'yaw=1']
 UNITS = ['--scale', 'roll=0.25', '--scale', 'yaw=1']
 
 
+def design(axes):
+    return json.dumps({'schema': 'quad_tuning/design/1', 'axes': axes})
+
+
+def roll(**changed):
+    """A design of roll with other values, by the last part of their names."""
+    return design({'roll': {'gains': {f'roll.rate.{name}': value
+                                      for name, value in changed.items()}}})
+
+
 @pytest.fixture
 def file(tmp_path):
     path = tmp_path / 'gains.json'
     axes = {axis: {'gains': {k: v for k, v in GAINS.items() if k.startswith(axis)}}
             for axis in ('roll', 'yaw')}
-    path.write_text(json.dumps({'schema': 'quad_tuning/design/1', 'axes': axes}))
+    path.write_text(design(axes))
     return path
 
 
@@ -57,14 +68,20 @@ def test_ardupilot_through_a_file(file, tmp_path, capsys):
 @pytest.mark.parametrize(
     ('content', 'arguments', 'words'),
     [
-        ('{"axes": {"roll": {"gains": ' + json.dumps(GAINS | {'roll.rate.ki': -1.0}) + '}}}', ONES,
-         'must not be negative'),
+        (roll(ki=-1.0), [], 'json: axes.roll.gains.roll.rate.ki: must lie in 0 .. 1 1/rad: found'),
+        (roll(kp=float('nan')), [], 'rate.kp: must be a finite number: found nan; design again'),
+        (roll(kp=10**400), [], 'rate.kp: must be a finite number'),
+        (roll(kp='much'), [], "rate.kp: must be a finite number: found 'much'"),
+        (roll(kpp=1.0), [], 'rate.kpp: is no gain that a design changes'),
         (None, [], 'cannot be read'), ('{', [], 'is not JSON'),
-        pytest.param('[' * 100_000, [], 'is not JSON', id='deep'), ('{}', [], 'axes'),
-        ('{"axes": {"roll": {"gains": null}}}', [], 'holds none'),
-        ('{"axes": {"roll": {"gains": {"roll.rate.kp": 1}}}}', [], 'lack angle.kp'),
+        pytest.param('[' * 100_000, [], 'is not JSON', id='deep'),
+        ('{"schema": "x/1"}', [], 'design/1 or quad_sysid/report/1: found x/1; give the file of'),
+        ('[]', [], 'schema'), (design(None), [], 'axes: is missing'),
+        (design({'roll': {'gains': None}, 'pitch': 1}), [], 'holds none'),
+        (roll(kp=0.1), ONES, 'lack angle.kp'),
         ('', ['--scale', 'roll=1'], '--scale yaw: is missing'),
         ('', ['--scale', 'roll=0'], '--scale'), ('', ['--scale', 'nose=1'], '--scale'),
+        ('', [*ONES, '--scale', 'pitch=0.3'], '--scale: names an axis without gains'),
     ],
 )
 def test_wrong_files_and_options_are_one_line(file, content, arguments, words, capsys, tmp_path):
@@ -75,6 +92,28 @@ def test_wrong_files_and_options_are_one_line(file, content, arguments, words, c
     error = capsys.readouterr().err
     assert words in error
     assert len(error.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ('content', 'words'),
+    [
+        ('{"schema": "x/1", "axes": {}}', 'schema: must be'),
+        (roll(kp='much'), "axes.roll.gains.roll.rate.kp: must be a finite number: found 'much'"),
+        (design({'roll': {'gains': {'roll.rate.kp': 0.1}, 'figures': {'rate_rms_ratio': 'low'}}}),
+         "axes.roll.figures.rate_rms_ratio: must be a finite number: found 'low'"),
+    ],
+)
+def test_such_files_are_not_sent_either(content, words, capsys, tmp_path):
+    path = tmp_path / 'other.json'
+    path.write_text(content)
+    assert main(['send', str(path)]) == 2
+    assert capsys.readouterr().err.startswith(f'quad-tune: {path}: {words}')
+
+
+def test_bounds_of_what_is_sent_are_those_of_the_bridge(tmp_path):
+    path = tmp_path / 'other.json'
+    path.write_text(roll(kp=0.9))
+    assert read_design(path) == ({'roll.rate.kp': 0.9}, {})
 
 
 def test_what_is_not_exported_is_told(file, tmp_path, capsys):
@@ -90,7 +129,7 @@ def test_what_is_not_exported_is_told(file, tmp_path, capsys):
     assert told.endswith('left out: roll.sag.exponent 1.5\n')
 
 
-@pytest.mark.parametrize('name', ['design', 'export'])
+@pytest.mark.parametrize('name', ['design', 'export', 'send', 'history', 'rollback'])
 def test_every_command_has_an_example_in_its_help(name, capsys):
     with pytest.raises(SystemExit):
         main([name, '--help'])

@@ -45,6 +45,7 @@ def test_every_set_stands_there_with_its_source_and_outcome(folder, capsys):
     assert (sets[2]['bag'], sets[3]['reason']) == ('flight_1', 'roll: oscillation')
     assert main(['history', '--folder', str(folder)]) == 0
     table = capsys.readouterr().out
+    assert table.startswith(f'{folder}/quad_7/gains.jsonl\n')
     assert 'rolled back  operator' in table
     assert 'roll.rate.kp 0.2' in table
     assert 'loop.rate_hz' not in table
@@ -94,6 +95,13 @@ def test_the_rollback_shows_what_it_would_send_and_needs_ros_to_send_it(
     assert said.endswith('roll.rate.kp 0.07, roll.angle.kp 3\n')
     assert main(['rollback', '--folder', str(folder)]) == 2
     assert 'quad-tune rollback: needs ROS 2' in capsys.readouterr().err
+
+
+def test_no_way_back_names_the_file(folder, capsys):
+    path = folder / 'quad_7' / 'gains.jsonl'
+    path.write_text(path.read_text().splitlines()[0])
+    assert main(['rollback', '--folder', str(folder)]) == 2
+    assert f'quad-tune: {path}: holds no earlier good set' in capsys.readouterr().err
 
 
 def test_a_torn_line_is_left_out_and_the_next_one_begins_anew(folder):

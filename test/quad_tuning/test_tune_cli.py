@@ -1,11 +1,13 @@
 """`quad-tune design`: table, JSON, file, exit status and one line on stderr."""
 
 import json
+from pathlib import Path
 
 import pytest
 
 from quad_sysid.report.model_file import save_models
-from quad_tuning.cli import main, ros2
+from quad_tuning.cli import BRYSON, main, ros2
+from quad_tuning.lqr import Weights
 
 
 @pytest.fixture
@@ -42,7 +44,7 @@ def test_table_json_and_file_tell_the_same(stored, answer, tmp_path, capsys):
     out, err = capsys.readouterr()
     assert err == ''
     for words in (
-        'roll.rate.kp', 'phase margin', f'makes {len(roll["steps"])} updates of it',
+        'roll.rate.kp', 'phase margin', f'applies it in {len(roll["steps"])} steps, 3 s apart',
         'pitch (pid): no gains: pitch: a positive command lowers the rate',
     ):
         assert words in out
@@ -60,6 +62,34 @@ def test_lqr_by_the_ros_name_of_the_command_with_brysons_weights(stored, answer,
 
 
 @pytest.mark.parametrize(
+    ('part', 'row', 'value', 'field'),
+    [
+        ('base', 1, -0.04, 'base.lag.value'), ('base', 2, -0.004, 'base.delay.value'),
+        ('covariance', 1, -1e-6, 'covariance.lag'),
+    ],
+)
+def test_what_no_plant_can_be_is_the_fault_of_a_field(stored, capsys, part, row, value, field):
+    tree = json.loads(Path(stored).read_text())
+    entry = tree['axes']['roll'][part][row]
+    entry['value' if part == 'base' else row] = value
+    Path(stored).write_text(json.dumps(tree))
+    assert main(['design', stored, '--axis', 'roll']) == 2
+    assert capsys.readouterr().err == (
+        f'quad-tune: {stored}: axes.roll.{field}: must not be negative: found {value}; identify '
+        'again with this version\n'
+    )
+
+
+def test_the_help_states_the_defaults_of_the_weights(capsys):
+    with pytest.raises(SystemExit):
+        main(['design', '--help'])
+    told = ' '.join(capsys.readouterr().out.split())
+    for name, (unit, default, words) in BRYSON.items():
+        assert f'--max-{name} {unit} {words}; default {default:g}' in told
+        assert default == getattr(Weights(), name)
+
+
+@pytest.mark.parametrize(
     ('words', 'status', 'said'),
     [
         ('{model} --axis pitch', 3, 'lowers the rate'),
@@ -68,6 +98,7 @@ def test_lqr_by_the_ros_name_of_the_command_with_brysons_weights(stored, answer,
         ('{model} --out no/such/folder/x.json', 2, 'cannot be written'),
         ('none.json', 2, 'none.json'), ('', 2, 'MODEL.json'),
         ('{model} --method lqr --max-angle -1', 2, 'must be a positive number'),
+        ('{model} --max-angle -1', 2, '--max-angle: belongs to --method lqr'),
     ],
 )
 def test_exit_status_and_the_one_line(stored, capsys, words, status, said):

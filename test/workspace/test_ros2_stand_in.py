@@ -42,6 +42,11 @@ def test_it_becomes_the_executable(ros2):
         (('run', 'quad_brigde', 'talk'), 'quad_brigde: is not built; run make build'),
         (('topic', 'list'), 'without ROS 2 installed there is only'),
         (('service', 'call', '/x', 'std_srvs/srv/Nix'), 'no service type'),
+        (('service', 'call', '/x', 'std_srvs/srv/SetBool', '{up: true}'), 'no up; it has data'),
+        (('service', 'call', '/x', 'std_srvs/srv/Trigger', '{up: 1}'), 'no up; it has no fields'),
+        (('service', 'call', '/x', 'std_srvs/srv/SetBool', '{data: x}'), 'must be of type'),
+        (('service', 'call', '/x', 'std_srvs/srv/SetBool', 'data'), 'service call: data: '),
+        (('service', 'call', '/x', 'std_srvs/srv/SetBool', '{data'), 'service call: {data: '),
     ],
 )
 def test_what_it_cannot_do_is_one_line(ros2, words, told, request):
@@ -51,3 +56,11 @@ def test_what_it_cannot_do_is_one_line(ros2, words, told, request):
     assert (done.returncode, done.stdout) == (2, '')
     assert told in done.stderr
     assert done.stderr.count('\n') == 1
+
+
+def test_a_service_of_another_type_is_named(ros2, start, probe):
+    start('bag_logger', autostart=False)
+    probe.until(lambda: '/bag_logger' in probe.nodes())
+    done = ros2('service', 'call', '/bag_logger/start', 'std_srvs/srv/SetBool')
+    assert (done.returncode, done.stdout) == (2, '')
+    assert done.stderr == 'ros2 service call: /bag_logger/start is a std_srvs/srv/Trigger\n'

@@ -24,6 +24,7 @@ from quad_sysid.arguments import (
     run_command,
 )
 from quad_sysid.contract import AXES
+from quad_sysid.errors import BadInputError
 from quad_sysid.files import write_whole
 from quad_sysid.model import AxisModel
 from quad_sysid.report.model_file import load_models, pick
@@ -34,10 +35,10 @@ from quad_tuning.bounds import ROWS
 from quad_tuning.designer import design
 from quad_tuning.errors import DesignRefusedError
 
-SCHEMA = 'quad_tuning/design/1'
-
-BRYSON = {'angle': 'RAD', 'rate': 'RAD/S', 'integral': 'RAD*S', 'control': 'SHARE'}
-"""Options `--max-<name>` of the LQR's weights, and their units."""
+BRYSON = {'angle': ('RAD', 0.1, 'angle error'), 'rate': ('RAD/S', 0.7, 'rate'),
+          'integral': ('RAD*S', 0.2, 'integral of the angle error'),
+          'control': ('SHARE', 0.1, 'command, as a share of its range')}
+"""Options `--max-<name>` of the LQR's weights: unit, default of lqr.py, words."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -68,18 +69,22 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     quiet_and_json(parser, 'JSON')
     parser.add_argument('--out', type=Path, metavar='FILE', help='write the JSON there too')
     bryson = parser.add_argument_group(
-        'lqr', "Bryson's rule: the largest value of each that is acceptable"
+        'with --method lqr', "Bryson's rule: the largest value of each that is acceptable"
     )
-    for name, unit in BRYSON.items():
-        bryson.add_argument(f'--max-{name}', type=float, metavar=unit)
+    for name, (unit, default, words) in BRYSON.items():
+        bryson.add_argument(f'--max-{name}', type=float, metavar=unit,
+                            help=f'{words}; default {default:g}')
 
 
 def _run(arguments: argparse.Namespace) -> int:
+    given = [name for name in BRYSON if getattr(arguments, f'max_{name}') is not None]
+    if given and arguments.method != 'lqr':
+        raise BadInputError(f'--max-{given[0]}', 'belongs to --method lqr, which is not given')
     models = load_models(arguments.model, own_effects(arguments.effects))
     if arguments.axis != 'all':
         models = pick(models, arguments.axis, arguments.model)
     answers = {axis: _answer(model, arguments) for axis, model in models.items()}
-    tree = {'schema': SCHEMA, 'method': arguments.method, 'axes': answers}
+    tree = {'schema': exports.DESIGN, 'method': arguments.method, 'axes': answers}
     text = json.dumps(tree, indent=1, allow_nan=False)
     if arguments.out is not None:
         write_whole(arguments.out, text + '\n')
@@ -131,7 +136,8 @@ def _table(axis: str, method: str, answer: Mapping[str, Any]) -> str:
     if answer.get('steps'):
         count, first = len(answer['steps']), _short(answer['gains'])
         lines.append(
-            f'  to be sent whole; the step limit makes {count} updates of it'
+            '  quad-tune send sends it at once; the bridge applies it in '
+            + (f'{count} steps, 3 s apart' if count > 1 else 'one step')
             if answer['gains'] == answer['target'] else
             f'  {count} updates lead there; send {first} first and identify again, '
             'all at once is not safe'

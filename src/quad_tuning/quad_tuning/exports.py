@@ -10,16 +10,23 @@ out as a comment, and so is what has no counterpart.
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from quad_sysid.arguments import Commands, command
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import check_new, read_json, write_whole
+from quad_tuning.gain_table import DEFAULT_BOUNDS, ROWS
 
+DESIGN = 'quad_tuning/design/1'
+SCHEMAS = (DESIGN, 'quad_sysid/report/1')
+"""Of the files that hold gains."""
+REMEDY, AGAIN = 'give the file of quad-tune design --out, or a report.json', 'design again'
 NEEDED = ('angle.kp', 'rate.kp', 'rate.ki', 'rate.kd')
 D_FILTER = 'rate.d_filter_hz'
 
@@ -116,23 +123,51 @@ def scales(items: list[str]) -> dict[str, float]:
     return out
 
 
-def read_gains(path: Path) -> dict[str, float]:
-    """The gains of all axes in a design or report: what is sent, before any target."""
+def read_axes(path: Path) -> dict[str, Mapping[str, Any]]:
+    """What a design or report says of each axis that has gains. Raises BadInputError."""
     tree = read_json(path)
-    axes = tree.get('axes') if isinstance(tree, dict) else None
+    schema = tree.get('schema') if isinstance(tree, dict) else None
+    if schema not in SCHEMAS:
+        raise BadInputError(f'{path}: schema', f'must be {" or ".join(SCHEMAS)}', schema, REMEDY)
+    axes = tree.get('axes')
     if not isinstance(axes, Mapping):
-        raise BadInputError(f'{path}: axes', 'is missing',
-                            remedy='give the file of quad-tune design --out, or a report.json')
-    found: dict[str, float] = {}
-    for one in axes.values():
-        gains = one.get('gains') if isinstance(one, Mapping) else None
-        if isinstance(gains, Mapping):
-            found.update({str(name): float(value) for name, value in gains.items()})
-    if not found:
+        raise BadInputError(f'{path}: axes', 'is missing', None, REMEDY)
+    answered = {str(axis): one for axis, one in axes.items()
+                if isinstance(one, Mapping) and isinstance(one.get('gains'), Mapping)}
+    if not any(one['gains'] for one in answered.values()):
         raise BadInputError(f'{path}: gains', 'holds none',
                             remedy='the design was refused, or this is a model: run quad-tune '
                             'design MODEL.json --out gains.json first')
+    return answered
+
+
+def read_gains(path: Path, *, bounded: bool = True) -> dict[str, float]:
+    """The gains of all axes in a design or report, SI: what is sent, before any target.
+
+    Raises BadInputError naming file and field of what is no gain, not finite or, where `bounded`,
+    outside the default bounds; the bridge's gate has bounds of its own.
+    """
+    found: dict[str, float] = {}
+    for axis, one in read_axes(path).items():
+        for name, given in one['gains'].items():
+            where = f'{path}: axes.{axis}.gains.{name}'
+            bound = DEFAULT_BOUNDS.get(name)
+            if bound is None:
+                raise BadInputError(where, 'is no gain that a design changes',
+                                    remedy='docs/reference/gains.md lists them')
+            found[name] = value = finite(given, where)
+            if bounded and not bound.lower <= value <= bound.upper:
+                span = f'{bound.lower:g} .. {bound.upper:g} {ROWS[name].unit}'
+                raise BadInputError(where, f'must lie in {span}', f'{value:g}', AGAIN)
     return found
+
+
+def finite(value: object, where: str) -> float:
+    """A number of a file; raises BadInputError naming the field."""
+    if (isinstance(value, int | float) and not isinstance(value, bool)
+            and abs(value) <= sys.float_info.max):  # as NaN is not
+        return float(value)
+    raise BadInputError(where, 'must be a finite number', repr(value), AGAIN)
 
 
 def left_out(gains: Mapping[str, float]) -> list[str]:
@@ -157,6 +192,9 @@ def parameters(firmware: Firmware, gains: Mapping[str, float],
     if not out:
         raise BadInputError('gains', 'hold none of roll, pitch, yaw',
                             remedy='give the file of quad-tune design --out')
+    for axis in scale:
+        if not any(name.startswith(f'{axis}.') for name in gains):
+            raise BadInputError('--scale', 'names an axis without gains in the file', axis)
     return out
 
 

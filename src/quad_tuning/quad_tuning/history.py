@@ -16,11 +16,11 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from quad_sysid.arguments import NOT_ANSWERED
+from quad_sysid.arguments import NOT_ANSWERED, command
 from quad_sysid.errors import BadInputError
 from quad_sysid.report.tables import Table
 from quad_sysid.result import PROMISES
-from quad_tuning.exports import read_gains
+from quad_tuning.exports import finite, read_axes, read_gains
 
 SCHEMA = 'quad_tuning/history/1'
 SOURCE, SENDER = 'quad-tune rollback', 'quad-tune send'
@@ -105,16 +105,16 @@ def changed(one: Mapping[str, float], other: Mapping[str, float]) -> dict[str, f
             if abs(one.get(name, float('inf')) - value) > 1e-6 * max(abs(value), 1e-9)}
 
 
-def way_back(sets: Sequence[GainSet],
-             number: int | None = None) -> tuple[GainSet, dict[str, float]]:
+def way_back(sets: Sequence[GainSet], number: int | None = None,
+             where: str = 'history') -> tuple[GainSet, dict[str, float]]:
     """The set `number`, or the last good set that differs, and the gains that must change.
 
     A set that was only confirmed on the ground is none of those.
 
-    Raises BadInputError where there is no such set.
+    Raises BadInputError, naming the file `where`, where there is no such set.
     """
     if not sets:
-        raise BadInputError('history', 'holds no set of gains',
+        raise BadInputError(where, 'holds no set of gains',
                             remedy='the bridge adds the first when the aircraft is connected')
     now = sets[-1].gains
     if number is not None:
@@ -126,7 +126,8 @@ def way_back(sets: Sequence[GainSet],
         difference = changed(now, one.gains)
         if one.outcome in GOOD and difference:
             return one, difference
-    raise BadInputError('history', 'holds no earlier good set that differs from the present one')
+    raise BadInputError(where, 'holds no earlier good set that differs from the present one',
+                        None, 'quad-tune history shows all; --to N takes any of them')
 
 
 def _entry(line: str) -> dict[str, Any] | None:
@@ -183,20 +184,26 @@ def _passed(sets: Sequence[GainSet]) -> list[GainSet]:
 
 def add(commands: Any) -> None:
     """Add them to the subparsers of `quad-tune`."""
-    history = commands.add_parser('history', help='every set of gains that was ever active')
+    history = command(commands, 'history', show, 'Every set of gains that was ever active, with '
+                      'its source, its outcome and what it changed.',
+                      'quad-tune history --folder demo_out/aircraft')
     history.add_argument('--json', action='store_true', help='print JSON instead of the table')
-    rollback = commands.add_parser('rollback', help='back to the last good set that has flown')
+    rollback = command(commands, 'rollback', go_back, 'Send the last good set of gains that '
+                       'has flown and differs from the present one. Exit status 3: the bridge '
+                       'refuses it.',
+                       'quad-tune rollback --print')
     rollback.add_argument('--to', type=int, metavar='N', help='this set of the history')
     rollback.add_argument('--print', action='store_true', help='only print what would be sent')
-    for parser, run in ((history, show), (rollback, go_back)):
-        parser.set_defaults(run=run)
+    for parser in (history, rollback):
         parser.add_argument('--folder', type=Path, metavar='DIR',
                             help="the bridge's state_folder; default quad_suite in ROS_HOME")
-        parser.add_argument('--aircraft', default='', metavar='NAME')
-    sending = commands.add_parser('send', help='designed gains to the bridge, through its gate')
+        parser.add_argument('--aircraft', default='', metavar='NAME',
+                            help='its folder there; default the only one')
+    sending = command(commands, 'send', send, 'Send designed gains to the bridge. Exit status 3: '
+                      'the bridge refuses them, for their values too, or takes them back.',
+                      'quad-tune send gains.json')
     sending.add_argument('design', type=Path, metavar='GAINS.json',
-                         help='of quad-tune design --out')
-    sending.set_defaults(run=send)
+                         help='of quad-tune design --out, or a report.json')
     for parser in (rollback, sending):
         parser.add_argument('--namespace', default='', metavar='NS',
                             help="the bridge's, where several aircraft fly")
@@ -204,21 +211,23 @@ def add(commands: Any) -> None:
 
 def show(arguments: argparse.Namespace) -> int:
     """`quad-tune history`. Raises QuadSysidError for bad input."""
-    sets = _sets(arguments)
+    path = _file(arguments)
+    sets = read_history(path)
     tree = {'schema': SCHEMA, 'sets': [asdict(one) for one in sets]}
-    print(json.dumps(tree, indent=1) if arguments.json else table(sets))
+    print(json.dumps(tree, indent=1) if arguments.json else f'{path}\n{table(sets)}')
     return 0
 
 
 def go_back(arguments: argparse.Namespace) -> int:
     """`quad-tune rollback`. Raises QuadSysidError for bad input."""
-    chosen, gains = way_back(_sets(arguments), arguments.to)
+    path = _file(arguments)
+    chosen, gains = way_back(read_history(path), arguments.to, str(path))
     told = f'set {chosen.number} of {chosen.time}: {_words(gains) or "nothing differs"}'
     if arguments.print or not gains:
         print(told)
         return 0
     refusal = _publish('rollback')(gains, SOURCE, rollback=True, namespace=arguments.namespace,
-                                   aircraft=_file(arguments).parent.name)
+                                   aircraft=path.parent.name)
     return _told(refusal, f'back to {told}')
 
 
@@ -227,7 +236,8 @@ def send(arguments: argparse.Namespace) -> int:
     gains, predicted = read_design(arguments.design)
     refusal = _publish('send')(gains, SENDER, predicted=json.dumps(predicted),
                                namespace=arguments.namespace)
-    return _told(refusal, f'active, and watched by the bridge: {_words(gains)}')
+    return _told(refusal, f'active: {_words(gains)}; the bridge watches them for 10 s more and '
+                 'takes them back if they fly badly: see quad-tune history')
 
 
 def _publish(command: str) -> Callable[..., str]:
@@ -251,18 +261,13 @@ def _told(refusal: str, success: str) -> int:
 
 def read_design(path: Path) -> tuple[dict[str, float], dict[str, float]]:
     """Gains and predictions of all axes in a design's file. Raises BadInputError."""
-    gains = read_gains(path)
-    axes = json.loads(path.read_text(encoding='utf-8'))['axes']
-    figures = {axis: one.get('figures') or {} for axis, one in axes.items() if one.get('gains')}
-    predicted = {f'{axis}.{name}': float(said[name])
-                 for axis, said in figures.items()
+    gains = read_gains(path, bounded=False)
+    predicted = {f'{axis}.{name}': finite(said[name], f'{path}: axes.{axis}.figures.{name}')
+                 for axis, one in read_axes(path).items()
+                 for said in [one.get('figures')]
                  for name in PROMISES
-                 if name in said}
+                 if isinstance(said, Mapping) and name in said}
     return gains, predicted
-
-
-def _sets(arguments: argparse.Namespace) -> list[GainSet]:
-    return read_history(_file(arguments))
 
 
 def _file(arguments: argparse.Namespace) -> Path:

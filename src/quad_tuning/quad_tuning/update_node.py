@@ -27,6 +27,8 @@ from quad_tuning.history import changed
 LISTEN_S, ANSWER_S = 10.0, 60.0
 FAILED = ('rolled back', 'not taken over')
 """Outcomes of updates that began but did not become active."""
+DONE = ('writes acknowledged', 'rolled back')
+"""The bridge's counts of what the STM32 has done."""
 GAINS = 'serial_bridge: gains'
 
 
@@ -74,13 +76,15 @@ def publish(gains: Mapping[str, float], source: str, *, rollback: bool = False,
         if not spin(ready, LISTEN_S):
             raise BadInputError(asked, f'no bridge has been heard for {LISTEN_S:.0f} s',
                                 remedy='start serial_bridge, or give its --namespace')
-        heard.before = heard.told
+        heard.before, done = heard.told, heard.done
         told: dict[str, bool | float | str] = {**gains, 'source': source,
                                                **({'predicted': predicted} if predicted else {}),
                                                **({'aircraft': aircraft} if aircraft else {}),
                                                **({'rollback': True} if rollback else {})}
         publisher.publish(event_message(told, '/quad_tune', 0))
-        if not spin(lambda: heard.refusal or not changed(heard.gains, gains), ANSWER_S):
+        # the gains alone say nothing: they may have been the same before, and the link be down
+        if not spin(lambda: heard.refusal or (heard.done > done
+                                              and not changed(heard.gains, gains)), ANSWER_S):
             raise BadInputError(answered, f'no answer of the bridge for {ANSWER_S:.0f} s')
         return heard.refusal
 
@@ -98,6 +102,8 @@ class _Heard:
         self.told: tuple[str | None, ...] = ()
         """Message, and the counts that tell a refusal from an earlier one in the same words."""
         self.before: tuple[str | None, ...] = ()
+        self.done = 0
+        """Sets that the STM32 has taken or taken back since the bridge began."""
 
     @property
     def refusal(self) -> str:
@@ -111,4 +117,5 @@ class _Heard:
                 values = {pair.key: pair.value for pair in status.values}
                 self.message = status.message
                 self.told = self.message, values.get('refused'), values.get('rolled back')
+                self.done = sum(int(values.get(name, '0')) for name in DONE)
                 self.gains = {name: float(values[name]) for name in WIRE_NAMES.keys() & values}

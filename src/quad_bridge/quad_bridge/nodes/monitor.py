@@ -71,6 +71,9 @@ class Monitor(Node):  # type: ignore[misc]
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # whatever becomes of simulated time
         self.create_timer(0.5 if self._terminal else every, self._show, clock=steady)
         self.create_timer(1.0, self._look, clock=steady)
+
+    def begin(self) -> None:
+        """Clear the screen."""
         if self._terminal:
             say(CLEAR)
 

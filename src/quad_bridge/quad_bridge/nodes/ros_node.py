@@ -1,4 +1,4 @@
-"""How the nodes of this package begin and end: parameters with descriptors, one executor, exit.
+"""How all nodes begin and end: arguments, parameters with descriptors, one executor, exit.
 
 No topics here.
 """
@@ -13,11 +13,12 @@ import re
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
 import rclpy
+import yaml
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.exceptions import NameValidationException, ParameterException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor, await_or_execute
@@ -25,7 +26,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.logging import LoggingSeverity, get_logger_level, set_logger_level
 from rclpy.signals import SignalHandlerOptions
 
-from quad_bridge.arguments import complain, one_line
+from quad_bridge.arguments import complain, one_line, say
 from quad_bridge.errors import BadInputError, QuadBridgeError
 from quad_bridge.nodes.fence import Fence
 
@@ -40,6 +41,11 @@ _FORMS = {
     'parameter override rule': "write -p NAME:=VALUE, an empty value as ''",
 }
 _ROS_OWN = ('use_sim_time', 'qos_overrides.', 'start_type_description_service')
+_KINDS: dict[type, str] = {
+    bool: 'true or false', int: 'a whole number', float: 'a number with a decimal point',
+    str: 'a text', list: 'a list of texts',
+}  # fmt: skip
+"""What a parameter must be, by the type of its default."""
 
 
 def overrides(node: Any) -> dict[str, Any]:
@@ -62,7 +68,10 @@ def refuse_unknown(node: Any, known: Iterable[str]) -> None:
 def declared(
     node: Any, name: str, default: T, description: str, limits: tuple[float, float] | None = None
 ) -> T:
-    """Declare a read-only parameter of the default's type, with its range; its value."""
+    """Declare a read-only parameter of the default's type, with its range; its value.
+
+    Raises BadInputError where what was set does not fit.
+    """
     descriptor = ParameterDescriptor(description=description, read_only=True)
     if limits is not None and isinstance(default, float):
         span = FloatingPointRange(from_value=limits[0], to_value=limits[1], step=0.0)
@@ -70,8 +79,46 @@ def declared(
     elif limits is not None:
         low, high = (int(limit) for limit in limits)
         descriptor.integer_range = [IntegerRange(from_value=low, to_value=high, step=1)]
-    value: Any = node.declare_parameter(name, default, descriptor).value
+    try:
+        value: Any = node.declare_parameter(name, default, descriptor).value
+    except ParameterException as error:
+        span = '' if limits is None else ' in {:.10g} .. {:.10g}'.format(*limits)
+        raise BadInputError(f'parameter {name}', f'must be {_KINDS[type(default)]}{span}',
+                            repr(overrides(node).get(name)), description) from error  # fmt: skip
     return type(default)(value)
+
+
+def asks_for_help() -> bool:
+    """Whether --help stands on the command line; BadInputError for what no node takes.
+
+    rclpy ignores what does not stand behind --ros-args, and takes a FROM:=TO even there.
+    """
+    ours, own = True, list[str]()
+    for word in sys.argv[1:]:
+        if word in {'--ros-args', '--'}:
+            ours = word == '--'
+        elif ours:
+            own.append(word)
+    if {'-h', '--help'} & set(own):
+        return True
+    if own:
+        remedy = 'parameters stand behind --ros-args: --ros-args -p NAME:=VALUE'
+        raise BadInputError(f'argument {own[0]}', 'is unknown', remedy=remedy)
+    return False
+
+
+def help_text(node: Any, name: str) -> str:
+    """What a node is, how it is started, and its parameters with their values."""
+    module = type(node).__module__
+    about = str(sys.modules[module].__doc__).partition('\n\n')[0]
+    command = f'ros2 run {module.partition(".")[0]} {name}'
+    lines = [f'usage: {command} [--ros-args -p NAME:=VALUE … --params-file FILE.yaml]', '', about,
+             '', 'parameters:']  # fmt: skip
+    for key, parameter in sorted(node.get_parameters_by_prefix('').items()):
+        told = node.describe_parameter(key)
+        if told.read_only and not key.startswith(_ROS_OWN):
+            lines.append(f'  {key} ({parameter.value!r}): {told.description}')
+    return '\n'.join(lines) + '\n'
 
 
 def begin_ros() -> None:
@@ -107,6 +154,28 @@ def _plain(error: Exception) -> str:
     return _OF_THE_LIBRARY.sub('', one_line(error))
 
 
+def _with_file(words: str) -> str:
+    """An error about a parameter, with the file in front in which that was set."""
+    name = re.match(r'parameter (\S+): ', words)
+    if name is None or any(word.startswith(f'{name[1]}:=') for word in sys.argv):
+        return words
+    with contextlib.suppress(OSError, ValueError, yaml.YAMLError):
+        for option, file in reversed(list(itertools.pairwise(sys.argv))):  # the last one counts
+            tree = yaml.safe_load(Path(file).read_text()) if option == '--params-file' else None
+            if any(path.endswith(f'.ros__parameters.{name[1]}') for path in _paths(tree)):
+                return f'{file}: {words}'
+    return words
+
+
+def _paths(tree: object, above: str = '') -> Iterator[str]:
+    """The dotted paths of all values in a YAML tree."""
+    if not isinstance(tree, dict):
+        yield above
+        return
+    for key, below in tree.items():
+        yield from _paths(below, f'{above}.{key}')
+
+
 def tell_unused(node: Any) -> None:
     """Warn where parameter files were given and hold nothing of this node."""
     if '--params-file' in sys.argv and not overrides(node):
@@ -129,9 +198,15 @@ def run(factory: Callable[[], Any], name: str) -> NoReturn:
     try:
         with contextlib.ExitStack() as ending:
             ending.callback(rclpy.try_shutdown)
+            helping = asks_for_help()
             begin_ros()
+            if helping:
+                set_logger_level(name, LoggingSeverity.WARN)
             node = factory()
             ending.callback(node.destroy_node)
+            if helping:
+                say(help_text(node, name))
+                sys.exit()
             fence = getattr(node, 'fence', None) or Fence(node.get_logger().error)
             executor = SingleThreadedExecutor()
             ending.callback(executor.shutdown, timeout_sec=0)
@@ -148,7 +223,7 @@ def run(factory: Callable[[], Any], name: str) -> NoReturn:
     except ExternalShutdownException:
         status = 0
     except (*WRONG, RCLError, OSError) as error:
-        complain(f'{name}: {_plain(error)}\n')
+        complain(f'{name}: {_with_file(_plain(error))}\n')
         status = 2
     _leave(status or 0)
 

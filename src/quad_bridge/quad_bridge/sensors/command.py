@@ -16,10 +16,10 @@ import numpy as np
 import yaml
 
 from quad_bridge.arguments import OneLineParser, ended_in_one_line, positive, say
-from quad_bridge.errors import BadInputError
+from quad_bridge.errors import BadInputError, RefusedError
 from quad_bridge.log.reader import read_topics
 from quad_bridge.sensors.correction import STATUS, as_sent, from_values
-from quad_bridge.sensors.rest import FloatArray, RestEstimate, estimate_at_rest
+from quad_bridge.sensors.rest import LEAST_S, FloatArray, RestEstimate, estimate_at_rest
 
 IMU, DIAGNOSTICS = '/imu/data', '/diagnostics'
 KINDS = {IMU: 'sensor_msgs/msg/Imu', DIAGNOSTICS: 'diagnostic_msgs/msg/DiagnosticArray'}
@@ -59,7 +59,10 @@ def at_rest(bag: Path, seconds: float, warnings: list[str]) -> RestEstimate:
     rates = _rows([message.angular_velocity for message in messages])
     sent = as_sent(stamps, rates, [one for one in told if one is not None])
     felt = _rows([message.linear_acceleration for message in messages])
-    return estimate_at_rest(1e-9 * (stamps - stamps[0]), sent, felt)
+    try:
+        return estimate_at_rest(1e-9 * (stamps - stamps[0]), sent, felt)
+    except RefusedError as why:
+        raise RefusedError(f'{bag}: {why}') from why
 
 
 def _rows(vectors: Sequence[object]) -> FloatArray:
@@ -68,6 +71,8 @@ def _rows(vectors: Sequence[object]) -> FloatArray:
 
 
 def _rest(given: argparse.Namespace) -> list[str]:
+    if given.seconds < LEAST_S:
+        raise BadInputError('--seconds', f'must be {LEAST_S:g} or more', f'{given.seconds:g}')
     found = at_rest(given.bag, given.seconds, given.warnings)
     if given.out is not None:
         _write(given.out, found, given.bag)
@@ -104,7 +109,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument('what', choices=['rest'], metavar='rest', help='the aircraft stands still')
     parser.add_argument('bag', type=Path, metavar='BAG')
     parser.add_argument('--out', type=Path, metavar='FILE.yaml', help='where to write all figures')
-    parser.add_argument('--seconds', type=positive, default=np.inf, help='the first so many')
+    parser.add_argument(
+        '--seconds', type=positive, default=np.inf, metavar='S',
+        help=f'only the first so many, {LEAST_S:g} or more; default the whole bag',
+    )  # fmt: skip
     given = parser.parse_args(arguments, argparse.Namespace(warnings=[]))
     try:
         lines = ended_in_one_line('sensors', lambda: _rest(given))

@@ -129,7 +129,8 @@ class LiveSensors:
         rows = np.array(wanted.samples, dtype=float).reshape(-1, 7)
         try:
             if self._armed and not wanted.samples:
-                raise RefusedError('it is armed: biases are estimated with the motors off')  # noqa: TRY301
+                what = 'it is armed: disarm it first; biases are estimated with the motors off'
+                raise RefusedError(what)  # noqa: TRY301
             found = estimate_at_rest(rows[:, 0], rows[:, 1:4], rows[:, 4:])
         except RefusedError as why:
             self.warned = len(rows) > 0 and float(np.ptp(rows[:, 0])) >= LEAST_S

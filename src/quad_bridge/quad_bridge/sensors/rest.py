@@ -64,7 +64,7 @@ def estimate_at_rest(
     if tilted > STILL_ACCELERATION:
         raise RefusedError(
             f'it tilts: accelerations change by {tilted:.2g} m/s² in {duration:.0f} s, rest is '
-            f'below {STILL_ACCELERATION:g}; let it stand still'
+            f'below {STILL_ACCELERATION:g} m/s²; let it stand still'
         )
     bias = line[0]
     if np.abs(bias).max() > MOST_BIAS:
@@ -105,8 +105,8 @@ def _still(off: FloatArray, limit: float, unit: str, what: str) -> None:
     if worst > limit:
         block = int(np.argmax(np.abs(off).max(axis=1)))
         raise RefusedError(
-            f'it {what}: {worst:.3g} {unit} at {block * BLOCK_S:.1f} s, rest is below {limit:g}; '
-            'let it stand still'
+            f'it {what}: {worst:.3g} {unit} at {block * BLOCK_S:.1f} s, rest is below {limit:g} '
+            f'{unit}; let it stand still'
         )
 
 

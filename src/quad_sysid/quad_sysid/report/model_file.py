@@ -111,12 +111,24 @@ def _model(axis: str, tree: object, where: str) -> AxisModel:
     p = len(model.parameter_names)
     if model.covariance is not None and model.covariance.shape != (p, p):
         raise BadInputError(f'{where}.covariance', f'must be {p} by {p}, as parameter_names say')
+    _refuse_negative(model, where)
     for name, noise in (('noise', model.noise), ('plain_noise', model.plain_noise)):
         numbers = {} if noise is None else {**noise.ratios, **vars(noise)}
         for key, value in numbers.items():
             if isinstance(value, float) and not value > 0.0:
                 raise BadInputError(f'{where}.{name}.{key}', 'must be positive', value)
     return model
+
+
+def _refuse_negative(model: AxisModel, where: str) -> None:
+    """Raise BadInputError for a lag, delay or variance that no plant can have."""
+    given = {f'base.{name}.value': model.value(name) for name in ('lag', 'delay')}
+    if model.covariance is not None:
+        names = (f'covariance.{name}' for name in model.parameter_names)
+        given |= dict(zip(names, map(float, np.diag(model.covariance)), strict=True))
+    for name, value in given.items():
+        if value < 0.0:  # NaN: a variance at a bound
+            raise BadInputError(f'{where}.{name}', 'must not be negative', value, AGAIN)
 
 
 def _polynomial(tree: object, where: str) -> Model:

@@ -74,7 +74,7 @@ def _close_the_loop(campaign: Campaign, seed: int, teller: Teller, *, qemu: bool
     report = _axis_report(report_path)
     teller.say(f'verdict: {report["verdict"]}')
     waited = await_new_gains(campaign, first.gains)
-    teller.say(f'new gains sent; the STM32 acknowledged them {1000 * waited:.0f} ms later')
+    teller.say(f'new gains sent; all steps in force {waited:.1f} s later')
     campaign.crew.stop('identification')
     teller.say('second flight, with the new gains')
     second = fly(campaign, 'flight_2', HERE / 'second_flight.yaml')
@@ -93,7 +93,8 @@ def _close_the_loop(campaign: Campaign, seed: int, teller: Teller, *, qemu: bool
                ('the same, for programs', report_path),
                ('the model, for quad-sysid evaluate', report_path.with_name('model.json')),
                ('pictures of the report', report_path.with_name('pictures')),
-               ('picture of both square waves', out / 'square_wave.png')],
+               ('picture of both square waves', out / 'square_wave.png'),
+               ('for quad-tune history --folder', out / 'aircraft')],
         seconds=teller.seconds,
     )
 

@@ -177,9 +177,8 @@ def _gains(outcome: Outcome) -> list[str]:
         old = outcome.first.gains.get(name, math.nan)
         unit = ROWS[name.partition('.')[2]].unit
         table.append(row('', f'{name:16s}{old:10.4g}{outcome.second.gains[name]:10.4g}  {unit}'))
-    table.append(
-        row('', f'acknowledged {1000 * outcome.acknowledged_after_s:.0f} ms after sending')
-    )
+    table.append(row('', f'in force {outcome.acknowledged_after_s:.1f} s after sending '
+                         '(steps, with 3 s of watch between)'))
     return table
 
 
