@@ -114,12 +114,15 @@ def _design_parser(commands: Commands) -> None:
                       'its nearest rival')
     parser.add_argument('--model', metavar='MODEL.json', help='with --separate: the aircraft '
                         "(default: the paper's)")
-    parser.add_argument('--seconds', type=float, default=60.0, metavar='S',
-                        help='with --separate: length of the training (default 60)')
-    parser.add_argument('--rate', type=float, default=250.0, metavar='HZ', help='sample rate')
+    parser.add_argument('--seconds', type=float, metavar='S',
+                        help='length of the training (default: with --separate 60; with --band '
+                        'one period by eq. (9), which ends somewhat above LOW)')
+    parser.add_argument('--rate', type=float, default=250.0, metavar='HZ',
+                        help='with --band: sample rate (default 250)')
     parser.add_argument('--axis', choices=AXES,
                         help="default: roll, or the model's axis with the nearest rivals")
-    parser.add_argument('--amplitude-deg', type=float, default=12.0, help='with --band')
+    parser.add_argument('--amplitude-deg', type=float, default=12.0, metavar='DEG',
+                        help='with --band: amplitude of the angle, degrees (default 12)')
     parser.add_argument('--out', metavar='FILE', type=Path, help='write a schedule as YAML')
     effects_option(parser)
     parser.add_argument('--quiet', action='store_true', help='print nothing but errors')
@@ -199,7 +202,7 @@ def _design(options: argparse.Namespace) -> int:
     if options.separate is not None:
         told, content = _separation(options)
     else:
-        design = design_excitation(*parse_band(options.band), options.rate)
+        design = design_excitation(*parse_band(options.band), options.rate, options.seconds)
         told = design.text()
         content = design.to_schedule_yaml(options.axis or 'roll', options.amplitude_deg)
     if options.out:
@@ -218,6 +221,7 @@ def _separation(options: argparse.Namespace) -> tuple[str, str]:
     from quad_sysid.separation.design import nearest
 
     names, own = options.separate, own_effects(options.effects)
+    seconds = 60.0 if options.seconds is None else options.seconds
     if len(names) not in (0, 2):
         raise BadInputError('--separate', 'needs two effects or none', ' '.join(names),
                             'for example --separate coulomb_friction quadratic_drag')
@@ -226,13 +230,13 @@ def _separation(options: argparse.Namespace) -> tuple[str, str]:
                             remedy='name two effects, or give --model result/model.json')
     show = progress(quiet=options.quiet)
     if options.model is None:
-        found = separate(options.axis or AXES[0], names, options.seconds, effects=own,
+        found = separate(options.axis or AXES[0], names, seconds, effects=own,
                          progress=show)
     else:
         models = load_models(options.model, own)
         found = separate(
             pick(models, options.axis, options.model)[options.axis] if options.axis
-            else nearest(models), names, options.seconds, effects=own, told=options.model,
+            else nearest(models), names, seconds, effects=own, told=options.model,
             progress=show,
         )
     show('')
