@@ -72,15 +72,16 @@ def _identify_parser(commands: Commands) -> None:
         'Fit models to bags, validate them, and say what they lack. Prints the models, the '
         'verdict, the effects that were found and the errors before and after; writes '
         'report.html, report.json and model.json, with gains where quad_tuning is installed.',
-        'quad-sysid identify flight/ --axis roll --out report/',
+        'quad-sysid identify flight/ --axis roll --out report/', reads='bags', writes='folder',
     )
     parser.add_argument('bags', nargs='+', metavar='BAG', help='rosbag2 directory or .mcap file')
     parser.add_argument('--axis', choices=[*AXES, 'all'],
                         help='default: the axes that the bag says were excited')
     parser.add_argument('--train', metavar='A:B', help='seconds from the first /imu/data stamp')
     parser.add_argument('--validate', metavar='A:B', help='seconds from the first stamp')
-    parser.add_argument('--out', metavar='DIR', type=Path, help='folder of the report '
-                        '(default: <bag>_identified here, numbered where that exists)')
+    parser.add_argument('--out', metavar='DIR', type=Path, help='folder of the report, which '
+                        'replaces an earlier one there (default: <bag>_identified here, numbered '
+                        'where that exists)')
     parser.add_argument('--inertia', metavar='IX,IY,IZ',
                         help='kg m²; the report then gives torques in N m as well')
     parser.add_argument('--no-effects', action='store_true', help='fit the models only')
@@ -91,7 +92,7 @@ def _identify_parser(commands: Commands) -> None:
 def _evaluate_parser(commands: Commands) -> None:
     parser = command(commands, 'evaluate', _evaluate,
                      'Error figures of a stored model on a bag it has never seen.',
-                     'quad-sysid evaluate report/model.json second_flight/ --json')
+                     'quad-sysid evaluate report/model.json second_flight/ --json', reads='bag')
     parser.add_argument('model', metavar='MODEL.json', help='written by quad-sysid identify')
     parser.add_argument('bag', metavar='BAG', help='rosbag2 directory or .mcap file')
     parser.add_argument('--axis', choices=AXES, help='default: every axis of the model')
@@ -106,6 +107,7 @@ def _design_parser(commands: Commands) -> None:
         commands, 'design-excitation', _design,
         'Design PRBS and others for a band by eqs. (9), (10), or the flight that tells two '
         'effects apart.', 'quad-sysid design-excitation --band 0.1:20 --out schedule.yaml',
+        writes='file',
     )
     what = parser.add_mutually_exclusive_group(required=True)
     what.add_argument('--band', metavar='LOW:HIGH', help='rad/s')
@@ -152,7 +154,7 @@ def _identify(options: argparse.Namespace) -> int:
 def _evaluate(options: argparse.Namespace) -> int:
     from quad_sysid.bags import clip_span, parse_span, read_bag
     from quad_sysid.pipeline.evaluate import evaluate
-    from quad_sysid.report import document, tables, text
+    from quad_sysid.report import document, tables, text, words
     from quad_sysid.report.model_file import load_blackbox, load_models, pick
 
     models = load_models(options.model, own_effects(options.effects))
@@ -172,7 +174,7 @@ def _evaluate(options: argparse.Namespace) -> int:
         except NotInformativeError as error:  # noqa: PERF203  an axis each
             refused[axis] = str(error)
     if refused:
-        print('quad-sysid:', '; '.join(refused.values()), file=sys.stderr)
+        print(f'quad-sysid: {words.by_reason(refused)}', file=sys.stderr)
     if not found:
         return NOT_ANSWERED
     axes = {

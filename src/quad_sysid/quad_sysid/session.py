@@ -13,6 +13,7 @@ from typing import Any
 from quad_sysid.bags import parse_span
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError
+from quad_sysid.files import check_place
 from quad_sysid.result import Result, identify
 
 
@@ -38,10 +39,7 @@ def run(bags: Sequence[str], out: Path | None, wanted: Mapping[str, Any],
 
     Without `out` a folder is created in the current directory. Raises QuadSysidError.
     """
-    from quad_sysid.report import store
-
-    if out is not None:
-        store.check_place(out)
+    check_place(out or Path())
     found = identify(bags, progress=progress, **wanted)
     progress('writing the report')
     saved = found.save(out)

@@ -28,6 +28,7 @@ def add(commands: Commands) -> None:
         'columns: FILE alone lists them, guesses what they are and prints the command line.',
         'quad-sysid import flight.ulg --out bag/, or quad-sysid import log.csv --axis all '
         '--time t --motors m1,m2,m3,m4 --mixer auto --rate gx,gy,gz --unit gx=deg/s --out bag/',
+        writes='folder',
     )
     parser.add_argument('file', metavar='FILE', type=Path,
                         help='.ulg, .bin, .bbl, .bfl, blackbox CSV, CSV, ROS 1 .bag, '
