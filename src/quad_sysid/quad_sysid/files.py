@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,8 @@ def read_by_library(path: str | os.PathLike[str], what: str, remedy: str) -> Ite
     `what` says that the file is damaged: a library raises whatever that makes it meet.
     """
     try:
-        yield
+        with redirect_stdout(io.StringIO()):  # some print what they find
+            yield
     except ImportError as error:
         raise BadInputError(str(path), f'needs the package {error.name} to be read',
                             remedy=f'pip install {error.name}') from error
