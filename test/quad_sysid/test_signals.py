@@ -168,7 +168,8 @@ GOOD = {'segment': 'train', 'signal': 'square', 'period_s': 2.0, 'duration_s': 1
     ('change', 'named'),
     [
         ({'amplitud_deg': 3}, 'amplitud_deg'), ({'amplitude_deg': 25.0}, 'amplitude_deg'),
-        ({'amplitude_deg': math.nan}, 'must be a number: found nan'), ({'amplitude': 0.1}, 'amplitude_deg'),
+        ({'amplitude_deg': math.nan}, 'must be a number: found nan'),
+        ({'amplitude': 0.1}, 'amplitude_deg'),
         ({'segment': 'trian'}, "'trian'"), ({'signal': 'sine'}, "'sine'"), ({'axis': 'x'}, "'x'"),
         ({'injection': 'motor'}, "'motor'"), ({'duration_s': -1.0}, 'duration_s'),
         ({'duration_s': 1e6}, 'duration_s must lie in 0..3600'),

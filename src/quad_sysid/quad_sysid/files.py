@@ -73,7 +73,7 @@ def check_new(path: Path) -> None:
 
 def check_there(path: str | os.PathLike[str]) -> None:
     """Raise BadInputError where there is no such file or folder."""
-    if not os.path.exists(path):
+    if not Path(path).exists():
         raise BadInputError(str(path), 'cannot be read: there is no such file or folder',
                             remedy='check the path')
 

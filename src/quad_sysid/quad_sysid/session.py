@@ -40,11 +40,24 @@ def run(bags: Sequence[str], out: Path | None, wanted: Mapping[str, Any],
     Without `out` a folder is created in the current directory. Raises QuadSysidError.
     """
     check_place(out or Path())
-    found = identify(bags, progress=progress, **wanted)
-    progress('writing the report')
+    told = ' (compiling, once)' if compiles() else ''
+
+    def tell(line: str) -> None:
+        progress(line and line + told)
+
+    found = identify(bags, progress=tell, **wanted)
+    tell('writing the report')
     saved = found.save(out)
-    progress('')
+    tell('')
     return saved
+
+
+def compiles() -> bool:
+    """Whether numba has nothing in its cache yet, so that a first fit waits a minute for it."""
+    from quad_sysid.model import recursion
+
+    stats = getattr(recursion.predict, 'stats', None)  # none where numba is switched off
+    return stats is not None and not any(Path(stats.cache_path).glob('recursion.predict-*.nbi'))
 
 
 def _inertia(given: str) -> dict[str, float]:

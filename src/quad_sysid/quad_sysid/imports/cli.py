@@ -36,7 +36,8 @@ def add(commands: Commands) -> None:
     parser.add_argument('--out', metavar='BAG', type=Path,
                         help='without it, the contents are listed and nothing is written')
     parser.add_argument('--grid', metavar='HZ', type=float,
-                        help='rate of the bag, at most 4 times the log\'s (default: what the times say)')
+                        help='rate of the bag, at most 4 times that of the log (default: what the '
+                        'times say)')
     parser.add_argument('--log', metavar='N', type=int, default=1,
                         help='of several logs in one blackbox file (default 1)')
     parser.add_argument('--mixer', metavar='auto|x|plus|crazyflie|FILE',

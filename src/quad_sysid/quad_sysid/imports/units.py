@@ -44,7 +44,8 @@ class Option:
 
 OPTIONS = {
     'time': Option('time', help='s unless --unit says'),
-    'control': Option('control', 'COLS', 'commands of the axes, -0.5..0.5', per_axis=True, span=(-0.5, 0.5)),
+    'control': Option('control', 'COLS', 'commands of the axes, -0.5..0.5', per_axis=True,
+                      span=(-0.5, 0.5)),
     'thrust': Option('thrust', help='U1 beside --control, 0..1 (default 0.5)', span=(0.0, 1.0)),
     'motors': Option('motor', 'COL,COL,…', 'the motors, all of them, 0..1', span=(0.0, 1.0)),
     'rate': Option('rate', 'COLS', 'measured rates, rad/s; else from --angle', per_axis=True),

@@ -137,10 +137,10 @@ def _reason(told: Findings, *, searched: bool) -> str:
     verdict, best = told.verdict, told.found.best
     reason = verdict.reason
     if verdict.verdict == 'cannot_tell':
-        reason += ('; a model that sees only past rates predicts as well as one that also sees the '
-                   'commands, so the data do not show what the commands do'
-                   f'; fly a PRBS on {told.data.axis} (quad-sysid design-excitation), with more '
-                   'amplitude where one was flown')
+        reason += ('; a model that sees only past rates predicts as well as one that also sees '
+                   'the commands, so the data do not show what the commands do; fly a PRBS on '
+                   f'{told.data.axis} (quad-sysid design-excitation), with more amplitude where '
+                   'one was flown')
     elif verdict.verdict == 'effects_added':
         names = ' and '.join(part.effect.name for part in verdict.chosen.structure.parts)
         reason = (

@@ -37,12 +37,12 @@ def clear(folder: Path) -> None:
     drawn = folder / 'pictures'
     files = [folder / name for name in ('report.json', 'model.json', 'report.html')]
     files += [drawn / f'{axis}_{name}.png' for axis in AXES for name, _ in plots.PICTURES]
-    for file in files:
-        try:
+    try:
+        for file in files:
             file.unlink(missing_ok=True)
-        except OSError as error:
-            raise BadInputError(str(file), 'cannot be removed', error.strerror,
-                                'choose another --out') from error
+    except OSError as error:
+        raise BadInputError(str(error.filename), 'cannot be removed', error.strerror,
+                            'choose another --out') from error
     with suppress(OSError):  # none there, or it holds files that are not ours
         drawn.rmdir()
 

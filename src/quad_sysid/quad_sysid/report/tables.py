@@ -120,8 +120,8 @@ def models(tree: Tree) -> Table:
     """Black-box models with both steps of the selection and why one is out."""
     listed = tree['models']
     signals = list(dict.fromkeys(s for m in listed for s in m['fit_validation_pct']))
-    head = ['model', 'approach', 'train, %', *(f'{"held-out" if s == "unknown" else s}, %' for s in signals),
-            'loop, %', 'AIC',
+    named = ('held-out' if s == 'unknown' else s for s in signals)
+    head = ['model', 'approach', 'train, %', *(f'{s}, %' for s in named), 'loop, %', 'AIC',
             'BIC', 'white', 'free of input', 'causal', 'outcome']
     rows = [
         [' '.join([m['structure'], *(str(v) for v in m['orders'].values())]), m['approach'],

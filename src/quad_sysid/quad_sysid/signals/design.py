@@ -18,7 +18,7 @@ SAMPLES_PER_CLOCK = 2
 LONGEST_PERIOD_S = 120.0
 """Length of the training, s, up to which a whole period is flown unless a length is asked for."""
 SPARED = 0.63
-"""Share of the training into which a period must fit so that the monitor counts its frequency."""
+"""Share of the training that holds a period of each frequency that the monitor counts."""
 
 
 @dataclass(frozen=True)
@@ -80,8 +80,8 @@ class Design:
         square = prbs.replace('prbs', 'square')
         rows = [
             '{segment: idle, duration_s: 3.0}',
-            (f'{{segment: train, {prbs}, duration_s: {self.train_s:.1f}, clock_s: {self.clock_s:.6g}, '
-            f'register_bits: {self.register_bits}, seed: 1}}'),
+            (f'{{segment: train, {prbs}, duration_s: {self.train_s:.1f}, '
+            f'clock_s: {self.clock_s:.6g}, register_bits: {self.register_bits}, seed: 1}}'),
             '{segment: idle, duration_s: 2.0}',
             (f'{{segment: validation, {prbs}, duration_s: 18.0, clock_s: {self.clock_s:.6g}, '
             f'register_bits: {self.validation_bits}, seed: 2}}'),
