@@ -48,7 +48,8 @@ def run(capsys: pytest.CaptureFixture[str]) -> Run:
         ('--validate 9:3', '--validate: needs two times'),
         *((f'--inertia {three}', '--inertia: needs three positive numbers')
           for three in ('abc', '0.01,0.02', '0.01,0.02,-1')),
-        ('--colour', 'unrecognized arguments: --colour'),
+        ('--colour', 'unrecognized arguments: --colour; see quad-sysid identify --help'),
+        ('--effects nothere.py', '--effects nothere.py: there is no such file; check the path'),
     ],
 )
 def test_wrong_options_of_identify(plain_bag, run, tmp_path, arguments, words):
@@ -65,10 +66,51 @@ def test_a_place_that_cannot_be_written_is_said_before_the_work(
     for bag in ('file.mcap', 'none.mcap'):
         status, error = run('identify', tmp_path / bag, '--out', tmp_path / 'out')
         assert (status, bag in error, (tmp_path / 'out').exists()) == (2, True, False), error
+    monkeypatch.setattr('quad_sysid.bags.read_bag', lambda _: pytest.fail('bag was read'))
     monkeypatch.setattr('quad_sysid.result.read_bag', lambda _: pytest.fail('bag was read'))
     for place in ('file.mcap', 'file.mcap/report'):
-        status, error = run('identify', plain_bag, '--out', tmp_path / place)
-        assert (status, '--out' in error, 'is not a folder' in error) == (2, True, True), error
+        for words in (('identify', plain_bag), ('fleet', plain_bag.parent)):
+            status, error = run(*words, '--out', tmp_path / place)
+            assert (status, '--out' in error, 'is not a folder' in error) == (2, True, True), error
+    if Path('/proc').is_dir():  # writable for root, says its mode; no folder can be made there
+        status, error = run('identify', plain_bag, '--out', '/proc/x')
+        assert (status, '--out: /proc cannot be written' in error) == (2, True), error
+    status, error = run('compare', plain_bag, tmp_path / 'nothere')
+    assert (status, 'nothere: cannot be read' in error) == (2, True), error
+
+
+def test_a_reason_that_several_axes_share_is_told_once(plain_flight, run, tmp_path):
+    still = replace(plain_flight, **first(250)(plain_flight))
+    path = write_bag(still, tmp_path / 'flight')
+    for words in (('identify', path, '--axis', 'all', '--out', tmp_path / 'out', '--quiet'),
+                  ('inspect', path, '--quiet')):
+        status, error = run(*words)
+        assert (status, error.count('fly longer')) == (3, 1), error
+        assert 'roll, pitch, yaw: ' in error
+
+
+def test_a_bag_cut_off_before_its_first_message_is_told_alike(plain_bag, run, tmp_path):
+    cut = tmp_path / 'cut.mcap'
+    cut.write_bytes(next(plain_bag.glob('*.mcap')).read_bytes()[:20])
+    for words in (('identify', cut), ('inspect', cut)):
+        status, error = run(*words)
+        assert status == 2, error
+        assert f'{cut}: is cut off before its first whole message' in error
+        assert error.count(cut.name) == 1
+
+
+def test_a_report_leaves_nothing_of_an_earlier_one(plain_bag, run, tmp_path):
+    out = tmp_path / 'out'
+    assert main(['identify', str(plain_bag), '--axis', 'roll', '--no-effects', '--quiet',
+                 '--out', str(out)]) == 0
+    (out / 'pictures' / 'mine.png').write_bytes(b'mine')
+    (out / 'gains.json').write_text('{}')
+    assert (out / 'model.json').exists()
+    status, error = run('identify', plain_bag, '--axis', 'yaw', '--quiet', '--out', out)
+    assert status == 3, error
+    left = sorted(str(p.relative_to(out)) for p in out.rglob('*') if p.is_file())
+    assert left == ['gains.json', 'pictures/mine.png', 'report.html', 'report.json']
+    assert list(json.loads((out / 'report.json').read_text())['axes']) == ['yaw']
 
 
 def first(n: int) -> Callable[[Record], dict[str, object]]:
@@ -90,9 +132,12 @@ def only(role: str) -> Callable[[Record], dict[str, object]]:
         (lambda r: {'control': np.tile(r.control.mean(axis=0), (r.n, 1))},
          'the command never moves during training; excite this axis'),
         (lambda r: {'rates': np.zeros_like(r.rates)}, 'the measured rate is constant'),
-        (first(3), 'is long enough'), (first(250), 'is long enough'),
-        (first(1250), 'windows of 0.5 s'), (only('train'), 'no validation segment'),
-        (only('validation'), 'no training segment'),
+        (first(3), 'unbroken validation segment lasts 0.004 s, 1.5 s are needed; fly longer'),
+        (first(250), 'unbroken validation segment lasts 0.4 s'),
+        (first(1250), 'windows of 0.5 s'), (only('train'), 'the bag holds no validation segment'),
+        (only('validation'), 'the bag holds no training segment; name one with --train'),
+        (lambda r: {'segments': tuple(replace(s, axis='pitch') for s in r.segments)},
+         'no training segment is on this axis (on pitch only); excite it'),
     ],
 )
 def test_what_cannot_be_answered_is_status_3_with_a_report(

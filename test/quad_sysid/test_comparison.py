@@ -50,6 +50,7 @@ def test_a_trim_wanders_between_flights_as_it_does_within_one(shift, changed):
 
     pair = [Flight('x', {a: {'trim': e} for a, e in trims(record(seed, offset)).items()}, {})
             for seed, offset in ((1, 0.0), (2, shift))]
+    assert pair[0].parameters['roll']['trim'].unit == 'normalised command'
     found = {c.axis: c for c in changes(*pair)}
     assert found['roll'].changed is changed
     assert not found['pitch'].changed

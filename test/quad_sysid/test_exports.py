@@ -89,10 +89,12 @@ def test_matlab(model, stored, tmp_path, capsys):
         ('{0}/no.json --to mat', 'cannot be read'),
         ('{0}/model.json --to mat --axis yaw', 'lacks this axis'),
         ('{0}/model.json --to mat --out {0}/model.json', 'exists already'),
+        ('{0}/model.json --to control', 'model_export.py: exists already; name another with'),
         ('{0}/model.json --to mat --out {0}/no/x', 'cannot be written'),
     ],
 )
 def test_wrong_requests_are_one_line(stored, capsys, arguments, words):
+    stored.with_name('model_export.py').touch()
     assert main(['export', *arguments.format(stored.parent).split()]) == 2
     error = capsys.readouterr().err
     assert (words in error, error.count('\n')) == (True, 1), error

@@ -185,6 +185,17 @@ def test_px4_torque_alone_is_the_input_in_its_own_unit(flight, px4):
     assert 'the controller demanded' in told
 
 
+def test_a_ulog_that_is_cut_off_is_told_in_one_line(flight, tmp_path, capfd):
+    pytest.importorskip('pyulog')
+    path = ulog(tmp_path / 'log.ulg', px4_topics(flight), {})
+    path.write_bytes(path.read_bytes()[:40])
+    assert main(['import', str(path)]) == 2
+    said = capfd.readouterr()
+    assert said.out == ''
+    assert said.err.count('\n') == 1
+    assert 'log.ulg: is cut off or damaged before its first data: found 40 bytes' in said.err
+
+
 def dataflash(path: Path, messages: dict, parameters: dict) -> Path:
     """Messages {name: (labels, rows)}; the first label is TimeUS."""
     out = []

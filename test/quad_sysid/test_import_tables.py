@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from quad_sysid.bags import read_bag
+from quad_sysid.bags.stored.records import MAGIC
 from quad_sysid.cli import main
 from quad_sysid.contract import MIXER_INVERSE, control_from_motors, motors_from_wrench
 from quad_sysid.errors import BadInputError
@@ -352,7 +353,10 @@ BROKEN = gzip.compress(b't,u,rate\n' + b'0.125,0.5,1.75\n' * 2000, mtime=0)[:60]
         (b'\xbc\x07\x00\x01\x00', 'unknown version'),
         (b'\xbc\x01\x00\x01\x00\x00', 'is not a whole log of a Crazyflie SD card'),
         (b'#ROSBAG V2.0\n and noise', 'is not a whole bag'),
-        pytest.param(np.random.default_rng(0).bytes(1000), '', id='noise'),
+        ('{"t": [0, 1]}\n', 'is JSON, not a table; give a CSV file'),
+        (MAGIC, 'is a file of a bag; give the folder'),
+        pytest.param(np.random.default_rng(0).bytes(1000), 'nor a log of PX4, ArduPilot',
+                     id='noise'),
         pytest.param(BROKEN, '', id='broken gzip'),
     ],
 )
@@ -442,6 +446,79 @@ def test_an_angle_that_wraps_is_not_held_against_its_jumps(tmp_path):
     done = imported(ColumnOptions(file, ('yaw',), 't', control=('u',), rate=('r',), angle=('a',)),
                     tmp_path / 'bag')
     assert done.log.checks == ()
+
+
+@pytest.mark.parametrize(
+    ('names', 'columns_of', 'advice'),
+    [
+        (MOTORS, lambda x: 1000.0 + 1000.0 * x, 'pulse_us'),
+        (MOTORS, lambda x: 48.0 + 1200.0 * x, 'dshot'),
+        (MOTORS, lambda x: 100.0 * x, 'percent'),
+        (MOTORS, lambda x: 65535.0 * x, 'pwm16'),
+        (MOTORS, lambda x: 30000.0 * (x - 0.5), None),
+        (('u',), lambda x: 1500.0 + 1000.0 * x, 'pulse_us'),
+        (('u',), lambda x: 1850.0 * x, None),
+    ],
+)
+def test_the_unit_of_a_command_that_is_advised_is_accepted(
+    tmp_path, refusal, names, columns_of, advice
+):
+    table = columns()
+    table |= {name: columns_of(table[name]) for name in names}
+    which = {'motors': names} if names == MOTORS else {'control': names}
+    options = ColumnOptions(write(tmp_path / 'log.csv', table), ('roll',), 't', rate=('rate',),
+                            **which)
+    units: dict[str, str] = {}
+    for _ in names:
+        line = refusal(read_columns, replace(options, units=dict(units)))
+        name, unit = re.search(r'such as --unit (\w+)=(\S+)', line).groups()
+        assert advice in (None, unit)
+        units[name] = unit
+    assert read_columns(replace(options, units=units)).rates is not None
+
+
+def test_the_columns_of_a_table_are_told_by_their_own_roles_and_rates(options):
+    told = {one.source: (one.topic, one.rate_hz) for one in read_columns(options).mapped}
+    for name, role in (('rate', 'rate, pitch'), ('wanted', 'rate reference, pitch'),
+                       ('ref', 'reference, pitch'), ('u', 'control, pitch')):
+        assert told[name] == (role, pytest.approx(250.0))
+
+
+def test_a_table_without_a_time_is_not_given_one(tmp_path, capsys):
+    rng = np.random.default_rng(2)
+    table = {'time': columns()['t']} | {name: rng.standard_normal(N) for name in (
+        'gyro_x', 'gyro_y', 'gyro_z', 'cmd_x', 'cmd_y', 'cmd_z')}
+    table['gyro_x'] = np.cumsum(rng.choice([-1.0, 1.0, 1.0], N))  # rises in two steps of three
+    for names, told in ((list(table), '--time time'), (list(table)[1:], 'no column of time')):
+        file = write(tmp_path / 'log.csv', {name: table[name] for name in names})
+        assert main(['import', str(file)]) == 0
+        out = capsys.readouterr().out
+        assert told in out
+        assert ('--time' in out.replace('name it with --time', '')) is (names[0] == 'time')
+
+
+def test_a_fast_log_is_told_of_a_grid_that_is_fitted_sooner(tmp_path, capsys):
+    names = {'t': 't', 'rate': 'gyro_x', 'u': 'cmd_x'}
+    for step, said in ((1.0, False), (0.25, True)):
+        table = {new: columns()[old] for old, new in names.items()}
+        file = write(tmp_path / 'log.csv', table | {'t': step * table['t']})
+        assert main(['import', str(file)]) == 0
+        assert ('--grid 250' in capsys.readouterr().out) is said
+
+
+def test_a_grid_far_above_the_logs_rate_is_refused(options, refusal, tmp_path):
+    line = refusal(imported, options, tmp_path / 'bag', 1e6)
+    assert line == ('--grid: must be at most 1000 Hz: found 1e+06 Hz; the log has 250 Hz; '
+                    'leave --grid out')
+    assert not (tmp_path / 'bag').exists()
+
+
+def test_a_bag_of_the_contract_needs_no_import(options, tmp_path, capsys):
+    imported(options, tmp_path / 'bag')
+    assert main(['import', str(tmp_path / 'bag')]) == 2
+    said = capsys.readouterr()
+    assert said.out == ''
+    assert 'is a bag of this project already; use quad-sysid inspect' in said.err
 
 
 def test_units_of_commands_and_motors():

@@ -68,6 +68,13 @@ def test_an_axis_and_its_uses(record, tmp_path):
     assert 'throttle stays' in uses['find thrust curve'].because
 
 
+def test_without_an_angle_no_effects_of_the_angle_are_promised(record, tmp_path):
+    (roll,) = content(write_bag(replace(record, angles=None), tmp_path / 'bag')).axes
+    uses = {use.name: use for use in roll.uses}
+    assert uses['identify roll'].possible
+    assert not uses['find effects of the measured angle'].possible
+
+
 def test_a_flight_in_which_nothing_moves_is_good_for_nothing(record, tmp_path, capsys):
     still = replace(record, control=np.tile([0.5, 0.0, 0.0, 0.0], (record.n, 1)))
     path = write_bag(still, tmp_path / 'still')
@@ -96,10 +103,11 @@ def test_a_bag_without_commands_tells_its_topics(record, tmp_path, capsys):
     path = write_bag(
         replace(record, wrench=np.full((record.n, 4), np.nan)), tmp_path / 'uncommanded'
     )
-    assert main(['inspect', str(path)]) == 3
+    assert main(['inspect', str(path)]) == 2
     out, err = capsys.readouterr()
     assert '/imu/data' in out
     assert 'not usable' in out
+    assert err.count(str(path)) == 1
     assert '/control/wrench are both missing' in err
 
 

@@ -14,6 +14,8 @@ from quad_sysid.model import GainProposal
 from quad_sysid.pipeline.answer import AxisAnswer
 from quad_sysid.report import document, plots, store, tables
 from quad_sysid.report.html import page
+from quad_sysid.report.text import growth
+from quad_sysid.report.words import story
 
 SCHEMA = json.loads(
     (Path(document.__file__).parent / 'report.schema.json').read_text(encoding='utf-8')
@@ -147,6 +149,38 @@ def test_only_a_curve_points_to_its_picture_other_shapes_say_their_parameters(tr
     for one, words in ((effect, effect['parameters'][0]['name']), (curve, 'drawn below')):
         rows = tables.effects({'effects': [one]}).rows
         assert [words in rows[0][2], 'drawn below' in rows[0][2]] == [True, one is curve]
+
+
+def test_where_the_data_cannot_tell_no_merit_of_the_model_is_claimed(tree):
+    shown = [page({'bags': ['bag'], 'axes': {'roll': one}}, {})
+             + ' '.join(growth(one))
+             for one in (tree, {**tree, 'verdict': 'cannot_tell', 'effects': []})]
+    for words_of_merit in ('halve', '% of that error'):
+        assert [words_of_merit in one for one in shown] == [True, False]
+    assert 'only past rates predicts as well' in shown[1]
+
+
+def test_an_effect_that_raises_the_error_alone_is_told_so(tree):
+    pair = [{**tree['effects'][0], 'error_reduction_pct': -11.0}] * 2
+    after = 0.74 * tree['error']['before']
+    told = dict(story('roll', {**tree, 'effects': pair,
+                                     'error': {**tree['error'], 'after': after}}))
+    missing = told['What was missing, and how sure is that?']
+    assert 'alone raises the error by 11 %' in missing
+    assert missing.endswith('26 % less, though none lowers it alone.')
+    assert tables.effects({'effects': pair}).rows[0][-1] == '+11 %'
+
+
+def test_the_verdict_says_its_chance_in_known_terms(tree):
+    assert 'by chance alone: p < 0.0001' in tree['reason']
+    assert 'e-value' not in tree['reason']
+
+
+def test_a_fit_without_worth_and_a_signal_without_a_name_have_words(tree):
+    model = {**tree['models'][0], 'fit_validation_pct': {'unknown': -1e7}}
+    table = tables.models({**tree, 'models': [model], 'selected': None})
+    assert 'held-out, %' in table.head
+    assert table.rows[0][table.head.index('held-out, %')] == '< -99'
 
 
 def test_a_picture_that_fails_is_named_and_the_rest_stand(answers, monkeypatch):

@@ -94,6 +94,13 @@ def test_springs_are_told_apart_by_larger_angles_than_the_plain_prbs(springs):
     assert 'cubic_stiffness' in text
 
 
+def test_a_rival_without_any_share_cannot_imitate(springs):
+    none = dict.fromkeys(('first', 'second'), replace(springs.best.worst, mimicked=1e-9))
+    told = words.why(replace(springs, rows=(replace(springs.best, **none), *springs.rows[1:])))
+    assert 'in this flight cubic_stiffness cannot imitate pendulum_stiffness' in told
+    assert ' 0%' not in told
+
+
 def test_sag_shows_where_the_throttle_moves():
     found = separate(paper_aircraft('roll'), ('battery_sag', 'nothing'), SECONDS)
     assert found.best.excitation.throttle_steps

@@ -111,8 +111,22 @@ def test_a_design_is_a_schedule_that_can_be_flown(low, high, rate):
     assert train.parameters['clock_s'] == pytest.approx(design.clock_s)
     assert train.amplitude == pytest.approx(math.radians(10.0))
     assert train.duration_s >= min(design.period_s, 120.0)
+    assert 'which does not reach LOW' in design.text()
     ratio = design.period_s * low
     assert 4.0 / math.sqrt(2.1) < ratio < 4.0 * math.sqrt(2.1)
+
+
+def test_a_length_of_the_training_reaches_the_low_end_of_the_band(refusal):
+    told = design_excitation(0.1, 20.0).text()
+    assert 'covers 0.208 to 20.49 rad/s, which does not reach LOW (0.1 rad/s)' in told
+    assert '--seconds 100 does' in told
+    design = design_excitation(0.1, 20.0, train_s=100.0)
+    train = parse_schedule(yaml.safe_load(design.to_schedule_yaml()), 'design').parts[1]
+    assert train.duration_s == 100.0
+    assert (2 ** train.parameters['register_bits'] - 1) * design.clock_s >= 2.0 * math.pi / 0.1
+    assert 'training 100 s: covers 0.0997 to 20.49 rad/s' in design.text().split('\n')
+    assert 'raise LOW' in design_excitation(1e-4, 20.0).text()
+    assert '--seconds' in refusal(design_excitation, 0.1, 20.0, 250.0, -5.0)
 
 
 # ---- schedules --------------------------------------------------------------------------------
@@ -154,16 +168,21 @@ GOOD = {'segment': 'train', 'signal': 'square', 'period_s': 2.0, 'duration_s': 1
     ('change', 'named'),
     [
         ({'amplitud_deg': 3}, 'amplitud_deg'), ({'amplitude_deg': 25.0}, 'amplitude_deg'),
-        ({'amplitude_deg': math.nan}, 'amplitude_deg'), ({'amplitude': 0.1}, 'amplitude_deg'),
+        ({'amplitude_deg': math.nan}, 'must be a number: found nan'),
+        ({'amplitude': 0.1}, 'amplitude_deg'),
         ({'segment': 'trian'}, "'trian'"), ({'signal': 'sine'}, "'sine'"), ({'axis': 'x'}, "'x'"),
         ({'injection': 'motor'}, "'motor'"), ({'duration_s': -1.0}, 'duration_s'),
+        ({'duration_s': 1e6}, 'duration_s must lie in 0..3600'),
+        ({'signal': 'prbs', 'clock_s': 0.1, 'register_bits': 99, 'period_s': None},
+         'register_bits must be a whole number from 2 to 15: found 99'),
         ({'duration_s': 'long'}, "'long'"), ({'period_s': 0.0}, 'period_s'),
         ({'period_s': '2'}, 'period_s'), ({'ramp_s': 6.0}, 'ramp_s'),
         ({'signal': 'prbs'}, 'period_s'), ({'segment': 'idle'}, 'idle'),
     ],
 )
 def test_a_wrong_segment_is_told_with_file_number_and_key(change, named, refusal):
-    segments = [{'segment': 'idle', 'duration_s': 1}, {**GOOD, **change}]
+    wrong = {key: value for key, value in (GOOD | change).items() if value is not None}
+    segments = [{'segment': 'idle', 'duration_s': 1}, wrong]
     line = refusal(parse_schedule, {'schedule': {'segments': segments}}, 'flight.yaml')
     assert line.startswith('flight.yaml, segment 2')
     assert named in line
@@ -181,6 +200,12 @@ def test_a_wrong_segment_is_told_with_file_number_and_key(change, named, refusal
 )
 def test_a_wrong_file_is_told_in_one_line(content, named, refusal):
     assert named in refusal(parse_schedule, content, 'flight.yaml')
+
+
+def test_numbers_may_be_written_with_an_exponent_alone(tmp_path):
+    file = tmp_path / 'schedule.yaml'
+    file.write_text('schedule: {segments: [{segment: idle, duration_s: 1e1}]}')
+    assert load_schedule(file).duration_s == 10.0
 
 
 def test_files_that_are_no_schedule_are_told(tmp_path, refusal):

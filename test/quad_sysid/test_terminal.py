@@ -8,12 +8,15 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import pytest
 from probe import PATIENCE_S
 
+from quad_sysid import session
 from quad_sysid.arguments import progress
 from quad_sysid.cli import main
+from quad_sysid.model import recursion
 
 COMMANDS = ('inspect', 'identify', 'evaluate', 'import', 'design-excitation', 'export', 'compare',
             'fleet')
@@ -34,6 +37,19 @@ def test_every_command_is_listed_and_has_an_example_in_its_help(capsys):
         assert f'quad-sysid {name}' in told.partition('example: ')[2]
 
 
+def test_a_first_use_says_that_it_compiles(monkeypatch, tmp_path):
+    found = SimpleNamespace(save=lambda _: None)
+    monkeypatch.setattr(session, 'identify', lambda _, progress: progress('roll: gains') or found)
+    for index in ('recursion.motors-1.py311.nbi', 'recursion.predict-1.py311.nbi'):
+        (tmp_path / index).touch()
+        monkeypatch.setattr(recursion, 'predict', SimpleNamespace(
+            stats=SimpleNamespace(cache_path=str(tmp_path))))
+        told: list[str] = []
+        session.run(['bag'], tmp_path / 'out', {}, told.append)
+        assert told[0] == ('roll: gains' + ' (compiling, once)' * ('motors' in index))
+        assert told[-1] == ''
+
+
 def test_completion_answers(tmp_path):
     pytest.importorskip('argcomplete')
     answer = tmp_path / 'answer'
@@ -46,9 +62,13 @@ def test_completion_answers(tmp_path):
     assert answer.read_text().strip() == 'inspect', done.stderr
 
 
-def test_progress_rewrites_one_line_on_a_terminal_alone(capsys, monkeypatch):
-    progress()('reading')
-    assert capsys.readouterr().err == ''
+def test_progress_rewrites_one_line_on_a_terminal_and_is_a_line_each_elsewhere(
+    capsys, monkeypatch
+):
+    for show in (progress(), progress(quiet=True)):
+        for line in ('reading flight', 'roll: what is missing', 'roll: gains', ''):
+            show(line)
+    assert capsys.readouterr().err == 'roll: what is missing\nroll: gains\n'
     monkeypatch.setattr('sys.stderr.isatty', lambda: True, raising=False)
     show = progress()
     for line in ('flight 1 of 5' + 200 * ' and on', ''):

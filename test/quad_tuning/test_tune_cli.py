@@ -61,6 +61,12 @@ def test_lqr_by_the_ros_name_of_the_command_with_brysons_weights(stored, answer,
     assert 'roll.lqr.k_angle' in capsys.readouterr().out
 
 
+def test_a_place_that_cannot_be_written_is_said_before_the_design(stored, capsys, monkeypatch):
+    monkeypatch.setattr('quad_tuning.cli.load_models', lambda *_: pytest.fail('it was read'))
+    assert main(['design', str(stored), '--out', 'no/such/folder/x.json']) == 2
+    assert 'cannot be written' in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ('part', 'row', 'value', 'field'),
     [

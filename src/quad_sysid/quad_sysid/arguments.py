@@ -10,10 +10,12 @@ import os
 import shutil
 import sys
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from quad_sysid.errors import BadInputError, QuadSysidError
+from quad_sysid.files import check_place, check_there
 
 if TYPE_CHECKING:
     from quad_sysid.model.effect import Effect
@@ -32,6 +34,10 @@ Commands = Any
 
 class Parser(argparse.ArgumentParser):
     """A parser whose errors are one line; its subparsers too."""
+
+    def __init__(self, *given: Any, **more: Any) -> None:
+        super().__init__(*given, **more)
+        self.set_defaults(parser=self)  # of a command line, the innermost: its --help helps
 
     @classmethod
     def program(cls, prog: str, package: str, description: str, example: str) -> Parser:
@@ -65,12 +71,16 @@ class _Version(argparse.Action):
 
 def command(
     commands: Commands, name: str, run: Callable[[argparse.Namespace], int], summary: str,
-    example: str,
+    example: str, *, reads: str = '', writes: str = '',
 ) -> argparse.ArgumentParser:
-    """Add one command; its --help ends with `example`, a line to type."""
+    """Add one command; its --help ends with `example`, a line to type.
+
+    `reads`: the argument with its input paths; `writes`: `file` or `folder`, what its `out` is.
+    Both are checked before it runs.
+    """
     parser: argparse.ArgumentParser = commands.add_parser(name, help=summary, description=summary,
                                                           epilog=f'example: {example}')
-    parser.set_defaults(run=run)
+    parser.set_defaults(run=run, reads=reads, writes=writes)
     return parser
 
 
@@ -93,6 +103,8 @@ def own_effects(path: str | None) -> tuple[Effect, ...]:
     """
     if path is None:
         return ()
+    if not Path(path).exists():
+        raise BadInputError(f'--effects {path}', 'there is no such file', remedy='check the path')
     import runpy
 
     from quad_sysid.effects import EFFECTS
@@ -138,9 +150,15 @@ def positive(option: str, value: float) -> float:
 
 
 def progress(*, quiet: bool = False) -> Callable[[str], None]:
-    """What rewrites one line on stderr, and wipes it for an empty one; nothing off a terminal."""
-    if quiet or not sys.stderr.isatty():
+    """What tells the stages of a long command on stderr; nothing if `quiet`.
+
+    On a terminal it rewrites one line, and wipes it for an empty one. Elsewhere each stage is a
+    line, but for the reading: a wrong input is told in one line.
+    """
+    if quiet:
         return lambda _: None
+    if not sys.stderr.isatty():
+        return _in_lines
 
     def show(line: str) -> None:
         width = shutil.get_terminal_size().columns - 1
@@ -149,11 +167,19 @@ def progress(*, quiet: bool = False) -> Callable[[str], None]:
     return show
 
 
+def _in_lines(line: str) -> None:
+    if line and not line.startswith('reading '):
+        print(line, file=sys.stderr, flush=True)  # noqa: T201
+
+
 def run_command(parser: Parser, arguments: Sequence[str] | None) -> int:
     """Run the command; returns its exit status."""
     offer_completion(parser)
-    options = parser.parse_args(arguments)
+    options, unknown = parser.parse_known_args(arguments)
+    if unknown:
+        options.parser.error(f'unrecognized arguments: {" ".join(unknown)}')
     try:
+        _check_paths(options)
         status: int = options.run(options)
     except QuadSysidError as error:
         sys.stderr.write(f'{parser.prog}: {error}\n')
@@ -165,6 +191,16 @@ def run_command(parser: Parser, arguments: Sequence[str] | None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     return status
+
+
+def _check_paths(options: argparse.Namespace) -> None:
+    """Refuse paths that a command could not use, before it computes."""
+    reads, writes = getattr(options, 'reads', ''), getattr(options, 'writes', '')
+    given = getattr(options, reads) if reads else []
+    for path in given if isinstance(given, list) else [given]:
+        check_there(path)
+    if writes and options.out is not None:
+        check_place(Path(options.out), folder=writes == 'folder')
 
 
 def offer_completion(parser: argparse.ArgumentParser) -> None:

@@ -72,15 +72,16 @@ def _identify_parser(commands: Commands) -> None:
         'Fit models to bags, validate them, and say what they lack. Prints the models, the '
         'verdict, the effects that were found and the errors before and after; writes '
         'report.html, report.json and model.json, with gains where quad_tuning is installed.',
-        'quad-sysid identify flight/ --axis roll --out report/',
+        'quad-sysid identify flight/ --axis roll --out report/', reads='bags', writes='folder',
     )
     parser.add_argument('bags', nargs='+', metavar='BAG', help='rosbag2 directory or .mcap file')
     parser.add_argument('--axis', choices=[*AXES, 'all'],
                         help='default: the axes that the bag says were excited')
     parser.add_argument('--train', metavar='A:B', help='seconds from the first /imu/data stamp')
     parser.add_argument('--validate', metavar='A:B', help='seconds from the first stamp')
-    parser.add_argument('--out', metavar='DIR', type=Path, help='folder of the report '
-                        '(default: <bag>_identified here, numbered where that exists)')
+    parser.add_argument('--out', metavar='DIR', type=Path, help='folder of the report, which '
+                        'replaces an earlier one there (default: <bag>_identified here, numbered '
+                        'where that exists)')
     parser.add_argument('--inertia', metavar='IX,IY,IZ',
                         help='kg m²; the report then gives torques in N m as well')
     parser.add_argument('--no-effects', action='store_true', help='fit the models only')
@@ -91,7 +92,7 @@ def _identify_parser(commands: Commands) -> None:
 def _evaluate_parser(commands: Commands) -> None:
     parser = command(commands, 'evaluate', _evaluate,
                      'Error figures of a stored model on a bag it has never seen.',
-                     'quad-sysid evaluate report/model.json second_flight/ --json')
+                     'quad-sysid evaluate report/model.json second_flight/ --json', reads='bag')
     parser.add_argument('model', metavar='MODEL.json', help='written by quad-sysid identify')
     parser.add_argument('bag', metavar='BAG', help='rosbag2 directory or .mcap file')
     parser.add_argument('--axis', choices=AXES, help='default: every axis of the model')
@@ -106,6 +107,7 @@ def _design_parser(commands: Commands) -> None:
         commands, 'design-excitation', _design,
         'Design PRBS and others for a band by eqs. (9), (10), or the flight that tells two '
         'effects apart.', 'quad-sysid design-excitation --band 0.1:20 --out schedule.yaml',
+        writes='file',
     )
     what = parser.add_mutually_exclusive_group(required=True)
     what.add_argument('--band', metavar='LOW:HIGH', help='rad/s')
@@ -114,12 +116,15 @@ def _design_parser(commands: Commands) -> None:
                       'its nearest rival')
     parser.add_argument('--model', metavar='MODEL.json', help='with --separate: the aircraft '
                         "(default: the paper's)")
-    parser.add_argument('--seconds', type=float, default=60.0, metavar='S',
-                        help='with --separate: length of the training (default 60)')
-    parser.add_argument('--rate', type=float, default=250.0, metavar='HZ', help='sample rate')
+    parser.add_argument('--seconds', type=float, metavar='S',
+                        help='length of the training (default: with --separate 60; with --band '
+                        'one period by eq. (9), which ends somewhat above LOW)')
+    parser.add_argument('--rate', type=float, default=250.0, metavar='HZ',
+                        help='with --band: sample rate (default 250)')
     parser.add_argument('--axis', choices=AXES,
                         help="default: roll, or the model's axis with the nearest rivals")
-    parser.add_argument('--amplitude-deg', type=float, default=12.0, help='with --band')
+    parser.add_argument('--amplitude-deg', type=float, default=12.0, metavar='DEG',
+                        help='with --band: amplitude of the angle, degrees (default 12)')
     parser.add_argument('--out', metavar='FILE', type=Path, help='write a schedule as YAML')
     effects_option(parser)
     parser.add_argument('--quiet', action='store_true', help='print nothing but errors')
@@ -149,7 +154,7 @@ def _identify(options: argparse.Namespace) -> int:
 def _evaluate(options: argparse.Namespace) -> int:
     from quad_sysid.bags import clip_span, parse_span, read_bag
     from quad_sysid.pipeline.evaluate import evaluate
-    from quad_sysid.report import document, tables, text
+    from quad_sysid.report import document, tables, text, words
     from quad_sysid.report.model_file import load_blackbox, load_models, pick
 
     models = load_models(options.model, own_effects(options.effects))
@@ -169,7 +174,7 @@ def _evaluate(options: argparse.Namespace) -> int:
         except NotInformativeError as error:  # noqa: PERF203  an axis each
             refused[axis] = str(error)
     if refused:
-        print('quad-sysid:', '; '.join(refused.values()), file=sys.stderr)
+        print(f'quad-sysid: {words.by_reason(refused)}', file=sys.stderr)
     if not found:
         return NOT_ANSWERED
     axes = {
@@ -199,7 +204,7 @@ def _design(options: argparse.Namespace) -> int:
     if options.separate is not None:
         told, content = _separation(options)
     else:
-        design = design_excitation(*parse_band(options.band), options.rate)
+        design = design_excitation(*parse_band(options.band), options.rate, options.seconds)
         told = design.text()
         content = design.to_schedule_yaml(options.axis or 'roll', options.amplitude_deg)
     if options.out:
@@ -218,6 +223,7 @@ def _separation(options: argparse.Namespace) -> tuple[str, str]:
     from quad_sysid.separation.design import nearest
 
     names, own = options.separate, own_effects(options.effects)
+    seconds = 60.0 if options.seconds is None else options.seconds
     if len(names) not in (0, 2):
         raise BadInputError('--separate', 'needs two effects or none', ' '.join(names),
                             'for example --separate coulomb_friction quadratic_drag')
@@ -226,13 +232,13 @@ def _separation(options: argparse.Namespace) -> tuple[str, str]:
                             remedy='name two effects, or give --model result/model.json')
     show = progress(quiet=options.quiet)
     if options.model is None:
-        found = separate(options.axis or AXES[0], names, options.seconds, effects=own,
+        found = separate(options.axis or AXES[0], names, seconds, effects=own,
                          progress=show)
     else:
         models = load_models(options.model, own)
         found = separate(
             pick(models, options.axis, options.model)[options.axis] if options.axis
-            else nearest(models), names, options.seconds, effects=own, told=options.model,
+            else nearest(models), names, seconds, effects=own, told=options.model,
             progress=show,
         )
     show('')

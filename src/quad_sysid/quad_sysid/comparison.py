@@ -42,6 +42,7 @@ QUARTERS = 4
 """Parts of a flight whose trims give the trim's scatter between equal flights."""
 MANY = 1e9
 """Degrees of freedom with which Student's t is normal."""
+COMMAND = 'normalised command'
 LEAST_IN_PART = 50
 """Samples."""
 
@@ -118,7 +119,7 @@ def trims(record: Record) -> dict[str, Estimate]:
                       for part in np.array_split(rows, QUARTERS)])
     std = means.std(axis=0, ddof=1)
     return {
-        axis: Estimate(float(means[:, i].mean()), float(std[i]), '1', QUARTERS - 1.0)
+        axis: Estimate(float(means[:, i].mean()), float(std[i]), COMMAND, QUARTERS - 1.0)
         for i, axis in enumerate(AXES, 1) if std[i] > 0.0
     }
 
@@ -172,7 +173,7 @@ def add(commands: Commands) -> None:
         commands, 'compare', _run,
         'Show what changed between flights or aircraft: the difference of every parameter of '
         'base, trim and effects, its error, and the chance that nothing changed.',
-        'quad-sysid compare monday/ friday/ --axis roll',
+        'quad-sysid compare monday/ friday/ --axis roll', reads='flights',
     )
     parser.add_argument('flights', nargs='+', metavar='BAG|MODEL.json',
                         help='the first is what the others are compared with')
@@ -247,7 +248,7 @@ def lines(reference: Flight, pairs: Sequence[Pair]) -> Iterator[str]:
         yield f'{reference.source} -> {flight.source}'
         rows = [['*' if c.changed else '', c.axis, _name(c), *(number(value) for value in (
             c.reference, c.value, c.difference, c.std, c.p_value))] for c in found]
-        head = ['', 'axis', '', 'before', 'after', 'difference', 'error', 'chance']
+        head = ['', 'axis', '', 'before', 'after', 'difference', 'std. error', 'chance']
         yield from Table(head, rows, range(3, 8)).text()
         for known in (reference, flight):
             for axis, reason in known.reasons.items():

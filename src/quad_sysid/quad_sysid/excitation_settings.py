@@ -6,6 +6,7 @@ No ROS: the node declares the parameters.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -83,11 +84,21 @@ def find_schedule(name: str, share: Callable[[], Path]) -> Path:
     return shipped
 
 
+class _Loader(yaml.SafeLoader):
+    """Reads 1e6 as a number, as YAML 1.2 does; PyYAML follows 1.1, which wants 1.0e+6."""
+
+
+_Loader.add_implicit_resolver(
+    'tag:yaml.org,2002:float', re.compile(r'[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+$'),
+    list('-+0123456789'),
+)
+
+
 def load_schedule(path: str | Path) -> Schedule:
     """Read and check a schedule; raises BadInputError naming file, segment and key."""
     source = str(path)
     try:
-        content = yaml.safe_load(Path(path).read_text(encoding='utf-8'))
+        content = yaml.load(Path(path).read_text(encoding='utf-8'), _Loader)  # noqa: S506  safe
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, 'strerror', None) or str(error)
         raise BadInputError(source, f'cannot be read ({reason})',

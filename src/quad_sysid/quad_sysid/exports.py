@@ -97,7 +97,8 @@ def add(commands: Commands) -> None:
     """Register the command."""
     parser = command(commands, 'export', _run,
                      'Write a model for python-control or MATLAB.',
-                     'quad-sysid export result/model.json --to mat --out aircraft.mat')
+                     'quad-sysid export result/model.json --to mat --out aircraft.mat',
+                     writes='file')
     parser.add_argument('model', metavar='MODEL.json', type=Path)
     parser.add_argument('--to', required=True, choices=['control', 'mat'],
                         help='control: a Python file; mat: MATLAB')

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,8 @@ def read_by_library(path: str | os.PathLike[str], what: str, remedy: str) -> Ite
     `what` says that the file is damaged: a library raises whatever that makes it meet.
     """
     try:
-        yield
+        with redirect_stdout(io.StringIO()):  # some print what they find
+            yield
     except ImportError as error:
         raise BadInputError(str(path), f'needs the package {error.name} to be read',
                             remedy=f'pip install {error.name}') from error
@@ -63,10 +65,33 @@ def write_whole(path: str | os.PathLike[str], content: str | bytes) -> None:
                             'choose another place') from error
 
 
-def check_new(path: Path, option: str = '--out') -> None:
+def check_new(path: Path) -> None:
     """Raise BadInputError where a file of this name exists."""
     if path.exists():
-        raise BadInputError(option, 'exists already', path, 'choose another name')
+        raise BadInputError(str(path), 'exists already', remedy='name another with --out')
+
+
+def check_there(path: str | os.PathLike[str]) -> None:
+    """Raise BadInputError where there is no such file or folder."""
+    if not Path(path).exists():
+        raise BadInputError(str(path), 'cannot be read: there is no such file or folder',
+                            remedy='check the path')
+
+
+def check_place(place: Path, *, folder: bool = True, option: str = '--out') -> None:
+    """Raise BadInputError where a folder, or else a file, cannot be written; leaves nothing."""
+    place = place.absolute()
+    if not folder and place.is_dir():
+        raise BadInputError(option, f'{place} is a folder', remedy='name a file')
+    there = next(p for p in (place, *place.parents) if p.exists()) if folder else place.parent
+    if there.exists() and not there.is_dir():
+        raise BadInputError(option, f'{there} is not a folder', remedy='choose another place')
+    try:
+        with tempfile.TemporaryDirectory(dir=there):  # as root, /proc says that it is writable
+            pass
+    except OSError as error:
+        raise BadInputError(option, f'{there} cannot be written', error.strerror,
+                            'choose another place') from error
 
 
 def make_folder(folder: Path, option: str = '--out') -> Path:

@@ -25,7 +25,7 @@ import numpy as np
 from quad_sysid.arguments import NOT_ANSWERED, Commands, command, progress, quiet_and_json
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError, QuadSysidError
-from quad_sysid.files import make_folder, read_json, write_whole
+from quad_sysid.files import check_place, make_folder, read_json, write_whole
 
 Row = dict[str, Any]
 ANSWERED, CANNOT_TELL, FAILED = 'answered', 'cannot_tell', 'failed'
@@ -85,6 +85,7 @@ def _run(options: argparse.Namespace) -> int:
     out = options.out or Path(f'{options.folder.resolve().name}_fleet')
     if options.workers < 1:
         raise BadInputError('--workers', 'must be at least 1', options.workers)
+    check_place(out)
     axes = AXES if options.axis == 'all' else (options.axis,) if options.axis else ()
     every = [replace(job, axes=axes, search_effects=not options.no_effects)
              for job in jobs(options.folder, out)]

@@ -178,7 +178,10 @@ class Result:
     @property
     def reasons(self) -> str:
         """The reasons why axes could not be answered, in one line."""
-        return '; '.join(dict.fromkeys(a.reason for a in self.answers.values() if not a.answered))
+        from quad_sysid.report.words import by_reason
+
+        return by_reason({axis: answer.reason for axis, answer in self.answers.items()
+                          if not answer.answered})
 
     @property
     def gains(self) -> dict[str, float]:

@@ -13,6 +13,7 @@ from typing import Any
 from quad_sysid.bags import parse_span
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError
+from quad_sysid.files import check_place
 from quad_sysid.result import Result, identify
 
 
@@ -38,15 +39,25 @@ def run(bags: Sequence[str], out: Path | None, wanted: Mapping[str, Any],
 
     Without `out` a folder is created in the current directory. Raises QuadSysidError.
     """
-    from quad_sysid.report import store
+    check_place(out or Path())
+    told = ' (compiling, once)' if compiles() else ''
 
-    if out is not None:
-        store.check_place(out)
-    found = identify(bags, progress=progress, **wanted)
-    progress('writing the report')
+    def tell(line: str) -> None:
+        progress(line and line + told)
+
+    found = identify(bags, progress=tell, **wanted)
+    tell('writing the report')
     saved = found.save(out)
-    progress('')
+    tell('')
     return saved
+
+
+def compiles() -> bool:
+    """Whether numba has nothing in its cache yet, so that a first fit waits a minute for it."""
+    from quad_sysid.model import recursion
+
+    stats = getattr(recursion.predict, 'stats', None)  # none where numba is switched off
+    return stats is not None and not any(Path(stats.cache_path).glob('recursion.predict-*.nbi'))
 
 
 def _inertia(given: str) -> dict[str, float]:

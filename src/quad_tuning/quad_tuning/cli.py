@@ -59,6 +59,7 @@ def ros2() -> int:
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
+    parser.set_defaults(writes='file')  # --out, checked before the design
     parser.add_argument('model', type=Path, metavar='MODEL.json',
                         help='written by quad-sysid identify')
     parser.add_argument('--method', choices=('pid', 'lqr'), default='pid',

@@ -169,6 +169,9 @@ class Storage:
               mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data):
             scan = McapScan(data)
             yield from scan.batches(lambda topic: self._wanted(topic.name, topic.kind))
+        if not (scan.ended or scan.found or scan.others or scan.unnamed):
+            raise BadInputError(str(shown), 'is cut off before its first whole message',
+                                remedy='nothing can be recovered: record again')
         if not scan.ended:
             self.warnings.append(f'{shown}: cut off (no end of data): read the intact part; '
                                  '`ros2 run quad_bridge recover` rebuilds the bag')

@@ -28,6 +28,7 @@ def add(commands: Commands) -> None:
         'columns: FILE alone lists them, guesses what they are and prints the command line.',
         'quad-sysid import flight.ulg --out bag/, or quad-sysid import log.csv --axis all '
         '--time t --motors m1,m2,m3,m4 --mixer auto --rate gx,gy,gz --unit gx=deg/s --out bag/',
+        writes='folder',
     )
     parser.add_argument('file', metavar='FILE', type=Path,
                         help='.ulg, .bin, .bbl, .bfl, blackbox CSV, CSV, ROS 1 .bag, '
@@ -35,7 +36,8 @@ def add(commands: Commands) -> None:
     parser.add_argument('--out', metavar='BAG', type=Path,
                         help='without it, the contents are listed and nothing is written')
     parser.add_argument('--grid', metavar='HZ', type=float,
-                        help='rate of the bag (default: what the times say)')
+                        help='rate of the bag, at most 4 times that of the log (default: what the '
+                        'times say)')
     parser.add_argument('--log', metavar='N', type=int, default=1,
                         help='of several logs in one blackbox file (default 1)')
     parser.add_argument('--mixer', metavar='auto|x|plus|crazyflie|FILE',
@@ -72,12 +74,14 @@ def _run(options: argparse.Namespace) -> int:
 
 def _log(options: argparse.Namespace, known: Format) -> int:
     from quad_sysid.imports.formats import read_log
+    from quad_sysid.imports.guess import quicker
     from quad_sysid.imports.mixers import mixer_of
 
     log = read_log(options.file, known, options.log)
     if options.out is None:
         print('\n'.join([f'{options.file}: {log.kind}', '', *mapped(log), '', 'to import it:',
-                         f'quad-sysid import {options.file} --out {options.file.stem}_bag']))
+                         f'quad-sysid import {options.file} --out {options.file.stem}_bag',
+                         *quicker(log.rates.rate_hz if log.rates else 0.0)]))
         return 0
     if options.mixer is not None and log.motors is not None:
         motors = tuple(f'motor_{i + 1}' for i in range(log.motors.values.shape[1]))
@@ -90,9 +94,12 @@ def _log(options: argparse.Namespace, known: Format) -> int:
 def _table(options: argparse.Namespace, columns: list[str]) -> int:
     from quad_sysid.imports.columns import ColumnOptions, parse_units, read_columns
     from quad_sysid.imports.guess import guess, lines
-    from quad_sysid.imports.table import open_table
+    from quad_sysid.imports.table import is_ours, open_table
 
     if not columns:
+        if is_ours(options.file):
+            raise BadInputError(f'{options.file}', 'is a bag of this project already',
+                                remedy=f'use quad-sysid inspect {options.file}')
         content = open_table(options.file)
         print('\n'.join(lines(guess(content), content, options.file)))
         if options.out is None:
@@ -126,12 +133,14 @@ def _axes(options: argparse.Namespace, measured: tuple[str, ...]) -> tuple[str, 
 
 
 def _write(log: ForeignLog, options: argparse.Namespace) -> int:
+    from quad_sysid.imports.guess import quicker
     from quad_sysid.imports.to_bag import import_log
 
     done = import_log(log, options.out, options.grid)
     if not options.quiet:
         print('\n'.join(table(done)))
-        print(f'\nnext: quad-sysid inspect {done.path}')
+        print('\n'.join(['', f'next: quad-sysid inspect {done.path}',
+                         *quicker(1.0 / done.record.dt)]))
     return 0
 
 

@@ -40,10 +40,14 @@ BLOCK = 16
 """Number of intervals whose mean gives a rate."""
 STEADY = 0.2
 """Spread of these means up to which there is one rate with jitter."""
+HIGHEST_RATE_HZ = 20e3
+"""Highest sample rate of flight controllers and rigs."""
 LONGEST_DRAWN = 2.5
 """Longest interval, cycles, that is interpolated; a longer one is a gap."""
 LONGEST_PAUSE = 3.0
 """Usual intervals for which a command is held."""
+FINEST = 4.0
+"""Largest rate of a grid that is asked for, over that of the samples: between them is nothing."""
 PARTS = 8
 """Parts of a cycle over which the active command is averaged."""
 
@@ -145,7 +149,7 @@ def _spread(
 def cycles(samples: Stream, grid_hz: float | None = None) -> Cycles:
     """The grid of the rates' samples: their own cycles where they are even, else interpolated.
 
-    `grid_hz` overrides the rate of the grid.
+    `grid_hz` overrides the rate of the grid; BadInputError where it is far above the samples'.
     """
     time_s, values = samples.time_s, samples.values
     steps = np.diff(time_s)
@@ -153,6 +157,10 @@ def cycles(samples: Stream, grid_hz: float | None = None) -> Cycles:
     near = np.abs(steps / usual - 1.0) <= UNEVEN
     odd = int(np.count_nonzero(~near))
     head = f'{len(time_s)} samples, a median of {1.0 / usual:.4g} Hz, {odd} odd intervals'
+    highest = min(HIGHEST_RATE_HZ, FINEST / usual)
+    if grid_hz is not None and grid_hz > highest:
+        raise BadInputError('--grid', f'must be at most {highest:.4g} Hz', f'{grid_hz:g} Hz',
+                            f'the log has {1.0 / usual:.4g} Hz; leave --grid out')
     even = near.mean() >= 1.0 - MOST_ODD
     if grid_hz is not None:
         dt, why = 1.0 / grid_hz, 'as --grid says'

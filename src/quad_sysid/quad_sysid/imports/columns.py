@@ -5,6 +5,7 @@ table.py reads, to_bag.py makes the grid and the bag.
 
 from __future__ import annotations
 
+import math
 import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -15,12 +16,13 @@ import numpy as np
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.imports.clock import cycles, draw
+from quad_sysid.imports.guess import likely_units
 from quad_sysid.imports.log import ForeignLog, Mapped, Stream
 from quad_sysid.imports.mixers import mixer_of
 from quad_sysid.imports.plausible import Column, check_rate, check_reference, check_times
 from quad_sysid.imports.table import Table, open_table
 from quad_sysid.imports.to_bag import MIDDLE_COMMAND
-from quad_sysid.imports.units import OPTIONS, Role, Unit, flag, header_unit, unit_of
+from quad_sysid.imports.units import OPTIONS, UNITS, Role, Unit, flag, header_unit, unit_of
 
 ANGLE_LIMIT = {'roll': np.pi, 'pitch': 0.5 * np.pi, 'yaw': np.inf}
 
@@ -95,7 +97,7 @@ def read_columns(options: ColumnOptions) -> ForeignLog:
         motors=found['motors'],
         mixer=None if not options.motors or options.mixer == 'auto'
         else mixer_of(options.mixer, options.motors),
-        battery=found['battery'], mapped=_mapped(options, roles, units), checks=tuple(odd),
+        battery=found['battery'], mapped=_mapped(options, roles, units, found), checks=tuple(odd),
         clock=clock,
     )
 
@@ -151,18 +153,24 @@ def _wrench(options: ColumnOptions, given: Stream | None) -> Stream | None:
 
 
 def _mapped(
-    options: ColumnOptions, roles: Mapping[str, Role], units: Mapping[str, Unit]
+    options: ColumnOptions, roles: Mapping[str, Role], units: Mapping[str, Unit],
+    found: Mapping[str, Stream | None],
 ) -> tuple[Mapped, ...]:
     """The use of each column."""
     out = []
-    for name, role in roles.items():
-        unit = units[name]
+    placed = [(option, at, name) for option in OPTIONS
+              for at, name in enumerate(options.names(option))]
+    for option, at, name in placed:
+        unit, role, stream = units[name], roles[name], found.get(option)
+        place = 'motor' if option == 'motors' else option.replace('_', ' ')
+        place += f' {at + 1}' if option == 'motors' else \
+            f', {options.axes[at]}' if OPTIONS[option].per_axis else ''
         written = header_unit(name)
         how = '' if unit.factor == 1.0 and not unit.offset else f'{unit.factor:.6g} * column'
         how += f' + {unit.offset:g}' if unit.offset else ''
         if name not in options.units and written and written != unit.name:
             how += f'; [{written}] of its header is not a unit of a {role}'
-        out.append(Mapped(name, unit.name, str(role), how))
+        out.append(Mapped(name, unit.name, place, how, stream.rate_hz if stream else 0.0))
     if options.control and not options.thrust:
         out.append(Mapped('no thrust', '1', f'U1 = {MIDDLE_COMMAND:g}', ''))
     rest = [axis for axis in AXES if axis not in options.axes]
@@ -213,20 +221,40 @@ def _check_ranges(
     options: ColumnOptions, table: Table, units: Mapping[str, Unit]
 ) -> None:
     """Raise BadInputError at the first row that is outside the normalised range."""
-    for name, span in ((n, o.span) for key, o in OPTIONS.items() for n in options.names(key)):
-        low, high = span or (-np.inf, np.inf)
+    for option, name in ((key, n) for key in OPTIONS for n in options.names(key)):
+        low, high = OPTIONS[option].span or (-np.inf, np.inf)
         raw, unit = table.columns[name], units[name]
         values = unit(raw)
         outside = np.flatnonzero((values < low - 1e-6) | (values > high + 1e-6))
         if len(outside):
-            scale = np.nanmax(np.abs(raw)) / max(abs(low), abs(high))
+            fits = _fitting(raw, low, high)
+            (likely,) = likely_units(table, option, (name,))
+            if likely in UNITS[OPTIONS[option].role]:
+                shown = unit_of(OPTIONS[option].role, likely, name)(raw)
+                if np.nanmin(shown) >= low and np.nanmax(shown) <= high:
+                    fits = likely
             raise table.complain(
                 int(outside[0]), name,
                 f'in unit {unit.name} is outside {low:g}..{high:g} of a normalised command '
                 f'({len(outside)} rows)',
-                'name its unit, or a factor such as '
-                f'--unit {shlex.quote(f"{name}={1.0 / scale:.2g}")}',
+                f'name its unit, or a factor, such as --unit {shlex.quote(f"{name}={fits}")}',
             )
+
+
+def _fitting(raw: FloatArray, low: float, high: float) -> str:
+    """The factor, or FACTOR:OFFSET, by which a column just fits into low..high."""
+    bottom, top = float(np.nanmin(raw)), float(np.nanmax(raw))
+    factor = min([high / top] * (top > 0.0) + [low / bottom] * (bottom < 0.0))
+    if factor > 0.0:
+        return f'{_rounded_down(factor):g}'
+    factor = _rounded_down((high - low) / (top - bottom))
+    return f'{factor:g}:{low - factor * bottom:.6g}'
+
+
+def _rounded_down(value: float) -> float:
+    """To two digits, so that what just fits still does."""
+    digit = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return float(f'{math.floor(value / digit + 1e-6) * digit:.2g}')
 
 
 def _column(

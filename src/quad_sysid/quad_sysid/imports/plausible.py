@@ -13,10 +13,11 @@ import numpy as np
 
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.errors import BadInputError
+from quad_sysid.imports.clock import HIGHEST_RATE_HZ
 from quad_sysid.imports.units import DEGREE, UNITS, Unit
 
-LOWEST_RATE_HZ, HIGHEST_RATE_HZ = 20.0, 20e3
-"""Range of sample rates of flight controllers and rigs."""
+LOWEST_RATE_HZ = 20.0
+"""Lowest sample rate of flight controllers and rigs."""
 USUAL_RATE_HZ = 250.0
 MOST_TURN_RAD = 0.5
 """Largest turn between two samples with which they show the motion."""

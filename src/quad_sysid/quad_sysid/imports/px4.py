@@ -90,6 +90,9 @@ def _load(path: Path) -> Table:
         from pyulog import ULog
 
         log: Any = ULog(str(path), list(TOPICS), disable_str_exceptions=True)
+    if not log.data_list and log.file_corruption:
+        raise BadInputError(str(path), 'is cut off or damaged before its first data',
+                            f'{path.stat().st_size} bytes', 'copy it anew from the aircraft')
     columns: dict[str, FloatArray] = {}
     times: dict[str, FloatArray] = {}
     for data in {one.name: one for one in reversed(log.data_list)}.values():

@@ -19,7 +19,9 @@ from typing import Any
 
 import numpy as np
 
+from quad_sysid.bags import read_bag
 from quad_sysid.bags.orientation import euler_from_quaternion
+from quad_sysid.bags.stored.records import MAGIC
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import read_by_library
@@ -116,15 +118,29 @@ def open_table(path: Path, wanted: Sequence[str] | None = None) -> Table:
         table = sd_card(path.read_bytes(), str(path))
     elif head.startswith(b'#ROSBAG') or path.is_dir():
         table = _messages(path, wanted)
+    elif head.startswith(MAGIC):
+        raise BadInputError(str(path), 'is a file of a bag', remedy='give the folder it lies in')
+    elif head.lstrip()[:1] in (b'{', b'['):
+        raise BadInputError(str(path), 'is JSON, not a table', remedy='give a CSV file')
     else:
         with text_lines(path) as lines:
             return read_csv(lines, str(path), wanted)
     if wanted is None:
-        return table
+        return replace(table, columns={name: values for name, values in table.columns.items()
+                                       if np.isfinite(values).any()})
     absent = [name for name in wanted if name not in table.columns]
     if absent:
         raise _absent(str(path), absent, list(table.columns))
     return table
+
+
+def is_ours(path: Path) -> bool:
+    """Whether it is a bag that can be identified as it is."""
+    try:
+        read_bag(path)
+    except BadInputError:
+        return False
+    return True
 
 
 def _absent(source: str, absent: Sequence[str], known: Sequence[str]) -> BadInputError:
@@ -162,7 +178,8 @@ def _readable(file: Path) -> Iterator[None]:
         raise BadInputError(str(file), f'cannot be read ({reason})', remedy='check it') from error
     except (UnicodeDecodeError, csv.Error) as error:
         raise BadInputError(
-            str(file), 'is not a text file', remedy='give a CSV file, plain or gzipped'
+            str(file), 'is neither a text file nor a log of PX4, ArduPilot or Betaflight',
+            remedy='copy it anew, or give a CSV file, plain or gzipped'
         ) from error
 
 

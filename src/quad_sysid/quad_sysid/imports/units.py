@@ -43,15 +43,16 @@ class Option:
 
 
 OPTIONS = {
-    'time': Option('time'),
-    'control': Option('control', 'COLS', 'commands of the axes', per_axis=True, span=(-0.5, 0.5)),
-    'thrust': Option('thrust', help='U1 beside --control (default 0.5)', span=(0.0, 1.0)),
-    'motors': Option('motor', 'COL,COL,…', 'the motors, all of them', span=(0.0, 1.0)),
-    'rate': Option('rate', 'COLS', 'measured rates; else from --angle', per_axis=True),
-    'angle': Option('angle', 'COLS', 'measured angles or positions', per_axis=True),
-    'reference': Option('angle', 'COLS', 'attitude set-points', per_axis=True),
-    'rate_reference': Option('rate', 'COLS', 'rate set-points', per_axis=True),
-    'battery': Option('battery'),
+    'time': Option('time', help='s unless --unit says'),
+    'control': Option('control', 'COLS', 'commands of the axes, -0.5..0.5', per_axis=True,
+                      span=(-0.5, 0.5)),
+    'thrust': Option('thrust', help='U1 beside --control, 0..1 (default 0.5)', span=(0.0, 1.0)),
+    'motors': Option('motor', 'COL,COL,…', 'the motors, all of them, 0..1', span=(0.0, 1.0)),
+    'rate': Option('rate', 'COLS', 'measured rates, rad/s; else from --angle', per_axis=True),
+    'angle': Option('angle', 'COLS', 'measured angles or positions, rad', per_axis=True),
+    'reference': Option('angle', 'COLS', 'attitude set-points, rad', per_axis=True),
+    'rate_reference': Option('rate', 'COLS', 'rate set-points, rad/s', per_axis=True),
+    'battery': Option('battery', help='voltage of the pack, V'),
 }
 """By the option's name, the time first."""
 

@@ -9,8 +9,15 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from quad_sysid.arguments import NOT_ANSWERED, Commands, command, quiet_and_json
+from quad_sysid.arguments import (
+    BAD_ARGUMENTS,
+    NOT_ANSWERED,
+    Commands,
+    command,
+    quiet_and_json,
+)
 from quad_sysid.report.tables import Table, wrapped
+from quad_sysid.report.words import by_reason
 
 if TYPE_CHECKING:
     from quad_sysid.inspection.content import AxisContent, Content, Use
@@ -39,11 +46,12 @@ def _run(options: argparse.Namespace) -> int:
         print(json.dumps(tree(held), indent=1))
     elif not options.quiet:
         print('\n'.join(lines(held)))
+    if held.unusable:
+        print(f'quad-sysid: {held.unusable}', file=sys.stderr)
+        return BAD_ARGUMENTS
     answers = [use.possible for one in held.axes for use in one.uses]
     if not any(answers):
-        why = held.unusable or '; '.join(
-            f'{one.axis}: {u.because}' for one in held.axes for u in one.uses
-        )
+        why = by_reason({one.axis: '; '.join(u.because for u in one.uses) for one in held.axes})
         print(f'quad-sysid: {options.bag}: {why}', file=sys.stderr)
         return NOT_ANSWERED
     return 0

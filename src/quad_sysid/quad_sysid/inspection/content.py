@@ -112,7 +112,7 @@ def uses_of_axis(record: Record, data: AxisData) -> tuple[Use, ...]:
     """What one axis' data allow: identification first, then what hangs on more signals."""
     axis, refused = data.axis, ''
     try:
-        check_usable(data)
+        check_usable(data, (record,))
     except NotInformativeError as error:
         refused = str(error).removeprefix(f'{axis}: ')
     identify = Use(f'identify {axis}', possible=not refused, because=refused)
@@ -154,7 +154,7 @@ def _effect(told: str, name: str, data: AxisData) -> Use:
 
 
 _EFFECTS = (
-    ('effects of the angle', 'pendulum_stiffness'),
+    ('effects of the measured angle', 'cubic_stiffness'),
     ('battery sag', 'battery_sag'),
     ('thrust curve', 'thrust_curve'),
     ("another axis' command", 'cross_axis_input'),

@@ -76,7 +76,7 @@ def identify_axis(records: Sequence[Record], axis: str, options: Options,
     rate = 1.0 / records[0].dt
     try:
         data = axis_data(records, axis)
-        check_usable(data)
+        check_usable(data, records)
         told = found_effects(data, options, progress)
     except NotInformativeError as error:
         warnings = _warnings(records)
@@ -137,13 +137,15 @@ def _reason(told: Findings, *, searched: bool) -> str:
     verdict, best = told.verdict, told.found.best
     reason = verdict.reason
     if verdict.verdict == 'cannot_tell':
-        reason += (f'; fly a PRBS on {told.data.axis} (quad-sysid design-excitation), with more '
-                   'amplitude where one was flown')
+        reason += ('; a model that sees only past rates predicts as well as one that also sees '
+                   'the commands, so the data do not show what the commands do; fly a PRBS on '
+                   f'{told.data.axis} (quad-sysid design-excitation), with more amplitude where '
+                   'one was flown')
     elif verdict.verdict == 'effects_added':
         names = ' and '.join(part.effect.name for part in verdict.chosen.structure.parts)
         reason = (
             f'with {names} the model predicts the held-out segments better than the base alone '
-            f'(e-value {min(verdict.e_value, 1e99):.3g})'
+            f'(by chance alone: p {_below(1.0 / max(verdict.e_value, 1.0))})'
         ) + (verdict.reason and f'; yet that is not all: {verdict.reason}')
     elif not searched:
         reason = f'{NOT_SEARCHED}: this is the base alone' + (reason and f'; {reason}')
@@ -164,6 +166,10 @@ def _reason(told: Findings, *, searched: bool) -> str:
             'the sign of the gyro before anything else'
         )
     return reason
+
+
+def _below(p: float) -> str:
+    return '< 0.0001' if p < 1e-4 else f'= {p:.2g}'
 
 
 def _warnings(records: Sequence[Record]) -> tuple[str, ...]:

@@ -12,9 +12,9 @@ from itertools import combinations, permutations
 
 import numpy as np
 
-from quad_sysid.contract import FloatArray, motors_from_wrench
+from quad_sysid.contract import AXES, FloatArray, motors_from_wrench
 from quad_sysid.errors import BadInputError, NotInformativeError
-from quad_sysid.model.data import AxisData, Span, at_limit, bridged
+from quad_sysid.model.data import SETTLE_S, WINDOW_S, AxisData, Span, at_limit, bridged
 from quad_sysid.record import Record
 
 SAME_RATE = 5e-3
@@ -123,16 +123,28 @@ CLIPPED = 0.1
 0.3, but the errors include them."""
 
 
-def check_usable(data: AxisData) -> None:
+def check_usable(data: AxisData, records: Sequence[Record]) -> None:
     """Raise NotInformativeError for segments too short, nothing that moves, or limits."""
     if not data.train or not data.windows(data.validation).count:
-        missing = 'training' if not data.train else 'validation'
-        raise NotInformativeError(
-            f'{data.axis}: no {missing} segment of this axis is long enough (1.5 s); '
-            'name them with --train and --validate'
-        )
+        role = 'validation' if data.train else 'train'
+        raise NotInformativeError(f'{data.axis}: {_lacking(data, records, role)}')
     check_limits(data, data.train, 'the training')
     check_moving(data)
+
+
+def _lacking(data: AxisData, records: Sequence[Record], role: str) -> str:
+    """What the axis lacks of a role: the segments, or their length."""
+    name = 'training' if role == 'train' else role
+    flown = {s.axis for record in records for s in record.segments if s.role == role}
+    if data.axis in flown:
+        longest = max((b - a for a, b in vars(data)[role]), default=0) * data.dt
+        return (f'the longest unbroken {name} segment lasts {longest:.2g} s, '
+                f'{SETTLE_S + WINDOW_S:g} s are needed; fly longer')
+    if flown:
+        others = ', '.join(axis for axis in AXES if axis in flown)
+        return f'no {name} segment is on this axis (on {others} only); excite it'
+    option = '--train' if role == 'train' else '--validate'
+    return f'the bag holds no {name} segment; name one with {option}'
 
 
 def check_limits(data: AxisData, spans: Sequence[Span], where: str) -> None:

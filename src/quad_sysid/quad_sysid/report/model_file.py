@@ -59,7 +59,8 @@ def load_models(path: str | os.PathLike[str],
         raise BadInputError(f'{path}: schema', f'must be {SCHEMA}', root['schema'], REMEDY)
     axes = root['axes']
     if not isinstance(axes, dict) or not axes:
-        raise BadInputError(f'{path}: axes', 'must be an object with at least one axis', axes)
+        raise BadInputError(f'{path}: axes', 'must be an object with at least one axis', axes,
+                            REMEDY)
     for axis in axes:
         if axis not in AXES:
             raise BadInputError(f'{path}: axes', f'must be one of {", ".join(AXES)}', axis)

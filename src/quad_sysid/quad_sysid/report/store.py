@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from quad_sysid.beside import side_by_side
+from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import make_folder, write_whole
 from quad_sysid.pipeline.answer import AxisAnswer
@@ -28,23 +29,35 @@ def free_folder(wanted: Path) -> Path:
     return folder
 
 
-def check_place(folder: Path) -> None:
-    """Raise BadInputError where `folder` cannot be created or written; creates nothing."""
-    there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
-    if not there.is_dir():
-        raise BadInputError('--out', f'{there} is not a folder', remedy='choose another place')
-    if not os.access(there, os.W_OK | os.X_OK):
-        raise BadInputError('--out', f'{there} cannot be written', remedy='choose another place')
+def clear(folder: Path) -> None:
+    """Remove what an earlier report left in a folder, and nothing else: an answer may lack files.
+
+    Raises BadInputError where a file cannot be removed.
+    """
+    drawn = folder / 'pictures'
+    files = [folder / name for name in ('report.json', 'model.json', 'report.html')]
+    files += [drawn / f'{axis}_{name}.png' for axis in AXES for name, _ in plots.PICTURES]
+    try:
+        for file in files:
+            file.unlink(missing_ok=True)
+    except OSError as error:
+        raise BadInputError(str(error.filename), 'cannot be removed', error.strerror,
+                            'choose another --out') from error
+    with suppress(OSError):  # none there, or it holds files that are not ours
+        drawn.rmdir()
 
 
 def write(folder: Path, report: Mapping[str, Any], answers: Mapping[str, AxisAnswer], *,
           html: bool = True, pictures: bool = True) -> None:
     """Write all files of a report, report.json last, so that the others exist once it does.
 
+    Those of an earlier report there are removed first.
+
     `html` False writes no report.html; `pictures` False no folder `pictures` of PNG files (the
     page has its own inside). With neither, nothing is drawn.
     """
     make_folder(folder)
+    clear(folder)
     models = {axis: a.model for axis, a in answers.items() if a.model is not None}
     if models:
         blackbox = {axis: tree_of(a.rows[a.selected].step_a.model)

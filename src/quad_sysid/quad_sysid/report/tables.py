@@ -120,7 +120,8 @@ def models(tree: Tree) -> Table:
     """Black-box models with both steps of the selection and why one is out."""
     listed = tree['models']
     signals = list(dict.fromkeys(s for m in listed for s in m['fit_validation_pct']))
-    head = ['model', 'approach', 'train, %', *(f'{s}, %' for s in signals), 'loop, %', 'AIC',
+    named = ('held-out' if s == 'unknown' else s for s in signals)
+    head = ['model', 'approach', 'train, %', *(f'{s}, %' for s in named), 'loop, %', 'AIC',
             'BIC', 'white', 'free of input', 'causal', 'outcome']
     rows = [
         [' '.join([m['structure'], *(str(v) for v in m['orders'].values())]), m['approach'],
@@ -166,10 +167,10 @@ def effects(tree: Tree) -> Table:
     """The added effects."""
     rows = [
         [e['name'], named(e), values(e), chance(e['p_value']), f'{e["probability"]:.2f}',
-         f'{e["error_reduction_pct"]:.0f} %']
+         f'{-e["error_reduction_pct"]:+.0f} %']
         for e in tree['effects']
     ]
-    return Table(['effect', 'in words', 'parameters', 'p', 'probability', 'lowers the error by'],
+    return Table(['effect', 'in words', 'parameters', 'p', 'probability', 'change of the error'],
                  rows, (3, 4, 5))
 
 
@@ -277,7 +278,7 @@ def _span(interval: Sequence[float] | None) -> str:
 
 
 def _fit(value: float | None) -> str:
-    return '–' if value is None else f'{max(value, -999.0):.1f}'
+    return '–' if value is None else '< -99' if value < -99.0 else f'{value:.1f}'
 
 
 def _whole(value: float | None) -> str:

@@ -48,7 +48,8 @@ def _verdict(tree: Mapping[str, Any]) -> list[str]:
 
 def growth(tree: Mapping[str, Any]) -> list[str]:
     """Growth of the error, and the horizon up to which the model is useful."""
-    return [*tables.horizons(tree).text(), *wrapped(words.horizon_words(tree['error']).strip())]
+    told = '' if tree.get('verdict') == 'cannot_tell' else words.horizon_words(tree['error'])
+    return [*tables.horizons(tree).text(), *wrapped(told.strip())]
 
 
 def _gains(axis: str, tree: Mapping[str, Any]) -> list[str]:

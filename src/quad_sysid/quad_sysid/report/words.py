@@ -111,6 +111,11 @@ def equals(p: float | None) -> str:
     return text if text.startswith('<') else f'= {text}'
 
 
+def lowered(percent: float) -> str:
+    """What an effect does to the error, from the percentage by which it lowers it."""
+    return f'{"lowers" if percent >= 0.0 else "raises"} the error by {abs(percent):.0f} %'
+
+
 def headline(tree: Tree) -> tuple[str, str]:
     """Style and headline of the verdict."""
     style, text = VERDICTS.get(tree['verdict'], ('none', tree['verdict']))
@@ -138,6 +143,9 @@ def _worth(tree: Tree) -> str:
     text = (f'Over half a second of held-out data its free run is off by '
             f'{number(after)} '
             f'{unit} RMS{_interval(error.get("after_interval_95"))}.')
+    if tree['verdict'] == 'cannot_tell':  # what a model gains is no merit of the commands then
+        return (f'{text} A model that sees only past rates predicts as well as one that also sees '
+                'the commands, so this says nothing of what the commands do.')
     if hold:
         text += (f' Holding the last value would be off by {number(hold)} {unit}, so the model '
                  f'removes {100.0 * (1.0 - after / hold):.0f} % of that error.')
@@ -197,15 +205,16 @@ def _missing(tree: Tree) -> list[str]:
             best = max(rivals, key=lambda r: r['probability'])
             text += (f'; among its rivals it has a probability of {effect["probability"]:.2f} '
                      f'(next: {best["name"]}, {best["probability"]:.2f})')
-        out.append(text + '. It alone lowers the error by '
-                   f'{effect["error_reduction_pct"]:.0f} %.')
+        out.append(f'{text}. It alone {lowered(effect["error_reduction_pct"])}.')
     before, after = error.get('before'), error.get('after')
     if before and after is not None:
+        alone = len(out) > 1 and all(e['error_reduction_pct'] < 0.0 for e in tree['effects'])
         out.append(
-            f'With {"it" if len(out) == 1 else "them"} the held-out error falls from '
+            f'With {"it" if len(out) == 1 else "them together"} the held-out error goes from '
             f'{number(before)}{_interval(error.get("before_interval_95"))} to {number(after)} '
             f'{error["unit"]}{_interval(error.get("after_interval_95"))}: '
-            f'{100.0 * (1.0 - after / before):.0f} % less.'
+            f'{100.0 * abs(1.0 - after / before):.0f} % {"less" if after <= before else "more"}'
+            f'{", though none lowers it alone" if after < before and alone else ""}.'
         )
     return out
 
@@ -245,6 +254,14 @@ def bound(p: Tree) -> str:
 def joined(parts: Sequence[str]) -> str:
     """`a, b and c`."""
     return parts[0] if len(parts) == 1 else ', '.join(parts[:-1]) + ' and ' + parts[-1]
+
+
+def by_reason(reasons: Mapping[str, str]) -> str:
+    """Axis → reason, in one line: the axes of one reason together."""
+    axes: dict[str, list[str]] = {}
+    for axis, reason in reasons.items():
+        axes.setdefault(_bare(axis, reason), []).append(axis)
+    return '; '.join(f'{", ".join(names)}: {reason}' for reason, names in axes.items())
 
 
 def _bare(axis: str, reason: str) -> str:

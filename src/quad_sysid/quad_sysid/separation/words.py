@@ -10,6 +10,8 @@ from quad_sysid.separation.design import CERTAIN, Row, Separation
 from quad_sysid.separation.flight import THROTTLE_STEP, THROTTLE_STEP_S, Excitation
 from quad_sysid.signals.schedule import AMPLITUDES, Part
 
+NONE = 0.005
+"""A share below this is told as none."""
 SHOWN = 8
 WIDTH = 80
 ROW = '{:>2} {:<39}{:>6}{:>9}{:>8}{:>8}{:>7}'
@@ -72,10 +74,11 @@ def why(found: Separation) -> str:
     if other.acting is None:
         words += f'the evidence for {harder.name} is '
     else:
-        words += (f'{other.name} explains {best.worst.mimicked:.0%} of the evidence for '
-                  f'{harder.name}')
-        if matched is not None and matched.mimicked > best.worst.mimicked + 0.01:
-            words += f', with the plain PRBS {matched.mimicked:.0%}'
+        share = best.worst.mimicked
+        words += (f'in this flight {other.name} cannot imitate {harder.name}' if share < NONE else
+                  f'{other.name} explains {share:.0%} of the evidence for {harder.name}')
+        if matched is not None and matched.mimicked > share + 0.01:
+            words += f', with the plain PRBS it explains {matched.mimicked:.0%}'
         words += '; the evidence between them is '
     more = f'{gain:.1f} times that' if gain < 1e3 else 'far more than that'
     words += (f'{more} of the plain PRBS (rate {best.rate_rms:.2f} rad/s RMS, angle up to '

@@ -9,12 +9,16 @@ import math
 from dataclasses import dataclass
 
 from quad_sysid.errors import BadInputError
-from quad_sysid.signals.schedule import AMPLITUDES
+from quad_sysid.signals.schedule import AMPLITUDES, LONGEST_S
 from quad_sysid.signals.waveforms import TAPS
 
 PERIODS = (3.0, 5.0)
 """Eq. (9): N * clock = 3 to 5 of the longest time constant."""
 SAMPLES_PER_CLOCK = 2
+LONGEST_PERIOD_S = 120.0
+"""Length of the training, s, up to which a whole period is flown unless a length is asked for."""
+SPARED = 0.63
+"""Share of the training that holds a period of each frequency that the monitor counts."""
 
 
 @dataclass(frozen=True)
@@ -30,6 +34,8 @@ class Design:
     square_period_s: float
     unit_s: float
     """Time unit of a 3-2-1-1."""
+    train_s: float
+    """Length of the training segment."""
 
     @property
     def clock_s(self) -> float:
@@ -51,6 +57,11 @@ class Design:
         """First spectral line, and 2 pi 0.3 / clock, where eq. (10) ends the band."""
         return 2.0 * math.pi / self.period_s, 2.0 * math.pi * 0.3 / self.clock_s
 
+    @property
+    def flown_low_rad_s(self) -> float:
+        """Lowest frequency of which the training holds a period, as the monitor counts."""
+        return max(self.covered_rad_s[0], 2.0 * math.pi / (SPARED * self.train_s))
+
     def order(self, duration_s: float) -> int:
         """Order of persistent excitation of a stretch of the PRBS: its number of bits."""
         return min(self.length, math.floor(duration_s / self.clock_s))
@@ -65,13 +76,12 @@ class Design:
         if not 0.0 < amplitude_deg <= highest:
             raise BadInputError('--amplitude-deg', f'must be above 0 and at most {highest:g}°',
                                 amplitude_deg)
-        train = math.ceil(min(self.period_s, 120.0))
         prbs = f'signal: prbs, axis: {axis}, injection: attitude, amplitude_deg: {amplitude_deg:g}'
         square = prbs.replace('prbs', 'square')
         rows = [
             '{segment: idle, duration_s: 3.0}',
-            (f'{{segment: train, {prbs}, duration_s: {train}.0, clock_s: {self.clock_s:.6g}, '
-            f'register_bits: {self.register_bits}, seed: 1}}'),
+            (f'{{segment: train, {prbs}, duration_s: {self.train_s:.1f}, '
+            f'clock_s: {self.clock_s:.6g}, register_bits: {self.register_bits}, seed: 1}}'),
             '{segment: idle, duration_s: 2.0}',
             (f'{{segment: validation, {prbs}, duration_s: 18.0, clock_s: {self.clock_s:.6g}, '
             f'register_bits: {self.validation_bits}, seed: 2}}'),
@@ -100,13 +110,15 @@ def parse_band(text: str) -> tuple[float, float]:
     return band
 
 
-def design_excitation(low_rad_s: float, high_rad_s: float,
-                      sample_rate_hz: float = 250.0) -> Design:
+def design_excitation(low_rad_s: float, high_rad_s: float, sample_rate_hz: float = 250.0,
+                      train_s: float | None = None) -> Design:
     """Design for a band in rad/s. BadInputError where the sample rate is too low for it.
 
     Eq. (10): 0.3 / clock = 1 / (2 pi tau_min) with tau_min = 1 / high, rounded down to whole
     samples so that the band is covered. Eq. (9): N * clock = 3 to 5 tau_max, tau_max = 1 / low, by
-    the register length that comes nearest to 4.
+    the register length that comes nearest to 4. This period is the training, up to 120 s, and
+    ends above LOW. With `train_s`, s, the training is that long, by the shortest register whose
+    first line reaches LOW.
     """
     if not 0.0 < low_rad_s < high_rad_s < math.inf:
         raise BadInputError('--band', 'needs 0 < LOW < HIGH in rad/s',
@@ -120,14 +132,36 @@ def design_excitation(low_rad_s: float, high_rad_s: float,
         raise BadInputError('--band', f'HIGH is too fast for {sample_rate_hz:g} Hz',
                             f'{high_rad_s:g} rad/s',
                             f'at most {most:.4g} rad/s ({SAMPLES_PER_CLOCK} samples per clock)')
-    wanted = math.log2(4.0 / (low_rad_s * samples / sample_rate_hz) + 1.0)
-    bits = min(max(round(wanted), min(TAPS)), max(TAPS))
+    if train_s is not None and not 0.0 < train_s <= LONGEST_S:
+        raise BadInputError('--seconds', f'must be above 0 and at most {LONGEST_S:g} s', train_s)
+    clocks = 1.0 / (low_rad_s * samples / sample_rate_hz)
+    wanted = round(math.log2(4.0 * clocks + 1.0)) if train_s is None else \
+        math.ceil(math.log2(2.0 * math.pi * clocks + 1.0))
+    bits = min(max(wanted, min(TAPS)), max(TAPS))
+    period_s = (2**bits - 1) * samples / sample_rate_hz
     middle = math.sqrt(low_rad_s * high_rad_s)
     return Design(low_rad_s=low_rad_s, high_rad_s=high_rad_s, sample_rate_hz=sample_rate_hz,
                   clock_samples=samples, register_bits=bits,
                   validation_bits=bits - 1 if bits > min(TAPS) else bits + 1,
                   square_period_s=round(2.0 * math.pi / middle, 3),
-                  unit_s=round(0.3 * 2.0 * math.pi / (high_rad_s / 3.0), 3))
+                  unit_s=round(0.3 * 2.0 * math.pi / (high_rad_s / 3.0), 3),
+                  train_s=train_s or math.ceil(min(period_s, LONGEST_PERIOD_S)))
+
+
+def _reach(d: Design) -> str:
+    """What the training covers, and what would reach LOW."""
+    told = (f'training {d.train_s:g} s: covers {d.flown_low_rad_s:.3g} to '
+            f'{d.covered_rad_s[1]:.4g} rad/s')
+    if d.flown_low_rad_s <= d.low_rad_s:
+        return told
+    needed = math.ceil(2.0 * math.pi / (SPARED * d.low_rad_s))
+    if needed > LONGEST_S:
+        remedy = f'that takes {needed} s, and a segment lasts at most {LONGEST_S:g} s: raise LOW'
+    elif d.low_rad_s * (2 ** max(TAPS) - 1) * d.clock_s < 2.0 * math.pi:
+        remedy = f'a register has at most {max(TAPS)} bits: fly a second schedule of lower HIGH'
+    else:
+        remedy = f'--seconds {needed} does'
+    return f'{told}, which does not reach LOW ({d.low_rad_s:g} rad/s): {remedy}'
 
 
 def _lines(d: Design) -> list[str]:
@@ -145,12 +179,12 @@ def _lines(d: Design) -> list[str]:
         f'the PRBS reaches to {top:.4g} rad/s'),
         f'register {d.register_bits} bits, N = {d.length}, period {d.period_s:.4g} s = '
         f'{periods:.2g} tau_max: eq. (9) asks for 3 to 5'
-        + ('' if inside else '; no register of whole bits lies inside, this one is nearest to 4'),
+        + ('' if inside else '; longer, so that a line reaches LOW' if first <= d.low_rad_s else
+           '; no register of whole bits lies inside, this one is nearest to 4'),
         (f'persistently exciting of order {d.length} over one period '
         f'(the paper needs 50 for its largest model)'),
-        f'first spectral line {first:.3g} rad/s'
-        + (f', above LOW: what lies below is not excited steadily; a register of '
-           f'{d.register_bits + 1} bits would reach it' if first > d.low_rad_s else ''),
+        f'first spectral line {first:.3g} rad/s',
+        _reach(d),
         (f'validation: another register ({d.validation_bits} bits; the same one would only be '
         f'shifted) and a square wave of {d.square_period_s:g} s'),
         (f'3-2-1-1 unit {d.unit_s:g} s; chirp or multisine {d.low_rad_s / (2 * math.pi):.3g} to '

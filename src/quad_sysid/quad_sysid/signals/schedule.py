@@ -17,6 +17,8 @@ from quad_sysid.signals.waveforms import Silence, Waveform, parameter_names, wav
 
 ROLES = ('train', 'validation', 'idle')
 MOUNTS = ('rig', 'hover')
+LONGEST_S = 3600.0
+"""Longest segment, s: an hour."""
 RAMP_S = 0.5
 AMPLITUDE_DEG = 12.0
 DEGREE = math.pi / 180.0
@@ -140,7 +142,7 @@ def _part(entry: object, where: str, ramp_s: float) -> Part:
             where, f'segment {role} with signal {signal}',
             remedy='an idle segment has signal none; train and validation need a signal',
         )
-    duration = _number(entry, 'duration_s', math.nan, where, 0.0)
+    duration = _number(entry, 'duration_s', math.nan, where, 0.0, LONGEST_S)
     if duration <= 0.0:
         raise BadInputError(where, 'duration_s must be positive', duration)
     if role == 'idle':
@@ -186,8 +188,9 @@ def _number(entry: Mapping[str, object], key: str, default: float, where: str, l
     """A finite number within low..high."""
     value = entry.get(key, default)
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        found = None if key not in entry else repr(value)
-        raise BadInputError(where, f'{key} must be a number', found, f'add {key}: NUMBER')
+        if key not in entry:
+            raise BadInputError(where, f'{key} is missing', remedy=f'add {key}: NUMBER')
+        raise BadInputError(where, f'{key} must be a number', repr(value))
     if not low <= value <= high:
         raise BadInputError(where, f'{key} must lie in {low:g}..{high:g}', value)
     return float(value)

@@ -198,7 +198,10 @@ def waveform(name: str, parameters: Mapping[str, object], where: str) -> Wavefor
         absent = [f for f in known if f not in given and f != 'seed']
         raise BadInputError(where, f'signal {name} needs {", ".join(absent)}',
                             remedy='add it') from error
-    built.at(0.0)
+    try:
+        built.at(0.0)
+    except BadInputError as error:
+        raise BadInputError(where, str(error)) from error
     return built
 
 
