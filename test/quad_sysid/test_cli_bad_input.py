@@ -178,6 +178,7 @@ def test_evaluate_answers_the_axes_it_can_and_names_the_others(
         ('{"a": 1}', 'lacks axes, schema'),
         ('{"schema": "quad_sysid/report/1", "axes": {}}', 'schema: must be quad_sysid/model/2'),
         ('{"schema": "quad_sysid/model/2", "axes": {"roll": {', 'is not JSON'),
+        ('{"schema": "quad_sysid/model/2", "axes": {}}', 'found {}; give the model.json of'),
         ('[' * 100_000, 'is not JSON'),
         ('{"schema": ' + '9' * 5000 + '}', 'is not JSON'),
     ],
