@@ -152,24 +152,17 @@ def positive(option: str, value: float) -> float:
 def progress(*, quiet: bool = False) -> Callable[[str], None]:
     """What tells the stages of a long command on stderr; nothing if `quiet`.
 
-    On a terminal it rewrites one line, and wipes it for an empty one. Elsewhere each stage is a
-    line, but for the reading: a wrong input is told in one line.
+    On a terminal it rewrites one line, and wipes it for an empty one. Elsewhere it is silent: what
+    goes wrong is told there in one line (contract).
     """
-    if quiet:
+    if quiet or not sys.stderr.isatty():
         return lambda _: None
-    if not sys.stderr.isatty():
-        return _in_lines
 
     def show(line: str) -> None:
         width = shutil.get_terminal_size().columns - 1
         print(f'\r\x1b[2K{line[:width]}', end='', file=sys.stderr, flush=True)  # noqa: T201
 
     return show
-
-
-def _in_lines(line: str) -> None:
-    if line and not line.startswith('reading '):
-        print(line, file=sys.stderr, flush=True)  # noqa: T201
 
 
 def run_command(parser: Parser, arguments: Sequence[str] | None) -> int:
