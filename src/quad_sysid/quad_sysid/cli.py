@@ -72,7 +72,7 @@ def _identify_parser(commands: Commands) -> None:
         'Fit models to bags, validate them, and say what they lack. Prints the models, the '
         'verdict, the effects that were found and the errors before and after; writes '
         'report.html, report.json and model.json, with gains where quad_tuning is installed.',
-        'quad-sysid identify flight/ --axis roll --out report/', reads='bags', writes='folder',
+        'quad-sysid identify flight/ --axis roll --out report/', reads='bags',
     )
     parser.add_argument('bags', nargs='+', metavar='BAG', help='rosbag2 directory or .mcap file')
     parser.add_argument('--axis', choices=[*AXES, 'all'],

@@ -168,7 +168,7 @@ def _check_needs(axis: str, wanted: Mapping[str, float], gains: Mapping[str, flo
 
 
 def _check_observer(axis: str, gains: Mapping[str, float]) -> None:
-    """Refuse an observer whose error grows: it is computed at share 0 too."""
+    """Refuse an observer whose error grows, at share 0 too: a share may follow."""
     gain, damping, observer = (
         gains.get(f'{axis}.lqr.{name}', 0.0) for name in ('gain', 'damping', 'observer')
     )

@@ -10,7 +10,7 @@ import numpy as np
 from quad_sysid.contract import FloatArray
 from quad_sysid.effects.torques import Torque
 from quad_sysid.model.data import AxisData
-from quad_sysid.model.effect import UNITS, Effect, Settings, Signals, Spec, per_unit, required
+from quad_sysid.model.effect import UNITS, Effect, Settings, Signals, Spec, per_unit
 
 EDGE_S = 1.0
 """Least distance of an event from the ends of the training segments."""
@@ -40,13 +40,6 @@ class Event(Torque):
 
     def starts(self, data: AxisData, settings: Settings) -> Sequence[FloatArray]:
         return [np.array([t, *d, 0.0]) for d in self.lengths for t in times(data)]
-
-    def columns(
-        self, s: Signals, p: FloatArray, linear: Sequence[int], settings: Settings
-    ) -> FloatArray:
-        # the torque is proportional to these, so that one evaluation of each tells
-        units = np.where(np.isin(range(p.size), self.linear), 0.0, p) + np.eye(p.size)[linear]
-        return np.stack([required(self.torque(s, unit, settings)) for unit in units], axis=1)
 
     def elsewhere(self, p: FloatArray, settings: Settings, phase: float) -> FloatArray:
         return np.array([LONG_AGO_S, *p[1:]])

@@ -264,7 +264,7 @@ def axis_data(records: Sequence[Record], axis: str) -> AxisData:
     for name, least in (('angle', 0.0), ('other_angles', 0.0), ('battery_v', 0.5)):
         values = joined[name].reshape(offsets[-1], -1)
         known = np.isfinite(values).all(axis=1).mean() > least
-        joined[name] = _filled(joined[name]) if known else None
+        joined[name] = filled(joined[name]) if known else None
     if not np.isfinite(joined['reference']).any():
         joined['reference'] = None
     known_gains = records[0].gains_at(np.inf)
@@ -300,8 +300,8 @@ def _prepare(record: Record, axis: str) -> tuple[np.ndarray, dict[str, FloatArra
         'rate': np.where(good, rate, np.nan),
         'angle': angles[:, index],
         'other_angles': angles[:, others],
-        'control': _filled(control),
-        'motors': _filled(motors),
+        'control': filled(control),
+        'motors': filled(motors),
         'other_rates': record.rates[:, others],
         'battery_v': nothing if record.battery_v is None else record.battery_v,
         'reference': nothing if external is None else external,
@@ -319,7 +319,7 @@ def bridged(runs: Sequence[Span], dt: float) -> list[Span]:
     return joined
 
 
-def _filled(values: FloatArray) -> FloatArray:
+def filled(values: FloatArray) -> FloatArray:
     """(n,) or (n, k) with unknown rows interpolated linearly."""
     rows = values.reshape(values.shape[0], -1)
     at, grid = np.flatnonzero(np.isfinite(rows).all(axis=1)), np.arange(rows.shape[0])

@@ -23,7 +23,7 @@ from scipy.signal import lfilter
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.model import recursion
 from quad_sysid.model.angle import led_by_gyro
-from quad_sysid.model.data import AxisData, Span, Windows, at_limit
+from quad_sysid.model.data import AxisData, Span, Windows, at_limit, filled
 from quad_sysid.model.effect import Drive, Effect, Part, Signals, required
 from quad_sysid.model.noise import Filter, kalman, sensor_of
 from quad_sysid.model.structure import Structure, natural
@@ -136,8 +136,7 @@ class Flight:
         output = required(data.angle) / data.dt if self.sensor.derived else data.rate
         lost = ~np.isfinite(data.rate) | at_limit(data.rate)
         self.measured = np.where(lost, np.nan, output)
-        seen = np.isfinite(data.rate)
-        self.gyro = np.interp(np.arange(seen.size), np.flatnonzero(seen), data.rate[seen])
+        self.gyro = filled(data.rate)
         self.angle = None
         if data.angle is not None:
             self.angle = np.nan_to_num(data.angle) if self.sensor.derived else \
