@@ -412,6 +412,9 @@ def main() -> None:
     import rclpy
     from rclpy.signals import SignalHandlerOptions
 
+    from quad_bridge.start import listen_by_udp
+
+    listen_by_udp()  # a busy machine starves it too
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     server = Server(rclpy)
     reader = threading.Thread(target=server.read)

@@ -2,9 +2,10 @@
 
 import shutil
 import signal
+from pathlib import Path
 
 import pytest
-from node_process import recorded
+from node_process import recorded, until
 from probe import entries, stamp
 from rosbags.highlevel import AnyReader
 
@@ -69,6 +70,16 @@ def bags(folder):
 
 def numbers_in(bag):
     return sorted(m.vector.x for messages in recorded(bag, *TOPICS).values() for m in messages)
+
+
+@pytest.mark.parametrize('reach', ['LOCALHOST', 'SUBNET'])
+def test_no_shared_memory_in_which_a_starved_logger_would_go_deaf(
+    tmp_path, monkeypatch, logger, reach
+):
+    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', reach)
+    process = logger()
+    until(lambda: bags(tmp_path))
+    assert 'fastrtps_port' not in Path(f'/proc/{process.pid}/maps').read_text()
 
 
 def test_what_is_published_comes_into_the_bag(tmp_path, probe, logger, load):

@@ -10,13 +10,16 @@ import importlib
 import os
 import signal
 import sys
+from pathlib import Path
 
+PROFILES = 'FASTRTPS_DEFAULT_PROFILES_FILE'
 INTERRUPTED = 130  # of a command; a node is meant to run until then and ends with 0
 
 
 def begin(module: str) -> None:
     """Import `module` and run its `main`, which takes the signals over."""
     _guard(0)
+    listen_by_udp()
     importlib.import_module(module).main()
 
 
@@ -25,6 +28,18 @@ def _guard(interrupted: int) -> None:
     _open_standard_streams()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: os._exit(interrupted))
+
+
+def listen_by_udp() -> None:
+    """Keep Fast DDS, where it is the middleware, from shared memory, unless the user chose a way.
+
+    A node that has no CPU for a second may never again hear what comes through shared memory, and
+    one that is killed may take with it all that still talk to it (docs/log.md). The profile is
+    for localhost alone, where rmw_fastrtps sets up its own transports; the variable for all else.
+    """
+    if not {PROFILES, 'FASTDDS_BUILTIN_TRANSPORTS'} & os.environ.keys():
+        os.environ[PROFILES] = str(Path(__file__).with_name('fastdds.xml'))
+        os.environ['FASTDDS_BUILTIN_TRANSPORTS'] = 'UDPv4'
 
 
 def _open_standard_streams() -> None:

@@ -21,6 +21,7 @@ from quad_bridge.gains.table import WIRE_NAMES
 from quad_bridge.lockstep import patience
 from quad_bridge.nodes.conversion import event_message
 from quad_bridge.nodes.qos import EVENT
+from quad_bridge.start import listen_by_udp
 from quad_sysid.errors import BadInputError
 from quad_tuning.history import changed
 
@@ -50,6 +51,7 @@ def publish(gains: Mapping[str, float], source: str, *, rollback: bool = False,
         # an exception that a signal raises within rclpy may be swallowed there
         before = signal.signal(signal.SIGINT, lambda *_: interrupted.set())
         ending.callback(signal.signal, signal.SIGINT, before)
+        listen_by_udp()
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         ending.callback(rclpy.try_shutdown)
         node: Any = rclpy.create_node('quad_tune', namespace=namespace)

@@ -23,6 +23,7 @@ from std_srvs.srv import Trigger
 from quad_bridge.lockstep import Clock
 from quad_bridge.nodes.conversion import parameters
 from quad_bridge.nodes.qos import EVENT, STATE
+from quad_bridge.start import listen_by_udp
 from quad_tuning.demo.processes import StageFailedError
 
 PATIENCE_S = 1200.0
@@ -42,6 +43,7 @@ class Observer:
         self.diagnostics: dict[str, tuple[int, str, dict[str, str]]] = {}
         self.imu_count = 0
         self._context = Context()
+        listen_by_udp()
         rclpy.init(context=self._context, domain_id=domain)
         self._node = Node('demo_observer', context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)
