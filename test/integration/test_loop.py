@@ -37,13 +37,13 @@ schedule:
   segments:
     - {segment: idle, duration_s: 1.0}
     - {segment: train, signal: prbs, axis: roll, injection: attitude, amplitude_deg: 12.0,
-       duration_s: 12.0, clock_s: 0.092, register_bits: 9, seed: 1}
+       duration_s: 9.0, clock_s: 0.092, register_bits: 9, seed: 1}
     - {segment: idle, duration_s: 0.5}
     - {segment: validation, signal: prbs, axis: roll, injection: attitude, amplitude_deg: 12.0,
-       duration_s: 5.0, clock_s: 0.092, register_bits: 8, seed: 2}
+       duration_s: 4.0, clock_s: 0.092, register_bits: 8, seed: 2}
     - {segment: idle, duration_s: 0.5}
     - {segment: validation, signal: square, axis: roll, injection: attitude, amplitude_deg: 12.0,
-       duration_s: 6.0, period_s: 3.0}
+       duration_s: 4.8, period_s: 2.4}
     - {segment: idle, duration_s: 0.5}
 """
 
@@ -55,7 +55,7 @@ schedule:
   segments:
     - {segment: idle, duration_s: 1.0}
     - {segment: validation, signal: square, axis: roll, injection: attitude, amplitude_deg: 12.0,
-       duration_s: 6.0, period_s: 3.0}
+       duration_s: 4.8, period_s: 2.4}
     - {segment: idle, duration_s: 0.5}
 """
 
