@@ -125,7 +125,8 @@ def _design_parser(commands: Commands) -> None:
                         help="default: roll, or the model's axis with the nearest rivals")
     parser.add_argument('--amplitude-deg', type=float, default=12.0, metavar='DEG',
                         help='with --band: amplitude of the angle, degrees (default 12)')
-    parser.add_argument('--out', metavar='FILE', type=Path, help='write a schedule as YAML')
+    parser.add_argument('--out', metavar='FILE', type=Path,
+                        help='write a schedule as YAML, over what is there')
     effects_option(parser)
     parser.add_argument('--quiet', action='store_true', help='print nothing but errors')
 

@@ -68,7 +68,8 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
                         help='default: every axis of the model')
     effects_option(parser)
     quiet_and_json(parser, 'JSON')
-    parser.add_argument('--out', type=Path, metavar='FILE', help='write the JSON there too')
+    parser.add_argument('--out', type=Path, metavar='FILE',
+                        help='write the JSON there too, over what is there')
     bryson = parser.add_argument_group(
         'with --method lqr', "Bryson's rule: the largest value of each that is acceptable"
     )

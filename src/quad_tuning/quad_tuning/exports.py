@@ -83,7 +83,8 @@ def add(commands: Commands) -> None:
     parser.add_argument('--scale', metavar='AXIS=NUMBER', action='append', default=[],
                         help="our command per unit of the firmware's torque; 1 where the model "
                         'was identified on its torque set-points; repeat for each axis')
-    parser.add_argument('--out', metavar='FILE', type=Path, help='default: print it')
+    parser.add_argument('--out', metavar='FILE', type=Path,
+                        help='write over what is there; default: print it')
 
 
 def run(arguments: argparse.Namespace) -> int:
