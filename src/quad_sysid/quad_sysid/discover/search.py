@@ -139,6 +139,11 @@ class _Search:
             self.screens[labels] = screen(self.problem, parent, rest)
         return self.screens[labels]
 
+    def complete(self, one: Scored) -> bool:
+        """Whether no candidate's score beside a structure promises a better one."""
+        return all(s.nats + self.prices[s.part.effect.label] < HOPELESS
+                   for s in self.scores(one.fit))
+
     def keep(self, fitted: Fit) -> Scored:
         """Store a fit with its score, log evidence plus log prior."""
         labels = frozenset(fitted.structure.labels)
@@ -172,8 +177,9 @@ class _Search:
 def search(problem: Problem, effects: Sequence[Effect]) -> Found:
     """The structures that the training segments support.
 
-    A beam search adds one effect at a time until the evidence falls; then each effect of the best
-    structure is exchanged for alternatives until none is better.
+    A beam search adds one effect at a time until no score beside the best structure promises more,
+    or the evidence falls; then each of its effects is exchanged for alternatives until none is
+    better.
 
     A coupling counts only if no gust disturbs both axes: a gust at an angle moves both, each
     feedback answers it, and one axis' command would seem to turn the other. If the evidence asks
@@ -203,7 +209,9 @@ def _structures(problem: Problem, parts: Sequence[Part], base: Fit) -> _Search:
     found = _Search(problem, parts, base)
     beam = [found.best()]
     for _ in range(MOST_EFFECTS):
-        top = max(s.score for s in beam)
+        if found.complete(beam[0]):
+            break
+        top = beam[0].score
         fresh = sorted(found.build_on(beam, REFITS, top), key=lambda s: -s.score)
         if not fresh or fresh[0].score <= top:
             break
