@@ -38,6 +38,10 @@ void quad_firmware_init(quad_firmware *f, const quad_firmware_settings *settings
     for (size_t i = 0; i < QUAD_CHANNELS; i++) {
         f->receiver.pulse_us[i] = i == ROLL || i == PITCH || i == YAW ? 1500.0f : 1000.0f;
     }
+    const uint8_t channel = settings->arm_channel;
+    if (channel > 0 && channel <= QUAD_CHANNELS) { /* not heard yet is not off */
+        f->receiver.pulse_us[channel - 1] = LONGEST_US;
+    }
 }
 
 void quad_firmware_receive(quad_firmware *f, const uint8_t *bytes, size_t count, uint64_t now_us)

@@ -333,6 +333,12 @@ static void test_arming(void)
         in.receiver.pulse_us[i] = i == 2 || i > 3 ? 1000.0f : 1500.0f;
     }
     quad_firmware_init(&f, &settings);
+    for (uint64_t cycle = 0; cycle < 10; cycle++) { /* with a wire each, a switch that is on may be heard last */
+        in.receiver.pulse_us[5] = cycle < 5 ? 0.0f : 2000.0f;
+        quad_firmware_cycle(&f, 4000 * cycle, &in, motors);
+        check(!f.endpoint.armed, "a switch that was not heard was not seen off");
+    }
+    quad_firmware_init(&f, &settings);
     in.receiver.pulse_us[5] = 2000.0f;
     for (uint64_t cycle = 0; cycle < 100; cycle++) {
         in.receiver.pulse_us[5] = cycle < 10 || (cycle > 20 && cycle < 90) ? 2000.0f : 1000.0f;

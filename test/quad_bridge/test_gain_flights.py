@@ -6,6 +6,8 @@ What a line can do to frames is walked through in test_gain_protocol.py and test
 import json
 import math
 import re
+from collections import deque
+from dataclasses import replace
 
 import pytest
 from flight_controller import DROPPED, Fault
@@ -68,6 +70,48 @@ def test_a_larger_change_goes_in_steps_with_three_seconds_between(bench):
     made.fly_until('step 2 of 2')
     assert made.now_s - first == pytest.approx(3.0, abs=0.3)
     assert made.gain(ANGLE) == 9.0
+
+
+SHAKING = {
+    'roll_rate_kp': 0.299, 'roll_rate_ki': 0.004, 'roll_rate_kd': 0.0015, 'roll_angle_kp': 5.0,
+    'pitch_rate_kp': 0.08, 'pitch_rate_ki': 0.004, 'pitch_rate_kd': 0.0015, 'pitch_angle_kp': 5.0,
+    'yaw_rate_kp': 0.2, 'yaw_rate_ki': 0.004, 'yaw_rate_kd': 0.0005, 'yaw_angle_kp': 3.0,
+}
+
+
+def test_a_slow_line_does_not_take_an_oscillation_for_what_was_before(bench):
+    """The STM32 flies a set from the commit on, long before all of it is read back."""
+    made, late = bench(mount='rig', polarity='off', profile='plain'), deque()
+    made.ask(roll_rate_kp=0.15)
+    made.fly_until('confirmed')
+    hear = made.hear
+
+    def hear_late(data, _=0):
+        late.append((made.now_s + 0.1, data))
+        while late and late[0][0] <= made.now_s:
+            hear(late.popleft()[1])
+
+    made.hear = hear_late
+    made.fly(12.0)
+    made.ask(**SHAKING)
+    made.fly_until('oscillation')
+    made.fly(2.0)
+    assert made.gain(KP) == pytest.approx(0.15)
+
+
+def test_how_it_was_handled_before_it_flew_does_not_count(bench):
+    made = bench(mount='rig')
+    made.ask(roll_rate_kp=0.15)
+    made.fly_until('confirmed')
+    for k in range(250):
+        turns = 4.0 * math.exp(-0.01 * k) * math.sin(0.12 * k)
+        set_down = replace(made.cycle, gyro=(turns, 0.0, 0.0), flags=0)
+        made.updates.cycle(set_down, made.now_s)
+    made.fly(3.0)
+    made.ask(roll_rate_kp=0.299, roll_rate_ki=0.004, roll_angle_kp=5.0)
+    made.fly_until('oscillation')
+    made.fly(1.0)
+    assert made.gain(KP) == pytest.approx(0.15)
 
 
 BAD_UPDATES = [

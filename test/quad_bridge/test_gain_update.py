@@ -301,13 +301,13 @@ def test_no_state_and_no_event_lets_an_ungated_set_fly(tmp_path, monkeypatch):
 
 
 class Bench:
-    """An aircraft that lies still, 20 ms after 20 ms; `flags` are those of its cycles."""
+    """An aircraft that lies still, 20 ms after 20 ms; `flags` and `throttle` are those of its cycles."""
 
     def __init__(self, folder):
         self.folder, self.history = folder, History(folder, lambda job: job())
         self.gains = GainUpdates(GainSettings(polarity='off'), self.history)
         self.gains.watch, self.stm32 = Watch(), Store.begun({KP: 0.1})
-        self.now_s, self.flags = 1.0, f.Flag.NONE
+        self.now_s, self.flags, self.throttle = 1.0, f.Flag.NONE, 0.5
         self.until('read back')
 
     def goes_on(self, seconds=20.0):
@@ -315,7 +315,8 @@ class Bench:
         g = self.gains
         for _ in range(round(50 * seconds)):
             self.now_s += 0.02
-            g.cycle(cycle(self.flags), self.now_s)
+            control = (self.throttle, 0.0, 0.0, 0.0)
+            g.cycle(replace(cycle(self.flags), control=control), self.now_s)
             frame = g.poll(self.now_s)
             if frame is not None:
                 for answer in self.stm32.answers(frame, round(1e6 * self.now_s)):
@@ -342,7 +343,9 @@ def test_gains_confirmed_on_the_ground_have_not_flown_until_they_have(tmp_path):
     assert 'have not flown for 10 s' in bench.until('confirmed')
     assert (bench.stored['state'], bench.stored['flown']) == ('confirmed', False)
     assert 'not flown' in bench.gains.status(standard=False).message
-    bench.flags = f.Flag.ARMED
+    bench.flags, bench.throttle = f.Flag.ARMED, 0.0  # the motors turn, but do not control
+    assert not any('flown' in text for text in bench.goes_on())
+    bench.throttle = 0.5
     bench.until('have flown for 10 s')
     assert bench.stored['state'] == 'flown'
     assert 'not flown' not in bench.gains.status(standard=False).message

@@ -151,6 +151,16 @@ def test_failsafe_cuts_a_ramp_short():
     assert 'failsafe' in player.reason
 
 
+def test_a_clock_set_back_does_not_enlarge_what_fades_out():
+    player = Player(schedule(), RIG, ramp_out_s=0.5)
+    player.start(100.0, GOOD)
+    play(player, lambda _: GOOD, 1.2)
+    player.stop(101.2, 'enough')
+    tick = player.tick(100.4, GOOD)
+    assert tick.setpoint == (0.0, 0.0, 0.0)
+    assert player.state is State.ABORTED
+
+
 def test_a_start_is_refused_with_the_reason():
     player = Player(schedule(), RIG)
     assert 'no /imu/data yet' in player.start(0.0, replace(GOOD, imu_age_s=None))

@@ -71,7 +71,8 @@ static void measure(uint64_t now_us)
         start_chips();
     }
     s->samples = 0;
-    flight.silent = flight.gyro_is && mpu6050_read(&board_bus, s) ? 0 : flight.silent + 1;
+    const bool spoke = flight.gyro_is && mpu6050_read(&board_bus, s) && s->samples > 0;
+    flight.silent = spoke ? 0 : flight.silent + 1;
     if (flight.silent > RETRY) {
         flight.gyro_is = false; /* it may have lost its settings: set up anew */
         flight.silent = 0;

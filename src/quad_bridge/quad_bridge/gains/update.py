@@ -33,6 +33,7 @@ STM32_WATCH_MS = 15_000
 """Time after which the STM32 reverts an unconfirmed set: the watch, and time to confirm."""
 QUIET_S = 0.5
 """Without excitation before gains may change; without a cycle after which a check ends."""
+LOW_THROTTLE = 0.05  # below which the STM32 commands no torque (QUAD_LOW_THROTTLE)
 LINK_S = 1.0  # without a control cycle after which gains on trial are asked back
 LEAST_HZ, MOST_HZ = 50.0, 1000.0
 """Control cycles per second with which watch and pulses work."""
@@ -108,7 +109,7 @@ class GainUpdates:
         self._until_s = 0.0
         self._cycle_s = self._excited_s = float('-inf')
         self._flags = 0
-        self._armed_s: float | None = None  # since when it is armed
+        self._flying_s: float | None = None  # since when it is armed with the throttle up
         self._in_force_s = 0.0  # since when the active gains are
         self._flown = False  # they have been armed for the watch's time, and the history says so
         self._ground: Mapping[str, float] = {}
@@ -248,6 +249,9 @@ class GainUpdates:
         update = _Update(asked, path, self._history.identity())
         self._write_step(update)
         self._update, self.refused = update, ''
+        # what flies from the commit on, seen some time before its answer, is not "before"
+        touched = {name.partition('.')[0] for name in asked.gains}
+        self.watch.begin(asked.predicted, touched if touched <= set(AXES) else AXES)
 
     def _write_step(self, update: _Update) -> None:
         step = update.steps[update.written]
@@ -281,10 +285,10 @@ class GainUpdates:
     def cycle(self, frame: f.Cycle, now_s: float) -> f.Excitation | None:
         """Take one control cycle; a pulse to send while the polarity is checked."""
         self._cycle_s, self._flags = now_s, frame.flags
-        if not frame.flags & f.Flag.ARMED:
-            self._armed_s = None
-        elif self._armed_s is None:
-            self._armed_s = now_s
+        if not frame.flags & f.Flag.ARMED or frame.control[0] < LOW_THROTTLE:
+            self._flying_s = None
+        elif self._flying_s is None:
+            self._flying_s = now_s
         injected: Any = (0.0, 0.0, 0.0)
         if frame.injection == f.Injection.RATE:
             injected = flip_body(frame.excitation)
@@ -292,6 +296,8 @@ class GainUpdates:
             injected = flip_body(frame.excitation) / self._rate_kp
         attitude = flip_attitude(frame.attitude)
         reference = flip_attitude(frame.attitude_setpoint)
+        if self._flying_s is None and self._update is None:
+            self.watch.end()  # how it was handled, or another one flew, is not "before"
         self.watch.step(flip_body(frame.gyro), attitude, reference, injected)
         if self.state is State.CHECKING:
             pulse = self.polarity.step(frame)
@@ -324,8 +330,8 @@ class GainUpdates:
             update.armed = update.armed or armed
 
     def _has_flown(self, now_s: float) -> bool:
-        """Whether the active gains have been armed for the watch's time."""
-        since_s = self._armed_s
+        """Whether the active gains have flown for the watch's time."""
+        since_s = self._flying_s
         return since_s is not None and now_s - max(since_s, self._in_force_s) >= WATCH_S
 
     def _note_flight(self, now_s: float) -> None:
@@ -428,10 +434,6 @@ class GainUpdates:
         self._know(event)
         if update is None:
             return
-        if update.written == 0:
-            touched = {name.partition('.')[0] for name in update.asked.gains}
-            axes = touched if touched <= set(AXES) else AXES
-            self.watch.begin(update.asked.predicted, axes)
         update.written += 1
         update.armed = update.armed or bool(self._flags & f.Flag.ARMED)
         self._in_force_s = now_s

@@ -117,7 +117,7 @@ class Player:
 
     def _ramp_out(self, now_s: float) -> Tick:
         share = 1.0 - (now_s - self._ended) / self._ramp_out_s if self._ramp_out_s > 0.0 else 0.0
-        if share <= 0.0 or self._last == ZERO:
+        if not 0.0 < share <= 1.0 or self._last == ZERO:
             return self._finish(State.ABORTED, self.reason)
         roll, pitch, yaw = self._last
         return Tick((share * roll, share * pitch, share * yaw))
