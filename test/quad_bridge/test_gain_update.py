@@ -301,7 +301,7 @@ def test_no_state_and_no_event_lets_an_ungated_set_fly(tmp_path, monkeypatch):
 
 
 class Bench:
-    """An aircraft that lies still, 20 ms after 20 ms; `flags` and `throttle` are those of its cycles."""
+    """An aircraft that lies still, 20 ms after 20 ms, with these `flags` and `throttle`."""
 
     def __init__(self, folder):
         self.folder, self.history = folder, History(folder, lambda job: job())

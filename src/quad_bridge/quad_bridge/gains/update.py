@@ -111,7 +111,7 @@ class GainUpdates:
         self._flags = 0
         self._flying_s: float | None = None  # since when it is armed with the throttle up
         self._in_force_s = 0.0  # since when the active gains are
-        self._flown = False  # they have been armed for the watch's time, and the history says so
+        self._flown = False  # they have flown for the watch's time, and the history says so
         self._ground: Mapping[str, float] = {}
         """A set that was confirmed and has not flown for the watch's time."""
         self._rate_kp = np.ones(3)
@@ -285,10 +285,7 @@ class GainUpdates:
     def cycle(self, frame: f.Cycle, now_s: float) -> f.Excitation | None:
         """Take one control cycle; a pulse to send while the polarity is checked."""
         self._cycle_s, self._flags = now_s, frame.flags
-        if not frame.flags & f.Flag.ARMED or frame.control[0] < LOW_THROTTLE:
-            self._flying_s = None
-        elif self._flying_s is None:
-            self._flying_s = now_s
+        self._note_takeoff(frame, now_s)
         injected: Any = (0.0, 0.0, 0.0)
         if frame.injection == f.Injection.RATE:
             injected = flip_body(frame.excitation)
@@ -296,8 +293,6 @@ class GainUpdates:
             injected = flip_body(frame.excitation) / self._rate_kp
         attitude = flip_attitude(frame.attitude)
         reference = flip_attitude(frame.attitude_setpoint)
-        if self._flying_s is None and self._update is None:
-            self.watch.end()  # how it was handled, or another one flew, is not "before"
         self.watch.step(flip_body(frame.gyro), attitude, reference, injected)
         if self.state is State.CHECKING:
             pulse = self.polarity.step(frame)
@@ -313,6 +308,14 @@ class GainUpdates:
         self._heed_pilot(frame.flags)
         self._note_flight(now_s)
         return None
+
+    def _note_takeoff(self, frame: f.Cycle, now_s: float) -> None:
+        if frame.flags & f.Flag.ARMED and frame.control[0] >= LOW_THROTTLE:
+            self._flying_s = now_s if self._flying_s is None else self._flying_s
+            return
+        self._flying_s = None
+        if self._update is None:
+            self.watch.end()  # how it was handled, or another one flew, is not "before"
 
     def _heed_pilot(self, flags: int) -> None:
         """Take back what the pilot, or the loss of the receiver, has ended."""
