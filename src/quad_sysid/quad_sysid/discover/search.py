@@ -118,7 +118,10 @@ class _Search:
         self.screens: dict[frozenset[str], list[Score]] = {}
 
     def build_on(self, parents: Sequence[Scored], refits: int, bar: float) -> list[Scored]:
-        """Fitted structures with one more effect, where the linear score may reach `bar`."""
+        """Fitted structures with one more effect, where the linear score may reach `bar`.
+
+        parents: best first. Where nothing may reach it beside the best, the others are not scored.
+        """
         ahead: dict[frozenset[str], tuple[float, Fit, Score]] = {}
         for parent in parents:
             for one in self.scores(parent.fit):
@@ -127,6 +130,8 @@ class _Search:
                 score = parent.score + one.nats + self.prices[label]
                 if labels not in self.known and score >= ahead.get(labels, (bar + HOPELESS,))[0]:
                     ahead[labels] = score, parent.fit, one
+            if not ahead:
+                break
         hopeful = sorted(ahead.values(), key=lambda one: -one[0])[:refits]
         fits = side_by_side([partial(extended, self.problem, fit, one) for _, fit, one in hopeful])
         return [self.keep(fit) for fit in fits if fit is not None]
@@ -138,11 +143,6 @@ class _Search:
             rest = [p for p in self.parts if p.effect.label not in labels]
             self.screens[labels] = screen(self.problem, parent, rest)
         return self.screens[labels]
-
-    def complete(self, one: Scored) -> bool:
-        """Whether no candidate's score beside a structure promises a better one."""
-        return all(s.nats + self.prices[s.part.effect.label] < HOPELESS
-                   for s in self.scores(one.fit))
 
     def keep(self, fitted: Fit) -> Scored:
         """Store a fit with its score, log evidence plus log prior."""
@@ -209,8 +209,6 @@ def _structures(problem: Problem, parts: Sequence[Part], base: Fit) -> _Search:
     found = _Search(problem, parts, base)
     beam = [found.best()]
     for _ in range(MOST_EFFECTS):
-        if found.complete(beam[0]):
-            break
         top = beam[0].score
         fresh = sorted(found.build_on(beam, REFITS, top), key=lambda s: -s.score)
         if not fresh or fresh[0].score <= top:
