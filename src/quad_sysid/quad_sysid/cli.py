@@ -126,7 +126,7 @@ def _design_parser(commands: Commands) -> None:
     parser.add_argument('--amplitude-deg', type=float, default=12.0, metavar='DEG',
                         help='with --band: amplitude of the angle, degrees (default 12)')
     parser.add_argument('--out', metavar='FILE', type=Path,
-                        help='write a schedule as YAML, over what is there')
+                        help='write a schedule as YAML to this new file')
     effects_option(parser)
     parser.add_argument('--quiet', action='store_true', help='print nothing but errors')
 

@@ -84,7 +84,7 @@ def add(commands: Commands) -> None:
                         help="our command per unit of the firmware's torque; 1 where the model "
                         'was identified on its torque set-points; repeat for each axis')
     parser.add_argument('--out', metavar='FILE', type=Path,
-                        help='write over what is there; default: print it')
+                        help='a new file; default: print it')
 
 
 def run(arguments: argparse.Namespace) -> int:
