@@ -5,6 +5,10 @@ from __future__ import annotations
 import csv
 import json
 import os
+import shutil
+import tempfile
+from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -74,13 +78,64 @@ def test_a_dead_process_is_a_row_and_the_rest_go_on(folder, tmp_path, monkeypatc
     assert rows[2]['reason'] == 'its process died'
 
 
+def fresh(job):
+    """A row as a process would make it."""
+    return {'bag': job.name, 'status': 'fresh'}
+
+
 def test_what_waits_is_what_is_new_or_changed(folder, tmp_path):
-    for name in ('one/flight', 'two/flight'):
-        (tmp_path / 'bags' / name).mkdir(parents=True)
-        (tmp_path / 'bags' / name / 'row.json').write_text('{}')
+    def waiting(*axes, effects=True):
+        every = fleet.jobs(folder, tmp_path, axes, search_effects=effects)
+        return [row['bag'] for row in fleet.run(every, work=fresh) if 'status' in row]
+
+    every = fleet.jobs(folder, tmp_path)
+    for job in every[:2]:
+        job.row.parent.mkdir(parents=True)
+        job.row.write_text(json.dumps({'bag': job.name, 'asked': job.asked}))
     os.utime(tmp_path / 'bags' / 'one' / 'flight' / 'row.json', (0, 0))
-    waits = [job.name for job in fleet.jobs(folder, tmp_path) if not job.done]
-    assert waits == ['one/flight', 'two/torn']
+    assert waiting() == ['one/flight', 'two/torn']
+    # another question has no answer yet
+    assert len(waiting('roll')) == len(waiting(effects=False)) == len(every)
+
+
+def test_another_folders_bags_need_a_place_of_their_own(folder, tmp_path, refusal):
+    (elsewhere := tmp_path / 'copy').symlink_to(folder / 'one')
+    for job in fleet.jobs(folder / 'one', tmp_path / 'out'):
+        job.row.parent.mkdir(parents=True)
+        job.row.write_text(json.dumps({'asked': job.asked | {'source': '/flights/one'}}))
+    assert 'results of another bag' in refusal(
+        fleet.run, fleet.jobs(elsewhere, tmp_path / 'out'))
+
+
+@contextmanager
+def as_nobody():
+    """Without root's right to read everything."""
+    if os.geteuid():
+        yield
+        return
+    os.seteuid(65534)
+    try:
+        yield
+    finally:
+        os.seteuid(0)
+
+
+def test_what_may_not_be_opened_is_a_row(folder):
+    with tempfile.TemporaryDirectory() as name:
+        place = Path(name)
+        place.chmod(0o755)
+        shutil.copytree(folder / 'one', place / 'one')
+        (place / 'closed').mkdir()
+        shut = (place / 'closed', *(place / 'one' / 'flight').glob('*.mcap'))
+        for path in shut:
+            path.chmod(0)
+        with as_nobody():
+            rows = [fleet.look(job) for job in fleet.jobs(place, place / 'out')]
+        for path in shut:
+            path.chmod(0o755)
+    assert [(row['bag'], row['status']) for row in rows] == [
+        ('closed', 'failed'), ('one/flight', 'failed')]
+    assert all('cannot be read (Permission denied)' in row['reason'] for row in rows), rows
 
 
 def test_a_fault_of_the_program_is_a_row_too(monkeypatch):

@@ -2,7 +2,9 @@
 
 Each bag that could be read has a folder with its report, its model and its row. The row is written
 last, and a bag is done while its row is newer than its files, so that a run that is killed
-continues where it stopped. The mathematics is imported by the processes alone.
+continues where it stopped. A row says of which bag and with which options it is: other options are
+another question, and another folder's bags need a place of their own. The mathematics is imported
+by the processes alone.
 """
 
 from __future__ import annotations
@@ -56,10 +58,18 @@ class Job:
     """First folder below the fleet's, empty where the bag lies in it directly."""
     folder: str
     """Of its report, its model and its row."""
-    done: bool = False
-    """Whether the row is newer than the bag's files."""
     axes: tuple[str, ...] = ()
     search_effects: bool = True
+
+    @property
+    def asked(self) -> Row:
+        """What the row answers, kept in it."""
+        return {'source': self.bag, 'axes': list(self.axes), 'effects': self.search_effects}
+
+    @property
+    def row(self) -> Path:
+        """Its file."""
+        return Path(self.folder, ROW)
 
 
 def add(commands: Commands) -> None:
@@ -87,8 +97,7 @@ def _run(options: argparse.Namespace) -> int:
         raise BadInputError('--workers', 'must be at least 1', options.workers)
     check_place(out)
     axes = AXES if options.axis == 'all' else (options.axis,) if options.axis else ()
-    every = [replace(job, axes=axes, search_effects=not options.no_effects)
-             for job in jobs(options.folder, out)]
+    every = jobs(options.folder, out, axes, search_effects=not options.no_effects)
     rows = run(every, options.workers, show=progress(quiet=options.quiet))
     make_folder(out)
     write_table(rows, out / TABLE)
@@ -103,19 +112,22 @@ def _run(options: argparse.Namespace) -> int:
     return 0
 
 
-def jobs(folder: Path, out: Path) -> list[Job]:
+def jobs(folder: Path, out: Path, axes: tuple[str, ...] = (), *,
+         search_effects: bool = True) -> list[Job]:
     """Every bag below a folder, sorted, with its folder below `out`.
 
     Raises BadInputError where there is no such folder or no bag in it.
 
     A folder with storage files and metadata.yaml, or with files that are named after it as
-    recorders do, is one bag; so is an .mcap file elsewhere.
+    recorders do, is one bag; so is an .mcap file elsewhere. A folder that cannot be opened counts
+    as a bag, so that its row says so.
     """
     if not folder.is_dir():
         raise BadInputError(str(folder), 'is not a folder',
                             remedy='give the one that holds the bags')
-    found = []
-    for root, folders, files in os.walk(folder):
+    found: list[Path] = []
+    for root, folders, files in os.walk(
+            folder, onerror=lambda error: found.append(Path(error.filename))):
         here = Path(root)
         stored = [name for name in files if name.endswith(STORAGE)]
         if 'metadata.yaml' in files or any(n.startswith(f'{here.name}_') for n in stored):
@@ -126,17 +138,36 @@ def jobs(folder: Path, out: Path) -> list[Job]:
     if not found:
         raise BadInputError(str(folder), 'holds no bag (a rosbag2 folder or an .mcap file)',
                             remedy='check the path')
-    return [_job(bag, bag.relative_to(folder), out) for bag in sorted(found)]
+    every = []
+    for bag in sorted(found):
+        below = bag.relative_to(folder)
+        name = str(below) if below.parts else bag.name
+        every.append(Job(bag=str(bag.resolve()), name=name,
+                         aircraft=below.parts[0] if len(below.parts) > 1 else '',
+                         folder=str((out / 'bags' / name).resolve()), axes=axes,
+                         search_effects=search_effects))
+    return every
 
 
-def _job(bag: Path, below: Path, out: Path) -> Job:
-    files = [bag] if bag.is_file() else [p for p in bag.iterdir() if p.is_file()]
-    name = str(below) if below.parts else bag.name
-    row = out / 'bags' / name / ROW
-    done = row.exists() and all(p.stat().st_mtime <= row.stat().st_mtime for p in files)
-    return Job(bag=str(bag.resolve()), name=name,
-               aircraft=below.parts[0] if len(below.parts) > 1 else '',
-               folder=str(row.parent.resolve()), done=done)
+def _done(job: Job) -> Row | None:
+    """The row of an earlier call, if it is newer than the bag and answers what is asked.
+
+    Raises BadInputError where it is of another bag.
+    """
+    if not job.row.exists():
+        return None
+    row: Row = read_json(job.row)
+    asked = row.get('asked', job.asked | {'effects': None})
+    if asked['source'] != job.bag:
+        raise BadInputError('--out', f'{job.folder} holds the results of another bag',
+                            asked['source'], 'choose another place')
+    bag = Path(job.bag)
+    try:
+        files = [bag] if bag.is_file() else [p for p in bag.iterdir() if p.is_file()]
+        old = any(p.stat().st_mtime > job.row.stat().st_mtime for p in files)
+    except OSError:  # its row says so
+        return None
+    return None if old or asked != job.asked else row
 
 
 def run(every: Sequence[Job], workers: int = 1, *, show: Callable[[str], None] = lambda _: None,
@@ -145,10 +176,8 @@ def run(every: Sequence[Job], workers: int = 1, *, show: Callable[[str], None] =
 
     `work` makes the row of one (default: `look`).
     """
-    rows: dict[str, Row] = {
-        job.name: read_json(Path(job.folder) / ROW) for job in every if job.done
-    }
-    todo = [job for job in every if not job.done]
+    rows: dict[str, Row] = {job.name: row for job in every if (row := _done(job)) is not None}
+    todo = [job for job in every if job.name not in rows]
     for number, row in enumerate(_rows(todo, workers, work or look), 1):
         rows[row['bag']] = row
         show(f'bag {min(number + 1, len(todo))} of {len(todo)}, {row["bag"]} {row["status"]}')
@@ -184,7 +213,8 @@ def _rows(todo: Sequence[Job], workers: int, work: Callable[[Job], Row]) -> Iter
 
 def _row(job: Job) -> Row:
     """The row of a bag that failed, the reason left open."""
-    return {'bag': job.name, 'aircraft': job.aircraft, 'status': FAILED, 'reason': ''}
+    return {'bag': job.name, 'aircraft': job.aircraft, 'status': FAILED, 'reason': '',
+            'asked': job.asked}
 
 
 def look(job: Job) -> Row:
@@ -199,7 +229,7 @@ def look(job: Job) -> Row:
         row['reason'] = f'{type(error).__name__}: {error}'
     row['seconds'] = round(time.monotonic() - start, 3)
     if row['status'] != FAILED:
-        write_whole(Path(job.folder) / ROW, json.dumps(row))
+        write_whole(job.row, json.dumps(row))
     return row
 
 

@@ -10,7 +10,7 @@ import mmap
 import re
 import sqlite3
 from collections import Counter
-from contextlib import closing
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -48,6 +48,16 @@ FOREIGN = {
 }
 
 
+@contextmanager
+def _openable(path: Path) -> Iterator[None]:
+    """Say in one line why the system does not give a file or folder."""
+    try:
+        yield
+    except OSError as error:
+        raise BadInputError(str(path), f'cannot be read ({error.strerror or error})',
+                            remedy='check its permissions and its disk') from error
+
+
 @dataclass
 class Storage:
     """A bag's raw messages. `warnings` are complete once `batches` has run.
@@ -65,16 +75,17 @@ class Storage:
 
     def batches(self) -> Iterator[Batch]:
         """Messages of `topics`, decompressed. BadInputError for a damaged or foreign file."""
-        files = self._files()
+        with _openable(self.path):
+            files = self._files()
         foreign: Counter[tuple[str, str]] = Counter()
         for file in files:
-            with plain_file(file) as plain:
-                try:
+            try:
+                with _openable(file), plain_file(file) as plain:
                     yield from self._read(plain, file, foreign)
-                except BadInputError as error:
-                    if len(files) == 1:
-                        raise
-                    self.warnings.append(f'{error}: that part of the flight is missing')
+            except BadInputError as error:
+                if len(files) == 1:
+                    raise
+                self.warnings.append(f'{error}: that part of the flight is missing')
         self.warnings += [f'{topic}: {count} messages of type {kind} left out; '
                           f'the contract has {TOPIC_TYPES[topic]}'
                           for (topic, kind), count in sorted(foreign.items())]
