@@ -196,6 +196,30 @@ def test_a_ulog_that_is_cut_off_is_told_in_one_line(flight, tmp_path, capfd):
     assert 'log.ulg: is cut off or damaged before its first data: found 40 bytes' in said.err
 
 
+def test_wrong_stamps_do_not_stretch_the_grid(flight, px4):
+    """One damaged byte puts a sample 2000 years off."""
+    def damage(topics):
+        for topic in topics.values():
+            topic['timestamp'] = topic['timestamp'].copy()
+            topic['timestamp'][[200, 700]] = [2**56, 2**40]
+
+    record, told = px4({}, damage)
+    assert '2 samples with a time far off left out' in told
+    lost = np.isnan(record.rates[:, 0])
+    assert np.flatnonzero(lost).tolist() == [200, 700]
+    np.testing.assert_allclose(record.rates[~lost], flight.rates[~lost], atol=1e-5)
+    # the commands beside the wrong stamps are held
+    np.testing.assert_allclose(record.control[~lost], flight.control[~lost], atol=1e-5)
+
+
+def test_times_that_are_damaged_throughout_are_refused(flight, tmp_path, refusal):
+    topics = px4_topics(flight)
+    for topic in topics.values():
+        topic['timestamp'] = topic['timestamp'] + (np.arange(N) // 500) * 10**12
+    file = ulog(tmp_path / 'log.ulg', topics, {})
+    assert 'has times that are damaged' in refusal(imported, file, tmp_path / 'bag')
+
+
 def dataflash(path: Path, messages: dict, parameters: dict) -> Path:
     """Messages {name: (labels, rows)}; the first label is TimeUS."""
     out = []

@@ -44,7 +44,7 @@ def jittered(share: float) -> np.ndarray:
          'two rates', 'drift'],
 )  # fmt: skip
 def test_rates_come_onto_one_grid(times, hz, own, error, words):
-    laid = cycles(stream(times))
+    laid = cycles(stream(times), 'a table')
     assert hz is None or 1.0 / laid.dt == pytest.approx(hz, rel=0.01)
     assert laid.own is own
     known = np.isfinite(laid.values[:, 0])
@@ -56,7 +56,7 @@ def test_rates_come_onto_one_grid(times, hz, own, error, words):
 
 def test_a_gap_is_not_drawn_over_and_a_pause_ends_what_is_held():
     t = np.delete(jittered(0.4), np.arange(500, 600))
-    laid = cycles(stream(t))
+    laid = cycles(stream(t), 'a table')
     inside = (laid.times > T[500]) & (laid.times < T[598])
     assert np.isnan(laid.values[inside]).all()
     held = hold(Stream(T[:100], np.ones((100, 1))), T, DT)

@@ -99,6 +99,59 @@ def test_other_forms_of_the_table(options, tmp_path, kind):
                                atol=1e-9)
 
 
+def test_a_last_line_without_its_end_is_left_out_and_told(options, tmp_path):
+    """A cut number is another number: 1.5e-05 becomes 1.5e-0."""
+    whole = options.file.read_text()
+    last = len(whole.splitlines())
+    for name, text in (('a', whole[:-1]), ('b', whole + '\0' * 100)):
+        cut = replace(options, file=tmp_path / f'{name}.csv')
+        cut.file.write_text(text)
+        imported(cut, tmp_path / name)
+        told = f'line {last + (name == "b")}, the last, has no end'
+        assert told in read_columns(cut).clock[0]
+        assert len(read_bag(tmp_path / name).rates) == last - 1 - (name == 'a')
+
+
+@pytest.mark.parametrize('change', [
+    lambda text: text.replace(',', ' '),
+    lambda text: text.replace(',', ';').replace('.', ','),
+])
+def test_spaces_and_decimal_commas(options, tmp_path, change):
+    other = replace(options, file=tmp_path / 'other.csv')
+    other.file.write_text(change(options.file.read_text()))
+    found, known = read_columns(other), read_columns(options)
+    np.testing.assert_allclose(found.rates.values, known.rates.values)
+
+
+@pytest.mark.parametrize(('unit', 'encoding'), [
+    ('Deg/s', 'utf-8'), ('DEG/S', 'utf-8'), ('°/s', 'utf-8'), ('°/s', 'latin-1'), ('DPS', 'utf-8'),
+])
+def test_a_unit_in_the_header_however_it_is_written(options, tmp_path, unit, encoding):
+    name = f'rate [{unit}]'
+    file = write(tmp_path / 'a.csv', columns() | {name: columns()['rate'] / DEG})
+    file.write_bytes(file.read_text().encode(encoding))
+    found = read_columns(replace(options, file=file, rate=(name,)))
+    np.testing.assert_allclose(found.rates.values[:, 1], columns()['rate'], atol=1e-9)
+
+
+def test_a_unit_that_nobody_knows_is_asked_for(options, tmp_path, refused, capsys):
+    fast = columns()['rate'] * 30.0 / np.pi
+    file = write(tmp_path / 'a.csv', columns() | {
+        'gx [rpm]': 0.5 * fast, 'rate [rpm]': fast, 'gy [rpm]': fast, 'gz [rpm]': 0.3 * fast})
+    unknown = replace(options, file=file, rate=('rate [rpm]',))
+    assert "'rpm'; use rad/s, deg/s, m/s, mm/s, a factor" in refused(unknown)
+    found = read_columns(replace(unknown, units={'rate [rpm]': str(np.pi / 30.0)}))
+    np.testing.assert_allclose(found.rates.values[:, 1], columns()['rate'], atol=1e-9)
+    assert main(['import', str(file)]) == 0
+    assert "--unit 'gy [rpm]=rad/s'" in capsys.readouterr().out
+
+
+def test_a_motor_that_is_never_in_range_is_refused(options, refused, tmp_path):
+    file = write(tmp_path / 'a.csv', columns() | {'m1': np.full(len(columns()['t']), -1.0)})
+    line = refused(replace(options, file=file, control=(), motors=MOTORS, mixer='auto'))
+    assert 'column m1: in unit 1 is outside 0..1' in line
+
+
 def test_all_axes_at_once_in_the_units_of_the_header(tmp_path, capsys):
     table = columns()
     t = table['t']
@@ -346,6 +399,9 @@ BROKEN = gzip.compress(b't,u,rate\n' + b'0.125,0.5,1.75\n' * 2000, mtime=0)[:60]
         ('t,u\n0,1\n', 'line 1: no column rate'),
         ('t,u,rate,rate\n0,0,1,2\n', 'line 1: several columns rate'),
         ('t,u,rate\n0,0,1\n0.1,much,1\n', "line 3, column u: needs a number or nothing: found 'm"),
+        ('t;u;rate\n0;0;1.234,5\n', "needs a number or nothing: found '1.234.5'"),
+        ('0,0,1\n0.1,0,1\n', "line 1: holds numbers, not the columns' names"),
+        ('t,u,rate\n0,0,1', 'has a header but no rows'),
         ('t,u,rate\n0,0,nan\n', 'line 2, column rate: holds no number'),
         ('t,u,rate\n0,0,1\n0,0,2\n', 'column t: does not increase'),
         ('t,u,rate\n2,0,1\n1,0,2\n', 'column t: does not increase'),
@@ -555,6 +611,9 @@ def test_an_advised_unit_can_be_typed_as_it_stands(tmp_path, refused):
                                       'Angle (roll)': 20.0 * table['angle']})
     base = ColumnOptions(file=file, axes=('roll',), time='Time [s]', control=('cmd roll',),
                          angle=('Angle (roll)',))
+    assert "'roll'; use rad, deg, m, mm, a factor" in refused(base)
+    named = parse_units(['Angle (roll)=rad'])
+    base = replace(base, units=named)
     assert "--unit 'cmd roll=0.005'" in refused(base)
-    mended = replace(base, units=parse_units(['cmd roll=0.001']))
+    mended = replace(base, units={**named, **parse_units(['cmd roll=0.001'])})
     assert "--unit 'Angle (roll)=deg'" in refused(mended)

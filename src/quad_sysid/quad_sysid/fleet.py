@@ -126,8 +126,8 @@ def jobs(folder: Path, out: Path, axes: tuple[str, ...] = (), *,
         raise BadInputError(str(folder), 'is not a folder',
                             remedy='give the one that holds the bags')
     found: list[Path] = []
-    for root, folders, files in os.walk(
-            folder, onerror=lambda error: found.append(Path(error.filename))):
+    closed: list[OSError] = []
+    for root, folders, files in os.walk(folder, onerror=closed.append):
         here = Path(root)
         stored = [name for name in files if name.endswith(STORAGE)]
         if 'metadata.yaml' in files or any(n.startswith(f'{here.name}_') for n in stored):
@@ -135,6 +135,7 @@ def jobs(folder: Path, out: Path, axes: tuple[str, ...] = (), *,
             found.append(here)
         else:
             found += [here / name for name in stored if name.endswith('.mcap')]
+    found += [Path(error.filename) for error in closed]
     if not found:
         raise BadInputError(str(folder), 'holds no bag (a rosbag2 folder or an .mcap file)',
                             remedy='check the path')

@@ -79,16 +79,21 @@ class Storage:
             files = self._files()
         foreign: Counter[tuple[str, str]] = Counter()
         for file in files:
-            try:
-                with _openable(file), plain_file(file) as plain:
-                    yield from self._read(plain, file, foreign)
-            except BadInputError as error:
-                if len(files) == 1:
-                    raise
-                self.warnings.append(f'{error}: that part of the flight is missing')
+            with self._told(alone=len(files) == 1), _openable(file), plain_file(file) as plain:
+                yield from self._read(plain, file, foreign)
         self.warnings += [f'{topic}: {count} messages of type {kind} left out; '
                           f'the contract has {TOPIC_TYPES[topic]}'
                           for (topic, kind), count in sorted(foreign.items())]
+
+    @contextmanager
+    def _told(self, *, alone: bool) -> Iterator[None]:
+        """Make the fault of one file of several a warning."""
+        try:
+            yield
+        except BadInputError as error:
+            if alone:
+                raise
+            self.warnings.append(f'{error}: that part of the flight is missing')
 
     def _files(self) -> list[Path]:
         """The storage files in order. Raises BadInputError where there is no bag."""

@@ -70,7 +70,7 @@ def read(path: Path, log: int = 1) -> ForeignLog:
                 'decode the log again with blackbox_decode' if name == 'time' else
                 'log the gyro (blackbox_disable_gyro = OFF)'))
     clock_unit = unit_of('time', 's' if units.get('time') == 's' else 'us', 'time')
-    table, clock = table.on_clock('time', clock_unit)
+    table = table.on_clock('time', clock_unit)
     indi = 'indiflight' in ' '.join(map(str, table.header.values())).lower() or \
         'u[0]' in table.columns
     wanted = _wanted(table, units, indi=indi)
@@ -79,7 +79,7 @@ def read(path: Path, log: int = 1) -> ForeignLog:
     reading.take(*wanted, motors)
     kept = ', '.join(f'{name} {table.header[name]}' for name in FILTERS if name in table.header)
     reading.mapped += [Mapped('header', '-', 'note', kept)] if kept else []
-    return reading.log('a blackbox log', wanted, mixer=mixer, clock=clock, faster=FASTER,
+    return reading.log('a blackbox log', wanted, mixer=mixer, faster=FASTER,
                        no_gains=NO_GAINS)
 
 
@@ -207,7 +207,7 @@ def _read(path: Path) -> tuple[Table, dict[str, str]]:
                 header[cells[0]] = cells[1]
     units = {name: header_unit(cell) or '' for cell, name in bare.items()}
     columns = {bare[cell]: values for cell, values in read.columns.items()}
-    return Table(str(path), columns, header=header), units
+    return Table(str(path), columns, header=header, told=read.told), units
 
 
 def _motors(table: Table, *, indi: bool) -> tuple[Wanted, Mixer | None]:

@@ -25,6 +25,8 @@ JUMP_S, JUMP_INTERVALS = 10.0, 20.0
 """Forward jump (s, and usual intervals) from which another experiment begins."""
 FEWEST = 20
 """Least rows of a stretch between two jumps; fewer are wrong stamps."""
+SPARSEST = 0.01
+"""Least share of a grid's cycles that hold a sample; with fewer, times are wrong."""
 PAUSE_S, PAUSE_INTERVALS = 2.0, 5.0
 """Pause inserted between two experiments."""
 TICKS = 0.05
@@ -95,11 +97,10 @@ def unroll(time_s: FloatArray, values: FloatArray, where: str) -> Unrolled:
         raise BadInputError(where, 'does not increase', remedy='name another column as the time')
     usual = float(np.median(steps[steps > 0.0]))
     jump = max(JUMP_S, JUMP_INTERVALS * usual)
-    parts = np.split(rows, np.flatnonzero((steps < -BACK * usual) | (steps > jump)) + 1)
-    long = [part for part in parts if len(part) >= min(FEWEST, len(rows))]
+    long = [rows[part] for part in _stretches(time_s[rows], usual)]
     told += _left_out(len(rows) - sum(map(len, long)), 'rows with a time far off')
     if not long:
-        raise BadInputError(where, 'jumps from row to row', f'{len(parts) - 1} jumps',
+        raise BadInputError(where, 'jumps from row to row', f'{len(rows)} rows',
                             'name another column as the time')
     back = sum(int(np.count_nonzero(np.diff(time_s[part]) < 0.0)) for part in long)
     if back:
@@ -117,6 +118,14 @@ def unroll(time_s: FloatArray, values: FloatArray, where: str) -> Unrolled:
     kept, moment = _spread(np.concatenate(long), np.concatenate(moments), told)
     moment = moment if moment[0] > EPOCH_S else moment - moment[0] + 1.0
     return Unrolled(kept, moment, tuple(told))
+
+
+def _stretches(time_s: FloatArray, usual: float) -> list[np.ndarray]:
+    """Indices of the rows between jumps of the clock, without those of wrong stamps."""
+    steps = np.diff(time_s)
+    jumps = (steps < -BACK * usual) | (steps > max(JUMP_S, JUMP_INTERVALS * usual))
+    parts = np.split(np.arange(len(time_s)), np.flatnonzero(jumps) + 1)
+    return [part for part in parts if len(part) >= min(FEWEST, len(time_s))]
 
 
 def _left_out(count: int, what: str) -> list[str]:
@@ -146,17 +155,28 @@ def _spread(
     return rows, np.interp(np.arange(float(len(rows))), places, np.append(time_s[ticks], end))
 
 
-def cycles(samples: Stream, grid_hz: float | None = None) -> Cycles:
+def cycles(samples: Stream, where: str, grid_hz: float | None = None) -> Cycles:
     """The grid of the rates' samples: their own cycles where they are even, else interpolated.
 
-    `grid_hz` overrides the rate of the grid; BadInputError where it is far above the samples'.
+    `grid_hz` overrides the rate of the grid. Raises BadInputError where it is far above the
+    samples', or, naming `where`, where their times leave almost all of the grid empty.
     """
+    usual = float(np.median(np.diff(samples.time_s)))
+    near_others = _stretches(samples.time_s, usual)
+    kept = np.concatenate(near_others) if near_others else np.arange(len(samples.time_s))
+    wrong = _left_out(len(samples.time_s) - len(kept), 'samples with a time far off')
+    samples = Stream(samples.time_s[kept], samples.values[kept])
     time_s, values = samples.time_s, samples.values
+    span = time_s[-1] - time_s[0]
+    if SPARSEST * span > usual * len(time_s):
+        raise BadInputError(where, 'has times that are damaged, or pauses almost throughout',
+                            f'{len(time_s)} samples of {usual:.3g} s within {span:.3g} s',
+                            'copy it anew, or import a part of it')
     steps = np.diff(time_s)
-    usual = float(np.median(steps))
     near = np.abs(steps / usual - 1.0) <= UNEVEN
     odd = int(np.count_nonzero(~near))
     head = f'{len(time_s)} samples, a median of {1.0 / usual:.4g} Hz, {odd} odd intervals'
+    head = '; '.join([*wrong, head])
     highest = min(HIGHEST_RATE_HZ, FINEST / usual)
     if grid_hz is not None and grid_hz > highest:
         raise BadInputError('--grid', f'must be at most {highest:.4g} Hz', f'{grid_hz:g} Hz',

@@ -73,11 +73,10 @@ def read_columns(options: ColumnOptions) -> ForeignLog:
     units = {name: unit_of(role, options.units.get(name), name) for name, role in roles.items()}
     table = open_table(options.file, list(roles))
     odd: list[str] = []
-    clock: tuple[str, ...] = ()
     _check_ranges(options, table, units)
     if options.time is not None:
         speeds = [np.nanstd(units[name](table.columns[name])) for name in options.rate]
-        table, clock = table.on_clock(options.time, units[options.time])
+        table = table.on_clock(options.time, units[options.time])
         odd += check_times(_column(options, units, options.time, next(iter(table.times.values()))),
                            max(map(float, speeds), default=None))
     elif any(name not in table.times for name in roles):
@@ -97,8 +96,8 @@ def read_columns(options: ColumnOptions) -> ForeignLog:
         motors=found['motors'],
         mixer=None if not options.motors or options.mixer == 'auto'
         else mixer_of(options.mixer, options.motors),
-        battery=found['battery'], mapped=_mapped(options, roles, units, found), checks=tuple(odd),
-        clock=clock,
+        battery=found['battery'], mapped=_mapped(options, units, found), checks=tuple(odd),
+        clock=table.told,
     )
 
 
@@ -153,23 +152,19 @@ def _wrench(options: ColumnOptions, given: Stream | None) -> Stream | None:
 
 
 def _mapped(
-    options: ColumnOptions, roles: Mapping[str, Role], units: Mapping[str, Unit],
-    found: Mapping[str, Stream | None],
+    options: ColumnOptions, units: Mapping[str, Unit], found: Mapping[str, Stream | None],
 ) -> tuple[Mapped, ...]:
     """The use of each column."""
     out = []
     placed = [(option, at, name) for option in OPTIONS
               for at, name in enumerate(options.names(option))]
     for option, at, name in placed:
-        unit, role, stream = units[name], roles[name], found.get(option)
+        unit, stream = units[name], found.get(option)
         place = 'motor' if option == 'motors' else option.replace('_', ' ')
         place += f' {at + 1}' if option == 'motors' else \
             f', {options.axes[at]}' if OPTIONS[option].per_axis else ''
-        written = header_unit(name)
         how = '' if unit.factor == 1.0 and not unit.offset else f'{unit.factor:.6g} * column'
         how += f' + {unit.offset:g}' if unit.offset else ''
-        if name not in options.units and written and written != unit.name:
-            how += f'; [{written}] of its header is not a unit of a {role}'
         out.append(Mapped(name, unit.name, place, how, stream.rate_hz if stream else 0.0))
     if options.control and not options.thrust:
         out.append(Mapped('no thrust', '1', f'U1 = {MIDDLE_COMMAND:g}', ''))
@@ -247,7 +242,7 @@ def _fitting(raw: FloatArray, low: float, high: float) -> str:
     factor = min([high / top] * (top > 0.0) + [low / bottom] * (bottom < 0.0))
     if factor > 0.0:
         return f'{_rounded_down(factor):g}'
-    factor = _rounded_down((high - low) / (top - bottom))
+    factor = _rounded_down((high - low) / (top - bottom)) if top > bottom else 1.0
     return f'{factor:g}:{low - factor * bottom:.6g}'
 
 
@@ -272,7 +267,7 @@ def _compared(options: ColumnOptions, units: Mapping[str, Unit],
     base = found['rate'] or found['angle']
     if base is None:
         return []
-    laid = cycles(base)
+    laid = cycles(base, str(options.file))
     on_grid = {
         role: laid.values if stream is base else draw(stream, laid.times, 3.0 / stream.rate_hz)
         for role in ('rate', 'angle', 'reference') if (stream := found[role]) is not None

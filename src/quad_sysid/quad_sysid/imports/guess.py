@@ -17,7 +17,7 @@ import numpy as np
 from quad_sysid.contract import AXES
 from quad_sysid.imports.plausible import time_unit
 from quad_sysid.imports.table import Table
-from quad_sysid.imports.units import OPTIONS, UNITS, flag, header_unit
+from quad_sysid.imports.units import OPTIONS, UNITS, Role, flag, header_unit, unit_of
 from quad_sysid.report.tables import Table as Text
 from quad_sysid.report.words import number
 
@@ -147,7 +147,7 @@ def _axes(triple: Triple) -> tuple[str, ...]:
 def lines(guessed: Guess, table: Table, file: Path) -> Iterator[str]:
     """The table of columns, and what to type."""
     (time,) = guessed.columns.get('time', (None,))
-    factor = UNITS['time'][guessed.units.get(str(time)) or header_unit(str(time)) or 's'][0]
+    factor = unit_of('time', guessed.units.get(str(time)), str(time)).factor
     rows, rates = [], []
     for name, values in table.columns.items():
         own = table.times.get(name)
@@ -226,14 +226,23 @@ def _triples(names: Sequence[str], pattern: re.Pattern[str]) -> list[Triple]:
 
 
 def likely_units(table: Table, option: str, names: Sequence[str]) -> list[str]:
-    """The units of an option's columns, where name or size tells one that is not SI; else ''."""
+    """The units of an option's columns, where name or size tells one that is not SI; else ''.
+
+    SI is named where the name's own is unknown.
+    """
+    role = OPTIONS[option].role
+    return [unit or ('' if header_unit(name) in {None, *UNITS[role]} else next(iter(UNITS[role])))
+            for name, unit in zip(names, _by_size(table, option, names), strict=True)]
+
+
+def _by_size(table: Table, option: str, names: Sequence[str]) -> list[str]:
     columns = [table.columns[name] for name in names]
     if option == 'time':
         known = header_unit(names[0])
         unit = known if known in UNITS['time'] else time_unit(columns[0])
         return ['' if unit == 's' else unit or '']
     if OPTIONS[option].role in ('rate', 'angle'):
-        return [_turn_unit(name, values, rate=OPTIONS[option].role == 'rate')
+        return [_turn_unit(name, values, OPTIONS[option].role)
                 for name, values in zip(names, columns, strict=True)]
     high = max(float(np.nanmax(np.abs(values))) for values in columns)
     if option == 'battery':
@@ -252,10 +261,10 @@ def likely_units(table: Table, option: str, names: Sequence[str]) -> list[str]:
     return [unit] * len(names)
 
 
-def _turn_unit(name: str, values: np.ndarray, *, rate: bool) -> str:
+def _turn_unit(name: str, values: np.ndarray, role: Role) -> str:
     """`deg` or `deg/s` where the name or the size says so; else nothing."""
-    lower = name.lower()
-    if header_unit(name) is not None or re.search(r'_rad(s|ps)?([^a-z]|$)', lower):
+    lower, rate = name.lower(), role == 'rate'
+    if header_unit(name) in UNITS[role] or re.search(r'_rad(s|ps)?([^a-z]|$)', lower):
         return ''
     large = float(np.nanquantile(np.abs(values), 0.99)) > (SMOOTH_TURN if rate else 2.0 * np.pi)
     degrees = 'deg/s' if rate else 'deg'

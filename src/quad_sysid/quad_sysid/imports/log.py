@@ -110,7 +110,7 @@ class ForeignLog:
     faster: str = ''
     """Settings of the firmware with which the next flight is logged fast enough."""
     clock: tuple[str, ...] = ()
-    """Repairs of the times so far."""
+    """What was repaired so far, or could not be read."""
 
 
 @dataclass(frozen=True)
@@ -158,7 +158,8 @@ class Reading:
         lacking = [f'{first[role]}: {text}' for role, text in LACKING.items()
                    if role in first and role not in self.streams]
         lacking += [] if more.get('gains') else [more.pop('no_gains', NO_GAINS)]
-        return ForeignLog(self.table.source, kind, **{'rates': None, **self.streams, **more},
+        return ForeignLog(self.table.source, kind, clock=self.table.told,
+                          **{'rates': None, **self.streams, **more},
                           mapped=tuple(self.mapped), missing=tuple(lacking))
 
     def motors_fast(self, motors: Stream | None, asked: Stream | None) -> bool:

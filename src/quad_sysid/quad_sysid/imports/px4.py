@@ -110,7 +110,9 @@ def _load(path: Path) -> Table:
         str(name): float(value) for name, value in log.initial_parameters.items()
         if isinstance(value, int | float)
     }
-    return Table(str(path), columns, times, header=parameters)
+    told = ('parts of the log are damaged and left out: copy it anew',) if log.file_corruption \
+        else ()
+    return Table(str(path), columns, times, header=parameters, told=told)
 
 
 def _armed(table: Table) -> Stream | None:

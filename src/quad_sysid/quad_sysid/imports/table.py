@@ -10,10 +10,10 @@ import gzip
 import math
 import struct
 import zlib
+from codecs import getincrementaldecoder
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -52,14 +52,16 @@ class Table:
     """Line number of each row of a text, counted from 1."""
     header: Mapping[str, Any] = field(default_factory=dict)
     """The log's parameters, as it names them."""
+    told: tuple[str, ...] = ()
+    """What was repaired, or could not be read."""
 
     @property
     def messages(self) -> str:
         """Names of the messages with columns, for an error."""
         return ', '.join(sorted({name.partition('.')[0] for name in self.columns}))
 
-    def on_clock(self, name: str, unit: Unit) -> tuple[Table, tuple[str, ...]]:
-        """The other columns at the times in the column `name`, and what was repaired.
+    def on_clock(self, name: str, unit: Unit) -> Table:
+        """The other columns at the times in the column `name`.
 
         Raises BadInputError where the time does not advance.
         """
@@ -67,8 +69,8 @@ class Table:
         found = unroll(unit(self.columns[name]), np.column_stack(list(others.values())),
                        f'{self.source}, column {name}')
         columns = {n: values[found.rows] for n, values in others.items()}
-        return replace(self, columns=columns, times=dict.fromkeys(columns, found.time_s)), \
-            found.told
+        return replace(self, columns=columns, times=dict.fromkeys(columns, found.time_s),
+                       told=(*self.told, *found.told))
 
     def stream(self, *names: str) -> Stream | None:
         """(n, k) where all of the columns have a number; None where one is missing or empty.
@@ -158,8 +160,17 @@ def head_of(path: Path) -> bytes:
 
 @contextmanager
 def text_lines(file: Path) -> Iterator[Iterator[str]]:
-    """Lines of a text file, gzipped or not. Raises BadInputError for another file."""
-    with _readable(file), _opener(file)(file, 'rt', encoding='utf-8-sig') as stream:
+    """Lines of a text file in UTF-8 or Latin-1, gzipped or not.
+
+    Raises BadInputError for another file.
+    """
+    head = head_of(file)
+    try:
+        getincrementaldecoder('utf-8')().decode(head)
+        encoding = 'utf-8-sig'
+    except UnicodeDecodeError:
+        encoding = 'ascii' if b'\0' in head else 'latin-1'
+    with _readable(file), _opener(file)(file, 'rt', encoding=encoding) as stream:
         yield iter(stream)
 
 
@@ -188,33 +199,24 @@ def read_csv(
 ) -> Table:
     """Columns of a text with a header line; `#` starts a comment line, an empty cell is missing.
 
-    `first` is the number of its first line.
+    Cells are separated by commas, tabs, semicolons (numbers may then have decimal commas) or
+    spaces. A last line without its end was cut off and is left out. `first` is the number of the
+    first line.
 
     Raises BadInputError for a missing column, text where a number should be, and a column without
     any number.
     """
-    numbered = (
-        (number, line) for number, line in enumerate(lines, first)
-        if line.strip() and not line.startswith('#')
-    )
-    head = next(islice(numbered, 1), None)
+    text = _Lines(lines, first)
+    numbered = iter(text)
+    head = next(numbered, None)
     if head is None:
         raise BadInputError(source, 'is empty', remedy='give a CSV file with a header line')
-    delimiter = max(DELIMITERS, key=head[1].count)
-    header = [name.strip() for name in next(csv.reader([head[1]], delimiter=delimiter))]
-    names = header if wanted is None else wanted
-    absent = [name for name in names if name not in header]
-    if absent:
-        raise _absent(f'{source}, line {head[0]}', absent, header)
-    twice = [name for name in dict.fromkeys(names) if header.count(name) > 1]
-    if twice and wanted is not None:
-        raise BadInputError(f'{source}, line {head[0]}', f'several columns {", ".join(twice)}',
-                            remedy='give each column a name of its own')
-    places = [header.index(name) for name in names]
+    split = _splitter(head[1])
+    names, places = _header(split(head[1]), f'{source}, line {head[0]}', wanted)
     rows: list[list[float]] = []
     kept: list[int] = []
     for number, line in numbered:
-        cells = next(csv.reader([line], delimiter=delimiter))
+        cells = split(line)
         if wanted is None:
             rows.append([_maybe_number(cells, place) for place in places])
         else:
@@ -228,7 +230,56 @@ def read_csv(
         if not np.isfinite(columns[name]).any():
             raise BadInputError(f'{source}, line {kept[0]}, column {name}', 'holds no number')
     return Table(source, {n: c for n, c in columns.items() if np.isfinite(c).any()},
-                 lines=tuple(kept))
+                 lines=tuple(kept), told=text.told)
+
+
+@dataclass
+class _Lines:
+    """Lines with their numbers, without comments and without a last one that was cut off."""
+
+    lines: Iterable[str]
+    first: int
+    told: tuple[str, ...] = ()
+
+    def __iter__(self) -> Iterator[tuple[int, str]]:
+        for number, line in enumerate(self.lines, self.first):
+            if not line.endswith('\n'):
+                said = 'has no end: it may be cut off and is left out'
+                self.told = (f'line {number}, the last, {said}',)
+            elif line.strip() and not line.startswith('#'):
+                yield number, line
+
+
+def _header(
+    cells: Sequence[str], where: str, wanted: Sequence[str] | None
+) -> tuple[Sequence[str], list[int]]:
+    """The columns to be read, and their places in a row."""
+    header = [name.strip() for name in cells]
+    if not any(math.isnan(_maybe_number(header, place)) for place in range(len(header))):
+        raise BadInputError(where, "holds numbers, not the columns' names",
+                            remedy='put a header line before it')
+    names = header if wanted is None else wanted
+    absent = [name for name in names if name not in header]
+    if absent:
+        raise _absent(where, absent, header)
+    twice = [name for name in dict.fromkeys(names) if header.count(name) > 1]
+    if twice and wanted is not None:
+        raise BadInputError(where, f'several columns {", ".join(twice)}',
+                            remedy='give each column a name of its own')
+    return names, [header.index(name) for name in names]
+
+
+def _splitter(head: str) -> Callable[[str], list[str]]:
+    """What separates the cells of a line, by the header."""
+    delimiter = max(DELIMITERS, key=head.count)
+    if delimiter not in head:
+        return str.split
+
+    def split(line: str) -> list[str]:
+        cells = next(csv.reader([line], delimiter=delimiter))
+        return [cell.replace(',', '.') for cell in cells] if delimiter == ';' else cells
+
+    return split
 
 
 def _maybe_number(cells: Sequence[str], place: int) -> float:

@@ -71,7 +71,7 @@ def import_log(log: ForeignLog, out: Path, grid_hz: float | None = None) -> Impo
         raise BadInputError(log.source, 'has too few samples of the body rates',
                             0 if base is None else len(base.time_s),
                             f'at least {LEAST_SAMPLES} are needed; log longer')
-    laid = cycles(base, grid_hz)
+    laid = cycles(base, log.source, grid_hz)
     told, warnings = [*log.clock, *laid.told], list(log.warnings)
     gains = dict(log.gains)
     rates, angles = _motion(log, laid, gains, told, warnings)

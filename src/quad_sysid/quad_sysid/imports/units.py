@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import re
+import shlex
 from dataclasses import dataclass
 from typing import Literal
 
@@ -92,9 +93,10 @@ ALIASES = {
     'sec': 's', 'seconds': 's', 'msec': 'ms', 'µs': 'us', 'usec': 'us', 'μs': 'us',
     '°/s': 'deg/s', 'dps': 'deg/s', 'deg/sec': 'deg/s', 'degree/s': 'deg/s', 'rad/sec': 'rad/s',
     '°': 'deg', 'degree': 'deg', 'degrees': 'deg', 'radians': 'rad', '%': 'percent', 'v': 'V',
-    'volt': 'V', 'volts': 'V', 'mv': 'mV',
+    'volt': 'V', 'volts': 'V', '-': '1',
 }
-"""How headers write the units above."""
+"""How headers write the units above, in small letters."""
+WRITTEN = {name.lower(): name for known in UNITS.values() for name in known} | ALIASES
 IN_HEADER = re.compile(r'\s*[\[(]\s*([^\[\]()]*?)\s*[\])]\s*$')
 """`[deg/s]` or `(ms)` at the end of a column's name; an index such as `[0]` is not a unit."""
 
@@ -104,7 +106,7 @@ def header_unit(column: str) -> str | None:
     found = IN_HEADER.search(column)
     if found is None or not found[1] or found[1].isdigit():
         return None
-    return ALIASES.get(found[1].lower(), found[1])
+    return WRITTEN.get(found[1].lower(), found[1])
 
 
 def unit_of(role: Role, text: str | None, column: str) -> Unit:
@@ -113,9 +115,8 @@ def unit_of(role: Role, text: str | None, column: str) -> Unit:
     Raises BadInputError naming what the role allows.
     """
     known = UNITS[role]
-    written = header_unit(column)
-    name = text or (written if written in known else next(iter(known)))
-    name = ALIASES.get(name.lower(), name)
+    name = text or header_unit(column) or next(iter(known))
+    name = WRITTEN.get(name.lower(), name)
     if name in known:
         return Unit(name, *known[name])
     factor, colon, offset = name.partition(':')
@@ -123,9 +124,11 @@ def unit_of(role: Role, text: str | None, column: str) -> Unit:
         unit = Unit(name, float(factor), float(offset) if colon else 0.0)
     except ValueError:
         unit = Unit(name, math.nan)
-    if not (math.isfinite(unit.factor) and math.isfinite(unit.offset) and unit.factor):
-        raise BadInputError(
-            f'--unit {column}', f'is not a unit of a {role}', repr(name),
-            f'use {", ".join(known)}, a factor or FACTOR:OFFSET',
-        )
-    return unit
+    if text and math.isfinite(unit.factor) and math.isfinite(unit.offset) and unit.factor:
+        return unit
+    raise BadInputError(
+        f'--unit {column}' if text else f'column {column}',
+        f'is not a unit of a {role}' if text else 'has no known unit in its brackets', repr(name),
+        f'use {", ".join(known)}, a factor or FACTOR:OFFSET'
+        + ('' if text else f', such as --unit {shlex.quote(f"{column}={next(iter(known))}")}'),
+    )
