@@ -11,7 +11,7 @@ from flown_axis import SHORT, Axis, fly
 
 from quad_sysid.bags import write_bag
 from quad_sysid.cli import main
-from quad_sysid.comparison import Estimate, Flight, changes, trims
+from quad_sysid.comparison import Estimate, Flight, compare, trims
 from quad_sysid.record import Record, Segment
 
 
@@ -25,13 +25,31 @@ def flight(name: str, **parameters: float | None) -> Flight:
 
 def test_a_difference_counts_by_its_error_and_by_how_many_are_looked_at():
     before = flight('a', gain=1.0, lag=0.0, damping=2.0, drag=None)
-    found = {c.name: c for c in changes(before, flight('b', gain=1.6, lag=1.0, damping=2.2,
-                                                       drag=1.0))}
+    other = flight('b', gain=1.6, lag=1.0, damping=2.2, drag=1.0)
+    found = {c.name: c for c in compare(before, [other])[0][1]}
     assert found['gain'].p_value == pytest.approx(2.2e-5, rel=0.02)  # 4.24 of sqrt(2) * 0.1
     assert found['gain'].changed
     assert (found['damping'].changed, found['lag'].p_value) == (False, None)
     assert found['lag'].difference == 1.0
     assert (found['drag'].reference, found['drag'].p_value) == (None, None)
+
+
+def test_many_flights_are_held_to_one_level_together():
+    """Of one flight a chance of 0.7 % is a change; of ten that would come by itself too often."""
+    before, odd = flight('a', gain=1.0), flight('b', gain=1.38)
+    assert compare(before, [odd])[0][1][0].changed
+    same = [flight(f'{k}', gain=1.0 + 0.01 * k) for k in range(9)]
+    pairs = compare(before, [*same, odd])
+    assert [len(found) for _, found in pairs] == [1] * 10
+    assert pairs[-1][1][0].p_value == pytest.approx(0.0072, rel=0.02)
+    assert not any(change.changed for _, found in pairs for change in found)
+
+
+def test_an_axis_that_was_never_measured_has_no_trim():
+    rng = np.random.default_rng(1)
+    control = 1e-17 * rng.standard_normal((5000, 4))
+    control[:, 0], control[:, 1] = 0.5, 0.02 * rng.standard_normal(5000)
+    assert list(trims(Record('flight', 0.004, np.zeros((5000, 3)), control))) == ['roll']
 
 
 @pytest.mark.parametrize(('shift', 'changed'), [(0.0, False), (0.1, True)])
@@ -51,7 +69,7 @@ def test_a_trim_wanders_between_flights_as_it_does_within_one(shift, changed):
     pair = [Flight('x', {a: {'trim': e} for a, e in trims(record(seed, offset)).items()}, {})
             for seed, offset in ((1, 0.0), (2, shift))]
     assert pair[0].parameters['roll']['trim'].unit == 'normalised command'
-    found = {c.axis: c for c in changes(*pair)}
+    found = {c.axis: c for c in compare(pair[0], pair[1:])[0][1]}
     assert found['roll'].changed is changed
     assert not found['pitch'].changed
     assert found['roll'].difference == pytest.approx(shift, abs=0.02)

@@ -6,6 +6,7 @@ that nothing of the import's tables is used to make them.
 
 from __future__ import annotations
 
+import shlex
 import struct
 from pathlib import Path
 
@@ -194,6 +195,20 @@ def test_a_ulog_that_is_cut_off_is_told_in_one_line(flight, tmp_path, capfd):
     assert said.out == ''
     assert said.err.count('\n') == 1
     assert 'log.ulg: is cut off or damaged before its first data: found 40 bytes' in said.err
+
+
+def test_what_is_to_be_typed_next_can_be_typed(flight, tmp_path, monkeypatch, capsys):
+    """Names of files have blanks, which a shell would take apart."""
+    pytest.importorskip('pyulog')
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / 'my logs').mkdir()
+    ulog(tmp_path / 'my logs' / 'log 1.ulg', px4_topics(flight), {})
+    words = ['import', 'my logs/log 1.ulg']
+    for start in ('quad-sysid import', 'next: quad-sysid inspect'):
+        assert main(words) == 0
+        line = next(x for x in capsys.readouterr().out.splitlines() if x.startswith(start))
+        words = shlex.split(line.removeprefix('next: '))[1:]
+    assert main(words) in {0, 3}
 
 
 def test_wrong_stamps_do_not_stretch_the_grid(flight, px4):

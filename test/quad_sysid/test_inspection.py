@@ -14,6 +14,7 @@ from quad_sysid.bags import write_bag
 from quad_sysid.cli import main
 from quad_sysid.inspection.cli import lines
 from quad_sysid.inspection.content import content
+from quad_sysid.report.model_file import save_models
 
 
 @pytest.fixture(scope='module')
@@ -97,6 +98,15 @@ def test_what_identify_would_refuse_is_no_use(record, tmp_path, capsys):
     assert 'yes evaluate a stored model' in out
     assert main(['identify', str(path), '--axis', 'roll', '--out', str(tmp_path / 'out')]) == 3
     assert re.search(r'training holds \d windows of 0.5 s, at least 8', capsys.readouterr().err)
+
+
+def test_a_bag_without_validation_still_serves_to_evaluate(record, tmp_path, plain_answer, capsys):
+    trained = tuple(s for s in record.segments if s.role != 'validation')
+    path = write_bag(replace(record, segments=trained), tmp_path / 'bag')
+    save_models({'roll': plain_answer.model}, tmp_path / 'model.json')
+    assert main(['evaluate', str(tmp_path / 'model.json'), str(path)]) == 0
+    main(['inspect', str(path)])
+    assert 'yes evaluate a stored model' in capsys.readouterr().out
 
 
 def test_a_bag_without_commands_tells_its_topics(record, tmp_path, capsys):

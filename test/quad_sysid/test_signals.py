@@ -126,7 +126,13 @@ def test_a_length_of_the_training_reaches_the_low_end_of_the_band(refusal):
     assert (2 ** train.parameters['register_bits'] - 1) * design.clock_s >= 2.0 * math.pi / 0.1
     assert 'training 100 s: covers 0.0997 to 20.49 rad/s' in design.text().split('\n')
     assert 'raise LOW' in design_excitation(1e-4, 20.0).text()
-    assert '--seconds' in refusal(design_excitation, 0.1, 20.0, 250.0, -5.0)
+    for wrong in (-5.0, 0.3, 0.99):  # the ramps alone take a second
+        assert '--seconds' in refusal(design_excitation, 0.1, 20.0, 250.0, wrong)
+    for high, least in ((20.0, 1.0), (5.0, 2.0)):
+        design = design_excitation(0.1, high, train_s=least)
+        train = parse_schedule(yaml.safe_load(design.to_schedule_yaml()), 'design').parts[1]
+        assert train.duration_s == least
+        assert design.flown_low_rad_s < high
 
 
 # ---- schedules --------------------------------------------------------------------------------

@@ -45,6 +45,8 @@ MANY = 1e9
 COMMAND = 'normalised command'
 LEAST_IN_PART = 50
 """Samples."""
+ROUNDING = 1e-9
+"""Normalised command; what scatters less was not flown."""
 
 
 @dataclass(frozen=True)
@@ -120,20 +122,29 @@ def trims(record: Record) -> dict[str, Estimate]:
     std = means.std(axis=0, ddof=1)
     return {
         axis: Estimate(float(means[:, i].mean()), float(std[i]), COMMAND, QUARTERS - 1.0)
-        for i, axis in enumerate(AXES, 1) if std[i] > 0.0
+        for i, axis in enumerate(AXES, 1) if std[i] > ROUNDING
     }
 
 
-def changes(reference: Flight, other: Flight) -> tuple[Change, ...]:
-    """All parameters of either flight, in the order of axes and names."""
-    found = [
+def compare(reference: Flight, others: Sequence[Flight]) -> tuple[Pair, ...]:
+    """All parameters of each flight and the first, in the order of axes and names.
+
+    The changes are those at LEVEL for all comparisons of all flights together.
+    """
+    found = [(other, change) for other in others for change in _changes(reference, other)]
+    held = _held([change for _, change in found])
+    return tuple((other, tuple(change for (own, _), change in zip(found, held, strict=True)
+                               if own is other)) for other in others)
+
+
+def _changes(reference: Flight, other: Flight) -> list[Change]:
+    return [
         _change(axis, name, reference.parameters.get(axis, {}).get(name),
                 other.parameters.get(axis, {}).get(name))
         for axis in AXES
         for name in dict.fromkeys([*reference.parameters.get(axis, {}),
                                    *other.parameters.get(axis, {})])
     ]
-    return _held(found)
 
 
 def _change(axis: str, name: str, a: Estimate | None, b: Estimate | None) -> Change:
@@ -192,7 +203,7 @@ def _run(options: argparse.Namespace) -> int:
     show, effects = progress(quiet=options.quiet), candidates(options)
     reference, *others = [_flight(name, axes, effects, show) for name in options.flights]
     show('')
-    pairs = [(other, changes(reference, other)) for other in others]
+    pairs = compare(reference, others)
     if options.json:
         print(json.dumps(tree(reference, pairs), indent=1))
     elif not options.quiet:

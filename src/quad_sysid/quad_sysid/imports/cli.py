@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -80,7 +81,8 @@ def _log(options: argparse.Namespace, known: Format) -> int:
     log = read_log(options.file, known, options.log)
     if options.out is None:
         print('\n'.join([f'{options.file}: {log.kind}', '', *mapped(log), '', 'to import it:',
-                         f'quad-sysid import {options.file} --out {options.file.stem}_bag',
+                         shlex.join(['quad-sysid', 'import', str(options.file), '--out',
+                                     f'{options.file.stem}_bag']),
                          *quicker(log.rates.rate_hz if log.rates else 0.0)]))
         return 0
     if options.mixer is not None and log.motors is not None:
@@ -139,7 +141,7 @@ def _write(log: ForeignLog, options: argparse.Namespace) -> int:
     done = import_log(log, options.out, options.grid)
     if not options.quiet:
         print('\n'.join(table(done)))
-        print('\n'.join(['', f'next: quad-sysid inspect {done.path}',
+        print('\n'.join(['', f'next: quad-sysid inspect {shlex.quote(str(done.path))}',
                          *quicker(1.0 / done.record.dt)]))
     return 0
 

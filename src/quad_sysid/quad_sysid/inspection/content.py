@@ -19,10 +19,11 @@ from quad_sysid.blackbox import excitation_order
 from quad_sysid.contract import MIXER, MIXER_INVERSE, TOPIC_TYPES
 from quad_sysid.effects import EFFECTS
 from quad_sysid.errors import BadInputError, NotInformativeError, QuadSysidError
-from quad_sysid.model.data import AxisData, axis_data
+from quad_sysid.model.data import AxisData, Span, axis_data
 from quad_sysid.motor_layout import Pattern, doubts, patterns_of, places
 from quad_sysid.pipeline.assemble import band_of
 from quad_sysid.pipeline.blackbox_part import io_data
+from quad_sysid.pipeline.evaluate import flown_spans
 from quad_sysid.pipeline.identify import asked_axes
 from quad_sysid.pipeline.usable import AT_LIMIT, check_usable, refusal
 from quad_sysid.record import Record, Segment, finite_runs
@@ -133,9 +134,9 @@ def uses_of_axis(record: Record, data: AxisData) -> tuple[Use, ...]:
 
 def _uses_of_flight(axes: Sequence[AxisContent]) -> tuple[Use, ...]:
     """What the flight as a whole allows."""
-    moving = any(one.windows and one.rate_rms and one.command_rms for one in axes)
+    moving = any(one.evaluable for one in axes)
     return (Use('evaluate a stored model', moving,
-                '' if moving else 'no axis holds rate and command that move'),)
+                '' if moving else 'no axis holds rate and command that move for half a second'),)
 
 
 def _moves(data: AxisData, signal: np.ndarray | None) -> bool:
@@ -175,6 +176,8 @@ class AxisContent:
     validation_s: float
     windows: int
     """Free-run windows of 0.5 s in the validation segments."""
+    evaluable: bool
+    """Whether a stored model can run beside it, in any segment but the idle ones."""
     uses: tuple[Use, ...]
     rate_rms: float | None = None
     """rad/s about the mean."""
@@ -269,14 +272,17 @@ def _axis(record: Record, axis: str) -> AxisContent:
     except NotInformativeError as error:
         refused = Use(f'identify {axis}', possible=False,
                       because=str(error).removeprefix(f'{axis}: '))
-        return AxisContent(axis, lengths['train'], lengths['validation'], 0, (refused,))
+        return AxisContent(axis, lengths['train'], lengths['validation'], 0,
+                           evaluable=False, uses=(refused,))
     found = AxisContent(axis, lengths['train'], lengths['validation'],
-                        data.windows(data.validation).count, uses_of_axis(record, data))
+                        data.windows(data.validation).count, _evaluable(record, data),
+                        uses_of_axis(record, data))
     if not data.train:
         return found
-    command = _rms(data, data.command)
-    return replace(found, rate_rms=_rms(data, data.rate), command_rms=command,
-                   reference_rms=None if data.reference is None else _rms(data, data.reference),
+    command = _rms(data.command, data.train)
+    reference = None if data.reference is None else _rms(data.reference, data.train)
+    return replace(found, rate_rms=_rms(data.rate, data.train), command_rms=command,
+                   reference_rms=reference,
                    excitation_order=_order(data, command),
                    coherent_band_rad_s=band_of(data) if command and command > MOVES else None)
 
@@ -290,9 +296,15 @@ def _order(data: AxisData, command_rms: float | None) -> int | None:
         return None
 
 
-def _rms(data: AxisData, signal: np.ndarray) -> float | None:
-    """Standard deviation over the training segments; None where it is not known there."""
-    used = np.concatenate([signal[a:b] for a, b in data.train])
+def _evaluable(record: Record, data: AxisData) -> bool:
+    spans = flown_spans(record, data)
+    return bool(data.windows(spans).count) and all(
+        (_rms(signal, spans) or 0.0) > MOVES for signal in (data.rate, data.command))
+
+
+def _rms(signal: np.ndarray, spans: Sequence[Span]) -> float | None:
+    """Standard deviation over spans; None where it is not known there."""
+    used = np.concatenate([signal[a:b] for a, b in spans])
     return float(np.std(used)) if np.isfinite(used).all() else None
 
 

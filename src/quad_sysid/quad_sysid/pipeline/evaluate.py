@@ -76,7 +76,7 @@ def evaluate(model: AxisModel, record: Record, spans_s: tuple[tuple[float, float
     data = axis_data([record], model.axis)
     data = replace(data, gyro_filter_hz=model.gyro_filter_hz,
                    derived_s=None if data.angle is None else data.derived_s)
-    spans = _spans(record, data, spans_s)
+    spans = flown_spans(record, data, spans_s)
     if not data.windows(spans).count:
         raise NotInformativeError(
             f'{record.source}: {model.axis}: no window of 0.5 s to evaluate on; '
@@ -157,8 +157,9 @@ def of_this_flight(unseen: Unseen, model: Stored) -> Stored:
     return at(float(found.x))
 
 
-def _spans(record: Record, data: AxisData,
-           spans_s: tuple[tuple[float, float], ...]) -> tuple[Span, ...]:
+def flown_spans(record: Record, data: AxisData,
+                spans_s: tuple[tuple[float, float], ...] = ()) -> tuple[Span, ...]:
+    """Samples (from, to) without gaps of `spans_s`, s; default: all but idle segments."""
     good = np.isfinite(data.rate)
     if spans_s:
         wanted = [(round(a / data.dt), min(data.rate.size, round(min(b, 1e9) / data.dt)))

@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass
 
 from quad_sysid.errors import BadInputError
-from quad_sysid.signals.schedule import AMPLITUDES, LONGEST_S
+from quad_sysid.signals.schedule import AMPLITUDES, LONGEST_S, RAMP_S
 from quad_sysid.signals.waveforms import TAPS
 
 PERIODS = (3.0, 5.0)
@@ -80,7 +80,7 @@ class Design:
         square = prbs.replace('prbs', 'square')
         rows = [
             '{segment: idle, duration_s: 3.0}',
-            (f'{{segment: train, {prbs}, duration_s: {self.train_s:.1f}, '
+            (f'{{segment: train, {prbs}, duration_s: {self.train_s:g}, '
             f'clock_s: {self.clock_s:.6g}, register_bits: {self.register_bits}, seed: 1}}'),
             '{segment: idle, duration_s: 2.0}',
             (f'{{segment: validation, {prbs}, duration_s: 18.0, clock_s: {self.clock_s:.6g}, '
@@ -132,8 +132,10 @@ def design_excitation(low_rad_s: float, high_rad_s: float, sample_rate_hz: float
         raise BadInputError('--band', f'HIGH is too fast for {sample_rate_hz:g} Hz',
                             f'{high_rad_s:g} rad/s',
                             f'at most {most:.4g} rad/s ({SAMPLES_PER_CLOCK} samples per clock)')
-    if train_s is not None and not 0.0 < train_s <= LONGEST_S:
-        raise BadInputError('--seconds', f'must be above 0 and at most {LONGEST_S:g} s', train_s)
+    shortest = max(2.0 * RAMP_S, 2.0 * math.pi / (SPARED * high_rad_s))
+    if train_s is not None and not shortest <= train_s <= LONGEST_S:
+        raise BadInputError('--seconds', f'must lie in {shortest:.3g} s (a period of HIGH, and '
+                            f'the ramps) to {LONGEST_S:g} s', train_s)
     clocks = 1.0 / (low_rad_s * samples / sample_rate_hz)
     wanted = round(math.log2(4.0 * clocks + 1.0)) if train_s is None else \
         math.ceil(math.log2(2.0 * math.pi * clocks + 1.0))
