@@ -308,6 +308,7 @@ class Bench:
         self.gains = GainUpdates(GainSettings(polarity='off'), self.history)
         self.gains.watch, self.stm32 = Watch(), Store.begun({KP: 0.1})
         self.now_s, self.flags, self.throttle = 1.0, f.Flag.NONE, 0.5
+        self.number, self.executor_late = 7, False
         self.until('read back')
 
     def goes_on(self, seconds=20.0):
@@ -320,8 +321,12 @@ class Bench:
             frame = g.poll(self.now_s)
             if frame is not None:
                 for answer in self.stm32.answers(frame, round(1e6 * self.now_s)):
+                    if isinstance(answer, f.GainsState):
+                        answer = replace(answer, aircraft=self.number)
                     g.take(answer, self.now_s)
-            self.history.open(g.aircraft)
+            record = None if self.executor_late else self.history.open(g.aircraft)
+            if record is not None and not self.history.leave(g.aircraft):
+                g.know(record)
             g.tick(self.now_s)
             new, g.news = g.news, []
             yield from (item.text for item in new)
@@ -374,6 +379,25 @@ def test_a_rollback_drops_the_gains_that_wait_for_the_polarity_check(tmp_path):
 
 
 # The history.
+
+
+def test_another_aircraft_on_the_port_writes_nothing_into_the_firsts_files(tmp_path):
+    bench = Bench(tmp_path)
+    (first,) = tmp_path.rglob('gains.jsonl')
+    kept = first.read_text()
+    bench.gains.polarity.load({'axes': {'roll': 'ok'}})
+    bench.number, bench.executor_late, bench.stm32 = 8, True, Store.begun({KP: 0.3})
+    bench.gains.restarted(bench.now_s)
+    bench.until('read back')
+    assert bench.gains.aircraft != first.parent.name
+    bench.gains.ask({'roll.rate.kp': 0.35, 'source': 'test'}, bench.now_s)
+    bench.until('in force')
+    assert bench.gains.polarity.record == {'axes': {}, 'motors': {}}
+    bench.executor_late = False
+    bench.until('confirmed')
+    assert first.read_text() == kept
+    (second,) = set(tmp_path.rglob('gains.jsonl')) - {first}
+    assert '"state": "confirmed"' in second.read_text()
 
 
 def test_a_disk_that_takes_seconds_holds_up_nothing(tmp_path, monkeypatch):

@@ -202,10 +202,18 @@ def test_a_wrong_segment_is_told_with_file_number_and_key(change, named, refusal
         ({'schedule': {'segments': [3]}}, 'segment 1'),
         ({'schedule': {'segments': [GOOD], 'mount': 'boat'}}, "'boat'"),
         ({'schedule': {'segments': [GOOD], 'speed': 1}}, 'speed'),
+        ({'schedule': {'segments': [GOOD, GOOD | {'injection': 'rate'}]}},
+         'segment 2: follows one of injection attitude: found rate; put an idle segment'),
     ],
 )
 def test_a_wrong_file_is_told_in_one_line(content, named, refusal):
     assert named in refusal(parse_schedule, content, 'flight.yaml')
+
+
+def test_a_rest_lies_between_two_injections(refusal):
+    other = GOOD | {'injection': 'rate'}
+    rested = [GOOD, GOOD, {'segment': 'idle', 'duration_s': 0.5}, other, other]
+    assert len(parse_schedule({'schedule': {'segments': rested}}, 'flight.yaml').parts) == 5
 
 
 def test_numbers_may_be_written_with_an_exponent_alone(tmp_path):

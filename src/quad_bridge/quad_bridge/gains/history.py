@@ -92,6 +92,13 @@ class History:
             return {}
         return found if isinstance(found, dict) else {}
 
+    def leave(self, aircraft: str) -> bool:
+        """Close the files of any other aircraft than this; whether there were such."""
+        if self._aircraft in {'', aircraft}:
+            return False
+        self._aircraft, self._last = '', {}
+        return True
+
     def identity(self) -> str:
         """A name for a new update."""
         self._count += 1

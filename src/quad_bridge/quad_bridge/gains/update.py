@@ -393,6 +393,8 @@ class GainUpdates:
     def _event(self, event: GainEvent, now_s: float) -> None:
         if event.what is What.READ:
             self._know(event)
+            if self._history.leave(self.aircraft):  # plugged in anew, and its files not open yet
+                self.polarity.load({})
             self._in_force_s, self._flown = now_s, False
             self._history.found(self.active)
             text = f'{len(self.active)} gains and constants read back'

@@ -236,7 +236,7 @@ class SerialBridge(ManagedNode):
         record = self._history.open(aircraft)
         with self._lock:
             now_ns = clock().now_ns()
-            if record is not None:
+            if record is not None and not self._history.leave(self._gains.aircraft):
                 self._gains.know(record)
             self._link.tick(now_ns)
             self._gains.tick(clock().now_s())

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import accumulate
+from itertools import accumulate, pairwise
 
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError
@@ -126,6 +126,12 @@ def parse_schedule(content: object, source: str) -> Schedule:
     ramp_s = _number(body, 'ramp_s', RAMP_S, source, 0.0)
     parts = [_part(entry, f'{source}, segment {number}', ramp_s)
              for number, entry in enumerate(listed, 1)]
+    for number, (before, part) in enumerate(pairwise(parts), 2):
+        if 'idle' not in {before.role, part.role} and before.injection != part.injection:
+            # set-points and announcements travel apart: a late one would be taken in a wrong unit
+            raise BadInputError(f'{source}, segment {number}',
+                                f'follows one of injection {before.injection}', part.injection,
+                                'put an idle segment between them')
     return Schedule(tuple(parts), mount, source)
 
 
