@@ -321,9 +321,8 @@ class Bench:
             frame = g.poll(self.now_s)
             if frame is not None:
                 for answer in self.stm32.answers(frame, round(1e6 * self.now_s)):
-                    if isinstance(answer, f.GainsState):
-                        answer = replace(answer, aircraft=self.number)
-                    g.take(answer, self.now_s)
+                    own = isinstance(answer, f.GainsState)
+                    g.take(replace(answer, aircraft=self.number) if own else answer, self.now_s)
             record = None if self.executor_late else self.history.open(g.aircraft)
             if record is not None and not self.history.leave(g.aircraft):
                 g.know(record)

@@ -210,7 +210,7 @@ def test_a_wrong_file_is_told_in_one_line(content, named, refusal):
     assert named in refusal(parse_schedule, content, 'flight.yaml')
 
 
-def test_a_rest_lies_between_two_injections(refusal):
+def test_a_rest_lies_between_two_injections():
     other = GOOD | {'injection': 'rate'}
     rested = [GOOD, GOOD, {'segment': 'idle', 'duration_s': 0.5}, other, other]
     assert len(parse_schedule({'schedule': {'segments': rested}}, 'flight.yaml').parts) == 5
