@@ -11,6 +11,7 @@ import json
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from itertools import chain, islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -131,10 +132,10 @@ def compare(reference: Flight, others: Sequence[Flight]) -> tuple[Pair, ...]:
 
     The changes are those at LEVEL for all comparisons of all flights together.
     """
-    found = [(other, change) for other in others for change in _changes(reference, other)]
-    held = _held([change for _, change in found])
-    return tuple((other, tuple(change for (own, _), change in zip(found, held, strict=True)
-                               if own is other)) for other in others)
+    found = [_changes(reference, other) for other in others]
+    held = iter(_held([*chain(*found)]))
+    return tuple((other, tuple(islice(held, len(own))))
+                 for other, own in zip(others, found, strict=True))
 
 
 def _changes(reference: Flight, other: Flight) -> list[Change]:

@@ -6,6 +6,7 @@ import io
 import json
 import os
 import tempfile
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
@@ -23,6 +24,17 @@ def read_json(path: str | os.PathLike[str], remedy: str = '') -> Any:
     except (ValueError, RecursionError) as error:  # no text, no JSON, endless digits or brackets
         raise BadInputError(str(path), 'is not JSON', str(error),
                             'give a file that quad-sysid or quad-tune wrote') from error
+
+
+@contextmanager
+def readable(path: Path) -> Iterator[None]:
+    """Say in one line why a file or folder cannot be read."""
+    try:
+        yield
+    except (OSError, EOFError, zlib.error) as error:
+        reason = getattr(error, 'strerror', None) or str(error)
+        raise BadInputError(str(path), f'cannot be read ({reason})',
+                            remedy='check it and its permissions') from error
 
 
 @contextmanager

@@ -158,8 +158,8 @@ def _done(job: Job) -> Row | None:
     if not job.row.exists():
         return None
     row: Row = read_json(job.row)
-    asked = row.get('asked', job.asked | {'effects': None})
-    if asked['source'] != job.bag:
+    asked = row.get('asked')
+    if asked and asked['source'] != job.bag:
         raise BadInputError('--out', f'{job.folder} holds the results of another bag',
                             asked['source'], 'choose another place')
     bag = Path(job.bag)

@@ -30,6 +30,7 @@ from quad_sysid.bags.stored.records import MAGIC
 from quad_sysid.bags.stored.scan import BATCH, McapScan
 from quad_sysid.contract import TOPIC_TYPES
 from quad_sysid.errors import BadInputError
+from quad_sysid.files import readable
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
@@ -46,16 +47,6 @@ FOREIGN = {
     '.bin': 'a log of another controller; turn it into a bag with `quad-sysid import`',
     '.yaml': 'a YAML file; give the directory it lies in',
 }
-
-
-@contextmanager
-def _openable(path: Path) -> Iterator[None]:
-    """Say in one line why the system does not give a file or folder."""
-    try:
-        yield
-    except OSError as error:
-        raise BadInputError(str(path), f'cannot be read ({error.strerror or error})',
-                            remedy='check its permissions and its disk') from error
 
 
 @dataclass
@@ -75,11 +66,11 @@ class Storage:
 
     def batches(self) -> Iterator[Batch]:
         """Messages of `topics`, decompressed. BadInputError for a damaged or foreign file."""
-        with _openable(self.path):
+        with readable(self.path):
             files = self._files()
         foreign: Counter[tuple[str, str]] = Counter()
         for file in files:
-            with self._told(alone=len(files) == 1), _openable(file), plain_file(file) as plain:
+            with self._told(alone=len(files) == 1), readable(file), plain_file(file) as plain:
                 yield from self._read(plain, file, foreign)
         self.warnings += [f'{topic}: {count} messages of type {kind} left out; '
                           f'the contract has {TOPIC_TYPES[topic]}'

@@ -96,7 +96,7 @@ def unroll(time_s: FloatArray, values: FloatArray, where: str) -> Unrolled:
     if not (steps > 0.0).any():
         raise BadInputError(where, 'does not increase', remedy='name another column as the time')
     usual = float(np.median(steps[steps > 0.0]))
-    jump = max(JUMP_S, JUMP_INTERVALS * usual)
+    jump = _jump(usual)
     long = [rows[part] for part in _stretches(time_s[rows], usual)]
     told += _left_out(len(rows) - sum(map(len, long)), 'rows with a time far off')
     if not long:
@@ -120,10 +120,15 @@ def unroll(time_s: FloatArray, values: FloatArray, where: str) -> Unrolled:
     return Unrolled(kept, moment, tuple(told))
 
 
+def _jump(usual: float) -> float:
+    """Step, s, beyond which another experiment begins."""
+    return max(JUMP_S, JUMP_INTERVALS * usual)
+
+
 def _stretches(time_s: FloatArray, usual: float) -> list[np.ndarray]:
     """Indices of the rows between jumps of the clock, without those of wrong stamps."""
     steps = np.diff(time_s)
-    jumps = (steps < -BACK * usual) | (steps > max(JUMP_S, JUMP_INTERVALS * usual))
+    jumps = (steps < -BACK * usual) | (steps > _jump(usual))
     parts = np.split(np.arange(len(time_s)), np.flatnonzero(jumps) + 1)
     return [part for part in parts if len(part) >= min(FEWEST, len(time_s))]
 

@@ -9,7 +9,6 @@ import csv
 import gzip
 import math
 import struct
-import zlib
 from codecs import getincrementaldecoder
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -24,7 +23,7 @@ from quad_sysid.bags.orientation import euler_from_quaternion
 from quad_sysid.bags.stored.records import MAGIC
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
-from quad_sysid.files import read_by_library
+from quad_sysid.files import read_by_library, readable
 from quad_sysid.imports.clock import draw, unroll
 from quad_sysid.imports.log import Stream
 from quad_sysid.imports.units import Unit
@@ -181,12 +180,10 @@ def _opener(file: Path) -> Callable[..., Any]:
 
 @contextmanager
 def _readable(file: Path) -> Iterator[None]:
-    """Say in one line why a file cannot be read."""
+    """Say in one line why a file cannot be read as text."""
     try:
-        yield
-    except (OSError, EOFError, zlib.error) as error:
-        reason = getattr(error, 'strerror', None) or str(error)
-        raise BadInputError(str(file), f'cannot be read ({reason})', remedy='check it') from error
+        with readable(file):
+            yield
     except (UnicodeDecodeError, csv.Error) as error:
         raise BadInputError(
             str(file), 'is neither a text file nor a log of PX4, ArduPilot or Betaflight',

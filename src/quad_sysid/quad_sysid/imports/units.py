@@ -115,20 +115,19 @@ def unit_of(role: Role, text: str | None, column: str) -> Unit:
     Raises BadInputError naming what the role allows.
     """
     known = UNITS[role]
-    name = text or header_unit(column) or next(iter(known))
-    name = WRITTEN.get(name.lower(), name)
+    name = WRITTEN.get(text.lower(), text) if text else header_unit(column) or next(iter(known))
     if name in known:
         return Unit(name, *known[name])
+    allowed = f'use {", ".join(known)}, a factor or FACTOR:OFFSET'
+    if not text:
+        example = shlex.quote(f'{column}={next(iter(known))}')
+        raise BadInputError(f'column {column}', 'has no known unit in its brackets', repr(name),
+                            f'{allowed}, such as --unit {example}')
     factor, colon, offset = name.partition(':')
     try:
         unit = Unit(name, float(factor), float(offset) if colon else 0.0)
     except ValueError:
         unit = Unit(name, math.nan)
-    if text and math.isfinite(unit.factor) and math.isfinite(unit.offset) and unit.factor:
-        return unit
-    raise BadInputError(
-        f'--unit {column}' if text else f'column {column}',
-        f'is not a unit of a {role}' if text else 'has no known unit in its brackets', repr(name),
-        f'use {", ".join(known)}, a factor or FACTOR:OFFSET'
-        + ('' if text else f', such as --unit {shlex.quote(f"{column}={next(iter(known))}")}'),
-    )
+    if not (math.isfinite(unit.factor) and math.isfinite(unit.offset) and unit.factor):
+        raise BadInputError(f'--unit {column}', f'is not a unit of a {role}', repr(name), allowed)
+    return unit
