@@ -224,6 +224,32 @@ def with_play(
     return changes
 
 
+def by_cubic_law(
+    moved: str, reach: float, time_constant_s: float, slope: float, lean: float, size: float
+) -> Changes:
+    """A torque of a state that flows off by a cubic law, which rate, angle or drive moves."""
+
+    def changes():
+        sent = [0.0]
+        pushed = stateful(lambda x, u: x + HALF_S / Axis().lag_s * (u - x))
+        x = 0.0
+
+        def given(_t, u, _v):
+            sent[0] = u
+            return u
+
+        def law(_t, rate, angle):
+            nonlocal x
+            drive = pushed(sent[0])
+            now = {'leaning': angle, 'driven': drive, 'turning': time_constant_s * rate}[moved]
+            x += HALF_S / time_constant_s * (now / reach - x * (slope + x * (lean + x)))
+            return -size * x
+
+        return {'command': given, 'torque': law}
+
+    return changes
+
+
 def laguerre(first: float, second: float, time_constant_s: float) -> Changes:
     """A torque of the first two Laguerre states of the drive, x2 = (1 - s T) / (1 + s T) x1."""
 
@@ -335,6 +361,12 @@ LAWS = [
     Law('mode', with_play(1.0, 4.0, turns=1.0 / 0.3, back=0.4 * 0.3),
         {'frequency': 1.0, 'damping': 4.0, 'reach': 0.3, 'weight': 0.0, 'inertia': 0.4},
         variant='loose, turning', left=0.006),
+    *(Law('mode', by_cubic_law(moved, *values),
+          dict(zip(('reach', 'time_constant', 'slope', 'lean', 'torque'), values, strict=True)),
+          variant=f'yielding, {moved}', left=0.006)
+      for moved, *values in (('turning', 0.1, 0.3, 0.2, 0.5, 0.8),
+                             ('leaning', 0.05, 0.3, -1.0, 0.0, 0.8),
+                             ('driven', 0.01, 0.1, 1.0, -1.5, 0.8))),
     Law('mode', laguerre(0.3, -0.2, 0.2),
         {'time_constant': 0.2, 'c0': 0.3, 'c1': -0.2, **NO_MORE}, variant='response to drive',
         left=0.003),
@@ -518,6 +550,26 @@ def test_what_begins_beyond_an_airspeed_is_found_as_a_curve_of_what_the_angle_ha
     assert effect.parameters[0].value == pytest.approx(0.4, rel=0.3)
     unseen = evaluate(answer.model, fly(Axis(**{**QUIET, **law()}), 501, UNSEEN))
     assert unseen.before > 3.0 * unseen.after
+
+
+def slipping(stiffness: float, most: float) -> Changes:
+    """A spring that slips where it would pull more than this (Prandtl)."""
+
+    def changes():
+        pull = stateful(lambda z, rate: float(np.clip(z - HALF_S * stiffness * rate, -most, most)))
+        return {'torque': lambda _t, rate, _angle: pull(rate)}
+
+    return changes
+
+
+def test_a_spring_that_slips_is_found_as_what_yields():
+    """No law of the list is its own: the cubic law stands for it."""
+    law = slipping(30.0, 1.5)
+    answer = answer_to(law, 1)
+    assert answer.verdict == 'effects_added', answer.reason
+    assert {effect.name for effect in answer.model.effects} == {'mode'}
+    unseen = evaluate(answer.model, fly(Axis(**{**QUIET, **law()}), 501, UNSEEN))
+    assert unseen.before > 2.0 * unseen.after
 
 
 def echo(share: float, delay_s: float) -> Changes:

@@ -111,6 +111,8 @@ class Verdict:
 
 Fitted = Fit | Stored
 """A model that predicts."""
+Tried = tuple[Fit, list[FloatArray]]
+"""A fit, and the errors of its free runs over windows of two lengths."""
 
 
 class Unseen:
@@ -179,20 +181,18 @@ def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
     base, chain = found.base, list(_shortened(problem, found.best, known))
     # where gusts rule the windows of the verdict, short ones may tell
     lengths = unseen.windows, unseen.short
-    of_base = [unseen.errors(base, windows) for windows in lengths]
-    errors = [[unseen.errors(fitted, windows) for windows in lengths] for fitted in chain]
-    # the stakes are on the next sample and on free runs of both lengths; a mean of e-values is one
-    wealth = closed([
-        float(np.mean([unseen.bet(fitted, base), *(
-            bet(_squares(b), _squares(e)) for b, e in zip(of_base, own, strict=True)
-        )])) for fitted, own in zip(chain, errors, strict=True)
-    ])
-    chosen, before = base, rms(of_base[0])
+    at_base, *tried = (
+        (fitted, [unseen.errors(fitted, windows) for windows in lengths])
+        for fitted in (base, *chain)
+    )
+    wealth = closed([_evidence(unseen, at_base, one) for one in tried])
+    chosen, before = base, rms(at_base[1][0])
     after, e_value = before, wealth[0] if wealth else 1.0
-    for fitted, own, e in zip(chain, errors, wealth, strict=True):
-        better = rms(own[0]) < before and any(map(_falls, of_base, own))
-        if e * LEVEL >= 1.0 and better:
-            chosen, after, e_value = fitted, rms(own[0]), e
+    for i, (one, e) in enumerate(zip(tried, wealth, strict=True)):
+        if _confirmed(at_base, one, e) and not any(
+            _confirmed(one, shorter, _evidence(unseen, one, shorter)) for shorter in tried[i + 1 :]
+        ):
+            chosen, after, e_value = one[0], rms(one[1][0]), e
             break
     parts = chosen.structure.parts
     without: tuple[float, ...] = (before,)
@@ -203,7 +203,7 @@ def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
     hold = rms(unseen.holding(unseen.windows))
     verdict, reason = (
         ('effects_added', unexplained(unseen, chosen)) if parts
-        else _empty(problem, found, unseen, of_base[0], e_value)
+        else _empty(problem, found, unseen, at_base[1][0], e_value)
     )
     as_named = listed(parts, without[: len(parts)], after, 0.5 * hold)
     probabilities, rivals = _posterior(found, chosen, as_named)
@@ -216,13 +216,29 @@ def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
     )
 
 
+def _evidence(unseen: Unseen, before: Tried, after: Tried) -> float:
+    """E-value of 'the second predicts nothing better than the first'.
+
+    The stakes are on the next sample and on free runs of both lengths; a mean of e-values is one.
+    """
+    return float(np.mean([unseen.bet(after[0], before[0]), *(
+        bet(_squares(b), _squares(e)) for b, e in zip(before[1], after[1], strict=True)
+    )]))
+
+
+def _confirmed(before: Tried, after: Tried, e_value: float) -> bool:
+    """Whether the second predicts better than the first: the next sample, and free runs."""
+    falls = rms(after[1][0]) < rms(before[1][0]) and any(map(_falls, before[1], after[1]))
+    return falls and e_value * LEVEL >= 1.0
+
+
 def _shortened(
     problem: Problem, best: Fit, known: dict[frozenset[str], Fit | None]
 ) -> Iterator[Fit]:
     """The most probable structure, then one by one without the effect that training misses least.
 
-    The largest that the validation confirms counts: what does not transfer is dropped. known: as
-    in _each_left_out.
+    The largest counts that the validation confirms against the base, and against which it confirms
+    no shorter one: what does not transfer is dropped. known: as in _each_left_out.
     """
     fitted: Fit | None = best
     while fitted is not None and fitted.structure.parts:

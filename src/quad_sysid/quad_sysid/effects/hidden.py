@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from functools import lru_cache
@@ -200,6 +201,77 @@ class Loose(Effect):
         return p[3] * z - p[4] * turned * pushed
 
 
+class Yielding(Effect):
+    """A state that flows off by a cubic law: the simplest that yields, leaks to one side or snaps.
+
+    The cusp's normal form (Thom 1972; Strogatz, Nonlinear Dynamics and Chaos, 3.6). With slope > 0
+    a spring on a damper that gives way, with lean a valve, with slope < 0 two places of rest.
+    """
+
+    name = 'mode'
+    kind = 'mode'
+    states = 1
+    sized_by_term = True
+    shapes = ((0.3, 0.0), (-1.0, 0.0), (1.0, 1.5), (1.0, -1.5))
+    """Slope and lean of the start values: yields, snaps, leaks to either side."""
+
+    def __init__(self, moved: str) -> None:
+        self.moved = moved
+        self.variant = f'yielding, {moved}'
+        drive, unit, usual = {
+            'turning': ('rate', 'rad', 0.1), 'leaning': ('angle', 'rad', 0.1),
+            'driven': ('command', '1', 0.05),
+        }[moved]
+        self.signals = tuple(dict.fromkeys(('rate', drive, 'history')))
+        self.parameters = (
+            Spec('reach', unit, spread=1.2, centre=math.log(usual), log=True,
+                 starts=(0.2 * usual, 0.7 * usual, 2.0 * usual)),
+            Spec('time_constant', 's', spread=1.5, centre=math.log(0.3), log=True,
+                 starts=(0.03, 0.2, 1.2)),
+            Spec('slope', '1', spread=2.0, starts=(0.3, -1.0, 1.0)),
+            Spec('lean', '1', spread=1.0, starts=(0.0, 1.5, -1.5)),
+            Spec('torque', 'rad/s²'),
+        )
+        push = {'leaning': '(angle / reach', 'driven': '(u / reach'}
+        left = '(slope x + lean x² + x³)'
+        self.physics = "-T x, x' = " + (
+            f'{push[moved]} - {left}) / time_constant' if moved in push
+            else f'rate / reach - {left} / time_constant'
+        ) + ': a spring or a level that yields, leaks or snaps over'
+        self.excite = 'small and large motion, with rests'
+
+    def starts(self, data: AxisData, settings: Settings) -> Sequence[FloatArray]:
+        reach, time_constant = (spec.starts for spec in self.parameters[:2])
+        return [
+            np.array([*begun, *shape, 0.0])
+            for begun in itertools.product(reach, time_constant) for shape in self.shapes
+        ]
+
+    def _flow(self, s: Signals, p: FloatArray) -> tuple[FloatArray, float, float, float]:
+        """Push, slope, lean and 1 / time constant, as the recursion takes them."""
+        reach, flow = max(float(p[0]), 1e-4), 1.0 / max(float(p[1]), 1e-3)
+        push = s.rate / reach if self.moved == 'turning' else flow / reach * (
+            required(s.angle) if self.moved == 'leaning' else s.lagged
+        )
+        return np.ascontiguousarray(push), float(p[2]), float(p[3]), flow
+
+    def trace(
+        self, data: AxisData, s: Signals, p: FloatArray, settings: Settings
+    ) -> FloatArray:
+        flow, out = self._flow(s, p), np.zeros((1, s.rate.size))
+        for start, stop in data.stretches:
+            recursion.yielding(*flow, data.dt, start, stop, out[0])
+        return out
+
+    def advance(
+        self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings, dt: float
+    ) -> FloatArray:
+        return recursion.all_yielded(np.ascontiguousarray(x[0]), *self._flow(s, p), dt)[None, :]
+
+    def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+        return -p[4] * required(s.hidden)[0]
+
+
 class Response(Linear):
     """A torque of hidden states that the drive moves."""
 
@@ -375,6 +447,7 @@ HIDDEN: tuple[Effect, ...] = (
     ),
     Hysteresis(),
     *(Loose(moving) for moving in ('leaning', 'turning')),
+    *(Yielding(moved) for moved in ('turning', 'leaning', 'driven')),
     Response(
         'mode', ('command', 'history'),
         (

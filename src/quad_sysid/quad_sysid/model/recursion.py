@@ -410,3 +410,37 @@ def all_loose_ahead(pull, moved, spring, damping, dt, states):
             pull[i], moved[i], spring, damping, dt, state
         )
     return out
+
+
+@njit(**_OPTIONS)
+def yielded(x, push, slope, lean, flow, dt):
+    """A state x a cycle later: x' = push - flow (slope x + lean x² + x³).
+
+    The steps are of 1 ms; what draws x back is implicit, x³ by one step of Newton's method.
+    """
+    parts = max(1, round(dt / 0.001))
+    h = dt / parts
+    flows, back = h * flow, max(slope, 0.0)
+    for _ in range(parts):
+        cube = x * x * x
+        ahead = x + h * push - flows * ((slope - back) * x + lean * x * x - 2.0 * cube)
+        x = ahead / (1.0 + flows * (back + 3.0 * x * x))
+    return x
+
+
+@njit(**_OPTIONS)
+def yielding(push, slope, lean, flow, dt, start, stop, out):
+    """Such a state at the start of each cycle into `out` (n,), from zero."""
+    x = 0.0
+    for k in range(start, stop):
+        out[k] = x
+        x = yielded(x, push[k], slope, lean, flow, dt)
+
+
+@njit(**_OPTIONS)
+def all_yielded(x, push, slope, lean, flow, dt):
+    """The states (w,) a cycle later."""
+    out = np.empty_like(x)
+    for i in range(x.size):
+        out[i] = yielded(x[i], push[i], slope, lean, flow, dt)
+    return out

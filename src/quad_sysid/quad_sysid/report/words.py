@@ -55,13 +55,17 @@ FIGURES = {
 }
 """A designer's figure → its label, unit and factor into that unit, in order of reading."""
 
+FORMS = {'loose': 'a load with play', 'yielding': 'a part that yields'}
+"""How the variants of a mode begin → everyday words."""
+
 
 def named(effect: Tree) -> str:
     """An effect in everyday words, with the signal of a shape spelled out."""
     name, variant = str(effect['name']), str(effect.get('variant', ''))
     kind, *rest = name.replace('_', ' ').split(':')
-    if variant.startswith('loose'):
-        return 'a load with play'
+    form = variant.partition(',')[0]
+    if form in FORMS:
+        return FORMS[form]
     if variant.startswith('response'):
         return f'a late {variant}'
     if kind != 'shape':
