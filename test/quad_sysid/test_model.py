@@ -258,6 +258,25 @@ def test_what_pays_one_step_ahead_only_is_no_effect():
     assert verdict.chosen is loose
 
 
+def test_an_effect_that_the_shorter_structure_beats_is_dropped_though_both_beat_the_base():
+    """Friction is there; beside it the training gave a spring that the held-out data deny."""
+    data = axis_data([fly(Axis(torque=friction), 1, SHORT)], 'roll')
+    problem = Problem(data, data.train)
+    base = best_base(problem)
+    problem.measure(base)
+    fitted, labels = base, ('coulomb_friction', 'pendulum_stiffness')
+    for label in labels:
+        parts, _ = candidates(problem, [e for e in EFFECTS if e.label == label])
+        fitted = extended(problem, fitted, screen(problem, fitted, parts)[0])
+    wrong = fitted.theta.copy()
+    wrong[fitted.structure.names.index('pendulum_stiffness.stiffness')] = 2.0
+    both = fit(problem, fitted.structure, wrong, rate=fitted.rate, most_steps=0)
+    unseen = Unseen(data, data.validation)
+    assert np.std(unseen.errors(both)) < 0.5 * np.std(unseen.errors(base))
+    found = Found(base, (Scored(both, 9.0), Scored(base, 0.0)), {}, 1)
+    assert judge(data, problem, found).chosen.structure.labels == labels[:1]
+
+
 def test_an_effect_counts_that_foresees_the_free_run_though_the_noise_was_taken_for_smaller():
     """The validation's noise may be of another size than the training's; that is no effect's
     fault."""
