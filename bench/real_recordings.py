@@ -60,7 +60,8 @@ def imported(file: Path, options: tuple[str, ...], bag: Path) -> str:
     """What the import said, in one line; a complaint where it refused."""
     if '--axis' not in options:  # a table's line is guessed, a log needs none
         done = command('import', str(file))
-        guessed = shlex.split((done.stdout.splitlines() or [''])[-1])[3:]
+        lines = [one for one in done.stdout.splitlines() if one.startswith('quad-sysid import')]
+        guessed = shlex.split((lines or [''])[-1])[3:]
         if done.returncode or '--out' not in guessed:
             return ' '.join((done.stdout + done.stderr).split())
         options = (*guessed[: guessed.index('--out')], *options)

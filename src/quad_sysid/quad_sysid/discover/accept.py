@@ -186,14 +186,16 @@ def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
         for fitted in (base, *chain)
     )
     wealth = closed([_evidence(unseen, at_base, one) for one in tried])
-    chosen, before = base, rms(at_base[1][0])
-    after, e_value = before, wealth[0] if wealth else 1.0
+    best, e_value = at_base, wealth[0] if wealth else 1.0
     for i, (one, e) in enumerate(zip(tried, wealth, strict=True)):
         if _confirmed(at_base, one, e) and not any(
             _confirmed(one, shorter, _evidence(unseen, one, shorter)) for shorter in tried[i + 1 :]
         ):
-            chosen, after, e_value = one[0], rms(one[1][0]), e
+            best, e_value = one, e
             break
+    told = _commands_tell(problem, unseen, best)
+    chosen, errors = best if told else at_base
+    before, after = rms(at_base[1][0]), rms(errors[0])
     parts = chosen.structure.parts
     without: tuple[float, ...] = (before,)
     if len(parts) != 1:
@@ -201,10 +203,12 @@ def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
         without = tuple(math.inf if one is None else rms(unseen.errors(one)) for one in rest)
     noise, spread = noise_of(chosen), growth(chosen.prediction.filter, unseen.windows.length)
     hold = rms(unseen.holding(unseen.windows))
-    verdict, reason = (
-        ('effects_added', unexplained(unseen, chosen)) if parts
-        else _empty(problem, found, unseen, at_base[1][0], e_value)
+    verdict, reason = 'cannot_tell', (
+        'the commands do not predict the held-out rates better than the rates themselves do'
     )
+    if told:
+        verdict, reason = ('effects_added', unexplained(unseen, chosen)) if parts \
+            else _empty(found, unseen, e_value)
     as_named = listed(parts, without[: len(parts)], after, 0.5 * hold)
     probabilities, rivals = _posterior(found, chosen, as_named)
     return Verdict(
@@ -293,35 +297,33 @@ def at_horizon(horizon_s: float, dt: float) -> int:
     return max(round(horizon_s / dt), 1) - 1
 
 
-def _empty(
-    problem: Problem, found: Found, unseen: Unseen, with_commands: FloatArray, e_value: float
-) -> tuple[str, str]:
-    """Verdict and reason without effects: whether commands predict, and the error is as expected.
+def _commands_tell(problem: Problem, unseen: Unseen, tried: Tried) -> bool:
+    """Whether a model's commands predict beyond chance, and clearly at some horizon.
 
-    The commands predict if they help beyond chance, and if at some horizon the error is clearly
-    below that without commands and that of holding the rate. A feedback's commands contain past
-    rates and angles, which predict a little even while the motors stand. with_commands: the
-    base's errors (windows, length).
+    Its error must be below that without commands and that of holding the rate. A feedback's
+    commands contain past rates and angles, which predict a little even while the motors stand.
     """
-    base = found.base
+    fitted, (with_commands, _) = tried
     uncommanded = fitted_from(
-        problem, base.structure, base.theta, rate=base.rate, still=(0, 1, 2)
+        problem, fitted.structure, fitted.theta, rate=fitted.rate, still=(0, 1, 2)
     )
     held = unseen.holding(unseen.windows)
     without, evidence, clearly = held, [], False
     if uncommanded is not None:
         without = unseen.errors(uncommanded)
-        evidence = [unseen.bet(base, uncommanded)]
+        evidence = [unseen.bet(fitted, uncommanded)]
     for horizon in HORIZONS_S:
         k = at_horizon(horizon, unseen.problem.data.dt)
         if k < unseen.windows.length:
             evidence.append(bet(without[:, k] ** 2, with_commands[:, k] ** 2))
             rival = min(rms(without[:, k]), rms(held[:, k]))
             clearly |= DISAGREES * rms(with_commands[:, k]) < rival
-    if not clearly or float(np.mean(evidence)) * LEVEL < 1.0:  # a mean of e-values is one
-        return 'cannot_tell', (
-            'the commands do not predict the held-out rates better than the rates themselves do'
-        )
+    return clearly and float(np.mean(evidence)) * LEVEL >= 1.0  # a mean of e-values is one
+
+
+def _empty(found: Found, unseen: Unseen, e_value: float) -> tuple[str, str]:
+    """Verdict and reason without effects, where the commands predict."""
+    base = found.base
     left = unexplained(unseen, base)
     if left:
         return 'unexplained_residual', left
