@@ -552,6 +552,15 @@ def test_what_begins_beyond_an_airspeed_is_found_as_a_curve_of_what_the_angle_ha
     assert unseen.before > 3.0 * unseen.after
 
 
+def test_a_spring_that_swings_an_aircraft_whose_motors_stand_is_no_answer():
+    """It foresees the rates well, and the commands nothing: their gain would be a guess."""
+    swings = {'torque': lambda _t, _rate, angle: -20.0 * math.sin(angle), 'torque_noise': 0.2,
+              'command': lambda *_: 0.0}
+    answer = answer_to(lambda: swings, 1)
+    assert (answer.verdict, answer.proposal.gains) == ('cannot_tell', None)
+    assert 'commands do not predict' in answer.reason
+
+
 def slipping(stiffness: float, most: float) -> Changes:
     """A spring that slips where it would pull more than this (Prandtl)."""
 
