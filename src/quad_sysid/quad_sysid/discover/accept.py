@@ -304,9 +304,12 @@ def _commands_tell(problem: Problem, unseen: Unseen, tried: Tried) -> bool:
     commands contain past rates and angles, which predict a little even while the motors stand.
     """
     fitted, (with_commands, _) = tried
-    uncommanded = fitted_from(
-        problem, fitted.structure, fitted.theta, rate=fitted.rate, still=(0, 1, 2)
-    )
+    structure, theta = fitted.structure, fitted.theta
+    for i in reversed(range(len(structure.parts))):  # what moves by the command without a gain
+        if 'command' in structure.parts[i].effect.signals:
+            theta = np.delete(theta, structure.slices()[i])
+            structure = structure.minus(i)
+    uncommanded = fitted_from(problem, structure, theta, rate=fitted.rate, still=(0, 1, 2))
     held = unseen.holding(unseen.windows)
     without, evidence, clearly = held, [], False
     if uncommanded is not None:

@@ -210,7 +210,6 @@ class Yielding(Effect):
 
     name = 'mode'
     kind = 'mode'
-    free = True
     states = 1
     sized_by_term = True
     shapes = ((0.3, 0.0), (-1.0, 0.0), (1.0, 1.5), (1.0, -1.5))
