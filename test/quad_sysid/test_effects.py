@@ -561,6 +561,15 @@ def test_a_spring_that_swings_an_aircraft_whose_motors_stand_is_no_answer():
     assert 'commands do not predict' in answer.reason
 
 
+def test_a_side_that_pulls_less_is_found_by_the_command_though_that_needs_no_gain():
+    weak = command(lambda u: min(u, 0.5 * u))
+    answer = answer_to(weak, 1)
+    assert answer.verdict == 'effects_added', answer.reason
+    assert 'shape:command' in {effect.name for effect in answer.model.effects}
+    unseen = evaluate(answer.model, fly(Axis(**{**QUIET, **weak()}), 501, UNSEEN))
+    assert unseen.before > 2.0 * unseen.after
+
+
 def slipping(stiffness: float, most: float) -> Changes:
     """A spring that slips where it would pull more than this (Prandtl)."""
 
