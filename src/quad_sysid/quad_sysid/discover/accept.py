@@ -18,7 +18,7 @@ from scipy.linalg import toeplitz
 from scipy.special import expit
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.discover.base import fit_without, fitted_from
+from quad_sysid.discover.base import fit_without
 from quad_sysid.discover.constants import BLOCK_S, DISAGREES, EXPECTED, FLIPS, LEVEL, STAKES
 from quad_sysid.discover.search import Found
 from quad_sysid.estimate.fit import Fit, Problem
@@ -304,12 +304,10 @@ def _commands_tell(problem: Problem, unseen: Unseen, tried: Tried) -> bool:
     commands contain past rates and angles, which predict a little even while the motors stand.
     """
     fitted, (with_commands, _) = tried
-    structure, theta = fitted.structure, fitted.theta
-    for i in reversed(range(len(structure.parts))):  # what moves by the command without a gain
-        if 'command' in structure.parts[i].effect.signals:
-            theta = np.delete(theta, structure.slices()[i])
-            structure = structure.minus(i)
-    uncommanded = fitted_from(problem, structure, theta, rate=fitted.rate, still=(0, 1, 2))
+    by_command = (  # these may move by it without a gain
+        i for i, part in enumerate(fitted.structure.parts) if 'command' in part.effect.signals
+    )
+    uncommanded = fit_without(problem, fitted, *by_command, still=(0, 1, 2))
     held = unseen.holding(unseen.windows)
     without, evidence, clearly = held, [], False
     if uncommanded is not None:

@@ -94,10 +94,12 @@ def fitted_from(
         return None
 
 
-def fit_without(problem: Problem, fitted: Fit, index: int) -> Fit | None:
-    """A fit without one of its effects, the rest refitted; None where that diverges."""
-    theta = np.delete(fitted.theta, fitted.structure.slices()[index])
-    return fitted_from(problem, fitted.structure.minus(index), theta, rate=fitted.rate)
+def fit_without(problem: Problem, fitted: Fit, *which: int, **options: Any) -> Fit | None:
+    """A fit without some of its effects, the rest refitted; None where that diverges."""
+    slices = fitted.structure.slices()
+    gone = [j for i in which for j in range(slices[i].start, slices[i].stop)]
+    structure, theta = fitted.structure.minus(*which), np.delete(fitted.theta, gone)
+    return fitted_from(problem, structure, theta, rate=fitted.rate, **options)
 
 
 def shares(problem: Problem, fitted: Fit, base: Fit, which: int) -> bool:

@@ -212,39 +212,38 @@ class Yielding(Effect):
     kind = 'mode'
     states = 1
     sized_by_term = True
-    shapes = ((0.3, 0.0), (-1.0, 0.0), (1.0, 1.5), (1.0, -1.5))
-    """Slope and lean of the start values: yields, snaps, leaks to either side."""
 
     def __init__(self, moved: str) -> None:
         self.moved = moved
         self.variant = f'yielding, {moved}'
-        drive, unit, usual = {
-            'turning': ('rate', 'rad', 0.1), 'leaning': ('angle', 'rad', 0.1),
-            'driven': ('command', '1', 0.05),
+        drive, unit, usual, push = {
+            'turning': ('rate', 'rad', 0.1, 'rate / reach'),
+            'leaning': ('angle', 'rad', 0.1, 'angle / (reach time_constant)'),
+            'driven': ('command', '1', 0.05, 'u / (reach time_constant)'),
         }[moved]
-        self.signals = tuple(dict.fromkeys(('rate', drive, 'history')))
+        self.signals = (drive, 'history')
         self.parameters = (
             Spec('reach', unit, spread=1.2, centre=math.log(usual), log=True,
                  starts=(0.2 * usual, 0.7 * usual, 2.0 * usual)),
             Spec('time_constant', 's', spread=1.5, centre=math.log(0.3), log=True,
                  starts=(0.03, 0.2, 1.2)),
-            Spec('slope', '1', spread=2.0, starts=(0.3, -1.0, 1.0)),
-            Spec('lean', '1', spread=1.0, starts=(0.0, 1.5, -1.5)),
+            # pairs: yields, snaps, leaks to either side
+            Spec('slope', '1', spread=2.0, starts=(0.3, -1.0, 1.0, 1.0)),
+            Spec('lean', '1', spread=1.0, starts=(0.0, 0.0, 1.5, -1.5)),
             Spec('torque', 'rad/s²'),
         )
-        push = {'leaning': '(angle / reach', 'driven': '(u / reach'}
-        left = '(slope x + lean x² + x³)'
-        self.physics = "-T x, x' = " + (
-            f'{push[moved]} - {left}) / time_constant' if moved in push
-            else f'rate / reach - {left} / time_constant'
-        ) + ': a spring or a level that yields, leaks or snaps over'
+        self.physics = (
+            f"-T x, x' = {push} - (slope x + lean x² + x³) / time_constant: "
+            'a spring or a level that yields, leaks or snaps over'
+        )
         self.excite = 'small and large motion, with rests'
 
     def starts(self, data: AxisData, settings: Settings) -> Sequence[FloatArray]:
-        reach, time_constant = (spec.starts for spec in self.parameters[:2])
+        reach, time_constant, *shape = (spec.starts for spec in self.parameters[:4])
         return [
-            np.array([*begun, *shape, 0.0])
-            for begun in itertools.product(reach, time_constant) for shape in self.shapes
+            np.array([*begun, *pair, 0.0])
+            for begun in itertools.product(reach, time_constant)
+            for pair in zip(*shape, strict=True)
         ]
 
     def _flow(self, s: Signals, p: FloatArray) -> tuple[FloatArray, float, float, float]:
@@ -253,15 +252,13 @@ class Yielding(Effect):
         push = s.rate / reach if self.moved == 'turning' else flow / reach * (
             required(s.angle) if self.moved == 'leaning' else s.lagged
         )
-        return np.ascontiguousarray(push), float(p[2]), float(p[3]), flow
+        return push, float(p[2]), float(p[3]), flow
 
     def trace(
         self, data: AxisData, s: Signals, p: FloatArray, settings: Settings
     ) -> FloatArray:
-        flow, out = self._flow(s, p), np.zeros((1, s.rate.size))
-        for start, stop in data.stretches:
-            recursion.yielding(*flow, data.dt, start, stop, out[0])
-        return out
+        push, *law = self._flow(s, p)
+        return along(data, push, recursion.yielding, *law, data.dt)[None, :]
 
     def advance(
         self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings, dt: float

@@ -96,9 +96,10 @@ class Structure:
         """The structure with one more effect."""
         return replace(self, parts=(*self.parts, part))
 
-    def minus(self, index: int) -> Structure:
-        """The structure without one of its effects."""
-        return replace(self, parts=self.parts[:index] + self.parts[index + 1 :])
+    def minus(self, *which: int) -> Structure:
+        """The structure without the effects with these indices."""
+        kept = (part for i, part in enumerate(self.parts) if i not in which)
+        return replace(self, parts=tuple(kept))
 
     def natural(self, theta: FloatArray) -> FloatArray:
         """(p,) parameters in their units from the coordinates of the fit, theta (p,)."""
