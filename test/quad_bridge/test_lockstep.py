@@ -155,6 +155,21 @@ def test_a_callback_that_fails_does_not_stop_time(master):
     assert len(failed) > WINDOW
 
 
+def test_a_wake_up_that_is_lost_does_not_stop_time(master):
+    member, woken = master.join('node'), []
+    seen = []
+    member.timer(0.004, lambda: seen.append(member.now_ns()))
+
+    def wake():
+        woken.append(None)
+        if len(woken) > WINDOW + 1:  # all that came with a new time were lost
+            member.step()
+
+    member.on_due = wake
+    master.goes_on()
+    assert len(seen) > WINDOW
+
+
 def test_a_socket_that_cannot_be_is_one_line(tmp_path):
     with pytest.raises(BadInputError, match=r'--lockstep .*cannot listen there'):
         Line(tmp_path / ('x' * 200))
