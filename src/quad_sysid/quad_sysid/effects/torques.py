@@ -123,7 +123,7 @@ class CrossAxisInput(Effect):
     signals = ('other command',)
     term = 'command'
     parameters = (Spec('fraction', '1', spread=0.2),)
-    physics = "a fraction of another axis' command acts here (motors out of line)"
+    physics = "a fraction of another axis' command acts here (motors or gyro out of line)"
     excite = 'both axes excited with different signals'
 
     def __init__(self, which: int) -> None:
