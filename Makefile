@@ -16,7 +16,7 @@ ARGS ?=
 # cache of bytecode, also where the shell has it switched off
 PYTEST := $(RUN) PYTHONDONTWRITEBYTECODE= exec python -m pytest --timeout 600 -n $$(($(shell nproc) + 2)) --dist loadgroup
 
-.PHONY: help demo flight qemu pictures test test-qemu test-long build lint firmware-table bench bench-effects bench-log bench-tuning bench-watch bench-link bench-effects-speed bench-likelihood wheel docs lock shell clean
+.PHONY: help demo flight qemu pictures test test-qemu test-long build lint firmware-table bench bench-effects bench-log bench-tuning bench-watch bench-link bench-effects-speed bench-likelihood bench-outside wheel docs lock shell clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-19s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -74,6 +74,9 @@ bench-effects-speed: build  ## a likelihood beside plain and other filters, a wh
 
 bench-likelihood: build  ## the fit against the Cramer-Rao bound, the evidence against the truth (15 minutes)
 	@$(RUN) OPENBLAS_NUM_THREADS=1 python bench/accuracy.py; exec python bench/evidence.py
+
+bench-outside: build  ## effects that others wrote from textbooks, two levels of noise (20 minutes; ARGS='--only rigs')
+	@$(RUN) export OPENBLAS_NUM_THREADS=1; python bench/outside.py --noise 0.3 $(ARGS); exec python bench/outside.py $(ARGS)
 
 bench-tuning: build  ## gains on 100 virtual airframes, and peers (20 minutes; ARGS='--count 12')
 	@$(RUN) OPENBLAS_NUM_THREADS=1 exec python bench/tuning.py $(ARGS)

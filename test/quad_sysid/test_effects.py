@@ -24,6 +24,7 @@ from quad_sysid.contract import MIXER, MIXER_INVERSE
 from quad_sysid.effects import EFFECTS
 from quad_sysid.effects.curves import CELLS, Curve
 from quad_sysid.effects.hidden import MemoryCurve
+from quad_sysid.effects.surfaces import BESIDE, Surface
 from quad_sysid.errors import BadInputError
 from quad_sysid.estimate.fit import Problem
 from quad_sysid.model import EffectEstimate, Parameter
@@ -311,6 +312,8 @@ LAWS = [
     Law('saturation', of_motors(lambda m: np.clip(m, 0.0, 0.64)),
         {'lower': 0.0, 'upper': 0.64}, variant='upper'),
     Law('motor_lag', slow_motors(0.25, 0.2), {'slow_time_constant': 0.2, 'share': 0.25}),
+    Law('mode', slow_motors(-0.4, 0.2), {'slow_time_constant': 0.2, 'share': 0.4},
+        variant='lead'),
     Law('backlash', play(0.004), {'half_width': 0.004}),
     Law('resonance', ringing(6.0, 0.05, 0.1, -0.05),
         {'frequency': 6.0, 'damping_ratio': 0.05, 'in_phase': 0.1, 'quadrature': -0.05}),
@@ -590,6 +593,32 @@ def test_a_spring_that_slips_is_found_as_what_yields():
     assert unseen.before > 2.0 * unseen.after
 
 
+def in_its_wake(drag: float, decay_s: float) -> Changes:
+    """Quadratic drag in air that the aircraft drags along."""
+
+    def changes():
+        air = stateful(lambda z, rate: z + HALF_S * (rate - z) / decay_s)
+
+        def torque(_t, rate, _angle):
+            past = rate - air(rate)
+            return -drag * past * abs(past)
+
+        return {'torque': torque}
+
+    return changes
+
+
+def test_a_torque_of_what_the_rate_is_and_lately_was_is_found_as_a_surface():
+    law = in_its_wake(4.0, 0.3)
+    answer = answer_to(law, 1)
+    assert answer.verdict == 'effects_added', answer.reason
+    (effect,) = answer.model.effects
+    assert (effect.name, effect.variant) == ('shape:rate', 'with past rate')
+    assert effect.parameters[0].value == pytest.approx(0.3, rel=0.5)
+    unseen = evaluate(answer.model, fly(Axis(**{**QUIET, **law()}), 501, UNSEEN))
+    assert unseen.before > 2.0 * unseen.after
+
+
 def echo(share: float, delay_s: float) -> Changes:
     """A share of the command acts once more, later and against it, as blown air comes round."""
 
@@ -789,10 +818,10 @@ def test_the_contracts_names_stand_in_the_table_and_its_page_with_their_units():
         parts = [cell.strip() for cell in line.strip('|').split('|')]
         if len(parts) == 5 and parts[0].startswith('`'):
             rows[parts[0].strip('`')] = parts[2]
-        elif len(parts) == 2 and parts[0] in CELLS:
+        elif len(parts) == 2 and parts[0] in CELLS | BESIDE:
             cells[parts[0]] = tuple(parts[1].split(', '))
-    formed = [e for e in EFFECTS if not isinstance(e, (Curve, MemoryCurve))]
-    assert (cells, set(rows)) == (CELLS, {e.name for e in formed})
+    formed = [e for e in EFFECTS if not isinstance(e, (Curve, MemoryCurve, Surface))]
+    assert (cells, set(rows)) == (CELLS | BESIDE, {e.name for e in formed})
     for name, told in rows.items():
         pairs = set(re.findall(r'`(\w+)` \(((?:[^()]|\([^()]*\))+)\)', told))
         assert pairs == {pair for e in formed if e.name == name for pair in read(e).items()}, name

@@ -365,13 +365,16 @@ class SlowMotor(Motors):
         return {}
 
 
-def _slow_share(_: AxisData, drive: Drive, p: FloatArray) -> Drive:
-    slow = np.broadcast_to(np.maximum(p[0], drive.lag[:1]), drive.lag[:1].shape)
-    return replace(
-        drive, commands=np.vstack([drive.commands, drive.commands[:1]]),
-        row=np.r_[drive.row[:1] * (1.0 - p[1]), drive.row[1:], drive.row[:1] * p[1]],
-        lag=np.vstack([drive.lag, slow]),
-    )
+def _slow_share(sign: float) -> Callable[[AxisData, Drive, FloatArray], Drive]:
+    def shared(_: AxisData, drive: Drive, p: FloatArray) -> Drive:
+        slow, share = np.maximum(p[0], drive.lag[:1]), sign * p[1]
+        return replace(
+            drive, commands=np.vstack([drive.commands, drive.commands[:1]]),
+            row=np.r_[drive.row[:1] * (1.0 - share), drive.row[1:], drive.row[:1] * share],
+            lag=np.vstack([drive.lag, slow]),
+        )
+
+    return shared
 
 
 def _asymmetric(variant: str) -> Effect:
@@ -389,12 +392,18 @@ def _asymmetric(variant: str) -> Effect:
 
 SLOW = Spec('slow_time_constant', 's', spread=0.7, centre=math.log(0.12), log=True,
             starts=(0.09, 0.15, 0.3))
+SHARE = Spec('share', '1', spread=0.3, positive=True)
 ACTUATORS: tuple[Effect, ...] = (
     *MAPS, BatterySag(), ThrustCurve(), MotorCurve('smooth'), MotorCurve('rough'),
     *(MotorCurve('smooth', i) for i in range(4)), Saturation('upper'), Saturation('lower'),
     Motors(
-        'motor_lag', ('command',), (SLOW, Spec('share', '1', spread=0.3)), _slow_share,
+        'motor_lag', ('command',), (SLOW, SHARE), _slow_share(1.0),
         physics='a share of the motors answers with a longer lag than the others',
+        excite='a PRBS that reaches beyond 1 / lag',
+    ),
+    Motors(
+        'mode', ('command',), (SLOW, SHARE), _slow_share(-1.0), kind='mode', variant='lead',
+        physics="the torque overshoots and falls back by a share: rotors' own reaction in yaw",
         excite='a PRBS that reaches beyond 1 / lag',
     ),
     *(SlowMotor(i) for i in range(4)), _asymmetric('motors'), _asymmetric('axis'),

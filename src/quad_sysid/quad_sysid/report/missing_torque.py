@@ -230,7 +230,12 @@ def _picture(along: Along, part: Part) -> tuple[Evaluate, FloatArray, str]:
         return _lag(along, part, x), x, over
     unit = {signal: value * np.ones(GRID) for signal, value in UNIT.get(term, {}).items()}
     moved = unit | _moved(along, part, name, x)
-    return lambda p: np.asarray(Placed(part, p).torque(REST, GRID, **moved)), x, over
+
+    def evaluate(p: FloatArray) -> FloatArray:
+        at = REST | dict(part.effect.usual(p, part.settings))
+        return np.asarray(Placed(part, p).torque(at, GRID, **moved))
+
+    return evaluate, x, over
 
 
 def _named(data: AxisData, part: Part, name: str) -> str:
