@@ -73,13 +73,23 @@ def lagged(data: AxisData, command: FloatArray, tau: float) -> FloatArray:
 
 
 def _ringing(data: AxisData, command: FloatArray, p: FloatArray) -> FloatArray:
-    """Command plus the response of a lightly damped mode at mid-cycle."""
-    system = ring(min(float(p[0]), 0.4 / data.dt), min(float(p[1]), LIGHT))
+    """Command plus the response of a damped mode at mid-cycle."""
+    system = ring(min(float(p[0]), 0.4 / data.dt), float(p[1]))
     x = np.stack([command, np.zeros_like(command)])
     followed(data.stretches, command, *step_of(*system, data.dt), x)
     a, b = step_of(*system, 0.5 * data.dt)
     z = a @ x + b[:, None] * command
     return command + p[2] * z[0] + p[3] * z[1]
+
+
+def _swinging(p: FloatArray) -> Dynamics:
+    """The same to a loop."""
+    return Dynamics(0.0, 2.0 * math.pi * float(p[0]), float(p[1]), float(p[2]), float(p[3]))
+
+
+def _lightly(p: FloatArray) -> FloatArray:
+    """(4,) with no more damping than a resonance has."""
+    return np.r_[p[0], min(float(p[1]), LIGHT), p[2:]]
 
 
 HALF_WIDTH = (
@@ -132,6 +142,19 @@ SLOW_MAPS = (
         excite='a PRBS that reaches beyond 1 / lag',
     ),
     Map(
+        'mode', ('command', 'history'),
+        (
+            Spec('frequency', 'Hz', spread=0.8, centre=math.log(3.0), log=True,
+                 starts=(1.0, 2.0, 4.0, 8.0)),
+            Spec('damping_ratio', '1', spread=0.4, centre=math.log(0.8), log=True, starts=(0.8,)),
+            Spec('in_phase', '1', spread=0.3), Spec('quadrature', '1', spread=0.3),
+        ),
+        _ringing, kind='mode', variant='second order', term='response', mode=_swinging,
+        physics=f"{RING} u; adds in_phase z + quadrature z'/w to the command: motors under a "
+        'speed controller',
+        excite='a PRBS that reaches beyond the frequency',
+    ),
+    Map(
         'resonance', ('command', 'history'),
         (
             Spec('frequency', 'Hz', spread=0.8, centre=math.log(5.0), log=True,
@@ -141,10 +164,8 @@ SLOW_MAPS = (
             # at its peak a mode adds half of what is commanded: share / (2 damping ratio)
             Spec('in_phase', '1', spread=0.06), Spec('quadrature', '1', spread=0.06),
         ),
-        _ringing, term='response',
-        mode=lambda p: Dynamics(
-            0.0, 2.0 * math.pi * float(p[0]), min(float(p[1]), LIGHT), float(p[2]), float(p[3])
-        ),
+        lambda data, u, p: _ringing(data, u, _lightly(p)),
+        term='response', mode=lambda p: _swinging(_lightly(p)),
         physics=f"{RING} u; adds in_phase z + quadrature z'/w to the command",
         excite='a chirp or PRBS through the mode',
     ),
