@@ -15,7 +15,7 @@ from quad_sysid.pipeline.answer import AxisAnswer
 from quad_sysid.report import document, plots, store, tables
 from quad_sysid.report.html import page
 from quad_sysid.report.text import growth
-from quad_sysid.report.words import story
+from quad_sysid.report.words import headline, story
 
 SCHEMA = json.loads(
     (Path(document.__file__).parent / 'report.schema.json').read_text(encoding='utf-8')
@@ -227,3 +227,18 @@ def test_every_panel_names_both_axes_with_a_unit(answers):
     away = np.abs(x) > 0.4
     assert away.sum() >= 4
     np.testing.assert_allclose(y[away], -0.8 * np.sign(x[away]), atol=0.2)
+
+
+def test_the_headline_says_what_is_most_probable():
+    def effect(name, probability, variant='', **rivals):
+        return {'name': name, 'variant': variant, 'probability': probability,
+                'rivals': [{'name': n, 'probability': p} for n, p in rivals.items()]}
+
+    tree = {'verdict': 'effects_added', 'effects': [
+        effect('shape:rate', 1.0, 'with past rate'),
+        effect('motor_lag', 0.1, unlisted_physics=0.9), effect('backlash', 0.3, dead_zone=0.2),
+    ]}
+    assert headline(tree)[1] == (
+        'Was missing: a torque that depends on the rate and the past rate, '
+        'physics that the list lacks and play between command and torque'
+    )

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from quad_sysid.model.identified import UNLISTED
+
 Tree = Mapping[str, Any]
 
 CLEARLY = 2.0
@@ -25,6 +27,7 @@ PLAIN = {
     'backlash': 'play between command and torque', 'transport_delay': 'a transport delay',
     'viscous_damping': 'viscous damping', 'bias_torque': 'a constant torque',
     'mode': 'a hidden oscillation or slow state', 'event': 'an event in flight',
+    UNLISTED: 'physics that the list lacks',
 }
 """The contract's names of effects in everyday words."""
 
@@ -55,7 +58,8 @@ FIGURES = {
 }
 """A designer's figure → its label, unit and factor into that unit, in order of reading."""
 
-FORMS = {'loose': 'a load with play', 'yielding': 'a part that yields'}
+FORMS = {'loose': 'a load with play', 'yielding': 'a part that yields',
+         'lead': 'motors that overshoot', 'second order': 'motors under a speed controller'}
 """How the variants of a mode begin → everyday words."""
 
 
@@ -77,7 +81,15 @@ def named(effect: Tree) -> str:
     if variant.startswith('memory'):
         late = f'follows what the {rest[-1]} has lately been'
         return f'a {term} that {"warms up" if rest[-1] == "time" else late}'
-    return f'a {term} that depends on the {rest[-1]}'
+    second = variant.partition('with ')[2]
+    beside = f' and the {second}' if second else ''
+    return f'a {term} that depends on the {rest[-1]}{beside}'
+
+
+def likeliest(effect: Tree) -> str:
+    """The effect in everyday words, or a rival that is more probable."""
+    rival = max(effect.get('rivals') or [effect], key=lambda r: r['probability'])
+    return named(rival if rival['probability'] > effect['probability'] else effect)
 
 
 def values(effect: Tree) -> str:
@@ -124,7 +136,7 @@ def headline(tree: Tree) -> tuple[str, str]:
     """Style and headline of the verdict."""
     style, text = VERDICTS.get(tree['verdict'], ('none', tree['verdict']))
     if tree['verdict'] == 'effects_added' and tree['effects']:
-        return style, 'Was missing: ' + joined([named(e) for e in tree['effects']])
+        return style, 'Was missing: ' + joined([*dict.fromkeys(map(likeliest, tree['effects']))])
     if tree['verdict'] == 'no_missing_effect' and 'were not searched' in tree.get('reason', ''):
         return 'none', 'The plain model alone'
     return style, text
