@@ -81,16 +81,24 @@ class Surface(Shape, Linear):
         followed(data.stretches, moving, *step_of(*self.system(p), data.dt), out)
         return out
 
-    def columns(
-        self, s: Signals, p: FloatArray, linear: Sequence[int], settings: Settings
-    ) -> FloatArray:
+    def _polynomials(self, s: Signals, settings: Settings) -> tuple[FloatArray, FloatArray]:
+        """(n, DEGREE + 1) of either signal."""
         first = _in_half_ranges(signal_of(s, self.signal), settings['first'])
         second = required(s.hidden)[0] if self.states else self.driver(s, settings)
         one, other = (legvander(np.clip(z, -EDGE, EDGE), DEGREE) for z in (first, second))
+        return one, other
+
+    def columns(
+        self, s: Signals, p: FloatArray, linear: Sequence[int], settings: Settings
+    ) -> FloatArray:
+        one, other = self._polynomials(s, settings)
         return np.stack([one[..., i] * other[..., j] for i, j in POWERS], axis=-1)
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        return self.columns(s, p, (), settings) @ p[self.states :]
+        one, other = self._polynomials(s, settings)
+        coefficients = np.zeros((DEGREE + 1, DEGREE + 1))
+        coefficients[tuple(zip(*POWERS, strict=True))] = p[self.states :]
+        return np.sum((one @ coefficients) * other, axis=-1)
 
     def precision(self, settings: Settings, sizes: FloatArray) -> FloatArray:
         fading = [FADES ** (i + j - 1) for i, j in POWERS]
