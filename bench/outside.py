@@ -1,13 +1,13 @@
 """Effects that people outside the project wrote: is half of what the truth gains found?
 
-Twenty-four effects in eight families, from textbooks, by two writers who knew neither the code nor
-its candidates, flown by a simulator of its own (outside_simulator.py) at two strengths and two
+Thirty-six effects in twelve families, from textbooks, by three writers who knew neither the code
+nor its candidates, flown by a simulator of its own (outside_simulator.py) at two strengths and two
 levels of noise. The gap is that between the base's error on a second flight and what the true
 equations foresee of that flight from its commands alone, scaled by what the base reaches beside
 them where the effect is off. Where the truth gains less than a factor of 1.5 there is little to
 find, and a flight does not count.
 
-    python bench/outside.py --noise 0.3 --only rigs --out bench/out
+    python bench/outside.py --noise 0.3 --only cables --out bench/out
 """
 
 from __future__ import annotations
@@ -24,8 +24,9 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+import outside_bearings_motors_air_sensors as first
 import outside_cables_frames_loads_power as second
-import outside_rigs_motors_air_sensors as first
+import outside_rigs_air_software_blades as third
 import outside_simulator as simulator
 from effects_answer import searched
 from effects_judge import SPOILED, UNNAMED, WORTH
@@ -37,9 +38,9 @@ from quad_sysid.pipeline.assemble import axis_model
 from quad_sysid.pipeline.evaluate import evaluate
 from quad_sysid.record import GainChange, Record, Segment
 
-SETS = {'rigs': first, 'cables': second}
+SETS = {'bearings': first, 'cables': second, 'rigs': third}
 STRENGTHS = (0.7, 1.3)
-MAY_BE = first.MAY_BE | second.MAY_BE
+MAY_BE = first.MAY_BE | second.MAY_BE | third.MAY_BE
 """Effect → names of the table that are no lie."""
 
 
@@ -70,7 +71,7 @@ def _effects() -> dict[str, Any]:
 
 
 def cases(only: str, noise: float) -> list[Case]:
-    """All cases of a set, or of both."""
+    """All cases of a set, or of all."""
     return [
         Case(name, family, strength, 100 + 10 * i + j, (i + j) % 2, noise)
         for key, module in SETS.items() if only in ('', key)
@@ -133,7 +134,7 @@ def summary(rows: Sequence[dict[str, Any]]) -> dict[str, int]:
 def main() -> int:
     """Fly, answer, compare."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument('--only', choices=('', *SETS), default='', help='one of the two sets')
+    parser.add_argument('--only', choices=('', *SETS), default='', help='one of the sets')
     parser.add_argument('--noise', type=float, default=1.0, help='of gyro and gusts, a factor')
     parser.add_argument('--jobs', type=int, default=os.cpu_count() or 1)
     parser.add_argument('--out', type=Path, default=Path('bench/out'), help='folder for rows')
