@@ -16,7 +16,7 @@ BEAM = 3
 """Explanations that are extended at each level: two effects may mask each other."""
 REFITS = 12
 """Structures with one more effect that are fitted at each level."""
-EXCHANGES = 3
+EXCHANGES = 6
 """Candidates that are fitted in the place of an effect of the best structure."""
 MOST_EFFECTS = 4
 """A minute of flight hardly determines more."""

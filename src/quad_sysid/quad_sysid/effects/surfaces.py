@@ -19,11 +19,11 @@ from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import Settings, Signals, Spec, required
 
 BESIDE = {
-    'rate': ('angle', 'command', 'throttle', 'past rate', 'past angle', 'past command'),
-    'angle': ('command', 'throttle', 'past rate', 'past angle', 'past command'),
-    'command': ('throttle', 'past rate', 'past angle', 'past command'),
+    'rate': ('angle', 'throttle', 'past rate', 'past angle'),
+    'angle': ('throttle', 'past rate', 'past angle'),
 }
-"""First signal of a surface → its second ones; what is past is behind a lag."""
+"""First signal of a surface → its second ones; what is past is behind a lag. None is the command:
+the base's gain is such a surface."""
 DEGREE = 4
 """Highest total degree of a surface."""
 FADES = 0.7
