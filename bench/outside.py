@@ -75,8 +75,10 @@ def cases(only: str, noise: float) -> list[Case]:
     return [
         Case(name, family, strength, 100 + 10 * i + j, (i + j) % 2, noise)
         for key, module in SETS.items() if only in ('', key)
-        for family, names in module.FAMILIES.items() for name in names
-        for i in (list(module.EFFECTS).index(name),) for j, strength in enumerate(STRENGTHS)
+        for i, (name, family) in enumerate(
+            (name, family) for family, names in module.FAMILIES.items() for name in names
+        )
+        for j, strength in enumerate(STRENGTHS)
     ]
 
 

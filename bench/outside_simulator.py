@@ -89,7 +89,7 @@ class Aircraft:
     """State of the aircraft; `step` moves it by a millisecond."""
 
     def __init__(self, effect, axis: int, rig: bool) -> None:
-        self.effect, self.axis, self.rig = effect, axis, rig
+        self.effect, self.axis = effect, axis
         self.rate, self.angle, self.acceleration = np.zeros(3), np.zeros(3), np.zeros(3)
         self.speed = np.full(4, 0.5)
         self.seen, self.seen_slope = np.zeros(3), np.zeros(3)

@@ -269,6 +269,11 @@ class Yielding(Effect):
         return -p[4] * required(s.hidden)[0]
 
 
+def behind_lag(p: FloatArray) -> System:
+    """What the input lately was: its first-order lag of p[0] s."""
+    return np.array([[-1.0 / p[0]]]), np.array([1.0 / p[0]])
+
+
 class Response(Linear):
     """A torque of hidden states that the drive moves."""
 
@@ -286,6 +291,7 @@ class Memory(Shape, Linear):
     """
 
     states = 1
+    system = staticmethod(behind_lag)
 
     def __init__(self, term: str, signal: str) -> None:
         self.leans = 'angle' in signal
@@ -333,9 +339,6 @@ class Memory(Shape, Linear):
         step = step_of(*self.system(p), data.dt)
         followed(whole.flights or ((0, push.size),), push, *step, out)
         return np.ascontiguousarray(out[:, here])
-
-    def system(self, p: FloatArray) -> System:
-        return np.array([[-1.0 / p[0]]]), np.array([1.0 / p[0]])
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         x = required(s.hidden)[0] - (not self.leans)

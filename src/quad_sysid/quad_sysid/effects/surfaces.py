@@ -14,7 +14,7 @@ from numpy.polynomial.legendre import legvander
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.effects.curves import SLOW_MOVES, Shape, signal_of
-from quad_sysid.effects.hidden import Linear, System, followed, step_of
+from quad_sysid.effects.hidden import Linear, behind_lag, followed, step_of
 from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import Settings, Signals, Spec, required
 
@@ -39,7 +39,7 @@ class Surface(Shape, Linear):
     """A torque as a smooth surface over two signals."""
 
     free = True
-    kind = 'shape'
+    system = staticmethod(behind_lag)
 
     def __init__(self, first: str, second: str) -> None:
         self.shaped('torque', first, f'with {second}')
@@ -69,9 +69,6 @@ class Surface(Shape, Linear):
 
     def driver(self, s: Signals, settings: Settings) -> FloatArray:
         return _in_half_ranges(signal_of(s, self.second), settings['second'])
-
-    def system(self, p: FloatArray) -> System:
-        return np.array([[-1.0 / p[0]]]), np.array([1.0 / p[0]])
 
     def trace(
         self, data: AxisData, s: Signals, p: FloatArray, settings: Settings
