@@ -309,12 +309,16 @@ def test_what_the_validation_does_not_confirm_is_dropped_and_the_rest_is_kept():
 def test_a_name_may_only_mend_the_description_of_what_is_not_listed():
     effects = {effect.label: Part(effect) for effect in EFFECTS}
 
-    def beside(own, other, label):
-        parts = [effects['coulomb_friction'], effects[label]]
-        return listed(parts, [math.hypot(1.0, own), math.hypot(1.0, other)], 1.0, 10.0)
+    def beside(own, other, *labels):
+        parts = [effects[label] for label in ('coulomb_friction', *labels)]
+        errors = [math.hypot(1.0, own), *([math.hypot(1.0, other)] * len(labels))]
+        return listed(parts, errors, 1.0, 10.0)
 
-    # what has a law of its own is on the list
+    # what has a law of its own is on the list; two such laws at once describe one that is not
     assert beside(1.0, 2.0, 'mode/slow state') == [1.0, 1.0]
+    small, *unnamed = beside(1.0, 2.0, 'mode/slow state', 'mode/swinging')
+    assert small < 0.05
+    assert unnamed == [1.0, 1.0]
     for free in ('shape:angle/smooth', 'shape:angle/memory curve', 'mode/response to drive',
                  'shape:gain:time/wandering', 'shape:gain:command/smooth, motors'):
         small, unnamed = beside(1.0, 2.0, free)

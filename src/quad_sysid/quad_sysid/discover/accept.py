@@ -399,15 +399,16 @@ def listed(
 ) -> list[float]:
     """Probability of each effect, if it helps, that it is what its name says.
 
-    Effects of a free form describe physics that the list lacks. A named effect beside them may
-    merely mend that description, and is then no larger than they are; one of its own is as
-    probable as any (EXPECTED), and of the usual size. All in rad/s; without: errors without each.
+    A free form describes physics that the list lacks, and so do several shapes and modes: one
+    cause is likelier than many. A named effect beside them may merely mend that description, and
+    is then no larger than they are; one of its own is as probable as any (EXPECTED), and of the
+    usual size. All in rad/s; without: errors without each.
     """
     squares = [min(max(one**2 - after**2, 0.0), HUGE) for one in without]
-    described = sum(
-        square for square, part in zip(squares, parts, strict=True) if part.effect.free
-    )
-    if not described > 0.0:
+    unnamed = [i for i, part in enumerate(parts) if part.effect.kind != 'named']
+    described = sum(squares[i] for i in unnamed)
+    of_the_list = len(unnamed) == 1 and not parts[unnamed[0]].effect.free
+    if of_the_list or not described > 0.0:
         return [1.0] * len(squares)
     ratio = described / usual**2  # of the variances of two normal distributions
     return [
