@@ -306,6 +306,37 @@ def test_what_the_validation_does_not_confirm_is_dropped_and_the_rest_is_kept():
     assert verdict.probabilities[0] > 0.9
 
 
+def test_a_gust_at_an_angle_is_no_coupling_and_a_coupling_beside_it_stands():
+    """Pitch is another flight in the same gusts; its feedback answers them as roll's does."""
+    rng = np.random.default_rng(3)
+    fade = math.exp(-DT / 0.4)
+    gust = lfilter([2.0 * math.sqrt(1.0 - fade**2)], [1.0, -fade], rng.standard_normal(4000))
+
+    def blown(t):
+        return gust[int(t / DT)]
+
+    def found(coefficient, plan):
+        pitch = fly(Axis(torque=lambda t, _r, _a: 0.8 * blown(t)), 7, plan)
+        turned, asked = pitch.rates[:, 0], pitch.control[:, 1]
+
+        def torque(t, _rate, _angle):
+            return blown(t) + coefficient * turned[min(int(t / pitch.dt), turned.size - 1)]
+
+        roll = Axis(torque=torque, other_rates=lambda t: (turned, 0.0 * t),
+                    other_commands=lambda t: (asked, 0.0 * t))
+        data = axis_data([fly(roll, 1, SHORT)], 'roll')
+        tried = [e for e in EFFECTS if e.name in ('gyroscopic_coupling', 'cross_axis_input',
+                                                  'shape:other_command', 'shape:other_rate')]
+        answer = search(Problem(data, data.train), tried)
+        return {part.effect.name for part in answer.best.structure.parts}, answer.reasons
+
+    still = replace(SHORT, reference=np.zeros(round(SHORT.seconds / 0.004)))
+    names, reasons = found(0.0, still)
+    assert names == set()
+    assert 'the same gusts' in reasons['gyroscopic_coupling/other axis 1']
+    assert found(3.0, SHORT)[0] == {'gyroscopic_coupling'}
+
+
 def test_a_name_may_only_mend_the_description_of_what_is_not_listed():
     effects = {effect.label: Part(effect) for effect in EFFECTS}
 
