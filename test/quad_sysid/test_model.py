@@ -310,12 +310,12 @@ def test_a_gust_at_an_angle_is_no_coupling_and_a_coupling_beside_it_stands():
     """Pitch is another flight in the same gusts; its feedback answers them as roll's does."""
     rng = np.random.default_rng(3)
     fade = math.exp(-DT / 0.4)
-    gust = lfilter([2.0 * math.sqrt(1.0 - fade**2)], [1.0, -fade], rng.standard_normal(4000))
+    gust = lfilter([math.sqrt(1.0 - fade**2)], [1.0, -fade], rng.standard_normal(4000))
 
-    def blown(t):
-        return gust[int(t / DT)]
+    def found(coefficient, wind, plan):
+        def blown(t):
+            return wind * gust[int(t / DT)]
 
-    def found(coefficient, plan):
         pitch = fly(Axis(torque=lambda t, _r, _a: 0.8 * blown(t)), 7, plan)
         turned, asked = pitch.rates[:, 0], pitch.control[:, 1]
 
@@ -331,10 +331,10 @@ def test_a_gust_at_an_angle_is_no_coupling_and_a_coupling_beside_it_stands():
         return {part.effect.name for part in answer.best.structure.parts}, answer.reasons
 
     still = replace(SHORT, reference=np.zeros(round(SHORT.seconds / 0.004)))
-    names, reasons = found(0.0, still)
+    names, reasons = found(0.0, 2.0, still)
     assert names == set()
     assert 'the same gusts' in reasons['gyroscopic_coupling/other axis 1']
-    assert found(3.0, SHORT)[0] == {'gyroscopic_coupling'}
+    assert found(3.0, 0.8, SHORT)[0] == {'gyroscopic_coupling'}
 
 
 def test_a_name_may_only_mend_the_description_of_what_is_not_listed():
