@@ -28,12 +28,16 @@ MOVES = 0.02
 """Share of its mean by which a signal must move for its effect to show."""
 LIGHT = 0.3
 """Damping ratio up to which a mode counts as lightly damped."""
-NO_MOTORS = 'the bag holds no motor commands'
 
 
-def moves(data: AxisData) -> bool:
-    """Whether the motors' commands move during training."""
-    return bool(np.ptp(data.training(data.motors)) >= 1e-6)
+def why_not(data: AxisData, *, single: bool = False) -> str:
+    """Why an effect of the motors, or of a single one, cannot be told on these data; '' if it can.
+    """
+    if np.ptp(data.training(data.motors)) < 1e-6:
+        return 'the bag holds no motor commands'
+    if single and all(isinstance(data.signal(f'other command {i}'), str) for i in (1, 2)):
+        return 'the other axes hardly move, so no single motor can be told apart'
+    return ''
 
 
 class Map(Row):
@@ -267,8 +271,9 @@ class MotorCurve(Curve):
         self.excite = 'throttle changes during the excitation, large commands on two axes at once'
 
     def prepare(self, data: AxisData) -> Settings | str:
-        if not moves(data):
-            return NO_MOTORS
+        why = why_not(data, single=len(self.motors) == 1)
+        if why:
+            return why
         low, high = np.percentile(data.training(data.motors), [0.5, 99.5])
         return {
             'knots': tuple(np.linspace(low, high, self.count).tolist()),
@@ -314,10 +319,8 @@ class Saturation(Map):
         )
 
     def prepare(self, data: AxisData) -> Settings | str:
-        if not moves(data):
-            return NO_MOTORS
-        motors = data.training(data.motors)
-        return {'lowest': float(motors.min()), 'highest': float(motors.max())}
+        why, motors = why_not(data), data.training(data.motors)
+        return why or {'lowest': float(motors.min()), 'highest': float(motors.max())}
 
     def starts(self, data: AxisData, settings: Settings) -> Sequence[FloatArray]:
         motors = data.training(data.motors)
@@ -356,7 +359,7 @@ class Motors(Row):
     term = 'response'
 
     def prepare(self, data: AxisData) -> Settings | str:
-        return NO_MOTORS if self.variant == 'motors' and not moves(data) else {}
+        return (why_not(data) if self.variant == 'motors' else '') or {}
 
     def actuate(self, data: AxisData, drive: Drive, p: FloatArray, settings: Settings) -> Drive:
         return self.law(data, drive, p)
@@ -380,10 +383,7 @@ class SlowMotor(Motors):
         )
 
     def prepare(self, data: AxisData) -> Settings | str:
-        still = [isinstance(data.signal(f'other command {i}'), str) for i in (1, 2)]
-        if not moves(data) or all(still):
-            return 'the other axes hardly move, so no single motor can be told apart'
-        return {}
+        return why_not(data, single=True) or {}
 
 
 def _slow_share(sign: float) -> Callable[[AxisData, Drive, FloatArray], Drive]:
