@@ -57,9 +57,13 @@ class Hardship:
     jitter_s: float
     doublets: bool
     """Other axes' manoeuvres, in hover."""
+    one_gust: bool
+    """Whether the same gust turns all axes, as one at an angle does."""
 
 
-def drawn(first_seed: int, number: int) -> tuple[scenarios.Scenario, Hardship]:
+def drawn(
+    first_seed: int, number: int, *, one_gust: bool = False
+) -> tuple[scenarios.Scenario, Hardship]:
     """Flight and hardships of a number."""
     rng = np.random.default_rng([first_seed, number])
 
@@ -75,7 +79,7 @@ def drawn(first_seed: int, number: int) -> tuple[scenarios.Scenario, Hardship]:
         colour=float(rng.uniform(0.002, 0.012)) * (rng.random() < 0.5),
         colour_hz=log_uniform(0.05, 15.0), step=float(rng.choice(STEPS)),
         jitter_s=float(rng.uniform(0.2e-3, 1.2e-3)) * (rng.random() < 0.5),
-        doublets=bool(mount == 'hover' and rng.random() < 0.6),
+        doublets=bool(mount == 'hover' and rng.random() < 0.6), one_gust=one_gust,
     )
     scenario = scenarios.Scenario(
         number=number, kind='nothing', planted=(), simulator='virtual', axis=axis, mount=mount,
@@ -101,8 +105,9 @@ def gusts(rng: np.random.Generator, axis: int, count: int, hard: Hardship) -> np
     """(count, 3) accelerations from outside, rad/s²."""
     out = np.zeros((count, 3))
     rms = hard.gust * EXCITED * math.sqrt(0.5 * math.pi * hard.gust_hz)
+    blown = [coloured(rng, count, hard.gust_hz) for _ in range(1 if hard.one_gust else 3)]
     for i, share in enumerate((1.0, 1.0, 0.3)):
-        out[:, i] = rms * share * coloured(rng, count, hard.gust_hz)
+        out[:, i] = rms * share * blown[i % len(blown)]
     if hard.lulls:
         out *= np.clip(1.0 + coloured(rng, count, 0.05), 0.0, 2.5)[:, None]
     for _ in range(rng.poisson(hard.bursts_per_min * count * STEP_S / 60.0)):
@@ -142,9 +147,9 @@ def flown(scenario: scenarios.Scenario, hard: Hardship) -> Record:
     return replace(record, rates=rates)
 
 
-def answered(first_seed: int, number: int) -> dict[str, object]:
+def answered(first_seed: int, number: int, one_gust: bool) -> dict[str, object]:
     """The answer to one flight."""
-    scenario, hard = drawn(first_seed, number)
+    scenario, hard = drawn(first_seed, number, one_gust=one_gust)
     with threadpool_limits(limits=1):
         found = searched(flown(scenario, hard), scenario.axis, EFFECTS)
         model = axis_model(found, {}, None)
@@ -157,10 +162,12 @@ def answered(first_seed: int, number: int) -> dict[str, object]:
     }
 
 
-def answers(first_seed: int, count: int, jobs: int) -> Iterator[dict[str, object]]:
+def answers(
+    first_seed: int, count: int, jobs: int, one_gust: bool
+) -> Iterator[dict[str, object]]:
     """Of all flights, as they come."""
     with ProcessPoolExecutor(jobs, mp_context=get_context('spawn')) as pool:
-        waiting = [pool.submit(answered, first_seed, number) for number in range(count)]
+        waiting = [pool.submit(answered, first_seed, k, one_gust) for k in range(count)]
         for done, future in enumerate(as_completed(waiting), 1):
             print(f'\r{done}/{count} flights', end='', file=sys.stderr, flush=True)
             yield future.result()
@@ -172,13 +179,14 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument('--flights', type=int, default=300)
     parser.add_argument('--first-seed', type=int, default=40_000)
+    parser.add_argument('--one-gust', action='store_true', help='the same gust turns all axes')
     parser.add_argument('--jobs', type=int, default=os.cpu_count() or 1)
     parser.add_argument('--out', type=Path, default=Path('bench/out'), help='folder for rows')
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     verdicts: Counter[str] = Counter()
     with (options.out / 'hard.jsonl').open('w') as file:
-        for row in answers(options.first_seed, options.flights, options.jobs):
+        for row in answers(options.first_seed, options.flights, options.jobs, options.one_gust):
             verdicts[str(row['verdict'])] += 1
             file.write(json.dumps(row) + '\n')
             file.flush()
