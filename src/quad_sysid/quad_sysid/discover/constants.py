@@ -14,7 +14,7 @@ and within each name among its variants (smoothnesses, motors, other axes). The 
 
 BEAM = 3
 """Explanations that are extended at each level: two effects may mask each other."""
-REFITS = 8
+REFITS = 12
 """Structures with one more effect that are fitted at each level, no two of one explanation."""
 EXCHANGES = 4
 """Candidates that are fitted in the place of an effect of the best structure, likewise."""
