@@ -103,7 +103,7 @@ def fit_without(problem: Problem, fitted: Fit, *which: int, **options: Any) -> F
 
 
 def shares(problem: Problem, fitted: Fit, base: Fit, which: int) -> bool:
-    """Whether another axis' disturbance says more than its couplings, by the evidence of a fit.
+    """Whether another axis' disturbance acts on this one too, by the evidence beside a fit.
 
     The other axis' disturbance is the acceleration that its own base does not explain. Its fit
     starts from this axis' `base`, since motors and gyro are the same.
@@ -116,8 +116,7 @@ def shares(problem: Problem, fitted: Fit, base: Fit, which: int) -> bool:
         return False
     flight = problem.flight
     flight.disturbances[:, which] = Flight(data, data.stretches).unexplained(other.values)
-    couplings = (i for i, part in enumerate(fitted.structure.parts) if which in part.effect.others)
-    shaken = replace(fitted, structure=replace(fitted.structure, shared=(which,)),
-                     theta=np.insert(fitted.theta, -fitted.structure.filtered, 0.0))
-    instead = fit_without(problem, shaken, *couplings)
-    return instead is not None and instead.evidence > fitted.evidence
+    structure = replace(fitted.structure, shared=(which,))
+    theta = np.insert(fitted.theta, -structure.filtered, 0.0)
+    beside = fitted_from(problem, structure, theta, rate=fitted.rate)
+    return beside is not None and beside.evidence + math.log(EXPECTED) > fitted.evidence

@@ -184,10 +184,10 @@ def search(problem: Problem, effects: Sequence[Effect]) -> Found:
     or the evidence falls; then each of its effects is exchanged for alternatives until none is
     better.
 
-    A coupling counts only if it says more than a gust would that disturbs both axes: a gust at an
-    angle moves both, each feedback answers it, and one axis' command would seem to turn the other.
-    If such a gust in the coupling's place has the greater evidence, the search is repeated without
-    that axis (a test of exogeneity: Hausman 1978).
+    A coupling counts only if no gust disturbs both axes: a gust at an angle moves both, each
+    feedback answers it, and one axis' command would seem to turn the other. If the evidence asks
+    for such a gust beside the coupling, the search is repeated without that axis (a test of
+    exogeneity: Hausman 1978).
     """
     parts, reasons = candidates(problem, effects)
     base, scored = best_base(problem), 0
