@@ -31,8 +31,7 @@ LIGHT = 0.3
 
 
 def why_not(data: AxisData, *, single: bool = False) -> str:
-    """Why an effect of the motors, or of a single one, cannot be told on these data; '' if it can.
-    """
+    """Why an effect of the motors, or of a single one, cannot be told here; '' if it can."""
     if np.ptp(data.training(data.motors)) < 1e-6:
         return 'the bag holds no motor commands'
     if single and all(isinstance(data.signal(f'other command {i}'), str) for i in (1, 2)):
