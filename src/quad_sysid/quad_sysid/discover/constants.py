@@ -15,9 +15,9 @@ and within each name among its variants (smoothnesses, motors, other axes). The 
 BEAM = 3
 """Explanations that are extended at each level: two effects may mask each other."""
 REFITS = 12
-"""Structures with one more effect that are fitted at each level, no two of one explanation."""
-EXCHANGES = 4
-"""Candidates that are fitted in the place of an effect of the best structure, likewise."""
+"""Structures with one more effect that are fitted at each level."""
+EXCHANGES = 6
+"""Candidates that are fitted in the place of an effect of the best structure."""
 MOST_EFFECTS = 4
 """A minute of flight hardly determines more."""
 HOPELESS = -8.0

@@ -24,7 +24,7 @@ from quad_sysid.discover.constants import (
 from quad_sysid.discover.screen import Score, candidates, screen
 from quad_sysid.estimate.fit import Fit, Problem
 from quad_sysid.model.effect import Effect, Part, required
-from quad_sysid.model.structure import NOISE, VIBRATION, Structure
+from quad_sysid.model.structure import NOISE, VIBRATION
 
 SIZES = (NOISE[0], NOISE[1], VIBRATION[0])
 """Parts of the noise relative to the gyro's white noise."""
@@ -45,6 +45,12 @@ class Scored:
     def names(self) -> tuple[str, ...]:
         """Of its effects, sorted."""
         return tuple(sorted(part.effect.name for part in self.fit.structure.parts))
+
+    @property
+    def explanations(self) -> tuple[str, ...]:
+        """Of its effects, sorted: hidden states of one name are unlike, its curves are not."""
+        effects = (part.effect for part in self.fit.structure.parts)
+        return tuple(sorted(effect.label if effect.states else effect.name for effect in effects))
 
 
 @dataclass(frozen=True)
@@ -70,12 +76,6 @@ class Found:
         scores = np.array([s.score for s in self.all])
         p = np.exp(scores - scores.max())
         return p / p.sum()
-
-
-def explanations(structure: Structure) -> tuple[str, ...]:
-    """Of its effects, sorted: hidden states of one name are unlike, its curves are not."""
-    effects = (part.effect for part in structure.parts)
-    return tuple(sorted(effect.label if effect.states else effect.name for effect in effects))
 
 
 def noises(parent: Fit) -> list[FloatArray]:
@@ -132,13 +132,8 @@ class _Search:
                     ahead[labels] = score, parent.fit, one
             if not ahead:
                 break
-        hopeful: dict[tuple[str, ...], tuple[Fit, Score]] = {}
-        for _, fit, one in sorted(ahead.values(), key=lambda one: -one[0]):
-            # the best variant: another smoothness would lead the same way, and has its turn when
-            # effects are exchanged
-            hopeful.setdefault(explanations(fit.structure.plus(one.part)), (fit, one))
-        tried = list(hopeful.values())[:refits]
-        fits = side_by_side([partial(extended, self.problem, *one) for one in tried])
+        hopeful = sorted(ahead.values(), key=lambda one: -one[0])[:refits]
+        fits = side_by_side([partial(extended, self.problem, fit, one) for _, fit, one in hopeful])
         return [self.keep(fit) for fit in fits if fit is not None]
 
     def scores(self, parent: Fit) -> list[Score]:
@@ -165,6 +160,8 @@ class _Search:
     def exchange(self) -> bool:
         """Exchange each effect of the best structure for others; whether one was better."""
         best = self.best()
+        if len(best.fit.structure.parts) < 2:
+            return False
         for index in range(len(best.fit.structure.parts)):
             labels = frozenset(best.fit.structure.minus(index).labels)
             if labels not in self.known:
@@ -216,7 +213,9 @@ def _structures(problem: Problem, parts: Sequence[Part], base: Fit) -> _Search:
         fresh = sorted(found.build_on(beam, REFITS, top), key=lambda s: -s.score)
         if not fresh or fresh[0].score <= top:
             break
-        beam = fresh[:BEAM]
+        # the best of each explanation: two smoothnesses of a curve would lead the same way
+        unlike = {one.explanations: one for one in reversed(fresh)}.values()
+        beam = sorted(unlike, key=lambda s: -s.score)[:BEAM]
     for _ in range(MOST_EFFECTS):
         if not found.exchange():
             break
