@@ -280,6 +280,45 @@ def drifting(seed: int, spread: float, correlation_s: float) -> Changes:
     return lambda: {'command': lambda t, u, _v: u * (1.0 + path[int(20.0 * t)])}
 
 
+def held(cycles: int) -> Changes:
+    """Motors that take every n-th command and hold it."""
+
+    def changes():
+        count, taken = 0, 0.0
+
+        def given(_t, u, _v):
+            nonlocal count, taken
+            taken = taken if count % cycles else u
+            count += 1
+            return taken
+
+        return {'command': given}
+
+    return changes
+
+
+def late_by(law: Callable[[float], float]) -> Changes:
+    """A command that comes later by so many seconds, between samples by the share of each."""
+
+    def changes():
+        sent = []
+
+        def given(t, u, _v):
+            sent.append(u)
+            whole, share = divmod(law(t) / DT, 1.0)
+            older, newer = (sent[max(len(sent) - 1 - int(whole) - i, 0)] for i in (1, 0))
+            return share * older + (1.0 - share) * newer
+
+        return {'command': given}
+
+    return changes
+
+
+def saw(t: float) -> float:
+    """A delay that grows to 25 ms and falls back every 0.8 s, as of two clocks that beat."""
+    return 0.025 * (t / 0.8 % 1.0)
+
+
 @dataclass(frozen=True)
 class Law:
     """An effect, the plant that has it, and its parameters with the contract's units."""
@@ -289,6 +328,8 @@ class Law:
     parameters: Mapping[str, float]
     settings: Mapping[str, object] = field(default_factory=dict)
     variant: str = ''
+    delay: float = 0.008
+    """Of the base, with the mean of what the effect adds, s."""
     left: float = 0.002
     """rad/s that may be left over half a second: the noise, and what the steps differ by."""
 
@@ -354,6 +395,14 @@ LAWS = [
         lambda: {'command': lambda t, u, _v: u * (1.0 + 0.4 * math.sin(2.0 * t + 0.7))},
         {'amplitude': 0.4, 'frequency': 1.0 / math.pi, 'phase': 0.0}, variant='periodic',
         left=0.006),  # it swings before the lag here, behind it in the model
+    Law('shape:delay:time', held(5), {'frequency': 50.0, 'phase': 0.0}, variant='held',
+        delay=0.008 + 0.5 * (0.02 - DT)),
+    Law('shape:delay:time',
+        late_by(lambda t: 0.02 + 0.012 * math.sin(5.0 * t) + 0.006 * math.cos(10.0 * t)),
+        {'frequency': 2.5 / math.pi, 'sine_1': 0.012, 'cosine_2': 0.006,
+         **{f'{wave}_{k}': 0.0 for k in range(1, 7) for wave in ('sine', 'cosine')
+            if (wave, k) not in (('sine', 1), ('cosine', 2))}},
+        variant='periodic', delay=0.028),
     Law('shape:angle', torque(lambda _t, _r, a: 0.8 * math.sin(60.0 * a + 0.5)),
         {'waves': 60.0, 'cosine': 0.8 * math.sin(0.5), 'sine': 0.8 * math.cos(0.5)},
         variant='periodic', left=0.003),
@@ -406,7 +455,8 @@ def test_the_true_effect_leaves_the_noise_and_spoils_a_flight_without_it(
 ):
     parameters = tuple(Parameter(n, v, None, '') for n, v in law.parameters.items())
     effect = EffectEstimate(law.name, 'named', (), parameters, law.variant, law.settings)
-    model = replace(true_model, effects=(effect,), plain=true_model.base)
+    base = tuple(replace(p, value=law.delay) if p.name == 'delay' else p for p in true_model.base)
+    model = replace(true_model, base=base, effects=(effect,), plain=true_model.base)
     there, absent = (evaluate(model, r) for r in (calm_flights(law.changes()), empty_flight))
     assert there.after < law.left
     assert there.before > 5.0 * there.after
@@ -543,6 +593,18 @@ def test_a_gain_that_wanders_is_followed_in_another_flight_on_its_own_path():
     assert unseen.before > 2.0 * unseen.after
     plain = evaluate(answer.model, fly(Axis(**QUIET), 502, UNSEEN))
     assert plain.after < 1.1 * plain.before
+
+
+@pytest.mark.parametrize(('changes', 'variant', 'frequency'),
+                         [(held(5), 'held', 50.0), (late_by(saw), 'periodic', 1.25)])
+def test_a_delay_that_repeats_itself_is_found_with_its_frequency(changes, variant, frequency):
+    answer = answer_to(changes, 1)
+    effect = max(answer.model.effects, key=lambda e: e.error_reduction_pct)
+    assert (effect.name, effect.variant) == ('shape:delay:time', variant)
+    assert effect.parameters[0].value == pytest.approx(frequency, rel=1e-3)
+    assert effect.probability > 0.5
+    unseen = evaluate(answer.model, fly(Axis(**{**QUIET, **changes()}), 501, UNSEEN))
+    assert unseen.before > 3.0 * unseen.after
 
 
 def test_what_begins_beyond_an_airspeed_is_found_as_a_curve_of_what_the_angle_has_lately_been():

@@ -7,12 +7,14 @@ explain of the innovations beyond these, under their prior. It only chooses what
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
+from scipy.signal import fftconvolve, lfilter
 
 from quad_sysid.beside import side_by_side
 from quad_sysid.contract import FloatArray
@@ -30,6 +32,8 @@ FAINT = 1e-30
 """Added to every column, rad/s²: what fades further is multiplied a hundred times as slowly."""
 SHARES = 4
 """Into how many shares the candidates are divided, for as many cores at most."""
+ANSWER_S = 0.5
+"""Innovations answer to a pulse for no longer."""
 LINES = 4
 LINE_BAND_HZ = (0.1, 16.0)
 
@@ -57,33 +61,18 @@ class _Block:
     a linear parameter the acceleration at `p`."""
 
 
-def _spectrum(
-    problem: Problem, fitted: Fit, carrier: FloatArray | float = 1.0
-) -> tuple[FloatArray, FloatArray]:
-    """Frequency (Hz) and power of the innovations, times a carrier, over the longest segment."""
-    e = carrier * np.nan_to_num(fitted.prediction.innovation, posinf=0.0, neginf=0.0)
+def _spectrum(problem: Problem, signal: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Frequency (Hz) and power of a signal (n,) over the longest segment."""
     start, stop = max(problem.spans, key=lambda span: span[1] - span[0])
-    part = e[start:stop] - e[start:stop].mean()
+    part = signal[start:stop] - signal[start:stop].mean()
     size = 4 * part.size
     power = np.abs(np.fft.rfft(part * np.hanning(part.size), size)) ** 2
     return np.fft.rfftfreq(size, problem.data.dt).astype(np.float64), power
 
 
-def lines(problem: Problem, fitted: Fit, carrier: FloatArray) -> FloatArray:
-    """Frequencies (Hz), in the band of motion, at which what adds to a carrier (n,) swings."""
-    frequency, power = _spectrum(problem, fitted, carrier)
-    power[(frequency < LINE_BAND_HZ[0]) | (frequency > LINE_BAND_HZ[1])] = 0.0
-    found = []
-    for _ in range(LINES):
-        peak = int(np.argmax(power))
-        found.append(float(frequency[peak]))
-        power[max(peak - 12, 0) : peak + 13] = 0.0
-    return np.array(found)
-
-
 def vibration_line(problem: Problem, fitted: Fit) -> float | None:
     """Frequency (Hz) of the strongest line above that band; None where the rate is too low."""
-    frequency, power = _spectrum(problem, fitted)
+    frequency, power = _spectrum(problem, np.nan_to_num(fitted.prediction.innovation))
     above = frequency > LINE_BAND_HZ[1]
     if above.sum() < 100:
         return None
@@ -140,9 +129,8 @@ class _Beside:
         for part in parts:
             starts = part.effect.starts(self.problem.data, part.settings)
             if part.effect.phased:
-                carrier = per_unit(part.effect.term, self.signals)
-                found = lines(self.problem, self.fitted, carrier)
-                starts = [np.r_[frequency, starts[0][1:]] for frequency in found]
+                starts = [np.r_[line, start[1:]]
+                          for line in self.lines(part.effect) for start in starts]
             for start in starts:
                 batch.append(self._block(part, start))
                 if sum(len(block.columns) for block in batch) >= BATCH:
@@ -150,6 +138,40 @@ class _Beside:
                     batch = []
         if batch:
             yield batch
+
+    def lines(self, effect: Effect) -> list[float]:
+        """Frequencies (Hz) at which a term swings, by the correlation with what it would cause."""
+        signal, highest = self.innovation, LINE_BAND_HZ[1]
+        if effect.term != 'torque':
+            signal, highest = self.correlated(effect), math.inf
+        frequency, power = _spectrum(self.problem, signal)
+        power[(frequency < LINE_BAND_HZ[0]) | (frequency > highest)] = 0.0
+        found = []
+        for _ in range(LINES):
+            peak = int(np.argmax(power))
+            found.append(float(frequency[peak]))
+            power[max(peak - 12, 0) : peak + 13] = 0.0
+        return found
+
+    def correlated(self, effect: Effect) -> FloatArray:
+        """(n,) derivative of the log-likelihood by the effect's term in each cycle.
+
+        The innovations pass backwards through the filter, and through the lag of what moves the
+        command.
+        """
+        flight, dt = self.problem.flight, self.problem.data.dt
+        begin, n = flight.passes[0][0], self.innovation.size
+        pulse = np.zeros((n, 1))
+        pulse[begin] = 1.0
+        answer = flight.responses(pulse, self.slope, self.fitted.prediction.filter)
+        answer = answer[begin : begin + round(ANSWER_S / dt), 0]
+        e = self.innovation * self.weight[:, 0] ** 2
+        back = -fftconvolve(e, answer[::-1])[answer.size - 1 :]
+        if not effect.moves_command:
+            return back * per_unit(effect.term, self.signals)
+        keep = math.exp(-dt / self.values[1])
+        back = lfilter([1.0 - keep], [1.0, -keep], back[::-1])[::-1]
+        return -back * np.gradient(self.signals.command)
 
     def _block(self, part: Part, start: FloatArray) -> _Block:
         effect, p = part.effect, coordinates(part.effect.parameters, start)

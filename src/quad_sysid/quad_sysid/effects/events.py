@@ -1,4 +1,4 @@
-"""Events at a time, and what swings by itself: both belong to one flight."""
+"""Events at a time, and what repeats itself: both belong to one flight."""
 
 from __future__ import annotations
 
@@ -17,6 +17,11 @@ EDGE_S = 1.0
 GRID_S = 0.5
 LONG_AGO_S = -1e6
 """Time of an event that happened before this flight."""
+HARMONICS = 6
+"""Of a delay that repeats itself: nine tenths of a saw's variance."""
+FADING = 0.25
+"""Share of a cycle over which one held command gives way to the next, for a smooth likelihood."""
+ORDERS = np.arange(1.0, HARMONICS + 1.0)
 
 
 def times(data: AxisData) -> FloatArray:
@@ -82,6 +87,89 @@ class Periodic(Event):
         return np.array([values['frequency'], size * math.cos(phase), size * math.sin(phase)])
 
 
+class Clocked(Effect):
+    """The delay of the command repeats itself, as another clock has it; it has no law over time."""
+
+    name = 'shape:delay:time'
+    kind = 'shape'
+    term = 'delay'
+    signals = ('command', 'time', 'history')
+    phased = True
+    excite = 'a PRBS over many periods'
+
+    def later(self, time: FloatArray, p: FloatArray) -> FloatArray:
+        """(n,) what is added to the delay at a time (n,), both in s."""
+        raise NotImplementedError
+
+
+class PeriodicDelay(Clocked):
+    """Two clocks that beat, a task that blocks another: a Fourier series.
+
+    Its phase is that of its first harmonic.
+    """
+
+    variant = 'periodic'
+    free = True
+    parameters = (
+        Spec('frequency', 'Hz', spread=1.3, centre=math.log(1.5), log=True),
+        *(Spec(f'{wave}_{k}', 's', spread=0.02 / k)  # those of a saw fall as 1 / k
+          for k in range(1, HARMONICS + 1) for wave in ('sine', 'cosine')),
+    )
+    physics = 'delay + sum of S_k sin(2 pi k f t) + C_k cos(2 pi k f t)'
+
+    def later(self, time: FloatArray, p: FloatArray) -> FloatArray:
+        waves = np.exp(2j * math.pi * p[0] * np.outer(ORDERS, time))
+        return np.asarray(p[1::2] @ waves.imag + p[2::2] @ waves.real)
+
+    def command(
+        self, data: AxisData, command: FloatArray, p: FloatArray, settings: Settings
+    ) -> FloatArray:
+        grid = np.arange(command.size, dtype=np.float64)
+        return np.interp(grid - self.later(data.clock, p) / data.dt, grid, command)
+
+    def elsewhere(self, p: FloatArray, settings: Settings, phase: float) -> FloatArray:
+        turn = phase - math.atan2(p[2], p[1])
+        turned = (p[1::2] + 1j * p[2::2]) * np.exp(1j * turn * ORDERS)
+        return np.r_[p[0], turned.view(np.float64)]
+
+
+class Held(Clocked):
+    """The motors take a command less often than it is computed, and hold it.
+
+    Half a period counts as part of the base's delay.
+    """
+
+    variant = 'held'
+    parameters = (
+        Spec('frequency', 'Hz', spread=1.0, centre=math.log(40.0), log=True),
+        Spec('phase', 'rad', spread=2.0, starts=tuple(math.pi * np.arange(-8, 8) / 8.0)),
+    )
+    physics = 'the motors take the command of every 1 / f s and hold it'
+
+    def later(self, time: FloatArray, p: FloatArray) -> FloatArray:
+        turns = p[0] * time - p[1] / (2.0 * math.pi)
+        return (turns - np.round(turns)) / p[0]
+
+    def command(
+        self, data: AxisData, command: FloatArray, p: FloatArray, settings: Settings
+    ) -> FloatArray:
+        time, dt, turned = data.clock, data.dt, p[1] / (2.0 * math.pi)
+        grid = np.arange(command.size, dtype=np.float64)
+        count = np.floor(p[0] * (time + dt) - turned + 0.5)  # of what is held at a cycle's end
+
+        def taken(count: FloatArray) -> FloatArray:
+            at = ((count + turned) / p[0] - time[0]) / dt - 0.5
+            here = np.floor(at)
+            fading = np.clip((at - here - 0.5) / FADING + 0.5, 0.0, 1.0)
+            return np.interp(here + fading, grid, command)
+
+        before = np.clip(((count + turned - 0.5) / p[0] - time) / dt, 0.0, 1.0)
+        return before * taken(count - 1.0) + (1.0 - before) * taken(count)
+
+    def elsewhere(self, p: FloatArray, settings: Settings, phase: float) -> FloatArray:
+        return np.array([p[0], phase])
+
+
 BEGINS = Spec('time', 's', spread=30.0)
 IN_TRAINING = 'any; the event itself must fall into the training segments'
 EVENTS: tuple[Effect, ...] = (
@@ -115,4 +203,5 @@ EVENTS: tuple[Effect, ...] = (
         'gain', 'shape:gain:time', kind='shape', variant='periodic',
         physics='gain times 1 + A sin(2 pi f t + phase)', excite='excitation over many periods',
     ),
+    PeriodicDelay(), Held(),
 )

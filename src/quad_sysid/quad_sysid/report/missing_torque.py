@@ -9,12 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from quad_sysid.contract import FloatArray, motors_from_wrench
+from quad_sysid.effects.events import Clocked
 from quad_sysid.estimate.fit import Fit, Problem, covariance
 from quad_sysid.loop.from_model import Placed
 from quad_sysid.model.data import AxisData, Span
@@ -26,8 +28,6 @@ BINS = 17
 LEAST_IN_A_BIN = 40
 GRID = 301
 Z95 = 1.96
-WEIGHED = ('torque', 'gain', 'damping', 'delay', 'friction')
-"""Terms that add a torque in proportion; a lag does not."""
 
 OVER = {'rate': ('rate', 'rad/s'), 'angle': ('angle', 'rad'), 'command': ('lagged', 'norm.'),
         'throttle': ('throttle', 'norm.'), 'battery': ('battery_v', 'V'), 'time': ('time', 's'),
@@ -137,7 +137,7 @@ def variables(along: Along) -> dict[str, FloatArray]:
 
 def weight(along: Along, part: Part) -> FloatArray | None:
     """(n,) rad/s² that one unit of what the effect changes adds; None where that is not known."""
-    if part.effect.states or part.effect.term not in WEIGHED:
+    if part.effect.states or part.effect.moves_command:
         return None
     return along.seen(per_unit(part.effect.term, along.signals))
 
@@ -225,7 +225,9 @@ def _picture(along: Along, part: Part) -> tuple[Evaluate, FloatArray, str]:
     name = _name(part)
     over = f'{_named(along.problem.data, part, name)}, {OVER[name][1]}'
     if part.effect.phased:
-        x, over = np.linspace(0.0, 2.0 * np.pi, GRID), 'phase of the disturbance, rad'
+        x, over = np.linspace(0.0, 2.0 * np.pi, GRID), 'phase, rad'
+    if isinstance(part.effect, Clocked):
+        return partial(part.effect.later, x / (2.0 * np.pi * _frequency(along, part))), x, over
     if term == 'lag':
         return _lag(along, part, x), x, over
     unit = {signal: value * np.ones(GRID) for signal, value in UNIT.get(term, {}).items()}
