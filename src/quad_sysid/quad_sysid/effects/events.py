@@ -88,7 +88,7 @@ class Periodic(Event):
 
 
 class Clocked(Effect):
-    """The delay of the command repeats itself, as another clock has it; it has no law over time."""
+    """The delay of the command repeats itself, as another clock has it."""
 
     name = 'shape:delay:time'
     kind = 'shape'
