@@ -23,6 +23,7 @@ from quad_sysid.estimate.fit import Problem, fit
 from quad_sysid.estimate.stored import noise_of, readings
 from quad_sysid.model.data import AxisData, axis_data
 from quad_sysid.model.effect import Part
+from quad_sysid.model.plant import Flight
 from quad_sysid.model.structure import Structure
 from quad_sysid.record import GainChange
 
@@ -387,12 +388,33 @@ def test_variants_of_one_name_are_one_explanation():
     assert found.best is alike[0].fit
 
 
+def test_what_single_motors_add_is_the_same_in_any_order_and_adds_up():
+    flown = fly(Axis(
+        throttle=lambda t: 0.5 + 0.1 * np.sin(0.8 * t),
+        other_commands=lambda t: (0.05 * np.sin(3.0 * t), 0.04 * np.sin(5.0 * t + 1.0)),
+    ), 4, SHORT)
+    flight = Flight(axis_data([flown], 'roll'), ((0, flown.n),))
+
+    def driven(*of_effects: tuple[str, float]):
+        effects = [next(e for e in EFFECTS if e.label == label) for label, _ in of_effects]
+        parts = tuple(Part(e, {'throttle': 0.5}) for e in effects)
+        p = np.array([450.0, 0.04, 0.01, 0.4, 0.0, *(value for _, value in of_effects)])
+        return flight.driven(Structure(parts), p)[0]
+
+    slow, slower = ('motor_lag/motor 1', 0.1), ('motor_lag/motor 3', 0.2)
+    uneven, curve = ('shape:lag:direction/motor 2', 0.4), ('thrust_curve', 0.5)
+    plain, alone = driven(), [driven(one) - driven() for one in (slow, slower, uneven)]
+    assert min(np.std(one) for one in alone) > 0.01 * np.std(plain)
+    np.testing.assert_allclose(driven(slow, slower, uneven), plain + sum(alone), atol=1e-12)
+    np.testing.assert_allclose(driven(curve, slow), driven(slow, curve), atol=1e-12)
+
+
 def test_every_effect_moves_the_innovations_as_its_derivatives_say() -> None:
     """Of the base's and of the effect's own parameters, along one random direction each.
 
-    A command in whole steps has no derivative, nor has a load where it stops dead, so that it gets
-    more play here; what moves the innovations by less than a thousandth of what the base does is
-    left out.
+    A command in whole steps has no derivative, nor has one that is held or late by turns, at whole
+    cycles; nor has a load where it stops dead, so that it gets more play here. What moves the
+    innovations by less than a thousandth of what the base does is left out.
     """
     rng = np.random.default_rng(1)
     flown = fly(Axis(
@@ -431,4 +453,5 @@ def test_every_effect_moves_the_innovations_as_its_derivatives_say() -> None:
             if size > least and np.linalg.norm(moved - jacobian @ way) > 0.05 * size:
                 wrong[one.part.effect.label] = one.part.effect
             least = 1e-3 * size
-    assert set(wrong) == {'shape:gain:command/steps'}
+    by_turns = {'shape:delay:time/held', 'shape:delay:time/periodic'}
+    assert set(wrong) - by_turns == {'shape:gain:command/steps'}

@@ -341,14 +341,22 @@ class Saturation(Map):
         return {'throttle': 0.5 * float(p[0] + (0.0 if self.variant == 'upper' else 1.0))}
 
 
-def by_motor(data: AxisData, drive: Drive) -> Drive:
-    """One channel for each motor, and one for what earlier effects added to the command."""
-    row = MIXER_INVERSE[data.index + 1]
-    rest = drive.commands[:1] - (row @ data.motors.T)[None, :]
-    return replace(
-        drive, commands=np.vstack([data.motors.T, rest, drive.commands[1:]]),
-        row=np.r_[row * drive.row[0], drive.row],
-        lag=np.vstack([np.repeat(drive.lag[:1], 4, axis=0), drive.lag]),
+def differing(
+    data: AxisData, drive: Drive, motors: Sequence[int], slow_s: float | None = None,
+    asymmetry: float = 0.0,
+) -> Drive:
+    """Some motors with a lag of their own: channels for these, and one that takes back the usual.
+
+    The first channel, which all other effects act on, stays the command of the axis.
+    """
+    which = list(motors)
+    share, own = drive.row[0] * MIXER_INVERSE[data.index + 1, which], data.motors.T[which]
+    lag = np.repeat(drive.lag[:1], len(motors) + 1, axis=0)
+    if slow_s is not None:
+        lag[:-1] = slow_s
+    return Drive(
+        np.vstack([drive.commands, own, share @ own]), np.r_[drive.row, share, -1.0],
+        np.vstack([drive.lag, lag]), np.r_[drive.asymmetry, np.full(len(motors), asymmetry), 0.0],
     )
 
 
@@ -356,55 +364,48 @@ class Motors(Row):
     """What happens between commands and torque: the law gives the Drive after it."""
 
     term = 'response'
+    motors: tuple[int, ...] = ()
+    """Those that differ from the others; none: the command of the axis does."""
 
     def prepare(self, data: AxisData) -> Settings | str:
-        return (why_not(data) if self.variant == 'motors' else '') or {}
+        return (why_not(data, single=len(self.motors) == 1) if self.motors else '') or {}
 
     def actuate(self, data: AxisData, drive: Drive, p: FloatArray, settings: Settings) -> Drive:
         return self.law(data, drive, p)
 
 
-class SlowMotor(Motors):
-    """One motor has a longer lag than the others."""
-
-    def __init__(self, motor: int) -> None:
-        def slowed(data: AxisData, drive: Drive, p: FloatArray) -> Drive:
-            split = by_motor(data, drive)
-            lag = split.lag.copy()
-            lag[motor] = p[0]
-            return replace(split, lag=lag)
-
-        slow = replace(SLOW, starts=(0.07, 0.12, 0.25))
-        super().__init__(
-            'motor_lag', ('command', 'motors'), (slow,), slowed, variant=f'motor {motor + 1}',
-            physics='one motor answers with a longer lag; the other axes then act here as well',
-            excite='hover with all axes moving',
-        )
-
-    def prepare(self, data: AxisData) -> Settings | str:
-        return why_not(data, single=True) or {}
+def _slow_motor(motor: int) -> Effect:
+    return Motors(
+        'motor_lag', ('command', 'motors'), (replace(SLOW, starts=(0.07, 0.12, 0.25)),),
+        lambda data, drive, p: differing(data, drive, [motor], slow_s=float(p[0])),
+        motors=(motor,), variant=f'motor {motor + 1}',
+        physics='one motor answers with a longer lag; the other axes then act here as well',
+        excite='hover with all axes moving',
+    )
 
 
 def _slow_share(sign: float) -> Callable[[AxisData, Drive, FloatArray], Drive]:
     def shared(_: AxisData, drive: Drive, p: FloatArray) -> Drive:
         slow, share = np.maximum(p[0], drive.lag[:1]), sign * p[1]
-        return replace(
-            drive, commands=np.vstack([drive.commands, drive.commands[:1]]),
-            row=np.r_[drive.row[:1] * (1.0 - share), drive.row[1:], drive.row[:1] * share],
-            lag=np.vstack([drive.lag, slow]),
+        return Drive(
+            np.vstack([drive.commands, drive.commands[:1]]),
+            np.r_[drive.row[:1] * (1.0 - share), drive.row[1:], drive.row[:1] * share],
+            np.vstack([drive.lag, slow]), np.r_[drive.asymmetry, drive.asymmetry[:1]],
         )
 
     return shared
 
 
-def _asymmetric(variant: str) -> Effect:
+def _asymmetric(variant: str, *motors: int) -> Effect:
     def uneven(data: AxisData, drive: Drive, p: FloatArray) -> Drive:
-        split = by_motor(data, drive) if variant == 'motors' else drive
-        return replace(split, asymmetry=split.asymmetry + float(p[0]))
+        if motors:
+            return differing(data, drive, motors, asymmetry=float(p[0]))
+        return replace(drive, asymmetry=drive.asymmetry + p[0])
 
     return Motors(
         'shape:lag:direction', ('command', 'direction'), (Spec('asymmetry', '1', spread=0.5),),
-        uneven, kind='shape', variant=variant, excite='steps of the command up and down',
+        uneven, kind='shape', variant=variant, motors=motors,
+        excite='steps of the command up and down',
         physics='a motor slows down with the lag times exp(a) and speeds up with the lag over '
         'exp(a)',
     )
@@ -426,6 +427,6 @@ ACTUATORS: tuple[Effect, ...] = (
         physics="the torque overshoots and falls back by a share: rotors' own reaction in yaw",
         excite='a PRBS that reaches beyond 1 / lag',
     ),
-    *(SlowMotor(i) for i in range(4)), _asymmetric('motors'), _asymmetric('axis'),
-    *SLOW_MAPS,
+    *(_slow_motor(i) for i in range(4)), _asymmetric('motors', 0, 1, 2, 3), _asymmetric('axis'),
+    *(_asymmetric(f'motor {i + 1}', i) for i in range(4)), *SLOW_MAPS,
 )

@@ -119,8 +119,8 @@ class Drive:
     """(c,) share of each channel in the axis' command."""
     lag: FloatArray
     """(c, n) s."""
-    asymmetry: float = 0.0
-    """Lag times exp(asymmetry) while a motor slows down, over it while it speeds up."""
+    asymmetry: FloatArray = field(default_factory=lambda: np.zeros(1))
+    """(c,) lag times exp(asymmetry) while a motor slows down, over it while it speeds up."""
 
 
 @dataclass(frozen=True)

@@ -22,10 +22,10 @@ def motors(commands, row, lag, asymmetry, whole, fraction, dt, start, stop, halv
     """Drive of one axis: each command after its delay and lag, mixed by `row`.
 
     commands (c, n) held over a cycle; row (c,); lag (c, n) s; a motor that speeds up has the lag
-    times exp(-asymmetry), one that slows down times exp(asymmetry). The delay is `whole` cycles
-    and a `fraction` of one. halves (2, n) receives the mean drive over both halves of each cycle,
-    states (2, n) the drive and the delayed command at its middle; filled in [start, stop).
-    Solved exactly for a held command.
+    times exp(-asymmetry), one that slows down times exp(asymmetry), where asymmetry is (c,). The
+    delay is `whole` cycles and a `fraction` of one. halves (2, n) receives the mean drive over
+    both halves of each cycle, states (2, n) the drive and the delayed command at its middle;
+    filled in [start, stop). Solved exactly for a held command.
     """
     for k in range(start, stop):
         halves[0, k] = 0.0
@@ -36,9 +36,8 @@ def motors(commands, row, lag, asymmetry, whole, fraction, dt, start, stop, halv
     lengths = (cut0 * dt, (cut1 - cut0) * dt, (1.0 - cut1) * dt)
     older = 1 if fraction < 0.5 else 2  # lengths with the older command
     first = 3 - older  # lengths in the first half
-    up, down = math.exp(-asymmetry), math.exp(asymmetry)
     for c in range(commands.shape[0]):
-        weight = row[c]
+        weight, up, down = row[c], math.exp(-asymmetry[c]), math.exp(asymmetry[c])
         if weight == 0.0:
             continue
         w = commands[c, start]
@@ -52,7 +51,7 @@ def motors(commands, row, lag, asymmetry, whole, fraction, dt, start, stop, halv
                 u = before if i < older else new
                 if h > 0.0:
                     tau = lag[c, k]
-                    if asymmetry != 0.0:
+                    if asymmetry[c] != 0.0:
                         tau *= up if u > w else down
                     if tau != last_tau:
                         last_tau = tau
