@@ -419,7 +419,7 @@ EFFECTS = {
     'dynamic_inflow': (DynamicInflow, False),
     'flap_back_by_translation': (FlapBackByTranslation, False),
     'guard_drag_in_own_wake': (GuardDragInOwnWake, True),
-    'vibration_rectification': (VibrationRectification, True),
+    'rectified_vibration': (VibrationRectification, True),
     'skewed_drooping_board': (SkewedDroopingBoard, False),
     'false_vertical_of_ahrs': (FalseVerticalOfAhrs, False),
 }
@@ -435,7 +435,7 @@ FAMILIES = {
         'dynamic_inflow', 'flap_back_by_translation', 'guard_drag_in_own_wake',
     ),
     'sensing': (
-        'vibration_rectification', 'skewed_drooping_board', 'false_vertical_of_ahrs',
+        'rectified_vibration', 'skewed_drooping_board', 'false_vertical_of_ahrs',
     ),
 }
 MAY_BE = {
