@@ -2,10 +2,10 @@
 
 Eighty-four effects in 28 families, from textbooks, by seven writers who knew neither the code nor
 its candidates, flown by a simulator of its own (outside_simulator.py) at two strengths and two
-levels of noise. The gap is that between the base's error on a second flight and what the true equations
-foresee of that flight from its commands alone, scaled by what the base reaches beside them where
-the effect is off. Where the truth gains less than a factor of 1.5 there is little to find, and a
-flight does not count.
+levels of noise. The gap is that between the base's error on a second flight and what the true
+equations foresee of that flight from its commands alone, scaled by what the base reaches beside
+them where the effect is off. Where the truth gains less than a factor of 1.5 there is little to
+find, and a flight does not count.
 
     python bench/outside.py --noise 0.3 --only cables --out bench/out
 """

@@ -185,6 +185,27 @@ def heated(change: float, time_constant_s: float) -> Changes:
     return changes
 
 
+def lively(t):
+    return 0.5 + 0.1 * np.sin(6.0 * t)
+
+
+def shown_beside(size: float, time_constant_s: float) -> Changes:
+    """A gyro that shows size times the throttle beside the rate, behind a lag: as a torque."""
+
+    def changes():
+        x = 0.0
+
+        def law(t, _rate, _angle):
+            nonlocal x
+            moving = (lively(t) - x) / time_constant_s
+            x += HALF_S * moving
+            return size * moving if t > 0.5 else 0.0
+
+        return {'torque': law, 'throttle': lively}
+
+    return changes
+
+
 def dahl(size: float, build_up: float) -> Changes:
     """Friction that builds up over an angle, Dahl's law."""
 
@@ -406,6 +427,9 @@ LAWS = [
     Law('shape:angle', torque(lambda _t, _r, a: 0.8 * math.sin(60.0 * a + 0.5)),
         {'waves': 60.0, 'cosine': 0.8 * math.sin(0.5), 'sine': 0.8 * math.cos(0.5)},
         variant='periodic', left=0.003),
+    Law('shape:throttle', shown_beside(3.0, 0.1),
+        {'time_constant': 0.1, **{f'y{i}': 3.0 * x for i, x in enumerate(KNOTS)}},
+        {**PLAIN, 'knots': KNOTS, 'mean': (0.0,) * 6}, variant='shown by the gyro', left=0.008),
     Law('mode', dahl(0.4, 0.05), {'torque': 0.4, 'reach': 0.05}, variant='hysteresis'),
     Law('mode', with_play(0.5, 3.0, pull=60.0, weight=2.0),
         {'frequency': 0.5, 'damping': 3.0, 'pull': 60.0, 'weight': 2.0, 'inertia': 0.0},

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from quad_sysid.contract import MIXER_INVERSE, FloatArray
-from quad_sysid.effects.curves import Curve
+from quad_sysid.effects.curves import Curve, placed_around_zero
 from quad_sysid.effects.hidden import RING, along, followed, ring, step_of
 from quad_sysid.effects.torques import Row
 from quad_sysid.model import recursion
@@ -23,6 +23,7 @@ from quad_sysid.model.effect import (
     Spec,
     required,
 )
+from quad_sysid.model.structure import BASE
 
 MOVES = 0.02
 """Share of its mean by which a signal must move for its effect to show."""
@@ -343,20 +344,24 @@ class Saturation(Map):
 
 def differing(
     data: AxisData, drive: Drive, motors: Sequence[int], slow_s: float | None = None,
-    asymmetry: float = 0.0,
+    factors: tuple[FloatArray, FloatArray] | None = None,
 ) -> Drive:
     """Some motors with a lag of their own: channels for these, and one that takes back the usual.
 
-    The first channel, which all other effects act on, stays the command of the axis.
+    The first channel, which all other effects act on, stays the command of the axis. factors:
+    knots and values (k,), as in Drive.factors.
     """
     which = list(motors)
     share, own = drive.row[0] * MIXER_INVERSE[data.index + 1, which], data.motors.T[which]
-    lag = np.repeat(drive.lag[:1], len(motors) + 1, axis=0)
+    lag = np.repeat(drive.lag[:1], len(which) + 1, axis=0)
     if slow_s is not None:
         lag[:-1] = slow_s
+    curve = np.zeros((len(which) + 1, *drive.factors.shape[1:]))
+    if factors is not None:
+        curve[:-1] = factors
     return Drive(
         np.vstack([drive.commands, own, share @ own]), np.r_[drive.row, share, -1.0],
-        np.vstack([drive.lag, lag]), np.r_[drive.asymmetry, np.full(len(motors), asymmetry), 0.0],
+        np.vstack([drive.lag, lag]), np.vstack([drive.factors, curve]),
     )
 
 
@@ -390,7 +395,7 @@ def _slow_share(sign: float) -> Callable[[AxisData, Drive, FloatArray], Drive]:
         return Drive(
             np.vstack([drive.commands, drive.commands[:1]]),
             np.r_[drive.row[:1] * (1.0 - share), drive.row[1:], drive.row[:1] * share],
-            np.vstack([drive.lag, slow]), np.r_[drive.asymmetry, drive.asymmetry[:1]],
+            np.vstack([drive.lag, slow]), np.vstack([drive.factors, drive.factors[:1]]),
         )
 
     return shared
@@ -398,9 +403,12 @@ def _slow_share(sign: float) -> Callable[[AxisData, Drive, FloatArray], Drive]:
 
 def _asymmetric(variant: str, *motors: int) -> Effect:
     def uneven(data: AxisData, drive: Drive, p: FloatArray) -> Drive:
+        factors = BOTH_WAYS, -float(p[0]) * np.sign(BOTH_WAYS)
         if motors:
-            return differing(data, drive, motors, asymmetry=float(p[0]))
-        return replace(drive, asymmetry=drive.asymmetry + p[0])
+            return differing(data, drive, motors, factors=factors)
+        whole = drive.factors.copy()
+        whole[0, 0], whole[0, 1] = factors[0], whole[0, 1] + factors[1]
+        return replace(drive, factors=whole)
 
     return Motors(
         'shape:lag:direction', ('command', 'direction'), (Spec('asymmetry', '1', spread=0.5),),
@@ -411,6 +419,28 @@ def _asymmetric(variant: str, *motors: int) -> Effect:
     )
 
 
+class HasteCurve(Curve):
+    """The lag of all motors is a smooth curve of how far each has to go: its command less it."""
+
+    def __init__(self) -> None:
+        super().__init__('lag', 'command', 'smooth')
+        self.name, self.variant, self.term = 'shape:lag:direction', 'smooth, motors', 'response'
+        self.signals = ('command', 'direction')
+        self.physics = 'the lag of a motor follows how far it has to go, as a smooth curve'
+        self.excite = 'small and large steps of the command, up and down'
+
+    def prepare(self, data: AxisData) -> Settings | str:
+        why, usual = why_not(data), math.exp(BASE[1].centre)
+        away = np.concatenate([data.training(m - lagged(data, m, usual)) for m in data.motors.T])
+        return why or placed_around_zero(away, self.count)
+
+    def actuate(self, data: AxisData, drive: Drive, p: FloatArray, settings: Settings) -> Drive:
+        knots, values = np.array(settings['knots']), p - float(np.dot(settings['mean'], p))
+        return differing(data, drive, range(4), factors=(knots, values))
+
+
+BOTH_WAYS = np.array([-3.0, -2.0, -1e-9, 1e-9, 2.0, 3.0])
+"""Knots of a curve that only knows whether a motor slows down or speeds up."""
 SLOW = Spec('slow_time_constant', 's', spread=0.7, centre=math.log(0.12), log=True,
             starts=(0.09, 0.15, 0.3))
 SHARE = Spec('share', '1', spread=0.3, positive=True)
@@ -428,5 +458,5 @@ ACTUATORS: tuple[Effect, ...] = (
         excite='a PRBS that reaches beyond 1 / lag',
     ),
     *(_slow_motor(i) for i in range(4)), _asymmetric('motors', 0, 1, 2, 3), _asymmetric('axis'),
-    *(_asymmetric(f'motor {i + 1}', i) for i in range(4)), *SLOW_MAPS,
+    HasteCurve(), *(_asymmetric(f'motor {i + 1}', i) for i in range(4)), *SLOW_MAPS,
 )

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -93,6 +94,19 @@ def smooth(place: Sequence[float], length: float, size: float) -> FloatArray:
     return np.linalg.inv(kernel) / size**2
 
 
+def placed(used: FloatArray, knots: FloatArray, place: FloatArray) -> dict[str, Any]:
+    """Settings of a curve with these knots (k,) over a signal, whose mean over it is zero."""
+    held = np.clip(used[np.isfinite(used)], knots[0], knots[-1])
+    mean = tuple(float(np.mean(np.interp(held, knots, hat))) for hat in np.eye(knots.size))
+    return {'knots': tuple(knots.tolist()), 'place': tuple(place.tolist()), 'mean': mean}
+
+
+def placed_around_zero(used: FloatArray, count: int) -> dict[str, Any]:
+    """The same with knots that are dense around zero, where friction lives."""
+    z, far = np.linspace(-1.0, 1.0, count), np.max(np.abs(np.nanpercentile(used, [0.5, 99.5])))
+    return placed(used, far * np.sign(z) * np.abs(z) ** 1.7, z)
+
+
 class Shape(Effect):
     """A term of the base that varies with a signal, in the words of AxisData.signal."""
 
@@ -147,22 +161,15 @@ class Curve(Shape):
         if not high - low > 1e-9 * max(1.0, abs(high)):
             return f'{self.signal} does not move during training'
         if self.signal in ('rate', 'command'):
-            far = max(abs(low), abs(high))
-            z = np.linspace(-1.0, 1.0, self.count)
-            knots = far * np.sign(z) * np.abs(z) ** 1.7  # dense around zero, where friction lives
-            place = z
+            settings = placed_around_zero(used, self.count)
         else:
-            knots = np.linspace(low, high, self.count)
-            place = np.linspace(-1.0, 1.0, self.count)
-        held = np.clip(used[np.isfinite(used)], knots[0], knots[-1])
-        mean = [float(np.mean(np.interp(held, knots, hat))) for hat in np.eye(self.count)]
+            z = np.linspace(-1.0, 1.0, self.count)
+            settings = placed(used, low + 0.5 * (z + 1.0) * (high - low), z)
         if self.term == 'friction':  # the base has none
-            mean = [0.0] * self.count
+            settings['mean'] = (0.0,) * self.count
         elif self.signal == 'time':  # the base is what the flight ends with
-            mean = [*[0.0] * (self.count - 1), 1.0]
-        return {
-            'knots': tuple(knots.tolist()), 'place': tuple(place.tolist()), 'mean': tuple(mean),
-        }
+            settings['mean'] = (*[0.0] * (self.count - 1), 1.0)
+        return settings
 
     def _along(self, x: FloatArray, p: FloatArray, settings: Settings) -> FloatArray:
         above = 1.0 if self.variant in DRIFT else self.further(self.length)
@@ -186,7 +193,7 @@ class Curve(Shape):
 
     @property
     def moves_command(self) -> bool:
-        return self.term in ('lag', 'command')
+        return self.term in ('lag', 'command', 'response')
 
     def precision(self, settings: Settings, sizes: FloatArray) -> FloatArray:
         out = np.diag(sizes**-2.0)

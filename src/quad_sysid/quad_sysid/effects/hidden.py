@@ -384,6 +384,36 @@ class MemoryCurve(Memory):
         return out
 
 
+class Shown(MemoryCurve):
+    """The gyro shows a curve of a signal beside the rate; its slope acts as a torque.
+
+    Vibration that it rectifies grows with the motors' speed, currents shift its ground.
+    """
+
+    def __init__(self, signal: str) -> None:
+        super().__init__('torque', signal)
+        self.parameters = (
+            Spec('time_constant', 's', spread=0.7, centre=math.log(0.05), log=True,
+                 starts=(0.02, 0.05, 0.15)),
+            *(Spec(f'y{i}', 'rad/s', spread=0.1) for i in range(self.count)),
+        )
+        self.physics = f"the gyro shows y(x) beside the rate, time_constant x' = {signal} - x"
+        self.excite = f'let {signal} rise and fall quickly'
+        self.shaped('torque', signal, 'shown by the gyro', 'history')
+
+    def _push(self, signal: FloatArray, settings: Settings) -> FloatArray:
+        return signal
+
+    def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+        x, further = required(s.hidden)[0], self.further(self.length)
+        step = 1e-3 * (settings['knots'][-1] - settings['knots'][0])
+        ahead, behind = (
+            over_knots(x + way, p[1:], settings, further, further) for way in (step, -step)
+        )
+        moving = (self.driver(s, settings) - x) / p[0]
+        return (ahead - behind) / (2.0 * step) * moving
+
+
 REMEMBERED = {
     'torque': ('angle', 'throttle', 'time', 'other angle 1', 'other angle 2'),
     'gain': ('command', 'throttle', 'time'),
@@ -463,4 +493,5 @@ HIDDEN: tuple[Effect, ...] = (
     *(Memory(term, signal) for term, signals in REMEMBERED.items() for signal in signals),
     *(MemoryCurve(term, signal) for term, signals in REMEMBERED.items() for signal in signals
       if signal != 'time'),
+    Shown('throttle'), Shown('command'),
 )

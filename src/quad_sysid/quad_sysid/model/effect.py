@@ -119,8 +119,8 @@ class Drive:
     """(c,) share of each channel in the axis' command."""
     lag: FloatArray
     """(c, n) s."""
-    asymmetry: FloatArray = field(default_factory=lambda: np.zeros(1))
-    """(c,) lag times exp(asymmetry) while a motor slows down, over it while it speeds up."""
+    factors: FloatArray = field(default_factory=lambda: np.zeros((1, 2, 6)))
+    """(c, 2, 6) logarithm of a factor of the lag over how far a motor has to go: knots, values."""
 
 
 @dataclass(frozen=True)

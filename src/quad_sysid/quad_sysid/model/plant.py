@@ -196,7 +196,7 @@ class Flight:
         for start, stop in data.stretches if remembered else self.passes:
             recursion.motors(
                 np.ascontiguousarray(drive.commands), np.ascontiguousarray(drive.row),
-                np.ascontiguousarray(drive.lag), drive.asymmetry, whole,
+                np.ascontiguousarray(drive.lag), drive.factors, whole,
                 min(max(delay - whole, 0.0), 1.0), data.dt, start, stop, halves, states,
             )
         if len(self._drives) > 40:

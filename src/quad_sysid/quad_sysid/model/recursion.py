@@ -18,14 +18,26 @@ _OPTIONS = {'cache': True, 'nogil': True, 'error_model': 'numpy'}
 
 
 @njit(**_OPTIONS)
-def motors(commands, row, lag, asymmetry, whole, fraction, dt, start, stop, halves, states):
+def between(x, knots, values):
+    """A curve over x, linear between its values at the knots (k,) and constant beyond them."""
+    if x <= knots[0]:
+        return values[0]
+    for i in range(1, knots.size):
+        if x < knots[i]:
+            share = (x - knots[i - 1]) / (knots[i] - knots[i - 1])
+            return values[i - 1] + share * (values[i] - values[i - 1])
+    return values[-1]
+
+
+@njit(**_OPTIONS)
+def motors(commands, row, lag, factors, whole, fraction, dt, start, stop, halves, states):
     """Drive of one axis: each command after its delay and lag, mixed by `row`.
 
-    commands (c, n) held over a cycle; row (c,); lag (c, n) s; a motor that speeds up has the lag
-    times exp(-asymmetry), one that slows down times exp(asymmetry), where asymmetry is (c,). The
-    delay is `whole` cycles and a `fraction` of one. halves (2, n) receives the mean drive over
-    both halves of each cycle, states (2, n) the drive and the delayed command at its middle;
-    filled in [start, stop). Solved exactly for a held command.
+    commands (c, n) held over a cycle; row (c,); lag (c, n) s, times the exponential of a curve
+    over how far a motor has to go, factors (c, 2, k) its knots and values. The delay is `whole`
+    cycles and a `fraction` of one. halves (2, n) receives the mean drive over both halves of each
+    cycle, states (2, n) the drive and the delayed command at its middle; filled in [start, stop).
+    Solved exactly for a held command and a constant lag.
     """
     for k in range(start, stop):
         halves[0, k] = 0.0
@@ -37,7 +49,7 @@ def motors(commands, row, lag, asymmetry, whole, fraction, dt, start, stop, halv
     older = 1 if fraction < 0.5 else 2  # lengths with the older command
     first = 3 - older  # lengths in the first half
     for c in range(commands.shape[0]):
-        weight, up, down = row[c], math.exp(-asymmetry[c]), math.exp(asymmetry[c])
+        weight, uneven = row[c], np.any(factors[c, 1] != 0.0)
         if weight == 0.0:
             continue
         w = commands[c, start]
@@ -51,15 +63,17 @@ def motors(commands, row, lag, asymmetry, whole, fraction, dt, start, stop, halv
                 u = before if i < older else new
                 if h > 0.0:
                     tau = lag[c, k]
-                    if asymmetry[c] != 0.0:
-                        tau *= up if u > w else down
-                    if tau != last_tau:
-                        last_tau = tau
-                        decays = (
-                            math.exp(-lengths[0] / tau), math.exp(-lengths[1] / tau),
-                            math.exp(-lengths[2] / tau),
-                        )
-                    decay = decays[i]
+                    if uneven:
+                        tau *= math.exp(between(u - w, factors[c, 0], factors[c, 1]))
+                        decay = math.exp(-h / tau)
+                    else:
+                        if tau != last_tau:
+                            last_tau = tau
+                            decays = (
+                                math.exp(-lengths[0] / tau), math.exp(-lengths[1] / tau),
+                                math.exp(-lengths[2] / tau),
+                            )
+                        decay = decays[i]
                     away = w - u
                     area = u * h + away * tau * (1.0 - decay)
                     w = u + away * decay
