@@ -301,6 +301,25 @@ def drifting(seed: int, spread: float, correlation_s: float) -> Changes:
     return lambda: {'command': lambda t, u, _v: u * (1.0 + path[int(20.0 * t)])}
 
 
+def coasting(limit: float) -> Changes:
+    """Propellers that slow down no faster than their drag stops them."""
+
+    def changes():
+        speeds = np.full(4, 0.5)
+
+        def given(t, u, _v):
+            nonlocal speeds
+            asked = MIXER @ np.array([throttle(t), u, *other_commands(t)])
+            away = asked - speeds
+            slowed = speeds + away / np.sqrt(1.0 + np.minimum(away / limit, 0.0) ** 2)
+            speeds = slowed + (speeds - slowed) * math.exp(-DT / Axis().lag_s)
+            return float(MIXER_INVERSE[1] @ slowed)
+
+        return {'command': given, 'throttle': throttle, 'other_commands': other_commands}
+
+    return changes
+
+
 def held(cycles: int) -> Changes:
     """Motors that take every n-th command and hold it."""
 
@@ -629,6 +648,13 @@ def test_a_delay_that_repeats_itself_is_found_with_its_frequency(changes, varian
     assert effect.probability > 0.5
     unseen = evaluate(answer.model, fly(Axis(**{**QUIET, **changes()}), 501, UNSEEN))
     assert unseen.before > 3.0 * unseen.after
+
+
+def test_propellers_that_coast_are_found_by_how_far_they_have_to_go():
+    answer = answer_to(coasting(0.03), 1)
+    assert 'shape:lag:direction' in [effect.name for effect in answer.model.effects]
+    unseen = evaluate(answer.model, fly(Axis(**{**QUIET, **coasting(0.03)()}), 501, UNSEEN))
+    assert unseen.before > 2.0 * unseen.after
 
 
 def test_what_begins_beyond_an_airspeed_is_found_as_a_curve_of_what_the_angle_has_lately_been():

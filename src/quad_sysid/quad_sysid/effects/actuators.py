@@ -426,13 +426,15 @@ class HasteCurve(Curve):
         super().__init__('lag', 'command', 'smooth')
         self.name, self.variant, self.term = 'shape:lag:direction', 'smooth, motors', 'response'
         self.signals = ('command', 'direction')
+        self.parameters = tuple(replace(spec, spread=1.0) for spec in self.parameters)
         self.physics = 'the lag of a motor follows how far it has to go, as a smooth curve'
         self.excite = 'small and large steps of the command, up and down'
 
     def prepare(self, data: AxisData) -> Settings | str:
         why, usual = why_not(data), math.exp(BASE[1].centre)
-        away = np.concatenate([data.training(m - lagged(data, m, usual)) for m in data.motors.T])
-        return why or placed_around_zero(away, self.count)
+        away = [data.training(m - lagged(data, m, usual)) for m in data.motors.T]
+        # a motor that is late has further to go than by the usual lag
+        return why or placed_around_zero(2.0 * np.concatenate(away), self.count)
 
     def actuate(self, data: AxisData, drive: Drive, p: FloatArray, settings: Settings) -> Drive:
         knots, values = np.array(settings['knots']), p - float(np.dot(settings['mean'], p))
