@@ -19,10 +19,11 @@ from quad_sysid.discover.base import best_base, fitted_from
 from quad_sysid.discover.screen import candidates, screen
 from quad_sysid.discover.search import Found, Scored, extended, search
 from quad_sysid.effects import EFFECTS
+from quad_sysid.effects.events import CLOCKED
 from quad_sysid.estimate.fit import Problem, fit
 from quad_sysid.estimate.stored import noise_of, readings
 from quad_sysid.model import recursion
-from quad_sysid.model.data import AxisData, axis_data
+from quad_sysid.model.data import AxisData, axis_data, part_of
 from quad_sysid.model.effect import Part
 from quad_sysid.model.plant import Flight
 from quad_sysid.model.structure import Structure
@@ -408,6 +409,20 @@ def test_what_single_motors_add_is_the_same_in_any_order_and_adds_up():
     assert min(np.std(one) for one in alone) > 0.01 * np.std(plain)
     np.testing.assert_allclose(driven(slow, slower, uneven), plain + sum(alone), atol=1e-12)
     np.testing.assert_allclose(driven(curve, slow), driven(slow, curve), atol=1e-12)
+
+
+def test_a_delay_by_another_clock_is_the_same_in_segments_that_are_joined():
+    flown = fly(Axis(), 4, SHORT)
+    whole = axis_data([flown], 'roll')
+    spans = (300, 1300), (2000, 3000)
+    torn = part_of(whole, spans)
+    at = np.concatenate([np.arange(a + 20, b - 20) for a, b in spans])
+    here = np.concatenate([np.arange(20, 980), np.arange(1020, 1980)])
+    for effect, p in zip(CLOCKED, (np.r_[1.3, np.full(12, 0.002)], np.array([47.0, 0.4])),
+                         strict=True):
+        one, other = (effect.command(d, d.command, p, {}) for d in (whole, torn))
+        np.testing.assert_allclose(other[here], one[at], atol=1e-12)
+        assert np.std(one - whole.command) > 0.1 * np.std(whole.command)
 
 
 def test_a_motor_whose_lag_follows_how_far_it_has_to_go_is_integrated_over_each_cycle():

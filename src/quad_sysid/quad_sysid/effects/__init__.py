@@ -8,8 +8,8 @@ from importlib.metadata import entry_points
 
 from quad_sysid.effects.actuators import ACTUATORS
 from quad_sysid.effects.curves import CURVES, WANDERING
-from quad_sysid.effects.events import EVENTS
-from quad_sysid.effects.hidden import HIDDEN
+from quad_sysid.effects.events import CLOCKED, EVENTS
+from quad_sysid.effects.hidden import HIDDEN, SHOWN
 from quad_sysid.effects.surfaces import SURFACES
 from quad_sysid.effects.torques import COUPLINGS, TORQUES
 from quad_sysid.model.checked import checked
@@ -18,6 +18,7 @@ from quad_sysid.model.effect import Effect
 GROUP = 'quad_sysid.effects'
 BUILT_IN: tuple[Effect, ...] = (
     *TORQUES, *ACTUATORS, *COUPLINGS, *EVENTS, *HIDDEN, *CURVES, *SURFACES, *WANDERING,
+    *CLOCKED, *SHOWN,
 )
 EFFECTS: tuple[Effect, ...] = (
     *BUILT_IN,

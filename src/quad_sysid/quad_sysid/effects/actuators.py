@@ -33,7 +33,7 @@ LIGHT = 0.3
 
 def why_not(data: AxisData, *, single: bool = False) -> str:
     """Why an effect of the motors, or of a single one, cannot be told here; '' if it can."""
-    if np.ptp(data.training(data.motors)) < 1e-6:
+    if np.ptp(data.training(data.motors), axis=0).max() < 1e-6:
         return 'the bag holds no motor commands'
     if single and all(isinstance(data.signal(f'other command {i}'), str) for i in (1, 2)):
         return 'the other axes hardly move, so no single motor can be told apart'
@@ -407,25 +407,28 @@ def _asymmetric(variant: str, *motors: int) -> Effect:
         if motors:
             return differing(data, drive, motors, factors=factors)
         whole = drive.factors.copy()
-        whole[0, 0], whole[0, 1] = factors[0], whole[0, 1] + factors[1]
+        whole[0] = factors
         return replace(drive, factors=whole)
 
     return Motors(
-        'shape:lag:direction', ('command', 'direction'), (Spec('asymmetry', '1', spread=0.5),),
-        uneven, kind='shape', variant=variant, motors=motors,
-        excite='steps of the command up and down',
+        'shape:lag:direction', ('command', 'direction', *(('motors',) if motors else ())),
+        (Spec('asymmetry', '1', spread=0.5),), uneven, kind='shape', variant=variant,
+        motors=motors, excite='steps of the command up and down',
         physics='a motor slows down with the lag times exp(a) and speeds up with the lag over '
         'exp(a)',
     )
 
 
 class HasteCurve(Curve):
-    """The lag of all motors is a smooth curve of how far each has to go: its command less it."""
+    """The lag of all motors follows how far each has to go, its command less its speed.
+
+    A smooth curve of the logarithm of a factor.
+    """
 
     def __init__(self) -> None:
         super().__init__('lag', 'command', 'smooth')
         self.name, self.variant, self.term = 'shape:lag:direction', 'smooth, motors', 'response'
-        self.signals = ('command', 'direction')
+        self.signals = ('command', 'direction', 'motors')
         self.parameters = tuple(replace(spec, spread=1.0) for spec in self.parameters)
         self.physics = 'the lag of a motor follows how far it has to go, as a smooth curve'
         self.excite = 'small and large steps of the command, up and down'
@@ -434,7 +437,7 @@ class HasteCurve(Curve):
         why, usual = why_not(data), math.exp(BASE[1].centre)
         away = [data.training(m - lagged(data, m, usual)) for m in data.motors.T]
         # a motor that is late has further to go than by the usual lag
-        return why or placed_around_zero(2.0 * np.concatenate(away), self.count)
+        return why or placed_around_zero(np.concatenate(away), self.count, reach=2.0)
 
     def actuate(self, data: AxisData, drive: Drive, p: FloatArray, settings: Settings) -> Drive:
         knots, values = np.array(settings['knots']), p - float(np.dot(settings['mean'], p))

@@ -101,10 +101,10 @@ def placed(used: FloatArray, knots: FloatArray, place: FloatArray) -> dict[str, 
     return {'knots': tuple(knots.tolist()), 'place': tuple(place.tolist()), 'mean': mean}
 
 
-def placed_around_zero(used: FloatArray, count: int) -> dict[str, Any]:
-    """The same with knots that are dense around zero, where friction lives."""
+def placed_around_zero(used: FloatArray, count: int, reach: float = 1.0) -> dict[str, Any]:
+    """The same with knots that are dense around zero, where friction lives, and reach so far."""
     z, far = np.linspace(-1.0, 1.0, count), np.max(np.abs(np.nanpercentile(used, [0.5, 99.5])))
-    return placed(used, far * np.sign(z) * np.abs(z) ** 1.7, z)
+    return placed(used, reach * far * np.sign(z) * np.abs(z) ** 1.7, z)
 
 
 class Shape(Effect):

@@ -65,7 +65,7 @@ class Periodic(Event):
         super().__init__(name, signals, parameters, self._swing, **more)
 
     def starts(self, data: AxisData, settings: Settings) -> Sequence[FloatArray]:
-        return [np.zeros(3)]  # the frequency comes from the innovations
+        return [np.zeros(3)]  # the frequency comes from what a fit leaves
 
     def _swing(self, s: Signals, p: FloatArray) -> FloatArray:
         phase = 2.0 * math.pi * p[0] * s.time
@@ -158,7 +158,7 @@ class Held(Clocked):
         count = np.floor(p[0] * (time + dt) - turned + 0.5)  # of what is held at a cycle's end
 
         def taken(count: FloatArray) -> FloatArray:
-            at = ((count + turned) / p[0] - time[0]) / dt - 0.5
+            at = grid + ((count + turned) / p[0] - time) / dt - 0.5
             here = np.floor(at)
             fading = np.clip((at - here - 0.5) / FADING + 0.5, 0.0, 1.0)
             return np.interp(here + fading, grid, command)
@@ -203,5 +203,5 @@ EVENTS: tuple[Effect, ...] = (
         'gain', 'shape:gain:time', kind='shape', variant='periodic',
         physics='gain times 1 + A sin(2 pi f t + phase)', excite='excitation over many periods',
     ),
-    PeriodicDelay(), Held(),
 )
+CLOCKED = PeriodicDelay(), Held()

@@ -292,6 +292,8 @@ class Memory(Shape, Linear):
 
     states = 1
     system = staticmethod(behind_lag)
+    warm = 0.0
+    """Share of the signal at which it begins."""
 
     def __init__(self, term: str, signal: str) -> None:
         self.leans = 'angle' in signal
@@ -335,7 +337,7 @@ class Memory(Shape, Linear):
             keep = math.exp(-data.dt / math.exp(BASE[1].centre))
             signal = lfilter([1.0 - keep], [1.0, -keep], signal)
         push = self._push(np.nan_to_num(signal), settings)
-        out = np.zeros((1, push.size))
+        out = self.warm * push[None, :]
         step = step_of(*self.system(p), data.dt)
         followed(whole.flights or ((0, push.size),), push, *step, out)
         return np.ascontiguousarray(out[:, here])
@@ -385,10 +387,12 @@ class MemoryCurve(Memory):
 
 
 class Shown(MemoryCurve):
-    """The gyro shows a curve of a signal beside the rate; its slope acts as a torque.
+    """The gyro shows a curve of a signal beside the rate, whose change acts as a torque.
 
     Vibration that it rectifies grows with the motors' speed, currents shift its ground.
     """
+
+    warm = 1.0
 
     def __init__(self, signal: str) -> None:
         super().__init__('torque', signal)
@@ -412,6 +416,10 @@ class Shown(MemoryCurve):
         )
         moving = (self.driver(s, settings) - x) / p[0]
         return (ahead - behind) / (2.0 * step) * moving
+
+    def readable(self, p: FloatArray, settings: Settings) -> dict[str, tuple[float, str]]:
+        # only differences act
+        return dict(super().readable(np.r_[p[0], p[1:] - np.mean(p[1:])], settings))
 
 
 REMEMBERED = {
@@ -493,5 +501,5 @@ HIDDEN: tuple[Effect, ...] = (
     *(Memory(term, signal) for term, signals in REMEMBERED.items() for signal in signals),
     *(MemoryCurve(term, signal) for term, signals in REMEMBERED.items() for signal in signals
       if signal != 'time'),
-    Shown('throttle'), Shown('command'),
 )
+SHOWN = Shown('throttle'), Shown('command')

@@ -120,7 +120,12 @@ class Drive:
     lag: FloatArray
     """(c, n) s."""
     factors: FloatArray = field(default_factory=lambda: np.zeros((1, 2, 6)))
-    """(c, 2, 6) logarithm of a factor of the lag over how far a motor has to go: knots, values."""
+    """(c, 2, 6) logarithm of a factor of the lag over how far a motor has to go: knots, values.
+    Of channels for which none are given it is zero."""
+
+    def __post_init__(self) -> None:
+        more = np.zeros((self.row.size - len(self.factors), *self.factors.shape[1:]))
+        object.__setattr__(self, 'factors', np.concatenate([self.factors, more]))
 
 
 @dataclass(frozen=True)
@@ -171,7 +176,7 @@ class Effect:
     wherever the other parameters are."""
     phased: bool = False
     """Whether it swings at its first parameter's frequency (Hz), whose start comes from lines in
-    the innovations; each flight has its own phase, which `elsewhere` takes."""
+    what a fit leaves; each flight has its own phase, which `elsewhere` takes."""
 
     def prepare(self, data: AxisData) -> Settings | str:
         """Settings from the training data, or a text: why it cannot be tested on them."""

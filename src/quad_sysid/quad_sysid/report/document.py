@@ -95,7 +95,8 @@ def _effect(effect: EffectEstimate, inertia: float | None) -> dict[str, Any]:
         'rivals': [{'name': name, 'probability': p} for name, p in effect.rivals],
         'probability': min(max(effect.probability, 0.0), 1.0),
         **({'variant': effect.variant} if effect.variant else {}),
-        **({'curve': {'x': knots, 'y': [p.value for p in effect.parameters[: len(knots)]]}}
+        **({'curve': {'x': knots, 'y': [p.value for p in effect.parameters
+                                        if p.name.startswith(('y', 'slope_'))]}}
            if isinstance(knots, tuple | list) else {}),
     }
 

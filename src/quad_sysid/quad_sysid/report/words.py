@@ -24,6 +24,7 @@ PLAIN = {
     'inertia_coupling': 'coupling to the product of the other rates',
     'cross_axis_input': "another axis' command", 'resonance': 'a lightly damped mode',
     'periodic_disturbance': 'a periodic disturbance', 'step_event': 'a sudden change in flight',
+    'shape:lag:direction': 'motors that slow down unlike they speed up',
     'backlash': 'play between command and torque', 'transport_delay': 'a transport delay',
     'viscous_damping': 'viscous damping', 'bias_torque': 'a constant torque',
     'mode': 'a hidden oscillation or slow state', 'event': 'an event in flight',
@@ -59,8 +60,9 @@ FIGURES = {
 """A designer's figure → its label, unit and factor into that unit, in order of reading."""
 
 FORMS = {'loose': 'a load with play', 'yielding': 'a part that yields',
-         'lead': 'motors that overshoot', 'second order': 'motors under a speed controller'}
-"""How the variants of a mode begin → everyday words."""
+         'lead': 'motors that overshoot', 'second order': 'motors under a speed controller',
+         'shown by the gyro': 'what the gyro shows beside the rate'}
+"""How a variant begins → everyday words."""
 
 
 def named(effect: Tree) -> str:
@@ -72,7 +74,7 @@ def named(effect: Tree) -> str:
         return FORMS[form]
     if variant.startswith('response'):
         return f'a late {variant}'
-    if kind != 'shape':
+    if kind != 'shape' or name in PLAIN:
         return PLAIN.get(name, kind)
     motors = variant.partition(', ')[2]
     if motors:
@@ -94,11 +96,12 @@ def likeliest(effect: Tree) -> str:
 
 def values(effect: Tree) -> str:
     """The parameters of an effect, or where its curve is."""
-    if effect['parameters'] and effect['parameters'][0]['name'] == 'y0':
+    first = effect['parameters'][0]['name'] if effect['parameters'] else ''
+    if first == 'y0' and effect['name'] != 'shape:lag:direction':
         return 'a curve, drawn below'
     if 'curve' in effect:
-        slopes = effect['curve']['y']
-        return f'slopes {number(min(slopes))} to {number(max(slopes))}'
+        y, what = effect['curve']['y'], 'slopes' if first == 'slope_0' else 'values'
+        return f'{what} {number(min(y))} to {number(max(y))}'
     if len(effect['parameters']) > MOST_VALUES:
         return parameter(effect['parameters'][0]) + '; the others stand in report.json'
     return '; '.join(parameter(p) for p in effect['parameters'])
