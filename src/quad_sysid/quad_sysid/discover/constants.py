@@ -15,9 +15,9 @@ and within each name among its variants (smoothnesses, motors, other axes). The 
 BEAM = 3
 """Explanations that are extended at each level: two effects may mask each other."""
 REFITS = 12
-"""Structures with one more effect that are fitted at each level."""
-EXCHANGES = 6
-"""Candidates that are fitted in the place of an effect of the best structure."""
+"""Explanations with one more effect that are fitted at each level, each by its best variant."""
+EXCHANGES = 3
+"""Explanations that are fitted in the place of each effect of the best structures."""
 MOST_EFFECTS = 4
 """A minute of flight hardly determines more."""
 HOPELESS = -8.0

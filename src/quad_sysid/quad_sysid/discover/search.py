@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -49,8 +49,12 @@ class Scored:
     @property
     def explanations(self) -> tuple[str, ...]:
         """Of its effects, sorted: hidden states of one name are unlike, its curves are not."""
-        effects = (part.effect for part in self.fit.structure.parts)
-        return tuple(sorted(effect.label if effect.states else effect.name for effect in effects))
+        return tuple(sorted(explanation(part.effect) for part in self.fit.structure.parts))
+
+
+def explanation(effect: Effect) -> str:
+    """What an effect says: hidden states of one name are unlike, its curves are not."""
+    return effect.label if effect.states else effect.name
 
 
 @dataclass(frozen=True)
@@ -115,21 +119,24 @@ class _Search:
             for part in parts
         }
         self.known: dict[frozenset[str], Scored] = {frozenset(): Scored(base, base.evidence)}
+        self.exchanged: set[frozenset[str]] = set()
         self.screens: dict[frozenset[str], list[Score]] = {}
 
     def build_on(self, parents: Sequence[Scored], refits: int, bar: float) -> list[Scored]:
         """Fitted structures with one more effect, where the linear score may reach `bar`.
 
-        parents: best first. Where nothing may reach it beside the best, the others are not scored.
+        Of each explanation the variant with the best score. parents: best first. Where nothing may
+        reach it beside the best, the others are not scored.
         """
         ahead: dict[frozenset[str], tuple[float, Fit, Score]] = {}
         for parent in parents:
             for one in self.scores(parent.fit):
-                label = one.part.effect.label
-                labels = frozenset((*parent.fit.structure.labels, label))
-                score = parent.score + one.nats + self.prices[label]
-                if labels not in self.known and score >= ahead.get(labels, (bar + HOPELESS,))[0]:
-                    ahead[labels] = score, parent.fit, one
+                effect = one.part.effect
+                labels = frozenset((*parent.fit.structure.labels, effect.label))
+                likely = frozenset((*parent.fit.structure.labels, explanation(effect)))
+                score = parent.score + one.nats + self.prices[effect.label]
+                if labels not in self.known and score >= ahead.get(likely, (bar + HOPELESS,))[0]:
+                    ahead[likely] = score, parent.fit, one
             if not ahead:
                 break
         hopeful = sorted(ahead.values(), key=lambda one: -one[0])[:refits]
@@ -158,28 +165,38 @@ class _Search:
         return max(self.known.values(), key=lambda s: s.score)
 
     def exchange(self) -> bool:
-        """Exchange each effect of the best structure for others; whether one was better."""
+        """Exchange each effect of the best structures for others; whether one was better."""
         best = self.best()
-        if len(best.fit.structure.parts) < 2:
-            return False
-        for index in range(len(best.fit.structure.parts)):
-            labels = frozenset(best.fit.structure.minus(index).labels)
-            if labels not in self.known:
-                fitted = fit_without(self.problem, best.fit, index)
-                if fitted is None:
-                    continue
-                self.keep(fitted)
-            parent = self.known[labels]
-            self.build_on([parent], EXCHANGES, parent.score)
+        for one in leading(self.known.values()):
+            labels = frozenset(one.fit.structure.labels)
+            if len(labels) < 2 or labels in self.exchanged:
+                continue
+            self.exchanged.add(labels)
+            for index in range(len(labels)):
+                rest = frozenset(one.fit.structure.minus(index).labels)
+                if rest not in self.known:
+                    fitted = fit_without(self.problem, one.fit, index)
+                    if fitted is None:
+                        continue
+                    self.keep(fitted)
+                parent = self.known[rest]
+                self.build_on([parent], EXCHANGES, parent.score)
         return self.best() is not best
+
+
+def leading(fits: Iterable[Scored]) -> list[Scored]:
+    """The best of each explanation, best first, BEAM at most: its variants lead the same way."""
+    ordered = sorted(fits, key=lambda s: s.score)
+    unlike = {one.explanations: one for one in ordered}.values()
+    return sorted(unlike, key=lambda s: -s.score)[:BEAM]
 
 
 def search(problem: Problem, effects: Sequence[Effect]) -> Found:
     """The structures that the training segments support.
 
     A beam search adds one effect at a time until no score beside the best structure promises more,
-    or the evidence falls; then each of its effects is exchanged for alternatives until none is
-    better.
+    or the evidence falls; then each effect of the best three is exchanged for alternatives until
+    none is better.
 
     A coupling counts only if no gust disturbs both axes: a gust at an angle moves both, each
     feedback answers it, and one axis' command would seem to turn the other. If the evidence asks
@@ -210,12 +227,9 @@ def _structures(problem: Problem, parts: Sequence[Part], base: Fit) -> _Search:
     beam = [found.best()]
     for _ in range(MOST_EFFECTS):
         top = beam[0].score
-        fresh = sorted(found.build_on(beam, REFITS, top), key=lambda s: -s.score)
-        if not fresh or fresh[0].score <= top:
+        beam = leading(found.build_on(beam, REFITS, top))
+        if not beam or beam[0].score <= top:
             break
-        # the best of each explanation: two smoothnesses of a curve would lead the same way
-        unlike = {one.explanations: one for one in reversed(fresh)}.values()
-        beam = sorted(unlike, key=lambda s: -s.score)[:BEAM]
     for _ in range(MOST_EFFECTS):
         if not found.exchange():
             break
