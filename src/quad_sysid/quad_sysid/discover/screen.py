@@ -10,7 +10,7 @@ import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -153,11 +153,11 @@ class _Beside:
             power[max(peak - 12, 0) : peak + 13] = 0.0
         return found
 
-    def correlated(self, effect: Effect) -> FloatArray:
-        """(n,) derivative of the log-likelihood by the effect's term in each cycle.
+    @cached_property
+    def backwards(self) -> FloatArray:
+        """(n,) derivative of the log-likelihood by the acceleration of each cycle.
 
-        The innovations pass backwards through the filter, and through the lag of what moves the
-        command.
+        The innovations pass backwards through the filter.
         """
         flight, dt = self.problem.flight, self.problem.data.dt
         begin, n = flight.passes[0][0], self.innovation.size
@@ -166,11 +166,14 @@ class _Beside:
         answer = flight.responses(pulse, self.slope, self.fitted.prediction.filter)
         answer = answer[begin : begin + round(ANSWER_S / dt), 0]
         e = self.innovation * self.weight[:, 0] ** 2
-        back = -fftconvolve(e, answer[::-1])[answer.size - 1 :]
+        return -fftconvolve(e, answer[::-1])[answer.size - 1 :]
+
+    def correlated(self, effect: Effect) -> FloatArray:
+        """(n,) the same by the effect's term: what moves the command acts through the lag."""
         if not effect.moves_command:
-            return back * per_unit(effect.term, self.signals)
-        keep = math.exp(-dt / self.values[1])
-        back = lfilter([1.0 - keep], [1.0, -keep], back[::-1])[::-1]
+            return self.backwards * per_unit(effect.term, self.signals)
+        keep = math.exp(-self.problem.data.dt / self.values[1])
+        back = lfilter([1.0 - keep], [1.0, -keep], self.backwards[::-1])[::-1]
         return -back * np.gradient(self.signals.command)
 
     def _block(self, part: Part, start: FloatArray) -> _Block:

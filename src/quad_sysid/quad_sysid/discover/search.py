@@ -186,9 +186,10 @@ class _Search:
 
 def leading(fits: Iterable[Scored]) -> list[Scored]:
     """The best of each explanation, best first, BEAM at most: its variants lead the same way."""
-    ordered = sorted(fits, key=lambda s: s.score)
-    unlike = {one.explanations: one for one in ordered}.values()
-    return sorted(unlike, key=lambda s: -s.score)[:BEAM]
+    unlike: dict[tuple[str, ...], Scored] = {}
+    for one in sorted(fits, key=lambda s: -s.score):
+        unlike.setdefault(one.explanations, one)
+    return list(unlike.values())[:BEAM]
 
 
 def search(problem: Problem, effects: Sequence[Effect]) -> Found:

@@ -356,12 +356,10 @@ def differing(
     lag = np.repeat(drive.lag[:1], len(which) + 1, axis=0)
     if slow_s is not None:
         lag[:-1] = slow_s
-    curve = np.zeros((len(which) + 1, *drive.factors.shape[1:]))
-    if factors is not None:
-        curve[:-1] = factors
+    curves = [] if factors is None else [np.array([factors] * len(which))]
     return Drive(
         np.vstack([drive.commands, own, share @ own]), np.r_[drive.row, share, -1.0],
-        np.vstack([drive.lag, lag]), np.vstack([drive.factors, curve]),
+        np.vstack([drive.lag, lag]), np.concatenate([drive.factors, *curves]),
     )
 
 
