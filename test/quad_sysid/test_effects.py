@@ -246,6 +246,34 @@ def with_play(
     return changes
 
 
+def behind_a_spring(
+    frequency_hz: float, damping: float, reach: float, share: float
+) -> Changes:
+    """A share of the drive comes through a spring that hardens towards two stops."""
+
+    def changes():
+        sent = [0.0]
+        pushed = stateful(lambda x, u: x + HALF_S / Axis().lag_s * (u - x))
+        z = v = 0.0
+
+        def given(_t, u, _v):
+            sent[0] = u
+            return u
+
+        def law(*_):
+            nonlocal z, v
+            drive = GAIN * pushed(sent[0])
+            spring = (2.0 * math.pi * frequency_hz) ** 2 * z / max(1.0 - z * z, 0.02)
+            push = -spring - damping * v
+            v += HALF_S * (push + drive / reach)
+            z += HALF_S * v
+            return -share * (drive + reach * push)
+
+        return {'command': given, 'torque': law}
+
+    return changes
+
+
 def by_cubic_law(
     moved: str, reach: float, time_constant_s: float, slope: float, lean: float, size: float
 ) -> Changes:
@@ -456,6 +484,9 @@ LAWS = [
     Law('mode', with_play(1.0, 4.0, turns=1.0 / 0.3, back=0.4 * 0.3),
         {'frequency': 1.0, 'damping': 4.0, 'reach': 0.3, 'weight': 0.0, 'inertia': 0.4},
         variant='loose, turning', left=0.006),
+    Law('mode', behind_a_spring(6.0, 20.0, 0.02, 0.5),
+        {'frequency': 6.0, 'damping': 20.0, 'reach': 0.02, 'weight': 0.0, 'inertia': 0.5},
+        variant='loose, driven', left=0.01),
     *(Law('mode', by_cubic_law(moved, *values),
           dict(zip(('reach', 'time_constant', 'slope', 'lean', 'torque'), values, strict=True)),
           variant=f'yielding, {moved}', left=0.006)

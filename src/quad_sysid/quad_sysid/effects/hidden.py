@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -143,7 +144,8 @@ class Loose(Effect):
 
     Gravity pulls it to the side as the aircraft leans (rig), or the aircraft turns beneath it.
     The spring hardens towards the stops, w² z / (1 - z²) with z = -1 to 1, as finitely extensible
-    ones do (Warner 1972); without a spring it is a loose load.
+    ones do (Warner 1972); without a spring it is a loose load. What the drive moves behind such a
+    spring, a gyro on its pads or an arm, gets its acceleration through it.
     """
 
     name = 'mode'
@@ -152,22 +154,25 @@ class Loose(Effect):
     sized_by_term = True
 
     def __init__(self, moving: str) -> None:
-        self.leans = moving == 'leaning'
-        self.variant = f'loose, {moving}'
-        self.signals = ('rate', 'history', *(('angle',) if self.leans else ()))
-        play = (
-            Spec('pull', '1/s²', spread=1.0, centre=math.log(60.0), log=True,
-                 starts=(20.0, 60.0, 180.0)) if self.leans else
-            Spec('reach', 'rad', spread=1.2, centre=math.log(0.1), log=True,
-                 starts=(0.02, 0.07, 0.2, 0.6))
-        )
+        self.moving, self.variant = moving, f'loose, {moving}'
+        reach = Spec('reach', 'rad', spread=1.2, centre=math.log(0.1), log=True,
+                     starts=(0.02, 0.07, 0.2, 0.6))
+        moved, play, moves = {
+            'leaning': ('angle', Spec('pull', '1/s²', spread=1.0, centre=math.log(60.0), log=True,
+                                      starts=(20.0, 60.0, 180.0)), '-pull sin(angle)'),
+            'turning': ('rate', reach, "-rate' / reach"),
+            'driven': ('command', replace(reach, centre=math.log(0.01),
+                                          starts=(0.003, 0.01, 0.03)), 'drive / reach'),
+        }[moving]
+        driven = moving == 'driven'
+        self.signals = (*dict.fromkeys((moved, 'rate')), 'history')
         self.parameters = (
-            Spec('frequency', 'Hz', spread=1.0, centre=math.log(1.0), log=True,
-                 starts=(0.1, 0.5, 1.0, 2.0, 4.0, 8.0)),
-            Spec('damping', '1/s', spread=1.0, centre=math.log(2.0), log=True, starts=(0.7, 3.0)),
-            play, Spec('weight', 'rad/s²'), Spec('inertia', '1', spread=0.3),
+            Spec('frequency', 'Hz', spread=1.0, centre=math.log(8.0 if driven else 1.0), log=True,
+                 starts=(4.0, 8.0, 16.0) if driven else (0.1, 0.5, 1.0, 2.0, 4.0, 8.0)),
+            Spec('damping', '1/s', spread=1.0, centre=math.log(10.0 if driven else 2.0), log=True,
+                 starts=(7.0, 30.0) if driven else (0.7, 3.0)),
+            play, Spec('weight', 'rad/s²'), Spec('inertia', '1', spread=1.0 if driven else 0.3),
         )
-        moves = '-pull sin(angle)' if self.leans else "-rate' / reach"
         self.physics = (
             f"z'' + damping z' + w² z / (1 - z²) = {moves}, z = -1 to 1; its weight z, and what "
             'its spring and damper push back: a load with play'
@@ -175,9 +180,12 @@ class Loose(Effect):
         self.excite = 'large and small motion, slow and fast'
 
     def _inputs(self, s: Signals, p: FloatArray) -> tuple[FloatArray, FloatArray]:
-        if self.leans:
-            return -p[2] * np.sin(required(s.angle)), np.zeros_like(s.rate)
-        return np.zeros_like(s.rate), s.rate / max(float(p[2]), 1e-4)
+        nothing, reach = np.zeros_like(s.rate), max(float(p[2]), 1e-4)
+        return {
+            'leaning': lambda: (-p[2] * np.sin(required(s.angle)), nothing),
+            'turning': lambda: (nothing, s.rate / reach),
+            'driven': lambda: (s.drive / reach, nothing),
+        }[self.moving]()
 
     def trace(
         self, data: AxisData, s: Signals, p: FloatArray, settings: Settings
@@ -197,8 +205,9 @@ class Loose(Effect):
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         z, _, pushed = required(s.hidden)
-        turned = 1.0 / float(p[2]) if self.leans else float(p[2])  # rad or s² per unit of z
-        return p[3] * z - p[4] * turned * pushed
+        turned = float(p[2]) if self.moving != 'leaning' else 1.0 / float(p[2])
+        directly = s.drive if self.moving == 'driven' else 0.0
+        return p[3] * z - p[4] * (directly + turned * pushed)  # turned: rad or s² per unit of z
 
 
 class Yielding(Effect):
@@ -484,7 +493,7 @@ HIDDEN: tuple[Effect, ...] = (
         physics=f"{RING} rate; torque in_phase z + quadrature z'/w",
     ),
     Hysteresis(),
-    *(Loose(moving) for moving in ('leaning', 'turning')),
+    *(Loose(moving) for moving in ('leaning', 'turning', 'driven')),
     *(Yielding(moved) for moved in ('turning', 'leaning', 'driven')),
     Response(
         'mode', ('command', 'history'),

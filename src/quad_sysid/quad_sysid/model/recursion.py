@@ -383,16 +383,14 @@ def built_up(rate, share, start, stop, out):
 
 
 @njit(**_OPTIONS)
-def loose_ahead(pull, moved, spring, damping, dt, state):
-    """The states (3,) of a loose mass a cycle later: its place z, own speed q, acceleration f.
+def loose_ahead(pull, moved, spring, damping, dt, z, q):
+    """A loose mass a cycle later: its place z and own speed q, and its acceleration f meanwhile.
 
     z' = q - moved, q' = pull + f, f = -spring² z / (1 - z²) - damping z'; at the ends, |z| = 1,
     it stops dead. The steps are half implicit, of 1 ms.
     """
     parts = max(1, round(dt / 0.001))
-    h = dt / parts
-    z, before, _ = state
-    q = before
+    h, before = dt / parts, q
     for _ in range(parts):
         stiff = spring**2 / max(1.0 - z * z, 0.02)
         v = q - moved + h * pull
@@ -406,22 +404,21 @@ def loose_ahead(pull, moved, spring, damping, dt, state):
 
 @njit(**_OPTIONS)
 def loose(pull, moved, spring, damping, dt, start, stop, out):
-    """Such states at the start of each cycle, (3, n) into `out`, as they begin there."""
-    state = out[0, start], out[1, start], out[2, start]
+    """Such z and q at the start of each cycle and f over it, (3, n) into `out`, as they begin."""
+    z, q = out[0, start], out[1, start]
     for k in range(start, stop):
-        out[0, k], out[1, k], out[2, k] = state
-        state = loose_ahead(pull[k], moved[k], spring, damping, dt, state)
+        out[0, k], out[1, k] = z, q
+        z, q, out[2, k] = loose_ahead(pull[k], moved[k], spring, damping, dt, z, q)
 
 
 @njit(**_OPTIONS)
 def all_loose_ahead(pull, moved, spring, damping, dt, states):
-    """The states (3, w) a cycle later."""
+    """The same (3, w) a cycle later, where the next one's f takes this one's pull and motion."""
     out = np.empty_like(states)
     for i in range(pull.size):
-        state = states[0, i], states[1, i], states[2, i]
-        out[0, i], out[1, i], out[2, i] = loose_ahead(
-            pull[i], moved[i], spring, damping, dt, state
-        )
+        held = pull[i], moved[i], spring, damping, dt
+        z, q, _ = loose_ahead(*held, states[0, i], states[1, i])
+        out[0, i], out[1, i], out[2, i] = z, q, loose_ahead(*held, z, q)[2]
     return out
 
 
