@@ -19,11 +19,11 @@ from quad_sysid.blackbox.regression import (
     check_orders,
     solve_triangular_factor,
     triangular,
-    upper,
     usable_rows,
 )
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
+from quad_sysid.qr import upper
 from quad_sysid.record import IOData
 
 IntArray = npt.NDArray[np.int64]

@@ -20,7 +20,7 @@ from quad_sysid.blackbox.filters import filter_columns
 from quad_sysid.blackbox.frequency import autocovariance
 from quad_sysid.blackbox.innovations import errors_and_gradient
 from quad_sysid.blackbox.polynomial import Model
-from quad_sysid.blackbox.regression import check_exciting, check_informative, check_orders, upper
+from quad_sysid.blackbox.regression import check_exciting, check_informative, check_orders
 from quad_sysid.blackbox.residuals import AR_ORDER_MAX, whitener
 from quad_sysid.blackbox.start_values import (
     EDGE,
@@ -33,6 +33,7 @@ from quad_sysid.blackbox.start_values import (
 )
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
+from quad_sysid.qr import upper
 from quad_sysid.record import IOData
 
 MAX_ITERATIONS = 60

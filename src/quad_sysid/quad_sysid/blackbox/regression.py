@@ -12,13 +12,11 @@ import numpy as np
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
+from quad_sysid.qr import upper
 from quad_sysid.record import IOData
 
 BLOCK_ROWS = 1 << 11
 """Rows factored at once, so that memory grows with the columns and not with the record."""
-SLICE = 8192
-"""Numbers in one slice of a tall matrix."""
-
 DEPENDENT = 1e13
 """Condition number from which regressors count as linearly dependent."""
 
@@ -137,22 +135,6 @@ def arx_blocks(z: IOData, y_lags: Sequence[int], u_lags: Sequence[int],
                 (-lagged(z.y, y_lags, start, end), lagged(z.u, u_lags, start, end),
                  z.y[start:end, None])
             )
-
-
-def upper(x: FloatArray) -> FloatArray:
-    """R of the QR factorisation of x (…, n, m), stacks of matrices included.
-
-    A tall matrix is factored in slices that fit the cache, then their factors together.
-    """
-    if x.ndim == 2:
-        rows, columns = x.shape
-        size = max(2 * columns, SLICE // max(columns, 1))
-        count = rows // size
-        if count >= 4:
-            slices = x[: count * size].reshape(count, size, columns)
-            factors = np.asarray(np.linalg.qr(slices, mode='r')).reshape(-1, columns)
-            return upper(np.vstack((factors, x[count * size :])))
-    return np.asarray(np.linalg.qr(x, mode='r'))
 
 
 def triangular(blocks: Iterable[FloatArray]) -> FloatArray:

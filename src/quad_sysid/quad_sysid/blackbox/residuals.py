@@ -16,9 +16,10 @@ from scipy import special
 from quad_sysid.blackbox.frequency import autocovariance, cross_covariance
 from quad_sysid.blackbox.innovations import SegmentErrors, one_step_errors
 from quad_sysid.blackbox.polynomial import Model
-from quad_sysid.blackbox.regression import BLOCK_ROWS, check_order, lagged, triangular, upper
+from quad_sysid.blackbox.regression import BLOCK_ROWS, check_order, lagged, triangular
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
+from quad_sysid.qr import upper
 from quad_sysid.record import IOData, finite_runs
 
 AR_ORDER_MAX = 30

@@ -13,9 +13,9 @@ import numpy as np
 from quad_sysid.blackbox.filters import filter_columns, filter_signal, pulses
 from quad_sysid.blackbox.innovations import check_rate, one_step_errors
 from quad_sysid.blackbox.polynomial import Model
-from quad_sysid.blackbox.regression import upper
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
+from quad_sysid.qr import upper
 from quad_sysid.record import IOData
 
 SETTLE_ROWS = 4000

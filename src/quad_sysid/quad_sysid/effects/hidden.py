@@ -139,6 +139,13 @@ class Hysteresis(Effect):
         return -p[1] * required(s.hidden)[0]
 
 
+PULL = Spec('pull', '1/s²', spread=1.0, centre=math.log(60.0), log=True,
+            starts=(20.0, 60.0, 180.0))
+REACH = Spec('reach', 'rad', spread=1.2, centre=math.log(0.1), log=True,
+             starts=(0.02, 0.07, 0.2, 0.6))
+YIELD = replace(REACH, centre=math.log(0.01), starts=(0.003, 0.01, 0.03))
+
+
 class Loose(Effect):
     """A mass on a damped spring between two stops, by its weight and what it does to its mount.
 
@@ -155,37 +162,31 @@ class Loose(Effect):
 
     def __init__(self, moving: str) -> None:
         self.moving, self.variant = moving, f'loose, {moving}'
-        reach = Spec('reach', 'rad', spread=1.2, centre=math.log(0.1), log=True,
-                     starts=(0.02, 0.07, 0.2, 0.6))
-        moved, play, moves = {
-            'leaning': ('angle', Spec('pull', '1/s²', spread=1.0, centre=math.log(60.0), log=True,
-                                      starts=(20.0, 60.0, 180.0)), '-pull sin(angle)'),
-            'turning': ('rate', reach, "-rate' / reach"),
-            'driven': ('command', replace(reach, centre=math.log(0.01),
-                                          starts=(0.003, 0.01, 0.03)), 'drive / reach'),
+        self.signals, moves, play = {
+            'leaning': (('rate', 'history', 'angle'), '-pull sin(angle)', PULL),
+            'turning': (('rate', 'history'), "-rate' / reach", REACH),
+            'driven': (('command', 'history'), 'drive / reach', YIELD),
         }[moving]
-        driven = moving == 'driven'
-        self.signals = (*dict.fromkeys((moved, 'rate')), 'history')
+        stiff = moving == 'driven'  # a mount, not a load
         self.parameters = (
-            Spec('frequency', 'Hz', spread=1.0, centre=math.log(8.0 if driven else 1.0), log=True,
-                 starts=(4.0, 8.0, 16.0) if driven else (0.1, 0.5, 1.0, 2.0, 4.0, 8.0)),
-            Spec('damping', '1/s', spread=1.0, centre=math.log(10.0 if driven else 2.0), log=True,
-                 starts=(7.0, 30.0) if driven else (0.7, 3.0)),
-            play, Spec('weight', 'rad/s²'), Spec('inertia', '1', spread=1.0 if driven else 0.3),
+            Spec('frequency', 'Hz', spread=1.0, centre=math.log(8.0 if stiff else 1.0), log=True,
+                 starts=(4.0, 8.0, 16.0) if stiff else (0.1, 0.5, 1.0, 2.0, 4.0, 8.0)),
+            Spec('damping', '1/s', spread=1.0, centre=math.log(10.0 if stiff else 2.0), log=True,
+                 starts=(7.0, 30.0) if stiff else (0.7, 3.0)),
+            play, Spec('weight', 'rad/s²'), Spec('inertia', '1', spread=1.0 if stiff else 0.3),
         )
         self.physics = (
             f"z'' + damping z' + w² z / (1 - z²) = {moves}, z = -1 to 1; its weight z, and what "
-            'its spring and damper push back: a load with play'
-        )
+            'its spring and damper push back'
+        ) + (' in place of a share of the drive' if stiff else ': a load with play')
         self.excite = 'large and small motion, slow and fast'
 
     def _inputs(self, s: Signals, p: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """What pulls the mass and how its mount moves, per unit of z."""
         nothing, reach = np.zeros_like(s.rate), max(float(p[2]), 1e-4)
-        return {
-            'leaning': lambda: (-p[2] * np.sin(required(s.angle)), nothing),
-            'turning': lambda: (nothing, s.rate / reach),
-            'driven': lambda: (s.drive / reach, nothing),
-        }[self.moving]()
+        if self.moving == 'leaning':
+            return -p[2] * np.sin(required(s.angle)), nothing
+        return (nothing, s.rate / reach) if self.moving == 'turning' else (s.drive / reach, nothing)
 
     def trace(
         self, data: AxisData, s: Signals, p: FloatArray, settings: Settings

@@ -20,6 +20,7 @@ from quad_sysid.model.effect import Part, required
 from quad_sysid.model.noise import sensor_of
 from quad_sysid.model.plant import Flight, Prediction, passes_of
 from quad_sysid.model.structure import BASE, NOISE, Structure
+from quad_sysid.qr import upper
 
 SETTLE_S = 0.5
 """Innovations count from this long after the start of an unbroken stretch."""
@@ -71,7 +72,8 @@ def tail_of(e: FloatArray, degrees: tuple[float, ...] = DEGREES) -> Tail:
     scale = math.sqrt(float(np.mean(square))) or 1e-12
     for v in degrees[::-1]:
         for _ in range(60):
-            new = math.sqrt(float(np.mean((v + 1.0) / (v + square / scale**2) * square)))
+            weights = 1.0 / (v * scale**2 + square)  # parameter-expanded EM (Liu et al. 1998)
+            new = math.sqrt(float(weights @ square) / float(np.sum(weights)))
             done = abs(new - scale) < 1e-7 * scale
             scale = max(new, 1e-12)
             if done:
@@ -196,11 +198,6 @@ def start_of(problem: Problem) -> FloatArray:
     return theta
 
 
-def upper_triangle(a: FloatArray) -> FloatArray:
-    """R of the QR factorisation of `a`."""
-    return np.asarray(np.linalg.qr(a, mode='r'))
-
-
 def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
     problem: Problem, structure: Structure, *starts: FloatArray, most_steps: int = MOST_STEPS,
     rate: FloatArray | None = None, still: tuple[int, ...] = (),
@@ -259,7 +256,7 @@ def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
         stacked = np.block([
             [rows, column], [root, away[:, None]], [np.diag(bent), np.zeros((bent.size, 1))],
         ])
-        factor = upper_triangle(stacked)[: theta.size]
+        factor = upper(stacked)[: theta.size]
         a, b = factor[:, :-1], factor[:, -1]
         converged = not still and 0.5 * float(b @ b) < SMALL_NATS
         if converged:
@@ -289,7 +286,7 @@ def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
         damping *= 0.15
     flight.rate = found.rate
     j = required(found.jacobian)[problem.rows] * (math.sqrt(tail.information) / tail.scale)
-    r = upper_triangle(np.vstack([j, root]))
+    r = upper(np.vstack([j, root]))
     evidence = (
         value + float(np.sum(np.log(np.diag(root)))) - float(np.sum(np.log(np.abs(np.diag(r)))))
         + math.log(2.0) * int(positive.sum())

@@ -36,6 +36,8 @@ SLOPE_S = 0.02
 """An acceleration is the slope of the rate over this time to either side."""
 FOLLOWED_S = 0.05
 """Time after which an integral of the rate follows the measurement."""
+FINER = 0.1
+"""Of a step, for what bends within it: an event's edge, a frequency over a long flight."""
 FILTER_STEP, PURSUIT_STEP = 1e-4, 1e-3
 """Steps of the noise's and of a wandering coefficient's parameters for derivatives of gains."""
 SHORTEST_S = 1e-5
@@ -273,8 +275,7 @@ class Flight:
         """(n, p) derivatives of the acceleration; (n, b) of half its difference over the cycle.
 
         In the coordinates of the fit along a fixed trajectory, by differences of `steps` (p,)
-        where a torque is not linear: central, but one-sided for what moves the drive, which costs
-        most. The third, (b,), says for which of the p the second is.
+        where a torque is not linear. The third, (b,), says for which of the p the second is.
         """
         placed, p = structure.placed(), structure.natural(theta)
         moving = [where for part, where in placed if part.effect.moves_command]
@@ -311,18 +312,19 @@ class Flight:
     ) -> FloatArray:
         """(n, q) derivatives of an effect's torque by its coordinates of the fit."""
         effect, settings, linear = part.effect, part.settings, part.effect.linear
-
-        def torque(theta: FloatArray) -> FloatArray:
-            p = natural(effect.parameters, theta)
-            return required(effect.torque(self.hidden(part, s, p), p, settings))
-
-        out = np.empty((s.rate.size, theta.size))
+        p = natural(effect.parameters, theta)
+        own = self.hidden(part, s, p)  # which those in which the torque is linear do not move
+        out, here = np.empty((s.rate.size, theta.size)), required(effect.torque(own, p, settings))
+        for j in set(range(theta.size)) - set(linear):
+            ahead = theta.copy()
+            ahead[j] += FINER * steps[j]
+            p = natural(effect.parameters, ahead)
+            there = required(effect.torque(self.hidden(part, s, p), p, settings))
+            out[:, j] = (there - here) / (FINER * steps[j])
         if linear:
             p = natural(effect.parameters, theta)
             p[linear] = 0.0
-            out[:, linear] = effect.columns(self.hidden(part, s, p), p, linear, settings)
-        for j in set(range(theta.size)) - set(linear):
-            out[:, j] = central(torque, theta, j, steps[j])
+            out[:, linear] = effect.columns(own, p, linear, settings)
         return out
 
     def unexplained(self, p: FloatArray) -> FloatArray:
