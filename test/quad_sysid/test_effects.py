@@ -81,6 +81,11 @@ def of_motors(law: Callable[[np.ndarray], np.ndarray], scale: float = 1.0) -> Ch
     return lambda: {'command': given, 'throttle': throttle, 'other_commands': other_commands}
 
 
+def in_steps(step: float, level: float) -> Changes:
+    """Motors that take whole steps from a level."""
+    return of_motors(lambda m: level + np.round((m - level) / step) * step)
+
+
 def stateful(law: Callable[[float, float], float], begin: float = 0.0) -> Callable[[float], float]:
     """A law of its own last value and what comes in."""
     state = [begin]
@@ -496,6 +501,8 @@ LAWS = [
     Law('mode', laguerre(0.3, -0.2, 0.2),
         {'time_constant': 0.2, 'c0': 0.3, 'c1': -0.2, **NO_MORE}, variant='response to drive',
         left=0.003),
+    Law('shape:gain:command', in_steps(0.0213, 0.4969), {'step': 0.0213, 'level': 0.4969},
+        variant='steps', left=0.01),
     Law('shape:gain:command', of_motors(lambda m: m + 0.5 * (m - 0.5) ** 2),
         {f'slope_{i}': x - 0.5 for i, x in enumerate(KNOTS)},
         {'knots': KNOTS, 'mean': (0.0,) * 6, 'throttle': 0.5}, 'smooth, motors', left=0.003),
@@ -689,6 +696,18 @@ def test_a_delay_that_repeats_itself_is_found_with_its_frequency(changes, varian
     assert effect.parameters[0].value == pytest.approx(frequency, rel=1e-3)
     assert effect.probability > 0.5
     unseen = evaluate(answer.model, fly(Axis(**{**QUIET, **changes()}), 501, UNSEEN))
+    assert unseen.before > 3.0 * unseen.after
+
+
+def test_motors_that_take_whole_steps_are_found_with_the_step_and_a_level():
+    law = in_steps(0.0213, 0.4969)
+    answer = answer_to(law, 1)
+    (effect,) = answer.model.effects
+    assert (effect.name, effect.variant) == ('shape:gain:command', 'steps')
+    step, level = (one.value for one in effect.parameters)
+    assert step == pytest.approx(0.0213, rel=0.005)
+    assert (level - 0.4969 + step / 2) % step == pytest.approx(step / 2, abs=0.05 * step)
+    unseen = evaluate(answer.model, fly(Axis(**{**QUIET, **law()}), 501, UNSEEN))
     assert unseen.before > 3.0 * unseen.after
 
 

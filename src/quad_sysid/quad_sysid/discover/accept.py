@@ -10,18 +10,28 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy import stats
 from scipy.linalg import toeplitz
 from scipy.special import expit
 
+from quad_sysid.beside import side_by_side
 from quad_sysid.contract import FloatArray
 from quad_sysid.discover.base import fit_without
-from quad_sysid.discover.constants import BLOCK_S, DISAGREES, EXPECTED, FLIPS, LEVEL, STAKES
-from quad_sysid.discover.search import Found
-from quad_sysid.estimate.fit import Fit, Problem
+from quad_sysid.discover.constants import (
+    BLOCK_S,
+    DISAGREES,
+    EXPECTED,
+    FLIPS,
+    LEVEL,
+    REFITS,
+    STAKES,
+)
+from quad_sysid.discover.search import Found, Scored
+from quad_sysid.estimate.fit import Fit, Problem, tail_of
 from quad_sysid.estimate.stored import Stored, noise_of
 from quad_sysid.model.data import AxisData, Windows
 from quad_sysid.model.effect import Part
@@ -140,9 +150,12 @@ class Unseen:
 
     def log_likelihood(self, fitted: Fitted) -> FloatArray:
         """(rows,) predictive log-likelihood of each sample, nats."""
+        return fitted.tail.log_density(self.innovations(fitted))
+
+    def innovations(self, fitted: Fitted) -> FloatArray:
+        """(rows,) rad/s; where a model diverges they are huge."""
         e = self.predict(fitted).innovation[self.problem.rows]
-        with np.errstate(over='ignore', invalid='ignore'):
-            return fitted.tail.log_density(np.nan_to_num(e, nan=1e6, posinf=1e6))
+        return np.clip(np.nan_to_num(e, nan=1e6), -1e6, 1e6)
 
     def errors(self, fitted: Fitted, windows: Windows | None = None) -> FloatArray:
         """(windows, length) errors of the free run, rad/s."""
@@ -178,6 +191,7 @@ def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
     known: dict[frozenset[str], Fit | None] = {
         frozenset(one.fit.structure.labels): one.fit for one in found.all
     }
+    found = weighed(unseen, found)
     base, chain = found.base, list(_shortened(problem, found.best, known))
     # where gusts rule the windows of the verdict, short ones may tell
     lengths = unseen.windows, unseen.short
@@ -185,7 +199,9 @@ def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
         (fitted, [unseen.errors(fitted, windows) for windows in lengths])
         for fitted in (base, *chain)
     )
-    wealth = closed([_evidence(unseen, at_base, one) for one in tried])
+    # the structure was chosen from so many by the same segments
+    wealth = [e / len(found.all)
+              for e in closed([_evidence(unseen, at_base, one) for one in tried])]
     best, e_value = at_base, wealth[0] if wealth else 1.0
     for i, (one, e) in enumerate(zip(tried, wealth, strict=True)):
         if _confirmed(at_base, one, e) and not any(
@@ -218,6 +234,20 @@ def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
         noise_floor=noise.measured_rms, horizons=horizons(unseen, base, chosen), without=without,
         probabilities=probabilities, rivals=rivals,
     )
+
+
+def weighed(unseen: Unseen, found: Found) -> Found:
+    """The best structures and the base, their scores with what the held-out segments say.
+
+    That is the likelihood of the innovations there as nothing was refitted, but of any size: there
+    may be more or less wind.
+    """
+    kept = [one for i, one in enumerate(found.all) if i < REFITS or one.fit is found.base]
+    e = side_by_side([partial(unseen.innovations, one.fit) for one in kept])
+    scores = [one.score + float(np.sum(tail_of(own).log_density(own)))
+              for one, own in zip(kept, e, strict=True)]
+    ordered = sorted(map(Scored, (one.fit for one in kept), scores), key=lambda one: -one.score)
+    return replace(found, all=tuple(ordered))
 
 
 def _evidence(unseen: Unseen, before: Tried, after: Tried) -> float:

@@ -17,7 +17,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.signal import fftconvolve, lfilter
 
 from quad_sysid.beside import side_by_side
-from quad_sysid.contract import FloatArray
+from quad_sysid.contract import MIXER_INVERSE, FloatArray
 from quad_sysid.discover.constants import PER_NONLINEAR
 from quad_sysid.estimate.fit import Fit, Problem
 from quad_sysid.model import recursion
@@ -36,6 +36,9 @@ ANSWER_S = 0.5
 """Innovations answer to a pulse for no longer."""
 LINES = 4
 LINE_BAND_HZ = (0.1, 16.0)
+BIN, ROUNDS, PADDED = 2.5e-4, (16.0, 500.0), 1 << 17
+"""Of motor commands, between which steps count as the same; steps of these in the whole range; and
+bins of the spectrum that shows them."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +71,15 @@ def _spectrum(problem: Problem, signal: FloatArray) -> tuple[FloatArray, FloatAr
     size = 4 * part.size
     power = np.abs(np.fft.rfft(part * np.hanning(part.size), size)) ** 2
     return np.fft.rfftfreq(size, problem.data.dt).astype(np.float64), power
+
+
+def _peaks(power: FloatArray, apart: int) -> list[int]:
+    """Where the highest peaks are, so far apart."""
+    left, found = power.copy(), []
+    for _ in range(LINES):
+        found.append(int(np.argmax(left)))
+        left[max(found[-1] - apart, 0) : found[-1] + apart] = -math.inf
+    return found
 
 
 def vibration_line(problem: Problem, fitted: Fit) -> float | None:
@@ -131,6 +143,8 @@ class _Beside:
             if part.effect.phased:
                 starts = [np.r_[line, start[1:]]
                           for line in self.lines(part.effect) for start in starts]
+            if part.effect.stepped:
+                starts = self.steps()
             for start in starts:
                 batch.append(self._block(part, start))
                 if sum(len(block.columns) for block in batch) >= BATCH:
@@ -146,11 +160,26 @@ class _Beside:
             signal, highest = self.correlated(effect), math.inf
         frequency, power = _spectrum(self.problem, signal)
         power[(frequency < LINE_BAND_HZ[0]) | (frequency > highest)] = 0.0
+        return [float(frequency[peak]) for peak in _peaks(power, 12)]
+
+    def steps(self) -> list[FloatArray]:
+        """Steps in which motors may take their commands, each with one level, the same way.
+
+        Rounding adds a saw over the command, for which its first harmonic stands.
+        """
+        data, pushed = self.problem.data, self._behind_lag()
+        late = round(self.values[2] / data.dt)
+        bins = np.clip(np.roll(data.motors, late, axis=0), 0.0, 1.0) // BIN
+        sums = np.zeros(1 + round(1.0 / BIN))
+        for one, share in zip(bins.T.astype(int), MIXER_INVERSE[data.index + 1], strict=True):
+            sums += np.bincount(one, share * pushed, sums.size)
+        waves, rounds = np.fft.rfft(sums, PADDED), np.fft.rfftfreq(PADDED, BIN)
+        size = np.where((rounds > ROUNDS[0]) & (rounds < ROUNDS[1]), np.abs(waves), 0.0)
         found = []
-        for _ in range(LINES):
-            peak = int(np.argmax(power))
-            found.append(float(frequency[peak]))
-            power[max(peak - 12, 0) : peak + 13] = 0.0
+        for peak in _peaks(size, 60):
+            step, turn = 1.0 / rounds[peak], 0.25 - np.angle(waves[peak]) / (2.0 * math.pi)
+            level = step * turn + 0.5 * BIN
+            found.append(np.array([step, level + step * np.round((0.5 - level) / step)]))
         return found
 
     @cached_property
@@ -172,9 +201,12 @@ class _Beside:
         """(n,) the same by the effect's term: what moves the command acts through the lag."""
         if not effect.moves_command:
             return self.backwards * per_unit(effect.term, self.signals)
+        return -self._behind_lag() * np.gradient(self.signals.command)
+
+    def _behind_lag(self) -> FloatArray:
+        """(n,) the same by the command times the gain."""
         keep = math.exp(-self.problem.data.dt / self.values[1])
-        back = lfilter([1.0 - keep], [1.0, -keep], self.backwards[::-1])[::-1]
-        return -back * np.gradient(self.signals.command)
+        return lfilter([1.0 - keep], [1.0, -keep], self.backwards[::-1])[::-1]
 
     def _block(self, part: Part, start: FloatArray) -> _Block:
         effect, p = part.effect, coordinates(part.effect.parameters, start)

@@ -27,6 +27,8 @@ from quad_sysid.model.structure import BASE
 
 MOVES = 0.02
 """Share of its mean by which a signal must move for its effect to show."""
+SLOPING = 0.05
+"""Share of a step over which one level gives way to the next."""
 LIGHT = 0.3
 """Damping ratio up to which a mode counts as lightly damped."""
 
@@ -50,6 +52,9 @@ class Map(Row):
     term = 'command'
     mode: Callable[[FloatArray], Dynamics] | None = None
 
+    def prepare(self, data: AxisData) -> Settings | str:
+        return (why_not(data) if 'motors' in self.signals else '') or {}
+
     def command(
         self, data: AxisData, command: FloatArray, p: FloatArray, settings: Settings
     ) -> FloatArray:
@@ -65,6 +70,13 @@ class Map(Row):
 def _slew(data: AxisData, motors: FloatArray, p: FloatArray) -> FloatArray:
     step = float(p[0]) * data.dt
     return np.stack([along(data, m, recursion.slew, step) for m in motors])
+
+
+def _rounded(_: AxisData, motors: FloatArray, p: FloatArray) -> FloatArray:
+    """To whole steps from a level, with a short slope in between, for a smooth likelihood."""
+    steps = (motors - p[1]) / p[0]
+    below = np.floor(steps)
+    return p[1] + p[0] * (below + np.clip((steps - below - 0.5) / SLOPING + 0.5, 0.0, 1.0))
 
 
 def lagged(data: AxisData, command: FloatArray, tau: float) -> FloatArray:
@@ -128,10 +140,11 @@ SLOW_MAPS = (
     Map(
         'shape:gain:command', ('command', 'motors'),
         (
-            Spec('step', '1', spread=1.5, centre=math.log(0.01), log=True,
-                 starts=tuple(np.geomspace(0.002, 0.06, 15))),
+            Spec('step', '1', spread=1.5, centre=math.log(0.01), log=True),
+            Spec('level', '1', spread=0.3, centre=0.5),
         ),
-        lambda _, motors, p: np.round(motors / p[0]) * p[0], kind='shape', variant='steps',
+        _rounded, kind='shape', variant='steps',
+        stepped=True,
         physics='motors take their command in whole steps', excite='slow small commands',
     ),
     Map(

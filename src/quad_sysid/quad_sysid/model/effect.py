@@ -178,6 +178,10 @@ class Effect:
     """Whether it swings at its first parameter's frequency (Hz), whose start comes from lines in
     what a fit leaves; each flight has its own phase, which `elsewhere` takes."""
 
+    stepped: bool = False
+    """Whether its parameters are a step of the motors' commands and one level, whose starts come
+    from a saw over these in what a fit leaves."""
+
     def prepare(self, data: AxisData) -> Settings | str:
         """Settings from the training data, or a text: why it cannot be tested on them."""
         found = (data.signal(name) for name in MISSING if name in self.signals)

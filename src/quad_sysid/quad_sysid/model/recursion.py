@@ -386,8 +386,8 @@ def built_up(rate, share, start, stop, out):
 def loose_ahead(pull, moved, spring, damping, gap, dt, z, q):
     """A loose mass a cycle later: its place z and own speed q, and its acceleration f meanwhile.
 
-    z' = q - moved, q' = pull + f; f = -spring² z / (1 - z²) - damping z', and at the ends, z = +-1,
-    it stops dead. With a gap f is zero up to there, then -spring² (z -+ 1) - damping z', by a
+    z' = q - moved, q' = pull + f; f = -spring² z / (1 - z²) - damping z', and at z = +-1 it stops
+    dead. With a gap f is zero up to there, then -spring² (z -+ 1) - damping z', by a
     smooth transition. The steps are half implicit, of 1 ms.
     """
     parts = max(1, round(dt / 0.001))
