@@ -30,7 +30,7 @@ from quad_sysid.discover.constants import (
     REFITS,
     STAKES,
 )
-from quad_sysid.discover.search import Found, Scored
+from quad_sysid.discover.search import Found
 from quad_sysid.estimate.fit import Fit, Problem, tail_of
 from quad_sysid.estimate.stored import Stored, noise_of
 from quad_sysid.model.data import AxisData, Windows
@@ -42,7 +42,7 @@ from quad_sysid.model.plant import Prediction
 HORIZONS_S = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 SHORT_S = HORIZONS_S[2]
 """Windows over which motors answer, and gusts have hardly turned the aircraft yet."""
-HUGE = 1e100
+HUGE, TINY = 1e100, 1e-100
 LEAST_REPORTED = 0.005
 """Share of the rivals' probability below which one is not reported."""
 
@@ -240,13 +240,20 @@ def weighed(unseen: Unseen, found: Found) -> Found:
     """The best structures and the base, their scores with what the held-out segments say.
 
     That is the likelihood of the innovations there as nothing was refitted, but of any size: there
-    may be more or less wind.
+    may be more or less wind. Where a likelihood is right, the variance of a log ratio is twice its
+    mean. By blocks it may vary more; a ratio counts as what agrees with its variance at most.
     """
     kept = [one for i, one in enumerate(found.all) if i < REFITS or one.fit is found.base]
-    e = side_by_side([partial(unseen.innovations, one.fit) for one in kept])
-    scores = [one.score + float(np.sum(tail_of(own).log_density(own)))
-              for one, own in zip(kept, e, strict=True)]
-    ordered = sorted(map(Scored, (one.fit for one in kept), scores), key=lambda one: -one.score)
+    kept.sort(key=lambda one: one.fit is not found.best)
+    innovations = side_by_side([partial(unseen.innovations, one.fit) for one in kept])
+    blocks = [np.bincount(unseen.block, tail_of(e).log_density(e)) for e in innovations]
+    ordered = []
+    for one, own in zip(kept, blocks, strict=True):
+        ratios = own - blocks[0]
+        ratio, variance = float(np.sum(ratios)), ratios.size * float(np.var(ratios))
+        agrees = min(abs(ratio), 2.0 * ratio**2 / (variance + TINY))
+        ordered.append(replace(one, score=one.score + math.copysign(agrees, ratio)))
+    ordered.sort(key=lambda one: -one.score)
     return replace(found, all=tuple(ordered))
 
 
