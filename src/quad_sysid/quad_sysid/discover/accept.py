@@ -241,20 +241,21 @@ def weighed(unseen: Unseen, found: Found) -> Found:
 
     That is the likelihood of the innovations there as nothing was refitted, but of any size: there
     may be more or less wind. Where a likelihood is right, the variance of a log ratio is twice its
-    mean. By blocks it may vary more; a ratio counts as what agrees with its variance at most.
+    mean. Where that of the leading one varies more by blocks, all count less (a generalised
+    posterior: Grünwald, van Ommen 2017).
     """
     kept = [one for i, one in enumerate(found.all) if i < REFITS or one.fit is found.base]
-    kept.sort(key=lambda one: one.fit is not found.best)
     innovations = side_by_side([partial(unseen.innovations, one.fit) for one in kept])
-    blocks = [np.bincount(unseen.block, tail_of(e).log_density(e)) for e in innovations]
-    ordered = []
-    for one, own in zip(kept, blocks, strict=True):
-        ratios = own - blocks[0]
-        ratio, variance = float(np.sum(ratios)), ratios.size * float(np.var(ratios))
-        agrees = min(abs(ratio), 2.0 * ratio**2 / (variance + TINY))
-        ordered.append(replace(one, score=one.score + math.copysign(agrees, ratio)))
-    ordered.sort(key=lambda one: -one.score)
-    return replace(found, all=tuple(ordered))
+    blocks = np.array([np.bincount(unseen.block, tail_of(e).log_density(e)) for e in innovations])
+    best = next(i for i, one in enumerate(kept) if one.fit is found.best)
+    ratios = blocks - blocks[best]
+    total = np.sum(ratios, axis=1)
+    ahead = max((i for i in range(len(kept)) if i != best), key=lambda i: total[i], default=best)
+    varies = ratios.shape[1] * float(np.var(ratios[ahead]))
+    share = min(1.0, 2.0 * abs(float(total[ahead])) / (varies + TINY))
+    ordered = [replace(one, score=one.score + share * float(more))
+               for one, more in zip(kept, total, strict=True)]
+    return replace(found, all=tuple(sorted(ordered, key=lambda one: -one.score)))
 
 
 def _evidence(unseen: Unseen, before: Tried, after: Tried) -> float:
