@@ -28,12 +28,14 @@ import outside_arms_loads_supply_blades as fifth
 import outside_bearings_motors_air_sensors as first
 import outside_cables_frames_loads_power as second
 import outside_eighth as eighth
+import outside_eleventh as eleventh
 import outside_hinges_controllers_wake_sensing as fourth
 import outside_hoses_frames_power_schedules as seventh
 import outside_joints_escs_rotors_estimators as sixth
 import outside_ninth as ninth
 import outside_rigs_air_software_blades as third
 import outside_simulator as simulator
+import outside_tenth as tenth
 from effects_answer import searched
 from effects_judge import SPOILED, UNNAMED, WORTH
 from threadpoolctl import threadpool_limits
@@ -45,7 +47,8 @@ from quad_sysid.pipeline.evaluate import evaluate
 from quad_sysid.record import GainChange, Record, Segment
 
 SETS = {'bearings': first, 'cables': second, 'rigs': third, 'hinges': fourth, 'arms': fifth,
-        'joints': sixth, 'hoses': seventh, 'eighth': eighth, 'ninth': ninth}
+        'joints': sixth, 'hoses': seventh, 'eighth': eighth, 'ninth': ninth,
+        'tenth': tenth, 'eleventh': eleventh}
 STRENGTHS = (0.7, 1.3)
 MAY_BE = {name: names for one in SETS.values() for name, names in one.MAY_BE.items()}
 """Effect → names of the table that are no lie."""
