@@ -27,14 +27,14 @@ from typing import Any
 import outside_arms_loads_supply_blades as fifth
 import outside_bearings_motors_air_sensors as first
 import outside_cables_frames_loads_power as second
-import outside_eighth as eighth
 import outside_eleventh as eleventh
+import outside_gears_windings_cushions_mounts as eighth
 import outside_hinges_controllers_wake_sensing as fourth
 import outside_hoses_frames_power_schedules as seventh
 import outside_joints_escs_rotors_estimators as sixth
-import outside_ninth as ninth
 import outside_rigs_air_software_blades as third
 import outside_simulator as simulator
+import outside_slings_fasteners_packs_drivers as ninth
 import outside_tenth as tenth
 from effects_answer import searched
 from effects_judge import SPOILED, UNNAMED, WORTH
@@ -47,7 +47,7 @@ from quad_sysid.pipeline.evaluate import evaluate
 from quad_sysid.record import GainChange, Record, Segment
 
 SETS = {'bearings': first, 'cables': second, 'rigs': third, 'hinges': fourth, 'arms': fifth,
-        'joints': sixth, 'hoses': seventh, 'eighth': eighth, 'ninth': ninth,
+        'joints': sixth, 'hoses': seventh, 'gears': eighth, 'slings': ninth,
         'tenth': tenth, 'eleventh': eleventh}
 STRENGTHS = (0.7, 1.3)
 MAY_BE = {name: names for one in SETS.values() for name, names in one.MAY_BE.items()}

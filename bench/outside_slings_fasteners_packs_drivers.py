@@ -5,11 +5,10 @@ Every class is deterministic, keeps its state in itself and is called once per m
 are angular accelerations (rad/s²), i.e. already divided by the moment of inertia. The numbers belong to an
 aircraft of about 1.2 kg with 0.012 kg m² about roll or pitch; `strength` 1.0 is the ordinary case.
 """
-from outside_simulator import Change, Situation
-
 import math
 
 import numpy as np
+from outside_simulator import Change, Situation
 
 G = 9.81
 MASS = 1.2
@@ -131,8 +130,7 @@ class SafetyCords:
         total = 0.0
         for j, sign in ((0, 1.0), (1, -1.0)):
             e = sign * lift - self.SLACK[j]
-            if e < 0.0:
-                e = 0.0
+            e = max(e, 0.0)
             q = self.q[j] + self.GA1 / self.REST * (e - self.before[j])
             q -= s.dt / self.TAU * q
             self.before[j], self.q[j] = e, q
@@ -376,7 +374,7 @@ class SlewLimit:
         gain = s.dt / self.SMOOTH
         for j in (0, 1, 2, 3):
             move = gain * (u[j] - out[j])
-            out[j] += up if move > up else down if move < down else move
+            out[j] += up if move > up else max(move, down)
         c = Change()
         c.command = np.array(out)
         return c

@@ -5,11 +5,10 @@ Torques are angular accelerations in rad/s² (divided by the inertia of the axis
 motor is meant, it is sqrt(thrust), so that 1.0 is the speed at full command and 0.707 that in hover.
 Every effect is deterministic and holds its state in its object.
 """
-from outside_simulator import Change, Situation
-
 import math
 
 import numpy as np
+from outside_simulator import Change, Situation
 
 G = 9.81
 LAG = 0.042
