@@ -191,7 +191,7 @@ def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
     known: dict[frozenset[str], Fit | None] = {
         frozenset(one.fit.structure.labels): one.fit for one in found.all
     }
-    found = weighed(unseen, found)
+    trained, found = found.best, weighed(unseen, found)
     base, chain = found.base, list(_shortened(problem, found.best, known))
     # where gusts rule the windows of the verdict, short ones may tell
     lengths = unseen.windows, unseen.short
@@ -199,9 +199,9 @@ def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
         (fitted, [unseen.errors(fitted, windows) for windows in lengths])
         for fitted in (base, *chain)
     )
-    # the structure was chosen from so many by the same segments
-    wealth = [e / len(found.all)
-              for e in closed([_evidence(unseen, at_base, one) for one in tried])]
+    # another than the training's was chosen from so many by the same segments
+    count = 1 if found.best is trained else len(found.all)
+    wealth = [e / count for e in closed([_evidence(unseen, at_base, one) for one in tried])]
     best, e_value = at_base, wealth[0] if wealth else 1.0
     for i, (one, e) in enumerate(zip(tried, wealth, strict=True)):
         if _confirmed(at_base, one, e) and not any(
