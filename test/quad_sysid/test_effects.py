@@ -501,8 +501,8 @@ LAWS = [
     Law('mode', laguerre(0.3, -0.2, 0.2),
         {'time_constant': 0.2, 'c0': 0.3, 'c1': -0.2, **NO_MORE}, variant='response to drive',
         left=0.003),
-    Law('shape:gain:command', in_steps(0.0213, 0.4969), {'step': 0.0213, 'level': 0.4969},
-        variant='steps', left=0.01),
+    Law('shape:gain:command', in_steps(0.0213, 0.4969),
+        {'step': 0.0213, 'level': -0.0031 / 0.0213}, variant='steps', left=0.01),
     Law('shape:gain:command', of_motors(lambda m: m + 0.5 * (m - 0.5) ** 2),
         {f'slope_{i}': x - 0.5 for i, x in enumerate(KNOTS)},
         {'knots': KNOTS, 'mean': (0.0,) * 6, 'throttle': 0.5}, 'smooth, motors', left=0.003),
@@ -706,7 +706,7 @@ def test_motors_that_take_whole_steps_are_found_with_the_step_and_a_level():
     assert (effect.name, effect.variant) == ('shape:gain:command', 'steps')
     step, level = (one.value for one in effect.parameters)
     assert step == pytest.approx(0.0213, rel=0.005)
-    assert (level - 0.4969 + step / 2) % step == pytest.approx(step / 2, abs=0.05 * step)
+    assert level == pytest.approx(-0.0031 / step, abs=0.05)
     unseen = evaluate(answer.model, fly(Axis(**{**QUIET, **law()}), 501, UNSEEN))
     assert unseen.before > 3.0 * unseen.after
 

@@ -1,4 +1,4 @@
-"""The verdict on the validation segments, which are opened once, after all choices.
+"""The verdict on the validation segments, which are opened once, after the search.
 
 Predictive log-likelihoods are compared in blocks, as a bet against the claim that the added
 effects predict nothing (an e-value: Shafer 2021, Waudby-Smith & Ramdas 2024). If the claim is
@@ -42,7 +42,7 @@ from quad_sysid.model.plant import Prediction
 HORIZONS_S = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 SHORT_S = HORIZONS_S[2]
 """Windows over which motors answer, and gusts have hardly turned the aircraft yet."""
-HUGE, TINY = 1e100, 1e-100
+HUGE = 1e100
 LEAST_REPORTED = 0.005
 """Share of the rivals' probability below which one is not reported."""
 
@@ -117,6 +117,8 @@ class Verdict:
     """Posterior of each chosen effect."""
     rivals: tuple[tuple[tuple[str, float], ...], ...]
     """For each chosen effect its alternatives with their probabilities."""
+    found: Found
+    """What the search found, as the held-out segments weigh it."""
 
 
 Fitted = Fit | Stored
@@ -188,6 +190,7 @@ def rms(errors: FloatArray) -> float:
 def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
     """Open the validation segments and decide."""
     unseen = Unseen(data, data.validation)
+    unseen.predict(found.base)  # which measures the innovations that wandering effects follow
     known: dict[frozenset[str], Fit | None] = {
         frozenset(one.fit.structure.labels): one.fit for one in found.all
     }
@@ -199,8 +202,8 @@ def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
         (fitted, [unseen.errors(fitted, windows) for windows in lengths])
         for fitted in (base, *chain)
     )
-    # another than the training's was chosen from so many by the same segments
-    count = 1 if found.best is trained else len(found.all)
+    # another choice than the training's counts once for each of those it was chosen from
+    count = 1 if found.best is trained else REFITS
     wealth = [e / count for e in closed([_evidence(unseen, at_base, one) for one in tried])]
     best, e_value = at_base, wealth[0] if wealth else 1.0
     for i, (one, e) in enumerate(zip(tried, wealth, strict=True)):
@@ -232,30 +235,33 @@ def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
         one_step_before=unseen.one_step(base), one_step_after=unseen.one_step(chosen),
         hold=hold, predicted=noise.gyro_rms * math.sqrt(float(np.mean(spread))),
         noise_floor=noise.measured_rms, horizons=horizons(unseen, base, chosen), without=without,
-        probabilities=probabilities, rivals=rivals,
+        probabilities=probabilities, rivals=rivals, found=found,
     )
 
 
 def weighed(unseen: Unseen, found: Found) -> Found:
-    """The best structures and the base, their scores with what the held-out segments say.
+    """The scores of the best structures and the base with what the held-out segments say of them.
 
-    That is the likelihood of the innovations there as nothing was refitted, but of any size: there
+    That is the likelihood of their innovations there, whose scale and tail alone are fitted: there
     may be more or less wind. Where a likelihood is right, the variance of a log ratio is twice its
-    mean. Where that of the leading one varies more by blocks, all count less (a generalised
-    posterior: Grünwald, van Ommen 2017).
+    mean. Where that between the training's choice and its strongest rival varies more from block
+    to block, all count less (a generalised posterior: Grünwald, van Ommen 2017).
     """
-    kept = [one for i, one in enumerate(found.all) if i < REFITS or one.fit is found.base]
+    best = found.best
+    kept = [one for i, one in enumerate(found.all)
+            if i < REFITS or one.fit is best or one.fit is found.base]
+    if len(kept) < 2 or not unseen.block.size:
+        return found
     innovations = side_by_side([partial(unseen.innovations, one.fit) for one in kept])
     blocks = np.array([np.bincount(unseen.block, tail_of(e).log_density(e)) for e in innovations])
-    best = next(i for i, one in enumerate(kept) if one.fit is found.best)
-    ratios = blocks - blocks[best]
+    ratios = blocks - next(b for b, one in zip(blocks, kept, strict=True) if one.fit is best)
     total = np.sum(ratios, axis=1)
-    ahead = max((i for i in range(len(kept)) if i != best), key=lambda i: total[i], default=best)
-    varies = ratios.shape[1] * float(np.var(ratios[ahead]))
-    share = min(1.0, 2.0 * abs(float(total[ahead])) / (varies + TINY))
-    ordered = [replace(one, score=one.score + share * float(more))
-               for one, more in zip(kept, total, strict=True)]
-    return replace(found, all=tuple(sorted(ordered, key=lambda one: -one.score)))
+    rival = max((i for i, one in enumerate(kept) if one.fit is not best), key=lambda i: total[i])
+    varies = 0.5 * float(np.sum(np.diff(ratios[rival]) ** 2))  # beside what excitation does
+    share = min(1.0, 2.0 * abs(float(total[rival])) / varies) if varies > 0.0 else 1.0
+    said = {id(one): share * float(more) for one, more in zip(kept, total, strict=True)}
+    scored = [replace(one, score=one.score + said.get(id(one), 0.0)) for one in found.all]
+    return replace(found, all=tuple(sorted(scored, key=lambda one: -one.score)))
 
 
 def _evidence(unseen: Unseen, before: Tried, after: Tried) -> float:

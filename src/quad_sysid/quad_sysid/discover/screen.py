@@ -13,8 +13,9 @@ from dataclasses import dataclass
 from functools import cached_property, partial
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
-from scipy.signal import fftconvolve, lfilter
+from scipy.signal import fftconvolve, find_peaks, lfilter
 
 from quad_sysid.beside import side_by_side
 from quad_sysid.contract import MIXER_INVERSE, FloatArray
@@ -36,9 +37,12 @@ ANSWER_S = 0.5
 """Innovations answer to a pulse for no longer."""
 LINES = 4
 LINE_BAND_HZ = (0.1, 16.0)
-BIN, ROUNDS, PADDED = 2.5e-4, (16.0, 500.0), 1 << 17
-"""Of motor commands, between which steps count as the same; steps of these in the whole range; and
-bins of the spectrum that shows them."""
+BIN = 2.5e-4
+"""Width of the bins over the motors' commands."""
+STEPS = (16.0, 500.0)
+"""Fewest and most steps in the whole range of a command."""
+PADDED = 1 << 17
+"""Bins of the spectrum in which they are sought."""
 
 
 @dataclass(frozen=True)
@@ -73,13 +77,10 @@ def _spectrum(problem: Problem, signal: FloatArray) -> tuple[FloatArray, FloatAr
     return np.fft.rfftfreq(size, problem.data.dt).astype(np.float64), power
 
 
-def _peaks(power: FloatArray, apart: int) -> list[int]:
-    """Where the highest peaks are, so far apart."""
-    left, found = power.copy(), []
-    for _ in range(LINES):
-        found.append(int(np.argmax(left)))
-        left[max(found[-1] - apart, 0) : found[-1] + apart] = -math.inf
-    return found
+def _peaks(power: FloatArray, apart: int) -> NDArray[np.int64]:
+    """Where the highest peaks are, at least so far apart."""
+    found = find_peaks(power, distance=apart)[0]
+    return found[np.argsort(-power[found])][:LINES]
 
 
 def vibration_line(problem: Problem, fitted: Fit) -> float | None:
@@ -173,13 +174,12 @@ class _Beside:
         sums = np.zeros(1 + round(1.0 / BIN))
         for one, share in zip(bins.T.astype(int), MIXER_INVERSE[data.index + 1], strict=True):
             sums += np.bincount(one, share * pushed, sums.size)
-        waves, rounds = np.fft.rfft(sums, PADDED), np.fft.rfftfreq(PADDED, BIN)
-        size = np.where((rounds > ROUNDS[0]) & (rounds < ROUNDS[1]), np.abs(waves), 0.0)
+        waves, count = np.fft.rfft(sums, PADDED), np.fft.rfftfreq(PADDED, BIN)
+        size = np.where((count > STEPS[0]) & (count < STEPS[1]), np.abs(waves), 0.0)
         found = []
         for peak in _peaks(size, 60):
-            step, turn = 1.0 / rounds[peak], 0.25 - np.angle(waves[peak]) / (2.0 * math.pi)
-            level = step * turn + 0.5 * BIN
-            found.append(np.array([step, level + step * np.round((0.5 - level) / step)]))
+            turn = 0.25 - np.angle(waves[peak]) / (2.0 * math.pi) - count[peak] * (0.5 - 0.5 * BIN)
+            found.append(np.array([1.0 / count[peak], turn - np.round(turn)]))
         return found
 
     @cached_property

@@ -76,7 +76,7 @@ class Found:
         return next(one.fit for one in self.all if one.names == names)
 
     def probabilities(self) -> FloatArray:
-        """Posterior of each fitted structure, given the training segments."""
+        """Posterior of each fitted structure, given the segments that scored it."""
         scores = np.array([s.score for s in self.all])
         p = np.exp(scores - scores.max())
         return p / p.sum()

@@ -53,7 +53,8 @@ class Map(Row):
     mode: Callable[[FloatArray], Dynamics] | None = None
 
     def prepare(self, data: AxisData) -> Settings | str:
-        return (why_not(data) if 'motors' in self.signals else '') or {}
+        why = why_not(data) if 'motors' in self.signals else ''
+        return why or super().prepare(data)
 
     def command(
         self, data: AxisData, command: FloatArray, p: FloatArray, settings: Settings
@@ -73,10 +74,14 @@ def _slew(data: AxisData, motors: FloatArray, p: FloatArray) -> FloatArray:
 
 
 def _rounded(_: AxisData, motors: FloatArray, p: FloatArray) -> FloatArray:
-    """To whole steps from a level, with a short slope in between, for a smooth likelihood."""
-    steps = (motors - p[1]) / p[0]
+    """To whole steps, with a short slope in between, for a smooth likelihood.
+
+    One level lies p[1] steps of p[0] above half of the range.
+    """
+    steps = (motors - 0.5) / p[0] - p[1]
     below = np.floor(steps)
-    return p[1] + p[0] * (below + np.clip((steps - below - 0.5) / SLOPING + 0.5, 0.0, 1.0))
+    taken = below + np.clip((steps - below - 0.5) / SLOPING + 0.5, 0.0, 1.0)
+    return 0.5 + p[0] * (p[1] + taken)
 
 
 def lagged(data: AxisData, command: FloatArray, tau: float) -> FloatArray:
@@ -141,7 +146,7 @@ SLOW_MAPS = (
         'shape:gain:command', ('command', 'motors'),
         (
             Spec('step', '1', spread=1.5, centre=math.log(0.01), log=True),
-            Spec('level', '1', spread=0.3, centre=0.5),
+            Spec('level', '1', spread=0.3, starts=(0.0,)),
         ),
         _rounded, kind='shape', variant='steps',
         stepped=True,

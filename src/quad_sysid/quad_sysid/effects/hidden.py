@@ -146,34 +146,27 @@ REACH = Spec('reach', 'rad', spread=1.2, centre=math.log(0.1), log=True,
 SPRING = Spec('frequency', 'Hz', spread=1.0, centre=0.0, log=True,
               starts=(0.1, 0.5, 1.0, 2.0, 4.0, 8.0))
 DAMPER = Spec('damping', '1/s', spread=1.0, centre=math.log(2.0), log=True, starts=(0.7, 3.0))
-MOUNT = (  # stiffer
-    replace(SPRING, centre=math.log(8.0), starts=(4.0, 8.0, 16.0)),
-    replace(DAMPER, centre=math.log(10.0), starts=(7.0, 30.0)),
-)
 WEIGHT, INERTIA = Spec('weight', 'rad/s²'), Spec('inertia', '1', spread=0.3)
-TURNS, LEANS = "-rate' / reach", '-pull sin(angle)'
 LOADS = {
-    'loose, leaning': (LEANS, (SPRING, DAMPER, PULL, WEIGHT, INERTIA)),
-    'loose, turning': (TURNS, (SPRING, DAMPER, REACH, WEIGHT, INERTIA)),
-    'loose, driven': ('drive / reach', (
-        *MOUNT, replace(REACH, centre=math.log(0.01), starts=(0.003, 0.01, 0.03)), WEIGHT,
+    'leaning': (('rate', 'history', 'angle'), '-pull sin(angle)',
+                (SPRING, DAMPER, PULL, WEIGHT, INERTIA)),
+    'turning': (('rate', 'history'), "-rate' / reach", (SPRING, DAMPER, REACH, WEIGHT, INERTIA)),
+    'driven': (('command', 'history'), 'drive / reach', (  # a mount: stiffer, and of all the drive
+        replace(SPRING, centre=math.log(8.0), starts=(4.0, 8.0, 16.0)),
+        replace(DAMPER, centre=math.log(10.0), starts=(7.0, 30.0)),
+        replace(REACH, centre=math.log(0.01), starts=(0.003, 0.01, 0.03)), WEIGHT,
         replace(INERTIA, spread=1.0),
     )),
-    'with a gap, leaning': (LEANS, (*MOUNT, PULL, WEIGHT, INERTIA)),
-    'with a gap, turning': (TURNS, (
-        *MOUNT, replace(REACH, centre=math.log(0.03), starts=(0.01, 0.03, 0.09)), WEIGHT, INERTIA,
-    )),
 }
-"""Variant → what moves the load, and its parameters."""
+"""What moves the load → the signals, the equation's right side and the parameters."""
 
 
 class Load(Effect):
-    """A mass on a damped spring, by its weight and what it does to its mount.
+    """A mass on a damped spring between two stops, by its weight and what it does to its mount.
 
     Gravity pulls it to the side as the aircraft leans (rig), or the aircraft turns beneath it.
-    The spring hardens towards two stops, w² z / (1 - z²) with z = -1 to 1, as finitely extensible
-    ones do (Warner 1972); without a spring it is a loose load. With a gap nothing holds it up to
-    there, and spring and damper beyond (Nordin, Gutman 2002). What the drive moves behind such a
+    The spring hardens towards the stops, w² z / (1 - z²) with z = -1 to 1, as finitely extensible
+    ones do (Warner 1972); without a spring it is a loose load. What the drive moves behind such a
     spring, a gyro on its pads or an arm, gets its acceleration through it.
     """
 
@@ -182,18 +175,14 @@ class Load(Effect):
     states = 3
     sized_by_term = True
 
-    def __init__(self, variant: str) -> None:
-        self.variant, self.gap = variant, 'gap' in variant
-        self.moved = variant.rpartition(' ')[2]
-        moves, self.parameters = LOADS[variant]
-        self.signals = {
-            'leaning': ('rate', 'history', 'angle'), 'turning': ('rate', 'history'),
-            'driven': ('command', 'history'),
-        }[self.moved]
-        held = "w² (z -+ 1) + damping z' beyond z = +-1" if self.gap else (
-            "w² z / (1 - z²) + damping z', z = -1 to 1")
-        self.physics = f"z'' = {moves} - f, f = {held}; its weight z, and f on its mount" + (
-            ' in place of a share of the drive' if self.moved == 'driven' else '')
+    def __init__(self, moved: str) -> None:
+        self.moved, self.variant = moved, f'loose, {moved}'
+        self.signals, moves, self.parameters = LOADS[moved]
+        pushes = 'in place of a share of the drive' if moved == 'driven' else 'on its mount'
+        self.physics = (
+            f"z'' + damping z' + w² z / (1 - z²) = {moves}, z = -1 to 1; its weight z, and what "
+            f'its spring and damper push back, {pushes}: a load with play'
+        )
         self.excite = 'large and small motion, slow and fast'
 
     def _inputs(self, s: Signals, p: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -208,16 +197,16 @@ class Load(Effect):
     ) -> FloatArray:
         out, (pull, moved) = np.zeros((3, s.rate.size)), self._inputs(s, p)
         out[1] = moved
-        law = 2.0 * math.pi * float(p[0]), float(p[1]), self.gap, data.dt
+        w = 2.0 * math.pi * float(p[0])
         for start, stop in data.stretches:
-            recursion.loose(pull, moved, *law, start, stop, out)
+            recursion.loose(pull, moved, w, float(p[1]), data.dt, start, stop, out)
         return out
 
     def advance(
         self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings, dt: float
     ) -> FloatArray:
-        law = 2.0 * math.pi * float(p[0]), float(p[1]), self.gap, dt
-        return recursion.all_loose_ahead(*self._inputs(s, p), *law, x)
+        w = 2.0 * math.pi * float(p[0])
+        return recursion.all_loose_ahead(*self._inputs(s, p), w, float(p[1]), dt, x)
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         z, _, pushed = required(s.hidden)
@@ -509,7 +498,7 @@ HIDDEN: tuple[Effect, ...] = (
         physics=f"{RING} rate; torque in_phase z + quadrature z'/w",
     ),
     Hysteresis(),
-    *(Load(variant) for variant in LOADS),
+    *(Load(moved) for moved in LOADS),
     *(Yielding(moved) for moved in ('turning', 'leaning', 'driven')),
     Response(
         'mode', ('command', 'history'),

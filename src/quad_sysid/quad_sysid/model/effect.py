@@ -179,8 +179,8 @@ class Effect:
     what a fit leaves; each flight has its own phase, which `elsewhere` takes."""
 
     stepped: bool = False
-    """Whether its parameters are a step of the motors' commands and one level, whose starts come
-    from a saw over these in what a fit leaves."""
+    """Whether its parameters are a step of the motors' commands and a level, which are sought as a
+    sawtooth over the commands in what a fit leaves."""
 
     def prepare(self, data: AxisData) -> Settings | str:
         """Settings from the training data, or a text: why it cannot be tested on them."""

@@ -37,7 +37,8 @@ SLOPE_S = 0.02
 FOLLOWED_S = 0.05
 """Time after which an integral of the rate follows the measurement."""
 FINER = 0.1
-"""Of a step, for what bends within it: an event's edge, a frequency over a long flight."""
+"""Share of a step by which a torque's parameter is moved, so that its curvature does not enter: an
+event's edge, a frequency over a long flight."""
 FILTER_STEP, PURSUIT_STEP = 1e-4, 1e-3
 """Steps of the noise's and of a wandering coefficient's parameters for derivatives of gains."""
 SHORTEST_S = 1e-5
@@ -318,11 +319,10 @@ class Flight:
         for j in set(range(theta.size)) - set(linear):
             ahead = theta.copy()
             ahead[j] += FINER * steps[j]
-            p = natural(effect.parameters, ahead)
-            there = required(effect.torque(self.hidden(part, s, p), p, settings))
+            moved = natural(effect.parameters, ahead)
+            there = required(effect.torque(self.hidden(part, s, moved), moved, settings))
             out[:, j] = (there - here) / (FINER * steps[j])
         if linear:
-            p = natural(effect.parameters, theta)
             p[linear] = 0.0
             out[:, linear] = effect.columns(own, p, linear, settings)
         return out

@@ -383,50 +383,40 @@ def built_up(rate, share, start, stop, out):
 
 
 @njit(**_OPTIONS)
-def loose_ahead(pull, moved, spring, damping, gap, dt, z, q):
+def loose_ahead(pull, moved, spring, damping, dt, z, q):
     """A loose mass a cycle later: its place z and own speed q, and its acceleration f meanwhile.
 
-    z' = q - moved, q' = pull + f; f = -spring² z / (1 - z²) - damping z', and at z = +-1 it stops
-    dead. With a gap f is zero up to there, then -spring² (z -+ 1) - damping z', by a
-    smooth transition. The steps are half implicit, of 1 ms.
+    z' = q - moved, q' = pull + f, f = -spring² z / (1 - z²) - damping z'; at |z| = 1 it stops
+    dead. By the trapezoidal rule in steps of about 1 ms.
     """
     parts = max(1, round(dt / 0.001))
     h, before = dt / parts, q
     for _ in range(parts):
-        if gap:
-            beyond = abs(z) - 1.0
-            far = math.sqrt(beyond * beyond + 0.01)
-            touches = 0.5 * (1.0 + beyond / far)
-            stiff = spring**2 * 0.5 * (beyond + far) / max(abs(z), 0.01)
-            damp = damping * touches
-            grows = spring**2 * touches
-        else:
-            stiff = grows = spring**2 / max(1.0 - z * z, 0.02)
-            damp = damping
-        v = q - moved + h * pull
-        v = (v - h * stiff * z) / (1.0 + h * damp + h * h * grows)
-        z += h * v
-        if abs(z) > 1.0 and not gap:
-            z, v = math.copysign(1.0, z), 0.0
-        q = v + moved
+        stiff = spring**2 / max(1.0 - z * z, 0.02)
+        v, back = q - moved, 0.5 * h * damping + 0.25 * h * h * stiff
+        new = ((1.0 - back) * v + h * (pull - stiff * z)) / (1.0 + back)
+        z += 0.5 * h * (v + new)
+        if abs(z) > 1.0:
+            z, new = math.copysign(1.0, z), 0.0
+        q = new + moved
     return z, q, (q - before) / dt - pull
 
 
 @njit(**_OPTIONS)
-def loose(pull, moved, spring, damping, gap, dt, start, stop, out):
+def loose(pull, moved, spring, damping, dt, start, stop, out):
     """Such z and q at the start of each cycle and f over it, (3, n) into `out`, as they begin."""
     z, q = out[0, start], out[1, start]
     for k in range(start, stop):
         out[0, k], out[1, k] = z, q
-        z, q, out[2, k] = loose_ahead(pull[k], moved[k], spring, damping, gap, dt, z, q)
+        z, q, out[2, k] = loose_ahead(pull[k], moved[k], spring, damping, dt, z, q)
 
 
 @njit(**_OPTIONS)
-def all_loose_ahead(pull, moved, spring, damping, gap, dt, states):
+def all_loose_ahead(pull, moved, spring, damping, dt, states):
     """The same (3, w) a cycle later, where the next one's f takes this one's pull and motion."""
     out = np.empty_like(states)
     for i in range(pull.size):
-        held = pull[i], moved[i], spring, damping, gap, dt
+        held = pull[i], moved[i], spring, damping, dt
         z, q, _ = loose_ahead(*held, states[0, i], states[1, i])
         out[0, i], out[1, i], out[2, i] = z, q, loose_ahead(*held, z, q)[2]
     return out

@@ -124,7 +124,8 @@ def found_effects(data: AxisData, options: Options,
         if not options.effects:
             found.reasons.update((effect.label, NOT_SEARCHED) for effect in EFFECTS)
         progress(f'{data.axis}: held-out segments')
-        return findings(data, problem, found, judge(data, problem, found))
+        verdict = judge(data, problem, found)
+        return findings(data, problem, verdict.found, verdict)
     except (FloatingPointError, np.linalg.LinAlgError) as error:
         raise NotInformativeError(
             f'{data.axis}: no model of this axis can be fitted to the training ({error}); '
@@ -156,8 +157,8 @@ def _reason(told: Findings, *, searched: bool) -> str:
                          if part.effect.label not in kept)
     if names and verdict.verdict != 'cannot_tell':
         reason += (
-            f'; the training segments alone {"also " if kept else ""}suggest {names}, which the '
-            'held-out segments do not confirm'
+            f'; the search {"also " if kept else ""}suggests {names}, which the held-out segments '
+            'do not confirm'
         )
     gain = verdict.chosen.value('gain')
     if verdict.verdict != 'cannot_tell' and gain < 0.0:

@@ -96,7 +96,7 @@ def page(report: Mapping[str, Any], answers: Mapping[str, AxisAnswer],
               for axis, tree in axes.items()]
     sources = escape(', '.join(report['bags']))
     parts.append(
-        '<p class="small">Fits and choices used the training segments alone; the held-out '
+        '<p class="small">Every parameter was fitted to the training segments alone; the held-out '
         'ones were opened once. Numbers in full: report.json; the model: model.json. '
         f'Source: {sources}</p>'
     )
