@@ -14,7 +14,7 @@ import pytest
 from flown_axis import SHORT, Axis, fly
 from scipy.signal import butter, lfilter, savgol_filter
 
-from quad_sysid.discover.accept import Unseen, _posterior, bet, closed, judge, listed
+from quad_sysid.discover.accept import Unseen, _posterior, bet, closed, judge, listed, weighed
 from quad_sysid.discover.base import best_base, fitted_from
 from quad_sysid.discover.screen import candidates, screen
 from quad_sysid.discover.search import Found, Scored, extended, search
@@ -81,13 +81,36 @@ def answer(data):
     return verdict, {p.name: p for p in readings(problem, verdict.chosen).base}
 
 
-def test_the_climb_over_the_throttle_is_another_instance_of_the_model():
-    """Thrust 25 m/s² per unit of U1 against 9.81; drag 0.15 1/m is found and named."""
+def climbing():
+    """Thrust 25 m/s² per unit of U1 against 9.81, and drag of 0.15 1/m."""
     rng = np.random.default_rng(4)
     throttle = 9.81 / 25.0 + np.repeat(rng.choice([-0.12, 0.12], 120), 80)
     speed = moved(25.0, 0.06, 0.1, 0.15, -9.81, throttle, 0.15)[1]
-    measured = speed + 0.02 * rng.standard_normal(speed.size)
-    verdict, base = answer(axis('climb', 0, measured, throttle))
+    return axis('climb', 0, speed + 0.02 * rng.standard_normal(speed.size), throttle)
+
+
+def test_held_out_segments_weigh_the_structures_that_training_leaves():
+    """What training alone would put second by five nats comes first if they say so."""
+    data = climbing()
+    problem = Problem(data, data.train)
+    found = search(problem, [e for e in EFFECTS if e.name == 'quadratic_drag'])
+    base, drag = (next(s for s in found.all if s.names == names)
+                  for names in ((), ('quadratic_drag',)))
+    assert drag.score > base.score + 10.0
+    unseen = Unseen(data, data.validation)
+    doubted = replace(found, all=(base, replace(drag, score=base.score - 5.0)))
+    weighed_ones = weighed(unseen, doubted)
+    assert doubted.best is base.fit
+    assert weighed_ones.best is drag.fit
+    alone = replace(found, all=(base,))
+    assert weighed(unseen, alone) is alone
+    twice = replace(found, all=(base, Scored(replace(base.fit), base.score - 5.0)))
+    assert {s.score for s in weighed(unseen, twice).all} == {base.score, base.score - 5.0}
+
+
+def test_the_climb_over_the_throttle_is_another_instance_of_the_model():
+    """The drag is found and named."""
+    verdict, base = answer(climbing())
     assert [part.effect.name for part in verdict.chosen.structure.parts] == ['quadratic_drag']
     assert verdict.chosen.value('quadratic_drag.coefficient') == pytest.approx(0.15, rel=0.2)
     for name, truth in (('gain', 25.0), ('lag', 0.06), ('bias', -9.81)):
