@@ -1,7 +1,7 @@
 """Effects that people outside the project wrote: is half of what the truth gains found?
 
-Eighty-four effects in 28 families, from textbooks, by seven writers who knew neither the code nor
-its candidates, flown by a simulator of its own (outside_simulator.py) at two strengths and two
+132 effects in 44 families, from textbooks, by eleven writers who knew neither the code nor its
+candidates, flown by a simulator of its own (outside_simulator.py) at two strengths and two
 levels of noise. The gap is that between the base's error on a second flight and what the true
 equations foresee of that flight from its commands alone, scaled by what the base reaches beside
 them where the effect is off. Where the truth gains less than a factor of 1.5 there is little to
@@ -27,15 +27,15 @@ from typing import Any
 import outside_arms_loads_supply_blades as fifth
 import outside_bearings_motors_air_sensors as first
 import outside_cables_frames_loads_power as second
-import outside_eleventh as eleventh
+import outside_chains_stands_wakes_mixers as eleventh
 import outside_gears_windings_cushions_mounts as eighth
+import outside_greases_stators_discs_observers as tenth
 import outside_hinges_controllers_wake_sensing as fourth
 import outside_hoses_frames_power_schedules as seventh
 import outside_joints_escs_rotors_estimators as sixth
 import outside_rigs_air_software_blades as third
 import outside_simulator as simulator
 import outside_slings_fasteners_packs_drivers as ninth
-import outside_tenth as tenth
 from effects_answer import searched
 from effects_judge import SPOILED, UNNAMED, WORTH
 from threadpoolctl import threadpool_limits
@@ -48,7 +48,7 @@ from quad_sysid.record import GainChange, Record, Segment
 
 SETS = {'bearings': first, 'cables': second, 'rigs': third, 'hinges': fourth, 'arms': fifth,
         'joints': sixth, 'hoses': seventh, 'gears': eighth, 'slings': ninth,
-        'tenth': tenth, 'eleventh': eleventh}
+        'greases': tenth, 'chains': eleventh}
 STRENGTHS = (0.7, 1.3)
 MAY_BE = {name: names for one in SETS.values() for name, names in one.MAY_BE.items()}
 """Effect → names of the table that are no lie."""

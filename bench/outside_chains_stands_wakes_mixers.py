@@ -7,7 +7,6 @@ already divided by the inertia of the axis (rad/s²). The state lives in the obj
 import math
 
 import numpy as np
-
 from outside_simulator import Change, Situation
 
 G = 9.81
@@ -253,9 +252,9 @@ class CoastingBladeSpooldown:
         lag = []
         for c, v in zip(s.command.tolist(), s.speed.tolist(), strict=True):
             x = (v - c) / self.WIDTH
-            x = 30.0 if x > 30.0 else -30.0 if x < -30.0 else x
+            x = 30.0 if x > 30.0 else max(x, -30.0)
             lag.append((1.0 + self.more / (1.0 + math.exp(-x)))
-                       * (0.5 / (v if v > 0.1 else 0.1)) ** (0.5 * self.power))
+                       * (0.5 / (max(0.1, v))) ** (0.5 * self.power))
         out = Change()
         out.lag = np.array(lag)
         return out
@@ -357,7 +356,7 @@ class RoamingRpmNotch:
 
     def step(self, s: Situation) -> Change:
         self.n += s.dt / self.SLOW * (2.0 * s.throttle - self.n)
-        w = 2.0 * math.pi * self.HZ * (self.n if self.n > 0.3 else 0.3) ** 0.5 * s.dt
+        w = 2.0 * math.pi * self.HZ * (max(0.3, self.n)) ** 0.5 * s.dt
         bp, lp, d = self.bp, self.lp, self.damp
         out = Change()
         for j, x in enumerate(s.rate.tolist()):

@@ -1,11 +1,10 @@
 """Twelve everyday effects on a quadrotor's attitude axis: three each of rig joints, motors and
 their controllers, aerodynamics, and sensing. Torques are angular accelerations, rad/s²."""
 
-from outside_simulator import Change, Situation
-
 import math
 
 import numpy as np
+from outside_simulator import Change, Situation
 
 SIGNS = ((1.0, -1.0, -1.0, 1.0), (1.0, 1.0, -1.0, -1.0))
 """Of the four motors' thrusts in the torque about roll and pitch."""
