@@ -75,7 +75,7 @@ bench-effects-speed: build  ## a likelihood beside plain and other filters, a wh
 bench-likelihood: build  ## the fit against the Cramer-Rao bound, the evidence against the truth (15 minutes)
 	@$(RUN) OPENBLAS_NUM_THREADS=1 python bench/accuracy.py; exec python bench/evidence.py
 
-bench-outside: build  ## effects that others wrote from textbooks, two levels of noise (half an hour; ARGS='--only rigs')
+bench-outside: build  ## effects that others wrote from textbooks, two levels of noise (two hours; ARGS='--only rigs')
 	@$(RUN) export OPENBLAS_NUM_THREADS=1; python bench/outside.py --noise 0.3 $(ARGS); exec python bench/outside.py $(ARGS)
 
 bench-tuning: build  ## gains on 100 virtual airframes, and peers (20 minutes; ARGS='--count 12')
