@@ -60,18 +60,21 @@ FIGURES = {
 """A designer's figure → its label, unit and factor into that unit, in order of reading."""
 
 FORMS = {'loose': 'a load with play', 'yielding': 'a part that yields',
+         'loose, driven': 'a mount or an arm whose spring hardens',
+         'steps': 'motors that take their command in whole steps',
+         'held': 'motors that hold a command for several cycles',
          'lead': 'motors that overshoot', 'second order': 'motors under a speed controller',
          'shown by the gyro': 'what the gyro shows beside the rate'}
-"""How a variant begins → everyday words."""
+"""A variant, or how it begins → everyday words."""
 
 
 def named(effect: Tree) -> str:
     """An effect in everyday words, with the signal of a shape spelled out."""
     name, variant = str(effect['name']), str(effect.get('variant', ''))
     kind, *rest = name.replace('_', ' ').split(':')
-    form = variant.partition(',')[0]
-    if form in FORMS:
-        return FORMS[form]
+    form = FORMS.get(variant, FORMS.get(variant.partition(',')[0]))
+    if form:
+        return form
     if variant.startswith('response'):
         return f'a late {variant}'
     if kind != 'shape' or name in PLAIN:
