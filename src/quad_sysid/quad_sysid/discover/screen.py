@@ -215,7 +215,6 @@ class _Beside:
         linear = [
             j for j, spec in enumerate(effect.parameters)
             if not spec.log and not spec.starts
-            and (spec.spread is None or (spec.centre == 0.0 and spec.name != 'time'))
         ]
         if not effect.moves_command:
             at = natural(effect.parameters, p)

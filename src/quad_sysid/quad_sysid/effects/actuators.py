@@ -330,7 +330,8 @@ class Saturation(Map):
     def __init__(self, side: str) -> None:
         limit, centre = (np.minimum, 1.0) if side == 'upper' else (np.maximum, 0.0)
         super().__init__(
-            'saturation', ('command', 'motors'), (Spec(side, '1', spread=0.3, centre=centre),),
+            'saturation', ('command', 'motors'),
+            (Spec(side, '1', spread=0.3, centre=centre, starts=(centre,)),),
             lambda _, motors, p: limit(motors, p[0]), variant=side,
             physics='clip(m, lower, upper): the motors stop short of what is commanded',
             excite='large commands: a square wave of large amplitude',

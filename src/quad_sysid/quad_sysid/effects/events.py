@@ -170,7 +170,7 @@ class Held(Clocked):
         return np.array([p[0], phase])
 
 
-BEGINS = Spec('time', 's', spread=30.0)
+BEGINS = Spec('time', 's', spread=30.0, starts=(0.0,))
 IN_TRAINING = 'any; the event itself must fall into the training segments'
 EVENTS: tuple[Effect, ...] = (
     Event(
