@@ -207,8 +207,11 @@ def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
     wealth = [e / count for e in closed([_evidence(unseen, at_base, one) for one in tried])]
     best, e_value = at_base, wealth[0] if wealth else 1.0
     for i, (one, e) in enumerate(zip(tried, wealth, strict=True)):
-        if _confirmed(at_base, one, e) and not any(
-            _confirmed(one, shorter, _evidence(unseen, one, shorter)) for shorter in tried[i + 1 :]
+        shorter = tried[i + 1 :]
+        claimed = not shorter or _odds(found, one, shorter[0]) * LEVEL >= 1.0 \
+            or _better(unseen, one, shorter[0])
+        if claimed and _confirmed(at_base, one, e) and not any(
+            _better(unseen, other, one) for other in shorter
         ):
             best, e_value = one, e
             break
@@ -280,13 +283,28 @@ def _confirmed(before: Tried, after: Tried, e_value: float) -> bool:
     return falls and e_value * LEVEL >= 1.0
 
 
+def _better(unseen: Unseen, one: Tried, other: Tried) -> bool:
+    """Whether the validation confirms the first against the second."""
+    return _confirmed(other, one, _evidence(unseen, other, one))
+
+
+def _odds(found: Found, one: Tried, other: Tried) -> float:
+    """How many times as probable a structure is as another."""
+    scores = {id(scored.fit): scored.score for scored in found.all}
+    return math.exp(min(
+        scores.get(id(one[0]), -math.inf) - scores.get(id(other[0]), -math.inf), 700.0
+    ))
+
+
 def _shortened(
     problem: Problem, best: Fit, known: dict[frozenset[str], Fit | None]
 ) -> Iterator[Fit]:
     """The most probable structure, then one by one without the effect that training misses least.
 
     The largest counts that the validation confirms against the base, and against which it confirms
-    no shorter one: what does not transfer is dropped. known: as in _each_left_out.
+    no shorter one: what does not transfer is dropped. So is an effect more for which neither the
+    posterior odds speak as clearly as a claim needs, nor the validation. known: as in
+    _each_left_out.
     """
     fitted: Fit | None = best
     while fitted is not None and fitted.structure.parts:

@@ -18,7 +18,7 @@ from quad_sysid.model.effect import Effect
 GROUP = 'quad_sysid.effects'
 BUILT_IN: tuple[Effect, ...] = (
     *TORQUES, *ACTUATORS, *COUPLINGS, *EVENTS, *HIDDEN, *CURVES, *SURFACES, *WANDERING,
-    *CLOCKED, *SHOWN,
+    *CLOCKED, SHOWN,
 )
 EFFECTS: tuple[Effect, ...] = (
     *BUILT_IN,

@@ -9,6 +9,7 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
+from numpy.polynomial.legendre import legder, legval
 from scipy.linalg import expm
 from scipy.signal import lfilter
 
@@ -24,6 +25,14 @@ System = tuple[FloatArray, FloatArray]
 """A (m, m) and B (m,) of x' = A x + B input."""
 LAGUERRE = 8
 """Number of states of a linear response."""
+DEGREE = 4
+"""Highest degree of polynomials over a signal."""
+FADES = 0.7
+"""Size of a coefficient beside that of one degree less: the less a form bends, the likelier."""
+EDGE = 1.1
+"""A polynomial goes on for a tenth of its half range, and is constant from there on."""
+SHOWN_BY = tuple(itertools.product(range(4), range(1, DEGREE + 1)))
+"""Motor and degree of each term that a gyro may show."""
 RING = "z'' + 2 d w z' + w² z = w²"
 
 
@@ -306,8 +315,6 @@ class Memory(Shape, Linear):
 
     states = 1
     system = staticmethod(behind_lag)
-    warm = 0.0
-    """Share of the signal at which it begins."""
 
     def __init__(self, term: str, signal: str) -> None:
         self.leans = 'angle' in signal
@@ -351,7 +358,7 @@ class Memory(Shape, Linear):
             keep = math.exp(-data.dt / math.exp(BASE[1].centre))
             signal = lfilter([1.0 - keep], [1.0, -keep], signal)
         push = self._push(np.nan_to_num(signal), settings)
-        out = self.warm * push[None, :]
+        out = np.zeros((1, push.size))
         step = step_of(*self.system(p), data.dt)
         followed(whole.flights or ((0, push.size),), push, *step, out)
         return np.ascontiguousarray(out[:, here])
@@ -400,40 +407,73 @@ class MemoryCurve(Memory):
         return out
 
 
-class Shown(MemoryCurve):
-    """The gyro shows a curve of a signal beside the rate, whose change acts as a torque.
+class Shown(Shape, Linear):
+    """The gyro shows a curve of each motor's speed beside the rate; its change acts as a torque.
 
-    Vibration that it rectifies grows with the motors' speed, currents shift its ground.
+    Vibration that it rectifies grows with the speed of the motors, most with that of the worst
+    one; currents shift its ground. Polynomials of each motor's command behind a lag.
     """
 
-    warm = 1.0
+    free = True
+    states = 4
+    others = 0, 1
+    parameters = (
+        Spec('time_constant', 's', spread=0.7, centre=math.log(0.05), log=True,
+             starts=(0.02, 0.05, 0.15)),
+        *(Spec(f'motor_{i + 1}_{k}', 'rad/s', spread=0.1) for i, k in SHOWN_BY),
+    )
+    physics = (
+        'the gyro shows beside the rate sum of c_ik P_k(x_i), Legendre polynomials of each motor; '
+        "time_constant x' = its command - x"
+    )
+    excite = 'let the throttle rise and fall quickly, with all axes moving'
 
-    def __init__(self, signal: str) -> None:
-        super().__init__('torque', signal)
-        self.parameters = (
-            Spec('time_constant', 's', spread=0.7, centre=math.log(0.05), log=True,
-                 starts=(0.02, 0.05, 0.15)),
-            *(Spec(f'y{i}', 'rad/s', spread=0.1) for i in range(self.count)),
-        )
-        self.physics = f"the gyro shows y(x) beside the rate, time_constant x' = {signal} - x"
-        self.excite = f'let {signal} rise and fall quickly'
-        self.shaped('torque', signal, 'shown by the gyro', 'history')
+    def __init__(self) -> None:
+        self.shaped('torque', 'throttle', 'shown by the gyro', 'command', 'motors', 'history')
 
-    def _push(self, signal: FloatArray, settings: Settings) -> FloatArray:
-        return signal
+    def prepare(self, data: AxisData) -> Settings | str:
+        low, high = np.percentile(data.training(data.motors), [0.5, 99.5])
+        if not high - low > SLOW_MOVES * high:
+            return 'the bag holds no motor commands that move'
+        return {'middle': 0.5 * float(low + high), 'half': 0.5 * float(high - low)}
+
+    def _pushes(self, s: Signals, settings: Settings) -> FloatArray:
+        return (np.stack(required(s.motors)) - settings['middle']) / settings['half']
+
+    def trace(
+        self, data: AxisData, s: Signals, p: FloatArray, settings: Settings
+    ) -> FloatArray:
+        out = self._pushes(s, settings)
+        for one in out:
+            followed(data.stretches, one.copy(), *step_of(*behind_lag(p), data.dt), one[None, :])
+        return out
+
+    def advance(
+        self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings, dt: float
+    ) -> FloatArray:
+        keep = math.exp(-dt / p[0])
+        return keep * x + (1.0 - keep) * self._pushes(s, settings)
+
+    @property
+    def linear(self) -> list[int]:
+        return list(range(1, len(self.parameters)))
+
+    def columns(
+        self, s: Signals, p: FloatArray, linear: Sequence[int], settings: Settings
+    ) -> FloatArray:
+        x = required(s.hidden)
+        moving = (self._pushes(s, settings) - x) / p[0]
+        x = np.clip(x, -EDGE, EDGE)
+        return np.stack([
+            legval(x[i], legder(np.eye(k + 1)[k])) * moving[i] for i, k in SHOWN_BY
+        ], axis=-1)
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        x, further = required(s.hidden)[0], self.further(self.length)
-        step = 1e-3 * (settings['knots'][-1] - settings['knots'][0])
-        ahead, behind = (
-            over_knots(x + way, p[1:], settings, further, further) for way in (step, -step)
-        )
-        moving = (self.driver(s, settings) - x) / p[0]
-        return (ahead - behind) / (2.0 * step) * moving
+        return self.columns(s, p, self.linear, settings) @ p[1:]
 
-    def readable(self, p: FloatArray, settings: Settings) -> dict[str, tuple[float, str]]:
-        # only differences act
-        return dict(super().readable(np.r_[p[0], p[1:] - np.mean(p[1:])], settings))
+    def precision(self, settings: Settings, sizes: FloatArray) -> FloatArray:
+        fading = [FADES ** (k - 1) for _, k in SHOWN_BY]
+        return np.diag((sizes * np.r_[1.0, fading]) ** -2.0)
 
 
 REMEMBERED = {
@@ -516,4 +556,4 @@ HIDDEN: tuple[Effect, ...] = (
     *(MemoryCurve(term, signal) for term, signals in REMEMBERED.items() for signal in signals
       if signal != 'time'),
 )
-SHOWN = Shown('throttle'), Shown('command')
+SHOWN = Shown()

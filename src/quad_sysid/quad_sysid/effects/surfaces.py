@@ -14,7 +14,7 @@ from numpy.polynomial.legendre import legvander
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.effects.curves import SLOW_MOVES, Shape, signal_of
-from quad_sysid.effects.hidden import Linear, behind_lag, followed, step_of
+from quad_sysid.effects.hidden import DEGREE, EDGE, FADES, Linear, behind_lag, followed, step_of
 from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import Settings, Signals, Spec, required
 
@@ -24,12 +24,6 @@ BESIDE = {
 }
 """First signal of a surface → its second ones; what is past is behind a lag. None is the command:
 the base's gain is such a surface."""
-DEGREE = 4
-"""Highest total degree of a surface."""
-FADES = 0.7
-"""Size of a coefficient beside that of one degree less: the less a surface bends, the likelier."""
-EDGE = 1.1
-"""A surface goes on for a tenth of its half ranges, and is constant from there on."""
 POWERS = tuple(
     (i, j) for i, j in itertools.product(range(DEGREE + 1), repeat=2) if 0 < i + j <= DEGREE
 )

@@ -80,6 +80,8 @@ class Signals:
     """s from the first sample."""
     other_angles: tuple[FloatArray, FloatArray] | None = None
     """rad"""
+    motors: tuple[FloatArray, ...] | None = None
+    """Commands of the four motors, normalised."""
     hidden: FloatArray | None = None
     """(states, …) hidden states of the effect, if any, at the start of the cycle."""
 

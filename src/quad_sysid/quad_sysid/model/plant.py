@@ -152,6 +152,7 @@ class Flight:
             'throttle': np.ascontiguousarray(data.control[:, 0]), 'battery_v': data.battery_v,
             'time': data.clock + 0.5 * data.dt, 'other_rates': self.others,
             'other_commands': [*np.ascontiguousarray(data.control[:, columns].T)],
+            'motors': [*np.ascontiguousarray(data.motors.T)],
             'other_angles': None if data.other_angles is None
             else [*np.ascontiguousarray(data.other_angles.T)],
         }
