@@ -23,7 +23,7 @@ from scipy.signal import lfilter
 from quad_sysid.contract import MIXER, MIXER_INVERSE
 from quad_sysid.effects import EFFECTS
 from quad_sysid.effects.curves import CELLS, Curve
-from quad_sysid.effects.hidden import MemoryCurve
+from quad_sysid.effects.hidden import MemoryCurve, Shown
 from quad_sysid.effects.surfaces import BESIDE, Surface
 from quad_sysid.errors import BadInputError
 from quad_sysid.estimate.fit import Problem
@@ -503,7 +503,7 @@ LAWS = [
         {'time_constant': 0.2, 'c0': 0.3, 'c1': -0.2, **NO_MORE}, variant='response to drive',
         left=0.003),
     Law('shape:gain:command', in_steps(0.0213, 0.4969),
-        {'step': 0.0213, 'level': -0.0031 / 0.0213}, variant='steps', left=0.01),
+        {'step': 0.0213, 'level': -0.0031 / 0.0213, 'hold': 0.0}, variant='steps', left=0.01),
     Law('shape:gain:command', of_motors(lambda m: m + 0.5 * (m - 0.5) ** 2),
         {f'slope_{i}': x - 0.5 for i, x in enumerate(KNOTS)},
         {'knots': KNOTS, 'mean': (0.0,) * 6, 'throttle': 0.5}, 'smooth, motors', left=0.003),
@@ -705,9 +705,10 @@ def test_motors_that_take_whole_steps_are_found_with_the_step_and_a_level():
     answer = answer_to(law, 1)
     (effect,) = answer.model.effects
     assert (effect.name, effect.variant) == ('shape:gain:command', 'steps')
-    step, level = (one.value for one in effect.parameters)
+    step, level, hold = (one.value for one in effect.parameters)
     assert step == pytest.approx(0.0213, rel=0.005)
     assert level == pytest.approx(-0.0031 / step, abs=0.05)
+    assert hold < 0.05
     unseen = evaluate(answer.model, fly(Axis(**{**QUIET, **law()}), 501, UNSEEN))
     assert unseen.before > 3.0 * unseen.after
 
@@ -994,7 +995,7 @@ def test_the_contracts_names_stand_in_the_table_and_its_page_with_their_units():
             rows[parts[0].strip('`')] = parts[2]
         elif len(parts) == 2 and parts[0] in CELLS | BESIDE:
             cells[parts[0]] = tuple(parts[1].split(', '))
-    formed = [e for e in EFFECTS if not isinstance(e, (Curve, MemoryCurve, Surface))]
+    formed = [e for e in EFFECTS if not isinstance(e, (Curve, MemoryCurve, Shown, Surface))]
     assert (cells, set(rows)) == (CELLS | BESIDE, {e.name for e in formed})
     for name, told in rows.items():
         pairs = set(re.findall(r'`(\w+)` \(((?:[^()]|\([^()]*\))+)\)', told))

@@ -145,7 +145,7 @@ class _Beside:
                 starts = [np.r_[line, start[1:]]
                           for line in self.lines(part.effect) for start in starts]
             if part.effect.stepped:
-                starts = self.steps()
+                starts = [np.r_[step, start[2:]] for step in self.steps() for start in starts]
             for start in starts:
                 batch.append(self._block(part, start))
                 if sum(len(block.columns) for block in batch) >= BATCH:

@@ -73,15 +73,14 @@ def _slew(data: AxisData, motors: FloatArray, p: FloatArray) -> FloatArray:
     return np.stack([along(data, m, recursion.slew, step) for m in motors])
 
 
-def _rounded(_: AxisData, motors: FloatArray, p: FloatArray) -> FloatArray:
-    """To whole steps, with a short slope in between, for a smooth likelihood.
+def _in_steps(data: AxisData, motors: FloatArray, p: FloatArray) -> FloatArray:
+    """To whole steps; one level lies p[1] steps of p[0] above half of the range.
 
-    One level lies p[1] steps of p[0] above half of the range.
+    A level is kept until its command is p[2] steps further away than half of one.
     """
     steps = (motors - 0.5) / p[0] - p[1]
-    below = np.floor(steps)
-    taken = below + np.clip((steps - below - 0.5) / SLOPING + 0.5, 0.0, 1.0)
-    return 0.5 + p[0] * (p[1] + taken)
+    taken = [along(data, one, recursion.in_steps, float(p[2]), SLOPING) for one in steps]
+    return 0.5 + p[0] * (p[1] + np.stack(taken))
 
 
 def lagged(data: AxisData, command: FloatArray, tau: float) -> FloatArray:
@@ -143,14 +142,16 @@ SLOW_MAPS = (
         excite='large steps of the command',
     ),
     Map(
-        'shape:gain:command', ('command', 'motors'),
+        'shape:gain:command', ('command', 'motors', 'history'),
         (
             Spec('step', '1', spread=1.5, centre=math.log(0.01), log=True),
             Spec('level', '1', spread=0.3, starts=(0.0,)),
+            Spec('hold', '1', spread=0.3, positive=True, starts=(0.0, 0.25)),
         ),
-        _rounded, kind='shape', variant='steps',
+        _in_steps, kind='shape', variant='steps',
         stepped=True,
-        physics='motors take their command in whole steps', excite='slow small commands',
+        physics='motors take their command in whole steps, each held for a little longer',
+        excite='slow small commands',
     ),
     Map(
         'mode', ('command', 'history'),

@@ -331,6 +331,26 @@ def play(command, width, start, stop, out):
 
 
 @njit(**_OPTIONS)
+def in_steps(x, hold, slope, start, stop, out):
+    """Whole steps of x, each kept until x is 0.5 + hold away from it.
+
+    Around that point the two steps share the cycle over a short slope, for a smooth likelihood.
+    """
+    kept = math.floor(x[start] + 0.5)
+    for k in range(start, stop):
+        away = x[k] - kept
+        over = abs(away) - 0.5 - hold
+        new = kept
+        if over > 0.0:
+            new = math.floor(x[k] + 0.5)
+        elif over > -0.5 * slope:
+            new = kept + math.copysign(1.0, away)
+        out[k] = new + max(0.5 - over / slope, 0.0) * (kept - new)
+        if over > 0.0:
+            kept = new
+
+
+@njit(**_OPTIONS)
 def slew(command, step, start, stop, out):
     """The command, which changes by at most `step` per cycle."""
     held = command[start]
