@@ -36,6 +36,8 @@ import outside_joints_escs_rotors_estimators as sixth
 import outside_rigs_air_software_blades as third
 import outside_simulator as simulator
 import outside_slings_fasteners_packs_drivers as ninth
+import outside_thirteenth as thirteenth
+import outside_twelfth as twelfth
 from effects_answer import searched
 from effects_judge import SPOILED, UNNAMED, WORTH
 from threadpoolctl import threadpool_limits
@@ -48,7 +50,7 @@ from quad_sysid.record import GainChange, Record, Segment
 
 SETS = {'bearings': first, 'cables': second, 'rigs': third, 'hinges': fourth, 'arms': fifth,
         'joints': sixth, 'hoses': seventh, 'gears': eighth, 'slings': ninth,
-        'greases': tenth, 'chains': eleventh}
+        'greases': tenth, 'chains': eleventh, 'twelfth': twelfth, 'thirteenth': thirteenth}
 STRENGTHS = (0.7, 1.3)
 MAY_BE = {name: names for one in SETS.values() for name, names in one.MAY_BE.items()}
 """Effect → names of the table that are no lie."""
