@@ -6,7 +6,7 @@ import ctypes
 import multiprocessing
 import os
 import signal
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -17,6 +17,9 @@ TASKS = Path('/proc/self/task')
 PR_SET_PDEATHSIG = 1
 """Of prctl (Linux): the signal that a process is sent when its parent dies."""
 
+WIDE = 2
+"""Bytes of a call's number in the pipe from which processes take the next one."""
+
 
 def side_by_side(calls: Sequence[Callable[[], Any]]) -> list[Any]:
     """Results of independent calls, in their order; each may be made in a forked process.
@@ -25,43 +28,60 @@ def side_by_side(calls: Sequence[Callable[[], Any]]) -> list[Any]:
     thread: the command line's, but not a node's or a notebook's, where the calls follow each
     other. A call whose result did not come whole is made here, so errors are raised as they are.
     """
-    if not _single_threaded() or multiprocessing.parent_process() is not None:
+    if not _single_threaded() or multiprocessing.parent_process() is not None or not calls:
         return [call() for call in calls]
     cores = min(len(calls), len(os.sched_getaffinity(0)))
     context = multiprocessing.get_context('fork')
+    left, put = os.pipe()
+    os.write(put, b''.join(place.to_bytes(WIDE, 'big') for place in range(cores, len(calls))))
+    os.close(put)
     started = []
     try:
         with suppress(OSError):  # no room for another process
             for first in range(1, cores):
                 receiver, sender = context.Pipe(duplex=False)
-                some = calls[first::cores], sender, os.getpid()
+                some = calls, first, left, sender, os.getpid()
                 process = context.Process(target=_make, args=some)
                 process.start()
                 sender.close()
-                started.append((first, process, receiver))
-        results = {place: calls[place]() for place in range(0, len(calls), max(cores, 1))}
-        for first, _, receiver in started:
-            with suppress(Exception):  # killed, or what it sent cannot be unpacked
-                for place in range(first, len(calls), cores):
-                    results[place] = receiver.recv()
+                started.append((process, receiver))
+        results = {place: calls[place]() for place in _taken(0, left)}
+        for _, receiver in started:
+            with suppress(Exception):  # its last, or killed, or what it sent cannot be unpacked
+                while True:
+                    place, result = receiver.recv()
+                    results[place] = result
         return [results[place] if place in results else call() for place, call in enumerate(calls)]
     finally:
-        for _, process, receiver in started:
+        os.close(left)
+        for process, receiver in started:
             process.kill()
             process.join()
             receiver.close()
 
 
-def _make(calls: Sequence[Callable[[], Any]], sender: Connection, parent: int) -> None:
+def _taken(first: int, left: int) -> Iterator[int]:
+    """A process' first call, then whichever nobody has taken yet from the pipe `left`."""
+    yield first
+    while taken := os.read(left, WIDE):
+        yield int.from_bytes(taken, 'big')
+
+
+def _make(
+    calls: Sequence[Callable[[], Any]], first: int, left: int, sender: Connection, parent: int
+) -> None:
     """The calls' results to the parent, up to the first that fails; ends silently with it.
 
     They are sent once all are there: a pipe is full after 64 kB, and the parent reads it last.
     """
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
-    results: list[Any] = []
+    results: list[tuple[int, Any]] = []
     with suppress(Exception):  # the parent makes the call itself and meets the error
-        results.extend(call() for call in calls if os.getppid() == parent)
+        for place in _taken(first, left):
+            if os.getppid() != parent:
+                return
+            results.append((place, calls[place]()))
     with suppress(Exception):  # what cannot be packed, the parent makes itself
         for result in results:
             sender.send(result)

@@ -41,7 +41,7 @@ def _named(name: str, variant: str, own: Sequence[Effect]) -> Effect | None:
     return next((e for e in library(own) if (e.name, e.variant) == (name, variant)), None)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Stored:
     """A model that can be run: structure, parameters, distribution of the innovations."""
 
