@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+import select
 import signal
 import subprocess
 import sys
@@ -105,6 +106,21 @@ def test_a_large_result_does_not_hold_up_the_next_call() -> None:
     done, told = os.pipe()
     calls = [int, lambda: bytes(1 << 20), lambda: os.read(done, 1), lambda: os.write(told, b'!')]
     assert beside.side_by_side(calls) == [0, bytes(1 << 20), b'!', 1]
+    os.close(done)
+    os.close(told)
+
+
+@pytest.mark.usefixtures('two_cores')
+def test_a_process_that_is_free_takes_the_next_call() -> None:
+    """The parent's first call waits for the last one, which only the other process can take."""
+    done, told = os.pipe()
+
+    def wait() -> bytes:
+        ready, _, _ = select.select([done], [], [], 60.0)
+        return os.read(done, 1) if ready else b''
+
+    calls = [wait, int, int, int, lambda: os.write(told, b'!')]
+    assert beside.side_by_side(calls) == [b'!', 0, 0, 0, 1]
     os.close(done)
     os.close(told)
 

@@ -32,7 +32,10 @@ def side_by_side(calls: Sequence[Callable[[], Any]]) -> list[Any]:
         return [call() for call in calls]
     cores = min(len(calls), len(os.sched_getaffinity(0)))
     context = multiprocessing.get_context('fork')
-    left, put = os.pipe()
+    try:
+        left, put = os.pipe()
+    except OSError:
+        return [call() for call in calls]
     os.write(put, b''.join(place.to_bytes(WIDE, 'big') for place in range(cores, len(calls))))
     os.close(put)
     started = []

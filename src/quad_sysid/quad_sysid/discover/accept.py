@@ -30,7 +30,7 @@ from quad_sysid.discover.constants import (
     REFITS,
     STAKES,
 )
-from quad_sysid.discover.search import Found
+from quad_sysid.discover.search import Found, Scored
 from quad_sysid.estimate.fit import Fit, Problem, tail_of
 from quad_sysid.estimate.stored import Stored, noise_of
 from quad_sysid.model.data import AxisData, Windows
@@ -140,12 +140,18 @@ class Unseen:
         self.known: dict[Fitted, Prediction] = {}
 
     def predict(self, fitted: Fitted) -> Prediction:
-        """The filter's result along the segments, whatever was predicted before."""
-        if fitted not in self.known:
-            flight = self.problem.flight
-            flight.rate = self.begun
-            self.known[fitted] = flight.predict(fitted.structure, fitted.theta, sweeps=3)
-        return self.known[fitted]
+        """The filter's result along the segments.
+
+        The first model's measures the innovations, by which the filter follows what wanders.
+        """
+        if fitted in self.known:
+            return self.known[fitted]
+        flight = self.problem.flight
+        flight.rate = self.begun
+        found = flight.predict(fitted.structure, fitted.theta, sweeps=3)
+        if isinstance(fitted, Fit):  # of stored models many phases are tried, each once
+            self.known[fitted] = found
+        return found
 
     def bet(self, fitted: Fitted, other: Fitted) -> float:
         """E-value of the predictive log-likelihood against another model's, by blocks."""
@@ -214,12 +220,14 @@ def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
     best, e_value = at_base, wealth[0] if wealth else 1.0
     for i, (one, e) in enumerate(zip(tried, wealth, strict=True)):
         shorter = tried[i + 1 :]
-        claimed = not shorter or _odds(found, one, shorter[0]) * LEVEL >= 1.0 \
-            or _better(unseen, one, shorter[0])
-        if claimed and _confirmed(at_base, one, e) and not any(
+        stands = _confirmed(at_base, one, e) and not any(
             _better(unseen, other, one) for other in shorter
-        ):
+        )
+        if stands:
             best, e_value = one, e
+        if best is not at_base and not (stands and shorter and _needless(
+            found, unseen, one, shorter[0]
+        )):
             break
     told = _commands_tell(problem, unseen, best)
     chosen, errors = best if told else at_base
@@ -294,12 +302,17 @@ def _better(unseen: Unseen, one: Tried, other: Tried) -> bool:
     return _confirmed(other, one, _evidence(unseen, other, one))
 
 
-def _odds(found: Found, one: Tried, other: Tried) -> float:
-    """How many times as probable a structure is as another."""
-    scores = {id(scored.fit): scored.score for scored in found.all}
-    return math.exp(min(
-        scores.get(id(one[0]), -math.inf) - scores.get(id(other[0]), -math.inf), 700.0
-    ))
+def _needless(found: Found, unseen: Unseen, one: Tried, shorter: Tried) -> bool:
+    """Whether neither the odds nor the validation claim what a structure has beside another."""
+    scores = [
+        [scored.score for scored in found.all if scored.names == Scored(fitted, 0.0).names]
+        for fitted, _ in (one, shorter)
+    ]
+    of_one, of_shorter = (
+        float(np.logaddexp.reduce(each, initial=-math.inf)) for each in scores
+    )
+    odds = of_one - of_shorter if scores[1] else 0.0
+    return odds < -math.log(LEVEL) and not _better(unseen, one, shorter)
 
 
 def _shortened(
@@ -308,9 +321,9 @@ def _shortened(
     """The most probable structure, then one by one without the effect that training misses least.
 
     The largest counts that the validation confirms against the base, and against which it confirms
-    no shorter one: what does not transfer is dropped. So is an effect more for which neither the
-    posterior odds speak as clearly as a claim needs, nor the validation. known: as in
-    _each_left_out.
+    no shorter one: what does not transfer is dropped. So is its last effect where the odds for it,
+    all variants of its name together, are below 1 / LEVEL and the validation does not confirm it,
+    as long as the shorter structure stands by itself. known: as in _each_left_out.
     """
     fitted: Fit | None = best
     while fitted is not None and fitted.structure.parts:

@@ -214,7 +214,7 @@ class _Beside:
             return _Block(part, p, [], [per_coefficient(part, self.signals, start)])
         linear = [
             j for j, spec in enumerate(effect.parameters)
-            if not spec.log and not spec.starts
+            if not spec.log and not spec.starts and spec.centre == 0.0
         ]
         if not effect.moves_command:
             at = natural(effect.parameters, p)

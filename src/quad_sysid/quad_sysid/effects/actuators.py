@@ -76,7 +76,7 @@ def _slew(data: AxisData, motors: FloatArray, p: FloatArray) -> FloatArray:
 def _in_steps(data: AxisData, motors: FloatArray, p: FloatArray) -> FloatArray:
     """To whole steps; one level lies p[1] steps of p[0] above half of the range.
 
-    A level is kept until its command is p[2] steps further away than half of one.
+    A level is kept until the command is p[2] steps further away from it than half of one.
     """
     steps = (motors - 0.5) / p[0] - p[1]
     taken = [along(data, one, recursion.in_steps, float(p[2]), SLOPING) for one in steps]
@@ -142,15 +142,15 @@ SLOW_MAPS = (
         excite='large steps of the command',
     ),
     Map(
-        'shape:gain:command', ('command', 'motors', 'history'),
+        'shape:gain:command', ('command', 'motors'),
         (
             Spec('step', '1', spread=1.5, centre=math.log(0.01), log=True),
             Spec('level', '1', spread=0.3, starts=(0.0,)),
-            Spec('hold', '1', spread=0.3, positive=True, starts=(0.0, 0.25)),
+            Spec('hysteresis', '1', spread=0.3, positive=True, starts=(0.0, 0.25)),
         ),
         _in_steps, kind='shape', variant='steps',
         stepped=True,
-        physics='motors take their command in whole steps, each held for a little longer',
+        physics='motors take their command in whole steps, with hysteresis',
         excite='slow small commands',
     ),
     Map(
@@ -332,7 +332,7 @@ class Saturation(Map):
         limit, centre = (np.minimum, 1.0) if side == 'upper' else (np.maximum, 0.0)
         super().__init__(
             'saturation', ('command', 'motors'),
-            (Spec(side, '1', spread=0.3, centre=centre, starts=(centre,)),),
+            (Spec(side, '1', spread=0.3, centre=centre, starts=(centre,)),),  # not linear in it
             lambda _, motors, p: limit(motors, p[0]), variant=side,
             physics='clip(m, lower, upper): the motors stop short of what is commanded',
             excite='large commands: a square wave of large amplitude',

@@ -435,7 +435,8 @@ class Shown(Shape, Linear):
         low, high = np.percentile(data.training(data.motors), [0.5, 99.5])
         if not high - low > SLOW_MOVES * high:
             return 'the bag holds no motor commands that move'
-        return {'middle': 0.5 * float(low + high), 'half': 0.5 * float(high - low)}
+        middle, half = 0.5 * float(low + high), 0.5 * float(high - low)
+        return {'middle': middle, 'half': half, 'dt': data.dt}
 
     def _pushes(self, s: Signals, settings: Settings) -> FloatArray:
         return (np.stack(required(s.motors)) - settings['middle']) / settings['half']
@@ -461,11 +462,12 @@ class Shown(Shape, Linear):
     def columns(
         self, s: Signals, p: FloatArray, linear: Sequence[int], settings: Settings
     ) -> FloatArray:
-        x = required(s.hidden)
-        moving = (self._pushes(s, settings) - x) / p[0]
-        x = np.clip(x, -EDGE, EDGE)
+        x, dt = required(s.hidden), settings['dt']
+        moving = (self._pushes(s, settings) - x) * (1.0 - math.exp(-dt / p[0]))  # over the cycle
+        middle = x + 0.5 * moving
+        moving[np.abs(middle) > EDGE] = 0.0
         return np.stack([
-            legval(x[i], legder(np.eye(k + 1)[k])) * moving[i] for i, k in SHOWN_BY
+            legval(middle[i], legder(np.eye(k + 1)[k])) * moving[i] / dt for i, k in SHOWN_BY
         ], axis=-1)
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:

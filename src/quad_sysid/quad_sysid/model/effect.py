@@ -50,7 +50,8 @@ class Spec:
     positive: bool = False
     """No negative value is physical."""
     starts: tuple[float, ...] = ()
-    """Values to start a search from; a parameter without a spread starts at zero."""
+    """Values to start a search from, by default the centre; one that has some, is a logarithm or
+    has another centre than 0 is not taken for linear by that search."""
 
 
 @dataclass(frozen=True)
@@ -226,7 +227,9 @@ class Effect:
 
     def starts(self, data: AxisData, settings: Settings) -> Sequence[FloatArray]:
         """Start values in their units; those of parameters without a spread are ignored."""
-        grid = [spec.starts or (0.0,) for spec in self.parameters]
+        grid = [
+            spec.starts or (at,) for spec, at in zip(self.parameters, self.centre(), strict=True)
+        ]
         return [np.array(values) for values in itertools.product(*grid)]
 
     def readable(self, p: FloatArray, settings: Settings) -> Mapping[str, tuple[float, str]]:

@@ -331,15 +331,15 @@ def play(command, width, start, stop, out):
 
 
 @njit(**_OPTIONS)
-def in_steps(x, hold, slope, start, stop, out):
-    """Whole steps of x, each kept until x is 0.5 + hold away from it.
+def in_steps(x, hysteresis, slope, start, stop, out):
+    """Whole steps of x, each kept until x is 0.5 + hysteresis away from it.
 
     Around that point the two steps share the cycle over a short slope, for a smooth likelihood.
     """
     kept = math.floor(x[start] + 0.5)
     for k in range(start, stop):
         away = x[k] - kept
-        over = abs(away) - 0.5 - hold
+        over = abs(away) - 0.5 - hysteresis
         new = kept
         if over > 0.0:
             new = math.floor(x[k] + 0.5)

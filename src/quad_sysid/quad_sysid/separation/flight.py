@@ -219,7 +219,7 @@ def _run(aircraft: Aircraft, acting: Sequence[Placed], around: Sequence[AxisData
         free = x @ phi + delayed[:, None] * now + older[:, None] * before
         total = bias + torque[k] + extra[k]
         if known is not None:
-            s = known.at(k, 0.5 * (x + free), gain * delayed)
+            s = known.at(k, 0.5 * (x + free), gain * delayed, u[k])
             pushing = [(one.part, one.p, replace(s, hidden=h) if h.size else s)
                        for one, h in zip(acting, hidden, strict=True)]
             own, slope = with_torques(nothing, pushing), with_slopes(nothing, pushing)
@@ -249,17 +249,22 @@ class _Known:
         self.leans = np.stack([np.asarray(d.other_angles) for d in around], axis=2).swapaxes(0, 1)
         self.rest = np.zeros(len(around))
 
-    def at(self, k: int, middle: FloatArray, command: FloatArray) -> Signals:
-        """Signals at mid-cycle k, where the plant's states (f, n) are `middle`."""
+    def at(
+        self, k: int, middle: FloatArray, command: FloatArray, sent: FloatArray
+    ) -> Signals:
+        """Signals at mid-cycle k, where the plant's states (f, n) are `middle`.
+
+        command: gain times what acts after the delay; sent: what the controller gives.
+        """
         drive = middle[:, 0]
-        wrench = (self.throttle[k], command / self.gain, *(one[k] for one in self.commands))
+        wrench = np.stack([self.throttle[k], sent, *(one[k] for one in self.commands)])
         return Signals(rate=middle[:, 1], angle=middle[:, 2], drive=drive, command=command,
                        change=(command - drive) / max(self.lag, 0.25 * self.dt),
                        lagged=drive / self.gain, throttle=self.throttle[k],
                        battery_v=self.volts[k], other_rates=(self.rates[0][k], self.rates[1][k]),
                        other_commands=(self.commands[0][k], self.commands[1][k]),
                        other_angles=(self.leans[0][k], self.leans[1][k]),
-                       motors=tuple(self.row @ np.stack(wrench)),
+                       motors=tuple(np.clip(self.row @ wrench, 0.0, 1.0)),
                        time=self.rest + (k + 0.5) * self.dt)
 
 
