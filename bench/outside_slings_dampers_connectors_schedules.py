@@ -1,11 +1,11 @@
-"""Twelve effects: cables and hanging loads, structures, propulsion and power, flight-control software."""
+"""Twelve effects: cables and hanging loads, structures, propulsion and power, flight-control
+software."""
 
 from __future__ import annotations
 
 import math
 
 import numpy as np
-
 from outside_simulator import Change, Situation
 
 G = 9.81
@@ -13,21 +13,25 @@ INERTIA = 0.012
 """kg m², roll or pitch, of a 1.2 kg quadrotor."""
 
 
-# ---------------------------------------------------------------- cables, tethers, slings, hanging loads
+# ---------------------------------------------------------------- cables, tethers, slings,
+# hanging loads
 
 
 class SlungLoad:
     """A small load on a sling whose hook sits below the centre of gravity, in free flight.
 
-    The load is a pendulum driven by the hook's horizontal acceleration; the aircraft's own horizontal
+    The load is a pendulum driven by the hook's horizontal acceleration; the aircraft's own
+    horizontal
     acceleration follows its tilt, less drag:
         v' = g tan(th) - d v,   a_h = v' - h th''
         L ph'' = a_h cos(ph) - g sin(ph) - c L ph'
         T = m (g cos(ph) + L ph'^2 + a_h sin(ph)),   torque = -h T sin(th - ph) / I
     (ph: angle of the sling from the vertical; T: tension, with the centrifugal term.)
-    Source: Bisgaard, "Modeling, Estimation and Control of Helicopter Slung Load System" (2008), ch. 3;
+    Source: Bisgaard, "Modeling, Estimation and Control of Helicopter Slung Load System" (2008),
+    ch. 3;
     Stevens & Lewis for the carrier. Felt because 0.1 kg at 8 cm below the centre of gravity pulls
-    with several rad/s² per rad, and the sling lags behind a tilt by its swing of about half a second.
+    with several rad/s² per rad, and the sling lags behind a tilt by its swing of about half a
+    second.
     """
 
     def __init__(self, strength: float) -> None:
@@ -53,11 +57,14 @@ class SlungLoad:
 class Umbilical:
     """The power and data bundle of a test rig, bent back and forth by the rotation.
 
-    Stranded cable: it bends elastically, stiffer as it straightens against its clamp, and its strands
+    Stranded cable: it bends elastically, stiffer as it straightens against its clamp, and its
+    strands
     rub on each other, so that the bending moment has a rate-independent loop:
         torque = -(k (th - th0) + k3 (th - th0)^3) - M z,   dz = (dth - z |dth|) / e
-    Source: Dahl's friction model (1968) = Bouc-Wen with n = 1; Papailiou, "On the bending stiffness of
-    transmission line conductors" (IEEE Trans. Power Delivery, 1997). Felt on every rig with a thick
+    Source: Dahl's friction model (1968) = Bouc-Wen with n = 1; Papailiou, "On the bending
+    stiffness of
+    transmission line conductors" (IEEE Trans. Power Delivery, 1997). Felt on every rig with a
+    thick
     cable: a moment of some hundredth Nm on 0.012 kg m² is about 1 rad/s².
     """
 
@@ -77,12 +84,16 @@ class Umbilical:
 
 
 class SafetyLines:
-    """Two slack safety cords of a rig, one on each side: each pulls only when its slack is used up.
+    """Two slack safety cords of a rig, one on each side: each pulls only when its slack is used
+    up.
 
     The slacks differ. A taut braided cord stiffens with stretch and loses energy within:
-        torque = -k d^1.3 (1 + l d'),  d = th - slack > 0, never pushing; likewise on the other side
-    Source: the contact law of Hunt & Crossley (1975; damping as in Lankarani & Nikravesh 1990), here for a
-    cord in tension; stiffening of ropes with load, Feyrer, "Wire Ropes" (2007). Felt because references of ±0.2 rad run
+        torque = -k d^1.3 (1 + l d'),  d = th - slack > 0, never pushing; likewise on the other
+        side
+    Source: the contact law of Hunt & Crossley (1975; damping as in Lankarani & Nikravesh 1990),
+    here for a
+    cord in tension; stiffening of ropes with load, Feyrer, "Wire Ropes" (2007). Felt because
+    references of ±0.2 rad run
     into cords that go taut at a tenth of a rad.
     """
 
@@ -105,7 +116,8 @@ class SafetyLines:
 
 
 class GelMount:
-    """The autopilot sits on soft gel pads that let it rock about the frame: its gyro rocks with it.
+    """The autopilot sits on soft gel pads that let it rock about the frame: its gyro rocks with
+    it.
 
         q'' = -th'' - 2 z w q' - w^2 q (1 + (q/q0)^2),   gyro shows th' + q'
     (q: rocking of the box against the frame; the pads stiffen as they are squeezed.)
@@ -166,10 +178,13 @@ class LooseBattery:
 class OilDamper:
     """A rig's oil damper (dashpot) on a lever, with rubber eyes at its ends.
 
-    The oil's resistance is laminar plus turbulent (orifice) and weaker in rebound than in compression,
-    and the rubber eyes are in series with it, so that the damper relaxes rather than damps at once:
+    The oil's resistance is laminar plus turbulent (orifice) and weaker in rebound than in
+    compression,
+    and the rubber eyes are in series with it, so that the damper relaxes rather than damps at
+    once:
         F = k (th - y) = c1 y' + c2 y'|y'|  (times 0.55 when y' < 0),   torque = -F
-    Source: Dixon, "The Shock Absorber Handbook" (2007), ch. 5-6 (linear plus square law, asymmetry,
+    Source: Dixon, "The Shock Absorber Handbook" (2007), ch. 5-6 (linear plus square law,
+    asymmetry,
     bush stiffness); Maxwell element in Lakes, "Viscoelastic Materials". Felt because such dampers
     are put on rigs to calm them and give some rad/s² at 1 rad/s.
     """
@@ -198,8 +213,10 @@ class CoastingMotors:
 
     Without active braking only the propeller's drag slows the rotor; J W' = -kq W^2 has the time
     constant J/(2 kq W), longer the slower it turns; upwards the motor's back-EMF adds its damping:
-        lag / lag0 = 1 + 0.9 a sqrt(0.5/speed) * coasting,  coasting = 1/2 - 1/2 tanh((command - speed)/0.008)
-    Source: motor equation in Mahony, Kumar & Corke, "Multirotor Aerial Vehicles" (IEEE RAM 2012) and
+        lag / lag0 = 1 + 0.9 a sqrt(0.5/speed) * coasting,  coasting = 1/2 - 1/2 tanh((command -
+        speed)/0.008)
+    Source: motor equation in Mahony, Kumar & Corke, "Multirotor Aerial Vehicles" (IEEE RAM
+    2012) and
     in Franchi & Mallet, "Adaptive closed-loop speed control of BLDC motors" (ICRA 2017). Felt with
     every controller whose 'damped light' is off: half of the torque comes from the falling motors.
     """
@@ -222,11 +239,13 @@ class HotConnector:
 
     Current follows thrust^1.5, the lost voltage takes speed and thus thrust, and the contact's
     resistance rises with its own heat within seconds and cools again:
-        f = (1 - R I / V)^2,  I = I0 (speed/0.5)^1.5,  R = R0 (1 + al H),  tau H' = (R/R0)(I/I0)^2 - H
+        f = (1 - R I / V)^2,  I = I0 (speed/0.5)^1.5,  R = R0 (1 + al H),  tau H' =
+        (R/R0)(I/I0)^2 - H
     Source: Hughes & Drury, "Electric Motors and Drives" (speed against armature voltage); Holm,
     "Electric Contacts" (contact resistance and temperature); momentum theory, Leishman ch. 2, for
     the power 1.5. Felt because a few per cent of a motor's thrust are several rad/s², and the loss
-    grows faster than the thrust, so that each throttle or roll command unbalances the aircraft anew.
+    grows faster than the thrust, so that each throttle or roll command unbalances the aircraft
+    anew.
     """
 
     def __init__(self, strength: float) -> None:
@@ -246,14 +265,18 @@ class HotConnector:
 
 
 class TranslationMoment:
-    """Propellers in sideways flight: the blades' flapping and the front propellers' wake pitch it back.
+    """Propellers in sideways flight: the blades' flapping and the front propellers' wake pitch
+    it back.
 
-    A tilt accelerates the aircraft sideways; the advancing blades lift more and the discs tilt back,
-    while the rear propellers work in the wake of the front ones; both need time to build up inflow:
+    A tilt accelerates the aircraft sideways; the advancing blades lift more and the discs tilt
+    back,
+    while the rear propellers work in the wake of the front ones; both need time to build up
+    inflow:
         v' = g tan(th) T/T0 - d1 v - d2 v|v|
         wanted = -(k1 W/W0 v + k2 v|v| / (1 + (v/vh)^2)),   tau m' = wanted - m
     Source: Hoffmann, Huang, Waslander & Tomlin, "Quadrotor Helicopter Flight Dynamics and Control"
-    (AIAA 2007); Leishman, "Principles of Helicopter Aerodynamics", ch. 4 and 10. Felt in every free
+    (AIAA 2007); Leishman, "Principles of Helicopter Aerodynamics", ch. 4 and 10. Felt in every
+    free
     flight of a light quadrotor: at 1 m/s it takes about 1 rad/s² to hold the tilt.
     """
 
@@ -282,7 +305,8 @@ class SlewLimit:
     """The output stage limits how fast a motor command may change, upwards tighter than downwards.
 
         out += clip(command - out, -down dt, +up dt)
-    Source: rate limiter, Franklin, Powell & Emami-Naeini, "Feedback Control of Dynamic Systems", and
+    Source: rate limiter, Franklin, Powell & Emami-Naeini, "Feedback Control of Dynamic
+    Systems", and
     ArduPilot's MOT_SLEW_UP_TIME / MOT_SLEW_DN_TIME. It protects controllers and propellers; felt
     because a step of the reference asks for a tenth of the range within one cycle.
     """
@@ -340,13 +364,15 @@ class ThrottleNotch:
 
 
 class GainSchedule:
-    """Gains scheduled on throttle in the mixer: less authority the more throttle, and a late boost.
+    """Gains scheduled on throttle in the mixer: less authority the more throttle, and a late
+    boost.
 
     The roll and pitch parts of the commands are scaled by a curve of the throttle, filtered, and
     raised while the throttle moves quickly:
         g = 1 - a tanh((Thr_f - 0.51)/0.06) + b |Thr - Thr_f|,   tau Thr_f' = Thr - Thr_f
         command = Thr + g (roll and pitch part) + (yaw part)
-    Source: gain scheduling, Åström & Wittenmark, "Adaptive Control", ch. 9; Betaflight's throttle PID
+    Source: gain scheduling, Åström & Wittenmark, "Adaptive Control", ch. 9; Betaflight's
+    throttle PID
     attenuation and anti-gravity. Felt because the loop's gain differs by a factor between a slow
     descent and a climb.
     """
@@ -383,7 +409,7 @@ EFFECTS = {
     'coasting_motors': (CoastingMotors, False),
     'hot_connector': (HotConnector, False),
     'translation_moment': (TranslationMoment, False),
-    'slew_limit_again': (SlewLimit, True),
+    'uneven_slew_limit': (SlewLimit, True),
     'throttle_notch': (ThrottleNotch, True),
     'gain_schedule': (GainSchedule, False),
 }
@@ -391,7 +417,7 @@ FAMILIES = {
     'cables': ('slung_load_again', 'umbilical', 'safety_lines'),
     'structures': ('gel_mount_again', 'loose_battery_again', 'oil_damper'),
     'propulsion': ('coasting_motors', 'hot_connector', 'translation_moment'),
-    'software': ('slew_limit_again', 'throttle_notch', 'gain_schedule'),
+    'software': ('uneven_slew_limit', 'throttle_notch', 'gain_schedule'),
 }
 
 MAY_BE = {
@@ -403,6 +429,6 @@ MAY_BE = {
     'oil_damper': ('quadratic_drag', 'pendulum_stiffness'),
     'coasting_motors': ('motor_lag',),
     'hot_connector': ('cross_axis_input', 'battery_sag'),
-    'slew_limit_again': ('motor_lag', 'saturation'),
+    'uneven_slew_limit': ('motor_lag', 'saturation'),
     'gain_schedule': ('saturation',),
 }

@@ -2,7 +2,6 @@
 import math
 
 import numpy as np
-
 from outside_simulator import MIX, Change, Situation
 
 G = 9.81
@@ -12,10 +11,13 @@ SIGN = [[float(v) for v in MIX[:, 1 + a]] for a in range(3)]
 
 # ---------------------------------------------------------------- friction and play of a rig
 class LoadedBearingFriction:
-    """Dry friction of the rig's pivot: LuGre with Stribeck peak, under a load that the lift relieves.
+    """Dry friction of the rig's pivot: LuGre with Stribeck peak, under a load that the lift
+    relieves.
 
-    z' = v - s0 |v| z / g(v),  g = N (Fc + (Fs-Fc) exp(-(v/vs)^2)),  torque = -(s0 z + s1 z' exp(-(v/vd)^2)).
-    N: the pivot carries the weight of craft and frame less the rotors' lift, so it sticks more at low throttle.
+    z' = v - s0 |v| z / g(v),  g = N (Fc + (Fs-Fc) exp(-(v/vs)^2)),  torque = -(s0 z + s1 z'
+    exp(-(v/vd)^2)).
+    N: the pivot carries the weight of craft and frame less the rotors' lift, so it sticks more
+    at low throttle.
     Canudas de Wit, Olsson, Astrom, Lischinsky, IEEE TAC 40 (1995); Armstrong-Helouvry 1994 (load).
     Felt: the axis reverses with every reference step and passes through stiction each time.
     """
@@ -40,9 +42,11 @@ class GearBacklash:
     """An eddy-brake and encoder wheel geared to the axis with play between the teeth.
 
     Two inertias and a dead zone: d = th - th2, contact where |d| > b, Hunt-Crossley tooth force
-    T = k (|d|-b) (1 + x d') >= 0;  J2 th2'' = T - d2 th2' - m2 tanh(th2'/e).  The axis receives -T.
+    T = k (|d|-b) (1 + x d') >= 0;  J2 th2'' = T - d2 th2' - m2 tanh(th2'/e).  The axis receives
+    -T.
     Nordin & Gutman, Automatica 38 (2002); Hunt & Crossley, J. Appl. Mech. 42 (1975).
-    Felt: at each reversal the wheel coasts freely, then its inertia and drag come back with a knock.
+    Felt: at each reversal the wheel coasts freely, then its inertia and drag come back with a
+    knock.
     """
 
     def __init__(self, strength):
@@ -70,12 +74,15 @@ class GearBacklash:
 
 
 class ThixotropicGrease:
-    """Drag of a grease-packed gimbal bearing: shear-thinning, its structure broken by motion, rebuilt at rest.
+    """Drag of a grease-packed gimbal bearing: shear-thinning, its structure broken by motion,
+    rebuilt at rest.
 
     torque = -l K v / (v^2 + e^2)^((1-n)/2),  l' = (1-l)/tr - kb |v| l   (n = 0.35).
-    Herschel-Bulkley/Ostwald power law with Moore's structural kinetics: Barnes, J. Non-Newt. Fluid Mech. 70
+    Herschel-Bulkley/Ostwald power law with Moore's structural kinetics: Barnes, J. Non-Newt.
+    Fluid Mech. 70
     (1997); Lugt, Grease Lubrication in Rolling Bearings (2013).
-    Felt: after a second of calm the first movement is heavy, then it eases as the grease is worked.
+    Felt: after a second of calm the first movement is heavy, then it eases as the grease is
+    worked.
     """
 
     def __init__(self, strength):
@@ -91,11 +98,15 @@ class ThixotropicGrease:
 
 # ---------------------------------------------------------------- motors and controllers
 class CoastingSpinDown:
-    """ESC without active braking: rotors speed up under power but slow down by the drag of the blades only.
+    """ESC without active braking: rotors speed up under power but slow down by the drag of the
+    blades only.
 
-    J w' = k_t i - k_q w^2, i >= 0: the fall's time constant J/(2 k_q w) goes as 1/w; for a deep drop the
-    back-EMF exceeds the bus and the bridge's diodes brake again.  lag = 1 + a S(speed-command) (w0/w)/(1+drop/d).
-    w as sqrt(thrust).  Hughes & Drury, Electric Motors and Drives, ch. 3; Mahony, Kumar, Corke, IEEE RAM 2012.
+    J w' = k_t i - k_q w^2, i >= 0: the fall's time constant J/(2 k_q w) goes as 1/w; for a deep
+    drop the
+    back-EMF exceeds the bus and the bridge's diodes brake again.  lag = 1 + a S(speed-command)
+    (w0/w)/(1+drop/d).
+    w as sqrt(thrust).  Hughes & Drury, Electric Motors and Drives, ch. 3; Mahony, Kumar, Corke,
+    IEEE RAM 2012.
     Felt: the falling pair lags behind the rising pair, more so at low throttle.
     """
 
@@ -104,7 +115,7 @@ class CoastingSpinDown:
 
     def step(self, s: Situation) -> Change:
         out = []
-        for u, w in zip(s.command.tolist(), s.speed.tolist()):
+        for u, w in zip(s.command.tolist(), s.speed.tolist(), strict=False):
             drop = w - u
             share = 0.5 * (1.0 + math.tanh(drop / 0.004))
             out.append(1.0 + self.k * 1.2 * share * math.sqrt(0.5 / max(w, 0.1))
@@ -113,11 +124,14 @@ class CoastingSpinDown:
 
 
 class GovernorCurrentLimit:
-    """ESC with a speed governor: its integrator overshoots, and the phase-current limit holds it back.
+    """ESC with a speed governor: its integrator overshoots, and the phase-current limit holds
+    it back.
 
     I' = ki (ref - w) + (i_lim - i)/Ta (back-calculation),  drive = w + L tanh((ref + I - w)/L).
-    Astrom & Hagglund, Advanced PID Control, ch. 3 (windup); Krishnan, Permanent Magnet Synchronous and
-    Brushless DC Motor Drives, ch. 9.  Felt: thrust overshoots small steps, large ones are slope-limited.
+    Astrom & Hagglund, Advanced PID Control, ch. 3 (windup); Krishnan, Permanent Magnet
+    Synchronous and
+    Brushless DC Motor Drives, ch. 9.  Felt: thrust overshoots small steps, large ones are
+    slope-limited.
     """
 
     def __init__(self, strength):
@@ -125,7 +139,7 @@ class GovernorCurrentLimit:
 
     def step(self, s: Situation) -> Change:
         out, lim = [], 0.14
-        for m, (u, w) in enumerate(zip(s.command.tolist(), s.speed.tolist())):
+        for m, (u, w) in enumerate(zip(s.command.tolist(), s.speed.tolist(), strict=False)):
             want = u - w + self.i[m]
             got = lim * math.tanh(want / lim)
             self.i[m] += s.dt * (5.0 * self.k * (u - w) + 3.0 * (got - want))
@@ -134,10 +148,13 @@ class GovernorCurrentLimit:
 
 
 class CommutationBeat:
-    """Commutation pulled into step with the PWM: flat spots of the throttle where the two frequencies lock.
+    """Commutation pulled into step with the PWM: flat spots of the throttle where the two
+    frequencies lock.
 
-    Near f_pwm = n/2 * f_comm the sampling of the switching instants gives a detent torque as in Adler's
-    equation: tau w' = u - w - A [sin(p) + 0.35 sin(2p + 0.6)],  p = 2 pi w V/(12 P), speed for a given drive with V.
+    Near f_pwm = n/2 * f_comm the sampling of the switching instants gives a detent torque as in
+    Adler's
+    equation: tau w' = u - w - A [sin(p) + 0.35 sin(2p + 0.6)],  p = 2 pi w V/(12 P), speed for
+    a given drive with V.
     Adler, Proc. IRE 34 (1946); BLHeli manual (PWM/commutation beat, steps in mid throttle).
     Felt: sluggish inside a lock, a lively hop between two; every motor sits at its own place.
     """
@@ -150,7 +167,7 @@ class CommutationBeat:
         a = self.k * 0.50 * period / (2.0 * math.pi)
         w1 = 2.0 * math.pi * s.battery_v / (12.0 * period)
         out = []
-        for m, (u, w) in enumerate(zip(s.command.tolist(), s.speed.tolist())):
+        for m, (u, w) in enumerate(zip(s.command.tolist(), s.speed.tolist(), strict=False)):
             p = w1 * w * (1.0 + 0.012 * (m - 1.5))
             out.append(u - a * (math.sin(p) + 0.35 * math.sin(2.0 * p + 0.6)))
         return Change(command=np.array(out))
@@ -160,10 +177,14 @@ class CommutationBeat:
 class DynamicInflow:
     """Inflow that has to build up, and rotors that plunge with the turning arm.
 
-    Carpenter-Fridovich per rotor, in units of hover inflow: tau v' = T - v (v + c),  c = climb of the hub by
-    arm * rate;  T = T0 (1 - a (v + c - v0)),  v0 = sqrt(T0) (where the blade finds its old thrust).
-    Carpenter & Fridovich NACA TN 3044 (1953); Leishman, Principles of Helicopter Aerodynamics, ch. 10.
-    Felt on large slow propellers: thrust jumps ahead and settles; the turning arm is damped, then partly let go.
+    Carpenter-Fridovich per rotor, in units of hover inflow: tau v' = T - v (v + c),  c = climb
+    of the hub by
+    arm * rate;  T = T0 (1 - a (v + c - v0)),  v0 = sqrt(T0) (where the blade finds its old
+    thrust).
+    Carpenter & Fridovich NACA TN 3044 (1953); Leishman, Principles of Helicopter Aerodynamics,
+    ch. 10.
+    Felt on large slow propellers: thrust jumps ahead and settles; the turning arm is damped,
+    then partly let go.
     """
 
     def __init__(self, strength):
@@ -186,11 +207,15 @@ class DynamicInflow:
 
 
 class FlappingInWind:
-    """Blades that flap back and a hull above the centre of mass that is blown, in the craft's own airspeed.
+    """Blades that flap back and a hull above the centre of mass that is blown, in the craft's
+    own airspeed.
 
-    u' = g sin(angle) - c1 (u-W) T - c2 (u-W)|u-W|;  torque = -T k1 (u-W)/(1+(u-W)^2/U^2) - k2 (u-W)|u-W| - k3 T rate,
-    wind W a mean with slow swell.  Flapping a1 ~ mu: Prouty, Helicopter Performance, ch. 7; Hoffmann et al. AIAA 2007-6461;
-    Pounds, Mahony, Corke 2010.  Felt: whoever tilts starts to slide and the sliding rights the craft seconds later.
+    u' = g sin(angle) - c1 (u-W) T - c2 (u-W)|u-W|;  torque = -T k1 (u-W)/(1+(u-W)^2/U^2) - k2
+    (u-W)|u-W| - k3 T rate,
+    wind W a mean with slow swell.  Flapping a1 ~ mu: Prouty, Helicopter Performance, ch. 7;
+    Hoffmann et al. AIAA 2007-6461;
+    Pounds, Mahony, Corke 2010.  Felt: whoever tilts starts to slide and the sliding rights the
+    craft seconds later.
     """
 
     def __init__(self, strength):
@@ -207,12 +232,16 @@ class FlappingInWind:
 
 
 class GroundCushion:
-    """A rig low over the floor: each rotor in its own ground effect, with the fountain between them.
+    """A rig low over the floor: each rotor in its own ground effect, with the fountain between
+    them.
 
-    Cheeseman-Bennett per rotor T = T0 / (1 - (R/4z)^2), z = h - r sin(angle): the low side is carried more;
+    Cheeseman-Bennett per rotor T = T0 / (1 - (R/4z)^2), z = h - r sin(angle): the low side is
+    carried more;
     the cushion follows through tau = 0.08 s; the fountain under the hull pushes up
-    the risen side, +kf lift^2 sin(angle)/(1 + (sin(angle)/w)^2), and so fights the cushion.  Cheeseman & Bennett ARC R&M 3021 (1955); Sanchez-Cuevas, Heredia,
-    Ollero, Int. J. Aerosp. Eng. 2017.  Felt: a stiffening spring, with delay, soft near level, that grows with thrust.
+    the risen side, +kf lift^2 sin(angle)/(1 + (sin(angle)/w)^2), and so fights the cushion.
+    Cheeseman & Bennett ARC R&M 3021 (1955); Sanchez-Cuevas, Heredia,
+    Ollero, Int. J. Aerosp. Eng. 2017.  Felt: a stiffening spring, with delay, soft near level,
+    that grows with thrust.
     """
 
     def __init__(self, strength):
@@ -241,7 +270,8 @@ class SoftGyroMount:
     """Gyro board on foam: it swings on its pad, which stiffens as it is compressed.
 
     q'' = -2 z wn (q' - rate) - wn^2 (q - angle) (1 + ((q-angle)/d)^2);  the gyro shows q'.
-    Den Hartog, Mechanical Vibrations, ch. 2-3; Duffing stiffening: Harris' Shock and Vibration Handbook ch. 4.
+    Den Hartog, Mechanical Vibrations, ch. 2-3; Duffing stiffening: Harris' Shock and Vibration
+    Handbook ch. 4.
     Felt: the heavy controller on soft foam overshoots each quick turn and rings at some 7 Hz.
     """
 
@@ -252,7 +282,8 @@ class SoftGyroMount:
     def step(self, s: Situation) -> Change:
         c, i = Change(), s.axis
         # d: swing against the hull, v: its rate
-        push = -self.w2 * self.d * (1.0 + (self.d / 0.012) ** 2) - 0.36 * math.sqrt(self.w2) * self.v
+        spring = self.w2 * self.d * (1.0 + (self.d / 0.012) ** 2)
+        push = -spring - 0.36 * math.sqrt(self.w2) * self.v
         self.v += s.dt * (push - float(s.acceleration[i]))
         self.d += s.dt * self.v
         c.gyro[i] = self.v
@@ -260,11 +291,14 @@ class SoftGyroMount:
 
 
 class EstimatorBiasLeak:
-    """Attitude filter that takes the craft's tilt for gyro bias, since an accelerometer in flight hardly sees tilt.
+    """Attitude filter that takes the craft's tilt for gyro bias, since an accelerometer in
+    flight hardly sees tilt.
 
-    Mahony: e = (acc - est) w(rate), est' = gyro - b + kp e, b' = -ki e - b/Tb; the rate handed out is gyro - b.
+    Mahony: e = (acc - est) w(rate), est' = gyro - b + kp e, b' = -ki e - b/Tb; the rate handed
+    out is gyro - b.
     In free flight acc shows rotor drag only: acc = cd u/g, u' = g angle - cd u.
-    w = 1/(1+(rate/r)^2): less trust while turning.  Mahony, Hamel, Pflimlin, IEEE TAC 53 (2008); Martin & Salaun, ICRA 2010.
+    w = 1/(1+(rate/r)^2): less trust while turning.  Mahony, Hamel, Pflimlin, IEEE TAC 53
+    (2008); Martin & Salaun, ICRA 2010.
     Felt: after a long tilt the reported rate is off for seconds.
     """
 
