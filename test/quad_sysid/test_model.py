@@ -14,6 +14,7 @@ import pytest
 from flown_axis import SHORT, Axis, fly
 from scipy.signal import butter, lfilter, savgol_filter
 
+from quad_sysid.discover import accept
 from quad_sysid.discover.accept import Unseen, _posterior, bet, closed, judge, listed, weighed
 from quad_sysid.discover.base import best_base, fitted_from
 from quad_sysid.discover.screen import candidates, screen
@@ -301,6 +302,38 @@ def test_an_effect_that_the_shorter_structure_beats_is_dropped_though_both_beat_
     assert np.std(unseen.errors(both)) < 0.5 * np.std(unseen.errors(base))
     found = Found(base, (Scored(both, 9.0), Scored(base, 0.0)), {}, 1)
     assert judge(data, problem, found).chosen.structure.labels == labels[:1]
+
+
+@pytest.mark.parametrize(
+    ('scores', 'needless'),
+    [
+        # of the longer structure's variants, then of the shorter's; the validation says nothing
+        (((2.9,), (0.0,)), True), (((3.1,), (0.0,)), False),
+        (((2.5, 2.4), (0.0,)), False), (((3.1,), (0.0, -0.5)), True),
+        (((), (0.0,)), False), (((3.1,), ()), False), (((2.9,), ()), True), (((), ()), False),
+    ],
+)
+def test_what_a_structure_has_beside_another_is_needless_below_odds_of_20(
+    scores, needless, monkeypatch
+):
+    """All variants of the names count together; what was not scored counts by its evidence."""
+    spring, other, friction = (
+        next(Part(e) for e in EFFECTS if e.label == label)
+        for label in ('pendulum_stiffness', 'pendulum_stiffness/from the rate', 'coulomb_friction')
+    )
+
+    def fits(*which):
+        return SimpleNamespace(structure=Structure(which), evidence=5.0 * (len(which) - 1))
+
+    longer, shorter = fits(friction, spring), fits(friction)
+    alike = longer, fits(friction, other)
+    kept = [Scored(one, v) for one, v in zip(alike, scores[0], strict=False)]
+    kept += [Scored(fits(friction), v) for v in scores[1]]
+    found = Found(shorter, tuple(kept), {}, 1)
+    monkeypatch.setattr(accept, '_better', lambda *_: False)
+    assert accept._needless(found, None, (longer, []), (shorter, [])) is needless
+    monkeypatch.setattr(accept, '_better', lambda *_: True)
+    assert not accept._needless(found, None, (longer, []), (shorter, []))
 
 
 def test_an_effect_counts_that_foresees_the_free_run_though_the_noise_was_taken_for_smaller():

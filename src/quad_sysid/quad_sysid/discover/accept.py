@@ -30,7 +30,7 @@ from quad_sysid.discover.constants import (
     REFITS,
     STAKES,
 )
-from quad_sysid.discover.search import Found, Scored
+from quad_sysid.discover.search import Found
 from quad_sysid.estimate.fit import Fit, Problem, tail_of
 from quad_sysid.estimate.stored import Stored, noise_of
 from quad_sysid.model.data import AxisData, Windows
@@ -142,7 +142,8 @@ class Unseen:
     def predict(self, fitted: Fitted) -> Prediction:
         """The filter's result along the segments.
 
-        The first model's measures the innovations, by which the filter follows what wanders.
+        The first call measures the size of the innovations, by which the filter follows what
+        wanders.
         """
         if fitted in self.known:
             return self.known[fitted]
@@ -218,16 +219,17 @@ def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
     count = 1 if found.best is trained else REFITS
     wealth = [e / count for e in closed([_evidence(unseen, at_base, one) for one in tried])]
     best, e_value = at_base, wealth[0] if wealth else 1.0
+    largest: Tried | None = None
     for i, (one, e) in enumerate(zip(tried, wealth, strict=True)):
         shorter = tried[i + 1 :]
         stands = _confirmed(at_base, one, e) and not any(
             _better(unseen, other, one) for other in shorter
         )
         if stands:
-            best, e_value = one, e
-        if best is not at_base and not (stands and shorter and _needless(
-            found, unseen, one, shorter[0]
-        )):
+            best, e_value, largest = one, e, largest or one
+        if largest and not (
+            stands and shorter and _needless(found, unseen, largest, shorter[0])
+        ):
             break
     told = _commands_tell(problem, unseen, best)
     chosen, errors = best if told else at_base
@@ -304,14 +306,7 @@ def _better(unseen: Unseen, one: Tried, other: Tried) -> bool:
 
 def _needless(found: Found, unseen: Unseen, one: Tried, shorter: Tried) -> bool:
     """Whether neither the odds nor the validation claim what a structure has beside another."""
-    scores = [
-        [scored.score for scored in found.all if scored.names == Scored(fitted, 0.0).names]
-        for fitted, _ in (one, shorter)
-    ]
-    of_one, of_shorter = (
-        float(np.logaddexp.reduce(each, initial=-math.inf)) for each in scores
-    )
-    odds = of_one - of_shorter if scores[1] else 0.0
+    odds = found.weight(one[0]) - found.weight(shorter[0])
     return odds < -math.log(LEVEL) and not _better(unseen, one, shorter)
 
 
@@ -321,9 +316,10 @@ def _shortened(
     """The most probable structure, then one by one without the effect that training misses least.
 
     The largest counts that the validation confirms against the base, and against which it confirms
-    no shorter one: what does not transfer is dropped. So is its last effect where the odds for it,
-    all variants of its name together, are below 1 / LEVEL and the validation does not confirm it,
-    as long as the shorter structure stands by itself. known: as in _each_left_out.
+    no shorter one: what does not transfer is dropped. So is what the training misses least where
+    the odds for it, all variants of its name together, are below 1 / LEVEL and the validation does
+    not confirm it, as long as the structure without it counts in the same way. known: as in
+    _each_left_out.
     """
     fitted: Fit | None = best
     while fitted is not None and fitted.structure.parts:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
@@ -65,6 +65,8 @@ class Found:
     all: tuple[Scored, ...]
     reasons: dict[str, str]
     scored: int
+    prices: Mapping[str, float] = field(default_factory=dict)
+    """Log prior of each effect, by its label."""
 
     @property
     def best(self) -> Fit:
@@ -75,11 +77,24 @@ class Found:
         names = max(shares, key=lambda key: shares[key])
         return next(one.fit for one in self.all if one.names == names)
 
+    def weight(self, fitted: Fit) -> float:
+        """Log of the posterior of all structures with the same names, or, if none, of this one."""
+        alike = [s.score for s in self.all if s.names == Scored(fitted, 0.0).names]
+        return float(np.logaddexp.reduce(alike)) if alike else scored(fitted, self.prices).score
+
     def probabilities(self) -> FloatArray:
         """Posterior of each fitted structure, given the segments that scored it."""
         scores = np.array([s.score for s in self.all])
         p = np.exp(scores - scores.max())
         return p / p.sum()
+
+
+def scored(fitted: Fit, prices: Mapping[str, float]) -> Scored:
+    """A fit with its score, log evidence plus log prior."""
+    labels = fitted.structure.labels
+    price = sum(prices.get(label, 0.0) for label in labels)
+    # effects come in any order: the list of a set counts once
+    return Scored(fitted, fitted.evidence + price - math.lgamma(len(labels) + 1))
 
 
 def noises(parent: Fit) -> list[FloatArray]:
@@ -152,13 +167,9 @@ class _Search:
         return self.screens[labels]
 
     def keep(self, fitted: Fit) -> Scored:
-        """Store a fit with its score, log evidence plus log prior."""
-        labels = frozenset(fitted.structure.labels)
-        price = sum(self.prices[label] for label in labels)
-        # effects come in any order: the list of a set counts once
-        scored = Scored(fitted, fitted.evidence + price - math.lgamma(len(labels) + 1))
-        self.known[labels] = scored
-        return scored
+        """Store a fit with its score."""
+        one = self.known[frozenset(fitted.structure.labels)] = scored(fitted, self.prices)
+        return one
 
     def best(self) -> Scored:
         """The most probable structure."""
@@ -205,11 +216,11 @@ def search(problem: Problem, effects: Sequence[Effect]) -> Found:
     exogeneity: Hausman 1978).
     """
     parts, reasons = candidates(problem, effects)
-    base, scored = best_base(problem), 0
+    base, count = best_base(problem), 0
     problem.measure(base)
     while True:
         found = _structures(problem, parts, base)
-        scored += sum(map(len, found.screens.values()))
+        count += sum(map(len, found.screens.values()))
         best = found.best().fit
         used = {which for part in best.structure.parts for which in part.effect.others}
         shared = {which for which in used if shares(problem, best, base, which)}
@@ -220,7 +231,7 @@ def search(problem: Problem, effects: Sequence[Effect]) -> Found:
                 reasons[part.effect.label] = SHARED
         parts = [part for part in parts if not shared & set(part.effect.others)]
     ordered = tuple(sorted(found.known.values(), key=lambda s: -s.score))
-    return Found(base, ordered, reasons, scored)
+    return Found(base, ordered, reasons, count, found.prices)
 
 
 def _structures(problem: Problem, parts: Sequence[Part], base: Fit) -> _Search:

@@ -9,7 +9,7 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.polynomial.legendre import legder, legval
+from numpy.polynomial.legendre import legvander
 from scipy.linalg import expm
 from scipy.signal import lfilter
 
@@ -463,12 +463,10 @@ class Shown(Shape, Linear):
         self, s: Signals, p: FloatArray, linear: Sequence[int], settings: Settings
     ) -> FloatArray:
         x, dt = required(s.hidden), settings['dt']
-        moving = (self._pushes(s, settings) - x) * (1.0 - math.exp(-dt / p[0]))  # over the cycle
-        middle = x + 0.5 * moving
-        moving[np.abs(middle) > EDGE] = 0.0
-        return np.stack([
-            legval(middle[i], legder(np.eye(k + 1)[k])) * moving[i] / dt for i, k in SHOWN_BY
-        ], axis=-1)
+        ahead = self.advance(x, s, p, settings, dt)
+        begin, end = (legvander(np.clip(z, -EDGE, EDGE), DEGREE) for z in (x, ahead))
+        change = (end - begin) / dt
+        return np.stack([change[i, ..., k] for i, k in SHOWN_BY], axis=-1)
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         return self.columns(s, p, self.linear, settings) @ p[1:]

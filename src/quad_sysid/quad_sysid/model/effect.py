@@ -50,8 +50,8 @@ class Spec:
     positive: bool = False
     """No negative value is physical."""
     starts: tuple[float, ...] = ()
-    """Values to start a search from, by default the centre; one that has some, is a logarithm or
-    has another centre than 0 is not taken for linear by that search."""
+    """Values to start a search from, by default the centre. A search takes a parameter for linear
+    that has none, is no logarithm and has its centre at 0."""
 
 
 @dataclass(frozen=True)
@@ -226,7 +226,7 @@ class Effect:
         return np.stack(torques, axis=1) / SMALL
 
     def starts(self, data: AxisData, settings: Settings) -> Sequence[FloatArray]:
-        """Start values in their units; those of parameters without a spread are ignored."""
+        """Start values in their units; those of parameters taken for linear are ignored."""
         grid = [
             spec.starts or (at,) for spec, at in zip(self.parameters, self.centre(), strict=True)
         ]
