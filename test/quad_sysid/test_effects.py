@@ -205,31 +205,16 @@ def lively(t):
     return 0.5 + 0.1 * np.sin(6.0 * t)
 
 
-def shown_beside(size: float, time_constant_s: float) -> Changes:
-    """A gyro that shows size times the throttle beside the rate, behind a lag: as a torque."""
+def shown(
+    slope: Callable[[float], float], time_constant_s: float, motor: int | None = None
+) -> Changes:
+    """A gyro that shows a curve, by its slope, of a motor's command behind a lag: as a torque.
 
-    def changes():
-        x = 0.0
-
-        def law(t, _rate, _angle):
-            nonlocal x
-            moving = (lively(t) - x) / time_constant_s
-            x += HALF_S * moving
-            return size * moving if t > 0.5 else 0.0
-
-        return {'torque': law, 'throttle': lively}
-
-    return changes
-
-
-def shown_of_one(motor: int, size: float, time_constant_s: float, half: float) -> Changes:
-    """A gyro that shows size P_2(z) beside the rate, z of one motor behind a lag.
-
-    Half ranges from the middle of the commands, constant beyond the range.
+    Without a motor, of the throttle.
     """
 
     def changes():
-        x, sent = 0.5, 0.0
+        x = sent = 0.0
 
         def given(_t, u, _v):
             nonlocal sent
@@ -238,14 +223,20 @@ def shown_of_one(motor: int, size: float, time_constant_s: float, half: float) -
 
         def law(t, _rate, _angle):
             nonlocal x
-            moving = (lively(t) + MIXER[motor, 1] * sent - x) / time_constant_s
+            own = 0.0 if motor is None else MIXER[motor, 1] * sent
+            moving = (lively(t) + own - x) / time_constant_s
             x += HALF_S * moving
-            z = (x - 0.5) / half
-            return size * 3.0 * z * moving / half if abs(z) < 1.1 and t > 0.5 else 0.0
+            return slope(x) * moving if t > 0.5 else 0.0
 
         return {'torque': law, 'command': given, 'throttle': lively}
 
     return changes
+
+
+def bent(x: float) -> float:
+    """Slope of 0.05 P_2 over half ranges of 0.08, constant beyond the range."""
+    z = (x - 0.5) / 0.08
+    return 0.05 * 3.0 * z / 0.08 if abs(z) < 1.1 else 0.0
 
 
 def dahl(size: float, build_up: float) -> Changes:
@@ -516,11 +507,11 @@ LAWS = [
     Law('shape:angle', torque(lambda _t, _r, a: 0.8 * math.sin(60.0 * a + 0.5)),
         {'waves': 60.0, 'cosine': 0.8 * math.sin(0.5), 'sine': 0.8 * math.cos(0.5)},
         variant='periodic', left=0.003),
-    Law('shape:throttle', shown_beside(3.0, 0.1),
+    Law('shape:throttle', shown(lambda _x: 3.0, 0.1),
         {'time_constant': 0.1, **{
             f'motor_{i}_{k}': 0.25 * 3.0 * 0.2 * (k == 1) for i in range(1, 5) for k in range(1, 5)
         }}, {'middle': 0.5, 'half': 0.2, 'dt': DT}, variant='shown by the gyro', left=0.008),
-    Law('shape:throttle', shown_of_one(2, 0.05, 0.03, 0.08),
+    Law('shape:throttle', shown(bent, 0.03, motor=2),
         {'time_constant': 0.03, **{
             f'motor_{i}_{k}': 0.05 * ((i, k) == (3, 2)) for i in range(1, 5) for k in range(1, 5)
         }}, {'middle': 0.5, 'half': 0.08, 'dt': DT}, variant='shown by the gyro',

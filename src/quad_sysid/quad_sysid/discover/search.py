@@ -79,8 +79,9 @@ class Found:
 
     def weight(self, fitted: Fit) -> float:
         """Log of the posterior of all structures with the same names, or, if none, of this one."""
-        alike = [s.score for s in self.all if s.names == Scored(fitted, 0.0).names]
-        return float(np.logaddexp.reduce(alike)) if alike else scored(fitted, self.prices).score
+        own = scored(fitted, self.prices)
+        alike = [s.score for s in self.all if s.names == own.names]
+        return float(np.logaddexp.reduce(alike)) if alike else own.score
 
     def probabilities(self) -> FloatArray:
         """Posterior of each fitted structure, given the segments that scored it."""

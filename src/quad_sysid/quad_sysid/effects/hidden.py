@@ -407,7 +407,7 @@ class MemoryCurve(Memory):
         return out
 
 
-class Shown(Shape, Linear):
+class Shown(Shape):
     """The gyro shows a curve of each motor's speed beside the rate; its change acts as a torque.
 
     Vibration that it rectifies grows with the speed of the motors, most with that of the worst

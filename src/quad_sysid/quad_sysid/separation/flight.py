@@ -14,7 +14,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from quad_sysid.contract import AXES, MIXER, FloatArray, motors_from_wrench
+from quad_sysid.contract import AXES, FloatArray, motors_from_wrench
 from quad_sysid.errors import BadInputError
 from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.loop.from_model import Placed, placed
@@ -241,7 +241,7 @@ class _Known:
     def __init__(self, aircraft: Aircraft, around: Sequence[AxisData]) -> None:
         self.gain, self.lag, self.dt = aircraft.theta[0], aircraft.theta[1], aircraft.dt
         others = [i + 1 for i in range(3) if i != around[0].index]
-        self.row = MIXER[:, [0, around[0].index + 1, *others]]
+        self.channels = [0, around[0].index + 1, *others]
         self.throttle = np.stack([d.control[:, 0] for d in around], axis=1)
         self.volts = np.stack([np.asarray(d.battery_v) for d in around], axis=1)
         self.commands = [np.stack([d.control[:, i] for d in around], axis=1) for i in others]
@@ -257,14 +257,17 @@ class _Known:
         command: gain times what acts after the delay; sent: what the controller gives.
         """
         drive = middle[:, 0]
-        wrench = np.stack([self.throttle[k], sent, *(one[k] for one in self.commands)])
+        wrench = np.empty((sent.size, 4))
+        wrench[:, self.channels] = np.stack(
+            [self.throttle[k], sent, *(one[k] for one in self.commands)], axis=1
+        )
         return Signals(rate=middle[:, 1], angle=middle[:, 2], drive=drive, command=command,
                        change=(command - drive) / max(self.lag, 0.25 * self.dt),
                        lagged=drive / self.gain, throttle=self.throttle[k],
                        battery_v=self.volts[k], other_rates=(self.rates[0][k], self.rates[1][k]),
                        other_commands=(self.commands[0][k], self.commands[1][k]),
                        other_angles=(self.leans[0][k], self.leans[1][k]),
-                       motors=tuple(np.clip(self.row @ wrench, 0.0, 1.0)),
+                       motors=tuple(motors_from_wrench(wrench).T),
                        time=self.rest + (k + 0.5) * self.dt)
 
 
