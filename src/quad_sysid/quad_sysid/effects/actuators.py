@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
 
 from quad_sysid.contract import MIXER_INVERSE, FloatArray
 from quad_sysid.effects.curves import Curve, placed_around_zero
@@ -221,12 +222,37 @@ class BatterySag(Effect):
         return {'battery': float(settings['reference_v'])}
 
 
-class ThrustCurve(Effect):
+class Propellers(Effect):
+    """The thrust of propellers is a curve of their motor's speed, a lagged command."""
+
+    term = 'command'
+    motors: tuple[int, ...] = (0, 1, 2, 3)
+
+    def bend(
+        self, m: FloatArray, p: FloatArray, settings: Settings
+    ) -> tuple[FloatArray, FloatArray]:
+        """What the thrust gains at a lagged command m (n,), and the slope of that over m.
+
+        Nothing is gained at the usual throttle, so that the base keeps its bias.
+        """
+        raise NotImplementedError
+
+    def actuate(self, data: AxisData, drive: Drive, p: FloatArray, settings: Settings) -> Drive:
+        # f(m) of the lagged m follows the same lag where the command is f(m) + f'(m) (u - m)
+        more = np.zeros(data.rate.size)
+        for i in self.motors:
+            u = data.motors[:, i]
+            m = lagged(data, u, float(drive.lag[0, 0]))
+            thrust, slope = self.bend(m, p, settings)
+            more += MIXER_INVERSE[data.index + 1, i] * (thrust + slope * (u - m))
+        return replace(drive, commands=np.vstack([drive.commands[:1] + more, drive.commands[1:]]))
+
+
+class ThrustCurve(Propellers):
     """The thrust of each propeller is quadratic in its motor command."""
 
     name = 'thrust_curve'
     signals = ('command', 'throttle')
-    term = 'command'
     parameters = (Spec('curvature', '1', spread=0.4),)
     physics = 'thrust (1 - k) m + k m² of each motor command m'
     excite = 'throttle changes during the excitation, or large commands on two axes at once'
@@ -241,45 +267,20 @@ class ThrustCurve(Effect):
             return f'the throttle stays at {mean:.2f}; fly with throttle changes'
         return {'throttle': mean}
 
-    def actuate(self, data: AxisData, drive: Drive, p: FloatArray, settings: Settings) -> Drive:
-        k = float(p[0])
-        slope = max(1.0 - k + 2.0 * k * float(settings['throttle']), 1e-3)
-        more = through_propellers(
-            data, drive, lambda m: (k * (m * m - m), k * (2.0 * m - 1.0)), range(4)
-        )
-        bent = (drive.commands[0] + more) / slope
-        return replace(drive, commands=np.vstack([bent, drive.commands[1:]]))
-
-    def usual(self, p: FloatArray, settings: Settings) -> Mapping[str, float]:
-        return {'throttle': float(settings['throttle'])}
+    def bend(
+        self, m: FloatArray, p: FloatArray, settings: Settings
+    ) -> tuple[FloatArray, FloatArray]:
+        k, away = float(p[0]), m - settings['throttle']
+        bent = k / max(1.0 - k + 2.0 * k * settings['throttle'], 1e-3)
+        return bent * away**2, 2.0 * bent * away
 
 
-def through_propellers(
-    data: AxisData, drive: Drive, at_speed: Callable[[FloatArray], tuple[FloatArray, FloatArray]],
-    motors: Sequence[int],
-) -> FloatArray:
-    """(n,) what curved propellers add to the axis' command.
-
-    at_speed gives what the thrust of a motor gains at a lagged command (n,), and its slope. The
-    lag is the motor's and the curve its propeller's: f(m) of the lagged m follows the same lag
-    where the command is f(m) + f'(m) (u - m).
-    """
-    row, tau = MIXER_INVERSE[data.index + 1], float(drive.lag[0, 0])
-    more = np.zeros(data.rate.size)
-    for i in motors:
-        u = data.motors[:, i]
-        m = lagged(data, u, tau)
-        thrust, slope = at_speed(m)
-        more += row[i] * (thrust + slope * (u - m))
-    return more
-
-
-class MotorCurve(Curve):
+class MotorCurve(Propellers, Curve):
     """The slope of thrust over command is a smooth curve, of all motors or of one."""
 
     def __init__(self, smoothness: str, *motors: int) -> None:
         super().__init__('gain', 'command', smoothness)
-        self.motors = motors or (0, 1, 2, 3)
+        self.motors = motors or Propellers.motors
         who = f'motor {motors[0] + 1}' if motors else 'motors'
         self.term, self.variant = 'command', f'{smoothness}, {who}'
         self.signals = ('command', 'motors', 'throttle')
@@ -302,27 +303,17 @@ class MotorCurve(Curve):
             'throttle': float(np.mean(data.training(data.control[:, 0]))),
         }
 
-    def actuate(self, data: AxisData, drive: Drive, p: FloatArray, settings: Settings) -> Drive:
-        knots = np.array(settings['knots'])
-        width = knots[1] - knots[0]
-        slopes = p - float(np.dot(settings['mean'], p))
-        bends = np.diff(slopes) / width
-        thrusts = np.r_[0.0, np.cumsum(0.5 * (slopes[1:] + slopes[:-1]) * width)]
+    def bend(
+        self, m: FloatArray, p: FloatArray, settings: Settings
+    ) -> tuple[FloatArray, FloatArray]:
+        knots, slopes = settings['knots'], p - float(np.dot(settings['mean'], p))
+        area = make_interp_spline(knots, slopes, k=1).antiderivative()
 
-        def at_speed(m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        def thrust(m: FloatArray) -> FloatArray:
             inside = np.clip(m, knots[0], knots[-1])
-            i = np.minimum(((inside - knots[0]) / width).astype(int), bends.size - 1)
-            after = inside - knots[i]
-            slope = slopes[i] + bends[i] * after
-            return thrusts[i] + 0.5 * (slopes[i] + slope) * after + slope * (m - inside), slope
+            return area(inside) + np.interp(m, knots, slopes) * (m - inside)
 
-        # nothing is added at the usual throttle, so that the base keeps its bias
-        thrusts -= at_speed(np.array([settings['throttle']]))[0]
-        more = through_propellers(data, drive, at_speed, self.motors)
-        return replace(drive, commands=np.vstack([drive.commands[:1] + more, drive.commands[1:]]))
-
-    def usual(self, p: FloatArray, settings: Settings) -> Mapping[str, float]:
-        return {'throttle': float(settings['throttle'])}
+        return thrust(m) - thrust(settings['throttle']), np.interp(m, knots, slopes)
 
 
 class Saturation(Map):

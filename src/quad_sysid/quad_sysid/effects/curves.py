@@ -206,7 +206,7 @@ class Curve(Shape):
 
     def usual(self, p: FloatArray, settings: Settings) -> Mapping[str, float]:
         if self.signal not in ('throttle', 'battery'):
-            return {}
+            return super().usual(p, settings)
         return {self.signal: 0.5 * float(settings['knots'][0] + settings['knots'][-1])}
 
     def readable(self, p: FloatArray, settings: Settings) -> dict[str, tuple[float, str]]:

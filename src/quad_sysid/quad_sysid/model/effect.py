@@ -261,7 +261,7 @@ class Effect:
 
     def usual(self, p: FloatArray, settings: Settings) -> Mapping[str, float]:
         """Signal (`throttle`, `battery`) → the value at which a loop is judged."""
-        return {}
+        return {'throttle': settings['throttle']} if 'throttle' in settings else {}
 
     def dynamics(self, p: FloatArray) -> Dynamics | None:
         """Linear dynamics of a command effect with memory; None where it is not linear."""
