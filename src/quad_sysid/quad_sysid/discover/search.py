@@ -6,21 +6,14 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 
 from quad_sysid.beside import side_by_side
 from quad_sysid.contract import FloatArray
-from quad_sysid.discover.base import best_base, fit_without, fitted_from, shares
-from quad_sysid.discover.constants import (
-    BEAM,
-    EXCHANGES,
-    EXPECTED,
-    HOPELESS,
-    MOST_EFFECTS,
-    REFITS,
-)
+from quad_sysid.discover.base import best_base, fit_without, fitted_from, most_probable, shares
+from quad_sysid.discover.constants import BEAM, EXCHANGES, EXPECTED, HOPELESS, MOST_EFFECTS, REFITS
 from quad_sysid.discover.screen import Score, candidates, screen
 from quad_sysid.estimate.fit import Fit, Problem
 from quad_sysid.model.effect import Effect, Part, required
@@ -41,7 +34,7 @@ class Scored:
     fit: Fit
     score: float
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Of its effects, sorted."""
         return tuple(sorted(part.effect.name for part in self.fit.structure.parts))
@@ -64,24 +57,24 @@ class Found:
     base: Fit
     all: tuple[Scored, ...]
     reasons: dict[str, str]
-    scored: int
+    """Why effects were not tried, by their labels."""
     prices: Mapping[str, float] = field(default_factory=dict)
     """Log prior of each effect, by its label."""
 
     @property
     def best(self) -> Fit:
         """The most probable variant of the most probable set of names."""
-        shares: dict[tuple[str, ...], float] = {}
-        for one, p in zip(self.all, self.probabilities(), strict=True):
-            shares[one.names] = shares.get(one.names, 0.0) + float(p)
-        names = max(shares, key=lambda key: shares[key])
-        return next(one.fit for one in self.all if one.names == names)
+        return max(self.all, key=lambda one: self.of_names(one.names)).fit
+
+    def of_names(self, names: tuple[str, ...]) -> float:
+        """Log of the posterior of all structures with these names together."""
+        return float(np.logaddexp.reduce([s.score for s in self.all if s.names == names]))
 
     def weight(self, fitted: Fit) -> float:
         """Log of the posterior of all structures with the same names, or, if none, of this one."""
         own = scored(fitted, self.prices)
-        alike = [s.score for s in self.all if s.names == own.names]
-        return float(np.logaddexp.reduce(alike)) if alike else own.score
+        alike = self.of_names(own.names)
+        return alike if alike > -math.inf else own.score
 
     def probabilities(self) -> FloatArray:
         """Posterior of each fitted structure, given the segments that scored it."""
@@ -115,13 +108,12 @@ def extended(problem: Problem, parent: Fit, one: Score) -> Fit | None:
     """A structure with one more effect; None where its fit diverges."""
     structure = parent.structure.plus(one.part)
     own = parent.theta[: -len(parent.structure.noise)]
-    fits = [
+    return most_probable(
         fitted_from(
             problem, structure, *(np.r_[own, start, noise] for start in one.starts),
             rate=parent.rate,
         ) for noise in noises(parent)
-    ]
-    return max((f for f in fits if f), key=lambda f: f.log_posterior, default=None)
+    )
 
 
 class _Search:
@@ -186,13 +178,10 @@ class _Search:
             self.exchanged.add(labels)
             for index in range(len(labels)):
                 rest = frozenset(one.fit.structure.minus(index).labels)
-                if rest not in self.known:
-                    fitted = fit_without(self.problem, one.fit, index)
-                    if fitted is None:
-                        continue
-                    self.keep(fitted)
-                parent = self.known[rest]
-                self.build_on([parent], EXCHANGES, parent.score)
+                if rest not in self.known and (fit := fit_without(self.problem, one.fit, index)):
+                    self.keep(fit)
+                if parent := self.known.get(rest):
+                    self.build_on([parent], EXCHANGES, parent.score)
         return self.best() is not best
 
 
@@ -217,22 +206,19 @@ def search(problem: Problem, effects: Sequence[Effect]) -> Found:
     exogeneity: Hausman 1978).
     """
     parts, reasons = candidates(problem, effects)
-    base, count = best_base(problem), 0
+    base = best_base(problem)
     problem.measure(base)
     while True:
         found = _structures(problem, parts, base)
-        count += sum(map(len, found.screens.values()))
         best = found.best().fit
         used = {which for part in best.structure.parts for which in part.effect.others}
         shared = {which for which in used if shares(problem, best, base, which)}
         if not shared:
             break
-        for part in parts:
-            if shared & set(part.effect.others):
-                reasons[part.effect.label] = SHARED
-        parts = [part for part in parts if not shared & set(part.effect.others)]
+        reasons |= {p.effect.label: SHARED for p in parts if shared & set(p.effect.others)}
+        parts = [p for p in parts if p.effect.label not in reasons]
     ordered = tuple(sorted(found.known.values(), key=lambda s: -s.score))
-    return Found(base, ordered, reasons, count, found.prices)
+    return Found(base, ordered, reasons, found.prices)
 
 
 def _structures(problem: Problem, parts: Sequence[Part], base: Fit) -> _Search:
