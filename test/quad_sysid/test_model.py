@@ -331,9 +331,9 @@ def test_what_a_structure_has_beside_another_is_needless_below_odds_of_20(
     kept += [Scored(fits(friction), v) for v in scores[1]]
     found = Found(shorter, tuple(kept), {})
     monkeypatch.setattr(accept, '_better', lambda *_: False)
-    assert accept._needless(found, None, (longer, []), (shorter, [])) is needless
+    assert accept._needless(found, None, longer, shorter) is needless
     monkeypatch.setattr(accept, '_better', lambda *_: True)
-    assert not accept._needless(found, None, (longer, []), (shorter, []))
+    assert not accept._needless(found, None, longer, shorter)
 
 
 def test_an_effect_counts_that_foresees_the_free_run_though_the_noise_was_taken_for_smaller():
