@@ -205,11 +205,10 @@ def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
     base, chain = found.base, list(_shortened(problem, found.best, known))
     # another choice than the training's counts once for each of those it was chosen from
     count = 1 if found.best is trained else REFITS
-    e_values = [e / count for e in closed([_evidence(unseen, base, one) for one in chain])]
-    best, e_value = _claimed(unseen, found, chain, e_values)
+    best, e_value = _claimed(unseen, found, chain, count)
     told = _commands_tell(problem, unseen, best)
     chosen = best if told else base
-    parts, before, after = chosen.structure.parts, *(rms(unseen.errors(f)) for f in (base, chosen))
+    parts, after = chosen.structure.parts, rms(unseen.errors(chosen))
     without = tuple(
         math.inf if one is None else rms(unseen.errors(one))
         for one in _each_left_out(problem, chosen, known)
@@ -225,7 +224,8 @@ def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
     as_named = listed(parts, without, after, 0.5 * hold)
     probabilities, rivals = _posterior(found, chosen, as_named)
     return Verdict(
-        verdict=verdict, reason=reason, chosen=chosen, e_value=e_value, before=before, after=after,
+        verdict=verdict, reason=reason, chosen=chosen, e_value=e_value,
+        before=rms(unseen.errors(base)), after=after,
         one_step_before=unseen.one_step(base), one_step_after=unseen.one_step(chosen),
         hold=hold, predicted=noise.gyro_rms * math.sqrt(float(np.mean(spread))),
         noise_floor=noise.measured_rms, horizons=horizons(unseen, base, chosen), without=without,
@@ -258,23 +258,24 @@ def weighed(unseen: Unseen, found: Found) -> Found:
     return replace(found, all=tuple(sorted(scored, key=lambda one: -one.score)))
 
 
-def _claimed(
-    unseen: Unseen, found: Found, chain: Sequence[Fit], e_values: Sequence[float]
-) -> tuple[Fit, float]:
+def _claimed(unseen: Unseen, found: Found, chain: Sequence[Fit], count: int) -> tuple[Fit, float]:
     """Which structure of a chain (_shortened) is claimed, and its e-value; else the base.
 
     The largest counts that the validation confirms against the base, and against which it confirms
     no shorter one: what does not transfer is dropped. So is what the training misses least where
     the odds for it, all variants of its name together, are below 1 / LEVEL and the validation does
     not confirm it, as long as the structure without it counts in the same way.
+    count: how many structures the first of the chain was chosen from.
     """
+    base = found.base
+    e_values = [e / count for e in closed([_evidence(unseen, base, one) for one in chain])]
     stands = [
-        e * LEVEL >= 1.0 and _falls(unseen, found.base, one)
+        e * LEVEL >= 1.0 and _falls(unseen, base, one)
         and not any(_better(unseen, shorter, one) for shorter in chain[i + 1 :])
         for i, (one, e) in enumerate(zip(chain, e_values, strict=True))
     ]
     if not any(stands):
-        return found.base, e_values[0] if chain else 1.0
+        return base, e_values[0] if chain else 1.0
     largest = last = stands.index(True)
     for i in range(largest + 1, len(chain)):
         if not (stands[i] and _needless(found, unseen, chain[largest], chain[i])):
@@ -351,9 +352,7 @@ def horizons(unseen: Unseen, base: Fitted, chosen: Fitted) -> tuple[Horizon, ...
     windows, dt = unseen.long, unseen.problem.data.dt
     if not windows.count:
         return ()
-    errors = [
-        unseen.holding(windows), unseen.errors(base, windows), unseen.errors(chosen, windows),
-    ]
+    errors = unseen.holding(windows), *(unseen.errors(f, windows) for f in (base, chosen))
     return tuple(
         Horizon(horizon, *(rms(e[:, at_horizon(horizon, dt)]) for e in errors))
         for horizon in HORIZONS_S
@@ -399,8 +398,7 @@ def _empty(found: Found, unseen: Unseen, e_value: float) -> tuple[str, str]:
             'the free run: the noise may have another colour than the model gives it, or the '
             'structure may hold for the training only'
         )
-    if float(sum(p for p, s in zip(found.probabilities(), found.all, strict=True)
-                 if s.fit is base)) < LEVEL:
+    if found.probabilities()[[s.fit is base for s in found.all]].sum() < LEVEL:
         return 'unexplained_residual', (
             'the data contradict the base alone, but support no structure that was tried clearly '
             'enough to claim it'
@@ -424,7 +422,7 @@ def unexplained(unseen: Unseen, fitted: Fit) -> str:
     for k in range(1, windows.length):
         state = found.transition @ state
         response[k] = found.output @ state
-    through = toeplitz(response, np.zeros(windows.length)).T
+    through = np.triu(toeplitz(response))
     at = windows.starts[:, None] + np.arange(windows.length)
     innovations = np.nan_to_num(unseen.predict(fitted).innovation[at])
     rng = np.random.default_rng(0)

@@ -21,11 +21,10 @@ from quad_sysid.contract import MIXER_INVERSE, FloatArray
 from quad_sysid.discover.constants import PER_NONLINEAR
 from quad_sysid.estimate.fit import Fit, Problem
 from quad_sysid.model import recursion
-from quad_sysid.model.effect import Effect, Part, per_unit, required
+from quad_sysid.model.effect import SMALL, Effect, Part, per_unit, required
 from quad_sysid.model.plant import per_coefficient
 from quad_sysid.model.structure import coordinates, natural
 
-STEP = 1e-4
 FAINT = 1e-30
 """Added to every column, rad/s²: what fades further is multiplied a hundred times as slowly."""
 ANSWER_S = 0.5
@@ -203,7 +202,7 @@ class _Beside:
             return effect.columns(own, at, linear, part.settings).T
         if not linear:
             return [self._added(part, p)]
-        return [self._added(part, p + step) / STEP for step in STEP * np.eye(p.size)[linear]]
+        return [self._added(part, p + step) / SMALL for step in SMALL * np.eye(p.size)[linear]]
 
     def _added(self, part: Part, p: FloatArray) -> FloatArray:
         """(n,) what a candidate that acts before the drive changes of its mean in each cycle."""
@@ -251,11 +250,6 @@ def candidates(
     problem: Problem, effects: Sequence[Effect]
 ) -> tuple[list[Part], dict[str, str]]:
     """Candidates that these data can show, and the reasons against the others."""
-    parts, reasons = [], {}
-    for effect in effects:
-        settings = effect.prepare(problem.data)
-        if isinstance(settings, str):
-            reasons[effect.label] = settings
-        else:
-            parts.append(Part(effect, settings))
-    return parts, reasons
+    prepared = [(effect, effect.prepare(problem.data)) for effect in effects]
+    parts = [Part(effect, found) for effect, found in prepared if not isinstance(found, str)]
+    return parts, {effect.label: found for effect, found in prepared if isinstance(found, str)}

@@ -39,11 +39,6 @@ class Scored:
         """Of its effects, sorted."""
         return tuple(sorted(part.effect.name for part in self.fit.structure.parts))
 
-    @property
-    def explanations(self) -> tuple[str, ...]:
-        """Of its effects, sorted: hidden states of one name are unlike, its curves are not."""
-        return tuple(sorted(explanation(part.effect) for part in self.fit.structure.parts))
-
 
 def explanation(effect: Effect) -> str:
     """What an effect says: hidden states of one name are unlike, its curves are not."""
@@ -79,8 +74,7 @@ class Found:
     def probabilities(self) -> FloatArray:
         """Posterior of each fitted structure, given the segments that scored it."""
         scores = np.array([s.score for s in self.all])
-        p = np.exp(scores - scores.max())
-        return p / p.sum()
+        return np.exp(scores - np.logaddexp.reduce(scores))
 
 
 def scored(fitted: Fit, prices: Mapping[str, float]) -> Scored:
@@ -130,21 +124,21 @@ class _Search:
         self.exchanged: set[frozenset[str]] = set()
         self.screens: dict[frozenset[str], list[Score]] = {}
 
-    def build_on(self, parents: Sequence[Scored], refits: int, bar: float) -> list[Scored]:
-        """Fitted structures with one more effect, where the linear score may reach `bar`.
+    def build_on(self, parents: Sequence[Scored], refits: int) -> list[Scored]:
+        """Fitted structures with one more effect, whose linear score may reach the best parent's.
 
         Of each explanation the variant with the best score. parents: best first. Where nothing may
-        reach it beside the best, the others are not scored.
+        reach that beside the best, the others are not scored.
         """
+        least = parents[0].score + HOPELESS
         ahead: dict[frozenset[str], tuple[float, Fit, Score]] = {}
         for parent in parents:
             for one in self.scores(parent.fit):
-                effect = one.part.effect
-                labels = frozenset((*parent.fit.structure.labels, effect.label))
-                likely = frozenset((*parent.fit.structure.labels, explanation(effect)))
+                effect, own = one.part.effect, parent.fit.structure.labels
+                labels, kind = (frozenset((*own, x)) for x in (effect.label, explanation(effect)))
                 score = parent.score + one.nats + self.prices[effect.label]
-                if labels not in self.known and score >= ahead.get(likely, (bar + HOPELESS,))[0]:
-                    ahead[likely] = score, parent.fit, one
+                if labels not in self.known and score >= ahead.get(kind, (least,))[0]:
+                    ahead[kind] = score, parent.fit, one
             if not ahead:
                 break
         hopeful = sorted(ahead.values(), key=lambda one: -one[0])[:refits]
@@ -181,7 +175,7 @@ class _Search:
                 if rest not in self.known and (fit := fit_without(self.problem, one.fit, index)):
                     self.keep(fit)
                 if parent := self.known.get(rest):
-                    self.build_on([parent], EXCHANGES, parent.score)
+                    self.build_on([parent], EXCHANGES)
         return self.best() is not best
 
 
@@ -189,7 +183,8 @@ def leading(fits: Iterable[Scored]) -> list[Scored]:
     """The best of each explanation, best first, BEAM at most: its variants lead the same way."""
     unlike: dict[tuple[str, ...], Scored] = {}
     for one in sorted(fits, key=lambda s: -s.score):
-        unlike.setdefault(one.explanations, one)
+        said = (explanation(part.effect) for part in one.fit.structure.parts)
+        unlike.setdefault(tuple(sorted(said)), one)
     return list(unlike.values())[:BEAM]
 
 
@@ -226,7 +221,7 @@ def _structures(problem: Problem, parts: Sequence[Part], base: Fit) -> _Search:
     beam = [found.best()]
     for _ in range(MOST_EFFECTS):
         top = beam[0].score
-        beam = leading(found.build_on(beam, REFITS, top))
+        beam = leading(found.build_on(beam, REFITS))
         if not beam or beam[0].score <= top:
             break
     for _ in range(MOST_EFFECTS):
