@@ -280,7 +280,7 @@ def test_what_pays_one_step_ahead_only_is_no_effect():
     parts, _ = candidates(problem, [e for e in EFFECTS if e.label == 'cubic_stiffness'])
     idle = extended(problem, base, screen(problem, base, parts)[0])
     loose = replace(base, tail=replace(base.tail, scale=2.0 * base.tail.scale))
-    verdict = judge(data, problem, Found(loose, (Scored(idle, 9.0), Scored(loose, 0.0)), {}, 1))
+    verdict = judge(data, problem, Found(loose, (Scored(idle, 9.0), Scored(loose, 0.0)), {}))
     assert Unseen(data, data.validation).bet(idle, loose) > 1e3
     assert verdict.chosen is loose
 
@@ -300,7 +300,7 @@ def test_an_effect_that_the_shorter_structure_beats_is_dropped_though_both_beat_
     both = fit(problem, fitted.structure, wrong, rate=fitted.rate, most_steps=0)
     unseen = Unseen(data, data.validation)
     assert np.std(unseen.errors(both)) < 0.5 * np.std(unseen.errors(base))
-    found = Found(base, (Scored(both, 9.0), Scored(base, 0.0)), {}, 1)
+    found = Found(base, (Scored(both, 9.0), Scored(base, 0.0)), {})
     assert judge(data, problem, found).chosen.structure.labels == labels[:1]
 
 
@@ -329,11 +329,11 @@ def test_what_a_structure_has_beside_another_is_needless_below_odds_of_20(
     alike = longer, fits(friction, other)
     kept = [Scored(one, v) for one, v in zip(alike, scores[0], strict=False)]
     kept += [Scored(fits(friction), v) for v in scores[1]]
-    found = Found(shorter, tuple(kept), {}, 1)
+    found = Found(shorter, tuple(kept), {})
     monkeypatch.setattr(accept, '_better', lambda *_: False)
-    assert accept._needless(found, None, (longer, []), (shorter, [])) is needless
+    assert accept._needless(found, None, longer, shorter) is needless
     monkeypatch.setattr(accept, '_better', lambda *_: True)
-    assert not accept._needless(found, None, (longer, []), (shorter, []))
+    assert not accept._needless(found, None, longer, shorter)
 
 
 def test_an_effect_counts_that_foresees_the_free_run_though_the_noise_was_taken_for_smaller():
@@ -430,7 +430,7 @@ def test_the_probabilities_of_an_effect_and_its_rivals_sum_to_one(as_named):
     friction, drag = (next(e for e in EFFECTS if e.name == name)
                       for name in ('coulomb_friction', 'quadratic_drag'))
     best = scored(0.0, friction)
-    found = Found(None, (best, scored(-1.0, drag), scored(-2.0)), {}, 0)
+    found = Found(None, (best, scored(-1.0, drag), scored(-2.0)), {})
     (own,), (rivals,) = _posterior(found, best.fit, [as_named])
     assert own + sum(p for _, p in rivals) == pytest.approx(1.0, abs=1e-9)
     assert own == pytest.approx(as_named * found.probabilities()[0], abs=0.005)
@@ -441,7 +441,7 @@ def test_variants_of_one_name_are_one_explanation():
     cubic = next(e for e in EFFECTS if e.name == 'cubic_stiffness')
     first, *others = springs
     alike = scored(-0.3, first), *(scored(-0.4, other) for other in others)
-    found = Found(None, (scored(0.0, cubic), *alike), {}, 0)
+    found = Found(None, (scored(0.0, cubic), *alike), {})
     assert len(springs) > 1
     assert found.best is alike[0].fit
 

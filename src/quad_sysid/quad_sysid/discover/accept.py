@@ -8,10 +8,11 @@ true, the bet's expectation is at most 1, whatever the noise is.
 from __future__ import annotations
 
 import math
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from scipy import stats
@@ -21,15 +22,7 @@ from scipy.special import expit
 from quad_sysid.beside import side_by_side
 from quad_sysid.contract import FloatArray
 from quad_sysid.discover.base import fit_without
-from quad_sysid.discover.constants import (
-    BLOCK_S,
-    DISAGREES,
-    EXPECTED,
-    FLIPS,
-    LEVEL,
-    REFITS,
-    STAKES,
-)
+from quad_sysid.discover.constants import BLOCK_S, DIFFERS, EXPECTED, FLIPS, LEVEL, REFITS, STAKES
 from quad_sysid.discover.search import Found
 from quad_sysid.estimate.fit import Fit, Problem, tail_of
 from quad_sysid.estimate.stored import Stored, noise_of
@@ -59,11 +52,11 @@ def closed(e_values: Sequence[float]) -> list[float]:
 
     Closed testing, since a mean of e-values is one (Vovk, Wang 2021).
     """
-    out = []
-    for i, own in enumerate(e_values):
-        rest = sorted([*e_values[:i], *e_values[i + 1 :]])
-        out.append(float(np.min(np.cumsum([own, *rest]) / np.arange(1, len(e_values) + 1))))
-    return out
+    counts = np.arange(1, len(e_values) + 1)
+    return [
+        float(np.min(np.cumsum([own, *np.sort(np.delete(e_values, i))]) / counts))
+        for i, own in enumerate(e_values)
+    ]
 
 
 def shares_of(speaks_for: FloatArray, against: FloatArray) -> FloatArray:
@@ -123,21 +116,20 @@ class Verdict:
 
 Fitted = Fit | Stored
 """A model that predicts."""
-Tried = tuple[Fit, list[FloatArray]]
-"""A fit, and the errors of its free runs over windows of two lengths."""
 
 
 class Unseen:
     """The validation segments, and the errors of fitted models on them."""
 
     def __init__(self, data: AxisData, spans: Sequence[tuple[int, int]]) -> None:
-        self.problem = Problem(data, tuple(spans), whole=True)
+        self.problem = Problem(data, spans, whole=True)
         self.windows = data.windows(spans)
-        self.short = data.windows(spans, SHORT_S)
+        self.lengths = self.windows, data.windows(spans, SHORT_S)
         self.long = data.windows(spans, HORIZONS_S[-1])
         self.block = self.problem.blocks(BLOCK_S)
         self.begun = self.problem.flight.rate
-        self.known: dict[Fitted, Prediction] = {}
+        self.known: WeakKeyDictionary[Fitted, Prediction] = WeakKeyDictionary()
+        self.ran: dict[tuple[Fitted, int], FloatArray] = {}
 
     def predict(self, fitted: Fitted) -> Prediction:
         """The filter's result along the segments.
@@ -145,23 +137,18 @@ class Unseen:
         The first call measures the size of the innovations, by which the filter follows what
         wanders.
         """
-        if fitted in self.known:
-            return self.known[fitted]
-        flight = self.problem.flight
-        flight.rate = self.begun
-        found = flight.predict(fitted.structure, fitted.theta, sweeps=3)
-        if isinstance(fitted, Fit):  # of stored models many phases are tried, each once
-            self.known[fitted] = found
-        return found
+        if fitted not in self.known:
+            flight = self.problem.flight
+            flight.rate = self.begun
+            self.known[fitted] = flight.predict(fitted.structure, fitted.theta, sweeps=3)
+        return self.known[fitted]
 
     def bet(self, fitted: Fitted, other: Fitted) -> float:
         """E-value of the predictive log-likelihood against another model's, by blocks."""
         gain = self.log_likelihood(fitted) - self.log_likelihood(other)
-        speaks_for, against = (
-            np.bincount(self.block, weights=np.maximum(way * gain, 0.0)).astype(np.float64)
-            for way in (1.0, -1.0)
-        )
-        return bet(speaks_for, against)
+        return bet(*(
+            np.bincount(self.block, np.maximum(one, 0.0)).astype(float) for one in (gain, -gain)
+        ))
 
     def log_likelihood(self, fitted: Fitted) -> FloatArray:
         """(rows,) predictive log-likelihood of each sample, nats."""
@@ -175,21 +162,28 @@ class Unseen:
     def errors(self, fitted: Fitted, windows: Windows | None = None) -> FloatArray:
         """(windows, length) errors of the free run, rad/s."""
         windows = windows or self.windows
-        prediction = self.predict(fitted)
-        with np.errstate(over='ignore', invalid='ignore'):
-            return self.problem.flight.free_run(
-                fitted.structure, fitted.theta, windows, prediction=prediction
-            )
+        run = fitted, windows.length
+        if run not in self.ran:
+            prediction = self.predict(fitted)
+            with np.errstate(over='ignore', invalid='ignore'):
+                self.ran[run] = self.problem.flight.free_run(
+                    fitted.structure, fitted.theta, windows, prediction=prediction
+                )
+        return self.ran[run]
+
+    def squares(self, *models: Fitted) -> list[list[FloatArray]]:
+        """For windows of both lengths (windows,) mean squares of each model's errors."""
+        return [[_squares(self.errors(one, windows)) for one in models]
+                for windows in self.lengths]
 
     def one_step(self, fitted: Fitted) -> float:
         """RMS of the innovations, rad/s."""
-        found = self.predict(fitted)
-        return rms(found.innovation[self.problem.rows])
+        return rms(self.predict(fitted).innovation[self.problem.rows])
 
     def holding(self, windows: Windows) -> FloatArray:
         """(windows, length) errors of holding the last rate, rad/s."""
         rate = self.problem.data.rate
-        index = windows.starts[:, None] + np.arange(windows.length)[None, :]
+        index = windows.starts[:, None] + np.arange(windows.length)
         return rate[windows.starts - 1][:, None] - rate[index]
 
 
@@ -209,36 +203,16 @@ def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
     }
     trained, found = found.best, weighed(unseen, found)
     base, chain = found.base, list(_shortened(problem, found.best, known))
-    # where gusts rule the windows of the verdict, short ones may tell
-    lengths = unseen.windows, unseen.short
-    at_base, *tried = (
-        (fitted, [unseen.errors(fitted, windows) for windows in lengths])
-        for fitted in (base, *chain)
-    )
     # another choice than the training's counts once for each of those it was chosen from
     count = 1 if found.best is trained else REFITS
-    wealth = [e / count for e in closed([_evidence(unseen, at_base, one) for one in tried])]
-    best, e_value = at_base, wealth[0] if wealth else 1.0
-    largest: Tried | None = None
-    for i, (one, e) in enumerate(zip(tried, wealth, strict=True)):
-        shorter = tried[i + 1 :]
-        stands = _confirmed(at_base, one, e) and not any(
-            _better(unseen, other, one) for other in shorter
-        )
-        if stands:
-            best, e_value, largest = one, e, largest or one
-        if largest and not (
-            stands and shorter and _needless(found, unseen, largest, shorter[0])
-        ):
-            break
+    best, e_value = _claimed(unseen, found, chain, count)
     told = _commands_tell(problem, unseen, best)
-    chosen, errors = best if told else at_base
-    before, after = rms(at_base[1][0]), rms(errors[0])
-    parts = chosen.structure.parts
-    without: tuple[float, ...] = (before,)
-    if len(parts) != 1:
-        rest = _each_left_out(problem, chosen, known)
-        without = tuple(math.inf if one is None else rms(unseen.errors(one)) for one in rest)
+    chosen = best if told else base
+    parts, after = chosen.structure.parts, rms(unseen.errors(chosen))
+    without = tuple(
+        math.inf if one is None else rms(unseen.errors(one))
+        for one in _each_left_out(problem, chosen, known)
+    )
     noise, spread = noise_of(chosen), growth(chosen.prediction.filter, unseen.windows.length)
     hold = rms(unseen.holding(unseen.windows))
     verdict, reason = 'cannot_tell', (
@@ -247,10 +221,11 @@ def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
     if told:
         verdict, reason = ('effects_added', unexplained(unseen, chosen)) if parts \
             else _empty(found, unseen, e_value)
-    as_named = listed(parts, without[: len(parts)], after, 0.5 * hold)
+    as_named = listed(parts, without, after, 0.5 * hold)
     probabilities, rivals = _posterior(found, chosen, as_named)
     return Verdict(
-        verdict=verdict, reason=reason, chosen=chosen, e_value=e_value, before=before, after=after,
+        verdict=verdict, reason=reason, chosen=chosen, e_value=e_value,
+        before=rms(unseen.errors(base)), after=after,
         one_step_before=unseen.one_step(base), one_step_after=unseen.one_step(chosen),
         hold=hold, predicted=noise.gyro_rms * math.sqrt(float(np.mean(spread))),
         noise_floor=noise.measured_rms, horizons=horizons(unseen, base, chosen), without=without,
@@ -273,40 +248,72 @@ def weighed(unseen: Unseen, found: Found) -> Found:
         return found
     innovations = side_by_side([partial(unseen.innovations, one.fit) for one in kept])
     blocks = np.array([np.bincount(unseen.block, tail_of(e).log_density(e)) for e in innovations])
-    ratios = blocks - next(b for b, one in zip(blocks, kept, strict=True) if one.fit is best)
-    total = np.sum(ratios, axis=1)
-    rival = max((i for i, one in enumerate(kept) if one.fit is not best), key=lambda i: total[i])
-    varies = 0.5 * float(np.sum(np.diff(ratios[rival]) ** 2))  # beside what excitation does
-    share = min(1.0, 2.0 * abs(float(total[rival])) / varies) if varies > 0.0 else 1.0
-    said = {id(one): share * float(more) for one, more in zip(kept, total, strict=True)}
-    scored = [replace(one, score=one.score + said.get(id(one), 0.0)) for one in found.all]
+    own = [one.fit for one in kept].index(best)
+    ratios = blocks - blocks[own]
+    rival = max(np.delete(ratios, own, axis=0), key=np.sum)
+    varies = 0.5 * float(np.sum(np.diff(rival) ** 2))  # beside what excitation does
+    share = min(1.0, 2.0 * abs(float(np.sum(rival))) / varies) if varies > 0.0 else 1.0
+    said = dict(zip(kept, share * np.sum(ratios, axis=1), strict=True))
+    scored = [replace(one, score=one.score + float(said.get(one, 0.0))) for one in found.all]
     return replace(found, all=tuple(sorted(scored, key=lambda one: -one.score)))
 
 
-def _evidence(unseen: Unseen, before: Tried, after: Tried) -> float:
+def _claimed(unseen: Unseen, found: Found, chain: Sequence[Fit], count: int) -> tuple[Fit, float]:
+    """Which structure of a chain (_shortened) is claimed, and its e-value; else the base.
+
+    The largest counts that the validation confirms against the base, and against which it confirms
+    no shorter one: what does not transfer is dropped. So is what the training misses least where
+    the odds for it, all variants of its name together, are below 1 / LEVEL and the validation does
+    not confirm it, as long as the structure without it counts in the same way.
+    count: how many structures the first of the chain was chosen from.
+    """
+    base = found.base
+    e_values = [e / count for e in closed([_evidence(unseen, base, one) for one in chain])]
+    stands = [
+        e * LEVEL >= 1.0 and _falls(unseen, base, one)
+        and not any(_better(unseen, shorter, one) for shorter in chain[i + 1 :])
+        for i, (one, e) in enumerate(zip(chain, e_values, strict=True))
+    ]
+    if not any(stands):
+        return base, e_values[0] if chain else 1.0
+    largest = last = stands.index(True)
+    for i in range(largest + 1, len(chain)):
+        if not (stands[i] and _needless(found, unseen, chain[largest], chain[i])):
+            break
+        last = i
+    return chain[last], e_values[last]
+
+
+def _evidence(unseen: Unseen, before: Fit, after: Fit) -> float:
     """E-value of 'the second predicts nothing better than the first'.
 
-    The stakes are on the next sample and on free runs of both lengths; a mean of e-values is one.
+    The stakes are on the next sample and on free runs of both lengths: where gusts rule the
+    windows of the verdict, short ones may tell. A mean of e-values is one.
     """
-    return float(np.mean([unseen.bet(after[0], before[0]), *(
-        bet(_squares(b), _squares(e)) for b, e in zip(before[1], after[1], strict=True)
-    )]))
+    runs = (bet(*squares) for squares in unseen.squares(before, after))
+    return float(np.mean([unseen.bet(after, before), *runs]))
 
 
-def _confirmed(before: Tried, after: Tried, e_value: float) -> bool:
-    """Whether the second predicts better than the first: the next sample, and free runs."""
-    falls = rms(after[1][0]) < rms(before[1][0]) and any(map(_falls, before[1], after[1]))
-    return falls and e_value * LEVEL >= 1.0
+def _falls(unseen: Unseen, before: Fit, after: Fit) -> bool:
+    """Whether the errors of free runs fall: their RMS, and by a paired t-test of the windows.
+
+    Noise of another colour than the model's may pay one step ahead, but not in a free run. The
+    test is made for windows of two lengths, each at half of the level.
+    """
+    return rms(unseen.errors(after)) < rms(unseen.errors(before)) and any(
+        stats.ttest_1samp(shares_of(*squares), 0.0, alternative='greater').pvalue <= 0.5 * LEVEL
+        for squares in unseen.squares(before, after)
+    )
 
 
-def _better(unseen: Unseen, one: Tried, other: Tried) -> bool:
+def _better(unseen: Unseen, one: Fit, other: Fit) -> bool:
     """Whether the validation confirms the first against the second."""
-    return _confirmed(other, one, _evidence(unseen, other, one))
+    return _evidence(unseen, other, one) * LEVEL >= 1.0 and _falls(unseen, other, one)
 
 
-def _needless(found: Found, unseen: Unseen, one: Tried, shorter: Tried) -> bool:
+def _needless(found: Found, unseen: Unseen, one: Fit, shorter: Fit) -> bool:
     """Whether neither the odds nor the validation claim what a structure has beside another."""
-    odds = found.weight(one[0]) - found.weight(shorter[0])
+    odds = found.weight(one) - found.weight(shorter)
     return odds < -math.log(LEVEL) and not _better(unseen, one, shorter)
 
 
@@ -315,11 +322,7 @@ def _shortened(
 ) -> Iterator[Fit]:
     """The most probable structure, then one by one without the effect that training misses least.
 
-    The largest counts that the validation confirms against the base, and against which it confirms
-    no shorter one: what does not transfer is dropped. So is what the training misses least where
-    the odds for it, all variants of its name together, are below 1 / LEVEL and the validation does
-    not confirm it, as long as the structure without it counts in the same way. known: as in
-    _each_left_out.
+    known: as in _each_left_out.
     """
     fitted: Fit | None = best
     while fitted is not None and fitted.structure.parts:
@@ -344,25 +347,12 @@ def _each_left_out(
     return out
 
 
-def _falls(before: FloatArray, after: FloatArray) -> bool:
-    """Whether errors (windows, length) are smaller than others, by a paired t-test of the windows.
-
-    Noise of another colour than the model's may pay one step ahead, but not in a free run. It is
-    asked for windows of two lengths, each at half of the level.
-    """
-    share = shares_of(_squares(before), _squares(after))
-    p = stats.ttest_1samp(share, 0.0, alternative='greater').pvalue
-    return bool(p <= 0.5 * LEVEL)
-
-
 def horizons(unseen: Unseen, base: Fitted, chosen: Fitted) -> tuple[Horizon, ...]:
     """Errors of holding the rate, of the base and of the chosen model, by horizon."""
     windows, dt = unseen.long, unseen.problem.data.dt
     if not windows.count:
         return ()
-    errors = [
-        unseen.holding(windows), unseen.errors(base, windows), unseen.errors(chosen, windows),
-    ]
+    errors = unseen.holding(windows), *(unseen.errors(f, windows) for f in (base, chosen))
     return tuple(
         Horizon(horizon, *(rms(e[:, at_horizon(horizon, dt)]) for e in errors))
         for horizon in HORIZONS_S
@@ -374,28 +364,25 @@ def at_horizon(horizon_s: float, dt: float) -> int:
     return max(round(horizon_s / dt), 1) - 1
 
 
-def _commands_tell(problem: Problem, unseen: Unseen, tried: Tried) -> bool:
+def _commands_tell(problem: Problem, unseen: Unseen, fitted: Fit) -> bool:
     """Whether a model's commands predict beyond chance, and clearly at some horizon.
 
     Its error must be below that without commands and that of holding the rate. A feedback's
     commands contain past rates and angles, which predict a little even while the motors stand.
     """
-    fitted, (with_commands, _) = tried
     by_command = (  # these may move by it without a gain
         i for i, part in enumerate(fitted.structure.parts) if 'command' in part.effect.signals
     )
     uncommanded = fit_without(problem, fitted, *by_command, still=(0, 1, 2))
-    held = unseen.holding(unseen.windows)
+    own, held = unseen.errors(fitted), unseen.holding(unseen.windows)
     without, evidence, clearly = held, [], False
     if uncommanded is not None:
-        without = unseen.errors(uncommanded)
-        evidence = [unseen.bet(fitted, uncommanded)]
+        without, evidence = unseen.errors(uncommanded), [unseen.bet(fitted, uncommanded)]
     for horizon in HORIZONS_S:
         k = at_horizon(horizon, unseen.problem.data.dt)
         if k < unseen.windows.length:
-            evidence.append(bet(without[:, k] ** 2, with_commands[:, k] ** 2))
-            rival = min(rms(without[:, k]), rms(held[:, k]))
-            clearly |= DISAGREES * rms(with_commands[:, k]) < rival
+            evidence.append(bet(without[:, k] ** 2, own[:, k] ** 2))
+            clearly |= DIFFERS * rms(own[:, k]) < min(rms(without[:, k]), rms(held[:, k]))
     return clearly and float(np.mean(evidence)) * LEVEL >= 1.0  # a mean of e-values is one
 
 
@@ -411,8 +398,7 @@ def _empty(found: Found, unseen: Unseen, e_value: float) -> tuple[str, str]:
             'the free run: the noise may have another colour than the model gives it, or the '
             'structure may hold for the training only'
         )
-    if float(sum(p for p, s in zip(found.probabilities(), found.all, strict=True)
-                 if s.fit is base)) < LEVEL:
+    if found.probabilities()[[s.fit is base for s in found.all]].sum() < LEVEL:
         return 'unexplained_residual', (
             'the data contradict the base alone, but support no structure that was tried clearly '
             'enough to claim it'
@@ -426,21 +412,19 @@ def unexplained(unseen: Unseen, fitted: Fit) -> str:
     Under the noise model the sign of an innovation says nothing about the next, whatever their
     sizes: gusts may have lulls and bursts. The errors are therefore compared with those that the
     same innovations cause, through the filter's gain, with random signs. An error counts if it
-    exceeds all of FLIPS such draws and, by the factor DISAGREES, their median.
+    exceeds all of FLIPS such draws and, by the factor DIFFERS, their median.
     """
     windows = unseen.windows
     if windows.count < 2:
         return ''
     found = fitted.prediction.filter
-    response = np.ones(windows.length)
-    state = found.transition @ found.gain
+    state, response = found.gain, np.ones(windows.length)
     for k in range(1, windows.length):
-        response[k] = found.output @ state
         state = found.transition @ state
-    through = toeplitz(response, np.zeros(windows.length)).T
-    predicted = unseen.predict(fitted)
+        response[k] = found.output @ state
+    through = np.triu(toeplitz(response))
     at = windows.starts[:, None] + np.arange(windows.length)
-    innovations = np.nan_to_num(predicted.innovation[at])
+    innovations = np.nan_to_num(unseen.predict(fitted).innovation[at])
     rng = np.random.default_rng(0)
     drawn = np.array([
         _size_and_spread((innovations * rng.choice((-1.0, 1.0), innovations.shape)) @ through)
@@ -450,9 +434,9 @@ def unexplained(unseen: Unseen, fitted: Fit) -> str:
     own = _size_and_spread(innovations @ through if derived else unseen.errors(fitted))
     ratio = own / np.median(drawn, axis=0)
     size, spread = np.where(own > drawn.max(axis=0), ratio, 1.0)
-    if size > DISAGREES:
+    if size > DIFFERS:
         return f'the held-out error is {size:.2f} times what noise of that size would cause'
-    if spread > DISAGREES:
+    if spread > DIFFERS:
         return f'the held-out errors come in bursts, {spread:.2f} times as uneven as from noise'
     return ''
 
@@ -481,19 +465,15 @@ def listed(
     is then no larger than they are; one of its own is as probable as any (EXPECTED), and of the
     usual size. All in rad/s; without: errors without each.
     """
-    squares = [min(max(one**2 - after**2, 0.0), HUGE) for one in without]
-    unnamed = [i for i, part in enumerate(parts) if part.effect.kind != 'named']
-    described = sum(squares[i] for i in unnamed)
-    of_the_list = len(unnamed) == 1 and not parts[unnamed[0]].effect.free
+    squares = np.clip(np.square(without) - after**2, 0.0, HUGE)
+    named = np.array([part.effect.kind == 'named' for part in parts], dtype=bool)
+    described = float(np.sum(squares[~named]))
+    of_the_list = np.sum(~named) == 1 and not any(part.effect.free for part in parts)
     if of_the_list or not described > 0.0:
-        return [1.0] * len(squares)
+        return [1.0] * len(parts)
     ratio = described / usual**2  # of the variances of two normal distributions
-    return [
-        float(expit(
-            math.log(EXPECTED) + 0.5 * math.log(ratio) + 0.5 * (1.0 - ratio) * square / described
-        )) if part.effect.kind == 'named' else 1.0
-        for square, part in zip(squares, parts, strict=True)
-    ]
+    odds = math.log(EXPECTED) + 0.5 * math.log(ratio) + 0.5 * (1.0 - ratio) * squares / described
+    return [float(p) for p in np.where(named, expit(odds), 1.0)]
 
 
 def _posterior(
@@ -503,27 +483,27 @@ def _posterior(
 
     as_named: if it is the most probable one, that it is what its name says.
     """
-    p = found.probabilities()
     probabilities, rivals = [], []
-    own = [part.effect.name for part in chosen.structure.parts]
-    dropped = Counter(part.effect.name for part in found.best.structure.parts) - Counter(own)
-    for i, name in enumerate(own):
-        rest = own[:i] + own[i + 1 :]
-        share: dict[str, float] = {}
-        for scored, weight in zip(found.all, p, strict=True):
+    own = Counter(part.effect.name for part in chosen.structure.parts)
+    dropped = Counter(part.effect.name for part in found.best.structure.parts) - own
+    for part, listed_as in zip(chosen.structure.parts, as_named, strict=True):
+        name = part.effect.name
+        rest = own - Counter([name])
+        share: defaultdict[str, float] = defaultdict(float)
+        for scored, p in zip(found.all, found.probabilities(), strict=True):
             left = Counter(scored.names) - dropped
-            if left >= Counter(rest):
-                others = set(left - Counter(rest)) or {'nothing'}
+            if left >= rest:
+                others = set(left - rest) or {'nothing'}
                 for one in others:
-                    share[one] = share.get(one, 0.0) + float(weight) / len(others)
+                    share[one] += float(p) / len(others)
         least = LEAST_REPORTED * sum(share.values())
-        share = {one: v for one, v in share.items() if one == name or v > least}
-        total, full = sum(share.values()) or 1.0, share.pop(name, 0.0)
-        doubt = (1.0 - as_named[i]) * full
+        kept = {one: v for one, v in share.items() if one == name or v > least}
+        total, full = sum(kept.values()) or 1.0, kept.pop(name, 0.0)
+        doubt = (1.0 - listed_as) * full
         if doubt > least:
-            share[UNLISTED] = doubt
-        probabilities.append((full - share.get(UNLISTED, 0.0)) / total)
+            kept[UNLISTED] = doubt
+        probabilities.append((full - kept.get(UNLISTED, 0.0)) / total)
         rivals.append(tuple(sorted(
-            ((one, v / total) for one, v in share.items()), key=lambda item: -item[1]
+            ((one, v / total) for one, v in kept.items()), key=lambda item: -item[1]
         )))
     return tuple(probabilities), tuple(rivals)

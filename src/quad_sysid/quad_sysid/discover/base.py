@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -40,20 +41,17 @@ def best_base(problem: Problem) -> Fit:
         begun.append(partial(tried, start, most_steps=BEGUN_STEPS, rate=rate))
     leading = sorted((f for f in side_by_side(begun) if f), key=lambda f: -f.log_posterior)
     ended = side_by_side([partial(tried, f.theta, rate=f.rate) for f in leading[:LEADING]])
-    fits = [f for f in ended if f is not None]
-    if not fits:
+    base = most_probable(ended)
+    if base is None:
         raise FloatingPointError('no start of the base holds')
-    base = _beside(problem, max(fits, key=lambda f: f.log_posterior))
+    base = _beside(problem, base)
     if problem.flight.sensor.noisy:
         averaged = replace(base.structure, averaged=True)
         base = _likelier(base, fitted_from(problem, averaged, base.theta, rate=base.rate))
-    for _ in range(MOST_LINES):
-        frequency = vibration_line(problem, base)
-        if frequency is None:
-            break
+    while base.structure.lines < MOST_LINES and (hz := vibration_line(problem, base)) is not None:
         shaken = _likelier(base, fitted_from(
             problem, replace(base.structure, lines=base.structure.lines + 1),
-            np.r_[base.theta, 0.0, math.log(frequency), math.log(0.1)], rate=base.rate,
+            np.r_[base.theta, 0.0, math.log(hz), math.log(0.1)], rate=base.rate,
         ))
         if shaken is base:
             break
@@ -66,22 +64,25 @@ def _beside(problem: Problem, base: Fit) -> Fit:
 
     Commands are held over a cycle, so that there may be a maximum near each whole one.
     """
-    best = base
+    fits: list[Fit | None] = [base]
     for delay in (base.value('delay') - problem.data.dt, base.value('delay') + problem.data.dt):
         if delay > 0.0:
             start = base.theta.copy()
             start[2] = math.log(delay)
-            other = fitted_from(problem, base.structure, start, rate=base.rate)
-            if other is not None and other.log_posterior > best.log_posterior:
-                best = other
-    return best
+            fits.append(fitted_from(problem, base.structure, start, rate=base.rate))
+    return most_probable(fits) or base
+
+
+def most_probable(fits: Iterable[Fit | None]) -> Fit | None:
+    """That with the largest posterior density of those of one structure that did not diverge."""
+    return max((f for f in fits if f is not None), key=lambda f: f.log_posterior, default=None)
 
 
 def _likelier(base: Fit, other: Fit | None) -> Fit:
     """The base, or the one with more in its noise if the evidence is for that."""
-    if other is None or other.evidence + math.log(EXPECTED) <= base.evidence:
-        return base
-    return other
+    if other is not None and other.evidence + math.log(EXPECTED) > base.evidence:
+        return other
+    return base
 
 
 def fitted_from(
@@ -119,4 +120,4 @@ def shares(problem: Problem, fitted: Fit, base: Fit, which: int) -> bool:
     structure = replace(fitted.structure, shared=(which,))
     theta = np.insert(fitted.theta, -structure.filtered, 0.0)
     beside = fitted_from(problem, structure, theta, rate=fitted.rate)
-    return beside is not None and beside.evidence + math.log(EXPECTED) > fitted.evidence
+    return _likelier(fitted, beside) is beside

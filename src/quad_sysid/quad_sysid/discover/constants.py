@@ -35,7 +35,7 @@ BLOCK_S = 0.5
 """Length of the blocks in which predictive log-likelihoods are compared: that of the windows."""
 STAKES = (0.1, 0.3, 0.5, 0.9)
 """Shares of the capital that are bet on each block, small to bold; the mean of the bets counts."""
-DISAGREES = 1.1
+DIFFERS = 1.1
 """Factor by which two errors must differ to count: from what noise causes (contract), and from
 the prediction without commands."""
 FLIPS = 200

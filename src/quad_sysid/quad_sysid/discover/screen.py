@@ -6,9 +6,8 @@ explain of the innovations beyond these, under their prior. It only chooses what
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 
@@ -22,17 +21,12 @@ from quad_sysid.contract import MIXER_INVERSE, FloatArray
 from quad_sysid.discover.constants import PER_NONLINEAR
 from quad_sysid.estimate.fit import Fit, Problem
 from quad_sysid.model import recursion
-from quad_sysid.model.effect import Effect, Part, per_unit, required
+from quad_sysid.model.effect import SMALL, Effect, Part, per_unit, required
 from quad_sysid.model.plant import per_coefficient
 from quad_sysid.model.structure import coordinates, natural
 
-STEP = 1e-4
-BATCH = 32
-"""Columns that are filtered at once."""
 FAINT = 1e-30
 """Added to every column, rad/s²: what fades further is multiplied a hundred times as slowly."""
-SHARES = 4
-"""Into how many shares the candidates are divided, for as many cores at most."""
 ANSWER_S = 0.5
 """Innovations answer to a pulse for no longer."""
 LINES = 4
@@ -53,19 +47,6 @@ class Score:
     starts: tuple[FloatArray, ...]
     """Start values of its parameters, each (q,) in the coordinates of the fit."""
     nats: float
-
-
-@dataclass(frozen=True)
-class _Block:
-    """One candidate from one start."""
-
-    part: Part
-    p: FloatArray
-    """(q,) coordinates, the linear parameters at zero."""
-    linear: list[int]
-    columns: Sequence[FloatArray]
-    """Each (n,): mean acceleration of each cycle per unit of a linear parameter, rad/s²; without
-    a linear parameter the acceleration at `p`."""
 
 
 def _spectrum(problem: Problem, signal: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -97,8 +78,8 @@ def vibration_line(problem: Problem, fitted: Fit) -> float | None:
 def screen(problem: Problem, fitted: Fit, parts: Sequence[Part]) -> list[Score]:
     """The best start and score of each candidate, best first."""
     beside = _Beside(problem, fitted)
-    found = side_by_side([partial(beside.best, parts[i::SHARES]) for i in range(SHARES)])
-    return sorted(itertools.chain(*found), key=lambda s: -s.nats)
+    found = side_by_side([partial(beside.best, part) for part in parts])
+    return sorted((score for score in found if score is not None), key=lambda s: -s.nats)
 
 
 class _Beside:
@@ -114,7 +95,6 @@ class _Beside:
         self.values = structure.natural(fitted.theta)
         halves, states = flight.driven(structure, self.values)
         self.signals = flight.signals(self.values, halves, states, fitted.rate)
-        self.plain = self.values[0] * 0.5 * (halves[0] + halves[1])
         self.slope = flight.pushed(structure, self.values, fitted.rate).slope
         e = self.innovation = np.nan_to_num(fitted.prediction.innovation)
         self.weight = np.zeros((e.size, 1))  # of samples that do not count
@@ -126,33 +106,34 @@ class _Beside:
         weighted = e * self.weight[:, 0]
         self.left = weighted - self.q @ (self.q.T @ weighted)
 
-    def best(self, parts: Sequence[Part]) -> list[Score]:
-        """The best start and score of each candidate."""
-        best: dict[str, Score] = {}
-        for batch in self.batches(parts):
-            for score in self.scores(batch):
-                label = score.part.effect.label
-                if label not in best or score.nats > best[label].nats:
-                    best[label] = score
-        return list(best.values())
+    def best(self, part: Part) -> Score | None:
+        """The best start and score of a candidate; None where none is physical."""
+        linear = [
+            j for j, spec in enumerate(part.effect.parameters)
+            if not spec.log and not spec.starts and spec.centre == 0.0
+        ]
+        starts = self.starts(part)
+        if not starts:
+            return None
+        inputs = np.vstack([self.columns(part, linear, p) for p in starts]) + FAINT
+        found = self.problem.flight.responses(
+            np.ascontiguousarray(inputs.T), self.slope, self.fitted.prediction.filter
+        )
+        scores = [
+            self.score(part, linear, p, psi)
+            for p, psi in zip(starts, np.split(found, len(starts), axis=1), strict=True)
+        ]
+        return max((s for s in scores if s is not None), key=lambda s: s.nats, default=None)
 
-    def batches(self, parts: Sequence[Part]) -> Iterator[list[_Block]]:
-        """All candidates from all starts in batches that fit the cache."""
-        batch: list[_Block] = []
-        for part in parts:
-            starts = part.effect.starts(self.problem.data, part.settings)
-            if part.effect.phased:
-                starts = [np.r_[line, start[1:]]
-                          for line in self.lines(part.effect) for start in starts]
-            if part.effect.stepped:
-                starts = [np.r_[step, start[2:]] for step in self.steps() for start in starts]
-            for start in starts:
-                batch.append(self._block(part, start))
-                if sum(len(block.columns) for block in batch) >= BATCH:
-                    yield batch
-                    batch = []
-        if batch:
-            yield batch
+    def starts(self, part: Part) -> list[FloatArray]:
+        """Start values of a candidate, each (q,) coordinates, the linear parameters at zero."""
+        effect = part.effect
+        starts = effect.starts(self.problem.data, part.settings)
+        if effect.phased:
+            starts = [np.r_[line, start[1:]] for line in self.lines(effect) for start in starts]
+        if effect.stepped:
+            starts = [np.r_[step, start[2:]] for step in self.steps() for start in starts]
+        return [coordinates(effect.parameters, start) for start in starts]
 
     def lines(self, effect: Effect) -> list[float]:
         """Frequencies (Hz) at which a term swings, by the correlation with what it would cause."""
@@ -208,88 +189,67 @@ class _Beside:
         keep = math.exp(-self.problem.data.dt / self.values[1])
         return lfilter([1.0 - keep], [1.0, -keep], self.backwards[::-1])[::-1]
 
-    def _block(self, part: Part, start: FloatArray) -> _Block:
-        effect, p = part.effect, coordinates(part.effect.parameters, start)
-        if effect.wanders:
-            return _Block(part, p, [], [per_coefficient(part, self.signals, start)])
-        linear = [
-            j for j, spec in enumerate(effect.parameters)
-            if not spec.log and not spec.starts and spec.centre == 0.0
-        ]
-        if not effect.moves_command:
-            at = natural(effect.parameters, p)
-            own = self.problem.flight.hidden(part, self.signals, at)
-            return _Block(part, p, linear, effect.columns(own, at, linear, part.settings).T)
-        if not linear:
-            return _Block(part, p, linear, [self._driven(part, p) - self.plain])
-        steps = STEP * np.eye(p.size)[linear]
-        columns = [(self._driven(part, p + step) - self.plain) / STEP for step in steps]
-        return _Block(part, p, linear, columns)
+    def columns(self, part: Part, linear: list[int], p: FloatArray) -> Sequence[FloatArray]:
+        """Mean acceleration of each cycle per unit of each linear parameter, (n,) each, rad/s².
 
-    def _driven(self, part: Part, p: FloatArray) -> FloatArray:
-        """(n,) mean drive of each cycle with a candidate that acts before it."""
+        Without a linear parameter the acceleration at `p`.
+        """
+        effect, at = part.effect, natural(part.effect.parameters, p)
+        if effect.wanders:
+            return [per_coefficient(part, self.signals, at)]
+        if not effect.moves_command:
+            own = self.problem.flight.hidden(part, self.signals, at)
+            return effect.columns(own, at, linear, part.settings).T
+        if not linear:
+            return [self._added(part, p)]
+        return [self._added(part, p + step) / SMALL for step in SMALL * np.eye(p.size)[linear]]
+
+    def _added(self, part: Part, p: FloatArray) -> FloatArray:
+        """(n,) what a candidate that acts before the drive changes of its mean in each cycle."""
         structure = self.fitted.structure.plus(part)
         whole = np.insert(self.fitted.theta, -len(structure.noise), p)
-        own = self.problem.flight.driven(structure, structure.natural(whole))[0]
-        return self.values[0] * 0.5 * (own[0] + own[1])
+        halves, _ = self.problem.flight.driven(structure, structure.natural(whole))
+        return self.values[0] * np.mean(halves, axis=0) - self.signals.drive
 
-    def scores(self, batch: Sequence[_Block]) -> Iterator[Score]:
-        """Gain of each linear step, where physics allows its sign."""
-        flight, found = self.problem.flight, self.fitted.prediction.filter
-        inputs = np.array([column for block in batch for column in block.columns]) + FAINT
-        out = flight.responses(np.ascontiguousarray(inputs.T), self.slope, found)
-        ends = np.cumsum([len(block.columns) for block in batch])
-        for block, end in zip(batch, ends, strict=True):
-            if block.part.effect.wanders:
-                out[:, end - 1] = self._followed(block, out[:, end - 1])
-        out *= self.weight
+    def score(
+        self, part: Part, linear: list[int], p: FloatArray, psi: FloatArray
+    ) -> Score | None:
+        """What a linear step gains from one start; None where its sign is not physical.
+
+        psi (n, max(len(linear), 1)): change of the innovations by each column.
+        """
+        effect = part.effect
+        out = self.weight * (self._followed(p, psi) if effect.wanders else psi)
         inside = self.q.T @ out  # what the fit's own parameters can do as well
-        gram, gradient = out.T @ out - inside.T @ inside, -(out.T @ self.left)
-        for block, end in zip(batch, ends, strict=True):
-            where = slice(end - len(block.columns), end)
-            score = self._score(block, gram[where, where], gradient[where])
-            if score is not None:
-                yield score
-
-    def _followed(self, block: _Block, psi: FloatArray) -> FloatArray:
-        """(n,) change of the innovations if a coefficient follows them."""
-        flight, e = self.problem.flight, self.innovation
-        pursuit, out = flight.pursuit(psi, block.p), e.copy()
-        for start, stop in flight.passes:
-            recursion.pursued(e, psi, pursuit, start, stop, out)
-        return out - e
-
-    def _score(self, block: _Block, gram: FloatArray, b: FloatArray) -> Score | None:
-        part, parameters = block.part, block.part.effect.parameters
-        nats = -PER_NONLINEAR * (len(parameters) - len(block.linear))
-        if not block.linear:  # what it does from this start, as it is
-            return Score(part, (block.p,), nats + float(b[0] - 0.5 * gram[0, 0]))
-        precision = part.effect.precision(part.settings, self.problem.sizes_of(part))
-        precision = precision[np.ix_(block.linear, block.linear)]
+        gram, b = out.T @ out - inside.T @ inside, -(out.T @ self.left)
+        nats = -PER_NONLINEAR * (p.size - len(linear))
+        if not linear:  # what it does from this start, as it is
+            return Score(part, (p,), nats + float(b[0] - 0.5 * gram[0, 0]))
+        precision = effect.precision(part.settings, self.problem.sizes_of(part))
+        precision = precision[np.ix_(linear, linear)]
         factor = cho_factor(gram + precision)
         x = cho_solve(factor, b)
         logdet = 2.0 * float(np.sum(np.log(np.diag(factor[0]))))
         nats += 0.5 * float(b @ x) - 0.5 * (logdet - float(np.linalg.slogdet(precision)[1]))
-        if any(parameters[j].positive and v < 0.0 for j, v in zip(block.linear, x, strict=True)):
+        if any(effect.parameters[j].positive and v < 0.0 for j, v in zip(linear, x, strict=True)):
             return None
-        start = block.p.copy()
-        start[block.linear] = x
-        if len(block.linear) == start.size:
-            return Score(part, (start,), nats)
-        gentle = start.copy()  # a linear step may overshoot what is not linear
-        gentle[block.linear] *= 0.3
-        return Score(part, (start, gentle), nats)
+        start, gentle = p.copy(), p.copy()  # a linear step may overshoot what is not linear
+        start[linear], gentle[linear] = x, 0.3 * x
+        return Score(part, (start,) if len(linear) == p.size else (start, gentle), nats)
+
+    def _followed(self, p: FloatArray, psi: FloatArray) -> FloatArray:
+        """(n, 1) change of the innovations if a coefficient follows them."""
+        flight, e, psi = self.problem.flight, self.innovation, psi[:, 0]
+        pursuit, out = flight.pursuit(psi, p), e.copy()
+        for start, stop in flight.passes:
+            recursion.pursued(e, psi, pursuit, start, stop, out)
+        return (out - e)[:, None]
 
 
 def candidates(
     problem: Problem, effects: Sequence[Effect]
 ) -> tuple[list[Part], dict[str, str]]:
     """Candidates that these data can show, and the reasons against the others."""
-    parts, reasons = [], {}
-    for effect in effects:
-        settings = effect.prepare(problem.data)
-        if isinstance(settings, str):
-            reasons[effect.label] = settings
-        else:
-            parts.append(Part(effect, settings))
-    return parts, reasons
+    prepared = [(effect, effect.prepare(problem.data)) for effect in effects]
+    parts = [Part(effect, found) for effect, found in prepared if not isinstance(found, str)]
+    return parts, {effect.label: found for effect, found in prepared if isinstance(found, str)}

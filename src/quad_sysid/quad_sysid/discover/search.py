@@ -6,21 +6,14 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 
 from quad_sysid.beside import side_by_side
 from quad_sysid.contract import FloatArray
-from quad_sysid.discover.base import best_base, fit_without, fitted_from, shares
-from quad_sysid.discover.constants import (
-    BEAM,
-    EXCHANGES,
-    EXPECTED,
-    HOPELESS,
-    MOST_EFFECTS,
-    REFITS,
-)
+from quad_sysid.discover.base import best_base, fit_without, fitted_from, most_probable, shares
+from quad_sysid.discover.constants import BEAM, EXCHANGES, EXPECTED, HOPELESS, MOST_EFFECTS, REFITS
 from quad_sysid.discover.screen import Score, candidates, screen
 from quad_sysid.estimate.fit import Fit, Problem
 from quad_sysid.model.effect import Effect, Part, required
@@ -41,15 +34,10 @@ class Scored:
     fit: Fit
     score: float
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Of its effects, sorted."""
         return tuple(sorted(part.effect.name for part in self.fit.structure.parts))
-
-    @property
-    def explanations(self) -> tuple[str, ...]:
-        """Of its effects, sorted: hidden states of one name are unlike, its curves are not."""
-        return tuple(sorted(explanation(part.effect) for part in self.fit.structure.parts))
 
 
 def explanation(effect: Effect) -> str:
@@ -64,30 +52,29 @@ class Found:
     base: Fit
     all: tuple[Scored, ...]
     reasons: dict[str, str]
-    scored: int
+    """Why effects were not tried, by their labels."""
     prices: Mapping[str, float] = field(default_factory=dict)
     """Log prior of each effect, by its label."""
 
     @property
     def best(self) -> Fit:
         """The most probable variant of the most probable set of names."""
-        shares: dict[tuple[str, ...], float] = {}
-        for one, p in zip(self.all, self.probabilities(), strict=True):
-            shares[one.names] = shares.get(one.names, 0.0) + float(p)
-        names = max(shares, key=lambda key: shares[key])
-        return next(one.fit for one in self.all if one.names == names)
+        return max(self.all, key=lambda one: self.of_names(one.names)).fit
+
+    def of_names(self, names: tuple[str, ...]) -> float:
+        """Log of the posterior of all structures with these names together."""
+        return float(np.logaddexp.reduce([s.score for s in self.all if s.names == names]))
 
     def weight(self, fitted: Fit) -> float:
         """Log of the posterior of all structures with the same names, or, if none, of this one."""
         own = scored(fitted, self.prices)
-        alike = [s.score for s in self.all if s.names == own.names]
-        return float(np.logaddexp.reduce(alike)) if alike else own.score
+        alike = self.of_names(own.names)
+        return alike if alike > -math.inf else own.score
 
     def probabilities(self) -> FloatArray:
         """Posterior of each fitted structure, given the segments that scored it."""
         scores = np.array([s.score for s in self.all])
-        p = np.exp(scores - scores.max())
-        return p / p.sum()
+        return np.exp(scores - np.logaddexp.reduce(scores))
 
 
 def scored(fitted: Fit, prices: Mapping[str, float]) -> Scored:
@@ -115,13 +102,12 @@ def extended(problem: Problem, parent: Fit, one: Score) -> Fit | None:
     """A structure with one more effect; None where its fit diverges."""
     structure = parent.structure.plus(one.part)
     own = parent.theta[: -len(parent.structure.noise)]
-    fits = [
+    return most_probable(
         fitted_from(
             problem, structure, *(np.r_[own, start, noise] for start in one.starts),
             rate=parent.rate,
         ) for noise in noises(parent)
-    ]
-    return max((f for f in fits if f), key=lambda f: f.log_posterior, default=None)
+    )
 
 
 class _Search:
@@ -138,21 +124,21 @@ class _Search:
         self.exchanged: set[frozenset[str]] = set()
         self.screens: dict[frozenset[str], list[Score]] = {}
 
-    def build_on(self, parents: Sequence[Scored], refits: int, bar: float) -> list[Scored]:
-        """Fitted structures with one more effect, where the linear score may reach `bar`.
+    def build_on(self, parents: Sequence[Scored], refits: int) -> list[Scored]:
+        """Fitted structures with one more effect, whose linear score may reach the best parent's.
 
         Of each explanation the variant with the best score. parents: best first. Where nothing may
-        reach it beside the best, the others are not scored.
+        reach that beside the best, the others are not scored.
         """
+        least = parents[0].score + HOPELESS
         ahead: dict[frozenset[str], tuple[float, Fit, Score]] = {}
         for parent in parents:
             for one in self.scores(parent.fit):
-                effect = one.part.effect
-                labels = frozenset((*parent.fit.structure.labels, effect.label))
-                likely = frozenset((*parent.fit.structure.labels, explanation(effect)))
+                effect, own = one.part.effect, parent.fit.structure.labels
+                labels, kind = (frozenset((*own, x)) for x in (effect.label, explanation(effect)))
                 score = parent.score + one.nats + self.prices[effect.label]
-                if labels not in self.known and score >= ahead.get(likely, (bar + HOPELESS,))[0]:
-                    ahead[likely] = score, parent.fit, one
+                if labels not in self.known and score >= ahead.get(kind, (least,))[0]:
+                    ahead[kind] = score, parent.fit, one
             if not ahead:
                 break
         hopeful = sorted(ahead.values(), key=lambda one: -one[0])[:refits]
@@ -186,13 +172,10 @@ class _Search:
             self.exchanged.add(labels)
             for index in range(len(labels)):
                 rest = frozenset(one.fit.structure.minus(index).labels)
-                if rest not in self.known:
-                    fitted = fit_without(self.problem, one.fit, index)
-                    if fitted is None:
-                        continue
-                    self.keep(fitted)
-                parent = self.known[rest]
-                self.build_on([parent], EXCHANGES, parent.score)
+                if rest not in self.known and (fit := fit_without(self.problem, one.fit, index)):
+                    self.keep(fit)
+                if parent := self.known.get(rest):
+                    self.build_on([parent], EXCHANGES)
         return self.best() is not best
 
 
@@ -200,7 +183,8 @@ def leading(fits: Iterable[Scored]) -> list[Scored]:
     """The best of each explanation, best first, BEAM at most: its variants lead the same way."""
     unlike: dict[tuple[str, ...], Scored] = {}
     for one in sorted(fits, key=lambda s: -s.score):
-        unlike.setdefault(one.explanations, one)
+        said = (explanation(part.effect) for part in one.fit.structure.parts)
+        unlike.setdefault(tuple(sorted(said)), one)
     return list(unlike.values())[:BEAM]
 
 
@@ -217,22 +201,19 @@ def search(problem: Problem, effects: Sequence[Effect]) -> Found:
     exogeneity: Hausman 1978).
     """
     parts, reasons = candidates(problem, effects)
-    base, count = best_base(problem), 0
+    base = best_base(problem)
     problem.measure(base)
     while True:
         found = _structures(problem, parts, base)
-        count += sum(map(len, found.screens.values()))
         best = found.best().fit
         used = {which for part in best.structure.parts for which in part.effect.others}
         shared = {which for which in used if shares(problem, best, base, which)}
         if not shared:
             break
-        for part in parts:
-            if shared & set(part.effect.others):
-                reasons[part.effect.label] = SHARED
-        parts = [part for part in parts if not shared & set(part.effect.others)]
+        reasons |= {p.effect.label: SHARED for p in parts if shared & set(p.effect.others)}
+        parts = [p for p in parts if p.effect.label not in reasons]
     ordered = tuple(sorted(found.known.values(), key=lambda s: -s.score))
-    return Found(base, ordered, reasons, count, found.prices)
+    return Found(base, ordered, reasons, found.prices)
 
 
 def _structures(problem: Problem, parts: Sequence[Part], base: Fit) -> _Search:
@@ -240,7 +221,7 @@ def _structures(problem: Problem, parts: Sequence[Part], base: Fit) -> _Search:
     beam = [found.best()]
     for _ in range(MOST_EFFECTS):
         top = beam[0].score
-        beam = leading(found.build_on(beam, REFITS, top))
+        beam = leading(found.build_on(beam, REFITS))
         if not beam or beam[0].score <= top:
             break
     for _ in range(MOST_EFFECTS):
