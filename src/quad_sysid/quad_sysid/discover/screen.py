@@ -27,6 +27,8 @@ from quad_sysid.model.structure import coordinates, natural
 
 FAINT = 1e-30
 """Added to every column, rad/s²: what fades further is multiplied a hundred times as slowly."""
+AT_ONCE = 16
+"""Starts of a candidate that are filtered at once: events of a long flight have hundreds."""
 ANSWER_S = 0.5
 """Innovations answer to a pulse for no longer."""
 LINES = 4
@@ -112,17 +114,17 @@ class _Beside:
             j for j, spec in enumerate(part.effect.parameters)
             if not spec.log and not spec.starts and spec.centre == 0.0
         ]
-        starts = self.starts(part)
-        if not starts:
-            return None
-        inputs = np.vstack([self.columns(part, linear, p) for p in starts]) + FAINT
-        found = self.problem.flight.responses(
-            np.ascontiguousarray(inputs.T), self.slope, self.fitted.prediction.filter
-        )
-        scores = [
-            self.score(part, linear, p, psi)
-            for p, psi in zip(starts, np.split(found, len(starts), axis=1), strict=True)
-        ]
+        starts, scores = self.starts(part), []
+        for at in range(0, len(starts), AT_ONCE):
+            some = starts[at : at + AT_ONCE]
+            inputs = np.vstack([self.columns(part, linear, p) for p in some]) + FAINT
+            found = self.problem.flight.responses(
+                np.ascontiguousarray(inputs.T), self.slope, self.fitted.prediction.filter
+            )
+            scores += [
+                self.score(part, linear, p, psi)
+                for p, psi in zip(some, np.split(found, len(some), axis=1), strict=True)
+            ]
         return max((s for s in scores if s is not None), key=lambda s: s.nats, default=None)
 
     def starts(self, part: Part) -> list[FloatArray]:
