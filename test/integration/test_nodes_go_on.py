@@ -6,6 +6,7 @@ import fcntl
 import json
 import math
 import os
+import time
 import tty
 from collections.abc import Callable
 from pathlib import Path
@@ -41,7 +42,9 @@ class Ears:
         return entries(self.told)[name].values
 
     def say_bag(self, path: Path) -> None:
-        self.probe.publish('/logger/bag', event({'path': str(path), 'state': 'complete'}))
+        now_s, now_ns = divmod(time.time_ns(), 10**9)
+        said = event({'path': str(path), 'state': 'complete'})
+        self.probe.publish('/logger/bag', said | {'stamp': {'sec': now_s, 'nanosec': now_ns}})
 
 
 @pytest.fixture
@@ -119,3 +122,21 @@ def test_the_identification_outlives_bad_bags_and_writes_beside_what_is_there(
     assert found['lag'] + found['delay'] == pytest.approx(late_s, rel=0.06)
     assert ears.updates == []
     assert node.end() == 0
+
+
+@pytest.mark.timeout(1800)
+def test_gains_from_a_bag_of_before_are_sent_only_if_somebody_asks(
+    ears: Ears, start: Callable[..., Started], tmp_path: Path
+) -> None:
+    """The logger repeats its last bags to whoever comes late, and the aircraft may be flying."""
+    older, flown = tmp_path / 'older', write_bag(fly(Axis(), 1, SHORT), tmp_path / 'flight')
+    ears.say_bag(older)
+    ears.say_bag(flown)
+    name = 'identification: identification'
+    start('identification', axes='[roll]', auto_update='true', out=tmp_path / 'report')
+    values = ears.until(name, OK, 'complete before this node began')
+    assert values['bag'] == str(flown)
+    assert ears.updates == []
+    assert ears.probe.call('/identification/identify').success
+    assert ears.until(name, OK, 'gains: sent')['bag'] == str(flown)
+    assert len(ears.updates) == 1

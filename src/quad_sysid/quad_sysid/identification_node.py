@@ -14,6 +14,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import ParameterDescriptor, ParameterEvent
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
+from rclpy.time import Time
 from std_srvs.srv import Trigger
 
 from quad_bridge.errors import QuadBridgeError
@@ -45,11 +46,13 @@ class IdentificationNode(Node):  # type: ignore[misc]
         self._wanted = _wanted(self)
         self._bag = ''
         self._seen: set[str] = set()
+        self._earlier: set[str] = set()  # complete before this node began, and not asked for
         self._queue: deque[str] = deque()
         self._values: dict[str, str] = {'state': 'waiting'}
         self._level = OK
         self._worker: threading.Thread | None = None
         self._outcome: Result | str | None = None
+        self._begun_ns = self.get_clock().now().nanoseconds
         self._gains = self.create_publisher(ParameterEvent, 'gains/update', EVENT)
         self._diagnostics = self.create_publisher(DiagnosticArray, 'diagnostics', EVENT)
         self.create_subscription(ParameterEvent, 'logger/bag', self._on_bag, STATE)
@@ -62,8 +65,15 @@ class IdentificationNode(Node):  # type: ignore[misc]
     def _on_bag(self, event: Any) -> None:
         said = parameters(event)
         bag = str(said.get('path', '')) if said.get('state') == 'complete' else ''
-        if bag and bag not in self._seen:
-            self._seen.add(bag)
+        if not bag or bag in self._seen:
+            return
+        self._seen.add(bag)
+        if Time.from_msg(event.stamp).nanoseconds < self._begun_ns:
+            # the logger repeats its last ones to whoever comes late; the newest may be of use
+            self._queue = deque(one for one in self._queue if one not in self._earlier)
+            self._earlier.add(bag)
+            self._queue.append(bag)
+        else:
             self._queue.append(bag)
             self._start_next()
 
@@ -74,6 +84,7 @@ class IdentificationNode(Node):  # type: ignore[misc]
         elif not self._bag:
             response.success, response.message = False, 'no complete bag on /logger/bag yet'
         else:
+            self._earlier.discard(self._bag)
             self._queue.append(self._bag)
             self._start_next()
             response.success, response.message = True, f'identifying {self._bag}'
@@ -104,6 +115,7 @@ class IdentificationNode(Node):  # type: ignore[misc]
 
     def _collect(self) -> None:
         if self._outcome is None:
+            self._start_next()
             return
         outcome, bag = self._outcome, self._bag
         self._outcome, self._worker = None, None
@@ -136,6 +148,10 @@ class IdentificationNode(Node):  # type: ignore[misc]
         if not self._auto_update:
             self.get_logger().info(f'gains not sent (auto_update is off): {wanted}')
             return 'not sent: auto_update is off'
+        if bag in self._earlier:
+            why = 'not sent: the bag was complete before this node began; ask ~/identify for them'
+            self.get_logger().warning(f'gains {why}: {wanted}')
+            return why
         told: dict[str, float | str] = {
             **wanted, 'source': f'identification of {bag}', 'bag': bag,
             'model': f'{outcome.folder}/model.json', 'predicted': outcome.predictions(),
