@@ -38,6 +38,7 @@ REASONS = [
     ({'sticks': (math.nan, 0.0, 0.0)}, 'the roll stick', False),
     ({'battery_v': 10.1}, 'battery at 10.10 V', False),
     ({'refused': True}, 'the STM32 refuses the excitation', True),
+    ({'refused': True, 'battery_v': 8.73}, 'low battery (8.73 V)', True),
 ]
 UNHEARD = [
     ({'rc_age_s': None, 'abort_switch': None}, 'no /rc/in yet', False),

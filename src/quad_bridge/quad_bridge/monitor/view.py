@@ -150,8 +150,9 @@ class State:
         if not math.isfinite(self.battery_v):
             return _line('battery', '-', 'not measured')
         least, text = self._value('battery_min_v'), f'{self.battery_v:.2f} V'
-        if least > 0.0:
-            text += f', excitation ends at {least:g} V'
+        if not least > 0.0:
+            return _line('battery', '-', f'{text}, not watched (battery_min_v)')
+        text += f', excitation ends at {least:g} V'
         return _line('battery', 'ERROR' if self.battery_v < least else 'ok', text)
 
     def _coverage(self) -> list[str]:

@@ -83,8 +83,9 @@ def _lines(limits: Limits, r: Readings) -> Iterator[Abort]:
     if r.rc_age_s is not None and r.rc_age_s > limits.rc_stale_s:
         yield Abort(f'/rc/in is {r.rc_age_s:.2f} s old', immediate=True)
     if r.refused:
-        yield Abort('the STM32 refuses the excitation: disarmed, low battery, beyond its angle or '
-                    'its limits', immediate=True)
+        volts = '' if r.battery_v is None else f' ({r.battery_v:.2f} V)'
+        yield Abort(f'the STM32 refuses the excitation: disarmed, low battery{volts}, beyond its '
+                    'angle or its limits', immediate=True)
     if limits.abort_switch:
         yield from _switch(limits, r)
     if r.imu_age_s is None:
