@@ -69,11 +69,8 @@ def sensor_of(
 def gyro_step(gyro_filter_hz: float, dt: float) -> FloatArray:
     """(2, 5) step of the exact 2nd-order Butterworth filter, unit gain at rest (Sensor.step)."""
     cutoff = 2.0 * math.pi * gyro_filter_hz
-    a = np.zeros((5, 5))
-    a[0, 1] = dt
-    a[1, 0], a[1, 1], a[1, 2] = -(cutoff**2) * dt, -math.sqrt(2.0) * cutoff * dt, cutoff**2 * dt
-    a[2, 3] = 1.0
-    a[3, 4] = 1.0
+    a = np.diag([dt, 0.0, 1.0, 1.0], k=1)
+    a[1, :3] = -(cutoff**2) * dt, -math.sqrt(2.0) * cutoff * dt, cutoff**2 * dt
     e = expm(a)
     # u(s) = u0 + s (-3 u0 + 4 um - u1) + s²/2 * 4 (u0 - 2 um + u1) on s = t / dt
     basis = np.array([[1.0, 0.0, 0.0], [-3.0, 4.0, -1.0], [4.0, -8.0, 4.0]])
@@ -132,15 +129,12 @@ def kalman(
     found = recursion.steady_filter(
         noise, damping, sensor.step, sensor.behind, sensor.noisy, averaged, dt
     )
-    gain, move, innovation, transition, process, covariance, output, after = found
+    if sensor.derived:
+        return Filter(*found[:6], np.eye(found[0].size)[0], sensor.derived, sensor.derived)
     floor = 1.0
     if sensor.noisy:
         floor = noise[3] ** 2 + sensor.floor[0] + averaged * sensor.floor[1]
-    floor += float(np.sum(noise[4::3] ** 2))
-    if sensor.derived:
-        output, after = np.eye(output.size)[0], sensor.derived
-        floor = after
-    return Filter(gain, move, innovation, transition, process, covariance, output, after, floor)
+    return Filter(*found, floor + float(np.sum(noise[4::3] ** 2)))
 
 
 def growth(found: Filter, steps: int) -> FloatArray:
