@@ -104,10 +104,9 @@ class AxisData:
         return np.ascontiguousarray(self.control[:, self.index + 1])
 
     @property
-    def other_axes(self) -> tuple[str, str]:
+    def other_axes(self) -> tuple[str, ...]:
         """Names of the other two axes, in the order of `other_rates`."""
-        first, second = [name for name in AXES if name != self.axis][:2]
-        return first, second
+        return tuple(name for name in AXES if name != self.axis)[:2]
 
     def windows(self, spans: Sequence[Span], length_s: float = WINDOW_S) -> Windows:
         """Windows in `spans`, by default of the contract's length, end to end, no partial ones."""
@@ -153,12 +152,10 @@ class AxisData:
             return f'the bag holds no {MISSING["angle"]}' if lean is None else lean[:, which]
         if name == 'other command':
             signal = self.control[:, AXES.index(axis) + 1]
-            moved = np.std(self.training(signal)) >= LEAST_SHARE * np.std(
-                self.training(self.command)
-            )
-            return signal if moved else (
-                f'the command of {axis} hardly moves during training; excite it as well'
-            )
+            least = LEAST_SHARE * np.std(self.training(self.command))
+            if not np.std(self.training(signal)) >= least:
+                return f'the command of {axis} hardly moves during training; excite it as well'
+            return signal
         if not self.measures(which):
             return f'the rate of {axis} was not measured throughout'
         rate = self.other_rates[:, which]
@@ -253,7 +250,6 @@ def axis_data(records: Sequence[Record], axis: str) -> AxisData:
             for a, b in finite_runs(good, record.span(segment))
         ]
 
-    validation = pieces('validation')
     stretches = tuple(
         (a + offset, b + offset) for record, good, offset in placed
         for a, b in bridged(finite_runs(good, (0, record.n)), dt)
@@ -267,15 +263,14 @@ def axis_data(records: Sequence[Record], axis: str) -> AxisData:
         joined[name] = filled(joined[name]) if known else None
     if not np.isfinite(joined['reference']).any():
         joined['reference'] = None
+    for role in ('train', 'validation', 'idle'):
+        joined[role] = tuple(span for span, _ in pieces(role))
     known_gains = records[0].gains_at(np.inf)
     return AxisData(
         axis=axis, dt=dt, **joined, stretches=stretches,
         gyro_filter_hz=known_gains.get('sensor.gyro_filter_hz') or None,
         derived_s=known_gains.get('sensor.rate_from_angle_s') or None,
-        train=tuple(span for span, _ in pieces('train')),
-        validation=tuple(span for span, _ in validation),
-        idle=tuple(span for span, _ in pieces('idle')),
-        validation_names=tuple(name for _, name in validation),
+        validation_names=tuple(name for _, name in pieces('validation')),
         flights=tuple(itertools.pairwise(offsets)),
     )
 

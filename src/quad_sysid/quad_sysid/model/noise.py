@@ -7,7 +7,7 @@ adds white noise, before its filter where the model contains one. Nothing is fit
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -97,6 +97,8 @@ def _stepped(gyro_filter_hz: float, dt: float) -> FloatArray:
 class Filter:
     """The steady Kalman filter of one noise and damping."""
 
+    floor: float
+    """Variance of all noise in `output` over that before the gyro filter."""
     gain: FloatArray
     """(4 + 2 v,) Kalman gain: rate, disturbance, two states of the gyro filter and two of each of
     the v lines of vibration."""
@@ -113,8 +115,6 @@ class Filter:
     """From the states to the recorded rate."""
     after: float
     """What adds to the variance of `output`: white noise, and what that has in common with it."""
-    floor: float
-    """Variance of all noise in `output` over that before the gyro filter."""
 
 
 def kalman(
@@ -126,15 +126,16 @@ def kalman(
     the innovations give; without a gyro filter the last does not count. Then of each of the v
     lines of vibration the three of structure.VIBRATION. averaged: as in structure.Structure.
     """
-    found = recursion.steady_filter(
-        noise, damping, sensor.step, sensor.behind, sensor.noisy, averaged, dt
-    )
-    if sensor.derived:
-        return Filter(*found[:6], np.eye(found[0].size)[0], sensor.derived, sensor.derived)
     floor = 1.0
     if sensor.noisy:
         floor = noise[3] ** 2 + sensor.floor[0] + averaged * sensor.floor[1]
-    return Filter(*found, floor + float(np.sum(noise[4::3] ** 2)))
+    found = Filter(floor + float(np.sum(noise[4::3] ** 2)), *recursion.steady_filter(
+        noise, damping, sensor.step, sensor.behind, sensor.noisy, averaged, dt
+    ))
+    if not sensor.derived:
+        return found
+    rate = np.eye(found.gain.size)[0]
+    return replace(found, output=rate, after=sensor.derived, floor=sensor.derived)
 
 
 def growth(found: Filter, steps: int) -> FloatArray:
