@@ -45,8 +45,7 @@ SHORTEST_S = 1e-5
 """A lag or delay below this counts as none."""
 
 
-@dataclass(frozen=True)
-class Pushed:
+class Pushed(NamedTuple):
     """Accelerations along a trajectory, as recursion.predict takes them."""
 
     known: FloatArray
@@ -82,10 +81,8 @@ def central(
     function: Callable[[FloatArray], FloatArray], x: FloatArray, j: int, step: float
 ) -> FloatArray:
     """Derivative of an array by one coordinate of x (p,), by central differences."""
-    up, down = x.copy(), x.copy()
-    up[j] += step
-    down[j] -= step
-    return (function(up) - function(down)) / (2.0 * step)
+    away = step * np.eye(x.size)[j]
+    return (function(x + away) - function(x - away)) / (2.0 * step)
 
 
 def per_coefficient(part: Part, s: Signals, p: FloatArray) -> FloatArray:
@@ -295,9 +292,7 @@ class Flight:
 
         here = driven(theta)
         for i, j in enumerate(bent):
-            ahead = theta.copy()
-            ahead[j] += steps[j]
-            begin, end = (driven(ahead) - here) / steps[j]
+            begin, end = (driven(theta + np.diag(steps)[j]) - here) / steps[j]
             out[:, j], bends[:, i] = 0.5 * (begin + end), 0.5 * (begin - end)
         return out, bends, bent
 
@@ -310,11 +305,10 @@ class Flight:
         own = self.hidden(part, s, p)  # which those in which the torque is linear do not move
         out, here = np.empty((s.rate.size, theta.size)), required(effect.torque(own, p, settings))
         for j in set(range(theta.size)) - set(linear):
-            ahead = theta.copy()
-            ahead[j] += FINER * steps[j]
-            moved = natural(effect.parameters, ahead)
+            ahead = FINER * np.diag(steps)[j]
+            moved = natural(effect.parameters, theta + ahead)
             there = required(effect.torque(self.hidden(part, s, moved), moved, settings))
-            out[:, j] = (there - here) / (FINER * steps[j])
+            out[:, j] = (there - here) / ahead[j]
         if linear:
             p[linear] = 0.0
             out[:, linear] = effect.columns(own, p, linear, settings)
@@ -373,9 +367,9 @@ class Flight:
         innovation, jacobian = np.full(n, np.nan), np.zeros(by.columns.shape)
         for start, stop in self.passes:
             recursion.predict(
-                self.measured, float(self.data.rate[start]), push.known, push.slope, found.gain,
-                found.move, self.sensor.step, self.sensor.behind, self.data.dt, start, stop, *by,
-                rate, states, innovation, jacobian,
+                self.measured, float(self.data.rate[start]), *push, found.gain, found.move,
+                self.sensor.step, self.sensor.behind, self.data.dt, start, stop, *by, rate, states,
+                innovation, jacobian,
             )
         return Prediction(innovation, jacobian, states, found, rate)
 
@@ -442,7 +436,7 @@ class Flight:
         found = prediction.filter
         halves, states = self.driven(structure, p)
         x = prediction.states[windows.starts]
-        r, d, g, q = (x[:, i].copy() for i in range(4))
+        r, d, g, q = x[:, :4].T
         end = 4 + 2 * structure.lines
         v = x[:, 4:end:2] + 1j * x[:, 5:end:2]
         followed = iter(x[:, end:].T)
