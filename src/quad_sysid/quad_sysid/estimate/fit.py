@@ -103,14 +103,12 @@ class Problem:
             self.data, self.spans = part_of(data, passes), moved(sorted(spans), passes)
         self.flight = Flight(self.data, self.spans)
         self._sizes: dict[str, FloatArray] = {}
-        count = np.zeros(self.data.rate.size, dtype=bool)
+        counts, settle = np.zeros(self.data.rate.size, bool), round(SETTLE_S / self.data.dt)
         for start, stop in self.spans:
-            count[start:stop] = True
-        count &= np.isfinite(self.flight.measured)
-        settle = round(SETTLE_S / self.data.dt)
+            counts[start:stop] = True
         for start, _ in self.flight.passes:
-            count[start : start + settle] = False
-        self.rows = np.flatnonzero(count)
+            counts[start : start + settle] = False
+        self.rows = np.flatnonzero(counts & np.isfinite(self.flight.measured))
         self.acceleration = typical_acceleration(self.data, self.spans)
 
     def blocks(self, length_s: float) -> NDArray[np.int64]:
@@ -300,8 +298,7 @@ def covariance(problem: Problem, fitted: Fit) -> FloatArray:
     j = required(fitted.prediction.jacobian)[problem.rows]
     tail = fitted.tail
     score = j * (tail.weights(e) * e / tail.scale**2)[:, None]
-    index = problem.blocks(BLOCK_S)
-    sums = np.add.reduceat(score, np.flatnonzero(np.diff(index, prepend=-1)))
+    sums = np.add.reduceat(score, np.flatnonzero(np.diff(problem.blocks(BLOCK_S), prepend=-1)))
     meat = sums.T @ sums + fitted.precision
     half = np.linalg.inv(fitted.hessian)
     sandwich = half @ meat @ half

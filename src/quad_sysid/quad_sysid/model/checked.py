@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from quad_sysid.contract import FloatArray, motors_from_wrench
+from quad_sysid.contract import motors_from_wrench
 from quad_sysid.errors import BadInputError
 from quad_sysid.model.data import AxisData, axis_alone
 from quad_sysid.model.effect import Effect, Signals, Spec
@@ -39,8 +39,8 @@ def checked(effects: object, where: str, known: Sequence[Effect] = ()) -> tuple[
                                 'give yours a `name` of its own')
         accepted[effect.label] = effect
         if effect is not other:
-            for check in (_check_fields, _try):
-                check(effect, f'{where}: {type(effect).__name__}')
+            _check_fields(effect, f'{where}: {type(effect).__name__}')
+            _try(effect, f'{where}: {type(effect).__name__}')
     return tuple(accepted.values())
 
 
@@ -94,7 +94,7 @@ def _try(effect: Effect, where: str) -> None:
 
 def _made_up() -> tuple[AxisData, Signals]:
     n, dt = 500, 0.004
-    time: FloatArray = dt * np.arange(n, dtype=np.float64)
+    time = dt * np.arange(n, dtype=np.float64)
     wave, other = np.sin(9.0 * time), np.cos(5.0 * time)
     others = np.stack([other, wave], axis=1)
     control = np.stack([0.5 + 0.1 * other, 0.1 * wave, 0.1 * other, 0.01 * wave], axis=1)

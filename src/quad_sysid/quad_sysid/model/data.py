@@ -169,7 +169,7 @@ def at_limit(rate: FloatArray) -> NDArray[np.bool_]:
     largest = float(size.max(initial=0.0))
     clipped = size >= largest * (1.0 - 1e-9)
     moves = largest > RESTING and np.ptp(size) > 0.0 and np.count_nonzero(clipped) > 2
-    return clipped if moves else np.zeros(rate.size, dtype=bool)
+    return clipped & moves
 
 
 def axis_alone(

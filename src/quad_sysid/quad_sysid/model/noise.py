@@ -82,7 +82,7 @@ def _stepped(gyro_filter_hz: float, dt: float) -> FloatArray:
     cutoff = 2.0 * math.pi * gyro_filter_hz
     count = max(1, round(dt / FORM_STEP_S))
     h = dt / count
-    total = np.hstack([np.eye(2), np.zeros((2, 3))])
+    total = np.eye(2, 5)
     for s in np.arange(1, count + 1) / count:
         rate = np.array([0.0, 0.0, (1.0 - s) * (1.0 - 2.0 * s), 4.0 * s * (1.0 - s),
                          s * (2.0 * s - 1.0)])

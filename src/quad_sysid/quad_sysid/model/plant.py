@@ -137,8 +137,8 @@ class Flight:
         self.gyro = filled(data.rate)
         self.angle = None
         if data.angle is not None:
-            self.angle = np.nan_to_num(data.angle) if self.sensor.derived else \
-                led_by_gyro(data, self.gyro)
+            derived = self.sensor.derived
+            self.angle = np.nan_to_num(data.angle) if derived else led_by_gyro(data, self.gyro)
         self.others: list[FloatArray] | None = None
         if np.isfinite(data.other_rates).mean() > 0.5:
             self.others = [self._ahead(np.nan_to_num(column)) for column in data.other_rates.T]
@@ -259,6 +259,8 @@ class Flight:
     ) -> tuple[FloatArray, list[Acting]]:
         """Acceleration by the drive (2, n), and those effects with what they see."""
         driven = self.driven(structure, p)
+        if not placed:
+            return p[0] * driven[0], []
         s = self.signals(p, *driven, rate)
         return p[0] * driven[0], [
             (part, p[where], self.hidden(part, s, p[where])) for part, where in placed

@@ -92,10 +92,10 @@ def predict(y, begin, known, slope, gain, move, gyro, behind, dt, start, stop, c
     what the name says.
     """
     m, wanders, first = columns.shape[1], wander.shape[1], gain.size
-    g00, g01, g02, g03, g04 = gyro[0]
-    g10, g11, g12, g13, g14 = gyro[1]
-    c0, c1, c2, c3 = gain[:4]
-    fade, hold = move[:2]
+    g00, g01, g02, g03, g04 = gyro[0, 0], gyro[0, 1], gyro[0, 2], gyro[0, 3], gyro[0, 4]
+    g10, g11, g12, g13, g14 = gyro[1, 0], gyro[1, 1], gyro[1, 2], gyro[1, 3], gyro[1, 4]
+    c0, c1, c2, c3 = gain[0], gain[1], gain[2], gain[3]
+    fade, hold = move[0], move[1]
     n = np.ascontiguousarray(filters[:, :4].T)
     t = np.ascontiguousarray(filters[:, first : first + 2].T)
     # each line is one complex state, which turns
