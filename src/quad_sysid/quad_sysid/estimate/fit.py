@@ -228,10 +228,9 @@ def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
         tail, away = tail_of(e), root @ (at - centres)
         return found, float(np.sum(tail.log_density(e))) - 0.5 * float(away @ away), tail
 
-    theta = starts[0]
+    theta = starts[0].astype(float)
     if len(starts) > 1:
-        theta = max(starts, key=lambda start: evaluated(start, begun, 3)[1])
-    theta = theta.astype(float)
+        theta = max(starts, key=lambda start: evaluated(start, begun, 3)[1]).astype(float)
     if still:
         theta[0] = 0.0
     found, value, tail = evaluated(theta, begun, 3, by=steps)

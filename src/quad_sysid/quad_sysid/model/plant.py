@@ -180,24 +180,20 @@ class Flight:
         found = self._drives.get(key)
         if found is not None:
             return found
-        data = self.data
-        command = data.command
+        data, command = self.data, self.data.command
         for part, where in acting:
             command = part.effect.command(data, command, p[where], part.settings)
-        n = command.size
-        lag = np.full((1, n), max(float(p[1]), SHORTEST_S))
+        lag = np.full((1, command.size), max(float(p[1]), SHORTEST_S))
         drive = Drive(command[None, :], np.ones(1), lag)
         for part, where in acting:
             drive = part.effect.actuate(data, drive, p[where], part.settings)
         delay = min(max(float(p[2]), 0.0), 0.5) / data.dt
         whole = math.floor(delay + 1e-9)
-        halves, states = np.zeros((2, n)), np.zeros((2, n))
+        halves, states = np.zeros((2, 2, command.size))
+        channels = [np.ascontiguousarray(x) for x in (drive.commands, drive.row, drive.lag)]
         for start, stop in data.stretches if remembered else self.passes:
-            recursion.motors(
-                np.ascontiguousarray(drive.commands), np.ascontiguousarray(drive.row),
-                np.ascontiguousarray(drive.lag), drive.factors, whole,
-                max(delay - whole, 0.0), data.dt, start, stop, halves, states,
-            )
+            recursion.motors(*channels, drive.factors, whole, max(delay - whole, 0.0), data.dt,
+                             start, stop, halves, states)
         if len(self._drives) > 40:
             self._drives.clear()
         self._drives[key] = halves, states
