@@ -67,16 +67,14 @@ class Tail:
 
 def tail_of(e: FloatArray, degrees: tuple[float, ...] = DEGREES) -> Tail:
     """The most likely scale and degrees of freedom."""
-    best, value = Tail(1.0, degrees[-1]), -math.inf
-    square = e**2
+    best, value, square = Tail(1.0, degrees[-1]), -math.inf, e**2
     scale = math.sqrt(float(np.mean(square))) or 1e-12
     for v in degrees[::-1]:
         for _ in range(60):
             weights = 1.0 / (v * scale**2 + square)  # parameter-expanded EM (Liu et al. 1998)
             new = math.sqrt(float(weights @ square) / float(np.sum(weights)))
-            done = abs(new - scale) < 1e-7 * scale
-            scale = max(new, 1e-12)
-            if done:
+            before, scale = scale, max(new, 1e-12)
+            if abs(new - before) < 1e-7 * before:
                 break
         tail = Tail(scale, v)
         total = float(np.sum(tail.log_density(e)))
@@ -105,14 +103,12 @@ class Problem:
             self.data, self.spans = part_of(data, passes), moved(sorted(spans), passes)
         self.flight = Flight(self.data, self.spans)
         self._sizes: dict[str, FloatArray] = {}
-        count = np.zeros(self.data.rate.size, dtype=bool)
+        counts, settle = np.zeros(self.data.rate.size, bool), round(SETTLE_S / self.data.dt)
         for start, stop in self.spans:
-            count[start:stop] = True
-        count &= np.isfinite(self.flight.measured)
-        settle = round(SETTLE_S / self.data.dt)
+            counts[start:stop] = True
         for start, _ in self.flight.passes:
-            count[start : start + settle] = False
-        self.rows = np.flatnonzero(count)
+            counts[start : start + settle] = False
+        self.rows = np.flatnonzero(counts & np.isfinite(self.flight.measured))
         self.acceleration = typical_acceleration(self.data, self.spans)
 
     def blocks(self, length_s: float) -> NDArray[np.int64]:
@@ -232,10 +228,9 @@ def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
         tail, away = tail_of(e), root @ (at - centres)
         return found, float(np.sum(tail.log_density(e))) - 0.5 * float(away @ away), tail
 
-    theta = starts[0]
+    theta = starts[0].astype(float)
     if len(starts) > 1:
-        theta = max(starts, key=lambda start: evaluated(start, begun, 3)[1])
-    theta = theta.astype(float)
+        theta = max(starts, key=lambda start: evaluated(start, begun, 3)[1]).astype(float)
     if still:
         theta[0] = 0.0
     found, value, tail = evaluated(theta, begun, 3, by=steps)
@@ -248,15 +243,13 @@ def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
         j[:, list(still)] = 0.0
         w = np.sqrt(tail.weights(e)) / tail.scale
         away = root @ (theta - centres)
-        rows, column = j * w[:, None], (e * w)[:, None]
+        rows, column = j * w[:, None], e * w
         # a part that vanishes acts by its square: over its logarithm that curves by twice the
         # slope, of which the rows may see little
-        curves = 2.0 * (rows.T @ column)[:, 0] - np.sum(rows**2, axis=0)
+        curves = 2.0 * (column @ rows) - np.sum(rows**2, axis=0)
         bent = np.where(logs, np.sqrt(np.maximum(curves, 0.0)), 0.0)
-        stacked = np.block([
-            [rows, column], [root, away[:, None]], [np.diag(bent), np.zeros((bent.size, 1))],
-        ])
-        factor = upper(stacked)[: theta.size]
+        blocks = (rows, column), (root, away), (np.diag(bent), np.zeros(bent.size))
+        factor = upper(np.vstack([np.column_stack(pair) for pair in blocks]))[: theta.size]
         a, b = factor[:, :-1], factor[:, -1]
         converged = not still and 0.5 * float(b @ b) < SMALL_NATS
         if converged:
@@ -304,9 +297,7 @@ def covariance(problem: Problem, fitted: Fit) -> FloatArray:
     j = required(fitted.prediction.jacobian)[problem.rows]
     tail = fitted.tail
     score = j * (tail.weights(e) * e / tail.scale**2)[:, None]
-    index = problem.blocks(BLOCK_S)
-    sums = np.zeros((int(index.max()) + 1, j.shape[1]))
-    np.add.at(sums, index, score)
+    sums = np.add.reduceat(score, np.flatnonzero(np.diff(problem.blocks(BLOCK_S), prepend=-1)))
     meat = sums.T @ sums + fitted.precision
     half = np.linalg.inv(fitted.hessian)
     sandwich = half @ meat @ half

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -136,15 +137,18 @@ def effects_of(
 ) -> tuple[EffectEstimate, ...]:
     """The effects of a fit for the stored model."""
     return tuple(
-        EffectEstimate(
-            name=part.effect.name, kind=part.effect.kind, signals=part.effect.signals,
-            parameters=parameters, variant=part.effect.variant, settings=dict(part.settings),
-            p_value=p_value, error_reduction_pct=reduction, probability=probability, rivals=others,
-        )
+        _estimate(part, parameters, p_value=p_value, error_reduction_pct=reduction,
+                  probability=probability, rivals=others)
         for part, parameters, reduction, probability, others in zip(
             fitted.structure.parts, told.effects, reductions, probabilities, rivals, strict=True
         )
     )
+
+
+def _estimate(part: Part, parameters: tuple[Parameter, ...], **judged: Any) -> EffectEstimate:
+    effect = part.effect
+    return EffectEstimate(effect.name, effect.kind, effect.signals, parameters, effect.variant,
+                          dict(part.settings), **judged)
 
 
 def estimate_of(
@@ -157,41 +161,37 @@ def estimate_of(
 
     Parameters left out at the end take the centres of their priors.
     """
-    effect, fixed = required(_named(name, variant, own)), settings or {}
-    p = np.array([*fitted, *effect.centre()[len(fitted) :]], dtype=float)
-    told = effect.readable(p, fixed)
-    return EffectEstimate(
-        name=name, kind=effect.kind, signals=effect.signals,
-        parameters=tuple(Parameter(k, value, std, unit) for k, (value, unit) in told.items()),
-        variant=variant, settings=dict(fixed), probability=probability, rivals=rivals,
-    )
+    part = Part(required(_named(name, variant, own)), settings or {})
+    p = np.array([*fitted, *part.effect.centre()[len(fitted) :]], dtype=float)
+    told = part.effect.readable(p, part.settings)
+    parameters = tuple(Parameter(k, value, std, unit) for k, (value, unit) in told.items())
+    return _estimate(part, parameters, probability=probability, rivals=rivals)
 
 
 def completed(model: AxisModel) -> Stored:
     """The model with its effects, ready to run. Raises BadInputError for an unknown effect."""
-    parts = tuple(part_of(model, effect) for effect in model.effects)
+    parts = [part_of(model, effect) for effect in model.effects]
     fitted = [fitted_of(part, one) for part, one in zip(parts, model.effects, strict=True)]
     return _stored(model.base, parts, fitted, model.noise)
 
 
 def plain(model: AxisModel) -> Stored:
     """The base as fitted alone, ready to run."""
-    return _stored(model.plain or model.base, (), [], model.plain_noise or model.noise)
+    return _stored(model.plain or model.base, [], [], model.plain_noise or model.noise)
 
 
 def _stored(
-    base: Sequence[Parameter], parts: tuple[Part, ...], effects: Sequence[FloatArray],
+    base: Sequence[Parameter], parts: Sequence[Part], effects: Sequence[FloatArray],
     noise: NoiseEstimate | None,
 ) -> Stored:
     values, noise = {p.name: p.value for p in base}, noise or UNKNOWN
-    structure = Structure(parts, len(noise.lines), averaged=noise.averaged)
-    p = np.array([
-        *(values[spec.name] for spec in BASE), *(v for own in effects for v in own),
-        *(noise.ratios.get(spec.name, np.exp(spec.centre)) for spec in NOISE),
-        *(v for line in noise.lines for v in line),
+    structure = Structure(tuple(parts), len(noise.lines), averaged=noise.averaged)
+    p = np.concatenate([
+        [values[spec.name] for spec in BASE], *effects,
+        [noise.ratios.get(spec.name, np.exp(spec.centre)) for spec in NOISE], *noise.lines,
     ])
-    tail = Tail(noise.scale, noise.degrees)
-    return Stored(structure, coordinates(structure.specs, p, 1e-17), tail)
+    theta = coordinates(structure.specs, p, 1e-17)
+    return Stored(structure, theta, Tail(noise.scale, noise.degrees))
 
 
 def part_of(model: AxisModel, effect: EffectEstimate) -> Part:
@@ -202,10 +202,7 @@ def part_of(model: AxisModel, effect: EffectEstimate) -> Part:
         key: tuple(value) if isinstance(value, list) else value
         for key, value in effect.settings.items()
     }
-    wanted = set() if physics is None else {
-        *physics.readable(np.ones(len(physics.parameters)), settings)
-    }
-    if physics is None or names != wanted:
+    if physics is None or names != {*physics.readable(np.ones(len(physics.parameters)), settings)}:
         raise BadInputError(
             f'model: {model.axis}.effects', 'names an effect that is not known here',
             ' '.join([effect.name, *filter(None, (effect.variant,)),

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from quad_sysid.contract import FloatArray, motors_from_wrench
+from quad_sysid.contract import motors_from_wrench
 from quad_sysid.errors import BadInputError
 from quad_sysid.model.data import AxisData, axis_alone
 from quad_sysid.model.effect import Effect, Signals, Spec
@@ -26,22 +26,22 @@ def checked(effects: object, where: str, known: Sequence[Effect] = ()) -> tuple[
     except TypeError as error:
         raise BadInputError(where, 'must be a sequence of effects', type(effects).__name__,
                             'put it in brackets: (Mine(),)') from error
-    taken = {effect.label: effect for effect in known}
-    seen: set[str] = set()
+    known_as = {effect.label: effect for effect in known}
+    accepted: dict[str, Effect] = {}
     for effect in given:
         if not isinstance(effect, Effect):
             what = f'the class {effect.__name__}' if isinstance(effect, type) else repr(effect)
             raise BadInputError(where, 'must hold instances of quad_sysid.Effect', what,
                                 'such as Mine(); the built-in ones are in quad_sysid.EFFECTS')
-        other = taken.get(effect.label, effect)
-        if effect.label in seen or type(other) is not type(effect):
+        other = known_as.get(effect.label)
+        if effect.label in accepted or type(other or effect) is not type(effect):
             raise BadInputError(where, 'two effects have one name', effect.label,
                                 'give yours a `name` of its own')
-        seen.add(effect.label)
-        if other is not effect or effect.label not in taken:
+        accepted[effect.label] = effect
+        if effect is not other:
             _check_fields(effect, f'{where}: {type(effect).__name__}')
             _try(effect, f'{where}: {type(effect).__name__}')
-    return tuple(effect for effect in given if isinstance(effect, Effect))
+    return tuple(accepted.values())
 
 
 def _check_fields(effect: Effect, where: str) -> None:
@@ -94,7 +94,7 @@ def _try(effect: Effect, where: str) -> None:
 
 def _made_up() -> tuple[AxisData, Signals]:
     n, dt = 500, 0.004
-    time: FloatArray = dt * np.arange(n, dtype=np.float64)
+    time = dt * np.arange(n, dtype=np.float64)
     wave, other = np.sin(9.0 * time), np.cos(5.0 * time)
     others = np.stack([other, wave], axis=1)
     control = np.stack([0.5 + 0.1 * other, 0.1 * wave, 0.1 * other, 0.01 * wave], axis=1)

@@ -104,10 +104,9 @@ class AxisData:
         return np.ascontiguousarray(self.control[:, self.index + 1])
 
     @property
-    def other_axes(self) -> tuple[str, str]:
+    def other_axes(self) -> tuple[str, ...]:
         """Names of the other two axes, in the order of `other_rates`."""
-        first, second = [name for name in AXES if name != self.axis][:2]
-        return first, second
+        return tuple(name for name in AXES if name != self.axis)[:2]
 
     def windows(self, spans: Sequence[Span], length_s: float = WINDOW_S) -> Windows:
         """Windows in `spans`, by default of the contract's length, end to end, no partial ones."""
@@ -153,12 +152,10 @@ class AxisData:
             return f'the bag holds no {MISSING["angle"]}' if lean is None else lean[:, which]
         if name == 'other command':
             signal = self.control[:, AXES.index(axis) + 1]
-            moved = np.std(self.training(signal)) >= LEAST_SHARE * np.std(
-                self.training(self.command)
-            )
-            return signal if moved else (
-                f'the command of {axis} hardly moves during training; excite it as well'
-            )
+            least = LEAST_SHARE * np.std(self.training(self.command))
+            if not np.std(self.training(signal)) >= least:
+                return f'the command of {axis} hardly moves during training; excite it as well'
+            return signal
         if not self.measures(which):
             return f'the rate of {axis} was not measured throughout'
         rate = self.other_rates[:, which]
@@ -172,7 +169,7 @@ def at_limit(rate: FloatArray) -> NDArray[np.bool_]:
     largest = float(size.max(initial=0.0))
     clipped = size >= largest * (1.0 - 1e-9)
     moves = largest > RESTING and np.ptp(size) > 0.0 and np.count_nonzero(clipped) > 2
-    return clipped if moves else np.zeros(rate.size, dtype=bool)
+    return clipped & moves
 
 
 def axis_alone(
@@ -240,52 +237,45 @@ def axis_data(records: Sequence[Record], axis: str) -> AxisData:
     """
     dt = records[0].dt
     parts = [_prepare(record, axis) for record in records]
-    offsets = [0, *itertools.accumulate(record.n for record in records)]
-    placed = [(record, good, offset)
-              for record, (good, _), offset in zip(records, parts, offsets, strict=False)]
+    joined: dict[str, Any] = {
+        key: np.concatenate([values[key] for values in parts]) for key in parts[0]
+    }
+    good, ends = np.isfinite(joined['rate']), itertools.accumulate(record.n for record in records)
+    flights = tuple(itertools.pairwise([0, *ends]))
 
     def pieces(role: str) -> list[tuple[Span, str]]:
         """Unbroken spans of a role, with the names of their signals."""
         return [
-            ((a + offset, b + offset), segment.signal) for record, good, offset in placed
+            ((a + begin, b + begin), segment.signal)
+            for record, (begin, _) in zip(records, flights, strict=True)
             for segment in record.segments
             if segment.role == role and (segment.axis == axis or role == 'idle')
-            for a, b in finite_runs(good, record.span(segment))
+            for a, b in finite_runs(good[begin:], record.span(segment))
         ]
 
-    validation = pieces('validation')
-    stretches = tuple(
-        (a + offset, b + offset) for record, good, offset in placed
-        for a, b in bridged(finite_runs(good, (0, record.n)), dt)
-    )
-    joined: dict[str, Any] = {
-        key: np.concatenate([values[key] for _, values in parts]) for key in parts[0][1]
-    }
     for name, least in (('angle', 0.0), ('other_angles', 0.0), ('battery_v', 0.5)):
-        values = joined[name].reshape(offsets[-1], -1)
+        values = joined[name].reshape(good.size, -1)
         known = np.isfinite(values).all(axis=1).mean() > least
         joined[name] = filled(joined[name]) if known else None
     if not np.isfinite(joined['reference']).any():
         joined['reference'] = None
+    for role in ('train', 'validation', 'idle'):
+        joined[role] = tuple(span for span, _ in pieces(role))
     known_gains = records[0].gains_at(np.inf)
     return AxisData(
-        axis=axis, dt=dt, **joined, stretches=stretches,
+        axis=axis, dt=dt, **joined,
+        stretches=tuple(run for one in flights for run in bridged(finite_runs(good, one), dt)),
         gyro_filter_hz=known_gains.get('sensor.gyro_filter_hz') or None,
         derived_s=known_gains.get('sensor.rate_from_angle_s') or None,
-        train=tuple(span for span, _ in pieces('train')),
-        validation=tuple(span for span, _ in validation),
-        idle=tuple(span for span, _ in pieces('idle')),
-        validation_names=tuple(name for _, name in validation),
-        flights=tuple(itertools.pairwise(offsets)),
+        validation_names=tuple(name for _, name in pieces('validation')),
+        flights=flights,
     )
 
 
-def _prepare(record: Record, axis: str) -> tuple[np.ndarray, dict[str, FloatArray]]:
-    """Mask of usable samples and the axis' arrays of one record."""
-    index = AXES.index(axis)
-    n = record.n
-    rate = record.rates[:, index]
-    control = record.control
+def _prepare(record: Record, axis: str) -> dict[str, FloatArray]:
+    """The axis' arrays of one record; the rate is NaN where it or the command is not known."""
+    index, n = AXES.index(axis), record.n
+    rate, control = record.rates[:, index], record.control
     motors = motors_from_wrench(control) if record.motors is None else record.motors
     good = np.isfinite(rate) & np.isfinite(control[:, index + 1])
     if not good.any():
@@ -296,7 +286,7 @@ def _prepare(record: Record, axis: str) -> tuple[np.ndarray, dict[str, FloatArra
     angles = np.full((n, 3), np.nan) if record.angles is None else record.angles
     nothing, external = np.full(n, np.nan), record.external(axis)
     others = [i for i in range(3) if i != index]
-    return good, {
+    return {
         'rate': np.where(good, rate, np.nan),
         'angle': angles[:, index],
         'other_angles': angles[:, others],

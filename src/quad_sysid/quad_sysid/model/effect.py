@@ -95,9 +95,7 @@ TRANSITION = Spec('transition', 'rad/s', spread=1.0, centre=math.log(0.005), log
 """Rate over which friction changes its sign."""
 
 
-def per_unit(
-    term: str, s: Signals, transition: float = math.exp(TRANSITION.centre)
-) -> FloatArray:
+def per_unit(term: str, s: Signals, transition: float = math.exp(TRANSITION.centre)) -> FloatArray:
     """Acceleration per unit of a change of one term, rad/s² per its unit in UNITS."""
     if term == 'gain':
         return s.drive

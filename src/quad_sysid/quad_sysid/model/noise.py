@@ -7,7 +7,7 @@ adds white noise, before its filter where the model contains one. Nothing is fit
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -69,11 +69,8 @@ def sensor_of(
 def gyro_step(gyro_filter_hz: float, dt: float) -> FloatArray:
     """(2, 5) step of the exact 2nd-order Butterworth filter, unit gain at rest (Sensor.step)."""
     cutoff = 2.0 * math.pi * gyro_filter_hz
-    a = np.zeros((5, 5))
-    a[0, 1] = dt
-    a[1, 0], a[1, 1], a[1, 2] = -(cutoff**2) * dt, -math.sqrt(2.0) * cutoff * dt, cutoff**2 * dt
-    a[2, 3] = 1.0
-    a[3, 4] = 1.0
+    a = np.diag([dt, 0.0, 1.0, 1.0], k=1)
+    a[1, :3] = -(cutoff**2) * dt, -math.sqrt(2.0) * cutoff * dt, cutoff**2 * dt
     e = expm(a)
     # u(s) = u0 + s (-3 u0 + 4 um - u1) + s²/2 * 4 (u0 - 2 um + u1) on s = t / dt
     basis = np.array([[1.0, 0.0, 0.0], [-3.0, 4.0, -1.0], [4.0, -8.0, 4.0]])
@@ -85,7 +82,7 @@ def _stepped(gyro_filter_hz: float, dt: float) -> FloatArray:
     cutoff = 2.0 * math.pi * gyro_filter_hz
     count = max(1, round(dt / FORM_STEP_S))
     h = dt / count
-    total = np.hstack([np.eye(2), np.zeros((2, 3))])
+    total = np.eye(2, 5)
     for s in np.arange(1, count + 1) / count:
         rate = np.array([0.0, 0.0, (1.0 - s) * (1.0 - 2.0 * s), 4.0 * s * (1.0 - s),
                          s * (2.0 * s - 1.0)])
@@ -100,6 +97,8 @@ def _stepped(gyro_filter_hz: float, dt: float) -> FloatArray:
 class Filter:
     """The steady Kalman filter of one noise and damping."""
 
+    floor: float
+    """Variance of all noise in `output` over that before the gyro filter."""
     gain: FloatArray
     """(4 + 2 v,) Kalman gain: rate, disturbance, two states of the gyro filter and two of each of
     the v lines of vibration."""
@@ -116,8 +115,6 @@ class Filter:
     """From the states to the recorded rate."""
     after: float
     """What adds to the variance of `output`: white noise, and what that has in common with it."""
-    floor: float
-    """Variance of all noise in `output` over that before the gyro filter."""
 
 
 def kalman(
@@ -129,18 +126,16 @@ def kalman(
     the innovations give; without a gyro filter the last does not count. Then of each of the v
     lines of vibration the three of structure.VIBRATION. averaged: as in structure.Structure.
     """
-    found = recursion.steady_filter(
-        noise, damping, sensor.step, sensor.behind, sensor.noisy, averaged, dt
-    )
-    gain, move, innovation, transition, process, covariance, output, after = found
     floor = 1.0
     if sensor.noisy:
         floor = noise[3] ** 2 + sensor.floor[0] + averaged * sensor.floor[1]
-    floor += float(np.sum(noise[4::3] ** 2))
-    if sensor.derived:
-        output, after = np.eye(output.size)[0], sensor.derived
-        floor = after
-    return Filter(gain, move, innovation, transition, process, covariance, output, after, floor)
+    found = Filter(floor + float(np.sum(noise[4::3] ** 2)), *recursion.steady_filter(
+        noise, damping, sensor.step, sensor.behind, sensor.noisy, averaged, dt
+    ))
+    if not sensor.derived:
+        return found
+    rate = np.eye(found.gain.size)[0]
+    return replace(found, output=rate, after=sensor.derived, floor=sensor.derived)
 
 
 def growth(found: Filter, steps: int) -> FloatArray:

@@ -24,7 +24,7 @@ from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.model import recursion
 from quad_sysid.model.angle import led_by_gyro
 from quad_sysid.model.data import AxisData, Span, Windows, at_limit, filled
-from quad_sysid.model.effect import Drive, Effect, Part, Signals, required
+from quad_sysid.model.effect import Drive, Part, Signals, required
 from quad_sysid.model.noise import Filter, kalman, sensor_of
 from quad_sysid.model.structure import Structure, natural
 
@@ -45,8 +45,7 @@ SHORTEST_S = 1e-5
 """A lag or delay below this counts as none."""
 
 
-@dataclass(frozen=True)
-class Pushed:
+class Pushed(NamedTuple):
     """Accelerations along a trajectory, as recursion.predict takes them."""
 
     known: FloatArray
@@ -69,13 +68,11 @@ def with_torques(start: FloatArray, acting: Sequence[Acting]) -> FloatArray:
 def with_slopes(start: FloatArray, acting: Sequence[Acting]) -> FloatArray:
     """The slope of an acceleration over the rate and those of the effects' torques, 1/s."""
     for part, p, s in acting:
-        if 'rate' not in part.effect.signals:
-            continue
-        ahead, back = (
-            part.effect.torque(replace(s, rate=s.rate + step), p, part.settings)
-            for step in (SLOPE_STEP, -SLOPE_STEP)
-        )
-        if ahead is not None and back is not None:
+        if 'rate' in part.effect.signals:
+            ahead, back = (
+                with_torques(np.zeros(1), [(part, p, replace(s, rate=s.rate + step))])
+                for step in (SLOPE_STEP, -SLOPE_STEP)
+            )
             start = start + (ahead - back) / (2.0 * SLOPE_STEP)
     return start
 
@@ -84,10 +81,8 @@ def central(
     function: Callable[[FloatArray], FloatArray], x: FloatArray, j: int, step: float
 ) -> FloatArray:
     """Derivative of an array by one coordinate of x (p,), by central differences."""
-    up, down = x.copy(), x.copy()
-    up[j] += step
-    down[j] -= step
-    return (function(up) - function(down)) / (2.0 * step)
+    away = step * np.eye(x.size)[j]
+    return (function(x + away) - function(x - away)) / (2.0 * step)
 
 
 def per_coefficient(part: Part, s: Signals, p: FloatArray) -> FloatArray:
@@ -142,8 +137,8 @@ class Flight:
         self.gyro = filled(data.rate)
         self.angle = None
         if data.angle is not None:
-            self.angle = np.nan_to_num(data.angle) if self.sensor.derived else \
-                led_by_gyro(data, self.gyro)
+            derived = self.sensor.derived
+            self.angle = np.nan_to_num(data.angle) if derived else led_by_gyro(data, self.gyro)
         self.others: list[FloatArray] | None = None
         if np.isfinite(data.other_rates).mean() > 0.5:
             self.others = [self._ahead(np.nan_to_num(column)) for column in data.other_rates.T]
@@ -185,24 +180,20 @@ class Flight:
         found = self._drives.get(key)
         if found is not None:
             return found
-        data = self.data
-        command = data.command
+        data, command = self.data, self.data.command
         for part, where in acting:
             command = part.effect.command(data, command, p[where], part.settings)
-        n = command.size
-        lag = np.full((1, n), max(float(p[1]), SHORTEST_S))
+        lag = np.full((1, command.size), max(float(p[1]), SHORTEST_S))
         drive = Drive(command[None, :], np.ones(1), lag)
         for part, where in acting:
             drive = part.effect.actuate(data, drive, p[where], part.settings)
         delay = min(max(float(p[2]), 0.0), 0.5) / data.dt
         whole = math.floor(delay + 1e-9)
-        halves, states = np.zeros((2, n)), np.zeros((2, n))
+        halves, states = np.zeros((2, 2, command.size))
+        channels = [np.ascontiguousarray(x) for x in (drive.commands, drive.row, drive.lag)]
         for start, stop in data.stretches if remembered else self.passes:
-            recursion.motors(
-                np.ascontiguousarray(drive.commands), np.ascontiguousarray(drive.row),
-                np.ascontiguousarray(drive.lag), drive.factors, whole,
-                min(max(delay - whole, 0.0), 1.0), data.dt, start, stop, halves, states,
-            )
+            recursion.motors(*channels, drive.factors, whole, max(delay - whole, 0.0), data.dt,
+                             start, stop, halves, states)
         if len(self._drives) > 40:
             self._drives.clear()
         self._drives[key] = halves, states
@@ -233,21 +224,21 @@ class Flight:
         )
 
     def hidden(self, part: Part, s: Signals, p: FloatArray) -> Signals:
-        """The signals with the effect's hidden states along the flight."""
-        return replace(s, hidden=self._trace(part, s, p)) if part.effect.states else s
-
-    def _trace(self, part: Part, s: Signals, p: FloatArray) -> FloatArray:
-        """(states, n) an effect's hidden states along the flight.
+        """The signals with the effect's hidden states, (states, n), if any, along the flight.
 
         What integrates the rate takes the measured one at all that is slower than FOLLOWED_S:
         errors of an estimated rate would add up in it, and from one pass to the next.
         """
+        if not part.effect.states:
+            return s
+        rate = s.rate
         if part.effect.integrates and not self.sensor.derived:
-            dt, grid = self.data.dt, np.arange(s.rate.size)
+            dt, grid = self.data.dt, np.arange(rate.size)
             keep = math.exp(-dt / FOLLOWED_S)
-            away = self.gyro - np.interp(grid - 0.5 - self.late / dt, grid, s.rate)
-            s = replace(s, rate=s.rate + lfilter([1.0 - keep], [1.0, -keep], away))
-        return part.effect.trace(self.data, s, p, part.settings)
+            away = self.gyro - np.interp(grid - 0.5 - self.late / dt, grid, rate)
+            rate = rate + lfilter([1.0 - keep], [1.0, -keep], away)
+        seen = replace(s, rate=rate)
+        return replace(s, hidden=part.effect.trace(self.data, seen, p, part.settings))
 
     def pushed(self, structure: Structure, p: FloatArray, rate: FloatArray) -> Pushed:
         """Accelerations along the trajectory `rate` (n,), and their slope over it."""
@@ -280,21 +271,17 @@ class Flight:
         where a torque is not linear. The third, (b,), says for which of the p the second is.
         """
         placed, p = structure.placed(), structure.natural(theta)
-        moving = [where for part, where in placed if part.effect.moves_command]
-        bent = np.array([0, 1, 2, *(j for w in moving for j in range(w.start, w.stop))])
+        moving = slice(3), *(where for part, where in placed if part.effect.moves_command)
+        bent = np.r_[moving]
         out, bends = np.zeros((rate.size, theta.size)), np.empty((rate.size, bent.size))
         out[:, 3], out[:, 4] = -rate, 1.0
         for place, which in enumerate(structure.shared, theta.size - len(structure.noise)):
             out[:, place] = self.disturbances[:, which]
-        pushing = [(part, where) for part, where in placed if not part.effect.moves_command]
-        if pushing:
-            s = self.signals(p, *self.driven(structure, p), rate)
-            for part, where in pushing:
+        s = self.signals(p, *self.driven(structure, p), rate)
+        for part, where in placed:
+            if not part.effect.moves_command:
                 out[:, where] = self._by_parameters(part, s, theta[where], steps[where])
-        follow_drive = [
-            (part, where) for part, where in placed if 'command' in part.effect.signals
-            and type(part.effect).torque is not Effect.torque
-        ]
+        follow_drive = [one for one in placed if 'command' in one[0].effect.signals]
 
         def driven(theta: FloatArray) -> FloatArray:
             """(2, n) acceleration of all that follows the command."""
@@ -303,9 +290,7 @@ class Flight:
 
         here = driven(theta)
         for i, j in enumerate(bent):
-            ahead = theta.copy()
-            ahead[j] += steps[j]
-            begin, end = (driven(ahead) - here) / steps[j]
+            begin, end = (driven(theta + np.diag(steps)[j]) - here) / steps[j]
             out[:, j], bends[:, i] = 0.5 * (begin + end), 0.5 * (begin - end)
         return out, bends, bent
 
@@ -318,11 +303,10 @@ class Flight:
         own = self.hidden(part, s, p)  # which those in which the torque is linear do not move
         out, here = np.empty((s.rate.size, theta.size)), required(effect.torque(own, p, settings))
         for j in set(range(theta.size)) - set(linear):
-            ahead = theta.copy()
-            ahead[j] += FINER * steps[j]
-            moved = natural(effect.parameters, ahead)
+            ahead = FINER * np.diag(steps)[j]
+            moved = natural(effect.parameters, theta + ahead)
             there = required(effect.torque(self.hidden(part, s, moved), moved, settings))
-            out[:, j] = (there - here) / (FINER * steps[j])
+            out[:, j] = (there - here) / ahead[j]
         if linear:
             p[linear] = 0.0
             out[:, linear] = effect.columns(own, p, linear, settings)
@@ -381,24 +365,21 @@ class Flight:
         innovation, jacobian = np.full(n, np.nan), np.zeros(by.columns.shape)
         for start, stop in self.passes:
             recursion.predict(
-                self.measured, float(self.data.rate[start]), push.known, push.slope, found.gain,
-                found.move, self.sensor.step, self.sensor.behind, self.data.dt, start, stop, *by,
-                rate, states, innovation, jacobian,
+                self.measured, float(self.data.rate[start]), *push, found.gain, found.move,
+                self.sensor.step, self.sensor.behind, self.data.dt, start, stop, *by, rate, states,
+                innovation, jacobian,
             )
         return Prediction(innovation, jacobian, states, found, rate)
 
     def _by_filter(self, structure: Structure, theta: FloatArray, damping: float) -> FloatArray:
         """(p, 6 + 4 v) derivatives of Filter.gain and Filter.move."""
-        first, specs = theta.size - structure.filtered, structure.specs
-
         def steady(at: FloatArray) -> FloatArray:
-            found = kalman(natural(specs[first:], at[:-1]), at[-1], self.sensor, self.data.dt,
-                           averaged=structure.averaged)
+            found = self.filter_of(structure, at[:-1], at[-1])
             return np.concatenate([found.gain, found.move])
 
-        at, out = np.r_[theta[first:], damping], np.zeros((theta.size, 6 + 4 * structure.lines))
-        for i, j in enumerate((*range(first, theta.size), 3)):
-            out[j] = central(steady, at, i, FILTER_STEP)
+        at, out = np.r_[theta, damping], np.zeros((theta.size, 6 + 4 * structure.lines))
+        for j in range(theta.size - structure.filtered, at.size):
+            out[j if j < theta.size else 3] = central(steady, at, j, FILTER_STEP)
         return out
 
     def _follow(
@@ -448,13 +429,12 @@ class Flight:
         prediction: Prediction | None = None,
     ) -> FloatArray:
         """(windows, length) error of the rate, rad/s, run freely from each predicted start."""
-        data, dt = self.data, self.data.dt
-        p = structure.natural(theta)
+        dt, p = self.data.dt, structure.natural(theta)
         prediction = prediction or self.predict(structure, theta)
         found = prediction.filter
         halves, states = self.driven(structure, p)
         x = prediction.states[windows.starts]
-        r, d, g, q = (x[:, i].copy() for i in range(4))
+        r, d, g, q = x[:, :4].T
         end = 4 + 2 * structure.lines
         v = x[:, 4:end:2] + 1j * x[:, 5:end:2]
         followed = iter(x[:, end:].T)
@@ -462,17 +442,16 @@ class Flight:
         fade, hold = found.move[:2]
         angle = None if self.angle is None else self.angle[windows.starts] + self.late * r
         out = np.full((windows.count, windows.length), np.nan)
-        last = data.rate.size - 1
         acting = [(part, p[where]) for part, where in structure.placed()]
         along = self.signals(p, halves, states, prediction.rate)
         hidden = [
             next(followed)[None, :] if part.effect.wanders else
-            self._trace(part, along, values)[:, windows.starts]
+            required(self.hidden(part, along, values).hidden)[:, windows.starts]
             if part.effect.states else None for part, values in acting
         ]
         for i in range(windows.length):
-            k = np.minimum(windows.starts + i, last)
-            out[:, i] = (g if self.sensor.noisy else r) - data.rate[k]
+            k = windows.starts + i
+            out[:, i] = (g if self.sensor.noisy else r) - self.data.rate[k]
             if not self.sensor.derived:
                 out[:, i] += v.real.sum(axis=1)
             drive = p[0] * halves[:, k]

@@ -35,15 +35,10 @@ def motors(commands, row, lag, factors, whole, fraction, dt, start, stop, halves
 
     commands (c, n) held over a cycle; row (c,); lag (c, n) s, times the exponential of a curve
     over how far a motor has to go, factors (c, 2, k) its knots and values. The delay is `whole`
-    cycles and a `fraction` of one. halves (2, n) receives the mean drive over both halves of each
-    cycle, states (2, n) the drive and the delayed command at its middle; filled in [start, stop).
-    Solved exactly for a held command and a constant lag.
+    cycles and a `fraction` of one. halves (2, n), zeros before, receives the mean drive over both
+    halves of each cycle in [start, stop), states (2, n) the drive and the delayed command at its
+    middle. Solved exactly for a held command and a constant lag.
     """
-    for k in range(start, stop):
-        halves[0, k] = 0.0
-        halves[1, k] = 0.0
-        states[0, k] = 0.0
-        states[1, k] = 0.0
     cut0, cut1 = min(fraction, 0.5), max(fraction, 0.5)
     lengths = (cut0 * dt, (cut1 - cut0) * dt, (1.0 - cut1) * dt)
     older = 1 if fraction < 0.5 else 2  # lengths with the older command
@@ -53,8 +48,7 @@ def motors(commands, row, lag, factors, whole, fraction, dt, start, stop, halves
         if weight == 0.0:
             continue
         w = commands[c, start]
-        last_tau = -1.0
-        decays = (1.0, 1.0, 1.0)
+        taus, decays = np.zeros(3), np.zeros(3)  # of each length, most often as a cycle before
         for k in range(start, stop):
             new = commands[c, max(k - whole, start)]
             before = commands[c, max(k - whole - 1, start)]
@@ -65,26 +59,16 @@ def motors(commands, row, lag, factors, whole, fraction, dt, start, stop, halves
                     tau = lag[c, k]
                     if uneven:
                         tau *= math.exp(between(u - w, factors[c, 0], factors[c, 1]))
-                        decay = math.exp(-h / tau)
-                    else:
-                        if tau != last_tau:
-                            last_tau = tau
-                            decays = (
-                                math.exp(-lengths[0] / tau), math.exp(-lengths[1] / tau),
-                                math.exp(-lengths[2] / tau),
-                            )
-                        decay = decays[i]
+                    if tau != taus[i]:
+                        taus[i], decays[i] = tau, math.exp(-h / tau)
                     away = w - u
-                    area = u * h + away * tau * (1.0 - decay)
-                    w = u + away * decay
+                    area = u * h + away * tau * (1.0 - decays[i])
+                    w = u + away * decays[i]
                     halves[0 if i < first else 1, k] += weight * area
                 if i == first - 1:
                     states[0, k] += weight * w
                     states[1, k] += weight * u
-    half = 2.0 / dt
-    for k in range(start, stop):
-        halves[0, k] *= half
-        halves[1, k] *= half
+    halves[:, start:stop] *= 2.0 / dt
 
 
 @njit(**_OPTIONS)
@@ -123,10 +107,7 @@ def predict(y, begin, known, slope, gain, move, gyro, behind, dt, start, stop, c
     v, x = np.zeros(lines, np.complex128), np.zeros(wanders)
     s, sv, sx = np.zeros((4, m)), np.zeros((lines, m), np.complex128), np.zeros((wanders, m))
     for k in range(start, stop):
-        states[k, 0] = r
-        states[k, 1] = d
-        states[k, 2] = g
-        states[k, 3] = q
+        states[k, :4] = r, d, g, q
         e = y[k] - (g if behind else r)
         for j in range(m):
             jacobian[k, j] = -(s[2, j] if behind else s[0, j])
@@ -191,9 +172,8 @@ def predict(y, begin, known, slope, gain, move, gyro, behind, dt, start, stop, c
         for j in range(bends.shape[1]):
             s[2, bent[j]] += g03 * 0.5 * dt * bends[k, j]
             s[3, bent[j]] += g13 * 0.5 * dt * bends[k, j]
-        ng = g00 * g + g01 * q + g02 * r + g03 * curved + g04 * new
-        q = g10 * g + g11 * q + g12 * r + g13 * curved + g14 * new
-        g = ng
+        g, q = (g00 * g + g01 * q + g02 * r + g03 * curved + g04 * new,
+                g10 * g + g11 * q + g12 * r + g13 * curved + g14 * new)
         r = new
         d *= fade
 
@@ -230,11 +210,8 @@ def riccati(f, q, c, r):
 
     f (n, n) transition, q (n, n) its noise, c (n,) output, r its noise variance. Anderson (1978).
     """
-    n = f.shape[0]
-    a = np.ascontiguousarray(f.T)
-    g = np.outer(c, c) / r
-    h = q.copy()
-    eye = np.eye(n)
+    a, g, h = np.ascontiguousarray(f.T), np.outer(c, c) / r, q
+    eye = np.eye(c.size)
     for _ in range(60):
         w = np.linalg.inv(eye + g @ h)
         new_h = h + a.T @ h @ w @ a
@@ -261,26 +238,23 @@ def steady_filter(noise, damping, step, behind, noisy, averaged, dt):
     ahead, push = (1.0 + a) / (1.0 - a), dt / (1.0 - a)
     size = 4 + 2 * lines
     # last, beside the states: the gyro's noise of the cycle before, where it is averaged
-    rows = np.zeros((size + 1, size + 1))
+    whole = size + 1 if noisy and averaged else size
+    rows = np.zeros((whole, whole))
     rows[0, 0], rows[0, 1], rows[1, 1] = ahead, push * hold, fade
-    by_halves = np.zeros((size + 1, 2))  # of accelerations over the two halves
+    by_halves = np.zeros((whole, 2))  # of accelerations over the two halves
     by_halves[0] = 0.5 * push
-    process = np.zeros((size + 1, size + 1))
     move = np.empty(2 + 2 * lines)
     move[0], move[1] = fade, hold
-    inside = np.zeros(2)
-    for i in range(2):
-        begin, half, end = step[i, 2:]
-        rows[2 + i, 0] = begin + half * 0.5 * (1.0 + ahead) + end * ahead
-        rows[2 + i, 1] = (0.5 * half + end) * push * hold
-        rows[2 + i, 2:4] = step[i, :2]
-        by_halves[2 + i] = (0.5 * half + end) * 0.5 * push
-        by_halves[2 + i, 0] += 0.25 * dt * half
-        by_halves[2 + i, 1] -= 0.25 * dt * half
-        inside[i] = begin + half + end
-    process += white**2 * 2.0 / dt * (by_halves @ by_halves.T)
+    begin, half, end = step[:, 2], step[:, 3], step[:, 4]
+    by_mean, inside = 0.5 * half + end, begin + half + end
+    rows[2:4, 0] = begin + half * 0.5 * (1.0 + ahead) + end * ahead
+    rows[2:4, 1] = by_mean * push * hold
+    rows[2:4, 2:4] = step[:, :2]
+    by_halves[2:4, 0] = by_mean * 0.5 * push + 0.25 * dt * half
+    by_halves[2:4, 1] = by_mean * 0.5 * push - 0.25 * dt * half
+    process = white**2 * 2.0 / dt * (by_halves @ by_halves.T)
     process[1, 1] += disturbance**2 * (1.0 - fade**2)
-    c = np.zeros(size + 1)
+    c = np.zeros(whole)
     c[2 if behind else 0] = 1.0
     for i in range(lines):
         rms, frequency, width = noise[4 + 3 * i : 7 + 3 * i]
@@ -305,18 +279,11 @@ def steady_filter(noise, damping, step, behind, noisy, averaged, dt):
             process[2:4, size] = process[size, 2:4] = inside
             adds += early[0] ** 2 - 2.0 * inside[0] * early[0]
         process[2:4, 2:4] += np.outer(inside, inside)
-    used = np.ones(size + 1, np.bool_)
-    used[2], used[3], used[size] = behind, noisy, noisy and averaged
-    at = np.flatnonzero(used)
-    part = riccati(rows[at][:, at], process[at][:, at], c[at], r)
-    gain = np.zeros(size + 1)
-    s = c[at] @ part @ c[at] + r
-    gain[at] = part @ c[at] / s
-    covariance = np.zeros((size + 1, size + 1))
-    for i, k in enumerate(at):
-        covariance[k, at] = part[i]
+    covariance = riccati(rows, process, c, r)
+    shown = covariance @ c
+    s = shown @ c + r
     return (
-        gain[:size], move, s, rows[:size, :size].copy(), process[:size, :size].copy(),
+        shown[:size] / s, move, s, rows[:size, :size].copy(), process[:size, :size].copy(),
         covariance[:size, :size].copy(), c[:size].copy(), adds,
     )
 

@@ -109,13 +109,10 @@ class Structure:
 def natural(specs: Sequence[Spec], theta: FloatArray) -> FloatArray:
     """(p,) parameters in their units from coordinates of the fit: some are logarithms."""
     logs = np.array([s.log for s in specs])
-    exponents = np.clip(np.where(logs, theta, 0.0), -40.0, 40.0)
-    return np.where(logs, np.exp(exponents), theta)
+    return np.where(logs, np.exp(np.clip(theta, -40.0, 40.0)), theta)
 
 
-def coordinates(
-    specs: Sequence[Spec], values: FloatArray, least: float = 1e-12
-) -> FloatArray:
+def coordinates(specs: Sequence[Spec], values: FloatArray, least: float = 1e-12) -> FloatArray:
     """The inverse of `natural`; a logarithm is of `least` at least."""
     logs = np.array([s.log for s in specs])
-    return np.where(logs, np.log(np.maximum(np.where(logs, values, 1.0), least)), values)
+    return np.where(logs, np.log(np.maximum(values, least)), values)
