@@ -277,10 +277,11 @@ class Flight:
         out[:, 3], out[:, 4] = -rate, 1.0
         for place, which in enumerate(structure.shared, theta.size - len(structure.noise)):
             out[:, place] = self.disturbances[:, which]
-        s = self.signals(p, *self.driven(structure, p), rate)
-        for part, where in placed:
-            if not part.effect.moves_command:
-                out[:, where] = self._by_parameters(part, s, theta[where], steps[where])
+        pushing = [(part, where) for part, where in placed if not part.effect.moves_command]
+        if pushing:
+            s = self.signals(p, *self.driven(structure, p), rate)
+        for part, where in pushing:
+            out[:, where] = self._by_parameters(part, s, theta[where], steps[where])
         follow_drive = [one for one in placed if 'command' in one[0].effect.signals]
 
         def driven(theta: FloatArray) -> FloatArray:
