@@ -83,17 +83,6 @@ def over_knots(
     return np.interp(x, places, values)
 
 
-def smooth(place: Sequence[float], length: float, size: float) -> FloatArray:
-    """(k, k) prior precision of a curve's values at knots, placed from -1 to 1.
-
-    length: over which it is correlated, as a share of the range; size: their standard deviation.
-    """
-    at = np.array(place)
-    apart = (at[:, None] - at[None, :]) / (2.0 * length)
-    kernel = np.exp(-0.5 * apart**2) + 1e-3 * np.eye(at.size)
-    return np.linalg.inv(kernel) / size**2
-
-
 def placed(used: FloatArray, knots: FloatArray, place: FloatArray) -> dict[str, Any]:
     """Settings of a curve with these knots (k,) over a signal, whose mean over it is zero."""
     held = np.clip(used[np.isfinite(used)], knots[0], knots[-1])
@@ -135,10 +124,26 @@ class Shape(Effect):
         return found
 
 
-class Curve(Shape):
-    """One term of the base as a curve of one signal."""
+class Smooth(Shape):
+    """A shape whose parameters from `first` on are the `count` values of a curve at its knots."""
 
     free = True
+    first = 0
+    count: int
+    length: float
+    """Over which the curve is correlated, as a share of the range of its knots."""
+
+    def precision(self, settings: Settings, sizes: FloatArray) -> FloatArray:
+        at = np.array(settings['place'])  # -1 to 1
+        apart = (at[:, None] - at) / (2.0 * self.length)
+        kernel = np.exp(-0.5 * apart**2) + 1e-3 * np.eye(at.size)
+        out, where = np.diag(sizes**-2.0), slice(self.first, self.first + self.count)
+        out[where, where] = np.linalg.inv(kernel) / sizes[self.first] ** 2
+        return out
+
+
+class Curve(Smooth):
+    """One term of the base as a curve of one signal."""
 
     def __init__(self, term: str, signal: str, smoothness: str) -> None:
         self.shaped(term, signal, smoothness)
@@ -194,11 +199,6 @@ class Curve(Shape):
     @property
     def moves_command(self) -> bool:
         return self.term in ('lag', 'command', 'response')
-
-    def precision(self, settings: Settings, sizes: FloatArray) -> FloatArray:
-        out = np.diag(sizes**-2.0)
-        out[: self.count, : self.count] = smooth(settings['place'], self.length, sizes[0])
-        return out
 
     def starts(self, data: AxisData, settings: Settings) -> Sequence[FloatArray]:
         more = TRANSITION.starts if self.term == 'friction' else ((),)

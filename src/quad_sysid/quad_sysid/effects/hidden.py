@@ -14,7 +14,7 @@ from scipy.linalg import expm
 from scipy.signal import lfilter
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.effects.curves import SLOW_MOVES, SMOOTH, Shape, over_knots, signal_of, smooth
+from quad_sysid.effects.curves import SLOW_MOVES, SMOOTH, Shape, Smooth, over_knots, signal_of
 from quad_sysid.effects.torques import Torque
 from quad_sysid.model import recursion
 from quad_sysid.model.data import AxisData, Span
@@ -368,10 +368,10 @@ class Memory(Shape, Linear):
         return p[1] * x * per_unit(self.term, s)
 
 
-class MemoryCurve(Memory):
+class MemoryCurve(Smooth, Memory):
     """As a smooth curve of what a signal has lately been (Wiener 1958)."""
 
-    free = True
+    first = 1
 
     def __init__(self, term: str, signal: str) -> None:
         super().__init__(term, signal)
@@ -400,11 +400,6 @@ class MemoryCurve(Memory):
         further = self.further(self.length)
         curve = over_knots(required(s.hidden)[0], p[1:], settings, further, further)
         return curve * per_unit(self.term, s)
-
-    def precision(self, settings: Settings, sizes: FloatArray) -> FloatArray:
-        out = np.diag(sizes**-2.0)
-        out[1:, 1:] = smooth(settings['place'], self.length, sizes[1])
-        return out
 
 
 class Shown(Shape):
