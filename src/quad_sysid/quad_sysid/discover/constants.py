@@ -17,7 +17,7 @@ BEAM = 3
 REFITS = 12
 """Explanations with one more effect that are fitted at each level, each by its best variant."""
 EXCHANGES = 3
-"""Explanations that are fitted in the place of each effect of the best structures."""
+"""Explanations that are fitted in the place of each effect of the best structure."""
 MOST_EFFECTS = 4
 """A minute of flight hardly determines more."""
 HOPELESS = -8.0

@@ -121,7 +121,6 @@ class _Search:
             for part in parts
         }
         self.known: dict[frozenset[str], Scored] = {frozenset(): Scored(base, base.evidence)}
-        self.exchanged: set[frozenset[str]] = set()
         self.screens: dict[frozenset[str], list[Score]] = {}
 
     def build_on(self, parents: Sequence[Scored], refits: int) -> list[Scored]:
@@ -163,19 +162,15 @@ class _Search:
         return max(self.known.values(), key=lambda s: s.score)
 
     def exchange(self) -> bool:
-        """Exchange each effect of the best structures for others; whether one was better."""
+        """Exchange each effect of the best structure for others; whether one was better."""
         best = self.best()
-        for one in leading(self.known.values()):
-            labels = frozenset(one.fit.structure.labels)
-            if len(labels) < 2 or labels in self.exchanged:
-                continue
-            self.exchanged.add(labels)
-            for index in range(len(labels)):
-                rest = frozenset(one.fit.structure.minus(index).labels)
-                if rest not in self.known and (fit := fit_without(self.problem, one.fit, index)):
-                    self.keep(fit)
-                if parent := self.known.get(rest):
-                    self.build_on([parent], EXCHANGES)
+        count = len(best.fit.structure.parts)
+        for index in range(count if count > 1 else 0):
+            rest = frozenset(best.fit.structure.minus(index).labels)
+            if rest not in self.known and (fit := fit_without(self.problem, best.fit, index)):
+                self.keep(fit)
+            if parent := self.known.get(rest):
+                self.build_on([parent], EXCHANGES)
         return self.best() is not best
 
 
@@ -192,8 +187,8 @@ def search(problem: Problem, effects: Sequence[Effect]) -> Found:
     """The structures that the training segments support.
 
     A beam search adds one effect at a time until no score beside the best structure promises more,
-    or the evidence falls; then each effect of the best three is exchanged for alternatives until
-    none is better.
+    or the evidence falls; then each effect of the best is exchanged for alternatives until none is
+    better.
 
     A coupling counts only if no gust disturbs both axes: a gust at an angle moves both, each
     feedback answers it, and one axis' command would seem to turn the other. If the evidence asks
