@@ -205,6 +205,32 @@ def test_an_unknown_table_is_listed_with_a_command_line_that_works(tmp_path, cap
     assert len(capsys.readouterr().err.splitlines()) == 1
 
 
+@pytest.mark.parametrize(('text', 'words'), [
+    ('A suite for quadrotors and their STM32\n\nIt has 3 packages.\nEach has tests, and 250 Hz.\n',
+     "is not a table: most lines have not the header's columns"),
+    ('one\ntwo\nthree\n4\nfive\nsix\n', 'is not a table of numbers'),
+])
+def test_a_text_that_is_no_table_is_refused_in_one_line(tmp_path, capsys, text, words):
+    file = tmp_path / 'notes.md'
+    file.write_text(text)
+    assert main(['import', str(file)]) == 2
+    said = capsys.readouterr()
+    assert said.out == ''
+    assert len(said.err.splitlines()) == 1
+    assert f'notes.md: {words}' in said.err
+
+
+@pytest.mark.parametrize('text', [
+    't,gyro_x,u_x,mode\n0,0.1,1,on,\n0.1,0.2,2,on,\n0.2,0.4,1,off,\n',  # a comma ends each row
+    't,gyro_x,u_x\n0,0.1,\n0.1,,2\n0.2,0.4,1\n',
+])
+def test_odd_rows_still_make_a_table(tmp_path, capsys, text):
+    file = tmp_path / 'log.csv'
+    file.write_text(text)
+    assert main(['import', str(file)]) == 0
+    assert '3 columns with numbers' in capsys.readouterr().out
+
+
 def test_commands_of_all_axes_and_thrust(options, tmp_path):
     table = columns()
     wrench = control_from_motors(np.column_stack([table[m] for m in MOTORS]))
