@@ -289,6 +289,27 @@ def test_one_angle_beside_three_rates_is_told_with_the_line_that_uses_it(
     np.testing.assert_allclose(record.attitude_setpoint[:, 0], want['ref'], atol=1e-6)
 
 
+@pytest.mark.parametrize(('unit', 'turned'), [
+    ('1', '-1'), ('0.05', '-0.05'), ('pulse_us', '-0.001:1.5'),
+])
+def test_a_command_of_the_wrong_sign_is_told_and_what_is_advised_mends_it(
+    options, tmp_path, unit, turned
+):
+    rng = np.random.default_rng(3)
+    command = np.repeat(rng.choice([-0.1, 0.1], N // 25), 25)
+    given = unit_of('control', unit, 'u')
+    rate = np.cumsum(40.0 * DT * np.roll(command, 3)) + 0.01 * rng.standard_normal(N)
+    table = columns() | {'u': (-command - given.offset) / given.factor, 'rate': rate}
+    wrong = replace(options, file=write(tmp_path / 'a.csv', table), angle=(), reference=(),
+                    rate_reference=(), battery=None, units={'u': unit})
+    (line,) = [one for one in imported(wrong, tmp_path / 'wrong').warnings if 'opposite' in one]
+    assert line.startswith('pitch: command and rate have opposite signs')
+    assert line.endswith(f'--unit u={turned}')
+    right = imported(replace(wrong, units={'u': turned}), tmp_path / 'right')
+    assert not [one for one in right.warnings if 'opposite' in one]
+    np.testing.assert_allclose(right.record.control[:, 2], command, atol=1e-9)
+
+
 def test_a_rate_setpoint_by_name_or_unit_is_no_reference_of_the_angle(tmp_path, capsys):
     for name in ('roll_rate_sp', 'Roll setpoint (deg/s)'):
         write(tmp_path / 'own.csv', rig(**renamed('t', *MOTORS, 'gx', 'roll'), ref=(name, 1.0)))

@@ -107,7 +107,10 @@ def read_columns(options: ColumnOptions) -> ForeignLog:
         mixer=None if not options.motors or options.mixer == 'auto'
         else mixer_of(options.mixer, options.motors),
         battery=found['battery'], mapped=_mapped(options, units, found), checks=tuple(odd),
-        clock=table.told,
+        clock=table.told, reversing={
+            axis: _column(options, units, name, table.columns[name]).advise(units[name].reversed)
+            for axis, name in zip(options.axes, options.control, strict=bool(options.control))
+        },
     )
 
 

@@ -26,6 +26,11 @@ class Unit:
     factor: float
     offset: float = 0.0
 
+    @property
+    def reversed(self) -> str:
+        """The text of the unit that gives the opposite values."""
+        return f'{-self.factor:.6g}' + (f':{-self.offset:.6g}' if self.offset else '')
+
     def __call__(self, values: FloatArray) -> FloatArray:
         """Convert values of any shape."""
         return self.factor * values + self.offset
