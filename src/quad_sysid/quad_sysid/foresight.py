@@ -20,6 +20,8 @@ HORIZONS_S = (0.02, 0.05, 0.1, 0.2)
 """Those of the verdict over which the motors answer; later the unknown commands rule."""
 LAGS, PAST_S = 20, 0.1
 """Number and span of the past samples: the motors' lag and delay lie within it."""
+MOST_ROWS = 20_000
+"""At most so many samples are predicted, spread over the recording."""
 ROWS_EACH = 2
 """Least number of rows for each coefficient."""
 
@@ -50,6 +52,7 @@ def _ratio(rate: FloatArray, commands: FloatArray, spans: Sequence[tuple[int, in
         np.arange(a + (LAGS - 1) * step, b - ahead) for a, b in spans)])
     if at.size <= ROWS_EACH * ((1 + commands.shape[1]) * LAGS + 1):
         return 1.0
+    at = at[:: -(-at.size // MOST_ROWS)]
     past = at[:, None] - step * np.arange(LAGS)
     rates = np.column_stack([np.ones(at.size), rate[past]])
     both = np.column_stack([rates, commands[past].reshape(at.size, -1)])

@@ -19,6 +19,7 @@ from quad_sysid.imports.plausible import time_unit
 from quad_sysid.imports.table import Table
 from quad_sysid.imports.units import OPTIONS, UNITS, Role, bare, flag, header_unit, unit_of
 from quad_sysid.report.tables import Table as Text
+from quad_sysid.report.tables import wrapped
 from quad_sysid.report.words import number
 
 
@@ -210,9 +211,10 @@ def lines(guessed: Guess, table: Table, file: Path) -> Iterator[str]:
         for axes, options in guessed.partial().items():
             named = ', '.join(map(flag, options))
             yield ''
-            yield (f'{named}: not used, since only {" and ".join(axes)} of '
-                   f'{", ".join(guessed.axes)} has such a column; with it, import '
-                   f'{" and ".join(axes)} alone:')
+            yield from wrapped(
+                f'{named}: not used, since only {" and ".join(axes)} of '
+                f'{", ".join(guessed.axes)} has such a column; to use it, import '
+                f'{" and ".join(axes)} alone:', '')
             yield str(guessed.command(file, axes))
 
 

@@ -125,12 +125,14 @@ class Use:
     """Why it is not possible; if it is, on what condition."""
 
 
-def uses_of_axis(record: Record, data: AxisData) -> tuple[Use, ...]:
-    """What one axis' data allow: identification first, then what hangs on more signals."""
-    axis, refused = data.axis, ''
+def uses_of_axis(record: Record, data: AxisData, untold: str) -> tuple[Use, ...]:
+    """What one axis' data allow: identification first, then what hangs on more signals.
+
+    untold: why the commands do not tell the rate; empty where they do.
+    """
+    axis, refused = data.axis, untold
     try:
         check_usable(data, (record,))
-        refused = _untold(data)
     except NotInformativeError as error:
         refused = str(error).removeprefix(f'{axis}: ')
     identify = Use(f'identify {axis}', possible=not refused, because=refused)
@@ -313,9 +315,10 @@ def _axis(record: Record, axis: str) -> AxisContent:
                       because=str(error).removeprefix(f'{axis}: '))
         return AxisContent(axis, lengths['train'], lengths['validation'], 0,
                            evaluable=False, uses=(refused,))
+    untold = _untold(data)
     found = AxisContent(axis, lengths['train'], lengths['validation'],
                         data.windows(data.validation).count, _evaluable(record, data),
-                        uses_of_axis(record, data))
+                        uses_of_axis(record, data, untold))
     if not data.train:
         return found
     command = _rms(data.command, data.train)
@@ -323,8 +326,7 @@ def _axis(record: Record, axis: str) -> AxisContent:
     return replace(found, rate_rms=_rms(data.rate, data.train), command_rms=command,
                    reference_rms=reference,
                    excitation_order=_order(data, command),
-                   coherent_band_rad_s=band_of(data) if command and command > MOVES
-                   and not _untold(data) else None)
+                   coherent_band_rad_s=None if untold else band_of(data))
 
 
 def _order(data: AxisData, command_rms: float | None) -> int | None:
