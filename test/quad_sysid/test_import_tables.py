@@ -205,6 +205,161 @@ def test_an_unknown_table_is_listed_with_a_command_line_that_works(tmp_path, cap
     assert len(capsys.readouterr().err.splitlines()) == 1
 
 
+def rig(**renamed: tuple[str, float]) -> dict[str, np.ndarray]:
+    """Roll excited on a rig, pitch and yaw quiet; columns by their new names, times a factor."""
+    rng = np.random.default_rng(5)
+    table = columns()
+    quiet = [0.02 * rng.standard_normal(N) for _ in range(4)]
+    known = {
+        't': table['t'], **{m: table[m] for m in MOTORS}, 'gx': table['rate'], 'gy': quiet[0],
+        'gz': quiet[1], 'roll': table['angle'], 'pitch': quiet[2], 'yaw': quiet[3],
+        'ref': table['ref'],
+    }
+    return {new: factor * known[name] for name, (new, factor) in renamed.items()}
+
+
+def renamed(*names: str, factor: float = 1.0) -> dict[str, tuple[str, float]]:
+    return {name: (name, factor) for name in names}
+
+
+def proposals(out: str) -> list[list[str]]:
+    """The words of the command lines that a listing proposes, without the program's name."""
+    import shlex
+    return [shlex.split(line)[1:] for line in out.splitlines() if line.startswith('quad-sysid')]
+
+
+@pytest.mark.parametrize('heads', [
+    ('gx', 'gy', 'gz'), ('p', 'q', 'r'), ('gx (deg/s)', 'gy', 'gz'), ('gx', 'gy [deg/s]', 'gz'),
+    ('Gyro X (deg/s)', 'Gyro Y', 'Gyro Z'), ('gyro_x_dps', 'gyro_y_dps', 'gyro_z_dps'),
+])
+def test_the_quiet_axes_of_a_sensor_have_the_unit_of_the_excited_one(
+    tmp_path, capsys, monkeypatch, heads
+):
+    monkeypatch.chdir(tmp_path)
+    table = rig(**renamed('t', *MOTORS),
+                **{old: (new, 1.0 / DEG) for old, new in zip(('gx', 'gy', 'gz'), heads,
+                                                            strict=True)},
+                **renamed('roll', 'pitch', 'yaw', factor=1.0 / DEG))
+    write(tmp_path / 'own.csv', table)
+    assert main(['import', 'own.csv']) == 0
+    (words,) = proposals(capsys.readouterr().out)
+    words[words.index('--mixer') + 1] = 'x'  # no motor turned anything
+    assert main(words) == 0
+    record, want = read_bag(tmp_path / 'own_bag'), rig(**renamed('gx', 'gy', 'gz', 'pitch'))
+    np.testing.assert_allclose(record.rates[:, 0], want['gx'], atol=1e-6)
+    np.testing.assert_allclose(record.rates[:, 1], want['gy'], atol=1e-6)
+    np.testing.assert_allclose(record.rates[:, 2], want['gz'], atol=1e-6)
+    np.testing.assert_allclose(record.angles[:, 1], want['pitch'], atol=1e-6)
+
+
+def test_a_unit_given_for_one_column_of_a_sensor_holds_for_its_others(tmp_path):
+    table = rig(**renamed('t', *MOTORS), **renamed('gx', 'gy', 'gz', factor=10.0))
+    three = ColumnOptions(write(tmp_path / 'own.csv', table), ('roll', 'pitch', 'yaw'), 't',
+                          motors=MOTORS, rate=('gx', 'gy', 'gz'))
+    for units, factors in (({'gx': 'deg/s'}, (DEG, DEG, DEG)),
+                           ({'gx': 'deg/s', 'gz': 'rad/s'}, (DEG, 1.0, 1.0)),
+                           ({'gy': '-0.5'}, (1.0, -0.5, 1.0))):  # a sign is an axis' own
+        found = read_columns(replace(three, units=units)).rates.values
+        for i, name in enumerate(('gx', 'gy', 'gz')):
+            np.testing.assert_allclose(found[:, i], factors[i] * table[name], atol=1e-9)
+
+
+@pytest.mark.parametrize(('angle', 'reference', 'factor'), [
+    ('Roll (deg)', 'Roll setpoint (deg)', 1.0 / DEG), ('phi', 'roll_ref', 1.0),
+    ('roll', 'roll_sp', 1.0 / DEG),
+])
+def test_one_angle_beside_three_rates_is_told_with_the_line_that_uses_it(
+    tmp_path, capsys, monkeypatch, angle, reference, factor
+):
+    monkeypatch.chdir(tmp_path)
+    write(tmp_path / 'own.csv', rig(
+        **renamed('t', *MOTORS, 'gx', 'gy', 'gz'), roll=(angle, factor), ref=(reference, factor)))
+    assert main(['import', 'own.csv']) == 0
+    out = capsys.readouterr().out
+    assert re.search(re.escape(angle) + r' .*  angle, roll.*, not used', out)
+    assert re.search(re.escape(reference) + r' .*  reference, roll.*, not used', out)
+    assert '--angle, --reference: not used, since only roll of roll, pitch, yaw has' in out
+    every, roll = proposals(out)
+    assert every[every.index('--axis') + 1] == 'roll,pitch,yaw'
+    assert '--angle' not in every
+    roll[roll.index('--mixer') + 1] = 'x'
+    assert main(roll) == 0
+    record, want = read_bag(tmp_path / 'own_roll_bag'), columns()
+    np.testing.assert_allclose(record.angles[:, 0], want['angle'], atol=1e-6)
+    np.testing.assert_allclose(record.attitude_setpoint[:, 0], want['ref'], atol=1e-6)
+
+
+@pytest.mark.parametrize(('unit', 'turned'), [
+    ('1', '-1'), ('0.05', '-0.05'), ('pulse_us', '-0.001:1.5'),
+])
+def test_a_command_of_the_wrong_sign_is_told_and_what_is_advised_mends_it(
+    options, tmp_path, unit, turned
+):
+    rng = np.random.default_rng(3)
+    command = np.repeat(rng.choice([-0.1, 0.1], N // 25), 25)
+    given = unit_of('control', unit, 'u')
+    rate = np.cumsum(40.0 * DT * np.roll(command, 3)) + 0.01 * rng.standard_normal(N)
+    table = columns() | {'u': (-command - given.offset) / given.factor, 'rate': rate}
+    wrong = replace(options, file=write(tmp_path / 'a.csv', table), angle=(), reference=(),
+                    rate_reference=(), battery=None, units={'u': unit})
+    (line,) = [one for one in imported(wrong, tmp_path / 'wrong').warnings if 'opposite' in one]
+    assert line.startswith('pitch: command and rate have opposite signs')
+    assert line.endswith(f'--unit u={turned}')
+    right = imported(replace(wrong, units={'u': turned}), tmp_path / 'right')
+    assert not [one for one in right.warnings if 'opposite' in one]
+    np.testing.assert_allclose(right.record.control[:, 2], command, atol=1e-9)
+
+
+def test_a_rate_setpoint_by_name_or_unit_is_no_reference_of_the_angle(tmp_path, capsys):
+    for name in ('roll_rate_sp', 'Roll setpoint (deg/s)'):
+        write(tmp_path / 'own.csv', rig(**renamed('t', *MOTORS, 'gx', 'roll'), ref=(name, 1.0)))
+        assert main(['import', str(tmp_path / 'own.csv')]) == 0
+        out = capsys.readouterr().out
+        assert re.search(re.escape(name) + r' .*  rate reference, roll', out)
+
+
+@pytest.mark.parametrize(('unit', 'advised'), [('us', None), ('µs', None), ('PWM', 'pulse_us')])
+def test_motors_in_microseconds(options, tmp_path, refusal, unit, advised):
+    """Microseconds of a motor are its pulse's; of another unit the advice follows the values."""
+    names = tuple(f'Motor {i} ({unit})' for i in range(1, 5))
+    table = columns() | {new: 1000.0 + 1000.0 * columns()[m]
+                         for new, m in zip(names, MOTORS, strict=True)}
+    motors = replace(options, file=write(tmp_path / 'own.csv', table), control=(), motors=names)
+    if advised:
+        line = refusal(read_columns, motors)
+        assert f"'{unit}'" in line
+        assert f"such as --unit 'Motor 1 ({unit})={advised}'" in line
+        motors = replace(motors, units=dict.fromkeys(names, advised))
+    np.testing.assert_allclose(read_columns(motors).motors.values,
+                               np.column_stack([columns()[m] for m in MOTORS]), atol=1e-9)
+
+
+@pytest.mark.parametrize(('text', 'words'), [
+    ('A suite for quadrotors and their STM32\n\nIt has 3 packages.\nEach has tests, and 250 Hz.\n',
+     "is not a table: most lines have not the header's columns"),
+    ('one\ntwo\nthree\n4\nfive\nsix\n', 'is not a table of numbers'),
+])
+def test_a_text_that_is_no_table_is_refused_in_one_line(tmp_path, capsys, text, words):
+    file = tmp_path / 'notes.md'
+    file.write_text(text)
+    assert main(['import', str(file)]) == 2
+    said = capsys.readouterr()
+    assert said.out == ''
+    assert len(said.err.splitlines()) == 1
+    assert f'notes.md: {words}' in said.err
+
+
+@pytest.mark.parametrize('text', [
+    't,gyro_x,u_x,mode\n0,0.1,1,on,\n0.1,0.2,2,on,\n0.2,0.4,1,off,\n',  # a comma ends each row
+    't,gyro_x,u_x\n0,0.1,\n0.1,,2\n0.2,0.4,1\n',
+])
+def test_odd_rows_still_make_a_table(tmp_path, capsys, text):
+    file = tmp_path / 'log.csv'
+    file.write_text(text)
+    assert main(['import', str(file)]) == 0
+    assert '3 columns with numbers' in capsys.readouterr().out
+
+
 def test_commands_of_all_axes_and_thrust(options, tmp_path):
     table = columns()
     wrench = control_from_motors(np.column_stack([table[m] for m in MOTORS]))

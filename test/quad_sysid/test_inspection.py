@@ -12,6 +12,7 @@ from flown_axis import Axis, Plan, fly
 
 from quad_sysid.bags import write_bag
 from quad_sysid.cli import main
+from quad_sysid.contract import MIXER
 from quad_sysid.inspection.cli import lines
 from quad_sysid.inspection.content import content
 from quad_sysid.report.model_file import save_models
@@ -85,6 +86,68 @@ def test_a_flight_in_which_nothing_moves_is_good_for_nothing(record, tmp_path, c
     assert 'not excited: the command stands still' in out
     assert 'persistently' not in out
     assert len(err.splitlines()) == 1
+
+
+@pytest.fixture(scope='module')
+def held(record):
+    """Roll flies; pitch and yaw are held, so that their motors answer to the gyro's noise alone.
+
+    There is no segment.
+    """
+    rng = np.random.default_rng(7)
+    rates, control = record.rates.copy(), record.control.copy()
+    for i in (1, 2):
+        rates[:, i] = 0.005 * rng.standard_normal(record.n)
+        control[:, 1 + i] = -0.07 * rates[:, i]
+    return replace(record, rates=rates, control=control, motors=control @ MIXER.T, segments=())
+
+
+def test_an_axis_that_is_held_is_refused_as_by_identify(held, tmp_path, capsys):
+    """Its feedback makes noise coherent with itself, and the motors explain its change."""
+    path = write_bag(held, tmp_path / 'bag')
+    seen = content(path)
+    uses = {use.name: use for one in seen.axes for use in one.uses}
+    assert uses['identify roll'].possible
+    assert [p.certain for p in seen.layout] == [True, False, False]
+    assert seen.axes[0].coherent_band_rad_s is not None
+    for axis, one in zip(('pitch', 'yaw'), seen.axes[1:], strict=True):
+        assert not uses[f'identify {axis}'].possible
+        assert 'do not predict the rate better than past rates do' in uses[
+            f'identify {axis}'].because
+        assert one.coherent_band_rad_s is None
+    assert not [line for line in seen.warnings if 'motor_' in line or '--mixer' in line]
+    out = tmp_path / 'out'
+    assert main(['identify', str(path), '--axis', 'pitch', '--no-effects', '--out', str(out)]) == 3
+    said = ' '.join(capsys.readouterr().out.split())
+    assert 'the commands do not predict the held-out rates better' in said
+
+
+def test_a_command_of_the_wrong_sign_is_told_without_motors(record, tmp_path, capsys):
+    control = record.control * [1.0, -1.0, 1.0, 1.0]
+    path = write_bag(replace(record, control=control, wrench=control), tmp_path / 'bag')
+    seen = content(path)
+    assert [(p.axis, p.signs, p.certain) for p in seen.layout] == [('roll', (-1,), True)]
+    (line,) = [one for one in seen.warnings if 'roll: command and rate' in one]
+    assert 'have opposite signs' in line
+    assert '--unit COLUMN=-1' in line
+    assert main(['inspect', str(path)]) == 0
+    out = ' '.join(capsys.readouterr().out.split())
+    assert 'command on roll: - explains' in out
+    assert '--mixer' not in out
+    assert 'motor_' not in out
+
+
+def test_one_gap_has_one_length(bag):
+    page = lines(content(bag))
+    (imu,) = [line for line in page if line.lstrip().startswith('/imu/data ')]
+    assert imu.split()[-1] == '0.204'
+    assert sum('0.204' in line for line in page) == 3  # with the line on the flight, and a warning
+
+
+def test_a_stored_model_must_have_the_bags_rate(bag):
+    (use,) = content(bag).uses
+    assert use.possible
+    assert use.because == "one of this bag's rate, 250 Hz"
 
 
 def test_what_identify_would_refuse_is_no_use(record, tmp_path, capsys):

@@ -1,4 +1,4 @@
-"""What each motor does to an axis, by the motion alone: every pattern of signs is tried.
+"""What each motor, or an axis' command, does to the axis by the motion alone: all signs are tried.
 
 Pure array maths; it knows no frame, no order and no file. A pattern gives each motor +, - or 0;
 the share of the axis' angular acceleration (or, of a rig that hangs, of its angle) which the
@@ -8,14 +8,16 @@ signed sum of the commands explains is compared over all patterns, delays and la
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from itertools import product
 
 import numpy as np
 
 from quad_sysid.contract import AXES, FloatArray
+from quad_sysid.foresight import tell
 from quad_sysid.motor_places import MOTORS, where_motors_are
+from quad_sysid.record import finite_runs
 
 LAGS_S = (0.0, 0.01, 0.02, 0.04, 0.08, 0.15)
 DELAYS_S = (0.0, 0.005, 0.01, 0.02, 0.03, 0.04)
@@ -43,6 +45,8 @@ ALIKE, NEAR = 0.85, 0.6
 the best, the data cannot separate them, and the one along which the motors moved most counts."""
 CLEARLY_LESS = 0.5
 """Share of the best pattern's explanation below which a mixer is in doubt."""
+REVERSED_SHARE = 0.2
+"""Least share with which a command is called reversed: a slow motion may have any phase to it."""
 MOST_MOTORS = 8
 PLUS = range(4)
 """Of a plus frame two motors are idle for roll and the other two for pitch; every propeller turns
@@ -55,7 +59,7 @@ class Pattern:
 
     axis: str
     signs: tuple[int, ...]
-    """Sign of each motor in the given order: 1, -1 or 0."""
+    """Sign of each motor in the given order: 1, -1 or 0; of the axis' command where it is one."""
     share: float
     """Share of the response's variance that the signed sum explains, 0..1."""
     rival_share: float
@@ -70,13 +74,15 @@ class Pattern:
         """The signs as they are written: `- - + +`."""
         return ' '.join('+' if s > 0 else '-' if s < 0 else '0' for s in self.signs)
 
-
     @property
     def sentence(self) -> str:
-        """One line on what the motors do to the axis."""
+        """One line on what the motors, or the command, do to the axis."""
         sure = '' if self.certain else ', not certain'
-        return (f'motors on {self.axis}: {self.text} explain {100.0 * self.share:.3g} % of the '
-                f'{self.response} (next best {100.0 * self.rival_share:.2g} %{sure})')
+        what, rival = f'motors on {self.axis}: {self.text} explain', 'next best'
+        if len(self.signs) == 1:
+            what, rival = f'command on {self.axis}: {self.text} explains', 'the other sign'
+        return (f'{what} {100.0 * self.share:.3g} % of the {self.response} ({rival} '
+                f'{100.0 * self.rival_share:.2g} %{sure})')
 
 
 @dataclass(frozen=True)
@@ -133,6 +139,51 @@ def patterns_of(
     if motors.shape[1] == len(PLUS) and any(idle) and sorted(set().union(*idle)) != list(PLUS):
         found = _best_of(responses, idle=())
     return found
+
+
+def commands_of(
+    rates: FloatArray, commands: FloatArray, dt: float, angles: FloatArray | None = None
+) -> tuple[Pattern, ...]:
+    """The sign with which the command of each axis that moves turns it; as patterns_of.
+
+    commands (n, 3), normalised.
+    """
+    found: list[Pattern] = []
+    for i, axis in enumerate(AXES):
+        pair = np.column_stack([commands[:, i], -commands[:, i]])
+        angle = None if angles is None else angles[:, i]
+        if np.nanstd(commands[:, i]) > 0.0:
+            found += _best_of({axis: tuple(_responses(rates[:, i], pair, dt, angle))}, idle=())
+    return told(tuple(replace(p, signs=p.signs[:1]) for p in found), rates, commands, dt)
+
+
+def told(
+    patterns: Sequence[Pattern], rates: FloatArray, drives: FloatArray, dt: float
+) -> tuple[Pattern, ...]:
+    """The patterns, certain only where the drives (n, k) tell the axis' rate (foresight.py).
+
+    Elsewhere the feedback alone joins them: the noise of a held axis is in its motors too.
+    """
+
+    def tells(one: Pattern) -> bool:
+        rate = rates[:, AXES.index(one.axis)]
+        known = np.isfinite(rate) & np.isfinite(drives).all(axis=1)
+        return tell(rate, drives, finite_runs(known, (0, known.size)), dt)
+
+    return tuple(
+        replace(p, certain=p.certain and (p.response == 'angle' or tells(p))) for p in patterns
+    )
+
+
+def opposite(patterns: Sequence[Pattern], remedies: Mapping[str, str]) -> list[str]:
+    """A line, with the axis' remedy, for each command (commands_of) that turns the wrong way."""
+    remedy = 'turn the sign of its command where it is made or imported (--unit COLUMN=-1)'
+    return [
+        f'{p.axis}: command and rate have opposite signs: reversed, the command explains '
+        f'{100.0 * p.share:.3g} % of the {p.response}, as it is {100.0 * p.rival_share:.2g} %: '
+        + remedies.get(p.axis, remedy)
+        for p in patterns if p.certain and p.signs == (-1,) and p.share >= REVERSED_SHARE
+    ]
 
 
 def _best_of(
@@ -211,12 +262,12 @@ def _best(axis: str, response: _Response, *, idle: bool) -> Pattern:
         spread[best] > NEAR * size[best] * size)
     first = int(np.argmax(np.where(alike, driven, -1.0)))
     near = spread[first] > NEAR * size[first] * size
-    rivals = np.where(near, 0.0, shares.max(axis=0))
+    rivals = np.where(near, -1.0, shares.max(axis=0))  # one that explains nothing is one, too
     rival = int(np.argmax(rivals))
     by_block = _share(signs[[first, rival]], response.gram[setting], response.cross[setting],
                       response.power[setting])
     won = float(np.mean(by_block[:, 0] > by_block[:, 1]))
-    share, other = float(shares[setting, first]), float(rivals[rival])
+    share, other = float(shares[setting, first]), max(float(rivals[rival]), 0.0)
     return Pattern(
         axis, tuple(int(s) for s in signs[first]), share, other,
         certain=share >= LEAST_SHARE[response.name] and share >= CLEARLY * other

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import shlex
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +22,16 @@ from quad_sysid.imports.mixers import mixer_of
 from quad_sysid.imports.plausible import Column, check_rate, check_reference, check_times
 from quad_sysid.imports.table import Table, open_table
 from quad_sysid.imports.to_bag import MIDDLE_COMMAND
-from quad_sysid.imports.units import OPTIONS, UNITS, Role, Unit, flag, header_unit, unit_of
+from quad_sysid.imports.units import (
+    OPTIONS,
+    UNITS,
+    Role,
+    Unit,
+    flag,
+    header_unit,
+    unit_of,
+    written,
+)
 
 ANGLE_LIMIT = {'roll': np.pi, 'pitch': 0.5 * np.pi, 'yaw': np.inf}
 
@@ -70,8 +79,9 @@ def parse_units(items: list[str]) -> dict[str, str]:
 def read_columns(options: ColumnOptions) -> ForeignLog:
     """Read the named columns; raises BadInputError naming file, line and column."""
     roles = _roles(options)
-    units = {name: unit_of(role, options.units.get(name), name) for name, role in roles.items()}
     table = open_table(options.file, list(roles))
+    options = replace(options, units=_shared(options))
+    units = _units(options, table)
     odd: list[str] = []
     _check_ranges(options, table, units)
     if options.time is not None:
@@ -97,8 +107,39 @@ def read_columns(options: ColumnOptions) -> ForeignLog:
         mixer=None if not options.motors or options.mixer == 'auto'
         else mixer_of(options.mixer, options.motors),
         battery=found['battery'], mapped=_mapped(options, units, found), checks=tuple(odd),
-        clock=table.told,
+        clock=table.told, reversing={
+            axis: _column(options, units, name, table.columns[name]).advise(units[name].reversed)
+            for axis, name in zip(options.axes, options.control, strict=bool(options.control))
+        },
     )
+
+
+def _shared(options: ColumnOptions) -> dict[str, str]:
+    """The given units, and for columns of a sensor without any the one that its others have."""
+    units = dict(options.units)
+    for option, what in OPTIONS.items():
+        if what.role not in ('rate', 'angle'):
+            continue
+        names = options.names(option)
+        own = {name: written(units[name], what.role) if name in units
+               else header_unit(name, what.role) for name in names}
+        common = {unit for unit in own.values() if unit in UNITS[what.role]}
+        if len(common) == 1:
+            units |= {name: str(*common) for name, unit in own.items() if unit is None}
+    return units
+
+
+def _units(options: ColumnOptions, table: Table) -> dict[str, Unit]:
+    """The unit of each column; raises BadInputError with a likely one for a header's unknown."""
+    units = {}
+    for option, what in OPTIONS.items():
+        names = options.names(option)
+        for at, name in enumerate(names):
+            text = options.units.get(name)
+            known = text or header_unit(name, what.role) in {None, *UNITS[what.role]}
+            likely = '' if known else likely_units(table, option, names)[at]
+            units[name] = unit_of(what.role, text, name, likely)
+    return units
 
 
 def _stream(table: Table, units: Mapping[str, Unit], names: tuple[str, ...]) -> Stream | None:
@@ -223,7 +264,8 @@ def _check_ranges(
         outside = np.flatnonzero((values < low - 1e-6) | (values > high + 1e-6))
         if len(outside):
             fits = _fitting(raw, low, high)
-            (likely,) = likely_units(table, option, (name,))
+            names = options.names(option)
+            likely = likely_units(table, option, names)[names.index(name)]
             if likely in UNITS[OPTIONS[option].role]:
                 shown = unit_of(OPTIONS[option].role, likely, name)(raw)
                 if np.nanmin(shown) >= low and np.nanmax(shown) <= high:
@@ -257,7 +299,7 @@ def _column(
     degrees: str = 'deg',
 ) -> Column:
     unit = units[name]
-    named = name in options.units or header_unit(name) == unit.name
+    named = name in options.units or header_unit(name) is not None
     return Column(str(options.file), name, unit, named, values, degrees)
 
 

@@ -17,8 +17,9 @@ import numpy as np
 from quad_sysid.contract import AXES
 from quad_sysid.imports.plausible import time_unit
 from quad_sysid.imports.table import Table
-from quad_sysid.imports.units import OPTIONS, UNITS, Role, flag, header_unit, unit_of
+from quad_sysid.imports.units import OPTIONS, UNITS, Role, bare, flag, header_unit, unit_of
 from quad_sysid.report.tables import Table as Text
+from quad_sysid.report.tables import wrapped
 from quad_sysid.report.words import number
 
 
@@ -31,7 +32,8 @@ def _named(*parts: str) -> re.Pattern[str]:
 
 TIME = _named('t', r'time', 'stamp', r'(?<![a-z])secs?(?![a-z])', 'ticks?')
 WANTED = _named('set.?p', 'sp', r'(?<![a-z])des', 'ref', 'target', 'goal', 'cmd', '(?<![A-Z])_d$')
-RATE = _named('gyro', 'rate', 'omega', 'ang(ular)?.?vel', 'p', 'q', 'r', '(?<![a-z])[gw][xyz]')
+RATE = _named('gyro', 'rate', 'omega', 'ang(ular)?.?vel', 'p', 'q', 'r', '(?<![a-z])[gw][xyz]',
+              '(rad|deg|°)/s', 'dps')
 GYRO = _named('gyro', 'p', 'q', 'r', '(?<![a-z])g[xyz]')
 ANGLE = _named('roll', 'pitch', 'yaw', 'phi', 'theta', 'psi', 'angle', 'attitude', 'euler')
 TORQUE = _named('torque', 'tau', 'moment', 'control', 'cmd', 'output', 'u', r'(?<![a-z])u[234]')
@@ -62,34 +64,61 @@ class Guess:
     """The options of the import with their columns, and the units that are proposed for them."""
 
     columns: Mapping[str, tuple[str, ...]]
+    """By option; of one with a column for each axis those of AXES, '' where an axis has none."""
     axes: tuple[str, ...]
+    """Those that can be imported together: with a rate (or else an angle) and a command."""
     units: Mapping[str, str]
     timed: bool = True
     """Whether a column of time was found, or the columns have times of their own."""
 
     def role_of(self, column: str) -> str:
         """The guess for one column, in words."""
-        option = next((o for o, names in self.columns.items() if column in names), '-')
-        unit = '' if option == '-' else self.units.get(column) or header_unit(column)
+        option = next((o for o, names in self.columns.items() if column in names), None)
+        if option is None:
+            return '-'
+        at, word = self.columns[option].index(column), option.replace('_', ' ')
+        unit = self.units.get(column) or header_unit(column, OPTIONS[option].role)
         if option == 'motors':
-            option = f'motor {self.columns[option].index(column) + 1}'
-        elif option in OPTIONS and OPTIONS[option].per_axis:
-            axis = self.axes[self.columns[option].index(column)]
-            option = f'{option.replace("_", " ")}, {axis}'
-        return f'{option} [{unit}]' if unit else option
+            word = f'motor {at + 1}'
+        elif OPTIONS[option].per_axis:
+            word += f', {AXES[at]}'
+        word += f' [{unit}]' if unit else ''
+        return word if column in self._taken(self.axes).get(option, ()) else f'{word}, not used'
 
-    def command(self, file: Path) -> str | None:
-        """The command line that imports the table; None without rates or commands."""
-        if not ({'rate', 'angle'} & self.columns.keys()
-                and {'control', 'motors'} & self.columns.keys()) or not self.timed:
+    def _taken(self, axes: Sequence[str]) -> dict[str, tuple[str, ...]]:
+        """The columns of each option that an import of these axes takes."""
+        taken = {
+            option: tuple(name for axis, name in zip(AXES, names, strict=True) if axis in axes)
+            if OPTIONS[option].per_axis else names
+            for option, names in self.columns.items()
+        }
+        return {option: names for option, names in taken.items() if all(names) and names}
+
+    def command(self, file: Path, axes: Sequence[str] = ()) -> str | None:
+        """The command line that imports these axes, or all; None without rates or commands."""
+        taken = self._taken(axes or self.axes)
+        if not ({'rate', 'angle'} & taken.keys() and {'control', 'motors'} & taken.keys()
+                and self.timed):
             return None
-        words = ['quad-sysid', 'import', str(file), '--axis', ','.join(self.axes)]
-        for option, names in self.columns.items():
+        words = ['quad-sysid', 'import', str(file), '--axis', ','.join(axes or self.axes)]
+        for option, names in taken.items():
             words += [flag(option), ','.join(names)]
-        words += ['--mixer', 'auto'] if 'motors' in self.columns else []
+        words += ['--mixer', 'auto'] if 'motors' in taken else []
         for column, unit in self.units.items():
-            words += ['--unit', f'{column}={unit}']
-        return shlex.join([*words, '--out', f'{file.name.partition(".")[0]}_bag'])
+            if any(column in names for names in taken.values()):
+                words += ['--unit', f'{column}={unit}']
+        out = '_'.join([file.name.partition('.')[0], *axes, 'bag'])
+        return shlex.join([*words, '--out', out])
+
+    def partial(self) -> dict[tuple[str, ...], list[str]]:
+        """Options that only some of the axes have columns for, by these axes."""
+        found: dict[tuple[str, ...], list[str]] = {}
+        for option, names in self.columns.items():
+            if OPTIONS[option].per_axis and option not in self._taken(self.axes):
+                own = tuple(axis for axis in _axes(names) if axis in self.axes)
+                found.setdefault(own, []).append(option)
+        found.pop((), None)
+        return found
 
 
 def guess(table: Table) -> Guess:
@@ -98,26 +127,20 @@ def guess(table: Table) -> Guess:
     free = [n for n in table.columns if np.nanstd(table.columns[n]) > 0.0]
 
     def take(option: str, names: Sequence[str]) -> None:
-        found[option] = tuple(n for n in names if n)
-        for name in found[option]:
+        found[option] = tuple(names)
+        for name in filter(None, names):
             free.remove(name)
 
     if time := _time(table):
         take('time', [time])
     if motors := _motors(table, free):
         take('motors', motors)
-    axes: tuple[str, ...] = ()
     for option, pattern in (('rate', RATE), ('angle', ANGLE), ('control', TORQUE),
                             ('reference', ANGLE), ('rate_reference', RATE)):
         if option == 'control' and motors:
             continue
-        triples = [
-            t for t in _triples([n for n in free if _fits(option, n)], pattern)
-            if not axes or axes == _axes(t)
-        ]
-        if triples:
-            best = min(triples, key=lambda t: not all(GYRO.search(n) for n in t))
-            axes = _axes(best)
+        triples = _triples([n for n in free if _fits(option, n)], pattern)
+        if best := _widest(triples, _importable(found)):
             take(option, best)
     for option, pattern in (('thrust', THRUST), ('battery', BATTERY)):
         named = [n for n in free if pattern.search(n)]
@@ -126,21 +149,35 @@ def guess(table: Table) -> Guess:
     ordered = {option: found[option] for option in OPTIONS if option in found}
     units = {
         name: unit for option, names in ordered.items()
-        for name, unit in zip(names, likely_units(table, option, names), strict=True)
-        if unit and header_unit(name) != unit
+        for name, unit in zip(filter(None, names), likely_units(table, option, names), strict=True)
+        if unit and header_unit(name, OPTIONS[option].role) != unit
     }
-    return Guess(ordered, axes, units, bool(time or table.times))
+    return Guess(ordered, _importable(found), units, bool(time or table.times))
+
+
+def _importable(found: Mapping[str, tuple[str, ...]]) -> tuple[str, ...]:
+    """The axes that what was found so far measures (by a rate, else an angle) and commands."""
+    measured = found.get('rate') or found.get('angle') or AXES
+    both = zip(AXES, measured, found.get('control') or AXES, strict=True)
+    return tuple(axis for axis, *columns in both if all(columns))
+
+
+def _widest(triples: Sequence[Triple], axes: Sequence[str]) -> Triple | None:
+    """The triple that has most of these axes, a gyro's before others; None where none has any."""
+    shared = {triple: len({*axes} & {*_axes(triple)}) for triple in triples}
+    best = max(shared, key=lambda t: (shared[t], all(GYRO.search(n) for n in t)), default=None)
+    return best if best and shared[best] else None
 
 
 def _fits(option: str, name: str) -> bool:
     """Whether a column of this name may be what the option asks for."""
     wanted = bool(WANTED.search(name))
-    if option == 'angle':
-        return not wanted and (not RATE.search(name) or 'angle' in name.lower())
+    if OPTIONS[option].role == 'angle' and RATE.search(name) and 'angle' not in name.lower():
+        return False
     return option == 'control' or wanted == option.endswith('reference')
 
 
-def _axes(triple: Triple) -> tuple[str, ...]:
+def _axes(triple: Sequence[str]) -> tuple[str, ...]:
     return tuple(axis for axis, name in zip(AXES, triple, strict=True) if name)
 
 
@@ -171,6 +208,14 @@ def lines(guessed: Guess, table: Table, file: Path) -> Iterator[str]:
         yield 'check the guesses, then:'
         yield command
         yield from quicker(max((rate for rate in rates if rate), default=0.0))
+        for axes, options in guessed.partial().items():
+            named = ', '.join(map(flag, options))
+            yield ''
+            yield from wrapped(
+                f'{named}: not used, since only {" and ".join(axes)} of '
+                f'{", ".join(guessed.axes)} has such a column; to use it, import '
+                f'{" and ".join(axes)} alone:', '')
+            yield str(guessed.command(file, axes))
 
 
 def quicker(rate_hz: float) -> list[str]:
@@ -207,31 +252,38 @@ def _motors(table: Table, names: Sequence[str]) -> tuple[str, ...]:
 
 
 def _triples(names: Sequence[str], pattern: re.Pattern[str]) -> list[Triple]:
-    """Columns of the three axes that differ in the axis' name only; '' where one is missing."""
+    """Columns of the three axes that differ in the axis' name only; '' where one is missing.
+
+    One may have its unit in brackets where another has none.
+    """
     groups: dict[str, list[str]] = {}
     for name in names:
         if not pattern.search(name):
             continue
-        last = name.rpartition('.')[2]
-        bare = last if any(p.search(last) for p in (pattern, *AXIS_NAMES)) else name
+        whole = bare(name)
+        last = whole.rpartition('.')[2]
+        part = last if any(p.search(last) for p in (pattern, *AXIS_NAMES)) else whole
         for i, axis in enumerate(AXIS_NAMES):
-            found = list(axis.finditer(bare))
+            found = list(axis.finditer(part))
             if found:
-                start, stop = (len(name) - len(bare) + at for at in found[-1].span())
-                stem = f'{name[:start]}*{name[stop:]}'
+                start, stop = (len(whole) - len(part) + at for at in found[-1].span())
+                stem = f'{whole[:start]}*{whole[stop:]}'
+                if groups.get(stem, ['', '', ''])[i]:  # the same once more in another unit
+                    stem += name[len(whole):]
                 groups.setdefault(stem, ['', '', ''])[i] = name
                 break
-    whole = [(a, b, c) for a, b, c in groups.values()]
-    return sorted(whole, key=lambda g: -sum(map(bool, g)))
+    return [(a, b, c) for a, b, c in groups.values()]
 
 
 def likely_units(table: Table, option: str, names: Sequence[str]) -> list[str]:
     """The units of an option's columns, where name or size tells one that is not SI; else ''.
 
-    SI is named where the name's own is unknown.
+    Columns of one sensor share what is known of any of them. SI is named where the name's own unit
+    is unknown. An empty name is no column.
     """
-    role = OPTIONS[option].role
-    return [unit or ('' if header_unit(name) in {None, *UNITS[role]} else next(iter(UNITS[role])))
+    role, names = OPTIONS[option].role, [name for name in names if name]
+    known = {None, *UNITS[role]}
+    return [unit or ('' if header_unit(name, role) in known else next(iter(UNITS[role])))
             for name, unit in zip(names, _by_size(table, option, names), strict=True)]
 
 
@@ -242,8 +294,7 @@ def _by_size(table: Table, option: str, names: Sequence[str]) -> list[str]:
         unit = known if known in UNITS['time'] else time_unit(columns[0])
         return ['' if unit == 's' else unit or '']
     if OPTIONS[option].role in ('rate', 'angle'):
-        return [_turn_unit(name, values, OPTIONS[option].role)
-                for name, values in zip(names, columns, strict=True)]
+        return _turn_units(names, columns, OPTIONS[option].role)
     high = max(float(np.nanmax(np.abs(values))) for values in columns)
     if option == 'battery':
         return ['mV' if float(np.nanmedian(columns[0])) > LARGEST_V else '']
@@ -261,11 +312,21 @@ def _by_size(table: Table, option: str, names: Sequence[str]) -> list[str]:
     return [unit] * len(names)
 
 
-def _turn_unit(name: str, values: np.ndarray, role: Role) -> str:
-    """`deg` or `deg/s` where the name or the size says so; else nothing."""
-    lower, rate = name.lower(), role == 'rate'
-    if header_unit(name) in UNITS[role] or re.search(r'_rad(s|ps)?([^a-z]|$)', lower):
-        return ''
-    large = float(np.nanquantile(np.abs(values), 0.99)) > (SMOOTH_TURN if rate else 2.0 * np.pi)
-    degrees = 'deg/s' if rate else 'deg'
-    return degrees if large or re.search(r'_(deg|dps|degs)([^a-z]|$)', lower) else ''
+def _turn_units(names: Sequence[str], columns: Sequence[np.ndarray], role: Role) -> list[str]:
+    """The unit of a sensor's columns where a name or the size of any says so; '' for SI."""
+    rate = role == 'rate'
+    si, degrees = ('rad/s', 'deg/s') if rate else ('rad', 'deg')
+
+    def named(name: str) -> str | None:
+        if header_unit(name, role) in UNITS[role]:
+            return header_unit(name, role)
+        found = re.search(r'_(rad|deg|dps)(s|ps)?([^a-z]|$)', name.lower())
+        return found and (si if found[1] == 'rad' else degrees)
+
+    own = [named(name) for name in names]
+    told = {unit for unit in own if unit}
+    largest = max(float(np.nanquantile(np.abs(values), 0.99)) for values in columns)
+    large = largest > (SMOOTH_TURN if rate else 2.0 * np.pi)
+    common = told.pop() if len(told) == 1 else degrees if large and not told else ''
+    units = [unit or common for unit in own]
+    return ['' if unit == si else unit for unit in units]

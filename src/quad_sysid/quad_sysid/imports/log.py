@@ -105,6 +105,8 @@ class ForeignLog:
     missing: tuple[str, ...] = ()
     """Missing streams with the consequences."""
     warnings: tuple[str, ...] = ()
+    reversing: Mapping[str, str] = field(default_factory=dict)
+    """By axis, what the user types to turn the sign of its command."""
     checks: tuple[str, ...] = ()
     """Doubts about columns, for the report."""
     faster: str = ''

@@ -212,8 +212,10 @@ def read_csv(
     names, places = _header(split(head[1]), f'{source}, line {head[0]}', wanted)
     rows: list[list[float]] = []
     kept: list[int] = []
+    whole = 0
     for number, line in numbered:
         cells = split(line)
+        whole += _as_wide(cells, len(places))
         if wanted is None:
             rows.append([_maybe_number(cells, place) for place in places])
         else:
@@ -222,12 +224,34 @@ def read_csv(
     if not rows:
         raise BadInputError(source, 'has a header but no rows', remedy='give recorded data')
     array = np.array(rows)
+    if wanted is None:
+        _check_table(array, whole, source)
     columns = {name: array[:, i].copy() for i, name in enumerate(names)}
     for name in wanted or ():
         if not np.isfinite(columns[name]).any():
             raise BadInputError(f'{source}, line {kept[0]}, column {name}', 'holds no number')
     return Table(source, {n: c for n, c in columns.items() if np.isfinite(c).any()},
                  lines=tuple(kept), told=text.told)
+
+
+def _as_wide(cells: Sequence[str], width: int) -> bool:
+    """Whether a row has one cell for each of the header's; an empty one may end it."""
+    return len(cells) == width or (len(cells) == width + 1 and not cells[-1].strip())
+
+
+def _check_table(rows: FloatArray, whole: int, source: str) -> None:
+    """Raise BadInputError for a text that is no table: few rows (n, k) are as wide as its header.
+
+    `whole` of them are; a row without any number is none of a recording either.
+    """
+    n = len(rows)
+    numbers = int(np.isfinite(rows).any(axis=1).sum())
+    if 2 * whole <= n:
+        raise BadInputError(source, "is not a table: most lines have not the header's columns",
+                            f'{whole} of {n} lines with {rows.shape[1]}', 'give a CSV file')
+    if 2 * numbers <= n:
+        raise BadInputError(source, 'is not a table of numbers: most lines hold none',
+                            f'{numbers} of {n} lines with a number', 'give a CSV file')
 
 
 @dataclass

@@ -26,7 +26,14 @@ from quad_sysid.imports.mixers import Mixer, mixer_of_patterns
 from quad_sysid.imports.plausible import contradicted
 from quad_sysid.imports.stretches import airborne, with_stretches
 from quad_sysid.imports.stretches import told as stretches_told
-from quad_sysid.motor_layout import Pattern, doubts, patterns_of, places
+from quad_sysid.motor_layout import (
+    Pattern,
+    commands_of,
+    doubts,
+    opposite,
+    patterns_of,
+    places,
+)
 from quad_sysid.motor_places import MOTORS
 from quad_sysid.record import GainChange, Record, finite_runs
 
@@ -149,7 +156,11 @@ def _commands(
         if log.control is None:
             raise BadInputError(log.source, 'holds no commands',
                                 remedy='log the motors or the output of the controller')
-        return _held(log.control, laid), None
+        control = _held(log.control, laid)
+        patterns = commands_of(rates, control[:, 1:], laid.dt, angles)
+        told += [pattern.sentence for pattern in patterns]
+        warnings += opposite(patterns, log.reversing)
+        return control, None
     motors = _held(log.motors, laid)
     rates = np.where(airborne(motors.mean(axis=1), laid.dt)[:, None], rates, np.nan)
     patterns = patterns_of(rates, motors, laid.dt, angles)

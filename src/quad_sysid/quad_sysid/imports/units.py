@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import re
 import shlex
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -24,6 +25,11 @@ class Unit:
     name: str
     factor: float
     offset: float = 0.0
+
+    @property
+    def reversed(self) -> str:
+        """The text of the unit that gives the opposite values."""
+        return f'{-self.factor:.6g}' + (f':{-self.offset:.6g}' if self.offset else '')
 
     def __call__(self, values: FloatArray) -> FloatArray:
         """Convert values of any shape."""
@@ -96,31 +102,45 @@ ALIASES = {
     'volt': 'V', 'volts': 'V', '-': '1',
 }
 """How headers write the units above, in small letters."""
+OF_PULSES: Mapping[str, str] = {'us': 'pulse_us'}
+OF_ROLE: dict[Role, Mapping[str, str]] = {'motor': OF_PULSES, 'control': OF_PULSES}
+"""Units that mean another one in columns of a role: a motor's microseconds are its pulse's."""
 WRITTEN = {name.lower(): name for known in UNITS.values() for name in known} | ALIASES
 IN_HEADER = re.compile(r'\s*[\[(]\s*([^\[\]()]*?)\s*[\])]\s*$')
 """`[deg/s]` or `(ms)` at the end of a column's name; an index such as `[0]` is not a unit."""
 
 
-def header_unit(column: str) -> str | None:
+def header_unit(column: str, role: Role | None = None) -> str | None:
     """The unit in brackets at the end of a column's name; None where there is none."""
     found = IN_HEADER.search(column)
     if found is None or not found[1] or found[1].isdigit():
         return None
-    return WRITTEN.get(found[1].lower(), found[1])
+    return written(found[1], role)
 
 
-def unit_of(role: Role, text: str | None, column: str) -> Unit:
-    """Look up the unit of a column: as told, else as its header says, else SI.
+def written(text: str, role: Role | None = None) -> str:
+    """The name of a unit that may be written otherwise; an unknown one as it stands."""
+    name = WRITTEN.get(text.lower(), text)
+    return OF_ROLE[role].get(name, name) if role in OF_ROLE else name
 
-    Raises BadInputError naming what the role allows.
+
+def bare(column: str) -> str:
+    """A column's name without a known unit in brackets."""
+    return IN_HEADER.sub('', column) if header_unit(column) in WRITTEN.values() else column
+
+
+def unit_of(role: Role, text: str | None, column: str, likely: str = '') -> Unit:
+    """Look up the unit of a column: as given, else as its header says, else SI.
+
+    Raises BadInputError naming what the role allows, and `likely` as an example.
     """
     known = UNITS[role]
-    name = WRITTEN.get(text.lower(), text) if text else header_unit(column) or next(iter(known))
+    name = written(text, role) if text else header_unit(column, role) or next(iter(known))
     if name in known:
         return Unit(name, *known[name])
     allowed = f'use {", ".join(known)}, a factor or FACTOR:OFFSET'
     if not text:
-        example = shlex.quote(f'{column}={next(iter(known))}')
+        example = shlex.quote(f'{column}={likely or next(iter(known))}')
         raise BadInputError(f'column {column}', 'has no known unit in its brackets', repr(name),
                             f'{allowed}, such as --unit {example}')
     factor, colon, offset = name.partition(':')

@@ -82,7 +82,7 @@ def lines(held: Content) -> list[str]:
 def _topics(held: Content) -> Iterator[str]:
     rows = [
         [one.name, str(one.messages), '-' if one.rate_hz is None else f'{one.rate_hz:.4g}',
-         f'{one.span_s:.1f}', str(one.gaps), f'{one.longest_gap_s:.3f}' if one.gaps else '-']
+         f'{one.span_s:.1f}', str(one.gaps), f'{one.longest_lost_s:.3f}' if one.gaps else '-']
         for one in held.topics.found
     ]
     yield from Table(['topic', 'messages', 'rate, Hz', 'seconds', 'gaps', 'longest, s'], rows,

@@ -16,11 +16,21 @@ from threadpoolctl import threadpool_limits
 from quad_sysid.bags import read_bag, split_segments
 from quad_sysid.bags.storage import Storage
 from quad_sysid.blackbox import excitation_order
-from quad_sysid.contract import MIXER, MIXER_INVERSE, TOPIC_TYPES
+from quad_sysid.contract import MIXER_INVERSE, TOPIC_TYPES
+from quad_sysid.discover.constants import DIFFERS
 from quad_sysid.effects import EFFECTS
 from quad_sysid.errors import BadInputError, NotInformativeError, QuadSysidError
+from quad_sysid.foresight import improvement
 from quad_sysid.model.data import AxisData, Span, axis_data
-from quad_sysid.motor_layout import Pattern, doubts, patterns_of, places
+from quad_sysid.motor_layout import (
+    Pattern,
+    commands_of,
+    doubts,
+    opposite,
+    patterns_of,
+    places,
+    told,
+)
 from quad_sysid.pipeline.assemble import band_of
 from quad_sysid.pipeline.blackbox_part import io_data
 from quad_sysid.pipeline.evaluate import flown_spans
@@ -46,6 +56,12 @@ class TopicContent:
     """From the first stamp to the last."""
     gaps: int
     longest_gap_s: float
+    """Between the stamps around it."""
+
+    @property
+    def longest_lost_s(self) -> float:
+        """Time without samples of the longest gap: one cycle less, as the record counts it."""
+        return self.longest_gap_s - (1.0 / self.rate_hz if self.rate_hz else 0.0)
 
 
 @dataclass(frozen=True)
@@ -106,12 +122,15 @@ class Use:
     name: str
     possible: bool
     because: str = ''
-    """Why it is not possible; empty if it is."""
+    """Why it is not possible; if it is, on what condition."""
 
 
-def uses_of_axis(record: Record, data: AxisData) -> tuple[Use, ...]:
-    """What one axis' data allow: identification first, then what hangs on more signals."""
-    axis, refused = data.axis, ''
+def uses_of_axis(record: Record, data: AxisData, untold: str) -> tuple[Use, ...]:
+    """What one axis' data allow: identification first, then what hangs on more signals.
+
+    untold: why the commands do not tell the rate; empty where they do.
+    """
+    axis, refused = data.axis, untold
     try:
         check_usable(data, (record,))
     except NotInformativeError as error:
@@ -132,11 +151,22 @@ def uses_of_axis(record: Record, data: AxisData) -> tuple[Use, ...]:
     )
 
 
-def _uses_of_flight(axes: Sequence[AxisContent]) -> tuple[Use, ...]:
+def _untold(data: AxisData) -> str:
+    """Why the commands do not tell the rate; empty where they do."""
+    ratio = improvement(data.rate, data.control, data.train, data.dt)
+    if ratio >= DIFFERS:
+        return ''
+    return ('the commands do not predict the rate better than past rates do (its error falls by a '
+            f'factor of {ratio:.2f}, {DIFFERS:g} is needed); is the axis held? Excite it, with '
+            'more amplitude where it was excited')
+
+
+def _uses_of_flight(axes: Sequence[AxisContent], rate_hz: float) -> tuple[Use, ...]:
     """What the flight as a whole allows."""
     moving = any(one.evaluable for one in axes)
     return (Use('evaluate a stored model', moving,
-                '' if moving else 'no axis holds rate and command that move for half a second'),)
+                f"one of this bag's rate, {rate_hz:.4g} Hz" if moving else
+                'no axis holds rate and command that move for half a second'),)
 
 
 def _moves(data: AxisData, signal: np.ndarray | None) -> bool:
@@ -188,7 +218,8 @@ class AxisContent:
     excitation_order: int | None = None
     """Order to which the command is persistently exciting, at most RICHEST; 0: it stands still."""
     coherent_band_rad_s: tuple[float, float] | None = None
-    """Widest unbroken band of squared coherence above 0.6."""
+    """Widest unbroken band of squared coherence above 0.6; None where the commands do not tell the
+    rate: feedback makes noise coherent with itself."""
 
 
 @dataclass(frozen=True)
@@ -211,6 +242,7 @@ class Content:
     lost_pct: float = 0.0
     """Share of the control cycles without /imu/data, %."""
     longest_gap_s: float = 0.0
+    """Cycles lost one after the other; between the stamps around them lies one cycle more."""
     split: bool = False
     """Whether the bag has no segments and was split in time."""
     segments: tuple[Segment, ...] = ()
@@ -220,7 +252,8 @@ class Content:
     """Per motor, share of the time at 0 or 1; empty where /motors/command is missing."""
     battery: Battery | None = None
     layout: tuple[Pattern, ...] = ()
-    """Motor patterns of each moving axis by the motion, in the order of the contract."""
+    """Patterns of each moving axis by the motion, in the order of the contract: of the motors, or
+    where the bag lacks them of the axis' command."""
     axes: tuple[AxisContent, ...] = ()
     uses: tuple[Use, ...] = ()
     """Uses of the whole flight."""
@@ -248,17 +281,25 @@ def of_record(record: Record, held: Topics, *, split: bool) -> Content:
     gaps = finite_runs(lost, (0, record.n))
     warning = refusal(record)
     axes = tuple(_axis(record, axis) for axis in asked_axes([record]))
-    motors = record.control @ MIXER.T if record.motors is None else record.motors
-    layout = patterns_of(record.rates, motors, record.dt, record.angles)
-    odd = doubts("the contract's mixer", MIXER_INVERSE, layout, record.rates, motors, record.dt,
-                 record.angles) + places(layout)[1]
+    layout, odd = _layout(record)
     return Content(record.source, held, sample_rate_hz=1.0 / record.dt,
                    length_s=record.n * record.dt, lost_pct=100.0 * float(np.mean(lost)),
                    longest_gap_s=max((b - a for a, b in gaps), default=0) * record.dt, split=split,
                    segments=record.segments, gains=tuple(sorted(record.gains_at(np.inf))),
                    motors_at_limit_pct=_at_limit(record), battery=_battery(record), layout=layout,
-                   axes=axes, uses=_uses_of_flight(axes),
+                   axes=axes, uses=_uses_of_flight(axes, 1.0 / record.dt),
                    warnings=(*record.warnings, *((warning,) if warning else ()), *odd))
+
+
+def _layout(record: Record) -> tuple[tuple[Pattern, ...], list[str]]:
+    """What the motors, or without them the commands, do to the axes, and doubts about it."""
+    if record.motors is None:
+        found = commands_of(record.rates, record.control[:, 1:], record.dt, record.angles)
+        return found, opposite(found, {})
+    layout = told(patterns_of(record.rates, record.motors, record.dt, record.angles),
+                  record.rates, record.motors, record.dt)
+    return layout, doubts("the contract's mixer", MIXER_INVERSE, layout, record.rates,
+                          record.motors, record.dt, record.angles) + places(layout)[1]
 
 
 def _axis(record: Record, axis: str) -> AxisContent:
@@ -274,9 +315,10 @@ def _axis(record: Record, axis: str) -> AxisContent:
                       because=str(error).removeprefix(f'{axis}: '))
         return AxisContent(axis, lengths['train'], lengths['validation'], 0,
                            evaluable=False, uses=(refused,))
+    untold = _untold(data)
     found = AxisContent(axis, lengths['train'], lengths['validation'],
                         data.windows(data.validation).count, _evaluable(record, data),
-                        uses_of_axis(record, data))
+                        uses_of_axis(record, data, untold))
     if not data.train:
         return found
     command = _rms(data.command, data.train)
@@ -284,7 +326,7 @@ def _axis(record: Record, axis: str) -> AxisContent:
     return replace(found, rate_rms=_rms(data.rate, data.train), command_rms=command,
                    reference_rms=reference,
                    excitation_order=_order(data, command),
-                   coherent_band_rad_s=band_of(data) if command and command > MOVES else None)
+                   coherent_band_rad_s=None if untold else band_of(data))
 
 
 def _order(data: AxisData, command_rms: float | None) -> int | None:
