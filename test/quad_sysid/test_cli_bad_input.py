@@ -113,6 +113,20 @@ def test_a_report_leaves_nothing_of_an_earlier_one(plain_bag, run, tmp_path):
     assert list(json.loads((out / 'report.json').read_text())['axes']) == ['yaw']
 
 
+@pytest.mark.parametrize('name', ['report.html', 'report.json', 'guide.md'])
+def test_a_folder_of_other_things_is_no_place_for_a_report(plain_bag, run, tmp_path, name):
+    """Nothing is mixed into it, and no file of the user's replaced."""
+    out = tmp_path / 'docs'
+    out.mkdir()
+    (out / name).write_text('{"schema": "mine"}')
+    status, error = run('identify', plain_bag, '--axis', 'roll', '--out', out)
+    assert (status, [path.name for path in out.iterdir()]) == (2, [name])
+    assert error == (f'quad-sysid: {out}: holds files, but no report of an identification: '
+                     f'found {name}; name a new folder, or an empty one\n')
+    (out / name).unlink()
+    assert main(['identify', str(plain_bag), '--axis', 'yaw', '--quiet', '--out', str(out)]) == 3
+
+
 def first(n: int) -> Callable[[Record], dict[str, object]]:
     def change(record: Record) -> dict[str, object]:
         columns = ('control', 'rates', 'angles', 'battery_v', 'attitude_setpoint', 'rate_setpoint')
